@@ -1,4 +1,4 @@
-"""A tiny run of a study, from its TOML to its files. Its jobs run in this process: tests/study tests the engine."""
+"""A fixture that runs a tiny study, from TOML to files, in this process (tests/study tests the engine of jobs)."""
 
 import json
 import pickle

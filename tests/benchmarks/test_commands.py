@@ -1,4 +1,4 @@
-"""The commands of a checkout: those that the documents name exist, and the figures of studies get into the pages."""
+"""The commands of `benchmarks`: the documents name them all, and `benchmarks.docs` puts studies' figures into pages."""
 
 import importlib
 import json

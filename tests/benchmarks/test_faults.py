@@ -1,4 +1,4 @@
-"""The study of faults: its figures follow from the runs, and every fault meets every controller."""
+"""The study of faults: which runs it makes, and how its figures and goals follow from them."""
 
 import numpy as np
 import pytest
@@ -60,7 +60,7 @@ def test_recovery_is_the_last_time_above_the_level():
     error = np.full(300, 1e-3)
     error[100:150] = 5e-3
     case = Case(group="contact", from_s=1.0, until_s=1.4)
-    # The mean of 20 rows is above 1.25 mm until it has only one row of 5 mm, and nineteen of 1 mm
+    # The mean of 20 rows is above 1.25 mm until only one of them is 5 mm and the other nineteen are 1 mm.
     assert recovery(run_of(error), free, case, "completed") == pytest.approx(1.69 - 1.4, abs=0.02)
     assert recovery(run_of(error), free, Case(group="plant"), "completed") == pytest.approx(1.69, abs=0.02)
     assert recovery(free, free, case, "completed") == 0.0
@@ -121,7 +121,7 @@ def test_goals_follow_from_the_rows():
     assert mixed["outcome"] == "1 survived, 1 stopped"
 
 
-def test_a_lost_camera_makes_the_path_wait_and_a_case_that_cannot_start_is_a_row():
+def test_the_path_waits_while_the_camera_is_lost_and_a_case_that_cannot_start_is_refused():
     asked = Scenario(control={"preset": "tuned"}, duration_s=2.0, bound_samples=0, judge=False)
     trace, ended = run_case(asked, (0.8, 1.4))
     assert ended == "completed"

@@ -1,4 +1,4 @@
-"""The paper's experiment: verdicts that follow from the numbers, the procedure, and a command that leaves its files."""
+"""The study of the paper's claims: how verdicts follow from figures, the procedure with a camera, and the command."""
 
 from collections import Counter
 
@@ -82,7 +82,7 @@ def test_claims_and_goals_are_computed_from_the_right_rows():
     assert {few[key]["reached"] for key in ("mu_gain", "settled_rcm_error_mean_mm", "mu_worst")} == {"open"}
 
 
-def test_an_exchange_decides_only_where_it_surely_reverses_a_claim():
+def test_an_exchanged_setting_decides_a_claim_only_if_it_surely_reverses_it():
     cases = {name: Case(about=name) for name in ("printed", "turns", "same", "noisy")}
     rng, rows = np.random.default_rng(3), []
     for name, tip, spread in (("printed", 0.9, 0.0), ("turns", 1.2, 0.0), ("same", 0.9, 0.0), ("noisy", 1.01, 0.5)):
@@ -98,7 +98,7 @@ def test_an_exchange_decides_only_where_it_surely_reverses_a_claim():
     assert found["turns", "tip, own"]["shift_percent"] == pytest.approx(30.0, abs=2.0)
 
 
-def test_the_configuration_that_ships_is_the_papers_experiment():
+def test_the_shipped_configuration_is_the_papers_experiment():
     cases = {group: SHIPPED.cases(SHIPPED.base(group)) for group in SHIPPED.groups}
     tasks = Counter(case.name.partition("/")[0] for case in cases["paper"])
     assert tasks == {"circle": 15, "sinusoid": 15, "spiral": 15}
@@ -108,7 +108,7 @@ def test_the_configuration_that_ships_is_the_papers_experiment():
         assert [case.seed for case in mine] == [case.seed for case in cases["paper"]]
 
 
-def test_a_procedure_that_cannot_go_on_says_why_and_its_run_has_the_safety_filter():
+def test_a_procedure_that_cannot_continue_gives_the_reason_and_its_run_has_the_safety_filter():
     with pytest.raises(MocOptError, match="did not reach the incision"):
         procedure.perform(ProcedureSettings(camera=SMALL, hands_on=HandsOnSettings(time_limit_s=0.2)), QUICK, "circle")
     base = QUICK.change(guard={"rcm_error_m": 2e-4, "rcm_warning_m": 1e-4})
@@ -133,7 +133,7 @@ def test_the_command_reports_every_part_and_completes_the_procedure(tiny):
     assert (row["ended"], row["share_of_run"], row["registered"]) == ("completed", 1.0, True)
     assert 0.0 < row["registration_error_mm"] < 5.0
     assert row["board_position_mm"] < 2.0
-    assert 0.9 < row["waited_s"] < 2.5  # lost for 1 s; slowing down and starting again take the rest
+    assert 0.9 < row["waited_s"] < 2.5  # the board is lost for 1 s; slowing down and starting again take the rest
     assert row["tip_error_mean_mm"] < 1.5  # the true error: the arm is half a millimetre off its kinematics
     # The path deviates by the error of the board's location, and beyond that by no more than the tip's error.
     assert row["path_deviation_max_mm"] < row["task_error_max_mm"] + 1.0

@@ -1,4 +1,4 @@
-"""Controllers of other packages: each that is listed does the task, and one that does not is detected."""
+"""Peers are controllers of other packages: each listed one does the task, and one that does not is detected."""
 
 import re
 

@@ -16,7 +16,7 @@ scenario = { judge = false, bound_samples = 0, duration_s = 0.3 }
 """
 
 
-def test_every_defect_meets_both_controllers_and_registering_again_restores_accuracy(tiny):
+def test_both_controllers_run_with_every_defect_and_registering_again_restores_accuracy(tiny):
     """In this trial MOC's registered tip error is far above DCAC's; registering again more than halves it."""
     results = tiny(plant, TINY)
     summary = results.summary

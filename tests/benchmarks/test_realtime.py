@@ -1,4 +1,4 @@
-"""The benchmark against the clock: what it counts, and that its runs go over the wire."""
+"""The real-time benchmark: how it counts cycles and misses, and that its runs use both processes and the wire."""
 
 import json
 import os
@@ -85,5 +85,5 @@ def test_a_process_that_fails_is_an_error_and_not_a_figure():
     with pytest.raises(StudyError, match="did not start"):
         realtime.run_once(Case("python", 500, "quiet"), Scenario(robot={"name": "none"}), None, 0, ())
     short = Scenario(duration_s=0.1, bound_samples=0, wire={"wait_s": 1.0})
-    with pytest.raises(StudyError, match="no controller came"):  # Python exits at once: 127.0.0.1 is no script
+    with pytest.raises(StudyError, match="no controller came"):  # it exits at once: 127.0.0.1 is no script
         realtime.run_once(Case("c", 500, "quiet"), short, sys.executable, 0, ())

@@ -1,4 +1,4 @@
-"""The speed benchmark: compared codes do the same work, ratios are of times of one round, and goals are judged."""
+"""The speed benchmark: compared codes do the same work, each ratio is of times of one round, and goals are judged."""
 
 import json
 
@@ -49,7 +49,7 @@ def test_entries_take_turns_chunk_by_chunk(monkeypatch):
 
 def test_no_call_is_left_out_of_the_figures():
     times = np.full((10, 100), 2.0)
-    times[:, :5] = 9.0  # cold, one in twenty
+    times[:, :5] = 9.0  # the cold calls, one in twenty
     times[3, 50] = 70.0
     part = timed.Part(times={"a": times, "b": np.full((10, 100), 4.0)}, seen={"a": {}})
     found = part.figures("a", "tick")
@@ -75,7 +75,7 @@ def test_a_ratio_compares_times_of_the_same_round():
 
 
 def test_the_limit_steps_through_the_states_of_the_run():
-    """A control period leads from each recorded state to the next, up to forces that are one step older."""
+    """A control period from each recorded state ends near the next state; the forces are one step older."""
     states, stepped = timed.own_steps(SHORT.change(duration_s=0.4))
     after, n = stepped(), 7
     assert len(states) == 200
@@ -97,7 +97,7 @@ scenario.duration_s = 0.2
 """
 
 
-def test_command_leaves_its_files(tiny, capsys, monkeypatch):
+def test_the_command_measures_every_part_and_lists_missing_peers(tiny, capsys, monkeypatch):
     monkeypatch.setattr(speed.peers, "missing", lambda name: "it is missing")
     left = tiny(speed, SMALL)
     summary, rows = left.summary, left.rows
@@ -118,7 +118,7 @@ def test_command_leaves_its_files(tiny, capsys, monkeypatch):
     assert "of a core" in capsys.readouterr().out
 
 
-def test_a_part_that_fails_is_not_measured_and_nothing_is_kept(tmp_path, monkeypatch):
+def test_the_goals_of_a_failed_part_are_not_measured_and_no_times_are_kept(tmp_path, monkeypatch):
     asked = []
 
     def failing(study, jobs, what, keep):

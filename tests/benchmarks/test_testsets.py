@@ -1,4 +1,4 @@
-"""Certificate, shipped and exported sets: the enumerated optima are confirmed by HiGHS and by the residuals."""
+"""Sets of subproblems: HiGHS and the residuals confirm their certified optima, and sets can be made and exported."""
 
 import subprocess
 import sys
@@ -29,7 +29,7 @@ ALONE, LONG = [[1.0, 0.0]], ([0.0, -1.0], [1.0, 2.0])
 
 @pytest.mark.parametrize(("A", "b", "pull", "rho", "box", "expected"), [
     (TWICE, [1.0, 2.0], [1.0, 0.0], 0.0, UNIT, [1.0, 0.0]),  # rows that repeat each other
-    (TWICE, [1.0, 2.0 + 1e-15], [1.0, 0.0], 0.0, UNIT, None),  # and rows that contradict
+    (TWICE, [1.0, 2.0 + 1e-15], [1.0, 0.0], 0.0, UNIT, None),  # rows that contradict each other
     (ALONE, [0.5], [0.0, 0.0], 0.0, LONG, [0.5, 0.0]),  # a joint that moves nothing is solved alone
     (ALONE, [0.5], [0.0, 1.0], 0.0, LONG, [0.5, 2.0]), (ALONE, [0.5], [0.0, -1.0], 0.0, LONG, [0.5, -1.0]),
     (ALONE, [0.5], [0.0, 3.0], 2.0, LONG, [0.5, 1.5]), (ALONE, [0.5], [0.0, -3.0], 2.0, LONG, [0.5, -1.0]),
@@ -50,7 +50,7 @@ def test_highs_finds_nothing_better_with_several_freedoms(rows, rho):
 
 
 def descent(A: Array, b: Array, slope: Array, lower: Array, upper: Array, x: Array) -> float:
-    """Return by how much HiGHS lowers slope^T x, over |slope|_inf; x has to meet A x = b to 1e-12."""
+    """Return by how much HiGHS lowers slope^T x, divided by |slope|_inf; x has to meet A x = b to 1e-12."""
     np.testing.assert_allclose(A @ x, b, atol=1e-12)
     assert (np.maximum(lower - x, x - upper) <= 1e-15).all()
     unit = slope / (np.abs(slope).max() or 1.0)

@@ -40,13 +40,13 @@ def test_no_two_trials_share_a_seed_a_start_or_a_registration(name: str) -> None
     assert len({tuple(setup.plant.mismatch.registration_error) for setup in some}) == len(some)
 
 
-def test_the_pool_behind_the_coverage_shares_no_trial_with_the_study() -> None:
+def test_the_pool_of_the_coverage_study_shares_no_trial_with_the_study_of_solvers() -> None:
     pool = {case.seed for case in coverage.Config().cases()}
     assert len(pool) == coverage.Config().trials
     assert not {trial.seed for name in ("solvers", "solvers-full") for trial in shipped(name)} & pool
 
 
-# --- the simulation of coverage: shares and widths that are known beforehand ---
+# --- the simulation of coverage, where coverage and widths are known beforehand ---
 
 POOL = np.random.default_rng(0).lognormal(0.0, 0.3, (2, 240))
 

@@ -114,7 +114,7 @@ def test_the_page_of_keys_is_up_to_date_and_its_defaults_are_those_of_the_scenar
         for part in filter(None, name.split(".")):
             table = getattr(table, part)
         for key, _, default, _ in keys:
-            value = getattr(table, key, None)  # only a file has the key preset
+            value = getattr(table, key, None)  # `preset` is a key of the file, not a field
             if isinstance(value, float | int) and not isinstance(value, bool):
                 assert float(default) == value, f"{name}.{key}"
 

@@ -1,4 +1,4 @@
-"""The exported program as a controller over UDP: its run is that of Python, even if packets are lost or damaged."""
+"""The exported program as a controller over UDP: its run equals Python's, even if packets are lost or damaged."""
 
 import json
 import shutil
@@ -64,7 +64,7 @@ def ran(folder: Path, *arguments: str, **options: Any) -> subprocess.CompletedPr
 
 
 def program(folder: Path, address: str) -> tuple[dict[str, Any], int]:
-    """The exported controller: what it prints, and its status."""
+    """Run the exported controller; return what it prints, and its exit status."""
     done = ran(folder, *address.split(":"), str(folder / "reference.bin"))
     assert done.returncode in (0, 3), done.stderr
     return json.loads(done.stdout), done.returncode
@@ -103,7 +103,7 @@ def test_faults_of_the_wire_are_counted_and_change_nothing(built: Built, name: s
 
 
 def test_torques_of_the_plants_watchdog_are_handled_as_in_python_and_the_end_is_reported(built: Built) -> None:
-    """The plant holds the last torque where a command is lost. From tick 100 on none comes, and its watchdog brakes."""
+    """The plant holds the last torque if a command is lost. From tick 100 on all are lost, and its watchdog brakes."""
     scenario, folder = built("default")
     blind = scenario.change(wire={"resend_s": 0.33, "resends": 0, "hold_ticks": 2, "damp_ticks": 0})
 

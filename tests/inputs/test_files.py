@@ -34,7 +34,7 @@ def test_every_reader_refuses_what_is_no_regular_file(load, error, tmp_path):
             load(tmp_path / name)
 
 
-def test_a_file_is_measured_before_it_is_read(tmp_path):
+def test_the_size_of_a_file_is_checked_before_it_is_read(tmp_path):
     with (tmp_path / "large").open("wb") as file:
         file.truncate(10 * 2**40)
     (tmp_path / "whole").write_bytes(b"x" * 100)
@@ -81,7 +81,7 @@ def test_every_decimal_number_is_read(value):
     assert decimal(repr(value)) == float(value)
 
 
-def test_an_older_file_stays_where_the_disk_is_full(tmp_path, monkeypatch):
+def test_an_older_file_stays_if_the_disk_is_full(tmp_path, monkeypatch):
     def full(handle):
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -140,7 +140,7 @@ VALUES = st.recursive(
 
 @given(st.dictionaries(TEXT, VALUES, max_size=4))
 @settings(max_examples=60)
-def test_whatever_is_written_reads_the_same_as_toml_and_is_json(table):
+def test_a_written_table_reads_back_the_same_from_toml_and_is_valid_json(table):
     assert tomllib.loads(to_toml(table)) == table
     text = to_json({"value": table, "numpy": np.array([np.nan, np.inf, 1.0])})
     assert json.loads(text, parse_constant=pytest.fail)["numpy"] == [None, None, 1.0]

@@ -1,4 +1,4 @@
-"""Names from outside: which texts are names, where that is checked, and how Markdown shows any other text."""
+"""Names from outside: which texts are valid, where names are checked, and how Markdown shows any other text."""
 
 import html
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The live page: where it listens, who commands it, and, in a browser (if there is one), that its controls work."""
+"""The live page: where it listens, whom it obeys, and, in a browser (if there is one), that its controls work."""
 
 import asyncio
 import socket
@@ -60,7 +60,7 @@ def test_the_run_keeps_step_with_the_clock(live: LivePage) -> None:
         sleep(1.0)
         return abs(live.run.t_s - monotonic() - lead) < 0.25
 
-    until(in_step, "too fast, or too slow, whenever one looks")
+    until(in_step, "the run is always too fast or too slow")
 
 
 def test_of_rapid_choices_the_last_one_runs(live: LivePage) -> None:
@@ -71,7 +71,7 @@ def test_of_rapid_choices_the_last_one_runs(live: LivePage) -> None:
 
 
 def knock(live: LivePage, path: str, say: bytes = b"") -> Any:
-    """First message to a WebSocket at `path` from another site's page; None where it is closed without one."""
+    """First answer of a WebSocket at `path` to another site's page; None if it is closed without an answer."""
     uri, protocol = f"ws://127.0.0.1:{live.server.get_port()}{path}", f"viser-v{viser.__version__}"
     with (
         suppress(ConnectionClosed),
@@ -110,7 +110,7 @@ def test_an_order_without_the_token_is_not_obeyed_even_if_it_came_before_the_ref
 
 @pytest.fixture(scope="module")
 def page(chromium: Any, live: LivePage) -> Iterator[Any]:
-    """The open page. It must have had no error, and made no request to another server, when it is closed."""
+    """The open page. At the end, it must have had no error and have made no request to another server."""
     own, few = live.url.partition("/?")[0], {"viewport": {"width": 300, "height": 200}, "device_scale_factor": 0.25}
     with opened(chromium, live.url, "text=real time", own, ("error",), **few) as found:
         yield found
@@ -153,7 +153,7 @@ def test_bad_input_gives_a_message_and_the_run_goes_on(page: Any, live: LivePage
         enter(field, wrong)
         click(apply)
         says(page, told)
-        until(lambda: typed.value == good, "the field goes back to what holds")
+        until(lambda: typed.value == good, "the field shows the value in use again")
         assert live.run.control == before
     t = live.run.t_s
     until(lambda: live.run.t_s > t + 0.2, "the run stands still")

@@ -15,7 +15,7 @@ from moc_opt.scenario import Scenario, Setup
 
 @pytest.fixture
 def run() -> LiveRun:
-    """MOC on the default circle, its elbow away from its best place."""
+    """MOC on the default circle; the elbow starts away from the pose of largest mu."""
     return LiveRun(Scenario(start={"swivel": 0.2}, plant={"preset": "nominal"}))
 
 
@@ -43,7 +43,7 @@ def test_a_solver_is_exchanged_at_the_next_tick(run: LiveRun) -> None:
     assert solver_of(run.used) == run.solver != "exact"
     run.choose(DCAC)
     run.advance(1)
-    assert solver_of(run.used) != DCAC, "not while the torques of the exchange before blend"
+    assert solver_of(run.used) != DCAC, "not while the torques of the previous exchange blend"
     run.advance(79)
     assert run.used.solution is None
     assert np.isnan(column(run, "solve_us", 30)).all()
@@ -135,14 +135,14 @@ def test_the_trocar_moves_slowly_and_stays_there_after_a_reset(run: LiveRun) -> 
     speeds = np.diff(places, axis=0) / run.period_s
     np.testing.assert_allclose(speeds[1:100], np.tile(SLOWLY_M_PER_S * asked / np.linalg.norm(asked), (99, 1)))
     np.testing.assert_allclose(places[-1] - start, asked, atol=1e-9)
-    assert column(run, "rcm_error_m", 100).max() < 3e-3, "the controller knows where it went"
+    assert column(run, "rcm_error_m", 100).max() < 3e-3, "the controller knows where the trocar is"
     run.reset()
     run.advance(300)
     np.testing.assert_allclose(run.trocar - start, asked, atol=1e-9)
 
 
 def test_a_controller_asked_for_at_every_tick_leaves_the_arm_controlled(run: LiveRun) -> None:
-    """Exchanges at every tick would freeze the torque, so the latest request waits until 0.1 s after the last one."""
+    """Exchanges at every tick would freeze the torque, so a request waits until 0.1 s after the exchange before."""
     rng = np.random.default_rng(0)
     for _ in range(400):
         run.choose(str(rng.choice([DCAC, "exact", "rnn"])))

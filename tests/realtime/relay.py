@@ -1,4 +1,4 @@
-"""Helpers for tests of the wire: a relay that drops, doubles, cuts and forges packets, and a played controller."""
+"""Helpers for tests of the wire: a relay that drops, doubles, cuts and forges packets, and a scripted controller."""
 
 import select
 import socket
@@ -23,7 +23,7 @@ class Relay:
     """A context manager that passes the packets of a controller on to the plant, and those of the plant back.
 
     Each of FAULTS happens to a ``share`` of the packets, drawn with the seed. ``lost(kind, number)`` says which packets
-    never arrive. An end that has received its last packet counts no more, so packets to it are left alone.
+    never arrive. An end that has received its final packet counts nothing more, so no fault happens to packets to it.
     """
 
     def __init__(self, plant, share=0.0, lost=lambda kind, number: False, seed=0) -> None:

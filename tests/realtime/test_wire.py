@@ -86,7 +86,7 @@ def test_sound_packets_pass_and_all_others_are_counted(ends):
     assert plant.quality == {"received": 0, "missed": 0, "late": 0, "forged": 1, "foreign": 1 + len(foreign)}
 
 
-def test_a_packet_that_has_arrived_is_taken_after_the_deadline_but_a_flood_is_not_read_on(ends):
+def test_a_packet_that_has_arrived_is_taken_after_the_deadline_but_a_flood_is_not_read_to_its_end(ends):
     plant, controller = ends
     controller.sendto(seal(command(sequence=1), KEY), plant.address)
     assert plant.receive(monotonic() - 1.0) is not None
@@ -225,7 +225,7 @@ def measurement(flags, k=0, commanded=0.0, scenario=9):
 
 
 def answered(said):
-    """Ending, packets sent, and (ticks so far, torque) of each corrected torque; the k-th tick asks for k Nm."""
+    """Return the ending, the packets sent, and (ticks so far, torque) of each correction. The k-th tick asks k Nm."""
     said, sent, corrected, wait = iter(said), [], [], WireSettings(wait_s=0.05, silence_s=0.5)
     plant = Mock(n=N, peer=("plant", 1), session=0, quality=dict.fromkeys(wire.COUNTERS, 0), heard="nothing")
     plant.send.side_effect = lambda packet: sent.append((Kind(packet["kind"]), packet.copy()))
@@ -240,7 +240,7 @@ def answered(said):
 
 @pytest.mark.parametrize(("ticks", "commands", "corrected", "counts", "ended"), [
     ([(0, 0), (1, 1), (2, 2), (3, 3)], [(0, 1), (1, 2), (2, 3), (3, 4)], [], (4, 0, 0), "completed"),
-    # The plant did not hear the second command, and held the first torque.
+    # The plant did not receive the second command, and held the first torque.
     ([(0, 0), (1, 1), (2, 1), (3, 3)], [(0, 1), (1, 2), (2, 3), (3, 4)], [(2, 1)], (4, 0, 0), "completed"),
     # A measurement that is repeated is answered by the same command once more.
     ([(0, 0), (1, 1), (1, 1)], [(0, 1), (1, 2), (1, 2)], [], (2, 0, 1), "the plant ended the run at tick 2 of 4"),

@@ -120,7 +120,7 @@ def test_no_name_makes_a_tag_an_attribute_or_a_script(text: str) -> None:
     assert sum(tag == "script" for tag, *_ in found) == sum(tag == "script" for tag, *_ in plain()[0])
 
 
-def test_save_is_reproducible_and_small(full: Page, tmp_path: Path) -> None:
+def test_saving_twice_gives_the_same_small_file(full: Page, tmp_path: Path) -> None:
     first, second = full.save(tmp_path / "a" / "report.html"), full.save(tmp_path / "b.html")
     old = first.read_bytes()
     assert old == second.read_bytes()

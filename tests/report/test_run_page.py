@@ -1,4 +1,4 @@
-"""Runs as tables, JSON and pages: the ending comes first, figures of a part are marked, foreign files are kept."""
+"""Tables, JSON and pages of runs: the ending comes first, partial runs are marked, foreign files are kept."""
 
 import json
 from pathlib import Path
@@ -34,7 +34,7 @@ def files(tmp_path_factory) -> list[Path]:
     return [folder / f"{name}.parquet" for name in found]
 
 
-def test_the_ending_is_the_first_row_and_figures_of_a_part_are_marked():
+def test_the_ending_is_the_first_row_and_figures_of_a_partial_run_are_marked():
     metrics = {"completed": 0.0, "share_of_run": 0.75, "mu_mean": 0.25}
     stopped = trace("stopped: x", 3, warnings=[WARNING])
     (table,) = run_tables({"slip": stopped}, {"slip": metrics})
@@ -52,7 +52,7 @@ def test_the_ending_is_the_first_row_and_figures_of_a_part_are_marked():
 
 
 @pytest.mark.parametrize(("raised", "most"), [(2, False), (3, True)])
-def test_a_solver_that_was_replaced_is_named_before_any_figure(raised, most):
+def test_replaced_answers_of_a_solver_are_reported_before_any_figure(raised, most):
     """A run whose answers all came from the fallback completes like any other, so the report has to say so."""
     faults = {"raised": {"count": raised, "first_at_s": 0.0, "first": "ZeroDivisionError"}}
     (table,) = run_tables({"slip": trace(faults=faults)}, {"slip": {"mu_mean": 0.25}}, first=True)
@@ -99,11 +99,11 @@ def test_the_exit_status_tells_success_from_the_rest(tmp_path, capsys, table, st
     if ended.startswith("stopped"):
         assert found["share_of_run"] < 1.0
         assert [w["of"] for w in found["warnings"]] == ["the RCM error"]
-    # DCAC may be stopped sooner or later: a part is compared with the same part of its run, or not at all
+    # A stopped run is compared with the same part of DCAC's run, or not at all if DCAC's run is shorter.
     assert "mu_gain_percent" in found or (ended.startswith("stopped") and "not compared with DCAC" in said.err)
 
 
-def test_whole_runs_share_a_table_and_a_part_has_its_own():
+def test_whole_runs_share_a_table_and_a_partial_run_has_its_own():
     late = {"late": {"count": 1, "first_at_s": 0.0, "first": "x"}}
     runs = {"a": trace(faults=late), "b": trace("oscillated: joint_7", scenario={"solver": {"name": "nlp-sqp"}})}
     metrics = {"a": {"mu_mean": 0.2, "silently_wrong": 1.0}, "b": {"mu_mean": 0.3, "silently_wrong": 1.0}}
@@ -171,7 +171,7 @@ def test_a_page_replaces_a_foreign_file_only_with_force_and_needs_a_usable_place
     assert out.read_text() == "mine"
     order = [command, str(files[0]), "--out", str(out)]
     assert main([*order, "--force"]) == 0
-    assert main(order) == 0, "a page of ours may be made anew"
+    assert main(order) == 0, "a page that moc_opt wrote may be replaced"
     assert out.stat().st_size > 10_000
 
 

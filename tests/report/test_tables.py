@@ -1,4 +1,4 @@
-"""The terminal: tables with their notation, emphasis and missing values, progress, and JSON that machines can read."""
+"""Tables for the terminal, with notation, emphasis and missing values; and progress without a terminal."""
 
 import io
 import math
@@ -53,7 +53,7 @@ def test_missing_infinite_and_boolean_values_have_their_texts() -> None:
     assert texts([True, np.bool_(False)]) == ["yes", "no"]
 
 
-def test_values_that_read_as_the_best_are_marked() -> None:
+def test_the_best_value_and_those_printed_alike_are_marked() -> None:
     assert best([2.0, 1.0, None, math.inf, 1.0004], better="low") == [False, True, False, False, True]
     assert best([2.5, 1.0, -math.inf, math.inf], better="high") == [True, False, False, False]
     assert best([1.0, 1.0, 1.0, 2.0], better="low") == [False] * 4, "most of them: no emphasis"
@@ -81,7 +81,7 @@ def test_a_narrow_terminal_shows_every_number_whole(width: int, count: int, size
 
 @pytest.mark.parametrize(("step_s", "told"), [(10.0, [1, 2, 3, 4]), (6.0, [1, 3]), (1.0, [1])])
 def test_without_a_terminal_progress_writes_a_line_now_and_then(step_s: float, told: list[int]) -> None:
-    """The forecast counts from when the number of steps is known, without the minute of setting up before."""
+    """The forecast begins when the number of steps is known; the minute of setting up before does not count."""
     file, now = io.StringIO(), [0.0]
     screen = console(file=file)
     screen.get_time = lambda: now[0]

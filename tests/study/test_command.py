@@ -50,7 +50,7 @@ def asked(tmp_path: Path) -> tuple[Path, Path]:
     return tmp_path / "tiny.toml", tmp_path / "new" / "out"
 
 
-def test_a_study_leaves_its_files_prints_its_answer_and_keeps_files_of_others(asked, capsys):
+def test_a_study_writes_and_prints_its_result_and_refuses_a_folder_that_no_study_wrote(asked, capsys):
     config, out = asked
     assert call(squares, config, "--out", out) == 3, "the status of the findings"
     said = capsys.readouterr().out
@@ -104,7 +104,7 @@ def test_wrong_input_gives_one_line_and_status_2(asked, capsys, content, said):
     assert re.search(rf"^\w+Error: .*{said}", line)
 
 
-def test_trials_without_a_start_are_rows(asked):
+def test_a_trial_without_a_start_becomes_a_row_of_the_results(asked):
     case = Scenario(name="circle/5", seed=5, duration_s=0.1, bound_samples=0, judge=False)
     bad = case.change(name="bad", start={"q_rad": (0.0,) * 7})
     study = Study("tiny", asked[1], command.Namespace(), 1)

@@ -1,4 +1,4 @@
-"""Solvers on the same trials: the rows of the table with their trials, means, intervals and verdicts."""
+"""`mo.compare`: solvers run the same trials, and a table has their means, intervals and counts of wrong answers."""
 
 from itertools import product
 from types import SimpleNamespace
@@ -31,7 +31,7 @@ def test_every_solver_and_dcac_run_the_same_trials_and_claims_are_judged():
     assert found.solvers == ["dcac", "exact", "standing"]
     assert [(row["seed"], row["solver"]) for row in found.rows] == [*product((4, 5), found.solvers)]
     starts = [[row["mu_mean"] for row in found.rows if row["seed"] == seed] for seed in (4, 5)]
-    for values in starts:  # all start in the same pose and are close to it for 0.3 s
+    for values in starts:  # all start in the same pose and stay close to it for 0.3 s
         assert np.ptp(values) < 0.05 * np.mean(values)
     assert abs(np.mean(starts[0]) - np.mean(starts[1])) > 1e-3
     mine, base = ([row["mu_mean"] for row in found.rows if row["solver"] == name] for name in ("exact", "dcac"))
@@ -64,7 +64,7 @@ def test_wrong_arguments_are_refused_before_anything_runs(solvers, more, error, 
         mo.compare(solvers, **more)
 
 
-def test_a_solver_that_cannot_start_has_rows_and_the_others_go_on():
+def test_a_solver_that_cannot_start_gets_failed_rows_while_the_others_run():
     found = mo.compare([standing("broken", RuntimeError("no licence here")), "exact"], BRIEF, trials=2)
     assert {(row["ended"], row["error"]) for row in found.rows if row["solver"] == "broken"} == {
         ("failed", "ControlError: solver 'broken' cannot run in this controller: RuntimeError: no licence here")
@@ -74,7 +74,7 @@ def test_a_solver_that_cannot_start_has_rows_and_the_others_go_on():
     assert "broken failed in 2: ControlError: solver 'broken'" in found.table.caption
 
 
-def test_a_later_trial_without_a_start_loses_that_trial_alone(monkeypatch):
+def test_only_a_first_trial_without_a_start_ends_the_comparison(monkeypatch):
     def only_even(trial):
         if trial.seed % 2:
             raise ScenarioError("no start")
@@ -88,7 +88,7 @@ def test_a_later_trial_without_a_start_loses_that_trial_alone(monkeypatch):
         mo.compare(["exact"], BRIEF, trials=1, seed=1)
 
 
-def test_an_interrupt_leaves_the_trials_that_are_done():
+def test_an_interrupt_keeps_the_completed_trials():
     def watch(words):
         if words == "trial 3 of 4, exact":
             raise KeyboardInterrupt
@@ -120,7 +120,7 @@ def compared(trials):
     return Comparison(rows, list(TIP), SHORT)
 
 
-def test_a_change_is_marked_where_the_two_means_disagree():
+def test_a_change_gets_a_question_mark_if_the_two_ways_to_average_it_disagree():
     wide, name = compared(9), "tip_error_model_change_percent"
     found, row = wide.summary()["exact"], wide.table.rows[1]
     assert found[name] < 0.0 < found[f"{name}_of_ratios"]
@@ -129,14 +129,14 @@ def test_a_change_is_marked_where_the_two_means_disagree():
 
 
 @pytest.mark.parametrize(("trials", "decided"), [(7, False), (8, True)])
-def test_few_trials_show_no_change(trials, decided):
+def test_fewer_than_eight_trials_show_no_change(trials, decided):
     table = compared(trials).table
     assert ("mu_gain_percent" in {column.key for column in table.columns}) is decided
     assert ("[" in table.rows[1]["mu_mean"]) is decided
     assert max(map(len, repr(compared(trials)).splitlines())) <= 200
 
 
-def test_an_answer_to_another_problem_is_neither_verified_nor_wrong():
+def test_answers_to_the_nonlinear_problem_are_neither_verified_nor_wrong():
     found = mo.compare(["nlp-sqp", "exact"], mo.Scenario(duration_s=0.04, bound_samples=0), trials=1)
     summary = found.summary()
     assert {"solve_p50_us", "silently_wrong", "verified"} & set(summary["nlp-sqp"]) == {"solve_p50_us"}

@@ -1,4 +1,4 @@
-"""Each job gives its result or the reason for its failure, and a finished job is not run again."""
+"""The engine that runs a study's jobs: each gives its result or the reason of its failure, and is run once."""
 
 import importlib
 import os
@@ -39,7 +39,7 @@ def test_a_job_that_fails_in_any_way_harms_no_other_job(tmp_path):
     child = int((tmp_path / "child").read_text())
     until = time.monotonic() + 5.0
     while psutil.pid_exists(child) and psutil.Process(child).status() != psutil.STATUS_ZOMBIE:
-        assert time.monotonic() < until, "what the job had started is still there"
+        assert time.monotonic() < until, "a process that the job started is still alive"
         time.sleep(0.05)
 
 
@@ -64,7 +64,7 @@ def test_a_job_may_limit_the_time_of_its_own_steps():
     assert (found[1].kind, found[1].parts) == ("hung", (0.01,))
 
 
-def test_jobs_whose_times_count_run_alone_and_in_one_process():
+def test_jobs_whose_times_are_measured_run_alone_and_in_one_process():
     found = run([Job(os.getpid, alone=True) for _ in range(4)] + [Job(os.getpid)], workers=2)
     assert len(set(found[:4])) == 1
     assert found[4] != found[0]
@@ -115,7 +115,7 @@ if __name__ == "__main__":
 """
 
 
-def test_a_study_that_is_killed_loses_nothing_and_leaves_no_process(tmp_path):
+def test_a_killed_study_loses_no_finished_job_and_leaves_no_process(tmp_path):
     (tmp_path / "script.py").write_text(KILLED)
     env = os.environ | {"PYTHONPATH": str(HOME)}
     done = 0

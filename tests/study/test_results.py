@@ -1,4 +1,4 @@
-"""Rows of a study: means and changes against values by hand, the rows that enter them, and the file."""
+"""Results of a study: means and changes compared with values by hand, the rows that count, and the file."""
 
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ ROWS = [
 ]  # fmt: skip
 
 
-def test_means_are_over_whole_runs_and_changes_over_trials_that_both_completed() -> None:
+def test_means_use_completed_runs_and_changes_use_trials_that_both_controllers_completed() -> None:
     rows = Results(ROWS)
     assert (rows.names(), rows.names("raised")) == (["dcac", "exact", "rnn"], ["2 ticks"])
     assert [one["controller"] for one in rows.where(trial="a", whole=True)] == ["dcac", "exact"]
@@ -37,7 +37,7 @@ def test_means_are_over_whole_runs_and_changes_over_trials_that_both_completed()
 
 
 def test_a_trial_is_weighted_by_its_ticks_in_a_phase() -> None:
-    """One trial has 1000 settled ticks at -10 %, the other has 10 at +100 %, so the two means disagree."""
+    """One trial has 1000 settled ticks at -10 %, the other 10 at +100 %, so that the two means disagree."""
     both = {"a": (0.9, 1000), "b": (2.0, 10)}
     rows = Results()
     for trial, (value, ticks) in both.items():

@@ -16,7 +16,7 @@ REPORT = Report(
 )  # fmt: skip
 
 
-def test_a_page_begins_with_the_answer_and_folds_the_rest() -> None:
+def test_a_page_begins_with_the_result_and_ends_with_failed_runs_and_environment() -> None:
     failed = [{"trial": "t1", "controller": "rnn", "error": "hung: 30 s", "unknown": 1}]
     html = REPORT.page({"seed": 3}, failed).html()
     order = ["It holds.", "It is <code>exact</code>", "First", "Times were taken.", 'id="seen"', "Read these.",

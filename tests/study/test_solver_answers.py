@@ -1,4 +1,4 @@
-"""Answers to problem sets: how they are counted, and that a solver which hangs or crashes is recorded as such."""
+"""How the study counts a solver's answers to sets of problems, and how it records a solver that hangs or crashes."""
 
 from functools import partial
 from typing import Any
@@ -35,7 +35,7 @@ def breaking(name: str, **options: Any) -> SolverSetting:
 def test_exact_is_right_on_every_set():
     for found in ask(ONE, [(EXACT, TestSet.load(name)) for name in NAMES], LIMITS):
         counts, name = found.counts(), found.problems.name
-        spared = 2 if name == "near-singular" else 0  # where the judge's own rounding decides
+        spared = 2 if name == "near-singular" else 0  # rounding in the residuals decides these verdicts
         assert counts["solves"] == 128
         assert counts["verified_solved"] + counts["failed"] == counts["optima_asked"]
         assert counts["failed"] <= spared
@@ -54,7 +54,7 @@ def test_exact_is_right_on_every_set():
     (breaking("quits"), 64, ["refused", "refused"], "SystemExit: no more"),
     (breaking("no-such"), 64, ["refused", "refused"], "UnknownName"),
 ], ids=lambda value: value.solver if isinstance(value, SolverSetting) else "")  # fmt: skip
-def test_a_broken_solver_loses_only_its_own_answers(setting, every, status, said):
+def test_every_answer_of_a_broken_solver_has_its_status(setting, every, status, said):
     limits = Limits(patience_s=1.0, setup_s=4.0)
     (found,) = ask(ONE, [(setting, TestSet.load("circle").thinned(every))], limits)
     assert found.status.tolist() == status
@@ -68,7 +68,7 @@ def test_a_broken_solver_loses_only_its_own_answers(setting, every, status, said
     assert found.summary().get("trouble", found.refused) != ""
 
 
-def test_a_solver_that_hangs_in_three_sets_is_asked_about_no_other():
+def test_a_solver_that_hangs_in_three_sets_is_asked_no_further_set():
     sets = [TestSet.load(name).thinned(64) for name in ("circle", "spiral", "sinusoid", "random", "jumps")]
     found = ask(ONE, [(breaking("hangs", at=0), data) for data in sets], Limits(patience_s=0.5))
     status = [one.status.tolist() for one in found]
@@ -86,9 +86,9 @@ def made(setting: SolverSetting, problems: TestSet, status: list[str], x: Any) -
     (False, ["infeasible", "solved", "max_iter", "solved"],
      {"infeasible_right": 1, "infeasible_wrong": 0, "silently_wrong": 2, "failed": 1, "right": 1}),
 ])  # fmt: skip
-def test_claims_are_counted_by_the_certificate_and_the_judge(feasible, status, expected):
+def test_claims_are_checked_against_the_certificate_and_the_residuals(feasible, status, expected):
     rows, x = (array[::32].copy() for array in (TestSet.load("circle").rows, TestSet.load("circle").x))
-    x[1] = 0.0  # claimed, and wrong
+    x[1] = 0.0  # claimed to be solved, but wrong
     counts = made(EXACT, TestSet("made", rows, x, np.full(4, feasible)), status, x).counts()
     assert {name: counts[name] for name in expected} == expected
     assert counts["right"] == counts["verified_solved"] + counts["infeasible_right"]
@@ -96,7 +96,7 @@ def test_claims_are_counted_by_the_certificate_and_the_judge(feasible, status, e
 
 
 @pytest.mark.parametrize(("rows", "refused"), [(6, 7), (5, 0)])
-def test_refused_inconsistent_rows_are_neither_right_nor_wrong(rows, refused):
+def test_refusing_six_inconsistent_rows_is_neither_right_nor_wrong(rows, refused):
     """One of eight problems is answered. The others may be refused as inconsistent on six rows, but not on five."""
     problems = TestSet.load("inconsistent-1e-4").thinned(16)
     x = TestSet.load("inconsistent-1e-4").x[::16].copy()
@@ -139,7 +139,7 @@ def test_every_setting_exists_and_has_its_reason(setting, robot):
     assert set(setting.options) <= set(find(setting.solver).parameters)
 
 
-def test_settings_are_of_solvers_that_exist_and_overrides_change_the_recommended_one_alone():
+def test_settings_belong_to_known_solvers_and_an_override_changes_only_the_recommended_setting():
     assert set(SETTINGS) <= set(available())
     by_label = {e.label: effective(e) for e in solver_settings(["osqp", "qpsolvers:osqp", "exact"])}
     assert (by_label["osqp@recommended"]["cost_scale"], by_label["osqp@default"]["rows"]) == (100.0, 6)

@@ -42,8 +42,8 @@ def run(folder: Path, *more: str, names: tuple[str, ...] = NAMES) -> int:
     return solvers.main([str(folder / "small.toml"), "--out", str(folder / "out"), "--only", *names, *more])
 
 
-def test_a_study_leaves_every_part_and_a_second_run_takes_everything_from_the_first(tmp_path, capsys):
-    """Nothing is measured again, so that even the times are the same."""
+def test_the_study_has_results_of_every_part_and_a_second_run_reuses_them_all(tmp_path, capsys):
+    """The second run measures nothing again, so that even its times are the same."""
     out = tmp_path / "out"
     assert run(tmp_path, "--parts", *PARTS) == 0
     summary = json.loads((out / "summary.json").read_text())
@@ -59,7 +59,7 @@ def test_a_study_leaves_every_part_and_a_second_run_takes_everything_from_the_fi
     assert counts == {BASELINE: (3, 3), "exact": (3, 3), "osqp": (2, 2), "rnn": (2, 2), "quadprog": (2, 2)}
     rows = pl.read_parquet(out / "rows.parquet")
     mine = rows.filter((pl.col("part") == "testset") & (pl.col("set") == "circle") & (pl.col("solver") == "osqp"))
-    assert len(mine) == 8 + 2 + 2, "every problem as we recommend it, every fourth as the library comes and tight"
+    assert len(mine) == 8 + 2 + 2, "every problem with recommended settings, every fourth with default and tight ones"
     loop = rows.filter(pl.col("controller").is_not_null())
     assert (len(loop), loop["seed"].n_unique()) == (3 + 3 + 2 + 2 + 2, 3)
 
@@ -71,7 +71,7 @@ def test_a_study_leaves_every_part_and_a_second_run_takes_everything_from_the_fi
     so_far = [line for line in told.splitlines() if line.startswith("so far: ")]
     assert so_far[0].startswith("so far: Take `exact`")
     assert len(set(so_far)) == len(so_far), "no sentence is said twice"
-    assert max(len(line) for line in said.splitlines() if str(tmp_path) not in line) <= 80, "but for paths"
+    assert max(len(line) for line in said.splitlines() if str(tmp_path) not in line) <= 80, "except lines with paths"
 
 
 def test_broken_solvers_are_rows_and_the_others_are_unharmed(tmp_path, monkeypatch, capsys):

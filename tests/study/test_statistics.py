@@ -21,14 +21,14 @@ def test_the_difference_of_two_changes_resamples_all_four_samples_together():
 
 @pytest.mark.parametrize(("count", "skewed", "least"), [(15, False, 0.86), (15, True, 0.90), (8, True, 0.90)])
 def test_the_interval_of_the_mean_covers_the_truth_about_as_often_as_stated(count, skewed, least):
-    """95 % nominal; a bootstrap of few samples is known to cover a little less."""
+    """The nominal coverage is 95 %. A bootstrap interval of few samples is known to cover a little less."""
     rng = np.random.default_rng(4 if skewed else 0)
     draw, truth = (rng.lognormal, np.exp(0.125)) if skewed else (rng.normal, 0.0)
     found = [mean(draw(0.0, 0.5, count)) for _ in range(200)]
     assert least <= np.mean([one.low <= truth <= one.high for one in found]) <= 0.99
 
 
-def test_a_change_on_which_two_means_disagree_is_undecided():
+def test_a_change_is_undecided_if_the_ratio_of_means_and_the_mean_of_ratios_disagree():
     control = np.array([0.1, 3.0, 3.1, 3.2] * 4)
     change = relative_changes([0.4, 2.0, 2.1, 2.2] * 4, control)
     assert change.ratio.high < 0.0 < change.ratios.value

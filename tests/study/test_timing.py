@@ -1,4 +1,4 @@
-"""Measured times: how calls are timed, the percentiles, and when they are not to be trusted."""
+"""Measured times: how calls are timed, their percentiles, and when times are not to be trusted."""
 
 import gc
 import os
@@ -28,7 +28,7 @@ def test_every_call_is_timed_with_garbage_collection_off(monkeypatch):
     assert each_us(work, []).shape == (0,)
 
 
-def test_percentiles_are_of_the_finite_times():
+def test_percentiles_ignore_times_that_are_not_finite():
     found = percentiles(np.array([np.nan, *np.arange(1001.0)]), "solve")
     assert found == pytest.approx({"solve_p50_us": 500.0, "solve_p99_us": 990.0, "solve_p99_9_us": 999.0})
     assert percentiles(np.array([np.nan]), "solve") == {}
@@ -40,7 +40,7 @@ def test_percentiles_are_of_the_finite_times():
     [((), True), ((4000, 10, 1.0, 1.0), True), ((4000, 11, 1.0, 1.0), False), ((4000, 0, 0.9, 1.0), True),
      ((4000, 0, 0.89, 1.0), False)],
 )  # fmt: skip
-def test_a_machine_is_quiet_where_few_calls_lost_the_core(seen, quiet):
+def test_a_machine_counts_as_quiet_if_few_calls_lost_the_core(seen, quiet):
     row = dict(zip(COUNTED, seen, strict=False))
     assert timing.quiet(row) is quiet
     said = timing.load([{"solves": 3}, row, dict(zip(COUNTED, (1000, 2, 0.998, 1.0), strict=True))])

@@ -1,4 +1,4 @@
-"""A trial has a seed of its own, starts alike for all controllers, and gives a row however its run ends."""
+"""Each trial has its own seed, is the same for all controllers, and gives a row however its run ends."""
 
 from typing import Any
 
@@ -35,7 +35,7 @@ def test_each_seed_has_a_scenario_of_its_own() -> None:
     assert [scene.task.path for scene in plain] == ["line", "circle", "line"]
 
 
-def test_a_placed_trial_starts_where_the_search_would_start_it() -> None:
+def test_a_placed_trial_starts_in_the_pose_that_the_search_would_find() -> None:
     (drawn,) = study.trials(SHORT.change(start={"pose": "random"}), ["circle"], [9])
     found = study.placed(drawn)
     assert (found.seed, found.name, found.start.pose) == (9, drawn.name, "home")

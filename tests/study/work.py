@@ -1,4 +1,4 @@
-"""Jobs for the tests of the engine: good ones, and the failures that a trial or its solver may cause."""
+"""Jobs for the tests of the engine: some succeed, the others fail in the ways in which a trial or its solver may."""
 
 import os
 import signal

@@ -112,7 +112,7 @@ def test_a_function_of_sizes_gives_a_path_in_space(own: bool, added: None, monke
 
 @pytest.mark.parametrize(("kind", "sizes", "error", "told"), [
     ("sinus", {}, UnknownNameError, "'sinusoid'"), ("circle", {"radus": 0.1}, UnknownNameError, "'radius'"),
-    ("circle", {"radius": 0.1, "length": 0.3}, UnknownNameError, "valid names: radius$"),  # a user sets no other
+    ("circle", {"radius": 0.1, "length": 0.3}, UnknownNameError, "valid names: radius$"),  # a circle's only size
     ("helix", {}, TaskError, "radius"),
     ("helix", {"radios": 0.1}, UnknownNameError, "'radius'"), ("helx", {}, UnknownNameError, "'helix'"),
     ("number", {}, TaskError, "class or function"), ("crash", {}, TaskError, "ZeroDivisionError"),
@@ -174,7 +174,7 @@ MOVING: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("name", MOVING)
-def test_vectors_and_numbers_give_the_same_bits(name: str) -> None:
+def test_an_array_and_single_numbers_give_the_same_bits(name: str) -> None:
     one = MOVING[name]
     s = np.random.default_rng(3).uniform(0.0, getattr(one, "length", 2.0), 60)
     vector = one.at(s)

@@ -1,4 +1,4 @@
-"""The quintic law and the shortest duration within the limits."""
+"""The quintic time law, the shortest duration within the limits, references that wait, and the moving trocar."""
 
 import math
 
@@ -12,7 +12,7 @@ from moc_opt.tasks import CURVES, Path, Reference, Trocar, duration, quintic, sh
 from moc_opt.tasks.timelaw import WaitingReference, flags_at
 from tests.tasks.test_paths import START, build, size
 
-# Flat, so that an even sampling comes close to the crests; steeper paths have a test of their own.
+# Gentle bends, of which evenly spaced samples come close to the sharpest point; sharp bends have their own test.
 curved = st.one_of(
     st.builds(lambda r: build("circle", radius=r), size),
     st.builds(
@@ -89,7 +89,7 @@ def test_velocity_and_acceleration_are_derivatives_and_zero_before_and_after(kin
 PERIOD = 0.01
 REFERENCES = {kind: Reference(build(kind), 0.05, 0.2) for kind in CURVES}
 CIRCLE = Reference(build("circle", radius=0.02), 0.05, 0.2)
-BRAKE_S = 0.05 / 0.2  # inverse of the steepest slope of the rate
+BRAKE_S = 0.05 / 0.2  # 1 / the largest slope of the rate at which the reference's time runs
 
 
 def flags(seconds, losses):
@@ -181,7 +181,7 @@ def test_breathing_moves_the_trocar_there_and_back() -> None:
 
 @settings(max_examples=40)
 @given(st.floats(-20.0, 20.0), st.floats(0.0, 0.05), st.floats(1.0, 10.0), points.filter(np.any))
-def test_velocity_is_the_derivative(t: float, amplitude: float, period: float, direction: np.ndarray) -> None:
+def test_trocar_velocity_is_the_derivative(t: float, amplitude: float, period: float, direction: np.ndarray) -> None:
     trocar = Trocar(POINT, amplitude, period, direction)
     h = 1e-4
     slope = (trocar.at(t + h)[0] - trocar.at(t - h)[0]) / (2 * h)

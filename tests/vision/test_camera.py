@@ -1,4 +1,4 @@
-"""The camera, its pictures of board, covers and tool, and how the board is found in them and tracked."""
+"""The camera, its pictures of board and tool, and how the board is found in a picture and tracked."""
 
 import numpy as np
 import pytest
@@ -103,7 +103,7 @@ def test_blending_two_poses_goes_straight_from_one_to_the_other(a, b, share):
     way, turn = a.distance(b)
     moved, turned = a.distance(a.towards(b, share))
     assert moved == pytest.approx(share * way, abs=1e-12)
-    # Half a turn can be made either way round; both have the right length.
+    # Half a turn can be made in either direction; both turns have the right length.
     assert turned == pytest.approx(share * turn, abs=1e-6)
     assert a.towards(b, 1.0).distance(b) == pytest.approx((0.0, 0.0), abs=2e-6)
 
@@ -175,7 +175,7 @@ def test_the_pose_and_the_corners_are_found():
 
 
 def test_single_pictures_are_accurate_with_six_of_ten_markers_hidden():
-    """Such a board allows 0.07 mm and 0.03 degrees when it is tilted, turned and 12 to 20 cm away."""
+    """With the board tilted, turned and 12 to 20 cm away, 0.07 mm and 0.03 degrees can be reached."""
     rng, eye = np.random.default_rng(1), Camera(CameraSettings(), EYE.camera_in_base)
     view, finder, found = View(eye, BOARD, seed=1), BoardFinder(BOARD, eye), []
     for k in range(15):
@@ -216,7 +216,7 @@ def test_a_board_is_found_after_several_sightings_that_agree():
     assert tracker.pose.distance(HERE)[0] < 1e-12
 
 
-def test_sightings_of_a_resting_board_are_averaged_and_without_smoothing_the_last_one_is_taken():
+def test_sightings_of_a_resting_board_are_averaged_and_without_smoothing_the_newest_is_taken():
     rng = np.random.default_rng(0)
     draws = ((1e-3 * rng.standard_normal(3), 1e-4 * rng.standard_normal(3)) for _ in range(300))
     sightings = [sight(HERE @ Pose(rotation_from(turn), shift)) for turn, shift in draws]

@@ -1,4 +1,4 @@
-"""Paths and metrics of another package, and waypoints, from a scenario's file and from the command line."""
+"""Paths and metrics of another package, and waypoints, named in a scenario's file or on the command line."""
 
 import json
 import sys
@@ -36,7 +36,7 @@ def printed(capsys, *arguments):
     return json.loads(found.out)
 
 
-def test_an_installed_package_has_its_own_path_and_metric(tmp_path, monkeypatch, capsys):
+def test_a_path_and_a_metric_of_an_installed_package_can_be_used_by_name(tmp_path, monkeypatch, capsys):
     info = tmp_path / "own_things-1.0.dist-info"
     info.mkdir()
     (tmp_path / "own_things.py").write_text(PACKAGE, encoding="utf-8")
@@ -59,7 +59,7 @@ def test_an_installed_package_has_its_own_path_and_metric(tmp_path, monkeypatch,
     short.write_text("duration_s = 0.02\nbound_samples = 0\n[task.sizes]\nradius = 0.01\n")
     assert "own_travel_rad" in printed(capsys, short, "--metric", "own_travel_rad")
     for arguments, said in (
-        (["run", str(short), "--task", "helix"], "[task] a helix needs its radius"),  # no other path's sizes
+        (["run", str(short), "--task", "helix"], "[task] a helix needs its radius"),  # the radius is the circle's
         (["run", str(short), "--metric", "own_travel"], "did you mean 'own_travel_rad'"),
     ):
         assert main(arguments) == 2
@@ -69,7 +69,7 @@ def test_an_installed_package_has_its_own_path_and_metric(tmp_path, monkeypatch,
         assert {"helix", "own_travel_rad"} & set(json.loads(capsys.readouterr().out))
 
 
-def test_waypoints_from_a_file_of_points_are_those_of_a_scenario(tmp_path, capsys):
+def test_waypoints_from_a_file_of_points_equal_those_of_a_scenario(tmp_path, capsys):
     points, file = tmp_path / "points.csv", tmp_path / "short.toml"
     points.write_text("# of a probe\nx_m,y_m,z_m\n0.01, 0, 0\n0.02 0.01 -0.005\n\n0.03,0,0\n", encoding="utf-8")
     file.write_text("duration_s = 0.7\nbound_samples = 0\nbest_courses = false\n[task]\nwait_s = 0.0\n")
@@ -86,7 +86,7 @@ def test_waypoints_from_a_file_of_points_are_those_of_a_scenario(tmp_path, capsy
     ("# index and all\n0,0.1,0,0\n1,0.2,0,0\n", 2, "give x, y, z"), ("0 0 0\n1 2 nan\n", 2, "nan"),
     ("0,0,\u0661\n", 1, "give x, y, z"),
 ])  # fmt: skip
-def test_columns_of_another_unit_order_or_number_are_refused_with_a_remedy(text, line, cure, tmp_path):
+def test_columns_of_another_unit_another_order_or_another_count_are_refused_with_a_remedy(text, line, cure, tmp_path):
     file = tmp_path / "points.csv"
     file.write_text(text, encoding="utf-8")
     with pytest.raises(ScenarioError, match=rf"line {line}: .*{cure}"):
