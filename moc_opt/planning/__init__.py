@@ -8,5 +8,5 @@ pose at every time), ``search`` (V, the best integral of mu from a pose on), ``p
 From 59 random poses of the LWR4+, mean mu is lower than that of the best course from the same start: by 5.6 % on
 average and 41 % at worst for an ideal climb of mu, and in the loop by 7.8 and 52 % for ``local``, 0.9 and 3.7 % for
 ``planned`` (one course, made before the run), 1.1 and 3.9 % for ``receding`` (the same program over one second, from
-the measured pose). The last two lose mu by the limits that their courses keep (docs/planning.md).
+the measured pose). The loss of the last two comes from the limits of their courses (docs/planning.md).
 """

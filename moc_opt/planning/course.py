@@ -79,7 +79,7 @@ class Course:
     q_rad: Array  #: (k,n)
     mu: Array  #: (k,) [m^3], by the robot model
     violation: float
-    """Largest of: tip or wrist off target [m]; joint beyond its limit, or step beyond the speed limit's [rad]."""
+    """Largest of: tip or wrist off target [m]; joint beyond its limit, or step beyond speed limit x period [rad]."""
     certified: bool = False  #: Whether the course is a local optimum to the solver's tolerance; False: best on a grid.
 
     @property
@@ -142,7 +142,7 @@ def between(t: Array, times: Array, rows: Array) -> Array:
 
 
 def margin_at(robot: RobotModel, poses: Array, margin: Margin) -> Margin:
-    """Return the margin, lowered to the poses' (..., n) own least distance from the limits: no course can keep more."""
+    """Return the margin, or the least distance of the poses (..., n) from the limits where that is smaller."""
     room = np.minimum(poses - robot.q_min, robot.q_max - poses).reshape(-1, robot.n).min(axis=0)
     room = np.where(robot.moves.any(axis=0), np.maximum(room, 0.0), np.inf)
     return np.minimum(margin, room) if isinstance(margin, np.ndarray) else min(margin, float(room.min()))

@@ -1,4 +1,4 @@
-"""Follow a course (a joint trajectory) in the loop: the third level gets its velocity in place of the climb of mu.
+"""Follow a course (a joint trajectory) in the loop: the third level gets the course's velocity in place of the climb of mu.
 
     x_d(t) = dq_c(t) + k (q_c(t) - q),   projected on ker A by the subproblem itself
 
@@ -83,7 +83,7 @@ class Planner:
         return {"solves": len(self._solve_s), "refused": self._refused, "solve_ms_median": median, "solve_ms_p99": high}
 
     def plan(self, q: Array, t: float, last: Piece | None) -> Piece | None:
-        """Make a course from a pose (n,) at a time [s]; else (none is usable, the path is over) ``last``."""
+        """Make a course from a pose (n,) at a time [s]; return ``last`` if none is usable, or at the path's end."""
         path, began = self._value.map.targets, time.perf_counter()
         end = min(int(np.searchsorted(path.t_s, t + self._horizon_s)), len(path) - 1)
         if path.t_s[end] - t < 0.5 * path.period_s:

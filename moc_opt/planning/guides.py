@@ -43,7 +43,7 @@ BRAKE_SHARE = 0.9  #: Share of the safety filter's braking deceleration that a c
 SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}
 """Weight of a course's acceleration [s^4/rad^2], see `moc_opt.planning.program`; it lowers tip and RCM errors."""
 MOST_OFF_M = 1e-3  #: Largest distance of tip or wrist of a file's course from the run's targets.
-MOST_OFF_RAD = 1e-6  #: Most by which a file's first pose is off the start, or a joint beyond its limit.
+MOST_OFF_RAD = 1e-6  #: Largest deviation of a file's first pose from the start, and of a joint beyond its limit.
 ROUNDING = 1e-6
 """Tolerances of a file: first time [s], last time (share of the run's), speed (share of its limit)."""
 PLAN_IT = "plan it for this scenario: moc-opt plan SCENARIO --out FILE"

@@ -167,7 +167,7 @@ def check_limits(robot: RobotModel, limits: Limits) -> None:
 
 
 def best_course(value: Value, start: Array | None) -> Array | None:
-    """Return the best course (k,n) on the grid, from a start (n,) or (None) any start; None: no course is whole."""
+    """Return the best course (k,n) on the grid, from a start (n,) or (None) any; None: no course reaches the end."""
     start = value.best()[1] if start is None else start
     way = None if start is None else value.way(start)
     return None if way is None else way.q_rad

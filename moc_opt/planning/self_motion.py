@@ -1,7 +1,7 @@
 """The poses an arm can take while tip and wrist stay where they are: the count of freedoms, and one curve of poses.
 
 The curve is followed from joint limit to joint limit: a step along the null vector of A = [J_tip; J_wrist], then
-Newton's method back to tip and wrist. With one freedom, its largest mu bounds every law that stays on it.
+Newton's method back to tip and wrist. With one freedom, the curve's largest mu bounds every law that stays on it.
 """
 
 from __future__ import annotations

@@ -153,7 +153,7 @@ class Scenario(Settings):
         write_whole(path, text, "scenario", ScenarioError)
 
     def changes(self) -> dict[str, Any]:
-        """Return what differs from the default scenario, as arguments; each table with its shortest preset."""
+        """Return what differs from the default scenario, as arguments; each table by the preset nearest to it."""
         found: dict[str, Any] = {}
         for name, field in type(self).model_fields.items():
             value = getattr(self, name)

@@ -58,7 +58,7 @@ def targets_of(
 ) -> Targets:
     """Return evenly spaced targets of tip and wrist on the path, ``times`` of them, from the first tick to the last.
 
-    Without ``times``, up to `MOST_TIMES` targets are at most ``period_s`` apart; ``finer`` divides each space.
+    Without ``times``, their spacing is at most ``period_s`` (`MOST_TIMES` of them at most), divided by ``finer``.
     """
     spaces = int(np.clip(np.ceil(layout.duration_s / period_s), 1, MOST_TIMES - 1))
     span, length = robot.state(layout.q).tool_span, robot.data.tool_length

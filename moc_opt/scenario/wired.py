@@ -92,7 +92,7 @@ class PlantServer(Setup):
 def answer(
     scenario: Scenario, connect: str, key_file: Path | None = None, ready: Callable[[], None] = lambda: None
 ) -> dict[str, Any]:
-    """Be the controller of a plant at the other end of a wire ("HOST:PORT"), until the run ends.
+    """Act as the controller of a plant at the other end of a wire ("HOST:PORT"), until the run ends.
 
     Control, solver and guard are taken from this end's scenario; all that `fingerprint` covers must equal the plant's.
     ``ready`` is called once, when the plant has been found and the controller has started.
