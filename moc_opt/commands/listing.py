@@ -39,7 +39,7 @@ def print_list(given: argparse.Namespace) -> int:
 
 
 def _shown(key: str, value: Any) -> Any:
-    """Return a table's cell: sizes or settings with defaults on one line, a unit with its signs, else the value."""
+    """Return a table's cell: sizes or settings with defaults on one line, a unit as in all tables, else the value."""
     if key == "unit":
         return pretty_unit(value)
     if not isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""Follow a course (a joint trajectory) in the loop: the third level gets the course's velocity in place of the climb of mu.
+"""Follow a course (a joint trajectory) in the loop: it gives the third level a velocity in place of the climb of mu.
 
     x_d(t) = dq_c(t) + k (q_c(t) - q),   projected on ker A by the subproblem itself
 

@@ -106,8 +106,8 @@ def new_robot(
 
 
 def _drives(arm: VendorArm) -> dict[str, list[float]]:
-    # Vendors do not publish these. Rotor inertia: 0.2 kg m^2 as for the LWR4+, for turning joints below 10 Nm times
-    # effort / 10 Nm; 0.04 kg per N for sliding joints. Friction: 0.8 % of the effort, for turning joints 1 Nm at most.
+    # Vendors do not publish these. Rotor inertia of a turning joint: the LWR4+'s 0.2 kg m^2, times effort / 10 Nm below
+    # 10 Nm; of a sliding joint: 0.04 kg per N of effort. Friction: 0.8 % of the effort, and 1 Nm at most if it turns.
     rotors, friction = [], []
     for joint in arm.chain:
         effort, sliding = joint.limits["effort"], joint.kind == "prismatic"

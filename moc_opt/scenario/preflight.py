@@ -126,8 +126,7 @@ def check_reachable(
     The poses are `SPACING_M` apart on the path, each solved from the previous one. If that fails, the path is tried
     again from the middle of the self-motion through ``q_start`` (n,); the elbow would have to go there first. An
     accepted path can be followed; a refused one may still be possible with other poses. At ``q_start`` the tip must be
-    where the reference starts. The reference is ignored after ``until_s`` [s]. An UnreachableError says where, why and
-    the cure.
+    where the reference starts. ``until_s`` [s] ends the check. An UnreachableError names field, arc length and cure.
     """
     state = robot.state(q_start)
     places = _places(reference, trocar, until_s)

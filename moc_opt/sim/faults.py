@@ -38,7 +38,7 @@ class FaultSettings(Settings):
     frozen_velocity: Literal["repeated", "zero"] = Field("repeated", description="velocity in a frozen reading")
     lag_at_s: float | None = Field(None, ge=0.0, description="time from which measurements lag; left out: never")
     lag_joint: int | None = Field(None, ge=0)
-    """the only encoder that lags, counted from 0, while the other readings are up to date; left out: all lag"""
+    """the only encoder that lags, counted from 0; other readings and stamps are up to date; left out: all lag"""
     lag_ticks: int = Field(0, ge=0, le=1000, description="lag at lag_at_s, in ticks")
     lag_growth: float = Field(0.1, gt=0.0, le=1.0, description="growth of the lag in each tick, in ticks")
     replay_at_s: float | None = Field(None, ge=0.0)
@@ -56,7 +56,7 @@ class FaultSettings(Settings):
     """size of every encoder's constant error; the seed draws each sign"""
     encoder_noise_rad: float = Field(0.0, ge=0.0, le=0.01, description="standard deviation of additional noise")
     nan_at_s: float | None = Field(None, ge=0.0, description="time from which encoders give NaN; left out: never")
-    nan_ticks: int = Field(1, ge=1, description="number of ticks with NaN")
+    nan_ticks: int = Field(1, ge=1, description="number of ticks in which encoders give NaN")
     jump_at_s: float | None = Field(None, ge=0.0)
     """time at which the encoders jump, once and for all; left out: never"""
     jump_rad: float = Field(0.2, description="size of the jump, on every joint")

@@ -106,7 +106,7 @@ class Joints:
 
 
 def add_springs(data: RobotData, spec: mujoco.MjSpec, settings: PlantSettings) -> None:
-    """Put a spring in series with each joint of a spec by `build_spec`; a PlantError for a wrong count of stiffnesses."""
+    """Put a spring in series with each joint of a spec; a PlantError where the count of stiffnesses is wrong."""
     for joint, value in zip(list(spec.joints), _stiffnesses(data, settings), strict=True):
         spring = joint.parent.add_joint(name=f"{joint.name}_spring", type=joint.type, axis=joint.axis, pos=joint.pos)
         spring.limited = mujoco.mjtLimited.mjLIMITED_FALSE

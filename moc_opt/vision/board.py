@@ -63,7 +63,7 @@ class Pose:
 
 
 def rotation_from(vector: ArrayLike) -> Array:
-    """Return the rotation matrix (3, 3) of a rotation vector (3,): direction: axis, length: angle [rad]."""
+    """Return the rotation (3, 3) of a rotation vector (3,): its direction is the axis, its length the angle [rad]."""
     return np.asarray(pin.exp3(np.array(vector, dtype=np.float64)))
 
 
@@ -177,7 +177,7 @@ def board_task(name: str) -> BoardTask:
 def board_below(trocar: ArrayLike, shaft: ArrayLike, depth_m: float) -> Pose:
     """Return the pose of a board that faces the trocar, its middle `depth_m` below the trocar: a simple phantom.
 
-    The board's z points against the shaft (3,), its x along the base's; a TaskError if these are parallel.
+    The board's z points against the shaft (3,), its x along the base's x, projected; a TaskError if both are parallel.
     """
     into = direction3("shaft", shaft)
     x = direction3("shaft", np.array([1.0, 0.0, 0.0]) - into[0] * into)
