@@ -39,7 +39,7 @@ def print_list(given: argparse.Namespace) -> int:
 
 
 def _shown(key: str, value: Any) -> Any:
-    """Return a cell: sizes or settings with their defaults as one line, a unit as in all tables, else the value."""
+    """Return a table's cell: sizes or settings with defaults on one line, a unit as in all tables, else the value."""
     if key == "unit":
         return pretty_unit(value)
     if not isinstance(value, dict):
@@ -61,7 +61,7 @@ def solvers() -> tuple[str, Rows, str]:
 
 
 def robots() -> tuple[str, Rows, str]:
-    """Return every arm of the package: its joints, the freedoms that tip and shaft leave, and its description."""
+    """Return every arm of the package: joints, freedoms left when tip and shaft are held, tool and description."""
     rows = {}
     for name in available_robots():
         arm = load_robot(name)

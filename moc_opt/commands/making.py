@@ -35,7 +35,7 @@ def save_page(given: argparse.Namespace) -> int:
 
 
 def serve_page(given: argparse.Namespace) -> int:
-    """Serve a scenario that runs in real time until it is stopped; returns the exit status."""
+    """Run a scenario in real time on a local web page, until the user stops it; returns the exit status."""
     from moc_opt.live.page import serve
 
     scenario, title = read_scenario(given.scenario)
@@ -56,7 +56,7 @@ def export_c(given: argparse.Namespace) -> int:
 
 
 def compare_solvers(given: argparse.Namespace) -> int:
-    """Compare, print, and write the rows; returns 0, 3 if a solver drove no trial to its end, 130 after Ctrl-C."""
+    """Compare solvers, print and write the result; returns 0, 3 if a solver completed no trial, 130 after Ctrl-C."""
     from moc_opt.study.compare import compare
 
     if given.out is not None:

@@ -1,4 +1,4 @@
-"""The commands of `moc-opt` as data: the options and the function of each. A function is imported when it is run."""
+"""The commands of `moc-opt` as data: a new command is a line of `COMMANDS`. Its function is imported when it runs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Option = tuple[tuple[str, ...], dict[str, Any]]
 
 
 class Command(NamedTuple):
-    """A command: its function, its line in the help, its options, and the text below these (its exit status)."""
+    """A command: its function, its line in the help, its options, and the text below the options (exit statuses)."""
 
     work: str  #: "module:function" in moc_opt; the function takes the parsed options and returns the exit status
     about: str
@@ -148,7 +148,7 @@ COMMANDS = {
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Make the parser of all commands; its result has ``command`` None where no command is named."""
+    """Make the parser of all commands; it sets ``command`` to None where no command is given."""
     parser = argparse.ArgumentParser(
         prog="moc-opt",
         description="moc-opt, or python -m moc_opt: scenarios, robots and solvers from the command line.",
@@ -156,7 +156,7 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"moc-opt {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
     for name, command in COMMANDS.items():
-        # The study prints its own help, with all its options.
+        # `solvers` passes --help on to the study, which prints its own.
         one = commands.add_parser(name, help=command.about, epilog=command.ends or None, add_help=name != "solvers")
         for names, settings in command.options:
             one.add_argument(*names, **settings)

@@ -49,7 +49,7 @@ def print_keys(given: argparse.Namespace) -> int:
 
 
 def tables(kind: type[Settings] = Scenario, path: str = "") -> Iterator[tuple[str, str, list[Key]]]:
-    """Yield every table: its name (empty: the top of the file), its first line of documentation, its keys."""
+    """Yield every table: name (empty: the top of the file), first line of its documentation, keys."""
     inner: list[tuple[str, type[Settings]]] = []
     keys: list[Key] = []
     if path in PRESETS:

@@ -90,7 +90,7 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
     try:
         baseline = _matched_dcac(scenario, title, len(trace)) if scenario.control.law == "moc" else None
         metrics = summarize(trace, baseline)
-        if getattr(given, "report", None) is not None:  # `plant` has none
+        if getattr(given, "report", None) is not None:  # `plant` has no --report
             from moc_opt.report.run_page import run_page  # imported here, since plotly loads slowly
 
             own = about(trace)["solver"]
@@ -148,7 +148,7 @@ def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
 
 
 def read_waypoints(path: str) -> list[list[float]]:
-    """Read points x, y, z [m], one per line, split by commas or spaces; a ScenarioError names a line without one."""
+    """Read points x, y, z [m], one per line, split by commas or spaces; a ScenarioError names a wrong line."""
     points: list[list[float]] = []
     for number, line in enumerate(read_text(path, "waypoints", ScenarioError).splitlines(), start=1):
         words = re.sub("[,\"']", " ", line.partition("#")[0]).split()
@@ -163,7 +163,7 @@ def read_waypoints(path: str) -> list[list[float]]:
 
 
 def _matched_dcac(scenario: Scenario, title: str, ticks: int) -> Trace | None:
-    """Return the first ticks of DCAC with the same gains; if it ended before, print this and return None."""
+    """Run DCAC with the same gains, and return its first ``ticks`` ticks; None (and a message) if it ended earlier."""
     matched = scenario.change(control=scenario.control.matched_dcac(), bound_samples=0, best_courses=False)
     trace = _as_far_as_it_goes(lambda: run(matched))
     if len(trace) < ticks or "mu" not in trace.columns:

@@ -97,7 +97,7 @@ def check_replaceable(path: Path_, what: str, error: Wrong) -> Path:
             if not stat.S_ISREG(os.stat(target).st_mode):
                 raise OSError("a folder, pipe or device is there")
         folder = next(folder for folder in (*target.absolute().parents, target) if folder.exists())
-        with tempfile.TemporaryFile(dir=folder):  # permissions do not tell: root cannot write to /proc
+        with tempfile.TemporaryFile(dir=folder):  # permissions are not enough: root cannot write to /proc
             pass
     return target
 
@@ -105,7 +105,7 @@ def check_replaceable(path: Path_, what: str, error: Wrong) -> Path:
 def write_whole(path: Path_, data: bytes | str, what: str = "file", error: Wrong = MocOptError) -> Path:
     """Write bytes, or a text in UTF-8, all or nothing: an older file stays until the new one is on the disk.
 
-    The folder is made if need be. A link at this path is replaced, not followed.
+    The folder is made if it does not exist. A link at this path is replaced, not followed.
     """
     target = check_replaceable(path, what, error)
     # In the same folder, because a rename is atomic only within one file system.
@@ -180,7 +180,7 @@ def _toml_value(value: Any, where: str) -> str:
         value = value.tolist()
     if isinstance(value, float):
         return repr(value)
-    if isinstance(value, str | int):  # bool is an int; TOML has JSON's escapes, but not a bare DEL
+    if isinstance(value, str | int):  # bool is an int; TOML takes JSON's escapes, but no bare DEL
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, list | tuple):
         return f"[{', '.join(_toml_value(entry, where) for entry in value)}]"

@@ -30,7 +30,7 @@ def in_words(point: EntryPoint) -> str:
 
 
 def load(kind: str, name: str, points: list[EntryPoint], error: type[MocOptError]) -> Any:
-    """Import the object of the one entry point of this name; ``error`` if it does not load, or several claim it."""
+    """Import the object of this name's entry point; ``error`` if it does not load, or if several claim the name."""
     if len(points) > 1:
         raise error(f"{kind} {name!r}: {' and '.join(map(in_words, points))} claim this name: rename one")
     try:

@@ -15,8 +15,8 @@ from moc_opt.inputs import names
 
 _ALTERNATIVE = re.compile(r"constrained-|literal\[|tuple\[|(float|str)$")  # pydantic's names of types in a union
 LARGEST_INTEGER = 2**63 - 1
-SMALLEST, LARGEST = 1e-30, 1e30  # bounds of |x| where x is not 0: beyond, products of a few overflow or vanish
-MOST = 10_000_000  # largest integer that is no seed; such integers count things to list, try or wait for
+SMALLEST, LARGEST = 1e-30, 1e30  # bounds of |x| for x not 0: outside, a product of a few overflows or vanishes
+MOST = 10_000_000  # largest integer other than a seed: the others are counts
 LONGEST_S = 1e6  # longest time to run, wait or average [s]
 
 Name = Annotated[str, pydantic.AfterValidator(names.checked)]
@@ -33,7 +33,7 @@ class Settings(pydantic.BaseModel):
 
     Raises:
         UnknownNameError: a field does not exist; the message lists the nearest ones.
-        MocOptError: of the class ``ERROR``; the message has the field, its value and the range.
+        MocOptError: a value is wrong (class ``ERROR``); the message has the field, its value and the range.
     """
 
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
@@ -77,7 +77,7 @@ class Settings(pydantic.BaseModel):
 
     @classmethod
     def keys(cls, values: Mapping[str, Any]) -> list[str]:
-        """List the keys that a table with these values may have; a subclass adds the dotted keys of its free tables."""
+        """List the keys that a table with these values may have; a subclass adds dotted keys of tables inside."""
         return [*cls.model_fields, *cls.MORE_KEYS]
 
     @classmethod
@@ -94,7 +94,7 @@ def _leaves(given: Any, value: Any, where: str = "") -> Iterator[tuple[str, Any,
     for key, one in value.items() if isinstance(value, Mapping) else enumerate(value):
         try:
             written = given[key]
-        except (LookupError, TypeError):  # a validator has made another structure of it
+        except (LookupError, TypeError):  # a validator has changed the structure
             written = one
         yield from _leaves(written, one, f"{where}[{key!s:.80}]")
 
@@ -114,7 +114,7 @@ def _fault(written: Any, read: Any, most: int) -> str:
 
 
 def _explained(items: Sequence[Mapping[str, Any]], kind: str) -> str:
-    """Return the message on a field (table, name, value, cure) from its items, one for each type it may have."""
+    """Return the message on a field (table, name, value, cure) from pydantic's errors, one for each type of it."""
     item = items[0]
     field = repr(".".join(f"{key!s:.80}" for key in item["loc"]))[1:-1]  # escapes: a key may hold any character
     message = ", or ".join(one["msg"].removeprefix("Value error, ") for one in items)

@@ -1,4 +1,4 @@
-"""Targets of tip and wrist along a path, a course along them, and how far the course violates its constraints."""
+"""Targets of tip and wrist along a path; a course, which is a joint trajectory along them; its constraint violation."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Margin = float | Array
 """Distance kept from the joint limits: one number for all, or one per joint (n,) [rad; m where a joint slides]."""
 SHALLOWEST_M = 0.002  #: Least distance from tip to trocar: nearer, the line between them gives the shaft no direction.
 MOST_VIOLATION = 1e-8  #: Largest violation of a course that counts as feasible [m], [rad].
-WORTH = 10.0  #: Price of a lost shaft, as a multiple of the map's largest mu; see `lowered`.
+WORTH = 10.0  #: Penalty on a lost shaft, as a multiple of the map's largest mu; see `lowered`.
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,9 +52,8 @@ def lay_targets(
 ) -> Targets:  # fmt: skip
     """Sample the reference and the trocar at ``count`` times from 0 to the end of the run.
 
-    ``span_m`` is the distance from wrist to tip, ``tool_m`` from mount to tip [m]; the trocar has to lie within both.
-
-    A TaskError where the trocar is not on the shaft at one of the times.
+    ``span_m`` is the distance from wrist to tip, ``tool_m`` from mount to tip [m]; a TaskError if at some time the
+    trocar is farther from the tip than one of these, or nearer than `SHALLOWEST_M`.
     """
     t = np.linspace(0.0, duration_s, count)
     tip = np.ascontiguousarray(reference.at(t)[0])
@@ -80,7 +79,7 @@ class Course:
     q_rad: Array  #: (k,n)
     mu: Array  #: (k,) [m^3], by the robot model
     violation: float
-    """Largest of: tip or wrist off its target [m]; a joint beyond its limit, or its speed times the period [rad]."""
+    """Largest of: tip or wrist off target [m]; joint beyond its limit, or step beyond speed limit x period [rad]."""
     certified: bool = False  #: Whether the course is a local optimum to the solver's tolerance; False: best on a grid.
 
     @property
@@ -101,14 +100,14 @@ class Limits:
     margin: Margin = 0.0  #: distance kept from the joint limits
     speed_share: float = 1.0  #: share of the joints' speed limits that may be used
     shaft: float = 0.0
-    """least of `shaft_shares`: below it the shaft is nearly lost, and a pose is worth less, see `lowered`"""
+    """least value of `shaft_shares`: below it the shaft is nearly lost, and mu is `lowered`"""
 
 
 def lowered(mu: Array, share: Array, limits: Limits, top: float) -> Array:
-    """Return mu less the price of nearly losing the shaft: `WORTH` top (1 - share/margin)^2 below the margin.
+    """Return mu minus the penalty on nearly losing the shaft: `WORTH` top (1 - share/margin)^2 below the margin.
 
-    ``share`` is that of `shaft_shares`, the margin ``limits.shaft``, ``top`` the largest mu [m^3]. Where the share is
-    small the joints have to turn fast to keep the shaft in the trocar, and their lag becomes RCM error.
+    ``share`` is from `shaft_shares`, the margin is ``limits.shaft``, ``top`` the largest mu [m^3]. Where the share is
+    small, the joints have to turn fast to keep the shaft in the trocar, and their lag becomes RCM error.
     """
     if limits.shaft <= 0.0:
         return mu
@@ -118,7 +117,7 @@ def lowered(mu: Array, share: Array, limits: Limits, top: float) -> Array:
 
 
 def shaft_shares(robot: RobotModel, poses: Array) -> Array:
-    """Compute mu_shaft over the squared distance from wrist to tip, (k,), at the poses (k,n) [rad]."""
+    """Compute mu_shaft / (distance from wrist to tip)^2, (k,), at the poses (k,n) [rad]."""
     squares = np.array(robot.kinematics().shaft(np.ascontiguousarray(poses).T)).ravel()
     return np.sqrt(np.maximum(squares, 0.0))
 
@@ -132,7 +131,7 @@ def weights(count: int) -> Array:
 
 
 def time_mean(rows: Array) -> float:
-    """Return the mean over evenly spaced times by the trapezoidal rule, of rows (k,)."""
+    """Return the mean of rows (k,) over evenly spaced times, by the trapezoidal rule."""
     weight = weights(len(rows))
     return float(weight @ rows / weight.sum())
 
@@ -143,7 +142,7 @@ def between(t: Array, times: Array, rows: Array) -> Array:
 
 
 def margin_at(robot: RobotModel, poses: Array, margin: Margin) -> Margin:
-    """Return the margin, lowered to what the poses (..., n) keep: a course through them cannot keep more."""
+    """Return the margin, or the least distance of the poses (..., n) from the limits where that is smaller."""
     room = np.minimum(poses - robot.q_min, robot.q_max - poses).reshape(-1, robot.n).min(axis=0)
     room = np.where(robot.moves.any(axis=0), np.maximum(room, 0.0), np.inf)
     return np.minimum(margin, room) if isinstance(margin, np.ndarray) else min(margin, float(room.min()))

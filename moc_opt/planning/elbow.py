@@ -13,15 +13,15 @@ from moc_opt.arrays import Array
 from moc_opt.planning.self_motion import SelfMotion, curve_through, parabola_peak
 from moc_opt.robots.model import RobotModel, link_frames
 
-NEAR_RAD = 0.1  #: An elbow nearer to its optimum has arrived: less than half a percent of mu on the LWR4+.
-STILL_RAD_PER_S = 0.05  #: An elbow slower than this relative to its optimum rests; a travelling one has 0.3 to 0.8.
+NEAR_RAD = 0.1  #: An elbow nearer to its optimum has arrived: mu is then within 0.5 % of the best on the LWR4+.
+STILL_RAD_PER_S = 0.05  #: An elbow slower than this relative to its optimum is at rest; a moving one has 0.3 to 0.8.
 SAMPLES_PER_S = 25.0  #: How often the self-motion is scanned along a run.
 STEP_RAD = 0.1  #: Spacing of the samples of a self-motion.
 WINDOW_S = 0.1  #: Time over which the change of the distance to go gives the speed.
 
 
 class Elbow:
-    """The swivel angle of an arm: that of the plane through second joint (shoulder), elbow and wrist centre."""
+    """The swivel angle of an arm: the angle of the plane through second joint (shoulder), elbow, wrist centre."""
 
     def __init__(self, robot: RobotModel, wrists: Array) -> None:
         """Choose elbow and reference direction for the wrist centres (k, 3) [m] that will occur."""
@@ -32,7 +32,7 @@ class Elbow:
         shoulder, wrist = origins[0, self._shoulder], robot.state(robot.data.q_home).wrist
         away = np.linalg.norm(np.cross(origins[0] - shoulder, _unit(wrist - shoulder)), axis=1)
         self.joint = self._shoulder + int(np.argmax(away[self._shoulder :]))
-        # The reference must not lie along the shoulder-wrist line: upwards, unless that line comes near the vertical.
+        # The reference must not lie along the shoulder-wrist line: it points up, unless that line is nearly vertical.
         sideways = np.sqrt(1.0 - _unit(wrists - shoulder) ** 2).min(axis=0)
         axis = 2 if sideways[2] > 0.3 else int(np.argmax(sideways))
         self.reference = np.eye(3)[axis]  #: (3,) unit vector towards which the elbow lies at swivel zero
@@ -78,7 +78,7 @@ def _uphill(curve: SelfMotion) -> float:
 
 
 def in_transient(robot: RobotModel, t_s: ArrayLike, q_rad: ArrayLike) -> NDArray[np.bool_]:
-    """Detect the ticks (N,) at which the elbow is still moving towards its optimum: neither there, nor at rest.
+    """Detect the ticks (N,) at which the elbow is still moving: neither at its optimum, nor at rest.
 
     An elbow that keeps up with its optimum does not count, however fast both move along the path: its distance to go
     is constant.

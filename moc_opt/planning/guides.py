@@ -1,7 +1,7 @@
-"""The courses that the third level follows in place of the climb of mu, by ``[control] third_level``.
+"""Guides: a guide gives the third level the velocity of a course to follow, in place of the climb of mu.
 
-"planned" is a course made before the run, or read from the file of ``[control] course``; "receding" is one made
-repeatedly during the run. Both are made smooth from courses read off the same V (`Ways`), and keep the same limits.
+By ``[control] third_level``, a "planned" course is made before the run, or read from the file of ``[control] course``;
+"receding" courses are made during the run. All are smoothed from courses read off one V (`Ways`), with equal limits.
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ from moc_opt.robots.model import RobotModel
 from moc_opt.trace.trace import Trace
 
 COURSE_SHARE = 0.25
-"""Share of ``[control] shaft_margin`` that a course keeps: it looks ahead, and so can go below the margin, where the
+"""Share of ``[control] shaft_margin`` that a course keeps: it looks ahead, and so may go below the margin at which the
 barrier of the local climb begins."""
-V_PERIOD_S = 0.1  #: Time between two points of the map: long enough for joints to pass many of the map's own steps.
+V_PERIOD_S = 0.1  #: Time between two points of the map: long enough for joints to pass many of its samples.
 TARGETS_PER_TIME = 20  #: Targets per time of the map; the program of the horizon interpolates between them.
 QUARTER = 0.5  #: `cell` of V (see `Value`): near singular poses the map's steps would be too coarse without it.
 SPEEDS = (1.0, 0.7, 0.4)
-"""Shares of a course's speed, tried in turn until a course is smooth and can brake in time. If none can, the last one
-is tried without braking."""
+"""Shares of a course's speed, tried in turn until a course is smooth and can brake in time. If none can, the last
+share is tried without braking."""
 HURRY, WORTH_IT = 1.12, 0.01
 """A course may be faster by the factor `HURRY`, up to `FASTEST` of the joint speeds, if V then gains more than
-`WORTH_IT` of mean mu: tip and RCM errors may grow, and most starts gain only a tenth of that."""
+`WORTH_IT` of mean mu: a smaller gain (most starts have a tenth) is not worth larger tip and RCM errors."""
 FASTEST = 0.97
 BRAKE_SHARE = 0.9  #: Share of the safety filter's braking deceleration that a course made before the run uses.
 SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}
 """Weight of a course's acceleration [s^4/rad^2], see `moc_opt.planning.program`; it lowers tip and RCM errors."""
 MOST_OFF_M = 1e-3  #: Largest distance of tip or wrist of a file's course from the run's targets.
-MOST_OFF_RAD = 1e-6  #: Largest difference of a file's first pose from the start, and of a joint beyond its limit.
+MOST_OFF_RAD = 1e-6  #: Largest deviation of a file's first pose from the start, and of a joint beyond its limit.
 ROUNDING = 1e-6
 """Tolerances of a file: first time [s], last time (share of the run's), speed (share of its limit)."""
 PLAN_IT = "plan it for this scenario: moc-opt plan SCENARIO --out FILE"
@@ -86,7 +86,7 @@ class Ways:
 
     @property
     def speeds(self) -> tuple[float, ...]:
-        """`SPEEDS`, preceded by `HURRY` where that gains enough."""
+        """`SPEEDS`, preceded by `HURRY` where it gains more than `WORTH_IT`."""
         q, mu = self.run.q_start, float(self.run.robot.state(self.run.q_start).mu)
         usual, fast = (self.at(part)[0].of(q, mu) for part in (1.0, HURRY))
         return (HURRY, *SPEEDS) if fast > (1.0 + WORTH_IT) * usual else SPEEDS
@@ -94,8 +94,8 @@ class Ways:
     def at(self, part: float) -> tuple[Value, Limits, Way]:
         """Return V at this share of a course's speed, its limits, and the course on the grid from the start.
 
-        Where there is no course, V is made again without the margin from joint limits, and then with poses that stand
-        for their whole cell, as the map may be too coarse. A ScenarioError where there is none even so.
+        Where there is no course, V is made again without the margin from joint limits, and then, as the map may be too
+        coarse, with poses that stand for their whole cell. A ScenarioError if there is still no course.
         """
         if part not in self._known:
             run, settings = self.run, self.run.settings
@@ -145,7 +145,7 @@ def guides(run: Following) -> Callable[[], Guide] | None:
 def replanned(ways: Ways) -> Callable[[], Planner]:
     """Return a function that makes a planner of a receding horizon."""
     run, settings, smooth = ways.run, ways.run.settings, SMOOTHNESS["receding"]
-    # The last two attempts do not brake in time; in the very last one V alone keeps the course off a lost shaft.
+    # The last two attempts do not brake in time; in the final one, only V penalizes losing the shaft.
     ladder = [(part, run.brake, True) for part in ways.speeds]
     for part, brake, kept in [*ladder, (SPEEDS[-1], np.inf, True), (SPEEDS[-1], np.inf, False)]:
         value, limits, _ = ways.at(part)
@@ -179,7 +179,7 @@ def followed_course(run: Following, ways: Ways | None = None) -> Course:
             found = refine(robot, targets, course, limits, smoothness=smooth, brake=rule)
             if found is not course:
                 return found
-        return course  # unchanged, as smoothness would cost too much
+        return course  # unchanged, since a smooth one would lose too much mu
     ways, other = ways or Ways(run), []
     for part, rule in [*((part, brake) for part in ways.speeds), (SPEEDS[-1], np.inf)]:
         _, limits, way = ways.at(part)
@@ -241,7 +241,7 @@ def load_course(
     )
     allowed, fastest = settings.course_speed_fraction, float(shares.max())
     limits = Limits(
-        # The smoother course begins at this one, and so cannot be asked for a margin that this one lacks.
+        # The smooth course is refined from this one, and so cannot be asked for a margin that this one lacks.
         margin_at(robot, poses, margin), max(fastest, min(allowed, within["speed_share"])),
         max(COURSE_SHARE * settings.shaft_margin, within["shaft_margin"]),
     )  # fmt: skip
@@ -267,7 +267,7 @@ def speed_shares(robot: RobotModel, poses: Array, period_s: float) -> Array:
 
 
 def too_fast_to_follow(settings: ControlSettings, robot: RobotModel, shares: Array) -> tuple[str, str] | None:
-    """Say which joint's speed share (n,) is above what a third level follows, and the cure; None where none is."""
+    """Say which joint's speed share (n,) is above what a third level follows, and the cure; None if no joint's is."""
     allowed = settings.course_speed_fraction
     shares = np.where(robot.moves.any(axis=0), shares, 0.0)
     j = int(np.argmax(shares))

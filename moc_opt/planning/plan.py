@@ -20,7 +20,7 @@ from moc_opt.planning.search import WHOLE_CELL, Value, keeping_shaft, reached
 from moc_opt.robots.model import RobotModel
 
 ROOM = 0.01
-"""A course that is further below the bound than this share is refined a second time, from the bound's course."""
+"""A course further below the bound than this share is refined once more, beginning with the bound's own course."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class Plan:
     best: Course | None  #: The best over all swivels and branches at the start of the path; None: there is none.
     climbed: Course  #: The course of a local climb; shorter than the path if the climb ends at a limit.
     bound_from_start: float
-    """Upper bound of mean mu from the start [m^3], for courses that the map resolves; NaN where one exceeds it."""
+    """Upper bound of mean mu from the start [m^3], for courses that the map resolves; NaN if a course exceeds it."""
     bound: float  #: The same bound over all starts.
     blocked: Blocked | None  #: Where and why the path cannot be executed from the start; None: it can.
     start_swivel_rad: float  #: Swivel of the elbow at the start [rad]; see `moc_opt.planning.elbow`.
@@ -67,7 +67,7 @@ class Plan:
 
     @property
     def course(self) -> Course | None:
-        """The course to follow: from the start, or the best where there is none from there."""
+        """The course to follow: from the start, or the best one if no course begins there."""
         return self.from_start if self.from_start is not None else self.best
 
     @property
@@ -85,8 +85,8 @@ def make_plan(
     Args:
         q_start: (n,) with tip and wrist at the first target [rad].
         targets: of tip and wrist at k evenly spaced times, (k,3) each [m].
-        limits: kept by courses and bounds; a start nearer to a joint limit lowers the margin, see `margin_at`. A bound
-            that the course found exceeds is NaN.
+        limits: for courses and bounds; a start nearer to a joint limit lowers the margin, see `margin_at`. A bound
+            is NaN if the course found exceeds it.
         swivels: samples of one turn; for an arm without a closed form see `map_of`.
         refined: whether the nonlinear program improves the courses of the grid.
 
@@ -134,7 +134,7 @@ def make_plan(
     mine, best = courses[0], better(courses[1], courses[0])  # the given start is one of all starts
     done("refine")
     elbow, shown = Elbow(robot, targets.wrist), mine if mine is not None else best
-    # There is no bound without a course, nor where the course exceeds it.
+    # No bound is given if there is no course, or if the course exceeds the bound.
     mine_most, most = (
         np.nan if course is None or course.mu_mean > bound else bound
         for course, bound in zip((mine, best), bounds, strict=True)
@@ -154,7 +154,7 @@ def check_limits(robot: RobotModel, limits: Limits) -> None:
     """Check the limits asked for; a TaskError where one is out of range."""
     for name, value, least, most, words in (
         ("speed_share", limits.speed_share, 1e-300, 1.0, "a share above 0 up to 1"),
-        ("shaft_margin", limits.shaft, 0.0, 1.0, "a share of the squared lever from 0 to 1"),
+        ("shaft_margin", limits.shaft, 0.0, 1.0, "a share of the squared distance from wrist to tip, 0 to 1"),
     ):
         if not is_number(value) or not least <= value <= most:
             raise TaskError(f"{name} = {value!r}: give {words}")
@@ -167,7 +167,7 @@ def check_limits(robot: RobotModel, limits: Limits) -> None:
 
 
 def best_course(value: Value, start: Array | None) -> Array | None:
-    """Return the best course (k,n) on the grid, from a start (n,) or (None) from any; None: none goes all the way."""
+    """Return the best course (k,n) on the grid, from a start (n,) or (None) any; None: no course reaches the end."""
     start = value.best()[1] if start is None else start
     way = None if start is None else value.way(start)
     return None if way is None else way.q_rad

@@ -1,16 +1,16 @@
 """Every pose that an arm can take at every point of a path: manipulability, and distance from the joint limits.
 
-**In closed form** where joints 1 to 3 meet in the shoulder S, 3 to 5 in the elbow E, 5 to 7 in the wrist N,
+**In closed form** if the axes of joints 1 to 3 meet in the shoulder S, 3 to 5 in the elbow E, 5 to 7 in the wrist N,
 neighbouring axes are at right angles, and the tool lies on axis 7. The elbow turns on a circle about the line S N by
-the swivel angle (Kreutz-Delgado, Long and Seraji 1992). At each swivel the signs of joints 2, 4 and 6 make eight
-branches, all of the same manipulability. Joint 7 is idle.
+the swivel angle (Kreutz-Delgado, Long and Seraji 1992). At each swivel the signs of joints 2, 4 and 6 give eight
+poses, one on each branch, with the same manipulability. Joint 7 is idle.
 
-**Traced** for any other arm: at each time, Newton's method leads from the self-motion curves of the time before to
+**Traced** for any other arm: at each time, Newton's method leads from the self-motion curves of the previous time to
 those of this time, which are scanned; inverse kinematics from random starts looks for more curves. All samples form one
-branch. Where tip and wrist leave more than one freedom, curves hold only a part of the poses, and the map no bound.
+branch. If tip and wrist leave more than one freedom, curves have only some of the poses, and the map gives no bound.
 
 `largest_mu` climbs to the largest mu at each point, from the maxima of a map in closed form or from many seeded starts.
-Some pose has the mu that is found, but nothing proves that it is the largest.
+A pose with the mu found exists, but a larger mu is not excluded.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ PEAKS = 4  #: Number of the map's local maxima from which mu is climbed at each 
 STEP_RAD = 0.03  #: Spacing of the samples along a traced curve.
 SEEDS = 64  #: Random starts of inverse kinematics at the first time of a traced map; later a sixteenth as many.
 MOST_CURVES = 16  #: Most different curves at one time; further ones are left out.
-SAME_CURVE = 0.7  #: A pose nearer to a curve's sample than this share of a step counts as on it.
+SAME_CURVE = 0.7  #: A pose nearer to a curve's sample than this share of a step counts as on that curve.
 NO_LIMIT_RAD = 20.0
 REACHED_M = 1e-9
 SCANNED, SCANS = "scanned, all branches", 360  #: Method and swivels of a scan; 720 find no larger mu at 1,200 poses.
@@ -71,7 +71,7 @@ class PoseMap:
         return np.asarray(room >= -ROUNDING_RAD)
 
     def crossing(self, k: int, step_rad: Array) -> NDArray[np.int64]:
-        """Return (m,) which bits of the branch's number can change within a period by these joint steps (n,) [rad]."""
+        """Return (m,) the bits of the branch's number that joint steps (n,) [rad] can change within a period."""
         if self.closed is None:
             return np.zeros(self.mu.shape[2], dtype=np.int64)
         with np.errstate(invalid="ignore"):
@@ -281,7 +281,7 @@ def largest_mu(robot: RobotModel, poses: Array) -> Largest:
     """Find for each given pose (k, n) the largest mu over all feasible poses with the same tip and wrist.
 
     The given poses are in the order of a path, since each point hands its maxima on to its neighbours. They are put
-    inside the limits first. The largest mu is never below their own.
+    inside the limits first. The largest mu is never below that of the given pose.
     """
     inside = np.clip(poses, robot.q_min, robot.q_max)
     count, tips, wrists = len(inside), *robot.tool_along(inside)

@@ -1,4 +1,4 @@
-"""A course as a nonlinear program (direct transcription): over a whole path, or repeatedly over a short horizon.
+"""Optimize a course (a joint trajectory) by direct transcription: over a whole path, or over a receding horizon.
 
 Variables are the joints that move tip or wrist, at N evenly spaced times after a start that stays as it is:
 
@@ -8,7 +8,7 @@ Variables are the joints that move tip or wrist, at N evenly spaced times after 
 
 The columns of B_k (3,2) are orthogonal to the shaft. These five equations suffice, since tip and wrist are rigidly
 tied; with six the multipliers would not be unique. Where the shaft is nearly lost, mu is lowered (`course.lowered`).
-V(q_N) is the value of the last pose for the rest of the path (`search`).
+V(q_N) is the largest integral of mu from the last pose on (`search`).
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Program:
 
         Args:
             mu: mu_0, a typical mu, which scales the objective [m^3].
-            top: largest mu, which scales the price of nearly losing the shaft, see `lowered` [m^3]; 0: mu_0.
+            top: largest mu, which scales the penalty on nearly losing the shaft, see `lowered` [m^3]; 0: mu_0.
             smoothness: w [s^4/rad^2].
             brake: deceleration with which joints have to be able to stop before their limits [rad/s^2]; inf: none.
             horizon: use three SQP steps, not ipopt, and leave out the acceleration that stops the arm at the end.
@@ -148,11 +148,11 @@ def refine(
 ) -> Course:  # fmt: skip
     """Improve a course over the whole path to a local optimum within limits; its first pose stays.
 
-    The given course may violate constraints. It is returned unchanged where ipopt's answer violates one by more than
-    `MOST_VIOLATION`, or is worth less by the robot model's own mu than a given course that violates none. With
-    ``smoothness`` or ``brake`` it may be worth less by `SMOOTH_LOSS`. ``certified``: ipopt met its tolerances.
+    The given course may violate constraints. It is returned unchanged if the answer violates one by more than
+    `MOST_VIOLATION`, or if the given course violates none and has the larger `worth`; with ``smoothness`` or ``brake``
+    the answer may lose `SMOOTH_LOSS` of it. The answer is ``certified`` if ipopt met its tolerances.
     """
-    if limits.shaft > 0.0 and _above(robot, course, limits):  # first without the shaft's margin: half of the time
+    if limits.shaft > 0.0 and _above(robot, course, limits):  # without the shaft's margin first: half as long
         bare = replace(limits, shaft=0.0)
         free = refine(robot, targets, course, bare, smoothness=smoothness, brake=brake)
         if _above(robot, free, limits):
@@ -178,7 +178,7 @@ def _above(robot: RobotModel, course: Course, limits: Limits) -> bool:
 
 
 def too_fast(speed: Any, pose: Any, low: Any, high: Any, brake: float) -> Any:
-    """Return by how much joints are too fast to stop before their limits, in CasADi; at most 0 where they can stop.
+    """Return by how much joints are too fast to stop before their limits, in CasADi; 0 or less where they can stop.
 
     At a distance d from a limit the speed may be sqrt(2 b) (sqrt(d + e) - sqrt(e)), b the brake [rad/s^2], e =
     `SOFT_RAD`. CasADi's vectors have m entries, the answer 2 m: towards ``high``, then towards ``low``.

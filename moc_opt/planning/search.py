@@ -2,10 +2,10 @@
 
     V_k(p) = g_k(p) + max { V_{k+1}(p') - c |q - q'|^2 / dt : |q - q'| <= v_max dt for every joint }
 
-g is mu dt, and c a price on speed. A course is read off V forwards, from any pose at any time: at each time it takes
-the pose within reach that is worth most. At a singular pose it may change to another branch. A pose of the map can
-stand for its surroundings: a quarter of a cell on a receding horizon, so that a coarse map is passable, half a cell in
-the bound. There a pose next to a feasible one is feasible too, with the best mu nearby, so that no course has more.
+g is mu dt, and c a penalty on speed. A course is read off V forwards, from any pose at any time: at each time it takes
+the pose within reach with the largest V, on another branch near a singular pose. A pose of the map can stand for its
+surroundings: a quarter of a cell for followed courses, so that a coarse map can be passed, and half a cell for an upper
+bound on mean mu, where neighbours of feasible poses also count as feasible, each with the best mu nearby.
 """
 
 from __future__ import annotations
@@ -49,10 +49,10 @@ class Value:
     """V over a map of k times, b branches, m samples."""
 
     def __init__(self, found: PoseMap, limits: Limits, *, cell: float = 0.0, price: float = 0.0) -> None:
-        """Compute V backwards over the map; to keep a margin from losing the shaft, give one from `keeping_shaft`.
+        """Compute V backwards over the map; with a map of `keeping_shaft`, courses avoid losing the shaft.
 
-        ``cell`` is the share of half a cell, to either side, that a pose stands for; from 1 on V is the bound.
-        ``price`` is c, the price on speed [m^3 s^2/rad^2].
+        A pose stands for ``cell`` times half a cell to either side; from 1 on, V is the upper bound.
+        ``price`` is c, the penalty on speed [m^3 s^2/rad^2].
         """
         self.map = found
         self._period = found.targets.period_s
@@ -66,7 +66,7 @@ class Value:
             mu = _highest_nearby(mu)
         gain = np.where(feasible, mu * self._weight[:, None, None], -np.inf)
         self.value = np.array(gain)
-        """(k,b,m) [m^3 s], the share of this time included; -inf: the path's end cannot be reached from there"""
+        """(k,b,m) [m^3 s], g of this time included; -inf: the path's end cannot be reached from there"""
         for k in range(count - 2, -1, -1):
             self.value[k] = advance(
                 found.q_rad[k], self._slack[k], gain[k], found.q_rad[k + 1], self._slack[k + 1],
@@ -142,7 +142,7 @@ def keeping_shaft(found: PoseMap, limits: Limits) -> PoseMap:
     """Return the map with mu lowered where the shaft is nearly lost; it is meant for a search only."""
     if limits.shaft <= 0.0:
         return found
-    # Every branch of a closed form has the same columns of A up to their signs.
+    # One branch suffices: all branches of a closed form have the same columns of A up to their signs.
     may = found.feasible().any(axis=1)
     share = np.full(may.shape, np.inf)
     share[may] = shaft_shares(found.robot, found.q_rad[:, 0][may])
@@ -185,16 +185,16 @@ def advance(
 ) -> Array:
     """Return the values (b,m) of the poses at one time, given the values at the time next to it.
 
-    A pose is within reach of another if no joint differs by more than its step (n,) [rad] plus both slacks. The other
-    is in the same branch or, near a singular pose, in one whose number differs in the bits of ``crossing`` (m,).
+    A pose is within reach of another if no joint differs by more than its step (n,) [rad] plus both slacks. That pose
+    is on the same branch or, near a singular pose, on one whose number differs in the bits of ``crossing`` (m,).
 
     Args:
         q, slack: (b,m,n) [rad], NaN where there is no pose; gain: (b,m) added to each value; -inf: forbidden.
         q_next, slack_next: (b,m1,n); value_next: (b,m1).
-        price: on the square of a step, in the unit of the values [1/rad^2].
+        price: penalty on the square of a step, in the unit of the values [1/rad^2].
     """  # fmt: skip
     branches, _, n = q.shape
-    # Sorted by the joint whose range spans the most steps, the poses within reach of one form a short interval.
+    # Sorted by the joint whose range spans the most steps, the poses within reach of a pose form a short interval.
     spread = np.nan_to_num(np.fmax.reduce(q_next, 1) - np.fmin.reduce(q_next, 1)).sum(axis=0)
     by = int(np.argmax(spread / step))
     order = np.argsort(q_next[:, :, by])

@@ -1,7 +1,7 @@
-"""The poses an arm can take while tip and wrist stay where they are: the number of freedoms, and one curve of poses.
+"""The poses an arm can take while tip and wrist stay where they are: the count of freedoms, and one curve of poses.
 
-The curve is followed from joint limit to joint limit: a step along the null vector of A, then Newton's method back to
-tip and wrist. With one freedom no controller that stays on the curve exceeds the largest mu on it.
+The curve is followed from joint limit to joint limit: a step along the null vector of A = [J_tip; J_wrist], then
+Newton's method back to tip and wrist. With one freedom, the curve's largest mu bounds every law that stays on it.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ class Freedoms(NamedTuple):
     real: int  #: Motions that move links while tip and wrist stay.
     idle: tuple[int, ...]
     """Joints (from 0) that move neither tip nor wrist at any pose, such as a last axis along the tool."""
-    tip: float  #: Smallest singular value of the tip's Jacobian over its largest; 0 at a singular pose.
+    tip: float  #: Smallest / largest singular value of the tip's Jacobian; 0 at a singular pose.
     both: float
-    """The fifth singular value of A over its largest: 0 where the shaft cannot be placed and turned freely."""
+    """Fifth / largest singular value of A: 0 where the shaft cannot be placed and turned freely."""
 
     def refusal(self, robot: RobotModel) -> str:
         """Return the message that no freedom is left for the third level, with the count of joints."""
@@ -66,13 +66,13 @@ def require_freedom(robot: RobotModel) -> None:
 
 
 def limit_shares(robot: RobotModel, q: Array) -> Array:
-    """Return each joint's distance to its nearer limit over half of its range, (n,): 1 in the middle, 0 at a limit."""
+    """Return (distance to the nearer limit) / (half the range) of each joint, (n,): 1 in the middle, 0 at a limit."""
     nearest: Array = np.minimum(q - robot.q_min, robot.q_max - q) / (0.5 * (robot.q_max - robot.q_min))
     return nearest
 
 
 def parabola_peak(x: Array, y: Array) -> tuple[float, float]:
-    """Compute where the parabola through three samples has its peak, counted from the middle one.
+    """Compute the peak of the parabola through three samples, relative to the middle sample.
 
     Args:
         x, y: (3,) places in ascending order, and values; those at the ends may be infinite.
@@ -93,7 +93,7 @@ def parabola_peak(x: Array, y: Array) -> tuple[float, float]:
 class SelfMotion:
     """Samples along the feasible self-motion; read-only arrays, in the order of the curve."""
 
-    s: Array  #: (k,) arc length in joint space [rad], 0 at the pose the scan began with, negative behind it
+    s: Array  #: (k,) arc length in joint space [rad], 0 at the pose the scan began with, negative before it
     q: Array  #: (k,n) [rad]
     mu: Array  #: (k,) [m^3]
     held: tuple[int, ...]

@@ -4,7 +4,7 @@ The map has every swivel of the elbow, and shows where a joint limit forbids it.
 run is at the optimum. Where a run ends elsewhere, mu is climbed on the map from its last swivel, up to the first pose
 beyond a joint limit. If the climb ends close by, the local maximum or the edge of the feasible poses there holds the
 run. If not, the map cannot tell why the run has not climbed: there may be no third level, or its box may hold the
-elbow, since the box closes before the joint limits that the map shows.
+elbow, since the box is narrower than the joint limits that the map shows.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class SwivelMap:
     best_mu: Array  #: (k,)
     trajectories: Mapping[str, Trajectory]
     held: tuple[str, ...] = ()
-    """Joints that tip and wrist leave free, held at their places in the longest run: the map is a slice."""
+    """Further joints that could move at this tip and wrist; the map is a slice, with these as in the longest run."""
 
     def __repr__(self) -> str:
         return f"SwivelMap({len(self.t_s)} times, {len(self.swivel_rad)} swivels, runs: {', '.join(self.trajectories)})"
@@ -110,7 +110,7 @@ def manipulability_map(
 
 
 def _poses_at(curve: SelfMotion, elbow: Elbow, swivels: Array) -> Array:
-    # Poses (m, n) of one self-motion at swivels (m,), NaN where it has none.
+    # Poses (m, n) of one self-motion at swivels (m,), NaN at swivels that it does not reach.
     angles = np.unwrap(elbow.swivel(curve.q))
     steps = np.diff(angles)
     sign = 1.0 if len(steps) and steps[0] > 0.0 else -1.0
@@ -195,7 +195,7 @@ def _trajectory(robot: RobotModel, elbow: Elbow, trace: Trace, times: Array, swi
 
 
 def check_showable(name: str, trace: Trace, robot: RobotModel) -> None:
-    """Raise a ReportError where a run is empty, lacks a column, is of another arm, or has poses that are not finite."""
+    """Raise a ReportError where a run is empty, lacks a column, has another joint count, or is not finite."""
     missing = [column for column in NEEDED if column not in trace.columns]
     if missing or not len(trace):
         what = f"lacks the columns {', '.join(missing)}" if missing else "has no ticks"
@@ -227,9 +227,9 @@ class Reading:
 
     name: str
     near: float  #: Share of the time that the run is at the optimum; NaN where run and map cannot be compared.
-    mu_share: float  #: Mean mu over the mean of the best mu at the same times.
+    mu_share: float  #: (Mean mu) / (mean of the best mu at the same times).
     travel_rad: float  #: Turn of the elbow from start to end; positive upwards on the map.
-    from_s: float  #: From when on the run stays at the optimum [s]; NaN where it does not end there.
+    from_s: float  #: Time after which the run stays at the optimum [s]; NaN if it ends elsewhere.
     end: End
     joint: int  #: The joint (from 1) whose limit holds the run; 0 where none does.
     at_edge: float  #: Share of the time that the run is at an infeasible pose, or one row of the map away from one.
@@ -259,7 +259,7 @@ def read_trajectory(found: SwivelMap, name: str) -> Reading:
 
 
 def _what_holds(found: SwivelMap, run: Trajectory, late: NDArray[np.bool_]) -> tuple[End, int]:
-    # The last column with a feasible pose up to the run's end; where there is none, the first with one.
+    # The last column with a feasible pose up to the run's end; if there is none, the first such column after it.
     known = np.flatnonzero(np.isfinite(found.best_mu))
     column = int(max(known[found.t_s[known] <= run.t_s[-1] + 1e-9], default=known[0]))
     mu, limit, count = found.mu[column], found.limit[column], found.mu.shape[1]

@@ -2,7 +2,7 @@
 
 To add an arm, write a URDF and a TOML like ``lwr4.toml``, here or anywhere else; see docs/extending.md. ``loader`` and
 ``urdf`` check them; ``model`` has ``load_robot`` and ``RobotModel.state(q, v)``, ``gains`` the gains of an arm that
-nobody has tuned. ``new`` and ``check`` are `moc-opt robot new` and `check`: they know the task, and import scenario.
+nobody has tuned. ``new`` and ``check`` do `moc-opt robot new` and `check`; both try a task, and import scenario.
 """
 
 from moc_opt.robots.loader import RobotData, about, available_robots, load_data

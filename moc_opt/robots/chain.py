@@ -52,9 +52,9 @@ def desired_wrist(
 
 @dataclass(frozen=True)
 class Kinematics:
-    """CasADi functions of q (n,) alone; two are equal when their ids are. mu has no gradient at a singularity."""
+    """CasADi functions of q (n,); two objects with the same ``id`` are equal. mu has no gradient at a singularity."""
 
-    id: str  #: Robot name and twelve hex digits that change with any number of the chain.
+    id: str  #: Robot name and twelve hex digits, a hash of the chain's numbers.
     n: int
     tip: casadi.Function = field(compare=False, repr=False)  #: q -> (3,) [m]
     wrist: casadi.Function = field(compare=False, repr=False)  #: q -> (3,) [m]

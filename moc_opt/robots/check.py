@@ -21,7 +21,7 @@ from moc_opt.sim.settings import PlantSettings
 
 Verdict = Literal["ok", "care", "cannot"]
 REGULAR, SINGULAR = (0.1, 0.05), 1e-4
-"""Least singular values over the largest, of the tip's Jacobian and of A, for the verdicts "ok" and "care"."""
+"""Least ratios of singular values: `Freedoms.tip` and `Freedoms.both` for the verdict "ok", each of them for "care"."""
 LITTLE_TO_GAIN = 0.05
 LEAST_M = 0.005  #: Radius of a circle that an arm must be able to follow from home.
 MARGIN_DEG, MARGIN_MM = 15.0, 80.0
@@ -91,7 +91,7 @@ def _climb(robot: RobotModel) -> Iterator[Finding]:
         text = f"{mu:.3g} m³, {curve.mu.min():.3g} to {curve.mu_best:.3g} on {'one' if several else 'its'} self-motion"
         little = max(curve.mu_best, largest if several else 0.0) < (1.0 + LITTLE_TO_GAIN) * mu
         yield _judge(what, text, (little, "care", "little to gain from there: choose another home.q_rad"))
-    # With one freedom a local law stays on its own self-motion curve, and may be unable to reach this mu.
+    # With one freedom, a law that climbs mu stays on one self-motion curve, and may be unable to reach this mu.
     yield Finding("largest mu there", f"{largest:.3g} m³, {how['mu_bound_method']}", "ok")
 
 
@@ -157,7 +157,7 @@ def _gains(robot: RobotModel, asked: Scenario) -> Finding:
     limit, period = largest_rate(asked.plant), asked.plant.period_s
     gains = asked.control.resolve_gains(robot.data.gains, robot.n)
     tip, wrist = largest_inverse_masses(robot)
-    # Each velocity gain over the smallest inertia that it acts on, at home and at seeded poses [1/s].
+    # Each velocity gain divided by the smallest inertia that it acts on, at home and at seeded poses [1/s].
     null_space = largest_null_rate(robot, gains.K_N2 + gains.D_N2)
     rates = {"D_X": gains.D_X * tip, "D_N": gains.D_N * wrist, "K_N2": null_space}
     name, rate = max(rates.items(), key=lambda item: item[1])

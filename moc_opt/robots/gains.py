@@ -1,8 +1,8 @@
 """Gains for an arm that nobody has tuned.
 
 A velocity gain divided by the inertia that it acts on is a rate [1/s]. The rate times the period decides whether a
-sampled loop is stable (`moc_opt.robots.check.largest_rate`). The LWR4+ is tuned, and other arms get its rates and so
-its distance from that limit. Gains are in each joint's own unit (N m s/rad, or N s/m for a prismatic joint).
+sampled loop is stable (`moc_opt.robots.check.largest_rate`). The LWR4+ is tuned; other arms get the
+LWR4+'s rates, and so are as far from the limit. A joint's gains are in N m s/rad, or N s/m if the joint slides.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ JOINTS: Mapping[str, tuple[float, float, float]] = {
     "moc": (JOINT_RATE, 1.0 / 7.0, 125.0), "default": (JOINT_RATE, 1.0 / 7.0, 125.0),
     "tuned": (26.0, 0.087, 125.0), "robust": (17.0, 0.133, 85.0),
 }  # fmt: skip
-"""For each table: K_N2 over the joint's inertia [1/s] (10 to 22 in the LWR4+'s table), D_N2 over K_N2 (there 0.13 to
-0.2), and the largest rate allowed for both together along a motion that keeps tip and wrist [1/s]."""
+"""For each table: K_N2 divided by the joint's inertia [1/s] (10 to 22 for the LWR4+), D_N2 / K_N2 (0.13 to 0.2 for the
+LWR4+), and the largest rate of K_N2 + D_N2 along a motion that keeps tip and wrist [1/s]."""
 CARTESIAN_RATE = 160.0
-"""Largest D_X or D_N over the smallest mass that it moves [1/s]: 0.72 of the stability limit with three ticks of delay
-at 500 Hz. The LWR4+'s D_X has 90 in its lightest direction, its D_N 16."""
+"""Largest D_X or D_N divided by the smallest mass that it acts on [1/s]: 0.72 of the stability limit with three ticks
+of delay at 500 Hz. For the LWR4+ it is 90 with D_X in the lightest direction, and 16 with D_N."""
 CARTESIAN: Mapping[str, tuple[float, float, float, float]] = {
     "dcac": (2000.0, 20.0, 600.0, 10.0), "moc": (3000.0, 30.0, 800.0, 10.0), "default": (3000.0, 80.0, 800.0, 60.0),
     "tuned": (3000.0, 80.0, 1670.0, 74.2), "robust": (3000.0, 50.0, 1670.0, 74.2),
@@ -40,9 +40,9 @@ _POSES = 16
 def derived_gains(robot: RobotModel) -> dict[str, Table]:
     """Derive the tables of `CARTESIAN` from the arm's inertia.
 
-    K_N2 of joint i is a rate times M_ii at the home pose, D_N2 a share of K_N2 (`JOINTS`). The rate is lowered where
-    the rate of a self-motion would exceed its largest. K_X and D_X are the LWR4+'s, but are lowered by one factor where
-    the arm is so light that D_X would exceed `CARTESIAN_RATE`; K_N and D_N likewise.
+    K_N2 of joint i is a rate times M_ii at the home pose, D_N2 a share of K_N2 (`JOINTS`). That rate is lowered where
+    both gains together would exceed their largest rate along a self-motion. K_X and D_X are the LWR4+'s, but both are
+    lowered by one factor where the arm is so light that D_X would exceed `CARTESIAN_RATE`; K_N and D_N likewise.
     """
     inertia = np.diag(robot.state(robot.data.q_home).M)
     inverse_masses = largest_inverse_masses(robot)

@@ -19,7 +19,7 @@ class Placed(NamedTuple):
     """The result of a search for a pose."""
 
     q: Array  #: (n,) inside the limits [rad]
-    miss_m: float  #: Distance of tip or wrist, the larger, from its point [m].
+    miss_m: float  #: The larger of the distances of tip and wrist from their points [m].
     at_limit: tuple[int, ...]  #: Joints (from 0) that stand at a limit.
 
     @property

@@ -114,7 +114,7 @@ class RobotData:
     tip_frame: str
     tool_length: float  #: Mount to tip [m].
     tool_mass: float  #: [kg]
-    gains: Mapping[str, Gains]  #: The raw [gains.*] tables, one for each controller.
+    gains: Mapping[str, Gains]  #: The [gains.*] tables of the file, by name.
 
     def __post_init__(self) -> None:
         for name in (self.name, *self.joint_names):  # names are written into source code and pages

@@ -104,7 +104,7 @@ class RobotState:
     mu_shaft = _scalar(
         2, "Manipulability of the shaft once the tip is held [m^2]; see `moc_opt/core/manipulability.c`."
     )
-    grad_mu_shaft = _part("grad_mu_shaft", "dmu_shaft/dq (n,) [m^2/rad]; zero at a singularity, where it has a kink.")
+    grad_mu_shaft = _part("grad_mu_shaft", "dmu_shaft/dq (n,) [m^2/rad]; zero where mu_shaft is 0 and has a kink.")
     M = _part("M", "Joint-space inertia (n,n), rotor inertia included [kg m^2].", shape=(0, 0))
     h = _part("h", "C v + g (n,) [Nm].")
     energy_slope = _part("energy_slope", "dT/dq = C^T v (n,) [Nm]: T the kinetic energy, C Christoffel's matrix.")
@@ -115,12 +115,12 @@ class RobotModel:
     """The arm with its tool.
 
     Attributes:
-        data: what its files say, a `moc_opt.robots.RobotData`.
+        data: the contents of its files, a `moc_opt.robots.RobotData`.
         n: number of joints.
         q_min, q_max: (n,) limits [rad; m where a joint slides].
         v_max: (n,) largest speeds [rad/s or m/s]; tau_max: (n,) largest torques [Nm or N].
         moves: (2,n) which joints can move the tip (first row) and the wrist (second row) at all.
-        arm: the same arm in the core's own form.
+        arm: the same arm in the form of the compiled core.
 
     Example:
         >>> robot = mo.load_robot("lwr4")
@@ -138,7 +138,7 @@ class RobotModel:
     """
 
     def __init__(self, data: RobotData) -> None:
-        """Build the model; a RobotError where pinocchio cannot read the URDF, or finds other joints."""
+        """Build the model; a RobotError where pinocchio cannot read the URDF or finds other joints than ``data``."""
         self.data = data
         self.n = n = data.n
         self.q_min, self.q_max, self.v_max, self.tau_max = data.q_min, data.q_max, data.v_max, data.tau_max
@@ -152,7 +152,7 @@ class RobotModel:
         self._rest = np.zeros(n)
         self.moves = read_only(np.ones((2, n), dtype=np.bool_))
         self.arm = core.Arm(*self.arm_arrays)
-        # Find the joints that can move tip and wrist at all: a last joint does not move a tool on its own axis.
+        # Find the joints that can move tip and wrist at all: a last joint whose axis is the tool's moves neither.
         drawn = np.random.default_rng(0).uniform(self.q_min, self.q_max, (4, n))
         columns = [np.linalg.norm(self.state(q).A.reshape(2, 3, n), axis=1) for q in drawn]
         self.moves = read_only(np.max(columns, axis=0) > _STRUCTURAL_ZERO)
@@ -173,7 +173,7 @@ class RobotModel:
         return RobotModel, (self.data,)  # views into pinocchio's memory do not survive copying
 
     def state(self, q: ArrayLike, v: ArrayLike | None = None) -> RobotState:
-        """Compute everything at q (n,) [rad] and v (n,) [rad/s] (None: at rest); a RobotError if q or v is unusable."""
+        """Compute all terms at q (n,) [rad] and v (n,) [rad/s] (None: at rest); a RobotError if q or v is unusable."""
         v = self._rest if v is None else v
         try:  # the core checks arrays by itself
             return RobotState(self.arm.terms(q, v), self.n)  # type: ignore[arg-type]
@@ -194,13 +194,13 @@ class RobotModel:
         return self.arm.along(self._numbers("poses", poses, 2))[:2]
 
     def gravity(self, q: ArrayLike) -> Array:
-        """Compute the gravity torque g (n,) [Nm], that of `state`."""
+        """Compute the gravity torque g (n,) [Nm], the same as in `state`."""
         return self.state(q).gravity.copy()
 
     def tool_pose(self, q: ArrayLike) -> Array:
-        """Compute the tool's pose (4,3): x, y and z axis, in which the wrench sensor measures, and tip [m]; world axes.
+        """Compute the tool's pose (4,3) in world axes: rows x, y and z axis, then the tip [m].
 
-        z runs along the shaft from wrist to tip.
+        z runs along the shaft from wrist to tip; the wrench sensor measures in these axes.
         """
         return self.arm.tool_pose(self._numbers("q", q))
 
@@ -221,7 +221,7 @@ class RobotModel:
         return build_kinematics(self.data.name, self.chain)
 
     def random_regular_pose(self, rng: np.random.Generator, *, margin: float = 0.1, mu_min: float = 0.05) -> Array:
-        """Draw a pose (n,) that keeps `margin` of each joint's range from both limits, with mu > `mu_min`."""
+        """Draw a pose (n,) with mu > `mu_min`, each joint at least `margin` times its range away from its limits."""
         room = margin * (self.q_max - self.q_min)
         for _ in range(1000):
             q = rng.uniform(self.q_min + room, self.q_max - room)
@@ -256,9 +256,9 @@ def load_robot(
     """Load a robot by name or path; tables of gains that its TOML does not have are derived from its inertia.
 
     Args:
-        name_or_path: of an arm of the package (`moc-opt robots` lists them), or a TOML or URDF file; a RobotError names
+        name_or_path: an arm of the package (`moc-opt robots` lists them), or a TOML or URDF file; a RobotError names
             what is missing or wrong.
-        tool_length: from the last flange to the tip [m]; tool_mass: [kg]; None: as its file says.
+        tool_length: from the last flange to the tip [m]; tool_mass: [kg]; None: as in the robot's file.
     """
     robot = RobotModel(load_data(name_or_path, tool_length=tool_length, tool_mass=tool_mass))
     if not CARTESIAN.keys() <= robot.data.gains.keys():

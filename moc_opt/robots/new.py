@@ -26,12 +26,12 @@ from moc_opt.scenario.layout import lay_out
 
 DRAWS = 6000  #: Number of poses drawn; forward kinematics of one takes microseconds.
 SHORTLIST = 60  #: Number of poses whose self-motion is scanned.
-DOWN = (0.94, 0.8, -1.0)  #: Least cosine between tool and straight down, tried in turn: 20 deg, 37 deg, any.
+DOWN = (0.94, 0.8, -1.0)  #: Least cosine of the tool's angle to straight down, tried in turn: 20 deg, 37 deg, any.
 CLEARANCE_M = 0.05  #: Least height of tip and wrist above the base's plane, or depth below it if the arm hangs.
-MARGIN = 0.2  #: Least distance from a joint limit, as a share of half of the joint's range.
-REGULAR = (0.15, 0.08)  #: Least singular values over the largest, of the tip's Jacobian and of A; see `freedoms`.
+MARGIN = 0.2  #: Least distance from a joint limit, divided by half of the joint's range.
+REGULAR = (0.15, 0.08)  #: Least `Freedoms.tip` and `Freedoms.both`, which are ratios of singular values.
 SHARE = (0.7, 0.9)
-"""Range of mu over the largest mu of the pose's own self-motion: below 1, so that there is something to gain."""
+"""Range of mu / (largest mu on the self-motion) for a home pose: below 1, so that mu can rise during a run."""
 
 
 class NewRobot(NamedTuple):
@@ -51,13 +51,13 @@ def new_robot(
 
     Args:
         source: the vendor's URDF.
-        tip: the link that carries the tool; None: the one behind the last moving joint, if there is only one chain.
+        tip: the link that carries the tool; None: the link beyond the last moving joint, if there is only one chain.
         tool_m: mount to tip [m].
         lock: joint -> position [rad, m] at which it is fixed.
-        base_rpy: how the base stands: (pi, 0, 0) hangs from the ceiling [rad].
+        base_rpy: roll, pitch, yaw of the base [rad]; (pi, 0, 0): the arm hangs from the ceiling.
 
     Raises:
-        RobotError: the file is of no such arm, no freedom is left for the third level, or an output file exists.
+        RobotError: the file is no serial arm, no freedom is left for the third level, or an output file exists.
         UnknownNameError: ``tip`` or a joint of ``lock`` is not in the file.
     """
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}\.toml", out.name):
@@ -106,8 +106,8 @@ def new_robot(
 
 
 def _drives(arm: VendorArm) -> dict[str, list[float]]:
-    # Vendors do not publish these. Rotor inertia: the LWR4+'s 0.2 kg m^2 for a turning joint of 10 Nm or more, less in
-    # proportion for a weaker one, 4 % of the force of a sliding one. Friction: 0.8 % of the limit, at most 1 Nm.
+    # Vendors do not publish these. Rotor inertia of a turning joint: the LWR4+'s 0.2 kg m^2, times effort / 10 Nm below
+    # 10 Nm; of a sliding joint: 0.04 kg per N of effort. Friction: 0.8 % of the effort, and 1 Nm at most if it turns.
     rotors, friction = [], []
     for joint in arm.chain:
         effort, sliding = joint.limits["effort"], joint.kind == "prismatic"
@@ -121,7 +121,7 @@ def _drives(arm: VendorArm) -> dict[str, list[float]]:
 def _numbers(values: float | Iterable[float]) -> str:
     if isinstance(values, float):
         return repr(values)
-    # Twelve decimals: smaller parts are rounding.
+    # Twelve decimals: the rest is rounding error.
     return f"[{', '.join(repr(round(float(value), 12) + 0.0) for value in values)}]"
 
 
@@ -140,7 +140,7 @@ _FORM.filters.update(numbers=_numbers, comment=_comment)
 
 
 class Shaft(NamedTuple):
-    """Where the tool sits, in the frame of the last link; rpy turns its z into the tool's direction."""
+    """Where the tool sits in the frame of the last link; rpy turns the link's z into the tool's direction."""
 
     wrist: Array  #: (3,) [m]
     mount: Array  #: (3,) [m]; the link's own origin, moved onto the last axis where only rounding separates them
@@ -151,9 +151,9 @@ class Shaft(NamedTuple):
 def find_shaft(text: str, last_link: str) -> Shaft:
     """Lay the tool along the last turning axis, away from the arm, from the last link's origin.
 
-    The wrist point is the point of the shaft nearest to the axis before it; on a spherical wrist they cross there.
-    Where the last joint slides, the tool runs along z of the last link and the wrist point is its origin. ``text`` is a
-    valid URDF.
+    The wrist point is the shaft's point nearest to the axis before the last; on a spherical wrist, these axes cross
+    there. Where the last joint slides, the tool runs along z of the last link, whose origin is the wrist point.
+    ``text`` is a valid URDF.
     """
     model = pin.buildModelFromXML(text)
     data = model.createData()
@@ -184,7 +184,7 @@ def find_shaft(text: str, last_link: str) -> Shaft:
     if behind < 1e-6:
         behind, note = 0.0, f"{note}; the wrist point is the mount"
     else:
-        note = f"{note}; the wrist point, {behind:.4g} m behind the mount, is the nearest to the axis before it"
+        note = f"{note}; the wrist point, {behind:.4g} m behind the mount, is the nearest to the previous axis"
     down = place.rotation.T @ direction
     mount = place.rotation.T @ (origin - place.translation)
     across = math.hypot(down[0], down[1])
@@ -201,7 +201,7 @@ class Home(NamedTuple):
     q: Array  #: (n,) [rad, m]
     mu: float  #: [m^3]
     mu_best: float  #: The largest mu on its own self-motion curve [m^3].
-    margin: float  #: Least distance to a joint limit over half the range, idle joints left out.
+    margin: float  #: Least distance to a joint limit, divided by half the range; idle joints are left out.
     task: str  #: Empty where the default task can be done from it, else why not.
 
     @property
@@ -211,12 +211,11 @@ class Home(NamedTuple):
 
 
 def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
-    """Search the joint ranges for a home pose; the same seed finds the same pose.
+    """Search the joint ranges for a home pose; a RobotError if each pose drawn is singular or near a limit.
 
     Poses with tip and wrist on the arm's side of the base's plane are ranked by their distance from limits and
-    singularities and by mu. The search ends at the first one with mu within `SHARE` of the largest on its self-motion
-    from which the default path can be followed. `DOWN` is relaxed until that path can be followed from some pose; then
-    the best by `Home.order` is taken. A RobotError where every pose drawn is singular or near a limit.
+    singularities and by mu. The search ends at the first pose that meets `SHARE` and can follow the default path.
+    `DOWN` is relaxed as long as no pose can follow that path. The best by `Home.order` is returned.
     """
     rng, idle = np.random.default_rng(seed), ~robot.moves.any(axis=0)
     middle, half = 0.5 * (robot.q_min + robot.q_max), 0.5 * (robot.q_max - robot.q_min)
@@ -240,7 +239,7 @@ def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
 
 
 def _ranked(robot: RobotModel, poses: Array) -> list[Home]:
-    """Return homes of the best poses in the order of their rank, up to the first one that is as wanted."""
+    """Return homes of the best poses by rank, up to the first that meets `SHARE` and can follow the default path."""
     moving, mu = robot.moves.any(axis=0), robot.mu_along(poses)
     scores = np.full(len(poses), -np.inf)
     for k, q in enumerate(poses):
@@ -255,7 +254,7 @@ def _ranked(robot: RobotModel, poses: Array) -> list[Home]:
         except RobotError:
             continue  # singular along the curve: not a pose to begin with
         here = robot.state(q).mu
-        # Following the path costs more than the scan: try it only where the share is right, or no home was found yet.
+        # Following the path costs more than the scan: try it only where `SHARE` is met, or no home was found yet.
         wanted = SHARE[0] <= here / largest <= SHARE[1]
         task = task_fault(robot, q) if wanted or not homes else "not tried"
         homes.append(Home(q, here, largest, float(limit_shares(robot, q)[moving].min()), task))

@@ -24,7 +24,7 @@ TOOL_NAMES = {"link": {TOOL_LINK, TIP_LINK, WRIST_LINK}, "joint": {"tool_mount",
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 SMALLEST_MASS, SMALLEST_MOMENT = 1e-6, 1e-12
 MOST_LINKS = 250  #: Engines follow a chain by recursion: some thousands of links would crash the process.
-_TRIANGLE, _FLAT, _THIN = 1e-6, 1e-9, 1e-12  # shares of the largest moment: files round their numbers
+_TRIANGLE, _FLAT, _THIN = 1e-6, 1e-9, 1e-12  # shares of the largest moment, as files round their numbers
 SMALLEST = 1e-30  #: A smaller number is read as 0: some readers refuse those below 1e-308.
 LARGEST, LARGEST_MASS, FARTHEST = 1e6, 1e5, 100.0
 """Largest number, mass [kg], and length or angle of an origin [m], [rad], that a file may have."""
@@ -49,7 +49,7 @@ class Link:
         return self.mass == 0.0 and not any(self.moments)
 
     def thicken(self, added: float) -> None:
-        """Add to the moments about all axes [kg m^2]."""
+        """Add ``added`` to the moments about all three axes [kg m^2]."""
         self.moments = (*(moment + added for moment in self.moments[:3]), *self.moments[3:])
 
 
@@ -70,7 +70,7 @@ class Joint:
 
     @property
     def moves(self) -> bool:
-        """Whether it turns or slides."""
+        """Whether the joint turns or slides."""
         return self.kind in MOVING
 
     def limit(self, lower: float, upper: float, velocity: float, effort: float) -> None:
@@ -184,7 +184,7 @@ def _numbers(element: ET.Element | None, key: str, what: str, count: int = 3, mo
 
 
 def normalize(arm: Urdf) -> Tree:
-    """Check everything but the moving joints' limits; axes get length one, and flat bodies a thickness, in place.
+    """Check everything but the moving joints' limits; in place, scale axes to length one and thicken flat bodies.
 
     A RobotError names a wrong name or number, a mass or inertia that no body has, or links and joints that are no tree.
     """
@@ -247,7 +247,7 @@ def principal(moments: Iterable[float]) -> list[float]:
 
 
 class Tree:
-    """Links as a tree: one ``base``, and every other link on one joint; a RobotError where they form no such tree.
+    """Links as a tree: one is the ``base``, every other one hangs on one joint; a RobotError if they form no tree.
 
     ``carrier`` has the joint on which a link hangs, ``carried`` the joints that hang on the link.
     """
@@ -281,7 +281,7 @@ class Tree:
         self.base = bases[0]
 
     def chain(self, last_link: str, named: str) -> list[Joint]:
-        """Return the moving joints from base to the link that carries the tool; ``named`` is its field or option."""
+        """Return the moving joints from base to ``last_link``, which was given by the field or option ``named``."""
         if last_link not in self.links:
             raise UnknownNameError(f"link ({named})", last_link, self.links)
         chain = [joint for joint in self.path(last_link) if joint.moves]

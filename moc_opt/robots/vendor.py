@@ -1,4 +1,4 @@
-"""Make one serial arm of a vendor's URDF, and note everything that had to be assumed or changed."""
+"""Turn a vendor's URDF into one serial arm, and note everything that had to be assumed or changed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from moc_opt.robots.urdf import Joint, Link, Urdf
 
 FINGERS = 2  #: A branch with at most this many moving joints in a row is fixed, as a finger or a head.
 FASTEST = {"turning": 2.0 * math.pi, "sliding": 2.0}
-"""Largest joint speeds of an arm [rad/s, m/s]: a public file of the iiwa says 10 rad/s, its maker 1.5 to 2.4."""
+"""Largest plausible joint speeds [rad/s, m/s]; a public file of the iiwa has 10 rad/s, its data sheet 1.3 to 2.4."""
 CHOSEN = {"turning": 2.0, "sliding": 0.5}  #: The speed that replaces a missing or absurd one.
 TRAVEL_M = 0.5  #: Range of a sliding joint without limits, to both sides [m].
 _STRONGEST = {"turning": 2000.0, "sliding": 20000.0}  # largest plausible effort [Nm, N]
@@ -27,7 +27,7 @@ _UNITS = {"turning": ("rad", "rad/s"), "sliding": ("m", "m/s")}
 
 @dataclass
 class VendorArm:
-    """One serial arm, its side joints fixed, and a limit of every kind for each joint of the chain."""
+    """One serial arm: joints off the chain are fixed, and each joint of the chain has all four limits."""
 
     urdf: Urdf
     notes: list[str]  #: Assumptions and changes, one sentence each.
@@ -57,7 +57,7 @@ def read_vendor(
     arm.chain = tree.chain(arm.last_link, "--tip")
     arm.notes.append(f"the tool sits on {arm.last_link!r}, the link {'asked for' if tip else 'of the last joint'}")
     mend_bodies(arm.urdf.links, arm.notes)
-    between = tree.path(arm.last_link)[len(tree.path(arm.chain[0].parent)) :]  # `normalize` checks these
+    between = tree.path(arm.last_link)[len(tree.path(arm.chain[0].parent)) :]  # not fixed; `normalize` checks them
     _fix([joint for joint in arm.urdf.joints if joint not in between and joint.kind != "fixed"], arm.notes)
     if any(base_rpy):
         arm.urdf.links.insert(0, Link("stand"))
@@ -136,8 +136,8 @@ def _shift(joint: Joint, value: float) -> None:
 def mend_bodies(links: Iterable[Link], notes: list[str]) -> None:
     """Make every body physically possible, in place; each change is noted.
 
-    A link without mass becomes a frame, and is merged into the link it is fixed to. To an impossible inertia the
-    smallest isotropic one is added that makes it possible.
+    A link without mass becomes a frame, and is merged into the link it is fixed to. To an impossible inertia,
+    the smallest isotropic inertia that makes it possible is added.
     """
     frames = []
     for link in links:
@@ -197,7 +197,7 @@ def _range(joint: Joint, kind: str) -> tuple[float, float, str]:
 
 
 def enough_efforts(robot: RobotModel) -> list[float]:
-    """Return for each joint three times its largest gravity load [Nm, N], or its inertia if larger; at least 5."""
+    """Return effort limits [Nm, N]: three times the larger of a joint's gravity load and M_ii, but at least 5."""
     poses = np.random.default_rng(0).uniform(robot.q_min, robot.q_max, (200, robot.n))
     most = np.max([np.abs(robot.gravity(q)) for q in poses], axis=0)
     needed = 3.0 * np.maximum(most, np.diag(robot.state(robot.data.q_home).M))

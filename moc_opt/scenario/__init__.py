@@ -1,4 +1,4 @@
-"""A validated scenario, and its run: the only room that puts solver, controller and plant together.
+"""A validated scenario, and its run: the only package that joins solver, controller and plant.
 
 Read first: ``config`` (``Scenario``: every key of the TOML; ``tables`` has some of its tables), then ``setup``
 (``Setup`` builds the objects; ``Setup.trace`` and ``run`` make a trace). ``layout`` lays the task out from a start,

@@ -30,8 +30,8 @@ PRESETS: Mapping[str, Mapping[str, Callable[..., Settings]]] = {
 """Table -> name of its ``preset`` -> the function that makes the table from its other keys."""
 _LAGS = 3.0  # least lag that the safety filter assumes, in time constants of the encoders' velocity filter
 _TORQUE, _SPEED = 500.0, 600.0
-"""Per rad of the encoders' step: the change of torque [share of tau_max], and the speed [rad/s] by the momentum
-residual, at which the encoder of a sound joint may not yet show a step."""
+"""Per rad of the encoders' step: the largest change of torque [share of tau_max], and the largest speed by the momentum
+residual [rad/s], at which the encoder of a sound joint may still show no step."""
 
 
 class Scenario(Settings):
@@ -81,7 +81,7 @@ class Scenario(Settings):
 
     @classmethod
     def _places(cls, key: str) -> list[str]:
-        # In TOML a key goes to the table above it, which is often the wrong one.
+        # In TOML a key belongs to the table header above it, which may be the wrong table.
         tables = {name: field.annotation for name, field in cls.model_fields.items()}
         inside = [f"in [{name}]" for name, kind in tables.items() if key in getattr(kind, "model_fields", {})]
         return ["at the top of the file, above all tables", *inside] if key in tables else inside
@@ -153,7 +153,7 @@ class Scenario(Settings):
         write_whole(path, text, "scenario", ScenarioError)
 
     def changes(self) -> dict[str, Any]:
-        """Return what differs from the default scenario, as arguments; tables with the preset that leaves fewest."""
+        """Return what differs from the default scenario, as arguments; each table by the preset nearest to it."""
         found: dict[str, Any] = {}
         for name, field in type(self).model_fields.items():
             value = getattr(self, name)
@@ -180,7 +180,7 @@ class Scenario(Settings):
 
     @property
     def told_guard(self) -> SafetyFilterSettings:
-        """``[guard]`` for these encoders: levels left out are computed, and levels too low for them are raised."""
+        """``[guard]`` for these encoders: levels left out are computed, levels too low are raised."""
         guard, plant, told = self.guard, self.plant, dict[str, float | None]()
         encoder = plant.encoder_noise_rad, plant.encoder_resolution_rad
         if guard.repeat_joint_ticks is None:
@@ -189,7 +189,7 @@ class Scenario(Settings):
             *encoder, plant.velocity_cutoff_Hz, plant.period_s
         ):
             told["repeat_reading_ticks"] = guard.patience_ticks
-        if plant.velocity_cutoff_Hz > 0.0:  # the filter lags by its time constant, by more where the motion reverses
+        if plant.velocity_cutoff_Hz > 0.0:  # the filter lags by its time constant, and by more when the motion reverses
             told["motion_lag_s"] = max(guard.motion_lag_s, _LAGS / (2.0 * math.pi * plant.velocity_cutoff_Hz))
         told["repeat_torque"] = max(guard.repeat_torque, _TORQUE * plant.encoder_resolution_rad)
         told["stuck_rad_per_s"] = max(guard.stuck_rad_per_s, _SPEED * plant.encoder_resolution_rad)
@@ -215,12 +215,12 @@ def _tables(value: Settings, name: str) -> Iterator[dict[str, Any]]:
             entry = getattr(value, key)
             if entry != getattr(base, key):
                 table[key] = entry.model_dump(exclude_defaults=True) if isinstance(entry, Settings) else entry
-        if None not in table.values():  # a file cannot set what a preset sets back to None
+        if None not in table.values():  # a file cannot reset a preset's value to None
             yield {"preset": preset, **table}
 
 
 def _without_none(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Write None as a file does: `inf` for no limit, '' for no table of gains; a solver's setting is left out."""
+    """Replace None by what files have: `inf` for no limit, '' for no table of gains; leave a solver's setting out."""
     plain: dict[str, Any] = {}
     for key, value in table.items():
         if key == "settings":

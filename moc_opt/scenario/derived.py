@@ -1,7 +1,7 @@
 """Columns computed after a run: errors by the robot's own kinematics, residuals of the answers, and the best mu.
 
-The best courses, from the run's start and over all starts, are those of dynamic programming within the arm's own joint
-limits and speeds, on a grid of 50 ms and 0.5 degree. `moc_opt.scenario.planned.plan` has finer ones (docs/planning.md).
+The courses (joint trajectories) of best mean mu, from the run's start and over all starts, come from dynamic
+programming on a grid of 50 ms and 0.5 degree; those of `moc_opt.scenario.planned.plan` are finer (docs/planning.md).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from moc_opt.trace.trace import Trace
 Columns = Mapping[str, NDArray[Any]]
 
 AT_ONCE = 5000  # number of answers whose residuals are computed together
-PERIOD_S = 0.05  # of the best courses' grid: joints cross several swivels in it, and lose little speed by rounding
+PERIOD_S = 0.05  # time step of that grid: joints pass several swivels in it, so that rounding costs little
 PATH = {"robot", "start", "trocar", "task", "duration_s", "seed"}  # keys of a scenario that determine path and start
 
 
@@ -54,7 +54,7 @@ def model_errors(columns: Columns, robot: RobotModel, plant: Plant, offset: Task
 
 
 def residual_columns(columns: Columns) -> dict[str, NDArray[Any]]:
-    """Compute every answer's residuals, and whether they verify it; no columns where no subproblem was solved."""
+    """Compute the residuals of each answer, and whether they verify it; no columns if nothing was solved."""
     if "subproblem" not in columns:
         return {}
     x = columns["x_rad_per_s"]
@@ -69,7 +69,7 @@ def residual_columns(columns: Columns) -> dict[str, NDArray[Any]]:
 def largest_mu(poses: Array, robot: RobotModel, samples: int) -> tuple[Array, dict[str, str]]:
     """Compute at evenly spaced ticks the largest mu of all feasible poses with the tick's tip and wrist.
 
-    Returns it (N,), NaN elsewhere and where the pose (N, n) is not finite, and meta's entry that says how it was found.
+    Return mu (N,), NaN at other ticks and where the pose (N, n) is not finite, and the trace's meta with the method.
     """
     bound = np.full(len(poses), np.nan)
     ticks = np.linspace(0, len(poses) - 1, min(samples, len(poses))).astype(int)
@@ -111,9 +111,9 @@ def _planned(path: str) -> BestCourses:
 
 
 def against_best(scenario: Scenario, trace: Trace) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Return the columns of the best courses, and meta's entry ``best_courses``: why there are none, or ``end``.
+    """Return the columns of the best courses, and meta's entry ``best_courses``: why they are absent, or ``end``.
 
-    ``end`` has the run's last mu [m^3], mu and swivel [deg] of a climb from its last pose, and those of the course.
+    ``end`` has the run's last mu [m^3], and mu and swivel [deg] at the top of a climb from there and of the course.
     """
     try:
         known = best_courses(scenario)

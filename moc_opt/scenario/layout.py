@@ -1,4 +1,4 @@
-"""A scenario's task from one start: the registered trocar, the reference of the tip, the duration."""
+"""Lay a scenario's task out from one start pose: registered trocar, reference of the tip, duration."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from moc_opt.tasks import Reference, Trocar, make_path
 MOST_TICKS = 1_000_000
 """Most ticks of a run: half an hour at 500 Hz, and some 4 GB of memory while the run is judged."""
 
-_POSE_STREAM = (1,)  # spawn key of the random pose, whose draws thus leave those of swivel, plant and faults unchanged
+_POSE_STREAM = (1,)  # the random pose has a stream of its own, apart from swivel, plant and faults
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """A start and the task from there, checked."""
+    """A start pose, and the task laid out from it."""
 
     q: Array  #: (n,) [rad]
     trocar: Array  #: (3,) at rest, as registered [m]

@@ -19,7 +19,7 @@ from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.layout import Layout, described, lay_out
 from moc_opt.trace.trace import Trace
 
-PERIOD_S, MOST_TIMES = 0.025, 1000  # longest time between two points of a plan, if no more points are needed
+PERIOD_S, MOST_TIMES = 0.025, 1000  # largest spacing of a plan's points, of which there are MOST_TIMES at most
 
 
 def plan(
@@ -33,11 +33,11 @@ def plan(
 
     Args:
         scenario: a scenario, or the path of its file.
-        times: points of the path; None: one each `PERIOD_S` at most, 2 to 1000.
-        swivels: samples of one turn of the elbow; an arm without a closed form takes only those above the default.
+        times: count of points on the path; None: at most `PERIOD_S` apart, 2 to 1000 points.
+        swivels: samples of one turn of the elbow; without a closed form only values above the default matter.
         margin_rad, margin_m: distance that every joint keeps from its limits [rad], [m] where it slides.
-        speed_share: of the joints' speed limits that a course may use, above 0 to 1.
-        shaft_margin: least manipulability of the shaft over the squared span from wrist to tip, kept where possible.
+        speed_share: share of the joints' speed limits that a course may use, above 0 to 1.
+        shaft_margin: least (manipulability of the shaft) / (distance from wrist to tip)^2, kept where possible.
         refined: whether the nonlinear program improves the courses of the grid.
 
     Raises:
@@ -58,7 +58,7 @@ def targets_of(
 ) -> Targets:
     """Return evenly spaced targets of tip and wrist on the path, ``times`` of them, from the first tick to the last.
 
-    Without ``times`` there is one each ``period_s`` at most, up to `MOST_TIMES`, and then ``finer`` times as many.
+    Without ``times``, their spacing is at most ``period_s`` (`MOST_TIMES` of them at most), divided by ``finer``.
     """
     spaces = int(np.clip(np.ceil(layout.duration_s / period_s), 1, MOST_TIMES - 1))
     span, length = robot.state(layout.q).tool_span, robot.data.tool_length
@@ -72,8 +72,8 @@ def followable_plan(
 ) -> tuple[Plan, dict[str, float]]:
     """Plan within the limits of a third level that follows a course, or within the arm's own; return the limits too.
 
-    ``followed`` chooses the former; None: if the scenario's third level follows. A path that cannot be executed with
-    that third level's margins is planned without. Limits given replace these; one margin alone sets the other to zero.
+    ``followed`` chooses the former; None: as the scenario's third level. If the path cannot be executed with the third
+    level's margins, it is planned without. Limits given replace these; if one margin is given, the other is zero.
     """
     settings = scenario.control
     follows = settings.follows if followed is None else followed
@@ -116,7 +116,7 @@ def save_course(found: Plan, scenario: Scenario, to: str | os.PathLike[str], wit
     ``within`` has the limits that the course was planned for, by the names of `plan`'s arguments.
 
     Raises:
-        ScenarioError: the plan has no course, neither from the start nor from elsewhere.
+        ScenarioError: the plan has no course from any start.
         TraceError: the file cannot be written.
     """
     course = found.course

@@ -83,7 +83,7 @@ def random_start(
     for _ in range(DRAWS):
         drawn = rng.uniform(robot.q_min + room, robot.q_max - room)
         try:
-            # Checked before the swivel is chosen, which takes milliseconds and would often be in vain.
+            # Checked first: choosing the swivel takes milliseconds, in vain for an unfit pose.
             _require_fit(robot, drawn, margins)
             q = swivelled(drawn)
             _require_fit(robot, q, margins)
@@ -123,10 +123,10 @@ def check_reachable(
 ) -> Array:
     """Return poses (k, n) that follow the reference with the shaft through the trocar, inside joint limits and speeds.
 
-    They are `SPACING_M` apart on the path, each solved from the one before. If that fails, the path is tried again from
-    the middle of the self-motion through ``q_start`` (n,), to which the elbow would have to travel first. An accepted
-    path is possible; a refused one may be possible in another way. The tip is at the start of the reference at
-    ``q_start``. After ``until_s`` [s] the reference is ignored. An UnreachableError names field, arc length and cure.
+    The poses are `SPACING_M` apart on the path, each solved from the previous one. If that fails, the path is tried
+    again from the middle of the self-motion through ``q_start`` (n,); the elbow would have to go there first. An
+    accepted path can be followed; a refused one may still be possible with other poses. At ``q_start`` the tip must be
+    where the reference starts. ``until_s`` [s] ends the check. An UnreachableError names field, arc length and cure.
     """
     state = robot.state(q_start)
     places = _places(reference, trocar, until_s)
@@ -214,7 +214,7 @@ def _out_of_reach(robot: RobotModel, places: _Places, k: int, wrist: Array, plac
 
 
 def _least_rates(robot: RobotModel, a: Array, velocity: Array) -> Array:
-    """Return the shortest joint velocities (n,); if one is too fast, those whose largest share of a limit is least."""
+    """Return the joint velocities (n,) of least norm; if one is too fast, those with the least maximal limit share."""
     left, values, right = np.linalg.svd(a)
     rank = int((values > 1e-9 * values[0]).sum())
     shortest: Array = right[:rank].T @ ((left[:, :rank].T @ velocity) / values[:rank])

@@ -105,7 +105,7 @@ class Setup:
         self.layout = layout = lay_out(scenario, self.robot)
         self.q_start, self.registered, self.reference = layout.q, layout.registered, layout.reference
         self.duration_s = layout.duration_s
-        self.guide: Guide | None = None  #: What the last controller's third level follows; None: it climbs mu.
+        self.guide: Guide | None = None  #: Gives the last controller its course to follow; None: mu is climbed.
         self._replayed_us = recorded_times(scenario)
         if not realtime:
             self._build_plant(plant_seed)
@@ -151,7 +151,7 @@ class Setup:
                 wait_us = budget
             inside, solver = solver, isolated(solver, scenario, wait_us, self.realtime)
             if solver is not inside and times is None:
-                budget = None  # the process itself keeps the budget; the older answer that it then gives is not late
+                budget = None  # the process itself keeps the budget; it returns an older answer in time
         watch = settings.supervisor.model_copy(update={"budget_us": budget})
         settings = settings.model_copy(update={"supervisor": watch})
         self.guide = None if self._guides is None else self._guides()
@@ -168,7 +168,7 @@ class Setup:
 
     @cached_property
     def _guides(self) -> Callable[[], Guide] | None:
-        """The function that makes a guide; planned once, however many controllers are made."""
+        """The function that makes a controller's guide; the planning is done once for all controllers."""
         return guides(self.following)
 
     def fault_mask(self) -> NDArray[np.bool_]:

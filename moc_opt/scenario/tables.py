@@ -1,4 +1,4 @@
-"""A scenario's tables of robot, start, trocar, task and solver; the others are defined beside what they set up."""
+"""A scenario's tables of robot, start, trocar, task and solver; the code that uses the other tables defines them."""
 
 from __future__ import annotations
 

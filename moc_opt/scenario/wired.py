@@ -38,8 +38,8 @@ def fingerprint(scenario: Scenario, robot: RobotModel) -> int:
 class PlantServer(Setup):
     """The plant of a scenario, for a controller at the other end of a wire.
 
-    It listens at ``listen``, "HOST:PORT"; port 0 takes any free one, and ``address`` has it. In lock-step it waits for
-    each command instead of keeping the time. ``system``: what scheduling it was granted, for ``meta["wire"]``.
+    It listens at ``listen``, "HOST:PORT"; port 0 takes any free port, which ``address`` has. In lock-step it waits for
+    each command instead of keeping the time. ``system`` is the scheduling granted, for ``meta["wire"]``.
 
     Raises:
         MocOptError: as for `Setup`; or the address cannot be taken, or needs a key.
@@ -92,10 +92,10 @@ class PlantServer(Setup):
 def answer(
     scenario: Scenario, connect: str, key_file: Path | None = None, ready: Callable[[], None] = lambda: None
 ) -> dict[str, Any]:
-    """Be the controller of a plant at the other end of a wire ("HOST:PORT"), until its run ends.
+    """Act as the controller of a plant at the other end of a wire ("HOST:PORT"), until the run ends.
 
-    Control, solver and guard of the scenario are this end's own; what `fingerprint` covers must be as at the plant's
-    end. ``ready`` is called once, when the plant has been found and the controller has started.
+    Control, solver and guard are taken from this end's scenario; all that `fingerprint` covers must equal the plant's.
+    ``ready`` is called once, when the plant has been found and the controller has started.
 
     Raises:
         MocOptError: as for `Setup`; or no plant answers there, or it runs another scenario.

@@ -1,7 +1,7 @@
-"""Faults that a run injects, with settings and a seed: in sensors, packets, trocar and solver, and as pushes.
+"""Seeded faults that are injected into a run: in sensors, packets, trocar and solver, and pushes on the arm.
 
-Each packet carries the number of the control period in which it was taken. With ``forged_stamps`` a sensor or a buffer
-gives up-to-date numbers to old readings.
+Each packet carries the number of the control period in which it was measured, its stamp. With ``forged_stamps``, old
+readings carry the present number, as if a buffer stamped them when it sent them.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class FaultSettings(Settings):
     frozen_velocity: Literal["repeated", "zero"] = Field("repeated", description="velocity in a frozen reading")
     lag_at_s: float | None = Field(None, ge=0.0, description="time from which measurements lag; left out: never")
     lag_joint: int | None = Field(None, ge=0)
-    """the only encoder that lags, counted from 0, in measurements with up-to-date numbers; left out: all lag"""
+    """the only encoder that lags, counted from 0; other readings and stamps are up to date; left out: all lag"""
     lag_ticks: int = Field(0, ge=0, le=1000, description="lag at lag_at_s, in ticks")
     lag_growth: float = Field(0.1, gt=0.0, le=1.0, description="growth of the lag in each tick, in ticks")
     replay_at_s: float | None = Field(None, ge=0.0)
@@ -56,7 +56,7 @@ class FaultSettings(Settings):
     """size of every encoder's constant error; the seed draws each sign"""
     encoder_noise_rad: float = Field(0.0, ge=0.0, le=0.01, description="standard deviation of additional noise")
     nan_at_s: float | None = Field(None, ge=0.0, description="time from which encoders give NaN; left out: never")
-    nan_ticks: int = Field(1, ge=1, description="number of ticks for which they give NaN")
+    nan_ticks: int = Field(1, ge=1, description="number of ticks in which encoders give NaN")
     jump_at_s: float | None = Field(None, ge=0.0)
     """time at which the encoders jump, once and for all; left out: never"""
     jump_rad: float = Field(0.2, description="size of the jump, on every joint")
@@ -72,12 +72,12 @@ class FaultSettings(Settings):
     solver: Literal["none", "fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang"] = "none"
     """fault of the solver: 'fail': no answer; 'nan': NaN; 'lie': the optimum of the opposite gradient; 'raise': an
     exception; 'outside': an answer outside the box; 'rig': a problem rewritten to fit the answer; 'malformed': no valid
-    Solution; 'hang': a solve of ten times the budget (without one: of deadline_us)"""
+    Solution; 'hang': a solve of ten times the budget (if there is none: deadline_us)"""
     solver_share: float = Field(0.05, ge=0.0, le=1.0, description="share of the answers that have the fault")
 
     @property
     def around_the_arm(self) -> bool:
-        """Whether anything but the solver is disturbed: if not, the loop can skip ``sense`` and ``act``."""
+        """Whether anything but the solver has faults; if not, the loop can skip ``sense`` and ``act``."""
         solver = {"solver", "solver_share"}
         return any(getattr(self, k) != f.default for k, f in type(self).model_fields.items() if k not in solver)
 
@@ -126,7 +126,7 @@ class Faults:
             plant.push(s.bump_link, held + self._bump * (tick == self._bump_on))
 
     def slip(self, trocars: Array, times: Array) -> Array:
-        """Return the true trocar (N, 2, 3) with its slip: a smooth step of 0.1 s."""
+        """Return the true trocar (N, 2, 3) with its slip, a smooth step that lasts 0.1 s."""
         if self.settings.slip_m == 0.0:
             return trocars
         u = np.clip((times - self.settings.slip_at_s) / 0.1, 0.0, 1.0)

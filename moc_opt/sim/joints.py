@@ -6,7 +6,7 @@ inertia B, friction and stops, and the spring's deflection delta. The link's ang
     M(q) ddq + h = tau_J,   B ddtheta + friction + tau_J = tau,   tau_J = -K delta - D ddelta/dt
 
 which is Spong's model (1987). The arm's own torque feedback makes the rotor appear lighter (Ott et al. 2008). B, from
-the robot's file, is this smaller inertia and tau the input of the feedback, which therefore is not simulated itself.
+the robot's file, is this smaller inertia, and tau is the input of the feedback; so the feedback is not simulated.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from moc_opt.errors import PlantError
 from moc_opt.robots import RobotData
 from moc_opt.sim.settings import Mismatch, PlantSettings
 
-_SAGGING_ROUNDS = 12  # of a fixed-point iteration: a deflection of milliradians changes the torques by a thousandth
-_MOST_RAD_A_STEP = 1.0  # phase of the fastest oscillation in one plant step: MuJoCo's explicit springs need below 2
+_SAGGING_ROUNDS = 12  # of a fixed-point iteration, which converges fast: sagging by 1e-3 rad changes a torque by 0.1 %
+_MOST_RAD_A_STEP = 1.0  # phase of the fastest oscillation per plant step; MuJoCo's explicit springs are stable below 2
 
 
 class Joints:
@@ -34,7 +34,7 @@ class Joints:
 
     Attributes:
         q, v: (n,) true positions and velocities of the links [rad], [rad/s].
-        theta, omega: the same of the motors; shown: position and velocity of the side that has the encoders.
+        theta, omega: (n,) those of the motors; shown: those of the side with the encoders, links or motors.
         torque: (n,) of the drives, before ripple [Nm].
         motors: the motors' entries among MuJoCo's degrees of freedom.
     """
@@ -58,9 +58,9 @@ class Joints:
         self._delay_ticks, self._due = settings.delay_ticks, deque[Array]()
 
     def start(self, shown: Array, speed: Array) -> None:
-        """Put the arm where encoders without bias show (n,) [rad], moving at (n,) [rad/s].
+        """Put the arm where encoders without bias would read ``shown`` (n,) [rad], moving at ``speed`` (n,) [rad/s].
 
-        The drives already carry the arm's weight: elastic joints are bent by it, and the delay is full of its torque.
+        The drives already hold the arm's weight, which deflects elastic joints; delayed commands hold it too.
         """
         state, model = self._state, self._model
         weight = state.qfrc_bias[self.motors]
@@ -79,7 +79,7 @@ class Joints:
         self.gather()
 
     def command(self, tau: ArrayLike) -> None:
-        """Queue the command of a period (n,) [Nm], and apply the one that is due; raises as `Plant.step`."""
+        """Queue the command of a period (n,) [Nm], and apply the command that is due; raises as `Plant.step`."""
         wanted = np.asarray(tau, dtype=np.float64)
         if wanted.shape != self._high.shape:
             raise PlantError(f"tau has shape {wanted.shape}: give {self._high.shape}, one torque a joint [Nm]")
@@ -106,7 +106,7 @@ class Joints:
 
 
 def add_springs(data: RobotData, spec: mujoco.MjSpec, settings: PlantSettings) -> None:
-    """Put a spring behind every joint of a spec from `build_spec`; a PlantError for a wrong number of stiffnesses."""
+    """Put a spring in series with each joint of a spec; a PlantError where the count of stiffnesses is wrong."""
     for joint, value in zip(list(spec.joints), _stiffnesses(data, settings), strict=True):
         spring = joint.parent.add_joint(name=f"{joint.name}_spring", type=joint.type, axis=joint.axis, pos=joint.pos)
         spring.limited = mujoco.mjtLimited.mjLIMITED_FALSE
@@ -125,7 +125,7 @@ def _stiffnesses(data: RobotData, settings: PlantSettings) -> Array:
 
 
 def check_substeps(model: mujoco.MjModel, state: mujoco.MjData, settings: PlantSettings) -> None:
-    """Raise a PlantError where the plant step is too coarse for the springs; it says how many substeps are needed."""
+    """Raise a PlantError where the plant step is too coarse for the springs; the message says how many are needed."""
     inertia = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, state, inertia)
     spring = np.arange(1, model.nv, 2)

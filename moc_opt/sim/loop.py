@@ -65,7 +65,7 @@ class FilteredController(Filtered):
         return tau
 
     def set_applied_torque(self, tau: Array) -> None:
-        """Tell which torque (n,) [Nm] acted last, where it was not the one that ``tick`` returned."""
+        """Take the torque (n,) [Nm] that acted last, if it differs from the result of ``tick``."""
         self._applied = tau
         self._controller.set_applied_torque(tau)
 
@@ -111,7 +111,7 @@ class ClosedLoop:
             trocar: (2, 3) the same of the true trocar; None: the arm is in no incision.
 
         Raises:
-            PlantError: the plant cannot go on; ``seen`` and ``tau`` are those of this step all the same.
+            PlantError: the plant cannot go on; ``seen`` and ``tau`` belong to this step even then.
         """
         plant, seen = self._plant, self._plant.measure()
         if self._faults is not None:
@@ -162,13 +162,13 @@ def simulate(
         controller: computes the torque, and may add columns.
         tip_refs: (N, 3, 3) rows X_d, dX_d, ddX_d of every tick.
         trocars, registered: (N, 2, 3) rows P_t, dP_t of the true and of the registered trocar.
-        safety_filter: checks measurements and limits torques; None: neither.
+        safety_filter: checks measurements and limits torques; None: neither is done.
         offset: difference between the robot's frame and the true one at tip and trocar; None: no difference.
         watch: called with the tick's number before each tick; meta: goes into the trace.
         rescue: called with the columns so far where an exception other than RunAway ends the loop.
 
     Returns:
-        One row a tick: the state at its start, and the torque applied then; `moc_opt.trace.meta` lists the meta.
+        One row a tick: the state at the tick's start, and the torque of the tick; `moc_opt.trace.meta` lists the meta.
 
     Raises:
         RunAway: the plant cannot go on; the error holds the trace so far.

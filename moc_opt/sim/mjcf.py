@@ -1,4 +1,4 @@
-"""The MuJoCo model of a robot, made from the URDF text of the controller's model, and a comparison of both."""
+"""The MuJoCo model of a robot, made from the URDF text of the controller's model, and a comparison of both models."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ TOOL_BODY = "tool"
 MOUNT_SITE = "tool_mount_sensor"
 FORCE_SENSOR, TORQUE_SENSOR = "mount_force", "mount_torque"
 TOLERANCE = 1e-6
-"""Largest relative difference between the engines: of M and h to their largest entries (M without rotors), of tip and
-wrist to the tip's distance from the base. Rounding makes about 1e-14."""
+"""Largest relative difference between the engines. The scale of M is its largest entry without rotors; of h, 9.81 times
+that plus h's largest entry; of tip and wrist, the tip's distance from the base. Rounding makes about 1e-14."""
 POSES = 3  #: Number of poses at which the engines are compared.
 
 
@@ -62,8 +62,8 @@ def build_spec(data: RobotData, *, substep_s: float, gravity: bool = True) -> mu
         joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
         joint.armature = data.rotor_inertia[i]
         joint.damping[0] = joint.frictionloss = 0.0
-        # Stiff friction: a resting joint under half its Coulomb torque creeps at about 1e-5 rad/s. MuJoCo's default is
-        # made for coarser steps and lets it creep a hundred times faster.
+        # Stiff friction, with which a joint under half its Coulomb torque creeps at about 1e-5 rad/s. MuJoCo's default
+        # is made for coarser steps and lets the joint creep a hundred times faster.
         joint.solref_friction = (2.0 * substep_s, 1.0)
         joint.solimp_friction = (0.99, 0.99, 0.001, 0.5, 2.0)
 
@@ -80,8 +80,8 @@ def build_spec(data: RobotData, *, substep_s: float, gravity: bool = True) -> mu
 def add_mismatch(data: RobotData, spec: mujoco.MjSpec, mismatch: Mismatch) -> None:
     """Set the plant's own friction, masses and kinematics in a spec that `build_spec` made.
 
-    Friction is MuJoCo's own, which is integrated implicitly: under an explicit smooth tanh an arm creeps under load
-    where a real one sticks.
+    Friction is MuJoCo's own, which is integrated implicitly. With an explicit smooth tanh, an arm would creep under a
+    load under which a real arm sticks.
     """
     for body in spec.bodies:
         if body.name in mismatch.mass_scale:
@@ -128,7 +128,7 @@ def check_engines(robot: RobotModel) -> None:
     It takes about 2 ms. The plant's defects (masses, calibration, friction, elasticity) are not part of the comparison.
 
     Raises:
-        RobotError: they differ by more than `TOLERANCE`; the message names the quantity and the difference.
+        RobotError: the engines differ by more than `TOLERANCE`; the message names the quantity and the difference.
         PlantError: MuJoCo cannot take the robot.
     """
     data, rng = robot.data, np.random.default_rng(0)
@@ -145,7 +145,7 @@ def check_engines(robot: RobotModel) -> None:
         mujoco.mj_fwdVelocity(model, state)
         mujoco.mj_fullM(model, state, M)
         ours = robot.state(q, state.qvel)
-        # Rotor inertia is the same in both and would hide small links: only its rounding error enters the scale.
+        # Both engines have the same rotor inertia, which would hide small links: the scale has only its rounding error.
         heavy = max(np.abs(M - rotor).max(), 1e-8 * rotor.max())
         bias, reach = np.abs(theirs["h"]).max() - GRAVITY[2] * heavy, max(1e-3, np.linalg.norm(theirs["tip"]))
         sizes = {"M": (heavy, "kg m^2"), "h": (bias, "Nm"), "tip": (reach, "m"), "wrist": (reach, "m")}

@@ -80,7 +80,7 @@ class Plant:
     def __init__(self, data: RobotData, settings: PlantSettings | None = None, seed: int = 0) -> None:
         self.data = data
         self.settings = settings = PlantSettings() if settings is None else settings
-        # Each purpose has its own random stream: switching one thing off leaves the others' numbers as they are.
+        # Each purpose has its own random stream: switching one off leaves the other numbers as they are.
         mismatch, *self._noise_seeds = np.random.SeedSequence(seed).spawn(3)
         spec = build_spec(data, substep_s=settings.substep_s, gravity=settings.gravity)
         heavy = [body.name for body in spec.bodies if body.mass > 0.0]
@@ -191,7 +191,7 @@ class Plant:
         self._sense(*self._encoders.read(*joints.shown))
 
     def _sense(self, q: Array, v: Array) -> None:
-        # MuJoCo measures the wrench of the mount on the tool; this sensor, as real ones do, that of tool on mount.
+        # MuJoCo measures the wrench of the mount on the tool; this sensor, like real ones, that of tool on mount.
         self._measurement = Measurement(q, v, read_only(self._wrench_noise.take() - self._held), self._ticks)
 
     def _load(self, elapsed_s: float) -> None:
@@ -219,8 +219,8 @@ class Plant:
         """Close the brakes until `reset`: they add damping and dry friction in every joint, whatever is commanded.
 
         Args:
-            damping_Nm_s_per_rad: of the short-circuited drives; with damping alone a loaded arm sinks.
-            friction_Nm: of the holding brakes, one number or one per joint (n,).
+            damping_Nm_s_per_rad: by the short-circuited drives; with damping alone a loaded arm sinks.
+            friction_Nm: by the holding brakes, one number or one per joint (n,).
 
         Raises:
             PlantError: a friction is not 0 or more.

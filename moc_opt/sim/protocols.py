@@ -16,7 +16,7 @@ class TorqueController(Protocol):
     """Computes a torque from a measurement.
 
     The safety filter checks the tip error if the controller has ``tip`` (3,) [m] or ``state`` (a `RobotState`) of its
-    last tick. Given a ``state``, it need not compute the model's terms again.
+    last tick. Given a ``state``, the filter need not compute the model's terms again.
     """
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:

@@ -33,20 +33,20 @@ class RunAway(PlantError):
 
 
 class TaskOffset(NamedTuple):
-    """True minus believed place of the two points that the arm registered with its own tip, (3,) each [m].
+    """True minus computed position of the two points that the arm registered with its own tip, (3,) each [m].
 
-    Calibration error, encoder bias and bending joints displace the robot's own frame. The arm registers what it touches
-    in this frame, so that only the change of the displacement since then affects it.
+    Calibration errors, encoder bias and elastic joints displace all positions that the robot computes. Registered
+    points are displaced too, so that only changes of the displacement since the registration cause errors.
     """
 
-    tip: Array = np.zeros(3)  #: Of the point where the path begins.
-    trocar: Array = np.zeros(3)  #: Of the point where the shaft enters, without the registration error.
+    tip: Array = np.zeros(3)  #: At the point where the path begins.
+    trocar: Array = np.zeros(3)  #: At the point where the shaft enters the body, without the registration error.
 
 
 class Record:
     """The rows of a run; ``done`` of them are filled. Arguments as for `moc_opt.sim.loop.simulate`.
 
-    ``faults`` and ``restarts`` of the controller, where it has them, go into the meta.
+    If the controller has ``faults`` and ``restarts``, they go into the trace's meta.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class Record:
                 self._ending = {"ended": f"stopped: {filtered.stop_reason} (t = {t:.3f} s)", "stopped_at_s": t}
 
     def columns(self) -> Columns:
-        """Return the columns of the rows that are done, those of tip and RCM errors included."""
+        """Return the columns of the rows that are done, with tip and RCM errors added."""
         rows, edges = slice(self.done), np.cumsum([*self._widths.values()])[:-1]
         found: Columns = {name: column[rows] for name, column in self._columns.items()}
         found |= dict(zip(self._widths, np.split(self._truth[rows], edges, axis=1), strict=True))
@@ -98,7 +98,7 @@ class Record:
         return found
 
     def trace(self, warnings: list[dict[str, Any]], meta: Mapping[str, Any], *, ran_away: bool) -> Trace:
-        """Return the trace of the rows that are done; ``warnings`` of the safety filter count from the first tick."""
+        """Return the trace of the rows that are done; times in ``warnings`` count from the first tick."""
         t = self._columns["t_s"]
         found: dict[str, Any] = {
             "period_s": self._plant.settings.period_s, "ticks": self.done, "ticks_planned": len(t), **self._ending,

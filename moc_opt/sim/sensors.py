@@ -53,9 +53,9 @@ class Encoders:
     difference quotient itself.
 
     Args:
-        settings: of the plant: period, noise, resolution, cutoff.
+        settings: the plant's; period, noise, resolution and cutoff are used.
         bias: (n,) constant error [rad].
-        rng: of the noise.
+        rng: draws the noise.
     """
 
     def __init__(self, settings: PlantSettings, bias: Array, rng: np.random.Generator) -> None:
@@ -73,7 +73,7 @@ class Encoders:
         return self._sample(q, v, (resolution, period, 0.0, exact))
 
     def read(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Return the reading one period after the last one: position [rad] and velocity [rad/s], (n,) read-only."""
+        """Return the reading one period after the previous one: position [rad] and velocity [rad/s], (n,) read-only."""
         return self._sample(q, v, self._conversion)
 
     def _sample(self, q: Array, v: Array, conversion: tuple[float, float, float, bool]) -> tuple[Array, Array]:
@@ -83,16 +83,16 @@ class Encoders:
         return reading[0], reading[1]
 
 
-_CHANCE = 1e-10  #: Probability per reading that an encoder at rest in the middle of a step repeats itself for longer.
+_CHANCE = 1e-10  #: Probability per reading of a longer repetition, at rest in the middle of a step.
 _MOST_TICKS = 500
 
 
 def longest_repetition(noise_rad: float, resolution_rad: float) -> int | None:
     """Return how many readings in a row an encoder at rest may repeat to the last bit, given its noise.
 
-    In the middle of a step of width s a reading with noise sigma is the same with probability p = erf(s / (sqrt(8)
-    sigma)), elsewhere with less. The answer is the k, 10 at least, at which p^k falls below 1e-10. None where there is
-    no noise, or so little that k would exceed 500.
+    In the middle of a step of width s, a reading with noise sigma repeats with probability p = erf(s / (sqrt(8)
+    sigma)); elsewhere p is smaller. The result is the first k, 10 at least, with p^k below 1e-10. None if there is no
+    noise, or so little that k would exceed 500.
     """
     if noise_rad == 0.0:
         return None

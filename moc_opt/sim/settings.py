@@ -1,4 +1,4 @@
-"""The settings of a plant, every way it differs from the controller's model, and what a seed draws from them."""
+"""The settings of a plant: all its differences from the controller's model; a seed draws their values (`Mismatch`)."""
 
 from __future__ import annotations
 

@@ -46,35 +46,35 @@ class Pose:
         return np.asarray(np.asarray(vectors, dtype=np.float64) @ self.R.T)
 
     def inverse(self) -> Pose:
-        """Return the outer frame seen from the inner one."""
+        """Return the pose of the outer frame in the inner one."""
         return Pose(self.R.T, -self.R.T @ self.t)
 
     def __matmul__(self, other: Pose) -> Pose:
         return Pose(self.R @ other.R, self.apply(other.t))
 
     def distance(self, other: Pose) -> tuple[float, float]:
-        """Return the distance of two poses: between their origins [m], and the angle of the turn between them [rad]."""
+        """Return the distance between the two origins [m], and the angle between the two frames [rad]."""
         return float(np.linalg.norm(self.t - other.t)), float(np.linalg.norm(pin.log3(self.R.T @ other.R)))
 
     def towards(self, other: Pose, share: float) -> Pose:
-        """Return the pose at a share in [0, 1] of the straight motion to another, which turns at a constant rate."""
+        """Interpolate, ``share`` from 0 to 1: the origin moves on a line, and the frame turns about a fixed axis."""
         turn = rotation_from(share * pin.log3(self.R.T @ other.R))
         return Pose(self.R @ turn, self.t + share * (other.t - self.t))
 
 
 def rotation_from(vector: ArrayLike) -> Array:
-    """Return the rotation (3, 3) about `vector` (3,) by its length [rad]."""
+    """Return the rotation (3, 3) of a rotation vector (3,): its direction is the axis, its length the angle [rad]."""
     return np.asarray(pin.exp3(np.array(vector, dtype=np.float64)))
 
 
 class VisionSettings(Settings):
-    """Base of the settings of this package; a PlantError where a value is out of range."""
+    """Base class of the settings in this package; a PlantError where a value is out of range."""
 
     ERROR: ClassVar[type[MocOptError]] = PlantError
 
 
 class Board(VisionSettings):
-    """A grid of square markers in the phantom, numbered row by row from the top left, and when it is hidden."""
+    """A grid of square markers on the phantom, numbered row by row from the top left; some or all may be hidden."""
 
     KIND: ClassVar[str] = "[board]"
 
@@ -149,7 +149,7 @@ class BoardTask:
     depth_m: float = 0.15  #: depth of the board below the trocar, for placing the phantom [m]
 
     def on_board(self) -> Path:
-        """Return the path in the board's own frame, its first axis along the board's x."""
+        """Return the path in the board's own frame; its heading is the board's x."""
         start = (*self.start_m, self.height_m)
         return make_path(self.kind, start, normal=(0.0, 0.0, 1.0), heading=(1.0, 0.0, 0.0), **self.sizes)
 
@@ -175,9 +175,9 @@ def board_task(name: str) -> BoardTask:
 
 
 def board_below(trocar: ArrayLike, shaft: ArrayLike, depth_m: float) -> Pose:
-    """Return the pose of a board that faces the trocar, its middle `depth_m` below it: a simple abdomen phantom.
+    """Return the pose of a board that faces the trocar, its middle `depth_m` below the trocar: a simple phantom.
 
-    The board's z points against the shaft (3,), its x is the base's x projected; a TaskError if these are parallel.
+    The board's z points against the shaft (3,), its x along the base's x, projected; a TaskError if both are parallel.
     """
     into = direction3("shaft", shaft)
     x = direction3("shaft", np.array([1.0, 0.0, 0.0]) - into[0] * into)

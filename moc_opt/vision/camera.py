@@ -22,7 +22,7 @@ TISSUE, COVER, STEEL = (92, 100, 178), (70, 60, 150), (150, 148, 145)
 SHAFT_RADIUS_M = 0.004  # of the drawn shaft
 _MARKER_BITS = 6  # cells along a marker: 4 bits, and a black frame around them
 _CELL_PX = 16  # pixels along one cell of the drawn board
-_FINER = 2  # pixels drawn along each pixel of the picture, so that the markers' edges are smooth
+_FINER = 2  # the scene is drawn this many times finer than the picture, so that the markers' edges are smooth
 
 
 class CameraSettings(VisionSettings):
@@ -41,7 +41,7 @@ class CameraSettings(VisionSettings):
     noise: float = Field(3.0, ge=0.0, le=100.0, description="standard deviation of the noise [grey levels of 255]")
     calibration_error_m: float = Field(0.0005, ge=0.0, le=0.05)
     """distance of the camera from the place that the robot's calibration gives"""
-    calibration_error_deg: float = Field(0.1, ge=0.0, le=10.0, description="angle between the two orientations")
+    calibration_error_deg: float = Field(0.1, ge=0.0, le=10.0, description="angle error of that calibration")
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class Camera:
 
     @property
     def matrix(self) -> Array:
-        """K (3, 3). Whole pixel coordinates are pixels' middles: the view's axis is at (W - 1)/2, (H - 1)/2."""
+        """K (3, 3). Integer coordinates are pixel centres, so that the optical axis is at (W - 1)/2, (H - 1)/2."""
         width, height = self.settings.width_px, self.settings.height_px
         f = 0.5 * height / math.tan(0.5 * math.radians(self.settings.fov_deg))
         return np.array([[f, 0.0, 0.5 * width - 0.5], [0.0, f, 0.5 * height - 0.5], [0.0, 0.0, 1.0]])
@@ -75,7 +75,7 @@ class Camera:
         return cls(settings, phantom_in_base @ Pose(turn, settings.distance_m * away))
 
     def miscalibrated(self, seed: int) -> Camera:
-        """Return the same camera at the pose of the robot's calibration: off by the settings' errors, seeded."""
+        """Return the camera at its calibrated pose, which is off by the settings' errors in seeded directions."""
         away, axis = np.random.default_rng(seed).standard_normal((2, 3))
         turn = math.radians(self.settings.calibration_error_deg) * axis / np.linalg.norm(axis)
         error = Pose(rotation_from(turn), self.settings.calibration_error_m * away / np.linalg.norm(away))
@@ -105,7 +105,7 @@ class View:
         self._page = cv2.cvtColor(board_picture(board), cv2.COLOR_GRAY2BGR)
         self._texture = texture_matrix(board)
         self._rng = np.random.default_rng(seed)
-        # The middle of pixel u of the picture is at 2 u + 0.5 in the finer one.
+        # The centre of the picture's pixel u is at 2 u + 0.5 in the finer drawing.
         self._finer = np.array([[_FINER, 0.0, 0.5 * (_FINER - 1)], [0.0, _FINER, 0.5 * (_FINER - 1)], [0.0, 0.0, 1.0]])
 
     def picture(
@@ -169,7 +169,7 @@ def board_picture(board: Board) -> NDArray[np.uint8]:
     page = np.full((height, width), 255, dtype=np.uint8)
     for marker in board.ids:
         left, top, _ = texture_matrix(board) @ [*board.corners(marker)[0, :2], 1.0]
-        # Shifted by fractions of a pixel: at whole pixels a marker would be up to 0.1 mm out of place.
+        # The shift has fractions of a pixel: rounded, it would put a marker up to 0.1 mm out of place.
         shift = np.array([[1.0, 0.0, left - 0.5], [0.0, 1.0, top - 0.5]])
         square = np.pad(cv2.aruco.generateImageMarker(dictionary(), marker, side), 1, constant_values=255)
         cv2.warpAffine(square, shift, (width, height), dst=page, borderMode=cv2.BORDER_TRANSPARENT)
@@ -177,7 +177,7 @@ def board_picture(board: Board) -> NDArray[np.uint8]:
 
 
 def texture_matrix(board: Board) -> Array:
-    """Matrix (3, 3) from x, y, 1 on the board [m] to column, row, 1 in `board_picture`; whole numbers are middles."""
+    """Matrix (3, 3) from (x, y, 1) on the board [m] to (column, row, 1) in `board_picture`; integers: pixel centres."""
     scale = _MARKER_BITS * _CELL_PX / board.marker_m
     width, height = board.size_m
     right, down = 0.5 * scale * width - 0.5, 0.5 * scale * height - 0.5
@@ -186,5 +186,5 @@ def texture_matrix(board: Board) -> Array:
 
 @lru_cache(maxsize=1)
 def dictionary() -> Any:
-    """Return OpenCV's ArUco markers: 250 of 4 x 4 bits."""
+    """Return OpenCV's dictionary of 250 ArUco markers of 4 x 4 bits."""
     return cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_250)

@@ -106,8 +106,8 @@ class Hand:
         desired = _cut(hand.stiffness_N_per_m / hand.damping_Ns_per_m * way, hand.speed_max_m_per_s)
         pull = hand.damping_Ns_per_m * (desired - velocity) + self._extra
         force = _cut(pull, hand.force_max_N)
-        # f grows only near the goal and below the largest force, or the tip would overshoot by far. It shrinks
-        # anywhere, or a tool that comes loose would be pushed past the goal for ever.
+        # f grows only near the goal and while the force is below its limit; else the tip would overshoot by far.
+        # f may shrink anywhere; else a tool that comes loose would be pushed past the goal for ever.
         near = distance * hand.stiffness_N_per_m < hand.damping_Ns_per_m * hand.speed_max_m_per_s
         less = float(way @ self._extra) < 0.0
         if distance > hand.content_m and (less or (near and force is pull)):
@@ -124,8 +124,8 @@ class _Guiding:
     """Hand guiding with the interface of a controller: tau = g(q) - D v, without reference and memory.
 
     The arm has no position to return to: errors of the model's masses make it drift slowly, unless friction or a hand
-    holds it. ``seen`` is the state at the last accepted measurement. The safety filter does not get this state, since
-    it would take the hand's force for a motion that no torque explains.
+    holds it. ``seen`` is the state at the last accepted measurement. The safety filter does not get this state: the
+    filter would see the hand's push as a motion that no torque explains.
     """
 
     def __init__(self, robot: RobotModel, damping_Nm_s_per_rad: float) -> None:
@@ -172,10 +172,10 @@ def guide_to(
     gain = -math.expm1(-2.0 * math.pi * _SPEED_FILTER_Hz * period)
     slow, reached = np.zeros(3), False
     rows: list[dict[str, Array | float]] = []
-    resting: list[Array] = []  # accepted tip positions since the tip rests at the incision
+    resting: list[Array] = []  # accepted tip positions since the tip came to rest at the incision
     needed, ticks = max(1, round(settings.rest_s / period)), math.ceil(settings.time_limit_s / period)
     while len(resting) < needed and loop.ticks < ticks and not loop.finished:
-        # This is the tip's true velocity, since the model differs from the plant only in masses.
+        # This is nearly the tip's true velocity: calibration errors of the plant change J_tip little.
         force = hand.pull(plant.tip, robot.state(plant.q, plant.v).J_tip @ plant.v, goal)
         plant.push("tool", force, point)
         off = float(np.linalg.norm(plant.tip - goal))

@@ -1,4 +1,4 @@
-"""Detection of the board in pictures (OpenCV's ArUco markers), and a filter that makes a reliable pose of sightings."""
+"""Detect the board's pose in pictures (OpenCV's ArUco markers), reject outliers, and average the pose over time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from moc_opt.arrays import Array
 from moc_opt.vision.board import Board, Pose, VisionSettings, rotation_from
 from moc_opt.vision.camera import Camera, Picture, dictionary
 
-_OUTLIER, _CLEAN_PX = 4.0, 0.6  # a corner is left out if its error exceeds so many medians and so many pixels
+_OUTLIER, _CLEAN_PX = 4.0, 0.6  # a corner is left out if its error exceeds 4 times the median and 0.6 px
 
 
 class TrackerSettings(VisionSettings):
@@ -24,17 +24,17 @@ class TrackerSettings(VisionSettings):
     KIND: ClassVar[str] = "[tracker]"
 
     min_markers: int = Field(3, ge=1, description="least number of markers of a sighting")
-    error_max_px: float = Field(1.0, gt=0.0, description="largest error of the fit of a sighting")
+    error_max_px: float = Field(1.0, gt=0.0, description="largest root mean square error of a sighting")
     jump_m: float = Field(0.004, gt=0.0, description="a sighting farther than this from the estimate is an outlier")
     jump_rad: float = Field(0.05, gt=0.0, description="a sighting turned by more than this is an outlier too")
     found_after: int = Field(3, ge=1, description="sightings in a row that agree before a new pose is accepted")
     lost_after_s: float = Field(0.12, gt=0.0, description="time without a sighting after which the board is lost")
-    smoothing_s: float = Field(0.3, ge=0.0, description="time constant of the estimate; 0: the last sighting itself")
+    smoothing_s: float = Field(0.3, ge=0.0, description="time constant of the average; 0: no averaging")
 
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """The board's pose by one picture, and how well it fits the corners found."""
+    """The board's pose measured in one picture, and how well this pose fits the corners found."""
 
     pose: Pose
     markers: int
@@ -47,14 +47,14 @@ class BoardFinder:
     def __init__(self, board: Board, camera: Camera) -> None:
         parameters = cv2.aruco.DetectorParameters()
         parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-        # A window as wide as a cell: a quarter less error in the distance than with OpenCV's third of a cell.
+        # A window as wide as a marker's cell: 25 % less error in the distance than OpenCV's default, a third of it.
         parameters.relativeCornerRefinmentWinSize = 1.0
         self._detector = cv2.aruco.ArucoDetector(dictionary(), parameters)
         self._corners = {marker: board.corners(marker) for marker in board.ids}
         self._matrix = camera.matrix
 
     def corners(self, picture: Picture) -> dict[int, Array]:
-        """Return number -> corners (4, 2) [px] of every marker of the board that is found."""
+        """Find the board's markers; return the number of each, with its corners (4, 2) [px]."""
         found, ids, _ = self._detector.detectMarkers(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY))
         numbers = [] if ids is None else [int(marker) for marker in ids.ravel()]
         quads = (np.asarray(quad, dtype=np.float64).reshape(4, 2) for quad in found)
@@ -63,8 +63,8 @@ class BoardFinder:
     def find(self, picture: Picture) -> Sighting | None:
         """Find the board's pose in the camera's frame; None where no marker is seen or no pose fits.
 
-        A plane seen from afar fits two poses (mirrored about the line of sight): both are refined, and the better one
-        is taken. Corners with large errors, mostly where the tool's edge crosses a marker, are then left out.
+        The corners of a distant plane fit two poses (mirrored about the line of sight). Both are refined, and the
+        better fit is taken. Corners with large errors, mostly where the tool covers part of a marker, are left out.
         """
         seen = self.corners(picture)
         if not seen:
@@ -103,26 +103,26 @@ class Tracked:
     """The tracker's result for a picture."""
 
     seen: bool  #: Whether the board is being tracked.
-    pose: Pose | None  #: Smoothed pose; the last one while the board is lost, None before it was ever found.
+    pose: Pose | None  #: Averaged pose; kept unchanged while the board is lost; None until the board is first found.
     refused: str | None  #: Why this picture's sighting was not used; None if it was used.
 
 
 class BoardTracker:
     """Tracks a board from picture to picture, and averages its pose over `smoothing_s`.
 
-    One sighting far from the estimate is an outlier and changes nothing. Several in a row that agree mean that the
-    board was moved, and the estimate jumps there. A user has to avoid a jump of the tip (see `WaitingReference`).
+    A single sighting far from the estimate is an outlier and changes nothing. `found_after` of them in a row that agree
+    mean that the board was moved: the estimate jumps to them. The tip must not jump with it (see `WaitingReference`).
     """
 
     def __init__(self, limits: TrackerSettings | None = None) -> None:
         self.limits = limits or TrackerSettings()
         self.pose: Pose | None = None
         self._tracking, self._time, self._last_seen = False, -math.inf, -math.inf
-        self._count = 0  # number of sightings in the estimate
+        self._count = 0  # count of sightings averaged in the estimate
         self._streak: list[Pose] = []  # good sightings in a row that are not in the estimate yet
 
     def update(self, t: float, sighting: Sighting | None) -> Tracked:
-        """Take in the sighting of the next picture, at time t [s]; None if it shows no board."""
+        """Update the estimate with the next picture's sighting, at time t [s]; None: it shows no board."""
         elapsed, self._time = t - self._time, t
         refused = self._refusal(sighting)
         if sighting is None or refused is not None:
@@ -153,7 +153,7 @@ class BoardTracker:
         self._streak.append(pose)
         if len(self._streak) < self.limits.found_after:
             return "far from the estimate" if self._tracking else "waiting for more sightings that agree"
-        # At the old pose the long average continues; elsewhere a new one begins.
+        # If the board is found at its old pose, the old average continues; elsewhere a new average begins.
         if self.pose is None or not self._near(self.pose, pose):
             mean, self._count = self._streak[0], 1
             for other in self._streak[1:]:
