@@ -1,7 +1,8 @@
-"""The tick in C: arm, law, subproblem, `exact`, the network, the safety filter. Begin with `moc.h`.
+"""The control tick in C: arm, control law, subproblem, solver `exact`, neural network, safety filter. Read moc.h first.
 
-`tools.h` declares functions for Python outside the controller. The binding (`arguments.c`, `python*.c`, `plant.c`)
-checks every array (float64, C-contiguous, its shape), raises ValueError or TypeError, and keeps no array.
+`tools.h` declares functions that only Python calls, outside the controller. The binding (`arguments.c`, `python*.c`,
+`plant.c`) checks type (float64), layout (C-contiguous) and shape of every array, raises ValueError or TypeError if one is
+wrong, and keeps no array.
 """
 
 from __future__ import annotations
