@@ -1,8 +1,7 @@
 """The control tick in C: arm, control law, subproblem, solver `exact`, neural network, safety filter. Read moc.h first.
 
-`tools.h` declares functions that only Python calls, outside the controller. The binding (`arguments.c`, `python*.c`,
-`plant.c`) checks type (float64), layout (C-contiguous) and shape of every array, raises ValueError or TypeError if one is
-wrong, and keeps no array.
+`tools.h` declares functions that only Python calls. The binding (`arguments.c`, `python*.c`, `plant.c`) takes only
+arrays of float64 that are C-contiguous of the right shape, else raises ValueError or TypeError. It keeps no array.
 """
 
 from __future__ import annotations

@@ -41,8 +41,8 @@ def desired_wrist(X: Array, dX: Array, trocar: Array, span: float, /) -> Array: 
 class Law:
     def __new__(cls, arm: Arm, **numbers: float | Array) -> Law: ...
     # The law and its memory; `numbers` are the fields of moc_law and moc_supervision. start resets the memory; start
-    # and begin return the arm's record and the subproblem. begin computes levels 1 and 2. finish returns fault, followed
-    # x, tau. step does begin, `exact` and finish; it returns status, fault, time [us], record, and one array with
+    # and begin return the arm's record and the subproblem; begin computes levels 1 and 2. finish returns fault,
+    # followed x, tau. step does begin, `exact` and finish; it returns status, fault, time [us], record, one array with
     # subproblem, x and y of `exact`, followed x, tau. solve_us replaces the measured time unless it is NaN. load sets
     # another subproblem and null space for this tick; judge returns primal, outside, natural, off, opposite (shared.h)
     # of an answer to it. set_applied replaces the last torque. memory returns rows of Z, Z, the observer's r [Nm].
@@ -66,7 +66,7 @@ class Guard:
     def __new__(cls, arm: Arm, **numbers: float | Array) -> Guard: ...
     # The safety filter and its memory; `numbers` are the fields of moc_guard. believe returns reason, q, v. follow
     # limits tau in place and returns reason, number of limited joints. In a stop, rest returns the torque and hold the
-    # friction of the brakes. watched returns the number of refused measurements in a row, and an array: mean square,
+    # friction of the brakes. watched returns the number of refused measurements in a row, and (3, 2) with mean square,
     # largest root mean square and tick of the first warning, each for RCM error and force.
     def start(self, q: Array, v: Array, stamp: int, /) -> None: ...
     def believe(
