@@ -4,7 +4,7 @@
     s.t.   tip(q + x T) = tip(q) + v_T T,   E (wrist(q + x T) - wrist(q)) = E v_W T,   lower <= x <= upper
 
 g is the subproblem's `pull`: grad mu, or a multiple of the velocity that the elbow has to follow. The rows of E (2, 3)
-span the plane perpendicular to the tool. The wrist's row along the tool repeats the tip's; with it, none converges.
+span the plane perpendicular to the tool. The wrist's row along the tool repeats the tip's: no solver converges with it.
 
 This is the null-space subproblem only in the limit T -> 0. At T = 2 ms and joint speeds near 1 rad/s the curvature of
 the kinematics moves the optimum off A x = b by 8e-4 m/s (median of random problems; at most 6e-3): too much for

@@ -73,7 +73,7 @@ class ProxQP(Adapter):
 
     With the library's eps_primal_inf = 1e-4, a third of the feasible subproblems are called infeasible; with 1e-12,
     many infeasible problems run into max_iter. With costs times 10, every value from 1e-10 to 1e-7 classified 4800
-    feasible and 4800 infeasible problems without an error. With costs times 1e3, a few feasible ones are called infeasible.
+    feasible and 4800 infeasible problems correctly. With costs times 1e3, a few feasible ones are called infeasible.
 
     Args:
         eps: absolute tolerance on the scaled problem (the library's default is 1e-5).
