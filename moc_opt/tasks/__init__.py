@@ -1,7 +1,7 @@
 """The task: paths of the tool's tip, the time law along a path, and the trocar that the shaft must pass through.
 
-To add a path, write a function that returns waypoints from sizes such as a length, and add it to ``CURVES`` at the end of
-``curves``. `moc-opt tasks` then lists the path, and ``[task] path`` accepts its name. ``paths`` places a curve or
+To add a path, write a function that returns waypoints from sizes like a length, and add it to ``CURVES`` at the end
+of ``curves``. `moc-opt tasks` then lists the path, and ``[task] path`` accepts its name. ``paths`` places a curve or
 waypoints in space; ``timelaw`` moves the tip along a path (``Reference``: X_d and its derivatives).
 """
 

@@ -140,9 +140,9 @@ def sinusoid(amplitude: float = 0.01, wavelength: float = 0.02, periods: float =
 
 
 def spiral(turns: float = 2.0, radius: float = 0.03) -> PlanarCurve:
-    """Archimedean spiral that starts at its centre and turns left: r = radius angle / (2 pi turns).
+    """Archimedean spiral to the left, r = radius angle / (2 pi turns), which leaves its centre along the heading.
 
-    It leaves the centre along the heading, with curvature 4 pi turns / radius; `radius` [m] is reached at the end.
+    `turns` need not be whole; `radius` [m] is the final radius. The curvature at the centre is 4 pi turns / radius.
     """
     turns = positive("turns", turns)
     b = positive("radius", radius) / (2.0 * math.pi * turns)
@@ -162,5 +162,5 @@ def spiral(turns: float = 2.0, radius: float = 0.03) -> PlanarCurve:
 
 
 CURVES: dict[str, Callable[..., Any]] = {"line": line, "circle": circle, "sinusoid": sinusoid, "spiral": spiral}
-"""Kind of path -> function of its sizes. It returns waypoints (k, 3) [m] from the start (along heading, to the left, along
+"""Kind of path -> function of its sizes. It returns waypoints (k, 3) [m] from the start (along heading, left and
 normal), or a `PlanarCurve`, which needs no interpolation. Add new kinds here."""
