@@ -11,7 +11,7 @@ from moc_opt.inputs.settings import Level, Settings
 
 
 class SafetyFilterSettings(Settings):
-    """The limits of the safety filter, and its actions in a stop. tau_max is a joint's largest torque, v_max its speed.
+    """The limits of the safety filter, and its actions in a stop. tau_max, v_max: a joint's largest torque and speed.
 
     The fields from ``motion`` to ``residual_s``, and ``jump_rad``, ``speed_factor`` and ``patience_ticks``, decide
     whether measurements are trusted.
@@ -80,22 +80,22 @@ class SafetyFilterSettings(Settings):
     """number of bad or missing measurements in a row that are bridged by extrapolation; one more stops the arm"""
     tip_error_m: float = Field(0.01, gt=0.0)
     """limit of the root mean square of the tip's distance from its reference; above it the arm is stopped"""
-    tip_error_s: float = Field(0.1, gt=0.0, description="time constant of this root mean square")
+    tip_error_s: float = Field(0.1, gt=0.0, description="time constant of the mean square of the tip's distance")
     rcm_error_m: Level = 0.010
     """limit of the root mean square of the shaft's distance from the registered trocar; above it the arm is stopped"""
-    rcm_warning_m: Level = Field(0.005, description="a warning is recorded if the root mean square is above this level")
+    rcm_warning_m: Level = Field(0.005, description="a warning is recorded if the same root mean square is above this")
     trocar_force_N: Level = 15.0
     """limit of the root mean square of the trocar's force on the shaft, computed from the wrench sensor's reading;
     above it the arm is stopped"""
     trocar_force_warning_N: Level = 8.0
-    """a warning is recorded if that root mean square is above this level, or the root mean square of the whole force
-    across the shaft, which includes the forces of a load and of a contact at the tip"""
+    """a warning is recorded if the root mean square of this force, or of the whole force across the shaft, is above this
+    level; the whole force includes those of a load and of a contact at the tip"""
     tip_force_N: Level = 10.0
     """largest force across the shaft that is attributed to a contact at the tip; the rest counts as trocar force"""
     incision_s: float = Field(0.1, gt=0.0, description="time constant of the mean squares of RCM error and force")
     stop_damping_Nm_s_per_rad: float = Field(20.0, gt=0.0, description="damping of the drives in a stop")
     stop_holding: float = Field(0.25, ge=0.0, le=1.0)
-    """dry friction of the brakes in a stop, as a share of tau_max; 0: damping alone; an unknown load then sinks"""
+    """dry friction of the brakes in a stop, as a share of tau_max; 0: damping alone, so that an unknown load sinks"""
     stop_yield_N: Level = 8.0
     """in a stop, a larger trocar force opens the brakes until the force is half of this; open brakes only damp"""
     stop_yield_s: float = Field(0.4, ge=0.0, le=60.0)

@@ -79,8 +79,8 @@ class ControlSettings(Settings):
     limit_torque: bool = True
     """whether the controller limits each torque to the joint's largest torque"""
     k0_per_s: Positive = 2.0
-    """towards a joint limit, the box allows at most the speed k0 d; d is the distance from the limit minus its margin
-    (see limit_margin_rad, course_margin_rad). 0.1 in the paper; third_level 'planned' and 'receding' use at least 10"""
+    """towards a joint limit, the box allows at most the speed k0 d; d is the distance to the limit, less the margin
+    limit_margin_rad or course_margin_rad. 0.1 in the paper; third_level 'planned' and 'receding' use at least 10"""
     third_level: Literal["local", "planned", "receding"] = "local"
     """law 'moc': 'local' moves the elbow in the direction in which mu rises, 'planned' follows a course (joint
     positions over time) that is planned before the run, 'receding' follows a course that is replanned during the run"""
@@ -102,7 +102,7 @@ class ControlSettings(Settings):
     """observer gain for third_level 'planned' and 'receding', where the elbow moves faster; see observer_gain_per_s"""
     climb: Literal["gradient", "scaled"] = "gradient"
     """third_level 'local': 'gradient': the elbow's speed is proportional to the gradient of mu; 'scaled': the speed is
-    a Newton step towards the nearest maximum of mu, at most 1 rad long, divided by 0.2 s"""
+    Newton's step to the nearest maximum of mu, at most 1 rad, divided by 0.2 s"""
     c0: NotNegative = Field(default=0.01, description="weight of the tip velocity in the subproblem's cost")
     c1: NotNegative = Field(default=0.01, description="weight of the wrist velocity in the subproblem's cost")
     c2: NotNegative = Field(default=0.001, description="weight of the gradient of mu in the subproblem's cost")
