@@ -88,8 +88,8 @@ class SafetyFilterSettings(Settings):
     """limit of the root mean square of the trocar's force on the shaft, computed from the wrench sensor's reading;
     above it the arm is stopped"""
     trocar_force_warning_N: Level = 8.0
-    """a warning is recorded if the root mean square of this force, or of the whole force across the shaft, is above this
-    level; the whole force includes those of a load and of a contact at the tip"""
+    """a warning is recorded if the root mean square of this force, or of the whole force across the shaft, is above
+    this level; the whole force includes those of a load and of a contact at the tip"""
     tip_force_N: Level = 10.0
     """largest force across the shaft that is attributed to a contact at the tip; the rest counts as trocar force"""
     incision_s: float = Field(0.1, gt=0.0, description="time constant of the mean squares of RCM error and force")
