@@ -27,7 +27,7 @@ from moc_opt.solvers.isolated import Unanswered
 
 
 class Fault(Enum):
-    """The faults that an answer can have. The value of each is its meaning in words."""
+    """The faults that an answer can have. Each value is the meaning of the fault in words."""
 
     NONE = "the answer was taken"
     INFEASIBLE = "the solver found the subproblem infeasible"

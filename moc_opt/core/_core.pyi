@@ -80,7 +80,7 @@ class Guard:
     def hold(self, wrench: Array, /) -> Array: ...
     def watched(self) -> tuple[int, Array]: ...
 
-# If the subproblem has as many equality rows as the buffers, write it there and return True. Six duals: lift^T y.
+# If the subproblem has as many equality rows as the buffers, write it into them and return True. Six duals: lift^T y.
 def load(
     record: Array, five: bool, scale: float, signs: Array, P: Array, p: Array, A: Array, low: Array, high: Array,
     lower: Array, upper: Array, packed: Array, lift: Array, /,

@@ -33,10 +33,10 @@ TIED = 1e-7
 RANK_TOLERANCE = 1e-12
 GRADIENT_ROUNDING = 1e-9  # a reduced gradient below this fraction of |pull|_inf counts as zero
 A_POINT = 1e-9  # a feasible interval no longer than this [rad/s] counts as a point: rounding decides where x is in it
-FEASIBLE = 1e-6  # an empty feasible set counts as a point if it is not empty with a box wider by this [rad/s]
+FEASIBLE = 1e-6  # an empty feasible set counts as a point if widening the box by this [rad/s] makes it non-empty
 MOST_FACETS = 300  # largest number of facets for which the best duals are found; 10 joints with 5 freedoms have 210
 NEARLY_SINGULAR = 1e-3  # dividing by a singular value below this share of |A|_F makes rounding errors too large
-REFINEMENTS = 3  # of the result of such a division; each divides its error by ten thousand or more
+REFINEMENTS = 3  # number of corrections after such a division; each divides the error by ten thousand or more
 
 
 class Residuals(NamedTuple):

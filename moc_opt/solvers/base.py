@@ -18,7 +18,7 @@ MOST = 2**31 - 1  # largest integer of a setting: the libraries count in 32 bits
 
 
 class Status(Enum):
-    """A solver's claim about its own answer. The value of each says what it means, or what to do about it."""
+    """A solver's claim about its own answer. Each value says what the claim means, or what to do about it."""
 
     SOLVED = "the solver claims an optimum"
     INFEASIBLE = "no velocity inside the box meets the references: slow the path down or raise k0"

@@ -179,7 +179,7 @@ class _Process:
         self.ask(0, qp, None, solver.process.start_s, solver._pickled)
 
     def ask(self, tick: int, qp: NullSpaceQP, v: Array | None, most_s: float, solver: bytes | None = None) -> None:
-        """Send a subproblem, or a pickled solver to start. Without an answer for ``most_s``, it counts as hung."""
+        """Send a subproblem, or a pickled solver to start. The process counts as hung after ``most_s`` [s]."""
         self._tick, self._most_s, self._hung_at, self.busy = tick, most_s, monotonic() + most_s, True
         with suppress(OSError):  # the process has ended: ``answer`` reports that
             self._pipe.send((solver, qp.row, v, most_s))

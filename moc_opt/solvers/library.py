@@ -73,9 +73,9 @@ class LibrarySession(ABC):
     def _allocate(self, m: int, n: int) -> dict[str, Any]:
         """Return the buffers by name; each is an array that the library reads, or a view into such an array.
 
-        P (n, n) and p (n,) hold the cost times ``cost_scale``; A (m, n) the equality rows, low and high (m,) both their
-        right-hand sides; lower and upper (n,) the box. Two entries are optional: ``packed`` (n (n + 1) / 2,), the upper
-        triangle of P by columns, and ``signs``, three factors by which p, lower and upper are multiplied.
+        P (n, n) and p (n,) hold the cost times ``cost_scale``; A (m, n) the equality rows; low and high (m,) are
+        both filled with the right-hand sides; lower and upper (n,) are the box. Optional: ``packed`` (n (n + 1) / 2,),
+        the upper triangle of P by columns, and ``signs``, three factors for p, lower and upper.
         """
 
     def _load(self, qp: NullSpaceQP) -> bool:

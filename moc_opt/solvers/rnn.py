@@ -116,7 +116,7 @@ class RNN(Network):
         eps: SOLVED is claimed if no entry of the network's right-hand side is larger [rad/s, m/s].
 
     Raises:
-        SolverError: a setting is out of range; from ``start`` where the steps would diverge.
+        SolverError: a setting is out of range, or (from ``start``) the steps would diverge.
     """
 
     steps: int = 10
@@ -150,7 +150,7 @@ class RNNPrinted(Network):
         eps: SOLVED is claimed if no entry of the network's right-hand side is larger [rad/s, m/s].
 
     Raises:
-        SolverError: a setting is out of range; from ``start`` where the steps would diverge.
+        SolverError: a setting is out of range, or (from ``start``) the steps would diverge.
     """
 
     k: float = 0.1
