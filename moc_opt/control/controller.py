@@ -1,4 +1,4 @@
-"""The control law: tau = tau_tip + tau_rcm + tau_mu, with any solver in the third level."""
+"""The controller: torques of tip, RCM and manipulability, tau = tau_tip + tau_rcm + tau_mu, with any solver."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ from moc_opt.solvers.isolated import IsolatedSession
 
 
 class Guide(Protocol):
-    """Gives the desired self-motion of every tick, in place of the climb of mu.
+    """A source of joint velocities x_d that the elbow should follow instead of moving towards a larger mu.
 
     The subproblem's `pull` is then (rho / c2) x_d instead of grad mu, so that its cost on the feasible set is
-    rho/2 |x - x_d|^2 up to a constant. Box, solver, supervisor and residual check are the same as in every other run.
+    rho/2 |x - x_d|^2 up to a constant. Box, solver, supervisor and residual check are the same as in a run without it.
     """
 
     def start(self) -> None:
-        """Begin at t = 0."""
+        """Reset to the start of the run, t = 0."""
 
     def desired_velocity(self, state: RobotState) -> Array:
-        """Return x_d (n,) [rad/s] of this tick; only its part in ker A counts. Called once a tick."""
+        """Return x_d (n,) [rad/s] of this tick; only its component in ker A matters. Called once a tick."""
 
 
 class Controller:
     """One arm, one law and one solver. The closed loop calls ``start`` once, then ``tick`` every period.
 
-    After a tick, ``state`` holds the model's terms, and ``subproblem``, ``solution``, ``answer``, ``fault`` and
-    ``solve_us`` describe the third level (under DCAC: None, None, NaN, ``Fault.NONE`` and NaN).
+    After a tick, ``state`` holds the terms of the robot's model (see `RobotState`), and ``subproblem``, ``solution``,
+    ``answer``, ``fault`` and ``solve_us`` describe level 3 (under DCAC: None, None, NaN, ``Fault.NONE`` and NaN).
 
     Args:
         robot: the model that the control law uses.
@@ -47,10 +47,10 @@ class Controller:
         solver: for law "moc"; None for "dcac".
         period: control period [s]; the observer integrates over it.
         times_us: recorded solve times [us], used instead of the clock.
-        guide: gives the velocity that replaces the gradient of mu; needs regularization and c2 above 0.
+        guide: a `Guide` whose velocity replaces the gradient of mu; it needs regularization and c2 above 0.
 
     Raises:
-        ControlError: a law without its solver, a solver that cannot take the subproblem, a bad gain.
+        ControlError: law "moc" without a solver, "dcac" with one, or a setting that does not fit.
     """
 
     def __init__(
@@ -65,8 +65,8 @@ class Controller:
         if guide is not None or (settings.climb == "scaled" and settings.law == "moc"):
             settings.check_guided()
         self._guide, self._n, self._row_length = guide, robot.n, row_length(robot.n)
-        self._torques = slice(-robot.n, None)  # the torque, which ends the core's result
-        self._exact = solver if type(solver) is Exact else None  # runs inside the core: no session, no copies
+        self._torques = slice(-robot.n, None)  # the torque: the last n numbers of the core's result
+        self._exact = solver if type(solver) is Exact else None  # it runs inside the core, without a session and copies
         self._started = False
         self._supervisor = Supervisor(settings.supervisor, self._law, robot.n, period, times_us)
         self._forget()
@@ -81,7 +81,7 @@ class Controller:
         self._ticked: tuple[Status, Array] | None = None
 
     def _take_apart(self) -> None:
-        """Split the core's result of the last tick under `exact` into its parts, once one of them is asked for."""
+        """Split the core's result of the last tick, solved by `exact`, into parts; called only when a part is read."""
         if self._ticked is None:
             return
         status, out = self._ticked
@@ -93,7 +93,7 @@ class Controller:
 
     @property
     def state(self) -> RobotState:
-        """The model's terms at the last tick's q and v."""
+        """The terms of the robot's model at the last tick's q and v."""
         return RobotState(self._record, self._n)
 
     @property
@@ -110,41 +110,41 @@ class Controller:
 
     @property
     def answer(self) -> Array:
-        """The x (n,) [rad/s] that the third level followed: answer or supervisor's substitute; NaN under DCAC."""
+        """The x (n,) [rad/s] that level 3 followed: the solver's or the supervisor's substitute; NaN under DCAC."""
         self._take_apart()
         return self._answer
 
     fault = property(lambda self: self._supervisor.fault, doc="The fault of the last tick's answer.")
     solve_us = property(
         lambda self: self._supervisor.solve_us,
-        doc="Time of the last tick's solve [us], under `exact` without the binding; NaN where nothing was solved.",
+        doc="Time of the last tick's solve [us]; for `exact`, the time inside the core. NaN if nothing was solved.",
     )
     faults = property(
         lambda self: self._supervisor.faults,
-        doc="Faults since the start: label -> ``count``, ``first_at_s`` and ``first``, the first one's message.",
+        doc="Faults since the start: label -> ``count``, ``first_at_s`` and ``first``, the message of the first.",
     )
 
     @property
     def restarts(self) -> list[dict[str, Any]]:
-        """Replacements of an isolated solver's process: ``at_s``, the time since the start, and ``reason``."""
+        """Replacements of an isolated solver's process: ``at_s`` (time since the start) and ``reason`` of each."""
         found = self._session.restarts if isinstance(self._session, IsolatedSession) else []
         return [{"at_s": self._period * restart.tick, "reason": restart.reason} for restart in found]
 
     @property
     def null_space(self) -> Array:
-        """Z (r, n) of the last tick, a copy."""
+        """A copy of the last tick's Z (r, n), whose rows are an orthonormal basis of ker A."""
         rows, Z, _ = self._law.memory()
         return Z[:rows]
 
     @property
     def external_torque(self) -> Array:
-        """The observer's estimate of the external torque (n,) [Nm], a copy; zero without an observer."""
+        """A copy of the observer's estimate of the external torque (n,) [Nm]; zero without an observer."""
         return self._law.memory()[2]
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
-        """Reset the state and set up the solver for problems like the one at this measurement; arguments as for `tick`.
+        """Reset the state and set up the solver for problems like that of this measurement; arguments as for `tick`.
 
-        First a copy runs one tick, whose result is discarded, so that libraries do their own set-up before the loop.
+        First, a copy of the controller runs one tick, so that libraries do their own set-up before the loop starts.
 
         Raises:
             ControlError: the solver does not support the subproblem, or raises an exception at its start.
@@ -170,19 +170,19 @@ class Controller:
         """Compute the torque (n,) [Nm] of this period.
 
         Args:
-            q, v: (n,) as measured [rad], [rad/s].
+            q, v: (n,) measured joint positions [rad] and velocities [rad/s].
             tip_ref: (3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2].
-            trocar: (2, 3) rows P_t [m], dP_t [m/s], as registered.
+            trocar: (2, 3) rows P_t [m], dP_t [m/s] of the registered trocar.
 
         Raises:
-            ControlError: not started, or a reference of the wrong shape or not finite.
+            ControlError: `start` was not called, or a reference has a wrong shape or is not finite.
         """
         if not self._started:
             raise ControlError("tick before start: call start once before the first tick")
         x_d = None if self._guide is None else self._guide.desired_velocity(self.robot.state(q, v))
         try:
             return self._torque(q, v, tip_ref, trocar, x_d)
-        except ValueError:  # the core takes only contiguous arrays of finite floats: convert, and try once more
+        except ValueError:  # the core takes only contiguous arrays of finite floats: convert and try again
             state, tip_ref, trocar = self.robot.state(q, v), _rows("tip_ref", tip_ref, 3), _rows("trocar", trocar, 2)
             return self._torque(state.q, state.v, tip_ref, trocar, x_d)
 
@@ -191,12 +191,12 @@ class Controller:
             status, self._record, out = self._supervisor.step(q, v, tip_ref, trocar, x_d, self._exact.tolerance)
             self._ticked = status, out
             return out[self._torques]
-        # tau_tip + tau_rcm + tau_ff - r, and the subproblem
+        # tau = tau_tip + tau_rcm + tau_ff - r, with r the observer's estimate; and the subproblem
         self._record, row = self._law.begin(q, v, tip_ref, trocar, x_d)
         if self._session is not None:
             self._subproblem = qp = NullSpaceQP.from_row(row)
             # x*: the subproblem's answer, or the supervisor's substitute;
-            # tau += M Z^T (Z M Z^T)^-1 Z (K_N2 (x* - v) - D_N2 v), cut at tau_max
+            # tau += M Z^T (Z M Z^T)^-1 Z (K_N2 (x* - v) - D_N2 v), clipped to tau_max
             seen = v if self._observes else None
             self._solution, self._answer, tau = self._supervisor.solve(self._session, qp, seen)
         else:
@@ -204,19 +204,19 @@ class Controller:
         return read_only(tau)
 
     def set_applied_torque(self, tau: Array) -> None:
-        """Replace the last computed torque by the applied one (n,) [Nm], which the observer uses."""
+        """Tell the observer the torque (n,) [Nm] that was applied, if it differs from the last computed one."""
         if not np.isfinite(tau).all():
             raise ControlError(f"applied torque = {np.asarray(tau).tolist()} is not finite: the observer cannot use it")
         self._law.set_applied(np.ascontiguousarray(tau, dtype=np.float64))
 
     def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
-        """Create the third level's columns of a trace; under DCAC only status and solve time."""
+        """Create the third level's trace columns for this number of ticks; under DCAC only status and solve time."""
         found: dict[str, NDArray[Any]] = {
             "status": np.full(ticks, "none", dtype="<U12"), "solve_us": np.full(ticks, np.nan)
         }  # fmt: skip
         if self.solver is not None:
             n, end = self._n, self._row_length
-            # One block in the order of the core's result: the tick's row, x, y and the answer that is followed.
+            # One block in the order of the core's result: the subproblem's record, x, y, and the x that is followed.
             self._block = block = np.full((ticks, end + 2 * n + 6), np.nan)
             found |= {
                 "subproblem": block[:, :end], "x_rad_per_s": block[:, end : end + n],
@@ -227,7 +227,7 @@ class Controller:
         return found
 
     def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Write the last tick's values into one row of these columns."""
+        """Write the last tick's values into one row of the columns that `columns` created."""
         if self._ticked is not None and self._ticked[0] is Status.SOLVED:
             status, out = self._ticked
             self._block[row] = out[: -self._n]

@@ -1,4 +1,4 @@
-"""Settings and an arm as numbers of the core's law (equations: docs/method.md and `moc_opt/core/law.c`)."""
+"""Turn settings and an arm into the numbers of the law, whose equations are in docs/method.md and `core/law.c`."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from moc_opt.control.settings import ControlSettings, per_joint
 from moc_opt.errors import ControlError
 from moc_opt.robots.model import RobotModel
 
-PROJECTORS = ("dynamic", "static", "as_published")  #: This and the next two: in the order of the core's enums.
+PROJECTORS = ("dynamic", "static", "as_published")  #: Order of the core's enum, as in the next two.
 FALLBACKS = ("damping", "hold", "least-violation")
 LATE = ("hold", "zero", "iterate")
-COURSE_K0_PER_S = 10.0  #: Smallest k0 of the box under a course: the course itself brakes before a limit.
+COURSE_K0_PER_S = 10.0  #: Smallest k0 with a course, which itself slows down before a joint limit.
 _CHECKS = ("check", "box_limit", "primal_limit", "relative_limit", "opposite_limit", "keep_off_limits")
 
 
 def numbers_of(settings: ControlSettings, robot: RobotModel, period: float) -> dict[str, Any]:
-    """Return the law's numbers by the names of the core's moc_law and moc_supervision.
+    """Return the fields of the core's structs moc_law and moc_supervision, by name.
 
     Args:
         period: control period [s].
 
     Raises:
-        ControlError, UnknownNameError: a gain is missing, the box leaves a joint no room, or the observer's gain is
-            too large for the period.
+        ControlError, UnknownNameError: a gain is missing, the margins from its limits leave a joint no room, or the
+            observer's gain is too large for the period.
     """
     n, moc, follows, supervisor = robot.n, settings.law == "moc", settings.follows, settings.supervisor
     gains = settings.resolve_gains(robot.data.gains, n)
@@ -39,7 +39,7 @@ def numbers_of(settings: ControlSettings, robot: RobotModel, period: float) -> d
     if observer and not observer * period < 1.0:
         name = "course_observer_gain_per_s" if follows else "observer_gain_per_s"
         raise ControlError(f"{name} = {observer} at a period of {period} s: keep it below {1.0 / period:g}")
-    # The box closes before the wall of the safety filter acts on the joint.
+    # With the default margins, the box stops a joint before it reaches the wall of the safety filter.
     turning = settings.course_margin_rad if follows else settings.limit_margin_rad
     margin = np.where(robot.chain.prismatic, settings.limit_margin_m, turning)
     half = 0.5 * (robot.q_max - robot.q_min)
@@ -50,7 +50,7 @@ def numbers_of(settings: ControlSettings, robot: RobotModel, period: float) -> d
             f"[control] {kind} = {margin[j]}: no room is left for joint {j + 1} between its limits; give less "
             f"than {half[j]:.3g}"
         )
-    fraction = 1.0 if follows else settings.speed_fraction  # a course has its own limit on speed
+    fraction = 1.0 if follows else settings.speed_fraction  # a course itself keeps below course_speed_fraction
     return {
         **{name: getattr(settings, name) for name in ("feedforward", "c0", "c1", "c2")},
         **{name: getattr(supervisor, name) for name in _CHECKS},

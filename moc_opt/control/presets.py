@@ -1,4 +1,4 @@
-"""Named sets of control settings: the paper's, the result of a search, and softer ones."""
+"""Named sets of control settings: those of the paper, the result of a search, and a softer set."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-# Table I: each law has the gains printed for it, and the wrist's error is d / lambda. There is no observer and no ramp,
-# and the box reaches up to the joint limits.
+# Each law has its own gains from the paper's Table I, and the wrist's error is d / lambda. There is no observer and no
+# ramp, and the box reaches up to the joint limits.
 PAPER: dict[str, Any] = {
     "gains": None, "feedforward": False, "rcm_lambda": 0.5, "k0_per_s": 0.1, "regularization": 0.0,
     "observer_gain_per_s": 0.0, "speed_fraction": 1.0, "limit_margin_rad": 0.0, "limit_margin_m": 0.0,
     "shaft_margin": 0.0, "fallback": "damping", "ramp_s": 0.0,
 }  # fmt: skip
 
-# Found by a search over random settings for the LWR4+ in the realistic plant. The gains are in that arm's file; another
-# arm has its own table of that name, or one derived from its inertia (`moc_opt.robots.gains`).
+# Found by a search over random settings for the LWR4+ in the realistic plant. The gains are in the file of the LWR4+;
+# other arms have their own table "tuned", or one derived from their inertia (`moc_opt.robots.gains`).
 TUNED: dict[str, Any] = {
     "gains": "tuned", "fallback": "damping", "observer_gain_per_s": 33.3, "feedforward": True, "k0_per_s": 1.58,
     "regularization": 3.24e-5, "speed_fraction": 0.49, "ramp_s": 0.653,
     "course_observer_gain_per_s": 28.0,  # 33 and 40 /s are unstable at three ticks of delay without friction
 }  # fmt: skip
 
-# Softened by hand until the loop tolerates four ticks from command to torque, also without friction and against a stiff
-# trocar. The tip error is 1.5 times that of `tuned`.
+# Softened by hand until the loop tolerates a delay of four ticks from command to torque, even without friction and with
+# a stiff trocar. The tip error is 1.5 times that of `tuned`.
 ROBUST: dict[str, Any] = {
     **TUNED, "gains": "robust", "observer_gain_per_s": 22.0, "course_observer_gain_per_s": 22.0
 }  # fmt: skip

@@ -1,7 +1,7 @@
 """The safety filter: it checks every measurement, limits torque and motion at every tick, and requests the stop.
 
-Every limit and reason to stop is in `moc_opt/core/safety_filter.c`, its formula and level in docs/reliability.md. In a
-stop the drives brake, and the torque carries the arm's weight in the last pose that passed the checks.
+`moc_opt/core/safety_filter.c` has the formula of every limit and of every reason to stop; docs/reliability.md says how
+the levels were chosen. In a stop the drives brake, and the torque carries the arm's weight in the last believed pose.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.errors import ControlError
 from moc_opt.robots.model import RobotModel, RobotState
 
-PRESS_PER_S = 50.0  # rate of the low-pass of the trocar's force in a stop [1/s]
+PRESS_PER_S = 50.0  # cut-off of the low-pass filter on the trocar's force in a stop [1/s]
 MOST_TICKS = 2**31 - 1  # the largest int of C
 _SETTLED = 6.0  # the momentum residual counts as settled after this many of its time constants
 _NO_WRENCH = np.full(6, np.nan)
@@ -25,7 +25,7 @@ _LATE, _TIP = core.REASONS.index("measurements are too late"), core.REASONS.inde
 _WATCHED = (
     ("the RCM error", "rcm_warning_m", "rcm_error_m", "mm", 1e3),
     ("the trocar's force", "trocar_force_warning_N", "trocar_force_N", "N", 1.0),
-)  # figure, settings of its warning level and its limit, unit in messages, factor from SI to that unit
+)  # quantity, names of the settings for its warning level and its limit, unit in messages, factor from SI to that unit
 _AS_SET = (  # settings that go to the core under their own names
     "speed_factor", "stop_holding", "motion", "motion_s", "motion_rad", "motion_lag_s", "repeat_m", "repeat_torque",
     "repeat_whole_m", "repeat_whole_torque", "repeat_whole_ticks", "repeat_joint_ticks", "repeat_reading_ticks",
@@ -40,13 +40,13 @@ class SafetyFilter:
         robot: the model of the arm; its limits, tool and friction are used.
         settings: see SafetyFilterSettings.
         period: control period [s].
-        carries: whether the torque carries the arm's weight; False for drives that do so by themselves.
-        incision: False for an arm that is in no incision: RCM error and trocar force are not checked then.
-        momentum: whether the state is computed here if the controller provides none, to compare motion and torque.
+        carries: whether the torque has to carry the arm's weight; False for drives that compensate gravity themselves.
+        incision: False for an arm outside any incision, whose RCM error and trocar force are not checked.
+        momentum: whether the filter computes the state, to compare motion and torque, if the controller does not.
 
     Attributes:
-        limited: number of joints at which the last torque was changed.
-        reason: why a stop was requested; empty while none was.
+        limited: number of joints whose last torque was changed.
+        reason: why a stop was requested; empty if none was.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class SafetyFilter:
         self.start(np.clip(robot.data.q_home, robot.q_min, robot.q_max), self._rest)
 
     def start(self, q: Array, v: Array, stamp: int = 0) -> None:
-        """Begin at the first measurement, number ``stamp``. A joint that starts inside its wall is not pushed out.
+        """Begin at the first measurement, of period ``stamp``. A joint that starts inside its wall is not pushed out.
 
         Raises:
             ControlError: the measurement is not finite.
@@ -81,18 +81,18 @@ class SafetyFilter:
         self, q: Array, v: Array, stamp: int | None = None, applied: Array | None = None,
         wrench: Array | None = None, trocar: Array | None = None,
     ) -> tuple[Array, Array]:  # fmt: skip
-        """Return the measurement, or the last accepted one extrapolated if this one is late or impossible.
+        """Return the measurement; if it is late or impossible, return the last accepted measurement, extrapolated.
 
-        The stop is requested if bad measurements last too long, if readings repeat or contradict each other, or if
-        the RCM error or the trocar's force is above its limit.
+        A stop is requested if too many measurements in a row are bad, if readings repeat or contradict each other, or
+        if the RCM error or the trocar's force is above its limit.
 
         Args:
             q, v: (n,) measured [rad], [rad/s].
-            stamp: number of the control period in which they were taken, by the arm's count; None: not known.
+            stamp: index of the control period in which q and v were taken, as the arm counts; None: not known.
             applied: (n,) torque that was applied last [Nm]; None: not known.
-            wrench: (6,) force [N] and torque [Nm] of the tool on its mount, tool axes; None: not known.
-            trocar: (2, 3) rows P_t, dP_t, as registered: RCM error and trocar force are checked at the pose that is
-                believed; None: the arm is in no incision.
+            wrench: (6,) force [N] and torque [Nm] of the tool on its mount, in tool axes; None: not known.
+            trocar: (2, 3) rows P_t, dP_t of the registered trocar, for the checks of RCM error and trocar force at the
+                returned pose; None: these are not checked.
         """
         number, seen = math.nan if stamp is None else stamp, _NO_WRENCH if wrench is None else wrench
         reason, q, v = self._guard.believe(q, v, number, applied, seen, trocar)
@@ -102,7 +102,7 @@ class SafetyFilter:
 
     @property
     def warnings(self) -> list[dict[str, Any]]:
-        """Figures above their warning level since the start: ``of``, ``first_s``, ``largest``, ``unit``, ``level``."""
+        """Each quantity that exceeded its warning level: ``of``, ``first_s``, ``largest``, ``unit`` and ``level``."""
         _, figures = self._guard.watched()
         found = []
         for (name, warning, _, unit, scale), largest, first in zip(_WATCHED, *figures[1:].tolist(), strict=True):
@@ -115,24 +115,24 @@ class SafetyFilter:
         return found
 
     def request_stop(self, reason: str) -> None:
-        """Request the stop. The first reason is kept; an empty one requests nothing."""
+        """Request a stop. The first reason is kept; an empty reason requests nothing."""
         self.reason = self.reason or reason
 
     def limit_torque(
         self, tau: Array, before: Array, q: Array, v: Array, tip_ref: Array | None = None,
         state: RobotState | None = None, tip: Array | None = None,
     ) -> Array:  # fmt: skip
-        """Return the torque (n,) [Nm] within the limits; ``limited`` counts the joints at which they acted.
+        """Return the torque (n,) [Nm] within its limits; ``limited`` counts the joints whose torque was changed.
 
-        A torque that is not finite requests the stop, and ``before`` is returned. The tip's distance from its reference
-        is checked too, and the motion at (q, v) is compared with the torque that was applied before it.
+        If the torque is not finite, a stop is requested and ``before`` is returned. The tip's distance from its
+        reference is checked too, and the motion up to (q, v) is compared with ``before``, which caused it.
 
         Args:
-            tau, before: (n,) as asked for, and as applied last [Nm].
-            q, v: (n,) believed [rad], [rad/s].
+            tau, before: (n,) the controller's torque, and the torque that was applied last [Nm].
+            q, v: (n,) as returned by `check_measurement` [rad], [rad/s].
             tip_ref: (3, 3) rows X_d, dX_d, ddX_d [m]; None: the tip is not checked.
-            state: of (q, v), if the controller provides it; None: it is computed.
-            tip: (3,) as the controller computes it [m]; None: that of its state.
+            state: the robot's state at (q, v); None: it is computed here if it is needed.
+            tip: (3,) the tip as the controller computes it [m]; None: the tip of ``state``.
         """
         shown = state is not None or tip is not None
         if state is None and self._computes:
@@ -147,21 +147,21 @@ class SafetyFilter:
         return tau if math.isfinite(tau.dot(tau)) else before
 
     def stop_torque(self, before: Array) -> Array:
-        """Return the torque (n,) [Nm] of a damped stop: the weight of the arm in the last pose that was accepted.
+        """Return the torque (n,) [Nm] of a damped stop: it approaches the arm's weight in the last believed pose.
 
-        Holding the last torque instead would go on pushing the arm.
+        The last torque is not kept, because it would go on pushing the arm.
         """
         self.limited = 0
         return self._guard.rest(np.ascontiguousarray(before, dtype=np.float64))
 
     def brake_friction(self, wrench: Array) -> Array:
-        """Return the dry friction (n,) [Nm] of the brakes in a stop; zero while the trocar presses the shaft hard.
+        """Return the dry friction (n,) [Nm] of the brakes in a stop; zero while the brakes are open.
 
-        The brakes open at ``stop_yield_N``, close again at half of it or after ``stop_yield_s``, and open once more if
-        the force has risen by another ``stop_yield_N``; `moc_guard_hold` in safety_filter.c says why.
+        The brakes open at a trocar force of ``stop_yield_N``, close at half of that or after ``stop_yield_s``, and open
+        again if the force has risen by another ``stop_yield_N``; `moc_guard_hold` in safety_filter.c says why.
 
         Args:
-            wrench: (6,) force [N] and torque [Nm] of the tool on its mount, tool axes.
+            wrench: (6,) force [N] and torque [Nm] of the tool on its mount, in tool axes.
         """
         return self._guard.hold(np.ascontiguousarray(wrench, dtype=np.float64))
 
@@ -176,7 +176,7 @@ def numbers_of(
     """
     data, s = robot.data, settings
     margins = np.where(robot.chain.prismatic, s.position_margin_m, s.position_margin_rad)
-    coulomb = np.where(data.coulomb_friction > 0.0, s.stuck_friction * data.coulomb_friction, np.inf)  # 0: not known
+    coulomb = np.where(data.coulomb_friction > 0.0, s.stuck_friction * data.coulomb_friction, np.inf)  # 0: unknown
     return {
         **{name: _or_infinite(getattr(s, name)) for name in _AS_SET},
         "period": period, "patience": s.patience_ticks, "carries": carries,
@@ -191,7 +191,7 @@ def numbers_of(
         "tool_mass": data.tool_mass, "tool_length": data.tool_length, "tip_force": _or_infinite(s.tip_force_N),
         "stop_yield": _or_infinite(s.stop_yield_N), "stop_yield_ticks": round(s.stop_yield_s / period),
         "press_share": min(1.0, PRESS_PER_S * period),
-        # If one noisy encoder repeats a reading with probability p, all n do with p^n: the ticks are divided by n.
+        # If one encoder repeats a reading with probability p, all n do so with p^n. Therefore divide the ticks by n.
         "replayed_ticks": max(float(s.repeat_whole_ticks), _or_infinite(s.repeat_joint_ticks) / robot.n),
         "stuck_speed": s.stuck_rad_per_s, "held": np.minimum(s.stuck_torque * data.tau_max, coulomb),
         "residual_whole": s.residual_whole_torque, "residual_rate": s.residual_rate_per_s,

@@ -1,4 +1,4 @@
-"""The settings of a controller. Gains that are left out come from the robot's own table."""
+"""The settings of a controller. Gains that are left out come from a table in the robot's file."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ PerJoint = Annotated[float | tuple[float, ...], BeforeValidator(_number_or_numbe
 
 
 class Gains(NamedTuple):
-    """The gains of the three levels as a controller uses them."""
+    """The gains of the three levels after defaults from the robot's file have been filled in."""
 
     K_X: float
     D_X: float
@@ -45,10 +45,10 @@ GAINS = Gains._fields
 
 
 class ControlSettings(Settings):
-    """The control law: its three levels, their gains, and the box, the limits of the joint velocity x of level 3.
+    """The control law. Level 3 makes the elbow follow a joint velocity x, and the limits of x are called the box.
 
-    In the robots' files, the gains ``default`` serve both laws; ``dcac`` and ``moc`` are Table I of Su et al. (2019).
-    K_N2, D_N2 and ``dcac_damping`` are one number, or one per joint.
+    In the robots' files, the table of gains ``default`` serves both laws; ``dcac`` and ``moc`` are Table I of Su et al.
+    (2019). K_N2, D_N2 and ``dcac_damping`` are one number for all joints, or one number per joint.
     """
 
     KIND: ClassVar[str] = "[control]"
@@ -58,7 +58,7 @@ class ControlSettings(Settings):
     law: Literal["dcac", "moc"] = "moc"
     """'dcac': only level 1 (tip) and level 2 (RCM); 'moc': level 3 too, which raises the manipulability mu"""
     gains: str | None = "default"
-    """table of the robot's file that has the gains which are left out below; '': the table named like the law"""
+    """table in the robot's file from which gains that are left out here are taken; '': the table with the law's name"""
     K_X: Positive | None = Field(default=None, description="tip stiffness [N/m]; left out: see gains")
     D_X: NotNegative | None = Field(default=None, description="tip damping [N s/m]; left out: see gains")
     K_N: Positive | None = Field(default=None, description="wrist stiffness [N/m]; left out: see gains")
@@ -66,63 +66,63 @@ class ControlSettings(Settings):
     K_N2: PerJoint | None = Field(default=None, description="gain of level 3 on x - v [N m s/rad]; left out: see gains")
     D_N2: PerJoint | None = Field(default=None, description="gain of level 3 on -v [N m s/rad]; left out: see gains")
     dcac_damping: PerJoint = 0.0
-    """law 'dcac': damping of the self-motion (the elbow's) [N m s/rad]; 0: none, as in the paper"""
+    """law 'dcac': damping of the elbow's motion at a fixed tip and wrist [N m s/rad]; 0: none, as in the paper"""
     rcm_lambda: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
-    """lambda in the paper's wrist error d / lambda (d: RCM error), there 0.5; left out: the true error |N_d - N|"""
+    """lambda of the wrist error d / lambda (d: RCM error); 0.5 in the paper; left out: the true error |N_d - N|"""
     projector: Literal["dynamic", "static", "as_published"] = "dynamic"
-    """null-space projector of level 2; docs/method.md explains all three"""
+    """null-space projector of level 2; docs/method.md explains the three choices"""
     feedforward: bool = True
     """whether the desired accelerations of tip and wrist are fed forward; false in the paper"""
     observer_gain_per_s: NotNegative = 20.0
-    """gain of the momentum observer, which estimates external torques; 0: no observer; under third_level 'planned'
-    and 'receding', course_observer_gain_per_s replaces any value above 0"""
+    """gain of the momentum observer, which estimates external torques; 0: no observer. Under third_level 'planned'
+    and 'receding', course_observer_gain_per_s is used instead of a value above 0"""
     limit_torque: bool = True
     """whether the controller limits each torque to the joint's largest torque"""
     k0_per_s: Positive = 2.0
-    """the box allows a speed towards a joint limit of at most k0 times the distance from the box's end; 0.1 in the
-    paper; under third_level 'planned' and 'receding' at least 10 is used"""
+    """towards a joint limit, the box allows at most the speed k0 d; d is the distance to the limit, less the margin
+    limit_margin_rad or course_margin_rad. 0.1 in the paper; third_level 'planned' and 'receding' use at least 10"""
     third_level: Literal["local", "planned", "receding"] = "local"
     """law 'moc': 'local' moves the elbow in the direction in which mu rises, 'planned' follows a course (joint
-    positions over time) that is planned before the run, 'receding' follows one that is replanned during the run"""
+    positions over time) that is planned before the run, 'receding' follows a course that is replanned during the run"""
     course: str = ""
     """third_level 'planned': file of the course to follow, written by `moc-opt plan --out`; a relative path starts at
     the scenario's folder; empty: a course is planned before the run"""
     horizon_s: Annotated[float, Field(ge=0.2, le=2.0)] = 1.0
     """third_level 'receding': time ahead for which a smooth course is computed; a value function, computed before the
-    run, stands for the rest of the path"""
+    run, rates the rest of the path"""
     replan_per_s: Annotated[float, Field(ge=20.0, le=50.0)] = 20.0
-    """third_level 'receding': number of courses computed in a second"""
+    """third_level 'receding': number of courses that are computed per second"""
     course_speed_fraction: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.85
-    """third_level 'planned' and 'receding': share of v_max that a course may use, up to 1.12 times as much if that
-    raises mu by 1 %; with the rest the arm catches up when it lags behind"""
+    """third_level 'planned' and 'receding': largest joint speed of a course, as a share of v_max; up to 1.12 times as
+    much if that raises mu by 1 %. An arm that lags behind its course uses the remaining speed to catch up"""
     course_margin_rad: NotNegative = 0.05
-    """third_level 'planned' and 'receding': distance from a joint limit that the course keeps, unless only a course
-    nearer to it reaches the end, and at which the box allows no speed towards the limit"""
+    """third_level 'planned' and 'receding': distance that a course keeps from joint limits; a course may come nearer if
+    no other reaches the path's end. At this distance, the box allows no speed towards the limit"""
     course_observer_gain_per_s: NotNegative = 40.0
-    """third_level 'planned' and 'receding', under which the elbow moves faster: see observer_gain_per_s"""
+    """observer gain for third_level 'planned' and 'receding', where the elbow moves faster; see observer_gain_per_s"""
     climb: Literal["gradient", "scaled"] = "gradient"
-    """third_level 'local': 'gradient': the elbow's speed is proportional to the gradient of mu; 'scaled': it is
-    such that Newton's step to the nearest maximum of mu, at most 1 rad, takes 0.2 s"""
+    """third_level 'local': 'gradient': the elbow's speed is proportional to the gradient of mu; 'scaled': the speed is
+    Newton's step to the nearest maximum of mu, at most 1 rad, divided by 0.2 s"""
     c0: NotNegative = Field(default=0.01, description="weight of the tip velocity in the subproblem's cost")
     c1: NotNegative = Field(default=0.01, description="weight of the wrist velocity in the subproblem's cost")
     c2: NotNegative = Field(default=0.001, description="weight of the gradient of mu in the subproblem's cost")
     regularization: NotNegative = 1e-5
-    """weight rho of |x|^2 / 2 in the subproblem's cost; 0: the paper's linear cost"""
+    """weight rho of |x|^2 / 2 in the subproblem's cost; 0: as in the paper, whose cost is linear in x on A x = b"""
     fallback: Literal["damping", "hold", "least-violation"] = "least-violation"
-    """replaces the answer where the solver finds no x in the box with A x = b: 'damping': no self-motion; 'hold': the
-    last good answer, as after other faults; 'least-violation': the x of the box with the smallest |A x - b|"""
+    """what replaces the answer if the solver finds no x in the box with A x = b: 'damping': no self-motion; 'hold': the
+    last good answer, as after other faults; 'least-violation': the x in the box with the smallest |A x - b|"""
     speed_fraction: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5
-    """third_level 'local': share of each joint's v_max that the box allows; 1 in the paper"""
+    """third_level 'local': largest speed in the box, as a share of each joint's v_max; 1 in the paper"""
     limit_margin_rad: NotNegative = 0.15
     """third_level 'local': distance from a joint limit at which the box allows no speed towards it; 0 in the paper"""
-    limit_margin_m: NotNegative = Field(default=0.05, description="the same for a sliding joint, under any third_level")
+    limit_margin_m: NotNegative = Field(default=0.05, description="the same for a sliding joint, for every third_level")
     shaft_margin: float = Field(default=0.175, ge=0.0, le=1.0)
     """keeps the arm off poses in which the joints can hardly turn the shaft. Let s be the manipulability of the shaft
-    while the tip is held, divided by the squared distance from wrist point to tip. Where s is below this value,
-    third_level 'local' also raises s, and the box grows, up to all of v_max at two thirds of this value. A course of
-    'planned' or 'receding' avoids poses with s below a quarter of it where it can. 0: none of this, as in the paper"""
+    while the tip is held, divided by the squared distance from wrist point to tip. If s is below this value,
+    third_level 'local' also raises s, and the box grows, up to all of v_max at two thirds of this value. With 'planned'
+    or 'receding', the course avoids poses with s below a quarter of this value if it can. 0: off, as in the paper"""
     ramp_s: NotNegative = 0.3
-    """time over which the torque of the third level rises to its full size at the start; 0: at once, as in the paper"""
+    """time in which level 3's torque rises to its full size at the start; 0: at full size at once, as in the paper"""
     supervisor: SupervisorSettings = SupervisorSettings()
 
     @field_validator("gains", mode="before")
@@ -150,7 +150,7 @@ class ControlSettings(Settings):
 
     @classmethod
     def preset(cls, name: str, **changes: Any) -> ControlSettings:
-        """Make a named set of settings (`moc_opt.control.presets`); ``changes`` override fields.
+        """Return a named set of settings (see `moc_opt.control.presets`), with ``changes`` to some of its fields.
 
         Raises:
             UnknownNameError: no such preset; the message lists them.
@@ -160,7 +160,7 @@ class ControlSettings(Settings):
         return cls(**{**PRESETS[name], **changes})
 
     def check_guided(self) -> None:
-        """Refuse settings under which the third level cannot follow a guide; a ControlError where rho or c2 is 0."""
+        """Raise a ControlError if rho or c2 is 0: the third level could not follow a given velocity (see `Guide`)."""
         if not min(self.regularization, self.c2) > 0.0:
             raise ControlError(
                 f"third_level = {self.third_level!r}, climb = {self.climb!r} with c2 = {self.c2:g}, regularization = "
@@ -168,10 +168,10 @@ class ControlSettings(Settings):
             )
 
     def matched_dcac(self) -> dict[str, Any]:
-        """Return the changes that make these settings DCAC with the same gains: the baseline of a fair comparison."""
+        """Return the changes that turn these settings into DCAC with the same gains, the baseline for comparisons."""
         return {
             "law": "dcac", "gains": self.gains or self.law, "third_level": "local", "course": "",
-            "observer_gain_per_s": self.observer_rate_per_s,  # DCAC follows no course, but keeps its gain
+            "observer_gain_per_s": self.observer_rate_per_s,  # DCAC follows no course, but keeps the course's gain
         }  # fmt: skip
 
     @property
@@ -181,13 +181,13 @@ class ControlSettings(Settings):
 
     @property
     def observer_rate_per_s(self) -> float:
-        """Gain of the momentum observer; 0 where it is off."""
+        """Gain of the momentum observer that is used; 0: no observer."""
         if self.follows and self.observer_gain_per_s > 0.0:
             return self.course_observer_gain_per_s
         return self.observer_gain_per_s
 
     def resolve_gains(self, tables: Mapping[str, Mapping[str, Any]], joints: int) -> Gains:
-        """Return K_X .. D_N2 as numbers: those that are set, else those of the robot's ``tables`` [gains.*].
+        """Return K_X to D_N2: each gain as set here or, if it is left out, from the robot's ``tables`` [gains.*].
 
         Raises:
             UnknownNameError: ``gains`` is no table of this robot.
@@ -212,7 +212,7 @@ class ControlSettings(Settings):
 
 
 def per_joint(name: str, value: Any, joints: int) -> Array:
-    """Return one number for all joints, or one per joint, as (n,); a ControlError for another count of numbers."""
+    """Return (n,) from one number for all joints, or one per joint; a ControlError for any other count of numbers."""
     if not isinstance(value, int | float) and len(value) != joints:
         count = f"{len(value)} entries for {joints} joints"
         raise ControlError(f"{name} = {value!r} has {count}: give one number, or one per joint")

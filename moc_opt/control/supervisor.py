@@ -1,9 +1,9 @@
 """The supervisor of the third level: every answer is checked before the arm follows it.
 
-Tip and RCM control never depend on a solver. An answer with a fault is replaced by the last good one for a few ticks,
-then by damping; `fallback` and `late` have other choices. Each fault is counted and named in the trace, and the message
-of the first one of each kind is kept. A solver gets a copy of the subproblem, and its answer is copied before the
-check: what the solver writes into these arrays afterwards reaches neither the check nor the torque.
+Tip and RCM control never depend on a solver. An answer with a fault is replaced by the last good answer for a few
+ticks, then by damping; the settings `fallback` and `late` offer other replacements. Each fault is counted and named in
+the trace, and the message of the first fault of each kind is kept. A solver gets a copy of the subproblem, and its
+answer is copied before the check, so that a solver that writes into these arrays later changes nothing.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from moc_opt.solvers.isolated import Unanswered
 
 
 class Fault(Enum):
-    """The fault of an answer; the text is its meaning."""
+    """The faults that an answer can have. Each value is the meaning of the fault in words."""
 
     NONE = "the answer was taken"
     INFEASIBLE = "the solver found the subproblem infeasible"
@@ -49,7 +49,7 @@ class Fault(Enum):
 
 def _raise_interrupt(error: BaseException) -> None:
     found: BaseException | None = error
-    for _ in range(10):  # longer than any real chain; one of foreign code may be cyclic
+    for _ in range(10):  # longer than any real chain; a chain of foreign code may be cyclic
         if found is None or isinstance(found, KeyboardInterrupt):
             break
         found = found.__cause__ or found.__context__
@@ -58,7 +58,7 @@ def _raise_interrupt(error: BaseException) -> None:
 
 
 class SupervisorSettings(Settings):
-    """When an answer is refused, and what replaces it."""
+    """When a solver's answer is refused, and what replaces it."""
 
     KIND: ClassVar[str] = "[control.supervisor]"
     ERROR: ClassVar[type[MocOptError]] = ControlError
@@ -67,38 +67,38 @@ class SupervisorSettings(Settings):
     primal_limit: float = Field(1e-2, gt=0.0)
     """largest violation of A x = b (tip and wrist velocity) [m/s] or of the box [rad/s], if an optimum is claimed"""
     box_limit: float = Field(0.1, gt=0.0)
-    """the same if no optimum is claimed, as by a solver that ran out of iterations"""
+    """the same limit if no optimum is claimed, for example by a solver that ran out of iterations"""
     relative_limit: float = Field(0.05, gt=0.0)
-    """largest natural residual (0 at an optimum) along the self-motion if an optimum is claimed, with the cost's
-    gradient scaled to 1 [rad/s]"""
+    """largest natural residual (0 at an optimum) along the self-motion, if an optimum is claimed; the cost is scaled so
+    that its gradient has length 1 [rad/s]"""
     opposite_limit: float = Field(1e-3, gt=0.0)
     """a claim is false if x is farther than this from the optimum and nearer to that of the negated gradient [rad/s]"""
     hold_ticks: int = Field(10, ge=0)
-    """ticks in a row in which the last good answer replaces a refused one; after them the self-motion is damped"""
+    """ticks in a row at which the last good answer replaces a refused one; after these the self-motion is damped"""
     keep_off_limits: bool = True
-    """after hold_ticks, the elbow still moves as far as the box demands; false: it is only damped"""
+    """after hold_ticks, the elbow still moves as far as is needed to keep x in the box; false: it is only damped"""
     budget_us: float | None = Field(None, gt=0.0, description="time that a solve may take [us]; left out: no limit")
     late: Literal["hold", "zero", "iterate"] = "hold"
-    """replaces a late answer: 'hold': the last good one, as after other faults; 'zero': no self-motion; 'iterate': the
-    solver's iterate at the end of the budget, or its whole late answer if it cannot be interrupted"""
+    """what replaces a late answer: 'hold': the last good answer, as after other faults; 'zero': no self-motion;
+    'iterate': the solver's iterate at the end of the budget, or its late answer if it cannot be interrupted"""
 
 
 _FAULTS = tuple(Fault)  #: In the order of the core's enum.
 _CLAIMS = {Status.SOLVED: 0, Status.INFEASIBLE: 1, Status.MAX_ITER: 2, Status.TIME_LIMIT: 2}
-"""Status -> the core's number of the claim; every other status means ``_NO_ANSWER``."""
+"""Status -> the number of the claim in the core's enum; every other status means ``_NO_ANSWER``."""
 _NO_ANSWER = 3
 _NAN = float("nan")
 
 
-MOST_ITERATIONS = 2**31 - 1  #: The largest number that a trace can hold.
+MOST_ITERATIONS = 2**31 - 1  #: The largest count of iterations that a trace can hold.
 
 
 def received(given: object, n: int) -> tuple[Solution, str]:
-    """Return a copy of a solver's answer, and a message if the answer is not a well-formed ``Solution`` (else "").
+    """Return a copy of a solver's answer, and a message, which is empty if the answer is a well-formed ``Solution``.
 
-    The copy shares no memory with the solver's: x (n,) and y (6,) are contiguous arrays of float64, and iterations is
-    an int that fits 32 bits. If any part is malformed, the whole answer is refused and x is NaN. NaN in x or y is not
-    malformed.
+    The copy shares no memory with the solver. Its x (n,) and y (6,) are contiguous arrays of float64, and iterations
+    is an int that fits 32 bits. If any part is malformed, the whole answer is refused and x is NaN. NaN entries in x or
+    y do not make an answer malformed.
     """
     if not isinstance(given, Solution):
         return no_answer(n, Status.NUMERICAL), f"solve returned a {type(given).__name__}: return a Solution"
@@ -122,18 +122,18 @@ def _unlike(name: str, value: object, shape: tuple[int, ...]) -> str:
 
 
 class Supervisor:
-    """Check the answers of a session, and replace those that are refused; the core does both.
+    """Let the core check a session's answers and replace those that are refused, and count the faults.
 
     Args:
         settings: limits of the check, and the replacement.
-        law: the core's, which holds the subproblem of this tick and the last good answer.
-        n: joints.
+        law: the core's `Law`, which holds the subproblem of this tick and the last good answer.
+        n: number of joints.
         period: control period [s].
-        times_us: recorded solve times [us] that replace the clock, so that a run with deadlines can be
-            repeated exactly; None: the clock decides. After the last recorded time the clock decides too.
+        times_us: recorded solve times [us], with which a run with deadlines can be repeated exactly. The clock is used
+            if this is None, and after the last recorded time.
 
-    ``faults`` maps a fault's label to its ``count``, ``first_at_s`` (the time of the first one, both since the start)
-    and ``first`` (its message, or that of the exception if the solver raised one).
+    ``faults`` maps the label of a fault to its ``count`` since the start, ``first_at_s`` (when it first occurred) and
+    ``first`` (the message at that time, or the exception's message if the solver raised one).
     """
 
     def __init__(
@@ -141,22 +141,22 @@ class Supervisor:
         times_us: Iterator[float] | None = None,
     ) -> None:  # fmt: skip
         self.settings, self._law, self._n, self._period, self._times = settings, law, n, period, times_us
-        # Read once: access to a setting costs as much as a comparison, and every tick needs it.
+        # Kept here, because every tick needs them and reading a setting takes as long as a comparison.
         self._stop_late = settings.late == "iterate"
         self._budget_us = float("inf") if settings.budget_us is None else settings.budget_us
         self.forget()
 
     def forget(self) -> None:
-        """Forget all counts."""
+        """Reset fault, solve time and all counts."""
         self.fault, self.solve_us, self._asked = Fault.NONE, float("nan"), 0
         self.faults: dict[str, dict[str, Any]] = {}
 
     def solve(self, session: Session, qp: NullSpaceQP, v: Array | None = None) -> tuple[Solution, Array, Array]:
-        """Ask the session, check its answer, and finish the law's tick with that answer or its replacement.
+        """Let the session solve, check its answer, and finish the law's tick with the answer or its replacement.
 
-        The session gets copies of ``qp``, the subproblem of the tick that the law has begun, and of ``v``, the measured
-        velocity (n,) [rad/s] if the session observes it. The result is the solver's answer, the x (n,) that the arm
-        follows, and the law's torque (n,) [Nm].
+        The session gets a copy of ``qp``, the subproblem of the tick that the law has begun, and of ``v``, the measured
+        velocity (n,) [rad/s]; ``v`` is None for a session that does not observe it. Returns the solver's answer, the
+        x (n,) that the arm follows, and the law's torque (n,) [Nm].
         """
         solution, known, text = self._ask(session, qp, v)
         number, x, tau = self._law.finish(
@@ -171,7 +171,7 @@ class Supervisor:
     ) -> tuple[Status, Array, Array]:
         """Do the whole tick in the core, with its own solver `exact`; arguments as for `core.Law.begin`.
 
-        The result is the solver's status, the arm's record, and one array (14 n + 16,): the subproblem's record, the
+        Returns the solver's status, the arm's record, and one array (14 n + 16,) with the subproblem's record, the
         solver's x (n,) and y (6,), the x (n,) that the arm follows, and the law's torque (n,) [Nm].
         """
         given_us = _NAN if self._times is None else next(self._times, _NAN)

@@ -1,7 +1,7 @@
-"""The tick in C: arm, law, subproblem, `exact`, the network, the safety filter. Begin with `moc.h`.
+"""The control tick in C: arm, control law, subproblem, solver `exact`, neural network, safety filter. Read moc.h first.
 
-`tools.h` declares functions for Python outside the controller. The binding (`arguments.c`, `python*.c`, `plant.c`)
-checks every array (float64, C-contiguous, its shape), raises ValueError or TypeError, and keeps no array.
+`tools.h` declares functions that only Python calls. The binding (`arguments.c`, `python*.c`, `plant.c`) takes only
+arrays of float64 that are C-contiguous of the right shape, else raises ValueError or TypeError. It keeps no array.
 """
 
 from __future__ import annotations

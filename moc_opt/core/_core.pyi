@@ -1,4 +1,4 @@
-"""Types of the extension module. The tables in the C files list the shapes of the arrays."""
+"""Types of the extension module. The tables of arguments in python*.c and plant.c list the shapes of the arrays."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +13,9 @@ MAX_JOINTS: int
 
 class Arm:
     def __new__(cls, joints: Array, points: Array, tool: Array, moves: Array, gravity: Array, /) -> Arm: ...
-    # A serial chain of 1 to 16 joints as data; each row of `joints` is a moc_joint. Results: terms: the record with all
-    # terms of one state. along: tips, wrists [m] and mu of many poses. tool_pose: the tool's axes x, y, z and its tip
-    # [m]. nearest_pose: miss [m], pose. follow_curve: count, closed. It and ascend fill arrays: see tools.h.
+    # A serial chain of 1 to 16 joints as data; each row of `joints` is a moc_joint. terms returns the record with all
+    # terms of one state; along returns tips, wrists [m] and mu of many poses; tool_pose the tool's axes x, y, z and its
+    # tip [m]; nearest_pose the error [m] and the pose; follow_curve count and closed. Arrays that are filled: tools.h.
     def terms(self, q: Array, v: Array, /) -> Array: ...
     def along(self, poses: Array, /) -> tuple[Array, Array, Array]: ...
     def tool_pose(self, q: Array, /) -> Array: ...
@@ -28,8 +28,8 @@ class Arm:
     ) -> tuple[int, int]: ...
     def ascend(self, low: Array, high: Array, target: Array, starts: Array, mus: Array, /) -> None: ...
 
-# Results: solve_exact: status, x, y. solve_exact_rows fills X, Y and status, without the GIL. step_network: status,
-# number of steps. desired_wrist: N_d and dN_d (2, 3).
+# solve_exact returns status, x, y. solve_exact_rows fills X, Y and status without the GIL. step_network returns status
+# and number of steps. desired_wrist returns N_d and dN_d as (2, 3).
 def solve_exact(record: Array, tolerance: float, /) -> tuple[int, Array, Array]: ...
 def solve_exact_rows(records: Array, tolerance: float, X: Array, Y: Array, status: Array, /) -> None: ...
 def step_network(
@@ -40,12 +40,12 @@ def desired_wrist(X: Array, dX: Array, trocar: Array, span: float, /) -> Array: 
 
 class Law:
     def __new__(cls, arm: Arm, **numbers: float | Array) -> Law: ...
-    # The law with its memory; `numbers` are the fields of moc_law and moc_supervision. start forgets everything and
-    # returns the arm's record and the subproblem. load sets another subproblem and null space for this tick; judge
-    # returns primal, outside, natural, off, opposite (answer.c) of an answer to it. begin: levels 1 and 2; record,
-    # subproblem. finish: fault, followed x, tau. step is begin, `exact` and finish; solve_us replaces the clock unless
-    # NaN; it returns status, fault, us, record, and one array: subproblem, solver's x and y, followed x, tau.
-    # set_applied replaces the last torque. memory returns the number of rows of Z, Z, the observer's estimate [Nm].
+    # The law and its memory; `numbers` are the fields of moc_law and moc_supervision. start resets the memory; start
+    # and begin return the arm's record and the subproblem; begin computes levels 1 and 2. finish returns fault,
+    # followed x, tau. step does begin, `exact` and finish; it returns status, fault, time [us], record, one array with
+    # subproblem, x and y of `exact`, followed x, tau. solve_us replaces the measured time unless it is NaN. load sets
+    # another subproblem and null space for this tick; judge returns primal, outside, natural, off, opposite (shared.h)
+    # of an answer to it. set_applied replaces the last torque. memory returns rows of Z, Z, the observer's r [Nm].
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array, /) -> tuple[Array, Array]: ...
     def load(self, record: Array, Z: Array, /) -> None: ...
     def judge(self, x: Array, /) -> tuple[float, float, float, float, float]: ...
@@ -64,10 +64,10 @@ REASONS: tuple[str, ...]
 
 class Guard:
     def __new__(cls, arm: Arm, **numbers: float | Array) -> Guard: ...
-    # The safety filter with its memory; `numbers` are the fields of moc_guard. believe returns reason, q, v. follow
-    # limits tau in place and returns reason, number of limited joints. rest: torque of a damped stop; hold: friction of
-    # its brakes. watched: number of unbelieved measurements in a row; an array with the mean square, the largest root
-    # mean square and the tick of the first warning of RCM error and force.
+    # The safety filter and its memory; `numbers` are the fields of moc_guard. believe returns reason, q, v. follow
+    # limits tau in place and returns reason, number of limited joints. In a stop, rest returns the torque and hold the
+    # friction of the brakes. watched returns the number of refused measurements in a row, and (3, 2) with mean square,
+    # largest root mean square and tick of the first warning, each for RCM error and force.
     def start(self, q: Array, v: Array, stamp: int, /) -> None: ...
     def believe(
         self, q: Array, v: Array, stamp: float, applied: Array | None, wrench: Array, trocar: Array | None, /
@@ -80,7 +80,7 @@ class Guard:
     def hold(self, wrench: Array, /) -> Array: ...
     def watched(self) -> tuple[int, Array]: ...
 
-# Return whether the subproblem has as many equality rows as the buffers; if so, write it there. Six duals: lift^T y.
+# If the subproblem has as many equality rows as the buffers, write it into them and return True. Six duals: lift^T y.
 def load(
     record: Array, five: bool, scale: float, signs: Array, P: Array, p: Array, A: Array, low: Array, high: Array,
     lower: Array, upper: Array, packed: Array, lift: Array, /,

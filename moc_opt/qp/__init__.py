@@ -1,5 +1,5 @@
-"""The null-space subproblem as data, and the residuals of its answers.
+"""The null-space subproblem, which chooses the joint velocity at a given tip and wrist velocity, and its residuals.
 
-Read first: ``problem`` (``NullSpaceQP``: cost, rows, box), then ``residuals`` (how every solver's answer is measured;
-``extremes`` finds best and worst cost with several freedoms). This package imports no robot and no solver.
+Read first: ``problem`` (``NullSpaceQP``: cost, equality rows, box), then ``residuals`` (how far an answer is from
+optimal). ``extremes`` finds the best and worst cost if ker A has several dimensions. No robot or solver is imported.
 """

@@ -1,7 +1,7 @@
-"""The smallest and the largest cost where a box meets an affine subspace: plain, slow, independent of the solvers.
+"""The smallest and the largest cost on the intersection of a box and an affine subspace, independent of any solver.
 
 With x = x0 + Z w, Z an orthonormal basis of ker A, the cost is slope^T w + rho/2 |w|^2 and the box is
-low <= Z w <= high. The optimum is found by projecting points onto that set. Lawson and Hanson, Solving Least Squares
+low <= Z w <= high. The optimum is found by projecting points onto this set. Lawson and Hanson, Solving Least Squares
 Problems (1974), chapter 23, turn the projection into non-negative least squares (algorithm LDP).
 """
 
@@ -17,26 +17,26 @@ from numpy.typing import NDArray
 
 from moc_opt.arrays import Array
 
-MOST_CORNERS = 10_000  # most candidate corners that are tried; 10 joints with 5 freedoms have 8064
-FAR = 1e3  # length of a proximal step [box widths]
-ROUNDS, STEPS = 200, 20  # most proximal steps; most uphill steps per joint
+MOST_CORNERS = 10_000  # largest number of candidate corners that are tried; 10 joints with 5 freedoms have 8064
+FAR = 1e3  # length of a proximal step without bounds [box widths]
+ROUNDS, STEPS = 200, 20  # largest numbers of proximal steps, and of uphill steps per joint
 ROUNDING = 1e-14  # rounding error of numbers of order one
-SETTLED = 1e-11  # a shorter proximal step is only the rounding of the point FAR away that it projects
+SETTLED = 1e-11  # a shorter proximal step is only rounding error of the projected point, which may be FAR away
 FLAT = 1e-9  # a slope or multiplier below this fraction of the largest counts as zero
 STILL = 1e-10  # a joint that moves less than this along every unit vector of self-motion does not bound it
-TOUCHING = 1e-8  # in a set narrower than this the multipliers are only rounding [box widths]
-LEVEL = 1e-12  # a range of the cost below this fraction of slope times box width is rounding
+TOUCHING = 1e-8  # in a feasible set narrower than this, multipliers are only rounding errors [box widths]
+LEVEL = 1e-12  # a range of the cost below this fraction of slope times box width is rounding error
 
 
 class Extremes(NamedTuple):
-    """Extremes of the cost over the feasible set, relative to its value at w = 0.
+    """Smallest and largest cost on the feasible set, relative to the cost at w = 0.
 
     Attributes:
-        w: (r,) the optimum; where it is not unique, the one that proximal steps from w = 0 lead to.
+        w: (r,) an optimum; if there are several, the one to which proximal steps from w = 0 lead.
         least: a lower bound on the cost by weak duality; the cost of w if w is the optimum.
-        most: the largest cost; equal to ``least`` where the cost is constant up to rounding. With rho > 0 and more than
-            ``MOST_CORNERS`` candidates it may be too small: the cost of a corner from which no edge rises.
-        pull: (n,) gradient of the cost at w = 0 with the optimum's multipliers of A x = b.
+        most: the largest cost; equal to ``least`` if the cost is constant up to rounding. With rho > 0 and more than
+            ``MOST_CORNERS`` candidates it may be too small: then it is the cost of a local maximum at a corner.
+        pull: (n,) gradient of the Lagrangian at w = 0: that of the cost plus A^T times the optimum's multipliers.
     """
 
     w: Array
@@ -46,15 +46,15 @@ class Extremes(NamedTuple):
 
 
 def extremes(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> Extremes | None:
-    """Find both ends of slope^T w + rho/2 |w|^2 over low <= Z w <= high; None where no w is allowed.
+    """Find the smallest and largest slope^T w + rho/2 |w|^2 over low <= Z w <= high; None if no w is feasible.
 
     Args:
         Z: (n, r) orthonormal columns.
         low, high: (n,) the box minus x0, finite [rad/s].
         slope: (r,) gradient of the cost at w = 0.
-        rho: zero or larger; above zero if the slope is zero.
+        rho: zero or more; it has to be above zero if the slope is zero.
     """
-    # Scale by the width of the box and by about the steepest slope of the cost in it.
+    # Scale lengths by the width of the box, and the cost by about its steepest slope in the box.
     width = max(float((high - low).max()), 1e-12)
     steep = max(float(np.linalg.norm(slope)), rho * width)
     low, high, slope, rho = low / width, high / width, slope / steep, rho * width / steep
@@ -65,16 +65,16 @@ def extremes(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> Ext
     pull = Z @ slope + force - Z @ (Z.T @ force)
     least = _lower_bound(low, high, pull, rho)
     most = _largest(Z, low, high, slope, rho, w)
-    if most - least <= LEVEL:  # every point is optimal to rounding
+    if most - least <= LEVEL:  # every point is optimal up to rounding
         most = least
     return Extremes(width * w, steep * width * least, steep * width * most, steep * pull)
 
 
 def optimum(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> tuple[Array, Array] | None:
-    """Find the w (r,) of least cost and the multipliers (n,) of its bounds; None where no w is allowed.
+    """Find the w (r,) of least cost and the multipliers (n,) of its bounds; None if no w is feasible.
 
-    It takes proximal steps from w = 0. With a linear cost, a step that is long enough ends at the optimum nearest to
-    its start (Ferris 1991, Finite termination of the proximal point algorithm).
+    The method takes proximal steps from w = 0. With a linear cost, a proximal step that is long enough ends at the
+    optimum nearest to its start (Ferris 1991, Finite termination of the proximal point algorithm).
     """
     w = np.zeros(len(slope))
     if rho * FAR >= np.linalg.norm(slope):
@@ -93,11 +93,11 @@ def optimum(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> tupl
 
 
 def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Array] | None:
-    """Find the w (r,) of low <= Z w <= high that is nearest to ``start``, and f (n,) with w - start = Z^T f.
+    """Find the w (r,) with low <= Z w <= high that is nearest to ``start``, and f (n,) with w - start = Z^T f.
 
-    f is positive at active lower bounds, negative at active upper ones, zero elsewhere. None where no w is allowed.
+    f is positive at active lower bounds, negative at active upper bounds, zero elsewhere. None if no w is feasible.
     """
-    # Scale each row to a distance from its bound, so that a joint that hardly moves along Z counts like any other.
+    # Scale each row of Z to length 1, so that a joint that hardly moves along Z counts like any other.
     moves = np.linalg.norm(Z, axis=1)
     moves = np.where(moves > STILL, moves, np.inf)
     G, away = Z / moves[:, None], Z @ start
@@ -105,9 +105,9 @@ def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Arr
     size = float(short.max())
     if size <= 0.0:
         return start, np.zeros(len(low))
-    from scipy.optimize import nnls  # takes half a second; only several freedoms need it
+    from scipy.optimize import nnls  # here: the import takes half a second, and only several freedoms need it
 
-    for loose in (0.0, TOUCHING):  # if the set is a point up to rounding, widen it a little
+    for loose in (0.0, TOUCHING):  # if the feasible set is a point up to rounding, widen it a little
         u, _ = nnls(np.vstack([G.T, (short - loose) / size]), np.append(np.zeros(len(start)), 1.0))
         left = 1.0 - float((short - loose) @ u) / size
         if u.max() * size <= left / TOUCHING:
@@ -116,7 +116,7 @@ def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Arr
         return None
     active = u > 0.0
     u *= size / left
-    # Solve again with the active bounds alone: the shortest step onto them, exact up to rounding.
+    # Solve again with the active bounds alone. This gives the shortest step onto them, exact up to rounding.
     step, *_ = np.linalg.lstsq(G[active], short[active], rcond=None)
     if (short - G @ step).max() > max((short - G @ (G.T @ u)).max(), 0.0) + ROUNDING:
         step = G.T @ u

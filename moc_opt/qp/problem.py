@@ -1,11 +1,11 @@
-"""The null-space subproblem of one control tick as data, without a robot or a solver.
+"""The null-space subproblem of one control tick, as data that need no robot and no solver.
 
     min_x  c0/2 |J_T x - v_T|^2 + c1/2 |J_W x - v_W|^2 - c2 x^T pull + regularization/2 |x|^2
     s.t.   J_T x = v_T,   J_W x = v_W,   lower <= x <= upper
 
-x is a joint velocity [rad/s]. pull is grad mu or, where a course or the scaled climb gives a velocity x_d for the elbow
-to follow, (regularization / c2) x_d. regularization = 0 is the problem of Su et al. 2019; regularization > 0 makes it a
-strictly convex QP. The six rows have rank five where tip and wrist are tied by a rigid tool.
+x is a joint velocity [rad/s]. pull is grad mu, or (regularization / c2) x_d if the elbow has to follow a velocity x_d.
+regularization = 0 gives the problem of Su et al. 2019; with regularization > 0 the problem is a strictly convex QP. The
+six equality rows have rank five if a rigid tool connects tip and wrist.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from moc_opt.qp.residuals import Residuals
 LARGEST_WEIGHT = 1e12
 REGULARIZATION = 1e-5
 WEIGHTS = ("c0", "c1", "c2", "regularization")
-ROWS = (5, 6)  #: How many equality rows a solver may ask for.
+ROWS = (5, 6)  #: Numbers of equality rows that a solver may ask for.
 _DOUBLE, _CLOSE = np.dtype(np.float64), (8,)
 
 
 def row_length(n: int) -> int:
-    """Compute the length of the flat record of a subproblem with n joints."""
+    """Return the length of a subproblem's flat record with n joints."""
     return 11 * n + 10
 
 
@@ -41,7 +41,7 @@ def joints_of(length: int) -> int:
 
 
 class Fields(NamedTuple):
-    """Views into flat records ``(..., 11 n + 10)``, in the record's order, which `moc_opt/core/record.c` shares."""
+    """Views of the parts of flat records ``(..., 11 n + 10)``, in the order of `moc_opt/core/record.c`."""
 
     A: Array  # (..., 6, n) = [J_tip; J_wrist]
     b: Array  # (..., 6) = [v_tip; v_wrist]
@@ -50,15 +50,15 @@ class Fields(NamedTuple):
     lower: Array  # (..., n)
     upper: Array  # (..., n)
     weights: Array  # (..., 4) = c0, c1, c2, regularization
-    q: Array  # (..., n), NaN where it was not given
+    q: Array  # (..., n), NaN if it was not given
 
 
 def fields(rows: Array) -> Fields:
-    """Name the parts of one record or of a batch of them, without copying."""
+    """Split one record, or a batch of records, into named views without copying."""
     n = joints_of(rows.shape[-1])
     if n < 1 or row_length(n) != rows.shape[-1]:
         raise SubproblemError(f"row: length {rows.shape[-1]} is not 11 n + 10; use NullSpaceQP(...).row")
-    one = rows.ndim == 1  # no ellipsis: saves five microseconds in the control loop
+    one = rows.ndim == 1  # indexing without an ellipsis saves five microseconds in the control loop
     A, *parts = (rows[place] if one else rows[..., place] for place in _places(n))
     return Fields(A.reshape(*rows.shape[:-1], 6, n), *parts)
 
@@ -76,7 +76,7 @@ def compute_residuals(rows: Array, x: Array, y: Array | None = None) -> Residual
 
 
 class Assembled(NamedTuple):
-    """A subproblem in a solver's form: min 1/2 x^T P x + p^T x, A x = b; its m duals y are six, lift^T y. Read-only."""
+    """A subproblem in a solver's form, read-only: min 1/2 x^T P x + p^T x, A x = b. m duals y make six: lift^T y."""
 
     P: Array  #: (n, n)
     p: Array  #: (n,)
@@ -86,19 +86,19 @@ class Assembled(NamedTuple):
 
 
 class NullSpaceQP:
-    """One subproblem: frozen, validated, read-only arrays.
+    """One subproblem, with validated, read-only arrays.
 
     Args:
         J_tip, J_wrist: (3, n) translational Jacobians in world axes [m/rad].
-        v_tip, v_wrist: (3,) reference velocities [m/s]; equal along the shaft's axis u: u^T (v_tip - v_wrist) = 0.
+        v_tip, v_wrist: (3,) reference velocities [m/s], equal along the shaft's axis u: u^T (v_tip - v_wrist) = 0.
         grad_mu: (n,) gradient of the manipulability.
         lower, upper: (n,) bounds on the joint velocity [rad/s].
-        c0, c1, c2: weights of the paper; regularization: rho, 0 for the paper's problem.
-        q: (n,) joint position where this was linearized [rad]; only the NLP back-ends need it.
-        pull: (n,) the vector in the cost, if it is not grad_mu.
+        c0, c1, c2: the weights in the cost; regularization: the weight rho, 0 in the paper.
+        q: (n,) joint position at which the Jacobians were taken [rad]; only the nonlinear solvers need it.
+        pull: (n,) the vector in the cost; left out: grad_mu.
 
     Raises:
-        SubproblemError: naming the field, its value and the cure.
+        SubproblemError: an argument is invalid; the message names it, its value and the cure.
 
     Example:
         >>> robot = mo.load_robot("lwr4")
@@ -150,7 +150,7 @@ class NullSpaceQP:
 
     @classmethod
     def from_row(cls, row: Array) -> NullSpaceQP:
-        """Adopt a flat record that this package made, without checks or a copy; the record becomes read-only."""
+        """Wrap a flat record that this package made, without checks and a copy; the record becomes read-only."""
         self = object.__new__(cls)
         self._adopt(row, joints_of(row.shape[0]))
         return self
@@ -191,7 +191,7 @@ class NullSpaceQP:
     v_tip = property(lambda self: self.fields.b[:3], doc="(3,) [m/s]")
     v_wrist = property(lambda self: self.fields.b[3:], doc="(3,) [m/s]")
     grad_mu = property(lambda self: self.fields.grad_mu, doc="(n,) gradient of mu")
-    pull = property(lambda self: self.fields.pull, doc="(n,) in the cost: grad_mu, or (rho/c2) x_d")
+    pull = property(lambda self: self.fields.pull, doc="(n,) vector in the cost: grad_mu, or (rho/c2) x_d")
     lower = property(lambda self: self.fields.lower, doc="(n,) [rad/s]")
     upper = property(lambda self: self.fields.upper, doc="(n,) [rad/s]")
     c0 = property(lambda self: float(self.fields.weights[0]), doc="weight of the tip rows")
@@ -203,25 +203,25 @@ class NullSpaceQP:
 
     @property
     def q(self) -> Array | None:
-        """(n,) joint position [rad], or None where it was not given."""
+        """(n,) joint position [rad], or None if it was not given."""
         return None if np.isnan(self.fields.q[0]) else self.fields.q
 
     P = property(lambda self: self.reduced().P, doc="(n, n): c0 J_T^T J_T + c1 J_W^T J_W + regularization I")
     p = property(lambda self: self.reduced().p, doc="(n,): -c0 J_T^T v_T - c1 J_W^T v_W - c2 pull")
 
     def objective(self, x: ArrayLike) -> float:
-        """Return 1/2 x^T P x + p^T x, without the constant.
+        """Return the cost 1/2 x^T P x + p^T x, without its constant term.
 
         Raises:
-            SubproblemError: x does not hold n numbers.
+            SubproblemError: x is not (n,) numbers.
         """
         x = _array("x", x, (self.n,), finite=False)
         return float(0.5 * x @ self.P @ x + self.p @ x)
 
     def assembled(self, rows: int = 5) -> Assembled:
-        """Compute cost and equality rows: the paper's six, or five independent ones (`core/python_subproblem.c`).
+        """Compute cost and equality rows: six as in the paper, or five independent rows (`core/python_subproblem.c`).
 
-        rows = 5 still gives six where tip and wrist are not rigidly tied.
+        rows = 5 still gives six rows if tip and wrist are not rigidly connected.
         """
         n = self.n
         P, p, spare, plain = np.empty((n, n)), np.empty(n), np.empty(n), np.ones(3)
@@ -236,14 +236,14 @@ class NullSpaceQP:
         return self.assembled()
 
     def reduced(self) -> Assembled:
-        """Return `assembled`: five independent rows where the tool is rigid, else six. It is computed once and kept."""
+        """Return `assembled()`: five independent rows if the tool is rigid, else six. It is computed once and kept."""
         return self._reduced
 
     def residuals(self, x: ArrayLike, y: ArrayLike | None = None) -> Residuals:
-        """Judge an answer x (n,) with its duals y (6,); see ``moc_opt.qp.residuals.Residuals``.
+        """Compute the residuals of an answer x (n,) and its duals y (6,); see ``moc_opt.qp.residuals.Residuals``.
 
         Raises:
-            SubproblemError: when a shape is wrong. NaN in x is a bad answer, not an error.
+            SubproblemError: a shape is wrong. NaN in x is no error, but makes the residuals infinite.
         """
         x = _array("x", x, (self.n,), finite=False)
         duals = None if y is None else _array("y", y, (6,), "; lift five duals with reduced().lift.T", finite=False)

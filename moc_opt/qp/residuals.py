@@ -1,14 +1,14 @@
 """Residuals of an answer to the null-space subproblem: one definition for every solver.
 
-All functions take a leading batch shape ``(...,)``, so that one call judges a single tick or a whole recording. None of
-them uses the status that the solver reports.
+`residuals` takes a leading batch shape ``(...,)``, so that one call judges a single tick or a whole recording. The
+status that the solver reports is not used.
 
-On A x = b the tracking terms of the cost are constant. The rest, rho/2 |x|^2 - c2 pull^T x, is a sum over
-independent parts: each idle joint (its column of A is zero) on its own interval, and the other joints together on
-their part of ker A. With one freedom this is an interval too; with more ``extremes`` finds the best and worst cost.
+On A x = b the tracking terms of the cost are constant. The rest, rho/2 |x|^2 - c2 pull^T x, is a sum of independent
+parts: one for each idle joint (a joint with a zero column of A), which moves on its own interval, and one for all other
+joints, which move in ker A. If ker A has one dimension, this is an interval too; else see ``extremes``.
 
 The stationarity measure is the natural residual of the box-constrained Lagrangian,
-``x - clip(x - (P x + p + A^T y), lower, upper)`` (Facchinei & Pang 2003, section 1.5.2): it is zero
+``x - clip(x - (P x + p + A^T y), lower, upper)`` (Facchinei & Pang 2003, section 1.5.2). It is zero
 exactly at a KKT point and needs no multipliers of the box.
 """
 
@@ -25,40 +25,39 @@ from numpy.typing import NDArray
 from moc_opt.arrays import Array
 from moc_opt.qp.extremes import ROUNDING, STILL, extremes
 
-# The rule for the rank of A, here and everywhere else: its sixth singular value counts as zero below TIED |A|_F, the
-# others below RANK_TOLERANCE |A|_F. A rigid tool makes one of the six rows depend on the others. Jacobians rounded to 7
-# decimals leave up to 7e-8 of that row, whose effect on tip and wrist stays within the primal tolerance at joint speeds
-# of a few rad/s. Only a straight elbow makes the fifth singular value small, and its row is a constraint there.
+# The rule for the rank of A in the whole package: the sixth singular value counts as zero below TIED |A|_F, the others
+# below RANK_TOLERANCE |A|_F. A rigid tool makes one of the six rows depend on the others. Jacobians rounded to 7
+# decimals leave up to 7e-8 of that row, whose effect on tip and wrist is within the primal tolerance at joint speeds of
+# a few rad/s. The fifth singular value is small only at a straight elbow, where it still belongs to a constraint.
 TIED = 1e-7
 RANK_TOLERANCE = 1e-12
 GRADIENT_ROUNDING = 1e-9  # a reduced gradient below this fraction of |pull|_inf counts as zero
-A_POINT = 1e-9  # a feasible interval no longer than this [rad/s] is a point: rounding decides where on it x lies
-FEASIBLE = 1e-6  # an empty set counts as one point if widening the box by this much [rad/s] fills it
-MOST_FACETS = 300  # 10 joints with 5 freedoms have 210
-NEARLY_SINGULAR = 1e-3  # division by a singular value below this share of |A|_F makes rounding errors too large
-REFINEMENTS = 3  # of the result of such a division: each cuts its error to a ten-thousandth or less
+A_POINT = 1e-9  # a feasible interval no longer than this [rad/s] counts as a point: rounding decides where x is in it
+FEASIBLE = 1e-6  # an empty feasible set counts as a point if widening the box by this [rad/s] makes it non-empty
+MOST_FACETS = 300  # largest number of facets for which the best duals are found; 10 joints with 5 freedoms have 210
+NEARLY_SINGULAR = 1e-3  # dividing by a singular value below this share of |A|_F makes rounding errors too large
+REFINEMENTS = 3  # number of corrections after such a division; each divides the error by ten thousand or more
 
 
 class Residuals(NamedTuple):
-    """How far an answer is from optimal; each entry is a float or has the batch shape.
+    """How far an answer is from the optimum. Each entry is a float or an array of the batch shape.
 
     Attributes:
         primal: max(|A x - b|_inf, box violation) [m/s or rad/s].
-        natural: natural residual with the solver's own y (the best y where it gave none).
-        natural_best: natural residual with the best y for that x: ``natural >> natural_best`` shows a good x
-            with bad duals. With more than ``MOST_FACETS`` facets the optimum's y is used instead of the best
-            one: the residual is then never too small, and still zero at an optimum.
+        natural: natural residual with the solver's own y, or with the best y if the solver gave no y.
+        natural_best: natural residual with the best y for this x: ``natural >> natural_best`` shows a good x
+            with bad duals. With more than ``MOST_FACETS`` facets, the optimum's y is used instead of the best y.
+            The residual is then never too small, and it is still zero at an optimum.
         relative: ``natural_best`` of the same problem with its cost divided by the size of its reduced
-            gradient, max(c2 |Z Z^T pull|_inf, rho times 1 rad/s), Z a basis of ker A; an idle joint is
-            divided by the size of its own. So errors show even if the gradient has almost no component on ker A.
-            Where all feasible points have the same cost (as where there is only one), the loss is 0, and
+            gradient, max(c2 |Z Z^T pull|_inf, rho times 1 rad/s), Z a basis of ker A; for an idle joint, divided by
+            the size of its own gradient. Thus errors show even if the gradient has almost no component in ker A.
+            If all feasible points have the same cost, for example if there is only one, the loss is 0, and
             ``relative`` is at least (cost of x - that cost) / size [rad/s].
-        loss: share of the cost's range over the feasible set that x gives away, in [0, 1]: 0 is the optimum,
-            1 the worst point. The independent part with the largest loss counts. It is never too small, and may
-            be too large where the worst point is not known (see ``moc_opt.qp.extremes``). The cost at x itself is
-            compared with optimum and range on A x = b: sliding within the primal tolerance gains nothing.
-        distance: |x - x*|_inf to the optimum x* [rad/s], the one nearest in the Euclidean norm where x* is
-            not unique. Infinite where the box leaves nothing of A x = b, so that no x* exists.
+        loss: (cost of x - smallest cost) / (largest - smallest cost) over the feasible set, in [0, 1]. The largest
+            loss of the independent parts is used. It may be too large if the largest cost is not known (see
+            ``moc_opt.qp.extremes``). The cost of x is not corrected for a violation of A x = b.
+        distance: |x - x*|_inf to the optimum x* [rad/s]; if there are several, to the nearest x* in the Euclidean
+            norm. Infinite if no point of A x = b lies in the box, so that no x* exists.
 
     Example:
         >>> from moc_opt.qp.residuals import Residuals
@@ -75,9 +74,10 @@ class Residuals(NamedTuple):
     distance: Array
 
     def verified(self, primal: float = 1e-6, relative: float = 1e-3, loss: float = 1e-2) -> NDArray[np.bool_]:
-        """Decide whether the answer is optimal to these tolerances (bool, batch shape).
+        """Return whether the answer is optimal within these tolerances (bool, batch shape).
 
-        It is feasible within ``primal``, and either within ``primal`` of an optimum or good by both other figures.
+        It has to be feasible within ``primal``, and either ``distance`` is at most ``primal``, or ``relative`` and
+        ``loss`` are at most their tolerances.
         """
         near = np.less_equal(self.distance, primal)
         good = np.less_equal(self.relative, relative) & np.less_equal(self.loss, loss)
@@ -85,7 +85,7 @@ class Residuals(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """The arrays of a subproblem that the residuals need; every one may carry a batch shape."""
+    """The arrays of a subproblem that the residuals need; each may have a leading batch shape."""
 
     A: Array  # (..., 6, n)
     b: Array  # (..., 6)
@@ -96,10 +96,10 @@ class Problem(NamedTuple):
 
 
 def residuals(problem: Problem, x: Array, y: Array | None = None) -> Residuals:
-    """Judge answers ``x`` (..., n) with their duals ``y`` (..., 6), or None where there are none.
+    """Compute the residuals of answers ``x`` (..., n) with duals ``y`` (..., 6); None: no duals are given.
 
-    Rows of ``x`` that are not finite are infinitely wrong (loss 1); rows of ``y`` that are not
-    finite count as "no dual given".
+    The residuals of a row of ``x`` that is not finite are infinite, and its loss is 1. A row of ``y`` that is
+    not finite counts as not given.
     """
     shape = x.shape[:-1]
     n = x.shape[-1]
@@ -138,13 +138,13 @@ def residuals(problem: Problem, x: Array, y: Array | None = None) -> Residuals:
 
 
 class _Factors(NamedTuple):
-    """A = U diag(s) V^T of a batch of one rank, and a basis of its kernel."""
+    """A = U diag(s) V^T for a batch of matrices of equal rank, and a basis Z of their kernels."""
 
     U: Array  # (k, 6, rank)
     s: Array  # (k, rank)
     V: Array  # (k, n, rank)
     Z: Array  # (k, n, n - rank), orthonormal
-    exactly: bool  # whether a small singular value divides products, which then need twice the precision
+    exactly: bool  # whether a singular value is so small that dividing by it needs products of twice the precision
 
     def slid(self, A: Array, x: Array, b: Array) -> Array:
         """Return the shortest d (k, n, m) with A (x - d) = b, for x (k, n, m) and b (k, 6, m)."""
@@ -160,7 +160,7 @@ class _Factors(NamedTuple):
 
 
 def _product(A: Array, x: Array) -> Array:
-    """Multiply A (k, 6, n) by x (k, n, m) as in twice the precision (Ogita, Rump and Oishi 2005, Dot2)."""
+    """Multiply A (k, 6, n) by x (k, n, m) as if in twice the precision (Ogita, Rump and Oishi 2005, Dot2)."""
     a, b = np.broadcast_arrays(A[:, :, None], np.swapaxes(x, 1, 2)[:, None])
     (a_high, a_low), (b_high, b_low) = ((high := (c := 134217729.0 * v) - (c - v), v - high) for v in (a, b))
     products = a * b
@@ -189,7 +189,7 @@ def _by_rank(A: Array) -> list[tuple[NDArray[np.intp], _Factors]]:
 
 
 def ranks(s: Array) -> NDArray[np.intp]:
-    """Decide the ranks of matrices with six rows from their singular values (..., 6 or fewer), in descending order."""
+    """Return the ranks of matrices with six rows, from their singular values (..., 6 or fewer) in descending order."""
     least = np.where(np.arange(s.shape[-1]) < 5, RANK_TOLERANCE, TIED)
     return (s > least * np.linalg.norm(s, axis=-1, keepdims=True)).sum(-1)
 
@@ -258,7 +258,7 @@ def _on_an_interval(
     slope: Array, rho: Array, low: Array, high: Array, above: Array | float = 0.0, point: Array | float = A_POINT
 ) -> tuple[Array, Array, Array]:
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        free = np.where(slope == 0.0, 0.0, -slope / rho)  # with rho = 0 infinite: the end of the interval
+        free = np.where(slope == 0.0, 0.0, -slope / rho)  # infinite with rho = 0: clipped to an end of the interval
         best = np.clip(free, low, high)
         least, *ends = (s * (slope + 0.5 * rho * s) for s in (best, low, high))
         spread = np.where(high - low > point, np.maximum(*ends) - least, 0.0)
@@ -279,7 +279,7 @@ def _along_a_line(
         return first.max(-1), last.min(-1), np.take_along_axis(np.abs(per_step), stops, axis=-1).min(-1)
 
     (first, last, slowest), (wide_first, wide_last, _) = interval(0.0), interval(FEASIBLE)
-    # Where the interval is empty by no more than FEASIBLE, use its middle, where the bounds meet as the gap closes.
+    # An interval that is empty by no more than FEASIBLE is replaced by its middle, where the widening bounds meet.
     empty, middle = wide_first > wide_last, np.clip(0.5 * (first + last), wide_first, wide_last)
     low, high = (np.where(first > last, middle, end) for end in (first, last))
     step, loss, gap = _on_an_interval(slope, rho, low, high, above, A_POINT + ROUNDING / slowest)
@@ -292,7 +292,7 @@ def _in_a_polytope(
     moved, loss, gap = np.zeros(low.shape), np.zeros(len(low)), np.zeros(len(low))
     pull = np.einsum("kni,ki->kn", Z, slope)
     for i in np.flatnonzero((slope != 0.0).any(-1) | (rho > 0.0)):
-        for beyond in (0.0, 1e-13, 1e-10, FEASIBLE):  # the least widening that leaves a point
+        for beyond in (0.0, 1e-13, 1e-10, FEASIBLE):  # the smallest widening with a feasible point
             found = extremes(Z[i], low[i] - beyond, high[i] + beyond, slope[i], rho[i])
             if found is not None:
                 break

@@ -1,10 +1,10 @@
 """Solvers of the null-space subproblem behind one interface.
 
 Read first: ``base`` (``Solver``, ``Session``, ``Solution``, ``Status``), then ``registry`` (names, lazy loading, other
-packages' plug-ins). Each library has one file on top of ``library``, and is imported when its solver is made;
-``qpsolvers`` takes any library that it finds. ``exact`` and ``rnn`` are this package's own, ``nlp`` has mu itself in
-the cost. ``isolated`` runs any solver in a process of its own, ``faulty`` makes one fail for tests. docs/extending.md
-shows how to add a solver. A solver imports ``qp``, ``core``, ``inputs`` and ``errors``, never a robot.
+packages' plug-ins). Each QP library has one file that builds on ``library`` and is imported when its solver is created;
+``qpsolvers`` adapts any library that the package qpsolvers finds. ``exact`` and ``rnn`` are this package's own solvers;
+``nlp`` has mu itself in the cost. ``isolated`` runs a solver in a separate process; ``faulty`` makes a solver fail, for
+tests. docs/extending.md shows how to add a solver. Solvers import ``qp``, ``core``, ``inputs``, ``errors``, no robot.
 """
 
 from moc_opt.solvers.base import Session, Solution, Solver, Status

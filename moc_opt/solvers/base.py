@@ -1,4 +1,4 @@
-"""The interface of a solver: frozen settings that start sessions; a session owns memory and answers ticks."""
+"""The interface of a solver: its frozen settings start sessions; a session has memory and solves tick after tick."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from moc_opt.arrays import Array
 from moc_opt.errors import SolverError, is_number, shown
 from moc_opt.qp.problem import NullSpaceQP
 
-Choices = Mapping[str, tuple[object, ...]]  # field of settings -> the values that it may have
-MOST = 2**31 - 1  # the largest whole number of a setting: the libraries count in 32 bits
+Choices = Mapping[str, tuple[object, ...]]  # name of a setting -> its valid values
+MOST = 2**31 - 1  # largest integer of a setting: the libraries count in 32 bits
 
 
 class Status(Enum):
-    """A solver's claim about its own answer. The text says what the claim means, or what to do about it."""
+    """A solver's claim about its own answer. Each value says what the claim means, or what to do about it."""
 
     SOLVED = "the solver claims an optimum"
     INFEASIBLE = "no velocity inside the box meets the references: slow the path down or raise k0"
@@ -34,14 +34,14 @@ class Status(Enum):
 
 
 class Solution(NamedTuple):
-    """An answer.
+    """A solver's answer.
 
     Attributes:
-        x: (n,) joint velocity [rad/s]; NaN where there is none.
+        x: (n,) joint velocity [rad/s]; NaN if the solver found none.
         y: (6,) multipliers of the six equality rows with P x + p + A^T y + z = 0
-            (five-row duals are lifted), or None where the solver gives none.
+            (the duals of five rows are lifted to six), or None if the solver gives none.
         status: the solver's claim.
-        iterations: of the solver's own loop; 0 for closed forms.
+        iterations: number of iterations of the solver; 0 if it does not iterate.
     """
 
     x: Array
@@ -51,58 +51,58 @@ class Solution(NamedTuple):
 
 
 def no_answer(n: int, status: Status, iterations: int = 0) -> Solution:
-    """Return a solution without an answer: its x is NaN, so that using it by mistake is noticed."""
+    """Return a Solution without an answer. Its x is NaN, so that its use by mistake is noticed."""
     return Solution(np.full(n, np.nan), None, status, iterations)
 
 
 class Session(Protocol):
-    """The workspace and the warm start of one solver for one sequence of subproblems."""
+    """A solver's workspace and warm start for one sequence of subproblems."""
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Answer one subproblem; never raises for a problem the solver cannot solve."""
+        """Solve one subproblem. If the solver cannot, the status of the answer says so; nothing is raised."""
 
 
 @runtime_checkable
 class Solver(Protocol):
-    """The settings of a solver. Its sessions share nothing. docs/extending.md has a complete solver."""
+    """The settings of a solver, which start independent sessions. docs/extending.md has a complete example."""
 
     @property
     def name(self) -> str:
         """Name in the registry."""
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None if the solver can take the problem, else the reason why not."""
+        """Return None if the solver accepts the problem, else the reason why not."""
 
     def start(self, qp: NullSpaceQP) -> Session:
-        """Return a new session with its memory sized and set up for problems like ``qp``."""
+        """Return a new session whose memory is set up for problems of the shape and size of ``qp``."""
 
 
 @runtime_checkable
 class TruncatingSession(Protocol):
-    """A session that can be stopped in the middle of a solve, as by a deadline; its iterations are counted."""
+    """A session that can be stopped after a number of iterations, as a deadline would stop it."""
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Return the iterate after ``iterations`` (at least 1), from the point where the last solve began."""
+        """Return the iterate after ``iterations`` (at least 1), with the start of the previous solve."""
 
 
 @runtime_checkable
 class ObservingSession(Protocol):
-    """A session that needs the measured velocity before each tick; the controller calls ``observe``."""
+    """A session that needs the measured velocity: the controller calls ``observe`` before each ``solve``."""
 
     def observe(self, v: Array) -> None:
         """Take the measured joint velocity v (n,) [rad/s]."""
 
 
 class SolverSettings:
-    """Base of this package's solvers: it checks the fields, and refuses a session for an unsupported problem.
+    """Base of this package's solvers. It checks the settings, and starts no session for an unsupported problem.
 
-    A subclass is a frozen dataclass. The default of a field decides which values are valid: for a bool, a bool; for an
-    int, an int of 1 or more; for a float, a number above 0 (for 0.0, also 0). None is valid where it is the default.
-    `choices` may list a field's values. A SolverError names a field that is out of range, its value and the cure.
+    A subclass is a frozen dataclass. The default of a field decides which values are valid. Default bool: a bool;
+    int: an int of 1 or more; float: a number above 0, or 0 if the default is 0; None: also None. `choices` may list the
+    valid values of a field. A SolverError names a field that is out of range, its value and the cure.
     """
 
     name: ClassVar[str]
-    session: ClassVar[type[Any]]  #: Class of the sessions; its arguments are the settings and a first problem.
+    session: ClassVar[type[Any]]  #: Class of the sessions; it is called with the settings and a first problem.
     choices: ClassVar[Choices] = {}
 
     def __post_init__(self) -> None:
@@ -131,7 +131,7 @@ class SolverSettings:
         return True, ""
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None if the solver can take the problem, else the reason why not."""
+        """Return None if the solver accepts the problem, else the reason why not."""
         return None
 
     def start(self, qp: NullSpaceQP) -> Session:

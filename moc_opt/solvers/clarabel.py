@@ -1,7 +1,7 @@
 """Clarabel: an interior-point method for cones, set up once and updated in place.
 
 Goulart and Chen 2024, "Clarabel: an interior-point solver for conic programs with quadratic
-objectives". Dense sparsity patterns keep explicit zeros, so that every tick only replaces values.
+objectives". The sparse matrices keep explicit zeros, so that every tick only replaces values.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ _STATUS = (
     (_CODE.AlmostPrimalInfeasible, Status.MAX_ITER),
     (_CODE.MaxIterations, Status.MAX_ITER),
     (_CODE.MaxTime, Status.TIME_LIMIT),
-)  # no dict, since the codes cannot be hashed
+)  # not a dict, because the codes cannot be hashed
 
 
 class ClarabelSession(TruncatedSession):
-    """One workspace, and the matrices' values in its compressed-column order."""
+    """One workspace of Clarabel, and the values of P and A in compressed-column order."""
 
     def _allocate(self, m: int, n: int) -> dict[str, Any]:
         self._P, self._q, self._b = np.empty(n * (n + 1) // 2), np.empty(n), np.empty(m + 2 * n)
@@ -62,13 +62,13 @@ class ClarabelSession(TruncatedSession):
 
 @dataclass(frozen=True)
 class Clarabel(Adapter):
-    """Clarabel's native interface, constraints [A; I; -I] x + s = [b; upper; -lower].
+    """Clarabel's native interface, with the constraints [A; I; -I] x + s = [b; upper; -lower].
 
     Args:
-        cost_scale: multiplies P and p; the duals are scaled back. With 1 about one answer in a
+        cost_scale: multiplies P and p; the duals are scaled back. With cost_scale = 1, about one answer in a
             hundred has a relative residual above 1e-3.
-        eps: the library's three tolerances (default 1e-8).
-        max_iter: most iterations.
+        eps: value of all three tolerances (the library's default is 1e-8).
+        max_iter: largest number of iterations.
     """
 
     rows: int = 5

@@ -1,7 +1,7 @@
-"""``exact``: the subproblem's optimum by elimination, with which every other solver is compared.
+"""``exact``: computes the subproblem's optimum by elimination. All other solvers are compared with it.
 
-It does not iterate towards a tolerance. `moc_opt/core/exact.c` has the mathematics, `polytope.c` that of several
-freedoms; docs/method.md derives both.
+It does not iterate towards a tolerance. `moc_opt/core/exact.c` has the mathematics; `polytope.c` has the case in which
+ker A has several dimensions; docs/method.md derives both.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from moc_opt.solvers.base import Solution, SolverSettings, Status, no_answer
 
 STATUS = {core.OK: Status.SOLVED, core.INFEASIBLE: Status.INFEASIBLE, core.DOUBTFUL: Status.NUMERICAL}
 _STATUSES = np.array([STATUS.get(code) for code in range(max(STATUS) + 1)], dtype=object)
-# Looked up once, since the loop needs them at every tick.
+# Looked up once, because the loop needs them at every tick.
 _solve, _new, _SOLVED, _OK = core.solve_exact, tuple.__new__, Status.SOLVED, core.OK
 
 
 class ExactSession:
-    """A session that keeps nothing between ticks: a warm start changes nothing."""
+    """A session that keeps nothing between ticks, because a warm start would not change the answer."""
 
     __slots__ = ("tolerance",)
 
@@ -34,17 +34,17 @@ class ExactSession:
         self.tolerance = settings.tolerance
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Answer one subproblem; the answer's arrays belong to the caller."""
+        """Solve one subproblem; the arrays of the answer belong to the caller."""
         code, x, y = _solve(qp.row, self.tolerance)
         return _new(Solution, (x, y, _SOLVED, 0)) if code == _OK else no_answer(qp.n, STATUS[code])
 
 
 @dataclass(frozen=True)
 class Exact(SolverSettings):
-    """Null-space elimination. Dependent rows may contradict each other by 1e-6 m/s, the tolerance on A x = b.
+    """Null-space elimination. Dependent rows may contradict each other by up to 1e-6 m/s, the tolerance on A x = b.
 
     Args:
-        tolerance: box violation that still counts as feasible [rad/s]; larger where rounding alone explains more.
+        tolerance: largest violation of the box that counts as feasible [rad/s]; more if rounding explains it.
     """
 
     tolerance: float = 1e-9
@@ -56,9 +56,9 @@ class Exact(SolverSettings):
         return None if qp.n <= core.MAX_JOINTS else f"{qp.n} joints: `exact` takes at most {core.MAX_JOINTS}"
 
     def solve_batch(self, rows: Array, threads: int | None = None) -> tuple[Array, Array, list[Status]]:
-        """Solve flat records (k, 11 n + 10) with ``threads`` (None: one a core): x (k, n), y (k, 6), statuses.
+        """Solve flat records (k, 11 n + 10) and return x (k, n), y (k, 6), statuses. ``threads`` None: one per core.
 
-        x and y are NaN where the status is not SOLVED. A SolverError refuses rows of another shape.
+        x and y are NaN if the status is not SOLVED. A SolverError refuses records of another shape.
         """
         if threads is not None and threads < 1:
             raise SolverError(f"exact: threads = {threads}: give 1 or more, or None for one a core")

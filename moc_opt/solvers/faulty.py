@@ -1,4 +1,4 @@
-"""Any solver, made to fail at random ticks, to test how the controller copes with its faults."""
+"""A wrapper that makes any solver fail at random ticks, to test how the controller copes with faults."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ class InjectedFault(SolverError):
 
 
 def draw(seed: int, rate: float, ticks: int) -> NDArray[np.bool_]:
-    """Draw the faulty ticks: True with probability ``rate``, (ticks,). A longer draw begins like a shorter one."""
+    """Draw the faulty ticks as flags (ticks,), True with probability ``rate``. Longer draws begin like shorter ones."""
     return np.random.default_rng(seed).uniform(size=ticks) < rate
 
 
 @dataclass(frozen=True)
 class Faulty:
-    """A solver that answers wrongly at random ticks, which the seed decides.
+    """A solver that gives wrong answers at random ticks, which the seed determines.
 
     Args:
-        inner: the solver of the other ticks; at a faulty tick only the kind "malformed" asks it.
-        kind: "fail" gives no answer and says so. "nan", "lie" and "outside" claim success: for NaN, for the optimum of
-            the opposite gradient, for a point outside the box. "raise" raises an exception. "rig" answers 50 rad/s and
-            rewrites the subproblem so that this fits. "malformed" gives complex duals.
-        rate: share of faulty ticks, 0 to 1.
-        seed: of the draw; the same seed makes the same ticks faulty.
+        inner: the solver of all other ticks. At a faulty tick it is called only by the kind "malformed".
+        kind: "fail" gives no answer and says so. Three kinds claim an optimum falsely: "nan" for NaN, "lie" for the
+            optimum of the negated gradient, "outside" for a point outside the box. "raise" raises an exception. "rig"
+            answers 50 rad/s and rewrites the subproblem so that this fits. "malformed" gives complex duals.
+        rate: probability that a tick is faulty, 0 to 1.
+        seed: seed of the draw; the same seed makes the same ticks faulty.
     """
 
     inner: Solver
@@ -54,7 +54,7 @@ class Faulty:
         return self.inner.supports(qp)
 
     def start(self, qp: NullSpaceQP) -> FaultySession:
-        """Return a session; `draw` says which of its answers are replaced."""
+        """Return a session; `draw` gives the ticks at which its answers are replaced."""
         return FaultySession(self, self.inner.start(qp), qp)
 
 
@@ -70,7 +70,7 @@ class FaultySession:
         self.faults = 0
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Answer one subproblem, rightly or with the fault."""
+        """Solve one subproblem, or return the fault."""
         if self._rng.uniform() >= self._settings.rate:
             return self._inner.solve(qp)
         self.faults += 1

@@ -1,8 +1,8 @@
-"""A solver in a process of its own: whatever happens there, the control loop waits only for a bounded time.
+"""A solver in a separate process: whatever happens there, the control loop waits only for a bounded time.
 
-A session kills and replaces a process that hung, ended or ran out of memory. Simulated time stands still meanwhile, and
-a solver that keeps its budget gives the same run as without isolation. Against a wall clock (``waits=False``) the ticks
-until the new process is ready, about a second, have no answer.
+A session kills and replaces a process that hangs, has ended or ran out of memory. Simulated time stands still until
+then, so that a solver that keeps its budget gives the same run as without isolation. In real time (``waits=False``),
+the ticks have no answer until the new process is ready, which takes about a second.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from moc_opt.inputs.settings import Settings
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import ObservingSession, Session, Solution, Solver
 
-_LOOK_S = 0.05  # period of the check whether the process still exists: a child of it may hold the pipe open
+_LOOK_S = 0.05  # period at which the process is checked for its end, which a child may hide by holding the pipe open
 
 
 class Unanswered(Exception):
-    """There is no answer: it is late, or the solver raised an exception, or its process was lost."""
+    """No answer at this tick: it is late, the solver raised an exception, or the solver's process was lost."""
 
     def __init__(self, kind: Literal["late", "raised", "lost"], text: str) -> None:
         super().__init__(text)
@@ -44,33 +44,33 @@ class Unanswered(Exception):
 class Restart(NamedTuple):
     """The replacement of a process."""
 
-    tick: int  #: number of answers requested before the one that failed
+    tick: int  #: number of solves before the solve that failed
     reason: str
 
 
 class ProcessSettings(Settings):
-    """[solver] isolation 'process': when the process is replaced, and how old its answers may be."""
+    """For [solver] isolation = 'process': when the process is replaced, and how old its answers may be."""
 
     KIND: ClassVar[str] = "[solver.process]"
     answer_age_ticks: int = Field(0, ge=0)
-    """largest age of an earlier answer that may replace a late one; 0: no earlier answer may"""
+    """largest age of an earlier answer that is used in place of a late answer; 0: no earlier answer is used"""
     hang_s: float = Field(1.0, gt=0.0)
-    """a process that gives no answer for this time is killed and replaced"""
+    """time without an answer after which the process is killed and replaced"""
     memory_MB: float = Field(4096.0, gt=0.0)
-    """a process that needs more memory than this ends and is replaced"""
+    """memory of the process; if it needs more, it ends and is replaced"""
     most_restarts: int = Field(20, ge=0)
-    """largest number of replacements in a run; if the process is lost once more, the third level goes on without it"""
-    start_s: float = Field(120.0, gt=0.0, description="time in which a process must start, including compilation")
+    """largest number of replacements in a run; if the process is lost once more, the run goes on without this solver"""
+    start_s: float = Field(120.0, gt=0.0, description="longest time for the start of a process, including compilation")
 
 
 @dataclass(frozen=True)
 class Isolated:
-    """A solver each of whose sessions runs in a process of its own; a SolverError where pickle cannot copy it there."""
+    """A solver whose sessions each run in a separate process; a SolverError if pickle cannot copy the solver there."""
 
     inner: Solver
     process: ProcessSettings
-    budget_us: float = math.inf  #: How long a tick waits for its answer [us].
-    waits: bool = True  #: Whether a tick waits while a process is replaced, as in simulated time.
+    budget_us: float = math.inf  #: Longest time that a tick waits for its answer [us].
+    waits: bool = True  #: Whether a tick waits while a process is replaced; for simulated time.
     _pickled: bytes = field(default=b"", init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -90,16 +90,16 @@ class Isolated:
         return self.inner.name
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None: ``start`` asks the solver in its process."""
+        """Return None: only ``start`` asks the solver, in its process."""
         return None
 
     def start(self, qp: NullSpaceQP) -> Session:
-        """Start a session; a SolverError where its process does not start, or the solver does not take the problem."""
+        """Start a session; a SolverError if its process does not start or the solver does not accept the problem."""
         return IsolatedSession(self, qp)
 
 
 class IsolatedSession:
-    """One session; ``restarts`` says when its process was replaced, and why."""
+    """One session; ``restarts`` lists when and why its process was replaced."""
 
     def __init__(self, solver: Isolated, qp: NullSpaceQP) -> None:
         self._solver, self._tick, self.restarts = solver, 0, list[Restart]()
@@ -112,11 +112,11 @@ class IsolatedSession:
             raise SolverError(f"solver {solver.name!r} in a process of its own: {ended}") from None
 
     def observe(self, v: Array) -> None:
-        """Take the measured joint velocity v (n,) [rad/s], for a solver that observes it."""
+        """Keep the measured joint velocity v (n,) [rad/s], for a solver that observes it."""
         self._v = v
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Answer one subproblem from the process; Unanswered where it is late or lost, or the solver raised."""
+        """Let the process solve one subproblem; raises Unanswered if it is late or lost, or the solver raised."""
         self._tick += 1
         solver = self._solver
         if self._process is None:
@@ -134,15 +134,15 @@ class IsolatedSession:
             raise Unanswered("late", f"no answer after {solver.budget_us:g} us")
         if newest.raised:
             raise Unanswered("raised", newest.value)
-        return newest.value  # type: ignore[no-any-return]  # of any form: the controller checks it
+        return newest.value  # type: ignore[no-any-return]  # its form is checked by the controller
 
     def _answered(self, process: _Process, qp: NullSpaceQP) -> _Answer | None:
-        """Return the newest answer that has come by the end of the budget."""
+        """Return the newest answer that has arrived by the end of the budget; None if there is none yet."""
         solver = self._solver
         if not process.started(math.inf if solver.waits else 0.0):
             raise Unanswered("lost", "a new process of the solver is being started")
         until = monotonic() + 1e-6 * solver.budget_us
-        if process.busy:  # with the subproblem of an earlier tick
+        if process.busy:  # it still solves the subproblem of an earlier tick
             self._newest = process.answer(until) or self._newest
         if not process.busy:
             process.ask(self._tick, qp, self._v, solver.process.hang_s)
@@ -151,19 +151,19 @@ class IsolatedSession:
 
 
 class _Answer(NamedTuple):
-    tick: int  # of the request; 0: the request to start a session
+    tick: int  # number of the tick of the request; 0: the start of a session
     raised: bool
     value: Any  # the solver's answer, or the message of the exception
 
 
 class _Ended(Exception):
-    """A process cannot be used any more; the text says why."""
+    """A process can no longer be used; the text says why."""
 
 
 class _Process:
-    """A process that starts a session and answers one request after another; it is killed with this object."""
+    """A process that starts a session and then answers requests. It is killed when this object is deleted."""
 
-    # Popen, since a multiprocessing.Process would run the caller's script again, and a daemonic worker may start none.
+    # Not a multiprocessing.Process: it would run the caller's script again, and a daemonic worker may not start one.
 
     def __init__(self, solver: Isolated, qp: NullSpaceQP) -> None:
         self._pipe, theirs = Pipe()
@@ -179,13 +179,13 @@ class _Process:
         self.ask(0, qp, None, solver.process.start_s, solver._pickled)
 
     def ask(self, tick: int, qp: NullSpaceQP, v: Array | None, most_s: float, solver: bytes | None = None) -> None:
-        """Send a subproblem, or a pickled solver to start; after ``most_s`` without an answer it counts as hung."""
+        """Send a subproblem, or a pickled solver to start. The process counts as hung after ``most_s`` [s]."""
         self._tick, self._most_s, self._hung_at, self.busy = tick, most_s, monotonic() + most_s, True
-        with suppress(OSError):  # the process has ended, which ``answer`` finds
+        with suppress(OSError):  # the process has ended: ``answer`` reports that
             self._pipe.send((solver, qp.row, v, most_s))
 
     def started(self, most_s: float) -> bool:
-        """Wait at most ``most_s`` for the session's start, and return whether it has started; _Ended if it cannot."""
+        """Wait for the session's start, at most ``most_s``. Return whether it has started; _Ended if it cannot."""
         if not self._started and (said := self.answer(monotonic() + most_s)) is not None:
             if said.raised:
                 raise _Ended(said.value)
@@ -193,7 +193,7 @@ class _Process:
         return self._started
 
     def answer(self, until: float) -> _Answer | None:
-        """Wait for the answer until the ``monotonic`` time ``until``; _Ended where the process hangs or has ended."""
+        """Wait for the answer until the ``monotonic`` time ``until``; _Ended if the process hangs or has ended."""
         while True:
             left = max(min(until, self._hung_at) - monotonic(), 0.0)
             try:
@@ -222,8 +222,8 @@ class _Process:
 
 
 def _kill(process: subprocess.Popen[bytes], pipe: Connection, owner: int) -> None:
-    """Kill a process and its children at once, except children that have begun a session of their own (setsid)."""
-    if os.getpid() != owner:  # this is a copy of the handle in a forked process
+    """Kill a process and its children, except children that have started their own process group (setsid)."""
+    if os.getpid() != owner:  # this object is a copy in a forked process
         return
     with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
@@ -232,7 +232,7 @@ def _kill(process: subprocess.Popen[bytes], pipe: Connection, owner: int) -> Non
 
 
 def serve(fd: int, memory_MB: float) -> None:
-    """Answer the requests that come through the pipe ``fd`` until its other end is closed."""
+    """Answer the requests from the pipe ``fd`` until the other end of the pipe is closed."""
     most, hard = int(1e6 * memory_MB), resource.getrlimit(resource.RLIMIT_DATA)[1]
     resource.setrlimit(resource.RLIMIT_DATA, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
     pipe = Connection(fd)
@@ -242,7 +242,7 @@ def serve(fd: int, memory_MB: float) -> None:
             solver, row, v, most_s = pipe.recv()
         except (EOFError, OSError):
             return
-        # The timer's signal ends this process if it hangs and its parent is no longer there to kill it.
+        # If this process hangs and its parent no longer exists to kill it, the timer's signal ends it.
         signal.setitimer(signal.ITIMER_REAL, 2.0 * most_s + 1.0)
         try:
             qp = NullSpaceQP.from_row(row)

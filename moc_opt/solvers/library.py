@@ -1,10 +1,10 @@
-"""Base of the adapters of QP libraries: settings, buffers, the choice of rows, the scaling of cost and duals.
+"""Base of the adapters of QP libraries: settings, buffers, number of equality rows, scaling of cost and duals.
 
-An adapter is one file with a frozen dataclass of its library's settings, derived from `Adapter`, and a
-`LibrarySession`: see docs/extending.md; ``piqp`` is a short example.
+An adapter is one file with two classes: a frozen dataclass of the library's settings, derived from `Adapter`, and a
+subclass of `LibrarySession`. See docs/extending.md; ``piqp`` is a short example.
 
-Every library needs the same numbers in another layout: stacked rows, columns, a packed triangle, a negated side. One
-call of the core writes them in a microsecond; in numpy this would take as long as the fastest library's solve.
+The libraries need the same numbers in different layouts: stacked rows, columns, a packed triangle, other signs. One
+call of the core writes these in a microsecond. In numpy this would take as long as the fastest library's solve.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ _HAS_X = (Status.SOLVED, Status.MAX_ITER, Status.TIME_LIMIT)
 
 
 class Adapter(SolverSettings):
-    """Settings of one library; a frozen dataclass with at least ``cost_scale``.
+    """Base of a library's settings, which are a frozen dataclass with at least ``cost_scale``.
 
     Attributes:
-        rows: 5 or 6 equality rows; a setting only where the library can take six.
+        rows: number of equality rows, 5 or 6; a setting only if the library can handle six.
         cost_scale: multiplies P and p; the duals are scaled back.
-        needs: why the library cannot take a cost that is not positive definite; empty where it can.
+        needs: message that the library needs a positive definite cost; empty if it does not.
     """
 
     rows: int = 5
@@ -39,18 +39,18 @@ class Adapter(SolverSettings):
     needs: ClassVar[str] = ""
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return the reason why a subproblem cannot be taken, or None."""
+        """Return None if the library accepts the subproblem, else the reason why not."""
         return refuse_semidefinite(qp, self.needs) if self.needs else None
 
 
 def refuse_semidefinite(qp: NullSpaceQP, needs: str) -> str | None:
-    """Return why a library that ``needs`` a positive definite cost cannot take ``qp``, or None."""
+    """Return why ``qp`` is refused by a library that needs a positive definite cost (``needs`` says so), or None."""
     why = f"{needs}, and regularization is {qp.regularization:g}: set regularization > 0"
     return None if qp.regularization > 1e-10 * (qp.c0 + qp.c1) else why
 
 
 class LibrarySession(ABC):
-    """One workspace of a library and the buffers that it reads."""
+    """One workspace of a library, and the buffers that the library reads."""
 
     dual_sign: ClassVar[float] = 1.0  #: Sign of the library's multipliers of A x = b.
 
@@ -71,38 +71,38 @@ class LibrarySession(ABC):
 
     @abstractmethod
     def _allocate(self, m: int, n: int) -> dict[str, Any]:
-        """Return the buffers by name; each is an array that the library reads, or a view into one.
+        """Return the buffers by name; each is an array that the library reads, or a view into such an array.
 
-        P (n, n) and p (n,) hold the cost times ``cost_scale``; A (m, n), low and high (m,) the equality rows and their
-        sides; lower and upper (n,) the box. Two are optional: ``packed`` (n (n + 1) / 2,), the upper triangle of P by
-        columns, and ``signs``, the factors of p, lower and upper.
+        P (n, n) and p (n,) hold the cost times ``cost_scale``; A (m, n) the equality rows; low and high (m,) are
+        both filled with the right-hand sides; lower and upper (n,) are the box. Optional: ``packed`` (n (n + 1) / 2,),
+        the upper triangle of P by columns, and ``signs``, three factors for p, lower and upper.
         """
 
     def _load(self, qp: NullSpaceQP) -> bool:
-        """Write ``qp`` into the buffers. If it has another shape, write nothing and return False."""
+        """Write ``qp`` into the buffers and return True. If its shape differs, write nothing and return False."""
         return qp.n == self._n and core.load(qp.row, *self._to)
 
     def _set_up(self, m: int, n: int) -> None:  # noqa: B027
-        """Make the library's workspace from the loaded arrays, and set its options."""
+        """Create the library's workspace from the loaded arrays, and set its options."""
 
     def _hand_over(self) -> None:  # noqa: B027
-        """Hand the loaded arrays to the library."""
+        """Pass the loaded arrays to the library."""
 
     @abstractmethod
     def _run(self) -> Outcome:
-        """Run the library: status, iterations, x (n,) in its own memory, multipliers (m,) of A x = b.
+        """Run the library. Return status, iterations, x (n,) in its own memory, multipliers (m,) of A x = b.
 
-        x and multipliers are used only if the status is one of `_HAS_X`.
+        x and the multipliers are used only if the status is one of `_HAS_X`.
         """
 
     def update(self, qp: NullSpaceQP) -> None:
-        """Hand the subproblem to the library; if its shape differs from the last one's, start a new workspace."""
+        """Pass the subproblem to the library; if its shape differs from the previous one's, create a new workspace."""
         if not self._load(qp):
             self._build(qp)
         self._hand_over()
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Answer one subproblem."""
+        """Solve one subproblem."""
         if self._settings.needs and self._settings.supports(qp) is not None:
             return no_answer(qp.n, Status.UNSUPPORTED)
         self.update(qp)
@@ -113,14 +113,14 @@ class LibrarySession(ABC):
 
 
 class TruncatedSession(LibrarySession):
-    """A session of a library that takes a new limit of iterations at each call."""
+    """A session of a library whose limit of iterations can be changed between solves."""
 
     @abstractmethod
     def _limit(self, iterations: int) -> None:
-        """Let the library make at most ``iterations``."""
+        """Set the library's largest number of iterations."""
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Answer with the iterate after ``iterations`` (at least 1), starting where the last solve started."""
+        """Return the iterate after ``iterations`` (at least 1), with the start of the previous solve."""
         self._limit(iterations)
         try:
             return self.solve(qp)
@@ -129,13 +129,13 @@ class TruncatedSession(LibrarySession):
 
 
 def upper_triangle(values: Array, n: int) -> sparse.csc_matrix:
-    """Wrap (n (n + 1) / 2,) values, column by column, as the upper triangle of an (n, n) matrix, zeros kept."""
+    """Wrap (n (n + 1) / 2,) values, by columns, as the upper triangle of an (n, n) matrix that keeps its zeros."""
     rows = np.concatenate([np.arange(j + 1) for j in range(n)])
     return sparse.csc_matrix((values, rows, np.cumsum(np.arange(n + 1))), shape=(n, n))
 
 
 def stacked(values: Array, boxes: int) -> sparse.csc_matrix:
-    """Wrap (n, m + boxes) values, one row per joint, as m dense rows above ``boxes`` diagonal blocks, zeros kept."""
+    """Wrap (n, m + boxes) values, one row per joint, as m dense rows above ``boxes`` diagonal blocks; zeros stay."""
     n, m = len(values), values.shape[1] - boxes
     rows = np.concatenate([np.append(np.arange(m), m + n * np.arange(boxes) + j) for j in range(n)])
     return sparse.csc_matrix((values.ravel(), rows, (m + boxes) * np.arange(n + 1)), shape=(m + boxes * n, n))

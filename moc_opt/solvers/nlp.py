@@ -1,14 +1,14 @@
-"""One control period as a nonlinear program, by CasADi: manipulability itself instead of its gradient.
+"""One control period as a nonlinear program in CasADi, with the manipulability itself in place of its gradient.
 
     max_x  c2 (mu(q + x T)/T + d^T x) - regularization/2 |x|^2,   d = g - grad mu(q)
     s.t.   tip(q + x T) = tip(q) + v_T T,   E (wrist(q + x T) - wrist(q)) = E v_W T,   lower <= x <= upper
 
-g is the subproblem's `pull`: grad mu, or the vector of a course to follow. The rows of E (2, 3) span the plane across
-the tool. Along the tool the wrist's row repeats the tip's, and with all six rows no solver converges.
+g is the subproblem's `pull`: grad mu, or a multiple of the velocity that the elbow has to follow. The rows of E (2, 3)
+span the plane perpendicular to the tool. The wrist's row along the tool repeats the tip's: no solver converges with it.
 
 This is the null-space subproblem only in the limit T -> 0. At T = 2 ms and joint speeds near 1 rad/s the curvature of
-the kinematics moves the optimal answer off A x = b by 8e-4 m/s (median of random problems; at most 6e-3), so that it is
-not ``residuals().verified()`` with the default tolerances.
+the kinematics moves the optimum off A x = b by 8e-4 m/s (median of random problems; at most 6e-3): too much for
+``residuals().verified()`` with the default tolerances.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from moc_opt.solvers.base import Choices, Solution, SolverSettings, Status, no_a
 
 
 class Kinematics(Protocol):
-    """CasADi functions of q (n,): tip and wrist (3,) [m], mu [m^3]. Hashable, so that programs can be kept."""
+    """CasADi functions of q (n,): tip and wrist (3,) [m], mu [m^3]. Hashable, so that programs can be cached."""
 
     n: int
     tip: Any
@@ -37,8 +37,8 @@ class Kinematics(Protocol):
     mu: Any
 
 
-# The other statuses prove nothing: sqpmethod's "Search_Direction_Becomes_Too_Small", for example, is also
-# its answer to an infeasible problem.
+# The other statuses prove nothing. For example, sqpmethod returns "Search_Direction_Becomes_Too_Small" for infeasible
+# problems too.
 _STATUS = {
     "Solve_Succeeded": Status.SOLVED,
     "Maximum_Iterations_Exceeded": Status.MAX_ITER,
@@ -47,7 +47,7 @@ _STATUS = {
 
 
 def buffered(function: Any, arguments: Mapping[str, Array], results: Mapping[str, Array]) -> tuple[Any, Any]:
-    """Return buffer and call of a CasADi function that uses the caller's arrays, ten times faster than a plain call."""
+    """Bind a CasADi function to the caller's arrays: return buffer and call, ten times faster than a plain call."""
     buffer, call = function.buffer()
     for name, array in arguments.items():
         buffer.set_arg(function.index_in(name), array.data)
@@ -58,10 +58,10 @@ def buffered(function: Any, arguments: Mapping[str, Array], results: Mapping[str
 
 @lru_cache(maxsize=16)
 def program(settings: NLP) -> tuple[Any, Any]:
-    """Return the NLP solver, and the function q -> (tip, wrist, mu, grad mu) that gives its parameters.
+    """Return the NLP solver, and the function q -> (tip, wrist, mu, grad mu) that its parameters need.
 
     The parameters of the solver are q (n,), tip, wrist and mu at q, d (n,), the columns of E, c2 and regularization.
-    Neither function keeps a state, so that sessions share them.
+    Neither function has a state, so that sessions can share them.
     """
     kinematics, n, period = settings.kinematics, settings.kinematics.n, settings.period
     x, q, base, E = ca.SX.sym("x", n), ca.SX.sym("q", n), ca.SX.sym("base", 7), ca.SX.sym("E", 2, 3)
@@ -84,7 +84,7 @@ def program(settings: NLP) -> tuple[Any, Any]:
 
 
 class NLPSession:
-    """Buffers of one solver; the last answer stays in them as the warm start."""
+    """Buffers of one solver, in which the last optimum is kept as the warm start."""
 
     def __init__(self, settings: NLP, qp: NullSpaceQP) -> None:
         self._settings, n = settings, qp.n
@@ -98,7 +98,7 @@ class NLPSession:
         self._solver = buffered(solver, {"p": self._p, **sides, **self._start}, self._end)
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Answer one subproblem."""
+        """Solve one subproblem."""
         if self._settings.supports(qp) is not None:
             return no_answer(qp.n, Status.UNSUPPORTED)
         lift = qp.assembled().lift
@@ -136,14 +136,14 @@ class NLPSession:
 
 @dataclass(frozen=True)
 class NLP(SolverSettings, ABC):
-    """Settings that ``SQP`` and ``Ipopt`` share; use one of these two.
+    """Base of ``SQP`` and ``Ipopt``, with the settings that both have.
 
     Args:
-        kinematics: tip, wrist and mu as CasADi functions; ``robot.kinematics()``.
+        kinematics: tip, wrist and mu as CasADi functions, from ``robot.kinematics()``.
         period: T [s], the control period.
         cost_scale: multiplies the cost; the duals are scaled back.
         eps: tolerance of the scaled problem's KKT conditions.
-        max_iter: most iterations of a tick.
+        max_iter: largest number of iterations per tick.
         hessian: "limited-memory" (BFGS) or "exact".
     """
 
@@ -166,7 +166,7 @@ class NLP(SolverSettings, ABC):
         super().__post_init__()
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None, or why not: q is missing, the number of joints differs, or the tool is not rigid."""
+        """Return None, or why a problem is refused: no q, another number of joints, or a tool that is not rigid."""
         if qp.q is None:
             return "the subproblem has no q; an NLP needs the position where it was linearized"
         if qp.n != self.kinematics.n:
@@ -177,16 +177,16 @@ class NLP(SolverSettings, ABC):
 
     @abstractmethod
     def _options(self) -> dict[str, Any]:
-        """Return the options of the CasADi plug-in: no output, and the settings' tolerance and most iterations."""
+        """Return the options of the CasADi plug-in: no output, tolerance, largest number of iterations."""
 
 
 @dataclass(frozen=True)
 class SQP(NLP):
-    """CasADi's sqpmethod on its active-set QP solver qrqp; major iterations are counted.
+    """CasADi's sqpmethod with its active-set QP solver qrqp. The major iterations are counted.
 
-    BFGS starts from the identity. With cost_scale = 1e5 that is the Hessian of the default regularization term (1e-5),
-    and half as many iterations are needed as with 1e3. With regularization = 0 the exact Hessian is indefinite, and
-    three problems in ten get no answer.
+    BFGS starts from the identity. With cost_scale = 1e5 this is the Hessian of the default regularization term (1e-5),
+    and half as many iterations are needed as with cost_scale = 1e3. With regularization = 0 the exact Hessian is
+    indefinite, and three problems in ten get no answer.
     """
 
     cost_scale: float = 1e5
@@ -217,7 +217,7 @@ class Ipopt(NLP):
         options = {
             "print_level": 0, "sb": "yes", "hessian_approximation": self.hessian, "max_iter": self.max_iter,
             "tol": self.eps, "acceptable_iter": 0, "bound_relax_factor": 0.0, "nlp_scaling_method": "none",
-            # Else IPOPT reads ipopt.opt in the current folder, which may name files to write and libraries to load.
+            # IPOPT would read ipopt.opt in the current folder, which may name files to write and libraries to load.
             "option_file_name": "",
         }  # fmt: skip
         return {f"ipopt.{key}": value for key, value in options.items()}

@@ -1,7 +1,7 @@
-"""OSQP: operator splitting with one factorisation a tick, set up once and updated in place.
+"""OSQP: operator splitting with one factorisation per tick, set up once and updated in place.
 
 Stellato et al. 2020, "OSQP: an operator splitting solver for quadratic programs". OSQP takes only
-l <= A x <= u, so that the box becomes n rows below the equalities.
+l <= A x <= u, so that the box becomes n rows below the equality rows.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from moc_opt.solvers.base import Solution, Status
 from moc_opt.solvers.library import Adapter, Outcome, TruncatedSession, stacked, upper_triangle
 
 _CODE = ext_builtin.osqp_status_type
-# "Inaccurate" means that only a ten times looser tolerance was met when the iterations ran out: not solved.
+# "Inaccurate" means that only a ten times looser tolerance was met at the last iteration. This counts as not solved.
 _STATUS = {
     int(_CODE.OSQP_SOLVED): Status.SOLVED,
     int(_CODE.OSQP_PRIMAL_INFEASIBLE): Status.INFEASIBLE,
@@ -29,7 +29,7 @@ _STATUS = {
 
 
 class OSQPSession(TruncatedSession):
-    """One OSQP workspace: dense sparsity patterns, so that every tick only replaces values."""
+    """One OSQP workspace. The sparse matrices keep explicit zeros, so that every tick only replaces values."""
 
     def _allocate(self, m: int, n: int) -> dict[str, Any]:
         self._P = np.empty(n * (n + 1) // 2)
@@ -72,7 +72,7 @@ class OSQPSession(TruncatedSession):
         self._core.update_settings(self._options)
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Answer with the iterate after ``iterations`` from the last solve's start; the next solve starts at it."""
+        """Return the iterate after ``iterations`` from the start of the previous solve; the next solve starts at it."""
         self._core.warm_start(*self._before)
         return super().truncated(qp, iterations)
 
@@ -81,14 +81,14 @@ class OSQPSession(TruncatedSession):
 class OSQP(Adapter):
     """OSQP through its native interface.
 
-    The library's own tolerance of 1e-3 is ten times the whole gradient of this problem. With it OSQP claims success,
-    but nineteen answers in twenty are not optimal. With eps = 1e-8 and costs times 100 no claim was wrong on some
-    thousand random problems, at twice the iterations; one problem in two hundred is still unsolved at max_iter.
+    The library's own tolerance of 1e-3 is ten times the whole gradient of this problem. With that, OSQP claims success,
+    but nineteen answers in twenty are not optimal. With eps = 1e-8 and costs times 100, no claim was wrong on some
+    thousand random problems, with twice the iterations; one problem in two hundred is not solved within max_iter.
 
     Args:
         eps: absolute tolerance on the scaled problem; eps_rel: the relative one.
-        max_iter: most iterations of a tick.
-        check_termination: number of iterations between two checks of the residuals.
+        max_iter: largest number of iterations per tick.
+        check_termination: number of iterations from one check of the residuals to the next.
         polishing: whether the active set's equations are solved once more at the end.
     """
 

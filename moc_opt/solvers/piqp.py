@@ -1,7 +1,7 @@
 """PIQP: a proximal interior-point method, dense, set up once and updated in place.
 
 Schwan, Jiang, Kuhn and Jones 2023, "PIQP: a proximal interior-point quadratic programming solver".
-An interior-point method has no warm start: only the workspace is kept from tick to tick.
+An interior-point method has no warm start, so that only the workspace is kept from tick to tick.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class PIQPSession(TruncatedSession):
     """One dense workspace."""
 
     def _allocate(self, m: int, n: int) -> dict[str, Any]:
-        # The library stores matrices by columns and would copy a matrix by rows at every call.
+        # The library stores matrices by columns, and would copy a matrix stored by rows at every call.
         P, A, p = np.empty((n, n), order="F"), np.empty((m, n), order="F"), np.empty(n)
         b, lower, upper = np.empty(m), np.empty(n), np.empty(n)
         self._data = (P, p, A, b, None, None, None, lower, upper)
@@ -58,7 +58,7 @@ class PIQP(Adapter):
 
     Args:
         eps: absolute tolerance on the scaled problem (the library's defaults are 1e-8, and 1e-9 relative).
-        max_iter: most iterations.
+        max_iter: largest number of iterations.
     """
 
     rows: int = 5

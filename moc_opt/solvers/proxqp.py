@@ -1,4 +1,4 @@
-"""ProxQP: a proximal augmented Lagrangian, dense, set up once and updated in place.
+"""ProxQP: a proximal augmented Lagrangian method, dense, set up once and updated in place.
 
 Bambade et al. 2022, "PROX-QP: yet another quadratic programming solver for robotics and beyond".
 """
@@ -27,7 +27,7 @@ _WARM = proxqp.InitialGuess.COLD_START_WITH_PREVIOUS_RESULT
 
 
 class ProxQPSession(LibrarySession):
-    """One dense ProxQP workspace; the box is handed over as bounds."""
+    """One dense ProxQP workspace; the box is passed as bounds."""
 
     def _allocate(self, m: int, n: int) -> dict[str, Any]:
         P, p, A, b, lower, upper = (np.empty(shape) for shape in ((n, n), n, (m, n), m, n, n))
@@ -52,8 +52,8 @@ class ProxQPSession(LibrarySession):
         core.solve()
         status, iterations = _STATUS.get(result.info.status, Status.NUMERICAL), result.info.iter
         if status is not Status.SOLVED and self._warm:
-            # The failure may come from the old start: solve again from scratch. The data are handed over again,
-            # because a failed run leaves the box scaled.
+            # The warm start may be the cause of the failure, so solve again from scratch. The data have to be passed
+            # again, because a failed solve leaves the box scaled.
             self._guess(False)
             self._hand_over()
             core.solve()
@@ -71,15 +71,15 @@ class ProxQPSession(LibrarySession):
 class ProxQP(Adapter):
     """ProxQP's dense back-end.
 
-    With the library's eps_primal_inf = 1e-4 a third of the feasible subproblems are called infeasible; with 1e-12 many
-    infeasible ones run into max_iter. With costs times 10 every value from 1e-10 to 1e-7 classified 4800 feasible and
-    4800 infeasible problems without an error. With costs times 1e3 a rare feasible one is called infeasible.
+    With the library's eps_primal_inf = 1e-4, a third of the feasible subproblems are called infeasible; with 1e-12,
+    many infeasible problems run into max_iter. With costs times 10, every value from 1e-10 to 1e-7 classified 4800
+    feasible and 4800 infeasible problems correctly. With costs times 1e3, a few feasible ones are called infeasible.
 
     Args:
         eps: absolute tolerance on the scaled problem (the library's default is 1e-5).
         eps_primal_inf: tolerance of the proof of infeasibility (the library's default is 1e-4).
-        max_iter: most outer iterations; max_iter_in: most inner ones in each. Feasible problems take about ten
-            in all; with the library's 10000 and 1500 an undecided one runs for minutes.
+        max_iter: largest number of outer iterations; max_iter_in: of inner iterations in each outer one. Feasible
+            problems take about ten in all; with the library's 10000 and 1500, an undecided problem runs for minutes.
     """
 
     rows: int = 5

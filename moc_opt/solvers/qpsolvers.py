@@ -1,6 +1,6 @@
-"""Any solver that qpsolvers finds here, as ``qpsolvers:NAME``.
+"""Any solver that the package qpsolvers finds on this machine, as ``qpsolvers:NAME``.
 
-qpsolvers converts its problem at every call (up to half a millisecond): these adapters compare answers, not speed.
+qpsolvers converts the problem at every call, in up to half a millisecond: these adapters compare answers, not speed.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ class Advice(NamedTuple):
 
 # The gradient of this problem is about 1e-4, the size of a usual tolerance; a cost times 1e3 lifts it above that.
 ADVICE: dict[str, Advice] = {
-    "clarabel": Advice(1e3),  # else about 1 % of its answers have a relative residual above 1e-3
-    "daqp": Advice(1e3),  # else 5 % are at the wrong end of the self-motion when regularization = 0
-    "highs": Advice(1e3, {"time_limit": 0.1}),  # unscaled its QP solver cycles for ever
+    "clarabel": Advice(1e3),  # without: about 1 % of answers have a relative residual above 1e-3
+    "daqp": Advice(1e3),  # without: 5 % are at the wrong end of the self-motion if regularization = 0
+    "highs": Advice(1e3, {"time_limit": 0.1}),  # without scaling, its QP solver cycles for ever
     "osqp": Advice(1e2, {"eps_abs": 1e-8, "eps_rel": 0.0}),  # with 1e-3 nine answers in ten are wrong
     "piqp": Advice(1e3, {"eps_abs": 1e-9, "eps_rel": 0.0}),
-    # Its eps_primal_inf = 1e-4 cannot be set through qpsolvers: 4 % of feasible problems are called infeasible.
+    # eps_primal_inf = 1e-4 cannot be changed through qpsolvers, so that 4 % of feasible problems are called infeasible.
     "proxqp": Advice(1e3, {"eps_abs": 1e-9, "eps_rel": 0.0}),
     "scs": Advice(1e3, {"eps_abs": 1e-8, "eps_rel": 0.0}),  # with 1e-4 half of the answers are wrong
 }
 
-# A list of allowed options, not of forbidden ones: libraries add options with every version.
+# Options are allowed one by one and not forbidden one by one, because new versions of a library add options.
 ALLOWED = {
     name: frozenset(listed.split())
     for name, listed in {
@@ -86,14 +86,14 @@ ALLOWED = {
             alpha acceleration_lookback acceleration_interval""",
     }.items()
 }  # fmt: skip
-"""Solver -> its options that may be set: tolerances, iterations and modes; none that writes, loads or compiles."""
+"""Solver -> options that may be set: tolerances, iterations, modes; no option that writes, loads or compiles."""
 
-# With sparse libraries qpsolvers warns of each conversion and failure. These warnings are hidden; the status suffices.
+# With sparse libraries, qpsolvers warns of each conversion and failure. The warnings are hidden; the status suffices.
 _NOISY = set(qpsolvers.sparse_solvers) - set(qpsolvers.dense_solvers)
 
 
 def reasons() -> dict[str, str | None]:
-    """Return library -> None if qpsolvers finds it here, else the reason why not, for all that qpsolvers knows."""
+    """Return, for all libraries that qpsolvers knows, name -> None if it is installed, else the reason why not."""
     known = {module.name.strip("_") for module in pkgutil.iter_modules(qpsolvers.solvers.__path__)}
     here = set(qpsolvers.available_solvers)
     return {
@@ -103,7 +103,7 @@ def reasons() -> dict[str, str | None]:
 
 
 def checked(solver: str, options: object) -> dict[str, Any]:
-    """Return a copy of a library's options; raises if one is not allowed, or its value is neither flag nor number."""
+    """Return a copy of a library's options; raises if an option is not allowed, or is neither a flag nor a number."""
     if not isinstance(options, Mapping):
         raise SolverError(f"{solver}: options = {options!r:.80} is not a table of keyword arguments")
     allowed = ALLOWED.get(solver, frozenset())
@@ -118,22 +118,22 @@ def checked(solver: str, options: object) -> dict[str, Any]:
 
 
 class QPSolverSession:
-    """Keeps nothing between ticks."""
+    """A session that keeps nothing between ticks."""
 
     def __init__(self, settings: QPSolver, qp: NullSpaceQP) -> None:
         self._settings, self._advice = settings, settings.advice
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Answer one subproblem."""
+        """Solve one subproblem."""
         if self._settings.supports(qp) is not None:
             return no_answer(qp.n, Status.UNSUPPORTED)
         try:
             return self.attempt(qp) if np.isfinite(qp.row[: -qp.n]).all() else no_answer(qp.n, Status.NUMERICAL)
-        except (QPError, ValueError, ArithmeticError):  # so the libraries report a failed factorisation
+        except (QPError, ValueError, ArithmeticError):  # this is how the libraries report a failed factorisation
             return no_answer(qp.n, Status.NUMERICAL)
 
     def attempt(self, qp: NullSpaceQP) -> Solution:
-        """Answer one subproblem; raises what the library raises."""
+        """Solve one subproblem; raises what the library raises."""
         P, p, A, b, lift = qp.assembled(self._settings.rows)
         scale, library = self._advice.cost_scale, self._settings.library
         # Pass copies: daqp refuses read-only arrays.
@@ -154,8 +154,8 @@ class QPSolverSession:
         return Solution(x, np.dot(found.y, lift) / scale, Status.SOLVED, iterations)
 
     def _verdict(self, found: qpsolvers.Solution) -> Status:
-        """Return the status that explains a missing answer: INFEASIBLE only where the library's own status says so."""
-        if self._settings.library == "quadprog":  # its other failure, an indefinite cost, raises an exception
+        """Return the status for a missing answer. It is INFEASIBLE only if the library's own status says so."""
+        if self._settings.library == "quadprog":  # its only other failure, an indefinite cost, raises an exception
             return Status.INFEASIBLE
         limit = self._advice.options.get("time_limit")
         if limit is not None and found.solve_time is not None and found.solve_time >= limit:
@@ -173,11 +173,11 @@ class QPSolver(SolverSettings):
     """One library behind ``qpsolvers.solve_problem``.
 
     Args:
-        library: name as qpsolvers spells it.
-        rows: 5 or 6 equality rows; on six, daqp fails one problem in a hundred.
-        cost_scale: multiplies P and p; None takes the advised one.
-        options: of the library, added to the advised ones; only those in `ALLOWED`.
-        advised: False ignores ``ADVICE``: the library keeps its own defaults.
+        library: its name in qpsolvers.
+        rows: 5 or 6 equality rows; with six, daqp fails on one problem in a hundred.
+        cost_scale: multiplies P and p; None: the value of `ADVICE`.
+        options: options of the library, in addition to those of `ADVICE`; only options in `ALLOWED`.
+        advised: False: `ADVICE` is ignored, and the library keeps its own defaults.
 
     Raises:
         SolverError: a setting is out of range, or (from ``start``) the library refuses an option.
@@ -198,18 +198,18 @@ class QPSolver(SolverSettings):
 
     @property
     def advice(self) -> Advice:
-        """The scale of the cost and the library's keyword arguments that are used."""
+        """The scale of the cost and the keyword arguments with which the library is called."""
         base = ADVICE.get(self.library, Advice()) if self.advised else Advice()
         scale = base.cost_scale if self.cost_scale is None else self.cost_scale
         return Advice(scale, {**base.options, **(self.options or {})})
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return why quadprog, which factorises P, cannot take a problem, or None; the others take every problem."""
+        """Return None, or why quadprog, which factorises P, refuses a problem. Other libraries take every problem."""
         needs = "quadprog needs a positive definite cost"
         return refuse_semidefinite(qp, needs) if self.library == "quadprog" else None
 
     def start(self, qp: NullSpaceQP) -> Session:
-        """Return a session. If the caller gives options, one problem is solved to see if the library takes them."""
+        """Return a session. If the caller gives options, one problem is solved to see if the library accepts them."""
         session = super().start(qp)
         if self.options:
             try:

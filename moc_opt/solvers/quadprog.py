@@ -13,7 +13,7 @@ from moc_opt.solvers.library import Adapter, LibrarySession, Outcome
 
 
 class QuadprogSession(LibrarySession):
-    """The constraint matrix C^T x >= b: equalities, then x >= lower, then -x >= -upper."""
+    """The arrays of the constraints C^T x >= b: equality rows, then x >= lower, then -x >= -upper."""
 
     dual_sign = -1.0
 
@@ -30,7 +30,7 @@ class QuadprogSession(LibrarySession):
     def _run(self) -> Outcome:
         try:
             x, _, _, steps, multipliers, _ = quadprog.solve_qp(self._P, self._a, self._C, self._b, self._m)
-        except ValueError as error:  # quadprog's only report of a failure
+        except ValueError as error:  # quadprog reports failures only by this
             infeasible = "inconsistent" in str(error)
             return Status.INFEASIBLE if infeasible else Status.NUMERICAL, 0, self._a, self._a
         return Status.SOLVED, int(steps[0]), x, multipliers[: self._m]
@@ -38,9 +38,9 @@ class QuadprogSession(LibrarySession):
 
 @dataclass(frozen=True)
 class Quadprog(Adapter):
-    """quadprog on five rows: with six dependent ones it fails if they contradict each other by 1e-12 or more.
+    """quadprog with five equality rows. With six dependent rows it fails if they contradict each other by 1e-12.
 
-    It factorises P, which is singular without regularization.
+    quadprog factorises P, which is singular without regularization.
     """
 
     cost_scale: float = 1.0

@@ -1,6 +1,6 @@
-"""Solvers by name: those of this package, those that qpsolvers finds, and those of other packages by entry points.
+"""Solvers by name: those of this package, those that qpsolvers finds, and those with an entry point elsewhere.
 
-A new solver of this package is a file in this folder and a line in ``BUILT_IN``.
+To add a solver to this package, add a file to this folder and a line to ``BUILT_IN``.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from moc_opt.inputs.plugins import in_words
 from moc_opt.solvers.base import Solver
 
 GROUP = "moc_opt.solvers"
-# name -> (module in this folder, class, package that must be installed or "")
+# name -> (module in this folder, class, package that must be installed, or "" for none)
 BUILT_IN: dict[str, tuple[str, str, str]] = {
     "exact": ("exact", "Exact", ""),
     "rnn": ("rnn", "RNN", ""),
@@ -36,11 +36,11 @@ BUILT_IN: dict[str, tuple[str, str, str]] = {
     "nlp-ipopt": ("nlp", "Ipopt", "casadi"),
 }
 QPSOLVERS = "qpsolvers:"
-"""Prefix of the solvers that the package qpsolvers finds; one adapter serves them all."""
+"""Prefix of the solvers that the package qpsolvers finds. All of them use one adapter."""
 
 
 class Entry(NamedTuple):
-    """The callable that makes the named solver, and its entry point (None for a solver of this package)."""
+    """A solver's name, the callable that makes it, and its entry point (None for a solver of this package)."""
 
     name: str
     make: Callable[..., Solver]
@@ -48,7 +48,7 @@ class Entry(NamedTuple):
 
     @property
     def parameters(self) -> dict[str, inspect.Parameter]:
-        """Setting -> parameter; empty where the signature is unknown."""
+        """Name of a setting -> parameter of the callable; empty if the signature is unknown."""
         try:
             return dict(inspect.signature(self.make).parameters)
         except (TypeError, ValueError):
@@ -70,7 +70,7 @@ class Entry(NamedTuple):
 
 
 def check_solver(given: object, what: str = "") -> Solver:
-    """Return the solver that was given; a SolverError refuses a name, a class or any other object that is none."""
+    """Return the given solver; a SolverError if the object is a name, a class or anything else that is no solver."""
     what = what or shown(given, 80)
     if isinstance(given, type):
         raise SolverError(f"{what} is a class, no solver: call it, as in {given.__name__}()")
@@ -85,7 +85,7 @@ def check_solver(given: object, what: str = "") -> Solver:
 
 
 def available() -> dict[str, str | None]:
-    """Name -> None when it can run here, else the reason why not."""
+    """Return name -> None if the solver can run here, else the reason why not."""
     found: dict[str, str | None] = {name: _absent(package) for name, (_, _, package) in BUILT_IN.items()}
     absent = _absent("qpsolvers")
     libraries = {"NAME": absent} if absent else importlib.import_module("moc_opt.solvers.qpsolvers").reasons()
@@ -97,7 +97,7 @@ def available() -> dict[str, str | None]:
         try:
             entry = _of_plugin(name, points)
             required = (p for p in entry.parameters.values() if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD))
-            if all(p.default is not p.empty for p in required):  # else it cannot be tried without settings
+            if all(p.default is not p.empty for p in required):  # without defaults, it cannot be tried
                 entry.create()
             found[name] = None
         except MocOptError as error:
@@ -106,13 +106,13 @@ def available() -> dict[str, str | None]:
 
 
 def check_name(name: str) -> None:
-    """Raise an UnknownNameError if no solver has that name. Only `create` finds out whether it can run here."""
+    """Raise an UnknownNameError if no solver has this name. Only `create` finds out whether the solver can run here."""
     if not (_ours(name) or name in plugins.plugins(GROUP)):
         raise UnknownNameError("solver", name, available(), "moc-opt solvers --list")
 
 
 def defaults(name: str) -> dict[str, Any]:
-    """Return setting -> default for the settings of the named solver that have one; raises what ``create`` raises."""
+    """Return name -> default of the named solver's settings that have a default; raises what ``create`` raises."""
     return {p.name: p.default for p in find(name).parameters.values() if p.default is not p.empty}
 
 
@@ -120,7 +120,7 @@ def create(name: str, **settings: Any) -> Solver:
     """Build a solver's frozen settings.
 
     Raises:
-        UnknownNameError: no such solver or setting; with the nearest names.
+        UnknownNameError: no such solver or setting; the message has the nearest names.
         SolverError: a package is missing, a plug-in is no solver, or a setting is out of range.
     """
     return find(name).create(**settings)

@@ -1,4 +1,4 @@
-"""The recurrent neural network of Su et al. 2019 as a solver, in its consistent sign.
+"""The recurrent neural network of Su et al. 2019 as a solver, with consistent signs.
 
 With F(Y) = [dL/dx, -dL/dlambda] (the paper's equation (2)) the network is
 
@@ -6,8 +6,8 @@ With F(Y) = [dL/dx, -dL/dlambda] (the paper's equation (2)) the network is
                                  + J_T^T l1 + J_W^T l2), lower, upper)
     eps dl1/dt = k (J_T x - v_T),   eps dl2/dt = k (J_W x - v_W)
 
-integrated by Euler steps of size h = dt/eps (`moc_opt/core/rnn.c`). A network cannot tell that a problem is
-infeasible: the multipliers then grow without bound, the status is MAX_ITER, and they take as long again to unwind.
+integrated by Euler steps of size h = dt/eps (`moc_opt/core/rnn.c`). A network cannot tell that a problem is infeasible:
+then the status is MAX_ITER, and the multipliers grow without bound and take as long to decrease afterwards.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from moc_opt.solvers.base import Choices, Solution, SolverSettings, Status, no_a
 def unstable(qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool, h_x: float | None = None) -> str | None:
     """Return why Euler steps of this size diverge on ``qp``, or None. The step of x is h_x, or h if h_x is None.
 
-    Away from the bounds, the network along a singular vector of A (singular value s) is an oscillator with damping
-    k c s^2 and stiffness k^2 s^2, c = scale c0 = scale c1. Explicit steps are stable only where h k < c and
-    (2 h_x k c - h h_x k^2) s^2 < 4; semi-implicit ones only need (2 h_x k c + h h_x k^2) s^2 < 4.
+    Let s be a singular value of A. Away from the bounds, the network along its singular vector is an oscillator with
+    damping k c s^2 and stiffness k^2 s^2, c = scale c0 = scale c1. Explicit steps are stable only if h k < c and
+    (2 h_x k c - h h_x k^2) s^2 < 4; semi-implicit steps only if (2 h_x k c + h h_x k^2) s^2 < 4.
     """
     c0, c1 = scale * qp.c0, scale * qp.c1
     weak, strong, hk = min(c0, c1), max(c0, c1), h * k
@@ -50,7 +50,7 @@ def unstable(qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool, 
 
 
 class Network(SolverSettings):
-    """Base of both networks: the step size h is in (0, 1]."""
+    """Base of `RNN` and `RNNPrinted`. It checks that the step size h is in (0, 1]."""
 
     h: float
 
@@ -61,7 +61,7 @@ class Network(SolverSettings):
 
 
 class RNNSession:
-    """The state of one network: x and the multipliers, which start at 0."""
+    """The state of one network: x and the multipliers. All start at 0."""
 
     def __init__(self, settings: Any, qp: NullSpaceQP) -> None:
         self._settings = settings
@@ -71,12 +71,12 @@ class RNNSession:
         self._x, self._y = np.zeros(n), np.zeros(6)
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Continue from the last tick's state."""
+        """Solve one subproblem, starting from the state after the last tick."""
         s = self._settings
         return self._advance(qp, s.steps, s.h, s.h, s.scale, s.method == "semi-implicit")
 
     def _advance(self, qp: NullSpaceQP, most: int, h_x: float, h_y: float, scale: float, implicit: bool) -> Solution:
-        """Take at most ``most`` steps from the present state, which is reset to 0 if it does not stay finite."""
+        """Take at most ``most`` steps from the current state. If the state does not stay finite, it is reset to 0."""
         if qp.n != len(self._x):
             self._rest(qp.n)
         s, x, y = self._settings, self._x, self._y
@@ -89,34 +89,34 @@ class RNNSession:
 
 
 class RNNPrintedSession(RNNSession):
-    """The multipliers of one network; x comes from outside. See ``base.ObservingSession``."""
+    """The multipliers of one network, whose x is the measured velocity: see ``base.ObservingSession``."""
 
     def observe(self, v: ArrayLike) -> None:
-        """Take the measured joint velocity v (n,) [rad/s] as x of the next tick."""
+        """Use the measured joint velocity v (n,) [rad/s] as x at the next tick."""
         self._x = np.array(v, dtype=float)
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Compute x = P(v - k dL/dqd) with the present multipliers, then integrate these over one tick."""
+        """Compute x = P(v - k dL/dqd) with the current multipliers, then integrate the multipliers over one tick."""
         return self._advance(qp, 1, 1.0, self._settings.h, 1.0, False)
 
 
 @dataclass(frozen=True)
 class RNN(Network):
-    """The network with its own state: at most ``steps`` inner steps a tick, each tick from the last one's state.
+    """The network with its own state: at most ``steps`` inner steps per tick, which continue from the previous tick.
 
-    The paper's weights c0 = 0.01 and k = 0.1 need about 3e7 steps to 1e-3, because the explicit step must keep
-    h k < c0. ``scale`` does not change the solution but allows larger steps: 100, with k = 0.5, h = 1, needs 1.4e3.
+    The paper's weights c0 = 0.01 and k = 0.1 need about 3e7 steps to an error of 1e-3, because explicit steps need
+    h k < c0. ``scale`` does not change the solution but allows larger steps: scale = 100, k = 0.5, h = 1 need 1.4e3.
 
     Args:
-        steps: most inner steps of a tick; it ends earlier where the state has come to rest.
-        h: step size dt/eps, in (0, 1]: x then never leaves the box.
+        steps: largest number of inner steps per tick; a tick needs fewer if the state comes to rest.
+        h: step size dt/eps, in (0, 1], so that x never leaves the box.
         k: the paper's gain.
         scale: multiplies c0, c1, c2 and regularization; the multipliers are scaled back.
-        method: "explicit" Euler, or "semi-implicit": the multipliers see the new x.
-        eps: SOLVED is claimed where the right-hand side of the network is at most this [rad/s, m/s].
+        method: "explicit" Euler, or "semi-implicit", where the multipliers are updated with the new x.
+        eps: SOLVED is claimed if no entry of the network's right-hand side is larger [rad/s, m/s].
 
     Raises:
-        SolverError: a setting is out of range; from ``start`` where the steps would diverge.
+        SolverError: a setting is out of range, or (from ``start``) the steps would diverge.
     """
 
     steps: int = 10
@@ -136,21 +136,21 @@ class RNN(Network):
 
 @dataclass(frozen=True)
 class RNNPrinted(Network):
-    """Equation (2) of the paper to the letter, with the measured joint velocity v as its qd.
+    """Equation (2) of the paper as it is printed, with the measured joint velocity v as the paper's qd.
 
-    The answer is x = P(v - k dL/dqd), of which the third level takes x - v, the paper's qdd_d. The multipliers start at
-    0 and integrate dlambda/dt = k (J v - v_ref) / eps over the tick. With the paper's weights the network's modes are
-    slower than 50 s, so that it acts as damping in a controller. ``session.observe(v)`` hands v over before a tick;
+    The answer is x = P(v - k dL/dqd), and the third level uses x - v, the paper's qdd_d. The multipliers start at 0 and
+    integrate dlambda/dt = k (J v - v_ref) / eps over the tick. With the paper's weights, the network's time constants
+    are longer than 50 s, so that it acts as damping in a controller. ``session.observe(v)`` passes v before a tick;
     without this call the network continues from its own last x.
 
     Args:
         k: the paper's gain.
-        h: step of the multipliers, dt/eps. The paper prints no time constant: 0.002 is eps = 1 s at 500 Hz.
-            The steps diverge unless h k < c0.
-        eps: SOLVED is claimed where the right-hand side of the network is at most this [rad/s, m/s].
+        h: step of the multipliers, dt/eps. The paper gives no time constant eps; h = 0.002 means eps = 1 s at
+            500 Hz. The steps diverge unless h k < c0.
+        eps: SOLVED is claimed if no entry of the network's right-hand side is larger [rad/s, m/s].
 
     Raises:
-        SolverError: a setting is out of range; from ``start`` where the steps would diverge.
+        SolverError: a setting is out of range, or (from ``start``) the steps would diverge.
     """
 
     k: float = 0.1

@@ -1,8 +1,8 @@
-"""The task of the tool: paths of its tip, the time law along them, the trocar that the shaft must pass through.
+"""The task: paths of the tool's tip, the time law along a path, and the trocar that the shaft must pass through.
 
-To add a path, write one function of its sizes that returns waypoints, and enter it in ``CURVES`` at the end of
-``curves``; `moc-opt tasks` then lists it, and ``[task] path`` takes it. ``paths`` puts a curve or waypoints into space
-and makes a path by name; ``timelaw`` moves the tip along it (``Reference``: X_d and its derivatives).
+To add a path, write a function that returns waypoints from sizes like a length, and add it to ``CURVES`` at the end
+of ``curves``. `moc-opt tasks` then lists the path, and ``[task] path`` accepts its name. ``paths`` places a curve or
+waypoints in space; ``timelaw`` moves the tip along a path (``Reference``: X_d and its derivatives).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Planar shapes of paths. A curve starts at its own origin, and its first axis is the heading; `CURVES` lists all."""
+"""Planar curves. A curve starts at its own origin, and its first axis is called its heading; `CURVES` lists all."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ PlanePoint = tuple[float, float, float, float, float]
 Speed = Callable[[Array], tuple[Array, Array]]
 
 _MOST_PANELS = 2**18
-_PROBES = (0.23, 0.5, 0.71)  # places in a panel [share]; at symmetric ones alone an error could vanish by chance
+_PROBES = (0.23, 0.5, 0.71)  # places in a panel, from 0 to 1; an error might vanish by chance at symmetric places
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(10)
 
 
 class ArcLength:
     """The inverse w(s) of the arc length s(w) = integral of speed(w) from 0 to w.
 
-    A quintic Hermite interpolation of w(s) with exact knots (Gauss-Legendre quadrature) and derivatives there,
-    dw/ds = 1/speed and d2w/ds2 = -speed'/speed^3. The knots are doubled until s(w(s)) - s, probed inside every panel by
-    quadrature, is below 1e-10 of the length and below 1e-10 m.
+    A quintic Hermite interpolation of w(s), with exact values (by Gauss-Legendre quadrature) and exact derivatives,
+    dw/ds = 1/speed and d2w/ds2 = -speed'/speed^3, at the knots. The intervals between knots are called panels. Their
+    number is doubled until s(w(s)) - s, probed in every panel, is below 1e-10 of the length and below 1e-10 m.
 
     Args:
-        speed: w (k,) -> (ds/dw (k,) [m], d2s/dw2 (k,) [m]), ds/dw above zero.
-        breaks: (b,) from 0 to the largest w; the speed is smooth between two of them.
-        panels: number of panels at first between two breaks, enough to resolve every bend of the curve.
+        speed: function w (k,) -> (ds/dw (k,) [m], d2s/dw2 (k,) [m]), with ds/dw above zero.
+        breaks: (b,) values of w, from 0 to the largest; the speed is smooth from one break to the next.
+        panels: initial number of panels between two breaks, enough to resolve every bend of the curve.
 
     Raises:
-        TaskError: the accuracy is not reached with 2^18 panels in all.
+        TaskError: the accuracy is not reached with 2^18 panels in total.
     """
 
     def __init__(self, speed: Speed, breaks: Array, panels: int) -> None:
@@ -47,7 +47,7 @@ class ArcLength:
             coefficients = _hermite(w, lengths, *speed(w))
             if _worst(speed, w, lengths, coefficients) <= 1e-10 * min(1.0, float(s[-1])):
                 self.knots, self.length = read_only(s), float(s[-1])
-                # Lists, since with one number per tick, indexing an array takes longer than the whole polynomial.
+                # Lists, because a tick needs one number, and indexing an array takes longer than the polynomial.
                 self._starts: list[float] = s[:-1].tolist()
                 self._lengths: list[float] = lengths.tolist()
                 self._coefficients: list[list[float]] = coefficients.tolist()
@@ -59,7 +59,7 @@ class ArcLength:
         )
 
     def parameter(self, s: float) -> float:
-        """Return w at arc length s [m], s in [0, length]."""
+        """Return w at the arc length s [m] in [0, length]."""
         panel = bisect_right(self._starts, s) - 1
         t = (s - self._starts[panel]) / self._lengths[panel]
         a0, a1, a2, a3, a4, a5 = self._coefficients[panel]
@@ -85,7 +85,7 @@ def _hermite(w: Array, lengths: Array, speed: Array, slope: Array) -> Array:
 def _worst(speed: Speed, w: Array, lengths: Array, coefficients: Array) -> float:
     ends = ((coefficients @ (t ** np.arange(6)), t) for t in _PROBES)
     worst = max(float(np.abs(_quadrature(speed, w[:-1], end) - t * lengths).max()) for end, t in ends)
-    return worst if math.isfinite(worst) else math.inf  # a comparison with NaN would pass as "no worse"
+    return worst if math.isfinite(worst) else math.inf  # NaN would pass the comparison
 
 
 class PlanarCurve(NamedTuple):
@@ -94,7 +94,7 @@ class PlanarCurve(NamedTuple):
     length: float  #: [m]
     knots: Array  #: Arc lengths (k,) [m], from 0 to `length`, close enough together to resolve every bend.
     at: Callable[[float], PlanePoint]
-    """Gives x, y [m], unit tangent tx, ty and curvature [1/m] (left is positive) at s in [0, length]."""
+    """Function of s in [0, length]: x, y [m], unit tangent tx, ty, curvature [1/m] (positive to the left)."""
 
 
 def line(length: float = 0.04) -> PlanarCurve:
@@ -116,9 +116,9 @@ def circle(radius: float = 0.03) -> PlanarCurve:
 
 
 def sinusoid(amplitude: float = 0.01, wavelength: float = 0.02, periods: float = 2.0) -> PlanarCurve:
-    """y = amplitude sin(2 pi x / wavelength), x along the heading, for a number of periods (whole or not).
+    """y = amplitude sin(2 pi x / wavelength), x along the heading, for any number of periods.
 
-    Amplitude and wavelength are in m. The curve starts on its axis, where it is steepest.
+    Amplitude and wavelength are in m. The curve starts where it crosses its axis and is steepest.
     """
     a, periods = positive("amplitude", amplitude), positive("periods", periods)
     k = 2.0 * math.pi / positive("wavelength", wavelength)
@@ -140,9 +140,9 @@ def sinusoid(amplitude: float = 0.01, wavelength: float = 0.02, periods: float =
 
 
 def spiral(turns: float = 2.0, radius: float = 0.03) -> PlanarCurve:
-    """Archimedean spiral from its centre to the left: r = radius angle / (2 pi turns), heading at angle 0.
+    """Archimedean spiral to the left, r = radius angle / (2 pi turns), which leaves its centre along the heading.
 
-    `turns` need not be whole, and `radius` [m] is the final one. At the centre the curvature is 4 pi turns / radius.
+    `turns` need not be whole; `radius` [m] is the final radius. The curvature at the centre is 4 pi turns / radius.
     """
     turns = positive("turns", turns)
     b = positive("radius", radius) / (2.0 * math.pi * turns)
@@ -162,5 +162,5 @@ def spiral(turns: float = 2.0, radius: float = 0.03) -> PlanarCurve:
 
 
 CURVES: dict[str, Callable[..., Any]] = {"line": line, "circle": circle, "sinusoid": sinusoid, "spiral": spiral}
-"""Kind of path -> a function of its sizes. It returns waypoints (k, 3) [m] relative to the start (along the heading, to
-the left, along the normal), or a `PlanarCurve`, which needs no interpolation. Add new kinds here."""
+"""Kind of path -> function of its sizes. It returns waypoints (k, 3) [m] from the start (along heading, left and
+normal), or a `PlanarCurve`, which needs no interpolation. Add new kinds here."""

@@ -1,7 +1,7 @@
-"""Paths of the tool tip in space by arc length: planar curves, curves through waypoints, and all of them by name.
+"""Paths of the tool tip in space, as functions of arc length: planar curves and curves through waypoints.
 
-To add a path here, write a function and a line of `CURVES` in curves.py. In a package of your own, give such a function
-an entry point of the group `moc_opt.tasks`.
+To add a path to this package, write a function and a line of `CURVES` in curves.py. In a package of your own, give such
+a function an entry point of the group `moc_opt.tasks`.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ from moc_opt.tasks.curves import CURVES, ArcLength, PlanarCurve
 
 GROUP = "moc_opt.tasks"
 WAYPOINTS = "waypoints"
-MOST = 1000  #: Most waypoints of one path.
-FARTHEST_M = 1000.0  #: Largest distance of a waypoint from the start along each axis, as for sizes of other paths.
-_SLOWEST = 0.05  # least |dp/dw|, w the chord length: below it, the path all but turns back on the spot
+MOST = 1000  #: Largest number of waypoints of one path.
+FARTHEST_M = 1000.0  #: Largest distance of a waypoint from the start along each axis.
+_SLOWEST = 0.05  # smallest |dp/dw|, w: chord length; with less, the path almost turns back on the spot
 
 
 class Path:
-    """A planar curve put into space: it begins at `start` and lies in the plane of two unit vectors."""
+    """A planar curve in space, which begins at `start` and lies in the plane of the unit vectors heading and left."""
 
     length: float  #: [m]
     knots: Array  #: Arc lengths (k,) [m], from 0 to `length`, close enough together to resolve every bend.
 
     def __init__(self, curve: PlanarCurve, start: ArrayLike, *, normal: ArrayLike, heading: ArrayLike) -> None:
-        """Place the curve at start (3,) [m]; a TaskError where a vector is not usable.
+        """Place the curve at start (3,) [m]; a TaskError if a vector is unusable.
 
-        "Left" is as seen from the tip of the plane's normal (3,). The heading (3,) is the curve's first axis; its part
-        along the normal is removed, and the two must not be parallel.
+        The plane is perpendicular to the normal (3,). The heading (3,) gives the curve's first axis; its part along
+        the normal is removed, and the two must not be parallel. "Left" is normal x heading.
         """
         self._place(start, normal, heading)
         self.curve, self.length, self.knots = curve, float(curve.length), curve.knots
@@ -58,9 +58,9 @@ class Path:
         return self.curve.at(s)[4]
 
     def at(self, s: TimeLike) -> tuple[Array, Array, Array]:
-        """Return p [m], dp/ds and d2p/ds2 [1/m] at arc length s [m]; each (3,), or (k, 3) for lengths (k,).
+        """Return p [m], dp/ds and d2p/ds2 [1/m] at arc length s [m]: each (3,), or (k, 3) if s is (k,).
 
-        A TaskError where s is outside the path, or no number or vector.
+        A TaskError if s is outside the path, or neither a number nor a vector.
         """
         p, dp, ddp = sampled("s", s, self._checked)
         return p, dp, ddp
@@ -74,8 +74,8 @@ class Path:
     def points(self, s: Array) -> Array:
         """Return p [m], dp/ds and d2p/ds2 [1/m] as (k, 3, 3) at s (k,) [m] in [0, length], unchecked.
 
-        The curve is evaluated at one number after the other, so that a vector gives the same bits as single numbers.
-        numpy's vector sine does not promise this.
+        The curve is evaluated number by number, so that a vector gives the same bits as single numbers; numpy's vector
+        sine does not guarantee this.
         """
         x, y, tx, ty, k = np.array([self.curve.at(one) for one in s.tolist()]).reshape(-1, 5).T[:, :, None]
         a, b = self.heading, self.left
@@ -83,16 +83,16 @@ class Path:
 
 
 class Waypoints(Path):
-    """A path from `start` through every waypoint, its direction and curvature continuous.
+    """A path from `start` through every waypoint, with continuous direction and curvature.
 
-    It is the natural cubic spline over the chord length: a cubic between two points, with curvature 0 at both ends.
+    It is the natural cubic spline over the chord length: a cubic from point to point, with curvature 0 at both ends.
     """
 
     def __init__(self, points: ArrayLike, start: ArrayLike, *, normal: ArrayLike, heading: ArrayLike) -> None:
-        """Lay the path through points (k, 3) [m], relative to the start: along heading, to the left, along normal.
+        """Lay the path through points (k, 3) [m] from the start: along the heading, to the left, along the normal.
 
-        The first point may be the start itself. A TaskError where the points are unusable or missing, two in a row are
-        equal, or the path turns back on the spot.
+        The first point may be the start itself. A TaskError if points are unusable or missing, if two in a row are
+        equal, or if the path turns back on the spot.
         """
         self._place(start, normal, heading)
         given = _checked(points)
@@ -105,7 +105,7 @@ class Waypoints(Path):
         self._check_turns(inside)
         self._arc = ArcLength(self._speed, self._at, 8)
         self.length, self.knots = self._arc.length, self._arc.knots
-        # Lists, since with one number per tick, indexing an array takes longer than the polynomial.
+        # Lists, because a tick needs one number, and indexing an array takes longer than the polynomial.
         self._begin: list[float] = self._at[:-1].tolist()
         self._rows_of: list[list[list[float]]] = self._pieces.tolist()
 
@@ -160,7 +160,7 @@ def _checked(points: ArrayLike) -> Array:
 
 
 def _spline(t: Array, points: Array) -> Array:
-    from scipy.interpolate import CubicSpline  # here: takes 0.3 s, only waypoints need it
+    from scipy.interpolate import CubicSpline  # here: the import takes 0.3 s, and only waypoints need it
 
     found = CubicSpline(t, points, bc_type="natural").c  # (4, pieces, 3), highest power first
     return np.ascontiguousarray(found[::-1].transpose(1, 2, 0))
@@ -170,7 +170,7 @@ def _spline(t: Array, points: Array) -> Array:
 
 
 def kinds() -> dict[str, str]:
-    """Name -> one line about it, for every path that a scenario may name; for a broken plug-in, the reason."""
+    """Return name -> description of every path that a scenario may name; for a broken plug-in, the reason."""
     found = {name: _about(curve) for name, curve in CURVES.items()}
     found[WAYPOINTS] = "A smooth path through the points of `waypoints_m`, in three dimensions."
     for name in _plugins():
@@ -182,10 +182,10 @@ def kinds() -> dict[str, str]:
 
 
 def sizes(kind: str, given: Iterable[str] = ()) -> dict[str, Any]:
-    """Name -> default of every size of a path; `inspect.Parameter.empty` where it has to be given.
+    """Return name -> default of every size of a path; `inspect.Parameter.empty` if the size has no default.
 
     Raises:
-        UnknownNameError: no such path, or a given name is none of its sizes.
+        UnknownNameError: no such path, or a name in ``given`` is not the name of a size.
         TaskError: the path is a plug-in that does not load.
     """
     parameters = {} if kind == WAYPOINTS else inspect.signature(_maker(kind)).parameters
@@ -200,14 +200,14 @@ def make_path(
     kind: str, start: ArrayLike, *, normal: ArrayLike, heading: ArrayLike, waypoints: ArrayLike | None = None,
     **given: float,
 ) -> Path:  # fmt: skip
-    """Build a path of one of `kinds` with the given `sizes`; start, normal and heading are those of `Path`.
+    """Build a path by its name in `kinds`, with the given `sizes`; start, normal and heading are those of `Path`.
 
     Args:
         waypoints: (k, 3) [m], see `Waypoints`; only for the kind "waypoints".
 
     Raises:
         UnknownNameError: no such kind, or the kind has no such size; the message lists the valid names.
-        TaskError: a size is missing or not positive and finite, or a vector is not usable.
+        TaskError: a size is missing or not positive and finite, or a vector is unusable.
     """
     known = sizes(kind, given)
     missing = [name for name, default in known.items() if default is inspect.Parameter.empty and name not in given]

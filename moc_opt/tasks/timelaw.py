@@ -1,4 +1,4 @@
-"""The quintic time law along a path in the shortest time within limits, and a reference that can pause."""
+"""The quintic time law, which moves the tip along a path in the shortest allowed time, and a pausing reference."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ def quintic(u: Number) -> tuple[Number, Number, Number]:
 def duration(path: Path, v_max: float, a_max: float) -> float:
     """Compute the shortest duration T [s] of the quintic law with |velocity| <= v_max and |acceleration| <= a_max.
 
-    With D the length, kappa the curvature and s = s(u), u = t/T:
+    With D the length of the path, kappa its curvature, s = s(u) and u = t/T:
         |velocity| = D s'/T                   at most 15 D / (8 T),
         |acceleration| = D g(u) / T^2         with g(u)^2 = s''^2 + (D kappa(D s) s'^2)^2,
-    so T = max(15 D / (8 v_max), sqrt(D max g / a_max)), as g does not depend on T. A straight path: max g = 10/sqrt(3).
+    so that T = max(15 D / (8 v_max), sqrt(D max g / a_max)). On a straight path, max g = 10/sqrt(3).
 
     Args:
         v_max: largest speed [m/s].
@@ -48,7 +48,7 @@ def _largest_acceleration(path: Path) -> float:
         s, ds, dds = quintic(u)
         return math.hypot(dds, length * path.curvature(min(s * length, length)) * ds * ds)
 
-    # Even steps resolve the time law's own peaks; the curve's knots, mapped to u, resolve every bend of the path.
+    # Equal steps of u resolve the peaks of the time law; the knots of the path, mapped to u, resolve all its bends.
     even = np.linspace(0.0, 1.0, 513)
     progress = [quintic(u)[0] for u in even.tolist()]
     u = np.unique(np.concatenate((even, np.interp(path.knots / length, progress, even))))
@@ -71,15 +71,15 @@ def _climb(g: Callable[[float], float], lower: float, upper: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """The tip reference X_d, dX_d, ddX_d over time: a path under the quintic law, in the shortest allowed time.
+    """The tip reference X_d, dX_d, ddX_d over time: the quintic law along a path, in the shortest allowed time.
 
-    A TaskError where a limit is not positive and finite, or t_start is not finite.
+    A TaskError if a limit is not positive and finite, or t_start is not finite.
     """
 
     path: Path
     v_max: float  #: Largest speed [m/s].
     a_max: float  #: Largest acceleration [m/s^2], tangential and centripetal together.
-    t_start: float = 0.0  #: When to leave the start [s].
+    t_start: float = 0.0  #: Time at which the motion begins [s].
     duration: float = field(init=False)  #: [s]
 
     def __post_init__(self) -> None:
@@ -90,16 +90,16 @@ class Reference:
             object.__setattr__(self, name, value)
 
     def at(self, t: TimeLike) -> tuple[Array, Array, Array]:
-        """Return x [m], dx [m/s] and ddx [m/s^2] at t [s]; each (3,), or (k, 3) with the same bits for times (k,).
+        """Return x [m], dx [m/s] and ddx [m/s^2] at t [s]: each (3,), or (k, 3) with the same bits if t is (k,).
 
-        The reference rests at the start of the path before t_start, and at its end after t_start + duration. A
-        TaskError where t is no number or vector, or NaN.
+        The reference rests at the start of the path before t_start, and at the end of the path after t_start +
+        duration. A TaskError if t is neither a number nor a vector, or NaN.
         """
         x, dx, ddx = sampled("t", t, self._rows)
         return x, dx, ddx
 
     def rows(self, t: float) -> Array:
-        """Return X_d, dX_d, ddX_d as the rows of one (3, 3) array, for one time [s]; a TaskError where t is NaN."""
+        """Return X_d, dX_d, ddX_d at one time [s] as the rows of an array (3, 3); a TaskError if t is NaN."""
         return np.asarray(self._rows(np.array([t]))[0])
 
     def _rows(self, t: Array) -> Array:
@@ -115,32 +115,32 @@ class Reference:
 
 
 class WaitingReference:
-    """Plays a reference, with a flag at each tick: it slows down to a stop while this is False, and then speeds up.
+    """A reference that slows down to a stop while a flag is False, and speeds up again when the flag is True.
 
-    It begins at rest, at the start of the path. X_d, dX_d and ddX_d do not jump: with the path time tau running at the
-    rate sigma in [0, 1],
+    It begins at rest at the start of the path. X_d, dX_d and ddX_d do not jump. Let tau be the time along the given
+    reference, which advances at the rate sigma in [0, 1]. Then
 
         X_d(t) = X(tau(t)),   dX_d = sigma X',   ddX_d = sigma^2 X'' + sigma' X'
 
-    so |dX_d| <= v_max and |ddX_d| <= 2 a_max. The rate is the flag (0 or 1) after two moving averages. It never leaves
-    [0, 1], equals the flag once this has been constant for the sum of their lengths, and its slope is at most one over
-    the longer length, v_max / a_max.
+    so that |dX_d| <= v_max and |ddX_d| <= 2 a_max. The rate is the flag (0 or 1), filtered by two moving averages. It
+    stays in [0, 1], equals the flag when the flag has been constant for the sum of both lengths, and has a slope of at
+    most 1 / (longer length) <= a_max / v_max.
     """
 
     def __init__(self, reference: Reference, period_s: float) -> None:
-        """Take the reference and the period of the ticks [s]; a TaskError where this is not positive and finite."""
+        """Take the reference and the period of the ticks [s]; a TaskError if the period is not positive and finite."""
         self.reference, self.period_s = reference, positive("period_s", period_s)
-        # Rounded up, which makes the change of the rate slower, never faster.
+        # Rounded up, so that the rate changes no faster than stated.
         long = max(1, math.ceil(reference.v_max / reference.a_max / self.period_s - 1e-9))
         self._lengths = long, max(1, long // 2)
         self.settle_s = sum(self._lengths) * self.period_s
         """Time from the last change of the flag until the reference rests, or runs at its full rate [s]."""
 
     def play(self, go_on: ArrayLike) -> tuple[Array, Array]:
-        """Play the reference from its start with flags go_on (N,), one a tick; a TaskError where these are no flags.
+        """Play the reference from its start with one flag per tick, go_on (N,); a TaskError if these are no flags.
 
         Returns:
-            X_d [m], dX_d [m/s], ddX_d [m/s^2] as rows (N, 3, 3), and the path time (N,) [s] at each tick.
+            X_d [m], dX_d [m/s], ddX_d [m/s^2] as rows (N, 3, 3), and tau (N,) [s] at each tick.
         """
         flags = np.asarray(go_on)
         if flags.ndim != 1 or flags.dtype != np.bool_:
@@ -157,15 +157,15 @@ class WaitingReference:
 
 
 def flags_at(times: ArrayLike, seen_times: ArrayLike, seen: ArrayLike) -> NDArray[np.bool_]:
-    """Turn the flags of a camera's pictures into flags of control ticks: each holds from its picture to the next one.
+    """Turn the flags of a camera's pictures into flags of control ticks. A flag holds until the next picture.
 
     Args:
-        times: (N,) of the ticks [s].
-        seen_times: (k,) of the pictures [s]; a TaskError where they do not increase.
+        times: (N,) times of the ticks [s].
+        seen_times: (k,) times of the pictures [s]; a TaskError if they do not increase.
         seen: (k,) flags of the pictures.
 
     Returns:
-        (N,) flags; False before the first picture.
+        (N,) flags of the ticks; False before the first picture.
     """
     pictures, answers = np.asarray(seen_times, dtype=np.float64), np.asarray(seen, dtype=np.bool_)
     if pictures.ndim != 1 or pictures.shape != answers.shape or (np.diff(pictures) <= 0.0).any():

@@ -1,4 +1,4 @@
-"""The trocar: the point of the body wall the shaft must pass through, and how far the shaft is from it."""
+"""The trocar, the point in the body wall through which the shaft must pass, and its distance from the shaft."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from moc_opt.tasks.checks import TimeLike, direction3, number, positive, sampled
 
 @dataclass(frozen=True, eq=False)
 class Trocar:
-    """A trocar point that may move slowly, as with breathing.
+    """A trocar that rests or moves with the breathing.
 
-    P(t) = point + amplitude (1 - cos(2 pi t / period)) / 2 * direction: the trocar starts at `point`, at rest, and is
-    `breathing_amplitude_m` away half a period later. A TaskError where one of the fields is not usable.
+    P(t) = point + amplitude (1 - cos(2 pi t / period)) / 2 * direction. The trocar starts at rest at `point`, and is
+    `breathing_amplitude_m` away from it after half a period. A TaskError if a field is unusable.
     """
 
     point: ArrayLike  #: Position at t = 0, (3,) [m].
@@ -39,15 +39,15 @@ class Trocar:
             object.__setattr__(self, name, value)
 
     def at(self, t: TimeLike) -> tuple[Array, Array]:
-        """Return position p [m] and velocity dp [m/s] at t [s]; each (3,), or (k, 3) with the same bits for times (k,).
+        """Return position p [m] and velocity dp [m/s] at t [s]: each (3,), or (k, 3) with the same bits if t is (k,).
 
-        A TaskError where t is no number or vector, or not finite.
+        A TaskError if t is neither a number nor a vector, or not finite.
         """
         p, dp = sampled("t", t, self._rows)
         return p, dp
 
     def rows(self, t: float) -> Array:
-        """Return P_t and dP_t as the rows of one (2, 3) array, for one time [s]; a TaskError where t is not finite."""
+        """Return P_t and dP_t at one time [s] as the rows of an array (2, 3); a TaskError if t is not finite."""
         return np.asarray(self._rows(np.array([t]))[0])
 
     def _rows(self, t: Array) -> Array:
@@ -65,13 +65,13 @@ def shaft_distance(tip: ArrayLike, wrist: ArrayLike, p: ArrayLike) -> Array:
     """Compute the RCM error d = |(P - X) x u|, the distance of the shaft's line from the trocar [m].
 
     Args:
-        tip, wrist, p: X, N and P, (3,) or (k, 3) [m]; a single point is used for all rows. u = (X - N)/|X - N|.
+        tip, wrist, p: points X, N and P, (3,) or (k, 3) [m]; a point (3,) is used for all rows. u = (X - N)/|X - N|.
 
     Returns:
-        d, (k,), or of shape () where all three are single points.
+        d (k,), or of shape () if all three are single points.
     """
     tool = np.subtract(tip, wrist)
     u = tool / np.sqrt((tool * tool).sum(axis=-1, keepdims=True))
-    # The cross product is written out, since np.cross takes ten times as long on rows of three.
+    # The cross product is written out, because np.cross takes ten times as long on rows of three.
     (a, b, c), (d, e, f) = np.moveaxis(np.subtract(p, tip), -1, 0), np.moveaxis(u, -1, 0)
     return np.asarray(np.sqrt((b * f - c * e) ** 2 + (c * d - a * f) ** 2 + (a * e - b * d) ** 2))

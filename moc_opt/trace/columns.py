@@ -1,4 +1,4 @@
-"""The columns of a trace: their units, shapes and meaning, and the conditions on an array."""
+"""The columns of a trace: their units, shapes and meaning, and a check of the arrays."""
 
 from __future__ import annotations
 
@@ -44,20 +44,20 @@ COLUMNS: Mapping[str, Column] = MappingProxyType(
         "rcm_error_registered_m": Column("m", "(N,)", "distance of the true shaft from the trocar registered by touch"),
         "rcm_error_model_m": Column("m", "(N,)", "distance of shaft and registered trocar by the robot's kinematics"),
         "trocar_force_N": Column("N", "(N, 3)", "true force of the trocar on the shaft; world axes"),
-        "x_rad_per_s": Column("rad/s", "(N, n)", "the subproblem's answer; NaN where there was none"),
-        "dual": Column("", "(N, k)", "multipliers y of the six rows; NaN where the solver gave none"),
-        "subproblem": Column("", "(N, k)", "its packed numbers: `NullSpaceQP.from_row`"),
-        "iterations": Column("1", "(N,)", "iterations of the solver's own loop; 0 for closed forms"),
+        "x_rad_per_s": Column("rad/s", "(N, n)", "the solver's answer x to the subproblem; NaN if there was none"),
+        "dual": Column("", "(N, k)", "multipliers y of the six equality rows; NaN if the solver gave none"),
+        "subproblem": Column("", "(N, k)", "the subproblem's packed numbers: see `NullSpaceQP.from_row`"),
+        "iterations": Column("1", "(N,)", "number of iterations of the solver; 0 if it does not iterate"),
         "status": Column("", "(N,)", "status that the solver claims; 'none' without a third level", "text"),
         "applied_x_rad_per_s": Column("rad/s", "(N, n)", "the x that the third level followed: answer or substitute"),
         "fault": Column(
-            "", "(N,)", "why the answer was refused, a control.supervisor.Fault; 'stopped': not asked, the arm brakes",
+            "", "(N,)", "why the answer was refused, a control.supervisor.Fault; 'stopped': the arm brakes, no answer",
             "text",
         ),
         "injected": Column("", "(N,)", "the answer of this tick was falsified on purpose, to test the check", "flag"),
-        "solve_us": Column("us", "(N,)", "time of the solver; NaN where there was no subproblem"),
+        "solve_us": Column("us", "(N,)", "time of the solve; NaN if there was no subproblem"),
         "tick_us": Column("us", "(N,)", "time of the whole tick, from state to torque"),
-        "tick": Column("1", "(N,)", "number of the tick; without it the rows are consecutive"),
+        "tick": Column("1", "(N,)", "index of the tick; without this column the rows are consecutive"),
         "travelling": Column("", "(N,)", "the elbow is still moving to its optimum", "flag"),
         "verified": Column("", "(N,)", "the answer was judged optimal", "flag"),
         "primal": Column("rad/s, m/s", "(N,)", "primal residual max(|A x - b|_inf, box violation); NaN: no subproblem"),
@@ -65,7 +65,7 @@ COLUMNS: Mapping[str, Column] = MappingProxyType(
         "natural_best": Column("rad/s", "(N,)", "natural residual with the best multipliers for that answer"),
         "relative": Column("rad/s", "(N,)", "natural_best with the cost divided by its slope along the self-motion"),
         "distance": Column("rad/s", "(N,)", "largest entry of the difference to the nearest optimum"),
-        "loss": Column("1", "(N,)", "share of the cost's range, 0 optimum, 1 worst; NaN: no subproblem"),
+        "loss": Column("1", "(N,)", "loss (cost - best) / (worst - best cost); 0: optimum; NaN: no subproblem"),
         "mu_bound": Column("m^3", "(N,)", "largest mu of all feasible poses with this tip and wrist; NaN: unknown"),
         "mu_best_from_start": Column("m^3", "(N,)", "mu along the best course from the start of the run"),
         "mu_best": Column("m^3", "(N,)", "mu along the best course over all swivels and branches at the start"),
@@ -76,7 +76,7 @@ COLUMNS: Mapping[str, Column] = MappingProxyType(
 
 
 def column(name: str, value: ArrayLike) -> NDArray[Any]:
-    """Return one column as a read-only array in its own memory; a TraceError says what is wrong with it."""
+    """Return a column as a read-only array in its own memory; a TraceError says what is wrong with the value."""
     try:
         array = np.asarray(value)
     except ValueError as error:
@@ -95,7 +95,7 @@ def column(name: str, value: ArrayLike) -> NDArray[Any]:
         fits = len(shape) == 1 if not width else len(shape) == 2 and width in ("n", "k", str(shape[1]))
         if kind not in wanted or not fits:
             raise TraceError(f"column {name!r} is {dtype} of shape {shape}: give {known.kind}s of shape {known.shape}")
-    # Only an array that nobody else can write through may be kept without a copy.
+    # Without a copy, keep only an array that nobody else can change.
     native = dtype.newbyteorder("=")
     if array.flags.writeable or not array.flags.owndata or dtype != native:
         array = np.array(array, dtype=native, order="C")

@@ -1,14 +1,14 @@
-"""The meta of a trace: how the run ended, and the type of each entry that pages and tables read.
+"""The meta of a trace: entries that describe the run, and the types of those that pages and tables read.
 
-A simulated run has
+The trace of a simulated run has the entries
 
 - ``ended``: the ending, and its reason; ``stopped_at_s`` [s]; ``ticks`` of ``ticks_planned``, and ``period_s``;
-- ``warnings``: figures that exceeded a warning level of the safety filter; ``faults``: the refused answers of the third
-  level, label -> count, first_at_s, first (the message of the first one);
-- ``restarts``: when (at_s) the process of an isolated solver was replaced, and why (reason);
+- ``warnings``: quantities that exceeded a warning level of the safety filter; ``faults``: refused answers of the third
+  level, label -> count, first_at_s, first (the message of the first such fault);
+- ``restarts``: when (at_s) and why (reason) the process of an isolated solver was replaced;
 - ``scenario``, ``robot`` (and ``robot_data`` of an arm that is not in the package), ``start_q_rad``, ``deadline_us``.
 
-A trace may come from anywhere, so that the constructor of a trace checks the types.
+A trace may come from elsewhere. Therefore the constructor of `Trace` checks the types.
 """
 
 from __future__ import annotations
@@ -25,25 +25,25 @@ from moc_opt.errors import TraceError, shown
 
 
 class Ending(StrEnum):
-    """The ways in which a run ends. ``meta["ended"]`` begins with one, and the reason follows ("stopped: the tip")."""
+    """How a run ends. ``meta["ended"]`` begins with one of these words, and the reason follows ("stopped: the tip")."""
 
     COMPLETED = "completed"
     OSCILLATED = "oscillated"
     STOPPED = "stopped"
     RAN_AWAY = "ran away"
     FAILED = "failed"
-    PART = "part"  #: The trace has only some of the run's ticks; the rest of the text says how the run ended.
+    PART = "part"  #: The trace has only some of the run's ticks; ``meta["ended"]`` also says how the run ended.
 
     @classmethod
     def of(cls, ended: str) -> Ending:
-        """Read the ending from the text of ``meta["ended"]``; a text that begins with none of the words is FAILED."""
+        """Return the ending from the text of ``meta["ended"]``; FAILED if it begins with none of these words."""
         return next((ending for ending in cls if ended.startswith(ending.value)), cls.FAILED)
 
     @property
     def whole(self) -> bool:
-        """Whether the task was driven to its end: only then do the run's figures enter a mean.
+        """Whether the task was done to its end. The metrics of other runs enter no mean.
 
-        This includes a run that oscillated, which is also counted separately.
+        A run that oscillated is included; such runs are also counted separately.
         """
         return self in (Ending.COMPLETED, Ending.OSCILLATED)
 
@@ -72,15 +72,15 @@ FORMS: Mapping[str, TypeAdapter[Any]] = {
         "restarts": list[_RESTART], "warnings": list[_WARNING], "scenario": _SCENARIO, "best_courses": _COURSES,
     }.items()
 }  # fmt: skip
-"""Entry -> its type; a table may have further keys."""
+"""Entry of meta -> its type; a table may have further keys."""
 ANYTHING = TypeAdapter(Any)
 
 
 def plain(meta: Mapping[str, Any]) -> dict[str, Any]:
-    """Return meta as it is after writing to JSON and reading back.
+    """Return meta as JSON would give it back after writing and reading.
 
     Raises:
-        TraceError: meta cannot be written as JSON, or an entry has another type than that in `FORMS`.
+        TraceError: meta cannot be written as JSON, or an entry has not its type in `FORMS`.
     """
     found = {}
     for name, value in meta.items():

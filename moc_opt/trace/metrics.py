@@ -1,7 +1,7 @@
-"""From a trace to numbers: `summarize` computes every metric that a trace has the data for.
+"""Metrics of a run: `summarize` computes every metric for which a trace has the data.
 
-A new metric is one function under `@metric`; its name, with the unit in it, is the key in every summary. If a trace
-lacks a column that the metric reads, the summary leaves the metric out.
+To add a metric, write a function under `@metric`. Its name, which includes the unit, is the key in every summary. If a
+trace lacks a column that the metric reads, the summary leaves the metric out.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ from moc_opt.trace.trace import MissingDataError, Trace
 
 Floats = NDArray[np.float64]
 GROUP = "moc_opt.metrics"
-_LOADED: dict[EntryPoint, str] = {}  # -> the reason why it cannot be used, or ""
+_LOADED: dict[EntryPoint, str] = {}  # entry point -> why it cannot be used, or "" if it can
 
 
 @dataclass(frozen=True)
 class Metric:
-    """A registered metric: call it with a trace, and with a baseline if it compares two runs.
+    """A registered metric. It is called with a trace, and with a baseline if it compares two runs.
 
-    The call raises a MissingDataError where the trace lacks the data.
+    The call raises a MissingDataError if the trace lacks the data.
     """
 
-    name: str  #: key in every summary, with the unit in it
-    unit: str  #: "mm", "us"; "1" for counts and shares
-    about: str  #: one line on what it measures, without the unit
+    name: str  #: key in every summary; includes the unit
+    unit: str  #: for example "mm" or "us"; "1" for counts and ratios
+    about: str  #: what it measures, in one line without the unit
     function: Callable[..., float] = field(repr=False)  #: `(trace) -> number` or `(trace, baseline) -> number`
 
     def __call__(self, trace: Trace, baseline: Trace | None = None) -> float:
-        """Return the number."""
+        """Return the metric's value."""
         compares = len(inspect.signature(self.function).parameters) > 1
         return float(self.function(trace, baseline) if compares else self.function(trace))
 
@@ -51,13 +51,13 @@ METRICS: dict[str, Metric] = {}  #: Name -> metric, in the order of a summary.
 
 
 def metric(unit: str | Callable[..., float]) -> Any:
-    """Register a function as a metric under its own name: `@metric("mm")`, or `@metric` for counts and shares.
+    """Register a function as a metric under its own name: `@metric("mm")`, or `@metric` for counts and ratios.
 
-    The function takes `(trace)` or `(trace, baseline)` and has a docstring whose first line describes it. If it
-    raises MissingDataError, as the access to an absent column does, a summary leaves it out.
+    The function takes `(trace)` or `(trace, baseline)` and has a docstring whose first line describes it. A summary
+    leaves it out if it raises MissingDataError, which also happens when it reads a column that is absent.
 
     Raises:
-        TraceError: the function has no docstring, or another function has its name already.
+        TraceError: the function has no docstring, or another metric already has its name.
     """
     if not callable(unit):
         return lambda function: _add(function.__name__, unit, inspect.getdoc(function) or "", function)
@@ -76,7 +76,7 @@ def _add(name: str, unit: str, about: str, function: Callable[..., float]) -> Me
 
 
 def load_plugins() -> dict[str, str]:
-    """Register the metrics of other packages; return name -> reason for those that cannot be loaded."""
+    """Register the metrics of other packages; return name -> reason for metrics that cannot be loaded."""
     for name, points in plugins.plugins(GROUP).items():
         if points[0] in _LOADED:
             continue
@@ -96,17 +96,17 @@ def load_plugins() -> dict[str, str]:
 
 
 def summarize(trace: Trace, baseline: Trace | None = None) -> dict[str, float]:
-    """Compute every metric that the trace has the data for.
+    """Compute every metric for which the trace has the data.
 
     Args:
-        baseline: the run to compare with: DCAC with the same gains on the same trial, over the same time.
+        baseline: the run for comparison: DCAC with the same gains on the same trial, at the same ticks.
 
     Returns:
-        Name -> number, in the order of METRICS, without those whose data are absent.
+        Name -> value in the order of METRICS, without metrics whose data are absent.
 
     Raises:
         TraceError: the trace or the baseline is not a Trace or is empty, their ticks differ, or a column holds
-            numbers that no run has.
+            impossible numbers.
     """
     load_plugins()
     for role, run in (("trace", trace), ("baseline", baseline)):
@@ -124,7 +124,7 @@ def summarize(trace: Trace, baseline: Trace | None = None) -> dict[str, float]:
         try:
             summary[name] = function(trace, baseline)
         except MissingDataError:
-            continue  # a metric without its data has no number, and no key
+            continue  # a metric without data has no key in the summary
         except ArithmeticError as error:
             raise TraceError(
                 f"metric {name!r} cannot be computed ({describe(error)}): a column that it reads holds zeros, or "
@@ -146,7 +146,7 @@ def _extent(trace: Trace) -> str:
 
 
 def _floats(trace: Trace, column: str) -> Floats:
-    """Return a column of numbers; for a column of vectors, their lengths."""
+    """Return a column of numbers, or the lengths of a column of vectors."""
     values = np.asarray(getattr(trace, column), dtype=np.float64)
     return values if values.ndim == 1 else _lengths(values)
 
@@ -156,7 +156,7 @@ def _lengths(rows: Floats) -> Floats:
 
 
 def _known(trace: Trace, column: str) -> Floats:
-    """Return the entries of a column that are not NaN; a MissingDataError if all are."""
+    """Return the entries of a column that are not NaN; a MissingDataError if all entries are NaN."""
     values = _floats(trace, column)
     values = values[~np.isnan(values)]
     if values.size == 0:
@@ -182,7 +182,7 @@ def _figure(
 
 @metric
 def completed(trace: Trace) -> float:
-    """1 if the run ended "completed", 0 if it was stopped, ran away, oscillated or failed; not given for a part."""
+    """1 if the run completed; 0 if it was stopped, ran away, oscillated or failed; left out for a part of a run."""
     ended = trace.meta.get("ended")
     if not isinstance(ended, str):
         raise MissingDataError("meta has no 'ended': say how the run ended")
@@ -193,7 +193,7 @@ def completed(trace: Trace) -> float:
 
 @metric
 def share_of_run(trace: Trace) -> float:
-    """Share of the planned ticks that are in the trace; below 1 the other metrics describe only a part of the run."""
+    """Ticks in the trace / planned ticks; if it is below 1, the other metrics describe only a part of the run."""
     ticks, planned = trace.meta.get("ticks"), trace.meta.get("ticks_planned")
     if not isinstance(ticks, int) or not isinstance(planned, int) or planned < 1:
         raise MissingDataError("meta has no 'ticks' and 'ticks_planned': give both as numbers of ticks")
@@ -211,7 +211,7 @@ _figure("mu_final", "m^3", "Last", "mu", lambda values: values[-1])
 def mu_gain_percent(trace: Trace, baseline: Trace | None) -> float:
     """Gain in mean manipulability over the baseline, DCAC at the same gains; to compare third levels, use mu_mean.
 
-    Baselines of different third levels differ: each has the observer gain of its third level.
+    The baselines of different third levels differ, because each has the observer gain of its third level.
     """
     if baseline is None:
         raise MissingDataError("there is no baseline: give the trace of DCAC on the same trial")
@@ -223,7 +223,7 @@ def mu_gain_percent(trace: Trace, baseline: Trace | None) -> float:
 
 @metric
 def mu_fraction_of_bound(trace: Trace) -> float:
-    """Mean manipulability over the mean of the largest mu of all feasible poses, at the ticks that have this bound."""
+    """Mean of mu / mean of its bound, the largest mu of all feasible poses, both over the ticks with a known bound."""
     bound = float(_known(trace, "mu_bound").mean())
     if bound == 0.0:
         raise MissingDataError("the largest mu is zero throughout: a share of it has no value")
@@ -232,13 +232,13 @@ def mu_fraction_of_bound(trace: Trace) -> float:
 
 @metric
 def mu_fraction_of_best_from_start(trace: Trace) -> float:
-    """Mean manipulability over that of the best course from the same start, if one was planned."""
+    """Mean of mu / mean of mu along the best course from the same start, if such a course was planned."""
     return METRICS["mu_mean"](trace) / _known(trace, "mu_best_from_start").mean()
 
 
 @metric
 def mu_fraction_of_best(trace: Trace) -> float:
-    """Mean manipulability over that of the best course from any swivel and branch, if one was planned."""
+    """Mean of mu / mean of mu along the best course from any swivel and branch, if such a course was planned."""
     return METRICS["mu_mean"](trace) / _known(trace, "mu_best").mean()
 
 
@@ -261,7 +261,7 @@ def torque_rate_rms_Nm_per_s(trace: Trace) -> float:
     """Chatter: root mean square over the ticks of |tau_k - tau_(k-1)| / (t_k - t_(k-1))."""
     change, step = _lengths(np.diff(trace.tau_Nm, axis=0)), np.diff(_floats(trace, "t_s"))
     if "tick" in trace.columns:
-        # Selected ticks may not be consecutive; a difference across a gap is no rate.
+        # Selected ticks may not be consecutive, and a difference across a gap is no rate.
         together = np.diff(trace.tick) == 1
         change, step = change[together], step[together]
     if step.size == 0:
@@ -283,7 +283,7 @@ def oscillation_Nm(trace: Trace) -> float:
     return shaking(trace, "tau_Nm").rms
 
 
-# --- times, claims, verdicts and residuals of the solver ---
+# --- the solver: times, claims, judgements and residuals ---
 
 
 for _column in ("solve_us", "tick_us"):
@@ -316,7 +316,7 @@ def verified_solved(trace: Trace) -> float:
 
 @metric
 def silently_wrong(trace: Trace) -> float:
-    """Ticks at which the solver claimed success and the answer was judged wrong."""
+    """Ticks at which the solver claimed an optimum and the answer was judged wrong."""
     return _count((trace.status == "solved") & ~trace.verified)
 
 

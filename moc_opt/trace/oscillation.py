@@ -1,14 +1,13 @@
-"""Oscillation: joints that shake faster than any task asks for, found in a trace after the run.
+"""Finds joints that oscillate faster than any task requires, in the trace of a run.
 
-Chatter and limit cycles of a torque loop lie above 8 Hz; a task, its time law and a push on the arm lie below. So
-each joint's velocity and torque are high-passed (a centred mean over 1/8 s is subtracted), and the largest root mean
-square over one second is used. The first half second is left out, since an arm starts with a jerk. On the LWR4+ in the
-realistic plant 94 sound runs (all presets, noise, bumps, breathing, DCAC at a joint limit) had at most 0.080 rad/s and
-3.6 Nm; a limit cycle of the idle joint had 0.49 rad/s and 28 Nm, chatter by delay or by rho = 0 up to 2.7 and 119.
-
-Both limits lie near the geometric mean of sound and unsound runs. For a sliding joint, 0.08 m/s is the same motion at
-0.4 m from an axis, and the other limit is 100 N (the rail's sound runs have 11 N). A single jerk is no oscillation:
-the worst second without its loudest quarter must still have more than half of a limit.
+Chatter and limit cycles of a torque loop are above 8 Hz; motions of a task or after a push are below. Therefore each
+joint's velocity and torque are high-pass filtered (a centred mean over 1/8 s is subtracted), and the largest root mean
+square over one second is compared with a limit. The first half second is left out, because an arm starts with a jerk.
+On the LWR4+ in the realistic plant, 94 sound runs (all presets, noise, bumps, breathing, DCAC at a joint limit) had at
+most 0.080 rad/s and 3.6 Nm. A limit cycle of the idle joint had 0.49 rad/s and 28 Nm, and chatter due to delay or to
+rho = 0 had up to 2.7 rad/s and 119 Nm. Both limits are near the geometric mean of sound and unsound runs. The limits
+for a sliding joint are 0.08 m/s, the same motion 0.4 m from an axis, and 100 N (sound runs of a rail have 11 N). One
+jerk is no oscillation: without its loudest quarter, the worst second must still have more than half of a limit.
 """
 
 from __future__ import annotations
@@ -27,39 +26,40 @@ Floats = NDArray[np.float64]
 Flags = Sequence[bool] | NDArray[np.bool_]
 
 LIMIT_RAD_PER_S, LIMIT_NM = 0.2, 10.0
-LIMIT_M_PER_S, LIMIT_N = 0.08, 100.0  #: The same limits for a sliding joint.
+LIMIT_M_PER_S, LIMIT_N = 0.08, 100.0  #: The limits for a sliding joint.
 PARTS, LOUDEST, KEPT_UP = 8, 2, 0.5
-"""The worst window is cut into PARTS; without the LOUDEST ones it must exceed the share KEPT_UP of a limit."""
+"""The worst window is cut into PARTS. Without its LOUDEST parts, it must exceed KEPT_UP times a limit."""
 ABOVE_HZ, WINDOW_S, START_S, SHORTEST_S = 8.0, 1.0, 0.5, 1e-6
 
 
 class Shaking(NamedTuple):
-    """The largest oscillation of a run."""
+    """The largest oscillation in a run."""
 
-    joint: int  #: its number, from 0
-    rms: float  #: root mean square above ABOVE_HZ, of the worst window, in the column's unit
-    frequency_Hz: float  #: of the largest entry of that window's spectrum above ABOVE_HZ
-    rest: float  #: root mean square of that window without its loudest quarter
+    joint: int  #: index of the joint, from 0
+    rms: float  #: root mean square above ABOVE_HZ in the worst window, in the column's unit
+    frequency_Hz: float  #: frequency of the largest entry in the spectrum of that window, above ABOVE_HZ
+    rest: float  #: root mean square in that window without its loudest quarter
 
     def above(self, limit: float) -> bool:
-        """Return whether this is an oscillation beyond the limit on ``rms``, and not a single jerk."""
+        """Return whether ``rms`` is above the limit, and not only because of a single jerk."""
         return self.rms > limit and self.rest > KEPT_UP * limit
 
 
 def shaking(trace: Trace, column: str, limits: ArrayLike | None = None) -> Shaking:
-    """Find the largest root mean square above ``ABOVE_HZ`` that a joint keeps up for ``WINDOW_S``.
+    """Find the largest root mean square above ``ABOVE_HZ`` of any joint over a window of ``WINDOW_S``.
 
-    In a run shorter than the start and one window, the window is shorter, and the start is at most half of the run.
+    In a run shorter than ``START_S`` and one window, the window is shorter, and at most half of the run is left out.
 
     Args:
-        trace: of consecutive ticks.
+        trace: a trace of consecutive ticks.
         column: ``v_rad_per_s`` or ``tau_Nm``, (N, n).
-        limits: of each joint (n,). The joint with the largest share of its own limit is returned; a jerk gives way to
-            an oscillation beyond a limit, if the run has one. None: the joint with the largest value.
+        limits: limit of each joint (n,). The joint with the largest value / limit is returned. If this is a single
+            jerk and another window has an oscillation above its limit, the latter is returned. None: the joint with the
+            largest value.
 
     Raises:
-        MissingDataError: no such column, no time, ticks that are not consecutive, or fewer than four of them.
-        TraceError: time does not increase.
+        MissingDataError: the trace has no such column, no time, fewer than four ticks, or ticks with gaps.
+        TraceError: the time does not increase.
     """
     values, time = np.asarray(getattr(trace, column), dtype=np.float64), np.asarray(trace.t_s, dtype=np.float64)
     if len(trace) < 4:
@@ -82,7 +82,7 @@ def shaking(trace: Trace, column: str, limits: ArrayLike | None = None) -> Shaki
     if limits is None:
         return loudest
     while not found.above(bounds[found.joint]) and shares.max() > 1.0:
-        # This is a jerk; another joint, or the same joint at another time, may still oscillate.
+        # This is a jerk. Another joint, or this joint at another time, may still oscillate.
         row = int(np.argmax(shares[:, found.joint]))
         shares[max(row - window // PARTS, 0) : row + window // PARTS + 1, found.joint] = 0.0
         found = _at(fast, squares, shares, period)
@@ -102,7 +102,7 @@ def _at(fast: Floats, squares: Floats, shares: Floats, period: float) -> Shaking
 
 
 def above(values: Floats, width: int) -> Floats:
-    """Return the rows (N, k) minus their centred mean over about ``width`` rows, over fewer at both ends."""
+    """Return the rows (N, k) minus their centred mean over about ``width`` rows (fewer at both ends)."""
     total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
     place, half = np.arange(len(values)), width // 2
     begin, end = np.maximum(place - half, 0), np.minimum(place + half + 1, len(values))
@@ -110,7 +110,7 @@ def above(values: Floats, width: int) -> Floats:
 
 
 def describe(trace: Trace, joint_names: Sequence[str], slides: Flags) -> str:
-    """Return in words which joint oscillates, how fast and how much; empty where none does.
+    """Say which joint oscillates, at which frequency and how much; empty if no joint does.
 
     Raises:
         MissingDataError: see ``shaking``.
@@ -127,12 +127,12 @@ def describe(trace: Trace, joint_names: Sequence[str], slides: Flags) -> str:
 
 
 def judged_for_oscillation(trace: Trace, joint_names: Sequence[str], slides: Flags) -> Trace:
-    """Return the trace, with ``meta["ended"]`` "oscillated: ..." where it was "completed" and a joint oscillates.
+    """Return the trace; if it was "completed" and a joint oscillates, with ``meta["ended"]`` "oscillated: ...".
 
-    "stopped: ..." of a run that was stopped later names the oscillation too. A run of less than 1 s is not judged.
+    If a run was stopped after an oscillation, "stopped: ..." names it too. A run of less than 1 s is not judged.
     """
     ended, stopped_s = trace.meta.get("ended"), trace.meta.get("stopped_at_s")
-    # A stop begins with a jerk of its own.
+    # Braking in a stop is a jerk, which is not judged.
     judged = trace if stopped_s is None else trace.head(int(np.searchsorted(trace.t_s, stopped_s)))
     brief = len(judged) < 4 or judged.t_s[-1] - judged.t_s[0] < START_S + 0.5 * WINDOW_S
     if brief or (ended != "completed" and stopped_s is None):

@@ -1,6 +1,6 @@
-"""The record of a run, one row per control tick. It converts to a pandas table, an xarray dataset and a figure.
+"""The record of a run, with one row per control tick. It converts to a pandas table, an xarray dataset and a figure.
 
-pandas, xarray and the figures are imported only when they are asked for.
+pandas, xarray and plotly are imported only when they are needed.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from moc_opt.trace import file
 from moc_opt.trace.columns import COLUMNS, Column, column
 from moc_opt.trace.meta import Ending, plain
 
-if TYPE_CHECKING:  # so that a notebook can complete results of plot(), to_pandas() and to_xarray()
+if TYPE_CHECKING:  # for code completion on the results of plot(), to_pandas() and to_xarray()
     from pandas import DataFrame
     from plotly.graph_objects import Figure
     from xarray import Dataset
@@ -33,11 +33,11 @@ class MissingDataError(TraceError, AttributeError):
 
 
 class Trace:
-    """A run: `columns`, one row per tick, and `meta`, how the run came about.
+    """A run: `columns` with one row per tick, and `meta`, which says how the run came about and ended.
 
     `trace.q_rad` is `trace.columns["q_rad"]`; `len(trace)` is the number of ticks. No column is obligatory,
-    and a trace may hold columns that `Trace.COLUMNS` does not name; a column named there must have the shape
-    given there (N ticks, n joints). Arrays are read-only. Do not change nested values of `meta` (plain JSON).
+    and a trace may have columns that are not in `Trace.COLUMNS`. A column that is in `Trace.COLUMNS` must have the
+    shape given there (N ticks, n joints). Arrays are read-only. Do not change nested values of `meta` (plain JSON).
 
     Example:
         >>> trace = mo.run(mo.Scenario(duration_s=0.1, bound_samples=0))
@@ -59,15 +59,15 @@ class Trace:
     __slots__ = ("columns", "meta")
 
     def __init__(self, columns: Mapping[str, ArrayLike], meta: Mapping[str, Any] | None = None) -> None:
-        """Check and freeze.
+        """Check the columns and meta, and make them read-only.
 
         Args:
-            columns: name -> (N,) or (N, k) floats, integers, flags, or (N,) texts; the same N for all.
-            meta: name -> JSON value, finite numbers only; kept as JSON would give it back (tuples as lists).
+            columns: name -> (N,) or (N, k) floats, integers or flags, or (N,) texts; N is the same for all.
+            meta: name -> JSON value with finite numbers; stored as JSON would give it back (tuples as lists).
 
         Raises:
             TraceError: a column (named in the message) has a wrong shape, type or number of rows; meta is not JSON, or
-                an entry of it that the package reads has a wrong type.
+                one of its entries has a type other than that in `moc_opt.trace.meta`.
         """
         for argument, given in (("columns", columns), ("meta", {} if meta is None else meta)):
             if not isinstance(given, Mapping):
@@ -86,7 +86,7 @@ class Trace:
         return len(next(iter(self.columns.values()), ()))
 
     def __getattr__(self, name: str) -> NDArray[Any]:
-        """Return a column; MissingDataError (an AttributeError) names the nearest ones."""
+        """Return a column; if it is absent, a MissingDataError (an AttributeError) names similar columns."""
         if name.startswith("__") or name in Trace.__slots__:
             raise AttributeError(name)
         try:
@@ -107,18 +107,18 @@ class Trace:
         return f"Trace({', '.join(facts)}: {', '.join(self.columns)})"
 
     def __dir__(self) -> Iterable[str]:
-        """List methods and columns."""
+        """Return the names of methods and columns."""
         return [*super().__dir__(), *self.columns]
 
     def with_columns(self, **arrays: ArrayLike) -> Trace:
-        """Return a new trace with columns added or replaced; raises the constructor's errors."""
+        """Return a new trace with columns added or replaced; raises the errors of the constructor."""
         return Trace({**self.columns, **arrays}, self.meta)
 
     def select(self, ticks: ArrayLike) -> Trace:
-        """Return the trace of some of the ticks, given as flags (N,); a TraceError if ``ticks`` are not such flags.
+        """Return the trace of the ticks whose flag in ``ticks`` (N,) is True; a TraceError if these are not flags (N,).
 
-        Its column `tick` keeps the ticks' numbers; ``meta["ended"]`` says that it is a part of a run, and
-        ``meta["run_ended"]`` how the run ended.
+        Its column `tick` has the indices of the ticks in the run; ``meta["ended"]`` says that this is a part of a run,
+        and ``meta["run_ended"]`` how the run ended.
         """
         mask = np.asarray(ticks)
         if mask.dtype != np.bool_ or mask.shape != (len(self),):
@@ -128,7 +128,7 @@ class Trace:
         return self._of(MappingProxyType(found), self.meta)._as_part_of(self)
 
     def between(self, start_s: float, stop_s: float) -> Trace:
-        """Return the trace of the ticks with start_s <= t_s < stop_s, like `select`; a TraceError if none is inside."""
+        """Return the trace of the ticks with start_s <= t_s < stop_s, like `select`; a TraceError if there are none."""
         if not (is_number(start_s) and is_number(stop_s)):
             given = f"start_s = {shown(start_s)}, stop_s = {shown(stop_s)}"
             raise TraceError(f"between({given}): give times in seconds, inf for no limit")
@@ -142,11 +142,11 @@ class Trace:
     def plot(
         self, columns: Sequence[str] | None = None, *, name: str | None = None, beside: Trace | None = None
     ) -> Figure:
-        """Draw the run over time, as the reports do: a plotly figure that a notebook shows.
+        """Draw columns of the run over time, as the reports do, in a plotly figure that a notebook shows.
 
         Each of ``columns`` has a panel; None: mu, tip error, RCM error and force. ``name`` is this run's name in the
-        legend; None: its solver, or the law if it has no solver. ``beside`` is a second run, named by its solver too,
-        or "baseline" if that name is taken. It raises the errors of `moc_opt.figures.time_series`.
+        legend; None: the name of its solver, or "dcac". ``beside`` is a second run, with the name of its solver, or
+        "baseline" if both names are equal. Raises the errors of `moc_opt.figures.time_series`.
         """
         from moc_opt.figures import time_series
 
@@ -163,8 +163,8 @@ class Trace:
     def to_pandas(self) -> DataFrame:
         """Return a pandas.DataFrame with one row per tick, indexed by `t_s`; `attrs` holds `meta`.
 
-        A vector is spread over columns: `tip_m_x`, `tip_m_y`, `tip_m_z`; joints are numbered from 0 (`q_rad_0`).
-        A TraceError where pandas is not installed.
+        A vector becomes several columns: `tip_m_x`, `tip_m_y`, `tip_m_z`; joints are numbered from 0 (`q_rad_0`).
+        A TraceError if pandas is not installed.
         """
         pandas = _package("pandas")
         columns: dict[str, NDArray[Any]] = {}
@@ -182,7 +182,7 @@ class Trace:
     def to_xarray(self) -> Dataset:
         """Return an xarray.Dataset over `t_s`, `joint` and `axis`; each variable has its unit and meaning.
 
-        A TraceError where xarray is not installed.
+        A TraceError if xarray is not installed.
         """
         xarray = _package("xarray")
         variables: dict[str, Any] = {}
@@ -197,7 +197,7 @@ class Trace:
             variables[name] = (dimensions, array, words)
         if "t_s" in variables:
             coordinates["t_s"] = variables.pop("t_s")
-        # Attributes of a NetCDF file are texts and numbers: nested values become JSON texts.
+        # Attributes of a NetCDF file are texts and numbers. Nested values become JSON texts.
         attributes = {
             key: value if isinstance(value, str | int | float) else to_json(value, indent=None)
             for key, value in self.meta.items()
@@ -205,7 +205,7 @@ class Trace:
         return xarray.Dataset(variables, coordinates, attributes)
 
     def head(self, ticks: int) -> Trace:
-        """Return the trace of the first ``ticks``, or of all if it has fewer; ``meta`` changes as in `select`."""
+        """Return the trace of the first ``ticks`` ticks, or of all if it has fewer; ``meta`` as in `select`."""
         if isinstance(ticks, bool) or not isinstance(ticks, int | np.integer) or ticks < 0:
             raise TraceError(f"head: ticks = {shown(ticks)}: give an integer of 0 or more")
         columns = MappingProxyType({name: array[:ticks] for name, array in self.columns.items()})
@@ -224,7 +224,7 @@ class Trace:
         return self.with_meta(**told)
 
     def with_meta(self, **values: Any) -> Trace:
-        """Return the same columns with entries of meta added or replaced; a TraceError as in the constructor."""
+        """Return a trace with entries of meta added or replaced; raises a TraceError as the constructor does."""
         return self._of(self.columns, MappingProxyType(plain({**self.meta, **values})))
 
     @classmethod
@@ -235,16 +235,16 @@ class Trace:
         return made
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a Parquet file, all or nothing: an older file of that name stays until the new one is there.
+        """Write a Parquet file, all or nothing: an older file of this name stays until the new file is complete.
 
-        Numbers of shape (N, k) become arrays of width k, meta is JSON in the file's metadata under "moc_opt.meta".
-        A TraceError where the file cannot be written.
+        Numbers of shape (N, k) become arrays of width k; meta is stored as JSON in the file's metadata "moc_opt.meta".
+        A TraceError if the file cannot be written.
         """
         file.write(path, self.columns, self.meta)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Trace:
-        """Read a file of `save`, the same to the last bit; a TraceError if it is missing, damaged, or no trace."""
+        """Read a file that `save` wrote, exact to the last bit; a TraceError if it is missing, damaged, or no trace."""
         return cls(*file.read(path))
 
 
@@ -260,15 +260,15 @@ def load_trace(path: str | os.PathLike[str]) -> Trace:
 
 
 def table(of: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """Return the table ``name`` of the meta; an empty one if it is absent or, in a foreign file, not a table."""
+    """Return the table ``name`` of meta; an empty table if it is absent or, in a foreign file, not a table."""
     found = of.get(name)
     return found if isinstance(found, dict) else {}
 
 
 def about(trace: Trace) -> dict[str, str]:
-    """Return the main facts of a run, name -> text; entries that `meta` lacks are left out.
+    """Return the main facts of a run as name -> text; facts that `meta` lacks are left out.
 
-    ``solver`` is "dcac" under that law, which has no solver.
+    ``solver`` is "dcac" under law "dcac", which has no solver.
     """
     meta, scenario = trace.meta, table(trace.meta, "scenario")
     law = "dcac" if table(scenario, "control").get("law") == "dcac" else table(scenario, "solver").get("name")
