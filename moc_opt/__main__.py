@@ -8,6 +8,7 @@ import select
 import signal
 import sys
 import traceback
+import warnings
 from collections.abc import Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -46,6 +47,7 @@ def _nobody_reads() -> bool:
 def _command(arguments: Sequence[str] | None) -> int:
     try:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
+        warnings.formatwarning = lambda text, *_, **__: f"{text}\n"  # without a line of code
         from moc_opt.commands.parser import COMMANDS, make_parser, work_of  # slow: Ctrl-C may come here
 
         parser = make_parser()

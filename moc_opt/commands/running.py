@@ -58,12 +58,7 @@ def run_scenario(given: argparse.Namespace) -> int:
     with Bar(title, now="sets up") as bar:
         setup = Setup(scenario)
         bar.of(len(setup.times()))
-
-        def watch(tick: int) -> None:
-            if tick and tick % 100 == 0:
-                bar.step(steps=100)
-
-        trace = _as_far_as_it_goes(lambda: setup.trace(watch, given.trace))
+        trace = _as_far_as_it_goes(lambda: setup.trace(lambda tick: tick % 100 or bar.step(steps=100), given.trace))
     return show(scenario, title, trace, given)
 
 
@@ -87,6 +82,8 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
     ended = str(trace.meta["ended"])
     for line in [*([] if ended == "completed" else [f"{ended}{part(trace)}"]), *remarks(trace)]:
         print(f"{title}: {line}", file=sys.stderr)
+    if given.trace is not None:
+        print(given.trace, file=sys.stderr)
     try:
         baseline = _matched_dcac(scenario, title, len(trace)) if scenario.control.law == "moc" else None
         metrics = summarize(trace, baseline)

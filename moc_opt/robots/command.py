@@ -28,12 +28,12 @@ def add_commands(commands: Any) -> None:
         help="how the base stands [rad]; 3.1416 0 0 hangs from the ceiling",
     )  # fmt: skip
     new.add_argument("--seed", type=int, default=0, help="of the search for a home pose")
-    new.add_argument("--out", type=Path, required=True, metavar="MY.toml")
+    new.add_argument("--out", type=Path, required=True, metavar="MY.toml", help="robot file to write")
     check = kinds.add_parser(
         "check", help="freedoms, reach, limits, gains and masses of a robot, with a verdict",
         epilog="Exit status: 0 the arm can be used; 3 it cannot; 2 the input is wrong.",
     )  # fmt: skip
-    check.add_argument("robot", metavar="MY.toml|NAME")
+    check.add_argument("robot", metavar="MY.toml|NAME", help="robot file, or an arm of `moc-opt robots`")
 
 
 def run_command(given: argparse.Namespace) -> int:

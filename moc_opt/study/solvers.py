@@ -178,7 +178,7 @@ class Work:
         said = sentences(self.summary, assess(self.summary, self.runs))[0]
         if said != self.said:
             self.said = said
-            console(stderr=True).print(f"so far: {said}", markup=False, soft_wrap=True)
+            console(stderr=True).print(f"so far: {said} (It may change.)", markup=False, soft_wrap=True)
 
 
 # --- the command ---

@@ -125,11 +125,14 @@ def summarize(trace: Trace, baseline: Trace | None = None) -> dict[str, float]:
             summary[name] = function(trace, baseline)
         except MissingDataError:
             continue  # a metric without data has no key in the summary
-        except ArithmeticError as error:
-            raise TraceError(
-                f"metric {name!r} cannot be computed ({describe(error)}): a column that it reads holds zeros, or "
-                "numbers that no run has"
-            ) from error
+        except Exception as error:
+            why = f"metric {name!r} cannot be computed ({describe(error)})"
+            if function.function.__module__ != __name__:
+                warnings.warn(f"{why} by {function.function.__module__}: left out", UserWarning, stacklevel=2)
+            elif isinstance(error, ArithmeticError):
+                raise TraceError(f"{why}: a column that it reads holds zeros, or numbers that no run has") from error
+            else:
+                raise
     return summary
 
 
