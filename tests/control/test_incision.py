@@ -20,7 +20,7 @@ def look(guard, q, trocar, wrench):
 
 
 def seen(robot, q, point, wrench=None, tip_force=None):
-    """RCM error [m] and trocar force [N] of one reading: a mean over one period is the figure itself."""
+    """RCM error [m] and trocar force [N] of one reading: the mean over one period is that reading's value."""
     guard = guard_of(robot, q, incision=True, incision_s=PERIOD, tip_force_N=tip_force)
     look(guard, q, np.array([point, np.zeros(3)]), wrench)
     _, figures = guard._guard.watched()
@@ -118,6 +118,6 @@ def test_a_wrench_sensor_without_readings_stops_the_arm_and_a_short_gap_does_not
     rcm = guard_of(robot, incision=True, incision_s=PERIOD)
     look(rcm, q, off_by(robot, q, 0.05), bad)
     assert rcm.reason.startswith("the RCM error")
-    bare = guard_of(robot)  # without a tool
+    bare = guard_of(robot)  # without an incision, neither is checked
     look(bare, q, off_by(robot, q, 1.0), bad)
     assert (bare.reason, bare.warnings) == ("", [])

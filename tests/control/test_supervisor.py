@@ -1,4 +1,4 @@
-"""The supervisor of the third level: what it refuses, what replaces a refused answer, what does not depend on it."""
+"""The supervisor of the third level: the answers that it refuses, what replaces them, and that tip and RCM are safe."""
 
 from types import SimpleNamespace
 from unittest.mock import Mock
@@ -381,7 +381,7 @@ def stoppable(whole, truncated):
 @pytest.mark.parametrize(("us", "iterations", "allowed"), [
     (400.0, 40, 10), (1e6, 40, 1), (100.0, 40, None), (400.0, 1, 1), (400.0, 0, None),
 ])  # fmt: skip
-def test_a_late_solver_that_can_be_truncated_gets_its_share_of_the_iterations(us, iterations, allowed, qp, Z):
+def test_a_late_solver_that_can_be_truncated_gets_the_iterations_that_fit_the_budget(us, iterations, allowed, qp, Z):
     whole = solved(qp)._replace(iterations=iterations)
     session = stoppable(whole, whole._replace(x=0.5 * whole.x, status=Status.MAX_ITER))
     mine = supervisor(times=[us], budget_us=100.0, late="iterate")
@@ -427,8 +427,8 @@ def test_tip_and_rcm_do_not_depend_on_the_third_level(kind, robot):
 
 
 @pytest.mark.parametrize("name", [name for name, reason in available().items() if reason is None])
-def test_answers_of_registered_solvers_are_not_refused(name):
-    """With its default settings, no registered solver has more than one percent of its answers refused."""
+def test_at_most_one_percent_of_a_registered_solvers_answers_are_refused(name):
+    """Each solver has its default settings."""
     trace = run(Scenario(solver={"name": name}, **QUICK))
     refused = ("lied", "outside", "late", "not_finite", "malformed", "raised")
     assert np.isin(trace.fault, refused).mean() <= 0.01, trace.meta["faults"]
