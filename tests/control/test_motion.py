@@ -34,7 +34,7 @@ def ages(stamps, patience=PATIENCE):
 
 @given(st.integers(0, 6), st.integers(0, 3), st.integers(0, 40))
 @settings(max_examples=80, deadline=None)
-def test_a_constant_delay_is_accepted_and_packets_that_end_are_too_old_after_the_patience(patience, late, last):
+def test_a_constant_delay_is_accepted_and_the_last_packet_is_too_old_after_the_patience(patience, late, last):
     """The delay is at most the patience, since the run stops after as many ticks without a new packet."""
     late = min(late, patience)
     found = ages([min(last, max(0, k - late)) for k in range(late + last + patience + 2)], patience)
@@ -126,7 +126,7 @@ def test_a_repeated_reading_stops_the_arm_once_the_reference_moves_or_the_torque
     wrench = np.zeros((600, 6)) if whole else np.random.default_rng(0).normal(size=(600, 6))
     wrong, k = looked(still, 0.0 * still, tau, reference, wrench)
     assert "all encoders repeat" in wrong
-    assert abs(grown[k]) == pytest.approx(level, abs=1e-4 if by == "way" else 0.1)  # a few ticks later
+    assert abs(grown[k]) == pytest.approx(level, abs=1e-4 if by == "way" else 0.1)  # then a few ticks of patience
     one = still.copy()
     one[:, 6] += 1e-5 * np.arange(600)
     assert looked(one, np.gradient(one, PERIOD, axis=0), reference=reference)[0] == ""  # one joint changes
@@ -161,7 +161,7 @@ def watched(robot, torque, ticks, **levels):
 
 @pytest.mark.parametrize(("begins", "told"), [(1, False), (120, True)])
 def test_an_unknown_load_stops_the_arm_only_if_it_begins_after_the_residual_has_settled(robot, begins, told):
-    """A payload, for example. The residual's mean follows it until it has settled (`_SETTLED` time constants)."""
+    """A payload, for example. The residual's mean follows the residual for the first `_SETTLED` time constants."""
     load = 0.4 * robot.tau_max
     for on in (True, False):
         reason, _ = watched(robot, lambda k: (k >= begins) * load, 200, residual_s=1e6, motion=on)

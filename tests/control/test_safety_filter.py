@@ -194,7 +194,7 @@ def test_brakes_open_by_the_mean_of_the_trocars_force_and_not_at_once(robot, new
     assert np.flatnonzero(opened).tolist() == list(range(first - 1, first - 1 + 200))  # for stop_yield_s, only once
 
 
-def test_a_mean_with_a_time_constant_below_the_period_is_the_last_value(robot):
+def test_a_mean_with_a_time_constant_below_the_period_is_the_latest_value(robot):
     short = SafetyFilterSettings(tip_error_s=0.05, incision_s=0.05, residual_s=0.05)
     found = numbers_of(short, robot, 0.1)
     assert {found[f"{name}_share"] for name in ("tip", "incision", "residual", "press")} == {1.0}

@@ -61,7 +61,7 @@ STOPPED = {
         {"faults": {"frozen_at_s": 1.7, **FORGED}, "seed": 501, "duration_s": 2.4,
          "start": {"pose": "random", "swivel": "random"}}, 1.7, 0.1, 4e-3, 5.0, "",
     ),
-    # The lag grows whenever a reading comes twice. Unchecked, it costs 57 mm, but nothing before the arm moves.
+    # The lag grows whenever a reading comes twice. Without the check, the error is 57 mm; an arm at rest has none.
     "forged-lag-at-rest": (
         {"faults": {"lag_at_s": 0.0, "lag_growth": 0.3, "forged_stamps": True}, "seed": 2345, "control": DCAC,
          "task": STILL, "duration_s": 1.5, **ANYWHERE}, 0.0, 0.24, 4e-3, 5.0, "",
@@ -118,11 +118,11 @@ def test_wrong_measurements_stop_the_arm(name):
 
 # the encoder's fault, and bounds of the time to the stop [s] and of the tip error [m]
 @pytest.mark.parametrize(("wrong", "within", "error"), [
-    # The position stays, but the velocity does not decay as a filtered one would. Unchecked: 31 mm and 24 N.
+    # The position stays, but the velocity does not decay as a filtered one would. Without the check: 31 mm, 24 N.
     ({"frozen_velocity": "repeated"}, 0.0121, 0.012), ({"frozen_velocity": "zero"}, 0.0121, 0.012),
-    # Now and then a reading comes twice. Unchecked: 53 mm.
+    # Now and then a reading comes twice. Without the check, the error is 53 mm.
     ({"lag_growth": 0.05}, 0.21, 0.012), ({"lag_growth": 0.5}, 0.03, 0.012),
-    # The readings become old from one tick to the next. Unchecked: 48 mm and 17 N.
+    # The readings become old from one tick to the next. Without the check, the error is 48 mm and the force 17 N.
     ({"lag_ticks": 8, "lag_growth": 1e-6}, 0.03, 0.006), ({"lag_ticks": 40, "lag_growth": 1e-6}, 0.03, 0.006),
 ], ids=str)  # fmt: skip
 @pytest.mark.parametrize("robot", ["lwr4", "panda", "xarm7", "lwr4_rail"])

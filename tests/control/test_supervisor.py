@@ -1,4 +1,4 @@
-"""The supervisor of the third level: the answers that it refuses, what replaces them, and that tip and RCM are safe."""
+"""The supervisor of the third level: answers that it refuses, what replaces them, and that tip and RCM ignore them."""
 
 from types import SimpleNamespace
 from unittest.mock import Mock

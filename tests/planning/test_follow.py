@@ -53,7 +53,7 @@ def test_the_desired_velocity_is_the_courses_velocity_plus_a_gain_times_the_erro
 
 
 def test_an_arm_that_has_left_its_course_is_led_from_its_pose_to_the_courses_maximum_of_mu():
-    """The elbow is held for 1 s, while the course gains 30 % of mu. Then the arm moves with the desired velocity."""
+    """The elbow is held for 1 s, while mu rises by 30 % on the course. Then the arm moves with the desired velocity."""
     made = Setup(TRAPPED.change(control={"third_level": "planned"}))
     robot, guide, q, held = made.robot, follower(made), np.array(made.q_start), 500
     targets = targets_of(robot, made.layout, made.ticks + 1)
@@ -149,7 +149,7 @@ def test_the_receding_horizons_motion_is_on_the_path_and_within_the_joint_speeds
     # Between the program's times the motion is a cubic, and a joint turns by up to 0.2 rad from one time to the next.
     assert np.linalg.norm(tips - setup().reference.at(t)[0], axis=1).max() < 2e-3
     assert shaft_distance(tips, wrists, setup().registered.at(t)[0]).max() < 2e-3
-    # The program limits the mean speed between its times, so the cubic is faster in places. The box limits it in a run.
+    # The program limits the mean speed between its times, so the cubic is faster in places. The box limits all speeds.
     assert (np.abs(np.diff(q, axis=0)) / 0.002 <= 1.2 * setup().robot.v_max).all()
 
 

@@ -217,7 +217,7 @@ def test_points_of_a_path_share_their_maxima(monkeypatch):
 
 @pytest.mark.parametrize("name", ["panda", "lwr4_rail", "odd"])
 def test_an_ascent_ends_at_a_maximum_within_the_limits_and_nearest_poses_are_found_within_them(name, odd_robot):
-    """The limits are so narrow that joints meet and leave them during the ascent. At its end, HiGHS finds no ascent."""
+    """The limits are so narrow that joints meet and leave them. At the end, HiGHS finds no direction of ascent."""
     robot = odd_robot if name == "odd" else load_robot(name)
     rng, at_limits, found = np.random.default_rng(5), 0, 0
     for width in rng.choice([0.05, 0.3, 1.0, 9.0], 60):

@@ -111,7 +111,7 @@ def test_with_a_brake_a_course_slows_down_before_its_limits(robot):
 
 
 def test_a_course_for_which_the_joints_are_far_too_slow_is_not_kept(robot):
-    """The largest step is shorter than the reserve that the program keeps from its limits: bounds must not cross."""
+    """The largest step is shorter than the reserve that the program keeps from its limits; bounds must not cross."""
     targets, slow = task(robot, robot.data.q_home, 20), Limits(speed_share=1e-10)
     course, _ = on_grid(robot, targets)
     assert not refine(robot, targets, make_course(robot, targets, course.q_rad, slow), slow).kept

@@ -1,4 +1,4 @@
-"""The value function gives the mean mu of the best course along a path. Courses read off it keep limits and bound."""
+"""The value function gives the mean mu of the best course along a path. Courses read off it keep all limits."""
 
 import itertools
 from dataclasses import replace

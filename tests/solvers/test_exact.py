@@ -227,7 +227,7 @@ def test_near_the_rank_tolerance_no_wrong_answer_is_called_solved(decimals, sing
 
 @pytest.mark.parametrize("freedoms", [0, 1])
 def test_a_violation_of_the_box_counts_as_rounding_if_the_smallest_pivot_explains_it(freedoms):
-    """Rounding is 4e-12 times 10 or 20 (largest |A| |x|), divided by the pivot 1e-3. 100 times as much is accepted."""
+    """Rounding is 4e-12 times 10 or 20 (largest |A| |x|), divided by the pivot 1e-3 [rad/s]. 100 times that passes."""
     wide = np.full(7, 10.0)
     for smallest, beyond, status in (
         (1e-3, 2e-6, Status.SOLVED), (1e-3, 2e-5, Status.INFEASIBLE), (1.0, 1e-7, Status.INFEASIBLE)

@@ -35,7 +35,7 @@ def made(joint=0, amplitude=0.0, hertz=50.0, column="v_rad_per_s", ticks=1500, p
     joint=st.integers(0, 6), amplitude=st.floats(0.3, 5.0), hertz=st.floats(16.0, 200.0),
     period=st.sampled_from([0.001, 0.002]),
 )  # fmt: skip
-def test_joint_size_and_frequency_are_found(joint, amplitude, hertz, period):
+def test_the_joint_size_and_frequency_of_an_oscillation_are_found(joint, amplitude, hertz, period):
     """The oscillation is added to a motion of 0.5 rad/s, with either control period."""
     found = shaking(made(joint, amplitude, hertz, ticks=round(3.0 / period), period=period), "v_rad_per_s")
     assert found.joint == joint
