@@ -45,7 +45,7 @@ def test_the_rcm_error_is_the_distance_of_the_shaft_from_the_trocar(robot, seed,
     force=st.tuples(*[st.floats(-20.0, 20.0)] * 3), touch=st.tuples(*[st.floats(-20.0, 20.0)] * 3),
 )  # fmt: skip
 def test_the_trocars_force_is_separated_from_the_tools_weight_and_a_force_at_the_tip(robot, seed, depth, force, touch):
-    """By statics alone, in any pose. Only the force across the shaft counts: a trocar gives none along it."""
+    """Statics separates them in any pose. Only the force across the shaft counts: a trocar gives none along it."""
     q = np.random.default_rng(seed).uniform(robot.q_min, robot.q_max)
     pose = robot.tool_pose(q)
     length, mass = robot.data.tool_length, robot.data.tool_mass

@@ -50,7 +50,7 @@ def test_a_constant_delay_is_accepted_and_the_last_packet_is_too_old_after_the_p
 @given(st.lists(st.integers(-10, 200), min_size=1, max_size=80), st.integers(0, 6))
 @settings(max_examples=200, deadline=None)
 def test_a_fresh_packet_is_newer_than_all_before_it_and_never_too_old(stamps, patience):
-    """For any numbers in any order: replays, jumps ahead, packets of the past."""
+    """This holds for any packet numbers in any order: replays, jumps ahead, packets of the past."""
     newest, clock, delay = 0, 0, None
     found = ages([0, *stamps], patience)[1:]  # as in a run, the first packet is that of the start
     for stamp, one in zip(stamps, found, strict=True):

@@ -40,7 +40,7 @@ def by_the_law(s, robot, tau, before, q, v, carries):
 @given(seed=st.integers(0, 10**6), rate=st.sampled_from([500.0, 2e4, 1e9]), fast=st.sampled_from([0.3, 1.0, 3.0, 20.0]),
        asked=st.sampled_from([1.2, 1e3]), carries=st.booleans())  # fmt: skip
 def test_the_torque_follows_the_numpy_law_and_stays_within_its_limits(robot, seed, rate, fast, asked, carries):
-    """For any commanded torque, in any state, also beyond the joint limits."""
+    """This holds for any commanded torque, in any state, also beyond the joint limits."""
     rng = np.random.default_rng(seed)
     guard = guard_of(
         robot, carries=carries, torque_rate_Nm_per_s=rate, position_margin_rad=0.05 * rng.uniform(0.5, 2.0),

@@ -239,7 +239,7 @@ def test_sound_runs_are_not_stopped(preset, law):
 
 @pytest.mark.parametrize("plant", [{}, {"friction": 0.0}, {"trocar_stiffness_N_per_m": 3000.0}], ids=str)
 def test_the_robust_gains_bear_four_ticks_of_delay(plant):
-    """Also without friction, which damps, and against a stiff trocar: no joint begins to oscillate."""
+    """Even without friction, which damps, or with a stiff trocar, no joint begins to oscillate."""
     base = Scenario(control={"preset": "robust"}, seed=3, duration_s=2.0, **SWIVEL, **QUICK)
     one, four = (run(base.change(plant={"delay_ticks": ticks, **plant})) for ticks in (1, 4))
     assert four.meta["ended"] == "completed"

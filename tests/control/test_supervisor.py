@@ -291,7 +291,7 @@ def test_wrong_corners_with_several_freedoms_are_refused(n, tilt, rho):
     off=st.just(0.0) | st.floats(-9.0, -1.0).map(lambda k: 10.0**k), rest=st.none() | st.floats(-12.0, 0.0),
 )  # fmt: skip
 def test_every_verified_answer_is_accepted(seed, n, rho, off, rest):
-    """Also while a followed course rests: then (rho/c2) x_d replaces the gradient, and x_d is nearly zero."""
+    """This includes courses at rest, where (rho/c2) x_d replaces the gradient and x_d is nearly zero."""
     rng = np.random.default_rng(seed)
     problem = random_problem(rng, n, structured=n == 7, regularization=rho)
     if rest is not None and rho > 0.0:
@@ -407,7 +407,7 @@ def test_a_truncated_answer_is_checked_like_any_other(cut, fault, qp, Z):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_tip_and_rcm_do_not_depend_on_the_third_level(kind, robot):
-    """In one state, a controller with right and one with wrong answers accelerate tip and wrist alike."""
+    """In the same state, a controller with right answers and one with wrong answers accelerate tip and wrist alike."""
     rng, q, settings = np.random.default_rng(5), robot.data.q_home, ControlSettings.preset("tuned")
     good, bad = (Controller(robot, settings, one) for one in (Exact(), Faulty(Exact(), kind, rate=1.0)))
     references = in_place(robot.state(q), 0.02)

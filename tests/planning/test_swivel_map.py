@@ -222,7 +222,7 @@ def test_a_trajectory_that_climbs_to_the_optimum_is_said_to_end_there():
 
 
 def test_a_trajectory_at_a_lower_maximum_is_said_to_end_at_a_local_maximum():
-    """Also where the angle at which the circle of swivels is cut open lies between the maximum and the run."""
+    """So is one where the circle of swivels is cut open at an angle between the maximum and the run."""
 
     def two(swivel):
         return hill(60.0, 0.3, 30.0)(swivel) + hill(-60.0, 0.25, 30.0)(swivel)

@@ -51,7 +51,7 @@ def test_extremes_of_linear_costs_agree_with_highs(seed, shape, size):
     seed=st.integers(0, 10**6), shape=SHAPES, weight=st.floats(-9.0, 2.0), size=st.sampled_from([1e-6, 1e-4, 1.0, 1e3])
 )
 def test_a_regularized_optimum_is_certified_and_the_worst_point_is_a_corner(seed, shape, weight, size):
-    """By weak duality, in any unit of speed and cost. Costs of 200 random surface points lie between the extremes."""
+    """Weak duality certifies it in any unit of speed and cost. Costs of 200 random surface points lie in between."""
     Z, low, high, slope = cut_box(seed, shape, size)
     regularization = float(np.linalg.norm(slope) * 10.0**weight / size)
     found = extremes(Z, low, high, slope, regularization)

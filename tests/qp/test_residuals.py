@@ -40,7 +40,7 @@ def test_an_optimum_is_verified_and_its_neighbours_are_not(n, structured, regula
 
 @pytest.mark.parametrize(("n", "structured"), CASES)
 def test_natural_best_is_the_smallest_natural_residual_over_all_duals(n, structured):
-    """By bisection on t: a linear program in y decides whether the residual can be at most t."""
+    """The smallest residual t is found by bisection: a linear program in y decides whether t can be reached."""
     rng = np.random.default_rng(7)
 
     def reachable(qp, x, t):
@@ -256,7 +256,7 @@ def test_a_batch_may_mix_ranks_and_idle_joints():
 
 @pytest.mark.parametrize("regularization", [0.0, 0.2])
 def test_natural_and_primal_equal_their_definitions(regularization):
-    """With the P and p of the whole cost, at any x, feasible or not."""
+    """The definitions use the P and p of the whole cost and hold at any x, feasible or not."""
     rng = np.random.default_rng(50)
     for n in (7, 8):
         qp = random_problem(rng, n, structured=False)

@@ -32,7 +32,7 @@ def test_every_arm_does_the_default_task(name):
 @pytest.mark.parametrize(("preset", "more"), [(None, 2), ("tuned", 1), ("robust", 1)])
 @pytest.mark.parametrize("name", available_robots())
 def test_every_preset_works_on_every_arm(name, preset, more):
-    """With `more` ticks of delay (three in all without a preset), without friction, which would hide oscillation."""
+    """The plant has `more` ticks of delay (three in all without a preset) and no friction, which hides oscillation."""
     asked = Scenario(
         seed=1, robot={"name": name}, control={"preset": preset} if preset else {}, duration_s=2.5, **BARE,
         start={"pose": "home" if preset else "random"},

@@ -74,7 +74,7 @@ def test_bias_and_noise_have_the_given_size_and_follow_the_seed_and_a_jump_comes
 @pytest.mark.parametrize(("at", "long"), [(0.02, 0.01), (0.021, 0.01), (0.0199, 0.0003), (0.0, 0.01)])
 @pytest.mark.parametrize("link", ["link_4", "tool"])
 def test_a_push_begins_and_ends_at_its_times(link, at, long):
-    """Also for times between two ticks. The shortest push lasts one tick. A payload on the tool stays."""
+    """Times between two ticks are rounded. The shortest push lasts one tick. A payload on the tool stays."""
     held, mine = {}, faults(bump_N=30.0, bump_at_s=at, bump_s=long, bump_link=link, payload_kg=2.0)
     plant = SimpleNamespace(push=held.__setitem__)
     weight = np.array([0.0, 0.0, -2.0 * GRAVITY])
@@ -229,7 +229,7 @@ def test_velocity_starts_at_the_true_one_and_is_unfiltered_without_a_cutoff():
 @given(st.floats(2e-6, 1e-4), st.just(0.0) | st.floats(1e-9, 3.0), st.floats(-0.5, 0.5), st.integers(0, 2**32 - 1))
 @settings(max_examples=25, deadline=None)
 def test_an_encoder_at_rest_repeats_a_reading_no_longer_than_its_noise_allows(noise, steps, phase, seed):
-    """For any position of the joint between two steps of the encoder."""
+    """This holds for any position of the joint between two steps of the encoder."""
     step = steps * noise
     longest = longest_repetition(noise, step)
     assert longest is not None
@@ -245,7 +245,7 @@ def test_an_encoder_at_rest_repeats_a_reading_no_longer_than_its_noise_allows(no
 @given(st.floats(0.3, 10.0), st.floats(5.0, 400.0), st.integers(0, 2**32 - 1))
 @settings(max_examples=20, deadline=None)
 def test_an_encoder_with_noise_and_a_velocity_filter_repeats_no_reading(steps, cutoff, seed):
-    """Once its velocity has been nonzero, and where `repeats_no_reading` promises this."""
+    """This holds once its velocity has been nonzero, and where `repeats_no_reading` promises it."""
     noise, step = 1e-5, steps * 1e-5
     sensor = encoders(seed, N := 16, noise_rad=noise, resolution_rad=step, cutoff_Hz=cutoff)
     q = np.full(N, 1000.0 * step)

@@ -270,7 +270,7 @@ def test_a_bad_start_is_refused_by_name_and_leaves_the_plant_as_it_was():
 
 @pytest.mark.parametrize("force", [1e5, 1e15])
 def test_an_arm_that_ran_away_raises_an_error_at_every_step_until_reset(force, tmp_path, monkeypatch):
-    """Also where the state leaves MuJoCo's valid range within the period."""
+    """With the second force, the state leaves MuJoCo's valid range within the period."""
     monkeypatch.chdir(tmp_path)
     plant = Plant(replace(DATA, rotor_inertia=np.zeros(7)), NOMINAL)
     plant.push("tool", [force, 0.0, 0.0])

@@ -305,7 +305,7 @@ CATCH_UP: dict[str, dict[str, Any]] = {
 
 @every_solver
 def test_awkward_and_nearly_singular_problems_get_a_status_and_no_exception(name):
-    """Also rounded, huge and tiny problems; in a cold session, in a stream, and after an update."""
+    """Problems are also rounded, huge or tiny; each is solved in a cold session, in a stream, and after an update."""
     limits = expect(name)
     chosen = solver(name, settings=CATCH_UP.get(name))
     stream, taken = chosen.start(of(name)[0]), 0
