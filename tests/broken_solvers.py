@@ -1,4 +1,4 @@
-"""Solvers that misbehave, as a plug-in on disk: workers find them as they find any third party's."""
+"""Solvers that misbehave, as a plug-in on disk, which worker processes find like any other plug-in."""
 
 from collections.abc import Mapping
 from pathlib import Path

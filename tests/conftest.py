@@ -57,7 +57,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.fixture(autouse=True)
 def registered_metrics() -> Iterator[None]:
-    """Undo what a test, or an example that it runs, has registered, so that it does not reach the next test."""
+    """Remove the metrics that a test, or an example that it runs, has registered."""
     before = dict(METRICS)
     yield
     METRICS.clear()
@@ -68,7 +68,7 @@ def registered_metrics() -> Iterator[None]:
 def chromium() -> Iterator[Any]:
     """One headless browser for all tests of this process; code that would start its own browser gets it too."""
     from moc_opt.errors import BrowserMissingError
-    from moc_opt.report import export  # late: few tests draw
+    from moc_opt.report import export  # imported late: few tests draw
 
     try:
         with export.browser() as running, pytest.MonkeyPatch.context() as patch:
@@ -82,7 +82,7 @@ def chromium() -> Iterator[Any]:
 def opened(
     chromium: Any, address: str, ready: str, own: str = "", kinds: tuple[str, ...] = (), **options: Any
 ) -> Iterator[Any]:
-    """An open page. When it is closed, its console must be empty (of `kinds`, if given), its requests all its own."""
+    """An open page. At its end the console must be empty (of `kinds`, if given), and all requests its own."""
     page, said, asked = chromium.new_page(**options), list[str](), list[str]()
 
     def hear(message: Any) -> None:

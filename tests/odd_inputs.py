@@ -22,7 +22,7 @@ def many(share=1.0):
 
 @contextlib.contextmanager
 def ends_well(*named):
-    """Allow nothing to be raised inside but a MocOptError of ordinary length, which has one of `named` if given."""
+    """Only a MocOptError of ordinary length may be raised inside. It must contain one of `named` if given."""
 
     def ring(number, frame):
         pytest.fail(f"no end after {LONGEST_S} s")

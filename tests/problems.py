@@ -1,5 +1,5 @@
-"""Seeded subproblems for the tests: of random serial arms with a rigid tool (product of exponentials), and without
-any structure."""
+"""Seeded subproblems for the tests: of random serial arms with a rigid tool (product of exponentials), with and
+without a spherical wrist."""
 
 from dataclasses import dataclass
 from typing import Any

@@ -20,7 +20,7 @@ QP = mo.NullSpaceQP(**PARTS)
 
 
 def each(call: Callable, *names: str, **usual: object) -> dict[str, Callable]:
-    """For each name, a function of one value that calls with the usual arguments, and that value under the name."""
+    """For each argument name, a function of one value: ``call`` with usual arguments and this value for that name."""
     return {f"{call.__name__} {name}": lambda x, name=name: call(**{**usual, name: x}) for name in names}
 
 

@@ -34,7 +34,7 @@ def cost(qp: NullSpaceQP, x: Array) -> Array:
 
 
 def candidates(qp: NullSpaceQP, Z: Array, base: Array, *, damped: bool) -> Array:
-    """All points (k, n) of base + span Z in the box with r joints at bounds; damped: and stationary ones with fewer."""
+    """All points (k, n) of base + span Z in the box, r joints at bounds; ``damped``: also stationary with fewer."""
     n, r = Z.shape
     found, width = [], float((qp.upper - qp.lower).max())
     for k in range(r + 1) if damped and qp.regularization > 0.0 else (r,):
@@ -63,7 +63,7 @@ def wrong_corners(
     """Corners that give away more than ``least`` of the cost's range, of ``count`` random arms of n joints.
 
     With tilt < 1 the reduced gradient is ``tilt`` times the rest of grad_mu. Velocities and box are ``size`` times as
-    large. rho is ``regularization`` times the one whose optimum without a box is a self-motion of ``size`` rad/s.
+    large. rho is ``regularization`` times the rho whose optimum without a box is a self-motion of ``size`` rad/s.
     """
     rng = np.random.default_rng(seed)
     found = []

@@ -45,7 +45,7 @@ def test_references_may_have_any_memory_layout_and_have_to_be_finite(robot):
 
 @pytest.mark.parametrize("law", ["moc", "dcac"])
 def test_torque_is_the_sum_of_the_levels(law, robot, regular_poses):
-    """With different gains for every joint."""
+    """Every joint has a gain of its own."""
     K, D = [80.0, 120.0, 60.0, 30.0, 20.0, 10.0, 10.0], [6.0, 10.0, 5.0, 3.0, 2.0, 1.0, 1.0]
     solver, own = (EXACT, {"K_N2": K, "D_N2": D}) if law == "moc" else (None, {"dcac_damping": D})
     rng = np.random.default_rng(0)
@@ -64,7 +64,7 @@ def test_torque_is_the_sum_of_the_levels(law, robot, regular_poses):
 
 
 def test_third_level_fades_in(robot):
-    """With a ramp of ten periods, the first tick gives a tenth of its torque. A new start restarts the ramp."""
+    """With a ramp of ten periods, the first tick gives a tenth of the level's torque. A start restarts the ramp."""
     state = robot.state(robot.data.q_home)
     whole, _, tip_ref, trocar = started(robot, state=state, **QUIET)
     faded, *_ = started(robot, state=state, **{**QUIET, "ramp_s": 0.02})
@@ -118,7 +118,7 @@ def test_without_a_feasible_answer_the_arm_follows_the_fallback(fallback, robot)
 
 
 def watching(supports=None, error=None):
-    """`exact` with a session that notes the measured velocity; it may refuse a problem, or fail to start."""
+    """A solver whose session solves like `exact` and notes the measured velocity. It may refuse or fail to start."""
     solver, session = Mock(spec=["name", "supports", "start"]), SimpleNamespace(observe=Mock())
     solver.name, solver.supports.return_value, solver.start.side_effect = "watching", supports, error or [session] * 2
     session.solve = lambda qp: EXACT.start(qp).solve(qp)
@@ -158,7 +158,7 @@ def test_a_law_without_its_solver_a_tick_before_the_start_and_wrong_shapes_are_r
 
 
 def test_observer_sees_the_limited_torque(robot):
-    """The observer gets the torque after the limit. With the torque before, it would wind up against the limit."""
+    """The observer gets the limited torque. With the unlimited torque, its estimate would wind up."""
     torques, estimates = [], []
     for limit in (True, False):
         controller, state, tip_ref, trocar = started(robot, limit_torque=limit, observer_gain_per_s=20.0)
@@ -172,11 +172,11 @@ def test_observer_sees_the_limited_torque(robot):
     np.testing.assert_allclose(estimates[1] - estimates[0], -20.0 * 0.002 * cut, atol=1e-9)
 
 
-def test_a_start_forgets_the_last_run_and_two_controllers_share_nothing(robot):
+def test_a_start_forgets_the_previous_run_and_two_controllers_share_nothing(robot):
     controller, other = (Controller(robot, ControlSettings(), EXACT) for _ in range(2))
     home, taus = robot.data.q_home, [[], []]
     tip_ref, trocar = in_place(robot.state(home), 0.01)
-    for run in range(2):  # the second one with ticks of another controller in between
+    for run in range(2):  # in the second run, another controller ticks in between
         controller.start(home, np.zeros(7), tip_ref, trocar)
         other.start(home, np.zeros(7), tip_ref, trocar)
         for k in range(40):
@@ -191,7 +191,7 @@ def test_a_start_forgets_the_last_run_and_two_controllers_share_nothing(robot):
 
 
 class AsAnyOther(Exact):
-    """`exact` run in a session, as every other solver: the controller recognizes the core's own solver by its type."""
+    """`exact` in a session, like any other solver: only a solver whose type is `Exact` itself runs in the core."""
 
 
 @pytest.mark.parametrize("fallback", ["damping", "hold", "least-violation"])

@@ -20,7 +20,7 @@ def look(guard, q, trocar, wrench):
 
 
 def seen(robot, q, point, wrench=None, tip_force=None):
-    """RCM error [m] and trocar force [N] of one reading: a mean over one period is the figure itself."""
+    """RCM error [m] and trocar force [N] of one reading: the mean over one period is that reading's value."""
     guard = guard_of(robot, q, incision=True, incision_s=PERIOD, tip_force_N=tip_force)
     look(guard, q, np.array([point, np.zeros(3)]), wrench)
     _, figures = guard._guard.watched()
@@ -44,8 +44,8 @@ def test_the_rcm_error_is_the_distance_of_the_shaft_from_the_trocar(robot, seed,
     seed=st.integers(0, 10**6), depth=st.floats(1.01 * SHORTEST_DEPTH_M, 0.25),
     force=st.tuples(*[st.floats(-20.0, 20.0)] * 3), touch=st.tuples(*[st.floats(-20.0, 20.0)] * 3),
 )  # fmt: skip
-def test_the_trocars_force_is_separated_from_the_tools_weight_and_the_tips_force(robot, seed, depth, force, touch):
-    """By statics alone, in any pose. Only the force across the shaft counts: a trocar gives none along it."""
+def test_the_trocars_force_is_separated_from_the_tools_weight_and_a_force_at_the_tip(robot, seed, depth, force, touch):
+    """Statics separates them in any pose. Only the force across the shaft counts: a trocar gives none along it."""
     q = np.random.default_rng(seed).uniform(robot.q_min, robot.q_max)
     pose = robot.tool_pose(q)
     length, mass = robot.data.tool_length, robot.data.tool_mass
@@ -118,6 +118,6 @@ def test_a_wrench_sensor_without_readings_stops_the_arm_and_a_short_gap_does_not
     rcm = guard_of(robot, incision=True, incision_s=PERIOD)
     look(rcm, q, off_by(robot, q, 0.05), bad)
     assert rcm.reason.startswith("the RCM error")
-    bare = guard_of(robot)  # without a tool
+    bare = guard_of(robot)  # incision=False: RCM error and force are not checked
     look(bare, q, off_by(robot, q, 1.0), bad)
     assert (bare.reason, bare.warnings) == ("", [])

@@ -61,7 +61,7 @@ def unbelieved(level, name, q, v):
 
 
 def tip_error(level, tip):
-    """Whether the tip error stops the arm; without a given tip it is that of the record, at the origin."""
+    """Whether the tip error stops the arm. Without ``tip``, the tip is the record's, at the origin."""
     return "tip" in follow(begun(tip_error=level), tip=tip, tip_ref=0.25, record=ARM.terms(ZERO, ZERO))
 
 
@@ -72,7 +72,7 @@ def way(level, name="motion_rad", v=0.0):
 
 
 def told(level, name, wrench, applied, tip, **others):
-    """Whether a fourth equal reading stops the arm, after three at a torque of 0.25 Nm and a reference at 0.25 m."""
+    """Whether a fourth equal reading stops the arm. The first three come at 0.25 Nm, with the reference at 0.25 m."""
     guard = begun(**{name: level} | others)
     for _ in range(3):
         follow(guard, tip=0.25, tip_ref=0.25)
@@ -91,13 +91,13 @@ def not_believed(level):
 
 
 def replayed(level, name, lives):
-    """The first eight of twenty readings come again. With ``lives``, the second joint's go on changing."""
+    """After twenty readings the first eight come again. With ``lives``, the second joint's positions keep changing."""
     guard = begun(**{name: level})
     return [read(guard, q=k % 20, other=k % 20 + lives * k, wrench=np.zeros(6)) for k in range(28)][-1] != "running"
 
 
 def repeated(level, name, v=0.0, wrench=lambda k: DEAF, lives=0.0):
-    """After 99 readings that differ, one comes nine times. With ``lives``, the second joint's go on changing."""
+    """After 99 different readings one comes nine times. With ``lives``, the second joint's positions keep changing."""
     guard = begun(**{name: level})
     for k in range(99):
         read(guard, q=k * T, v=v * k, wrench=wrench(k), other=k * T)
@@ -112,7 +112,7 @@ def incision(level, j, name, shown):
 
 
 def touched(level):
-    """A force at the tip is not the trocar's, but it counts for the warning."""
+    """A force at the tip is not a trocar force, but it counts towards the warning."""
     guard = begun(warning=[OFF, level])
     read(guard, wrench=np.array([0.25, 0.0, 0.0, 0.0, 0.0625, 0.0]), trocar=TROCAR)
     return guard.watched()[1][2, 1] == 0.0
@@ -188,7 +188,7 @@ def test_the_allowance_for_lag_after_a_fast_motion_ends_with_the_comparison_time
 
 
 def test_brakes_that_closed_after_their_time_open_again_when_the_force_rises_by_stop_yield():
-    """They close after two ticks, at a force of 1 N. If the force falls, the rise counts from its lowest value."""
+    """The brakes close after two ticks, at 1 N. If the force falls, the rise counts from the lowest force."""
     guard = begun(stop_yield=0.25, stop_yield_ticks=2)
     read(guard, wrench=pressed(0.0), trocar=TROCAR)
     opened = {0.25: 0, 1.0: 1, 1.125: 1, 0.9375: 0, 1.1875: 0, 1.25: 1, 0.875: 0, 0.5: 0, 0.75: 0, 0.8125: 1}

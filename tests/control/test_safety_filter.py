@@ -1,4 +1,4 @@
-"""The safety filter's laws: torque by walls and brakes, which measurements are accepted, the stop, and its settings."""
+"""The safety filter: torque near joint limits (walls) and in a stop (brakes), accepted measurements, and settings."""
 
 import dataclasses
 
@@ -14,7 +14,7 @@ from tests.control.torques import PERIOD, REST, N, guard_of, off_by, weight
 
 
 def bad_ticks(guard):
-    """The number of the last measurements in a row that were refused."""
+    """How many measurements in a row, up to the latest, were refused."""
     return guard._guard.watched()[0]
 
 
@@ -40,7 +40,7 @@ def by_the_law(s, robot, tau, before, q, v, carries):
 @given(seed=st.integers(0, 10**6), rate=st.sampled_from([500.0, 2e4, 1e9]), fast=st.sampled_from([0.3, 1.0, 3.0, 20.0]),
        asked=st.sampled_from([1.2, 1e3]), carries=st.booleans())  # fmt: skip
 def test_the_torque_follows_the_numpy_law_and_stays_within_its_limits(robot, seed, rate, fast, asked, carries):
-    """For any commanded torque, in any state, also beyond the joint limits."""
+    """This holds for any commanded torque, in any state, also beyond the joint limits."""
     rng = np.random.default_rng(seed)
     guard = guard_of(
         robot, carries=carries, torque_rate_Nm_per_s=rate, position_margin_rad=0.05 * rng.uniform(0.5, 2.0),
@@ -81,7 +81,7 @@ def test_the_wall_of_a_sliding_joint_has_its_own_margin():
 
 @pytest.mark.parametrize("start", [-1.0, 1.0])
 def test_a_start_within_a_wall_moves_this_wall_to_the_start(robot, start):
-    """There is no wall torque at the start, and deeper inside there is. Other joints keep their own walls."""
+    """The wall begins at the start's position and gives no torque there. Other joints keep their own walls."""
     q, s = np.array(robot.data.q_home), SafetyFilterSettings()
     q[1] = start * (robot.q_max[1] - 0.5 * s.position_margin_rad)
     guard = guard_of(robot, q, carries=False)
@@ -191,17 +191,17 @@ def test_brakes_open_by_the_mean_of_the_trocars_force_and_not_at_once(robot, new
     first = next(k for k in range(1, 60) if newton * (1.0 - 0.9**k) > SafetyFilterSettings().stop_yield_N)
     assert opened.index(True) + 1 == first
     assert (first == 1) == (newton > 80.0)
-    assert np.flatnonzero(opened).tolist() == list(range(first - 1, first - 1 + 200))  # stop_yield_s, only once
+    assert np.flatnonzero(opened).tolist() == list(range(first - 1, first - 1 + 200))  # for stop_yield_s, only once
 
 
-def test_a_mean_with_a_time_constant_below_the_period_is_the_last_value(robot):
+def test_a_mean_with_a_time_constant_below_the_period_is_the_latest_value(robot):
     short = SafetyFilterSettings(tip_error_s=0.05, incision_s=0.05, residual_s=0.05)
     found = numbers_of(short, robot, 0.1)
     assert {found[f"{name}_share"] for name in ("tip", "incision", "residual", "press")} == {1.0}
 
 
 @pytest.mark.parametrize("share", [1.0, 0.05])
-def test_the_brakes_hold_a_share_of_each_drives_torque_and_weight_beyond_the_drive(robot, share):
+def test_the_brakes_hold_a_share_of_each_drives_torque_and_the_weight_that_the_drive_cannot_carry(robot, share):
     weak = dataclasses.replace(robot.data, tau_max=share * robot.data.tau_max)
     guard = guard_of(RobotModel(weak))
     left = np.maximum(np.abs(robot.gravity(weak.q_home)) - weak.tau_max, 0.0)

@@ -24,7 +24,7 @@ QUANTIZED = {"encoder_noise_rad": 0.0, "encoder_resolution_rad": 5e-4}
 
 
 def stopped(at, within, error, newton, reason="", **scenario):
-    """A run, stopped ``within`` [s] of the fault, with tip error, later travel [m] and force [N] below these bounds."""
+    """A run that stops ``within`` [s] of ``at``. Tip error and coasting are below ``error`` [m], force ``newton``."""
     trace = run(Scenario(**{"duration_s": 2.0, **scenario, **QUICK}))
     assert trace.meta["ended"].startswith("stopped: ")
     assert reason in trace.meta["ended"]
@@ -61,7 +61,7 @@ STOPPED = {
         {"faults": {"frozen_at_s": 1.7, **FORGED}, "seed": 501, "duration_s": 2.4,
          "start": {"pose": "random", "swivel": "random"}}, 1.7, 0.1, 4e-3, 5.0, "",
     ),
-    # The lag grows whenever a reading comes twice: 57 mm without the check. It does no harm before the arm moves.
+    # The lag grows whenever a reading comes twice. Without the check, the error is 57 mm; an arm at rest has none.
     "forged-lag-at-rest": (
         {"faults": {"lag_at_s": 0.0, "lag_growth": 0.3, "forged_stamps": True}, "seed": 2345, "control": DCAC,
          "task": STILL, "duration_s": 1.5, **ANYWHERE}, 0.0, 0.24, 4e-3, 5.0, "",
@@ -70,7 +70,7 @@ STOPPED = {
         {"faults": {"lag_at_s": 0.6, "lag_growth": 0.3, "forged_stamps": True}, "seed": 2345, "control": DCAC,
          "robot": {"name": "gen3"}, "duration_s": 1.5, **ANYWHERE}, 0.6, 0.14, 4e-3, 5.0, "",
     ),
-    "one-frozen-found-by-its-noise": (  # at the latest after more repetitions than its noise allows
+    "one-frozen-found-by-its-noise": (  # at the latest when it repeats longer than its noise allows
         {"faults": {"frozen_at_s": 0.8, "frozen_joint": 1, "frozen_velocity": "zero"}, "seed": 2100, "duration_s": 3.0,
          "guard": {"repeat_reading_ticks": 10**6}, **SWIVEL}, 0.8, 0.183, 0.045, 25.0, "",
     ),
@@ -83,7 +83,7 @@ STOPPED = {
         {"faults": {"drift_rad_per_s": 0.05, "drift_at_s": 0.5, "drift_velocity": "apart"}, "seed": 2210, **SWIVEL},
         0.5, 0.1, 5e-3, 5.0, "do not follow their velocities",
     ),
-    "drift-with-the-velocity": (  # at the measured depth, the trocar's force is first attributed to the tip
+    "drift-with-the-velocity": (  # with a wrong depth, the trocar's force is first attributed to the tip
         {"faults": {"drift_at_s": 2.02, "drift_rad_per_s": 0.05}, "seed": 7033, "control": {"preset": "robust"},
          "task": {"v_max_m_per_s": 0.07730648346067734}, "duration_s": 6.0, **SWIVEL},
         2.02, 4.0, 0.13, 32.0, "the trocar's force",
@@ -91,11 +91,11 @@ STOPPED = {
     "coarse-frozen": (
         {"faults": {"frozen_at_s": 1.0, **FORGED}, "seed": 11, "plant": QUANTIZED}, 1.0, 0.3, 0.006, 25.0, "",
     ),
-    "coarse-one-frozen": (  # only its momentum shows it
+    "coarse-one-frozen": (  # only the momentum residual shows it
         {"faults": {"frozen_at_s": 1.4, "frozen_joint": 3, **FORGED}, "seed": 11, "plant": QUANTIZED},
         1.4, 0.3, 0.1, 25.0, "",
     ),
-    "one-frozen-without-noise": (  # found by its momentum, or by the trocar's force after tens of millimetres
+    "one-frozen-without-noise": (  # found by the momentum residual, or after tens of mm by the trocar's force
         {"faults": {"frozen_at_s": 1.2, "frozen_joint": 1, "frozen_velocity": "zero"}, "duration_s": 4.0,
          "plant": {"encoder_noise_rad": 0.0}},
         1.2, 1.5, 0.1, 32.0, "",
@@ -118,11 +118,11 @@ def test_wrong_measurements_stop_the_arm(name):
 
 # the encoder's fault, and bounds of the time to the stop [s] and of the tip error [m]
 @pytest.mark.parametrize(("wrong", "within", "error"), [
-    # The position stays and the velocity does not decay as a filtered one would: 31 mm and 24 N without the check.
+    # The position stays, but the velocity does not decay as a filtered one would. Without the check: 31 mm, 24 N.
     ({"frozen_velocity": "repeated"}, 0.0121, 0.012), ({"frozen_velocity": "zero"}, 0.0121, 0.012),
-    # Now and then a reading comes twice: 53 mm without the check.
+    # Now and then a reading comes twice. Without the check, the error is 53 mm.
     ({"lag_growth": 0.05}, 0.21, 0.012), ({"lag_growth": 0.5}, 0.03, 0.012),
-    # The readings become old from one tick to the next: 48 mm and 17 N without the check.
+    # The readings become old from one tick to the next. Without the check, the error is 48 mm and the force 17 N.
     ({"lag_ticks": 8, "lag_growth": 1e-6}, 0.03, 0.006), ({"lag_ticks": 40, "lag_growth": 1e-6}, 0.03, 0.006),
 ], ids=str)  # fmt: skip
 @pytest.mark.parametrize("robot", ["lwr4", "panda", "xarm7", "lwr4_rail"])
@@ -139,7 +139,7 @@ def test_one_encoder_that_is_stuck_or_lags_is_found(robot, wrong, within, error)
     ("lwr4", 4, 3), ("iiwa14", 4, 4), ("panda", 4, 3), ("gen3", 2, 0), ("xarm7", 2, 0), ("lwr4_rail", 3, 4),
 ])  # fmt: skip
 def test_a_broken_drive_is_stopped_and_the_brakes_hold_the_arm(arm, joint, seed, gain, monkeypatch):
-    """It gives no torque, or the opposite one. Of all joints and five seeds, these moved each arm's tip farthest."""
+    """The drive gives no torque or the opposite. Of all joints and five seeds, these move each arm's tip farthest."""
     sound = Plant.step
 
     def step(plant, tau, trocar=None):
@@ -239,7 +239,7 @@ def test_sound_runs_are_not_stopped(preset, law):
 
 @pytest.mark.parametrize("plant", [{}, {"friction": 0.0}, {"trocar_stiffness_N_per_m": 3000.0}], ids=str)
 def test_the_robust_gains_bear_four_ticks_of_delay(plant):
-    """Also without friction, which damps, and against a stiff trocar: no joint begins to oscillate."""
+    """Even without friction, which damps, or with a stiff trocar, no joint begins to oscillate."""
     base = Scenario(control={"preset": "robust"}, seed=3, duration_s=2.0, **SWIVEL, **QUICK)
     one, four = (run(base.change(plant={"delay_ticks": ticks, **plant})) for ticks in (1, 4))
     assert four.meta["ended"] == "completed"
@@ -252,7 +252,7 @@ def test_the_robust_gains_bear_four_ticks_of_delay(plant):
 @pytest.mark.parametrize(("every", "seed"), [(1, 0), (100, 1), (10_000, 2)])
 def test_a_hostile_controller_moves_no_joint_past_its_limit(robot, every, seed):
     """It asks for twice the largest torques, in directions that change at random, and gives no tip position."""
-    # Readings without bias: of 60 such runs one passes a limit by 0.01 rad, with a bias of 0.1 mrad three do.
+    # Without encoder bias, one of 60 such runs passes a limit by 0.01 rad. With a bias of 0.1 mrad, three do.
     free = PlantSettings(trocar_stiffness_N_per_m=0.0, trocar_damping_Ns_per_m=0.0, encoder_bias_rad=0.0)
     plant = Plant(robot.data, free, seed=seed)
     place = 0.1 + 0.8 * np.random.default_rng(seed).uniform(size=N)
@@ -268,7 +268,7 @@ def test_a_hostile_controller_moves_no_joint_past_its_limit(robot, every, seed):
     assert (np.abs(trace.tau_Nm) <= robot.tau_max).all()
     rate = np.abs(np.diff(trace.tau_Nm, axis=0)).max() / PERIOD
     assert rate <= SafetyFilterSettings().torque_rate_Nm_per_s * (1 + 1e-9)
-    # a joint is braked only once it is too fast: a full torque exceeds its speed limit for some ticks
+    # a joint is braked only once it is too fast, so at full torque it exceeds its speed limit for some ticks
     speed = np.abs(trace.v_rad_per_s) / robot.v_max
     assert speed.max() < 5.0
     assert np.median(speed.max(axis=1)) < 2.0

@@ -52,7 +52,7 @@ def test_the_matched_baseline_has_the_same_gains(settings, robot):
 
 
 def test_a_gain_is_one_number_or_one_per_joint():
-    """In the settings, also after a round trip through JSON, and in the robot's table."""
+    """This holds in the settings, also after a round trip through JSON, and in the robot's table."""
     given = ControlSettings(gains="moc", K_N2=[3, 2, 1.5], dcac_damping=(0.0, 1.0, 0.0))
     assert ControlSettings(**json.loads(given.model_dump_json())) == given
     numbers = given.resolve_gains(TABLES, 3)
@@ -71,7 +71,7 @@ def test_a_gain_is_one_number_or_one_per_joint():
 def test_gains_that_are_missing_or_do_not_fit_the_arm_are_refused(settings, joints, words):
     with pytest.raises((ControlError, UnknownNameError), match=words):
         ControlSettings(**settings).resolve_gains(TABLES, joints)
-    assert not ControlSettings(law="dcac", gains="dcac").resolve_gains(TABLES, 7).K_N2.any()  # not needed
+    assert not ControlSettings(law="dcac", gains="dcac").resolve_gains(TABLES, 7).K_N2.any()  # DCAC needs no K_N2
 
 
 @pytest.mark.parametrize(("settings", "words"), [
@@ -86,7 +86,7 @@ def test_settings_that_do_not_fit_the_arm_or_the_period_are_refused(settings, wo
         Controller(load_robot("lwr4_rail"), ControlSettings(**settings), solver, period=0.002)
 
 
-# The range of each number; for the others it is [0, inf).
+# The range of each number. Numbers that are not listed have the range [0, inf).
 RANGES = {
     ControlSettings: {
         "(0, inf)": "K_X K_N k0_per_s", "(0, 1]": "rcm_lambda speed_fraction", "[0.2, 2]": "horizon_s",
@@ -161,7 +161,7 @@ def test_a_preset_is_found_by_its_name():
 
 
 def test_under_a_course_the_box_allows_the_whole_speed_and_only_deviations_are_damped():
-    """On the rail, whose sliding joint has its margin in metres with either third level."""
+    """The arm is on a rail: its sliding joint has a margin in metres, which is the same for both third levels."""
     arm, own = load_robot("lwr4_rail"), {"limit_margin_m": 0.03, "climb": "scaled"}
     given = (ControlSettings(third_level=level, **own) for level in ("local", "planned"))
     local, planned = (numbers_of(settings, arm, 0.002) for settings in given)
@@ -172,7 +172,7 @@ def test_under_a_course_the_box_allows_the_whole_speed_and_only_deviations_are_d
         np.testing.assert_allclose(arm.q_max - given["q_max"], margins)
         assert given["k0"] == k0
     assert (local["climbs"], planned["climbs"]) == (True, False)
-    # At v = x there is no torque: the desired speed is not damped, and a deviation as much as under `local`.
+    # The desired speed itself (v = x) is not damped. A deviation from it is damped as much as under `local`.
     np.testing.assert_array_equal(planned["D_N2"], 0.0)
     np.testing.assert_allclose(planned["K_N2"], local["K_N2"] + local["D_N2"])
     assert local["D_N2"].max() > 0.0
@@ -182,7 +182,7 @@ def test_under_a_course_the_box_allows_the_whole_speed_and_only_deviations_are_d
 def test_under_a_course_the_observer_has_its_own_gain_unless_it_is_off():
     for gain, level, rate in ((20.0, "local", 20.0), (20.0, "receding", 40.0), (0.0, "receding", 0.0)):
         assert ControlSettings(third_level=level, observer_gain_per_s=gain).observer_rate_per_s == rate
-    for name in ("tuned", "robust"):  # tuned with the gains: the largest delay of a stable loop depends on it
+    for name in ("tuned", "robust"):  # tuned together: it affects the largest delay of a stable loop
         planned = ControlSettings.preset(name, third_level="planned")
         assert planned.observer_rate_per_s <= ControlSettings.preset(name).observer_gain_per_s
 
@@ -191,7 +191,7 @@ def test_a_wall_that_begins_within_the_box_is_refused():
     for unit, box in (("rad", 0.15), ("m", 0.05)):
         with pytest.raises(ScenarioError, match=f"position_margin_{unit} = 0.2 .*_{unit} = {box}"):
             Scenario(guard={f"position_margin_{unit}": 0.2})
-    for control in ({"limit_margin_rad": 0.2}, {"law": "dcac"}, {"preset": "paper"}):  # as large, or none
+    for control in ({"limit_margin_rad": 0.2}, {"law": "dcac"}, {"preset": "paper"}):  # a box as large, or none
         Scenario(guard={"position_margin_rad": 0.2}, control=control)
 
 
@@ -204,8 +204,8 @@ def test_a_warning_level_above_its_limit_is_refused(wrong):
 
 
 @pytest.mark.parametrize("length", [0.15, 0.6])
-def test_the_shafts_margin_grows_with_the_square_of_the_lever(length):
-    """While the tip is held, the wrist moves by its distance from the tip times the shaft's turn, in two directions."""
+def test_the_shafts_margin_grows_with_the_squared_distance_from_tip_to_wrist(length):
+    """While the tip is held, a turn of the shaft moves the wrist by its distance from the tip times the angle."""
     robot = load_robot("gen3", tool_length=length)
     lever = length + 0.061525 + 0.10593
     law = numbers_of(ControlSettings(shaft_margin=0.2, speed_fraction=0.4), robot, 0.002)

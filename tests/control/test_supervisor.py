@@ -1,4 +1,4 @@
-"""The supervisor of the third level: what it refuses, what replaces a refused answer, what does not depend on it."""
+"""The supervisor of the third level: answers that it refuses, what replaces them, and that tip and RCM ignore them."""
 
 from types import SimpleNamespace
 from unittest.mock import Mock
@@ -291,7 +291,7 @@ def test_wrong_corners_with_several_freedoms_are_refused(n, tilt, rho):
     off=st.just(0.0) | st.floats(-9.0, -1.0).map(lambda k: 10.0**k), rest=st.none() | st.floats(-12.0, 0.0),
 )  # fmt: skip
 def test_every_verified_answer_is_accepted(seed, n, rho, off, rest):
-    """Also while a followed course rests: then (rho/c2) x_d replaces the gradient, and x_d is nearly zero."""
+    """This includes courses at rest, where (rho/c2) x_d replaces the gradient and x_d is nearly zero."""
     rng = np.random.default_rng(seed)
     problem = random_problem(rng, n, structured=n == 7, regularization=rho)
     if rest is not None and rho > 0.0:
@@ -381,7 +381,7 @@ def stoppable(whole, truncated):
 @pytest.mark.parametrize(("us", "iterations", "allowed"), [
     (400.0, 40, 10), (1e6, 40, 1), (100.0, 40, None), (400.0, 1, 1), (400.0, 0, None),
 ])  # fmt: skip
-def test_a_late_solver_that_can_be_truncated_gets_its_share_of_the_iterations(us, iterations, allowed, qp, Z):
+def test_a_late_solver_that_can_be_truncated_gets_the_iterations_that_fit_the_budget(us, iterations, allowed, qp, Z):
     whole = solved(qp)._replace(iterations=iterations)
     session = stoppable(whole, whole._replace(x=0.5 * whole.x, status=Status.MAX_ITER))
     mine = supervisor(times=[us], budget_us=100.0, late="iterate")
@@ -407,7 +407,7 @@ def test_a_truncated_answer_is_checked_like_any_other(cut, fault, qp, Z):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_tip_and_rcm_do_not_depend_on_the_third_level(kind, robot):
-    """In one state, a controller with right and one with wrong answers accelerate tip and wrist alike."""
+    """In the same state, a controller with right answers and one with wrong answers accelerate tip and wrist alike."""
     rng, q, settings = np.random.default_rng(5), robot.data.q_home, ControlSettings.preset("tuned")
     good, bad = (Controller(robot, settings, one) for one in (Exact(), Faulty(Exact(), kind, rate=1.0)))
     references = in_place(robot.state(q), 0.02)
@@ -427,8 +427,8 @@ def test_tip_and_rcm_do_not_depend_on_the_third_level(kind, robot):
 
 
 @pytest.mark.parametrize("name", [name for name, reason in available().items() if reason is None])
-def test_answers_of_registered_solvers_are_not_refused(name):
-    """With its default settings, no registered solver has more than one percent of its answers refused."""
+def test_at_most_one_percent_of_a_registered_solvers_answers_are_refused(name):
+    """Each solver has its default settings."""
     trace = run(Scenario(solver={"name": name}, **QUICK))
     refused = ("lied", "outside", "late", "not_finite", "malformed", "raised")
     assert np.isin(trace.fault, refused).mean() <= 0.01, trace.meta["faults"]

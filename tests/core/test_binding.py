@@ -31,7 +31,7 @@ def test_a_wrong_number_of_arguments_and_wrong_numbers_of_rows_and_columns_are_r
     for count in (1, 3):
         with pytest.raises(TypeError, match="takes 2 arguments"):
             core.solve_exact(*[QP.row] * count)
-    for first, others in ((0, 3), (2, 3), (2, 0)):  # the first array has the number of rows
+    for first, others in ((0, 3), (2, 3), (2, 0)):  # the first array determines the number of rows
         with pytest.raises(ValueError, match="X: give"):
             core.solve_exact_rows(np.zeros((first, 87)), 1e-9, *map(np.zeros, ((others, 7), (others, 6), others)))
     with pytest.raises(ValueError, match=r"shape \(n, 27\) for 1 to 16 joints"):
@@ -61,7 +61,7 @@ def test_a_target_with_no_or_three_points_is_refused(points):
         ROBOT.arm.nearest_pose(ROBOT.q_min, ROBOT.q_max, np.zeros((points, 3)), ROBOT.q_min, 5)
 
 
-def test_results_have_the_length_of_their_records():
+def test_records_and_answers_have_their_documented_shapes():
     assert ROBOT.state(ROBOT.data.q_home).record.shape == (7 * 7 + 13 * 7 + 18,)
     status, x, y = core.solve_exact(QP.row, 1e-9)
     assert (status, x.shape, y.shape) == (core.OK, (7,), (6,))

@@ -1,4 +1,4 @@
-"""The core's law against the equations in plain numpy, on every arm and on an oblique chain with a slide."""
+"""The core's law against the equations in plain numpy, on every arm and on an oblique chain with a sliding joint."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from tests.reference import law as reference
 
 GAINS = (3000.0, 80.0, 800.0, 60.0)
 LWR4 = load_robot()
-INFEASIBLE, FAILED = 1, 2  # of the core's moc_fault
+INFEASIBLE, FAILED = 1, 2  # values of the core's moc_fault
 
 
 @pytest.fixture(scope="module", params=[*available_robots(), "odd"])

@@ -1,4 +1,4 @@
-"""The core under sanitizers: random chains, extreme inputs and damaged memory (`make sanitize` makes more of them)."""
+"""The core under sanitizers: random chains, extreme inputs and damaged memory (`make sanitize` draws more of them)."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""Self-motion curves of an arm of slides, which are straight lines, and of real arms where a curve bends sharply."""
+"""Self-motion curves of a gantry of sliding joints (straight lines), and of real arms where the curve bends sharply."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ TURN = np.eye(5)[4]
 
 
 def gantry(slides):
-    """Two slides along x, one along y, one along z, and a joint along z, the tool's axis, that slides or turns."""
+    """Two sliding joints along x, one along y, one along z; the fifth slides along or turns about z, the tool axis."""
     rows = np.zeros((5, 27))
     rows[:, :9], rows[:, 12:15], rows[:, 15] = np.eye(3).ravel(), AXES, [1, 1, 1, 1, slides]
     moves = np.ones((2, 5))
@@ -34,13 +34,13 @@ def follow(low, high, start, tangent, step, most=200, slides=False):
 
 def test_a_straight_curve_has_even_samples_up_to_the_first_limit_that_it_meets():
     start, high = np.array([0.1, 0.2, 0.3, 0.0, 0.0]), np.array([0.5, 3.0, 1.0, 0.0, 0.0])
-    for least, end in ((-0.19, 0.39), (-0.21, 0.4), (-0.3, 0.4)):  # the second slide meets its limit, else the first
+    for least, end in ((-0.19, 0.39), (-0.21, 0.4), (-0.3, 0.4)):  # 0.39: joint 2 is at its limit; 0.4: joint 1
         low = np.array([-1.0, least, 0.2, 0.0, 0.0])
         s, poses, closed = follow(low, high, start, 0.5 * ALONG + np.eye(5)[2], 0.11)
         whole = np.sqrt(2.0) * end
         np.testing.assert_allclose(s, [*np.arange(0.0, whole - 1e-3, 0.11), whole], atol=1e-9)
         np.testing.assert_allclose(poses, start + s[:, None] * ALONG, atol=1e-9)
-        assert poses[-1, 1 if end < 0.4 else 0] == (least if end < 0.4 else 0.5), "to the last bit"
+        assert poses[-1, 1 if end < 0.4 else 0] == (least if end < 0.4 else 0.5), "the limit to the last bit"
         assert not closed
         again, *_ = follow(low, high, poses[-1], ALONG, 0.11)
         assert len(again) == 1, "the start is at the limit already"
@@ -50,7 +50,7 @@ def test_a_straight_curve_has_even_samples_up_to_the_first_limit_that_it_meets()
 
 
 @pytest.mark.parametrize("step", [0.1, 0.0995, 0.15, 2.0 * np.pi / 60])
-def test_a_curve_of_a_turning_joint_closes_after_one_turn_and_one_of_slides_never_closes(step):
+def test_a_curve_closes_after_one_turn_of_a_revolute_joint_and_never_where_joints_slide(step):
     """The last sample is one whole turn from the start, and replaces a sample that would be too close to it."""
     low, high, start = np.full(5, -30.0), np.full(5, 30.0), np.array([1.0, 0.0, 0.0, 0.0, 2.0])
     low[1:4] = high[1:4] = 0.0
@@ -78,7 +78,7 @@ def test_a_curve_of_a_turning_joint_closes_after_one_turn_and_one_of_slides_neve
     assert s[-1] == pytest.approx(min(399 * step, 30.0 * np.sqrt(2.0)), rel=1e-9)
 
 
-def test_inverse_kinematics_takes_damped_newton_steps_of_at_most_a_quarter():
+def test_inverse_kinematics_takes_damped_newton_steps_of_at_most_0_25():
     """One slide moves to a target along its axis; the damping of each step is proportional to the squared error."""
     arm, low, high = gantry(True), np.zeros(5), np.zeros(5)
     low[2], high[2] = -9.0, 9.0
@@ -97,7 +97,7 @@ def test_inverse_kinematics_takes_damped_newton_steps_of_at_most_a_quarter():
     assert (miss, q[2]) == (pytest.approx(0.2), 0.5)
 
 
-def test_for_a_target_out_of_reach_the_tip_ends_as_near_as_that_of_the_stretched_arm(robot):
+def test_a_target_out_of_reach_is_approached_as_far_as_the_stretched_arm_reaches(robot):
     free, rng, shoulder = without_limits(robot), np.random.default_rng(2), np.array([0.0, 0.0, 0.31])
     length = np.linalg.norm(free.state(np.zeros(7)).tip - shoulder)
     for direction in rng.normal(size=(8, 3)):

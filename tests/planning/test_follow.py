@@ -1,4 +1,4 @@
-"""A follower asks for the right velocity at every tick, and in closed loop the arm follows its course."""
+"""A follower turns a course (a joint trajectory) into desired velocities, and in closed loop the arm follows it."""
 
 from functools import cache
 
@@ -38,7 +38,7 @@ def follower(of):
     return of.controller()._guide
 
 
-def test_the_desired_velocity_is_the_courses_own_plus_a_share_of_the_error(robot):
+def test_the_desired_velocity_is_the_courses_velocity_plus_a_gain_times_the_error(robot):
     t = np.linspace(0.0, 1.0, 11)
     guide = Follower(0.002, course=Course(t, robot.data.q_home + 0.1 * t[:, None], np.ones(11), 0.0))
     for tick in range(400):
@@ -53,7 +53,7 @@ def test_the_desired_velocity_is_the_courses_own_plus_a_share_of_the_error(robot
 
 
 def test_an_arm_that_has_left_its_course_is_led_from_its_pose_to_the_courses_maximum_of_mu():
-    """The elbow is held for a second, in which the course leaves its first maximum. Then it moves as asked."""
+    """The elbow is held for 1 s, while mu rises by 30 % on the course. Then the arm moves with the desired velocity."""
     made = Setup(TRAPPED.change(control={"third_level": "planned"}))
     robot, guide, q, held = made.robot, follower(made), np.array(made.q_start), 500
     targets = targets_of(robot, made.layout, made.ticks + 1)
@@ -71,7 +71,7 @@ def test_an_arm_that_has_left_its_course_is_led_from_its_pose_to_the_courses_max
     assert not guide.told
 
 
-def test_the_arm_follows_its_course_and_has_no_less_mu_than_by_the_local_climb():
+def test_the_arm_follows_its_course_and_has_hardly_less_mu_than_with_the_local_climb():
     made = setup("planned")
     trace, guide = made.trace(), follower(made)
     assert trace.meta["ended"] == "completed"
@@ -86,7 +86,7 @@ def test_the_arm_follows_its_course_and_has_no_less_mu_than_by_the_local_climb()
 
 
 def test_a_start_nearer_to_a_limit_than_the_margin_costs_no_mu_however_near_it_is():
-    """From the second start a step of the map regains the margin, but no course that the refinement may return does."""
+    """From the second start, the course on the map's grid regains the margin in one step, but no refined course can."""
     courses = []
     for swivel in (0.01, 0.0142):  # 0.030 and 0.043 rad from a limit
         made = Setup(FOLLOWED.change(start={"swivel": swivel}, control={"course_margin_rad": 0.05}))
@@ -100,7 +100,7 @@ def test_a_start_nearer_to_a_limit_than_the_margin_costs_no_mu_however_near_it_i
 
 
 def test_a_course_is_faster_than_its_usual_speed_only_where_that_gains_much_mu():
-    """From the second start the elbow has far to go, so that its speed decides how much mu is lost on the way."""
+    """From the second start the elbow has far to go, so that a higher speed gains much mu."""
     q = (0.11625160465135753, -0.48236975363387774, 0.6927921516761183, -1.0529279629259627, 2.6042965767787516,
          1.9686742406249267, 1.3759513161472126)  # fmt: skip
     far = FOLLOWED.change(
@@ -149,13 +149,13 @@ def test_the_receding_horizons_motion_is_on_the_path_and_within_the_joint_speeds
     # Between the program's times the motion is a cubic, and a joint turns by up to 0.2 rad from one time to the next.
     assert np.linalg.norm(tips - setup().reference.at(t)[0], axis=1).max() < 2e-3
     assert shaft_distance(tips, wrists, setup().registered.at(t)[0]).max() < 2e-3
-    # The program limits the mean speed between its times, so the cubic is faster in places. The box limits every speed.
+    # The program limits the mean speed between its times, so the cubic is faster in places. The box limits all speeds.
     assert (np.abs(np.diff(q, axis=0)) / 0.002 <= 1.2 * setup().robot.v_max).all()
 
 
 @pytest.mark.parametrize("wrong", ["random", "nan", "fast"])
 def test_wrong_answers_of_the_program_are_refused(monkeypatch, wrong):
-    """The last good answer is followed to its end, where the arm is asked to rest."""
+    """The last good course is followed to its end, and then its last pose is held."""
     one, rng = follower(setup()), np.random.default_rng(0)
     robot, q = setup().robot, setup().q_start
 
@@ -176,13 +176,13 @@ def test_a_run_can_be_repeated_and_a_controller_has_its_own_course(level):
     one, other = follower(setup(level)), follower(setup(level))
     state = setup(level).robot.state(setup(level).q_start)
     first = [one.desired_velocity(state) for _ in range(300 if level == "planned" else 60)]
-    assert np.ptp(first, axis=0).max() > 1e-3, "it changes with the time"
+    assert np.ptp(first, axis=0).max() > 1e-3, "the desired velocity changes with time"
     np.testing.assert_array_equal(first, [other.desired_velocity(state) for _ in first])
     one.start()
     np.testing.assert_array_equal(first, [one.desired_velocity(state) for _ in first])
 
 
-def test_near_a_pose_v_is_a_parabola_up_to_the_poses_from_which_the_end_is_out_of_reach():
+def test_near_a_pose_the_value_function_is_a_parabola_within_the_poses_that_reach_the_end():
     value, k = follower(setup())._planner._value, 5
     alive = np.isfinite(value.value[k])
     b, j = (int(i) for i in np.argwhere(alive)[alive.sum() // 2])

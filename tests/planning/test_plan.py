@@ -1,4 +1,4 @@
-"""A plan says whether a path can be executed, and where it is blocked. Oracles: inverse kinematics, its own courses."""
+"""A plan says whether and up to where a path can be executed; inverse kinematics and its own courses confirm it."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from moc_opt.scenario import Scenario, planned
 from tests.planning.arms import task
 
 
-def test_climb_plan_best_course_and_bound_are_in_order_and_the_proposed_start_attains_the_best(robot):
+def test_mu_rises_from_climb_to_course_to_best_course_to_bound_and_the_proposed_start_attains_the_best(robot):
     q = robot.data.q_home
     targets = task(robot, q, 60)
     plan = make_plan(robot, q, targets, swivels=360)
@@ -96,7 +96,7 @@ def test_refinement_finds_a_course_that_a_coarse_map_lacks_and_without_it_the_ma
 
 
 def test_a_course_far_below_the_bound_is_refined_again_from_the_bounds_course(monkeypatch):
-    """The grid search is replaced by the local climb, which from this start ends at a low local maximum of mu."""
+    """The first grid search is replaced by the local climb, which from this start ends at a low local maximum of mu."""
     best_course, asked = plan.best_course, []
 
     def poor(value, start):
@@ -111,7 +111,7 @@ def test_a_course_far_below_the_bound_is_refined_again_from_the_bounds_course(mo
 
 
 @pytest.mark.parametrize(("name", "margin"), [("margin_rad", -1.0), ("margin_m", np.inf), ("margin_m", "x")])
-def test_a_margin_below_zero_is_refused_by_its_name(name, margin):
+def test_a_margin_that_is_negative_infinite_or_a_text_is_refused_by_its_name(name, margin):
     with pytest.raises(MocOptError, match=f"{name} = .*give zero or more"):
         planned.plan(Scenario(duration_s=0.1), times=5, **{name: margin})
 

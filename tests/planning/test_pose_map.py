@@ -1,4 +1,4 @@
-"""The pose map agrees with the arm's kinematics and misses no pose, and no other search finds a larger mu."""
+"""The pose map has every pose at each point of a path and agrees with the model. No other search finds a larger mu."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def panda():
     return robot, map_of(robot, robot.data.q_home, line_from(robot, robot.data.q_home))
 
 
-def test_tip_wrist_mu_and_room_of_every_pose_agree_with_the_model(arm):
+def test_tip_wrist_mu_and_distance_from_the_joint_limits_agree_with_the_model_at_every_pose(arm):
     rng = np.random.default_rng(0)
     starts = np.array([arm.random_regular_pose(rng, margin=0.02) for _ in range(10)])
     found = map_of(arm, starts[0], at_poses(arm, starts), 180)
@@ -38,7 +38,7 @@ def test_tip_wrist_mu_and_room_of_every_pose_agree_with_the_model(arm):
     np.testing.assert_allclose(np.minimum(q - arm.q_min, arm.q_max - q)[:, :6].min(axis=1), found.room_rad.ravel())
 
 
-def test_the_peaks_are_the_local_maxima_of_the_best_branch(arm):
+def test_the_peaks_are_the_four_highest_local_maxima_over_the_swivel(arm):
     found = map_of(arm, arm.data.q_home, at_poses(arm, np.array([arm.data.q_home] * 2)), 180)
     score = np.where(found.room_rad[0] >= 0.0, found.mu[0], -np.inf).max(axis=0)
     tops = [j for j in range(180) if score[j - 1] <= score[j] >= score[(j + 1) % 180] and np.isfinite(score[j])]
@@ -135,7 +135,7 @@ def test_the_map_of_a_panda_has_every_pose_that_inverse_kinematics_finds_from_ra
     assert seen > 5
 
 
-def test_more_swivels_than_the_default_sample_more_densely_and_fewer_change_nothing(panda):
+def test_more_swivels_than_the_default_make_a_traced_map_denser_and_fewer_change_nothing(panda):
     robot, found = panda
     fewer, twice = (map_of(robot, robot.data.q_home, found.targets[:2], swivels) for swivels in (90, 1440))
     one, two, four = (np.isfinite(each.mu[0]).sum() for each in (fewer, found, twice))
@@ -165,7 +165,7 @@ def polished(robot, q, tip, wrist):
 
 
 def elsewhere(robot, q, starts, seed):
-    """The best mu of inverse kinematics from random starts, for the tip and wrist of q; the best eight are polished."""
+    """Largest mu with q's tip and wrist, by inverse kinematics from random starts; the best eight are `polished`."""
     s, rng = robot.state(q), np.random.default_rng(seed)
     drawn = rng.uniform(robot.q_min, robot.q_max, (starts, robot.n))
     placed = [solve_pose(robot, start, s.tip, s.wrist) for start in drawn]
@@ -182,7 +182,7 @@ def elsewhere(robot, q, starts, seed):
     *((name, "best found of 96 starts") for name in ("panda", "gen3", "xarm7", "lwr4_rail")),
 ])  # fmt: skip
 def test_inverse_kinematics_from_random_starts_finds_no_larger_mu(name, method):
-    """At most 1 % larger, and in the median not at all: a maximum that few of the starts lead to can be missed."""
+    """This holds for the median. One mu may be 1 % larger, since a maximum to which few starts lead can be missed."""
     robot, rng = load_robot(name), np.random.default_rng(21)
     poses = [robot.data.q_home, *rng.uniform(robot.q_min, robot.q_max, (2, robot.n))]
     found = [largest_mu(robot, q[None]) for q in poses]
@@ -193,7 +193,7 @@ def test_inverse_kinematics_from_random_starts_finds_no_larger_mu(name, method):
 
 
 @pytest.mark.parametrize("name", ["lwr4_rail", "odd"])
-def test_with_two_freedoms_the_largest_mu_is_not_on_one_self_motion_curve(name, odd_robot):
+def test_with_two_freedoms_the_largest_mu_need_not_lie_on_the_self_motion_curve(name, odd_robot):
     robot = odd_robot if name == "odd" else load_robot(name)
     rng = np.random.default_rng(4)
     poses = [robot.data.q_home, *rng.uniform(0.7 * robot.q_min, 0.7 * robot.q_max, (3, robot.n))]
@@ -217,7 +217,7 @@ def test_points_of_a_path_share_their_maxima(monkeypatch):
 
 @pytest.mark.parametrize("name", ["panda", "lwr4_rail", "odd"])
 def test_an_ascent_ends_at_a_maximum_within_the_limits_and_nearest_poses_are_found_within_them(name, odd_robot):
-    """The limits are so narrow that joints meet and leave them during the ascent. HiGHS finds no direction uphill."""
+    """The limits are so narrow that joints meet and leave them. At the end, HiGHS finds no direction of ascent."""
     robot = odd_robot if name == "odd" else load_robot(name)
     rng, at_limits, found = np.random.default_rng(5), 0, 0
     for width in rng.choice([0.05, 0.3, 1.0, 9.0], 60):

@@ -1,4 +1,4 @@
-"""The nonlinear program's courses keep every constraint by the model's kinematics, over a path and over a horizon."""
+"""Courses of the nonlinear program, for a whole path or a short horizon, keep every constraint by the robot model."""
 
 import casadi
 import numpy as np
@@ -93,11 +93,11 @@ def test_a_joint_at_the_largest_allowed_speed_stops_before_its_limit_by_braking_
         assert pose <= 0.0
     assert pose > -1e-3
     assert 1.8 < -np.diff(speeds).min() / dt <= 2.0 + 1e-6
-    assert float(excess(-100.0, -9.0)[1]) == 100.0, "in the other direction the other limit counts"
+    assert float(excess(-100.0, -9.0)[1]) == 100.0, "at the lower limit no speed towards it is allowed"
 
 
 def test_with_a_brake_a_course_slows_down_before_its_limits(robot):
-    """With these margins, the course without a brake is too fast towards a limit by the brake's own rule."""
+    """With these margins, a course that is planned without the rule for braking breaks this rule."""
     brake, limits, targets, late = 0.5, Limits(margin=0.3), task(robot, robot.data.q_home, 60), []
     course, _ = on_grid(robot, targets, limits)
     for rule in (np.inf, brake):
@@ -111,14 +111,14 @@ def test_with_a_brake_a_course_slows_down_before_its_limits(robot):
 
 
 def test_a_course_for_which_the_joints_are_far_too_slow_is_not_kept(robot):
-    """Here a step is shorter than the reserve that the program keeps from its limits; the bounds must not cross."""
+    """The largest step is shorter than the reserve that the program keeps from its limits; bounds must not cross."""
     targets, slow = task(robot, robot.data.q_home, 20), Limits(speed_share=1e-10)
     course, _ = on_grid(robot, targets)
     assert not refine(robot, targets, make_course(robot, targets, course.q_rad, slow), slow).kept
 
 
 def test_a_course_keeps_the_shafts_margin_where_a_smaller_one_would_give_more_mu(robot):
-    """The margin is 1.2 times the least share of the grid's course; a course refined without it has smaller shares."""
+    """The margin is 1.2 times the least `shaft_shares` of the grid's course. A course refined without it has less."""
     targets = task(robot, robot.data.q_home, 40)
     course, _ = on_grid(robot, targets)
     margin = 1.2 * float(shaft_shares(robot, course.q_rad).min())
@@ -142,7 +142,7 @@ def horizon(robot, smoothness=0.001, margin=0.0):
     return Program(robot, NODES, 0.05, Limits(margin), mu=0.1, smoothness=smoothness, horizon=True)
 
 
-def test_over_a_horizon_tip_shaft_limits_and_speeds_are_kept_and_a_higher_weight_makes_it_smoother(middle, capfd):
+def test_a_course_over_a_horizon_keeps_all_limits_and_is_smoother_with_a_higher_weight(middle, capfd):
     robot, start, guess, there, usual = middle
     rough = []
     for made in (horizon(robot, 1e-4), usual, horizon(robot, 1e-1)):
@@ -155,7 +155,7 @@ def test_over_a_horizon_tip_shaft_limits_and_speeds_are_kept_and_a_higher_weight
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_the_end_of_a_horizon_moves_to_where_v_is_higher(middle, side):
+def test_the_end_of_a_horizon_moves_to_where_the_value_function_is_higher(middle, side):
     robot, start, guess, there, made = middle
     rest = (guess[-1] - start) / (NODES * there.period_s)
     plain, _ = made.solve(guess, start, there, rest)
@@ -177,7 +177,7 @@ def test_a_horizon_begins_at_the_arms_speed(middle):
 
 
 def test_over_a_horizon_the_shafts_margin_moves_the_elbow_to_where_the_shaft_turns_more_easily(robot):
-    """Tip and wrist rest. The elbow moves to a pose with a larger share, although mu is smaller there."""
+    """Tip and wrist rest. The elbow moves to a pose with larger `shaft_shares`, although mu is smaller there."""
     q = robot.random_regular_pose(np.random.default_rng(5), margin=0.3)
     there, guess, shares = at_poses(robot, np.tile(q, (NODES, 1))), np.tile(q, (NODES, 1)), []
     share = float(shaft_shares(robot, q[None])[0])

@@ -1,4 +1,4 @@
-"""V gives the mean mu of the best of all courses. Courses read off V keep the limits, and none exceeds the bound."""
+"""The value function gives the mean mu of the best course along a path. Courses read off it keep all limits."""
 
 import itertools
 from dataclasses import replace
@@ -16,7 +16,7 @@ from tests.planning.arms import at_poses, task
 
 
 def small(rng, k=4, m=4):
-    """A map of a one-joint arm of speed 1, small enough to try every course; mu is 0.4 at poses that it lacks."""
+    """A map for one joint of speed 1, so small that every course can be tried. Poses off the map have mu = 0.4."""
     arm: Any = SimpleNamespace(v_max=np.ones(1), state=lambda q: SimpleNamespace(mu=0.4))
     targets = Targets(np.arange(float(k)), np.zeros((k, 3)), np.zeros((k, 3)), np.zeros(k))
     q, mu = rng.uniform(0.0, 1.0, (k, 1, m, 1)), rng.uniform(0.1, 1.0, (k, 1, m))
@@ -48,7 +48,7 @@ def every_course(found, step, start, cell=0.0):
 
 @pytest.mark.parametrize(("start", "cell", "price"), [(None, 0, 0), (0.5, 0, 0), (0.5, 0.5, 0), (0.5, 0, 1)])
 def test_dynamic_programming_finds_the_best_of_all_courses(start, cell, price):
-    """With a price on speed, each of the three steps costs price |dq|^2 / 3 of mean mu."""
+    """With a price on speed, each of the three steps lowers the mean mu by price |dq|^2 / 3."""
     rng, none = np.random.default_rng(0), 0
     for _ in range(15):
         found, step = small(rng), float(rng.uniform(0.1, 0.8))
@@ -69,7 +69,7 @@ def test_dynamic_programming_finds_the_best_of_all_courses(start, cell, price):
 
 
 def test_one_step_backwards_compares_each_pose_with_every_pose_in_reach():
-    """Bits and slacks are random, also within a block. Rounding to eighths makes some distances equal to the step."""
+    """Slacks and the branches that may be changed are random. Rounded to eighths, some distances equal the step."""
     rng = np.random.default_rng(3)
     for trial in range(40):
         rounded = (lambda x: np.rint(8.0 * x) / 8.0) if trial % 4 > 1 else np.array
@@ -136,7 +136,7 @@ def test_a_course_goes_through_a_singular_pose_into_the_next_branch(robot, joint
 
 
 def test_poses_below_the_shafts_margin_have_less_mu_in_the_search(robot, coarse):
-    """The share of the squared lever agrees with the model's, and above the margin nothing is subtracted."""
+    """`shaft_shares` equals the model's mu_shaft / span^2, and nothing is subtracted from mu above the margin."""
     margin = 0.5
     found = map_of(robot, robot.data.q_home, coarse.targets[:10], 90)
     kept, may = keeping_shaft(found, Limits(shaft=margin)), found.feasible()

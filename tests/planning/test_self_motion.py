@@ -1,4 +1,4 @@
-"""Self-motions keep tip, wrist and limits, and arms with a known number of freedoms have that number."""
+"""Self-motions keep tip, wrist and joint limits, and the freedoms of known arms are counted correctly."""
 
 from dataclasses import replace
 
@@ -90,7 +90,7 @@ def test_the_peak_of_a_parabola_is_found_from_any_three_samples():
         step, above = parabola_peak(x, y)
         if x[0] <= top <= x[2]:
             np.testing.assert_allclose([x[1] + step, y[1] + above], [top, height], atol=1e-9)
-        else:  # a peak outside of the samples: only to the nearer neighbour
+        else:  # a peak outside the samples: the step ends at a neighbour
             assert min(abs(x[1] + step - x[0]), abs(x[1] + step - x[2])) < 1e-12
     for y in ([1.0, 0.0, 1.0], [-np.inf, 1.0, 0.5], [0.0, 1.0, 2.0]):
         assert parabola_peak(np.arange(3.0), np.array(y)) == (0.0, 0.0)
@@ -150,20 +150,20 @@ def test_distance_is_the_arc_length_along_the_self_motion(robot, curve, place):
 
 
 @pytest.mark.parametrize(("way", "speed", "before", "after"), [(1.0, 0.5, 1.7, 1.9), (0.4, 0.1, 2.8, 3.2)])
-def test_a_moving_elbow_is_in_transient_until_within_a_tenth_of_a_radian(robot, place, way, speed, before, after):
+def test_a_moving_elbow_is_in_transient_until_0_1_rad_before_the_optimum(robot, place, way, speed, before, after):
     flags = in_transient(robot, T, place(np.minimum(speed * T - way, 0.0)))
     assert flags[before > T].all()
     assert not flags[after < T].any()
 
 
-def test_an_elbow_that_rests_is_slow_or_follows_its_moving_optimum_is_not_in_transient(robot, curve, place):
+def test_a_resting_or_slow_elbow_or_one_that_follows_its_moving_optimum_is_not_in_transient(robot, curve, place):
     """A turn of the base moves arm and optimum together at any speed; a turn of the last joint moves only the tool."""
     far, turns = np.tile(place(-0.5), (100, 1)), np.linspace(0.0, 1.0, 100)
     base, last = (np.outer(turns, axis) for axis in np.eye(7)[[0, 6]])
     for q in (far, curve.best + base, far + last):
         assert not in_transient(robot, 0.01 * np.arange(100), q).any()
     assert not in_transient(robot, T, place(0.03 * T - 0.4)).any()
-    late = in_transient(robot, T, place(np.clip(0.5 * (T - 2.0) - 1.0, -1.0, 0.0)))  # it begins to move after 2 s
+    late = in_transient(robot, T, place(np.clip(0.5 * (T - 2.0) - 1.0, -1.0, 0.0)))  # the elbow rests for 2 s
     assert not late[T < 1.9].any()
     assert late[(T > 2.1) & (T < 3.6)].all()
     assert not in_transient(robot, [0.0], [robot.data.q_home]).any(), "one tick is no motion"

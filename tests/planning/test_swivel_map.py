@@ -1,4 +1,4 @@
-"""The manipulability map against direct evaluation, and the verdicts on trajectories on maps that are made by hand."""
+"""The map of mu over time and swivel (the elbow's angle) equals the model's mu; runs are judged on hand-made maps."""
 
 from dataclasses import replace
 from types import MappingProxyType
@@ -67,10 +67,10 @@ def test_the_swivel_is_kept_by_a_turn_of_the_base_and_changes_sign_in_a_mirrored
     assert abs(first) > 0.1
 
 
-def test_trajectories_lie_on_the_map_and_below_its_best(robot, runs, found):
+def test_trajectories_lie_on_the_map_and_below_its_best_mu(robot, runs, found):
     assert np.all(found.best_mu >= np.where(found.limit == FEASIBLE, found.mu, -np.inf).max(axis=1))
     for name, trajectory in found.trajectories.items():
-        assert trajectory.gap_rad < 0.15, "half a row, as joints move"
+        assert trajectory.gap_rad < 0.15, "the joint angles of half a row"
         assert trajectory.t_s[-1] == runs[name].t_s[-1]
         np.testing.assert_array_equal(
             trajectory.mu, robot.mu_along(runs[name].q_rad)[np.searchsorted(runs[name].t_s, trajectory.t_s)]
@@ -155,7 +155,7 @@ def test_the_figure_shows_the_map_the_forbidden_poses_and_every_trajectory(found
 
 
 def test_the_map_of_an_arm_with_two_freedoms_is_a_slice_that_names_the_held_joint(found):
-    """On a rail, the map keeps the rail's position of the run, and its best mu is that of this slice alone."""
+    """At each time the map holds the rail where the run has it. Its best mu is the largest with this rail position."""
     arm = load_robot("lwr4_rail")
     run_of_it = mo.run(Scenario(robot={"name": "lwr4_rail"}, duration_s=1.0, judge=False, bound_samples=0))
     made = manipulability_map(arm, {"MOC": run_of_it}, times=2, swivels=72)
@@ -176,14 +176,14 @@ ROWS = np.arange(-180.0, 180.0, 3.0)
 
 
 def hill(top, height, width=60.0):
-    """mu over the swivel [deg]: a smooth hill."""
+    """A smooth hill: mu as a function of the swivel [deg]."""
     return lambda swivel: height * np.exp(-(((np.asarray(swivel) - top + 180) % 360 - 180) ** 2) / width**2)
 
 
 def read(mu, swivel, forbidden=None, gap_rad=0.01):
-    """Judge a run with these swivels [deg] at 101 times. At all times the map is ``mu`` of the swivel in degrees.
+    """Judge a run with these swivels [deg] at 101 times, on a map whose mu is always ``mu(swivel)``, swivel in degrees.
 
-    ``forbidden``: from, to [deg], and the entry of `limit` between them.
+    ``forbidden``: first and last swivel [deg] of a range, and the entry of `limit` within it.
     """
     limit = np.full((len(T), len(ROWS)), FEASIBLE)
     if forbidden:
@@ -222,14 +222,14 @@ def test_a_trajectory_that_climbs_to_the_optimum_is_said_to_end_there():
 
 
 def test_a_trajectory_at_a_lower_maximum_is_said_to_end_at_a_local_maximum():
-    """Also where maximum and run lie on the two sides of the angle at which the map's circle is cut open."""
+    """So is one where the circle of swivels is cut open at an angle between the maximum and the run."""
 
     def two(swivel):
         return hill(60.0, 0.3, 30.0)(swivel) + hill(-60.0, 0.25, 30.0)(swivel)
 
     assert read(two, ramp(-100.0, -60.0, 6.0)).end is End.LOCAL_MAXIMUM
     assert read(two, -60.0 - 0.7 * np.degrees(swivel_map.CLOSE_RAD)).end is End.LOCAL_MAXIMUM
-    assert read(two, -60.0 - 2.0 * np.degrees(swivel_map.CLOSE_RAD)).end is End.STILL, "the way up is open"
+    assert read(two, -60.0 - 2.0 * np.degrees(swivel_map.CLOSE_RAD)).end is End.STILL, "the run could still climb"
     # The same hills, shifted: the lower one's top lies at 178 degrees and the run beyond it, at -176.
     assert read(lambda swivel: two(np.asarray(swivel) - 238.0), -176.0).end is End.LOCAL_MAXIMUM
 
@@ -243,7 +243,7 @@ def test_a_trajectory_at_a_lower_maximum_is_said_to_end_at_a_local_maximum():
     (hill(60.0, 0.3, 90.0), ramp(-20.0, -70.0), End.FALLING),
 ])  # fmt: skip
 def test_a_run_ends_at_a_limit_that_blocks_its_climb_and_is_else_judged_by_its_motion(side, top, swivel, end):
-    """The hill is on either side; there joint 4 is beyond its limit from 0 to 140 degrees."""
+    """On the hill's side, joint 4 is beyond its limit from 0 to 140 degrees. The hill is on either side in turn."""
     forbidden = (0.0, 140.0, 4) if side > 0.0 else (-140.0, 0.0, 4)
     found = read(lambda given: top(side * np.asarray(given)), side * np.asarray(swivel), forbidden)
     assert (found.end, found.joint) == (end, 4 if end is End.FEASIBLE_EDGE else 0)

@@ -51,7 +51,7 @@ def test_extremes_of_linear_costs_agree_with_highs(seed, shape, size):
     seed=st.integers(0, 10**6), shape=SHAPES, weight=st.floats(-9.0, 2.0), size=st.sampled_from([1e-6, 1e-4, 1.0, 1e3])
 )
 def test_a_regularized_optimum_is_certified_and_the_worst_point_is_a_corner(seed, shape, weight, size):
-    """In any unit of speed and cost, by weak duality; the costs of 200 random points of the surface lie between."""
+    """Weak duality certifies it in any unit of speed and cost. Costs of 200 random surface points lie in between."""
     Z, low, high, slope = cut_box(seed, shape, size)
     regularization = float(np.linalg.norm(slope) * 10.0**weight / size)
     found = extremes(Z, low, high, slope, regularization)
@@ -73,7 +73,7 @@ def test_a_regularized_optimum_is_certified_and_the_worst_point_is_a_corner(seed
 
 @pytest.mark.parametrize("shape", [(7, 2), (8, 3), (9, 4)])
 def test_with_too_many_corners_to_try_the_largest_cost_is_not_overstated(shape, monkeypatch):
-    """This is the safe side: with a largest cost that is too small, the loss is too large."""
+    """That is the safe side: if the largest cost is too small, the loss is too large."""
     exact = []
     for seed in range(15):
         Z, low, high, slope = cut_box(seed, shape)
@@ -107,7 +107,7 @@ def test_of_several_optima_the_one_nearest_to_zero_is_found():
     assert (found.least, found.most) == pytest.approx((-1.0, 1.0))
 
 
-def test_an_empty_set_gives_none_and_one_point_is_found():
+def test_an_empty_set_gives_none_and_a_set_of_one_point_gives_this_point():
     Z = np.array([[1.0], [1.0]]) / np.sqrt(2.0)
     apart = np.array([0.0, 1.0]), np.array([0.5, 2.0])
     assert nearest(Z, *apart, np.zeros(1)) is None

@@ -1,4 +1,4 @@
-"""An answer that slides along a nearly singular direction of A to a worse cost is not verified.
+"""An answer that has slid along a nearly singular direction of A to a worse cost is not verified.
 
 Such directions exist near a straight elbow. Each attempt slides an optimum within the primal tolerance and optimizes it
 again along ker A. Best and worst cost come from an enumeration of active sets, without the solvers and the residuals.
@@ -28,7 +28,7 @@ def extremes(Z, base, qp):
 
 
 def random_case(rng, freedoms, size):
-    """A subproblem with singular values 1, 0.8, 0.6, 0.4, size and 0; a feasible point, ker A, and size's direction."""
+    """A subproblem with singular values 1, 0.8, 0.6, 0.4, size, 0; a feasible point, ker A, and the fifth direction."""
     n = freedoms + 5
     U, V = (np.linalg.qr(rng.normal(size=(k, k)))[0] for k in (6, n))
     A = U[:, :5] * [1.0, 0.8, 0.6, 0.4, size] @ V[:, :5].T
@@ -103,7 +103,7 @@ def test_no_answer_that_slid_to_a_worse_cost_is_verified(seed):
 
 
 @pytest.mark.parametrize("freedoms", [1, 2])
-def test_where_one_point_is_feasible_relative_shows_a_slides_gap_in_cost(freedoms):
+def test_where_one_point_is_feasible_relative_is_the_scaled_cost_lost_by_a_slide(freedoms):
     qp, base, Z, direction = random_case(np.random.default_rng(0), freedoms, 1e-9)
     row, pinned = np.array(qp.row), [3, 6][:freedoms]
     fields(row).lower[pinned] = fields(row).upper[pinned] = base[pinned]
@@ -125,7 +125,7 @@ def test_only_the_better_end_is_verified_where_the_gradient_is_nearly_across_the
     """The smallest singular value divides the rounding of A x - b, which would otherwise decide between the ends."""
     rng, seen = np.random.default_rng(int(-np.log10(size))), 0
     for slope, width in [(1e-2, 1e-4), (1e-4, 1e-2), (1e-6, 1e-4), (1e-8, 1e-2), (1e-8, 3e-6)] * 3:
-        unit = rng.choice([1.0, 1e3])  # of length
+        unit = rng.choice([1.0, 1e3])  # unit of length
         U, V = (np.linalg.qr(rng.normal(size=(k, k)))[0] for k in (5, 6))
         A, x = unit * U * [1.0, 0.8, 0.6, 0.4, size] @ V[:, :5].T, rng.uniform(-0.4, 0.4, 6)
         b, lower, upper = A @ x, x - rng.uniform(0.5, 1.0, 6), x + rng.uniform(0.5, 1.0, 6)

@@ -40,7 +40,7 @@ def test_an_optimum_is_verified_and_its_neighbours_are_not(n, structured, regula
 
 @pytest.mark.parametrize(("n", "structured"), CASES)
 def test_natural_best_is_the_smallest_natural_residual_over_all_duals(n, structured):
-    """By bisection on t: a linear program in y decides whether the residual can be at most t."""
+    """The smallest residual t is found by bisection: a linear program in y decides whether t can be reached."""
     rng = np.random.default_rng(7)
 
     def reachable(qp, x, t):
@@ -72,7 +72,7 @@ def ends_of_the_swivel(qp):
 
 
 @pytest.mark.parametrize("regularization", [0.0, 1e-5, 1e-3])
-def test_loss_is_the_share_of_the_costs_range(regularization):
+def test_loss_is_the_share_of_the_costs_range_that_an_answer_gives_away(regularization):
     rng = np.random.default_rng(8)
     for _ in range(5):
         qp = random_problem(rng, regularization=regularization)
@@ -213,11 +213,11 @@ def test_where_the_gradient_along_the_self_motion_is_rounding_every_feasible_ans
 
 
 def test_relative_is_scaled_by_the_gradient_along_the_self_motion():
-    """Almost all of grad_mu lies across ker A. Scaled by its whole length, a wrong end would have 1e-3 only."""
+    """Almost all of grad_mu lies across ker A. Divided by its whole length, a wrong end's residual would be 1e-3."""
     rooms = []
     for w in wrong_corners(5, 6, 8, tilt=1e-3):
         z = kernel(w.qp)[:, 0]
-        for regularization in (0.0, 1.0):  # 1.0 is larger than the scale by the gradient
+        for regularization in (0.0, 1.0):  # 1.0: rho sets the scale, not the gradient
             slope = z @ (regularization * w.x - w.qp.c2 * w.qp.grad_mu)
             scale = max(w.qp.c2 * abs(z @ w.qp.grad_mu) * np.abs(z).max(), regularization)
             room = np.where(z * slope > 0.0, w.x - w.qp.lower, w.qp.upper - w.x)[np.abs(z) > 1e-9].min()
@@ -256,7 +256,7 @@ def test_a_batch_may_mix_ranks_and_idle_joints():
 
 @pytest.mark.parametrize("regularization", [0.0, 0.2])
 def test_natural_and_primal_equal_their_definitions(regularization):
-    """With the P and p of the whole cost, at any x, feasible or not."""
+    """The definitions use the P and p of the whole cost and hold at any x, feasible or not."""
     rng = np.random.default_rng(50)
     for n in (7, 8):
         qp = random_problem(rng, n, structured=False)
@@ -290,7 +290,7 @@ def test_which_joints_are_idle_does_not_depend_on_the_unit_of_length(scale):
 
 @pytest.mark.parametrize("regularization", [0.0, 1e-5])
 @pytest.mark.parametrize(("n", "structured"), [(7, True), (7, False), (8, False)])
-def test_where_one_point_is_feasible_the_distance_is_that_to_it(n, structured, regularization):
+def test_where_one_point_is_feasible_the_distance_is_measured_to_this_point(n, structured, regularization):
     """The point is verified, others are not. Where the box misses A x = b, the loss is 1 and the distance infinite."""
     qp = random_problem(np.random.default_rng(17), n, structured=structured, regularization=regularization)
     x, z = optimum(qp)[0], kernel(qp)[:, 0]
@@ -316,7 +316,7 @@ def test_where_one_point_is_feasible_the_distance_is_that_to_it(n, structured, r
 
 @pytest.mark.parametrize("n", [7, 8])
 def test_rest_is_not_optimal_where_the_box_excludes_it(n):
-    """A regularized cost without a gradient is smallest at rest, and with rest outside the box, on the box."""
+    """A regularized cost without a gradient is smallest at rest or, where the box excludes rest, on its surface."""
     qp = random_problem(np.random.default_rng(60), n, structured=False, regularization=1.0)
     z = kernel(qp)[:, 0]
     j = int(np.argmax(np.abs(z)))

@@ -1,6 +1,6 @@
 """The control law of docs/method.md in plain numpy, as the reference for tests of the core.
 
-It is written to be read: pseudo-inverses, not factorizations, whatever the cost. ``s`` is a RobotState, P and dP are
+It is written to be read: slow pseudo-inverses in place of factorizations. ``s`` is a RobotState, P and dP are
 the trocar and its velocity.
 """
 

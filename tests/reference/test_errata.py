@@ -1,4 +1,4 @@
-"""What the paper prints and what is computed here, with numbers, for each entry of docs/method.md's last section."""
+"""For each entry of docs/method.md's last section: what the paper prints -> what is computed here, with numbers."""
 
 import numpy as np
 import pytest
@@ -83,12 +83,12 @@ def test_gradient_of_f_is_positive_semidefinite_and_seven_by_seven(robot, states
         G, wanted = saddle(subproblem(robot, s)), np.zeros((13, 13))
         wanted[:7, :7] = 2.0 * (PAPER.c0 * s.J_tip.T @ s.J_tip + PAPER.c1 * s.J_wrist.T @ s.J_wrist)
         np.testing.assert_allclose(G + G.T, wanted, atol=1e-15)
-        # so with the printed sign, F is not monotone, as the proof of convergence needs
+        # so with the printed sign, F is not monotone, although the proof of convergence needs it to be
         assert np.linalg.eigvalsh(G + G.T)[-1] > 1e-3
 
 
 # F(Y) = [-dL/dqd, dL/dl]  ->  [dL/dqd, -dL/dl]; no time constant  ->  eps, or m steps per tick
-def test_modes_grow_with_the_printed_sign_else_decay_slower_than_in_fifty_seconds(robot, states):
+def test_modes_grow_with_the_printed_sign_and_otherwise_decay_more_slowly_than_in_50_s(robot, states):
     """dY/dt = -k F(Y) at the paper's gains: the real parts are -k c0 s^2 / 2 for a singular value s of A."""
     for s in states:
         qp = subproblem(robot, s)
@@ -102,7 +102,7 @@ def test_modes_grow_with_the_printed_sign_else_decay_slower_than_in_fifty_second
 
 # e_N1 = d / lambda, lambda = 0.5  ->  |N_d - N|, or rcm_lambda
 def test_the_true_lambda_is_not_constant(states):
-    """For a shaft 2 mm off the trocar, d / |N - N_d| is |P_t - X|/L. It varies with the depth, 0.5 does not."""
+    """For a shaft 2 mm off the trocar, d / |N - N_d| is |P_t - X|/L. Unlike 0.5, it varies with the depth."""
     depths, found = np.array([task.depth_m for task in BOARD_TASKS.values()]), []
     for s in states:
         across = np.cross(s.tool_direction, np.eye(3)[np.argmin(np.abs(s.tool_direction))])
@@ -117,7 +117,7 @@ def test_the_true_lambda_is_not_constant(states):
 
 # K_N2 = [80, ...] on qdd_d at c2 = 0.001, k = 0.1  ->  kept as rnn-printed
 def test_the_torque_that_mu_causes_in_the_printed_network_is_too_small_to_act(robot, states):
-    """Its difference with and without c2 equals the torque without any bounds, and is at most 0.002 Nm."""
+    """The difference of the torques with and without c2 equals that without any bounds, and is below 0.002 Nm."""
     rng, printed, share, free = np.random.default_rng(0), solvers.create("rnn-printed"), 0.0, 0.0
     for rest in states:
         for v in (np.zeros(7), rng.uniform(-0.01, 0.01, 7)):

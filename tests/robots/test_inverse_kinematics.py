@@ -29,7 +29,7 @@ def test_with_one_joint_at_its_limit_the_others_reach_the_target(robot):
     assert inside(robot, placed.q)
 
 
-def test_for_a_target_out_of_reach_the_pose_is_the_nearest_one_and_not_found(robot):
+def test_for_a_target_out_of_reach_the_nearest_pose_is_given_as_not_found(robot):
     placed = solve_pose(robot, robot.data.q_home, np.array([3.0, 0.0, 0.3]), iterations=200)
     assert not placed.found
     reach = 0.4 + 0.39 + 0.378  # shoulder to tip, stretched

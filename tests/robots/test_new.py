@@ -1,4 +1,4 @@
-"""`robot new` makes a robot of a vendor's URDF and notes its assumptions, and `robot check` judges it."""
+"""`robot new` makes a robot from a vendor's URDF and notes its assumptions; `robot check` judges the robot."""
 
 from __future__ import annotations
 
@@ -258,7 +258,7 @@ def test_a_home_pose_with_little_mu_to_gain_gets_care(robot: RobotModel) -> None
         assert rows(altered(robot, q_home=q))["mu at home"].verdict == judged
 
 
-def test_the_room_of_a_sliding_joint_is_in_mm() -> None:
+def test_the_distance_of_a_sliding_joint_from_its_limit_is_in_mm() -> None:
     rail = load_robot("lwr4_rail")
     row = rows(rail)["nearest limit"]
     room = min(rail.data.q_home[0] - rail.q_min[0], rail.q_max[0] - rail.data.q_home[0])

@@ -58,7 +58,7 @@ def test_fingers_are_locked_and_the_arm_moves_as_before(vendors) -> None:
     assert list(model.names)[1:] == CHAIN
     assert model.inertias[7].mass - bare.inertias[7].mass == pytest.approx(0.7 + 2 * 0.015)  # locked, with mass
     left = model.frames[model.getFrameId("left")].placement.translation
-    turn = np.array([0.01 * np.sin(0.785), 0.01 * np.cos(0.785), 0.107])  # at the end of its range nearest to 0
+    turn = np.array([0.01 * np.sin(0.785), 0.01 * np.cos(0.785), 0.107])  # locked at the end nearest to 0
     np.testing.assert_allclose(left, turn, rtol=0, atol=1e-12)
     told = " ".join(arm.notes)
     assert all(word in told for word in ("finger_1 (at 0.01 m)", "finger_2", "'link_7', the link of the last"))
@@ -169,7 +169,7 @@ def test_impossible_limits_are_replaced_and_noted(name: str, limit: str, expecte
 
 
 @pytest.mark.parametrize(("name", "reach", "unit"), [("panda", "2.8973", "rad"), ("lwr4_rail", "0.5", "m")])
-def test_exchanged_limits_are_refused_by_name(name: str, reach: str, unit: str, vendors) -> None:
+def test_limits_in_the_wrong_order_are_refused_by_name(name: str, reach: str, unit: str, vendors) -> None:
     text = changed(text_of(name), (f'lower="-{reach}" upper="{reach}"', f'lower="{reach}" upper="-{reach}"'))
     with pytest.raises(RobotError, match=rf"'joint_1': .* in {unit}, "):
         vendors(text)

@@ -1,4 +1,4 @@
-"""A scenario: its tables are validated and saved to a file, its errors help, and its runs repeat to the bit."""
+"""A scenario: its tables are validated and saved to a file, errors name the cure, and runs repeat to the bit."""
 
 import re
 import shutil
@@ -83,7 +83,7 @@ def test_the_trace_remembers_its_scenario():
         # Without noise, or without a filter, successive readings may well be equal.
         ({"plant": {"preset": "nominal"}}, {"repeat_joint_ticks": None, "repeat_reading_ticks": None}),
         ({"plant": {"velocity_cutoff_Hz": 0.0}}, {"repeat_reading_ticks": None, "motion_lag_s": 0.012}),
-        # A slow filter lags: with the limit that suits 50 Hz, sound runs at 15 Hz were stopped.
+        # A slow filter lags: with the limit that suits 50 Hz, sound runs at 15 Hz would be stopped.
         ({"plant": {"velocity_cutoff_Hz": 15.0}}, {"motion_lag_s": 3.0 / (2.0 * np.pi * 15.0)}),
         # A coarse encoder hides motion that stays within one step.
         ({"plant": {"encoder_resolution_rad": 1e-4}}, {"repeat_torque": 0.06, "stuck_rad_per_s": 0.2}),
@@ -236,7 +236,7 @@ def test_every_limit_that_can_be_lifted_can_be_saved_lifted(tmp_path):
     assert Scenario.load(tmp_path / "lifted.toml") == scenario
 
 
-def test_a_solver_setting_of_none_is_left_out_where_that_means_the_same(tmp_path):
+def test_a_solver_setting_of_none_is_not_saved_where_leaving_it_out_means_the_same(tmp_path):
     to = tmp_path / "new" / "folder" / "a.toml"
     Scenario(solver={"name": "qpsolvers:quadprog", "settings": {"cost_scale": None, "rows": 6}}).save(to)
     assert Scenario.load(to).solver.settings == {"rows": 6}

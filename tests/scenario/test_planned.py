@@ -33,7 +33,7 @@ def scenario_file(folder, text):
     return str(folder / "mine.toml")
 
 
-def test_a_path_that_cannot_be_executed_exits_with_three(tmp_path, capsys):
+def test_the_command_plan_exits_with_3_for_a_path_that_cannot_be_executed(tmp_path, capsys):
     file = scenario_file(tmp_path, '[task]\npath = "circle"\nv_max_m_per_s = 3.0\na_max_m_per_s2 = 50.0\n')
     assert main(["plan", file, "--json"]) == 3
     told = json.loads(capsys.readouterr().out)
@@ -46,7 +46,7 @@ def test_the_start_that_a_plan_proposes_can_be_pasted_into_the_scenario(tmp_path
     found = plan(mo.Scenario.load(file))
     assert main(["plan", file]) == 0
     said = capsys.readouterr()
-    assert said.err == ""  # its third level climbs and follows no course
+    assert said.err == ""  # no warning: this third level climbs and follows no course
     assert "can be executed from this start yes" in " ".join(said.out.split())
     assert max(len(line.rstrip()) for line in said.out.splitlines()) <= 80
     again = plan(mo.Scenario.load(scenario_file(tmp_path, text + said.out[said.out.index("\n[start]\n") :])))
@@ -82,7 +82,7 @@ def test_a_run_is_compared_with_the_courses_of_its_own_path():
 
 
 @pytest.mark.parametrize(("line", "there"), [("", True), ("best_courses = false\n", False)])
-def test_the_command_run_compares_unless_the_scenario_says_no(tmp_path, capsys, line, there):
+def test_the_command_run_compares_with_the_best_courses_unless_the_scenario_says_no(tmp_path, capsys, line, there):
     file = scenario_file(tmp_path, f"{line}duration_s = 0.1\nbound_samples = 0\n")
     assert main(["run", file, "--seed", "3", "--json"]) == 0
     assert ("mu_fraction_of_best" in json.loads(capsys.readouterr().out)) == there
@@ -178,10 +178,10 @@ def test_the_commands_write_a_course_and_follow_it(tmp_path, capsys):
     to, ran = tmp_path / "course.parquet", tmp_path / "run.parquet"
     text = 'duration_s = 0.3\nbound_samples = 0\nbest_courses = false\n[control]\nthird_level = "local"\n'
     mine = scenario_file(tmp_path, text)
-    for out, status in ((to, 0), (to, 0), (mine, 2)):  # a course replaces a course, and nothing else
+    for out, status in ((to, 0), (to, 0), (mine, 2)):  # a course may replace only a course
         assert main(["plan", mine, "--out", str(out)]) == status
         assert "warning" not in capsys.readouterr().err
-    assert mo.Trace.load(to).meta["within"]["speed_share"] == 0.85  # the limit of a third level that follows
+    assert mo.Trace.load(to).meta["within"]["speed_share"] == 0.85  # the limit of a third level that follows it
     assert (tmp_path / "mine.toml").read_text(encoding="utf-8") == text
     assert main(["run", mine, "--course", str(to), "--trace", str(ran)]) == 0
     assert mo.Trace.load(ran).meta["scenario"]["control"]["course"] == str(to)

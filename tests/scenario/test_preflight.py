@@ -92,7 +92,7 @@ def test_the_joint_that_reaches_its_limit_is_named():
     assert told.value.arc_length_m == pytest.approx(0.1 * np.linspace(0.0, 1.0, len(free))[over][0], abs=PLACE_M)
 
 
-def test_a_trocar_beyond_the_tool_or_on_the_path_and_a_start_elsewhere_are_refused():
+def test_a_trocar_beyond_the_tool_or_on_the_path_and_a_start_off_the_path_are_refused():
     up = straight(HOME.tip, HOME.tip + np.array([0.0, 0.0, 0.06]))
     away = straight(HOME.tip + np.array([0.0, 0.01, 0.0]), HOME.tip)
     for task, through, field, place in (

@@ -32,7 +32,7 @@ def after(trace):
 @pytest.mark.parametrize("share", [1.0, 0.3, 0.15, 0.08])
 @pytest.mark.parametrize("swivel", [0.0, 1.0])
 def test_an_arm_with_weak_drives_is_held_from_any_swivel(monkeypatch, share, swivel):
-    """At a share of 0.15 the drives carry three quarters of the weight. With damping alone the tip sank by 70 mm."""
+    """With a share of 0.15, drives carry three quarters of the weight. With damping alone, the tip sinks by 70 mm."""
     data = RobotTable().arm().data
     weak = RobotModel(dataclasses.replace(data, tau_max=share * data.tau_max))
     monkeypatch.setattr(RobotTable, "arm", lambda table: weak)
@@ -95,14 +95,14 @@ def test_brakes_are_open_while_the_trocar_presses_and_then_only_when_it_presses_
     for force, last in ((0.0, False), (7.0, False), (20.0, True), (6.0, True), (3.0, False), (np.nan, False)):
         assert is_open(force, 100)[-1] == last, force
     most = round(SafetyFilterSettings().stop_yield_s / 0.002)
-    # Brakes also hold up to 6 N more than the force they closed on. Once the force has fallen, that is forgotten.
+    # Closed brakes hold up to 6 N more than the force at which they closed. A fall of the force ends this.
     for force, ticks in ((0.0, 0), (20.0, most), (26.0, 0), (40.0, most), (0.0, 0), (20.0, most)):
         found = is_open(force, 1000)
         assert (sum(found), any(found[-500:])) == (ticks, False), force
 
 
 PRESSED_N = 35.0
-"""Largest root mean square of the force over 0.1 s in a completed run; the limit of the filter is 15 N."""
+"""Bound on the root mean square of the force over 0.1 s in a completed run; the filter's own limit is 15 N."""
 
 at_s, some, whole, forged = st.floats(0.05, 0.6), st.floats, st.integers, st.booleans()
 

@@ -58,7 +58,7 @@ def test_mass_bias_tip_and_wrist_are_compared_between_the_engines(robot, change)
 )  # fmt: skip
 @settings(max_examples=40)
 def test_both_engines_accept_a_flat_body_in_any_axes(a, b, beyond, seed, tmp_path_factory):
-    """A plate just meets the triangle inequality, so that rounding can violate it, which MuJoCo does not accept."""
+    """A plate's moments just meet the triangle inequality. Rounding can violate it, which MuJoCo does not accept."""
     Q, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
     I = Q @ np.diag([a, b, (a + b) * (1.0 + beyond)]) @ Q.T  # noqa: E741
     moments = {"ixx": I[0, 0], "iyy": I[1, 1], "izz": I[2, 2], "ixy": I[0, 1], "ixz": I[0, 2], "iyz": I[1, 2]}

@@ -31,7 +31,7 @@ def shaft_of(plant, depth=0.15, off=1e-3):
     return np.vstack([plant.tip + depth * u + off * side / np.linalg.norm(side), np.zeros(3)])
 
 
-def test_a_wrong_push_is_refused_by_name_and_a_new_push_replaces_the_last_one_on_its_link():
+def test_a_wrong_push_is_refused_by_name_and_a_new_push_replaces_the_previous_one_on_its_link():
     plant = Plant(DATA, PlantSettings.nominal())
     for push, message in (
         (("lnk_1", [1, 0, 0]), "did you mean 'link_1'"), (("link_1", [1, 0]), "push force"),
@@ -95,7 +95,7 @@ def test_the_trocar_force_belongs_to_the_present_state(stiffness, damping):
 
 
 def test_a_moving_trocar_moves_within_the_period():
-    """One period of 20 plant steps equals ten periods of 2 that get the trocar's position each."""
+    """One period of 20 plant steps equals ten periods of 2 steps, each of which is given the trocar's position."""
     coarse = Plant(DATA, PlantSettings.nominal(period_s=0.02, substeps=20))
     fine = Plant(DATA, PlantSettings.nominal())
     state = MODEL.state(DATA.q_home)
@@ -111,7 +111,7 @@ def test_a_moving_trocar_moves_within_the_period():
 @pytest.mark.parametrize(
     ("stiffness", "damping"), [(800.0, 10.0), (800.0, 100.0), (20e3, 10.0), (20e3, 100.0), (20e3, 0.0)]
 )
-def test_an_incision_up_to_a_rigid_one_gives_the_arm_no_energy(stiffness, damping):
+def test_neither_a_soft_nor_a_rigid_incision_gives_the_arm_energy(stiffness, damping):
     """The trocar is 1 mm beside the shaft and gravity is compensated. With some damping the arm comes to rest."""
     wall = PlantSettings.nominal(trocar_stiffness_N_per_m=stiffness, trocar_damping_Ns_per_m=damping)
     plant = Plant(DATA, wall)
@@ -217,7 +217,7 @@ def test_a_step_too_coarse_for_the_springs_is_refused_with_the_cure():
     with pytest.raises(PlantError, match="substeps = 2 makes plant steps of 1 ms") as said:
         Plant(DATA, elastic(substeps=2))
     fastest, need = map(int, re.search(r"up to (\d+) rad/s: raise substeps to (\d+)", str(said.value)).groups())
-    assert need == np.ceil(0.002 * fastest)  # one radian a step
+    assert need == np.ceil(0.002 * fastest)  # one radian of the fastest swing per step
     Plant(DATA, elastic(substeps=need))
     with pytest.raises(PlantError, match=r"has 2 entries.*7 joints"):
         Plant(DATA, elastic(joint_stiffness_Nm_per_rad=(1e4, 1e4)))

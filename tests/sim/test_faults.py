@@ -58,7 +58,7 @@ def test_encoders_give_nan_for_nan_ticks(at):
     assert np.flatnonzero(found).tolist() == list(range(first, first + 4))
 
 
-def test_bias_and_noise_have_their_size_and_seed_and_the_jump_its_time():
+def test_bias_and_noise_have_the_given_size_and_follow_the_seed_and_a_jump_comes_at_its_time():
     bias = faults(encoder_bias_rad=0.01).sense(measured(0), 0).q
     np.testing.assert_allclose(np.abs(bias), 0.01)
     noisy = np.array([faults(encoder_noise_rad=0.01, seed=s).sense(measured(0), 0).q for s in range(200)])
@@ -74,7 +74,7 @@ def test_bias_and_noise_have_their_size_and_seed_and_the_jump_its_time():
 @pytest.mark.parametrize(("at", "long"), [(0.02, 0.01), (0.021, 0.01), (0.0199, 0.0003), (0.0, 0.01)])
 @pytest.mark.parametrize("link", ["link_4", "tool"])
 def test_a_push_begins_and_ends_at_its_times(link, at, long):
-    """Also where these lie between ticks. The shortest push lasts one tick. A payload on the tool is kept."""
+    """Times between two ticks are rounded. The shortest push lasts one tick. A payload on the tool stays."""
     held, mine = {}, faults(bump_N=30.0, bump_at_s=at, bump_s=long, bump_link=link, payload_kg=2.0)
     plant = SimpleNamespace(push=held.__setitem__)
     weight = np.array([0.0, 0.0, -2.0 * GRAVITY])
@@ -96,7 +96,7 @@ def test_the_trocar_slips_smoothly():
     assert (size[t <= 0.3] == 0.0).all()
     np.testing.assert_allclose(size[t >= 0.4], 0.01)
     rate = np.gradient(moved[:, 0], PERIOD, axis=0)
-    np.testing.assert_allclose(moved[1:-1, 1], rate[1:-1], atol=4e-3)  # of 0.15 m/s
+    np.testing.assert_allclose(moved[1:-1, 1], rate[1:-1], atol=4e-3)  # of up to 0.15 m/s
     assert faults().slip(still, t) is still
     ways = np.array([faults(seed, slip_m=0.01, slip_at_s=0.0).slip(still, t)[-1, 0] for seed in range(40)])
     assert (ways[:, :2].min(axis=0) < -0.008).all()  # the directions go to every side
@@ -143,7 +143,7 @@ K = np.arange(60)
 STUCK = np.where(K < 20, K, 19)
 
 
-# changes; the packet numbers, and the positions of joint 1 and of joint 3
+# the fault's settings; then packet numbers and positions of joints 1 and 3, as they arrive
 @pytest.mark.parametrize(("changes", "stamps", "first", "third"), [
     ({"frozen_ticks": 10}, *[np.where((K < 20) | (K >= 30), K, 19)] * 3),
     ({"frozen_ticks": 10, "forged_stamps": True}, K, *[np.where((K < 20) | (K >= 30), K, 19)] * 2),
@@ -229,7 +229,7 @@ def test_velocity_starts_at_the_true_one_and_is_unfiltered_without_a_cutoff():
 @given(st.floats(2e-6, 1e-4), st.just(0.0) | st.floats(1e-9, 3.0), st.floats(-0.5, 0.5), st.integers(0, 2**32 - 1))
 @settings(max_examples=25, deadline=None)
 def test_an_encoder_at_rest_repeats_a_reading_no_longer_than_its_noise_allows(noise, steps, phase, seed):
-    """For any position of the joint between two steps of the encoder."""
+    """This holds for any position of the joint between two steps of the encoder."""
     step = steps * noise
     longest = longest_repetition(noise, step)
     assert longest is not None
@@ -245,7 +245,7 @@ def test_an_encoder_at_rest_repeats_a_reading_no_longer_than_its_noise_allows(no
 @given(st.floats(0.3, 10.0), st.floats(5.0, 400.0), st.integers(0, 2**32 - 1))
 @settings(max_examples=20, deadline=None)
 def test_an_encoder_with_noise_and_a_velocity_filter_repeats_no_reading(steps, cutoff, seed):
-    """Once its velocity has been nonzero, and where `repeats_no_reading` promises this."""
+    """This holds once its velocity has been nonzero, and where `repeats_no_reading` promises it."""
     noise, step = 1e-5, steps * 1e-5
     sensor = encoders(seed, N := 16, noise_rad=noise, resolution_rad=step, cutoff_Hz=cutoff)
     q = np.full(N, 1000.0 * step)
@@ -259,7 +259,7 @@ def test_an_encoder_with_noise_and_a_velocity_filter_repeats_no_reading(steps, c
 def test_an_encoder_with_too_little_noise_or_filtering_may_repeat_a_reading():
     given = [(0.0, 2.4e-5), (3e-6, 2.4e-5), (1e-5, 2.4e-5), (1e-5, 0.0)]
     assert [longest_repetition(noise, step) for noise, step in given] == [None, None, 89, 10]
-    # Without a filter, a position that stays gives a velocity of zero each time. One of 10 kHz hardly filters.
+    # Without a filter, a position that stays gives a velocity of zero each time. A filter of 10 kHz hardly filters.
     filters = [(1e-5, 50.0), (1e-5, 0.0), (1e-5, 1e4), (0.0, 50.0)]
     promised = [repeats_no_reading(noise, 2.4e-5, cutoff, PERIOD) for noise, cutoff in filters]
     assert promised == [True, False, False, False]

@@ -101,7 +101,7 @@ def test_the_time_of_a_tick_excludes_recording_and_no_garbage_is_collected_durin
     np.testing.assert_array_equal(trace.extra, np.arange(1, TICKS + 1))
 
 
-def test_meta_has_the_run_and_time_goes_on_from_the_plants_state(robot, references):
+def test_meta_describes_the_run_and_time_continues_from_the_plants(robot, references):
     plant = ready(robot, PlantSettings.nominal(period_s=0.004, substeps=4))
     trace, ticks = simulate(plant, Holding(robot), *references, meta={"answer": 42}), ("ticks", "ticks_planned")
     assert trace.meta == {"period_s": 0.004, "ended": "completed", "answer": 42, **dict.fromkeys(ticks, TICKS)}
@@ -138,7 +138,7 @@ QUICK = {"bound_samples": 0, "judge": False, "duration_s": 1.2}
 
 
 def live(scenario):
-    """The live page's run: the reason of the stop, its time [s], and the joints' last speeds (n,)."""
+    """The live page's run: the reason of the stop, its time [s], and the joints' final speeds (n,)."""
     run = LiveRun(scenario.change(duration_s=None))
     run.advance(round(QUICK["duration_s"] / run.period_s))
     at = run.t_s
@@ -148,7 +148,7 @@ def live(scenario):
 
 
 def procedure(scenario):
-    """The same figures of hand guiding, which has neither a reference nor a trocar."""
+    """The same values for a run of hand guiding, which has neither a reference nor a trocar."""
     setup = Setup(scenario)
     incision = setup.plant.tip + np.array([0.05, 0.1, 0.1])
     found = guide_to(incision, setup.plant, setup.robot, HandsOnSettings(guard=scenario.guard, time_limit_s=1.2))
@@ -182,7 +182,7 @@ def test_a_reason_of_the_safety_filter_stops_every_loop(loop, reason, guard, mon
 
 
 def test_a_stop_is_simulated_for_stop_s(robot):
-    """The step that orders the stop is counted besides; from that step on the arm is braked."""
+    """The step that orders the stop comes on top of stop_s; the arm is braked from that step on."""
     setup = Setup(Scenario(**QUICK))
     loop = setup.closed_loop(setup.controller())
     loop.filtered._filter.request_stop("for a test")  # the start forgets this request

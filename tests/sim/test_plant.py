@@ -50,7 +50,7 @@ def run(plant, periods, seed=0, trocar=TROCAR):
 
 
 def test_free_fall_is_pinocchios_forward_dynamics():
-    """Two plant steps equal two of semi-implicit Euler with the controller's M and h."""
+    """Two plant steps equal two steps of semi-implicit Euler with the controller's M and h."""
     plant, rng = nominal(period_s=1e-3), np.random.default_rng(1)
     q, v = DATA.q_home.copy(), rng.uniform(-0.5, 0.5, 7)
     tau = rng.uniform(-5, 5, 7)
@@ -199,7 +199,7 @@ def test_torque_ripple_is_a_sine_of_the_joint_angle():
     assert spectrum[2] > 1e6 * np.delete(spectrum, 2).max()
 
 
-def test_a_measurement_equals_the_nominal_truth_is_near_the_realistic_one_and_is_kept_within_a_tick():
+def test_a_measurement_is_exact_in_the_nominal_plant_near_in_the_realistic_one_and_kept_within_a_tick():
     exact, near = Plant(DATA, NOMINAL), Plant(DATA, seed=2)
     for plant in (exact, near):
         run(plant, 50)
@@ -270,7 +270,7 @@ def test_a_bad_start_is_refused_by_name_and_leaves_the_plant_as_it_was():
 
 @pytest.mark.parametrize("force", [1e5, 1e15])
 def test_an_arm_that_ran_away_raises_an_error_at_every_step_until_reset(force, tmp_path, monkeypatch):
-    """Also where the state leaves MuJoCo's valid range within the period."""
+    """With the second force, the state leaves MuJoCo's valid range within the period."""
     monkeypatch.chdir(tmp_path)
     plant = Plant(replace(DATA, rotor_inertia=np.zeros(7)), NOMINAL)
     plant.push("tool", [force, 0.0, 0.0])

@@ -1,4 +1,4 @@
-"""Adapters beyond the conformance suite: rows, buffers, warm sessions, options, and the nonlinear problem."""
+"""Adapters of libraries, beyond the conformance suite: rows, buffers, warm sessions, options, nonlinear problem."""
 
 from types import SimpleNamespace
 

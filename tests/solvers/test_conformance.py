@@ -1,4 +1,4 @@
-"""One suite for every solver that can run here. `EXPECT` has the allowances of a solver; without: ``Expect()``."""
+"""One suite for every solver that can run here. `EXPECT` has the tolerances of some; others have ``Expect()``."""
 
 import dataclasses
 from dataclasses import dataclass, field
@@ -31,8 +31,8 @@ class Expect:
     """
 
     settings: dict[str, Any] = field(default_factory=dict)
-    primal: float = 1e-7  # |A x - b|_inf, box [m/s, rad/s]
-    relative: float = 1e-4  # natural residual over c2 |grad_mu|_inf, with the best y
+    primal: float = 1e-7  # |A x - b|_inf and violation of the box [m/s, rad/s]
+    relative: float = 1e-4  # natural residual / size of the reduced gradient, with the best y
     loss: float = 1e-4  # share of the cost's range
     natural: float = 1e-5  # with the solver's own y [rad/s]
     x: float = 2e-4  # distance to the exact answer and between warm and cold answers [rad/s]
@@ -58,7 +58,7 @@ EXPECT = {
         {"steps": 300_000, "k": 0.2}, primal=1e-6, relative=1e-3, loss=5e-3, x=5e-3, gap=1e-4, certified=0.0,
         undamped=0.75, recovers=False,
     ),
-    "rnn-printed": Expect(solved=0.0, certified=0.0, undamped=0.0),  # modes slower than 50 s
+    "rnn-printed": Expect(solved=0.0, certified=0.0, undamped=0.0),  # its modes decay more slowly than in 50 s
     # Operator splitting: one problem in two hundred needs more iterations than max_iter.
     "osqp": Expect(solved=0.95, undamped=0.95), "qpsolvers:osqp": Expect(solved=0.95, undamped=0.95),
     "piqp": Expect(certified=0.85),  # the other infeasible problems end as MAX_ITER
@@ -247,7 +247,7 @@ def test_an_update_alone_changes_no_answer(name):
 
 
 @pytest.mark.parametrize("name", [name for name in TRUNCATING if name in NAMES])
-def test_a_truncated_solve_is_the_last_solve_with_fewer_iterations(name):
+def test_a_truncated_solve_is_the_previous_solve_with_fewer_iterations(name):
     qps = sequence(name, seed=9)
     whole, cut = solver(name).start(qps[0]), solver(name).start(qps[0])
     far = 0
@@ -305,7 +305,7 @@ CATCH_UP: dict[str, dict[str, Any]] = {
 
 @every_solver
 def test_awkward_and_nearly_singular_problems_get_a_status_and_no_exception(name):
-    """Also rounded, huge and tiny problems; in a cold session, in a stream, and after an update."""
+    """Problems are also rounded, huge or tiny; each is solved in a cold session, in a stream, and after an update."""
     limits = expect(name)
     chosen = solver(name, settings=CATCH_UP.get(name))
     stream, taken = chosen.start(of(name)[0]), 0

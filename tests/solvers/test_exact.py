@@ -62,7 +62,7 @@ def test_cost_and_infeasibility_agree_with_highs(structured):
 
 @pytest.mark.parametrize("decimals", [7, 8, 9, 10, 11, 12, 13, 14])
 def test_rounded_jacobians_agree_with_highs_on_five_rows(decimals):
-    """Rounding makes the sixth row, which depends on the others, independent. It must not decide the self-motion."""
+    """Rounding makes the sixth, dependent row of A independent. That row must not decide the self-motion."""
     rng, refused = np.random.default_rng(decimals), 0
     for k in range(16):
         qp = rounded(random_problem(rng, 6 + k % 4, structured=k % 8 < 4, regularization=0.0), decimals)
@@ -141,7 +141,7 @@ def test_rounded_references_have_an_answer_while_some_x_meets_them_within_the_pr
 
 
 def test_a_violation_equal_to_the_tolerance_is_allowed():
-    """The tolerance on the box, and that on equal rows with different right-hand sides."""
+    """This holds for the tolerance on the box, and for that on equal rows with different right-hand sides."""
     A, wide, tolerance = np.eye(6, 7), np.ones(7), 2.0**-20
 
     def status(A, b, upper, tolerance=1e-9):
@@ -182,7 +182,7 @@ def test_an_idle_joint_without_gradient_stays_still_and_without_any_gradient_x_i
     qp = random_problem(np.random.default_rng(14), regularization=0.0)
     assert solve(qp).x[6] == 0.0
     assert solve(changed(qp, c2=0.0, grad_mu=np.ones(7))).x[6] == 0.0
-    for size in (1e-3, 1e3):  # a gradient below 1e-9 of the largest entry is rounding and does not move it
+    for size in (1e-3, 1e3):  # a gradient below 1e-9 of the largest entry is rounding: no motion
         grads = [size * (qp.grad_mu + share * np.eye(7)[6] * np.abs(qp.grad_mu[:6]).max()) for share in (5e-10, 2e-9)]
         assert [abs(solve(changed(qp, grad_mu=grad)).x[6]) > 0.1 for grad in grads] == [False, True]
     none = remade(changed(qp, regularization=1.0), np.zeros((6, 7)), np.zeros(6))
@@ -216,7 +216,7 @@ def test_a_batch_gives_the_answers_of_single_solves_with_any_number_of_threads()
 
 @pytest.mark.parametrize("decimals", range(3, 16))
 @pytest.mark.parametrize("singular", [False, True])
-def test_near_the_rank_tolerance_nothing_is_silently_wrong(decimals, singular):
+def test_near_the_rank_tolerance_no_wrong_answer_is_called_solved(decimals, singular):
     rng = np.random.default_rng(decimals)
     for k in range(8):
         plain = random_problem(rng, 7 + k % 3, structured=False, regularization=0.0 if k % 2 else 1e-5)
@@ -227,7 +227,7 @@ def test_near_the_rank_tolerance_nothing_is_silently_wrong(decimals, singular):
 
 @pytest.mark.parametrize("freedoms", [0, 1])
 def test_a_violation_of_the_box_counts_as_rounding_if_the_smallest_pivot_explains_it(freedoms):
-    """Rounding is 4e-12 times 10 or 20 (largest |A| |x|) over the pivot 1e-3 [rad/s]; a hundred times that passes."""
+    """Rounding is 4e-12 times 10 or 20 (largest |A| |x|), divided by the pivot 1e-3 [rad/s]. 100 times that passes."""
     wide = np.full(7, 10.0)
     for smallest, beyond, status in (
         (1e-3, 2e-6, Status.SOLVED), (1e-3, 2e-5, Status.INFEASIBLE), (1.0, 1e-7, Status.INFEASIBLE)

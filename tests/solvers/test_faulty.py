@@ -29,7 +29,7 @@ def is_wrong(kind, qp, answer):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_answers_are_wrong_at_the_drawn_ticks_and_right_at_the_others(kind):
-    """Also with the network, which is not asked at a faulty tick (except "malformed") and keeps its state there."""
+    """The network is not asked at a faulty tick (except with "malformed"), so that its state stays as it was."""
     for inner in (Exact(), create("rnn")):
         session, honest = Faulty(inner, kind, rate=0.3, seed=4).start(PROBLEMS[0]), inner.start(PROBLEMS[0])
         corrupted = draw(4, 0.3, len(PROBLEMS))

@@ -123,7 +123,7 @@ def places(value, before=()):
 @many()
 @given(data=st.data())
 def test_a_foreign_trace_is_shown_or_refused(tmp_path, faulty_run, data):
-    """Its metrics, table, remarks and JSON are made, and no text in it controls the terminal, or it is refused."""
+    """Either metrics, table, remarks and JSON are made and no text controls the terminal, or the trace is refused."""
     columns, meta = dict(faulty_run[0]), copy.deepcopy(faulty_run[1])
     entries = [place for place in places(meta) if place]
     for _ in range(data.draw(st.integers(0, 3))):

@@ -1,4 +1,4 @@
-"""Metrics: each against a number worked out by hand, and what is left out or refused."""
+"""Each metric equals a number worked out by hand. Without its data it is left out; wrong data are refused."""
 
 from __future__ import annotations
 

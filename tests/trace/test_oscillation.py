@@ -35,8 +35,8 @@ def made(joint=0, amplitude=0.0, hertz=50.0, column="v_rad_per_s", ticks=1500, p
     joint=st.integers(0, 6), amplitude=st.floats(0.3, 5.0), hertz=st.floats(16.0, 200.0),
     period=st.sampled_from([0.001, 0.002]),
 )  # fmt: skip
-def test_joint_size_and_frequency_are_found(joint, amplitude, hertz, period):
-    """On top of a motion of 0.5 rad/s, with either control period."""
+def test_the_joint_size_and_frequency_of_an_oscillation_are_found(joint, amplitude, hertz, period):
+    """The oscillation is added to a motion of 0.5 rad/s, with either control period."""
     found = shaking(made(joint, amplitude, hertz, ticks=round(3.0 / period), period=period), "v_rad_per_s")
     assert found.joint == joint
     assert found.rms == pytest.approx(amplitude / np.sqrt(2.0), rel=0.15)
@@ -48,8 +48,8 @@ def test_joint_size_and_frequency_are_found(joint, amplitude, hertz, period):
     ("v_rad_per_s", limits.LIMIT_RAD_PER_S, "rad/s", False), ("tau_Nm", limits.LIMIT_NM, "Nm", False),
     ("v_rad_per_s", limits.LIMIT_M_PER_S, "m/s", True), ("tau_Nm", limits.LIMIT_N, "N", True),
 ])  # fmt: skip
-def test_the_limits_hold_on_both_sides_in_the_unit_of_the_joint(factor, column, limit, unit, slides):
-    """A turning joint that shakes by the larger number, but by a smaller share of its own limit, does not count."""
+def test_only_a_shaking_above_the_limit_in_the_unit_of_the_joint_counts(factor, column, limit, unit, slides):
+    """Joint 5 shakes below its own limit: it does not count, even if its number is larger than sliding joint 1's."""
     trace = made(0, factor * np.sqrt(2.0) * limit, 71.0, column)
     values = np.array(getattr(trace, column))
     values[:, 4] += 0.5 * limits.LIMIT_RAD_PER_S * np.sin(2.0 * np.pi * 31.0 * trace.t_s)
@@ -125,7 +125,7 @@ def test_a_trace_that_cannot_be_judged_is_refused_with_the_reason():
     ({"control": {**STIFF, "regularization": 0.0}}, "joint_5"),
 ], ids=["delay", "no friction", "rho = 0"])  # fmt: skip
 def test_an_unsound_loop_is_found_to_oscillate(changes, joint):
-    """K_N2 is 80 for every joint, with two ticks of delay, without friction on the idle joint, or with rho = 0.
+    """K_N2 is 80 for every joint, with two ticks of delay, without friction (of the idle joint), or with rho = 0.
 
     The limits on RCM error, trocar force and unexplained motion are off: they would stop these runs earlier.
     """
