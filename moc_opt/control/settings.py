@@ -58,8 +58,8 @@ class ControlSettings(Settings):
     law: Literal["dcac", "moc"] = "moc"
     """'dcac': only level 1 (tip) and level 2 (RCM); 'moc': level 3 too, which raises the manipulability mu"""
     gains: str | None = "default"
-    """table in the robot's file from which gains that are left out here are taken; '': the table with the law's name"""
-    K_X: Positive | None = Field(default=None, description="tip stiffness [N/m]; left out: see gains")
+    """table in the robot's file (moc_opt/robots/lwr4.toml) with the gains left out here; '': that of the law's name"""
+    K_X: Positive | None = Field(default=None, description="tip stiffness [N/m]; left out: see gains (lwr4: 3000)")
     D_X: NotNegative | None = Field(default=None, description="tip damping [N s/m]; left out: see gains")
     K_N: Positive | None = Field(default=None, description="wrist stiffness [N/m]; left out: see gains")
     D_N: NotNegative | None = Field(default=None, description="wrist damping [N s/m]; left out: see gains")

@@ -131,7 +131,7 @@ def test_a_metric_can_be_registered_with_a_docstring_and_an_unused_name() -> Non
 
 
 def test_metrics_of_other_packages_are_in_the_summary_and_a_broken_one_hides_none(monkeypatch):
-    values = {"len": "builtins:len", "number": "math:pi", "gone": "no_such:f"}
+    values = {"len": "builtins:len", "number": "math:pi", "gone": "no_such:f", "abs": "builtins:abs"}
     found = {name: [EntryPoint(name, value, metrics.GROUP)] for name, value in values.items()}
     monkeypatch.setattr(metrics.plugins, "plugins", lambda group: found)
     monkeypatch.setattr(metrics, "_LOADED", {})
@@ -139,5 +139,6 @@ def test_metrics_of_other_packages_are_in_the_summary_and_a_broken_one_hides_non
     with pytest.warns(UserWarning, match="metric 'gone': .* does not load") as said:
         summary = summarize(trace)
     assert any("is no function" in str(one.message) for one in said)
+    assert any("'abs' cannot be computed (TypeError" in str(one.message) for one in said)
     assert (summary["len"], summary["mu_mean"]) == (2.0, pytest.approx(0.15))
     assert set(metrics.load_plugins()) == {"number", "gone"}
