@@ -10,7 +10,7 @@ from moc_opt.solvers.exact import Exact
 
 @dataclass(frozen=True)
 class Base:
-    at: int = 3  # the problem at which it happens, counted by a session
+    at: int = 3  # index, in a session, of the problem at which the solver misbehaves
 
     def supports(self, qp): return None
     def start(self, qp): return Session(self, Exact().start(qp))

@@ -11,18 +11,18 @@ from hypothesis import HealthCheck, event, settings
 from moc_opt.errors import MocOptError
 
 LONGEST_S = 600
-"""Time limit for one input: long enough to compile on a busy machine, so that only a hang exceeds it."""
+"""Time limit for one input. Some inputs compile C, which is slow on a busy machine; only a hang takes longer."""
 
 
 def many(share=1.0):
-    """Settings with a share of the profile's examples, for tests whose single examples take long."""
+    """Hypothesis settings with only this share of the active profile's examples, for tests with slow examples."""
     slow = (HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.function_scoped_fixture)
     return settings(max_examples=max(10, round(share * settings().max_examples)), suppress_health_check=slow)
 
 
 @contextlib.contextmanager
 def ends_well(*named):
-    """Only a MocOptError of ordinary length may be raised inside. It must contain one of `named` if given."""
+    """Inside, only a MocOptError may be raised; its message has an ordinary length and, if given, one of the names."""
 
     def ring(number, frame):
         pytest.fail(f"no end after {LONGEST_S} s")
@@ -77,7 +77,7 @@ names = st.one_of(
     st.lists(pieces, min_size=1, max_size=4).map("".join), st.text(max_size=8),
     st.from_regex(r"[A-Za-z0-9_ .:+/-]{1,12}", fullmatch=True),
 )  # fmt: skip
-"""Texts that would escape from a comment, a tag or a folder, and sound names."""
+"""Valid names, and texts that would break out of a comment, a tag or a folder."""
 
 
 LINES = st.sampled_from(["", "<", "]", "[[robot]]", "</link>", '<link name="tip"/>', "\x00"])

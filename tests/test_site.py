@@ -1,6 +1,6 @@
 """The sources of the documentation site are consistent. `make docs` builds the site.
 
-Every public name of the reference, and every method, is used in an example: its own, which is run, or one of a page.
+Every public name and method of the reference is used in an example, in its own docstring (run here) or on a page.
 """
 
 import doctest
@@ -46,7 +46,7 @@ def test_a_link_that_leads_nowhere_is_found(tmp_path, monkeypatch):
 
 
 def test_a_figure_of_the_gallery_is_drawn(chromium, tmp_path, monkeypatch):
-    """The page is laid out as by the theme, which puts its own scripts after the figures of the examples."""
+    """As in the site, no script is loaded before the figure but the one that the figure brings itself."""
     monkeypatch.syspath_prepend(DOCS / "_extensions")
     site = importlib.import_module("figures")
     for folder in ("_static", "gallery"):
@@ -76,7 +76,7 @@ def found(name):
 
 
 def methods(name):
-    """Name -> method, of the methods of a class that the reference shows. Properties state shape and unit instead."""
+    """{name: method} of a class, for the methods that the reference lists. Properties need no example."""
     kind, options = ENTRIES[name]
     if kind != "class" or ":members:" not in options or ":undoc-members:" in options:
         return {}

@@ -142,7 +142,7 @@ def available_robots() -> list[str]:
 
 
 def about(name_or_path: str | os.PathLike[str]) -> str:
-    """Return the robot's description in its TOML; empty if there is none. Errors as of `load_data`."""
+    """Return the robot's description in its TOML; empty if there is none. Raises what `load_data` raises."""
     return _described(_find(name_or_path)).about
 
 
@@ -151,7 +151,7 @@ def load_data(
 ) -> RobotData:
     """Load a robot by name, from a TOML file (which names its URDF), or from a URDF with a TOML beside it.
 
-    Arguments and errors as of `moc_opt.load_robot`.
+    Arguments and errors are those of `moc_opt.load_robot`.
     """
     path = _find(name_or_path)
     description = _described(path)

@@ -40,7 +40,7 @@ def read_vendor(
     path: Path, *, tip: str | None = None, lock: Mapping[str, float] | None = None,
     base_rpy: urdf.Numbers = (0.0, 0.0, 0.0),
 ) -> VendorArm:  # fmt: skip
-    """Read a URDF and make it a serial arm; arguments and errors as of `moc_opt.robots.new.new_robot`.
+    """Read a URDF and make it a serial arm; arguments and errors are those of `new.new_robot`.
 
     Side joints (fingers, a second arm, a head) and those named in ``lock`` are fixed. Masses and limits that no arm has
     are replaced. Meshes are ignored.

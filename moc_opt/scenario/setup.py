@@ -197,7 +197,7 @@ class Setup:
         return tip_refs, registered
 
     def trace(self, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None) -> Trace:
-        """Run, check the answers, and return the trace; arguments and errors as of `run`."""
+        """Run, check the answers, and return the trace; arguments and errors are those of `run`."""
         # Absolute: a solver may leave the process in another working directory.
         file = None if to is None else new_file(to).absolute()
         if self.plant.time > 0.0:

@@ -1,4 +1,4 @@
-"""The settings of a plant: all its differences from the controller's model; a seed draws their values (`Mismatch`)."""
+"""How far a plant may differ from the controller's model. `Mismatch` has the values that are drawn with a seed."""
 
 from __future__ import annotations
 

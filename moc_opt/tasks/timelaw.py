@@ -90,7 +90,7 @@ class Reference:
             object.__setattr__(self, name, value)
 
     def at(self, t: TimeLike) -> tuple[Array, Array, Array]:
-        """Return x [m], dx [m/s] and ddx [m/s^2] at t [s]: each (3,), or (k, 3) with the same bits if t is (k,).
+        """Return x [m], dx [m/s] and ddx [m/s^2] at t [s]: each (3,), or (k, 3) if t is (k,), with the same bits.
 
         The reference rests at the start of the path before t_start, and at the end of the path after t_start +
         duration. A TaskError if t is neither a number nor a vector, or NaN.
@@ -123,8 +123,8 @@ class WaitingReference:
         X_d(t) = X(tau(t)),   dX_d = sigma X',   ddX_d = sigma^2 X'' + sigma' X'
 
     so that |dX_d| <= v_max and |ddX_d| <= 2 a_max. The rate is the flag (0 or 1), filtered by two moving averages. It
-    stays in [0, 1], equals the flag when the flag has been constant for the sum of both lengths, and has a slope of at
-    most 1 / (longer length) <= a_max / v_max.
+    stays in [0, 1], equals the flag when the flag has been constant for as long as both windows together, and has a
+    slope of at most 1 / (longer window) <= a_max / v_max.
     """
 
     def __init__(self, reference: Reference, period_s: float) -> None:

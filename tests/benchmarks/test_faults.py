@@ -34,7 +34,7 @@ def run_of(error, level=1e-3, **meta):
     return Trace(columns, {"ended": "completed", **meta})
 
 
-def test_every_fault_of_the_configuration_fits_a_scenario():
+def test_every_configured_fault_changes_the_scenario():
     assert {case.group for case in SHIPPED.cases.values()} == {"solver", "sensors", "plant", "contact", "camera"}
     for case in SHIPPED.cases.values():
         assert case.corrupt(SHIPPED.scenario) != SHIPPED.scenario or case.camera_lost_s is not None
@@ -55,12 +55,12 @@ def test_every_run_is_a_row_and_the_summary_follows(tiny):
     assert summary["goals"]["missed"]["reached"] == "yes"
 
 
-def test_recovery_is_the_last_time_above_the_level():
+def test_recovery_lasts_until_the_error_stays_below_its_limit():
     free = run_of(np.full(300, 1e-3))
     error = np.full(300, 1e-3)
     error[100:150] = 5e-3
     case = Case(group="contact", from_s=1.0, until_s=1.4)
-    # The mean of 20 rows is above 1.25 mm until only one of them is 5 mm and the other nineteen are 1 mm.
+    # The running mean over 20 rows falls below the limit, 1.25 mm, when its window has only one row of 5 mm.
     assert recovery(run_of(error), free, case, "completed") == pytest.approx(1.69 - 1.4, abs=0.02)
     assert recovery(run_of(error), free, Case(group="plant"), "completed") == pytest.approx(1.69, abs=0.02)
     assert recovery(free, free, case, "completed") == 0.0

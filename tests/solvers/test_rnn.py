@@ -45,7 +45,7 @@ def test_steps_integrate_the_networks_equation(method, h):
 
 
 def spectral_radius(qp, c, h, k, implicit, h_x):
-    """Spectral radius of one step away from the bounds, without regularization, on the range of A and A^T."""
+    """Spectral radius of a single step if no bound is active, without regularization, on the range of A and A^T."""
     A, hk, hk_x = qp.A, h * k, h_x * k
     m, n = A.shape
     onto_x = np.hstack([np.eye(n) - hk_x * c * A.T @ A, -hk_x * A.T])
@@ -86,7 +86,7 @@ def test_a_claimed_answer_is_verified_and_x_stays_in_the_box(seed, steps, infeas
     make = infeasible_problem if infeasible else random_problem
     qp = make(np.random.default_rng(seed))
     chosen = RNN(steps=steps, k=0.2)
-    assume(chosen.supports(qp) is None)  # a few of these arms are too large
+    assume(chosen.supports(qp) is None)  # a few random arms are so large that the steps would diverge
     found = chosen.start(qp).solve(qp)
     assert np.all(found.x >= qp.lower - 1e-15)
     assert np.all(found.x <= qp.upper + 1e-15)
@@ -104,8 +104,8 @@ def test_after_an_overflow_the_network_restarts_from_zero():
     np.testing.assert_array_equal(session.solve(good).x, fresh.x)
 
 
-def test_rnn_printed_is_the_papers_equation_two_from_the_measured_velocity():
-    """x - v is the printed qdd_d = -v + P(v - k dL/dqd), whatever the step of the multipliers."""
+def test_rnn_printed_applies_equation_2_to_the_measured_velocity():
+    """The answer minus the measured v is the printed qdd_d = -v + P(v - k dL/dqd); h scales the multipliers' steps only."""
     qps = smooth_sequence(np.random.default_rng(6), 40, regularization=0.0)
     chosen = RNNPrinted()
     assert chosen.h == 0.002  # dt/eps for eps = 1 s at 500 Hz

@@ -97,7 +97,7 @@ def test_claims_are_checked_against_the_certificate_and_the_residuals(feasible, 
 
 @pytest.mark.parametrize(("rows", "refused"), [(6, 7), (5, 0)])
 def test_refusing_six_inconsistent_rows_is_neither_right_nor_wrong(rows, refused):
-    """One of eight problems is answered. The others may be refused as inconsistent on six rows, but not on five."""
+    """One of eight problems is answered. The others are called infeasible: allowed on six rows, wrong on five."""
     problems = TestSet.load("inconsistent-1e-4").thinned(16)
     x = TestSet.load("inconsistent-1e-4").x[::16].copy()
     x[1:] = np.nan
@@ -119,7 +119,7 @@ def test_cold_sessions_are_independent():
 
 
 @pytest.mark.parametrize("quiet", [True, False])
-def test_times_are_kept_only_where_the_machine_was_quiet(quiet, tmp_path, monkeypatch):
+def test_a_later_run_reuses_times_only_if_the_machine_was_quiet(quiet, tmp_path, monkeypatch):
     monkeypatch.setattr("moc_opt.study.timing.quiet", lambda row: quiet)
     (asked,) = ask(ONE, [(EXACT, TestSet.load("circle").thinned(16))], LIMITS)
     (first,), (again,) = (time(partial(ONE, kept=Kept(tmp_path / "jobs")), [asked], LIMITS) for _ in range(2))
