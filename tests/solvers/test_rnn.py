@@ -105,7 +105,7 @@ def test_after_an_overflow_the_network_restarts_from_zero():
 
 
 def test_rnn_printed_applies_equation_2_to_the_measured_velocity():
-    """The answer minus the measured v is the printed qdd_d = -v + P(v - k dL/dqd); h scales the multipliers' steps only."""
+    """The answer minus the measured v is the printed qdd_d = -v + P(v - k dL/dqd); h scales the steps of y only."""
     qps = smooth_sequence(np.random.default_rng(6), 40, regularization=0.0)
     chosen = RNNPrinted()
     assert chosen.h == 0.002  # dt/eps for eps = 1 s at 500 Hz
