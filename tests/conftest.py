@@ -82,11 +82,11 @@ def chromium() -> Iterator[Any]:
 def opened(
     chromium: Any, address: str, ready: str, own: str = "", kinds: tuple[str, ...] = (), **options: Any
 ) -> Iterator[Any]:
-    """An open page. At its end the console must be empty (of `kinds`, if given), and all requests its own."""
+    """An open page. At its end, the console must have no message (of `kinds`), and all requests must be its own."""
     page, said, asked = chromium.new_page(**options), list[str](), list[str]()
 
     def hear(message: Any) -> None:
-        # The driver warns that reading pixels back is slow; only the screenshots of the tests do so.
+        # The driver warns that reading pixels back is slow; only the screenshots of the tests read pixels.
         if (not kinds or message.type in kinds) and "GPU stall due to ReadPixels" not in message.text:
             said.append(f"{message.type}: {message.text}")
 

@@ -14,7 +14,7 @@ def rounded(qp: NullSpaceQP, decimals: int) -> NullSpaceQP:
 
 
 def remade(qp: NullSpaceQP, A: np.ndarray, b: np.ndarray, size: float = 1.0) -> NullSpaceQP:
-    """The problem with the rows A x = b instead, and a box ``size`` times as wide."""
+    """The same problem with the rows A x = b, and a box ``size`` times as wide."""
     return changed(
         qp, J_tip=A[:3], J_wrist=A[3:], v_tip=b[:3], v_wrist=b[3:], lower=size * qp.lower, upper=size * qp.upper
     )

@@ -43,7 +43,7 @@ class MisbehavingSession:
 
 
 class GatedSession:
-    """Answers problem k (its c0), with k as the iterations, once a file named k exists in the folder."""
+    """Answers problem k (k is its c0) and reports k iterations, once a file named k exists in the folder."""
 
     def __init__(self, folder):
         self.folder, self.observed = folder, np.full(7, np.nan)

@@ -1,5 +1,5 @@
-"""Seeded subproblems for the tests: of random serial arms with a rigid tool (product of exponentials), with and
-without a spherical wrist."""
+"""Seeded subproblems of random serial arms with a rigid tool, with and without a spherical wrist.
+The arms' kinematics are products of exponentials."""
 
 from dataclasses import dataclass
 from typing import Any

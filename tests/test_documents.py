@@ -75,7 +75,7 @@ def test_readme_runs_from_top_to_bottom_in_an_empty_folder_and_then_the_python_o
     pages = {"report.html", "both.html", "replay.html", "map.html"}
     written = {"scenario.toml", "clarabel.parquet", "network.parquet", "c", *pages}
     assert {file.name for file in folder.iterdir()} == written
-    # There is something to see: MOC moves the elbow away from its poor start, the network as printed does not.
+    # The runs differ visibly: MOC moves the elbow away from its poor start, the network as printed does not.
     mu = {name: mo.load_trace(folder / f"{name}.parquet").mu for name in ("clarabel", "network")}
     assert mu["clarabel"].mean() > 1.2 * mu["network"].mean()
     tour = [text for language, text in blocks("docs/start.md") if language == "python" and "elbow.html" in text]

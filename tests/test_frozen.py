@@ -1,6 +1,6 @@
 """Closed-loop runs of the whole package keep the figures in frozen.json, up to changes that do not matter on a robot.
 
-A change that is meant to move them rewrites the file (``python -m tests.test_frozen --write``) and says why.
+A commit that is meant to change them rewrites the file (``python -m tests.test_frozen --write``) and says why.
 """
 
 import json
@@ -72,7 +72,7 @@ for fallback in ("hold", "damping", "least-violation"):
 
 
 def scenarios() -> dict[str, mo.Scenario]:
-    """Every arm with every solver, over the paths and seeds in turn; and the variants."""
+    """Every arm with every solver, with paths and seeds taken in turn; and all `VARIANTS`."""
     tables: dict[str, dict[str, Any]] = {}
     for a, arm in enumerate(ARMS):
         for s, solver in enumerate(SOLVERS):

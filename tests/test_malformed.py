@@ -1,4 +1,4 @@
-"""Malformed input is either accepted with a sound result, or refused with a MocOptError that says why.
+"""Malformed input is either accepted with a valid result, or refused with a MocOptError that says why.
 
 `HYPOTHESIS_PROFILE=long` draws thousands of inputs. An input that once ended badly is kept as an example.
 """
@@ -38,7 +38,7 @@ def fields(table=Scenario):
             yield from ((name, *rest) for rest in fields(field.annotation))
 
 
-usual = st.sampled_from([0.0, 1e-3, 0.02, 0.1, 0.5, 1.0, 2, True, False])  # without these hardly any would run
+usual = st.sampled_from([0.0, 1e-3, 0.02, 0.1, 0.5, 1.0, 2, True, False])  # without these, hardly any scenario runs
 strange = st.sampled_from(["typo", "", "seeds", "class", "duration", "model_config"])
 values = st.one_of(usual, numbers, texts, junk)
 

@@ -9,7 +9,7 @@ from moc_opt import errors
 from moc_opt.errors import MocOptError, RobotError, TraceError, UnknownNameError
 
 
-def test_subproblem_signature():
+def test_the_signature_of_the_subproblem_is_unchanged():
     parameters = inspect.signature(mo.NullSpaceQP).parameters
     names = "J_tip J_wrist v_tip v_wrist grad_mu lower upper c0 c1 c2 regularization q pull"
     assert " ".join(parameters) == names

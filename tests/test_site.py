@@ -46,7 +46,7 @@ def test_a_link_that_leads_nowhere_is_found(tmp_path, monkeypatch):
 
 
 def test_a_figure_of_the_gallery_is_drawn(chromium, tmp_path, monkeypatch):
-    """As in the site, no script is loaded before the figure but the one that the figure brings itself."""
+    """As on the site, the only script on the page is the one that the figure loads itself."""
     monkeypatch.syspath_prepend(DOCS / "_extensions")
     site = importlib.import_module("figures")
     for folder in ("_static", "gallery"):

@@ -34,7 +34,7 @@ def cost(qp: NullSpaceQP, x: Array) -> Array:
 
 
 def candidates(qp: NullSpaceQP, Z: Array, base: Array, *, damped: bool) -> Array:
-    """All points (k, n) of base + span Z in the box, r joints at bounds; ``damped``: also stationary with fewer."""
+    """All points (k, n) of base + span Z in the box with r joints at bounds; ``damped`` adds stationary points."""
     n, r = Z.shape
     found, width = [], float((qp.upper - qp.lower).max())
     for k in range(r + 1) if damped and qp.regularization > 0.0 else (r,):
@@ -60,7 +60,7 @@ def wrong_corners(
     seed: int, n: int, count: int, *, tilt: float = 1.0, size: float = 1.0, regularization: float = 0.0,
     least: float = 0.05
 ) -> list[Wrong]:
-    """Corners that give away more than ``least`` of the cost's range, of ``count`` random arms of n joints.
+    """Corners that give away more than ``least`` of the cost's range, for ``count`` random arms of n joints.
 
     With tilt < 1 the reduced gradient is ``tilt`` times the rest of grad_mu. Velocities and box are ``size`` times as
     large. rho is ``regularization`` times the rho whose optimum without a box is a self-motion of ``size`` rad/s.

@@ -31,7 +31,7 @@ def test_the_documents_name_every_command_and_no_other() -> None:
 
 
 @pytest.mark.parametrize("name", sorted(COMMANDS - {"docs"}))
-def test_a_command_says_how_it_is_called(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_help_of_a_command_shows_how_to_call_it(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="0"):
         importlib.import_module(f"benchmarks.{name}").main(["--help"])
     assert f"python -m benchmarks.{name}" in capsys.readouterr().out

@@ -42,7 +42,7 @@ def test_every_configured_fault_changes_the_scenario():
     assert kinds == {"fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang"}
 
 
-def test_every_run_is_a_row_and_the_summary_follows(tiny):
+def test_every_run_is_a_row_and_the_summary_counts_the_rows(tiny):
     left = tiny(faults, TINY)
     assert [(row["controller"], row["case"]) for row in left.rows] == [
         ("dcac", "none"), ("dcac", "gone"), ("dcac", "camera"),

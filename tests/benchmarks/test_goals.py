@@ -1,4 +1,4 @@
-"""Goals: how they are judged and shown. Phases of a run: the same ticks for all controllers."""
+"""How goals are judged and shown, and that a phase of a trial is the same ticks for all controllers."""
 
 from typing import Any
 
@@ -33,7 +33,7 @@ def test_a_goal_is_judged_by_the_worse_end_of_every_interval(measured: Any, most
     assert (found["True"]["kind"], found["True"]["made_of"]) == ("at most", "" if measured is None else "all")
 
 
-def test_goals_are_shown_missed_ones_first() -> None:
+def test_goals_are_shown_with_the_missed_ones_first() -> None:
     values = {"a": 1.0, "b": Interval(7.0, 6.0, 8.0, 9), "c": Interval(5.0, 4.0, 6.0, 9)}
     asked = {key: Goal(f"goal {key}", "us", 5.0, lambda s, key=key: s[key], section="All") for key in "acbd"}
     found = goals.judge(values, asked)

@@ -82,7 +82,7 @@ def test_claims_and_goals_are_computed_from_the_right_rows():
     assert {few[key]["reached"] for key in ("mu_gain", "settled_rcm_error_mean_mm", "mu_worst")} == {"open"}
 
 
-def test_an_exchanged_setting_decides_a_claim_only_if_it_surely_reverses_it():
+def test_a_changed_setting_decides_a_claim_only_if_it_surely_reverses_the_claim():
     cases = {name: Case(about=name) for name in ("printed", "turns", "same", "noisy")}
     rng, rows = np.random.default_rng(3), []
     for name, tip, spread in (("printed", 0.9, 0.0), ("turns", 1.2, 0.0), ("same", 0.9, 0.0), ("noisy", 1.01, 0.5)):
@@ -128,13 +128,13 @@ def test_the_command_reports_every_part_and_completes_the_procedure(tiny):
     assert summary["swivel"]["starts"] == 3
     assert summary["swivel"]["gain_at_maximum_percent"] <= summary["swivel"]["gain_max_percent"]
     assert {row["part"] for row in left.rows} == {"trials", "ablation", "swivel", "procedure"}
-    assert not [name for name in left.rows[0] if name.endswith("_us")], "several runs share the machine"
+    assert not [name for name in left.rows[0] if name.endswith("_us")], "no times, since several runs share the machine"
     row = summary["procedure"]["circle"]
     assert (row["ended"], row["share_of_run"], row["registered"]) == ("completed", 1.0, True)
     assert 0.0 < row["registration_error_mm"] < 5.0
     assert row["board_position_mm"] < 2.0
     assert 0.9 < row["waited_s"] < 2.5  # the board is lost for 1 s; slowing down and starting again take the rest
-    assert row["tip_error_mean_mm"] < 1.5  # the true error: the arm is half a millimetre off its kinematics
+    assert row["tip_error_mean_mm"] < 1.5  # the true error: the arm deviates from its model by half a millimetre
     # The path deviates by the error of the board's location, and beyond that by no more than the tip's error.
     assert row["path_deviation_max_mm"] < row["task_error_max_mm"] + 1.0
     assert row["pictures"] > 10

@@ -85,5 +85,5 @@ def test_a_process_that_fails_is_an_error_and_not_a_figure():
     with pytest.raises(StudyError, match="did not start"):
         realtime.run_once(Case("python", 500, "quiet"), Scenario(robot={"name": "none"}), None, 0, ())
     short = Scenario(duration_s=0.1, bound_samples=0, wire={"wait_s": 1.0})
-    with pytest.raises(StudyError, match="no controller came"):  # it exits at once: 127.0.0.1 is no script
+    with pytest.raises(StudyError, match="no controller came"):  # Python exits: 127.0.0.1 is no script
         realtime.run_once(Case("c", 500, "quiet"), short, sys.executable, 0, ())

@@ -16,7 +16,7 @@ scenario = { start = { pose = "random" }, duration_s = 0.4, bound_samples = 2 }
 """
 
 
-def test_every_run_is_a_row_and_the_summary_follows(tiny: Any) -> None:
+def test_every_run_is_a_row_and_the_summary_agrees_with_the_rows(tiny: Any) -> None:
     left = tiny(robots, TINY)
     rows = left.rows
     runs = [("xarm7", "dcac"), ("xarm7", "exact"), ("lwr4_rail", "dcac"), ("lwr4_rail", "exact")]
@@ -63,7 +63,7 @@ def test_arms_that_rank_solvers_alike_correlate() -> None:
     figures = {arm: {s: {"mu_mean": m} for s, m in zip("xyz", of, strict=True)} for arm, of in means.items()}
     ranking = robots.ranking(figures)
     assert ranking["order"]["a"] == ["z", "y", "x"]
-    assert ranking["between"] == pytest.approx({"a, b": 1.0, "a, c": -1.0, "b, c": -1.0}), "d tells none apart"
+    assert ranking["between"] == pytest.approx({"a, b": 1.0, "a, c": -1.0, "b, c": -1.0}), "on d the solvers are equal"
 
 
 PLANNED = """

@@ -1,4 +1,4 @@
-"""The speed benchmark: compared codes do the same work, each ratio is of times of one round, and goals are judged."""
+"""The speed benchmark: compared codes do the same work, ratios compare times of one round, and goals are judged."""
 
 import json
 
@@ -15,7 +15,7 @@ SHORT = Scenario(judge=False, bound_samples=0, duration_s=0.2)
 
 
 @pytest.mark.skipif(available().get("daqp", "") is not None, reason="daqp is not installed")
-def test_daqp_called_by_hand_gives_the_answer_of_the_adapter_and_it_is_optimal():
+def test_daqp_called_by_hand_gives_the_same_optimum_as_the_adapter():
     rng = np.random.default_rng(4)
     sequence = [random_problem(rng, structured=False) for _ in range(60)]
     solver = create("daqp")
@@ -37,7 +37,7 @@ def test_entries_take_turns_chunk_by_chunk(monkeypatch):
         "b": timed.Timed(lambda item: log.append(("b", item)), range(100, 112)),
     }
     part.time("tick", entries, rounds=2)
-    assert {name: found.shape for name, found in part.times.items()} == {"a": (4, 5), "b": (4, 5)}, "every call"
+    assert {name: found.shape for name, found in part.times.items()} == {"a": (4, 5), "b": (4, 5)}, "every timed call"
     assert {name: found["times_calls"] for name, found in part.seen.items()} == {"a": 20, "b": 20}
     chunks = [log[i : i + 5] for i in range(0, len(log), 5)]
     assert all(len({name for name, _ in chunk}) == 1 for chunk in chunks)
@@ -54,7 +54,7 @@ def test_no_call_is_left_out_of_the_figures():
     part = timed.Part(times={"a": times, "b": np.full((10, 100), 4.0)}, seen={"a": {}})
     found = part.figures("a", "tick")
     assert (found["tick_p50_us"], found["tick_cold_p50_us"], found["tick_max_us"]) == (2.0, 9.0, 70.0)
-    assert found["tick_p99_us"] == 9.0, "without the cold ones it would be 2"
+    assert found["tick_p99_us"] == 9.0, "without the cold calls it would be 2"
     assert part.over("b", "a") == 2.0
 
 
@@ -75,7 +75,7 @@ def test_a_ratio_compares_times_of_the_same_round():
 
 
 def test_the_limit_steps_through_the_states_of_the_run():
-    """A control period from each recorded state ends near the next state; the forces are one step older."""
+    """A period from each recorded state ends near the next state, though it applies the forces of one period before."""
     states, stepped = timed.own_steps(SHORT.change(duration_s=0.4))
     after, n = stepped(), 7
     assert len(states) == 200

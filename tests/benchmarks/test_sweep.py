@@ -75,7 +75,7 @@ def test_the_same_run_is_done_once() -> None:
     assert len(plan(config(random=drawn, grid={}, seeds=1))) == 2
 
 
-def test_without_solvers_the_scenarios_own_is_taken() -> None:
+def test_without_a_list_of_solvers_the_scenarios_own_solver_runs() -> None:
     own = {**TINY, "solver": {"name": "osqp", "settings": {"eps": 1e-7}}, "control": {"law": "moc"}}
     (run,) = plan(Config(scenario=own, seeds=1))
     assert (run.controller, run.settings) == ("osqp", {"eps": 1e-7})

@@ -40,7 +40,7 @@ def test_the_enumeration_finds_known_optima_of_two_joints(A, b, pull, rho, box, 
 
 @pytest.mark.parametrize("rho", [0.0, 0.3])
 @pytest.mark.parametrize("rows", [5, 4, 3, 2])
-def test_highs_finds_nothing_better_with_several_freedoms(rows, rho):
+def test_highs_finds_no_better_point_with_several_degrees_of_freedom(rows, rho):
     """HiGHS finds no better point along the gradient of the cost, which proves optimality in a convex problem."""
     rng = np.random.default_rng([rows, int(10 * rho)])
     A, pull, upper = rng.normal(size=(rows, 6)), rng.normal(size=6), rng.uniform(0.1, 1.0, 6)

@@ -51,9 +51,9 @@ def test_the_pool_of_the_coverage_study_shares_no_trial_with_the_study_of_solver
 POOL = np.random.default_rng(0).lognormal(0.0, 0.3, (2, 240))
 
 
-def test_intervals_of_more_trials_are_shorter_and_hold_the_truth_about_as_often() -> None:
+def test_intervals_of_more_trials_are_shorter_and_still_hold_the_truth() -> None:
     (few, wide), (many, narrow) = (coverage.covered(*POOL, size, 60) for size in (15, 60))
-    assert 0.4 < narrow / wide < 0.6  # sqrt(15/60) is a half; intervals of few samples are expanded
+    assert 0.4 < narrow / wide < 0.6  # sqrt(15/60) is a half, and intervals of few samples are widened
     assert min(few, many) > 85.0
     # Where the mean rests on rare large values, the intervals of few trials miss it.
     rng = np.random.default_rng(1)

@@ -24,7 +24,7 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "scenario.md"
 @pytest.mark.parametrize("command", [*COMMANDS, "robot"])
 def test_every_command_has_a_function_and_help(command, capsys):
     assert callable(work_of(command))
-    if command != "solvers":  # its help is the study's
+    if command != "solvers":  # its help is that of the study
         with pytest.raises(SystemExit) as ended:
             main([command, "--help"])
         assert ended.value.code == 0

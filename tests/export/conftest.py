@@ -1,4 +1,4 @@
-"""Exported folders. Their core is compiled once a session, since scenarios differ only in their constants."""
+"""Fixtures for exported folders. Their core is compiled once per session, as exports differ only in constants."""
 
 from __future__ import annotations
 

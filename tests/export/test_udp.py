@@ -103,7 +103,7 @@ def test_faults_of_the_wire_are_counted_and_change_nothing(built: Built, name: s
 
 
 def test_torques_of_the_plants_watchdog_are_handled_as_in_python_and_the_end_is_reported(built: Built) -> None:
-    """The plant holds the last torque if a command is lost. From tick 100 on all are lost, and its watchdog brakes."""
+    """The plant holds the previous torque if a command is lost. From tick 100 on, none arrives; the watchdog brakes."""
     scenario, folder = built("default")
     blind = scenario.change(wire={"resend_s": 0.33, "resends": 0, "hold_ticks": 2, "damp_ticks": 0})
 

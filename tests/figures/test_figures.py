@@ -45,15 +45,15 @@ def test_an_ecdf_of_few_samples_is_exact(times: np.ndarray) -> None:
     assert (line.x[-1], line.y[-1]) == (times.max(), 1.0)
 
 
-def test_an_ecdf_of_many_samples_stays_small_and_true() -> None:
+def test_an_ecdf_of_many_samples_has_few_points_and_each_is_exact() -> None:
     times = RNG.lognormal(3, 1, 50_000)
     (line,) = figures.latency_ecdf({"a": times}).data
     assert len(line.x) < 900
     assert np.max(np.abs(line.y - [np.mean(times <= x) for x in line.x])) < 1e-12
-    assert set(np.sort(times)[-20:]) <= set(line.x), "the slowest are all there"
+    assert set(np.sort(times)[-20:]) <= set(line.x), "the slowest times are all kept"
 
 
-def test_boxes_are_tukeys_and_one_without_samples_leaves_its_place_empty() -> None:
+def test_boxes_follow_tukey_and_a_box_without_samples_leaves_its_place_empty() -> None:
     values = [*range(1, 12), 100.0, math.nan]
     made = figures.box_plots({"DCAC": {"line": [], "circle": values}, "MOC": {"line": [2.0]}}, "error [mm]")
     box = made.data[0]

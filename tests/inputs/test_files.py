@@ -113,7 +113,7 @@ def test_links_are_replaced_and_pipes_devices_and_folders_refused(tmp_path):
 
 
 def test_a_link_at_the_name_of_the_unfinished_file_is_not_followed(tmp_path, monkeypatch):
-    monkeypatch.setattr(secrets, "token_hex", lambda count: "0")  # as if it could be guessed
+    monkeypatch.setattr(secrets, "token_hex", lambda count: "0")  # as if an attacker could guess it
     victim = tmp_path / "victim"
     victim.write_bytes(b"mine")
     (tmp_path / ".a.0.tmp").symlink_to(victim)

@@ -79,7 +79,7 @@ def every_table():
             if "__main__" not in module.name:
                 importlib.import_module(module.name)
     found = [Settings]
-    for table in found:  # grows while it is walked
+    for table in found:  # `found` grows during the loop
         found += table.__subclasses__()
     return [table for table in found[1:] if table.__module__.startswith(("moc_opt.", "benchmarks."))]
 

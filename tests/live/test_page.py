@@ -71,7 +71,7 @@ def test_of_rapid_choices_the_last_one_runs(live: LivePage) -> None:
 
 
 def knock(live: LivePage, path: str, say: bytes = b"") -> Any:
-    """First answer of a WebSocket at `path` to another site's page; None if it is closed without an answer."""
+    """First answer at `path` to a WebSocket of another site's page; None if the socket is closed without an answer."""
     uri, protocol = f"ws://127.0.0.1:{live.server.get_port()}{path}", f"viser-v{viser.__version__}"
     with (
         suppress(ConnectionClosed),
@@ -138,7 +138,7 @@ def test_a_solver_is_switched_and_the_plots_react(page: Any, live: LivePage) -> 
     before = page.evaluate(pictures)
     assert len(before) == 4
     click(page.get_by_label("Solver"))
-    click(page.locator("[role=option]", has_text=DCAC))  # it may not be drawn yet
+    click(page.locator("[role=option]", has_text=DCAC))  # the option may not be drawn yet
     says(page, f"{DCAC} ·")
     solving = QUANTITIES.index("solve_us")
     until(lambda: np.isnan(live.run.history(10**6)[-20:, solving]).all(), "DCAC solves nothing")

@@ -57,7 +57,7 @@ def test_a_solver_is_exchanged_at_the_next_tick(run: LiveRun) -> None:
     lambda run: run.choose(DCAC), lambda run: run.tune(K_X=1500.0, K_N=300.0, observer_gain_per_s=0.0),
 ])  # fmt: skip
 def test_an_exchange_of_controllers_does_not_jerk(change: Callable[[LiveRun], None]) -> None:
-    """The torque continues from its last value, and the arm in the realistic plant hardly deviates."""
+    """The torque continues from its previous value, and the arm in the realistic plant hardly deviates."""
     run = LiveRun(Scenario(start={"swivel": 0.9}))
     run.advance(400)
     sent: list[Any] = []
@@ -95,7 +95,7 @@ def test_wrong_orders_are_refused_and_the_run_goes_on(run: LiveRun) -> None:
 
 
 def test_a_solver_that_the_loop_cannot_use_becomes_a_message(run: LiveRun) -> None:
-    """A solver that refuses the subproblem leaves the old one at work."""
+    """If the new solver refuses the subproblem, the old solver stays in use."""
     run.advance(10)
     controller = run._build(run.control, "exact")
     controller.solver = Mock(supports=lambda qp: "it is not in the mood")
@@ -124,7 +124,7 @@ def test_a_runaway_arm_is_stopped_and_can_be_reset(run: LiveRun) -> None:
     assert column(run, "tip_error_m", 50).max() < 1e-3
 
 
-def test_the_trocar_moves_slowly_and_stays_there_after_a_reset(run: LiveRun) -> None:
+def test_the_trocar_moves_slowly_and_a_reset_keeps_its_new_place(run: LiveRun) -> None:
     run.advance(10)
     start, asked = run.trocar, np.array([0.005, -0.0025, 0.001])
     run.place_trocar(*asked)
@@ -141,8 +141,8 @@ def test_the_trocar_moves_slowly_and_stays_there_after_a_reset(run: LiveRun) -> 
     np.testing.assert_allclose(run.trocar - start, asked, atol=1e-9)
 
 
-def test_a_controller_asked_for_at_every_tick_leaves_the_arm_controlled(run: LiveRun) -> None:
-    """Exchanges at every tick would freeze the torque, so a request waits until 0.1 s after the exchange before."""
+def test_requests_for_a_controller_at_every_tick_leave_the_arm_controlled(run: LiveRun) -> None:
+    """Exchanges at every tick would freeze the torque, so a request waits until 0.1 s after the previous exchange."""
     rng = np.random.default_rng(0)
     for _ in range(400):
         run.choose(str(rng.choice([DCAC, "exact", "rnn"])))

@@ -23,7 +23,7 @@ class Relay:
     """A context manager that passes the packets of a controller on to the plant, and those of the plant back.
 
     Each of FAULTS happens to a ``share`` of the packets, drawn with the seed. ``lost(kind, number)`` says which packets
-    never arrive. An end that has received its final packet counts nothing more, so no fault happens to packets to it.
+    never arrive. An end that has received its final packet counts nothing more, so packets to it get no fault.
     """
 
     def __init__(self, plant, share=0.0, lost=lambda kind, number: False, seed=0) -> None:
@@ -35,7 +35,7 @@ class Relay:
         self._controller: tuple[str, int] | None = None
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run)
-        self.done: list[Counter[str]] = [Counter(), Counter()]  # by direction, how often each fault happened ("": none)
+        self.done: list[Counter[str]] = [Counter(), Counter()]  # count of each fault, by direction ("": no fault)
         self.whole: list[Counter[tuple[Kind, int]]] = [Counter(), Counter()]  # intact deliveries by (kind, flags)
 
     @property

@@ -1,4 +1,4 @@
-"""Packets have the layout of docs/realtime.md, and only sound ones pass. Each end and the clock are tested alone."""
+"""Packets have the layout of docs/realtime.md, and only valid ones pass. Each end and the clock are tested alone."""
 
 import os
 import re
@@ -67,13 +67,13 @@ def command(kind=Kind.COMMAND, n=7, session=4, **changes):
     return packet
 
 
-def test_sound_packets_pass_and_all_others_are_counted(ends):
+def test_valid_packets_pass_and_all_others_are_counted(ends):
     plant, controller = ends
     plant.session, plant.peer = 4, controller.getsockname()
     foreign = (
         seal(command(sequence=3), KEY)[:-1], seal(command(sequence=3), KEY) + b"\0", b"", seal(command(n=6), KEY),
         seal(command(session=5), KEY), seal(command(magic=b"OTHR"), KEY), seal(command(version=9), KEY),
-        seal(command(joints=6), KEY), seal(command(kind=Kind.MEASUREMENT), KEY),  # the plant's own, sent back
+        seal(command(joints=6), KEY), seal(command(kind=Kind.MEASUREMENT), KEY),  # the plant's own packet
     )  # fmt: skip
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
         stranger.sendto(seal(command(sequence=1), KEY), plant.address)  # not the address that began the session
@@ -90,7 +90,7 @@ def test_a_packet_that_has_arrived_is_taken_after_the_deadline_but_a_flood_is_no
     plant, controller = ends
     controller.sendto(seal(command(sequence=1), KEY), plant.address)
     assert plant.receive(monotonic() - 1.0) is not None
-    for flood in (b"x", seal(command(sequence=2), KEY)):  # unsound packets, then sound ones that are not wanted
+    for flood in (b"x", seal(command(sequence=2), KEY)):  # invalid packets, then valid ones that are not wanted
         for _ in range(wire.BACKLOG):  # the system's buffer may hold fewer
             controller.sendto(flood, plant.address)
         controller.sendto(seal(command(sequence=3), KEY), plant.address)
@@ -149,7 +149,7 @@ def test_commands_are_followed_and_every_fault_is_counted(peer):
     assert peer.plant.limited == 3
     assert (peer.columns["control_us"][0], peer.columns["solve_us"][0]) == (12.0, 2.0)
     assert (quality["received"], quality["missed"]) == (1, 0)
-    np.testing.assert_array_equal(peer.tick(), ones)  # no command for tick 1: the last torque is held
+    np.testing.assert_array_equal(peer.tick(), ones)  # no command for tick 1: the previous torque is held
     assert (quality["missed"], peer.plant.limited) == (1, 0)
     assert peer.columns["missed"][:2].tolist() == [False, True]
     peer.say(Kind.COMMAND, 1, tau=7 * ones)  # late: not followed
@@ -225,7 +225,7 @@ def measurement(flags, k=0, commanded=0.0, scenario=9):
 
 
 def answered(said):
-    """Return the ending, the packets sent, and (ticks so far, torque) of each correction. The k-th tick asks k Nm."""
+    """Return the ending, the packets sent, and (ticks so far, torque) of each correction. Tick k commands k Nm."""
     said, sent, corrected, wait = iter(said), [], [], WireSettings(wait_s=0.05, silence_s=0.5)
     plant = Mock(n=N, peer=("plant", 1), session=0, quality=dict.fromkeys(wire.COUNTERS, 0), heard="nothing")
     plant.send.side_effect = lambda packet: sent.append((Kind(packet["kind"]), packet.copy()))

@@ -25,7 +25,7 @@ from tests.odd_inputs import names
 
 
 class Resources(HTMLParser):
-    """All that a browser might fetch for a page, its tags with the names of their attributes, and its scripts."""
+    """What a browser might fetch for a page, the page's tags with the names of their attributes, and its scripts."""
 
     def __init__(self, source: str) -> None:
         super().__init__()
@@ -56,7 +56,7 @@ class Resources(HTMLParser):
 
 @pytest.fixture(scope="module")
 def full() -> Page:
-    """A page with one of everything, a wide table, every kind of figure, and text that looks like markup."""
+    """A page with every kind of part and of figure, a wide table, and text that looks like markup."""
     rng = np.random.default_rng(2)
     solvers = [f"solver-{k}" for k in range(9)]
     times = {name: rng.lognormal(k, 0.2, 400) for k, name in enumerate(solvers)}
@@ -98,7 +98,7 @@ def test_a_page_fetches_nothing_and_contains_the_data_of_its_figures(full: Page)
 
 
 def tags(text: str) -> list[tuple[str, ...]]:
-    """The tags of a page on which every name is this text."""
+    """The tags of a page on which every name is `text`."""
     made = Page(text, text)
     made.headline(text)
     made.section(text)

@@ -1,4 +1,4 @@
-"""Tables, JSON and pages of runs: the ending comes first, partial runs are marked, foreign files are kept."""
+"""Tables, JSON and pages of runs: the ending comes first, partial runs are marked, no foreign file is lost."""
 
 import json
 from pathlib import Path
@@ -53,7 +53,7 @@ def test_the_ending_is_the_first_row_and_figures_of_a_partial_run_are_marked():
 
 @pytest.mark.parametrize(("raised", "most"), [(2, False), (3, True)])
 def test_replaced_answers_of_a_solver_are_reported_before_any_figure(raised, most):
-    """A run whose answers all came from the fallback completes like any other, so the report has to say so."""
+    """A run whose answers all came from the fallback completes too, so the report has to name the replacements."""
     faults = {"raised": {"count": raised, "first_at_s": 0.0, "first": "ZeroDivisionError"}}
     (table,) = run_tables({"slip": trace(faults=faults)}, {"slip": {"mu_mean": 0.25}}, first=True)
     assert [row["metric"] for row in table.rows] == ["ended", "solver replaced", "mu_mean"]
@@ -84,7 +84,7 @@ def test_answers_to_the_nonlinear_problem_get_no_verdicts_of_the_linear_one(solv
     ("", 0, "completed"), ("[plant]\nfriction = 0.0\n", 3, "oscillated: joint_7 at "),
     ("[guard]\nrcm_error_m = 1e-5\nrcm_warning_m = 1e-5\n", 3, "stopped: the RCM error has been above 0.01 mm"),
 ], ids=["completed", "oscillated", "stopped"])  # fmt: skip
-def test_the_exit_status_tells_success_from_the_rest(tmp_path, capsys, table, status, ended):
+def test_the_exit_status_tells_success_from_other_endings(tmp_path, capsys, table, status, ended):
     file = tmp_path / "s.toml"
     file.write_text(
         'name = "one"\nduration_s = 2.0\nbound_samples = 0\njudge = false\n'
@@ -175,7 +175,7 @@ def test_a_page_replaces_a_foreign_file_only_with_force_and_needs_a_usable_place
     assert out.stat().st_size > 10_000
 
 
-def test_no_other_result_replaces_a_foreign_file_without_force(tmp_path, capsys):
+def test_tables_and_traces_replace_a_foreign_file_only_with_force(tmp_path, capsys):
     out = tmp_path / "rows"
     out.write_text("mine")
     for order in (["compare", "exact", "--out"], ["plan", "--out"], ["run", "--trace"], ["plant", "--trace"]):

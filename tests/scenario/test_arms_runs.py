@@ -32,7 +32,7 @@ def test_every_arm_does_the_default_task(name):
 @pytest.mark.parametrize(("preset", "more"), [(None, 2), ("tuned", 1), ("robust", 1)])
 @pytest.mark.parametrize("name", available_robots())
 def test_every_preset_works_on_every_arm(name, preset, more):
-    """The plant has `more` ticks of delay (three in all without a preset) and no friction, which hides oscillation."""
+    """The plant has `more` extra ticks of delay and no friction, because friction would hide oscillation."""
     asked = Scenario(
         seed=1, robot={"name": name}, control={"preset": preset} if preset else {}, duration_s=2.5, **BARE,
         start={"pose": "home" if preset else "random"},
@@ -43,7 +43,7 @@ def test_every_preset_works_on_every_arm(name, preset, more):
 
 
 def test_sixteen_joints_run_and_are_judged(tmp_path):
-    """With ten freedoms every answer of `exact` is verified, and none that is moved along the self-motion."""
+    """With ten freedoms, all answers of `exact` are verified, but no answer that is moved along the self-motion."""
     robot = sixteen_joints(tmp_path, np.random.default_rng(2).uniform(-0.7, 0.7, 16))
     trace = run(Scenario(robot={"name": str(tmp_path / "arm.toml")}, duration_s=0.3, bound_samples=1))
     assert trace.meta["ended"] == "completed"

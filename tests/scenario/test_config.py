@@ -83,7 +83,7 @@ def test_the_trace_remembers_its_scenario():
         # Without noise, or without a filter, successive readings may well be equal.
         ({"plant": {"preset": "nominal"}}, {"repeat_joint_ticks": None, "repeat_reading_ticks": None}),
         ({"plant": {"velocity_cutoff_Hz": 0.0}}, {"repeat_reading_ticks": None, "motion_lag_s": 0.012}),
-        # A slow filter lags: with the limit that suits 50 Hz, sound runs at 15 Hz would be stopped.
+        # A slow filter lags. The limit that suits 50 Hz would stop good runs at 15 Hz.
         ({"plant": {"velocity_cutoff_Hz": 15.0}}, {"motion_lag_s": 3.0 / (2.0 * np.pi * 15.0)}),
         # A coarse encoder hides motion that stays within one step.
         ({"plant": {"encoder_resolution_rad": 1e-4}}, {"repeat_torque": 0.06, "stuck_rad_per_s": 0.2}),
@@ -109,7 +109,7 @@ def test_a_change_of_the_plant_keeps_its_other_settings_and_is_validated():
 
 
 def test_the_true_shaft_passes_through_the_trocar_despite_wrong_kinematics():
-    """The kinematics are wrong by more than 0.5 mm. Since the arm has touched the trocar, the true shaft meets it."""
+    """The kinematics are wrong by more than 0.5 mm. The arm has touched the trocar, so the true shaft meets it."""
     bad = {"calibration_error_m": 5e-4, "calibration_tilt_rad": 5e-4, "encoder_bias_rad": 5e-4, "preset": "nominal"}
     setup = Setup(Scenario(plant=bad, seed=4, control={"law": "dcac"}, **BARE, duration_s=0.2))
     plant, state = setup.plant, setup.robot.state(setup.q_start)

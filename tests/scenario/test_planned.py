@@ -1,4 +1,4 @@
-"""Plans of a scenario: a run is compared with the best courses, and follows a course, planned or from a file."""
+"""Courses (planned joint trajectories): a run is compared with the best ones, and may follow one, also from a file."""
 
 import json
 from dataclasses import replace
@@ -82,7 +82,7 @@ def test_a_run_is_compared_with_the_courses_of_its_own_path():
 
 
 @pytest.mark.parametrize(("line", "there"), [("", True), ("best_courses = false\n", False)])
-def test_the_command_run_compares_with_the_best_courses_unless_the_scenario_says_no(tmp_path, capsys, line, there):
+def test_the_command_run_compares_with_the_best_courses_unless_the_scenario_turns_it_off(tmp_path, capsys, line, there):
     file = scenario_file(tmp_path, f"{line}duration_s = 0.1\nbound_samples = 0\n")
     assert main(["run", file, "--seed", "3", "--json"]) == 0
     assert ("mu_fraction_of_best" in json.loads(capsys.readouterr().out)) == there
@@ -181,7 +181,7 @@ def test_the_commands_write_a_course_and_follow_it(tmp_path, capsys):
     for out, status in ((to, 0), (to, 0), (mine, 2)):  # a course may replace only a course
         assert main(["plan", mine, "--out", str(out)]) == status
         assert "warning" not in capsys.readouterr().err
-    assert mo.Trace.load(to).meta["within"]["speed_share"] == 0.85  # the limit of a third level that follows it
+    assert mo.Trace.load(to).meta["within"]["speed_share"] == 0.85  # the limit of a third level that follows the course
     assert (tmp_path / "mine.toml").read_text(encoding="utf-8") == text
     assert main(["run", mine, "--course", str(to), "--trace", str(ran)]) == 0
     assert mo.Trace.load(ran).meta["scenario"]["control"]["course"] == str(to)

@@ -80,7 +80,7 @@ def test_a_path_that_leaves_the_workspace_says_where():
 
 
 def test_the_joint_that_reaches_its_limit_is_named():
-    """The wrist's distance alone determines joint 4, the elbow, so no self-motion helps where it is at its limit."""
+    """The wrist's distance alone determines joint 4, the elbow, so at its limit no self-motion helps."""
     highest = np.array(ROBOT.q_max)
     highest[3] = HOME.q[3] + 0.05
     stiff = RobotModel(dataclasses.replace(ROBOT.data, q_max=highest))
@@ -144,7 +144,7 @@ def test_a_random_start_keeps_the_stated_rules(seed, swivel):
 
 @pytest.mark.parametrize(("name", "margins"), [("lwr4", (0.15, 0.0)), ("lwr4_rail", (0.05, 0.2))])
 def test_a_random_start_keeps_the_margins_that_were_asked_for(name, margins):
-    """Each joint keeps its margin at the start and along the path; without these keys there is less room."""
+    """Each joint keeps its margin at the start and along the path; without these keys some joint has less."""
     asking = {"limit_margin_rad": margins[0], "limit_margin_m": margins[1]}
     for keys, kept in ((asking, True), ({}, False)):
         made = setup(0, robot={"name": name}, start={"pose": "random", "swivel": "random", **keys})

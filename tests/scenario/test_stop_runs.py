@@ -1,6 +1,6 @@
 """After a stop, the arm is held, from any start and with weak drives too, and gives way to a trocar that presses.
 
-docs/reliability.md states the bounds. No setting was chosen on the starts, times and loads that are drawn here.
+docs/reliability.md states the bounds. The starts, times and loads drawn here were not used to choose settings.
 """
 
 import dataclasses
@@ -23,7 +23,7 @@ QUICK = {"bound_samples": 0, "judge": False}
 
 
 def after(trace):
-    """Largest displacement of the tip [m], and largest and last trocar force [N], from the stop on."""
+    """Largest displacement of the tip [m], and largest and final trocar force [N], from the stop on."""
     stop = trace.t_s >= trace.meta["stopped_at_s"]
     force = np.linalg.norm(trace.trocar_force_N[stop], axis=1)
     return np.linalg.norm(trace.tip_m[stop] - trace.tip_m[stop][0], axis=1).max(), force.max(), force[-1]
@@ -63,7 +63,7 @@ def test_an_unknown_load_does_not_sink(load, seed):
 
 @pytest.mark.parametrize(("seed", "slip_m"), [(50, 0.03), (51, 0.1), (52, 0.03), (53, 0.1)])
 def test_the_arm_gives_way_to_a_trocar_that_presses(seed, slip_m):
-    """The tissue may keep moving after the stop. The arm does not hold the force up: it falls below 16 N."""
+    """The tissue may keep moving after the stop. The arm does not keep up the force, which falls below 16 N."""
     at = float(np.random.default_rng(seed).uniform(0.2, 1.8))
     scenario = Scenario(
         seed=seed, start={"swivel": "random"}, faults={"slip_m": slip_m, "slip_at_s": at}, control={"preset": "tuned"},
@@ -95,7 +95,7 @@ def test_brakes_are_open_while_the_trocar_presses_and_then_only_when_it_presses_
     for force, last in ((0.0, False), (7.0, False), (20.0, True), (6.0, True), (3.0, False), (np.nan, False)):
         assert is_open(force, 100)[-1] == last, force
     most = round(SafetyFilterSettings().stop_yield_s / 0.002)
-    # Closed brakes hold up to 6 N more than the force at which they closed. A fall of the force ends this.
+    # Brakes that closed at 20 N stay closed at 26 N and open at 40 N. After a fall to 0 N, 20 N opens them again.
     for force, ticks in ((0.0, 0), (20.0, most), (26.0, 0), (40.0, most), (0.0, 0), (20.0, most)):
         found = is_open(force, 1000)
         assert (sum(found), any(found[-500:])) == (ticks, False), force

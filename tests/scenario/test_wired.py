@@ -20,7 +20,7 @@ SHORT = {"duration_s": 0.6, "bound_samples": 0, "judge": False}
 
 
 def wired(scenario, relayed=None):
-    """A run in lock-step, its controller in a thread of its own, directly or through a relay."""
+    """Run in lock-step, with the controller in its own thread, connected directly or through a relay."""
     plant = PlantServer(scenario, "127.0.0.1:0", lock_step=True)
     with ThreadPoolExecutor(1) as pool:
         if relayed is None:

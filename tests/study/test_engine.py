@@ -1,4 +1,4 @@
-"""The engine that runs a study's jobs: each gives its result or the reason of its failure, and is run once."""
+"""The engine that runs a study's jobs: each job gives its result or the reason for its failure, and runs only once."""
 
 import importlib
 import os
@@ -60,7 +60,7 @@ def test_earlier_results_of_a_group_do_not_count_once_the_group_is_given_up(tmp_
 
 def test_a_job_may_limit_the_time_of_its_own_steps():
     found = run([Job(work.steps, ([0.01, 0.5, 0.01], 0.3)), Job(work.steps, ([0.01, 9.0], 0.3))], workers=2)
-    assert found[0] == 3, "of processor time: a step that waits for a while costs none"
+    assert found[0] == 3, "the limit is on processor time, of which a short sleep uses none"
     assert (found[1].kind, found[1].parts) == ("hung", (0.01,))
 
 

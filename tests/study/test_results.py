@@ -1,4 +1,4 @@
-"""Results of a study: means and changes compared with values by hand, the rows that count, and the file."""
+"""Results of a study: means and changes agree with values computed by hand; which rows count; the written file."""
 
 from pathlib import Path
 from typing import Any
@@ -37,7 +37,7 @@ def test_means_use_completed_runs_and_changes_use_trials_that_both_controllers_c
 
 
 def test_a_trial_is_weighted_by_its_ticks_in_a_phase() -> None:
-    """One trial has 1000 settled ticks at -10 %, the other 10 at +100 %, so that the two means disagree."""
+    """One trial has 1000 settled ticks at -10 %, the other has 10 at +100 %. The two kinds of mean disagree."""
     both = {"a": (0.9, 1000), "b": (2.0, 10)}
     rows = Results()
     for trial, (value, ticks) in both.items():

@@ -35,7 +35,7 @@ def breaking(name: str, **options: Any) -> SolverSetting:
 def test_exact_is_right_on_every_set():
     for found in ask(ONE, [(EXACT, TestSet.load(name)) for name in NAMES], LIMITS):
         counts, name = found.counts(), found.problems.name
-        spared = 2 if name == "near-singular" else 0  # rounding in the residuals decides these verdicts
+        spared = 2 if name == "near-singular" else 0  # rounding in the residuals decides the verdicts on two problems
         assert counts["solves"] == 128
         assert counts["verified_solved"] + counts["failed"] == counts["optima_asked"]
         assert counts["failed"] <= spared
@@ -97,7 +97,7 @@ def test_claims_are_checked_against_the_certificate_and_the_residuals(feasible, 
 
 @pytest.mark.parametrize(("rows", "refused"), [(6, 7), (5, 0)])
 def test_refusing_six_inconsistent_rows_is_neither_right_nor_wrong(rows, refused):
-    """One of eight problems is answered. The others are called infeasible: allowed on six rows, wrong on five."""
+    """One of eight problems is answered. Calling the other seven infeasible is wrong only with five rows."""
     problems = TestSet.load("inconsistent-1e-4").thinned(16)
     x = TestSet.load("inconsistent-1e-4").x[::16].copy()
     x[1:] = np.nan
@@ -133,7 +133,7 @@ def test_a_later_run_reuses_times_only_if_the_machine_was_quiet(quiet, tmp_path,
 @pytest.mark.parametrize(
     "setting", solver_settings([n for n, why in available().items() if why is None]), ids=lambda e: e.label
 )
-def test_every_setting_exists_and_has_its_reason(setting, robot):
+def test_every_setting_has_a_reason_and_only_options_that_its_solver_knows(setting, robot):
     assert len(setting.reason) > 10
     assert make_solver(setting.solver, robot, **setting.options).name == setting.solver
     assert set(setting.options) <= set(find(setting.solver).parameters)

@@ -96,7 +96,7 @@ def test_wrong_answers_in_closed_loop_count_except_those_of_nonlinear_solvers():
     assert "nonlinear" in row["silently_wrong"].reason
 
 
-def test_solvers_are_ranked_one_is_to_take_and_parts_of_the_study_may_be_missing():
+def test_solvers_are_ranked_one_is_recommended_and_parts_of_the_study_may_be_missing():
     found = assessed({
         "best": certified(p99=1.0), "slow": certified(p99=50.0), "liar": certified(p99=0.1, silently_wrong=1),
         "half": certified(500), "most": certified(900, p99=90.0),
@@ -179,5 +179,5 @@ def test_the_first_screen_answers_in_three_sentences_and_fits_a_terminal():
     few = Results(row for row in results if row["trial"] in results.values("mu_mean", "clarabel"))
     for row in rows[:2]:
         own, registered = (few.change(f"tip_error_{by}_mean_mm", row["solver"]).ratio for by in ("model", "registered"))
-        assert row["tip_change"].replace("?", "") == f"{own.value:+.0f}/{registered.value:+.0f}", "on the trials of all"
+        assert row["tip_change"].replace("?", "") == f"{own.value:+.0f}/{registered.value:+.0f}", "on trials that all ran"
         assert row["tip_change"] in re.sub(r"\s", "", text)

@@ -55,7 +55,7 @@ def spin_ms(ms):
 
 
 def beside_a_competitor(calls):
-    """Time calls of a millisecond on one core, beside a process that wants the same core all the time."""
+    """Time calls of a millisecond on a core that another process tries to use all the time."""
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     rival = subprocess.Popen([sys.executable, "-c", "while True: pass"])  # it inherits the affinity
     try:
@@ -67,8 +67,8 @@ def beside_a_competitor(calls):
         rival.wait()
 
 
-@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system holds no process to a core")
-def test_times_beside_a_busy_process_on_the_same_core_are_not_trusted():
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system cannot bind a process to a core")
+def test_times_on_a_core_that_another_process_uses_are_not_trusted():
     (seen,) = run([Job(beside_a_competitor, (300,))], workers=1)
     assert (seen["times_calls"], timing.quiet(seen)) == (300, False)
     assert timing.cpu_share(seen) < 0.8

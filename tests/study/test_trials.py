@@ -68,7 +68,7 @@ def test_baselines_differ_from_moc_only_in_the_stated_settings(case: Scenario, p
     assert variant(given, BASELINE).control.dcac_damping == variant(given, OWN).control.dcac_damping == 0.0
     np.testing.assert_allclose(variant(given, DAMPED).control.dcac_damping, ours.K_N2 + ours.D_N2)
     dcac = given.change(control={"law": "dcac", "K_X": 77.0})
-    assert variant(dcac, BASELINE) == dcac, "it keeps its gains"
+    assert variant(dcac, BASELINE) == dcac, "a scenario with DCAC keeps its gains"
     assert variant(dcac, OWN).control.K_X is None
 
 
@@ -88,10 +88,10 @@ def test_a_row_has_the_metrics_and_the_run_keeps_the_columns_asked_for(case: Sce
     assert run.row["asked"] == 150
     np.testing.assert_array_equal(run.columns["travelling"], in_transient(case.robot.arm(), trace.t_s, trace.q_rad))
     np.testing.assert_array_equal(run.columns["trocar_force_N"], trace.trocar_force_N)
-    assert "travelling" not in ran[BASELINE][0].columns, "DCAC has no optimum to go to"
+    assert "travelling" not in ran[BASELINE][0].columns, "DCAC does not travel to an optimum"
 
 
-def test_only_a_run_that_is_alone_reports_times(case: Scenario, ran: dict[str, Any]) -> None:
+def test_only_a_timed_run_reports_times_and_it_runs_alone(case: Scenario, ran: dict[str, Any]) -> None:
     asked = Trial(case, "exact", timed=True)
     run = run_trial(asked)
     timed = run.row

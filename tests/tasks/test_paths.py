@@ -72,7 +72,7 @@ def test_a_circle_goes_to_the_left_about_its_centre_and_a_line_is_straight() -> 
     p, _, ddp = path.at(np.linspace(0.0, path.length, 97))
     np.testing.assert_allclose(ddp, (center - p) / 0.03**2, atol=1e-10)
     np.testing.assert_allclose(p[-1], START, atol=1e-13)
-    # Counter-clockwise about +z: from south of its centre it leaves towards the east.
+    # The circle runs counter-clockwise about +z: it starts south of its centre and leaves towards the east.
     np.testing.assert_allclose(path.at(0.0)[1], [1.0, 0.0, 0.0], atol=1e-15)
     line = make_path("line", START, normal=(1, 0, 0), heading=(0, 0, -3), length=0.2)
     np.testing.assert_allclose(line.at(line.length)[0], START - [0.0, 0.0, 0.2], atol=1e-15)
@@ -99,7 +99,7 @@ def added(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("own", [True, False])
 def test_a_function_of_sizes_gives_a_path_in_space(own: bool, added: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The function stands in the package's own table or in another package."""
+    """The function is in the package's own table or in another package."""
     if own:
         monkeypatch.setitem(CURVES, "screw", helix)
         assert paths.kinds()["screw"] == "Go round once while it climbs."
@@ -128,7 +128,7 @@ def test_every_path_is_listed_and_a_broken_one_hides_no_other(added: None) -> No
     assert found["helix"] == "Go round once while it climbs."
     assert "does not load" in found["gone"]
     assert {*CURVES, "waypoints", "ring"} <= set(found)
-    taken = make_path("circle", np.zeros(3), radius=0.02, **AXES)  # a built-in name
+    taken = make_path("circle", np.zeros(3), radius=0.02, **AXES)  # no plug-in replaces a built-in path
     assert taken.curvature(0.0) == pytest.approx(50.0)
 
 

@@ -12,7 +12,7 @@ from moc_opt.tasks import CURVES, Path, Reference, Trocar, duration, quintic, sh
 from moc_opt.tasks.timelaw import WaitingReference, flags_at
 from tests.tasks.test_paths import START, build, size
 
-# Gentle bends, of which evenly spaced samples come close to the sharpest point; sharp bends have their own test.
+# Gentle bends, so that evenly spaced samples come close to the sharpest point. Sharp bends have their own test.
 curved = st.one_of(
     st.builds(lambda r: build("circle", radius=r), size),
     st.builds(
@@ -89,7 +89,7 @@ def test_velocity_and_acceleration_are_derivatives_and_zero_before_and_after(kin
 PERIOD = 0.01
 REFERENCES = {kind: Reference(build(kind), 0.05, 0.2) for kind in CURVES}
 CIRCLE = Reference(build("circle", radius=0.02), 0.05, 0.2)
-BRAKE_S = 0.05 / 0.2  # 1 / the largest slope of the rate at which the reference's time runs
+BRAKE_S = 0.05 / 0.2  # time from full rate to rest at the largest slope of the reference's rate
 
 
 def flags(seconds, losses):

@@ -1,4 +1,4 @@
-"""Each metric equals a number worked out by hand. Without its data it is left out; wrong data are refused."""
+"""Each metric equals a number worked out by hand. A metric without its data is left out; wrong data are refused."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def test_a_metric_can_be_registered_with_a_docstring_and_an_unused_name() -> Non
     assert metric(METRICS["completed"].function) is METRICS["completed"]
 
 
-def test_metrics_of_other_packages_are_in_the_summary_and_a_broken_one_hides_none(monkeypatch):
+def test_metrics_of_other_packages_are_in_the_summary_and_a_broken_one_hides_no_other(monkeypatch):
     values = {"len": "builtins:len", "number": "math:pi", "gone": "no_such:f", "abs": "builtins:abs"}
     found = {name: [EntryPoint(name, value, metrics.GROUP)] for name, value in values.items()}
     monkeypatch.setattr(metrics.plugins, "plugins", lambda group: found)

@@ -1,4 +1,4 @@
-"""Oscillation is found in synthetic traces and runs that have it, and not in sound ones."""
+"""Oscillation is found in traces and runs that oscillate, and not in ordinary ones."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def made(joint=0, amplitude=0.0, hertz=50.0, column="v_rad_per_s", ticks=1500, p
     period=st.sampled_from([0.001, 0.002]),
 )  # fmt: skip
 def test_the_joint_size_and_frequency_of_an_oscillation_are_found(joint, amplitude, hertz, period):
-    """The oscillation is added to a motion of 0.5 rad/s, with either control period."""
+    """The oscillation is added to a motion of 0.5 rad/s, sampled every 1 or 2 ms."""
     found = shaking(made(joint, amplitude, hertz, ticks=round(3.0 / period), period=period), "v_rad_per_s")
     assert found.joint == joint
     assert found.rms == pytest.approx(amplitude / np.sqrt(2.0), rel=0.15)
@@ -49,7 +49,7 @@ def test_the_joint_size_and_frequency_of_an_oscillation_are_found(joint, amplitu
     ("v_rad_per_s", limits.LIMIT_M_PER_S, "m/s", True), ("tau_Nm", limits.LIMIT_N, "N", True),
 ])  # fmt: skip
 def test_only_a_shaking_above_the_limit_in_the_unit_of_the_joint_counts(factor, column, limit, unit, slides):
-    """Joint 5 shakes below its own limit: it does not count, even if its number is larger than sliding joint 1's."""
+    """Joint 5 shakes below its own limit and does not count, even if sliding joint 1 shakes with a smaller value."""
     trace = made(0, factor * np.sqrt(2.0) * limit, 71.0, column)
     values = np.array(getattr(trace, column))
     values[:, 4] += 0.5 * limits.LIMIT_RAD_PER_S * np.sin(2.0 * np.pi * 31.0 * trace.t_s)
@@ -70,7 +70,7 @@ def test_a_jerk_hides_no_oscillation(joint):
     values[:, 2] += jerk.v_rad_per_s[:, 2]
     assert describe(jerk, NAMES, TURNING) == ""
     both = jerk.with_columns(v_rad_per_s=values)
-    assert shaking(both, "v_rad_per_s").joint == 2  # the metric takes the strongest, even a jerk
+    assert shaking(both, "v_rad_per_s").joint == 2  # the strongest shaking, even a jerk
     assert describe(both, NAMES, TURNING).startswith(f"joint_{joint + 1} at 40 Hz")
 
 
@@ -124,8 +124,8 @@ def test_a_trace_that_cannot_be_judged_is_refused_with_the_reason():
     ({"plant": {"friction": 0.0}, "control": STIFF}, "joint_7"),
     ({"control": {**STIFF, "regularization": 0.0}}, "joint_5"),
 ], ids=["delay", "no friction", "rho = 0"])  # fmt: skip
-def test_an_unsound_loop_is_found_to_oscillate(changes, joint):
-    """K_N2 is 80 for every joint, with two ticks of delay, without friction (of the idle joint), or with rho = 0.
+def test_an_unstable_loop_is_found_to_oscillate(changes, joint):
+    """K_N2 is 80 for every joint. Also, the delay is two ticks, or there is no friction (joint 7 is idle), or rho = 0.
 
     The limits on RCM error, trocar force and unexplained motion are off: they would stop these runs earlier.
     """
@@ -140,7 +140,7 @@ def test_an_unsound_loop_is_found_to_oscillate(changes, joint):
     {"faults": {"bump_N": 60.0}}, {"faults": {"encoder_noise_rad": 1e-4}}, {"plant": {"preset": "nominal"}},
     {"control": {"preset": "tuned"}, "plant": {"delay_ticks": 3}},
 ], ids=str)  # fmt: skip
-def test_sound_runs_keep_their_distance_from_the_limits(changes):
+def test_ordinary_runs_stay_below_half_of_the_limits(changes):
     trace = run(Scenario(seed=2, duration_s=5.0, **changes, **QUICK))
     assert trace.meta["ended"] == "completed"
     assert shaking(trace, "v_rad_per_s").rms < 0.5 * limits.LIMIT_RAD_PER_S

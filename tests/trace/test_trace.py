@@ -52,7 +52,7 @@ def assert_same(one, other):
 
 @st.composite
 def traces(draw):
-    """Any trace with columns unknown to the package, every bit pattern of a float included."""
+    """Any trace with columns unknown to the package; floats have any bit pattern."""
     rows, columns = draw(st.integers(0, 6)), {}
     for i in range(draw(st.integers(0, 4))):
         dtype = np.dtype(draw(st.sampled_from(["f8", "f4", "i8", "i1", "u2", "?", "U5"])))
@@ -211,7 +211,7 @@ def test_meta_is_kept_in_the_form_that_json_returns():
         Trace({}, {1: "a"})
 
 
-def test_to_pandas_has_every_number_and_says_where_pandas_is_not_installed(trace, monkeypatch):
+def test_to_pandas_has_every_number_and_a_missing_pandas_is_reported(trace, monkeypatch):
     frame = trace.to_pandas()
     assert (frame.index.name, frame.shape) == ("t_s", (N, 7 + 3 + 3 + 5))
     assert np.array_equal(frame.index, trace.t_s)

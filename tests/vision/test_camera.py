@@ -73,7 +73,7 @@ def test_the_tool_is_drawn_and_hides_what_is_behind_it():
     assert 12 <= len(found_in(picture)) < len(found_in(view.picture(FLAT))) == 20
 
 
-def test_a_board_is_lost_at_the_set_times_and_not_found_where_absent_averted_or_behind():
+def test_a_board_is_lost_at_the_set_times_and_not_found_if_absent_averted_or_behind_the_camera():
     lost = Board(lost_s=((1.0, 2.0), (3.0, 4.0)))
     assert [lost.is_lost(t) for t in (0.5, 1.0, 1.99, 2.0, 3.5)] == [False, True, True, False, True]
     view, finder = View(CLEAN, BOARD), BoardFinder(BOARD, CLEAN)
