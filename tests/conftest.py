@@ -82,7 +82,7 @@ def chromium() -> Iterator[Any]:
 def opened(
     chromium: Any, address: str, ready: str, own: str = "", kinds: tuple[str, ...] = (), **options: Any
 ) -> Iterator[Any]:
-    """An open page. At its end, the console must have no message (of `kinds`), and all requests must be its own."""
+    """An open page. At its end, the console has no message (of `kinds`), and no request went to another address."""
     page, said, asked = chromium.new_page(**options), list[str](), list[str]()
 
     def hear(message: Any) -> None:

@@ -1,8 +1,8 @@
 """README is a script: its fenced blocks run from top to bottom, in an empty folder, exactly as printed.
 
-`sh` blocks go to a shell, `python` blocks into one interpreter. Two kinds of line are not run as they stand: a block
-that begins with "# in a checkout" takes minutes and a virtual environment, so its targets are looked up in the
-Makefile; and `moc-opt live` serves until Ctrl-C, so it is started, its address awaited, and interrupted.
+`sh` blocks go to a shell, `python` blocks into one interpreter. Two kinds of line are not run as printed. A block that
+begins with "# in a checkout" takes minutes and a virtual environment, so its targets are looked up in the Makefile.
+`moc-opt live` serves until Ctrl-C, so it is started, and interrupted once it prints its address.
 """
 
 import os

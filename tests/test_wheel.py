@@ -43,7 +43,7 @@ def closure(lines):
         line = waiting.pop()
         name = re.match(r"[\w.-]+", line)[0]
         if "extra ==" not in line and name not in found:
-            with contextlib.suppress(PackageNotFoundError):  # for another platform; a needed one would fail the run
+            with contextlib.suppress(PackageNotFoundError):  # needed only on other platforms, or else the run fails
                 found[name] = distribution(name)
                 waiting += found[name].requires or ()
     return found.values()

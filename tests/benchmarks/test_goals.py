@@ -72,4 +72,4 @@ def test_phases_are_the_same_ticks_for_all_controllers_of_a_trial() -> None:
     assert grouped["travelling_mu_mean"] == pytest.approx(2e-6)
     assert alone == runs[-1].row
     short = Run(runs[2].row, {name: column[:3] for name, column in runs[2].columns.items()})
-    assert with_phases([runs[1], short]) == [runs[1], short], "of different lengths, they share no tick"
+    assert with_phases([runs[1], short]) == [runs[1], short], "runs of different lengths have no phases"

@@ -74,7 +74,7 @@ def test_a_ratio_compares_times_of_the_same_round():
     assert set(timed.limit(rows, None)) == {"steps_us"}
 
 
-def test_the_limit_steps_through_the_states_of_the_run():
+def test_mujoco_alone_steps_from_the_recorded_states_of_the_run():
     """A period from each recorded state ends near the next state, though it applies the forces of one period before."""
     states, stepped = timed.own_steps(SHORT.change(duration_s=0.4))
     after, n = stepped(), 7

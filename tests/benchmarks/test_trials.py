@@ -12,7 +12,7 @@ from moc_opt.study import solvers
 from moc_opt.study.command import CONFIGS
 
 SET_UP = 7
-"""Largest number of trials of a study that are set up here, evenly spread: finding a start takes a while."""
+"""Largest number of trials of a study that are set up here (evenly spread), since finding a start is slow."""
 
 
 STUDIES = {

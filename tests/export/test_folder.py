@@ -41,7 +41,7 @@ def test_the_export_compiles_without_a_warning_and_repeats_python_to_the_last_bi
     ticks, limited, stopped_at = map(int, counts)
     assert (ticks, difference) == (TICKS, "0.0e+00")
     assert 2 * TICKS // 3 + 30 < stopped_at < ticks
-    assert limited > 0 or name in ("panda", "dcac-damped")  # these are stopped before any torque is limited
+    assert limited > 0 or name in ("panda", "dcac-damped")  # these runs are stopped before any torque is limited
     assert re.search(r"one tick: mean [\d.]+ us, longest [\d.]+ us", done.stdout)
 
 

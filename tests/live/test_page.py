@@ -63,7 +63,7 @@ def test_the_run_keeps_step_with_the_clock(live: LivePage) -> None:
     until(in_step, "the run is always too fast or too slow")
 
 
-def test_of_rapid_choices_the_last_one_runs(live: LivePage) -> None:
+def test_after_rapid_choices_the_solver_chosen_last_runs(live: LivePage) -> None:
     for name in ("rnn", "exact", "rnn", "osqp"):
         live._panel._solver.value = name
     until(lambda: solver_of(live.run.used) == "osqp", "another one runs")
@@ -90,7 +90,7 @@ def test_nothing_is_sent_without_the_token(live: LivePage, path: str) -> None:
 
 
 def test_an_order_without_the_token_is_not_obeyed_even_if_it_came_before_the_refusal(live: LivePage) -> None:
-    """The same message is obeyed with the token, which shows that it is an order."""
+    """The same message is obeyed with the token, which shows that it is a valid order."""
     box: Any = live._panel._solver
     order = msgspec.msgpack.encode(GuiUpdateMessage(box._impl.uuid, {"value": "rnn"}).as_serializable_dict())
 

@@ -19,7 +19,7 @@ from tests.conftest import opened
 
 
 def wave(robot: RobotModel, ticks: int, *, phase: float = 0.0) -> Trace:
-    """An arm that sways about its home pose at 500 Hz."""
+    """A trace, sampled at 500 Hz, of an arm that sways about its home pose."""
     t = 0.002 * np.arange(ticks)
     q = robot.data.q_home + 0.2 * np.sin(2.0 * t[:, None] + phase + np.arange(robot.n))
     tips, rng = robot.tool_along(q)[0], np.random.default_rng(ticks)

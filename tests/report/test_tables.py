@@ -56,7 +56,7 @@ def test_missing_infinite_and_boolean_values_have_their_texts() -> None:
 def test_the_best_value_and_those_printed_alike_are_marked() -> None:
     assert best([2.0, 1.0, None, math.inf, 1.0004], better="low") == [False, True, False, False, True]
     assert best([2.5, 1.0, -math.inf, math.inf], better="high") == [True, False, False, False]
-    assert best([1.0, 1.0, 1.0, 2.0], better="low") == [False] * 4, "most of them: no emphasis"
+    assert best([1.0, 1.0, 1.0, 2.0], better="low") == [False] * 4, "no emphasis if most are best"
     assert best([1.0, 1.0, 2.0], better="low") == [False] * 3
     assert best([1.0, 1.0, 3.0, 2.0], better="low") == [True, True, False, False]
     assert (best([2.0, 1.0]), best([2.0, None], better="low")) == ([False, False], [False, False])
@@ -76,7 +76,7 @@ def test_a_narrow_terminal_shows_every_number_whole(width: int, count: int, size
     assert "exact" in text
     assert "rnn-printed" in text
     assert "…" not in text
-    assert sorted(set(re.findall(r"\bc\d+\b", text))) == sorted(c.key for c in columns[1:]), "shown or named"
+    assert sorted(set(re.findall(r"\bc\d+\b", text))) == sorted(c.key for c in columns[1:]), "each is shown or named"
 
 
 @pytest.mark.parametrize(("step_s", "told"), [(10.0, [1, 2, 3, 4]), (6.0, [1, 3]), (1.0, [1])])

@@ -1,4 +1,4 @@
-"""Courses (planned joint trajectories): a run is compared with the best ones, and may follow one, also from a file."""
+"""Courses (planned joint trajectories): runs are compared with the best, and follow one from a plan or a file."""
 
 import json
 from dataclasses import replace
@@ -76,7 +76,7 @@ def test_a_run_is_compared_with_the_courses_of_its_own_path():
     for name, course in (("mu_fraction_of_best_from_start", found.from_start), ("mu_fraction_of_best", found.best)):
         assert metrics[name] == pytest.approx(metrics["mu_mean"] / course.mu_mean, rel=0.01)
     assert metrics["mu_fraction_of_best"] <= metrics["mu_fraction_of_best_from_start"] <= 1.005
-    known = best_courses(COMPARED)  # planned once, whatever the controller
+    known = best_courses(COMPARED)  # the courses are planned once for all controllers
     assert known is best_courses(COMPARED.change(control={"preset": "tuned"}, solver={"name": "osqp"}))
     assert known is not best_courses(COMPARED.change(start={"swivel": 0.3}))
 

@@ -30,7 +30,7 @@ class Config(StudyConfig):
 
 
 def squares(study: Study, config: Config) -> Found:
-    """A study whose answer is the sum of the first squares, and whose last job fails."""
+    """A study that sums the first `config.count` squares, and whose last job fails."""
     found = study.run([Job(slow_square, (k,)) for k in range(config.count)])
     rows = Results({"trial": k, "x": x} for k, x in enumerate(found))
     rows.add({"trial": "last", "error": str(study.run([Job(refuse)])[0])})
@@ -52,7 +52,7 @@ def asked(tmp_path: Path) -> tuple[Path, Path]:
 
 def test_a_study_writes_and_prints_its_result_and_refuses_a_folder_that_no_study_wrote(asked, capsys):
     config, out = asked
-    assert call(squares, config, "--out", out) == 3, "the status of the findings"
+    assert call(squares, config, "--out", out) == 3, "the status that `squares` gives"
     said = capsys.readouterr().out
     assert all(words in said for words in ("The sum is [14].", "Squares", "One more sentence.", "more.txt"))
     summary = json.loads((out / "summary.json").read_text())

@@ -162,7 +162,7 @@ def test_a_cluster_gives_the_same_results(monkeypatch, tmp_path):
         trials = [Job(own_study.trial, ("exact", delay, 0)) for delay in (1, 3)]
         rows = run(trials, kept=Kept(tmp_path / "jobs"), dask=cluster.scheduler_address)
     assert [row["delay"] for row in rows] == [1, 3]
-    assert run(trials, kept=Kept(tmp_path / "jobs")) == rows, "taken from the folder: no scheduler is left"
+    assert run(trials, kept=Kept(tmp_path / "jobs")) == rows, "the rows come from the folder, as no scheduler is left"
     with pytest.raises(StudyError, match="no Dask scheduler answers"):
         run(jobs, dask="tcp://127.0.0.1:1")
 

@@ -1,4 +1,4 @@
-"""Results of a study: means and changes agree with values computed by hand; which rows count; the written file."""
+"""Results of a study: means and changes agree with values by hand, the right rows count, and a file is written."""
 
 from pathlib import Path
 from typing import Any
@@ -37,7 +37,7 @@ def test_means_use_completed_runs_and_changes_use_trials_that_both_controllers_c
 
 
 def test_a_trial_is_weighted_by_its_ticks_in_a_phase() -> None:
-    """One trial has 1000 settled ticks at -10 %, the other has 10 at +100 %. The two kinds of mean disagree."""
+    """mu changes by -10 % in the 1000 settled ticks of one trial and by +100 % in the 10 settled ticks of the other."""
     both = {"a": (0.9, 1000), "b": (2.0, 10)}
     rows = Results()
     for trial, (value, ticks) in both.items():

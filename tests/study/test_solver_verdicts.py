@@ -166,7 +166,7 @@ def test_the_first_screen_answers_in_three_sentences_and_fits_a_terminal():
     assert "`qpsolvers:highs` (1 silently wrong)" in avoid
     assert "2 of 3 claimed success for wrong answers (`osqp` 1301, `qpsolvers:scs` 432)" in avoid
     assert "nlp" not in avoid
-    assert "rnn" not in avoid, "the network has no library and no six rows"
+    assert "rnn" not in avoid, "the network is not the solver of a library"
 
     shown = Report("t", [take, sound, avoid], first_table(summary, rows))
     screen = Console(file=io.StringIO(), width=80, color_system=None, highlight=False)
@@ -179,5 +179,5 @@ def test_the_first_screen_answers_in_three_sentences_and_fits_a_terminal():
     few = Results(row for row in results if row["trial"] in results.values("mu_mean", "clarabel"))
     for row in rows[:2]:
         own, registered = (few.change(f"tip_error_{by}_mean_mm", row["solver"]).ratio for by in ("model", "registered"))
-        assert row["tip_change"].replace("?", "") == f"{own.value:+.0f}/{registered.value:+.0f}", "on trials that all ran"
+        assert row["tip_change"].replace("?", "") == f"{own.value:+.0f}/{registered.value:+.0f}", "on the common trials"
         assert row["tip_change"] in re.sub(r"\s", "", text)

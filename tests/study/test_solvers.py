@@ -31,7 +31,7 @@ NAMES = ("exact", "osqp", "rnn", "quadprog")
 
 @pytest.fixture(scope="module", autouse=True)
 def quiet_machine():
-    """Make these tests independent of what else runs on the machine."""
+    """Make these tests independent of other processes on the machine."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("moc_opt.study.timing.quiet", lambda row: True)
         yield

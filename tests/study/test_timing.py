@@ -57,7 +57,7 @@ def spin_ms(ms):
 def beside_a_competitor(calls):
     """Time calls of a millisecond on a core that another process tries to use all the time."""
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-    rival = subprocess.Popen([sys.executable, "-c", "while True: pass"])  # it inherits the affinity
+    rival = subprocess.Popen([sys.executable, "-c", "while True: pass"])  # the new process inherits the affinity
     try:
         seen = []
         each_us(spin_ms, [1.0] * calls, seen=seen)

@@ -125,7 +125,7 @@ def test_a_trace_that_cannot_be_judged_is_refused_with_the_reason():
     ({"control": {**STIFF, "regularization": 0.0}}, "joint_5"),
 ], ids=["delay", "no friction", "rho = 0"])  # fmt: skip
 def test_an_unstable_loop_is_found_to_oscillate(changes, joint):
-    """K_N2 is 80 for every joint. Also, the delay is two ticks, or there is no friction (joint 7 is idle), or rho = 0.
+    """K_N2 is 80 for every joint, and the delay is two ticks, or friction is zero (joint 7 is idle), or rho is zero.
 
     The limits on RCM error, trocar force and unexplained motion are off: they would stop these runs earlier.
     """

@@ -46,7 +46,7 @@ def assert_same(one, other):
     for name, array in one.columns.items():
         again = other.columns[name]
         assert (again.dtype, again.shape, again.tobytes()) == (array.dtype, array.shape, array.tobytes()), name
-    # Python calls 1.0 and 1, or -0.0 and 0.0, equal; the types and signs must survive too.
+    # Python calls 1.0 and 1, or -0.0 and 0.0, equal; but their types and signs must be kept too.
     assert repr(one.meta) == repr(other.meta)
 
 
