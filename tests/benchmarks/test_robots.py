@@ -44,7 +44,7 @@ def test_findings_are_judged_by_the_ends_of_their_intervals() -> None:
     def found(count: int = 40) -> dict[str, bool | None]:
         return robots.verdicts(Results(base[:count] + mine[:count]), "exact")
 
-    assert found() == dict.fromkeys(robots.FINDINGS, True) | {"tails": None}, "40 trials cannot show that 1 in 10 is the most"
+    assert found() == dict.fromkeys(robots.FINDINGS, True) | {"tails": None}, "40 trials are too few to show 1 in 10"
     mine[:20] = [row(k, "exact", mu=1.2, tip=1.0 + 0.012 * k) for k in range(20)]
     undecided, wrong = "settled_tip_error_change_percent", "tails"
     assert [key for key, holds in found().items() if holds is not True] == [undecided, wrong]
