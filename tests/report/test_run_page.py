@@ -175,7 +175,7 @@ def test_a_page_replaces_a_foreign_file_only_with_force_and_needs_a_usable_place
     assert out.stat().st_size > 10_000
 
 
-def test_tables_and_traces_replace_a_foreign_file_only_with_force(tmp_path, capsys):
+def test_rows_courses_and_traces_replace_a_foreign_file_only_with_force(tmp_path, capsys):
     out = tmp_path / "rows"
     out.write_text("mine")
     for order in (["compare", "exact", "--out"], ["plan", "--out"], ["run", "--trace"], ["plant", "--trace"]):
