@@ -147,7 +147,7 @@ Submit = Callable[[Job], Answer]
 def _answers(
     jobs: Sequence[Job], waiting: Sequence[int], submit: Submit, slots: int, broken: Counter[str], give_up: int
 ) -> Iterator[tuple[int, _Done | Failed]]:
-    """Yield (index, answer) as answers come. Two jobs per slot are submitted at a time, so that a group can be given up."""
+    """Yield (index, answer) as answers come. Only two jobs per slot are submitted, so that a group can be given up."""
     left, flying = list(reversed(waiting)), dict[Answer, int]()
     gone, again = set[Answer](), Counter[int]()
     while left or flying:
