@@ -58,7 +58,7 @@ class Cell:
 class Table:
     """Rows of results under typed columns, the first of which names the row.
 
-    A row is key -> text, flag, number, None, `Missing(reason)` or `Mark`. Absent keys count as None; others are ignored.
+    A row is key -> text, flag, number, None, `Missing(reason)` or `Mark`. Without its key, a value is None.
     """
 
     title: str
