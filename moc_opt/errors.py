@@ -1,4 +1,4 @@
-"""The errors a user can meet. Each names the field, the value and the cure."""
+"""The errors that a user can meet. Each message names the field, the value and the cure."""
 
 from __future__ import annotations
 
@@ -59,11 +59,11 @@ class ReportError(MocOptError, ValueError):
 
 
 class BrowserError(ReportError):
-    """A browser cannot be driven here; the message holds the cure."""
+    """A browser cannot be controlled here; the message says what to do."""
 
 
 class BrowserMissingError(BrowserError):
-    """No browser is installed, or no package to drive it; the message says what to install."""
+    """No browser is installed, or no package to control it; the message says what to install."""
 
 
 class UnknownNameError(MocOptError, LookupError):

@@ -33,7 +33,7 @@ SUPERVISION = (
     "check", "box_limit", "primal_limit", "relative_limit", "opposite_limit", "hold_ticks", "keep_off_limits",
     "fallback", "late", "budget_us",
 )  # fmt: skip
-"""The fields of moc_supervision; `control.law.numbers_of` returns them together with those of moc_law."""
+"""The fields of moc_supervision; `control.law_numbers.numbers_of` returns them together with those of moc_law."""
 
 
 class Recording(NamedTuple):

@@ -18,7 +18,7 @@ QUANTITIES = ("t_s", "mu", "tip_error_m", "rcm_error_m", "force_N", "solve_us", 
 HISTORY_S = 20.0
 BLEND_S = 0.1  # time constant of the blend of torques after an exchange, and least time between two exchanges
 RAMP_S = 0.3  # fade-in of a new third level, whose torque is so large at first that blending alone does not suffice
-SLOWLY_M_PER_S, MOST_OFFSET_M = 0.02, 0.05  # of the trocar's motion; a jump would hit the shaft
+SLOWLY_M_PER_S, MOST_OFFSET_M = 0.02, 0.05  # speed and reach of the trocar: a jump would hit the shaft
 
 
 class LiveError(ScenarioError):
@@ -47,7 +47,7 @@ class ExchangeableController:
         self.used.start(q, v, tip_ref, trocar)
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """Return the torque (n,) [Nm] of the controller in use, blended with the previous one after an exchange."""
+        """Return the torque (n,) [Nm] of the controller in use; after an exchange it fades in from the old one."""
         self._wait -= 1
         tau, new = None, self.next
         if self._wait <= 0 and new is not None:
@@ -83,7 +83,7 @@ class LiveRun:
     """The closed loop of a scenario, along its path to and fro for ever; a MocOptError if the scenario is not usable.
 
     Call it from one thread only. A wrong change raises at once; errors that only the running loop can detect are put
-    into `messages`, oldest first (take them out with `popleft`). ``t_s`` is the time of the last tick; ``stopped`` says
+    into `messages`, oldest first (take them out with `popleft`). ``t_s`` is the latest tick's time; ``stopped`` says
     why the arm was stopped, and is empty while it runs.
     """
 

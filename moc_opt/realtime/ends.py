@@ -38,7 +38,7 @@ class RemoteController(Filtered):
 
     Args:
         safety_filter: the plant's own filter; the watchdog takes gravity torque and brakes from it.
-        columns: number of ticks -> the columns of the controller at the other end.
+        columns: function that makes, for a number of ticks, the columns of the controller at the other end.
         applied, tau_max: (n,) torque before the first tick, and largest torque that a command may have [Nm].
         clock: None means lock-step: the plant waits for each command, and repeats the measurement if none comes.
     """
@@ -203,7 +203,7 @@ class Answering:
         """Find the plant, start at its first measurement, and answer until the run ends.
 
         Return how the run ``ended``, the number of ``ticks`` answered, the counts of the plant's packets (``quality``),
-        the safety filter's ``warnings`` and the third level's ``faults``. WireError: no plant, or another scenario.
+        the safety filter's ``warnings`` and the third level's ``faults``. A WireError: no plant, or another scenario.
         """
         link = self.link
         first = self._ask(Kind.HELLO, waits=True)

@@ -76,7 +76,7 @@ class Kind(IntEnum):
     BYE = 5  #: The end of the run is acknowledged.
 
 
-WAITING, RUNNING, ENDED = 0, 1, 2  #: ``flags`` of a measurement: the run is yet to begin, expects a command, is over.
+WAITING, RUNNING, ENDED = 0, 1, 2  #: ``flags`` of a measurement: before the run; in it, expecting a command; after it.
 STOP, REPORTED = 1, 2  #: Bits in ``flags`` of a command: the arm is to brake; the third level's results are included.
 
 # Every field's offset is a multiple of its size, so that a C struct of the same fields has the same bytes.
@@ -229,7 +229,7 @@ class Link:
         return ", ".join(f"{name} {count}" for name, count in self.quality.items() if count) or "nothing came"
 
     def send(self, packet: Packet, to: Address | None = None) -> None:
-        """Seal a packet and send it. If the system does not take it, it is lost, as any UDP packet may be."""
+        """Seal a packet and send it. A packet that the system does not take is lost, as any UDP packet may be."""
         try:
             self._socket.sendto(seal(packet, self._key), to or self.peer)  # type: ignore[arg-type]
         except (BlockingIOError, ConnectionError):
@@ -238,7 +238,7 @@ class Link:
             raise WireError(f"nothing can be sent to {written(to or self.peer)}: {describe(error)}") from error
 
     def receive(self, until: float, wanted: Callable[[Packet], bool] = lambda packet: True) -> Packet | None:
-        """Return the next valid packet for which ``wanted`` is true, or None at the `time.monotonic` ``until`` [s].
+        """Return the next valid packet for which ``wanted`` is true, or None at ``until`` (`time.monotonic`) [s].
 
         Packets that have already arrived are read even after ``until``, up to `BACKLOG` of them.
         """

@@ -151,7 +151,7 @@ def _rounded(value: Any) -> Any:
 def velocity_ellipsoids(jacobians: Array) -> Array:
     """Return S = (J J^T)^(1/2) (k, 3, 3) of J (k, 3, n). S maps the unit sphere to the ellipsoid of tip velocities.
 
-    Its determinant is mu (Yoshikawa 1985). Unlike eigenvectors, it can be interpolated between two frames.
+    The determinant of S is mu (Yoshikawa 1985). Unlike eigenvectors, S can be interpolated between two frames.
     """
     axes, lengths, _ = np.linalg.svd(jacobians, full_matrices=False)
     roots: Array = (axes * lengths[:, None, :]) @ np.swapaxes(axes, 1, 2)

@@ -32,7 +32,7 @@ from moc_opt.errors import MocOptError, StudyError, describe
 from moc_opt.study.kept import Kept, digest_of, key_of, loaded_sources
 
 CONNECT_S = 30.0
-LOOK_S, ATTEMPTS = 1.0, 3  # time between two checks of the processes [s]; attempts at a job whose pool breaks
+LOOK_S, ATTEMPTS = 1.0, 3  # time between two checks of the processes [s]; attempts at a job if its pool breaks
 BEGUN = ".pid"
 WAITS = 5.0
 PR_SET_PDEATHSIG = 1
@@ -147,7 +147,7 @@ Submit = Callable[[Job], Answer]
 def _answers(
     jobs: Sequence[Job], waiting: Sequence[int], submit: Submit, slots: int, broken: Counter[str], give_up: int
 ) -> Iterator[tuple[int, _Done | Failed]]:
-    """Yield (index, answer) as answers come. Only two jobs per slot are submitted, so that a group can be given up."""
+    """Yield (index, answer) as answers come. At most two jobs per slot are pending, so that a group can be given up."""
     left, flying = list(reversed(waiting)), dict[Answer, int]()
     gone, again = set[Answer](), Counter[int]()
     while left or flying:

@@ -34,7 +34,7 @@ class SolverSetting:
 
     @property
     def recommended(self) -> bool:
-        """Whether the solver is judged under this setting."""
+        """Whether the verdict on the solver is about this setting."""
         return self.name == RECOMMENDED
 
     @property

@@ -28,7 +28,7 @@ CONFIDENCE = 0.95
 NOMINAL = 0.7
 """Intervals are built for a miss rate of `NOMINAL` (1 - `CONFIDENCE`), since in simulations they miss more often."""
 ROUNDING = 1e-9  # a smaller change counts as zero [percent]
-LEAST_TRIALS = 8  # fewer trials decide nothing: they get no verdict
+LEAST_TRIALS = 8  # with fewer trials there is no verdict
 
 
 def too_few(trials: int) -> str | None:
@@ -66,7 +66,7 @@ class Change(NamedTuple):
     ratios: Interval
 
     def side(self, bound: float = 0.0) -> int:
-        """Return +1 (-1) where both intervals lie above (below) the bound [percent]; 0 else and for too few trials."""
+        """Return +1 (-1) if both intervals are above (below) the bound [percent]; else, or for too few trials, 0."""
         both = {int(one.low > bound + ROUNDING) - int(one.high < bound - ROUNDING) for one in self}
         return both.pop() if len(both) == 1 and self.ratio.samples >= LEAST_TRIALS else 0
 
