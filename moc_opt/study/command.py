@@ -118,7 +118,7 @@ class Study:
         return [outcome(one, result) for one, result in zip(asked, results, strict=True)]
 
     def placed(self, cases: Sequence[Scenario]) -> tuple[list[Scenario], list[dict[str, Any]]]:
-        """Search for each trial's starting pose; return the trials with poses, and a row for each trial that has none."""
+        """Search for each trial's start pose; return the trials with poses, and a row for each trial that has none."""
         found = self.run([Job(placed, (case,)) for case in cases], "starts")
         lost = [
             {**Trial(case, "").failed(str(start)).row, "ended": "no start"}
