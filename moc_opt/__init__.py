@@ -1,6 +1,6 @@
 """moc_opt: manipulability optimization control of a surgical arm, and one measure by which every solver is judged.
 
-The public names load when they are first used: ``import moc_opt`` itself imports no solver, no
+Each public name is imported at its first use: ``import moc_opt`` itself imports no solver, no
 simulator and no compiler.
 """
 

@@ -38,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _nobody_reads() -> bool:
-    """Tell whether standard output is the broken pipe."""
+    """Return whether standard output is the pipe that broke."""
     watched = select.poll()
     watched.register(sys.stdout.fileno(), 0)
     return bool(watched.poll(0))
@@ -47,8 +47,8 @@ def _nobody_reads() -> bool:
 def _command(arguments: Sequence[str] | None) -> int:
     try:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
-        warnings.formatwarning = lambda text, *_, **__: f"{text}\n"  # without a line of code
-        from moc_opt.commands.parser import COMMANDS, make_parser, work_of  # slow: Ctrl-C may come here
+        warnings.formatwarning = lambda text, *_, **__: f"{text}\n"  # without the source line
+        from moc_opt.commands.parser import COMMANDS, make_parser, work_of  # slow: Ctrl-C may come meanwhile
 
         parser = make_parser()
         if "_ARGCOMPLETE" in os.environ:  # a shell asks for completions of the command line
@@ -69,7 +69,7 @@ def _command(arguments: Sequence[str] | None) -> int:
         refused = isinstance(error, MocOptError | MemoryError)
         status = 130 if isinstance(error, KeyboardInterrupt) else 2 if refused else 1
         if isinstance(error, BrokenPipeError) or (status == 1 and not hasattr(error, "__notes__")):
-            raise  # a defect gets one line only if notes say where its run was saved
+            raise  # a defect shows its traceback, unless notes say where its run was saved
         print(_one_line(error), file=sys.stderr)
         return status
 

@@ -1,4 +1,4 @@
-"""The errors a user can meet. Each names the field, the value and the cure."""
+"""The errors that a user can meet. Each message names the field, the value and the cure."""
 
 from __future__ import annotations
 
@@ -59,18 +59,18 @@ class ReportError(MocOptError, ValueError):
 
 
 class BrowserError(ReportError):
-    """A browser cannot be driven here; the message holds the cure."""
+    """A browser cannot be controlled here; the message says what to do."""
 
 
 class BrowserMissingError(BrowserError):
-    """No browser is installed, or no package to drive it; the message says what to install."""
+    """No browser is installed, or no package to control it; the message says what to install."""
 
 
 class UnknownNameError(MocOptError, LookupError):
     """A name that is not known; the message holds the nearest valid names."""
 
     MOST = 10_000  # the message may list many names
-    FEW: ClassVar[int] = 12  #: Up to so many names are all shown, even where a command lists them.
+    FEW: ClassVar[int] = 12  #: Up to this many names are all shown, even if a command lists them, too.
 
     def __init__(self, kind: str, name: str, valid: Iterable[str], listed_by: str = "") -> None:
         """Name the nearest of the ``valid`` names, then all of them, or for a long list the command that prints it."""
@@ -96,17 +96,17 @@ def shown(value: object, most: int = 200) -> str:
     """Return the value as a message shows it, in at most ``most`` characters, whatever its size."""
     try:
         text = repr(value)
-    except Exception as reason:  # noqa: BLE001 - foreign code; an integer of thousands of digits has no text either
+    except Exception as reason:  # noqa: BLE001 - repr may be foreign code; it fails for integers of thousands of digits
         text = f"({type(value).__name__} that cannot be written: {type(reason).__name__})"
     return text if len(text) <= most else text[: most - 3] + "..."
 
 
 def describe(error: BaseException, most: int = 300) -> str:
-    """Return type and text of an exception of foreign code in one line, printable, of at most ``most`` characters."""
+    """Return type and text of an exception in one printable line of at most ``most`` characters."""
     name = type(error).__name__
     try:
         said = " ".join(str(error).split())
-    except (Exception, SystemExit) as worse:  # noqa: BLE001 - its text is foreign code, too
+    except (Exception, SystemExit) as worse:  # noqa: BLE001 - str(error) may run foreign code
         said = f"(its text raised {type(worse).__name__})"
     text = f"{name}: {said}" if said else name
     return printable(text if len(text) <= most else text[: most - 3] + "...")

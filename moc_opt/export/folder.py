@@ -1,4 +1,4 @@
-"""Write the folder: unchanged files of `moc_opt/core` and ``c/``, and a scenario's numbers as initialisers in C."""
+"""Write the exported folder: files of `moc_opt/core` and ``c/``, and a scenario's numbers as initialisers in C."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SUPERVISION = (
     "check", "box_limit", "primal_limit", "relative_limit", "opposite_limit", "hold_ticks", "keep_off_limits",
     "fallback", "late", "budget_us",
 )  # fmt: skip
-"""The fields of moc_supervision; `control.law.numbers_of` returns them together with those of moc_law."""
+"""The fields of moc_supervision; `control.law_numbers.numbers_of` returns them together with those of moc_law."""
 
 
 class Recording(NamedTuple):
@@ -74,7 +74,7 @@ def in_c(value: Any) -> str:
 
 
 def defined(declaration: str, value: Any) -> str:
-    """Return a definition in C, broken into lines of 120 characters."""
+    """Return a definition in C, broken into lines of at most 120 characters."""
     return textwrap.fill(
         f"{declaration} = {in_c(value)};", 120, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False
     )
@@ -100,7 +100,7 @@ def arm_in_c(robot: RobotModel) -> dict[str, Any]:
 def constants(
     robot: RobotModel, law: Mapping[str, Any], guard: Mapping[str, Any], tolerance: float, stop: tuple[float, float]
 ) -> dict[str, str]:
-    """Return the texts of constants.h and constants.c by name; arguments as for `write`."""
+    """Return name -> text of constants.h and constants.c; the arguments are those of `write`."""
     header = f"""\
 /* The scenario's numbers: moc_constants is what moc_start and moc_step take. */
 #ifndef CONSTANTS_H
@@ -163,7 +163,7 @@ def write(
         law, guard: numbers by the names in moc.h (`numbers_of` of control/law_numbers.py and control/safety_filter.py).
         recording: the ticks that ``make test`` repeats.
         tolerance: tolerance of the solver ``exact`` [rad/s].
-        stop: damping of the drives in a stop [Nm s/rad], and the least time for which they keep it [s].
+        stop: damping of the drives in a stop [Nm s/rad], and the least time for which they damp [s].
         extra: further files, by name; if udp.c is one of them, the Makefile builds moc_udp.
         force: overwrite any file.
 
@@ -197,7 +197,7 @@ def _marked(name: str, text: str) -> str:
 
 
 def _is_own(file: Path) -> bool:
-    if file.suffix == ".bin":  # holds no text to mark
+    if file.suffix == ".bin":  # binary, so without a mark
         return (file.parent / "udp.c").exists()
     try:
         text = file.read_text(encoding="utf-8")

@@ -19,7 +19,7 @@ from moc_opt.sim.sensors import Measurement
 from moc_opt.solvers.exact import Exact
 
 TICKS = 150
-"""Length of the recording, from the middle of the run; the last third has faults."""
+"""Number of recorded ticks, from the middle of the run; the last third of them has faults."""
 INFEASIBLE, VIOLENT = 0.5, 10.0  # added to the reference velocity [m/s]: infeasible; so fast that the torque is limited
 
 
@@ -83,7 +83,7 @@ def references(setup: Setup) -> bytes:
 
 
 def record(setup: Setup) -> Recording:
-    """Record the controller behind its safety filter on measurements of the scenario's run, the last third with faults.
+    """Record the controller and its safety filter on measurements of the scenario's run, the last third with faults.
 
     The faults, in order: NaN for as many ticks as the safety filter bridges; a packet that comes twice; a joint that
     jumps for one tick; a joint that is too fast for one tick; infeasible references for some ticks; a reference so fast
@@ -115,7 +115,7 @@ def _spoil(setup: Setup, q: Array, v: Array, tip_ref: Array, stamp: Array) -> No
     guard, k = setup.scenario.guard, len(q)
     bridged = min(guard.patience_ticks, k // 10)
     q[k // 5 : k // 5 + bridged] = np.nan
-    stamp[3 * k // 10] -= min(bridged, 1)  # a packet comes again
+    stamp[3 * k // 10] -= min(bridged, 1)  # the previous packet comes again
     if bridged > 0:
         q[2 * k // 5, 0] += 4.0 * guard.jump_rad
     v[3 * k // 5, -1] = 2.0 * setup.robot.v_max[-1]

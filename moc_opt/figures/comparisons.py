@@ -1,4 +1,4 @@
-"""Accuracy against computing time, with a name beside each point that covers neither other names nor points."""
+"""Accuracy against computing time: labelled points, with labels that cover neither each other nor other points."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def accuracy_against_time(
     """Draw error against time on log axes; filled points: the Pareto front (no other is both faster and more accurate).
 
     Args:
-        points: name -> (time, error); entries that are not finite are left out, errors below `FLOOR` drawn at `FLOOR`.
+        points: name -> (time, error); non-finite entries are left out; errors below `FLOOR` are drawn at `FLOOR`.
         x_label, y_label: labels of the axes, with units.
 
     Raises:
@@ -79,10 +79,10 @@ def _pixels(points: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float,
 
 
 def label_sides(points: Mapping[str, tuple[float, float]]) -> dict[str, str | None]:
-    """Choose for each name the side of its point on which it covers the least of other points and earlier names.
+    """Choose the side of each point on which its label covers the smallest area of other points and earlier labels.
 
     Args:
-        points: name -> place of the point [px], y downwards; names are placed in this order.
+        points: name -> place of the point [px], y downwards; labels are placed in this order.
 
     Returns:
         Name -> "top center" and the like, as plotly names the sides; None if there is no room.
@@ -102,7 +102,7 @@ def label_sides(points: Mapping[str, tuple[float, float]]) -> dict[str, str | No
 
 
 def _boxes(name: str, x: float, y: float) -> dict[str, Box]:
-    """Return side -> the rectangle that the name would take there, the preferred sides first."""
+    """Return side -> the rectangle that the label would cover there, the preferred sides first."""
     wide, near, far = CHARACTER_PX * len(name), MARKER_PX + 1.0, MARKER_PX + 1.0 + LINE_PX
     left, right = (x - near - wide, x - near), (x + near, x + near + wide)
     centre, middle = (x - wide / 2, x + wide / 2), (y - LINE_PX / 2, y + LINE_PX / 2)

@@ -50,8 +50,8 @@ def latency_ecdf(samples: Samples) -> go.Figure:
 def box_plots(groups: Mapping[str, Samples], value_label: str) -> go.Figure:
     """Draw box plots of controller -> task -> samples on a log axis, grouped by task, one colour per controller.
 
-    Boxes are quartiles with the median. Whiskers reach the outermost sample within 1.5 box lengths, in logarithms
-    (Tukey). Samples beyond are points, at most 40 per box, including the smallest and the largest. NaN is left out.
+    A box spans the quartiles and shows the median. Whiskers reach the outermost sample within 1.5 box lengths, in
+    logarithms (Tukey). At most 40 samples beyond are points, the smallest and the largest included. NaN is left out.
 
     Raises:
         ReportError: a sample is infinite, or not positive.
@@ -65,7 +65,7 @@ def box_plots(groups: Mapping[str, Samples], value_label: str) -> go.Figure:
         lower, q1, median, q3, upper, beyond = zip(*boxes.values(), strict=True) if boxes else [()] * 6
         drawn.add_box(
             x=[label(task) for task in boxes], lowerfence=lower, q1=q1, median=median, q3=q3, upperfence=upper,
-            # plotly draws no box for a name whose first list of outliers is empty; the box hides the median in it.
+            # Plotly draws no box for a name whose first list is empty, so the median is put there, behind the box.
             y=[points or [middle] for points, middle in zip(beyond, median, strict=True)],
             boxpoints="outliers", name=label(name), offsetgroup=name,
             fillcolor=f"{styles[name].color}48",  # opacity 0.28; dark pages replace the first 7 characters

@@ -24,12 +24,12 @@ class Missing:
 
 @dataclass(frozen=True)
 class Mark:
-    """A verdict: a symbol and a word beside the colour, for readers who do not see colours.
+    """A verdict: a colour with a symbol and a word, for readers who cannot tell the colours apart.
 
     Attributes:
         symbol: one character.
         word: the text.
-        tone: its colour: "best", "good", "fair", "bad" or "other".
+        tone: name of the colour: "best", "good", "fair", "bad" or "other".
         rank: key for sorting, lowest for the best verdict.
     """
 

@@ -42,14 +42,14 @@ def time_series(
 
     Args:
         runs: name -> `Trace`, or columns of a run, (N,) or (N, k), including `t_s`. A run is absent from the panels
-            of columns that it lacks. Vectors are drawn by their length.
-        panels: columns, from top to bottom. None: those of ``PANELS``, but with the errors of ``TIPS`` that every run
-            has in place of the absolute tip error, which is mostly the error of the arm's calibration.
+            of columns that it lacks. Vectors are drawn by their norm.
+        panels: columns, from top to bottom. None: those of ``PANELS``, but the absolute tip error, which is mostly
+            calibration error, is replaced by the errors of ``TIPS`` that every run has, if there are any.
         styles: the style of each run; None: new styles.
 
     Raises:
-        ReportError: ``panels`` is empty, no list of names, or names a column that no run has or that holds texts; a
-            run has no `t_s`.
+        ReportError: ``panels`` is empty or no list of names; one of its columns is in no run or holds texts; a run has
+            no `t_s`.
     """
     styles = styles or Styles(runs)
     data: dict[str, Columns] = {name: getattr(run, "columns", run) for name, run in runs.items()}

@@ -52,7 +52,7 @@ class Styles(dict[str, Style]):
     """Name -> style. If all figures of a page are given the same Styles, a name looks the same in all of them."""
 
     def __init__(self, names: Iterable[str]) -> None:
-        """Assign colours in the order of `names`; once they are used up, they repeat with another dash and symbol."""
+        """Assign colours in the order of `names`; once all are used, they repeat with another dash and symbol."""
         colors = list(SERIES)
         for place, name in enumerate(dict.fromkeys(names)):
             dash = DASHES[place // len(colors) % len(DASHES)]

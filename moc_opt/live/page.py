@@ -42,7 +42,7 @@ FIELDS = ("regularization", "K_X", "K_N", "K_N2", "D_N2", "k0_per_s")  # setting
 
 
 class LivePage:
-    """A run, its clock and its page on loopback, at the port or the next free one. Leaving the context stops them.
+    """A run, its clock and its page on loopback, at ``port`` or the next free port. Leaving the context stops them all.
 
     Only clients with the token in ``url`` see the page and can give orders. A LiveError says that viser is missing or
     the port number is invalid, a MocOptError that the scenario is not usable.
@@ -117,7 +117,7 @@ def _refuse_without(token: str, server: Any) -> None:
                 while True:  # discard messages that came before the close: viser would obey them
                     await connection.recv()
 
-    sockets.disconnect_all_clients()  # clients from before the hook
+    sockets.disconnect_all_clients()  # those that connected before the hook was set
 
 
 class Panel:
@@ -159,7 +159,7 @@ class Panel:
                     field.value = self._written(name)
 
     def _choose(self) -> None:
-        if self._solver.value != self._run.solver:  # if equal, `_tell` has set it, not a user
+        if self._solver.value != self._run.solver:  # if equal, `_tell` set the drop-down, not a user
             self._run.choose(self._solver.value)
 
     def _move_trocar(self) -> None:
@@ -174,7 +174,7 @@ class Panel:
     def _apply(self) -> None:
         values: dict[str, Any] = {}  # all changes are applied at once, or none
         for name, field in self._fields.items():
-            if field.value.strip() != self._written(name):  # an unchanged field keeps digits that are not shown
+            if field.value.strip() != self._written(name):  # an unchanged setting keeps digits that are not shown
                 try:
                     first, *others = map(float, field.value.replace(",", ".").split())
                 except ValueError as error:

@@ -16,9 +16,9 @@ from moc_opt.tasks.trocar import shaft_distance
 DCAC = "none (DCAC)"
 QUANTITIES = ("t_s", "mu", "tip_error_m", "rcm_error_m", "force_N", "solve_us", "tick_us")
 HISTORY_S = 20.0
-BLEND_S = 0.1  # time constant of the blend of torques in an exchange, and least time between two exchanges
+BLEND_S = 0.1  # time constant of the blend of torques after an exchange, and least time between two exchanges
 RAMP_S = 0.3  # fade-in of a new third level, whose torque is so large at first that blending alone does not suffice
-SLOWLY_M_PER_S, MOST_OFFSET_M = 0.02, 0.05  # of the trocar: if it jumped, it would hit the shaft
+SLOWLY_M_PER_S, MOST_OFFSET_M = 0.02, 0.05  # speed and reach of the trocar: a jump would hit the shaft
 
 
 class LiveError(ScenarioError):
@@ -29,7 +29,7 @@ class ExchangeableController:
     """A ``sim.protocols.TorqueController`` that passes calls to the controller in use, which can be exchanged.
 
     The controller in ``next`` takes over at the next tick, but not within BLEND_S of the previous exchange: exchanges
-    at every tick would hold the torque constant. If it cannot start, it is dropped, and ``messages`` gets the error.
+    at every tick would hold the torque constant. If the new one cannot start, ``messages`` gets its error.
     After an exchange tau = tau_new + offset: offset is tau_old - tau_new at first and decays by exp(-t / BLEND_S).
     """
 
@@ -47,7 +47,7 @@ class ExchangeableController:
         self.used.start(q, v, tip_ref, trocar)
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """Return the torque (n,) [Nm] of the controller in use, after an exchange blended from the last torque."""
+        """Return the torque (n,) [Nm] of the controller in use; after an exchange it fades in from the old one."""
         self._wait -= 1
         tau, new = None, self.next
         if self._wait <= 0 and new is not None:
@@ -83,7 +83,7 @@ class LiveRun:
     """The closed loop of a scenario, along its path to and fro for ever; a MocOptError if the scenario is not usable.
 
     Call it from one thread only. A wrong change raises at once; errors that only the running loop can detect are put
-    into `messages`, oldest first (take them out with `popleft`). ``t_s`` is the time of the last tick; ``stopped`` says
+    into `messages`, oldest first (take them out with `popleft`). ``t_s`` is the latest tick's time; ``stopped`` says
     why the arm was stopped, and is empty while it runs.
     """
 
@@ -101,7 +101,7 @@ class LiveRun:
     state = property(lambda self: self._in_use.state, doc="The model's state at the last tick.")
     used = property(lambda self: self._in_use.used, doc="The controller in use.")
     trocar = property(lambda self: self._now[0][0], doc="Place of the true trocar (3,) [m] in the next tick.")
-    # The controller that was ordered last: the waiting controller if there is one, else the controller in use.
+    # The most recently requested controller: the waiting controller if there is one, else the controller in use.
     _chosen = property(lambda self: self._in_use.next or self._in_use.used)
     control = property(lambda self: self._chosen.settings, doc="The settings of the control law.")
     solver = property(lambda self: solver_of(self._chosen), doc="The solver, or `DCAC`.")
@@ -149,7 +149,7 @@ class LiveRun:
         """Return `QUANTITIES` over the last `HISTORY_S` (k, 7): maxima over k <= `points` stretches of ticks."""
         rows = np.array(self._rows).reshape(-1, len(QUANTITIES))
         size = max(1, -(-len(rows) // points))
-        stretches = rows[len(rows) % size :].reshape(-1, size, len(QUANTITIES))  # without the oldest incomplete stretch
+        stretches = rows[len(rows) % size :].reshape(-1, size, len(QUANTITIES))  # drops the incomplete oldest stretch
         return np.fmax.reduce(stretches, axis=1)
 
     def reset(self) -> None:

@@ -1,4 +1,4 @@
-"""A clock for control periods in real time, and the scheduling that a process requests from the system for it."""
+"""A clock for control periods in real time, and the real-time scheduling that a process requests from the system."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PRIORITY = 50  #: In SCHED_FIFO: above ordinary processes, below the threads in 
 class WallClock:
     """Periods that begin at fixed times; a tick that begins more than a period late delays all later ticks by as much.
 
-    ``late_us`` is the lateness of the last tick's begin [us]; ``overruns`` counts such delays.
+    ``late_us`` says how late the latest tick began [us]; ``overruns`` counts the ticks that delayed all later ones.
     """
 
     def __init__(self, period_s: float) -> None:

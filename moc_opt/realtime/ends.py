@@ -32,15 +32,15 @@ _LINGER_S = 0.3  # time for which the controller still acknowledges repeated END
 
 
 class RemoteController(Filtered):
-    """The plant's end: it sends each measurement, and returns the commanded torque, or the watchdog's if none comes.
+    """The plant's end: it sends measurements and returns the commanded torques, or the watchdog's if no command comes.
 
-    `sim.loop.simulate` runs it, with ``pace`` as its ``watch``; ``close`` it afterwards.
+    `sim.loop.simulate` runs it, with ``pace`` as the argument ``watch``. Call ``close`` afterwards.
 
     Args:
         safety_filter: the plant's own filter; the watchdog takes gravity torque and brakes from it.
-        columns: number of ticks -> the columns of the controller at the other end.
+        columns: function that makes, for a number of ticks, the columns of the controller at the other end.
         applied, tau_max: (n,) torque before the first tick, and largest torque that a command may have [Nm].
-        clock: None means lock-step: the plant waits for each command, and sends the measurement again if none comes.
+        clock: None means lock-step: the plant waits for each command, and repeats the measurement if none comes.
     """
 
     stop_reason = ""
@@ -60,7 +60,7 @@ class RemoteController(Filtered):
     warnings = property(lambda self: [])  # warnings arise in the safety filter at the other end
 
     def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
-        """Wait for a controller, send it the first measurement, and wait until it has started; else a WireError."""
+        """Wait for a controller, send it the first measurement, and wait for its START; else a WireError."""
         link, packet, self._sound = self.link, self._packet, seen
         self._fill(seen, wire.WAITING)
 
@@ -128,7 +128,7 @@ class RemoteController(Filtered):
         }  # fmt: skip
 
     def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Write the last tick's values into a row, with the third level's values only if the command has them."""
+        """Write the latest tick's values into a row, with the third level's values only if the command has them."""
         command, columns["missed"][row] = self._command, self._missed
         if self.clock is not None:
             columns["wake_us"][row] = self.clock.late_us
@@ -161,7 +161,7 @@ class RemoteController(Filtered):
 
     def _exchange(self, seen: Measurement) -> Packet | None:
         self._fill(seen, wire.RUNNING)
-        # Send only once per tick after a tick without an answer: if the controller has died, the run ends in seconds.
+        # After a tick without an answer, send only once per tick, so that the run ends soon if the controller died.
         for _ in range(1 if self.clock is not None or self._silent else 1 + self._settings.resends):
             self.link.send(self._packet)
             until = monotonic() + self._settings.resend_s if self.clock is None else self._until
@@ -203,7 +203,7 @@ class Answering:
         """Find the plant, start at its first measurement, and answer until the run ends.
 
         Return how the run ``ended``, the number of ``ticks`` answered, the counts of the plant's packets (``quality``),
-        the safety filter's ``warnings`` and the third level's ``faults``. WireError: no plant, or another scenario.
+        the safety filter's ``warnings`` and the third level's ``faults``. A WireError: no plant, or another scenario.
         """
         link = self.link
         first = self._ask(Kind.HELLO, waits=True)
@@ -231,7 +231,7 @@ class Answering:
         return make_packet(kind, self.link.n, self.link.session, self.scenario)
 
     def _ask(self, kind: Kind, *, waits: bool) -> Packet:
-        """Repeat a packet until a measurement comes that has the flag WAITING (if ``waits``) or not (else)."""
+        """Repeat a packet until a measurement comes with the flag WAITING (if ``waits``) or with another (if not)."""
         link, request, until = self.link, self._packet(kind), monotonic() + self.settings.wait_s
         while (now := monotonic()) < until:
             link.send(request)

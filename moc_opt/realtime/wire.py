@@ -1,8 +1,8 @@
 """The wire: its packets for Python and for C, its settings, address and key, and a socket that drops invalid packets.
 
-A packet has a fixed size and little-endian numbers. It ends with the keyed BLAKE2s checksum (RFC 7693) of all bytes
-before. Every layout is a numpy dtype; docs/realtime.md has them as tables. Without a key, any process of this machine
-can take part, but no other machine. Nothing is encrypted.
+A packet has a fixed size and little-endian numbers. It ends with the keyed BLAKE2s checksum (RFC 7693) of all preceding
+bytes. Every layout is a numpy dtype; docs/realtime.md has the layouts as tables. Without a key, any process of this
+machine can take part, but no other machine. Nothing is encrypted.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ LOOPBACK_KEY = b"moc_opt: loopback, no secret"
 VARIABLE = "MOC_OPT_WIRE_KEY"
 SHORTEST, LONGEST = 16, 32  #: Bytes of a key; BLAKE2s takes no longer keys.
 TAG_BYTES = 16
-BACKLOG = 256  #: Packets that are read even after the deadline; the limit keeps a flood from stopping the clock.
+BACKLOG = 256  #: Most packets that are read after the deadline, so that a flood of packets cannot stop the clock.
 COUNTERS = ("received", "missed", "late", "forged", "foreign")
 """The counters of each end; docs/realtime.md explains them."""
 
@@ -76,10 +76,10 @@ class Kind(IntEnum):
     BYE = 5  #: The end of the run is acknowledged.
 
 
-WAITING, RUNNING, ENDED = 0, 1, 2  #: ``flags`` of a measurement: the run has not begun, expects a command, has ended.
+WAITING, RUNNING, ENDED = 0, 1, 2  #: ``flags`` of a measurement: before the run; in it, expecting a command; after it.
 STOP, REPORTED = 1, 2  #: Bits in ``flags`` of a command: the arm is to brake; the third level's results are included.
 
-# Every field lies at a multiple of its size, so that a C struct of the same fields has the same bytes.
+# Every field's offset is a multiple of its size, so that a C struct of the same fields has the same bytes.
 HEADER: list[tuple[Any, ...]] = [
     ("magic", "S4"), ("version", "u1"), ("kind", "u1"), ("joints", "u1"), ("flags", "u1"), ("session", "<u8"),
     ("scenario", "<u8"), ("sequence", "<i8"),
@@ -88,7 +88,7 @@ HEADER: list[tuple[Any, ...]] = [
 
 @cache
 def layout(kind: Kind, n: int) -> np.dtype[Any]:
-    """Return the bytes of a packet for n joints."""
+    """Return the byte layout of a packet for n joints."""
     bodies: dict[Kind, list[tuple[Any, ...]]] = {
         Kind.MEASUREMENT: [
             ("stamp", "<i8"), ("q", "<f8", (n,)), ("v", "<f8", (n,)), ("wrench", "<f8", (6,)),
@@ -190,7 +190,7 @@ def read_key(file: Path | None, host: str, option: str) -> bytes:
             f"{option} {host}: other machines reach that address, and whoever can send to it moves the arm: give both "
             f"ends the same key by --key-file or {VARIABLE}, or take 127.0.0.1"
         )
-    key = (text if file is None else text.strip()).encode(errors="surrogateescape")  # `moc_udp` does not strip either
+    key = (text if file is None else text.strip()).encode(errors="surrogateescape")  # `moc_udp` strips none
     if not SHORTEST <= len(key) <= LONGEST:
         raise WireError(
             f"{VARIABLE if file is None else f'--key-file {str(file)!r}'}: a key of {len(key)} bytes: give one line of "
@@ -203,7 +203,7 @@ class Link:
     """A socket that sends and receives sealed packets; a WireError if the address to listen at cannot be bound.
 
     It listens at ``address`` and sends to ``peer``. Until they are known, ``peer`` is None and ``session`` is 0.
-    ``quality`` has a count for each of ``COUNTERS``; ``sender`` is the address of the last sound packet.
+    ``quality`` has a count for each of ``COUNTERS``; ``sender`` is the address of the latest valid packet.
     """
 
     def __init__(
@@ -229,7 +229,7 @@ class Link:
         return ", ".join(f"{name} {count}" for name, count in self.quality.items() if count) or "nothing came"
 
     def send(self, packet: Packet, to: Address | None = None) -> None:
-        """Seal a packet and send it. If the system does not take it, it is lost, as any UDP packet may be."""
+        """Seal a packet and send it. A packet that the system does not take is lost, as any UDP packet may be."""
         try:
             self._socket.sendto(seal(packet, self._key), to or self.peer)  # type: ignore[arg-type]
         except (BlockingIOError, ConnectionError):
@@ -238,7 +238,7 @@ class Link:
             raise WireError(f"nothing can be sent to {written(to or self.peer)}: {describe(error)}") from error
 
     def receive(self, until: float, wanted: Callable[[Packet], bool] = lambda packet: True) -> Packet | None:
-        """Return the next sound packet for which ``wanted`` is true, or None at ``until`` (of ``time.monotonic``) [s].
+        """Return the next valid packet for which ``wanted`` is true, or None at ``until`` (`time.monotonic`) [s].
 
         Packets that have already arrived are read even after ``until``, up to `BACKLOG` of them.
         """

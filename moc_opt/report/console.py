@@ -30,7 +30,7 @@ class _Console(Console):
 
 
 def console(*, stderr: bool = False, file: IO[str] | None = None) -> Console:
-    """Make a console. If its output is no terminal it writes plain text, 80 columns wide (or as wide as COLUMNS says).
+    """Make a console. To anything but a terminal it writes plain text, 80 columns wide (or as COLUMNS says).
 
     Results belong on stdout, messages on stderr.
     """

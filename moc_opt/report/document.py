@@ -16,7 +16,7 @@ from moc_opt.figures.notation import pretty_unit, printable
 from moc_opt.inputs.files import check_replaceable, write_whole
 from moc_opt.report.tables import heading_lines
 
-GENERATOR = b'<meta name="generator" content="moc_opt">'  # marks a page as ours, in its first lines
+GENERATOR = b'<meta name="generator" content="moc_opt">'  # in a page's first lines: moc_opt wrote it
 
 
 def render(template: str, **values: Any) -> str:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Page as BrowserPage
 
 WIDTH_PX = 680
-"""Width of a figure that sets none: 180 mm, two columns of a journal. Type of 12 px is then printed as 9 pt."""
+"""Width of a figure that sets none: 180 mm, two columns of a journal. Text of 12 px is then printed as 9 pt."""
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "microsoft-edge")
 CURE = (
     "install a browser (Debian, Ubuntu: apt-get install chromium; anywhere: python -m playwright install chromium), "
@@ -36,7 +36,7 @@ def save_figures(
 ) -> list[Path]:  # fmt: skip
     """Write each figure as DIRECTORY/NAME.FORMAT, as vectors in the colours of a light page; return the files.
 
-    A ReportError: a name is no file name, or a file cannot be written. A BrowserError: see `browser`.
+    Raise what `browser` raises, and a ReportError if a name is no file name or a file cannot be written.
     """
     for name in figures:
         if name != Path(name).name:
@@ -57,7 +57,7 @@ def save_figures(
 def browser() -> Iterator[Browser]:
     """Start a headless Chromium (the program in MOC_OPT_BROWSER, else an installed one); close it at the end.
 
-    A BrowserMissingError: playwright or the browser is missing. A BrowserError: the browser fails or is no program.
+    Raise a BrowserMissingError if playwright or a browser is missing, and a BrowserError if the browser fails.
     """
     try:
         from playwright.sync_api import Error, sync_playwright

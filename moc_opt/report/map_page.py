@@ -1,4 +1,4 @@
-"""The manipulability map as a figure, as a part of a page with a table of the runs on it, and as a page."""
+"""The manipulability map as a figure, as a part of a page (with a table of its runs), and as a page of its own."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ COLUMNS = (
 
 
 def add_map(page: Page, found: SwivelMap, *, styles: Styles | None = None) -> None:
-    """Append figure and table of one map; raise the errors of `map_figure`."""
+    """Append figure and table of one map; raise what `map_figure` raises."""
     drawn = map_figure(found, styles)
     if found.held:
         page.text(
@@ -114,8 +114,8 @@ def load_map(files: Sequence[str | os.PathLike[str]]) -> Page:
 def map_figure(found: SwivelMap, styles: Styles | None = None) -> go.Figure:
     """Draw mu as colour over time and swivel, grey where no pose is allowed, and a line for every run.
 
-    A run on another branch of the inverse kinematics than the map is dotted: the colours under it are not its mu. A
-    ReportError says that no pose of the map is allowed.
+    The line of a run on another branch of the inverse kinematics than the map is dotted, since the colours under the
+    line are not the run's mu. Raise a ReportError if no pose of the map is allowed.
     """
     styles, allowed = styles or Styles(found.trajectories), found.limit == FEASIBLE
     if not allowed.any():
@@ -128,8 +128,8 @@ def map_figure(found: SwivelMap, styles: Styles | None = None) -> go.Figure:
         dash = "dot" if run.gap_rad > OTHER_BRANCH_RAD else styles[name].dash
         line = {"color": styles[name].color, "width": 2.4, "dash": dash}
         drawn.add_scatter(**_edged(drawn, name, run.t_s, run.swivel_rad, run.mu), name=label(name), line=line)
-    # The best line is drawn last, since runs at the optimum lie on it. The map stays light on dark pages, but the
-    # legend does not: the sample there has the colour of the text.
+    # The line of the best poses is drawn on top, since runs at the optimum coincide with it. The map stays light on
+    # dark pages, but the legend turns dark, so the line's sample in the legend has the colour of the text.
     dotted = {"width": 2.0, "dash": "dot"}
     drawn.add_scatter(**best, name="best", showlegend=False, line={"color": BEST, **dotted})
     drawn.add_scatter(x=[None], y=[None], mode="lines", legendgroup="best", name="best", line={"color": INK, **dotted})
@@ -151,7 +151,7 @@ def map_figure(found: SwivelMap, styles: Styles | None = None) -> go.Figure:
 
 
 def _colors(drawn: go.Figure, found: SwivelMap, allowed: NDArray[np.bool_]) -> None:
-    """Draw mu as colour, and grey over forbidden poses, which are coloured too to allow smoothing up to their edge."""
+    """Draw mu as colour, then grey over forbidden poses. Colours extend below the grey, to be smooth at its edge."""
     mu, degrees = np.where(found.limit == UNREACHABLE, np.nan, found.mu), np.degrees(found.swivel_rad)
     low, high = float(mu[allowed].min()), float(mu[allowed].max())
     drawn.add_heatmap(
@@ -173,7 +173,7 @@ def _colors(drawn: go.Figure, found: SwivelMap, allowed: NDArray[np.bool_]) -> N
 
 
 def _edged(drawn: go.Figure, group: str, t: Array, swivel_rad: Array, mu: Array) -> dict[str, Any]:
-    """Draw the white edge of a line, and return the line for plotly, with a gap wherever it leaps."""
+    """Draw a line's white edge, and return plotly's arguments of the line; both have a gap where the swivel leaps."""
     leaps = np.flatnonzero(np.abs(np.diff(swivel_rad)) > np.radians(LEAP_DEG)) + 1
     x, y, values = (np.insert(of, leaps, np.nan) for of in (t, np.degrees(swivel_rad), mu))
     line = {"x": x, "y": y, "mode": "lines", "connectgaps": False, "legendgroup": group}

@@ -55,12 +55,12 @@ class Page:
         self._add(_PARTS.headline(text))
 
     def section(self, title: str) -> None:
-        """Begin a section. A page without `fold` lists its sections at the top; after `fold` they are folded."""
+        """Begin a section, folded if `fold` was called. A page without `fold` lists its sections at the top."""
         name = _unlike(title, [section.name for section in self._sections])
         self._sections.append(_Section(name, title, self._folding))
 
     def fold(self) -> None:
-        """Fold every section from here on, and put a search field for the rows of their tables above them."""
+        """Fold all later sections, and put a search field for the rows of their tables above them."""
         self._folding = True
         self._sections.append(_Section(parts=[_PARTS.finder()]))
 

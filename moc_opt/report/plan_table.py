@@ -31,7 +31,7 @@ COURSES_TERMS = (
 
 
 def plan_json(plan: Plan) -> dict[str, Any]:
-    """Return the figures of a plan, nested as the tables are."""
+    """Return the figures of a plan as data for JSON."""
     stuck = plan.blocked
     return {
         "executable": plan.executable, "bound_from_start": plan.bound_from_start, "bound": plan.bound,

@@ -30,14 +30,14 @@ from moc_opt.trace.trace import Trace, table
 MOST_RUNS = 4
 FRAMES_PER_S = 30.0
 FRAMES_IN_ALL = 9000
-"""Most frames of all runs together. A longer replay has fewer per second; the page interpolates between frames."""
+"""Largest sum of all runs' frames. A longer replay has fewer frames per second; the page interpolates."""
 PATH_POINTS = 1500
 SERIES_POINTS = 900
 
 BASE = -1
 SHORTEST_M = 1e-3
 ACROSS = 0.7
-"""Cosine of the angle between a joint's axis and its link: below it the joint is drawn as an elbow, above as a ring."""
+"""|Cosine| of the angle between axis and link of a joint, below which it is drawn as an elbow, and above as a ring."""
 
 
 class Replay:
@@ -127,7 +127,7 @@ def _run_data(trace: Trace, robot: RobotModel, times: Array, color: str) -> dict
 
 
 def _panel(trace: Trace, column: str, ticks: NDArray[np.intp]) -> dict[str, Array] | None:
-    """Return one run's curve and values per frame of a quantity (mu with its bound); None if the run lacks it."""
+    """Return a column's curve and its values at the frames, for mu also the bound; None if the run lacks the column."""
     if column not in trace.columns:
         return None
     values = trace.columns[column].astype(np.float64)
@@ -149,9 +149,9 @@ def _rounded(value: Any) -> Any:
 
 
 def velocity_ellipsoids(jacobians: Array) -> Array:
-    """Return S = (J J^T)^(1/2) (k, 3, 3) of J_T (k, 3, n): it maps the unit sphere to the ellipsoid of tip velocities.
+    """Return S = (J J^T)^(1/2) (k, 3, 3) of J (k, 3, n). S maps the unit sphere to the ellipsoid of tip velocities.
 
-    Its determinant is mu (Yoshikawa 1985). Unlike eigenvectors, it can be interpolated between two frames.
+    The determinant of S is mu (Yoshikawa 1985). Unlike eigenvectors, S can be interpolated between two frames.
     """
     axes, lengths, _ = np.linalg.svd(jacobians, full_matrices=False)
     roots: Array = (axes * lengths[:, None, :]) @ np.swapaxes(axes, 1, 2)

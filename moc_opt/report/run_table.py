@@ -13,7 +13,7 @@ from moc_opt.trace.trace import Trace, about, table
 
 WHOLE_RUN = ("completed", "share_of_run")
 METHOD = "mu_bound_method"  #: Entry of a trace's meta: how the largest mu was found.
-NEAR = 0.02  #: A mean or final mu that is at most this fraction below the best course's counts as reaching it.
+NEAR = 0.02  #: A mean or final mu counts as best if it is at most this fraction below the best course's mu.
 
 MATTER = (
     "mu_mean", "mu_gain_percent", "mu_fraction_of_best_from_start", "tip_error_model_mean_mm",
@@ -67,7 +67,7 @@ def replaced(trace: Trace) -> str:
 
 
 def below_best(trace: Trace) -> str:
-    """Return a sentence on a run whose mean mu stays below the best course from its start: by how much, and why."""
+    """Return a sentence if mean mu is below that of the best course from the run's start: by how much, and why."""
     found = table(trace.meta, "best_courses")
     if absent := found.get("absent"):
         return f"there is no best course from this start to compare with: {absent}"
@@ -127,7 +127,7 @@ def run_tables(
 
     If any run broke off, each run has a table of its own, since figures of a part cannot be compared with those of a
     whole run. The title of a broken-off run says which part it shows, and each of its figures is marked. ``first``
-    gives only the metrics of `MATTER`, with `facts` in the title. Both ``first`` and ``explained`` add meanings.
+    gives only the metrics of `MATTER`, with `facts` in the title. ``first`` and ``explained`` add a column of meanings.
     """
     if len(metrics) > 1 and any(part(traces[name]) for name in metrics):
         alone = ({name: values} for name, values in metrics.items())
@@ -156,7 +156,7 @@ def _entries(trace: Trace, metrics: Mapping[str, float], first: bool) -> dict[st
         if first and metric not in MATTER:
             continue
         marked = f"{metric} (part)" if of and metric not in WHOLE_RUN else metric
-        # Each value has a notation of its own, since they range from millimetres to rounding errors.
+        # Each value has a notation of its own, since values range from millimetres to rounding errors.
         shown = missing(value) or Notation.of([value], digits=4)(value)
         shown = Missing(ANOTHER_PROBLEM) if other and metric in VERDICTS else shown
         entries[marked] = shown, "" if metric not in METRICS else _with_unit(METRICS[metric])

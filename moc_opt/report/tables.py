@@ -34,12 +34,12 @@ class Column:
     key: str  #: key of the value in a row
     title: str
     unit: str = ""  #: "us", "mm"; shown below the title
-    format: str = ""  #: a format specification (".2f", "+.1f", "d") in place of three significant digits
-    better: Literal["low", "high"] | None = None  #: the better end: sorted first, emphasised unless most rows share it
+    format: str = ""  #: a format specification (".2f", "+.1f", "d") instead of three significant digits
+    better: Literal["low", "high"] | None = None  #: these values sort first; the best is emphasised if few share it
     help: str = ""  #: one sentence on the column's meaning, folded below the table
     among: str = ""  #: key of a flag: only rows that have it set compete for the emphasis; "" lets all compete
     section: str = ""  #: title of the section on the same page to which the values link
-    sections: str = ""  #: key under which a row has a section title of its own, in place of `section`
+    sections: str = ""  #: key under which a row may have another section's title, instead of `section`
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Cell:
 class Table:
     """Rows of results under typed columns, the first of which names the row.
 
-    A row is key -> text, flag, number, None, `Missing(reason)` or `Mark`. Absent keys are missing, extra keys ignored.
+    A row is key -> text, flag, number, None, `Missing(reason)` or `Mark`. Absent keys count as None.
     """
 
     title: str

@@ -1,8 +1,8 @@
-"""Studies: independent trials, each run by a function in another process, become rows, a table, a page and a verdict.
+"""Studies: independent trials run in other processes, and their results become rows, a table, a page and a verdict.
 
 Read in this order: ``trials`` (a scenario and a controller become a row), ``engine`` (jobs in other processes:
-time limits, crashes), ``kept`` (finished jobs stay), ``results`` (the table of rows), ``statistics`` (means and
-changes with their intervals), ``show`` (what a reader sees), ``command`` (options and files), ``timing`` (the clock
+time limits, crashes), ``kept`` (finished jobs on disk), ``results`` (the table of rows), ``statistics`` (means and
+changes with their intervals), ``show`` (the report), ``command`` (options and files), ``timing`` (the clock
 and the machine's load). ``compare`` is the study behind ``mo.compare``, and ``solvers`` is the study behind
 ``moc-opt solvers``. docs/extending.md shows a study of 20 lines.
 """

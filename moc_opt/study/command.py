@@ -61,7 +61,7 @@ class StudyConfig(Settings):
             raise
 
     def quick(self) -> Self:
-        """Return the same study on less data: for a first look and for the tests."""
+        """Return the same study on less data, for a first look and for the tests."""
         return self
 
 
@@ -76,7 +76,7 @@ class Found:
     summary: Mapping[str, Any]
     rows: Results = field(default_factory=Results)
     environment: Mapping[str, Any] = field(default_factory=dict)  #: further entries of environment.json
-    files: Sequence[str] = ()  #: names of files that the study wrote into the same folder by itself
+    files: Sequence[str] = ()  #: names of further files, which the study itself wrote into the same folder
     sentences: Sequence[str] = ()  #: printed below the report
     status: int = 0  #: exit status
 
@@ -92,14 +92,14 @@ class Study:
 
     @cached_property
     def kept(self) -> Kept:
-        """The finished jobs, including those of earlier runs."""
+        """The store of finished jobs, including those of earlier runs."""
         return Kept(self.out / "jobs")
 
     def run(
         self, jobs: Sequence[Job], what: str = "jobs", *, done: Callable[[Job, Any], None] = lambda job, result: None,
         **options: Any,
     ) -> list[Any]:  # fmt: skip
-        """Do jobs as `moc_opt.study.run` does, with a progress line; finished jobs are kept."""
+        """Run jobs by `moc_opt.study.run`, with a progress bar; their results are stored in the folder jobs/."""
         with Bar(f"{self.name}: {what}", len(jobs)) as bar:
 
             def note(job: Job, result: Any) -> None:
@@ -118,7 +118,7 @@ class Study:
         return [outcome(one, result) for one, result in zip(asked, results, strict=True)]
 
     def placed(self, cases: Sequence[Scenario]) -> tuple[list[Scenario], list[dict[str, Any]]]:
-        """Search for a start of each trial; return the trials placed there, and a row for each trial without one."""
+        """Search for each trial's start pose; return the trials with poses, and a row for each trial that has none."""
         found = self.run([Job(placed, (case,)) for case in cases], "starts")
         lost = [
             {**Trial(case, "").failed(str(start)).row, "ended": "no start"}
@@ -165,7 +165,7 @@ def command(
 
 
 def check_folder(out: Path) -> None:
-    """Raise a StudyError if a file in the folder has a name of `FILES` and was not written by a study."""
+    """Raise a StudyError if the folder has a file that is named as in `FILES` but that no study wrote."""
     there = [name for name in FILES if (out / name).exists()]
     if there and not (there[0] == FILES[0] and b'"study":' in (out / FILES[0]).read_bytes()):
         raise StudyError(f"{out} has {', '.join(there)} that no study has written: give another folder as --out")
@@ -207,7 +207,7 @@ def environment(config: Mapping[str, Any], seed: int, argv: Sequence[str] = ()) 
             "python": platform.python_version(), "load_1min": os.getloadavg()[0],
         },
         "threads": os.environ.get("OMP_NUM_THREADS"),
-        "openblas_coretype": os.environ.get("OPENBLAS_CORETYPE"),  # another kernel rounds differently
+        "openblas_coretype": os.environ.get("OPENBLAS_CORETYPE"),  # each kernel rounds differently
         "versions": versions(), "commit": _commit(), "seed": seed, "arguments": list(argv), "config": dict(config),
     }  # fmt: skip
 

@@ -77,7 +77,7 @@ class Comparison:
         )
 
     def summary(self) -> dict[str, dict[str, Any]]:
-        """Return solver -> its figures as in a study's summary.json, and the claims and times of its answers."""
+        """Return solver -> its figures (named as in a study's summary.json), with verdicts on its answers and times."""
         return {
             name: self._results.figures(name, METRICS_SHOWN, METRICS_SHOWN) | self._answers(name)
             for name in self.solvers
@@ -98,7 +98,7 @@ class Comparison:
 
     @property
     def table(self) -> Table:
-        """One row per solver: trials, claims and verified answers, times, and the effect on the arm."""
+        """One row per solver: trials, verified and silently wrong answers, times, and the arm's mu and errors."""
         rows, failures = [], []
         for name, found in self.summary().items():
             trials = f"{found['whole']}" + f" of {found['trials']}" * (found["whole"] < found["trials"])
@@ -115,7 +115,7 @@ class Comparison:
         return Table(f"{title}: solvers on the same trials", known, rows, caption)
 
     def plot(self, metric: str = "mu_mean") -> Figure:
-        """Return a plotly figure of each solver's mean of a metric with its 95 % interval; refuse unknown metrics."""
+        """Return a plotly figure with each solver's mean of a metric and its 95 % interval; refuse unknown metrics."""
         if metric not in METRICS and not any(metric in row for row in self.rows):
             raise UnknownNameError("metric", metric, METRICS, "moc-opt metrics")
         means = {name: mean for name in self.solvers if (mean := self._results.mean(metric, name))}
@@ -140,7 +140,7 @@ class Comparison:
 
 
 def _cells(found: Mapping[str, Any]) -> dict[str, str | None]:
-    """Write means and changes with their intervals; where trials are too few, only the mean, and no change."""
+    """Write means and changes with their intervals; for too few trials, write the means alone."""
     cells = dict[str, str | None]()
     for name in (name for name in (*METRICS_SHOWN, *CHANGES) if name in found):
         few, sign = too_few(found["compared" if name in CHANGES else "whole"]), "+" * (name in CHANGES)
@@ -162,7 +162,7 @@ def compare(
     Args:
         solvers: names, or solver objects (of `solvers.create` or your own); a mapping gives them other names.
         scenario: the scenario of every trial, or the path of its file; None: the default one.
-        trials: how many; trial k has the seed ``seed + k``, which draws pose, swivel, mismatch and noise.
+        trials: their number; trial k has the seed ``seed + k``, which draws pose, swivel, mismatch and noise.
         seed: the seed of the first trial.
         watch: called with a few words before each run.
 
@@ -226,7 +226,7 @@ def _settings(base: Scenario, solver: str | Solver) -> Mapping[str, Any]:
 
 
 def _named(solvers: Solvers, base: Scenario) -> dict[str, str | Solver]:
-    """Return name -> solver, the baseline first. Each named solver is made once, so that errors show before any run."""
+    """Return name -> solver, the baseline first. Solvers given by name are built once, so that errors show at once."""
     if isinstance(solvers, str) or not isinstance(solvers, Mapping | Sequence):
         raise SolverError(f"solvers = {shown(solvers)}: give a list of names or solvers, such as ['exact', 'osqp']")
     named: Iterable[tuple[Any, str | Solver]] = (

@@ -32,7 +32,7 @@ from moc_opt.errors import MocOptError, StudyError, describe
 from moc_opt.study.kept import Kept, digest_of, key_of, loaded_sources
 
 CONNECT_S = 30.0
-LOOK_S, ATTEMPTS = 1.0, 3  # time between two checks of the processes [s]; attempts at a job whose pool breaks
+LOOK_S, ATTEMPTS = 1.0, 3  # time between two checks of the processes [s]; attempts at a job if its pool breaks
 BEGUN = ".pid"
 WAITS = 5.0
 PR_SET_PDEATHSIG = 1
@@ -43,13 +43,13 @@ _parts: IO[bytes] | None = None  # in a worker: the file that `report` writes to
 
 @dataclass(frozen=True)
 class Job:
-    """A function of a module, and its arguments. All of them, and the result, must pickle."""
+    """A function of a module, and its arguments. Function, arguments and result must be picklable."""
 
     work: Callable[..., Any]
     arguments: tuple[Any, ...] = ()
     limit_s: float = 600.0  #: a call that takes longer is ended with its process [s]
-    alone: bool = False  #: whether the job's times count, so that no other job runs meanwhile
-    group: str = ""  #: once `give_up` jobs of a group hung or crashed, later jobs of the group are not begun
+    alone: bool = False  #: whether the job is timed, so that no other job may run meanwhile
+    group: str = ""  #: once `give_up` (see `run`) jobs of a group hung or crashed, its later jobs are not begun
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Failed:
 
 @dataclass(frozen=True)
 class _Done:
-    """A pickled result, the project's files that its process had imported, and their digest on its machine."""
+    """A pickled result, the source files that the worker had imported, and their digest on the worker's machine."""
 
     packed: bytes
     sources: tuple[str, ...]
@@ -78,15 +78,15 @@ def run(
     done: Callable[[Job, Any], None] = lambda job, result: None, keep: Callable[[Any], bool] = lambda result: True,
     give_up: int = 1,
 ) -> list[Any]:  # fmt: skip
-    """Run all jobs, those with ``alone`` first. Return the results in the given order, `Failed` where there is none.
+    """Run all jobs, those with ``alone`` first. Return the results in the given order, `Failed` for each failed job.
 
     Args:
-        kept: store of results. A job whose result an earlier run left there is not done again. Failures are not kept.
+        kept: store of results. A job whose result is stored there is not run again. Failures are not stored.
         workers: processes on this machine; None: one for each core.
         dask: address of a Dask scheduler, such as "tcp://host:8786", whose workers do the jobs that need not run alone.
         done: called in this process with each job and its result.
-        keep: tells whether a result may be kept.
-        give_up: after this many jobs of a group hung or crashed, its later jobs are not begun or do not count.
+        keep: called with a result; returns whether the result may be stored.
+        give_up: after this many jobs of a group hung or crashed, its later jobs are not begun, or not counted.
 
     Raises:
         StudyError: ``workers`` is below 1, no worker stays alive, no scheduler answers, or results cannot be kept.
@@ -126,7 +126,7 @@ def run(
                     kept.put(keys[k], result, answer.sources)
                 finish(k, result)
     gone, answers = Counter[str](), list[Any]()
-    for k, job in enumerate(jobs):  # in the order of the jobs: answers come in any order
+    for k, job in enumerate(jobs):  # in the order of the jobs, since answers come in any order
         answers.append(_not_begun(job.group) if job.group and gone[job.group] >= give_up else results[k])
         gone[job.group] += _broke(answers[-1])
     return answers
@@ -147,7 +147,7 @@ Submit = Callable[[Job], Answer]
 def _answers(
     jobs: Sequence[Job], waiting: Sequence[int], submit: Submit, slots: int, broken: Counter[str], give_up: int
 ) -> Iterator[tuple[int, _Done | Failed]]:
-    """Yield (index, answer) as they come. Two jobs per slot are submitted at a time, so a group can be given up."""
+    """Yield (index, answer) as answers come. At most two jobs per slot are pending, so that a group can be given up."""
     left, flying = list(reversed(waiting)), dict[Answer, int]()
     gone, again = set[Answer](), Counter[int]()
     while left or flying:
@@ -159,7 +159,7 @@ def _answers(
             else:
                 flying[submit(jobs[k])] = k
         done, pending = wait(flying, timeout=LOOK_S, return_when=FIRST_COMPLETED)
-        # Pebble misses a process that dies before pebble learns that the job began, or exits with status 0.
+        # Pebble does not notice a process that exits with status 0, or that dies before it reports that its job began.
         before, gone = gone, {future for future in pending if _process_is_gone(future)}
         for future in done | (gone & before):
             k = flying.pop(future)
@@ -220,7 +220,7 @@ def _do(work: Callable[..., Any], arguments: tuple[Any, ...], parts: str | None 
     global _parts
     if parts is not None:
         Path(f"{parts}{BEGUN}").write_text(str(os.getpid()))
-        _parts = open(parts, "wb", buffering=0)  # noqa: SIM115 - it is open for as long as the job runs
+        _parts = open(parts, "wb", buffering=0)  # noqa: SIM115 - the file stays open while the job runs
     try:
         result = pickle.dumps(work(*arguments))
     except BaseException as error:  # noqa: BLE001 - foreign code may raise anything
@@ -240,7 +240,7 @@ def _do(work: Callable[..., Any], arguments: tuple[Any, ...], parts: str | None 
 
 @contextmanager
 def _processes(count: int) -> Iterator[tuple[Submit, int]]:
-    """Start ``count`` workers. Leaving the context ends them and the processes that they have started."""
+    """Start ``count`` workers. Leaving the context ends the workers and all processes that they started."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([*PRELOAD, "__main__"])
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // (count + 1)  # 1 for this process
@@ -274,7 +274,7 @@ def _processes(count: int) -> Iterator[tuple[Submit, int]]:
         def submit(job: Job) -> Answer:
             nonlocal pool
             parts = str(Path(folder, "parts", str(next(numbers))))
-            if not pool.active:  # pebble gives up a pool whose only worker dies at once
+            if not pool.active:  # pebble stops a pool whose only worker dies at its start
                 ended()
                 pool = started()
             future: Any = pool.schedule(_do, args=[job.work, job.arguments, parts], timeout=job.limit_s)
@@ -289,19 +289,19 @@ def _processes(count: int) -> Iterator[tuple[Submit, int]]:
 
 
 def _begin(folder: str, memory: int) -> None:
-    """Set up a worker: own process group, no reaction to Ctrl-C, death with its parent, a limit of its memory."""
+    """Set up a worker: own process group, Ctrl-C ignored, killed when its parent dies, memory limited."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for number in (signal.SIGALRM, signal.SIGPROF):
         signal.signal(number, signal.SIG_DFL)
     os.setpgrp()
-    with suppress(FileNotFoundError):  # the study has ended meanwhile
+    with suppress(FileNotFoundError):  # the study may have ended and removed the folder
         Path(folder, "groups", str(os.getpid())).touch()
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
 
 
 def report(part: Any) -> None:
-    """Save a part of this job's result for `Failed.parts`, should the job fail later. On a cluster it does nothing."""
+    """Save a part of this job's result for `Failed.parts`, if the job fails later. On a cluster, do nothing."""
     if _parts is not None:
         _parts.write(pickle.dumps(part))
 
@@ -309,7 +309,7 @@ def report(part: Any) -> None:
 def _reported(file: str | None) -> tuple[Any, ...]:
     parts = list[Any]()
     if file is not None and os.path.exists(file):
-        with open(file, "rb") as packed, suppress(Exception):  # the last part may be cut off, or unpickling fails
+        with open(file, "rb") as packed, suppress(Exception):  # the final part may be cut off, or may not unpickle
             while True:
                 parts.append(pickle.load(packed))
     return tuple(parts)
@@ -318,8 +318,8 @@ def _reported(file: str | None) -> tuple[Any, ...]:
 def alarm(seconds: float) -> None:
     """Let the kernel end this job's process after this many seconds, even where a library hangs; 0: never.
 
-    The seconds are processor time, so that a busy machine makes no answer late. A process that only waits is ended
-    after `WAITS` times as many seconds of wall time. A job may call this before each of its steps, to limit each step.
+    The seconds are processor time, so that a busy machine does not make an answer late. A process that only waits is
+    ended after `WAITS` times ``seconds`` of wall time. A job may call this before each of its steps, to limit the step.
     """
     signal.setitimer(signal.ITIMER_PROF, seconds)
     signal.setitimer(signal.ITIMER_REAL, WAITS * seconds)

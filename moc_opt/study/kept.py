@@ -1,7 +1,7 @@
-"""Finished jobs in a folder, so that a study that was stopped in any way continues from there.
+"""Finished jobs, stored in a folder, from which a study continues after a stop of any kind.
 
-A result is reused if its job has the same function and arguments, the packages have the same versions, and neither the
-robots' files nor the files of this project that the job's process had imported have changed.
+A result is reused if the job's function and arguments and the packages' versions are the same, and if neither the
+robots' files nor the project's files that the job's process had imported have changed.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Kept:
         """Return (result,); None where no result is kept or the code has changed since."""
         try:
             entry = self._cache.get(key)
-        except Exception as error:  # noqa: BLE001 - damaged, or pickled by other code
+        except Exception as error:  # noqa: BLE001 - the entry is damaged, or was pickled by other code
             print(f"{self.folder}: a finished job cannot be read ({error}) and is done again", file=sys.stderr)
             return None
         if not isinstance(entry, _Entry) or digest_of(entry.sources) != entry.digest:
@@ -74,7 +74,7 @@ class Kept:
 
 def key_of(work: Callable[..., Any], arguments: Iterable[Any]) -> str:
     """Return the digest of a job's function and arguments, and of the libraries' versions."""
-    code = getattr(work, "__code__", None)  # for functions of a script, whose file a cluster's worker lacks
+    code = getattr(work, "__code__", None)  # covers a script's functions: a cluster's worker lacks their file
     own = "" if code is None else _file_digest(code.co_filename)
     asked = [work.__module__, work.__qualname__, own, _plain(list(arguments)), versions()]
     return hashlib.sha256(to_json(asked, indent=None, sort_keys=True).encode()).hexdigest()
@@ -83,7 +83,7 @@ def key_of(work: Callable[..., Any], arguments: Iterable[Any]) -> str:
 def loaded_sources() -> tuple[str, ...]:
     """Return the files that this process has imported from the project, or from outside the installed packages.
 
-    The files are listed again only after a further import, since this takes 50 ms and a study has a thousand jobs.
+    The files are listed again only after a further import, since listing takes 50 ms and a study has a thousand jobs.
     """
     return _sources(tuple(sys.modules))
 

@@ -1,6 +1,6 @@
 """The results table of every study: one row per run, and a controller's means and its changes against a baseline.
 
-Means and changes are over whole runs. A change is over the trials that the controller and the baseline both completed.
+Means are taken over whole runs. A change compares the trials that both the controller and the baseline completed.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ ERRORS = (
     "tip_error_model_mean_mm", "tip_error_registered_mean_mm", "tip_error_mean_mm",
     "rcm_error_model_mean_mm", "rcm_error_registered_mean_mm", "rcm_error_mean_mm",
 )  # fmt: skip
-"""Tip and RCM errors, each by the robot's own kinematics, in the frame registered at the start, and in the base frame:
-the error that control can correct, the error for the patient, and absolute accuracy."""
+"""Tip errors and RCM errors, each by the robot's own kinematics (the error that control can correct), in the frame
+registered at the start (the error for the patient), and in the base frame (absolute accuracy)."""
 PHASES = ("settled", "travelling")
-"""Prefixes of metrics that are means over a part of a run's ticks; `PHASE_ticks` is the number of these ticks."""
+"""Prefixes of metrics that are means over a part of a run's ticks; `settled_ticks` and so on count these ticks."""
 TITLES = {
     name: f"{part}, {frame}"
     for name, (part, frame) in zip(ERRORS, product(("tip", "RCM"), ("own", "registered", "base")), strict=True)
@@ -64,7 +64,7 @@ class Results:
         self._rows += [dict(row) for row in rows]
 
     def where(self, **keys: Any) -> Results:
-        """Return the rows with these values."""
+        """Return the rows that have these values in these columns."""
         return Results(row for row in self._rows if all(row.get(name) == value for name, value in keys.items()))
 
     def shared(self) -> Results:
@@ -89,7 +89,7 @@ class Results:
             return None
 
     def pairs(self, metric: str, controller: str, baseline: str = BASELINE) -> tuple[list[float], list[float]]:
-        """Return both controllers' values on the trials that both completed, for a phase weighted with its ticks."""
+        """Return both controllers' values on the trials that both completed; for a phase, multiplied by its ticks."""
         mine, theirs = self.values(metric, controller), self.values(metric, baseline)
         both = [trial for trial in mine if trial in theirs]
         phase = next((phase for phase in PHASES if metric.startswith(f"{phase}_")), None)

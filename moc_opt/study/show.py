@@ -26,7 +26,7 @@ FORMATS = {"%": "+.1f", "mm": ".3f", "us": ".1f", "m^3": ".4f", "N": ".2f"}
 
 
 def mark(verdict: bool | str | None, text: str) -> Mark:
-    """Return the sign of a verdict ("yes", "no" or open) with ``text`` in place of its word."""
+    """Return the `Mark` of a verdict ("yes" or True, "no" or False, else open) with ``text`` as its word."""
     known = MARKS.get(verdict, OPEN)
     return Mark(known.symbol, text, known.tone, known.rank)
 
@@ -61,7 +61,7 @@ class Report:
     subtitle: str = ""
 
     def page(self, environment: Mapping[str, Any], failed: Sequence[Mapping[str, Any]] = ()) -> Page:
-        """Lay the report out as one page, with the rows that failed and environment.json at the end."""
+        """Return the report as a page, with the errors of failed runs and environment.json at the end."""
         page = Page(self.title, self.subtitle)
         for sentence in self.answer:
             page.headline(sentence)
@@ -118,7 +118,7 @@ def _markdown(table: Table) -> str:
 def columns(*metrics: str, of: str = "", **titles: str) -> list[Column]:
     """Describe metrics, or their changes ("mu_gain_percent"), as columns with the metric's unit, format and help.
 
-    A name may begin with "settled_" or "travelling_". ``titles`` are shorter headings for long names.
+    A name may begin with "settled_" or "travelling_". Values link to the section ``of``. ``titles``: shorter headings.
     """
     found = []
     for name in metrics:
@@ -177,7 +177,7 @@ def lines_picture(
 
 
 def ends(figures: Mapping[str, Any], name: str) -> tuple[float, float, float] | None:
-    """Return (low, value, high) of a summary's figure, or None; without an interval, low and high are the value."""
+    """Return (low, value, high) of a summary's figure (None: absent); without an interval, all three are the value."""
     value, low, high = (figures.get(f"{name}{end}") for end in ("", "_low", "_high"))
     if value is None:
         return None

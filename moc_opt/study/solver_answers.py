@@ -30,7 +30,7 @@ from moc_opt.study.timing import each_us, percentiles, total
 Runner = Callable[..., list[Any]]  # `moc_opt.study.run`, with the study's folder, workers and progress
 
 HUNG, CRASHED, RAISED, NOT_ASKED, REFUSED = "hung", "crashed", "raised", "not asked", "refused"
-"""What became of a question, in addition to the statuses that solvers return."""
+"""Statuses of an answer in addition to those that solvers return."""
 BROKEN_SETS = 3  # a solver's first hang or crash ends the set; after so many such sets its other sets are skipped
 HOURS = 1e5  # limit of the job for a whole set [s]; every answer has a limit of its own
 WARM_UP = 16  # solves before the timed ones
@@ -40,7 +40,7 @@ RESIDUALS = ("primal", "natural", "natural_best", "relative", "loss")
 
 
 class Limits(Settings):
-    """How much is measured, and how long a solve and a solver's setting up may take."""
+    """How much is measured, and how long a solve and a solver's setup may take."""
 
     KIND: ClassVar[str] = "[testsets]"
     rounds: int = Field(8, ge=1, description="warm passes through a set; fewer if they take more than `seconds`")
@@ -67,7 +67,7 @@ class Answers:
     """The answers of one solver under one setting to one set of k problems, judged.
 
     ``refused`` says why the solver does not take the problems; ``events`` lists its errors and how its process ended.
-    ``every`` has one answer per problem, asked or not, and so have ``status``, ``x``, ``residuals`` and ``verified``.
+    ``every``, ``status``, ``x``, ``residuals`` and ``verified`` have one entry per problem, whether asked or not.
     """
 
     def __init__(self, setting: SolverSetting, problems: TestSet, result: list[Any] | Failed) -> None:
@@ -77,7 +77,7 @@ class Answers:
         reason, *given = (result.parts if isinstance(result, Failed) else result) or [None]
         self.events = [f"problem {k}: {one.trouble}" for k, one in enumerate(given) if one.trouble]
         blank = Answer(NOT_ASKED, 0, np.full(joints_of(problems.rows.shape[1]), np.nan), np.full(6, np.nan))
-        if reason or (failed and failed.kind == "raised"):  # the solver does not take the problems, or cannot be made
+        if reason or (failed and failed.kind == "raised"):  # the solver refuses the problems, or cannot be built
             self.refused, blank = reason or str(failed), blank._replace(status=REFUSED)
         elif failed and failed.kind != "not run":
             what = ", while setting up" if reason is None else ""
@@ -95,7 +95,7 @@ class Answers:
         return not np.isin(self.status, (HUNG, CRASHED, NOT_ASKED, REFUSED)).any()
 
     def counts(self) -> dict[str, int]:
-        """Count the answers by outcome, as docs/solvers.md explains it.
+        """Count the answers by outcome; docs/solvers.md explains the outcomes.
 
         Right answers are the `verified_solved` among the `optima_asked` (feasible problems not refused as inconsistent)
         and the `infeasible_right` among the `infeasible_asked`. `refused_inconsistent` counts the problems among the
@@ -188,7 +188,7 @@ def ask(run: Runner, questions: Sequence[Question], limits: Limits, *, warm: boo
 def answer(setting: SolverSetting, rows: Array, warm: bool, patience_s: float, setup_s: float) -> list[Any]:
     """Return why the solver refuses these problems ("": it does not), then an `Answer` per problem. Runs in a worker.
 
-    Each item is reported once it is known. An answer may take ``patience_s``; setup, which may compile, ``setup_s``.
+    Each item goes to `report` at once. Limits of processor time: ``patience_s`` per answer, ``setup_s`` for the setup.
     """
     found: list[Any] = []
     alarm(setup_s)
@@ -218,7 +218,7 @@ def _answers(setting: SolverSetting, rows: Array, warm: bool) -> Iterator[Any]:
         yield Answer(solution.status.label, solution.iterations, np.array(solution.x), np.array(y))
 
 
-_robot = cache(load_robot)  # read once by each worker, which makes hundreds of solvers
+_robot = cache(load_robot)  # each worker reads the robot once and builds hundreds of solvers
 
 
 def _made(setting: SolverSetting) -> Solver:
@@ -226,7 +226,7 @@ def _made(setting: SolverSetting) -> Solver:
 
 
 def _problems(rows: Array) -> list[NullSpaceQP]:
-    """Make the problems, and compute in advance what adapters read of them, so that this is not timed."""
+    """Make the problems, and compute in advance the properties that adapters read, so that this is not timed."""
     found = [NullSpaceQP.from_row(np.array(row)) for row in rows]
     for qp in found:
         _ = qp.q, qp.reduced()
@@ -276,7 +276,7 @@ class Times(NamedTuple):
 def time(run: Runner, answers: Sequence[Answers], limits: Limits) -> list[Times | None]:
     """Time the solver of each of these answers on its set, one after the other with nothing else running.
 
-    None where a problem was not answered, or the timing failed. Times of a busy machine are not kept for later runs.
+    None where a problem was not answered, or the timing failed. Times taken on a busy machine are not stored.
     """
     limit = 20.0 * limits.seconds + limits.patience_s + limits.setup_s
     whole = [one for one in answers if one.complete]
@@ -290,7 +290,7 @@ def time(run: Runner, answers: Sequence[Answers], limits: Limits) -> list[Times 
 
 
 def measure(setting: SolverSetting, rows: Array, every: int, rounds: int, seconds: float) -> Times:
-    """Time one session over all problems, round by round, and a fresh one per ``every``-th problem; in a worker."""
+    """Time one session on all problems, in rounds, and a fresh session on every ``every``-th problem; in a worker."""
     solver, problems = _made(setting), _problems(rows)
     session = solver.start(problems[0])
     each_us(session.solve, problems[:WARM_UP])

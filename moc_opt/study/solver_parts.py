@@ -35,7 +35,7 @@ MEANING = (
     "Update: the part of a warm solve that hands the new problem to the library. docs/solvers.md says more."
 )
 SOLVER = Column("solver", "solver")
-RANKED = "answers_rightly"  # key of the flag that a row's times are compared with others
+RANKED = "answers_rightly"  # key of a flag: the row's times are compared with those of other rows
 COUNTS = {
     "claimed_solved": "claimed", "verified_solved": "verified", "silently_wrong": "silently wrong",
     "infeasible_right": "infeas. right", "refused_inconsistent": "refused: inconsistent",
@@ -93,11 +93,11 @@ def record(case: Scenario, ticks: int) -> Array:
 
 
 def recorded_sequence(work: Work) -> None:
-    """Give the sequence to every solver, warm (one session) and cold (a session each); then time one by one."""
+    """Give each solver the sequence warm (in one session) and a part of it cold (a session per problem); time both."""
     config = work.config.open_loop
     problems = [NullSpaceQP.from_row(np.array(row)) for row in work.sequence]
     session = Exact().start(problems[0])
-    optima = [session.solve(qp) for qp in problems]  # the reference: all its claims on the certified sets are right
+    optima = [session.solve(qp) for qp in problems]  # exact is the reference: its claims on certified sets are right
     feasible = np.array([one.status is Status.SOLVED for one in optima])
     data = TestSet("recorded", work.sequence, np.array([one.x for one in optima]), feasible)
     limits = Limits(patience_s=2.0, setup_s=40.0, rounds=2, seconds=1.0, cold=config.cold)
@@ -192,7 +192,7 @@ def closed_loop(work: Work) -> None:
     asked = []
     for case in starts:
         k = number[case.name]
-        case = case.change(best_courses=k < part.others)  # takes as long as a run
+        case = case.change(best_courses=k < part.others)  # computing them takes as long as a run
         timed = k < part.timed
         asked += [
             Trial(case, name, work.config.settings.get(name, {}), timed=timed, keep="curves" if timed else "row")
@@ -215,8 +215,8 @@ def figures(
 ) -> dict[str, Any]:
     """Return a controller's entries in the summary: means and changes over its whole runs, sums and largest values.
 
-    Times are pooled over the ``runs`` that ran alone. Bad endings count against a controller only on the trials in
-    ``common`` (None: all), which every solver runs: nobody knows how other solvers would have ended on the rest.
+    Times are pooled over the ``runs`` that ran alone. Runs that broke off or oscillated count only on the trials in
+    ``common`` (None: all), which every solver runs, since other solvers might have failed on the rest, too.
     """
     found = rows.figures(controller, MEANS, CHANGES)
     mine = [row for row in rows if row["controller"] == controller]

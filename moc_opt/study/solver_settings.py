@@ -1,4 +1,4 @@
-"""The settings under which each solver is studied, with reasons: solver-settings.toml, and advice of the adapters."""
+"""The settings under which each solver is studied, with reasons, from solver-settings.toml and the adapters' advice."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from moc_opt.solvers.registry import defaults
 
 DEFAULT, TIGHT, RECOMMENDED = "default", "tight", "recommended"
 QPSOLVERS, NONLINEAR = "qpsolvers:", "nlp-"
-"""Prefixes of solvers' names: libraries called through qpsolvers; solvers of the tick's nonlinear problem."""
+"""Prefixes of solvers' names: of libraries called through qpsolvers, and of solvers of the tick's nonlinear problem."""
 SETTINGS = tomllib.loads(Path(__file__).with_name("solver-settings.toml").read_text(encoding="utf-8"))
 AS_QPSOLVERS_CALLS_IT = {"rows": 6, "cost_scale": 1.0, "advised": False}
 
@@ -34,7 +34,7 @@ class SolverSetting:
 
     @property
     def recommended(self) -> bool:
-        """Whether the solver is judged under this setting."""
+        """Whether the verdict on the solver is about this setting."""
         return self.name == RECOMMENDED
 
     @property
@@ -85,7 +85,7 @@ def effective(setting: SolverSetting) -> dict[str, Any]:
 
 
 def in_words(options: Mapping[str, Any]) -> str:
-    """Write settings on one line."""
+    """Write options on one line."""
     parts = []
     for name, value in options.items():
         if isinstance(value, Mapping):

@@ -90,13 +90,13 @@ def verdict(row: Row, damage: float = 0.0) -> Mark:
 
 
 def _figures(name: str, certified: Row, warm: Row, closed: Row) -> Row:
-    """Return one solver's figures: counts from the certified sets if they ran, times from the recorded sequence."""
+    """Return one solver's figures: counts from certified sets, times from the recorded sequence, if these parts ran."""
     counted = certified or warm
     other = name.startswith(NONLINEAR)
     hidden = Missing("it answers the nonlinear problem of the tick: not comparable")
     wrong = sum(int(part.get("silently_wrong") or 0) for part in (certified, warm, closed))
     timed, suffix = (warm, "") if warm.get("solve_p50_us") is not None else (certified, "_worst_set")
-    share = math.floor(1e4 * share_right(counted)) / 100.0 if counted.get("solves") else None  # 100: all are right
+    share = math.floor(1e4 * share_right(counted)) / 100.0 if counted.get("solves") else None  # 100 means all
     return {
         "solver": name, "counted": counted, "closed": closed, "relative_max": counted.get("relative_max"),
         "right_percent": hidden if other else share, "silently_wrong": hidden if other else wrong,
@@ -116,7 +116,7 @@ def _order(row: Row) -> tuple[float, float, float]:
 
 
 def _damage(row: Row, reference: str | None, runs: Results) -> tuple[Any, float]:
-    """Return the worst loss in closed loop, in words, and in tolerances as far as both intervals confirm it (or 0)."""
+    """Return the worst loss in closed loop in words, and in tolerances if both intervals confirm it (else 0)."""
     for word, count in _ended(row["closed"]).items():
         if count:
             return f"{count} {word}", TOO_MUCH
@@ -146,7 +146,7 @@ def _size(metric: str, change: Change) -> tuple[float, float]:
 
 
 def sentences(summary: Summary, rows: Sequence[Row]) -> list[str]:
-    """Say which solver to take and why, what else is sound, what sound answers do to the robot, and what to avoid."""
+    """Say which solver to take and why, which others are sound, how these change mu and errors, and which to avoid."""
     if not rows:
         return ["Nothing was run."]
     best, sound = rows[0], [row for row in rows if row["verdict"] is SOUND]
@@ -171,7 +171,7 @@ def sentences(summary: Summary, rows: Sequence[Row]) -> list[str]:
 
 
 def _why(summary: Summary, row: Row, others: Sequence[Row], asked: int) -> str:
-    """Say how many problems the solver to take solved, how fast it is, and whether that time is to be trusted."""
+    """Say how many problems the recommended solver solved, how fast it is, and whether its time can be trusted."""
     counted = row["counted"]
     kind = "certified" if "testsets" in summary else "recorded"
     parts = [f"verified {counted['verified_solved']} of {counted['optima_asked']} {kind} optima"]
@@ -191,7 +191,7 @@ def _why(summary: Summary, row: Row, others: Sequence[Row], asked: int) -> str:
 
 
 def _in_closed_loop(row: Row, shared: int) -> str:
-    """Say what a sound solver's answers do to the robot, in both frames; ``shared``: trials that every solver ran."""
+    """Say how a sound solver changes mu, and the errors in both frames; every solver ran ``shared`` of the trials."""
     closed, trials = row["closed"], row["trials"]
     if few := too_few(trials):
         return f"What sound answers do in closed loop: {few}."
@@ -273,12 +273,12 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
 
 
 def _trials(rows: Sequence[Row]) -> list[int]:
-    """Return the numbers of trials that solvers ran in closed loop, the smallest first."""
+    """Return the distinct counts of trials that solvers ran in closed loop, in ascending order."""
     return sorted({row["closed"]["trials"] for row in rows if row["closed"].get("trials")})
 
 
 def _trials_told(rows: Sequence[Row]) -> str:
-    """Say how many trials each solver ran, since figures over different trials are not to be compared."""
+    """Say how many trials each solver ran, since figures over different trials cannot be compared."""
     fewest, *more = _trials(rows)
     if not more:
         return f"Every solver ran {fewest} trials."

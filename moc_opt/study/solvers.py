@@ -63,7 +63,7 @@ class TestSets(Limits):
     timed_too: list[str] = Field(["infeasible", "joint-limits", "jumps", "near-singular", "inconsistent-1e-6"])
     """sets timed under the recommended settings only"""
     every: int = Field(1, ge=1, description="1: every problem, 2: every second one, ...")
-    every_other: int = Field(4, ge=1, description="in addition, for nlp-* and settings not recommended")
+    every_other: int = Field(4, ge=1, description="thins the sets further for nlp-* and settings not recommended")
 
     @field_validator("names", "timed", "timed_too")
     @classmethod
@@ -82,11 +82,11 @@ class ClosedLoop(Settings):
 
     KIND: ClassVar[str] = "[closed_loop]"
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1, description="the trials take them in turn")
-    trials: int = Field(60, ge=1, description="number for DCAC and the cited solvers; each has its own seed")
+    trials: int = Field(60, ge=1, description="number of trials of DCAC and the cited solvers")
     cited: list[str] = Field(["exact", "rnn", "rnn-printed"], description="solvers that the first sentences cite")
-    others: int = Field(15, ge=1, description="number for every other solver, which runs the first ones")
-    timed: int = Field(1, ge=1, description="number that run alone; only their times are used")
-    duration_s: Level = Field(4.0, description="of a trial; inf: the whole task")
+    others: int = Field(15, ge=1, description="number of trials of every other solver: the first ones")
+    timed: int = Field(1, ge=1, description="number of trials that run alone, for their times")
+    duration_s: Level = Field(4.0, description="length of a trial; inf: the whole task")
     slow: list[str] = Field(["nlp-ipopt", "qpsolvers:highs", "qpsolvers:scs"])
     """solvers left out: they take a millisecond per tick"""
 

@@ -4,7 +4,7 @@ Intervals are scipy's bias-corrected and accelerated bootstrap (BCa, Efron 1987)
 controllers ran the same trials. From few samples a bootstrap interval is too narrow, and where a change is zero in most
 trials, BCa depends on the few outliers. So the confidence level is raised to match Student's t for that many samples
 ("expanded percentiles", Hesterberg 2015), and the interval is extended to contain Student's t interval with the
-jackknife's standard error. Both aim at fewer misses (`NOMINAL`), to cover as often as `CONFIDENCE` (docs/method.md).
+jackknife's standard error. Both are built for fewer misses (see `NOMINAL`) than 1 - `CONFIDENCE` (docs/method.md).
 
 A change is the ratio of the means. The mean of the trials' ratios is computed as well. Where the two figures disagree
 in sign, or only one of their intervals holds 0, the change is undecided.
@@ -26,9 +26,9 @@ from moc_opt.errors import MocOptError
 RESAMPLES = 4000
 CONFIDENCE = 0.95
 NOMINAL = 0.7
-"""Intervals aim at a miss rate of `NOMINAL` (1 - `CONFIDENCE`): in simulations they miss more often than they aim."""
+"""Intervals are built for a miss rate of `NOMINAL` (1 - `CONFIDENCE`), since in simulations they miss more often."""
 ROUNDING = 1e-9  # a smaller change counts as zero [percent]
-LEAST_TRIALS = 8  # fewer trials decide nothing: they get no verdict
+LEAST_TRIALS = 8  # with fewer trials there is no verdict
 
 
 def too_few(trials: int) -> str | None:
@@ -66,7 +66,7 @@ class Change(NamedTuple):
     ratios: Interval
 
     def side(self, bound: float = 0.0) -> int:
-        """Return +1 (-1) where both intervals lie above (below) the bound [percent]; 0 else and for too few trials."""
+        """Return +1 (-1) if both intervals are above (below) the bound [percent]; else, or for too few trials, 0."""
         both = {int(one.low > bound + ROUNDING) - int(one.high < bound - ROUNDING) for one in self}
         return both.pop() if len(both) == 1 and self.ratio.samples >= LEAST_TRIALS else 0
 
@@ -143,7 +143,7 @@ def relative_changes(treated: ArrayLike, control: ArrayLike) -> Change:
 def difference_of_changes(
     treated: ArrayLike, control: ArrayLike, treated_before: ArrayLike, control_before: ArrayLike
 ) -> Interval:
-    """Return the `relative_change` minus that of the `_before` numbers of the same trials [percentage points]."""
+    """Return the `relative_change` minus the one of the `_before` numbers of the same trials [percentage points]."""
     before = {"treated_before": treated_before, "control_before": control_before}
     return _interval(_difference, treated=treated, control=control, **before)
 

@@ -51,10 +51,10 @@ class TestSet:
 
     @cached_property
     def judged(self) -> Array:
-        """Return the ``rows`` by which answers are judged: with references that the rigid tool can follow.
+        """Return the ``rows`` by which answers are judged, whose references the rigid tool can follow.
 
-        Where the references of tip and wrist differ along the shaft, the wrist's is moved. The certificate is for the
-        five rows that the move leaves unchanged.
+        Where the references of tip and wrist differ along the shaft, the wrist's reference is changed. The certificate
+        is for the five equations that this leaves unchanged.
         """
         return np.array([straightened(qp).row for qp in self.problems()])
 

@@ -1,4 +1,4 @@
-"""The clock of every benchmark: timed calls, the machine's load meanwhile, and the figures that are quoted."""
+"""The clock of every benchmark: timed calls, the machine's load meanwhile, and percentiles of the times."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from moc_opt.arrays import Array
 from moc_opt.sim.loop import no_collector
 
 PERCENTILES = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9}
-MOST_SWITCHES = 0.0025  # per call: a quarter of the 1 % of the calls above p99
+MOST_SWITCHES = 0.0025  # involuntary context switches per call: a quarter of the 1 % of calls that are above p99
 LEAST_CPU_SHARE = 0.9
 
 Row = Mapping[str, Any]
@@ -21,17 +21,17 @@ COUNTED = ("times_calls", "times_switches", "times_cpu_s", "times_wall_s")
 """The load while calls were timed, as entries of a summary's row: the number of calls, the number of involuntary
 context switches (ru_nivcsw), the processor time of all threads [s], and the wall time [s].
 
-They do not show causes that slow all calls alike: caches, memory or half a core shared with others, a lower clock."""
+They do not show what slows all calls alike: caches, memory or a core shared with other processes, a lower clock."""
 
 
 def used() -> dict[str, float]:
-    """Return what this process has used since it began."""
+    """Return the `COUNTED` entries of this process since it began, with 0 calls."""
     switches = resource.getrusage(resource.RUSAGE_SELF).ru_nivcsw
     return dict(zip(COUNTED, (0, switches, process_time(), perf_counter()), strict=True))
 
 
 def since(before: Row, calls: int) -> dict[str, float]:
-    """Return what was used since ``before``, with the number of calls that were timed."""
+    """Return the `COUNTED` entries since ``before``, with this number of timed calls."""
     return {name: value - before[name] for name, value in used().items()} | {"times_calls": calls}
 
 

@@ -40,7 +40,7 @@ CURVES = (
 CLOCKS = ("solve_", "tick_", "deadline_")
 LOOK_TICKS = 100  # ticks between two readings of the machine's load during a timed run
 PATIENCE_S, PER_S, LONGEST_S = 30.0, 30.0, 60.0
-"""A run may take 30 s, and 30 s per simulated second. A task longer than 60 s, or of unknown length, counts as 60 s."""
+"""A run may take 30 s plus 30 s per simulated second. A task longer than 60 s, or of unknown length, counts as 60 s."""
 
 
 def seeds(seed: int, stream: int, count: int) -> list[int]:
@@ -67,13 +67,13 @@ def trials(base: Scenario, tasks: Sequence[str], own_seeds: Sequence[int], *, vi
 
 
 def placed(trial: Scenario) -> Scenario:
-    """Return the trial with its drawn pose written out. So the pose is searched for once, for all controllers."""
+    """Return the trial with its drawn pose written out, so that the pose is searched for once for all controllers."""
     q = Setup(trial).q_start.tolist()
     return trial.change(start={"pose": "home", "q_rad": q, "swivel": "given", "check_path": False})
 
 
 def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None = None) -> Scenario:
-    """Return the trial under one of `BASELINES`, or under MOC with a solver. `BASELINE` keeps a DCAC trial as it is."""
+    """Return the trial under one of `BASELINES`, or MOC with a solver. `BASELINE` leaves a DCAC trial as it is."""
     control = trial.control
     if controller == BASELINE and control.law == "dcac":
         return trial
@@ -97,9 +97,9 @@ class Trial:
     controller: str  #: one of `BASELINES`, or the name of a solver
     settings: Mapping[str, Any] = field(default_factory=dict)  #: settings of the solver
     tags: Mapping[str, Any] = field(default_factory=dict)  #: further columns of the trial's row, such as a group's name
-    timed: bool = False  #: nothing else runs meanwhile, so that the trial's times count
+    timed: bool = False  #: whether the trial runs alone on the machine, so that its times count
     keep: Literal["row", "curves"] = "row"  #: "curves": the columns in `CURVES` are kept, too
-    solver: str | Solver | None = None  #: name or object of a solver to use in place of ``controller``
+    solver: str | Solver | None = None  #: name or object of a solver to use instead of ``controller``
 
     @property
     def about(self) -> dict[str, Any]:
@@ -123,8 +123,8 @@ class Trial:
 class Run:
     """What is kept of a run.
 
-    Its row has `Trial.about`; ``ended``, ``whole`` (the task was driven to its end), ``error`` (None: none), ``raised``
-    (what the solver raised first); then every metric, but times only where the run was alone on the machine.
+    Its row has `Trial.about`, ``ended``, ``whole`` (the task was done to its end), ``error`` (or None), ``raised``
+    (the solver's first exception), and every metric. Times are included only if the run was alone on the machine.
     """
 
     row: Mapping[str, Any]
@@ -138,7 +138,7 @@ def run_trial(asked: Trial) -> Run:
 
 
 def run_and_trace(asked: Trial, baseline: Trace | None = None) -> tuple[Run, Trace | None]:
-    """Return the result of `run_trial`, with the gain over a baseline's trace, and the whole trace if there is one."""
+    """Return the result of `run_trial`, with the gain over a baseline's trace if it is given, and the run's trace."""
     begun, seen, solver = dict[str, float](), dict[str, float](), asked.solver
 
     def look(tick: int) -> None:
