@@ -72,7 +72,7 @@ class SupervisorSettings(Settings):
     """largest natural residual (0 at an optimum) along the self-motion, if an optimum is claimed; the cost is scaled so
     that its gradient has length 1 [rad/s]"""
     opposite_limit: float = Field(1e-3, gt=0.0)
-    """a claim is false if x is farther than this from the optimum and nearer to the negated gradient's optimum [rad/s]"""
+    """a claim is false if x is this far from the optimum and nearer to the optimum for the negated gradient [rad/s]"""
     hold_ticks: int = Field(10, ge=0)
     """ticks in a row at which the last good answer replaces a refused one; after these the self-motion is damped"""
     keep_off_limits: bool = True

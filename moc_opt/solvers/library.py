@@ -90,7 +90,7 @@ class LibrarySession(ABC):
 
     @abstractmethod
     def _run(self) -> Outcome:
-        """Run the library. Return status, iterations, an x (n,) that later runs keep, multipliers (m,) of A x = b.
+        """Run the library. Return status, iterations, x (n,) in memory of its own, multipliers (m,) of A x = b.
 
         x and the multipliers are used only if the status is one of `_HAS_X`.
         """

@@ -4,11 +4,11 @@
     s.t.   tip(q + x T) = tip(q) + v_T T,   E (wrist(q + x T) - wrist(q)) = E v_W T,   lower <= x <= upper
 
 g is the subproblem's `pull`: grad mu, or a multiple of the velocity that the elbow has to follow. The rows of E (2, 3)
-span the plane perpendicular to the tool. Along the tool, the wrist's row repeats the tip's; with it, none converges.
+span the plane perpendicular to the tool. Along the tool, the wrist's row would repeat the tip's row, and no solver
+converges with such a copy.
 
-This is the null-space subproblem only in the limit T -> 0. At T = 2 ms and joint speeds near 1 rad/s the curvature of
-the kinematics moves the optimum off A x = b by 8e-4 m/s (median of random problems; at most 6e-3): too much for
-``residuals().verified()`` with the default tolerances.
+Only in the limit T -> 0 is this the null-space subproblem. At T = 2 ms and joint speeds near 1 rad/s, curvature moves
+the optimum off A x = b by 8e-4 m/s (median of random problems; at most 6e-3), too much for ``residuals().verified()``.
 """
 
 from __future__ import annotations

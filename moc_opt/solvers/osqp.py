@@ -82,8 +82,8 @@ class OSQP(Adapter):
     """OSQP through its native interface.
 
     The library's own tolerance of 1e-3 is ten times the whole gradient of this problem. With it, OSQP claims success,
-    but nineteen answers in twenty are not optimal. With eps = 1e-8 and costs times 100, OSQP takes twice the
-    iterations. No claim was wrong then on some thousand random problems; one in two hundred was not solved in time.
+    but nineteen answers in twenty are not optimal. With eps = 1e-8 and costs times 100, OSQP takes twice as many steps.
+    No claim was wrong then on some thousand random problems; one in two hundred was not solved within max_iter.
 
     Args:
         eps: absolute tolerance on the scaled problem; eps_rel: the relative tolerance.

@@ -127,9 +127,9 @@ def describe(trace: Trace, joint_names: Sequence[str], slides: Flags) -> str:
 
 
 def judged_for_oscillation(trace: Trace, joint_names: Sequence[str], slides: Flags) -> Trace:
-    """Return the trace; if it was "completed" and a joint oscillates, with ``meta["ended"]`` "oscillated: ...".
+    """Return the trace. If the run was "completed" but a joint oscillates, its ``meta["ended"]`` is "oscillated: ...".
 
-    If a run was stopped after an oscillation, "stopped: ..." names it too. A run of less than 1 s is not judged.
+    If a run was stopped after an oscillation, "stopped: ..." names both. A run of less than 1 s is not judged.
     """
     ended, stopped_s = trace.meta.get("ended"), trace.meta.get("stopped_at_s")
     # Braking in a stop is a jerk, which is not judged.
