@@ -25,7 +25,7 @@ class Guide(Protocol):
     """A source of joint velocities x_d that the elbow should follow instead of moving towards a larger mu.
 
     The vector `pull` in the subproblem's cost is then (rho / c2) x_d instead of grad mu. Thus the cost on the feasible
-    set is rho/2 |x - x_d|^2 up to a constant. Nothing else differs from a run without a guide.
+    set is rho/2 |x - x_d|^2 up to a constant. Box, solver, supervisor and residual check do not depend on the guide.
     """
 
     def start(self) -> None:

@@ -42,7 +42,7 @@ class SafetyFilter:
         period: control period [s].
         carries: whether the torque has to carry the arm's weight; False for drives that compensate gravity themselves.
         incision: False for an arm outside any incision, whose RCM error and trocar force are not checked.
-        momentum: whether the filter computes the state to compare motion and torque if `limit_torque` is given none.
+        momentum: whether the filter computes the state if `limit_torque` gets none, to compare motion and torque.
 
     Attributes:
         limited: number of joints whose last torque was changed.

@@ -11,7 +11,7 @@ from moc_opt.inputs.settings import Level, Settings
 
 
 class SafetyFilterSettings(Settings):
-    """The limits of the safety filter, and its actions in a stop. A joint's limits are tau_max (torque), v_max (speed).
+    """The safety filter's limits, and its actions in a stop. A joint's limits are tau_max (torque) and v_max (speed).
 
     The fields from ``motion`` to ``residual_s``, and ``jump_rad``, ``speed_factor`` and ``patience_ticks``, decide
     whether measurements are trusted.
@@ -59,8 +59,8 @@ class SafetyFilterSettings(Settings):
     """largest difference of a joint's momentum residual from its running mean, as a share of tau_max; the arm is
     stopped if it is exceeded on more than patience_ticks ticks in a row"""
     residual_whole_torque: float = Field(0.5, gt=0.0)
-    """largest momentum residual, as a share of tau_max, above the effect of friction, loads and pushes; the arm is
-    stopped if the residual is larger on more than patience_ticks ticks in a row"""
+    """largest momentum residual, as a share of tau_max; the arm is stopped if it is exceeded on more than
+    patience_ticks ticks in a row. Friction, loads and pushes stay below it"""
     residual_rate_per_s: float = Field(40.0, gt=0.0, lt=500.0, description="gain K_o of the momentum residual")
     residual_s: float = Field(0.25, gt=0.0, description="time constant of the residual's running mean")
     torque_rate_Nm_per_s: float = Field(20000.0, gt=0.0, description="largest rate of change of a joint's torque")

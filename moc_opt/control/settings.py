@@ -171,7 +171,7 @@ class ControlSettings(Settings):
         """Return the changes that turn these settings into DCAC with the same gains, the baseline for comparisons."""
         return {
             "law": "dcac", "gains": self.gains or self.law, "third_level": "local", "course": "",
-            "observer_gain_per_s": self.observer_rate_per_s,  # DCAC follows no course, but keeps its observer gain
+            "observer_gain_per_s": self.observer_rate_per_s,  # DCAC follows no course, but uses the same gain
         }  # fmt: skip
 
     @property

@@ -105,7 +105,7 @@ def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Arr
     size = float(short.max())
     if size <= 0.0:
         return start, np.zeros(len(low))
-    from scipy.optimize import nnls  # it takes half a second; only needed if dim ker A > 1
+    from scipy.optimize import nnls  # the import takes half a second, and is needed only if dim ker A > 1
 
     for loose in (0.0, TOUCHING):  # if the feasible set is a point up to rounding, widen it a little
         u, _ = nnls(np.vstack([G.T, (short - loose) / size]), np.append(np.zeros(len(start)), 1.0))

@@ -97,8 +97,8 @@ class SolverSettings:
     """Base of this package's solvers. It checks the settings, and starts no session for an unsupported problem.
 
     A subclass is a frozen dataclass. The default of a field decides which values are valid: a bool for a bool, an int
-    of 1 or more for an int, a number above 0 for a float (or 0 too, if the default is 0), and None if the default is
-    None. `choices` may list the valid values of a field. A SolverError names the wrong field, its value and the cure.
+    of 1 or more for an int, a number above 0 for a float (0 too, if it is the default). None is valid only if it is the default.
+    `choices` may list the valid values of a field. A SolverError names the wrong field, its value and the cure.
     """
 
     name: ClassVar[str]

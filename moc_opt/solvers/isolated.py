@@ -1,8 +1,8 @@
 """A solver in a separate process: whatever happens there, the control loop waits only for a bounded time.
 
 A session kills and replaces a process that hangs, has ended or ran out of memory; the new process is ready after about
-a second. Simulated time stands still meanwhile. In real time (``waits=False``), the ticks meanwhile have no answer. A
-solver that keeps its budget gives the same run as without isolation.
+a second. Simulated time stands still until then. In real time (``waits=False``), the ticks until then have no answer.
+A solver that keeps its budget gives the same run as without isolation.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from moc_opt.inputs.settings import Settings
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import ObservingSession, Session, Solution, Solver
 
-_LOOK_S = 0.05  # how often to check whether the process has ended: a child that keeps the pipe open would hide the end
+_LOOK_S = 0.05  # time between two checks for the process's end, which a child may hide by keeping the pipe open
 
 
 class Unanswered(Exception):

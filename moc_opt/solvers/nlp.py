@@ -7,7 +7,7 @@ g is the subproblem's `pull`: grad mu, or a multiple of the velocity that the el
 span the plane perpendicular to the tool. Along the tool, the wrist's row would repeat the tip's row, and no solver
 converges with such a copy.
 
-Only in the limit T -> 0 is this the null-space subproblem. At T = 2 ms and joint speeds near 1 rad/s, curvature moves
+This is the null-space subproblem only in the limit T -> 0. At T = 2 ms and joint speeds near 1 rad/s, curvature moves
 the optimum off A x = b by 8e-4 m/s (median of random problems; at most 6e-3), too much for ``residuals().verified()``.
 """
 
@@ -47,7 +47,7 @@ _STATUS = {
 
 
 def buffered(function: Any, arguments: Mapping[str, Array], results: Mapping[str, Array]) -> tuple[Any, Any]:
-    """Bind a CasADi function to the caller's arrays. The returned call is ten times faster than a plain one."""
+    """Bind a CasADi function to the caller's arrays. Return its buffer, and a call ten times as fast as a plain one."""
     buffer, call = function.buffer()
     for name, array in arguments.items():
         buffer.set_arg(function.index_in(name), array.data)

@@ -160,7 +160,7 @@ def _checked(points: ArrayLike) -> Array:
 
 
 def _spline(t: Array, points: Array) -> Array:
-    from scipy.interpolate import CubicSpline  # not at the top: it takes 0.3 s, and only waypoints need it
+    from scipy.interpolate import CubicSpline  # the import takes 0.3 s, and only waypoints need it
 
     found = CubicSpline(t, points, bc_type="natural").c  # (4, pieces, 3), highest power first
     return np.ascontiguousarray(found[::-1].transpose(1, 2, 0))

@@ -177,7 +177,7 @@ def board_picture(board: Board) -> NDArray[np.uint8]:
 
 
 def texture_matrix(board: Board) -> Array:
-    """Matrix (3, 3) from (x, y, 1) on the board [m] to (column, row, 1) in `board_picture`; pixel centres are whole."""
+    """Matrix (3, 3) from (x, y, 1) on the board [m] to (column, row, 1) in `board_picture`; whole at pixel centres."""
     scale = _MARKER_BITS * _CELL_PX / board.marker_m
     width, height = board.size_m
     right, down = 0.5 * scale * width - 0.5, 0.5 * scale * height - 0.5

@@ -38,7 +38,7 @@ class HandSettings(VisionSettings):
     speed_max_m_per_s: float = Field(0.15, gt=0.0, le=1.0, description="largest desired speed")
     correction_per_s: float = Field(2.0, ge=0.0, le=20.0)
     """rate at which the force grows while the tip is short of the goal"""
-    content_m: float = Field(0.0005, ge=0.0, le=0.05, description="closer to the goal than this, the force stays")
+    content_m: float = Field(0.0005, ge=0.0, le=0.05, description="distance at which the force stops growing")
 
 
 class HandsOnSettings(VisionSettings):
