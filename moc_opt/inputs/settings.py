@@ -16,7 +16,7 @@ from moc_opt.inputs import names
 _ALTERNATIVE = re.compile(r"constrained-|literal\[|tuple\[|(float|str)$")  # pydantic's names of types in a union
 LARGEST_INTEGER = 2**63 - 1
 SMALLEST, LARGEST = 1e-30, 1e30  # bounds of |x| if x is not 0; products of other numbers could overflow or vanish
-MOST = 10_000_000  # largest integer other than a seed: the others are counts
+MOST = 10_000_000  # largest integer other than a seed: all such integers are counts
 LONGEST_S = 1e6  # longest time to run, wait or average [s]
 
 Name = Annotated[str, pydantic.AfterValidator(names.checked)]

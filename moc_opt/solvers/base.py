@@ -96,8 +96,8 @@ class ObservingSession(Protocol):
 class SolverSettings:
     """Base of this package's solvers. It checks the settings, and starts no session for an unsupported problem.
 
-    A subclass is a frozen dataclass. The default of a field decides which values are valid: a bool for a bool, an int
-    of 1 or more for an int, a number above 0 for a float (0 too, if it is the default). None is valid only if it is the default.
+    A subclass is a frozen dataclass. The default of a field decides which values are valid. If it is a bool, they are
+    bools; if it is an int, ints of 1 or more; if it is a float, numbers above 0. A default of 0.0 or None is valid too.
     `choices` may list the valid values of a field. A SolverError names the wrong field, its value and the cure.
     """
 

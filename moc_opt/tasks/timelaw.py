@@ -123,7 +123,7 @@ class WaitingReference:
         X_d(t) = X(tau(t)),   dX_d = sigma X',   ddX_d = sigma^2 X'' + sigma' X'
 
     so that |dX_d| <= v_max and |ddX_d| <= 2 a_max. The rate is the flag (0 or 1), filtered by two moving averages. It
-    stays in [0, 1], equals the flag when the flag has been constant for as long as both windows together, and has a
+    stays in [0, 1], equals the flag once the flag has been constant for `settle_s` (the sum of both windows), and has a
     slope of at most 1 / (longer window) <= a_max / v_max.
     """
 
