@@ -1,4 +1,4 @@
-"""Build backend: setuptools, with the compiler of the `ziglang` wheel where the system has none."""
+"""Build backend: setuptools, with the compiler of the `ziglang` wheel if the system has no compiler."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def _require(hook: Any, settings: Any) -> list[str]:
 def _with_compiler(hook: Any, *arguments: Any) -> str:
     if _system_compiler():
         return str(hook(*arguments))
-    # An explicit target: zig would otherwise take every instruction and the C library of this very machine.
+    # Without an explicit target, zig would use every instruction and the C library of this very machine.
     zig = f"{shlex.quote(sys.executable)} -m ziglang cc -target {platform.machine()}-linux-gnu.2.28"
     with tempfile.TemporaryDirectory() as cache:
         os.environ.update(CC=zig, LDSHARED=f"{zig} -shared", ZIG_GLOBAL_CACHE_DIR=cache)
@@ -42,12 +42,12 @@ def _with_compiler(hook: Any, *arguments: Any) -> str:
 
 
 def get_requires_for_build_wheel(config_settings: Any = None) -> list[str]:
-    """Ask for ziglang only where there is no compiler."""
+    """Ask for ziglang only if there is no compiler."""
     return _require(_setuptools.get_requires_for_build_wheel, config_settings)
 
 
 def get_requires_for_build_editable(config_settings: Any = None) -> list[str]:
-    """Ask for ziglang only where there is no compiler."""
+    """Ask for ziglang only if there is no compiler."""
     return _require(_setuptools.get_requires_for_build_editable, config_settings)
 
 

@@ -11,7 +11,7 @@ _LITERAL = re.compile(r"(``.*?``|`[^`]*`)")
 
 
 def _sizes(app: Sphinx, kind: str, name: str, found: Any, options: Any, lines: list[str]) -> None:
-    """Escape the bars of |x|, which would name a substitution."""
+    """Escape the bars of |x|, which Sphinx would read as the name of a substitution."""
     for i, line in enumerate(lines):
         parts = _LITERAL.split(line)
         lines[i] = "".join(part if part.startswith("`") else part.replace("|", "\\|") for part in parts)

@@ -147,7 +147,7 @@ COMMANDS = {
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Make the parser of all commands; it sets ``command`` to None where no command is given."""
+    """Make the parser of all commands; it sets ``command`` to None if no command is given."""
     parser = argparse.ArgumentParser(
         prog="moc-opt",
         description="moc-opt, or python -m moc_opt: scenarios, robots and solvers from the command line.",

@@ -25,7 +25,7 @@ POINTS = "give x, y, z [m], one point a line; the first line may name the column
 
 
 def read_scenario(path: Path | None) -> tuple[Scenario, str]:
-    """Return the scenario of a file, or the default one, and the name that messages use."""
+    """Return the scenario of a file, or the default scenario, and its name in messages."""
     scenario = Scenario() if path is None else Scenario.load(path)
     return scenario, scenario.name if path is None or "name" in scenario.model_fields_set else path.stem
 
@@ -161,7 +161,7 @@ def read_waypoints(path: str) -> list[list[float]]:
 
 
 def _matched_dcac(scenario: Scenario, title: str, ticks: int) -> Trace | None:
-    """Run DCAC with the same gains, and return its first ``ticks`` ticks; None (and a message) if it ended earlier."""
+    """Run DCAC with the same gains and return its first ``ticks`` ticks; None (and a message) if DCAC ended earlier."""
     matched = scenario.change(control=scenario.control.matched_dcac(), bound_samples=0, best_courses=False)
     trace = _as_far_as_it_goes(lambda: run(matched))
     if len(trace) < ticks or "mu" not in trace.columns:
@@ -227,7 +227,7 @@ def _words(value: Any) -> str:
 
 
 def plan_scenario(given: argparse.Namespace) -> int:
-    """Plan a scenario, print the plan, write the course; returns 0, or 3 where no course covers the whole path."""
+    """Plan a scenario, print the plan, write the course; returns 0, or 3 if no course covers the whole path."""
     from moc_opt.report.plan_table import plan_json, plan_tables, start_toml
     from moc_opt.scenario.planned import followable_plan, following_warnings, save_course
 

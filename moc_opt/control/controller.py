@@ -1,4 +1,4 @@
-"""The controller: torques of tip, RCM and manipulability, tau = tau_tip + tau_rcm + tau_mu, with any solver."""
+"""The controller: tau = tau_tip + tau_rcm + tau_mu, the torques of level 1 (tip), 2 (RCM) and 3 (manipulability mu)."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from moc_opt.solvers.isolated import IsolatedSession
 class Guide(Protocol):
     """A source of joint velocities x_d that the elbow should follow instead of moving towards a larger mu.
 
-    The subproblem's `pull` is then (rho / c2) x_d instead of grad mu, so that its cost on the feasible set is
-    rho/2 |x - x_d|^2 up to a constant. Box, solver, supervisor and residual check are the same as in a run without it.
+    The vector `pull` in the subproblem's cost is then (rho / c2) x_d instead of grad mu. Thus the cost on the feasible
+    set is rho/2 |x - x_d|^2 up to a constant. Box, solver, supervisor and residual check do not depend on the guide.
     """
 
     def start(self) -> None:
@@ -50,7 +50,7 @@ class Controller:
         guide: a `Guide` whose velocity replaces the gradient of mu; it needs regularization and c2 above 0.
 
     Raises:
-        ControlError: law "moc" without a solver, "dcac" with one, or a setting that does not fit.
+        ControlError: law "moc" is without a solver, "dcac" has one, or a setting does not fit the robot.
     """
 
     def __init__(
@@ -121,7 +121,7 @@ class Controller:
     )
     faults = property(
         lambda self: self._supervisor.faults,
-        doc="Faults since the start: label -> ``count``, ``first_at_s`` and ``first``, the message of the first.",
+        doc="Faults since the start: label -> ``count``, ``first_at_s`` and ``first`` (the first fault's message).",
     )
 
     @property
@@ -142,7 +142,7 @@ class Controller:
         return self._law.memory()[2]
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
-        """Reset the state and set up the solver for problems like that of this measurement; arguments as for `tick`.
+        """Reset the state and start the solver with the subproblem of this measurement; arguments as for `tick`.
 
         First, a copy of the controller runs one tick, so that libraries do their own set-up before the loop starts.
 
@@ -191,12 +191,12 @@ class Controller:
             status, self._record, out = self._supervisor.step(q, v, tip_ref, trocar, x_d, self._exact.tolerance)
             self._ticked = status, out
             return out[self._torques]
-        # tau = tau_tip + tau_rcm + tau_ff - r, with r the observer's estimate; and the subproblem
+        # The core computes tau = tau_tip + tau_rcm + tau_ff - r (r: the observer's estimate) and the subproblem.
         self._record, row = self._law.begin(q, v, tip_ref, trocar, x_d)
         if self._session is not None:
             self._subproblem = qp = NullSpaceQP.from_row(row)
-            # x*: the subproblem's answer, or the supervisor's substitute;
-            # tau += M Z^T (Z M Z^T)^-1 Z (K_N2 (x* - v) - D_N2 v), clipped to tau_max
+            # With the answer x*, or the supervisor's substitute for x*, level 3 adds
+            # M Z^T (Z M Z^T)^-1 Z (K_N2 (x* - v) - D_N2 v) to tau, which is then clipped to tau_max.
             seen = v if self._observes else None
             self._solution, self._answer, tau = self._supervisor.solve(self._session, qp, seen)
         else:
@@ -204,7 +204,7 @@ class Controller:
         return read_only(tau)
 
     def set_applied_torque(self, tau: Array) -> None:
-        """Tell the observer the torque (n,) [Nm] that was applied, if it differs from the last computed one."""
+        """Give the observer the torque (n,) [Nm] that was applied, if it differs from the one that `tick` returned."""
         if not np.isfinite(tau).all():
             raise ControlError(f"applied torque = {np.asarray(tau).tolist()} is not finite: the observer cannot use it")
         self._law.set_applied(np.ascontiguousarray(tau, dtype=np.float64))

@@ -1,4 +1,4 @@
-"""Turn settings and an arm into the numbers of the law, whose equations are in docs/method.md and `core/law.c`."""
+"""Compute the numbers in the control law from settings and an arm; docs/method.md and `core/law.c` have the law."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from moc_opt.control.settings import ControlSettings, per_joint
 from moc_opt.errors import ControlError
 from moc_opt.robots.model import RobotModel
 
-PROJECTORS = ("dynamic", "static", "as_published")  #: Order of the core's enum, as in the next two.
+PROJECTORS = ("dynamic", "static", "as_published")  #: In the order of the core's enum, like the next two.
 FALLBACKS = ("damping", "hold", "least-violation")
 LATE = ("hold", "zero", "iterate")
-COURSE_K0_PER_S = 10.0  #: Smallest k0 with a course, which itself slows down before a joint limit.
+COURSE_K0_PER_S = 10.0  #: Smallest k0 for following a course: the course itself slows down before a joint limit.
 _CHECKS = ("check", "box_limit", "primal_limit", "relative_limit", "opposite_limit", "keep_off_limits")
 
 
@@ -25,7 +25,7 @@ def numbers_of(settings: ControlSettings, robot: RobotModel, period: float) -> d
         period: control period [s].
 
     Raises:
-        ControlError, UnknownNameError: a gain is missing, the margins from its limits leave a joint no room, or the
+        ControlError, UnknownNameError: a gain is missing, the margins leave no room between a joint's limits, or the
             observer's gain is too large for the period.
     """
     n, moc, follows, supervisor = robot.n, settings.law == "moc", settings.follows, settings.supervisor

@@ -1,7 +1,7 @@
 """The safety filter: it checks every measurement, limits torque and motion at every tick, and requests the stop.
 
 `moc_opt/core/safety_filter.c` has the formula of every limit and of every reason to stop; docs/reliability.md says how
-the levels were chosen. In a stop the drives brake, and the torque carries the arm's weight in the last believed pose.
+the limits were chosen. In a stop the drives brake, and the torque carries the arm's weight in the last accepted pose.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class SafetyFilter:
         period: control period [s].
         carries: whether the torque has to carry the arm's weight; False for drives that compensate gravity themselves.
         incision: False for an arm outside any incision, whose RCM error and trocar force are not checked.
-        momentum: whether the filter computes the state, to compare motion and torque, if the controller does not.
+        momentum: whether the filter computes the state if `limit_torque` gets none, to compare motion and torque.
 
     Attributes:
         limited: number of joints whose last torque was changed.
@@ -67,7 +67,7 @@ class SafetyFilter:
         self.start(np.clip(robot.data.q_home, robot.q_min, robot.q_max), self._rest)
 
     def start(self, q: Array, v: Array, stamp: int = 0) -> None:
-        """Begin at the first measurement, of period ``stamp``. A joint that starts inside its wall is not pushed out.
+        """Begin at the first measurement, taken in period ``stamp``. A joint that starts in its wall is not pushed out.
 
         Raises:
             ControlError: the measurement is not finite.
@@ -88,7 +88,7 @@ class SafetyFilter:
 
         Args:
             q, v: (n,) measured [rad], [rad/s].
-            stamp: index of the control period in which q and v were taken, as the arm counts; None: not known.
+            stamp: the arm's index of the control period in which q and v were taken; None: not known.
             applied: (n,) torque that was applied last [Nm]; None: not known.
             wrench: (6,) force [N] and torque [Nm] of the tool on its mount, in tool axes; None: not known.
             trocar: (2, 3) rows P_t, dP_t of the registered trocar, for the checks of RCM error and trocar force at the
@@ -125,14 +125,14 @@ class SafetyFilter:
         """Return the torque (n,) [Nm] within its limits; ``limited`` counts the joints whose torque was changed.
 
         If the torque is not finite, a stop is requested and ``before`` is returned. The tip's distance from its
-        reference is checked too, and the motion up to (q, v) is compared with ``before``, which caused it.
+        reference is checked too. The motion up to (q, v) is compared with ``before``, the torque that caused it.
 
         Args:
             tau, before: (n,) the controller's torque, and the torque that was applied last [Nm].
             q, v: (n,) as returned by `check_measurement` [rad], [rad/s].
             tip_ref: (3, 3) rows X_d, dX_d, ddX_d [m]; None: the tip is not checked.
             state: the robot's state at (q, v); None: it is computed here if it is needed.
-            tip: (3,) the tip as the controller computes it [m]; None: the tip of ``state``.
+            tip: (3,) the tip position that the controller computed [m]; None: that of ``state``.
         """
         shown = state is not None or tip is not None
         if state is None and self._computes:
@@ -147,9 +147,9 @@ class SafetyFilter:
         return tau if math.isfinite(tau.dot(tau)) else before
 
     def stop_torque(self, before: Array) -> Array:
-        """Return the torque (n,) [Nm] of a damped stop: it approaches the arm's weight in the last believed pose.
+        """Return the torque (n,) [Nm] of a damped stop: it approaches the arm's weight in the last accepted pose.
 
-        The last torque is not kept, because it would go on pushing the arm.
+        The torque before the stop is not held, because it would go on pushing the arm.
         """
         self.limited = 0
         return self._guard.rest(np.ascontiguousarray(before, dtype=np.float64))
@@ -157,8 +157,8 @@ class SafetyFilter:
     def brake_friction(self, wrench: Array) -> Array:
         """Return the dry friction (n,) [Nm] of the brakes in a stop; zero while the brakes are open.
 
-        The brakes open at a trocar force of ``stop_yield_N``, close at half of that or after ``stop_yield_s``, and open
-        again if the force has risen by another ``stop_yield_N``; `moc_guard_hold` in safety_filter.c says why.
+        The brakes open at a trocar force of ``stop_yield_N``. They close at half of this force or after
+        ``stop_yield_s``, and open again if the force has risen by another ``stop_yield_N``; see `moc_guard_hold`.
 
         Args:
             wrench: (6,) force [N] and torque [Nm] of the tool on its mount, in tool axes.

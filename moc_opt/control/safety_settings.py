@@ -11,7 +11,7 @@ from moc_opt.inputs.settings import Level, Settings
 
 
 class SafetyFilterSettings(Settings):
-    """The limits of the safety filter, and its actions in a stop. tau_max, v_max: a joint's largest torque and speed.
+    """The safety filter's limits, and its actions in a stop. A joint's limits are tau_max (torque) and v_max (speed).
 
     The fields from ``motion`` to ``residual_s``, and ``jump_rad``, ``speed_factor`` and ``patience_ticks``, decide
     whether measurements are trusted.
@@ -41,8 +41,8 @@ class SafetyFilterSettings(Settings):
     """ticks in a row for which a wrench sensor with noise may repeat one reading to the last bit. Also the number of
     whole measurements that may equal earlier ones at a constant lag before they count as a replay"""
     stuck_torque: float = Field(0.06, ge=0.0)
-    """largest change of a joint's momentum residual, while its encoder repeats one reading, that static friction can
-    explain, as a share of tau_max"""
+    """largest change of a joint's momentum residual that static friction can explain while the joint's encoder repeats
+    one reading, as a share of tau_max"""
     stuck_friction: float = Field(6.0, gt=0.0)
     """the same change as a multiple of the Coulomb friction in the robot's file; the smaller of both values is used"""
     repeat_joint_ticks: int | None = Field(None, ge=1)
@@ -59,8 +59,8 @@ class SafetyFilterSettings(Settings):
     """largest difference of a joint's momentum residual from its running mean, as a share of tau_max; the arm is
     stopped if it is exceeded on more than patience_ticks ticks in a row"""
     residual_whole_torque: float = Field(0.5, gt=0.0)
-    """largest momentum residual itself, as a share of tau_max, with the same patience_ticks; friction, loads and pushes
-    stay below it"""
+    """largest momentum residual, as a share of tau_max; the arm is stopped if it is exceeded on more than
+    patience_ticks ticks in a row. Friction, loads and pushes stay below it"""
     residual_rate_per_s: float = Field(40.0, gt=0.0, lt=500.0, description="gain K_o of the momentum residual")
     residual_s: float = Field(0.25, gt=0.0, description="time constant of the residual's running mean")
     torque_rate_Nm_per_s: float = Field(20000.0, gt=0.0, description="largest rate of change of a joint's torque")
@@ -101,7 +101,7 @@ class SafetyFilterSettings(Settings):
     stop_yield_s: float = Field(0.4, ge=0.0, le=60.0)
     """longest time for which the brakes stay open; they open again if the force has risen by another stop_yield_N"""
     stop_s: float = Field(0.5, gt=0.0)
-    """shortest time for which a stop is simulated; it ends when the arm rests, or after 4 times as long"""
+    """shortest time for which a stop is simulated; the stop ends when the arm rests, or after 4 times stop_s"""
 
     @model_validator(mode="after")
     def _warned_before_it_stops(self) -> Self:

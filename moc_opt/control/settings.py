@@ -58,7 +58,7 @@ class ControlSettings(Settings):
     law: Literal["dcac", "moc"] = "moc"
     """'dcac': only level 1 (tip) and level 2 (RCM); 'moc': level 3 too, which raises the manipulability mu"""
     gains: str | None = "default"
-    """table in the robot's file (moc_opt/robots/lwr4.toml) with the gains left out here; '': that of the law's name"""
+    """table of the robot's file (moc_opt/robots/lwr4.toml) for gains left out here; '': the table named like the law"""
     K_X: Positive | None = Field(default=None, description="tip stiffness [N/m]; left out: see gains (lwr4: 3000)")
     D_X: NotNegative | None = Field(default=None, description="tip damping [N s/m]; left out: see gains")
     K_N: Positive | None = Field(default=None, description="wrist stiffness [N/m]; left out: see gains")
@@ -171,7 +171,7 @@ class ControlSettings(Settings):
         """Return the changes that turn these settings into DCAC with the same gains, the baseline for comparisons."""
         return {
             "law": "dcac", "gains": self.gains or self.law, "third_level": "local", "course": "",
-            "observer_gain_per_s": self.observer_rate_per_s,  # DCAC follows no course, but keeps the course's gain
+            "observer_gain_per_s": self.observer_rate_per_s,  # DCAC follows no course, but uses the same gain
         }  # fmt: skip
 
     @property

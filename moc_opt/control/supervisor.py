@@ -72,7 +72,7 @@ class SupervisorSettings(Settings):
     """largest natural residual (0 at an optimum) along the self-motion, if an optimum is claimed; the cost is scaled so
     that its gradient has length 1 [rad/s]"""
     opposite_limit: float = Field(1e-3, gt=0.0)
-    """a claim is false if x is farther than this from the optimum and nearer to that of the negated gradient [rad/s]"""
+    """a claim is false if x is this far from the optimum and nearer to the optimum for the negated gradient [rad/s]"""
     hold_ticks: int = Field(10, ge=0)
     """ticks in a row at which the last good answer replaces a refused one; after these the self-motion is damped"""
     keep_off_limits: bool = True
@@ -141,7 +141,7 @@ class Supervisor:
         times_us: Iterator[float] | None = None,
     ) -> None:  # fmt: skip
         self.settings, self._law, self._n, self._period, self._times = settings, law, n, period, times_us
-        # Kept here, because every tick needs them and reading a setting takes as long as a comparison.
+        # Kept as attributes, because every tick needs them.
         self._stop_late = settings.late == "iterate"
         self._budget_us = float("inf") if settings.budget_us is None else settings.budget_us
         self.forget()

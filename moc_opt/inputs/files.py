@@ -31,7 +31,7 @@ Wrong = type[MocOptError]
 
 
 def as_path(path: object, what: str, error: Wrong) -> Path:
-    """Return ``path`` as a Path; raise ``error`` where it is not one."""
+    """Return ``path`` as a Path; raise ``error`` if it is neither a text nor a path."""
     if isinstance(path, str) or (isinstance(path, os.PathLike) and isinstance(os.fspath(path), str)):
         return Path(path)
     raise error(f"{what} {shown(path)} is no path: give the name of a file as text, or a pathlib.Path")
@@ -108,7 +108,7 @@ def write_whole(path: Path_, data: bytes | str, what: str = "file", error: Wrong
     The folder is made if it does not exist. A link at this path is replaced, not followed.
     """
     target = check_replaceable(path, what, error)
-    # In the same folder, because a rename is atomic only within one file system.
+    # The unfinished file is in the same folder, because a rename is atomic only within one file system.
     unfinished = target.with_name(f".{target.name[:40]}.{secrets.token_hex(8)}.tmp")
     with _writing(target, what, error):
         try:
@@ -150,15 +150,15 @@ def plain(value: Any) -> Any:
 
 
 def to_json(value: Any, *, indent: int | None = 2, sort_keys: bool = False) -> str:
-    """Return a value as strict JSON, with NaN and infinity as null; a TypeError where JSON cannot hold a value."""
+    """Return a value as strict JSON, with NaN and infinity as null; a TypeError if JSON cannot hold the value."""
     return json.dumps(plain(value), indent=indent, sort_keys=sort_keys, allow_nan=False)
 
 
 def to_toml(table: Mapping[str, Any]) -> str:
-    """Return a table of texts, numbers, flags, lists and tables as TOML; `read_toml` reads the same to the last bit.
+    """Return a table of texts, numbers, flags, lists and tables as TOML, exact to the last bit for `read_toml`.
 
     Raises:
-        TypeError: a value that TOML cannot hold, None among them; the message names its key.
+        TypeError: a value that TOML cannot hold, such as None; the message names its key.
     """
     tables = {key: value for key, value in table.items() if isinstance(value, Mapping)}
     lines = _toml_entries({key: value for key, value in table.items() if key not in tables}, "")

@@ -15,12 +15,12 @@ from moc_opt.inputs import names
 
 _ALTERNATIVE = re.compile(r"constrained-|literal\[|tuple\[|(float|str)$")  # pydantic's names of types in a union
 LARGEST_INTEGER = 2**63 - 1
-SMALLEST, LARGEST = 1e-30, 1e30  # bounds of |x| for x not 0: outside, a product of a few overflows or vanishes
-MOST = 10_000_000  # largest integer other than a seed: the others are counts
+SMALLEST, LARGEST = 1e-30, 1e30  # bounds of |x| if x is not 0; products of other numbers could overflow or vanish
+MOST = 10_000_000  # largest integer other than a seed: all such integers are counts
 LONGEST_S = 1e6  # longest time to run, wait or average [s]
 
 Name = Annotated[str, pydantic.AfterValidator(names.checked)]
-"""A name that comes from a file: `moc_opt.inputs.names.RULE`."""
+"""A name that comes from a file; it has to follow `moc_opt.inputs.names.RULE`."""
 Level = Annotated[
     Annotated[float, pydantic.Field(gt=0.0)] | None,
     pydantic.BeforeValidator(lambda value: None if value == math.inf else value),
@@ -40,7 +40,7 @@ class Settings(pydantic.BaseModel):
 
     KIND: ClassVar[str] = "setting"
     ERROR: ClassVar[type[MocOptError]] = ScenarioError
-    MORE_KEYS: ClassVar[tuple[str, ...]] = ()  #: Keys that a file may have besides the fields.
+    MORE_KEYS: ClassVar[tuple[str, ...]] = ()  #: Keys that a file may have in addition to the fields.
 
     @pydantic.field_validator("*", mode="wrap")
     @classmethod
@@ -114,7 +114,7 @@ def _fault(written: Any, read: Any, most: int) -> str:
 
 
 def _explained(items: Sequence[Mapping[str, Any]], kind: str) -> str:
-    """Return the message on a field (table, name, value, cure) from pydantic's errors, one for each type of it."""
+    """Return the message on a field (table, name, value, cure) from pydantic's errors, one per type of the field."""
     item = items[0]
     field = repr(".".join(f"{key!s:.80}" for key in item["loc"]))[1:-1]  # escapes: a key may hold any character
     message = ", or ".join(one["msg"].removeprefix("Value error, ") for one in items)

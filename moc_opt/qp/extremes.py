@@ -23,7 +23,7 @@ ROUNDS, STEPS = 200, 20  # largest numbers of proximal steps, and of uphill step
 ROUNDING = 1e-14  # rounding error of numbers of order one
 SETTLED = 1e-11  # a shorter proximal step is only rounding error of the projected point, which may be FAR away
 FLAT = 1e-9  # a slope or multiplier below this fraction of the largest counts as zero
-STILL = 1e-10  # a joint that moves less than this along every unit vector of self-motion does not bound it
+STILL = 1e-10  # a joint that moves less than this along every unit vector of ker A does not bound the self-motion
 TOUCHING = 1e-8  # in a feasible set narrower than this, multipliers are only rounding errors [box widths]
 LEVEL = 1e-12  # a range of the cost below this fraction of slope times box width is rounding error
 
@@ -36,7 +36,7 @@ class Extremes(NamedTuple):
         least: a lower bound on the cost by weak duality; the cost of w if w is the optimum.
         most: the largest cost; equal to ``least`` if the cost is constant up to rounding. With rho > 0 and more than
             ``MOST_CORNERS`` candidates it may be too small: then it is the cost of a local maximum at a corner.
-        pull: (n,) gradient of the Lagrangian at w = 0: that of the cost plus A^T times the optimum's multipliers.
+        pull: (n,) gradient of the Lagrangian at w = 0: the cost's gradient plus A^T times the optimum's multipliers.
     """
 
     w: Array
@@ -105,7 +105,7 @@ def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Arr
     size = float(short.max())
     if size <= 0.0:
         return start, np.zeros(len(low))
-    from scipy.optimize import nnls  # here: the import takes half a second, and only several freedoms need it
+    from scipy.optimize import nnls  # the import takes half a second, and is needed only if dim ker A > 1
 
     for loose in (0.0, TOUCHING):  # if the feasible set is a point up to rounding, widen it a little
         u, _ = nnls(np.vstack([G.T, (short - loose) / size]), np.append(np.zeros(len(start)), 1.0))

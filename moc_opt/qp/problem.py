@@ -26,7 +26,7 @@ from moc_opt.qp.residuals import Residuals
 LARGEST_WEIGHT = 1e12
 REGULARIZATION = 1e-5
 WEIGHTS = ("c0", "c1", "c2", "regularization")
-ROWS = (5, 6)  #: Numbers of equality rows that a solver may ask for.
+ROWS = (5, 6)  #: The counts of equality rows that a solver may ask for.
 _DOUBLE, _CLOSE = np.dtype(np.float64), (8,)
 
 
@@ -76,7 +76,7 @@ def compute_residuals(rows: Array, x: Array, y: Array | None = None) -> Residual
 
 
 class Assembled(NamedTuple):
-    """A subproblem in a solver's form, read-only: min 1/2 x^T P x + p^T x, A x = b. m duals y make six: lift^T y."""
+    """A subproblem for a solver, read-only: min 1/2 x^T P x + p^T x, A x = b. lift^T y turns the m duals y into six."""
 
     P: Array  #: (n, n)
     p: Array  #: (n,)
@@ -150,7 +150,7 @@ class NullSpaceQP:
 
     @classmethod
     def from_row(cls, row: Array) -> NullSpaceQP:
-        """Wrap a flat record that this package made, without checks and a copy; the record becomes read-only."""
+        """Wrap a flat record made by this package. It is neither checked nor copied, and becomes read-only."""
         self = object.__new__(cls)
         self._adopt(row, joints_of(row.shape[0]))
         return self
@@ -198,8 +198,8 @@ class NullSpaceQP:
     c1 = property(lambda self: float(self.fields.weights[1]), doc="weight of the wrist rows")
     c2 = property(lambda self: float(self.fields.weights[2]), doc="weight of the manipulability")
     regularization = property(lambda self: float(self.fields.weights[3]), doc="rho")
-    A = property(lambda self: self.fields.A, doc="(6, n): J_tip over J_wrist")
-    b = property(lambda self: self.fields.b, doc="(6,): v_tip over v_wrist")
+    A = property(lambda self: self.fields.A, doc="(6, n): J_tip above J_wrist")
+    b = property(lambda self: self.fields.b, doc="(6,): v_tip above v_wrist")
 
     @property
     def q(self) -> Array | None:

@@ -5,7 +5,7 @@ status that the solver reports is not used.
 
 On A x = b the tracking terms of the cost are constant. The rest, rho/2 |x|^2 - c2 pull^T x, is a sum of independent
 parts: one for each idle joint (a joint with a zero column of A), which moves on its own interval, and one for all other
-joints, which move in ker A. If ker A has one dimension, this is an interval too; else see ``extremes``.
+joints, which move in ker A. If ker A has one dimension, they move on an interval too; else see ``extremes``.
 
 The stationarity measure is the natural residual of the box-constrained Lagrangian,
 ``x - clip(x - (P x + p + A^T y), lower, upper)`` (Facchinei & Pang 2003, section 1.5.2). It is zero
@@ -51,8 +51,8 @@ class Residuals(NamedTuple):
         relative: ``natural_best`` of the same problem with its cost divided by the size of its reduced
             gradient, max(c2 |Z Z^T pull|_inf, rho times 1 rad/s), Z a basis of ker A; for an idle joint, divided by
             the size of its own gradient. Thus errors show even if the gradient has almost no component in ker A.
-            If all feasible points have the same cost, for example if there is only one, the loss is 0, and
-            ``relative`` is at least (cost of x - that cost) / size [rad/s].
+            If all feasible points have the same cost (for example, if only one exists), the loss is 0, and
+            ``relative`` is at least (cost of x - that cost) / size of the reduced gradient [rad/s].
         loss: (cost of x - smallest cost) / (largest - smallest cost) over the feasible set, in [0, 1]. The largest
             loss of the independent parts is used. It may be too large if the largest cost is not known (see
             ``moc_opt.qp.extremes``). The cost of x is not corrected for a violation of A x = b.
@@ -279,7 +279,7 @@ def _along_a_line(
         return first.max(-1), last.min(-1), np.take_along_axis(np.abs(per_step), stops, axis=-1).min(-1)
 
     (first, last, slowest), (wide_first, wide_last, _) = interval(0.0), interval(FEASIBLE)
-    # An interval that is empty by no more than FEASIBLE is replaced by its middle, where the widening bounds meet.
+    # If widening the bounds by FEASIBLE makes an empty interval non-empty, the middle between its ends replaces it.
     empty, middle = wide_first > wide_last, np.clip(0.5 * (first + last), wide_first, wide_last)
     low, high = (np.where(first > last, middle, end) for end in (first, last))
     step, loss, gap = _on_an_interval(slope, rho, low, high, above, A_POINT + ROUNDING / slowest)

@@ -4,7 +4,7 @@ Read first: ``base`` (``Solver``, ``Session``, ``Solution``, ``Status``), then `
 packages' plug-ins). Each QP library has one file that builds on ``library`` and is imported when its solver is created;
 ``qpsolvers`` adapts any library that the package qpsolvers finds. ``exact`` and ``rnn`` are this package's own solvers;
 ``nlp`` has mu itself in the cost. ``isolated`` runs a solver in a separate process; ``faulty`` makes a solver fail, for
-tests. docs/extending.md shows how to add a solver. Solvers import ``qp``, ``core``, ``inputs``, ``errors``, no robot.
+tests. docs/extending.md shows how to add a solver. No solver imports a robot.
 """
 
 from moc_opt.solvers.base import Session, Solution, Solver, Status

@@ -1,4 +1,4 @@
-"""The interface of a solver: its frozen settings start sessions; a session has memory and solves tick after tick."""
+"""The interface of a solver: frozen settings start sessions, and a session has memory and solves tick after tick."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class TruncatingSession(Protocol):
     """A session that can be stopped after a number of iterations, as a deadline would stop it."""
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Return the iterate after ``iterations`` (at least 1), with the start of the previous solve."""
+        """Return the iterate after ``iterations`` (at least 1), starting where the previous solve started."""
 
 
 @runtime_checkable
@@ -96,9 +96,9 @@ class ObservingSession(Protocol):
 class SolverSettings:
     """Base of this package's solvers. It checks the settings, and starts no session for an unsupported problem.
 
-    A subclass is a frozen dataclass. The default of a field decides which values are valid. Default bool: a bool;
-    int: an int of 1 or more; float: a number above 0, or 0 if the default is 0; None: also None. `choices` may list the
-    valid values of a field. A SolverError names a field that is out of range, its value and the cure.
+    A subclass is a frozen dataclass. The default of a field decides which values are valid. If it is a bool, they are
+    bools; if it is an int, ints of 1 or more; if it is a float, numbers above 0. A default of 0.0 or None is valid too.
+    `choices` may list the valid values of a field. A SolverError names the wrong field, its value and the cure.
     """
 
     name: ClassVar[str]

@@ -1,4 +1,4 @@
-"""Clarabel: an interior-point method for cones, set up once and updated in place.
+"""Clarabel: an interior-point method for conic programs, set up once and updated in place.
 
 Goulart and Chen 2024, "Clarabel: an interior-point solver for conic programs with quadratic
 objectives". The sparse matrices keep explicit zeros, so that every tick only replaces values.

@@ -44,7 +44,7 @@ class Exact(SolverSettings):
     """Null-space elimination. Dependent rows may contradict each other by up to 1e-6 m/s, the tolerance on A x = b.
 
     Args:
-        tolerance: largest violation of the box that counts as feasible [rad/s]; more if rounding explains it.
+        tolerance: largest violation of the box that counts as feasible [rad/s], unless rounding explains a larger one.
     """
 
     tolerance: float = 1e-9

@@ -31,10 +31,10 @@ class Faulty:
     """A solver that gives wrong answers at random ticks, which the seed determines.
 
     Args:
-        inner: the solver of all other ticks. At a faulty tick it is called only by the kind "malformed".
+        inner: the solver that answers at all other ticks. At a faulty tick, only the kind "malformed" calls it.
         kind: "fail" gives no answer and says so. Three kinds claim an optimum falsely: "nan" for NaN, "lie" for the
             optimum of the negated gradient, "outside" for a point outside the box. "raise" raises an exception. "rig"
-            answers 50 rad/s and rewrites the subproblem so that this fits. "malformed" gives complex duals.
+            answers 50 rad/s and rewrites the subproblem to fit this answer. "malformed" gives complex duals.
         rate: probability that a tick is faulty, 0 to 1.
         seed: seed of the draw; the same seed makes the same ticks faulty.
     """

@@ -1,8 +1,8 @@
 """A solver in a separate process: whatever happens there, the control loop waits only for a bounded time.
 
-A session kills and replaces a process that hangs, has ended or ran out of memory. Simulated time stands still until
-then, so that a solver that keeps its budget gives the same run as without isolation. In real time (``waits=False``),
-the ticks have no answer until the new process is ready, which takes about a second.
+A session kills and replaces a process that hangs, has ended or ran out of memory; the new process is ready after about
+a second. Simulated time stands still until then. In real time (``waits=False``), the ticks until then have no answer.
+A solver that keeps its budget gives the same run as without isolation.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from moc_opt.inputs.settings import Settings
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import ObservingSession, Session, Solution, Solver
 
-_LOOK_S = 0.05  # period at which the process is checked for its end, which a child may hide by holding the pipe open
+_LOOK_S = 0.05  # time between two checks for the process's end, which a child may hide by keeping the pipe open
 
 
 class Unanswered(Exception):
@@ -53,7 +53,7 @@ class ProcessSettings(Settings):
 
     KIND: ClassVar[str] = "[solver.process]"
     answer_age_ticks: int = Field(0, ge=0)
-    """largest age of an earlier answer that is used in place of a late answer; 0: no earlier answer is used"""
+    """largest age of an earlier answer that is used instead of a late one; 0: no earlier answer is used"""
     hang_s: float = Field(1.0, gt=0.0)
     """time without an answer after which the process is killed and replaced"""
     memory_MB: float = Field(4096.0, gt=0.0)
@@ -163,7 +163,7 @@ class _Ended(Exception):
 class _Process:
     """A process that starts a session and then answers requests. It is killed when this object is deleted."""
 
-    # Not a multiprocessing.Process: it would run the caller's script again, and a daemonic worker may not start one.
+    # A multiprocessing.Process would run the caller's script again, and a daemonic worker may not start one.
 
     def __init__(self, solver: Isolated, qp: NullSpaceQP) -> None:
         self._pipe, theirs = Pipe()

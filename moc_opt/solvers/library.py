@@ -90,7 +90,7 @@ class LibrarySession(ABC):
 
     @abstractmethod
     def _run(self) -> Outcome:
-        """Run the library. Return status, iterations, x (n,) in its own memory, multipliers (m,) of A x = b.
+        """Run the library. Return status, iterations, x (n,) in memory of its own, multipliers (m,) of A x = b.
 
         x and the multipliers are used only if the status is one of `_HAS_X`.
         """
@@ -120,7 +120,7 @@ class TruncatedSession(LibrarySession):
         """Set the library's largest number of iterations."""
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Return the iterate after ``iterations`` (at least 1), with the start of the previous solve."""
+        """Return the iterate after ``iterations`` (at least 1), starting where the previous solve started."""
         self._limit(iterations)
         try:
             return self.solve(qp)

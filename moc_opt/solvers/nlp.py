@@ -1,14 +1,14 @@
-"""One control period as a nonlinear program in CasADi, with the manipulability itself in place of its gradient.
+"""One control period as a nonlinear program in CasADi, with the manipulability itself instead of its gradient.
 
     max_x  c2 (mu(q + x T)/T + d^T x) - regularization/2 |x|^2,   d = g - grad mu(q)
     s.t.   tip(q + x T) = tip(q) + v_T T,   E (wrist(q + x T) - wrist(q)) = E v_W T,   lower <= x <= upper
 
 g is the subproblem's `pull`: grad mu, or a multiple of the velocity that the elbow has to follow. The rows of E (2, 3)
-span the plane perpendicular to the tool. The wrist's row along the tool repeats the tip's: no solver converges with it.
+span the plane perpendicular to the tool. Along the tool, the wrist's row would repeat the tip's row, and no solver
+converges with such a copy.
 
-This is the null-space subproblem only in the limit T -> 0. At T = 2 ms and joint speeds near 1 rad/s the curvature of
-the kinematics moves the optimum off A x = b by 8e-4 m/s (median of random problems; at most 6e-3): too much for
-``residuals().verified()`` with the default tolerances.
+This is the null-space subproblem only in the limit T -> 0. At T = 2 ms and joint speeds near 1 rad/s, curvature moves
+the optimum off A x = b by 8e-4 m/s (median of random problems; at most 6e-3), too much for ``residuals().verified()``.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _STATUS = {
 
 
 def buffered(function: Any, arguments: Mapping[str, Array], results: Mapping[str, Array]) -> tuple[Any, Any]:
-    """Bind a CasADi function to the caller's arrays: return buffer and call, ten times faster than a plain call."""
+    """Bind a CasADi function to the caller's arrays. Return its buffer, and a call ten times as fast as a plain one."""
     buffer, call = function.buffer()
     for name, array in arguments.items():
         buffer.set_arg(function.index_in(name), array.data)

@@ -72,7 +72,7 @@ class OSQPSession(TruncatedSession):
         self._core.update_settings(self._options)
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Return the iterate after ``iterations`` from the start of the previous solve; the next solve starts at it."""
+        """Return the iterate after ``iterations`` from the previous start; the next solve starts at this iterate."""
         self._core.warm_start(*self._before)
         return super().truncated(qp, iterations)
 
@@ -81,12 +81,12 @@ class OSQPSession(TruncatedSession):
 class OSQP(Adapter):
     """OSQP through its native interface.
 
-    The library's own tolerance of 1e-3 is ten times the whole gradient of this problem. With that, OSQP claims success,
-    but nineteen answers in twenty are not optimal. With eps = 1e-8 and costs times 100, no claim was wrong on some
-    thousand random problems, with twice the iterations; one problem in two hundred is not solved within max_iter.
+    The library's own tolerance of 1e-3 is ten times the whole gradient of this problem. With it, OSQP claims success,
+    but nineteen answers in twenty are not optimal. With eps = 1e-8 and costs times 100, OSQP takes twice as many steps.
+    No claim was wrong then on some thousand random problems; one in two hundred was not solved within max_iter.
 
     Args:
-        eps: absolute tolerance on the scaled problem; eps_rel: the relative one.
+        eps: absolute tolerance on the scaled problem; eps_rel: the relative tolerance.
         max_iter: largest number of iterations per tick.
         check_termination: number of iterations from one check of the residuals to the next.
         polishing: whether the active set's equations are solved once more at the end.

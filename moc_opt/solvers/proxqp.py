@@ -78,8 +78,8 @@ class ProxQP(Adapter):
     Args:
         eps: absolute tolerance on the scaled problem (the library's default is 1e-5).
         eps_primal_inf: tolerance of the proof of infeasibility (the library's default is 1e-4).
-        max_iter: largest number of outer iterations; max_iter_in: of inner iterations in each outer one. Feasible
-            problems take about ten in all; with the library's 10000 and 1500, an undecided problem runs for minutes.
+        max_iter: largest number of outer iterations; max_iter_in: largest number of inner ones in each. Feasible
+            problems take about ten in all. With the library's 10000 and 1500, an undecided problem runs for minutes.
     """
 
     rows: int = 5

@@ -24,25 +24,25 @@ from moc_opt.solvers.library import refuse_semidefinite
 
 
 class Advice(NamedTuple):
-    """Settings under which a library's claims hold on this problem."""
+    """Settings with which a library's claims are right on this problem."""
 
     cost_scale: float = 1.0
     options: Mapping[str, Any] = {}
 
 
-# The gradient of this problem is about 1e-4, the size of a usual tolerance; a cost times 1e3 lifts it above that.
+# The gradient of this problem is about 1e-4, the size of a usual tolerance. Therefore the cost is multiplied by 1e3.
 ADVICE: dict[str, Advice] = {
-    "clarabel": Advice(1e3),  # without: about 1 % of answers have a relative residual above 1e-3
-    "daqp": Advice(1e3),  # without: 5 % are at the wrong end of the self-motion if regularization = 0
-    "highs": Advice(1e3, {"time_limit": 0.1}),  # without scaling, its QP solver cycles for ever
-    "osqp": Advice(1e2, {"eps_abs": 1e-8, "eps_rel": 0.0}),  # with 1e-3 nine answers in ten are wrong
+    "clarabel": Advice(1e3),  # unscaled, about 1 % of answers have a relative residual above 1e-3
+    "daqp": Advice(1e3),  # unscaled, 5 % are at the wrong end of the self-motion if regularization = 0
+    "highs": Advice(1e3, {"time_limit": 0.1}),  # unscaled, its QP solver cycles for ever
+    "osqp": Advice(1e2, {"eps_abs": 1e-8, "eps_rel": 0.0}),  # with eps_abs = 1e-3, nine answers in ten are wrong
     "piqp": Advice(1e3, {"eps_abs": 1e-9, "eps_rel": 0.0}),
     # eps_primal_inf = 1e-4 cannot be changed through qpsolvers, so that 4 % of feasible problems are called infeasible.
     "proxqp": Advice(1e3, {"eps_abs": 1e-9, "eps_rel": 0.0}),
-    "scs": Advice(1e3, {"eps_abs": 1e-8, "eps_rel": 0.0}),  # with 1e-4 half of the answers are wrong
+    "scs": Advice(1e3, {"eps_abs": 1e-8, "eps_rel": 0.0}),  # with eps_abs = 1e-4, half of them are wrong
 }
 
-# Options are allowed one by one and not forbidden one by one, because new versions of a library add options.
+# Only options in this list are allowed, because new versions of a library may add options that do harm.
 ALLOWED = {
     name: frozenset(listed.split())
     for name, listed in {
@@ -215,7 +215,7 @@ class QPSolver(SolverSettings):
             try:
                 session.attempt(qp)  # type: ignore[attr-defined]
             except (QPError, FloatingPointError, ZeroDivisionError):
-                pass  # the problem failed, not the options: `solve` reports it as a status
+                pass  # the problem failed, not the options: `solve` reports this failure as a status
             except Exception as error:  # each library has its own class of errors for a value that it refuses
                 refused = f"options = {self.options} are refused ({describe(error)}); see the library's manual"
                 raise SolverError(f"{self.name}: {refused}") from error

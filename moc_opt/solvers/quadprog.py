@@ -30,7 +30,7 @@ class QuadprogSession(LibrarySession):
     def _run(self) -> Outcome:
         try:
             x, _, _, steps, multipliers, _ = quadprog.solve_qp(self._P, self._a, self._C, self._b, self._m)
-        except ValueError as error:  # quadprog reports failures only by this
+        except ValueError as error:  # this is how quadprog reports every failure
             infeasible = "inconsistent" in str(error)
             return Status.INFEASIBLE if infeasible else Status.NUMERICAL, 0, self._a, self._a
         return Status.SOLVED, int(steps[0]), x, multipliers[: self._m]

@@ -1,4 +1,4 @@
-"""Solvers by name: those of this package, those that qpsolvers finds, and those with an entry point elsewhere.
+"""Solvers by name: those of this package, those that qpsolvers finds, and those of other packages' entry points.
 
 To add a solver to this package, add a file to this folder and a line to ``BUILT_IN``.
 """

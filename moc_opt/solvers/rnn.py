@@ -6,8 +6,8 @@ With F(Y) = [dL/dx, -dL/dlambda] (the paper's equation (2)) the network is
                                  + J_T^T l1 + J_W^T l2), lower, upper)
     eps dl1/dt = k (J_T x - v_T),   eps dl2/dt = k (J_W x - v_W)
 
-integrated by Euler steps of size h = dt/eps (`moc_opt/core/rnn.c`). A network cannot tell that a problem is infeasible:
-then the status is MAX_ITER, and the multipliers grow without bound and take as long to decrease afterwards.
+integrated by Euler steps of size h = dt/eps (`moc_opt/core/rnn.c`). A network cannot tell that a problem is infeasible.
+The status is MAX_ITER then, and the multipliers grow without bound. Afterwards they take as long to decrease.
 """
 
 from __future__ import annotations
@@ -104,8 +104,8 @@ class RNNPrintedSession(RNNSession):
 class RNN(Network):
     """The network with its own state: at most ``steps`` inner steps per tick, which continue from the previous tick.
 
-    The paper's weights c0 = 0.01 and k = 0.1 need about 3e7 steps to an error of 1e-3, because explicit steps need
-    h k < c0. ``scale`` does not change the solution but allows larger steps: scale = 100, k = 0.5, h = 1 need 1.4e3.
+    With the paper's c0 = 0.01 and k = 0.1, an error of 1e-3 takes about 3e7 steps, because explicit steps need
+    h k < c0. ``scale`` does not change the solution but allows larger steps: scale = 100, k = 0.5, h = 1 take 1400.
 
     Args:
         steps: largest number of inner steps per tick; a tick needs fewer if the state comes to rest.

@@ -24,8 +24,8 @@ _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(10)
 class ArcLength:
     """The inverse w(s) of the arc length s(w) = integral of speed(w) from 0 to w.
 
-    A quintic Hermite interpolation of w(s), with exact values (by Gauss-Legendre quadrature) and exact derivatives,
-    dw/ds = 1/speed and d2w/ds2 = -speed'/speed^3, at the knots. The intervals between knots are called panels. Their
+    w(s) is a quintic Hermite interpolation. At its knots, the values are exact (Gauss-Legendre quadrature), and so are
+    the derivatives dw/ds = 1/speed and d2w/ds2 = -speed'/speed^3. The intervals between knots are called panels. Their
     number is doubled until s(w(s)) - s, probed in every panel, is below 1e-10 of the length and below 1e-10 m.
 
     Args:

@@ -26,7 +26,7 @@ GROUP = "moc_opt.tasks"
 WAYPOINTS = "waypoints"
 MOST = 1000  #: Largest number of waypoints of one path.
 FARTHEST_M = 1000.0  #: Largest distance of a waypoint from the start along each axis.
-_SLOWEST = 0.05  # smallest |dp/dw|, w: chord length; with less, the path almost turns back on the spot
+_SLOWEST = 0.05  # smallest allowed |dp/dw| (w: chord length); below it, the path almost turns back on the spot
 
 
 class Path:
@@ -160,7 +160,7 @@ def _checked(points: ArrayLike) -> Array:
 
 
 def _spline(t: Array, points: Array) -> Array:
-    from scipy.interpolate import CubicSpline  # here: the import takes 0.3 s, and only waypoints need it
+    from scipy.interpolate import CubicSpline  # the import takes 0.3 s, and only waypoints need it
 
     found = CubicSpline(t, points, bc_type="natural").c  # (4, pieces, 3), highest power first
     return np.ascontiguousarray(found[::-1].transpose(1, 2, 0))
@@ -170,7 +170,7 @@ def _spline(t: Array, points: Array) -> Array:
 
 
 def kinds() -> dict[str, str]:
-    """Return name -> description of every path that a scenario may name; for a broken plug-in, the reason."""
+    """Return name -> description of every path that a scenario may name, or why the path's plug-in does not load."""
     found = {name: _about(curve) for name, curve in CURVES.items()}
     found[WAYPOINTS] = "A smooth path through the points of `waypoints_m`, in three dimensions."
     for name in _plugins():

@@ -90,10 +90,10 @@ class Reference:
             object.__setattr__(self, name, value)
 
     def at(self, t: TimeLike) -> tuple[Array, Array, Array]:
-        """Return x [m], dx [m/s] and ddx [m/s^2] at t [s]: each (3,), or (k, 3) if t is (k,), with the same bits.
+        """Return x [m], dx [m/s] and ddx [m/s^2] at t [s]: each (3,), or (k, 3) if t is (k,).
 
-        The reference rests at the start of the path before t_start, and at the end of the path after t_start +
-        duration. A TaskError if t is neither a number nor a vector, or NaN.
+        A vector t gives the same bits as single times. The reference rests at the path's start before t_start, and at
+        the path's end after t_start + duration. A TaskError if t is neither a number nor a vector, or NaN.
         """
         x, dx, ddx = sampled("t", t, self._rows)
         return x, dx, ddx
@@ -123,14 +123,14 @@ class WaitingReference:
         X_d(t) = X(tau(t)),   dX_d = sigma X',   ddX_d = sigma^2 X'' + sigma' X'
 
     so that |dX_d| <= v_max and |ddX_d| <= 2 a_max. The rate is the flag (0 or 1), filtered by two moving averages. It
-    stays in [0, 1], equals the flag when the flag has been constant for as long as both windows together, and has a
+    stays in [0, 1], equals the flag once the flag has been constant for `settle_s` (the sum of both windows), and has a
     slope of at most 1 / (longer window) <= a_max / v_max.
     """
 
     def __init__(self, reference: Reference, period_s: float) -> None:
         """Take the reference and the period of the ticks [s]; a TaskError if the period is not positive and finite."""
         self.reference, self.period_s = reference, positive("period_s", period_s)
-        # Rounded up, so that the rate changes no faster than stated.
+        # The windows are rounded up, so that the rate changes no faster than a_max / v_max.
         long = max(1, math.ceil(reference.v_max / reference.a_max / self.period_s - 1e-9))
         self._lengths = long, max(1, long // 2)
         self.settle_s = sum(self._lengths) * self.period_s

@@ -39,9 +39,9 @@ class Trocar:
             object.__setattr__(self, name, value)
 
     def at(self, t: TimeLike) -> tuple[Array, Array]:
-        """Return position p [m] and velocity dp [m/s] at t [s]: each (3,), or (k, 3) with the same bits if t is (k,).
+        """Return position p [m] and velocity dp [m/s] at t [s]: each (3,), or (k, 3) if t is (k,).
 
-        A TaskError if t is neither a number nor a vector, or not finite.
+        A vector t gives the same bits as single times. A TaskError if t is neither number nor vector, or not finite.
         """
         p, dp = sampled("t", t, self._rows)
         return p, dp

@@ -32,7 +32,7 @@ _OTHER_FORMATS = frozenset({".csv", ".tsv", ".txt", ".json", ".npy", ".npz", ".m
 
 
 def new_file(path: str | os.PathLike[str]) -> Path:
-    """Return the path of a new trace. A TraceError, before the run, if the name has another format or no folder."""
+    """Return the path of a new trace; a TraceError if its name has another format's ending or its folder is absent."""
     target = as_path(path, "trace", TraceError)
     if target.suffix.lower() in _OTHER_FORMATS:
         raise TraceError(

@@ -1,8 +1,8 @@
-"""The meta of a trace: entries that describe the run, and the types of those that pages and tables read.
+"""The meta of a trace: entries that describe the run, and the types of the entries that pages and tables read.
 
 The trace of a simulated run has the entries
 
-- ``ended``: the ending, and its reason; ``stopped_at_s`` [s]; ``ticks`` of ``ticks_planned``, and ``period_s``;
+- ``ended``: the ending and its reason; ``stopped_at_s``; the counts ``ticks`` and ``ticks_planned``; ``period_s``;
 - ``warnings``: quantities that exceeded a warning level of the safety filter; ``faults``: refused answers of the third
   level, label -> count, first_at_s, first (the message of the first such fault);
 - ``restarts``: when (at_s) and why (reason) the process of an isolated solver was replaced;
@@ -80,7 +80,7 @@ def plain(meta: Mapping[str, Any]) -> dict[str, Any]:
     """Return meta as JSON would give it back after writing and reading.
 
     Raises:
-        TraceError: meta cannot be written as JSON, or an entry has not its type in `FORMS`.
+        TraceError: meta cannot be written as JSON, or an entry has another type than in `FORMS`.
     """
     found = {}
     for name, value in meta.items():

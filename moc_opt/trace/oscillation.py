@@ -1,13 +1,13 @@
-"""Finds joints that oscillate faster than any task requires, in the trace of a run.
+"""Find joints that oscillate faster than any task requires, in the trace of a run.
 
-Chatter and limit cycles of a torque loop are above 8 Hz; motions of a task or after a push are below. Therefore each
-joint's velocity and torque are high-pass filtered (a centred mean over 1/8 s is subtracted), and the largest root mean
-square over one second is compared with a limit. The first half second is left out, because an arm starts with a jerk.
-On the LWR4+ in the realistic plant, 94 sound runs (all presets, noise, bumps, breathing, DCAC at a joint limit) had at
+Chatter and limit cycles of a torque loop are above 8 Hz; motions of a task or after a push are below. A mean over 1/8 s
+is subtracted from each joint's velocity and torque, and the rest's largest root mean square over one second is compared
+with a limit. The first half second is left out, because an arm starts with a jerk.
+On the LWR4+ in the realistic plant, 94 stable runs (all presets, noise, bumps, breathing, DCAC at a joint limit) had at
 most 0.080 rad/s and 3.6 Nm. A limit cycle of the idle joint had 0.49 rad/s and 28 Nm, and chatter due to delay or to
-rho = 0 had up to 2.7 rad/s and 119 Nm. Both limits are near the geometric mean of sound and unsound runs. The limits
-for a sliding joint are 0.08 m/s, the same motion 0.4 m from an axis, and 100 N (sound runs of a rail have 11 N). One
-jerk is no oscillation: without its loudest quarter, the worst second must still have more than half of a limit.
+rho = 0 had up to 2.7 rad/s and 119 Nm. Each limit is near the geometric mean of the stable runs' most and the limit
+cycle's value. For a sliding joint, the limits are 0.08 m/s (0.2 rad/s at 0.4 m from an axis) and 100 N (stable runs: 11
+N). One jerk is no oscillation: without its loudest quarter, the worst second must still have more than half of a limit.
 """
 
 from __future__ import annotations
@@ -127,9 +127,9 @@ def describe(trace: Trace, joint_names: Sequence[str], slides: Flags) -> str:
 
 
 def judged_for_oscillation(trace: Trace, joint_names: Sequence[str], slides: Flags) -> Trace:
-    """Return the trace; if it was "completed" and a joint oscillates, with ``meta["ended"]`` "oscillated: ...".
+    """Return the trace. If the run was "completed" but a joint oscillates, its ``meta["ended"]`` is "oscillated: ...".
 
-    If a run was stopped after an oscillation, "stopped: ..." names it too. A run of less than 1 s is not judged.
+    If a run was stopped after an oscillation, "stopped: ..." also names it. A run of less than 1 s is not judged.
     """
     ended, stopped_s = trace.meta.get("ended"), trace.meta.get("stopped_at_s")
     # Braking in a stop is a jerk, which is not judged.

@@ -88,8 +88,8 @@ class Augmented:
     def accuracy(self, estimate: Pose, task: BoardTask) -> dict[str, float]:
         """Return the errors of an estimated board pose in the base frame, calibration error included.
 
-        ``task_error_max_mm`` is the largest distance between a point of the task at its true place and the same
-        point as the estimate places it.
+        ``task_error_max_mm`` is the largest distance between the true place of a point of the task and its place
+        according to the estimate.
         """
         way, turn = estimate.distance(self.phantom)
         true, believed = (self.board.task_in_base(task, pose) for pose in (self.phantom, estimate))
@@ -101,7 +101,7 @@ class Augmented:
         }  # fmt: skip
 
     def film(self, file: str | os.PathLike[str], trace: Trace, path: Path, trocar: ArrayLike) -> int:
-        """Film the run (.webm) as the surgeon sees it; ``trocar`` (3,) [m] is the registered one; see `save_film`."""
+        """Film the run (.webm) as the surgeon sees it, with the registered ``trocar`` (3,) [m]; see `save_film`."""
         return save_film(file, self._frames(trace, path, trocar), self.camera.settings.rate_Hz)
 
     def _frames(self, trace: Trace, path: Path, trocar: ArrayLike) -> Iterator[Picture]:
@@ -110,7 +110,7 @@ class Augmented:
         for t in np.arange(trace.t_s[0], trace.t_s[-1] + 1e-9, step).tolist():
             k = min(int(np.searchsorted(trace.t_s, t - 1e-9)), len(trace) - 1)
             picture = self._picture(t, trace.q_rad[k])
-            # A path may cross itself, so the search looks only 20 points ahead. Progress counts only on the path.
+            # A path may cross itself, so only the next 20 points are searched. Progress counts only on the path.
             away = np.linalg.norm(line[done : done + 20] - trace.tip_ref_m[k], axis=1)
             done += int(np.argmin(away)) if away.min() < _ON_PATH_M else 0
             markers = len(self._finder.corners(picture))
@@ -134,8 +134,8 @@ def draw(
 ) -> Picture:
     """Draw task, tip and trocar into a copy of the picture (H, W, 3), where the camera would see them.
 
-    ``task`` (k, 3), ``tip`` (3,) and ``trocar`` (3,) are in the base frame [m]. The share ``progress`` of the path
-    has another colour: it is done. The trocar is mostly outside the picture, so a line leads from the tip towards it.
+    ``task`` (k, 3), ``tip`` (3,) and ``trocar`` (3,) are in the base frame [m]. The finished part of the path has
+    another colour; ``progress`` is its share. A line leads from the tip to the trocar, which is mostly out of sight.
     """
     page = picture.copy()
     points, end, far = (np.asarray(part, dtype=np.float64) for part in (task, tip, trocar))
@@ -177,7 +177,7 @@ def _whole(pixel: Array) -> tuple[int, int]:
 def save_film(path: str | os.PathLike[str], pictures: Iterable[Picture], rate_Hz: float) -> int:
     """Write pictures (H, W, 3) of one size to a film (.webm), one after the other, and return their count.
 
-    A PlantError where the film cannot be written.
+    A PlantError if the film cannot be written.
     """
     writer, count = cv2.VideoWriter(), 0
     for picture in pictures:

@@ -68,7 +68,7 @@ def rotation_from(vector: ArrayLike) -> Array:
 
 
 class VisionSettings(Settings):
-    """Base class of the settings in this package; a PlantError where a value is out of range."""
+    """Base class of the settings in this package; a PlantError if a value is out of range."""
 
     ERROR: ClassVar[type[MocOptError]] = PlantError
 
@@ -111,19 +111,19 @@ class Board(VisionSettings):
         return self.columns * pitch + self.gap_m, self.rows * pitch + self.gap_m
 
     def corners(self, marker: int) -> Array:
-        """Return the corners (4, 3) of a marker in the board's frame [m]: top left, then clockwise as seen."""
+        """Return the corners (4, 3) of a marker in the board's frame [m]: top left, then clockwise from the front."""
         row, column = divmod(marker, self.columns)
         pitch, (left, top, _) = self.marker_m + self.gap_m, self.outline()[0]
         left, top = left + self.gap_m + column * pitch, top - self.gap_m - row * pitch
         return _rectangle(left, top, left + self.marker_m, top - self.marker_m)
 
     def outline(self) -> Array:
-        """Return the corners (4, 3) of the whole board in its own frame [m]: top left, then clockwise as seen."""
+        """Return the corners (4, 3) of the board in its own frame [m]: top left, then clockwise from the front."""
         x, y = 0.5 * self.size_m[0], 0.5 * self.size_m[1]
         return _rectangle(-x, y, x, -y)
 
     def task_in_base(self, task: BoardTask, board_in_base: Pose) -> Path:
-        """Transform a virtual task into the robot's base frame; a TaskError where it reaches beyond the board."""
+        """Transform a virtual task into the robot's base frame; a TaskError if the task reaches beyond the board."""
         own = task.on_board()
         places = own.at(np.linspace(0.0, own.length, 65))[0]
         beyond = float((np.abs(places[:, :2]) - 0.5 * np.array(self.size_m)).max())
@@ -168,16 +168,16 @@ BOARD_TASKS: Mapping[str, BoardTask] = MappingProxyType({
 
 
 def board_task(name: str) -> BoardTask:
-    """Look up a preset of `BOARD_TASKS`; an UnknownNameError where none has that name."""
+    """Look up a preset of `BOARD_TASKS`; an UnknownNameError if none has this name."""
     if name not in BOARD_TASKS:
         raise UnknownNameError("virtual task", str(name), BOARD_TASKS)
     return BOARD_TASKS[name]
 
 
 def board_below(trocar: ArrayLike, shaft: ArrayLike, depth_m: float) -> Pose:
-    """Return the pose of a board that faces the trocar, its middle `depth_m` below the trocar: a simple phantom.
+    """Return the pose of a simple phantom: a board that faces the trocar, with its middle `depth_m` below the trocar.
 
-    The board's z points against the shaft (3,), its x along the base's x, projected; a TaskError if both are parallel.
+    Its z points against the shaft (3,), its x along the projected x of the base; a TaskError if these are parallel.
     """
     into = direction3("shaft", shaft)
     x = direction3("shaft", np.array([1.0, 0.0, 0.0]) - into[0] * into)

@@ -19,14 +19,14 @@ from moc_opt.vision.board import Board, Pose, VisionSettings, rotation_from
 Picture = NDArray[np.uint8]  # (H, W, 3), blue green red
 
 TISSUE, COVER, STEEL = (92, 100, 178), (70, 60, 150), (150, 148, 145)
-SHAFT_RADIUS_M = 0.004  # of the drawn shaft
+SHAFT_RADIUS_M = 0.004  # radius of the drawn shaft
 _MARKER_BITS = 6  # cells along a marker: 4 bits, and a black frame around them
 _CELL_PX = 16  # pixels along one cell of the drawn board
 _FINER = 2  # the scene is drawn this many times finer than the picture, so that the markers' edges are smooth
 
 
 class CameraSettings(VisionSettings):
-    """An endoscope that looks at the phantom through its own port; its pictures count as free of distortion."""
+    """An endoscope that looks at the phantom through its own port. Its pictures are assumed to have no distortion."""
 
     KIND: ClassVar[str] = "[camera]"
 
@@ -59,7 +59,7 @@ class Camera:
         return np.array([[f, 0.0, 0.5 * width - 0.5], [0.0, f, 0.5 * height - 0.5], [0.0, 0.0, 1.0]])
 
     def project(self, points_in_base: ArrayLike) -> Array:
-        """Project points to pixels (k, 2) of points (k, 3) [m] of the base frame; NaN for points behind the camera."""
+        """Return the pixels (k, 2) of points (k, 3) [m] in the base frame; NaN for points behind the camera."""
         points = self.camera_in_base.inverse().apply(np.atleast_2d(np.asarray(points_in_base, dtype=np.float64)))
         depth = np.where(points[:, 2] > 1e-6, points[:, 2], np.nan)
         return np.asarray((points @ self.matrix.T)[:, :2] / depth[:, None])
@@ -75,7 +75,7 @@ class Camera:
         return cls(settings, phantom_in_base @ Pose(turn, settings.distance_m * away))
 
     def miscalibrated(self, seed: int) -> Camera:
-        """Return the camera at its calibrated pose, which is off by the settings' errors in seeded directions."""
+        """Return the camera at its calibrated pose: its true pose plus the settings' errors in random directions."""
         away, axis = np.random.default_rng(seed).standard_normal((2, 3))
         turn = math.radians(self.settings.calibration_error_deg) * axis / np.linalg.norm(axis)
         error = Pose(rotation_from(turn), self.settings.calibration_error_m * away / np.linalg.norm(away))
@@ -124,7 +124,7 @@ class View:
     def _draw_board(self, page: Picture, pose: Pose, hidden: frozenset[int]) -> None:
         printed, board = self._page.copy(), self._board
         if pose.R[:, 2] @ pose.t >= 0.0 or pose.apply(board.outline())[:, 2].min() <= 1e-3:
-            return  # the camera sees the board's back, or a part of the board is behind it
+            return  # the camera sees the board's back, or a part of the board is behind the camera
         radius = min(0.72 * board.marker_m, 0.5 * board.marker_m + 0.9 * board.gap_m) * self._texture[0, 0]
         for marker in hidden:
             x, y, _ = self._texture @ [*board.corners(marker)[:, :2].mean(axis=0), 1.0]
@@ -156,7 +156,7 @@ def expose(picture: Picture, settings: CameraSettings, rng: np.random.Generator)
     if settings.blur_px > 0.0:
         picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), settings.blur_px), dtype=np.uint8)
     if settings.noise > 0.0:
-        # The same noise for all three colours, since the detection uses grey levels.
+        # All three colours get the same noise, because the detection uses only grey levels.
         grain = np.rint(settings.noise * rng.standard_normal(picture.shape[:2], dtype=np.float32))
         picture = np.clip(picture.astype(np.int16) + grain.astype(np.int16)[:, :, None], 0, 255).astype(np.uint8)
     return picture
@@ -169,7 +169,7 @@ def board_picture(board: Board) -> NDArray[np.uint8]:
     page = np.full((height, width), 255, dtype=np.uint8)
     for marker in board.ids:
         left, top, _ = texture_matrix(board) @ [*board.corners(marker)[0, :2], 1.0]
-        # The shift has fractions of a pixel: rounded, it would put a marker up to 0.1 mm out of place.
+        # The shift is not rounded to whole pixels, which would move a marker by up to 0.1 mm.
         shift = np.array([[1.0, 0.0, left - 0.5], [0.0, 1.0, top - 0.5]])
         square = np.pad(cv2.aruco.generateImageMarker(dictionary(), marker, side), 1, constant_values=255)
         cv2.warpAffine(square, shift, (width, height), dst=page, borderMode=cv2.BORDER_TRANSPARENT)
@@ -177,7 +177,7 @@ def board_picture(board: Board) -> NDArray[np.uint8]:
 
 
 def texture_matrix(board: Board) -> Array:
-    """Matrix (3, 3) from (x, y, 1) on the board [m] to (column, row, 1) in `board_picture`; integers: pixel centres."""
+    """Matrix (3, 3) from (x, y, 1) on the board [m] to (column, row, 1) in `board_picture`; whole at pixel centres."""
     scale = _MARKER_BITS * _CELL_PX / board.marker_m
     width, height = board.size_m
     right, down = 0.5 * scale * width - 0.5, 0.5 * scale * height - 0.5

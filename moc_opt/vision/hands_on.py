@@ -38,7 +38,7 @@ class HandSettings(VisionSettings):
     speed_max_m_per_s: float = Field(0.15, gt=0.0, le=1.0, description="largest desired speed")
     correction_per_s: float = Field(2.0, ge=0.0, le=20.0)
     """rate at which the force grows while the tip is short of the goal"""
-    content_m: float = Field(0.0005, ge=0.0, le=0.05, description="distance below which the force grows no more")
+    content_m: float = Field(0.0005, ge=0.0, le=0.05, description="distance at which the force stops growing")
 
 
 class HandsOnSettings(VisionSettings):
@@ -49,7 +49,7 @@ class HandsOnSettings(VisionSettings):
     joint_damping_Nm_s_per_rad: float = Field(3.0, ge=0.0, le=100.0)
     registration_error_m: float = Field(0.001, ge=0.0, le=0.005)
     """size of the error added to the trocar's position by the kinematics, in a seeded direction"""
-    tolerance_m: float = Field(0.002, gt=0.0, le=0.05, description="the tip is at the incision when this near")
+    tolerance_m: float = Field(0.002, gt=0.0, le=0.05, description="the tip is at the incision if this near")
     rest_speed_m_per_s: float = Field(0.003, gt=0.0, le=0.1, description="a slower tip counts as resting")
     rest_s: float = Field(0.4, gt=0.0, le=10.0, description="time for which the tip has to rest")
     time_limit_s: float = Field(20.0, gt=0.0, le=600.0)
@@ -75,10 +75,10 @@ class HandsOn:
     """The result of the guiding."""
 
     status: HandsOnStatus
-    trocar: Array  #: (3,) where the incision truly is [m]
+    trocar: Array  #: (3,) true position of the incision [m]
     registered: Array | None  #: (3,) the registered trocar [m]; None if it was not registered
     q: Array  #: (n,) the robot's measured pose at the end [rad]
-    trace: Trace  #: one row a tick
+    trace: Trace  #: one row per tick
 
     @property
     def error_m(self) -> float:
@@ -98,7 +98,7 @@ class Hand:
         self.settings, self._period, self._extra = settings, period_s, np.zeros(3)
 
     def pull(self, place: Array, velocity: Array, goal: Array) -> Array:
-        """Compute the hand's force (3,) [N] on the tool, once a period; a PlantError where the arm ran away."""
+        """Compute the hand's force (3,) [N] on the tool, once a period; a PlantError if the arm ran away."""
         hand, way = self.settings, goal - place
         distance = math.sqrt(float(way @ way))
         if not math.isfinite(distance + float(velocity @ velocity)):
@@ -148,9 +148,9 @@ def guide_to(
 ) -> HandsOn:
     """Let a hand pull the tip to the incision (3,) [m] while the arm only carries its own weight.
 
-    The hand goes by the true tip; the robot registers the tip by its own kinematics, plus a seeded error. The plant
-    continues from its present state, and keeps its state at the end. A TaskError, before anything moves, where the
-    incision is too far away or out of the arm's reach; a PlantError where the arm ran away.
+    The hand sees the true tip; the robot registers the tip that its own kinematics give, plus a seeded error. The plant
+    continues from its present state, and keeps its state at the end. A TaskError, before anything moves, if the
+    incision is too far away or out of the arm's reach; a PlantError if the arm ran away.
     """
     settings = settings or HandsOnSettings()
     goal = vector3("incision", incision)

@@ -23,7 +23,7 @@ class TrackerSettings(VisionSettings):
 
     KIND: ClassVar[str] = "[tracker]"
 
-    min_markers: int = Field(3, ge=1, description="least number of markers of a sighting")
+    min_markers: int = Field(3, ge=1, description="smallest number of markers of a sighting")
     error_max_px: float = Field(1.0, gt=0.0, description="largest root mean square error of a sighting")
     jump_m: float = Field(0.004, gt=0.0, description="a sighting farther than this from the estimate is an outlier")
     jump_rad: float = Field(0.05, gt=0.0, description="a sighting turned by more than this is an outlier too")
@@ -47,21 +47,21 @@ class BoardFinder:
     def __init__(self, board: Board, camera: Camera) -> None:
         parameters = cv2.aruco.DetectorParameters()
         parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-        # A window as wide as a marker's cell: 25 % less error in the distance than OpenCV's default, a third of it.
+        # With a window as wide as a marker's cell, distances have 25 % less error than with OpenCV's third of a cell.
         parameters.relativeCornerRefinmentWinSize = 1.0
         self._detector = cv2.aruco.ArucoDetector(dictionary(), parameters)
         self._corners = {marker: board.corners(marker) for marker in board.ids}
         self._matrix = camera.matrix
 
     def corners(self, picture: Picture) -> dict[int, Array]:
-        """Find the board's markers; return the number of each, with its corners (4, 2) [px]."""
+        """Find the board's markers; return marker number -> corners (4, 2) [px]."""
         found, ids, _ = self._detector.detectMarkers(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY))
         numbers = [] if ids is None else [int(marker) for marker in ids.ravel()]
         quads = (np.asarray(quad, dtype=np.float64).reshape(4, 2) for quad in found)
         return {marker: quad for marker, quad in zip(numbers, quads, strict=True) if marker in self._corners}
 
     def find(self, picture: Picture) -> Sighting | None:
-        """Find the board's pose in the camera's frame; None where no marker is seen or no pose fits.
+        """Find the board's pose in the camera's frame; None if no marker is seen or no pose fits.
 
         The corners of a distant plane fit two poses (mirrored about the line of sight). Both are refined, and the
         better fit is taken. Corners with large errors, mostly where the tool covers part of a marker, are left out.
@@ -110,8 +110,8 @@ class Tracked:
 class BoardTracker:
     """Tracks a board from picture to picture, and averages its pose over `smoothing_s`.
 
-    A single sighting far from the estimate is an outlier and changes nothing. `found_after` of them in a row that agree
-    mean that the board was moved: the estimate jumps to them. The tip must not jump with it (see `WaitingReference`).
+    A single sighting far from the estimate is an outlier and changes nothing. If `found_after` outliers in a row agree,
+    the board was moved, and the estimate jumps. The tip must not jump with the estimate (see `WaitingReference`).
     """
 
     def __init__(self, limits: TrackerSettings | None = None) -> None:
@@ -122,7 +122,7 @@ class BoardTracker:
         self._streak: list[Pose] = []  # good sightings in a row that are not in the estimate yet
 
     def update(self, t: float, sighting: Sighting | None) -> Tracked:
-        """Update the estimate with the next picture's sighting, at time t [s]; None: it shows no board."""
+        """Update the estimate with the next picture's sighting, at time t [s]; None: the picture shows no board."""
         elapsed, self._time = t - self._time, t
         refused = self._refusal(sighting)
         if sighting is None or refused is not None:
@@ -153,7 +153,7 @@ class BoardTracker:
         self._streak.append(pose)
         if len(self._streak) < self.limits.found_after:
             return "far from the estimate" if self._tracking else "waiting for more sightings that agree"
-        # If the board is found at its old pose, the old average continues; elsewhere a new average begins.
+        # If the board is found at its old pose, the old average continues; at another pose, a new average begins.
         if self.pose is None or not self._near(self.pose, pose):
             mean, self._count = self._streak[0], 1
             for other in self._streak[1:]:
