@@ -141,7 +141,7 @@ class Scenario(Settings):
             raise
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a TOML from which `load` makes the same scenario. It omits values that are defaults; paths are absolute.
+        """Write a TOML from which `load` makes the same scenario. It omits defaults; paths are absolute.
 
         Raises:
             ScenarioError: a solver's setting has no form in TOML, or the file cannot be written.
