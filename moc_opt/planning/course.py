@@ -1,4 +1,4 @@
-"""Targets of tip and wrist along a path, and courses: joint trajectories along these targets, with their violations."""
+"""Targets of tip and wrist along a path, and courses: joint trajectories along them, with their constraint violation."""
 
 from __future__ import annotations
 

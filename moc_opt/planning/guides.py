@@ -1,7 +1,7 @@
 """Guides: a guide gives the third level the velocity of a course to follow, instead of the climb of mu.
 
 With ``[control] third_level = "planned"`` the course is made before the run or read from the file ``[control] course``;
-with "receding" courses are made during the run. All begin with courses read off the value function V (`Ways`).
+with "receding" courses are made during the run. All are smoothed from courses read off one value function V (`Ways`).
 """
 
 from __future__ import annotations
