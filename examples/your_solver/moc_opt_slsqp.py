@@ -25,4 +25,4 @@ class SLSQP:
                          jac=lambda x: scale * (qp.P @ x + qp.p), bounds=list(zip(qp.lower, qp.upper, strict=True)),
                          constraints=meets, options={"ftol": self.ftol, "maxiter": 200})  # fmt: skip
         status = Status.SOLVED if found.success else Status.NUMERICAL
-        return Solution(found.x, None, status, found.get("nit", 0))  # no duals: the residuals use the best duals
+        return Solution(found.x, None, status, found.get("nit", 0))  # no duals: residuals use the best ones

@@ -1,4 +1,4 @@
-"""Targets of tip and wrist along a path, and courses: joint trajectories along them, with their constraint violation."""
+"""Targets of tip and wrist along a path; courses (joint trajectories along them) and their constraint violation."""
 
 from __future__ import annotations
 

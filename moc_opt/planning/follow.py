@@ -22,7 +22,7 @@ from moc_opt.planning.search import NEARBY_RAD, Value
 from moc_opt.robots.model import RobotState
 
 GAIN_PER_S = 5.0  #: The gain k.
-NODES = 10  #: Number of times in the nonlinear program after its start.
+NODES = 10  #: Number of points in time of the nonlinear program, without its start.
 CATCH_UP = 1.03  #: A course may exceed V's joint speeds by this factor, so that a late arm can catch up.
 ON_COURSE_RAD = 0.05
 """A new course begins on the old course if every joint is this near to it, else at the measured pose. Always beginning

@@ -62,7 +62,7 @@ class PoseMap:
     q_rad: Array  #: (k,b,m,n)
     mu: Array  #: (k,b,m) [m^3], also beyond joint limits; the branches of a closed form share it
     room_rad: Array
-    """(k,b,m) distance of the nearest joint from its limit, below zero beyond it; idle joints do not count"""
+    """(k,b,m) smallest distance of a joint from its limits, negative beyond a limit; idle joints do not count"""
     closed: ClosedForm | None = None
 
     def feasible(self, margin: Margin = 0.0) -> Flags:

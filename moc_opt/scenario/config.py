@@ -31,7 +31,7 @@ PRESETS: Mapping[str, Mapping[str, Callable[..., Settings]]] = {
 _LAGS = 3.0  # least lag that the safety filter assumes, in time constants of the encoders' velocity filter
 _TORQUE, _SPEED = 500.0, 600.0
 """For each rad of the encoders' step, the largest change of torque [share of tau_max], and the largest speed given by
-the momentum residual [rad/s], at which an encoder in order may still show no step."""
+the momentum residual [rad/s], at which a healthy encoder may still show no step."""
 
 
 class Scenario(Settings):

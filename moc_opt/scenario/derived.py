@@ -37,7 +37,7 @@ from moc_opt.trace.trace import Trace
 Columns = Mapping[str, NDArray[Any]]
 
 AT_ONCE = 5000  # number of answers whose residuals are computed together
-PERIOD_S = 0.05  # time step of that grid: joints pass several swivels in it, so that rounding costs little
+PERIOD_S = 0.05  # time step of the grid; joints pass several swivels in one step, so that rounding costs little
 PATH = {"robot", "start", "trocar", "task", "duration_s", "seed"}  # keys of a scenario that determine path and start
 
 
