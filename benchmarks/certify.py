@@ -24,7 +24,7 @@ from moc_opt.study.testsets import CertificateError, TestSet
 
 TIED = 1e-12  # relative movement of tip and wrist along the shaft, up to this share of |A|, counts as rounding
 RANK_TOLERANCE = 1e-12
-"""Singular values below this share of |A| count as zero when answers are judged: such problems are not certified."""
+"""A singular value below this share of |A| counts as zero when answers are judged; its problem is not certified."""
 FEASIBLE, INFEASIBLE = 0, 2  # status of scipy's linprog
 NONE = Fraction(0)
 Vector = list[Fraction]
@@ -71,7 +71,7 @@ def optimum(A: Array, b: Array, pull: Vector, rho: float, lower: Array, upper: A
     count = len(moving)
     exact = [[Fraction(value) for value in (*row[moving], right)] for row, right in zip(A, b, strict=True)]
     rows, pivots = eliminated(exact)
-    if count in pivots:  # a row 0 = 1
+    if count in pivots:  # a row reads 0 = 1: infeasible
         return None
     if not moving:
         return x

@@ -51,7 +51,7 @@ class Config(StudyConfig):
 
 
 def covered(treated: ArrayLike, control: ArrayLike, size: int, draws: int) -> tuple[float, float]:
-    """Return the share of draws of ``size`` trials whose interval holds the pool's change, and the median width [%]."""
+    """Return the share of draws (``size`` trials) whose interval contains the true change, and the median width [%]."""
     treated, control = np.asarray(treated), np.asarray(control)
     rng, held, widths = np.random.default_rng(size), 0, []
     true = 100.0 * (treated.mean() / control.mean() - 1.0)

@@ -2,7 +2,7 @@
 
 The text between the lines ``<!-- NAME -->`` and ``<!-- /NAME -->`` of a page becomes the answer and the first table of
 RESULTS/NAME/report.md. The text between ``<!-- NAME: TITLE -->`` and ``<!-- /NAME: TITLE -->`` becomes the report's
-section with that title. Command, seed and machine are put above. RESULTS is ``results`` by default.
+section with that title. Command, seed and machine are put above it. RESULTS is ``results`` by default.
 """
 
 from __future__ import annotations

@@ -97,7 +97,7 @@ class Case(Settings):
 
 
 FREE = {"none": Case(group="none")}
-"""The run without a fault; it has to be the first of a block."""
+"""The run without a fault; it has to be the first case of a block."""
 
 
 class Config(StudyConfig):
@@ -171,7 +171,7 @@ def run_block(block: Block) -> tuple[list[dict[str, Any]], dict[str, dict[str, A
     for name, case in block.cases.items():
         trace, how = run_case(case.corrupt(block.trial), case.camera_lost_s)
         waits = case.camera_lost_s is not None
-        if waits not in levels:  # a path that may wait starts more gently: compare with one that may, but never has to
+        if waits not in levels:  # a path that may wait starts more gently: compare with one that never has to wait
             levels[waits] = run_case(block.trial, (0.0, 0.0))[0] if waits else trace
         if (level := levels[waits]) is None:
             raise MocOptError(f"{block.controller}: the run without a fault did not start: {how}")
@@ -243,7 +243,7 @@ def measure(
 
 
 def detection(trace: Trace) -> dict[str, int]:
-    """Count injected solver faults (detected, harmless and missed), and sound answers that were refused.
+    """Count injected solver faults (detected, harmless and missed), and correct answers that were refused.
 
     A corrupted answer that was taken can still be verified as the optimum. For example, the opposite gradient has the
     same optimum where the box leaves a single point. Such an answer counts as harmless, not as missed.
@@ -283,7 +283,7 @@ def recovery(trace: Trace, free: Trace, case: Case, ended: str) -> float | None:
 
 
 def smooth(values: Array, width: int) -> Array:
-    """Return the running mean (N,) over the last ``width`` values, at the beginning over all values so far."""
+    """Return the running mean (N,) over the latest ``width`` values, or over all values so far if they are fewer."""
     return pl.Series(values).rolling_mean(width, min_samples=1).to_numpy()
 
 
@@ -297,7 +297,7 @@ def worst(rows: Results) -> list[dict[str, Any]]:
         there = [f"{n} {word}" if n < len(mine) else word for word, n in counts.items() if n]
         known = {key: [r[key] for r in mine if r.get(key) is not None] for key in (*WORST, *COUNTS, "recover_s")}
         recovered = len(known["recover_s"])
-        if recovered < len(mine):  # it did not recover in every trial
+        if recovered < len(mine):  # the run did not recover in every trial
             known["recover_s"] = []
         found.append({
             "case": case, "controller": name, "group": mine[0]["group"], "outcome": ", ".join(there), "runs": len(mine),

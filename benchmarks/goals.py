@@ -31,8 +31,8 @@ class Goal(NamedTuple):
 def judge(summary: Mapping[str, Any], goals: Mapping[str, Goal]) -> dict[str, dict[str, Any]]:
     """Return goal -> what, unit, goal, kind, value (None: not measured), made_of, reached, section.
 
-    ``reached`` is "yes", "no", "not measured", or "open" (the value's interval holds the limit, or the trials are too
-    few).
+    ``reached`` is "yes", "no", "not measured", or "open" (the value's interval contains the limit, or there are too few
+    trials).
     """
     found: dict[str, dict[str, Any]] = {}
     for key, goal in goals.items():

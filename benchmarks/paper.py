@@ -50,7 +50,7 @@ MOST_MM = {
     "tip_error_model_mean_mm": 0.1, "tip_error_registered_mean_mm": 0.1, "rcm_error_model_mean_mm": 0.2,
     "rcm_error_registered_mean_mm": 0.2, "rcm_error_mean_mm": 0.5,
 }  # fmt: skip
-"""Goals: largest mean errors [mm]. In the base frame, registering the trocar 0.5 mm off costs 0.3 mm of the 0.5 mm."""
+"""Goals: largest mean errors [mm]. In the base frame, a trocar registered 0.5 mm off causes 0.3 of the 0.5 mm."""
 RULES = (
     "An effect is the change of MOC against a DCAC on the same trials, 100 (mean MOC / mean DCAC - 1), with its 95 % "
     "interval, and beside it the mean of the trials' own ratios. A claim is confirmed against one DCAC where both "
@@ -313,7 +313,7 @@ def ablation(rows: Results, cases: Mapping[str, Case]) -> list[dict[str, Any]]:
 
 
 def _shift(rows: Results, cases: Mapping[str, Case], name: str, printed: str, claim: Claim) -> dict[str, Any]:
-    """Return the shift of a case's effect from the first case's [points], over trials whose four runs are whole."""
+    """Return the shift of a case's effect from the first case's [points], over trials with four completed runs."""
     four = [
         rows.where(group=case).values(claim.metric, controller)
         for case in (name, printed) for controller in (cases[case].controller, BASELINE)

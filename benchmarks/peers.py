@@ -30,7 +30,7 @@ PERIOD_S = 0.002
 TOLERANCE_MM, CLIMB_PERCENT = 0.5, 1.0
 """Largest error of tip and shaft in the second half of the run, and smallest rise of the manipulability."""
 CLIMB = 30.0
-"""Joint velocity per gradient of the manipulability [1/m^3 rad^2/s], as c2/rho in the subproblem: here 1/0.033."""
+"""Joint velocity per gradient of the manipulability [1/m^3 rad^2/s]: c2/rho of the subproblem, rounded from 1/0.033."""
 STIFFNESS_PER_S = 100.0
 """Rate at which a velocity-level peer reduces an error of tip or shaft [1/s]."""
 
@@ -90,7 +90,7 @@ class TSID:
         self._posture.setKp(rest)
         self._posture.setKd(np.full(robot.n, self.CLIMB_DAMPING))
         self._dynamics.addMotionTask(self._posture, 1.0, 1, 0.0)
-        self._bounds = tsid.TaskJointBounds("speed", self._robot, PERIOD_S)  # kept: the formulation does not own it
+        self._bounds = tsid.TaskJointBounds("speed", self._robot, PERIOD_S)  # an attribute: tsid does not own the task
         self._bounds.setVelocityBounds(-robot.v_max, robot.v_max)
         self._dynamics.addMotionTask(self._bounds, 1.0, 0, 0.0)
         self._solver = tsid.SolverHQuadProgFast("eiquadprog")
@@ -209,7 +209,7 @@ class _Climb:
 
 
 class PinkTrimmed(_PinkArm):
-    """pink with tip and shaft as five hard equality rows, and our compiled gradient in place of ManipulabilityTask."""
+    """pink with tip and shaft as five hard equality rows, and our compiled gradient instead of ManipulabilityTask."""
 
     def __init__(self, robot: RobotModel) -> None:
         super().__init__(robot)

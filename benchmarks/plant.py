@@ -7,7 +7,7 @@ The second part runs calibration errors of several sizes, and computes which err
 *Registered again*: once MOC's elbow is at rest, the arm touches path and incision a second time, and the offset between
 true and believed tip at that tick replaces the one at the start. This shifts reference and trocar by a constant of less
 than a millimetre and changes nothing else, so the error is computed from the same run. Figures "after the travel" are
-means from that tick to the end, which is the same tick for both controllers.
+means from that tick, which is the same for both controllers, to the end.
 """
 
 from __future__ import annotations

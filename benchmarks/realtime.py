@@ -38,7 +38,7 @@ from moc_opt.study.statistics import Interval, share
 from moc_opt.trace.trace import Trace
 
 SPARE_S = 300.0
-"""Time limit beyond the run itself: for starting both processes, judging and saving the trace."""
+"""Time allowed in addition to the run itself: for starting both processes, judging and saving the trace."""
 SAFE_RCM_M, AT_REST_RAD_PER_S = 2e-3, 1e-2
 """A stop is clean if the RCM error stays below `SAFE_RCM_M`, and all joints end slower than `AT_REST_RAD_PER_S`."""
 BURN = "import os\nstudy = os.getppid()\nwhile os.getppid() == study:\n    sum(i * i for i in range(100000))"
@@ -125,7 +125,7 @@ def runs_of(study: Study, config: Config) -> dict[Case, list[Run]]:
         for rate, scenario in scenarios.items() if "c" in config.controllers
     }  # fmt: skip
     machine = environment({}, 0)["machine"]
-    here = (machine["processor"], machine["cores"])  # an argument of the job: kept runs of another machine do not count
+    here = (machine["processor"], machine["cores"])  # an argument of the job, so another machine's runs are not reused
     each = min(config.cycles, config.run_cycles)
     asked = [(case, number) for case in config.measured() for number in range(-(-config.cycles // each))]
     jobs = []
@@ -301,7 +301,7 @@ def report(summary: Mapping[str, Any], subject: str = "") -> Report:
 
 
 def options(parser: ArgumentParser) -> None:
-    parser.add_argument("--cycles", type=int, metavar="N", help="cycles of every case, in place of the configuration's")
+    parser.add_argument("--cycles", type=int, metavar="N", help="cycles of every case, instead of the configuration's")
 
 
 main = partial(command, "realtime", "Measure plant and controller against the clock.", Config, work, options=options)

@@ -110,7 +110,7 @@ def verdicts(rows: Results, judged: str) -> dict[str, bool | None]:
 
 
 def ranking(robots: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Return each arm's solvers by mean mu, best first, and the rank correlations of arms; 0.1 % apart is a tie."""
+    """Return each arm's solvers by mean mu, best first, and the arms' rank correlations; mu is rounded to 0.1 %."""
     scores, between = {}, {}
     for robot, figures in robots.items():
         found = {name: row["mu_mean"] for name, row in figures.items() if name != BASELINE and "mu_mean" in row}

@@ -127,7 +127,7 @@ class Config(StudyConfig):
 
 
 def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield dotted path and value: TOML reads ``control.c0 = ...`` as nested tables. A range (a table) is a value."""
+    """Yield dotted path and value (TOML reads ``control.c0 = ...`` as nested tables). A table of a range is a value."""
     for name, value in table.items():
         path = f"{prefix}{name}"
         if path in ELSEWHERE:

@@ -1,4 +1,4 @@
-"""Make the certified test sets of the subproblem again, or compare the files with new ones.
+"""Rebuild the certified test sets of the subproblem, or compare the files with rebuilt sets.
 
 python -m benchmarks.testsets [--check]
 

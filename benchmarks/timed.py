@@ -283,7 +283,7 @@ def own_steps(scenario: Scenario) -> tuple[Array, Callable[[], Array]]:
 
     The call returns the states (k, m) after the periods (column 0 is the time). It runs MuJoCo alone, without Python
     between the steps and without our trocar and sensors. The time of a step depends on the state, because dry friction,
-    joint limits and the trocar add work. So each period starts from its recorded state, with the last period's forces.
+    joint limits and the trocar add work. So each period starts from its recorded state and recorded forces.
     """
     # Imported here, because processes that measure other parts do without MuJoCo's threads.
     import mujoco

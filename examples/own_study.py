@@ -13,7 +13,7 @@ from moc_opt.study import Failed, Job, Kept, run
 
 
 def trial(solver, delay, seed):
-    """Run one trial, and return its row. If it hangs, crashes or raises, `run` gives `Failed` in place of the row."""
+    """Run one trial, and return its row. If it hangs, crashes or raises, `run` gives `Failed` instead of the row."""
     scenario = mo.Scenario(duration_s=2.0, seed=seed, start={"pose": "random"}, bound_samples=0)
     scenario = scenario.change(solver={"name": solver}, plant={"delay_ticks": delay})
     return {"solver": solver, "delay": delay, "seed": seed, **mo.summarize(mo.run(scenario))}

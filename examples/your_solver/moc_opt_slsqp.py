@@ -16,7 +16,7 @@ class SLSQP:
         return None  # or the reason why not
 
     def start(self, qp):
-        return self  # nothing to remember between ticks: the settings are the session
+        return self  # nothing to remember between ticks, so this object is its own session
 
     def solve(self, qp):
         rows, scale = qp.reduced(), 1e3  # five independent rows; the scale lifts costs of 1e-4 above ftol
@@ -25,4 +25,4 @@ class SLSQP:
                          jac=lambda x: scale * (qp.P @ x + qp.p), bounds=list(zip(qp.lower, qp.upper, strict=True)),
                          constraints=meets, options={"ftol": self.ftol, "maxiter": 200})  # fmt: skip
         status = Status.SOLVED if found.success else Status.NUMERICAL
-        return Solution(found.x, None, status, found.get("nit", 0))  # no duals: the judge finds the best
+        return Solution(found.x, None, status, found.get("nit", 0))  # no duals: residuals use the best ones

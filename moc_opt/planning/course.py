@@ -1,4 +1,4 @@
-"""Targets of tip and wrist along a path; a course, which is a joint trajectory along them; its constraint violation."""
+"""Targets of tip and wrist along a path; courses (joint trajectories along them) and their constraint violation."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from moc_opt.tasks import Reference, Trocar
 
 Margin = float | Array
 """Distance kept from the joint limits: one number for all, or one per joint (n,) [rad; m where a joint slides]."""
-SHALLOWEST_M = 0.002  #: Least distance from tip to trocar: nearer, the line between them gives the shaft no direction.
+SHALLOWEST_M = 0.002  #: Least distance from tip to trocar; below it the line between them gives the shaft no direction.
 MOST_VIOLATION = 1e-8  #: Largest violation of a course that counts as feasible [m], [rad].
 WORTH = 10.0  #: Penalty on a lost shaft, as a multiple of the map's largest mu; see `lowered`.
 
@@ -26,7 +26,7 @@ class Targets:
     t_s: Array  #: (k,) evenly spaced [s]
     tip: Array  #: (k,3) [m]
     wrist: Array  #: (k,3) N_d = X_d + L e, e the unit vector from the tip to the trocar [m]
-    arc_length_m: Array  #: (k,) length of the tip's path up to then [m]
+    arc_length_m: Array  #: (k,) length of the tip's path from 0 to t_s [m]
 
     @property
     def period_s(self) -> float:
@@ -79,8 +79,8 @@ class Course:
     q_rad: Array  #: (k,n)
     mu: Array  #: (k,) [m^3], by the robot model
     violation: float
-    """Largest of: tip or wrist off target [m]; joint beyond its limit, or step beyond speed limit x period [rad]."""
-    certified: bool = False  #: Whether the course is a local optimum to the solver's tolerance; False: best on a grid.
+    """Largest of: distance of tip or wrist from target [m]; excess over joint limit or speed limit x period [rad]."""
+    certified: bool = False  #: Whether a solver found the course to be a local optimum within its tolerance.
 
     @property
     def mu_mean(self) -> float:
@@ -89,7 +89,7 @@ class Course:
 
     @property
     def kept(self) -> bool:
-        """Whether the course keeps targets, limits and speeds to `MOST_VIOLATION`."""
+        """Whether the course keeps targets, limits and speeds within `MOST_VIOLATION`."""
         return self.violation <= MOST_VIOLATION
 
 
@@ -104,7 +104,7 @@ class Limits:
 
 
 def lowered(mu: Array, share: Array, limits: Limits, top: float) -> Array:
-    """Return mu minus the penalty on nearly losing the shaft: `WORTH` top (1 - share/margin)^2 below the margin.
+    """Return mu minus the penalty on nearly losing the shaft: `WORTH` top (1 - share/margin)^2 where share < margin.
 
     ``share`` is from `shaft_shares`, the margin is ``limits.shaft``, ``top`` the largest mu [m^3]. Where the share is
     small, the joints have to turn fast to keep the shaft in the trocar, and their lag becomes RCM error.
@@ -142,7 +142,7 @@ def between(t: Array, times: Array, rows: Array) -> Array:
 
 
 def margin_at(robot: RobotModel, poses: Array, margin: Margin) -> Margin:
-    """Return the margin, or the least distance of the poses (..., n) from the limits where that is smaller."""
+    """Return the margin, lowered to the least distance of the poses (..., n) from the limits if that is smaller."""
     room = np.minimum(poses - robot.q_min, robot.q_max - poses).reshape(-1, robot.n).min(axis=0)
     room = np.where(robot.moves.any(axis=0), np.maximum(room, 0.0), np.inf)
     return np.minimum(margin, room) if isinstance(margin, np.ndarray) else min(margin, float(room.min()))

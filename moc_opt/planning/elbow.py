@@ -13,11 +13,11 @@ from moc_opt.arrays import Array
 from moc_opt.planning.self_motion import SelfMotion, curve_through, parabola_peak
 from moc_opt.robots.model import RobotModel, link_frames
 
-NEAR_RAD = 0.1  #: An elbow nearer to its optimum has arrived: mu is then within 0.5 % of the best on the LWR4+.
-STILL_RAD_PER_S = 0.05  #: An elbow slower than this relative to its optimum is at rest; a moving one has 0.3 to 0.8.
+NEAR_RAD = 0.1  #: An elbow this near to its optimum has arrived; on the LWR4+, mu is then within 0.5 % of the best.
+STILL_RAD_PER_S = 0.05  #: An elbow slower than this relative to its optimum is at rest; moving elbows have 0.3 to 0.8.
 SAMPLES_PER_S = 25.0  #: How often the self-motion is scanned along a run.
 STEP_RAD = 0.1  #: Spacing of the samples of a self-motion.
-WINDOW_S = 0.1  #: Time over which the change of the distance to go gives the speed.
+WINDOW_S = 0.1  #: The elbow's speed is the mean rate of change of the distance to go in a window of this length.
 
 
 class Elbow:
@@ -38,7 +38,7 @@ class Elbow:
         self.reference = np.eye(3)[axis]  #: (3,) unit vector towards which the elbow lies at swivel zero
 
     def swivel(self, q: Array) -> Array:
-        """Return the swivels (k,) [rad] in (-pi, pi], of poses (k, n)."""
+        """Return the swivels (k,) [rad], in (-pi, pi], of poses (k, n)."""
         origins, rotations = link_frames(self._robot, q)
         shoulder, elbow = origins[:, self._shoulder], origins[:, self.joint]
         wrist = origins[:, -1] + rotations[:, -1] @ self._robot.chain.offsets[1]
@@ -59,9 +59,9 @@ def wrapped(angles: Array) -> Array:
 def distance_to_go(robot: RobotModel, q: ArrayLike) -> Array:
     """Return the distance to go (k,) [rad] at poses q (k, n) [rad].
 
-    It is the arc length in joint space, idle joints left out, to the maximum of mu that a climb reaches, refined by a
-    parabola between the samples. NaN where a pose is singular: no single curve leads through it. A pose beyond a limit
-    is taken at the limit.
+    It is the arc length in joint space, without idle joints, to the maximum of mu that a climb reaches; a parabola
+    refines the maximum between samples. It is NaN where a pose is singular, as no single curve leads through that pose.
+    A pose beyond a limit is first moved to the limit.
     """
     poses = np.clip(np.asarray(q, dtype=np.float64), robot.q_min, robot.q_max)
     curves = (curve_through(robot, pose, STEP_RAD) for pose in poses)

@@ -1,9 +1,9 @@
-"""Follow a course (a joint trajectory) in the loop: it gives the third level a velocity in place of the climb of mu.
+"""Follow a course (a joint trajectory) in the loop: it gives the third level a velocity instead of the climb of mu.
 
     x_d(t) = dq_c(t) + k (q_c(t) - q),   projected on ker A by the subproblem itself
 
 q_c is the course and k a gain. The course is made before the run, or repeatedly during it (`Planner`). The gain alone
-does not lead an arm back that is far from its course: close to a singular pose, where only one joint is free, the
+may not bring back an arm that is far from its course: close to a singular pose, where only one joint is free, the
 projected error may be zero. A planner then makes a new course from the measured pose.
 """
 
@@ -22,11 +22,11 @@ from moc_opt.planning.search import NEARBY_RAD, Value
 from moc_opt.robots.model import RobotState
 
 GAIN_PER_S = 5.0  #: The gain k.
-NODES = 10  #: Count of times of the nonlinear program after its start.
+NODES = 10  #: Number of points in time of the nonlinear program, without its start.
 CATCH_UP = 1.03  #: A course may exceed V's joint speeds by this factor, so that a late arm can catch up.
 ON_COURSE_RAD = 0.05
-"""A new course begins on the old one if every joint is this near to it, else at the measured pose. Always beginning at
-the measured pose would close a second loop through the delay of the solves, which oscillates near singular poses."""
+"""A new course begins on the old course if every joint is this near to it, else at the measured pose. Always beginning
+at the measured pose would close a second loop through the delay of the solves, which oscillates near singular poses."""
 MOST_OFF = 1e-3  #: Largest violation of a course to follow: tip or wrist off target [m], joint beyond limit [rad].
 LOST_RAD = 0.3  #: An arm with a joint farther than this from the course has left it; ten times the usual error.
 NO_COURSE = "q_start: no course goes to the end of the path from there within joint speeds and limits"
@@ -34,7 +34,7 @@ ASKED_EACH = 25  #: Ticks between two checks of whether the arm has left its cou
 
 
 class Piece(NamedTuple):
-    """A course at evenly spaced times; cubic between them (Hermite), and at rest after the last."""
+    """A course at evenly spaced times; cubic between them (Hermite), and at rest after the final time."""
 
     t_s: Array
     q_rad: Array
@@ -83,7 +83,7 @@ class Planner:
         return {"solves": len(self._solve_s), "refused": self._refused, "solve_ms_median": median, "solve_ms_p99": high}
 
     def plan(self, q: Array, t: float, last: Piece | None) -> Piece | None:
-        """Make a course from a pose (n,) at a time [s]; return ``last`` if none is usable, or at the path's end."""
+        """Make a course from a pose (n,) at a time [s]; return ``last`` if none is usable or the path is at its end."""
         path, began = self._value.map.targets, time.perf_counter()
         end = min(int(np.searchsorted(path.t_s, t + self._horizon_s)), len(path) - 1)
         if path.t_s[end] - t < 0.5 * path.period_s:
@@ -101,7 +101,7 @@ class Planner:
         there, speed, guess = self._targets.at(nodes[1:]), np.zeros(len(q)), between(nodes[1:], way.t_s, way.q_rad)
         if last is not None:
             apart = last.q_rad[-1] - between(last.t_s[-1:], way.t_s, way.q_rad)[0]
-            if np.abs(apart).max() <= NEARBY_RAD:  # the guess: the last answer, then the course on the grid
+            if np.abs(apart).max() <= NEARBY_RAD:  # the guess: the previous answer, then the course on the grid
                 known = nodes[1:] <= last.t_s[-1]
                 guess += apart
                 guess[known] = between(nodes[1:][known], last.t_s, last.q_rad)
@@ -149,7 +149,7 @@ class Follower:
         self._tick, self._begun = 0, -1
         self._now: Piece | None = self._given
         if self._planner is not None:
-            self._planner.forget()  # now: later, when the planner takes over within a tick, it would stall the loop
+            self._planner.forget()  # now, as it would stall the loop in the tick in which the planner takes over
             if self._q_start is not None:
                 self._begin(self._planner, self._q_start)
 

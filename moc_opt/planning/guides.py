@@ -1,7 +1,7 @@
-"""Guides: a guide gives the third level the velocity of a course to follow, in place of the climb of mu.
+"""Guides: a guide gives the third level the velocity of a course to follow, instead of the climb of mu.
 
-By ``[control] third_level``, a "planned" course is made before the run, or read from the file of ``[control] course``;
-"receding" courses are made during the run. All are smoothed from courses read off one V (`Ways`), with equal limits.
+With ``[control] third_level = "planned"`` the course is made before the run or read from the file ``[control] course``;
+with "receding" courses are made during the run. All are smoothed from courses read off one value function V (`Ways`).
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ COURSE_SHARE = 0.25
 barrier of the local climb begins."""
 V_PERIOD_S = 0.1  #: Time between two points of the map: long enough for joints to pass many of its samples.
 TARGETS_PER_TIME = 20  #: Targets per time of the map; the program of the horizon interpolates between them.
-QUARTER = 0.5  #: `cell` of V (see `Value`): near singular poses the map's steps would be too coarse without it.
+QUARTER = 0.5  #: `cell` of V, see `Value`; with 0, the map would be too coarse near singular poses.
 SPEEDS = (1.0, 0.7, 0.4)
-"""Shares of a course's speed, tried in turn until a course is smooth and can brake in time. If none can, the last
-share is tried without braking."""
+"""Shares of ``[control] course_speed_fraction``, tried in turn until a course is smooth and can brake in time. If no
+share gives one, the smallest is tried without braking."""
 HURRY, WORTH_IT = 1.12, 0.01
 """A course may be faster by the factor `HURRY`, up to `FASTEST` of the joint speeds, if V then gains more than
-`WORTH_IT` of mean mu: a smaller gain (most starts have a tenth) is not worth larger tip and RCM errors."""
+`WORTH_IT` of mean mu. A smaller gain (a tenth of it at most starts) is not worth larger tip and RCM errors."""
 FASTEST = 0.97
 BRAKE_SHARE = 0.9  #: Share of the safety filter's braking deceleration that a course made before the run uses.
 SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}
@@ -45,7 +45,7 @@ SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}
 MOST_OFF_M = 1e-3  #: Largest distance of tip or wrist of a file's course from the run's targets.
 MOST_OFF_RAD = 1e-6  #: Largest deviation of a file's first pose from the start, and of a joint beyond its limit.
 ROUNDING = 1e-6
-"""Tolerances of a file: first time [s], last time (share of the run's), speed (share of its limit)."""
+"""Tolerance of a course file's first time [s], end (share of the run's duration) and speed (share of its limit)."""
 PLAN_IT = "plan it for this scenario: moc-opt plan SCENARIO --out FILE"
 
 
@@ -72,7 +72,7 @@ class Following:
 
 
 class Ways:
-    """One coarse map of a run's path, V over it at each of `SPEEDS`, and the courses on its grid read off V."""
+    """One coarse map of a run's path, V on the map for each of `SPEEDS`, and courses on the map's grid read off V."""
 
     def __init__(self, run: Following) -> None:
         self.run, settings = run, run.settings
@@ -80,7 +80,7 @@ class Ways:
         whole = map_of(run.robot, run.q_start, self.fine[::TARGETS_PER_TIME])
         self.shaft = COURSE_SHARE * settings.shaft_margin
         self._map = keeping_shaft(whole, Limits(shaft=self.shaft))
-        #: Mean over the time of the map's largest feasible mu [m^3].
+        #: Mean over time of the largest feasible mu on the map [m^3].
         self.usual = float(np.where(whole.feasible(), whole.mu, 0.0).max(axis=(1, 2)).mean())
         self._known: dict[float, tuple[Value, Limits, Way]] = {}
 
@@ -94,8 +94,8 @@ class Ways:
     def at(self, part: float) -> tuple[Value, Limits, Way]:
         """Return V at this share of a course's speed, its limits, and the course on the grid from the start.
 
-        Where there is no course, V is made again without the margin from joint limits, and then, as the map may be too
-        coarse, with poses that stand for their whole cell. A ScenarioError if there is still no course.
+        If there is no course, V is rebuilt without the margin from joint limits. If that fails, V is rebuilt with poses
+        that stand for their whole cell, as the map may be too coarse. A ScenarioError if this fails too.
         """
         if part not in self._known:
             run, settings = self.run, self.run.settings
@@ -200,8 +200,8 @@ def load_course(
     """Read the file of ``[control] course``: a course from q_start (n,), interpolated at the targets, and its limits.
 
     Raises:
-        ScenarioError: the file cannot be read, is no course of this run, or one that its third level cannot follow;
-            says which of robot, start, duration, path, limits and speeds differs, and by how much.
+        ScenarioError: the file cannot be read, has no course of this run, or has one that the third level cannot
+            follow; says which of robot, start, duration, path, limits and speeds differs, and by how much.
     """
 
     def refused(why: str, cure: str = PLAN_IT) -> ScenarioError:
@@ -267,7 +267,7 @@ def speed_shares(robot: RobotModel, poses: Array, period_s: float) -> Array:
 
 
 def too_fast_to_follow(settings: ControlSettings, robot: RobotModel, shares: Array) -> tuple[str, str] | None:
-    """Say which joint's speed share (n,) is above what a third level follows, and the cure; None if no joint's is."""
+    """Name a joint whose speed share (n,) is too large for a third level, and the cure; None if there is none."""
     allowed = settings.course_speed_fraction
     shares = np.where(robot.moves.any(axis=0), shares, 0.0)
     j = int(np.argmax(shares))

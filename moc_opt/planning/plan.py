@@ -20,7 +20,7 @@ from moc_opt.planning.search import WHOLE_CELL, Value, keeping_shaft, reached
 from moc_opt.robots.model import RobotModel
 
 ROOM = 0.01
-"""A course further below the bound than this share is refined once more, beginning with the bound's own course."""
+"""A course whose mean mu is below the bound by more than this share is refined again, from the bound's own course."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ class Plan:
     best_swivel_rad: float  #: The start swivel proposed: that of ``best``; NaN: there is none.
     swivel_rad: Array  #: (k,) swivel along ``course`` [rad]; empty where there is none
     took_s: Mapping[str, float]
-    """Time for the "map", the "search" (courses by dynamic programming), their "bound" and "refine" [s]."""
+    """Times [s] of the steps "map", "search" (courses by dynamic programming), "bound" and "refine"."""
 
     def __repr__(self) -> str:
         stuck = self.blocked
@@ -80,7 +80,7 @@ def make_plan(
     robot: RobotModel, q_start: Array, targets: Targets, limits: Limits | None = None, *, swivels: int = SWIVELS,
     refined: bool = True,
 ) -> Plan:  # fmt: skip
-    """Plan a path from one start, and from all.
+    """Plan a path from one start, and from all starts.
 
     Args:
         q_start: (n,) with tip and wrist at the first target [rad].
@@ -131,7 +131,7 @@ def make_plan(
                 other = refine(robot, targets, make_course(robot, targets, q, limits), limits)
                 course = better(course, other if other.kept else None)
         courses.append(course)
-    mine, best = courses[0], better(courses[1], courses[0])  # the given start is one of all starts
+    mine, best = courses[0], better(courses[1], courses[0])  # "all starts" include the given one
     done("refine")
     elbow, shown = Elbow(robot, targets.wrist), mine if mine is not None else best
     # No bound is given if there is no course, or if the course exceeds the bound.

@@ -34,18 +34,18 @@ from moc_opt.robots.model import RobotModel, link_frames
 Flags = NDArray[np.bool_]
 
 EXACT_M = 1e-7  #: Axes that pass each other within this distance count as meeting [m].
-BRANCHES = 8  #: Bits 0, 1, 2 of a branch's number: joint 2, 4, 6 is negative in the normal form.
+BRANCHES = 8  #: Bit 0, 1, 2 of a branch's number is set where joint 2, 4, 6 is negative in the normal form.
 STRAIGHT = 1e-9  #: Sine of joint 4 below which the elbow has no plane.
 ROUNDING_RAD = 1e-9  #: A pose beyond a limit by no more than this counts as on the limit.
 SWIVELS, MOST_SWIVELS = 720, 2880  #: Default and largest number of samples of one turn.
 PEAKS = 4  #: Number of the map's local maxima from which mu is climbed at each point of the path.
 STEP_RAD = 0.03  #: Spacing of the samples along a traced curve.
-SEEDS = 64  #: Random starts of inverse kinematics at the first time of a traced map; later a sixteenth as many.
+SEEDS = 64  #: Random starts of inverse kinematics at a traced map's first time; each later time has a sixteenth.
 MOST_CURVES = 16  #: Most different curves at one time; further ones are left out.
 SAME_CURVE = 0.7  #: A pose nearer to a curve's sample than this share of a step counts as on that curve.
 NO_LIMIT_RAD = 20.0
 REACHED_M = 1e-9
-SCANNED, SCANS = "scanned, all branches", 360  #: Method and swivels of a scan; 720 find no larger mu at 1,200 poses.
+SCANNED, SCANS = "scanned, all branches", 360  #: Method and swivels of a scan; at 1,200 poses, 720 gave no larger mu.
 STARTS, LATER = 96, 12
 """Random starts of `largest_mu` at the first and at each later point, for arms without a closed form. Later points also
 start from the maxima of their neighbours."""
@@ -62,7 +62,7 @@ class PoseMap:
     q_rad: Array  #: (k,b,m,n)
     mu: Array  #: (k,b,m) [m^3], also beyond joint limits; the branches of a closed form share it
     room_rad: Array
-    """(k,b,m) distance of the nearest joint from its limit, below zero beyond it; idle joints do not count"""
+    """(k,b,m) smallest distance of a joint from its limits, negative beyond a limit; idle joints do not count"""
     closed: ClosedForm | None = None
 
     def feasible(self, margin: Margin = 0.0) -> Flags:
@@ -222,7 +222,7 @@ def reach(robot: RobotModel, q: Array, tip: Array, wrist: Array) -> Array | None
 
 
 def without_limits(robot: RobotModel) -> RobotModel:
-    """Return the same arm, its revolute joints free to turn `NO_LIMIT_RAD` to both sides."""
+    """Return the same arm with revolute joints that can turn by `NO_LIMIT_RAD` to both sides."""
     slides, data = robot.chain.prismatic, robot.data
     low, high = np.where(slides, data.q_min, -NO_LIMIT_RAD), np.where(slides, data.q_max, NO_LIMIT_RAD)
     return RobotModel(replace(data, q_min=low, q_max=high))

@@ -46,7 +46,7 @@ SOFT_RAD = 0.003  #: e of `too_fast`: without it the slope of the largest speed 
 SMOOTH_LOSS = 0.05
 """Share of mean mu that smoothness and braking may cost; a larger loss means another, lower local maximum."""
 LEAST_SHARE = 1e-4  #: Keeps the slope of the root finite where the shaft's share (`course.shaft_shares`) is zero.
-INSIDE = 1e-9  #: To absorb rounding, limits and steps are narrowed by this, but no step to less than half [rad].
+INSIDE = 1e-9  #: To absorb rounding, limits and steps are narrowed by this [rad], but no step is more than halved.
 
 
 class Program:
@@ -150,9 +150,9 @@ def refine(
 
     The given course may violate constraints. It is returned unchanged if the answer violates one by more than
     `MOST_VIOLATION`, or if the given course violates none and has the larger `worth`; with ``smoothness`` or ``brake``
-    the answer may lose `SMOOTH_LOSS` of it. The answer is ``certified`` if ipopt met its tolerances.
+    the answer may be worth less by `SMOOTH_LOSS` of mean mu. The answer is ``certified`` if ipopt met its tolerances.
     """
-    if limits.shaft > 0.0 and _above(robot, course, limits):  # without the shaft's margin first: half as long
+    if limits.shaft > 0.0 and _above(robot, course, limits):  # try without the shaft's margin, which halves the time
         bare = replace(limits, shaft=0.0)
         free = refine(robot, targets, course, bare, smoothness=smoothness, brake=brake)
         if _above(robot, free, limits):

@@ -1,11 +1,11 @@
-"""The value V of a pose: the largest integral of mu still possible from it to the path's end, computed backwards.
+"""The value V of a pose: the largest integral of mu from this pose to the path's end, computed backwards.
 
     V_k(p) = g_k(p) + max { V_{k+1}(p') - c |q - q'|^2 / dt : |q - q'| <= v_max dt for every joint }
 
 g is mu dt, and c a penalty on speed. A course is read off V forwards, from any pose at any time: at each time it takes
-the pose within reach with the largest V, on another branch near a singular pose. A pose of the map can stand for its
-surroundings: a quarter of a cell for followed courses, so that a coarse map can be passed, and half a cell for an upper
-bound on mean mu, where neighbours of feasible poses also count as feasible, each with the best mu nearby.
+the pose within reach with the largest V, which can be on another branch near a singular pose. A pose of the map can
+stand for its surroundings: a quarter of a cell for followed courses, so that a coarse map can be passed, or half a cell
+for an upper bound on mean mu, where neighbours of feasible poses count as feasible, each with the best mu nearby.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Value:
     def __init__(self, found: PoseMap, limits: Limits, *, cell: float = 0.0, price: float = 0.0) -> None:
         """Compute V backwards over the map; with a map of `keeping_shaft`, courses avoid losing the shaft.
 
-        A pose stands for ``cell`` times half a cell to either side; from 1 on, V is the upper bound.
+        A pose stands for ``cell`` times half a cell to either side; if ``cell`` is 1 or more, V is an upper bound.
         ``price`` is c, the penalty on speed [m^3 s^2/rad^2].
         """
         self.map = found
@@ -166,7 +166,7 @@ def reached(found: PoseMap, q_start: Array, limits: Limits) -> list[NDArray[np.b
 
 
 def half_cells(q: Array) -> Array:
-    """Return how far each joint moves in half a cell around poses (...,m,n) [rad], the larger side; same shape."""
+    """Return how far each joint moves in half a cell around poses (...,m,n) [rad], on the side where it moves more."""
     apart = np.abs(wrapped(np.roll(q, -1, axis=-2) - q))
     return 0.5 * np.nan_to_num(np.fmax(apart, np.roll(apart, 1, axis=-2)))
 
@@ -185,8 +185,8 @@ def advance(
 ) -> Array:
     """Return the values (b,m) of the poses at one time, given the values at the time next to it.
 
-    A pose is within reach of another if no joint differs by more than its step (n,) [rad] plus both slacks. That pose
-    is on the same branch or, near a singular pose, on one whose number differs in the bits of ``crossing`` (m,).
+    A pose is within reach of another if no joint differs by more than its step (n,) [rad] plus both slacks, and if both
+    are on one branch or, near a singular pose, on branches whose numbers differ only in the bits of ``crossing`` (m,).
 
     Args:
         q, slack: (b,m,n) [rad], NaN where there is no pose; gain: (b,m) added to each value; -inf: forbidden.

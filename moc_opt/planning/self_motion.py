@@ -1,7 +1,7 @@
 """The poses an arm can take while tip and wrist stay where they are: the count of freedoms, and one curve of poses.
 
 The curve is followed from joint limit to joint limit: a step along the null vector of A = [J_tip; J_wrist], then
-Newton's method back to tip and wrist. With one freedom, the curve's largest mu bounds every law that stays on it.
+Newton's method back to tip and wrist. With one freedom, no law that stays on the curve exceeds the curve's largest mu.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from moc_opt.errors import RobotError
 from moc_opt.robots.model import RobotModel
 
 HELD = 1e-6  #: For the rank, a singular value of A below this share of the largest counts as zero.
-RANK = 1e-9  #: A singular value of A below this counts as zero on the curve.
+RANK = 1e-9  #: While a curve is followed, a singular value of A below this counts as zero.
 LEAST_STEP, MOST_STEP = 1e-5, 10.0  #: Smallest and largest spacing of the samples on a curve [rad].
 
 
@@ -93,7 +93,7 @@ def parabola_peak(x: Array, y: Array) -> tuple[float, float]:
 class SelfMotion:
     """Samples along the feasible self-motion; read-only arrays, in the order of the curve."""
 
-    s: Array  #: (k,) arc length in joint space [rad], 0 at the pose the scan began with, negative before it
+    s: Array  #: (k,) arc length in joint space [rad], 0 at the pose where the scan began, negative before that pose
     q: Array  #: (k,n) [rad]
     mu: Array  #: (k,) [m^3]
     held: tuple[int, ...]
@@ -174,7 +174,7 @@ def self_motion(robot: RobotModel, q: ArrayLike, step: float = 0.02) -> SelfMoti
 
 
 def curve_through(robot: RobotModel, q: ArrayLike, step: float) -> SelfMotion | None:
-    """Return `self_motion`; None where q is singular: no single curve leads through it."""
+    """Return `self_motion`; None where q is singular, as no single curve leads through such a pose."""
     try:
         return self_motion(robot, q, step)
     except RobotError:

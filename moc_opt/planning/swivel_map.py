@@ -33,7 +33,7 @@ SAME_PATH_M = 1e-6
 OTHER_BRANCH_RAD = 0.5  #: A trajectory with a larger gap is on another branch than the map.
 NEEDED = ("t_s", "q_rad", "tip_m", "tip_ref_m")
 NEAR = 0.02  #: A trajectory is at the optimum where its mu is at most this fraction below the best.
-END = 0.2  #: Fraction of a trajectory's time, the last part, from which its end is read.
+END = 0.2  #: The final fraction of a trajectory's time, by which its end is judged.
 CLOSE_RAD = np.radians(12.0)  #: A run that ends this near to a local maximum or to the feasible edge is held by it.
 STILL_RAD_PER_S = np.radians(1.0)
 
@@ -43,7 +43,7 @@ class Trajectory:
     """Where a run went on the map; arrays (c,)."""
 
     t_s: Array
-    swivel_rad: Array  #: Turned by whole turns onto the map's axis; it may jump by a turn.
+    swivel_rad: Array  #: Shifted by whole turns into the map's range; it may jump by a turn.
     mu: Array
     gap_rad: float
     """Median distance of the run's joints from the map's pose at the same time and swivel. It is large where the run is
@@ -64,7 +64,7 @@ class SwivelMap:
     best_mu: Array  #: (k,)
     trajectories: Mapping[str, Trajectory]
     held: tuple[str, ...] = ()
-    """Further joints that could move at this tip and wrist; the map is a slice, with these as in the longest run."""
+    """Further joints that could move while tip and wrist stay; on the map they stand as in the longest run."""
 
     def __repr__(self) -> str:
         return f"SwivelMap({len(self.t_s)} times, {len(self.swivel_rad)} swivels, runs: {', '.join(self.trajectories)})"
@@ -144,7 +144,7 @@ def _targets(
         apart = np.abs(trace.tip_ref_m[shared] - guide.tip_ref_m[shared]).max()
         if apart > SAME_PATH_M:
             raise ReportError(f"run {name!r} was given another path (up to {apart:.3g} m apart): map each path alone")
-    # Double precision even where the trace has less: tip and wrist must be the arm's span apart, to REACHED_M.
+    # Double precision even where the trace has less: tip and wrist must be the arm's span apart, within REACHED_M.
     tips, trocars = (np.asarray(guide.columns[name][ticks], dtype=np.float64) for name in ("tip_ref_m", column))
     span = robot.state(robot.data.q_home).tool_span
     return tips, desired_wrist(tips, 0.0, trocars, 0.0, span)[0]
@@ -259,7 +259,7 @@ def read_trajectory(found: SwivelMap, name: str) -> Reading:
 
 
 def _what_holds(found: SwivelMap, run: Trajectory, late: NDArray[np.bool_]) -> tuple[End, int]:
-    # The last column with a feasible pose up to the run's end; if there is none, the first such column after it.
+    # The last column up to the run's end that has a feasible pose; if there is none, the first such column after it.
     known = np.flatnonzero(np.isfinite(found.best_mu))
     column = int(max(known[found.t_s[known] <= run.t_s[-1] + 1e-9], default=known[0]))
     mu, limit, count = found.mu[column], found.limit[column], found.mu.shape[1]

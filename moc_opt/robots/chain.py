@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 class Chain:
     """Joint j sits at (rotations[j], origins[j]) in the frame of joint j - 1, the world for j = 0.
 
-    It turns about, or slides along, the unit vector axes[j] of its own frame.
+    The joint turns about, or slides along, the unit vector axes[j] of its own frame.
     """
 
     rotations: Array  #: (n,3,3)

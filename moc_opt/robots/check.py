@@ -21,7 +21,7 @@ from moc_opt.sim.settings import PlantSettings
 
 Verdict = Literal["ok", "care", "cannot"]
 REGULAR, SINGULAR = (0.1, 0.05), 1e-4
-"""Least ratios of singular values: `Freedoms.tip` and `Freedoms.both` for the verdict "ok", each of them for "care"."""
+"""Least singular-value ratios: of `Freedoms.tip` and `Freedoms.both` for the verdict "ok", of either for "care"."""
 LITTLE_TO_GAIN = 0.05
 LEAST_M = 0.005  #: Radius of a circle that an arm must be able to follow from home.
 MARGIN_DEG, MARGIN_MM = 15.0, 80.0
@@ -40,7 +40,7 @@ class Finding(NamedTuple):
 
 
 def check_robot(robot: RobotModel, scenario: Scenario | None = None) -> list[Finding]:
-    """Check an arm for a scenario's task, period and control (None: the default scenario); one finding a row."""
+    """Check an arm for a scenario's task, period and control (None: the default scenario); return the table's rows."""
     asked, sliding = scenario or Scenario(robot={"name": robot.data.name}), int(robot.chain.prismatic.sum())
     kinds = f"{robot.n} joints" + (f", {sliding} of them sliding" if sliding else "")
     found = [Finding("arm", f"{kinds}, tool {1e3 * robot.data.tool_length:.0f} mm", "ok"), *_freedom(robot)]

@@ -35,7 +35,7 @@ def solve_pose(
     """Find a pose near q with the tip, and the wrist if given, at these points (3,) [m].
 
     Damped Gauss-Newton from q (n,), which is put inside the limits first. A joint that reaches its limit stays there
-    while the others take over. The search is local: if it fails, there may still be a pose. Without ``limited`` the
+    while the others take over. The search is local, so it may miss an existing pose. Without ``limited`` the
     joints have no limits. A RobotError where a pose or a point has a wrong shape, or is not finite.
     """
     points = np.array([tip] if wrist is None else [tip, wrist], dtype=np.float64)
@@ -52,7 +52,7 @@ def solve_pose(
 
 
 def pose_with_tip(robot: RobotModel, q: ArrayLike, tip: ArrayLike) -> Array:
-    """Find a pose (n,) near q with the tip at a point (3,) [m]; a TaskError says how near the tip gets otherwise."""
+    """Find a pose (n,) near q with the tip at a point (3,) [m]; if none is found, a TaskError says how near it gets."""
     placed = solve_pose(robot, q, tip, iterations=200)
     if not placed.found:
         raise TaskError(

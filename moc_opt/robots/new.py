@@ -202,7 +202,7 @@ class Home(NamedTuple):
     mu: float  #: [m^3]
     mu_best: float  #: The largest mu on its own self-motion curve [m^3].
     margin: float  #: Least distance to a joint limit, divided by half the range; idle joints are left out.
-    task: str  #: Empty where the default task can be done from it, else why not.
+    task: str  #: Why the default task cannot be done from this pose; empty where it can.
 
     @property
     def order(self) -> tuple[bool, float]:
@@ -211,11 +211,11 @@ class Home(NamedTuple):
 
 
 def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
-    """Search the joint ranges for a home pose; a RobotError if each pose drawn is singular or near a limit.
+    """Search the joint ranges for a home pose; a RobotError if every drawn pose is unfit.
 
     Poses with tip and wrist on the arm's side of the base's plane are ranked by their distance from limits and
     singularities and by mu. The search ends at the first pose that meets `SHARE` and can follow the default path.
-    `DOWN` is relaxed as long as no pose can follow that path. The best by `Home.order` is returned.
+    `DOWN` is relaxed as long as no pose can follow that path. The best home by `Home.order` is returned.
     """
     rng, idle = np.random.default_rng(seed), ~robot.moves.any(axis=0)
     middle, half = 0.5 * (robot.q_min + robot.q_max), 0.5 * (robot.q_max - robot.q_min)

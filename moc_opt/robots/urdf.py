@@ -186,7 +186,7 @@ def _numbers(element: ET.Element | None, key: str, what: str, count: int = 3, mo
 def normalize(arm: Urdf) -> Tree:
     """Check everything but the moving joints' limits; in place, scale axes to length one and thicken flat bodies.
 
-    A RobotError names a wrong name or number, a mass or inertia that no body has, or links and joints that are no tree.
+    A RobotError: a name or number is wrong, no body has such a mass or inertia, or links and joints form no tree.
     """
     for name in [link.name for link in arm.links] + [joint.name for joint in arm.joints]:
         if not names.is_name(name):
@@ -229,7 +229,7 @@ def _check_joint(joint: Joint) -> None:
 
 
 def inertia_fault(moments: Iterable[float]) -> str | None:
-    """Say why no body has this inertia `MOMENTS` [kg m^2] about its centre of mass; None if one may."""
+    """Say why no body can have these `MOMENTS` about its centre of mass [kg m^2]; None if a body can have them."""
     least, middle, most = principal(moments)
     if least >= max(SMALLEST_MOMENT, _THIN * most) and least + middle >= most * (1.0 - _TRIANGLE):
         return None
@@ -247,7 +247,7 @@ def principal(moments: Iterable[float]) -> list[float]:
 
 
 class Tree:
-    """Links as a tree: one is the ``base``, every other one hangs on one joint; a RobotError if they form no tree.
+    """Links as a tree: one is the ``base``, every other link hangs on one joint; a RobotError if they form no tree.
 
     ``carrier`` has the joint on which a link hangs, ``carried`` the joints that hang on the link.
     """

@@ -16,7 +16,7 @@ from moc_opt.robots import urdf
 from moc_opt.robots.model import RobotModel
 from moc_opt.robots.urdf import Joint, Link, Urdf
 
-FINGERS = 2  #: A branch with at most this many moving joints in a row is fixed, as a finger or a head.
+FINGERS = 2  #: A branch with at most this many moving joints in a row counts as a finger or a head, and is fixed.
 FASTEST = {"turning": 2.0 * math.pi, "sliding": 2.0}
 """Largest plausible joint speeds [rad/s, m/s]; a public file of the iiwa has 10 rad/s, its data sheet 1.3 to 2.4."""
 CHOSEN = {"turning": 2.0, "sliding": 0.5}  #: The speed that replaces a missing or absurd one.
@@ -105,7 +105,7 @@ def _depth(tree: urdf.Tree, joint: Joint) -> int:
 
 
 def _fix(joints: Iterable[Joint], notes: list[str], at: float | None = None) -> None:
-    """Fix joints at a position, or (None) at the position in each one's range that is nearest to 0."""
+    """Fix joints at a position, or (None) each joint at the position in its range that is nearest to 0."""
     fixed = []
     for joint in joints:
         told = joint.kind
@@ -136,8 +136,8 @@ def _shift(joint: Joint, value: float) -> None:
 def mend_bodies(links: Iterable[Link], notes: list[str]) -> None:
     """Make every body physically possible, in place; each change is noted.
 
-    A link without mass becomes a frame, and is merged into the link it is fixed to. To an impossible inertia,
-    the smallest isotropic inertia that makes it possible is added.
+    A link without mass becomes a frame, and is merged into the link it is fixed to. An impossible inertia is made
+    possible by adding the smallest isotropic inertia that suffices.
     """
     frames = []
     for link in links:

@@ -30,8 +30,8 @@ PRESETS: Mapping[str, Mapping[str, Callable[..., Settings]]] = {
 """Table -> name of its ``preset`` -> the function that makes the table from its other keys."""
 _LAGS = 3.0  # least lag that the safety filter assumes, in time constants of the encoders' velocity filter
 _TORQUE, _SPEED = 500.0, 600.0
-"""Per rad of the encoders' step: the largest change of torque [share of tau_max], and the largest speed by the momentum
-residual [rad/s], at which the encoder of a sound joint may still show no step."""
+"""For each rad of the encoders' step, the largest change of torque [share of tau_max], and the largest speed given by
+the momentum residual [rad/s], at which a healthy encoder may still show no step."""
 
 
 class Scenario(Settings):
@@ -68,8 +68,8 @@ class Scenario(Settings):
     bound_samples: int = Field(25, ge=0, le=100_000)
     """number of ticks, spread evenly over the run, at which the largest mu at the same tip and wrist is computed"""
     best_courses: bool = False
-    """whether the best courses of the path are planned after the run, and mu is compared with theirs; this takes a
-    second or more. If it is left out, `moc-opt run` does it and `run` in Python does not"""
+    """whether the best courses of the path are planned after the run, for comparison with the run's mu; this takes a
+    second or more. Left out: `moc-opt run` plans them, and `run` in Python does not"""
 
     def __init__(self, **values: Any) -> None:
         try:
@@ -141,7 +141,7 @@ class Scenario(Settings):
             raise
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a TOML from which `load` makes the same scenario: what differs from the defaults, with absolute paths.
+        """Write a TOML from which `load` makes the same scenario. It omits defaults; paths are absolute.
 
         Raises:
             ScenarioError: a solver's setting has no form in TOML, or the file cannot be written.
@@ -153,7 +153,7 @@ class Scenario(Settings):
         write_whole(path, text, "scenario", ScenarioError)
 
     def changes(self) -> dict[str, Any]:
-        """Return what differs from the default scenario, as arguments; each table by the preset nearest to it."""
+        """Return all that differs from the default scenario, as arguments; a table is based on its nearest preset."""
         found: dict[str, Any] = {}
         for name, field in type(self).model_fields.items():
             value = getattr(self, name)
@@ -220,7 +220,7 @@ def _tables(value: Settings, name: str) -> Iterator[dict[str, Any]]:
 
 
 def _without_none(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Replace None by what files have: `inf` for no limit, '' for no table of gains; leave a solver's setting out."""
+    """Replace None by its form in a file: `inf` for no limit, '' for no table of gains; omit a solver's None."""
     plain: dict[str, Any] = {}
     for key, value in table.items():
         if key == "settings":

@@ -37,7 +37,7 @@ from moc_opt.trace.trace import Trace
 Columns = Mapping[str, NDArray[Any]]
 
 AT_ONCE = 5000  # number of answers whose residuals are computed together
-PERIOD_S = 0.05  # time step of that grid: joints pass several swivels in it, so that rounding costs little
+PERIOD_S = 0.05  # time step of the grid; joints pass several swivels in one step, so that rounding costs little
 PATH = {"robot", "start", "trocar", "task", "duration_s", "seed"}  # keys of a scenario that determine path and start
 
 
@@ -91,7 +91,7 @@ class BestCourses(NamedTuple):
 
 
 def best_courses(scenario: Scenario) -> BestCourses:
-    """Plan the best courses of a scenario's path, or return those planned before; raises as a run does."""
+    """Plan the best courses of a scenario's path, or return those planned before; raises what a run raises."""
     return _planned(scenario.model_dump_json(include=PATH))
 
 
@@ -113,7 +113,7 @@ def _planned(path: str) -> BestCourses:
 def against_best(scenario: Scenario, trace: Trace) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     """Return the columns of the best courses, and meta's entry ``best_courses``: why they are absent, or ``end``.
 
-    ``end`` has the run's last mu [m^3], and mu and swivel [deg] at the top of a climb from there and of the course.
+    ``end`` has mu [m^3] at the run's end; mu and swivel [deg] where a climb from there ends, and at the course's end.
     """
     try:
         known = best_courses(scenario)

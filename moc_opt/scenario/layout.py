@@ -102,6 +102,6 @@ def _task(scenario: Scenario, robot: RobotModel, q: Array) -> Layout:
 
 
 def described(scenario: Scenario, robot: RobotModel) -> dict[str, Any]:
-    """Return scenario and robot for a trace's `meta`, with all data of an arm that is not of the package."""
+    """Return scenario and robot for a trace's `meta`, with all data of an arm that is not in the package."""
     found = {"scenario": scenario.model_dump(mode="json"), "robot": robot.data.name}
     return found if scenario.robot.name in available_robots() else {**found, "robot_data": carried(robot)}

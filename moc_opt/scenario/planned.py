@@ -70,10 +70,10 @@ def followable_plan(
     scenario: Scenario, margin_rad: float | None = None, speed_share: float | None = None,
     margin_m: float | None = None, followed: bool | None = None,
 ) -> tuple[Plan, dict[str, float]]:
-    """Plan within the limits of a third level that follows a course, or within the arm's own; return the limits too.
+    """Plan within the limits of a third level that follows a course, or within the arm's; return the limits as well.
 
-    ``followed`` chooses the former; None: as the scenario's third level. If the path cannot be executed with the third
-    level's margins, it is planned without. Limits given replace these; if one margin is given, the other is zero.
+    ``followed``: whether the third level's limits hold; None: if the scenario's third level follows a course. If no
+    course keeps its margins, they are left out. Limits given here replace these; a single margin sets the other to 0.
     """
     settings = scenario.control
     follows = settings.follows if followed is None else followed

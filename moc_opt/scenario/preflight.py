@@ -83,7 +83,7 @@ def random_start(
     for _ in range(DRAWS):
         drawn = rng.uniform(robot.q_min + room, robot.q_max - room)
         try:
-            # Checked first: choosing the swivel takes milliseconds, in vain for an unfit pose.
+            # Checked first, since choosing the swivel takes milliseconds, which an unfit pose would waste.
             _require_fit(robot, drawn, margins)
             q = swivelled(drawn)
             _require_fit(robot, q, margins)
@@ -141,7 +141,7 @@ def check_reachable(
         # A RobotError: a singular start, or one outside the limits, has no self-motion to choose from.
         with suppress(UnreachableError, RobotError):
             return _follow(robot, _middle(robot, state.q), places, reference)
-        raise  # the user should hear why the given start fails, not the second one
+        raise  # the user should hear why the given start fails, not why the middle does
 
 
 class _Places(NamedTuple):
@@ -214,7 +214,7 @@ def _out_of_reach(robot: RobotModel, places: _Places, k: int, wrist: Array, plac
 
 
 def _least_rates(robot: RobotModel, a: Array, velocity: Array) -> Array:
-    """Return the joint velocities (n,) of least norm; if one is too fast, those with the least maximal limit share."""
+    """Return the joint velocities v (n,) of least norm; if a joint is too fast, those of least max |v| / v_max."""
     left, values, right = np.linalg.svd(a)
     rank = int((values > 1e-9 * values[0]).sum())
     shortest: Array = right[:rank].T @ ((left[:, :rank].T @ velocity) / values[:rank])

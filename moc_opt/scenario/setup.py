@@ -85,7 +85,7 @@ class Setup:
     """Objects built from a validated scenario, checked before anything moves; ``trace()`` runs it.
 
     Args:
-        solver: used in place of the scenario's own, which stays in the trace's `meta`.
+        solver: used instead of the scenario's solver; the trace's `meta` still names the latter.
         realtime: build the controller alone, as the plant is at the other end of a wire. A tick waits for an isolated
             solver at most half its period where there is no budget, and never while the process is replaced.
 
@@ -143,7 +143,7 @@ class Setup:
         times: Iterator[float] | None = None if self._replayed_us is None else itertools.cycle(self._replayed_us)
         if solver is not None:
             if scenario.faults.solver == "hang":
-                # Replayed times, not a clock: the same seed is late at the same ticks on any machine.
+                # Replayed times replace the clock, so that the same seed is late at the same ticks on any machine.
                 budget = budget or scenario.deadline_us
                 times = iter(np.where(self.fault_mask(), 10.0 * budget, 0.0))
             wait_us = 0.5e6 * period_s if self.realtime else math.inf
@@ -274,9 +274,9 @@ def run(
 
     Args:
         scenario: what to run, or the path of its file.
-        watch: called with the number of every tick before it.
-        to: a Parquet file that the trace is saved in; the rows so far if an exception (Ctrl-C) ends the run.
-        solver: in place of the one that the scenario names.
+        watch: called before every tick, with the tick's number.
+        to: a Parquet file for the trace, or for the rows so far if an exception (such as Ctrl-C) ends the run.
+        solver: used instead of the solver that the scenario names.
 
     Returns:
         one row a tick; ``meta["ended"]`` says how it ended.

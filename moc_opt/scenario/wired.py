@@ -24,12 +24,12 @@ SLOWEST_S, FASTEST_S = 0.004, 0.001
 
 
 def fingerprint(scenario: Scenario, robot: RobotModel) -> int:
-    """Return a number of 63 bits that differs where plant and controller are set up for different runs.
+    """Return a number of 63 bits that differs between plant and controller if they are set up for different runs.
 
     It covers all data of the arm but its gains, which only the controller uses.
     """
     whole = scenario.model_dump(mode="json", include={"robot", "start", "trocar", "task", "seed", "duration_s"})
-    del whole["robot"]["name"]  # its file may lie in another folder at the other end
+    del whole["robot"]["name"]  # the robot's file may be in another folder at the other end
     whole["arm"] = {name: value for name, value in carried(robot).items() if name != "gains"}
     text = to_json([whole, scenario.plant.period_s], sort_keys=True)
     return int.from_bytes(hashlib.blake2s(text.encode(), digest_size=8).digest(), "little") >> 1
@@ -38,11 +38,11 @@ def fingerprint(scenario: Scenario, robot: RobotModel) -> int:
 class PlantServer(Setup):
     """The plant of a scenario, for a controller at the other end of a wire.
 
-    It listens at ``listen``, "HOST:PORT"; port 0 takes any free port, which ``address`` has. In lock-step it waits for
-    each command instead of keeping the time. ``system`` is the scheduling granted, for ``meta["wire"]``.
+    It listens at ``listen``, "HOST:PORT"; port 0 takes any free port, and ``address`` names it. In lock-step the plant
+    waits for each command instead of keeping the time. ``system`` is the scheduling granted, for ``meta["wire"]``.
 
     Raises:
-        MocOptError: as for `Setup`; or the address cannot be taken, or needs a key.
+        MocOptError: what `Setup` raises; or the address cannot be taken, or needs a key.
     """
 
     def __init__(
@@ -98,12 +98,12 @@ def answer(
     ``ready`` is called once, when the plant has been found and the controller has started.
 
     Raises:
-        MocOptError: as for `Setup`; or no plant answers there, or it runs another scenario.
+        MocOptError: what `Setup` raises; or no plant answers there, or the plant runs another scenario.
     """
     where = parse_address(connect, "--connect")
     key = read_key(key_file, where[0], "--connect")
     setup = Setup(scenario, realtime=True)
-    controller = setup.controller()  # may plan a course for seconds, and so comes before the search for the plant
+    controller = setup.controller()  # before the search for the plant, since it may plan a course for seconds
     link = Link(setup.robot.n, key, (Kind.MEASUREMENT,), peer=where)
     try:
         return Answering(

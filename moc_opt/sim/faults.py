@@ -44,7 +44,7 @@ class FaultSettings(Settings):
     replay_at_s: float | None = Field(None, ge=0.0)
     """time from which old measurements arrive again in their order, over and over; left out: never"""
     replay_ticks: int = Field(100, ge=1, le=5000)
-    """number of measurements that are replayed: the last ones up to replay_at_s"""
+    """number of measurements that are replayed, the newest at replay_at_s"""
     drift_at_s: float = Field(0.0, ge=0.0, description="time at which the drift begins")
     drift_rad_per_s: float = Field(0.0, ge=-1.0, le=1.0)
     """speed at which the encoders drift; the seed draws each sign"""

@@ -34,7 +34,7 @@ class Joints:
 
     Attributes:
         q, v: (n,) true positions and velocities of the links [rad], [rad/s].
-        theta, omega: (n,) those of the motors; shown: those of the side with the encoders, links or motors.
+        theta, omega: (n,) the same of the motors; shown: (q, v) or (theta, omega), whichever the encoders measure.
         torque: (n,) of the drives, before ripple [Nm].
         motors: the motors' entries among MuJoCo's degrees of freedom.
     """
@@ -79,7 +79,7 @@ class Joints:
         self.gather()
 
     def command(self, tau: ArrayLike) -> None:
-        """Queue the command of a period (n,) [Nm], and apply the command that is due; raises as `Plant.step`."""
+        """Queue the command of a period (n,) [Nm], and apply the command that is due; raises what `Plant.step` does."""
         wanted = np.asarray(tau, dtype=np.float64)
         if wanted.shape != self._high.shape:
             raise PlantError(f"tau has shape {wanted.shape}: give {self._high.shape}, one torque a joint [Nm]")
@@ -125,7 +125,7 @@ def _stiffnesses(data: RobotData, settings: PlantSettings) -> Array:
 
 
 def check_substeps(model: mujoco.MjModel, state: mujoco.MjData, settings: PlantSettings) -> None:
-    """Raise a PlantError where the plant step is too coarse for the springs; the message says how many are needed."""
+    """Raise a PlantError if the plant step is too coarse for the springs; the message says how many steps suffice."""
     inertia = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, state, inertia)
     spring = np.arange(1, model.nv, 2)

@@ -44,7 +44,7 @@ class FilteredController(Filtered):
             self._filter.start(seen.q, seen.v, seen.stamp)
 
     def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
-        """Return this period's torque (n,) [Nm], within its limits; after a request to stop, that of a damped stop."""
+        """Return this period's torque (n,) [Nm], within limits; once a stop is requested, a damped stop's torque."""
         safety, controller, applied = self._filter, self._controller, self._applied
         if safety is None:
             return controller.tick(seen.q, seen.v, tip_ref, trocar)
@@ -130,7 +130,7 @@ class ClosedLoop:
 
     @property
     def finished(self) -> bool:
-        """Whether the stop is over: ``Stop.seconds`` long and then at rest, or ``LONGEST`` times as long."""
+        """Whether the stop is over: ``Stop.seconds`` have passed and the arm is at rest, or `LONGEST` times as long."""
         since = self.ticks - self._stopped_at if self._stopped_at >= 0 else 0
         return since > self._watched and bool(since > LONGEST * self._watched or np.abs(self._plant.v).max() < AT_REST)
 
@@ -139,7 +139,7 @@ class ClosedLoop:
 
 @contextmanager
 def no_collector() -> Iterator[None]:
-    """Switch the garbage collector off, after a collection of young objects only: a full one takes 0.1 s."""
+    """Switch the garbage collector off, after a collection of young objects only: a full collection takes 0.1 s."""
     enabled = gc.isenabled()
     gc.collect(1)
     gc.disable()
@@ -162,10 +162,10 @@ def simulate(
         controller: computes the torque, and may add columns.
         tip_refs: (N, 3, 3) rows X_d, dX_d, ddX_d of every tick.
         trocars, registered: (N, 2, 3) rows P_t, dP_t of the true and of the registered trocar.
-        safety_filter: checks measurements and limits torques; None: neither is done.
+        safety_filter: checks measurements and limits torques; None: no checks and no limits.
         offset: difference between the robot's frame and the true one at tip and trocar; None: no difference.
         watch: called with the tick's number before each tick; meta: goes into the trace.
-        rescue: called with the columns so far where an exception other than RunAway ends the loop.
+        rescue: called with the columns so far if an exception other than RunAway ends the loop.
 
     Returns:
         One row a tick: the state at the tick's start, and the torque of the tick; `moc_opt.trace.meta` lists the meta.

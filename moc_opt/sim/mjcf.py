@@ -19,8 +19,8 @@ TOOL_BODY = "tool"
 MOUNT_SITE = "tool_mount_sensor"
 FORCE_SENSOR, TORQUE_SENSOR = "mount_force", "mount_torque"
 TOLERANCE = 1e-6
-"""Largest relative difference between the engines. The scale of M is its largest entry without rotors; of h, 9.81 times
-that plus h's largest entry; of tip and wrist, the tip's distance from the base. Rounding makes about 1e-14."""
+"""Largest difference between the engines relative to a scale: for M its largest entry without rotors, for h its largest
+entry plus 9.81 times M's scale, for tip and wrist the tip's distance from the base. Rounding makes about 1e-14."""
 POSES = 3  #: Number of poses at which the engines are compared.
 
 
@@ -145,7 +145,7 @@ def check_engines(robot: RobotModel) -> None:
         mujoco.mj_fwdVelocity(model, state)
         mujoco.mj_fullM(model, state, M)
         ours = robot.state(q, state.qvel)
-        # Both engines have the same rotor inertia, which would hide small links: the scale has only its rounding error.
+        # The scale leaves out the rotor inertia, which both engines share and which would hide small links.
         heavy = max(np.abs(M - rotor).max(), 1e-8 * rotor.max())
         bias, reach = np.abs(theirs["h"]).max() - GRAVITY[2] * heavy, max(1e-3, np.linalg.norm(theirs["tip"]))
         sizes = {"M": (heavy, "kg m^2"), "h": (bias, "Nm"), "tip": (reach, "m"), "wrist": (reach, "m")}

@@ -1,4 +1,4 @@
-"""The simulated arm: torques in, measurements out, and the truth beside them for the trace.
+"""The simulated arm: it takes torques and returns measurements, and gives the true state to the trace.
 
 The trocar is compliant: a spring and a damper between the trocar point and the nearest point of the shaft line, acting
 across the shaft only, so that the tool slides and turns freely in the incision. A rigid ring would wedge. With the tool
@@ -119,10 +119,10 @@ class Plant:
     def reset(self, q: ArrayLike, v: ArrayLike | None = None) -> None:
         """Restart at time 0 without pushes; until the first command acts, the drives carry the arm's weight at q.
 
-        The encoders show q but for their noise; the true positions are q minus the encoders' bias.
+        The encoders show q plus their noise; the true positions are q minus the encoders' bias.
 
         Args:
-            q: (n,) joint positions within their limits, as the encoders show them but for noise [rad].
+            q: (n,) joint positions within their limits, as encoders without noise show them [rad].
             v: (n,) joint velocities [rad/s]; None is rest.
 
         Raises:
@@ -191,7 +191,7 @@ class Plant:
         self._sense(*self._encoders.read(*joints.shown))
 
     def _sense(self, q: Array, v: Array) -> None:
-        # MuJoCo measures the wrench of the mount on the tool; this sensor, like real ones, that of tool on mount.
+        # MuJoCo measures the wrench of the mount on the tool; this sensor, like real ones, the wrench of tool on mount.
         self._measurement = Measurement(q, v, read_only(self._wrench_noise.take() - self._held), self._ticks)
 
     def _load(self, elapsed_s: float) -> None:
@@ -212,7 +212,7 @@ class Plant:
         np.concatenate((self._joints.q, self._joints.v, self._tip, self._wrist, self._feel()), out=row)
 
     def measure(self) -> Measurement:
-        """Return the measurement taken at the end of the last period; a second call returns the same."""
+        """Return the measurement taken at the end of the last period; a second call returns the same measurement."""
         return self._measurement
 
     def brake(self, damping_Nm_s_per_rad: float, friction_Nm: ArrayLike = 0.0) -> None:

@@ -32,7 +32,7 @@ class TorqueController(Protocol):
         """
 
     def set_applied_torque(self, tau: Array) -> None:
-        """Replace the last torque by the one (n,) [Nm] that was applied, where the safety filter changed it."""
+        """Take the torque (n,) [Nm] that was applied, if the safety filter changed the one that ``tick`` returned."""
 
 
 class LoggedController(TorqueController, Protocol):
@@ -49,7 +49,7 @@ class Filtered(ABC):
     """Turns a measurement into a torque that may be applied, here or at the other end of a wire (``realtime``)."""
 
     stop_reason: Any  #: Why the arm has to be stopped; empty while it need not be.
-    limited: Any  #: Number of joints whose last torque is not the one that the controller computed.
+    limited: Any  #: Number of joints whose last torque differs from the torque that the controller computed.
     warnings: Any  #: Which figures exceeded a warning level since the start, as JSON values.
 
     @abstractmethod
@@ -58,7 +58,7 @@ class Filtered(ABC):
 
     @abstractmethod
     def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
-        """Return this period's torque (n,) [Nm], within its limits; after a request to stop, that of a damped stop."""
+        """Return this period's torque (n,) [Nm], within limits; once a stop is requested, a damped stop's torque."""
 
     @abstractmethod
     def brake_friction(self, seen: Measurement) -> Array | float:

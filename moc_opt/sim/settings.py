@@ -119,7 +119,7 @@ class Mismatch:
     origin_shift: Array
     """(n + 1, 3) true minus modelled origin of each joint, then of the tool's mount, axes of the link before it [m]."""
     origin_turn: Array
-    """(n, 3) rotation vector of each joint's frame against the model, axes of the link before it [rad]."""
+    """(n, 3) rotation vector from each joint's modelled to its true frame, axes of the link before it [rad]."""
     encoder_bias: Array  #: (n,) reading of each encoder minus the true position [rad, or m of a sliding joint].
     ripple_phase: Array  #: (n,) phase of the torque ripple at joint position 0 [rad].
 
