@@ -64,7 +64,7 @@ def test_torque_is_the_sum_of_the_levels(law, robot, regular_poses):
 
 
 def test_third_level_fades_in(robot):
-    """With a ramp of ten periods, the first tick gives a tenth of the level's torque. A start restarts the ramp."""
+    """With a ramp of ten periods, the first tick gives a tenth of the torque. A new start restarts the ramp."""
     state = robot.state(robot.data.q_home)
     whole, _, tip_ref, trocar = started(robot, state=state, **QUIET)
     faded, *_ = started(robot, state=state, **{**QUIET, "ramp_s": 0.02})
@@ -196,7 +196,7 @@ class AsAnyOther(Exact):
 
 @pytest.mark.parametrize("fallback", ["damping", "hold", "least-violation"])
 @pytest.mark.parametrize("speed", [0.02, 3.0], ids=["feasible", "infeasible"])
-def test_exact_within_the_core_and_in_a_session_give_the_same_bits(robot, speed, fallback):
+def test_exact_within_the_core_and_exact_in_a_session_agree_to_the_last_bit(robot, speed, fallback):
     rng, settings = np.random.default_rng(3), ControlSettings(fallback=fallback)
     pair = [Controller(robot, settings, solver) for solver in (Exact(), AsAnyOther())]
     for k in range(20):

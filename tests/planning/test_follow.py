@@ -146,16 +146,16 @@ def test_the_receding_horizons_motion_is_on_the_path_and_within_the_joint_speeds
     assert one.told["refused"] <= 0.05 * one.told["solves"]
     t = 0.002 * np.arange(len(q))
     tips, wrists = setup().robot.tool_along(np.array(q))
-    # Between the program's times the motion is a cubic, and a joint turns by up to 0.2 rad from one time to the next.
+    # Between the program's nodes the motion is a cubic, and a joint turns by up to 0.2 rad from one node to the next.
     assert np.linalg.norm(tips - setup().reference.at(t)[0], axis=1).max() < 2e-3
     assert shaft_distance(tips, wrists, setup().registered.at(t)[0]).max() < 2e-3
-    # The program limits the mean speed between its times, so the cubic is faster in places. The box limits all speeds.
+    # The program limits the mean speed between its nodes, so the cubic is faster in places. A run limits all speeds.
     assert (np.abs(np.diff(q, axis=0)) / 0.002 <= 1.2 * setup().robot.v_max).all()
 
 
 @pytest.mark.parametrize("wrong", ["random", "nan", "fast"])
 def test_wrong_answers_of_the_program_are_refused(monkeypatch, wrong):
-    """The last good course is followed to its end, and then its last pose is held."""
+    """The latest accepted course is followed to its end, and then its final pose is held."""
     one, rng = follower(setup()), np.random.default_rng(0)
     robot, q = setup().robot, setup().q_start
 
