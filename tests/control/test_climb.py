@@ -56,5 +56,5 @@ def test_a_climb_towards_a_straight_wrist_jerks_the_arm_and_the_shafts_margin_pr
     jerk = shaking(lost, "v_rad_per_s")
     assert jerk.joint == 4
     assert jerk.rms > 2.0 * LIMIT_RAD_PER_S
-    assert shaking(kept, "v_rad_per_s").rms < 0.5 * LIMIT_RAD_PER_S  # below the margin, the box allows full speeds
+    assert shaking(kept, "v_rad_per_s").rms < 0.5 * LIMIT_RAD_PER_S  # here the box allows full joint speeds
     assert kept.rcm_error_m.max() < 0.6 * lost.rcm_error_m.max()

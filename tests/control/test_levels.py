@@ -91,7 +91,7 @@ def not_believed(level):
 
 
 def replayed(level, name, lives):
-    """Whether the first eight of twenty readings, played again, stop the arm. With ``lives``, joint 2 keeps changing."""
+    """Whether the first eight of 20 readings, played again, stop the arm. With ``lives``, joint 2 keeps changing."""
     guard = begun(**{name: level})
     return [read(guard, q=k % 20, other=k % 20 + lives * k, wrench=np.zeros(6)) for k in range(28)][-1] != "running"
 

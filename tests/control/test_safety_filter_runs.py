@@ -24,7 +24,7 @@ QUANTIZED = {"encoder_noise_rad": 0.0, "encoder_resolution_rad": 5e-4}
 
 
 def stopped(at, within, error, newton, reason="", **scenario):
-    """A run that stops ``within`` [s] of ``at``. Tip error and coasting stay below ``error`` [m], force below ``newton``."""
+    """A run that stops ``within`` [s] of ``at``, with tip error and coasting < ``error`` [m], force < ``newton``."""
     trace = run(Scenario(**{"duration_s": 2.0, **scenario, **QUICK}))
     assert trace.meta["ended"].startswith("stopped: ")
     assert reason in trace.meta["ended"]
@@ -139,7 +139,7 @@ def test_one_encoder_that_is_stuck_or_lags_is_found(robot, wrong, within, error)
     ("lwr4", 4, 3), ("iiwa14", 4, 4), ("panda", 4, 3), ("gen3", 2, 0), ("xarm7", 2, 0), ("lwr4_rail", 3, 4),
 ])  # fmt: skip
 def test_a_broken_drive_is_stopped_and_the_brakes_hold_the_arm(arm, joint, seed, gain, monkeypatch):
-    """The drive gives no torque or the opposite one. Of all joints and five seeds, these move each arm's tip farthest."""
+    """The drive gives no or the opposite torque. Of all joints and five seeds, these move each arm's tip farthest."""
     sound = Plant.step
 
     def step(plant, tau, trocar=None):

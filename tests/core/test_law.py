@@ -187,7 +187,7 @@ def test_the_smallest_self_motion_into_the_box_against_scipy(odd_robot):
     assert moved > 10
 
 
-def test_there_is_no_self_motion_where_the_box_needs_none_or_none_helps():
+def test_no_self_motion_is_added_where_the_box_needs_none_or_where_none_helps():
     row, part, Z = problem(np.random.default_rng(11), LWR4, tight=0.1)
     wide = np.full(7, 10.0)
     for lower, upper in ((-wide, wide), (wide - 1.0, wide), (-wide, 1.0 - wide)):

@@ -118,7 +118,7 @@ def test_a_course_for_which_the_joints_are_far_too_slow_is_not_kept(robot):
 
 
 def test_a_course_keeps_the_shafts_margin_where_a_smaller_one_would_give_more_mu(robot):
-    """The margin is 1.2 times the least `shaft_shares` of the grid's course. Refined without it, the share is smaller."""
+    """The margin is 1.2 times the least `shaft_shares` of the grid's course. Refining without it lowers the share."""
     targets = task(robot, robot.data.q_home, 40)
     course, _ = on_grid(robot, targets)
     margin = 1.2 * float(shaft_shares(robot, course.q_rad).min())

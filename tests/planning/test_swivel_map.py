@@ -243,7 +243,7 @@ def test_a_trajectory_at_a_lower_maximum_is_said_to_end_at_a_local_maximum():
     (hill(60.0, 0.3, 90.0), ramp(-20.0, -70.0), End.FALLING),
 ])  # fmt: skip
 def test_a_run_is_judged_by_a_limit_that_blocks_its_climb_or_else_by_its_motion(side, top, swivel, end):
-    """On the hill's side, joint 4 is beyond its limit from 0 to 140 degrees. The hill is on the left or on the right."""
+    """On the hill's side, joint 4 is beyond its limit from 0 to 140 degrees. The hill is on the left or the right."""
     forbidden = (0.0, 140.0, 4) if side > 0.0 else (-140.0, 0.0, 4)
     found = read(lambda given: top(side * np.asarray(given)), side * np.asarray(swivel), forbidden)
     assert (found.end, found.joint) == (end, 4 if end is End.FEASIBLE_EDGE else 0)

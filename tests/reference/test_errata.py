@@ -1,4 +1,4 @@
-"""For each entry of docs/method.md's last section: what the paper prints -> what is computed here, with numbers."""
+"""One test per entry of docs/method.md's last section; above it: what the paper prints -> what is computed here."""
 
 import numpy as np
 import pytest
@@ -88,7 +88,7 @@ def test_gradient_of_f_is_positive_semidefinite_and_seven_by_seven(robot, states
 
 
 # F(Y) = [-dL/dqd, dL/dl]  ->  [dL/dqd, -dL/dl]; no time constant  ->  eps, or m steps per tick
-def test_modes_grow_with_the_printed_sign_and_otherwise_decay_more_slowly_than_in_50_s(robot, states):
+def test_modes_grow_with_the_printed_sign_and_otherwise_have_time_constants_above_50_s(robot, states):
     """dY/dt = -k F(Y) at the paper's gains: the real parts are -k c0 s^2 / 2 for a singular value s of A."""
     for s in states:
         qp = subproblem(robot, s)

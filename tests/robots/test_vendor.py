@@ -1,4 +1,4 @@
-"""Vendors' URDFs: joints beside the arm are locked, one chain is found or chosen, impossible numbers are replaced."""
+"""Vendors' URDFs: joints outside the arm are locked, one chain is found or chosen, impossible numbers are replaced."""
 
 import re
 from pathlib import Path
@@ -178,7 +178,7 @@ def test_limits_in_the_wrong_order_are_refused_by_name(name: str, reach: str, un
         assert vendors(endless).chain[0].limits.items() >= ONE_TURN.items()
 
 
-def test_efforts_chosen_in_place_of_missing_ones_carry_the_arm(vendors) -> None:
+def test_efforts_that_replace_missing_ones_carry_the_arm(vendors) -> None:
     assert vendors(re.sub(r'effort="\d+"', 'effort="0"', text_of())).weak == CHAIN
     robot = load_robot("panda")
     efforts = enough_efforts(robot)

@@ -79,7 +79,7 @@ def test_friction_only_removes_energy_and_without_it_energy_is_kept(seed, scale,
 
 
 def test_friction_is_that_of_the_robots_file():
-    """For a steady turn about the vertical first axis, where gravity has no effect, the torque is d v + c."""
+    """For a steady turn about the vertical first axis, where gravity has no effect: d v + c, viscous and Coulomb."""
     plant, turning = nominal(friction=2.0, substeps=20), np.eye(7)[0]
     plant.reset(np.zeros(7), 0.4 * turning)
     needed = 2.0 * (DATA.viscous_friction[0] * 0.4 + DATA.coulomb_friction[0])
@@ -303,7 +303,7 @@ def test_invalid_models_are_refused():
 
 
 def test_visual_and_collision_shapes_in_the_urdf_change_nothing():
-    """A mesh whose file does not exist, and a box that MuJoCo would otherwise use for mass and collisions."""
+    """The shapes are a mesh without a file and a box that MuJoCo would otherwise use for mass and collisions."""
     shapes = (
         '<link name="tip"><visual><geometry><mesh filename="package://no/where.stl"/></geometry></visual>'
         '<collision><geometry><box size="1 1 1"/></geometry></collision></link>'
