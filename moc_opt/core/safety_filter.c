@@ -8,7 +8,7 @@
  *   REPLAYED          all encoders and the wrench repeat earlier readings at a constant lag, more often than the
  *                     smaller of repeat_reading_ticks and repeat_whole_ticks (replayed_ticks without wrench noise)
  *   REPEATED *        all q are unchanged although the reference moved by repeat_m or a torque changed by repeat_torque
- *                     tau_max. If the wrench is unchanged as well, repeat_whole_m and repeat_whole_torque count instead.
+ *                     tau_max. If the wrench is unchanged as well, repeat_whole_m and repeat_whole_torque apply.
  *                     Without *: q and v of all joints were unchanged on more than repeat_reading_ticks ticks in total
  *   RAN_AWAY          |q - integral of v over motion_s| > motion_rad + motion_lag_s * (largest recent |v|)
  *   ONE_REPEATED      one q is unchanged for more than repeat_joint_ticks ticks, or its q and v were unchanged on more

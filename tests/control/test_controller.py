@@ -45,7 +45,7 @@ def test_references_may_have_any_memory_layout_and_have_to_be_finite(robot):
 
 @pytest.mark.parametrize("law", ["moc", "dcac"])
 def test_torque_is_the_sum_of_the_levels(law, robot, regular_poses):
-    """Every joint has a gain of its own."""
+    """The gains differ from joint to joint."""
     K, D = [80.0, 120.0, 60.0, 30.0, 20.0, 10.0, 10.0], [6.0, 10.0, 5.0, 3.0, 2.0, 1.0, 1.0]
     solver, own = (EXACT, {"K_N2": K, "D_N2": D}) if law == "moc" else (None, {"dcac_damping": D})
     rng = np.random.default_rng(0)
@@ -94,7 +94,7 @@ def test_settings_reach_the_core(setting, core_s, robot):
 
 @pytest.mark.parametrize("fallback", ["damping", "hold", "least-violation"])
 def test_without_a_feasible_answer_the_arm_follows_the_fallback(fallback, robot):
-    """The box (k0 = 1e-3 /s) is far too narrow for the fast reference (0.3 m/s), but not for the one at rest."""
+    """The box (k0 = 1e-3 /s) is far too narrow for the fast reference (0.3 m/s), but not for the reference at rest."""
     state = robot.state(robot.data.q_home, np.linspace(-0.2, 0.2, 7))
     (fast, trocar), (slow, _) = in_place(state, 0.3), in_place(state)
     controller = Controller(robot, ControlSettings(fallback=fallback, k0_per_s=1e-3, **QUIET), EXACT)

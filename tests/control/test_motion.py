@@ -67,8 +67,8 @@ def test_a_fresh_packet_is_newer_than_all_before_it_and_never_too_old(stamps, pa
 
 
 @pytest.mark.parametrize("missed", [1, PATIENCE, PATIENCE + 1])
-def test_up_to_the_patience_ticks_that_the_controller_missed_make_no_measurement_bad(missed):
-    """Meanwhile the arm counts on. The filter accepts a number that is ahead of its own by at most the patience."""
+def test_missed_ticks_of_the_controller_make_no_measurement_bad_up_to_the_patience(missed):
+    """Meanwhile the arm keeps counting. The filter accepts a number ahead of its own by at most the patience."""
     found = ages([0, 1, 2, 3 + missed, 4 + missed])
     assert found == [FRESH] * 5 if missed <= PATIENCE else found[3] == REPEAT
 

@@ -1,4 +1,4 @@
-"""The supervisor of the third level: which answers it refuses, what replaces them, and that tip and RCM stay as is."""
+"""The supervisor of the third level: refused answers, what replaces them, and that tip and RCM do not change."""
 
 from types import SimpleNamespace
 from unittest.mock import Mock

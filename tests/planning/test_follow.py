@@ -47,7 +47,7 @@ def test_the_desired_velocity_is_the_courses_velocity_plus_a_gain_times_the_erro
     guide.start()
     off = robot.state(robot.data.q_home + 0.01)
     np.testing.assert_allclose(guide.desired_velocity(off), 0.1 - 0.05, atol=1e-9)
-    for _ in range(600):  # after the end the last pose is held
+    for _ in range(600):  # after the course's end its final pose is held
         last = guide.desired_velocity(robot.state(robot.data.q_home + 0.2))
     np.testing.assert_allclose(last, 5.0 * (0.1 - 0.2), atol=1e-9)
 
@@ -149,7 +149,7 @@ def test_the_receding_horizons_motion_is_on_the_path_and_within_the_joint_speeds
     # Between the program's nodes the motion is a cubic, and a joint turns by up to 0.2 rad from one node to the next.
     assert np.linalg.norm(tips - setup().reference.at(t)[0], axis=1).max() < 2e-3
     assert shaft_distance(tips, wrists, setup().registered.at(t)[0]).max() < 2e-3
-    # The program limits the mean speed between its nodes, so the cubic is faster in places. A run limits all speeds.
+    # The program limits mean speeds between its nodes, so the cubic is faster in places. In a run, the box limits it.
     assert (np.abs(np.diff(q, axis=0)) / 0.002 <= 1.2 * setup().robot.v_max).all()
 
 

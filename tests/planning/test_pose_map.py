@@ -84,7 +84,7 @@ def test_too_few_and_too_many_swivels_are_refused(name, swivels):
 
 @pytest.mark.parametrize("changes", [
     {"mount": (0.0, 0.0, -0.081), "rpy": (0.3, 0.0, 0.0)},  # a tool at an angle to axis 7
-    {"wrist": (0.01, 0.0, -0.081), "mount": (0.01, 0.0, 0.045)},  # a tool beside axis 7
+    {"wrist": (0.01, 0.0, -0.081), "mount": (0.01, 0.0, 0.045)},  # a tool parallel to axis 7, not on it
     {"wrist": (0.0, 0.0, -0.07)},  # a wrist point that is not the intersection of axes 5 to 7
     {"q_max": np.radians([170, 120, 170, 120, 200, 120, 175])},  # a joint with more than one turn
     {"joints": [*IIWA14["joints"][:3], ((0.02, 0.0, 0.2155), (H, 0, 0)), *IIWA14["joints"][4:]]},  # elbow offset

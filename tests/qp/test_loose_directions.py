@@ -103,7 +103,7 @@ def test_no_answer_that_slid_to_a_worse_cost_is_verified(seed):
 
 
 @pytest.mark.parametrize("freedoms", [1, 2])
-def test_where_one_point_is_feasible_relative_is_the_scaled_cost_lost_by_a_slide(freedoms):
+def test_if_one_point_is_feasible_the_figure_relative_is_the_scaled_cost_lost_by_a_slide(freedoms):
     qp, base, Z, direction = random_case(np.random.default_rng(0), freedoms, 1e-9)
     row, pinned = np.array(qp.row), [3, 6][:freedoms]
     fields(row).lower[pinned] = fields(row).upper[pinned] = base[pinned]
@@ -114,7 +114,7 @@ def test_where_one_point_is_feasible_relative_is_the_scaled_cost_lost_by_a_slide
 
 
 def far_ends(A, b, pull, lower, upper):
-    """Best and worst point (2, n) of pull^T x on A x = b within the box, in rational arithmetic; None without one."""
+    """Best and worst point (2, n) of pull^T x on A x = b in the box, in rational arithmetic; None if there is none."""
     gains = [Fraction(value) for value in pull]
     found = [optimum(A, b, [sign * gain for gain in gains], 0.0, lower, upper) for sign in (1, -1)]
     return None if None in found else np.array([[float(value) for value in point] for point in found])

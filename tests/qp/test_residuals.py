@@ -212,7 +212,7 @@ def test_where_the_gradient_along_the_self_motion_is_rounding_every_feasible_ans
         assert problem.residuals(best).verified()
 
 
-def test_relative_is_scaled_by_the_gradient_along_the_self_motion():
+def test_the_figure_relative_is_scaled_by_the_gradient_along_the_self_motion():
     """Almost all of grad_mu lies across ker A. Divided by |grad_mu|, the residual of a wrong end would be 1e-3."""
     rooms = []
     for w in wrong_corners(5, 6, 8, tilt=1e-3):
@@ -329,7 +329,7 @@ def test_rest_is_not_optimal_where_the_box_excludes_it(n):
     assert still.residuals(optimum(still)[0]).verified()
 
 
-def test_a_nan_answer_has_the_worst_figures_and_relative_does_not_depend_on_c2():
+def test_a_nan_answer_has_the_worst_figures_and_the_figure_relative_does_not_depend_on_c2():
     qp = random_problem(np.random.default_rng(10), regularization=0.0)
     found = qp.residuals(np.full(7, np.nan))
     assert (found.primal, found.loss, found.verified()) == (np.inf, 1.0, False)

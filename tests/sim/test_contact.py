@@ -1,4 +1,4 @@
-"""Forces on the arm: the trocar's on the shaft, constant pushes, and those of the springs in elastic joints."""
+"""Forces on the arm: the trocar's force on the shaft, constant pushes, and the springs of elastic joints."""
 
 import re
 

@@ -85,7 +85,7 @@ def test_a_problem_is_solved_where_a_x_b_only_touches_the_box(n, seed, regulariz
 
 
 def wedge(rng, n, narrow, size=1.0, **settings):
-    """Pairs of joints with nearly parallel bounds: the box leaves a sliver, at whose tip both bounds are active."""
+    """A problem with pairs of joints whose bounds are nearly parallel and both active at the tip of a feasible sliver."""
     Z = rng.normal(size=(n - 6, n))
     Z[:, 1] = 1.3 * Z[:, 0] + narrow * rng.normal(size=n - 6)
     Z[:, 3] = -0.8 * Z[:, 2] + narrow * rng.normal(size=n - 6)
@@ -256,7 +256,7 @@ def test_no_answer_is_wrong_with_parallel_columns_or_with_joints_at_their_bounds
 
 @pytest.mark.parametrize(("moves", "stops"), [(1.6e-10, True), (1.2e-10, False)])
 def test_solver_and_residuals_agree_which_slow_joints_stop_the_self_motion(moves, stops):
-    """A joint at its bound moves by about 1e-10 per unit step; the others leave room for a unit step."""
+    """A joint at its bound moves by about 1e-10 per unit step. The other joints leave room for a unit step."""
     z, x, wide = np.array([1.0, -0.5, 0.3, 0.2, -0.4, 0.6, moves]), np.zeros(7), np.ones(7)
     A, x[6] = null_space(z[None]).T, 1.0
     found = check(NullSpaceQP(A[:3], A[3:], A[:3] @ x, A[3:] @ x, z, -wide, wide, regularization=1e-5)).x

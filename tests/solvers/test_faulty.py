@@ -29,7 +29,7 @@ def is_wrong(kind, qp, answer):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_answers_are_wrong_at_the_drawn_ticks_and_right_at_the_others(kind):
-    """The inner solver is not called at a faulty tick (except with "malformed"), so that its state stays."""
+    """A faulty tick does not call the inner solver (except with "malformed"), so that its state stays the same."""
     for inner in (Exact(), create("rnn")):
         session, honest = Faulty(inner, kind, rate=0.3, seed=4).start(PROBLEMS[0]), inner.start(PROBLEMS[0])
         corrupted = draw(4, 0.3, len(PROBLEMS))

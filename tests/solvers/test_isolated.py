@@ -1,4 +1,4 @@
-"""Solvers in separate processes: they do not change a run if they behave, and cost it single answers if not."""
+"""Solvers in separate processes: a run stays the same if they behave, and loses single answers if they do not."""
 
 import signal
 import subprocess
