@@ -85,7 +85,7 @@ def test_a_problem_is_solved_where_a_x_b_only_touches_the_box(n, seed, regulariz
 
 
 def wedge(rng, n, narrow, size=1.0, **settings):
-    """A problem with pairs of joints whose bounds are nearly parallel and both active at the tip of a feasible sliver."""
+    """A problem with pairs of joints whose bounds are nearly parallel: the feasible set ends in a thin wedge."""
     Z = rng.normal(size=(n - 6, n))
     Z[:, 1] = 1.3 * Z[:, 0] + narrow * rng.normal(size=n - 6)
     Z[:, 3] = -0.8 * Z[:, 2] + narrow * rng.normal(size=n - 6)
