@@ -46,7 +46,7 @@ static double steepest_descent(const moc_problem *p, int rows, double Z[][MOC_MA
 /* Let s be the coordinate of x along a line of self-motion. The cost on this line is -c2 g s + rho s^2 / 2. On the
  * segment inside the box, its optimum is clip(c2 g / rho), and that of the opposite gradient is clip(-c2 g / rho). If
  * the elbow swivel is the only freedom, the line is the whole feasible set. With several freedoms, the line is the
- * steepest feasible descent at x; the residuals are zero if there is none. */
+ * steepest feasible descent at x; the residuals are zero if there is no descent. */
 moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS], const double *x)
 {
     moc_residuals found = {0.0, 0.0, 0.0, 0.0, 0.0};
@@ -105,7 +105,7 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
     return found;
 }
 
-/* The smallest self-motion that keeps the arm's motion in the box. `motion` is not changed if there is none.
+/* The smallest self-motion that keeps the arm's motion in the box. `motion` stays as it is if there is none.
  *
  * With a damped self-motion, the arm follows its references with the shortest x of A x = b, which may move a joint to
  * its limit. The shortest x of A x = b within the box is the optimum of the subproblem without pull, and `motion`

@@ -1,4 +1,4 @@
-/* The optimum of the subproblem by elimination; nothing iterates towards a tolerance.
+/* The optimum of the subproblem by elimination, without iterations towards a tolerance.
  *
  * On A x = b the c0 and c1 terms are constant. The cost is then rho/2 |x|^2 - c2 pull^T x over the box. Gauss-Jordan
  * elimination with complete pivoting (Golub and Van Loan, Matrix Computations, 3.4.8) writes x as a particular solution
@@ -9,16 +9,16 @@
 #include "vec.h"
 
 #define RANK_TOLERANCE 1e-12 /* share of |A|_F below which a singular value counts as zero */
-#define TIED 1e-7            /* the same for the sixth one, which a rigid tool makes zero */
+#define TIED 1e-7            /* the same for the sixth singular value, which a rigid tool makes zero */
 #define LOOK_CLOSER 1e3      /* multiple of the tolerance below which a pivot gets a closer check (own_part) */
 #define LEFT 1e-6            /* largest |A x - b| of a dropped row, as in the judge's primal tolerance [m/s] */
 #define SOUND 1e-6           /* last pivot above which rounding cannot spoil the answer [m] */
-#define UNBALANCED 1e-4      /* largest error of A^T y = force, of the cost's slope: a tenth of the judge's tolerance */
+#define UNBALANCED 1e-4      /* largest error of A^T y = force, as share of the cost's slope; a tenth of the judge's */
 #define IDLE 1e-12           /* largest entry of the free column of a joint that moves neither tip nor wrist */
 #define ROUNDING 1e-9        /* share of the largest entry of pull that counts as zero */
 #define GROWTH 4e-12         /* 2^14 roundings: cancellation in six steps with columns of 1000 times different size */
 #define WIDEST 1e-5          /* largest tolerance of the box that rounding may justify for an answer [rad/s] */
-#define UNCLEAR 1e-3         /* the same for the doubt whether the problem is infeasible [rad/s] */
+#define UNCLEAR 1e-3         /* the same for the check that an infeasible problem stays infeasible [rad/s] */
 #define SLIVER 2e-9          /* least effect of rounding with several freedoms, which may be parallel [rad/s] */
 
 /* Turn weights g (6,) of the eliminated rows into weights of the rows of A: apply the transposed steps backwards. */
@@ -32,7 +32,7 @@ static void weigh_back(const moc_plane *plane, int steps, double g[6])
 }
 
 /* An estimate of the next singular value as a share of |A|_F: the largest |e^T A| / |e| of the rows e^T A that are left
- * at step k. The pivot is at least a quarter of it, and up to a hundred times as large if e is long. */
+ * at step k. The pivot is at least a quarter of this, and up to a hundred times as large if e is long. */
 static double own_part(const moc_plane *plane, const moc_problem *p, int k)
 {
     double most = 0.0, size = 0.0;
@@ -101,7 +101,7 @@ static inline int eliminate(moc_plane *plane, const moc_problem *p, int m)
     return 6;
 }
 
-/* Check x against the dropped rows. A violated one makes the problem infeasible if no x of the box can reach its right
+/* Check x against the dropped rows. A violated row makes the problem infeasible if no x of the box can reach its right
  * side. Otherwise the row is neither independent nor dependent, and there is no answer. */
 static moc_status check_dropped(const moc_plane *plane, const moc_problem *p, const double *x)
 {
@@ -173,7 +173,7 @@ static inline segment ratio_test(const moc_problem *p, const double *x, const do
     return s;
 }
 
-/* One freedom: the best point x + s z of that interval, in closed form. */
+/* One freedom: the best point x + s z of its segment, in closed form. */
 static void solve_one(const moc_plane *plane, const moc_problem *p, double tolerance, double *x, double *force)
 {
     double z[MOC_MAX_JOINTS], zz = 0.0, zx = 0.0, zg = 0.0, slope = 0.0;

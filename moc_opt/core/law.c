@@ -4,9 +4,9 @@
  *   tau_0 = K_N2 (x - v) - D_N2 v; share rises to 1 at the start. step.c has the order of a tick. */
 #include "vec.h"
 
-#define STRAIGHT 1e-3  /* smaller over larger mobility of the wrist, about the bend of the elbow [rad] */
+#define STRAIGHT 1e-3  /* root of (smaller / larger mobility of the wrist), about the bend of the elbow [rad] */
 
-#define SHAFT_PULL 0.1 /* weight of log mu_shaft beside mu [m^3]; it vanishes at shaft_margin */
+#define SHAFT_PULL 0.1 /* weight of log mu_shaft relative to mu [m^3]; it vanishes at shaft_margin */
 #define SHAFT_LOST 0.1 /* share of shaft_margin below which the push vanishes as well, as it has no direction at 0 */
 #define BOX_OPENS 3.0  /* the box has its full width from mu_shaft = (1 - 1/BOX_OPENS) shaft_margin down */
 
@@ -76,8 +76,8 @@ static void desired_wrist_acceleration(const line *s, double span, const double 
  * A5 is J_T over b^T J_W, and the columns of b (3, 2) are two directions perpendicular to the shaft. With M = H H^T
  * (Cholesky), the code forms six rows, A5 H^-T and (H^-1 tau_W)^T, and makes the wrist's rows and tau_W's orthogonal to
  * the tip's. Nothing is squared, which keeps twice as many digits at a nearly straight elbow. Such an elbow can hardly
- * move the wrist in one direction, for which a straight elbow would need an infinite torque: the feed-forward leaves it
- * out (STRAIGHT). */
+ * move the wrist in one direction, for which a straight elbow would need an infinite torque: the feed-forward leaves
+ * this direction out (STRAIGHT). */
 static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *ddX_d, const double *ddN_d,
                         const double *tau_W, double *tau)
 {

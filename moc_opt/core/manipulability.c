@@ -1,7 +1,7 @@
 /* Manipulability of the tip (Yoshikawa 1985), and of the shaft while the tip is held, each with its gradient. */
 #include "vec.h"
 
-/* det(J J^T) over the cube of its mean diagonal entry, below which mu consists of rounding. */
+/* det(J J^T) divided by the cube of its mean diagonal entry, below which mu consists of rounding. */
 #define SINGULAR 1e-14
 
 /* Compute (J J^T)^-1 times its determinant. Returns the determinant; *regular is 0 if it consists of rounding. */

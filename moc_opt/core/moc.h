@@ -13,7 +13,7 @@ typedef enum {
     MOC_INFEASIBLE, /* no x of the box meets A x = b */
     MOC_DOUBTFUL,   /* the result would depend on rounding: no answer */
     MOC_UNFINISHED, /* the network (rnn.c) is still moving */
-    MOC_NOT_FINITE  /* q or v */
+    MOC_NOT_FINITE  /* q or v is not finite */
 } moc_status;
 
 /* --- the arm --- */
@@ -117,7 +117,7 @@ typedef struct {
     double external[MOC_MAX_JOINTS];             /* the observer's estimate r of friction and model error [Nm] */
     double tau[MOC_MAX_JOINTS];                  /* torque that acts in this period, for the observer [Nm] */
     double good[MOC_MAX_JOINTS];                 /* the last accepted answer [rad/s] */
-    int age;                                     /* ticks since that answer; counts to hold_ticks + 1 */
+    int age;                                     /* ticks since that answer, up to hold_ticks + 1 */
 } moc_memory;
 
 /* --- an answer, its check, and its replacements --- */
@@ -130,7 +130,7 @@ typedef enum {
     MOC_GIVES_NONE      /* no answer */
 } moc_claim;
 
-/* Why an answer was refused; in the order of control/supervisor.py. The caller alone finds RAISED, MALFORMED, LOST. */
+/* Why an answer was refused; in the order of control/supervisor.py. Only callers find RAISED, MALFORMED, LOST. */
 typedef enum {
     MOC_TAKEN = 0,
     MOC_FAULT_INFEASIBLE,
@@ -161,9 +161,9 @@ typedef struct {
     double box_limit;       /* largest |A x - b| and box violation of an answer without a claim */
     double primal_limit;    /* the same limit for an answer that is claimed optimal */
     double relative_limit;  /* largest natural residual of an answer that is claimed optimal */
-    double opposite_limit;  /* an x farther from the optimum, and nearer to the opposite one, is refused [rad/s] */
+    double opposite_limit;  /* an x farther than this from the optimum and closer to its opposite is refused [rad/s] */
     int hold_ticks;         /* ticks for which the last accepted answer is used again */
-    int keep_off_limits;    /* 1: afterwards the elbow moves only to keep the joints in the box; 0: it is damped */
+    int keep_off_limits;    /* 1: after these ticks the elbow moves only to keep joints in the box; 0: it is damped */
     moc_fallback fallback;  /* for an infeasible subproblem */
     moc_late late;          /* for a late answer */
     double budget_us;       /* longest time of a solve; infinite: no limit */
@@ -210,12 +210,12 @@ typedef struct {
     int in_incision;                                    /* 0: RCM error and trocar force are not checked */
     double warning[2], limit[2];                        /* of the RCM error [m] and the trocar force [N] */
     double incision_share;                              /* weight of a tick in the mean squares of both */
-    double tool_mass, tool_length;                      /* of the rod behind the wrench sensor [kg], [m] */
+    double tool_mass, tool_length;                      /* of the tool, a rod beyond the wrench sensor [kg], [m] */
     double tip_force;                                   /* largest force that is taken for a contact of the tip [N] */
     double stop_holding;                                /* dry friction of closed brakes, share of tau_max */
     double stop_yield;                                  /* trocar force above which the brakes open in a stop [N] */
-    int stop_yield_ticks;                               /* longest time for which they stay open */
-    double press_share;                                 /* weight of a tick in the mean of that force */
+    int stop_yield_ticks;                               /* largest number of ticks for which the brakes stay open */
+    double press_share;                                 /* weight of a tick in the mean of the trocar force */
     int motion;                                         /* 0: LATE and the checks with the settings below are off */
     double motion_s, motion_rad, motion_lag_s;          /* RAN_AWAY */
     double repeat_m, repeat_torque;                     /* REPEATED: path of the reference, share of tau_max */
@@ -227,7 +227,7 @@ typedef struct {
     double held[MOC_MAX_JOINTS];                        /* change of torque that static friction can hold [Nm] */
     double residual_torque, residual_whole;             /* UNEXPLAINED, shares of tau_max */
     double residual_rate, residual_share;               /* K_o of the residual [1/s], weight of a tick in its mean */
-    int settling_ticks;                                 /* until the residual has settled */
+    int settling_ticks;                                 /* ticks until the residual has settled */
 } moc_guard;
 
 enum { MOC_RCM = 0, MOC_FORCE = 1 };
@@ -235,7 +235,7 @@ enum { MOC_RCM = 0, MOC_FORCE = 1 };
 #define MOC_SLOTS 4096      /* size of the table of earlier readings */
 #define MOC_JOINT_SLOTS 256 /* the same for each encoder */
 
-/* Readings so far, the lag to the equal earlier reading, and how many had that lag. */
+/* Number of readings so far, the latest lag to an equal earlier reading, and how many equal readings had this lag. */
 typedef struct {
     double readings, lag, hits;
 } moc_came_before;
@@ -244,7 +244,7 @@ typedef struct {
 typedef struct {
     double gap, peak, shown, speed;          /* q - integral of v; largest recent |v|; the last q and v */
     double repeats, whole;                   /* ticks in a row with unchanged q; ticks in all with unchanged q and v */
-    double torque;                           /* when all encoders stopped changing [Nm] */
+    double torque;                           /* at the time when all encoders stopped changing [Nm] */
     double integral, residual, mean;         /* of the momentum observer; mean of the residual */
     double at_repeat, unseen, exceeded;      /* STUCK: mean, speed since q stopped changing; UNEXPLAINED: ticks */
 } moc_joint_watch;
@@ -260,13 +260,13 @@ typedef struct {
     double whole_square, ticks;                  /* mean square of the whole force on the tool; ticks in the incision */
     int unread;                                  /* wrench readings in a row that were not finite */
     double press, borne;                         /* in a stop: mean trocar force; part that closed brakes hold [N] */
-    int yields, open;                            /* 1: the brakes are open because of it; for how many ticks */
+    int yields, open;                            /* 1: that force has opened the brakes; for how many ticks */
     int cut;                                     /* 1: a drive is at fault, and no drive is used in the stop */
     int limited;                                 /* number of joints whose last torque was limited */
     long long now, newest, delay, elapsed, taken; /* numbers of control periods: see `age` in safety_filter.c */
     moc_joint_watch joint[MOC_MAX_JOINTS];
     double told[3], still[3];                    /* tip's reference, now and when the encoders stopped changing [m] */
-    double wrench[6], wrench_repeats;            /* the last wrench; readings in a row that were equal to it */
+    double wrench[6], wrench_repeats;            /* the latest wrench; readings in a row that were equal to it */
     int looked, wrench_is_still;                 /* first readings so far; 1: the wrench was unchanged in one of them */
     int weighed;                                 /* readings that were compared with the torque */
     double number[MOC_SLOTS], at[MOC_SLOTS];     /* take_in's table: number and index (from 1) of a reading; 0: empty */
@@ -278,7 +278,7 @@ typedef struct {
 typedef struct {
     const double *q, *v;   /* (n,) */
     long long stamp;       /* number of the control period in which it was taken */
-    int has_stamp;         /* 0: its age is not looked at */
+    int has_stamp;         /* 0: its age is not checked */
     const double *applied; /* (n,) torque that acted before it [Nm]; NULL: not known */
     const double *wrench;  /* (6,) force [N] and torque [Nm] of the tool on its mount, in the tool's axes */
 } moc_measurement;
@@ -311,16 +311,16 @@ typedef struct {
 typedef struct {
     moc_memory memory;
     moc_watch watch;
-    moc_terms terms;                /* the fields from here to `status` are those of the last tick */
+    moc_terms terms;                /* the fields from here to `status` belong to the latest tick */
     moc_problem problem;            /* filled if the law has a third level */
     double told[3];                 /* the tip's reference [m] */
-    double tau[MOC_MAX_JOINTS];     /* after moc_begin: levels 1 and 2 minus r; after moc_finish: its result [Nm] */
+    double tau[MOC_MAX_JOINTS];     /* after moc_begin: levels 1 and 2 minus r; after moc_finish: the torque to send */
     moc_fault fault;                /* of the answer */
     double x[MOC_MAX_JOINTS];       /* velocity that the third level followed [rad/s] */
     double answer[MOC_MAX_JOINTS];  /* of moc_step: x, y and status of moc_solve_exact */
     double y[6];
     moc_status status;
-    double sent[MOC_MAX_JOINTS];    /* torque that the last moc_finish returned [Nm] */
+    double sent[MOC_MAX_JOINTS];    /* torque that the latest moc_finish returned [Nm] */
     moc_stop reason;                /* the first reason to stop; it stays */
     unsigned begun;                 /* MOC_BEGUN after moc_start */
 } moc_state;
@@ -335,7 +335,7 @@ moc_stop moc_start(const moc_controller *c, const moc_measurement *m, moc_state 
  * subproblem, state->problem, for any solver in any language.
  *
  * measured.applied is the torque that acted in the last period if it differs from the torque that was sent, else NULL.
- * Returns MOC_RUNNING, or the reason to stop; no solver is needed then. */
+ * Returns MOC_RUNNING, or the reason to stop. In a stop no solver is needed. */
 moc_stop moc_begin(const moc_controller *c, const moc_input *in, moc_state *state);
 
 /* Second half of a control period: check the answer, replace it if it is refused, then add level 3 and apply the safety
@@ -343,7 +343,7 @@ moc_stop moc_begin(const moc_controller *c, const moc_input *in, moc_state *stat
  * finite and within the limits of c->guard whatever was measured.
  *
  * Returns MOC_RUNNING, or the reason to stop. In a stop tau carries the arm's weight in the last believed pose, and the
- * drives have to brake with the friction of moc_guard_hold; only moc_start ends it. Before moc_start tau is zero. */
+ * drives have to brake with the friction of moc_guard_hold. Only moc_start ends a stop. Before it, tau is zero. */
 moc_stop moc_finish(const moc_controller *c, const moc_answer *answer, moc_state *state, double *tau);
 
 /* moc_begin, moc_solve_exact and moc_finish in one call. Input and output must not overlap in memory. */

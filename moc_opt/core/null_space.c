@@ -34,7 +34,7 @@ void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, doub
     memcpy(part, sum, (unsigned)n * sizeof *part);
 }
 
-/* Z is the last pose's basis projected on the new kernel, so that it does not rotate within the kernel. */
+/* Z is the previous pose's basis projected on the new kernel, so that it does not rotate within the kernel. */
 int moc_null_space(int n, double A[][MOC_MAX_JOINTS], int rows, double Z[][MOC_MAX_JOINTS])
 {
     double fresh[MOC_MAX_JOINTS][MOC_MAX_JOINTS], turned[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
@@ -42,7 +42,7 @@ int moc_null_space(int n, double A[][MOC_MAX_JOINTS], int rows, double Z[][MOC_M
     moc_plane plane;
 
     memcpy(problem.A, A, sizeof problem.A);
-    moc_eliminate(&plane, &problem); /* plane.rank is the lower one if the rank is in doubt */
+    moc_eliminate(&plane, &problem); /* if the rank is in doubt, plane.rank is the lower one */
     int found = n - plane.rank, alike = found == rows;
     for (int i = 0; i < found; i++) {
         moc_direction(&plane, n, i, fresh[i]);

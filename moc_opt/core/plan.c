@@ -210,7 +210,7 @@ int plan_follow(const plan_task *task, const double *start, const double *tangen
     while (count < most && hit == NONE) {
         double *q = poses + (count - 1) * n, *next = q + n;
         double way = next_sample(task, q, step, tangent, next, mus + count, &hit);
-        if (way < 1e-9) /* singular, or on the limit already */
+        if (way < 1e-9) /* singular, or at the limit already */
             break;
         s[count] = s[count - 1] + way;
         count++;

@@ -39,9 +39,9 @@ FUNCTION(shaft_wrench, {"tip", READ, 3}, {"wrist", READ, 3}, {"twist", READ, 6},
     Py_RETURN_NONE;
 }
 
-/* Positions, then velocities, as encoders give them. memory (3, n): bias, last position, estimated velocity; resolution
- * [rad]; gain: of the velocity's low-pass filter on the difference quotient; exact: 1 for the bias alone, without
- * noise, resolution and filter. */
+/* Positions, then velocities, as encoders give them. The rows of memory (3, n) are the bias, the previous position and
+ * the estimated velocity. gain is that of the velocity's low-pass filter; resolution is in rad. With exact = 1, there
+ * is only the bias, without noise, resolution and filter. */
 FUNCTION(read_encoders, {"q", READ, N}, {"v", READ, N}, {"noise", READ, N}, {"memory", WRITE, 3, N},
          {"resolution", NUMBER}, {"period", NUMBER}, {"gain", NUMBER}, {"exact", WHOLE}, {"reading", WRITE, 2, N})
 {

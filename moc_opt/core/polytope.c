@@ -126,8 +126,8 @@ static bool push(polytope *t, int p, int *active)
 }
 
 /* Move s to the nearest point within its bounds, along the freedoms of the unswept Pi; then s - s_start = Pi force.
- * Violations up to the slack are allowed. If no point is found, the bounds are widened, by `most` at the most, because
- * rounding decides where the plane touches the box in one point only. */
+ * Violations up to the slack are allowed. If no point is found, the bounds are widened by at most `most`: where
+ * the plane only touches the box, rounding decides whether there is a point. */
 static moc_status project(polytope *t, double slack, double most)
 {
     double start[MOC_MAX_JOINTS];

@@ -33,7 +33,7 @@ typedef struct {
     moc_arm arm;
     moc_law law;
     moc_supervision supervision;
-    moc_controller controller; /* points to these; without safety filter, which is an object of its own */
+    moc_controller controller; /* points to these; the safety filter is an object of its own */
     moc_state state;
 } Law;
 

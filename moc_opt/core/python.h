@@ -9,7 +9,7 @@
 #define Py_LIMITED_API 0x030B0000
 #define NPY_NO_DEPRECATED_API NPY_2_0_API_VERSION
 #define PY_ARRAY_UNIQUE_SYMBOL moc_numpy
-#ifndef MOC_MODULE /* python.c takes NumPy's functions for all files */
+#ifndef MOC_MODULE /* python.c imports NumPy's functions for all files */
 #define NO_IMPORT_ARRAY
 #endif
 #include <Python.h>

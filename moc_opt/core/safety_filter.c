@@ -8,7 +8,7 @@
  *   REPLAYED          all encoders and the wrench repeat earlier readings at a constant lag, more often than the
  *                     smaller of repeat_reading_ticks and repeat_whole_ticks (replayed_ticks without wrench noise)
  *   REPEATED *        all q are unchanged although the reference moved by repeat_m or a torque changed by repeat_torque
- *                     tau_max. If the wrench is unchanged as well, repeat_whole_m and repeat_whole_torque count instead.
+ *                     tau_max. If the wrench is unchanged as well, repeat_whole_m and repeat_whole_torque apply.
  *                     Without *: q and v of all joints were unchanged on more than repeat_reading_ticks ticks in total
  *   RAN_AWAY          |q - integral of v over motion_s| > motion_rad + motion_lag_s * (largest recent |v|)
  *   ONE_REPEATED      one q is unchanged for more than repeat_joint_ticks ticks, or its q and v were unchanged on more
@@ -57,7 +57,7 @@ void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v
 
 enum { FRESH, REPEAT, OLD };
 
-/* How old a measurement is. The usual delay is that of the first new measurement; OLD is `patience` ticks more. */
+/* The age of a measurement. It is OLD if it is over `patience` ticks later than the first new measurement was. */
 static int age(const moc_guard *g, long long stamp, moc_watch *w)
 {
     bool possible = stamp > -LARGEST_STAMP && stamp < LARGEST_STAMP;
@@ -79,7 +79,7 @@ static int age(const moc_guard *g, long long stamp, moc_watch *w)
     return newer ? FRESH : REPEAT;
 }
 
-/* Whether q is near enough to the last believed position for the time since then, and v not too fast; false for NaN. */
+/* Whether q is near enough to the latest believed position for the time since, and v not too fast; false for NaN. */
 static bool believable(const moc_guard *g, int n, const double *q, const double *v, const moc_watch *w)
 {
     double ticks = 1.0 + (double)w->bad;
@@ -97,7 +97,7 @@ static bool same(double a, double b)
     return a <= b && a >= b;
 }
 
-/* Whether the wrench sensor has noise: no two successive readings of the first ones were equal. False before that. */
+/* Whether the wrench sensor has noise: no two successive ones of the FIRST_READINGS were equal. False until then. */
 static bool wrench_has_noise(const moc_watch *w)
 {
     return w->looked >= FIRST_READINGS && !w->wrench_is_still;
@@ -117,7 +117,7 @@ static void compare_wrench(const double *wrench, moc_watch *w)
     }
 }
 
-/* Compare a joint's new position with its velocity and with the last position. Returns whether RAN_AWAY applies. */
+/* Compare a joint's new position with its velocity and with the previous position. Returns whether RAN_AWAY applies. */
 static bool compare_joint(const moc_guard *g, double q, double v, double elapsed, moc_joint_watch *j)
 {
     double keep = 1.0 - fmin(1.0, elapsed / g->motion_s);
@@ -321,7 +321,7 @@ moc_stop moc_guard_incision(const moc_guard *g, double pose[4][3], const moc_tro
     return reason;
 }
 
-/* --- the torque beside the motion --- */
+/* --- the torque compared with the motion --- */
 
 /* Whether joint i has by far the largest residual. Then its drive is at fault: an outer force or an unstable loop gives
  * several joints a large residual. */

@@ -38,7 +38,7 @@ void moc_gravity(const moc_arm *arm, const double *q, double *torque);
 void moc_point(const moc_arm *arm, const moc_frame *frame, const moc_twist *twist, int which, double point[3],
                double J[][MOC_MAX_JOINTS]);
 
-/* Return mu = sqrt(det(J J^T)) of J (3,n), or mu_shaft of A (6,n), and write its gradient (n,), unless that is NULL. */
+/* Return mu = sqrt(det(J J^T)) of J (3,n) or mu_shaft of A (6,n). Write its gradient (n,); that of mu may be NULL. */
 double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOINTS], double *gradient);
 double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], const double u[3],
                                 double *gradient);
@@ -71,16 +71,16 @@ void moc_desired_wrist(const double X[3], const double dX[3], const moc_trocar *
 /* Advance the observer of joint i by a period in which tau acted: r = gain (M v - integral(tau + C^T v - g + r)). */
 void moc_observe(int n, const moc_terms *t, int i, double tau, double gain, double period, double *integral, double *r);
 
-/* Return the weight of grad mu_shaft in the pull, beside grad mu [m]. */
+/* Return the weight of grad mu_shaft in the pull, relative to grad mu [m]. */
 double moc_shaft_push(double mu_shaft, double margin);
 
 /* Compute x_d of the scaled climb [rad/s], with Z of the memory. It is zero at a maximum of mu and at a singularity. */
 void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_memory *memory, double *x_d);
 
-/* Write an orthonormal basis of ker A to Z, near the old one if that has as many rows. Returns its number of rows. */
+/* Write an orthonormal basis of ker A to Z, near the previous Z if that has as many rows. Returns its row count. */
 int moc_null_space(int n, double A[][MOC_MAX_JOINTS], int rows, double Z[][MOC_MAX_JOINTS]);
 
-/* Make row k of Z orthogonal to the rows before it and of length 1. Returns false if no more than `least` was left. */
+/* Make row k of Z orthogonal to the rows before it and of length 1. Returns false if `least` or less of it is left. */
 bool moc_orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least);
 
 /* Project: part = Z^T Z x with an orthonormal basis Z (rows, n). part may be x. */
@@ -88,7 +88,7 @@ void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, doub
 
 /* --- exact.c, polytope.c --- */
 
-#define STILL 1e-10 /* of a unit step: bounds of joints that move less along it are ignored (qp/extremes.py) */
+#define STILL 1e-10 /* bounds of joints that move less than this in a unit step are ignored (qp/extremes.py) */
 
 /* A x = b after elimination: row k < rank means x[joint[k]] + sum over free joints of row[k][j] x[j] = right[k]. */
 typedef struct {
@@ -99,7 +99,7 @@ typedef struct {
     int rank, freedoms;
 } moc_plane;
 
-/* Eliminate A x = b and list the free joints behind the pivot joints. Returns false if the rank is in doubt. */
+/* Eliminate A x = b and list the free joints after the pivot joints. Returns false if the rank is in doubt. */
 bool moc_eliminate(moc_plane *plane, const moc_problem *problem);
 
 /* Compute the motion z (n,) of all joints in ker A in which free joint number k moves by one. */
@@ -139,7 +139,7 @@ moc_stop moc_guard_incision(const moc_guard *g, double pose[4][3], const moc_tro
                             moc_watch *w);
 
 /* Check the tip (NULL: not known) and the motion (terms at watch->q, v; NULL: not known), then limit tau in place.
- * `before` is the torque of the last tick. A tau that is not finite is not changed. */
+ * `before` is the torque of the previous tick. A tau that is not finite is not changed. */
 moc_stop moc_guard_follow(const moc_guard *g, const moc_arm *arm, const moc_terms *t, const double *tip,
                           const double *tip_ref, const double *before, double *tau, moc_watch *w);
 

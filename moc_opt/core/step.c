@@ -1,5 +1,5 @@
-/* One tick. moc_begin: check of the measurement, terms, levels 1 and 2, subproblem. Then any solver. Then moc_finish:
- * check of the answer, level 3, limits of the torque.
+/* One tick: moc_begin (check of the measurement, terms, levels 1 and 2, subproblem), any solver, and moc_finish (check
+ * of the answer, level 3, limits of the torque).
  *
  * In Python c->guard is NULL, and FilteredController of moc_opt/sim/loop.py calls the functions of safety_filter.c in
  * the same order around any controller. A change of the order here has to be made there as well. */
@@ -30,7 +30,7 @@ static void levels(const moc_controller *c, const moc_input *in, moc_state *s)
     double climb[MOC_MAX_JOINTS];
     int n = c->arm->n;
 
-    for (int i = 0; i < n && law->observer_gain > 0.0; i++) /* r, from the last torque */
+    for (int i = 0; i < n && law->observer_gain > 0.0; i++) /* r, from the previous torque */
         moc_observe(n, t, i, memory->tau[i], law->observer_gain, law->period, &memory->integral[i],
                     &memory->external[i]);
     moc_tracking_torque(law, n, t, &in->ref, &in->trocar, s->tau);
@@ -90,7 +90,7 @@ static void take_applied(const moc_controller *c, const double *applied, moc_sta
         s->sent[i] = isnan(s->sent[i]) ? 0.0 : clip(s->sent[i], -c->guard->tau_max[i], c->guard->tau_max[i]);
 }
 
-/* Check the measurement, and compute the terms at what is believed. */
+/* Check the measurement, and compute the terms at the believed state. */
 static moc_stop believe(const moc_controller *c, const moc_input *in, moc_state *s)
 {
     moc_measurement seen = in->measured;

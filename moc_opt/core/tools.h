@@ -21,7 +21,7 @@ moc_status moc_step_network(const moc_problem *problem, const moc_network *netwo
 
 /* --- planning (plan.c) --- */
 
-/* An arm, its joint limits, and the place of its tip and wrist. A joint whose limits are equal is fixed. */
+/* An arm, its joint limits, and the targets of its tip and wrist. A joint whose limits are equal is fixed. */
 typedef struct {
     const moc_arm *arm;
     const double *low, *high; /* (n,) */

@@ -64,7 +64,7 @@ static inline bool all_finite(int n, const double *x)
     return sum == 0.0;
 }
 
-/* fmax and fmin without a call of the C library, which would dominate the time of a loop. b if a is NaN. */
+/* fmax and fmin without a call of the C library, which would dominate the time of a loop. Both return b if a is NaN. */
 static inline double larger(double a, double b)
 {
     return a > b ? a : b;

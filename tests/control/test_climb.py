@@ -1,4 +1,4 @@
-"""The scaled climb of mu. In runs, the velocity box and the shaft's margin keep the elbow off its limits."""
+"""The scaled climb of mu. In runs, the velocity box stops it before limits, and the shaft's margin avoids jerks."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from tests.reference.law import CLIMB_PER_S
 
 
 def test_near_a_maximum_of_mu_the_scaled_climb_asks_for_the_displacement_to_it(robot: RobotModel) -> None:
-    """Along one self-motion curve, the distance to the maximum is known without derivatives: the arc length."""
+    """Along one self-motion curve, the distance to the maximum is known without derivatives: it is the arc length."""
     q = np.asarray(self_motion(robot, robot.data.q_home, 0.01).q)
     top = int(np.argmax(robot.mu_along(q)))
     assert 40 < top < len(q) - 40, "the top is within the joint limits"
@@ -56,5 +56,5 @@ def test_a_climb_towards_a_straight_wrist_jerks_the_arm_and_the_shafts_margin_pr
     jerk = shaking(lost, "v_rad_per_s")
     assert jerk.joint == 4
     assert jerk.rms > 2.0 * LIMIT_RAD_PER_S
-    assert shaking(kept, "v_rad_per_s").rms < 0.5 * LIMIT_RAD_PER_S  # there the box allows full joint speeds
+    assert shaking(kept, "v_rad_per_s").rms < 0.5 * LIMIT_RAD_PER_S  # here the box allows full joint speeds
     assert kept.rcm_error_m.max() < 0.6 * lost.rcm_error_m.max()

@@ -45,7 +45,7 @@ def test_references_may_have_any_memory_layout_and_have_to_be_finite(robot):
 
 @pytest.mark.parametrize("law", ["moc", "dcac"])
 def test_torque_is_the_sum_of_the_levels(law, robot, regular_poses):
-    """Every joint has a gain of its own."""
+    """The gains differ from joint to joint."""
     K, D = [80.0, 120.0, 60.0, 30.0, 20.0, 10.0, 10.0], [6.0, 10.0, 5.0, 3.0, 2.0, 1.0, 1.0]
     solver, own = (EXACT, {"K_N2": K, "D_N2": D}) if law == "moc" else (None, {"dcac_damping": D})
     rng = np.random.default_rng(0)
@@ -64,7 +64,7 @@ def test_torque_is_the_sum_of_the_levels(law, robot, regular_poses):
 
 
 def test_third_level_fades_in(robot):
-    """With a ramp of ten periods, the first tick gives a tenth of the level's torque. A start restarts the ramp."""
+    """With a ramp of ten periods, the first tick gives a tenth of the torque. A new start restarts the ramp."""
     state = robot.state(robot.data.q_home)
     whole, _, tip_ref, trocar = started(robot, state=state, **QUIET)
     faded, *_ = started(robot, state=state, **{**QUIET, "ramp_s": 0.02})
@@ -94,7 +94,7 @@ def test_settings_reach_the_core(setting, core_s, robot):
 
 @pytest.mark.parametrize("fallback", ["damping", "hold", "least-violation"])
 def test_without_a_feasible_answer_the_arm_follows_the_fallback(fallback, robot):
-    """The box (k0 = 1e-3 /s) is far too narrow for the fast reference (0.3 m/s), but not for the one at rest."""
+    """The box (k0 = 1e-3 /s) is far too narrow for the fast reference (0.3 m/s), but not for the reference at rest."""
     state = robot.state(robot.data.q_home, np.linspace(-0.2, 0.2, 7))
     (fast, trocar), (slow, _) = in_place(state, 0.3), in_place(state)
     controller = Controller(robot, ControlSettings(fallback=fallback, k0_per_s=1e-3, **QUIET), EXACT)
@@ -196,7 +196,7 @@ class AsAnyOther(Exact):
 
 @pytest.mark.parametrize("fallback", ["damping", "hold", "least-violation"])
 @pytest.mark.parametrize("speed", [0.02, 3.0], ids=["feasible", "infeasible"])
-def test_exact_within_the_core_and_in_a_session_give_the_same_bits(robot, speed, fallback):
+def test_exact_within_the_core_and_exact_in_a_session_agree_to_the_last_bit(robot, speed, fallback):
     rng, settings = np.random.default_rng(3), ControlSettings(fallback=fallback)
     pair = [Controller(robot, settings, solver) for solver in (Exact(), AsAnyOther())]
     for k in range(20):

@@ -1,7 +1,7 @@
-"""The levels of the safety filter: a figure equal to its level is allowed, and a larger one is not.
+"""The levels of the safety filter: a value equal to its level is allowed, and a larger one is not.
 
 The arm has two joints of unit inertia about z, the tool's axis. All numbers are sums of few powers of two, so that the
-arithmetic is exact and a figure can equal its level.
+arithmetic is exact and a value can equal its level.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ TROCAR = np.array([[0.0, 0.0, -0.125], [0.0] * 3])
 
 
 def begun(arm=ARM, **levels):
-    """A safety filter, started at rest at zero, in which every level that is not given is off."""
+    """A safety filter that was started at rest at q = 0. Every level that is not given is off."""
     given = {
         "period": T, "patience": 0, "carries": False, "low": -1e9, "high": 1e9, "v_max": 1.0, "tau_max": 1.0,
         "wall_stiffness": 0.0, "wall_damping": 0.0, "wall_brake": 1.0, "torque_step": OFF, "jump": OFF,
@@ -61,7 +61,7 @@ def unbelieved(level, name, q, v):
 
 
 def tip_error(level, tip):
-    """Whether the tip error stops the arm. Without ``tip``, the tip is the record's, at the origin."""
+    """Whether the tip error stops the arm. Without ``tip``, the record has it at the origin."""
     return "tip" in follow(begun(tip_error=level), tip=tip, tip_ref=0.25, record=ARM.terms(ZERO, ZERO))
 
 
@@ -91,13 +91,13 @@ def not_believed(level):
 
 
 def replayed(level, name, lives):
-    """After twenty readings the first eight come again. With ``lives``, the second joint's positions keep changing."""
+    """Whether the first eight of 20 readings, played again, stop the arm. With ``lives``, joint 2 keeps changing."""
     guard = begun(**{name: level})
     return [read(guard, q=k % 20, other=k % 20 + lives * k, wrench=np.zeros(6)) for k in range(28)][-1] != "running"
 
 
 def repeated(level, name, v=0.0, wrench=lambda k: DEAF, lives=0.0):
-    """After 99 different readings one comes nine times. With ``lives``, the second joint's positions keep changing."""
+    """Whether nine equal readings after 99 different ones stop the arm. With ``lives``, joint 2 keeps changing."""
     guard = begun(**{name: level})
     for k in range(99):
         read(guard, q=k * T, v=v * k, wrench=wrench(k), other=k * T)
@@ -119,7 +119,7 @@ def touched(level):
 
 
 def residual(level, name, repeats=0, **others):
-    """A torque of 1 Nm without any motion: the residual is r = -rate T after a tick."""
+    """Whether a torque of 1 Nm without any motion stops the arm. The residual is r = -rate T after a tick."""
     guard, record = begun(**{name: level} | others), ARM.terms(ZERO, ZERO)
     for _ in range(2 + repeats):
         read(guard)
@@ -159,14 +159,14 @@ def stays_open(level):
     (residual, 16.0 * T, ("residual_torque",)), (residual, 16.0 * T, ("residual_whole",)),
     (residual, 16.0 * T * T, ("stuck_speed", 2)), (yields, 0.25, ()), (stays_open, 0.25, ()),
 ])  # fmt: skip
-def test_a_level_acts_only_on_larger_figures(noticed, level, more):
+def test_a_level_acts_only_on_larger_values(noticed, level, more):
     assert not noticed(level, *more)
     assert noticed(level * (1.0 - 2.0**-40), *more)
 
 
 @pytest.mark.parametrize(("torques", "carries"), [((1.5, 1.5), 0.0), ((-0.5, -0.5), 0.0), ((1.5, 0.0), 0.5)])
 def test_a_drive_whose_effect_opposes_its_torque_is_not_used_any_more(torques, carries):
-    """Its residual has the opposite sign of its torque. At zero torque no drive is blamed. The weight is 0.5 Nm."""
+    """The drive's residual and torque have opposite signs. At zero torque no drive is blamed. The weight is 0.5 Nm."""
     arm = core.Arm(LOADED, np.zeros((2, 3)), np.eye(3), np.ones((2, 2)), np.array([0.0, -1.0, 0.0]))
     guard, record = begun(arm, residual_torque=2.0**-8, carries=True, patience=1), arm.terms(ZERO, ZERO)
     read(guard)

@@ -30,7 +30,7 @@ def by_the_law(s, robot, tau, before, q, v, carries):
         push = s.wall_stiffness_Nm_per_rad * depth + s.wall_damping_Nm_s_per_rad * np.maximum(speed - allowed, 0.0)
         ends.append(np.where(acts, -push, np.inf))
     most, least = ends[0], -ends[1]
-    both = least > most  # in one wall, and too fast away from it
+    both = least > most  # the joint leaves a wall too fast
     most, least = np.where(both, 0.0, most), np.where(both, 0.0, least)
     sent = np.clip(np.clip(tau, hold + least, hold + most), before - step, before + step)
     return np.clip(sent, -robot.tau_max, robot.tau_max)
@@ -46,7 +46,7 @@ def test_the_torque_follows_the_numpy_law_and_stays_within_its_limits(robot, see
         robot, carries=carries, torque_rate_Nm_per_s=rate, position_margin_rad=0.05 * rng.uniform(0.5, 2.0),
         wall_stiffness_Nm_per_rad=2000.0 * rng.uniform(0.5, 2.0), wall_brake_rad_per_s2=rng.uniform(1.0, 4.0),
     )  # fmt: skip
-    near = rng.choice([0.02, 0.3, 0.7], N) * rng.choice([-1.0, 1.0], N)  # of half the range
+    near = rng.choice([0.02, 0.3, 0.7], N) * rng.choice([-1.0, 1.0], N)  # shares of half the range
     q = np.where(rng.random(N) < 0.5, robot.q_min, robot.q_max) + near * (robot.q_max - robot.q_min) / 2.0
     v = fast * robot.v_max * rng.uniform(-1.0, 1.0, N)
     wall, at = robot.q_max - guard.settings.position_margin_rad, rng.random((2, N)) < 0.25
@@ -114,7 +114,7 @@ def test_bad_measurements_are_bridged_by_extrapolation(robot):
 
 
 def test_the_largest_accepted_step_grows_with_the_gap(robot):
-    """After b bad measurements the arm may be (1 + b) ticks of v_max away from the extrapolated pose."""
+    """After b bad measurements, the arm may be jump_rad + (1 + b) T v_max away from the extrapolated pose."""
     q, v = robot.data.q_home, np.full(N, 0.2)
     for bad in range(3):
         for share, sound in ((0.999, True), (1.001, False)):
@@ -184,7 +184,7 @@ def test_in_a_stop_the_weight_is_carried_within_the_torque_limits(robot, rate):
 
 @pytest.mark.parametrize("newton", [9.0, 30.0, 100.0])
 def test_brakes_open_by_the_mean_of_the_trocars_force_and_not_at_once(robot, newton):
-    """After k ticks the mean is (1 - (1 - 50 /s T)^k) times the force; at first the tool's inertia force adds to it."""
+    """After k ticks the mean is (1 - (1 - 50 /s T)^k) times the force. At first, the tool's inertia adds to it."""
     q, guard = robot.data.q_home, guard_of(robot, incision=True)
     guard.check_measurement(q, REST, wrench=weight(robot, q), trocar=off_by(robot, q, 0.0))
     opened = [not guard.brake_friction(weight(robot, q, newton)).any() for _ in range(400)]

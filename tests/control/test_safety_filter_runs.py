@@ -24,7 +24,7 @@ QUANTIZED = {"encoder_noise_rad": 0.0, "encoder_resolution_rad": 5e-4}
 
 
 def stopped(at, within, error, newton, reason="", **scenario):
-    """A run that stops ``within`` [s] of ``at``. Tip error and coasting are below ``error`` [m], force ``newton``."""
+    """A run that stops ``within`` [s] of ``at``, with tip error and coasting < ``error`` [m], force < ``newton``."""
     trace = run(Scenario(**{"duration_s": 2.0, **scenario, **QUICK}))
     assert trace.meta["ended"].startswith("stopped: ")
     assert reason in trace.meta["ended"]
@@ -61,7 +61,7 @@ STOPPED = {
         {"faults": {"frozen_at_s": 1.7, **FORGED}, "seed": 501, "duration_s": 2.4,
          "start": {"pose": "random", "swivel": "random"}}, 1.7, 0.1, 4e-3, 5.0, "",
     ),
-    # The lag grows whenever a reading comes twice. Without the check, the error is 57 mm; an arm at rest has none.
+    # The lag grows whenever a reading comes twice. Without the check, the error is 57 mm, and 0 at rest.
     "forged-lag-at-rest": (
         {"faults": {"lag_at_s": 0.0, "lag_growth": 0.3, "forged_stamps": True}, "seed": 2345, "control": DCAC,
          "task": STILL, "duration_s": 1.5, **ANYWHERE}, 0.0, 0.24, 4e-3, 5.0, "",
@@ -70,7 +70,7 @@ STOPPED = {
         {"faults": {"lag_at_s": 0.6, "lag_growth": 0.3, "forged_stamps": True}, "seed": 2345, "control": DCAC,
          "robot": {"name": "gen3"}, "duration_s": 1.5, **ANYWHERE}, 0.6, 0.14, 4e-3, 5.0, "",
     ),
-    "one-frozen-found-by-its-noise": (  # at the latest when it repeats longer than its noise allows
+    "one-frozen-found-by-its-noise": (  # at the latest when it repeats a reading longer than its noise allows
         {"faults": {"frozen_at_s": 0.8, "frozen_joint": 1, "frozen_velocity": "zero"}, "seed": 2100, "duration_s": 3.0,
          "guard": {"repeat_reading_ticks": 10**6}, **SWIVEL}, 0.8, 0.183, 0.045, 25.0, "",
     ),
@@ -139,7 +139,7 @@ def test_one_encoder_that_is_stuck_or_lags_is_found(robot, wrong, within, error)
     ("lwr4", 4, 3), ("iiwa14", 4, 4), ("panda", 4, 3), ("gen3", 2, 0), ("xarm7", 2, 0), ("lwr4_rail", 3, 4),
 ])  # fmt: skip
 def test_a_broken_drive_is_stopped_and_the_brakes_hold_the_arm(arm, joint, seed, gain, monkeypatch):
-    """The drive gives no torque or the opposite. Of all joints and five seeds, these move each arm's tip farthest."""
+    """The drive gives no or the opposite torque. Of all joints and five seeds, these move each arm's tip farthest."""
     sound = Plant.step
 
     def step(plant, tau, trocar=None):
@@ -219,13 +219,13 @@ def coarse(robot, seed, control, delay):
     coarse("xarm7", 363081978, {"preset": "tuned"}, 0), coarse("xarm7", 1359370278, {"preset": "robust"}, 0),
     coarse("panda", 656269444, {}, 2),
 ], ids=lambda s: "-".join(map(str, (s.get("seed", "late"), s["control"].get("law", "")))))  # fmt: skip
-def test_no_sound_plant_is_stopped(scenario):
+def test_harmless_deviations_of_the_plant_do_not_stop_the_arm(scenario):
     assert run(Scenario(**{"duration_s": 3.0, **scenario, **QUICK})).meta["ended"] == "completed"
 
 
 @pytest.mark.parametrize("preset", ["default", "tuned", "robust", "paper"])
 @pytest.mark.parametrize("law", ["moc", "dcac"])
-def test_sound_runs_are_not_stopped(preset, law):
+def test_runs_without_faults_are_not_stopped(preset, law):
     """They do not warn either, except with the paper's parameters, whose RCM errors reach 9 mm."""
     control = {"law": law} if preset == "default" else {"law": law, "preset": preset}
     seed = len(preset + law) % 4
@@ -282,7 +282,7 @@ def test_a_controller_that_breaks_down_stops_the_arm(how, told, monkeypatch):
     sound, calls = Controller.tick, iter(range(1000))
 
     def tick(controller, *given):
-        if next(calls) <= 100:  # the first call is that of the copy that warms up
+        if next(calls) <= 100:  # the first call warms up a copy of the controller
             return sound(controller, *given)
         if isinstance(how, Exception):
             raise how

@@ -1,4 +1,4 @@
-"""A controller's settings: gains, ranges, presets, and the paper's Table I, read from the core's arguments."""
+"""A controller's settings: gains, ranges, presets, and the paper's Table I as it reaches the core."""
 
 import json
 import re
@@ -182,7 +182,7 @@ def test_under_a_course_the_box_allows_the_whole_speed_and_only_deviations_are_d
 def test_under_a_course_the_observer_has_its_own_gain_unless_it_is_off():
     for gain, level, rate in ((20.0, "local", 20.0), (20.0, "receding", 40.0), (0.0, "receding", 0.0)):
         assert ControlSettings(third_level=level, observer_gain_per_s=gain).observer_rate_per_s == rate
-    for name in ("tuned", "robust"):  # tuned together: it affects the largest delay of a stable loop
+    for name in ("tuned", "robust"):  # tuned with the gains: the observer affects the largest stable delay
         planned = ControlSettings.preset(name, third_level="planned")
         assert planned.observer_rate_per_s <= ControlSettings.preset(name).observer_gain_per_s
 
@@ -191,7 +191,7 @@ def test_a_wall_that_begins_within_the_box_is_refused():
     for unit, box in (("rad", 0.15), ("m", 0.05)):
         with pytest.raises(ScenarioError, match=f"position_margin_{unit} = 0.2 .*_{unit} = {box}"):
             Scenario(guard={f"position_margin_{unit}": 0.2})
-    for control in ({"limit_margin_rad": 0.2}, {"law": "dcac"}, {"preset": "paper"}):  # a box as large, or none
+    for control in ({"limit_margin_rad": 0.2}, {"law": "dcac"}, {"preset": "paper"}):  # equal margins, or no margin
         Scenario(guard={"position_margin_rad": 0.2}, control=control)
 
 

@@ -1,4 +1,4 @@
-"""The supervisor of the third level: answers that it refuses, what replaces them, and that tip and RCM ignore them."""
+"""The supervisor of the third level: refused answers, what replaces them, and that tip and RCM do not change."""
 
 from types import SimpleNamespace
 from unittest.mock import Mock
@@ -174,7 +174,7 @@ def test_a_solver_that_writes_into_its_arguments_changes_neither_subproblem_nor_
 @pytest.mark.parametrize("where", ["observe", "solve", "under another error"])
 def test_any_exception_of_a_session_is_counted_except_the_users_interrupt(error, where, qp, Z):
     raised, session = error, Mock(spec=["solve", "observe"])
-    if where == "under another error":  # as CasADi wraps exceptions
+    if where == "under another error":  # CasADi wraps exceptions like this
         raised = SystemError("returned a result with an exception set")
         raised.__cause__ = error
     getattr(session, "observe" if where == "observe" else "solve").side_effect = raised
@@ -235,7 +235,7 @@ def along_the_line(qp, Z, x):
 
 @pytest.mark.parametrize("c2", [1e-3, 0.5])
 def test_the_residuals_along_the_line_against_a_search(c2):
-    """One freedom, with x within the box, at its sides and beyond, and optima that rho or the box determines."""
+    """One freedom. x lies within, at or beyond the sides of the box, and rho or the box determines the optimum."""
     rng, seen = np.random.default_rng(12), []
     for number in range(60):
         qp = random_problem(rng, c2=c2, regularization=c2 * 10.0 ** rng.uniform(-2.0, 1.0))
@@ -374,7 +374,7 @@ def test_a_late_answer_is_replaced_as_the_setting_says(late, qp, Z):
 
 
 def stoppable(whole, truncated):
-    """A session whose truncated answer is given, or raised where it is an exception."""
+    """A session with a whole and a truncated answer. The truncated one is raised if it is an exception."""
     return SimpleNamespace(solve=Mock(return_value=whole), truncated=Mock(side_effect=[truncated]))
 
 
@@ -452,7 +452,7 @@ def test_an_answer_at_a_limit_of_the_check_is_accepted_and_one_beyond_it_is_not(
 
 
 def test_with_several_freedoms_or_a_faint_gradient_a_good_answers_distance_is_not_computed(qp):
-    """The figure `off`, the distance from the optimum, stays zero then. With one freedom and a gradient it is given."""
+    """Then `off`, the distance from the optimum, stays zero. With one freedom and a clear gradient it is computed."""
     faint, several = changed(qp, c2=1e-7, regularization=1e-2), random_problem(np.random.default_rng(3), 8)
     for each, searched in ((qp, True), (faint, False), (several, False)):
         Z = null_space(each.A)

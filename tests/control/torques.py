@@ -54,7 +54,7 @@ def subproblem(robot, state, tip_ref, trocar, **parts):
 
 
 def stand_in(row, Z, fault, fallback="damping"):
-    """The x (n,) that the arm follows in place of an answer with this fault, with no good answer to hold."""
+    """The x (n,) that the arm follows instead of an answer with this fault, if there is no good answer to hold."""
     made = law(Z.shape[1], fallback=fallback, hold_ticks=0)
     made.load(row, Z)
     found, x, _ = made.finish(fault, 0, np.zeros(Z.shape[1]), 0.0)

@@ -310,7 +310,7 @@ static void plan(moc_arm *arm, const moc_law *law, const double *from)
     memcpy(task.target[MOC_WRIST], terms.wrist, sizeof terms.wrist);
     spoil(task.target[MOC_TIP], 6, 100);
     if (chance(5))
-        task.target[MOC_TIP][0] += 2.0; /* mostly out of reach */
+        task.target[MOC_TIP][0] += 2.0; /* out of reach of most arms */
     for (int j = 0; j < n; j++)
         best[j] = q[j] + uniform(-0.1, 0.1);
     note_one(plan_place(&task, 1 + chance(2), 8, best, best));
@@ -354,7 +354,7 @@ static moc_stop tick(const moc_controller *c, const moc_input *in, int own, moc_
     return reason;
 }
 
-/* One half of the time 1, else a power of two down to 2^-59. */
+/* 1 in half of the calls, else a power of two down to 2^-59. */
 static double tiny(void)
 {
     return chance(2) ? 1.0 : ldexp(1.0, -(int)(bits() % 60));
@@ -370,7 +370,7 @@ static void repeat(moc_problem *p, int i, const double *x)
     p->b[i] = dot(p->n, p->A[i], x) + beside * uniform(-1.0, 1.0);
 }
 
-/* Solve a random subproblem, run the network on it, and let judge and supervisor check good, worse and wrong answers.
+/* Solve a random subproblem, run the network on it, and let moc_judge and moc_supervise check good and bad answers.
  * Returns 0 if an answer that `exact` calls solved violates A x = b.
  *
  * Some joints are idle, some have nearly parallel columns, and rows of A may be dependent. A x = b may meet the box in a
@@ -546,8 +546,8 @@ static void filter(void)
     free(wrench);
 }
 
-/* Run one random controller for 29 ticks, with moc_step and with a solver of its own. Returns 0 if a torque is not
- * finite and within its limits, or a friction is negative. */
+/* Run one random controller for 29 ticks: once with moc_step, once with moc_begin, a solver and moc_finish. Returns 0
+ * if a torque is not finite and within its limits, or a friction is negative. */
 static int course(void)
 {
     static moc_state states[2];
@@ -678,8 +678,8 @@ static int algebra(void)
     return sound;
 }
 
-/* Check which torques and states moc_start and moc_begin accept: those at a limit, not those beyond it; and what they
- * do without a start. Returns 0 if one differs. */
+/* Check that moc_start and moc_begin accept torques and states at a limit and refuse those beyond it, and what a tick
+ * without a start does. Returns 0 if a check fails. */
 static int contract(void)
 {
     static moc_state state;
@@ -754,7 +754,7 @@ static int contract(void)
 int main(int count, char **words)
 {
     long courses = count > 1 ? strtol(words[1], NULL, 10) : 10000;
-    seed = count > 2 ? 2 * strtoull(words[2], NULL, 10) + 1 : 1; /* the generator needs one that is not zero */
+    seed = count > 2 ? 2 * strtoull(words[2], NULL, 10) + 1 : 1; /* the generator needs a nonzero seed */
 
     for (long k = 0; k < courses; k++) {
         int sound = 1;

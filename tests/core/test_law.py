@@ -45,7 +45,7 @@ def test_feedforward(robot):
     for (s, tip_ref, trocar), _ in trials(robot):
         found = tracking(robot, s, tip_ref, trocar, feedforward=True) - tracking(robot, s, tip_ref, trocar)
         np.testing.assert_allclose(found, reference.feedforward(s, tip_ref, trocar), rtol=1e-6, atol=1e-6)
-        reached = s.A @ np.linalg.solve(s.M, found)  # the tip's acceleration is the reference's
+        reached = s.A @ np.linalg.solve(s.M, found)  # the tip has the reference's acceleration
         np.testing.assert_allclose(reached[:3], tip_ref[2] - s.drift_tip, atol=1e-8)
 
 
@@ -106,7 +106,7 @@ def test_the_observer(robot):
 
 
 def test_the_scaled_climb(robot):
-    """Its velocity, c2/rho times the gradient term in the cost, depends on neither of the two weights."""
+    """The climb's velocity, c2/rho times the gradient term in the cost, depends on neither of the two weights."""
     margin, lost = 0.175 * robot.state(robot.data.q_home).tool_span ** 2, 0
     for (s, tip_ref, trocar), rng in trials(robot, 20):
         c2, rho = 10.0 ** rng.uniform(-5.0, 0.0, 2)
@@ -187,7 +187,7 @@ def test_the_smallest_self_motion_into_the_box_against_scipy(odd_robot):
     assert moved > 10
 
 
-def test_there_is_no_self_motion_where_the_box_needs_none_or_none_helps():
+def test_no_self_motion_is_added_where_the_box_needs_none_or_where_none_helps():
     row, part, Z = problem(np.random.default_rng(11), LWR4, tight=0.1)
     wide = np.full(7, 10.0)
     for lower, upper in ((-wide, wide), (wide - 1.0, wide), (-wide, 1.0 - wide)):

@@ -34,7 +34,7 @@ def follow(low, high, start, tangent, step, most=200, slides=False):
 
 def test_a_straight_curve_has_even_samples_up_to_the_first_limit_that_it_meets():
     start, high = np.array([0.1, 0.2, 0.3, 0.0, 0.0]), np.array([0.5, 3.0, 1.0, 0.0, 0.0])
-    for least, end in ((-0.19, 0.39), (-0.21, 0.4), (-0.3, 0.4)):  # 0.39: joint 2 is at its limit; 0.4: joint 1
+    for least, end in ((-0.19, 0.39), (-0.21, 0.4), (-0.3, 0.4)):  # joint 2 ends the curve at 0.39, joint 1 at 0.4
         low = np.array([-1.0, least, 0.2, 0.0, 0.0])
         s, poses, closed = follow(low, high, start, 0.5 * ALONG + np.eye(5)[2], 0.11)
         whole = np.sqrt(2.0) * end
@@ -79,7 +79,7 @@ def test_a_curve_closes_after_one_turn_of_a_revolute_joint_and_never_where_joint
 
 
 def test_inverse_kinematics_takes_damped_newton_steps_of_at_most_0_25():
-    """One slide moves to a target along its axis; the damping of each step is proportional to the squared error."""
+    """A sliding joint moves to a target on its axis. The damping of each step is proportional to the squared error."""
     arm, low, high = gantry(True), np.zeros(5), np.zeros(5)
     low[2], high[2] = -9.0, 9.0
     for reach, points in ((0.7, 2), (0.2, 1)):
@@ -109,7 +109,7 @@ def test_a_target_out_of_reach_is_approached_as_far_as_the_stretched_arm_reaches
 
 @pytest.mark.parametrize(("name", "draw"), [("panda", 129), ("panda", 298), ("gen3", 260), ("xarm7", 5)])
 def test_a_curve_that_turns_sharply_is_followed_in_shorter_steps(name, draw):
-    """Near these poses the arm can hardly turn the shaft. The oracle is a scan with finer steps."""
+    """Near these poses the arm can hardly turn the shaft. The expected values come from finer steps."""
     robot = load_robot(name)
     q = np.random.default_rng(3).uniform(robot.q_min, robot.q_max, (300, 7))[draw]
     fine, coarse = (self_motion(robot, q, step=step) for step in (0.005, 0.1))

@@ -47,7 +47,7 @@ def test_the_desired_velocity_is_the_courses_velocity_plus_a_gain_times_the_erro
     guide.start()
     off = robot.state(robot.data.q_home + 0.01)
     np.testing.assert_allclose(guide.desired_velocity(off), 0.1 - 0.05, atol=1e-9)
-    for _ in range(600):  # after the end the last pose is held
+    for _ in range(600):  # after the course's end its final pose is held
         last = guide.desired_velocity(robot.state(robot.data.q_home + 0.2))
     np.testing.assert_allclose(last, 5.0 * (0.1 - 0.2), atol=1e-9)
 
@@ -146,16 +146,16 @@ def test_the_receding_horizons_motion_is_on_the_path_and_within_the_joint_speeds
     assert one.told["refused"] <= 0.05 * one.told["solves"]
     t = 0.002 * np.arange(len(q))
     tips, wrists = setup().robot.tool_along(np.array(q))
-    # Between the program's times the motion is a cubic, and a joint turns by up to 0.2 rad from one time to the next.
+    # Between the program's nodes the motion is a cubic, and a joint turns by up to 0.2 rad from one node to the next.
     assert np.linalg.norm(tips - setup().reference.at(t)[0], axis=1).max() < 2e-3
     assert shaft_distance(tips, wrists, setup().registered.at(t)[0]).max() < 2e-3
-    # The program limits the mean speed between its times, so the cubic is faster in places. The box limits all speeds.
+    # The program limits mean speeds between its nodes, so the cubic is faster in places. In a run, the box limits it.
     assert (np.abs(np.diff(q, axis=0)) / 0.002 <= 1.2 * setup().robot.v_max).all()
 
 
 @pytest.mark.parametrize("wrong", ["random", "nan", "fast"])
 def test_wrong_answers_of_the_program_are_refused(monkeypatch, wrong):
-    """The last good course is followed to its end, and then its last pose is held."""
+    """The latest accepted course is followed to its end, and then its final pose is held."""
     one, rng = follower(setup()), np.random.default_rng(0)
     robot, q = setup().robot, setup().q_start
 

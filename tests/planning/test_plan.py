@@ -1,4 +1,4 @@
-"""A plan says whether and up to where a path can be executed; inverse kinematics and its own courses confirm it."""
+"""A plan says whether, and how far, a path can be executed. Inverse kinematics and the plan's courses confirm this."""
 
 import numpy as np
 import pytest
@@ -85,7 +85,7 @@ def test_bad_arguments_are_named(robot, change, name):
         make_plan(robot, q if change else q + 0.01, task(robot, q, 10), **change)
 
 
-def test_refinement_finds_a_course_that_a_coarse_map_lacks_and_without_it_the_map_is_blamed():
+def test_refinement_finds_a_course_that_a_coarse_map_lacks_and_without_refinement_the_map_is_blamed():
     """Within the joint speeds, only swivels between two samples of the coarse map can be reached."""
     scenario = Scenario(seed=1).change(start={"pose": "random"})
     coarse = {"swivels": 90, "speed_share": 0.15, "times": 100}

@@ -22,7 +22,7 @@ def arm(request):
 
 @pytest.fixture(scope="module")
 def panda():
-    """An arm without a closed form, and its map along a short line."""
+    """An arm without closed-form inverse kinematics, and its map along a short line."""
     robot = load_robot("panda")
     return robot, map_of(robot, robot.data.q_home, line_from(robot, robot.data.q_home))
 
@@ -84,7 +84,7 @@ def test_too_few_and_too_many_swivels_are_refused(name, swivels):
 
 @pytest.mark.parametrize("changes", [
     {"mount": (0.0, 0.0, -0.081), "rpy": (0.3, 0.0, 0.0)},  # a tool at an angle to axis 7
-    {"wrist": (0.01, 0.0, -0.081), "mount": (0.01, 0.0, 0.045)},  # a tool beside axis 7
+    {"wrist": (0.01, 0.0, -0.081), "mount": (0.01, 0.0, 0.045)},  # a tool parallel to axis 7, not on it
     {"wrist": (0.0, 0.0, -0.07)},  # a wrist point that is not the intersection of axes 5 to 7
     {"q_max": np.radians([170, 120, 170, 120, 200, 120, 175])},  # a joint with more than one turn
     {"joints": [*IIWA14["joints"][:3], ((0.02, 0.0, 0.2155), (H, 0, 0)), *IIWA14["joints"][4:]]},  # elbow offset
@@ -182,7 +182,7 @@ def elsewhere(robot, q, starts, seed):
     *((name, "best found of 96 starts") for name in ("panda", "gen3", "xarm7", "lwr4_rail")),
 ])  # fmt: skip
 def test_inverse_kinematics_from_random_starts_finds_no_larger_mu(name, method):
-    """This holds for the median. One mu may be 1 % larger, since a maximum to which few starts lead can be missed."""
+    """The median is not larger. A single mu may be 1 % larger, since a maximum that few starts reach can be missed."""
     robot, rng = load_robot(name), np.random.default_rng(21)
     poses = [robot.data.q_home, *rng.uniform(robot.q_min, robot.q_max, (2, robot.n))]
     found = [largest_mu(robot, q[None]) for q in poses]
@@ -203,7 +203,7 @@ def test_with_two_freedoms_the_largest_mu_need_not_lie_on_the_self_motion_curve(
 
 
 def test_points_of_a_path_share_their_maxima(monkeypatch):
-    """Few starts per point suffice along a path, since each point also starts from the maxima of its two neighbours."""
+    """Few starts per point suffice along a path, since each search also starts from the maxima of both neighbours."""
     robot = load_robot("xarm7")
     curve = np.linspace(0.0, 0.02, 8)[:, None] + robot.data.q_home
     monkeypatch.setattr(pose_map, "STARTS", 200)
@@ -217,7 +217,7 @@ def test_points_of_a_path_share_their_maxima(monkeypatch):
 
 @pytest.mark.parametrize("name", ["panda", "lwr4_rail", "odd"])
 def test_an_ascent_ends_at_a_maximum_within_the_limits_and_nearest_poses_are_found_within_them(name, odd_robot):
-    """The limits are so narrow that joints meet and leave them. At the end, HiGHS finds no direction of ascent."""
+    """The limits are so narrow that joints reach and leave them. At the end, HiGHS finds no direction of ascent."""
     robot = odd_robot if name == "odd" else load_robot(name)
     rng, at_limits, found = np.random.default_rng(5), 0, 0
     for width in rng.choice([0.05, 0.3, 1.0, 9.0], 60):

@@ -1,4 +1,4 @@
-"""Courses of the nonlinear program, for a whole path or a short horizon, keep every constraint by the robot model."""
+"""Courses of the nonlinear program, for a whole path or a short horizon, keep every constraint in the robot model."""
 
 import casadi
 import numpy as np
@@ -111,14 +111,14 @@ def test_with_a_brake_a_course_slows_down_before_its_limits(robot):
 
 
 def test_a_course_for_which_the_joints_are_far_too_slow_is_not_kept(robot):
-    """The largest step is shorter than the reserve that the program keeps from its limits; bounds must not cross."""
+    """The longest step is shorter than the program's reserve at its limits. No lower bound may exceed the upper."""
     targets, slow = task(robot, robot.data.q_home, 20), Limits(speed_share=1e-10)
     course, _ = on_grid(robot, targets)
     assert not refine(robot, targets, make_course(robot, targets, course.q_rad, slow), slow).kept
 
 
 def test_a_course_keeps_the_shafts_margin_where_a_smaller_one_would_give_more_mu(robot):
-    """The margin is 1.2 times the least `shaft_shares` of the grid's course. A course refined without it has less."""
+    """The margin is 1.2 times the least `shaft_shares` of the grid's course. Refining without it lowers the share."""
     targets = task(robot, robot.data.q_home, 40)
     course, _ = on_grid(robot, targets)
     margin = 1.2 * float(shaft_shares(robot, course.q_rad).min())

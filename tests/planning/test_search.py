@@ -1,4 +1,4 @@
-"""The value function gives the mean mu of the best course along a path. Courses read off it keep all limits."""
+"""The value function is the mean mu of the best course along a path. Courses that are read off it keep all limits."""
 
 import itertools
 from dataclasses import replace
@@ -16,7 +16,7 @@ from tests.planning.arms import at_poses, task
 
 
 def small(rng, k=4, m=4):
-    """A map for one joint of speed 1, so small that every course can be tried. Poses off the map have mu = 0.4."""
+    """A map for one joint with speed limit 1, so small that every course can be tried. Poses off it have mu = 0.4."""
     arm: Any = SimpleNamespace(v_max=np.ones(1), state=lambda q: SimpleNamespace(mu=0.4))
     targets = Targets(np.arange(float(k)), np.zeros((k, 3)), np.zeros((k, 3)), np.zeros(k))
     q, mu = rng.uniform(0.0, 1.0, (k, 1, m, 1)), rng.uniform(0.1, 1.0, (k, 1, m))
@@ -30,7 +30,7 @@ def worth(mu):
 
 
 def every_course(found, step, start, cell=0.0):
-    """Poses and mu of each course that keeps limits and speed, by enumeration."""
+    """Poses and mu of each course that keeps the joint limits and the speed limit, by enumeration."""
     k, _, m = found.mu.shape
     courses, may = [], found.room_rad >= 0.0
     cells = 0.5 * cell * np.maximum(*(np.abs(np.roll(found.q_rad, to, axis=2) - found.q_rad) for to in (1, -1)))[..., 0]
@@ -69,7 +69,7 @@ def test_dynamic_programming_finds_the_best_of_all_courses(start, cell, price):
 
 
 def test_one_step_backwards_compares_each_pose_with_every_pose_in_reach():
-    """Slacks and the branches that may be changed are random. Rounded to eighths, some distances equal the step."""
+    """Slacks and allowed changes of branch are random. Rounding to eighths makes some distances equal to the step."""
     rng = np.random.default_rng(3)
     for trial in range(40):
         rounded = (lambda x: np.rint(8.0 * x) / 8.0) if trial % 4 > 1 else np.array
@@ -115,7 +115,7 @@ def test_courses_and_the_climb_keep_task_limits_and_speeds_and_stay_below_the_bo
     assert climbed.violation < 1e-12
     np.testing.assert_array_equal(climbed.q_rad[0], q)
     assert climbed.mu_mean <= value.of(q, robot.state(q).mu) + 1e-12
-    # While the path rests (0.2 s), the climb only goes uphill.
+    # While the path rests (the first 0.2 s), the climb never lowers mu.
     assert (np.diff(climbed.mu[: int(0.2 / coarse.targets.period_s)]) >= -1e-12).all()
 
 

@@ -136,7 +136,7 @@ def curve(robot):
 
 @pytest.fixture(scope="module")
 def place(curve):
-    """Poses of the curve by their arc length from its top."""
+    """Poses of the curve by their arc length from the pose with the largest mu."""
     top = curve.s[np.argmax(curve.mu)] - curve.s[0]
     return lambda s: np.array([curve.at((top + each) / (curve.s[-1] - curve.s[0])) for each in np.atleast_1d(s)])
 

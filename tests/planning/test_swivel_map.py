@@ -181,7 +181,7 @@ def hill(top, height, width=60.0):
 
 
 def read(mu, swivel, forbidden=None, gap_rad=0.01):
-    """Judge a run with these swivels [deg] at 101 times, on a map whose mu is always ``mu(swivel)``, swivel in degrees.
+    """Judge a run with these swivels [deg] at 101 times, on a map with ``mu(swivel [deg])`` at every time.
 
     ``forbidden``: first and last swivel [deg] of a range, and the entry of `limit` within it.
     """
@@ -222,7 +222,7 @@ def test_a_trajectory_that_climbs_to_the_optimum_is_said_to_end_there():
 
 
 def test_a_trajectory_at_a_lower_maximum_is_said_to_end_at_a_local_maximum():
-    """So is one where the circle of swivels is cut open at an angle between the maximum and the run."""
+    """This also holds where the circle of swivels is cut open between the maximum and the run."""
 
     def two(swivel):
         return hill(60.0, 0.3, 30.0)(swivel) + hill(-60.0, 0.25, 30.0)(swivel)
@@ -242,8 +242,8 @@ def test_a_trajectory_at_a_lower_maximum_is_said_to_end_at_a_local_maximum():
     (hill(60.0, 0.3, 90.0), -60.0, End.STILL), (hill(60.0, 0.3, 90.0), ramp(-120.0, -30.0), End.RISING),
     (hill(60.0, 0.3, 90.0), ramp(-20.0, -70.0), End.FALLING),
 ])  # fmt: skip
-def test_a_run_ends_at_a_limit_that_blocks_its_climb_and_is_else_judged_by_its_motion(side, top, swivel, end):
-    """On the hill's side, joint 4 is beyond its limit from 0 to 140 degrees. The hill is on either side in turn."""
+def test_a_run_is_judged_by_a_limit_that_blocks_its_climb_or_else_by_its_motion(side, top, swivel, end):
+    """On the hill's side, joint 4 is beyond its limit from 0 to 140 degrees. The hill is on the left or the right."""
     forbidden = (0.0, 140.0, 4) if side > 0.0 else (-140.0, 0.0, 4)
     found = read(lambda given: top(side * np.asarray(given)), side * np.asarray(swivel), forbidden)
     assert (found.end, found.joint) == (end, 4 if end is End.FEASIBLE_EDGE else 0)

@@ -51,7 +51,7 @@ def test_extremes_of_linear_costs_agree_with_highs(seed, shape, size):
     seed=st.integers(0, 10**6), shape=SHAPES, weight=st.floats(-9.0, 2.0), size=st.sampled_from([1e-6, 1e-4, 1.0, 1e3])
 )
 def test_a_regularized_optimum_is_certified_and_the_worst_point_is_a_corner(seed, shape, weight, size):
-    """Weak duality certifies it in any unit of speed and cost. Costs of 200 random surface points lie in between."""
+    """Weak duality certifies the optimum in any units. Costs of 200 random surface points lie between both extremes."""
     Z, low, high, slope = cut_box(seed, shape, size)
     regularization = float(np.linalg.norm(slope) * 10.0**weight / size)
     found = extremes(Z, low, high, slope, regularization)
@@ -73,7 +73,7 @@ def test_a_regularized_optimum_is_certified_and_the_worst_point_is_a_corner(seed
 
 @pytest.mark.parametrize("shape", [(7, 2), (8, 3), (9, 4)])
 def test_with_too_many_corners_to_try_the_largest_cost_is_not_overstated(shape, monkeypatch):
-    """That is the safe side: if the largest cost is too small, the loss is too large."""
+    """This errs on the safe side: if the largest cost is too small, the loss of an answer comes out too large."""
     exact = []
     for seed in range(15):
         Z, low, high, slope = cut_box(seed, shape)
@@ -171,7 +171,7 @@ def test_a_joint_that_hardly_moves_does_not_empty_the_box():
     rng = np.random.default_rng(2)
     Z = np.linalg.qr(rng.normal(size=(7, 2)) * np.where(np.arange(7), 1.0, 1e-7)[:, None])[0]
     low, high = -np.ones(7), np.ones(7)
-    low[0] = 0.3 * np.linalg.norm(Z[0])  # 0.3 rad/s along the self-motion, and 3e-8 of this joint
+    low[0] = 0.3 * np.linalg.norm(Z[0])  # 0.3 rad/s along the self-motion, 3e-8 at this joint
     w, force = nearest(Z, low, high, np.zeros(2))
     assert (Z @ w >= low - 1e-14).all()
     assert np.linalg.norm(w) == pytest.approx(0.3)
@@ -180,7 +180,7 @@ def test_a_joint_that_hardly_moves_does_not_empty_the_box():
 
 @pytest.mark.parametrize("seed", [285, 568, 649, 1706, 1724, 4198, 4585])
 def test_the_optimum_is_verified_where_a_x_b_only_touches_the_box_and_coaxial_joints_are_free(seed):
-    """The multipliers of such a set can be very large. The answer's own multipliers prove it optimal (natural)."""
+    """The multipliers of such a set can be very large. The answer's multipliers prove it optimal (`natural`)."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(8, 13))
     A = rng.normal(size=(6, n))

@@ -1,7 +1,7 @@
 """An answer that has slid along a nearly singular direction of A to a worse cost is not verified.
 
 Such directions exist near a straight elbow. Each attempt slides an optimum within the primal tolerance and optimizes it
-again along ker A. Best and worst cost come from an enumeration of active sets, without the solvers and the residuals.
+again along ker A. Best and worst cost come from an enumeration of active sets, without the solvers and residuals.
 """
 
 from fractions import Fraction
@@ -19,7 +19,7 @@ SIZES = 10.0 ** np.arange(-13, -3)
 
 
 def extremes(Z, base, qp):
-    """The optimum (n,) and the range of the cost over the strict feasible set; None where it is empty."""
+    """The optimum (n,), and the least and largest cost over the strict feasible set; None where the set is empty."""
     points = candidates(qp, Z, base, damped=True)
     if not len(points):
         return None
@@ -55,12 +55,12 @@ def arm_case(rng, robot, size, pose=None):
 
 
 def rank(A):
-    """Four or five, by the stated rule: the fifth singular value counts as zero below 1e-12 |A|_F."""
+    """The rank, four or five, by the stated rule: the fifth singular value counts as zero below 1e-12 |A|_F."""
     return 5 if np.linalg.svd(A)[1][4] > 1e-12 * np.linalg.norm(A) else 4
 
 
 def attack(rng, qp, base, Z, direction):
-    """Slide an optimum along the direction within the primal tolerance: [(x, share of the cost's range lost)]."""
+    """Slide an optimum along the direction within the primal tolerance: [(x, lost share of the cost's range)]."""
     best = extremes(Z, base, qp)
     if best is None:
         return []
@@ -103,7 +103,7 @@ def test_no_answer_that_slid_to_a_worse_cost_is_verified(seed):
 
 
 @pytest.mark.parametrize("freedoms", [1, 2])
-def test_where_one_point_is_feasible_relative_is_the_scaled_cost_lost_by_a_slide(freedoms):
+def test_if_one_point_is_feasible_the_figure_relative_is_the_scaled_cost_lost_by_a_slide(freedoms):
     qp, base, Z, direction = random_case(np.random.default_rng(0), freedoms, 1e-9)
     row, pinned = np.array(qp.row), [3, 6][:freedoms]
     fields(row).lower[pinned] = fields(row).upper[pinned] = base[pinned]
@@ -114,7 +114,7 @@ def test_where_one_point_is_feasible_relative_is_the_scaled_cost_lost_by_a_slide
 
 
 def far_ends(A, b, pull, lower, upper):
-    """Best and worst point (2, n) of pull^T x on A x = b within the box, in rational arithmetic; None without any."""
+    """Best and worst point (2, n) of pull^T x on A x = b in the box, in rational arithmetic; None if there is none."""
     gains = [Fraction(value) for value in pull]
     found = [optimum(A, b, [sign * gain for gain in gains], 0.0, lower, upper) for sign in (1, -1)]
     return None if None in found else np.array([[float(value) for value in point] for point in found])
@@ -122,7 +122,7 @@ def far_ends(A, b, pull, lower, upper):
 
 @pytest.mark.parametrize("size", 10.0 ** np.arange(-11, -1, 2))
 def test_only_the_better_end_is_verified_where_the_gradient_is_nearly_across_the_self_motion(size):
-    """The smallest singular value divides the rounding of A x - b, which would otherwise decide between the ends."""
+    """Rounding of A x - b, divided by the smallest singular value, must not decide which end is the better one."""
     rng, seen = np.random.default_rng(int(-np.log10(size))), 0
     for slope, width in [(1e-2, 1e-4), (1e-4, 1e-2), (1e-6, 1e-4), (1e-8, 1e-2), (1e-8, 3e-6)] * 3:
         unit = rng.choice([1.0, 1e3])  # unit of length

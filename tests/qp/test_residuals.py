@@ -150,7 +150,7 @@ def test_an_answer_within_the_primal_tolerance_of_an_optimum_is_verified(regular
 @pytest.mark.parametrize("regularization", [0.0, 1e-5])
 @pytest.mark.parametrize("pull", [-2.0, 0.0, 3.0])
 def test_an_idle_joint_is_judged_by_its_own_interval(pull, regularization):
-    """Joint 7 moves neither tip nor wrist: it has an optimum of its own, and does not dilute the loss of the others."""
+    """Joint 7 moves neither tip nor wrist: it has an optimum of its own, and does not hide the loss of other joints."""
     qp = random_problem(np.random.default_rng(14), regularization=regularization)
     grad_mu = np.array(qp.grad_mu)
     grad_mu[6] = pull
@@ -212,8 +212,8 @@ def test_where_the_gradient_along_the_self_motion_is_rounding_every_feasible_ans
         assert problem.residuals(best).verified()
 
 
-def test_relative_is_scaled_by_the_gradient_along_the_self_motion():
-    """Almost all of grad_mu lies across ker A. Divided by its whole length, a wrong end's residual would be 1e-3."""
+def test_the_figure_relative_is_scaled_by_the_gradient_along_the_self_motion():
+    """Almost all of grad_mu lies across ker A. Divided by |grad_mu|, the residual of a wrong end would be 1e-3."""
     rooms = []
     for w in wrong_corners(5, 6, 8, tilt=1e-3):
         z = kernel(w.qp)[:, 0]
@@ -294,7 +294,7 @@ def test_where_one_point_is_feasible_the_distance_is_measured_to_this_point(n, s
     """The point is verified, others are not. Where the box misses A x = b, the loss is 1 and the distance infinite."""
     qp = random_problem(np.random.default_rng(17), n, structured=structured, regularization=regularization)
     x, z = optimum(qp)[0], kernel(qp)[:, 0]
-    if structured:  # the kernel also has the idle joint: take the self-motion's direction
+    if structured:  # the kernel also contains the idle joint's axis: take the self-motion
         x, worst = ends_of_the_swivel(qp)
         z = (worst - x) / np.linalg.norm(worst - x)
     lower, upper = np.array(x), np.array(x)
@@ -316,7 +316,7 @@ def test_where_one_point_is_feasible_the_distance_is_measured_to_this_point(n, s
 
 @pytest.mark.parametrize("n", [7, 8])
 def test_rest_is_not_optimal_where_the_box_excludes_it(n):
-    """A regularized cost without a gradient is smallest at rest or, where the box excludes rest, on its surface."""
+    """A regularized cost without a gradient is smallest at rest or, if the box excludes rest, on the box's surface."""
     qp = random_problem(np.random.default_rng(60), n, structured=False, regularization=1.0)
     z = kernel(qp)[:, 0]
     j = int(np.argmax(np.abs(z)))
@@ -329,7 +329,7 @@ def test_rest_is_not_optimal_where_the_box_excludes_it(n):
     assert still.residuals(optimum(still)[0]).verified()
 
 
-def test_a_nan_answer_has_the_worst_figures_and_relative_does_not_depend_on_c2():
+def test_a_nan_answer_has_the_worst_figures_and_the_figure_relative_does_not_depend_on_c2():
     qp = random_problem(np.random.default_rng(10), regularization=0.0)
     found = qp.residuals(np.full(7, np.nan))
     assert (found.primal, found.loss, found.verified()) == (np.inf, 1.0, False)

@@ -1,6 +1,6 @@
 """The control law of docs/method.md in plain numpy, as the reference for tests of the core.
 
-It is written to be read: slow pseudo-inverses in place of factorizations. ``s`` is a RobotState, P and dP are
+It is written to be read: slow pseudo-inverses instead of factorizations. ``s`` is a RobotState, P and dP are
 the trocar and its velocity.
 """
 
@@ -32,7 +32,7 @@ def desired_wrist_acceleration(X, dX, ddX, P, dP, L):
 
 
 def null_space(A):
-    """Orthonormal rows (r, n) of ker A."""
+    """Orthonormal rows (r, n) that span ker A."""
     return scipy_null_space(A, rcond=1e-7).T
 
 
@@ -69,7 +69,7 @@ def feedforward(s, tip_ref, trocar):
     """J_T^T F_T + B^T F_W, the torque for the accelerations a; B are the wrist's two rows across the shaft.
 
     While the tip is held, the wrist's mobility is S = B M^-1 B^T - B M^-1 J^T Lambda J M^-1 B^T. A direction in which
-    it is almost zero, at a straight elbow, is left out.
+    S is almost zero, as at a straight elbow, is left out.
     """
     J, B = s.J_tip, scipy_null_space(s.tool_direction[None]).T @ s.J_wrist
     M_inverse = np.linalg.inv(s.M)
@@ -98,7 +98,7 @@ def references(s, tip_ref, trocar):
 
 
 def shaft_push(mu_shaft, margin):
-    """The factor of grad mu_shaft, which is added to grad mu."""
+    """The factor with which grad mu_shaft is added to grad mu."""
     if mu_shaft >= margin:
         return 0.0
     return SHAFT_PULL * (1.0 - mu_shaft / margin) * mu_shaft / (mu_shaft**2 + (SHAFT_LOST * margin) ** 2)

@@ -1,4 +1,4 @@
-"""For each entry of docs/method.md's last section: what the paper prints -> what is computed here, with numbers."""
+"""One test per entry of docs/method.md's last section; above it: what the paper prints -> what is computed here."""
 
 import numpy as np
 import pytest
@@ -43,7 +43,7 @@ def leak(state, N):
 
 
 def saddle(qp):
-    """The Jacobian of F(Y) = [dL/dx, -dL/dlambda], (n + 6, n + 6); F as printed has the other sign."""
+    """The Jacobian of F(Y) = [dL/dx, -dL/dlambda], (n + 6, n + 6); F as printed has the opposite sign."""
     return np.block([[qp.P, qp.A.T], [-qp.A, np.zeros((6, 6))]])
 
 
@@ -88,7 +88,7 @@ def test_gradient_of_f_is_positive_semidefinite_and_seven_by_seven(robot, states
 
 
 # F(Y) = [-dL/dqd, dL/dl]  ->  [dL/dqd, -dL/dl]; no time constant  ->  eps, or m steps per tick
-def test_modes_grow_with_the_printed_sign_and_otherwise_decay_more_slowly_than_in_50_s(robot, states):
+def test_modes_grow_with_the_printed_sign_and_otherwise_have_time_constants_above_50_s(robot, states):
     """dY/dt = -k F(Y) at the paper's gains: the real parts are -k c0 s^2 / 2 for a singular value s of A."""
     for s in states:
         qp = subproblem(robot, s)
@@ -117,7 +117,7 @@ def test_the_true_lambda_is_not_constant(states):
 
 # K_N2 = [80, ...] on qdd_d at c2 = 0.001, k = 0.1  ->  kept as rnn-printed
 def test_the_torque_that_mu_causes_in_the_printed_network_is_too_small_to_act(robot, states):
-    """The difference of the torques with and without c2 equals that without any bounds, and is below 0.002 Nm."""
+    """The torques with and without c2 differ as much as they would without any bounds, by less than 0.002 Nm."""
     rng, printed, share, free = np.random.default_rng(0), solvers.create("rnn-printed"), 0.0, 0.0
     for rest in states:
         for v in (np.zeros(7), rng.uniform(-0.01, 0.01, 7)):

@@ -105,7 +105,7 @@ def test_both_manipulabilities_and_their_gradients_against_finite_differences(ar
 
 
 def test_a_shaft_that_cannot_turn_while_the_tip_is_held_gives_no_gradient() -> None:
-    """Three sliding joints move the tip. Two parallel axes through it then move the wrist in one direction only."""
+    """Three sliding joints move the tip. Two parallel axes through the tip move the wrist in one direction only."""
     joints, n = np.tile(np.r_[np.eye(3).ravel(), np.zeros(3), 0.0, 0.0, 1.0, 0.0], (5, 1)), 5
     joints[:3, 12:15], joints[:3, 15], joints[3:, 12:15] = np.eye(3), 1.0, [0.0, 1.0, 0.0]
     points = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -0.3]])
@@ -325,13 +325,13 @@ def poses(robot: RobotModel, count: int = 8) -> Array:
 @pytest.mark.parametrize("name", DH)
 def test_the_tip_agrees_with_the_makers_denavit_hartenberg_table(name: str) -> None:
     robot = load_robot(name)
-    miss = 5e-4 if name == "gen3" else 1e-9  # its table lets axes 6 and 7 intersect, off by twice 0.175 mm
+    miss = 5e-4 if name == "gen3" else 1e-9  # in its table axes 6 and 7 intersect, off by twice 0.175 mm
     for q in poses(robot):
         np.testing.assert_allclose(robot.state(q).tip, by_dh(name, q), rtol=0, atol=miss)
 
 
 def test_the_iiwa14_has_the_mass_of_its_data_sheet() -> None:
-    """29.9 kg; the public link masses are rounded."""
+    """The data sheet says 29.9 kg, and the public link masses are rounded."""
     robot = load_robot("iiwa14")
     masses = [link.mass for link in urdf.read(robot.data.urdf).links]
     assert sum(masses) - robot.data.tool_mass == pytest.approx(29.9, rel=0.03)

@@ -1,4 +1,4 @@
-"""Vendors' URDFs: joints beside the arm are locked, one chain is found or chosen, impossible numbers are replaced."""
+"""Vendors' URDFs: joints outside the arm are locked, one chain is found or chosen, impossible numbers are replaced."""
 
 import re
 from pathlib import Path
@@ -67,7 +67,7 @@ def test_fingers_are_locked_and_the_arm_moves_as_before(vendors) -> None:
     assert vendors(with_hand(text_of()), tip="hand").last_link == "hand"
 
 
-def test_with_a_second_arm_the_tip_has_to_be_named_and_with_a_head_of_two_joints_not(vendors) -> None:
+def test_a_second_arm_requires_a_named_tip_and_a_head_of_two_joints_does_not(vendors) -> None:
     text = added(text_of(), branch("b", 4, "link_0"))
     with pytest.raises(RobotError, match=r"2 chains leave link 'link_0', towards .*'b0'.*--tip"):
         vendors(text)
@@ -121,7 +121,7 @@ def mended(*links: Link) -> list[str]:
     return notes
 
 
-def test_a_possible_body_stays_and_one_without_mass_is_a_frame() -> None:
+def test_a_body_that_can_exist_is_kept_and_one_without_mass_becomes_a_frame() -> None:
     ours, again = (read(text_of()).links for _ in range(2))
     assert (mended(*ours), ours) == ([], again)
     frame, weightless, heavy = Link("f", 1e-7, (0.1,) * 6), Link("n", 0.0, (1e-9,) * 6), Link("h", 1.0)
@@ -178,7 +178,7 @@ def test_limits_in_the_wrong_order_are_refused_by_name(name: str, reach: str, un
         assert vendors(endless).chain[0].limits.items() >= ONE_TURN.items()
 
 
-def test_efforts_chosen_in_place_of_missing_ones_carry_the_arm(vendors) -> None:
+def test_efforts_that_replace_missing_ones_carry_the_arm(vendors) -> None:
     assert vendors(re.sub(r'effort="\d+"', 'effort="0"', text_of())).weak == CHAIN
     robot = load_robot("panda")
     efforts = enough_efforts(robot)

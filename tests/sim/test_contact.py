@@ -1,4 +1,4 @@
-"""Forces on the arm: the trocar's on the shaft, constant pushes, and those of the springs in elastic joints."""
+"""Forces on the arm: the trocar's force on the shaft, constant pushes, and the springs of elastic joints."""
 
 import re
 
@@ -144,7 +144,7 @@ def hold(plant, periods, more=0.0):
 
 @pytest.mark.parametrize("stiffness", [1e3, 1e4])
 def test_a_joint_swings_at_the_frequency_of_its_two_inertias(stiffness):
-    """Joint 1 turns all links about its axis: the frequency is sqrt(k (1/B + 1/J)), with rotor B and links J."""
+    """Joint 1 turns all links about its axis: the frequency is sqrt(k (1/B + 1/J)), B of the rotor, J of the links."""
     settings = elastic(
         joint_stiffness_Nm_per_rad=(stiffness, *[1e5] * 6), period_s=1e-3, substeps=100, gravity=False,
         joint_spring_damping_Nm_s_per_rad=0.0,
@@ -180,7 +180,7 @@ def test_the_weight_bends_the_joints_and_the_arm_rests(side):
     np.testing.assert_allclose(plant.applied_torque, MODEL.state(before).h, atol=1e-9)
 
 
-def test_very_stiff_joints_move_as_rigid_ones():
+def test_very_stiff_joints_move_like_rigid_ones():
     rigid = Plant(DATA, PlantSettings.nominal(period_s=1e-3, substeps=400))
     stiff = Plant(DATA, elastic(joint_stiffness_Nm_per_rad=1.5e6, period_s=1e-3, substeps=400,
                                 joint_spring_damping_Nm_s_per_rad=300.0))  # fmt: skip

@@ -41,7 +41,7 @@ def test_by_default_no_fault_disturbs_the_arm():
         assert FaultSettings(**{field: 0.01}).around_the_arm
 
 
-def test_dropped_measurements_repeat_the_last_one():
+def test_a_dropped_measurement_is_replaced_by_the_previous_one():
     stamps, q, v = arrived(500, 1, drop_share=0.4)
     found = q[:, 0]
     np.testing.assert_array_equal(found, stamps)
@@ -96,7 +96,7 @@ def test_the_trocar_slips_smoothly():
     assert (size[t <= 0.3] == 0.0).all()
     np.testing.assert_allclose(size[t >= 0.4], 0.01)
     rate = np.gradient(moved[:, 0], PERIOD, axis=0)
-    np.testing.assert_allclose(moved[1:-1, 1], rate[1:-1], atol=4e-3)  # of up to 0.15 m/s
+    np.testing.assert_allclose(moved[1:-1, 1], rate[1:-1], atol=4e-3)  # rates reach 0.15 m/s
     assert faults().slip(still, t) is still
     ways = np.array([faults(seed, slip_m=0.01, slip_at_s=0.0).slip(still, t)[-1, 0] for seed in range(40)])
     assert (ways[:, :2].min(axis=0) < -0.008).all()  # the directions go to every side
@@ -218,7 +218,7 @@ def test_velocity_is_the_low_passed_difference_quotient():
     np.testing.assert_allclose(estimates, rise[:, None] * speed, atol=1e-9)
 
 
-def test_velocity_starts_at_the_true_one_and_is_unfiltered_without_a_cutoff():
+def test_the_velocity_starts_at_its_true_value_and_is_unfiltered_without_a_cutoff():
     sensor = encoders(noise_rad=1e-5)
     first, velocity = sensor.start(np.zeros(7), np.full(7, 0.3))
     np.testing.assert_array_equal(velocity, 0.3)
@@ -245,7 +245,7 @@ def test_an_encoder_at_rest_repeats_a_reading_no_longer_than_its_noise_allows(no
 @given(st.floats(0.3, 10.0), st.floats(5.0, 400.0), st.integers(0, 2**32 - 1))
 @settings(max_examples=20, deadline=None)
 def test_an_encoder_with_noise_and_a_velocity_filter_repeats_no_reading(steps, cutoff, seed):
-    """This holds once its velocity has been nonzero, and where `repeats_no_reading` promises it."""
+    """This holds where `repeats_no_reading` promises it, once the velocity has been nonzero."""
     noise, step = 1e-5, steps * 1e-5
     sensor = encoders(seed, N := 16, noise_rad=noise, resolution_rad=step, cutoff_Hz=cutoff)
     q = np.full(N, 1000.0 * step)

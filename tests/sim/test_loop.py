@@ -101,7 +101,7 @@ def test_the_time_of_a_tick_excludes_recording_and_no_garbage_is_collected_durin
     np.testing.assert_array_equal(trace.extra, np.arange(1, TICKS + 1))
 
 
-def test_meta_describes_the_run_and_time_continues_from_the_plants(robot, references):
+def test_meta_describes_the_run_and_the_time_continues_at_the_plants_time(robot, references):
     plant = ready(robot, PlantSettings.nominal(period_s=0.004, substeps=4))
     trace, ticks = simulate(plant, Holding(robot), *references, meta={"answer": 42}), ("ticks", "ticks_planned")
     assert trace.meta == {"period_s": 0.004, "ended": "completed", "answer": 42, **dict.fromkeys(ticks, TICKS)}

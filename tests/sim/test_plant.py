@@ -78,8 +78,8 @@ def test_friction_only_removes_energy_and_without_it_energy_is_kept(seed, scale,
         assert course[-1] == pytest.approx(first, rel=1e-3)
 
 
-def test_friction_is_that_of_the_robots_file():
-    """For a steady turn about the vertical first axis, where gravity has no effect, the torque is d v + c."""
+def test_the_friction_has_the_coefficients_of_the_robot_file():
+    """For a steady turn about the vertical first axis, where gravity has no effect: d v + c, viscous and Coulomb."""
     plant, turning = nominal(friction=2.0, substeps=20), np.eye(7)[0]
     plant.reset(np.zeros(7), 0.4 * turning)
     needed = 2.0 * (DATA.viscous_friction[0] * 0.4 + DATA.coulomb_friction[0])
@@ -221,7 +221,7 @@ def test_equal_seeds_give_equal_numbers_and_plants_share_nothing_even_in_threads
     one.reset(DATA.q_home)
     np.testing.assert_array_equal(first, run(one, 100))
     assert not np.array_equal(first, run(Plant(DATA, seed=10), 100))
-    without = Plant(DATA, PlantSettings(encoder_noise_rad=0), seed=9)  # the other noise stays the same
+    without = Plant(DATA, PlantSettings(encoder_noise_rad=0), seed=9)  # the wrench's noise stays the same
     np.testing.assert_array_equal(Plant(DATA, seed=9).measure().force, without.measure().force)
     alone = [run(Plant(DATA, seed=seed), 300, seed) for seed in (1, 2)]
     with ThreadPoolExecutor(2) as threads:
@@ -303,7 +303,7 @@ def test_invalid_models_are_refused():
 
 
 def test_visual_and_collision_shapes_in_the_urdf_change_nothing():
-    """A mesh whose file does not exist, and a box that MuJoCo would otherwise use for mass and collisions."""
+    """The shapes are a mesh without a file and a box that MuJoCo would otherwise use for mass and collisions."""
     shapes = (
         '<link name="tip"><visual><geometry><mesh filename="package://no/where.stl"/></geometry></visual>'
         '<collision><geometry><box size="1 1 1"/></geometry></collision></link>'

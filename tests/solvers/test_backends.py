@@ -55,7 +55,7 @@ def test_five_and_six_rows_give_the_same_answer(one, other, within):
 
 
 class Buffers(LibrarySession):
-    """A session whose arrays are views into stacked, padded and transposed ones, as those of the libraries are."""
+    """A session whose arrays are views into stacked, padded and transposed arrays, like those of the libraries."""
 
     def _allocate(self, m, n):
         sides = self.sides = np.full((2, m + n + 1), np.nan)
@@ -122,7 +122,7 @@ def test_options_reach_the_library():
 
 
 def test_an_expired_time_limit_has_its_own_status():
-    """On this problem, unscaled, HiGHS does not terminate without a limit."""
+    """Without a limit, HiGHS does not terminate on this problem if it is not scaled."""
     assert solve(QPSolver("highs", advised=False, options={"time_limit": 0.02}), problem(3)).status is Status.TIME_LIMIT
     assert "time_limit" in ADVICE["highs"].options
 
@@ -148,7 +148,7 @@ def test_a_step_of_the_nonlinear_solvers_ends_exactly_at_the_references(kind):
 
 
 def test_the_nonlinear_solvers_use_the_given_gradient_and_not_that_of_mu(robot, regular_poses):
-    """The cost may have another gradient than that of mu, for example a course to follow."""
+    """The cost may have another gradient than that of mu, for example one that follows a course."""
     rng = np.random.default_rng(11)
     chosen = create("nlp-sqp", kinematics=robot.kinematics())
     for q in regular_poses(4):

@@ -1,4 +1,4 @@
-"""One suite for every solver that can run here. `EXPECT` has the tolerances of some; others have ``Expect()``."""
+"""One suite for every solver that can run here. `EXPECT` has the tolerances of some; all others have ``Expect()``."""
 
 import dataclasses
 from dataclasses import dataclass, field
@@ -46,19 +46,19 @@ class Expect:
 
 NLP = Expect(
     # These solve another problem: curvature within one period moves the optimum (docstring of moc_opt.solvers.nlp).
-    # The relative residual is scaled by the reduced gradient, which is small where mu is nearly largest.
+    # The relative residual is scaled by the reduced gradient, which is small near a maximum of mu.
     primal=1e-2, relative=3e-2, loss=0.02, natural=1e-4, x=0.6, gap=0.1, arm=True,
 )
 EXPECT = {
     "exact": Expect(primal=1e-12, relative=1e-8, loss=1e-9, natural=1e-12, x=1e-9, gap=1e-9),
-    # k is small since some of these arms are larger than a real one. The network cannot prove a problem infeasible.
-    # With regularization = 0 it goes on oscillating in some problems. During an infeasible tick its multipliers wind
+    # k is small because some of these arms are larger than real arms. The network cannot prove a problem infeasible.
+    # With regularization = 0 it keeps oscillating in some problems. During an infeasible tick its multipliers wind
     # up, and unwinding them takes as long again.
     "rnn": Expect(
         {"steps": 300_000, "k": 0.2}, primal=1e-6, relative=1e-3, loss=5e-3, x=5e-3, gap=1e-4, certified=0.0,
         undamped=0.75, recovers=False,
     ),
-    "rnn-printed": Expect(solved=0.0, certified=0.0, undamped=0.0),  # its modes decay more slowly than in 50 s
+    "rnn-printed": Expect(solved=0.0, certified=0.0, undamped=0.0),  # the time constants of its modes exceed 50 s
     # Operator splitting: one problem in two hundred needs more iterations than max_iter.
     "osqp": Expect(solved=0.95, undamped=0.95), "qpsolvers:osqp": Expect(solved=0.95, undamped=0.95),
     "piqp": Expect(certified=0.85),  # the other infeasible problems end as MAX_ITER
@@ -209,7 +209,7 @@ def test_warm_answers_equal_cold_ones_and_sessions_share_nothing(name):
     warm = [(mine.solve(qp), another.solve(other))[0] for qp, other in zip(qps, others, strict=True)]
     for expected, found in zip(alone, warm, strict=True):
         assert found.status is expected.status
-        # not to the last digit: vectorised sums depend on where the memory lies
+        # not to the last digit: vectorised sums depend on the alignment of memory
         np.testing.assert_allclose(found.x, expected.x, rtol=0.0, atol=1e-11)
     cold = [chosen.start(qp).solve(qp) for qp in qps]
     both = [(a, b) for a, b in zip(warm, cold, strict=True) if a.status is b.status is Status.SOLVED]
@@ -258,7 +258,7 @@ def test_a_truncated_solve_is_the_previous_solve_with_fewer_iterations(name):
         assert first.iterations == 1
         assert first.status is not Status.SOLVED
         far += not np.allclose(first.x, expected.x, rtol=0.0, atol=1e-3)
-        again = cut.truncated(qp, expected.iterations + 1)  # starts where the last solve started
+        again = cut.truncated(qp, expected.iterations + 1)  # starts where the previous solve started
         assert again.status is expected.status
         np.testing.assert_allclose(again.x, expected.x, rtol=0.0, atol=expect(name).x)
     assert far > 0

@@ -85,7 +85,7 @@ def test_a_problem_is_solved_where_a_x_b_only_touches_the_box(n, seed, regulariz
 
 
 def wedge(rng, n, narrow, size=1.0, **settings):
-    """Pairs of joints with nearly parallel bounds: the box leaves a sliver, at whose tip both bounds are active."""
+    """A problem with pairs of joints whose bounds are nearly parallel: the feasible set ends in a thin wedge."""
     Z = rng.normal(size=(n - 6, n))
     Z[:, 1] = 1.3 * Z[:, 0] + narrow * rng.normal(size=n - 6)
     Z[:, 3] = -0.8 * Z[:, 2] + narrow * rng.normal(size=n - 6)
@@ -156,7 +156,7 @@ def test_a_violation_equal_to_the_tolerance_is_allowed():
 
 
 def test_units_of_length_and_of_the_cost_change_no_answer():
-    """Answers are equal to the last bit, and so are verdicts, except by the one absolute tolerance on A x = b."""
+    """Answers are equal to the last bit. Verdicts differ only where the absolute tolerance on A x = b decides."""
     rng = np.random.default_rng(0)
     plain = [random_problem(rng, 7 + k % 3, structured=False, regularization=1e-5 * (k % 2)) for k in range(120)]
     problems = [nearly_singular(qp, 10.0 ** -rng.uniform(2, 15)) for qp in plain[:60]]
@@ -227,7 +227,7 @@ def test_near_the_rank_tolerance_no_wrong_answer_is_called_solved(decimals, sing
 
 @pytest.mark.parametrize("freedoms", [0, 1])
 def test_a_violation_of_the_box_counts_as_rounding_if_the_smallest_pivot_explains_it(freedoms):
-    """Rounding is 4e-12 times 10 or 20 (largest |A| |x|), divided by the pivot 1e-3 [rad/s]. 100 times that passes."""
+    """Rounding causes 4e-12 times 10 or 20 (largest |A| |x|) / pivot [rad/s]. A hundred times this is allowed."""
     wide = np.full(7, 10.0)
     for smallest, beyond, status in (
         (1e-3, 2e-6, Status.SOLVED), (1e-3, 2e-5, Status.INFEASIBLE), (1.0, 1e-7, Status.INFEASIBLE)
@@ -250,18 +250,18 @@ def test_no_answer_is_wrong_with_parallel_columns_or_with_joints_at_their_bounds
         q[3], q[5] = [(rng.uniform(-0.01, 0.01), q[5]), (q[3], 1e-9), (1e-10, q[5])][k % 3]  # 1e-9: hardly moves
         s, x = robot.state(q), np.where(rng.random(7) < 0.5, rng.choice([-1.0, 1.0], 7) * v, rng.uniform(-v, v))
         qp = NullSpaceQP(s.J_tip, s.J_wrist, s.J_tip @ x, s.J_wrist @ x, s.grad_mu, -v, v)
-        if k % 3 < 2 or solve(qp).status is not Status.NUMERICAL:  # NUMERICAL is allowed there
+        if k % 3 < 2 or solve(qp).status is not Status.NUMERICAL:  # NUMERICAL is allowed in the third case
             check(qp)
 
 
 @pytest.mark.parametrize(("moves", "stops"), [(1.6e-10, True), (1.2e-10, False)])
 def test_solver_and_residuals_agree_which_slow_joints_stop_the_self_motion(moves, stops):
-    """A joint at its bound moves by about 1e-10 per unit step; the others leave room for a unit step."""
+    """A joint at its bound moves by about 1e-10 per unit step. The other joints leave room for a unit step."""
     z, x, wide = np.array([1.0, -0.5, 0.3, 0.2, -0.4, 0.6, moves]), np.zeros(7), np.ones(7)
     A, x[6] = null_space(z[None]).T, 1.0
     found = check(NullSpaceQP(A[:3], A[3:], A[:3] @ x, A[3:] @ x, z, -wide, wide, regularization=1e-5)).x
     assert found[0] == pytest.approx(0.0 if stops else 1.0, abs=1e-5)
-    low, high = -wide, np.array(wide)  # far from its bounds, it does not reduce a short interval to a point
+    low, high = -wide, np.array(wide)  # far from its bounds, this joint shortens no interval to a point
     low[0], high[0] = 0.0, 1e-5
     short = NullSpaceQP(A[:3], A[3:], np.zeros(3), np.zeros(3), z, low, high, regularization=1e-5)
     assert [bool(short.residuals(end * z).verified()) for end in (0.0, 1e-5)] == [False, True]

@@ -1,4 +1,4 @@
-"""The solver that fails on purpose does so at the drawn ticks and in the chosen way."""
+"""A solver that fails on purpose fails at the drawn ticks and in the chosen way."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def is_wrong(kind, qp, answer):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_answers_are_wrong_at_the_drawn_ticks_and_right_at_the_others(kind):
-    """The network is not asked at a faulty tick (except with "malformed"), so that its state stays as it was."""
+    """A faulty tick does not call the inner solver (except with "malformed"), so that its state stays the same."""
     for inner in (Exact(), create("rnn")):
         session, honest = Faulty(inner, kind, rate=0.3, seed=4).start(PROBLEMS[0]), inner.start(PROBLEMS[0])
         corrupted = draw(4, 0.3, len(PROBLEMS))
@@ -48,7 +48,7 @@ def test_answers_are_wrong_at_the_drawn_ticks_and_right_at_the_others(kind):
         assert session.faults == corrupted.sum()
 
 
-def test_the_draw_follows_its_seed_and_a_longer_one_begins_alike():
+def test_the_drawn_ticks_follow_their_seed_and_a_longer_draw_begins_with_the_shorter_one():
     long = draw(3, 0.2, 1000)
     np.testing.assert_array_equal(long[:400], draw(3, 0.2, 400))
     assert (draw(4, 0.2, 1000) != long).any()

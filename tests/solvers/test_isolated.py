@@ -1,4 +1,4 @@
-"""Solvers in separate processes: a run is the same where they behave, and loses single answers where they do not."""
+"""Solvers in separate processes: a run stays the same if they behave, and loses single answers if they do not."""
 
 import signal
 import subprocess
@@ -165,7 +165,7 @@ def test_a_solver_that_cannot_run_in_a_process_is_refused_at_the_start(qp, act, 
         isolated(Misbehaving(act), **settings).start(qp)
 
 
-def test_the_budget_is_kept_by_the_process_or_with_replayed_times_by_the_supervisor():
+def test_the_budget_is_enforced_by_the_process_or_with_replayed_times_by_the_supervisor():
     scenario = Scenario(solver={"isolation": "process"}, control={"supervisor": {"budget_us": 700.0}}, **QUICK)
     controller = Setup(scenario).controller()
     assert (controller.solver.budget_us, controller.settings.supervisor.budget_us) == (700.0, None)

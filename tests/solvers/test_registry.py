@@ -146,7 +146,7 @@ def test_the_library_accepts_every_option_on_its_list(solver):
 
 
 def test_ipopt_reads_no_options_from_the_current_folder(tmp_path):
-    """An ipopt.opt beside a scenario could name a file to write or a library to load."""
+    """An ipopt.opt in a scenario's folder could name a file to write or a library to load."""
     (tmp_path / "ipopt.opt").write_text("output_file written.txt\nfile_print_level 5\n")
     program = (
         "from moc_opt.scenario import Scenario, run\n"
