@@ -4,11 +4,11 @@
  *   tau_0 = K_N2 (x - v) - D_N2 v; share rises to 1 at the start. step.c has the order of a tick. */
 #include "vec.h"
 
-#define STRAIGHT 1e-3  /* root of (smaller / larger mobility of the wrist), about the bend of the elbow [rad] */
+#define STRAIGHT 1e-3  /* least sqrt(smaller / larger mobility of the wrist), which is nearly the elbow's bend [rad] */
 
-#define SHAFT_PULL 0.1 /* weight of log mu_shaft relative to mu [m^3]; it vanishes at shaft_margin */
-#define SHAFT_LOST 0.1 /* share of shaft_margin below which the push vanishes as well, as it has no direction at 0 */
-#define BOX_OPENS 3.0  /* the box has its full width from mu_shaft = (1 - 1/BOX_OPENS) shaft_margin down */
+#define SHAFT_PULL 0.1 /* weight of log mu_shaft relative to mu [m^3]; the push is zero from shaft_margin on */
+#define SHAFT_LOST 0.1 /* share of shaft_margin below which the push falls to zero: it has no direction at 0 */
+#define BOX_OPENS 3.0  /* the box is widest for mu_shaft <= (1 - 1/BOX_OPENS) shaft_margin */
 
 /* The line from the tip to the trocar and its motion. */
 typedef struct {

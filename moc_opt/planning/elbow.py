@@ -1,4 +1,4 @@
-"""The elbow's swivel: its angle, its distance to the next maximum of mu uphill, and the ticks at which it travels.
+"""The elbow's swivel: its angle, its distance to the maximum of mu that a climb reaches, and when it moves.
 
 The swivel is the angle of the elbow about the line from the shoulder to the wrist centre, counted from the plane
 through that line and a fixed direction (Kreutz-Delgado, Long and Seraji 1992).
@@ -14,10 +14,10 @@ from moc_opt.planning.self_motion import SelfMotion, curve_through, parabola_pea
 from moc_opt.robots.model import RobotModel, link_frames
 
 NEAR_RAD = 0.1  #: An elbow this near to its optimum has arrived; on the LWR4+, mu is then within 0.5 % of the best.
-STILL_RAD_PER_S = 0.05  #: An elbow slower than this relative to its optimum is at rest; moving elbows have 0.3 to 0.8.
+STILL_RAD_PER_S = 0.05  #: An elbow is at rest if its distance to the optimum changes more slowly; moving: 0.3 to 0.8.
 SAMPLES_PER_S = 25.0  #: How often the self-motion is scanned along a run.
 STEP_RAD = 0.1  #: Spacing of the samples of a self-motion.
-WINDOW_S = 0.1  #: The elbow's speed is the mean rate of change of the distance to go in a window of this length.
+WINDOW_S = 0.1  #: The elbow's speed is the mean rate, over this time, at which its distance to the optimum changes.
 
 
 class Elbow:
@@ -59,7 +59,7 @@ def wrapped(angles: Array) -> Array:
 def distance_to_go(robot: RobotModel, q: ArrayLike) -> Array:
     """Return the distance to go (k,) [rad] at poses q (k, n) [rad].
 
-    It is the arc length in joint space, without idle joints, to the maximum of mu that a climb reaches; a parabola
+    It is the arc length, of the joints that move tip or wrist, to the maximum of mu that a climb reaches. A parabola
     refines the maximum between samples. It is NaN where a pose is singular, as no single curve leads through that pose.
     A pose beyond a limit is first moved to the limit.
     """

@@ -7,7 +7,7 @@ Variables are the joints that move tip or wrist, at N evenly spaced times after 
          and no joint is `too_fast` towards its limit
 
 The columns of B_k (3,2) are orthogonal to the shaft. These five equations suffice, since tip and wrist are rigidly
-tied; with six the multipliers would not be unique. Where the shaft is nearly lost, mu is lowered (`course.lowered`).
+tied; with six the multipliers would not be unique. Where the shaft can hardly turn, mu is lowered (`course.lowered`).
 V(q_N) is the largest integral of mu from the last pose on (`search`).
 """
 
@@ -42,11 +42,11 @@ HORIZON: dict[str, Any] = {
     },
 }  # fmt: skip
 SETTLED_S = 0.3  #: T: a joint speed costs as much as the constant acceleration that stops the joint in this time.
-SOFT_RAD = 0.003  #: e of `too_fast`: without it the slope of the largest speed would be infinite at the joint limit.
+SOFT_RAD = 0.003  #: e of `too_fast`, without which d(largest speed) / d(distance) is infinite at the joint limit.
 SMOOTH_LOSS = 0.05
 """Share of mean mu that smoothness and braking may cost; a larger loss means another, lower local maximum."""
-LEAST_SHARE = 1e-4  #: Keeps the slope of the root finite where the shaft's share (`course.shaft_shares`) is zero.
-INSIDE = 1e-9  #: To absorb rounding, limits and steps are narrowed by this [rad], but no step is more than halved.
+LEAST_SHARE = 1e-4  #: Keeps the derivative of a square root finite where mu_shaft / L^2 (`course.shaft_shares`) is 0.
+INSIDE = 1e-9  #: To absorb rounding, limits and steps are narrowed by this [rad], but a step by half of it at most.
 
 
 class Program:

@@ -48,7 +48,7 @@ class StudyConfig(Settings):
 
     KIND: ClassVar[str] = "configuration:"
     seed: int = Field(0, ge=0, le=2**62)
-    processes: int | None = Field(None, ge=1, description="jobs at a time where no times are taken; none: every core")
+    processes: int | None = Field(None, ge=1, description="parallel jobs where no times are taken; none: one per core")
 
     @classmethod
     def load(cls, path: Path, seed: int | None = None) -> Self:

@@ -45,7 +45,7 @@ COUNTS = {
 FAULTS = ("silently_wrong", "infeasible_wrong", "failed", "hung", "crashed")
 RESIDUALS = {
     "primal": "of all answers, claimed or not", "natural": "with the solver's own duals",
-    "relative": "with the best duals, the cost scaled to one", "loss": "0 optimum, 1 opposite end",
+    "relative": "with the best duals, the cost scaled to one", "loss": "0 at the smallest cost, 1 at the largest",
 }  # fmt: skip
 TIMES = {
     "solve_p50_us": "p50", "solve_p99_us": "p99", "solve_p99_9_us": "p99.9", "update_p50_us": "update p50",
@@ -206,14 +206,14 @@ def closed_loop(work: Work) -> None:
         for name in names
     }
     length = f"the first {part.duration_s:g} s of its task" if part.duration_s else "its whole task"
-    text = f"Each trial has a seed of its own, which draws pose, mismatch and noise, and shows {length}."
+    text = f"Each trial is {length}; a seed of its own draws pose, mismatch and noise."
     work.sections.append(Section(CLOSED, text, [_controllers(work.summary["closed_loop"])]))
 
 
 def figures(
     rows: Results, controller: str, runs: Sequence[Run] = (), common: Container[str] | None = None
 ) -> dict[str, Any]:
-    """Return a controller's entries in the summary: means and changes over its whole runs, sums and largest values.
+    """Return a controller's entries in the summary: means and changes over its completed runs, sums and largest values.
 
     Times are pooled over the ``runs`` that ran alone. Runs that broke off or oscillated count only on the trials in
     ``common`` (None: all), which every solver runs, since other solvers might have failed on the rest, too.
@@ -252,6 +252,6 @@ def _controllers(rows: Mapping[str, Mapping[str, Any]]) -> Table:
          *columns(*MEANS), *columns(*COUNTED),
          *(Column(key, title, unit="us", format=".1f") for key, title in ticks.items()),
          Column("deadline_misses", "misses", format=".0f")],
-        shown, "Changes are of the mean, against DCAC on the trials that both ran, with 95 % intervals. Shares of the "
-        f"best courses are of the trials that every controller runs. {FRAMES} {BASE_FRAME}",
+        shown, "Changes are of the mean, against DCAC on the trials that both ran, with 95 % intervals. mu over "
+        f"that of the best courses is of the trials that every controller runs. {FRAMES} {BASE_FRAME}",
     )  # fmt: skip

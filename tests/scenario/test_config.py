@@ -126,7 +126,7 @@ def test_the_true_shaft_passes_through_the_trocar_despite_wrong_kinematics():
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_the_trocar_breathes_and_the_robot_knows_it_only_with_breathing_known(known):
+def test_the_trocar_breathes_and_the_robot_is_given_it_only_if_it_is_known(known):
     breathing = {"breathing_amplitude_m": 0.01, "breathing_period_s": 0.4, "breathing_known": known}
     trace = run(Scenario(duration_s=0.3, trocar=breathing, plant={"preset": "nominal"}, **BARE))
     moved = trace.trocar_m - trace.trocar_m[0]
@@ -138,7 +138,7 @@ def test_the_trocar_breathes_and_the_robot_knows_it_only_with_breathing_known(kn
 
 
 def test_a_singular_pose_has_a_bound_of_mu_and_a_nan_pose_has_none(robot):
-    """No single self-motion curve leads through a straight elbow, but other poses hold the same tip and wrist."""
+    """At a straight elbow there is no unique self-motion curve, but other poses have the same tip and wrist."""
     poses = np.tile(robot.data.q_home, (3, 1))
     poses[0], poses[2] = [0.3, 0.6, -0.2, 0.0, 0.4, -0.9, 0.0], np.nan
     bound, how = largest_mu(poses, robot, 5)
@@ -227,7 +227,7 @@ def test_only_values_that_differ_from_the_defaults_are_written(tmp_path):
     assert repr(Scenario()) == "Scenario()"
 
 
-def test_every_limit_that_can_be_lifted_can_be_saved_lifted(tmp_path):
+def test_a_limit_that_is_off_is_still_off_after_saving_and_loading(tmp_path):
     optional = {key: type(None) in get_args(kind.annotation) for key, kind in SafetyFilterSettings.model_fields.items()}
     lifted = [key for key, value in Scenario().guard if optional[key] and value is not None]
     assert "stop_yield_N" in lifted
