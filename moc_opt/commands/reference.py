@@ -22,8 +22,8 @@ TOP, ABSENT = "scenario", "left out"
 HEAD = """# The keys of a scenario
 
 Made by `moc-opt keys --markdown` from the schema that checks every file: edit the schema, not this page. A key that is
-left out has its default. The unit of a number ends its name (`_m_per_s`: m/s) or is in brackets. The thresholds of
-RCM error and forces in `[guard]` may be `inf`: none. docs/method.md explains mu, x, A x = b, the box and levels 1 to 3.
+left out has its default. The unit of a number ends its name (`_m_per_s`: m/s) or is in brackets. `inf` switches off
+a threshold of RCM error or force in `[guard]`. docs/method.md explains mu, x, A x = b, the box and levels 1 to 3.
 """
 WORDS = {int: "integer", float: "number", str: "text", bool: "flag", type(None): "", Any: "value"}
 
