@@ -138,25 +138,20 @@ def residuals(problem: Problem, x: Array, y: Array | None = None) -> Residuals:
 
 
 class _Factors(NamedTuple):
-    """A = U diag(s) V^T for a batch of matrices of equal rank, and a basis Z of their kernels."""
+    """Pseudo-inverses of a batch of matrices A of equal rank, and bases Z of their kernels."""
 
-    U: Array  # (k, 6, rank)
-    s: Array  # (k, rank)
-    V: Array  # (k, n, rank)
+    inverse: Array  # (k, n, 6)
     Z: Array  # (k, n, n - rank), orthonormal
     exactly: bool  # whether a singular value is so small that dividing by it needs products of twice the precision
 
     def slid(self, A: Array, x: Array, b: Array) -> Array:
         """Return the shortest d (k, n, m) with A (x - d) = b, for x (k, n, m) and b (k, 6, m)."""
         if not self.exactly:
-            return self._shortest(A @ x - b)
+            return self.inverse @ (A @ x - b)
         d, rows = np.zeros_like(x), np.concatenate([A, -A, np.broadcast_to(-np.eye(6), (len(A), 6, 6))], axis=2)
         for _ in range(REFINEMENTS):
-            d = d + self._shortest(_product(rows, np.concatenate([x, d, b], axis=1)))
+            d = d + self.inverse @ _product(rows, np.concatenate([x, d, b], axis=1))
         return d
-
-    def _shortest(self, miss: Array) -> Array:
-        return self.V @ (np.swapaxes(self.U, 1, 2) @ miss / self.s[..., None])
 
 
 def _product(A: Array, x: Array) -> Array:
@@ -174,18 +169,38 @@ def _product(A: Array, x: Array) -> Array:
 
 
 def _by_rank(A: Array) -> list[tuple[NDArray[np.intp], _Factors]]:
-    U, s, vh = np.linalg.svd(A, full_matrices=True)
+    plain, factors = _rank_five(A)
+    groups, others = [(plain, factors)] if plain.size else [], np.setdiff1d(np.arange(len(A)), plain)
+    U, s, vh = np.linalg.svd(A[others], full_matrices=True)
     ranked, V = ranks(s), np.swapaxes(vh, 1, 2)
     least = np.where(np.arange(s.shape[1]) < ranked[:, None], s, np.inf).min(axis=1, initial=np.inf)
-    kinds, groups = 2 * ranked + (least < NEARLY_SINGULAR * np.linalg.norm(s, axis=1)), []
+    kinds = 2 * ranked + (least < NEARLY_SINGULAR * np.linalg.norm(s, axis=1))
     for kind in np.unique(kinds):
         rows, rank = np.flatnonzero(kinds == kind), kind // 2
-        found = _Factors(U[rows, :, :rank], s[rows, :rank], V[rows, :, :rank], V[rows, :, rank:], bool(kind % 2))
+        inverse = V[rows, :, :rank] / s[rows, None, :rank] @ np.swapaxes(U[rows, :, :rank], 1, 2)
+        found = _Factors(inverse, V[rows, :, rank:], bool(kind % 2))
         if found.exactly:
             zero = np.zeros((len(rows), 6, found.Z.shape[2]))
-            found = found._replace(Z=found.Z - found.slid(A[rows], found.Z, zero))
-        groups.append((rows, found))
+            found = found._replace(Z=found.Z - found.slid(A[others[rows]], found.Z, zero))
+        groups.append((others[rows], found))
     return groups
+
+
+def _rank_five(A: Array) -> tuple[NDArray[np.intp], _Factors]:
+    """Factorize those matrices that a QR decomposition shows to have rank 5 and no small singular value.
+
+    With A^T = Q R, the sixth singular value of A is at most |R_66|, and the fifth at least that of R's first five
+    rows. A QR decomposition takes a fifth of the time of a singular value decomposition.
+    """
+    Q, R = np.linalg.qr(np.swapaxes(A, 1, 2), mode="complete")
+    size, diagonal = np.linalg.norm(A, axis=(1, 2)), np.abs(np.diagonal(R, axis1=1, axis2=2))
+    tied = diagonal[:, 5:].max(1, initial=np.inf if A.shape[2] < 6 else 0.0) < RANK_TOLERANCE * size
+    rows = np.flatnonzero(tied & (diagonal[:, :5].min(1, initial=np.inf) > NEARLY_SINGULAR * size))
+    top = R[rows, :5]
+    inverse = np.linalg.inv(top @ np.swapaxes(top, 1, 2))
+    good = NEARLY_SINGULAR * size[rows] < np.linalg.norm(inverse, axis=(1, 2)) ** -0.5
+    rows, Q = rows[good], Q[rows[good]]
+    return rows, _Factors(Q[:, :, :5] @ (inverse[good] @ top[good]), Q[:, :, 5:], False)
 
 
 def ranks(s: Array) -> NDArray[np.intp]:
@@ -196,8 +211,8 @@ def ranks(s: Array) -> NDArray[np.intp]:
 
 def _idle_patterns(A: Array) -> list[tuple[NDArray[np.intp], NDArray[np.bool_]]]:
     moves = np.linalg.norm(A, axis=1) > RANK_TOLERANCE * np.linalg.norm(A, axis=(1, 2))[:, None]
-    patterns, which = np.unique(moves, axis=0, return_inverse=True)
-    return [(np.flatnonzero(which.ravel() == i), pattern) for i, pattern in enumerate(patterns)]
+    bits, first, which = np.unique(moves @ (1 << np.arange(A.shape[2])), return_index=True, return_inverse=True)
+    return [(np.flatnonzero(which == i), moves[first[i]]) for i in range(len(bits))]
 
 
 def _some(problem: Problem, rows: NDArray[np.intp], joints: NDArray[np.bool_]) -> Problem:
