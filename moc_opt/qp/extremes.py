@@ -1,8 +1,8 @@
-"""The smallest and the largest cost on the intersection of a box and an affine subspace, independent of any solver.
+"""The smallest and the largest cost over all x that satisfy A x = b and the bounds. No solver is used.
 
-With x = x0 + Z w, Z an orthonormal basis of ker A, the cost is slope^T w + rho/2 |w|^2 and the box is
-low <= Z w <= high. The optimum is found by projecting points onto this set. Lawson and Hanson, Solving Least Squares
-Problems (1974), chapter 23, turn the projection into non-negative least squares (algorithm LDP).
+Let x = x0 + Z w, where Z is an orthonormal basis of ker A. The cost is slope^T w + rho/2 |w|^2, and the bounds (the
+box) are low <= Z w <= high. The optimum is found by projecting points onto this set. Each projection is a non-negative
+least-squares problem (algorithm LDP in Lawson and Hanson, Solving Least Squares Problems, 1974, chapter 23).
 """
 
 from __future__ import annotations
@@ -17,26 +17,26 @@ from numpy.typing import NDArray
 
 from moc_opt.arrays import Array
 
-MOST_CORNERS = 10_000  # largest number of candidate corners that are tried; 10 joints with 5 freedoms have 8064
-FAR = 1e3  # length of a proximal step without bounds [box widths]
+MOST_CORNERS = 10_000  # largest number of candidate corners; 10 joints with dim ker A = 5 have 8064
+FAR = 1e3  # length of an unbounded proximal step [box widths]
 ROUNDS, STEPS = 200, 20  # largest numbers of proximal steps, and of uphill steps per joint
 ROUNDING = 1e-14  # rounding error of numbers of order one
-SETTLED = 1e-11  # a shorter proximal step is only rounding error of the projected point, which may be FAR away
+SETTLED = 1e-11  # a proximal step shorter than this is rounding error, and ends the search
 FLAT = 1e-9  # a slope or multiplier below this fraction of the largest counts as zero
-STILL = 1e-10  # a joint that moves less than this along every unit vector of ker A does not bound the self-motion
-TOUCHING = 1e-8  # in a feasible set narrower than this, multipliers are only rounding errors [box widths]
-LEVEL = 1e-12  # a range of the cost below this fraction of slope times box width is rounding error
+STILL = 1e-10  # a joint whose row of Z is shorter than this does not bound the motion in ker A
+TOUCHING = 1e-8  # a feasible set narrower than this is widened by it, else multipliers are rounding errors [box widths]
+LEVEL = 1e-12  # a range of the scaled cost below this is rounding error
 
 
 class Extremes(NamedTuple):
     """Smallest and largest cost on the feasible set, relative to the cost at w = 0.
 
     Attributes:
-        w: (r,) an optimum; if there are several, the one to which proximal steps from w = 0 lead.
-        least: a lower bound on the cost by weak duality; the cost of w if w is the optimum.
-        most: the largest cost; equal to ``least`` if the cost is constant up to rounding. With rho > 0 and more than
-            ``MOST_CORNERS`` candidates it may be too small: then it is the cost of a local maximum at a corner.
-        pull: (n,) gradient of the Lagrangian at w = 0: the cost's gradient plus A^T times the optimum's multipliers.
+        w: (r,) an optimum. If there are several, proximal steps from w = 0 lead to this one.
+        least: a lower bound on the cost, by weak duality. It equals the cost of w at the optimum.
+        most: the largest cost, or ``least`` if the cost is constant up to rounding. With rho > 0 and more than
+            ``MOST_CORNERS`` candidate corners, it is only a local maximum.
+        pull: (n,) gradient of the Lagrangian at w = 0, with the optimum's multipliers of A x = b.
     """
 
     w: Array
@@ -50,11 +50,11 @@ def extremes(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> Ext
 
     Args:
         Z: (n, r) orthonormal columns.
-        low, high: (n,) the box minus x0, finite [rad/s].
+        low, high: (n,) bounds on Z w, finite [rad/s].
         slope: (r,) gradient of the cost at w = 0.
-        rho: zero or more; it has to be above zero if the slope is zero.
+        rho: zero or more. If the slope is zero, rho has to be above zero.
     """
-    # Scale lengths by the width of the box, and the cost by about its steepest slope in the box.
+    # Scale lengths by the box's width, and the cost by its steepest slope.
     width = max(float((high - low).max()), 1e-12)
     steep = max(float(np.linalg.norm(slope)), rho * width)
     low, high, slope, rho = low / width, high / width, slope / steep, rho * width / steep

@@ -26,7 +26,7 @@ from moc_opt.qp.residuals import Residuals
 LARGEST_WEIGHT = 1e12
 REGULARIZATION = 1e-5
 WEIGHTS = ("c0", "c1", "c2", "regularization")
-ROWS = (5, 6)  #: The counts of equality rows that a solver may ask for.
+ROWS = (5, 6)  #: Numbers of equality rows that a solver may ask for.
 _DOUBLE, _CLOSE = np.dtype(np.float64), (8,)
 
 
@@ -93,9 +93,9 @@ class NullSpaceQP:
         v_tip, v_wrist: (3,) reference velocities [m/s], equal along the shaft's axis u: u^T (v_tip - v_wrist) = 0.
         grad_mu: (n,) gradient of the manipulability.
         lower, upper: (n,) bounds on the joint velocity [rad/s].
-        c0, c1, c2: the weights in the cost; regularization: the weight rho, 0 in the paper.
+        c0, c1, c2: the weights in the cost; regularization: the weight rho of |x|^2, 0 in the paper.
         q: (n,) joint position at which the Jacobians were taken [rad]; only the nonlinear solvers need it.
-        pull: (n,) the vector in the cost; left out: grad_mu.
+        pull: (n,) the vector `pull` in the cost, by default grad_mu.
 
     Raises:
         SubproblemError: an argument is invalid; the message names it, its value and the cure.
@@ -219,9 +219,9 @@ class NullSpaceQP:
         return float(0.5 * x @ self.P @ x + self.p @ x)
 
     def assembled(self, rows: int = 5) -> Assembled:
-        """Compute cost and equality rows: six as in the paper, or five independent rows (`core/python_subproblem.c`).
+        """Compute the cost and the equality rows: six as in the paper, or five independent ones.
 
-        rows = 5 still gives six rows if tip and wrist are not rigidly connected.
+        If tip and wrist are not rigidly connected, rows = 5 gives six rows too. See `core/python_subproblem.c`.
         """
         n = self.n
         P, p, spare, plain = np.empty((n, n)), np.empty(n), np.empty(n), np.ones(3)

@@ -1,15 +1,15 @@
 """Residuals of an answer to the null-space subproblem: one definition for every solver.
 
-`residuals` takes a leading batch shape ``(...,)``, so that one call judges a single tick or a whole recording. The
-status that the solver reports is not used.
+`residuals` takes a leading batch shape ``(...,)``: one call judges a single tick or a whole recording. It ignores the
+status that the solver reports.
 
-On A x = b the tracking terms of the cost are constant. The rest, rho/2 |x|^2 - c2 pull^T x, is a sum of independent
-parts: one for each idle joint (a joint with a zero column of A), which moves on its own interval, and one for all other
-joints, which move in ker A. If ker A has one dimension, they move on an interval too; else see ``extremes``.
+On A x = b the tracking terms of the cost are constant. The remaining cost, rho/2 |x|^2 - c2 pull^T x, is a sum of
+independent parts. Each idle joint (a joint with a zero column of A) moves on its own interval. All other joints move
+together in ker A. If ker A has several dimensions, ``extremes`` finds their optimum.
 
-The stationarity measure is the natural residual of the box-constrained Lagrangian,
+The stationarity measure is the natural residual of the bound-constrained Lagrangian,
 ``x - clip(x - (P x + p + A^T y), lower, upper)`` (Facchinei & Pang 2003, section 1.5.2). It is zero
-exactly at a KKT point and needs no multipliers of the box.
+exactly at a KKT point and needs no multipliers of the bounds.
 """
 
 from __future__ import annotations
@@ -25,39 +25,37 @@ from numpy.typing import NDArray
 from moc_opt.arrays import Array
 from moc_opt.qp.extremes import ROUNDING, STILL, extremes
 
-# The rule for the rank of A in the whole package: the sixth singular value counts as zero below TIED |A|_F, the others
-# below RANK_TOLERANCE |A|_F. A rigid tool makes one of the six rows depend on the others. Jacobians rounded to 7
-# decimals leave up to 7e-8 of that row, whose effect on tip and wrist is within the primal tolerance at joint speeds of
-# a few rad/s. The fifth singular value is small only at a straight elbow, where it still belongs to a constraint.
+# The rank of A, as the whole package decides it: the sixth singular value counts as zero below TIED |A|_F, the others
+# below RANK_TOLERANCE |A|_F. With a rigid tool, the exact sixth singular value is zero. Rounding the Jacobians to 7
+# decimals makes it up to 8e-8 |A|_F. The fifth one is small only near a straight elbow, and still counts there.
 TIED = 1e-7
 RANK_TOLERANCE = 1e-12
 GRADIENT_ROUNDING = 1e-9  # a reduced gradient below this fraction of |pull|_inf counts as zero
-A_POINT = 1e-9  # a feasible interval no longer than this [rad/s] counts as a point: rounding decides where x is in it
-FEASIBLE = 1e-6  # an empty feasible set counts as a point if widening the box by this [rad/s] makes it non-empty
-MOST_FACETS = 300  # largest number of facets for which the best duals are found; 10 joints with 5 freedoms have 210
+A_POINT = 1e-9  # a feasible interval no longer than this [rad/s] counts as a point
+FEASIBLE = 1e-6  # an empty feasible set counts as a point if wider bounds, by this [rad/s], make it non-empty
+MOST_FACETS = 300  # largest number of facets for which the best duals are found; 10 joints and dim ker A = 5 give 210
 NEARLY_SINGULAR = 1e-3  # dividing by a singular value below this share of |A|_F makes rounding errors too large
-REFINEMENTS = 3  # number of corrections after such a division; each divides the error by ten thousand or more
+REFINEMENTS = 3  # steps of iterative refinement after such a division; each shrinks the error at least 1e4 times
 
 
 class Residuals(NamedTuple):
     """How far an answer is from the optimum. Each entry is a float or an array of the batch shape.
 
     Attributes:
-        primal: max(|A x - b|_inf, box violation) [m/s or rad/s].
+        primal: max(|A x - b|_inf, violation of the bounds) [m/s or rad/s].
         natural: natural residual with the solver's own y, or with the best y if the solver gave no y.
-        natural_best: natural residual with the best y for this x: ``natural >> natural_best`` shows a good x
-            with bad duals. With more than ``MOST_FACETS`` facets, the optimum's y is used instead of the best y.
-            The residual is then never too small, and it is still zero at an optimum.
-        relative: ``natural_best`` of the same problem with its cost divided by the size of its reduced
-            gradient, max(c2 |Z Z^T pull|_inf, rho times 1 rad/s), Z a basis of ker A; for an idle joint, divided by
-            the size of its own gradient. Thus errors show even if the gradient has almost no component in ker A.
-            If all feasible points have the same cost (for example, if only one exists), the loss is 0, and
-            ``relative`` is at least (cost of x - that cost) / size of the reduced gradient [rad/s].
-        loss: (cost of x - smallest cost) / (largest - smallest cost) over the feasible set, in [0, 1]. The largest
-            loss of the independent parts is used. It may be too large if the largest cost is not known (see
-            ``moc_opt.qp.extremes``). The cost of x is not corrected for a violation of A x = b.
-        distance: |x - x*|_inf to the optimum x* [rad/s]; if there are several, to the nearest x* in the Euclidean
-            norm. Infinite if no point of A x = b lies in the box, so that no x* exists.
+        natural_best: natural residual with the best y for this x. If it is far below ``natural``, x is good and the
+            duals are bad. With more than ``MOST_FACETS`` facets, the optimum's y replaces the best y. The residual
+            may then be too large, but it is still zero at an optimum.
+        relative: ``natural_best`` after dividing the cost by the size of its reduced gradient. This size is
+            max(c2 |Z Z^T pull|_inf, rho times 1 rad/s), where Z is an orthonormal basis of ker A. An idle joint has
+            its own gradient. If all feasible points have the same cost, ``relative`` is at least
+            (cost of x - that cost) / size of the reduced gradient [rad/s].
+        loss: (cost of x - smallest cost) / (largest - smallest cost) over the feasible set, in [0, 1], for the
+            worst of the independent parts. It is 0 if all feasible points have the same cost. It may be too large
+            if ``extremes`` finds only a local maximum.
+        distance: |x - x*|_inf to the optimum x* [rad/s]. If there are several, x* is the nearest in the Euclidean
+            norm. If no point of A x = b is within the bounds, the distance is infinite.
 
     Example:
         >>> from moc_opt.qp.residuals import Residuals
@@ -142,7 +140,7 @@ class _Factors(NamedTuple):
 
     inverse: Array  # (k, n, 6)
     Z: Array  # (k, n, n - rank), orthonormal
-    exactly: bool  # whether a singular value is so small that dividing by it needs products of twice the precision
+    exactly: bool  # whether a small singular value requires products in twice the precision
 
     def slid(self, A: Array, x: Array, b: Array) -> Array:
         """Return the shortest d (k, n, m) with A (x - d) = b, for x (k, n, m) and b (k, 6, m)."""
@@ -187,10 +185,10 @@ def _by_rank(A: Array) -> list[tuple[NDArray[np.intp], _Factors]]:
 
 
 def _rank_five(A: Array) -> tuple[NDArray[np.intp], _Factors]:
-    """Factorize those matrices that a QR decomposition shows to have rank 5 and no small singular value.
+    """Factorize the matrices for which a QR decomposition proves rank 5 and no small singular value.
 
     With A^T = Q R, the sixth singular value of A is at most |R_66|, and the fifth at least that of R's first five
-    rows. A QR decomposition takes a fifth of the time of a singular value decomposition.
+    rows. A QR decomposition is five times as fast as a singular value decomposition.
     """
     Q, R = np.linalg.qr(np.swapaxes(A, 1, 2), mode="complete")
     size, diagonal = np.linalg.norm(A, axis=(1, 2)), np.abs(np.diagonal(R, axis1=1, axis2=2))
@@ -294,7 +292,7 @@ def _along_a_line(
         return first.max(-1), last.min(-1), np.take_along_axis(np.abs(per_step), stops, axis=-1).min(-1)
 
     (first, last, slowest), (wide_first, wide_last, _) = interval(0.0), interval(FEASIBLE)
-    # If widening the bounds by FEASIBLE makes an empty interval non-empty, the middle between its ends replaces it.
+    # An interval that is empty, but not with bounds wider by FEASIBLE, is replaced by its middle.
     empty, middle = wide_first > wide_last, np.clip(0.5 * (first + last), wide_first, wide_last)
     low, high = (np.where(first > last, middle, end) for end in (first, last))
     step, loss, gap = _on_an_interval(slope, rho, low, high, above, A_POINT + ROUNDING / slowest)
