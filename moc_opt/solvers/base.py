@@ -1,4 +1,4 @@
-"""The interface of a solver: frozen settings start sessions, and a session has memory and solves tick after tick."""
+"""The interface of a solver: frozen settings start sessions, and a session solves the subproblems of one run."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Solution(NamedTuple):
 
 
 def no_answer(n: int, status: Status, iterations: int = 0) -> Solution:
-    """Return a Solution without an answer. Its x is NaN, so that its use by mistake is noticed."""
+    """Return a Solution without an answer. Its x is NaN, so that using it by mistake is noticed."""
     return Solution(np.full(n, np.nan), None, status, iterations)
 
 
@@ -94,11 +94,10 @@ class ObservingSession(Protocol):
 
 
 class SolverSettings:
-    """Base of this package's solvers. It checks the settings, and starts no session for an unsupported problem.
+    """Base of this package's solvers, which are frozen dataclasses of settings. It checks the settings.
 
-    A subclass is a frozen dataclass. The default of a field decides which values are valid. If it is a bool, they are
-    bools; if it is an int, ints of 1 or more; if it is a float, numbers above 0. A default of 0.0 or None is valid too.
-    `choices` may list the valid values of a field. A SolverError names the wrong field, its value and the cure.
+    `choices` may list the valid values of a field. Otherwise the default decides: a field takes bools, ints of at least
+    1, or numbers above 0, as its default is a bool, an int or a float. A default of 0.0 or None is valid too.
     """
 
     name: ClassVar[str]
@@ -135,7 +134,7 @@ class SolverSettings:
         return None
 
     def start(self, qp: NullSpaceQP) -> Session:
-        """Return a session that is set up for the shape and the scaling of ``qp``; a SolverError if not supported."""
+        """Return a session for problems with the shape and scaling of ``qp``; a SolverError if it is unsupported."""
         reason = self.supports(qp)
         if reason is not None:
             raise SolverError(f"{self.name}: {reason}")

@@ -41,10 +41,10 @@ class ExactSession:
 
 @dataclass(frozen=True)
 class Exact(SolverSettings):
-    """Null-space elimination. Dependent rows may contradict each other by up to 1e-6 m/s, the tolerance on A x = b.
+    """Null-space elimination. Dependent rows of A x = b may contradict each other by up to 1e-6 m/s.
 
     Args:
-        tolerance: largest violation of the box that counts as feasible [rad/s], unless rounding explains a larger one.
+        tolerance: largest accepted violation of the bounds [rad/s]. A larger one is accepted if rounding explains it.
     """
 
     tolerance: float = 1e-9
@@ -56,9 +56,9 @@ class Exact(SolverSettings):
         return None if qp.n <= core.MAX_JOINTS else f"{qp.n} joints: `exact` takes at most {core.MAX_JOINTS}"
 
     def solve_batch(self, rows: Array, threads: int | None = None) -> tuple[Array, Array, list[Status]]:
-        """Solve flat records (k, 11 n + 10) and return x (k, n), y (k, 6), statuses. ``threads`` None: one per core.
+        """Solve flat records (k, 11 n + 10), by default with one thread per core. Return x (k, n), y (k, 6), statuses.
 
-        x and y are NaN if the status is not SOLVED. A SolverError refuses records of another shape.
+        If a status is not SOLVED, its x and y are NaN. Records of another shape raise a SolverError.
         """
         if threads is not None and threads < 1:
             raise SolverError(f"exact: threads = {threads}: give 1 or more, or None for one a core")

@@ -28,15 +28,15 @@ def draw(seed: int, rate: float, ticks: int) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class Faulty:
-    """A solver that gives wrong answers at random ticks, which the seed determines.
+    """A solver that gives wrong answers at random ticks, drawn with a seed.
 
     Args:
         inner: the solver that answers at all other ticks. At a faulty tick, only the kind "malformed" calls it.
-        kind: "fail" gives no answer and says so. Three kinds claim an optimum falsely: "nan" for NaN, "lie" for the
-            optimum of the negated gradient, "outside" for a point outside the box. "raise" raises an exception. "rig"
-            answers 50 rad/s and rewrites the subproblem to fit this answer. "malformed" gives complex duals.
+        kind: "fail" reports that there is no answer. Three kinds claim a false optimum: "nan" returns NaN, "lie"
+            solves with the negated gradient, and "outside" returns a point outside the bounds. "raise" raises an
+            exception. "rig" answers 50 rad/s and rewrites the subproblem to fit. "malformed" gives complex duals.
         rate: probability that a tick is faulty, 0 to 1.
-        seed: seed of the draw; the same seed makes the same ticks faulty.
+        seed: seed of the draw.
     """
 
     inner: Solver

@@ -1,8 +1,7 @@
 """A solver in a separate process: whatever happens there, the control loop waits only for a bounded time.
 
-A session kills and replaces a process that hangs, has ended or ran out of memory; the new process is ready after about
-a second. Simulated time stands still until then. In real time (``waits=False``), the ticks until then have no answer.
-A solver that keeps its budget gives the same run as without isolation.
+A session replaces a process that hangs, has ended or ran out of memory. The new process is ready after about a second.
+Simulated time stands still until then. In real time (``waits=False``), the ticks until then have no answer.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from moc_opt.inputs.settings import Settings
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import ObservingSession, Session, Solution, Solver
 
-_LOOK_S = 0.05  # time between two checks for the process's end, which a child may hide by keeping the pipe open
+_LOOK_S = 0.05  # time between two checks whether the process has ended; a child of it may keep the pipe open
 
 
 class Unanswered(Exception):
@@ -65,7 +64,7 @@ class ProcessSettings(Settings):
 
 @dataclass(frozen=True)
 class Isolated:
-    """A solver whose sessions each run in a separate process; a SolverError if pickle cannot copy the solver there."""
+    """A solver whose sessions each run in a separate process; a SolverError if pickle cannot copy the solver."""
 
     inner: Solver
     process: ProcessSettings
@@ -90,7 +89,7 @@ class Isolated:
         return self.inner.name
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None: only ``start`` asks the solver, in its process."""
+        """Return None. Only ``start`` asks the solver, in its own process."""
         return None
 
     def start(self, qp: NullSpaceQP) -> Session:
@@ -116,7 +115,7 @@ class IsolatedSession:
         self._v = v
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Let the process solve one subproblem; raises Unanswered if it is late or lost, or the solver raised."""
+        """Solve one subproblem in the process. If it is late or lost, or the solver raises, Unanswered is raised."""
         self._tick += 1
         solver = self._solver
         if self._process is None:
@@ -185,7 +184,7 @@ class _Process:
             self._pipe.send((solver, qp.row, v, most_s))
 
     def started(self, most_s: float) -> bool:
-        """Wait for the session's start, at most ``most_s``. Return whether it has started; _Ended if it cannot."""
+        """Wait at most ``most_s`` [s] for the session's start. Return whether it has started; _Ended if it failed."""
         if not self._started and (said := self.answer(monotonic() + most_s)) is not None:
             if said.raised:
                 raise _Ended(said.value)
@@ -242,7 +241,7 @@ def serve(fd: int, memory_MB: float) -> None:
             solver, row, v, most_s = pipe.recv()
         except (EOFError, OSError):
             return
-        # If this process hangs and its parent no longer exists to kill it, the timer's signal ends it.
+        # If this process hangs after its parent has ended, the timer's signal ends it.
         signal.setitimer(signal.ITIMER_REAL, 2.0 * most_s + 1.0)
         try:
             qp = NullSpaceQP.from_row(row)

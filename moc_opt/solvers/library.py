@@ -28,7 +28,7 @@ class Adapter(SolverSettings):
     """Base of a library's settings, which are a frozen dataclass with at least ``cost_scale``.
 
     Attributes:
-        rows: number of equality rows, 5 or 6; a setting only if the library can handle six.
+        rows: number of equality rows, 5 or 6. It is a setting only if the library can handle six.
         cost_scale: multiplies P and p; the duals are scaled back.
         needs: message that the library needs a positive definite cost; empty if it does not.
     """
@@ -44,7 +44,7 @@ class Adapter(SolverSettings):
 
 
 def refuse_semidefinite(qp: NullSpaceQP, needs: str) -> str | None:
-    """Return why ``qp`` is refused by a library that needs a positive definite cost (``needs`` says so), or None."""
+    """Return why ``qp`` is refused by a library that needs a positive definite cost; None if it is accepted."""
     why = f"{needs}, and regularization is {qp.regularization:g}: set regularization > 0"
     return None if qp.regularization > 1e-10 * (qp.c0 + qp.c1) else why
 
@@ -71,11 +71,11 @@ class LibrarySession(ABC):
 
     @abstractmethod
     def _allocate(self, m: int, n: int) -> dict[str, Any]:
-        """Return the buffers by name; each is an array that the library reads, or a view into such an array.
+        """Return the buffers by name. Each is an array that the library reads, or a view into such an array.
 
-        P (n, n) and p (n,) hold the cost times ``cost_scale``; A (m, n) the equality rows; low and high (m,) are
-        both filled with the right-hand sides; lower and upper (n,) are the box. Optional: ``packed`` (n (n + 1) / 2,),
-        the upper triangle of P by columns, and ``signs``, three factors for p, lower and upper.
+        P (n, n) and p (n,) receive the cost times ``cost_scale``, A (m, n) the equality rows, low and high (m,) both
+        the right-hand sides, lower and upper (n,) the bounds. Optional: ``packed`` (n (n + 1) / 2,), the upper
+        triangle of P by columns, and ``signs``, three factors for p, lower and upper.
         """
 
     def _load(self, qp: NullSpaceQP) -> bool:

@@ -4,11 +4,11 @@
     s.t.   tip(q + x T) = tip(q) + v_T T,   E (wrist(q + x T) - wrist(q)) = E v_W T,   lower <= x <= upper
 
 g is the subproblem's `pull`: grad mu, or a multiple of the velocity that the elbow has to follow. The rows of E (2, 3)
-span the plane perpendicular to the tool. Along the tool, the wrist's row would repeat the tip's row, and no solver
-converges with such a copy.
+span the plane perpendicular to the tool. Along the tool, a wrist row would repeat the tip's row, and no solver would
+converge.
 
-This is the null-space subproblem only in the limit T -> 0. At T = 2 ms and joint speeds near 1 rad/s, curvature moves
-the optimum off A x = b by 8e-4 m/s (median of random problems; at most 6e-3), too much for ``residuals().verified()``.
+The program equals the null-space subproblem only for T -> 0. At T = 2 ms and joint speeds near 1 rad/s, curvature moves
+the optimum off A x = b by 8e-4 m/s (median of random problems; at most 6e-3). ``residuals().verified()`` is then False.
 """
 
 from __future__ import annotations
@@ -37,8 +37,7 @@ class Kinematics(Protocol):
     mu: Any
 
 
-# The other statuses prove nothing. For example, sqpmethod returns "Search_Direction_Becomes_Too_Small" for infeasible
-# problems too.
+# The other statuses prove nothing: sqpmethod also ends infeasible problems with "Search_Direction_Becomes_Too_Small".
 _STATUS = {
     "Solve_Succeeded": Status.SOLVED,
     "Maximum_Iterations_Exceeded": Status.MAX_ITER,
@@ -58,10 +57,10 @@ def buffered(function: Any, arguments: Mapping[str, Array], results: Mapping[str
 
 @lru_cache(maxsize=16)
 def program(settings: NLP) -> tuple[Any, Any]:
-    """Return the NLP solver, and the function q -> (tip, wrist, mu, grad mu) that its parameters need.
+    """Return the NLP solver, and the function q -> (tip, wrist, mu, grad mu) that gives its parameters.
 
     The parameters of the solver are q (n,), tip, wrist and mu at q, d (n,), the columns of E, c2 and regularization.
-    Neither function has a state, so that sessions can share them.
+    Neither has a state, so that sessions can share them.
     """
     kinematics, n, period = settings.kinematics, settings.kinematics.n, settings.period
     x, q, base, E = ca.SX.sym("x", n), ca.SX.sym("q", n), ca.SX.sym("base", 7), ca.SX.sym("E", 2, 3)
@@ -184,9 +183,9 @@ class NLP(SolverSettings, ABC):
 class SQP(NLP):
     """CasADi's sqpmethod with its active-set QP solver qrqp. The major iterations are counted.
 
-    BFGS starts from the identity. With cost_scale = 1e5 this is the Hessian of the default regularization term (1e-5),
-    and half as many iterations are needed as with cost_scale = 1e3. With regularization = 0 the exact Hessian is
-    indefinite, and three problems in ten get no answer.
+    BFGS starts from the identity, which is the Hessian of the default regularization (1e-5) at cost_scale = 1e5. This
+    halves the iterations that cost_scale = 1e3 needs. With regularization = 0 the exact Hessian is indefinite, and
+    three problems in ten get no answer.
     """
 
     cost_scale: float = 1e5

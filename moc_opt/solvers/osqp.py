@@ -1,7 +1,7 @@
 """OSQP: operator splitting with one factorisation per tick, set up once and updated in place.
 
 Stellato et al. 2020, "OSQP: an operator splitting solver for quadratic programs". OSQP takes only
-l <= A x <= u, so that the box becomes n rows below the equality rows.
+l <= A x <= u. Therefore the bounds become n rows below the equality rows.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class OSQPSession(TruncatedSession):
         self._core.update_settings(self._options)
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Return the iterate after ``iterations`` from the previous start; the next solve starts at this iterate."""
+        """Return the iterate after ``iterations`` from the previous start. The next solve starts at this iterate."""
         self._core.warm_start(*self._before)
         return super().truncated(qp, iterations)
 
@@ -83,7 +83,7 @@ class OSQP(Adapter):
 
     The library's own tolerance of 1e-3 is ten times the whole gradient of this problem. With it, OSQP claims success,
     but nineteen answers in twenty are not optimal. With eps = 1e-8 and costs times 100, OSQP takes twice as many steps.
-    No claim was wrong then on some thousand random problems; one in two hundred was not solved within max_iter.
+    Then no claim was wrong on some thousand random problems, and max_iter was too small for one in two hundred.
 
     Args:
         eps: absolute tolerance on the scaled problem; eps_rel: the relative tolerance.

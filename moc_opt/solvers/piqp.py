@@ -1,7 +1,7 @@
 """PIQP: a proximal interior-point method, dense, set up once and updated in place.
 
 Schwan, Jiang, Kuhn and Jones 2023, "PIQP: a proximal interior-point quadratic programming solver".
-An interior-point method has no warm start, so that only the workspace is kept from tick to tick.
+PIQP has no warm start: only the workspace is kept from tick to tick.
 """
 
 from __future__ import annotations

@@ -78,8 +78,8 @@ class ProxQP(Adapter):
     Args:
         eps: absolute tolerance on the scaled problem (the library's default is 1e-5).
         eps_primal_inf: tolerance of the proof of infeasibility (the library's default is 1e-4).
-        max_iter: largest number of outer iterations; max_iter_in: largest number of inner ones in each. Feasible
-            problems take about ten in all. With the library's 10000 and 1500, an undecided problem runs for minutes.
+        max_iter, max_iter_in: largest numbers of outer iterations, and of inner ones in each. Feasible problems take
+            about ten in all. With the library's 10000 and 1500, an undecided problem runs for minutes.
     """
 
     rows: int = 5

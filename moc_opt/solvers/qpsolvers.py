@@ -1,6 +1,6 @@
 """Any solver that the package qpsolvers finds on this machine, as ``qpsolvers:NAME``.
 
-qpsolvers converts the problem at every call, in up to half a millisecond: these adapters compare answers, not speed.
+qpsolvers converts the problem at every call, which takes up to half a millisecond. Compare answers with it, not speed.
 """
 
 from __future__ import annotations
@@ -39,10 +39,9 @@ ADVICE: dict[str, Advice] = {
     "piqp": Advice(1e3, {"eps_abs": 1e-9, "eps_rel": 0.0}),
     # eps_primal_inf = 1e-4 cannot be changed through qpsolvers, so that 4 % of feasible problems are called infeasible.
     "proxqp": Advice(1e3, {"eps_abs": 1e-9, "eps_rel": 0.0}),
-    "scs": Advice(1e3, {"eps_abs": 1e-8, "eps_rel": 0.0}),  # with eps_abs = 1e-4, half of them are wrong
+    "scs": Advice(1e3, {"eps_abs": 1e-8, "eps_rel": 0.0}),  # with eps_abs = 1e-4, half of the answers are wrong
 }
 
-# Only options in this list are allowed, because new versions of a library may add options that do harm.
 ALLOWED = {
     name: frozenset(listed.split())
     for name, listed in {
@@ -86,9 +85,9 @@ ALLOWED = {
             alpha acceleration_lookback acceleration_interval""",
     }.items()
 }  # fmt: skip
-"""Solver -> options that may be set: tolerances, iterations, modes; no option that writes, loads or compiles."""
+"""Solver -> options that may be set. An option that a new version adds is refused, because it might do harm."""
 
-# With sparse libraries, qpsolvers warns of each conversion and failure. The warnings are hidden; the status suffices.
+# With sparse libraries, qpsolvers warns of each conversion and failure. These warnings are hidden.
 _NOISY = set(qpsolvers.sparse_solvers) - set(qpsolvers.dense_solvers)
 
 
@@ -108,7 +107,7 @@ def checked(solver: str, options: object) -> dict[str, Any]:
         raise SolverError(f"{solver}: options = {options!r:.80} is not a table of keyword arguments")
     allowed = ALLOWED.get(solver, frozenset())
     for name, value in options.items():
-        if name not in allowed:  # `allowed` has no option that writes or reads files, loads, compiles or prints
+        if name not in allowed:  # the allowed options neither write or read files, nor load, compile or print
             raise UnknownNameError(f"option of {solver}", str(name), allowed)
         if not isinstance(value, (bool, int, float)) or not math.isfinite(value) or abs(value) > MOST:
             raise SolverError(
@@ -175,9 +174,9 @@ class QPSolver(SolverSettings):
     Args:
         library: its name in qpsolvers.
         rows: 5 or 6 equality rows; with six, daqp fails on one problem in a hundred.
-        cost_scale: multiplies P and p; None: the value of `ADVICE`.
+        cost_scale: multiplies P and p, by default with the value of `ADVICE`.
         options: options of the library, in addition to those of `ADVICE`; only options in `ALLOWED`.
-        advised: False: `ADVICE` is ignored, and the library keeps its own defaults.
+        advised: if False, `ADVICE` is ignored, and the library keeps its own defaults.
 
     Raises:
         SolverError: a setting is out of range, or (from ``start``) the library refuses an option.
@@ -204,7 +203,7 @@ class QPSolver(SolverSettings):
         return Advice(scale, {**base.options, **(self.options or {})})
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None, or why quadprog, which factorises P, refuses a problem. Other libraries take every problem."""
+        """Return None, or why quadprog refuses the problem. The other libraries take every problem."""
         needs = "quadprog needs a positive definite cost"
         return refuse_semidefinite(qp, needs) if self.library == "quadprog" else None
 

@@ -38,9 +38,9 @@ class QuadprogSession(LibrarySession):
 
 @dataclass(frozen=True)
 class Quadprog(Adapter):
-    """quadprog with five equality rows. With six dependent rows it fails if they contradict each other by 1e-12.
+    """quadprog with five equality rows, and only for regularization > 0, because quadprog factorises P.
 
-    quadprog factorises P, which is singular without regularization.
+    With six dependent rows, quadprog fails if they contradict each other by 1e-12.
     """
 
     cost_scale: float = 1.0

@@ -35,8 +35,7 @@ BUILT_IN: dict[str, tuple[str, str, str]] = {
     "nlp-sqp": ("nlp", "SQP", "casadi"),
     "nlp-ipopt": ("nlp", "Ipopt", "casadi"),
 }
-QPSOLVERS = "qpsolvers:"
-"""Prefix of the solvers that the package qpsolvers finds. All of them use one adapter."""
+QPSOLVERS = "qpsolvers:"  #: Prefix of the solvers that the package qpsolvers finds.
 
 
 class Entry(NamedTuple):
@@ -70,7 +69,7 @@ class Entry(NamedTuple):
 
 
 def check_solver(given: object, what: str = "") -> Solver:
-    """Return the given solver; a SolverError if the object is a name, a class or anything else that is no solver."""
+    """Return the given solver; a SolverError if the object is not a solver, for example a name or a class."""
     what = what or shown(given, 80)
     if isinstance(given, type):
         raise SolverError(f"{what} is a class, no solver: call it, as in {given.__name__}()")

@@ -6,8 +6,8 @@ With F(Y) = [dL/dx, -dL/dlambda] (the paper's equation (2)) the network is
                                  + J_T^T l1 + J_W^T l2), lower, upper)
     eps dl1/dt = k (J_T x - v_T),   eps dl2/dt = k (J_W x - v_W)
 
-integrated by Euler steps of size h = dt/eps (`moc_opt/core/rnn.c`). A network cannot tell that a problem is infeasible.
-The status is MAX_ITER then, and the multipliers grow without bound. Afterwards they take as long to decrease.
+integrated by Euler steps of size h = dt/eps (`moc_opt/core/rnn.c`). If a problem is infeasible, the status is MAX_ITER,
+and the multipliers grow without bound. Afterwards they take as long to decrease.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from moc_opt.solvers.base import Choices, Solution, SolverSettings, Status, no_a
 def unstable(qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool, h_x: float | None = None) -> str | None:
     """Return why Euler steps of this size diverge on ``qp``, or None. The step of x is h_x, or h if h_x is None.
 
-    Let s be a singular value of A. Away from the bounds, the network along its singular vector is an oscillator with
-    damping k c s^2 and stiffness k^2 s^2, c = scale c0 = scale c1. Explicit steps are stable only if h k < c and
-    (2 h_x k c - h h_x k^2) s^2 < 4; semi-implicit steps only if (2 h_x k c + h h_x k^2) s^2 < 4.
+    Let s be a singular value of A, and c = scale c0 = scale c1. Away from the bounds, the network along the singular
+    vector is an oscillator with damping k c s^2 and stiffness k^2 s^2. Explicit steps are stable only if h k < c and
+    (2 h_x k c - h h_x k^2) s^2 < 4. Semi-implicit steps are stable only if (2 h_x k c + h h_x k^2) s^2 < 4.
     """
     c0, c1 = scale * qp.c0, scale * qp.c1
     weak, strong, hk = min(c0, c1), max(c0, c1), h * k
@@ -102,16 +102,16 @@ class RNNPrintedSession(RNNSession):
 
 @dataclass(frozen=True)
 class RNN(Network):
-    """The network with its own state: at most ``steps`` inner steps per tick, which continue from the previous tick.
+    """The network with its own state, which continues from tick to tick.
 
     With the paper's c0 = 0.01 and k = 0.1, an error of 1e-3 takes about 3e7 steps, because explicit steps need
-    h k < c0. ``scale`` does not change the solution but allows larger steps: scale = 100, k = 0.5, h = 1 take 1400.
+    h k < c0. ``scale`` allows larger steps: with scale = 100, k = 0.5 and h = 1, the error takes 1400 steps.
 
     Args:
-        steps: largest number of inner steps per tick; a tick needs fewer if the state comes to rest.
+        steps: largest number of steps per tick; a tick needs fewer if the state comes to rest.
         h: step size dt/eps, in (0, 1], so that x never leaves the box.
         k: the paper's gain.
-        scale: multiplies c0, c1, c2 and regularization; the multipliers are scaled back.
+        scale: multiplies c0, c1, c2 and regularization, which leaves the solution as it is.
         method: "explicit" Euler, or "semi-implicit", where the multipliers are updated with the new x.
         eps: SOLVED is claimed if no entry of the network's right-hand side is larger [rad/s, m/s].
 
@@ -138,10 +138,10 @@ class RNN(Network):
 class RNNPrinted(Network):
     """Equation (2) of the paper as it is printed, with the measured joint velocity v as the paper's qd.
 
-    The answer is x = P(v - k dL/dqd), and the third level uses x - v, the paper's qdd_d. The multipliers start at 0 and
-    integrate dlambda/dt = k (J v - v_ref) / eps over the tick. With the paper's weights, the network's time constants
-    are longer than 50 s, so that it acts as damping in a controller. ``session.observe(v)`` passes v before a tick;
-    without this call the network continues from its own last x.
+    The answer is x = P(v - k dL/dqd), where P clips to the bounds. The third level uses x - v, the paper's qdd_d. The
+    multipliers start at 0 and integrate dlambda/dt = k (J v - v_ref) / eps over the tick. With the paper's weights,
+    the network's time constants are longer than 50 s, so that it acts only as damping. ``session.observe(v)`` passes
+    v before a tick. Without this call, x is the network's own last x.
 
     Args:
         k: the paper's gain.
