@@ -1,10 +1,10 @@
 """Solvers of the null-space subproblem behind one interface.
 
-Read first: ``base`` (``Solver``, ``Session``, ``Solution``, ``Status``), then ``registry`` (names, lazy loading, other
-packages' plug-ins). Each QP library has one file that builds on ``library`` and is imported when its solver is created;
-``qpsolvers`` adapts any library that the package qpsolvers finds. ``exact`` and ``rnn`` are this package's own solvers;
-``nlp`` puts mu itself into the cost. ``isolated`` runs a solver in a separate process; ``faulty`` makes a solver fail, for
-tests. docs/extending.md shows how to add a solver. No solver imports a robot.
+Read first: ``base`` (``Solver``, ``Session``, ``Solution``, ``Status``), then ``registry`` (names, lazy loading,
+plug-ins). Each QP library has one file, which builds on ``library`` and is imported when its solver is created.
+``qpsolvers`` adapts any library that the package qpsolvers finds. ``exact`` and ``rnn`` are this package's own solvers.
+``nlp`` puts mu itself into the cost. ``isolated`` runs a solver in a separate process. ``faulty`` makes a solver fail,
+for tests. docs/extending.md shows how to add a solver.
 """
 
 from moc_opt.solvers.base import Session, Solution, Solver, Status

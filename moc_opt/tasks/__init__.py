@@ -1,8 +1,8 @@
 """The task: paths of the tool's tip, the time law along a path, and the trocar that the shaft must pass through.
 
-To add a path, write a function that returns waypoints from sizes like a length, and add it to ``CURVES`` at the end
-of ``curves``. `moc-opt tasks` then lists the path, and ``[task] path`` accepts its name. ``paths`` places a curve or
-waypoints in space; ``timelaw`` moves the tip along a path (``Reference``: X_d and its derivatives).
+To add a path, write a function that turns sizes (such as a length) into waypoints, and add it to ``CURVES`` in
+``curves``. `moc-opt tasks` then lists the path, and ``[task] path`` accepts its name. ``paths`` places a path in space.
+``timelaw`` moves the tip along it (``Reference``: X_d and its derivatives).
 """
 
 from __future__ import annotations

@@ -41,12 +41,12 @@ def vector3(name: str, value: ArrayLike, *, rows: bool = False) -> Array:
 
 
 def direction3(name: str, value: ArrayLike) -> Array:
-    """Return the direction of a vector as a read-only unit vector (3,); a TaskError if it is no vector or zero."""
+    """Return the unit vector (3,) along a vector, read-only; a TaskError if the value is zero or no vector."""
     given = vector3(name, value)
     largest = float(np.abs(given).max())
     if largest == 0.0:
         raise TaskError(f"{name} = {value!r} has no direction: give a vector of non-zero length")
-    scaled = given / largest  # without this, the square of a very long or short vector would overflow or vanish
+    scaled = given / largest  # keeps the square of a very long or short vector from overflowing or vanishing
     return read_only(np.asarray(scaled / math.sqrt(float(scaled @ scaled))))
 
 

@@ -1,4 +1,4 @@
-"""Planar curves. A curve starts at its own origin, and its first axis is called its heading; `CURVES` lists all."""
+"""Planar curves. Each starts at its own origin, and its first axis is called the heading."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ PlanePoint = tuple[float, float, float, float, float]
 Speed = Callable[[Array], tuple[Array, Array]]
 
 _MOST_PANELS = 2**18
-_PROBES = (0.23, 0.5, 0.71)  # places in a panel, from 0 to 1; an error might vanish by chance at symmetric places
+_PROBES = (0.23, 0.5, 0.71)  # places in a panel, from 0 to 1; at symmetric places, an error might vanish by chance
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(10)
 
 
 class ArcLength:
     """The inverse w(s) of the arc length s(w) = integral of speed(w) from 0 to w.
 
-    w(s) is a quintic Hermite interpolation. At its knots, the values are exact (Gauss-Legendre quadrature), and so are
-    the derivatives dw/ds = 1/speed and d2w/ds2 = -speed'/speed^3. The intervals between knots are called panels. Their
-    number is doubled until s(w(s)) - s, probed in every panel, is below 1e-10 of the length and below 1e-10 m.
+    w(s) is a quintic Hermite interpolation. At its knots, w (by Gauss-Legendre quadrature), dw/ds = 1/speed and
+    d2w/ds2 = -speed'/speed^3 are exact. The intervals between knots are called panels. Their number is doubled until
+    the error s(w(s)) - s, probed in every panel, is below 1e-10 of the length and below 1e-10 m.
 
     Args:
         speed: function w (k,) -> (ds/dw (k,) [m], d2s/dw2 (k,) [m]), with ds/dw above zero.
-        breaks: (b,) values of w, from 0 to the largest; the speed is smooth from one break to the next.
+        breaks: (b,) rising values of w, from 0. The speed is smooth from one break to the next.
         panels: initial number of panels between two breaks, enough to resolve every bend of the curve.
 
     Raises:
@@ -47,7 +47,7 @@ class ArcLength:
             coefficients = _hermite(w, lengths, *speed(w))
             if _worst(speed, w, lengths, coefficients) <= 1e-10 * min(1.0, float(s[-1])):
                 self.knots, self.length = read_only(s), float(s[-1])
-                # Lists, because a tick needs one number, and indexing an array takes longer than the polynomial.
+                # Lists, because indexing an array takes longer than the polynomial.
                 self._starts: list[float] = s[:-1].tolist()
                 self._lengths: list[float] = lengths.tolist()
                 self._coefficients: list[list[float]] = coefficients.tolist()
@@ -116,10 +116,7 @@ def circle(radius: float = 0.03) -> PlanarCurve:
 
 
 def sinusoid(amplitude: float = 0.01, wavelength: float = 0.02, periods: float = 2.0) -> PlanarCurve:
-    """y = amplitude sin(2 pi x / wavelength), x along the heading, for any number of periods.
-
-    Amplitude and wavelength are in m. The curve starts where it crosses its axis and is steepest.
-    """
+    """y = amplitude sin(2 pi x / wavelength) [m], x along the heading, for any number of periods."""
     a, periods = positive("amplitude", amplitude), positive("periods", periods)
     k = 2.0 * math.pi / positive("wavelength", wavelength)
 
@@ -162,5 +159,5 @@ def spiral(turns: float = 2.0, radius: float = 0.03) -> PlanarCurve:
 
 
 CURVES: dict[str, Callable[..., Any]] = {"line": line, "circle": circle, "sinusoid": sinusoid, "spiral": spiral}
-"""Kind of path -> function of its sizes. It returns waypoints (k, 3) [m] from the start (along heading, left and
-normal), or a `PlanarCurve`, which needs no interpolation. Add new kinds here."""
+"""Kind of path -> function of its sizes. The function returns a `PlanarCurve`, or waypoints (k, 3) [m] from the start
+(along heading, left and normal). Add new kinds here."""

@@ -1,7 +1,7 @@
 """Paths of the tool tip in space, as functions of arc length: planar curves and curves through waypoints.
 
-To add a path to this package, write a function and a line of `CURVES` in curves.py. In a package of your own, give such
-a function an entry point of the group `moc_opt.tasks`.
+To add a path to this package, write a function and add it to `CURVES` in curves.py. In your own package, give the
+function an entry point of the group `moc_opt.tasks`.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ GROUP = "moc_opt.tasks"
 WAYPOINTS = "waypoints"
 MOST = 1000  #: Largest number of waypoints of one path.
 FARTHEST_M = 1000.0  #: Largest distance of a waypoint from the start along each axis.
-_SLOWEST = 0.05  # smallest allowed |dp/dw| (w: chord length); below it, the path almost turns back on the spot
+_SLOWEST = 0.05  # smallest |dp/dw| allowed (w: chord length); a slower path almost turns back on the spot
 
 
 class Path:
-    """A planar curve in space, which begins at `start` and lies in the plane of the unit vectors heading and left."""
+    """A planar curve in space, from `start`, in the plane of the unit vectors `heading` and `left`."""
 
     length: float  #: [m]
     knots: Array  #: Arc lengths (k,) [m], from 0 to `length`, close enough together to resolve every bend.
@@ -38,8 +38,8 @@ class Path:
     def __init__(self, curve: PlanarCurve, start: ArrayLike, *, normal: ArrayLike, heading: ArrayLike) -> None:
         """Place the curve at start (3,) [m]; a TaskError if a vector is unusable.
 
-        The plane is perpendicular to the normal (3,). The heading (3,) gives the curve's first axis; its part along
-        the normal is removed, and the two must not be parallel. "Left" is normal x heading.
+        The plane is perpendicular to the normal (3,). The curve's first axis is the heading (3,), projected into the
+        plane. The heading must not be parallel to the normal. The second axis, `left`, is normal x heading.
         """
         self._place(start, normal, heading)
         self.curve, self.length, self.knots = curve, float(curve.length), curve.knots
@@ -74,8 +74,7 @@ class Path:
     def points(self, s: Array) -> Array:
         """Return p [m], dp/ds and d2p/ds2 [1/m] as (k, 3, 3) at s (k,) [m] in [0, length], unchecked.
 
-        The curve is evaluated number by number, so that a vector gives the same bits as single numbers; numpy's vector
-        sine does not guarantee this.
+        A vector gives the same bits as single numbers, because the curve is evaluated number by number.
         """
         x, y, tx, ty, k = np.array([self.curve.at(one) for one in s.tolist()]).reshape(-1, 5).T[:, :, None]
         a, b = self.heading, self.left
@@ -85,7 +84,7 @@ class Path:
 class Waypoints(Path):
     """A path from `start` through every waypoint, with continuous direction and curvature.
 
-    It is the natural cubic spline over the chord length: a cubic from point to point, with curvature 0 at both ends.
+    It is the natural cubic spline over the chord length, with curvature 0 at both ends.
     """
 
     def __init__(self, points: ArrayLike, start: ArrayLike, *, normal: ArrayLike, heading: ArrayLike) -> None:
@@ -105,7 +104,6 @@ class Waypoints(Path):
         self._check_turns(inside)
         self._arc = ArcLength(self._speed, self._at, 8)
         self.length, self.knots = self._arc.length, self._arc.knots
-        # Lists, because a tick needs one number, and indexing an array takes longer than the polynomial.
         self._begin: list[float] = self._at[:-1].tolist()
         self._rows_of: list[list[list[float]]] = self._pieces.tolist()
 
@@ -170,7 +168,7 @@ def _spline(t: Array, points: Array) -> Array:
 
 
 def kinds() -> dict[str, str]:
-    """Return name -> description of every path that a scenario may name, or why the path's plug-in does not load."""
+    """Return name -> description of every path for scenarios, or why its plug-in does not load."""
     found = {name: _about(curve) for name, curve in CURVES.items()}
     found[WAYPOINTS] = "A smooth path through the points of `waypoints_m`, in three dimensions."
     for name in _plugins():

@@ -1,4 +1,4 @@
-"""The quintic time law, which moves the tip along a path in the shortest allowed time, and a pausing reference."""
+"""The quintic time law, which moves the tip along a path, and a reference that can pause."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def _largest_acceleration(path: Path) -> float:
         s, ds, dds = quintic(u)
         return math.hypot(dds, length * path.curvature(min(s * length, length)) * ds * ds)
 
-    # Equal steps of u resolve the peaks of the time law; the knots of the path, mapped to u, resolve all its bends.
+    # Equal steps of u resolve the time law, and the knots of the path resolve its bends.
     even = np.linspace(0.0, 1.0, 513)
     progress = [quintic(u)[0] for u in even.tolist()]
     u = np.unique(np.concatenate((even, np.interp(path.knots / length, progress, even))))
@@ -115,16 +115,16 @@ class Reference:
 
 
 class WaitingReference:
-    """A reference that slows down to a stop while a flag is False, and speeds up again when the flag is True.
+    """A reference that slows down to a stop while a flag is False, and speeds up again when it is True.
 
     It begins at rest at the start of the path. X_d, dX_d and ddX_d do not jump. Let tau be the time along the given
     reference, which advances at the rate sigma in [0, 1]. Then
 
         X_d(t) = X(tau(t)),   dX_d = sigma X',   ddX_d = sigma^2 X'' + sigma' X'
 
-    so that |dX_d| <= v_max and |ddX_d| <= 2 a_max. The rate is the flag (0 or 1), filtered by two moving averages. It
-    stays in [0, 1], equals the flag once the flag has been constant for `settle_s` (the sum of both windows), and has a
-    slope of at most 1 / (longer window) <= a_max / v_max.
+    so that |dX_d| <= v_max and |ddX_d| <= 2 a_max. The rate is the flag (0 or 1), filtered by two moving averages. Its
+    slope is at most 1 / (longer window) <= a_max / v_max. After `settle_s`, the sum of both windows, the rate equals a
+    flag that stays constant.
     """
 
     def __init__(self, reference: Reference, period_s: float) -> None:
@@ -157,7 +157,7 @@ class WaitingReference:
 
 
 def flags_at(times: ArrayLike, seen_times: ArrayLike, seen: ArrayLike) -> NDArray[np.bool_]:
-    """Turn the flags of a camera's pictures into flags of control ticks. A flag holds until the next picture.
+    """Turn the flags of a camera's pictures into flags of control ticks. Each holds until the next picture.
 
     Args:
         times: (N,) times of the ticks [s].
@@ -170,6 +170,6 @@ def flags_at(times: ArrayLike, seen_times: ArrayLike, seen: ArrayLike) -> NDArra
     pictures, answers = np.asarray(seen_times, dtype=np.float64), np.asarray(seen, dtype=np.bool_)
     if pictures.ndim != 1 or pictures.shape != answers.shape or (np.diff(pictures) <= 0.0).any():
         raise TaskError("seen_times: give one rising time [s] for each entry of seen")
-    # A picture taken at the time of a tick counts for that tick, whatever the rounding of the two times.
+    # A picture taken at the time of a tick counts for this tick, even if rounding makes its time slightly later.
     last = np.searchsorted(pictures, np.asarray(times, dtype=np.float64) + 1e-9, side="right")
     return np.concatenate(([False], answers))[last]

@@ -17,8 +17,7 @@ from moc_opt.tasks.checks import TimeLike, direction3, number, positive, sampled
 class Trocar:
     """A trocar that rests or moves with the breathing.
 
-    P(t) = point + amplitude (1 - cos(2 pi t / period)) / 2 * direction. The trocar starts at rest at `point`, and is
-    `breathing_amplitude_m` away from it after half a period. A TaskError if a field is unusable.
+    P(t) = point + amplitude (1 - cos(2 pi t / period)) / 2 * direction. A TaskError is raised if a field is unusable.
     """
 
     point: ArrayLike  #: Position at t = 0, (3,) [m].
@@ -65,13 +64,13 @@ def shaft_distance(tip: ArrayLike, wrist: ArrayLike, p: ArrayLike) -> Array:
     """Compute the RCM error d = |(P - X) x u|, the distance of the shaft's line from the trocar [m].
 
     Args:
-        tip, wrist, p: points X, N and P, (3,) or (k, 3) [m]; a point (3,) is used for all rows. u = (X - N)/|X - N|.
+        tip, wrist, p: X, N and P, (3,) or (k, 3) [m]. A point (3,) is used for all rows. u = (X - N)/|X - N|.
 
     Returns:
         d (k,), or of shape () if all three are single points.
     """
     tool = np.subtract(tip, wrist)
     u = tool / np.sqrt((tool * tool).sum(axis=-1, keepdims=True))
-    # The cross product is written out, because np.cross takes ten times as long on rows of three.
+    # The cross product is written out, because np.cross takes ten times as long.
     (a, b, c), (d, e, f) = np.moveaxis(np.subtract(p, tip), -1, 0), np.moveaxis(u, -1, 0)
     return np.asarray(np.sqrt((b * f - c * e) ** 2 + (c * d - a * f) ** 2 + (a * e - b * d) ** 2))
