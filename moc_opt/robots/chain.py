@@ -1,4 +1,4 @@
-"""The serial chain as numbers: its frames, its CasADi functions, and the wrist position that a trocar requires."""
+"""The serial chain as plain numbers, as CasADi functions, and the wrist position that a trocar requires."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """Joint j sits at (rotations[j], origins[j]) in the frame of joint j - 1, the world for j = 0.
+    """Frame of joint j: (rotations[j], origins[j]) in the frame of joint j - 1, or in the world for j = 0.
 
     The joint turns about, or slides along, the unit vector axes[j] of its own frame.
     """
@@ -41,7 +41,7 @@ def desired_wrist(
 ) -> tuple[Array, Array]:
     """Compute N_d = X + L e [m], e = (P_t - X)/|P_t - X|, and dN_d = dX + L de/dt [m/s], (..., 3) each.
 
-    Points and velocities are (..., 3), or 0.0 for the velocity of a point at rest; ``span`` is L [m].
+    Points and velocities are (..., 3). A velocity may also be 0.0. ``span`` is L [m].
     """
     line, turn = np.subtract(trocar, tip), np.subtract(trocar_velocity, tip_velocity)
     distance = np.linalg.norm(line, axis=-1, keepdims=True)
@@ -61,7 +61,7 @@ class Kinematics:
     mu: casadi.Function = field(compare=False, repr=False)  #: q -> scalar, sqrt(det(J_tip J_tip^T))
     grad_mu: casadi.Function = field(compare=False, repr=False)  #: q -> (n,)
     shaft: casadi.Function = field(compare=False, repr=False)
-    """q -> scalar, (mu_shaft / |X - N|^2)^2 of `moc_opt/core/manipulability.c`; unsquared it would have a kink at 0"""
+    """q -> scalar, (mu_shaft / |X - N|^2)^2 of `moc_opt/core/manipulability.c`; squared, so that it is smooth at 0"""
 
 
 @lru_cache(maxsize=64)

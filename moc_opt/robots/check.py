@@ -1,4 +1,4 @@
-"""The check of an arm: freedoms, home pose, reach, limits, gains and masses, each with a verdict and a cure."""
+"""The check of an arm: its null space, home pose, reach, limits, gains and masses, with verdicts and cures."""
 
 from __future__ import annotations
 
@@ -21,13 +21,12 @@ from moc_opt.sim.settings import PlantSettings
 
 Verdict = Literal["ok", "care", "cannot"]
 REGULAR, SINGULAR = (0.1, 0.05), 1e-4
-"""Least singular-value ratios: of `Freedoms.tip` and `Freedoms.both` for the verdict "ok", of either for "care"."""
+"""Smallest `Freedoms.tip` and `Freedoms.both` for the verdict "ok"; smallest of either for the verdict "care"."""
 LITTLE_TO_GAIN = 0.05
-LEAST_M = 0.005  #: Radius of a circle that an arm must be able to follow from home.
+LEAST_M = 0.005  #: Radius of the circle that every arm must be able to follow from home.
 MARGIN_DEG, MARGIN_MM = 15.0, 80.0
-CARE = 0.8  #: Share of the stability limit from which on the verdict is "care".
-GYRATION_M = 0.6
-"""Largest plausible radius of gyration of a link: sqrt(largest moment / mass)."""
+CARE = 0.8  #: At this share of the stability limit, the verdict becomes "care".
+GYRATION_M = 0.6  #: Largest plausible radius of gyration of a link, sqrt(largest moment / mass).
 
 
 class Finding(NamedTuple):
@@ -40,7 +39,7 @@ class Finding(NamedTuple):
 
 
 def check_robot(robot: RobotModel, scenario: Scenario | None = None) -> list[Finding]:
-    """Check an arm for a scenario's task, period and control (None: the default scenario); return the table's rows."""
+    """Check an arm for a scenario's task, period and control, and return the rows of the table."""
     asked, sliding = scenario or Scenario(robot={"name": robot.data.name}), int(robot.chain.prismatic.sum())
     kinds = f"{robot.n} joints" + (f", {sliding} of them sliding" if sliding else "")
     found = [Finding("arm", f"{kinds}, tool {1e3 * robot.data.tool_length:.0f} mm", "ok"), *_freedom(robot)]
@@ -56,7 +55,7 @@ def verdict(findings: list[Finding]) -> Verdict:
 
 
 def _judge(what: str, found: str, *faults: tuple[object, Verdict, str]) -> Finding:
-    """Make a row from the first fault that is present; a fault is (whether it is present, verdict, cure)."""
+    """Make a row from the first of the (condition, verdict, cure) whose condition holds, else an "ok" row."""
     rows = (Finding(what, found, judged, cure) for fault, judged, cure in faults if fault)
     return next(rows, Finding(what, found, "ok"))
 
@@ -91,7 +90,7 @@ def _climb(robot: RobotModel) -> Iterator[Finding]:
         text = f"{mu:.3g} m³, {curve.mu.min():.3g} to {curve.mu_best:.3g} on {'one' if several else 'its'} self-motion"
         little = max(curve.mu_best, largest if several else 0.0) < (1.0 + LITTLE_TO_GAIN) * mu
         yield _judge(what, text, (little, "care", "little to gain from there: choose another home.q_rad"))
-    # With one freedom, a law that climbs mu stays on one self-motion curve, and may be unable to reach this mu.
+    # This mu may lie on another self-motion curve, and be out of reach.
     yield Finding("largest mu there", f"{largest:.3g} m³, {how['mu_bound_method']}", "ok")
 
 
@@ -141,7 +140,7 @@ def _weight(robot: RobotModel) -> Finding:
 
 
 def _bodies(robot: RobotModel) -> Finding:
-    # The loader refuses inertias that no body can have; this finds inertias that no arm has.
+    # The loader refuses impossible inertias. This check finds inertias that no arm has.
     bodies = [link for link in urdf.read(robot.data.urdf).links if not link.is_frame]
     gyrations = {body.name: math.sqrt(max(body.moments[:3]) / body.mass) for body in bodies}
     total = sum(body.mass for body in bodies)
@@ -157,7 +156,7 @@ def _gains(robot: RobotModel, asked: Scenario) -> Finding:
     limit, period = largest_rate(asked.plant), asked.plant.period_s
     gains = asked.control.resolve_gains(robot.data.gains, robot.n)
     tip, wrist = largest_inverse_masses(robot)
-    # Each velocity gain divided by the smallest inertia that it acts on, at home and at seeded poses [1/s].
+    # Largest ratio of each velocity gain to the inertia that it acts on [1/s].
     null_space = largest_null_rate(robot, gains.K_N2 + gains.D_N2)
     rates = {"D_X": gains.D_X * tip, "D_N": gains.D_N * wrist, "K_N2": null_space}
     name, rate = max(rates.items(), key=lambda item: item[1])

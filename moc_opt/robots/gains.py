@@ -1,8 +1,8 @@
 """Gains for an arm that nobody has tuned.
 
 A velocity gain divided by the inertia that it acts on is a rate [1/s]. The rate times the period decides whether a
-sampled loop is stable (`moc_opt.robots.check.largest_rate`). The LWR4+ is tuned; other arms get the
-LWR4+'s rates, and so are as far from the limit. A joint's gains are in N m s/rad, or N s/m if the joint slides.
+sampled loop is stable (`moc_opt.robots.check.largest_rate`). The LWR4+ is tuned. Other arms get its rates,
+and therefore its distance from the stability limit. A joint's gains are in N m s/rad, or N s/m if the joint slides.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ JOINTS: Mapping[str, tuple[float, float, float]] = {
     "tuned": (26.0, 0.087, 125.0), "robust": (17.0, 0.133, 85.0),
 }  # fmt: skip
 """For each table: K_N2 divided by the joint's inertia [1/s] (10 to 22 for the LWR4+), D_N2 / K_N2 (0.13 to 0.2 for the
-LWR4+), and the largest rate of K_N2 + D_N2 along a motion that keeps tip and wrist [1/s]."""
+LWR4+), and the largest rate of K_N2 + D_N2 along a self-motion [1/s]."""
 CARTESIAN_RATE = 160.0
 """Largest D_X or D_N divided by the smallest mass that it acts on [1/s]: 0.72 of the stability limit with three ticks
 of delay at 500 Hz. For the LWR4+ it is 90 with D_X in the lightest direction, and 16 with D_N."""
@@ -40,9 +40,9 @@ _POSES = 16
 def derived_gains(robot: RobotModel) -> dict[str, Table]:
     """Derive the tables of `CARTESIAN` from the arm's inertia.
 
-    K_N2 of joint i is a rate times M_ii at the home pose, D_N2 a share of K_N2 (`JOINTS`). That rate is lowered where
-    both gains together would exceed their largest rate along a self-motion. K_X and D_X are the LWR4+'s, but both are
-    lowered by one factor where the arm is so light that D_X would exceed `CARTESIAN_RATE`; K_N and D_N likewise.
+    K_N2 of joint i is a rate times M_ii at the home pose, and D_N2 is a share of K_N2 (`JOINTS`). The rate is lowered
+    if K_N2 + D_N2 would exceed its largest rate along a self-motion. K_X and D_X are those of the LWR4+. If D_X would
+    exceed `CARTESIAN_RATE`, both are lowered by the same factor. K_N and D_N are treated likewise.
     """
     inertia = np.diag(robot.state(robot.data.q_home).M)
     inverse_masses = largest_inverse_masses(robot)
@@ -71,7 +71,7 @@ def largest_inverse_masses(robot: RobotModel) -> tuple[float, float]:
 
 
 def largest_null_rate(robot: RobotModel, gains: Array) -> float:
-    """Return the largest eigenvalue of (Z M Z^T)^-1 Z diag(gains) Z^T [1/s] at `surveyed`; Z: basis of ker A."""
+    """Return the largest eigenvalue of (Z M Z^T)^-1 Z diag(gains) Z^T [1/s] over `surveyed`; Z spans ker A."""
     found = 0.0
     for state in surveyed(robot):
         _, values, rows = np.linalg.svd(state.A)
@@ -83,11 +83,11 @@ def largest_null_rate(robot: RobotModel, gains: Array) -> float:
 
 
 def surveyed(robot: RobotModel) -> Iterator[RobotState]:
-    """Yield the states at the home pose and at seeded random poses; a gain is judged by its worst case over these."""
+    """Yield the states at the home pose and at seeded random poses."""
     rng = np.random.default_rng(0)
     for q in [robot.data.q_home, *rng.uniform(robot.q_min, robot.q_max, (_POSES, robot.n))]:
         yield robot.state(q)
 
 
 def _rounded(value: float) -> float:
-    return float(f"{value:.3g}")  # more digits would pretend precision: a gain is a choice
+    return float(f"{value:.3g}")

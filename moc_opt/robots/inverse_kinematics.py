@@ -1,4 +1,4 @@
-"""Poses that put the tip, and the wrist if wanted, at given points: Newton's method inside the joint limits."""
+"""Poses with the tip, and the wrist if wanted, at given points, by damped Gauss-Newton within the joint limits."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ def solve_pose(
 ) -> Placed:  # fmt: skip
     """Find a pose near q with the tip, and the wrist if given, at these points (3,) [m].
 
-    Damped Gauss-Newton from q (n,), which is put inside the limits first. A joint that reaches its limit stays there
-    while the others take over. The search is local, so it may miss an existing pose. Without ``limited`` the
-    joints have no limits. A RobotError where a pose or a point has a wrong shape, or is not finite.
+    The search starts at q (n,), clipped to the limits. A joint that reaches its limit stays there while the others take
+    over. The search is local, so it may miss an existing pose. If ``limited`` is False, the joint limits are ignored.
+    A RobotError is raised if a pose or a point has a wrong shape or is not finite.
     """
     points = np.array([tip] if wrist is None else [tip, wrist], dtype=np.float64)
     low, high = (robot.q_min, robot.q_max) if limited else (np.full(robot.n, -np.inf), np.full(robot.n, np.inf))
@@ -52,7 +52,7 @@ def solve_pose(
 
 
 def pose_with_tip(robot: RobotModel, q: ArrayLike, tip: ArrayLike) -> Array:
-    """Find a pose (n,) near q with the tip at a point (3,) [m]; if none is found, a TaskError says how near it gets."""
+    """Find a pose (n,) near q with the tip at a point (3,) [m]; a TaskError if none is found."""
     placed = solve_pose(robot, q, tip, iterations=200)
     if not placed.found:
         raise TaskError(
@@ -65,8 +65,8 @@ def pose_with_tip(robot: RobotModel, q: ArrayLike, tip: ArrayLike) -> Array:
 def pose_through(robot: RobotModel, tip: ArrayLike, trocar: ArrayLike) -> Array:
     """Find a pose (n,) with the tip at a point and the shaft through the trocar, both (3,) [m]; a TaskError if none.
 
-    The search from the home pose comes first. If it fails, seeded random poses are tried, and the solution farthest
-    from the joint limits is taken.
+    The search starts at the home pose. If it fails, it starts at seeded random poses, and the solution farthest from
+    the joint limits is returned.
     """
     x, p = np.asarray(tip, dtype=np.float64), np.asarray(trocar, dtype=np.float64)
     length = robot.data.tool_length

@@ -1,4 +1,4 @@
-"""A robot's two files: the schema of the TOML, and how TOML and URDF together become `RobotData`."""
+"""A robot's two files: the schema of the TOML, and the function that turns TOML and URDF into `RobotData`."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Tool(_Table):
 
 
 class Limits(_Table):
-    """Joint limits that replace those of the URDF; degrees, so for revolute joints only."""
+    """Joint limits that replace those of the URDF. They are in degrees, and so only for arms without sliding joints."""
 
     KIND: ClassVar[str] = "[limits]"
     q_min_deg: Vector | None = None
@@ -62,7 +62,7 @@ class Limits(_Table):
 
 
 class Joints(_Table):
-    """Drive properties a URDF has no place for: one number for all joints, or one per joint."""
+    """Drive properties that a URDF cannot hold: one number for all joints, or one per joint."""
 
     KIND: ClassVar[str] = "[joints]"
     rotor_inertia_kg_m2: PerJoint = 0.2
@@ -257,7 +257,7 @@ def _vector(name: str, values: float | tuple[float, ...], n: int) -> Array:
 
 
 def _append_tool(arm: urdf.Urdf, frames: Frames, tool: Tool) -> None:
-    # The wrist must lie on the rod's axis, behind the tip: the control laws take the line through both as the shaft.
+    # The control laws take the line through wrist and tip as the shaft.
     mount, wrist, rpy = np.array(frames.tool_mount_xyz_m), np.array(frames.wrist_xyz_m), frames.tool_mount_rpy_rad
     (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)
     axis = np.array([cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr])  # z of Rz(yaw) Ry(pitch) Rx(roll)

@@ -58,7 +58,7 @@ def _scalar(index: int, doc: str) -> float:
 
 
 class RobotState:
-    """The model's terms of an arm at one (q, v): read-only views of one flat array, `record`, in order of `layout`.
+    """The model's terms of an arm at one (q, v): read-only views of one flat array, `record`.
 
     Example:
         >>> robot = mo.load_robot("lwr4")
@@ -119,7 +119,7 @@ class RobotModel:
         n: number of joints.
         q_min, q_max: (n,) limits [rad; m where a joint slides].
         v_max: (n,) largest speeds [rad/s or m/s]; tau_max: (n,) largest torques [Nm or N].
-        moves: (2,n) which joints can move the tip (first row) and the wrist (second row) at all.
+        moves: (2,n) whether each joint can move the tip (first row) and the wrist (second row) at all.
         arm: the same arm in the form of the compiled core.
 
     Example:
@@ -152,7 +152,7 @@ class RobotModel:
         self._rest = np.zeros(n)
         self.moves = read_only(np.ones((2, n), dtype=np.bool_))
         self.arm = core.Arm(*self.arm_arrays)
-        # Find the joints that can move tip and wrist at all: a last joint whose axis is the tool's moves neither.
+        # Find the joints that can move tip and wrist. A last joint about the tool's axis moves neither.
         drawn = np.random.default_rng(0).uniform(self.q_min, self.q_max, (4, n))
         columns = [np.linalg.norm(self.state(q).A.reshape(2, 3, n), axis=1) for q in drawn]
         self.moves = read_only(np.max(columns, axis=0) > _STRUCTURAL_ZERO)
@@ -253,12 +253,12 @@ def link_frames(robot: RobotModel, poses: Array) -> tuple[Array, Array]:
 def load_robot(
     name_or_path: str | os.PathLike[str] = "lwr4", *, tool_length: float | None = None, tool_mass: float | None = None
 ) -> RobotModel:
-    """Load a robot by name or path; tables of gains that its TOML does not have are derived from its inertia.
+    """Load a robot by name or path. Gains that its TOML does not have are derived from its inertia.
 
     Args:
         name_or_path: an arm of the package (`moc-opt robots` lists them), or a TOML or URDF file; a RobotError names
             what is missing or wrong.
-        tool_length: from the last flange to the tip [m]; tool_mass: [kg]; None: as in the robot's file.
+        tool_length, tool_mass: from the last flange to the tip [m], and [kg]; by default those of the robot's file.
     """
     robot = RobotModel(load_data(name_or_path, tool_length=tool_length, tool_mass=tool_mass))
     if not CARTESIAN.keys() <= robot.data.gains.keys():
@@ -278,7 +278,7 @@ def _build(data: RobotData) -> Any:
 
 
 def carried(robot: RobotModel) -> dict[str, Any]:
-    """Return the robot as values that JSON can hold, so that traces of a user's own arm can be replayed anywhere."""
+    """Return the robot as JSON values, so that a trace of a user's own arm can be replayed anywhere."""
     return {name: plain(value) for name, value in vars(robot.data).items()}
 
 

@@ -26,16 +26,16 @@ from moc_opt.scenario.layout import lay_out
 
 DRAWS = 6000  #: Number of poses drawn; forward kinematics of one takes microseconds.
 SHORTLIST = 60  #: Number of poses whose self-motion is scanned.
-DOWN = (0.94, 0.8, -1.0)  #: Least cosine of the tool's angle to straight down, tried in turn: 20 deg, 37 deg, any.
+DOWN = (0.94, 0.8, -1.0)  #: Cosines of the tool's largest angle to straight down, tried in turn: 20 deg, 37 deg, any.
 CLEARANCE_M = 0.05  #: Least height of tip and wrist above the base's plane, or depth below it if the arm hangs.
 MARGIN = 0.2  #: Least distance from a joint limit, divided by half of the joint's range.
 REGULAR = (0.15, 0.08)  #: Least `Freedoms.tip` and `Freedoms.both`, which are ratios of singular values.
 SHARE = (0.7, 0.9)
-"""Range of mu / (largest mu on the self-motion) for a home pose: below 1, so that mu can rise during a run."""
+"""Range of mu / (largest mu on the self-motion) at a home pose, so that mu can rise during a run."""
 
 
 class NewRobot(NamedTuple):
-    """The files that were written, their robot, and assumptions and changes, one sentence each."""
+    """The files that were written, their robot, and notes on every assumption and change."""
 
     toml: Path
     urdf: Path
@@ -51,13 +51,13 @@ def new_robot(
 
     Args:
         source: the vendor's URDF.
-        tip: the link that carries the tool; None: the link beyond the last moving joint, if there is only one chain.
+        tip: the link that carries the tool, by default the link beyond the last moving joint.
         tool_m: mount to tip [m].
         lock: joint -> position [rad, m] at which it is fixed.
-        base_rpy: roll, pitch, yaw of the base [rad]; (pi, 0, 0): the arm hangs from the ceiling.
+        base_rpy: roll, pitch, yaw of the base [rad]. With (pi, 0, 0), the arm hangs from the ceiling.
 
     Raises:
-        RobotError: the file is no serial arm, no freedom is left for the third level, or an output file exists.
+        RobotError: the file is no serial arm, tip and shaft leave no null space, or an output file exists.
         UnknownNameError: ``tip`` or a joint of ``lock`` is not in the file.
     """
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}\.toml", out.name):
@@ -106,8 +106,7 @@ def new_robot(
 
 
 def _drives(arm: VendorArm) -> dict[str, list[float]]:
-    # Vendors do not publish these. Rotor inertia of a turning joint: the LWR4+'s 0.2 kg m^2, times effort / 10 Nm below
-    # 10 Nm; of a sliding joint: 0.04 kg per N of effort. Friction: 0.8 % of the effort, and 1 Nm at most if it turns.
+    # Vendors do not publish these values. They are guessed from the effort limit.
     rotors, friction = [], []
     for joint in arm.chain:
         effort, sliding = joint.limits["effort"], joint.kind == "prismatic"
@@ -121,7 +120,6 @@ def _drives(arm: VendorArm) -> dict[str, list[float]]:
 def _numbers(values: float | Iterable[float]) -> str:
     if isinstance(values, float):
         return repr(values)
-    # Twelve decimals: the rest is rounding error.
     return f"[{', '.join(repr(round(float(value), 12) + 0.0) for value in values)}]"
 
 
@@ -140,10 +138,10 @@ _FORM.filters.update(numbers=_numbers, comment=_comment)
 
 
 class Shaft(NamedTuple):
-    """Where the tool sits in the frame of the last link; rpy turns the link's z into the tool's direction."""
+    """The tool's place in the frame of the last link; rpy turns the link's z into the tool's direction."""
 
     wrist: Array  #: (3,) [m]
-    mount: Array  #: (3,) [m]; the link's own origin, moved onto the last axis where only rounding separates them
+    mount: Array  #: (3,) [m]; the link's origin, moved onto the last axis if it is there up to rounding
     rpy: tuple[float, float, float]  #: [rad]
     note: str
 
@@ -151,9 +149,9 @@ class Shaft(NamedTuple):
 def find_shaft(text: str, last_link: str) -> Shaft:
     """Lay the tool along the last turning axis, away from the arm, from the last link's origin.
 
-    The wrist point is the shaft's point nearest to the axis before the last; on a spherical wrist, these axes cross
-    there. Where the last joint slides, the tool runs along z of the last link, whose origin is the wrist point.
-    ``text`` is a valid URDF.
+    The wrist point is the shaft's point nearest to the previous axis. On a spherical wrist, both axes cross there. If
+    the last joint slides, the tool runs along z of the last link, and the wrist point is the link's origin. ``text`` is
+    a valid URDF.
     """
     model = pin.buildModelFromXML(text)
     data = model.createData()
@@ -161,18 +159,18 @@ def find_shaft(text: str, last_link: str) -> Shaft:
     pin.updateFramePlacements(model, data)
     place = data.oMf[model.getFrameId(last_link, pin.FrameType.BODY)]
     origin, z = place.translation.copy(), place.rotation[:, 2]
-    axes = data.J.reshape(6, -1)[3:].T  # pinocchio gives a vector for one joint; zero where a joint slides
+    axes = data.J.reshape(6, -1)[3:].T  # of a single joint, pinocchio gives a vector; a sliding joint has zero
     lines = [(data.oMi[j + 1].translation, axis) for j, axis in enumerate(axes) if np.linalg.norm(axis) > 0.5]
     direction, foot, note = z, origin, "the last joint slides: the tool runs along z of the last link"
     if np.linalg.norm(axes[-1]) > 0.5:
         point, axis = lines[-1]
         crossing = [line for line in lines[:-1] if np.linalg.norm(np.cross(line[1], axis)) > 1e-3]
-        if crossing:  # the point of the last axis that is nearest to the axis before it
+        if crossing:
             other, before = crossing[-1]
             b, gap = float(axis @ before), other - point
             foot = point + (gap @ axis - b * (gap @ before)) / (1.0 - b * b) * axis
         ahead = float(axis @ (origin - foot))
-        if abs(ahead) < 1e-4:  # the link's origin is at the crossing: its z axis decides
+        if abs(ahead) < 1e-4:  # the link's origin is at the crossing, so its z axis decides
             ahead = float(axis @ z) if abs(float(axis @ z)) > 0.5 else 1.0
         on_axis = point + (origin - point) @ axis * axis
         direction, note = np.sign(ahead) * axis, "the tool runs along the last axis"
@@ -196,7 +194,7 @@ def find_shaft(text: str, last_link: str) -> Shaft:
 
 
 class Home(NamedTuple):
-    """A home pose, and the figures by which it is chosen."""
+    """A home pose, and the figures that rank it."""
 
     q: Array  #: (n,) [rad, m]
     mu: float  #: [m^3]
@@ -213,9 +211,9 @@ class Home(NamedTuple):
 def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
     """Search the joint ranges for a home pose; a RobotError if every drawn pose is unfit.
 
-    Poses with tip and wrist on the arm's side of the base's plane are ranked by their distance from limits and
-    singularities and by mu. The search ends at the first pose that meets `SHARE` and can follow the default path.
-    `DOWN` is relaxed as long as no pose can follow that path. The best home by `Home.order` is returned.
+    Poses with tip and wrist on the arm's side of the base's plane are ranked by mu and by their distance from limits
+    and singularities. The search ends at the first pose that meets `SHARE` and can follow the default path. `DOWN` is
+    relaxed until a pose can follow that path. The best pose by `Home.order` is returned.
     """
     rng, idle = np.random.default_rng(seed), ~robot.moves.any(axis=0)
     middle, half = 0.5 * (robot.q_min + robot.q_max), 0.5 * (robot.q_max - robot.q_min)
@@ -252,9 +250,9 @@ def _ranked(robot: RobotModel, poses: Array) -> list[Home]:
         try:
             largest = self_motion(robot, q).mu_best
         except RobotError:
-            continue  # singular along the curve: not a pose to begin with
+            continue  # the curve meets a singularity
         here = robot.state(q).mu
-        # Following the path costs more than the scan: try it only where `SHARE` is met, or no home was found yet.
+        # Following the path takes longer than the scan, so it is tried only if the pose may become the home.
         wanted = SHARE[0] <= here / largest <= SHARE[1]
         task = task_fault(robot, q) if wanted or not homes else "not tried"
         homes.append(Home(q, here, largest, float(limit_shares(robot, q)[moving].min()), task))

@@ -23,11 +23,11 @@ TOOL_NAMES = {"link": {TOOL_LINK, TIP_LINK, WRIST_LINK}, "joint": {"tool_mount",
 """Names of the tool's links and joints, which a URDF must not have."""
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 SMALLEST_MASS, SMALLEST_MOMENT = 1e-6, 1e-12
-MOST_LINKS = 250  #: Engines follow a chain by recursion: some thousands of links would crash the process.
+MOST_LINKS = 250  #: Physics engines recurse along a chain, and crash with some thousands of links.
 _TRIANGLE, _FLAT, _THIN = 1e-6, 1e-9, 1e-12  # shares of the largest moment, as files round their numbers
-SMALLEST = 1e-30  #: A smaller number is read as 0: some readers refuse those below 1e-308.
+SMALLEST = 1e-30  #: A smaller number is read as 0, because some readers refuse numbers below 1e-308.
 LARGEST, LARGEST_MASS, FARTHEST = 1e6, 1e5, 100.0
-"""Largest number, mass [kg], and length or angle of an origin [m], [rad], that a file may have."""
+"""Largest number in a file, largest mass [kg], and largest length or angle of an origin [m, rad]."""
 
 Numbers = tuple[float, ...]
 _ZEROS: Numbers = (0.0, 0.0, 0.0)
@@ -87,7 +87,7 @@ class Urdf:
     joints: list[Joint]
 
     def to_text(self, name: str) -> str:
-        """Write the URDF as text, indented; its numbers are read back to the last bit."""
+        """Write the URDF as indented text. Its numbers keep every bit."""
 
         def as_text(*values: float) -> str:
             return " ".join(repr(float(value)) for value in values)
@@ -113,7 +113,7 @@ class Urdf:
 
 
 def read(text: str) -> Urdf:
-    """Read links and joints, and check their numbers only; a RobotError names what is wrong."""
+    """Read links and joints, and check their numbers; a RobotError if one is wrong."""
     try:
         root = ET.fromstring(text)
     except ET.ParseError as error:
@@ -184,9 +184,9 @@ def _numbers(element: ET.Element | None, key: str, what: str, count: int = 3, mo
 
 
 def normalize(arm: Urdf) -> Tree:
-    """Check everything but the moving joints' limits; in place, scale axes to length one and thicken flat bodies.
+    """Check everything except the ranges of joints. Scale axes to length one and thicken flat bodies, in place.
 
-    A RobotError: a name or number is wrong, no body has such a mass or inertia, or links and joints form no tree.
+    A RobotError is raised if a name or number is wrong, a mass or inertia is impossible, or the links form no tree.
     """
     for name in [link.name for link in arm.links] + [joint.name for joint in arm.joints]:
         if not names.is_name(name):
@@ -207,7 +207,7 @@ def _check_body(link: Link) -> None:
     if fault:
         cure = "correct it (about the centre of mass, in kg and kg m^2), or drop it for a frame"
         raise RobotError(f"urdf link {link.name!r} has an <inertial> that no body can have: {fault}; {cure}")
-    # A flat body is thickened by 1e-9: otherwise rounding would decide whether MuJoCo accepts it.
+    # A flat body is thickened a little. Otherwise rounding would decide whether MuJoCo accepts it.
     least, middle, most = principal(link.moments)
     link.thicken(max(_FLAT * most - (least + middle - most), 0.0))
 
@@ -229,13 +229,13 @@ def _check_joint(joint: Joint) -> None:
 
 
 def inertia_fault(moments: Iterable[float]) -> str | None:
-    """Say why no body can have these `MOMENTS` about its centre of mass [kg m^2]; None if a body can have them."""
+    """Say why these `MOMENTS` about the centre of mass [kg m^2] are impossible; None if they are possible."""
     least, middle, most = principal(moments)
     if least >= max(SMALLEST_MOMENT, _THIN * most) and least + middle >= most * (1.0 - _TRIANGLE):
         return None
     return (
-        f"of its principal moments {least:.4g}, {middle:.4g}, {most:.4g} kg m^2 each must be positive, "
-        f"{SMALLEST_MOMENT:g} and {_THIN:g} of the largest at least, and none more than the other two together"
+        f"its principal moments are {least:.4g}, {middle:.4g}, {most:.4g} kg m^2, but each must be at least "
+        f"{SMALLEST_MOMENT:g} and {_THIN:g} of the largest, and none may exceed the sum of the other two"
     )
 
 
@@ -247,9 +247,9 @@ def principal(moments: Iterable[float]) -> list[float]:
 
 
 class Tree:
-    """Links as a tree: one is the ``base``, every other link hangs on one joint; a RobotError if they form no tree.
+    """Links as a tree: one is the ``base``, and every other link hangs on one joint; a RobotError if they form none.
 
-    ``carrier`` has the joint on which a link hangs, ``carried`` the joints that hang on the link.
+    ``carrier`` maps a link to the joint on which it hangs, and ``carried`` to the joints that hang on it.
     """
 
     def __init__(self, arm: Urdf) -> None:

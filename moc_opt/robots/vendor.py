@@ -1,4 +1,4 @@
-"""Turn a vendor's URDF into one serial arm, and note everything that had to be assumed or changed."""
+"""Turn a vendor's URDF into one serial arm, and note every assumption and change."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from moc_opt.robots import urdf
 from moc_opt.robots.model import RobotModel
 from moc_opt.robots.urdf import Joint, Link, Urdf
 
-FINGERS = 2  #: A branch with at most this many moving joints in a row counts as a finger or a head, and is fixed.
+FINGERS = 2  #: A branch with at most this many moving joints in a row counts as a finger or a head.
 FASTEST = {"turning": 2.0 * math.pi, "sliding": 2.0}
-"""Largest plausible joint speeds [rad/s, m/s]; a public file of the iiwa has 10 rad/s, its data sheet 1.3 to 2.4."""
-CHOSEN = {"turning": 2.0, "sliding": 0.5}  #: The speed that replaces a missing or absurd one.
-TRAVEL_M = 0.5  #: Range of a sliding joint without limits, to both sides [m].
+"""Largest plausible joint speeds [rad/s, m/s]. A public file of the iiwa has 10 rad/s, its data sheet 1.3 to 2.4."""
+CHOSEN = {"turning": 2.0, "sliding": 0.5}  #: The speed that replaces a missing or implausible one.
+TRAVEL_M = 0.5  #: A sliding joint without limits gets this range to either side [m].
 _STRONGEST = {"turning": 2000.0, "sliding": 20000.0}  # largest plausible effort [Nm, N]
 _UNITS = {"turning": ("rad", "rad/s"), "sliding": ("m", "m/s")}
 
@@ -42,8 +42,8 @@ def read_vendor(
 ) -> VendorArm:  # fmt: skip
     """Read a URDF and make it a serial arm; arguments and errors are those of `new.new_robot`.
 
-    Side joints (fingers, a second arm, a head) and those named in ``lock`` are fixed. Masses and limits that no arm has
-    are replaced. Meshes are ignored.
+    Side joints (fingers, a second arm, a head) and the joints of ``lock`` are fixed. Implausible masses and limits are
+    replaced. Meshes are ignored.
     """
     arm = VendorArm(urdf.read(read_text(path, "urdf", RobotError)), [])
     joints = {joint.name: joint for joint in arm.urdf.joints}
@@ -100,12 +100,12 @@ def _last_link(tree: urdf.Tree) -> str:
 
 
 def _depth(tree: urdf.Tree, joint: Joint) -> int:
-    """Return the largest number of moving joints in a row, beginning with this joint."""
+    """Return the largest number of moving joints in a row, from this joint on."""
     return joint.moves + max((_depth(tree, other) for other in tree.carried[joint.child]), default=0)
 
 
 def _fix(joints: Iterable[Joint], notes: list[str], at: float | None = None) -> None:
-    """Fix joints at a position, or (None) each joint at the position in its range that is nearest to 0."""
+    """Fix joints at a position, by default at the position in their range that is nearest to 0."""
     fixed = []
     for joint in joints:
         told = joint.kind
@@ -136,8 +136,7 @@ def _shift(joint: Joint, value: float) -> None:
 def mend_bodies(links: Iterable[Link], notes: list[str]) -> None:
     """Make every body physically possible, in place; each change is noted.
 
-    A link without mass becomes a frame, and is merged into the link it is fixed to. An impossible inertia is made
-    possible by adding the smallest isotropic inertia that suffices.
+    A link without mass becomes a frame. An impossible inertia gets the smallest isotropic addition that suffices.
     """
     frames = []
     for link in links:
@@ -176,7 +175,7 @@ def _choose_limits(joints: Iterable[Joint], notes: list[str]) -> list[str]:
 
 
 def _range(joint: Joint, kind: str) -> tuple[float, float, str]:
-    """Return a finite range, and in words what was changed."""
+    """Return a finite range, and a description of the change."""
     lower, upper = joint.limits.get("lower", 0.0), joint.limits.get("upper", 0.0)
     if joint.kind == "continuous":
         return -math.pi, math.pi, "turns without end: +-180 deg is taken"
