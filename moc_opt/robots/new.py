@@ -159,7 +159,7 @@ def find_shaft(text: str, last_link: str) -> Shaft:
     pin.updateFramePlacements(model, data)
     place = data.oMf[model.getFrameId(last_link, pin.FrameType.BODY)]
     origin, z = place.translation.copy(), place.rotation[:, 2]
-    axes = data.J.reshape(6, -1)[3:].T  # of a single joint, pinocchio gives a vector; a sliding joint has zero
+    axes = data.J.reshape(6, -1)[3:].T  # J is a vector if n = 1; sliding joints have zero rows
     lines = [(data.oMi[j + 1].translation, axis) for j, axis in enumerate(axes) if np.linalg.norm(axis) > 0.5]
     direction, foot, note = z, origin, "the last joint slides: the tool runs along z of the last link"
     if np.linalg.norm(axes[-1]) > 0.5:

@@ -1,5 +1,5 @@
 """The paper's operative procedure: augmented reality and hand guiding.
 
-Read ``augmented_reality`` first; its parts are ``board``, ``camera`` and ``tracking`` (they need OpenCV, the extra
-``vision``). ``hands_on`` registers the trocar by guiding the tool by hand.
+Read ``augmented_reality`` first. Its parts are ``board``, ``camera`` and ``tracking``, which need OpenCV (the extra
+``vision``). In ``hands_on``, a hand guides the tool to the incision and the trocar is registered.
 """

@@ -1,4 +1,4 @@
-"""Augmented reality as a whole: camera, board, detection, tracking, virtual tasks, and the film for the surgeon."""
+"""Augmented reality: an endoscope tracks a marker board with a virtual task, and films the run for the surgeon."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ _NEAR_M = 0.01
 
 
 class Augmented:
-    """An endoscope above a phantom's board: `camera` is at its true pose, `believed` at the calibrated one."""
+    """An endoscope above a phantom's board. `camera` has its true pose, `believed` its calibrated pose."""
 
     def __init__(
         self, robot: RobotModel, phantom_in_base: Pose, *, camera: CameraSettings | None = None,
         board: Board | None = None, tracker: TrackerSettings | None = None, seed: int = 0,
     ) -> None:  # fmt: skip
-        """Place the camera relative to the true pose of the phantom's board; its pictures show the robot's tool."""
+        """Place the camera relative to the true pose of the phantom's board."""
         self.board, self.phantom = board or Board(), phantom_in_base
         noise, calibration, hidden = np.random.SeedSequence(seed).generate_state(3).tolist()
         self.camera = Camera.above(camera or CameraSettings(), phantom_in_base)
@@ -53,7 +53,7 @@ class Augmented:
     def locate(self, q: ArrayLike | None = None) -> Pose:
         """Search for the board before t = 0, and return its pose in the base frame, averaged over a second.
 
-        The arm rests at q (n,); None: no arm in the picture. A TaskError if no picture of 3 s finds the board.
+        The arm rests at q (n,), or is out of sight. A TaskError is raised if the board is not found within 3 s.
         """
         self._tracker = BoardTracker(self._tracker.limits)
         rate = self.camera.settings.rate_Hz
@@ -77,10 +77,7 @@ class Augmented:
         return found[-1]
 
     def watch(self, seconds: float, q: ArrayLike | None = None) -> tuple[Array, NDArray[np.bool_]]:
-        """Track the board for ``seconds`` from t = 0. Return each picture's time [s], and whether the board is tracked.
-
-        q is as in `locate`, which has to be called first.
-        """
+        """Track the board from t = 0, after `locate`. Return each picture's time [s], and whether the board is tracked."""
         rate = self.camera.settings.rate_Hz
         times = np.arange(math.floor(seconds * rate) + 1) / rate
         return times, np.array([self._look(t, q).seen for t in times.tolist()])
@@ -88,8 +85,7 @@ class Augmented:
     def accuracy(self, estimate: Pose, task: BoardTask) -> dict[str, float]:
         """Return the errors of an estimated board pose in the base frame, calibration error included.
 
-        ``task_error_max_mm`` is the largest distance between the true place of a point of the task and its place
-        according to the estimate.
+        ``task_error_max_mm`` is the largest distance of a point of the task from its true place.
         """
         way, turn = estimate.distance(self.phantom)
         true, believed = (self.board.task_in_base(task, pose) for pose in (self.phantom, estimate))
@@ -101,7 +97,7 @@ class Augmented:
         }  # fmt: skip
 
     def film(self, file: str | os.PathLike[str], trace: Trace, path: Path, trocar: ArrayLike) -> int:
-        """Film the run (.webm) as the surgeon sees it, with the registered ``trocar`` (3,) [m]; see `save_film`."""
+        """Film the run (.webm) with the registered ``trocar`` (3,) [m]. Return the number of pictures."""
         return save_film(file, self._frames(trace, path, trocar), self.camera.settings.rate_Hz)
 
     def _frames(self, trace: Trace, path: Path, trocar: ArrayLike) -> Iterator[Picture]:
@@ -110,7 +106,7 @@ class Augmented:
         for t in np.arange(trace.t_s[0], trace.t_s[-1] + 1e-9, step).tolist():
             k = min(int(np.searchsorted(trace.t_s, t - 1e-9)), len(trace) - 1)
             picture = self._picture(t, trace.q_rad[k])
-            # A path may cross itself, so only the next 20 points are searched. Progress counts only on the path.
+            # Only the next 20 points are searched, because a path may cross itself.
             away = np.linalg.norm(line[done : done + 20] - trace.tip_ref_m[k], axis=1)
             done += int(np.argmin(away)) if away.min() < _ON_PATH_M else 0
             markers = len(self._finder.corners(picture))
@@ -134,8 +130,8 @@ def draw(
 ) -> Picture:
     """Draw task, tip and trocar into a copy of the picture (H, W, 3), where the camera would see them.
 
-    ``task`` (k, 3), ``tip`` (3,) and ``trocar`` (3,) are in the base frame [m]. The finished part of the path has
-    another colour; ``progress`` is its share. A line leads from the tip to the trocar, which is mostly out of sight.
+    ``task`` (k, 3), ``tip`` (3,) and ``trocar`` (3,) are in the base frame [m]. The finished share of the path,
+    ``progress`` (0 to 1), has another colour. A line leads from the tip towards the trocar.
     """
     page = picture.copy()
     points, end, far = (np.asarray(part, dtype=np.float64) for part in (task, tip, trocar))
@@ -148,7 +144,7 @@ def draw(
             cv2.polylines(page, [sixteenths], False, colour, 2, cv2.LINE_AA, 4)
     near, away = camera.camera_in_base.inverse().apply(np.array([end, far]))[:, 2]
     if near > _NEAR_M:
-        if away < _NEAR_M:  # the trocar is behind the camera: the line ends in front of it
+        if away < _NEAR_M:  # the trocar is behind the camera, so the line ends in front of the camera
             far = end + (near - _NEAR_M) / (near - away) * (far - end)
         pixel, beyond = np.clip(camera.project(np.array([end, far])), -1e6, 1e6)
         _line_to_trocar(page, _whole(pixel), _whole(beyond))
@@ -175,10 +171,7 @@ def _whole(pixel: Array) -> tuple[int, int]:
 
 
 def save_film(path: str | os.PathLike[str], pictures: Iterable[Picture], rate_Hz: float) -> int:
-    """Write pictures (H, W, 3) of one size to a film (.webm), one after the other, and return their count.
-
-    A PlantError if the film cannot be written.
-    """
+    """Write pictures (H, W, 3) of one size to a film (.webm), and return their count; a PlantError if this fails."""
     writer, count = cv2.VideoWriter(), 0
     for picture in pictures:
         if not count:

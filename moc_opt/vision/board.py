@@ -1,7 +1,7 @@
-"""Poses of frames, a marker board, and the virtual tasks defined on it. Camera and pictures are in ``camera``.
+"""Poses of frames, a marker board, and the virtual tasks defined on it.
 
-The board's frame: origin in the middle of the board, x to the right along its rows of markers, y upwards, z out
-of the printed side, towards the viewer.
+The board's frame has its origin in the middle of the board. x points to the right along the rows of markers, y upwards,
+and z out of the printed side.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from moc_opt.tasks.checks import direction3
 class Pose:
     """A rigid pose of an inner frame in an outer one: x_outer = R x_inner + t.
 
-    Chains read from right to left: board_in_base = camera_in_base @ board_in_camera.
+    Poses are chained with @: board_in_base = camera_in_base @ board_in_camera.
     """
 
-    R: Array  #: (3, 3) rotation, its columns are the inner axes in the outer frame
+    R: Array  #: (3, 3) rotation, whose columns are the inner axes in the outer frame
     t: Array  #: (3,) the inner origin in the outer frame [m]
 
     def __init__(self, R: ArrayLike, t: ArrayLike) -> None:
@@ -57,13 +57,13 @@ class Pose:
         return float(np.linalg.norm(self.t - other.t)), float(np.linalg.norm(pin.log3(self.R.T @ other.R)))
 
     def towards(self, other: Pose, share: float) -> Pose:
-        """Interpolate, ``share`` from 0 to 1: the origin moves on a line, and the frame turns about a fixed axis."""
+        """Interpolate by a ``share`` from 0 to 1. The origin moves on a line; the frame turns about a fixed axis."""
         turn = rotation_from(share * pin.log3(self.R.T @ other.R))
         return Pose(self.R @ turn, self.t + share * (other.t - self.t))
 
 
 def rotation_from(vector: ArrayLike) -> Array:
-    """Return the rotation (3, 3) of a rotation vector (3,): its direction is the axis, its length the angle [rad]."""
+    """Return the rotation (3, 3) of a rotation vector (3,), whose length is the angle [rad]."""
     return np.asarray(pin.exp3(np.array(vector, dtype=np.float64)))
 
 
@@ -74,7 +74,7 @@ class VisionSettings(Settings):
 
 
 class Board(VisionSettings):
-    """A grid of square markers on the phantom, numbered row by row from the top left; some or all may be hidden."""
+    """A grid of square markers on the phantom, numbered row by row from the top left. Markers may be hidden."""
 
     KIND: ClassVar[str] = "[board]"
 
@@ -111,14 +111,14 @@ class Board(VisionSettings):
         return self.columns * pitch + self.gap_m, self.rows * pitch + self.gap_m
 
     def corners(self, marker: int) -> Array:
-        """Return the corners (4, 3) of a marker in the board's frame [m]: top left, then clockwise from the front."""
+        """Return the corners (4, 3) of a marker in the board's frame [m], clockwise from the top left."""
         row, column = divmod(marker, self.columns)
         pitch, (left, top, _) = self.marker_m + self.gap_m, self.outline()[0]
         left, top = left + self.gap_m + column * pitch, top - self.gap_m - row * pitch
         return _rectangle(left, top, left + self.marker_m, top - self.marker_m)
 
     def outline(self) -> Array:
-        """Return the corners (4, 3) of the board in its own frame [m]: top left, then clockwise from the front."""
+        """Return the corners (4, 3) of the board in its own frame [m], clockwise from the top left."""
         x, y = 0.5 * self.size_m[0], 0.5 * self.size_m[1]
         return _rectangle(-x, y, x, -y)
 
@@ -145,8 +145,8 @@ class BoardTask:
     kind: str  #: kind of path, see `moc_opt.tasks.make_path`
     sizes: Mapping[str, float]  #: sizes of the path, lengths in m
     start_m: tuple[float, float] = (0.0, 0.0)  #: start of the path on the board, x and y [m]
-    height_m: float = 0.005  #: height of the path's plane above the board, so that the tip does not touch it [m]
-    depth_m: float = 0.15  #: depth of the board below the trocar, for placing the phantom [m]
+    height_m: float = 0.005  #: height of the path's plane above the board [m]
+    depth_m: float = 0.15  #: depth of the board below the trocar [m]
 
     def on_board(self) -> Path:
         """Return the path in the board's own frame; its heading is the board's x."""
@@ -175,9 +175,10 @@ def board_task(name: str) -> BoardTask:
 
 
 def board_below(trocar: ArrayLike, shaft: ArrayLike, depth_m: float) -> Pose:
-    """Return the pose of a simple phantom: a board that faces the trocar, with its middle `depth_m` below the trocar.
+    """Return the pose of a board that faces the trocar, with its middle `depth_m` below the trocar.
 
-    Its z points against the shaft (3,), its x along the projected x of the base; a TaskError if these are parallel.
+    The board's z points against the shaft (3,). Its x is the base's x, projected into the board. A TaskError is raised
+    if the shaft is parallel to the base's x.
     """
     into = direction3("shaft", shaft)
     x = direction3("shaft", np.array([1.0, 0.0, 0.0]) - into[0] * into)

@@ -1,4 +1,4 @@
-"""The endoscope's camera: its settings, a pinhole model with a pose in the base frame, and its pictures of a scene."""
+"""The endoscope's camera: its settings, a pinhole model with a pose, and its pictures of a scene."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _FINER = 2  # the scene is drawn this many times finer than the picture, so that
 
 
 class CameraSettings(VisionSettings):
-    """An endoscope that looks at the phantom through its own port. Its pictures are assumed to have no distortion."""
+    """An endoscope that looks at the phantom through its own port, without lens distortion."""
 
     KIND: ClassVar[str] = "[camera]"
 
@@ -40,20 +40,20 @@ class CameraSettings(VisionSettings):
     blur_px: float = Field(0.7, ge=0.0, le=10.0, description="standard deviation of the lens's blur")
     noise: float = Field(3.0, ge=0.0, le=100.0, description="standard deviation of the noise [grey levels of 255]")
     calibration_error_m: float = Field(0.0005, ge=0.0, le=0.05)
-    """distance of the camera from the place that the robot's calibration gives"""
-    calibration_error_deg: float = Field(0.1, ge=0.0, le=10.0, description="angle error of that calibration")
+    """distance of the camera from its calibrated place"""
+    calibration_error_deg: float = Field(0.1, ge=0.0, le=10.0, description="angle error of the calibration")
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """Intrinsics and extrinsics; the camera's frame has x right, y down, z along the view (OpenCV's)."""
+    """Intrinsics and extrinsics. The camera's frame is OpenCV's: x right, y down, z along the view."""
 
     settings: CameraSettings
     camera_in_base: Pose
 
     @property
     def matrix(self) -> Array:
-        """K (3, 3). Integer coordinates are pixel centres, so that the optical axis is at (W - 1)/2, (H - 1)/2."""
+        """K (3, 3). Pixel centres have integer coordinates. The optical axis is at ((W - 1)/2, (H - 1)/2)."""
         width, height = self.settings.width_px, self.settings.height_px
         f = 0.5 * height / math.tan(0.5 * math.radians(self.settings.fov_deg))
         return np.array([[f, 0.0, 0.5 * width - 0.5], [0.0, f, 0.5 * height - 0.5], [0.0, 0.0, 1.0]])
@@ -85,16 +85,16 @@ class Camera:
 def hide(ids: range, fraction: float, seed: int) -> frozenset[int]:
     """Draw at random which markers are covered: the share `fraction` (0 to 1), rounded to a whole number of markers.
 
-    A larger fraction with the same seed covers the same markers and more.
+    With the same seed, a larger fraction covers the same markers and more.
     """
     order = np.random.default_rng(seed).permutation(np.array(ids))
     return frozenset(order[: round(fraction * len(ids))].tolist())
 
 
 class View:
-    """Takes pictures: a perspective warp of the board with its covers, the tool's shaft as a polygon, blur and noise.
+    """Takes pictures of the board and the tool's shaft, with blur and noise.
 
-    ``shaft`` maps a pose q (n,) to the tip and another point (3,) of the shaft, base frame [m]; None: no tool.
+    ``shaft`` maps a pose q (n,) to the tip and another point (3,) of the shaft in the base frame [m].
     """
 
     def __init__(
@@ -105,13 +105,13 @@ class View:
         self._page = cv2.cvtColor(board_picture(board), cv2.COLOR_GRAY2BGR)
         self._texture = texture_matrix(board)
         self._rng = np.random.default_rng(seed)
-        # The centre of the picture's pixel u is at 2 u + 0.5 in the finer drawing.
+        # With _FINER = 2, the centre of pixel u is at 2 u + 0.5 in the finer drawing.
         self._finer = np.array([[_FINER, 0.0, 0.5 * (_FINER - 1)], [0.0, _FINER, 0.5 * (_FINER - 1)], [0.0, 0.0, 1.0]])
 
     def picture(
         self, board_in_base: Pose | None, hidden: frozenset[int] = frozenset(), q: Array | None = None
     ) -> Picture:
-        """Take the picture (H, W, 3) of a board (None: out of sight) with covered markers, and the tool at q (n,)."""
+        """Take the picture (H, W, 3) of the board with hidden markers, and of the tool at q (n,), if they are given."""
         width, height = self.camera.settings.width_px, self.camera.settings.height_px
         page = np.full((_FINER * height, _FINER * width, 3), TISSUE, dtype=np.uint8)
         if board_in_base is not None:
@@ -156,7 +156,7 @@ def expose(picture: Picture, settings: CameraSettings, rng: np.random.Generator)
     if settings.blur_px > 0.0:
         picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), settings.blur_px), dtype=np.uint8)
     if settings.noise > 0.0:
-        # All three colours get the same noise, because the detection uses only grey levels.
+        # All three colours get the same noise: the detection uses only grey levels.
         grain = np.rint(settings.noise * rng.standard_normal(picture.shape[:2], dtype=np.float32))
         picture = np.clip(picture.astype(np.int16) + grain.astype(np.int16)[:, :, None], 0, 255).astype(np.uint8)
     return picture
@@ -169,7 +169,7 @@ def board_picture(board: Board) -> NDArray[np.uint8]:
     page = np.full((height, width), 255, dtype=np.uint8)
     for marker in board.ids:
         left, top, _ = texture_matrix(board) @ [*board.corners(marker)[0, :2], 1.0]
-        # The shift is not rounded to whole pixels, which would move a marker by up to 0.1 mm.
+        # Rounding the shift to whole pixels would move a marker by up to 0.1 mm.
         shift = np.array([[1.0, 0.0, left - 0.5], [0.0, 1.0, top - 0.5]])
         square = np.pad(cv2.aruco.generateImageMarker(dictionary(), marker, side), 1, constant_values=255)
         cv2.warpAffine(square, shift, (width, height), dst=page, borderMode=cv2.BORDER_TRANSPARENT)
@@ -177,7 +177,7 @@ def board_picture(board: Board) -> NDArray[np.uint8]:
 
 
 def texture_matrix(board: Board) -> Array:
-    """Matrix (3, 3) from (x, y, 1) on the board [m] to (column, row, 1) in `board_picture`; whole at pixel centres."""
+    """Return the matrix (3, 3) from (x, y, 1) on the board [m] to (column, row, 1) in `board_picture`."""
     scale = _MARKER_BITS * _CELL_PX / board.marker_m
     width, height = board.size_m
     right, down = 0.5 * scale * width - 0.5, 0.5 * scale * height - 0.5

@@ -24,7 +24,7 @@ from moc_opt.trace.trace import Trace
 from moc_opt.vision.board import VisionSettings
 
 _NO_REFERENCE, _NO_TROCAR = np.zeros((3, 3)), np.zeros((2, 3))
-_SPEED_FILTER_Hz = 5.0  # unfiltered, the encoders' noise alone is some mm/s at the tip
+_SPEED_FILTER_Hz = 5.0  # without this filter, the encoders' noise is some mm/s at the tip
 
 
 class HandSettings(VisionSettings):
@@ -37,12 +37,12 @@ class HandSettings(VisionSettings):
     force_max_N: float = Field(15.0, gt=0.0, le=200.0, description="largest force")
     speed_max_m_per_s: float = Field(0.15, gt=0.0, le=1.0, description="largest desired speed")
     correction_per_s: float = Field(2.0, ge=0.0, le=20.0)
-    """rate at which the force grows while the tip is short of the goal"""
+    """rate of the integral part: the force grows until the tip is at the goal"""
     content_m: float = Field(0.0005, ge=0.0, le=0.05, description="distance at which the force stops growing")
 
 
 class HandsOnSettings(VisionSettings):
-    """Settings of the guiding, and conditions under which the trocar counts as registered."""
+    """Settings of the guiding, and conditions for registering the trocar."""
 
     KIND: ClassVar[str] = "[hands_on]"
 
@@ -59,7 +59,7 @@ class HandsOnSettings(VisionSettings):
 
 
 class HandsOnStatus(Enum):
-    """The end of the guiding; the text explains it and, after a failure, names the cure."""
+    """How the guiding ended. The text explains it and, after a failure, names the cure."""
 
     REGISTERED = "the tip rested at the incision and the trocar is registered"
     SHORT = "the tip did not reach the incision: raise hand.force_max_N, tolerance_m or time_limit_s"
@@ -87,11 +87,10 @@ class HandsOn:
 
 
 class Hand:
-    """A spring and a damper to the goal, with a slow correction; the force is bounded.
+    """A spring and a damper to the goal, with an integral part f and a bounded force.
 
     force = D (desired - velocity) + f, |force| <= force_max. `desired` is a velocity towards the goal: (stiffness/D)
-    times the distance, at most speed_max. f grows at the rate correction * stiffness * distance until the tip has
-    arrived, as a person pulls harder when the tip stops short.
+    times the distance, at most speed_max. f grows at the rate correction * stiffness * distance until the tip arrives.
     """
 
     def __init__(self, settings: HandSettings, period_s: float) -> None:
@@ -106,8 +105,8 @@ class Hand:
         desired = _cut(hand.stiffness_N_per_m / hand.damping_Ns_per_m * way, hand.speed_max_m_per_s)
         pull = hand.damping_Ns_per_m * (desired - velocity) + self._extra
         force = _cut(pull, hand.force_max_N)
-        # f grows only near the goal and while the force is below its limit; else the tip would overshoot by far.
-        # f may shrink anywhere; else a tool that comes loose would be pushed past the goal for ever.
+        # f grows only near the goal and below the force limit. Otherwise the tip would overshoot.
+        # f may shrink anywhere. Otherwise f would push a tool that comes loose past the goal for ever.
         near = distance * hand.stiffness_N_per_m < hand.damping_Ns_per_m * hand.speed_max_m_per_s
         less = float(way @ self._extra) < 0.0
         if distance > hand.content_m and (less or (near and force is pull)):
@@ -123,9 +122,8 @@ def _cut(vector: Array, most: float) -> Array:
 class _Guiding:
     """Hand guiding with the interface of a controller: tau = g(q) - D v, without reference and memory.
 
-    The arm has no position to return to: errors of the model's masses make it drift slowly, unless friction or a hand
-    holds it. ``seen`` is the state at the last accepted measurement. The safety filter does not get this state: the
-    filter would see the hand's push as a motion that no torque explains.
+    Errors of the model's masses make the arm drift slowly, unless friction or a hand holds it. ``seen`` is the state
+    at the last accepted measurement.
     """
 
     def __init__(self, robot: RobotModel, damping_Nm_s_per_rad: float) -> None:
@@ -148,9 +146,9 @@ def guide_to(
 ) -> HandsOn:
     """Let a hand pull the tip to the incision (3,) [m] while the arm only carries its own weight.
 
-    The hand sees the true tip; the robot registers the tip that its own kinematics give, plus a seeded error. The plant
-    continues from its present state, and keeps its state at the end. A TaskError, before anything moves, if the
-    incision is too far away or out of the arm's reach; a PlantError if the arm ran away.
+    The hand sees the true tip. The robot registers the tip of its own kinematics, plus a seeded error. The plant
+    continues from its present state. If the incision is too far away or out of reach, a TaskError is raised before
+    anything moves. If the arm runs away, a PlantError is raised.
     """
     settings = settings or HandsOnSettings()
     goal = vector3("incision", incision)
@@ -168,14 +166,14 @@ def guide_to(
     loop = ClosedLoop(plant, law, safety_filter, Stop(guard.stop_damping_Nm_s_per_rad, guard.stop_s))
     loop.start(_NO_REFERENCE, _NO_TROCAR)
     hand, tool, tip = Hand(settings.hand, period), plant.mj_data.body("tool"), plant.mj_data.body(robot.data.tip_frame)
-    point = tool.xmat.reshape(3, 3).T @ (tip.xpos - tool.xpos)  # where the hand holds the tool, in its own frame [m]
+    point = tool.xmat.reshape(3, 3).T @ (tip.xpos - tool.xpos)  # where the hand holds the tool, in the tool's frame [m]
     gain = -math.expm1(-2.0 * math.pi * _SPEED_FILTER_Hz * period)
     slow, reached = np.zeros(3), False
     rows: list[dict[str, Array | float]] = []
     resting: list[Array] = []  # accepted tip positions since the tip came to rest at the incision
     needed, ticks = max(1, round(settings.rest_s / period)), math.ceil(settings.time_limit_s / period)
     while len(resting) < needed and loop.ticks < ticks and not loop.finished:
-        # This is nearly the tip's true velocity: calibration errors of the plant change J_tip little.
+        # The model's J_tip is accurate enough for the tip's true velocity.
         force = hand.pull(plant.tip, robot.state(plant.q, plant.v).J_tip @ plant.v, goal)
         plant.push("tool", force, point)
         off = float(np.linalg.norm(plant.tip - goal))

@@ -1,4 +1,4 @@
-"""Detect the board's pose in pictures (OpenCV's ArUco markers), reject outliers, and average the pose over time."""
+"""Detect the board's pose in pictures (OpenCV's ArUco markers), reject outliers, and average over time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from moc_opt.arrays import Array
 from moc_opt.vision.board import Board, Pose, VisionSettings, rotation_from
 from moc_opt.vision.camera import Camera, Picture, dictionary
 
-_OUTLIER, _CLEAN_PX = 4.0, 0.6  # a corner is left out if its error exceeds 4 times the median and 0.6 px
+_OUTLIER, _CLEAN_PX = 4.0, 0.6  # a corner with an error above 4 times the median and 0.6 px is left out
 
 
 class TrackerSettings(VisionSettings):
@@ -47,7 +47,7 @@ class BoardFinder:
     def __init__(self, board: Board, camera: Camera) -> None:
         parameters = cv2.aruco.DetectorParameters()
         parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-        # With a window as wide as a marker's cell, distances have 25 % less error than with OpenCV's third of a cell.
+        # With a window as wide as a cell, distances have 25 % less error than with OpenCV's third of a cell.
         parameters.relativeCornerRefinmentWinSize = 1.0
         self._detector = cv2.aruco.ArucoDetector(dictionary(), parameters)
         self._corners = {marker: board.corners(marker) for marker in board.ids}
@@ -64,7 +64,7 @@ class BoardFinder:
         """Find the board's pose in the camera's frame; None if no marker is seen or no pose fits.
 
         The corners of a distant plane fit two poses (mirrored about the line of sight). Both are refined, and the
-        better fit is taken. Corners with large errors, mostly where the tool covers part of a marker, are left out.
+        better fit is taken. Corners with large errors, often near the tool, are left out.
         """
         seen = self.corners(picture)
         if not seen:
@@ -103,7 +103,7 @@ class Tracked:
     """The tracker's result for a picture."""
 
     seen: bool  #: Whether the board is being tracked.
-    pose: Pose | None  #: Averaged pose; kept unchanged while the board is lost; None until the board is first found.
+    pose: Pose | None  #: Averaged pose, which is kept while the board is lost; None until it is first found.
     refused: str | None  #: Why this picture's sighting was not used; None if it was used.
 
 
@@ -111,18 +111,18 @@ class BoardTracker:
     """Tracks a board from picture to picture, and averages its pose over `smoothing_s`.
 
     A single sighting far from the estimate is an outlier and changes nothing. If `found_after` outliers in a row agree,
-    the board was moved, and the estimate jumps. The tip must not jump with the estimate (see `WaitingReference`).
+    the board was moved, and the estimate jumps. The tip must not jump with it (see `WaitingReference`).
     """
 
     def __init__(self, limits: TrackerSettings | None = None) -> None:
         self.limits = limits or TrackerSettings()
         self.pose: Pose | None = None
         self._tracking, self._time, self._last_seen = False, -math.inf, -math.inf
-        self._count = 0  # count of sightings averaged in the estimate
-        self._streak: list[Pose] = []  # good sightings in a row that are not in the estimate yet
+        self._count = 0  # number of averaged sightings
+        self._streak: list[Pose] = []  # good sightings in a row, not yet in the estimate
 
     def update(self, t: float, sighting: Sighting | None) -> Tracked:
-        """Update the estimate with the next picture's sighting, at time t [s]; None: the picture shows no board."""
+        """Update the estimate with the sighting (if any) in the next picture, taken at time t [s]."""
         elapsed, self._time = t - self._time, t
         refused = self._refusal(sighting)
         if sighting is None or refused is not None:
@@ -153,7 +153,7 @@ class BoardTracker:
         self._streak.append(pose)
         if len(self._streak) < self.limits.found_after:
             return "far from the estimate" if self._tracking else "waiting for more sightings that agree"
-        # If the board is found at its old pose, the old average continues; at another pose, a new average begins.
+        # At the old pose, the old average continues. At another pose, a new average begins.
         if self.pose is None or not self._near(self.pose, pose):
             mean, self._count = self._streak[0], 1
             for other in self._streak[1:]:
