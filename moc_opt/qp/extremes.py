@@ -24,7 +24,7 @@ ROUNDING = 1e-14  # rounding error of numbers of order one
 SETTLED = 1e-11  # a proximal step shorter than this is rounding error, and ends the search
 FLAT = 1e-9  # a slope or multiplier below this fraction of the largest counts as zero
 STILL = 1e-10  # a joint whose row of Z is shorter than this does not bound the motion in ker A
-TOUCHING = 1e-8  # a feasible set narrower than this is widened by it, else multipliers are rounding errors [box widths]
+TOUCHING = 1e-8  # widening of a feasible set that is a point up to rounding [box widths]
 LEVEL = 1e-12  # a range of the scaled cost below this is rounding error
 
 
@@ -32,8 +32,8 @@ class Extremes(NamedTuple):
     """Smallest and largest cost on the feasible set, relative to the cost at w = 0.
 
     Attributes:
-        w: (r,) an optimum. If there are several, proximal steps from w = 0 lead to this one.
-        least: a lower bound on the cost, by weak duality. It equals the cost of w at the optimum.
+        w: (r,) an optimum. If there are several, it is the one that proximal steps from w = 0 reach.
+        least: a lower bound on the cost, by weak duality. If w is optimal, it equals the cost of w.
         most: the largest cost, or ``least`` if the cost is constant up to rounding. With rho > 0 and more than
             ``MOST_CORNERS`` candidate corners, it is only a local maximum.
         pull: (n,) gradient of the Lagrangian at w = 0, with the optimum's multipliers of A x = b.

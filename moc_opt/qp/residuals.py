@@ -27,15 +27,15 @@ from moc_opt.qp.extremes import ROUNDING, STILL, extremes
 
 # The rank of A, as the whole package decides it: the sixth singular value counts as zero below TIED |A|_F, the others
 # below RANK_TOLERANCE |A|_F. With a rigid tool, the exact sixth singular value is zero. Rounding the Jacobians to 7
-# decimals makes it up to 8e-8 |A|_F. The fifth one is small only near a straight elbow, and still counts there.
+# decimals makes it up to 8e-8 |A|_F. The fifth is small only near a straight elbow, where it still counts.
 TIED = 1e-7
 RANK_TOLERANCE = 1e-12
 GRADIENT_ROUNDING = 1e-9  # a reduced gradient below this fraction of |pull|_inf counts as zero
 A_POINT = 1e-9  # a feasible interval no longer than this [rad/s] counts as a point
-FEASIBLE = 1e-6  # an empty feasible set counts as a point if wider bounds, by this [rad/s], make it non-empty
+FEASIBLE = 1e-6  # an empty feasible set counts as a point if widening the bounds by this [rad/s] makes it non-empty
 MOST_FACETS = 300  # largest number of facets for which the best duals are found; 10 joints and dim ker A = 5 give 210
-NEARLY_SINGULAR = 1e-3  # dividing by a singular value below this share of |A|_F makes rounding errors too large
-REFINEMENTS = 3  # steps of iterative refinement after such a division; each shrinks the error at least 1e4 times
+NEARLY_SINGULAR = 1e-3  # division by a singular value below this share of |A|_F needs iterative refinement
+REFINEMENTS = 3  # number of refinement steps; each shrinks the error at least 1e4 times
 
 
 class Residuals(NamedTuple):
@@ -48,8 +48,8 @@ class Residuals(NamedTuple):
             duals are bad. With more than ``MOST_FACETS`` facets, the optimum's y replaces the best y. The residual
             may then be too large, but it is still zero at an optimum.
         relative: ``natural_best`` after dividing the cost by the size of its reduced gradient. This size is
-            max(c2 |Z Z^T pull|_inf, rho times 1 rad/s), where Z is an orthonormal basis of ker A. An idle joint has
-            its own gradient. If all feasible points have the same cost, ``relative`` is at least
+            max(c2 |Z Z^T pull|_inf, rho times 1 rad/s), where Z is an orthonormal basis of ker A. For an idle joint,
+            its own gradient is used. If all feasible points have the same cost, ``relative`` is at least
             (cost of x - that cost) / size of the reduced gradient [rad/s].
         loss: (cost of x - smallest cost) / (largest - smallest cost) over the feasible set, in [0, 1], for the
             worst of the independent parts. It is 0 if all feasible points have the same cost. It may be too large
@@ -292,7 +292,7 @@ def _along_a_line(
         return first.max(-1), last.min(-1), np.take_along_axis(np.abs(per_step), stops, axis=-1).min(-1)
 
     (first, last, slowest), (wide_first, wide_last, _) = interval(0.0), interval(FEASIBLE)
-    # An interval that is empty, but not with bounds wider by FEASIBLE, is replaced by its middle.
+    # An empty interval that widening by FEASIBLE makes non-empty is replaced by the middle of its ends.
     empty, middle = wide_first > wide_last, np.clip(0.5 * (first + last), wide_first, wide_last)
     low, high = (np.where(first > last, middle, end) for end in (first, last))
     step, loss, gap = _on_an_interval(slope, rho, low, high, above, A_POINT + ROUNDING / slowest)

@@ -59,7 +59,7 @@ class Session(Protocol):
     """A solver's workspace and warm start for one sequence of subproblems."""
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Solve one subproblem. If the solver cannot, the status of the answer says so; nothing is raised."""
+        """Solve one subproblem. The status of the answer reports a failure; nothing is raised."""
 
 
 @runtime_checkable
@@ -96,8 +96,8 @@ class ObservingSession(Protocol):
 class SolverSettings:
     """Base of this package's solvers, which are frozen dataclasses of settings. It checks the settings.
 
-    `choices` may list the valid values of a field. Otherwise the default decides: a field takes bools, ints of at least
-    1, or numbers above 0, as its default is a bool, an int or a float. A default of 0.0 or None is valid too.
+    `choices` may list the valid values of a field. Otherwise its default decides: a bool allows bools, an int allows
+    ints of at least 1, and a float allows numbers above 0. A default of 0.0 or None is valid too.
     """
 
     name: ClassVar[str]

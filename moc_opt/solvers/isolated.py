@@ -29,7 +29,7 @@ from moc_opt.inputs.settings import Settings
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import ObservingSession, Session, Solution, Solver
 
-_LOOK_S = 0.05  # time between two checks whether the process has ended; a child of it may keep the pipe open
+_LOOK_S = 0.05  # time between two checks of whether the process has ended, which the pipe may not show
 
 
 class Unanswered(Exception):
@@ -69,7 +69,7 @@ class Isolated:
     inner: Solver
     process: ProcessSettings
     budget_us: float = math.inf  #: Longest time that a tick waits for its answer [us].
-    waits: bool = True  #: Whether a tick waits while a process is replaced; for simulated time.
+    waits: bool = True  #: Whether a tick waits while a process is replaced, as in simulated time.
     _pickled: bytes = field(default=b"", init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:

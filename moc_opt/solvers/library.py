@@ -30,7 +30,7 @@ class Adapter(SolverSettings):
     Attributes:
         rows: number of equality rows, 5 or 6. It is a setting only if the library can handle six.
         cost_scale: multiplies P and p; the duals are scaled back.
-        needs: message that the library needs a positive definite cost; empty if it does not.
+        needs: message for a cost that is not positive definite; empty if the library accepts such a cost.
     """
 
     rows: int = 5
@@ -90,13 +90,13 @@ class LibrarySession(ABC):
 
     @abstractmethod
     def _run(self) -> Outcome:
-        """Run the library. Return status, iterations, x (n,) in memory of its own, multipliers (m,) of A x = b.
+        """Run the library. Return the status, iterations, x (n,) and the multipliers (m,) of A x = b.
 
-        x and the multipliers are used only if the status is one of `_HAS_X`.
+        The next run must not overwrite x. x and the multipliers are used only if the status is one of `_HAS_X`.
         """
 
     def update(self, qp: NullSpaceQP) -> None:
-        """Pass the subproblem to the library; if its shape differs from the previous one's, create a new workspace."""
+        """Pass the subproblem to the library. If its shape has changed, create a new workspace first."""
         if not self._load(qp):
             self._build(qp)
         self._hand_over()
@@ -129,13 +129,13 @@ class TruncatedSession(LibrarySession):
 
 
 def upper_triangle(values: Array, n: int) -> sparse.csc_matrix:
-    """Wrap (n (n + 1) / 2,) values, by columns, as the upper triangle of an (n, n) matrix that keeps its zeros."""
+    """Wrap (n (n + 1) / 2,) values, by columns, as the upper triangle of an (n, n) matrix. Zeros are kept."""
     rows = np.concatenate([np.arange(j + 1) for j in range(n)])
     return sparse.csc_matrix((values, rows, np.cumsum(np.arange(n + 1))), shape=(n, n))
 
 
 def stacked(values: Array, boxes: int) -> sparse.csc_matrix:
-    """Wrap (n, m + boxes) values, one row per joint, as m dense rows above ``boxes`` diagonal blocks; zeros stay."""
+    """Wrap (n, m + boxes) values, one row per joint, as m dense rows above ``boxes`` diagonal blocks."""
     n, m = len(values), values.shape[1] - boxes
     rows = np.concatenate([np.append(np.arange(m), m + n * np.arange(boxes) + j) for j in range(n)])
     return sparse.csc_matrix((values.ravel(), rows, (m + boxes) * np.arange(n + 1)), shape=(m + boxes * n, n))

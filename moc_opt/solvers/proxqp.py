@@ -27,7 +27,7 @@ _WARM = proxqp.InitialGuess.COLD_START_WITH_PREVIOUS_RESULT
 
 
 class ProxQPSession(LibrarySession):
-    """One dense ProxQP workspace; the box is passed as bounds."""
+    """One dense ProxQP workspace."""
 
     def _allocate(self, m: int, n: int) -> dict[str, Any]:
         P, p, A, b, lower, upper = (np.empty(shape) for shape in ((n, n), n, (m, n), m, n, n))

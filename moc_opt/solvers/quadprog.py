@@ -13,7 +13,7 @@ from moc_opt.solvers.library import Adapter, LibrarySession, Outcome
 
 
 class QuadprogSession(LibrarySession):
-    """The arrays of the constraints C^T x >= b: equality rows, then x >= lower, then -x >= -upper."""
+    """Arrays of the constraints C^T x >= b: first the equality rows, then x >= lower, then -x >= -upper."""
 
     dual_sign = -1.0
 
