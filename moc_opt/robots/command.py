@@ -17,7 +17,7 @@ def add_commands(commands: Any) -> None:
     kinds = robot.add_subparsers(dest="robot_command", required=True)
     new = kinds.add_parser("new", help="write a robot file (TOML, and a URDF beside it) from any vendor's URDF")
     new.add_argument("source", type=Path, metavar="ARM.urdf")
-    new.add_argument("--tip", metavar="LINK", help="the link that carries the tool; else that of the last joint")
+    new.add_argument("--tip", metavar="LINK", help="the link that carries the tool, by default that of the last joint")
     new.add_argument("--tool", type=float, default=0.30, metavar="M", help="length of the tool [m]")
     new.add_argument(
         "--lock", action="append", default=[], type=_lock, metavar="JOINT[=VALUE]",
@@ -27,7 +27,7 @@ def add_commands(commands: Any) -> None:
         "--base-rpy", nargs=3, type=float, default=(0.0, 0.0, 0.0), metavar=("R", "P", "Y"),
         help="how the base stands [rad]; 3.1416 0 0 hangs from the ceiling",
     )  # fmt: skip
-    new.add_argument("--seed", type=int, default=0, help="of the search for a home pose")
+    new.add_argument("--seed", type=int, default=0, help="seed of the search for a home pose")
     new.add_argument("--out", type=Path, required=True, metavar="MY.toml", help="robot file to write")
     check = kinds.add_parser(
         "check", help="freedoms, reach, limits, gains and masses of a robot, with a verdict",

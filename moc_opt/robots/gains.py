@@ -42,7 +42,7 @@ def derived_gains(robot: RobotModel) -> dict[str, Table]:
 
     K_N2 of joint i is a rate times M_ii at the home pose, and D_N2 is a share of K_N2 (`JOINTS`). The rate is lowered
     if K_N2 + D_N2 would exceed its largest rate along a self-motion. K_X and D_X are those of the LWR4+. If D_X would
-    exceed `CARTESIAN_RATE`, both are lowered by the same factor. K_N and D_N are treated likewise.
+    exceed `CARTESIAN_RATE`, K_X and D_X are lowered by the same factor. K_N and D_N are treated likewise.
     """
     inertia = np.diag(robot.state(robot.data.q_home).M)
     inverse_masses = largest_inverse_masses(robot)

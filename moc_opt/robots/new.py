@@ -24,7 +24,7 @@ from moc_opt.robots.vendor import VendorArm, enough_efforts, read_vendor
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.layout import lay_out
 
-DRAWS = 6000  #: Number of poses drawn; forward kinematics of one takes microseconds.
+DRAWS = 6000  #: Number of poses drawn.
 SHORTLIST = 60  #: Number of poses whose self-motion is scanned.
 DOWN = (0.94, 0.8, -1.0)  #: Cosines of the tool's largest angle to straight down, tried in turn: 20 deg, 37 deg, any.
 CLEARANCE_M = 0.05  #: Least height of tip and wrist above the base's plane, or depth below it if the arm hangs.

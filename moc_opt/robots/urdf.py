@@ -24,7 +24,7 @@ TOOL_NAMES = {"link": {TOOL_LINK, TIP_LINK, WRIST_LINK}, "joint": {"tool_mount",
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 SMALLEST_MASS, SMALLEST_MOMENT = 1e-6, 1e-12
 MOST_LINKS = 250  #: Physics engines recurse along a chain, and crash with some thousands of links.
-_TRIANGLE, _FLAT, _THIN = 1e-6, 1e-9, 1e-12  # shares of the largest moment, as files round their numbers
+_TRIANGLE, _FLAT, _THIN = 1e-6, 1e-9, 1e-12  # relative to the largest moment, because files round their numbers
 SMALLEST = 1e-30  #: A smaller number is read as 0, because some readers refuse numbers below 1e-308.
 LARGEST, LARGEST_MASS, FARTHEST = 1e6, 1e5, 100.0
 """Largest number in a file, largest mass [kg], and largest length or angle of an origin [m, rad]."""
@@ -298,7 +298,7 @@ class Tree:
         return found[::-1]
 
     def reach(self, link: str, *, fixed: bool = False) -> list[str]:
-        """Return the link and all links that hang on it, or (``fixed``) only those fixed to it."""
+        """Return the link and all links that hang on it. With ``fixed``, only links fixed to it are followed."""
         found = [link]
         for one in found:  # grows during the iteration
             found += [joint.child for joint in self.carried[one] if not fixed or joint.kind == "fixed"]

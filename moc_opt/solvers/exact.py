@@ -1,7 +1,7 @@
 """``exact``: computes the subproblem's optimum by elimination. All other solvers are compared with it.
 
-It does not iterate towards a tolerance. `moc_opt/core/exact.c` has the mathematics; `polytope.c` has the case in which
-ker A has several dimensions; docs/method.md derives both.
+It does not iterate towards a tolerance. The mathematics is in `moc_opt/core/exact.c`, and in `polytope.c` if ker A has
+several dimensions. docs/method.md derives both.
 """
 
 from __future__ import annotations

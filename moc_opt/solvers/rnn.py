@@ -105,11 +105,11 @@ class RNN(Network):
     """The network with its own state, which continues from tick to tick.
 
     With the paper's c0 = 0.01 and k = 0.1, an error of 1e-3 takes about 3e7 steps, because explicit steps need
-    h k < c0. ``scale`` allows larger steps: with scale = 100, k = 0.5 and h = 1, the error takes 1400 steps.
+    h k < c0. ``scale`` allows larger steps: with scale = 100, k = 0.5 and h = 1, this error takes 1400.
 
     Args:
         steps: largest number of steps per tick; a tick needs fewer if the state comes to rest.
-        h: step size dt/eps, in (0, 1], so that x never leaves the box.
+        h: step size dt/eps, in (0, 1], so that x stays within its bounds.
         k: the paper's gain.
         scale: multiplies c0, c1, c2 and regularization, which leaves the solution as it is.
         method: "explicit" Euler, or "semi-implicit", where the multipliers are updated with the new x.

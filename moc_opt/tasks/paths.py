@@ -168,7 +168,7 @@ def _spline(t: Array, points: Array) -> Array:
 
 
 def kinds() -> dict[str, str]:
-    """Return name -> description of every path for scenarios, or why its plug-in does not load."""
+    """Return name -> description of every path. If a plug-in does not load, its description says why."""
     found = {name: _about(curve) for name, curve in CURVES.items()}
     found[WAYPOINTS] = "A smooth path through the points of `waypoints_m`, in three dimensions."
     for name in _plugins():

@@ -111,7 +111,7 @@ class View:
     def picture(
         self, board_in_base: Pose | None, hidden: frozenset[int] = frozenset(), q: Array | None = None
     ) -> Picture:
-        """Take the picture (H, W, 3) of the board with hidden markers, and of the tool at q (n,), if they are given."""
+        """Take the picture (H, W, 3) of the board with hidden markers, and the tool at q (n,). Either may be absent."""
         width, height = self.camera.settings.width_px, self.camera.settings.height_px
         page = np.full((_FINER * height, _FINER * width, 3), TISSUE, dtype=np.uint8)
         if board_in_base is not None:
@@ -163,7 +163,7 @@ def expose(picture: Picture, settings: CameraSettings, rng: np.random.Generator)
 
 
 def board_picture(board: Board) -> NDArray[np.uint8]:
-    """Draw the board as it is printed (H, W), grey levels."""
+    """Draw the printed board (H, W) in grey levels."""
     side = _MARKER_BITS * _CELL_PX
     width, height = (math.ceil(side / board.marker_m * size - 1e-6) for size in board.size_m)
     page = np.full((height, width), 255, dtype=np.uint8)

@@ -48,7 +48,7 @@ class HandsOnSettings(VisionSettings):
 
     joint_damping_Nm_s_per_rad: float = Field(3.0, ge=0.0, le=100.0)
     registration_error_m: float = Field(0.001, ge=0.0, le=0.005)
-    """size of the error added to the trocar's position by the kinematics, in a seeded direction"""
+    """size of the error that is added to the registered trocar, in a seeded direction"""
     tolerance_m: float = Field(0.002, gt=0.0, le=0.05, description="the tip is at the incision if this near")
     rest_speed_m_per_s: float = Field(0.003, gt=0.0, le=0.1, description="a slower tip counts as resting")
     rest_s: float = Field(0.4, gt=0.0, le=10.0, description="time for which the tip has to rest")

@@ -103,7 +103,7 @@ class Tracked:
     """The tracker's result for a picture."""
 
     seen: bool  #: Whether the board is being tracked.
-    pose: Pose | None  #: Averaged pose, which is kept while the board is lost; None until it is first found.
+    pose: Pose | None  #: Averaged pose, kept while the board is lost; None until the board is first found.
     refused: str | None  #: Why this picture's sighting was not used; None if it was used.
 
 
