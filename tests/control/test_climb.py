@@ -1,4 +1,4 @@
-"""The climb of mu with `climb = "scaled"`: its step, and that it ends before joint limits and without jerks."""
+"""The scaled climb of the manipulability mu: its step length, its end at joint limits, and jerks."""
 
 import numpy as np
 import pytest

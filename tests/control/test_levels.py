@@ -118,7 +118,7 @@ def touched(level):
 
 
 def residual(level, name, repeats=0, **others):
-    """Whether a torque of 1 Nm without any motion stops the arm. The residual is r = -rate T after a tick."""
+    """Whether a torque of 1 Nm without any motion stops the arm. After one tick, the residual is r = -rate T."""
     guard, record = begun(**{name: level} | others), ARM.terms(ZERO, ZERO)
     for _ in range(2 + repeats):
         read(guard)
@@ -186,7 +186,7 @@ def test_after_a_fast_motion_lag_is_allowed_only_for_a_while():
         assert reason in read(guard, q=0.25)
 
 
-def test_brakes_that_closed_after_their_time_open_again_when_the_force_rises_by_stop_yield():
+def test_brakes_that_closed_after_stop_yield_ticks_open_again_when_the_force_rises_by_stop_yield():
     """The brakes close after two ticks. The rise counts from the lowest force since then."""
     guard = begun(stop_yield=0.25, stop_yield_ticks=2)
     read(guard, wrench=pressed(0.0), trocar=TROCAR)

@@ -65,7 +65,7 @@ def test_a_fresh_packet_is_newer_than_all_before_it_and_never_too_old(stamps, pa
 
 
 @pytest.mark.parametrize("missed", [1, PATIENCE, PATIENCE + 1])
-def test_up_to_the_patience_ticks_that_the_controller_misses_make_no_measurement_bad(missed):
+def test_missed_ticks_of_the_controller_do_no_harm_up_to_the_patience(missed):
     """The filter accepts packet numbers that are ahead of its own count by at most the patience."""
     found = ages([0, 1, 2, 3 + missed, 4 + missed])
     assert found == [FRESH] * 5 if missed <= PATIENCE else found[3] == REPEAT

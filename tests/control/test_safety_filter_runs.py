@@ -83,7 +83,7 @@ STOPPED = {
         {"faults": {"drift_rad_per_s": 0.05, "drift_at_s": 0.5, "drift_velocity": "apart"}, "seed": 2210, **SWIVEL},
         0.5, 0.1, 5e-3, 5.0, "do not follow their velocities",
     ),
-    "drift-with-the-velocity": (  # the wrong depth first attributes the trocar's force to the tip
+    "drift-with-the-velocity": (  # with a wrong depth, the force first counts as a contact at the tip
         {"faults": {"drift_at_s": 2.02, "drift_rad_per_s": 0.05}, "seed": 7033, "control": {"preset": "robust"},
          "task": {"v_max_m_per_s": 0.07730648346067734}, "duration_s": 6.0, **SWIVEL},
         2.02, 4.0, 0.13, 32.0, "the trocar's force",
@@ -222,7 +222,7 @@ def test_harmless_deviations_of_the_plant_do_not_stop_the_arm(scenario):
 @pytest.mark.parametrize("preset", ["default", "tuned", "robust", "paper"])
 @pytest.mark.parametrize("law", ["moc", "dcac"])
 def test_runs_without_faults_are_not_stopped(preset, law):
-    """They do not warn either, except with the paper's parameters, whose RCM errors reach 9 mm."""
+    """Only the paper's parameters, whose RCM errors reach 9 mm, give warnings."""
     control = {"law": law} if preset == "default" else {"law": law, "preset": preset}
     seed = len(preset + law) % 4
     task = {"path": ("circle", "sinusoid", "spiral", "line")[seed]}
@@ -246,7 +246,7 @@ def test_the_robust_gains_stay_stable_with_four_ticks_of_delay(plant):
 
 @pytest.mark.parametrize(("every", "seed"), [(1, 0), (100, 1), (10_000, 2)])
 def test_a_hostile_controller_moves_no_joint_past_its_limit(robot, every, seed):
-    """It commands twice the largest torques in directions that change at random."""
+    """The controller commands twice the largest torques in directions that change at random."""
     # Without encoder bias, one of 60 such runs passes a limit by 0.01 rad. With a bias of 0.1 mrad, three do.
     free = PlantSettings(trocar_stiffness_N_per_m=0.0, trocar_damping_Ns_per_m=0.0, encoder_bias_rad=0.0)
     plant = Plant(robot.data, free, seed=seed)
@@ -293,6 +293,6 @@ def test_the_command_line_says_that_an_arm_ran_away_and_keeps_its_trace(tmp_path
     file, out = tmp_path / "s.toml", tmp_path / "t.parquet"
     stiff = "plant = {trocar_stiffness_N_per_m = 1e6, trocar_damping_Ns_per_m = 1e4}\n"
     file.write_text(f"duration_s = 1.2\nbound_samples = 0\njudge = false\n{stiff}", encoding="utf-8")
-    assert main(["run", str(file), "--trace", str(out)]) == 3  # and not 2: the input is valid
+    assert main(["run", str(file), "--trace", str(out)]) == 3  # the input is valid, so the status is not 2
     assert "s: ran away" in capsys.readouterr().err, "the message begins with the file's name"
     assert Trace.load(out).meta["ended"].startswith("ran away")

@@ -9,7 +9,7 @@ from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings
 
 
 def law(n, arm=None, supervision=None, fallback="damping", **changes):
-    """A core.Law for n joints. Gains that are not given are zero, limits wide, and parts off."""
+    """A core.Law for n joints. Gains that are not given are zero, limits are wide, and parts are off."""
     s = supervisor.SupervisorSettings() if supervision is None else supervision
     wide = np.full(n, 1e3)
     blank = core.Arm(np.zeros((n, 27)), np.zeros((2, 3)), np.eye(3), np.ones((2, n)), np.zeros(3))

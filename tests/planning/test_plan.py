@@ -96,7 +96,7 @@ def test_refinement_finds_a_course_that_a_coarse_map_lacks_and_without_refinemen
 
 
 def test_a_course_far_below_the_bound_is_refined_again_from_the_bounds_course(monkeypatch):
-    """The local climb replaces the first grid search. It ends at a low local maximum of mu."""
+    """The local climb replaces the first grid search. The climb ends at a low local maximum of mu."""
     best_course, asked = plan.best_course, []
 
     def poor(value, start):

@@ -1,4 +1,4 @@
-"""The value function is the mean mu of the best course (planned joint motion). Its courses keep all limits."""
+"""The search finds the course (planned joint motion) with the largest mean mu. All its courses keep the limits."""
 
 import itertools
 from dataclasses import replace

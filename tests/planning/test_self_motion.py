@@ -156,7 +156,7 @@ def test_a_moving_elbow_is_in_transient_until_0_1_rad_before_the_optimum(robot, 
     assert not flags[after < T].any()
 
 
-def test_a_resting_or_slow_elbow_or_one_that_follows_its_moving_optimum_is_not_in_transient(robot, curve, place):
+def test_an_elbow_that_rests_or_moves_slowly_or_follows_its_optimum_is_not_in_transient(robot, curve, place):
     """A turn of the base moves arm and optimum together. A turn of the last joint moves only the tool."""
     far, turns = np.tile(place(-0.5), (100, 1)), np.linspace(0.0, 1.0, 100)
     base, last = (np.outer(turns, axis) for axis in np.eye(7)[[0, 6]])

@@ -236,7 +236,7 @@ def test_a_limit_that_is_off_is_still_off_after_saving_and_loading(tmp_path):
     assert Scenario.load(tmp_path / "lifted.toml") == scenario
 
 
-def test_a_solver_setting_of_none_is_not_saved_where_leaving_it_out_means_the_same(tmp_path):
+def test_a_solver_setting_of_none_is_left_out_of_the_file(tmp_path):
     to = tmp_path / "new" / "folder" / "a.toml"
     Scenario(solver={"name": "qpsolvers:quadprog", "settings": {"cost_scale": None, "rows": 6}}).save(to)
     assert Scenario.load(to).solver.settings == {"rows": 6}

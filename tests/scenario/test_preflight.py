@@ -14,7 +14,7 @@ from moc_opt.scenario import Scenario, Setup, preflight
 from moc_opt.scenario.preflight import UnreachableError, check_reachable, check_start
 from moc_opt.tasks import Reference, Trocar, make_path, shaft_distance
 
-PLACE_M = 0.006  #: Tolerance of a place along the path [m]; the points that are checked are 5 mm apart.
+PLACE_M = 0.006  #: Tolerance [m] of a place along the path. The checked points are 5 mm apart.
 PATHS = ("circle", "sinusoid", "spiral")
 ROBOT = load_robot()
 HOME = ROBOT.state(ROBOT.data.q_home)

@@ -1,4 +1,4 @@
-"""A run over the wire equals the simulated run; faults of packets are counted, and the arm stays safe under them."""
+"""A run over the wire equals the simulated run. Faulty packets are counted, and the arm stays safe."""
 
 import json
 import re

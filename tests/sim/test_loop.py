@@ -56,7 +56,7 @@ def ready(robot, settings=None):
 
 
 def test_each_tick_records_the_state_at_its_start(robot, references):
-    """The controller gets measurements and the registered trocar, the plant gets the true trocar."""
+    """The controller gets measurements and the registered trocar, and the plant gets the true trocar."""
     tip_refs, trocars, registered = references
     brain, plant = Holding(robot), ready(robot, PlantSettings())
     trace = simulate(ready(robot, PlantSettings()), brain, *references)

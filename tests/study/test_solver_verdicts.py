@@ -76,7 +76,7 @@ def test_each_rule_gives_its_verdict(asked, times, verdict, damage):
 
 @pytest.mark.parametrize("ended", ENDED.values())
 def test_endings_on_trials_that_the_others_did_not_run_do_not_count(ended):
-    """Perhaps even the optimum would end such a trial, so the solver is not to blame."""
+    """Even the optimum might end such a trial in this way, so the solver is not to blame."""
     mine = runs("asked", 60)
     mine[40] |= {"ended": ended, "whole": not ended.startswith("stopped")}
     common = {row["trial"] for row in mine[:15]}
