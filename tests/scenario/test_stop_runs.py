@@ -79,7 +79,7 @@ def test_the_arm_gives_way_to_a_trocar_that_presses(seed, slip_m):
 
 
 def test_the_brakes_open_for_a_pressing_trocar_and_again_only_if_it_presses_harder(robot):
-    """A load that stays is held after stop_yield_s. Tissue that keeps moving opens the brakes once more."""
+    """After stop_yield_s, the brakes close under a constant force. A larger force opens them once more."""
     guard, q = SafetyFilter(robot, SafetyFilterSettings(), 0.002, momentum=False), np.array(robot.data.q_home)
     guard.start(q, np.zeros(7))
     pose, length = robot.tool_pose(q), robot.data.tool_length
