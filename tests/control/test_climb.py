@@ -1,4 +1,4 @@
-"""The scaled climb of mu. In runs, the velocity box stops it before limits, and the shaft's margin avoids jerks."""
+"""The scaled climb of the manipulability mu: its step length, its end at joint limits, and jerks."""
 
 import numpy as np
 import pytest
@@ -13,8 +13,8 @@ from tests.control.torques import in_place, subproblem
 from tests.reference.law import CLIMB_PER_S
 
 
-def test_near_a_maximum_of_mu_the_scaled_climb_asks_for_the_displacement_to_it(robot: RobotModel) -> None:
-    """Along one self-motion curve, the distance to the maximum is known without derivatives: it is the arc length."""
+def test_the_scaled_climb_asks_for_the_displacement_to_a_nearby_maximum_of_mu(robot: RobotModel) -> None:
+    """The expected displacement is an arc length on the self-motion curve."""
     q = np.asarray(self_motion(robot, robot.data.q_home, 0.01).q)
     top = int(np.argmax(robot.mu_along(q)))
     assert 40 < top < len(q) - 40, "the top is within the joint limits"
@@ -32,8 +32,8 @@ def test_the_scaled_climb_without_regularization_is_refused() -> None:
 
 
 @pytest.mark.parametrize(("number", "preset"), [(13, "nominal"), (25, "realistic")])
-def test_the_box_stops_the_arm_before_the_wall(number, preset, robot, regular_poses) -> None:
-    """From these two poses mu grows up to a joint limit. The box has to stop the arm before the safety filter does."""
+def test_velocity_bounds_end_the_climb_before_a_joint_limit(number, preset, robot, regular_poses) -> None:
+    """From these two poses, mu grows up to a joint limit. The safety filter must not act."""
     q = regular_poses(30)[number].tolist()
     trace = mo.run(mo.Scenario(
         start={"q_rad": q, "swivel": 0.5}, plant={"preset": preset}, duration_s=4.0, task={"wait_s": 5.0},
@@ -48,13 +48,13 @@ def test_the_box_stops_the_arm_before_the_wall(number, preset, robot, regular_po
     assert trace.tip_error_m.max() < 2e-3
 
 
-def test_a_climb_towards_a_straight_wrist_jerks_the_arm_and_the_shafts_margin_prevents_it() -> None:
-    """From this pose mu grows towards a straight wrist, where joint 5 has to turn ever faster."""
+def test_the_shafts_margin_prevents_jerks_near_a_straight_wrist() -> None:
+    """Mu grows towards a straight wrist, where joint 5 has to turn ever faster."""
     trial = mo.Scenario(seed=707, start={"pose": "random"}, judge=False, bound_samples=0)
     lost, kept = mo.run(trial.change(control={"shaft_margin": 0.0})), mo.run(trial)
     assert lost.meta["ended"] == kept.meta["ended"] == "completed"
     jerk = shaking(lost, "v_rad_per_s")
     assert jerk.joint == 4
     assert jerk.rms > 2.0 * LIMIT_RAD_PER_S
-    assert shaking(kept, "v_rad_per_s").rms < 0.5 * LIMIT_RAD_PER_S  # here the box allows full joint speeds
+    assert shaking(kept, "v_rad_per_s").rms < 0.5 * LIMIT_RAD_PER_S
     assert kept.rcm_error_m.max() < 0.6 * lost.rcm_error_m.max()

@@ -1,4 +1,4 @@
-"""The controller of three levels: its torque, its behaviour where a subproblem has no answer, and its state."""
+"""The controller of three levels: its torque, its fallback for infeasible subproblems, and its state."""
 
 from types import SimpleNamespace
 from unittest.mock import Mock
@@ -22,7 +22,7 @@ QUIET = {
 
 
 def started(robot, solver=EXACT, state=None, **settings):
-    """A controller after its start, with the state and the references of the start."""
+    """Return a started controller, its state and its references."""
     state = robot.state(robot.data.q_home) if state is None else state
     law = "dcac" if solver is None else "moc"
     controller = Controller(robot, ControlSettings(law=law, **settings), solver)
@@ -45,7 +45,6 @@ def test_references_may_have_any_memory_layout_and_have_to_be_finite(robot):
 
 @pytest.mark.parametrize("law", ["moc", "dcac"])
 def test_torque_is_the_sum_of_the_levels(law, robot, regular_poses):
-    """The gains differ from joint to joint."""
     K, D = [80.0, 120.0, 60.0, 30.0, 20.0, 10.0, 10.0], [6.0, 10.0, 5.0, 3.0, 2.0, 1.0, 1.0]
     solver, own = (EXACT, {"K_N2": K, "D_N2": D}) if law == "moc" else (None, {"dcac_damping": D})
     rng = np.random.default_rng(0)
@@ -86,21 +85,21 @@ def test_settings_reach_the_core(setting, core_s, robot):
     state = robot.state(robot.data.q_home)
     controller, _, tip_ref, trocar = started(robot, None, state, **{**QUIET, **setting})
     assert controller.solution is controller.subproblem is None
-    tip_ref, trocar = tip_ref + 0.3, trocar + np.array([[0.01, 0.0, 0.0], np.zeros(3)])  # far: the limits act
+    tip_ref, trocar = tip_ref + 0.3, trocar + np.array([[0.01, 0.0, 0.0], np.zeros(3)])  # so that the limits act
     given = {name: robot.tau_max if value is None else value for name, value in core_s.items()}
     wanted = tracking(robot, state, tip_ref, trocar, gains=(3000.0, 80.0, 800.0, 60.0), **given)
     np.testing.assert_array_equal(controller.tick(state.q, state.v, tip_ref, trocar), wanted)
 
 
 @pytest.mark.parametrize("fallback", ["damping", "hold", "least-violation"])
-def test_without_a_feasible_answer_the_arm_follows_the_fallback(fallback, robot):
-    """The box (k0 = 1e-3 /s) is far too narrow for the fast reference (0.3 m/s), but not for the reference at rest."""
+def test_if_the_subproblem_is_infeasible_the_arm_follows_the_fallback(fallback, robot):
+    """With k0 = 1e-3 /s, the subproblem is infeasible for a reference at 0.3 m/s and feasible for one at rest."""
     state = robot.state(robot.data.q_home, np.linspace(-0.2, 0.2, 7))
     (fast, trocar), (slow, _) = in_place(state, 0.3), in_place(state)
     controller = Controller(robot, ControlSettings(fallback=fallback, k0_per_s=1e-3, **QUIET), EXACT)
     for _ in range(2):  # the second start forgets the first run
         controller.start(state.q, state.v, fast, trocar)
-        good = np.zeros(7)  # nothing to hold yet
+        good = np.zeros(7)
         for tip_ref in (fast, slow, fast, fast, fast):
             tau = controller.tick(state.q, state.v, tip_ref, trocar)
             answer, qp = controller.answer, controller.subproblem
@@ -118,7 +117,7 @@ def test_without_a_feasible_answer_the_arm_follows_the_fallback(fallback, robot)
 
 
 def watching(supports=None, error=None):
-    """A solver whose session solves like `exact` and notes the measured velocity. It may refuse or fail to start."""
+    """A solver that solves like `exact`. With `supports` it refuses the problem, and with `error` it cannot start."""
     solver, session = Mock(spec=["name", "supports", "start"]), SimpleNamespace(observe=Mock())
     solver.name, solver.supports.return_value, solver.start.side_effect = "watching", supports, error or [session] * 2
     session.solve = lambda qp: EXACT.start(qp).solve(qp)
@@ -131,7 +130,7 @@ def test_a_session_may_observe_the_measured_velocity(robot):
     for speed in (0.1, -0.2):
         controller.tick(state.q, np.full(7, speed), tip_ref, trocar)
     seen = [one.args[0][0] for one in session.observe.call_args_list]
-    assert seen == [0.0, 0.1, -0.2]  # the first zero is from the warm-up before the loop, at rest
+    assert seen == [0.0, 0.1, -0.2]  # the first entry is from the warm-up before the loop
 
 
 @pytest.mark.parametrize(("wrong", "why"), [
@@ -158,7 +157,6 @@ def test_a_law_without_its_solver_a_tick_before_the_start_and_wrong_shapes_are_r
 
 
 def test_observer_sees_the_limited_torque(robot):
-    """The observer gets the limited torque. With the unlimited torque, its estimate would wind up."""
     torques, estimates = [], []
     for limit in (True, False):
         controller, state, tip_ref, trocar = started(robot, limit_torque=limit, observer_gain_per_s=20.0)
@@ -191,7 +189,7 @@ def test_a_start_forgets_the_previous_run_and_two_controllers_share_nothing(robo
 
 
 class AsAnyOther(Exact):
-    """`exact` in a session, like any other solver: only a solver whose type is `Exact` itself runs in the core."""
+    """`exact` in a session like any other solver. Only the type `Exact` itself runs in the core."""
 
 
 @pytest.mark.parametrize("fallback", ["damping", "hold", "least-violation"])
@@ -223,7 +221,7 @@ def test_a_start_uses_none_of_the_recorded_solve_times(robot):
         assert controller.fault is fault
 
 
-def test_the_basis_of_the_self_motion_changes_continuously_with_the_pose(robot):
+def test_the_basis_of_the_null_space_changes_continuously_with_the_pose(robot):
     controller, state, *task = started(robot)
     end, before = robot.random_regular_pose(np.random.default_rng(4)), None
     for q in np.linspace(state.q, end, 300):

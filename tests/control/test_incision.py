@@ -1,4 +1,4 @@
-"""The safety filter at the incision: RCM error and trocar force by geometry and statics, and their levels."""
+"""The safety filter at the incision: RCM error, trocar force, and their warnings and limits."""
 
 import math
 
@@ -15,12 +15,12 @@ WARNINGS, LIMITS = ("rcm_warning_m", "trocar_force_warning_N"), ("rcm_error_m", 
 
 
 def look(guard, q, trocar, wrench):
-    """One tick at rest, with this reading of the wrench sensor and this registered trocar."""
+    """Check one measurement of the arm at rest."""
     guard.check_measurement(q, REST, wrench=wrench, trocar=trocar)
 
 
 def seen(robot, q, point, wrench=None, tip_force=None):
-    """RCM error [m] and trocar force [N] of one reading: the mean over one period is that reading's value."""
+    """RCM error [m] and trocar force [N] that the filter computes from one reading."""
     guard = guard_of(robot, q, incision=True, incision_s=PERIOD, tip_force_N=tip_force)
     look(guard, q, np.array([point, np.zeros(3)]), wrench)
     _, figures = guard._guard.watched()
@@ -45,7 +45,7 @@ def test_the_rcm_error_is_the_distance_of_the_shaft_from_the_trocar(robot, seed,
     force=st.tuples(*[st.floats(-20.0, 20.0)] * 3), touch=st.tuples(*[st.floats(-20.0, 20.0)] * 3),
 )  # fmt: skip
 def test_the_trocars_force_is_separated_from_the_tools_weight_and_a_force_at_the_tip(robot, seed, depth, force, touch):
-    """Statics separates the loads in any pose. Only forces across the shaft count: a trocar exerts none along it."""
+    """Only the component perpendicular to the shaft counts."""
     q = np.random.default_rng(seed).uniform(robot.q_min, robot.q_max)
     pose = robot.tool_pose(q)
     length, mass = robot.data.tool_length, robot.data.tool_mass
@@ -55,10 +55,10 @@ def test_the_trocars_force_is_separated_from_the_tools_weight_and_a_force_at_the
     expected = np.linalg.norm(pose[:2] @ np.array(force))
     point = pose[3] - depth * pose[2]
     assert seen(robot, q, point, wrench)[1] == pytest.approx(expected, abs=1e-6)
-    close = pose[3] - 0.5 * SHORTEST_DEPTH_M * pose[2]  # too shallow to separate the loads: all force across counts
+    close = pose[3] - 0.5 * SHORTEST_DEPTH_M * pose[2]  # too shallow to separate the forces, so their sum counts
     across = np.linalg.norm(pose[:2] @ (np.array(force) + np.array(touch)))
     assert seen(robot, q, close, wrench)[1] == pytest.approx(across, abs=1e-6)
-    for allowed in (1e-9, 10.0):  # no more than this force is attributed to the tip
+    for allowed in (1e-9, 10.0):  # at most this force is attributed to the tip
         found = seen(robot, q, point, wrench, allowed)[1]
         assert found == pytest.approx(max(expected, across - allowed), abs=1e-6)
 
@@ -80,8 +80,8 @@ def test_each_limit_and_warning_can_be_switched_off(robot, j, of, off_m, newton,
 
 
 @pytest.mark.parametrize("time_s", [0.05, 0.002, 0.0005])
-def test_the_mean_squares_warn_and_stop_at_the_tick_that_their_formula_gives(robot, time_s):
-    """An RCM error of 5 mm and a force of 6 N act together. Each warns at its own tick and keeps its largest value."""
+def test_warnings_and_stops_follow_the_low_passed_mean_squares(robot, time_s):
+    """An RCM error of 5 mm and a force of 6 N act together."""
     q, left = robot.data.q_home, 1.0 - min(1.0, PERIOD / time_s)
     means = [5.0, 6.0] * np.sqrt(1.0 - left ** np.arange(1, 401))[:, None]
     seen = off_by(robot, q, 0.005), weight(robot, q, 6.0)

@@ -1,7 +1,6 @@
-"""The levels of the safety filter: a value equal to its level is allowed, and a larger one is not.
+"""Each level (a limit of the safety filter) allows a value equal to the level, but no larger value.
 
-The arm has two joints of unit inertia about z, the tool's axis. All numbers are sums of few powers of two, so that the
-arithmetic is exact and a value can equal its level.
+The arm has two joints of unit inertia about z. All numbers are short binary fractions, so that arithmetic is exact.
 """
 
 import numpy as np
@@ -18,7 +17,7 @@ TROCAR = np.array([[0.0, 0.0, -0.125], [0.0] * 3])
 
 
 def begun(arm=ARM, **levels):
-    """A safety filter that was started at rest at q = 0. Every level that is not given is off."""
+    """A safety filter that was started at rest at q = 0. Levels that are not given are off."""
     given = {
         "period": T, "patience": 0, "carries": False, "low": -1e9, "high": 1e9, "v_max": 1.0, "tau_max": 1.0,
         "wall_stiffness": 0.0, "wall_damping": 0.0, "wall_brake": 1.0, "torque_step": OFF, "jump": OFF,
@@ -38,7 +37,7 @@ def begun(arm=ARM, **levels):
 
 
 def read(guard, q=0.0, v=0.0, applied=0.0, wrench=DEAF, trocar=None, other=0.0):
-    """The reason to stop after one reading; ``other`` is the position of the second joint."""
+    """Return the reason to stop after one reading. `other` is the second joint's position."""
     tau = np.array([applied, 0.0])
     return core.REASONS[guard.believe(np.array([q, other]), np.array([v, 0.0]), np.nan, tau, wrench, trocar)[0]]
 
@@ -61,7 +60,7 @@ def unbelieved(level, name, q, v):
 
 
 def tip_error(level, tip):
-    """Whether the tip error stops the arm. Without ``tip``, the record has it at the origin."""
+    """Whether the tip error stops the arm. If `tip` is None, the tip is at the origin."""
     return "tip" in follow(begun(tip_error=level), tip=tip, tip_ref=0.25, record=ARM.terms(ZERO, ZERO))
 
 
@@ -72,7 +71,7 @@ def way(level, name="motion_rad", v=0.0):
 
 
 def told(level, name, wrench, applied, tip, **others):
-    """Whether a fourth equal reading stops the arm. The first three come at 0.25 Nm, with the reference at 0.25 m."""
+    """Whether a fourth equal reading stops the arm. The first three come with 0.25 Nm and a reference at 0.25 m."""
     guard = begun(**{name: level} | others)
     for _ in range(3):
         follow(guard, tip=0.25, tip_ref=0.25)
@@ -91,7 +90,7 @@ def not_believed(level):
 
 
 def replayed(level, name, lives):
-    """Whether the first eight of 20 readings, played again, stop the arm. With ``lives``, joint 2 keeps changing."""
+    """Whether the arm stops if the first eight of 20 readings come again. With `lives`, joint 2 keeps changing."""
     guard = begun(**{name: level})
     return [read(guard, q=k % 20, other=k % 20 + lives * k, wrench=np.zeros(6)) for k in range(28)][-1] != "running"
 
@@ -112,14 +111,14 @@ def incision(level, j, name, shown):
 
 
 def touched(level):
-    """A force at the tip is not a trocar force, but it counts towards the warning."""
+    """Whether a force at the tip gives a warning."""
     guard = begun(warning=[OFF, level])
     read(guard, wrench=np.array([0.25, 0.0, 0.0, 0.0, 0.0625, 0.0]), trocar=TROCAR)
     return guard.watched()[1][2, 1] == 0.0
 
 
 def residual(level, name, repeats=0, **others):
-    """Whether a torque of 1 Nm without any motion stops the arm. The residual is r = -rate T after a tick."""
+    """Whether a torque of 1 Nm without any motion stops the arm. After one tick, the residual is r = -rate T."""
     guard, record = begun(**{name: level} | others), ARM.terms(ZERO, ZERO)
     for _ in range(2 + repeats):
         read(guard)
@@ -165,8 +164,8 @@ def test_a_level_acts_only_on_larger_values(noticed, level, more):
 
 
 @pytest.mark.parametrize(("torques", "carries"), [((1.5, 1.5), 0.0), ((-0.5, -0.5), 0.0), ((1.5, 0.0), 0.5)])
-def test_a_drive_whose_effect_opposes_its_torque_is_not_used_any_more(torques, carries):
-    """The drive's residual and torque have opposite signs. At zero torque no drive is blamed. The weight is 0.5 Nm."""
+def test_a_drive_whose_effect_opposes_its_torque_is_no_longer_used(torques, carries):
+    """The weight is 0.5 Nm. At zero torque no drive is blamed."""
     arm = core.Arm(LOADED, np.zeros((2, 3)), np.eye(3), np.ones((2, 2)), np.array([0.0, -1.0, 0.0]))
     guard, record = begun(arm, residual_torque=2.0**-8, carries=True, patience=1), arm.terms(ZERO, ZERO)
     read(guard)
@@ -180,15 +179,15 @@ def test_a_motion_at_constant_speed_needs_no_torque():
     assert [follow(guard, record=record) for _ in range(4)] == ["running"] * 4
 
 
-def test_the_allowance_for_lag_after_a_fast_motion_ends_with_the_comparison_time():
+def test_after_a_fast_motion_lag_is_allowed_only_for_a_while():
     for still, reason in ((1, "running"), (12, "velocities")):
         guard = begun(motion_s=4.0 * T, motion_rad=0.0, motion_lag_s=1.0)
         assert [read(guard, v=float(k == 0)) for k in range(still + 1)] == ["running"] * (still + 1)
         assert reason in read(guard, q=0.25)
 
 
-def test_brakes_that_closed_after_their_time_open_again_when_the_force_rises_by_stop_yield():
-    """The brakes close after two ticks, at 1 N. If the force falls, the rise counts from the lowest force."""
+def test_brakes_that_closed_after_stop_yield_ticks_open_again_when_the_force_rises_by_stop_yield():
+    """The brakes close after two ticks. The rise counts from the lowest force since then."""
     guard = begun(stop_yield=0.25, stop_yield_ticks=2)
     read(guard, wrench=pressed(0.0), trocar=TROCAR)
     opened = {0.25: 0, 1.0: 1, 1.125: 1, 0.9375: 0, 1.1875: 0, 1.25: 1, 0.875: 0, 0.5: 0, 0.75: 0, 0.8125: 1}

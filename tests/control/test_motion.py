@@ -1,4 +1,4 @@
-"""The checks of the age of measurements and of the motion that they show."""
+"""The safety filter's checks of packet age and of measured motion."""
 
 import dataclasses
 
@@ -21,7 +21,7 @@ FRESH, REPEAT, OLD = range(3)
 
 
 def ages(stamps, patience=PATIENCE):
-    """FRESH, REPEAT or OLD for each packet. Packets with these numbers come at successive ticks, after packet 0."""
+    """Return FRESH, REPEAT or OLD for each packet. The packets come at successive ticks after packet 0."""
     guard = core.Guard(ARM.arm, **numbers_of(SafetyFilterSettings(patience_ticks=patience), ARM, PERIOD))
     deaf, late, found = np.full(6, np.nan), core.REASONS.index("measurements are too late"), []
     guard.start(REST, REST, 0)
@@ -35,7 +35,6 @@ def ages(stamps, patience=PATIENCE):
 @given(st.integers(0, 6), st.integers(0, 3), st.integers(0, 40))
 @settings(max_examples=80, deadline=None)
 def test_a_constant_delay_is_accepted_and_the_last_packet_is_too_old_after_the_patience(patience, late, last):
-    """The delay is at most the patience, because a run without a new packet stops after that many ticks."""
     late = min(late, patience)
     found = ages([min(last, max(0, k - late)) for k in range(late + last + patience + 2)], patience)
     assert found[: late + 1] == [FRESH] + [REPEAT] * late
@@ -50,7 +49,6 @@ def test_a_constant_delay_is_accepted_and_the_last_packet_is_too_old_after_the_p
 @given(st.lists(st.integers(-10, 200), min_size=1, max_size=80), st.integers(0, 6))
 @settings(max_examples=200, deadline=None)
 def test_a_fresh_packet_is_newer_than_all_before_it_and_never_too_old(stamps, patience):
-    """This holds for any packet numbers in any order: replays, jumps ahead, packets of the past."""
     newest, clock, delay = 0, 0, None
     found = ages([0, *stamps], patience)[1:]  # as in a run, the first packet belongs to the start
     for stamp, one in zip(stamps, found, strict=True):
@@ -67,14 +65,14 @@ def test_a_fresh_packet_is_newer_than_all_before_it_and_never_too_old(stamps, pa
 
 
 @pytest.mark.parametrize("missed", [1, PATIENCE, PATIENCE + 1])
-def test_missed_ticks_of_the_controller_make_no_measurement_bad_up_to_the_patience(missed):
-    """Meanwhile the arm keeps counting. The filter accepts a number ahead of its own by at most the patience."""
+def test_missed_ticks_of_the_controller_do_no_harm_up_to_the_patience(missed):
+    """The filter accepts packet numbers that are ahead of its own count by at most the patience."""
     found = ages([0, 1, 2, 3 + missed, 4 + missed])
     assert found == [FRESH] * 5 if missed <= PATIENCE else found[3] == REPEAT
 
 
 def looked(q, v, tau=None, reference=None, wrench=None, **levels):
-    """The reason of a stop and the index of the reading that causes it, for readings (k, n); ("", k) without a stop."""
+    """Check readings (k, n). Return the reason of a stop and the index of the reading that causes it, or ("", k)."""
     guard = guard_of(ARM, q[0], v[0], carries=False, **levels)
     for k in range(len(q)):
         if reference is not None:
@@ -89,7 +87,7 @@ def looked(q, v, tau=None, reference=None, wrench=None, **levels):
 @given(st.integers(0, 2**32 - 1), st.floats(0.1, 2.0), st.sampled_from([30.0, 50.0, 100.0, 0.0]))
 @settings(max_examples=40, deadline=None)
 def test_readings_of_a_smooth_motion_with_filtered_velocity_are_accepted(seed, speed, cutoff):
-    """Positions are quantized and noisy, velocities low-passed as in the plant's encoders; any direction and speed."""
+    """As in the plant's encoders, positions are quantized and noisy, and velocities are low-passed."""
     rng = np.random.default_rng(seed)
     t = PERIOD * np.arange(800)[:, None]
     rate = rng.uniform(0.5, 3.0, N)
@@ -118,7 +116,7 @@ def test_a_position_that_stops_while_its_velocity_goes_on_stops_the_arm(speed, j
     ("way", False, 3e-3), ("way", True, 5e-4), ("torque", False, 6.0), ("torque", True, 0.05),
 ])  # fmt: skip
 def test_a_repeated_reading_stops_the_arm_once_the_reference_moves_or_the_torque_changes(by, whole, level):
-    """Up to the level, static friction may hold the arm. The level is far lower if the wrench's reading repeats too."""
+    """Static friction may hold the arm up to this level. The level is lower if the wrench reading repeats too."""
     still, reference, tau = np.tile(np.linspace(-1.0, 1.0, N), (600, 1)), np.zeros((600, 3, 3)), np.zeros((600, N))
     grown = reference[:, 0, 0] if by == "way" else tau[:, 2]
     grown[:] = (0.01 * PERIOD if by == "way" else -0.02) * np.arange(600)
@@ -135,7 +133,7 @@ def test_a_repeated_reading_stops_the_arm_once_the_reference_moves_or_the_torque
 @pytest.mark.parametrize("alone", [True, False])
 @pytest.mark.parametrize("noisy", [True, False])
 def test_a_noisy_sensor_that_repeats_its_reading_at_rest_stops_the_arm(noisy, alone):
-    """The wrench sensor alone repeats its reading, or the whole packet does."""
+    """With `alone`, only the wrench reading repeats. Otherwise the whole packet repeats."""
     rng = np.random.default_rng(4)
     q = rng.normal(scale=1e-5, size=(600, N)) * alone
     wrench = rng.normal(size=(600, 6)) if noisy else np.ones((600, 6))
@@ -148,7 +146,7 @@ def test_a_noisy_sensor_that_repeats_its_reading_at_rest_stops_the_arm(noisy, al
 
 
 def watched(robot, torque, ticks, **levels):
-    """Reason and tick of the stop of an arm whose readings show only noise while ``torque`` (k) [Nm] acts."""
+    """Return reason and tick of the stop. The readings show only noise while `torque(k)` [Nm] acts."""
     rng, q, guard = np.random.default_rng(0), robot.data.q_home, guard_of(robot, momentum=True, **levels)
     for k in range(ticks):
         shown, tau = q + 1e-5 * rng.normal(size=N), robot.gravity(q) + torque(k)
@@ -161,7 +159,7 @@ def watched(robot, torque, ticks, **levels):
 
 @pytest.mark.parametrize(("begins", "told"), [(1, False), (120, True)])
 def test_an_unknown_load_stops_the_arm_only_if_it_begins_after_the_residual_has_settled(robot, begins, told):
-    """For example a payload. The residual's mean follows the residual for the first `_SETTLED` time constants."""
+    """The residual's mean adapts to the load during the first `_SETTLED` time constants."""
     load = 0.4 * robot.tau_max
     for on in (True, False):
         reason, _ = watched(robot, lambda k: (k >= begins) * load, 200, residual_s=1e6, motion=on)
@@ -169,8 +167,8 @@ def test_an_unknown_load_stops_the_arm_only_if_it_begins_after_the_residual_has_
 
 
 @pytest.mark.parametrize(("whole", "stops"), [(0.5, True), (1e6, False)])
-def test_a_torque_that_grows_slowly_while_the_pose_stays_stops_the_arm_by_its_size(whole, stops, robot):
-    """This imitates frozen readings with fresh noise under an integrating controller; the residual's mean follows."""
+def test_a_torque_that_grows_slowly_at_a_constant_pose_stops_the_arm(whole, stops, robot):
+    """This imitates frozen readings with fresh noise under an integrating controller."""
     rate = 0.25 * robot.tau_max[1] * PERIOD * np.eye(N)[1]  # 1.25 times the largest torque after 5 s
     reason, k = watched(robot, lambda k: rate * k, 2500, residual_whole_torque=whole)
     assert ("not what the torque makes" in reason) == bool(reason) == stops

@@ -14,12 +14,12 @@ from tests.control.torques import PERIOD, REST, N, guard_of, off_by, weight
 
 
 def bad_ticks(guard):
-    """How many measurements in a row, up to the latest, were refused."""
+    """Number of consecutive refused measurements up to the latest."""
     return guard._guard.watched()[0]
 
 
 def by_the_law(s, robot, tau, before, q, v, carries):
-    """Walls, brakes, torque rate and torque limit, with numpy."""
+    """The filter's torque, computed with numpy."""
     margins = s.position_margin_rad
     low, high, hold = robot.q_min + margins, robot.q_max - margins, carries * robot.gravity(q)
     ends, step = [], s.torque_rate_Nm_per_s * PERIOD
@@ -40,7 +40,6 @@ def by_the_law(s, robot, tau, before, q, v, carries):
 @given(seed=st.integers(0, 10**6), rate=st.sampled_from([500.0, 2e4, 1e9]), fast=st.sampled_from([0.3, 1.0, 3.0, 20.0]),
        asked=st.sampled_from([1.2, 1e3]), carries=st.booleans())  # fmt: skip
 def test_the_torque_follows_the_numpy_law_and_stays_within_its_limits(robot, seed, rate, fast, asked, carries):
-    """This holds for any commanded torque, in any state, also beyond the joint limits."""
     rng = np.random.default_rng(seed)
     guard = guard_of(
         robot, carries=carries, torque_rate_Nm_per_s=rate, position_margin_rad=0.05 * rng.uniform(0.5, 2.0),
@@ -81,7 +80,6 @@ def test_the_wall_of_a_sliding_joint_has_its_own_margin():
 
 @pytest.mark.parametrize("start", [-1.0, 1.0])
 def test_a_start_within_a_wall_moves_this_wall_to_the_start(robot, start):
-    """The wall begins at the start's position and gives no torque there. Other joints keep their own walls."""
     q, s = np.array(robot.data.q_home), SafetyFilterSettings()
     q[1] = start * (robot.q_max[1] - 0.5 * s.position_margin_rad)
     guard = guard_of(robot, q, carries=False)
@@ -183,8 +181,8 @@ def test_in_a_stop_the_weight_is_carried_within_the_torque_limits(robot, rate):
 
 
 @pytest.mark.parametrize("newton", [9.0, 30.0, 100.0])
-def test_brakes_open_by_the_mean_of_the_trocars_force_and_not_at_once(robot, newton):
-    """After k ticks the mean is (1 - (1 - 50 /s T)^k) times the force. At first, the tool's inertia adds to it."""
+def test_the_brakes_open_when_the_mean_of_the_trocars_force_exceeds_stop_yield(robot, newton):
+    """After k ticks the mean is (1 - (1 - 50 /s T)^k) times the force."""
     q, guard = robot.data.q_home, guard_of(robot, incision=True)
     guard.check_measurement(q, REST, wrench=weight(robot, q), trocar=off_by(robot, q, 0.0))
     opened = [not guard.brake_friction(weight(robot, q, newton)).any() for _ in range(400)]

@@ -1,4 +1,4 @@
-"""The safety filter in whole runs: what it stops, how soon and with which errors, and what it must not stop."""
+"""The safety filter in whole runs: delays and errors of stops, and runs that must not be stopped."""
 
 from unittest.mock import Mock
 
@@ -24,7 +24,7 @@ QUANTIZED = {"encoder_noise_rad": 0.0, "encoder_resolution_rad": 5e-4}
 
 
 def stopped(at, within, error, newton, reason="", **scenario):
-    """A run that stops ``within`` [s] of ``at``, with tip error and coasting < ``error`` [m], force < ``newton``."""
+    """Run and check the stop: delay < `within` [s], tip error and coasting < `error` [m], trocar force < `newton`."""
     trace = run(Scenario(**{"duration_s": 2.0, **scenario, **QUICK}))
     assert trace.meta["ended"].startswith("stopped: ")
     assert reason in trace.meta["ended"]
@@ -44,14 +44,14 @@ AT_REST = {
 }  # fmt: skip
 FORGED = {"frozen_velocity": "zero", "forged_stamps": True}
 
-# name: the run, start of the fault [s], bounds of the time to the stop [s], tip error [m] and force [N]; the reason
+# name: scenario, start of the fault [s], largest delay [s], tip error [m] and force [N], and the reason of the stop
 STOPPED = {
     "all-dropped": ({"faults": {"drop_share": 1.0}}, 0.0, 0.0101, 2.5e-3, 3.0, "3 ticks late"),
     "lost": ({"faults": {"nan_at_s": 0.4, "nan_ticks": 9999}}, 0.4, 0.0061, 5e-3, INF, "not believed"),
     "frozen": ({"faults": {"frozen_at_s": 0.9}, "control": DCAC}, 0.9, 0.0101, 2.5e-3, 3.0, "3 ticks late"),
     "growing-lag": ({"faults": {"lag_at_s": 1.0, "lag_growth": 0.3}}, 1.0, 0.034, 1.0, 3.0, ""),
     "replayed": ({"faults": {"replay_at_s": 1.0, "replay_ticks": 200}}, 1.0, 0.0101, 1.0, 3.0, ""),
-    # Such readings agree with their velocities and with the model: the repeated noise is the only sign.
+    # These readings agree with their velocities and with the model. Only the repeated noise shows the fault.
     "a recording of the resting arm": ({**AT_REST, "seed": 8316}, 4.0, 0.08, 2e-3, 5.0, "came before"),
     "the same, no noise in the wrench": (
         {**AT_REST, "seed": 8307, "plant": {"force_noise_N": 0.0, "torque_noise_Nm": 0.0}}, 4.0, 0.08, 2e-3, 5.0,
@@ -61,7 +61,7 @@ STOPPED = {
         {"faults": {"frozen_at_s": 1.7, **FORGED}, "seed": 501, "duration_s": 2.4,
          "start": {"pose": "random", "swivel": "random"}}, 1.7, 0.1, 4e-3, 5.0, "",
     ),
-    # The lag grows whenever a reading comes twice. Without the check, the error is 57 mm, and 0 at rest.
+    # Without the check of repeated readings, the tip error is 57 mm in motion and 0 at rest.
     "forged-lag-at-rest": (
         {"faults": {"lag_at_s": 0.0, "lag_growth": 0.3, "forged_stamps": True}, "seed": 2345, "control": DCAC,
          "task": STILL, "duration_s": 1.5, **ANYWHERE}, 0.0, 0.24, 4e-3, 5.0, "",
@@ -70,7 +70,7 @@ STOPPED = {
         {"faults": {"lag_at_s": 0.6, "lag_growth": 0.3, "forged_stamps": True}, "seed": 2345, "control": DCAC,
          "robot": {"name": "gen3"}, "duration_s": 1.5, **ANYWHERE}, 0.6, 0.14, 4e-3, 5.0, "",
     ),
-    "one-frozen-found-by-its-noise": (  # at the latest when it repeats a reading longer than its noise allows
+    "one-frozen-found-by-its-noise": (  # the noise allows at most 89 equal readings
         {"faults": {"frozen_at_s": 0.8, "frozen_joint": 1, "frozen_velocity": "zero"}, "seed": 2100, "duration_s": 3.0,
          "guard": {"repeat_reading_ticks": 10**6}, **SWIVEL}, 0.8, 0.183, 0.045, 25.0, "",
     ),
@@ -83,7 +83,7 @@ STOPPED = {
         {"faults": {"drift_rad_per_s": 0.05, "drift_at_s": 0.5, "drift_velocity": "apart"}, "seed": 2210, **SWIVEL},
         0.5, 0.1, 5e-3, 5.0, "do not follow their velocities",
     ),
-    "drift-with-the-velocity": (  # with a wrong depth, the trocar's force is first attributed to the tip
+    "drift-with-the-velocity": (  # with a wrong depth, the force first counts as a contact at the tip
         {"faults": {"drift_at_s": 2.02, "drift_rad_per_s": 0.05}, "seed": 7033, "control": {"preset": "robust"},
          "task": {"v_max_m_per_s": 0.07730648346067734}, "duration_s": 6.0, **SWIVEL},
         2.02, 4.0, 0.13, 32.0, "the trocar's force",
@@ -116,13 +116,13 @@ def test_wrong_measurements_stop_the_arm(name):
         assert not (trace.fault[~after] == "stopped").any()
 
 
-# the encoder's fault, and bounds of the time to the stop [s] and of the tip error [m]
+# fault of the encoder, largest delay of the stop [s], largest tip error [m]
 @pytest.mark.parametrize(("wrong", "within", "error"), [
-    # The position stays, but the velocity does not decay as a filtered one would. Without the check: 31 mm, 24 N.
+    # The position freezes and the filtered velocity does not decay. Without the check: 31 mm, 24 N.
     ({"frozen_velocity": "repeated"}, 0.0121, 0.012), ({"frozen_velocity": "zero"}, 0.0121, 0.012),
     # Now and then a reading comes twice. Without the check, the error is 53 mm.
     ({"lag_growth": 0.05}, 0.21, 0.012), ({"lag_growth": 0.5}, 0.03, 0.012),
-    # The readings become old from one tick to the next. Without the check, the error is 48 mm and the force 17 N.
+    # The readings are suddenly old. Without the check, the error is 48 mm and the force 17 N.
     ({"lag_ticks": 8, "lag_growth": 1e-6}, 0.03, 0.006), ({"lag_ticks": 40, "lag_growth": 1e-6}, 0.03, 0.006),
 ], ids=str)  # fmt: skip
 @pytest.mark.parametrize("robot", ["lwr4", "panda", "xarm7", "lwr4_rail"])
@@ -139,7 +139,7 @@ def test_one_encoder_that_is_stuck_or_lags_is_found(robot, wrong, within, error)
     ("lwr4", 4, 3), ("iiwa14", 4, 4), ("panda", 4, 3), ("gen3", 2, 0), ("xarm7", 2, 0), ("lwr4_rail", 3, 4),
 ])  # fmt: skip
 def test_a_broken_drive_is_stopped_and_the_brakes_hold_the_arm(arm, joint, seed, gain, monkeypatch):
-    """The drive gives no or the opposite torque. Of all joints and five seeds, these move each arm's tip farthest."""
+    """The drive gives zero or the opposite torque. Of all joints and five seeds, these move the tip farthest."""
     sound = Plant.step
 
     def step(plant, tau, trocar=None):
@@ -172,10 +172,7 @@ def test_a_short_gap_is_bridged(gap):
     {"preset": "tuned", "limit_margin_rad": 0.0}, {**DCAC, "K_X": 3000.0, "D_X": 80.0, "K_N": 800.0, "D_N": 60.0},
 ], ids=["moc", "dcac"])  # fmt: skip
 def test_an_arm_at_its_wall_is_stopped(control):
-    """The wall begins so far inside the limits that the circle leads joint 4 into it.
-
-    The tip error stays small, so that without limits at the incision the run completes with 14 mm of RCM error or more.
-    """
+    """The wall begins so far inside the joint limits that the circle leads joint 4 into it."""
     wall = {"position_margin_rad": 0.62}
     blind = {**wall, "rcm_error_m": None, "trocar_force_N": None, "motion": False}
     free = run(Scenario(control=control, guard=blind, **QUICK))
@@ -185,14 +182,13 @@ def test_an_arm_at_its_wall_is_stopped(control):
     told = "the RCM error has been above 10 mm"
     trace = stopped(0.0, 20.0, 0.03, 11.0, told, control=control, guard=wall, duration_s=None)
     assert trace.rcm_error_m.max() < 0.0145
-    # with open brakes the tissue pushes the arm back, until the brakes close at half of stop_yield_N
+    # the tissue pushes the arm back until the brakes close at half of stop_yield_N
     assert np.linalg.norm(trace.trocar_force_N[-1]) < 0.5 * SafetyFilterSettings().stop_yield_N + 0.5
     assert np.abs(trace.v_rad_per_s[-1]).max() < 0.03
     assert 0.0 < trace.meta["warnings"][0]["first_s"] < trace.meta["stopped_at_s"]
 
 
 def unknown_plant(seed):
-    """Wrong masses, friction from none to twice, a constant delay, a payload, coarse and noise-free encoders."""
     rng = np.random.default_rng(900 + seed)
     plant = {
         "delay_ticks": int(rng.integers(0, 3)), "friction": float(rng.uniform(0.0, 2.0)), "mass_error": 0.2,
@@ -207,7 +203,7 @@ def unknown_plant(seed):
 
 
 def coarse(robot, seed, control, delay):
-    """Friction and the encoders' step of 0.5 mrad keep readings constant while the torque changes, as a fault would."""
+    """High friction and coarse encoders keep readings constant while the torque changes, as a fault would."""
     plant = {**QUANTIZED, "friction": 2.0, "delay_ticks": delay}
     return {"seed": seed, "robot": {"name": robot}, "control": control, "plant": plant, "duration_s": 2.0, **SWIVEL}
 
@@ -226,7 +222,7 @@ def test_harmless_deviations_of_the_plant_do_not_stop_the_arm(scenario):
 @pytest.mark.parametrize("preset", ["default", "tuned", "robust", "paper"])
 @pytest.mark.parametrize("law", ["moc", "dcac"])
 def test_runs_without_faults_are_not_stopped(preset, law):
-    """They do not warn either, except with the paper's parameters, whose RCM errors reach 9 mm."""
+    """Only the paper's parameters, whose RCM errors reach 9 mm, give warnings."""
     control = {"law": law} if preset == "default" else {"law": law, "preset": preset}
     seed = len(preset + law) % 4
     task = {"path": ("circle", "sinusoid", "spiral", "line")[seed]}
@@ -238,8 +234,7 @@ def test_runs_without_faults_are_not_stopped(preset, law):
 
 
 @pytest.mark.parametrize("plant", [{}, {"friction": 0.0}, {"trocar_stiffness_N_per_m": 3000.0}], ids=str)
-def test_the_robust_gains_bear_four_ticks_of_delay(plant):
-    """Even without friction, which damps, or with a stiff trocar, no joint begins to oscillate."""
+def test_the_robust_gains_stay_stable_with_four_ticks_of_delay(plant):
     base = Scenario(control={"preset": "robust"}, seed=3, duration_s=2.0, **SWIVEL, **QUICK)
     one, four = (run(base.change(plant={"delay_ticks": ticks, **plant})) for ticks in (1, 4))
     assert four.meta["ended"] == "completed"
@@ -251,7 +246,7 @@ def test_the_robust_gains_bear_four_ticks_of_delay(plant):
 
 @pytest.mark.parametrize(("every", "seed"), [(1, 0), (100, 1), (10_000, 2)])
 def test_a_hostile_controller_moves_no_joint_past_its_limit(robot, every, seed):
-    """It asks for twice the largest torques, in directions that change at random, and gives no tip position."""
+    """The controller commands twice the largest torques in directions that change at random."""
     # Without encoder bias, one of 60 such runs passes a limit by 0.01 rad. With a bias of 0.1 mrad, three do.
     free = PlantSettings(trocar_stiffness_N_per_m=0.0, trocar_damping_Ns_per_m=0.0, encoder_bias_rad=0.0)
     plant = Plant(robot.data, free, seed=seed)
@@ -268,7 +263,7 @@ def test_a_hostile_controller_moves_no_joint_past_its_limit(robot, every, seed):
     assert (np.abs(trace.tau_Nm) <= robot.tau_max).all()
     rate = np.abs(np.diff(trace.tau_Nm, axis=0)).max() / PERIOD
     assert rate <= SafetyFilterSettings().torque_rate_Nm_per_s * (1 + 1e-9)
-    # a joint is braked only once it is too fast, so at full torque it exceeds its speed limit for some ticks
+    # A joint is braked only when it is too fast, so it may exceed its speed limit for some ticks.
     speed = np.abs(trace.v_rad_per_s) / robot.v_max
     assert speed.max() < 5.0
     assert np.median(speed.max(axis=1)) < 2.0
@@ -298,6 +293,6 @@ def test_the_command_line_says_that_an_arm_ran_away_and_keeps_its_trace(tmp_path
     file, out = tmp_path / "s.toml", tmp_path / "t.parquet"
     stiff = "plant = {trocar_stiffness_N_per_m = 1e6, trocar_damping_Ns_per_m = 1e4}\n"
     file.write_text(f"duration_s = 1.2\nbound_samples = 0\njudge = false\n{stiff}", encoding="utf-8")
-    assert main(["run", str(file), "--trace", str(out)]) == 3  # and not 2: the input is valid
+    assert main(["run", str(file), "--trace", str(out)]) == 3  # the input is valid, so the status is not 2
     assert "s: ran away" in capsys.readouterr().err, "the message begins with the file's name"
     assert Trace.load(out).meta["ended"].startswith("ran away")

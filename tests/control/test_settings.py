@@ -1,4 +1,4 @@
-"""A controller's settings: gains, ranges, presets, and the paper's Table I as it reaches the core."""
+"""A controller's settings: gains, ranges, presets, and the numbers of the paper's Table I."""
 
 import json
 import re
@@ -40,8 +40,7 @@ def test_gains_come_from_the_chosen_table_unless_a_setting_replaces_them():
     ControlSettings.preset("paper"), ControlSettings.preset("tuned"), ControlSettings(law="dcac", gains=None),
     ControlSettings(third_level="planned"), ControlSettings(third_level="receding", observer_gain_per_s=0.0),
 ])  # fmt: skip
-def test_the_matched_baseline_has_the_same_gains(settings, robot):
-    """The matched DCAC has the given law's gain table, the settings that replace entries of it, and its observer."""
+def test_the_matched_dcac_baseline_has_the_same_gains_and_observer(settings, robot):
     given = settings.resolve_gains(robot.data.gains, 7)
     changed = ControlSettings(**{**settings.model_dump(), **settings.matched_dcac()})
     matched = changed.resolve_gains(robot.data.gains, 7)
@@ -52,7 +51,6 @@ def test_the_matched_baseline_has_the_same_gains(settings, robot):
 
 
 def test_a_gain_is_one_number_or_one_per_joint():
-    """This holds in the settings, also after a round trip through JSON, and in the robot's table."""
     given = ControlSettings(gains="moc", K_N2=[3, 2, 1.5], dcac_damping=(0.0, 1.0, 0.0))
     assert ControlSettings(**json.loads(given.model_dump_json())) == given
     numbers = given.resolve_gains(TABLES, 3)
@@ -160,8 +158,7 @@ def test_a_preset_is_found_by_its_name():
         ControlSettings.preset("tunned")
 
 
-def test_under_a_course_the_box_allows_the_whole_speed_and_only_deviations_are_damped():
-    """The arm is on a rail: its sliding joint has a margin in metres, which is the same for both third levels."""
+def test_along_a_planned_motion_the_bounds_allow_the_whole_speed_and_only_deviations_are_damped():
     arm, own = load_robot("lwr4_rail"), {"limit_margin_m": 0.03, "climb": "scaled"}
     given = (ControlSettings(third_level=level, **own) for level in ("local", "planned"))
     local, planned = (numbers_of(settings, arm, 0.002) for settings in given)
@@ -172,22 +169,22 @@ def test_under_a_course_the_box_allows_the_whole_speed_and_only_deviations_are_d
         np.testing.assert_allclose(arm.q_max - given["q_max"], margins)
         assert given["k0"] == k0
     assert (local["climbs"], planned["climbs"]) == (True, False)
-    # The desired speed itself (v = x) is not damped. A deviation from it is damped as much as under `local`.
+    # The desired speed v = x is not damped. A deviation from v = x is damped as much as with `local`.
     np.testing.assert_array_equal(planned["D_N2"], 0.0)
     np.testing.assert_allclose(planned["K_N2"], local["K_N2"] + local["D_N2"])
     assert local["D_N2"].max() > 0.0
     assert numbers_of(ControlSettings(third_level="planned", k0_per_s=12.0), arm, 0.002)["k0"] == 12.0
 
 
-def test_under_a_course_the_observer_has_its_own_gain_unless_it_is_off():
+def test_along_a_planned_motion_the_observer_has_its_own_gain_unless_switched_off():
     for gain, level, rate in ((20.0, "local", 20.0), (20.0, "receding", 40.0), (0.0, "receding", 0.0)):
         assert ControlSettings(third_level=level, observer_gain_per_s=gain).observer_rate_per_s == rate
-    for name in ("tuned", "robust"):  # tuned with the gains: the observer affects the largest stable delay
+    for name in ("tuned", "robust"):  # the observer affects the largest stable delay
         planned = ControlSettings.preset(name, third_level="planned")
         assert planned.observer_rate_per_s <= ControlSettings.preset(name).observer_gain_per_s
 
 
-def test_a_wall_that_begins_within_the_box_is_refused():
+def test_a_wall_inside_the_controllers_joint_range_is_refused():
     for unit, box in (("rad", 0.15), ("m", 0.05)):
         with pytest.raises(ScenarioError, match=f"position_margin_{unit} = 0.2 .*_{unit} = {box}"):
             Scenario(guard={f"position_margin_{unit}": 0.2})
@@ -205,7 +202,6 @@ def test_a_warning_level_above_its_limit_is_refused(wrong):
 
 @pytest.mark.parametrize("length", [0.15, 0.6])
 def test_the_shafts_margin_grows_with_the_squared_distance_from_tip_to_wrist(length):
-    """While the tip is held, a turn of the shaft moves the wrist by its distance from the tip times the angle."""
     robot = load_robot("gen3", tool_length=length)
     lever = length + 0.061525 + 0.10593
     law = numbers_of(ControlSettings(shaft_margin=0.2, speed_fraction=0.4), robot, 0.002)

@@ -1,4 +1,4 @@
-"""The supervisor of the third level: refused answers, what replaces them, and that tip and RCM do not change."""
+"""The supervisor of the third level refuses wrong answers. Tip and RCM do not depend on the answers."""
 
 from types import SimpleNamespace
 from unittest.mock import Mock
@@ -28,13 +28,13 @@ ZERO, OK, LATE = np.zeros(7), Status.SOLVED, ["hold", "zero", "iterate"]
 
 
 def scripted(*answers):
-    """A session that gives these answers in turn, or raises them where they are exceptions."""
+    """A session that returns these answers in turn. An exception among them is raised."""
     return Mock(spec=["solve"], **{"solve.side_effect": list(answers)})
 
 
 @pytest.fixture(scope="module")
 def recorded():
-    """Subproblems of closed-loop runs, with and without regularization, far from and near the optimum."""
+    """Subproblems of closed-loop runs, with and without regularization."""
     traces = (run(Scenario(control=control, **{**QUICK, "duration_s": 1.5}))
               for control in ({"preset": "tuned"}, {}, {"preset": "paper"}))  # fmt: skip
     return np.concatenate([trace.subproblem[::12] for trace in traces])
@@ -65,7 +65,7 @@ def supervisor(fallback="damping", times=None, **changes):
 
 
 def asked(qp, Z, answer, n=7, v=None, **changes):
-    """The supervisor, the solution and the x that the arm follows, after one answer."""
+    """Return the supervisor, the solution and the x that the arm follows, after one answer."""
     mine = Supervisor(SupervisorSettings(**changes), "damping", n)
     session = answer if hasattr(answer, "solve") else scripted(answer)
     return mine, *mine.solve(session, qp, Z, v)
@@ -201,7 +201,7 @@ def test_a_falsely_claimed_optimum_is_refused_at_every_tick(recorded):
 
 
 def along_the_line(qp, Z, x):
-    """natural, off and opposite of x by search: a bounded minimizer for the two optima, bisection for the residual."""
+    """Compute natural, off and opposite of x by numerical search instead of formulas."""
     d = Z.T @ (Z @ qp.pull)
     d /= np.linalg.norm(d)
     moving = np.abs(d) > 1e-9
@@ -234,8 +234,8 @@ def along_the_line(qp, Z, x):
 
 
 @pytest.mark.parametrize("c2", [1e-3, 0.5])
-def test_the_residuals_along_the_line_against_a_search(c2):
-    """One freedom. x lies within, at or beyond the sides of the box, and rho or the box determines the optimum."""
+def test_the_residuals_along_the_self_motion_agree_with_a_numerical_search(c2):
+    """The null space has one dimension. x lies within, at or beyond its bounds."""
     rng, seen = np.random.default_rng(12), []
     for number in range(60):
         qp = random_problem(rng, c2=c2, regularization=c2 * 10.0 ** rng.uniform(-2.0, 1.0))
@@ -251,17 +251,17 @@ def test_the_residuals_along_the_line_against_a_search(c2):
         assert off == pytest.approx(wanted[1], rel=1e-5, abs=2e-6)
         assert opposite_off == pytest.approx(wanted[2], rel=1e-5, abs=2e-6)
         seen.append((outside, relative, off, opposite_off))
-    assert (np.median(seen, axis=0)[1:] > 1e-3).all()  # so the figures that were compared are not zeros
+    assert (np.median(seen, axis=0)[1:] > 1e-3).all()  # the compared figures are not zeros
 
 
 def test_without_a_gradient_along_the_self_motion_the_residuals_along_it_are_zero(qp, Z):
-    """Without a gradient along the self-motion, or without any self-motion, every feasible answer is an optimum."""
+    """Every feasible answer is an optimum if the cost has no gradient along the self-motion."""
     x = solved(qp).x
     for pull, c2, Zs in ((1.0, 1.0, np.zeros((0, 7))), (0.0, 1.0, Z), (1.0, 0.0, Z), (1e-9, 1.0, Z)):
         row = np.array(qp.row)
         fields(row).pull[:] *= pull
         fields(row).weights[2] *= c2
-        if pull == 1e-9:  # a small gradient counts: the threshold is relative to its own length
+        if pull == 1e-9:  # a small gradient counts, because the threshold is relative to the gradient's size
             assert judged(row, Zs, x + 0.1 * Z[0] + 0.1 * Z[1])[2] > 0.0
         else:
             assert judged(row, Zs, x)[2:] == (0.0, 0.0, 0.0)
@@ -278,8 +278,8 @@ def test_the_solve_time_is_measured_in_microseconds_and_compared_with_the_budget
 @pytest.mark.parametrize("rho", [0.0, 0.3])
 @pytest.mark.parametrize("tilt", [1.0, 1e-3])
 @pytest.mark.parametrize("n", [7, 8, 9])
-def test_wrong_corners_with_several_freedoms_are_refused(n, tilt, rho):
-    """Two to four freedoms; the gradient along them is as large as across them, or a thousandth of it."""
+def test_wrong_vertices_are_refused_in_null_spaces_of_several_dimensions(n, tilt, rho):
+    """With a small `tilt`, most of the gradient is perpendicular to the null space."""
     wrong = wrong_corners(n, n, 10, tilt=tilt, regularization=rho)
     faults = [asked(w.qp, null_space(w.qp.A), Solution(w.x, None, Status.SOLVED), n)[0].fault for w in wrong]
     assert np.mean([fault is Fault.FALSE_OPTIMUM for fault in faults]) >= (1.0 if rho == 0.0 else 0.9)
@@ -291,7 +291,7 @@ def test_wrong_corners_with_several_freedoms_are_refused(n, tilt, rho):
     off=st.just(0.0) | st.floats(-9.0, -1.0).map(lambda k: 10.0**k), rest=st.none() | st.floats(-12.0, 0.0),
 )  # fmt: skip
 def test_every_verified_answer_is_accepted(seed, n, rho, off, rest):
-    """This includes courses at rest, where (rho/c2) x_d replaces the gradient and x_d is nearly zero."""
+    """With `rest`, (rho / c2) x_d replaces the gradient, and x_d is nearly zero."""
     rng = np.random.default_rng(seed)
     problem = random_problem(rng, n, structured=n == 7, regularization=rho)
     if rest is not None and rho > 0.0:
@@ -306,7 +306,7 @@ def test_every_verified_answer_is_accepted(seed, n, rho, off, rest):
         assert mine.fault is Fault.NONE
     assert off > 0.0 or found.verified()
     relative = judged(problem.row, Z, x)[2]
-    assert relative <= found.relative * (1.0 + 1e-6) + 1e-6  # joints that hardly move do not limit the line
+    assert relative <= found.relative * (1.0 + 1e-6) + 1e-6  # bounds of joints that hardly move are ignored
 
 
 def test_the_check_can_be_switched_off(qp, Z):
@@ -316,7 +316,7 @@ def test_the_check_can_be_switched_off(qp, Z):
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("idle_speed", [0.0, 0.5])
 def test_the_speed_of_an_idle_joint_does_not_make_an_optimum_false(seed, idle_speed):
-    """The ninth joint moves neither tip nor wrist. The check ignores its speed and judges the other freedoms alone."""
+    """The ninth joint moves neither tip nor wrist."""
     eight = random_problem(np.random.default_rng(seed), 8, structured=False, regularization=1e-3)
     still = np.zeros((3, 1))
     nine = NullSpaceQP(
@@ -341,8 +341,8 @@ def test_both_ends_of_a_segment_shorter_than_opposite_limit_are_accepted(qp, Z):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_an_idle_joint_is_judged_where_it_is_the_only_freedom(seed):
-    """Five joints for five independent rows, and one that moves neither tip nor wrist."""
+def test_an_idle_joint_is_judged_if_no_other_self_motion_exists(seed):
+    """Five joints serve five independent rows. The sixth joint moves neither tip nor wrist."""
     qp, joints = random_problem(np.random.default_rng(seed)), [0, 1, 2, 3, 4, 6]
     A, x = qp.A[:, joints], 0.5 * (qp.lower + qp.upper)[joints]
     one = NullSpaceQP(*np.split(A, 2), *np.split(A @ x, 2), np.r_[qp.pull[:5], 0.2],
@@ -374,7 +374,7 @@ def test_a_late_answer_is_replaced_as_the_setting_says(late, qp, Z):
 
 
 def stoppable(whole, truncated):
-    """A session with a whole and a truncated answer. The truncated one is raised if it is an exception."""
+    """A session with a whole and a truncated answer. A truncated answer that is an exception is raised."""
     return SimpleNamespace(solve=Mock(return_value=whole), truncated=Mock(side_effect=[truncated]))
 
 
@@ -407,7 +407,7 @@ def test_a_truncated_answer_is_checked_like_any_other(cut, fault, qp, Z):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_tip_and_rcm_do_not_depend_on_the_third_level(kind, robot):
-    """In the same state, a controller with right answers and one with wrong answers accelerate tip and wrist alike."""
+    """In the same state, right and wrong answers give the same acceleration of tip and wrist."""
     rng, q, settings = np.random.default_rng(5), robot.data.q_home, ControlSettings.preset("tuned")
     good, bad = (Controller(robot, settings, one) for one in (Exact(), Faulty(Exact(), kind, rate=1.0)))
     references = in_place(robot.state(q), 0.02)
@@ -423,12 +423,11 @@ def test_tip_and_rcm_do_not_depend_on_the_third_level(kind, robot):
         # both observers get the same torque, so that their estimates are equal
         for mine in (good, bad):
             mine.set_applied_torque(torques[0])
-    assert np.abs(torques[1] - torques[0]).max() > 1e-3  # so the two torques that were compared differ
+    assert np.abs(torques[1] - torques[0]).max() > 1e-3  # the compared torques differ
 
 
 @pytest.mark.parametrize("name", [name for name, reason in available().items() if reason is None])
 def test_at_most_one_percent_of_a_registered_solvers_answers_are_refused(name):
-    """Each solver has its default settings."""
     trace = run(Scenario(solver={"name": name}, **QUICK))
     refused = ("lied", "outside", "late", "not_finite", "malformed", "raised")
     assert np.isin(trace.fault, refused).mean() <= 0.01, trace.meta["faults"]
@@ -439,7 +438,7 @@ def test_at_most_one_percent_of_a_registered_solvers_answers_are_refused(name):
     (0, 3, "opposite_limit"), (0, None, "budget_us"),
 ])  # fmt: skip
 def test_an_answer_at_a_limit_of_the_check_is_accepted_and_one_beyond_it_is_not(qp, Z, claim, j, limit):
-    """Claim 0 is an optimum and 2 an iterate; j is the index of the figure among those of `judged`."""
+    """Claim 0 means optimum, and claim 2 means iterate. `j` is the index of the figure in `judged`."""
     x = opposite(qp).x if j in (2, 3) else np.clip(solved(qp).x, qp.lower, qp.upper)
     x = x + 0.01 * (qp.A[0] if j == 0 else np.where(x == qp.upper, 1.0, 0.0) if j == 1 else 0.0)
     figure = 50.0 if j is None else judged(qp.row, Z, x)[j]
@@ -451,8 +450,8 @@ def test_an_answer_at_a_limit_of_the_check_is_accepted_and_one_beyond_it_is_not(
         assert (made.finish(0, claim, x, 50.0)[0] == 0) == taken
 
 
-def test_with_several_freedoms_or_a_faint_gradient_a_good_answers_distance_is_not_computed(qp):
-    """Then `off`, the distance from the optimum, stays zero. With one freedom and a clear gradient it is computed."""
+def test_with_several_null_space_directions_or_a_faint_gradient_a_good_answer_gets_no_distance(qp):
+    """Then `off`, the distance to the optimum, stays zero."""
     faint, several = changed(qp, c2=1e-7, regularization=1e-2), random_problem(np.random.default_rng(3), 8)
     for each, searched in ((qp, True), (faint, False), (several, False)):
         Z = null_space(each.A)

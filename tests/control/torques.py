@@ -1,4 +1,4 @@
-"""The core's law with only the parts that a test asks for, in any state; and a supervisor and a safety filter alone."""
+"""Helpers for tests: a control law with only chosen parts switched on, a supervisor, and a safety filter."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings
 
 
 def law(n, arm=None, supervision=None, fallback="damping", **changes):
-    """A core.Law for n joints. Gains that are not given are zero, limits wide, and parts off."""
+    """A core.Law for n joints. Gains that are not given are zero, limits are wide, and parts are off."""
     s = supervisor.SupervisorSettings() if supervision is None else supervision
     wide = np.full(n, 1e3)
     blank = core.Arm(np.zeros((n, 27)), np.zeros((2, 3)), np.eye(3), np.ones((2, n)), np.zeros(3))
@@ -29,7 +29,7 @@ def law(n, arm=None, supervision=None, fallback="damping", **changes):
 
 
 def ticked(robot, state, tip_ref, trocar, x=None, x_d=None, **parts):
-    """The first tick's torque tau (n,), and the record of its subproblem."""
+    """Return the first tick's torque tau (n,) and the record of its subproblem."""
     made = law(robot.n, robot.arm, check=False, **parts)
     made.start(state.q, state.v, tip_ref, trocar)
     row = made.begin(state.q, state.v, tip_ref, trocar, x_d)[1]
@@ -43,7 +43,7 @@ def tracking(robot, state, tip_ref, trocar, gains=(0.0, 0.0, 0.0, 0.0), **parts)
 
 
 def in_place(state, speed=0.0):
-    """References without position errors of tip and shaft in this state; the tip reference moves along x [m/s]."""
+    """References at the tip and shaft of this state. The tip reference moves along x at `speed` [m/s]."""
     tip_ref = np.array([state.tip, [speed, 0.0, 0.0], np.zeros(3)])
     return tip_ref, np.array([state.tip - 0.15 * state.tool_direction, np.zeros(3)])
 
@@ -54,7 +54,7 @@ def subproblem(robot, state, tip_ref, trocar, **parts):
 
 
 def stand_in(row, Z, fault, fallback="damping"):
-    """The x (n,) that the arm follows instead of an answer with this fault, if there is no good answer to hold."""
+    """The x (n,) that replaces an answer with this fault if no earlier answer can be held."""
     made = law(Z.shape[1], fallback=fallback, hold_ticks=0)
     made.load(row, Z)
     found, x, _ = made.finish(fault, 0, np.zeros(Z.shape[1]), 0.0)

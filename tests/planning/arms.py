@@ -1,4 +1,4 @@
-"""Arms that are built from joint frames and limits, with invented masses, and short tasks for any arm."""
+"""Arms built from joint frames and limits with invented masses, and short tasks for any arm."""
 
 from pathlib import Path
 from typing import Any
@@ -43,7 +43,7 @@ def build(folder: Path, numbers: dict[str, Any], **changes: Any) -> RobotModel:
 
 
 def sixteen_joints(folder: Path, home: Array) -> RobotModel:
-    """An arm of sixteen joints: tip and shaft take five, the last one turns only the tool, and ten are left."""
+    """An arm of sixteen joints. Tip and shaft need five, the last joint turns only the tool, and ten remain."""
     turns = [((0, 0, 0.1), (0, 0, 0)), *[((0, 0, 0.08), (sign * H, 0, 0)) for sign in 7 * (1, -1) + (1,)]]
     return build(folder, {
         "joints": turns, "q_max": np.full(16, 1.8), "v_max": np.full(16, 2.0), "wrist": (0, 0, 0),
@@ -54,7 +54,7 @@ def sixteen_joints(folder: Path, home: Array) -> RobotModel:
 def laid(
     robot: RobotModel, q: Array, count: int, duration_s: float, start_s: float, shape: str, **size: float
 ) -> Targets:  # fmt: skip
-    """The targets of a path that begins at the tip's place in a pose."""
+    """Targets along a path that starts at the tip in pose q."""
     state = robot.state(q)
     path = make_path(shape, state.tip, normal=(0.0, 0.0, 1.0), heading=(1.0, 0.0, 0.0), **size)
     trocar = Trocar(state.tip - 0.15 * state.tool_direction)
@@ -62,12 +62,12 @@ def laid(
 
 
 def task(robot: RobotModel, q: Array, count: int) -> Targets:
-    """The targets of a circle that begins at the tip's place in a pose and takes 5 s."""
+    """Targets along a circle that starts at the tip in pose q and takes 5 s."""
     return laid(robot, q, count, 5.0, 0.2, "circle", radius=0.03)
 
 
 def line_from(robot: RobotModel, q: Array, count: int = 4) -> Targets:
-    """The targets of a short line that begins at the tip's place in a pose."""
+    """Targets along a short line that starts at the tip in pose q."""
     return laid(robot, q, count, 0.8, 0.0, "line", length=0.02)
 
 

@@ -1,4 +1,4 @@
-"""Self-motion curves of a gantry of sliding joints (straight lines), and of real arms where the curve bends sharply."""
+"""Self-motion curves: straight lines for a gantry of sliding joints, and sharp bends for real arms."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ TURN = np.eye(5)[4]
 
 
 def gantry(slides):
-    """Two sliding joints along x, one along y, one along z; the fifth slides along or turns about z, the tool axis."""
+    """Two joints slide along x, one along y and one along z. The fifth slides along or turns about the tool axis z."""
     rows = np.zeros((5, 27))
     rows[:, :9], rows[:, 12:15], rows[:, 15] = np.eye(3).ravel(), AXES, [1, 1, 1, 1, slides]
     moves = np.ones((2, 5))
@@ -50,8 +50,8 @@ def test_a_straight_curve_has_even_samples_up_to_the_first_limit_that_it_meets()
 
 
 @pytest.mark.parametrize("step", [0.1, 0.0995, 0.15, 2.0 * np.pi / 60])
-def test_a_curve_closes_after_one_turn_of_a_revolute_joint_and_never_where_joints_slide(step):
-    """The last sample is one whole turn from the start, and replaces a sample that would be too close to it."""
+def test_a_curve_closes_after_one_turn_of_a_revolute_joint_but_never_if_joints_slide(step):
+    """The last sample is exactly one turn from the start. No other sample is close to it."""
     low, high, start = np.full(5, -30.0), np.full(5, 30.0), np.array([1.0, 0.0, 0.0, 0.0, 2.0])
     low[1:4] = high[1:4] = 0.0
     low[0] = high[0] = 1.0

@@ -1,4 +1,4 @@
-"""A follower turns a course (a joint trajectory) into desired velocities, and in closed loop the arm follows it."""
+"""A follower turns a course (a planned joint motion) into desired velocities, which the arm follows."""
 
 from functools import cache
 
@@ -52,7 +52,7 @@ def test_the_desired_velocity_is_the_courses_velocity_plus_a_gain_times_the_erro
     np.testing.assert_allclose(last, 5.0 * (0.1 - 0.2), atol=1e-9)
 
 
-def test_an_arm_that_has_left_its_course_is_led_from_its_pose_to_the_courses_maximum_of_mu():
+def test_an_arm_that_has_left_its_course_still_reaches_the_courses_maximum_of_mu():
     """The elbow is held for 1 s, while mu rises by 30 % on the course. Then the arm moves with the desired velocity."""
     made = Setup(TRAPPED.change(control={"third_level": "planned"}))
     robot, guide, q, held = made.robot, follower(made), np.array(made.q_start), 500
@@ -80,13 +80,12 @@ def test_the_arm_follows_its_course_and_has_hardly_less_mu_than_with_the_local_c
     wanted = np.array([guide._given.at(t)[0] for t in trace.t_s])
     assert np.abs(trace.q_rad - wanted)[trace.t_s > 1.0].max() < 0.05
     climbed = mo.run(FOLLOWED.change(control={"third_level": "local"}))
-    # From this pose the climb reaches the same maximum. A course gives up some mu to be smooth, the climb does not.
+    # From this pose the climb reaches the same maximum. A course gives up some mu to be smooth.
     assert trace.mu.mean() > 0.995 * climbed.mu.mean()
     assert Setup(FOLLOWED.change(control=FOLLOWED.control.matched_dcac())).controller()._guide is None
 
 
-def test_a_start_nearer_to_a_limit_than_the_margin_costs_no_mu_however_near_it_is():
-    """From the second start, the course on the map's grid regains the margin in one step, but no refined course can."""
+def test_a_start_nearer_to_a_limit_than_the_margin_costs_no_mu():
     courses = []
     for swivel in (0.01, 0.0142):  # 0.030 and 0.043 rad from a limit
         made = Setup(FOLLOWED.change(start={"swivel": swivel}, control={"course_margin_rad": 0.05}))
@@ -146,10 +145,10 @@ def test_the_receding_horizons_motion_is_on_the_path_and_within_the_joint_speeds
     assert one.told["refused"] <= 0.05 * one.told["solves"]
     t = 0.002 * np.arange(len(q))
     tips, wrists = setup().robot.tool_along(np.array(q))
-    # Between the program's nodes the motion is a cubic, and a joint turns by up to 0.2 rad from one node to the next.
+    # Between the program's nodes the motion is a cubic, which leaves the path slightly.
     assert np.linalg.norm(tips - setup().reference.at(t)[0], axis=1).max() < 2e-3
     assert shaft_distance(tips, wrists, setup().registered.at(t)[0]).max() < 2e-3
-    # The program limits mean speeds between its nodes, so the cubic is faster in places. In a run, the box limits it.
+    # The program limits only mean speeds between its nodes, so the cubic is faster in places.
     assert (np.abs(np.diff(q, axis=0)) / 0.002 <= 1.2 * setup().robot.v_max).all()
 
 
@@ -182,7 +181,7 @@ def test_a_run_can_be_repeated_and_a_controller_has_its_own_course(level):
     np.testing.assert_array_equal(first, [one.desired_velocity(state) for _ in first])
 
 
-def test_near_a_pose_the_value_function_is_a_parabola_within_the_poses_that_reach_the_end():
+def test_near_a_pose_a_parabola_approximates_the_value_function():
     value, k = follower(setup())._planner._value, 5
     alive = np.isfinite(value.value[k])
     b, j = (int(i) for i in np.argwhere(alive)[alive.sum() // 2])

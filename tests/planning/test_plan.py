@@ -1,4 +1,4 @@
-"""A plan says whether, and how far, a path can be executed. Inverse kinematics and the plan's courses confirm this."""
+"""A plan says whether a path can be executed, or where it is blocked. Its courses are planned joint motions."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from moc_opt.scenario import Scenario, planned
 from tests.planning.arms import task
 
 
-def test_mu_rises_from_climb_to_course_to_best_course_to_bound_and_the_proposed_start_attains_the_best(robot):
+def test_mean_mu_rises_from_climb_to_course_to_bound_and_the_proposed_start_gives_the_best_course(robot):
     q = robot.data.q_home
     targets = task(robot, q, 60)
     plan = make_plan(robot, q, targets, swivels=360)
@@ -32,7 +32,7 @@ def test_mu_rises_from_climb_to_course_to_best_course_to_bound_and_the_proposed_
 
 
 def test_no_bound_is_given_where_a_course_exceeds_it(robot, monkeypatch):
-    """Scaling the bound's mu by 0.9 imitates a map that is too coarse for the changes of mu between its poses."""
+    """Scaling the bound's mu by 0.9 imitates a map that is too coarse."""
     monkeypatch.setattr("moc_opt.planning.search._highest_nearby", lambda mu: 0.9 * mu)
     plan = make_plan(robot, robot.data.q_home, task(robot, robot.data.q_home, 20), swivels=180)
     assert np.isnan(plan.bound)
@@ -86,7 +86,7 @@ def test_bad_arguments_are_named(robot, change, name):
 
 
 def test_refinement_finds_a_course_that_a_coarse_map_lacks_and_without_refinement_the_map_is_blamed():
-    """Within the joint speeds, only swivels between two samples of the coarse map can be reached."""
+    """The joint speeds only allow swivel angles between two samples of the coarse map."""
     scenario = Scenario(seed=1).change(start={"pose": "random"})
     coarse = {"swivels": 90, "speed_share": 0.15, "times": 100}
     found, grid = planned.plan(scenario, **coarse), planned.plan(scenario, **coarse, refined=False)
@@ -96,7 +96,7 @@ def test_refinement_finds_a_course_that_a_coarse_map_lacks_and_without_refinemen
 
 
 def test_a_course_far_below_the_bound_is_refined_again_from_the_bounds_course(monkeypatch):
-    """The first grid search is replaced by the local climb, which from this start ends at a low local maximum of mu."""
+    """The local climb replaces the first grid search. The climb ends at a low local maximum of mu."""
     best_course, asked = plan.best_course, []
 
     def poor(value, start):
@@ -117,7 +117,7 @@ def test_a_margin_that_is_negative_infinite_or_a_text_is_refused_by_its_name(nam
 
 
 def test_a_start_nearer_to_a_limit_than_the_margin_lowers_the_margin():
-    """This start is at a joint limit, so that no course from it can keep the margin of 0.05 rad."""
+    """This start is at a joint limit, so no course can keep the margin of 0.05 rad."""
     scenario = Scenario(start={"swivel": 1.0}, duration_s=2.0)
     robot, margin = scenario.robot.arm(), 0.05
     found = planned.plan(scenario, times=41, margin_rad=margin)

@@ -1,4 +1,4 @@
-"""The pose map has every pose at each point of a path and agrees with the model. No other search finds a larger mu."""
+"""The pose map has every pose at each point of a path. It agrees with the model, and no search finds a larger mu."""
 
 import numpy as np
 import pytest
@@ -144,14 +144,14 @@ def test_more_swivels_than_the_default_make_a_traced_map_denser_and_fewer_change
 
 
 def polished(robot, q, tip, wrist):
-    """Maximize mu from a pose with a general nonlinear program that does not use self-motions."""
+    """Maximize mu from a pose with a general nonlinear solver."""
     free, pose = robot.moves.any(axis=0), q.copy()
 
     def state(x):
         pose[free] = x
         return robot.state(pose)
 
-    # Five of the six equations: with a rigid tool the sixth follows from the others.
+    # Five of the six equations suffice, because the tool is rigid.
     rows = np.linalg.svd(robot.state(q).A)[0][:, :5].T
     found = minimize(
         lambda x: (-state(x).mu, -state(x).grad_mu[free]), q[free], jac=True, method="SLSQP",
@@ -165,7 +165,7 @@ def polished(robot, q, tip, wrist):
 
 
 def elsewhere(robot, q, starts, seed):
-    """Largest mu with q's tip and wrist, by inverse kinematics from random starts; the best eight are `polished`."""
+    """Search the largest mu with q's tip and wrist by inverse kinematics from random starts."""
     s, rng = robot.state(q), np.random.default_rng(seed)
     drawn = rng.uniform(robot.q_min, robot.q_max, (starts, robot.n))
     placed = [solve_pose(robot, start, s.tip, s.wrist) for start in drawn]
@@ -182,7 +182,7 @@ def elsewhere(robot, q, starts, seed):
     *((name, "best found of 96 starts") for name in ("panda", "gen3", "xarm7", "lwr4_rail")),
 ])  # fmt: skip
 def test_inverse_kinematics_from_random_starts_finds_no_larger_mu(name, method):
-    """The median is not larger. A single mu may be 1 % larger, since a maximum that few starts reach can be missed."""
+    """`largest_mu` may miss a maximum that few starts reach. Therefore a single mu may be 1 % larger."""
     robot, rng = load_robot(name), np.random.default_rng(21)
     poses = [robot.data.q_home, *rng.uniform(robot.q_min, robot.q_max, (2, robot.n))]
     found = [largest_mu(robot, q[None]) for q in poses]
@@ -193,7 +193,7 @@ def test_inverse_kinematics_from_random_starts_finds_no_larger_mu(name, method):
 
 
 @pytest.mark.parametrize("name", ["lwr4_rail", "odd"])
-def test_with_two_freedoms_the_largest_mu_need_not_lie_on_the_self_motion_curve(name, odd_robot):
+def test_with_two_dimensional_self_motions_the_largest_mu_need_not_lie_on_the_curve(name, odd_robot):
     robot = odd_robot if name == "odd" else load_robot(name)
     rng = np.random.default_rng(4)
     poses = [robot.data.q_home, *rng.uniform(0.7 * robot.q_min, 0.7 * robot.q_max, (3, robot.n))]
@@ -203,7 +203,7 @@ def test_with_two_freedoms_the_largest_mu_need_not_lie_on_the_self_motion_curve(
 
 
 def test_points_of_a_path_share_their_maxima(monkeypatch):
-    """Few starts per point suffice along a path, since each search also starts from the maxima of both neighbours."""
+    """Few starts per point suffice, because each search also starts from the maxima at both neighbours."""
     robot = load_robot("xarm7")
     curve = np.linspace(0.0, 0.02, 8)[:, None] + robot.data.q_home
     monkeypatch.setattr(pose_map, "STARTS", 200)
@@ -217,7 +217,7 @@ def test_points_of_a_path_share_their_maxima(monkeypatch):
 
 @pytest.mark.parametrize("name", ["panda", "lwr4_rail", "odd"])
 def test_an_ascent_ends_at_a_maximum_within_the_limits_and_nearest_poses_are_found_within_them(name, odd_robot):
-    """The limits are so narrow that joints reach and leave them. At the end, HiGHS finds no direction of ascent."""
+    """The limits are narrow, so that joints reach them. At the end, a linear program finds no direction of ascent."""
     robot = odd_robot if name == "odd" else load_robot(name)
     rng, at_limits, found = np.random.default_rng(5), 0, 0
     for width in rng.choice([0.05, 0.3, 1.0, 9.0], 60):

@@ -1,4 +1,4 @@
-"""Courses of the nonlinear program, for a whole path or a short horizon, keep every constraint in the robot model."""
+"""Courses (planned joint motions) of the nonlinear program keep all limits, on a whole path or a short horizon."""
 
 import casadi
 import numpy as np
@@ -21,7 +21,7 @@ NODES = 8
 
 
 def on_grid(robot, targets, limits=None, swivels=180):
-    """The grid's best course from the home pose, and the bound on all courses from there."""
+    """Return the map's best course from the home pose, and an upper bound on the mean mu of courses."""
     limits, q = limits or Limits(), robot.data.q_home
     found = keeping_shaft(map_of(robot, q, targets, swivels), limits)
     poses = best_course(Value(found, limits), q)
@@ -47,7 +47,7 @@ def test_a_refined_course_has_more_mu_than_the_grids_and_is_certified_if_it_conv
 
 
 def test_smoothing_a_course_at_its_limits_does_not_move_it_to_another_maximum_of_mu(robot):
-    """From this start the path to the better maximum is narrow. The program stays on it and does not turn back."""
+    """From this start, only a narrow path leads to the better maximum of mu."""
     q = (0.2912492688528833, -0.9312126696305606, -0.2813874639891124, -0.9455987681077571, 0.08576585626315732,
          -1.0843382517252966, 1.987021145390591)  # fmt: skip
     circle = Scenario().change(start={"q_rad": q, "check_path": False}, task={"sizes": {"radius": 0.02}})
@@ -64,7 +64,6 @@ def test_smoothing_a_course_at_its_limits_does_not_move_it_to_another_maximum_of
 
 @given(arrays(float, 3, elements=st.floats(-1.0, 1.0)).filter(lambda shaft: np.linalg.norm(shaft) > 1e-3))
 def test_the_two_vectors_across_a_shaft_are_orthonormal(shaft):
-    """With unit vectors, the residuals of the five equations are lengths, and so are their tolerances."""
     for along, two in zip((shaft, np.ones(3)), across(np.array([shaft, np.ones(3)])), strict=True):
         frame = np.vstack([along / np.linalg.norm(along), two])
         np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-12)
@@ -82,8 +81,7 @@ def test_a_course_that_breaks_a_limit_has_a_violation(robot):
     assert make_course(robot, targets, off).violation > 1e-5
 
 
-def test_a_joint_at_the_largest_allowed_speed_stops_before_its_limit_by_braking_alone():
-    """A joint that always has the largest allowed speed passes no limit, and brakes no harder than the given rate."""
+def test_a_joint_at_the_largest_allowed_speed_stops_before_its_limit_at_the_given_brake_rate():
     v, q, zero = casadi.MX.sym("v"), casadi.MX.sym("q"), casadi.DM(0.0)
     excess = casadi.Function("excess", [v, q], [too_fast(v, q, casadi.DM(-9.0), zero, 2.0)])
     pose, dt, speeds = -1.5, 1e-3, []
@@ -97,7 +95,6 @@ def test_a_joint_at_the_largest_allowed_speed_stops_before_its_limit_by_braking_
 
 
 def test_with_a_brake_a_course_slows_down_before_its_limits(robot):
-    """With these margins, a course that is planned without the rule for braking breaks this rule."""
     brake, limits, targets, late = 0.5, Limits(margin=0.3), task(robot, robot.data.q_home, 60), []
     course, _ = on_grid(robot, targets, limits)
     for rule in (np.inf, brake):
@@ -111,14 +108,12 @@ def test_with_a_brake_a_course_slows_down_before_its_limits(robot):
 
 
 def test_a_course_for_which_the_joints_are_far_too_slow_is_not_kept(robot):
-    """The longest step is shorter than the program's reserve at its limits. No lower bound may exceed the upper."""
     targets, slow = task(robot, robot.data.q_home, 20), Limits(speed_share=1e-10)
     course, _ = on_grid(robot, targets)
     assert not refine(robot, targets, make_course(robot, targets, course.q_rad, slow), slow).kept
 
 
-def test_a_course_keeps_the_shafts_margin_where_a_smaller_one_would_give_more_mu(robot):
-    """The margin is 1.2 times the least `shaft_shares` of the grid's course. Refining without it lowers the share."""
+def test_the_shafts_margin_changes_a_course_at_the_cost_of_some_mu(robot):
     targets = task(robot, robot.data.q_home, 40)
     course, _ = on_grid(robot, targets)
     margin = 1.2 * float(shaft_shares(robot, course.q_rad).min())
@@ -132,7 +127,7 @@ def test_a_course_keeps_the_shafts_margin_where_a_smaller_one_would_give_more_mu
 
 @pytest.fixture(scope="module")
 def middle(robot):
-    """A robot, a start in the middle of a course, the rest of the course as a guess, its targets, and a program."""
+    """A robot, a start within a course, a guess, targets, and a program."""
     targets = task(robot, robot.data.q_home, 101)
     q = on_grid(robot, targets)[0].q_rad
     return robot, q[29], q[30 : 30 + NODES], targets[30 : 30 + NODES], horizon(robot)
@@ -176,8 +171,8 @@ def test_a_horizon_begins_at_the_arms_speed(middle):
     assert np.sign(along @ (steps[1] - steps[0])[:6]) == np.sign(along.sum())
 
 
-def test_over_a_horizon_the_shafts_margin_moves_the_elbow_to_where_the_shaft_turns_more_easily(robot):
-    """Tip and wrist rest. The elbow moves to a pose with larger `shaft_shares`, although mu is smaller there."""
+def test_over_a_horizon_the_shafts_margin_moves_the_elbow_to_a_pose_where_the_shaft_turns_more_easily(robot):
+    """Tip and wrist rest."""
     q = robot.random_regular_pose(np.random.default_rng(5), margin=0.3)
     there, guess, shares = at_poses(robot, np.tile(q, (NODES, 1))), np.tile(q, (NODES, 1)), []
     share = float(shaft_shares(robot, q[None])[0])

@@ -1,4 +1,4 @@
-"""The value function is the mean mu of the best course along a path. Courses that are read off it keep all limits."""
+"""The search finds the course (planned joint motion) with the largest mean mu. All its courses keep the limits."""
 
 import itertools
 from dataclasses import replace
@@ -16,7 +16,7 @@ from tests.planning.arms import at_poses, task
 
 
 def small(rng, k=4, m=4):
-    """A map for one joint with speed limit 1, so small that every course can be tried. Poses off it have mu = 0.4."""
+    """A small map for one joint with speed limit 1. Poses outside the map have mu = 0.4."""
     arm: Any = SimpleNamespace(v_max=np.ones(1), state=lambda q: SimpleNamespace(mu=0.4))
     targets = Targets(np.arange(float(k)), np.zeros((k, 3)), np.zeros((k, 3)), np.zeros(k))
     q, mu = rng.uniform(0.0, 1.0, (k, 1, m, 1)), rng.uniform(0.1, 1.0, (k, 1, m))
@@ -69,7 +69,7 @@ def test_dynamic_programming_finds_the_best_of_all_courses(start, cell, price):
 
 
 def test_one_step_backwards_compares_each_pose_with_every_pose_in_reach():
-    """Slacks and allowed changes of branch are random. Rounding to eighths makes some distances equal to the step."""
+    """Rounding to eighths makes some distances equal to the step."""
     rng = np.random.default_rng(3)
     for trial in range(40):
         rounded = (lambda x: np.rint(8.0 * x) / 8.0) if trial % 4 > 1 else np.array
@@ -121,7 +121,7 @@ def test_courses_and_the_climb_keep_task_limits_and_speeds_and_stay_below_the_bo
 
 @pytest.mark.parametrize("joint", [1, 5])
 def test_a_course_goes_through_a_singular_pose_into_the_next_branch(robot, joint):
-    """The targets are those of a motion in which one joint turns through zero, so that this motion is a course."""
+    """The targets belong to a motion in which one joint turns through zero."""
     way = np.tile(np.array([0.3, 0.5, -0.4, 1.2, 0.5, -0.7, 0.0]), (41, 1))
     way[:, joint] = np.linspace(0.45, -0.47, 41) * (1.0 if joint == 1 else -1.0)
     found = map_of(robot, way[0], at_poses(robot, way))
@@ -136,7 +136,6 @@ def test_a_course_goes_through_a_singular_pose_into_the_next_branch(robot, joint
 
 
 def test_poses_below_the_shafts_margin_have_less_mu_in_the_search(robot, coarse):
-    """`shaft_shares` equals the model's mu_shaft / span^2, and nothing is subtracted from mu above the margin."""
     margin = 0.5
     found = map_of(robot, robot.data.q_home, coarse.targets[:10], 90)
     kept, may = keeping_shaft(found, Limits(shaft=margin)), found.feasible()

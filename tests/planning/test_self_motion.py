@@ -1,4 +1,4 @@
-"""Self-motions keep tip, wrist and joint limits, and the freedoms of known arms are counted correctly."""
+"""Self-motions keep tip, wrist and joint limits. Known arms have the right null-space dimensions."""
 
 from dataclasses import replace
 
@@ -96,7 +96,7 @@ def test_the_peak_of_a_parabola_is_found_from_any_three_samples():
         assert parabola_peak(np.arange(3.0), np.array(y)) == (0.0, 0.0)
 
 
-def test_arms_have_their_known_rank_and_number_of_freedoms(robot, odd_robot, tmp_path):
+def test_arms_have_their_known_rank_and_null_space_dimension(robot, odd_robot, tmp_path):
     assert best_freedoms(robot)[:3] == (5, 1, (6,))
     drawn = np.random.default_rng(0).uniform(robot.q_min, robot.q_max, (8, 7))
     assert best_freedoms(robot).both == max(freedoms(robot, q).both for q in drawn)
@@ -109,7 +109,7 @@ def test_arms_have_their_known_rank_and_number_of_freedoms(robot, odd_robot, tmp
     assert straight.both == pytest.approx(0.0, abs=1e-9)
 
 
-def test_an_arm_without_freedom_is_refused_under_moc_and_runs_under_dcac(tmp_path):
+def test_an_arm_without_a_self_motion_is_refused_under_moc_and_runs_under_dcac(tmp_path):
     joints, rest = IIWA14["joints"], [k for k in range(7) if k != 2]
     six = {name: IIWA14[name][rest] for name in ("q_max", "v_max")}
     six |= {"joints": [*joints[:2], ((0, 0.42, 0), (0, 0, 0)), *joints[4:]], "home": np.take(IIWA14["home"], rest)}
@@ -136,7 +136,7 @@ def curve(robot):
 
 @pytest.fixture(scope="module")
 def place(curve):
-    """Poses of the curve by their arc length from the pose with the largest mu."""
+    """Return a function that gives the curve's poses at arc lengths from the pose with the largest mu."""
     top = curve.s[np.argmax(curve.mu)] - curve.s[0]
     return lambda s: np.array([curve.at((top + each) / (curve.s[-1] - curve.s[0])) for each in np.atleast_1d(s)])
 
@@ -156,8 +156,8 @@ def test_a_moving_elbow_is_in_transient_until_0_1_rad_before_the_optimum(robot, 
     assert not flags[after < T].any()
 
 
-def test_a_resting_or_slow_elbow_or_one_that_follows_its_moving_optimum_is_not_in_transient(robot, curve, place):
-    """A turn of the base moves arm and optimum together at any speed; a turn of the last joint moves only the tool."""
+def test_an_elbow_that_rests_or_moves_slowly_or_follows_its_optimum_is_not_in_transient(robot, curve, place):
+    """A turn of the base moves arm and optimum together. A turn of the last joint moves only the tool."""
     far, turns = np.tile(place(-0.5), (100, 1)), np.linspace(0.0, 1.0, 100)
     base, last = (np.outer(turns, axis) for axis in np.eye(7)[[0, 6]])
     for q in (far, curve.best + base, far + last):

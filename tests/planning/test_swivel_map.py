@@ -1,4 +1,4 @@
-"""The map of mu over time and swivel (the elbow's angle) equals the model's mu; runs are judged on hand-made maps."""
+"""The map of mu over time and swivel (the elbow's angle) equals the model's mu. Invented maps test the verdicts."""
 
 from dataclasses import replace
 from types import MappingProxyType
@@ -98,7 +98,7 @@ def test_a_run_in_another_branch_of_inverse_kinematics_has_a_large_gap(robot, ru
 
 
 def test_the_swivels_of_a_map_of_hanging_elbows_are_centred_within_half_a_turn(robot, runs, found):
-    """These limits leave only poses near a swivel of -2.3 rad; the circle of swivels is cut open opposite to them."""
+    """The joint limits allow only poses near a swivel of -2.3 rad."""
     q = found.q_rad[6, np.argmin(np.cos(found.swivel_rad - 0.8))]
     hanging = RobotModel(replace(robot.data, q_min=q - 0.3, q_max=q + 0.3, q_home=q))
     made = manipulability_map(hanging, {"MOC": runs["MOC"]}, times=3, swivels=72)
@@ -154,8 +154,8 @@ def test_the_figure_shows_the_map_the_forbidden_poses_and_every_trajectory(found
         map_figure(replace(found, limit=np.ones_like(found.limit)))
 
 
-def test_the_map_of_an_arm_with_two_freedoms_is_a_slice_that_names_the_held_joint(found):
-    """At each time the map holds the rail where the run has it. Its best mu is the largest with this rail position."""
+def test_the_map_of_an_arm_on_a_rail_holds_the_rail_and_names_it(found):
+    """At each time, the map holds the rail at its position in the run."""
     arm = load_robot("lwr4_rail")
     run_of_it = mo.run(Scenario(robot={"name": "lwr4_rail"}, duration_s=1.0, judge=False, bound_samples=0))
     made = manipulability_map(arm, {"MOC": run_of_it}, times=2, swivels=72)
@@ -164,8 +164,8 @@ def test_the_map_of_an_arm_with_two_freedoms_is_a_slice_that_names_the_held_join
     for k, tick in enumerate(ticks):
         known = np.isfinite(made.q_rad[k, :, 0])
         np.testing.assert_allclose(made.q_rad[k, known, 0], run_of_it.q_rad[tick, 0], atol=1e-2)
-    assert found.held == (), "this arm has one freedom only"
-    # The rail's position at the start is a poor one; the run then moves it.
+    assert found.held == (), "this arm has no joint to hold"
+    # The run starts at a poor position of the rail.
     assert made.best_mu[0] < 0.9 * largest_mu(arm, run_of_it.q_rad[:1]).mu[0]
 
 
@@ -183,7 +183,7 @@ def hill(top, height, width=60.0):
 def read(mu, swivel, forbidden=None, gap_rad=0.01):
     """Judge a run with these swivels [deg] at 101 times, on a map with ``mu(swivel [deg])`` at every time.
 
-    ``forbidden``: first and last swivel [deg] of a range, and the entry of `limit` within it.
+    ``forbidden``: first and last swivel [deg] of a range, and its entry in `limit`.
     """
     limit = np.full((len(T), len(ROWS)), FEASIBLE)
     if forbidden:
@@ -203,7 +203,7 @@ def read(mu, swivel, forbidden=None, gap_rad=0.01):
 
 
 def ramp(start, end, until=10.0):
-    """Swivels at constant speed from start to end, which is reached at the time `until`."""
+    """Swivels that change at constant speed from start to end and arrive at the time `until`."""
     return start + (end - start) * np.minimum(np.linspace(0.0, 10.0, 101) / until, 1.0)
 
 
@@ -222,7 +222,7 @@ def test_a_trajectory_that_climbs_to_the_optimum_is_said_to_end_there():
 
 
 def test_a_trajectory_at_a_lower_maximum_is_said_to_end_at_a_local_maximum():
-    """This also holds where the circle of swivels is cut open between the maximum and the run."""
+    """This also holds if +-180 degrees lies between the maximum and the run."""
 
     def two(swivel):
         return hill(60.0, 0.3, 30.0)(swivel) + hill(-60.0, 0.25, 30.0)(swivel)
@@ -230,20 +230,20 @@ def test_a_trajectory_at_a_lower_maximum_is_said_to_end_at_a_local_maximum():
     assert read(two, ramp(-100.0, -60.0, 6.0)).end is End.LOCAL_MAXIMUM
     assert read(two, -60.0 - 0.7 * np.degrees(swivel_map.CLOSE_RAD)).end is End.LOCAL_MAXIMUM
     assert read(two, -60.0 - 2.0 * np.degrees(swivel_map.CLOSE_RAD)).end is End.STILL, "the run could still climb"
-    # The same hills, shifted: the lower one's top lies at 178 degrees and the run beyond it, at -176.
+    # The shifted lower hill has its top at 178 degrees, and the run is at -176.
     assert read(lambda swivel: two(np.asarray(swivel) - 238.0), -176.0).end is End.LOCAL_MAXIMUM
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize(("top", "swivel", "end"), [
-    # The best allowed pose lies at a limit; the run stops before it.
+    # The best allowed pose lies at a limit, and the run stops before the limit.
     (hill(60.0, 0.3), -4.0, End.FEASIBLE_EDGE), (hill(60.0, 0.3), -10.0, End.FEASIBLE_EDGE),
     (hill(60.0, 0.3), -40.0, End.STILL), (hill(60.0, 0.3, 200.0), -4.0, End.OPTIMUM),
     (hill(60.0, 0.3, 90.0), -60.0, End.STILL), (hill(60.0, 0.3, 90.0), ramp(-120.0, -30.0), End.RISING),
     (hill(60.0, 0.3, 90.0), ramp(-20.0, -70.0), End.FALLING),
 ])  # fmt: skip
 def test_a_run_is_judged_by_a_limit_that_blocks_its_climb_or_else_by_its_motion(side, top, swivel, end):
-    """On the hill's side, joint 4 is beyond its limit from 0 to 140 degrees. The hill is on the left or the right."""
+    """Joint 4 is beyond its limit from 0 to 140 degrees, or in mirror image from -140 to 0."""
     forbidden = (0.0, 140.0, 4) if side > 0.0 else (-140.0, 0.0, 4)
     found = read(lambda given: top(side * np.asarray(given)), side * np.asarray(swivel), forbidden)
     assert (found.end, found.joint) == (end, 4 if end is End.FEASIBLE_EDGE else 0)

@@ -24,7 +24,7 @@ def test_every_arm_does_the_default_task(name):
     assert found["verified_solved"] == len(moc)
     assert found["mu_gain_percent"] > 10.0
     for law, figures in {"moc": found, "dcac": summarize(dcac)}.items():
-        # The gen3 passes near poses in which its shaft can hardly turn; there the box opens to the full joint speeds.
+        # The gen3 passes near poses in which its shaft can hardly turn.
         assert figures["tip_error_max_mm"] < (1.2 if (name, law) == ("gen3", "moc") else 1.0)
         assert figures["rcm_error_max_mm"] < 2.2
 
@@ -43,7 +43,7 @@ def test_every_preset_works_on_every_arm(name, preset, more):
 
 
 def test_sixteen_joints_run_and_are_judged(tmp_path):
-    """With ten freedoms, all answers of `exact` are verified, but no answer that is moved along the self-motion."""
+    """All answers of `exact` are verified. After a shift along the self-motion, no answer is verified."""
     robot = sixteen_joints(tmp_path, np.random.default_rng(2).uniform(-0.7, 0.7, 16))
     trace = run(Scenario(robot={"name": str(tmp_path / "arm.toml")}, duration_s=0.3, bound_samples=1))
     assert trace.meta["ended"] == "completed"

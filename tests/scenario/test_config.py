@@ -1,4 +1,4 @@
-"""A scenario: its tables are validated and saved to a file, errors name the cure, and runs repeat to the bit."""
+"""A scenario: its tables are validated, errors name the cure, files load again, and runs repeat to the bit."""
 
 import re
 import shutil
@@ -21,7 +21,7 @@ from tests.robots.arms import FOLDER
 BARE = {"judge": False, "bound_samples": 0}
 
 
-WRONG = [  # tables; words of the constructor's error message
+WRONG = [  # tables and words of the error message
     ({"task": {"radius": 0.01}}, "mean 'sizes.radius'"), ({"solver": {"name": "osqp", "eps": 1}}, "'settings.eps'"),
     ({"sede": 1}, "did you mean 'seed'"), ({"control": {"preste": "tuned"}}, "did you mean 'preset'"),
     ({"plant": {"prest": "x"}}, "mean 'preset'"), ({"control": {"preset": "papre"}}, "did you mean 'paper'"),
@@ -85,7 +85,7 @@ def test_the_trace_remembers_its_scenario():
         ({"plant": {"velocity_cutoff_Hz": 0.0}}, {"repeat_reading_ticks": None, "motion_lag_s": 0.012}),
         # A slow filter lags. The limit that suits 50 Hz would stop good runs at 15 Hz.
         ({"plant": {"velocity_cutoff_Hz": 15.0}}, {"motion_lag_s": 3.0 / (2.0 * np.pi * 15.0)}),
-        # A coarse encoder hides motion that stays within one step.
+        # A coarse encoder hides motion within one step.
         ({"plant": {"encoder_resolution_rad": 1e-4}}, {"repeat_torque": 0.06, "stuck_rad_per_s": 0.2}),
         ({"plant": {"encoder_resolution_rad": 5e-4}}, {"repeat_torque": 0.25, "stuck_rad_per_s": 0.3}),
         ({"plant": {"encoder_resolution_rad": 5e-4}, "guard": {"repeat_torque": 0.4}}, {"repeat_torque": 0.4}),
@@ -109,7 +109,7 @@ def test_a_change_of_the_plant_keeps_its_other_settings_and_is_validated():
 
 
 def test_the_true_shaft_passes_through_the_trocar_despite_wrong_kinematics():
-    """The kinematics are wrong by more than 0.5 mm. The arm has touched the trocar, so the true shaft meets it."""
+    """The model's tip is wrong by more than 0.5 mm."""
     bad = {"calibration_error_m": 5e-4, "calibration_tilt_rad": 5e-4, "encoder_bias_rad": 5e-4, "preset": "nominal"}
     setup = Setup(Scenario(plant=bad, seed=4, control={"law": "dcac"}, **BARE, duration_s=0.2))
     plant, state = setup.plant, setup.robot.state(setup.q_start)
@@ -126,7 +126,7 @@ def test_the_true_shaft_passes_through_the_trocar_despite_wrong_kinematics():
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_the_trocar_breathes_and_the_robot_is_given_it_only_if_it_is_known(known):
+def test_the_registered_trocar_breathes_only_if_the_breathing_is_known(known):
     breathing = {"breathing_amplitude_m": 0.01, "breathing_period_s": 0.4, "breathing_known": known}
     trace = run(Scenario(duration_s=0.3, trocar=breathing, plant={"preset": "nominal"}, **BARE))
     moved = trace.trocar_m - trace.trocar_m[0]
@@ -138,7 +138,7 @@ def test_the_trocar_breathes_and_the_robot_is_given_it_only_if_it_is_known(known
 
 
 def test_a_singular_pose_has_a_bound_of_mu_and_a_nan_pose_has_none(robot):
-    """At a straight elbow there is no unique self-motion curve, but other poses have the same tip and wrist."""
+    """With a straight elbow, the self-motion curve is not unique."""
     poses = np.tile(robot.data.q_home, (3, 1))
     poses[0], poses[2] = [0.3, 0.6, -0.2, 0.0, 0.4, -0.9, 0.0], np.nan
     bound, how = largest_mu(poses, robot, 5)
@@ -236,7 +236,7 @@ def test_a_limit_that_is_off_is_still_off_after_saving_and_loading(tmp_path):
     assert Scenario.load(tmp_path / "lifted.toml") == scenario
 
 
-def test_a_solver_setting_of_none_is_not_saved_where_leaving_it_out_means_the_same(tmp_path):
+def test_a_solver_setting_of_none_is_left_out_of_the_file(tmp_path):
     to = tmp_path / "new" / "folder" / "a.toml"
     Scenario(solver={"name": "qpsolvers:quadprog", "settings": {"cost_scale": None, "rows": 6}}).save(to)
     assert Scenario.load(to).solver.settings == {"rows": 6}

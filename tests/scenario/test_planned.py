@@ -1,4 +1,4 @@
-"""Courses (planned joint trajectories): runs are compared with the best, and follow one from a plan or a file."""
+"""Runs are compared with the best course (planned joint motion), or follow a course from a plan or a file."""
 
 import json
 from dataclasses import replace
@@ -46,7 +46,7 @@ def test_the_start_that_a_plan_proposes_can_be_pasted_into_the_scenario(tmp_path
     found = plan(mo.Scenario.load(file))
     assert main(["plan", file]) == 0
     said = capsys.readouterr()
-    assert said.err == ""  # no warning: this third level climbs and follows no course
+    assert said.err == ""  # no warning, because this third level follows no course
     assert "can be executed from this start yes" in " ".join(said.out.split())
     assert max(len(line.rstrip()) for line in said.out.splitlines()) <= 80
     again = plan(mo.Scenario.load(scenario_file(tmp_path, text + said.out[said.out.index("\n[start]\n") :])))
@@ -88,7 +88,7 @@ def test_the_command_run_compares_with_the_best_courses_unless_the_scenario_turn
     assert ("mu_fraction_of_best" in json.loads(capsys.readouterr().out)) == there
 
 
-def test_an_arm_with_two_freedoms_has_no_best_courses_and_says_why():
+def test_an_arm_on_a_rail_has_no_best_courses_and_the_trace_says_why():
     run = mo.run(COMPARED.change(robot={"name": "lwr4_rail"}, start={"swivel": "given"}, duration_s=0.1))
     assert "mu_best" not in run.columns
     assert "freedoms" in run.meta["best_courses"]["absent"]

@@ -1,4 +1,4 @@
-"""A start or path that the arm cannot do is refused before anything moves, naming the field, place and remedy."""
+"""A start or path that the arm cannot do is refused before anything moves. The error names field and place."""
 
 import dataclasses
 import re
@@ -14,7 +14,7 @@ from moc_opt.scenario import Scenario, Setup, preflight
 from moc_opt.scenario.preflight import UnreachableError, check_reachable, check_start
 from moc_opt.tasks import Reference, Trocar, make_path, shaft_distance
 
-PLACE_M = 0.006  #: Tolerance of a place along the path [m]; the points that are checked are 5 mm apart.
+PLACE_M = 0.006  #: Tolerance [m] of a place along the path. The checked points are 5 mm apart.
 PATHS = ("circle", "sinusoid", "spiral")
 ROBOT = load_robot()
 HOME = ROBOT.state(ROBOT.data.q_home)
@@ -34,7 +34,7 @@ def setup(seed=0, path="circle", **tables):
 
 @pytest.mark.parametrize(("q", "told"), [
     (np.zeros(7), "singular"),
-    # The tip can move in every direction, but with a straight elbow, tip and wrist together have one freedom less.
+    # With a straight elbow, the tip can move in every direction but the tool cannot turn in every direction.
     ([0.3, 0.6, -0.2, 0.0, 0.4, -0.9, 0.0], "the tool cannot be turned in every direction"),
     ([0.1] * 6, "give 7 finite numbers"), ([0.1] * 6 + [np.nan], "give 7 finite numbers"),
 ])  # fmt: skip
@@ -67,7 +67,7 @@ def test_a_path_that_is_too_fast_is_refused_with_a_speed_that_works():
 
 
 def test_a_path_that_leaves_the_workspace_says_where():
-    """The path pulls the tool out along the shaft: the wrist rises until the arm is stretched."""
+    """The path pulls the tool out along the shaft until the arm is stretched."""
     tip, trocar = np.array([0.74, 0.0, 0.10]), np.array([0.74, 0.0, 0.30])
     upwards = straight(tip, tip + np.array([0.0, 0.0, 0.16]))
     with pytest.raises(UnreachableError) as told:
@@ -80,7 +80,7 @@ def test_a_path_that_leaves_the_workspace_says_where():
 
 
 def test_the_joint_that_reaches_its_limit_is_named():
-    """The wrist's distance alone determines joint 4, the elbow, so at its limit no self-motion helps."""
+    """The wrist's distance alone determines joint 4 (the elbow). At its limit no self-motion helps."""
     highest = np.array(ROBOT.q_max)
     highest[3] = HOME.q[3] + 0.05
     stiff = RobotModel(dataclasses.replace(ROBOT.data, q_max=highest))
@@ -105,7 +105,7 @@ def test_a_trocar_beyond_the_tool_or_on_the_path_and_a_start_off_the_path_are_re
 
 
 def test_another_swivel_is_tried_where_the_given_one_fails(monkeypatch):
-    """A start that is made to fail is replaced by the pose of its self-motion with most room to the joint limits."""
+    """The given start is made to fail. The pose with most room to the joint limits replaces it."""
     task, scan, solve = reference(radius=0.03), self_motion(ROBOT, HOME.q), preflight.solve_pose
 
     def only_elsewhere(arm, q, tip, wrist):
@@ -144,7 +144,7 @@ def test_a_random_start_keeps_the_stated_rules(seed, swivel):
 
 @pytest.mark.parametrize(("name", "margins"), [("lwr4", (0.15, 0.0)), ("lwr4_rail", (0.05, 0.2))])
 def test_a_random_start_keeps_the_margins_that_were_asked_for(name, margins):
-    """Each joint keeps its margin at the start and along the path; without these keys some joint has less."""
+    """Each joint keeps its margin at the start and along the path. Without these keys, some joint has less."""
     asking = {"limit_margin_rad": margins[0], "limit_margin_m": margins[1]}
     for keys, kept in ((asking, True), ({}, False)):
         made = setup(0, robot={"name": name}, start={"pose": "random", "swivel": "random", **keys})

@@ -1,6 +1,6 @@
-"""After a stop, the arm is held, from any start and with weak drives too, and gives way to a trocar that presses.
+"""After a stop, the arm is held, also with weak drives, and gives way to a trocar that presses.
 
-docs/reliability.md states the bounds. The starts, times and loads drawn here were not used to choose settings.
+docs/reliability.md states the bounds. These starts, times and loads were not used to choose settings.
 """
 
 import dataclasses
@@ -23,7 +23,7 @@ QUICK = {"bound_samples": 0, "judge": False}
 
 
 def after(trace):
-    """Largest displacement of the tip [m], and largest and final trocar force [N], from the stop on."""
+    """Largest displacement of the tip [m], largest and final trocar force [N], all after the stop."""
     stop = trace.t_s >= trace.meta["stopped_at_s"]
     force = np.linalg.norm(trace.trocar_force_N[stop], axis=1)
     return np.linalg.norm(trace.tip_m[stop] - trace.tip_m[stop][0], axis=1).max(), force.max(), force[-1]
@@ -32,7 +32,7 @@ def after(trace):
 @pytest.mark.parametrize("share", [1.0, 0.3, 0.15, 0.08])
 @pytest.mark.parametrize("swivel", [0.0, 1.0])
 def test_an_arm_with_weak_drives_is_held_from_any_swivel(monkeypatch, share, swivel):
-    """With a share of 0.15, drives carry three quarters of the weight. With damping alone, the tip sinks by 70 mm."""
+    """With a share of 0.15, the drives carry three quarters of the weight. With damping alone, the tip sinks 70 mm."""
     data = RobotTable().arm().data
     weak = RobotModel(dataclasses.replace(data, tau_max=share * data.tau_max))
     monkeypatch.setattr(RobotTable, "arm", lambda table: weak)
@@ -50,7 +50,7 @@ def test_an_arm_with_weak_drives_is_held_from_any_swivel(monkeypatch, share, swi
 @pytest.mark.parametrize("load", [{"payload_kg": 0.3}, {"payload_kg": 0.7}, {}], ids=str)
 @pytest.mark.parametrize("seed", [41, 42])
 def test_an_unknown_load_does_not_sink(load, seed):
-    """The masses are 30 % wrong as well. The load must be too small to be taken for a trocar (stop_yield_N)."""
+    """The masses are also 30 % wrong. A load above stop_yield_N would be taken for a pressing trocar."""
     scenario = Scenario(
         seed=seed, start={"pose": "random"}, faults={"nan_at_s": 0.4, "nan_ticks": 10**6, **load},
         plant={"mass_error": 0.3}, duration_s=1.2, **QUICK,
@@ -63,7 +63,7 @@ def test_an_unknown_load_does_not_sink(load, seed):
 
 @pytest.mark.parametrize(("seed", "slip_m"), [(50, 0.03), (51, 0.1), (52, 0.03), (53, 0.1)])
 def test_the_arm_gives_way_to_a_trocar_that_presses(seed, slip_m):
-    """The tissue may keep moving after the stop. The arm does not keep up the force, which falls below 16 N."""
+    """The tissue may keep moving after the stop."""
     at = float(np.random.default_rng(seed).uniform(0.2, 1.8))
     scenario = Scenario(
         seed=seed, start={"swivel": "random"}, faults={"slip_m": slip_m, "slip_at_s": at}, control={"preset": "tuned"},
@@ -78,8 +78,8 @@ def test_the_arm_gives_way_to_a_trocar_that_presses(seed, slip_m):
     assert after(held)[2] > 1.5 * last  # brakes that stay closed keep the force up
 
 
-def test_brakes_are_open_while_the_trocar_presses_and_then_only_when_it_presses_harder(robot):
-    """A load that stays is held after stop_yield_s. Tissue that keeps moving opens the brakes once more."""
+def test_the_brakes_open_for_a_pressing_trocar_and_again_only_if_it_presses_harder(robot):
+    """After stop_yield_s, the brakes close under a constant force. A larger force opens them once more."""
     guard, q = SafetyFilter(robot, SafetyFilterSettings(), 0.002, momentum=False), np.array(robot.data.q_home)
     guard.start(q, np.zeros(7))
     pose, length = robot.tool_pose(q), robot.data.tool_length
@@ -102,7 +102,7 @@ def test_brakes_are_open_while_the_trocar_presses_and_then_only_when_it_presses_
 
 
 PRESSED_N = 35.0
-"""Bound on the root mean square of the force over 0.1 s in a completed run; the filter's own limit is 15 N."""
+"""Bound [N] on the root mean square of the force over 0.1 s in a completed run. The filter's limit is 15 N."""
 
 at_s, some, whole, forged = st.floats(0.05, 0.6), st.floats, st.integers, st.booleans()
 

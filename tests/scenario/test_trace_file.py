@@ -1,4 +1,4 @@
-"""However a run ends, the file of its trace is written with the ticks until then."""
+"""However a run ends, its trace is written to the file with all ticks up to the end."""
 
 import os
 import signal
@@ -26,7 +26,7 @@ def whole():
 @pytest.mark.parametrize("place", ["watch", "controller"])
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), ValueError("a defect")])
 def test_whatever_ends_a_run_leaves_its_rows(whole, error, place, tmp_path, monkeypatch):
-    """A defect of the controller ends the run too: only what its solver raises is caught."""
+    """A defect of the controller also ends the run. Only errors of its solver are caught."""
     ticks, calls, setup = 57, iter(range(10**6)), Setup(Scenario(**SHORT))
     controller = setup.controller()
 

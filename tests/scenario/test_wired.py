@@ -1,4 +1,4 @@
-"""A run over the wire equals the simulated run; faults of packets are counted, and the arm stays safe under them."""
+"""A run over the wire equals the simulated run. Faulty packets are counted, and the arm stays safe."""
 
 import json
 import re
@@ -88,7 +88,7 @@ def test_in_lock_step_no_fault_of_the_wire_changes_the_run():
     assert ending["ended"] == found.meta["ended"] == "completed"
 
 
-# A tick counts as missed after a third of a second: long enough for a busy machine.
+# A tick counts as missed after 0.33 s, which is long enough for a busy machine.
 BLIND = {"resend_s": 0.33, "resends": 0, "hold_ticks": 3, "damp_ticks": 5}
 
 
@@ -120,7 +120,7 @@ def test_a_controller_without_measurements_stops_the_arm():
 
 
 def test_a_run_against_the_clock_completes_or_stops_cleanly(tmp_path):
-    """Two processes, started by the commands. How many ticks are missed depends on the machine."""
+    """The two commands run at once. The number of missed ticks depends on the machine."""
     file, trace = tmp_path / "run.toml", tmp_path / "run.parquet"
     file.write_text("duration_s = 0.4\nbound_samples = 0\n[plant]\nperiod_s = 0.004\nsubsteps = 4\n")
     key = tmp_path / "key"

@@ -22,7 +22,7 @@ def edited(text, link, attribute, value):
     return text[:place] + re.sub(rf'{attribute}="[^"]*"', f'{attribute}="{value}"', text[place:], count=1)
 
 
-# Values that pinocchio drops and MuJoCo keeps, in a URDF text that did not go through the loader.
+# Pinocchio drops these values, and MuJoCo keeps them.
 @pytest.mark.parametrize(("attribute", "value"), [("rpy", ""), ("rpy", "0x0 0 0"), ("xyz", ""), ("xyz", "0 0 0x1p-3")])
 def test_an_inertia_that_one_engine_drops_is_refused(robot, attribute, value):
     other = RobotModel(replace(robot.data, urdf=edited(robot.data.urdf, "link_3", attribute, value)))
@@ -58,7 +58,7 @@ def test_mass_bias_tip_and_wrist_are_compared_between_the_engines(robot, change)
 )  # fmt: skip
 @settings(max_examples=40)
 def test_both_engines_accept_a_flat_body_in_any_axes(a, b, beyond, seed, tmp_path_factory):
-    """A plate's moments just meet the triangle inequality. Rounding can violate it, which MuJoCo does not accept."""
+    """A plate's rounded moments may violate the triangle inequality, which MuJoCo does not accept."""
     Q, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
     I = Q @ np.diag([a, b, (a + b) * (1.0 + beyond)]) @ Q.T  # noqa: E741
     moments = {"ixx": I[0, 0], "iyy": I[1, 1], "izz": I[2, 2], "ixy": I[0, 1], "ixz": I[0, 2], "iyz": I[1, 2]}

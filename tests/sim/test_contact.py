@@ -49,7 +49,7 @@ def test_a_wrong_push_is_refused_by_name_and_a_new_push_replaces_the_previous_on
     plant.clear_pushes("link_1")
     assert not plant._pushes
     plant.push("link_1", [1, 0, 0])
-    plant.push(plant.mj_model.body(1).name, [1, 0, 0])  # the fixed base: every link but the world can be pushed
+    plant.push(plant.mj_model.body(1).name, [1, 0, 0])  # the fixed base can be pushed too
     plant.reset(DATA.q_home)
     assert not plant._pushes
 
@@ -95,7 +95,7 @@ def test_the_trocar_force_belongs_to_the_present_state(stiffness, damping):
 
 
 def test_a_moving_trocar_moves_within_the_period():
-    """One period of 20 plant steps equals ten periods of 2 steps, each of which is given the trocar's position."""
+    """One period of 20 plant steps equals ten periods of 2 steps, each with the trocar's new position."""
     coarse = Plant(DATA, PlantSettings.nominal(period_s=0.02, substeps=20))
     fine = Plant(DATA, PlantSettings.nominal())
     state = MODEL.state(DATA.q_home)
@@ -144,7 +144,7 @@ def hold(plant, periods, more=0.0):
 
 @pytest.mark.parametrize("stiffness", [1e3, 1e4])
 def test_a_joint_swings_at_the_frequency_of_its_two_inertias(stiffness):
-    """Joint 1 turns all links about its axis: the frequency is sqrt(k (1/B + 1/J)), B of the rotor, J of the links."""
+    """The frequency is sqrt(k (1/B + 1/J)) with the inertias B of the rotor and J of the links."""
     settings = elastic(
         joint_stiffness_Nm_per_rad=(stiffness, *[1e5] * 6), period_s=1e-3, substeps=100, gravity=False,
         joint_spring_damping_Nm_s_per_rad=0.0,

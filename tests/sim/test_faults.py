@@ -1,4 +1,4 @@
-"""Sensors and injected faults: their effect, their times, and that the seed alone determines them."""
+"""Sensors and injected faults: their effects, times and seeds."""
 
 from types import SimpleNamespace
 
@@ -28,7 +28,7 @@ def measured(k):
 
 
 def arrived(ticks=60, seed=0, **changes):
-    """Packet numbers (ticks,), positions and velocities that arrive when packet k has q = k and v = 0.1 k."""
+    """Return packet numbers (ticks,), positions and velocities that arrive if packet k has q = k and v = 0.1 k."""
     mine = faults(seed, **changes)
     seen = [mine.sense(measured(k), k) for k in range(ticks)]
     return np.array([s.stamp for s in seen]), np.array([s.q for s in seen]), np.array([s.v for s in seen])
@@ -143,7 +143,7 @@ K = np.arange(60)
 STUCK = np.where(K < 20, K, 19)
 
 
-# the fault's settings; then packet numbers and positions of joints 1 and 3, as they arrive
+# settings of the fault, then the packet numbers and the positions of joints 1 and 3 that arrive
 @pytest.mark.parametrize(("changes", "stamps", "first", "third"), [
     ({"frozen_ticks": 10}, *[np.where((K < 20) | (K >= 30), K, 19)] * 3),
     ({"frozen_ticks": 10, "forged_stamps": True}, K, *[np.where((K < 20) | (K >= 30), K, 19)] * 2),
@@ -203,7 +203,6 @@ def test_encoder_noise_has_its_standard_deviation_and_follows_its_seed():
 
 
 def test_velocity_is_the_low_passed_difference_quotient():
-    """A first-order low-pass reaches 1 - 1/e of a step after 1 / (2 pi cutoff), and has no steady error."""
     cutoff = 5.0
     sensor = encoders(cutoff_Hz=cutoff)
     q, speed = np.zeros(7), np.linspace(-1, 1, 7)
@@ -229,7 +228,6 @@ def test_the_velocity_starts_at_its_true_value_and_is_unfiltered_without_a_cutof
 @given(st.floats(2e-6, 1e-4), st.just(0.0) | st.floats(1e-9, 3.0), st.floats(-0.5, 0.5), st.integers(0, 2**32 - 1))
 @settings(max_examples=25, deadline=None)
 def test_an_encoder_at_rest_repeats_a_reading_no_longer_than_its_noise_allows(noise, steps, phase, seed):
-    """This holds for any position of the joint between two steps of the encoder."""
     step = steps * noise
     longest = longest_repetition(noise, step)
     assert longest is not None
@@ -245,7 +243,7 @@ def test_an_encoder_at_rest_repeats_a_reading_no_longer_than_its_noise_allows(no
 @given(st.floats(0.3, 10.0), st.floats(5.0, 400.0), st.integers(0, 2**32 - 1))
 @settings(max_examples=20, deadline=None)
 def test_an_encoder_with_noise_and_a_velocity_filter_repeats_no_reading(steps, cutoff, seed):
-    """This holds where `repeats_no_reading` promises it, once the velocity has been nonzero."""
+    """`repeats_no_reading` promises this once the velocity has been nonzero."""
     noise, step = 1e-5, steps * 1e-5
     sensor = encoders(seed, N := 16, noise_rad=noise, resolution_rad=step, cutoff_Hz=cutoff)
     q = np.full(N, 1000.0 * step)
@@ -259,7 +257,7 @@ def test_an_encoder_with_noise_and_a_velocity_filter_repeats_no_reading(steps, c
 def test_an_encoder_with_too_little_noise_or_filtering_may_repeat_a_reading():
     given = [(0.0, 2.4e-5), (3e-6, 2.4e-5), (1e-5, 2.4e-5), (1e-5, 0.0)]
     assert [longest_repetition(noise, step) for noise, step in given] == [None, None, 89, 10]
-    # Without a filter, a position that stays gives a velocity of zero each time. A filter of 10 kHz hardly filters.
+    # Without a filter, a constant position always gives zero velocity. A filter of 10 kHz hardly filters.
     filters = [(1e-5, 50.0), (1e-5, 0.0), (1e-5, 1e4), (0.0, 50.0)]
     promised = [repeats_no_reading(noise, 2.4e-5, cutoff, PERIOD) for noise, cutoff in filters]
     assert promised == [True, False, False, False]

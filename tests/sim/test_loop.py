@@ -1,4 +1,4 @@
-"""The closed loop: the inputs of controller and plant, what is recorded and when, and what stops every loop."""
+"""The closed loop: inputs of controller and plant, recorded columns, and reasons to stop."""
 
 import gc
 
@@ -56,7 +56,7 @@ def ready(robot, settings=None):
 
 
 def test_each_tick_records_the_state_at_its_start(robot, references):
-    """The controller gets measurements and the registered trocar, the plant gets the true trocar."""
+    """The controller gets measurements and the registered trocar, and the plant gets the true trocar."""
     tip_refs, trocars, registered = references
     brain, plant = Holding(robot), ready(robot, PlantSettings())
     trace = simulate(ready(robot, PlantSettings()), brain, *references)
@@ -107,7 +107,7 @@ def test_meta_describes_the_run_and_the_time_continues_at_the_plants_time(robot,
     assert trace.meta == {"period_s": 0.004, "ended": "completed", "answer": 42, **dict.fromkeys(ticks, TICKS)}
     np.testing.assert_allclose(np.diff(trace.t_s), 0.004)
     more = simulate(plant, Holding(robot), *references)
-    assert more.t_s[0] == pytest.approx(trace.t_s[-1] + 0.004)  # continues at the plant's time
+    assert more.t_s[0] == pytest.approx(trace.t_s[-1] + 0.004)
 
 
 def test_the_garbage_collector_is_restored_after_an_error_and_stays_off_if_it_was_off(robot, references):
@@ -138,7 +138,7 @@ QUICK = {"bound_samples": 0, "judge": False, "duration_s": 1.2}
 
 
 def live(scenario):
-    """The live page's run: the reason of the stop, its time [s], and the joints' final speeds (n,)."""
+    """Run as the live page does. Return the reason of the stop, its time [s] and the final joint speeds (n,)."""
     run = LiveRun(scenario.change(duration_s=None))
     run.advance(round(QUICK["duration_s"] / run.period_s))
     at = run.t_s
@@ -148,7 +148,7 @@ def live(scenario):
 
 
 def procedure(scenario):
-    """The same values for a run of hand guiding, which has neither a reference nor a trocar."""
+    """Return the values of `live` for hand guiding, which has neither reference nor trocar."""
     setup = Setup(scenario)
     incision = setup.plant.tip + np.array([0.05, 0.1, 0.1])
     found = guide_to(incision, setup.plant, setup.robot, HandsOnSettings(guard=scenario.guard, time_limit_s=1.2))
@@ -182,7 +182,7 @@ def test_a_reason_of_the_safety_filter_stops_every_loop(loop, reason, guard, mon
 
 
 def test_a_stop_is_simulated_for_stop_s(robot):
-    """The step that orders the stop comes on top of stop_s; the arm is braked from that step on."""
+    """The step that orders the stop is added to stop_s. From this step on the arm is braked."""
     setup = Setup(Scenario(**QUICK))
     loop = setup.closed_loop(setup.controller())
     loop.filtered._filter.request_stop("for a test")  # the start forgets this request

@@ -79,7 +79,7 @@ def test_friction_only_removes_energy_and_without_it_energy_is_kept(seed, scale,
 
 
 def test_the_friction_has_the_coefficients_of_the_robot_file():
-    """For a steady turn about the vertical first axis, where gravity has no effect: d v + c, viscous and Coulomb."""
+    """A steady turn about the vertical first axis needs a torque of d v + c (viscous and Coulomb friction)."""
     plant, turning = nominal(friction=2.0, substeps=20), np.eye(7)[0]
     plant.reset(np.zeros(7), 0.4 * turning)
     needed = 2.0 * (DATA.viscous_friction[0] * 0.4 + DATA.coulomb_friction[0])
@@ -122,7 +122,7 @@ def test_joints_stop_near_their_limits():
 @pytest.mark.parametrize("delay", [0, 1, 3])
 def test_torque_is_cut_at_the_limit_and_acts_after_the_delay(delay):
     plant = nominal(delay_ticks=delay)
-    plant.reset(DATA.q_home + 0.2)  # until the delay is over, the torque acts that holds this pose
+    plant.reset(DATA.q_home + 0.2)  # until the delay is over, the torque that holds this pose acts
     hold = plant.applied_torque
     commands = hold + DATA.tau_max * np.random.default_rng(7).normal(size=(8, 7))
     acted = [drive(plant, tau, 1).applied_torque for tau in commands]
@@ -131,7 +131,7 @@ def test_torque_is_cut_at_the_limit_and_acts_after_the_delay(delay):
 
 
 def chain_tip(model, mismatch, q):
-    """The tip by forward kinematics with the model's joint frames and the shifts and turns that were drawn."""
+    """The tip by forward kinematics with the drawn shifts and turns of the joint frames."""
     chain = model.chain
     place, turn = np.zeros(3), np.eye(3)
     for i in range(model.n):
@@ -173,7 +173,7 @@ STREAMS = {
 
 @pytest.mark.parametrize("name", STREAMS)
 def test_each_error_has_its_own_random_stream(name):
-    """Switching one error off leaves the numbers of all others as they are."""
+    """Switching one error off does not change the other errors."""
     full, none = (vars(Plant(DATA, PlantSettings(**off), seed=7).mismatch) for off in ({}, {name: 0.0}))
     changed = {field for field, drawn in full.items() if not np.all(drawn == none[field])}
     alone = nominal(**{name: 0.01}).mismatch
@@ -182,7 +182,6 @@ def test_each_error_has_its_own_random_stream(name):
 
 
 def test_torque_ripple_is_a_sine_of_the_joint_angle():
-    """The acting torque minus the commanded one has the amplitude and the period of the settings."""
     plant = nominal(3, torque_ripple=0.01, torque_ripple_per_turn=50.0)
     other = nominal(4, torque_ripple=0.01)
     assert np.abs(plant.mismatch.ripple_phase - other.mismatch.ripple_phase).min() > 1e-3
@@ -199,7 +198,7 @@ def test_torque_ripple_is_a_sine_of_the_joint_angle():
     assert spectrum[2] > 1e6 * np.delete(spectrum, 2).max()
 
 
-def test_a_measurement_is_exact_in_the_nominal_plant_near_in_the_realistic_one_and_kept_within_a_tick():
+def test_a_measurement_is_exact_in_the_nominal_plant_and_close_in_the_realistic_plant():
     exact, near = Plant(DATA, NOMINAL), Plant(DATA, seed=2)
     for plant in (exact, near):
         run(plant, 50)
@@ -230,7 +229,7 @@ def test_equal_seeds_give_equal_numbers_and_plants_share_nothing_even_in_threads
 
 
 def test_the_noise_of_the_wrench_sensor_reaches_the_measurement():
-    """Two plants that differ in this noise alone move alike, so that the noise is the difference of their readings."""
+    """Two plants that differ only in this noise move alike. The noise is the difference of their readings."""
     levels = {"force_noise_N": 0.1, "torque_noise_Nm": 0.002}
     noisy, quiet = (Plant(DATA, PlantSettings(**given), seed=5) for given in (levels, dict.fromkeys(levels, 0.0)))
     seen = [[drive(one, one.applied_torque, 1).measure().force for _ in range(1000)] for one in (noisy, quiet)]
@@ -303,7 +302,7 @@ def test_invalid_models_are_refused():
 
 
 def test_visual_and_collision_shapes_in_the_urdf_change_nothing():
-    """The shapes are a mesh without a file and a box that MuJoCo would otherwise use for mass and collisions."""
+    """The shapes are a mesh without a file and a box that would change mass and collisions."""
     shapes = (
         '<link name="tip"><visual><geometry><mesh filename="package://no/where.stl"/></geometry></visual>'
         '<collision><geometry><box size="1 1 1"/></geometry></collision></link>'

@@ -51,7 +51,7 @@ def test_processes_that_die_at_once_or_exit_without_an_error_are_reported_as_cra
 
 
 def test_earlier_results_of_a_group_do_not_count_once_the_group_is_given_up(tmp_path):
-    """Otherwise a study that was killed and continued would have other results than one that was never killed."""
+    """A study that was killed and continued must have the results of an uninterrupted study."""
     good = Job(work.square, (3.0,), group="slow")
     assert run([good], kept=Kept(tmp_path)) == [9.0]
     found = run([Job(time.sleep, (60.0,), limit_s=0.3, group="slow"), good], kept=Kept(tmp_path))

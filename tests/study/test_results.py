@@ -1,4 +1,4 @@
-"""Results of a study: means and changes agree with values by hand, the right rows count, and a file is written."""
+"""Results of a study: means, changes, the rows that count, and the written file."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""What a reader sees of a study: its page, and its picture of intervals."""
+"""The page of a study and its picture of intervals."""
 
 from moc_opt.figures.style import figure
 from moc_opt.report.tables import Column, Table

@@ -111,7 +111,7 @@ def test_refusing_six_inconsistent_rows_is_neither_right_nor_wrong(rows, refused
 
 
 def test_cold_sessions_are_independent():
-    """The network keeps its state between warm solves; every cold solve starts from rest."""
+    """The network `rnn` keeps its state between warm solves. Every cold solve starts from rest."""
     data, setting = TestSet.load("circle").thinned(16), SolverSetting("rnn", "x", {"steps": 5}, "")
     (warm,), (cold,) = (ask(ONE, [(setting, data)], LIMITS, warm=warm) for warm in (True, False))
     assert np.abs(warm.x[-1] - cold.x[-1]).max() > 1e-3

@@ -1,4 +1,4 @@
-"""Verdicts on solvers follow their stated rules, and the report's first screen gives the figures that decide them."""
+"""Verdicts on solvers follow stated rules. The report's first screen gives the figures that decide them."""
 
 import io
 import re
@@ -24,7 +24,7 @@ ENDED = {"broke off": "stopped: the tip", "oscillated": "oscillated: joint_3"}
 
 
 def runs(controller: str, trials: int = 15, unlike: float = 0.0, first_ends: str = "completed", **times: float) -> Any:
-    """Rows of trials that differ widely. ``times`` scales metrics; ``unlike`` adds this solver's own noise."""
+    """Rows of trials that differ widely. `times` scales metrics, and `unlike` adds this solver's own noise."""
     own = np.random.default_rng(5).lognormal(0.0, unlike, trials) if unlike else np.ones(trials)
     found = []
     for k in range(trials):
@@ -76,7 +76,7 @@ def test_each_rule_gives_its_verdict(asked, times, verdict, damage):
 
 @pytest.mark.parametrize("ended", ENDED.values())
 def test_endings_on_trials_that_the_others_did_not_run_do_not_count(ended):
-    """On such a trial even the optimum might end in this way, so the only solver that ran it is not to blame."""
+    """Even the optimum might end such a trial in this way, so the solver is not to blame."""
     mine = runs("asked", 60)
     mine[40] |= {"ended": ended, "whole": not ended.startswith("stopped")}
     common = {row["trial"] for row in mine[:15]}
@@ -116,7 +116,7 @@ def test_solvers_are_ranked_one_is_recommended_and_parts_of_the_study_may_be_mis
     (1.6, 0.0, 7, SOUND, "too few trials to decide (7 of at least 8)"), (1.6, 0.0, 8, AVOID, "+60% tip"),
 ])  # fmt: skip
 def test_a_loss_counts_only_where_its_interval_excludes_the_tolerance(cost, unlike, trials, verdict, damage):
-    """The reference solver ran more trials, of which only those that both solvers ran count."""
+    """Only trials that both solvers ran count."""
     rows = [*runs("best", 60), *runs("asked", trials, unlike, tip_error_model_mean_mm=cost)]
     if unlike:  # the two solvers are equal in all other metrics
         for row, mine in zip(rows, rows[60:], strict=False):

@@ -1,4 +1,4 @@
-"""The study of solvers: its files and parts, and that broken solvers do not end it."""
+"""The study of solvers has all its files and parts, and broken solvers do not end it."""
 
 import json
 from pathlib import Path
@@ -43,7 +43,6 @@ def run(folder: Path, *more: str, names: tuple[str, ...] = NAMES) -> int:
 
 
 def test_the_study_has_results_of_every_part_and_a_second_run_reuses_them_all(tmp_path, capsys):
-    """The second run measures nothing again, so that even its times are the same."""
     out = tmp_path / "out"
     assert run(tmp_path, "--parts", *PARTS) == 0
     summary = json.loads((out / "summary.json").read_text())

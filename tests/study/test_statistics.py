@@ -1,4 +1,4 @@
-"""Bootstrap intervals: their coverage, the pairing of trials, and what is undecided or refused."""
+"""Bootstrap intervals: coverage, paired trials, undecided changes and refused samples."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from moc_opt.study.statistics import StatisticsError, mean, relative_change, rel
 
 
 def test_the_difference_of_two_changes_resamples_all_four_samples_together():
-    """If both changes are the same in every trial, so is their difference, and its interval has no width."""
+    """If both changes are constant over the trials, the interval of their difference has no width."""
     control = np.array([0.1, 1.0, 10.0, 3.0, 0.5])
     found = statistics.difference_of_changes(1.2 * control, control, 0.7 * control, 2.0 * control)
     assert (found.value, found.low, found.high) == pytest.approx((85.0, 85.0, 85.0))

@@ -1,4 +1,4 @@
-"""Jobs for the tests of the engine: some succeed, the others fail in ways in which a trial or its solver may fail."""
+"""Jobs for the tests of the engine. Some succeed, and the others fail as a trial or its solver may fail."""
 
 import os
 import signal
