@@ -1,4 +1,4 @@
-"""The run behind the live page, without a page: what it computes, how controllers are exchanged, what is refused."""
+"""The live run without its page: its results, exchanged controllers, and refused requests."""
 
 from collections.abc import Callable
 from typing import Any
@@ -15,7 +15,7 @@ from moc_opt.scenario import Scenario, Setup
 
 @pytest.fixture
 def run() -> LiveRun:
-    """MOC on the default circle; the elbow starts away from the pose of largest mu."""
+    """MOC on the default circle. The elbow starts away from the pose of largest mu."""
     return LiveRun(Scenario(start={"swivel": 0.2}, plant={"preset": "nominal"}))
 
 
@@ -73,7 +73,7 @@ def test_an_exchange_of_controllers_does_not_jerk(change: Callable[[LiveRun], No
     assert not run.messages
 
 
-def test_wrong_orders_are_refused_and_the_run_goes_on(run: LiveRun) -> None:
+def test_wrong_requests_are_refused_and_the_run_goes_on(run: LiveRun) -> None:
     run.advance(20)
     before = run.control
     for kind, orders in {

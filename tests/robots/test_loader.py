@@ -178,7 +178,6 @@ def test_the_verdict_on_an_inertia_does_not_depend_on_its_axes(moments, seed):
 
 
 def test_parts_of_a_urdf_that_are_not_read_are_not_written():
-    """Shapes, extensions, and unknown elements or attributes reach neither engine."""
     text = load_data().urdf
     more = text.replace("<link", '<gazebo secret="1"/><link', 1).replace(
         "</inertial>", "<density/></inertial><visual><geometry><mesh filename='/etc/passwd'/></geometry></visual>"

@@ -112,7 +112,7 @@ def test_a_plug_in_with_a_built_in_name_is_not_used_and_the_message_asks_to_rena
     assert reasons[name] is None
     assert "rename the entry point" in reasons[f"{name} (entry point 'impostor:Good' of package 'impostor')"]
     with pytest.warns(UserWarning, match=f"entry point 'impostor:Good' of package 'impostor': the name '{name}'"):
-        assert create(name).name == name  # the built-in one
+        assert create(name).name == name  # the built-in solver
 
 
 @pytest.mark.parametrize(("solver", "options"), [
