@@ -86,7 +86,7 @@ def opened(
     page, said, asked = chromium.new_page(**options), list[str](), list[str]()
 
     def hear(message: Any) -> None:
-        # The driver warns that reading pixels back is slow; only the screenshots of the tests read pixels.
+        # The driver warns that reading pixels back is slow. Only the tests' screenshots read pixels.
         if (not kinds or message.type in kinds) and "GPU stall due to ReadPixels" not in message.text:
             said.append(f"{message.type}: {message.text}")
 

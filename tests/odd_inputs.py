@@ -30,7 +30,7 @@ def ends_well(*named):
     before = signal.signal(signal.SIGALRM, ring)
     signal.alarm(LONGEST_S)
     try:
-        with np.errstate(all="ignore"):  # numbers of 1e300 overflow; only the outcome is tested
+        with np.errstate(all="ignore"):  # numbers such as 1e300 may overflow
             yield
     except MocOptError as refusal:
         said = str(refusal)

@@ -1,5 +1,4 @@
-"""Seeded subproblems of random serial arms with a rigid tool, with and without a spherical wrist.
-The arms' kinematics are products of exponentials."""
+"""Seeded subproblems of random serial arms with a rigid tool, with and without a spherical wrist."""
 
 from dataclasses import dataclass
 from typing import Any

@@ -43,7 +43,7 @@ def closure(lines):
         line = waiting.pop()
         name = re.match(r"[\w.-]+", line)[0]
         if "extra ==" not in line and name not in found:
-            with contextlib.suppress(PackageNotFoundError):  # it may be for other platforms only
+            with contextlib.suppress(PackageNotFoundError):  # a requirement of another platform
                 found[name] = distribution(name)
                 waiting += found[name].requires or ()
     return found.values()

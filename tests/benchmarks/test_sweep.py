@@ -41,6 +41,7 @@ def test_a_wrong_sweep_is_refused_before_anything_runs(changes: dict[str, Any], 
 @given(st.integers(0, 2**32), st.integers(1, 40), st.floats(1e-9, 1e3), st.floats(1.01, 1e6))
 @settings(max_examples=60)
 def test_draws_stay_in_range_and_more_samples_keep_the_first(seed: int, samples: int, low: float, ratio: float) -> None:
+    """The first draws do not depend on the number of samples."""
     fields: dict[str, Any] = {
         "control.regularization": {"low": low, "high": low * ratio, "scale": "log"},
         "plant.friction": {"low": -low, "high": low * ratio},

@@ -103,7 +103,7 @@ def test_network_faults_are_counted_and_do_not_change_the_run(built: Built, name
 
 
 def test_torques_of_the_plants_watchdog_are_handled_as_in_python_and_the_end_is_reported(built: Built) -> None:
-    """If a command is lost, the plant holds the previous torque. From tick 100 on, all are lost and it brakes."""
+    """A lost command makes the plant hold the previous torque. From tick 100 on, it gets no command and brakes."""
     scenario, folder = built("default")
     blind = scenario.change(wire={"resend_s": 0.33, "resends": 0, "hold_ticks": 2, "damp_ticks": 0})
 

@@ -44,7 +44,7 @@ class Outer(Settings):
     ("sizes", {"radius": "0.03"}, r"\[radius\] = '0.03': a number has no quotes"),
     ("flag", "yes", r"flag = 'yes': give true or false, without quotes"), ("flag", 1, r"flag = 1: give true or false"),
 ])  # fmt: skip
-def test_a_value_of_another_type_than_its_number_or_flag_is_refused(field, value, cure):
+def test_a_number_or_flag_given_as_another_type_is_refused(field, value, cure):
     with pytest.raises(ScenarioError, match=cure):
         Kinds(**{field: value})
 

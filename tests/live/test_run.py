@@ -57,7 +57,6 @@ def test_a_solver_is_exchanged_at_the_next_tick(run: LiveRun) -> None:
     lambda run: run.choose(DCAC), lambda run: run.tune(K_X=1500.0, K_N=300.0, observer_gain_per_s=0.0),
 ])  # fmt: skip
 def test_an_exchange_of_controllers_does_not_jerk(change: Callable[[LiveRun], None]) -> None:
-    """The torque continues from its previous value, and the arm in the realistic plant hardly deviates."""
     run = LiveRun(Scenario(start={"swivel": 0.9}))
     run.advance(400)
     sent: list[Any] = []

@@ -1,7 +1,7 @@
-"""Near a straight elbow, A has a nearly singular direction. An answer that slid along it is not verified.
+"""Answers that have slid to a worse cost along a nearly singular direction of A are not verified.
 
-Each attempt slides an optimum within the primal tolerance and optimizes it again along ker A. Best and worst cost come
-from an enumeration of active sets, which uses neither the solvers nor the residuals.
+Near a straight elbow, A has such a direction. Each attempt slides an optimum along it within the primal tolerance, and
+optimizes it again along ker A. Best and worst cost come from an enumeration of active sets.
 """
 
 from fractions import Fraction
@@ -114,7 +114,7 @@ def test_if_one_point_is_feasible_the_residual_relative_is_the_scaled_loss_of_co
 
 
 def far_ends(A, b, pull, lower, upper):
-    """Return the points (2, n) of largest and smallest pull^T x, or None. The arithmetic is rational."""
+    """Return the feasible points (2, n) of largest and smallest pull^T x, or None. The arithmetic is rational."""
     gains = [Fraction(value) for value in pull]
     found = [optimum(A, b, [sign * gain for gain in gains], 0.0, lower, upper) for sign in (1, -1)]
     return None if None in found else np.array([[float(value) for value in point] for point in found])

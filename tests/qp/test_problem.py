@@ -107,7 +107,6 @@ def check_assembled(qp, rows):
     apart=st.sampled_from([0.0, 1e-9, 0.9e-7, 1.1e-7, 1e-5]), size=st.sampled_from([1e-3, 1.0, 1e3]),
 )  # fmt: skip
 def test_the_sixth_row_is_left_out_only_where_the_tool_is_rigid(seed, n, rank, apart, size):
-    """This includes cases near the tolerance, cases where J_T - J_W has rank 0 or 1, and fewer than three joints."""
     rng = np.random.default_rng(seed)
     J_tip, u = rng.normal(size=(3, n)), np.linalg.qr(rng.normal(size=(3, 3)))[0]
     difference = u[:, :rank] @ rng.normal(size=(rank, n)) + apart * u[:, 2:] @ rng.normal(size=(1, n))

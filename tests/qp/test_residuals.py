@@ -213,7 +213,7 @@ def test_if_the_gradient_along_the_self_motion_is_only_rounding_every_feasible_a
 
 
 def test_the_residual_relative_is_scaled_by_the_gradient_along_the_self_motion():
-    """Almost all of grad_mu is orthogonal to ker A. Scaled by |grad_mu|, a wrong corner would seem good."""
+    """Almost all of grad_mu is orthogonal to ker A. Scaled by |grad_mu|, a wrong corner's residual would be 1e-3."""
     rooms = []
     for w in wrong_corners(5, 6, 8, tilt=1e-3):
         z = kernel(w.qp)[:, 0]

@@ -1,4 +1,4 @@
-"""Packets have the layout of docs/realtime.md, and only valid packets pass. Plant, controller and clock work alone."""
+"""Packets have the layout of docs/realtime.md, and only valid packets pass. Each end is tested alone."""
 
 import os
 import re
@@ -225,7 +225,7 @@ def measurement(flags, k=0, commanded=0.0, scenario=9):
 
 
 def answered(said):
-    """Return the ending, the sent packets, and (ticks so far, torque) of each correction. Call k commands k Nm."""
+    """Return the ending, the sent packets, and (ticks, torque) of each correction. The k-th tick commands k Nm."""
     said, sent, corrected, wait = iter(said), [], [], WireSettings(wait_s=0.05, silence_s=0.5)
     plant = Mock(n=N, peer=("plant", 1), session=0, quality=dict.fromkeys(wire.COUNTERS, 0), heard="nothing")
     plant.send.side_effect = lambda packet: sent.append((Kind(packet["kind"]), packet.copy()))
@@ -242,7 +242,7 @@ def answered(said):
     ([(0, 0), (1, 1), (2, 2), (3, 3)], [(0, 1), (1, 2), (2, 3), (3, 4)], [], (4, 0, 0), "completed"),
     # The plant did not receive the second command, and held the first torque.
     ([(0, 0), (1, 1), (2, 1), (3, 3)], [(0, 1), (1, 2), (2, 3), (3, 4)], [(2, 1)], (4, 0, 0), "completed"),
-    # A measurement that is repeated is answered by the same command once more.
+    # A repeated measurement is answered by the same command again.
     ([(0, 0), (1, 1), (1, 1)], [(0, 1), (1, 2), (1, 2)], [], (2, 0, 1), "the plant ended the run at tick 2 of 4"),
     # Measurements that never came are counted.
     ([(0, 0), (3, 1), (1, 1)], [(0, 1), (3, 2)], [], (2, 2, 1), "completed"),

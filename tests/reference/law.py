@@ -7,6 +7,7 @@ positions of tip and wrist, L is their distance, and P and dP are the position a
 import numpy as np
 from scipy.linalg import null_space as scipy_null_space
 
+# The first four constants are explained in moc_opt/core/law.c.
 STRAIGHT, SHAFT_PULL, SHAFT_LOST, BOX_OPENS = 1e-3, 0.1, 0.1, 3.0
 CLIMB_PER_S, LONGEST_RAD, PROBE_RAD = 5.0, 1.0, 1e-3
 
@@ -69,8 +70,7 @@ def feedforward(s, tip_ref, trocar):
     """J_T^T F_T + B^T F_W, the torque for the accelerations a_T of the tip and a_W of the wrist.
 
     B are the two rows of J_W across the shaft. While the tip is held, the wrist's mobility is
-    S = B M^-1 B^T - B M^-1 J^T Lambda J M^-1 B^T. At a straight elbow, S is almost zero in one direction, which gets
-    no force.
+    S = B M^-1 B^T - B M^-1 J^T Lambda J M^-1 B^T. A direction with almost no mobility gets no force.
     """
     J, B = s.J_tip, scipy_null_space(s.tool_direction[None]).T @ s.J_wrist
     M_inverse = np.linalg.inv(s.M)
@@ -112,7 +112,10 @@ def slope(s, margin=0.0):
 
 
 def scaled_climb(robot, s, margin=0.0):
-    """x_d = k t |d| / max(-h, |d| / r), a Newton step to the maximum of mu along t = d / |d|. h is d|d|/ds."""
+    """x_d = k t |d| / max(-h, |d| / r), a Newton step to the maximum of mu along t = d / |d|.
+
+    h is the slope of |d| along t, k is CLIMB_PER_S, and r is LONGEST_RAD.
+    """
     d = slope(s, margin)
     steep = np.linalg.norm(d)
     if not steep > 1e-12:

@@ -32,7 +32,6 @@ def subproblem(robot, state, c2=PAPER.c2):
 
 
 def idempotence(N):
-    """|N N - N|/|N|."""
     return np.linalg.norm(N @ N - N, 2) / np.linalg.norm(N, 2)
 
 
@@ -92,7 +91,7 @@ def test_modes_grow_with_the_printed_sign_and_otherwise_have_time_constants_abov
     """With dY/dt = -k F(Y), the real part of an eigenvalue is -k c0 s^2 / 2 for a singular value s of A."""
     for s in states:
         qp = subproblem(robot, s)
-        growth = np.linalg.eigvals(-K * saddle(qp)).real  # the printed sign gives the negative of these values
+        growth = np.linalg.eigvals(-K * saddle(qp)).real  # negated with the printed sign
         assert growth.max() < 1e-10
         assert (growth < -1e-12).sum() >= 6  # zero along the null space of A
         largest = np.linalg.svd(qp.A, compute_uv=False)[0]

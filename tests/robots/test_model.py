@@ -330,7 +330,6 @@ def test_the_tip_agrees_with_the_makers_denavit_hartenberg_table(name: str) -> N
 
 
 def test_the_iiwa14_has_the_mass_of_its_data_sheet() -> None:
-    """The data sheet says 29.9 kg, and the public link masses are rounded."""
     robot = load_robot("iiwa14")
     masses = [link.mass for link in urdf.read(robot.data.urdf).links]
     assert sum(masses) - robot.data.tool_mass == pytest.approx(29.9, rel=0.03)

@@ -129,7 +129,7 @@ def test_an_expired_time_limit_has_its_own_status():
 
 @pytest.mark.parametrize("kind", [SQP, Ipopt])
 def test_a_step_of_the_nonlinear_solvers_ends_exactly_at_the_references(kind):
-    """tip(q + x T) equals tip(q) + v_T T. Across the tool, the wrist meets its reference likewise."""
+    """tip(q + x T) equals tip(q) + v_T T, and the wrist meets its reference across the tool."""
     arm = random_arm(np.random.default_rng(3))
     kinematics = arm.kinematics()
     chosen = kind(kinematics)

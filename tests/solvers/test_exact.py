@@ -75,7 +75,7 @@ def test_rounded_jacobians_agree_with_highs_on_five_rows(decimals):
 
 @pytest.mark.parametrize("regularization", [0.0, 1e-8, 1e-5, 1.0])
 @pytest.mark.parametrize(("n", "seed"), [(7, 18), (8, 18), (9, 18), (10, 74), (11, 696), (12, 1075)])
-def test_a_problem_is_solved_if_a_corner_of_the_box_meets_a_x_b(n, seed, regularization):
+def test_a_problem_is_solved_if_a_x_b_goes_through_a_corner_of_the_bounds(n, seed, regularization):
     # Some of these problems have only one feasible point. Rounding must not make them infeasible.
     rng = np.random.default_rng(seed)
     for i in range(16):
@@ -226,7 +226,7 @@ def test_near_the_rank_tolerance_no_wrong_answer_is_called_solved(decimals, sing
 
 
 @pytest.mark.parametrize("freedoms", [0, 1])
-def test_a_violation_of_the_box_counts_as_rounding_if_the_smallest_pivot_explains_it(freedoms):
+def test_a_violation_of_a_bound_counts_as_rounding_if_the_smallest_pivot_explains_it(freedoms):
     """Rounding causes an error of 4e-12 max(|A| |x|) / pivot [rad/s]. A hundred times this error is allowed."""
     wide = np.full(7, 10.0)
     for smallest, beyond, status in (
@@ -267,7 +267,7 @@ def test_solver_and_residuals_agree_which_slow_joints_stop_the_self_motion(moves
     assert [bool(short.residuals(end * z).verified()) for end in (0.0, 1e-5)] == [False, True]
 
 
-def test_rounding_seldom_makes_a_corner_of_the_box_infeasible():
+def test_rounding_seldom_makes_a_corner_of_the_bounds_infeasible():
     """Rounding of b, divided by the smallest column of A (about 1e-3), would exceed a fixed tolerance."""
     rng, refused = np.random.default_rng(1), 0
     for _ in range(300):

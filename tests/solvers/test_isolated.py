@@ -53,7 +53,7 @@ def until(said):
 
 
 def is_gone(number):
-    """Whether the process does not exist, or is a zombie."""
+    """Return whether the process has ended or is a zombie."""
     try:
         return Path(f"/proc/{number}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z"
     except FileNotFoundError:
@@ -100,7 +100,7 @@ def test_a_solver_that_is_lost_more_often_than_most_restarts_is_given_up(qp):
     assert len(session.restarts) == 2
 
 
-def test_a_late_answer_may_serve_the_next_tick_up_to_answer_age_ticks(qp, tmp_path):
+def test_a_late_answer_is_used_for_up_to_answer_age_ticks(qp, tmp_path):
     def numbered(number):
         row = np.array(qp.row)
         fields(row).weights[0] = number

@@ -200,5 +200,4 @@ def test_shaft_distance_is_the_distance_of_a_point_from_a_line(tip, tool, p, shi
     assert shaft_distance(tip + shift, tip - stretch * tool + shift, p + shift) == pytest.approx(d, abs=1e-11)
     rows = shaft_distance([tip, tip + shift], [wrist, wrist + shift], p)
     np.testing.assert_allclose(rows, [d, shaft_distance(tip + shift, wrist + shift, p)], rtol=1e-14)
-    # A point on the shaft has the distance zero.
     assert shaft_distance(tip, wrist, tip - 0.3 * tool) == pytest.approx(0.0, abs=1e-13)

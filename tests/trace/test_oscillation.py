@@ -36,7 +36,6 @@ def made(joint=0, amplitude=0.0, hertz=50.0, column="v_rad_per_s", ticks=1500, p
     period=st.sampled_from([0.001, 0.002]),
 )  # fmt: skip
 def test_the_joint_size_and_frequency_of_an_oscillation_are_found(joint, amplitude, hertz, period):
-    """The oscillation is added to a motion of 0.5 rad/s, sampled every 1 or 2 ms."""
     found = shaking(made(joint, amplitude, hertz, ticks=round(3.0 / period), period=period), "v_rad_per_s")
     assert found.joint == joint
     assert found.rms == pytest.approx(amplitude / np.sqrt(2.0), rel=0.15)
