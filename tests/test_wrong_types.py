@@ -20,7 +20,7 @@ QP = mo.NullSpaceQP(**PARTS)
 
 
 def each(call: Callable, *names: str, **usual: object) -> dict[str, Callable]:
-    """Return one function of x for each argument name. It calls ``call`` with x for this name, else usual values."""
+    """Return a function of x for each argument. It calls ``call`` with x for this argument, and else usual values."""
     return {f"{call.__name__} {name}": lambda x, name=name: call(**{**usual, name: x}) for name in names}
 
 

@@ -93,7 +93,7 @@ def test_an_output_that_is_closed_or_full_ends_the_command_without_a_traceback()
     (["robots"], available_robots), (["tasks"], lambda: [*CURVES, "waypoints"]), (["metrics"], lambda: METRICS),
     (["solvers", "--list"], mo.solvers.available),
 ])  # fmt: skip
-def test_a_list_has_every_name(capsys, monkeypatch, command, expected):
+def test_a_command_that_lists_names_lists_all_of_them(capsys, monkeypatch, command, expected):
     monkeypatch.setenv("COLUMNS", "400")  # so that no name is wrapped
     assert main([*command, "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)

@@ -23,7 +23,7 @@ def column(run: LiveRun, name: str, ticks: int) -> Any:
     return run.history(10**6)[-ticks:, QUANTITIES.index(name)]
 
 
-def test_a_live_run_does_what_its_scenario_does() -> None:
+def test_a_live_run_equals_the_run_of_its_scenario() -> None:
     scenario = Scenario(start={"swivel": 0.2}, duration_s=0.6, judge=False, bound_samples=0)
     trace = Setup(scenario).trace()
     run = LiveRun(scenario.change(duration_s=None))
@@ -93,7 +93,7 @@ def test_wrong_requests_are_refused_and_the_run_goes_on(run: LiveRun) -> None:
     assert solver_of(run.used) == run.solver == "exact"
 
 
-def test_a_solver_that_the_loop_cannot_use_becomes_a_message(run: LiveRun) -> None:
+def test_a_solver_that_the_loop_cannot_use_gives_a_message(run: LiveRun) -> None:
     """If the new solver refuses the subproblem, the old solver stays in use."""
     run.advance(10)
     controller = run._build(run.control, "exact")

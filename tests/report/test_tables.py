@@ -53,7 +53,7 @@ def test_missing_infinite_and_boolean_values_have_their_texts() -> None:
     assert texts([True, np.bool_(False)]) == ["yes", "no"]
 
 
-def test_the_best_value_and_those_printed_alike_are_marked() -> None:
+def test_the_best_value_and_values_that_look_equal_to_it_are_marked() -> None:
     assert best([2.0, 1.0, None, math.inf, 1.0004], better="low") == [False, True, False, False, True]
     assert best([2.5, 1.0, -math.inf, math.inf], better="high") == [True, False, False, False]
     assert best([1.0, 1.0, 1.0, 2.0], better="low") == [False] * 4, "no emphasis if most are best"

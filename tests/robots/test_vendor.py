@@ -178,7 +178,7 @@ def test_limits_in_the_wrong_order_are_refused_by_name(name: str, reach: str, un
         assert vendors(endless).chain[0].limits.items() >= ONE_TURN.items()
 
 
-def test_efforts_that_replace_missing_ones_carry_the_arm(vendors) -> None:
+def test_torque_limits_that_replace_missing_ones_are_enough_to_carry_the_arm(vendors) -> None:
     assert vendors(re.sub(r'effort="\d+"', 'effort="0"', text_of())).weak == CHAIN
     robot = load_robot("panda")
     efforts = enough_efforts(robot)

@@ -48,7 +48,7 @@ class Good:
     (ABSENT, {}, SolverError, "cannot run: .*pip install qpsolvers"), (3, {}, SolverError, "give the name of one"),
     ("osqp", {"eps": 10**400}, SolverError, "osqp: eps = 1000"),
 ])  # fmt: skip
-def test_the_error_of_a_wrong_name_or_setting_has_the_cure(name, given, error, cure):
+def test_the_error_of_a_wrong_name_or_setting_gives_the_remedy(name, given, error, cure):
     with pytest.raises(error, match=cure):
         create(name, **given)
 

@@ -247,7 +247,7 @@ def test_a_lost_board_is_reported_after_a_while_and_its_pose_is_kept():
     assert answers[10].pose.distance(HERE)[0] < 1e-12
 
 
-def test_a_moved_board_is_followed_once_enough_sightings_agree_and_never_where_they_disagree():
+def test_a_moved_board_is_followed_once_enough_sightings_agree_and_not_if_they_disagree():
     tracker, wild = BoardTracker(), BoardTracker()
     for each in (tracker, wild):
         feed(each, [sight()] * 5)

@@ -34,7 +34,7 @@ def test_locating_the_board_is_accurate_and_repeats_with_the_same_seed():
     assert found["task_error_max_mm"] < 0.15
 
 
-def test_a_calibration_error_shifts_the_task_by_as_much():
+def test_a_calibration_error_shifts_the_task_by_its_size():
     camera = CameraSettings(calibration_error_m=0.002, calibration_error_deg=0.0)
     scene = Augmented(ROBOT, PHANTOM, camera=camera)
     assert scene.accuracy(scene.locate(), CIRCLE)["task_error_max_mm"] == pytest.approx(2.0, abs=0.15)
