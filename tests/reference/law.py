@@ -70,7 +70,8 @@ def feedforward(s, tip_ref, trocar):
     """J_T^T F_T + B^T F_W, the torque for the accelerations a_T of the tip and a_W of the wrist.
 
     B are the two rows of J_W across the shaft. While the tip is held, the wrist's mobility is
-    S = B M^-1 B^T - B M^-1 J^T Lambda J M^-1 B^T. A direction with almost no mobility gets no force.
+    S = B M^-1 B^T - B M^-1 J^T Lambda J M^-1 B^T, where Lambda is the tip's inertia. A direction with almost no
+    mobility gets no force.
     """
     J, B = s.J_tip, scipy_null_space(s.tool_direction[None]).T @ s.J_wrist
     M_inverse = np.linalg.inv(s.M)

@@ -98,7 +98,6 @@ def test_a_page_fetches_nothing_and_contains_the_data_of_its_figures(full: Page)
 
 
 def tags(text: str) -> list[tuple[str, ...]]:
-    """Return the tags of a page on which every name is `text`."""
     made = Page(text, text)
     made.headline(text)
     made.section(text)

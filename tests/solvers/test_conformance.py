@@ -32,13 +32,13 @@ class Expect:
 
     settings: dict[str, Any] = field(default_factory=dict)
     primal: float = 1e-7  # |A x - b|_inf and violation of the bounds [m/s, rad/s]
-    relative: float = 1e-4  # natural residual / size of the reduced gradient, with the best y
+    relative: float = 1e-4  # natural residual with the best y, divided by the size of the reduced gradient
     loss: float = 1e-4  # lost share of the range of the cost
-    natural: float = 1e-5  # with the solver's own y [rad/s]
+    natural: float = 1e-5  # natural residual with the solver's own y [rad/s]
     x: float = 2e-4  # distance to the exact answer and between warm and cold answers [rad/s]
     gap: float = 1e-6  # (f(x) - f(exact)) / (c2 |grad_mu|_inf) where regularization = 0 [rad/s]
-    solved: float = 1.0  # least share of the feasible problems
-    certified: float = 1.0  # least share of the infeasible problems that are called infeasible
+    solved: float = 1.0  # smallest share of feasible problems with the status SOLVED
+    certified: float = 1.0  # smallest share of infeasible problems with the status INFEASIBLE
     undamped: float | None = 1.0  # like ``solved``, with regularization = 0. None means not supported
     recovers: bool = True  # the solver solves the problem after an infeasible one
     arm: bool = False  # the solver needs the arm's kinematics, so it gets problems of ARM

@@ -25,7 +25,6 @@ SIZES: dict[str, dict[str, float]] = {
 
 
 def build(kind: str, **changed: float) -> Path:
-    """Return a path of this kind, tilted in space."""
     return make_path(kind, START, normal=NORMAL, heading=HEADING, **{**SIZES[kind], **changed})
 
 
