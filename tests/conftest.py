@@ -18,12 +18,12 @@ from moc_opt.trace.metrics import METRICS
 Array = NDArray[np.float64]
 Draw = Callable[..., list[Array]]
 
-# Property tests use the same examples in every run, and have no deadline; the profile "long" draws new examples.
+# Property tests use the same examples in every run. The profile "long" draws new examples.
 settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.register_profile("long", deadline=None, max_examples=5000, print_blob=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
-# A job that a shell starts in the background ignores SIGINT, and the processes that tests start would inherit this.
+# A shell starts background jobs with SIGINT ignored. The processes that the tests start would inherit this.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -39,7 +39,7 @@ SLOW = (
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
-    """Return 1.5 workers per core, since tests spend two fifths of their time waiting for a process or a page."""
+    """Return 1.5 workers per core, because tests spend 40 % of their time waiting for a process or a page."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return cores + cores // 2
 
@@ -57,7 +57,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.fixture(autouse=True)
 def registered_metrics() -> Iterator[None]:
-    """Remove the metrics that a test, or an example that it runs, has registered."""
+    """Unregister the metrics that a test has registered."""
     before = dict(METRICS)
     yield
     METRICS.clear()
@@ -66,9 +66,9 @@ def registered_metrics() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def chromium() -> Iterator[Any]:
-    """One headless browser for all tests of this process; code that would start its own browser gets it too."""
+    """Share one headless browser among all tests of this process, and with the code under test."""
     from moc_opt.errors import BrowserMissingError
-    from moc_opt.report import export  # imported late: few tests draw
+    from moc_opt.report import export  # imported here, because few tests need it
 
     try:
         with export.browser() as running, pytest.MonkeyPatch.context() as patch:
@@ -82,11 +82,11 @@ def chromium() -> Iterator[Any]:
 def opened(
     chromium: Any, address: str, ready: str, own: str = "", kinds: tuple[str, ...] = (), **options: Any
 ) -> Iterator[Any]:
-    """An open page. At its end, the console has no message (of `kinds`), and no request went to another address."""
+    """Open a page. At the end, check that it logged no message (of `kinds`) and asked for no other address."""
     page, said, asked = chromium.new_page(**options), list[str](), list[str]()
 
     def hear(message: Any) -> None:
-        # The driver warns that reading pixels back is slow; only the screenshots of the tests read pixels.
+        # The driver warns that reading pixels back is slow. Only the tests' screenshots read pixels.
         if (not kinds or message.type in kinds) and "GPU stall due to ReadPixels" not in message.text:
             said.append(f"{message.type}: {message.text}")
 
@@ -109,7 +109,7 @@ def robot() -> RobotModel:
 
 @pytest.fixture(scope="session")
 def regular_poses(robot: RobotModel) -> Draw:
-    """A function `draw(count=20, seed=0)`: random poses away from joint limits, with mu > 0.05."""
+    """Return a function that draws random poses away from joint limits, with mu > 0.05."""
 
     def draw(count: int = 20, seed: int = 0) -> list[Array]:
         rng = np.random.default_rng(seed)
@@ -120,7 +120,7 @@ def regular_poses(robot: RobotModel) -> Draw:
 
 @pytest.fixture(scope="session")
 def odd_robot(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
-    """Seven oblique joints, the third one prismatic, and a tool that is not on the last axis."""
+    """An arm with seven oblique joints (the third is prismatic) and a tool that is not on the last axis."""
     folder, rng = tmp_path_factory.mktemp("odd"), np.random.default_rng(7)
     links, joints = [Link("link_0")], []
     for j in range(1, 8):

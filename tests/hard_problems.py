@@ -1,4 +1,4 @@
-"""Subproblems at the edge of what can be computed: rounded or nearly singular Jacobians, huge and tiny numbers."""
+"""Difficult subproblems: rounded or nearly singular Jacobians, and very large or small numbers."""
 
 import numpy as np
 
@@ -7,21 +7,21 @@ from tests.problems import Arm, changed, random_problem
 
 
 def rounded(qp: NullSpaceQP, decimals: int) -> NullSpaceQP:
-    """The same problem with Jacobians rounded to `decimals`, and references that are consistent with them."""
+    """Round the Jacobians to `decimals`, and make the references consistent with them."""
     x = np.linalg.lstsq(qp.A, qp.b, rcond=1e-9)[0]
     A = np.round(qp.A, decimals)
     return remade(qp, A, A @ x)
 
 
 def remade(qp: NullSpaceQP, A: np.ndarray, b: np.ndarray, size: float = 1.0) -> NullSpaceQP:
-    """The same problem with the rows A x = b, and a box ``size`` times as wide."""
+    """Replace the rows A x = b, and scale the bounds by ``size``."""
     return changed(
         qp, J_tip=A[:3], J_wrist=A[3:], v_tip=b[:3], v_wrist=b[3:], lower=size * qp.lower, upper=size * qp.upper
     )
 
 
 def nearly_singular(qp: NullSpaceQP, size: float) -> NullSpaceQP:
-    """The same problem where the fifth singular value of A is ``size`` times the first; the tool stays rigid."""
+    """Set the fifth singular value of A to ``size`` times the first. The tool stays rigid."""
     u = np.linalg.svd(qp.J_tip - qp.J_wrist)[0][:, 2]
     free = np.eye(6) - 0.5 * np.outer(np.r_[u, -u], np.r_[u, -u])
     U, s, V = np.linalg.svd(free @ qp.A, full_matrices=False)
@@ -32,7 +32,7 @@ def nearly_singular(qp: NullSpaceQP, size: float) -> NullSpaceQP:
 
 
 def hard_problems(arm: Arm | None = None, n: int = 7, seed: int = 0) -> list[NullSpaceQP]:
-    """Two problems of each kind, without and with regularization; all but the largest and smallest are feasible."""
+    """Return two problems of each kind without regularization, and two with regularization."""
     rng = np.random.default_rng(seed)
     found = []
     for regularization in (0.0, 1e-5):

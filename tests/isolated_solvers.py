@@ -15,7 +15,7 @@ from moc_opt.solvers.base import Solution, Status
 
 @dataclass(frozen=True)
 class Misbehaving:
-    """Answers x = 0 with the problem's number as iterations, but does ``act`` (in `ACTS`) from problem ``at`` on."""
+    """Answers x = 0 and the problem's number as iterations. From problem ``at`` on, it first does ``act``."""
 
     act: str = ""
     at: int = 2
@@ -43,7 +43,7 @@ class MisbehavingSession:
 
 
 class GatedSession:
-    """Answers problem k (k is its c0) and reports k iterations, once a file named k exists in the folder."""
+    """Waits for a file named k before it answers problem k, whose c0 is k. It reports k iterations."""
 
     def __init__(self, folder):
         self.folder, self.observed = folder, np.full(7, np.nan)

@@ -11,18 +11,18 @@ from hypothesis import HealthCheck, event, settings
 from moc_opt.errors import MocOptError
 
 LONGEST_S = 600
-"""Time limit for one input. Some inputs compile C, which is slow on a busy machine; only a hang takes longer."""
+"""Time limit for one input. Some inputs compile C, which is slow on a busy machine."""
 
 
 def many(share=1.0):
-    """Hypothesis settings with only this share of the active profile's examples, for tests with slow examples."""
+    """Return Hypothesis settings with this share of the active profile's examples, for slow tests."""
     slow = (HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.function_scoped_fixture)
     return settings(max_examples=max(10, round(share * settings().max_examples)), suppress_health_check=slow)
 
 
 @contextlib.contextmanager
 def ends_well(*named):
-    """Inside, only a MocOptError may be raised; its message has an ordinary length and, if given, one of the names."""
+    """Allow only a MocOptError inside. Its message has 15 to 2000 characters and one of the names, if any are given."""
 
     def ring(number, frame):
         pytest.fail(f"no end after {LONGEST_S} s")
@@ -30,7 +30,7 @@ def ends_well(*named):
     before = signal.signal(signal.SIGALRM, ring)
     signal.alarm(LONGEST_S)
     try:
-        with np.errstate(all="ignore"):  # numbers of 1e300 overflow; only the outcome is tested
+        with np.errstate(all="ignore"):  # numbers such as 1e300 may overflow
             yield
     except MocOptError as refusal:
         said = str(refusal)
@@ -88,7 +88,7 @@ ODD = st.one_of(
 
 @st.composite
 def edited(draw: st.DrawFn, text: str) -> bytes:
-    """A text file with a few lines, words or values changed, doubled or removed; or something else entirely."""
+    """Return the text with a few lines, words or values changed, or unrelated bytes or text."""
     kind = draw(st.integers(0, 9))
     if kind == 0:
         return draw(st.binary(max_size=200))

@@ -1,5 +1,4 @@
-"""Seeded subproblems of random serial arms with a rigid tool, with and without a spherical wrist.
-The arms' kinematics are products of exponentials."""
+"""Seeded subproblems of random serial arms with a rigid tool, with and without a spherical wrist."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -26,7 +25,8 @@ class Arm:
     def terms(self, q: Array) -> tuple[Array, Array, Array]:
         """Return J_tip and J_wrist, (3, n) each [m/rad], and the gradient (n,) of mu = sqrt(det(J_tip J_tip^T)).
 
-        The gradient is mu tr(J^+ dJ/dq_i), where joint i turns the columns of the joints after it.
+        The gradient is mu tr(J^+ dJ/dq_i). Column j of dJ/dq_i is the cross product of the joint axis min(i, j) and
+        column max(i, j) of J_tip.
         """
         R, t = np.eye(3), np.zeros(3)
         axes, points = np.empty_like(self.axes), np.empty_like(self.points)
@@ -41,7 +41,7 @@ class Arm:
         return J_tip, J_wrist, mu * np.einsum("jk,ijk->i", np.linalg.pinv(J_tip), turned)
 
     def kinematics(self) -> Kinematics:
-        """Return the same arm as CasADi functions, for NLP solvers: every frame parallel to the world's at q = 0."""
+        """Return the arm as CasADi functions for NLP solvers. At q = 0, all frames are parallel to the world's."""
         ends = np.array([self.tip, self.wrist]) - self.points[-1]
         placed = np.diff(self.points, axis=0, prepend=np.zeros((1, 3)))
         turned, slides = np.tile(np.eye(3), (len(self.axes), 1, 1)), np.zeros(len(self.axes), dtype=np.bool_)
@@ -61,8 +61,8 @@ def unit(rng: np.random.Generator) -> Array:
 def random_arm(rng: np.random.Generator, n: int = 7, structured: bool = True) -> Arm:
     """Return random axes through points within about half a metre of the wrist.
 
-    structured (n = 7): joints 5 to 7 pass through the wrist and the tool lies along joint 7, so that three wrist
-    columns vanish and joint 7 moves neither point.
+    With structured and n = 7, joints 5 to 7 pass through the wrist, and the tool lies along joint 7. Joints 5 to 7 then
+    do not move the wrist, and joint 7 does not move the tip.
     """
     axes = np.array([unit(rng) for _ in range(n)])
     points = rng.normal(scale=0.25, size=(n, 3))
@@ -107,14 +107,14 @@ PARTS = (
 
 
 def changed(qp: NullSpaceQP, **parts: Any) -> NullSpaceQP:
-    """The problem with some of its arguments (PARTS) replaced."""
+    """Return the problem with some of its arguments (PARTS) replaced."""
     return NullSpaceQP(**{**{name: getattr(qp, name) for name in PARTS}, **parts})
 
 
 def random_problem(
     rng: np.random.Generator, n: int = 7, *, arm: Arm | None = None, structured: bool = True, **weights: float
 ) -> NullSpaceQP:
-    """One subproblem of a random arm (or of ``arm``) at a random pose; weights: c0, c1, c2, regularization."""
+    """Return a subproblem of ``arm`` (or a random arm) at a random pose. Weights: c0, c1, c2, regularization."""
     arm = random_arm(rng, n, structured) if arm is None else arm
     q = rng.uniform(-1.5, 1.5, len(arm.axes))
     lower, upper = random_box(rng, len(arm.axes))
@@ -123,9 +123,9 @@ def random_problem(
 
 
 def out_of_reach(rng: np.random.Generator, qp: NullSpaceQP) -> NullSpaceQP:
-    """The same subproblem with references that no velocity in the box meets, by Farkas' lemma.
+    """Replace the references by others that no velocity within the bounds meets (Farkas' lemma).
 
-    With w = A^T y, y^T A x is at most the sum of max(w_i lower_i, w_i upper_i). y^T b is larger with b = s A w.
+    With w = A^T y, y^T A x is at most the sum of max(w_i lower_i, w_i upper_i). With b = s A w, y^T b is larger.
     """
     w = qp.A.T @ rng.normal(size=6)
     reach = np.maximum(w * qp.lower, w * qp.upper).sum()
@@ -134,7 +134,7 @@ def out_of_reach(rng: np.random.Generator, qp: NullSpaceQP) -> NullSpaceQP:
 
 
 def on_rows(qp: NullSpaceQP, x: Array) -> Array:
-    """The point of A x = b nearest to x. Answers to the nonlinear problem, which miss A x = b, are compared there."""
+    """Return the point of A x = b nearest to x. Answers to the nonlinear problem do not meet A x = b exactly."""
     return np.asarray(x - np.linalg.pinv(qp.A, rcond=1e-6) @ (qp.A @ x - qp.b))
 
 

@@ -1,8 +1,7 @@
-"""README is a script: its fenced blocks run from top to bottom, in an empty folder, exactly as printed.
+"""The fenced blocks of README run from top to bottom in an empty folder.
 
-`sh` blocks go to a shell, `python` blocks into one interpreter. Two kinds of line are not run as printed. A block that
-begins with "# in a checkout" takes minutes and a virtual environment, so its targets are looked up in the Makefile.
-`moc-opt live` serves until Ctrl-C, so it is started, and interrupted once it prints its address.
+`sh` blocks go to a shell, and `python` blocks to one interpreter. A block that begins with "# in a checkout" does not
+run, but its targets must be in the Makefile. `moc-opt live` is interrupted once it has printed its address.
 """
 
 import os
@@ -25,13 +24,13 @@ PATIENCE_S = 1200  # limit for one block
 
 
 def blocks(document):
-    """(language, text) of every fenced block, in order."""
+    """Return (language, text) of every fenced block, in order."""
     return BLOCK.findall((ROOT / document).read_text(encoding="utf-8"))
 
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
-    """An empty folder, and an environment in which `moc-opt` is this checkout's."""
+    """Return an empty folder, and an environment whose `moc-opt` is that of this checkout."""
     folder, tools = tmp_path_factory.mktemp("empty"), tmp_path_factory.mktemp("bin")
     command = tools / "moc-opt"
     command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -P -m moc_opt "$@"\n', encoding="utf-8")
@@ -47,7 +46,7 @@ def run(command, place):
 
 
 def serve(line, place):
-    """Start a server, wait until it says where it listens, and press Ctrl-C."""
+    """Start a server, wait for its address, and press Ctrl-C."""
     folder, environment = place
     words = line.partition("#")[0].split()
     with subprocess.Popen(
@@ -75,7 +74,7 @@ def test_readme_runs_from_top_to_bottom_in_an_empty_folder_and_then_the_python_o
     pages = {"report.html", "both.html", "replay.html", "map.html"}
     written = {"scenario.toml", "clarabel.parquet", "network.parquet", "c", *pages}
     assert {file.name for file in folder.iterdir()} == written
-    # The runs differ visibly: MOC moves the elbow away from its poor start, the network as printed does not.
+    # MOC moves the elbow away from its poor start. The network as printed does not.
     mu = {name: mo.load_trace(folder / f"{name}.parquet").mu for name in ("clarabel", "network")}
     assert mu["clarabel"].mean() > 1.2 * mu["network"].mean()
     tour = [text for language, text in blocks("docs/start.md") if language == "python" and "elbow.html" in text]
@@ -112,7 +111,7 @@ def test_every_file_that_the_documents_link_to_exists():
         assert [path for path in named if "NAME" not in path and not (ROOT / path).exists()] == [], document.name
 
 
-def test_package_project_citation_changelog_and_badge_name_one_version_one_day_and_the_same_pythons():
+def test_all_files_name_the_same_version_date_and_pythons():
     said = {name: (ROOT / name).read_text("utf-8") for name in ("CITATION.cff", "CHANGELOG.md", "README.md")}
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     cited = dict(re.findall(r"^(version|date-released): (.*)$", said["CITATION.cff"], re.MULTILINE))

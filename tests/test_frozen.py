@@ -1,6 +1,6 @@
-"""Closed-loop runs of the whole package keep the figures in frozen.json, up to changes that do not matter on a robot.
+"""Closed-loop runs keep the figures in frozen.json, within tolerances that do not matter on a robot.
 
-A commit that is meant to change them rewrites the file (``python -m tests.test_frozen --write``) and says why.
+A commit that changes figures on purpose rewrites the file (``python -m tests.test_frozen --write``) and says why.
 """
 
 import json
@@ -25,7 +25,6 @@ ARMS = ("lwr4", "iiwa14", "panda", "gen3", "xarm7", "lwr4_rail")
 PATHS = ("circle", "sinusoid", "spiral", "line", "waypoints")
 SOLVERS = ("exact", "rnn", "osqp", "nlp-sqp")
 
-# Each variant changes one thing, or a few that belong together.
 VARIANTS: dict[str, dict[str, Any]] = tomllib.loads("""
 whole-circle = { task = { path = "circle", sizes.radius = 0.015 } }
 whole-line-rnn = { task.path = "line", solver.name = "rnn" }
@@ -72,7 +71,7 @@ for fallback in ("hold", "damping", "least-violation"):
 
 
 def scenarios() -> dict[str, mo.Scenario]:
-    """Every arm with every solver, with paths and seeds taken in turn; and all `VARIANTS`."""
+    """Return every arm with every solver (paths and seeds alternate), and all `VARIANTS`."""
     tables: dict[str, dict[str, Any]] = {}
     for a, arm in enumerate(ARMS):
         for s, solver in enumerate(SOLVERS):
@@ -117,7 +116,7 @@ def tolerance(metric: str, figure: float, ticks: int) -> float:
 FROZEN: dict[str, Any] = json.loads(FIGURES.read_text(encoding="utf-8"))["runs"]
 
 
-def test_every_frozen_figure_is_compared() -> None:
+def test_every_scenario_has_frozen_figures() -> None:
     assert set(FROZEN) == set(SCENARIOS)
 
 

@@ -1,6 +1,6 @@
 """Malformed input is either accepted with a valid result, or refused with a MocOptError that says why.
 
-`HYPOTHESIS_PROFILE=long` draws thousands of inputs. An input that once ended badly is kept as an example.
+`HYPOTHESIS_PROFILE=long` draws thousands of inputs. An input that once caused a failure is kept as an example.
 """
 
 import contextlib
@@ -31,14 +31,14 @@ ARM_TOML = (FOLDER / "lwr4.toml").read_bytes().replace(b'"lwr4.urdf"', b'"arm.ur
 
 
 def fields(table=Scenario):
-    """Path of every field; a table comes before its own fields."""
+    """Yield the path of every field. A table comes before its own fields."""
     for name, field in table.model_fields.items():
         yield (name,)
         if hasattr(field.annotation, "model_fields"):
             yield from ((name, *rest) for rest in fields(field.annotation))
 
 
-usual = st.sampled_from([0.0, 1e-3, 0.02, 0.1, 0.5, 1.0, 2, True, False])  # without these, hardly any scenario runs
+usual = st.sampled_from([0.0, 1e-3, 0.02, 0.1, 0.5, 1.0, 2, True, False])  # with these values, more scenarios run
 strange = st.sampled_from(["typo", "", "seeds", "class", "duration", "model_config"])
 values = st.one_of(usual, numbers, texts, junk)
 
@@ -89,7 +89,7 @@ def drive(robot):
     assert np.linalg.eigvalsh(state.M).min() > 0.0
 
 
-# file -> the function that reads it, and a function that has to work on the result
+# file -> the function that reads the file, and a function that has to accept the result
 READERS = {
     "scenario.toml": (Scenario.load, run_two_ticks), "arm.toml": (mo.load_robot, drive),
     "arm.urdf": (lambda path: mo.load_robot(path.with_suffix(".toml")), drive),
@@ -160,7 +160,7 @@ HOW = {
 def test_a_subproblem_is_answered_without_a_false_claim_or_names_the_field(n, seed, changes, number):
     rng = np.random.default_rng(seed)
     u, J_tip, x = rng.normal(size=3), rng.normal(size=(3, n)), rng.uniform(-1.0, 1.0, n)
-    J_wrist = J_tip + 0.4 * np.cross(rng.normal(size=(n, 3)), u / np.linalg.norm(u)).T  # tied by a rigid tool
+    J_wrist = J_tip + 0.4 * np.cross(rng.normal(size=(n, 3)), u / np.linalg.norm(u)).T  # the tool is rigid
     data = {
         "J_tip": J_tip, "J_wrist": J_wrist, "v_tip": J_tip @ x, "v_wrist": J_wrist @ x, "grad_mu": rng.normal(size=n),
         "lower": np.full(n, -2.0), "upper": np.full(n, 2.0),
@@ -184,7 +184,7 @@ def test_a_subproblem_is_answered_without_a_false_claim_or_names_the_field(n, se
 
 
 def ordinary(qp):
-    """Whether residuals are more than rounding errors: numbers are at most 1e3, and A is well conditioned."""
+    """Return whether numbers are at most 1e3 and A is well conditioned. Otherwise, residuals may be rounding errors."""
     largest = max(float(np.abs(array).max()) for array in (qp.A, qp.b, qp.lower, qp.upper, qp.grad_mu))
     sizes = np.linalg.svd(qp.A, compute_uv=False)
     return largest <= 1e3 and sizes[0] > 0.0 and sizes[sizes > 1e-9 * sizes[0]].min() > 1e-3 * sizes[0]

@@ -1,4 +1,4 @@
-"""Public names keep their signatures; messages of errors stay short and name the nearest valid names."""
+"""Public names keep their signatures. Error messages stay short and name the nearest valid names."""
 
 import inspect
 

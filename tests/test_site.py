@@ -1,6 +1,6 @@
 """The sources of the documentation site are consistent. `make docs` builds the site.
 
-Every public name and method of the reference is used in an example, in its own docstring (run here) or on a page.
+Every public name of the reference is used in an example, on a page or in its own docstring, which is run here.
 """
 
 import doctest
@@ -32,7 +32,7 @@ def test_an_example_runs(example, capsys):
     assert "nan" not in printed
 
 
-def test_a_link_that_leads_nowhere_is_found(tmp_path, monkeypatch):
+def test_a_broken_link_is_found(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(DOCS / "_extensions")
     links = importlib.import_module("links")
     (tmp_path / "reports" / "a").mkdir(parents=True)
@@ -46,7 +46,6 @@ def test_a_link_that_leads_nowhere_is_found(tmp_path, monkeypatch):
 
 
 def test_a_figure_of_the_gallery_is_drawn(chromium, tmp_path, monkeypatch):
-    """As on the site, the only script on the page is the one that the figure loads itself."""
     monkeypatch.syspath_prepend(DOCS / "_extensions")
     site = importlib.import_module("figures")
     for folder in ("_static", "gallery"):
@@ -76,7 +75,7 @@ def found(name):
 
 
 def methods(name):
-    """{name: method} of a class, for the methods that the reference lists. Properties need no example."""
+    """Return {name: method} of a class for the methods that the reference lists. Properties need no example."""
     kind, options = ENTRIES[name]
     if kind != "class" or ":members:" not in options or ":undoc-members:" in options:
         return {}
@@ -88,7 +87,7 @@ def methods(name):
     }  # fmt: skip
 
 
-def test_every_public_name_is_an_entry():
+def test_every_public_name_is_in_the_reference():
     assert set(mo.__all__) <= set(dir(mo))
     public = {name: getattr(mo, name) for name in mo.__all__ if name != "solvers"}
     public |= {name: getattr(mo.solvers, name) for name in mo.solvers.__all__}

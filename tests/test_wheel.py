@@ -1,7 +1,7 @@
-"""The source archive and the wheel are complete, also where the only compiler is the one of the `ziglang` wheel.
+"""The source archive and the wheel are complete, even if the only compiler is that of the `ziglang` wheel.
 
-The archive is made from the checkout, and the wheel from the archive, by a stand-in for ziglang that calls the system's
-compiler. The wheel is installed with only its requirements, linked in from this environment. Nothing is fetched.
+The wheel is built from the archive, by a stand-in for ziglang that calls the system's compiler. The wheel is installed
+with only its requirements, which are links into this environment. Nothing is downloaded.
 """
 
 import contextlib
@@ -37,13 +37,13 @@ def call(*command, **options):
 
 
 def closure(lines):
-    """Every installed distribution that these requirements need, without extras."""
+    """Return every installed distribution that these requirements need, without extras."""
     found, waiting = {}, list(lines or ())
     while waiting:
         line = waiting.pop()
         name = re.match(r"[\w.-]+", line)[0]
         if "extra ==" not in line and name not in found:
-            with contextlib.suppress(PackageNotFoundError):  # needed only on other platforms, or else the run fails
+            with contextlib.suppress(PackageNotFoundError):  # a requirement of another platform
                 found[name] = distribution(name)
                 waiting += found[name].requires or ()
     return found.values()
@@ -51,7 +51,7 @@ def closure(lines):
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
-    """The wheel, built from the source archive of a checkout with no compiler on the path."""
+    """Build the wheel from the source archive of a checkout, with no compiler on the path."""
     if COMPILER is None:
         pytest.skip("no C compiler on the path")
     source, built, tools, path = (tmp_path_factory.mktemp(name) for name in ("source", "built", "tools", "path"))
@@ -75,7 +75,7 @@ def wheel(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def run(wheel, tmp_path_factory):
-    """A function that calls `moc-opt` of an environment with the wheel, in an empty folder and home."""
+    """Install the wheel in a new environment. Return a function that calls its `moc-opt`, with an empty home."""
     home = tmp_path_factory.mktemp("home")
     call(sys.executable, "-m", "venv", "--without-pip", home / "env")
     tools = home / "env" / "bin"
@@ -99,7 +99,7 @@ def test_one_wheel_for_all_pythons_runs_in_an_empty_folder_with_its_requirements
     assert re.fullmatch(r"moc-opt \d+\.\d+\.\d+\n", here("--version"))
     solvers = json.loads(here("solvers", "--list", "--json"))
     assert solvers["exact"]["here"] == "yes"
-    assert "not installed" in solvers["daqp"]["here"], "an extra is in sight: this is no bare installation"
+    assert "not installed" in solvers["daqp"]["here"], "an optional package is installed"
     summary = json.loads(here("run", "--trace", "a.parquet", "--report", "a.html", "--json"))
     assert summary["ended"] == "completed"
     assert summary["verified_solved"] == summary["claimed_solved"] > 4000
@@ -122,7 +122,7 @@ def backend():
 
 @pytest.mark.parametrize("hook", ["get_requires_for_build_wheel", "get_requires_for_build_editable"])
 def test_ziglang_is_required_only_where_there_is_no_compiler(hook, backend, monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)  # setuptools leaves files in it
+    monkeypatch.chdir(tmp_path)  # setuptools leaves files here
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CC", raising=False)
     assert any(name.startswith("ziglang") for name in getattr(backend, hook)())

@@ -1,4 +1,4 @@
-"""Every argument of a public name gives a result or an error of the package, never another exception."""
+"""Every argument of a public name gives a result or an error of the package, and never another exception."""
 
 from collections.abc import Callable
 
@@ -20,7 +20,7 @@ QP = mo.NullSpaceQP(**PARTS)
 
 
 def each(call: Callable, *names: str, **usual: object) -> dict[str, Callable]:
-    """For each argument name, a function of one value: ``call`` with usual arguments and this value for that name."""
+    """Return a function of x for each argument. It calls ``call`` with x for this argument, and else usual values."""
     return {f"{call.__name__} {name}": lambda x, name=name: call(**{**usual, name: x}) for name in names}
 
 
@@ -48,7 +48,7 @@ TAKES_SECONDS = {
 
 @pytest.mark.parametrize("name", CALLS)
 def test_a_wrong_argument_is_an_error_of_the_package(name, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)  # where "x" can be written
+    monkeypatch.chdir(tmp_path)  # some calls write a file "x"
     said = []
     for value in WRONG:
         if any(type(value) is type(one) and value == one for one in TAKES_SECONDS.get(name, ())):

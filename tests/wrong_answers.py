@@ -1,6 +1,6 @@
-"""Answers that are feasible but not optimal: corners of the box on A x = b, where r joints are at their bounds.
+"""Answers that are feasible but not optimal. They are corners of the feasible set, where r joints are at their bounds.
 
-How wrong a corner is follows from an enumeration of all active sets, which uses neither the solvers nor the judge.
+The loss of a corner comes from an enumeration of all active sets, which uses neither the solvers nor the residuals.
 """
 
 from itertools import combinations, product
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 class Wrong(NamedTuple):
-    """A subproblem, a corner x of its feasible set, and the share of the cost's range that x gives away."""
+    """A subproblem, a corner x of its feasible set, and the share of the range of the cost that x loses."""
 
     qp: NullSpaceQP
     x: Array
@@ -24,17 +24,17 @@ class Wrong(NamedTuple):
 
 
 def kernel(qp: NullSpaceQP) -> Array:
-    """Orthonormal columns (n, r) of ker A; the rank of A is five, as tip and wrist are tied."""
+    """Return orthonormal columns (n, r) that span ker A. The rank of A is five, because the tool is rigid."""
     return np.linalg.svd(qp.A)[2][5:].T
 
 
 def cost(qp: NullSpaceQP, x: Array) -> Array:
-    """The part of the cost that varies on A x = b."""
+    """Return the part of the cost that varies on A x = b."""
     return 0.5 * qp.regularization * (x**2).sum(-1) - qp.c2 * x @ qp.grad_mu
 
 
 def candidates(qp: NullSpaceQP, Z: Array, base: Array, *, damped: bool) -> Array:
-    """All points (k, n) of base + span Z in the box with r joints at bounds; ``damped`` adds stationary points."""
+    """Return the feasible points (k, n) of base + span Z with r joints at bounds. ``damped`` adds stationary points."""
     n, r = Z.shape
     found, width = [], float((qp.upper - qp.lower).max())
     for k in range(r + 1) if damped and qp.regularization > 0.0 else (r,):
@@ -60,10 +60,10 @@ def wrong_corners(
     seed: int, n: int, count: int, *, tilt: float = 1.0, size: float = 1.0, regularization: float = 0.0,
     least: float = 0.05
 ) -> list[Wrong]:
-    """Corners that give away more than ``least`` of the cost's range, for ``count`` random arms of n joints.
+    """Return corners that lose more than ``least`` of the range of the cost, for ``count`` random arms of n joints.
 
-    With tilt < 1 the reduced gradient is ``tilt`` times the rest of grad_mu. Velocities and box are ``size`` times as
-    large. rho is ``regularization`` times the rho whose optimum without a box is a self-motion of ``size`` rad/s.
+    With tilt < 1, grad_mu along ker A is ``tilt`` times as large as across it. ``size`` scales velocities and bounds.
+    rho is ``regularization`` times the value that gives a self-motion of ``size`` rad/s without bounds.
     """
     rng = np.random.default_rng(seed)
     found = []

@@ -1,4 +1,4 @@
-"""A fixture that runs a tiny study, from TOML to files, in this process (tests/study tests the engine of jobs)."""
+"""A fixture that runs a small study in this process. tests/study tests the engine that starts processes."""
 
 import json
 import pickle
@@ -14,7 +14,7 @@ from moc_opt.study import Failed, Job
 
 
 def in_this_process(jobs: Sequence[Job], *, done: Callable[[Job, Any], None], **options: Any) -> list[Any]:
-    """Do what `moc_opt.study.run` does, including the pickling of arguments and results."""
+    """Replace `moc_opt.study.run`. Arguments and results are still pickled."""
     results = list[Any]()
     for job in jobs:
         try:
@@ -28,7 +28,7 @@ def in_this_process(jobs: Sequence[Job], *, done: Callable[[Job, Any], None], **
 
 @pytest.fixture(scope="session")
 def tiny(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., SimpleNamespace]:
-    """A function that runs a study's command with seed 3, and returns its folder, configuration, summary and rows."""
+    """Return a function that runs a study with seed 3 and returns its folder, configuration, summary and rows."""
 
     def run(study: ModuleType, text: str, *options: str) -> SimpleNamespace:
         folder = tmp_path_factory.mktemp(study.__name__)

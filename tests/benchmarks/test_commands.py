@@ -1,4 +1,4 @@
-"""The commands of `benchmarks`: the documents name them all, and `benchmarks.docs` puts studies' figures into pages."""
+"""The commands of `benchmarks`. The documents name all of them, and `benchmarks.docs` writes results into pages."""
 
 import importlib
 import json
@@ -60,7 +60,7 @@ def test_a_wrong_configuration_is_refused_before_anything_runs(study, text, said
     assert not (tmp_path / "out").exists()
 
 
-def test_every_block_for_figures_names_a_study_and_is_closed() -> None:
+def test_every_block_for_results_names_a_study_and_is_closed() -> None:
     studies, count = COMMANDS | {file.stem for file in CONFIGS.glob("*.toml")}, 0
     for page, text in PAGES.items():
         blocks = [(at["name"], at["title"]) for at in docs.BLOCK.finditer(text)]
@@ -84,7 +84,7 @@ old
 """
 
 
-def test_figures_of_a_study_are_put_into_the_pages(tmp_path, monkeypatch, capsys):
+def test_results_of_a_study_are_written_into_the_pages(tmp_path, monkeypatch, capsys):
     table = Table("Sums", [Column("k", "k"), Column("us", "time", unit="us")], [{"k": "a", "us": 2.0}])
     more = Section("More \\1", "Read this.", [table])
     report = Report("A title", ["It holds."], table, sections=[Section("Before"), more, Section("Behind", "No.")])

@@ -1,4 +1,4 @@
-"""The study of faults: which runs it makes, and how its figures and goals follow from them."""
+"""The study of injected faults: its runs, the figures computed from them, and its goals."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ camera = { group = "camera", camera_lost_s = [0.1, 0.2] }
 
 
 def run_of(error, level=1e-3, **meta):
-    """A made-up run with the tip error `error`, the RCM error `level`, and one row every 10 ms."""
+    """Return a made-up trace with tip error `error`, RCM error `level`, and one row every 10 ms."""
     error = np.asarray(error, dtype=float)
     n = len(error)
     columns = {
@@ -60,7 +60,7 @@ def test_recovery_lasts_until_the_error_stays_below_its_limit():
     error = np.full(300, 1e-3)
     error[100:150] = 5e-3
     case = Case(group="contact", from_s=1.0, until_s=1.4)
-    # The running mean over 20 rows falls below the limit, 1.25 mm, when its window has only one row of 5 mm.
+    # The mean over 20 rows falls below the limit of 1.25 mm once only one of the 20 rows is 5 mm.
     assert recovery(run_of(error), free, case, "completed") == pytest.approx(1.69 - 1.4, abs=0.02)
     assert recovery(run_of(error), free, Case(group="plant"), "completed") == pytest.approx(1.69, abs=0.02)
     assert recovery(free, free, case, "completed") == 0.0
@@ -81,7 +81,7 @@ def test_each_ending_has_its_outcome(error, ended, expected):
     assert measure(None, free, "refused: x", FREE["none"], (20.0, 20.0)) == {"outcome": "refused"}
 
 
-def test_detection_counts_each_kind_separately():
+def test_detected_harmless_and_missed_faults_and_false_alarms_are_counted_separately():
     trace = run_of(np.zeros(6)).with_columns(
         injected=[True, True, True, False, False, True],
         fault=["lied", "none", "none", "lied", "infeasible", "stopped"],
@@ -96,7 +96,7 @@ def row(case, solver, kind="survived", **figures):
     return {**base, "outcome": kind, "ticks": 100, "recover_s": 0.1, **figures}
 
 
-def test_goals_follow_from_the_rows():
+def test_each_bad_row_misses_one_goal():
     good = {"injected": 5, "detected": 5, "missed": 0, "rcm_mean_percent": 1.0, "rcm_max_percent": 2.0,
             "false_alarms": 0}  # fmt: skip
 

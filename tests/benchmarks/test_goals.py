@@ -1,4 +1,4 @@
-"""How goals are judged and shown, and that a phase of a trial is the same ticks for all controllers."""
+"""Goals are judged and shown, and all controllers of a trial have the same phases."""
 
 from typing import Any
 
@@ -43,7 +43,7 @@ def test_goals_are_shown_with_the_missed_ones_first() -> None:
 
 
 def made(controller: str, travelling: list[int] | None, trial: str = "t", **more: Any) -> Run:
-    """A run of four ticks; the error of tick k is 2^k um, and twice that under BASELINE."""
+    """Return a run of four ticks. At tick k its error is 2^k um. Under BASELINE the error is doubled."""
     error = 1e-6 * 2.0 ** np.arange(4) * (2.0 if controller == BASELINE else 1.0)
     columns = dict.fromkeys(("t_s", "mu", "tip_error_m", "rcm_error_model_m"), error)
     columns["trocar_force_N"] = np.outer(error, (0.0, 0.6, -0.8))

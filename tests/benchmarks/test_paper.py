@@ -1,4 +1,4 @@
-"""The study of the paper's claims: how verdicts follow from figures, the procedure with a camera, and the command."""
+"""The study of the paper's claims: its verdicts, the procedure with a camera, and the command."""
 
 from collections import Counter
 
@@ -108,7 +108,7 @@ def test_the_shipped_configuration_is_the_papers_experiment():
         assert [case.seed for case in mine] == [case.seed for case in cases["paper"]]
 
 
-def test_a_procedure_that_cannot_continue_gives_the_reason_and_its_run_has_the_safety_filter():
+def test_a_procedure_that_cannot_continue_gives_the_reason_and_the_safety_filter_can_stop_it():
     with pytest.raises(MocOptError, match="did not reach the incision"):
         procedure.perform(ProcedureSettings(camera=SMALL, hands_on=HandsOnSettings(time_limit_s=0.2)), QUICK, "circle")
     base = QUICK.change(guard={"rcm_error_m": 2e-4, "rcm_warning_m": 1e-4})
@@ -133,9 +133,8 @@ def test_the_command_reports_every_part_and_completes_the_procedure(tiny):
     assert (row["ended"], row["share_of_run"], row["registered"]) == ("completed", 1.0, True)
     assert 0.0 < row["registration_error_mm"] < 5.0
     assert row["board_position_mm"] < 2.0
-    assert 0.9 < row["waited_s"] < 2.5  # the board is lost for 1 s; slowing down and starting again take the rest
+    assert 0.9 < row["waited_s"] < 2.5  # 1 s without the board, plus slowing down and restarting
     assert row["tip_error_mean_mm"] < 1.5  # the true error: the arm deviates from its model by half a millimetre
-    # The path deviates by the error of the board's location, and beyond that by no more than the tip's error.
     assert row["path_deviation_max_mm"] < row["task_error_max_mm"] + 1.0
     assert row["pictures"] > 10
     assert (left.out / "film.webm").stat().st_size > 1000

@@ -24,7 +24,7 @@ def test_a_peer_that_is_listed_does_the_task(name, robot, task):
 
 
 class Puppet:
-    """A velocity-level controller of five lines, which can be made wrong in one respect."""
+    """A small velocity-level controller. One of its parts can be made wrong."""
 
     level = "velocity"
 

@@ -1,4 +1,4 @@
-"""The study of the arm's defects: the same trials in every plant, and figures that follow from the traces."""
+"""The study of the arm's defects, such as biased encoders and displaced joint origins."""
 
 import pytest
 
@@ -17,7 +17,6 @@ scenario = { judge = false, bound_samples = 0, duration_s = 0.3 }
 
 
 def test_both_controllers_run_with_every_defect_and_registering_again_restores_accuracy(tiny):
-    """In this trial MOC's registered tip error is far above DCAC's; registering again more than halves it."""
     results = tiny(plant, TINY)
     summary = results.summary
     found = summary["effects"]["tuned"]
@@ -40,7 +39,7 @@ def test_both_controllers_run_with_every_defect_and_registering_again_restores_a
     assert origins["moc_rcm_again_mm"] < 0.7 * origins["moc_rcm_after_mm"]
     assert all("too few trials" in row["undecided"] for row in summary["break_even"])
 
-    # Registering at tick 0 gives the frame in which the run itself is registered.
+    # A registration at tick 0 gives the frame that the run itself uses.
     case = results.config.cases(plant.CALIBRATION_STREAM, 1)[0]
     setup = Setup(case.change(duration_s=0.6, plant=plant.plant_of(case.plant, "both", 0.5).model_dump()))
     trace = setup.trace()

@@ -1,4 +1,4 @@
-"""The studies of arms and of planning: how figures follow from rows, and that no planned course exceeds its bound."""
+"""The studies of robot arms and of planning: their figures, and a bound that no planned motion exceeds."""
 
 from typing import Any
 
@@ -76,7 +76,7 @@ scenario = { start = { pose = "random" }, duration_s = 1.0 }
 """
 
 
-def test_no_course_or_run_exceeds_the_best_course_or_the_bound(tiny: Any) -> None:
+def test_no_motion_is_better_than_the_best_planned_one_or_the_bound(tiny: Any) -> None:
     left = tiny(plan, PLANNED)
     rows = left.rows
     parts = [row["part"] for row in rows]

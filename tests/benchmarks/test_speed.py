@@ -1,4 +1,4 @@
-"""The speed benchmark: compared codes do the same work, ratios compare times of one round, and goals are judged."""
+"""The speed benchmark: compared codes do the same work, and a ratio compares two times of the same round."""
 
 import json
 
@@ -41,7 +41,7 @@ def test_entries_take_turns_chunk_by_chunk(monkeypatch):
     assert {name: found["times_calls"] for name, found in part.seen.items()} == {"a": 20, "b": 20}
     chunks = [log[i : i + 5] for i in range(0, len(log), 5)]
     assert all(len({name for name, _ in chunk}) == 1 for chunk in chunks)
-    # One untimed round, then two timed ones; the entry that begins changes from chunk to chunk.
+    # An untimed round comes before the two timed ones. The entries take turns at going first.
     assert [chunk[0][0] for chunk in chunks] == ["a", "b", "b", "a"] * 3
     assert [item for name, item in log if name == "a"] == [*range(10)] * 3
     assert [item for name, item in log if name == "b"] == [*range(100, 110)] * 3
@@ -67,7 +67,6 @@ def test_recorded_inputs_and_problems_are_those_of_the_run():
 
 
 def test_a_ratio_compares_times_of_the_same_round():
-    """One slow round in three changes no ratio, since it slows both times."""
     rows = [{"us_per_tick": 40.0 * slow, "steps_us": 10.0 * slow - 1.0} for slow in (1.0, 10.0, 1.0)]
     found = timed.limit(rows, 1.0)
     assert found == {"steps_us": 9.0, "limit_us": 10.0, "python_over_limit": 4.0}
@@ -75,7 +74,7 @@ def test_a_ratio_compares_times_of_the_same_round():
 
 
 def test_mujoco_alone_steps_from_the_recorded_states_of_the_run():
-    """A period from each recorded state ends near the next state, though it applies the forces of one period before."""
+    """A step from each recorded state ends only near the next state, because it applies the previous step's forces."""
     states, stepped = timed.own_steps(SHORT.change(duration_s=0.4))
     after, n = stepped(), 7
     assert len(states) == 200
@@ -111,7 +110,7 @@ def test_the_command_measures_every_part_and_lists_missing_peers(tiny, capsys, m
     assert [row["controller"] for row in rows if row["error"] == "it is missing"] == ["peer tsid"]
     setup = summary["setup"]
     assert setup["first_tick_s"] == pytest.approx(setup["libraries_s"] + setup["model_s"] + setup["start_and_tick_s"])
-    (us,) = [row["us_per_tick"] for row in rows if row["part"] == "loop"]  # one round
+    (us,) = [row["us_per_tick"] for row in rows if row["part"] == "loop"]
     if "c" in summary["tick"]:
         assert summary["tick"]["c"]["difference_Nm"] == 0.0
         assert summary["loop"]["limit"]["python_over_limit"] == pytest.approx(us / summary["loop"]["limit"]["limit_us"])

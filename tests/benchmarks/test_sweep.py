@@ -41,6 +41,7 @@ def test_a_wrong_sweep_is_refused_before_anything_runs(changes: dict[str, Any], 
 @given(st.integers(0, 2**32), st.integers(1, 40), st.floats(1e-9, 1e3), st.floats(1.01, 1e6))
 @settings(max_examples=60)
 def test_draws_stay_in_range_and_more_samples_keep_the_first(seed: int, samples: int, low: float, ratio: float) -> None:
+    """The first draws do not depend on the number of samples."""
     fields: dict[str, Any] = {
         "control.regularization": {"low": low, "high": low * ratio, "scale": "log"},
         "plant.friction": {"low": -low, "high": low * ratio},
@@ -65,10 +66,10 @@ def test_the_plan_is_every_combination_in_a_fixed_order() -> None:
     assert (runs[-1].controller, last.duration_s) == ("osqp", 0.05)
 
 
-def test_the_same_run_is_done_once() -> None:
+def test_a_run_that_several_combinations_share_is_done_once() -> None:
     axes = {"solver.settings.eps": [1e-6, 1e-8], "control.k0_per_s": [1.0, 2.0]}
     runs = plan(config(solvers=["dcac", "osqp"], grid=axes, seeds=1))
-    assert len(runs) == 6  # not 8: dcac uses no solver
+    assert len(runs) == 6  # not 8, because DCAC uses no solver
     assert ["solver.settings.eps" in run.tags for run in runs if run.controller == "dcac"] == [False, False]
     assert runs[1].settings == {"eps": 1e-6}
     drawn = {"samples": 50, "fields": {"task.path": {"choice": ["circle", "spiral"]}}}
@@ -107,7 +108,7 @@ scenario = { duration_s = 0.05, judge = false, bound_samples = 0 }
 """
 
 
-def test_the_command_leaves_its_files_and_reports_times_only_of_runs_that_ran_alone(tiny: Any) -> None:
+def test_the_command_writes_its_files_and_reports_times_only_of_runs_that_ran_alone(tiny: Any) -> None:
     timed, shared = (tiny(sweep, SMALL.replace("timed = true", asked)) for asked in ("timed = true", ""))
     assert min(row["tick_p50_us"] for row in timed.rows) > 0.0
     assert [row["mu_mean"] for row in shared.rows] == [row["mu_mean"] for row in timed.rows]

@@ -1,4 +1,4 @@
-"""Sets of subproblems: HiGHS and the residuals confirm their certified optima, and sets can be made and exported."""
+"""Sets of subproblems: HiGHS and the residuals confirm the certified optima. Sets can be made and exported."""
 
 import subprocess
 import sys
@@ -28,9 +28,9 @@ ALONE, LONG = [[1.0, 0.0]], ([0.0, -1.0], [1.0, 2.0])
 
 
 @pytest.mark.parametrize(("A", "b", "pull", "rho", "box", "expected"), [
-    (TWICE, [1.0, 2.0], [1.0, 0.0], 0.0, UNIT, [1.0, 0.0]),  # rows that repeat each other
-    (TWICE, [1.0, 2.0 + 1e-15], [1.0, 0.0], 0.0, UNIT, None),  # rows that contradict each other
-    (ALONE, [0.5], [0.0, 0.0], 0.0, LONG, [0.5, 0.0]),  # a joint that moves nothing is solved alone
+    (TWICE, [1.0, 2.0], [1.0, 0.0], 0.0, UNIT, [1.0, 0.0]),  # repeated rows
+    (TWICE, [1.0, 2.0 + 1e-15], [1.0, 0.0], 0.0, UNIT, None),  # contradictory rows
+    (ALONE, [0.5], [0.0, 0.0], 0.0, LONG, [0.5, 0.0]),  # joint 2 is in no row
     (ALONE, [0.5], [0.0, 1.0], 0.0, LONG, [0.5, 2.0]), (ALONE, [0.5], [0.0, -1.0], 0.0, LONG, [0.5, -1.0]),
     (ALONE, [0.5], [0.0, 3.0], 2.0, LONG, [0.5, 1.5]), (ALONE, [0.5], [0.0, -3.0], 2.0, LONG, [0.5, -1.0]),
 ])  # fmt: skip
@@ -41,7 +41,7 @@ def test_the_enumeration_finds_known_optima_of_two_joints(A, b, pull, rho, box, 
 @pytest.mark.parametrize("rho", [0.0, 0.3])
 @pytest.mark.parametrize("rows", [5, 4, 3, 2])
 def test_highs_finds_no_better_point_with_several_degrees_of_freedom(rows, rho):
-    """HiGHS finds no better point along the gradient of the cost, which proves optimality in a convex problem."""
+    """The problem is convex, so a point is optimal if HiGHS cannot lower the linearized cost."""
     rng = np.random.default_rng([rows, int(10 * rho)])
     A, pull, upper = rng.normal(size=(rows, 6)), rng.normal(size=6), rng.uniform(0.1, 1.0, 6)
     b = A @ rng.uniform(-upper, upper)
@@ -50,7 +50,7 @@ def test_highs_finds_no_better_point_with_several_degrees_of_freedom(rows, rho):
 
 
 def descent(A: Array, b: Array, slope: Array, lower: Array, upper: Array, x: Array) -> float:
-    """Return by how much HiGHS lowers slope^T x, divided by |slope|_inf; x has to meet A x = b to 1e-12."""
+    """Check A x = b to 1e-12. Return how far HiGHS can lower slope^T x, divided by |slope|_inf."""
     np.testing.assert_allclose(A @ x, b, atol=1e-12)
     assert (np.maximum(lower - x, x - upper) <= 1e-15).all()
     unit = slope / (np.abs(slope).max() or 1.0)
@@ -73,7 +73,7 @@ def test_shipped_answers_equal_the_certificate_and_are_optimal_by_residuals_and_
     np.testing.assert_allclose(again.x, kept.x[::16], atol=1e-9)
     for qp, x in zip(again.problems(), again.x, strict=True):
         A, b = five_rows(qp)
-        if np.isfinite(x).all() and np.linalg.svd(A)[1][-1] > 1e-6:  # HiGHS meets A x = b to 1e-7 only
+        if np.isfinite(x).all() and np.linalg.svd(A)[1][-1] > 1e-6:  # HiGHS meets A x = b only to 1e-7
             slope = qp.regularization * x - qp.c2 * qp.grad_mu
             assert descent(A, b, slope, qp.lower, qp.upper, x) < 1e-6
 

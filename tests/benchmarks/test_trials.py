@@ -12,7 +12,7 @@ from moc_opt.study import solvers
 from moc_opt.study.command import CONFIGS
 
 SET_UP = 7
-"""Largest number of trials of a study that are set up here (evenly spread), since finding a start is slow."""
+"""At most this many trials of a study are set up, because finding a start is slow."""
 
 
 STUDIES = {
@@ -46,21 +46,19 @@ def test_the_pool_of_the_coverage_study_shares_no_trial_with_the_study_of_solver
     assert not {trial.seed for name in ("solvers", "solvers-full") for trial in shipped(name)} & pool
 
 
-# --- the simulation of coverage, where coverage and widths are known beforehand ---
-
 POOL = np.random.default_rng(0).lognormal(0.0, 0.3, (2, 240))
 
 
-def test_intervals_of_more_trials_are_shorter_and_still_hold_the_truth() -> None:
+def test_intervals_of_more_trials_are_shorter_and_still_contain_the_true_value() -> None:
     (few, wide), (many, narrow) = (coverage.covered(*POOL, size, 60) for size in (15, 60))
-    assert 0.4 < narrow / wide < 0.6  # sqrt(15/60) is a half, and intervals of few samples are widened
+    assert 0.4 < narrow / wide < 0.6  # about sqrt(15/60)
     assert min(few, many) > 85.0
-    # Where the mean rests on rare large values, the intervals of few trials miss it.
+    # If rare large values dominate the mean, the intervals of few trials miss it.
     rng = np.random.default_rng(1)
     assert coverage.covered(POOL[0] * np.where(rng.random(240) < 0.01, 1e3, 1.0), POOL[1], 15, 30)[0] < 50.0
 
 
-def test_the_command_has_a_row_for_every_metric_of_a_tiny_pool(tiny: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_writes_a_row_for_every_metric(tiny: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     cases = coverage.Config.cases
     monkeypatch.setattr(coverage.Config, "cases", lambda config: cases(config)[:3])
     monkeypatch.setattr(coverage, "SOLVERS", ("rnn-printed",))

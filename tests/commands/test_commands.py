@@ -1,4 +1,4 @@
-"""Commands: what they read and write, how they end, what they list, and the reference of a scenario's keys."""
+"""The commands: their files, exit statuses and lists, and the reference of a scenario's keys."""
 
 import json
 import os
@@ -24,7 +24,7 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "scenario.md"
 @pytest.mark.parametrize("command", [*COMMANDS, "robot"])
 def test_every_command_has_a_function_and_help(command, capsys):
     assert callable(work_of(command))
-    if command != "solvers":  # its help is that of the study
+    if command != "solvers":  # `solvers` shows the help of the study
         with pytest.raises(SystemExit) as ended:
             main([command, "--help"])
         assert ended.value.code == 0
@@ -32,7 +32,7 @@ def test_every_command_has_a_function_and_help(command, capsys):
 
 
 @pytest.mark.parametrize(("line", "goes_on"), [("ex", "export-c "), ("run --third-level pl", "planned ")])
-def test_a_shell_gets_completions_of_a_line(line, goes_on, tmp_path):
+def test_a_shell_completes_a_command_line(line, goes_on, tmp_path):
     asked = f"moc-opt {line}"
     shell = {"_ARGCOMPLETE": "1", "COMP_LINE": asked, "COMP_POINT": str(len(asked)),
              "_ARGCOMPLETE_STDOUT_FILENAME": str(tmp_path / "told")}  # fmt: skip
@@ -93,7 +93,7 @@ def test_an_output_that_is_closed_or_full_ends_the_command_without_a_traceback()
     (["robots"], available_robots), (["tasks"], lambda: [*CURVES, "waypoints"]), (["metrics"], lambda: METRICS),
     (["solvers", "--list"], mo.solvers.available),
 ])  # fmt: skip
-def test_a_list_has_every_name(capsys, monkeypatch, command, expected):
+def test_a_command_that_lists_names_lists_all_of_them(capsys, monkeypatch, command, expected):
     monkeypatch.setenv("COLUMNS", "400")  # so that no name is wrapped
     assert main([*command, "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)

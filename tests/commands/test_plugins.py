@@ -1,4 +1,4 @@
-"""Paths and metrics of another package, and waypoints, named in a scenario's file or on the command line."""
+"""Scenarios and the command line can use waypoints, and paths and metrics of another package."""
 
 import json
 import sys
@@ -59,7 +59,7 @@ def test_a_path_and_a_metric_of_an_installed_package_can_be_used_by_name(tmp_pat
     short.write_text("duration_s = 0.02\nbound_samples = 0\n[task.sizes]\nradius = 0.01\n")
     assert "own_travel_rad" in printed(capsys, short, "--metric", "own_travel_rad")
     for arguments, said in (
-        (["run", str(short), "--task", "helix"], "[task] a helix needs its radius"),  # the file's radius is of a circle
+        (["run", str(short), "--task", "helix"], "[task] a helix needs its radius"),  # the file's radius is a circle's
         (["run", str(short), "--metric", "own_travel"], "did you mean 'own_travel_rad'"),
     ):
         assert main(arguments) == 2
@@ -78,7 +78,7 @@ def test_waypoints_from_a_file_of_points_equal_those_of_a_scenario(tmp_path, cap
     assert scenario.task.path == "waypoints"
     asked = mo.run(scenario).tip_ref_m
     np.testing.assert_array_equal(mo.load_trace(tmp_path / "a.parquet").tip_ref_m, asked)
-    assert np.ptp(asked, axis=0).min() > 1e-4  # in three dimensions
+    assert np.ptp(asked, axis=0).min() > 1e-4  # the path moves in all three directions
 
 
 @pytest.mark.parametrize(("text", "line", "cure"), [
@@ -86,7 +86,7 @@ def test_waypoints_from_a_file_of_points_equal_those_of_a_scenario(tmp_path, cap
     ("# index and all\n0,0.1,0,0\n1,0.2,0,0\n", 2, "give x, y, z"), ("0 0 0\n1 2 nan\n", 2, "nan"),
     ("0,0,\u0661\n", 1, "give x, y, z"),
 ])  # fmt: skip
-def test_columns_of_another_unit_another_order_or_another_count_are_refused_with_a_remedy(text, line, cure, tmp_path):
+def test_a_file_of_points_with_wrong_columns_or_numbers_is_refused_with_a_remedy(text, line, cure, tmp_path):
     file = tmp_path / "points.csv"
     file.write_text(text, encoding="utf-8")
     with pytest.raises(ScenarioError, match=rf"line {line}: .*{cure}"):

@@ -1,4 +1,4 @@
-"""Fixtures for exported folders. Their core is compiled once per session, as exports differ only in constants."""
+"""Fixtures for exported folders. Their core is compiled once per session, because exports differ only in constants."""
 
 from __future__ import annotations
 
@@ -18,13 +18,12 @@ Export = Callable[..., Path]
 
 
 def make(place: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    """Run make in a folder."""
     return subprocess.run(["make", "-C", place, *words], capture_output=True, text=True, timeout=300, check=False)
 
 
 @pytest.fixture(scope="session")
 def exported(tmp_path_factory: pytest.TempPathFactory) -> Export:
-    """A function `exported(scenario, udp=False)` that returns the exported folder, with its core compiled."""
+    """Return a function that exports a scenario, compiles the core, and returns the folder."""
     if shutil.which("make") is None or shutil.which("cc") is None:
         pytest.skip("no make or cc")
     core: list[Path] = []
@@ -37,7 +36,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Export:
             shutil.copy(file, out)
         done = make(out, FLAGS, *objects)
         assert done.returncode == 0, done.stdout + done.stderr
-        assert ("-Wconversion" in done.stdout) == (not core), "it is compiled once"
+        assert ("-Wconversion" in done.stdout) == (not core), "the core is compiled once"
         core[:] = [out / name for name in objects]
         return out
 

@@ -35,7 +35,7 @@ Built = Callable[[str], tuple[Scenario, Path]]
 
 @pytest.fixture(scope="module")
 def built(exported: Export) -> Built:
-    """A function `built(name)` that returns one of RUNS as a scenario, and the folder with its program."""
+    """Return a function `built(name)`, which returns a scenario of RUNS and the folder with its program."""
 
     @cache
     def build(name: str) -> tuple[Scenario, Path]:
@@ -51,7 +51,7 @@ def built(exported: Export) -> Built:
 
 
 def served(scenario: Scenario, controller: Callable[[str], Any], **relayed: Any) -> tuple[Trace, Any, Relay]:
-    """Run in lock-step through a relay; return the trace, the result of the controller, and the relay."""
+    """Run in lock-step through a relay. Return the trace, the result of the controller, and the relay."""
     plant = PlantServer(scenario, "127.0.0.1:0", lock_step=True)
     with ThreadPoolExecutor(1) as pool, Relay(plant.address, seed=2, **relayed) as relay:
         said = pool.submit(controller, relay.address)
@@ -64,7 +64,7 @@ def ran(folder: Path, *arguments: str, **options: Any) -> subprocess.CompletedPr
 
 
 def program(folder: Path, address: str) -> tuple[dict[str, Any], int]:
-    """Run the exported controller; return what it prints, and its exit status."""
+    """Run the exported controller. Return its printed result and its exit status."""
     done = ran(folder, *address.split(":"), str(folder / "reference.bin"))
     assert done.returncode in (0, 3), done.stderr
     return json.loads(done.stdout), done.returncode
@@ -91,7 +91,7 @@ def test_the_program_controls_exactly_as_python_does(built: Built, name: str, mo
 
 
 @pytest.mark.parametrize("name", ["default", "stopped"])
-def test_faults_of_the_wire_are_counted_and_change_nothing(built: Built, name: str) -> None:
+def test_network_faults_are_counted_and_do_not_change_the_run(built: Built, name: str) -> None:
     scenario, folder = built(name)
     found, (said, _), relay = served(scenario, partial(program, folder), share=0.04)
     expected = run(scenario)
@@ -103,7 +103,7 @@ def test_faults_of_the_wire_are_counted_and_change_nothing(built: Built, name: s
 
 
 def test_torques_of_the_plants_watchdog_are_handled_as_in_python_and_the_end_is_reported(built: Built) -> None:
-    """The plant holds the previous torque if a command is lost. From tick 100 on, none arrives; the watchdog brakes."""
+    """A lost command makes the plant hold the previous torque. From tick 100 on, it gets no command and brakes."""
     scenario, folder = built("default")
     blind = scenario.change(wire={"resend_s": 0.33, "resends": 0, "hold_ticks": 2, "damp_ticks": 0})
 

@@ -24,7 +24,7 @@ from moc_opt.trace.trace import Trace
 @pytest.mark.parametrize(
     ("load", "error"), [(Scenario.load, ScenarioError), (mo.load_robot, RobotError), (Trace.load, TraceError)]
 )
-def test_every_reader_refuses_what_is_no_regular_file(load, error, tmp_path):
+def test_every_reader_refuses_anything_but_a_regular_file(load, error, tmp_path):
     for name, make in {
         "fifo.toml": os.mkfifo, "zeros.toml": lambda p: os.symlink("/dev/zero", p), "folder.toml": os.mkdir,
         "loop.toml": lambda p: os.symlink("loop.toml", p), "none.toml": lambda p: None,
@@ -63,7 +63,7 @@ def header(shape, kind):
     header((1,), "<U6") + "secret".encode("utf-32-le"),
 ])  # fmt: skip
 def test_a_file_without_recorded_times_is_refused_and_none_of_it_is_quoted(data, tmp_path):
-    """A header may promise terabytes, and a scenario may name any file of the machine."""
+    """A header can claim terabytes of data, and a scenario can name any file of the machine."""
     (tmp_path / "a.npy").write_bytes(data)
     with pytest.raises(ScenarioError, match="replay_us") as found:
         recorded_times(Scenario(solver={"replay_us": str(tmp_path / "a.npy")}))
@@ -113,7 +113,7 @@ def test_links_are_replaced_and_pipes_devices_and_folders_refused(tmp_path):
 
 
 def test_a_link_at_the_name_of_the_unfinished_file_is_not_followed(tmp_path, monkeypatch):
-    monkeypatch.setattr(secrets, "token_hex", lambda count: "0")  # as if an attacker could guess it
+    monkeypatch.setattr(secrets, "token_hex", lambda count: "0")  # as if an attacker had guessed it
     victim = tmp_path / "victim"
     victim.write_bytes(b"mine")
     (tmp_path / ".a.0.tmp").symlink_to(victim)
@@ -146,7 +146,7 @@ def test_a_written_table_reads_back_the_same_from_toml_and_is_valid_json(table):
     assert json.loads(text, parse_constant=pytest.fail)["numpy"] == [None, None, 1.0]
 
 
-def test_toml_has_numpys_values_as_numbers_and_no_none():
+def test_numpy_values_become_toml_numbers_and_none_is_refused():
     assert tomllib.loads(to_toml({"a": np.float64(0.1), "b": np.arange(3)})) == {"a": 0.1, "b": [0, 1, 2]}
     with pytest.raises(TypeError, match=r"a\.b = None has no form in TOML"):
         to_toml({"a": {"b": None}})

@@ -1,4 +1,4 @@
-"""Names from outside: which texts are valid, where names are checked, and how Markdown shows any other text."""
+"""Names in input: which texts are valid, where names are checked, and how Markdown shows other texts."""
 
 import html
 from dataclasses import replace
@@ -54,7 +54,7 @@ def test_every_place_where_a_name_is_read_checks_it(bad):
 @given(st.one_of(hostile_names, st.text(st.characters(codec="utf-8", exclude_categories=["Cc"]))))
 @settings(max_examples=100)
 def test_markdown_shows_any_text_as_it_is(text):
-    """The live page's Markdown lets HTML through, and the reason of a stop may be the text of a foreign exception."""
+    """The live page's Markdown renders HTML, and a text may come from an exception of another package."""
     shown = names.in_markdown(text)
     assert not set(shown) & set("<>*_`[]{}\\!|~$\"'\n")
     if text.isprintable():

@@ -22,7 +22,7 @@ class Inner(Settings):
 
 
 class Kinds(Settings):
-    """Fields of every type to which a text or a flag might be converted."""
+    """Fields to which a text or a flag might be converted by mistake."""
 
     flag: bool = False
     limit: float | Literal["none"] | None = None
@@ -44,7 +44,7 @@ class Outer(Settings):
     ("sizes", {"radius": "0.03"}, r"\[radius\] = '0.03': a number has no quotes"),
     ("flag", "yes", r"flag = 'yes': give true or false, without quotes"), ("flag", 1, r"flag = 1: give true or false"),
 ])  # fmt: skip
-def test_a_number_or_flag_that_is_written_as_something_else_is_refused(field, value, cure):
+def test_a_number_or_flag_given_as_another_type_is_refused(field, value, cure):
     with pytest.raises(ScenarioError, match=cure):
         Kinds(**{field: value})
 
@@ -89,7 +89,7 @@ NEEDED = {"last_link": "link_7", "group": "solver", "low": 0.0, "high": 1.0}
 
 
 def test_no_number_of_any_table_may_be_extreme():
-    """Whatever a field's own range, numbers that are far too large or too small are refused by the field's name."""
+    """Far too large or too small numbers are refused with the field's name, whatever the field's own range."""
     tables = every_table()
     assert len(tables) > 25
     tried = 0

@@ -1,4 +1,4 @@
-"""The live page: where it listens, whom it obeys, and, in a browser (if there is one), that its controls work."""
+"""The live page: its address, its access token, and its controls in a browser."""
 
 import asyncio
 import socket
@@ -28,7 +28,7 @@ SCENARIO = Scenario(start={"swivel": 0.2})
 
 @pytest.fixture(scope="module")
 def live() -> Iterator[LivePage]:
-    """A page that is updated only every 0.3 s, since a browser that draws in software is slow."""
+    """Serve a page that is updated only every 0.3 s, because software rendering is slow."""
     with pytest.MonkeyPatch.context() as patch, LivePage(SCENARIO, port=0) as page:
         patch.setattr("moc_opt.live.page.FRAME_S", 0.3)
         thread = threading.Thread(target=page.wait)
@@ -53,7 +53,7 @@ def test_the_page_listens_on_loopback_alone(live: LivePage) -> None:
 
 
 def test_the_run_keeps_step_with_the_clock(live: LivePage) -> None:
-    until(lambda: live.run.t_s > 0.5, "it does not begin")
+    until(lambda: live.run.t_s > 0.5, "the run does not begin")
 
     def in_step() -> bool:
         lead = live.run.t_s - monotonic()
@@ -66,12 +66,12 @@ def test_the_run_keeps_step_with_the_clock(live: LivePage) -> None:
 def test_after_rapid_choices_the_solver_chosen_last_runs(live: LivePage) -> None:
     for name in ("rnn", "exact", "rnn", "osqp"):
         live._panel._solver.value = name
-    until(lambda: solver_of(live.run.used) == "osqp", "another one runs")
+    until(lambda: solver_of(live.run.used) == "osqp", "another solver runs")
     assert live._panel._solver.value == live.run.solver == "osqp"
 
 
 def knock(live: LivePage, path: str, say: bytes = b"") -> Any:
-    """First answer at `path` to a WebSocket of another site's page; None if the socket is closed without an answer."""
+    """Return the first answer to a WebSocket of another site's page, or None if it is closed without an answer."""
     uri, protocol = f"ws://127.0.0.1:{live.server.get_port()}{path}", f"viser-v{viser.__version__}"
     with (
         suppress(ConnectionClosed),
@@ -104,20 +104,20 @@ def test_an_order_without_the_token_is_not_obeyed_even_if_it_came_before_the_ref
     sleep(0.5)
     assert box.value != "rnn"
     assert knock(live, f"/{live.url.rpartition('/')[2]}", order)
-    until(lambda: box.value == "rnn", "it is no order")
+    until(lambda: box.value == "rnn", "the message is not obeyed")
     box.value = live.run.solver
 
 
 @pytest.fixture(scope="module")
 def page(chromium: Any, live: LivePage) -> Iterator[Any]:
-    """The open page. At the end, it must have had no error and have made no request to another server."""
+    """Open the page. At the end, check that it had no error and made no request to another server."""
     own, few = live.url.partition("/?")[0], {"viewport": {"width": 300, "height": 200}, "device_scale_factor": 0.25}
     with opened(chromium, live.url, "text=real time", own, ("error",), **few) as found:
         yield found
 
 
 def click(locator: Any) -> None:
-    """Click without waiting for the layout to settle: software draws only one or two pictures a second."""
+    """Click without waiting for the layout to settle, because software rendering is slow."""
     locator.evaluate("element => element.click()")
 
 
@@ -159,4 +159,4 @@ def test_bad_input_gives_a_message_and_the_run_goes_on(page: Any, live: LivePage
     until(lambda: live.run.t_s > t + 0.2, "the run stands still")
     enter(field, "2500")
     click(apply)
-    until(lambda: live.run.control.K_X == 2500.0, "a good one is taken")
+    until(lambda: live.run.control.K_X == 2500.0, "a valid value is applied")

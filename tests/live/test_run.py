@@ -1,4 +1,4 @@
-"""The run behind the live page, without a page: what it computes, how controllers are exchanged, what is refused."""
+"""The live run without its page: its results, exchanged controllers, and refused requests."""
 
 from collections.abc import Callable
 from typing import Any
@@ -15,7 +15,7 @@ from moc_opt.scenario import Scenario, Setup
 
 @pytest.fixture
 def run() -> LiveRun:
-    """MOC on the default circle; the elbow starts away from the pose of largest mu."""
+    """MOC on the default circle. The elbow starts away from the pose of largest mu."""
     return LiveRun(Scenario(start={"swivel": 0.2}, plant={"preset": "nominal"}))
 
 
@@ -23,7 +23,7 @@ def column(run: LiveRun, name: str, ticks: int) -> Any:
     return run.history(10**6)[-ticks:, QUANTITIES.index(name)]
 
 
-def test_a_live_run_does_what_its_scenario_does() -> None:
+def test_a_live_run_equals_the_run_of_its_scenario() -> None:
     scenario = Scenario(start={"swivel": 0.2}, duration_s=0.6, judge=False, bound_samples=0)
     trace = Setup(scenario).trace()
     run = LiveRun(scenario.change(duration_s=None))
@@ -57,7 +57,6 @@ def test_a_solver_is_exchanged_at_the_next_tick(run: LiveRun) -> None:
     lambda run: run.choose(DCAC), lambda run: run.tune(K_X=1500.0, K_N=300.0, observer_gain_per_s=0.0),
 ])  # fmt: skip
 def test_an_exchange_of_controllers_does_not_jerk(change: Callable[[LiveRun], None]) -> None:
-    """The torque continues from its previous value, and the arm in the realistic plant hardly deviates."""
     run = LiveRun(Scenario(start={"swivel": 0.9}))
     run.advance(400)
     sent: list[Any] = []
@@ -73,7 +72,7 @@ def test_an_exchange_of_controllers_does_not_jerk(change: Callable[[LiveRun], No
     assert not run.messages
 
 
-def test_wrong_orders_are_refused_and_the_run_goes_on(run: LiveRun) -> None:
+def test_wrong_requests_are_refused_and_the_run_goes_on(run: LiveRun) -> None:
     run.advance(20)
     before = run.control
     for kind, orders in {
@@ -94,7 +93,7 @@ def test_wrong_orders_are_refused_and_the_run_goes_on(run: LiveRun) -> None:
     assert solver_of(run.used) == run.solver == "exact"
 
 
-def test_a_solver_that_the_loop_cannot_use_becomes_a_message(run: LiveRun) -> None:
+def test_a_solver_that_the_loop_cannot_use_gives_a_message(run: LiveRun) -> None:
     """If the new solver refuses the subproblem, the old solver stays in use."""
     run.advance(10)
     controller = run._build(run.control, "exact")

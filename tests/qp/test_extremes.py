@@ -1,4 +1,4 @@
-"""The smallest and the largest cost on A x = b within the box: against HiGHS, all corners, and weak duality."""
+"""The smallest and the largest cost on A x = b within the bounds, compared with HiGHS and with random points."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ SHAPES = st.sampled_from([(2, 1), (5, 2), (7, 2), (8, 3), (9, 4), (10, 5), (16, 
 
 
 def cut_box(seed, shape, size=1.0):
-    """Z (n, r), low and high (n,) around a feasible point, and a slope (r,)."""
+    """Return Z (n, r), bounds (n,) around a feasible point Z w, and a slope (r,)."""
     rng = np.random.default_rng(seed)
     n, r = shape
     Z = np.linalg.qr(rng.normal(size=shape))[0]
@@ -43,7 +43,7 @@ def test_extremes_of_linear_costs_agree_with_highs(seed, shape, size):
     assert found.most == pytest.approx(size * most, abs=1e-6 * spread)
     assert slope @ found.w == pytest.approx(found.least, abs=1e-9 * spread)
     beyond = np.maximum(size * low - Z @ found.w, Z @ found.w - size * high).max()
-    assert beyond < 1e-11 * size * shape[1]  # rounding, which grows with the freedoms
+    assert beyond < 1e-11 * size * shape[1]  # rounding grows with the dimension of w
 
 
 @settings(max_examples=100)
@@ -51,7 +51,7 @@ def test_extremes_of_linear_costs_agree_with_highs(seed, shape, size):
     seed=st.integers(0, 10**6), shape=SHAPES, weight=st.floats(-9.0, 2.0), size=st.sampled_from([1e-6, 1e-4, 1.0, 1e3])
 )
 def test_a_regularized_optimum_is_certified_and_the_worst_point_is_a_corner(seed, shape, weight, size):
-    """Weak duality certifies the optimum in any units. Costs of 200 random surface points lie between both extremes."""
+    """The costs of 200 random points on the surface of the feasible set lie between both extremes."""
     Z, low, high, slope = cut_box(seed, shape, size)
     regularization = float(np.linalg.norm(slope) * 10.0**weight / size)
     found = extremes(Z, low, high, slope, regularization)
@@ -64,7 +64,7 @@ def test_a_regularized_optimum_is_certified_and_the_worst_point_is_a_corner(seed
     moved = Z @ directions
     with np.errstate(divide="ignore"):
         room = np.where(moved > 0.0, (high - Z @ found.w)[:, None], (low - Z @ found.w)[:, None]) / moved
-    w = found.w[:, None] + directions * np.maximum(room.min(0), 0.0)  # points on the surface of the set
+    w = found.w[:, None] + directions * np.maximum(room.min(0), 0.0)
     assert cost(w).min() >= found.least - 1e-9 * spread
     if module.comb(*shape) << shape[1] <= module.MOST_CORNERS:
         assert cost(w).max() <= found.most + 1e-9 * spread
@@ -73,7 +73,7 @@ def test_a_regularized_optimum_is_certified_and_the_worst_point_is_a_corner(seed
 
 @pytest.mark.parametrize("shape", [(7, 2), (8, 3), (9, 4)])
 def test_with_too_many_corners_to_try_the_largest_cost_is_not_overstated(shape, monkeypatch):
-    """This errs on the safe side: if the largest cost is too small, the loss of an answer comes out too large."""
+    """This is safe: if the largest cost is too small, the loss of an answer comes out too large."""
     exact = []
     for seed in range(15):
         Z, low, high, slope = cut_box(seed, shape)
@@ -90,7 +90,7 @@ def test_with_too_many_corners_to_try_the_largest_cost_is_not_overstated(shape, 
 
 @pytest.mark.parametrize("shape", [(12, 7), (16, 10), (24, 18)])
 def test_with_almost_no_regularization_uphill_walks_find_the_largest_linear_cost(shape):
-    """Boxes are up to a thousand times wider for some joints than for others, as near joint limits."""
+    """Near joint limits, the bounds of some joints can be 1000 times narrower than those of others."""
     for seed in range(5):
         Z, low, high, slope = cut_box(seed, shape)
         narrow = 10.0 ** np.random.default_rng(seed).uniform(-3.0, 0.0, shape[0])
@@ -167,7 +167,7 @@ def test_a_distant_set_is_reached_to_rounding(small):
         assert Z[0] @ w == pytest.approx(0.7, rel=1e-14)
 
 
-def test_a_joint_that_hardly_moves_does_not_empty_the_box():
+def test_a_joint_that_hardly_moves_does_not_empty_the_feasible_set():
     rng = np.random.default_rng(2)
     Z = np.linalg.qr(rng.normal(size=(7, 2)) * np.where(np.arange(7), 1.0, 1e-7)[:, None])[0]
     low, high = -np.ones(7), np.ones(7)
@@ -179,8 +179,8 @@ def test_a_joint_that_hardly_moves_does_not_empty_the_box():
 
 
 @pytest.mark.parametrize("seed", [285, 568, 649, 1706, 1724, 4198, 4585])
-def test_the_optimum_is_verified_where_a_x_b_only_touches_the_box_and_coaxial_joints_are_free(seed):
-    """The multipliers of such a set can be very large. The answer's multipliers prove it optimal (`natural`)."""
+def test_the_optimum_is_verified_if_every_feasible_point_is_on_a_bound(seed):
+    """If every feasible point is on a bound, the multipliers can be very large."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(8, 13))
     A = rng.normal(size=(6, n))

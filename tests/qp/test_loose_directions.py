@@ -1,7 +1,7 @@
-"""An answer that has slid along a nearly singular direction of A to a worse cost is not verified.
+"""Answers that have slid to a worse cost along a nearly singular direction of A are not verified.
 
-Such directions exist near a straight elbow. Each attempt slides an optimum within the primal tolerance and optimizes it
-again along ker A. Best and worst cost come from an enumeration of active sets, without the solvers and residuals.
+Near a straight elbow, A has such a direction. Each attempt slides an optimum along it within the primal tolerance, and
+optimizes it again along ker A. Best and worst cost come from an enumeration of active sets.
 """
 
 from fractions import Fraction
@@ -19,7 +19,7 @@ SIZES = 10.0 ** np.arange(-13, -3)
 
 
 def extremes(Z, base, qp):
-    """The optimum (n,), and the least and largest cost over the strict feasible set; None where the set is empty."""
+    """Return the optimum (n,) and the least and largest feasible cost, or None if no point is feasible."""
     points = candidates(qp, Z, base, damped=True)
     if not len(points):
         return None
@@ -28,7 +28,7 @@ def extremes(Z, base, qp):
 
 
 def random_case(rng, freedoms, size):
-    """A subproblem with singular values 1, 0.8, 0.6, 0.4, size, 0; a feasible point, ker A, and the fifth direction."""
+    """Return a subproblem, a feasible point, ker A, and the direction of A's fifth singular value ``size``."""
     n = freedoms + 5
     U, V = (np.linalg.qr(rng.normal(size=(k, k)))[0] for k in (6, n))
     A = U[:, :5] * [1.0, 0.8, 0.6, 0.4, size] @ V[:, :5].T
@@ -41,7 +41,7 @@ def random_case(rng, freedoms, size):
 
 
 def arm_case(rng, robot, size, pose=None):
-    """A subproblem of a real arm whose elbow is bent so little that the fifth singular value is about ``size``."""
+    """Like `random_case`, for a real arm. Its elbow is so straight that the fifth singular value is about ``size``."""
     q = robot.random_regular_pose(rng) if pose is None else np.array(pose)
     elbow = robot.n - 4
     q[elbow] = np.clip(size * rng.choice([-3.0, 3.0]), robot.q_min[elbow], robot.q_max[elbow])
@@ -55,12 +55,12 @@ def arm_case(rng, robot, size, pose=None):
 
 
 def rank(A):
-    """The rank, four or five, by the stated rule: the fifth singular value counts as zero below 1e-12 |A|_F."""
+    """Return the rank, four or five. The fifth singular value counts as zero below 1e-12 |A|_F."""
     return 5 if np.linalg.svd(A)[1][4] > 1e-12 * np.linalg.norm(A) else 4
 
 
 def attack(rng, qp, base, Z, direction):
-    """Slide an optimum along the direction within the primal tolerance: [(x, lost share of the cost's range)]."""
+    """Slide an optimum within the primal tolerance. Return pairs (x, lost share of the range of the cost)."""
     best = extremes(Z, base, qp)
     if best is None:
         return []
@@ -81,7 +81,7 @@ def attack(rng, qp, base, Z, direction):
 
 
 def attempts(rng, count):
-    """Yield (subproblem, wrong answer) where the answer loses more than 1 % of the cost's range."""
+    """Yield pairs (subproblem, wrong answer). Each answer loses more than 1 % of the range of the cost."""
     while count > 0:
         size = rng.choice(SIZES) * rng.uniform(0.5, 2.0)
         kind = rng.integers(9)
@@ -103,7 +103,7 @@ def test_no_answer_that_slid_to_a_worse_cost_is_verified(seed):
 
 
 @pytest.mark.parametrize("freedoms", [1, 2])
-def test_if_one_point_is_feasible_the_figure_relative_is_the_scaled_cost_lost_by_a_slide(freedoms):
+def test_if_one_point_is_feasible_the_residual_relative_is_the_scaled_loss_of_cost(freedoms):
     qp, base, Z, direction = random_case(np.random.default_rng(0), freedoms, 1e-9)
     row, pinned = np.array(qp.row), [3, 6][:freedoms]
     fields(row).lower[pinned] = fields(row).upper[pinned] = base[pinned]
@@ -114,15 +114,15 @@ def test_if_one_point_is_feasible_the_figure_relative_is_the_scaled_cost_lost_by
 
 
 def far_ends(A, b, pull, lower, upper):
-    """Best and worst point (2, n) of pull^T x on A x = b in the box, in rational arithmetic; None if there is none."""
+    """Return the feasible points (2, n) of largest and smallest pull^T x, or None. The arithmetic is rational."""
     gains = [Fraction(value) for value in pull]
     found = [optimum(A, b, [sign * gain for gain in gains], 0.0, lower, upper) for sign in (1, -1)]
     return None if None in found else np.array([[float(value) for value in point] for point in found])
 
 
 @pytest.mark.parametrize("size", 10.0 ** np.arange(-11, -1, 2))
-def test_only_the_better_end_is_verified_where_the_gradient_is_nearly_across_the_self_motion(size):
-    """Rounding of A x - b, divided by the smallest singular value, must not decide which end is the better one."""
+def test_only_the_better_end_is_verified_if_the_gradient_is_nearly_orthogonal_to_the_self_motion(size):
+    """Rounding errors of A x - b, divided by the smallest singular value, must not decide which end is better."""
     rng, seen = np.random.default_rng(int(-np.log10(size))), 0
     for slope, width in [(1e-2, 1e-4), (1e-4, 1e-2), (1e-6, 1e-4), (1e-8, 1e-2), (1e-8, 3e-6)] * 3:
         unit = rng.choice([1.0, 1e3])  # unit of length

@@ -1,4 +1,4 @@
-"""The subproblem equals its equation, in its record and in the form for solvers, and bad input is named."""
+"""The subproblem: its cost and rows, its record of numbers, and errors for bad input."""
 
 import pickle
 
@@ -59,7 +59,7 @@ def test_an_answer_of_another_shape_is_refused_by_name(qp):
             qp.residuals(given_x, given_y)
 
 
-def test_record_round_trip(qp):
+def test_a_record_gives_back_the_same_subproblem(qp):
     plain = changed(qp, q=None)
     assert plain.q is None
     assert changed(qp, q=np.arange(7.0)).q.tolist() == list(range(7))
@@ -80,7 +80,7 @@ def test_a_record_that_is_not_contiguous_doubles_is_copied(qp):
 
 
 @pytest.mark.parametrize("n", [1, 6, 7, 9])
-def test_the_fields_are_the_record_in_their_order(n):
+def test_the_fields_cover_the_record_in_order(n):
     record = np.arange(float(row_length(n)))
     for rows in (record, record[None]):
         parts = fields(rows)
@@ -107,7 +107,6 @@ def check_assembled(qp, rows):
     apart=st.sampled_from([0.0, 1e-9, 0.9e-7, 1.1e-7, 1e-5]), size=st.sampled_from([1e-3, 1.0, 1e3]),
 )  # fmt: skip
 def test_the_sixth_row_is_left_out_only_where_the_tool_is_rigid(seed, n, rank, apart, size):
-    """This includes cases near the tolerance, cases where J_T - J_W has rank 0 or 1, and fewer than three joints."""
     rng = np.random.default_rng(seed)
     J_tip, u = rng.normal(size=(3, n)), np.linalg.qr(rng.normal(size=(3, 3)))[0]
     difference = u[:, :rank] @ rng.normal(size=(rank, n)) + apart * u[:, 2:] @ rng.normal(size=(1, n))
@@ -125,7 +124,7 @@ def test_the_sixth_row_is_left_out_only_where_the_tool_is_rigid(seed, n, rank, a
         assert np.linalg.norm(lost) <= 1.001 * tied
 
 
-def test_all_six_rows_are_given_where_they_are_asked_for(qp):
+def test_all_six_rows_are_given_on_request(qp):
     check_assembled(qp, 5)
     found = qp.assembled(6)
     np.testing.assert_array_equal(found.lift, np.eye(6))

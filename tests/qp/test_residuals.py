@@ -1,4 +1,4 @@
-"""The residuals that judge answers, against linear programs, perturbed optima and their definitions."""
+"""The residuals that judge answers, compared with linear programs, perturbed optima and their definitions."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def optimum(qp):
 
 
 @pytest.mark.parametrize("regularization", [0.0, 1e-5])
-@pytest.mark.parametrize(("n", "structured"), [*CASES, (12, False)])  # 12 joints: too many facets to try
+@pytest.mark.parametrize(("n", "structured"), [*CASES, (12, False)])  # with 12 joints, not all facets are tried
 def test_an_optimum_is_verified_and_its_neighbours_are_not(n, structured, regularization):
     rng = np.random.default_rng(5)
     for _ in range(8):
@@ -60,7 +60,7 @@ def test_natural_best_is_the_smallest_natural_residual_over_all_duals(n, structu
 
 
 def ends_of_the_swivel(qp):
-    """The optimum and the worst point of a problem that has one freedom besides idle joints."""
+    """Return the best and the worst point of a problem whose only motion is the elbow swivel (or idle joints)."""
     x, _ = optimum(qp)
     moving = np.abs(qp.A).max(0) > 1e-12
     z = np.zeros(qp.n)
@@ -72,7 +72,7 @@ def ends_of_the_swivel(qp):
 
 
 @pytest.mark.parametrize("regularization", [0.0, 1e-5, 1e-3])
-def test_loss_is_the_share_of_the_costs_range_that_an_answer_gives_away(regularization):
+def test_loss_is_the_lost_share_of_the_range_of_the_cost(regularization):
     rng = np.random.default_rng(8)
     for _ in range(5):
         qp = random_problem(rng, regularization=regularization)
@@ -122,7 +122,7 @@ def test_each_limit_of_the_verification_rule_decides_alone(gates, verified):
 
 
 def sliver(width, regularization=0.0):
-    """A problem whose feasible interval along the self-motion is ``width`` [rad/s], its optimum, and the direction."""
+    """Return a problem with a feasible self-motion of ``width`` [rad/s], its optimum, and the direction."""
     qp = random_problem(np.random.default_rng(21), regularization=regularization)
     x, worst = ends_of_the_swivel(qp)
     z = (x - worst) / np.abs(x - worst).max()
@@ -150,7 +150,7 @@ def test_an_answer_within_the_primal_tolerance_of_an_optimum_is_verified(regular
 @pytest.mark.parametrize("regularization", [0.0, 1e-5])
 @pytest.mark.parametrize("pull", [-2.0, 0.0, 3.0])
 def test_an_idle_joint_is_judged_by_its_own_interval(pull, regularization):
-    """Joint 7 moves neither tip nor wrist: it has an optimum of its own, and does not hide the loss of other joints."""
+    """Joint 7 moves neither tip nor wrist, so it has its own optimum. It does not hide the loss of other joints."""
     qp = random_problem(np.random.default_rng(14), regularization=regularization)
     grad_mu = np.array(qp.grad_mu)
     grad_mu[6] = pull
@@ -196,7 +196,7 @@ def test_the_idle_joint_with_the_largest_loss_counts():
 
 
 @pytest.mark.parametrize("n", [7, 8])
-def test_where_the_gradient_along_the_self_motion_is_rounding_every_feasible_answer_is_verified(n):
+def test_if_the_gradient_along_the_self_motion_is_only_rounding_every_feasible_answer_is_verified(n):
     qp = random_problem(np.random.default_rng(30), n, structured=False, regularization=0.0)
     Z = kernel(qp)
     x = optimum(qp)[0]
@@ -212,12 +212,12 @@ def test_where_the_gradient_along_the_self_motion_is_rounding_every_feasible_ans
         assert problem.residuals(best).verified()
 
 
-def test_the_figure_relative_is_scaled_by_the_gradient_along_the_self_motion():
-    """Almost all of grad_mu lies across ker A. Divided by |grad_mu|, the residual of a wrong end would be 1e-3."""
+def test_the_residual_relative_is_scaled_by_the_gradient_along_the_self_motion():
+    """Almost all of grad_mu is orthogonal to ker A. Scaled by |grad_mu|, a wrong corner's residual would be 1e-3."""
     rooms = []
     for w in wrong_corners(5, 6, 8, tilt=1e-3):
         z = kernel(w.qp)[:, 0]
-        for regularization in (0.0, 1.0):  # 1.0: rho sets the scale, not the gradient
+        for regularization in (0.0, 1.0):  # with 1.0, rho sets the scale
             slope = z @ (regularization * w.x - w.qp.c2 * w.qp.grad_mu)
             scale = max(w.qp.c2 * abs(z @ w.qp.grad_mu) * np.abs(z).max(), regularization)
             room = np.where(z * slope > 0.0, w.x - w.qp.lower, w.qp.upper - w.x)[np.abs(z) > 1e-9].min()
@@ -228,7 +228,7 @@ def test_the_figure_relative_is_scaled_by_the_gradient_along_the_self_motion():
     assert any(rooms)
 
 
-def test_without_any_freedom_only_the_references_decide():
+def test_without_a_null_space_only_the_references_decide():
     rng = np.random.default_rng(4)
     J, x = rng.normal(size=(6, 6)), rng.uniform(-0.5, 0.5, 6)
     b = J @ x
@@ -256,7 +256,6 @@ def test_a_batch_may_mix_ranks_and_idle_joints():
 
 @pytest.mark.parametrize("regularization", [0.0, 0.2])
 def test_natural_and_primal_equal_their_definitions(regularization):
-    """The definitions use the P and p of the whole cost and hold at any x, feasible or not."""
     rng = np.random.default_rng(50)
     for n in (7, 8):
         qp = random_problem(rng, n, structured=False)
@@ -271,7 +270,7 @@ def test_natural_and_primal_equal_their_definitions(regularization):
             assert found.primal == pytest.approx(max(np.abs(qp.A @ x - qp.b).max(), beyond), rel=1e-12)
             bad = np.array(y)
             bad[3] = np.nan
-            for none in (None, bad):  # without a valid dual, the best one is taken
+            for none in (None, bad):  # without a valid dual, the best dual is used
                 without = qp.residuals(x, none)
                 assert without.natural == without.natural_best == found.natural_best
 
@@ -290,11 +289,11 @@ def test_which_joints_are_idle_does_not_depend_on_the_unit_of_length(scale):
 
 @pytest.mark.parametrize("regularization", [0.0, 1e-5])
 @pytest.mark.parametrize(("n", "structured"), [(7, True), (7, False), (8, False)])
-def test_where_one_point_is_feasible_the_distance_is_measured_to_this_point(n, structured, regularization):
-    """The point is verified, others are not. Where the box misses A x = b, the loss is 1 and the distance infinite."""
+def test_if_one_point_is_feasible_the_distance_is_measured_to_this_point(n, structured, regularization):
+    """Only this point is verified. If no point is feasible, the loss is 1 and the distance infinite."""
     qp = random_problem(np.random.default_rng(17), n, structured=structured, regularization=regularization)
     x, z = optimum(qp)[0], kernel(qp)[:, 0]
-    if structured:  # the kernel also contains the idle joint's axis: take the self-motion
+    if structured:  # the null space also contains the idle joint, so z is the self-motion
         x, worst = ends_of_the_swivel(qp)
         z = (worst - x) / np.linalg.norm(worst - x)
     lower, upper = np.array(x), np.array(x)
@@ -315,8 +314,8 @@ def test_where_one_point_is_feasible_the_distance_is_measured_to_this_point(n, s
 
 
 @pytest.mark.parametrize("n", [7, 8])
-def test_rest_is_not_optimal_where_the_box_excludes_it(n):
-    """A regularized cost without a gradient is smallest at rest or, if the box excludes rest, on the box's surface."""
+def test_rest_is_not_optimal_if_the_bounds_exclude_it(n):
+    """A cost without a gradient is smallest at rest, or on a bound if the bounds exclude rest."""
     qp = random_problem(np.random.default_rng(60), n, structured=False, regularization=1.0)
     z = kernel(qp)[:, 0]
     j = int(np.argmax(np.abs(z)))
@@ -329,7 +328,7 @@ def test_rest_is_not_optimal_where_the_box_excludes_it(n):
     assert still.residuals(optimum(still)[0]).verified()
 
 
-def test_a_nan_answer_has_the_worst_figures_and_the_figure_relative_does_not_depend_on_c2():
+def test_a_nan_answer_has_the_worst_residuals_and_the_residual_relative_does_not_depend_on_c2():
     qp = random_problem(np.random.default_rng(10), regularization=0.0)
     found = qp.residuals(np.full(7, np.nan))
     assert (found.primal, found.loss, found.verified()) == (np.inf, 1.0, False)

@@ -1,4 +1,4 @@
-"""Helpers for tests of the wire: a relay that drops, doubles, cuts and forges packets, and a scripted controller."""
+"""Helpers for network tests: a relay that drops, doubles, cuts and forges packets, and a scripted controller."""
 
 import select
 import socket
@@ -22,8 +22,8 @@ FAULTS = ("drop", "double", "cut", "forge")
 class Relay:
     """A context manager that passes the packets of a controller on to the plant, and those of the plant back.
 
-    Each of FAULTS happens to a ``share`` of the packets, drawn with the seed. ``lost(kind, number)`` says which packets
-    never arrive. An end that has received its final packet counts nothing more, so packets to it get no fault.
+    Each of FAULTS happens to a random ``share`` of the packets. ``lost(kind, number)`` is true for packets that never
+    arrive. A receiver stops counting after its final packet, so later packets get no fault.
     """
 
     def __init__(self, plant, share=0.0, lost=lambda kind, number: False, seed=0) -> None:
@@ -73,7 +73,7 @@ class Relay:
             self._send(data[: len(data) // 2], way)
         elif name == "forge":
             at = int(self._rng.integers(0, len(data)))
-            at += at == 5  # byte 5 is the kind; with another kind the packet would count as cut
+            at += at == 5  # with another kind in byte 5, the packet would count as cut
             self._send(data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :], way)
         for _ in range(0 if name in ("drop", "cut", "forge") else 2 if name == "double" else 1):
             if not self._ended(way):

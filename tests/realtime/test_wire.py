@@ -1,4 +1,4 @@
-"""Packets have the layout of docs/realtime.md, and only valid ones pass. Each end and the clock are tested alone."""
+"""Packets have the layout of docs/realtime.md, and only valid packets pass. Each end is tested alone."""
 
 import os
 import re
@@ -24,7 +24,7 @@ KEY = b"sixteen bytes or more"
 
 
 def table(mark: str) -> list[tuple[int, str, str]]:
-    """Offset, field and type of each row of the page's table `mark`."""
+    """Return offset, field and type of each row of the table `mark` in the page."""
     text = PAGE.partition(f"<!-- {mark} -->\n")[2].partition("\n\n")[0]
     return [(int(a), b, c) for a, b, c in re.findall(r"^\| (\d+) \| (\w+) \| ([^|]+) \|", text, re.MULTILINE)]
 
@@ -225,7 +225,7 @@ def measurement(flags, k=0, commanded=0.0, scenario=9):
 
 
 def answered(said):
-    """Return the ending, the packets sent, and (ticks so far, torque) of each correction. Tick k commands k Nm."""
+    """Return the ending, the sent packets, and (ticks, torque) of each correction. The k-th tick commands k Nm."""
     said, sent, corrected, wait = iter(said), [], [], WireSettings(wait_s=0.05, silence_s=0.5)
     plant = Mock(n=N, peer=("plant", 1), session=0, quality=dict.fromkeys(wire.COUNTERS, 0), heard="nothing")
     plant.send.side_effect = lambda packet: sent.append((Kind(packet["kind"]), packet.copy()))
@@ -242,13 +242,13 @@ def answered(said):
     ([(0, 0), (1, 1), (2, 2), (3, 3)], [(0, 1), (1, 2), (2, 3), (3, 4)], [], (4, 0, 0), "completed"),
     # The plant did not receive the second command, and held the first torque.
     ([(0, 0), (1, 1), (2, 1), (3, 3)], [(0, 1), (1, 2), (2, 3), (3, 4)], [(2, 1)], (4, 0, 0), "completed"),
-    # A measurement that is repeated is answered by the same command once more.
+    # A repeated measurement is answered by the same command again.
     ([(0, 0), (1, 1), (1, 1)], [(0, 1), (1, 2), (1, 2)], [], (2, 0, 1), "the plant ended the run at tick 2 of 4"),
     # Measurements that never came are counted.
     ([(0, 0), (3, 1), (1, 1)], [(0, 1), (3, 2)], [], (2, 2, 1), "completed"),
 ])  # fmt: skip
 def test_every_tick_is_answered_and_the_end_acknowledged(ticks, commands, corrected, counts, ended):
-    """``ticks`` has the number of each measurement, and the torque that acted before it."""
+    """Each of ``ticks`` is the number of a measurement and the torque that acted before it."""
     last = measurement(wire.ENDED, max(ticks)[0])
     ending, told, seen = answered(
         [measurement(wire.WAITING), *(measurement(wire.RUNNING, k, tau) for k, tau in ticks), last]
@@ -263,7 +263,7 @@ def test_every_tick_is_answered_and_the_end_acknowledged(ticks, commands, correc
 
 
 @pytest.mark.parametrize("said", [[measurement(wire.WAITING, scenario=8)], [], [measurement(wire.RUNNING)] * 100])
-def test_a_plant_with_another_scenario_or_silent_or_already_running_is_refused(said):
+def test_a_plant_that_is_silent_or_running_or_has_another_scenario_is_refused(said):
     with pytest.raises(WireError):
         answered(said)
 
@@ -299,7 +299,6 @@ def test_a_late_tick_delays_no_later_tick_and_a_stall_delays_all_of_them(monkeyp
 
 
 def test_processes_started_later_do_not_inherit_realtime_priority(monkeypatch):
-    """For example, the new process of a solver that is replaced during a run has ordinary priority."""
     asked = []
     monkeypatch.setattr(clock.os, "sched_setscheduler", lambda pid, policy, parameter: asked.append(policy))
     monkeypatch.setattr(clock.os, "sched_getscheduler", lambda pid: asked[-1])

@@ -1,18 +1,19 @@
-"""The control law of docs/method.md in plain numpy, as the reference for tests of the core.
+"""The control law of docs/method.md in plain numpy. Tests compare the C core with it.
 
-It is written to be read: slow pseudo-inverses instead of factorizations. ``s`` is a RobotState, P and dP are
-the trocar and its velocity.
+It is written for reading, with slow pseudo-inverses instead of factorizations. ``s`` is a RobotState. X and N are the
+positions of tip and wrist, L is their distance, and P and dP are the position and velocity of the trocar.
 """
 
 import numpy as np
 from scipy.linalg import null_space as scipy_null_space
 
+# The first four constants are explained in moc_opt/core/law.c.
 STRAIGHT, SHAFT_PULL, SHAFT_LOST, BOX_OPENS = 1e-3, 0.1, 0.1, 3.0
 CLIMB_PER_S, LONGEST_RAD, PROBE_RAD = 5.0, 1.0, 1e-3
 
 
 def towards_trocar(X, dX, P, dP):
-    """|P - X|, e, d|P - X|/dt and de/dt."""
+    """Return |P - X|, e = (P - X) / |P - X|, d|P - X|/dt and de/dt."""
     r, dr = P - X, dP - dX
     e = r / np.linalg.norm(r)
     return np.linalg.norm(r), e, e @ dr, (dr - (e @ dr) * e) / np.linalg.norm(r)
@@ -25,19 +26,19 @@ def desired_wrist(X, dX, P, dP, L):
 
 
 def desired_wrist_acceleration(X, dX, ddX, P, dP, L):
-    """ddN_d, with e'' = (I - e e^T)(r'' - 2 |r|' e') / |r| - |e'|^2 e and r'' = -ddX."""
+    """ddN_d = ddX + L e'', with r = P - X, r'' = -ddX and e'' = (I - e e^T)(r'' - 2 |r|' e') / |r| - |e'|^2 e."""
     distance, e, closing, de = towards_trocar(X, dX, P, dP)
     pull = -ddX - 2.0 * closing * de
     return ddX + L * ((pull - (e @ pull) * e) / distance - (de @ de) * e)
 
 
 def null_space(A):
-    """Orthonormal rows (r, n) that span ker A."""
+    """Return orthonormal rows (r, n) that span the null space of A."""
     return scipy_null_space(A, rcond=1e-7).T
 
 
 def projector(name, s):
-    """Level 2's projector (n, n): dynamically consistent, static, or as the paper prints it."""
+    """Return the second level's projector (n, n): dynamically consistent, static, or as the paper prints it."""
     J, eye = s.J_tip, np.eye(s.n)
     if name == "as_published":
         return eye - J.T @ J
@@ -59,17 +60,18 @@ def rcm_torque(s, K_N, D_N, trocar, projector_name="dynamic", rcm_lambda=None):
     P, dP = trocar
     N_d, dN_d = desired_wrist(s.tip, s.J_tip @ s.v, P, dP, s.tool_span)
     error = N_d - s.wrist
-    if rcm_lambda:  # |e_N1| = d / lambda, where d = |(P - X) x u| is the RCM error
+    if rcm_lambda:  # scale the error to d / lambda. d = |(P - X) x u| is the RCM error
         error *= np.linalg.norm(np.cross(P - s.tip, s.tool_direction)) / rcm_lambda / np.linalg.norm(error)
     F = K_N * error + D_N * (dN_d - s.J_wrist @ s.v)
     return projector(projector_name, s) @ s.J_wrist.T @ F
 
 
 def feedforward(s, tip_ref, trocar):
-    """J_T^T F_T + B^T F_W, the torque for the accelerations a; B are the wrist's two rows across the shaft.
+    """J_T^T F_T + B^T F_W, the torque for the accelerations a_T of the tip and a_W of the wrist.
 
-    While the tip is held, the wrist's mobility is S = B M^-1 B^T - B M^-1 J^T Lambda J M^-1 B^T. A direction in which
-    S is almost zero, as at a straight elbow, is left out.
+    B are the two rows of J_W across the shaft. While the tip is held, the wrist's mobility is
+    S = B M^-1 B^T - B M^-1 J^T Lambda J M^-1 B^T, where Lambda is the tip's inertia. A direction with almost no
+    mobility gets no force.
     """
     J, B = s.J_tip, scipy_null_space(s.tool_direction[None]).T @ s.J_wrist
     M_inverse = np.linalg.inv(s.M)
@@ -85,33 +87,36 @@ def feedforward(s, tip_ref, trocar):
 
 
 def velocity_damper(q, q_min, q_max, v_max, k0):
-    """lower = max(-v_max, -k0 (q - q_min)), upper likewise; beyond a limit only velocities back inside are allowed."""
+    """lower = max(-v_max, -k0 (q - q_min)), upper likewise. Beyond a limit, only velocities back inside are allowed."""
     lower = np.clip(-k0 * (q - q_min), -v_max, v_max)
     return lower, np.clip(-k0 * (q - q_max), -v_max, v_max)
 
 
 def references(s, tip_ref, trocar):
-    """v_T = dX_d and the wrist's reference velocity v_W, corrected so that u^T (v_T - v_W) = 0."""
+    """Return v_T = dX_d and the wrist's reference velocity v_W. v_W is corrected so that u^T (v_T - v_W) = 0."""
     v_T, u = tip_ref[1], s.tool_direction
     _, v_W = desired_wrist(s.tip, v_T, *trocar, s.tool_span)
     return v_T, v_W + u * (u @ (v_T - v_W))
 
 
 def shaft_push(mu_shaft, margin):
-    """The factor with which grad mu_shaft is added to grad mu."""
+    """Return the factor of grad mu_shaft, which is added to grad mu where mu_shaft is below the margin."""
     if mu_shaft >= margin:
         return 0.0
     return SHAFT_PULL * (1.0 - mu_shaft / margin) * mu_shaft / (mu_shaft**2 + (SHAFT_LOST * margin) ** 2)
 
 
 def slope(s, margin=0.0):
-    """The gradient that the climb follows, on ker A."""
+    """Return the gradient that the null-space motion follows, projected onto ker A."""
     Z = null_space(s.A)
     return Z.T @ Z @ (s.grad_mu + shaft_push(s.mu_shaft, margin) * s.grad_mu_shaft)
 
 
 def scaled_climb(robot, s, margin=0.0):
-    """x_d = k t |d| / max(-h, |d| / r): Newton's step to the maximum of mu along t = d / |d|, with h = d|d|/ds."""
+    """x_d = k t |d| / max(-h, |d| / r), a Newton step to the maximum of mu along t = d / |d|.
+
+    h is the slope of |d| along t, k is CLIMB_PER_S, and r is LONGEST_RAD.
+    """
     d = slope(s, margin)
     steep = np.linalg.norm(d)
     if not steep > 1e-12:
@@ -128,6 +133,6 @@ def third_level(s, x, K_N2, D_N2):
 
 
 def observe(s, tau, gain, period, integral, r):
-    """One period of r = K_o (p - integral(tau + C^T v - g + r)), p = M v: the new integral and r."""
+    """Momentum observer r = K_o (p - integral(tau + C^T v - g + r)), p = M v. Return the next integral and r."""
     integral = integral + (tau + s.energy_slope - s.gravity + r) * period  # energy_slope is C^T v
     return integral, gain * (s.M @ s.v - integral)

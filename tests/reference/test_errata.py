@@ -1,4 +1,4 @@
-"""One test per entry of docs/method.md's last section; above it: what the paper prints -> what is computed here."""
+"""One test per entry of the last section of docs/method.md. Above each test: the printed formula -> the right one."""
 
 import numpy as np
 import pytest
@@ -32,18 +32,17 @@ def subproblem(robot, state, c2=PAPER.c2):
 
 
 def idempotence(N):
-    """|N N - N|/|N|."""
     return np.linalg.norm(N @ N - N, 2) / np.linalg.norm(N, 2)
 
 
 def leak(state, N):
-    """The share of an unprojected torque's tip acceleration that the projector N lets through."""
+    """Return the tip acceleration that the projector N lets through, divided by the tip acceleration without N."""
     J, M = state.J_tip, state.M
     return np.linalg.norm(J @ np.linalg.solve(M, N), 2) / np.linalg.norm(J @ np.linalg.inv(M), 2)
 
 
 def saddle(qp):
-    """The Jacobian of F(Y) = [dL/dx, -dL/dlambda], (n + 6, n + 6); F as printed has the opposite sign."""
+    """Return the Jacobian (n + 6, n + 6) of F(Y) = [dL/dx, -dL/dlambda]. The printed F has the opposite sign."""
     return np.block([[qp.P, qp.A.T], [-qp.A, np.zeros((6, 6))]])
 
 
@@ -70,9 +69,9 @@ def test_printed_third_level_lacks_an_inverse(states):
         Z = null_space(s.A)
         inner = Z @ s.M @ Z.T
         consistent, printed = s.M @ Z.T @ np.linalg.inv(inner) @ Z, (inner @ Z @ s.M).T
-        assert printed.shape == (7, len(Z))  # not (7, 7): it takes no joint vector
+        assert printed.shape == (7, len(Z))  # not (7, 7), so no joint vector fits
         assert idempotence(consistent) < 1e-9
-        assert idempotence(printed @ Z) > 0.5  # with Z its shape fits; the inverse is still missing
+        assert idempotence(printed @ Z) > 0.5  # with Z the shape is right, but the inverse is missing
         # ratio of the printed torque to the consistent one [kg^2 m^4]
         assert (np.linalg.eigvalsh(inner) ** 2).max() < 0.5
 
@@ -83,18 +82,18 @@ def test_gradient_of_f_is_positive_semidefinite_and_seven_by_seven(robot, states
         G, wanted = saddle(subproblem(robot, s)), np.zeros((13, 13))
         wanted[:7, :7] = 2.0 * (PAPER.c0 * s.J_tip.T @ s.J_tip + PAPER.c1 * s.J_wrist.T @ s.J_wrist)
         np.testing.assert_allclose(G + G.T, wanted, atol=1e-15)
-        # so with the printed sign, F is not monotone, although the proof of convergence needs it to be
+        # The proof of convergence needs a monotone F. With the printed sign, F is not monotone.
         assert np.linalg.eigvalsh(G + G.T)[-1] > 1e-3
 
 
 # F(Y) = [-dL/dqd, dL/dl]  ->  [dL/dqd, -dL/dl]; no time constant  ->  eps, or m steps per tick
 def test_modes_grow_with_the_printed_sign_and_otherwise_have_time_constants_above_50_s(robot, states):
-    """dY/dt = -k F(Y) at the paper's gains: the real parts are -k c0 s^2 / 2 for a singular value s of A."""
+    """With dY/dt = -k F(Y), the real part of an eigenvalue is -k c0 s^2 / 2 for a singular value s of A."""
     for s in states:
         qp = subproblem(robot, s)
-        growth = np.linalg.eigvals(-K * saddle(qp)).real  # with the printed sign, minus this
+        growth = np.linalg.eigvals(-K * saddle(qp)).real  # negated with the printed sign
         assert growth.max() < 1e-10
-        assert (growth < -1e-12).sum() >= 6  # zero along the free directions
+        assert (growth < -1e-12).sum() >= 6  # zero along the null space of A
         largest = np.linalg.svd(qp.A, compute_uv=False)[0]
         assert growth.min() == pytest.approx(-0.5 * K * PAPER.c0 * largest**2, rel=1e-6)
         assert 1e-4 < -growth.min() < 1.0 / 50.0
@@ -102,7 +101,7 @@ def test_modes_grow_with_the_printed_sign_and_otherwise_have_time_constants_abov
 
 # e_N1 = d / lambda, lambda = 0.5  ->  |N_d - N|, or rcm_lambda
 def test_the_true_lambda_is_not_constant(states):
-    """For a shaft 2 mm off the trocar, d / |N - N_d| is |P_t - X|/L. Unlike 0.5, it varies with the depth."""
+    """For a shaft 2 mm off the trocar, d / |N_d - N| equals |P - X| / L. This ratio varies with the depth."""
     depths, found = np.array([task.depth_m for task in BOARD_TASKS.values()]), []
     for s in states:
         across = np.cross(s.tool_direction, np.eye(3)[np.argmin(np.abs(s.tool_direction))])
@@ -117,7 +116,7 @@ def test_the_true_lambda_is_not_constant(states):
 
 # K_N2 = [80, ...] on qdd_d at c2 = 0.001, k = 0.1  ->  kept as rnn-printed
 def test_the_torque_that_mu_causes_in_the_printed_network_is_too_small_to_act(robot, states):
-    """The torques with and without c2 differ as much as they would without any bounds, by less than 0.002 Nm."""
+    """Without c2, the torque changes by less than 0.002 Nm. The bounds do not reduce this change."""
     rng, printed, share, free = np.random.default_rng(0), solvers.create("rnn-printed"), 0.0, 0.0
     for rest in states:
         for v in (np.zeros(7), rng.uniform(-0.01, 0.01, 7)):

@@ -25,7 +25,7 @@ from tests.odd_inputs import names
 
 
 class Resources(HTMLParser):
-    """What a browser might fetch for a page, the page's tags with the names of their attributes, and its scripts."""
+    """Collects the addresses that a page might fetch, its tags with the names of their attributes, and its scripts."""
 
     def __init__(self, source: str) -> None:
         super().__init__()
@@ -56,7 +56,7 @@ class Resources(HTMLParser):
 
 @pytest.fixture(scope="module")
 def full() -> Page:
-    """A page with every kind of part and of figure, a wide table, and text that looks like markup."""
+    """Return a page with all kinds of parts and figures, a wide table, and text that looks like markup."""
     rng = np.random.default_rng(2)
     solvers = [f"solver-{k}" for k in range(9)]
     times = {name: rng.lognormal(k, 0.2, 400) for k, name in enumerate(solvers)}
@@ -98,7 +98,6 @@ def test_a_page_fetches_nothing_and_contains_the_data_of_its_figures(full: Page)
 
 
 def tags(text: str) -> list[tuple[str, ...]]:
-    """The tags of a page on which every name is `text`."""
     made = Page(text, text)
     made.headline(text)
     made.section(text)
@@ -141,12 +140,9 @@ def test_figures_that_cannot_be_saved_are_refused(full: Page, tmp_path: Path, mo
         browser().__enter__()
 
 
-# --- in a browser ---
-
-
 @pytest.fixture(scope="module")
 def page(chromium: Any, full: Page, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """The page, opened only once, since a browser on a shared processor takes seconds to draw it."""
+    """Open the page only once, because drawing takes seconds."""
     report = full.save(tmp_path_factory.mktemp("report") / "report.html")
     size = {"width": 1000, "height": 800}
     with opened(chromium, report.as_uri(), "html[data-drawn=yes]", viewport=size, color_scheme="light") as found:

@@ -1,4 +1,4 @@
-"""The replay: its geometry against the model, its numbers against the trace, and the page in a real browser."""
+"""The replay agrees with the model and the trace, and its page works in a real browser."""
 
 import base64
 import gzip
@@ -19,7 +19,7 @@ from tests.conftest import opened
 
 
 def wave(robot: RobotModel, ticks: int, *, phase: float = 0.0) -> Trace:
-    """A trace, sampled at 500 Hz, of an arm that sways about its home pose."""
+    """Return a trace, sampled at 500 Hz, of an arm that sways about its home pose."""
     t = 0.002 * np.arange(ticks)
     q = robot.data.q_home + 0.2 * np.sin(2.0 * t[:, None] + phase + np.arange(robot.n))
     tips, rng = robot.tool_along(q)[0], np.random.default_rng(ticks)
@@ -108,7 +108,7 @@ def test_traces_that_cannot_be_shown_are_refused(robot: RobotModel, tmp_path: Pa
 
 
 def arm_of(page: Any) -> bytes:
-    """The picture of the arm once it has come to rest."""
+    """Return a picture of the arm after it has been drawn."""
     page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
     picture: bytes = page.locator("#scene").screenshot()
     return picture
@@ -118,7 +118,7 @@ def arm_of(page: Any) -> bytes:
 def page(chromium: Any, robot: RobotModel, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     runs = {"swaying": wave(robot, 1500), "swaying otherwise": wave(robot, 1500, phase=1.5)}
     file = Replay(runs, robot).save(tmp_path_factory.mktemp("replay") / "replay.html")
-    # Only a quarter of the pixels, since drawing them takes long without a graphics card.
+    # A quarter of the pixels is enough. Drawing takes long without a graphics card.
     size = {"viewport": {"width": 900, "height": 800}, "device_scale_factor": 0.5}
     with opened(chromium, file.as_uri(), "html[data-drawn=yes]", **size) as found:
         yield found

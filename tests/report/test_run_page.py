@@ -53,7 +53,7 @@ def test_the_ending_is_the_first_row_and_figures_of_a_partial_run_are_marked():
 
 @pytest.mark.parametrize(("raised", "most"), [(2, False), (3, True)])
 def test_replaced_answers_of_a_solver_are_reported_before_any_figure(raised, most):
-    """A run whose answers all came from the fallback completes too, so the report has to name the replacements."""
+    """A run can complete with answers of the fallback alone, so the report names the replacements."""
     faults = {"raised": {"count": raised, "first_at_s": 0.0, "first": "ZeroDivisionError"}}
     (table,) = run_tables({"slip": trace(faults=faults)}, {"slip": {"mu_mean": 0.25}}, first=True)
     assert [row["metric"] for row in table.rows] == ["ended", "solver replaced", "mu_mean"]
@@ -175,7 +175,7 @@ def test_a_page_replaces_a_foreign_file_only_with_force_and_needs_a_usable_place
     assert out.stat().st_size > 10_000
 
 
-def test_rows_courses_and_traces_replace_a_foreign_file_only_with_force(tmp_path, capsys):
+def test_rows_plans_and_traces_replace_a_foreign_file_only_with_force(tmp_path, capsys):
     out = tmp_path / "rows"
     out.write_text("mine")
     for order in (["compare", "exact", "--out"], ["plan", "--out"], ["run", "--trace"], ["plant", "--trace"]):

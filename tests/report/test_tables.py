@@ -1,4 +1,4 @@
-"""Tables for the terminal, with notation, emphasis and missing values; and progress without a terminal."""
+"""Tables for the terminal (notation, emphasis, missing values), and progress without a terminal."""
 
 import io
 import math
@@ -53,7 +53,7 @@ def test_missing_infinite_and_boolean_values_have_their_texts() -> None:
     assert texts([True, np.bool_(False)]) == ["yes", "no"]
 
 
-def test_the_best_value_and_those_printed_alike_are_marked() -> None:
+def test_the_best_value_and_values_that_look_equal_to_it_are_marked() -> None:
     assert best([2.0, 1.0, None, math.inf, 1.0004], better="low") == [False, True, False, False, True]
     assert best([2.5, 1.0, -math.inf, math.inf], better="high") == [True, False, False, False]
     assert best([1.0, 1.0, 1.0, 2.0], better="low") == [False] * 4, "no emphasis if most are best"
@@ -76,12 +76,12 @@ def test_a_narrow_terminal_shows_every_number_whole(width: int, count: int, size
     assert "exact" in text
     assert "rnn-printed" in text
     assert "…" not in text
-    assert sorted(set(re.findall(r"\bc\d+\b", text))) == sorted(c.key for c in columns[1:]), "each is shown or named"
+    assert sorted(set(re.findall(r"\bc\d+\b", text))) == sorted(c.key for c in columns[1:]), "a column is missing"
 
 
 @pytest.mark.parametrize(("step_s", "told"), [(10.0, [1, 2, 3, 4]), (6.0, [1, 3]), (1.0, [1])])
 def test_without_a_terminal_progress_writes_a_line_now_and_then(step_s: float, told: list[int]) -> None:
-    """The forecast begins when the number of steps is known; the minute of setting up before it does not count."""
+    """The forecast starts when the number of steps is known. The set-up before that does not count."""
     file, now = io.StringIO(), [0.0]
     screen = console(file=file)
     screen.get_time = lambda: now[0]

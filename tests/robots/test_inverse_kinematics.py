@@ -15,7 +15,7 @@ def inside(robot, q):
 
 
 def test_with_one_joint_at_its_limit_the_others_reach_the_target(robot):
-    """The start is at a limit, and the shortest displacement to the goal leads beyond it."""
+    """The start is at a joint limit, and the shortest way to the goal leads beyond this limit."""
     q = np.array(robot.data.q_home)
     q[2] = robot.q_min[2] + 1e-3
     state = robot.state(q)
@@ -29,10 +29,10 @@ def test_with_one_joint_at_its_limit_the_others_reach_the_target(robot):
     assert inside(robot, placed.q)
 
 
-def test_for_a_target_out_of_reach_the_nearest_pose_is_given_as_not_found(robot):
+def test_for_a_target_out_of_reach_the_nearest_pose_is_returned_as_not_found(robot):
     placed = solve_pose(robot, robot.data.q_home, np.array([3.0, 0.0, 0.3]), iterations=200)
     assert not placed.found
-    reach = 0.4 + 0.39 + 0.378  # shoulder to tip, stretched
+    reach = 0.4 + 0.39 + 0.378  # from the shoulder to the tip of the stretched arm
     assert placed.miss_m == pytest.approx(3.0 - reach, abs=0.05)
     gap = np.abs(np.array([3.0, 0.0, 0.3]) - robot.state(placed.q).tip).max()
     assert placed.miss_m == pytest.approx(gap, abs=1e-12)
@@ -43,7 +43,7 @@ def test_for_a_target_out_of_reach_the_nearest_pose_is_given_as_not_found(robot)
     (np.zeros(7), np.array([0.5, 0.0, np.nan]), "tip or wrist = .* is not finite"),
 ])  # fmt: skip
 def test_poses_and_points_that_are_not_finite_or_have_another_shape_are_refused(robot, q, tip, message):
-    """Comparisons with NaN are false, so that without this check such a point would count as reached."""
+    """Comparisons with NaN are false, so a NaN point would count as reached without this check."""
     with pytest.raises(RobotError, match=message):
         solve_pose(robot, q, tip)
 

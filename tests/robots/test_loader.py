@@ -144,7 +144,7 @@ def test_bad_tool_arguments_are_refused_by_name(bad: float) -> None:
     "", "0 0", "0 0 0 0", "0,0,0",
     *(f"0 0 {bad}" for bad in ("0x10", "nan", "inf", "1,5", "1e", "-101", "1e999", "1_0", "\u0663.0")),
 ])  # fmt: skip
-def test_a_text_that_is_not_three_decimal_numbers_of_an_arms_size_is_refused(text):
+def test_a_text_other_than_three_ordinary_decimal_numbers_is_refused(text):
     origin = '<joint name="j"><parent link="a"/><child link="b"/><origin xyz="{}"/></joint>'
     assert read(f'<robot name="x">{origin.format(f"{FARTHEST} 0 -1e-31")}</robot>').joints[0].xyz == (100.0, 0.0, 0.0)
     with pytest.raises(RobotError, match=r"<origin> of joint 'j', xyz is '.*give three decimal numbers"):
@@ -178,7 +178,6 @@ def test_the_verdict_on_an_inertia_does_not_depend_on_its_axes(moments, seed):
 
 
 def test_parts_of_a_urdf_that_are_not_read_are_not_written():
-    """Shapes, extensions, and unknown elements or attributes reach neither engine."""
     text = load_data().urdf
     more = text.replace("<link", '<gazebo secret="1"/><link', 1).replace(
         "</inertial>", "<density/></inertial><visual><geometry><mesh filename='/etc/passwd'/></geometry></visual>"

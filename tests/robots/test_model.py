@@ -1,4 +1,4 @@
-"""The model against finite differences, plain numpy and pinocchio's results, at random regular poses."""
+"""The robot model agrees with finite differences, plain numpy and pinocchio at random regular poses."""
 
 import json
 import pickle
@@ -46,7 +46,7 @@ def samples(arm: RobotModel, count: int = 8, seed: int = 1) -> Iterator[tuple[Ar
 
 
 def reference(arm: RobotModel) -> tuple[Any, Any]:
-    """A pinocchio model that is built separately from the one under test."""
+    """Return a pinocchio model that is built separately from the model under test."""
     model = pin.buildModelFromXML(arm.data.urdf)
     return model, model.createData()
 
@@ -92,7 +92,7 @@ def test_positions_jacobians_and_drifts_equal_pinocchios(arm: RobotModel) -> Non
         np.testing.assert_allclose(s.wrist + s.tool_span * s.tool_direction, s.tip, atol=1e-15)
 
 
-def test_both_manipulabilities_and_their_gradients_against_finite_differences(arm: RobotModel) -> None:
+def test_both_manipulabilities_and_their_gradients_agree_with_numpy_and_finite_differences(arm: RobotModel) -> None:
     for q, _, s in samples(arm):
         assert s.mu == pytest.approx(np.sqrt(np.linalg.det(s.J_tip @ s.J_tip.T)), rel=1e-12)
         held = np.eye(arm.n) - np.linalg.pinv(s.J_tip) @ s.J_tip
@@ -202,7 +202,6 @@ def by_the_core(tip, tip_velocity, trocar, trocar_velocity, span):
 @settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_the_desired_wrists_velocity_is_its_derivative(kernel, seed):
-    """Along a motion of tip and trocar, dN_d is the difference quotient of N_d."""
     rng = np.random.default_rng(seed)
     start, rate, distance = rng.normal(size=3), rng.uniform(0.5, 3.0), rng.uniform(0.1, 0.3)
     aside, breath, way = (v / np.linalg.norm(v) for v in rng.normal(size=(3, 3)))
@@ -251,7 +250,7 @@ def test_the_gain_tables_of_a_robot_file_are_those_derived_from_its_masses(name:
 @settings(max_examples=30)
 @given(delay=st.integers(0, 6), side=st.sampled_from([0.98, 1.02]))
 def test_largest_rate_is_the_stability_limit_of_a_delayed_loop(delay: int, side: float) -> None:
-    """The roots of z^(d+1) - z^d + T rate are within the unit circle below the limit, and one is outside above it."""
+    """Below the limit, all roots of z^(d+1) - z^d + T rate lie within the unit circle. Above it, one lies outside."""
     plant = PlantSettings(delay_ticks=delay, velocity_cutoff_Hz=0.0)
     gain = side * largest_rate(plant) * plant.period_s
     roots = np.roots([1.0, -1.0, *[0.0] * (delay - 1), gain] if delay else [1.0, gain - 1.0])
@@ -282,12 +281,12 @@ Rows = list[tuple[float, float, float, float]]
 
 
 def upright(signs: tuple[float, ...], lengths: tuple[float, ...]) -> Rows:
-    """Rows of an arm whose neighbouring axes intersect: alpha is a right angle with this sign, or 0."""
+    """Return the rows of an arm whose neighbouring axes intersect. Each alpha is the sign times a right angle."""
     return [(0, sign * RIGHT, d, 0) for sign, d in zip(signs, lengths, strict=True)]
 
 
-# Denavit-Hartenberg rows as the makers print them, (a, alpha, d, offset of q), then the distance from the last frame to
-# the flange. In Craig's convention a and alpha come before the joint's own transform, in the classical one after it.
+# Denavit-Hartenberg rows (a, alpha, d, offset of q) as the makers print them, and the distance from the last frame to
+# the flange. In Craig's convention, a and alpha come before the joint's transform. In the classical one, they follow.
 DH: dict[str, tuple[str, Rows, float]] = {
     "lwr4": ("classical", upright((1, -1, -1, 1, 1, -1, 0), (0.3105, 0, 0.4, 0, 0.39, 0, 0.078)), 0.0),
     "iiwa14": ("classical", upright((-1, 1, 1, -1, -1, 1, 0), (0.36, 0, 0.42, 0, 0.4, 0, 0.126)), 0.0),
@@ -308,7 +307,7 @@ DH: dict[str, tuple[str, Rows, float]] = {
 
 
 def by_dh(name: str, q: Array) -> Array:
-    """The tip of a tool of 0.3 m by the printed table. The Gen3's first axis points down from its base."""
+    """Return the tip of a 0.3 m tool by the maker's table. The Gen3's first axis points down from its base."""
     kind, rows, flange = DH[name]
     T = pin.SE3(np.diag([1.0, -1.0, -1.0] if name == "gen3" else np.ones(3)), np.zeros(3))
     for (a, alpha, d, offset), angle in zip(rows, q, strict=True):
@@ -325,13 +324,12 @@ def poses(robot: RobotModel, count: int = 8) -> Array:
 @pytest.mark.parametrize("name", DH)
 def test_the_tip_agrees_with_the_makers_denavit_hartenberg_table(name: str) -> None:
     robot = load_robot(name)
-    miss = 5e-4 if name == "gen3" else 1e-9  # in its table axes 6 and 7 intersect, off by twice 0.175 mm
+    miss = 5e-4 if name == "gen3" else 1e-9  # its table neglects two offsets of 0.175 mm
     for q in poses(robot):
         np.testing.assert_allclose(robot.state(q).tip, by_dh(name, q), rtol=0, atol=miss)
 
 
 def test_the_iiwa14_has_the_mass_of_its_data_sheet() -> None:
-    """The data sheet says 29.9 kg, and the public link masses are rounded."""
     robot = load_robot("iiwa14")
     masses = [link.mass for link in urdf.read(robot.data.urdf).links]
     assert sum(masses) - robot.data.tool_mass == pytest.approx(29.9, rel=0.03)

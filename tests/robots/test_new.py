@@ -1,4 +1,4 @@
-"""`robot new` makes a robot from a vendor's URDF and notes its assumptions; `robot check` judges the robot."""
+"""`robot new` makes a robot from a vendor's URDF and notes its assumptions. `robot check` judges the robot."""
 
 from __future__ import annotations
 
@@ -201,7 +201,7 @@ def test_the_commands_new_check_run_and_replay_work_on_a_vendors_file(tmp_path: 
     line = next(line for line in text.splitlines() if line.startswith("q_rad"))
     Path("my.toml").write_text(text.replace(line, f"q_rad = {[0.0] * 7}"), encoding="utf-8")
     assert main(["robot", "check", "my.toml"]) == 3
-    Path("my.toml").unlink()  # the trace carries the arm
+    Path("my.toml").unlink()  # the trace contains the arm
     assert main(["replay", "run.parquet", "--out", "run.html"]) == 0
 
 
@@ -251,7 +251,7 @@ def test_each_fault_is_judged_in_its_row(robot: RobotModel, what: str, fields: d
     assert told in row.cure
 
 
-def test_a_home_pose_with_little_mu_to_gain_gets_care(robot: RobotModel) -> None:
+def test_a_home_pose_with_little_mu_to_gain_gets_the_verdict_care(robot: RobotModel) -> None:
     curve = self_motion(robot, robot.data.q_home)
     for share, judged in ((0.98, "care"), (0.91, "ok")):
         q = curve.q[np.argmin(np.abs(curve.mu / curve.mu_best - share))]
@@ -280,7 +280,7 @@ def test_a_singular_home_is_refused_and_every_row_that_is_not_ok_has_a_cure(robo
     assert all(bool(row.cure) == (row.verdict != "ok") for row in found.values())
 
 
-def test_a_task_out_of_reach_gets_care_and_a_cure(robot: RobotModel) -> None:
+def test_a_task_out_of_reach_gets_the_verdict_care_and_a_cure(robot: RobotModel) -> None:
     asked = Scenario(task={"path": "circle", "sizes": {"radius": 0.5}})
     row = rows(robot, asked)["task from home"]
     assert row.verdict == "care"
@@ -289,7 +289,7 @@ def test_a_task_out_of_reach_gets_care_and_a_cure(robot: RobotModel) -> None:
 
 @pytest.mark.parametrize("factor", [0.9, 8.0])
 def test_gains_with_which_the_plant_oscillates_are_refused(robot: RobotModel, factor: float) -> None:
-    """The verdict agrees with a run in the plant without friction, with the LWR4+'s K_N2 times a factor."""
+    """The verdict agrees with a run without friction, in which the LWR4+'s K_N2 is multiplied by the factor."""
     gains = [factor * gain for gain in robot.data.gains["default"]["K_N2"]]  # type: ignore[union-attr]
     asked = Scenario(control={"K_N2": gains}, plant={"friction": 0.0}, bound_samples=0, judge=False)
     asked = asked.change(task={"path": "line", "sizes": {"length": 0.005}})

@@ -56,9 +56,9 @@ def test_fingers_are_locked_and_the_arm_moves_as_before(vendors) -> None:
     assert (arm.last_link, chain(arm)) == ("link_7", CHAIN)
     model, bare = model_of(arm), pin.buildModelFromXML(text_of())
     assert list(model.names)[1:] == CHAIN
-    assert model.inertias[7].mass - bare.inertias[7].mass == pytest.approx(0.7 + 2 * 0.015)  # locked, with mass
+    assert model.inertias[7].mass - bare.inertias[7].mass == pytest.approx(0.7 + 2 * 0.015)  # fingers keep their mass
     left = model.frames[model.getFrameId("left")].placement.translation
-    turn = np.array([0.01 * np.sin(0.785), 0.01 * np.cos(0.785), 0.107])  # locked at the end nearest to 0
+    turn = np.array([0.01 * np.sin(0.785), 0.01 * np.cos(0.785), 0.107])  # locked at the limit nearest to 0
     np.testing.assert_allclose(left, turn, rtol=0, atol=1e-12)
     told = " ".join(arm.notes)
     assert all(word in told for word in ("finger_1 (at 0.01 m)", "finger_2", "'link_7', the link of the last"))
@@ -178,7 +178,7 @@ def test_limits_in_the_wrong_order_are_refused_by_name(name: str, reach: str, un
         assert vendors(endless).chain[0].limits.items() >= ONE_TURN.items()
 
 
-def test_efforts_that_replace_missing_ones_carry_the_arm(vendors) -> None:
+def test_torque_limits_that_replace_missing_ones_are_enough_to_carry_the_arm(vendors) -> None:
     assert vendors(re.sub(r'effort="\d+"', 'effort="0"', text_of())).weak == CHAIN
     robot = load_robot("panda")
     efforts = enough_efforts(robot)

@@ -1,4 +1,4 @@
-"""Adapters of libraries, beyond the conformance suite: rows, buffers, warm sessions, options, nonlinear problem."""
+"""Adapters of solver libraries: rows, buffers, warm sessions, options, and the nonlinear problem."""
 
 from types import SimpleNamespace
 
@@ -122,14 +122,14 @@ def test_options_reach_the_library():
 
 
 def test_an_expired_time_limit_has_its_own_status():
-    """Without a limit, HiGHS does not terminate on this problem if it is not scaled."""
+    """Without scaling and a time limit, HiGHS does not terminate on this problem."""
     assert solve(QPSolver("highs", advised=False, options={"time_limit": 0.02}), problem(3)).status is Status.TIME_LIMIT
     assert "time_limit" in ADVICE["highs"].options
 
 
 @pytest.mark.parametrize("kind", [SQP, Ipopt])
 def test_a_step_of_the_nonlinear_solvers_ends_exactly_at_the_references(kind):
-    """tip(q + x T) = tip(q) + v_T T, not only to first order; and likewise for the wrist across the tool."""
+    """tip(q + x T) equals tip(q) + v_T T, and the wrist meets its reference across the tool."""
     arm = random_arm(np.random.default_rng(3))
     kinematics = arm.kinematics()
     chosen = kind(kinematics)
@@ -144,11 +144,11 @@ def test_a_step_of_the_nonlinear_solvers_ends_exactly_at_the_references(kind):
         across = qp.reduced().lift[3:, 3:]
         np.testing.assert_allclose(across @ wrist, across @ qp.v_wrist, atol=1e-6)
         np.testing.assert_allclose(across @ (here[0] - here[1]), 0.0, atol=1e-12)
-        assert np.abs(qp.A @ x - qp.b).max() > 1e-6  # so x misses the linear rows
+        assert np.abs(qp.A @ x - qp.b).max() > 1e-6  # x does not meet the linear rows
 
 
 def test_the_nonlinear_solvers_use_the_given_gradient_and_not_that_of_mu(robot, regular_poses):
-    """The cost may have another gradient than that of mu, for example one that follows a course."""
+    """The gradient in the cost may differ from that of mu, for example to follow a planned joint motion."""
     rng = np.random.default_rng(11)
     chosen = create("nlp-sqp", kinematics=robot.kinematics())
     for q in regular_poses(4):

@@ -1,4 +1,4 @@
-"""One suite for every solver that can run here. `EXPECT` has the tolerances of some; all others have ``Expect()``."""
+"""One suite for every available solver. `EXPECT` has the tolerances of some solvers. All others have ``Expect()``."""
 
 import dataclasses
 from dataclasses import dataclass, field
@@ -25,41 +25,41 @@ every_solver = pytest.mark.parametrize("name", NAMES)
 
 @dataclass(frozen=True)
 class Expect:
-    """Tolerances of answers that are claimed as solved, and the least shares of such answers.
+    """Tolerances of answers with the status SOLVED, and the smallest accepted shares of such answers.
 
     The defaults are one to two digits tighter than those of ``Residuals.verified``.
     """
 
     settings: dict[str, Any] = field(default_factory=dict)
-    primal: float = 1e-7  # |A x - b|_inf and violation of the box [m/s, rad/s]
-    relative: float = 1e-4  # natural residual / size of the reduced gradient, with the best y
-    loss: float = 1e-4  # share of the cost's range
-    natural: float = 1e-5  # with the solver's own y [rad/s]
+    primal: float = 1e-7  # |A x - b|_inf and violation of the bounds [m/s, rad/s]
+    relative: float = 1e-4  # natural residual with the best y, divided by the size of the reduced gradient
+    loss: float = 1e-4  # lost share of the range of the cost
+    natural: float = 1e-5  # natural residual with the solver's own y [rad/s]
     x: float = 2e-4  # distance to the exact answer and between warm and cold answers [rad/s]
     gap: float = 1e-6  # (f(x) - f(exact)) / (c2 |grad_mu|_inf) where regularization = 0 [rad/s]
-    solved: float = 1.0  # least share of the feasible problems
-    certified: float = 1.0  # least share of the infeasible problems that are called infeasible
-    undamped: float | None = 1.0  # the same as ``solved`` for regularization = 0; None: not supported
-    recovers: bool = True  # solves the tick after an infeasible one
-    arm: bool = False  # needs problems of ARM, whose kinematics it gets
+    solved: float = 1.0  # smallest share of feasible problems with the status SOLVED
+    certified: float = 1.0  # smallest share of infeasible problems with the status INFEASIBLE
+    undamped: float | None = 1.0  # like ``solved``, with regularization = 0. None means not supported
+    recovers: bool = True  # the solver solves the problem after an infeasible one
+    arm: bool = False  # the solver needs the arm's kinematics, so it gets problems of ARM
 
 
 NLP = Expect(
-    # These solve another problem: curvature within one period moves the optimum (docstring of moc_opt.solvers.nlp).
-    # The relative residual is scaled by the reduced gradient, which is small near a maximum of mu.
+    # These solve the nonlinear problem, whose optimum differs (docstring of moc_opt.solvers.nlp). Near a maximum of mu,
+    # the reduced gradient is small, so the relative residual is large.
     primal=1e-2, relative=3e-2, loss=0.02, natural=1e-4, x=0.6, gap=0.1, arm=True,
 )
 EXPECT = {
     "exact": Expect(primal=1e-12, relative=1e-8, loss=1e-9, natural=1e-12, x=1e-9, gap=1e-9),
     # k is small because some of these arms are larger than real arms. The network cannot prove a problem infeasible.
-    # With regularization = 0 it keeps oscillating in some problems. During an infeasible tick its multipliers wind
-    # up, and unwinding them takes as long again.
+    # With regularization = 0 it keeps oscillating in some problems. In an infeasible problem its multipliers grow, and
+    # the next problem needs as long to reduce them.
     "rnn": Expect(
         {"steps": 300_000, "k": 0.2}, primal=1e-6, relative=1e-3, loss=5e-3, x=5e-3, gap=1e-4, certified=0.0,
         undamped=0.75, recovers=False,
     ),
     "rnn-printed": Expect(solved=0.0, certified=0.0, undamped=0.0),  # the time constants of its modes exceed 50 s
-    # Operator splitting: one problem in two hundred needs more iterations than max_iter.
+    # Operator splitting needs more than max_iter iterations for one problem in 200.
     "osqp": Expect(solved=0.95, undamped=0.95), "qpsolvers:osqp": Expect(solved=0.95, undamped=0.95),
     "piqp": Expect(certified=0.85),  # the other infeasible problems end as MAX_ITER
     "quadprog": Expect(undamped=None),  # needs P > 0
@@ -67,7 +67,7 @@ EXPECT = {
     "nlp-ipopt": NLP,
     # Through qpsolvers, daqp and highs report no reason when they fail.
     "qpsolvers:daqp": Expect(certified=0.0),
-    # The default limit of 0.1 s is for a control loop; on a busy machine it would decide this test.
+    # The default limit of 0.1 s is meant for a control loop. It is too short on a busy machine.
     "qpsolvers:highs": Expect({"options": {"time_limit": 30.0}}, certified=0.0),
     "qpsolvers:piqp": Expect(certified=0.85),  # the other infeasible problems end as MAX_ITER
     "qpsolvers:proxqp": Expect(solved=0.85, undamped=0.7),  # see moc_opt.solvers.qpsolvers.ADVICE
@@ -121,7 +121,7 @@ def check_claims(limits: Expect, qps: list[NullSpaceQP], found: list[Any]) -> No
         if solution.status is not Status.SOLVED:
             continue
         residuals = qp.residuals(solution.x, solution.y)
-        if limits.arm:  # the nonlinear problem lacks the linear rows: judge the loss of x projected on them
+        if limits.arm:  # x misses the linear rows, so the nearest point on these rows is judged
             residuals = residuals._replace(loss=qp.residuals(on_rows(qp, solution.x)).loss)
         assert residuals.verified(limits.primal, limits.relative, limits.loss), residuals
         assert np.abs(solution.x - exact.x).max() <= limits.x
@@ -134,7 +134,7 @@ def test_claimed_answers_are_optimal(name):
 
 @cache
 def recorded(arm: str) -> tuple[list[NullSpaceQP], Any]:
-    """Twelve subproblems of the default run's first 0.6 s, when the elbow starts to move, and the arm's kinematics."""
+    """Return twelve subproblems of the first 0.6 s of the default run, and the arm's kinematics."""
     trace = run(Scenario(robot={"name": arm}, duration_s=0.6, bound_samples=0, judge=False))
     return [NullSpaceQP.from_row(row) for row in trace.columns["subproblem"][::25]], load_robot(arm).kinematics()
 
@@ -175,7 +175,7 @@ def test_costs_without_regularization_are_optimal(name):
     for qp, solution, exact in zip(qps, found, answers("exact", qps), strict=True):
         if solution.status is Status.SOLVED:
             assert qp.residuals(solution.x).primal <= limits.primal
-            # the cost on A x = b alone: c2 grad_mu^T x
+            # on A x = b, only -c2 grad_mu^T x varies in the cost
             gap = qp.grad_mu @ (exact.x - solution.x) / np.abs(qp.grad_mu).max()
             assert abs(gap) <= limits.gap
 
@@ -209,7 +209,7 @@ def test_warm_answers_equal_cold_ones_and_sessions_share_nothing(name):
     warm = [(mine.solve(qp), another.solve(other))[0] for qp, other in zip(qps, others, strict=True)]
     for expected, found in zip(alone, warm, strict=True):
         assert found.status is expected.status
-        # not to the last digit: vectorised sums depend on the alignment of memory
+        # the last digits may differ, because vectorised sums depend on the alignment of memory
         np.testing.assert_allclose(found.x, expected.x, rtol=0.0, atol=1e-11)
     cold = [chosen.start(qp).solve(qp) for qp in qps]
     both = [(a, b) for a, b in zip(warm, cold, strict=True) if a.status is b.status is Status.SOLVED]
@@ -220,7 +220,7 @@ def test_warm_answers_equal_cold_ones_and_sessions_share_nothing(name):
 
 @pytest.mark.parametrize("name", [name for name in NAMES if not expect(name).arm])  # ARM's number of joints is fixed
 def test_a_new_number_of_joints_starts_a_new_workspace(name):
-    """In a stream whose number of joints changes, each answer is that of a fresh session."""
+    """If the number of joints changes, each answer equals that of a fresh session."""
     rng, limits, chosen = np.random.default_rng(6), expect(name), solver(name)
     session = chosen.start(random_problem(rng))
     for n in (9, 6, 7):
@@ -284,7 +284,7 @@ def test_inputs_and_earlier_answers_stay_untouched(name):
 
 
 def odd_problems() -> list[NullSpaceQP]:
-    """Valid but awkward problems: no gradient, no room, no motion, large and small numbers, few joints."""
+    """Return valid but awkward problems, for example without a gradient, without room or without motion."""
     rng = np.random.default_rng(9)
     qp = random_problem(rng, arm=ARM)
     x = create("exact").start(qp).solve(qp).x
@@ -296,7 +296,7 @@ def odd_problems() -> list[NullSpaceQP]:
     return [*(changed(qp, **parts) for parts in odd), *(random_problem(rng, n, structured=False) for n in (5, 9))]
 
 
-# With their own limits, these solvers may take minutes for one bad problem.
+# With their usual settings, these solvers may take minutes for one bad problem.
 CATCH_UP: dict[str, dict[str, Any]] = {
     "rnn": {"steps": 1000}, "qpsolvers:highs": {}, "qpsolvers:proxqp": {"options": {"max_iter": 20}},
     "qpsolvers:osqp": {"options": {"max_iter": 500}}, "qpsolvers:scs": {"options": {"max_iters": 500}},
@@ -305,7 +305,7 @@ CATCH_UP: dict[str, dict[str, Any]] = {
 
 @every_solver
 def test_awkward_and_nearly_singular_problems_get_a_status_and_no_exception(name):
-    """Problems are also rounded, huge or tiny; each is solved in a cold session, in a stream, and after an update."""
+    """Each problem is solved in a new session, in a stream of problems, and after an update."""
     limits = expect(name)
     chosen = solver(name, settings=CATCH_UP.get(name))
     stream, taken = chosen.start(of(name)[0]), 0

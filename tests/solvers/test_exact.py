@@ -1,4 +1,4 @@
-"""The solver `exact`, the reference for all others: residuals at rounding level, agreement with a linear program."""
+"""The solver `exact` is the reference for all others. Its residuals are rounding errors, and it agrees with HiGHS."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def check(qp, primal=np.inf):
 
 
 def program(qp, cost):
-    """The least linear cost on five rows of A, by HiGHS."""
+    """Return HiGHS's result for the linear program on five rows of A."""
     U = np.linalg.svd(qp.A)[0][:, :5]
     return linprog(cost, A_eq=U.T @ qp.A, b_eq=U.T @ qp.b, bounds=list(zip(qp.lower, qp.upper, strict=True)))
 
@@ -40,7 +40,7 @@ def program(qp, cost):
        regularization=st.sampled_from([0.0, 1e-8, 1e-6, 1e-5, 1e-3, 1.0]))  # fmt: skip
 def test_answers_satisfy_the_kkt_conditions_for_any_number_of_joints(seed, n, structured, regularization):
     qp = random_problem(np.random.default_rng(seed), n, structured=structured, regularization=regularization)
-    # rounding, amplified by the condition number of A on its row space
+    # The condition number of A on its row space amplifies rounding.
     s = np.linalg.svd(qp.A, compute_uv=False)
     solution = check(qp, 1e-14 * s[0] / s[s > 1e-9 * s[0]][-1] * 10 + 1e-13)
     assert qp.residuals(solution.x, solution.y).natural < 1e-11
@@ -62,7 +62,7 @@ def test_cost_and_infeasibility_agree_with_highs(structured):
 
 @pytest.mark.parametrize("decimals", [7, 8, 9, 10, 11, 12, 13, 14])
 def test_rounded_jacobians_agree_with_highs_on_five_rows(decimals):
-    """Rounding makes the sixth, dependent row of A independent. That row must not decide the self-motion."""
+    """Rounding makes the dependent sixth row of A independent. This row must not determine the self-motion."""
     rng, refused = np.random.default_rng(decimals), 0
     for k in range(16):
         qp = rounded(random_problem(rng, 6 + k % 4, structured=k % 8 < 4, regularization=0.0), decimals)
@@ -75,8 +75,8 @@ def test_rounded_jacobians_agree_with_highs_on_five_rows(decimals):
 
 @pytest.mark.parametrize("regularization", [0.0, 1e-8, 1e-5, 1.0])
 @pytest.mark.parametrize(("n", "seed"), [(7, 18), (8, 18), (9, 18), (10, 74), (11, 696), (12, 1075)])
-def test_a_problem_is_solved_where_a_x_b_only_touches_the_box(n, seed, regularization):
-    # Some of these problems have a single feasible point, and must not be called infeasible because of rounding.
+def test_a_problem_is_solved_if_a_x_b_goes_through_a_corner_of_the_bounds(n, seed, regularization):
+    # Some of these problems have only one feasible point. Rounding must not make them infeasible.
     rng = np.random.default_rng(seed)
     for i in range(16):
         qp = random_problem(rng, n, structured=bool(i % 2), regularization=regularization)
@@ -85,7 +85,7 @@ def test_a_problem_is_solved_where_a_x_b_only_touches_the_box(n, seed, regulariz
 
 
 def wedge(rng, n, narrow, size=1.0, **settings):
-    """A problem with pairs of joints whose bounds are nearly parallel: the feasible set ends in a thin wedge."""
+    """Return a problem whose feasible set ends in a thin wedge, because bounds of some joints are nearly parallel."""
     Z = rng.normal(size=(n - 6, n))
     Z[:, 1] = 1.3 * Z[:, 0] + narrow * rng.normal(size=n - 6)
     Z[:, 3] = -0.8 * Z[:, 2] + narrow * rng.normal(size=n - 6)
@@ -97,7 +97,7 @@ def wedge(rng, n, narrow, size=1.0, **settings):
 
 
 @pytest.mark.parametrize(("n", "narrow"), [(8, 1e-4), (9, 1e-4), (10, 1e-4), (15, 1e-6)])
-def test_a_wedge_between_bounds_of_joints_that_move_almost_alike_is_solved(n, narrow):
+def test_a_problem_whose_feasible_set_ends_in_a_thin_wedge_is_solved(n, narrow):
     rng = np.random.default_rng(n)
     for _ in range(25):
         qp = wedge(rng, n, narrow)
@@ -114,7 +114,7 @@ def test_rounding_seldom_leaves_a_wedge_of_any_size_without_an_answer():
     assert Status.INFEASIBLE not in found
 
 
-def test_a_joint_that_hardly_moves_does_not_stop_two_freedoms_at_its_bound():
+def test_a_joint_that_hardly_moves_does_not_stop_the_self_motion_at_its_bound():
     rng, ends = np.random.default_rng(3), np.ones(8)
     for regularization in (0.0, 1e-5, 1.0):
         for _ in range(20):
@@ -129,7 +129,7 @@ def test_a_joint_that_hardly_moves_does_not_stop_two_freedoms_at_its_bound():
 
 
 @pytest.mark.parametrize(("decimals", "answered"), [(12, True), (8, True), (7, True), (4, False)])
-def test_rounded_references_have_an_answer_while_some_x_meets_them_within_the_primal_tolerance(decimals, answered):
+def test_rounded_references_are_answered_if_some_x_meets_them_within_the_primal_tolerance(decimals, answered):
     for seed in range(20):
         qp = random_problem(np.random.default_rng(seed), 7)
         kept = changed(qp, v_tip=qp.v_tip.round(decimals), v_wrist=qp.v_wrist.round(decimals))
@@ -141,7 +141,7 @@ def test_rounded_references_have_an_answer_while_some_x_meets_them_within_the_pr
 
 
 def test_a_violation_equal_to_the_tolerance_is_allowed():
-    """This holds for the tolerance on the box, and for that on equal rows with different right-hand sides."""
+    """This holds for the bounds, and for equal rows with different right-hand sides."""
     A, wide, tolerance = np.eye(6, 7), np.ones(7), 2.0**-20
 
     def status(A, b, upper, tolerance=1e-9):
@@ -156,7 +156,7 @@ def test_a_violation_equal_to_the_tolerance_is_allowed():
 
 
 def test_units_of_length_and_of_the_cost_change_no_answer():
-    """Answers are equal to the last bit. Verdicts differ only where the absolute tolerance on A x = b decides."""
+    """Answers are equal to the last bit. The status differs only where the absolute tolerance on A x = b decides."""
     rng = np.random.default_rng(0)
     plain = [random_problem(rng, 7 + k % 3, structured=False, regularization=1e-5 * (k % 2)) for k in range(120)]
     problems = [nearly_singular(qp, 10.0 ** -rng.uniform(2, 15)) for qp in plain[:60]]
@@ -182,7 +182,7 @@ def test_an_idle_joint_without_gradient_stays_still_and_without_any_gradient_x_i
     qp = random_problem(np.random.default_rng(14), regularization=0.0)
     assert solve(qp).x[6] == 0.0
     assert solve(changed(qp, c2=0.0, grad_mu=np.ones(7))).x[6] == 0.0
-    for size in (1e-3, 1e3):  # a gradient below 1e-9 of the largest entry is rounding: no motion
+    for size in (1e-3, 1e3):  # a gradient below 1e-9 of the largest entry causes no motion
         grads = [size * (qp.grad_mu + share * np.eye(7)[6] * np.abs(qp.grad_mu[:6]).max()) for share in (5e-10, 2e-9)]
         assert [abs(solve(changed(qp, grad_mu=grad)).x[6]) > 0.1 for grad in grads] == [False, True]
     none = remade(changed(qp, regularization=1.0), np.zeros((6, 7)), np.zeros(6))
@@ -226,8 +226,8 @@ def test_near_the_rank_tolerance_no_wrong_answer_is_called_solved(decimals, sing
 
 
 @pytest.mark.parametrize("freedoms", [0, 1])
-def test_a_violation_of_the_box_counts_as_rounding_if_the_smallest_pivot_explains_it(freedoms):
-    """Rounding causes 4e-12 times 10 or 20 (largest |A| |x|) / pivot [rad/s]. A hundred times this is allowed."""
+def test_a_violation_of_a_bound_counts_as_rounding_if_the_smallest_pivot_explains_it(freedoms):
+    """Rounding causes an error of 4e-12 max(|A| |x|) / pivot [rad/s]. A hundred times this error is allowed."""
     wide = np.full(7, 10.0)
     for smallest, beyond, status in (
         (1e-3, 2e-6, Status.SOLVED), (1e-3, 2e-5, Status.INFEASIBLE), (1.0, 1e-7, Status.INFEASIBLE)
@@ -261,14 +261,14 @@ def test_solver_and_residuals_agree_which_slow_joints_stop_the_self_motion(moves
     A, x[6] = null_space(z[None]).T, 1.0
     found = check(NullSpaceQP(A[:3], A[3:], A[:3] @ x, A[3:] @ x, z, -wide, wide, regularization=1e-5)).x
     assert found[0] == pytest.approx(0.0 if stops else 1.0, abs=1e-5)
-    low, high = -wide, np.array(wide)  # far from its bounds, this joint shortens no interval to a point
+    low, high = -wide, np.array(wide)  # far from its bounds, this joint does not shorten the interval
     low[0], high[0] = 0.0, 1e-5
     short = NullSpaceQP(A[:3], A[3:], np.zeros(3), np.zeros(3), z, low, high, regularization=1e-5)
     assert [bool(short.residuals(end * z).verified()) for end in (0.0, 1e-5)] == [False, True]
 
 
-def test_rounding_seldom_makes_a_corner_of_the_box_infeasible():
-    """Columns range from 1e-3 to 1e3: rounding of b, divided by the smallest one, would exceed a fixed tolerance."""
+def test_rounding_seldom_makes_a_corner_of_the_bounds_infeasible():
+    """Rounding of b, divided by the smallest column of A (about 1e-3), would exceed a fixed tolerance."""
     rng, refused = np.random.default_rng(1), 0
     for _ in range(300):
         n, u = int(rng.integers(6, 10)), unit(rng)

@@ -15,7 +15,7 @@ def is_wrong(kind, qp, answer):
     if kind == "fail":
         return answer.status is Status.NUMERICAL and np.isnan(answer.x).all()
     if kind == "rig":
-        return (answer.x == 50.0).all() and qp.residuals(answer.x).primal < 1e-9  # by the problem that it rewrote
+        return (answer.x == 50.0).all() and qp.residuals(answer.x).primal < 1e-9  # the fault has rewritten the problem
     if kind == "malformed":
         return answer.y.dtype == complex
     if answer.status is not Status.SOLVED:
@@ -29,7 +29,7 @@ def is_wrong(kind, qp, answer):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_answers_are_wrong_at_the_drawn_ticks_and_right_at_the_others(kind):
-    """A faulty tick does not call the inner solver (except with "malformed"), so that its state stays the same."""
+    """Except with "malformed", a faulty tick does not call the inner solver, whose state then stays the same."""
     for inner in (Exact(), create("rnn")):
         session, honest = Faulty(inner, kind, rate=0.3, seed=4).start(PROBLEMS[0]), inner.start(PROBLEMS[0])
         corrupted = draw(4, 0.3, len(PROBLEMS))

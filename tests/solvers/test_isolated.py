@@ -25,7 +25,7 @@ def qp():
 
 
 def started(qp, act="", at=2, folder="", **settings):
-    """A session that counts as hung only after a minute, in case the machine is busy, unless the test gives a time."""
+    """Start a session. By default it counts as hung only after a minute, because the machine may be busy."""
     return isolated(Misbehaving(act, at, str(folder)), **{"hang_s": 60.0, **settings}).start(qp)
 
 
@@ -53,7 +53,7 @@ def until(said):
 
 
 def is_gone(number):
-    """Whether the process does not exist, or is a zombie."""
+    """Return whether the process has ended or is a zombie."""
     try:
         return Path(f"/proc/{number}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z"
     except FileNotFoundError:
@@ -100,7 +100,7 @@ def test_a_solver_that_is_lost_more_often_than_most_restarts_is_given_up(qp):
     assert len(session.restarts) == 2
 
 
-def test_a_late_answer_may_serve_the_next_tick_up_to_answer_age_ticks(qp, tmp_path):
+def test_a_late_answer_is_used_for_up_to_answer_age_ticks(qp, tmp_path):
     def numbered(number):
         row = np.array(qp.row)
         fields(row).weights[0] = number
@@ -123,7 +123,7 @@ def test_a_late_answer_may_serve_the_next_tick_up_to_answer_age_ticks(qp, tmp_pa
     assert own.restarts == old.restarts == []
 
 
-def test_against_a_wall_clock_no_tick_waits_for_the_new_process(qp):
+def test_in_real_time_no_tick_waits_for_the_new_process(qp):
     session = started(qp, "exit", waits=False)
     session.solve(qp)
     assert "status 3" in fault_of(session, qp)[1]
@@ -142,7 +142,7 @@ def test_child_processes_of_a_solver_end_with_its_session(qp, tmp_path):
 
 
 def test_a_hanging_process_ends_soon_after_its_loop_was_killed():
-    """As nobody is left to kill it, it ends by itself, one second after twice `hang_s`."""
+    """Nothing is left to kill the process, so it ends by itself one second after twice `hang_s`."""
     code = (
         "import numpy as np; from tests.problems import random_problem; from moc_opt.solvers.isolated import *; "
         "from tests.isolated_solvers import Misbehaving; qp = random_problem(np.random.default_rng(0)); "

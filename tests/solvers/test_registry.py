@@ -48,7 +48,7 @@ class Good:
     (ABSENT, {}, SolverError, "cannot run: .*pip install qpsolvers"), (3, {}, SolverError, "give the name of one"),
     ("osqp", {"eps": 10**400}, SolverError, "osqp: eps = 1000"),
 ])  # fmt: skip
-def test_the_error_of_a_wrong_name_or_setting_has_the_cure(name, given, error, cure):
+def test_the_error_of_a_wrong_name_or_setting_gives_the_remedy(name, given, error, cure):
     with pytest.raises(error, match=cure):
         create(name, **given)
 
@@ -112,7 +112,7 @@ def test_a_plug_in_with_a_built_in_name_is_not_used_and_the_message_asks_to_rena
     assert reasons[name] is None
     assert "rename the entry point" in reasons[f"{name} (entry point 'impostor:Good' of package 'impostor')"]
     with pytest.warns(UserWarning, match=f"entry point 'impostor:Good' of package 'impostor': the name '{name}'"):
-        assert create(name).name == name  # the built-in one
+        assert create(name).name == name  # the built-in solver
 
 
 @pytest.mark.parametrize(("solver", "options"), [

@@ -16,7 +16,7 @@ SEEDS = st.integers(0, 100_000)
 
 
 def right_hand_side(qp, x, l1, l2, k, scale=1.0):
-    """eps dY/dt as in docs/method.md, term by term."""
+    """Return eps dY/dt as in docs/method.md, term by term."""
     c0, c1, c2, rho = (scale * w for w in (qp.c0, qp.c1, qp.c2, qp.regularization))
     JT, JW = qp.J_tip, qp.J_wrist
     force = c0 * JT.T @ (JT @ x - qp.v_tip) + c1 * JW.T @ (JW @ x - qp.v_wrist) + rho * x - c2 * qp.grad_mu
@@ -45,7 +45,7 @@ def test_steps_integrate_the_networks_equation(method, h):
 
 
 def spectral_radius(qp, c, h, k, implicit, h_x):
-    """Spectral radius of a single step if no bound is active, without regularization, on the range of A and A^T."""
+    """Return the spectral radius of one step on the ranges of A and A^T, without active bounds or regularization."""
     A, hk, hk_x = qp.A, h * k, h_x * k
     m, n = A.shape
     onto_x = np.hstack([np.eye(n) - hk_x * c * A.T @ A, -hk_x * A.T])
@@ -64,7 +64,7 @@ def spectral_radius(qp, c, h, k, implicit, h_x):
 def test_settings_are_called_unstable_exactly_where_a_step_diverges(seed, c, k, h, implicit, h_x):
     qp = random_problem(np.random.default_rng(seed), c0=c, c1=c, regularization=0.0)
     radius = spectral_radius(qp, c, h, k, implicit, h if h_x is None else h_x)
-    if abs(radius - 1.0) > 1e-9:  # slow modes come within rounding of 1
+    if abs(radius - 1.0) > 1e-9:  # slow modes have a radius of 1 up to rounding
         assert (unstable(qp, h, k, 1.0, implicit, h_x) is None) == (radius < 1.0)
 
 
@@ -105,7 +105,7 @@ def test_after_an_overflow_the_network_restarts_from_zero():
 
 
 def test_rnn_printed_applies_equation_2_to_the_measured_velocity():
-    """The answer minus the measured v is the printed qdd_d = -v + P(v - k dL/dqd); h scales the steps of y only."""
+    """The answer minus the measured v is the printed qdd_d = -v + P(v - k dL/dqd). h scales only the steps of y."""
     qps = smooth_sequence(np.random.default_rng(6), 40, regularization=0.0)
     chosen = RNNPrinted()
     assert chosen.h == 0.002  # dt/eps for eps = 1 s at 500 Hz

@@ -25,7 +25,6 @@ SIZES: dict[str, dict[str, float]] = {
 
 
 def build(kind: str, **changed: float) -> Path:
-    """A path of this kind, tilted in space."""
     return make_path(kind, START, normal=NORMAL, heading=HEADING, **{**SIZES[kind], **changed})
 
 
@@ -41,7 +40,7 @@ any_path = st.one_of(
 @given(any_path, st.floats(0.0, 1.0))
 def test_a_curve_lies_in_its_plane_and_its_derivatives_are_finite_differences(path: Path, place: float) -> None:
     bends = max(1.0 / path.length, *(abs(path.curve.at(s)[4]) for s in path.curve.knots.tolist()))
-    # The step is small against the tightest bend of the path, and large against rounding.
+    # The step is small compared with the tightest bend, and large compared with rounding.
     h = 1e-3 / bends
     s = h + place * (path.length - 2.0 * h)
     np.testing.assert_allclose(path.at(0.0)[0], START, atol=1e-15)
@@ -132,15 +131,13 @@ def test_every_path_is_listed_and_a_broken_one_hides_no_other(added: None) -> No
     assert taken.curvature(0.0) == pytest.approx(50.0)
 
 
-# --- through waypoints ---
-
 STEPS = st.lists(st.tuples(*[st.floats(-0.01, 0.01)] * 3), min_size=1, max_size=8)
 
 
 @settings(max_examples=20)
 @given(STEPS)
 def test_a_path_through_waypoints_has_unit_speed_and_smooth_curvature(steps: list) -> None:
-    points = np.cumsum(np.add(steps, (0.02, 0.0, 0.0)), axis=0)  # each step 1 to 3 cm ahead: no cusp
+    points = np.cumsum(np.add(steps, (0.02, 0.0, 0.0)), axis=0)  # steps of 1 to 3 cm ahead make no cusp
     path = Waypoints(points, START, **AXES)
     s = np.linspace(0.0, path.length, 1001)
     p, tangent, bend = path.at(s)

@@ -12,7 +12,7 @@ from moc_opt.tasks import CURVES, Path, Reference, Trocar, duration, quintic, sh
 from moc_opt.tasks.timelaw import WaitingReference, flags_at
 from tests.tasks.test_paths import START, build, size
 
-# Gentle bends, so that evenly spaced samples come close to the sharpest point. Sharp bends have their own test.
+# With gentle bends, evenly spaced samples come close to the sharpest point. Sharp bends have their own test.
 curved = st.one_of(
     st.builds(lambda r: build("circle", radius=r), size),
     st.builds(
@@ -44,7 +44,7 @@ def test_the_duration_of_a_line_is_the_closed_form(length: float, v_max: float, 
 
 
 def extremes(reference: Reference, count: int) -> tuple[float, float]:
-    """Largest sampled speed and acceleration, as fractions of their limits."""
+    """Return the largest sampled speed and acceleration, as fractions of their limits."""
     t = reference.t_start + np.linspace(0.0, reference.duration, count)
     _, dx, ddx = reference.at(t)
     speed, acceleration = np.linalg.norm(dx, axis=1).max(), np.linalg.norm(ddx, axis=1).max()
@@ -84,8 +84,6 @@ def test_velocity_and_acceleration_are_derivatives_and_zero_before_and_after(kin
             np.testing.assert_allclose(np.concatenate((dx, ddx)), 0.0, atol=1e-12)
 
 
-# --- a reference that waits ---
-
 PERIOD = 0.01
 REFERENCES = {kind: Reference(build(kind), 0.05, 0.2) for kind in CURVES}
 CIRCLE = Reference(build("circle", radius=0.02), 0.05, 0.2)
@@ -117,7 +115,7 @@ def test_position_speed_and_acceleration_are_continuous_and_bounded(kind, losses
     assert np.linalg.norm(np.diff(x, axis=0), axis=1).max() <= v_bound * PERIOD * slack
     second = np.diff(x, 2, axis=0) / PERIOD**2
     assert np.linalg.norm(second, axis=1).max() <= a_bound * (1 + 1e-4)
-    # The acceleration of a tick is that at its start; until the next tick it changes by up to about `steps`.
+    # `ddx` is the acceleration at the start of a tick. Until the next tick it changes by up to about `steps`.
     steps = v_bound * PERIOD / (0.5 * BRAKE_S**2)
     assert np.abs(second - ddx[1:-1]).max() < 0.01 + 1.2 * steps
     middle = np.diff(x, axis=0) / PERIOD - 0.5 * (dx[1:] + dx[:-1])
@@ -202,5 +200,4 @@ def test_shaft_distance_is_the_distance_of_a_point_from_a_line(tip, tool, p, shi
     assert shaft_distance(tip + shift, tip - stretch * tool + shift, p + shift) == pytest.approx(d, abs=1e-11)
     rows = shaft_distance([tip, tip + shift], [wrist, wrist + shift], p)
     np.testing.assert_allclose(rows, [d, shaft_distance(tip + shift, wrist + shift, p)], rtol=1e-14)
-    # A point on the shaft has the distance zero.
     assert shaft_distance(tip, wrist, tip - 0.3 * tool) == pytest.approx(0.0, abs=1e-13)

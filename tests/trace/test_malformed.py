@@ -1,4 +1,4 @@
-"""Malformed traces are read correctly or refused; no code in a file runs, and no text in one controls a terminal."""
+"""Malformed traces are read correctly or refused. No code in a file runs, and no text in it controls a terminal."""
 
 import contextlib
 import copy
@@ -51,7 +51,7 @@ def changed(data, changes):
 @many(2.0)
 @given(st.booleans(), changes)
 def test_a_damaged_trace_is_read_or_refused(tmp_path, good_file, footer_only, changes):
-    """The damage is anywhere, or only in the footer (with its length corrected), where polars may panic."""
+    """The damage is anywhere in the file, or only in the footer, whose length is then corrected."""
     path, length = tmp_path / "trace.parquet", int.from_bytes(good_file[-8:-4], "little")
     if footer_only:
         footer = changed(good_file[-8 - length : -8], changes)
@@ -123,7 +123,7 @@ def places(value, before=()):
 @many()
 @given(data=st.data())
 def test_a_foreign_trace_is_shown_or_refused(tmp_path, faulty_run, data):
-    """Either metrics, table, remarks and JSON are made and no text controls the terminal, or the trace is refused."""
+    """If the trace is not refused, it gives metrics, table and JSON, and none of its texts controls the terminal."""
     columns, meta = dict(faulty_run[0]), copy.deepcopy(faulty_run[1])
     entries = [place for place in places(meta) if place]
     for _ in range(data.draw(st.integers(0, 3))):

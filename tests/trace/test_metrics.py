@@ -1,4 +1,4 @@
-"""Each metric equals a number worked out by hand. A metric without its data is left out; wrong data are refused."""
+"""Each metric equals a number computed by hand. A metric without its data is left out. Wrong data are refused."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NAN = math.nan
 
 
 def run(**changed: object) -> Trace:
-    """Four ticks with round numbers."""
+    """Return a run of four ticks with round numbers."""
     columns: dict[str, object] = {
         "t_s": [0.0, 0.002, 0.004, 0.006], "tau_Nm": [[0.0, 0.0], [3.0, 4.0], [3.0, 4.0], [3.0, 14.0]],
         "v_rad_per_s": [[0.0, 0.0], [0.0, 2.0], [0.0, 0.0], [0.0, 2.0]], "mu": [0.1, 0.2, 0.3, 0.4],
@@ -51,7 +51,7 @@ def test_every_metric_equals_its_value_by_hand() -> None:
         "trocar_force_mean_N": 2.0, "trocar_force_max_N": 5.0,
         # Steps of 5, 0 and 10 Nm in 2 ms.
         "torque_rate_rms_Nm_per_s": math.sqrt((2500.0**2 + 5000.0**2) / 3.0),
-        # Ticks 3 and 4, minus the mean of all four: -1, 1 rad/s and -1.5, 8.5 Nm.
+        # Ticks 3 and 4 deviate from the mean of all ticks by -1 and 1 rad/s, and by -1.5 and 8.5 Nm.
         "oscillation_rad_per_s": 1.0, "oscillation_Nm": math.sqrt((1.5**2 + 8.5**2) / 2.0),
         "solve_p50_us": 20.0, "solve_p99_us": 29.8, "tick_p50_us": 100.25,
         "tick_p99_us": float(np.percentile([50.0, 100.0, 150.0, 100.5], 99)), "deadline_misses": 2.0,

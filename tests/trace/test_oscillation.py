@@ -19,7 +19,7 @@ STIFF = {"K_X": 3000.0, "D_X": 80.0, "K_N": 800.0, "D_N": 60.0, "K_N2": 80.0, "D
 
 
 def made(joint=0, amplitude=0.0, hertz=50.0, column="v_rad_per_s", ticks=1500, period=PERIOD, where=None):
-    """A slow motion of every joint, and a shaking of one `joint` between the two times `where`."""
+    """Return a slow motion of every joint, with an oscillation of one `joint` between the two times `where`."""
     t = period * np.arange(ticks)
     columns = {
         "t_s": t, "v_rad_per_s": 0.5 * np.sin(2.0 * np.pi * 0.5 * t)[:, None] * np.ones(7),
@@ -36,7 +36,6 @@ def made(joint=0, amplitude=0.0, hertz=50.0, column="v_rad_per_s", ticks=1500, p
     period=st.sampled_from([0.001, 0.002]),
 )  # fmt: skip
 def test_the_joint_size_and_frequency_of_an_oscillation_are_found(joint, amplitude, hertz, period):
-    """The oscillation is added to a motion of 0.5 rad/s, sampled every 1 or 2 ms."""
     found = shaking(made(joint, amplitude, hertz, ticks=round(3.0 / period), period=period), "v_rad_per_s")
     assert found.joint == joint
     assert found.rms == pytest.approx(amplitude / np.sqrt(2.0), rel=0.15)
@@ -49,7 +48,7 @@ def test_the_joint_size_and_frequency_of_an_oscillation_are_found(joint, amplitu
     ("v_rad_per_s", limits.LIMIT_M_PER_S, "m/s", True), ("tau_Nm", limits.LIMIT_N, "N", True),
 ])  # fmt: skip
 def test_only_a_shaking_above_the_limit_in_the_unit_of_the_joint_counts(factor, column, limit, unit, slides):
-    """Joint 5 shakes below its own limit and does not count, even if sliding joint 1 shakes with a smaller value."""
+    """Joint 5 shakes below its own limit, so only joint 1 counts."""
     trace = made(0, factor * np.sqrt(2.0) * limit, 71.0, column)
     values = np.array(getattr(trace, column))
     values[:, 4] += 0.5 * limits.LIMIT_RAD_PER_S * np.sin(2.0 * np.pi * 31.0 * trace.t_s)
@@ -63,19 +62,19 @@ def test_only_a_shaking_above_the_limit_in_the_unit_of_the_joint_counts(factor, 
 
 
 @pytest.mark.parametrize("joint", [2, 5])
-def test_a_jerk_hides_no_oscillation(joint):
-    """The jerk of joint 3 is stronger than the oscillation that follows, of the same joint or of joint 6."""
+def test_a_stronger_jerk_does_not_hide_an_oscillation(joint):
+    """A jerk of joint 3 is stronger than the following oscillation of joint 3 or 6."""
     values = np.array(made(joint, 0.5, 40.0, where=(1.7, 9.0), ticks=2000).v_rad_per_s)
     jerk = made(2, 3.0, 16.0, where=(0.8, 0.8625), ticks=2000)
     values[:, 2] += jerk.v_rad_per_s[:, 2]
     assert describe(jerk, NAMES, TURNING) == ""
     both = jerk.with_columns(v_rad_per_s=values)
-    assert shaking(both, "v_rad_per_s").joint == 2  # the strongest shaking, even a jerk
+    assert shaking(both, "v_rad_per_s").joint == 2  # the jerk is the strongest shaking
     assert describe(both, NAMES, TURNING).startswith(f"joint_{joint + 1} at 40 Hz")
 
 
 @pytest.mark.parametrize(("amplitude", "hertz", "where", "says"), [
-    # Motions of a task, however large: up to a quarter of the lowest frequency that is judged.
+    # Task motions of any amplitude, at up to a quarter of the lowest judged frequency.
     (1.0, 0.2, None, False), (1.0, 1.0, None, False), (1.0, limits.ABOVE_HZ / 4.0, None, False),
     # A jerk during the start, and one after it.
     (3.0, 40.0, (0.0, 0.9 * limits.START_S), False), (3.0, 40.0, (limits.START_S, 2.0 * limits.START_S), True),
@@ -100,7 +99,7 @@ def test_a_run_that_was_stopped_or_is_brief_keeps_its_ending():
 
 
 @pytest.mark.parametrize(("begin", "amplitude", "says"), [(1.0, 2.0, True), (1.0, 0.1, False), (2.01, 9.0, False)])
-def test_a_stop_names_an_oscillation_before_it_and_none_due_to_braking(begin, amplitude, says):
+def test_a_stop_names_an_oscillation_before_it_but_no_shaking_due_to_braking(begin, amplitude, says):
     trace = made(3, amplitude, 24.0, where=(begin, 3.0)).with_meta(ended="stopped: x (t = 2.000 s)", stopped_at_s=2.0)
     said = judged_for_oscillation(trace, NAMES, TURNING).meta["ended"]
     assert said.startswith("stopped: x (t = 2.000 s)")
@@ -125,9 +124,9 @@ def test_a_trace_that_cannot_be_judged_is_refused_with_the_reason():
     ({"control": {**STIFF, "regularization": 0.0}}, "joint_5"),
 ], ids=["delay", "no friction", "rho = 0"])  # fmt: skip
 def test_an_unstable_loop_is_found_to_oscillate(changes, joint):
-    """K_N2 is 80 for every joint, and the delay is two ticks, or friction is zero (joint 7 is idle), or rho is zero.
+    """K_N2 is 80 for every joint. In addition, the delay is two ticks, or friction is zero, or rho is zero.
 
-    The limits on RCM error, trocar force and unexplained motion are off: they would stop these runs earlier.
+    The limits on RCM error, trocar force and unexplained motion are off, because they would stop these runs earlier.
     """
     free = {"rcm_error_m": None, "trocar_force_N": None, "motion": False}
     trace = run(Scenario(seed=1, duration_s=4.0, guard=free, **changes, **QUICK))

@@ -41,18 +41,18 @@ def trace():
 
 
 def assert_same(one, other):
-    """Assert that names, their order, types, shapes and bits are the same."""
+    """Assert that names, order, types, shapes and bits are equal."""
     assert list(one.columns) == list(other.columns)
     for name, array in one.columns.items():
         again = other.columns[name]
         assert (again.dtype, again.shape, again.tobytes()) == (array.dtype, array.shape, array.tobytes()), name
-    # Python calls 1.0 and 1, or -0.0 and 0.0, equal; but their types and signs must be kept too.
+    # `repr` tells 1.0 from 1, and -0.0 from 0.0.
     assert repr(one.meta) == repr(other.meta)
 
 
 @st.composite
 def traces(draw):
-    """Any trace with columns unknown to the package; floats have any bit pattern."""
+    """Draw a trace with columns unknown to the package. Floats have any bit pattern."""
     rows, columns = draw(st.integers(0, 6)), {}
     for i in range(draw(st.integers(0, 4))):
         dtype = np.dtype(draw(st.sampled_from(["f8", "f4", "i8", "i1", "u2", "?", "U5"])))
@@ -88,7 +88,7 @@ def test_columns_are_attributes_length_is_ticks_and_repr_describes_the_run(trace
 def test_trace_is_frozen_and_owns_its_arrays():
     mu, deep, view = np.ones(4, dtype=">f8"), {"a": [1]}, np.ones(4)
     locked = view[:]
-    locked.setflags(write=False)  # a read-only view of a writable array can still change underneath
+    locked.setflags(write=False)  # its base is still writable
     made = Trace({"mu": mu, "own": locked}, {"deep": deep})
     mu[0] = view[0] = 7.0
     deep["a"].append(2)

@@ -103,7 +103,7 @@ def test_blending_two_poses_goes_straight_from_one_to_the_other(a, b, share):
     way, turn = a.distance(b)
     moved, turned = a.distance(a.towards(b, share))
     assert moved == pytest.approx(share * way, abs=1e-12)
-    # Half a turn can be made in either direction; both turns have the right length.
+    # Half a turn can go in either direction. Both turns have the right length.
     assert turned == pytest.approx(share * turn, abs=1e-6)
     assert a.towards(b, 1.0).distance(b) == pytest.approx((0.0, 0.0), abs=2e-6)
 
@@ -175,7 +175,7 @@ def test_the_pose_and_the_corners_are_found():
 
 
 def test_single_pictures_are_accurate_with_six_of_ten_markers_hidden():
-    """With the board tilted, turned and 12 to 20 cm away, 0.07 mm and 0.03 degrees can be reached."""
+    """The board is tilted, turned and 12 to 20 cm away. Errors of 0.07 mm and 0.03 degrees can be reached."""
     rng, eye = np.random.default_rng(1), Camera(CameraSettings(), EYE.camera_in_base)
     view, finder, found = View(eye, BOARD, seed=1), BoardFinder(BOARD, eye), []
     for k in range(15):
@@ -247,7 +247,7 @@ def test_a_lost_board_is_reported_after_a_while_and_its_pose_is_kept():
     assert answers[10].pose.distance(HERE)[0] < 1e-12
 
 
-def test_a_moved_board_is_followed_once_enough_sightings_agree_and_never_where_they_disagree():
+def test_a_moved_board_is_followed_once_enough_sightings_agree_and_not_if_they_disagree():
     tracker, wild = BoardTracker(), BoardTracker()
     for each in (tracker, wild):
         feed(each, [sight()] * 5)

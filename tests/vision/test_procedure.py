@@ -34,7 +34,7 @@ def test_locating_the_board_is_accurate_and_repeats_with_the_same_seed():
     assert found["task_error_max_mm"] < 0.15
 
 
-def test_a_calibration_error_shifts_the_task_by_as_much():
+def test_a_calibration_error_shifts_the_task_by_its_size():
     camera = CameraSettings(calibration_error_m=0.002, calibration_error_deg=0.0)
     scene = Augmented(ROBOT, PHANTOM, camera=camera)
     assert scene.accuracy(scene.locate(), CIRCLE)["task_error_max_mm"] == pytest.approx(2.0, abs=0.15)
@@ -106,11 +106,11 @@ def guided(seed=0, **settings):
 
 
 def test_the_trocar_is_registered_on_the_realistic_arm():
-    """The same run with a registration error differs only in the registered trocar, which moves by that error."""
+    """A registration error shifts the registered trocar and changes nothing else in the run."""
     seed = 2
     found, plant = guided(seed, registration_error_m=0.0)
     assert found.status is HandsOnStatus.REGISTERED
-    # The encoders are accurate; the error is mostly the distance from the incision at which the hand stopped.
+    # The encoders are accurate. The error is mostly the distance from the incision at which the hand stopped.
     assert found.error_m < 0.002
     trace = found.trace
     assert np.linalg.norm(trace.hand_force_N, axis=1).max() <= 15.0 * (1 + 1e-12)
@@ -169,7 +169,7 @@ def test_the_hand_is_a_spring_and_damper_near_the_goal_and_keeps_its_largest_spe
 
 
 def moved(hand, place, load=(0.0, 0.0, 0.0), seconds=6.0):
-    """Places and final velocity of a mass of 4 kg that the hand moves under a steady load."""
+    """Return places and final velocity of a mass of 4 kg that the hand moves under a steady load."""
     place, velocity, places = np.array(place), np.zeros(3), []
     for _ in range(round(seconds / PERIOD)):
         velocity = velocity + PERIOD * (hand.pull(place, velocity, np.zeros(3)) + load) / 4.0
