@@ -26,7 +26,7 @@ class Arm:
         self, low: Array, high: Array, target: Array, q: Array, tangent: Array, step: float, s: Array, poses: Array,
         mus: Array, /,
     ) -> tuple[int, int]: ...
-    # Move each start to a local maximum of mu, in place. mus gets the maximum, or -1 without a pose.
+    # Move each start to a local maximum of mu, in place. mus gets the maximum, or -1 if no pose was found.
     def ascend(self, low: Array, high: Array, target: Array, starts: Array, mus: Array, /) -> None: ...
 
 def solve_exact(record: Array, tolerance: float, /) -> tuple[int, Array, Array]: ...  # status, x and y

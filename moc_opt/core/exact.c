@@ -9,7 +9,7 @@
 #include "vec.h"
 
 #define RANK_TOLERANCE 1e-12 /* a singular value below this share of |A|_F counts as zero */
-#define TIED 1e-7            /* this share for the sixth singular value, which a rigid tool makes zero */
+#define TIED 1e-7            /* share for the sixth singular value, which would be zero for a rigid tool */
 #define LOOK_CLOSER 1e3      /* a pivot below this multiple of the tolerance gets a closer check (own_part) */
 #define LEFT 1e-6            /* largest |A x - b| of an answer, as in qp/residuals.py [m/s] */
 #define SOUND 1e-6           /* if the last pivot is larger, rounding cannot spoil the answer [m] */
@@ -32,7 +32,7 @@ static void weigh_back(const moc_plane *plane, int steps, double g[6])
 }
 
 /* Estimate the next singular value, divided by |A|_F. Each row left at step k is a combination e^T A of the rows of A.
- * The estimate is the largest |e^T A| / |e|. Divided by the first pivot, the next one is at least a quarter of it. */
+ * The estimate is the largest |e^T A| / |e|. It is at most four times the pivot divided by the first pivot. */
 static double own_part(const moc_plane *plane, const moc_problem *p, int k)
 {
     double most = 0.0, size = 0.0;

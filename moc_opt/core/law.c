@@ -4,7 +4,7 @@
  *   tau_0 = K_N2 (x - v) - D_N2 v; share rises from 0 to 1 at the start. step.c has the order of a tick. */
 #include "vec.h"
 
-#define STRAIGHT 1e-3  /* a straighter elbow has less feed-forward; sqrt(smaller / larger mobility of the wrist) */
+#define STRAIGHT 1e-3  /* smallest sqrt(smaller / larger mobility of the wrist) for the whole feed-forward */
 
 #define SHAFT_PULL 0.1 /* weight of log mu_shaft relative to mu [m^3] */
 #define SHAFT_LOST 0.1 /* below this share of shaft_margin, the push falls with mu_shaft, to zero at mu_shaft = 0 */
@@ -158,7 +158,7 @@ static void add_at_rest(moc_projector projector, int n, double J[][MOC_MAX_JOINT
 void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, const moc_reference *ref,
                          const moc_trocar *trocar, double *tau)
 {
-    moc_terms *t = (moc_terms *)terms; /* is only read; C cannot convert a matrix to const */
+    moc_terms *t = (moc_terms *)terms; /* only read: C cannot convert a matrix to const */
     double(*J_T)[MOC_MAX_JOINTS] = t->A, (*J_W)[MOC_MAX_JOINTS] = t->A + 3;
     double dX[3], dN[3], F[3], ddN_d[3], tau_W[MOC_MAX_JOINTS] = {0.0}, share = 1.0;
 
@@ -190,8 +190,7 @@ void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, cons
 }
 
 /* With m = mu_shaft, the push is SHAFT_PULL (1 - m/margin) m / (m^2 + lost^2) [m] below the margin, and zero above.
- * This is the slope of a barrier that starts smoothly at the margin. Its product with grad mu_shaft has no kink at m =
- * 0. */
+ * It starts smoothly at the margin, and its product with grad mu_shaft has no kink at m = 0. */
 double moc_shaft_push(double mu_shaft, double margin)
 {
     double lost = SHAFT_LOST * margin;

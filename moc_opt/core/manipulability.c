@@ -58,10 +58,11 @@ double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOIN
  * C is zero along the shaft u, and pdet(C) is the product of its other two eigenvalues. If mu_s is zero, a rotation of
  * the shaft needs infinite joint speed.
  *
- * The gradient is taken in the tool's axes, which joint k turns with ang_k. In these axes, dJ_j/dq_k is zero for k <=
- * j, else ang_j x J_k - ang_k x J_j. With N = I - pinv(J_T) J_T and K = J_W pinv(J_T), let P_j be C^+ (J_W N)_j for the
- * wrist's columns and -K^T C^+ (J_W N)_j for the tip's. Then dmu_s/dq_k = mu_s sum_{wrist, tip} (J_k . sum_{j<k} P_j x
- * ang_j - ang_k . sum_{j<k} J_j x P_j). The gradient is set to zero where mu or mu_s has a kink. */
+ * The gradient is taken in the tool's axes, which joint k turns with ang_k. In these axes, dJ_j/dq_k is
+ * ang_j x J_k - ang_k x J_j for k > j, and zero else. With N = I - pinv(J_T) J_T and K = J_W pinv(J_T), let P_j be
+ * C^+ (J_W N)_j for the wrist's columns and -K^T C^+ (J_W N)_j for the tip's. Then
+ * dmu_s/dq_k = mu_s sum_{wrist, tip} (J_k . sum_{j<k} P_j x ang_j - ang_k . sum_{j<k} J_j x P_j).
+ * The gradient is set to zero where mu or mu_s has a kink. */
 double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], const double u[3],
                                 double *gradient)
 {

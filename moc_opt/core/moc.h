@@ -73,8 +73,8 @@ typedef struct {
     double q[MOC_MAX_JOINTS];              /* the pose to which A belongs; only nonlinear solvers use it */
 } moc_problem;
 
-/* Compute the optimum x (n,) and the multipliers y (6,) of A x = b by elimination. Bounds may be violated by
- * `tolerance` [rad/s]. x and y are valid only if the status is MOC_OK. */
+/* Compute the optimum x (n,) and the multipliers y (6,) of A x = b by elimination. If A x = b violates the
+ * bounds by at most `tolerance` [rad/s], it counts as feasible. x and y are valid only if the status is MOC_OK. */
 moc_status moc_solve_exact(const moc_problem *problem, double tolerance, double *x, double y[6]);
 
 /* --- the law --- */
@@ -107,7 +107,7 @@ typedef struct {
     double fade;                                 /* at the start, the third level's share grows by this per tick */
     int third_level;                             /* 1: the third level follows x of the subproblem; 0: no subproblem */
     int damped;                                  /* 1: without a subproblem, D_N2 damps the self-motion */
-    int climbs;                                  /* 1: the third level climbs mu by Newton's steps (moc_climb) */
+    int climbs;                                  /* 1: the third level climbs mu by Newton steps (moc_climb) */
 } moc_law;
 
 /* What the law remembers from tick to tick. */
@@ -165,7 +165,7 @@ typedef struct {
     double opposite_limit;  /* a claimed optimum is refused if it is farther than this from the optimum and nearer
                              * to the optimum of the opposite gradient [rad/s] */
     int hold_ticks;         /* ticks for which the last accepted answer replaces refused ones */
-    int keep_off_limits;    /* after these ticks; 1: move the elbow only to keep the bounds; 0: damp it */
+    int keep_off_limits;    /* after hold_ticks, 1: the elbow moves only if the bounds require it; 0: it is damped */
     moc_fallback fallback;  /* for an infeasible subproblem */
     moc_late late;          /* for a late answer */
     double budget_us;       /* longest solve time [us]; infinite: no limit */
@@ -249,13 +249,13 @@ typedef struct {
     double repeats, whole;                   /* ticks with unchanged q, in a row; with unchanged q and v, in total */
     double torque;                           /* torque when all encoders stopped changing [Nm] */
     double integral, residual, mean;         /* momentum observer: integral, residual and its mean */
-    double at_repeat, unseen, exceeded;      /* STUCK: mean, speed since q last changed; UNEXPLAINED: ticks */
+    double at_repeat, unseen, exceeded;      /* STUCK: mean when q last changed, speed since; UNEXPLAINED: ticks */
 } moc_joint_watch;
 
 /* What the safety filter remembers. */
 typedef struct {
     double q[MOC_MAX_JOINTS], v[MOC_MAX_JOINTS]; /* the last believed measurement; later v extrapolates q */
-    double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS]; /* the walls, or the start of a joint beyond its wall */
+    double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS]; /* the walls; a joint that starts beyond moves its wall */
     int bad;                                     /* measurements in a row that were not believed */
     double tip_square;                           /* mean square of the tip's error [m^2] */
     double point[3];                             /* the trocar, as last registered [m] */
@@ -270,7 +270,7 @@ typedef struct {
     moc_joint_watch joint[MOC_MAX_JOINTS];
     double told[3], still[3];                    /* tip's reference, now and when all encoders froze [m] */
     double wrench[6], wrench_repeats;            /* the latest wrench; number of readings before that equal it */
-    int looked, wrench_is_still;                 /* first readings so far; 1: two in a row were equal */
+    int looked, wrench_is_still;                 /* readings, up to FIRST_READINGS; 1: two in a row were equal */
     int weighed;                                 /* number of readings that were compared with the torque */
     double number[MOC_SLOTS], at[MOC_SLOTS];     /* table of take_in: a reading and its index from 1; 0: empty */
     double joint_number[MOC_MAX_JOINTS][MOC_JOINT_SLOTS], joint_at[MOC_MAX_JOINTS][MOC_JOINT_SLOTS];

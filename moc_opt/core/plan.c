@@ -256,7 +256,8 @@ double plan_ascend(const plan_task *task, double *q)
 
 /* --- one step of a value function --- */
 
-/* The largest value, minus the cost of the motion, among the next poses of a branch within reach. At least `best`. */
+/* The largest value, minus the cost of the motion, among the next poses of a branch that are within reach. Returns
+ * `best` if it is larger. */
 static double best_in(const plan_stage *t, int pose, int branch, double best)
 {
     const double *q = t->q + pose * t->n, *slack = t->slack + pose * t->n;

@@ -26,8 +26,8 @@
 typedef enum { READ, WRITE, STRIDED, MAYBE, NUMBER, WHOLE, MADE } kind;
 
 /* Symbolic lengths: N joints, ROW = 11 n + 10 numbers of a packed subproblem, TERMS = n n + 13 n + 18 of packed terms,
- * TICKED = 14 n + 16 results of a tick, K rows (the first such array sets k), ANY length. An array with 0
- * columns has one axis. */
+ * TICKED = 14 n + 16 results of a tick, K rows (the first such array sets k), ANY length. 0 columns: an array
+ * with one axis. */
 enum { N = -1, ROW = -2, TERMS = -3, TICKED = -4, K = -5, ANY = -6 };
 
 typedef struct {

@@ -1,6 +1,6 @@
 /* The safety filter. It checks every measurement, limits every torque, and decides when the arm has to stop.
  *
- * The list has the reasons to stop, with the fields of moc_guard. T is the control period, and r the momentum residual.
+ * The table gives the condition of each reason to stop. T is the control period, and r the momentum residual.
  * A reason with a * has to hold on more than `patience` ticks in a row. The first reason that applies is reported.
  *
  *   LATE              now - newest stamp > usual delay + patience
@@ -23,7 +23,7 @@
  *   TORQUE            the controller's torque is not finite
  *
  * A torque is limited by each joint's wall and brake (left_by_wall), then by torque_step, then by tau_max.
- * docs/reliability.md derives the limits. docs/extending.md describes how to add a check. */
+ * docs/reliability.md explains the limits. docs/extending.md describes how to add a check. */
 #include <limits.h>
 
 #include "vec.h"
@@ -135,7 +135,7 @@ static bool compare_joint(const moc_guard *g, double q, double v, double elapsed
         j->repeats += 1.0;
     } else {
         j->repeats = 0.0;
-        j->at_repeat = j->mean; /* a coarse encoder step disturbs the last residual */
+        j->at_repeat = j->mean; /* the mean, because a coarse encoder step disturbs the residual */
         j->unseen = 0.0;
     }
     j->shown = q;
@@ -449,8 +449,8 @@ void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before
 
 /* With closed brakes the arm keeps pressing on the tissue. With open brakes it sinks under any load that its model
  * lacks. Therefore the brakes open when the trocar's force exceeds stop_yield. They close at half of stop_yield, or
- * after stop_yield_ticks. They open again when the force has risen by another stop_yield. If the drives cannot carry
- * the weight, or a drive is at fault (w->cut), the brakes stay closed. */
+ * after stop_yield_ticks. They open again when the force has risen by another stop_yield. They stay closed if
+ * the drives cannot carry the weight. If a drive is at fault (w->cut), closed brakes alone hold the arm. */
 void moc_guard_hold(const moc_guard *g, const moc_arm *arm, const double *wrench, moc_watch *w, double *friction)
 {
     double weight[MOC_MAX_JOINTS], pose[4][3];

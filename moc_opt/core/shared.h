@@ -24,7 +24,7 @@ typedef struct {
 /* Compute all terms. Returns MOC_OK or MOC_NOT_FINITE. */
 moc_status moc_compute_terms(const moc_arm *arm, const double *q, const double *v, moc_terms *terms);
 
-/* Compute frame[n] and twist[n] of the joints at a finite q. moc_kinematics also computes the kinematic terms of q. */
+/* Compute frame[n] and twist[n] of the joints at a finite q. moc_kinematics also fills the kinematic terms. */
 void moc_place(const moc_arm *arm, const double *q, moc_frame *frame, moc_twist *twist);
 void moc_kinematics(const moc_arm *arm, const double *q, moc_frame *frame, moc_twist *twist, moc_terms *terms);
 

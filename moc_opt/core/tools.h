@@ -9,7 +9,7 @@
 typedef struct {
     int steps;      /* largest number of steps */
     double h_x, h_y; /* step sizes dt/eps of x and of the multipliers */
-    double k;       /* the paper's gain */
+    double k;       /* gain k of Su et al. 2019 */
     double scale;   /* multiplies c0, c1, c2 and rho */
     int implicit;   /* 1: the multipliers are updated with the new x */
     double rest;    /* stop when no right-hand side of rnn.c is larger [rad/s, m/s] */
@@ -38,7 +38,7 @@ double plan_place(const plan_task *task, int points, int iterations, const doubl
 int plan_follow(const plan_task *task, const double *q, const double *tangent, double step, int most, double *s,
                 double *poses, double *mus, int *closed);
 
-/* Bring q (n,) to the target, then to a local maximum of mu within the limits. Returns mu, or -1 without a pose. */
+/* Bring q (n,) to the target, then to a local maximum of mu within the limits. Returns mu, or -1 on failure. */
 double plan_ascend(const plan_task *task, double *q);
 
 /* One step of dynamic programming: compute the value (branches, m) of each pose from the values at the next time.

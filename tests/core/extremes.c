@@ -3,7 +3,7 @@
  * It checks that no access is outside an array, that every loop ends, and that the torque of the safety filter is
  * finite and within its limits. It also prints a digest of all results. Array entries from the n-th on are NaN, so that
  * the digest changes if the core uses one of them. Every compiler gives the same digest, because the program has its
- * own sine and cosine. The core needs only exact functions of the C library otherwise.
+ * own sine and cosine. All other functions that the core takes from the C library are exact.
  *
  * Usage: extremes [courses] [seed]. A course runs one random controller. The exit status is 0 if all checks pass. */
 #include <limits.h>
@@ -371,8 +371,8 @@ static void repeat(moc_problem *p, int i, const double *x)
 /* Solve a random subproblem, run the network on it, and let moc_judge and moc_supervise check good and bad answers.
  * Returns 0 if an answer that `exact` calls solved violates A x = b.
  *
- * Some joints are idle, some have nearly parallel columns, and rows of A may be dependent. A x = b may meet the box in
- * a corner only, or not at all. */
+ * Some joints are idle, some have nearly parallel columns, and rows of A may be dependent. The feasible set may be
+ * a single corner of the box, or empty. */
 static int subproblem(void)
 {
     static const double weights[] = {0x1p-10, 0x1p-17, 0.0, 1e-3};
