@@ -1,4 +1,4 @@
-"""The extension module. NumPy's headers come from the NumPy that is installed for the build."""
+"""Build the extension module with the headers of the installed NumPy."""
 
 from glob import glob
 

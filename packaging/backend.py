@@ -18,7 +18,7 @@ from setuptools.build_meta import *  # noqa: F403 - the other hooks are setuptoo
 
 def _system_compiler() -> bool:
     if "CC" in os.environ:
-        return True  # if it is missing, the error should name it
+        return True  # if this compiler does not exist, the build fails with its name
     return shutil.which((sysconfig.get_config_var("CC") or "cc").split()[0]) is not None
 
 
@@ -34,7 +34,7 @@ def _require(hook: Any, settings: Any) -> list[str]:
 def _with_compiler(hook: Any, *arguments: Any) -> str:
     if _system_compiler():
         return str(hook(*arguments))
-    # Without an explicit target, zig would use every instruction and the C library of this very machine.
+    # Without a target, zig would compile for the processor and the C library of this machine.
     zig = f"{shlex.quote(sys.executable)} -m ziglang cc -target {platform.machine()}-linux-gnu.2.28"
     with tempfile.TemporaryDirectory() as cache:
         os.environ.update(CC=zig, LDSHARED=f"{zig} -shared", ZIG_GLOBAL_CACHE_DIR=cache)
@@ -52,10 +52,10 @@ def get_requires_for_build_editable(config_settings: Any = None) -> list[str]:
 
 
 def build_wheel(wheel_directory: str, config_settings: Any = None, metadata_directory: Any = None) -> str:
-    """Build the wheel, its extension module included."""
+    """Build the wheel with its extension module."""
     return _with_compiler(_setuptools.build_wheel, wheel_directory, config_settings, metadata_directory)
 
 
 def build_editable(wheel_directory: str, config_settings: Any = None, metadata_directory: Any = None) -> str:
-    """Build the extension module in place, and the wheel that points here."""
+    """Build the extension module in place, and a wheel that refers to this folder."""
     return _with_compiler(_setuptools.build_editable, wheel_directory, config_settings, metadata_directory)

@@ -1,7 +1,7 @@
-"""The control tick in C: arm, control law, subproblem, solver `exact`, neural network, safety filter. Read moc.h first.
+"""One control period in C: arm, control law, subproblem, solver `exact`, neural network, safety filter.
 
-`tools.h` declares functions that only Python calls. The binding (`arguments.c`, `python*.c`, `plant.c`) takes only
-arrays of float64 that are C-contiguous of the right shape, else raises ValueError or TypeError. It keeps no array.
+Read `moc.h` first. `tools.h` declares the functions that only Python calls. `arguments.c`, `python*.c` and `plant.c`
+are the Python binding. It accepts C-contiguous float64 arrays of the right shape, else raises ValueError or TypeError.
 """
 
 from __future__ import annotations

@@ -1,15 +1,15 @@
-/* Check of a solver's answer, and its replacements. */
+/* Checks a solver's answer and replaces a refused answer. */
 #include "vec.h"
 
-#define AT_BOUND 1e-4          /* largest distance from a bound at which a joint counts as at it [rad/s] */
-#define PASSES 2e-3            /* natural residual up to which `off` and `opposite` may stay zero */
-#define NO_GRADIENT 1e-12      /* share of the gradient along the self-motion that counts as zero */
-#define IMMOBILE 1e-12         /* floor of a column's squared length, against division by zero */
-#define GRADIENT_ROUNDING 1e-9 /* length of a descent direction that counts as zero (qp/residuals.py) */
+#define AT_BOUND 1e-4          /* a joint this close to a bound counts as lying on it [rad/s] */
+#define PASSES 2e-3            /* up to this natural residual, `off` and `opposite` may stay zero */
+#define NO_GRADIENT 1e-12      /* a gradient along the self-motion below this share of the whole counts as zero */
+#define IMMOBILE 1e-12         /* smallest divisor in place of a column's squared length */
+#define GRADIENT_ROUNDING 1e-9 /* a shorter descent direction counts as zero (qp/residuals.py) */
 #define DESCENTS 50            /* sweeps of least_violation */
-#define OUTSIDE 1e-6           /* largest violation of the box by a retreat [rad/s] */
+#define OUTSIDE 1e-6           /* largest bound violation in `retreat` [rad/s] */
 
-/* Whether joint j moves neither tip nor wrist: e_j itself lies in ker A. */
+/* Whether joint j moves neither tip nor wrist: the unit vector e_j lies in ker A. */
 static bool is_idle(int rows, double Z[][MOC_MAX_JOINTS], int j)
 {
     double own = 0.0;
@@ -18,10 +18,10 @@ static bool is_idle(int rows, double Z[][MOC_MAX_JOINTS], int j)
     return own > 1.0 - 1e-12;
 }
 
-/* The direction d (n,) of steepest descent from x within ker A and the box. Returns the scale of the cost.
+/* Compute the direction d (n,) of steepest feasible descent from x. Returns the scale of the cost.
  *
- * d is the projection of the negative reduced gradient on the tangent cone of the feasible set; it is zero only at an
- * optimum. It solves a subproblem in which joints AT_BOUND may only move inwards, and idle joints not at all. */
+ * d is the negative gradient projected on the tangent cone of the feasible set. It is zero only at an optimum. It
+ * solves a subproblem in which joints at a bound may only move inwards, and idle joints stay still. */
 static double steepest_descent(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS], const double *x, double *d)
 {
     moc_problem cone = {.n = p->n, .rho = 1.0};
@@ -43,10 +43,12 @@ static double steepest_descent(const moc_problem *p, int rows, double Z[][MOC_MA
     return scale;
 }
 
-/* Let s be the coordinate of x along a line of self-motion. The cost on this line is -c2 g s + rho s^2 / 2. On the
- * segment inside the box, its optimum is clip(c2 g / rho), and that of the opposite gradient is clip(-c2 g / rho). If
- * the elbow swivel is the only freedom, the line is the whole feasible set. With several freedoms, the line is the
- * steepest feasible descent at x; the residuals are zero if there is no descent. */
+/* The residuals are measured along a line of self-motion. If the elbow swivel is the only self-motion, this line is the
+ * whole feasible set. If ker A has more dimensions, the line is the steepest feasible descent at x. Without a descent
+ * the residuals are zero.
+ *
+ * Let s be the coordinate of x along the line. The cost is rho s^2 / 2 - c2 g s. Its optimum within the bounds is
+ * clip(c2 g / rho). The optimum of the opposite gradient is clip(-c2 g / rho). */
 moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS], const double *x)
 {
     moc_residuals found = {0.0, 0.0, 0.0, 0.0, 0.0};
@@ -66,7 +68,7 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
     moc_onto(n, rows, Z, p->pull, line);
     if (sqrt(dot(n, line, line)) <= NO_GRADIENT * steepest || !(p->c2 > 0.0))
         return found;
-    /* A course at rest has x_d = 0 and thus a zero gradient (rho/c2) x_d; the scale is rho then. */
+    /* To follow a motion that is almost at rest, pull = (rho/c2) x_d is tiny. The scale is then rho. */
     double scale = fmax(p->c2 * steepest, p->rho);
     int several = freedoms > 1, faint = p->rho >= p->c2 * steepest;
     if (several) {
@@ -89,7 +91,7 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
             high = smaller(larger(one, other), high);
         }
     }
-    low = smaller(0.0, low); /* x counts as feasible here: its violation is in `outside` */
+    low = smaller(0.0, low); /* here x counts as feasible; `outside` has its violation */
     high = larger(0.0, high);
     for (int j = 0; j < n; j++) {
         double push = line[j] * slope;
@@ -105,11 +107,9 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
     return found;
 }
 
-/* The smallest self-motion that keeps the arm's motion in the box. `motion` stays as it is if there is none.
- *
- * With a damped self-motion, the arm follows its references with the shortest x of A x = b, which may move a joint to
- * its limit. The shortest x of A x = b within the box is the optimum of the subproblem without pull, and `motion`
- * becomes its part in ker A. */
+/* Compute the smallest self-motion that keeps the joint velocities within the bounds. If there is none, `motion` is
+ * unchanged. The shortest x of A x = b within the bounds is the optimum of the subproblem without pull. `motion` is the
+ * part of this x in ker A. */
 static void retreat(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOINTS], double *motion)
 {
     moc_problem p = *problem;
@@ -119,11 +119,11 @@ static void retreat(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOI
     p.rho = 1.0;
     p.c2 = 0.0;
     if (moc_solve_exact(&p, OUTSIDE, x, y) != MOC_OK || !(off_plane(&p, x) <= OUTSIDE))
-        return; /* no x of the box meets A x = b, or A has lost more than one rank */
+        return;
     moc_onto(p.n, rows, Z, x, motion);
 }
 
-/* The x of the box with the smallest |A x - b|, by coordinate descent. */
+/* Compute the x within the bounds with the smallest |A x - b|, by coordinate descent. */
 static void least_violation(const moc_problem *p, double *x)
 {
     double missing[6], size[MOC_MAX_JOINTS] = {0.0};

@@ -1,14 +1,14 @@
 /* Arguments of the binding: arrays, numbers, and keywords that fill a struct. */
 #include "python.h"
 
-/* Lengths nn n n + n n + one, in the order of the enum. */
+/* The symbolic lengths of python.h: coefficients of n^2, n and 1, and the words in messages. */
 static const struct {
     int nn, n, one;
     const char *words;
 } lengths[] = {{0, 1, 0, "n"},          {0, 11, 10, "11 n + 10"}, {1, 13, 18, "n n + 13 n + 18"},
                {0, 14, 16, "14 n + 16"}, {0, 0, 0, "k"},           {0, 0, 0, "any"}};
 
-/* A length as a number; `wanted` is not ANY. */
+/* The value of a length other than ANY. */
 static npy_intp length_of(const call *c, int wanted)
 {
     if (wanted >= 0 || wanted == K)
@@ -16,7 +16,7 @@ static npy_intp length_of(const call *c, int wanted)
     return (lengths[-1 - wanted].nn * c->n + lengths[-1 - wanted].n) * c->n + lengths[-1 - wanted].one;
 }
 
-/* Whether a length is the wanted one. The first array that has n or k sets it for the others. */
+/* Whether an array has the wanted length. The first array of a call sets n and k for the others. */
 static bool fits(call *c, int wanted, npy_intp length)
 {
     if (wanted == K && c->k < 0)

@@ -127,7 +127,7 @@ static void dynamics(const moc_arm *arm, const moc_frame *frame, const moc_twist
 
     memset(V, 0, sizeof *V);
     memset(acceleration, 0, sizeof *acceleration);
-    for (int k = 0; k < n; k++) { /* from the base outwards: velocity, momentum and its rate of each link */
+    for (int k = 0; k < n; k++) { /* from the base outwards: velocity, momentum and rate of momentum */
         link[k] = link_in_world(&arm->joint[k], &frame[k]);
         rate[k] = carried(V, &S[k]);
         add(t->v[k], &S[k], V);
@@ -158,7 +158,7 @@ static void dynamics(const moc_arm *arm, const moc_frame *frame, const moc_twist
         t->M[k][k] += arm->joint[k].rotor;
         t->gravity[k] = power(&S[k], &weight);
         t->h[k] = power(&S[k], &force[k]) + t->gravity[k];
-        /* only the links beyond joint k turn with it */
+        /* H[k] is now the momentum of all links that joint k moves */
         t->energy_slope[k] = power(&rate[k], &H[k]);
     }
 }

@@ -1,27 +1,27 @@
-/* The optimum of the subproblem by elimination, without iterations towards a tolerance.
+/* The optimum of the subproblem by elimination.
  *
- * On A x = b the c0 and c1 terms are constant. The cost is then rho/2 |x|^2 - c2 pull^T x over the box. Gauss-Jordan
+ * On A x = b the c0 and c1 terms are constant. The rest of the cost is rho/2 |x|^2 - c2 pull^T x. Gauss-Jordan
  * elimination with complete pivoting (Golub and Van Loan, Matrix Computations, 3.4.8) writes x as a particular solution
  * plus a combination of free joints. A joint with a zero column (joint 7, if the tool lies on its axis) moves neither
- * tip nor wrist and is solved alone. One freedom that is left, the elbow swivel, needs a ratio test in closed form;
- * several need a projection onto a polytope (polytope.c). The elimination is compiled for rows of 8 and of 16 numbers,
- * padded with zeros, so that the compiler unrolls the loops over a row. */
+ * tip nor wrist. Its speed is computed separately. If one free joint is left (the elbow swivel), a ratio test gives the
+ * optimum. If several are left, polytope.c finds it. Rows are padded with zeros to 8 or 16 numbers, so that the
+ * compiler unrolls the loops over a row. */
 #include "vec.h"
 
-#define RANK_TOLERANCE 1e-12 /* share of |A|_F below which a singular value counts as zero */
-#define TIED 1e-7            /* the same for the sixth singular value, which a rigid tool makes zero */
-#define LOOK_CLOSER 1e3      /* multiple of the tolerance below which a pivot gets a closer check (own_part) */
-#define LEFT 1e-6            /* largest |A x - b| of a dropped row, as in the judge's primal tolerance [m/s] */
-#define SOUND 1e-6           /* last pivot above which rounding cannot spoil the answer [m] */
-#define UNBALANCED 1e-4      /* largest error of A^T y = force, as share of the cost's slope; a tenth of the judge's */
-#define IDLE 1e-12           /* largest entry of the free column of a joint that moves neither tip nor wrist */
-#define ROUNDING 1e-9        /* share of the largest entry of pull that counts as zero */
-#define GROWTH 4e-12         /* 2^14 roundings: cancellation in six steps with columns of 1000 times different size */
-#define WIDEST 1e-5          /* largest tolerance of the box that rounding may justify for an answer [rad/s] */
-#define UNCLEAR 1e-3         /* the same for the check that an infeasible problem stays infeasible [rad/s] */
-#define SLIVER 2e-9          /* least effect of rounding with several freedoms, which may be parallel [rad/s] */
+#define RANK_TOLERANCE 1e-12 /* a singular value below this share of |A|_F counts as zero */
+#define TIED 1e-7            /* share for the sixth singular value, which would be zero for a rigid tool */
+#define LOOK_CLOSER 1e3      /* a pivot below this multiple of the tolerance gets a closer check (own_part) */
+#define LEFT 1e-6            /* largest |A x - b| of an answer, as in qp/residuals.py [m/s] */
+#define SOUND 1e-6           /* if the last pivot is larger, rounding cannot spoil the answer [m] */
+#define UNBALANCED 1e-4      /* largest error of A^T y = force, divided by the cost's slope */
+#define IDLE 1e-12           /* a free joint with no larger entry in its column moves neither tip nor wrist */
+#define ROUNDING 1e-9        /* an entry of pull below this share of the largest entry counts as zero */
+#define GROWTH 4e-12         /* largest relative rounding error of six elimination steps */
+#define WIDEST 1e-5          /* largest bound violation before clipping that rounding may excuse [rad/s] */
+#define UNCLEAR 1e-3         /* largest widening of the bounds when an infeasible problem is checked again [rad/s] */
+#define SLIVER 2e-9          /* smallest rounding error assumed if several free joints are left [rad/s] */
 
-/* Turn weights g (6,) of the eliminated rows into weights of the rows of A: apply the transposed steps backwards. */
+/* Turn multipliers g (6,) of the eliminated rows into multipliers of the rows of A. */
 static void weigh_back(const moc_plane *plane, int steps, double g[6])
 {
     for (int k = steps - 1; k >= 0; k--) {
@@ -31,8 +31,8 @@ static void weigh_back(const moc_plane *plane, int steps, double g[6])
     }
 }
 
-/* An estimate of the next singular value as a share of |A|_F: the largest |e^T A| / |e| of the rows e^T A that are left
- * at step k. The pivot is at least a quarter of this, and up to a hundred times as large if e is long. */
+/* Estimate the next singular value, divided by |A|_F. Each row left at step k is a combination e^T A of the rows of A.
+ * The estimate is the largest |e^T A| / |e|. It is at most four times the pivot divided by the first pivot. */
 static double own_part(const moc_plane *plane, const moc_problem *p, int k)
 {
     double most = 0.0, size = 0.0;
@@ -47,7 +47,7 @@ static double own_part(const moc_plane *plane, const moc_problem *p, int k)
     return sqrt(most);
 }
 
-/* Returns the rank of A, or -1 - k if the rows left at step k are neither dependent nor clearly independent. */
+/* Returns the rank of A, or -1 - k if rounding hides whether the rows left at step k are dependent. */
 static inline int eliminate(moc_plane *plane, const moc_problem *p, int m)
 {
     double first = plane->pivot = HUGE_VAL;
@@ -101,8 +101,8 @@ static inline int eliminate(moc_plane *plane, const moc_problem *p, int m)
     return 6;
 }
 
-/* Check x against the dropped rows. A violated row makes the problem infeasible if no x of the box can reach its right
- * side. Otherwise the row is neither independent nor dependent, and there is no answer. */
+/* Check x against the dropped rows. If no x within the bounds can satisfy a violated row, the problem is
+ * infeasible. Otherwise rounding hides whether the row is dependent, and the status is MOC_DOUBTFUL. */
 static moc_status check_dropped(const moc_plane *plane, const moc_problem *p, const double *x)
 {
     moc_status status = MOC_OK;
@@ -152,7 +152,7 @@ static double idle_speed(const moc_problem *p, int j)
     return clip(pull == 0.0 ? 0.0 : pull / p->rho, p->lower[j], p->upper[j]); /* rho = 0: at a bound */
 }
 
-/* The interval of s in which x + s z violates no bound by more than the slack, and the joints that end it. */
+/* The interval of s in which x + s z violates no bound by more than the slack, and the joints whose bounds end it. */
 typedef struct {
     double low, high;
     int joint[2];
@@ -173,7 +173,7 @@ static inline segment ratio_test(const moc_problem *p, const double *x, const do
     return s;
 }
 
-/* One freedom: the best point x + s z of its segment, in closed form. */
+/* Solve for a single free joint: move x to the best point x + s z within the bounds. */
 static void solve_one(const moc_plane *plane, const moc_problem *p, double tolerance, double *x, double *force)
 {
     double z[MOC_MAX_JOINTS], zz = 0.0, zx = 0.0, zg = 0.0, slope = 0.0;
@@ -187,7 +187,7 @@ static void solve_one(const moc_plane *plane, const moc_problem *p, double toler
     }
     double still = STILL * sqrt(zz);
     segment s = ratio_test(p, x, z, still, 0.0);
-    /* Rounding may make an interval of one point empty. If slack does not help, `finish` finds x outside the box. */
+    /* Rounding may empty an interval that is a single point. If it stays empty, `finish` reports the violation. */
     for (double slack = 1e-17; s.low > s.high && slack < tolerance;) {
         slack = fmin(100.0 * slack, tolerance);
         s = ratio_test(p, x, z, still, slack);
@@ -205,7 +205,8 @@ static void solve_one(const moc_plane *plane, const moc_problem *p, double toler
         force[at_bound] = slope / z[at_bound];
 }
 
-/* Clip x to the box and compute y from A^T y = force - (rho x - c2 pull). Returns how far x was outside [rad/s]. */
+/* Clip the point to the bounds, and compute y from A^T y = force - (rho x - c2 pull). Returns the point's largest bound
+ * violation [rad/s]. */
 static double finish(const moc_plane *plane, const moc_problem *p, const double *point, double *force, double *x,
                      double y[6])
 {
@@ -233,7 +234,7 @@ static bool balanced(const moc_plane *plane, const moc_problem *p, const double 
     return fabs(gap) <= most;
 }
 
-/* Solve with one tolerance of the box. */
+/* Solve with a given tolerance of the bounds. */
 static moc_status solve(moc_plane *plane, const moc_problem *p, double tolerance, double *x, double y[6])
 {
     double point[MOC_MAX_JOINTS], force[MOC_MAX_JOINTS];
@@ -263,14 +264,14 @@ static moc_status solve(moc_plane *plane, const moc_problem *p, double tolerance
     double beyond = finish(plane, p, point, force, x, y);
     if (status == MOC_OK && beyond <= tolerance && (plane->freedoms > 1 || plane->pivot < SOUND) &&
         !(off_plane(p, x) <= LEFT && balanced(plane, p, force, y)))
-        status = MOC_DOUBTFUL; /* for example parallel columns, where a freedom exists by rounding only */
+        status = MOC_DOUBTFUL; /* for example, if columns are parallel but for rounding */
     if (status != MOC_OK)
         return status;
     return beyond > tolerance ? MOC_INFEASIBLE : check_dropped(plane, p, x);
 }
 
-/* How far rounding in A x = b can put a joint outside the box [rad/s]: the rounding error of the largest |A| |x| in the
- * box, divided by the last pivot. */
+/* Largest bound violation that rounding in A x = b can cause [rad/s]: the rounding error of the largest |A| |x|,
+ * divided by the last pivot. */
 static double explained_by_rounding(const moc_plane *plane, const moc_problem *p)
 {
     double sum[6] = {0.0};
@@ -285,12 +286,11 @@ moc_status moc_solve_exact(const moc_problem *p, double tolerance, double *x, do
     moc_plane plane;
     moc_status status = solve(&plane, p, tolerance, x, y);
 
-    /* If rounding may have decided this status, solve again with a tolerance as large as the effect of rounding. The
-     * answer still lies in the box, and has to meet A x = b within LEFT. */
+    /* If rounding may have decided this status, solve again with a tolerance that exceeds the effect of rounding. */
     double explained = status == MOC_OK ? 0.0 : explained_by_rounding(&plane, p);
     if (explained <= tolerance)
         return status;
-    double unclear = fmin((plane.freedoms > 1 ? 1e5 : 100.0) * explained, UNCLEAR); /* nearly parallel directions */
+    double unclear = fmin((plane.freedoms > 1 ? 1e5 : 100.0) * explained, UNCLEAR); /* columns may be parallel */
     if (solve(&plane, p, fmin(100.0 * explained, WIDEST), x, y) == MOC_OK && off_plane(p, x) <= LEFT)
         return MOC_OK;
     return solve(&plane, p, unclear, x, y) == MOC_INFEASIBLE ? status : MOC_DOUBTFUL;

@@ -1,14 +1,14 @@
 /* The three levels of the law (Su et al. 2019, in the consistent form of docs/method.md), and the subproblem.
  *
  *   tau = h + J_T^T F_T + (I - J_T^T Jbar_T^T) J_W^T F_W + tau_ff - r + share M Z^T (Z M Z^T)^-1 Z tau_0,
- *   tau_0 = K_N2 (x - v) - D_N2 v; share rises to 1 at the start. step.c has the order of a tick. */
+ *   tau_0 = K_N2 (x - v) - D_N2 v; share rises from 0 to 1 at the start. step.c has the order of a tick. */
 #include "vec.h"
 
-#define STRAIGHT 1e-3  /* least sqrt(smaller / larger mobility of the wrist), which is nearly the elbow's bend [rad] */
+#define STRAIGHT 1e-3  /* smallest sqrt(smaller / larger mobility of the wrist) for the whole feed-forward */
 
-#define SHAFT_PULL 0.1 /* weight of log mu_shaft relative to mu [m^3]; the push is zero from shaft_margin on */
-#define SHAFT_LOST 0.1 /* share of shaft_margin below which the push falls to zero: it has no direction at 0 */
-#define BOX_OPENS 3.0  /* the box is widest for mu_shaft <= (1 - 1/BOX_OPENS) shaft_margin */
+#define SHAFT_PULL 0.1 /* weight of log mu_shaft relative to mu [m^3] */
+#define SHAFT_LOST 0.1 /* below this share of shaft_margin, the push falls with mu_shaft, to zero at mu_shaft = 0 */
+#define BOX_OPENS 3.0  /* the bounds are widest for mu_shaft <= (1 - 1/BOX_OPENS) shaft_margin */
 
 /* The line from the tip to the trocar and its motion. */
 typedef struct {
@@ -67,17 +67,17 @@ static void desired_wrist_acceleration(const line *s, double span, const double 
         out[i] = ddX_d[i] + span * ((bend[i] - along * s->e[i]) / s->distance - square * s->e[i]);
 }
 
-/* Level 2 in its dynamic form, and the feed-forward of the desired accelerations of tip and wrist (Khatib 1987, eq. 51,
- * for the tip):
+/* Add level 2 in its dynamic form, and the feed-forward of the desired accelerations of tip and wrist (Khatib 1987,
+ * eq. 51, for the tip):
  *
  *   tau += (I - J_T^T Jbar_T^T) tau_W + A5^T (A5 M^-1 A5^T)^-1 a,  Jbar_T = M^-1 J_T^T (J_T M^-1 J_T^T)^-1,
  *   a = [ddX_d - dJ_T v; b^T (ddN_d - dJ_W v)], or 0 without a feed-forward.
  *
- * A5 is J_T over b^T J_W, and the columns of b (3, 2) are two directions perpendicular to the shaft. With M = H H^T
- * (Cholesky), the code forms six rows, A5 H^-T and (H^-1 tau_W)^T, and makes the wrist's rows and tau_W's orthogonal to
- * the tip's. Nothing is squared, which keeps twice as many digits at a nearly straight elbow. Such an elbow can hardly
- * move the wrist in one direction, for which a straight elbow would need an infinite torque: the feed-forward leaves
- * this direction out (STRAIGHT). */
+ * A5 is J_T over b^T J_W, and the columns of b (3, 2) are two directions perpendicular to the shaft. The code forms
+ * six rows, A5 H^-T and (H^-1 tau_W)^T, with M = H H^T (Cholesky). It makes the last three rows orthogonal to the tip's
+ * three. No matrix is squared, which keeps twice as many digits at a nearly straight elbow.
+ *
+ * A straight elbow cannot accelerate the wrist in one direction. The feed-forward leaves this direction out. */
 static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *ddX_d, const double *ddN_d,
                         const double *tau_W, double *tau)
 {
@@ -98,7 +98,7 @@ static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *d
         a[3] += b[0][i] * gap;
         a[4] += b[1][i] * gap;
     }
-    for (int i = 0; i < 6; i++) { /* make the tip's rows orthonormal and the others orthogonal to them */
+    for (int i = 0; i < 6; i++) { /* make the tip's rows orthonormal, and the others orthogonal to them */
         for (int k = 0; k < i && k < 3; k++) {
             double along = dot(n, rows[k], rows[i]);
             a[i] -= along * c[k];
@@ -137,8 +137,8 @@ static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *d
     }
 }
 
-/* tau += (I - J^T G) tau_W. MOC_STATIC: G = pinv(J)^T, which gives no force at the tip at rest. MOC_AS_PUBLISHED:
- * G = J, which is not idempotent and has inconsistent units. */
+/* tau += (I - J^T G) tau_W. With MOC_STATIC, G is pinv(J)^T: an arm at rest then has no force at the tip. With
+ * MOC_AS_PUBLISHED, G is J: the projector is then not idempotent, and its units are inconsistent. */
 static void add_at_rest(moc_projector projector, int n, double J[][MOC_MAX_JOINTS], const double *tau_W, double *tau)
 {
     double at_tip[3], gram[3][MOC_MAX_JOINTS], factor[3][MOC_MAX_JOINTS], diagonal[3];
@@ -158,7 +158,7 @@ static void add_at_rest(moc_projector projector, int n, double J[][MOC_MAX_JOINT
 void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, const moc_reference *ref,
                          const moc_trocar *trocar, double *tau)
 {
-    moc_terms *t = (moc_terms *)terms; /* not written; C does not convert a matrix to a const one by itself */
+    moc_terms *t = (moc_terms *)terms; /* only read: C cannot convert a matrix to const */
     double(*J_T)[MOC_MAX_JOINTS] = t->A, (*J_W)[MOC_MAX_JOINTS] = t->A + 3;
     double dX[3], dN[3], F[3], ddN_d[3], tau_W[MOC_MAX_JOINTS] = {0.0}, share = 1.0;
 
@@ -173,7 +173,7 @@ void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, cons
 
     /* RCM: F_W = K_N (N_d - N) + D_N (dN_d - dN), N_d = X + L e. Let theta be the angle between e and -u. Then
      * |N_d - N| = 2 L sin(theta/2) and the RCM error is d = |P_t - X| sin(theta), so that lambda = d / |N_d - N| is
-     * |P_t - X| / L cos(theta/2). The paper takes a constant lambda, which scales the spring alone. */
+     * |P_t - X| / L cos(theta/2). Su et al. use a constant lambda. It scales only the spring. */
     line s = shaft_line(t->tip, dX, trocar);
     if (law->rcm_lambda > 0.0)
         share = s.distance / t->span * sqrt(fmax(0.0, 0.5 * (1.0 - dot3(s.e, t->u)))) / law->rcm_lambda;
@@ -189,8 +189,8 @@ void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, cons
         add_at_rest(law->projector, n, J_T, tau_W, tau);
 }
 
-/* SHAFT_PULL (1 - m/margin) m / (m^2 + lost^2) [m] below the margin, zero above it. This is the slope of a barrier that
- * starts smoothly at the margin; its product with grad mu_shaft has no kink at m = 0. */
+/* With m = mu_shaft, the push is SHAFT_PULL (1 - m/margin) m / (m^2 + lost^2) [m] below the margin, and zero above.
+ * It starts smoothly at the margin, and its product with grad mu_shaft has no kink at m = 0. */
 double moc_shaft_push(double mu_shaft, double margin)
 {
     double lost = SHAFT_LOST * margin;
@@ -202,7 +202,7 @@ void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_r
                       const moc_trocar *trocar, const double *x_d, moc_problem *p)
 {
     double N_d[3], gap = 0.0, push = moc_shaft_push(t->mu_shaft, law->shaft_margin);
-    /* The box widens near a pose in which the shaft loses a direction, because the joints have to turn fast there. */
+    /* Near a pose in which the shaft cannot move in one direction, joints have to turn fast. The bounds widen there. */
     double nearness = fmax(0.0, BOX_OPENS * (1.0 - t->mu_shaft / law->shaft_margin));
     double wider = 1.0 + law->spare_speed * fmin(1.0, nearness);
 
@@ -220,7 +220,7 @@ void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_r
         double v_max = law->v_max[j] * wider;
         p->grad_mu[j] = t->grad_mu[j];
         p->pull[j] = x_d ? law->rho / law->c2 * x_d[j] : t->grad_mu[j] + push * t->grad_mu_shaft[j];
-        /* a velocity damper; beyond a limit, only velocities back inside are left, and lower <= upper holds always */
+        /* Velocity damper: a joint beyond its limit may only move back. lower <= upper always holds. */
         p->lower[j] = fmin(fmax(-v_max, -law->k0 * (t->q[j] - law->q_min[j])), v_max);
         p->upper[j] = fmax(fmin(v_max, -law->k0 * (t->q[j] - law->q_max[j])), -v_max);
     }
@@ -253,7 +253,7 @@ void moc_add_third_level(const moc_law *law, int n, const moc_terms *terms, cons
     for (int j = 0; j < n; j++) {
         for (int i = 0; i < r; i++)
             tau[j] += MZ[i][j] * along[i];
-        tau[j] = clip(tau[j], -law->tau_max[j], law->tau_max[j]); /* NaN stays: filter and plant report it */
+        tau[j] = clip(tau[j], -law->tau_max[j], law->tau_max[j]); /* NaN stays; the safety filter reports it */
     }
 }
 

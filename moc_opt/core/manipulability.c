@@ -1,10 +1,10 @@
 /* Manipulability of the tip (Yoshikawa 1985), and of the shaft while the tip is held, each with its gradient. */
 #include "vec.h"
 
-/* det(J J^T) divided by the cube of its mean diagonal entry, below which mu consists of rounding. */
+/* If det(J J^T), divided by the cube of its mean diagonal entry, is smaller, then mu is only rounding error. */
 #define SINGULAR 1e-14
 
-/* Compute (J J^T)^-1 times its determinant. Returns the determinant; *regular is 0 if it consists of rounding. */
+/* Compute (J J^T)^-1 times its determinant. Returns the determinant. *regular is 0 if it is only rounding. */
 static double gram_adjugate(int n, double J[][MOC_MAX_JOINTS], double adj[3][3], int *regular)
 {
     double S[3][3];
@@ -26,7 +26,7 @@ static void column(double J[][MOC_MAX_JOINTS], int k, double out[3])
  *
  * In a serial chain, dJ_j/dq_k = ang_min(j,k) x J_max(j,k). With the pseudo-inverse's columns P_j = (J J^T)^-1 J_j,
  * dmu/dq_k = mu (ang_k . sum_{j>=k} J_j x P_j + J_k . sum_{j<k} P_j x ang_j).
- * At a singularity mu has a kink and no gradient; the gradient is then set to zero. */
+ * At a singularity mu has no gradient. The function then returns zero as the gradient. */
 double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOINTS], double *gradient)
 {
     double adj[3][3], P[MOC_MAX_JOINTS][3], Jk[3], sum[3] = {0.0, 0.0, 0.0};
@@ -38,7 +38,7 @@ double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOIN
     memset(gradient, 0, (unsigned)n * sizeof *gradient);
     if (!regular)
         return mu;
-    for (int k = 0; k < n; k++) { /* the adjugate is the inverse times mu^2; the division by mu is at the end */
+    for (int k = 0; k < n; k++) { /* adj is the inverse times mu^2; the second loop divides by mu */
         column(J, k, Jk);
         times3(adj, Jk, P[k]);
         gradient[k] = dot3(Jk, sum);
@@ -55,14 +55,14 @@ double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOIN
 
 /* mu_s = sqrt(pdet(C)), C = J_W (I - pinv(J_T) J_T) J_W^T, the mobility of the wrist while the tip is held.
  *
- * C is zero along the shaft u, and pdet(C) is the product of its other two eigenvalues. mu mu_s is the volume that the
- * five rows of tip and shaft span. If mu_s is zero, a rotation of the shaft needs infinite joint speed.
+ * C is zero along the shaft u, and pdet(C) is the product of its other two eigenvalues. If mu_s is zero, a rotation of
+ * the shaft needs infinite joint speed.
  *
- * The gradient is taken in the tool's axes, which turn with ang_k: there dJ_j/dq_k is zero for k <= j, else
- * ang_j x J_k - ang_k x J_j. With N = I - pinv(J_T) J_T and K = J_W pinv(J_T), let P_j be C^+ (J_W N)_j for the wrist's
- * columns and -K^T C^+ (J_W N)_j for the tip's. Then
+ * The gradient is taken in the tool's axes, which joint k turns with ang_k. In these axes, dJ_j/dq_k is
+ * ang_j x J_k - ang_k x J_j for k > j, and zero else. With N = I - pinv(J_T) J_T and K = J_W pinv(J_T), let P_j be
+ * C^+ (J_W N)_j for the wrist's columns and -K^T C^+ (J_W N)_j for the tip's. Then
  * dmu_s/dq_k = mu_s sum_{wrist, tip} (J_k . sum_{j<k} P_j x ang_j - ang_k . sum_{j<k} J_j x P_j).
- * It is set to zero where mu or mu_s has a kink. */
+ * The gradient is set to zero where mu or mu_s has a kink. */
 double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], const double u[3],
                                 double *gradient)
 {
@@ -82,14 +82,14 @@ double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MA
             C[a][b] = C[b][a] = dot(n, W[a], W[b]) - det * dot3(K[b], mixed);
     }
 
-    /* C has rank two: the sum of its principal 2x2 minors is the product of both eigenvalues. */
+    /* C has rank two. The product of its two eigenvalues is the sum of its principal 2x2 minors. */
     double minors = 0.0, trace = C[0][0] + C[1][1] + C[2][2];
     for (int a = 0, b = 1; a < 3; a++, b = (b + 1) % 3)
         minors += C[a][a] * C[b][b] - C[a][b] * C[b][a];
     double mu = sqrt(fmax(minors, 0.0));
     if (!(minors > SINGULAR * trace * trace))
         return mu;
-    for (int a = 0; a < 3; a++) /* adding an eigenvalue along u, of any size, makes C invertible */
+    for (int a = 0; a < 3; a++) /* an added eigenvalue along u makes C invertible */
         for (int b = 0; b < 3; b++)
             C[a][b] += trace * u[a] * u[b];
     double shrink = mu / adjugate3(C, adj);

@@ -1,8 +1,10 @@
-/* moc_opt's core: what one control tick computes, in plain C11. No heap, no globals, no callbacks; SI units.
+/* The public functions of moc_opt's core. They compute one control period (a tick) in plain C11, with SI units. There
+ * is no heap, no global variable and no callback.
  *
- * Names are those of docs/method.md: q, v joint position [rad, m] and velocity; X tip, N wrist centre, P_t trocar;
- * J_T, J_W their Jacobians, A = [J_T; J_W]; M, h = C v + g; mu manipulability of the tip.
- * Arrays of joints have room for MOC_MAX_JOINTS; only the first n entries are used. */
+ * The names are those of docs/method.md: joint positions q [rad, m], joint velocities v, tip X, wrist centre N, trocar
+ * P_t, Jacobians J_T of the tip and J_W of the wrist, A = [J_T; J_W], mass matrix M, h = C v + g, manipulability mu of
+ * the tip. The box is the set of all x within the bounds. Arrays of joints have room for MOC_MAX_JOINTS. Only the first
+ * n entries are used. */
 #ifndef MOC_H
 #define MOC_H
 
@@ -10,9 +12,9 @@
 
 typedef enum {
     MOC_OK = 0,
-    MOC_INFEASIBLE, /* no x of the box meets A x = b */
-    MOC_DOUBTFUL,   /* the result would depend on rounding: no answer */
-    MOC_UNFINISHED, /* the network (rnn.c) is still moving */
+    MOC_INFEASIBLE, /* no x within the bounds solves A x = b */
+    MOC_DOUBTFUL,   /* rounding would decide the result, so there is none */
+    MOC_UNFINISHED, /* the network (rnn.c) has not converged yet */
     MOC_NOT_FINITE  /* q or v is not finite */
 } moc_status;
 
@@ -20,8 +22,8 @@ typedef enum {
 
 /* A joint and the link that it moves, in the joint's own axes. The binding relies on the order of the fields. */
 typedef struct {
-    double rotation[3][3]; /* of the joint's axes in those of the previous joint, at q = 0 */
-    double origin[3];      /* of the joint's axes, in those of the previous joint [m] */
+    double rotation[3][3]; /* from the joint's axes to the previous joint's, at q = 0 */
+    double origin[3];      /* of the joint's axes, in the previous joint's axes [m] */
     double axis[3];        /* unit vector */
     double slides;         /* 1: prismatic, 0: revolute */
     double mass;           /* [kg] */
@@ -37,7 +39,7 @@ typedef struct {
     moc_joint joint[MOC_MAX_JOINTS];
     double point[2][3];            /* tip and wrist centre in the last joint's axes [m] */
     double tool[3][3];             /* rows: the tool's axes x, y, z (along the shaft) in the last joint's axes */
-    int moves[2][MOC_MAX_JOINTS];  /* 0: this joint never moves the tip (the wrist); its column in J is exactly zero */
+    int moves[2][MOC_MAX_JOINTS];  /* 0: the joint never moves the tip (row 0) or wrist (row 1): J's column is zero */
     double gravity[3];             /* [m/s^2] */
 } moc_arm;
 
@@ -55,7 +57,7 @@ typedef struct {
     double gravity[MOC_MAX_JOINTS];
     double mu;                               /* [m^3] */
     double span;                             /* L [m] */
-    double mu_shaft;                         /* manipulability of the shaft while the tip is held [m^2] */
+    double mu_shaft;                         /* manipulability of the shaft while the tip stays still [m^2] */
 } moc_terms;
 
 /* --- the subproblem --- */
@@ -68,51 +70,51 @@ typedef struct {
     double pull[MOC_MAX_JOINTS];           /* grad_mu + shaft_push grad_mu_shaft, or (rho/c2) x_d to follow x_d */
     double lower[MOC_MAX_JOINTS], upper[MOC_MAX_JOINTS]; /* [rad/s] */
     double c0, c1, c2, rho;
-    double q[MOC_MAX_JOINTS];              /* the pose at which A was taken; for nonlinear solvers only */
+    double q[MOC_MAX_JOINTS];              /* the pose to which A belongs; only nonlinear solvers use it */
 } moc_problem;
 
-/* Compute the optimum x (n,) and the multipliers y (6,) of the rows of A by elimination. `tolerance` is the largest
- * violation of the box that counts as feasible [rad/s]. x and y are an answer only if the status is MOC_OK. */
+/* Compute the optimum x (n,) and the multipliers y (6,) of A x = b by elimination. If A x = b violates the
+ * bounds by at most `tolerance` [rad/s], it counts as feasible. x and y are valid only if the status is MOC_OK. */
 moc_status moc_solve_exact(const moc_problem *problem, double tolerance, double *x, double y[6]);
 
 /* --- the law --- */
 
 typedef struct {
-    double X[3], dX[3], ddX[3]; /* of the tip [m], [m/s], [m/s^2] */
+    double X[3], dX[3], ddX[3]; /* desired motion of the tip [m], [m/s], [m/s^2] */
 } moc_reference;
 
 typedef struct {
-    double P[3], dP[3]; /* as the robot has registered it [m], [m/s] */
+    double P[3], dP[3]; /* the trocar as the robot has registered it [m], [m/s] */
 } moc_trocar;
 
-/* Null-space projector of level 2: dynamically or statically consistent, or I - J^T J as the paper prints it. */
+/* Null-space projector of level 2: dynamically or statically consistent, or I - J^T J as in Su et al. 2019. */
 typedef enum { MOC_DYNAMIC = 0, MOC_STATIC, MOC_AS_PUBLISHED } moc_projector;
 
 typedef struct {
-    double K_X, D_X, K_N, D_N;                   /* springs and dampers of tip and wrist [N/m], [N s/m] */
-    double rcm_lambda;                           /* the paper's lambda in |e_N1| = d / lambda; 0: use |N_d - N| */
+    double K_X, D_X, K_N, D_N;                   /* stiffness and damping at tip and wrist [N/m], [N s/m] */
+    double rcm_lambda;                           /* lambda of Su et al. in |e_N1| = d / lambda; 0: use |N_d - N| */
     moc_projector projector;
     int feedforward;                             /* 1: feed forward the accelerations of tip and desired wrist */
     double K_N2[MOC_MAX_JOINTS], D_N2[MOC_MAX_JOINTS]; /* gains of the third level [N m s/rad] */
     double tau_max[MOC_MAX_JOINTS];              /* [Nm]; infinite: no limit */
     double k0;                                   /* rate of the velocity damper at joint limits [1/s] */
     double c0, c1, c2, rho;                      /* weights of the subproblem */
-    double q_min[MOC_MAX_JOINTS], q_max[MOC_MAX_JOINTS], v_max[MOC_MAX_JOINTS]; /* limits in the subproblem's box */
-    double shaft_margin;                         /* mu_shaft below which the climb avoids its loss; 0: never [m^2] */
-    double spare_speed;                          /* share of v_max by which the box widens below shaft_margin */
+    double q_min[MOC_MAX_JOINTS], q_max[MOC_MAX_JOINTS], v_max[MOC_MAX_JOINTS]; /* joint limits */
+    double shaft_margin;                         /* below this mu_shaft, level 3 also raises mu_shaft; 0: never [m^2] */
+    double spare_speed;                          /* below shaft_margin, v_max grows by up to this share */
     double observer_gain;                        /* K_o; 0: no observer [1/s] */
     double period;                               /* control period T [s] */
-    double fade;                                 /* increase of the third level's share per tick at the start */
-    int third_level;                             /* 1: the third level follows the subproblem's x; 0: no subproblem */
+    double fade;                                 /* at the start, the third level's share grows by this per tick */
+    int third_level;                             /* 1: the third level follows x of the subproblem; 0: no subproblem */
     int damped;                                  /* 1: without a subproblem, D_N2 damps the self-motion */
-    int climbs;                                  /* 1: the third level climbs mu by scaled steps (moc_climb) */
+    int climbs;                                  /* 1: the third level climbs mu by Newton steps (moc_climb) */
 } moc_law;
 
 /* What the law remembers from tick to tick. */
 typedef struct {
     int rows;                                    /* number of rows of Z */
     double Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];    /* rows: orthonormal basis of ker A */
-    double share;                                /* of the third level, from 0 to 1 while it fades in */
+    double share;                                /* of the third level; rises from 0 to 1 at the start */
     double integral[MOC_MAX_JOINTS];             /* the observer's integral [Nm s] */
     double external[MOC_MAX_JOINTS];             /* the observer's estimate r of friction and model error [Nm] */
     double tau[MOC_MAX_JOINTS];                  /* torque that acts in this period, for the observer [Nm] */
@@ -130,7 +132,7 @@ typedef enum {
     MOC_GIVES_NONE      /* no answer */
 } moc_claim;
 
-/* Why an answer was refused; in the order of control/supervisor.py. Only callers find RAISED, MALFORMED, LOST. */
+/* Why an answer was refused, in the order of control/supervisor.py. Only callers set RAISED, MALFORMED and LOST. */
 typedef enum {
     MOC_TAKEN = 0,
     MOC_FAULT_INFEASIBLE,
@@ -145,11 +147,10 @@ typedef enum {
     MOC_FAULTS
 } moc_fault;
 
-/* What a solver gives back. */
 typedef struct {
-    const double *x;  /* (n,) [rad/s]; not read without an answer, but never NULL */
+    const double *x;  /* (n,) [rad/s], never NULL */
     moc_claim claim;
-    moc_fault known;  /* a fault that the caller has found, or MOC_TAKEN */
+    moc_fault known;  /* a fault that the caller has found already, or MOC_TAKEN */
     double us;        /* time of the solve [us] */
 } moc_answer;
 
@@ -158,15 +159,16 @@ typedef enum { MOC_LATE_HOLD = 0, MOC_LATE_ZERO, MOC_LATE_ITERATE } moc_late;
 
 typedef struct {
     int check;              /* 0: the residuals are not checked */
-    double box_limit;       /* largest |A x - b| and box violation of an answer without a claim */
-    double primal_limit;    /* the same limit for an answer that is claimed optimal */
-    double relative_limit;  /* largest natural residual of an answer that is claimed optimal */
-    double opposite_limit;  /* an x farther than this from the optimum and closer to its opposite is refused [rad/s] */
-    int hold_ticks;         /* ticks for which the last accepted answer is used again */
-    int keep_off_limits;    /* 1: after these ticks the elbow moves only to keep joints in the box; 0: it is damped */
+    double box_limit;       /* largest |A x - b| and bound violation of an answer that claims nothing */
+    double primal_limit;    /* largest |A x - b| and bound violation of a claimed optimum */
+    double relative_limit;  /* largest natural residual of a claimed optimum */
+    double opposite_limit;  /* a claimed optimum is refused if it is farther than this from the optimum and nearer
+                             * to the optimum of the opposite gradient [rad/s] */
+    int hold_ticks;         /* ticks for which the last accepted answer replaces refused ones */
+    int keep_off_limits;    /* after hold_ticks, 1: the elbow moves only if the bounds require it; 0: it is damped */
     moc_fallback fallback;  /* for an infeasible subproblem */
     moc_late late;          /* for a late answer */
-    double budget_us;       /* longest time of a solve; infinite: no limit */
+    double budget_us;       /* longest solve time [us]; infinite: no limit */
 } moc_supervision;
 
 /* --- the safety filter (safety_filter.c) --- */
@@ -174,7 +176,7 @@ typedef struct {
 /* Why the arm has to be stopped, and the words of moc_reason. */
 #define MOC_REASONS(REASON)                                                                                            \
     REASON(MOC_RUNNING, "running")                                                                                     \
-    REASON(MOC_STOP_NOT_STARTED, "not started") /* or after a start that was refused */                                \
+    REASON(MOC_STOP_NOT_STARTED, "not started") /* or the start was refused */                                         \
     REASON(MOC_STOP_STATE, "the controller's state is damaged")                                                        \
     REASON(MOC_STOP_MEASUREMENT, "measurements not believed")                                                          \
     REASON(MOC_STOP_WRENCH, "the wrench sensor's readings are no numbers")                                             \
@@ -196,46 +198,47 @@ typedef struct {
 #define MOC_NAME(name, words) name,
 typedef enum { MOC_REASONS(MOC_NAME) MOC_STOPS } moc_stop;
 
-/* Settings of the safety filter: [guard] of a scenario (docs/scenario.md). An infinite level turns its check off. */
+/* Settings of the safety filter, from [guard] of a scenario (docs/scenario.md). An infinite limit turns its check off.
+ * A name in capitals is the reason to stop that the setting belongs to; safety_filter.c has the formulas. */
 typedef struct {
     double period;                                      /* control period T [s] */
-    int patience;                                       /* ticks in a row that a check has to fail before a stop */
+    int patience;                                       /* ticks in a row on which a check may fail without a stop */
     int carries;                                        /* 1: the torque has to carry the arm's weight */
-    double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS];   /* where the walls begin [rad, m] */
+    double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS];   /* where the virtual walls begin [rad, m] */
     double v_max[MOC_MAX_JOINTS], tau_max[MOC_MAX_JOINTS];
     double wall_stiffness, wall_damping, wall_brake;    /* [Nm/rad], [Nm s/rad], [rad/s^2] */
     double torque_step;                                 /* largest change of a torque in a tick [Nm] */
-    double jump, speed_factor;                          /* MEASUREMENT: [rad], share of v_max */
+    double jump, speed_factor;                          /* MEASUREMENT: [rad], multiple of v_max */
     double tip_error, tip_share;                        /* TIP: rms [m], weight of a tick in the mean square */
     int in_incision;                                    /* 0: RCM error and trocar force are not checked */
     double warning[2], limit[2];                        /* of the RCM error [m] and the trocar force [N] */
     double incision_share;                              /* weight of a tick in the mean squares of both */
     double tool_mass, tool_length;                      /* of the tool, a rod beyond the wrench sensor [kg], [m] */
-    double tip_force;                                   /* largest force that is taken for a contact of the tip [N] */
-    double stop_holding;                                /* dry friction of closed brakes, share of tau_max */
+    double tip_force;                                   /* largest force that may come from a contact of the tip [N] */
+    double stop_holding;                                /* dry friction of closed brakes, divided by tau_max */
     double stop_yield;                                  /* trocar force above which the brakes open in a stop [N] */
     int stop_yield_ticks;                               /* largest number of ticks for which the brakes stay open */
-    double press_share;                                 /* weight of a tick in the mean of the trocar force */
-    int motion;                                         /* 0: LATE and the checks with the settings below are off */
+    double press_share;                                 /* weight of a tick in the mean trocar force of a stop */
+    int motion;                                         /* 0: LATE and all checks listed below are off */
     double motion_s, motion_rad, motion_lag_s;          /* RAN_AWAY */
-    double repeat_m, repeat_torque;                     /* REPEATED: path of the reference, share of tau_max */
-    double repeat_whole_m, repeat_whole_torque;         /* the same if the wrench is unchanged as well */
-    double repeat_whole_ticks;                          /* WRENCH_REPEATED and REPLAYED, of a wrench with noise */
-    double repeat_joint_ticks, repeat_reading_ticks;    /* ONE_REPEATED: in a row, in all */
-    double replayed_ticks;                              /* REPLAYED, of a wrench without noise */
+    double repeat_m, repeat_torque;                     /* REPEATED: motion of the reference, share of tau_max */
+    double repeat_whole_m, repeat_whole_torque;         /* REPEATED, if the wrench is unchanged as well */
+    double repeat_whole_ticks;                          /* WRENCH_REPEATED and REPLAYED, if the wrench has noise */
+    double repeat_joint_ticks, repeat_reading_ticks;    /* ONE_REPEATED: ticks in a row, ticks in total */
+    double replayed_ticks;                              /* REPLAYED, if the wrench has no noise */
     double stuck_speed;                                 /* STUCK [rad/s] */
-    double held[MOC_MAX_JOINTS];                        /* change of torque that static friction can hold [Nm] */
+    double held[MOC_MAX_JOINTS];                        /* STUCK: change of torque that static friction can hold [Nm] */
     double residual_torque, residual_whole;             /* UNEXPLAINED, shares of tau_max */
-    double residual_rate, residual_share;               /* K_o of the residual [1/s], weight of a tick in its mean */
+    double residual_rate, residual_share;               /* observer gain [1/s], weight of a tick in the mean */
     int settling_ticks;                                 /* ticks until the residual has settled */
 } moc_guard;
 
 enum { MOC_RCM = 0, MOC_FORCE = 1 };
 
 #define MOC_SLOTS 4096      /* size of the table of earlier readings */
-#define MOC_JOINT_SLOTS 256 /* the same for each encoder */
+#define MOC_JOINT_SLOTS 256 /* size of the table of each encoder */
 
-/* Number of readings so far, the latest lag to an equal earlier reading, and how many equal readings had this lag. */
+/* Number of readings so far, latest lag between two equal readings, and number of equal readings with this lag. */
 typedef struct {
     double readings, lag, hits;
 } moc_came_before;
@@ -243,54 +246,53 @@ typedef struct {
 /* What the safety filter remembers of a joint. */
 typedef struct {
     double gap, peak, shown, speed;          /* q - integral of v; largest recent |v|; the last q and v */
-    double repeats, whole;                   /* ticks in a row with unchanged q; ticks in all with unchanged q and v */
-    double torque;                           /* at the time when all encoders stopped changing [Nm] */
-    double integral, residual, mean;         /* of the momentum observer; mean of the residual */
-    double at_repeat, unseen, exceeded;      /* STUCK: mean, speed since q stopped changing; UNEXPLAINED: ticks */
+    double repeats, whole;                   /* ticks with unchanged q, in a row; with unchanged q and v, in total */
+    double torque;                           /* torque when all encoders stopped changing [Nm] */
+    double integral, residual, mean;         /* momentum observer: integral, residual and its mean */
+    double at_repeat, unseen, exceeded;      /* STUCK: mean when q last changed, speed since; UNEXPLAINED: ticks */
 } moc_joint_watch;
 
 /* What the safety filter remembers. */
 typedef struct {
-    double q[MOC_MAX_JOINTS], v[MOC_MAX_JOINTS]; /* the last believed measurement; q is extrapolated by v since then */
-    double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS]; /* the walls, moved to the start of a joint that starts beyond */
+    double q[MOC_MAX_JOINTS], v[MOC_MAX_JOINTS]; /* the last believed measurement; later v extrapolates q */
+    double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS]; /* the walls; a joint that starts beyond moves its wall */
     int bad;                                     /* measurements in a row that were not believed */
     double tip_square;                           /* mean square of the tip's error [m^2] */
     double point[3];                             /* the trocar, as last registered [m] */
-    double mean_square[2], largest[2], first_tick[2]; /* of RCM error and force; worst rms and tick of a warning */
+    double mean_square[2], largest[2], first_tick[2]; /* of RCM error and force; in warnings: largest rms, first tick */
     double whole_square, ticks;                  /* mean square of the whole force on the tool; ticks in the incision */
     int unread;                                  /* wrench readings in a row that were not finite */
-    double press, borne;                         /* in a stop: mean trocar force; part that closed brakes hold [N] */
-    int yields, open;                            /* 1: that force has opened the brakes; for how many ticks */
-    int cut;                                     /* 1: a drive is at fault, and no drive is used in the stop */
+    double press, borne;                         /* in a stop: mean trocar force; the force that the brakes bear [N] */
+    int yields, open;                            /* 1: the trocar force has opened the brakes; ticks since then */
+    int cut;                                     /* 1: a drive is at fault, so that the drives are off in the stop */
     int limited;                                 /* number of joints whose last torque was limited */
     long long now, newest, delay, elapsed, taken; /* numbers of control periods: see `age` in safety_filter.c */
     moc_joint_watch joint[MOC_MAX_JOINTS];
-    double told[3], still[3];                    /* tip's reference, now and when the encoders stopped changing [m] */
-    double wrench[6], wrench_repeats;            /* the latest wrench; readings in a row that were equal to it */
-    int looked, wrench_is_still;                 /* first readings so far; 1: the wrench was unchanged in one of them */
-    int weighed;                                 /* readings that were compared with the torque */
-    double number[MOC_SLOTS], at[MOC_SLOTS];     /* take_in's table: number and index (from 1) of a reading; 0: empty */
+    double told[3], still[3];                    /* tip's reference, now and when all encoders froze [m] */
+    double wrench[6], wrench_repeats;            /* the latest wrench; number of readings before that equal it */
+    int looked, wrench_is_still;                 /* readings, up to FIRST_READINGS; 1: two in a row were equal */
+    int weighed;                                 /* number of readings that were compared with the torque */
+    double number[MOC_SLOTS], at[MOC_SLOTS];     /* table of take_in: a reading and its index from 1; 0: empty */
     double joint_number[MOC_MAX_JOINTS][MOC_JOINT_SLOTS], joint_at[MOC_MAX_JOINTS][MOC_JOINT_SLOTS];
     moc_came_before whole, lagging[MOC_MAX_JOINTS];
 } moc_watch;
 
-/* A measurement. */
 typedef struct {
     const double *q, *v;   /* (n,) */
     long long stamp;       /* number of the control period in which it was taken */
     int has_stamp;         /* 0: its age is not checked */
-    const double *applied; /* (n,) torque that acted before it [Nm]; NULL: not known */
+    const double *applied; /* (n,) torque of the previous period [Nm]; NULL: not known */
     const double *wrench;  /* (6,) force [N] and torque [Nm] of the tool on its mount, in the tool's axes */
 } moc_measurement;
 
 const char *moc_reason(moc_stop reason);
 
-/* Compute the dry friction (n,) [Nm] of the brakes in a stop, once per period; zero while the arm yields. */
+/* Compute the dry friction (n,) of the brakes [Nm]. Call this once per period of a stop. Open brakes have none. */
 void moc_guard_hold(const moc_guard *g, const moc_arm *arm, const double *wrench, moc_watch *w, double *friction);
 
 /* --- the whole controller (step.c) --- */
 
-/* What stays the same in a run. */
+/* The settings of a run. */
 typedef struct {
     const moc_arm *arm;
     const moc_law *law;
@@ -299,15 +301,14 @@ typedef struct {
     double tolerance;       /* of moc_solve_exact [rad/s] */
 } moc_controller;
 
-/* What comes in at a tick. */
 typedef struct {
     moc_measurement measured;
     moc_reference ref;
     moc_trocar trocar;
-    const double *x_d; /* velocity (n,) that the third level has to follow [rad/s]; NULL: it climbs mu */
+    const double *x_d; /* velocity (n,) for the third level to follow [rad/s]; NULL: climb mu */
 } moc_input;
 
-/* What one arm's controller remembers. */
+/* The state of one arm's controller. */
 typedef struct {
     moc_memory memory;
     moc_watch watch;
@@ -321,7 +322,7 @@ typedef struct {
     double y[6];
     moc_status status;
     double sent[MOC_MAX_JOINTS];    /* torque that the latest moc_finish returned [Nm] */
-    moc_stop reason;                /* the first reason to stop; it stays */
+    moc_stop reason;                /* the first reason to stop; only moc_start clears it */
     unsigned begun;                 /* MOC_BEGUN after moc_start */
 } moc_state;
 
@@ -332,18 +333,17 @@ typedef struct {
 moc_stop moc_start(const moc_controller *c, const moc_measurement *m, moc_state *state);
 
 /* First half of a control period: check the measurement, then compute the arm's terms, levels 1 and 2, and the
- * subproblem, state->problem, for any solver in any language.
- *
- * measured.applied is the torque that acted in the last period if it differs from the torque that was sent, else NULL.
- * Returns MOC_RUNNING, or the reason to stop. In a stop no solver is needed. */
+ * subproblem state->problem. If the torque that acted in the last period differs from the torque that was sent, pass it
+ * in measured.applied. Else measured.applied may be NULL. Returns MOC_RUNNING, or the reason to stop. In a stop no
+ * solver is needed. */
 moc_stop moc_begin(const moc_controller *c, const moc_input *in, moc_state *state);
 
 /* Second half of a control period: check the answer, replace it if it is refused, then add level 3 and apply the safety
- * filter. The answer is NULL if the law has no third level or the arm is stopped. tau (n,) is the torque to send; it is
- * finite and within the limits of c->guard whatever was measured.
- *
- * Returns MOC_RUNNING, or the reason to stop. In a stop tau carries the arm's weight in the last believed pose, and the
- * drives have to brake with the friction of moc_guard_hold. Only moc_start ends a stop. Before it, tau is zero. */
+ * filter. The answer may be NULL if the law has no third level or the arm is stopped. tau (n,) is the torque to send.
+ * With a safety filter, tau is finite and within the limits of c->guard for any measurement.
+ * Returns MOC_RUNNING, or the reason to stop. In a stop, tau carries the arm's weight in the last believed pose. If a
+ * drive is at fault, tau goes to zero instead. The drives have to brake with the friction of moc_guard_hold. Only
+ * moc_start ends a stop. Before the first moc_start, tau is zero. */
 moc_stop moc_finish(const moc_controller *c, const moc_answer *answer, moc_state *state, double *tau);
 
 /* moc_begin, moc_solve_exact and moc_finish in one call. Input and output must not overlap in memory. */

@@ -1,14 +1,14 @@
 /* A basis Z of ker A that changes smoothly with the pose, and the climb of mu in ker A. */
 #include "vec.h"
 
-/* The scaled climb aims at the local maximum of mu by Newton's step, at most LONGEST, in 1 / RATE seconds. */
+/* The scaled climb takes a Newton step towards the local maximum of mu, in 1 / RATE seconds. */
 #define RATE 5.0     /* [1/s] */
-#define LONGEST 1.0  /* [rad] */
+#define LONGEST 1.0  /* length of the longest Newton step [rad] */
 #define PROBE 1e-3   /* step of the finite difference of the slope [rad] */
 
 bool moc_orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least)
 {
-    for (int twice = 0; twice < 2; twice++) { /* two passes are always enough */
+    for (int twice = 0; twice < 2; twice++) { /* the second pass removes the rounding of the first */
         for (int i = 0; i < k; i++) {
             double along = dot(n, Z[i], Z[k]);
             for (int j = 0; j < n; j++)
@@ -34,7 +34,7 @@ void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, doub
     memcpy(part, sum, (unsigned)n * sizeof *part);
 }
 
-/* Z is the previous pose's basis projected on the new kernel, so that it does not rotate within the kernel. */
+/* If possible, the previous basis is projected on the new kernel, so that it does not rotate within the kernel. */
 int moc_null_space(int n, double A[][MOC_MAX_JOINTS], int rows, double Z[][MOC_MAX_JOINTS])
 {
     double fresh[MOC_MAX_JOINTS][MOC_MAX_JOINTS], turned[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
@@ -42,7 +42,7 @@ int moc_null_space(int n, double A[][MOC_MAX_JOINTS], int rows, double Z[][MOC_M
     moc_plane plane;
 
     memcpy(problem.A, A, sizeof problem.A);
-    moc_eliminate(&plane, &problem); /* if the rank is in doubt, plane.rank is the lower one */
+    moc_eliminate(&plane, &problem); /* if the rank is in doubt, plane.rank is the lower possible one */
     int found = n - plane.rank, alike = found == rows;
     for (int i = 0; i < found; i++) {
         moc_direction(&plane, n, i, fresh[i]);

@@ -2,7 +2,7 @@
 #include "tools.h"
 #include "vec.h"
 
-#define TOLERANCE 1e-10 /* on tip and wrist [m] */
+#define TOLERANCE 1e-10 /* largest position error of tip and wrist [m] */
 #define PI 3.14159265358979323846
 
 /* Compute error (6,) of tip and wrist and A (6,n), and the gradient of mu (n,) unless grad is NULL. Returns mu. */
@@ -33,13 +33,13 @@ static double distance(int n, const double *p, const double *q)
 /* --- one pose --- */
 
 #define LONGEST 0.25    /* longest step for which the linearization is good enough [rad] */
-#define AT_REST 1e-9    /* entry of a unit tangent below which that joint counts as not moving */
+#define AT_REST 1e-9    /* a joint with a smaller entry in the unit tangent counts as not moving */
 #define DAMPING 4e-12   /* added to A A^T [m^2], because A has rank 5: tip and wrist are rigidly tied */
 
-/* The step (n,) with A step = error (rows) that is nearest to the desired one and moves no joint beyond a limit.
+/* Compute the step (n,) nearest to `desired` that satisfies A step = error (rows).
  *
- * No joint within `near` of a limit moves towards it. This is an active-set method: it holds joints that would leave
- * their range, and releases a held joint whose multiplier points inwards. */
+ * No joint within `near` of a limit moves towards this limit. An active-set method holds the joints that would, and
+ * releases a held joint if its multiplier points inwards. */
 static void allowed_step(const plan_task *task, int rows, const double *q, double A[6][MOC_MAX_JOINTS],
                          const double *error, const double *desired, double damping, double near, double *step)
 {
@@ -86,8 +86,8 @@ static void allowed_step(const plan_task *task, int rows, const double *q, doubl
     }
 }
 
-/* Gauss-Newton with a damping proportional to the squared error (Sugihara, IEEE Trans. Robotics 27, 2011). Steps stay
- * short far from the target or if it is out of reach; near the target they are Newton steps. */
+/* Gauss-Newton with a damping proportional to the squared error (Sugihara, IEEE Trans. Robotics 27, 2011). Far from
+ * the target the steps are short. Near the target they are Newton steps. */
 double plan_place(const plan_task *task, int points, int rounds, const double *start, double *best)
 {
     static const double nowhere[MOC_MAX_JOINTS];
@@ -115,9 +115,9 @@ double plan_place(const plan_task *task, int points, int rounds, const double *s
 
 /* --- along a curve --- */
 
-#define STRAIGHT 0.8 /* cosine of the angle by which the tangent may turn within a step */
+#define STRAIGHT 0.8 /* cosine of the largest angle by which the tangent may turn in a step */
 
-/* The longest step along the tangent, up to h, within the joint limits; *hit: the joint that limits it, or NONE. */
+/* The longest step along the tangent, up to h, within the joint limits. *hit is the joint that limits it, or NONE. */
 static double room_ahead(const plan_task *task, const double *q, const double *tangent, double h, int *hit)
 {
     *hit = NONE;
@@ -131,8 +131,8 @@ static double room_ahead(const plan_task *task, const double *q, const double *t
     return h;
 }
 
-/* Compute mu at q and the curve's unit tangent (n,) at q: the previous tangent `last`, projected on ker A. Fixed joints
- * have zero columns in A. Returns the cosine of the angle between the two tangents. */
+/* Compute mu at q, and the curve's unit tangent (n,) at q. The tangent is the previous tangent `last` projected on ker
+ * A, without the fixed joints. Returns the cosine of the angle between both tangents. */
 static double turn_tangent(const plan_task *task, const double *q, const double *last, double *tangent, double *mu)
 {
     double error[6], A[6][MOC_MAX_JOINTS], Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
@@ -149,8 +149,8 @@ static double turn_tangent(const plan_task *task, const double *q, const double 
     return length;
 }
 
-/* Whether the start (n,) of the curve lies ahead of q within one step. `pose` is the start, turned by whole turns to be
- * nearest to q, and *gap its distance from q. */
+/* Whether the start (n,) of the curve lies ahead of q within one step. Whole turns of the joints may first bring the
+ * start nearest to q: the result is `pose`. *gap is the distance of `pose` from q. */
 static bool closes(const plan_task *task, const double *start, const double *q, const double *tangent, double step,
                   double *pose, double *gap)
 {
@@ -167,8 +167,8 @@ static bool closes(const plan_task *task, const double *start, const double *q, 
 }
 
 /* Compute the next pose (n,) of the curve after q, its mu and its tangent. The step is shorter if the curve turns
- * sharply. *hit is the joint that is at its limit in this pose, or NONE. Returns the distance from q, or 0 where the
- * curve is singular. */
+ * sharply. *hit is the joint that reaches its limit in the next pose, or NONE. Returns the distance from q, or 0 if
+ * the curve is singular. */
 static double next_sample(const plan_task *task, const double *q, double step, double *tangent, double *next,
                           double *mu, int *hit)
 {
@@ -215,7 +215,7 @@ int plan_follow(const plan_task *task, const double *start, const double *tangen
         s[count] = s[count - 1] + way;
         count++;
         if (count < most && closes(task, start, next, tangent, step, closing, &gap)) {
-            count += gap > 0.1 * step; /* if the start is nearer to `next` than this, it replaces `next` */
+            count += gap > 0.1 * step; /* if the start is nearer than this, it replaces `next` */
             double *end = poses + (count - 1) * n;
             memcpy(end, closing, bytes);
             s[count - 1] = s[count - 2] + distance(n, end, end - n);
@@ -229,7 +229,7 @@ int plan_follow(const plan_task *task, const double *start, const double *tangen
 
 /* --- climbs --- */
 
-#define SHORTEST 1e-6  /* step below which the climb has converged [rad] */
+#define SHORTEST 1e-6  /* with a shorter step, the climb has converged [rad] */
 
 double plan_ascend(const plan_task *task, double *q)
 {
@@ -239,9 +239,9 @@ double plan_ascend(const plan_task *task, double *q)
 
     if (!(plan_place(task, 2, 40, q, q) < TOLERANCE))
         return -1.0;
-    while (h >= SHORTEST) { /* ends, because each accepted step raises mu */
+    while (h >= SHORTEST) { /* terminates, because each accepted step raises mu */
         double mu = look(task, q, error, A, grad);
-        /* joints within 0.01 h of a limit do not move towards it, because clipping would spoil the step */
+        /* a joint within 0.01 h of a limit must not move towards it, because clipping would spoil the step */
         allowed_step(task, 6, q, A, nothing, grad, 0.0, 0.01 * h, way);
         double length = sqrt(dot(n, way, way));
         for (int j = 0; j < n; j++)
@@ -256,7 +256,8 @@ double plan_ascend(const plan_task *task, double *q)
 
 /* --- one step of a value function --- */
 
-/* The largest value of the poses that a pose can reach at the next time in one branch, or `best` if that is larger. */
+/* The largest value, minus the cost of the motion, among the next poses of a branch that are within reach. Returns
+ * `best` if it is larger. */
 static double best_in(const plan_stage *t, int pose, int branch, double best)
 {
     const double *q = t->q + pose * t->n, *slack = t->slack + pose * t->n;

@@ -3,10 +3,10 @@
 #include "python.h"
 #include "vec.h"
 
-/* Wrench of the trocar on the tool in world axes: force, then moment about com. Let c be the point of the shaft nearest
- * to the trocar P, and w the velocity of the tool's material there. Then
- * force = (I - u u^T)(stiffness (P - c) + damping (dP - w)). tip and wrist are two points of the shaft's line; twist is
- * the angular velocity, then the velocity at origin; trocar is P and dP at the start of the period, `elapsed` s ago. */
+/* Compute the wrench of the trocar on the tool in world axes: force, then moment about com. Let c be the point of the
+ * shaft nearest to the trocar P, and w the tool's velocity at c. Then
+ * force = (I - u u^T)(stiffness (P - c) + damping (dP - w)). The shaft's line runs through tip and wrist. twist is the
+ * angular velocity, then the velocity at origin. trocar is P and dP at the start of the period, `elapsed` s ago. */
 FUNCTION(shaft_wrench, {"tip", READ, 3}, {"wrist", READ, 3}, {"twist", READ, 6}, {"origin", READ, 3}, {"com", READ, 3},
          {"trocar", READ, 2, 3}, {"elapsed", NUMBER}, {"stiffness", NUMBER}, {"damping", NUMBER}, {"wrench", WRITE, 6})
 {
@@ -39,9 +39,9 @@ FUNCTION(shaft_wrench, {"tip", READ, 3}, {"wrist", READ, 3}, {"twist", READ, 6},
     Py_RETURN_NONE;
 }
 
-/* Positions, then velocities, as encoders give them. The rows of memory (3, n) are the bias, the previous position and
- * the estimated velocity. gain is that of the velocity's low-pass filter; resolution is in rad. With exact = 1, there
- * is only the bias, without noise, resolution and filter. */
+/* Compute encoder readings: positions, then velocities. The rows of memory (3, n) are the bias, the previous position
+ * and the estimated velocity. gain belongs to the low-pass filter of the velocity. resolution is in rad. With
+ * exact = 1, the readings have a bias, but no noise, resolution or filter. */
 FUNCTION(read_encoders, {"q", READ, N}, {"v", READ, N}, {"noise", READ, N}, {"memory", WRITE, 3, N},
          {"resolution", NUMBER}, {"period", NUMBER}, {"gain", NUMBER}, {"exact", WHOLE}, {"reading", WRITE, 2, N})
 {

@@ -1,25 +1,26 @@
-/* Several freedoms: the optimum over the part of the plane A x = b in the box, as a projection.
+/* The optimum if several free joints are left, computed as a projection on the feasible set.
  *
- * Let Pi be the orthogonal projector on ker A, x_p the shortest point of the plane, and s = x - x_p. In the box,
- * rho/2 |x|^2 - c2 g^T x is smallest at the point nearest to the unconstrained optimum s = c2 Pi g / rho. The dual
- * active-set method of Goldfarb and Idnani (Math. Programming 27, 1983, algorithm 1) starts at that optimum and adds
- * violated bounds one by one. It needs no feasible start and proves infeasibility. It works on Pi swept on the active
- * joints (Goodnight, The American Statistician 33, 1979): row p then says how the other joints, and the multipliers of
- * the active bounds, change when joint p is pushed. If rho = 0, the proximal point iteration (finite for linear
- * programs: Ferris 1991) repeats the projection. */
+ * Let Pi be the orthogonal projector on ker A, x_p the shortest solution of A x = b, and s = x - x_p. Among the
+ * feasible points, the cost rho/2 |x|^2 - c2 g^T x is smallest at the point nearest to s = c2 Pi g / rho, the
+ * unconstrained optimum. The dual active-set method of Goldfarb and Idnani (Math. Programming 27, 1983, algorithm 1)
+ * starts there and adds violated bounds one by one. It needs no feasible start and proves infeasibility.
+ *
+ * Pi is swept on the joints at active bounds (Goodnight, The American Statistician 33, 1979). When joint p is pushed,
+ * row p of the swept Pi gives the change of the other joints and of the multipliers. If rho is almost zero, a proximal
+ * point iteration repeats the projection. It is finite for linear programs (Ferris 1991). */
 #include "vec.h"
 
-#define FAR 1e3          /* distance of the unconstrained optimum, in box widths, from which proximal steps are used */
-#define UNMOVED 1e-20    /* Pi_jj below which joint j counts as fixed */
-#define DEPENDENT 1e-12  /* share of Pi_jj below which the active bounds leave joint j no motion */
+#define FAR 1e3          /* proximal steps are used if the unconstrained optimum is this many box widths away */
+#define UNMOVED 1e-20    /* joint j counts as fixed if Pi_jj is smaller */
+#define DEPENDENT 1e-12  /* joint j cannot move if the active bounds leave it a smaller share of Pi_jj */
 
 typedef struct {
-    int n, r;                                  /* joints, freedoms */
+    int n, r;                                  /* joints, dimension of ker A */
     double s[MOC_MAX_JOINTS];                  /* the point, relative to x_p [rad/s] */
     double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS];
     double pull[MOC_MAX_JOINTS];               /* c2 Pi g */
     double side[MOC_MAX_JOINTS];               /* +1 at an active lower bound, -1 at an upper one, 0 elsewhere */
-    double force[MOC_MAX_JOINTS];              /* multiplier of that bound, positive at a lower one */
+    double force[MOC_MAX_JOINTS];              /* multiplier of the active bound, positive at a lower bound */
     double room[MOC_MAX_JOINTS];               /* Pi_jj before any sweep */
     double Pi[MOC_MAX_JOINTS][MOC_MAX_JOINTS]; /* the projector, swept on the active joints */
     double Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];  /* rows: orthonormal basis of ker A */
@@ -35,7 +36,7 @@ static void fill_projector(polytope *t)
     }
 }
 
-/* Sweep Pi on joint p, which exchanges s_p for its multiplier (sign 1), or undo that (sign -1). */
+/* Sweep Pi on joint p (sign 1): s_p and its multiplier change places. Sign -1 undoes the sweep. */
 static void sweep(polytope *t, int p, double sign)
 {
     double inverse = 1.0 / t->Pi[p][p], row[MOC_MAX_JOINTS];
@@ -94,7 +95,7 @@ static int first_to_let_go(const polytope *t, int p, double side, double *step)
     return joint;
 }
 
-/* Push joint p onto the bound it violates, and release active bounds on the way. Returns whether that was possible. */
+/* Push joint p onto the bound that it violates, and release active bounds on the way. Returns false on failure. */
 static bool push(polytope *t, int p, int *active)
 {
     double side = t->s[p] < t->low[p] ? 1.0 : -1.0, bound = signbit(side) ? t->high[p] : t->low[p];
@@ -125,9 +126,9 @@ static bool push(polytope *t, int p, int *active)
     }
 }
 
-/* Move s to the nearest point within its bounds, along the freedoms of the unswept Pi; then s - s_start = Pi force.
- * Violations up to the slack are allowed. If no point is found, the bounds are widened by at most `most`: where
- * the plane only touches the box, rounding decides whether there is a point. */
+/* Move s within ker A to the nearest point within the bounds. Pi has to be unswept. Afterwards s - s_start = Pi force.
+ * Violations up to the slack are allowed. If no point is found, the bounds are widened in steps of up to `most`,
+ * because rounding may hide a feasible set that is a single point. */
 static moc_status project(polytope *t, double slack, double most)
 {
     double start[MOC_MAX_JOINTS];
@@ -144,7 +145,7 @@ static moc_status project(polytope *t, double slack, double most)
         }
         if (push(t, p, &active))
             continue;
-        for (int j = 0; j < t->n; j++) { /* wider bounds for another try, here or in the next step of `approach` */
+        for (int j = 0; j < t->n; j++) { /* widen the bounds for another try */
             t->low[j] -= slack;
             t->high[j] += slack;
             t->s[j] = start[j];
@@ -159,7 +160,7 @@ static moc_status project(polytope *t, double slack, double most)
     return MOC_DOUBTFUL;
 }
 
-/* The proximal point iteration from a point of the box. The multipliers then have the weight rho + 1 / base.
+/* Run the proximal point iteration from a feasible point. Its multipliers have the weight rho + 1 / base.
  *
  * Long steps come first, because they make progress even if the cost is almost flat. The short steps at the end stay at
  * the vertex and remove the rounding of the long ones. */
@@ -178,7 +179,7 @@ static moc_status approach(polytope *t, double rho, double slack, double most, d
             status = project(t, slack, most);
             moved = 0.0;
             for (int j = 0; j < t->n; j++) {
-                if (status != MOC_OK) /* a feasible point exists, but rounding is too large for this long step */
+                if (status != MOC_OK) /* the step is too long for its rounding error */
                     t->s[j] = before[j];
                 moved = fmax(moved, fabs(t->s[j] - before[j]));
             }

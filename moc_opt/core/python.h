@@ -1,7 +1,7 @@
-/* Arguments of the binding: a table per function says what each of them has to be.
+/* Arguments of the binding. Each function has a table with the names, types and shapes of its arguments.
  *
- * Arrays are NumPy's. All arguments are checked before anything is written: type float64, C-contiguous, shape. A wrong
- * one raises a ValueError or TypeError that names the argument and the expected shape. */
+ * All arguments are checked before anything is written. Arrays have to be NumPy arrays of float64, C-contiguous, and of
+ * the right shape. A wrong argument raises a ValueError or TypeError that names the argument and the expected shape. */
 #ifndef MOC_PYTHON_H
 #define MOC_PYTHON_H
 
@@ -26,8 +26,8 @@
 typedef enum { READ, WRITE, STRIDED, MAYBE, NUMBER, WHOLE, MADE } kind;
 
 /* Symbolic lengths: N joints, ROW = 11 n + 10 numbers of a packed subproblem, TERMS = n n + 13 n + 18 of packed terms,
- * TICKED = 14 n + 16 results of a tick, K rows (the first such array sets k), ANY. Columns 0 mean an array with one
- * axis. */
+ * TICKED = 14 n + 16 results of a tick, K rows (the first such array sets k), ANY length. 0 columns: an array
+ * with one axis. */
 enum { N = -1, ROW = -2, TERMS = -3, TICKED = -4, K = -5, ANY = -6 };
 
 typedef struct {
@@ -38,7 +38,7 @@ typedef struct {
 
 enum { MOST_ARGUMENTS = 14 };
 
-/* The arguments of one call, by their places in its table. */
+/* The arguments of one call, in the order of its table. */
 typedef struct {
     int n;                                /* joints; 0 until an array sets it */
     npy_intp k;                           /* rows; -1 until an array sets it */
@@ -48,14 +48,14 @@ typedef struct {
     PyArrayObject *as[MOST_ARGUMENTS];    /* the array as an object */
 } call;
 
-/* Take the arguments of a call on n joints (0: set by an array). Returns false with an exception. */
+/* Take the arguments of a call for n joints. With n = 0, an array sets n. Returns false with an exception. */
 bool moc_take(call *c, int n, const char *name, PyObject *const *args, Py_ssize_t count, const parameter *table,
              int size);
 
-/* Release the call's own references to the arrays that it has created. Returns the result. */
+/* Release the references to the arrays that the call has created. Returns the result. */
 PyObject *moc_done(call *c, PyObject *result);
 
-/* The number of rows of array i; number i clipped to the range of an int. */
+/* rows_of is the number of rows of array i. whole is number i, clipped to the range of an int. */
 static inline int rows_of(const call *c, int i)
 {
     return (int)PyArray_DIM(c->as[i], 0);
@@ -68,8 +68,8 @@ static inline int whole(const call *c, int i)
 
 #define COUNT(table) ((int)(sizeof(table) / sizeof(table)[0]))
 
-/* FUNCTION(name, parameters...) { body } defines a function of the module, METHOD(Type, name, parameters...) { body } a
- * method. The body has the arguments in `c` and the object in `self`. _core.pyi says what each of them does. */
+/* FUNCTION(name, parameters...) { body } defines a function of the module. METHOD(Type, name, parameters...) { body }
+ * defines a method. The body has the arguments in `c` and the object in `self`. _core.pyi describes each function. */
 #define CALL(function, name, joints, body, ...)                                                                        \
     static PyObject *function(PyObject *self, PyObject *const *args, Py_ssize_t count)                                 \
     {                                                                                                                  \
@@ -109,7 +109,7 @@ typedef struct {
     size_t offset;
 } field;
 
-/* Fill an object's fields from the keywords of the same names; none may be missing. Returns false with an exception. */
+/* Fill an object's fields from the keywords of the same names. All must be given. Returns false with an exception. */
 bool moc_fill(PyObject *keywords, const field *fields, int count, Arm *self);
 
 #endif

@@ -65,7 +65,6 @@ METHOD(Arm, tool_pose, {"q", READ, N}, {"pose", MADE, 4, 3})
 
 #define TASK(points) {"low", READ, N}, {"high", READ, N}, {"target", READ, points, 3}
 
-/* Arguments 0 to 2 of the methods below. */
 static plan_task take_task(const Arm *self, const call *c)
 {
     plan_task task = {.arm = &self->arm, .low = c->array[0], .high = c->array[1]};
@@ -87,7 +86,7 @@ METHOD(Arm, follow_curve, TASK(2), {"q", READ, N}, {"tangent", READ, N}, {"step"
 {
     const plan_task task = take_task(self, c);
     int closed;
-    if (c->k < 2 || !(c->number[5] > 0.0 && c->number[5] <= 10.0)) /* plan_follow halves it ten times */
+    if (c->k < 2 || !(c->number[5] > 0.0 && c->number[5] <= 10.0)) /* plan_follow halves the step up to ten times */
         return PyErr_Format(PyExc_ValueError,
                             "follow_curve: give 2 samples or more, and a step above 0 and up to 10 rad");
     int found = plan_follow(&task, c->array[3], c->array[4], c->number[5], (int)c->k, c->array[6], c->array[7],

@@ -1,4 +1,4 @@
-/* Functions of the module: solve and judge the subproblem, fill a QP library's buffers. */
+/* Functions of the module, most of them for the subproblem: solve it, and fill a QP library's buffers with it. */
 #include "python.h"
 #include "vec.h"
 
@@ -43,10 +43,10 @@ FUNCTION(step_network, {"record", READ, ROW}, {"x", WRITE, N}, {"y", WRITE, 6}, 
  * Tip and wrist are rigidly tied: u^T (J_T - J_W) = 0 for the tool's direction u. The five rows are the tip's three and
  * the wrist's two perpendicular to u: A5 = lift A, and A5^T y5 = A^T (lift^T y5). */
 
-#define TIED 1e-7 /* sixth singular value of A over its norm, below which tip and wrist are tied (qp/residuals.py) */
+#define TIED 1e-7 /* tip and wrist are tied if the sixth singular value is below this share of |A|_F */
 
-/* The unit vector u with u^T (J_T - J_W) = 0, its largest entry positive; false where tip and wrist are not tied.
- * The adjugate of (J_T - J_W)(J_T - J_W)^T is a positive multiple of u u^T; its longest column is taken. */
+/* Compute the unit vector u with u^T (J_T - J_W) = 0. Returns false if tip and wrist are not rigidly tied. The adjugate
+ * of (J_T - J_W)(J_T - J_W)^T is a positive multiple of u u^T, so that its longest column is parallel to u. */
 static bool tool_direction(const moc_problem *p, double u[3])
 {
     double D[3][MOC_MAX_JOINTS], G[3][3], adj[3][3], size = 0.0, apart = 0.0;
@@ -74,7 +74,6 @@ static bool tool_direction(const moc_problem *p, double u[3])
     return 0.5 * apart <= TIED * TIED * size;
 }
 
-/* P (n,n) and p (n,). */
 static void cost(const moc_problem *p, double P[][MOC_MAX_JOINTS], double *linear)
 {
     for (int i = 0; i < p->n; i++) {
@@ -129,7 +128,7 @@ static void put(const call *c, int argument, double scale, const double *from)
                 scale * from[matrix ? i * MOC_MAX_JOINTS + j : i];
 }
 
-/* p, lower and upper are multiplied by the three signs. packed is the upper triangle of P by columns, or empty. */
+/* The three signs multiply p, lower and upper. packed is the upper triangle of P by columns, or empty. */
 FUNCTION(load, {"record", READ, ROW}, {"five", WHOLE}, {"scale", NUMBER}, {"signs", READ, 3}, {"P", STRIDED, N, N},
          {"p", STRIDED, N}, {"A", STRIDED, K, N}, {"low", STRIDED, K}, {"high", STRIDED, K}, {"lower", STRIDED, N},
          {"upper", STRIDED, N}, {"packed", STRIDED, ANY}, {"lift", WRITE, K, 6})

@@ -1,9 +1,9 @@
-/* Copies between a struct and its packed record, in which rows of joints have n numbers. */
+/* Copies between a struct and its packed record. In a record, each row of joints has n numbers. */
 #include <stddef.h>
 
 #include "shared.h"
 
-/* Rows of numbers in a struct, MOC_MAX_JOINTS apart, and their length; N stands for n. */
+/* Rows of numbers in a struct. They are MOC_MAX_JOINTS numbers apart. The value N stands for n. */
 typedef struct {
     size_t offset;
     int rows, columns;

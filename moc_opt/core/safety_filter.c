@@ -1,20 +1,20 @@
 /* The safety filter. It checks every measurement, limits every torque, and decides when the arm has to stop.
  *
- * The reasons to stop, by the fields of moc_guard; T is the control period, r the momentum residual. A reason with a *
- * has to hold on more than `patience` ticks in a row. If several apply in one tick, the first of the list is reported.
+ * The table gives the condition of each reason to stop. T is the control period, and r the momentum residual.
+ * A reason with a * has to hold on more than `patience` ticks in a row. The first reason that applies is reported.
  *
  *   LATE              now - newest stamp > usual delay + patience
  *   MEASUREMENT *     |q - q_believed| > jump + ticks v_max T, or |v| > speed_factor v_max
- *   REPLAYED          all encoders and the wrench repeat earlier readings at a constant lag, more often than the
- *                     smaller of repeat_reading_ticks and repeat_whole_ticks (replayed_ticks without wrench noise)
- *   REPEATED *        all q are unchanged although the reference moved by repeat_m or a torque changed by repeat_torque
+ *   REPLAYED          all encoders and the wrench equal earlier readings at a constant lag. This happened more often
+ *                     than repeat_reading_ticks or repeat_whole_ticks (replayed_ticks if the wrench has no noise).
+ *   REPEATED *        all q are unchanged, but the reference moved by repeat_m or a torque changed by repeat_torque
  *                     tau_max. If the wrench is unchanged as well, repeat_whole_m and repeat_whole_torque apply.
- *                     Without *: q and v of all joints were unchanged on more than repeat_reading_ticks ticks in total
+ *   REPEATED          all q and v were unchanged on more than repeat_reading_ticks ticks in total
  *   RAN_AWAY          |q - integral of v over motion_s| > motion_rad + motion_lag_s * (largest recent |v|)
- *   ONE_REPEATED      one q is unchanged for more than repeat_joint_ticks ticks, or its q and v were unchanged on more
- *                     than repeat_reading_ticks ticks in all
- *   WRENCH_REPEATED   a wrench that has noise is unchanged for more than repeat_whole_ticks ticks
- *   LAGGING           one encoder repeats earlier readings at a constant lag, more than repeat_reading_ticks times
+ *   ONE_REPEATED      one q is unchanged for more than repeat_joint_ticks ticks in a row, or one q and its v were
+ *                     unchanged on more than repeat_reading_ticks ticks in total
+ *   WRENCH_REPEATED   the wrench has noise, but is unchanged for more than repeat_whole_ticks ticks
+ *   LAGGING           one encoder equals earlier readings at a constant lag, more than repeat_reading_ticks times
  *   WRENCH *          the wrench is not finite
  *   RCM, FORCE        the rms of the shaft's distance from the trocar, or of the trocar's force, is above its limit
  *   TIP               rms |X - X_d| > tip_error
@@ -23,16 +23,16 @@
  *   TORQUE            the controller's torque is not finite
  *
  * A torque is limited by each joint's wall and brake (left_by_wall), then by torque_step, then by tau_max.
- * docs/reliability.md says where each level comes from, docs/extending.md what a new check needs. */
+ * docs/reliability.md explains the limits. docs/extending.md describes how to add a check. */
 #include <limits.h>
 
 #include "vec.h"
 
-#define SHORTEST_DEPTH 0.05 /* below this depth the trocar's force and a contact of the tip look alike [m] */
+#define SHORTEST_DEPTH 0.05 /* at a smaller depth, a contact of the tip looks like a trocar force [m] */
 #define GRAVITY 9.81        /* [m/s^2] */
 #define FIRST_READINGS 100  /* readings that decide whether the wrench sensor has noise */
 #define LARGEST_STAMP (LLONG_MAX / 4) /* a larger stamp cannot be the number of a control period */
-#define SHRINK 0.61803398875 /* weight of as_number, which turns a reading into one number */
+#define SHRINK 0.61803398875 /* factor in as_number, which turns a reading into one number */
 #define FINE 1e9             /* take_in stores a reading x in slot (|x| * FINE) mod slots */
 #define LARGEST_NUMBER 1e6   /* take_in ignores larger numbers */
 
@@ -57,13 +57,13 @@ void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v
 
 enum { FRESH, REPEAT, OLD };
 
-/* The age of a measurement. It is OLD if it is over `patience` ticks later than the first new measurement was. */
+/* OLD: the newest measurement is over `patience` ticks later than the first new measurement of the run was. */
 static int age(const moc_guard *g, long long stamp, moc_watch *w)
 {
     bool possible = stamp > -LARGEST_STAMP && stamp < LARGEST_STAMP;
     w->now++;
     long long late = possible ? w->now - stamp : LLONG_MAX;
-    if (late < 0 && late >= -g->patience) { /* the controller missed ticks: it takes over the arm's count */
+    if (late < 0 && late >= -g->patience) { /* the controller missed ticks, so it takes the arm's count */
         w->now = stamp;
         late = 0;
     }
@@ -71,7 +71,7 @@ static int age(const moc_guard *g, long long stamp, moc_watch *w)
     if (newer) {
         w->elapsed += stamp - w->newest;
         w->newest = stamp;
-        if (++w->taken == 2) /* the first measurement was there before the run and says nothing about the delay */
+        if (++w->taken == 2) /* the first measurement dates from before the run and shows no delay */
             w->delay = late;
     }
     if (w->now - w->newest > w->delay + g->patience)
@@ -79,7 +79,7 @@ static int age(const moc_guard *g, long long stamp, moc_watch *w)
     return newer ? FRESH : REPEAT;
 }
 
-/* Whether q is near enough to the latest believed position for the time since, and v not too fast; false for NaN. */
+/* Whether q is close enough to the last believed position, and v is not too large. False for NaN. */
 static bool believable(const moc_guard *g, int n, const double *q, const double *v, const moc_watch *w)
 {
     double ticks = 1.0 + (double)w->bad;
@@ -97,7 +97,7 @@ static bool same(double a, double b)
     return a <= b && a >= b;
 }
 
-/* Whether the wrench sensor has noise: no two successive ones of the FIRST_READINGS were equal. False until then. */
+/* True if no two successive wrenches of the FIRST_READINGS were equal. False until these have been read. */
 static bool wrench_has_noise(const moc_watch *w)
 {
     return w->looked >= FIRST_READINGS && !w->wrench_is_still;
@@ -123,19 +123,19 @@ static bool compare_joint(const moc_guard *g, double q, double v, double elapsed
     double keep = 1.0 - fmin(1.0, elapsed / g->motion_s);
     bool first = j->repeats < 0.0;
 
-    if (first) /* the comparison with the velocity starts at zero gap */
+    if (first) /* start with a zero gap */
         j->shown = q - elapsed * v;
     j->gap = keep * j->gap + (q - j->shown) - elapsed * v;
     j->peak = fmax(keep * j->peak, fabs(v));
     bool repeats = same(q, j->shown);
-    /* While a joint has never moved, an unchanged q and v prove nothing. */
+    /* If a joint has never moved, an unchanged q and v prove nothing. */
     j->whole += !first && repeats && same(v, j->speed) && j->peak > 0.0;
     j->speed = v;
     if (first || repeats) {
         j->repeats += 1.0;
     } else {
         j->repeats = 0.0;
-        j->at_repeat = j->mean; /* not the last residual, which a coarse encoder step disturbs */
+        j->at_repeat = j->mean; /* the mean, because a coarse encoder step disturbs the residual */
         j->unseen = 0.0;
     }
     j->shown = q;
@@ -185,8 +185,8 @@ static moc_stop compare_readings(const moc_guard *g, int n, const moc_measuremen
                                                                                   : MOC_RUNNING;
 }
 
-/* Store a reading, as one number, in a table. Returns how many readings have equalled the reading that came a constant
- * lag earlier. The count restarts when the lag changes. */
+/* Store a reading, given as one number, in a table. Returns how often a reading has equalled the reading that came a
+ * constant lag earlier. The count restarts when the lag changes. */
 static inline double take_in(double number, int slots, double *numbers, double *at, moc_came_before *before)
 {
     if (!(fabs(number) < LARGEST_NUMBER))
@@ -211,9 +211,8 @@ static double as_number(int count, const double *values, double number)
     return number;
 }
 
-/* The checks REPLAYED and LAGGING. No other check finds a recording that is played again, because its positions agree
- * with its velocities and with the model. The same holds for an encoder that measures position and velocity and starts
- * to lag by k readings: it repeats the last k readings. */
+/* The checks REPLAYED and LAGGING. No other check finds a replayed recording, because its positions agree with its
+ * velocities and with the model. An encoder that starts to lag by k readings repeats the last k readings. */
 static moc_stop came_before(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w)
 {
     double most = fmin(g->repeat_reading_ticks, wrench_has_noise(w) ? g->repeat_whole_ticks : g->replayed_ticks);
@@ -254,7 +253,6 @@ moc_stop moc_guard_believe(const moc_guard *g, int n, const moc_measurement *m, 
 
 /* --- the incision --- */
 
-/* Distance of the shaft's line from the point P [m]. */
 static double rcm_error(double pose[4][3], const double P[3])
 {
     double line[3] = {P[0] - pose[3][0], P[1] - pose[3][1], P[2] - pose[3][2]};
@@ -266,8 +264,8 @@ static double rcm_error(double pose[4][3], const double P[3])
  *
  * Without the tool's weight, the reading is the sum of the trocar's force f, at a depth d behind the tip, and of a
  * contact force g at the tip: force = f + g, torque = (L - d) z x f + L z x g. Hence f = (L force - torque x z) / d.
- * Wrong encoders give a wrong d, and all of f may look like a contact: at most tip_force is taken for one. An unknown
- * load on the tool may hide a part of f. Therefore the warning uses |force|, which is written to *all. */
+ * If the encoders and thus d are wrong, all of f may look like a contact. Therefore a contact accounts for tip_force at
+ * most. An unknown load on the tool may hide a part of f. Therefore the warning also uses |force|, returned in *all. */
 static double trocar_force(const moc_guard *g, double pose[4][3], const double P[3], const double *wrench, double *all)
 {
     double depth = 0.0, L = g->tool_length, weight[2], force[2];
@@ -323,8 +321,8 @@ moc_stop moc_guard_incision(const moc_guard *g, double pose[4][3], const moc_tro
 
 /* --- the torque compared with the motion --- */
 
-/* Whether joint i has by far the largest residual. Then its drive is at fault: an outer force or an unstable loop gives
- * several joints a large residual. */
+/* Whether joint i has by far the largest residual. Its drive is then at fault, because an external force or an unstable
+ * loop would disturb several joints. */
 static bool alone(const moc_guard *g, int n, int i, const moc_watch *w)
 {
     double mine = fabs(w->joint[i].residual - w->joint[i].mean) / g->tau_max[i];
@@ -334,7 +332,7 @@ static bool alone(const moc_guard *g, int n, int i, const moc_watch *w)
     return true;
 }
 
-/* STUCK and UNEXPLAINED, by the momentum residual (De Luca & Mattone 2003), see moc_observe. */
+/* The checks STUCK and UNEXPLAINED. They use the momentum residual (De Luca & Mattone 2003) of moc_observe. */
 static moc_stop weigh(const moc_guard *g, int n, const moc_terms *t, const double *tau, moc_watch *w)
 {
     moc_stop found = MOC_RUNNING;
@@ -370,7 +368,7 @@ static moc_stop weigh(const moc_guard *g, int n, const moc_terms *t, const doubl
 
 /* --- limits of the torque --- */
 
-/* Largest torque towards a wall that wall and brake allow in addition to the weight; infinite if neither acts. */
+/* Largest torque towards a wall that its spring and brake allow in addition to the weight. Infinite if neither acts. */
 static double left_by_wall(const moc_guard *g, int i, double distance, double speed)
 {
     /* the speed from which the joint can still stop at the wall */
@@ -380,7 +378,7 @@ static double left_by_wall(const moc_guard *g, int i, double distance, double sp
     return -g->wall_stiffness * fmax(-distance, 0.0) - g->wall_damping * fmax(speed - allowed, 0.0);
 }
 
-/* The torque that carries the arm's weight at q. Returns false where it is not finite. */
+/* The torque that carries the arm's weight at q. Returns false if it is not finite. */
 static bool weight_of(const moc_guard *g, const moc_arm *arm, const double *q, double *weight)
 {
     memset(weight, 0, (unsigned)arm->n * sizeof *weight);
@@ -400,7 +398,7 @@ static int limit_torque(const moc_guard *g, const moc_arm *arm, const double *be
         most[i] = left_by_wall(g, i, w->high[i] - w->q[i], w->v[i]);
         least[i] = -left_by_wall(g, i, w->q[i] - w->low[i], -w->v[i]);
         braked |= isfinite(most[i]) || isfinite(least[i]);
-        if (least[i] > most[i]) /* the joint leaves a wall too fast: spring and brake contradict each other */
+        if (least[i] > most[i]) /* the joint leaves a wall too fast, so that spring and brake contradict each other */
             least[i] = most[i] = 0.0;
     }
     if (braked)
@@ -450,9 +448,9 @@ void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before
 }
 
 /* With closed brakes the arm keeps pressing on the tissue. With open brakes it sinks under any load that its model
- * lacks. Therefore the brakes open when the trocar's force exceeds stop_yield, close at half of that or after
- * stop_yield_ticks, and open again when the force has risen by stop_yield once more. They stay closed if the drives
- * cannot carry the weight or if one drive is at fault (w->cut): then the brakes alone hold the arm. */
+ * lacks. Therefore the brakes open when the trocar's force exceeds stop_yield. They close at half of stop_yield, or
+ * after stop_yield_ticks. They open again when the force has risen by another stop_yield. They stay closed if
+ * the drives cannot carry the weight. If a drive is at fault (w->cut), closed brakes alone hold the arm. */
 void moc_guard_hold(const moc_guard *g, const moc_arm *arm, const double *wrench, moc_watch *w, double *friction)
 {
     double weight[MOC_MAX_JOINTS], pose[4][3];

@@ -1,4 +1,4 @@
-/* Functions that the core's files share; moc.h is public. Vectors of joints are (n,); rows are MOC_MAX_JOINTS apart. */
+/* Functions that the core's files share. Vectors of joints are (n,). The rows of matrices are MOC_MAX_JOINTS apart. */
 #ifndef MOC_SHARED_H
 #define MOC_SHARED_H
 
@@ -24,7 +24,7 @@ typedef struct {
 /* Compute all terms. Returns MOC_OK or MOC_NOT_FINITE. */
 moc_status moc_compute_terms(const moc_arm *arm, const double *q, const double *v, moc_terms *terms);
 
-/* Compute frame[n] and twist[n] of the joints at a finite q, and (moc_kinematics) the terms without velocity. */
+/* Compute frame[n] and twist[n] of the joints at a finite q. moc_kinematics also fills the kinematic terms. */
 void moc_place(const moc_arm *arm, const double *q, moc_frame *frame, moc_twist *twist);
 void moc_kinematics(const moc_arm *arm, const double *q, moc_frame *frame, moc_twist *twist, moc_terms *terms);
 
@@ -38,14 +38,14 @@ void moc_gravity(const moc_arm *arm, const double *q, double *torque);
 void moc_point(const moc_arm *arm, const moc_frame *frame, const moc_twist *twist, int which, double point[3],
                double J[][MOC_MAX_JOINTS]);
 
-/* Return mu = sqrt(det(J J^T)) of J (3,n) or mu_shaft of A (6,n). Write its gradient (n,); that of mu may be NULL. */
+/* Return mu of J (3,n), or mu_shaft of A (6,n), and write its gradient (n,). Only the gradient of mu may be NULL. */
 double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOINTS], double *gradient);
 double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], const double u[3],
                                 double *gradient);
 
 /* --- record.c --- */
 
-/* Copy a struct to or from its packed record, as moc_opt/qp/problem.py and moc_opt/robots/model.py read it. */
+/* Copy a struct to or from its packed record. moc_opt/qp/problem.py and moc_opt/robots/model.py read these records. */
 typedef enum { UNPACK, PACK } direction;
 void moc_copy_problem(moc_problem *problem, int n, double *record, direction way);
 void moc_copy_terms(moc_terms *terms, int n, double *record, direction way);
@@ -56,7 +56,7 @@ void moc_copy_terms(moc_terms *terms, int n, double *record, direction way);
 void moc_tracking_torque(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
                          const moc_trocar *trocar, double *tau);
 
-/* Fill this tick's subproblem. x_d is a velocity [rad/s] that replaces the climb of mu, or NULL. */
+/* Fill this tick's subproblem. If x_d is not NULL, x follows x_d [rad/s] instead of climbing mu. */
 void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
                       const moc_trocar *trocar, const double *x_d, moc_problem *problem);
 
@@ -64,57 +64,59 @@ void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_r
 void moc_add_third_level(const moc_law *law, int n, const moc_terms *t, const moc_memory *memory, const double *x,
                          double *tau);
 
-/* Compute the wrist N_d = X + L e that puts the shaft through the trocar, and dN_d, for a tip at X with velocity dX. */
+/* Compute the desired wrist N_d = X + L e, which puts the shaft through the trocar, and its velocity dN_d. */
 void moc_desired_wrist(const double X[3], const double dX[3], const moc_trocar *trocar, double span, double N_d[3],
                        double dN_d[3]);
 
-/* Advance the observer of joint i by a period in which tau acted: r = gain (M v - integral(tau + C^T v - g + r)). */
+/* Advance the observer of joint i by one period with the torque tau: r = gain (M v - integral(tau + C^T v - g + r)). */
 void moc_observe(int n, const moc_terms *t, int i, double tau, double gain, double period, double *integral, double *r);
 
 /* Return the weight of grad mu_shaft in the pull, relative to grad mu [m]. */
 double moc_shaft_push(double mu_shaft, double margin);
 
-/* Compute x_d of the scaled climb [rad/s], with Z of the memory. It is zero at a maximum of mu and at a singularity. */
+/* Compute the joint velocity x_d of the scaled climb of mu [rad/s]. It is zero at a maximum and at a singularity. */
 void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_memory *memory, double *x_d);
 
-/* Write an orthonormal basis of ker A to Z, near the previous Z if that has as many rows. Returns its row count. */
+/* Write an orthonormal basis of ker A to Z, and return its number of rows. `rows` is the number of rows of the previous
+ * basis in Z. If the new basis has as many rows, it is chosen close to the previous one. */
 int moc_null_space(int n, double A[][MOC_MAX_JOINTS], int rows, double Z[][MOC_MAX_JOINTS]);
 
-/* Make row k of Z orthogonal to the rows before it and of length 1. Returns false if `least` or less of it is left. */
+/* Make row k of Z orthogonal to the rows before it, and scale it to length 1. Returns false if the orthogonal part is
+ * not longer than `least`. */
 bool moc_orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least);
 
-/* Project: part = Z^T Z x with an orthonormal basis Z (rows, n). part may be x. */
+/* Compute the projection part = Z^T Z x with an orthonormal basis Z (rows, n). part may be x. */
 void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, double *part);
 
 /* --- exact.c, polytope.c --- */
 
-#define STILL 1e-10 /* bounds of joints that move less than this in a unit step are ignored (qp/extremes.py) */
+#define STILL 1e-10 /* a joint that moves less than this in a unit step has no bounds (qp/extremes.py) */
 
-/* A x = b after elimination: row k < rank means x[joint[k]] + sum over free joints of row[k][j] x[j] = right[k]. */
+/* A x = b after elimination. Row k < rank reads x[joint[k]] + sum over free joints of row[k][j] x[j] = right[k]. */
 typedef struct {
-    double row[6][MOC_MAX_JOINTS], right[6], pivot; /* pivot: of the last step [m] */
+    double row[6][MOC_MAX_JOINTS], right[6], pivot; /* pivot: the pivot of the last step [m] */
     double step[6][6];         /* step[k][i]: multiple of row k that step k added to row i */
     int from[6];               /* the row that was swapped with row k before step k */
     int joint[MOC_MAX_JOINTS]; /* pivot joints, then free joints that move tip or wrist, then the others */
-    int rank, freedoms;
+    int rank, freedoms;        /* freedoms: number of free joints that move tip or wrist */
 } moc_plane;
 
 /* Eliminate A x = b and list the free joints after the pivot joints. Returns false if the rank is in doubt. */
 bool moc_eliminate(moc_plane *plane, const moc_problem *problem);
 
-/* Compute the motion z (n,) of all joints in ker A in which free joint number k moves by one. */
+/* Compute the motion z (n,) in ker A in which free joint number k moves by one and the other free joints stay still. */
 void moc_direction(const moc_plane *plane, int n, int k, double *z);
 
-/* Replace x, a point of a plane with several freedoms, by the optimum; the bounds' multipliers are added to force. */
+/* Replace a solution x of A x = b by the optimum, for several free joints. Adds the bounds' multipliers to force. */
 moc_status moc_solve_several(const moc_plane *plane, const moc_problem *problem, double tolerance, double *x,
                              double *force);
 
 /* --- answer.c --- */
 
 typedef struct {
-    double primal;   /* |A x - b|_inf; NaN where x is not finite [m/s] */
-    double outside;  /* violation of the box [rad/s] */
-    double natural;  /* natural residual along the self-motion, with the gradient scaled to length 1 [rad/s] */
+    double primal;   /* |A x - b|_inf [m/s]. All residuals are NaN if x is not finite. */
+    double outside;  /* largest bound violation [rad/s] */
+    double natural;  /* natural residual along the self-motion, for a cost with a gradient of size 1 [rad/s] */
     double off;      /* distance from the optimum [rad/s] */
     double opposite; /* distance from the optimum of the opposite gradient [rad/s] */
 } moc_residuals;
@@ -122,33 +124,33 @@ typedef struct {
 /* Compute the residuals of x. The rows of Z span the self-motion. */
 moc_residuals moc_judge(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOINTS], const double *x);
 
-/* Check an answer and write the x that the arm follows. */
+/* Check an answer and write the x that the third level follows. */
 moc_fault moc_supervise(const moc_supervision *s, const moc_problem *problem, const moc_answer *answer,
                         moc_memory *memory, double *x);
 
 /* --- safety_filter.c --- */
 
-/* Start at a finite q, v, measured in control period `stamp`. */
+/* Start at a finite q and v. They were measured in control period number `stamp`. */
 void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v, long long stamp, moc_watch *w);
 
-/* Check a measurement. watch->q and v are then the believed ones. */
+/* Check a measurement. Afterwards watch->q and watch->v are the believed state. */
 moc_stop moc_guard_believe(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w);
 
 /* Check RCM error and trocar force at the believed pose of the tool. */
 moc_stop moc_guard_incision(const moc_guard *g, double pose[4][3], const moc_trocar *trocar, const double *wrench,
                             moc_watch *w);
 
-/* Check the tip (NULL: not known) and the motion (terms at watch->q, v; NULL: not known), then limit tau in place.
- * `before` is the torque of the previous tick. A tau that is not finite is not changed. */
+/* Check the tip and the motion, then limit tau in place. t are the terms at watch->q and watch->v. A tip or t that is
+ * NULL is not checked. `before` is the torque of the previous tick. A tau that is not finite is not changed. */
 moc_stop moc_guard_follow(const moc_guard *g, const moc_arm *arm, const moc_terms *t, const double *tip,
                           const double *tip_ref, const double *before, double *tau, moc_watch *w);
 
-/* Compute the torque of a stop. It approaches the arm's weight in the last believed pose by torque_step per tick. */
+/* Compute the torque of a stop. It approaches the weight in the last believed pose by torque_step per tick. */
 void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before, const moc_watch *w, double *tau);
 
 /* --- step.c --- */
 
-/* Solve the state's subproblem with moc_solve_exact; x, y and status are kept in the state. */
+/* Solve the state's subproblem with moc_solve_exact. Stores x, y and the status in the state. */
 moc_answer moc_ask_exact(const moc_controller *c, moc_state *state);
 
 #endif

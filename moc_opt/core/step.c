@@ -1,8 +1,8 @@
 /* One tick: moc_begin (check of the measurement, terms, levels 1 and 2, subproblem), any solver, and moc_finish (check
  * of the answer, level 3, limits of the torque).
  *
- * In Python c->guard is NULL, and FilteredController of moc_opt/sim/loop.py calls the functions of safety_filter.c in
- * the same order around any controller. A change of the order here has to be made there as well. */
+ * In Python c->guard is NULL, and FilteredController of moc_opt/sim/loop.py calls the functions of safety_filter.c
+ * around any controller. If the order changes here, it has to change in loop.py as well. */
 #include "vec.h"
 
 /* --- the law, at the terms in the state --- */
@@ -14,7 +14,7 @@ static void start_law(const moc_controller *c, moc_state *s)
 
     memset(memory, 0, sizeof *memory);
     for (int i = 0; i < n; i++) {
-        memory->integral[i] = dot(n, s->terms.M[i], s->terms.v); /* the momentum, so that r starts at zero */
+        memory->integral[i] = dot(n, s->terms.M[i], s->terms.v); /* r starts at zero */
         memory->tau[i] = s->terms.h[i];
     }
     s->reason = MOC_RUNNING;
@@ -30,7 +30,7 @@ static void levels(const moc_controller *c, const moc_input *in, moc_state *s)
     double climb[MOC_MAX_JOINTS];
     int n = c->arm->n;
 
-    for (int i = 0; i < n && law->observer_gain > 0.0; i++) /* r, from the previous torque */
+    for (int i = 0; i < n && law->observer_gain > 0.0; i++) /* the observer uses the previous torque */
         moc_observe(n, t, i, memory->tau[i], law->observer_gain, law->period, &memory->integral[i],
                     &memory->external[i]);
     moc_tracking_torque(law, n, t, &in->ref, &in->trocar, s->tau);
@@ -74,7 +74,7 @@ moc_stop moc_start(const moc_controller *c, const moc_measurement *m, moc_state 
     return s->reason;
 }
 
-/* Take the torque that acted into the state. A state that no tick can leave behind is a reason to stop. */
+/* Store the torque that acted. An impossible number of rows, or a torque beyond its limit, is a reason to stop. */
 static void take_applied(const moc_controller *c, const double *applied, moc_state *s)
 {
     int n = c->arm->n;
@@ -90,7 +90,6 @@ static void take_applied(const moc_controller *c, const double *applied, moc_sta
         s->sent[i] = isnan(s->sent[i]) ? 0.0 : clip(s->sent[i], -c->guard->tau_max[i], c->guard->tau_max[i]);
 }
 
-/* Check the measurement, and compute the terms at the believed state. */
 static moc_stop believe(const moc_controller *c, const moc_input *in, moc_state *s)
 {
     moc_measurement seen = in->measured;
@@ -122,7 +121,6 @@ moc_stop moc_begin(const moc_controller *c, const moc_input *in, moc_state *s)
     return s->reason;
 }
 
-/* Check the answer, add the third level, and let the safety filter limit the torque. */
 static moc_stop complete(const moc_controller *c, const moc_answer *answer, moc_state *s)
 {
     static const double rest[MOC_MAX_JOINTS];
@@ -173,7 +171,7 @@ moc_stop moc_step(const moc_controller *c, const moc_input *in, moc_state *s, do
 {
     moc_answer answer = {s->answer, MOC_GIVES_NONE, MOC_TAKEN, 0.0};
 
-    if (moc_begin(c, in, s) == MOC_RUNNING) /* without a third level, the subproblem has n = 0 */
+    if (moc_begin(c, in, s) == MOC_RUNNING) /* without a third level, n is 0 in the subproblem */
         answer = moc_ask_exact(c, s);
     return moc_finish(c, &answer, s, tau);
 }

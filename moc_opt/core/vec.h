@@ -20,7 +20,7 @@ static inline void add_cross(double s, const double a[3], const double b[3], dou
     out[2] += s * (a[0] * b[1] - a[1] * b[0]);
 }
 
-/* Scale a to length 1. Returns its length before. */
+/* Scale a to length 1. Returns the previous length. */
 static inline double normalise3(double a[3])
 {
     double length = sqrt(dot3(a, a));
@@ -45,7 +45,7 @@ static inline double adjugate3(double S[3][3], double adj[3][3])
     return dot3(S[0], adj[0]);
 }
 
-/* Two partial sums, which the processor computes in parallel. */
+/* The scalar product, as two partial sums that the processor computes in parallel. */
 static inline double dot(int n, const double *a, const double *b)
 {
     double even = n % 2 ? a[n - 1] * b[n - 1] : 0.0, odd = 0.0;
@@ -64,7 +64,7 @@ static inline bool all_finite(int n, const double *x)
     return sum == 0.0;
 }
 
-/* fmax and fmin without a call of the C library, which would dominate the time of a loop. Both return b if a is NaN. */
+/* fmax and fmin without the slow call of the C library. Both return b if a is NaN. */
 static inline double larger(double a, double b)
 {
     return a > b ? a : b;
@@ -122,7 +122,7 @@ static inline void across(const double u[3], double b[2][3])
     add_cross(1.0, u, b[0], b[1]);
 }
 
-/* The largest |x_i|; NaN if one is NaN. */
+/* The largest |x_i|, or NaN if any x_i is NaN. */
 static inline double largest_of(int count, const double *x)
 {
     double most = 0.0;
@@ -131,7 +131,7 @@ static inline double largest_of(int count, const double *x)
     return most;
 }
 
-/* |A x - b|_inf; NaN if a row is NaN. */
+/* |A x - b|_inf, or NaN if a row is NaN. */
 static inline double off_plane(const moc_problem *p, const double *x)
 {
     double gap[6];
@@ -140,7 +140,7 @@ static inline double off_plane(const moc_problem *p, const double *x)
     return largest_of(6, gap);
 }
 
-/* Five independent rows of A: the tip's three, and the wrist's two perpendicular to the shaft (b: see `across`). */
+/* Five independent rows of A: three of the tip, and two of the wrist along b (see `across`). */
 static inline void five_rows(int n, double A[][MOC_MAX_JOINTS], double b[2][3], double A5[5][MOC_MAX_JOINTS])
 {
     memcpy(A5, A, 3 * sizeof *A5);

@@ -2,10 +2,10 @@
  *
  * It checks that no access is outside an array, that every loop ends, and that the torque of the safety filter is
  * finite and within its limits. It also prints a digest of all results. Array entries from the n-th on are NaN, so that
- * the digest changes if the core uses one of them. The program has its own sine and cosine, and everything else that the
- * core takes from the C library is exact; therefore every compiler gives the same digest.
+ * the digest changes if the core uses one of them. Every compiler gives the same digest, because the program has its
+ * own sine and cosine. All other functions that the core takes from the C library are exact.
  *
- * Usage: extremes [courses] [seed]. The exit status is 0 if all checks passed. */
+ * Usage: extremes [courses] [seed]. A course runs one random controller. The exit status is 0 if all checks pass. */
 #include <limits.h>
 #include <math.h>
 #include <stdint.h>
@@ -18,7 +18,7 @@
 
 static uint64_t seed = 1, digest = 14695981039346656037u;
 static long reasons[MOC_STOPS], faults[MOC_FAULTS], statuses[4];
-static double grain; /* random numbers are multiples of it, so that some of them are equal; 0: no rounding */
+static double grain; /* random numbers are multiples of this, so that some are equal; 0: any number */
 
 /* The Taylor series of sine (k = 2, term = x) or cosine (k = 1, term = 1). */
 static double series(double x, int k, double term)
@@ -29,7 +29,7 @@ static double series(double x, int k, double term)
     return sum;
 }
 
-/* sin and cos replace those of the C library, whose last bit depends on the processor. */
+/* These replace sin and cos of the C library, whose last bit depends on the processor. */
 double sin(double x)
 {
     double turned = remainder(x, 6.283185307179586);
@@ -84,7 +84,7 @@ static void note(const double *x, int count)
 {
     for (int i = 0; i < count; i++) {
         uint64_t pattern;
-        double value = x[i] + 0.0; /* makes -0 a 0: C does not define the sign of fmax(0, -0) */
+        double value = x[i] + 0.0; /* turns -0 into 0, because C does not define the sign of fmax(0, -0) */
         memcpy(&pattern, &value, sizeof pattern);
         digest = (digest ^ (isnan(x[i]) ? 1 : pattern)) * 1099511628211u;
     }
@@ -116,7 +116,7 @@ static void behind(double *x, int rows, int n)
         fill(x + i * MOC_MAX_JOINTS + n, MOC_MAX_JOINTS - n, (double)NAN);
 }
 
-/* Replace one entry in `one_in`, on average, by an extreme one. */
+/* Replace one entry in `one_in`, on average, by an extreme number. */
 static void spoil(double *x, int count, unsigned one_in)
 {
     for (int i = 0; i < count; i++)
@@ -237,7 +237,7 @@ static void draw_guard(moc_guard *g, const moc_law *law, int n)
     }
 }
 
-/* Overwrite parts of the memory, but not the counts that say how much of an array is used. */
+/* Overwrite parts of the memory, except for the numbers of used array entries. */
 static void damage(moc_memory *memory, moc_watch *watch)
 {
     if (chance(2))
@@ -252,7 +252,6 @@ static void damage(moc_memory *memory, moc_watch *watch)
     spoil(&watch->joint[0].gap, (int)(sizeof watch->joint / (sizeof(double))), 20);
 }
 
-/* Set the unused entries of a new state to NaN. */
 static void poison(moc_state *s, int n)
 {
     moc_terms *t = &s->terms;
@@ -298,7 +297,7 @@ static void plan(moc_arm *arm, const moc_law *law, const double *from)
 
     for (int j = 0; j < n; j++) {
         low[j] = chance(10) || lone != NONE ? high[j] = q[j] : low[j];
-        if (j == lone) { /* only this joint turns, about the tool's axis, so that the curve closes */
+        if (j == lone) { /* Only this joint turns, about the tool's axis. The curve thus closes. */
             arm->joint[j].slides = arm->joint[j].axis[0] = arm->joint[j].axis[1] = 0.0;
             arm->joint[j].axis[2] = 1.0;
             high[j] += chance(2) ? 7.0 : 6.28;
@@ -334,7 +333,7 @@ static void plan(moc_arm *arm, const moc_law *law, const double *from)
         free(own[k]);
 }
 
-/* One tick: moc_step, or (if `own`) moc_begin, a solver with spoilt answers and random claims, and moc_finish. */
+/* Run one tick with moc_step, or, if `own` is set, with spoilt answers and random claims of a solver. */
 static moc_stop tick(const moc_controller *c, const moc_input *in, int own, moc_state *state, double *tau)
 {
     double x[MOC_MAX_JOINTS] = {0.0}, y[6];
@@ -360,8 +359,7 @@ static double tiny(void)
     return chance(2) ? 1.0 : ldexp(1.0, -(int)(bits() % 60));
 }
 
-/* Make row i of A x = b a combination of two others plus a part of its own, which is zero, at the level of rounding, or
- * larger. */
+/* Make row i of A x = b a combination of two others and a part of its own. This part may be zero or tiny. */
 static void repeat(moc_problem *p, int i, const double *x)
 {
     double own = chance(4) ? 0.0 : tiny(), beside = chance(4) ? tiny() : 0.0;
@@ -373,8 +371,8 @@ static void repeat(moc_problem *p, int i, const double *x)
 /* Solve a random subproblem, run the network on it, and let moc_judge and moc_supervise check good and bad answers.
  * Returns 0 if an answer that `exact` calls solved violates A x = b.
  *
- * Some joints are idle, some have nearly parallel columns, and rows of A may be dependent. A x = b may meet the box in a
- * corner only, or not at all. */
+ * Some joints are idle, some have nearly parallel columns, and rows of A may be dependent. The feasible set may be
+ * a single corner of the box, or empty. */
 static int subproblem(void)
 {
     static const double weights[] = {0x1p-10, 0x1p-17, 0.0, 1e-3};
@@ -451,8 +449,8 @@ static double level(double most)
     return chance(2) ? HUGE_VAL : uniform(0.0, most);
 }
 
-/* Run the safety filter alone on numbers so coarse that readings repeat and figures equal their levels exactly. The run
- * is long enough to find out whether the wrench sensor has noise, and continues after a reason to stop. */
+/* Run the safety filter alone. The numbers are so coarse that readings repeat and values equal their limits exactly.
+ * The run shows whether the wrench sensor has noise. It continues after a reason to stop. */
 static void filter(void)
 {
     static const double none[MOC_MAX_JOINTS];
@@ -502,7 +500,7 @@ static void filter(void)
         moc_stop reason[3] = {MOC_RUNNING};
 
         kept = k == 20 ? seed : kept;
-        seed = k == 70 ? kept : seed; /* play the readings from tick 20 on once more */
+        seed = k == 70 ? kept : seed; /* replay the readings from tick 20 on */
         for (int i = 0; i < (int)(sizeof t / sizeof(double)); i++)
             ((double *)&t)[i] = uniform(-0.5, 0.5);
         for (int j = 0; j < arm.n; j++) {
@@ -547,7 +545,7 @@ static void filter(void)
 }
 
 /* Run one random controller for 29 ticks: once with moc_step, once with moc_begin, a solver and moc_finish. Returns 0
- * if a torque is not finite and within its limits, or a friction is negative. */
+ * if a torque is beyond its limits or NaN, or if a friction is negative. */
 static int course(void)
 {
     static moc_state states[2];
@@ -678,8 +676,8 @@ static int algebra(void)
     return sound;
 }
 
-/* Check that moc_start and moc_begin accept torques and states at a limit and refuse those beyond it, and what a tick
- * without a start does. Returns 0 if a check fails. */
+/* Check that moc_start and moc_begin accept values at a limit and refuse values beyond it. Also check NaN readings, and
+ * ticks without a start. Returns 0 if a check fails. */
 static int contract(void)
 {
     static moc_state state;
@@ -715,7 +713,7 @@ static int contract(void)
         in.measured.applied = most;
     }
     for (int j = 0; j < arm.n; j++)
-        most[j] *= uniform(-1.0, 1.0); /* the torque that acted differs from the one that was sent */
+        most[j] *= uniform(-1.0, 1.0); /* the torque that acted is not the torque that was sent */
     moc_begin(&controller, &in, &state);
     if (memcmp(state.sent, most, (unsigned)arm.n * sizeof *most) != 0)
         return 0;
@@ -726,7 +724,7 @@ static int contract(void)
             return 0;
     }
     fill(tau, MOC_MAX_JOINTS, (double)NAN);
-    guard.patience = 3; /* after a NaN reading, the arm is believed to be where it was */
+    guard.patience = 3; /* after a NaN reading, the believed position is unchanged */
     in.measured.q = tau;
     moc_start(&controller, &(moc_measurement){q, v, 0, 0, most, none}, &state);
     if (moc_begin(&controller, &in, &state) != MOC_RUNNING ||

@@ -1,4 +1,4 @@
-"""The core's binding refuses wrong arrays, counts and shapes by name."""
+"""The core's binding refuses wrong arguments and names them."""
 
 import numpy as np
 import pytest
@@ -22,12 +22,12 @@ READ_ONLY.setflags(write=False)
 def test_a_wrong_array_raises_an_exception_that_names_it(name, wrong):
     sound = {"record": QP.row, "x": np.zeros(7), "y": np.zeros(6), "steps": 1, "h_x": 1.0, "h_y": 1.0, "k": 1.0,
              "scale": -1.0, "implicit": 0, "rest": 0.0}  # fmt: skip
-    core.step_network(*sound.values())  # a scale of -1 is valid: Python's conversion also returns -1 for an error
+    core.step_network(*sound.values())  # -1 is a valid scale, but also Python's code for a failed conversion
     with pytest.raises((TypeError, ValueError), match="real number" if name == "rest" else f"{name}: give"):
         core.step_network(*{**sound, name: wrong}.values())
 
 
-def test_a_wrong_number_of_arguments_and_wrong_numbers_of_rows_and_columns_are_refused():
+def test_wrong_numbers_of_arguments_rows_and_columns_are_refused():
     for count in (1, 3):
         with pytest.raises(TypeError, match="takes 2 arguments"):
             core.solve_exact(*[QP.row] * count)
@@ -42,7 +42,7 @@ def test_a_wrong_number_of_arguments_and_wrong_numbers_of_rows_and_columns_are_r
 
 
 @pytest.mark.parametrize("n", [0, 17])
-def test_an_arm_with_no_joint_or_with_more_than_16_is_refused(n):
+def test_an_arm_without_joints_or_with_more_than_16_is_refused(n):
     with pytest.raises(ValueError, match="1 to 16 joints"):
         core.Arm(np.zeros((n, 27)), np.zeros((2, 3)), np.eye(3), np.ones((2, n)), np.zeros(3))
 
@@ -56,7 +56,7 @@ def test_a_curve_with_fewer_than_two_samples_or_without_a_finite_step_is_refused
 
 
 @pytest.mark.parametrize("points", [0, 3])
-def test_a_target_with_no_or_three_points_is_refused(points):
+def test_a_target_with_zero_or_three_points_is_refused(points):
     with pytest.raises(ValueError, match=f"target has {points} rows"):
         ROBOT.arm.nearest_pose(ROBOT.q_min, ROBOT.q_max, np.zeros((points, 3)), ROBOT.q_min, 5)
 
@@ -68,7 +68,7 @@ def test_records_and_answers_have_their_documented_shapes():
 
 
 @pytest.mark.parametrize("k", range(4))
-def test_a_tick_takes_finite_numbers_only_and_a_basis_has_no_more_rows_than_joints(k):
+def test_a_tick_with_nan_and_a_basis_with_too_many_rows_are_refused(k):
     made, given = law(7), [np.zeros(7), np.zeros(7), np.zeros((3, 3)), np.ones((2, 3))]
     made.start(*given)
     given[k].flat[-1] = np.nan
@@ -88,7 +88,7 @@ ROWS = (2, np.zeros((4, 3)), np.zeros((4, 3)), np.zeros(4), np.zeros((6, 3)), np
     (6, np.zeros(4)), (7, np.ones(2)), (8, np.zeros(4)), (8, np.array([0.0, 2.0])), (8, np.array([-1.0, 0.0])),
     (8, np.array([0.0, np.nan])), (10, 3), (10, -1),
 ])  # fmt: skip
-def test_rows_of_a_value_function_that_do_not_fit_are_refused(k, wrong):
+def test_wrong_arguments_of_a_value_function_are_refused(k, wrong):
     np.testing.assert_array_equal(core.advance(*ROWS), np.zeros(4))
     with pytest.raises(ValueError, match=r"give|branches and crossings"):
         core.advance(*ROWS[:k], wrong, *ROWS[k + 1 :])

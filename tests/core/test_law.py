@@ -1,4 +1,4 @@
-"""The core's law against the equations in plain numpy, on every arm and on an oblique chain with a sliding joint."""
+"""The core's control law agrees with its equations in numpy, on every arm and on a chain with a sliding joint."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def robot(request, odd_robot):
 
 
 def trials(robot, count=10):
-    """States in motion, with moving references about 1 mm away, and the random generator."""
+    """Yield states in motion with moving references about 1 mm away, and the random generator."""
     rng = np.random.default_rng(0)
     for _ in range(count):
         state = robot.state(robot.random_regular_pose(rng), rng.uniform(-0.3, 0.3, robot.n))
@@ -33,7 +33,7 @@ def trials(robot, count=10):
 
 @pytest.mark.parametrize("rcm_lambda", [0.0, 0.5])
 @pytest.mark.parametrize("projector", PROJECTORS)
-def test_the_tip_and_rcm_torques(robot, projector, rcm_lambda):
+def test_the_tip_and_rcm_torques_agree_with_the_equations(robot, projector, rcm_lambda):
     for (s, tip_ref, trocar), _ in trials(robot):
         found = tracking(robot, s, tip_ref, trocar, GAINS, projector=PROJECTORS.index(projector), rcm_lambda=rcm_lambda)
         wanted = reference.tip_torque(s, *GAINS[:2], tip_ref)
@@ -41,16 +41,16 @@ def test_the_tip_and_rcm_torques(robot, projector, rcm_lambda):
         np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9)
 
 
-def test_feedforward(robot):
+def test_the_feedforward_gives_the_tip_the_acceleration_of_its_reference(robot):
     for (s, tip_ref, trocar), _ in trials(robot):
         found = tracking(robot, s, tip_ref, trocar, feedforward=True) - tracking(robot, s, tip_ref, trocar)
         np.testing.assert_allclose(found, reference.feedforward(s, tip_ref, trocar), rtol=1e-6, atol=1e-6)
-        reached = s.A @ np.linalg.solve(s.M, found)  # the tip has the reference's acceleration
+        reached = s.A @ np.linalg.solve(s.M, found)
         np.testing.assert_allclose(reached[:3], tip_ref[2] - s.drift_tip, atol=1e-8)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-13, 1e-7, 1e-5, -1e-4])
-def test_at_a_straight_elbow_the_feedforward_leaves_out_the_direction_that_the_wrist_cannot_follow(angle):
+def test_at_a_straight_elbow_the_feedforward_is_bounded_and_still_accelerates_the_tip(angle):
     q = np.array(LWR4.data.q_home)
     q[3] = angle
     s = LWR4.state(q)
@@ -61,7 +61,7 @@ def test_at_a_straight_elbow_the_feedforward_leaves_out_the_direction_that_the_w
     np.testing.assert_allclose((s.A @ np.linalg.solve(s.M, found))[:3], tip_ref[2], atol=1e-7)
 
 
-def test_the_subproblem(robot):
+def test_the_subproblem_agrees_with_the_equations(robot):
     n, margin = robot.n, 0.175 * robot.state(robot.data.q_home).tool_span ** 2
     for (s, tip_ref, trocar), rng in trials(robot):
         k0, low, high = rng.uniform(0.1, 400.0), s.q - rng.uniform(-0.1, 1.0, n), s.q + rng.uniform(0.1, 1.0)
@@ -91,7 +91,7 @@ def test_the_third_level_accelerates_neither_tip_nor_wrist(robot):
         assert np.abs(found).max() > 1e-3
 
 
-def test_the_observer(robot):
+def test_the_observer_agrees_with_the_equations(robot):
     for (s, tip_ref, trocar), rng in trials(robot, 5):
         made = law(robot.n, robot.arm, observer_gain=25.0)
         made.start(s.q, s.v, tip_ref, trocar)
@@ -105,8 +105,7 @@ def test_the_observer(robot):
             np.testing.assert_allclose(made.memory()[2], wanted, rtol=1e-8, atol=1e-8)
 
 
-def test_the_scaled_climb(robot):
-    """The climb's velocity, c2/rho times the gradient term in the cost, depends on neither of the two weights."""
+def test_the_scaled_climb_does_not_depend_on_the_weights_of_the_cost(robot):
     margin, lost = 0.175 * robot.state(robot.data.q_home).tool_span ** 2, 0
     for (s, tip_ref, trocar), rng in trials(robot, 20):
         c2, rho = 10.0 ** rng.uniform(-5.0, 0.0, 2)
@@ -114,7 +113,7 @@ def test_the_scaled_climb(robot):
         found = c2 / rho * fields(subproblem(robot, s, tip_ref, trocar, **parts)).pull
         np.testing.assert_allclose(found, reference.scaled_climb(robot, s, margin), rtol=1e-4, atol=1e-4)
         lost += s.mu_shaft < margin
-    assert lost > 0  # some poses are below the shaft's margin
+    assert lost > 0  # some poses are below the shaft margin
 
 
 @pytest.mark.parametrize("bend", [0.0, 1e-12])
@@ -124,7 +123,7 @@ def test_without_a_gradient_along_the_self_motion_the_scaled_climb_is_zero(bend)
     np.testing.assert_array_equal(found, np.zeros(7))
 
 
-def test_the_null_space_basis_changes_continuously_and_is_valid_at_the_straight_elbow():
+def test_the_null_space_basis_changes_continuously_and_is_valid_at_a_straight_elbow():
     q, sizes, before, made = np.array(LWR4.data.q_home), [], None, law(7, LWR4.arm)
     for angle in (0.1, 3e-12, *np.linspace(0.1, -0.1, 201)):  # at 3e-12 rad the rank is in doubt
         q[3] = angle
@@ -141,11 +140,11 @@ def test_the_null_space_basis_changes_continuously_and_is_valid_at_the_straight_
         before = Z
         sizes.append(len(Z))
     assert sizes[0] == sizes[-1] == 2
-    assert max(sizes) == 3  # the straight elbow itself
+    assert max(sizes) == 3  # at the straight elbow
 
 
 def problem(rng, robot, tight=None):
-    """A record of a random pose, its fields, and a basis of ker A. ``tight``: half-width of a box around a solution."""
+    """A random subproblem, its fields, and a basis of ker A. ``tight`` limits the bounds' distance from a solution."""
     s = robot.state(robot.random_regular_pose(rng))
     u, v_T, v_W = s.tool_direction, *(0.05 * rng.normal(size=(2, 3)))
     row, Z = np.full(11 * s.n + 10, np.nan), reference.null_space(s.A)
@@ -158,12 +157,12 @@ def problem(rng, robot, tight=None):
     return row, part, np.ascontiguousarray(Z)
 
 
-def test_least_violation_against_scipy(odd_robot):
+def test_least_violation_agrees_with_scipy(odd_robot):
     rng = np.random.default_rng(9)
     for k in range(30):
         row, part, Z = problem(rng, LWR4 if k % 2 else odd_robot)
         part.b[:] *= 6.0
-        if k % 3:  # as beyond a joint limit, where the box demands a velocity back inside
+        if k % 3:  # joint 1 has to move back, as beyond its limit
             part.lower[1] = part.upper[1] / 2.0
         x = stand_in(row, Z, INFEASIBLE, "least-violation")
         assert (x >= part.lower).all()
@@ -172,13 +171,13 @@ def test_least_violation_against_scipy(odd_robot):
         assert np.linalg.norm(part.A @ x - part.b) < 1.01 * np.linalg.norm(part.A @ best - part.b) + 1e-5
 
 
-def test_the_smallest_self_motion_into_the_box_against_scipy(odd_robot):
+def test_the_smallest_self_motion_within_the_bounds_agrees_with_scipy(odd_robot):
     rng, moved = np.random.default_rng(10), 0
     for k in range(40):
         row, part, Z = problem(rng, LWR4 if k % 2 else odd_robot, tight=0.2)
         found = stand_in(row, Z, FAILED)
         x = np.linalg.lstsq(part.A, part.b, rcond=1e-9)[0] + found
-        # min |x|^2 on A x = b within the box: the large weight makes the equations hold
+        # minimize |x|^2 with A x = b within the bounds: a large weight enforces A x = b
         heavy, right = np.vstack([1e4 * part.A, np.eye(7)]), np.concatenate([1e4 * part.b, np.zeros(7)])
         best = lsq_linear(heavy, right, (part.lower, part.upper), tol=1e-14).x
         np.testing.assert_allclose(part.A @ found, 0.0, atol=1e-12)
@@ -187,7 +186,7 @@ def test_the_smallest_self_motion_into_the_box_against_scipy(odd_robot):
     assert moved > 10
 
 
-def test_no_self_motion_is_added_where_the_box_needs_none_or_where_none_helps():
+def test_no_self_motion_is_added_if_the_bounds_need_none_or_none_helps():
     row, part, Z = problem(np.random.default_rng(11), LWR4, tight=0.1)
     wide = np.full(7, 10.0)
     for lower, upper in ((-wide, wide), (wide - 1.0, wide), (-wide, 1.0 - wide)):

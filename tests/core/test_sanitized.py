@@ -1,4 +1,4 @@
-"""The core under sanitizers: random chains, extreme inputs and damaged memory (`make sanitize` draws more of them)."""
+"""The core under sanitizers: random chains, extreme inputs and damaged memory. `make sanitize` draws more of them."""
 
 import os
 import re
@@ -13,13 +13,13 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 DIGEST = "53c29b69692d51fd"
-"""Digest of all results of 300 random runs, equal with every compiler. It changes with any result."""
+"""Digest of all results of 300 random runs. It is equal with every compiler."""
 
-FILL = "-ftrivial-auto-var-init="  # initial value of variables that the code leaves unset (Clang, GCC from 12 on)
+FILL = "-ftrivial-auto-var-init="  # sets variables that the code leaves unset (Clang, GCC from 12 on)
 
 
 def extremes(program, sanitizers=None):
-    """The output of 300 random runs; ``sanitizers``: flags instead of those of `make sanitize`."""
+    """Return the output of 300 random runs. ``sanitizers`` replaces the flags of `make sanitize`."""
     flags = [] if sanitizers is None else [f"SANITIZERS={sanitizers}"]
     built = subprocess.run(["make", "-C", ROOT, "--no-print-directory", f"EXTREMES={program}", *flags, program],
                            capture_output=True, text=True, check=False)  # fmt: skip
@@ -30,7 +30,7 @@ def extremes(program, sanitizers=None):
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler on the path")
-def test_for_any_input_the_torque_is_finite_and_no_access_is_outside_an_array(tmp_path):
+def test_for_extreme_inputs_the_torque_is_finite_and_no_access_is_outside_an_array(tmp_path):
     shown = extremes(tmp_path / "extremes")
     counted = {name: int(count) for name, count in re.findall(r"^  (.+): (\d+)$", shown, re.MULTILINE)}
     for reason in ("running", "not started", "the controller's state is damaged", "measurements not believed",
@@ -55,7 +55,7 @@ TESTS = ("core/test_binding.py", "core/test_law.py", "control/test_levels.py", "
 
 
 def test_the_binding_makes_no_access_outside_an_array(tmp_path):
-    """The tests of `TESTS` run in a new process with an extension module that is built with sanitizers."""
+    """Run `TESTS` in a new process, with an extension module that is built with sanitizers."""
     if shutil.which("gcc") is None:
         pytest.skip("no GCC on the path")
     libraries = [subprocess.run(["gcc", f"-print-file-name=lib{name}.so"], capture_output=True, text=True,
