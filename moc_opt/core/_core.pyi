@@ -49,14 +49,14 @@ class Law:
     def judge(self, x: Array, /) -> tuple[float, float, float, float, float]: ...
     # Compute levels 1 and 2 (moc_begin). Return the packed terms of the arm, and the subproblem.
     def begin(
-        self, q: Array, v: Array, tip_ref: Array, trocar: Array, pull: Array | None, /
+        self, q: Array, v: Array, tip_ref: Array, trocar: Array, x_d: Array | None, /
     ) -> tuple[Array, Array]: ...
     # Check the answer and add level 3 (moc_finish). Return the fault, the x that is followed, and tau.
     def finish(self, known: int, claim: int, answer: Array, solve_us: float, /) -> tuple[int, Array, Array]: ...
     # A whole tick with the solver `exact`. Return status, fault, solve time [us], terms, and one array with subproblem,
     # x and y of `exact`, the x that is followed, and tau. If solve_us is NaN, the solve time is measured.
     def step(
-        self, q: Array, v: Array, tip_ref: Array, trocar: Array, pull: Array | None, tolerance: float, solve_us: float,
+        self, q: Array, v: Array, tip_ref: Array, trocar: Array, x_d: Array | None, tolerance: float, solve_us: float,
         /,
     ) -> tuple[int, int, float, Array, Array]: ...
     def set_applied(self, tau: Array, /) -> None: ...  # replace the last torque, for the observer

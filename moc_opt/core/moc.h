@@ -179,21 +179,21 @@ typedef struct {
     REASON(MOC_STOP_NOT_STARTED, "not started") /* or the start was refused */                                         \
     REASON(MOC_STOP_STATE, "the controller's state is damaged")                                                        \
     REASON(MOC_STOP_MEASUREMENT, "measurements not believed")                                                          \
-    REASON(MOC_STOP_WRENCH, "the wrench sensor's readings are no numbers")                                             \
+    REASON(MOC_STOP_WRENCH, "the wrench sensor's readings are not finite")                                             \
     REASON(MOC_STOP_RCM, "the RCM error has been above its limit")                                                     \
     REASON(MOC_STOP_FORCE, "the trocar's force has been above its limit")                                              \
     REASON(MOC_STOP_TIP, "the tip has been off its reference")                                                         \
     REASON(MOC_STOP_TORQUE, "the controller's torque is not finite")                                                   \
     REASON(MOC_STOP_LATE, "measurements are too late")                                                                 \
-    REASON(MOC_STOP_REPEATED, "all encoders repeat one reading, as no arm that moves or has noise does")               \
+    REASON(MOC_STOP_REPEATED, "all encoders repeat one reading although the tip has to move or the torque changes")    \
     REASON(MOC_STOP_RAN_AWAY, "the encoders' positions do not follow their velocities")                                \
     REASON(MOC_STOP_STUCK, "an encoder repeats one reading while torque acts on its joint")                            \
-    REASON(MOC_STOP_UNEXPLAINED, "the measured motion is not what the torque makes: a wrong encoder, an unknown "      \
-                                 "force, or a loop that shakes at too long a delay")                                   \
-    REASON(MOC_STOP_REPLAYED, "the measurements are a recording: they came before, to the last bit")                   \
-    REASON(MOC_STOP_ONE_REPEATED, "one encoder repeats its reading, as its noise does not let it")                     \
-    REASON(MOC_STOP_WRENCH_REPEATED, "the wrench sensor repeats its reading, as its noise does not let it")            \
-    REASON(MOC_STOP_LAGGING, "one encoder lags: its readings came before, to the last bit")
+    REASON(MOC_STOP_UNEXPLAINED, "the measured motion does not fit the torque: a wrong encoder, an unknown "           \
+                                 "force, or a loop that oscillates because of a long delay")                           \
+    REASON(MOC_STOP_REPLAYED, "the measurements are a recording: they equal earlier ones to the last bit")             \
+    REASON(MOC_STOP_ONE_REPEATED, "one encoder repeats its reading more often than its noise allows")                  \
+    REASON(MOC_STOP_WRENCH_REPEATED, "the wrench sensor repeats its reading more often than its noise allows")         \
+    REASON(MOC_STOP_LAGGING, "one encoder lags: its readings equal earlier ones to the last bit")
 
 #define MOC_NAME(name, words) name,
 typedef enum { MOC_REASONS(MOC_NAME) MOC_STOPS } moc_stop;

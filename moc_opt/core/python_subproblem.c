@@ -183,7 +183,7 @@ FUNCTION(advance, {"branches", WHOLE}, {"q", READ, K, N}, {"slack", READ, K, N},
     for (int j = 0; j < m; j++)
         fits &= c->array[8][j] >= 0.0 && c->array[8][j] < branches;
     if (!fits)
-        return PyErr_Format(PyExc_ValueError, "advance: the rows are not those of so many branches and crossings");
+        return PyErr_Format(PyExc_ValueError, "advance: the rows do not match the counts of branches and crossings");
     const plan_stage stage = {branches,    m,           after / branches, c->n,        sorted,
                               c->array[1], c->array[2], c->array[3],      c->array[4], c->array[5],
                               c->array[6], c->array[7], c->array[8],      c->number[9], c->number[11]};

@@ -163,7 +163,7 @@ def test_an_unknown_load_stops_the_arm_only_if_it_begins_after_the_residual_has_
     load = 0.4 * robot.tau_max
     for on in (True, False):
         reason, _ = watched(robot, lambda k: (k >= begins) * load, 200, residual_s=1e6, motion=on)
-        assert ("the measured motion is not what the torque makes" in reason) == bool(reason) == (told and on)
+        assert ("the measured motion does not fit the torque" in reason) == bool(reason) == (told and on)
 
 
 @pytest.mark.parametrize(("whole", "stops"), [(0.5, True), (1e6, False)])
@@ -171,6 +171,6 @@ def test_a_torque_that_grows_slowly_at_a_constant_pose_stops_the_arm(whole, stop
     """This imitates frozen readings with fresh noise under an integrating controller."""
     rate = 0.25 * robot.tau_max[1] * PERIOD * np.eye(N)[1]  # 1.25 times the largest torque after 5 s
     reason, k = watched(robot, lambda k: rate * k, 2500, residual_whole_torque=whole)
-    assert ("not what the torque makes" in reason) == bool(reason) == stops
+    assert ("does not fit the torque" in reason) == bool(reason) == stops
     if stops:
         assert 0.5 < 0.25 * PERIOD * k < 0.55
