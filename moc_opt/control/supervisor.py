@@ -63,23 +63,24 @@ class SupervisorSettings(Settings):
     KIND: ClassVar[str] = "[control.supervisor]"
     ERROR: ClassVar[type[MocOptError]] = ControlError
 
-    check: bool = Field(True, description="whether answers are checked against the four limits below")
+    check: bool = Field(True, description="whether answers are checked against the next four limits")
     primal_limit: float = Field(1e-2, gt=0.0)
-    """largest violation of A x = b (tip and wrist velocity) [m/s] or of the box [rad/s], if an optimum is claimed"""
+    """largest violation of A x = b [m/s] or of the box [rad/s] by an answer that the solver calls optimal"""
     box_limit: float = Field(0.1, gt=0.0)
-    """the same limit if no optimum is claimed, for example by a solver that ran out of iterations"""
+    """largest violation by any other answer, for example of a solver that ran out of iterations"""
     relative_limit: float = Field(0.05, gt=0.0)
-    """largest natural residual (0 at an optimum) along the self-motion, if an optimum is claimed; the cost is scaled so
-    that its gradient has length 1 [rad/s]"""
+    """largest natural residual (0 at an optimum) of an answer that the solver calls optimal [rad/s]. The cost is scaled
+    so that its gradient has length 1"""
     opposite_limit: float = Field(1e-3, gt=0.0)
-    """a claim is false if x is this far from the optimum and nearer to the optimum for the negated gradient [rad/s]"""
+    """an answer called optimal is refused if it is farther than this from the optimum [rad/s] and nearer to the optimum
+    for the negated gradient"""
     hold_ticks: int = Field(10, ge=0)
-    """ticks in a row at which the last good answer replaces a refused one; after these the self-motion is damped"""
+    """ticks in a row at which the last good answer replaces a refused one. Afterwards the self-motion is damped"""
     keep_off_limits: bool = True
-    """after hold_ticks, the elbow still moves as far as is needed to keep x in the box; false: it is only damped"""
-    budget_us: float | None = Field(None, gt=0.0, description="time that a solve may take [us]; left out: no limit")
+    """whether the elbow, after hold_ticks, still moves just enough to keep x in the box"""
+    budget_us: float | None = Field(None, gt=0.0, description="longest time of a solve [us]; left out: no limit")
     late: Literal["hold", "zero", "iterate"] = "hold"
-    """what replaces a late answer: 'hold': the last good answer, as after other faults; 'zero': no self-motion;
+    """replacement for a late answer. 'hold': the last good answer, as after other faults; 'zero': no self-motion;
     'iterate': the solver's iterate at the end of the budget, or its late answer if it cannot be interrupted"""
 
 

@@ -52,15 +52,15 @@ class WireSettings(Settings):
     KIND: ClassVar[str] = "[wire]"
     ERROR: ClassVar[type[MocOptError]] = WireError
 
-    hold_ticks: int = Field(5, ge=0, description="ticks without a command in which the last torque still acts")
+    hold_ticks: int = Field(5, ge=0, description="ticks without a command for which the last torque still acts")
     damp_ticks: int = Field(50, ge=0)
-    """further ticks without a command, with the arm's weight carried and its motion damped; then the brakes close"""
-    damping_Nm_s_per_rad: float = Field(5.0, gt=0.0, le=1e3, description="damping of each joint in those ticks")
-    wait_s: float = Field(60.0, gt=0.0, description="time for which each end waits for the start of the other")
+    """further ticks without a command, in which the drives carry and damp the arm. Then the brakes close"""
+    damping_Nm_s_per_rad: float = Field(5.0, gt=0.0, le=1e3, description="damping of each joint during damp_ticks")
+    wait_s: float = Field(60.0, gt=0.0, description="time for which each end waits for the other to start")
     silence_s: float = Field(5.0, gt=0.0, description="time without a measurement after which the controller gives up")
     resend_s: float = Field(0.2, gt=0.0, description="lock-step: time after which a measurement is sent again")
     resends: int = Field(20, ge=0)
-    """lock-step: number of times that a measurement is sent again before the tick counts as missed"""
+    """lock-step: number of times that a measurement is sent again before its tick counts as missed"""
 
 
 # --- packets ---

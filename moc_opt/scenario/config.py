@@ -35,7 +35,7 @@ the momentum residual [rad/s], at which a healthy encoder may still show no step
 
 
 class Scenario(Settings):
-    """One run. ``Scenario()`` is the default: MOC with ``exact`` on a circle, in the realistic plant.
+    """One run. By default, the law MOC with the solver ``exact`` follows a circle in the realistic plant.
 
     Every key of the TOML is a field, and every table a nested model; all are checked, and frozen.
 
@@ -47,7 +47,7 @@ class Scenario(Settings):
     KIND: ClassVar[str] = "scenario:"
     name: Name = Field("circle", description="title of the run")
     seed: int = Field(0, ge=0, le=LARGEST_INTEGER)
-    """seed of everything random: starting pose and swivel, the plant's errors and noise, and faults"""
+    """seed of all random numbers: start pose and swivel, the plant's errors and noise, and faults"""
     robot: RobotTable = RobotTable()
     start: StartTable = StartTable()
     trocar: TrocarTable = TrocarTable()
@@ -56,20 +56,20 @@ class Scenario(Settings):
     solver: SolverTable = SolverTable()
     plant: PlantSettings = PlantSettings()
     duration_s: float | None = Field(None, gt=0.0, le=MOST_S)
-    """duration of the run; left out: the run lasts as long as the path, with the rests before and after it"""
+    """duration of the run. If left out, it is the duration of the path and of the rests before and after it"""
     deadline_us: float = Field(2000.0, gt=0.0, le=1e9)
-    """a tick that takes longer counts as a missed deadline; the run goes on"""
+    """a tick (control period) whose computation takes longer counts as a missed deadline. The run goes on"""
     guard: SafetyFilterSettings = SafetyFilterSettings()
     faults: FaultSettings = FaultSettings()
     wire: WireSettings = WireSettings()
-    judge: bool = Field(True, description="whether the residuals of every answer are computed after the run")
+    judge: bool = Field(True, description="whether the optimality residuals of every answer are computed after the run")
     metrics: tuple[Name, ...] = ()
-    """names of the metrics that `moc-opt run` prints; `moc-opt metrics` lists them; empty: a short selection"""
+    """metrics that `moc-opt run` prints. `moc-opt metrics` lists all names. If empty, it prints a short selection"""
     bound_samples: int = Field(25, ge=0, le=100_000)
-    """number of ticks, spread evenly over the run, at which the largest mu at the same tip and wrist is computed"""
+    """number of evenly spread ticks at which the largest mu of all poses with the same tip and wrist is computed"""
     best_courses: bool = False
-    """whether the best courses of the path are planned after the run, for comparison with the run's mu; this takes a
-    second or more. Left out: `moc-opt run` plans them, and `run` in Python does not"""
+    """whether the joint motions with the largest mu are planned after the run, for comparison. Planning takes a second
+    or more. If left out, `moc-opt run` plans them, and `run` in Python does not"""
 
     def __init__(self, **values: Any) -> None:
         try:

@@ -30,36 +30,36 @@ class FaultSettings(Settings):
 
     drop_share: float = Field(0.0, ge=0.0, le=1.0, description="share of the measurements that never arrive")
     late_ticks: int = Field(0, ge=0, le=50, description="delay of every measurement, in ticks")
-    frozen_at_s: float | None = Field(None, ge=0.0, description="time at which readings freeze; left out: never")
+    frozen_at_s: float | None = Field(None, ge=0.0, description="time at which readings freeze (left out: never)")
     frozen_ticks: int = Field(1_000_000, ge=1, description="number of ticks for which readings stay frozen")
     frozen_joint: int | None = Field(None, ge=0)
-    """the only encoder that freezes, counted from 0; left out: whole measurements freeze"""
+    """the only encoder that freezes, counted from 0. If left out, whole measurements freeze"""
     frozen_wrench: bool = Field(False, description="whether only the wrench sensor freezes")
     frozen_velocity: Literal["repeated", "zero"] = Field("repeated", description="velocity in a frozen reading")
-    lag_at_s: float | None = Field(None, ge=0.0, description="time from which measurements lag; left out: never")
+    lag_at_s: float | None = Field(None, ge=0.0, description="time from which measurements lag (left out: never)")
     lag_joint: int | None = Field(None, ge=0)
-    """the only encoder that lags, counted from 0; other readings and stamps are up to date; left out: all lag"""
+    """the only encoder that lags, counted from 0. If left out, whole measurements lag"""
     lag_ticks: int = Field(0, ge=0, le=1000, description="lag at lag_at_s, in ticks")
-    lag_growth: float = Field(0.1, gt=0.0, le=1.0, description="growth of the lag in each tick, in ticks")
+    lag_growth: float = Field(0.1, gt=0.0, le=1.0, description="growth of the lag per tick, in ticks")
     replay_at_s: float | None = Field(None, ge=0.0)
-    """time from which old measurements arrive again in their order, over and over; left out: never"""
+    """time from which old measurements arrive again in a loop (left out: never)"""
     replay_ticks: int = Field(100, ge=1, le=5000)
-    """number of measurements that are replayed, the newest at replay_at_s"""
+    """number of replayed measurements, the newest from replay_at_s"""
     drift_at_s: float = Field(0.0, ge=0.0, description="time at which the drift begins")
     drift_rad_per_s: float = Field(0.0, ge=-1.0, le=1.0)
-    """speed at which the encoders drift; the seed draws each sign"""
+    """speed at which the encoders drift, each with a random sign"""
     drift_velocity: Literal["included", "apart"] = "included"
-    """'included': the drift adds to the measured velocity too; 'apart': it does not"""
+    """whether measured velocities contain the drift ('included') or not ('apart')"""
     forged_stamps: bool = False
-    """whether frozen, replayed and lagging measurements carry the number of the present tick"""
+    """whether frozen, replayed and lagging measurements are stamped as new"""
     encoder_bias_rad: float = Field(0.0, ge=-0.1, le=0.1)
-    """size of every encoder's constant error; the seed draws each sign"""
-    encoder_noise_rad: float = Field(0.0, ge=0.0, le=0.01, description="standard deviation of additional noise")
-    nan_at_s: float | None = Field(None, ge=0.0, description="time from which encoders give NaN; left out: never")
-    nan_ticks: int = Field(1, ge=1, description="number of ticks in which encoders give NaN")
+    """constant error of the encoders, each with a random sign"""
+    encoder_noise_rad: float = Field(0.0, ge=0.0, le=0.01, description="standard deviation of more position noise")
+    nan_at_s: float | None = Field(None, ge=0.0, description="time from which encoders give NaN (left out: never)")
+    nan_ticks: int = Field(1, ge=1, description="number of ticks at which encoders give NaN")
     jump_at_s: float | None = Field(None, ge=0.0)
-    """time at which the encoders jump, once and for all; left out: never"""
-    jump_rad: float = Field(0.2, description="size of the jump, on every joint")
+    """time at which all encoders jump and stay displaced (left out: never)"""
+    jump_rad: float = Field(0.2, description="size of the encoders' jump")
 
     bump_N: float = Field(0.0, ge=0.0, le=200.0, description="force of a horizontal push on bump_link")
     bump_at_s: float = Field(2.0, ge=0.0, description="time at which the push begins")
@@ -70,9 +70,9 @@ class FaultSettings(Settings):
     slip_m: float = Field(0.0, ge=0.0, le=0.1, description="distance by which the trocar slips horizontally")
     slip_at_s: float = Field(2.0, ge=0.0, description="time at which the trocar slips")
     solver: Literal["none", "fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang"] = "none"
-    """fault of the solver: 'fail': no answer; 'nan': NaN; 'lie': the optimum of the opposite gradient; 'raise': an
-    exception; 'outside': an answer outside the box; 'rig': a problem rewritten to fit the answer; 'malformed': no valid
-    Solution; 'hang': a solve of ten times the budget (if there is none: deadline_us)"""
+    """fault of the solver. 'fail': no answer; 'nan': NaN; 'lie': the optimum for the negated gradient; 'raise': an
+    exception; 'outside': an answer outside the box; 'rig': the problem is rewritten to fit the answer; 'malformed':
+    no valid Solution; 'hang': a solve takes ten times budget_us (without a budget: deadline_us)"""
     solver_share: float = Field(0.05, ge=0.0, le=1.0, description="share of the answers that have the fault")
 
     @property

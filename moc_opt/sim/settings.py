@@ -22,7 +22,7 @@ _Stiffness = Annotated[float, Field(gt=0, le=1e9)]
 
 
 class PlantSettings(Settings):
-    """The simulated arm, its trocar and its sensors. Errors, noise, ripple and delay are absent where they are 0.
+    """The simulated arm, its trocar and its sensors. With 0, an error, noise, ripple or delay is switched off.
 
     The defaults are realistic: wrong masses, friction, noise, a tick of delay, the kinematic errors of a calibrated
     arm, a trocar registered 0.5 mm off. A plant that equals the controller's model proves little. Joints are rigid and
@@ -37,8 +37,8 @@ class PlantSettings(Settings):
     MORE_KEYS: ClassVar[tuple[str, ...]] = ("preset",)
     ERROR: ClassVar[type[MocOptError]] = PlantError
 
-    period_s: float = Field(0.002, gt=0, le=0.1, description="control period: the time between two ticks")
-    substeps: int = Field(2, ge=1, le=1000, description="plant steps in a control period; a step lasts at most 1 ms")
+    period_s: float = Field(0.002, gt=0, le=0.1, description="control period: time between two ticks")
+    substeps: int = Field(2, ge=1, le=1000, description="plant steps per control period. A step may last 1 ms at most")
     gravity: bool = Field(True, description="whether gravity acts: 9.81 m/s^2 along -z")
     mass_error: float = Field(0.10, ge=0, le=0.9)
     """each link's mass and inertia are multiplied by a factor drawn evenly from 1 - mass_error to 1 + mass_error"""
@@ -48,20 +48,20 @@ class PlantSettings(Settings):
     calibration_error_m: float = Field(0.0002, ge=0, le=0.05)
     """distance of every joint's origin, and of the tool's mount, from its place in the controller's model"""
     calibration_tilt_rad: float = Field(0.0001, ge=0, le=0.1)
-    """angle between every joint's frame and that of the controller's model"""
+    """angle between every joint's frame and its frame in the controller's model"""
     encoder_bias_rad: float = Field(0.0001, ge=0, le=0.1)
-    """standard deviation of the encoders' constant errors, one of which is drawn for each joint"""
-    encoder_noise_rad: float = Field(1e-5, ge=0, le=0.1, description="standard deviation of the noise of positions")
+    """standard deviation of the constant error that is drawn for each encoder"""
+    encoder_noise_rad: float = Field(1e-5, ge=0, le=0.1, description="standard deviation of the position noise")
     encoder_resolution_rad: float = Field(2.4e-5, ge=0, le=0.1)
-    """step of the encoders; the default has 18 bits per turn; 0: no steps"""
+    """step of the encoders, by default 18 bits per turn. 0: no steps"""
     velocity_cutoff_Hz: float = Field(50.0, ge=0)
-    """cut-off frequency of the low-pass for velocities, which are differences of positions; 0: no filter"""
+    """cut-off frequency of the low-pass filter for velocities (differences of positions). 0: no filter"""
     encoder_side: Literal["link", "motor"] = "link"
-    """side of an elastic joint's spring on which its encoder sits; 'link' as in arms with torque sensors"""
+    """side of an elastic joint's spring on which its encoder sits. Arms with torque sensors have 'link'"""
     joint_stiffness_Nm_per_rad: Annotated[float, Field(ge=0, le=1e9)] | tuple[_Stiffness, ...] = 0.0
-    """stiffness of the spring between motor and link: one number for all joints, or one per joint; 0: rigid joints"""
+    """stiffness of the spring between motor and link, one number for all joints or one per joint. 0: rigid joints"""
     joint_spring_damping_Nm_s_per_rad: float = Field(30.0, ge=0, le=1e4)
-    """damping parallel to that spring, most of which comes from the drive's torque feedback"""
+    """damping parallel to the joint's spring"""
     torque_ripple: float = Field(0.0, ge=0, le=0.5)
     """amplitude of the torque ripple, as a share of the joint's largest torque"""
     torque_ripple_per_turn: float = Field(200.0, gt=0, le=1e5)
@@ -69,10 +69,10 @@ class PlantSettings(Settings):
     force_noise_N: float = Field(0.05, ge=0, description="standard deviation of the wrench sensor's force, per axis")
     torque_noise_Nm: float = Field(0.002, ge=0)
     """standard deviation of the wrench sensor's torque, per axis"""
-    delay_ticks: int = Field(1, ge=0, le=100, description="control periods from a command to its torque")
+    delay_ticks: int = Field(1, ge=0, le=100, description="delay of the torque after a command, in ticks")
     trocar_stiffness_N_per_m: float = Field(800.0, ge=0, le=1e6)
-    """stiffness of the abdominal wall at the trocar; 500 to 3000 are realistic"""
-    trocar_damping_Ns_per_m: float = Field(10.0, ge=0, le=1e4, description="damping of the same wall")
+    """stiffness of the abdominal wall at the trocar. 500 to 3000 is realistic"""
+    trocar_damping_Ns_per_m: float = Field(10.0, ge=0, le=1e4, description="damping of the abdominal wall")
     trocar_registration_error_m: float = Field(0.0005, ge=0, le=0.1)
     """distance of the true trocar from the registered one, which the controller uses"""
 
