@@ -28,7 +28,7 @@ class SafetyFilterSettings(Settings):
     """this time multiplied by the joint's largest recent speed is added to motion_rad, because filtered velocities lag.
     A smaller value is raised to three time constants of the velocity filter"""
     repeat_m: float = Field(0.003, gt=0.0)
-    """largest travel of the tip's reference while all encoders repeat their readings (here and below: to the last bit)"""
+    """largest travel of the tip's reference while all encoders repeat their readings (always to the last bit)"""
     repeat_torque: float = Field(0.06, gt=0.0)
     """largest change of a torque while all encoders repeat their readings, as a share of tau_max. A smaller value is
     raised to 500 times the encoders' step in rad"""

@@ -31,13 +31,13 @@ PerJoint = Annotated[float | tuple[float, ...], BeforeValidator(_number_or_numbe
 
 
 class Gains(NamedTuple):
-    """The gains of the three levels after defaults from the robot's file have been filled in."""
+    """The gains of the three levels, with defaults from the robot's file filled in."""
 
     K_X: float
     D_X: float
     K_N: float
     D_N: float
-    K_N2: Array  #: (n,) [N m s/rad]; zero under law ``dcac``, like D_N2.
+    K_N2: Array  #: (n,) [N m s/rad]; K_N2 and D_N2 are zero under law ``dcac``.
     D_N2: Array  #: (n,) [N m s/rad]
 
 
@@ -47,8 +47,8 @@ GAINS = Gains._fields
 class ControlSettings(Settings):
     """The control law. Level 3 makes the joint velocity v follow the solver's x. The bounds on x are called the box.
 
-    In the robots' files, the table of gains ``default`` serves both laws; ``dcac`` and ``moc`` are Table I of Su et al.
-    (2019). K_N2, D_N2 and ``dcac_damping`` are one number for all joints, or one number per joint.
+    In the robots' files, the gains ``default`` are for both laws. The gains ``dcac`` and ``moc`` are from Table I of Su
+    et al. (2019). K_N2, D_N2 and ``dcac_damping`` are one number for all joints, or one per joint.
     """
 
     KIND: ClassVar[str] = "[control]"
@@ -159,7 +159,7 @@ class ControlSettings(Settings):
         return cls(**{**PRESETS[name], **changes})
 
     def check_guided(self) -> None:
-        """Raise a ControlError if rho or c2 is 0: the third level could not follow a given velocity (see `Guide`)."""
+        """Raise a ControlError if rho or c2 is 0, since level 3 could not follow a velocity then (see `Guide`)."""
         if not min(self.regularization, self.c2) > 0.0:
             raise ControlError(
                 f"third_level = {self.third_level!r}, climb = {self.climb!r} with c2 = {self.c2:g}, regularization = "
@@ -167,10 +167,10 @@ class ControlSettings(Settings):
             )
 
     def matched_dcac(self) -> dict[str, Any]:
-        """Return the changes that turn these settings into DCAC with the same gains, the baseline for comparisons."""
+        """Return the changes that make these settings DCAC with the same gains, the baseline of comparisons."""
         return {
             "law": "dcac", "gains": self.gains or self.law, "third_level": "local", "course": "",
-            "observer_gain_per_s": self.observer_rate_per_s,  # DCAC follows no course, but uses the same gain
+            "observer_gain_per_s": self.observer_rate_per_s,  # of a course, too
         }  # fmt: skip
 
     @property
@@ -180,13 +180,13 @@ class ControlSettings(Settings):
 
     @property
     def observer_rate_per_s(self) -> float:
-        """Gain of the momentum observer that is used; 0: no observer."""
+        """Gain of the momentum observer in use; 0: no observer."""
         if self.follows and self.observer_gain_per_s > 0.0:
             return self.course_observer_gain_per_s
         return self.observer_gain_per_s
 
     def resolve_gains(self, tables: Mapping[str, Mapping[str, Any]], joints: int) -> Gains:
-        """Return K_X to D_N2: each gain as set here or, if it is left out, from the robot's ``tables`` [gains.*].
+        """Return K_X to D_N2, each as set here or else from the robot's ``tables`` [gains.*].
 
         Raises:
             UnknownNameError: ``gains`` is no table of this robot.
@@ -211,7 +211,7 @@ class ControlSettings(Settings):
 
 
 def per_joint(name: str, value: Any, joints: int) -> Array:
-    """Return (n,) from one number for all joints, or one per joint; a ControlError for any other count of numbers."""
+    """Return (n,) from one number for all joints, or one per joint; a ControlError for another count."""
     if not isinstance(value, int | float) and len(value) != joints:
         count = f"{len(value)} entries for {joints} joints"
         raise ControlError(f"{name} = {value!r} has {count}: give one number, or one per joint")

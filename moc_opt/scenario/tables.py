@@ -30,7 +30,7 @@ class RobotTable(Settings):
     """mass of the tool. If left out, the robot's file gives it"""
 
     def arm(self) -> RobotModel:
-        """Load the robot, and build its model; a MocOptError where something is wrong with its files."""
+        """Load the robot and build its model. If its files are wrong, a MocOptError is raised."""
         return load_robot(self.name, tool_length=self.tool_length_m, tool_mass=self.tool_mass_kg)
 
 
@@ -112,7 +112,7 @@ class TaskTable(Settings):
 
     @classmethod
     def keys(cls, values: Mapping[str, Any]) -> list[str]:
-        """List its keys, and those of ``sizes``."""
+        """List the keys of the table, and the keys of ``sizes``."""
         return [*super().keys(values), *sorted({f"sizes.{name}" for path in CURVES for name in sizes(path)})]
 
 
@@ -136,5 +136,5 @@ class SolverTable(Settings):
 
     @classmethod
     def keys(cls, values: Mapping[str, Any]) -> list[str]:
-        """List its keys, and the settings of the solver that ``values`` names."""
+        """List the keys of the table, and the settings of the solver that ``values`` names."""
         return [*super().keys(values), *(f"settings.{name}" for name in defaults(values.get("name", "exact")))]

@@ -1,7 +1,7 @@
 """Seeded faults that are injected into a run: in sensors, packets, trocar and solver, and pushes on the arm.
 
-Each packet carries the number of the control period in which it was measured, its stamp. With ``forged_stamps``, old
-readings carry the present number, as if a buffer stamped them when it sent them.
+The stamp of a measurement is the number of the control period in which it was taken. With ``forged_stamps``, old
+readings have the present stamp, as if a buffer stamped them when it sent them.
 """
 
 from __future__ import annotations
@@ -77,18 +77,18 @@ class FaultSettings(Settings):
 
     @property
     def around_the_arm(self) -> bool:
-        """Whether anything but the solver has faults; if not, the loop can skip ``sense`` and ``act``."""
+        """Whether anything but the solver has faults. If not, the loop skips ``sense`` and ``act``."""
         solver = {"solver", "solver_share"}
         return any(getattr(self, k) != f.default for k, f in type(self).model_fields.items() if k not in solver)
 
 
 class Faults:
-    """The faults of one run with n joints: ``sense`` corrupts measurements, ``act`` pushes, ``slip`` moves the trocar.
+    """The faults of a run with n joints: ``sense`` corrupts measurements, ``act`` pushes, ``slip`` moves the trocar.
 
     ``period`` is the control period [s]; ``seed`` draws signs, noise, drops and directions.
 
     Raises:
-        PlantError: a joint that the arm does not have.
+        PlantError: the arm does not have this joint.
     """
 
     def __init__(self, settings: FaultSettings, n: int, period: float, seed: int) -> None:
@@ -117,7 +117,7 @@ class Faults:
         self._tape: list[Measurement] = []
 
     def act(self, plant: Plant, tick: int) -> None:
-        """Begin and end the pushes that fall on this tick."""
+        """Begin or end pushes that are due at this tick."""
         s = self.settings
         if s.payload_kg > 0.0 and tick == 0:
             plant.push(TOOL_BODY, self._weight)
@@ -126,7 +126,7 @@ class Faults:
             plant.push(s.bump_link, held + self._bump * (tick == self._bump_on))
 
     def slip(self, trocars: Array, times: Array) -> Array:
-        """Return the true trocar (N, 2, 3) with its slip, a smooth step that lasts 0.1 s."""
+        """Return the true trocar (N, 2, 3) with its slip, a smooth step of 0.1 s."""
         if self.settings.slip_m == 0.0:
             return trocars
         u = np.clip((times - self.settings.slip_at_s) / 0.1, 0.0, 1.0)
@@ -167,7 +167,7 @@ class Faults:
         return seen._replace(q=q, v=v)
 
     def _after(self, at_s: float | None, tick: int) -> int:
-        """Return 1 at the tick of this time, 2 at the next one and so on; 0 before it."""
+        """Return 1 at the tick of this time, 2 at the next tick and so on; 0 before."""
         return 0 if at_s is None else max(0, tick - round(at_s / self._period) + 1)
 
     def _forged(self, arrived: Measurement, taken: Measurement) -> Measurement:

@@ -1,4 +1,4 @@
-"""How far a plant may differ from the controller's model. `Mismatch` has the values that are drawn with a seed."""
+"""Settings of the plant's differences from the controller's model. `Mismatch` has the values drawn with a seed."""
 
 from __future__ import annotations
 
@@ -25,8 +25,7 @@ class PlantSettings(Settings):
     """The simulated arm, its trocar and its sensors. With 0, an error, noise, ripple or delay is switched off.
 
     The defaults are realistic: wrong masses, friction, noise, a tick of delay, the kinematic errors of a calibrated
-    arm, a trocar registered 0.5 mm off. A plant that equals the controller's model proves little. Joints are rigid and
-    torques smooth; docs/plant.md says why.
+    arm, and a registration error of 0.5 mm. Joints are rigid and torques smooth by default; docs/plant.md says why.
 
     Raises:
         PlantError: a value is out of range; the message names the field, the value and the range.
@@ -115,17 +114,17 @@ class Mismatch:
     mass_scale: Mapping[str, float]  #: Link -> factor on its mass and inertia.
     viscous_friction: Array  #: (n,) [Nm s/rad]
     coulomb_friction: Array  #: (n,) [Nm]
-    registration_error: Array  #: (3,) true trocar minus the registered one (the controller's), world axes [m].
+    registration_error: Array  #: (3,) true minus registered trocar, world axes [m].
     origin_shift: Array
-    """(n + 1, 3) true minus modelled origin of each joint, then of the tool's mount, axes of the link before it [m]."""
+    """(n + 1, 3) true minus modelled origin of each joint and of the tool's mount, axes of the preceding link [m]."""
     origin_turn: Array
-    """(n, 3) rotation vector from each joint's modelled to its true frame, axes of the link before it [rad]."""
-    encoder_bias: Array  #: (n,) reading of each encoder minus the true position [rad, or m of a sliding joint].
+    """(n, 3) rotation vector from each joint's modelled to its true frame, axes of the preceding link [rad]."""
+    encoder_bias: Array  #: (n,) reading minus true position of each encoder [rad, m].
     ripple_phase: Array  #: (n,) phase of the torque ripple at joint position 0 [rad].
 
     @property
     def displaces(self) -> bool:
-        """Whether true tip and shaft differ from those that the model computes at the encoders' readings."""
+        """Whether tip and shaft differ from the model's tip and shaft at the encoders' readings."""
         return bool(self.origin_shift.any() or self.origin_turn.any() or self.encoder_bias.any())
 
     @classmethod
@@ -134,8 +133,8 @@ class Mismatch:
     ) -> Mismatch:
         """Draw one factor per link and per joint uniformly from 1 +- error, and uniform directions of the offsets.
 
-        The random numbers do not depend on the settings: twice the error doubles every deviation. Each kind of error
-        has a random stream of its own.
+        Each kind of error has its own random stream, whose numbers do not depend on the settings: twice the error
+        doubles every deviation.
         """
         of_links, of_joints, of_trocar, of_origins, of_axes, of_encoders, of_ripple = (
             np.random.default_rng(child) for child in seed.spawn(7)
