@@ -36,7 +36,7 @@ Key = tuple[str, str, str, str]  # name, type, default and meaning
 
 
 def print_keys(given: argparse.Namespace) -> int:
-    """Print the keys of every table, or of one; returns 0."""
+    """Print the keys of every table, or of one table; returns 0."""
     names = [name or TOP for name, _, _ in tables()]
     if given.table is not None and given.table not in names:
         raise UnknownNameError("table of a scenario", given.table, names)

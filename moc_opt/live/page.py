@@ -44,8 +44,8 @@ FIELDS = ("regularization", "K_X", "K_N", "K_N2", "D_N2", "k0_per_s")  # setting
 class LivePage:
     """A run and its page on loopback, at ``port`` or the next free port. Leaving the context stops both.
 
-    Only clients with the token in ``url`` see the page and can give orders. A LiveError is raised if viser is missing or
-    the port number is invalid, a MocOptError if the scenario is not usable.
+    Only clients with the token in ``url`` see the page and can give orders. If viser is missing or the port number is
+    invalid, a LiveError is raised; if the scenario is not usable, a MocOptError.
     """
 
     def __init__(self, scenario: Scenario, *, port: int = PORT, title: str = "") -> None:

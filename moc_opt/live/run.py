@@ -29,8 +29,8 @@ class ExchangeableController:
     """A ``sim.protocols.TorqueController`` that passes calls to the controller in use, which can be exchanged.
 
     The controller in ``next`` takes over at the next tick, at the earliest BLEND_S after the previous exchange. If it
-    cannot start, ``messages`` gets its error. After an exchange, tau = tau_new + offset. The offset is tau_old - tau_new
-    at first, and decays by exp(-t / BLEND_S).
+    cannot start, ``messages`` gets its error. After an exchange, tau = tau_new + offset. At first, the offset is
+    tau_old - tau_new. It decays by exp(-t / BLEND_S).
     """
 
     def __init__(self, first: Controller, period_s: float, messages: deque[str]) -> None:
@@ -80,7 +80,7 @@ def solver_of(controller: Controller) -> str:
 
 
 class LiveRun:
-    """The closed loop of a scenario, along its path to and fro without end. A MocOptError if it is not usable.
+    """The closed loop of a scenario, along its path to and fro. If the scenario is not usable, a MocOptError is raised.
 
     Call it from one thread only. A wrong change raises at once. Errors that only the running loop can detect are put
     into `messages`, oldest first. ``t_s`` is the latest tick's time. ``stopped`` says why the arm was stopped, and is
