@@ -32,7 +32,7 @@ class Guide(Protocol):
         """Reset to the start of the run, t = 0."""
 
     def desired_velocity(self, state: RobotState) -> Array:
-        """Return x_d (n,) [rad/s] of this tick, called once per tick. Only its part in ker A is used."""
+        """Return x_d (n,) [rad/s] of this tick; only its part in ker A is used. It is called once per tick."""
 
 
 class Controller:

@@ -102,7 +102,7 @@ class SafetyFilter:
 
     @property
     def warnings(self) -> list[dict[str, Any]]:
-        """The quantities that exceeded their warning level, with ``first_s``, ``largest``, ``unit`` and ``level``."""
+        """Each quantity ``of`` that exceeded its warning ``level``, with ``first_s``, ``largest`` and ``unit``."""
         _, figures = self._guard.watched()
         found = []
         for (name, warning, _, unit, scale), largest, first in zip(_WATCHED, *figures[1:].tolist(), strict=True):
@@ -191,7 +191,7 @@ def numbers_of(
         "tool_mass": data.tool_mass, "tool_length": data.tool_length, "tip_force": _or_infinite(s.tip_force_N),
         "stop_yield": _or_infinite(s.stop_yield_N), "stop_yield_ticks": round(s.stop_yield_s / period),
         "press_share": min(1.0, PRESS_PER_S * period),
-        # If one encoder repeats a reading with probability p, all n do with p^n: fewer ticks suffice by the factor n.
+        # If one encoder repeats a reading with probability p, all n do so with p^n. Therefore divide the ticks by n.
         "replayed_ticks": max(float(s.repeat_whole_ticks), _or_infinite(s.repeat_joint_ticks) / robot.n),
         "stuck_speed": s.stuck_rad_per_s, "held": np.minimum(s.stuck_torque * data.tau_max, coulomb),
         "residual_whole": s.residual_whole_torque, "residual_rate": s.residual_rate_per_s,

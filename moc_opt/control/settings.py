@@ -85,8 +85,8 @@ class ControlSettings(Settings):
     """motion of the elbow under law 'moc'. 'local': in the direction in which mu rises; 'planned': along a course
     (planned joint motion) computed before the run; 'receding': along a course that is replanned during the run"""
     course: str = ""
-    """third_level 'planned': file of the course, written by `moc-opt plan --out`. If empty, a course is planned before
-    the run"""
+    """third_level 'planned': file of the course, written by `moc-opt plan --out`. A relative path starts at the
+    scenario's folder. If empty, a course is planned before the run"""
     horizon_s: Annotated[float, Field(ge=0.2, le=2.0)] = 1.0
     """third_level 'receding': duration of each replanned course"""
     replan_per_s: Annotated[float, Field(ge=20.0, le=50.0)] = 20.0
@@ -95,10 +95,10 @@ class ControlSettings(Settings):
     """largest joint speed of a course, as a share of v_max. A course may be 1.12 times as fast if this raises mu by
     1 %. The rest of v_max lets a lagging arm catch up"""
     course_margin_rad: NotNegative = 0.05
-    """distance of a course from joint limits, at which the box allows no speed towards the limit. A course comes nearer
-    only if no other reaches the path's end"""
+    """distance that a course keeps from joint limits. At this distance, the box allows no speed towards the limit. A
+    course comes nearer only if no other reaches the path's end"""
     course_observer_gain_per_s: NotNegative = 40.0
-    """observer gain while a course is followed, which moves the elbow faster"""
+    """observer gain while a course is followed, because the elbow then moves faster"""
     climb: Literal["gradient", "scaled"] = "gradient"
     """third_level 'local': speed of the elbow. 'gradient': proportional to the gradient of mu; 'scaled': Newton's step
     to the nearest maximum of mu, at most 1 rad, divided by 0.2 s"""
@@ -114,7 +114,7 @@ class ControlSettings(Settings):
     """third_level 'local': largest speed in the box, as a share of each joint's v_max. 1 in the paper"""
     limit_margin_rad: NotNegative = 0.15
     """third_level 'local': distance from a joint limit at which the box allows no speed towards it. 0 in the paper"""
-    limit_margin_m: NotNegative = Field(default=0.05, description="like limit_margin_rad; for sliding joints")
+    limit_margin_m: NotNegative = Field(default=0.05, description="margin of sliding joints, for every third_level")
     shaft_margin: float = Field(default=0.175, ge=0.0, le=1.0)
     """threshold that keeps the arm off poses in which the joints can hardly turn the shaft. Let s be the manipulability
     of the shaft with the tip at rest, divided by the squared distance from wrist to tip. Below the threshold,

@@ -32,7 +32,7 @@ _LINGER_S = 0.3  # time for which the controller still acknowledges repeated END
 
 
 class RemoteController(Filtered):
-    """The plant's end: it sends measurements, and returns commanded torques or, without a command, the watchdog's.
+    """The plant's end: it sends measurements and returns the commanded torques. Without a command, its watchdog acts.
 
     `sim.loop.simulate` runs it, with ``pace`` as the argument ``watch``. Call ``close`` afterwards.
 
@@ -102,7 +102,7 @@ class RemoteController(Filtered):
         return self._applied
 
     def _without_command(self) -> Array:
-        """Return the watchdog's torque (n,) [Nm]: the last torque, then gravity and damping, then closed brakes."""
+        """Return the watchdog's torque (n,) [Nm]: first the last torque, then gravity and damping, then a stop."""
         self._silent += 1
         safety, past, sound = self._filter, self._silent - self._settings.hold_ticks, self._sound
         if past <= 0:

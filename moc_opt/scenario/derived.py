@@ -91,7 +91,7 @@ class BestCourses(NamedTuple):
 
 
 def best_courses(scenario: Scenario) -> BestCourses:
-    """Plan the best courses of a scenario's path, or return those planned before; raises what a run raises."""
+    """Plan the best courses of a scenario's path, with a cache; errors as for a run."""
     return _planned(scenario.model_dump_json(include=PATH))
 
 

@@ -27,8 +27,8 @@ class Layout:
     """A start pose, and the task laid out from it."""
 
     q: Array  #: (n,) [rad]
-    trocar: Array  #: (3,) at rest, as registered [m]
-    registered: Trocar  #: The registered trocar, which the controller is given.
+    trocar: Array  #: (3,) registered trocar at rest [m]
+    registered: Trocar  #: The registered trocar with its motion, for the controller.
     reference: Reference
     duration_s: float
 

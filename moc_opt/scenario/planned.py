@@ -72,9 +72,9 @@ def followable_plan(
 ) -> tuple[Plan, dict[str, float]]:
     """Plan a course within limits, and return the plan and the limits.
 
-    With ``followed``, the limits are those of [control] for a course, else the arm's own. None: as the scenario's third
-    level. If no course keeps the margins of [control], they are left out. Limits given as arguments have priority. If
-    only one margin is given, the other is 0.
+    ``followed``: whether the limits are those of [control] for a course, or the arm's own. If it is None, third_level
+    decides. If no course keeps the margins of [control], they are left out. Limits given as arguments have
+    priority. If only one margin is given, the other is 0.
     """
     settings = scenario.control
     follows = settings.follows if followed is None else followed

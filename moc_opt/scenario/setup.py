@@ -82,10 +82,10 @@ def recorded_times(scenario: Scenario) -> list[float] | None:
 
 
 class Setup:
-    """Objects built from a validated scenario, checked before anything moves; ``trace()`` runs it.
+    """Objects built from a validated scenario, and checked before anything moves. ``trace()`` runs the scenario.
 
     Args:
-        solver: used instead of the scenario's solver; the trace's `meta` still names the latter.
+        solver: used instead of the scenario's solver, which the trace's `meta` still names.
         realtime: build only the controller, because the plant runs in another process. A tick then never waits while
             the process of an isolated solver is replaced. Without a budget, it waits for an answer for half a period.
 

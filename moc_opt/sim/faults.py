@@ -88,7 +88,7 @@ class Faults:
     ``period`` is the control period [s]; ``seed`` draws signs, noise, drops and directions.
 
     Raises:
-        PlantError: the arm does not have this joint.
+        PlantError: ``frozen_joint`` or ``lag_joint`` is no joint of the arm.
     """
 
     def __init__(self, settings: FaultSettings, n: int, period: float, seed: int) -> None:

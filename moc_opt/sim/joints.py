@@ -24,7 +24,7 @@ from moc_opt.robots import RobotData
 from moc_opt.sim.settings import Mismatch, PlantSettings
 
 _SAGGING_ROUNDS = 12  # of a fixed-point iteration for the sag
-_MOST_RAD_A_STEP = 1.0  # per plant step, of the fastest oscillation; explicit springs are stable below 2
+_MOST_RAD_A_STEP = 1.0  # largest phase of an oscillation per plant step; explicit springs are stable below 2
 
 
 class Joints:
@@ -36,7 +36,7 @@ class Joints:
         q, v: (n,) true positions and velocities of the links [rad], [rad/s].
         theta, omega: (n,) positions and velocities of the motors; shown: the pair that the encoders measure.
         torque: (n,) torque of the drives, before ripple [Nm].
-        motors: the motors' entries among MuJoCo's degrees of freedom.
+        motors: slice of the motors in MuJoCo's degrees of freedom.
     """
 
     def __init__(

@@ -130,7 +130,7 @@ class ClosedLoop:
 
     @property
     def finished(self) -> bool:
-        """Whether the stop is over: the arm rests after ``Stop.seconds``, or `LONGEST` times as long has passed."""
+        """Whether the stop is over: the arm rests after ``Stop.seconds``, or `LONGEST` times this time has passed."""
         since = self.ticks - self._stopped_at if self._stopped_at >= 0 else 0
         return since > self._watched and bool(since > LONGEST * self._watched or np.abs(self._plant.v).max() < AT_REST)
 
@@ -139,7 +139,7 @@ class ClosedLoop:
 
 @contextmanager
 def no_collector() -> Iterator[None]:
-    """Switch the garbage collector off. Before, only young objects are collected: all would take 0.1 s."""
+    """Switch the garbage collector off, after collecting young objects (a full collection takes 0.1 s)."""
     enabled = gc.isenabled()
     gc.collect(1)
     gc.disable()

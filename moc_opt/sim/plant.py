@@ -68,8 +68,7 @@ class Plant:
         settings: how the plant differs from the controller's model; None: `PlantSettings()`.
         seed: seed of the mismatch and of the noise, 0 or more.
 
-    Attributes: `data`, `settings`, `mismatch`, and MuJoCo's `mj_model` and `mj_data`, for drawing and checks. Writing
-        to these two breaks the promises above.
+    Attributes: `data`, `settings`, `mismatch`, and MuJoCo's `mj_model` and `mj_data`, for drawing and checks only.
 
     Raises:
         PlantError: MuJoCo cannot take the robot, or its URDF lacks a frame.

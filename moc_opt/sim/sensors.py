@@ -83,7 +83,7 @@ class Encoders:
         return reading[0], reading[1]
 
 
-_CHANCE = 1e-10  #: Largest probability of a longer repetition.
+_CHANCE = 1e-10  #: Largest probability per reading of a longer repetition.
 _MOST_TICKS = 500
 
 
