@@ -86,8 +86,8 @@ class SafetyFilterSettings(Settings):
     trocar_force_N: Level = 15.0
     """root mean square force of the trocar on the shaft above which the arm is stopped"""
     trocar_force_warning_N: Level = 8.0
-    """root mean square force above which a warning is recorded. It is compared with the trocar's force and with the
-    whole force across the shaft, which includes a load and a contact at the tip"""
+    """a warning is recorded if the root mean square of the trocar's force, or of the whole force across the shaft, is
+    above this. The whole force includes a load and a contact at the tip"""
     tip_force_N: Level = 10.0
     """largest force across the shaft that is attributed to a contact at the tip. The rest counts as trocar force"""
     incision_s: float = Field(0.1, gt=0.0, description="time constant of the mean squares of RCM error and force")

@@ -68,11 +68,11 @@ class ControlSettings(Settings):
     dcac_damping: PerJoint = 0.0
     """law 'dcac': damping of elbow motion that leaves tip and wrist at rest [N m s/rad]. 0 in the paper"""
     rcm_lambda: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
-    """lambda of the wrist error d / lambda (d: RCM error). 0.5 in the paper. If left out, the error is |N_d - N|"""
+    """lambda, if the wrist error is d / lambda with the RCM error d. 0.5 in the paper. Left out: the true wrist error"""
     projector: Literal["dynamic", "static", "as_published"] = "dynamic"
     """null-space projector of level 2. docs/method.md explains the choices"""
     feedforward: bool = True
-    """whether the desired accelerations of tip and wrist are fed forward. The paper does not"""
+    """whether the desired accelerations of tip and wrist are fed forward. false in the paper"""
     observer_gain_per_s: NotNegative = 20.0
     """gain of the momentum observer, which estimates external torques. 0: no observer. With a course, a gain above 0 is
     replaced by course_observer_gain_per_s"""

@@ -70,7 +70,7 @@ class SupervisorSettings(Settings):
     """largest violation by any other answer, for example of a solver that ran out of iterations"""
     relative_limit: float = Field(0.05, gt=0.0)
     """largest natural residual (0 at an optimum) of an answer that the solver calls optimal [rad/s]. The cost is scaled
-    so that its gradient has length 1"""
+    so that the largest entry of its gradient is 1"""
     opposite_limit: float = Field(1e-3, gt=0.0)
     """an answer called optimal is refused if it is farther than this from the optimum [rad/s] and nearer to the optimum
     for the negated gradient"""

@@ -42,8 +42,8 @@ class StartTable(Settings):
     """start pose. 'home': q_rad; 'random': a random pose from which the whole task can be done"""
     q_rad: tuple[float, ...] | None = Field(None, description="joint positions. If left out, the robot's home pose")
     swivel: Annotated[float, Field(ge=0.0, le=1.0)] | Literal["given", "random"] = "given"
-    """position of the elbow in its swivel range, which is 0 to 1 between joint limits. 'given': as in the pose;
-    'random': drawn from 0.05 to 0.95"""
+    """position of the elbow, from 0 to 1 between the ends of its swivel range. 'given': as in the pose; 'random': drawn
+    from 0.05 to 0.95"""
     limit_margin_rad: float = Field(0.05, ge=0.0, le=3.0)
     """pose 'random': smallest distance of a joint from its limits, at the start and along the path"""
     limit_margin_m: float = Field(0.05, ge=0.0, le=3.0, description="like limit_margin_rad, for sliding joints")

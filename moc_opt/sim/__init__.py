@@ -2,7 +2,7 @@
 
 Read first: ``loop`` (the closed loop of plant, sensors, safety filter and controller), with ``protocols`` (interfaces
 of its parts) and ``record`` (its rows). Then read ``plant`` (MuJoCo), with its parts ``joints`` and ``sensors``.
-``mjcf`` builds its model, and compares this model with the controller's arm. ``faults`` disturb the plant.
+``mjcf`` builds the MuJoCo model, and compares it with the controller's arm. ``faults`` disturb the plant.
 docs/plant.md explains ``settings``.
 """
 

@@ -23,7 +23,7 @@ from moc_opt.errors import PlantError
 from moc_opt.robots import RobotData
 from moc_opt.sim.settings import Mismatch, PlantSettings
 
-_SAGGING_ROUNDS = 12  # of a fixed-point iteration for the sag
+_SAGGING_ROUNDS = 12  # iterations for the deflection of the springs by weight
 _MOST_RAD_A_STEP = 1.0  # largest phase of an oscillation per plant step; explicit springs are stable below 2
 
 
