@@ -87,7 +87,7 @@ class UnknownNameError(MocOptError, LookupError):
 
 
 def is_number(value: object) -> bool:
-    """Return whether a value is a real number that fits a float. numpy's numbers are, a bool is not."""
+    """Return whether a value is a real number (Python's or numpy's, but no bool) that fits a float."""
     fits = not isinstance(value, int) or abs(value) < 2**1023
     return isinstance(value, Real) and not isinstance(value, bool) and fits
 

@@ -38,7 +38,7 @@ class SafetyFilterSettings(Settings):
     """replaces repeat_m while the wrench sensor also repeats its reading"""
     repeat_whole_ticks: int = Field(25, ge=1)
     """ticks in a row for which a wrench sensor with noise may repeat one reading. It is also how many whole
-    measurements may equal earlier ones at a constant lag"""
+    measurements may equal earlier measurements at a constant lag"""
     stuck_torque: float = Field(0.06, ge=0.0)
     """largest change of a joint's momentum residual that static friction explains while the joint's encoder repeats one
     reading, as a share of tau_max"""
@@ -49,7 +49,7 @@ class SafetyFilterSettings(Settings):
     step. With little or no noise, there is then no limit"""
     repeat_reading_ticks: int | None = Field(None, ge=0)
     """number of times in a run that one encoder may repeat position and velocity. It is also how many of its readings
-    may equal earlier ones at a constant lag. If left out, it is patience_ticks for encoders with noise and filtered
+    may equal earlier readings at a constant lag. If left out, it is patience_ticks for encoders with noise and filtered
     velocities. For other encoders there is then no limit"""
     stuck_rad_per_s: float = Field(0.2, gt=0.0)
     """largest speed that a residual beyond stuck_torque may have given a joint while its encoder repeats one reading.

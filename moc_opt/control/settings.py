@@ -68,7 +68,7 @@ class ControlSettings(Settings):
     dcac_damping: PerJoint = 0.0
     """law 'dcac': damping of elbow motion that leaves tip and wrist at rest [N m s/rad]. 0 in the paper"""
     rcm_lambda: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
-    """lambda, if the wrist error is d / lambda with the RCM error d. 0.5 in the paper. Left out: the true wrist error"""
+    """lambda of the wrist error d / lambda (d: RCM error). 0.5 in the paper. If left out, the true error is used"""
     projector: Literal["dynamic", "static", "as_published"] = "dynamic"
     """null-space projector of level 2. docs/method.md explains the choices"""
     feedforward: bool = True

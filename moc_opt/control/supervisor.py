@@ -75,7 +75,7 @@ class SupervisorSettings(Settings):
     """an answer called optimal is refused if it is farther than this from the optimum [rad/s] and nearer to the optimum
     for the negated gradient"""
     hold_ticks: int = Field(10, ge=0)
-    """ticks in a row at which the last good answer replaces a refused one. Afterwards the self-motion is damped"""
+    """ticks in a row at which the last good answer replaces refused answers. Then the self-motion is damped"""
     keep_off_limits: bool = True
     """whether the elbow, after hold_ticks, still moves just enough to keep x in the box"""
     budget_us: float | None = Field(None, gt=0.0, description="longest time of a solve [us]; left out: no limit")

@@ -32,7 +32,7 @@ class Settings(pydantic.BaseModel):
     """Base of every table of settings; ``KIND`` is the table's name in messages.
 
     Raises:
-        UnknownNameError: a field does not exist; the message lists the nearest ones.
+        UnknownNameError: a field does not exist; the message lists the nearest fields.
         MocOptError: a value is wrong (class ``ERROR``); the message has the field, its value and the range.
     """
 

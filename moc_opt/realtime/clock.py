@@ -38,7 +38,7 @@ class WallClock:
 
 
 def ask_for_realtime() -> dict[str, str]:
-    """Request real-time priority, memory that is never paged out, and exact timers; return what was granted."""
+    """Request real-time priority, memory that is never paged out, and exact timers; return the answers."""
     found, libc = {"scheduling": f"SCHED_FIFO {PRIORITY}"}, ctypes.CDLL(None, use_errno=True)
     try:
         # Children get ordinary priority: a new solver process must not slow the loop down.

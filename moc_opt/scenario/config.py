@@ -68,7 +68,7 @@ class Scenario(Settings):
     bound_samples: int = Field(25, ge=0, le=100_000)
     """number of evenly spread ticks at which the largest mu of all poses with the same tip and wrist is computed"""
     best_courses: bool = False
-    """whether the joint motions with the largest mu are planned after the run, for comparison. Planning takes a second
+    """whether the joint motions of largest mean mu are planned after the run, for comparison. Planning takes a second
     or more. If left out, `moc-opt run` plans them, and `run` in Python does not"""
 
     def __init__(self, **values: Any) -> None:

@@ -111,7 +111,7 @@ class Setup:
             self._build_plant(plant_seed)
 
     def _build_plant(self, seed: int) -> None:
-        """Put the plant at the start. The incision lies on its true shaft, and the path begins at its true tip."""
+        """Put the plant at the start. The path begins at its true tip. The registered incision is on its shaft."""
         scenario, entry = self.scenario, self.layout.trocar
         self.plant = plant = Plant(self.robot.data, scenario.plant, seed=seed)
         if scenario.faults.bump_N > 0.0:  # so that an unknown link is found now, not in the middle of the run

@@ -28,7 +28,7 @@ _MOST_RAD_A_STEP = 1.0  # largest phase of an oscillation per plant step; explic
 
 
 class Joints:
-    """Joint coordinates and torque drives. If joints are rigid and torques smooth, they are MuJoCo's own arrays.
+    """Joint coordinates and torque drives. With rigid joints and smooth torques, these are MuJoCo's arrays.
 
     The drives have no dynamics: a command is clipped at the torque limits and acts some control periods later.
 

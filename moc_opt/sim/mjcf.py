@@ -19,8 +19,8 @@ TOOL_BODY = "tool"
 MOUNT_SITE = "tool_mount_sensor"
 FORCE_SENSOR, TORQUE_SENSOR = "mount_force", "mount_torque"
 TOLERANCE = 1e-6
-"""Largest relative difference between the engines; rounding makes about 1e-14. M is divided by its largest entry without
-rotors, h by its largest entry plus 9.81 times M's, tip and wrist by the tip's distance from the base."""
+"""Largest relative difference between the engines; rounding makes about 1e-14. M is divided by its largest entry m
+without rotors, h by its largest entry plus 9.81 m, tip and wrist by the tip's distance from the base."""
 POSES = 3  #: Number of poses at which the engines are compared.
 
 

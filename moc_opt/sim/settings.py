@@ -29,7 +29,7 @@ class PlantSettings(Settings):
 
     Raises:
         PlantError: a value is out of range; the message names the field, the value and the range.
-        UnknownNameError: a field does not exist; the message lists the nearest ones.
+        UnknownNameError: a field does not exist; the message lists the nearest fields.
     """
 
     KIND: ClassVar[str] = "[plant]"
@@ -73,7 +73,7 @@ class PlantSettings(Settings):
     """stiffness of the abdominal wall at the trocar. 500 to 3000 is realistic"""
     trocar_damping_Ns_per_m: float = Field(10.0, ge=0, le=1e4, description="damping of the abdominal wall")
     trocar_registration_error_m: float = Field(0.0005, ge=0, le=0.1)
-    """distance of the true trocar from the registered one, which the controller uses"""
+    """distance of the true from the registered trocar, which the controller uses"""
 
     @model_validator(mode="after")
     def _fine_enough(self) -> Self:
