@@ -1,7 +1,6 @@
 """moc_opt: manipulability optimization control of a surgical arm, and one measure by which every solver is judged.
 
-Each public name is imported at its first use: ``import moc_opt`` itself imports no solver, no
-simulator and no compiler.
+Each public name is imported at its first use. ``import moc_opt`` alone imports no solver, simulator or compiler.
 """
 
 from __future__ import annotations

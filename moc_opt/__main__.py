@@ -38,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _nobody_reads() -> bool:
-    """Return whether standard output is the pipe that broke."""
+    """Return whether standard output is the broken pipe."""
     watched = select.poll()
     watched.register(sys.stdout.fileno(), 0)
     return bool(watched.poll(0))

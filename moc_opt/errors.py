@@ -73,7 +73,7 @@ class UnknownNameError(MocOptError, LookupError):
     FEW: ClassVar[int] = 12  #: Up to this many names are all shown, even if a command lists them, too.
 
     def __init__(self, kind: str, name: str, valid: Iterable[str], listed_by: str = "") -> None:
-        """Name the nearest of the ``valid`` names, then all of them, or for a long list the command that prints it."""
+        """Name the nearest ``valid`` names, then all of them or, if there are many, the command that lists them."""
         names = sorted(valid)
         short = bool(listed_by) and len(names) > self.FEW
         # A name without a dot is compared with the last parts of dotted names.
@@ -87,13 +87,13 @@ class UnknownNameError(MocOptError, LookupError):
 
 
 def is_number(value: object) -> bool:
-    """Return whether a value is a real number (also one of numpy's) that fits a float; a bool is not."""
+    """Return whether a value is a real number (Python's or numpy's, but no bool) that fits a float."""
     fits = not isinstance(value, int) or abs(value) < 2**1023
     return isinstance(value, Real) and not isinstance(value, bool) and fits
 
 
 def shown(value: object, most: int = 200) -> str:
-    """Return the value as a message shows it, in at most ``most`` characters, whatever its size."""
+    """Return the value as a message shows it, cut at ``most`` characters."""
     try:
         text = repr(value)
     except Exception as reason:  # noqa: BLE001 - repr may be foreign code; it fails for integers of thousands of digits
@@ -113,5 +113,5 @@ def describe(error: BaseException, most: int = 300) -> str:
 
 
 def printable(text: str) -> str:
-    """Replace the characters that could control a terminal; the text comes from foreign code or over a network."""
+    """Replace characters of a foreign text that could control a terminal."""
     return "".join(c if c.isprintable() else "\ufffd" for c in text)

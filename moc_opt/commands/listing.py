@@ -61,7 +61,7 @@ def solvers() -> tuple[str, Rows, str]:
 
 
 def robots() -> tuple[str, Rows, str]:
-    """Return every arm of the package: joints, freedoms left when tip and shaft are held, tool and description."""
+    """Return every arm of the package: joints, null-space dimension with tip and shaft held, tool, description."""
     rows = {}
     for name in available_robots():
         arm = load_robot(name)

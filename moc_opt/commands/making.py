@@ -1,4 +1,4 @@
-"""Commands that make something: pages of saved runs, the live page, a folder of C, a comparison, the solver study."""
+"""Commands for pages of saved runs, the live page, C code, a comparison of solvers, and the solver study."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from moc_opt.trace.meta import Ending
 
 
 def save_page(given: argparse.Namespace) -> int:
-    """Write saved runs as the page that the command names, then its figures if asked for; returns 0.
+    """Write saved runs as the page of this command, then its figures if requested; returns 0.
 
     The page is written even if no browser can draw the figures.
     """

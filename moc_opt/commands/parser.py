@@ -1,4 +1,4 @@
-"""The commands of `moc-opt` as data: a new command is a line of `COMMANDS`. Its function is imported when it runs."""
+"""The commands of `moc-opt` as data, in `COMMANDS`. The function of a command is imported when the command runs."""
 
 from __future__ import annotations
 
@@ -62,8 +62,8 @@ COMMANDS = {
         option("--seed", type=int, help="replaces the scenario's seed"),
         option("--solver", help="replaces the solver, with default settings; `solvers --list` has the names"),
         option("--robot", metavar="NAME|MY.toml", help="replaces the scenario's robot"),
-        option("--task", metavar="NAME|POINTS.csv", help="path of `tasks`, or a file with one x,y,z [m] per line"),
-        option("--metric", action="append", metavar="NAME", help="print only this one of `metrics`; may be repeated"),
+        option("--task", metavar="NAME|POINTS.csv", help="name from `tasks`, or a file with one x,y,z [m] per line"),
+        option("--metric", action="append", metavar="NAME", help="print only this metric; may be repeated"),
         ALL,
         option("--report", type=path, metavar="FILE.html", help="write metrics, curves and map to this page"),
         FORCE,
@@ -78,7 +78,7 @@ COMMANDS = {
         SCENARIO,
         option("--margin", type=float, metavar="RAD",
                help="distance from the joint limits; default 0, or course_margin_rad if a course is followed"),
-        option("--margin-m", type=float, metavar="M", help="the same for sliding joints"),
+        option("--margin-m", type=float, metavar="M", help="distance of sliding joints from their limits"),
         option("--speed-share", type=float, metavar="S",
                help="share of the joints' speed limits that a course may use, above 0 to 1; default 1, or "
                     "course_speed_fraction if a course is followed: with --out, or third_level planned or receding"),
@@ -89,7 +89,7 @@ COMMANDS = {
     "replay": Command("commands.making:save_page", "one to four saved traces in 3-D, as one HTML file",
                       pages("replay")),
     "map": Command("commands.making:save_page", "saved traces of one path on the manipulability map, as one HTML file",
-                   (*pages("map"), flag("--figures", "also write SVG and PDF, into a folder beside it"))),
+                   (*pages("map"), flag("--figures", "also write the figures as SVG and PDF"))),
     "report": Command("commands.making:save_page",
                       "saved traces as one HTML file: metrics, curves, manipulability map", pages("report")),
     "live": Command("commands.making:serve_page", "run a scenario in real time, on a page of this machine", (
@@ -133,7 +133,7 @@ COMMANDS = {
         JSON,
     )),
     "solvers": Command("commands.making:list_or_study",
-                       "the study of all solvers: some minutes; with --list the solvers that can run here",
+                       "the study of all solvers (some minutes), or with --list their names",
                        (flag("--list", "print the solvers that can run here, and their settings"), JSON)),
     "robots": Command("commands.listing:print_list", "the arms of the package", (JSON,)),
     "tasks": Command("commands.listing:print_list", "the paths that [task] path may name, and their sizes", (JSON,)),
@@ -147,7 +147,7 @@ COMMANDS = {
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Make the parser of all commands; it sets ``command`` to None if no command is given."""
+    """Make the parser of all commands. Without a command, it sets ``command`` to None."""
     parser = argparse.ArgumentParser(
         prog="moc-opt",
         description="moc-opt, or python -m moc_opt: scenarios, robots and solvers from the command line.",

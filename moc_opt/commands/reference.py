@@ -21,9 +21,13 @@ from moc_opt.scenario.config import PRESETS, Scenario
 TOP, ABSENT = "scenario", "left out"
 HEAD = """# The keys of a scenario
 
-Made by `moc-opt keys --markdown` from the schema that checks every file: edit the schema, not this page. A key that is
-left out has its default. The unit of a number ends its name (`_m_per_s`: m/s) or is in brackets. `inf` switches off
-a threshold of RCM error or force in `[guard]`. docs/method.md explains mu, x, A x = b, the box and levels 1 to 3.
+`moc-opt keys --markdown` makes this page from the schema that checks every file: edit the schema, not this page. A key
+that is left out has its default. The unit of a number ends its name (`_m_per_s`: m/s) or is in brackets. In `[guard]`,
+`inf` switches off a threshold of RCM error or force.
+
+Level 1 of the control law moves the tip along the path. Level 2 keeps the shaft in the trocar (RCM: remote centre of
+motion). Level 3 moves the elbow to raise the manipulability mu. Its solver computes a joint velocity x. A x = b keeps
+tip and wrist on their references, and the bounds on x are called the box. docs/method.md has the equations.
 """
 WORDS = {int: "integer", float: "number", str: "text", bool: "flag", type(None): "", Any: "value"}
 
@@ -32,7 +36,7 @@ Key = tuple[str, str, str, str]  # name, type, default and meaning
 
 
 def print_keys(given: argparse.Namespace) -> int:
-    """Print the keys of every table, or of one; returns 0."""
+    """Print the keys of every table, or of one table; returns 0."""
     names = [name or TOP for name, _, _ in tables()]
     if given.table is not None and given.table not in names:
         raise UnknownNameError("table of a scenario", given.table, names)
@@ -53,7 +57,7 @@ def tables(kind: type[Settings] = Scenario, path: str = "") -> Iterator[tuple[st
     inner: list[tuple[str, type[Settings]]] = []
     keys: list[Key] = []
     if path in PRESETS:
-        meaning = "a named set of values for this table; keys of the table that are given too override it"
+        meaning = "a named set of values for this table. Any key that you also give overrides the preset"
         keys.append(("preset", " | ".join(map(repr, PRESETS[path])), ABSENT, meaning))
     for name, field in kind.model_fields.items():
         hint = field.annotation

@@ -22,35 +22,35 @@ from moc_opt.solvers.isolated import IsolatedSession
 
 
 class Guide(Protocol):
-    """A source of joint velocities x_d that the elbow should follow instead of moving towards a larger mu.
+    """A source of joint velocities x_d that the elbow follows instead of moving towards a larger mu.
 
-    The vector `pull` in the subproblem's cost is then (rho / c2) x_d instead of grad mu. Thus the cost on the feasible
-    set is rho/2 |x - x_d|^2 up to a constant. Box, solver, supervisor and residual check do not depend on the guide.
+    The vector `pull` in the subproblem's cost is then (rho / c2) x_d instead of grad mu. On the feasible set, the cost
+    becomes rho/2 |x - x_d|^2 up to a constant.
     """
 
     def start(self) -> None:
         """Reset to the start of the run, t = 0."""
 
     def desired_velocity(self, state: RobotState) -> Array:
-        """Return x_d (n,) [rad/s] of this tick; only its component in ker A matters. Called once a tick."""
+        """Return x_d (n,) [rad/s] of this tick; only its part in ker A is used. It is called once per tick."""
 
 
 class Controller:
     """One arm, one law and one solver. The closed loop calls ``start`` once, then ``tick`` every period.
 
-    After a tick, ``state`` holds the terms of the robot's model (see `RobotState`), and ``subproblem``, ``solution``,
-    ``answer``, ``fault`` and ``solve_us`` describe level 3 (under DCAC: None, None, NaN, ``Fault.NONE`` and NaN).
+    After a tick, ``state`` has the terms of the robot's model. ``subproblem``, ``solution``, ``answer``, ``fault`` and
+    ``solve_us`` describe level 3. Under DCAC (only levels 1 and 2) they are None, None, NaN, ``Fault.NONE`` and NaN.
 
     Args:
         robot: the model that the control law uses.
         settings: see ControlSettings.
-        solver: for law "moc"; None for "dcac".
+        solver: solver of level 3 for law "moc"; None for "dcac".
         period: control period [s]; the observer integrates over it.
         times_us: recorded solve times [us], used instead of the clock.
         guide: a `Guide` whose velocity replaces the gradient of mu; it needs regularization and c2 above 0.
 
     Raises:
-        ControlError: law "moc" is without a solver, "dcac" has one, or a setting does not fit the robot.
+        ControlError: law "moc" has no solver, law "dcac" has a solver, or a setting does not fit the robot.
     """
 
     def __init__(
@@ -65,8 +65,8 @@ class Controller:
         if guide is not None or (settings.climb == "scaled" and settings.law == "moc"):
             settings.check_guided()
         self._guide, self._n, self._row_length = guide, robot.n, row_length(robot.n)
-        self._torques = slice(-robot.n, None)  # the torque: the last n numbers of the core's result
-        self._exact = solver if type(solver) is Exact else None  # it runs inside the core, without a session and copies
+        self._torques = slice(-robot.n, None)  # place of the torque in the core's result
+        self._exact = solver if type(solver) is Exact else None  # runs inside the core, without a session
         self._started = False
         self._supervisor = Supervisor(settings.supervisor, self._law, robot.n, period, times_us)
         self._forget()
@@ -81,7 +81,7 @@ class Controller:
         self._ticked: tuple[Status, Array] | None = None
 
     def _take_apart(self) -> None:
-        """Split the core's result of the last tick, solved by `exact`, into parts; called only when a part is read."""
+        """Split the core's result of a tick solved by `exact` into its parts. Called only when a part is read."""
         if self._ticked is None:
             return
         status, out = self._ticked
@@ -110,14 +110,14 @@ class Controller:
 
     @property
     def answer(self) -> Array:
-        """The x (n,) [rad/s] that level 3 followed: the solver's or the supervisor's substitute; NaN under DCAC."""
+        """The x (n,) [rad/s] that level 3 followed, from the solver or the supervisor; NaN under DCAC."""
         self._take_apart()
         return self._answer
 
     fault = property(lambda self: self._supervisor.fault, doc="The fault of the last tick's answer.")
     solve_us = property(
         lambda self: self._supervisor.solve_us,
-        doc="Time of the last tick's solve [us]; for `exact`, the time inside the core. NaN if nothing was solved.",
+        doc="Time of the last tick's solve [us] (of `exact`: inside the core). NaN if nothing was solved.",
     )
     faults = property(
         lambda self: self._supervisor.faults,
@@ -126,7 +126,7 @@ class Controller:
 
     @property
     def restarts(self) -> list[dict[str, Any]]:
-        """Replacements of an isolated solver's process: ``at_s`` (time since the start) and ``reason`` of each."""
+        """Replacements of an isolated solver's process, each with ``at_s`` (time since the start) and ``reason``."""
         found = self._session.restarts if isinstance(self._session, IsolatedSession) else []
         return [{"at_s": self._period * restart.tick, "reason": restart.reason} for restart in found]
 
@@ -142,12 +142,12 @@ class Controller:
         return self._law.memory()[2]
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
-        """Reset the state and start the solver with the subproblem of this measurement; arguments as for `tick`.
+        """Reset the state, and start the solver with the subproblem of this measurement; arguments as for `tick`.
 
-        First, a copy of the controller runs one tick, so that libraries do their own set-up before the loop starts.
+        First, a copy of the controller runs one tick, so that libraries are initialized before the loop starts.
 
         Raises:
-            ControlError: the solver does not support the subproblem, or raises an exception at its start.
+            ControlError: the solver does not support the subproblem, or raises an exception when it starts.
         """
         copy = Controller(self.robot, self.settings, self.solver, self._period)
         copy._begin(q, v, tip_ref, trocar)
@@ -182,7 +182,7 @@ class Controller:
         x_d = None if self._guide is None else self._guide.desired_velocity(self.robot.state(q, v))
         try:
             return self._torque(q, v, tip_ref, trocar, x_d)
-        except ValueError:  # the core takes only contiguous arrays of finite floats: convert and try again
+        except ValueError:  # the core takes only contiguous float arrays: convert
             state, tip_ref, trocar = self.robot.state(q, v), _rows("tip_ref", tip_ref, 3), _rows("trocar", trocar, 2)
             return self._torque(state.q, state.v, tip_ref, trocar, x_d)
 
@@ -195,8 +195,8 @@ class Controller:
         self._record, row = self._law.begin(q, v, tip_ref, trocar, x_d)
         if self._session is not None:
             self._subproblem = qp = NullSpaceQP.from_row(row)
-            # With the answer x*, or the supervisor's substitute for x*, level 3 adds
-            # M Z^T (Z M Z^T)^-1 Z (K_N2 (x* - v) - D_N2 v) to tau, which is then clipped to tau_max.
+            # Level 3 adds M Z^T (Z M Z^T)^-1 Z (K_N2 (x* - v) - D_N2 v) to tau, which is then clipped to tau_max. x* is
+            # the solver's answer, or the supervisor's replacement.
             seen = v if self._observes else None
             self._solution, self._answer, tau = self._supervisor.solve(self._session, qp, seen)
         else:
@@ -204,19 +204,19 @@ class Controller:
         return read_only(tau)
 
     def set_applied_torque(self, tau: Array) -> None:
-        """Give the observer the torque (n,) [Nm] that was applied, if it differs from the one that `tick` returned."""
+        """Tell the observer the applied torque (n,) [Nm], if it differs from the result of `tick`."""
         if not np.isfinite(tau).all():
             raise ControlError(f"applied torque = {np.asarray(tau).tolist()} is not finite: the observer cannot use it")
         self._law.set_applied(np.ascontiguousarray(tau, dtype=np.float64))
 
     def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
-        """Create the third level's trace columns for this number of ticks; under DCAC only status and solve time."""
+        """Create trace columns of level 3 with one row per tick; under DCAC only status and solve time."""
         found: dict[str, NDArray[Any]] = {
             "status": np.full(ticks, "none", dtype="<U12"), "solve_us": np.full(ticks, np.nan)
         }  # fmt: skip
         if self.solver is not None:
             n, end = self._n, self._row_length
-            # One block in the order of the core's result: the subproblem's record, x, y, and the x that is followed.
+            # One block in the order of the core's result: subproblem, x, y, and the x that is followed.
             self._block = block = np.full((ticks, end + 2 * n + 6), np.nan)
             found |= {
                 "subproblem": block[:, :end], "x_rad_per_s": block[:, end : end + n],
@@ -254,7 +254,7 @@ def _rows(name: str, given: Array, count: int) -> Array:
 
 
 def _start_session(solver: Solver, qp: NullSpaceQP) -> Session:
-    # A MocOptError of the solver passes unchanged; any other exception becomes a ControlError with its message.
+    # A MocOptError passes unchanged. Any other exception becomes a ControlError.
     name = "?"
     try:
         name = repr(solver.name)

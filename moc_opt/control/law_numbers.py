@@ -1,4 +1,4 @@
-"""Compute the numbers in the control law from settings and an arm; docs/method.md and `core/law.c` have the law."""
+"""Compute the numbers of the control law (docs/method.md, `core/law.c`) from settings and an arm."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from moc_opt.control.settings import ControlSettings, per_joint
 from moc_opt.errors import ControlError
 from moc_opt.robots.model import RobotModel
 
-PROJECTORS = ("dynamic", "static", "as_published")  #: In the order of the core's enum, like the next two.
+PROJECTORS = ("dynamic", "static", "as_published")  #: In the order of the core's enum, like FALLBACKS and LATE.
 FALLBACKS = ("damping", "hold", "least-violation")
 LATE = ("hold", "zero", "iterate")
-COURSE_K0_PER_S = 10.0  #: Smallest k0 for following a course: the course itself slows down before a joint limit.
+COURSE_K0_PER_S = 10.0  #: Smallest k0 with a course, which itself slows down before a limit.
 _CHECKS = ("check", "box_limit", "primal_limit", "relative_limit", "opposite_limit", "keep_off_limits")
 
 
@@ -25,13 +25,13 @@ def numbers_of(settings: ControlSettings, robot: RobotModel, period: float) -> d
         period: control period [s].
 
     Raises:
-        ControlError, UnknownNameError: a gain is missing, the margins leave no room between a joint's limits, or the
+        ControlError, UnknownNameError: a gain is missing, the margins leave a joint no room between its limits, or the
             observer's gain is too large for the period.
     """
     n, moc, follows, supervisor = robot.n, settings.law == "moc", settings.follows, settings.supervisor
     gains = settings.resolve_gains(robot.data.gains, n)
     gain, damping = gains.K_N2, gains.D_N2
-    if follows:  # x is the desired velocity: level 3 damps v - x, not v
+    if follows:  # x is the desired velocity, so that level 3 damps v - x instead of v
         gain, damping = gain + damping, np.zeros(n)
     if not moc:
         damping = per_joint("[control] dcac_damping", settings.dcac_damping, n)
@@ -39,7 +39,7 @@ def numbers_of(settings: ControlSettings, robot: RobotModel, period: float) -> d
     if observer and not observer * period < 1.0:
         name = "course_observer_gain_per_s" if follows else "observer_gain_per_s"
         raise ControlError(f"{name} = {observer} at a period of {period} s: keep it below {1.0 / period:g}")
-    # With the default margins, the box stops a joint before it reaches the wall of the safety filter.
+    # By default, the box stops a joint before the safety filter's wall.
     turning = settings.course_margin_rad if follows else settings.limit_margin_rad
     margin = np.where(robot.chain.prismatic, settings.limit_margin_m, turning)
     half = 0.5 * (robot.q_max - robot.q_min)
@@ -50,7 +50,7 @@ def numbers_of(settings: ControlSettings, robot: RobotModel, period: float) -> d
             f"[control] {kind} = {margin[j]}: no room is left for joint {j + 1} between its limits; give less "
             f"than {half[j]:.3g}"
         )
-    fraction = 1.0 if follows else settings.speed_fraction  # a course itself keeps below course_speed_fraction
+    fraction = 1.0 if follows else settings.speed_fraction  # a course keeps its own speed limit
     return {
         **{name: getattr(settings, name) for name in ("feedforward", "c0", "c1", "c2")},
         **{name: getattr(supervisor, name) for name in _CHECKS},

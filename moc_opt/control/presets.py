@@ -6,16 +6,16 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-# Each law has its own gains from the paper's Table I, and the wrist's error is d / lambda. There is no observer and no
-# ramp, and the box reaches up to the joint limits.
+# Each law has its own gains (Table I of the paper), and the wrist error is d / lambda. There is no observer, no ramp,
+# and no margin to the joint limits.
 PAPER: dict[str, Any] = {
     "gains": None, "feedforward": False, "rcm_lambda": 0.5, "k0_per_s": 0.1, "regularization": 0.0,
     "observer_gain_per_s": 0.0, "speed_fraction": 1.0, "limit_margin_rad": 0.0, "limit_margin_m": 0.0,
     "shaft_margin": 0.0, "fallback": "damping", "ramp_s": 0.0,
 }  # fmt: skip
 
-# Found by a search over random settings for the LWR4+ in the realistic plant. The gains are in the file of the LWR4+;
-# other arms have their own table "tuned", or one derived from their inertia (`moc_opt.robots.gains`).
+# Found by a search over random settings for the LWR4+ in the realistic plant. Its gains are in the robot's file. Other
+# arms have their own table "tuned", or gains derived from their inertia (`moc_opt.robots.gains`).
 TUNED: dict[str, Any] = {
     "gains": "tuned", "fallback": "damping", "observer_gain_per_s": 33.3, "feedforward": True, "k0_per_s": 1.58,
     "regularization": 3.24e-5, "speed_fraction": 0.49, "ramp_s": 0.653,

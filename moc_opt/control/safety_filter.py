@@ -1,7 +1,7 @@
-"""The safety filter: it checks every measurement, limits torque and motion at every tick, and requests the stop.
+"""The safety filter: it checks every measurement, limits the torque at every tick, and requests a stop.
 
-`moc_opt/core/safety_filter.c` has the formula of every limit and of every reason to stop; docs/reliability.md says how
-the limits were chosen. In a stop the drives brake, and the torque carries the arm's weight in the last accepted pose.
+`moc_opt/core/safety_filter.c` has the formula of every limit and of every reason to stop. docs/reliability.md explains
+the limits. In a stop, the drives brake, and the torque carries the arm's weight in the last accepted pose.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ _LATE, _TIP = core.REASONS.index("measurements are too late"), core.REASONS.inde
 _WATCHED = (
     ("the RCM error", "rcm_warning_m", "rcm_error_m", "mm", 1e3),
     ("the trocar's force", "trocar_force_warning_N", "trocar_force_N", "N", 1.0),
-)  # quantity, names of the settings for its warning level and its limit, unit in messages, factor from SI to that unit
-_AS_SET = (  # settings that go to the core under their own names
+)  # quantity, settings of its warning level and limit, unit in messages, factor from SI to this unit
+_AS_SET = (  # settings with the same name in the core
     "speed_factor", "stop_holding", "motion", "motion_s", "motion_rad", "motion_lag_s", "repeat_m", "repeat_torque",
     "repeat_whole_m", "repeat_whole_torque", "repeat_whole_ticks", "repeat_joint_ticks", "repeat_reading_ticks",
     "residual_torque",
@@ -40,9 +40,9 @@ class SafetyFilter:
         robot: the model of the arm; its limits, tool and friction are used.
         settings: see SafetyFilterSettings.
         period: control period [s].
-        carries: whether the torque has to carry the arm's weight; False for drives that compensate gravity themselves.
-        incision: False for an arm outside any incision, whose RCM error and trocar force are not checked.
-        momentum: whether the filter computes the state if `limit_torque` gets none, to compare motion and torque.
+        carries: whether the torque carries the arm's weight; False if the drives compensate gravity themselves.
+        incision: whether the tool is in an incision. If not, RCM error and trocar force are not checked.
+        momentum: whether `limit_torque` computes the state if it gets none, to compare motion and torque.
 
     Attributes:
         limited: number of joints whose last torque was changed.
@@ -67,7 +67,7 @@ class SafetyFilter:
         self.start(np.clip(robot.data.q_home, robot.q_min, robot.q_max), self._rest)
 
     def start(self, q: Array, v: Array, stamp: int = 0) -> None:
-        """Begin at the first measurement, taken in period ``stamp``. A joint that starts in its wall is not pushed out.
+        """Begin at the first measurement, taken in period ``stamp``. A joint inside its wall is not pushed out then.
 
         Raises:
             ControlError: the measurement is not finite.
@@ -81,18 +81,18 @@ class SafetyFilter:
         self, q: Array, v: Array, stamp: int | None = None, applied: Array | None = None,
         wrench: Array | None = None, trocar: Array | None = None,
     ) -> tuple[Array, Array]:  # fmt: skip
-        """Return the measurement; if it is late or impossible, return the last accepted measurement, extrapolated.
+        """Return the measurement. If it is late or impossible, return the last accepted measurement, extrapolated.
 
         A stop is requested if too many measurements in a row are bad, if readings repeat or contradict each other, or
         if the RCM error or the trocar's force is above its limit.
 
         Args:
             q, v: (n,) measured [rad], [rad/s].
-            stamp: the arm's index of the control period in which q and v were taken; None: not known.
+            stamp: number of the control period in which q and v were measured, counted by the arm; None: not known.
             applied: (n,) torque that was applied last [Nm]; None: not known.
             wrench: (6,) force [N] and torque [Nm] of the tool on its mount, in tool axes; None: not known.
-            trocar: (2, 3) rows P_t, dP_t of the registered trocar, for the checks of RCM error and trocar force at the
-                returned pose; None: these are not checked.
+            trocar: (2, 3) rows P_t, dP_t of the registered trocar, for the checks of RCM error and trocar force. None:
+                there are no such checks.
         """
         number, seen = math.nan if stamp is None else stamp, _NO_WRENCH if wrench is None else wrench
         reason, q, v = self._guard.believe(q, v, number, applied, seen, trocar)
@@ -102,7 +102,7 @@ class SafetyFilter:
 
     @property
     def warnings(self) -> list[dict[str, Any]]:
-        """Each quantity that exceeded its warning level: ``of``, ``first_s``, ``largest``, ``unit`` and ``level``."""
+        """Each quantity ``of`` that exceeded its warning ``level``, with ``first_s``, ``largest`` and ``unit``."""
         _, figures = self._guard.watched()
         found = []
         for (name, warning, _, unit, scale), largest, first in zip(_WATCHED, *figures[1:].tolist(), strict=True):
@@ -115,7 +115,7 @@ class SafetyFilter:
         return found
 
     def request_stop(self, reason: str) -> None:
-        """Request a stop. The first reason is kept; an empty reason requests nothing."""
+        """Request a stop. The first reason is kept. An empty reason requests nothing."""
         self.reason = self.reason or reason
 
     def limit_torque(
@@ -125,7 +125,7 @@ class SafetyFilter:
         """Return the torque (n,) [Nm] within its limits; ``limited`` counts the joints whose torque was changed.
 
         If the torque is not finite, a stop is requested and ``before`` is returned. The tip's distance from its
-        reference is checked too. The motion up to (q, v) is compared with ``before``, the torque that caused it.
+        reference is checked too. The motion up to (q, v) is compared with ``before``, which caused it.
 
         Args:
             tau, before: (n,) the controller's torque, and the torque that was applied last [Nm].
@@ -149,7 +149,7 @@ class SafetyFilter:
     def stop_torque(self, before: Array) -> Array:
         """Return the torque (n,) [Nm] of a damped stop: it approaches the arm's weight in the last accepted pose.
 
-        The torque before the stop is not held, because it would go on pushing the arm.
+        The torque before the stop is not kept, because it would go on pushing the arm.
         """
         self.limited = 0
         return self._guard.rest(np.ascontiguousarray(before, dtype=np.float64))
@@ -158,7 +158,7 @@ class SafetyFilter:
         """Return the dry friction (n,) [Nm] of the brakes in a stop; zero while the brakes are open.
 
         The brakes open at a trocar force of ``stop_yield_N``. They close at half of this force or after
-        ``stop_yield_s``, and open again if the force has risen by another ``stop_yield_N``; see `moc_guard_hold`.
+        ``stop_yield_s``. They open again if the force has risen by another ``stop_yield_N``; see `moc_guard_hold`.
 
         Args:
             wrench: (6,) force [N] and torque [Nm] of the tool on its mount, in tool axes.

@@ -31,13 +31,13 @@ PerJoint = Annotated[float | tuple[float, ...], BeforeValidator(_number_or_numbe
 
 
 class Gains(NamedTuple):
-    """The gains of the three levels after defaults from the robot's file have been filled in."""
+    """The gains of the three levels, with defaults from the robot's file filled in."""
 
     K_X: float
     D_X: float
     K_N: float
     D_N: float
-    K_N2: Array  #: (n,) [N m s/rad]; zero under law ``dcac``, like D_N2.
+    K_N2: Array  #: (n,) [N m s/rad]; K_N2 and D_N2 are zero under law ``dcac``.
     D_N2: Array  #: (n,) [N m s/rad]
 
 
@@ -45,10 +45,10 @@ GAINS = Gains._fields
 
 
 class ControlSettings(Settings):
-    """The control law. Level 3 makes the elbow follow a joint velocity x, and the limits of x are called the box.
+    """The control law. Level 3 makes the joint velocity v follow the solver's x. The bounds on x are called the box.
 
-    In the robots' files, the table of gains ``default`` serves both laws; ``dcac`` and ``moc`` are Table I of Su et al.
-    (2019). K_N2, D_N2 and ``dcac_damping`` are one number for all joints, or one number per joint.
+    In the robots' files, the gains ``default`` are for both laws. The gains ``dcac`` and ``moc`` are from Table I of Su
+    et al. (2019). K_N2, D_N2 and ``dcac_damping`` are one number for all joints, or one per joint.
     """
 
     KIND: ClassVar[str] = "[control]"
@@ -56,73 +56,72 @@ class ControlSettings(Settings):
     ERROR: ClassVar[type[MocOptError]] = ControlError
 
     law: Literal["dcac", "moc"] = "moc"
-    """'dcac': only level 1 (tip) and level 2 (RCM); 'moc': level 3 too, which raises the manipulability mu"""
+    """'dcac': only level 1 (tip) and level 2 (RCM); 'moc': also level 3, which raises the manipulability mu"""
     gains: str | None = "default"
-    """table of the robot's file (moc_opt/robots/lwr4.toml) for gains left out here; '': the table named like the law"""
-    K_X: Positive | None = Field(default=None, description="tip stiffness [N/m]; left out: see gains (lwr4: 3000)")
-    D_X: NotNegative | None = Field(default=None, description="tip damping [N s/m]; left out: see gains")
-    K_N: Positive | None = Field(default=None, description="wrist stiffness [N/m]; left out: see gains")
-    D_N: NotNegative | None = Field(default=None, description="wrist damping [N s/m]; left out: see gains")
-    K_N2: PerJoint | None = Field(default=None, description="gain of level 3 on x - v [N m s/rad]; left out: see gains")
-    D_N2: PerJoint | None = Field(default=None, description="gain of level 3 on -v [N m s/rad]; left out: see gains")
+    """table with the default gains in the robot's file (moc_opt/robots/lwr4.toml). '': the table named like the law"""
+    K_X: Positive | None = Field(default=None, description="tip stiffness [N/m]; default: see gains (lwr4: 3000)")
+    D_X: NotNegative | None = Field(default=None, description="tip damping [N s/m]; default: see gains")
+    K_N: Positive | None = Field(default=None, description="wrist stiffness [N/m]; default: see gains")
+    D_N: NotNegative | None = Field(default=None, description="wrist damping [N s/m]; default: see gains")
+    K_N2: PerJoint | None = Field(default=None, description="gain of level 3 on x - v [N m s/rad]; default: see gains")
+    D_N2: PerJoint | None = Field(default=None, description="gain of level 3 on -v [N m s/rad]; default: see gains")
     dcac_damping: PerJoint = 0.0
-    """law 'dcac': damping of the elbow's motion at a fixed tip and wrist [N m s/rad]; 0: none, as in the paper"""
+    """law 'dcac': damping of elbow motion that leaves tip and wrist at rest [N m s/rad]. 0 in the paper"""
     rcm_lambda: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
-    """lambda of the wrist error d / lambda (d: RCM error); 0.5 in the paper; left out: the true error |N_d - N|"""
+    """lambda of the wrist error d / lambda (d: RCM error). 0.5 in the paper. If left out, the true error is used"""
     projector: Literal["dynamic", "static", "as_published"] = "dynamic"
-    """null-space projector of level 2; docs/method.md explains the three choices"""
+    """null-space projector of level 2. docs/method.md explains the choices"""
     feedforward: bool = True
-    """whether the desired accelerations of tip and wrist are fed forward; false in the paper"""
+    """whether the desired accelerations of tip and wrist are fed forward. false in the paper"""
     observer_gain_per_s: NotNegative = 20.0
-    """gain of the momentum observer, which estimates external torques; 0: no observer. Under third_level 'planned'
-    and 'receding', course_observer_gain_per_s is used instead of a value above 0"""
+    """gain of the momentum observer, which estimates external torques. 0: no observer. With a course, a gain above 0 is
+    replaced by course_observer_gain_per_s"""
     limit_torque: bool = True
     """whether the controller limits each torque to the joint's largest torque"""
     k0_per_s: Positive = 2.0
-    """towards a joint limit, the box allows at most the speed k0 d; d is the distance to the limit, less the margin
-    limit_margin_rad or course_margin_rad. 0.1 in the paper; third_level 'planned' and 'receding' use at least 10"""
+    """the box allows at most the speed k0 d towards a joint limit, where d is the distance to the limit minus the
+    margin. 0.1 in the paper. If a course is followed, k0 is at least 10"""
     third_level: Literal["local", "planned", "receding"] = "local"
-    """law 'moc': 'local' moves the elbow in the direction in which mu rises, 'planned' follows a course (joint
-    positions over time) that is planned before the run, 'receding' follows a course that is replanned during the run"""
+    """motion of the elbow under law 'moc'. 'local': in the direction in which mu rises; 'planned': along a course
+    (planned joint motion) computed before the run; 'receding': along a course that is replanned during the run"""
     course: str = ""
-    """third_level 'planned': file of the course to follow, written by `moc-opt plan --out`; a relative path starts at
-    the scenario's folder; empty: a course is planned before the run"""
+    """third_level 'planned': file of the course, written by `moc-opt plan --out`. A relative path starts at the
+    scenario's folder. If empty, a course is planned before the run"""
     horizon_s: Annotated[float, Field(ge=0.2, le=2.0)] = 1.0
-    """third_level 'receding': time ahead for which a smooth course is computed; a value function, computed before the
-    run, rates the rest of the path"""
+    """third_level 'receding': duration of each replanned course"""
     replan_per_s: Annotated[float, Field(ge=20.0, le=50.0)] = 20.0
-    """third_level 'receding': number of courses that are computed per second"""
+    """third_level 'receding': number of courses computed per second"""
     course_speed_fraction: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.85
-    """third_level 'planned' and 'receding': largest joint speed of a course, as a share of v_max; up to 1.12 times as
-    much if that raises mu by 1 %. An arm that lags behind its course uses the remaining speed to catch up"""
+    """largest joint speed of a course, as a share of v_max. A course may be 1.12 times as fast if this raises mu by
+    1 %. The rest of v_max lets a lagging arm catch up"""
     course_margin_rad: NotNegative = 0.05
-    """third_level 'planned' and 'receding': distance that a course keeps from joint limits; a course may come nearer if
-    no other reaches the path's end. At this distance, the box allows no speed towards the limit"""
+    """distance that a course keeps from joint limits. At this distance, the box allows no speed towards the limit. A
+    course comes nearer only if no other reaches the path's end"""
     course_observer_gain_per_s: NotNegative = 40.0
-    """observer gain for third_level 'planned' and 'receding', where the elbow moves faster; see observer_gain_per_s"""
+    """observer gain while a course is followed, because the elbow then moves faster"""
     climb: Literal["gradient", "scaled"] = "gradient"
-    """third_level 'local': 'gradient': the elbow's speed is proportional to the gradient of mu; 'scaled': the speed is
-    Newton's step to the nearest maximum of mu, at most 1 rad, divided by 0.2 s"""
+    """third_level 'local': speed of the elbow. 'gradient': proportional to the gradient of mu; 'scaled': Newton's step
+    to the nearest maximum of mu, at most 1 rad, divided by 0.2 s"""
     c0: NotNegative = Field(default=0.01, description="weight of the tip velocity in the subproblem's cost")
     c1: NotNegative = Field(default=0.01, description="weight of the wrist velocity in the subproblem's cost")
     c2: NotNegative = Field(default=0.001, description="weight of the gradient of mu in the subproblem's cost")
     regularization: NotNegative = 1e-5
-    """weight rho of |x|^2 / 2 in the subproblem's cost; 0: as in the paper, whose cost is linear in x on A x = b"""
+    """weight rho of |x|^2 / 2 in the subproblem's cost. 0 in the paper, whose cost is linear in x on A x = b"""
     fallback: Literal["damping", "hold", "least-violation"] = "least-violation"
-    """what replaces the answer if the solver finds no x in the box with A x = b: 'damping': no self-motion; 'hold': the
-    last good answer, as after other faults; 'least-violation': the x in the box with the smallest |A x - b|"""
+    """replacement for the answer if the solver finds no x in the box with A x = b. 'damping': no self-motion; 'hold':
+    the last good answer, as after other faults; 'least-violation': the x in the box with the smallest |A x - b|"""
     speed_fraction: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5
-    """third_level 'local': largest speed in the box, as a share of each joint's v_max; 1 in the paper"""
+    """third_level 'local': largest speed in the box, as a share of each joint's v_max. 1 in the paper"""
     limit_margin_rad: NotNegative = 0.15
-    """third_level 'local': distance from a joint limit at which the box allows no speed towards it; 0 in the paper"""
-    limit_margin_m: NotNegative = Field(default=0.05, description="the same for a sliding joint, for every third_level")
+    """third_level 'local': distance from a joint limit at which the box allows no speed towards it. 0 in the paper"""
+    limit_margin_m: NotNegative = Field(default=0.05, description="margin of sliding joints, for every third_level")
     shaft_margin: float = Field(default=0.175, ge=0.0, le=1.0)
-    """keeps the arm off poses in which the joints can hardly turn the shaft. Let s be the manipulability of the shaft
-    while the tip is held, divided by the squared distance from wrist point to tip. If s is below this value,
-    third_level 'local' also raises s, and the box grows, up to all of v_max at two thirds of this value. With 'planned'
-    or 'receding', the course avoids poses with s below a quarter of this value if it can. 0: off, as in the paper"""
+    """threshold that keeps the arm off poses in which the joints can hardly turn the shaft. Let s be the manipulability
+    of the shaft with the tip at rest, divided by the squared distance from wrist to tip. Below the threshold,
+    third_level 'local' also raises s. The box then grows as s falls, up to v_max at two thirds of the threshold. A
+    course keeps s above a quarter of the threshold if it can. 0 in the paper"""
     ramp_s: NotNegative = 0.3
-    """time in which level 3's torque rises to its full size at the start; 0: at full size at once, as in the paper"""
+    """time in which level 3's torque rises to its full size at the start. 0 in the paper"""
     supervisor: SupervisorSettings = SupervisorSettings()
 
     @field_validator("gains", mode="before")
@@ -160,7 +159,7 @@ class ControlSettings(Settings):
         return cls(**{**PRESETS[name], **changes})
 
     def check_guided(self) -> None:
-        """Raise a ControlError if rho or c2 is 0: the third level could not follow a given velocity (see `Guide`)."""
+        """Raise a ControlError if rho or c2 is 0, since level 3 could not follow a velocity then (see `Guide`)."""
         if not min(self.regularization, self.c2) > 0.0:
             raise ControlError(
                 f"third_level = {self.third_level!r}, climb = {self.climb!r} with c2 = {self.c2:g}, regularization = "
@@ -168,10 +167,10 @@ class ControlSettings(Settings):
             )
 
     def matched_dcac(self) -> dict[str, Any]:
-        """Return the changes that turn these settings into DCAC with the same gains, the baseline for comparisons."""
+        """Return the changes that make these settings DCAC with the same gains, the baseline of comparisons."""
         return {
             "law": "dcac", "gains": self.gains or self.law, "third_level": "local", "course": "",
-            "observer_gain_per_s": self.observer_rate_per_s,  # DCAC follows no course, but uses the same gain
+            "observer_gain_per_s": self.observer_rate_per_s,  # of a course, too
         }  # fmt: skip
 
     @property
@@ -181,13 +180,13 @@ class ControlSettings(Settings):
 
     @property
     def observer_rate_per_s(self) -> float:
-        """Gain of the momentum observer that is used; 0: no observer."""
+        """Gain of the momentum observer in use; 0: no observer."""
         if self.follows and self.observer_gain_per_s > 0.0:
             return self.course_observer_gain_per_s
         return self.observer_gain_per_s
 
     def resolve_gains(self, tables: Mapping[str, Mapping[str, Any]], joints: int) -> Gains:
-        """Return K_X to D_N2: each gain as set here or, if it is left out, from the robot's ``tables`` [gains.*].
+        """Return K_X to D_N2, each as set here or else from the robot's ``tables`` [gains.*].
 
         Raises:
             UnknownNameError: ``gains`` is no table of this robot.
@@ -212,7 +211,7 @@ class ControlSettings(Settings):
 
 
 def per_joint(name: str, value: Any, joints: int) -> Array:
-    """Return (n,) from one number for all joints, or one per joint; a ControlError for any other count of numbers."""
+    """Return (n,) from one number for all joints, or one per joint; a ControlError for another count."""
     if not isinstance(value, int | float) and len(value) != joints:
         count = f"{len(value)} entries for {joints} joints"
         raise ControlError(f"{name} = {value!r} has {count}: give one number, or one per joint")

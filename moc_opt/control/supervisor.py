@@ -1,9 +1,9 @@
 """The supervisor of the third level: every answer is checked before the arm follows it.
 
-Tip and RCM control never depend on a solver. An answer with a fault is replaced by the last good answer for a few
-ticks, then by damping; the settings `fallback` and `late` offer other replacements. Each fault is counted and named in
-the trace, and the message of the first fault of each kind is kept. A solver gets a copy of the subproblem, and its
-answer is copied before the check, so that a solver that writes into these arrays later changes nothing.
+Tip and RCM control never depend on a solver. A faulty answer is replaced by the last good answer for a few ticks, then
+by damping. The settings `fallback` and `late` offer other replacements. The trace counts the faults of each kind, and
+keeps the message of the first. A solver gets a copy of the subproblem, and its answer is copied before the check, so
+that the solver cannot change them afterwards.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from moc_opt.solvers.isolated import Unanswered
 
 
 class Fault(Enum):
-    """The faults that an answer can have. Each value is the meaning of the fault in words."""
+    """The faults that an answer can have, each with its meaning in words."""
 
     NONE = "the answer was taken"
     INFEASIBLE = "the solver found the subproblem infeasible"
@@ -49,7 +49,7 @@ class Fault(Enum):
 
 def _raise_interrupt(error: BaseException) -> None:
     found: BaseException | None = error
-    for _ in range(10):  # longer than any real chain; a chain of foreign code may be cyclic
+    for _ in range(10):  # the chain may be cyclic in foreign code
         if found is None or isinstance(found, KeyboardInterrupt):
             break
         found = found.__cause__ or found.__context__
@@ -63,29 +63,30 @@ class SupervisorSettings(Settings):
     KIND: ClassVar[str] = "[control.supervisor]"
     ERROR: ClassVar[type[MocOptError]] = ControlError
 
-    check: bool = Field(True, description="whether answers are checked against the four limits below")
+    check: bool = Field(True, description="whether answers are checked against the next four limits")
     primal_limit: float = Field(1e-2, gt=0.0)
-    """largest violation of A x = b (tip and wrist velocity) [m/s] or of the box [rad/s], if an optimum is claimed"""
+    """largest violation of A x = b [m/s] or of the box [rad/s] by an answer that the solver calls optimal"""
     box_limit: float = Field(0.1, gt=0.0)
-    """the same limit if no optimum is claimed, for example by a solver that ran out of iterations"""
+    """largest violation by any other answer, for example of a solver that ran out of iterations"""
     relative_limit: float = Field(0.05, gt=0.0)
-    """largest natural residual (0 at an optimum) along the self-motion, if an optimum is claimed; the cost is scaled so
-    that its gradient has length 1 [rad/s]"""
+    """largest natural residual (0 at an optimum) of an answer that the solver calls optimal [rad/s]. The cost is scaled
+    so that the largest entry of its gradient is 1"""
     opposite_limit: float = Field(1e-3, gt=0.0)
-    """a claim is false if x is this far from the optimum and nearer to the optimum for the negated gradient [rad/s]"""
+    """an answer called optimal is refused if it is farther than this from the optimum [rad/s] and nearer to the optimum
+    for the negated gradient"""
     hold_ticks: int = Field(10, ge=0)
-    """ticks in a row at which the last good answer replaces a refused one; after these the self-motion is damped"""
+    """ticks in a row at which the last good answer replaces refused answers. Then the self-motion is damped"""
     keep_off_limits: bool = True
-    """after hold_ticks, the elbow still moves as far as is needed to keep x in the box; false: it is only damped"""
-    budget_us: float | None = Field(None, gt=0.0, description="time that a solve may take [us]; left out: no limit")
+    """whether the elbow, after hold_ticks, still moves just enough to keep x in the box"""
+    budget_us: float | None = Field(None, gt=0.0, description="longest time of a solve [us]; left out: no limit")
     late: Literal["hold", "zero", "iterate"] = "hold"
-    """what replaces a late answer: 'hold': the last good answer, as after other faults; 'zero': no self-motion;
+    """replacement for a late answer. 'hold': the last good answer, as after other faults; 'zero': no self-motion;
     'iterate': the solver's iterate at the end of the budget, or its late answer if it cannot be interrupted"""
 
 
 _FAULTS = tuple(Fault)  #: In the order of the core's enum.
 _CLAIMS = {Status.SOLVED: 0, Status.INFEASIBLE: 1, Status.MAX_ITER: 2, Status.TIME_LIMIT: 2}
-"""Status -> the number of the claim in the core's enum; every other status means ``_NO_ANSWER``."""
+"""Status -> number in the core's enum moc_claim. Every other status means ``_NO_ANSWER``."""
 _NO_ANSWER = 3
 _NAN = float("nan")
 
@@ -96,9 +97,8 @@ MOST_ITERATIONS = 2**31 - 1  #: The largest count of iterations that a trace can
 def received(given: object, n: int) -> tuple[Solution, str]:
     """Return a copy of a solver's answer, and a message, which is empty if the answer is a well-formed ``Solution``.
 
-    The copy shares no memory with the solver. Its x (n,) and y (6,) are contiguous arrays of float64, and iterations
-    is an int that fits 32 bits. If any part is malformed, the whole answer is refused and x is NaN. NaN entries in x or
-    y do not make an answer malformed.
+    In the copy, x (n,) and y (6,) are contiguous arrays of float64, and iterations is an int that fits 32 bits. If any
+    part is malformed, the whole answer is refused and x is NaN. NaN entries alone do not make an answer malformed.
     """
     if not isinstance(given, Solution):
         return no_answer(n, Status.NUMERICAL), f"solve returned a {type(given).__name__}: return a Solution"
@@ -122,7 +122,7 @@ def _unlike(name: str, value: object, shape: tuple[int, ...]) -> str:
 
 
 class Supervisor:
-    """Let the core check a session's answers and replace those that are refused, and count the faults.
+    """Let the core check a session's answers and replace refused answers, and count the faults.
 
     Args:
         settings: limits of the check, and the replacement.
@@ -132,8 +132,8 @@ class Supervisor:
         times_us: recorded solve times [us], with which a run with deadlines can be repeated exactly. The clock is used
             if this is None, and after the last recorded time.
 
-    ``faults`` maps the label of a fault to its ``count`` since the start, ``first_at_s`` (when it first occurred) and
-    ``first`` (the message at that time, or the exception's message if the solver raised one).
+    ``faults`` maps the label of a fault to its ``count`` since the start, ``first_at_s`` (time of the first) and
+    ``first`` (the message of the first, or of the exception if the solver raised one).
     """
 
     def __init__(
@@ -141,7 +141,6 @@ class Supervisor:
         times_us: Iterator[float] | None = None,
     ) -> None:  # fmt: skip
         self.settings, self._law, self._n, self._period, self._times = settings, law, n, period, times_us
-        # Kept as attributes, because every tick needs them.
         self._stop_late = settings.late == "iterate"
         self._budget_us = float("inf") if settings.budget_us is None else settings.budget_us
         self.forget()
@@ -154,9 +153,9 @@ class Supervisor:
     def solve(self, session: Session, qp: NullSpaceQP, v: Array | None = None) -> tuple[Solution, Array, Array]:
         """Let the session solve, check its answer, and finish the law's tick with the answer or its replacement.
 
-        The session gets a copy of ``qp``, the subproblem of the tick that the law has begun, and of ``v``, the measured
-        velocity (n,) [rad/s]; ``v`` is None for a session that does not observe it. Returns the solver's answer, the
-        x (n,) that the arm follows, and the law's torque (n,) [Nm].
+        The session gets copies of the tick's subproblem ``qp`` and of the measured velocity ``v`` (n,) [rad/s] (None if
+        the session does not observe v). Returns the solver's answer, the x (n,) that the arm follows, and the torque
+        (n,) [Nm] of the law.
         """
         solution, known, text = self._ask(session, qp, v)
         number, x, tau = self._law.finish(
@@ -198,7 +197,7 @@ class Supervisor:
             given = session.solve(shown)
         except Unanswered as error:
             fault, text = Fault[error.kind.upper()], error.text
-        except BaseException as error:  # noqa: BLE001 - whatever a solver throws, the run goes on
+        except BaseException as error:  # noqa: BLE001 - the run goes on whatever a solver raises
             _raise_interrupt(error)
             fault, text = Fault.RAISED, describe(error)
         self.solve_us = (perf_counter_ns() - begin) * 1e-3

@@ -1,7 +1,7 @@
 """Read files (TOML, JSON, numpy's arrays) within limits of size, and write them whole.
 
 `write_whole` is the only function of the package that writes a file for the user. If a file cannot be read or written,
-each function raises ``error``, whose message calls the file ``what`` (its kind).
+each function raises ``error``. Its message names the kind of file, ``what``.
 """
 
 from __future__ import annotations
@@ -85,12 +85,12 @@ def read_arrays(path: Path_, what: str, error: Wrong) -> dict[str, Any]:
 
 
 def decimal(text: str) -> float:
-    """Read a decimal number; NaN for other texts, even if float() takes them (0_1, digits of other scripts)."""
+    """Read a decimal number. Other texts give NaN, even if float() accepts them (0_1, digits of other scripts)."""
     return float(text) if re.fullmatch(r"[+-]?(\d+(\.\d*)?|\.\d+)(e[+-]?\d+)?", text, re.ASCII | re.I) else math.nan
 
 
 def check_replaceable(path: Path_, what: str, error: Wrong) -> Path:
-    """Check, before any work, that the folder can be written to and the path is no folder, pipe or device."""
+    """Check, before any work, that the folder is writable, and that the path is no folder, pipe or device."""
     target = as_path(path, what, error)
     with _writing(target, what, error):
         with contextlib.suppress(FileNotFoundError):
@@ -137,7 +137,7 @@ def _writing(target: Path, what: str, error: Wrong) -> Iterator[None]:
 
 
 def plain(value: Any) -> Any:
-    """Convert a value to JSON's own types: numpy's numbers become numbers; NaN and infinity become None."""
+    """Convert a value to JSON's types: numpy's numbers become numbers, NaN and infinity become None."""
     if isinstance(value, Mapping):
         return {str(key): plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""Names from outside: which characters a name may have, and how any other text is escaped."""
+"""Names from outside: the characters of a name, and the escaping of other texts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Plug-ins of other packages, by entry points: found once, loaded at first use, listed with the reason if broken."""
+"""Plug-ins of other packages, by entry points: found once, and loaded at first use."""
 
 from __future__ import annotations
 

@@ -15,8 +15,8 @@ from moc_opt.inputs import names
 
 _ALTERNATIVE = re.compile(r"constrained-|literal\[|tuple\[|(float|str)$")  # pydantic's names of types in a union
 LARGEST_INTEGER = 2**63 - 1
-SMALLEST, LARGEST = 1e-30, 1e30  # bounds of |x| if x is not 0; products of other numbers could overflow or vanish
-MOST = 10_000_000  # largest integer other than a seed: all such integers are counts
+SMALLEST, LARGEST = 1e-30, 1e30  # bounds of |x| for x other than 0: products must not overflow
+MOST = 10_000_000  # largest integer, except for seeds: integers are counts
 LONGEST_S = 1e6  # longest time to run, wait or average [s]
 
 Name = Annotated[str, pydantic.AfterValidator(names.checked)]
@@ -32,7 +32,7 @@ class Settings(pydantic.BaseModel):
     """Base of every table of settings; ``KIND`` is the table's name in messages.
 
     Raises:
-        UnknownNameError: a field does not exist; the message lists the nearest ones.
+        UnknownNameError: a field does not exist; the message lists the nearest fields.
         MocOptError: a value is wrong (class ``ERROR``); the message has the field, its value and the range.
     """
 
@@ -71,13 +71,13 @@ class Settings(pydantic.BaseModel):
             raise self.ERROR("; ".join(_explained(items, self.KIND) for items in faults.values())) from error
 
     def replace(self, changes: Mapping[str, Any]) -> Self:
-        """Copy with some fields changed, and check everything again, which ``model_copy`` does not do."""
+        """Copy with some fields changed. Unlike ``model_copy``, this checks all fields again."""
         values = {name: getattr(self, name) for name in type(self).model_fields}
         return type(self)(**{**values, **changes})
 
     @classmethod
     def keys(cls, values: Mapping[str, Any]) -> list[str]:
-        """List the keys that a table with these values may have; a subclass adds dotted keys of tables inside."""
+        """List the keys that a table with these values may have. Subclasses add dotted keys of inner tables."""
         return [*cls.model_fields, *cls.MORE_KEYS]
 
     @classmethod

@@ -1,4 +1,4 @@
-"""The live page: it runs a `LiveRun` in step with the clock; viser shows the run and takes the users' orders."""
+"""The live page: it runs a `LiveRun` in real time; viser shows the run and takes the users' orders."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ FIELDS = ("regularization", "K_X", "K_N", "K_N2", "D_N2", "k0_per_s")  # setting
 
 
 class LivePage:
-    """A run, its clock and its page on loopback, at ``port`` or the next free port. Leaving the context stops them all.
+    """A run and its page on loopback, at ``port`` or the next free port. Leaving the context stops both.
 
-    Only clients with the token in ``url`` see the page and can give orders. A LiveError says that viser is missing or
-    the port number is invalid, a MocOptError that the scenario is not usable.
+    Only clients with the token in ``url`` see the page and can give orders. If viser is missing or the port number is
+    invalid, a LiveError is raised; if the scenario is not usable, a MocOptError.
     """
 
     def __init__(self, scenario: Scenario, *, port: int = PORT, title: str = "") -> None:
@@ -73,9 +73,9 @@ class LivePage:
             self.server.stop()
 
     def wait(self) -> None:
-        """Run in step with the clock, carry out orders, and keep the page up to date, until `stop` is called.
+        """Run in real time, carry out orders, and keep the page up to date, until `stop` is called.
 
-        A lag of more than `MOST_LAG_S` is not caught up: the excess is dropped, and shows in the pace.
+        If the run lags by more than `MOST_LAG_S`, the excess is dropped. The pace shown on the page falls then.
         """
         run, reached, pace, done = self.run, monotonic(), 1.0, 0
         frame = reached
@@ -99,31 +99,31 @@ class LivePage:
 
 
 def _refuse_without(token: str, server: Any) -> None:
-    """Close each WebSocket whose path is not the token, before anything is sent to it or obeyed.
+    """Close each WebSocket whose path is not the token, before anything is sent or obeyed.
 
     A browser lets any site open a WebSocket to this machine, and a foreign host name can be made to point here (DNS
-    rebinding), but neither knows the token. viser calls this hook before it reads or writes a message.
+    rebinding). No other site knows the token. viser calls this hook before it reads or writes a message.
     """
     sockets = server._websock_server
 
     @sockets.on_client_connect
     async def check(client: Any) -> None:
-        from websockets.exceptions import ConnectionClosed  # it comes with viser, which is an extra
+        from websockets.exceptions import ConnectionClosed  # comes with viser, an extra
 
         connection = sockets._live_connections[client.client_id]
         if not hmac.compare_digest(connection.request.path.encode(errors="replace"), f"/{token}".encode()):
             await connection.close(1008, "open the address that was printed; it holds a token")
             with suppress(ConnectionClosed):
-                while True:  # discard messages that came before the close: viser would obey them
+                while True:  # discard messages that viser would obey
                     await connection.recv()
 
-    sockets.disconnect_all_clients()  # those that connected before the hook was set
+    sockets.disconnect_all_clients()  # they may have connected before the hook was set
 
 
 class Panel:
     """The side panel: it shows the state of the run and takes the users' orders.
 
-    viser calls back from many threads, so orders are queued; the loop's own thread carries them out in `obey`.
+    viser calls back from many threads. Orders are therefore queued, and the loop's thread carries them out in `obey`.
     """
 
     def __init__(self, server: Any, run: LiveRun) -> None:
@@ -149,7 +149,7 @@ class Panel:
         gui.add_button("Reset to the start").on_click(lambda _: self.orders.put(run.reset))
 
     def obey(self) -> None:
-        """Carry out the queued orders. If one fails, show why and restore the fields; the run goes on either way."""
+        """Carry out the queued orders. If an order fails, show why, restore the fields, and go on."""
         while not self.orders.empty():
             try:
                 self.orders.get()()
@@ -159,7 +159,7 @@ class Panel:
                     field.value = self._written(name)
 
     def _choose(self) -> None:
-        if self._solver.value != self._run.solver:  # if equal, `_tell` set the drop-down, not a user
+        if self._solver.value != self._run.solver:  # else `_tell` set the drop-down, not a user
             self._run.choose(self._solver.value)
 
     def _move_trocar(self) -> None:
@@ -172,9 +172,9 @@ class Panel:
         return numbers[0] if len(set(numbers)) == 1 else " ".join(numbers)
 
     def _apply(self) -> None:
-        values: dict[str, Any] = {}  # all changes are applied at once, or none
+        values: dict[str, Any] = {}  # all changes are applied, or none
         for name, field in self._fields.items():
-            if field.value.strip() != self._written(name):  # an unchanged setting keeps digits that are not shown
+            if field.value.strip() != self._written(name):  # an unchanged setting keeps all its digits
                 try:
                     first, *others = map(float, field.value.replace(",", ".").split())
                 except ValueError as error:
@@ -190,7 +190,7 @@ class Panel:
         self._solver.value = self._run.solver
 
     def update(self, pace: float) -> None:
-        """Show the present state of the run; `pace` is simulated time divided by real time."""
+        """Show the state of the run; `pace` is simulated time divided by real time."""
         run = self._run
         while run.messages:
             self._tell(run.messages.popleft())
@@ -209,7 +209,7 @@ class Panel:
 
 
 def _plot(gui: Any, title: str, lines: list[tuple[str, str, float, str]]) -> Any:
-    """Add an empty plot. Times get a log axis, so that one long tick does not flatten the rest of the curve."""
+    """Add an empty plot. Times have a log axis, because single ticks may be very long."""
     times, quiet = "µs" in title, {"ticks": {"show": False}}
     named = [{"label": name, "stroke": color, "width": 1.5} for _, name, _, color in lines]
     return gui.add_uplot(
@@ -247,7 +247,7 @@ class Scene:
         self.update()
 
     def update(self) -> None:
-        """Move links and trocar to their present places."""
+        """Move links and trocar to their current places."""
         origins, rotations = link_frames(self._run.robot, self._run.state.q[None])
         for frame, origin, rotation in zip(self._links[1:], origins[0], rotations[0], strict=True):
             frame.position, frame.wxyz = origin, _quaternion(rotation)
@@ -263,7 +263,7 @@ def _quaternion(rotation: Array) -> Array:
 def serve(scenario: Scenario, *, port: int = PORT, title: str = "") -> int:
     """Open the page and keep it until Ctrl-C; return the exit code."""
     with LivePage(scenario, port=port, title=title) as page:
-        # A KeyboardInterrupt could leave a lock of the page's threads held. A handler that only calls `stop` cannot.
+        # Unlike this handler, a KeyboardInterrupt could leave a lock of the page's threads held.
         signal.signal(signal.SIGINT, lambda number, frame: page.stop())
         print(f"live at {page.url} - Ctrl-C ends it", file=sys.stderr, flush=True)
         page.wait()

@@ -16,9 +16,9 @@ from moc_opt.tasks.trocar import shaft_distance
 DCAC = "none (DCAC)"
 QUANTITIES = ("t_s", "mu", "tip_error_m", "rcm_error_m", "force_N", "solve_us", "tick_us")
 HISTORY_S = 20.0
-BLEND_S = 0.1  # time constant of the blend of torques after an exchange, and least time between two exchanges
-RAMP_S = 0.3  # fade-in of a new third level, whose torque is so large at first that blending alone does not suffice
-SLOWLY_M_PER_S, MOST_OFFSET_M = 0.02, 0.05  # speed and reach of the trocar: a jump would hit the shaft
+BLEND_S = 0.1  # time constant of the blend of torques after an exchange, and shortest time between exchanges
+RAMP_S = 0.3  # fade-in of a new third level, whose torque may be large at first
+SLOWLY_M_PER_S, MOST_OFFSET_M = 0.02, 0.05  # largest speed and offset of the trocar: a jump would hit the shaft
 
 
 class LiveError(ScenarioError):
@@ -28,9 +28,9 @@ class LiveError(ScenarioError):
 class ExchangeableController:
     """A ``sim.protocols.TorqueController`` that passes calls to the controller in use, which can be exchanged.
 
-    The controller in ``next`` takes over at the next tick, but not within BLEND_S of the previous exchange: exchanges
-    at every tick would hold the torque constant. If the new one cannot start, ``messages`` gets its error.
-    After an exchange tau = tau_new + offset: offset is tau_old - tau_new at first and decays by exp(-t / BLEND_S).
+    The controller in ``next`` takes over at the next tick, at the earliest BLEND_S after the previous exchange. If it
+    cannot start, ``messages`` gets its error. After an exchange, tau = tau_new + offset. At first, the offset is
+    tau_old - tau_new. It decays by exp(-t / BLEND_S).
     """
 
     def __init__(self, first: Controller, period_s: float, messages: deque[str]) -> None:
@@ -43,11 +43,11 @@ class ExchangeableController:
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
         """Start the controller in use."""
-        self._wait, self._offset = 2, np.zeros(len(q))  # 2: no exchange at the first tick, before any torque has acted
+        self._wait, self._offset = 2, np.zeros(len(q))  # 2: no exchange at the first tick
         self.used.start(q, v, tip_ref, trocar)
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """Return the torque (n,) [Nm] of the controller in use; after an exchange it fades in from the old one."""
+        """Return the torque (n,) [Nm] of the controller in use, blended with the old torque after an exchange."""
         self._wait -= 1
         tau, new = None, self.next
         if self._wait <= 0 and new is not None:
@@ -80,11 +80,11 @@ def solver_of(controller: Controller) -> str:
 
 
 class LiveRun:
-    """The closed loop of a scenario, along its path to and fro for ever; a MocOptError if the scenario is not usable.
+    """The closed loop of a scenario, along its path to and fro. If the scenario is not usable, a MocOptError is raised.
 
-    Call it from one thread only. A wrong change raises at once; errors that only the running loop can detect are put
-    into `messages`, oldest first (take them out with `popleft`). ``t_s`` is the latest tick's time; ``stopped`` says
-    why the arm was stopped, and is empty while it runs.
+    Call it from one thread only. A wrong change raises at once. Errors that only the running loop can detect are put
+    into `messages`, oldest first. ``t_s`` is the latest tick's time. ``stopped`` says why the arm was stopped, and is
+    empty while it runs.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -100,8 +100,8 @@ class LiveRun:
 
     state = property(lambda self: self._in_use.state, doc="The model's state at the last tick.")
     used = property(lambda self: self._in_use.used, doc="The controller in use.")
-    trocar = property(lambda self: self._now[0][0], doc="Place of the true trocar (3,) [m] in the next tick.")
-    # The most recently requested controller: the waiting controller if there is one, else the controller in use.
+    trocar = property(lambda self: self._now[0][0], doc="Position of the true trocar (3,) [m] in the next tick.")
+    # The latest requested controller: the waiting controller, else the controller in use.
     _chosen = property(lambda self: self._in_use.next or self._in_use.used)
     control = property(lambda self: self._chosen.settings, doc="The settings of the control law.")
     solver = property(lambda self: solver_of(self._chosen), doc="The solver, or `DCAC`.")
@@ -112,7 +112,7 @@ class LiveRun:
         self._exchange(self.control.replace(law), solver)
 
     def tune(self, **settings: Any) -> None:
-        """Change settings of the control law, by the names of `ControlSettings`; a MocOptError for a wrong one."""
+        """Change settings of the control law, by the names of `ControlSettings`; a MocOptError if one is wrong."""
         if "law" in settings:
             raise LiveError("law cannot be set here: choose(solver) sets it")
         self._exchange(self.control.replace(settings), self.solver)
@@ -139,21 +139,21 @@ class LiveRun:
         self._asked = np.array([x_m, y_m, z_m])
 
     def rows(self, t: float) -> Array:
-        """Return X_d, dX_d, ddX_d (3, 3) at a time [s]: along the path, back the same way, and so on for ever."""
+        """Return X_d, dX_d, ddX_d (3, 3) at a time [s]: along the path and back, without end."""
         lap, within = divmod(t, self._setup.duration_s)
         if int(lap) % 2 == 0:
             return self._setup.reference.rows(within)
         return self._setup.reference.rows(self._setup.duration_s - within) * [[1.0], [-1.0], [1.0]]  # backwards
 
     def history(self, points: int = 400) -> Array:
-        """Return `QUANTITIES` over the last `HISTORY_S` (k, 7): maxima over k <= `points` stretches of ticks."""
+        """Return `QUANTITIES` (k, 7) of the last `HISTORY_S`, as maxima over k <= `points` groups of ticks."""
         rows = np.array(self._rows).reshape(-1, len(QUANTITIES))
         size = max(1, -(-len(rows) // points))
-        stretches = rows[len(rows) % size :].reshape(-1, size, len(QUANTITIES))  # drops the incomplete oldest stretch
+        stretches = rows[len(rows) % size :].reshape(-1, size, len(QUANTITIES))  # drops the incomplete oldest group
         return np.fmax.reduce(stretches, axis=1)
 
     def reset(self) -> None:
-        """Go back to the start, with solver, gains and trocar as they are."""
+        """Go back to the start, and keep solver, gains and trocar."""
         self.t_s, self.stopped, self._offset = 0.0, "", np.zeros(3)
         self._setup.plant.reset(self._setup.q_start)
         self._loop = self._setup.closed_loop(self._in_use)

@@ -1,4 +1,4 @@
-"""A clock for control periods in real time, and the real-time scheduling that a process requests from the system."""
+"""A clock for control periods in real time, and requests to the system for real-time scheduling."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from time import monotonic, sleep
 
 _LOCK_ALL = 1 | 2  # MCL_CURRENT | MCL_FUTURE
 _SET_TIMER_SLACK = 29  # PR_SET_TIMERSLACK
-PRIORITY = 50  #: In SCHED_FIFO: above ordinary processes, below the threads in which a kernel serves interrupts.
+PRIORITY = 50  #: In SCHED_FIFO: above ordinary processes, below a kernel's interrupt threads.
 
 
 class WallClock:
-    """Periods that begin at fixed times; a tick that begins more than a period late delays all later ticks by as much.
+    """Periods that begin at fixed times. A tick that begins more than a period late delays all later ticks.
 
-    ``late_us`` says how late the latest tick began [us]; ``overruns`` counts the ticks that delayed all later ones.
+    ``late_us`` is the delay of the latest tick [us]; ``overruns`` counts the ticks that delayed all later ticks.
     """
 
     def __init__(self, period_s: float) -> None:
@@ -22,7 +22,7 @@ class WallClock:
         self.late_us, self.overruns = 0.0, 0
 
     def wait_for(self, tick: int) -> float:
-        """Sleep until a tick begins (tick 0: a period from now); return the deadline of its command (monotonic) [s]."""
+        """Sleep until a tick begins (tick 0: a period from now). Return its command's deadline (monotonic) [s]."""
         if tick == 0:
             self._begin = monotonic() + self._period
         due = self._begin + tick * self._period
@@ -34,14 +34,14 @@ class WallClock:
         if now - due > self._period:
             self._begin += now - due
             self.overruns += 1
-        return now + self._period  # even if the tick began late, the controller has a whole period
+        return now + self._period  # a whole period, even if the tick began late
 
 
 def ask_for_realtime() -> dict[str, str]:
-    """Request a real-time priority, memory that is never paged out, and exact timers; return the system's answers."""
+    """Request real-time priority, memory that is never paged out, and exact timers; return the answers."""
     found, libc = {"scheduling": f"SCHED_FIFO {PRIORITY}"}, ctypes.CDLL(None, use_errno=True)
     try:
-        # Children have ordinary priority: a replacement process for a solver must not start at the loop's expense.
+        # Children get ordinary priority: a new solver process must not slow the loop down.
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(PRIORITY))
     except OSError as error:
         found["scheduling"] = f"as other processes (SCHED_FIFO: {error.strerror})"
@@ -52,7 +52,7 @@ def ask_for_realtime() -> dict[str, str]:
 
 
 def give_back_realtime() -> None:
-    """Return to ordinary scheduling, since the work after a run is long and not urgent."""
+    """Return to ordinary scheduling for the long work after a run."""
     if os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
         ctypes.CDLL(None).munlockall()

@@ -1,7 +1,7 @@
 """The two ends of the wire: `RemoteController` in the plant's process, and `Answering` in the controller's.
 
-The plant keeps the time. In every period it sends a measurement and expects a command in reply; docs/realtime.md has
-the order of the packets and the stages of the watchdog.
+The plant sets the pace. In every period it sends a measurement and expects a command in reply. docs/realtime.md has the
+order of the packets and the stages of the watchdog.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ _LINGER_S = 0.3  # time for which the controller still acknowledges repeated END
 
 
 class RemoteController(Filtered):
-    """The plant's end: it sends measurements and returns the commanded torques, or the watchdog's if no command comes.
+    """The plant's end: it sends measurements and returns the commanded torques. Without a command, its watchdog acts.
 
     `sim.loop.simulate` runs it, with ``pace`` as the argument ``watch``. Call ``close`` afterwards.
 
     Args:
-        safety_filter: the plant's own filter; the watchdog takes gravity torque and brakes from it.
-        columns: function that makes, for a number of ticks, the columns of the controller at the other end.
+        safety_filter: the plant's own filter, which gives the watchdog gravity torque and brakes.
+        columns: function that makes the trace columns of the remote controller for a number of ticks.
         applied, tau_max: (n,) torque before the first tick, and largest torque that a command may have [Nm].
-        clock: None means lock-step: the plant waits for each command, and repeats the measurement if none comes.
+        clock: None for lock-step: the plant waits for each command, and repeats the measurement if none comes.
     """
 
     stop_reason = ""
@@ -57,10 +57,10 @@ class RemoteController(Filtered):
         self._command: Packet | None = None
 
     limited = property(lambda self: 0 if self._command is None else int(self._command["limited"]))
-    warnings = property(lambda self: [])  # warnings arise in the safety filter at the other end
+    warnings = property(lambda self: [])  # they arise at the other end
 
     def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
-        """Wait for a controller, send it the first measurement, and wait for its START; else a WireError."""
+        """Wait for a controller, send it the first measurement, and wait for its START. A WireError if none comes."""
         link, packet, self._sound = self.link, self._packet, seen
         self._fill(seen, wire.WAITING)
 
@@ -80,7 +80,7 @@ class RemoteController(Filtered):
         link.peer, link.session = link.sender, int(packet["session"])
 
     def pace(self, tick: int) -> None:
-        """Wait until a tick begins; in lock-step return at once."""
+        """Wait until a tick begins; in lock-step, return at once."""
         if self.clock is not None:
             self._until = self.clock.wait_for(tick)
 
@@ -102,7 +102,7 @@ class RemoteController(Filtered):
         return self._applied
 
     def _without_command(self) -> Array:
-        """Return the watchdog's torque (n,) [Nm]: the last torque, then gravity and damping, then closed brakes."""
+        """Return the watchdog's torque (n,) [Nm]: first the last torque, then gravity and damping, then a stop."""
         self._silent += 1
         safety, past, sound = self._filter, self._silent - self._settings.hold_ticks, self._sound
         if past <= 0:
@@ -121,14 +121,14 @@ class RemoteController(Filtered):
         return self._friction
 
     def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
-        """Create the controller's columns and the wire's: lateness of the tick, controller's time, missed commands."""
+        """Create the columns of the controller, and those of the wire: delay, controller's time, missed commands."""
         return {
             **self._make_columns(ticks), "wake_us": np.full(ticks, np.nan), "control_us": np.full(ticks, np.nan),
             "missed": np.zeros(ticks, dtype=np.bool_),
         }  # fmt: skip
 
     def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Write the latest tick's values into a row, with the third level's values only if the command has them."""
+        """Write the latest tick's values into a row. Values of level 3 are written if the command has them."""
         command, columns["missed"][row] = self._command, self._missed
         if self.clock is not None:
             columns["wake_us"][row] = self.clock.late_us
@@ -139,10 +139,10 @@ class RemoteController(Filtered):
                 columns[name][row] = _text(value) if value.dtype.kind == "S" else value
 
     def close(self) -> dict[str, int]:
-        """Tell the controller that the run is over, up to 10 times until it acknowledges; return this end's counts."""
+        """Tell the controller that the run is over, up to 10 times until it acknowledges; return the counts."""
 
         def acknowledges(found: Packet) -> bool:
-            self._is_due(found)  # called for its counts: a command may still come
+            self._is_due(found)  # counts a late command
             return bool(found["kind"] == Kind.BYE)
 
         self._packet["flags"], link = wire.ENDED, self.link
@@ -161,7 +161,7 @@ class RemoteController(Filtered):
 
     def _exchange(self, seen: Measurement) -> Packet | None:
         self._fill(seen, wire.RUNNING)
-        # After a tick without an answer, send only once per tick, so that the run ends soon if the controller died.
+        # After a missed tick, send only once per tick, so that the run ends soon if the controller died.
         for _ in range(1 if self.clock is not None or self._silent else 1 + self._settings.resends):
             self.link.send(self._packet)
             until = monotonic() + self._settings.resend_s if self.clock is None else self._until
@@ -170,7 +170,7 @@ class RemoteController(Filtered):
         return None
 
     def _is_due(self, found: Packet) -> bool:
-        """Return whether a packet is this tick's command with usable values; count every command."""
+        """Return whether a packet is this tick's command with usable values, and count it."""
         if found["kind"] != Kind.COMMAND:
             return False
         number, friction = int(found["sequence"]), found["friction"]
@@ -188,22 +188,23 @@ def _text(field: NDArray[Any]) -> str:
 
 @dataclass(eq=False)
 class Answering:
-    """The controller's end: answers measurements until the plant ends the run."""
+    """The controller's end: it answers measurements until the plant ends the run."""
 
     link: Link
     settings: WireSettings
     controller: LoggedController
     safety_filter: SafetyFilter | None
     tip_refs: Array  #: (N, 3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2] of every tick.
-    registered: Array  #: (N, 2, 3) place [m] and velocity [m/s] of the registered trocar.
+    registered: Array  #: (N, 2, 3) position [m] and velocity [m/s] of the registered trocar.
     scenario: int  #: Fingerprint of the settings that both ends must share.
-    ready: Callable[[], None] = lambda: None  #: Called once, when the controller has started.
+    ready: Callable[[], None] = lambda: None  #: Called once after the controller has started.
 
     def run(self) -> dict[str, Any]:
         """Find the plant, start at its first measurement, and answer until the run ends.
 
         Return how the run ``ended``, the number of ``ticks`` answered, the counts of the plant's packets (``quality``),
-        the safety filter's ``warnings`` and the third level's ``faults``. A WireError: no plant, or another scenario.
+        the safety filter's ``warnings`` and the third level's ``faults``. If no plant answers, or it runs another
+        scenario, a WireError is raised.
         """
         link = self.link
         first = self._ask(Kind.HELLO, waits=True)
@@ -231,7 +232,7 @@ class Answering:
         return make_packet(kind, self.link.n, self.link.session, self.scenario)
 
     def _ask(self, kind: Kind, *, waits: bool) -> Packet:
-        """Repeat a packet until a measurement comes with the flag WAITING (if ``waits``) or with another (if not)."""
+        """Repeat a packet until a measurement comes, with flag WAITING if ``waits``, else with another flag."""
         link, request, until = self.link, self._packet(kind), monotonic() + self.settings.wait_s
         while (now := monotonic()) < until:
             link.send(request)
@@ -260,14 +261,14 @@ class Answering:
                 self._answer(found, filtered)
             else:
                 quality["late"] += 1
-                if number == newest:  # the plant has not got the answer
+                if number == newest:  # the plant did not get the answer
                     link.send(self._command)
             found = link.receive(monotonic() + self.settings.silence_s)
         return f"the plant has been silent for {self.settings.silence_s:g} s"
 
     def _answer(self, found: Packet, filtered: FilteredController) -> None:
         begin, number, command, seen = perf_counter_ns(), int(found["sequence"]), self._command, _measurement(found)
-        if not np.array_equal(found["commanded"], command["tau"]):  # the watchdog's torque acted
+        if not np.array_equal(found["commanded"], command["tau"]):  # the plant's watchdog replaced the torque
             filtered.set_applied_torque(np.array(found["commanded"]))
         command["tau"] = filtered.tick(seen, self.tip_refs[number], self.registered[number])
         command["sequence"], command["limited"], command["flags"] = number, filtered.limited, wire.REPORTED

@@ -1,8 +1,8 @@
-"""The wire: its packets for Python and for C, its settings, address and key, and a socket that drops invalid packets.
+"""The wire: packets for Python and C, settings, address and key, and a socket that drops invalid packets.
 
 A packet has a fixed size and little-endian numbers. It ends with the keyed BLAKE2s checksum (RFC 7693) of all preceding
-bytes. Every layout is a numpy dtype; docs/realtime.md has the layouts as tables. Without a key, any process of this
-machine can take part, but no other machine. Nothing is encrypted.
+bytes. Every layout is a numpy dtype; docs/realtime.md has them as tables. Without a key, any process of this machine
+can take part, but no other machine. Nothing is encrypted.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from moc_opt.qp.problem import row_length
 MAGIC, VERSION = b"MOCW", 3
 LOOPBACK_KEY = b"moc_opt: loopback, no secret"
 VARIABLE = "MOC_OPT_WIRE_KEY"
-SHORTEST, LONGEST = 16, 32  #: Bytes of a key; BLAKE2s takes no longer keys.
+SHORTEST, LONGEST = 16, 32  #: Bytes of a key; BLAKE2s allows at most 32.
 TAG_BYTES = 16
-BACKLOG = 256  #: Most packets that are read after the deadline, so that a flood of packets cannot stop the clock.
+BACKLOG = 256  #: Most packets read after the deadline, so that a flood of packets cannot stop the loop.
 COUNTERS = ("received", "missed", "late", "forged", "foreign")
 """The counters of each end; docs/realtime.md explains them."""
 
@@ -52,22 +52,22 @@ class WireSettings(Settings):
     KIND: ClassVar[str] = "[wire]"
     ERROR: ClassVar[type[MocOptError]] = WireError
 
-    hold_ticks: int = Field(5, ge=0, description="ticks without a command in which the last torque still acts")
+    hold_ticks: int = Field(5, ge=0, description="ticks without a command for which the last torque still acts")
     damp_ticks: int = Field(50, ge=0)
-    """further ticks without a command, with the arm's weight carried and its motion damped; then the brakes close"""
-    damping_Nm_s_per_rad: float = Field(5.0, gt=0.0, le=1e3, description="damping of each joint in those ticks")
-    wait_s: float = Field(60.0, gt=0.0, description="time for which each end waits for the start of the other")
+    """further ticks without a command, in which the drives carry and damp the arm. Then the brakes close"""
+    damping_Nm_s_per_rad: float = Field(5.0, gt=0.0, le=1e3, description="damping of each joint during damp_ticks")
+    wait_s: float = Field(60.0, gt=0.0, description="time for which each end waits for the other to start")
     silence_s: float = Field(5.0, gt=0.0, description="time without a measurement after which the controller gives up")
     resend_s: float = Field(0.2, gt=0.0, description="lock-step: time after which a measurement is sent again")
     resends: int = Field(20, ge=0)
-    """lock-step: number of times that a measurement is sent again before the tick counts as missed"""
+    """lock-step: number of times that a measurement is sent again before its tick counts as missed"""
 
 
 # --- packets ---
 
 
 class Kind(IntEnum):
-    """The kinds of packet; all but MEASUREMENT go to the plant."""
+    """The kinds of packets. All except MEASUREMENT go to the plant."""
 
     HELLO = 1  #: Answered by one measurement.
     START = 2  #: The controller has started at the measurement; the plant may begin.
@@ -76,8 +76,8 @@ class Kind(IntEnum):
     BYE = 5  #: The end of the run is acknowledged.
 
 
-WAITING, RUNNING, ENDED = 0, 1, 2  #: ``flags`` of a measurement: before the run; in it, expecting a command; after it.
-STOP, REPORTED = 1, 2  #: Bits in ``flags`` of a command: the arm is to brake; the third level's results are included.
+WAITING, RUNNING, ENDED = 0, 1, 2  #: ``flags`` of a measurement: before, during and after the run.
+STOP, REPORTED = 1, 2  #: Bits in ``flags`` of a command: stop the arm; level 3's results are included.
 
 # Every field's offset is a multiple of its size, so that a C struct of the same fields has the same bytes.
 HEADER: list[tuple[Any, ...]] = [
@@ -105,7 +105,7 @@ def layout(kind: Kind, n: int) -> np.dtype[Any]:
 
 
 def make_packet(kind: Kind, n: int, session: int = 0, scenario: int = 0) -> Packet:
-    """Make a packet of zeros with a filled header: the plant's session, and the fingerprint of the scenario."""
+    """Make a packet of zeros with a header. ``session`` is the plant's, ``scenario`` a fingerprint."""
     packet = np.zeros((), layout(kind, n))
     packet["magic"], packet["version"], packet["kind"], packet["joints"] = MAGIC, VERSION, kind, n
     packet["session"], packet["scenario"] = session, scenario
@@ -113,7 +113,7 @@ def make_packet(kind: Kind, n: int, session: int = 0, scenario: int = 0) -> Pack
 
 
 def seal(packet: Packet, key: bytes) -> bytes:
-    """Return the bytes of a packet, ending with their checksum."""
+    """Return the bytes of a packet with their checksum at the end."""
     data = packet.tobytes()[:-TAG_BYTES]
     return data + hashlib.blake2s(data, key=key, digest_size=TAG_BYTES).digest()
 
@@ -137,7 +137,7 @@ def _c_struct(name: str, whole: np.dtype[Any], head: str) -> str:
 
 
 def c_packets(n: int, ticks: int, scenario: int, settings: WireSettings) -> str:
-    """Return the text of ``wire_packets.h``: a struct for every kind of packet, and the constants of the wire."""
+    """Return the text of ``wire_packets.h``: a struct for every kind of packet, and constants."""
     defines = {
         "JOINTS": n, "TICKS": ticks, "SCENARIO": f"UINT64_C({scenario})", "VERSION": VERSION,
         "MAGIC": f'"{MAGIC.decode()}"', "LOOPBACK_KEY": f'"{LOOPBACK_KEY.decode()}"', "WAIT_S": settings.wait_s,
@@ -165,7 +165,7 @@ def written(address: Address | None) -> str:
 
 
 def parse_address(text: str, option: str) -> Address:
-    """Return numeric host and port of "HOST:PORT"; a WireError if the text has another form or the host is unknown."""
+    """Return numeric host and port of "HOST:PORT"; a WireError if the form is wrong or the host unknown."""
     host, _, port = text.rpartition(":")
     if not host or not port.isdecimal() or int(port) > 65535:
         raise WireError(f"{option} {text!r}: give HOST:PORT, as 127.0.0.1:30200")
@@ -177,7 +177,7 @@ def parse_address(text: str, option: str) -> Address:
 
 
 def read_key(file: Path | None, host: str, option: str) -> bytes:
-    """Return the key of the file, else of the environment variable, else the public key of the loopback.
+    """Return the key from the file, else from the environment variable, else the public key for loopback.
 
     Raises:
         WireError: the key has a wrong length, or none is given and other machines can reach the host.
@@ -190,7 +190,7 @@ def read_key(file: Path | None, host: str, option: str) -> bytes:
             f"{option} {host}: other machines reach that address, and whoever can send to it moves the arm: give both "
             f"ends the same key by --key-file or {VARIABLE}, or take 127.0.0.1"
         )
-    key = (text if file is None else text.strip()).encode(errors="surrogateescape")  # `moc_udp` strips none
+    key = (text if file is None else text.strip()).encode(errors="surrogateescape")  # the C program does not strip it
     if not SHORTEST <= len(key) <= LONGEST:
         raise WireError(
             f"{VARIABLE if file is None else f'--key-file {str(file)!r}'}: a key of {len(key)} bytes: give one line of "
@@ -200,7 +200,7 @@ def read_key(file: Path | None, host: str, option: str) -> bytes:
 
 
 class Link:
-    """A socket that sends and receives sealed packets; a WireError if the address to listen at cannot be bound.
+    """A socket that sends and receives sealed packets; a WireError if the address cannot be bound.
 
     It listens at ``address`` and sends to ``peer``. Until they are known, ``peer`` is None and ``session`` is 0.
     ``quality`` has a count for each of ``COUNTERS``; ``sender`` is the address of the latest valid packet.
@@ -229,7 +229,7 @@ class Link:
         return ", ".join(f"{name} {count}" for name, count in self.quality.items() if count) or "nothing came"
 
     def send(self, packet: Packet, to: Address | None = None) -> None:
-        """Seal a packet and send it. A packet that the system does not take is lost, as any UDP packet may be."""
+        """Seal a packet and send it. If the system does not take the packet, it is lost, as any UDP packet may be."""
         try:
             self._socket.sendto(seal(packet, self._key), to or self.peer)  # type: ignore[arg-type]
         except (BlockingIOError, ConnectionError):
@@ -253,7 +253,7 @@ class Link:
                 select.select([self._socket], [], [], left)
                 continue
             except ConnectionError:
-                continue  # an earlier packet reached a port where nobody listens: it is lost
+                continue  # an earlier packet reached a port where nobody listens
             looked_at += 1
             if (packet := self._sound(data, sender)) is not None:
                 self.sender = sender

@@ -1,9 +1,9 @@
-"""A validated scenario, and its run: the only package that joins solver, controller and plant.
+"""A validated scenario and its run. Only this package joins solver, controller and plant.
 
 Read first: ``config`` (``Scenario``: every key of the TOML; ``tables`` has some of its tables), then ``setup``
-(``Setup`` builds the objects; ``Setup.trace`` and ``run`` make a trace). ``layout`` lays the task out from a start,
-``preflight`` says whether the arm can do it and draws random starts. ``derived`` has columns computed after a run,
-``planned`` plans before a run. ``wired`` puts a wire between plant and controller.
+(``Setup`` builds the objects; ``Setup.trace`` and ``run`` make a trace). ``layout`` computes the task from a start
+pose. ``preflight`` checks that the arm can do the task, and draws random starts. ``planned`` plans before a run, and
+``derived`` adds columns after it. ``wired`` runs plant and controller in two processes.
 """
 
 from moc_opt.errors import MocOptError

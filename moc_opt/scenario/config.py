@@ -30,24 +30,24 @@ PRESETS: Mapping[str, Mapping[str, Callable[..., Settings]]] = {
 """Table -> name of its ``preset`` -> the function that makes the table from its other keys."""
 _LAGS = 3.0  # least lag that the safety filter assumes, in time constants of the encoders' velocity filter
 _TORQUE, _SPEED = 500.0, 600.0
-"""For each rad of the encoders' step, the largest change of torque [share of tau_max], and the largest speed given by
-the momentum residual [rad/s], at which a healthy encoder may still show no step."""
+"""Smallest repeat_torque [share of tau_max] and stuck_rad_per_s [rad/s] per rad of the encoders' step. With smaller
+values, a healthy encoder that does not show a step yet would stop the arm."""
 
 
 class Scenario(Settings):
-    """One run. ``Scenario()`` is the default: MOC with ``exact`` on a circle, in the realistic plant.
+    """One run. By default, the law MOC with the solver ``exact`` follows a circle in the realistic plant.
 
-    Every key of the TOML is a field, and every table a nested model; all are checked, and frozen.
+    Every key of the TOML is a field, and every table is a nested model. All are checked and frozen.
 
     Raises:
-        ScenarioError: a value out of range, or fields that contradict each other; names the field.
-        UnknownNameError: a key, preset, solver or path that does not exist.
+        ScenarioError: a value is out of range, or fields contradict each other; the message names the field.
+        UnknownNameError: a key, preset, solver or path does not exist.
     """
 
     KIND: ClassVar[str] = "scenario:"
     name: Name = Field("circle", description="title of the run")
     seed: int = Field(0, ge=0, le=LARGEST_INTEGER)
-    """seed of everything random: starting pose and swivel, the plant's errors and noise, and faults"""
+    """seed of all random numbers: start pose and swivel, the plant's errors and noise, and faults"""
     robot: RobotTable = RobotTable()
     start: StartTable = StartTable()
     trocar: TrocarTable = TrocarTable()
@@ -56,20 +56,20 @@ class Scenario(Settings):
     solver: SolverTable = SolverTable()
     plant: PlantSettings = PlantSettings()
     duration_s: float | None = Field(None, gt=0.0, le=MOST_S)
-    """duration of the run; left out: the run lasts as long as the path, with the rests before and after it"""
+    """duration of the run. If left out, it is the duration of the path and of the rests before and after it"""
     deadline_us: float = Field(2000.0, gt=0.0, le=1e9)
-    """a tick that takes longer counts as a missed deadline; the run goes on"""
+    """a tick (control period) whose computation takes longer counts as a missed deadline. The run goes on"""
     guard: SafetyFilterSettings = SafetyFilterSettings()
     faults: FaultSettings = FaultSettings()
     wire: WireSettings = WireSettings()
-    judge: bool = Field(True, description="whether the residuals of every answer are computed after the run")
+    judge: bool = Field(True, description="whether the optimality residuals of every answer are computed after the run")
     metrics: tuple[Name, ...] = ()
-    """names of the metrics that `moc-opt run` prints; `moc-opt metrics` lists them; empty: a short selection"""
+    """metrics that `moc-opt run` prints. `moc-opt metrics` lists all names. If empty, it prints a short selection"""
     bound_samples: int = Field(25, ge=0, le=100_000)
-    """number of ticks, spread evenly over the run, at which the largest mu at the same tip and wrist is computed"""
+    """number of evenly spread ticks at which the largest mu of all poses with the same tip and wrist is computed"""
     best_courses: bool = False
-    """whether the best courses of the path are planned after the run, for comparison with the run's mu; this takes a
-    second or more. Left out: `moc-opt run` plans them, and `run` in Python does not"""
+    """whether the joint motions of largest mean mu are planned after the run, for comparison. Planning takes a second
+    or more. If left out, `moc-opt run` plans them, and `run` in Python does not"""
 
     def __init__(self, **values: Any) -> None:
         try:
@@ -122,11 +122,11 @@ class Scenario(Settings):
 
     @classmethod
     def load(cls, path: Self | str | os.PathLike[str]) -> Self:
-        """Read a TOML file, in which paths are relative to its folder; a scenario is returned as it is.
+        """Read a TOML file. Relative paths in it start at its folder. A scenario is returned as it is.
 
         Raises:
-            ScenarioError: no such file, no TOML, or a value out of range; names file and field.
-            UnknownNameError: a key or preset that does not exist.
+            ScenarioError: there is no such file, it is not TOML, or a value is out of range.
+            UnknownNameError: a key or preset does not exist.
         """
         if isinstance(path, cls):
             return path
@@ -141,7 +141,7 @@ class Scenario(Settings):
             raise
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a TOML from which `load` makes the same scenario. It omits defaults; paths are absolute.
+        """Write a TOML from which `load` makes the same scenario. Defaults are omitted, and paths are absolute.
 
         Raises:
             ScenarioError: a solver's setting has no form in TOML, or the file cannot be written.
@@ -153,7 +153,7 @@ class Scenario(Settings):
         write_whole(path, text, "scenario", ScenarioError)
 
     def changes(self) -> dict[str, Any]:
-        """Return all that differs from the default scenario, as arguments; a table is based on its nearest preset."""
+        """Return all non-default values, as arguments. A table is based on the preset that leaves the fewest keys."""
         found: dict[str, Any] = {}
         for name, field in type(self).model_fields.items():
             value = getattr(self, name)
@@ -180,7 +180,7 @@ class Scenario(Settings):
 
     @property
     def told_guard(self) -> SafetyFilterSettings:
-        """``[guard]`` for these encoders: levels left out are computed, levels too low are raised."""
+        """The ``[guard]`` in use: limits left out are computed from the encoders, and limits too low are raised."""
         guard, plant, told = self.guard, self.plant, dict[str, float | None]()
         encoder = plant.encoder_noise_rad, plant.encoder_resolution_rad
         if guard.repeat_joint_ticks is None:

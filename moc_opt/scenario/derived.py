@@ -1,7 +1,7 @@
 """Columns computed after a run: errors by the robot's own kinematics, residuals of the answers, and the best mu.
 
-The courses (joint trajectories) of best mean mu, from the run's start and over all starts, come from dynamic
-programming on a grid of 50 ms and 0.5 degree; those of `moc_opt.scenario.planned.plan` are finer (docs/planning.md).
+Dynamic programming on a grid of 50 ms and 0.5 degree finds the courses (joint trajectories) of best mean mu, from the
+run's start and over all starts. `moc_opt.scenario.planned.plan` uses a finer grid (docs/planning.md).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from moc_opt.trace.trace import Trace
 Columns = Mapping[str, NDArray[Any]]
 
 AT_ONCE = 5000  # number of answers whose residuals are computed together
-PERIOD_S = 0.05  # time step of the grid; joints pass several swivels in one step, so that rounding costs little
+PERIOD_S = 0.05  # time step of the grid: a joint passes several swivels in a step, so that rounding costs little
 PATH = {"robot", "start", "trocar", "task", "duration_s", "seed"}  # keys of a scenario that determine path and start
 
 
@@ -67,9 +67,9 @@ def residual_columns(columns: Columns) -> dict[str, NDArray[Any]]:
 
 
 def largest_mu(poses: Array, robot: RobotModel, samples: int) -> tuple[Array, dict[str, str]]:
-    """Compute at evenly spaced ticks the largest mu of all feasible poses with the tick's tip and wrist.
+    """Compute the largest mu of all feasible poses with the tick's tip and wrist, at evenly spaced ticks.
 
-    Return mu (N,), NaN at other ticks and where the pose (N, n) is not finite, and the trace's meta with the method.
+    Return this bound (N,) and meta with the method. The bound is NaN at other ticks, and if a pose is not finite.
     """
     bound = np.full(len(poses), np.nan)
     ticks = np.linspace(0, len(poses) - 1, min(samples, len(poses))).astype(int)
@@ -82,16 +82,16 @@ def largest_mu(poses: Array, robot: RobotModel, samples: int) -> tuple[Array, di
 
 
 class BestCourses(NamedTuple):
-    """The best courses of one path, None where the grid has none."""
+    """The best courses of one path; None if the grid has no course."""
 
     robot: RobotModel
     from_start: Course | None
     best: Course | None
-    last: pose_map.PoseMap  #: The map of the end of the path alone.
+    last: pose_map.PoseMap  #: The map of poses at the end of the path.
 
 
 def best_courses(scenario: Scenario) -> BestCourses:
-    """Plan the best courses of a scenario's path, or return those planned before; raises what a run raises."""
+    """Plan the best courses of a scenario's path, with a cache; errors as for a run."""
     return _planned(scenario.model_dump_json(include=PATH))
 
 
@@ -111,9 +111,10 @@ def _planned(path: str) -> BestCourses:
 
 
 def against_best(scenario: Scenario, trace: Trace) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Return the columns of the best courses, and meta's entry ``best_courses``: why they are absent, or ``end``.
+    """Return the columns of the best courses, and the entry ``best_courses`` of the trace's meta.
 
-    ``end`` has mu [m^3] at the run's end; mu and swivel [deg] where a climb from there ends, and at the course's end.
+    The entry says why the courses are absent, or compares mu [m^3] and swivel [deg] at the end of the run, of a climb
+    from there, and of the best course.
     """
     try:
         known = best_courses(scenario)

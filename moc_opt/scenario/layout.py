@@ -17,9 +17,9 @@ from moc_opt.scenario.config import Scenario
 from moc_opt.tasks import Reference, Trocar, make_path
 
 MOST_TICKS = 1_000_000
-"""Most ticks of a run: half an hour at 500 Hz, and some 4 GB of memory while the run is judged."""
+"""Largest number of ticks in a run: half an hour at 500 Hz. Judging such a run takes about 4 GB of memory."""
 
-_POSE_STREAM = (1,)  # the random pose has a stream of its own, apart from swivel, plant and faults
+_POSE_STREAM = (1,)  # random stream of the pose; swivel, plant and faults have other streams
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,8 +27,8 @@ class Layout:
     """A start pose, and the task laid out from it."""
 
     q: Array  #: (n,) [rad]
-    trocar: Array  #: (3,) at rest, as registered [m]
-    registered: Trocar  #: The registered trocar, which the controller is given.
+    trocar: Array  #: (3,) registered trocar at rest [m]
+    registered: Trocar  #: The registered trocar with its motion, for the controller.
     reference: Reference
     duration_s: float
 
@@ -40,11 +40,11 @@ def seeds_of(scenario: Scenario) -> tuple[int, int, int]:
 
 
 def lay_out(scenario: Scenario, robot: RobotModel, *, checked: bool = True) -> Layout:
-    """Choose the start, lay the task out from it, and check that the arm can do it; a random start is always checked.
+    """Choose the start, lay out the task, and check that the arm can do it. A random start is always checked.
 
     Raises:
         ScenarioError: start, trocar or duration are not usable, or no random start can do the task.
-        UnreachableError: the arm cannot do the task from there.
+        UnreachableError: the arm cannot do the task from this start.
     """
     start = scenario.start
     rng = np.random.default_rng(seeds_of(scenario)[0])
@@ -102,6 +102,6 @@ def _task(scenario: Scenario, robot: RobotModel, q: Array) -> Layout:
 
 
 def described(scenario: Scenario, robot: RobotModel) -> dict[str, Any]:
-    """Return scenario and robot for a trace's `meta`, with all data of an arm that is not in the package."""
+    """Return scenario and robot for a trace's `meta`. An arm outside the package is included with all its data."""
     found = {"scenario": scenario.model_dump(mode="json"), "robot": robot.data.name}
     return found if scenario.robot.name in available_robots() else {**found, "robot_data": carried(robot)}

@@ -19,7 +19,7 @@ from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.layout import Layout, described, lay_out
 from moc_opt.trace.trace import Trace
 
-PERIOD_S, MOST_TIMES = 0.025, 1000  # largest spacing of a plan's points, of which there are MOST_TIMES at most
+PERIOD_S, MOST_TIMES = 0.025, 1000  # largest time between points of a plan [s]; most points
 
 
 def plan(
@@ -33,12 +33,12 @@ def plan(
 
     Args:
         scenario: a scenario, or the path of its file.
-        times: count of points on the path; None: at most `PERIOD_S` apart, 2 to 1000 points.
-        swivels: samples of one turn of the elbow; without a closed form only values above the default matter.
-        margin_rad, margin_m: distance that every joint keeps from its limits [rad], [m] where it slides.
+        times: number of points on the path; None: 2 to 1000, `PERIOD_S` apart if 1000 suffice.
+        swivels: samples per turn of the elbow. Below the default, they matter only for an arm with a closed form.
+        margin_rad, margin_m: distance of turning and of sliding joints from their limits [rad], [m].
         speed_share: share of the joints' speed limits that a course may use, above 0 to 1.
         shaft_margin: least (manipulability of the shaft) / (distance from wrist to tip)^2, kept where possible.
-        refined: whether the nonlinear program improves the courses of the grid.
+        refined: whether a nonlinear program improves the courses found on the grid.
 
     Raises:
         MocOptError: the scenario's start, path or trocar is not usable, or an argument is out of range.
@@ -56,9 +56,9 @@ def plan(
 def targets_of(
     robot: RobotModel, layout: Layout, times: int | None = None, *, period_s: float = PERIOD_S, finer: int = 1
 ) -> Targets:
-    """Return evenly spaced targets of tip and wrist on the path, ``times`` of them, from the first tick to the last.
+    """Return ``times`` targets of tip and wrist on the path, evenly spaced in time from the first tick to the last.
 
-    Without ``times``, their spacing is at most ``period_s`` (`MOST_TIMES` of them at most), divided by ``finer``.
+    Without ``times``, there is one per ``period_s``, at most `MOST_TIMES`. Each interval is then divided by ``finer``.
     """
     spaces = int(np.clip(np.ceil(layout.duration_s / period_s), 1, MOST_TIMES - 1))
     span, length = robot.state(layout.q).tool_span, robot.data.tool_length
@@ -70,10 +70,11 @@ def followable_plan(
     scenario: Scenario, margin_rad: float | None = None, speed_share: float | None = None,
     margin_m: float | None = None, followed: bool | None = None,
 ) -> tuple[Plan, dict[str, float]]:
-    """Plan within the limits of a third level that follows a course, or within the arm's; return the limits as well.
+    """Plan a course within limits, and return the plan and the limits.
 
-    ``followed``: whether the third level's limits hold; None: if the scenario's third level follows a course. If no
-    course keeps its margins, they are left out. Limits given here replace these; a single margin sets the other to 0.
+    ``followed``: whether the limits are those of [control] for a course, or the arm's own. If it is None, third_level
+    decides. If no course keeps the margins of [control], they are left out. Limits given as arguments have
+    priority. If only one margin is given, the other is 0.
     """
     settings = scenario.control
     follows = settings.follows if followed is None else followed

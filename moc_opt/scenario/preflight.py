@@ -21,8 +21,8 @@ from moc_opt.tasks import Reference, Trocar
 Found = TypeVar("Found")
 
 SINGULAR = (1e-4, 1e-4)  #: Least `Freedoms.tip` and `Freedoms.both` of any start.
-REGULAR = (0.1, 0.05)  #: The same at a random start and along the path from it. The LWR4+'s home has 0.41 and 0.14.
-DRAWN_MARGIN = 0.1  #: Share of a joint's range that random poses keep from both limits before the swivel is chosen.
+REGULAR = (0.1, 0.05)  #: Least values at a random start and along its path. The LWR4+ has 0.41 and 0.14 at home.
+DRAWN_MARGIN = 0.1  #: Distance of drawn poses from both limits, as a share of the joint's range.
 DRAWS = 200  #: Number of poses that are tried for a random start.
 SPACING_M = 0.005  #: Distance between the points at which the path is checked [m].
 _TIMES = 1500
@@ -31,7 +31,7 @@ _START_TOLERANCE_M = 0.002
 
 
 class UnreachableError(TaskError):
-    """The arm cannot do this task: `field` ("path", "trocar", "joint limits", "v_max", "start"), `arc_length_m` [m]."""
+    """The arm cannot do this task. `field` names the cause (such as "trocar"), `arc_length_m` the place on the path."""
 
     def __init__(self, field: str, arc_length_m: float, problem: str, cure: str) -> None:
         super().__init__(f"[task] at {1e3 * arc_length_m:.1f} mm along the path {problem}: {cure}")
@@ -39,7 +39,7 @@ class UnreachableError(TaskError):
 
 
 def check_start(robot: RobotModel, q: ArrayLike) -> RobotState:
-    """Return the state at q (n,) [rad]; a ScenarioError where no run can begin there."""
+    """Return the state at q (n,) [rad]; a ScenarioError if no run can begin there."""
     pose = np.asarray(q, dtype=np.float64)
     if pose.shape != (robot.n,) or not np.isfinite(pose).all():
         raise ScenarioError(f"[start] q_rad = {pose.tolist()}: give {robot.n} finite numbers [rad]")
@@ -67,13 +67,13 @@ def random_start(
     robot: RobotModel, rng: np.random.Generator, swivelled: Callable[[Array], Array],
     lay_out: Callable[[Array], tuple[Found, Array]], margins: Array,
 ) -> Found:  # fmt: skip
-    """Draw poses until one can do the task, and return what was laid out from it.
+    """Draw poses until the task can be done from one, and return the task laid out from there.
 
-    A pose is drawn evenly from the joints' ranges, less `DRAWN_MARGIN` at both ends. ``swivelled(q)`` returns the pose
-    to start from: tip and wrist of q, with the swivel that the scenario asks for. ``lay_out(start)`` returns the task
-    from there and the poses (k, n) along it. A draw is rejected if the task cannot be done within joint limits and
-    speeds, or if one of these poses is nearly singular (`REGULAR`), has a joint within ``margins`` (n,) of a limit
-    [rad, m], or has tip or wrist below the plane of the base.
+    A pose is drawn evenly from the joints' ranges, less `DRAWN_MARGIN` at both ends. ``swivelled(q)`` returns a start:
+    a pose with tip and wrist of q and the scenario's swivel. ``lay_out(start)`` returns the task and the poses (k, n)
+    along its path. A draw is rejected if the task cannot be done within joint limits and speeds. It is also rejected if
+    one of these poses is nearly singular (`REGULAR`), has a joint within ``margins`` (n,) of a limit [rad, m], or has
+    tip or wrist below the plane of the base.
 
     Raises:
         ScenarioError: all `DRAWS` draws are rejected; the message counts the reasons.
@@ -83,7 +83,7 @@ def random_start(
     for _ in range(DRAWS):
         drawn = rng.uniform(robot.q_min + room, robot.q_max - room)
         try:
-            # Checked first, since choosing the swivel takes milliseconds, which an unfit pose would waste.
+            # Checked before the swivel is chosen, which takes milliseconds.
             _require_fit(robot, drawn, margins)
             q = swivelled(drawn)
             _require_fit(robot, q, margins)
@@ -123,10 +123,10 @@ def check_reachable(
 ) -> Array:
     """Return poses (k, n) that follow the reference with the shaft through the trocar, inside joint limits and speeds.
 
-    The poses are `SPACING_M` apart on the path, each solved from the previous one. If that fails, the path is tried
-    again from the middle of the self-motion through ``q_start`` (n,); the elbow would have to go there first. An
-    accepted path can be followed; a refused one may still be possible with other poses. At ``q_start`` the tip must be
-    where the reference starts. ``until_s`` [s] ends the check. An UnreachableError names field, arc length and cure.
+    The poses are `SPACING_M` apart on the path, and each is solved from the previous pose. If this fails, the path is
+    tried again from the middle of the self-motion through ``q_start`` (n,). A refused path may still be possible with
+    other poses. The reference must start at the tip of ``q_start``. ``until_s`` [s] ends the check. An UnreachableError
+    names field, arc length and cure.
     """
     state = robot.state(q_start)
     places = _places(reference, trocar, until_s)
@@ -138,7 +138,7 @@ def check_reachable(
     try:
         return _follow(robot, state.q, places, reference)
     except UnreachableError:
-        # A RobotError: a singular start, or one outside the limits, has no self-motion to choose from.
+        # A RobotError means that the start is singular or outside the limits: it has no self-motion.
         with suppress(UnreachableError, RobotError):
             return _follow(robot, _middle(robot, state.q), places, reference)
         raise  # the user should hear why the given start fails, not why the middle does
@@ -189,7 +189,7 @@ def _follow(robot: RobotModel, q: Array, places: _Places, reference: Reference) 
     k = int(np.argmax(shares))
     if shares[k] > 1.0:
         i = int(np.argmax(np.abs(rates[k] / robot.v_max)))
-        # Joint speeds are proportional to the tip's, whose peak is below v_max where the acceleration limits it.
+        # Joint speeds are proportional to the tip's. Its peak may be below v_max, as the acceleration is limited.
         slower = 0.99 * float(np.linalg.norm(places.tip_velocity, axis=1).max()) / shares[k]
         raise UnreachableError(
             "v_max", places.arc[k],
@@ -214,7 +214,7 @@ def _out_of_reach(robot: RobotModel, places: _Places, k: int, wrist: Array, plac
 
 
 def _least_rates(robot: RobotModel, a: Array, velocity: Array) -> Array:
-    """Return the joint velocities v (n,) of least norm; if a joint is too fast, those of least max |v| / v_max."""
+    """Return joint velocities v (n,) of least norm or, if a joint is too fast, of least max |v| / v_max."""
     left, values, right = np.linalg.svd(a)
     rank = int((values > 1e-9 * values[0]).sum())
     shortest: Array = right[:rank].T @ ((left[:, :rank].T @ velocity) / values[:rank])

@@ -44,7 +44,7 @@ from moc_opt.trace.trace import Trace
 
 
 def make_solver(name: str, robot: RobotModel, **settings: Any) -> Solver:
-    """Create a solver, giving it the arm's kinematics where it can use them."""
+    """Create a solver. If it has a parameter ``kinematics``, it gets the arm's kinematics."""
     entry = find(name)
     if "kinematics" not in settings and "kinematics" in entry.parameters:
         settings = {**settings, "kinematics": robot.kinematics()}
@@ -52,7 +52,7 @@ def make_solver(name: str, robot: RobotModel, **settings: Any) -> Solver:
 
 
 def isolated(solver: Solver, scenario: Scenario, budget_us: float = math.inf, realtime: bool = False) -> Solver:
-    """Wrap a solver in its own process if ``[solver]`` requires it; a SolverError where pickle cannot copy it."""
+    """Wrap a solver in its own process if ``[solver]`` requires it; a SolverError if pickle cannot copy it."""
     if scenario.solver.isolation == "none":
         return solver
     return Isolated(solver, scenario.solver.process, budget_us, waits=not realtime)
@@ -64,7 +64,7 @@ def make_safety_filter(robot: RobotModel, scenario: Scenario) -> SafetyFilter:
 
 
 def make_stop(scenario: Scenario) -> Stop:
-    """Return the stop that the settings of the safety filter describe."""
+    """Return damping and shortest time of a stop, from ``[guard]``."""
     return Stop(scenario.guard.stop_damping_Nm_s_per_rad, scenario.guard.stop_s)
 
 
@@ -82,15 +82,15 @@ def recorded_times(scenario: Scenario) -> list[float] | None:
 
 
 class Setup:
-    """Objects built from a validated scenario, checked before anything moves; ``trace()`` runs it.
+    """Objects built from a validated scenario, and checked before anything moves. ``trace()`` runs the scenario.
 
     Args:
-        solver: used instead of the scenario's solver; the trace's `meta` still names the latter.
-        realtime: build the controller alone, as the plant is at the other end of a wire. A tick waits for an isolated
-            solver at most half its period where there is no budget, and never while the process is replaced.
+        solver: used instead of the scenario's solver, which the trace's `meta` still names.
+        realtime: build only the controller, because the plant runs in another process. A tick then never waits while
+            the process of an isolated solver is replaced. Without a budget, it waits for an answer for half a period.
 
     Raises:
-        MocOptError: the first thing that is wrong; see `moc_opt.scenario.layout.lay_out` for start and path.
+        MocOptError: the scenario is not usable; see also `moc_opt.scenario.layout.lay_out`.
     """
 
     def __init__(self, scenario: Scenario, solver: Solver | None = None, *, realtime: bool = False) -> None:
@@ -105,20 +105,20 @@ class Setup:
         self.layout = layout = lay_out(scenario, self.robot)
         self.q_start, self.registered, self.reference = layout.q, layout.registered, layout.reference
         self.duration_s = layout.duration_s
-        self.guide: Guide | None = None  #: Gives the last controller its course to follow; None: mu is climbed.
+        self.guide: Guide | None = None  #: Gives the latest controller its course; None: level 3 climbs mu.
         self._replayed_us = recorded_times(scenario)
         if not realtime:
             self._build_plant(plant_seed)
 
     def _build_plant(self, seed: int) -> None:
-        """Put the plant at the start, the incision on its true shaft, and the path's beginning at its true tip."""
+        """Put the plant at the start. The path begins at its true tip. The registered incision is on its shaft."""
         scenario, entry = self.scenario, self.layout.trocar
         self.plant = plant = Plant(self.robot.data, scenario.plant, seed=seed)
         if scenario.faults.bump_N > 0.0:  # so that an unknown link is found now, not in the middle of the run
             plant.push(scenario.faults.bump_link, np.zeros(3))
         plant.reset(self.q_start)
         self.offset = TaskOffset()
-        if plant.mismatch.displaces or plant.settings.elastic:  # else true and modelled places agree but for rounding
+        if plant.mismatch.displaces or plant.settings.elastic:  # else true and modelled places agree
             shaft, tip = plant.tip - plant.wrist, self.robot.state(self.q_start).tip
             touched = plant.tip - scenario.trocar.depth_m * shaft / np.linalg.norm(shaft)
             self.offset = TaskOffset(plant.tip - tip, touched - entry)
@@ -143,7 +143,7 @@ class Setup:
         times: Iterator[float] | None = None if self._replayed_us is None else itertools.cycle(self._replayed_us)
         if solver is not None:
             if scenario.faults.solver == "hang":
-                # Replayed times replace the clock, so that the same seed is late at the same ticks on any machine.
+                # Replayed times replace the clock, so that only the seed decides which ticks are late.
                 budget = budget or scenario.deadline_us
                 times = iter(np.where(self.fault_mask(), 10.0 * budget, 0.0))
             wait_us = 0.5e6 * period_s if self.realtime else math.inf
@@ -151,7 +151,7 @@ class Setup:
                 wait_us = budget
             inside, solver = solver, isolated(solver, scenario, wait_us, self.realtime)
             if solver is not inside and times is None:
-                budget = None  # the process itself keeps the budget; it returns an older answer in time
+                budget = None  # the session keeps the budget itself
         watch = settings.supervisor.model_copy(update={"budget_us": budget})
         settings = settings.model_copy(update={"supervisor": watch})
         self.guide = None if self._guides is None else self._guides()
@@ -159,7 +159,7 @@ class Setup:
 
     @property
     def following(self) -> Following:
-        """What planning needs to know of a run whose third level follows a course."""
+        """The data of this run that planning a course needs."""
         scenario = self.scenario
         return Following(
             self.robot, self.q_start, scenario.control, partial(targets_of, self.robot, self.layout),
@@ -168,11 +168,11 @@ class Setup:
 
     @cached_property
     def _guides(self) -> Callable[[], Guide] | None:
-        """The function that makes a controller's guide; the planning is done once for all controllers."""
+        """Function that makes a controller's guide. Planning is done once for all controllers."""
         return guides(self.following)
 
     def fault_mask(self) -> NDArray[np.bool_]:
-        """Return at which ticks the solver's answer is replaced by a fault, (N,)."""
+        """Return flags (N,): the ticks at which the solver's answer is faulty."""
         faults = self.scenario.faults
         never = faults.solver == "none" or self.scenario.control.law != "moc"
         return draw(self._fault_seed, 0.0 if never else faults.solver_share, self.ticks)
@@ -198,7 +198,7 @@ class Setup:
 
     def trace(self, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None) -> Trace:
         """Run, check the answers, and return the trace; arguments and errors are those of `run`."""
-        # Absolute: a solver may leave the process in another working directory.
+        # Absolute, because a solver may change the working directory.
         file = None if to is None else new_file(to).absolute()
         if self.plant.time > 0.0:
             self.plant.reset(self.q_start)
@@ -279,10 +279,10 @@ def run(
         solver: used instead of the solver that the scenario names.
 
     Returns:
-        one row a tick; ``meta["ended"]`` says how it ended.
+        The trace, one row per tick; ``meta["ended"]`` says how the run ended.
 
     Raises:
-        MocOptError: the scenario is not usable, or the trace cannot be saved there (raised before the run).
+        MocOptError: the scenario or the trace's file is not usable; raised before the run.
         RunAway: the plant cannot go on; the error holds the trace.
     """
     return Setup(Scenario.load(scenario), solver).trace(watch, to)

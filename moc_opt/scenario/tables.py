@@ -1,4 +1,4 @@
-"""A scenario's tables of robot, start, trocar, task and solver; the code that uses the other tables defines them."""
+"""A scenario's tables [robot], [start], [trocar], [task] and [solver]. Other tables are where they are used."""
 
 from __future__ import annotations
 
@@ -23,34 +23,32 @@ class RobotTable(Settings):
     """The arm and its tool."""
 
     KIND: ClassVar[str] = "[robot]"
-    name: str = Field("lwr4", description="a robot of the package, or the path of a URDF or TOML file")
+    name: str = Field("lwr4", description="name of a robot of the package, or path of a URDF or TOML file")
     tool_length_m: float | None = Field(None, gt=0.0, le=10.0)
-    """length of the tool from its mount to its tip; left out: the length in the robot's file"""
+    """length of the tool from its mount to its tip. If left out, the robot's file gives it"""
     tool_mass_kg: float | None = Field(None, gt=0.0, le=1000.0)
-    """mass of the tool; left out: the mass in the robot's file"""
+    """mass of the tool. If left out, the robot's file gives it"""
 
     def arm(self) -> RobotModel:
-        """Load the robot, and build its model; a MocOptError where something is wrong with its files."""
+        """Load the robot and build its model. If its files are wrong, a MocOptError is raised."""
         return load_robot(self.name, tool_length=self.tool_length_m, tool_mass=self.tool_mass_kg)
 
 
 class StartTable(Settings):
-    """The pose of the arm at t = 0. A swivel of the elbow leaves tip and wrist where they are."""
+    """The pose of the arm at t = 0. The elbow can swivel while tip and wrist rest."""
 
     KIND: ClassVar[str] = "[start]"
     pose: Literal["home", "random"] = "home"
-    """'home': the pose of q_rad; 'random': a random pose from which the whole task can be done"""
-    q_rad: tuple[float, ...] | None = Field(None, description="joint positions; left out: the robot's home pose")
+    """start pose. 'home': q_rad; 'random': a random pose from which the whole task can be done"""
+    q_rad: tuple[float, ...] | None = Field(None, description="joint positions. If left out, the robot's home pose")
     swivel: Annotated[float, Field(ge=0.0, le=1.0)] | Literal["given", "random"] = "given"
-    """place of the elbow, as a share from 0 to 1 of the swivel range that the joint limits leave; 'given': as in the
-    pose; 'random': a share from 0.05 to 0.95"""
+    """position of the elbow, from 0 to 1 between the ends of its swivel range. 'given': as in the pose; 'random': drawn
+    from 0.05 to 0.95"""
     limit_margin_rad: float = Field(0.05, ge=0.0, le=3.0)
-    """pose 'random': smallest distance of each joint from its limits, at the start and along the path. If it is smaller
-    than limit_margin_rad of [control], a joint may start nearer to its limit than that; the third level then moves it
-    away from the limit"""
-    limit_margin_m: float = Field(0.05, ge=0.0, le=3.0, description="the same for a sliding joint")
+    """pose 'random': smallest distance of a joint from its limits, at the start and along the path"""
+    limit_margin_m: float = Field(0.05, ge=0.0, le=3.0, description="like limit_margin_rad, for sliding joints")
     check_path: bool = True
-    """whether a path is refused if the check before the run finds no way to follow it; pose 'random': always"""
+    """whether a path that the arm cannot follow is refused before the run. With pose 'random' it always is"""
 
     @model_validator(mode="after")
     def _one_pose(self) -> Self:
@@ -65,12 +63,12 @@ class TrocarTable(Settings):
     KIND: ClassVar[str] = "[trocar]"
     depth_m: float = Field(0.15, gt=0.0, le=10.0, description="depth of the tip below the trocar at t = 0")
     breathing_amplitude_m: float = Field(0.0, ge=0.0, le=0.5)
-    """largest distance of the trocar from its place at t = 0, reached in the middle of a breath; 0: it rests"""
+    """largest distance of the trocar from its place at t = 0, reached in the middle of a breath"""
     breathing_period_s: float = Field(4.0, gt=0.0, le=MOST_S, description="period of one breath")
     breathing_direction: Vector = (0.0, 0.0, 1.0)
     """direction of the breathing in base axes, of any length"""
     breathing_known: bool = True
-    """whether the registered trocar, which the controller uses, moves with the breathing; false: it rests"""
+    """whether the registered trocar, which the controller uses, also moves with the breathing"""
 
     @property
     def breathing(self) -> tuple[float, float, Vector]:
@@ -83,18 +81,18 @@ class TaskTable(Settings):
 
     KIND: ClassVar[str] = "[task]"
     path: Name = "circle"
-    """name of the path; `moc-opt tasks` lists them; 'waypoints': a smooth curve through waypoints_m"""
+    """name of the path. `moc-opt tasks` lists all names. 'waypoints' is a smooth curve through waypoints_m"""
     sizes: dict[Name, Annotated[float, Field(ge=-1e3, le=1e3)]] = Field(default_factory=dict)
-    """sizes of the path, lengths in m; `moc-opt tasks` lists the sizes of each path and their defaults"""
+    """sizes of the path, lengths in m. `moc-opt tasks` lists the sizes of each path with their defaults"""
     waypoints_m: tuple[Vector, ...] | None = None
-    """points that the tip passes, relative to its start: along the heading, to the left, along the normal"""
+    """points that the tip passes, relative to its start. Axes: heading, left, normal"""
     normal: Vector = Field((0.0, 0.0, 1.0), description="normal of the path's plane in base axes, of any length")
     heading: Vector = (1.0, 0.0, 0.0)
-    """direction in which the path begins, in base axes; only its part in the path's plane counts"""
+    """direction in which the path begins, in base axes. It is projected on the path's plane"""
     v_max_m_per_s: float = Field(0.05, gt=0.0, le=10.0, description="largest speed of the tip")
-    a_max_m_per_s2: float = Field(0.2, gt=0.0, le=1e6, description="largest acceleration of the tip, in curves too")
-    wait_s: float = Field(0.5, ge=0.0, le=MOST_S, description="rest before the path begins")
-    hold_s: float = Field(0.5, ge=0.0, le=MOST_S, description="rest after the path has ended")
+    a_max_m_per_s2: float = Field(0.2, gt=0.0, le=1e6, description="largest acceleration of the tip, also in curves")
+    wait_s: float = Field(0.5, ge=0.0, le=MOST_S, description="time at rest before the path")
+    hold_s: float = Field(0.5, ge=0.0, le=MOST_S, description="time at rest after the path")
 
     @model_validator(mode="before")
     @classmethod
@@ -114,7 +112,7 @@ class TaskTable(Settings):
 
     @classmethod
     def keys(cls, values: Mapping[str, Any]) -> list[str]:
-        """List its keys, and those of ``sizes``."""
+        """List the keys of the table, and the keys of ``sizes``."""
         return [*super().keys(values), *sorted({f"sizes.{name}" for path in CURVES for name in sizes(path)})]
 
 
@@ -122,13 +120,13 @@ class SolverTable(Settings):
     """The solver of the third level."""
 
     KIND: ClassVar[str] = "[solver]"
-    name: Name = Field("exact", description="name of the solver; `moc-opt solvers --list` lists them")
-    settings: dict[Name, Any] = Field(default_factory=dict, description="settings of that solver, see docs/solvers.md")
+    name: Name = Field("exact", description="name of the solver. `moc-opt solvers --list` lists all")
+    settings: dict[Name, Any] = Field(default_factory=dict, description="settings of this solver, see docs/solvers.md")
     replay_us: str | tuple[Annotated[float, Field(ge=0.0, le=1e9)], ...] | None = None
-    """recorded solve times [us], or a .npy file of them, that replace the measured times, over and over, so that a run
-    with a time budget can be repeated exactly; left out: times are measured"""
+    """recorded solve times [us], or a .npy file of them. They replace the measured times, so that a run with a time
+    budget can be repeated exactly. When they are used up, they start again from the first"""
     isolation: Literal["none", "process"] = "none"
-    """'process': the solver runs in a process of its own, which is replaced if it hangs or ends"""
+    """'process': the solver runs in its own process, which is replaced if it hangs or ends"""
     process: ProcessSettings = ProcessSettings()
 
     @model_validator(mode="after")
@@ -138,5 +136,5 @@ class SolverTable(Settings):
 
     @classmethod
     def keys(cls, values: Mapping[str, Any]) -> list[str]:
-        """List its keys, and the settings of the solver that ``values`` names."""
+        """List the keys of the table, and the settings of the solver that ``values`` names."""
         return [*super().keys(values), *(f"settings.{name}" for name in defaults(values.get("name", "exact")))]

@@ -20,13 +20,13 @@ from moc_opt.sim.protocols import LoggedController
 from moc_opt.trace.trace import Trace
 
 SLOWEST_S, FASTEST_S = 0.004, 0.001
-"""Longest and shortest control period that is kept against the clock: 250 Hz and 1 kHz."""
+"""Longest and shortest control period of a run in real time: 250 Hz and 1 kHz."""
 
 
 def fingerprint(scenario: Scenario, robot: RobotModel) -> int:
     """Return a number of 63 bits that differs between plant and controller if they are set up for different runs.
 
-    It covers all data of the arm but its gains, which only the controller uses.
+    It covers the task and all data of the arm except its gains, which only the controller uses.
     """
     whole = scenario.model_dump(mode="json", include={"robot", "start", "trocar", "task", "seed", "duration_s"})
     del whole["robot"]["name"]  # the robot's file may be in another folder at the other end
@@ -38,8 +38,8 @@ def fingerprint(scenario: Scenario, robot: RobotModel) -> int:
 class PlantServer(Setup):
     """The plant of a scenario, for a controller at the other end of a wire.
 
-    It listens at ``listen``, "HOST:PORT"; port 0 takes any free port, and ``address`` names it. In lock-step the plant
-    waits for each command instead of keeping the time. ``system`` is the scheduling granted, for ``meta["wire"]``.
+    It listens at ``listen``, "HOST:PORT". Port 0 takes any free port, and ``address`` has its number. In lock-step, the
+    plant waits for each command. ``system``, for ``meta["wire"]``, says which scheduling was granted.
 
     Raises:
         MocOptError: what `Setup` raises; or the address cannot be taken, or needs a key.
@@ -75,14 +75,14 @@ class PlantServer(Setup):
         return self._remote  # type: ignore[return-value]
 
     def _judged(self, found: Trace) -> Trace:
-        counts: dict[str, Any] = self._remote.close()  # judging may take longer than a controller waits
+        counts: dict[str, Any] = self._remote.close()  # before judging, for which a controller would not wait
         if self.system:
             give_back_realtime()
             counts["system"] = self.system
         return super()._judged(found.with_meta(wire=counts))
 
     def trace(self, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None) -> Trace:
-        """Wait for the controller, run, and return the trace; ``watch`` is not called: the wire keeps the time."""
+        """Wait for the controller, run, and return the trace; ``watch`` is not called."""
         try:
             return super().trace(self._remote.pace, to)
         finally:
@@ -94,7 +94,7 @@ def answer(
 ) -> dict[str, Any]:
     """Act as the controller of a plant at the other end of a wire ("HOST:PORT"), until the run ends.
 
-    Control, solver and guard are taken from this end's scenario; all that `fingerprint` covers must equal the plant's.
+    [control], [solver] and [guard] are used from ``scenario``. All that `fingerprint` covers must equal the plant's.
     ``ready`` is called once, when the plant has been found and the controller has started.
 
     Raises:
@@ -103,7 +103,7 @@ def answer(
     where = parse_address(connect, "--connect")
     key = read_key(key_file, where[0], "--connect")
     setup = Setup(scenario, realtime=True)
-    controller = setup.controller()  # before the search for the plant, since it may plan a course for seconds
+    controller = setup.controller()  # before the plant is searched: planning a course may take seconds
     link = Link(setup.robot.n, key, (Kind.MEASUREMENT,), peer=where)
     try:
         return Answering(

@@ -1,9 +1,9 @@
 """The simulated plant and the closed loop: arm, trocar, sensors, faults. It knows no solver and no control law.
 
-Read first: ``loop`` (the one closed loop: plant, sensors, safety filter, controller), with ``protocols`` (interfaces
-of its parts) and ``record`` (its rows); then ``plant`` (MuJoCo), built by ``mjcf``. ``joints`` and ``sensors`` are the
-plant's parts, ``faults`` disturb it, ``mjcf`` also compares it with the controller's arm; docs/plant.md explains
-``settings``.
+Read first: ``loop`` (the closed loop of plant, sensors, safety filter and controller), with ``protocols`` (interfaces
+of its parts) and ``record`` (its rows). Then read ``plant`` (MuJoCo), with its parts ``joints`` and ``sensors``.
+``mjcf`` builds the MuJoCo model, and compares it with the controller's arm. ``faults`` disturb the plant.
+docs/plant.md explains ``settings``.
 """
 
 from moc_opt.sim.plant import Plant

@@ -1,7 +1,7 @@
 """Seeded faults that are injected into a run: in sensors, packets, trocar and solver, and pushes on the arm.
 
-Each packet carries the number of the control period in which it was measured, its stamp. With ``forged_stamps``, old
-readings carry the present number, as if a buffer stamped them when it sent them.
+The stamp of a measurement is the number of the control period in which it was taken. With ``forged_stamps``, old
+readings have the present stamp, as if a buffer stamped them when it sent them.
 """
 
 from __future__ import annotations
@@ -30,36 +30,36 @@ class FaultSettings(Settings):
 
     drop_share: float = Field(0.0, ge=0.0, le=1.0, description="share of the measurements that never arrive")
     late_ticks: int = Field(0, ge=0, le=50, description="delay of every measurement, in ticks")
-    frozen_at_s: float | None = Field(None, ge=0.0, description="time at which readings freeze; left out: never")
+    frozen_at_s: float | None = Field(None, ge=0.0, description="time at which readings freeze (left out: never)")
     frozen_ticks: int = Field(1_000_000, ge=1, description="number of ticks for which readings stay frozen")
     frozen_joint: int | None = Field(None, ge=0)
-    """the only encoder that freezes, counted from 0; left out: whole measurements freeze"""
+    """the only encoder that freezes, counted from 0. If left out, whole measurements freeze"""
     frozen_wrench: bool = Field(False, description="whether only the wrench sensor freezes")
     frozen_velocity: Literal["repeated", "zero"] = Field("repeated", description="velocity in a frozen reading")
-    lag_at_s: float | None = Field(None, ge=0.0, description="time from which measurements lag; left out: never")
+    lag_at_s: float | None = Field(None, ge=0.0, description="time from which measurements lag (left out: never)")
     lag_joint: int | None = Field(None, ge=0)
-    """the only encoder that lags, counted from 0; other readings and stamps are up to date; left out: all lag"""
+    """the only encoder that lags, counted from 0. If left out, whole measurements lag"""
     lag_ticks: int = Field(0, ge=0, le=1000, description="lag at lag_at_s, in ticks")
-    lag_growth: float = Field(0.1, gt=0.0, le=1.0, description="growth of the lag in each tick, in ticks")
+    lag_growth: float = Field(0.1, gt=0.0, le=1.0, description="growth of the lag per tick, in ticks")
     replay_at_s: float | None = Field(None, ge=0.0)
-    """time from which old measurements arrive again in their order, over and over; left out: never"""
+    """time from which old measurements arrive again in a loop (left out: never)"""
     replay_ticks: int = Field(100, ge=1, le=5000)
-    """number of measurements that are replayed, the newest at replay_at_s"""
+    """number of replayed measurements, the newest from replay_at_s"""
     drift_at_s: float = Field(0.0, ge=0.0, description="time at which the drift begins")
     drift_rad_per_s: float = Field(0.0, ge=-1.0, le=1.0)
-    """speed at which the encoders drift; the seed draws each sign"""
+    """speed at which the encoders drift, each with a random sign"""
     drift_velocity: Literal["included", "apart"] = "included"
-    """'included': the drift adds to the measured velocity too; 'apart': it does not"""
+    """whether measured velocities contain the drift ('included') or not ('apart')"""
     forged_stamps: bool = False
-    """whether frozen, replayed and lagging measurements carry the number of the present tick"""
+    """whether frozen, replayed and lagging measurements are stamped as new"""
     encoder_bias_rad: float = Field(0.0, ge=-0.1, le=0.1)
-    """size of every encoder's constant error; the seed draws each sign"""
-    encoder_noise_rad: float = Field(0.0, ge=0.0, le=0.01, description="standard deviation of additional noise")
-    nan_at_s: float | None = Field(None, ge=0.0, description="time from which encoders give NaN; left out: never")
-    nan_ticks: int = Field(1, ge=1, description="number of ticks in which encoders give NaN")
+    """constant error of the encoders, each with a random sign"""
+    encoder_noise_rad: float = Field(0.0, ge=0.0, le=0.01, description="standard deviation of more position noise")
+    nan_at_s: float | None = Field(None, ge=0.0, description="time from which encoders give NaN (left out: never)")
+    nan_ticks: int = Field(1, ge=1, description="number of ticks at which encoders give NaN")
     jump_at_s: float | None = Field(None, ge=0.0)
-    """time at which the encoders jump, once and for all; left out: never"""
-    jump_rad: float = Field(0.2, description="size of the jump, on every joint")
+    """time at which all encoders jump and stay displaced (left out: never)"""
+    jump_rad: float = Field(0.2, description="size of the encoders' jump")
 
     bump_N: float = Field(0.0, ge=0.0, le=200.0, description="force of a horizontal push on bump_link")
     bump_at_s: float = Field(2.0, ge=0.0, description="time at which the push begins")
@@ -70,25 +70,25 @@ class FaultSettings(Settings):
     slip_m: float = Field(0.0, ge=0.0, le=0.1, description="distance by which the trocar slips horizontally")
     slip_at_s: float = Field(2.0, ge=0.0, description="time at which the trocar slips")
     solver: Literal["none", "fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang"] = "none"
-    """fault of the solver: 'fail': no answer; 'nan': NaN; 'lie': the optimum of the opposite gradient; 'raise': an
-    exception; 'outside': an answer outside the box; 'rig': a problem rewritten to fit the answer; 'malformed': no valid
-    Solution; 'hang': a solve of ten times the budget (if there is none: deadline_us)"""
+    """fault of the solver. 'fail': no answer; 'nan': NaN; 'lie': the optimum for the negated gradient; 'raise': an
+    exception; 'outside': an answer outside the box; 'rig': the problem is rewritten to fit the answer; 'malformed':
+    no valid Solution; 'hang': a solve takes ten times budget_us (without a budget: deadline_us)"""
     solver_share: float = Field(0.05, ge=0.0, le=1.0, description="share of the answers that have the fault")
 
     @property
     def around_the_arm(self) -> bool:
-        """Whether anything but the solver has faults; if not, the loop can skip ``sense`` and ``act``."""
+        """Whether anything but the solver has faults. If not, the loop skips ``sense`` and ``act``."""
         solver = {"solver", "solver_share"}
         return any(getattr(self, k) != f.default for k, f in type(self).model_fields.items() if k not in solver)
 
 
 class Faults:
-    """The faults of one run with n joints: ``sense`` corrupts measurements, ``act`` pushes, ``slip`` moves the trocar.
+    """The faults of a run with n joints: ``sense`` corrupts measurements, ``act`` pushes, ``slip`` moves the trocar.
 
     ``period`` is the control period [s]; ``seed`` draws signs, noise, drops and directions.
 
     Raises:
-        PlantError: a joint that the arm does not have.
+        PlantError: ``frozen_joint`` or ``lag_joint`` is no joint of the arm.
     """
 
     def __init__(self, settings: FaultSettings, n: int, period: float, seed: int) -> None:
@@ -117,7 +117,7 @@ class Faults:
         self._tape: list[Measurement] = []
 
     def act(self, plant: Plant, tick: int) -> None:
-        """Begin and end the pushes that fall on this tick."""
+        """Begin or end pushes that are due at this tick."""
         s = self.settings
         if s.payload_kg > 0.0 and tick == 0:
             plant.push(TOOL_BODY, self._weight)
@@ -126,7 +126,7 @@ class Faults:
             plant.push(s.bump_link, held + self._bump * (tick == self._bump_on))
 
     def slip(self, trocars: Array, times: Array) -> Array:
-        """Return the true trocar (N, 2, 3) with its slip, a smooth step that lasts 0.1 s."""
+        """Return the true trocar (N, 2, 3) with its slip, a smooth step of 0.1 s."""
         if self.settings.slip_m == 0.0:
             return trocars
         u = np.clip((times - self.settings.slip_at_s) / 0.1, 0.0, 1.0)
@@ -167,7 +167,7 @@ class Faults:
         return seen._replace(q=q, v=v)
 
     def _after(self, at_s: float | None, tick: int) -> int:
-        """Return 1 at the tick of this time, 2 at the next one and so on; 0 before it."""
+        """Return 1 at the tick of this time, 2 at the next tick and so on; 0 before."""
         return 0 if at_s is None else max(0, tick - round(at_s / self._period) + 1)
 
     def _forged(self, arrived: Measurement, taken: Measurement) -> Measurement:

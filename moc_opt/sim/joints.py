@@ -1,12 +1,12 @@
-"""The arm's joints in MuJoCo's state, and their drives: positions of links and motors, and the motors' torque.
+"""The arm's joints in MuJoCo's state, and their drives.
 
-A joint with a spring has two coordinates in MuJoCo, two hinges about one axis: the motor's angle theta with the rotor's
-inertia B, friction and stops, and the spring's deflection delta. The link's angle is q = theta + delta, and
+A joint with a spring has two coordinates in MuJoCo, two hinges about one axis. The motor's angle theta has the rotor's
+inertia B, friction and stops. The spring's deflection is delta. The link's angle is q = theta + delta, and
 
     M(q) ddq + h = tau_J,   B ddtheta + friction + tau_J = tau,   tau_J = -K delta - D ddelta/dt
 
-which is Spong's model (1987). The arm's own torque feedback makes the rotor appear lighter (Ott et al. 2008). B, from
-the robot's file, is this smaller inertia, and tau is the input of the feedback; so the feedback is not simulated.
+which is Spong's model (1987). The arm's own torque feedback is not simulated. It makes the rotor appear lighter (Ott et
+al. 2008), and B in the robot's file is this smaller inertia.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from moc_opt.errors import PlantError
 from moc_opt.robots import RobotData
 from moc_opt.sim.settings import Mismatch, PlantSettings
 
-_SAGGING_ROUNDS = 12  # of a fixed-point iteration, which converges fast: sagging by 1e-3 rad changes a torque by 0.1 %
-_MOST_RAD_A_STEP = 1.0  # phase of the fastest oscillation per plant step; MuJoCo's explicit springs are stable below 2
+_SAGGING_ROUNDS = 12  # iterations for the deflection of the springs by weight
+_MOST_RAD_A_STEP = 1.0  # largest phase of an oscillation per plant step; explicit springs are stable below 2
 
 
 class Joints:
-    """Joint coordinates and torque drives, in MuJoCo's own arrays unless joints are elastic or torques ripple.
+    """Joint coordinates and torque drives. With rigid joints and smooth torques, these are MuJoCo's arrays.
 
     The drives have no dynamics: a command is clipped at the torque limits and acts some control periods later.
 
     Attributes:
         q, v: (n,) true positions and velocities of the links [rad], [rad/s].
-        theta, omega: (n,) the same of the motors; shown: (q, v) or (theta, omega), whichever the encoders measure.
-        torque: (n,) of the drives, before ripple [Nm].
-        motors: the motors' entries among MuJoCo's degrees of freedom.
+        theta, omega: (n,) positions and velocities of the motors; shown: the pair that the encoders measure.
+        torque: (n,) torque of the drives, before ripple [Nm].
+        motors: slice of the motors in MuJoCo's degrees of freedom.
     """
 
     def __init__(
@@ -45,12 +45,12 @@ class Joints:
         self._model, self._state, self._high, self._low = model, state, data.tau_max.copy(), -data.tau_max
         self._elastic, self._on_links = settings.elastic, settings.encoder_side == "link"
         self._stiffness = _stiffnesses(data, settings)
-        self.motors = slice(None, None, 2 if settings.elastic else 1)  # an elastic joint: motor, then spring
+        self.motors = slice(None, None, 2 if settings.elastic else 1)  # an elastic joint has two: motor, spring
         self.q, self.v = self.theta, self.omega = state.qpos, state.qvel
         if settings.elastic:
             self.q, self.v, self.theta, self.omega = np.zeros((4, data.n))
         self.shown = (self.q, self.v) if self._on_links else (self.theta, self.omega)
-        # Without springs and ripple, the drives' torque is MuJoCo's own array; otherwise `drive` fills that array.
+        # With springs or ripple, `drive` fills MuJoCo's array.
         self._direct = not settings.elastic and settings.torque_ripple == 0.0
         self.torque = state.qfrc_applied if self._direct else np.zeros(data.n)
         self._ripple = settings.torque_ripple * data.tau_max
@@ -58,9 +58,9 @@ class Joints:
         self._delay_ticks, self._due = settings.delay_ticks, deque[Array]()
 
     def start(self, shown: Array, speed: Array) -> None:
-        """Put the arm where encoders without bias would read ``shown`` (n,) [rad], moving at ``speed`` (n,) [rad/s].
+        """Put the arm where encoders without errors read ``shown`` (n,) [rad], moving at ``speed`` (n,) [rad/s].
 
-        The drives already hold the arm's weight, which deflects elastic joints; delayed commands hold it too.
+        The drives and all delayed commands hold the arm's weight, which deflects elastic joints.
         """
         state, model = self._state, self._model
         weight = state.qfrc_bias[self.motors]
@@ -79,7 +79,7 @@ class Joints:
         self.gather()
 
     def command(self, tau: ArrayLike) -> None:
-        """Queue the command of a period (n,) [Nm], and apply the command that is due; raises what `Plant.step` does."""
+        """Queue the command of a period (n,) [Nm], and apply the command that is due; errors as for `Plant.step`."""
         wanted = np.asarray(tau, dtype=np.float64)
         if wanted.shape != self._high.shape:
             raise PlantError(f"tau has shape {wanted.shape}: give {self._high.shape}, one torque a joint [Nm]")
@@ -92,13 +92,13 @@ class Joints:
         self.torque[:] = self._due.popleft()
 
     def drive(self) -> None:
-        """Put the drives' torque, with its ripple at the motors' present angles, on the motors."""
+        """Apply the drives' torque with its ripple to the motors."""
         if not self._direct:
             ripple = self._ripple * np.sin(self._waves * self._state.qpos[self.motors] + self._phase)
             self._state.qfrc_applied[self.motors] = self.torque + ripple
 
     def gather(self) -> None:
-        """Compute the coordinates of elastic joints: a link's angle is the sum of its motor's and its spring's."""
+        """Compute the angles of elastic joints: a link's angle is the sum of the motor's and the spring's."""
         if self._elastic:
             place, speed = self._state.qpos, self._state.qvel
             self.theta[:], self.omega[:] = place[::2], speed[::2]
@@ -106,7 +106,7 @@ class Joints:
 
 
 def add_springs(data: RobotData, spec: mujoco.MjSpec, settings: PlantSettings) -> None:
-    """Put a spring in series with each joint of a spec; a PlantError where the count of stiffnesses is wrong."""
+    """Put a spring in series with each joint of a spec; a PlantError if the number of stiffnesses is wrong."""
     for joint, value in zip(list(spec.joints), _stiffnesses(data, settings), strict=True):
         spring = joint.parent.add_joint(name=f"{joint.name}_spring", type=joint.type, axis=joint.axis, pos=joint.pos)
         spring.limited = mujoco.mjtLimited.mjLIMITED_FALSE
@@ -125,7 +125,7 @@ def _stiffnesses(data: RobotData, settings: PlantSettings) -> Array:
 
 
 def check_substeps(model: mujoco.MjModel, state: mujoco.MjData, settings: PlantSettings) -> None:
-    """Raise a PlantError if the plant step is too coarse for the springs; the message says how many steps suffice."""
+    """Raise a PlantError if the plant step is too coarse for the springs. The message names a sufficient number."""
     inertia = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, state, inertia)
     spring = np.arange(1, model.nv, 2)

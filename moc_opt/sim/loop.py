@@ -1,7 +1,7 @@
 """The closed loop: sensors, safety filter, controller, safety filter, drives, once every control period.
 
-A measured q goes through `ClosedLoop.step`, `FilteredController.tick` and the controller's own ``tick``; the torque
-comes back the same way. `simulate` does this over a whole reference and records it; the live page and the operating
+A measured q goes through `ClosedLoop.step`, `FilteredController.tick` and the controller's own ``tick``, and the torque
+comes back the same way. `simulate` runs the loop over a whole reference and records it. The live page and the operating
 procedure step the loop themselves.
 """
 
@@ -27,12 +27,12 @@ from moc_opt.trace.trace import Trace
 if TYPE_CHECKING:
     from moc_opt.control.safety_filter import SafetyFilter
 
-AT_REST = 0.005  #: Largest speed of a joint at rest [rad/s], [m/s] where it slides.
+AT_REST = 0.005  #: Largest speed of a joint at rest [rad/s, m/s].
 LONGEST = 4  #: A stop ends after at most this many times `Stop.seconds`, even if the tissue still pushes the arm.
 
 
 class FilteredController(Filtered):
-    """A controller behind its safety filter (None: none); ``applied`` (n,) is the torque that acted last [Nm]."""
+    """A controller behind its safety filter, if there is one; ``applied`` (n,) is the last applied torque [Nm]."""
 
     def __init__(self, controller: TorqueController, safety_filter: SafetyFilter | None, applied: Array) -> None:
         self._controller, self._filter, self._applied = controller, safety_filter, applied
@@ -44,7 +44,7 @@ class FilteredController(Filtered):
             self._filter.start(seen.q, seen.v, seen.stamp)
 
     def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
-        """Return this period's torque (n,) [Nm], within limits; once a stop is requested, a damped stop's torque."""
+        """Return this period's torque (n,) [Nm], within limits. After a request to stop, the torque damps the arm."""
         safety, controller, applied = self._filter, self._controller, self._applied
         if safety is None:
             return controller.tick(seen.q, seen.v, tip_ref, trocar)
@@ -65,12 +65,12 @@ class FilteredController(Filtered):
         return tau
 
     def set_applied_torque(self, tau: Array) -> None:
-        """Take the torque (n,) [Nm] that acted last, if it differs from the result of ``tick``."""
+        """Take the applied torque (n,) [Nm], if it differs from the result of ``tick``."""
         self._applied = tau
         self._controller.set_applied_torque(tau)
 
     def brake_friction(self, seen: Measurement) -> Array | float:
-        """Return the dry friction (n,) [Nm] that the brakes are to have in a stop."""
+        """Return the dry friction (n,) [Nm] of the brakes in a stop."""
         return 0.0 if self._filter is None else self._filter.brake_friction(seen.force)
 
     stop_reason = property(lambda self: "" if self._filter is None else self._filter.reason)
@@ -81,9 +81,9 @@ class FilteredController(Filtered):
 class ClosedLoop:
     """Plant, controller and safety filter (None: none), advanced one control period at a time.
 
-    A controller that is ``Filtered`` brings its own safety filter; ``faults`` disturb sensors and arm. After a step
-    ``seen`` is the measurement as it arrived, ``tau`` (n,) the torque that was applied [Nm], and ``tick_us`` the time
-    that safety filter and controller took [us]; ``ticks`` counts the steps.
+    A controller that is ``Filtered`` has its own safety filter. ``faults`` disturb sensors and arm. After a step,
+    ``seen`` is the measurement as it arrived, ``tau`` (n,) the commanded torque [Nm], and ``tick_us`` the time that
+    safety filter and controller took [us]. ``ticks`` counts the steps.
     """
 
     def __init__(
@@ -108,10 +108,10 @@ class ClosedLoop:
         Args:
             tip_ref: (3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2].
             registered: (2, 3) rows P_t [m], dP_t [m/s] of the trocar, as registered.
-            trocar: (2, 3) the same of the true trocar; None: the arm is in no incision.
+            trocar: (2, 3) rows P_t, dP_t of the true trocar; None: the arm is in no incision.
 
         Raises:
-            PlantError: the plant cannot go on; ``seen`` and ``tau`` belong to this step even then.
+            PlantError: the plant cannot go on. ``seen`` and ``tau`` belong to this step even then.
         """
         plant, seen = self._plant, self._plant.measure()
         if self._faults is not None:
@@ -130,16 +130,16 @@ class ClosedLoop:
 
     @property
     def finished(self) -> bool:
-        """Whether the stop is over: ``Stop.seconds`` have passed and the arm is at rest, or `LONGEST` times as long."""
+        """Whether the stop is over: the arm rests after ``Stop.seconds``, or `LONGEST` times this time has passed."""
         since = self.ticks - self._stopped_at if self._stopped_at >= 0 else 0
         return since > self._watched and bool(since > LONGEST * self._watched or np.abs(self._plant.v).max() < AT_REST)
 
-    stop_reason = property(lambda self: self.filtered.stop_reason, doc="Why the arm is being stopped; else empty.")
+    stop_reason = property(lambda self: self.filtered.stop_reason, doc="Why the arm is being stopped, or empty.")
 
 
 @contextmanager
 def no_collector() -> Iterator[None]:
-    """Switch the garbage collector off, after a collection of young objects only: a full collection takes 0.1 s."""
+    """Switch the garbage collector off, after collecting young objects (a full collection takes 0.1 s)."""
     enabled = gc.isenabled()
     gc.collect(1)
     gc.disable()
@@ -163,12 +163,12 @@ def simulate(
         tip_refs: (N, 3, 3) rows X_d, dX_d, ddX_d of every tick.
         trocars, registered: (N, 2, 3) rows P_t, dP_t of the true and of the registered trocar.
         safety_filter: checks measurements and limits torques; None: no checks and no limits.
-        offset: difference between the robot's frame and the true one at tip and trocar; None: no difference.
-        watch: called with the tick's number before each tick; meta: goes into the trace.
+        offset: difference of true and computed positions of tip and trocar; None: no difference.
+        watch: called with the tick's number before each tick; meta: additional meta of the trace.
         rescue: called with the columns so far if an exception other than RunAway ends the loop.
 
     Returns:
-        One row a tick: the state at the tick's start, and the torque of the tick; `moc_opt.trace.meta` lists the meta.
+        The trace: per tick, the state at its start and its torque. `moc_opt.trace.meta` lists the meta.
 
     Raises:
         RunAway: the plant cannot go on; the error holds the trace so far.

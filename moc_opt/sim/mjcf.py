@@ -19,25 +19,25 @@ TOOL_BODY = "tool"
 MOUNT_SITE = "tool_mount_sensor"
 FORCE_SENSOR, TORQUE_SENSOR = "mount_force", "mount_torque"
 TOLERANCE = 1e-6
-"""Largest difference between the engines relative to a scale: for M its largest entry without rotors, for h its largest
-entry plus 9.81 times M's scale, for tip and wrist the tip's distance from the base. Rounding makes about 1e-14."""
+"""Largest relative difference between the engines; rounding makes about 1e-14. M is divided by its largest entry m
+without rotors, h by its largest entry plus 9.81 m, tip and wrist by the tip's distance from the base."""
 POSES = 3  #: Number of poses at which the engines are compared.
 
 
 def build_spec(data: RobotData, *, substep_s: float, gravity: bool = True) -> mujoco.MjSpec:
-    """Build the editable MuJoCo model of the arm; cameras or boards can be added before it is compiled.
+    """Build the editable MuJoCo model of the arm. Cameras or boards can be added before it is compiled.
 
-    Every link stays a body of its own: MuJoCo would merge the tool into the flange, and the sensor between them would
-    measure nothing. Shapes are left out, so nothing collides, and no mass is guessed from a mesh. Rotor inertia becomes
-    `dof_armature`. Joint limits are soft stops. Friction comes with `add_mismatch`.
+    Every link stays a separate body: if MuJoCo merged the tool into the flange, the sensor between them would measure
+    nothing. Without shapes, nothing collides, and no mass is guessed from a mesh. Rotor inertia becomes `dof_armature`.
+    Joint limits are soft stops. `add_mismatch` adds friction.
 
     Args:
         data: the robot with its tool.
         substep_s: plant step [s].
-        gravity: 9.81 m/s^2 along -z, or none.
+        gravity: whether gravity acts, 9.81 m/s^2 along -z.
 
     Raises:
-        PlantError: the URDF cannot be made into a MuJoCo model.
+        PlantError: MuJoCo cannot read the URDF, or finds other joints.
     """
     try:
         spec = mujoco.MjSpec.from_string(_bare(data.urdf))
@@ -47,7 +47,7 @@ def build_spec(data: RobotData, *, substep_s: float, gravity: bool = True) -> mu
     spec.option.timestep = substep_s
     spec.option.gravity = GRAVITY if gravity else (0.0, 0.0, 0.0)
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    # A diverged state must be reported; MuJoCo would silently put the arm back to zero.
+    # A diverged state must be reported: by default, MuJoCo silently resets it to zero.
     spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_CONTACT)
 
     names = tuple(joint.name for joint in spec.joints)
@@ -62,8 +62,8 @@ def build_spec(data: RobotData, *, substep_s: float, gravity: bool = True) -> mu
         joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
         joint.armature = data.rotor_inertia[i]
         joint.damping[0] = joint.frictionloss = 0.0
-        # Stiff friction, with which a joint under half its Coulomb torque creeps at about 1e-5 rad/s. MuJoCo's default
-        # is made for coarser steps and lets the joint creep a hundred times faster.
+        # With this stiff friction, a joint under half its Coulomb torque creeps at about 1e-5 rad/s. With MuJoCo's
+        # default, which is made for coarser steps, it creeps a hundred times faster.
         joint.solref_friction = (2.0 * substep_s, 1.0)
         joint.solimp_friction = (0.99, 0.99, 0.001, 0.5, 2.0)
 
@@ -78,10 +78,10 @@ def build_spec(data: RobotData, *, substep_s: float, gravity: bool = True) -> mu
 
 
 def add_mismatch(data: RobotData, spec: mujoco.MjSpec, mismatch: Mismatch) -> None:
-    """Set the plant's own friction, masses and kinematics in a spec that `build_spec` made.
+    """Set the plant's friction, masses and kinematics in a spec from `build_spec`.
 
-    Friction is MuJoCo's own, which is integrated implicitly. With an explicit smooth tanh, an arm would creep under a
-    load under which a real arm sticks.
+    MuJoCo integrates its friction implicitly. With an explicit smooth tanh, an arm would creep under a load that
+    static friction holds in a real arm.
     """
     for body in spec.bodies:
         if body.name in mismatch.mass_scale:
@@ -103,7 +103,7 @@ def add_mismatch(data: RobotData, spec: mujoco.MjSpec, mismatch: Mismatch) -> No
 
 
 def compile_model(name: str, spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """Compile a robot's spec; a PlantError where MuJoCo refuses it, mostly for an inertia that no body can have."""
+    """Compile a robot's spec; a PlantError if MuJoCo refuses it, mostly for an impossible inertia."""
     try:
         return spec.compile()
     except ValueError as error:
@@ -125,7 +125,7 @@ def _bare(urdf: str) -> str:
 def check_engines(robot: RobotModel) -> None:
     """Compare inertia M, bias h, tip and wrist of pinocchio and MuJoCo, at home and at seeded poses in motion.
 
-    It takes about 2 ms. The plant's defects (masses, calibration, friction, elasticity) are not part of the comparison.
+    It takes about 2 ms. The plant's errors (masses, calibration, friction, elasticity) are left out.
 
     Raises:
         RobotError: the engines differ by more than `TOLERANCE`; the message names the quantity and the difference.
@@ -145,7 +145,7 @@ def check_engines(robot: RobotModel) -> None:
         mujoco.mj_fwdVelocity(model, state)
         mujoco.mj_fullM(model, state, M)
         ours = robot.state(q, state.qvel)
-        # The scale leaves out the rotor inertia, which both engines share and which would hide small links.
+        # Without rotor inertia, which would hide errors of small links.
         heavy = max(np.abs(M - rotor).max(), 1e-8 * rotor.max())
         bias, reach = np.abs(theirs["h"]).max() - GRAVITY[2] * heavy, max(1e-3, np.linalg.norm(theirs["tip"]))
         sizes = {"M": (heavy, "kg m^2"), "h": (bias, "Nm"), "tip": (reach, "m"), "wrist": (reach, "m")}

@@ -1,11 +1,10 @@
 """The simulated arm: it takes torques and returns measurements, and gives the true state to the trace.
 
-The trocar is compliant: a spring and a damper between the trocar point and the nearest point of the shaft line, acting
-across the shaft only, so that the tool slides and turns freely in the incision. A rigid ring would wedge. With the tool
-direction u, the shaft point c nearest to the trocar P and the velocity w of the tool's material at c, the force on the
-tool is (I - u u^T) (stiffness (P - c) + damping (dP - w)) (`moc_opt/core/plant.c`). A trocar at rest stores energy
-in its spring and dissipates energy in its damper, but never adds any to the arm. The shaft line has no ends: the tool
-is assumed to be inserted.
+The trocar is compliant: a spring and a damper connect the trocar point with the nearest point of the shaft line. They
+act across the shaft only, so that the tool slides and turns freely in the incision. Let u be the tool direction, c the
+shaft point nearest to the trocar P, and w the velocity of the tool's material at c. The force on the tool is
+(I - u u^T) (stiffness (P - c) + damping (dP - w)) (`moc_opt/core/plant.c`). A trocar at rest never adds energy to the
+arm. The shaft line has no ends: the tool is assumed to be inserted.
 """
 
 from __future__ import annotations
@@ -29,8 +28,7 @@ from moc_opt.sim.sensors import Encoders, Measurement, Noise
 from moc_opt.sim.settings import Mismatch, PlantSettings
 
 if mujoco.get_mju_user_warning() is None:
-    # MuJoCo's own handler writes a log file into the current folder; the plant itself detects an arm that runs away,
-    # and raises an error.
+    # MuJoCo's own handler writes a log file into the current folder. The plant itself detects an arm that runs away.
     mujoco.set_mju_user_warning(lambda message: None)
 
 
@@ -39,7 +37,7 @@ _RUNAWAY_RAD_PER_S = 1e3  #: Norm of the joint velocities above which the simula
 
 @dataclass(frozen=True)
 class Stop:
-    """How the arm is stopped: damping of the drives [Nm s/rad], and the least time that a stop is simulated [s]."""
+    """How the arm is stopped: damping of the drives [Nm s/rad], and shortest simulated time of a stop [s]."""
 
     damping: float = 15.0
     seconds: float = 0.5
@@ -63,15 +61,14 @@ class Plant:
     """An arm in MuJoCo with its trocar, its sensors and its delay, advanced one control period at a time.
 
     The same (data, settings, seed), start and torques give the same results to the last bit, also after `reset`, which
-    restarts the noise. Plants share no state, so each thread can have its own. At first the arm rests at `data.q_home`.
+    restarts the noise. Plants share no state, so that each thread can have its own. The arm begins at `data.q_home`.
 
     Args:
         data: the robot, as in the controller's model.
         settings: how the plant differs from the controller's model; None: `PlantSettings()`.
-        seed: of the mismatch and of the noise, 0 or more.
+        seed: seed of the mismatch and of the noise, 0 or more.
 
-    Attributes: `data`, `settings`, `mismatch`, and MuJoCo's `mj_model` and `mj_data`, to draw the scene and
-        to check the plant; writing to these two breaks the promises above.
+    Attributes: `data`, `settings`, `mismatch`, and MuJoCo's `mj_model` and `mj_data`, for drawing and checks only.
 
     Raises:
         PlantError: MuJoCo cannot take the robot, or its URDF lacks a frame.
@@ -80,7 +77,7 @@ class Plant:
     def __init__(self, data: RobotData, settings: PlantSettings | None = None, seed: int = 0) -> None:
         self.data = data
         self.settings = settings = PlantSettings() if settings is None else settings
-        # Each purpose has its own random stream: switching one off leaves the other numbers as they are.
+        # Each purpose has its own random stream, so that switching one off does not change the others.
         mismatch, *self._noise_seeds = np.random.SeedSequence(seed).spawn(3)
         spec = build_spec(data, substep_s=settings.substep_s, gravity=settings.gravity)
         heavy = [body.name for body in spec.bodies if body.mass > 0.0]
@@ -117,16 +114,16 @@ class Plant:
         self._substeps_s = [k * settings.substep_s for k in range(settings.substeps)]
 
     def reset(self, q: ArrayLike, v: ArrayLike | None = None) -> None:
-        """Restart at time 0 without pushes; until the first command acts, the drives carry the arm's weight at q.
+        """Restart at time 0 without pushes. Until the first command acts, the drives carry the arm's weight at q.
 
-        The encoders show q plus their noise; the true positions are q minus the encoders' bias.
+        The encoders show q plus noise. The true positions are q minus the encoders' bias.
 
         Args:
             q: (n,) joint positions within their limits, as encoders without noise show them [rad].
             v: (n,) joint velocities [rad/s]; None is rest.
 
         Raises:
-            PlantError: wrong shape, not finite, or q outside the limits; nothing has changed then.
+            PlantError: wrong shape, not finite, or q outside the limits. Nothing has changed then.
         """
         start = _finite("q", q, (self.data.n,))
         speed = np.zeros(self.data.n) if v is None else _finite("v", v, (self.data.n,))
@@ -156,12 +153,12 @@ class Plant:
         """Advance one control period.
 
         Args:
-            tau: (n,) commanded joint torques [Nm]; they act `delay_ticks` periods later, clipped at tau_max.
+            tau: (n,) commanded joint torques [Nm]. They act `delay_ticks` periods later, clipped at tau_max.
             trocar: (2, 3) rows: trocar point at the start of the period [m] and its constant velocity [m/s]; None:
                 no trocar in this period.
 
         Raises:
-            PlantError: wrong shape or not finite (nothing has moved then), or the arm ran away.
+            PlantError: wrong shape or not finite (the arm has not moved then), or the arm ran away.
         """
         rows = ", point [m] over velocity [m/s], or None for no trocar; the arm has not moved"
         place = None if trocar is None else _finite("trocar", trocar, (2, 3), rows)
@@ -172,8 +169,7 @@ class Plant:
         self._touch = (0.0, 0.0) if place is None else self._tissue
         if place is not None:
             self._trocar[:] = place
-        # mj_step2 comes before mj_step1 (mj_step has them the other way round), so that the kinematics belong to the
-        # new state when the loop ends.
+        # Unlike in mj_step, mj_step2 comes first, so that the kinematics belong to the new state after the loop.
         for elapsed_s in self._substeps_s:
             joints.drive()
             self._load(elapsed_s)
@@ -191,7 +187,7 @@ class Plant:
         self._sense(*self._encoders.read(*joints.shown))
 
     def _sense(self, q: Array, v: Array) -> None:
-        # MuJoCo measures the wrench of the mount on the tool; this sensor, like real ones, the wrench of tool on mount.
+        # MuJoCo measures the wrench of mount on tool. This sensor, like real ones, measures that of tool on mount.
         self._measurement = Measurement(q, v, read_only(self._wrench_noise.take() - self._held), self._ticks)
 
     def _load(self, elapsed_s: float) -> None:
@@ -208,22 +204,22 @@ class Plant:
         return self._felt[:3]
 
     def write_truth(self, row: Array) -> None:
-        """Write the present q, v, tip, wrist and force of the trocar into row (2 n + 9,), all truths in one call."""
+        """Write the present q, v, tip, wrist and force of the trocar into row (2 n + 9,)."""
         np.concatenate((self._joints.q, self._joints.v, self._tip, self._wrist, self._feel()), out=row)
 
     def measure(self) -> Measurement:
-        """Return the measurement taken at the end of the last period; a second call returns the same measurement."""
+        """Return the measurement at the end of the last period. A second call returns the same measurement."""
         return self._measurement
 
     def brake(self, damping_Nm_s_per_rad: float, friction_Nm: ArrayLike = 0.0) -> None:
         """Close the brakes until `reset`: they add damping and dry friction in every joint, whatever is commanded.
 
         Args:
-            damping_Nm_s_per_rad: by the short-circuited drives; with damping alone a loaded arm sinks.
-            friction_Nm: by the holding brakes, one number or one per joint (n,).
+            damping_Nm_s_per_rad: damping by the short-circuited drives. With damping alone, a loaded arm sinks.
+            friction_Nm: friction of the holding brakes, one number or one per joint (n,).
 
         Raises:
-            PlantError: a friction is not 0 or more.
+            PlantError: a friction is negative or not finite.
         """
         friction = np.broadcast_to(np.asarray(friction_Nm, dtype=np.float64), self.data.n)
         if not ((friction >= 0.0) & np.isfinite(friction)).all():
@@ -233,12 +229,12 @@ class Plant:
         self.mj_model.dof_frictionloss[drives] = self._drive_friction[drives] + friction
 
     def push(self, body: str, force: ArrayLike, point: ArrayLike | None = None) -> None:
-        """Apply a constant force to a link from the next period on, until it is cleared or replaced, or `reset`.
+        """Apply a constant force to a link from the next period on, until it is cleared or replaced.
 
         Args:
             body: the link's name.
-            force: (3,) world axes [N].
-            point: (3,) where the force acts, fixed in the link's own frame [m]; None: centre of mass.
+            force: (3,) force in world axes [N].
+            point: (3,) point of the link on which the force acts, in the link's frame [m]; None: centre of mass.
 
         Raises:
             UnknownNameError: no such link.
@@ -268,7 +264,7 @@ class Plant:
     q = _truth(lambda plant: plant._joints.q, "(n,) joint positions [rad].")
     v = _truth(lambda plant: plant._joints.v, "(n,) joint velocities [rad/s].")
     applied_torque = _truth(
-        lambda plant: plant._joints.torque, "(n,) torque of the drives in the last period, cut, without ripple [Nm]."
+        lambda plant: plant._joints.torque, "(n,) clipped torque of the drives in the last period, without ripple [Nm]."
     )
     tip = _truth(lambda plant: plant._tip, "(3,) tip [m].")
     wrist = _truth(lambda plant: plant._wrist, "(3,) wrist centre [m].")

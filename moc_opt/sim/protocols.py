@@ -15,8 +15,8 @@ from moc_opt.sim.sensors import Measurement
 class TorqueController(Protocol):
     """Computes a torque from a measurement.
 
-    The safety filter checks the tip error if the controller has ``tip`` (3,) [m] or ``state`` (a `RobotState`) of its
-    last tick. Given a ``state``, the filter need not compute the model's terms again.
+    If the controller has an attribute ``tip`` (3,) [m] or ``state`` (`RobotState`) of its last tick, the safety filter
+    checks the tip error. With ``state``, the filter does not compute the model's terms again.
     """
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
@@ -26,31 +26,31 @@ class TorqueController(Protocol):
         """Compute the torque (n,) [Nm] of this period.
 
         Args:
-            q, v: (n,) as measured [rad], [rad/s].
+            q, v: (n,) measured positions [rad] and velocities [rad/s].
             tip_ref: (3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2].
-            trocar: (2, 3) rows P_t [m], dP_t [m/s], as registered.
+            trocar: (2, 3) rows P_t [m], dP_t [m/s] of the registered trocar.
         """
 
     def set_applied_torque(self, tau: Array) -> None:
-        """Take the torque (n,) [Nm] that was applied, if the safety filter changed the one that ``tick`` returned."""
+        """Take the applied torque (n,) [Nm], if the safety filter changed the result of ``tick``."""
 
 
 class LoggedController(TorqueController, Protocol):
-    """A controller that also writes columns of its own into the trace."""
+    """A controller that also writes its own columns into the trace."""
 
     def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
-        """Create the columns that ``note`` fills, ``ticks`` rows each."""
+        """Create the columns that ``note`` fills, with ``ticks`` rows."""
 
     def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
         """Write the last tick's values into a row of ``columns``."""
 
 
 class Filtered(ABC):
-    """Turns a measurement into a torque that may be applied, here or at the other end of a wire (``realtime``)."""
+    """Turns a measurement into a safe torque, in this process or at the other end of a wire (``realtime``)."""
 
-    stop_reason: Any  #: Why the arm has to be stopped; empty while it need not be.
-    limited: Any  #: Number of joints whose last torque differs from the torque that the controller computed.
-    warnings: Any  #: Which figures exceeded a warning level since the start, as JSON values.
+    stop_reason: Any  #: Why the arm has to be stopped; empty otherwise.
+    limited: Any  #: Number of joints whose last torque the safety filter changed.
+    warnings: Any  #: Quantities that exceeded a warning level since the start, as JSON values.
 
     @abstractmethod
     def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
@@ -58,8 +58,8 @@ class Filtered(ABC):
 
     @abstractmethod
     def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
-        """Return this period's torque (n,) [Nm], within limits; once a stop is requested, a damped stop's torque."""
+        """Return this period's torque (n,) [Nm], within limits. After a request to stop, the torque damps the arm."""
 
     @abstractmethod
     def brake_friction(self, seen: Measurement) -> Array | float:
-        """Return the dry friction (n,) [Nm] that the brakes are to have in a stop."""
+        """Return the dry friction (n,) [Nm] of the brakes in a stop."""

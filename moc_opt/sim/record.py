@@ -1,4 +1,4 @@
-"""The record of the closed loop: one row a tick, filled while the loop runs, and turned into a trace at the end."""
+"""The record of the closed loop: one row per tick, filled while the loop runs, and turned into a trace at the end."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _STOPPED = {
 
 
 class RunAway(PlantError):
-    """The plant could not go on; ``trace`` holds the rows so far."""
+    """The plant cannot go on; ``trace`` holds the rows so far."""
 
     def __init__(self, message: str, trace: Trace) -> None:
         super().__init__(message)
@@ -35,16 +35,16 @@ class RunAway(PlantError):
 class TaskOffset(NamedTuple):
     """True minus computed position of the two points that the arm registered with its own tip, (3,) each [m].
 
-    Calibration errors, encoder bias and elastic joints displace all positions that the robot computes. Registered
-    points are displaced too, so that only changes of the displacement since the registration cause errors.
+    Calibration errors, encoder bias and elastic joints displace the positions that the robot computes, and thus also
+    the registered points. Only changes of this displacement after the registration cause errors.
     """
 
-    tip: Array = np.zeros(3)  #: At the point where the path begins.
-    trocar: Array = np.zeros(3)  #: At the point where the shaft enters the body, without the registration error.
+    tip: Array = np.zeros(3)  #: At the start of the path.
+    trocar: Array = np.zeros(3)  #: At the trocar, without the registration error.
 
 
 class Record:
-    """The rows of a run; ``done`` of them are filled. Arguments as for `moc_opt.sim.loop.simulate`.
+    """The rows of a run, of which ``done`` are filled. Arguments as for `moc_opt.sim.loop.simulate`.
 
     If the controller has ``faults`` and ``restarts``, they go into the trace's meta.
     """
@@ -70,7 +70,7 @@ class Record:
         self._plant.write_truth(self._truth[self.done])
 
     def note(self, seen: Measurement, tau: Array, tick_us: float, filtered: Filtered) -> None:
-        """Write the results of the tick, and finish its row."""
+        """Write the results of the tick into its row."""
         row, columns = self.done, self._columns
         self._controller.note(row, columns)
         self._wrench[row], columns["tau_Nm"][row], columns["tick_us"][row] = seen.force, tau, tick_us
@@ -85,7 +85,7 @@ class Record:
                 self._ending = {"ended": f"stopped: {filtered.stop_reason} (t = {t:.3f} s)", "stopped_at_s": t}
 
     def columns(self) -> Columns:
-        """Return the columns of the rows that are done, with tip and RCM errors added."""
+        """Return the columns of the filled rows, with tip and RCM errors added."""
         rows, edges = slice(self.done), np.cumsum([*self._widths.values()])[:-1]
         found: Columns = {name: column[rows] for name, column in self._columns.items()}
         found |= dict(zip(self._widths, np.split(self._truth[rows], edges, axis=1), strict=True))
@@ -98,7 +98,7 @@ class Record:
         return found
 
     def trace(self, warnings: list[dict[str, Any]], meta: Mapping[str, Any], *, ran_away: bool) -> Trace:
-        """Return the trace of the rows that are done; times in ``warnings`` count from the first tick."""
+        """Return the trace of the filled rows. Times in ``warnings`` count from the first tick."""
         t = self._columns["t_s"]
         found: dict[str, Any] = {
             "period_s": self._plant.settings.period_s, "ticks": self.done, "ticks_planned": len(t), **self._ending,

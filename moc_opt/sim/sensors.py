@@ -1,4 +1,4 @@
-"""What the controller gets: a measurement, with the noise and the encoders that make it."""
+"""The measurement that the controller gets, and the noise and encoders that make it."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from moc_opt.sim.settings import PlantSettings
 
 
 class Measurement(NamedTuple):
-    """The readings that the controller gets; read-only arrays."""
+    """The readings that the controller gets, as read-only arrays."""
 
     q: Array  #: (n,) joint positions [rad].
     v: Array  #: (n,) joint velocities [rad/s].
-    force: Array  #: (6,) force [N] and torque [Nm] of the tool on its mount, axes of link "tool", one plant step old.
+    force: Array  #: (6,) force [N] and torque [Nm] of the tool on its mount, tool axes, one plant step old.
     stamp: int = 0
-    """Number of the control period in which the reading was taken, counted by the arm: it tells the reading's age."""
+    """Number of the control period in which the reading was taken, counted by the arm."""
 
 
 _NOISE_ROWS = 256
 
 
 class Noise:
-    """Gaussian noise of given standard deviations (m,), drawn in blocks, which takes fewer calls."""
+    """Gaussian noise of given standard deviations (m,), drawn in blocks for speed."""
 
     def __init__(self, rng: np.random.Generator, deviation: Array) -> None:
         self._rng, self._deviation, self._quiet = rng, deviation, not deviation.any()
         self._block, self._next = np.zeros((_NOISE_ROWS, deviation.size)), _NOISE_ROWS
-        self._rows = list(self._block)  # views, since making one costs four times as much as a look-up
+        self._rows = list(self._block)  # making a view costs four times as much as a look-up
 
     def take(self) -> Array:
         """Return the next row (m,), valid until the next call."""
@@ -49,13 +49,13 @@ class Encoders:
     """Joint positions with bias, noise and a finite step; velocities from their low-passed difference quotient.
 
     velocity += (1 - exp(-2 pi cutoff period)) (difference quotient - velocity), once a control period.
-    Without noise, step and cutoff both values are exact but for the bias. If only the cutoff is 0, the velocity is the
-    difference quotient itself.
+    If noise, step and cutoff are all 0, both values are exact except for the bias. If only the cutoff is 0, the
+    velocity is the difference quotient.
 
     Args:
-        settings: the plant's; period, noise, resolution and cutoff are used.
+        settings: settings of the plant; period, noise, resolution and cutoff are used.
         bias: (n,) constant error [rad].
-        rng: draws the noise.
+        rng: generator of the noise.
     """
 
     def __init__(self, settings: PlantSettings, bias: Array, rng: np.random.Generator) -> None:
@@ -67,13 +67,13 @@ class Encoders:
         self._conversion = step, settings.period_s, gain, noise == step == cutoff == 0.0
 
     def start(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Read at (q, v), each (n,), for the first time: the velocity estimate begins at v."""
+        """Read for the first time, at (q, v), (n,) each. The velocity estimate begins at v."""
         self._memory[2] = v
         resolution, period, _, exact = self._conversion
         return self._sample(q, v, (resolution, period, 0.0, exact))
 
     def read(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Return the reading one period after the previous one: position [rad] and velocity [rad/s], (n,) read-only."""
+        """Return the reading of the next period: position [rad] and velocity [rad/s], (n,) read-only."""
         return self._sample(q, v, self._conversion)
 
     def _sample(self, q: Array, v: Array, conversion: tuple[float, float, float, bool]) -> tuple[Array, Array]:
@@ -83,16 +83,16 @@ class Encoders:
         return reading[0], reading[1]
 
 
-_CHANCE = 1e-10  #: Probability per reading of a longer repetition, at rest in the middle of a step.
+_CHANCE = 1e-10  #: Largest probability per reading of a longer repetition.
 _MOST_TICKS = 500
 
 
 def longest_repetition(noise_rad: float, resolution_rad: float) -> int | None:
-    """Return how many readings in a row an encoder at rest may repeat to the last bit, given its noise.
+    """Return how often in a row an encoder at rest may repeat its reading to the last bit, given its noise.
 
     In the middle of a step of width s, a reading with noise sigma repeats with probability p = erf(s / (sqrt(8)
-    sigma)); elsewhere p is smaller. The result is the first k, 10 at least, with p^k below 1e-10. None if there is no
-    noise, or so little that k would exceed 500.
+    sigma)); elsewhere p is smaller. The result is the first k >= 10 with p^k below 1e-10; None without noise, or if k
+    would exceed 500.
     """
     if noise_rad == 0.0:
         return None
@@ -102,14 +102,14 @@ def longest_repetition(noise_rad: float, resolution_rad: float) -> int | None:
     return max(10, math.ceil(math.log(_CHANCE) / math.log(max(same, _CHANCE))))
 
 
-_DEAD = 600.0  #: Time constants after which a filter's output is so small that it may stay the same to the last bit.
+_DEAD = 600.0  #: Time constants after which a decaying filter output may repeat to the last bit.
 
 
 def repeats_no_reading(noise_rad: float, resolution_rad: float, cutoff_Hz: float, period_s: float) -> bool:
-    """Decide whether an encoder never repeats position and velocity together, to the last bit.
+    """Return whether an encoder never repeats both position and velocity to the last bit.
 
-    While the position repeats itself, the filtered velocity decays and differs at every reading. Noise changes the
-    position long before the velocity is too small to change (`_DEAD`).
+    While the position repeats, the filtered velocity decays and differs at every reading. With noise, the position
+    changes long before the velocity is too small to change (`_DEAD`).
     """
     longest = longest_repetition(noise_rad, resolution_rad)
     return longest is not None and 0.0 < 2.0 * math.pi * cutoff_Hz * period_s * longest < _DEAD

@@ -1,4 +1,4 @@
-"""How far a plant may differ from the controller's model. `Mismatch` has the values that are drawn with a seed."""
+"""Settings of the plant's differences from the controller's model. `Mismatch` has the values drawn with a seed."""
 
 from __future__ import annotations
 
@@ -22,23 +22,22 @@ _Stiffness = Annotated[float, Field(gt=0, le=1e9)]
 
 
 class PlantSettings(Settings):
-    """The simulated arm, its trocar and its sensors. Errors, noise, ripple and delay are absent where they are 0.
+    """The simulated arm, its trocar and its sensors. With 0, an error, noise, ripple or delay is switched off.
 
     The defaults are realistic: wrong masses, friction, noise, a tick of delay, the kinematic errors of a calibrated
-    arm, a trocar registered 0.5 mm off. A plant that equals the controller's model proves little. Joints are rigid and
-    torques smooth; docs/plant.md says why.
+    arm, and a registration error of 0.5 mm. Joints are rigid and torques smooth by default; docs/plant.md says why.
 
     Raises:
         PlantError: a value is out of range; the message names the field, the value and the range.
-        UnknownNameError: a field does not exist; the message lists the nearest ones.
+        UnknownNameError: a field does not exist; the message lists the nearest fields.
     """
 
     KIND: ClassVar[str] = "[plant]"
     MORE_KEYS: ClassVar[tuple[str, ...]] = ("preset",)
     ERROR: ClassVar[type[MocOptError]] = PlantError
 
-    period_s: float = Field(0.002, gt=0, le=0.1, description="control period: the time between two ticks")
-    substeps: int = Field(2, ge=1, le=1000, description="plant steps in a control period; a step lasts at most 1 ms")
+    period_s: float = Field(0.002, gt=0, le=0.1, description="control period: time between two ticks")
+    substeps: int = Field(2, ge=1, le=1000, description="plant steps per control period. A step may last 1 ms at most")
     gravity: bool = Field(True, description="whether gravity acts: 9.81 m/s^2 along -z")
     mass_error: float = Field(0.10, ge=0, le=0.9)
     """each link's mass and inertia are multiplied by a factor drawn evenly from 1 - mass_error to 1 + mass_error"""
@@ -48,20 +47,20 @@ class PlantSettings(Settings):
     calibration_error_m: float = Field(0.0002, ge=0, le=0.05)
     """distance of every joint's origin, and of the tool's mount, from its place in the controller's model"""
     calibration_tilt_rad: float = Field(0.0001, ge=0, le=0.1)
-    """angle between every joint's frame and that of the controller's model"""
+    """angle between every joint's frame and its frame in the controller's model"""
     encoder_bias_rad: float = Field(0.0001, ge=0, le=0.1)
-    """standard deviation of the encoders' constant errors, one of which is drawn for each joint"""
-    encoder_noise_rad: float = Field(1e-5, ge=0, le=0.1, description="standard deviation of the noise of positions")
+    """standard deviation of the constant error that is drawn for each encoder"""
+    encoder_noise_rad: float = Field(1e-5, ge=0, le=0.1, description="standard deviation of the position noise")
     encoder_resolution_rad: float = Field(2.4e-5, ge=0, le=0.1)
-    """step of the encoders; the default has 18 bits per turn; 0: no steps"""
+    """step of the encoders, by default 18 bits per turn. 0: no steps"""
     velocity_cutoff_Hz: float = Field(50.0, ge=0)
-    """cut-off frequency of the low-pass for velocities, which are differences of positions; 0: no filter"""
+    """cut-off frequency of the low-pass filter for velocities (differences of positions). 0: no filter"""
     encoder_side: Literal["link", "motor"] = "link"
-    """side of an elastic joint's spring on which its encoder sits; 'link' as in arms with torque sensors"""
+    """side of an elastic joint's spring on which its encoder sits. Arms with torque sensors have 'link'"""
     joint_stiffness_Nm_per_rad: Annotated[float, Field(ge=0, le=1e9)] | tuple[_Stiffness, ...] = 0.0
-    """stiffness of the spring between motor and link: one number for all joints, or one per joint; 0: rigid joints"""
+    """stiffness of the spring between motor and link, one number for all joints or one per joint. 0: rigid joints"""
     joint_spring_damping_Nm_s_per_rad: float = Field(30.0, ge=0, le=1e4)
-    """damping parallel to that spring, most of which comes from the drive's torque feedback"""
+    """damping parallel to the joint's spring"""
     torque_ripple: float = Field(0.0, ge=0, le=0.5)
     """amplitude of the torque ripple, as a share of the joint's largest torque"""
     torque_ripple_per_turn: float = Field(200.0, gt=0, le=1e5)
@@ -69,12 +68,12 @@ class PlantSettings(Settings):
     force_noise_N: float = Field(0.05, ge=0, description="standard deviation of the wrench sensor's force, per axis")
     torque_noise_Nm: float = Field(0.002, ge=0)
     """standard deviation of the wrench sensor's torque, per axis"""
-    delay_ticks: int = Field(1, ge=0, le=100, description="control periods from a command to its torque")
+    delay_ticks: int = Field(1, ge=0, le=100, description="delay of the torque after a command, in ticks")
     trocar_stiffness_N_per_m: float = Field(800.0, ge=0, le=1e6)
-    """stiffness of the abdominal wall at the trocar; 500 to 3000 are realistic"""
-    trocar_damping_Ns_per_m: float = Field(10.0, ge=0, le=1e4, description="damping of the same wall")
+    """stiffness of the abdominal wall at the trocar. 500 to 3000 is realistic"""
+    trocar_damping_Ns_per_m: float = Field(10.0, ge=0, le=1e4, description="damping of the abdominal wall")
     trocar_registration_error_m: float = Field(0.0005, ge=0, le=0.1)
-    """distance of the true trocar from the registered one, which the controller uses"""
+    """distance of the true from the registered trocar, which the controller uses"""
 
     @model_validator(mode="after")
     def _fine_enough(self) -> Self:
@@ -115,17 +114,17 @@ class Mismatch:
     mass_scale: Mapping[str, float]  #: Link -> factor on its mass and inertia.
     viscous_friction: Array  #: (n,) [Nm s/rad]
     coulomb_friction: Array  #: (n,) [Nm]
-    registration_error: Array  #: (3,) true trocar minus the registered one (the controller's), world axes [m].
+    registration_error: Array  #: (3,) true minus registered trocar, world axes [m].
     origin_shift: Array
-    """(n + 1, 3) true minus modelled origin of each joint, then of the tool's mount, axes of the link before it [m]."""
+    """(n + 1, 3) true minus modelled origin of each joint and of the tool's mount, axes of the preceding link [m]."""
     origin_turn: Array
-    """(n, 3) rotation vector from each joint's modelled to its true frame, axes of the link before it [rad]."""
-    encoder_bias: Array  #: (n,) reading of each encoder minus the true position [rad, or m of a sliding joint].
+    """(n, 3) rotation vector from each joint's modelled to its true frame, axes of the preceding link [rad]."""
+    encoder_bias: Array  #: (n,) reading minus true position of each encoder [rad, m].
     ripple_phase: Array  #: (n,) phase of the torque ripple at joint position 0 [rad].
 
     @property
     def displaces(self) -> bool:
-        """Whether true tip and shaft differ from those that the model computes at the encoders' readings."""
+        """Whether tip and shaft differ from the model's tip and shaft at the encoders' readings."""
         return bool(self.origin_shift.any() or self.origin_turn.any() or self.encoder_bias.any())
 
     @classmethod
@@ -134,8 +133,8 @@ class Mismatch:
     ) -> Mismatch:
         """Draw one factor per link and per joint uniformly from 1 +- error, and uniform directions of the offsets.
 
-        The random numbers do not depend on the settings: twice the error doubles every deviation. Each kind of error
-        has a random stream of its own.
+        Each kind of error has its own random stream, whose numbers do not depend on the settings: twice the error
+        doubles every deviation.
         """
         of_links, of_joints, of_trocar, of_origins, of_axes, of_encoders, of_ripple = (
             np.random.default_rng(child) for child in seed.spawn(7)

@@ -52,14 +52,14 @@ class ProcessSettings(Settings):
 
     KIND: ClassVar[str] = "[solver.process]"
     answer_age_ticks: int = Field(0, ge=0)
-    """largest age of an earlier answer that is used instead of a late one; 0: no earlier answer is used"""
+    """largest age of an earlier answer that may replace a late one. 0: none may"""
     hang_s: float = Field(1.0, gt=0.0)
     """time without an answer after which the process is killed and replaced"""
     memory_MB: float = Field(4096.0, gt=0.0)
-    """memory of the process; if it needs more, it ends and is replaced"""
+    """largest memory of the process. If it needs more, it ends and is replaced"""
     most_restarts: int = Field(20, ge=0)
-    """largest number of replacements in a run; if the process is lost once more, the run goes on without this solver"""
-    start_s: float = Field(120.0, gt=0.0, description="longest time for the start of a process, including compilation")
+    """largest number of replacements in a run. Afterwards the run goes on without this solver"""
+    start_s: float = Field(120.0, gt=0.0, description="longest time for starting the process, including compilation")
 
 
 @dataclass(frozen=True)
