@@ -1,4 +1,4 @@
-"""Follow a course (a joint trajectory) in the loop. The third level then tracks this velocity instead of climbing mu:
+"""Follow a course (a joint trajectory) in the loop. The third level then tracks a velocity instead of climbing mu.
 
     x_d(t) = dq_c(t) + k (q_c(t) - q)
 
