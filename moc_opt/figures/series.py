@@ -41,8 +41,8 @@ def time_series(
 
     Args:
         runs: name -> `Trace`, or columns of a run, (N,) or (N, k), including `t_s`. Vectors are drawn by their norm.
-        panels: columns, from top to bottom. None stands for ``PANELS``. The absolute tip error is then replaced by the
-            errors of ``TIPS`` that every run has, because it is mostly calibration error.
+        panels: columns, from top to bottom. None stands for ``PANELS``. The absolute tip error in these is mostly
+            calibration error, so it is replaced by the errors of ``TIPS`` that every run has.
         styles: the style of each run; None makes new styles.
 
     Raises:
@@ -97,7 +97,7 @@ def time_series(
 
 
 def envelope(t: ArrayLike, y: ArrayLike, points: int = 1200) -> tuple[Floats, Floats]:
-    """Thin a series without losing a peak: keep the smallest and largest value in each stretch of time.
+    """Thin a series to at most `points`. The smallest and largest value in each stretch of time are kept.
 
     Args:
         t, y: (N,) times and values. NaN in y is a gap, and stays a gap.

@@ -245,7 +245,7 @@ class Trace:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Trace:
-        """Read a file that `save` wrote, exact to the last bit. Raise a TraceError if it is damaged or no trace."""
+        """Read a file that `save` wrote, to the last bit. Raise a TraceError if it is missing, damaged or no trace."""
         return cls(*file.read(path))
 
 
