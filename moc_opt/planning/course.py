@@ -55,7 +55,7 @@ def lay_targets(
     ``span_m`` is the distance from wrist to tip, and ``tool_m`` that from mount to tip [m].
 
     Raises:
-        TaskError: at some time the trocar is not between the tip and the wrist or mount, or is too close to the tip.
+        TaskError: at some time the trocar is not on the shaft, or is nearer to the tip than `SHALLOWEST_M`.
     """
     t = np.linspace(0.0, duration_s, count)
     tip = np.ascontiguousarray(reference.at(t)[0])
@@ -81,7 +81,7 @@ class Course:
     q_rad: Array  #: (k,n)
     mu: Array  #: (k,) [m^3], by the robot model
     violation: float
-    """Largest error of tip or wrist [m], or excess over a joint limit or a step at full speed [rad]."""
+    """Largest error of tip or wrist [m], or largest excess over a joint limit or over the largest step [rad]."""
     certified: bool = False  #: Whether a solver converged to the course as a local optimum.
 
     @property
@@ -101,7 +101,7 @@ class Limits:
 
     margin: Margin = 0.0  #: distance kept from the joint limits
     speed_share: float = 1.0  #: share of the joints' speed limits that may be used
-    shaft: float = 0.0  #: smallest value of `shaft_shares`; below this value, `lowered` reduces mu
+    shaft: float = 0.0  #: if `shaft_shares` is below this value, `lowered` reduces mu
 
 
 def lowered(mu: Array, share: Array, limits: Limits, top: float) -> Array:
@@ -118,7 +118,10 @@ def lowered(mu: Array, share: Array, limits: Limits, top: float) -> Array:
 
 
 def shaft_shares(robot: RobotModel, poses: Array) -> Array:
-    """Compute mu_shaft / (distance from wrist to tip)^2, (k,), at the poses (k,n) [rad]."""
+    """Compute mu_shaft / (distance from wrist to tip)^2, (k,), at the poses (k,n) [rad].
+
+    mu_shaft is the manipulability of the shaft while the tip is held.
+    """
     squares = np.array(robot.kinematics().shaft(np.ascontiguousarray(poses).T)).ravel()
     return np.sqrt(np.maximum(squares, 0.0))
 

@@ -1,4 +1,4 @@
-"""The elbow's swivel angle, its distance to the nearest maximum of mu uphill, and the times when the elbow moves.
+"""The elbow's swivel angle, its distance to the local maximum of mu, and the times when the elbow moves.
 
 The swivel is the angle of the elbow about the line from the shoulder to the wrist centre. It is zero in the plane
 through this line and a fixed direction (Kreutz-Delgado, Long and Seraji 1992).
@@ -57,7 +57,7 @@ def wrapped(angles: Array) -> Array:
 
 
 def distance_to_go(robot: RobotModel, q: ArrayLike) -> Array:
-    """Return the distance (k,) [rad] from poses q (k, n) [rad] uphill to the nearest maximum of mu.
+    """Return the distance (k,) [rad] from poses q (k, n) [rad] uphill to the local maximum of mu.
 
     The distance is the arc length of the self-motion in joint space. It is NaN at singular poses. A pose beyond a joint
     limit is first moved to the limit.
@@ -79,7 +79,7 @@ def _uphill(curve: SelfMotion) -> float:
 def in_transient(robot: RobotModel, t_s: ArrayLike, q_rad: ArrayLike) -> NDArray[np.bool_]:
     """Detect the ticks (N,) at which the elbow is still moving towards its optimum.
 
-    An elbow whose distance to the optimum is constant does not count, however fast both move along the path.
+    An elbow whose distance to the optimum is constant does not count, even if the optimum moves.
 
     Args:
         t_s, q_rad: (N,) time of each tick [s], (N, n) true joint positions [rad].

@@ -25,7 +25,7 @@ GAIN_PER_S = 5.0  #: The gain k.
 NODES = 10  #: Number of points in time of the nonlinear program, without its start.
 CATCH_UP = 1.03  #: A course may exceed the joint speeds of the search by this factor, so that a late arm catches up.
 ON_COURSE_RAD = 0.05
-"""A new course begins on the old one if every joint is this near to the old one, else at the measured pose.
+"""If every joint is this near to the old course, a new course begins on the old one, else at the measured pose.
 Always beginning at the measured pose would close a second feedback loop, which oscillates near singular poses."""
 MOST_OFF = 1e-3  #: Largest violation of a course that is followed: error of tip or wrist [m], excess over limits [rad].
 LOST_RAD = 0.3  #: The arm has left its course if a joint is farther than this from it. Usual errors are a tenth.
@@ -56,14 +56,13 @@ class Piece(NamedTuple):
 class Planner:
     """Makes a course over the next horizon (a second, say) from any pose.
 
-    The value function V of `search` gives a coarse course, which decides for a local maximum of mu. `Program` smooths
-    this course.
+    The value function V of `search` gives a coarse course, which chooses a local maximum of mu. `Program` smooths it.
     """
 
     def __init__(
         self, value: Value, program: Program, targets: Targets, *, horizon_s: float, rate_per_s: float
     ) -> None:
-        """Take V, a program of `NODES` times, and the targets.
+        """Take the value function V, a program of `NODES` times, and the targets.
 
         ``horizon_s`` is the duration of a course, rounded up to the map's times [s]. ``rate_per_s`` is the number of
         solves per second.

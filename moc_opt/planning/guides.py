@@ -58,7 +58,7 @@ class Following:
     period_s: float  #: control period
 
     def stuck(self, part: float) -> ScenarioError:
-        """Return the error that says where and why no course at this share of the speed goes on."""
+        """Return the error that says where and why the path cannot be executed at this share of the speed."""
         limits = Limits(speed_share=part * self.settings.course_speed_fraction)
         stuck = make_plan(self.robot, self.q_start, self.targets(), limits, refined=False).blocked
         where = "" if stuck is None else f"{1e3 * stuck.arc_length_m:.1f} mm along the path {stuck.reason}"
@@ -165,7 +165,7 @@ def followed_course(run: Following, ways: Ways | None = None) -> Course:
     """Return the smooth course with the best mean mu that the third level can follow from the start of this run.
 
     Raises:
-        ScenarioError: no course goes all the way, or the file of ``[control] course`` is refused.
+        ScenarioError: no course reaches the end of the path, or the file of ``[control] course`` is refused.
         TaskError: no smooth course was found.
     """
     robot, targets, brake, smooth = run.robot, run.targets(), BRAKE_SHARE * run.brake, SMOOTHNESS["planned"]
@@ -237,7 +237,7 @@ def load_course(
     )
     allowed, fastest = settings.course_speed_fraction, float(shares.max())
     limits = Limits(
-        # The smooth course starts from this one, so it keeps no larger margin than this one.
+        # The smooth course need not keep a larger margin than this course does.
         margin_at(robot, poses, margin), max(fastest, min(allowed, within["speed_share"])),
         max(COURSE_SHARE * settings.shaft_margin, within["shaft_margin"]),
     )  # fmt: skip

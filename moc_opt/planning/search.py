@@ -5,9 +5,10 @@
 g is mu dt, and c is a penalty on speed. A course (joint trajectory) is then read off V forwards: at each time it takes
 the best pose within reach. Near a singular pose, it can change its branch.
 
-A pose of the map can stand for its surroundings, so that joints may move a little further than v_max dt. For followed
-courses these are a quarter of a cell, so that courses exist on a coarse map. For an upper bound on mean mu they are
-half a cell. Neighbours of feasible poses then count as feasible, each with the largest mu nearby.
+A pose of the map can stand for its surroundings, so that joints may move a little further than v_max dt. A cell is the
+space between neighbouring poses. For followed courses, a pose stands for a quarter of a cell, so that courses exist on
+a coarse map. For an upper bound on mean mu, a pose stands for half a cell. Neighbours of feasible poses then count as
+feasible, and each pose counts with the largest mu nearby.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Self-motion: the poses that an arm can take while tip and wrist stay in place.
 
 The self-motion is followed as a curve from joint limit to joint limit. Each step goes along the null vector of
-A = [J_tip; J_wrist], and Newton's method corrects tip and wrist. A freedom is a dimension of this null space that
-moves links. With one freedom, the largest mu of the curve is an upper bound for all poses on the curve.
+A = [J_tip; J_wrist], and Newton's method corrects tip and wrist. A freedom is a dimension of the null space of A that
+moves links. If there is one freedom, the curve contains every pose that a self-motion reaches.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ OTHER_BRANCH_RAD = 0.5  #: A trajectory with a larger gap is on another branch o
 NEEDED = ("t_s", "q_rad", "tip_m", "tip_ref_m")
 NEAR = 0.02  #: A trajectory is at the optimum while its mu is at most this fraction below the best.
 END = 0.2  #: The last fraction of a trajectory's time, from which its ending is judged.
-CLOSE_RAD = np.radians(12.0)  #: A climb up to this long is short.
+CLOSE_RAD = np.radians(12.0)  #: Largest swivel of a short climb at the end of a run.
 STILL_RAD_PER_S = np.radians(1.0)
 
 

@@ -94,7 +94,7 @@ def _row(reading: Reading) -> dict[str, Any]:
 
 
 def load_map(files: Sequence[str | os.PathLike[str]]) -> Page:
-    """Return a page with the map of saved traces and of the best courses saved in them. Files give the names."""
+    """Return a page with the map of saved traces, named as their files, and of the best courses saved in them."""
     traces, robot = load_runs(files)
     page = Page(f"Manipulability map of {title_of(traces)}", f"runs: {'; '.join(traces)}")
     courses: dict[str, Trace] = {}

@@ -37,7 +37,7 @@ SERIES_POINTS = 900
 BASE = -1
 SHORTEST_M = 1e-3
 ACROSS = 0.7
-"""|Cosine| of the angle between a joint's axis and its link. Below, the joint is drawn as an elbow, above as a ring."""
+"""If |cosine| of the angle between a joint's axis and link is below this, draw the joint as an elbow, else a ring."""
 
 
 class Replay:
