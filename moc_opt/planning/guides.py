@@ -237,7 +237,7 @@ def load_course(
     )
     allowed, fastest = settings.course_speed_fraction, float(shares.max())
     limits = Limits(
-        # The smooth course need not keep a larger margin than this course does.
+        # A larger margin than that of this course could make the smooth course infeasible.
         margin_at(robot, poses, margin), max(fastest, min(allowed, within["speed_share"])),
         max(COURSE_SHARE * settings.shaft_margin, within["shaft_margin"]),
     )  # fmt: skip

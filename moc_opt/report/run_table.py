@@ -62,7 +62,7 @@ def replaced(trace: Trace) -> str:
     if not counts:
         return ""
     total = sum(counts.values())
-    most = "most of them; the figures are not those of this solver: " if 2 * total > len(trace) else ""
+    most = "most of them; the figures are not this solver's: " if 2 * total > len(trace) else ""
     return f"at {total} of {len(trace)} ticks: {most}{', '.join(f'{fault} {count}' for fault, count in counts.items())}"
 
 

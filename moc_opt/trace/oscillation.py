@@ -6,7 +6,8 @@ with a limit. The first half second is left out, because an arm starts with a je
 without its loudest quarter, the worst second must still exceed half of the limit.
 
 The limits were chosen on the LWR4+ in the realistic plant. 94 stable runs had at most 0.080 rad/s and 3.6 Nm (11 N for
-sliding joints). A limit cycle had 0.49 rad/s and 28 Nm, and chatter had up to 2.7 rad/s and 119 Nm.
+a sliding joint). A limit cycle had 0.49 rad/s and 28 Nm, and chatter had up to 2.7 rad/s and 119 Nm. Each limit is near
+the geometric mean of the largest stable value and the limit cycle's.
 """
 
 from __future__ import annotations

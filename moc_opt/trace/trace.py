@@ -125,7 +125,7 @@ class Trace:
         return self._of(MappingProxyType(found), self.meta)._as_part_of(self)
 
     def between(self, start_s: float, stop_s: float) -> Trace:
-        """Return the trace of the ticks with start_s <= t_s < stop_s, as `select` does. Raise a TraceError if empty."""
+        """Return the ticks with start_s <= t_s < stop_s, as `select` does. Raise a TraceError if there are none."""
         if not (is_number(start_s) and is_number(stop_s)):
             given = f"start_s = {shown(start_s)}, stop_s = {shown(stop_s)}"
             raise TraceError(f"between({given}): give times in seconds, inf for no limit")
