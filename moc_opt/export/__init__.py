@@ -1,6 +1,6 @@
-"""A scenario's controller as a folder of C: files of the core, constants, recorded ticks and a Makefile.
+"""Export a scenario's controller as a folder of C: files of the core, constants, recorded ticks and a Makefile.
 
-``scenario`` refuses settings that the C code does not support, and records ticks; ``folder`` writes the files.
+``scenario`` refuses settings that the C code does not support, and records ticks. ``folder`` writes the files.
 """
 
 from moc_opt.export.folder import write

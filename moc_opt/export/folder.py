@@ -1,4 +1,4 @@
-"""Write the exported folder: files of `moc_opt/core` and ``c/``, and a scenario's numbers as initialisers in C."""
+"""Write the exported folder: the C files of `moc_opt/core` and ``c/``, and a scenario's numbers as C initialisers."""
 
 from __future__ import annotations
 
@@ -33,30 +33,26 @@ SUPERVISION = (
     "check", "box_limit", "primal_limit", "relative_limit", "opposite_limit", "hold_ticks", "keep_off_limits",
     "fallback", "late", "budget_us",
 )  # fmt: skip
-"""The fields of moc_supervision; `control.law_numbers.numbers_of` returns them together with those of moc_law."""
+"""The fields of moc_supervision. `control.law_numbers.numbers_of` returns them together with the fields of moc_law."""
 
 
 class Recording(NamedTuple):
-    """k consecutive ticks: measurements, references, and the torques from the safety filter.
-
-    ``sent`` (n,) is the torque before the first tick. The first ``sound`` ticks have no faults and are timed.
-    ``stopped_at`` is the tick at which the safety filter stopped the arm, or -1.
-    """
+    """k consecutive ticks: measurements, references, and the torques from the safety filter."""
 
     q: Array  # (k, n) [rad]; may be NaN
     v: Array  # (k, n) [rad/s]
-    stamp: Array  # (k,) number of the control period in which q and v were measured
+    stamp: Array  # (k,) index of the control period in which q and v were measured
     tip_ref: Array  # (k, 3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2]
     trocar: Array  # (k, 2, 3) rows P_t [m], dP_t [m/s]
     wrench: Array  # (k, 6) force [N] and torque [Nm] of the tool on its mount, tool axes
     tau: Array  # (k, n) [Nm]
-    sent: Array  # (n,) [Nm]
-    sound: int
-    stopped_at: int
+    sent: Array  # (n,) torque before the first tick [Nm]
+    sound: int  # number of ticks before the first fault; the self-test measures their times
+    stopped_at: int  # tick at which the safety filter stopped the arm, or -1
 
 
 def shipped(folder: Traversable, names: Iterable[str]) -> dict[str, str]:
-    """Read files of the package; return name -> text."""
+    """Read files of a folder in the package; return name -> text."""
     return {name: (folder / name).read_text(encoding="utf-8") for name in names}
 
 
@@ -81,7 +77,7 @@ def defined(declaration: str, value: Any) -> str:
 
 
 def arm_in_c(robot: RobotModel) -> dict[str, Any]:
-    """Return the arm's numbers by the names of moc_arm's fields."""
+    """Return the arm's numbers under the names of moc_arm's fields."""
     joints, points, tool, moves, gravity = robot.arm_arrays
     return {
         "n": robot.n,
@@ -100,9 +96,9 @@ def arm_in_c(robot: RobotModel) -> dict[str, Any]:
 def constants(
     robot: RobotModel, law: Mapping[str, Any], guard: Mapping[str, Any], tolerance: float, stop: tuple[float, float]
 ) -> dict[str, str]:
-    """Return name -> text of constants.h and constants.c; the arguments are those of `write`."""
+    """Return name -> text of constants.h and constants.c. For the arguments see `write`."""
     header = f"""\
-/* The scenario's numbers: moc_constants is what moc_start and moc_step take. */
+/* The scenario's numbers. Pass moc_constants to moc_start and moc_step. */
 #ifndef CONSTANTS_H
 #define CONSTANTS_H
 
@@ -111,7 +107,7 @@ def constants(
 #define JOINTS {robot.n}
 #define PERIOD_S {in_c(law["period"])} /* of control */
 #define STOP_DAMPING {in_c(stop[0])} /* of the drives in a stop [Nm s/rad] */
-#define STOP_S {in_c(stop[1])} /* least time for which they keep it */
+#define STOP_S {in_c(stop[1])} /* shortest duration of this damping [s] */
 
 extern const moc_controller moc_constants;
 
@@ -133,7 +129,7 @@ def recording_in_c(recording: Recording) -> str:
     r = recording
     columns = zip(r.q, r.v, r.stamp.astype(int), r.tip_ref, r.trocar, r.wrench, r.tau, strict=True)
     return f"""\
-/* Ticks of the controller in Python; in the last {len(r.q) - r.sound} measurements and references have faults. */
+/* Recorded ticks of the Python controller. The last {len(r.q) - r.sound} ticks have faulty inputs. */
 #include <math.h>
 
 #include "constants.h"
@@ -160,11 +156,12 @@ def write(
     """Write the folder, and return its files.
 
     Args:
-        law, guard: numbers by the names in moc.h (`numbers_of` of control/law_numbers.py and control/safety_filter.py).
+        law, guard: numbers under the names in moc.h, from `control.law_numbers.numbers_of` and
+            `control.safety_filter.numbers_of`.
         recording: the ticks that ``make test`` repeats.
         tolerance: tolerance of the solver ``exact`` [rad/s].
-        stop: damping of the drives in a stop [Nm s/rad], and the least time for which they damp [s].
-        extra: further files, by name; if udp.c is one of them, the Makefile builds moc_udp.
+        stop: damping of the drives in a stop [Nm s/rad], and its shortest duration [s].
+        extra: further files, name -> content.
         force: overwrite any file.
 
     Raises:
@@ -189,7 +186,7 @@ def write(
 
 
 def _marked(name: str, text: str) -> str:
-    """Return a text below a line with its checksum, which tells a later export whether the text was edited."""
+    """Return the text below a first line with its checksum. A later export sees from it whether the text was edited."""
     comments = {".c": ("/* ", " */"), ".h": ("/* ", " */"), ".md": ("<!-- ", " -->")}
     before, after = comments.get(Path(name).suffix, ("# ", ""))
     check = hashlib.blake2s(text.encode(), digest_size=8).hexdigest()
@@ -197,7 +194,7 @@ def _marked(name: str, text: str) -> str:
 
 
 def _is_own(file: Path) -> bool:
-    if file.suffix == ".bin":  # binary, so without a mark
+    if file.suffix == ".bin":  # binary files have no mark
         return (file.parent / "udp.c").exists()
     try:
         text = file.read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Export a scenario as a folder of C: refuse settings that C does not support, and record ticks for the self-test."""
+"""Export a scenario as a folder of C: refuse unsupported settings, and record ticks for the self-test."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from moc_opt.sim.sensors import Measurement
 from moc_opt.solvers.exact import Exact
 
 TICKS = 150
-"""Number of recorded ticks, from the middle of the run; the last third of them has faults."""
-INFEASIBLE, VIOLENT = 0.5, 10.0  # added to the reference velocity [m/s]: infeasible; so fast that the torque is limited
+"""Number of recorded ticks, from the middle of the run. The last third of them has faults."""
+INFEASIBLE, VIOLENT = 0.5, 10.0  # added to the reference velocity in two of these faults [m/s]
 
 
 def export_scenario(
@@ -29,13 +29,13 @@ def export_scenario(
     """Write the whole controller of a scenario as C (tick, supervisor, fallback and safety filter); return the files.
 
     Args:
-        scenario: its controller is exported; ticks are recorded from its run.
+        scenario: the scenario; its run is simulated to record ticks.
         out: folder, created if it does not exist.
-        udp: also write a program that runs this controller over UDP, and the references of its ticks.
+        udp: also write a program that runs this controller over UDP, and the references of all ticks.
         force: overwrite files that export-c did not write.
 
     Raises:
-        MocOptError: the C code does not support a setting; the scenario cannot run; or ``out`` cannot be written.
+        MocOptError: the C code does not support a setting, the scenario cannot run, or ``out`` cannot be written.
     """
     check(scenario)
     setup = Setup(scenario.change(judge=False, bound_samples=0, faults={"solver": "none"}))
@@ -54,40 +54,35 @@ def export_scenario(
 
 
 def check(scenario: Scenario) -> None:
-    """Refuse settings that the C code does not support.
-
-    Raises:
-        ScenarioError: a setting is not supported; the message names the setting, its value and the cure.
-    """
+    """Raise a ScenarioError if the C code does not support a setting."""
     solver, control = scenario.solver, scenario.control
     for wrong, words in (
         (control.law == "moc" and solver.name != "exact",
-         f"[solver] name = {solver.name!r}: the C code holds 'exact' alone; take that one"),
+         f"[solver] name = {solver.name!r}: the C code contains only 'exact'; take that one"),
         (solver.replay_us is not None,
-         f"[solver] replay_us = {solver.replay_us!r:.60}: the C code takes no recorded times; leave it out"),
+         f"[solver] replay_us = {solver.replay_us!r:.60}: the C code replays no recorded times; leave it out"),
         (solver.isolation != "none",
-         f"[solver] isolation = {solver.isolation!r}: an exported controller holds its solver; leave it out"),
+         f"[solver] isolation = {solver.isolation!r}: an exported controller contains its solver; leave it out"),
         (control.follows,
-         f"[control] third_level = {control.third_level!r}: the C code follows no course; take 'local'"),
+         f"[control] third_level = {control.third_level!r}: the C code does not follow courses; take 'local'"),
         (control.supervisor.budget_us is not None,
-         f"[control.supervisor] budget_us = {control.supervisor.budget_us}: the C code looks at no clock; leave it "
-         "out"),
+         f"[control.supervisor] budget_us = {control.supervisor.budget_us}: the C code reads no clock; leave it out"),
     ):  # fmt: skip
         if wrong:
             raise ScenarioError(words)
 
 
 def references(setup: Setup) -> bytes:
-    """Return tip_ref (3, 3) and registered trocar (2, 3) of every tick, tick by tick, as little-endian doubles."""
+    """Return tip_ref (3, 3) and registered trocar (2, 3) tick by tick, as little-endian doubles."""
     return np.hstack([part.reshape(setup.ticks, -1) for part in setup.inputs()]).astype("<f8").tobytes()
 
 
 def record(setup: Setup) -> Recording:
-    """Record the controller and its safety filter on measurements of the scenario's run, the last third with faults.
+    """Record the controller and its safety filter on measurements of the scenario's run. The last third has faults.
 
-    The faults, in order: NaN for as many ticks as the safety filter bridges; a packet that comes twice; a joint that
-    jumps for one tick; a joint that is too fast for one tick; infeasible references for some ticks; a reference so fast
-    for one tick that the torque is limited; NaN until the end.
+    In order, the faults are: NaN for as many ticks as the safety filter bridges; a repeated packet; a joint that jumps
+    for one tick; a joint that is too fast for one tick; infeasible references for some ticks; one reference so fast
+    that the torque is limited; and NaN until the end.
     """
     scenario, trace, t = setup.scenario, setup.trace(), setup.times()
     whole = min(len(trace), len(t))

@@ -1,6 +1,6 @@
-"""Figures: one function per kind of figure takes plain arrays and returns a plotly figure in one common style.
+"""Figures: each function takes plain arrays and returns a plotly figure. All figures have the same style.
 
-``style`` has the colours and the template; ``notation`` writes numbers, units and missing values as text.
+``style`` has the colours and the template, and ``notation`` writes numbers, units and missing values as text.
 """
 
 from moc_opt.figures.comparisons import accuracy_against_time, pareto

@@ -1,4 +1,4 @@
-"""Accuracy against computing time: labelled points, with labels that cover neither each other nor other points."""
+"""Accuracy against computing time, as labelled points. Labels cover neither each other nor other points."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ TOLERATED_PX2 = 25.0
 def accuracy_against_time(
     points: Mapping[str, tuple[float, float]], *, x_label: str = "median time [µs]", y_label: str = "largest residual"
 ) -> go.Figure:
-    """Draw error against time on log axes; filled points: the Pareto front (no other is both faster and more accurate).
+    """Draw error against time on log axes. Filled points are the Pareto front.
 
     Args:
-        points: name -> (time, error); non-finite entries are left out; errors below `FLOOR` are drawn at `FLOOR`.
+        points: name -> (time, error). Non-finite entries are left out. Errors below `FLOOR` are drawn at `FLOOR`.
         x_label, y_label: labels of the axes, with units.
 
     Raises:
@@ -38,7 +38,7 @@ def accuracy_against_time(
     log_axis(drawn, "x", x_label, [time for time, _ in known.values()], margin=MARGIN)
     log_axis(drawn, "y", y_label, [error for _, error in known.values()], powers=True, margin=MARGIN)
     front = pareto(known)
-    # The border of the dominated region, from the top edge of the plot to the right edge.
+    # Draw the border of the dominated region, from the top edge of the plot to the right edge.
     top, right = 10.0 ** drawn.layout.yaxis.range[1], 10.0 ** drawn.layout.xaxis.range[1]
     times, errors = zip(*(known[name] for name in front), strict=True)
     drawn.add_scatter(
@@ -61,7 +61,7 @@ def accuracy_against_time(
 
 
 def pareto(points: Mapping[str, tuple[float, float]]) -> list[str]:
-    """Return the names that no other name beats in both coordinates (less is better), by ascending first coordinate."""
+    """Return the Pareto front (less is better), in the order of the first coordinate."""
     best, front = np.inf, []
     for name in sorted(points, key=lambda name: points[name]):
         if points[name][1] < best:
@@ -71,7 +71,7 @@ def pareto(points: Mapping[str, tuple[float, float]]) -> list[str]:
 
 
 def _pixels(points: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-    """Return the places of the points in a plot of usual size, measured from its middle, y downwards [px]."""
+    """Return the positions of the points in a plot of usual size [px]; the origin is the middle, and y is downwards."""
     logs = np.log10(np.array(list(points.values())))
     extent = np.maximum(np.ptp(logs, axis=0), 0.5) * (1.0 + 2.0 * MARGIN)
     centres = (logs - logs.mean(axis=0)) / extent * [680.0, -310.0]
@@ -79,13 +79,13 @@ def _pixels(points: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float,
 
 
 def label_sides(points: Mapping[str, tuple[float, float]]) -> dict[str, str | None]:
-    """Choose the side of each point on which its label covers the smallest area of other points and earlier labels.
+    """Choose for each label the side of its point on which it covers the least of other points and earlier labels.
 
     Args:
-        points: name -> place of the point [px], y downwards; labels are placed in this order.
+        points: name -> position of the point [px], y downwards. Labels are placed in this order.
 
     Returns:
-        Name -> "top center" and the like, as plotly names the sides; None if there is no room.
+        Name -> side as named by plotly ("top center"); None if there is no room.
     """
     markers = {name: (x - MARKER_PX, y - MARKER_PX, x + MARKER_PX, y + MARKER_PX) for name, (x, y) in points.items()}
     placed: list[Box] = []
@@ -102,12 +102,12 @@ def label_sides(points: Mapping[str, tuple[float, float]]) -> dict[str, str | No
 
 
 def _boxes(name: str, x: float, y: float) -> dict[str, Box]:
-    """Return side -> the rectangle that the label would cover there, the preferred sides first."""
+    """Return side -> rectangle of the label on this side, with the preferred sides first."""
     wide, near, far = CHARACTER_PX * len(name), MARKER_PX + 1.0, MARKER_PX + 1.0 + LINE_PX
     left, right = (x - near - wide, x - near), (x + near, x + near + wide)
     centre, middle = (x - wide / 2, x + wide / 2), (y - LINE_PX / 2, y + LINE_PX / 2)
     above, below = (y - far, y - near), (y + near, y + far)
-    # Sides below come first, because the front's line runs above and to the right of its points.
+    # Below comes first, because the line of the front runs above and to the right of its points.
     spans = {
         "bottom center": (centre, below), "top center": (centre, above), "middle left": (left, middle),
         "middle right": (right, middle), "bottom left": (left, below), "bottom right": (right, below),

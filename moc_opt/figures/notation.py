@@ -1,4 +1,4 @@
-"""Numbers as text: significant digits, one notation for a whole column, and missing values with their reasons."""
+"""Write numbers as text: one notation for a whole column, and missing values with their reasons."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ class Missing:
 
 @dataclass(frozen=True)
 class Mark:
-    """A verdict: a colour with a symbol and a word, for readers who cannot tell the colours apart.
+    """A verdict, shown as a colour with a symbol and a word, so that it can be read without colours.
 
     Attributes:
         symbol: one character.
         word: the text.
         tone: name of the colour: "best", "good", "fair", "bad" or "other".
-        rank: key for sorting, lowest for the best verdict.
+        rank: key for sorting; the best verdict has the lowest.
     """
 
     symbol: str
@@ -44,10 +44,10 @@ class Notation:
     """How the numbers of one column are written.
 
     Attributes:
-        digits: significant digits, where `spec` is empty.
+        digits: number of significant digits if `spec` is empty.
         spec: a format specification of Python (".2f", "+.1f", "d"); it takes precedence.
         scientific: write every number as a mantissa and a power of ten.
-        integral: every number of the column is whole, as counts are.
+        integral: every number of the column is an integer.
     """
 
     digits: int = 3
@@ -57,16 +57,16 @@ class Notation:
 
     @classmethod
     def of(cls, values: Iterable[object], digits: int = 3, spec: str = "") -> Notation:
-        """Choose one notation for all `values`, so that a column can be compared by eye."""
+        """Choose one notation for all `values` of a column."""
         numbers = [float(value) for value in values if is_number(value)]  # type: ignore[arg-type]
         sizes = [abs(number) for number in numbers if math.isfinite(number)]
-        # Counts may come as floats, so a column of whole numbers is written without decimals.
+        # Counts may be floats, so a column of integers is written without decimals.
         integral = bool(sizes) and all(size.is_integer() for size in sizes) and max(sizes) < 1e12
         wide = any(0.0 < size < 1e-4 or size >= 1e6 for size in sizes)
         return cls(digits, spec, scientific=wide and not integral, integral=integral)
 
     def __call__(self, value: float) -> str:
-        """Write one number with a plain hyphen and "e" for powers of ten, as a terminal shows it."""
+        """Write one number for a terminal, with a plain hyphen, and with "e" for a power of ten."""
         number = float(value)
         if math.isinf(number):
             return INFINITY if number > 0 else "-" + INFINITY
@@ -84,7 +84,7 @@ class Notation:
 
 
 def _tidy(written: str) -> str:
-    """Return Python's 5.4e-07 as 5.4e-7, and zero as 0."""
+    """Return 5.4e-07 as 5.4e-7, and 0.0e+00 as 0."""
     mantissa, exponent = written.split("e")
     return f"{mantissa}e{int(exponent)}" if float(mantissa) else "0"
 
@@ -99,26 +99,26 @@ def missing(value: object) -> Missing | None:
 
 
 def fraction_length(text: str) -> int:
-    """Count the characters from the decimal point to the end, for aligning a column on its points."""
+    """Count the characters from the decimal point to the end, in order to align a column."""
     return len(text) - text.index(".") if "." in text and "e" not in text else 0
 
 
 def pretty_unit(unit: str) -> str:
-    """Return the unit as it is printed: us as µs, m^3 with a raised 3."""
+    """Return the unit with raised exponents (m³ for m^3) and with µs for us."""
     raised = re.sub(r"\^(-?\d+)", lambda match: match[1].translate(RAISED), printable(unit))
     return re.sub(r"\bus\b", "µs", raised)
 
 
 def pretty_units(text: str) -> str:
-    """Return a label with the units in its [brackets] as they are printed."""
+    """Return a label with `pretty_unit` applied to the units in [brackets]."""
     return re.sub(r"\[([^\]]*)\]", lambda match: f"[{pretty_unit(match[1])}]", text)
 
 
 def pretty_power(power: int) -> str:
-    """Return a power of ten as on an axis: 1, 10, 10⁻³."""
+    """Return a power of ten for an axis: 1, 10, 10⁻³."""
     return {0: "1", 1: "10"}.get(power, f"10{str(power).translate(RAISED)}")
 
 
 def printable(text: str) -> str:
-    """Replace control and direction characters: a name from a file must not steer terminal or page."""
+    """Replace control and direction characters, because a name from a file must not control a terminal or page."""
     return "".join(c if c == "\n" or unicodedata.category(c) not in ("Cc", "Cf", "Cs") else "\ufffd" for c in text)

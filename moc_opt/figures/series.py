@@ -22,7 +22,7 @@ PANELS = {
     "rcm_error_m": ("RCM error in space [mm]", 1e3),
     "trocar_force_N": ("|force| [N]", 1.0),
 }
-"""Column of a trace -> label of its panel, and the factor to the label's unit."""
+"""Column of a trace -> label of its panel, and factor from the column's unit to the label's."""
 TIPS = {
     "tip_error_model_m": ("tip error, own kinematics [mm]", 1e3),
     "tip_error_registered_m": ("tip error, frame registered at the start [mm]", 1e3),
@@ -35,21 +35,18 @@ HOVER = "%{y:.4g}<extra>%{fullData.name}</extra>"
 def time_series(
     runs: Mapping[str, Any], panels: Sequence[str] | None = None, *, styles: Styles | None = None
 ) -> go.Figure:
-    """Draw several runs over time, one panel per column, one legend entry per run for all panels.
+    """Draw several runs over time, with one panel per column and a common legend.
 
-    The panel of mu also shows, dotted, the largest mu of all feasible poses. Long runs are thinned to the smallest and
-    largest value in each stretch of time, which keeps peaks.
+    A dotted line in the panel of mu is the largest mu of all feasible poses. Long runs are thinned by `envelope`.
 
     Args:
-        runs: name -> `Trace`, or columns of a run, (N,) or (N, k), including `t_s`. A run is absent from the panels
-            of columns that it lacks. Vectors are drawn by their norm.
-        panels: columns, from top to bottom. None: those of ``PANELS``, but the absolute tip error, which is mostly
-            calibration error, is replaced by the errors of ``TIPS`` that every run has, if there are any.
-        styles: the style of each run; None: new styles.
+        runs: name -> `Trace`, or columns of a run, (N,) or (N, k), including `t_s`. Vectors are drawn by their norm.
+        panels: columns, from top to bottom. None stands for ``PANELS``. The absolute tip error in these is mostly
+            calibration error, so it is replaced by the errors of ``TIPS`` that every run has.
+        styles: the style of each run; None makes new styles.
 
     Raises:
-        ReportError: ``panels`` is empty or no list of names; one of its columns is in no run or holds texts; a run has
-            no `t_s`.
+        ReportError: ``panels`` is empty or no list of names, a column is in no run or has texts, or a run has no `t_s`.
     """
     styles = styles or Styles(runs)
     data: dict[str, Columns] = {name: getattr(run, "columns", run) for name, run in runs.items()}
@@ -83,7 +80,7 @@ def time_series(
                     legendrank=len(data),
                 )  # fmt: skip
         drawn.update_yaxes(row=row, col=1, rangemode="normal" if column == "mu" else "tozero", nticks=5)
-        # The panel's label is horizontal and above the panel, so that it can be read on a narrow screen.
+        # On a narrow screen, a horizontal label above the panel is easier to read.
         drawn.add_annotation(
             text=words, xref="paper", x=0.0, xanchor="left", yref=f"y{row if row > 1 else ''} domain", y=1.0,
             yanchor="bottom", showarrow=False, font={"size": 12}, xshift=-2,
@@ -100,15 +97,14 @@ def time_series(
 
 
 def envelope(t: ArrayLike, y: ArrayLike, points: int = 1200) -> tuple[Floats, Floats]:
-    """Thin a series to at most `points` without losing a peak.
+    """Thin a series to at most `points`. The smallest and largest value in each stretch of time are kept.
 
     Args:
-        t, y: (N,) times and values; NaN in y is a gap, and stays a gap.
-        points: at least 4; a series of at most so many points is returned as it is.
+        t, y: (N,) times and values. NaN in y is a gap, and stays a gap.
+        points: 4 or more. A series of at most this many points is returned unchanged.
 
     Returns:
-        (K,) times and values of the series: the first and last, and the smallest and largest of every stretch, in
-        the order of time.
+        (K,) times and values that are kept. These include the first and the last.
 
     Raises:
         ReportError: t and y differ in length, or `points` is too small.

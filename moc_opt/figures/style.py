@@ -1,7 +1,6 @@
-"""The style of all figures: one plotly template, and colours that colour-blind readers can distinguish, light and dark.
+"""The style of all figures: one plotly template, and colours that colour-blind readers can distinguish.
 
-A figure is built for a light page. A page makes it dark by replacing each colour of `DARK` in the figure's JSON. Other
-colours stay as they are on dark pages, as those of the map do on purpose (report/map_page.py).
+A figure is built for a light page. A dark page replaces the colours in `DARK` in the figure's JSON.
 """
 
 from __future__ import annotations
@@ -20,9 +19,9 @@ from moc_opt.figures.notation import pretty_power, pretty_units, printable
 
 INK, MUTED, GRID, PAPER = "#1f2328", "#5f6871", "#e3e6e9", "#ffffff"
 GOOD, BAD, WORST = "#3b7fb8", "#c9ccd1", "#c4421a"
-"""Colours of answers: GOOD is optimal, BAD failed and says so, WORST is wrong and claims success."""
+"""Colours of a solver's answers: GOOD is optimal, BAD is a reported failure, WORST is wrong but claims success."""
 
-# Okabe and Ito's palette, light -> dark. Yellow and black are replaced, as each vanishes on one of the backgrounds.
+# The palette of Okabe and Ito, light -> dark. Yellow and black are replaced: each vanishes on one background.
 SERIES = {
     "#0072b2": "#4da3dd", "#d55e00": "#f0834a", "#009e73": "#3fc39d", "#b6569a": "#dc8fc4",
     "#c98a00": "#e8b33f", "#3fa0d0": "#8accf0", "#77787b": "#a9abb0", "#6a4fb3": "#a994ea",
@@ -31,7 +30,7 @@ DARK = {
     INK: "#e4e7ea", MUTED: "#9aa3ac", GRID: "#31373d", PAPER: "#15181b", GOOD: "#4f95d0", BAD: "#565c63",
     WORST: "#f2693c", **SERIES,
 }  # fmt: skip
-"""Colour on a light page -> on a dark one."""
+"""Colour on a light page -> colour on a dark page."""
 
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
 SYMBOLS = ("circle", "square", "diamond", "triangle-up", "triangle-down", "cross", "x", "pentagon", "star")
@@ -49,10 +48,10 @@ class Style:
 
 
 class Styles(dict[str, Style]):
-    """Name -> style. If all figures of a page are given the same Styles, a name looks the same in all of them."""
+    """Name -> style. Share one Styles among all figures of a page, so that a name looks the same everywhere."""
 
     def __init__(self, names: Iterable[str]) -> None:
-        """Assign colours in the order of `names`; once all are used, they repeat with another dash and symbol."""
+        """Assign colours in the order of `names`. When all are used, they repeat with another dash and symbol."""
         colors = list(SERIES)
         for place, name in enumerate(dict.fromkeys(names)):
             dash = DASHES[place // len(colors) % len(DASHES)]
@@ -88,7 +87,7 @@ TEMPLATE = go.layout.Template(
 
 
 def label(name: object) -> str:
-    """Return a name escaped, so that plotly shows it as it is and interprets no markup in it."""
+    """Return a name with escaped markup, so that plotly shows it literally."""
     return html.escape(printable(str(name)), quote=False)
 
 
@@ -98,7 +97,7 @@ def figure(**layout: object) -> go.Figure:
 
 
 def legend_height(names: Iterable[str]) -> int:
-    """Return the height [px] of a legend above a plot, which is added to the figure's height."""
+    """Return the height [px] of a legend above a plot. Add it to the figure's height."""
     lengths = [len(name) for name in names]
     columns = max(1, int(LEGEND_PX / (6.6 * max(lengths, default=1) + 46.0)))
     return 20 * math.ceil(len(lengths) / columns)
@@ -110,12 +109,12 @@ def log_axis(
     """Make "x" or "y" a log axis of a figure.
 
     Args:
-        values: all drawn values, limits included; they have to be positive.
-        powers: label the axis in powers of ten (for residuals) instead of plain numbers (for times).
+        values: all drawn values, including limits; all must be positive.
+        powers: label the axis with powers of ten (for residuals) instead of plain numbers (for times).
         margin: free space at each end, as a fraction of the range of values.
 
     Raises:
-        ReportError: there is no value, or one is not positive.
+        ReportError: there is no value, or a value is not positive.
     """
     shown = np.asarray(values, dtype=np.float64)
     if shown.size == 0 or not (shown > 0.0).all():
@@ -128,17 +127,17 @@ def log_axis(
         step = max(1, math.ceil((high - low) / MAX_POWERS))
         exponents = range(step * math.ceil(low / step), math.floor(high) + 1, step)
         ticks = {"tickvals": [10.0**power for power in exponents], "ticktext": [*map(pretty_power, exponents)]}
-    # Minor ticks are set here, because plotly would draw thousands of them between labels that it did not choose.
+    # Between the labels above, plotly itself would draw thousands of minor ticks.
     minor = {"ticks": "outside", "ticklen": 2, "tickcolor": MUTED, "dtick": "D1" if step == 1 else 1}
     layout = {"type": "log", "title": {"text": pretty_units(title)}, "minor": minor, "range": [low, high], **ticks}
     drawn.update_layout({f"{axis}axis": {"tickangle": 0, **layout}})
 
 
 def rule(drawn: go.Figure, axis: str, at: float, text: str) -> None:
-    """Draw a limit: a dashed line at `at` of an axis, named above the plot ("x") or inside it at the right ("y")."""
+    """Draw a limit as a dashed line at `at`. Its name is above the plot (axis "x") or inside at the right ("y")."""
     line = {"color": WORST, "width": 1.2, "dash": "dash"}
     note = {"text": text, "showarrow": False, "font": {"size": 11, "color": WORST}, "yanchor": "bottom"}
-    # On a log axis, plotly places a line by its value, but a text by the logarithm of its value.
+    # On a log axis, plotly places a line by its value, but a text by the logarithm.
     place = math.log10(at) if drawn.layout[f"{axis}axis"].type == "log" else at
     if axis == "x":
         drawn.add_shape(type="line", x0=at, x1=at, y0=0, y1=1, yref="paper", line=line)

@@ -1,4 +1,4 @@
-"""Targets of tip and wrist along a path; courses (joint trajectories along them) and their constraint violation."""
+"""Targets of tip and wrist along a path, and courses: joint trajectories that reach these targets."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from moc_opt.tasks import Reference, Trocar
 
 Margin = float | Array
 """Distance kept from the joint limits: one number for all, or one per joint (n,) [rad; m where a joint slides]."""
-SHALLOWEST_M = 0.002  #: Least distance from tip to trocar; below it the line between them gives the shaft no direction.
-MOST_VIOLATION = 1e-8  #: Largest violation of a course that counts as feasible [m], [rad].
-WORTH = 10.0  #: Penalty on a lost shaft, as a multiple of the map's largest mu; see `lowered`.
+SHALLOWEST_M = 0.002  #: Least distance from tip to trocar. Closer points do not define the shaft's direction.
+MOST_VIOLATION = 1e-8  #: Largest constraint violation of a feasible course [m], [rad].
+WORTH = 10.0  #: Weight of the penalty in `lowered`.
 
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """Where tip and wrist have to be at k times; read-only arrays."""
+    """Required positions of tip and wrist at k times; read-only arrays."""
 
     t_s: Array  #: (k,) evenly spaced [s]
     tip: Array  #: (k,3) [m]
-    wrist: Array  #: (k,3) N_d = X_d + L e, e the unit vector from the tip to the trocar [m]
+    wrist: Array  #: (k,3) N_d = X_d + L e, where e is the unit vector from the tip to the trocar [m]
     arc_length_m: Array  #: (k,) length of the tip's path from 0 to t_s [m]
 
     @property
@@ -52,8 +52,10 @@ def lay_targets(
 ) -> Targets:  # fmt: skip
     """Sample the reference and the trocar at ``count`` times from 0 to the end of the run.
 
-    ``span_m`` is the distance from wrist to tip, ``tool_m`` from mount to tip [m]; a TaskError if at some time the
-    trocar is farther from the tip than one of these, or nearer than `SHALLOWEST_M`.
+    ``span_m`` is the distance from wrist to tip, and ``tool_m`` that from mount to tip [m].
+
+    Raises:
+        TaskError: at some time the trocar is not on the shaft, or is nearer to the tip than `SHALLOWEST_M`.
     """
     t = np.linspace(0.0, duration_s, count)
     tip = np.ascontiguousarray(reference.at(t)[0])
@@ -73,14 +75,14 @@ def lay_targets(
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """A joint trajectory along a path: k times, n joints; read-only arrays. It may end before the path does."""
+    """A joint trajectory along a path: k times, n joints; read-only arrays. It may end before the path ends."""
 
     t_s: Array  #: (k,) [s]
     q_rad: Array  #: (k,n)
     mu: Array  #: (k,) [m^3], by the robot model
     violation: float
-    """Largest of: distance of tip or wrist from target [m]; excess over joint limit or speed limit x period [rad]."""
-    certified: bool = False  #: Whether a solver found the course to be a local optimum within its tolerance.
+    """Largest error of tip or wrist [m], or largest excess over a joint limit or over the largest step [rad]."""
+    certified: bool = False  #: Whether a solver converged to the course as a local optimum.
 
     @property
     def mu_mean(self) -> float:
@@ -99,15 +101,14 @@ class Limits:
 
     margin: Margin = 0.0  #: distance kept from the joint limits
     speed_share: float = 1.0  #: share of the joints' speed limits that may be used
-    shaft: float = 0.0
-    """least value of `shaft_shares`: below it the shaft is nearly lost, and mu is `lowered`"""
+    shaft: float = 0.0  #: if `shaft_shares` is below this value, `lowered` reduces mu
 
 
 def lowered(mu: Array, share: Array, limits: Limits, top: float) -> Array:
-    """Return mu minus the penalty on nearly losing the shaft: `WORTH` top (1 - share/margin)^2 where share < margin.
+    """Return mu minus the penalty `WORTH` top (1 - share/margin)^2 where share < margin.
 
-    ``share`` is from `shaft_shares`, the margin is ``limits.shaft``, ``top`` the largest mu [m^3]. Where the share is
-    small, the joints have to turn fast to keep the shaft in the trocar, and their lag becomes RCM error.
+    ``share`` is from `shaft_shares`, margin is ``limits.shaft``, and ``top`` is the largest mu [m^3]. If the share is
+    small, only fast joints can keep the shaft in the trocar. Their lag becomes RCM error.
     """
     if limits.shaft <= 0.0:
         return mu
@@ -117,7 +118,10 @@ def lowered(mu: Array, share: Array, limits: Limits, top: float) -> Array:
 
 
 def shaft_shares(robot: RobotModel, poses: Array) -> Array:
-    """Compute mu_shaft / (distance from wrist to tip)^2, (k,), at the poses (k,n) [rad]."""
+    """Compute mu_shaft / (distance from wrist to tip)^2, (k,), at the poses (k,n) [rad].
+
+    mu_shaft is the manipulability of the shaft while the tip is held.
+    """
     squares = np.array(robot.kinematics().shaft(np.ascontiguousarray(poses).T)).ravel()
     return np.sqrt(np.maximum(squares, 0.0))
 
@@ -142,14 +146,14 @@ def between(t: Array, times: Array, rows: Array) -> Array:
 
 
 def margin_at(robot: RobotModel, poses: Array, margin: Margin) -> Margin:
-    """Return the margin, lowered to the least distance of the poses (..., n) from the limits if that is smaller."""
+    """Return the margin, reduced where needed so that the poses (..., n) keep it."""
     room = np.minimum(poses - robot.q_min, robot.q_max - poses).reshape(-1, robot.n).min(axis=0)
     room = np.where(robot.moves.any(axis=0), np.maximum(room, 0.0), np.inf)
     return np.minimum(margin, room) if isinstance(margin, np.ndarray) else min(margin, float(room.min()))
 
 
 def make_course(robot: RobotModel, targets: Targets, q: Array, limits: Limits | None = None) -> Course:
-    """Make a course of poses (k,n) at the first k targets, with mu and violation by the robot model."""
+    """Make a course of poses (k,n) at the first k targets, and compute its mu and violation."""
     limits, count = Limits() if limits is None else limits, len(q)
     tips, wrists = robot.tool_along(q)
     off = max(np.abs(tips - targets.tip[:count]).max(), np.abs(wrists - targets.wrist[:count]).max())
@@ -162,7 +166,7 @@ def make_course(robot: RobotModel, targets: Targets, q: Array, limits: Limits | 
 
 
 def worth(robot: RobotModel, course: Course, limits: Limits, top: float) -> float:
-    """Return a course's mean mu [m^3], `lowered` where the shaft is nearly lost, as on the map."""
+    """Return a course's mean mu [m^3], reduced by the penalty of `lowered`."""
     if limits.shaft <= 0.0:
         return course.mu_mean
     return time_mean(lowered(course.mu, shaft_shares(robot, course.q_rad), limits, top))

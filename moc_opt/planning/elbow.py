@@ -1,7 +1,7 @@
-"""The elbow's swivel: its angle, its distance to the maximum of mu that a climb reaches, and when it moves.
+"""The elbow's swivel angle, its distance to the local maximum of mu, and the times when the elbow moves.
 
-The swivel is the angle of the elbow about the line from the shoulder to the wrist centre, counted from the plane
-through that line and a fixed direction (Kreutz-Delgado, Long and Seraji 1992).
+The swivel is the angle of the elbow about the line from the shoulder to the wrist centre. It is zero in the plane
+through this line and a fixed direction (Kreutz-Delgado, Long and Seraji 1992).
 """
 
 from __future__ import annotations
@@ -13,26 +13,26 @@ from moc_opt.arrays import Array
 from moc_opt.planning.self_motion import SelfMotion, curve_through, parabola_peak
 from moc_opt.robots.model import RobotModel, link_frames
 
-NEAR_RAD = 0.1  #: An elbow this near to its optimum has arrived; on the LWR4+, mu is then within 0.5 % of the best.
-STILL_RAD_PER_S = 0.05  #: An elbow is at rest if its distance to the optimum changes more slowly; moving: 0.3 to 0.8.
+NEAR_RAD = 0.1  #: An elbow this near to its optimum has arrived. On the LWR4+, mu is then within 0.5 % of the best.
+STILL_RAD_PER_S = 0.05  #: Below this rate of change of the distance to the optimum, the elbow is at rest.
 SAMPLES_PER_S = 25.0  #: How often the self-motion is scanned along a run.
 STEP_RAD = 0.1  #: Spacing of the samples of a self-motion.
-WINDOW_S = 0.1  #: The elbow's speed is the mean rate, over this time, at which its distance to the optimum changes.
+WINDOW_S = 0.1  #: Time over which the rate of change of the distance to the optimum is averaged.
 
 
 class Elbow:
-    """The swivel angle of an arm: the angle of the plane through second joint (shoulder), elbow, wrist centre."""
+    """Measures the swivel angle of an arm: the angle of the plane through shoulder, elbow and wrist centre."""
 
     def __init__(self, robot: RobotModel, wrists: Array) -> None:
-        """Choose elbow and reference direction for the wrist centres (k, 3) [m] that will occur."""
+        """Choose the elbow joint, and a reference direction that suits the wrist centres (k, 3) [m] of the path."""
         self._robot = robot
         origins, _ = link_frames(robot, robot.data.q_home[None])
-        # The second joint that turns: sliding joints before it (a rail) carry the shoulder.
+        # The shoulder is the second joint that turns. A rail before it carries the shoulder.
         self._shoulder = min(int(np.argmin(robot.chain.prismatic)) + 1, robot.n - 1)
         shoulder, wrist = origins[0, self._shoulder], robot.state(robot.data.q_home).wrist
         away = np.linalg.norm(np.cross(origins[0] - shoulder, _unit(wrist - shoulder)), axis=1)
         self.joint = self._shoulder + int(np.argmax(away[self._shoulder :]))
-        # The reference must not lie along the shoulder-wrist line: it points up, unless that line is nearly vertical.
+        # The reference points up, unless the line from shoulder to wrist is nearly vertical.
         sideways = np.sqrt(1.0 - _unit(wrists - shoulder) ** 2).min(axis=0)
         axis = 2 if sideways[2] > 0.3 else int(np.argmax(sideways))
         self.reference = np.eye(3)[axis]  #: (3,) unit vector towards which the elbow lies at swivel zero
@@ -57,11 +57,10 @@ def wrapped(angles: Array) -> Array:
 
 
 def distance_to_go(robot: RobotModel, q: ArrayLike) -> Array:
-    """Return the distance to go (k,) [rad] at poses q (k, n) [rad].
+    """Return the distance (k,) [rad] from poses q (k, n) [rad] uphill to the local maximum of mu.
 
-    It is the arc length, of the joints that move tip or wrist, to the maximum of mu that a climb reaches. A parabola
-    refines the maximum between samples. It is NaN where a pose is singular, as no single curve leads through that pose.
-    A pose beyond a limit is first moved to the limit.
+    The distance is the arc length of the self-motion in joint space. It is NaN at singular poses. A pose beyond a joint
+    limit is first moved to the limit.
     """
     poses = np.clip(np.asarray(q, dtype=np.float64), robot.q_min, robot.q_max)
     curves = (curve_through(robot, pose, STEP_RAD) for pose in poses)
@@ -78,10 +77,9 @@ def _uphill(curve: SelfMotion) -> float:
 
 
 def in_transient(robot: RobotModel, t_s: ArrayLike, q_rad: ArrayLike) -> NDArray[np.bool_]:
-    """Detect the ticks (N,) at which the elbow is still moving: neither at its optimum, nor at rest.
+    """Detect the ticks (N,) at which the elbow is still moving towards its optimum.
 
-    An elbow that keeps up with its optimum does not count, however fast both move along the path: its distance to go
-    is constant.
+    An elbow whose distance to the optimum is constant does not count, even if the optimum moves.
 
     Args:
         t_s, q_rad: (N,) time of each tick [s], (N, n) true joint positions [rad].

@@ -1,10 +1,10 @@
-"""Follow a course (a joint trajectory) in the loop: it gives the third level a velocity instead of the climb of mu.
+"""Follow a course (a joint trajectory) in the loop. The third level then tracks a velocity instead of climbing mu.
 
-    x_d(t) = dq_c(t) + k (q_c(t) - q),   projected on ker A by the subproblem itself
+    x_d(t) = dq_c(t) + k (q_c(t) - q)
 
-q_c is the course and k a gain. The course is made before the run, or repeatedly during it (`Planner`). The gain alone
-may not bring back an arm that is far from its course: close to a singular pose, where only one joint is free, the
-projected error may be zero. A planner then makes a new course from the measured pose.
+q_c is the course and k a gain. The subproblem projects x_d on the null space of A. The course is made before the run,
+or repeatedly during the run (`Planner`). Near a singular pose the projected error may be zero, so that the gain alone
+may not bring back a distant arm. A planner then makes a new course from the measured pose.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from moc_opt.robots.model import RobotState
 
 GAIN_PER_S = 5.0  #: The gain k.
 NODES = 10  #: Number of points in time of the nonlinear program, without its start.
-CATCH_UP = 1.03  #: A course may exceed V's joint speeds by this factor, so that a late arm can catch up.
+CATCH_UP = 1.03  #: A course may exceed the joint speeds of the search by this factor, so that a late arm catches up.
 ON_COURSE_RAD = 0.05
-"""A new course begins on the old course if every joint is this near to it, else at the measured pose. Always beginning
-at the measured pose would close a second loop through the delay of the solves, which oscillates near singular poses."""
-MOST_OFF = 1e-3  #: Largest violation of a course to follow: tip or wrist off target [m], joint beyond limit [rad].
-LOST_RAD = 0.3  #: An arm with a joint farther than this from the course has left it; ten times the usual error.
-NO_COURSE = "q_start: no course goes to the end of the path from there within joint speeds and limits"
+"""If every joint is this near to the old course, a new course begins on the old one, else at the measured pose.
+Always beginning at the measured pose would close a second feedback loop, which oscillates near singular poses."""
+MOST_OFF = 1e-3  #: Largest violation of a course that is followed: error of tip or wrist [m], excess over limits [rad].
+LOST_RAD = 0.3  #: The arm has left its course if a joint is farther than this from it. Usual errors are a tenth.
+NO_COURSE = "q_start: from this pose, no course within joint speeds and limits reaches the end of the path"
 ASKED_EACH = 25  #: Ticks between two checks of whether the arm has left its course.
 
 
 class Piece(NamedTuple):
-    """A course at evenly spaced times; cubic between them (Hermite), and at rest after the final time."""
+    """A course at evenly spaced times, with cubic Hermite interpolation. It is at rest after the final time."""
 
     t_s: Array
     q_rad: Array
@@ -56,15 +56,16 @@ class Piece(NamedTuple):
 class Planner:
     """Makes a course over the next horizon (a second, say) from any pose.
 
-    A course on the grid, read off V (`search`), decides which local maximum of mu to approach; `Program` smooths it.
+    The value function V of `search` gives a coarse course, which chooses a local maximum of mu. `Program` smooths it.
     """
 
     def __init__(
         self, value: Value, program: Program, targets: Targets, *, horizon_s: float, rate_per_s: float
     ) -> None:
-        """Take V, a program of `NODES` times, and targets, which are interpolated.
+        """Take the value function V, a program of `NODES` times, and the targets.
 
-        ``horizon_s`` is the least time until V takes over [s], ``rate_per_s`` the number of solves per second.
+        ``horizon_s`` is the duration of a course, rounded up to the map's times [s]. ``rate_per_s`` is the number of
+        solves per second.
         """
         self._value, self._program, self._targets = value, program, targets
         self._horizon_s, self.rate_per_s = horizon_s, rate_per_s
@@ -72,18 +73,21 @@ class Planner:
         self._refused = 0
 
     def forget(self) -> None:
-        """Rebuild the program's solver (0.15 s), so that the next run repeats an earlier one to the last bit."""
+        """Rebuild the program's solver (0.15 s), so that a repeated run is the same to the last bit."""
         self._program.forget()
         self._solve_s, self._refused = [], 0
 
     @property
     def told(self) -> dict[str, float]:
-        """Number of ``solves`` since the start, how many were ``refused``, and their times [ms]."""
+        """Number of ``solves`` since the start, number of ``refused`` solves, and times of the solves [ms]."""
         median, high = np.percentile(1e3 * np.array(self._solve_s or [0.0]), [50.0, 99.0]).tolist()
         return {"solves": len(self._solve_s), "refused": self._refused, "solve_ms_median": median, "solve_ms_p99": high}
 
     def plan(self, q: Array, t: float, last: Piece | None) -> Piece | None:
-        """Make a course from a pose (n,) at a time [s]; return ``last`` if none is usable or the path is at its end."""
+        """Make a course from a pose (n,) at a time [s].
+
+        Return ``last`` if no usable course is found or the path has ended.
+        """
         path, began = self._value.map.targets, time.perf_counter()
         end = min(int(np.searchsorted(path.t_s, t + self._horizon_s)), len(path) - 1)
         if path.t_s[end] - t < 0.5 * path.period_s:
@@ -101,7 +105,7 @@ class Planner:
         there, speed, guess = self._targets.at(nodes[1:]), np.zeros(len(q)), between(nodes[1:], way.t_s, way.q_rad)
         if last is not None:
             apart = last.q_rad[-1] - between(last.t_s[-1:], way.t_s, way.q_rad)[0]
-            if np.abs(apart).max() <= NEARBY_RAD:  # the guess: the previous answer, then the course on the grid
+            if np.abs(apart).max() <= NEARBY_RAD:  # the guess is the previous answer, continued by the coarse course
                 known = nodes[1:] <= last.t_s[-1]
                 guess += apart
                 guess[known] = between(nodes[1:][known], last.t_s, last.q_rad)
@@ -129,12 +133,13 @@ class Follower:
     ) -> None:  # fmt: skip
         """Follow a course from t = 0 on and hold its last pose, or the courses of a planner from ``q_start`` (n,) on.
 
-        With both, the planner takes over once the arm has left the course. A TaskError if no course begins at t = 0.
+        With both, the planner takes over once the arm has left the course. Raise a TaskError if no course begins at
+        t = 0.
         """
         self._period, self._planner, self._q_start = period_s, planner, q_start
         self._given: Piece | None = None
         self.course_mu_mean = None if course is None else course.mu_mean
-        """Mean manipulability of the given course [m^3], which the run has if the arm stays on the course."""
+        """Mean manipulability of the given course [m^3]; None without a given course."""
         if course is not None:
             velocity = np.gradient(course.q_rad, course.t_s, axis=0)
             velocity[-1] = 0.0
@@ -145,11 +150,11 @@ class Follower:
             raise TaskError(NO_COURSE)
 
     def start(self) -> None:
-        """Go back to t = 0, and to the given course."""
+        """Restart at t = 0 with the given course."""
         self._tick, self._begun = 0, -1
         self._now: Piece | None = self._given
         if self._planner is not None:
-            self._planner.forget()  # now, as it would stall the loop in the tick in which the planner takes over
+            self._planner.forget()  # takes 0.15 s, so not in the loop
             if self._q_start is not None:
                 self._begin(self._planner, self._q_start)
 
@@ -161,25 +166,25 @@ class Follower:
 
     @property
     def told(self) -> dict[str, float]:
-        """`Planner.told`, and when the arm left a given course [s]; empty if no planner was used."""
+        """`Planner.told`, and the time at which the arm left a given course [s]; empty if no planner was used."""
         if self._planner is None or self._begun < 0:
             return {}
         left = {} if self._given is None else {"left_course_s": self._begun * self._period}
         return {**left, **self._planner.told}
 
     def desired_velocity(self, state: RobotState) -> Array:
-        """Return x_d (n,) [rad/s] of this tick, and go on to the next tick."""
+        """Return x_d (n,) [rad/s] of this tick, and advance to the next tick."""
         t, planner = self._tick * self._period, self._planner
         assert self._now is not None
         if planner is not None and self._begun < 0 and self._tick % ASKED_EACH == 0:
             if np.abs(self._now.at(t)[0] - state.q).max() > LOST_RAD:
                 self._begin(planner, state.q)
         elif planner is not None and 0 <= self._begun < self._tick and self._tick % self._every == 0:
-            # An answer is used from the next solve on, as if it had been computed in parallel to the loop.
+            # An answer is used one solve later, as if it had been computed in parallel to the loop.
             now, self._next = self._next, planner.plan(state.q, t, self._now) or self._next
             self._before, self._now = self._now, now
         q, v = self._now.at(t)
-        if self._begun >= 0:  # pass from the previous answer to this one without a jump, over one period of the solves
+        if self._begun >= 0:  # blend from the previous course to this one over one period of the solves
             part, (q_0, v_0) = (self._tick % self._every) / self._every, self._before.at(t)
             q, v = (1.0 - part) * q_0 + part * q, (1.0 - part) * v_0 + part * v
         self._tick += 1

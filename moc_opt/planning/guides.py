@@ -1,7 +1,7 @@
-"""Guides: a guide gives the third level the velocity of a course to follow, instead of the climb of mu.
+"""Guides: a guide gives the third level the velocity of a course (a joint trajectory), instead of climbing mu.
 
-With ``[control] third_level = "planned"`` the course is made before the run or read from the file ``[control] course``;
-with "receding" courses are made during the run. All are smoothed from courses read off one value function V (`Ways`).
+With ``[control] third_level = "planned"``, the course is made before the run or read from the file ``[control]
+course``. With "receding", courses are made during the run.
 """
 
 from __future__ import annotations
@@ -26,26 +26,23 @@ from moc_opt.planning.search import WHOLE_CELL, Value, Way, keeping_shaft
 from moc_opt.robots.model import RobotModel
 from moc_opt.trace.trace import Trace
 
-COURSE_SHARE = 0.25
-"""Share of ``[control] shaft_margin`` that a course keeps: it looks ahead, and so may go below the margin at which the
-barrier of the local climb begins."""
+COURSE_SHARE = 0.25  #: Share of ``[control] shaft_margin`` that a course keeps, because a course looks ahead.
 V_PERIOD_S = 0.1  #: Time between two points of the map: long enough for joints to pass many of its samples.
-TARGETS_PER_TIME = 20  #: Targets per time of the map; the program of the horizon interpolates between them.
-QUARTER = 0.5  #: `cell` of V, see `Value`; with 0, the map would be too coarse near singular poses.
+TARGETS_PER_TIME = 20  #: Number of targets in each period of the map. The program of the horizon interpolates them.
+QUARTER = 0.5  #: ``cell`` of `Value`. With 0, the map would be too coarse near singular poses.
 SPEEDS = (1.0, 0.7, 0.4)
-"""Shares of ``[control] course_speed_fraction``, tried in turn until a course is smooth and can brake in time. If no
-share gives one, the smallest is tried without braking."""
+"""Shares of ``[control] course_speed_fraction``, tried in turn until a course is smooth and can brake in time.
+If all fail, the smallest share is tried without braking."""
 HURRY, WORTH_IT = 1.12, 0.01
-"""A course may be faster by the factor `HURRY`, up to `FASTEST` of the joint speeds, if V then gains more than
-`WORTH_IT` of mean mu. A smaller gain (a tenth of it at most starts) is not worth larger tip and RCM errors."""
+"""A course may be faster by the factor `HURRY`, up to `FASTEST` of the joint speeds, if mean mu then rises by more
+than the share `WORTH_IT`. A smaller gain is not worth larger tip and RCM errors."""
 FASTEST = 0.97
 BRAKE_SHARE = 0.9  #: Share of the safety filter's braking deceleration that a course made before the run uses.
 SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}
-"""Weight of a course's acceleration [s^4/rad^2], see `moc_opt.planning.program`; it lowers tip and RCM errors."""
-MOST_OFF_M = 1e-3  #: Largest distance of tip or wrist of a file's course from the run's targets.
-MOST_OFF_RAD = 1e-6  #: Largest deviation of a file's first pose from the start, and of a joint beyond its limit.
-ROUNDING = 1e-6
-"""Tolerance of a course file's first time [s], end (share of the run's duration) and speed (share of its limit)."""
+"""Weight of a course's acceleration [s^4/rad^2], see `moc_opt.planning.program`. It lowers tip and RCM errors."""
+MOST_OFF_M = 1e-3  #: Largest distance of tip or wrist from the run's targets, for a course from a file.
+MOST_OFF_RAD = 1e-6  #: Largest error of such a course's first pose, and largest excess over a joint limit.
+ROUNDING = 1e-6  #: Tolerance of such a course's first time [s], of its duration, and of its speeds (relative).
 PLAN_IT = "plan it for this scenario: moc-opt plan SCENARIO --out FILE"
 
 
@@ -56,23 +53,23 @@ class Following:
     robot: RobotModel
     q_start: Array  #: (n,) [rad]
     settings: ControlSettings
-    targets: Callable[..., Targets]  #: makes targets ``period_s`` apart, or ``finer`` times as many
+    targets: Callable[..., Targets]  #: makes targets at most ``period_s`` apart; ``finer`` multiplies their number
     brake: float  #: deceleration that the safety filter's wall allows [rad/s^2]
     period_s: float  #: control period
 
     def stuck(self, part: float) -> ScenarioError:
-        """Return the error that says where and why the path cannot be executed at this share of a course's speed."""
+        """Return the error that says where and why the path cannot be executed at this share of the speed."""
         limits = Limits(speed_share=part * self.settings.course_speed_fraction)
         stuck = make_plan(self.robot, self.q_start, self.targets(), limits, refined=False).blocked
         where = "" if stuck is None else f"{1e3 * stuck.arc_length_m:.1f} mm along the path {stuck.reason}"
         return ScenarioError(
-            f"[control] third_level = {self.settings.third_level!r}: no course goes all the way from this start: "
-            f"{where}; see `moc-opt plan`, or take third_level = 'local'"
+            f"[control] third_level = {self.settings.third_level!r}: from this start, no course reaches the end of the "
+            f"path: {where}; see `moc-opt plan`, or take third_level = 'local'"
         )
 
 
 class Ways:
-    """One coarse map of a run's path, V on the map for each of `SPEEDS`, and courses on the map's grid read off V."""
+    """A coarse map of a run's path, with the value function V and the best coarse course at each speed."""
 
     def __init__(self, run: Following) -> None:
         self.run, settings = run, run.settings
@@ -92,10 +89,10 @@ class Ways:
         return (HURRY, *SPEEDS) if fast > (1.0 + WORTH_IT) * usual else SPEEDS
 
     def at(self, part: float) -> tuple[Value, Limits, Way]:
-        """Return V at this share of a course's speed, its limits, and the course on the grid from the start.
+        """Return V at this share of a course's speed, its limits, and the coarse course from the start.
 
-        If there is no course, V is rebuilt without the margin from joint limits. If that fails, V is rebuilt with poses
-        that stand for their whole cell, as the map may be too coarse. A ScenarioError if this fails too.
+        If there is no course, V is rebuilt without the margin from joint limits, and then with a larger ``cell`` (see
+        `Value`), because the map may be too coarse. Raise a ScenarioError if there still is no course.
         """
         if part not in self._known:
             run, settings = self.run, self.run.settings
@@ -119,11 +116,11 @@ class Ways:
 def guides(run: Following) -> Callable[[], Guide] | None:
     """Plan once for ``[control] third_level``; return a function that makes a guide for each controller.
 
-    None under "local", where the third level climbs mu.
+    With "local" return None, because the third level then climbs mu.
 
     Raises:
         ControlError: the third level cannot follow a course under these settings.
-        ScenarioError: the path cannot be executed from the start; says where and why.
+        ScenarioError: the path cannot be executed from the start. The message says where and why.
         TaskError: no smooth course was found at the start.
     """
     settings, period = run.settings, run.period_s
@@ -137,15 +134,15 @@ def guides(run: Following) -> Callable[[], Guide] | None:
     course = followed_course(run, ways)
     try:
         rescue = replanned(ways)
-    except (ScenarioError, TaskError):  # the planner finds no course or no smooth one, but a file may have one
+    except (ScenarioError, TaskError):  # the planner has failed, but a course from a file can still be followed
         return lambda: Follower(period, course=course)
     return lambda: Follower(period, course=course, planner=rescue())
 
 
 def replanned(ways: Ways) -> Callable[[], Planner]:
-    """Return a function that makes a planner of a receding horizon."""
+    """Return a function that makes a planner with a receding horizon."""
     run, settings, smooth = ways.run, ways.run.settings, SMOOTHNESS["receding"]
-    # The last two attempts do not brake in time; in the final one, only V penalizes losing the shaft.
+    # The last two attempts have no braking constraint. In the final one, the program has no penalty for a lost shaft.
     ladder = [(part, run.brake, True) for part in ways.speeds]
     for part, brake, kept in [*ladder, (SPEEDS[-1], np.inf, True), (SPEEDS[-1], np.inf, False)]:
         value, limits, _ = ways.at(part)
@@ -155,7 +152,6 @@ def replanned(ways: Ways) -> Callable[[], Planner]:
         )
 
         def make(value: Value = value, program: Program = program) -> Planner:
-            # Each controller makes a solver of its own.
             return Planner(
                 value, copy(program), ways.fine, horizon_s=settings.horizon_s, rate_per_s=settings.replan_per_s
             )
@@ -166,10 +162,10 @@ def replanned(ways: Ways) -> Callable[[], Planner]:
 
 
 def followed_course(run: Following, ways: Ways | None = None) -> Course:
-    """Return the best course in mean mu from the start of this run that the third level can follow, made smooth.
+    """Return the smooth course with the best mean mu that the third level can follow from the start of this run.
 
     Raises:
-        ScenarioError: no course goes all the way, or the file of ``[control] course`` is refused.
+        ScenarioError: no course reaches the end of the path, or the file of ``[control] course`` is refused.
         TaskError: no smooth course was found.
     """
     robot, targets, brake, smooth = run.robot, run.targets(), BRAKE_SHARE * run.brake, SMOOTHNESS["planned"]
@@ -179,7 +175,7 @@ def followed_course(run: Following, ways: Ways | None = None) -> Course:
             found = refine(robot, targets, course, limits, smoothness=smooth, brake=rule)
             if found is not course:
                 return found
-        return course  # unchanged, since a smooth one would lose too much mu
+        return course  # unchanged, because no smooth course with nearly the same mu was found
     ways, other = ways or Ways(run), []
     for part, rule in [*((part, brake) for part in ways.speeds), (SPEEDS[-1], np.inf)]:
         _, limits, way = ways.at(part)
@@ -197,11 +193,11 @@ def followed_course(run: Following, ways: Ways | None = None) -> Course:
 def load_course(
     settings: ControlSettings, robot: RobotModel, q_start: Array, targets: Targets
 ) -> tuple[Course, Limits]:
-    """Read the file of ``[control] course``: a course from q_start (n,), interpolated at the targets, and its limits.
+    """Read the file of ``[control] course``; return its course from q_start (n,), at the targets, and its limits.
 
     Raises:
-        ScenarioError: the file cannot be read, has no course of this run, or has one that the third level cannot
-            follow; says which of robot, start, duration, path, limits and speeds differs, and by how much.
+        ScenarioError: the file cannot be read, has no course of this run, or has a course that the third level cannot
+            follow. The message names what differs: robot, start, duration, path, limits or speeds.
     """
 
     def refused(why: str, cure: str = PLAN_IT) -> ScenarioError:
@@ -241,7 +237,7 @@ def load_course(
     )
     allowed, fastest = settings.course_speed_fraction, float(shares.max())
     limits = Limits(
-        # The smooth course is refined from this one, and so cannot be asked for a margin that this one lacks.
+        # A larger margin than that of this course could make the smooth course infeasible.
         margin_at(robot, poses, margin), max(fastest, min(allowed, within["speed_share"])),
         max(COURSE_SHARE * settings.shaft_margin, within["shaft_margin"]),
     )  # fmt: skip
@@ -261,13 +257,16 @@ def _no_course(trace: Trace, t: Array, q: Array, robot: RobotModel) -> str:
 
 
 def speed_shares(robot: RobotModel, poses: Array, period_s: float) -> Array:
-    """Return (n,) the largest speed of each joint along poses (k,n), as a share of its limit."""
+    """Return the largest speed of each joint along poses (k,n), divided by its speed limit, (n,)."""
     fastest: Array = np.abs(np.diff(poses, axis=0)).max(axis=0) / (period_s * robot.v_max)
     return fastest
 
 
 def too_fast_to_follow(settings: ControlSettings, robot: RobotModel, shares: Array) -> tuple[str, str] | None:
-    """Name a joint whose speed share (n,) is too large for a third level, and the cure; None if there is none."""
+    """Return a message about a joint that is too fast for the third level, and the cure; None if all are slow enough.
+
+    ``shares`` (n,) is from `speed_shares`.
+    """
     allowed = settings.course_speed_fraction
     shares = np.where(robot.moves.any(axis=0), shares, 0.0)
     j = int(np.argmax(shares))
@@ -278,7 +277,7 @@ def too_fast_to_follow(settings: ControlSettings, robot: RobotModel, shares: Arr
 
 
 def margin_of(robot: RobotModel, margin_rad: float, margin_m: float) -> Margin:
-    """Return one number where no joint slides, else one per joint (n,); a TaskError where a margin is below zero."""
+    """Return one number if no joint slides, else one per joint (n,). Raise a TaskError if a margin is negative."""
     for name, value in (("margin_rad", margin_rad), ("margin_m", margin_m)):
         if not (is_number(value) and 0.0 <= value < np.inf):
             raise TaskError(f"{name} = {value!r}: give zero or more, and less than half of every joint's range")

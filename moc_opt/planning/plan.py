@@ -1,4 +1,4 @@
-"""The plan of a path before a run: whether it can be executed, from where, how well, and the course itself."""
+"""Plan a path before a run: whether it can be executed, from which start pose, and along which joint trajectory."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from moc_opt.planning.search import WHOLE_CELL, Value, keeping_shaft, reached
 from moc_opt.robots.model import RobotModel
 
 ROOM = 0.01
-"""A course whose mean mu is below the bound by more than this share is refined again, from the bound's own course."""
+"""If a course's mean mu is below the bound by more than this share, the bound's own course is refined too."""
 
 
 @dataclass(frozen=True, eq=False)
 class Blocked:
-    """The first point of the path that no course reaches from the start."""
+    """The first point of the path that no course (joint trajectory) reaches from the start."""
 
-    t_s: float  #: When the run would be there [s].
-    arc_length_m: float  #: Length of the tip's path up to there [m].
-    tip_m: tuple[float, float, float]  #: Where the tip would be [m].
+    t_s: float  #: Time of this point [s].
+    arc_length_m: float  #: Length of the tip's path up to this point [m].
+    tip_m: tuple[float, float, float]  #: Position of the tip at this point [m].
     reason: str  #: The obstacle in words, with the joint's name if a single joint is the obstacle.
 
 
@@ -38,18 +38,17 @@ class Plan:
     """A path planned from one start; k times, n joints."""
 
     targets: Targets  #: Targets of tip and wrist on the path, (k,3) each [m], at (k,) times [s].
-    from_start: Course | None  #: The best course from the start; None: the path cannot be executed from there.
-    best: Course | None  #: The best over all swivels and branches at the start of the path; None: there is none.
-    climbed: Course  #: The course of a local climb; shorter than the path if the climb ends at a limit.
+    from_start: Course | None  #: The best course from the start; None if no course reaches the end of the path.
+    best: Course | None  #: The best course from any swivel and branch at the start of the path; None if none exists.
+    climbed: Course  #: The course of a local climb. It is shorter than the path if the climb ends at a limit.
     bound_from_start: float
-    """Upper bound of mean mu from the start [m^3], for courses that the map resolves; NaN if a course exceeds it."""
-    bound: float  #: The same bound over all starts.
-    blocked: Blocked | None  #: Where and why the path cannot be executed from the start; None: it can.
-    start_swivel_rad: float  #: Swivel of the elbow at the start [rad]; see `moc_opt.planning.elbow`.
-    best_swivel_rad: float  #: The start swivel proposed: that of ``best``; NaN: there is none.
-    swivel_rad: Array  #: (k,) swivel along ``course`` [rad]; empty where there is none
-    took_s: Mapping[str, float]
-    """Times [s] of the steps "map", "search" (courses by dynamic programming), "bound" and "refine"."""
+    """Upper bound of mean mu from the start [m^3], for courses that the map resolves. NaN if a course exceeds it."""
+    bound: float  #: Upper bound of mean mu over all starts [m^3]; NaN likewise.
+    blocked: Blocked | None  #: Where and why the path cannot be executed from the start; None if it can.
+    start_swivel_rad: float  #: Swivel angle of the elbow at the start [rad]; see `moc_opt.planning.elbow`.
+    best_swivel_rad: float  #: The proposed swivel at the start [rad], from ``best``; NaN if ``best`` is None.
+    swivel_rad: Array  #: (k,) swivel along ``course`` [rad]; empty if there is no course.
+    took_s: Mapping[str, float]  #: Times [s] of the steps "map", "search", "bound" and "refine".
 
     def __repr__(self) -> str:
         stuck = self.blocked
@@ -80,15 +79,14 @@ def make_plan(
     robot: RobotModel, q_start: Array, targets: Targets, limits: Limits | None = None, *, swivels: int = SWIVELS,
     refined: bool = True,
 ) -> Plan:  # fmt: skip
-    """Plan a path from one start, and from all starts.
+    """Plan a path from one start pose, and from every start pose.
 
     Args:
-        q_start: (n,) with tip and wrist at the first target [rad].
-        targets: of tip and wrist at k evenly spaced times, (k,3) each [m].
-        limits: for courses and bounds; a start nearer to a joint limit lowers the margin, see `margin_at`. A bound
-            is NaN if the course found exceeds it.
-        swivels: samples of one turn; for an arm without a closed form see `map_of`.
-        refined: whether the nonlinear program improves the courses of the grid.
+        q_start: (n,) pose with tip and wrist at the first target [rad].
+        targets: targets of tip and wrist at k evenly spaced times, (k,3) each [m].
+        limits: limits of courses and bounds. If the start is nearer to a joint limit, the margin is reduced.
+        swivels: number of samples of one turn of the elbow; see `map_of`.
+        refined: whether the nonlinear program improves the courses of the search.
 
     Raises:
         TaskError: an argument is out of range, or the start is not at the first target.
@@ -131,7 +129,7 @@ def make_plan(
                 other = refine(robot, targets, make_course(robot, targets, q, limits), limits)
                 course = better(course, other if other.kept else None)
         courses.append(course)
-    mine, best = courses[0], better(courses[1], courses[0])  # "all starts" include the given one
+    mine, best = courses[0], better(courses[1], courses[0])  # "all starts" include the given start
     done("refine")
     elbow, shown = Elbow(robot, targets.wrist), mine if mine is not None else best
     # No bound is given if there is no course, or if the course exceeds the bound.
@@ -151,7 +149,7 @@ def make_plan(
 
 
 def check_limits(robot: RobotModel, limits: Limits) -> None:
-    """Check the limits asked for; a TaskError where one is out of range."""
+    """Raise a TaskError if a limit is out of range."""
     for name, value, least, most, words in (
         ("speed_share", limits.speed_share, 1e-300, 1.0, "a share above 0 up to 1"),
         ("shaft_margin", limits.shaft, 0.0, 1.0, "a share of the squared distance from wrist to tip, 0 to 1"),
@@ -167,17 +165,20 @@ def check_limits(robot: RobotModel, limits: Limits) -> None:
 
 
 def best_course(value: Value, start: Array | None) -> Array | None:
-    """Return the best course (k,n) on the grid, from a start (n,) or (None) any; None: no course reaches the end."""
+    """Return the best course (k,n) on the map from a start (n,), or from any start if it is None.
+
+    Return None if no course reaches the end of the path.
+    """
     start = value.best()[1] if start is None else start
     way = None if start is None else value.way(start)
     return None if way is None else way.q_rad
 
 
 def climb(found: PoseMap, start: Array, limits: Limits) -> Array:
-    """Follow the gradient of mu from the start (n,) on the samples of the map, as an ideal local law does.
+    """Climb mu from the start (n,) on the samples of the map, as an ideal local law does; return the poses (k,n).
 
-    In each period it goes uphill from the pose that needs the smallest joint steps, until mu falls, or a joint limit or
-    speed ends the climb. The poses (k,n) stop short of the path's end where no pose is within reach.
+    In each period the climb goes uphill from the nearest pose until mu falls, or a joint limit or speed is reached.
+    The poses end before the path if no pose is within reach.
     """
     step, feasible = limits.speed_share * found.robot.v_max * found.targets.period_s, found.feasible(limits.margin)
     poses = [np.array(start)]
@@ -192,7 +193,7 @@ def climb(found: PoseMap, start: Array, limits: Limits) -> Array:
 
 
 class Top(NamedTuple):
-    """Where a climb of mu from a pose ends."""
+    """The pose at which a climb of mu ends."""
 
     mu: float  #: [m^3]
     q_rad: Array  #: (n,)
@@ -200,7 +201,10 @@ class Top(NamedTuple):
 
 
 def top_of(found: PoseMap, q: Array) -> Top | None:
-    """Climb mu at the map's last time from the feasible pose nearest to q (n,), without speed limits; None: no pose."""
+    """Climb mu at the map's last time from the feasible pose nearest to q (n,), without speed limits.
+
+    Return None if no pose is feasible.
+    """
     poses, may = found.q_rad[-1], found.feasible()[-1]
     if not may.any():
         return None
@@ -231,7 +235,7 @@ def _blocked(found: PoseMap, start: Array, limits: Limits, bound: float) -> Bloc
     k = min(len(each) + 1, len(targets) - 1)
     known, feasible = np.isfinite(found.mu[k]), found.feasible(limits.margin)[k]
     if not known.any():
-        reason = "out of reach: no pose has tip and wrist there, whatever the joint limits"
+        reason = "out of reach: no pose has tip and wrist there, even without joint limits"
     elif not feasible.any():
         reason = f"no pose there is within the joint limits: {nearest_limit(known)} is beyond its own"
     else:
@@ -241,10 +245,10 @@ def _blocked(found: PoseMap, start: Array, limits: Limits, bound: float) -> Bloc
             shares = np.abs(found.q_rad[k] - pose) / step
             near |= known & (shares.max(axis=-1) <= 1.0)
             least = min(least, shares[feasible][int(np.argmin(shares[feasible].max(axis=1)))], key=np.max)
-        doubt = " between the poses of the map; the bound excludes no other way" if np.isfinite(bound) else ""
+        doubt = " between poses of the map, but the bound does not exclude a course" if np.isfinite(bound) else ""
         fast = names[int(np.argmax(least))]
         reason = f"{fast} would have to turn at {least.max():.3g} times its speed limit{doubt}"
-        if near.any() and least.max() > 1.0:  # poses within reach exist, but are beyond a limit
+        if near.any() and least.max() > 1.0:  # there are poses within reach, but they are beyond a limit
             name = nearest_limit(near)
             reason = f"{name} runs into its limit; only other swivels or branches have poses within the limits"
     x, y, z = targets.tip[k].tolist()

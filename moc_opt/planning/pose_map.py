@@ -1,16 +1,15 @@
-"""Every pose that an arm can take at every point of a path: manipulability, and distance from the joint limits.
+"""Map every pose that an arm can take at every point of a path, with its mu and its distance from the joint limits.
 
-**In closed form** if the axes of joints 1 to 3 meet in the shoulder S, 3 to 5 in the elbow E, 5 to 7 in the wrist N,
-neighbouring axes are at right angles, and the tool lies on axis 7. The elbow turns on a circle about the line S N by
-the swivel angle (Kreutz-Delgado, Long and Seraji 1992). At each swivel the signs of joints 2, 4 and 6 give eight
-poses, one on each branch, with the same manipulability. Joint 7 is idle.
+**Closed form.** The axes of joints 1 to 3 must meet in the shoulder S, 3 to 5 in the elbow E, and 5 to 7 in the wrist
+N. Neighbouring axes must be at right angles, and the tool must lie on axis 7. The elbow then turns on a circle about
+the line S N by the swivel angle (Kreutz-Delgado, Long and Seraji 1992). At each swivel, the signs of joints 2, 4 and 6
+give eight poses with the same mu. Each pose belongs to another branch. Joint 7 is idle.
 
-**Traced** for any other arm: at each time, Newton's method leads from the self-motion curves of the previous time to
-those of this time, which are scanned; inverse kinematics from random starts looks for more curves. All samples form one
-branch. If tip and wrist leave more than one freedom, curves have only some of the poses, and the map gives no bound.
+**Traced.** For any other arm, the self-motion curves are followed numerically from each time to the next. Inverse
+kinematics from random starts looks for more curves. All samples form one branch. If tip and wrist leave a null space of
+more than one dimension, the curves have only some of the poses. Their largest mu is then no upper bound.
 
-`largest_mu` climbs to the largest mu at each point, from the maxima of a map in closed form or from many seeded starts.
-A pose with the mu found exists, but a larger mu is not excluded.
+`largest_mu` climbs to the largest mu at each point of a path. It does not exclude a larger one.
 """
 
 from __future__ import annotations
@@ -34,18 +33,18 @@ from moc_opt.robots.model import RobotModel, link_frames
 Flags = NDArray[np.bool_]
 
 EXACT_M = 1e-7  #: Axes that pass each other within this distance count as meeting [m].
-BRANCHES = 8  #: Bit 0, 1, 2 of a branch's number is set where joint 2, 4, 6 is negative in the normal form.
-STRAIGHT = 1e-9  #: Sine of joint 4 below which the elbow has no plane.
-ROUNDING_RAD = 1e-9  #: A pose beyond a limit by no more than this counts as on the limit.
+BRANCHES = 8  #: Bit 0, 1, 2 of a branch's number is set if joint 2, 4, 6 is negative in the normal form.
+STRAIGHT = 1e-9  #: Below this sine of joint 4 the arm is straight, and the swivel is undefined.
+ROUNDING_RAD = 1e-9  #: Tolerance of the joint limits.
 SWIVELS, MOST_SWIVELS = 720, 2880  #: Default and largest number of samples of one turn.
 PEAKS = 4  #: Number of the map's local maxima from which mu is climbed at each point of the path.
 STEP_RAD = 0.03  #: Spacing of the samples along a traced curve.
-SEEDS = 64  #: Random starts of inverse kinematics at a traced map's first time; each later time has a sixteenth.
-MOST_CURVES = 16  #: Most different curves at one time; further ones are left out.
-SAME_CURVE = 0.7  #: A pose nearer to a curve's sample than this share of a step counts as on that curve.
+SEEDS = 64  #: Random starts of inverse kinematics at a traced map's first time. Later times have a sixteenth each.
+MOST_CURVES = 16  #: Largest number of different curves at one time.
+SAME_CURVE = 0.7  #: A pose nearer to a curve than this share of a step counts as lying on the curve.
 NO_LIMIT_RAD = 20.0
 REACHED_M = 1e-9
-SCANNED, SCANS = "scanned, all branches", 360  #: Method and swivels of a scan; at 1,200 poses, 720 gave no larger mu.
+SCANNED, SCANS = "scanned, all branches", 360  #: Name of the method, and swivels. With 720, no mu was larger.
 STARTS, LATER = 96, 12
 """Random starts of `largest_mu` at the first and at each later point, for arms without a closed form. Later points also
 start from the maxima of their neighbours."""
@@ -55,23 +54,23 @@ SAME = 1e-5  #: Maxima whose mu differs by less than this share count as one.
 
 @dataclass(frozen=True, eq=False)
 class PoseMap:
-    """k times, b branches, m swivels or samples along curves, n joints; NaN where there is no pose."""
+    """Poses at k times on b branches, with m swivels (or samples along curves) and n joints. NaN means no pose."""
 
     robot: RobotModel
     targets: Targets
     q_rad: Array  #: (k,b,m,n)
-    mu: Array  #: (k,b,m) [m^3], also beyond joint limits; the branches of a closed form share it
+    mu: Array  #: (k,b,m) [m^3], also beyond joint limits; in closed form the same on all branches
     room_rad: Array
-    """(k,b,m) smallest distance of a joint from its limits, negative beyond a limit; idle joints do not count"""
+    """(k,b,m) smallest distance of a joint from its limits; negative beyond a limit. Idle joints do not count."""
     closed: ClosedForm | None = None
 
     def feasible(self, margin: Margin = 0.0) -> Flags:
-        """Return (k,b,m) whether every joint keeps the margin from its limits."""
+        """Return flags (k,b,m): whether every joint keeps the margin from its limits."""
         room = self.room_rad - margin if np.ndim(margin) == 0 else _room(self.robot, self.q_rad, margin)
         return np.asarray(room >= -ROUNDING_RAD)
 
     def crossing(self, k: int, step_rad: Array) -> NDArray[np.int64]:
-        """Return (m,) the bits of the branch's number that joint steps (n,) [rad] can change within a period."""
+        """Return bit masks (m,): the bits of the branch's number that joint steps (n,) [rad] can change at time k."""
         if self.closed is None:
             return np.zeros(self.mu.shape[2], dtype=np.int64)
         with np.errstate(invalid="ignore"):
@@ -80,7 +79,7 @@ class PoseMap:
         return near @ np.array([1, 2, 4])
 
     def peaks(self, k: int) -> Array:
-        """Return the feasible poses (p,n) at time k at the highest local maxima of mu over the samples, if any."""
+        """Return the feasible poses (p,n) at time k that are the highest local maxima of mu over the samples."""
         may = self.room_rad[k] >= -ROUNDING_RAD
         score = np.where(may, self.mu[k], -np.inf).max(axis=0)
         peak = (score >= np.roll(score, 1)) & (score >= np.roll(score, -1)) & np.isfinite(score)
@@ -89,11 +88,11 @@ class PoseMap:
 
 
 def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = SWIVELS) -> PoseMap:
-    """Make the map in closed form if the arm has one, else by tracing; idle joints stay as at the start.
+    """Make the map in closed form if the arm has one, else by tracing. Idle joints stay as at the start.
 
     Args:
-        q_start: (n,) [rad] a pose for the first target; its swivel is one of the map's.
-        swivels: samples of one turn, 8 to `MOST_SWIVELS`; more than `SWIVELS` make a traced curve denser, too.
+        q_start: (n,) [rad] a pose for the first target. The map includes its swivel.
+        swivels: samples of one turn, 8 to `MOST_SWIVELS`. Above `SWIVELS`, traced curves become denser too.
     """
     if not isinstance(swivels, numbers.Integral) or not 8 <= int(swivels) <= MOST_SWIVELS:
         raise RobotError(f"swivels = {shown(swivels)}: give a whole number from 8 to {MOST_SWIVELS}")
@@ -109,20 +108,20 @@ def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = S
 class ClosedForm(NamedTuple):
     """The normal form R = R_0 Rz(t1) Ry(t2) Rz(t3) Ry(t4) Rz(t5) Ry(t6) Rz(t7), t = q + offset."""
 
-    base: Array  #: R_0 (3,3), columns: the axes of the normal form at the shoulder, in the world
+    base: Array  #: R_0 (3,3), rotation from the normal form's axes at the shoulder to the world
     shoulder: Array  #: (3,) [m]
-    upper: float  #: Shoulder to elbow along axis 3 [m]; negative where the axis points the other way.
-    fore: float  #: Elbow to wrist along axis 5 [m], likewise.
-    tool: float  #: Wrist to tip along axis 7 [m], likewise.
+    upper: float  #: Shoulder to elbow along axis 3 [m]; negative if the axis points the other way.
+    fore: float  #: Elbow to wrist along axis 5 [m]; negative likewise.
+    tool: float  #: Wrist to tip along axis 7 [m]; negative likewise.
     offset: Array  #: (6,) [rad]
-    swivel_rad: Array = np.empty(0)  #: (m,) evenly over one turn, as `moc_opt.planning.elbow.Elbow` defines it
-    reference: Array = np.array([0.0, 0.0, 1.0])  #: (3,) the direction from which the swivel counts
+    swivel_rad: Array = np.empty(0)  #: (m,) evenly over one turn; see `moc_opt.planning.elbow.Elbow`
+    reference: Array = np.array([0.0, 0.0, 1.0])  #: (3,) direction of the elbow at swivel zero
 
 
 def closed_form(robot: RobotModel) -> ClosedForm | None:
-    """Find the normal form of an arm from its joint axes at q = 0, not from its name; None where it has none.
+    """Find the normal form of an arm from its joint axes at q = 0; None if it has no normal form.
 
-    An arm with a joint range above one turn counts as having none: the map would miss the positions a turn apart.
+    Arms with a joint range above one turn are excluded, because the map would miss joint positions a turn apart.
     """
     chain = robot.chain
     if robot.n != 7 or chain.prismatic.any():
@@ -132,7 +131,7 @@ def closed_form(robot: RobotModel) -> ClosedForm | None:
     if np.abs((axes[:-1] * axes[1:]).sum(axis=1)).max() > EXACT_M:
         return None
     tip, wrist = (origins[6] + rotations[6] @ offset for offset in chain.offsets)
-    # On each axis, the point nearest to the next axis, which is at a right angle to it.
+    # On each axis, find the point nearest to the next axis.
     shoulder, elbow, center = (origins[j] + axes[j] * ((origins[j + 1] - origins[j]) @ axes[j]) for j in (0, 2, 4))
     through = [(shoulder, 1), (shoulder, 2), (elbow, 3), (elbow, 4), (center, 5), (center, 6), (tip, 6)]
     off = [np.linalg.norm(np.cross(point - origins[j], axes[j])) for point, j in through]
@@ -142,7 +141,7 @@ def closed_form(robot: RobotModel) -> ClosedForm | None:
         return None
     base = np.column_stack([np.cross(axes[1], axes[0]), axes[1], axes[0]])
     offset, turned = np.zeros(6), np.array(base)
-    for j in range(1, 6):  # the angle that puts axis j + 1 of the normal form where the arm has it at q = 0
+    for j in range(1, 6):  # the angle that turns axis j + 1 of the normal form to the arm's axis at q = 0
         x, y, z = turned.T @ axes[j + 1]
         offset[j] = np.arctan2(x, z) if j % 2 else np.arctan2(-x, y)
         turned = turned @ pin.exp3(offset[j] * np.eye(3)[1 if j % 2 else 2])
@@ -150,7 +149,6 @@ def closed_form(robot: RobotModel) -> ClosedForm | None:
 
 
 def _closed(robot: RobotModel, arm: ClosedForm, targets: Targets, idle_rad: float) -> PoseMap:
-    # Joint 7, which moves neither tip nor wrist, stands at idle_rad throughout.
     angles = np.moveaxis(_angles(arm, targets), -1, 0)
     s, e, w = (np.arange(BRANCHES) >> bit & 1 for bit in range(3))  # whether joint 2, 4, 6 is negative
     flips = np.stack([s, s, s ^ e, e, e ^ w, w], axis=1)
@@ -216,7 +214,7 @@ def _dot(one: Array, two: Array) -> Array:
 
 
 def reach(robot: RobotModel, q: Array, tip: Array, wrist: Array) -> Array | None:
-    """Return a pose near q with this tip and wrist, by Newton's method without limits; None: it does not converge."""
+    """Return a pose near q with this tip and wrist, by Newton's method without limits; None if it diverges."""
     placed = solve_pose(robot, q, tip, wrist, iterations=30, limited=False)
     return placed.q if placed.miss_m < REACHED_M else None
 
@@ -229,7 +227,7 @@ def without_limits(robot: RobotModel) -> RobotModel:
 
 
 def nearest_turns(robot: RobotModel, q: Array) -> Array:
-    """Return the same poses, each revolute joint turned by whole turns to the place nearest to mid-range."""
+    """Turn each revolute joint of the poses by whole turns, as near as possible to the middle of its range."""
     turns = np.round((q - 0.5 * (robot.q_min + robot.q_max)) / (2.0 * np.pi))
     return q - 2.0 * np.pi * np.where(robot.chain.prismatic, 0.0, turns)
 
@@ -274,14 +272,14 @@ class Largest(NamedTuple):
     """The largest mu at k points, and how it was found."""
 
     mu: Array  #: (k,) [m^3]
-    method: str  #: `SCANNED`, or "best found of N starts" with the number of starts at all points together.
+    method: str  #: `SCANNED`, or "best found of N starts", where N counts the starts at all points.
 
 
 def largest_mu(robot: RobotModel, poses: Array) -> Largest:
     """Find for each given pose (k, n) the largest mu over all feasible poses with the same tip and wrist.
 
-    The given poses are in the order of a path, since each point hands its maxima on to its neighbours. They are put
-    inside the limits first. The largest mu is never below that of the given pose.
+    The poses should follow a path, because each point hands its maxima on to its neighbours. They are first moved
+    inside the joint limits. The result is never below the mu of the given pose.
     """
     inside = np.clip(poses, robot.q_min, robot.q_max)
     count, tips, wrists = len(inside), *robot.tool_along(inside)

@@ -1,14 +1,14 @@
 """Optimize a course (a joint trajectory) by direct transcription: over a whole path, or over a receding horizon.
 
-Variables are the joints that move tip or wrist, at N evenly spaced times after a start that stays as it is:
+Variables are the joints that move tip or wrist, at N evenly spaced times after a fixed start:
 
     max  mean of mu / mu_0 - w (|ddq|^2 + |dq|^2 / T^2) + V(q_N) / mu_0
     s.t. X(q_k) = X_d,  B_k^T (N(q_k) - X_d) = 0,  q_min <= q_k <= q_max,  |q_k - q_k-1| <= v_max dt,
          and no joint is `too_fast` towards its limit
 
-The columns of B_k (3,2) are orthogonal to the shaft. These five equations suffice, since tip and wrist are rigidly
-tied; with six the multipliers would not be unique. Where the shaft can hardly turn, mu is lowered (`course.lowered`).
-V(q_N) is the largest integral of mu from the last pose on (`search`).
+The columns of B_k (3,2) are orthogonal to the shaft. Five equations suffice, because tip and wrist are rigidly tied;
+with six the multipliers would not be unique. mu is reduced where the shaft is nearly lost (`course.lowered`). V(q_N) is
+the largest integral of mu from the last pose on (`search`).
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from moc_opt.planning.course import WORTH, Course, Limits, Targets, make_course,
 from moc_opt.planning.search import End
 from moc_opt.robots.model import RobotModel
 
-# Settings of ipopt for a whole path. mu_init is its first barrier parameter: with 1e-3, ipopt often leaves a fast
-# course (or one close to a limit) and converges to a slow one at another local maximum of mu.
+# Settings of ipopt for a whole path. With a larger first barrier parameter mu_init (1e-3), ipopt often leaves a fast
+# course and converges to a slow one at another local maximum of mu.
 WHOLE: dict[str, Any] = {
     "print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.max_iter": 300, "ipopt.tol": 1e-8,
     "ipopt.constr_viol_tol": 1e-10, "ipopt.bound_relax_factor": 0.0, "ipopt.honor_original_bounds": "yes",
@@ -42,15 +42,14 @@ HORIZON: dict[str, Any] = {
     },
 }  # fmt: skip
 SETTLED_S = 0.3  #: T: a joint speed costs as much as the constant acceleration that stops the joint in this time.
-SOFT_RAD = 0.003  #: e of `too_fast`, without which d(largest speed) / d(distance) is infinite at the joint limit.
-SMOOTH_LOSS = 0.05
-"""Share of mean mu that smoothness and braking may cost; a larger loss means another, lower local maximum."""
-LEAST_SHARE = 1e-4  #: Keeps the derivative of a square root finite where mu_shaft / L^2 (`course.shaft_shares`) is 0.
-INSIDE = 1e-9  #: To absorb rounding, limits and steps are narrowed by this [rad], but a step by half of it at most.
+SOFT_RAD = 0.003  #: e of `too_fast`. It keeps the derivative of the largest speed finite at the joint limit.
+SMOOTH_LOSS = 0.05  #: Share of mean mu that smoothness and braking may cost.
+LEAST_SHARE = 1e-4  #: Keeps the derivative of the square root of `course.shaft_shares` finite at 0.
+INSIDE = 1e-9  #: Joint limits and steps are narrowed by this to absorb rounding [rad]; a step by at most half its size.
 
 
 class Program:
-    """The program for one arm and N times; ``solve`` fills in targets, start and the value of the end."""
+    """The nonlinear program for one arm and N times. ``solve`` fills in start, targets and the value V of the end."""
 
     def __init__(
         self, robot: RobotModel, nodes: int, period_s: float, limits: Limits, *, mu: float, top: float = 0.0,
@@ -60,10 +59,10 @@ class Program:
 
         Args:
             mu: mu_0, a typical mu, which scales the objective [m^3].
-            top: largest mu, which scales the penalty on nearly losing the shaft, see `lowered` [m^3]; 0: mu_0.
+            top: largest mu, which scales the penalty of `lowered` [m^3]; 0 stands for mu_0.
             smoothness: w [s^4/rad^2].
-            brake: deceleration with which joints have to be able to stop before their limits [rad/s^2]; inf: none.
-            horizon: use three SQP steps, not ipopt, and leave out the acceleration that stops the arm at the end.
+            brake: deceleration with which joints can stop before their limits [rad/s^2]; inf removes the constraint.
+            horizon: use three SQP steps instead of ipopt, and let the arm move at the end.
         """
         import casadi as ca  # imported late: it takes half a second
 
@@ -111,16 +110,16 @@ class Program:
         self.forget()
 
     def forget(self) -> None:
-        """Rebuild the solver, whose workspace would make a second run differ from the first in the last bits."""
+        """Rebuild the solver. Its workspace would make a second run differ from the first in the last bits."""
         self._solver = self._make()
 
     def solve(
         self, guess: Array, start: Array, targets: Targets, speed: Array | None = None, end: End | None = None,
         period_s: float | None = None,
     ) -> tuple[Array, bool]:  # fmt: skip
-        """Return poses (N,n) [rad], unchecked, NaN where none was found, and whether the solver met its tolerances.
+        """Return poses (N,n) [rad], and whether the solver met its tolerances. Poses are not checked and may be NaN.
 
-        The iteration begins at ``guess`` (N,n); the course leaves ``start`` (n,) at ``speed`` (n,) [rad/s]. ``end`` is
+        The iteration begins at ``guess`` (N,n). The course leaves ``start`` (n,) at ``speed`` (n,) [rad/s]. ``end`` is
         V near the last pose. ``period_s`` replaces the program's own period.
         """
         dt, n = self.period_s if period_s is None else period_s, len(start)
@@ -146,13 +145,13 @@ def refine(
     robot: RobotModel, targets: Targets, course: Course, limits: Limits, *, smoothness: float = 0.0,
     brake: float = np.inf,
 ) -> Course:  # fmt: skip
-    """Improve a course over the whole path to a local optimum within limits; its first pose stays.
+    """Improve a course over the whole path to a local optimum within limits. Its first pose stays.
 
-    The given course may violate constraints. It is returned unchanged if the answer violates one by more than
-    `MOST_VIOLATION`, or if the given course violates none and has the larger `worth`; with ``smoothness`` or ``brake``
-    the answer may be worth less by `SMOOTH_LOSS` of mean mu. The answer is ``certified`` if ipopt met its tolerances.
+    The given course may violate constraints. It is returned unchanged if the answer is not feasible, or if the given
+    course is feasible and has the larger `worth`. With ``smoothness`` or ``brake``, the answer may lose the share
+    `SMOOTH_LOSS` of mean mu. The answer is ``certified`` if ipopt met its tolerances.
     """
-    if limits.shaft > 0.0 and _above(robot, course, limits):  # try without the shaft's margin, which halves the time
+    if limits.shaft > 0.0 and _above(robot, course, limits):  # first without the shaft's margin: half the time
         bare = replace(limits, shaft=0.0)
         free = refine(robot, targets, course, bare, smoothness=smoothness, brake=brake)
         if _above(robot, free, limits):
@@ -178,12 +177,12 @@ def _above(robot: RobotModel, course: Course, limits: Limits) -> bool:
 
 
 def too_fast(speed: Any, pose: Any, low: Any, high: Any, brake: float) -> Any:
-    """Return by how much joints are too fast to stop before their limits, in CasADi; 0 or less where they can stop.
+    """Return the excess of each joint's speed over the speed from which it can stop before its limit, in CasADi.
 
-    At a distance d from a limit the speed may be sqrt(2 b) (sqrt(d + e) - sqrt(e)), b the brake [rad/s^2], e =
-    `SOFT_RAD`. CasADi's vectors have m entries, the answer 2 m: towards ``high``, then towards ``low``.
+    At a distance d from a limit the speed may be sqrt(2 b) (sqrt(d + e) - sqrt(e)), where b is the brake [rad/s^2] and
+    e is `SOFT_RAD`. Arguments have m entries. The answer has 2 m: towards ``high``, then towards ``low``.
     """
-    import casadi as ca  # imported late: it takes half a second
+    import casadi as ca
 
     def most(room: Any) -> Any:
         return np.sqrt(2.0 * brake) * (ca.sqrt(ca.fmax(room, 0.0) + SOFT_RAD) - np.sqrt(SOFT_RAD))
@@ -192,6 +191,6 @@ def too_fast(speed: Any, pose: Any, low: Any, high: Any, brake: float) -> Any:
 
 
 def across(shafts: Array) -> Array:
-    """Return two unit vectors (N,2,3) across each shaft (N,3), at a right angle to each other."""
+    """Return for each shaft (N,3) two orthogonal unit vectors across the shaft, (N,2,3)."""
     vectors: Array = np.linalg.svd(shafts[:, None])[2][:, 1:]
     return vectors

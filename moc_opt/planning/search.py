@@ -1,11 +1,14 @@
-"""The value V of a pose: the largest integral of mu from this pose to the path's end, computed backwards.
+"""The value function V: the largest integral of mu from a pose to the path's end. It is computed backwards in time.
 
     V_k(p) = g_k(p) + max { V_{k+1}(p') - c |q - q'|^2 / dt : |q - q'| <= v_max dt for every joint }
 
-g is mu dt, and c a penalty on speed. A course is read off V forwards, from any pose at any time: at each time it takes
-the pose within reach with the largest V, which can be on another branch near a singular pose. A pose of the map can
-stand for its surroundings: a quarter of a cell for followed courses, so that a coarse map can be passed, or half a cell
-for an upper bound on mean mu, where neighbours of feasible poses count as feasible, each with the best mu nearby.
+g is mu dt, and c is a penalty on speed. A course (joint trajectory) is then read off V forwards: at each time it takes
+the best pose within reach. Near a singular pose, it can change its branch.
+
+A pose of the map can stand for its surroundings, so that joints may move a little further than v_max dt. A cell is the
+space between neighbouring poses. For followed courses, a pose stands for a quarter of a cell, so that courses exist on
+a coarse map. For an upper bound on mean mu, a pose stands for half a cell. Neighbours of feasible poses then count as
+feasible, and each pose counts with the largest mu nearby.
 """
 
 from __future__ import annotations
@@ -22,23 +25,23 @@ from moc_opt.planning.course import Limits, lowered, shaft_shares, weights
 from moc_opt.planning.elbow import wrapped
 from moc_opt.planning.pose_map import PoseMap
 
-WHOLE_CELL = 1.1  #: `cell` of the bound (see `Value`): above 1, since joints' paths are curved between the samples.
-NEARBY_RAD = 0.2  #: Poses within this distance form one neighbourhood, in which V is approximated by a parabola.
+WHOLE_CELL = 1.1  #: ``cell`` for the bound (see `Value`). It is above 1, because paths between samples are curved.
+NEARBY_RAD = 0.2  #: Radius around a pose within which V is approximated by a parabola.
 
 
 class End(NamedTuple):
-    """V near a pose, up to a constant: slope z + bend z^2 / 2, with low <= z = along . (q - q_rad) <= high."""
+    """V near a pose, up to a constant: slope z + bend z^2 / 2, where z = along . (q - q_rad) and low <= z <= high."""
 
     q_rad: Array  #: (n,) [rad]
     along: Array  #: (n,) unit vector of the self-motion
     slope: float = 0.0  #: [m^3 s / rad]
     bend: float = 0.0  #: [m^3 s / rad^2], never above 0
-    low: float = 0.0  #: Outside low and high, no pose nearby is known to reach the end of the path [rad].
+    low: float = 0.0  #: Outside low and high, poses may be unable to reach the end of the path [rad].
     high: float = 0.0
 
 
 class Way(NamedTuple):
-    """A course on the grid of the map, read off V."""
+    """A course along poses of the map."""
 
     t_s: Array  #: (w,)
     q_rad: Array  #: (w,n), the given pose first
@@ -49,9 +52,9 @@ class Value:
     """V over a map of k times, b branches, m samples."""
 
     def __init__(self, found: PoseMap, limits: Limits, *, cell: float = 0.0, price: float = 0.0) -> None:
-        """Compute V backwards over the map; with a map of `keeping_shaft`, courses avoid losing the shaft.
+        """Compute V backwards over the map. With a map of `keeping_shaft`, courses avoid losing the shaft.
 
-        A pose stands for ``cell`` times half a cell to either side; if ``cell`` is 1 or more, V is an upper bound.
+        A pose stands for ``cell`` times half a cell to either side. If ``cell`` is 1 or more, V is an upper bound.
         ``price`` is c, the penalty on speed [m^3 s^2/rad^2].
         """
         self.map = found
@@ -66,7 +69,7 @@ class Value:
             mu = _highest_nearby(mu)
         gain = np.where(feasible, mu * self._weight[:, None, None], -np.inf)
         self.value = np.array(gain)
-        """(k,b,m) [m^3 s], g of this time included; -inf: the path's end cannot be reached from there"""
+        """V (k,b,m) [m^3 s]; -inf where the path's end cannot be reached"""
         for k in range(count - 2, -1, -1):
             self.value[k] = advance(
                 found.q_rad[k], self._slack[k], gain[k], found.q_rad[k + 1], self._slack[k + 1],
@@ -74,21 +77,21 @@ class Value:
             )  # fmt: skip
 
     def of(self, q: Array, mu: float) -> float:
-        """Return the mean mu of the best course from a pose (n,) with this mu at t = 0 [m^3]; -inf: there is none."""
+        """Return the mean mu [m^3] of the best course from a pose (n,) with this mu at t = 0; -inf if none exists."""
         found = self._next(1, q, np.zeros(len(q)), self._step, self._price)
         rest = -np.inf if found is None else float(self.value[1][found])
         return float(mu * self._weight[0] + rest) / self._weight.sum()
 
     def best(self) -> tuple[float, Array | None]:
-        """Return the mean mu of the best course from any pose, and that pose (n,); None: there is none."""
+        """Return the mean mu of the best course from any pose, and the pose (n,); -inf and None if none exists."""
         first = np.unravel_index(int(np.argmax(self.value[0])), self.value[0].shape)
         value = float(self.value[0][first]) / self._weight.sum()
         return value, self.map.q_rad[0][first] if np.isfinite(value) else None
 
     def way(self, q: Array, t_s: float = 0.0, end: int = -1, hurry: float = 1.0) -> Way | None:
-        """Read off the best course from a pose (n,) [rad] at a time [s] to the map's time ``end``; None: there is none.
+        """Read off the best course from a pose (n,) [rad] at a time [s] to the map's time ``end``; None if none exists.
 
-        The course may use ``hurry`` times the joint steps of V.
+        The course may use ``hurry`` times the joint speeds of V.
         """
         t, poses, slack, at = self.map.targets.t_s, [q], np.zeros(len(q)), (0, 0)
         end = len(t) - 1 if end < 0 else end
@@ -128,7 +131,7 @@ class Value:
         alive = self.value[k] > -np.inf
         way, more = step + slack, self._slack[k]
         with np.errstate(invalid="ignore"):
-            for a in range(len(q)):  # joint by joint: one joint alone rules out most poses
+            for a in range(len(q)):
                 alive &= np.abs(self.map.q_rad[k, ..., a] - q[a]) <= way[a] + more[..., a]
         b, j = np.nonzero(alive)
         if not len(b):
@@ -139,10 +142,10 @@ class Value:
 
 
 def keeping_shaft(found: PoseMap, limits: Limits) -> PoseMap:
-    """Return the map with mu lowered where the shaft is nearly lost; it is meant for a search only."""
+    """Return the map with the mu of `lowered`, for use in a search."""
     if limits.shaft <= 0.0:
         return found
-    # One branch suffices: all branches of a closed form have the same columns of A up to their signs.
+    # One branch suffices: on all branches of a closed form, the columns of A are equal up to their signs.
     may = found.feasible().any(axis=1)
     share = np.full(may.shape, np.inf)
     share[may] = shaft_shares(found.robot, found.q_rad[:, 0][may])
@@ -151,7 +154,7 @@ def keeping_shaft(found: PoseMap, limits: Limits) -> PoseMap:
 
 
 def reached(found: PoseMap, q_start: Array, limits: Limits) -> list[NDArray[np.bool_]]:
-    """Return for each later time which poses (b,m) can be reached from the start, until none can."""
+    """Return flags (b,m) for each later time: which poses can be reached from the start. Stop when none can."""
     step, feasible = limits.speed_share * found.robot.v_max * found.targets.period_s, found.feasible(limits.margin)
     before, value = np.tile(q_start, (found.mu.shape[1], 1, 1)), np.zeros((found.mu.shape[1], 1))
     each: list[NDArray[np.bool_]] = []
@@ -166,7 +169,7 @@ def reached(found: PoseMap, q_start: Array, limits: Limits) -> list[NDArray[np.b
 
 
 def half_cells(q: Array) -> Array:
-    """Return how far each joint moves in half a cell around poses (...,m,n) [rad], on the side where it moves more."""
+    """Return each joint's distance from poses (...,m,n) halfway to the next or previous pose [rad]: the larger one."""
     apart = np.abs(wrapped(np.roll(q, -1, axis=-2) - q))
     return 0.5 * np.nan_to_num(np.fmax(apart, np.roll(apart, 1, axis=-2)))
 
@@ -183,18 +186,18 @@ def advance(
     q: Array, slack: Array, gain: Array, q_next: Array, slack_next: Array, value_next: Array, step: Array,
     crossing: NDArray[np.int64], price: float,
 ) -> Array:
-    """Return the values (b,m) of the poses at one time, given the values at the time next to it.
+    """Return the values (b,m) of the poses at one time, given the values at the next or previous time.
 
-    A pose is within reach of another if no joint differs by more than its step (n,) [rad] plus both slacks, and if both
-    are on one branch or, near a singular pose, on branches whose numbers differ only in the bits of ``crossing`` (m,).
+    A pose is within reach of another if no joint differs by more than its step (n,) [rad] plus both slacks. The numbers
+    of their branches may differ only in the bits of ``crossing`` (m,).
 
     Args:
-        q, slack: (b,m,n) [rad], NaN where there is no pose; gain: (b,m) added to each value; -inf: forbidden.
+        q, slack: (b,m,n) [rad], NaN if there is no pose; gain: (b,m) added to each value, -inf if forbidden.
         q_next, slack_next: (b,m1,n); value_next: (b,m1).
-        price: penalty on the square of a step, in the unit of the values [1/rad^2].
+        price: penalty on the squared step [unit of the values / rad^2].
     """  # fmt: skip
     branches, _, n = q.shape
-    # Sorted by the joint whose range spans the most steps, the poses within reach of a pose form a short interval.
+    # Sort by the joint whose range spans the most steps: the poses within reach then form a short interval.
     spread = np.nan_to_num(np.fmax.reduce(q_next, 1) - np.fmin.reduce(q_next, 1)).sum(axis=0)
     by = int(np.argmax(spread / step))
     order = np.argsort(q_next[:, :, by])
@@ -204,6 +207,6 @@ def advance(
     worth = core.advance(
         branches, at, room, np.ascontiguousarray(gain).ravel(), then, later, np.ascontiguousarray(value_next).ravel(),
         np.ascontiguousarray(step), crossing.astype(np.float64), price, by,
-        step[by] + np.fmax.reduce(slack_next[:, :, by], None),  # NaN where there is no pose
+        step[by] + np.fmax.reduce(slack_next[:, :, by], None),
     )  # fmt: skip
     return worth.reshape(gain.shape)

@@ -1,7 +1,8 @@
-"""The poses an arm can take while tip and wrist stay where they are: the count of freedoms, and one curve of poses.
+"""Self-motion: the poses that an arm can take while tip and wrist stay in place.
 
-The curve is followed from joint limit to joint limit: a step along the null vector of A = [J_tip; J_wrist], then
-Newton's method back to tip and wrist. With one freedom, no law that stays on the curve exceeds the curve's largest mu.
+The self-motion is followed as a curve from joint limit to joint limit. Each step goes along the null vector of
+A = [J_tip; J_wrist], and Newton's method corrects tip and wrist. A freedom is a dimension of the null space of A that
+moves links. If there is one freedom, the curve contains every pose that a self-motion reaches.
 """
 
 from __future__ import annotations
@@ -16,29 +17,28 @@ from moc_opt.arrays import Array, read_only
 from moc_opt.errors import RobotError
 from moc_opt.robots.model import RobotModel
 
-HELD = 1e-6  #: For the rank, a singular value of A below this share of the largest counts as zero.
-RANK = 1e-9  #: While a curve is followed, a singular value of A below this counts as zero.
+HELD = 1e-6  #: In the count of freedoms, a singular value of A below this share of the largest counts as zero.
+RANK = 1e-9  #: When a curve is followed, a singular value of A below this counts as zero.
 LEAST_STEP, MOST_STEP = 1e-5, 10.0  #: Smallest and largest spacing of the samples on a curve [rad].
 
 
 class Freedoms(NamedTuple):
-    """The freedoms of n joints when tip and wrist are held; rank + real + idle = n."""
+    """The freedoms of n joints when tip and wrist are fixed. rank + real + (number of idle joints) = n."""
 
-    rank: int  #: Rank of A: 5 where the arm can place and turn the shaft.
-    real: int  #: Motions that move links while tip and wrist stay.
+    rank: int  #: Rank of A. It is 5 if the arm can place and turn the shaft freely.
+    real: int  #: Number of independent joint motions that move links but neither tip nor wrist.
     idle: tuple[int, ...]
     """Joints (from 0) that move neither tip nor wrist at any pose, such as a last axis along the tool."""
     tip: float  #: Smallest / largest singular value of the tip's Jacobian; 0 at a singular pose.
-    both: float
-    """Fifth / largest singular value of A: 0 where the shaft cannot be placed and turned freely."""
+    both: float  #: Fifth / largest singular value of A; 0 if the shaft cannot be placed and turned freely.
 
     def refusal(self, robot: RobotModel) -> str:
-        """Return the message that no freedom is left for the third level, with the count of joints."""
+        """Return the message that no freedom is left for the third level."""
         idle = ", ".join(robot.data.joint_names[j] for j in self.idle)
         return (
             f"robot {robot.data.name!r}: no freedom is left for the third level: of {robot.n} joints the tool's tip "
             f"and shaft take {self.rank}, {len(self.idle)} turn nothing but the tool{f' ({idle})' if idle else ''}; "
-            "control.law = 'dcac' needs none, the third level an arm with one joint more, or a tool off the last axis"
+            "take control.law = 'dcac' (needs no freedom), an arm with one joint more, or a tool off the last axis"
         )
 
 
@@ -53,13 +53,13 @@ def freedoms(robot: RobotModel, q: ArrayLike) -> Freedoms:
 
 
 def best_freedoms(robot: RobotModel, poses: int = 8) -> Freedoms:
-    """Count the freedoms at seeded random poses, and return those of the pose with the highest rank."""
+    """Return the freedoms of the pose with the highest rank among seeded random poses."""
     drawn = np.random.default_rng(0).uniform(robot.q_min, robot.q_max, (poses, robot.n))
     return max((freedoms(robot, q) for q in drawn), key=lambda found: (found.rank, found.both))
 
 
 def require_freedom(robot: RobotModel) -> None:
-    """Raise a RobotError where tip and shaft leave the arm no freedom; the message counts the joints."""
+    """Raise a RobotError if tip and shaft leave the arm no freedom."""
     found = best_freedoms(robot)
     if found.real < 1:
         raise RobotError(found.refusal(robot))
@@ -75,10 +75,10 @@ def parabola_peak(x: Array, y: Array) -> tuple[float, float]:
     """Compute the peak of the parabola through three samples, relative to the middle sample.
 
     Args:
-        x, y: (3,) places in ascending order, and values; those at the ends may be infinite.
+        x, y: (3,) places in ascending order, and values. The first and last value may be infinite.
 
     Returns:
-        The step from x[1], no longer than to a neighbour, and the height above y[1]; zeros where there is no peak.
+        The step from x[1] to the peak, clipped to the samples, and the height above y[1]; zeros if there is no peak.
     """
     (left, right), (rise, fall) = np.diff(x), np.diff(y)
     bend = (fall / right - rise / left) / (left + right)
@@ -93,14 +93,14 @@ def parabola_peak(x: Array, y: Array) -> tuple[float, float]:
 class SelfMotion:
     """Samples along the feasible self-motion; read-only arrays, in the order of the curve."""
 
-    s: Array  #: (k,) arc length in joint space [rad], 0 at the pose where the scan began, negative before that pose
+    s: Array  #: (k,) arc length in joint space [rad], 0 at the pose where the scan began
     q: Array  #: (k,n) [rad]
     mu: Array  #: (k,) [m^3]
     held: tuple[int, ...]
-    """Joints (from 0) that stand still: idle ones, and those that would turn the curve into a surface."""
+    """Joints (from 0) that are held still: idle joints, and joints beyond one freedom."""
     _robot: RobotModel = field(repr=False)
     _task: tuple[Array, Array, Array] = field(repr=False)
-    """Lower and upper limits, equal where a joint is held, and the places of tip and wrist."""
+    """Lower and upper joint limits (equal for a joint that is held), and the positions of tip and wrist."""
 
     def at(self, fraction: float) -> Array:
         """Return the pose (n,) at a fraction in [0, 1] of the arc length, corrected to 1e-10 m."""
@@ -111,7 +111,7 @@ class SelfMotion:
             miss, pose = self._robot.arm.nearest_pose(*self._task, between, 10)
             if miss < 1e-10:
                 return pose
-        # Newton's method fails between two samples only where the curve grazes a limit or a singularity.
+        # Newton's method fails only if the curve touches a joint limit or a singular pose between two samples.
         return np.array(self.q[round(place)])
 
     @property
@@ -133,13 +133,16 @@ class SelfMotion:
 def self_motion(robot: RobotModel, q: ArrayLike, step: float = 0.02) -> SelfMotion:
     """Scan the feasible self-motion through q at fixed tip and wrist.
 
-    Joints that move neither tip nor wrist are held. If more than one freedom is left (a rail, a tool off the last
-    axis), further joints are held: sliding ones at the base, then those nearest the tip. The largest mu on the curve is
-    then no bound (see `pose_map.largest_mu`). If no freedom is left, the curve is one pose.
+    Joints that move neither tip nor wrist are held still. If more than one freedom is left (a rail, a tool off the last
+    axis), sliding joints at the base are held too, and then joints nearest the tip. The largest mu on the curve is then
+    no upper bound (see `pose_map.largest_mu`). If no freedom is left, the curve is a single pose.
 
     Args:
-        q: (n,) a pose inside the joint limits [rad]; a RobotError where it is outside, or singular.
-        step: spacing of the samples in joint space [rad]; a RobotError where it is not from 1e-5 to 10.
+        q: (n,) a pose inside the joint limits [rad].
+        step: spacing of the samples in joint space [rad], 1e-5 to 10.
+
+    Raises:
+        RobotError: the pose is singular or outside the joint limits, or the step is out of range.
     """
     if not LEAST_STEP <= step <= MOST_STEP:
         raise RobotError(f"step = {step!r}: give {LEAST_STEP:g} to {MOST_STEP:g} rad")
@@ -153,7 +156,7 @@ def self_motion(robot: RobotModel, q: ArrayLike, step: float = 0.02) -> SelfMoti
     task = low, high, np.array([state.tip, state.wrist])
     s, poses, mu = np.zeros(1), state.q[None], np.array([state.mu])
     if len(active) > np.linalg.matrix_rank(state.A[:, active], tol=RANK):
-        # Far more samples than a real curve has; it only bounds the memory if a curve never ends.
+        # No real curve has so many samples. The number bounds the memory if a curve never ends.
         most = int(np.ceil(4 * np.sum(robot.q_max - robot.q_min) / step)) + 2
 
         def follow(tangent: Array) -> tuple[Array, Array, Array, bool]:
@@ -174,7 +177,7 @@ def self_motion(robot: RobotModel, q: ArrayLike, step: float = 0.02) -> SelfMoti
 
 
 def curve_through(robot: RobotModel, q: ArrayLike, step: float) -> SelfMotion | None:
-    """Return `self_motion`; None where q is singular, as no single curve leads through such a pose."""
+    """Return `self_motion`; None if it raises a RobotError, as at a singular pose."""
     try:
         return self_motion(robot, q, step)
     except RobotError:

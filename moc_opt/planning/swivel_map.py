@@ -1,10 +1,9 @@
-"""The manipulability map: mu over time along the path and elbow swivel, with the trajectories that runs took on it.
+"""The manipulability map: mu over time and over the elbow's swivel angle, with the trajectories of runs.
 
-The map has every swivel of the elbow, and shows where a joint limit forbids it. `read_trajectory` says for how long a
-run is at the optimum. Where a run ends elsewhere, mu is climbed on the map from its last swivel, up to the first pose
-beyond a joint limit. If the climb ends close by, the local maximum or the edge of the feasible poses there holds the
-run. If not, the map cannot tell why the run has not climbed: there may be no third level, or its box may hold the
-elbow, since the box is narrower than the joint limits that the map shows.
+The map also shows which swivels are beyond a joint limit. `read_trajectory` computes for how long a run is at the
+optimum. If the run does not end there, mu is climbed on the map from the run's last swivel to the first joint limit. If
+this climb is short, its end explains why the run stays: a local maximum, or the edge of the feasible poses. Otherwise
+the map has no explanation. The run may have no third level, or tighter bounds than the joint limits of the map.
 """
 
 from __future__ import annotations
@@ -30,24 +29,24 @@ UNREACHABLE, FEASIBLE = -1, 0
 TRAJECTORY_POINTS = 500
 STEP_RAD = 0.05
 SAME_PATH_M = 1e-6
-OTHER_BRANCH_RAD = 0.5  #: A trajectory with a larger gap is on another branch than the map.
+OTHER_BRANCH_RAD = 0.5  #: A trajectory with a larger gap is on another branch of inverse kinematics than the map.
 NEEDED = ("t_s", "q_rad", "tip_m", "tip_ref_m")
-NEAR = 0.02  #: A trajectory is at the optimum where its mu is at most this fraction below the best.
-END = 0.2  #: The final fraction of a trajectory's time, by which its end is judged.
-CLOSE_RAD = np.radians(12.0)  #: A run that ends this near to a local maximum or to the feasible edge is held by it.
+NEAR = 0.02  #: A trajectory is at the optimum while its mu is at most this fraction below the best.
+END = 0.2  #: The last fraction of a trajectory's time, from which its ending is judged.
+CLOSE_RAD = np.radians(12.0)  #: Largest swivel of a short climb at the end of a run.
 STILL_RAD_PER_S = np.radians(1.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Where a run went on the map; arrays (c,)."""
+    """The path of a run on the map; arrays (c,)."""
 
     t_s: Array
-    swivel_rad: Array  #: Shifted by whole turns into the map's range; it may jump by a turn.
+    swivel_rad: Array  #: Shifted by whole turns into the map's range, so that it may jump by a turn.
     mu: Array
     gap_rad: float
-    """Median distance of the run's joints from the map's pose at the same time and swivel. It is large where the run is
-    on another branch, for which the map does not hold."""
+    """Median distance of the run's joints from the map's pose at the same time and swivel. If it is large, the run is
+    on another branch, and the map does not apply."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -56,15 +55,15 @@ class SwivelMap:
 
     t_s: Array  #: (k,)
     swivel_rad: Array  #: (m,) evenly over one turn
-    mu: Array  #: (k, m) [m^3], also beyond joint limits; NaN where there is no pose
-    q_rad: Array  #: (k, m, n) the poses; NaN where there is none
+    mu: Array  #: (k, m) [m^3], also beyond joint limits; NaN if there is no pose
+    q_rad: Array  #: (k, m, n) the poses; NaN if there is no pose
     limit: NDArray[np.int64]
     """(k, m) `FEASIBLE` (0), the joint (from 1) that is farthest beyond a limit, or `UNREACHABLE` (-1)"""
-    best_swivel_rad: Array  #: (k,) of the largest feasible mu; NaN where nothing is feasible
-    best_mu: Array  #: (k,)
+    best_swivel_rad: Array  #: (k,) swivel of the largest feasible mu; NaN if no pose is feasible
+    best_mu: Array  #: (k,) largest feasible mu [m^3]; NaN likewise
     trajectories: Mapping[str, Trajectory]
     held: tuple[str, ...] = ()
-    """Further joints that could move while tip and wrist stay; on the map they stand as in the longest run."""
+    """Names of joints that the map holds as in the longest run, although they could move while tip and wrist stay."""
 
     def __repr__(self) -> str:
         return f"SwivelMap({len(self.t_s)} times, {len(self.swivel_rad)} swivels, runs: {', '.join(self.trajectories)})"
@@ -73,11 +72,11 @@ class SwivelMap:
 def manipulability_map(
     robot: RobotModel, traces: Mapping[str, Trace], *, times: int = 100, swivels: int = 180
 ) -> SwivelMap:
-    """Scan the self-motion at evenly spaced times of the path that all runs (name -> trace) were given.
+    """Scan the self-motion at evenly spaced times of a path. All runs (name -> trace) must have this path.
 
     Raises:
-        ReportError: no runs, too few columns or rows, runs of different paths, or a trace without a trocar.
-        RobotError: the arm has no elbow whose angle tells its poses apart.
+        ReportError: no runs, too few times or swivels, runs of different paths, or a trace without a trocar.
+        RobotError: the swivel angle of the arm's elbow does not tell its poses apart.
     """
     if not traces or times < 2 or swivels < 8:
         raise ReportError(f"{len(traces)} runs, {times} times, {swivels} swivels: at least 1, 2, 8 are needed")
@@ -99,7 +98,7 @@ def manipulability_map(
     mu, limit = _judged(robot, q)
     turn = _cut(limit == FEASIBLE)
     swivel, q, mu, limit = swivel + 2.0 * np.pi * turn / swivels, *(np.roll(a, -turn, axis=1) for a in (q, mu, limit))
-    if swivel.mean() >= np.pi:  # the middle of the map is to lie between -180 and 180 degrees
+    if swivel.mean() >= np.pi:  # keep the middle of the map between -180 and 180 degrees
         swivel -= 2.0 * np.pi
     best = np.array([_best(swivel, *column) for column in zip(mu, limit, strict=True)]).T
     lines = {name: _trajectory(robot, elbow, run, guide.t_s[ticks], swivel, q) for name, run in traces.items()}
@@ -110,13 +109,12 @@ def manipulability_map(
 
 
 def _poses_at(curve: SelfMotion, elbow: Elbow, swivels: Array) -> Array:
-    # Poses (m, n) of one self-motion at swivels (m,), NaN at swivels that it does not reach.
     angles = np.unwrap(elbow.swivel(curve.q))
     steps = np.diff(angles)
     sign = 1.0 if len(steps) and steps[0] > 0.0 else -1.0
     if not np.all(sign * steps > 0.0):
         raise RobotError(
-            "the arm's elbow goes to and fro on its self-motion, so no swivel angle tells its poses apart: "
+            "the elbow's swivel angle both rises and falls along the self-motion, so it does not tell the poses apart: "
             "the map is for arms whose shoulder, elbow and wrist form a triangle"
         )
     along = (curve.s - curve.s[0]) / max(curve.s[-1] - curve.s[0], 1e-300)
@@ -144,7 +142,7 @@ def _targets(
         apart = np.abs(trace.tip_ref_m[shared] - guide.tip_ref_m[shared]).max()
         if apart > SAME_PATH_M:
             raise ReportError(f"run {name!r} was given another path (up to {apart:.3g} m apart): map each path alone")
-    # Double precision even where the trace has less: tip and wrist must be the arm's span apart, within REACHED_M.
+    # Use double precision, because the distance from tip to wrist must be exact within REACHED_M.
     tips, trocars = (np.asarray(guide.columns[name][ticks], dtype=np.float64) for name in ("tip_ref_m", column))
     span = robot.state(robot.data.q_home).tool_span
     return tips, desired_wrist(tips, 0.0, trocars, 0.0, span)[0]
@@ -170,7 +168,7 @@ def _best(swivel: Array, mu: Array, limit: NDArray[np.int64]) -> tuple[float, fl
 
 
 def _cut(feasible: NDArray[np.bool_]) -> int:
-    # The row at which the circle is cut open: the one farthest from every row with a feasible pose.
+    # Cut the circle of swivels open at the row farthest from all rows with a feasible pose.
     allowed, count = np.flatnonzero(feasible.any(axis=0)), feasible.shape[1]
     apart = np.abs(np.arange(count)[:, None] - allowed)
     return int(np.argmax(np.minimum(apart, count - apart).min(axis=1, initial=count)))
@@ -195,7 +193,7 @@ def _trajectory(robot: RobotModel, elbow: Elbow, trace: Trace, times: Array, swi
 
 
 def check_showable(name: str, trace: Trace, robot: RobotModel) -> None:
-    """Raise a ReportError where a run is empty, lacks a column, has another joint count, or is not finite."""
+    """Raise a ReportError if a run is empty, lacks a column, has another number of joints, or is not finite."""
     missing = [column for column in NEEDED if column not in trace.columns]
     if missing or not len(trace):
         what = f"lacks the columns {', '.join(missing)}" if missing else "has no ticks"
@@ -209,7 +207,7 @@ def check_showable(name: str, trace: Trace, robot: RobotModel) -> None:
 
 
 class End(StrEnum):
-    """Where a trajectory ends, or how mu changes there."""
+    """The place where a trajectory ends, or the change of mu at its end."""
 
     OPTIMUM = "at the optimum"
     LOCAL_MAXIMUM = "at a local maximum"
@@ -226,17 +224,17 @@ class Reading:
     """The analysis of one trajectory."""
 
     name: str
-    near: float  #: Share of the time that the run is at the optimum; NaN where run and map cannot be compared.
+    near: float  #: Share of the time that the run is at the optimum; NaN if run and map cannot be compared.
     mu_share: float  #: (Mean mu) / (mean of the best mu at the same times).
-    travel_rad: float  #: Turn of the elbow from start to end; positive upwards on the map.
-    from_s: float  #: Time after which the run stays at the optimum [s]; NaN if it ends elsewhere.
+    travel_rad: float  #: Change of the swivel from start to end; positive upwards on the map.
+    from_s: float  #: Time after which the run stays at the optimum [s]; NaN if it does not end at the optimum.
     end: End
-    joint: int  #: The joint (from 1) whose limit holds the run; 0 where none does.
-    at_edge: float  #: Share of the time that the run is at an infeasible pose, or one row of the map away from one.
+    joint: int  #: The joint (from 1) whose limit holds the run; 0 if no limit does.
+    at_edge: float  #: Share of the time that the run is at an infeasible pose or next to one on the map.
 
 
 def read_trajectory(found: SwivelMap, name: str) -> Reading:
-    """Analyse the trajectory of one run, given by its name on the map."""
+    """Analyse the trajectory of the run with this name on the map."""
     run, known = found.trajectories[name], np.isfinite(found.best_mu)
     travel, nan = float(np.unwrap(run.swivel_rad)[-1] - run.swivel_rad[0]), np.nan
     if not known.any() or run.gap_rad > OTHER_BRANCH_RAD:
@@ -259,7 +257,7 @@ def read_trajectory(found: SwivelMap, name: str) -> Reading:
 
 
 def _what_holds(found: SwivelMap, run: Trajectory, late: NDArray[np.bool_]) -> tuple[End, int]:
-    # The last column up to the run's end that has a feasible pose; if there is none, the first such column after it.
+    # Take the last column up to the run's end that has a feasible pose, or else the first such column.
     known = np.flatnonzero(np.isfinite(found.best_mu))
     column = int(max(known[found.t_s[known] <= run.t_s[-1] + 1e-9], default=known[0]))
     mu, limit, count = found.mu[column], found.limit[column], found.mu.shape[1]

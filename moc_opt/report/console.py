@@ -1,4 +1,4 @@
-"""Coloured tables and a progress bar for a terminal; elsewhere plain text, and a progress line at intervals."""
+"""Coloured tables and a progress bar for a terminal. Other outputs get plain text and occasional progress lines."""
 
 from __future__ import annotations
 
@@ -15,38 +15,35 @@ from moc_opt.figures.notation import printable
 LINE_EVERY_S = 10.0
 PIPED_WIDTH = 80
 CLOSED = 141
-"""Exit status if the reader closes the output early, as `| head` does: the status of a command ended by SIGPIPE."""
+"""Exit status if the reader closes the output early, as `| head` does. It is that of a command ended by SIGPIPE."""
 
 
 def end_output() -> int:
-    """Discard what is still buffered for stdout, since nobody reads it any more; return the exit status."""
+    """Discard the rest of the output after the reader has closed it; return the exit status."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return CLOSED
 
 
 class _Console(Console):
     def on_broken_pipe(self) -> None:
-        raise SystemExit(end_output())  # rich would exit with 1, the status of a defect
+        raise SystemExit(end_output())  # rich would exit with 1, which means a defect
 
 
 def console(*, stderr: bool = False, file: IO[str] | None = None) -> Console:
-    """Make a console. To anything but a terminal it writes plain text, 80 columns wide (or as COLUMNS says).
-
-    Results belong on stdout, messages on stderr.
-    """
+    """Make a console. If it is no terminal, it writes plain text, 80 columns wide (or as COLUMNS says)."""
     made = _Console(stderr=stderr, file=file, highlight=False, soft_wrap=False)
     if not made.is_terminal and not os.environ.get("COLUMNS", "").isdigit():
-        made.width = PIPED_WIDTH  # rich would take the width of the terminal of another stream
+        made.width = PIPED_WIDTH  # rich would take the width of another stream's terminal
     return made
 
 
 class Bar(Progress):
-    """A progress bar on stderr that vanishes at the end; without a terminal, a line of text every ten seconds."""
+    """A progress bar on stderr that vanishes at the end. Without a terminal, it is a line of text every ten seconds."""
 
     def __init__(
         self, description: str, total: float | None = None, *, now: str = "", on: Console | None = None
     ) -> None:
-        """Make the bar for ``total`` steps (None: not known yet), on the console ``on`` instead of stderr."""
+        """Make the bar for ``total`` steps (None if not known yet). ``on`` is a console to use instead of stderr."""
         where = on or console(stderr=True)
         super().__init__(
             TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
@@ -56,7 +53,7 @@ class Bar(Progress):
         self.add_task(printable(description), total=total, now=now, written=self.get_time())
 
     def step(self, now: str = "", steps: float = 1.0) -> None:
-        """Count this many more steps as done, and show the current step's name."""
+        """Count ``steps`` more steps as done, and show ``now``, the name of the current step."""
         (task,) = self.tasks
         self.update(task.id, advance=steps, now=printable(now))
         if self.console.is_terminal or self.get_time() - task.fields["written"] < LINE_EVERY_S:
@@ -75,7 +72,7 @@ class Bar(Progress):
 
 
 def busy() -> str:
-    """Return a warning for measured times if more threads want to run than there are cores; else empty."""
+    """Return a warning for measured times if the load exceeds the number of cores; else empty."""
     cores, load = len(os.sched_getaffinity(0)), os.getloadavg()[0]  # the load of the last minute
     if load <= cores:
         return ""

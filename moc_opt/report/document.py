@@ -1,4 +1,4 @@
-"""Render HTML files from the templates in ``report/assets``, with every text escaped, and save them atomically."""
+"""Render HTML files from the templates in ``report/assets``, escape all texts, and save the files atomically."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from moc_opt.figures.notation import pretty_unit, printable
 from moc_opt.inputs.files import check_replaceable, write_whole
 from moc_opt.report.tables import heading_lines
 
-GENERATOR = b'<meta name="generator" content="moc_opt">'  # in a page's first lines: moc_opt wrote it
+GENERATOR = b'<meta name="generator" content="moc_opt">'  # marks pages written by moc_opt
 
 
 def render(template: str, **values: Any) -> str:
-    """Fill in a template of ``report/assets``; every value is escaped unless it is `Markup`."""
+    """Fill in a template of ``report/assets``. Every value is escaped unless it is `Markup`."""
     return _TEMPLATES.get_template(template).render(values)
 
 
 def macros(template: str) -> Any:
-    """Return the macros of a template as functions that return `Markup`; every argument is escaped."""
+    """Return the macros of a template as functions that return `Markup`. Every argument is escaped."""
     return _TEMPLATES.get_template(template).module
 
 
@@ -35,7 +35,7 @@ def inline(text: str) -> Markup:
 
 
 def anchor(title: str) -> str:
-    """Return the address (fragment) of a section on its page."""
+    """Return the URL fragment of the section with this title."""
     return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")[:60] or "part"
 
 
@@ -51,7 +51,7 @@ _TEMPLATES.filters.update(inline=inline, anchor=anchor, pretty_unit=pretty_unit,
 
 
 def check_out(path: str | os.PathLike[str], what: str, *, force: bool = False) -> Path:
-    """Check, before any work, that a file can be written to this path, and return the path; else a ReportError.
+    """Return the path if a file can be written there; else raise a ReportError.
 
     A file that is no page of moc_opt is replaced only with ``force``.
     """
@@ -66,5 +66,5 @@ def check_out(path: str | os.PathLike[str], what: str, *, force: bool = False) -
 
 
 def save_document(path: str | os.PathLike[str], text: str, what: str, *, force: bool = False) -> Path:
-    """Write a page atomically: an older file of that name stays until the new one is complete."""
+    """Write a page. An older file of this name stays until the new file is complete."""
     return write_whole(check_out(path, what, force=force), text.encode(), what, ReportError)

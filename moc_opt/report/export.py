@@ -1,4 +1,4 @@
-"""Figures as SVG and PDF for papers, drawn by a headless browser, which plotly needs."""
+"""Save figures as SVG and PDF for papers. Plotly needs a headless browser for this."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Page as BrowserPage
 
 WIDTH_PX = 680
-"""Width of a figure that sets none: 180 mm, two columns of a journal. Text of 12 px is then printed as 9 pt."""
+"""Default width of a figure: 180 mm, two columns of a journal. Text of 12 px is then printed as 9 pt."""
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "microsoft-edge")
 CURE = (
     "install a browser (Debian, Ubuntu: apt-get install chromium; anywhere: python -m playwright install chromium), "
@@ -36,14 +36,14 @@ def save_figures(
 ) -> list[Path]:  # fmt: skip
     """Write each figure as DIRECTORY/NAME.FORMAT, as vectors in the colours of a light page; return the files.
 
-    Raise what `browser` raises, and a ReportError if a name is no file name or a file cannot be written.
+    Raise what `browser` raises. Raise a ReportError if a name is no file name or a file cannot be written.
     """
     for name in figures:
         if name != Path(name).name:
             raise ReportError(f"figure {name!r}: give a name without a folder in it")
     with browser() as chromium:
         page = chromium.new_page()
-        page.route("**/*", lambda route: route.abort())  # figures must not fetch anything
+        page.route("**/*", lambda route: route.abort())  # no network access
         page.set_content(SHEET)
         page.add_script_tag(content=get_plotlyjs())
         drawn = {name: _drawn(page, figure) for name, figure in figures.items()}
@@ -55,7 +55,7 @@ def save_figures(
 
 @contextmanager
 def browser() -> Iterator[Browser]:
-    """Start a headless Chromium (the program in MOC_OPT_BROWSER, else an installed one); close it at the end.
+    """Start a headless Chromium (the program in MOC_OPT_BROWSER, else an installed browser); close it at the end.
 
     Raise a BrowserMissingError if playwright or a browser is missing, and a BrowserError if the browser fails.
     """

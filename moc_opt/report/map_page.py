@@ -1,4 +1,4 @@
-"""The manipulability map as a figure, as a part of a page (with a table of its runs), and as a page of its own."""
+"""The manipulability map as a figure, as a part of a page with a table of its runs, and as a separate page."""
 
 from __future__ import annotations
 
@@ -34,50 +34,50 @@ from moc_opt.report.run_table import below_best, listed, title_of
 from moc_opt.report.tables import Column, Table
 from moc_opt.trace.trace import Trace
 
-# From light to dark, so that white-edged lines in any colour of `SERIES` stand out. Dark pages keep these colours.
+# From light to dark. White-edged lines in any colour of `SERIES` stand out. Dark pages keep these colours.
 SCALE = ((0.0, "#f4f1e6"), (0.25, "#cfe0cf"), (0.5, "#8fc4bd"), (0.75, "#3f8f9c"), (1.0, "#143f5c"))
 EDGE, BEST = "#fffffe", "#17191b"
 HEIGHT_PX = 460
-LEAP_DEG = 25.0  # Where the swivel changes by more than this between two sampled times, its line has a gap
+LEAP_DEG = 25.0  # If the swivel changes by more than this between two sampled times, its line has a gap.
 HOVER = "%{x:.2f} s, %{y:.0f}°: µ = %{customdata:.3f} m³<extra>%{fullData.name}</extra>"
 COLUMNS = (
     Column("name", "trajectory"),
     Column(
         "near", "at the optimum", unit="%", format=".0f", better="high",
-        help=f"share of the time with mu at most {100 * NEAR:.0f} % below the best at that time",
+        help=f"share of the time with mu at most {100 * NEAR:.0f} % below the best mu at the same time",
     ),
-    Column("from_s", "for good from", unit="s", format=".1f", better="low", help="time from which it stays optimal"),
+    Column("from_s", "for good from", unit="s", format=".1f", better="low", help="time after which it stays optimal"),
     Column("mu_percent", "of the best mu", unit="%", format=".1f", better="high", help="mean mu / mean best mu"),
-    Column("travel", "elbow turns", unit="deg", format="+.0f", help="from its start to its end"),
+    Column("travel", "elbow turns", unit="deg", format="+.0f", help="from the start of the run to its end"),
     Column(
         "at_edge", "at the feasible edge", unit="%", format=".0f", better="low",
-        help="share of the time in which a pose that is not allowed is at most one row of the map away",
+        help="share of the time at a forbidden pose or next to one on the map",
     ),
     Column(
         "end", "in the end",
         help=f"over the last {100 * END:.0f} % of the time. Local maximum: mu falls to both sides. Edge: mu would rise "
-        f"beyond it, but no pose there is allowed. Either is less than {np.degrees(CLOSE_RAD):.0f} deg away. At rest: "
-        "neither is near; the third level's box is narrower than the joint limits, and is not in the map. Other branch "
-        "of the inverse kinematics: the map does not apply",
+        f"further, but poses there are forbidden. Both are less than {np.degrees(CLOSE_RAD):.0f} deg away. At rest: "
+        "neither is near. The third level may have tighter bounds than the joint limits of the map. Other branch of "
+        "the inverse kinematics: the map does not apply",
     ),
 )  # fmt: skip
 
 
 def add_map(page: Page, found: SwivelMap, *, styles: Styles | None = None) -> None:
-    """Append figure and table of one map; raise what `map_figure` raises."""
+    """Append the figure and the table of one map to a page. Raise what `map_figure` raises."""
     drawn = map_figure(found, styles)
     if found.held:
         page.text(
-            f"A slice: tip and trocar leave this arm {len(found.held) + 1} freedoms, and the map shows one. "
-            f"{listed(found.held)} {'stand' if len(found.held) > 1 else 'stands'} as in the longest run; poses with "
-            "other values may have a larger mu than the best shown here."
+            f"With tip and trocar fixed, this arm has {len(found.held) + 1} free motions. The map shows only one. In "
+            f"it, {listed(found.held)} {'stand' if len(found.held) > 1 else 'stands'} as in the longest run. Other "
+            "poses may have a larger mu than the best shown here."
         )
     times, swivels = found.mu.shape
     page.figure(
-        drawn, f"Every pose that keeps tip and trocar, over time ({times} by {swivels} poses): upwards the swivel of "
-        "the elbow, as colour the manipulability mu; grey: a joint would be beyond its limit, or the arm does not "
-        "reach it. A line is the trajectory of one run, from the marker at its start; the dotted line joins the best "
-        "poses, and its jumps are no motions of the arm.", name="map",
+        drawn, f"The manipulability mu of every pose that keeps tip and trocar, over time and over the swivel angle of "
+        f"the elbow ({times} by {swivels} poses). At grey poses, a joint would be beyond its limit, or the arm does "
+        "not reach the pose. Each line that begins at a marker is a run. The dotted line joins the best poses; its "
+        "jumps are not motions of the arm.", name="map",
     )  # fmt: skip
     rows = [_row(read_trajectory(found, trajectory)) for trajectory in found.trajectories]
     page.table(Table("Trajectories on the map", COLUMNS, rows))
@@ -94,7 +94,7 @@ def _row(reading: Reading) -> dict[str, Any]:
 
 
 def load_map(files: Sequence[str | os.PathLike[str]]) -> Page:
-    """Return a page with the map of saved traces, named as their files are, and of the best courses saved in them."""
+    """Return a page with the map of saved traces, named as their files, and of the best courses saved in them."""
     traces, robot = load_runs(files)
     page = Page(f"Manipulability map of {title_of(traces)}", f"runs: {'; '.join(traces)}")
     courses: dict[str, Trace] = {}
@@ -112,10 +112,10 @@ def load_map(files: Sequence[str | os.PathLike[str]]) -> Page:
 
 
 def map_figure(found: SwivelMap, styles: Styles | None = None) -> go.Figure:
-    """Draw mu as colour over time and swivel, grey where no pose is allowed, and a line for every run.
+    """Draw mu as colour over time and swivel, with a line for every run. Forbidden poses are grey.
 
-    The line of a run on another branch of the inverse kinematics than the map is dotted, since the colours under the
-    line are not the run's mu. Raise a ReportError if no pose of the map is allowed.
+    The line of a run on another branch of the inverse kinematics is dotted, because the map does not show this run's
+    mu. Raise a ReportError if no pose of the map is allowed.
     """
     styles, allowed = styles or Styles(found.trajectories), found.limit == FEASIBLE
     if not allowed.any():
@@ -128,8 +128,8 @@ def map_figure(found: SwivelMap, styles: Styles | None = None) -> go.Figure:
         dash = "dot" if run.gap_rad > OTHER_BRANCH_RAD else styles[name].dash
         line = {"color": styles[name].color, "width": 2.4, "dash": dash}
         drawn.add_scatter(**_edged(drawn, name, run.t_s, run.swivel_rad, run.mu), name=label(name), line=line)
-    # The line of the best poses is drawn on top, since runs at the optimum coincide with it. The map stays light on
-    # dark pages, but the legend turns dark, so the line's sample in the legend has the colour of the text.
+    # The line of the best poses is on top, because runs at the optimum coincide with it. On dark pages the map stays
+    # light but the legend turns dark, so the legend has its own line in the colour of the text.
     dotted = {"width": 2.0, "dash": "dot"}
     drawn.add_scatter(**best, name="best", showlegend=False, line={"color": BEST, **dotted})
     drawn.add_scatter(x=[None], y=[None], mode="lines", legendgroup="best", name="best", line={"color": INK, **dotted})
@@ -151,7 +151,7 @@ def map_figure(found: SwivelMap, styles: Styles | None = None) -> go.Figure:
 
 
 def _colors(drawn: go.Figure, found: SwivelMap, allowed: NDArray[np.bool_]) -> None:
-    """Draw mu as colour, then grey over forbidden poses. Colours extend below the grey, to be smooth at its edge."""
+    """Draw mu as colour, then grey over forbidden poses. Colours continue below the grey for a smooth edge."""
     mu, degrees = np.where(found.limit == UNREACHABLE, np.nan, found.mu), np.degrees(found.swivel_rad)
     low, high = float(mu[allowed].min()), float(mu[allowed].max())
     drawn.add_heatmap(
@@ -173,7 +173,7 @@ def _colors(drawn: go.Figure, found: SwivelMap, allowed: NDArray[np.bool_]) -> N
 
 
 def _edged(drawn: go.Figure, group: str, t: Array, swivel_rad: Array, mu: Array) -> dict[str, Any]:
-    """Draw a line's white edge, and return plotly's arguments of the line; both have a gap where the swivel leaps."""
+    """Draw a line's white edge, and return plotly's arguments for the line. Both have gaps where the swivel leaps."""
     leaps = np.flatnonzero(np.abs(np.diff(swivel_rad)) > np.radians(LEAP_DEG)) + 1
     x, y, values = (np.insert(of, leaps, np.nan) for of in (t, np.degrees(swivel_rad), mu))
     line = {"x": x, "y": y, "mode": "lines", "connectgaps": False, "legendgroup": group}

@@ -23,7 +23,7 @@ from moc_opt.inputs.files import to_json
 from moc_opt.report.document import anchor, macros, render, save_document
 from moc_opt.report.tables import Cell, Column, Table, alignment
 
-# Spaces as wide as a digit and as a point (in fonts with tabular figures), which align numbers on their points.
+# Spaces as wide as a digit and as a decimal point. They align the numbers of a column on their points.
 FIGURE_SPACE, POINT_SPACE = "\u2007", "\u2008"
 LONG_TEXT = 40
 _PARTS, _TABLE = macros("parts.html"), macros("table.html")
@@ -38,29 +38,29 @@ class _Section:
 
 
 class Page:
-    """A report: call its methods in reading order, then `save`.
+    """A report. Call its methods in reading order, then `save`.
 
-    All texts are plain: they are escaped, a blank line begins a paragraph, and `backticks` set a name in code.
+    All texts are escaped. A blank line begins a new paragraph, and `backticks` mark code.
     """
 
     def __init__(self, title: str, subtitle: str = "") -> None:
         self.title, self.subtitle = title, subtitle
-        self.figures: dict[str, go.Figure] = {}  #: by name, in the order of the page, as `save_figures` takes them
+        self.figures: dict[str, go.Figure] = {}  #: name -> figure in the order of the page, for `save_figures`
         self._sections = [_Section()]
         self._about, self._tables, self._folding = "", 0, False
 
     def headline(self, text: str) -> None:
-        """Append a finding in words, set apart; the first finding is also the page's meta description."""
+        """Append a highlighted finding. The first finding is also the page's meta description."""
         self._about = self._about or text
         self._add(_PARTS.headline(text))
 
     def section(self, title: str) -> None:
-        """Begin a section, folded if `fold` was called. A page without `fold` lists its sections at the top."""
+        """Begin a section. It is folded if `fold` was called; otherwise the page lists its sections at the top."""
         name = _unlike(title, [section.name for section in self._sections])
         self._sections.append(_Section(name, title, self._folding))
 
     def fold(self) -> None:
-        """Fold all later sections, and put a search field for the rows of their tables above them."""
+        """Fold all later sections, and put a search field for their tables above them."""
         self._folding = True
         self._sections.append(_Section(parts=[_PARTS.finder()]))
 
@@ -75,9 +75,9 @@ class Page:
         self._add(_drawn(table, self._tables))
 
     def figure(self, figure: go.Figure, caption: str, *, name: str = "") -> None:
-        """Append a numbered figure, whose caption says what to notice.
+        """Append a numbered figure with a caption.
 
-        ``name`` is its file name if the figures are saved too; empty: the caption's first words.
+        ``name`` is the name of its file in `save_figures`; if it is empty, the caption's first words are used.
         """
         name = _unlike(name or " ".join(caption.split()[:5]), self.figures)
         self.figures[name] = figure
@@ -85,7 +85,7 @@ class Page:
         self._add(_PARTS.figure(name, len(self.figures), caption, height))
 
     def environment(self, values: Mapping[str, Any]) -> None:
-        """Append the section "Environment" with nested plain values; each top-level mapping is folded."""
+        """Append a section "Environment" with nested plain values. Each top-level mapping is folded."""
         self.section("Environment")
         self._add(_PARTS.environment(values))
 
@@ -104,23 +104,23 @@ class Page:
         )  # fmt: skip
 
     def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
-        """Write the file as `save_document` does; `force` also replaces a file that is no page of moc_opt."""
+        """Write the file, as `save_document` does. With `force`, also replace a file that is no page of moc_opt."""
         return save_document(path, self.html(), "page", force=force)
 
 
 def _unlike(text: str, taken: Iterable[str]) -> str:
-    """Return a name for addresses and files that differs from those already taken."""
+    """Return a name for URLs and files that is not yet taken."""
     words = anchor(text)
     return next(name for k in count(1) if (name := f"{words}-{k}" if k > 1 else words) not in taken)
 
 
 @cache
 def _packed_plotly() -> str:
-    """Return plotly.js compressed and in base64, a third of its original size; `figures.js` unpacks it."""
+    """Return plotly.js compressed and in base64. `figures.js` unpacks it."""
     return base64.b64encode(gzip.compress(get_plotlyjs().encode(), mtime=0)).decode()
 
 
-# --- a table: headings that sort, numbers aligned on their points, missing values with a footnote ---
+# --- tables ---
 
 
 def _drawn(table: Table, number: int) -> Markup:
@@ -144,7 +144,7 @@ def _column(
     power = max((len(text.partition("e")[2]) for text in numbers), default=0)
     for cell, row in zip(cells, rows, strict=True):
         own = fraction_length(cell.text)
-        # An integer in a column of fractions has neither the point nor digits after it: pad for both.
+        # An integer in a column of fractions has no point and no digits after it: pad for both.
         pad = POINT_SPACE * bool(fraction and not own) + FIGURE_SPACE * (fraction - max(own, 1))
         long = not cell.numeric and len(cell.text) > LONG_TEXT
         yield {

@@ -1,4 +1,4 @@
-"""A plan as tables and as JSON: first whether the path can be executed, then the figures of the planned courses."""
+"""A plan as tables and as JSON: whether the path can be executed, and figures of the courses (joint trajectories)."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from moc_opt.robots.model import RobotModel
 COURSES = [
     Column("course", "course"), Column("mu_mean", "mean mu", unit="m^3", format=".4f", better="high"),
     Column("mu_worst", "worst mu", unit="m^3", format=".4f", better="high"),
-    Column("share_percent", "of best", unit="%", format=".1f", help="mean mu as a share of that of the best over all"),
+    Column("share_percent", "of best", unit="%", format=".1f", help="mean mu / mean mu of the best course over all"),
     Column("certified", "optimum", help="'local': no course nearby is better; 'grid': the best of the map's samples"),
     Column("violation", "violation", unit="m, rad", format=".0e"),
 ]  # fmt: skip
 VERDICT_TERMS = (
-    "Swivel: angle of the elbow about the line from shoulder to wrist. Course: the poses along the path. Bound: the "
-    "mean mu that no course can exceed."
+    "Swivel: angle of the elbow about the line from shoulder to wrist. Course: joint trajectory along the path. Bound: "
+    "upper bound of mean mu."
 )
 COURSES_TERMS = (
-    "Local climb: an ideal climb of mu from the start, without dynamics or gains. A run with third_level = 'local' has "
-    "dynamics and limits, and may give another mu. Optimum: 'local': no course nearby is better; 'grid': the best of "
-    "the map's samples. Violation: the largest distance off the path or beyond a limit."
+    "Local climb: an ideal climb of mu from the start, without dynamics or gains. The mu of a run with third_level = "
+    "'local' may differ. Optimum: 'local': no course nearby is better; 'grid': the best of the map's samples. "
+    "Violation: the largest distance from the path or beyond a limit."
 )
 
 
@@ -48,7 +48,7 @@ def plan_json(plan: Plan) -> dict[str, Any]:
 
 
 def plan_tables(name: str, plan: Plan, **within: float) -> list[Table]:
-    """Make the tables of the verdict and of the courses of a scenario's plan; both fit 80 columns.
+    """Make two tables of a scenario's plan: the verdict, and the courses. Both fit 80 columns.
 
     Args:
         within: margin_rad, margin_m, speed_share and shaft_margin, as in `moc_opt.scenario.planned.plan`.
@@ -93,7 +93,7 @@ def _courses(plan: Plan) -> list[dict[str, Any]]:
 
 
 def start_toml(robot: RobotModel, plan: Plan) -> str:
-    """Return a [start] table for a scenario that begins where the best course begins; empty if there is no course.
+    """Return a [start] table with the first pose of the best course; empty if there is no course.
 
     Joint positions are rounded and kept within the joint limits.
     """

@@ -1,7 +1,7 @@
-"""Runs in 3-D, in one HTML file that needs no other file.
+"""Show runs in 3-D, in one HTML file that needs no other file.
 
-The arm is drawn from its joint frames, without mesh files: every part is a body of revolution on one link. Lengths and
-axes are the robot's; thicknesses are made up, in proportion to its reach.
+The arm is drawn from its joint frames, without mesh files. Every part is a body of revolution on one link. Lengths and
+axes are those of the robot. Thicknesses are invented, in proportion to the arm's reach.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ from moc_opt.trace.trace import Trace, table
 MOST_RUNS = 4
 FRAMES_PER_S = 30.0
 FRAMES_IN_ALL = 9000
-"""Largest sum of all runs' frames. A longer replay has fewer frames per second; the page interpolates."""
+"""Largest total number of frames of all runs. A longer replay has fewer frames per second; the page interpolates."""
 PATH_POINTS = 1500
 SERIES_POINTS = 900
 
 BASE = -1
 SHORTEST_M = 1e-3
 ACROSS = 0.7
-"""|Cosine| of the angle between axis and link of a joint, below which it is drawn as an elbow, and above as a ring."""
+"""If |cosine| of the angle between a joint's axis and link is below this, draw the joint as an elbow, else a ring."""
 
 
 class Replay:
-    """One to four runs of one arm, played side by side; ``#t=3.2`` in the address opens the page at t = 3.2 s."""
+    """One to four runs of one arm, played side by side. ``#t=3.2`` in the URL opens the page at t = 3.2 s."""
 
     def __init__(self, traces: Mapping[str, Trace], robot: RobotModel) -> None:
-        """Check the runs; a ReportError if there is no run or too many, or if a run does not fit this arm."""
+        """Check the runs. Raise a ReportError if there is no run, too many runs, or a run of another arm."""
         if not 1 <= len(traces) <= MOST_RUNS:
             raise ReportError(f"{len(traces)} runs: give 1 to {MOST_RUNS}, more are too small to see")
         for name, trace in traces.items():
@@ -82,11 +82,11 @@ class Replay:
         return save_document(path, self.html(), "replay", force=force)
 
 
-# --- saved runs, and their arm ---
+# --- saved runs ---
 
 
 def load_runs(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, Trace], RobotModel]:
-    """Load saved traces, named as their files, and their arm; a ReportError if they are not all of one arm and tool."""
+    """Load saved traces, named as their files, and their arm. Raise a ReportError if arms or tools differ."""
     traces: dict[str, Trace] = {}
     for file in map(Path, files):
         traces[file.stem if file.stem not in traces else str(file)] = Trace.load(file)
@@ -105,11 +105,11 @@ def load_runs(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, Trace]
     return traces, load_robot(arm["name"], **tool)
 
 
-# --- the moving parts: poses, points and curves of every run, thinned ---
+# --- data of a run: poses, points and curves ---
 
 
 def _run_data(trace: Trace, robot: RobotModel, times: Array, color: str) -> dict[str, Any]:
-    """Return one run's data at these times; a run that ended earlier stands still afterwards."""
+    """Return one run's data at these times. A run that ended earlier stands still afterwards."""
     t = trace.t_s
     ticks = np.clip(np.searchsorted(t, times, side="right") - 1, 0, len(t) - 1)
     origins, rotations = link_frames(robot, trace.q_rad[ticks])
@@ -127,7 +127,7 @@ def _run_data(trace: Trace, robot: RobotModel, times: Array, color: str) -> dict
 
 
 def _panel(trace: Trace, column: str, ticks: NDArray[np.intp]) -> dict[str, Array] | None:
-    """Return a column's curve and its values at the frames, for mu also the bound; None if the run lacks the column."""
+    """Return a column's curve and its values at the frames; None if the run lacks the column. mu also has its bound."""
     if column not in trace.columns:
         return None
     values = trace.columns[column].astype(np.float64)
@@ -140,7 +140,7 @@ def _panel(trace: Trace, column: str, ticks: NDArray[np.intp]) -> dict[str, Arra
 
 
 def _rounded(value: Any) -> Any:
-    """Return the value with every array as a flat list (row after row), rounded to 6 decimals."""
+    """Return the value with every array as a flat list, rounded to 6 decimals."""
     if isinstance(value, dict):
         return {key: _rounded(entry) for key, entry in value.items()}
     if isinstance(value, list):
@@ -151,7 +151,7 @@ def _rounded(value: Any) -> Any:
 def velocity_ellipsoids(jacobians: Array) -> Array:
     """Return S = (J J^T)^(1/2) (k, 3, 3) of J (k, 3, n). S maps the unit sphere to the ellipsoid of tip velocities.
 
-    The determinant of S is mu (Yoshikawa 1985). Unlike eigenvectors, S can be interpolated between two frames.
+    The determinant of S is mu (Yoshikawa 1985). S can be interpolated between two frames, unlike eigenvectors.
     """
     axes, lengths, _ = np.linalg.svd(jacobians, full_matrices=False)
     roots: Array = (axes * lengths[:, None, :]) @ np.swapaxes(axes, 1, 2)
@@ -164,12 +164,12 @@ def velocity_ellipsoids(jacobians: Array) -> Array:
 class Part(NamedTuple):
     """A body of revolution."""
 
-    link: int  #: index (from 0) of the joint whose frame the part moves with; `BASE`: it does not move
-    origin: Array  #: (3,) point at height 0, in that frame [m]
+    link: int  #: index (from 0) of the joint with whose frame the part moves, or `BASE`
+    origin: Array  #: (3,) point at height 0, in this frame [m]
     axis: Array  #: (3,) unit vector
-    radii: Array  #: (k,) radii of the profile's points, in order of height [m]
-    heights: Array  #: (k,) heights of these points [m]
-    role: str  #: "shell", "joint" or "tool", which gives its colour
+    radii: Array  #: (k,) radii of the profile's points [m]
+    heights: Array  #: (k,) heights of the profile's points [m]
+    role: str  #: "shell", "joint" or "tool"; determines the colour
 
 
 def arm_parts(robot: RobotModel) -> list[Part]:
@@ -178,7 +178,7 @@ def arm_parts(robot: RobotModel) -> list[Part]:
     tip, wrist = chain.offsets
     along = (tip - wrist) / np.linalg.norm(tip - wrist)
     mount = tip - robot.data.tool_length * along
-    ends = np.array([*chain.origins, mount])  # ends[k]: end of the link that begins at frame k - 1
+    ends = np.array([*chain.origins, mount])  # ends[k] is the end of the link that begins at frame k - 1
     lengths = np.linalg.norm(ends, axis=1)
     reach = lengths[:-1].sum()
     radius = np.linspace(0.058, 0.038, n + 1) * reach
@@ -192,7 +192,7 @@ def arm_parts(robot: RobotModel) -> list[Part]:
         heights = heights.clip(0.0 if k == 0 else -np.inf, lengths[k] if k == seen[-1] else np.inf)
         parts.append(Part(int(k) - 1, here, ends[k] / lengths[k], ball * np.cos(bend), heights, "shell"))
     for j, axis in enumerate(chain.axes):
-        # The longer of a joint's two links decides how the joint is drawn, since wrists have links of length zero.
+        # The longer of a joint's two links decides, because wrists have links of length zero.
         beside = max(ends[j + 1], chain.rotations[j].T @ ends[j], key=np.linalg.norm)
         across = abs(axis @ beside) < ACROSS * np.linalg.norm(beside)
         drums = [(1.06, 1.12, "shell"), (0.78, 1.22, "joint")] if across else [(1.04, 0.10, "joint")]

@@ -1,4 +1,4 @@
-"""Runs as one page: the ending of each run, its curves, its metrics, and the path of its elbow on the map."""
+"""Show runs on one page: their endings, curves and metrics, and the paths of their elbows on the map."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from moc_opt.trace.trace import Trace
 
 
 def load_report(files: Sequence[str | os.PathLike[str]]) -> Page:
-    """Make the page of saved traces, named as their files are; raise what `load_runs` raises."""
+    """Make the page of saved traces, named as their files. Raise what `load_runs` raises."""
     traces, robot = load_runs(files)
     return run_page(traces, {name: summarize(trace) for name, trace in traces.items()}, robot)
 
 
 def run_page(traces: Mapping[str, Trace], metrics: Mapping[str, Mapping[str, float]], robot: RobotModel) -> Page:
-    """Make the page of runs of one arm, a baseline first; the runs in ``metrics`` make up the page's title."""
+    """Make the page of runs of one arm, with a baseline first. The runs in ``metrics`` give the page's title."""
     judged = {name: traces[name] for name in metrics}
     styles, page = Styles(traces), Page(title_of(judged), f"runs: {'; '.join(traces)}")
     every = {**metrics, **{name: summarize(trace) for name, trace in traces.items() if name not in metrics}}
@@ -35,10 +35,10 @@ def run_page(traces: Mapping[str, Trace], metrics: Mapping[str, Mapping[str, flo
     page.section("Over time")
     page.figure(
         time_series(traces, styles=styles),
-        "From above: manipulability (dotted: the largest of all poses with the same tip and shaft); tip error by the "
-        "robot's own kinematics and in the patient's frame, where they are known; distance of the shaft from the "
-        "trocar, and the force on the trocar. If runs coincide, only the last one is seen: click on its name in the "
-        "legend to hide it.", name="curves",
+        "From top to bottom: manipulability (dotted: the largest of all poses with the same tip and shaft); tip error, "
+        "by the robot's own kinematics and in the patient's frame if they are known; distance of the shaft from the "
+        "trocar; force on the trocar. If runs coincide, only the last run is visible. To hide it, click on its name in "
+        "the legend.", name="curves",
     )  # fmt: skip
     page.section("Main metrics")
     for table in run_tables(traces, every, first=True):

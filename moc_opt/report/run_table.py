@@ -1,4 +1,4 @@
-"""A run as a table, as JSON and in sentences. The ending comes first; figures of an incomplete run are marked."""
+"""Show a run as a table, as JSON and in sentences. The ending comes first. Figures of an incomplete run are marked."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from moc_opt.trace.trace import Trace, about, table
 
 WHOLE_RUN = ("completed", "share_of_run")
 METHOD = "mu_bound_method"  #: Entry of a trace's meta: how the largest mu was found.
-NEAR = 0.02  #: A mean or final mu counts as best if it is at most this fraction below the best course's mu.
+NEAR = 0.02  #: A mu counts as best if it is at most this fraction below the best course's mu.
 
 MATTER = (
     "mu_mean", "mu_gain_percent", "mu_fraction_of_best_from_start", "tip_error_model_mean_mm",
@@ -25,18 +25,18 @@ MATTER = (
 VERDICTS = ("verified_solved", "silently_wrong")
 """Metrics that count verdicts on the answers to the null-space subproblem."""
 ANOTHER_PROBLEM = (
-    "Solvers nlp-* solve a nonlinear problem, whose answer is about 1e-3 m/s off that of the linear one by which "
-    "answers are judged: it counts as neither verified nor wrong."
+    "Solvers nlp-* solve a nonlinear problem. Its answer differs by about 1e-3 m/s from that of the linear problem by "
+    "which answers are judged, so it counts as neither verified nor wrong."
 )
 
 
 def answers_another_problem(trace: Trace, solver: str = "") -> bool:
-    """Return whether the solver (the scenario's if empty) is nonlinear, so that `VERDICTS` do not apply to it."""
+    """Return whether the solver (by default that of the run) is nonlinear, so that `VERDICTS` do not apply."""
     return (solver or about(trace).get("solver", "")).startswith("nlp-")
 
 
 def part(trace: Trace) -> str:
-    """Return " (first 0.6 s of 8.0 s)" for a run that broke off, " (a part)" for a cut trace, "" for a whole run."""
+    """Return " (first 0.6 s of 8.0 s)" for a run that ended early, " (a part)" for a cut trace, "" for a whole run."""
     ending = Ending.of(str(trace.meta.get("ended")))
     if ending is Ending.PART:
         return " (a part)"
@@ -57,7 +57,7 @@ def warnings(trace: Trace) -> list[str]:
 
 
 def replaced(trace: Trace) -> str:
-    """Return "at 412 of 4034 ticks: raised 400, late 12" if answers were replaced; empty if none was."""
+    """Return "at 412 of 4034 ticks: raised 400, late 12" if answers were replaced; else empty."""
     counts = {fault: of["count"] for fault, of in trace.meta.get("faults", {}).items()}
     if not counts:
         return ""
@@ -67,7 +67,7 @@ def replaced(trace: Trace) -> str:
 
 
 def below_best(trace: Trace) -> str:
-    """Return a sentence if mean mu is below that of the best course from the run's start: by how much, and why."""
+    """If mean mu is below that of the best course from the run's start, return a sentence on the difference."""
     found = table(trace.meta, "best_courses")
     if absent := found.get("absent"):
         return f"there is no best course from this start to compare with: {absent}"
@@ -84,7 +84,7 @@ def below_best(trace: Trace) -> str:
     if left > NEAR:
         return f"{said}; at the end mu is still {100.0 * left:.1f} % below the nearest local maximum"
     if end["top_mu"] >= (1.0 - NEAR) * end["best_mu"]:
-        return f"{said}; the run ends at the best pose; the loss is from the time before the elbow was there"
+        return f"{said}; the run ends at the best pose, so mu was lost before the elbow reached this pose"
     top = f"at swivel {end['top_swivel_deg']:.0f} deg ({end['top_mu']:.3f} m³)"
     best = f"at {end['best_swivel_deg']:.0f} deg ({end['best_mu']:.3f} m³)"
     where = "before a joint limit" if end["at_limit"] else "at a local maximum"
@@ -92,7 +92,7 @@ def below_best(trace: Trace) -> str:
 
 
 def facts(trace: Trace) -> dict[str, str]:
-    """Return arm, path, gains, solver and so on, as the scenario names them, without entries that the trace lacks."""
+    """Return arm, path, gains, solver and so on, as named in the scenario. Absent entries are left out."""
     scenario = table(trace.meta, "scenario")
     law, control = about(trace).get("solver"), table(scenario, "control")
     known = {
@@ -105,7 +105,7 @@ def facts(trace: Trace) -> dict[str, str]:
 
 
 def title_of(traces: Mapping[str, Trace]) -> str:
-    """Return "lwr4, circle, default gains: dcac and exact" for runs of one arm; run names where no solver is known."""
+    """Return "lwr4, circle, default gains: dcac and exact". If a solver is not known, use the name of the run."""
     runs = [facts(trace) for trace in traces.values()]
     each = {word: listed([run[word] for run in runs if word in run]) for word in ("arm", "path", "gains")}
     laws = listed([run.get("controller") or run.get("solver") or name for name, run in zip(traces, runs, strict=True)])
@@ -123,11 +123,11 @@ def run_tables(
     traces: Mapping[str, Trace], metrics: Mapping[str, Mapping[str, float]], *, first: bool = False,
     explained: bool = False,
 ) -> list[Table]:  # fmt: skip
-    """Lay out the metrics of runs side by side. Ending and number of replaced answers are the first two rows.
+    """Lay out the metrics of runs side by side. The first rows are the ending and the number of replaced answers.
 
-    If any run broke off, each run has a table of its own, since figures of a part cannot be compared with those of a
-    whole run. The title of a broken-off run says which part it shows, and each of its figures is marked. ``first``
-    gives only the metrics of `MATTER`, with `facts` in the title. ``first`` and ``explained`` add a column of meanings.
+    If any run ended early, each run has a separate table, because a part cannot be compared with a whole run. The title
+    of such a table names the part, and its figures are marked. ``first`` shows only the metrics of `MATTER`, with
+    `facts` in the title. ``first`` and ``explained`` add a column with meanings.
     """
     if len(metrics) > 1 and any(part(traces[name]) for name in metrics):
         alone = ({name: values} for name, values in metrics.items())
@@ -156,7 +156,7 @@ def _entries(trace: Trace, metrics: Mapping[str, float], first: bool) -> dict[st
         if first and metric not in MATTER:
             continue
         marked = f"{metric} (part)" if of and metric not in WHOLE_RUN else metric
-        # Each value has a notation of its own, since values range from millimetres to rounding errors.
+        # Each value has its own notation, because their sizes differ widely.
         shown = missing(value) or Notation.of([value], digits=4)(value)
         shown = Missing(ANOTHER_PROBLEM) if other and metric in VERDICTS else shown
         entries[marked] = shown, "" if metric not in METRICS else _with_unit(METRICS[metric])
@@ -172,12 +172,12 @@ def _with_unit(metric: Metric) -> str:
 
 
 def description(trace: Trace) -> str:
-    """Return "arm lwr4, path circle, ..."; empty where the trace does not say."""
+    """Return `facts` as text: "arm lwr4, path circle, ..."."""
     return ", ".join(f"{word} {value}" for word, value in facts(trace).items())
 
 
 def remarks(trace: Trace) -> list[str]:
-    """Return sentences on refused answers, on warnings, and on how far mu stays below the best course."""
+    """Return sentences on refused answers, on warnings, and on the best course."""
     refused = [
         f"answer refused, {fault}: {of['count']} of {len(trace)} ticks, first at {of['first_at_s']:.3f} s: "
         f"{of['first']}"
@@ -187,7 +187,7 @@ def remarks(trace: Trace) -> list[str]:
 
 
 def run_json(trace: Trace, metrics: Mapping[str, float]) -> dict[str, Any]:
-    """Return ending, ``part`` (if the run broke off), ``solver_replaced``, metrics, warnings and faults of a run."""
+    """Return ending, ``part`` (if the run ended early), ``solver_replaced``, metrics, warnings and faults of a run."""
     hidden = set(VERDICTS) & set(metrics) if answers_another_problem(trace) else set()
     first = {"part": part(trace).strip(" ()"), "solver_replaced": replaced(trace)}
     return {

@@ -1,4 +1,4 @@
-"""A table of results for the terminal and for a page: one notation per column, the best values emphasised."""
+"""A table of results for the terminal and for a page. Each column has one notation; the best value is emphasised."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from moc_opt.errors import is_number
 from moc_opt.figures import notation
 from moc_opt.figures.notation import Mark, Missing, Notation, printable
 
-SHORT_TEXT, HEADING = 14, 10  # characters after which a text in a terminal, or a heading anywhere, may be broken
+SHORT_TEXT, HEADING = 14, 10  # length after which a text (in a terminal) or a heading may be broken [characters]
 
 TONES = {"best": "bold green", "good": "green", "fair": "yellow", "bad": "red", "other": "cyan"}
 """Tone of a `Mark` -> its colour in a terminal."""
@@ -35,16 +35,16 @@ class Column:
     title: str
     unit: str = ""  #: "us", "mm"; shown below the title
     format: str = ""  #: a format specification (".2f", "+.1f", "d") instead of three significant digits
-    better: Literal["low", "high"] | None = None  #: these values sort first; the best is emphasised if few share it
-    help: str = ""  #: one sentence on the column's meaning, folded below the table
-    among: str = ""  #: key of a flag: only rows that have it set compete for the emphasis; "" lets all compete
-    section: str = ""  #: title of the section on the same page to which the values link
-    sections: str = ""  #: key under which a row may have another section's title, instead of `section`
+    better: Literal["low", "high"] | None = None  #: which values are better; they sort first and can be emphasised
+    help: str = ""  #: a sentence on the column's meaning, folded below the table
+    among: str = ""  #: key of a flag of the rows that compete for the emphasis; if empty, all rows compete
+    section: str = ""  #: title of a section of the page, to which the values link
+    sections: str = ""  #: key of a row's own section title, which replaces `section`
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A value as the terminal shows it (`text`), and its sort key (`sort`; None: last)."""
+    """A value as the terminal shows it (`text`), and its sort key (`sort`). None sorts last."""
 
     text: str
     sort: float | str | None
@@ -56,7 +56,7 @@ class Cell:
 
 @dataclass(frozen=True, repr=False)
 class Table:
-    """Rows of results under typed columns, the first of which names the row.
+    """Rows of results under typed columns. The first column names the row.
 
     A row is key -> text, flag, number, None, `Missing(reason)` or `Mark`. Absent keys count as None.
     """
@@ -67,7 +67,7 @@ class Table:
     caption: str = ""
 
     def cells(self, column: Column) -> list[Cell]:
-        """Return the column, one cell per row, written in one notation."""
+        """Return the cells of the column, one per row."""
         values = [row.get(column.key) for row in self.rows]
         written = Notation.of(values, spec=column.format)
         cells = [_cell(value, written) for value in values]
@@ -79,15 +79,15 @@ class Table:
         if column.better is None or len(finite) < 2:
             return cells
         winner = (min if column.better == "low" else max)(finite, key=lambda cell: float(cell.sort or 0.0))
-        # Values with the same text are equally good: digits that are not shown decide nothing.
+        # Values with the same text are equally good.
         ahead = [cell for cell in competing if cell.text == winner.text]
-        if len(ahead) > max(1, len(competing) / 2):  # emphasis on nearly everything says nothing
+        if len(ahead) > max(1, len(competing) / 2):  # do not emphasise most of the column
             return cells
         return [replace(cell, best=any(cell is one for one in ahead)) for cell in cells]
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[RichTable]:
         shown, wide = list(self.columns), options.update(width=10_000)
-        # Texts can be broken, numbers cannot. So a table that is still too wide loses its last columns.
+        # Texts can be broken, but numbers cannot. A table that is still too wide loses its last columns.
         while len(shown) > 1 and Measurement.get(console, wide, self._drawn(shown)).minimum > options.max_width:
             shown.pop()
         yield self._drawn(shown)
@@ -120,12 +120,12 @@ class Table:
         return self.to_text(shutil.get_terminal_size((200, 24)).columns)
 
     def texts(self) -> tuple[list[str], list[tuple[str, ...]]]:
-        """Return the headings with their units, and the texts of the rows."""
+        """Return the headings with their units, and the cells' texts row by row."""
         headings = [f"{column.title} [{column.unit}]" if column.unit else column.title for column in self.columns]
         return headings, list(zip(*([cell.text for cell in self.cells(of)] for of in self.columns), strict=True))
 
     def to_text(self, width: int = 10_000) -> str:
-        """Write the table as plain text of at most this width [characters]."""
+        """Return the table as plain text of at most this width [characters]."""
         file = io.StringIO()
         screen = Console(
             file=file, width=width, color_system=None, force_terminal=False, highlight=False,
@@ -136,7 +136,7 @@ class Table:
 
 
 def heading_lines(title: str) -> list[str]:
-    """Break a heading between words into lines of at most `HEADING` characters, except for longer words."""
+    """Break a heading between words into lines of at most `HEADING` characters. Longer words stay whole."""
     return wrap(printable(title), HEADING, break_long_words=False, break_on_hyphens=False)
 
 

@@ -1,4 +1,4 @@
-"""The record of a run: ``trace`` (``Trace``, one row per tick), ``columns`` (units and meaning) and ``metrics``.
+"""The record of a run: ``trace`` (``Trace``, one row per control tick), ``columns`` (units, meaning) and ``metrics``.
 
-``file`` reads and writes Parquet; ``meta`` has the entries besides the columns; ``oscillation`` finds shaking arms.
+``file`` reads and writes Parquet, ``meta`` has the entries about a whole run, and ``oscillation`` finds shaking joints.
 """

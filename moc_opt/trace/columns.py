@@ -1,4 +1,4 @@
-"""The columns of a trace: their units, shapes and meaning, and a check of the arrays."""
+"""The columns of a trace: their units, shapes and meaning, and checks of the arrays."""
 
 from __future__ import annotations
 
@@ -44,39 +44,38 @@ COLUMNS: Mapping[str, Column] = MappingProxyType(
         "rcm_error_registered_m": Column("m", "(N,)", "distance of the true shaft from the trocar registered by touch"),
         "rcm_error_model_m": Column("m", "(N,)", "distance of shaft and registered trocar by the robot's kinematics"),
         "trocar_force_N": Column("N", "(N, 3)", "true force of the trocar on the shaft; world axes"),
-        "x_rad_per_s": Column("rad/s", "(N, n)", "the solver's answer x to the subproblem; NaN if there was none"),
-        "dual": Column("", "(N, k)", "multipliers y of the six equality rows; NaN if the solver gave none"),
-        "subproblem": Column("", "(N, k)", "the subproblem's packed numbers: see `NullSpaceQP.from_row`"),
+        "x_rad_per_s": Column("rad/s", "(N, n)", "the solver's answer x to the subproblem; NaN without an answer"),
+        "dual": Column("", "(N, k)", "multipliers y of the six equality rows; NaN if the solver gives none"),
+        "subproblem": Column("", "(N, k)", "the subproblem's packed numbers; see `NullSpaceQP.from_row`"),
         "iterations": Column("1", "(N,)", "number of iterations of the solver; 0 if it does not iterate"),
-        "status": Column("", "(N,)", "status that the solver claims; 'none' without a third level", "text"),
-        "applied_x_rad_per_s": Column("rad/s", "(N, n)", "the x that the third level followed: answer or substitute"),
+        "status": Column("", "(N,)", "status claimed by the solver; 'none' without a third level", "text"),
+        "applied_x_rad_per_s": Column("rad/s", "(N, n)", "the x that the third level used: answer or substitute"),
         "fault": Column(
-            "", "(N,)", "why the answer was refused, a control.supervisor.Fault; 'stopped': the arm brakes, no answer",
-            "text",
+            "", "(N,)", "why the answer was refused (control.supervisor.Fault); 'stopped' while the arm brakes", "text",
         ),
-        "injected": Column("", "(N,)", "the answer of this tick was falsified on purpose, to test the check", "flag"),
-        "solve_us": Column("us", "(N,)", "time of the solve; NaN if there was no subproblem"),
+        "injected": Column("", "(N,)", "this answer was falsified on purpose, to test the supervisor", "flag"),
+        "solve_us": Column("us", "(N,)", "time of the solve; NaN without a subproblem"),
         "tick_us": Column("us", "(N,)", "time of the whole tick, from state to torque"),
         "tick": Column("1", "(N,)", "index of the tick; without this column the rows are consecutive"),
         "travelling": Column("", "(N,)", "the elbow is still moving to its optimum", "flag"),
         "verified": Column("", "(N,)", "the answer was judged optimal", "flag"),
-        "primal": Column("rad/s, m/s", "(N,)", "primal residual max(|A x - b|_inf, box violation); NaN: no subproblem"),
-        "natural": Column("rad/s", "(N,)", "natural residual; NaN: no subproblem"),
-        "natural_best": Column("rad/s", "(N,)", "natural residual with the best multipliers for that answer"),
+        "primal": Column("rad/s, m/s", "(N,)", "primal residual max(|A x - b|_inf, box violation); NaN if none"),
+        "natural": Column("rad/s", "(N,)", "natural residual; NaN without a subproblem"),
+        "natural_best": Column("rad/s", "(N,)", "natural residual with the best multipliers for the answer"),
         "relative": Column("rad/s", "(N,)", "natural_best with the cost divided by its slope along the self-motion"),
         "distance": Column("rad/s", "(N,)", "largest entry of the difference to the nearest optimum"),
-        "loss": Column("1", "(N,)", "loss (cost - best) / (worst - best cost); 0: optimum; NaN: no subproblem"),
-        "mu_bound": Column("m^3", "(N,)", "largest mu of all feasible poses with this tip and wrist; NaN: unknown"),
+        "loss": Column("1", "(N,)", "loss (cost - best) / (worst - best cost); 0 at the optimum"),
+        "mu_bound": Column("m^3", "(N,)", "largest mu of all feasible poses with this tip and wrist; NaN if unknown"),
         "mu_best_from_start": Column("m^3", "(N,)", "mu along the best course from the start of the run"),
-        "mu_best": Column("m^3", "(N,)", "mu along the best course over all swivels and branches at the start"),
-        "q_best_from_start_rad": Column("rad", "(N, n)", "the best course from the start of the run"),
+        "mu_best": Column("m^3", "(N,)", "mu along the best course from any swivel and branch at the start"),
+        "q_best_from_start_rad": Column("rad", "(N, n)", "joint positions of the best course from the run's start"),
     }
 )  # fmt: skip
 """Name -> unit, shape and meaning of every column that the package itself writes or reads."""
 
 
 def column(name: str, value: ArrayLike) -> NDArray[Any]:
-    """Return a column as a read-only array in its own memory; a TraceError says what is wrong with the value."""
+    """Return a column as a read-only array that nothing else can change. Raise a TraceError if the value is wrong."""
     try:
         array = np.asarray(value)
     except ValueError as error:
@@ -95,7 +94,7 @@ def column(name: str, value: ArrayLike) -> NDArray[Any]:
         fits = len(shape) == 1 if not width else len(shape) == 2 and width in ("n", "k", str(shape[1]))
         if kind not in wanted or not fits:
             raise TraceError(f"column {name!r} is {dtype} of shape {shape}: give {known.kind}s of shape {known.shape}")
-    # Without a copy, keep only an array that nobody else can change.
+    # Copy the array unless it is read-only already.
     native = dtype.newbyteorder("=")
     if array.flags.writeable or not array.flags.owndata or dtype != native:
         array = np.array(array, dtype=native, order="C")

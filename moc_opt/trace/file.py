@@ -1,7 +1,7 @@
 """The Parquet file of a trace, written and read by polars.
 
-Numbers of shape (N, k) are stored as arrays of fixed width, texts as strings. The file's metadata hold a version, the
-trace's meta and the numpy type of each column as JSON, and a checksum of these entries and of all columns' bytes.
+Numbers of shape (N, k) are stored as arrays of fixed width, texts as strings. The file's metadata contain a version,
+the trace's meta and the columns' numpy types as JSON, and a checksum of all this and of the columns' bytes.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ Columns = Mapping[str, NDArray[Any]]
 
 VERSION = "2"
 VERSION_KEY, META_KEY, TYPES_KEY, SUM_KEY = "moc_opt.trace.trace", "moc_opt.meta", "moc_opt.types", "moc_opt.crc32"
-MOST_BYTES = 2**32  # largest size of all columns, unpacked: a small file of one repeated value could unpack to any size
+MOST_BYTES = 2**32  # largest unpacked size of all columns: a small file could unpack to any size
 _OTHER_FORMATS = frozenset({".csv", ".tsv", ".txt", ".json", ".npy", ".npz", ".mat", ".h5", ".xlsx", ".html", ".toml"})
 
 
 def new_file(path: str | os.PathLike[str]) -> Path:
-    """Return the path of a new trace; a TraceError if its name has another format's ending or its folder is absent."""
+    """Return the path of a new trace. Raise a TraceError for another format's ending or an absent folder."""
     target = as_path(path, "trace", TraceError)
     if target.suffix.lower() in _OTHER_FORMATS:
         raise TraceError(
@@ -47,7 +47,7 @@ def new_file(path: str | os.PathLike[str]) -> Path:
 
 
 def check_trace(path: str | os.PathLike[str], kind: str = "run") -> None:
-    """Raise a TraceError, before the run, if the path is a file that is not a trace of this kind."""
+    """Raise a TraceError if the path is a file that is not a trace of this kind and would be overwritten."""
     import polars as pl
 
     if os.path.isfile(path) and os.path.getsize(path):
@@ -61,8 +61,8 @@ def check_trace(path: str | os.PathLike[str], kind: str = "run") -> None:
 
 
 def write(path: str | os.PathLike[str], columns: Columns, meta: Mapping[str, Any]) -> None:
-    """Write a trace, all or nothing; a TraceError if the file cannot be written."""
-    import polars as pl  # imported only here: it takes longer than all other imports of this package
+    """Write a trace completely or not at all. Raise a TraceError if the file cannot be written."""
+    import polars as pl  # imported late: it takes longer than all other imports of this package
 
     target, packed = new_file(path), io.BytesIO()
     entries = json.dumps(dict(meta))
@@ -77,7 +77,7 @@ def write(path: str | os.PathLike[str], columns: Columns, meta: Mapping[str, Any
 
 
 def read(path: str | os.PathLike[str]) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Read the columns and meta that `write` wrote; a TraceError if the file is missing, damaged, or no trace."""
+    """Read columns and meta that `write` wrote. Raise a TraceError if the file is missing, damaged, or no trace."""
     import polars as pl
 
     file = as_path(path, "trace", TraceError)
@@ -115,7 +115,7 @@ def _array(column: pl.Series, dtype: np.dtype[Any]) -> NDArray[Any]:
 
 
 def checksum(columns: Columns, *texts: str) -> str:
-    """Return the CRC-32 of the texts and of all columns' bytes, as text for the file's metadata."""
+    """Return the CRC-32 of the texts and of all columns' bytes, as text."""
     found = zlib.crc32("".join(texts).encode())
     for array in columns.values():
         found = zlib.crc32(array.tobytes(), found)

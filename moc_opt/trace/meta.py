@@ -1,14 +1,12 @@
-"""The meta of a trace: entries that describe the run, and the types of the entries that pages and tables read.
+"""The meta of a trace: entries about the whole run, and the types of the entries that pages and tables read.
 
-The trace of a simulated run has the entries
+The trace of a simulated run has these entries:
 
-- ``ended``: the ending and its reason; ``stopped_at_s``; the counts ``ticks`` and ``ticks_planned``; ``period_s``;
-- ``warnings``: quantities that exceeded a warning level of the safety filter; ``faults``: refused answers of the third
-  level, label -> count, first_at_s, first (the message of the first such fault);
-- ``restarts``: when (at_s) and why (reason) the process of an isolated solver was replaced;
+- ``ended``: the ending and its reason; ``stopped_at_s``, ``ticks``, ``ticks_planned``, ``period_s``;
+- ``warnings``: quantities that exceeded a warning level of the safety filter;
+- ``faults``: refused answers of the third level, label -> count, first_at_s, first (the first message);
+- ``restarts``: time (at_s) and reason of each restart of an isolated solver's process;
 - ``scenario``, ``robot`` (and ``robot_data`` of an arm that is not in the package), ``start_q_rad``, ``deadline_us``.
-
-A trace may come from elsewhere. Therefore the constructor of `Trace` checks the types.
 """
 
 from __future__ import annotations
@@ -25,26 +23,23 @@ from moc_opt.errors import TraceError, shown
 
 
 class Ending(StrEnum):
-    """How a run ends. ``meta["ended"]`` begins with one of these words, and the reason follows ("stopped: the tip")."""
+    """How a run ends. ``meta["ended"]`` begins with one of these words, and a reason may follow ("stopped: ...")."""
 
     COMPLETED = "completed"
     OSCILLATED = "oscillated"
     STOPPED = "stopped"
     RAN_AWAY = "ran away"
     FAILED = "failed"
-    PART = "part"  #: The trace has only some of the run's ticks; ``meta["ended"]`` also says how the run ended.
+    PART = "part"  #: The trace has only some of the run's ticks.
 
     @classmethod
     def of(cls, ended: str) -> Ending:
-        """Return the ending from the text of ``meta["ended"]``; FAILED if it begins with none of these words."""
+        """Return the ending from the text of ``meta["ended"]``; FAILED if the text begins with none of these words."""
         return next((ending for ending in cls if ended.startswith(ending.value)), cls.FAILED)
 
     @property
     def whole(self) -> bool:
-        """Whether the task was done to its end. The metrics of other runs enter no mean.
-
-        A run that oscillated is included; such runs are also counted separately.
-        """
+        """Whether the task was done to its end, with or without oscillation. Only such runs enter means of metrics."""
         return self in (Ending.COMPLETED, Ending.OSCILLATED)
 
 
@@ -77,10 +72,10 @@ ANYTHING = TypeAdapter(Any)
 
 
 def plain(meta: Mapping[str, Any]) -> dict[str, Any]:
-    """Return meta as JSON would give it back after writing and reading.
+    """Return meta as JSON would return it after writing and reading.
 
     Raises:
-        TraceError: meta cannot be written as JSON, or an entry has another type than in `FORMS`.
+        TraceError: meta cannot be written as JSON, or the type of an entry is not that of `FORMS`.
     """
     found = {}
     for name, value in meta.items():

@@ -1,7 +1,6 @@
 """Metrics of a run: `summarize` computes every metric for which a trace has the data.
 
-To add a metric, write a function under `@metric`. Its name, which includes the unit, is the key in every summary. If a
-trace lacks a column that the metric reads, the summary leaves the metric out.
+To add a metric, write a function under `@metric`. Its name includes the unit and is the key in every summary.
 """
 
 from __future__ import annotations
@@ -31,14 +30,11 @@ _LOADED: dict[EntryPoint, str] = {}  # entry point -> why it cannot be used, or 
 
 @dataclass(frozen=True)
 class Metric:
-    """A registered metric. It is called with a trace, and with a baseline if it compares two runs.
-
-    The call raises a MissingDataError if the trace lacks the data.
-    """
+    """A registered metric. Calling it raises a MissingDataError if the trace lacks the data."""
 
     name: str  #: key in every summary; includes the unit
     unit: str  #: for example "mm" or "us"; "1" for counts and ratios
-    about: str  #: what it measures, in one line without the unit
+    about: str  #: one line on what the metric measures, without the unit
     function: Callable[..., float] = field(repr=False)  #: `(trace) -> number` or `(trace, baseline) -> number`
 
     def __call__(self, trace: Trace, baseline: Trace | None = None) -> float:
@@ -53,8 +49,8 @@ METRICS: dict[str, Metric] = {}  #: Name -> metric, in the order of a summary.
 def metric(unit: str | Callable[..., float]) -> Any:
     """Register a function as a metric under its own name: `@metric("mm")`, or `@metric` for counts and ratios.
 
-    The function takes `(trace)` or `(trace, baseline)` and has a docstring whose first line describes it. A summary
-    leaves it out if it raises MissingDataError, which also happens when it reads a column that is absent.
+    The function takes `(trace)` or `(trace, baseline)`. The first line of its docstring describes the metric. If the
+    function raises a MissingDataError, as for an absent column, a summary leaves the metric out.
 
     Raises:
         TraceError: the function has no docstring, or another metric already has its name.
@@ -68,7 +64,7 @@ def _add(name: str, unit: str, about: str, function: Callable[..., float]) -> Me
     if not about:
         raise TraceError(f"metric {name!r} has no docstring: say in one line what it measures")
     known = METRICS[name].function if name in METRICS else function
-    # A module that is loaded a second time may register its own metrics again.
+    # A module that is loaded again may register its own metrics again.
     if (known.__module__, known.__qualname__) != (function.__module__, function.__qualname__):
         raise TraceError(f"metric {name!r} is there already, from {known.__module__}: choose another name")
     METRICS[name] = Metric(name, unit, about.splitlines()[0], function)
@@ -99,10 +95,10 @@ def summarize(trace: Trace, baseline: Trace | None = None) -> dict[str, float]:
     """Compute every metric for which the trace has the data.
 
     Args:
-        baseline: the run for comparison: DCAC with the same gains on the same trial, at the same ticks.
+        baseline: a run for comparison: the controller DCAC with the same gains on the same trial, at the same ticks.
 
     Returns:
-        Name -> value in the order of METRICS, without metrics whose data are absent.
+        Name -> value in the order of METRICS. Metrics whose data are absent are left out.
 
     Raises:
         TraceError: the trace or the baseline is not a Trace or is empty, their ticks differ, or a column holds
@@ -124,7 +120,7 @@ def summarize(trace: Trace, baseline: Trace | None = None) -> dict[str, float]:
         try:
             summary[name] = function(trace, baseline)
         except MissingDataError:
-            continue  # a metric without data has no key in the summary
+            continue
         except Exception as error:
             why = f"metric {name!r} cannot be computed ({describe(error)})"
             if function.function.__module__ != __name__:
@@ -149,7 +145,7 @@ def _extent(trace: Trace) -> str:
 
 
 def _floats(trace: Trace, column: str) -> Floats:
-    """Return a column of numbers, or the lengths of a column of vectors."""
+    """Return a column of numbers, or the norms of a column of vectors."""
     values = np.asarray(getattr(trace, column), dtype=np.float64)
     return values if values.ndim == 1 else _lengths(values)
 
@@ -159,7 +155,7 @@ def _lengths(rows: Floats) -> Floats:
 
 
 def _known(trace: Trace, column: str) -> Floats:
-    """Return the entries of a column that are not NaN; a MissingDataError if all entries are NaN."""
+    """Return the entries of a column that are not NaN. Raise a MissingDataError if all are NaN."""
     values = _floats(trace, column)
     values = values[~np.isnan(values)]
     if values.size == 0:
@@ -185,7 +181,7 @@ def _figure(
 
 @metric
 def completed(trace: Trace) -> float:
-    """1 if the run completed; 0 if it was stopped, ran away, oscillated or failed; left out for a part of a run."""
+    """1 if the run completed, 0 if it was stopped, ran away, oscillated or failed."""
     ended = trace.meta.get("ended")
     if not isinstance(ended, str):
         raise MissingDataError("meta has no 'ended': say how the run ended")
@@ -196,7 +192,7 @@ def completed(trace: Trace) -> float:
 
 @metric
 def share_of_run(trace: Trace) -> float:
-    """Ticks in the trace / planned ticks; if it is below 1, the other metrics describe only a part of the run."""
+    """Ticks in the trace / planned ticks. Below 1, the other metrics describe only a part of the run."""
     ticks, planned = trace.meta.get("ticks"), trace.meta.get("ticks_planned")
     if not isinstance(ticks, int) or not isinstance(planned, int) or planned < 1:
         raise MissingDataError("meta has no 'ticks' and 'ticks_planned': give both as numbers of ticks")
@@ -226,7 +222,7 @@ def mu_gain_percent(trace: Trace, baseline: Trace | None) -> float:
 
 @metric
 def mu_fraction_of_bound(trace: Trace) -> float:
-    """Mean of mu / mean of its bound, the largest mu of all feasible poses, both over the ticks with a known bound."""
+    """Mean of mu / mean of the largest mu of all feasible poses, over the ticks at which the latter is known."""
     bound = float(_known(trace, "mu_bound").mean())
     if bound == 0.0:
         raise MissingDataError("the largest mu is zero throughout: a share of it has no value")
@@ -241,11 +237,11 @@ def mu_fraction_of_best_from_start(trace: Trace) -> float:
 
 @metric
 def mu_fraction_of_best(trace: Trace) -> float:
-    """Mean of mu / mean of mu along the best course from any swivel and branch, if such a course was planned."""
+    """Mean of mu / mean of mu along the best course from any swivel and branch at the start."""
     return METRICS["mu_mean"](trace) / _known(trace, "mu_best").mean()
 
 
-# --- errors of tip and remote centre of motion (RCM), and the trocar's force ---
+# --- errors of the tip and of the remote centre of motion (RCM); force of the trocar ---
 
 
 for _column, _unit in (
@@ -264,7 +260,7 @@ def torque_rate_rms_Nm_per_s(trace: Trace) -> float:
     """Chatter: root mean square over the ticks of |tau_k - tau_(k-1)| / (t_k - t_(k-1))."""
     change, step = _lengths(np.diff(trace.tau_Nm, axis=0)), np.diff(_floats(trace, "t_s"))
     if "tick" in trace.columns:
-        # Selected ticks may not be consecutive, and a difference across a gap is no rate.
+        # Selected ticks may have gaps. Leave out differences across gaps.
         together = np.diff(trace.tick) == 1
         change, step = change[together], step[together]
     if step.size == 0:

@@ -1,13 +1,13 @@
 """Find joints that oscillate faster than any task requires, in the trace of a run.
 
-Chatter and limit cycles of a torque loop are above 8 Hz; motions of a task or after a push are below. A mean over 1/8 s
-is subtracted from each joint's velocity and torque, and the rest's largest root mean square over one second is compared
-with a limit. The first half second is left out, because an arm starts with a jerk.
-On the LWR4+ in the realistic plant, 94 stable runs (all presets, noise, bumps, breathing, DCAC at a joint limit) had at
-most 0.080 rad/s and 3.6 Nm. A limit cycle of the idle joint had 0.49 rad/s and 28 Nm, and chatter due to delay or to
-rho = 0 had up to 2.7 rad/s and 119 Nm. Each limit is near the geometric mean of the stable runs' most and the limit
-cycle's value. For a sliding joint, the limits are 0.08 m/s (0.2 rad/s at 0.4 m from an axis) and 100 N (stable runs: 11
-N). One jerk is no oscillation: without its loudest quarter, the worst second must still have more than half of a limit.
+Chatter and limit cycles of a torque loop are above 8 Hz, and motions of a task are below. A moving mean over 1/8 s is
+subtracted from each joint's velocity and torque. The largest root mean square of the rest over one second is compared
+with a limit. The first half second is left out, because an arm starts with a jerk. A single jerk is no oscillation:
+without its loudest quarter, the worst second must still exceed half of the limit.
+
+The limits were chosen on the LWR4+ in the realistic plant. 94 stable runs had at most 0.080 rad/s and 3.6 Nm (11 N for
+a sliding joint). A limit cycle had 0.49 rad/s and 28 Nm, and chatter had up to 2.7 rad/s and 119 Nm. Each limit is near
+the geometric mean of the largest stable value and the limit cycle's.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Flags = Sequence[bool] | NDArray[np.bool_]
 LIMIT_RAD_PER_S, LIMIT_NM = 0.2, 10.0
 LIMIT_M_PER_S, LIMIT_N = 0.08, 100.0  #: The limits for a sliding joint.
 PARTS, LOUDEST, KEPT_UP = 8, 2, 0.5
-"""The worst window is cut into PARTS. Without its LOUDEST parts, it must exceed KEPT_UP times a limit."""
+"""The worst window is cut into PARTS. Without the LOUDEST parts, it must exceed KEPT_UP times the limit."""
 ABOVE_HZ, WINDOW_S, START_S, SHORTEST_S = 8.0, 1.0, 0.5, 1e-6
 
 
@@ -41,24 +41,23 @@ class Shaking(NamedTuple):
     rest: float  #: root mean square in that window without its loudest quarter
 
     def above(self, limit: float) -> bool:
-        """Return whether ``rms`` is above the limit, and not only because of a single jerk."""
+        """Return whether the oscillation exceeds the limit and is not a single jerk."""
         return self.rms > limit and self.rest > KEPT_UP * limit
 
 
 def shaking(trace: Trace, column: str, limits: ArrayLike | None = None) -> Shaking:
     """Find the largest root mean square above ``ABOVE_HZ`` of any joint over a window of ``WINDOW_S``.
 
-    In a run shorter than ``START_S`` and one window, the window is shorter, and at most half of the run is left out.
+    For a run shorter than ``START_S`` + ``WINDOW_S``, the window and the part left out at the start are shortened.
 
     Args:
         trace: a trace of consecutive ticks.
         column: ``v_rad_per_s`` or ``tau_Nm``, (N, n).
-        limits: limit of each joint (n,). The joint with the largest value / limit is returned. If this is a single
-            jerk and another window has an oscillation above its limit, the latter is returned. None: the joint with the
-            largest value.
+        limits: limit of each joint (n,), by which its values are divided. An oscillation above its limit then takes
+            precedence over a single jerk. None compares the values themselves.
 
     Raises:
-        MissingDataError: the trace has no such column, no time, fewer than four ticks, or ticks with gaps.
+        MissingDataError: the trace has no such column, no time, fewer than four ticks, or missing ticks.
         TraceError: the time does not increase.
     """
     values, time = np.asarray(getattr(trace, column), dtype=np.float64), np.asarray(trace.t_s, dtype=np.float64)
@@ -82,7 +81,7 @@ def shaking(trace: Trace, column: str, limits: ArrayLike | None = None) -> Shaki
     if limits is None:
         return loudest
     while not found.above(bounds[found.joint]) and shares.max() > 1.0:
-        # This is a jerk. Another joint, or this joint at another time, may still oscillate.
+        # This is a jerk. Remove it, and look for an oscillation elsewhere.
         row = int(np.argmax(shares[:, found.joint]))
         shares[max(row - window // PARTS, 0) : row + window // PARTS + 1, found.joint] = 0.0
         found = _at(fast, squares, shares, period)
@@ -110,11 +109,7 @@ def above(values: Floats, width: int) -> Floats:
 
 
 def describe(trace: Trace, joint_names: Sequence[str], slides: Flags) -> str:
-    """Say which joint oscillates, at which frequency and how much; empty if no joint does.
-
-    Raises:
-        MissingDataError: see ``shaking``.
-    """
+    """Return which joint oscillates, at which frequency and how much; empty if no joint does. Raise as `shaking`."""
     speeds = np.where(slides, LIMIT_M_PER_S, LIMIT_RAD_PER_S)
     efforts = np.where(slides, LIMIT_N, LIMIT_NM)
     v, tau = shaking(trace, "v_rad_per_s", speeds), shaking(trace, "tau_Nm", efforts)
@@ -127,12 +122,12 @@ def describe(trace: Trace, joint_names: Sequence[str], slides: Flags) -> str:
 
 
 def judged_for_oscillation(trace: Trace, joint_names: Sequence[str], slides: Flags) -> Trace:
-    """Return the trace. If the run was "completed" but a joint oscillates, its ``meta["ended"]`` is "oscillated: ...".
+    """Return the trace, with an oscillation of a completed or stopped run named in ``meta["ended"]``.
 
-    If a run was stopped after an oscillation, "stopped: ..." also names it. A run of less than 1 s is not judged.
+    "completed" becomes "oscillated: ...". Runs shorter than 1 s are not judged.
     """
     ended, stopped_s = trace.meta.get("ended"), trace.meta.get("stopped_at_s")
-    # Braking in a stop is a jerk, which is not judged.
+    # The braking of a stop is not judged.
     judged = trace if stopped_s is None else trace.head(int(np.searchsorted(trace.t_s, stopped_s)))
     brief = len(judged) < 4 or judged.t_s[-1] - judged.t_s[0] < START_S + 0.5 * WINDOW_S
     if brief or (ended != "completed" and stopped_s is None):

@@ -1,7 +1,4 @@
-"""The record of a run, with one row per control tick. It converts to a pandas table, an xarray dataset and a figure.
-
-pandas, xarray and plotly are imported only when they are needed.
-"""
+"""The record of a run, with one row per control tick. It converts to pandas, to xarray and to a plotly figure."""
 
 from __future__ import annotations
 
@@ -33,11 +30,11 @@ class MissingDataError(TraceError, AttributeError):
 
 
 class Trace:
-    """A run: `columns` with one row per tick, and `meta`, which says how the run came about and ended.
+    """A run: `columns` with one row per control tick, and `meta` with the run's settings and ending.
 
-    `trace.q_rad` is `trace.columns["q_rad"]`; `len(trace)` is the number of ticks. No column is obligatory,
-    and a trace may have columns that are not in `Trace.COLUMNS`. A column that is in `Trace.COLUMNS` must have the
-    shape given there (N ticks, n joints). Arrays are read-only. Do not change nested values of `meta` (plain JSON).
+    `trace.q_rad` is `trace.columns["q_rad"]`; `len(trace)` is the number of ticks. No column is obligatory, and other
+    columns than those of `Trace.COLUMNS` are allowed. A column in `Trace.COLUMNS` must have the shape given there
+    (N ticks, n joints). Arrays are read-only. Do not change nested values of `meta` (plain JSON).
 
     Example:
         >>> trace = mo.run(mo.Scenario(duration_s=0.1, bound_samples=0))
@@ -63,11 +60,11 @@ class Trace:
 
         Args:
             columns: name -> (N,) or (N, k) floats, integers or flags, or (N,) texts; N is the same for all.
-            meta: name -> JSON value with finite numbers; stored as JSON would give it back (tuples as lists).
+            meta: name -> JSON value with finite numbers. Tuples become lists, as in JSON.
 
         Raises:
-            TraceError: a column (named in the message) has a wrong shape, type or number of rows; meta is not JSON, or
-                one of its entries has a type other than that in `moc_opt.trace.meta`.
+            TraceError: a column has a wrong shape, type or number of rows, meta is not JSON, or an entry of meta has
+                another type than in `moc_opt.trace.meta`.
         """
         for argument, given in (("columns", columns), ("meta", {} if meta is None else meta)):
             if not isinstance(given, Mapping):
@@ -86,7 +83,7 @@ class Trace:
         return len(next(iter(self.columns.values()), ()))
 
     def __getattr__(self, name: str) -> NDArray[Any]:
-        """Return a column; if it is absent, a MissingDataError (an AttributeError) names similar columns."""
+        """Return a column. Raise a MissingDataError (an AttributeError) if it is absent."""
         if name.startswith("__") or name in Trace.__slots__:
             raise AttributeError(name)
         try:
@@ -111,14 +108,14 @@ class Trace:
         return [*super().__dir__(), *self.columns]
 
     def with_columns(self, **arrays: ArrayLike) -> Trace:
-        """Return a new trace with columns added or replaced; raises the errors of the constructor."""
+        """Return a new trace with columns added or replaced. Raise what the constructor raises."""
         return Trace({**self.columns, **arrays}, self.meta)
 
     def select(self, ticks: ArrayLike) -> Trace:
-        """Return the trace of the ticks whose flag in ``ticks`` (N,) is True; a TraceError if these are not flags (N,).
+        """Return the trace of the ticks whose flag in ``ticks`` (N,) is True. Raise a TraceError for other arrays.
 
-        Its column `tick` has the indices of the ticks in the run; ``meta["ended"]`` says that this is a part of a run,
-        and ``meta["run_ended"]`` how the run ended.
+        Its column `tick` has the indices of the ticks in the run. ``meta["ended"]`` says that this is a part of a run.
+        ``meta["run_ended"]`` says how the run ended.
         """
         mask = np.asarray(ticks)
         if mask.dtype != np.bool_ or mask.shape != (len(self),):
@@ -128,7 +125,7 @@ class Trace:
         return self._of(MappingProxyType(found), self.meta)._as_part_of(self)
 
     def between(self, start_s: float, stop_s: float) -> Trace:
-        """Return the trace of the ticks with start_s <= t_s < stop_s, like `select`; a TraceError if there are none."""
+        """Return the ticks with start_s <= t_s < stop_s, as `select` does. Raise a TraceError if there are none."""
         if not (is_number(start_s) and is_number(stop_s)):
             given = f"start_s = {shown(start_s)}, stop_s = {shown(stop_s)}"
             raise TraceError(f"between({given}): give times in seconds, inf for no limit")
@@ -142,11 +139,15 @@ class Trace:
     def plot(
         self, columns: Sequence[str] | None = None, *, name: str | None = None, beside: Trace | None = None
     ) -> Figure:
-        """Draw columns of the run over time, as the reports do, in a plotly figure that a notebook shows.
+        """Draw columns of the run over time in a plotly figure, as the reports do.
 
-        Each of ``columns`` has a panel; None: mu, tip error, RCM error and force. ``name`` is this run's name in the
-        legend; None: the name of its solver, or "dcac". ``beside`` is a second run, with the name of its solver, or
-        "baseline" if both names are equal. Raises the errors of `moc_opt.figures.time_series`.
+        Args:
+            columns: one panel each; None stands for mu, tip error, RCM error and force.
+            name: this run's name in the legend; None stands for the name of its solver, or "dcac".
+            beside: a second run to draw. Its name is that of its solver, or "baseline" if both names are equal.
+
+        Raises:
+            MocOptError: an argument is wrong; see `moc_opt.figures.time_series`.
         """
         from moc_opt.figures import time_series
 
@@ -161,10 +162,10 @@ class Trace:
         return time_series({"baseline" if other == own else other: beside, own: self}, columns)
 
     def to_pandas(self) -> DataFrame:
-        """Return a pandas.DataFrame with one row per tick, indexed by `t_s`; `attrs` holds `meta`.
+        """Return a pandas.DataFrame with one row per tick, indexed by `t_s`; its `attrs` are `meta`.
 
         A vector becomes several columns: `tip_m_x`, `tip_m_y`, `tip_m_z`; joints are numbered from 0 (`q_rad_0`).
-        A TraceError if pandas is not installed.
+        Raise a TraceError if pandas is not installed.
         """
         pandas = _package("pandas")
         columns: dict[str, NDArray[Any]] = {}
@@ -182,7 +183,7 @@ class Trace:
     def to_xarray(self) -> Dataset:
         """Return an xarray.Dataset over `t_s`, `joint` and `axis`; each variable has its unit and meaning.
 
-        A TraceError if xarray is not installed.
+        Raise a TraceError if xarray is not installed.
         """
         xarray = _package("xarray")
         variables: dict[str, Any] = {}
@@ -197,7 +198,7 @@ class Trace:
             variables[name] = (dimensions, array, words)
         if "t_s" in variables:
             coordinates["t_s"] = variables.pop("t_s")
-        # Attributes of a NetCDF file are texts and numbers. Nested values become JSON texts.
+        # NetCDF attributes are texts and numbers, so nested values become JSON texts.
         attributes = {
             key: value if isinstance(value, str | int | float) else to_json(value, indent=None)
             for key, value in self.meta.items()
@@ -205,7 +206,7 @@ class Trace:
         return xarray.Dataset(variables, coordinates, attributes)
 
     def head(self, ticks: int) -> Trace:
-        """Return the trace of the first ``ticks`` ticks, or of all if it has fewer; ``meta`` as in `select`."""
+        """Return the trace of the first ``ticks`` ticks, or of all if there are fewer. See `select` for `meta`."""
         if isinstance(ticks, bool) or not isinstance(ticks, int | np.integer) or ticks < 0:
             raise TraceError(f"head: ticks = {shown(ticks)}: give an integer of 0 or more")
         columns = MappingProxyType({name: array[:ticks] for name, array in self.columns.items()})
@@ -224,7 +225,7 @@ class Trace:
         return self.with_meta(**told)
 
     def with_meta(self, **values: Any) -> Trace:
-        """Return a trace with entries of meta added or replaced; raises a TraceError as the constructor does."""
+        """Return a trace with entries of meta added or replaced. Raise what the constructor raises."""
         return self._of(self.columns, MappingProxyType(plain({**self.meta, **values})))
 
     @classmethod
@@ -235,16 +236,16 @@ class Trace:
         return made
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a Parquet file, all or nothing: an older file of this name stays until the new file is complete.
+        """Write a Parquet file. An older file of this name stays until the new file is complete.
 
-        Numbers of shape (N, k) become arrays of width k; meta is stored as JSON in the file's metadata "moc_opt.meta".
-        A TraceError if the file cannot be written.
+        Numbers of shape (N, k) become arrays of width k. meta is stored as JSON in the file's metadata "moc_opt.meta".
+        Raise a TraceError if the file cannot be written.
         """
         file.write(path, self.columns, self.meta)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Trace:
-        """Read a file that `save` wrote, exact to the last bit; a TraceError if it is missing, damaged, or no trace."""
+        """Read a file that `save` wrote, to the last bit. Raise a TraceError if it is missing, damaged or no trace."""
         return cls(*file.read(path))
 
 
@@ -255,21 +256,18 @@ def _name(name: str) -> str:
 
 
 def load_trace(path: str | os.PathLike[str]) -> Trace:
-    """Read a file that `Trace.save`, or a command's ``--trace``, wrote; see `Trace.load`."""
+    """Read a file that `Trace.save` or the option ``--trace`` of a command wrote; see `Trace.load`."""
     return Trace.load(path)
 
 
 def table(of: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """Return the table ``name`` of meta; an empty table if it is absent or, in a foreign file, not a table."""
+    """Return the table ``name`` of meta; an empty table if it is absent or not a table."""
     found = of.get(name)
     return found if isinstance(found, dict) else {}
 
 
 def about(trace: Trace) -> dict[str, str]:
-    """Return the main facts of a run as name -> text; facts that `meta` lacks are left out.
-
-    ``solver`` is "dcac" under law "dcac", which has no solver.
-    """
+    """Return the main facts of a run as name -> text. ``solver`` is "dcac" under law "dcac", which has no solver."""
     meta, scenario = trace.meta, table(trace.meta, "scenario")
     law = "dcac" if table(scenario, "control").get("law") == "dcac" else table(scenario, "solver").get("name")
     known = {"scenario": scenario.get("name"), "robot": meta.get("robot"), "solver": law, "ended": meta.get("ended")}

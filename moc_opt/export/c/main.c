@@ -1,4 +1,4 @@
-/* Self-test: the recorded ticks again, compared with the torque recorded in Python, and timed. */
+/* Self-test: repeat the recorded ticks, compare the torques with those of Python, and time the ticks. */
 #define _POSIX_C_SOURCE 199309L
 
 #include <stdio.h>
@@ -48,7 +48,7 @@ int main(void)
         limited += state.watch.limited > 0;
         for (int i = 0; i < JOINTS; i++) {
             double off = fabs(tau[i] - recorded[k].tau[i]);
-            same &= off < 1e-9; /* not for a NaN */
+            same &= off < 1e-9; /* false for NaN */
             worst = fmax(worst, off);
         }
     }

@@ -1,7 +1,6 @@
-/* The controller at the end of a wire: receives measurements, ticks, sends torques; see docs/realtime.md.
+/* The controller over UDP: receive a measurement, compute the torque, send it; see docs/realtime.md.
  *
- * moc_udp HOST PORT reference.bin, with the key in MOC_OPT_WIRE_KEY. No heap but what stdio and OpenSSL take before
- * and after the loop. In order: the check of a packet, the link, the tick, the program. */
+ * Usage: moc_udp HOST PORT reference.bin, with the key in MOC_OPT_WIRE_KEY. The loop uses no heap. */
 #define _POSIX_C_SOURCE 200809L
 #include <arpa/inet.h>
 #include <math.h>
@@ -24,7 +23,7 @@
 
 enum { TAG = 16, KEY = 32, SHORTEST_KEY = 16, TURN_US = 50000, REPEAT_NS = 100000000, PRIORITY = 50 };
 
-/* --- the check at the end of every packet: BLAKE2s (RFC 7693) with a key, by OpenSSL --- */
+/* --- the signature at the end of every packet: BLAKE2s (RFC 7693) with a key, by OpenSSL --- */
 
 static EVP_MAC_CTX *check; /* has the key */
 
@@ -44,13 +43,13 @@ static int sign(const uint8_t *data, size_t length, uint8_t tag[TAG])
            EVP_MAC_final(check, tag, &length, TAG);
 }
 
-/* --- the link: a UDP socket that lets only sound measurements through --- */
+/* --- the link: a UDP socket that accepts only valid measurements --- */
 
 static struct {
     int socket;
     struct sockaddr_in plant;
-    uint64_t session; /* 0 until the plant has told it */
-    unsigned ignored; /* packets */
+    uint64_t session; /* 0 until the plant has sent it */
+    unsigned ignored; /* number of packets */
 } wire;
 
 /* A steady clock [ns]. */
@@ -61,10 +60,10 @@ static int64_t now_ns(void)
     return (int64_t)now.tv_sec * 1000000000 + now.tv_nsec;
 }
 
-/* Begin to speak with host:port. Returns NULL, or what is wrong. */
+/* Open the socket to host:port. Returns NULL, or an error message. */
 static const char *open_link(const char *host, const char *port)
 {
-    struct timeval turn = {.tv_usec = TURN_US}; /* recvfrom returns after it, to look at the clock */
+    struct timeval turn = {.tv_usec = TURN_US}; /* timeout of recvfrom */
     const char *key = getenv("MOC_OPT_WIRE_KEY");
     char *end;
     long number = strtol(port, &end, 10);
@@ -85,13 +84,13 @@ static const char *open_link(const char *host, const char *port)
     return NULL;
 }
 
-/* Fill the header of a packet but for its flags, seal it and send it; one that the system does not take is lost. */
+/* Fill in the header of a packet except its flags, sign the packet and send it. Errors of sending are ignored. */
 static void send_packet(wire_header *packet, size_t size, uint8_t kind, int64_t number)
 {
     uint8_t *bytes = (uint8_t *)packet;
 
     *packet = (wire_header){"", WIRE_VERSION, kind, WIRE_JOINTS, packet->flags, wire.session, WIRE_SCENARIO, number};
-    memcpy(packet->magic, WIRE_MAGIC, sizeof packet->magic); /* without the text's end */
+    memcpy(packet->magic, WIRE_MAGIC, sizeof packet->magic); /* without the final 0 */
     if (sign(bytes, size - TAG, bytes + size - TAG))
         (void)!sendto(wire.socket, packet, size, 0, (const struct sockaddr *)&wire.plant, sizeof wire.plant);
 }
@@ -110,19 +109,19 @@ static int is_sound(const uint8_t *bytes, size_t size, const struct sockaddr_in 
            sender->sin_addr.s_addr == wire.plant.sin_addr.s_addr && sender->sin_port == wire.plant.sin_port;
 }
 
-/* The next sound measurement, waiting until `until` [ns]; 0 where none has come. */
+/* Receive the next valid measurement until the time `until` [ns]. Returns 0 if none has arrived. */
 static int receive(int64_t until, wire_measurement *found)
 {
     do {
         struct sockaddr_in sender;
         socklen_t length = sizeof sender;
-        union { /* one byte more than fits: a longer datagram is not cut to a sound one */
+        union { /* one byte longer than a measurement, so that a longer datagram is recognized */
             wire_measurement packet;
             uint8_t bytes[sizeof(wire_measurement) + 1];
         } scratch;
         ssize_t size = recvfrom(wire.socket, &scratch, sizeof scratch, 0, (struct sockaddr *)&sender, &length);
         if (size < 0)
-            continue; /* the turn is over, or nobody listened where the last packet went */
+            continue; /* timeout, or the last packet was rejected */
         if (is_sound(scratch.bytes, (size_t)size, &sender)) {
             *found = scratch.packet;
             return 1;
@@ -132,7 +131,7 @@ static int receive(int64_t until, wire_measurement *found)
     return 0;
 }
 
-/* Send a packet every 100 ms until a measurement comes whose flag is "waiting" (waiting = 1), or is not (0). */
+/* Send a packet every 100 ms until a measurement arrives with the flag WIRE_WAITING (waiting = 1) or without it (0). */
 static int ask(uint8_t kind, int waiting, wire_measurement *found)
 {
     int64_t until = now_ns() + (int64_t)(1e9 * WIRE_WAIT_S);
@@ -158,7 +157,7 @@ static moc_state state;
 static wire_command command;
 static unsigned ticks;
 
-/* The third level's answer and its subproblem, where the law has that level. */
+/* Write the third level's answer and its subproblem into `command`. */
 static void report(void)
 {
     static const char *const statuses[] = {"solved", "infeasible", "numerical"};
@@ -172,7 +171,7 @@ static void report(void)
     }
     for (int i = 0; i < 6; i++)
         command.dual[i] = solved ? state.y[i] : (double)NAN;
-    if (asked) /* else it stays the one before */
+    if (asked) /* else keep the previous subproblem */
         moc_copy_problem(&state.problem, JOINTS, command.subproblem, PACK);
     strncpy(command.status, asked ? statuses[state.status] : "none", sizeof command.status - 1);
     strncpy(command.fault, asked ? faults[state.fault] : state.reason ? "stopped" : "none", sizeof command.fault - 1);
@@ -184,7 +183,7 @@ static moc_measurement measured(const wire_measurement *m)
     return (moc_measurement){m->q, m->v, m->stamp, 1, m->commanded, m->wrench};
 }
 
-/* One tick of the control side into `command`. */
+/* Compute one tick and write its result into `command`. */
 static void tick(const wire_measurement *m)
 {
     int64_t begin = now_ns(), number = m->head.sequence;
@@ -210,7 +209,7 @@ static int fail(const char *what, const char *cure)
     return 2;
 }
 
-/* Answer measurements from the first one on; returns how it ended. */
+/* Answer measurements, beginning with `m`. Returns how the run ended. */
 static const char *answer(wire_measurement *m)
 {
     int64_t newest = -1;
@@ -231,7 +230,7 @@ static const char *answer(wire_measurement *m)
             newest = number;
             tick(m);
         }
-        if (number == newest) /* a second time where the plant has not received the answer */
+        if (number == newest) /* also if the plant repeats a measurement because the answer was lost */
             send_packet(&command.head, sizeof command, WIRE_KIND_COMMAND, number);
     } while (receive(now_ns() + (int64_t)(1e9 * WIRE_SILENCE_S), m));
     return "the plant has been silent";

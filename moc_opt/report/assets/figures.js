@@ -18,14 +18,14 @@
 
   const exchange = JSON.parse(texts("dark-colors"));
   const colors = new RegExp(Object.keys(exchange).join("|"), "gi");
-  // On a phone: smaller type; a legend in place of names beside points; height added for a long legend, in two columns
-  // if its names fit; the colour bar below its map.
+  // On a phone, type is smaller, a legend replaces names beside points, and the colour bar is below its map. A long
+  // legend gets more height, and two columns if its names fit.
   const narrow = ({ data, layout }) => {
     layout.font = { ...layout.font, size: 10 };
     layout.legend = { ...layout.legend, font: { size: 10 } };
     layout.margin = { ...layout.margin, l: 40, r: 8 };
     for (const axis of [layout.xaxis, layout.yaxis]) {
-      // Ticks at powers of ten only, unless the axis is within one decade, where that could leave it without a number.
+      // Ticks are at powers of ten only. An axis within one decade keeps its own ticks, or it could have none.
       const decades = axis && axis.range ? axis.range[1] - axis.range[0] : Infinity;
       if (axis && axis.type === "log" && !axis.tickvals && decades > 1) axis.dtick = 1;
     }
@@ -53,7 +53,7 @@
     const figure = JSON.parse(source), width = printing ? printed : chart.clientWidth;
     figure.layout.width = width;
     figure.layout.autosize = false;
-    // Traces that the reader has hidden stay hidden when a figure is redrawn.
+    // Traces that the reader has hidden stay hidden.
     (chart.data || []).forEach((trace, k) => { if ("visible" in trace) figure.data[k].visible = trace.visible; });
     // On touch screens, dragging on a figure scrolls the page.
     if (touch.matches) figure.layout.dragmode = false;
@@ -61,7 +61,7 @@
     return figure;
   };
   const options = (chart) => ({
-    // Without hovering (touch), the buttons would always cover the legend; on a phone there is no room beside it.
+    // On touch screens, the buttons would always cover the legend. On a phone there is no room for them.
     displayModeBar: touch.matches || chart.clientWidth < phone ? false : "hover",
     displaylogo: false, plotlyServerURL: "", showLink: false, responsive: false, topojsonURL: "", scrollZoom: false,
     modeBarButtonsToRemove: ["lasso2d", "select2d", "autoScale2d"],
@@ -70,12 +70,12 @@
   const draw = (chart) => {
     const figure = spec(chart), size = figure.layout.width < phone ? "phone" : "screen";
     chart.style.minHeight = "";
-    // Purge first: otherwise plotly keeps the space that a colour bar took before it was moved.
+    // Without a purge, plotly keeps the space of a colour bar that has moved.
     if (chart.dataset.size && chart.dataset.size !== size) Plotly.purge(chart);
     chart.dataset.size = size;
     return Plotly.react(chart, figure.data, figure.layout, options(chart));
   };
-  // A figure in a folded section has no width; it is drawn when the section is opened.
+  // A figure in a folded section has no width. It is drawn when the section is opened.
   const seen = (chart) => chart.clientWidth > 0;
   const all = () => Promise.all(charts.filter(seen).map(draw));
 
@@ -89,7 +89,7 @@
       throw error;
     }
     dark.addEventListener("change", all);
-    // Redraw after the width has stopped changing, and only figures that were drawn for another width.
+    // When the width has stopped changing, redraw the figures that were drawn for another width.
     let resting;
     const watch = new ResizeObserver(() => {
       clearTimeout(resting);

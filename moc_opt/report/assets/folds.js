@@ -1,4 +1,4 @@
-// Folded sections: a link into one opens it, and the search field shows only table rows that contain its text.
+// Folded sections: a link into a section opens it. The search field leaves only table rows that contain its text.
 (() => {
   "use strict";
   const sections = [...document.querySelectorAll("details.section")];
@@ -12,7 +12,7 @@
     if (target) target.scrollIntoView();
   };
   window.addEventListener("hashchange", reveal);
-  // A second click on the same link does not change the address, so that no hashchange follows.
+  // A second click on the same link does not change the URL, and so causes no hashchange.
   document.addEventListener("click", (event) => {
     const link = event.target.closest("a[href^='#']");
     if (link && link.getAttribute("href") === location.hash) reveal();

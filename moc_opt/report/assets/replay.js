@@ -1,4 +1,4 @@
-// Unpacks the data, and plays it: scene, curves and controls show the same time.
+// Unpacks the data and plays them. Scene, curves and controls show the same time.
 (async () => {
   "use strict";
   const $ = (id) => document.getElementById(id);
@@ -8,7 +8,7 @@
   const unpack = async () => {
     const packed = Uint8Array.from(atob($("replay-data").textContent), (c) => c.charCodeAt(0));
     const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
-    // Turns every list of numbers into a Float32Array; null becomes NaN.
+    // Lists of numbers become a Float32Array, and null becomes NaN.
     const array = (key, value) => Array.isArray(value) && value.every((v) => v === null || typeof v === "number") ? Float32Array.from(value, (v) => v ?? NaN) : value;
     return JSON.parse(await new Response(stream).text(), array);
   };

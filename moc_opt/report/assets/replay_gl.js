@@ -1,4 +1,4 @@
-// WebGL 2 for the replay: matrices, three programs (bodies, wide lines, the ground), bodies of revolution.
+// WebGL 2 for the replay: matrices, shader programs for bodies, wide lines and the ground, and bodies of revolution.
 const Gl = (() => {
   "use strict";
   const sub = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
@@ -27,7 +27,7 @@ const Gl = (() => {
     const z = unit(sub(eye, target)), x = unit(cross([0, 0, 1], z)), y = cross(z, x);
     return new Float32Array([x[0], y[0], z[0], 0, x[1], y[1], z[1], 0, x[2], y[2], z[2], 0, -dot(x, eye), -dot(y, eye), -dot(z, eye), 1]);
   };
-  // Inverse transpose of the upper 3x3, up to a factor, which transforms normals.
+  // The inverse transpose of the upper 3x3 block, up to a factor. It transforms normals.
   const normalMatrix = (m) => {
     const c = [[m[0], m[1], m[2]], [m[4], m[5], m[6]], [m[8], m[9], m[10]]];
     return new Float32Array([...cross(c[1], c[2]), ...cross(c[2], c[0]), ...cross(c[0], c[1])]);
@@ -56,7 +56,7 @@ const Gl = (() => {
       vec2 along = (b.xy / b.w - a.xy / a.w) * screen; float l = length(along);
       along = l > 1e-6 ? along / l : vec2(1.0, 0.0);
       vec4 c = far ? b : a;
-      // A little longer than the segment, so that there are no gaps between segments.
+      // Extend the segment a little, so that there are no gaps between segments.
       vec2 off = vec2(-along.y, along.x) * side + along * (far ? 0.5 : -0.5);
       c.xy += off * width / screen * c.w; c.z -= 2e-4 * c.w; gl_Position = c;
     }`;
@@ -95,7 +95,7 @@ const Gl = (() => {
     return at;
   };
 
-  // Turns a profile about z. At a sharp bend the two sides have separate normals, so that it looks like an edge.
+  // Turns a profile about z. At a sharp bend the two sides have separate normals, so that an edge is visible.
   const lathe = (radii, heights, around = 48) => {
     const places = [], normals = [], count = radii.length;
     const slope = (k) => { const r = radii[k + 1] - radii[k], h = heights[k + 1] - heights[k], l = Math.hypot(r, h) || 1; return [h / l, -r / l]; };

@@ -1,4 +1,4 @@
-// The curves below the scene: drawn once, with a moving cursor; a click or touch sets the time.
+// The curves below the scene. They are drawn once, with a moving cursor. A click or touch sets the time.
 const Plots = (root, data, seek) => {
   "use strict";
   const first = data.times[0], last = data.times[data.times.length - 1];

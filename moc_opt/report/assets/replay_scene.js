@@ -1,4 +1,4 @@
-// The three-dimensional part: one view per run on one canvas, all seen from the same place.
+// The three-dimensional scene: one view per run on one canvas. All views have the same camera.
 const Scene = (canvas, data) => {
   "use strict";
   const { times, frame, unit, sub, cross, dot } = Gl;
@@ -14,7 +14,7 @@ const Scene = (canvas, data) => {
   const parts = data.parts.map((part) => ({ ...part, body: gpu.body(Gl.lathe(part.radii, part.heights)), local: frame(part.origin, part.axis) }));
   const arc = [...Array(25).keys()].map((k) => -Math.PI / 2 + Math.PI * k / 24);
   const ball = gpu.body(Gl.lathe(arc.map(Math.cos), arc.map(Math.sin)));
-  // A shallow dome with an opening, and the ring around it.
+  // The body wall: a shallow dome with an opening, and rings around both.
   const HOLE = 0.009, WALL = 0.13, DOME = 0.45;
   const across = [...Array(25).keys()].map((k) => HOLE + (WALL - HOLE) * k / 24);
   const sag = (r) => DOME - Math.sqrt(DOME * DOME - r * r);
@@ -25,7 +25,7 @@ const Scene = (canvas, data) => {
 
   const runs = data.runs.map((run) => {
     const asked = gpu.curve(run.course_asked), taken = gpu.curve(run.course);
-    // The abdominal wall is level, or across the tool where the tool is more than 60 degrees off the vertical.
+    // The body wall is level. If the tool is more than 60 degrees off the vertical, the wall is across the tool.
     let normal = [0, 0, 1];
     if (run.trocar) {
       const up = unit(sub(run.trocar, run.tip));
@@ -115,7 +115,7 @@ const Scene = (canvas, data) => {
       gl.enable(gl.BLEND);
       gl.depthMask(false);
       gpu.drawGround(view, 1.6, rgba(palette.ground, 0.55));
-      // The shadow: all bodies projected onto the ground along the light; the stencil darkens every pixel only once.
+      // The shadow: project all bodies onto the ground along the light. The stencil darkens every pixel only once.
       const press = new Float32Array([1, 0, 0, 0, 0, 1, 0, 0, -0.28, 0.34, 0, 0, 0, 0, 0.0008, 1]);
       gl.enable(gl.STENCIL_TEST);
       gl.stencilFunc(gl.EQUAL, 0, 255);

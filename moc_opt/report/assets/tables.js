@@ -1,4 +1,4 @@
-// Tables sort by the heading that is clicked, or pressed with Enter or Space: best first, then reversed.
+// A click, Enter or Space on a heading sorts its table by this column: best first, then reversed.
 (() => {
   "use strict";
   const key = (row, column) => {
@@ -10,7 +10,7 @@
     if (text === "-inf") return -Infinity;
     return text.trim() === "" ? NaN : Number(text);
   };
-  // Numbers in order of size come first, then texts in alphabetical order.
+  // Numbers come first, in order of size. Texts follow in alphabetical order.
   const compare = (a, b) => {
     const x = number(a), y = number(b);
     if (Number.isNaN(x) !== Number.isNaN(y)) return Number.isNaN(x) ? 1 : -1;
