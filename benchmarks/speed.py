@@ -1,8 +1,8 @@
-"""How long does everything take? One run times ticks, solvers, adapters, the loop and other libraries side by side.
+"""How long does everything take? Ticks, solvers, adapters, the loop and other libraries are timed in one run.
 
 python -m benchmarks.speed [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-Only times of one run can be compared, so finished jobs are not kept: every run measures everything again.
+Only times of one run can be compared. So finished jobs are not kept, and every run measures everything again.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Config(StudyConfig):
     @classmethod
     def _with_exact(cls, value: list[str]) -> list[str]:
         if "exact" not in value:
-            raise ValueError("'exact' must be among them: the others are compared with it")
+            raise ValueError("'exact' must be in the list: the others are compared with it")
         return value
 
     def quick(self) -> Self:
@@ -75,7 +75,7 @@ def work(study: Study, config: Config) -> Found:
             no_peer[name] = str(failure)
     able = [name for name in tried if name not in no_peer]
 
-    # Judging the answers and bounding mu are switched off: they are not part of the loop's time.
+    # Judging the answers and bounding mu are not part of the loop's time.
     scenario, rounds = config.scenario.change(seed=config.seed, judge=False, bound_samples=0), config.rounds
     long = scenario.change(duration_s=config.ticks * scenario.plant.period_s)
     asked: dict[str, tuple[Callable[..., timed.Part], tuple[Any, ...]]] = {
@@ -174,7 +174,7 @@ COLUMNS = {
     "tick": ("One tick, state to torque", [
         Column("name", "tick with"), *_times("tick", "p50", "p99", "p99_9"),
         Column("tick_cold_p50_us", "cold", unit="us", format=".1f", better="low",
-               help="median of the first five calls after a switch; the percentiles count them too"),
+               help="median of the first five calls of each chunk"),
         Column("tick_mean_us", "mean", unit="us", format=".1f", help="the exported program prints no percentiles"),
         Column("tick_max_us", "longest", unit="us", format=".1f", better="low"),
     ]),
@@ -183,14 +183,14 @@ COLUMNS = {
     ]),
     "peers": ("One tick in other libraries, the same job on the same arm", [
         Column("name", "controller"), Column("level", "gives", help="a velocity still needs a servo"),
-        *_times("tick", "p50", "p99"), Column("times_ours", "over ours", format=".2f", help="median over the chunks"),
+        *_times("tick", "p50", "p99"), Column("times_ours", "over ours", format=".2f", help="median over chunks"),
         Column("tip_error_max_mm", "tip", unit="mm", help="largest tip error on an ideal arm, after half a second"),
-        Column("rcm_error_max_mm", "shaft", unit="mm", help="largest distance of shaft from trocar, likewise"),
+        Column("rcm_error_max_mm", "shaft", unit="mm", help="largest distance of shaft from trocar, then too"),
         Column("mu_rise_percent", "mu", unit="%", format="+.1f", help="rise of the manipulability in that second"),
     ]),
     "adapters": ("Solvers from Python", [
         Column("name", "adapter"), *_times("adapter", "p50", "p99", form=".2f"),
-        Column("ratio_of_exact", "exact over it", format=".3f", help="time of exact over this one's, median of chunks"),
+        Column("ratio_of_exact", "exact over it", format=".3f", help="time of exact / time of this adapter, median over chunks"),
     ]),
     "loop": ("The closed loop", [
         Column("name", "loop"), Column("factor", "real time", unit="times", format=".1f", better="high"),
@@ -233,7 +233,7 @@ def report(summary: Summary, times: Mapping[str, ArrayLike], subject: str = "") 
         Section(title, text, shown) for title, (keys, text) in SECTIONS.items()
         if (shown := [tables[key] for key in keys if key in tables])
     ]  # fmt: skip
-    says = "Time of a tick: further left is faster, steeper is steadier."
+    says = "Time of a tick. A curve further left is faster, and a steeper curve is steadier."
     pictures = [Picture(latency_ecdf(times), says, "ticks")] if times else []
     first = goals_table(summary["goals"])
     return Report("What everything costs", sentences(summary), first, pictures, sections,
