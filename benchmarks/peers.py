@@ -2,9 +2,8 @@
 
 In each tick (control period), the tip follows its reference, the wrist stays on the line through the trocar, the joint
 speeds stay within limits, and the null-space motion follows the gradient of the manipulability. Every peer gets the
-same arm and its own fastest solver. If it takes hard equalities, it gets them. If it has no gradient, it gets our
-compiled one. `check` runs a peer for a second on an ideal arm without friction, noise or model error. Only peers that
-pass are timed.
+same arm, its own fastest solver, hard equalities if it supports them, and our compiled gradient if it has none. `check`
+runs a peer for a second on an ideal arm without friction, noise or model error. Only peers that pass are timed.
 """
 
 from __future__ import annotations

@@ -50,7 +50,7 @@ class Config(StudyConfig):
     @classmethod
     def _with_exact(cls, value: list[str]) -> list[str]:
         if "exact" not in value:
-            raise ValueError("'exact' must be in the list: the others are compared with it")
+            raise ValueError("'exact' must be among them: the others are compared with it")
         return value
 
     def quick(self) -> Self:
@@ -190,7 +190,7 @@ COLUMNS = {
     ]),
     "adapters": ("Solvers from Python", [
         Column("name", "adapter"), *_times("adapter", "p50", "p99", form=".2f"),
-        Column("ratio_of_exact", "exact over it", format=".3f", help="time of exact / time of this adapter, median over chunks"),
+        Column("ratio_of_exact", "exact over it", format=".3f", help="time of exact / its time, median over chunks"),
     ]),
     "loop": ("The closed loop", [
         Column("name", "loop"), Column("factor", "real time", unit="times", format=".1f", better="high"),

@@ -16,7 +16,7 @@ class SLSQP:
         return None  # or the reason why not
 
     def start(self, qp):
-        return self  # nothing to remember between ticks, so this object is its own session
+        return self  # there is no state between ticks, so this object is its own session
 
     def solve(self, qp):
         rows, scale = qp.reduced(), 1e3  # five independent rows; the scale lifts costs of 1e-4 above ftol

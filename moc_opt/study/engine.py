@@ -216,7 +216,6 @@ def _answer(future: Answer, job: Job) -> _Done | Failed:
 
 
 def _do(work: Callable[..., Any], arguments: tuple[Any, ...], parts: str | None = None) -> _Done | Failed:
-    """Do one job, in a worker."""
     global _parts
     if parts is not None:
         Path(f"{parts}{BEGUN}").write_text(str(os.getpid()))

@@ -1,7 +1,6 @@
 """The results table of every study: one row per run, and a controller's means and its changes against a baseline.
 
-Means are taken over whole runs, in which the task was done to its end. A change compares the trials that both the
-controller and the baseline completed.
+Means are taken over whole runs, which did the task to its end. A change compares trials that both controllers completed.
 """
 
 from __future__ import annotations

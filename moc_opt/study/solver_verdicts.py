@@ -171,7 +171,6 @@ def sentences(summary: Summary, rows: Sequence[Row]) -> list[str]:
 
 
 def _why(summary: Summary, row: Row, others: Sequence[Row], asked: int) -> str:
-    """Say how many problems the recommended solver solved, how fast it is, and whether its time can be trusted."""
     counted = row["counted"]
     kind = "certified" if "testsets" in summary else "recorded"
     parts = [f"verified {counted['verified_solved']} of {counted['optima_asked']} {kind} optima"]
@@ -191,7 +190,6 @@ def _why(summary: Summary, row: Row, others: Sequence[Row], asked: int) -> str:
 
 
 def _in_closed_loop(row: Row, shared: int) -> str:
-    """Say how a sound solver changes mu, and the errors in both frames. Every solver ran ``shared`` of the trials."""
     closed, trials = row["closed"], row["trials"]
     if few := too_few(trials):
         return f"The effect of sound answers in closed loop is open: {few}."
@@ -209,7 +207,6 @@ def _in_closed_loop(row: Row, shared: int) -> str:
 
 
 def _avoid(summary: Summary, rows: Sequence[Row]) -> list[str]:
-    """Name the solvers to avoid, with the reason, and the libraries whose default settings gave wrong answers."""
     parts = []
     for row in rows:
         if row["verdict"] is AVOID:
@@ -278,7 +275,6 @@ def _trials(rows: Sequence[Row]) -> list[int]:
 
 
 def _trials_told(rows: Sequence[Row]) -> str:
-    """Say how many trials each solver ran: figures over different trials cannot be compared."""
     fewest, *more = _trials(rows)
     if not more:
         return f"Every solver ran {fewest} trials."

@@ -174,7 +174,6 @@ def run_and_trace(asked: Trial, baseline: Trace | None = None) -> tuple[Run, Tra
 
 
 def _counts(trace: Trace) -> dict[str, Any]:
-    """Return the number of subproblems, of infeasible ones and of ticks by fault, and the method of mu's bound."""
     found: dict[str, Any] = {"mu_bound_method": trace.meta.get("mu_bound_method")}
     if "status" in trace.columns:
         found |= {"asked": int((trace.status != "none").sum()), "infeasible": int((trace.status == "infeasible").sum())}
