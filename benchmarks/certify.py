@@ -37,7 +37,7 @@ def five_rows(qp: NullSpaceQP) -> tuple[Array, Array]:
     """
     directions, sizes, _ = np.linalg.svd(qp.J_tip - qp.J_wrist)
     if sizes[2] > TIED * np.linalg.norm(qp.A):
-        raise CertificateError(f"tip and wrist move against each other by {sizes[2]:.1e} along the shaft: not tied")
+        raise CertificateError(f"tip and wrist move apart by {sizes[2]:.1e} along the shaft: no rigid tool")
     across = directions[:, :2].T
     A, b = np.vstack([qp.J_tip, across @ qp.J_wrist]), np.concatenate([qp.v_tip, across @ qp.v_wrist])
     smallest = np.linalg.svd(A)[1][-1]

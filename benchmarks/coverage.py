@@ -1,4 +1,4 @@
-"""How often do the intervals of the solver study contain the true change? This study simulates its design.
+"""How often do the intervals of the solver study contain the true change? This simulation tells.
 
 python -m benchmarks.coverage [CONFIG.toml] [--out DIR] [--quick] [--json]
 

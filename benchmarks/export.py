@@ -93,7 +93,7 @@ def write_qpbenchmark(folder: Path, names: Sequence[str] = SETS, every: int = 1,
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    options = argparse.ArgumentParser(prog="python -m benchmarks.export", description="The test sets for others.")
+    options = argparse.ArgumentParser(prog="python -m benchmarks.export", description="Export the test sets.")
     options.add_argument("format", choices=["qpbenchmark"])
     options.add_argument("--out", type=Path, required=True, help="folder for the files")
     options.add_argument("--sets", nargs="+", metavar="NAME", default=list(SETS), help="test sets")

@@ -53,11 +53,11 @@ MOST_MM = {
 """Goals: largest mean errors [mm]. In the base frame, the trocar's registration error of 0.5 mm alone causes 0.3 mm."""
 RULES = (
     "An effect is the change of MOC against a DCAC on the same trials, 100 (mean MOC / mean DCAC - 1), with its 95 % "
-    "interval, and beside it the mean of the trials' own ratios. A claim is confirmed against one DCAC where both "
-    "intervals lie on its side. It holds if it is confirmed against DCAC with MOC's own gains, where only the third "
-    "level differs; it holds only against softer gains if it is confirmed against DCAC with the gains that the paper "
-    "gives it, and not against the former; it is undecided where the two means disagree. Fewer than eight trials "
-    "decide nothing. The force at the trocar follows the RCM error and is no further claim."
+    "interval. The mean of the trials' own ratios stands beside it. A claim is confirmed against a DCAC if both "
+    "intervals lie on its side. A claim holds if it is confirmed against DCAC with MOC's gains, which lacks only the "
+    "third level. It holds only against softer gains if it is confirmed only against DCAC with the paper's gains. It is "
+    "undecided if the two means disagree. Fewer than eight trials decide nothing. The force at the trocar follows the "
+    "RCM error and is no further claim."
 )
 
 

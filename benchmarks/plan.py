@@ -34,6 +34,7 @@ STREAM, LOCAL = 7, "local"
 CONTROL = ControlSettings.model_fields
 LOOPS: dict[str, dict[str, Any]] = {
     **{level: {"third_level": level} for level in get_args(CONTROL["third_level"].annotation)},
+    # The other levels have a faster observer. With it, errors are compared at equal lag.
     "local, observer of the courses": {"observer_gain_per_s": CONTROL["course_observer_gain_per_s"].default},
 }
 ERRORS = {"tip": "tip_error_model_mean_mm", "RCM": "rcm_error_model_mean_mm"}
@@ -219,7 +220,7 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
             })  # fmt: skip
             spreads = {f"{key} with interval": spread(found, key) for key in ("gap_percent", "course_gap_percent")}
             wide.append({"robot": robot, "loop": name, **found, **spreads})
-    table = Table("How far mean mu ends below that of the best course from the same start", [
+    table = Table("Gap of mean mu to the best course from the same start", [
         Column("robot", "arm", section=ALONG), Column("loop", "third level"),
         Column("gap", "below best", unit="%", section=IN_THE_LOOP),
         Column("gap_percent_max", "worst", unit="%", format=".1f", section=IN_THE_LOOP),
@@ -248,7 +249,7 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
                 Column("climb_gap_percent_max", "largest", unit="%", format=".1f"),
                 Column("start_loss_percent", "start below best", unit="%", format=".2f"),
                 Column("start_loss_percent_max", "largest", unit="%", format=".1f")], by_robot),
-            Table("How sure the courses are", [
+            Table("Checks of the courses", [
                 arm, Column("certified", "local optima", format="d"),
                 Column("violation_max", "largest violation", unit="m, rad", format=".0e"),
                 Column("bound_gap_percent", "bound above course", unit="%", format=".3f"),

@@ -92,7 +92,7 @@ def perform(parts: ProcedureSettings, scenario: Scenario, name: str, film: Path 
 def _run(
     scenario: Scenario, plant: Plant, scene: Augmented, path: TipPath, q: Array, trocars: tuple[Array, Array]
 ) -> tuple[Trace, float, float]:
-    """Run the task under MOC. The path waits while the board is lost. Return trace, time waited, time of loss [s].
+    """Run the task under MOC. The path waits while the board is lost. Return trace, time waited and time lost [s].
 
     ``trocars``: the true and the registered trocar, (3,) each [m].
     """

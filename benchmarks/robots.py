@@ -88,7 +88,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def verdicts(rows: Results, judged: str) -> dict[str, bool | None]:
-    """Return finding -> whether its whole interval is within the bound on an arm. None: undecided."""
+    """Return finding -> whether it holds on an arm, with its whole interval. None: undecided."""
     own, base = rows.pairs("tip_error_mean_mm", judged)
 
     def change(metric: str, _: Any) -> Change | None:

@@ -185,12 +185,12 @@ COLUMNS = {
         Column("name", "controller"), Column("level", "gives", help="a velocity still needs a servo"),
         *_times("tick", "p50", "p99"), Column("times_ours", "over ours", format=".2f", help="median over chunks"),
         Column("tip_error_max_mm", "tip", unit="mm", help="largest tip error on an ideal arm, after half a second"),
-        Column("rcm_error_max_mm", "shaft", unit="mm", help="largest distance of shaft from trocar, then too"),
+        Column("rcm_error_max_mm", "shaft", unit="mm", help="largest error of the shaft in this time"),
         Column("mu_rise_percent", "mu", unit="%", format="+.1f", help="rise of the manipulability in that second"),
     ]),
     "adapters": ("Solvers from Python", [
         Column("name", "adapter"), *_times("adapter", "p50", "p99", form=".2f"),
-        Column("ratio_of_exact", "exact over it", format=".3f", help="time of exact / its time, median over chunks"),
+        Column("ratio_of_exact", "exact / this", format=".3f", help="time of exact / its time, median over chunks"),
     ]),
     "loop": ("The closed loop", [
         Column("name", "loop"), Column("factor", "real time", unit="times", format=".1f", better="high"),
@@ -201,24 +201,24 @@ COLUMNS = {
 SECTIONS = {
     TICKS: (
         ("tick", "tick_parts"),
-        "Ticks recorded in a run with the realistic plant, in chunks of 100 that take turns. A round that is not timed "
-        "comes first; after it every call counts. The parts are called by themselves: their sum is not exactly the "
-        "whole. `c` is `moc_step`, safety filter included, in the exported program.",
+        "Ticks are recorded in a run with the realistic plant, and timed in chunks of 100 that take turns. The first "
+        "round is not counted. The parts are timed one by one, so their sum is not exactly the whole. `c` is "
+        "`moc_step` in the exported program, with the safety filter.",
     ),
     PEERS: (
         ("peers",),
-        "Each library on one second of its own states on an ideal arm, with our job: tip, shaft, joint speeds, and the "
-        "freedom left up the gradient of mu. Our tick is timed on its own run with the realistic plant.",
+        "Each library is timed on one second of its own states on an ideal arm. It controls tip and shaft, limits the "
+        "joint speeds, and follows the gradient of mu. Our tick is timed on its own run with the realistic plant.",
     ),
     SOLVERS: (
         ("adapters",),
-        "By hand: the fastest library with the settings of its adapter, set up once, its numbers loaded from the same "
-        "arrays, solved, answer and multipliers read.",
+        "By hand: daqp without its adapter, but with the adapter's settings. It is set up once. Each solve loads the "
+        "numbers from the same arrays, and reads answer and multipliers.",
     ),
     LOOP: (
         ("loop",),
-        "A run includes references, plant, controller, trace and the progress bar's watch, and neither set-up nor the "
-        "judging of answers. The limit is MuJoCo's own steps through the states of the run, and `moc_step`.",
+        "A run includes references, plant, controller, trace and the progress bar's callback, but not the set-up and "
+        "the judging of answers. The limit is the time of `moc_step` and of MuJoCo's own steps through these states.",
     ),
 }  # fmt: skip
 

@@ -60,7 +60,7 @@ def random_poses(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
 
 
 def near_singular(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
-    """Yield problems with the elbow 0.1 rad to 1e-8 rad short of straight. There A loses one rank."""
+    """Yield problems with the elbow 0.1 to 1e-8 rad from straight. A straight elbow reduces A's rank from 5 to 4."""
     for bend in np.logspace(-1, -8, SIZE):
         q = robot.random_regular_pose(rng)
         q[3] = bend

@@ -38,7 +38,7 @@ COLD = 5  # first calls of a chunk, when the caches hold another entry's data
 
 
 class Timed(NamedTuple):
-    """A call to time, and its arguments, one for each time."""
+    """A call to time, and the arguments of its successive calls."""
 
     call: Callable[[Any], Any]
     items: Sequence[Any]
@@ -52,8 +52,8 @@ class Part:
         found: part of the summary -> name -> metrics.
         rows: rows for rows.parquet, one per chunk or round.
         missing: name of an entry that could not run -> reason.
-        times: (chunks, CHUNK) [us] of the entries that took turns, by name.
-        seen: counters of `moc_opt.study.timing` (context switches, processor time) during those times, by name.
+        times: name of an entry that took turns -> its times (chunks, CHUNK) [us].
+        seen: name of an entry -> counters of `moc_opt.study.timing` (context switches, processor time) meanwhile.
     """
 
     found: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -246,10 +246,10 @@ def adapters(scenario: Scenario, names: Iterable[str], rounds: int) -> Part:
 
 
 def daqp_by_hand(settings: Any, first: NullSpaceQP) -> Callable[[NullSpaceQP], tuple[Array, Array]]:
-    """Return a call that drives daqp as a careful user would without this package: load numbers, solve, read x and y.
+    """Return a call that uses daqp as a careful user would without this package: load numbers, solve, read x and y.
 
-    It uses the workspace, options and buffers of our adapter, so that both do the same work in daqp. It translates no
-    status, lifts no duals and checks nothing.
+    The call uses the workspace, options and buffers of our adapter, so that both do the same work in daqp. It does not
+    translate the status, convert the multipliers or check anything.
     """
     at, scale, n = settings.start(first), settings.cost_scale, first.n
     core = at._core
@@ -269,7 +269,7 @@ def daqp_by_hand(settings: Any, first: NullSpaceQP) -> Callable[[NullSpaceQP], t
 
 
 def disagreement(solver: Any, by_hand: Callable[[NullSpaceQP], Any], problems: list[NullSpaceQP]) -> str | None:
-    """Say by how much the answers of adapter and library by hand differ [rad/s]; None where they agree to 1e-4."""
+    """Say by how much the answers of adapter and library by hand differ [rad/s], or None if they agree to 1e-4."""
     session = solver.start(problems[0])
     gap = max(float(np.abs(session.solve(qp).x - by_hand(qp)[0]).max()) for qp in problems[:200])
     return None if gap <= 1e-4 else f"adapter and library by hand differ by {gap:.2g} rad/s"

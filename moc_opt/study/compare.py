@@ -60,7 +60,7 @@ class Comparison:
         solvers: the solvers' names in the table, the baseline first.
         scenario: the scenario from which the trials were made.
         note: remarks, such as that [start] was not used or that the machine was busy.
-        complete: False where Ctrl-C ended the comparison after some of the trials.
+        complete: False if Ctrl-C ended the comparison after some of the trials.
     """
 
     rows: Sequence[Mapping[str, Any]]

@@ -92,7 +92,7 @@ def run(
         StudyError: ``workers`` is below 1, no worker stays alive, no scheduler answers, or results cannot be kept.
     """
     if workers is not None and workers < 1:
-        raise StudyError(f"workers = {workers}: give 1 or more, or None for one a core")
+        raise StudyError(f"workers = {workers}: give 1 or more, or None for one per core")
     results: dict[int, Any] = {}
     keys = {k: key_of(job.work, job.arguments) for k, job in enumerate(jobs)} if kept is not None else {}
 

@@ -1,6 +1,6 @@
 """The results table of every study: one row per run, and a controller's means and its changes against a baseline.
 
-Means are taken over whole runs, which did the task to its end. A change compares trials that both controllers completed.
+Means are over whole runs, which did the task to its end. A change compares trials that both controllers completed.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ TITLES = {
 }
 """Error -> heading of its column, and of the column with its change."""
 FRAMES = (
-    "Own kinematics: what the controller sees and can answer for. Registered: in the frame touched at the start, which "
-    "is what the patient gets."
+    "Own kinematics: the error that the controller measures and can correct. Registered: the error in the frame that is "
+    "touched at the start, which matters to the patient."
 )
 BASE_FRAME = "Base frame: absolute accuracy."
 
@@ -89,7 +89,7 @@ class Results:
             return None
 
     def pairs(self, metric: str, controller: str, baseline: str = BASELINE) -> tuple[list[float], list[float]]:
-        """Return both controllers' values on common whole trials. Means over a phase are multiplied by its ticks."""
+        """Return both controllers' values on the trials that both completed. Phases' means are weighted by ticks."""
         mine, theirs = self.values(metric, controller), self.values(metric, baseline)
         both = [trial for trial in mine if trial in theirs]
         phase = next((phase for phase in PHASES if metric.startswith(f"{phase}_")), None)

@@ -118,7 +118,7 @@ def recorded_sequence(work: Work) -> None:
         work.answers.add(*one.rows("open_loop_warm"), *alone.rows("open_loop_cold"))
     right = {name: f"{row['right']} of {row['solves']}" for name, row in cold.items()}
     both = {name: row | {"right_cold": right[name]} for name, row in warm.items()}
-    title = "One session through the sequence; cold: a fresh one for each problem"
+    title = "One session for the whole sequence (cold: a new session for each problem)"
     table = answers_table(title, both, "", Column("right_cold", "right, cold"))
     about = f"{len(data.rows)} subproblems from successive ticks of one run with exact."
     work.sections.append(Section(RECORDED, about, [table]))
@@ -206,7 +206,7 @@ def closed_loop(work: Work) -> None:
         for name in names
     }
     length = f"the first {part.duration_s:g} s of its task" if part.duration_s else "its whole task"
-    text = f"Each trial is {length}; a seed of its own draws pose, mismatch and noise."
+    text = f"Each trial is {length}. Its own seed draws pose, mismatch and noise."
     work.sections.append(Section(CLOSED, text, [_controllers(work.summary["closed_loop"])]))
 
 

@@ -45,7 +45,7 @@ CERTIFIED, RECORDED, CLOSED = "Certified test sets", "Recorded sequence", "Close
 NEITHER = "neither right nor wrong"
 INCONSISTENT = (
     "Inconsistent: the six rows contradict each other along the shaft, by 1e-12 to 1e-4 m/s, while five of them have a "
-    f"certified optimum. 'Infeasible' is true of six rows but no answer for the robot: {NEITHER}."
+    f"certified optimum. 'Infeasible' is true of the six rows, but useless for the robot: {NEITHER}."
 )
 
 
@@ -310,8 +310,8 @@ def pictures(summary: Summary, rows: Sequence[Row], deadline_us: float) -> list[
     if gains:
         poor = [row["solver"] for row in rows if row["solver"] in gains and str(row["damage"]).endswith("% mu")]
         few = too_few(max(row["trials"] for row in rows))
-        says = f"Gain of mean manipulability over `{BASELINE}` with its 95 % interval over a solver's trials: " + (
-            few or f"solvers that clearly lose mu: {listed(poor) if poor else 'none'}."
+        says = f"Gain of mean manipulability over `{BASELINE}` with its 95 % interval over the trials: " + (
+            few or f"{listed(poor) if poor else 'no solver'} clearly fell behind the best solver."
         )
         drawn = intervals_picture(gains, "gain of mean mu [%]", {"no gain": 0.0}, tones)
         found.append(Picture(drawn, says, "closed-loop-effect"))

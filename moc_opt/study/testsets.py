@@ -38,7 +38,7 @@ class CertificateError(MocOptError, ArithmeticError):
 class TestSet:
     """Problems that belong together, with their certified answers."""
 
-    __test__ = False  # not a class of tests
+    __test__ = False  # tells pytest that this is no test class
 
     name: str
     rows: Array
