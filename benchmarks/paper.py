@@ -55,7 +55,7 @@ RULES = (
     "An effect is the change of MOC against a DCAC on the same trials, 100 (mean MOC / mean DCAC - 1), with its 95 % "
     "interval. The mean of the trials' own ratios stands beside it. A claim is confirmed against a DCAC if both "
     "intervals lie on its side. A claim holds if it is confirmed against DCAC with MOC's gains, which lacks only the "
-    "third level. It holds only against softer gains if it is confirmed only against DCAC with the paper's gains. It is "
+    "third level. It holds only against softer gains if only DCAC with the paper's gains confirms it. It is "
     "undecided if the two means disagree. Fewer than eight trials decide nothing. The force at the trocar follows the "
     "RCM error and is no further claim."
 )

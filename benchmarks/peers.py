@@ -30,7 +30,7 @@ PERIOD_S = 0.002
 TOLERANCE_MM, CLIMB_PERCENT = 0.5, 1.0
 """Largest error of tip and shaft in the second half of the run, and smallest rise of the manipulability."""
 CLIMB = 30.0
-"""Joint velocity per gradient of the manipulability [1/m^3 rad^2/s]: c2/rho of the subproblem, rounded."""
+"""Joint velocity per gradient of the manipulability [1/m^3 rad^2/s]: c2/rho of preset "tuned", rounded."""
 STIFFNESS_PER_S = 100.0
 """Rate at which a velocity-level peer reduces an error of tip or shaft [1/s]."""
 

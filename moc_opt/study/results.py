@@ -32,8 +32,8 @@ TITLES = {
 }
 """Error -> heading of its column, and of the column with its change."""
 FRAMES = (
-    "Own kinematics: the error that the controller measures and can correct. Registered: the error in the frame that is "
-    "touched at the start, which matters to the patient."
+    "Own kinematics: the error that the controller measures and can correct. Registered: the error in the frame that "
+    "is touched at the start, which matters to the patient."
 )
 BASE_FRAME = "Base frame: absolute accuracy."
 
