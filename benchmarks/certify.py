@@ -22,7 +22,7 @@ from moc_opt.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.study.testsets import CertificateError, TestSet
 
-TIED = 1e-12  # movement between tip and wrist along the shaft, divided by |A|, that counts as rounding
+TIED = 1e-12  # tip and wrist count as tied if their relative motion along the shaft is below this share of |A|
 RANK_TOLERANCE = 1e-12
 """A singular value below this share of |A| counts as zero for the judge. Such a problem is not certified."""
 FEASIBLE, INFEASIBLE = 0, 2  # status of scipy's linprog

@@ -1,8 +1,8 @@
-"""The test sets in the format of qpbenchmark (2.7.1 or later).
+"""Export the test sets in the format of qpbenchmark (2.7.1 or later).
 
     python -m benchmarks.export qpbenchmark --out DIR [--sets NAME ...] [--every K] [--rows 5|6]
 
-writes DIR/null_space.py and DIR/null_space.parquet, a test set that qpbenchmark can run:
+This command writes DIR/null_space.py and DIR/null_space.parquet, a test set that qpbenchmark can run:
 
     qpbenchmark DIR/null_space.py --results-path DIR/results.csv run --author NAME
 """

@@ -29,7 +29,7 @@ class Goal(NamedTuple):
 
 
 def judge(summary: Mapping[str, Any], goals: Mapping[str, Goal]) -> dict[str, dict[str, Any]]:
-    """Return a dict for each goal: its name, unit, limit ("goal"), kind, value (None: not measured) and so on.
+    """Return a dict for each goal: name ("what"), unit, limit ("goal"), kind, value (None: not measured) and more.
 
     "reached" is "yes", "no", "not measured", or "open". It is open if the value's interval contains the limit, or if
     there are too few trials.

@@ -282,8 +282,8 @@ def own_steps(scenario: Scenario) -> tuple[Array, Callable[[], Array]]:
     """Return MuJoCo's states (k, m) before each control period of a run, and a call that steps from all of them.
 
     The call returns the states (k, m) after the periods (column 0 is the time). It runs MuJoCo alone, without Python
-    between the steps and without our trocar and sensors. The time of a step depends on the state, because dry friction
-    and joint limits add work. So each period starts from its recorded state and recorded forces.
+    between the steps and without our trocar and sensors. The time of a step depends on the state, because dry friction,
+    joint limits and the trocar's force add work. So each period starts from its recorded state and forces.
     """
     # Imported here, so that processes that measure other parts have no threads of MuJoCo.
     import mujoco

@@ -21,7 +21,7 @@ class Walk:
     name = "walk"
 
     def supports(self, qp):
-        return None if len(qp.lower) == 7 else "it walks along one freedom: use an arm of seven joints"
+        return None if len(qp.lower) == 7 else "it needs an arm with seven joints"
 
     def start(self, qp):
         return self

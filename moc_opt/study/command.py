@@ -132,7 +132,7 @@ def command(
     arguments: Sequence[str] | None = None, *, options: Callable[[ArgumentParser], Any] = lambda parser: None,
     folder: Path | None = None, program: str = "",
 ) -> int:  # fmt: skip
-    """Parse the command line, do the study's work, write and print what was found; return the exit status.
+    """Parse the command line, run the study, write and print its results, and return the exit status.
 
     ``config`` is read from NAME.toml in ``folder`` (None: benchmarks/configs). The files go to ``--out`` (default:
     results/NAME). ``options`` adds the study's own options to the parser, and `Study.given` has their values. The exit

@@ -226,7 +226,7 @@ def _settings(base: Scenario, solver: str | Solver) -> Mapping[str, Any]:
 
 
 def _named(solvers: Solvers, base: Scenario) -> dict[str, str | Solver]:
-    """Return name -> solver, the baseline first. Solvers given by name are built once, so that errors show at once."""
+    """Return name -> solver, the baseline first. Solvers given by name are built, so that errors show at once."""
     if isinstance(solvers, str) or not isinstance(solvers, Mapping | Sequence):
         raise SolverError(f"solvers = {shown(solvers)}: give a list of names or solvers, such as ['exact', 'osqp']")
     named: Iterable[tuple[Any, str | Solver]] = (

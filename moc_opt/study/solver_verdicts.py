@@ -185,7 +185,7 @@ def _why(summary: Summary, row: Row, others: Sequence[Row], asked: int) -> str:
         # Noise may change the order of solvers whose medians are below this solver's p99.
         close = [one for one in (row, *others) if (one["p50_us"] or 0.0) <= row["p99_us"]]
         if not all(one["quiet"] for one in close):
-            text += " But other programs disturbed these times, or those of a solver about as fast: run again."
+            text += " But others used the machine while this or an equally fast solver was timed: run again."
     return text
 
 
