@@ -95,7 +95,7 @@ def report(rows: Sequence[dict[str, object]], config: Config) -> Report:
     ], rows)  # fmt: skip
     widths = [Column(f"width_{size}", f"width of {size}", unit="%", format=".3g") for size in SIZES]
     shares = [float(str(row[f"covered_{size}"])) for row in rows for size in SIZES]
-    answer = f"Intervals called 95 % contain the pool's change in {min(shares):.1f} to {max(shares):.1f} % of the draws."
+    answer = f"Intervals called 95 % hold the pool's change in {min(shares):.1f} to {max(shares):.1f} % of the draws."
     folded = Section("Widths", "Medians over the draws.", [Table("Widths", [*named, *widths], rows)])
     return Report("How often the intervals hold the true change", [answer], table, sections=[folded])
 

@@ -97,7 +97,7 @@ class Case(Settings):
 
 
 FREE = {"none": Case(group="none")}
-"""The run without a fault; it has to be the first case of a block."""
+"""The run without a fault, which has to be the first case of a block."""
 
 
 class Config(StudyConfig):
@@ -193,7 +193,7 @@ class Waited(Reference):
         object.__setattr__(self, "rows_played", played)
 
     def at(self, t: Any) -> tuple[Array, Array, Array]:
-        """Return point, velocity and acceleration of the first k ticks, (k, 3) each; k is the length of t."""
+        """Return point, velocity and acceleration of the first k ticks, (k, 3) each. k is the length of t."""
         x, dx, ddx = np.swapaxes(self.rows_played[: len(t)], 0, 1)
         return x, dx, ddx
 

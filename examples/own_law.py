@@ -33,7 +33,7 @@ class OwnLaw:
         J, W, M = s.J_tip, s.J_wrist, s.M
         M_inverse = np.linalg.inv(M)
 
-        # Level 1: a spring and damper pull the tip to its reference; s.h compensates gravity and Coriolis torques.
+        # Level 1: a spring and damper pull the tip to its reference. s.h compensates gravity and Coriolis torques.
         tau_tip = s.h + J.T @ (self.K_X * (X_d - s.tip) + self.D_X * (dX_d - J @ s.v))
 
         # Level 2: in the null space of level 1, the wrist is pulled to N_d, which puts the shaft through the trocar.

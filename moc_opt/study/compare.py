@@ -157,7 +157,7 @@ def compare(
     """Run every solver, and DCAC with the same gains, on the same trials.
 
     If a solver cannot be started or ends a run with an error, its rows hold the reason, and the other solvers go on.
-    Ctrl-C ends the comparison; the finished trials are returned, if there are any.
+    Ctrl-C ends the comparison. The finished trials are returned, if there are any.
 
     Args:
         solvers: names or solver objects (of `solvers.create` or your own). A mapping gives them other names.

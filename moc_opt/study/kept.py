@@ -118,7 +118,7 @@ def robot_files() -> tuple[str, ...]:
 
 @cache
 def versions() -> dict[str, str | None]:
-    """Return package -> version, None where it is not installed."""
+    """Return package -> version, or None if the package is not installed."""
     found: dict[str, str | None] = dict.fromkeys(PACKAGES)
     for name in PACKAGES:
         with suppress(importlib.metadata.PackageNotFoundError):

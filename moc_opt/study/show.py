@@ -57,7 +57,7 @@ class Report:
     table: Table  #: shown on the first screen, with few columns
     pictures: Sequence[Picture] = ()  #: up to three pictures
     sections: Sequence[Section] = ()  #: in reading order; a table's columns link to them by title
-    load: str = ""  #: the machine's load while times were taken; "" where none were taken
+    load: str = ""  #: the machine's load while times were taken; "" if none were taken
     subtitle: str = ""
 
     def page(self, environment: Mapping[str, Any], failed: Sequence[Mapping[str, Any]] = ()) -> Page:
@@ -100,7 +100,7 @@ class Report:
 
 
 def about(scenario: Scenario, *, solver: bool = False) -> str:
-    """Return arm, task and preset of a scenario, for a title; with ``solver`` also the solver's name."""
+    """Return arm, task and preset of a scenario, for a title. With ``solver``, add the solver's name."""
     control = scenario.control
     preset = next((name for name in PRESETS if control == ControlSettings.preset(name)), None)
     named = "default" if control == ControlSettings() else preset or "own settings"

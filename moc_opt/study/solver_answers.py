@@ -95,7 +95,7 @@ class Answers:
         return not np.isin(self.status, (HUNG, CRASHED, NOT_ASKED, REFUSED)).any()
 
     def counts(self) -> dict[str, int]:
-        """Count the answers by outcome; docs/solvers.md explains the outcomes.
+        """Count the answers by outcome (docs/solvers.md explains the outcomes).
 
         Right answers are the `verified_solved` among the `optima_asked` (feasible problems not refused as inconsistent)
         and the `infeasible_right` among the `infeasible_asked`. `refused_inconsistent` counts the problems among the
@@ -275,7 +275,7 @@ class Times(NamedTuple):
 
 
 def time(run: Runner, answers: Sequence[Answers], limits: Limits) -> list[Times | None]:
-    """Time the solver of each of these answers on its set, one after the other with nothing else running.
+    """Time the solver of each `Answers` on its set, one solver at a time, with nothing else running.
 
     An entry is None if a problem was not answered, or if the timing failed. Times from a busy machine are not stored.
     """

@@ -283,7 +283,7 @@ def _trials_told(rows: Sequence[Row]) -> str:
 
 
 def _tip_in_both_frames(runs: Results, solver: str) -> str | None:
-    """Write the changes of the tip's error in both frames as one text; None where there are too few trials."""
+    """Write the changes of the tip's error in both frames as one text, or None if there are too few trials."""
     changes = [runs.change(name, solver) for name in FRAMED if name.startswith("tip")]
     if any(change is None or change.ratio.samples < LEAST_TRIALS for change in changes):
         return None

@@ -124,7 +124,7 @@ class Config(StudyConfig):
         return trials(base, part.tasks, seeds(self.seed, STREAM, part.trials))
 
     def but(self, **changes: Any) -> Self:
-        """Return a checked copy with these entries changed; a mapping changes single entries of a table."""
+        """Return a checked copy with these entries changed. A mapping changes single entries of a table."""
         tables = {name: getattr(self, name).replace(of) for name, of in changes.items() if isinstance(of, dict)}
         return self.replace(changes | tables)
 
@@ -248,7 +248,7 @@ def report(found: Work) -> Report:
 
 
 def main(arguments: Sequence[str] | None = None, *, program: str = "moc-opt solvers") -> int:
-    """Run the study as the command called ``program``; return the exit status."""
+    """Run the study as the command called ``program``, and return the exit status."""
     for name in THREADS:  # the workers start later and inherit these
         os.environ.setdefault(name, "1")
 

@@ -41,7 +41,7 @@ class StatisticsError(MocOptError, ValueError):
 
 
 class Interval(NamedTuple):
-    """A statistic and its confidence interval; `low` and `high` are NaN for a single sample."""
+    """A statistic and its confidence interval. `low` and `high` are NaN for a single sample."""
 
     value: float
     low: float

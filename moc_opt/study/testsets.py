@@ -1,7 +1,7 @@
 """The certified test sets of the subproblem, and how answers to inconsistent problems are judged.
 
 Every set is an .npz without pickles: ``rows`` (k, 11 n + 10) flat NullSpaceQP records, ``x`` (k, n) the certified
-answers (NaN where none exists) and ``feasible`` (k,). ``benchmarks/testsets.py`` makes and certifies them.
+answers (NaN if infeasible) and ``feasible`` (k,). ``benchmarks/testsets.py`` makes and certifies them.
 """
 
 from __future__ import annotations

@@ -129,7 +129,7 @@ class Run:
 
     row: Mapping[str, Any]
     columns: Mapping[str, Array] = field(default_factory=dict)  #: name -> one value per tick; {} if it broke off
-    load: Mapping[str, float] = field(default_factory=dict)  #: the machine's load meanwhile, where the run was timed
+    load: Mapping[str, float] = field(default_factory=dict)  #: the machine's load meanwhile, if the run was timed
 
 
 def run_trial(asked: Trial) -> Run:
