@@ -1,4 +1,4 @@
-"""Studies that run in a checkout: every file is a command, ``python -m benchmarks.NAME``. `moc_opt.study` runs them.
+"""Studies that need a checkout: ``python -m benchmarks.NAME`` runs one, by means of `moc_opt.study`.
 
 Times are measured on one thread, so numerical libraries are limited to one thread before they load.
 """
@@ -7,4 +7,3 @@ import os
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
     os.environ.setdefault(_name, "1")
-

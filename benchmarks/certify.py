@@ -1,12 +1,12 @@
 """Find the answers of a test set, and prove them without the solvers and residuals of moc_opt.
 
-The certified answer is the optimum over five rows: the tip's three and the wrist's two across the shaft, rounded to
-doubles. The wrist's row along the shaft repeats the tip's, because the tool is rigid. In doubles the two agree only to
-1e-16, and exact arithmetic would take that rounding error for a sixth independent row. On the five rows both tracking
-terms of the cost are constant, and rho/2 |x|^2 - c2 grad_mu^T x is left to minimise.
+The certified answer is the optimum over five equality rows, rounded to doubles: the tip's three rows, and the wrist's
+two across the shaft. The wrist's row along the shaft repeats the tip's, because the tool is rigid. In doubles the two
+agree only to 1e-16, and exact arithmetic would take this rounding error for a sixth independent row. With the five rows
+met, both tracking terms of the cost are constant, and rho/2 |x|^2 - c2 grad_mu^T x is left to minimise.
 
-`optimum` enumerates the sets of bounds that may be active, in rational numbers without rounding. HiGHS has to agree
-with it on which problems are feasible.
+`optimum` enumerates the sets of bounds that may be active, in rational numbers without rounding. HiGHS has to confirm
+which problems are feasible.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from moc_opt.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.study.testsets import CertificateError, TestSet
 
-TIED = 1e-12  # relative movement of tip and wrist along the shaft, up to this share of |A|, counts as rounding
+TIED = 1e-12  # tip and wrist count as tied if their relative motion along the shaft is below this share of |A|
 RANK_TOLERANCE = 1e-12
-"""A singular value below this share of |A| counts as zero when answers are judged; its problem is not certified."""
+"""A singular value below this share of |A| counts as zero for the judge. Such a problem is not certified."""
 FEASIBLE, INFEASIBLE = 0, 2  # status of scipy's linprog
 NONE = Fraction(0)
 Vector = list[Fraction]
@@ -33,27 +33,27 @@ Vector = list[Fraction]
 def five_rows(qp: NullSpaceQP) -> tuple[Array, Array]:
     """Return A (5, n) and b (5,) of the certified problem: the tip's three rows and the wrist's two across the shaft.
 
-    Raise a CertificateError where no rigid tool ties tip and wrist, or where the rank of the rows is below five.
+    Raise a CertificateError if no rigid tool ties tip and wrist, or if the rank of the rows is below five.
     """
     directions, sizes, _ = np.linalg.svd(qp.J_tip - qp.J_wrist)
     if sizes[2] > TIED * np.linalg.norm(qp.A):
-        raise CertificateError(f"tip and wrist move against each other by {sizes[2]:.1e} along the shaft: not tied")
+        raise CertificateError(f"tip and wrist move apart by {sizes[2]:.1e} along the shaft: no rigid tool")
     across = directions[:, :2].T
     A, b = np.vstack([qp.J_tip, across @ qp.J_wrist]), np.concatenate([qp.v_tip, across @ qp.v_wrist])
     smallest = np.linalg.svd(A)[1][-1]
     if smallest <= RANK_TOLERANCE * np.linalg.norm(A):
-        raise CertificateError(f"five rows of which one is rounding (singular value {smallest:.1e}): not certified")
+        raise CertificateError(f"five rows that are dependent up to rounding (singular value {smallest:.1e})")
     return A, b
 
 
 def optimum(A: Array, b: Array, pull: Vector, rho: float, lower: Array, upper: Array) -> Vector | None:
     """Minimise rho/2 |x|^2 - pull^T x over A x = b, lower <= x <= upper, without rounding.
 
-    Joints whose column of A is zero are solved one by one. The others are x = start + basis w with r freedoms w. If the
-    problem is feasible, at most r active bounds (exactly r where rho = 0) with independent rows of the basis determine
-    an optimum. All such sets are tried; the first point that lies in the box and whose multipliers have the right signs
-    is returned. These two properties prove the optimum, because the problem is convex. If no set gives such a point, no
-    point of the box meets A x = b.
+    Joints whose column of A is zero are solved one by one. The others are x = start + basis w, with w (r,). If the
+    problem is feasible, at most r active bounds (exactly r if rho = 0) with independent rows of the basis determine an
+    optimum. All such sets of bounds are tried. The first point within the bounds whose multipliers have the right signs
+    is returned. These two properties prove the optimum, because the problem is convex. If no set gives such a point,
+    the problem is infeasible.
 
     Args:
         A: (m, n) rows.
@@ -63,7 +63,7 @@ def optimum(A: Array, b: Array, pull: Vector, rho: float, lower: Array, upper: A
         lower, upper: (n,) bounds.
 
     Returns:
-        (n,) an optimum in exact numbers, any one if there are several; None if the problem is infeasible.
+        (n,) an optimum in exact numbers (one of them if there are several), or None if the problem is infeasible.
     """
     weight, ends = Fraction(rho), [(Fraction(low), Fraction(high)) for low, high in zip(lower, upper, strict=True)]
     moving = [j for j in range(len(ends)) if A[:, j].any()]
@@ -93,7 +93,7 @@ def optimum(A: Array, b: Array, pull: Vector, rho: float, lower: Array, upper: A
 
 
 def _alone(gain: Fraction, weight: Fraction, low: Fraction, high: Fraction) -> Fraction:
-    """Minimise weight/2 x^2 - gain x on [low, high]; the x nearest to zero if weight and gain are 0."""
+    """Minimise weight/2 x^2 - gain x on [low, high]. If weight and gain are 0, return the x nearest to zero."""
     if weight or not gain:
         return min(max(gain / weight if weight else NONE, low), high)
     return high if gain > 0 else low
@@ -102,7 +102,7 @@ def _alone(gain: Fraction, weight: Fraction, low: Fraction, high: Fraction) -> F
 def _stationary(
     basis: list[Vector], start: Vector, gains: Vector, weight: Fraction, active: dict[int, Fraction]
 ) -> tuple[Vector, Vector] | None:
-    """Return the stationary point with these bounds active, and their multipliers; None where it is not unique.
+    """Return the stationary point with these bounds active, and their multipliers, or None if it is not unique.
 
     With N the basis, S the active joints and m the multipliers: N^T (weight x - gains) = N_S^T m, x_S = the bounds.
     """
@@ -125,7 +125,7 @@ def dot(one: Iterable[Fraction], other: Iterable[Fraction]) -> Fraction:
 
 
 def eliminated(matrix: list[Vector]) -> tuple[list[Vector], list[int]]:
-    """Return the reduced row echelon form, and the column of the pivot of each row that is not zero."""
+    """Return the reduced row echelon form, and the pivot's column for each row that is not zero."""
     rows = [list(row) for row in matrix]
     pivots: list[int] = []
     for column in range(len(rows[0]) if rows else 0):
@@ -143,14 +143,14 @@ def eliminated(matrix: list[Vector]) -> tuple[list[Vector], list[int]]:
 
 
 def certified(qp: NullSpaceQP) -> Vector | None:
-    """Return an optimum (n,) over the five rows, without rounding; None if the problem is infeasible."""
+    """Return an optimum (n,) over the five rows, without rounding, or None if the problem is infeasible."""
     A, b = five_rows(qp)
     pull = [Fraction(qp.c2) * Fraction(g) for g in qp.pull]
     return optimum(A, b, pull, qp.regularization, qp.lower, qp.upper)
 
 
 def certify(name: str, problems: Sequence[NullSpaceQP]) -> TestSet:
-    """Find and prove the answers; a CertificateError where HiGHS and the enumeration disagree on feasibility."""
+    """Find and prove the answers. Raise a CertificateError if HiGHS and `optimum` disagree on feasibility."""
     X = np.full((len(problems), problems[0].n), np.nan)
     for i, qp in enumerate(problems):
         found = certified(qp)

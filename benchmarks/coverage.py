@@ -1,10 +1,10 @@
-"""How often do the intervals of the solver study contain the true change? A simulation of that study's design.
+"""How often do the intervals of the solver study contain the true change? This simulation tells.
 
 python -m benchmarks.coverage [CONFIG.toml] [--out DIR] [--quick] [--json]
 
-Fresh independent trials make a pool, and the change over the whole pool counts as the true one. As many trials as the
-study has are drawn from the pool with replacement, again and again, and `moc_opt.study.statistics` computes the
-interval of the change in each draw. docs/method.md has the result.
+New independent trials make a pool, and the change over the whole pool counts as the true change. Each draw takes as
+many trials from the pool, with replacement, as the solver study has. `moc_opt.study.statistics` computes the interval
+of the change in each draw. docs/method.md has the result.
 """
 
 from __future__ import annotations
@@ -91,12 +91,12 @@ def report(rows: Sequence[dict[str, object]], config: Config) -> Report:
         *named, Column("true_percent", "pool", unit="%", format="+.1f"),
         Column("ratios_percent", "mean of ratios", unit="%", format="+.1f", help="of the pool"),
         *(Column(f"covered_{size}", f"{size} trials", unit="%", format=".1f", section="Widths",
-                 help="of the draws whose interval holds the pool's") for size in SIZES),
+                 help="share of intervals with the pool's change") for size in SIZES),
     ], rows)  # fmt: skip
     widths = [Column(f"width_{size}", f"width of {size}", unit="%", format=".3g") for size in SIZES]
     shares = [float(str(row[f"covered_{size}"])) for row in rows for size in SIZES]
     answer = f"Intervals called 95 % hold the pool's change in {min(shares):.1f} to {max(shares):.1f} % of the draws."
-    folded = Section("Widths", "The median over the draws.", [Table("Widths", [*named, *widths], rows)])
+    folded = Section("Widths", "Medians over the draws.", [Table("Widths", [*named, *widths], rows)])
     return Report("How often the intervals hold the true change", [answer], table, sections=[folded])
 
 

@@ -2,7 +2,7 @@
 
 The text between the lines ``<!-- NAME -->`` and ``<!-- /NAME -->`` of a page becomes the answer and the first table of
 RESULTS/NAME/report.md. The text between ``<!-- NAME: TITLE -->`` and ``<!-- /NAME: TITLE -->`` becomes the report's
-section with that title. Command, seed and machine are put above it. RESULTS is ``results`` by default.
+section TITLE. A line with command, seed and machine is put above it. RESULTS is ``results`` by default.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ BLOCK = re.compile(
 
 
 def block(folder: Path, title: str | None) -> str | None:
-    """Return the answer and first table of a study's report, or its section ``title``; None if it has no report."""
+    """Return the answer and first table of a study's report, or its section ``title``. None: there is no report."""
     if not (folder / "report.md").exists():
         return None
     parts = re.split(r"^## (.+)\n", (folder / "report.md").read_text(encoding="utf-8"), flags=re.MULTILINE)

@@ -1,8 +1,8 @@
-"""The test sets in the format of qpbenchmark (2.7.1 or later).
+"""Export the test sets in the format of qpbenchmark (2.7.1 or later).
 
     python -m benchmarks.export qpbenchmark --out DIR [--sets NAME ...] [--every K] [--rows 5|6]
 
-writes DIR/null_space.py and DIR/null_space.parquet, a test set that qpbenchmark can run:
+This command writes DIR/null_space.py and DIR/null_space.parquet, a test set that qpbenchmark can run:
 
     qpbenchmark DIR/null_space.py --results-path DIR/results.csv run --author NAME
 """
@@ -26,7 +26,7 @@ from moc_opt.study.testsets import TestSet, check_name
 
 NAME = "null_space"
 SETS = ("circle", "circle-rho0", "random", "joint-limits", "near-singular", "jumps")
-SECONDS = 0.1  # time limit of a solve in qpbenchmark: a thousand times what most solvers need
+SECONDS = 0.1  # time limit of a solve in qpbenchmark; most solvers need a thousandth of it
 
 MODULE = '''"""{title}: {count} subproblems of a manipulability controller, each of them feasible.
 
@@ -54,7 +54,7 @@ class NullSpace(ParquetTestSet):
 
 
 def problems(names: Sequence[str], every: int = 1) -> dict[str, NullSpaceQP]:
-    """Return name -> problem: every `every`-th problem of the sets, without the infeasible ones."""
+    """Return name -> problem for every `every`-th problem of the sets, without infeasible problems."""
     found = {}
     for name in names:
         check_name(name)
@@ -66,10 +66,10 @@ def problems(names: Sequence[str], every: int = 1) -> dict[str, NullSpaceQP]:
 
 
 def write_qpbenchmark(folder: Path, names: Sequence[str] = SETS, every: int = 1, rows: int = 5) -> Path:
-    """Write the two files; return the module's path.
+    """Write the two files, and return the module's path.
 
     Infeasible problems are left out, because qpbenchmark counts every unsolved problem against a solver. The format is
-    that of its ``ProblemList``, with matrices flattened row by row.
+    that of qpbenchmark's ``ProblemList``, with matrices flattened row by row.
     """
     chosen = problems(names, every)
     if not chosen:
@@ -93,11 +93,11 @@ def write_qpbenchmark(folder: Path, names: Sequence[str] = SETS, every: int = 1,
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    options = argparse.ArgumentParser(prog="python -m benchmarks.export", description="The test sets for others.")
+    options = argparse.ArgumentParser(prog="python -m benchmarks.export", description="Export the test sets.")
     options.add_argument("format", choices=["qpbenchmark"])
     options.add_argument("--out", type=Path, required=True, help="folder for the files")
     options.add_argument("--sets", nargs="+", metavar="NAME", default=list(SETS), help="test sets")
-    options.add_argument("--every", type=int, default=1, help="take each every-th problem")
+    options.add_argument("--every", type=int, default=1, help="take every N-th problem")
     options.add_argument("--rows", type=int, choices=[5, 6], default=5, help="equality rows")
     given = options.parse_args(arguments)
     try:

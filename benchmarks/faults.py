@@ -1,4 +1,4 @@
-"""What happens when something breaks? Under every fault, each controller has to survive within limits or stop safely.
+"""What happens when something breaks? Under every fault, a controller has to survive within limits or stop safely.
 
 python -m benchmarks.faults [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
@@ -44,7 +44,7 @@ CURVES = ("t_s", "tip_error_m", "rcm_error_m", "trocar_force_N")
 SMOOTH_S, RECOVERED, RESOLUTION_M = 0.2, 1.2, 5e-5
 """A run has recovered when its errors, averaged over 0.2 s, stay below 1.2 times the fault-free errors plus 0.05 mm."""
 COMPLAINTS = ("failed", "raised", "malformed", "not_finite", "outside", "lied", "late", "lost")
-"""Names of a solver's faults in the supervisor's trace, without "infeasible", which is an honest answer."""
+"""The supervisor's names of solver faults. "infeasible" is not among them, because it is an honest answer."""
 OUTCOMES = ("survived", "stopped", "oscillated", "diverged", "ran away", "refused", "failed")
 WORST = (
     "tip_error_max_mm", "rcm_error_max_mm", "trocar_force_max_N", "rcm_mean_percent", "rcm_max_percent",
@@ -55,19 +55,19 @@ AT_REST_RAD_PER_S, RCM_LIMIT_PERCENT, FALSE_ALARMS_PERCENT = 0.05, 5.0, 1.0
 EVERY, SOLVERS = "Every fault", "Solver faults"
 CASES = [
     Column("case", "fault"), Column("controller", "controller"),
-    Column("outcome", "outcome", help="of the trials: survived within the limits, or stopped safely"),
-    Column("tip_error_max_mm", "worst tip", unit="mm", format=".2f", help="until the stop, where there was one"),
-    Column("rcm_error_max_mm", "worst RCM", unit="mm", format=".2f", help="the stop included"),
+    Column("outcome", "outcome", help="survived within the limits, or stopped safely; counted over the trials"),
+    Column("tip_error_max_mm", "worst tip", unit="mm", format=".2f", help="up to the stop, if there was one"),
+    Column("rcm_error_max_mm", "worst RCM", unit="mm", format=".2f", help="including the stop"),
     Column("trocar_force_max_N", "worst force", unit="N", format=".2f"),
-    Column("rcm_mean_percent", "mean RCM", unit="%", format="+.1f", help="above the same run without the fault"),
-    Column("recover_s", "recovered after", unit="s", format=".2f", help="from the fault's end, or its start where it "
-           "lasts: both errors below 1.2 times the fault-free level for good; a dash: not within the run"),
-    Column("stop_travel_mm", "stop travel", unit="mm", format=".1f", help="of the tip after the stop began"),
+    Column("rcm_mean_percent", "mean RCM", unit="%", format="+.1f", help="change from the same run without the fault"),
+    Column("recover_s", "recovered after", unit="s", format=".2f", help="time from the fault's end (its start, if it "
+           "lasts) until both errors stay below 1.2 times the fault-free level; a dash: never in the run"),
+    Column("stop_travel_mm", "stop travel", unit="mm", format=".1f", help="of the tip, from the beginning of the stop"),
 ]  # fmt: skip
 SEEN = [
     Column("case", "fault"), Column("controller", "controller"), Column("injected", "injected", format=".0f"),
     Column("detected", "detected", format=".0f"),
-    Column("harmless", "harmless", format=".0f", help="corrupted, taken, and verified as optimal all the same"),
+    Column("harmless", "harmless", format=".0f", help="corrupted answers that were used and are optimal"),
     Column("missed", "missed", format=".0f"),
     Column("false_alarms", "false alarms", format=".0f", help="honest answers that were refused"),
 ]  # fmt: skip
@@ -82,7 +82,7 @@ class Case(Settings):
     plant: dict[str, Any] = Field(default_factory=dict)
     trocar: dict[str, Any] = Field(default_factory=dict)
     camera_lost_s: tuple[float, float] | None = None
-    """(from, until): the board is out of sight, and the tip waits"""
+    """(from, until) [s]: the board is out of sight, and the tip waits"""
     from_s: float = Field(0.0, ge=0.0)
     until_s: float | None = Field(None, ge=0.0, description="None: until the end")
 
@@ -97,7 +97,7 @@ class Case(Settings):
 
 
 FREE = {"none": Case(group="none")}
-"""The run without a fault; it has to be the first case of a block."""
+"""The run without a fault, which has to be the first case of a block."""
 
 
 class Config(StudyConfig):
@@ -165,13 +165,13 @@ def work(study: Study, config: Config) -> Found:
 
 
 def run_block(block: Block) -> tuple[list[dict[str, Any]], dict[str, dict[str, Array]]]:
-    """Run all cases of a block; return one row per case, and the curves to draw."""
+    """Run all cases of a block. Return one row per case, and the curves to draw."""
     rows, curves = [], {}
-    levels: dict[bool, Trace | None] = {}  # may the path wait? -> the fault-free run to compare with
+    levels: dict[bool, Trace | None] = {}  # whether the path may wait -> its fault-free run
     for name, case in block.cases.items():
         trace, how = run_case(case.corrupt(block.trial), case.camera_lost_s)
         waits = case.camera_lost_s is not None
-        if waits not in levels:  # a path that may wait starts more gently: compare with one that never has to wait
+        if waits not in levels:  # a path that may wait starts more gently than others
             levels[waits] = run_case(block.trial, (0.0, 0.0))[0] if waits else trace
         if (level := levels[waits]) is None:
             raise MocOptError(f"{block.controller}: the run without a fault did not start: {how}")
@@ -193,13 +193,13 @@ class Waited(Reference):
         object.__setattr__(self, "rows_played", played)
 
     def at(self, t: Any) -> tuple[Array, Array, Array]:
-        """Return point, velocity and acceleration of the first k ticks, (k, 3) each; k is the length of t."""
+        """Return point, velocity and acceleration of the first k ticks, (k, 3) each. k is the length of t."""
         x, dx, ddx = np.swapaxes(self.rows_played[: len(t)], 0, 1)
         return x, dx, ddx
 
 
 def run_case(scenario: Scenario, camera_lost_s: tuple[float, float] | None) -> tuple[Trace | None, str]:
-    """Return the trace, up to where the run broke off, and how it ended; no trace if the scenario was refused."""
+    """Return the trace, up to where the run broke off, and the ending. A refused scenario has no trace."""
     try:
         setup = Setup(scenario)
         if camera_lost_s is not None:
@@ -218,7 +218,7 @@ def measure(
     """Return the figures of one run, compared with the run without a fault."""
     if trace is None:
         return {"outcome": "refused"}
-    # A stopped arm need not follow its reference: its tip error counts up to the stop, and then the distance it coasts.
+    # A stopped arm need not follow its reference: the tip error counts only up to the stop.
     whole, stopped_at = trace, trace.meta.get("stopped_at_s")
     trace = trace if stopped_at is None else trace.select(trace.t_s <= stopped_at)
     tip, rcm = 1e3 * trace.tip_error_m, 1e3 * whole.rcm_error_m
@@ -245,8 +245,8 @@ def measure(
 def detection(trace: Trace) -> dict[str, int]:
     """Count injected solver faults (detected, harmless and missed), and correct answers that were refused.
 
-    A corrupted answer that was taken can still be verified as the optimum. For example, the opposite gradient has the
-    same optimum where the box leaves a single point. Such an answer counts as harmless, not as missed.
+    A corrupted answer that was used can still be the optimum. For example, the opposite gradient has the same optimum
+    if the bounds leave a single point. Such an answer counts as harmless, not as missed.
     """
     never: NDArray[np.bool_] = np.zeros(len(trace), dtype=np.bool_)
     injected = trace.columns.get("injected", never) & (trace.fault != "stopped")
@@ -264,7 +264,7 @@ def detection(trace: Trace) -> dict[str, int]:
 def recovery(trace: Trace, free: Trace, case: Case, ended: str) -> float | None:
     """Return the time [s] from the fault's end (its start, if it lasts) until both errors have recovered for good.
 
-    `RECOVERED` defines the limit. Return None where the run did not complete, or ends above the limit.
+    `RECOVERED` defines the limit. Return None if the run did not complete, or if it ends above the limit.
     """
     if ended != "completed" or len(trace) != len(free):
         return None
@@ -288,7 +288,7 @@ def smooth(values: Array, width: int) -> Array:
 
 
 def worst(rows: Results) -> list[dict[str, Any]]:
-    """Return one row per case and controller: counts of outcomes over the trials, largest errors, sums of faults."""
+    """Return one row per case and controller: outcomes counted over the trials, largest errors, sums of faults."""
     found = []
     for case, name in product(rows.names("case"), rows.names()):
         if not (mine := list(rows.where(case=case, controller=name))):
@@ -309,7 +309,7 @@ def worst(rows: Results) -> list[dict[str, Any]]:
 
 
 def goals_of(cases: Mapping[str, Case]) -> dict[str, Goal]:
-    """Return the goals; their values are taken from the rows of `worst`."""
+    """Return the goals, whose values are computed from the rows of `worst`."""
     shares = {name: case.faults.get("solver_share", 0.0) for name, case in cases.items() if case.group == "solver"}
     always = {name for name, share in shares.items() if share >= 1.0}
     seldom = set(shares) - always
@@ -352,10 +352,10 @@ def report(
         f"Of {runs} runs {survived} survived within the limits, {stopped} were stopped, and "
         f"{runs - survived - stopped} did neither.",
         f"Of {injected} injected solver faults {detected} were detected"
-        + (f"; {harmless} more had the optimum for an answer." if harmless else "."),
+        + (f"; {harmless} more were optimal all the same." if harmless else "."),
         goals_sentence(goals),
     ]
-    says = "MOC with exact, first trial: errors and trocar force come back after a fault, or the arm has stopped."
+    says = "MOC with exact, first trial: after a fault, errors and trocar force recover, or the arm stops."
     pictures = [Picture(figures.time_series(traces, CURVES[1:]), says, "faults")] if traces else []
     groups = {"none": "no fault", "sensors": "sensors and packets", "plant": "plant and delay",
               "contact": "bumps and trocar", "camera": "camera", "solver": "solvers"}  # fmt: skip

@@ -1,4 +1,4 @@
-"""Goals of the studies: a limit for a measured figure, and whether the figure meets it."""
+"""Goals of the studies: limits for measured figures, and whether the figures meet them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from moc_opt.study.statistics import Change, Interval, spread, too_few
 
 
 class Goal(NamedTuple):
-    """A goal is reached if the value, with its whole interval, is at most (or at least) the limit.
+    """A goal is reached if the value and its whole interval are at most (or at least) the limit.
 
     ``measured`` takes the value from a summary: a number, an `Interval`, or a `Change`, which has two intervals. If
     ``measured`` returns None or raises a LookupError or ValueError, the value counts as not measured.
@@ -24,15 +24,15 @@ class Goal(NamedTuple):
     limit: float
     measured: Callable[[Any], Any]
     most: bool = True  #: True: the value has to be at most the limit; False: at least
-    made_of: Callable[[Any], str] = lambda summary: ""  #: takes the value's components from a summary, as text
+    made_of: Callable[[Any], str] = lambda summary: ""  #: describes the value's components in a summary
     section: str = ""  #: section of the page with related figures
 
 
 def judge(summary: Mapping[str, Any], goals: Mapping[str, Goal]) -> dict[str, dict[str, Any]]:
-    """Return goal -> what, unit, goal, kind, value (None: not measured), made_of, reached, section.
+    """Return a dict for each goal: name ("what"), unit, limit ("goal"), kind, value (None: not measured) and more.
 
-    ``reached`` is "yes", "no", "not measured", or "open" (the value's interval contains the limit, or there are too few
-    trials).
+    "reached" is "yes", "no", "not measured", or "open". It is open if the value's interval contains the limit, or if
+    there are too few trials.
     """
     found: dict[str, dict[str, Any]] = {}
     for key, goal in goals.items():
@@ -40,7 +40,7 @@ def judge(summary: Mapping[str, Any], goals: Mapping[str, Goal]) -> dict[str, di
             "what": goal.what, "unit": goal.unit, "goal": goal.limit, "kind": "at most" if goal.most else "at least",
             "value": None, "reached": "not measured", "made_of": "", "section": goal.section,
         }  # fmt: skip
-        with suppress(LookupError, ValueError):  # a part did not run: its entries are missing, or max() has no values
+        with suppress(LookupError, ValueError):  # a part of the study did not run
             if (measured := goal.measured(summary)) is not None:
                 row |= _reached(goal, measured) | {"made_of": goal.made_of(summary)}
         found[key] = row
@@ -78,7 +78,7 @@ def goals_table(found: Mapping[str, Mapping[str, Any]], title: str = "Goals") ->
 
 
 def value_text(row: Mapping[str, Any]) -> str | None:
-    """Write a goal's value with its interval and its unit; None where it was not measured."""
+    """Write a goal's value with interval and unit, or return None if it was not measured."""
     value = row["value"]
     if value is None:
         return None

@@ -50,20 +50,20 @@ MOST_MM = {
     "tip_error_model_mean_mm": 0.1, "tip_error_registered_mean_mm": 0.1, "rcm_error_model_mean_mm": 0.2,
     "rcm_error_registered_mean_mm": 0.2, "rcm_error_mean_mm": 0.5,
 }  # fmt: skip
-"""Goals: largest mean errors [mm]. In the base frame, a trocar registered 0.5 mm off causes 0.3 of the 0.5 mm."""
+"""Goals: largest mean errors [mm]. In the base frame, the trocar's registration error of 0.5 mm alone causes 0.3 mm."""
 RULES = (
     "An effect is the change of MOC against a DCAC on the same trials, 100 (mean MOC / mean DCAC - 1), with its 95 % "
-    "interval, and beside it the mean of the trials' own ratios. A claim is confirmed against one DCAC where both "
-    "intervals lie on its side. It holds if it is confirmed against DCAC with MOC's own gains, where only the third "
-    "level differs; it holds only against softer gains if it is confirmed against DCAC with the gains that the paper "
-    "gives it, and not against the former; it is undecided where the two means disagree. Fewer than eight trials "
-    "decide nothing. The force at the trocar follows the RCM error and is no further claim."
+    "interval. The mean of the trials' own ratios stands beside it. A claim is confirmed against a DCAC if both "
+    "intervals lie on its side. A claim holds if it is confirmed against DCAC with MOC's gains, which lacks only the "
+    "third level. It holds only against softer gains if only DCAC with the paper's gains confirms it. It is "
+    "undecided if the two means disagree. Fewer than eight trials decide nothing. The force at the trocar follows the "
+    "RCM error and is no further claim."
 )
 
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim, the paper's if `papers`: the change of a metric lies above (`upwards`) or below a bound [percent]."""
+    """A claim: a metric's change is above (`upwards`) or below a bound [percent]. `papers`: it is the paper's."""
 
     metric: str
     title: str
@@ -97,7 +97,7 @@ CLAIMS = (
     Claim(ERRORS[4], TITLES[ERRORS[4]], "the shaft is nearer to the incision in the patient", papers=False),
     Claim(ERRORS[5], TITLES[ERRORS[5]], "the shaft is nearer to the true trocar", papers=False),
 )
-"""The paper's three claims, by the robot's own kinematics as in the paper; then the same claims in other frames."""
+"""The paper's three claims, by the robot's own kinematics as in the paper, and then the same claims in other frames."""
 
 
 def disagree(change: Change, bound: float) -> bool:
@@ -127,7 +127,7 @@ class Case(Settings):
 
 
 class Ablation(Settings):
-    """Table I with entries exchanged. The first case is the table as printed; without cases there is no ablation."""
+    """Table I with entries exchanged. The first case is the table as printed. Without cases there is no ablation."""
 
     KIND: ClassVar[str] = "[ablation]"
     group: str = Field(PRINTED, description="the group whose parameters and trials are used")
@@ -239,7 +239,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def group_figures(rows: Results) -> dict[str, dict[str, Any]]:
-    """Return controller -> means of mu and errors, and changes against matched DCAC, over whole runs and by phase."""
+    """Return controller -> means, and changes against DCAC with MOC's gains, over whole runs and by phase."""
     changed = ["mu_mean", *ERRORS, "trocar_force_mean_N"]
     phases = [f"{phase}_{name}" for phase in PHASES for name in (*ERRORS, "trocar_force_mean_N")]
     means = ["mu_mean", "mu_fraction_of_best", *ERRORS, "trocar_force_mean_N", "torque_rate_rms_Nm_per_s"]
@@ -267,7 +267,7 @@ def claims(rows: Results, group: str, solver: str) -> list[dict[str, Any]]:
 
 
 def gains(rows: Results, solver: str) -> list[float]:
-    """Return each trial's gain of mean mu over matched DCAC [percent]."""
+    """Return each trial's gain of mean mu over DCAC with MOC's gains [percent]."""
     mine, theirs = rows.pairs("mu_mean", solver)
     return [100.0 * (a / b - 1.0) for a, b in zip(mine, theirs, strict=True)]
 
@@ -313,7 +313,7 @@ def ablation(rows: Results, cases: Mapping[str, Case]) -> list[dict[str, Any]]:
 
 
 def _shift(rows: Results, cases: Mapping[str, Case], name: str, printed: str, claim: Claim) -> dict[str, Any]:
-    """Return the shift of a case's effect from the first case's [points], over trials with four completed runs."""
+    """Return how far a case's effect lies from the first case's [points], over trials with four whole runs."""
     four = [
         rows.where(group=case).values(claim.metric, controller)
         for case in (name, printed) for controller in (cases[case].controller, BASELINE)
@@ -428,8 +428,8 @@ def _swivel_picture(rows: Results, summary: Mapping[str, Any]) -> list[Picture]:
     lines = {f"MOC with {solver}": [(x, *gain * 3) for x, gain in each.items() if gain]}
     drawn = show.lines_picture(lines, "start on the feasible self-motion, end to end", "gain of mean mu [%]")
     says = (
-        f"The gain depends on where the elbow starts: {found['gain_at_maximum_percent']:.2g} % from the largest mu, up "
-        f"to {found['gain_max_percent']:.0f} % elsewhere."
+        f"The gain depends on where the elbow starts: {found['gain_at_maximum_percent']:.2g} % at the largest mu, and "
+        f"up to {found['gain_max_percent']:.0f} % elsewhere."
     )
     return [Picture(drawn, says, "swivel")]
 
@@ -469,7 +469,7 @@ def _sections(summary: Mapping[str, Any], config: Config) -> Iterable[Section]:
                 Column("about", "case"), Column("claim", "claim"), Column("effect", "effect", unit="%"),
                 Column("shift", "shift from Table I", unit="points"), Column("decides", "decides"),
             ], exchanged)])  # fmt: skip
-    yield Section("Starting swivel", "Gain over DCAC by starting place on the self-motion. A start at the largest mu "
+    yield Section("Starting swivel", "Gain over DCAC for starts along the self-motion. A start at the largest mu "
                   "gains hardly anything.", [Table("Gain by start", columns(
                       "starts", "gain_at_maximum_percent", "gain_min_percent", "gain_mean_percent", "gain_max_percent"),
                       [summary["swivel"]])])  # fmt: skip

@@ -1,9 +1,9 @@
 """The work of one control tick, done by other libraries: TSID, pink, mink. `PEERS` lists their classes.
 
-In one tick the tip follows its reference, the wrist stays on the line through the trocar, the joint speeds stay within
-limits, and the remaining freedom follows the gradient of the manipulability. Every peer gets the data of the same arm,
-its own fastest solver, hard equalities where it takes them, and our compiled gradient where it has none. `check` runs a
-peer for a second on an ideal arm without friction, noise or model error; only peers that pass are timed.
+In each tick (control period), the tip follows its reference, the wrist stays on the line through the trocar, the joint
+speeds stay within limits, and the null-space motion follows the gradient of the manipulability. Every peer gets the
+same arm, its own fastest solver, hard equalities if it supports them, and our compiled gradient if it has none. `check`
+runs a peer for a second on an ideal arm without friction, noise or model error. Only peers that pass are timed.
 """
 
 from __future__ import annotations
@@ -30,24 +30,24 @@ PERIOD_S = 0.002
 TOLERANCE_MM, CLIMB_PERCENT = 0.5, 1.0
 """Largest error of tip and shaft in the second half of the run, and smallest rise of the manipulability."""
 CLIMB = 30.0
-"""Joint velocity per gradient of the manipulability [1/m^3 rad^2/s]: c2/rho of the subproblem, rounded from 1/0.033."""
+"""Joint velocity per gradient of the manipulability [1/m^3 rad^2/s]: c2/rho of preset "tuned", rounded."""
 STIFFNESS_PER_S = 100.0
 """Rate at which a velocity-level peer reduces an error of tip or shaft [1/s]."""
 
 
 class Peer(Protocol):
-    """A controller of another library, set up for the job on an arm, for ticks of ``PERIOD_S``."""
+    """A controller of another library, set up for this work on an arm, with a control period of ``PERIOD_S``."""
 
     @property
     def level(self) -> Level:
-        """Whether `tick` returns torques or velocities; velocities still need a servo."""
+        """Whether `tick` returns torques or velocities. Velocities still need a servo."""
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """Return torques [Nm] or velocities [rad/s] (n,); tip_ref has rows X_d, dX_d, ddX_d, trocar P_t, dP_t."""
+        """Return torques [Nm] or velocities [rad/s] (n,). tip_ref has rows X_d, dX_d, ddX_d, and trocar P_t, dP_t."""
 
 
 def tip_gradient(robot: RobotModel) -> Callable[[Array], Array]:
-    """Return the core's dmu/dq (n,) as a function of q, so that no peer is slowed by a term that its library lacks."""
+    """Return the core's dmu/dq (n,) as a function of q, for libraries that lack this term."""
     rest = np.zeros(robot.n)
     return lambda q: robot.state(np.ascontiguousarray(q), rest).grad_mu
 
@@ -58,15 +58,15 @@ def ahead(point: Array, rate: Array) -> Array:
 
 
 def wrist_reference(tip_ref: Array, trocar: Array, span: float) -> Array:
-    """Return wrist [m] and its velocity [m/s], (2, 3): with the tip on its reference, the shaft meets the trocar."""
+    """Return the wrist [m] and its velocity [m/s], (2, 3), with which the shaft passes through the trocar."""
     return core.desired_wrist(tip_ref[0], tip_ref[1], trocar, span)
 
 
 class TSID:
     """Task-space inverse dynamics (Del Prete et al. 2016): torques from the accelerations of SolverHQuadProgFast.
 
-    Level 0 (hard) has three rows for the tip, two for the wrist across the shaft, and the joint speeds. Level 1 has
-    accelerations towards a joint velocity along the gradient of the manipulability.
+    Level 0 (hard) has three rows for the tip, two for the wrist across the shaft, and the joint speeds. Level 1
+    accelerates the joints towards a velocity along the gradient of the manipulability.
     """
 
     level: Level = "torque"
@@ -74,7 +74,7 @@ class TSID:
     CLIMB_DAMPING = 20.0  # [1/s] gain of level 1 on the error in joint velocity
 
     def __init__(self, robot: RobotModel) -> None:
-        with warnings.catch_warnings():  # tsid registers two of its types twice, which gives warnings
+        with warnings.catch_warnings():  # tsid registers two of its types twice
             warnings.simplefilter("ignore", RuntimeWarning)
             import tsid
         model = pin.buildModelFromXML(robot.data.urdf)
@@ -84,20 +84,20 @@ class TSID:
         rest = np.zeros(robot.n)
         self._dynamics.computeProblemData(0.0, robot.data.q_home, rest)
         self._tip = self._point("tip", robot.data.tip_frame, [1, 1, 1, 0, 0, 0])
-        # Only the two rows across the shaft: the row along it repeats the tip's, and hard rows must be independent.
+        # The row along the shaft repeats the tip's and is left out, because hard rows must be independent.
         self._wrist = self._point("wrist", robot.data.wrist_frame, [1, 1, 0, 0, 0, 0])
         self._posture = tsid.TaskJointPosture("posture", self._robot)
         self._posture.setKp(rest)
         self._posture.setKd(np.full(robot.n, self.CLIMB_DAMPING))
         self._dynamics.addMotionTask(self._posture, 1.0, 1, 0.0)
-        self._bounds = tsid.TaskJointBounds("speed", self._robot, PERIOD_S)  # an attribute: tsid does not own the task
+        self._bounds = tsid.TaskJointBounds("speed", self._robot, PERIOD_S)  # kept: tsid does not own it
         self._bounds.setVelocityBounds(-robot.v_max, robot.v_max)
         self._dynamics.addMotionTask(self._bounds, 1.0, 0, 0.0)
         self._solver = tsid.SolverHQuadProgFast("eiquadprog")
         self._solver.resize(self._dynamics.nVar, self._dynamics.nEq, self._dynamics.nIn)
         self._point_sample, self._joint_sample = tsid.TrajectorySample(12, 6), tsid.TrajectorySample(robot.n)
         self._value, self._rate, self._second = np.zeros(12), np.zeros(6), np.zeros(6)
-        self._value[3::4] = 1.0  # the rotation is masked out, but has to be valid
+        self._value[3::4] = 1.0  # the rotation is unused, but must be valid
         self._joint_sample.value(rest)
         self._joint_sample.second_derivative(rest)
         self._gradient, self._span = tip_gradient(robot), robot.state(robot.data.q_home).tool_span
@@ -131,7 +131,7 @@ class TSID:
 
 
 class _PinkArm:
-    """The model of pink's controllers and one configuration, updated in place."""
+    """The model of pink's controllers, and one configuration that is updated in place."""
 
     level: Level = "velocity"
     GAIN = min(1.0, STIFFNESS_PER_S * PERIOD_S)
@@ -266,7 +266,7 @@ INSTALL = {"tsid": "build it from source against the installed pinocchio; its wh
 
 
 def missing(name: str) -> str | None:
-    """Say how to install a peer's package if it is missing; None if it is installed."""
+    """Say how to install a peer's package if it is missing, else return None."""
     package = name.partition("-")[0]
     install = INSTALL.get(package, "pip install '.[peers]' in the clone")
     return None if find_spec(package) else f"package {package!r} is not installed: {install}"
@@ -276,7 +276,7 @@ def missing(name: str) -> str | None:
 
 
 class Task(NamedTuple):
-    """Start (n,) [rad]; rows X_d, dX_d, ddX_d (N, 3, 3) and P_t, dP_t (N, 2, 3) of every tick."""
+    """Start (n,) [rad], and for each tick X_d, dX_d, ddX_d (N, 3, 3) and P_t, dP_t (N, 2, 3)."""
 
     q_start: Array
     tip_refs: Array
@@ -313,7 +313,7 @@ def circle(robot: RobotModel, duration_s: float = 1.0, offset_m: float = 2e-4) -
 def perform(peer: Peer, robot: RobotModel, task: Task) -> tuple[Array, list[Inputs]]:
     """Return the poses (N, n) of an ideal arm after each tick under the controller, and the inputs of each tick.
 
-    The closed loop of `moc_opt.sim` is not used: most peers return velocities, and its step takes torques only.
+    The closed loop of `moc_opt.sim` is not used, because it takes torques, and most peers return velocities.
     """
     q, v = task.q_start.copy(), np.zeros(robot.n)
     poses, given = np.empty((len(task.tip_refs), robot.n)), []
@@ -346,9 +346,9 @@ def verdict(poses: Array, robot: RobotModel, task: Task) -> Verdict:
 
 
 def check(name: str) -> str | None:
-    """Run a peer on the default arm and say how it fails; None if it passes.
+    """Run a peer on the default arm and say how it fails. Return None if it passes.
 
-    Call this as a job: a wheel that was built against another pinocchio can crash the process that loads it.
+    Call this as a job: a wheel that was built against another pinocchio can crash the process.
     """
     robot = load_robot()
     task = circle(robot)

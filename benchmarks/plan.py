@@ -2,7 +2,8 @@
 
 python -m benchmarks.plan [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-Starts are drawn from the whole workspace. From some of them the plan is repeated on a grid of half the spacing.
+A course is a planned joint motion along a path. Starts are drawn from the whole workspace. For some starts, planning
+is repeated on a grid of half the spacing.
 """
 
 from __future__ import annotations
@@ -33,12 +34,12 @@ STREAM, LOCAL = 7, "local"
 CONTROL = ControlSettings.model_fields
 LOOPS: dict[str, dict[str, Any]] = {
     **{level: {"third_level": level} for level in get_args(CONTROL["third_level"].annotation)},
-    # The local climb with the faster observer of the levels that follow a course, to compare errors at equal lag.
+    # The other levels have a faster observer. With it, errors are compared at equal lag.
     "local, observer of the courses": {"observer_gain_per_s": CONTROL["course_observer_gain_per_s"].default},
 }
 ERRORS = {"tip": "tip_error_model_mean_mm", "RCM": "rcm_error_model_mean_mm"}
 MOST_GAP_PERCENT = {LOCAL: 2.0, "receding": 1.0, "planned": 0.5}
-"""Goal for each third level: its mean mu is at most so many percent below the best course's from the same start."""
+"""Goal for each third level: largest gap [percent] of its mean mu to the best course from the same start."""
 MOST_PLANNED_PERCENT, MOST_CHANGE_PERCENT, TRAPPED_PERCENT = 3.0, 5.0, 5.0
 MOST_SCRATCH_S, MOST_REPLAN_MS, MOST_HALVING_PERCENT = 3.0, 20.0, 0.5
 FIGURES = ("gap_percent", "fraction_of_best", *ERRORS.values(), "course_gap_percent", "replan_ms_p99")
@@ -52,7 +53,7 @@ IN_THE_LOOP, ALONG = "In the loop", "Courses and checks"
 class Config(StudyConfig):
     robots: list[str] = Field(["lwr4", "iiwa14", "panda"], min_length=1)
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
-    seed: int = Field(4000, ge=0, description="differs from the seeds on which the limits of courses were chosen")
+    seed: int = Field(4000, ge=0, description="not one of the seeds on which the limits of courses were chosen")
     poses: int = Field(20, ge=1, description="random starts per task and robot")
     loops: dict[str, dict[str, Any]] = Field(LOOPS, description="closed loops: name -> [control]")
     halvings: int = Field(3, ge=0, description="starts per robot with a second plan at half the grid spacing")
@@ -73,7 +74,7 @@ def about(case: Scenario, part: str) -> dict[str, Any]:
 
 
 def courses(case: Scenario, loops: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return a row on the courses from one start and their bounds, and one row per closed loop from this start."""
+    """Return a row on the courses from one start and the bounds of mu, and a row for each closed loop from it."""
     trial = placed(case)
     found = plan(trial)
     row = about(case, "courses") | {
@@ -97,7 +98,7 @@ def courses(case: Scenario, loops: Mapping[str, Mapping[str, Any]]) -> list[dict
 
 
 def loop(trial: Scenario, name: str, change: Mapping[str, Any], mine: float, best: float) -> dict[str, Any]:
-    """Return the row of one run; `mine`, `best`: mean mu of the best course from its start, and over all starts."""
+    """Return a run's row. `mine` and `best` are the mean mu of the best courses from its start and from any start."""
     case = trial.change(control=change, best_courses=False, bound_samples=0, judge=False)
     asked = Trial(case, name, case.solver.settings, {"part": "loop"}, solver=case.solver.name)
     run, trace = run_and_trace(asked)
@@ -115,7 +116,7 @@ def loop(trial: Scenario, name: str, change: Mapping[str, Any], mine: float, bes
 
 
 def halving(case: Scenario) -> list[dict[str, Any]]:
-    """Return the gain in mean mu from refining the grid's best course, and from a grid of half the spacing."""
+    """Return a row: the gains in mean mu from refining the grid's best course, and from halving the spacing."""
     found, coarse = plan(case), plan(case, refined=False)
     finer = plan(case, refined=False, times=2 * len(found.targets) - 1, swivels=1440).from_start
     row = about(case, "halving")
@@ -149,7 +150,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def loop_figures(rows: Results, name: str) -> dict[str, Any]:
-    """Return means over one third level's whole runs, and changes against "local" on the same trials."""
+    """Return means over the whole runs of one third level, and changes against "local" on the same trials."""
     found = rows.figures(name, FIGURES, tuple(ERRORS.values()), LOCAL)
     found["left_course"] = len(rows.values("left_course_s", name))
     for metric in FIGURES:
@@ -219,7 +220,7 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
             })  # fmt: skip
             spreads = {f"{key} with interval": spread(found, key) for key in ("gap_percent", "course_gap_percent")}
             wide.append({"robot": robot, "loop": name, **found, **spreads})
-    table = Table("How far mean mu ends below that of the best course from the same start", [
+    table = Table("Gap of mean mu to the best course from the same start", [
         Column("robot", "arm", section=ALONG), Column("loop", "third level"),
         Column("gap", "below best", unit="%", section=IN_THE_LOOP),
         Column("gap_percent_max", "worst", unit="%", format=".1f", section=IN_THE_LOOP),
@@ -248,7 +249,7 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
                 Column("climb_gap_percent_max", "largest", unit="%", format=".1f"),
                 Column("start_loss_percent", "start below best", unit="%", format=".2f"),
                 Column("start_loss_percent_max", "largest", unit="%", format=".1f")], by_robot),
-            Table("How sure the courses are", [
+            Table("Checks of the courses", [
                 arm, Column("certified", "local optima", format="d"),
                 Column("violation_max", "largest violation", unit="m, rad", format=".0e"),
                 Column("bound_gap_percent", "bound above course", unit="%", format=".3f"),

@@ -3,11 +3,11 @@
 python -m benchmarks.plant [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
 The first part runs every defect alone and all together: calibration error, encoder bias, elastic joints, torque ripple.
-The second part runs calibration errors of several sizes, and computes which error remains after registering again.
-*Registered again*: once MOC's elbow is at rest, the arm touches path and incision a second time, and the offset between
-true and believed tip at that tick replaces the one at the start. This shifts reference and trocar by a constant of less
-than a millimetre and changes nothing else, so the error is computed from the same run. Figures "after the travel" are
-means from that tick, which is the same for both controllers, to the end.
+The second part runs calibration errors of several sizes, and computes the error that remains after registering again.
+*Registered again*: once MOC's elbow is at rest, the arm touches path and incision a second time. The offset between
+true and believed tip at this tick then replaces the offset at the start. This shifts reference and trocar by a constant
+of less than a millimetre, so the error is computed from the same run. Figures "after the travel" are means from this
+tick to the end, under both controllers.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ from moc_opt.trace.trace import Trace
 
 EFFECTS_STREAM, CALIBRATION_STREAM = 10, 9
 KINDS = {"origins": "mm", "encoders": "mrad", "both": "mm and mrad"}
-"""Kind of error -> unit of its size. In "both", a size of s is s mm for the origins and s mrad for the encoders."""
+"""Kind of error -> unit of its size. In "both", the size s means s mm for the origins and s mrad for the encoders."""
 TILT_RAD_PER_M = PlantSettings().calibration_tilt_rad / PlantSettings().calibration_error_m
 DEFAULT_SIZE_MM = 0.2
 LEAST_S = 0.5
-"""Shortest part of a run after the elbow's travel from which figures "after the travel" are computed."""
+"""Figures "after the travel" are computed only if the run lasts at least this long after the travel."""
 MOST_CHANGE_PERCENT, MOST_MM = 5.0, 0.1
 AFTER = {
     "tip_after_mm": "tip after travel", "tip_again_mm": "tip registered again",
@@ -63,7 +63,7 @@ class Sweep(Settings):
     KIND: ClassVar[str] = "[calibration]"
     trials: int = Field(5, ge=1, description="per task")
     duration_s: float | None = Field(4.0, gt=0.0, description="length of a run; None: the whole task")
-    sizes: list[float] = Field([0.05, 0.1, 0.2, 0.3, 0.5], description="with 0 added: of origins [mm], encoders [mrad]")
+    sizes: list[float] = Field([0.05, 0.1, 0.2, 0.3, 0.5], description="of origins [mm], encoders [mrad]; 0 is added")
 
 
 class Config(StudyConfig):
@@ -100,7 +100,7 @@ class Config(StudyConfig):
 
 
 def plant_of(base: PlantSettings, kind: str, size: float) -> PlantSettings:
-    """Return the plant with kinematic errors of this kind and size only; frames tilt in proportion to the origins."""
+    """Return the plant with kinematic errors of this kind and size only. Frames tilt in proportion to the origins."""
     origins = 1e-3 * size if kind in ("origins", "both") else 0.0
     encoders = 1e-3 * size if kind in ("encoders", "both") else 0.0
     return PlantSettings(**base.model_dump() | {
@@ -139,7 +139,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def registered_again(dcac: Trial, moc: Trial) -> list[Run]:
-    """Run both controllers; if both complete the trial and MOC's elbow arrives, add errors after registering again."""
+    """Run both controllers. If both complete and MOC's elbow arrives, add the errors after registering again."""
     both = [run_and_trace(dcac), run_and_trace(moc)]
     found = [run for run, _ in both]
     whole = [trace for run, trace in both if trace is not None and run.row["whole"]]
@@ -157,8 +157,8 @@ def registered_again(dcac: Trial, moc: Trial) -> list[Run]:
 
 
 def after_travel(trace: Trace, setup: Setup, tick: int) -> dict[str, float]:
-    """Return the mean errors from a tick on [mm], as registered at the start and as registered again at that tick."""
-    # Touching registers true minus believed places of two points: the tip, and the shaft at the trocar's depth.
+    """Return mean errors from a tick on [mm]: registered at the start, and registered again at this tick."""
+    # Touching measures the error (true minus believed) of the tip, and of the shaft at the trocar's depth.
     tips, wrists = setup.robot.tool_along(trace.q_rad + setup.plant.mismatch.encoder_bias)
     told = trace.trocar_registered_m - setup.offset.trocar  # in the controller's own frame
     depth = np.linalg.norm(told - tips, axis=1, keepdims=True)
@@ -172,7 +172,7 @@ def after_travel(trace: Trace, setup: Setup, tick: int) -> dict[str, float]:
 
 
 def calibration(rows: Results, solver: str) -> list[dict[str, Any]]:
-    """Return one row per preset, kind and size: means of both controllers, and changes; size 0 belongs to all kinds."""
+    """Return a row per preset, kind and size: both controllers' means, and changes. Every kind has a size 0."""
     found = []
     for preset, kind in product(rows.names("preset"), KINDS):
         here = Results(row for row in rows.where(preset=preset) if row["kind"] == kind or row["size"] == 0.0)
@@ -191,8 +191,8 @@ def calibration(rows: Results, solver: str) -> list[dict[str, Any]]:
 def break_evens(found: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return, for every preset and kind, the sizes at which the registered tip error crosses each limit.
 
-    ``relative``: the lower ends of the change's intervals cross `MOST_CHANGE_PERCENT`; ``absolute`` and
-    ``absolute_dcac``: the mean of MOC and of DCAC crosses `MOST_MM`. None if the largest size is within the limit.
+    At ``relative``, the lower ends of the change's intervals cross `MOST_CHANGE_PERCENT`. At ``absolute`` and
+    ``absolute_dcac``, the mean of MOC and of DCAC crosses `MOST_MM`. None: the largest size is within the limit.
     """
     evens = []
     for preset, kind in dict.fromkeys((row["preset"], row["kind"]) for row in found):
@@ -210,7 +210,7 @@ def break_evens(found: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 def crossing(sizes: Sequence[float], values: Sequence[float], limit: float) -> float | None:
-    """Return the size, interpolated, above which all values exceed a limit; the first size if all values do."""
+    """Return the interpolated size above which all values exceed a limit. None: the last value does not."""
     last = max((k for k, value in enumerate(values) if not value > limit), default=-1)
     if last == len(values) - 1:
         return None

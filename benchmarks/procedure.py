@@ -1,8 +1,8 @@
-"""The whole operative procedure: a hand guides the tip to the incision, the camera finds the board, the task is done.
+"""The operative procedure: a hand guides the tip to the incision, the camera finds the board, the arm does the task.
 
 There is one run per task. The trocar is registered where the hand-guided tip comes to rest, with the errors of the hand
 and of the kinematics. The task is transformed from the board to the robot's base through the camera's extrinsics, with
-the errors of calibration and detection, and it pauses while the board is lost. Reported errors are against the true
+the errors of calibration and detection. It pauses while the board is lost. Reported errors are against the true
 incision and the true task on the phantom.
 """
 
@@ -52,15 +52,15 @@ class ProcedureSettings(Settings):
 
 
 def perform(parts: ProcedureSettings, scenario: Scenario, name: str, film: Path | None = None) -> dict[str, Any]:
-    """Perform the whole procedure once, on the task of that name; return its row of rows.parquet.
+    """Perform the whole procedure once on the named task, and return its row of rows.parquet.
 
-    ``film`` is the file for a film of the surgeon's view. A MocOptError says why the procedure cannot go on.
+    ``film`` is the file for a film of the surgeon's view. If the procedure cannot go on, a MocOptError is raised.
     """
     task = board_task(name)
     robot = scenario.robot.arm()
     home = robot.state(robot.data.q_home)
     hand_seed, plant_seed, swivel_seed, eye_seed = np.random.SeedSequence(scenario.seed).generate_state(4).tolist()
-    # The registration error comes from the hand and the kinematics, so the plant must not add another.
+    # The registration error comes from the hand and the kinematics, so the plant adds none.
     plant = Plant(robot.data, scenario.plant.model_copy(update={"trocar_registration_error_m": 0.0}), seed=plant_seed)
     incision = home.tip - task.depth_m * home.tool_direction
     guided = guide_to(incision, plant, robot, parts.hands_on, seed=hand_seed)
@@ -92,7 +92,7 @@ def perform(parts: ProcedureSettings, scenario: Scenario, name: str, film: Path 
 def _run(
     scenario: Scenario, plant: Plant, scene: Augmented, path: TipPath, q: Array, trocars: tuple[Array, Array]
 ) -> tuple[Trace, float, float]:
-    """Run the task under MOC, waiting while the board is lost; return trace, time waited and time without board [s].
+    """Run the task under MOC. The path waits while the board is lost. Return trace, time waited and time lost [s].
 
     ``trocars``: the true and the registered trocar, (3,) each [m].
     """
@@ -106,7 +106,7 @@ def _run(
     settling = 2.0 * waiting.settle_s * (1 + len(scene.board.lost_s))
     seconds = reference.t_start + reference.duration + lost + settling + task.hold_s
     times = period * np.arange(round(seconds / period))
-    # The tool is drawn in its starting pose throughout: its later poses are unknown yet, and it hides little.
+    # The tool is drawn in its starting pose, because its later poses are not known yet.
     looked_at, seen = scene.watch(seconds, q)
     rows, played = waiting.play(flags_at(times, looked_at, seen))
     last = int(np.searchsorted(played, reference.t_start + reference.duration))
@@ -126,7 +126,7 @@ def _run(
 
 
 def from_path(points: Array, path: TipPath, samples: int = 4000) -> Array:
-    """Return the distance (k,) [m] of points (k, 3) from the nearest point of a path, whenever it is due."""
+    """Return the distance (k,) [m] of points (k, 3) from the nearest point of a path, regardless of time."""
     line = path.at(np.linspace(0.0, path.length, samples))[0]
     found: Array = cKDTree(line).query(points)[0]
     return found

@@ -2,7 +2,7 @@
 
 python -m benchmarks.realtime [CONFIG.toml] [--cycles N] [--out DIR] [--seed N] [--quick] [--json]
 
-Run it alone, because other work on the machine lengthens the times. Each finished run is kept in DIR/jobs, and the same
+Run it alone, because other work on the machine lengthens the times. Finished runs are kept in DIR/jobs. The same
 command on the same machine continues from there, so that a million cycles can be measured in parts.
 """
 
@@ -38,7 +38,7 @@ from moc_opt.study.statistics import Interval, share
 from moc_opt.trace.trace import Trace
 
 SPARE_S = 300.0
-"""Time allowed in addition to the run itself: for starting both processes, judging and saving the trace."""
+"""Time allowed in addition to the run itself, for starting both processes and saving the trace."""
 SAFE_RCM_M, AT_REST_RAD_PER_S = 2e-3, 1e-2
 """A stop is clean if the RCM error stays below `SAFE_RCM_M`, and all joints end slower than `AT_REST_RAD_PER_S`."""
 BURN = "import os\nstudy = os.getppid()\nwhile os.getppid() == study:\n    sum(i * i for i in range(100000))"
@@ -103,7 +103,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 class Run(NamedTuple):
-    """One run: times of every cycle [us], up to the stop if there is one, counts, and ending."""
+    """One run: times of every cycle up to a stop [us], counts, and ending."""
 
     wake_us: Array
     round_us: Array
@@ -125,7 +125,7 @@ def runs_of(study: Study, config: Config) -> dict[Case, list[Run]]:
         for rate, scenario in scenarios.items() if "c" in config.controllers
     }  # fmt: skip
     machine = environment({}, 0)["machine"]
-    here = (machine["processor"], machine["cores"])  # an argument of the job, so another machine's runs are not reused
+    here = (machine["processor"], machine["cores"])  # so that another machine's runs are not reused
     each = min(config.cycles, config.run_cycles)
     asked = [(case, number) for case in config.measured() for number in range(-(-config.cycles // each))]
     jobs = []
@@ -162,7 +162,7 @@ def loaded(kind: str) -> Iterator[None]:
 
 
 def run_once(case: Case, scenario: Scenario, program: str | None, number: int, machine: Any) -> Run:
-    """Run a scenario over the wire; ``program`` is the C controller (None: Python's). The job's time limit ends it."""
+    """Run a scenario in two processes, connected by UDP. ``program`` is the C controller (None: Python's)."""
     begun = datetime.now(UTC).isoformat(timespec="seconds")
     with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder, loaded(case.load):
         file, trace = Path(folder, "run.toml"), Path(folder, "run.parquet")
@@ -195,7 +195,7 @@ def _started(*words: str, program: Sequence[str] = (sys.executable, "-m", "moc_o
 
 
 def read(trace: Trace, said: dict[str, Any], begun: str) -> Run:
-    """Make the `Run` of a trace and of the JSON that the controller printed at its end."""
+    """Make the `Run` from a trace and the JSON that the controller printed at its end."""
     columns, wire, ended = trace.columns, trace.meta["wire"], str(trace.meta["ended"])
     rcm = float(np.max(trace.rcm_error_registered_m))
     rest = bool(np.abs(trace.v_rad_per_s[-1]).max() < AT_REST_RAD_PER_S)
@@ -228,7 +228,7 @@ def summarise(runs: Sequence[Run]) -> dict[str, Any]:
 
 
 def _share(name: str, least: int) -> Callable[[Any], Interval | None]:
-    """Return a function of the summary: the share of missed cycles of a case, or None below ``least`` cycles."""
+    """Return a function of the summary: a case's share of missed cycles, or None if it has fewer than ``least``."""
 
     def measured(summary: Any) -> Interval | None:
         found = summary["cases"][name]
@@ -261,14 +261,14 @@ def sentences(summary: Mapping[str, Any]) -> list[str]:
         each = [f"{name.rpartition(', ')[0]} {found['missed']} of {found['cycles']:,}" for name, found in quiet.items()]
         stalled = sum(found["overruns"] for found in quiet.values())
         said.append(
-            f"Cycles missed on a quiet machine: {'; '.join(each)}; {stalled} times the plant's own process was not run "
-            "for a period."
+            f"Cycles missed on a quiet machine: {'; '.join(each)}. The plant's own process did not run in "
+            f"{stalled} periods."
         )
     loaded = [found for name, found in cases.items() if name.endswith("loaded")]
     if loaded:
         missed, cycles, unclean = (sum(found[key] for found in loaded) for key in ("missed", "cycles", "unclean"))
         said.append(
-            f"With every core busy {missed} of {cycles:,} were missed, the largest RCM error was "
+            f"With every core busy, {missed} of {cycles:,} cycles were missed, the largest RCM error was "
             f"{max(found['rcm_max_mm'] for found in loaded):.2f} mm, and "
             f"{f'{unclean} stops were not clean' if unclean else 'every stop was clean'}."
         )
@@ -284,10 +284,10 @@ def report(summary: Mapping[str, Any], subject: str = "") -> Report:
     table = Table("Every case", [
         Column("name", "case"), Column("cycles", "cycles"),
         Column("missed", "missed", format="d", help="round trips that took longer than the period"),
-        Column("in_100000", "in 100,000", help="of the missed, with the 95 % interval"),
-        Column("overruns", "plant stalled", format="d", help="the plant's process was not run for a period"),
+        Column("in_100000", "in 100,000", help="missed cycles, with the 95 % interval"),
+        Column("overruns", "plant stalled", format="d", help="periods in which the plant's process did not run"),
         *(Column(time, title, unit="us") for time, title in TIMES.items()), Column("stopped", "stops", format="d"),
-        Column("unclean", "not clean", format="d", help="stops"),
+        Column("unclean", "not clean", format="d", help="stops that were not clean"),
         Column("rcm_max_mm", "RCM error, worst", unit="mm", format=".2f"),
     ], rows, "Times: median / 99th / 99.99th percentile / worst.")  # fmt: skip
     how = (

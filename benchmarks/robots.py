@@ -2,7 +2,7 @@
 
 python -m benchmarks.robots [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-Starts are drawn from the whole workspace of each arm. "Settled" errors leave out ticks at which an elbow still travels.
+Starts are drawn from each arm's whole workspace. "Settled" errors leave out the ticks at which an elbow still travels.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Config(StudyConfig):
 def on_each_arm(
     base: Scenario, robots: Sequence[str], tasks: Sequence[str], own_seeds: Sequence[int]
 ) -> list[Scenario]:
-    """Make the same number of trials of the paper's virtual tasks (see `trials`) on each arm, arm by arm."""
+    """Make trials of the paper's virtual tasks (see `trials`), arm by arm, the same number on each arm."""
     count = len(own_seeds) // len(robots)
     arms = [base.change(robot={"name": name}) for name in robots]
     return [
@@ -88,7 +88,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def verdicts(rows: Results, judged: str) -> dict[str, bool | None]:
-    """Return finding -> whether it holds on an arm (its whole interval is within the bound); None if undecided."""
+    """Return finding -> whether it holds on an arm, with its whole interval. None: undecided."""
     own, base = rows.pairs("tip_error_mean_mm", judged)
 
     def change(metric: str, _: Any) -> Change | None:
@@ -110,7 +110,7 @@ def verdicts(rows: Results, judged: str) -> dict[str, bool | None]:
 
 
 def ranking(robots: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Return each arm's solvers by mean mu, best first, and the arms' rank correlations; mu is rounded to 0.1 %."""
+    """Rank each arm's solvers by mean mu, rounded to 0.1 %. Return the orders and the arms' rank correlations."""
     scores, between = {}, {}
     for robot, figures in robots.items():
         found = {name: row["mu_mean"] for name, row in figures.items() if name != BASELINE and "mu_mean" in row}

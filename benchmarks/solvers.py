@@ -1,4 +1,4 @@
-"""The solver study, as `moc-opt solvers` and `make solvers` run it.
+"""The solver study, which `moc-opt solvers` and `make solvers` also run.
 
 python -m benchmarks.solvers [CONFIG.toml] [--out DIR] [--seed N] [--quick | --full] [--only SOLVER ...]
                              [--sets NAME ...] [--parts PART ...]

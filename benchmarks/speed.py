@@ -1,8 +1,8 @@
-"""How long does everything take? One run times ticks, solvers, adapters, the loop and other libraries side by side.
+"""How long does everything take? Ticks, solvers, adapters, the loop and other libraries are timed in one run.
 
 python -m benchmarks.speed [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-Only times of one run can be compared, so finished jobs are not kept: every run measures everything again.
+Only times of one run can be compared. So finished jobs are not kept, and every run measures everything again.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def work(study: Study, config: Config) -> Found:
             no_peer[name] = str(failure)
     able = [name for name in tried if name not in no_peer]
 
-    # Judging the answers and bounding mu are switched off: they are not part of the loop's time.
+    # Judging the answers and bounding mu are not part of the loop's time.
     scenario, rounds = config.scenario.change(seed=config.seed, judge=False, bound_samples=0), config.rounds
     long = scenario.change(duration_s=config.ticks * scenario.plant.period_s)
     asked: dict[str, tuple[Callable[..., timed.Part], tuple[Any, ...]]] = {
@@ -174,7 +174,7 @@ COLUMNS = {
     "tick": ("One tick, state to torque", [
         Column("name", "tick with"), *_times("tick", "p50", "p99", "p99_9"),
         Column("tick_cold_p50_us", "cold", unit="us", format=".1f", better="low",
-               help="median of the first five calls after a switch; the percentiles count them too"),
+               help="median of the first five calls of each chunk"),
         Column("tick_mean_us", "mean", unit="us", format=".1f", help="the exported program prints no percentiles"),
         Column("tick_max_us", "longest", unit="us", format=".1f", better="low"),
     ]),
@@ -183,14 +183,14 @@ COLUMNS = {
     ]),
     "peers": ("One tick in other libraries, the same job on the same arm", [
         Column("name", "controller"), Column("level", "gives", help="a velocity still needs a servo"),
-        *_times("tick", "p50", "p99"), Column("times_ours", "over ours", format=".2f", help="median over the chunks"),
+        *_times("tick", "p50", "p99"), Column("times_ours", "over ours", format=".2f", help="median over chunks"),
         Column("tip_error_max_mm", "tip", unit="mm", help="largest tip error on an ideal arm, after half a second"),
-        Column("rcm_error_max_mm", "shaft", unit="mm", help="largest distance of shaft from trocar, likewise"),
+        Column("rcm_error_max_mm", "shaft", unit="mm", help="largest error of the shaft in this time"),
         Column("mu_rise_percent", "mu", unit="%", format="+.1f", help="rise of the manipulability in that second"),
     ]),
     "adapters": ("Solvers from Python", [
         Column("name", "adapter"), *_times("adapter", "p50", "p99", form=".2f"),
-        Column("ratio_of_exact", "exact over it", format=".3f", help="time of exact over this one's, median of chunks"),
+        Column("ratio_of_exact", "exact / this", format=".3f", help="time of exact / its time, median over chunks"),
     ]),
     "loop": ("The closed loop", [
         Column("name", "loop"), Column("factor", "real time", unit="times", format=".1f", better="high"),
@@ -201,24 +201,24 @@ COLUMNS = {
 SECTIONS = {
     TICKS: (
         ("tick", "tick_parts"),
-        "Ticks recorded in a run with the realistic plant, in chunks of 100 that take turns. A round that is not timed "
-        "comes first; after it every call counts. The parts are called by themselves: their sum is not exactly the "
-        "whole. `c` is `moc_step`, safety filter included, in the exported program.",
+        "Ticks are recorded in a run with the realistic plant, and timed in chunks of 100 that take turns. The first "
+        "round is not counted. The parts are timed one by one, so their sum is not exactly the whole. `c` is "
+        "`moc_step` in the exported program, with the safety filter.",
     ),
     PEERS: (
         ("peers",),
-        "Each library on one second of its own states on an ideal arm, with our job: tip, shaft, joint speeds, and the "
-        "freedom left up the gradient of mu. Our tick is timed on its own run with the realistic plant.",
+        "Each library is timed on one second of its own states on an ideal arm. It controls tip and shaft, limits the "
+        "joint speeds, and follows the gradient of mu. Our tick is timed on its own run with the realistic plant.",
     ),
     SOLVERS: (
         ("adapters",),
-        "By hand: the fastest library with the settings of its adapter, set up once, its numbers loaded from the same "
-        "arrays, solved, answer and multipliers read.",
+        "By hand: daqp without its adapter, but with the adapter's settings. It is set up once. Each solve loads the "
+        "numbers from the same arrays, and reads answer and multipliers.",
     ),
     LOOP: (
         ("loop",),
-        "A run includes references, plant, controller, trace and the progress bar's watch, and neither set-up nor the "
-        "judging of answers. The limit is MuJoCo's own steps through the states of the run, and `moc_step`.",
+        "A run includes references, plant, controller, trace and the progress bar's callback, but not the set-up and "
+        "the judging of answers. The limit is the time of `moc_step` and of MuJoCo's own steps through these states.",
     ),
 }  # fmt: skip
 
@@ -233,7 +233,7 @@ def report(summary: Summary, times: Mapping[str, ArrayLike], subject: str = "") 
         Section(title, text, shown) for title, (keys, text) in SECTIONS.items()
         if (shown := [tables[key] for key in keys if key in tables])
     ]  # fmt: skip
-    says = "Time of a tick: further left is faster, steeper is steadier."
+    says = "Time of a tick. A curve further left is faster, and a steeper curve is steadier."
     pictures = [Picture(latency_ecdf(times), says, "ticks")] if times else []
     first = goals_table(summary["goals"])
     return Report("What everything costs", sentences(summary), first, pictures, sections,

@@ -1,9 +1,9 @@
-"""How do the figures change with any field of a scenario? Fields vary on a grid or at random, per solver and seed.
+"""How do the figures change with the fields of a scenario? Fields vary on a grid or at random, per solver and seed.
 
 python -m benchmarks.sweep [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--dask ADDRESS]
 
-The configuration alone determines the runs, and every path, name and scenario is checked before anything runs. A sweep
-that was stopped continues when the same command is given again. docs/results.md describes the configuration.
+The configuration alone determines the runs. Every path, name and scenario is checked before anything runs. After a
+stop, the same command continues the sweep. docs/results.md describes the configuration.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class Draw(Settings):
 
 
 class RandomSample(Settings):
-    """Fields that are drawn ``samples`` times; every sample has a value of each field."""
+    """Fields that are drawn at random. Each of the ``samples`` has one value of every field."""
 
     KIND: ClassVar[str] = "[random]"
     samples: int = Field(1, ge=1, le=MOST_RUNS)
@@ -109,7 +109,7 @@ class Config(StudyConfig):
         return self.seeds if isinstance(self.seeds, list) else range(self.seed, self.seed + self.seeds)
 
     def chosen_solvers(self) -> dict[str, dict[str, Any]]:
-        """Return name -> settings of the solvers, in order; it is checked that each can run here."""
+        """Return name -> settings of the solvers, in order. Raise a SolverError if one cannot run here."""
         table = self.scenario.solver
         if self.solvers is None:
             name = BASELINE if self.scenario.control.law == "dcac" else table.name
@@ -127,7 +127,7 @@ class Config(StudyConfig):
 
 
 def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield dotted path and value (TOML reads ``control.c0 = ...`` as nested tables). A table of a range is a value."""
+    """Yield dotted path and value of each field of nested tables. A table with low, high or choice is a value."""
     for name, value in table.items():
         path = f"{prefix}{name}"
         if path in ELSEWHERE:
@@ -150,8 +150,8 @@ def grid_axes(table: Mapping[str, Any]) -> dict[str, list[Any]]:
 def random_draws(table: Mapping[str, Any], samples: int, seed: int) -> dict[str, list[Any]]:
     """Return path -> ``samples`` values drawn with ``seed``.
 
-    Each field has a random stream of its own, seeded by its path. Adding a field leaves the values of the others as
-    they are, and more samples only append values.
+    Each field has a random stream of its own, seeded by its path. So a further field does not change the other fields'
+    values, and more samples only append values.
     """
     draws: dict[str, list[Any]] = {}
     for path, entry in flat(table):
@@ -167,19 +167,19 @@ def random_draws(table: Mapping[str, Any], samples: int, seed: int) -> dict[str,
 
 
 def plan(config: Config) -> list[Trial]:
-    """Return the runs, ordered by grid, then sample, then seed, then solver; equal runs are listed once."""
+    """Return the runs, ordered by grid, then sample, then seed, then solver. Equal runs are listed once."""
     grid, seeds, solvers = grid_axes(config.grid), config.chosen_seeds(), config.chosen_solvers()
     samples = config.random.samples if config.random.fields else 1
     count = math.prod([*map(len, grid.values()), samples, len(seeds), len(solvers)])
-    if not 1 <= count <= MOST_RUNS:  # checked before anything is drawn or listed
+    if not 1 <= count <= MOST_RUNS:  # checked before anything is drawn
         raise SweepError(f"{count} runs: a sweep has 1 to {MOST_RUNS}; split a larger one into several")
     draws = random_draws(config.random.fields, samples, config.seed)
     if twice := grid.keys() & draws.keys():
-        raise SweepError(f"{min(twice)} stands in [grid] and in [random.fields]: keep one")
+        raise SweepError(f"{min(twice)} is in [grid] and in [random.fields]: keep one")
     found: dict[str, Trial] = {}
     for *values, sample, seed, solver in product(*grid.values(), range(samples), seeds, solvers):
         fields = dict(zip(grid, values, strict=True)) | {path: drawn[sample] for path, drawn in draws.items()}
-        if solver == BASELINE:  # DCAC has no solver: a solver's fields do not change its runs
+        if solver == BASELINE:  # DCAC has no solver, so it ignores a solver's fields
             fields = {path: value for path, value in fields.items() if not path.startswith("solver.")}
         case = _case(config.scenario, seed, fields)
         settings = {**solvers[solver], **case.solver.settings}
@@ -212,7 +212,7 @@ def _words(fields: Mapping[str, Any]) -> str:
 
 
 def _check_names(runs: Sequence[Trial]) -> None:
-    """Build robots, paths and solvers with their settings, once per name, so that wrong names fail before any run."""
+    """Build robots, paths and solvers with their settings, once per name, so that wrong names raise before any run."""
     seen: set[tuple[str, Any]] = set()
     for run in runs:
         names = {("solver", run.controller)} | {(path, v) for path, v in run.tags.items() if isinstance(v, str)}
@@ -226,7 +226,7 @@ def _check_names(runs: Sequence[Trial]) -> None:
         except MocOptError as error:
             if isinstance(error.__cause__, UnknownNameError):
                 raise
-            # Else the combination cannot run, and its row will say so.
+            # Other combinations that cannot run get a row with the error.
 
 
 # --- the figures ---
@@ -299,7 +299,7 @@ def pictures(summary: Mapping[str, Any], axes: Mapping[str, list[Any]]) -> list[
                     for value in sorted(values) if metric in (row := by.get(f"{solver}, {value}", {}))
                 ] for solver in summary["all"]
             }  # fmt: skip
-            says = f"{words} over {field}: mean over all else, bars from the 5th to the 95th percentile."
+            says = f"{words} over {field}: means, with bars from the 5th to the 95th percentile."
             found.append(Picture(lines_picture(lines, field, words, log=wide), says, f"{metric}-{field}"))
     return found
 

@@ -2,10 +2,10 @@
 
 python -m benchmarks.testsets [--check]
 
-Most sets hold random arm poses of one kind. The same seed gives the same problems, on one machine to the last bit. The
+Most sets hold random arm poses of one kind. On one machine, the same seed gives the same problems to the last bit. The
 six sequences were recorded in closed loop, at 500 Hz from the middle of the elbow's travel. Their problems are taken
-from the files, since the control law has changed. --check compares new problems with those in the files, and the files'
-answers with newly certified ones.
+from the files, because the control law has changed since. --check compares new problems with those in the files, and
+the files' answers with newly certified answers.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from moc_opt.robots.chain import desired_wrist
 from moc_opt.robots.model import RobotModel, load_robot
 from moc_opt.study.testsets import FOLDER, INCONSISTENT, NAMES, SEQUENCES, TestSet, changed
 
-CLOSE = 1e-9  # rad/s; another machine rounds the directions of the five rows differently: optima move by 1e-14
+CLOSE = 1e-9  # largest difference of an answer in --check [rad/s]; other machines' rounding moves optima by 1e-14
 Rng = np.random.Generator
 SIZE = 128  # problems per set
 VERSION = 1  # part of the seed of the drawn sets
@@ -34,13 +34,13 @@ VERSION = 1  # part of the seed of the drawn sets
 def at_pose(
     robot: RobotModel, q: Array, v_tip: Array, *, regularization: float = 1e-5, k0: float = 2.0, depth: float = 0.15
 ) -> NullSpaceQP:
-    """Build the subproblem for a pose and a tip velocity; the trocar is on the shaft, ``depth`` [m] above the tip."""
+    """Build the subproblem for a pose and a tip velocity. The trocar is on the shaft, ``depth`` [m] above the tip."""
     state = robot.state(q)
     trocar = state.tip - depth * state.tool_direction
     _, v_wrist = desired_wrist(state.tip, v_tip, trocar, np.zeros(3), state.tool_span)
     lower, upper = (np.clip(-k0 * (q - limit), -robot.v_max, robot.v_max) for limit in (robot.q_min, robot.q_max))
     u = state.tool_direction
-    v_wrist = v_wrist + u * (u @ (v_tip - v_wrist))  # equal velocities along the shaft, since the tool is rigid
+    v_wrist = v_wrist + u * (u @ (v_tip - v_wrist))  # the tool is rigid: equal velocities along it
     return NullSpaceQP(
         state.J_tip, state.J_wrist, v_tip, v_wrist, state.grad_mu, lower=lower, upper=upper, q=q,
         regularization=regularization,
@@ -60,7 +60,7 @@ def random_poses(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
 
 
 def near_singular(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
-    """Yield problems with the elbow 0.1 rad to 1e-8 rad short of straight: ker A grows from dimension two to three."""
+    """Yield problems with the elbow 0.1 to 1e-8 rad from straight. A straight elbow reduces A's rank from 5 to 4."""
     for bend in np.logspace(-1, -8, SIZE):
         q = robot.random_regular_pose(rng)
         q[3] = bend
@@ -69,7 +69,7 @@ def near_singular(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
 
 
 def joint_limits(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
-    """Yield problems with one to three joints within 1 mrad of a limit, which closes the box on that side."""
+    """Yield problems with one to three joints within 1 mrad of a limit, where one bound on x is almost zero."""
     while True:
         q = robot.random_regular_pose(rng)
         for joint in rng.choice(robot.n - 1, size=rng.integers(1, 4), replace=False):
@@ -97,7 +97,7 @@ def inconsistent(size: float) -> Callable[[RobotModel, Rng], Iterator[NullSpaceQ
 
 
 def jumps(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
-    """Yield unrelated problems, each of them twice: the second time with the gradient negated, to test warm starts."""
+    """Yield unrelated problems, each twice, to test warm starts. The second one has the opposite gradient."""
     while True:
         qp = at_pose(robot, robot.random_regular_pose(rng), tip_velocity(rng, 0.05), regularization=0.0)
         yield qp
@@ -115,7 +115,7 @@ RECIPES: dict[str, Callable[[RobotModel, Rng], Iterator[NullSpaceQP]]] = {
 
 
 def make(name: str, robot: RobotModel, seed: int = 0) -> TestSet:
-    """Make and certify one set: a recorded sequence from its file, any other set from its name and the seed alone."""
+    """Make and certify one set: a recorded sequence from its file, any other set from its name and the seed."""
     if name in SEQUENCES:
         return certify(name, TestSet.load(name).problems())
     rng = np.random.default_rng([seed, VERSION, *name.encode()])
@@ -145,7 +145,7 @@ def make_all(check: bool) -> int:
         if not (same and np.array_equal(again.feasible, kept.feasible) and apart <= CLOSE):
             different.append(name)
     if different:
-        print(f"not what this program makes: {', '.join(different)}")
+        print(f"differ from the sets that this program makes: {', '.join(different)}")
     return 1 if different else 0
 
 

@@ -1,4 +1,4 @@
-"""The measurements of ``python -m benchmarks.speed``. Each public function from `ticks` to `fresh` is a job run alone.
+"""The measurements of ``python -m benchmarks.speed``. The public functions from `ticks` to `fresh` are jobs run alone.
 
 The compared calls take turns in chunks, so that a slow moment of the machine affects all of them. Ratios are computed
 between chunks or rounds that were measured side by side.
@@ -34,11 +34,11 @@ from moc_opt.solvers.exact import Exact
 from moc_opt.study.timing import each_us, percentiles, since, total, used
 
 ROOT, CHUNK = Path(__file__).resolve().parents[1], 100
-COLD = 5  # first calls of a chunk: the caches still hold the data of the entry that ran before
+COLD = 5  # first calls of a chunk, when the caches hold another entry's data
 
 
 class Timed(NamedTuple):
-    """A call to time, and the items that it is given one by one."""
+    """A call to time, and the arguments of its successive calls."""
 
     call: Callable[[Any], Any]
     items: Sequence[Any]
@@ -51,9 +51,9 @@ class Part:
     Attributes:
         found: part of the summary -> name -> metrics.
         rows: rows for rows.parquet, one per chunk or round.
-        missing: entry that could not run -> reason.
-        times: (chunks, CHUNK) [us] of the entries that took turns, by name.
-        seen: counters of `moc_opt.study.timing` (context switches, processor time) during those times, by name.
+        missing: name of an entry that could not run -> reason.
+        times: name of an entry that took turns -> its times (chunks, CHUNK) [us].
+        seen: name of an entry -> counters of `moc_opt.study.timing` (context switches, processor time) meanwhile.
     """
 
     found: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -65,8 +65,8 @@ class Part:
     def time(self, part: str, entries: Mapping[str, Timed], rounds: int) -> None:
         """Time calls side by side: in turn, each call runs over the next chunk of its own items.
 
-        A disturbance of the machine affects all entries, so ratios taken chunk by chunk vary less than the times. Every
-        entry is cut to as many items as the shortest entry has. One round that is not timed precedes the ``rounds``.
+        A disturbance of the machine affects all entries, so ratios taken chunk by chunk vary less than the times. All
+        entries use as many items as the shortest has. One round that is not timed precedes the ``rounds``.
         """
         names, starts = list(entries), range(0, min(len(entry.items) for entry in entries.values()) - CHUNK + 1, CHUNK)
         chunks: dict[str, list[Array]] = {name: [] for name in names}
@@ -95,12 +95,12 @@ class Part:
         }  # fmt: skip
 
     def over(self, name: str, other: str) -> float:
-        """Return the median over the chunks of the ratio of the two entries' median times."""
+        """Return the ratio of the two entries' median times in a chunk, as the median over the chunks."""
         return float(np.median(np.median(self.times[name], axis=1) / np.median(self.times[other], axis=1)))
 
 
 def record(scenario: Scenario) -> tuple[list[peers.Inputs], list[NullSpaceQP]]:
-    """Run a scenario; return the inputs of every tick, and its subproblem."""
+    """Run a scenario. Return the inputs and the subproblem of every tick."""
     heard: list[peers.Inputs] = []
 
     class Ear(Controller):
@@ -114,7 +114,7 @@ def record(scenario: Scenario) -> tuple[list[peers.Inputs], list[NullSpaceQP]]:
 
     trace = Heard(scenario).trace()
     problems = [NullSpaceQP.from_row(np.array(row)) for row in trace.subproblem]
-    for qp in problems:  # cache what the adapters read, so that its computation is not timed
+    for qp in problems:  # computed in advance, so that it is not timed
         _ = qp.q, qp.reduced()
     return heard, problems
 
@@ -123,7 +123,7 @@ def record(scenario: Scenario) -> tuple[list[peers.Inputs], list[NullSpaceQP]]:
 
 
 def ticks(scenario: Scenario, solvers: Iterable[str], libraries: Iterable[str], rounds: int) -> Part:
-    """Time our tick with every solver, and the ticks of other libraries on the states of those libraries' own runs."""
+    """Time our tick with every solver, and other libraries' ticks on the states of their own runs."""
     part, entries, (inputs, _) = Part(), dict[str, Timed](), record(scenario)
     robot = load_robot(scenario.robot.name)
     for name in solvers:
@@ -153,7 +153,7 @@ def _spread(call: Callable[..., Any]) -> Callable[[tuple[Any, ...]], Any]:
 
 
 def tick_parts(scenario: Scenario, rounds: int) -> Part:
-    """Time the parts of our tick separately, on the same states: the calls that the controller makes in one tick."""
+    """Time separately, on the same states, the calls that our controller makes in one tick."""
     part, (inputs, _), robot = Part(), record(scenario), load_robot(scenario.robot.name)
     law = core.Law(robot.arm, **numbers_of(scenario.control, robot, scenario.plant.period_s))
     law.start(*inputs[0])
@@ -165,11 +165,11 @@ def tick_parts(scenario: Scenario, rounds: int) -> Part:
     problems = [NullSpaceQP.from_row(begin(item)) for item in inputs]
     session = Exact().start(problems[0])
     answers = [np.array(session.solve(qp).x) for qp in problems]
-    entries = {  # the arm's terms, levels 1 and 2, and the subproblem; the solver; the check and level 3
-        "before the solver": Timed(begin, inputs),
+    entries = {
+        "before the solver": Timed(begin, inputs),  # the arm's terms, levels 1 and 2, and the subproblem
         "of which the arm's terms": Timed(lambda item: robot.state(item[0], item[1]), inputs),
         "solver": Timed(session.solve, problems),
-        "after the solver": Timed(lambda answer: law.finish(0, 0, answer, 1.0), answers),
+        "after the solver": Timed(lambda answer: law.finish(0, 0, answer, 1.0), answers),  # the check, level 3
     }
     part.time("tick_parts", entries, rounds)
     part.found["tick_parts"] = {name: part.figures(name, "tick") for name in entries}
@@ -181,7 +181,7 @@ _COMPARED = re.compile(r"largest difference from the recorded torque ([\d.e+-]+)
 
 
 def exported(scenario: Scenario) -> Part:
-    """Export the scenario's controller, build and run its test program, and return the times it prints."""
+    """Export the scenario's controller, build and run its test program, and return the times that it prints."""
     with tempfile.TemporaryDirectory() as folder:
         export_scenario(scenario, folder)
         command = ["make", "--silent", "test"]
@@ -246,10 +246,10 @@ def adapters(scenario: Scenario, names: Iterable[str], rounds: int) -> Part:
 
 
 def daqp_by_hand(settings: Any, first: NullSpaceQP) -> Callable[[NullSpaceQP], tuple[Array, Array]]:
-    """Return a call that drives daqp as a careful user would without this package: load numbers, solve, read x and y.
+    """Return a call that uses daqp as a careful user would without this package: load numbers, solve, read x and y.
 
-    It uses the workspace, options and buffers of our adapter, so that both do the same work in daqp. It translates no
-    status, lifts no duals and checks nothing.
+    The call uses the workspace, options and buffers of our adapter, so that both do the same work in daqp. It does not
+    translate the status, convert the multipliers or check anything.
     """
     at, scale, n = settings.start(first), settings.cost_scale, first.n
     core = at._core
@@ -269,7 +269,7 @@ def daqp_by_hand(settings: Any, first: NullSpaceQP) -> Callable[[NullSpaceQP], t
 
 
 def disagreement(solver: Any, by_hand: Callable[[NullSpaceQP], Any], problems: list[NullSpaceQP]) -> str | None:
-    """Say by how much the answers of adapter and library by hand differ [rad/s]; None where they agree to 1e-4."""
+    """Say by how much the answers of adapter and library by hand differ [rad/s], or None if they agree to 1e-4."""
     session = solver.start(problems[0])
     gap = max(float(np.abs(session.solve(qp).x - by_hand(qp)[0]).max()) for qp in problems[:200])
     return None if gap <= 1e-4 else f"adapter and library by hand differ by {gap:.2g} rad/s"
@@ -283,9 +283,9 @@ def own_steps(scenario: Scenario) -> tuple[Array, Callable[[], Array]]:
 
     The call returns the states (k, m) after the periods (column 0 is the time). It runs MuJoCo alone, without Python
     between the steps and without our trocar and sensors. The time of a step depends on the state, because dry friction,
-    joint limits and the trocar add work. So each period starts from its recorded state and recorded forces.
+    joint limits and the trocar's force add work. So each period starts from its recorded state and forces.
     """
-    # Imported here, because processes that measure other parts do without MuJoCo's threads.
+    # Imported here, so that processes that measure other parts have no threads of MuJoCo.
     import mujoco
     from mujoco.rollout import rollout
 
@@ -313,9 +313,9 @@ def own_steps(scenario: Scenario) -> tuple[Array, Callable[[], Array]]:
 
 
 def loop(scenario: Scenario, runs: int) -> Part:
-    """Time runs as in ``moc-opt run``, progress bar's callback included, and MuJoCo's steps over the same states.
+    """Time runs as in ``moc-opt run``, and MuJoCo's steps over the same states.
 
-    References and trace are included. A first, untimed run warms the caches. Rows hold ``us_per_tick``, ``steps_us``.
+    References, trace and the progress bar's callback are included. A first, untimed run warms the caches.
     """
     part, (states, stepped), times = Part(), own_steps(scenario), list[Array]()
     seen, bar = list[dict[str, float]](), list[int]()
@@ -339,7 +339,7 @@ def loop(scenario: Scenario, runs: int) -> Part:
 
 
 def limit(rows: Iterable[Mapping[str, Any]], c_tick_us: float | None) -> dict[str, float]:
-    """Return medians over the loop's rounds: MuJoCo's steps, the limit (steps plus tick in C), and loop / limit."""
+    """Return medians over the loop's rounds: MuJoCo's steps, the limit (steps plus C tick), and loop / limit."""
     us, steps = np.array([(row["us_per_tick"], row["steps_us"]) for row in rows]).T
     found = {"steps_us": float(np.median(steps))}
     if c_tick_us is not None:
@@ -375,7 +375,7 @@ FIRST_RUN = ("-m", "moc_opt", "run", "--json")
 def fresh(processes: int) -> Part:
     """Return median times of new processes [s]: from first import to first torque, and of a whole ``moc-opt run``.
 
-    Each run has a home folder of its own, so that it finds no caches of an earlier run.
+    Each ``moc-opt run`` has a home folder of its own, so that it finds no caches.
     """
     part = Part()
     for turn in range(processes):

@@ -1,7 +1,7 @@
-"""A control law of your own, in Python, in the closed loop: the paper's three levels in plain numpy, without a solver.
+"""A control law of your own in the closed loop: the paper's three levels in plain numpy, without a solver.
 
-The third level follows the gradient of mu, projected onto the self-motion (which moves neither tip nor wrist), instead
-of solving a subproblem. Plant, sensors, safety filter, trace and metrics are those of every run.
+Instead of solving a subproblem, the third level follows the gradient of mu, projected onto the self-motion (which moves
+neither tip nor wrist). Plant, sensors, safety filter, trace and metrics are those of every run.
 
 python examples/own_law.py
 """
@@ -14,7 +14,7 @@ from moc_opt.scenario.setup import Setup
 
 
 class OwnLaw:
-    """A controller needs these methods only; `moc_opt.sim.protocols` documents them."""
+    """A controller needs only these methods, which `moc_opt.sim.protocols` documents."""
 
     K_X, D_X, K_N, D_N, K_N2 = 3000.0, 30.0, 800.0, 10.0, 15.0
     CLIMB = 30.0  # joint velocity per unit of the gradient of mu
@@ -33,7 +33,7 @@ class OwnLaw:
         J, W, M = s.J_tip, s.J_wrist, s.M
         M_inverse = np.linalg.inv(M)
 
-        # Level 1: a spring and damper pull the tip to its reference; s.h compensates gravity and Coriolis torques.
+        # Level 1: a spring and damper pull the tip to its reference. s.h compensates gravity and Coriolis torques.
         tau_tip = s.h + J.T @ (self.K_X * (X_d - s.tip) + self.D_X * (dX_d - J @ s.v))
 
         # Level 2: in the null space of level 1, the wrist is pulled to N_d, which puts the shaft through the trocar.
@@ -52,14 +52,14 @@ class OwnLaw:
         return tau_tip + tau_rcm + tau_mu
 
     def set_applied_torque(self, tau):
-        """Do nothing: only a law with an observer needs the torque that the safety filter let through."""
+        """Do nothing: only a law with an observer needs the torque that left the safety filter."""
 
     def columns(self, ticks):
-        """Return the law's own columns for the trace: none."""
+        """Return no columns of the law's own for the trace."""
         return {}
 
     def note(self, row, columns):
-        """Write this tick's values into the law's columns: there are none."""
+        """Do nothing: the law has no columns of its own."""
 
 
 class OwnSetup(Setup):

@@ -1,4 +1,4 @@
-"""A study of your own: what does the delay of the drives cost under two solvers, on ten trials per solver and delay?
+"""A study of your own: the effect of the drives' delay under two solvers, in ten trials per solver and delay.
 
 python examples/own_study.py [OUT] [tcp://DASK-SCHEDULER:8786]
 """
@@ -13,7 +13,7 @@ from moc_opt.study import Failed, Job, Kept, run
 
 
 def trial(solver, delay, seed):
-    """Run one trial, and return its row. If it hangs, crashes or raises, `run` gives `Failed` instead of the row."""
+    """Run one trial and return its row. If the trial hangs, crashes or raises, `run` returns a `Failed` instead."""
     scenario = mo.Scenario(duration_s=2.0, seed=seed, start={"pose": "random"}, bound_samples=0)
     scenario = scenario.change(solver={"name": solver}, plant={"delay_ticks": delay})
     return {"solver": solver, "delay": delay, "seed": seed, **mo.summarize(mo.run(scenario))}

@@ -2,8 +2,8 @@
 One run, and its metrics
 ========================
 
-From a random start, an LWR4+ follows a circle with its tool through the trocar; `exact` solves the third level.
-The baseline is the same trial without the third level (`dcac`).
+From a random start, an LWR4+ follows a circle with its tool through the trocar. The controller's third level raises
+the manipulability mu, by the solver `exact`. The baseline is the same trial without the third level (`dcac`).
 """
 
 import moc_opt as mo
@@ -13,7 +13,7 @@ trace = mo.run(scenario)
 baseline = mo.run(scenario.change(control={"law": "dcac"}))
 
 # %%
-# A summary is a dictionary; the unit is in the metric's name.
+# A summary is a dictionary. The unit is in the metric's name.
 summary = mo.summarize(trace, baseline)
 for name in ("mu_mean", "mu_gain_percent", "tip_error_model_mean_mm", "rcm_error_model_mean_mm"):
     print(f"{name:26s} {summary[name]:8.3f}")

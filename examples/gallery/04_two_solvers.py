@@ -2,7 +2,7 @@
 Two solvers on the same robot
 =============================
 
-The exact answer and the recurrent network of the 2019 paper, in the same controller on the same trial.
+Compare `exact` with the recurrent network of the 2019 paper, in the same controller on the same trial.
 """
 
 import moc_opt as mo

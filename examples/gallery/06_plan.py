@@ -2,8 +2,8 @@
 Plan a path before anything moves
 =================================
 
-A plan tells whether the whole path can be executed from a start, which course of the elbow is best, and how much better
-any other course could be at most.
+A plan tells whether the whole path can be executed from a start. It has the best course (joint motion along the path),
+and a bound that no other course exceeds.
 """
 
 import moc_opt as mo

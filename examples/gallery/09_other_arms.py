@@ -2,7 +2,7 @@
 Another arm
 ===========
 
-The same scenario on the other arms of the package: gains, limits and home pose come from the robot's file.
+Run the same scenario on every arm of the package. Gains, limits and home pose come from the robot's file.
 """
 
 import moc_opt as mo

@@ -2,8 +2,8 @@
 A solver of your own
 ====================
 
-A solver has settings, `supports` and `start`; a session has `solve`. This solver walks along the self-motion to the
-edge of the box. That is right for one freedom and a small regularization, which the residuals confirm.
+A solver has settings, `supports` and `start`. A session has `solve`. This solver follows the self-motion until a joint
+reaches its bound. With seven joints and a small regularization this is the optimum, as the residuals confirm.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ class Walk:
     name = "walk"
 
     def supports(self, qp):
-        return None if len(qp.lower) == 7 else "it walks along one freedom: use an arm of seven joints"
+        return None if len(qp.lower) == 7 else "it needs an arm with seven joints"
 
     def start(self, qp):
         return self

@@ -3,7 +3,7 @@ Solvers on the same random trials
 =================================
 
 Compare solvers in closed loop. The seed of each trial draws its start, and DCAC with the same gains runs every trial,
-too. Every mean has a 95 % interval and its count of trials; two trials are too few for a verdict.
+too. From eight trials on, means have 95 % intervals. Two trials are too few for a verdict.
 """
 
 import moc_opt as mo

@@ -16,10 +16,10 @@ class SLSQP:
         return None  # or the reason why not
 
     def start(self, qp):
-        return self  # nothing to remember between ticks, so this object is its own session
+        return self  # there is no state between ticks, so this object is its own session
 
     def solve(self, qp):
-        rows, scale = qp.reduced(), 1e3  # five independent rows; the scale lifts costs of 1e-4 above ftol
+        rows, scale = qp.reduced(), 1e3  # five independent rows; scaled, costs of 1e-4 exceed ftol
         meets = {"type": "eq", "fun": lambda x: rows.A @ x - rows.b, "jac": lambda x: rows.A}
         found = minimize(lambda x: scale * qp.objective(x), 0.5 * (qp.lower + qp.upper), method="SLSQP",
                          jac=lambda x: scale * (qp.P @ x + qp.p), bounds=list(zip(qp.lower, qp.upper, strict=True)),

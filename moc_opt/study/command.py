@@ -1,11 +1,11 @@
-"""The command of a study: read its configuration, run it, write and print what it found.
+"""The command of a study reads a configuration, runs the study, and writes and prints the results.
 
     class Config(StudyConfig): ...                       # the configuration, read from TOML
     def work(study: Study, config: Config) -> Found: ... # trials, table, verdict
     def main(arguments=None): return command("robots", "What holds on every arm.", Config, work, arguments)
 
-The command leaves report.html, report.md, summary.json, rows.parquet and environment.json in ``--out``, and finished
-jobs in its folder jobs/. After a stop of any kind, the same command continues from these jobs.
+The command writes report.html, report.md, summary.json, rows.parquet and environment.json into ``--out``, and
+finished jobs into its subfolder jobs/. After a stop of any kind, the same command continues from these jobs.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from moc_opt.study.results import Results
 from moc_opt.study.show import Report
 from moc_opt.study.trials import Run, Trial, outcome, placed
 
-WRONG, INTERRUPTED = 2, 130  # exit status after an error of the input or of the machine, and after Ctrl-C
+WRONG, INTERRUPTED = 2, 130  # exit status after an error, and after Ctrl-C
 FILES = ("environment.json", "summary.json", "rows.parquet", "report.html", "report.md")
 CONFIGS = Path(__file__).parents[2] / "benchmarks" / "configs"
 
@@ -48,11 +48,11 @@ class StudyConfig(Settings):
 
     KIND: ClassVar[str] = "configuration:"
     seed: int = Field(0, ge=0, le=2**62)
-    processes: int | None = Field(None, ge=1, description="parallel jobs where no times are taken; none: one per core")
+    processes: int | None = Field(None, ge=1, description="parallel jobs that are not timed; None: one per core")
 
     @classmethod
     def load(cls, path: Path, seed: int | None = None) -> Self:
-        """Read a TOML file, with another seed if one is given; errors name file and field."""
+        """Read a TOML file. A given ``seed`` replaces that of the file. Errors name file and field."""
         table = read_toml(path, "configuration", ScenarioError)
         try:
             return cls(**table if seed is None else {**table, "seed": seed})
@@ -76,14 +76,14 @@ class Found:
     summary: Mapping[str, Any]
     rows: Results = field(default_factory=Results)
     environment: Mapping[str, Any] = field(default_factory=dict)  #: further entries of environment.json
-    files: Sequence[str] = ()  #: names of further files, which the study itself wrote into the same folder
+    files: Sequence[str] = ()  #: names of further files that the study wrote into the same folder
     sentences: Sequence[str] = ()  #: printed below the report
     status: int = 0  #: exit status
 
 
 @dataclass(frozen=True)
 class Study:
-    """What a study works with: its name, the folder of its results, its parsed options, and the engine."""
+    """A study's name, the folder of its results, its parsed options, and methods that run jobs."""
 
     name: str
     out: Path
@@ -99,7 +99,7 @@ class Study:
         self, jobs: Sequence[Job], what: str = "jobs", *, done: Callable[[Job, Any], None] = lambda job, result: None,
         **options: Any,
     ) -> list[Any]:  # fmt: skip
-        """Run jobs by `moc_opt.study.run`, with a progress bar; their results are stored in the folder jobs/."""
+        """Run jobs by `moc_opt.study.run` with a progress bar, and store their results in the folder jobs/."""
         with Bar(f"{self.name}: {what}", len(jobs)) as bar:
 
             def note(job: Job, result: Any) -> None:
@@ -112,13 +112,13 @@ class Study:
     def trials(
         self, asked: Sequence[Trial], what: str = "runs", *, limit_s: float | None = None, **options: Any
     ) -> list[Run]:
-        """Run trials; each gives a row, even if it hung or failed. ``limit_s`` replaces each trial's own limit."""
+        """Run trials. Each gives a `Run`, even if it hung or failed. ``limit_s`` replaces each trial's own limit."""
         jobs = [one.job if limit_s is None else replace(one.job, limit_s=limit_s) for one in asked]
         results = self.run(jobs, what, **options)
         return [outcome(one, result) for one, result in zip(asked, results, strict=True)]
 
     def placed(self, cases: Sequence[Scenario]) -> tuple[list[Scenario], list[dict[str, Any]]]:
-        """Search for each trial's start pose; return the trials with poses, and a row for each trial that has none."""
+        """Search for start poses. Return the trials with a pose, and a row for each trial for which none was found."""
         found = self.run([Job(placed, (case,)) for case in cases], "starts")
         lost = [
             {**Trial(case, "").failed(str(start)).row, "ended": "no start"}
@@ -132,11 +132,11 @@ def command(
     arguments: Sequence[str] | None = None, *, options: Callable[[ArgumentParser], Any] = lambda parser: None,
     folder: Path | None = None, program: str = "",
 ) -> int:  # fmt: skip
-    """Parse the command line, do the study's work, write and print what was found; return the exit status.
+    """Parse the command line, run the study, write and print its results, and return the exit status.
 
-    ``config`` is read from NAME.toml in ``folder`` (None: benchmarks/configs). What ``work`` returns is written to
-    ``--out`` (results/NAME). ``options`` adds the study's own options to the parser; `Study.given` has them. The exit
-    status is `Found.status`, 2 after an error (one line on stderr), 130 after Ctrl-C or SIGTERM.
+    ``config`` is read from NAME.toml in ``folder`` (None: benchmarks/configs). The files go to ``--out`` (default:
+    results/NAME). ``options`` adds the study's own options to the parser, and `Study.given` has their values. The exit
+    status is `Found.status`, or 2 after an error (one line on stderr), or 130 after Ctrl-C or SIGTERM.
     """
     parser = ArgumentParser(prog=program or f"python -m benchmarks.{name}", description=about)
     parser.add_argument("config", nargs="?", type=Path, help=f"TOML; default: {name}.toml of this study")
@@ -144,7 +144,7 @@ def command(
     parser.add_argument("--seed", type=int, help="replaces the configuration's seed")
     parser.add_argument("--quick", action="store_true", help="the same on less data")
     parser.add_argument("--json", action="store_true", help="print summary.json instead of the answer")
-    parser.add_argument("--dask", metavar="ADDRESS", help="let the workers of this Dask scheduler do what is not timed")
+    parser.add_argument("--dask", metavar="ADDRESS", help="run the jobs that are not timed on this Dask scheduler")
     options(parser)
     given = parser.parse_args(arguments)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -160,12 +160,12 @@ def command(
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return WRONG
     except KeyboardInterrupt:
-        print(f"stopped; what is finished is in {given.out}/jobs: the same command goes on from there", file=sys.stderr)
+        print(f"stopped. Finished jobs are in {given.out}/jobs. The same command continues from them.", file=sys.stderr)
         return INTERRUPTED
 
 
 def check_folder(out: Path) -> None:
-    """Raise a StudyError if the folder has a file that is named as in `FILES` but that no study wrote."""
+    """Raise a StudyError if the folder holds a file named in `FILES` that no study has written."""
     there = [name for name in FILES if (out / name).exists()]
     if there and not (there[0] == FILES[0] and b'"study":' in (out / FILES[0]).read_bytes()):
         raise StudyError(f"{out} has {', '.join(there)} that no study has written: give another folder as --out")
@@ -207,7 +207,7 @@ def environment(config: Mapping[str, Any], seed: int, argv: Sequence[str] = ()) 
             "python": platform.python_version(), "load_1min": os.getloadavg()[0],
         },
         "threads": os.environ.get("OMP_NUM_THREADS"),
-        "openblas_coretype": os.environ.get("OPENBLAS_CORETYPE"),  # each kernel rounds differently
+        "openblas_coretype": os.environ.get("OPENBLAS_CORETYPE"),  # the rounding depends on it
         "versions": versions(), "commit": _commit(), "seed": seed, "arguments": list(argv), "config": dict(config),
     }  # fmt: skip
 
@@ -215,7 +215,7 @@ def environment(config: Mapping[str, Any], seed: int, argv: Sequence[str] = ()) 
 def choose(wanted: Literal["all"] | Sequence[str], *beside: str) -> tuple[list[str], dict[str, str]]:
     """Return the names of solvers that can run here, and name -> reason for those that cannot.
 
-    "all" means every known solver. Names in ``beside``, such as a baseline's, are known too, and can always run.
+    "all" means every known solver. The names in ``beside``, such as a baseline's, can always run.
     """
     found: dict[str, str | None] = {**dict.fromkeys(beside), **available()}
     names = list(found) if wanted == "all" else list(wanted)
@@ -227,7 +227,7 @@ def choose(wanted: Literal["all"] | Sequence[str], *beside: str) -> tuple[list[s
 
 
 def runnable(wanted: Sequence[str], *beside: str) -> list[str]:
-    """Return the names of a study's solvers; a SolverError says why one cannot run here."""
+    """Return the names of a study's solvers. If one cannot run here, raise a SolverError with the reason."""
     names, reasons = choose(wanted, *beside)
     if reasons:
         name, reason = next(iter(reasons.items()))
@@ -236,7 +236,7 @@ def runnable(wanted: Sequence[str], *beside: str) -> list[str]:
 
 
 def _commit() -> str | None:
-    """Return the commit of this checkout, marked where files differ from it; None outside a checkout."""
+    """Return this checkout's commit, with "+changes" if files were changed; None outside a checkout."""
     order = ["git", "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+changes"]
     try:
         done = subprocess.run(order, cwd=Path(__file__).parent, capture_output=True, text=True, check=True)

@@ -43,10 +43,10 @@ COLUMNS = [
     *columns(*METRICS_SHOWN), Column("oscillated", "oscillated"), Column("solve_p99_us", "p99", "us"),
 ]  # fmt: skip
 CAPTION = (
-    f"Means are over completed trials, with 95 % intervals from {LEAST_TRIALS} trials on. Changes (from {LEAST_TRIALS} "
-    "trials on) compare the mean with that of DCAC with the same gains on the same trials; ? marks a change that the "
-    "mean of the trials' ratios does not confirm. Times are those of the median trial; those of exact exclude the "
-    f"call from Python. {FRAMES}"
+    f"Means are over completed trials. Intervals (95 %) and changes need at least {LEAST_TRIALS} trials. A change "
+    "compares the mean with that of DCAC with the same gains on the same trials. A ? marks a change that the mean of "
+    "the trials' ratios does not confirm. Times are those of the median trial. The times of exact exclude the call "
+    f"from Python. {FRAMES}"
 )
 
 
@@ -56,11 +56,11 @@ class Comparison:
 
     Attributes:
         rows: one mapping per run: solver, seed, ended, error, asked (ticks with a subproblem) and every metric. A run
-            that could not be made has "failed" as `ended`, the reason as `error`, and no metrics.
+            that failed has "failed" as `ended`, the reason as `error`, and no metrics.
         solvers: the solvers' names in the table, the baseline first.
         scenario: the scenario from which the trials were made.
-        note: where the trials start, and a remark if the machine was busy.
-        complete: False where Ctrl-C ended the comparison after some of the trials.
+        note: remarks, such as that [start] was not used or that the machine was busy.
+        complete: False if Ctrl-C ended the comparison after some of the trials.
     """
 
     rows: Sequence[Mapping[str, Any]]
@@ -77,7 +77,7 @@ class Comparison:
         )
 
     def summary(self) -> dict[str, dict[str, Any]]:
-        """Return solver -> its figures (named as in a study's summary.json), with verdicts on its answers and times."""
+        """Return solver -> its figures: those of a study's summary.json, verified and wrong answers, and times."""
         return {
             name: self._results.figures(name, METRICS_SHOWN, METRICS_SHOWN) | self._answers(name)
             for name in self.solvers
@@ -115,7 +115,7 @@ class Comparison:
         return Table(f"{title}: solvers on the same trials", known, rows, caption)
 
     def plot(self, metric: str = "mu_mean") -> Figure:
-        """Return a plotly figure with each solver's mean of a metric and its 95 % interval; refuse unknown metrics."""
+        """Return a plotly figure: each solver's mean of a metric with its 95 % interval. Refuse unknown metrics."""
         if metric not in METRICS and not any(metric in row for row in self.rows):
             raise UnknownNameError("metric", metric, METRICS, "moc-opt metrics")
         means = {name: mean for name in self.solvers if (mean := self._results.mean(metric, name))}
@@ -124,7 +124,7 @@ class Comparison:
         return intervals_picture({name: (one.low, one.value, one.high) for name, one in means.items()}, said, {})
 
     def to_pandas(self) -> DataFrame:
-        """Return a pandas.DataFrame with one row per run; a ScenarioError where pandas is not installed."""
+        """Return a pandas.DataFrame with one row per run. Raise a ScenarioError if pandas is not installed."""
         try:
             import pandas
         except ImportError as error:
@@ -132,7 +132,7 @@ class Comparison:
         return pandas.DataFrame([dict(row) for row in self.rows])
 
     def save_rows(self, path: str | os.PathLike[str]) -> None:
-        """Write one row per run as CSV; a ScenarioError where the file cannot be written."""
+        """Write one row per run as CSV. Raise a ScenarioError if the file cannot be written."""
         write_whole(path, Results(self.rows).frame.write_csv(), "table of runs", ScenarioError)
 
     def __repr__(self) -> str:
@@ -140,7 +140,7 @@ class Comparison:
 
 
 def _cells(found: Mapping[str, Any]) -> dict[str, str | None]:
-    """Write means and changes with their intervals; for too few trials, write the means alone."""
+    """Write means and changes with their intervals. For too few trials, write only the means."""
     cells = dict[str, str | None]()
     for name in (name for name in (*METRICS_SHOWN, *CHANGES) if name in found):
         few, sign = too_few(found["compared" if name in CHANGES else "whole"]), "+" * (name in CHANGES)
@@ -157,12 +157,12 @@ def compare(
     """Run every solver, and DCAC with the same gains, on the same trials.
 
     If a solver cannot be started or ends a run with an error, its rows hold the reason, and the other solvers go on.
-    Ctrl-C ends the comparison; the finished trials are returned, if there are any.
+    Ctrl-C ends the comparison. The finished trials are returned, if there are any.
 
     Args:
-        solvers: names, or solver objects (of `solvers.create` or your own); a mapping gives them other names.
+        solvers: names or solver objects (of `solvers.create` or your own). A mapping gives them other names.
         scenario: the scenario of every trial, or the path of its file; None: the default one.
-        trials: their number; trial k has the seed ``seed + k``, which draws pose, swivel, mismatch and noise.
+        trials: number of trials. Trial k has the seed ``seed + k``, which draws pose, swivel, mismatch and noise.
         seed: the seed of the first trial.
         watch: called with a few words before each run.
 
@@ -226,7 +226,7 @@ def _settings(base: Scenario, solver: str | Solver) -> Mapping[str, Any]:
 
 
 def _named(solvers: Solvers, base: Scenario) -> dict[str, str | Solver]:
-    """Return name -> solver, the baseline first. Solvers given by name are built once, so that errors show at once."""
+    """Return name -> solver, the baseline first. Solvers given by name are built, so that errors show at once."""
     if isinstance(solvers, str) or not isinstance(solvers, Mapping | Sequence):
         raise SolverError(f"solvers = {shown(solvers)}: give a list of names or solvers, such as ['exact', 'osqp']")
     named: Iterable[tuple[Any, str | Solver]] = (

@@ -1,4 +1,4 @@
-"""Run jobs in other processes: in pebble's pool, or on the workers of a Dask scheduler.
+"""Run jobs in other processes: in a pool of the library pebble, or on the workers of a Dask scheduler.
 
     results = run([Job(trial, (scenario, "osqp", seed)) for seed in range(60)], kept=Kept(out / "jobs"))
 
@@ -32,7 +32,7 @@ from moc_opt.errors import MocOptError, StudyError, describe
 from moc_opt.study.kept import Kept, digest_of, key_of, loaded_sources
 
 CONNECT_S = 30.0
-LOOK_S, ATTEMPTS = 1.0, 3  # time between two checks of the processes [s]; attempts at a job if its pool breaks
+LOOK_S, ATTEMPTS = 1.0, 3  # time between two checks of the processes [s]; most attempts at a job if the pool breaks
 BEGUN = ".pid"
 WAITS = 5.0
 PR_SET_PDEATHSIG = 1
@@ -43,13 +43,13 @@ _parts: IO[bytes] | None = None  # in a worker: the file that `report` writes to
 
 @dataclass(frozen=True)
 class Job:
-    """A function of a module, and its arguments. Function, arguments and result must be picklable."""
+    """A call of a module-level function. Function, arguments and result must be picklable."""
 
     work: Callable[..., Any]
     arguments: tuple[Any, ...] = ()
-    limit_s: float = 600.0  #: a call that takes longer is ended with its process [s]
-    alone: bool = False  #: whether the job is timed, so that no other job may run meanwhile
-    group: str = ""  #: once `give_up` (see `run`) jobs of a group hung or crashed, its later jobs are not begun
+    limit_s: float = 600.0  #: time limit [s], after which the job's process is killed
+    alone: bool = False  #: whether the job measures times, so that no other job may run meanwhile
+    group: str = ""  #: name of a group of jobs; after `give_up` hangs or crashes in it (see `run`), the rest is skipped
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def run(
     done: Callable[[Job, Any], None] = lambda job, result: None, keep: Callable[[Any], bool] = lambda result: True,
     give_up: int = 1,
 ) -> list[Any]:  # fmt: skip
-    """Run all jobs, those with ``alone`` first. Return the results in the given order, `Failed` for each failed job.
+    """Run all jobs, those with ``alone`` first. Return their results in the given order; a failed job gives a `Failed`.
 
     Args:
         kept: store of results. A job whose result is stored there is not run again. Failures are not stored.
@@ -86,13 +86,13 @@ def run(
         dask: address of a Dask scheduler, such as "tcp://host:8786", whose workers do the jobs that need not run alone.
         done: called in this process with each job and its result.
         keep: called with a result; returns whether the result may be stored.
-        give_up: after this many jobs of a group hung or crashed, its later jobs are not begun, or not counted.
+        give_up: after this many jobs of a group hung or crashed, the group's later jobs count as not run.
 
     Raises:
         StudyError: ``workers`` is below 1, no worker stays alive, no scheduler answers, or results cannot be kept.
     """
     if workers is not None and workers < 1:
-        raise StudyError(f"workers = {workers}: give 1 or more, or None for one a core")
+        raise StudyError(f"workers = {workers}: give 1 or more, or None for one per core")
     results: dict[int, Any] = {}
     keys = {k: key_of(job.work, job.arguments) for k, job in enumerate(jobs)} if kept is not None else {}
 
@@ -126,7 +126,7 @@ def run(
                     kept.put(keys[k], result, answer.sources)
                 finish(k, result)
     gone, answers = Counter[str](), list[Any]()
-    for k, job in enumerate(jobs):  # in the order of the jobs, since answers come in any order
+    for k, job in enumerate(jobs):  # answers come in any order: give up groups in the order of the jobs
         answers.append(_not_begun(job.group) if job.group and gone[job.group] >= give_up else results[k])
         gone[job.group] += _broke(answers[-1])
     return answers
@@ -147,7 +147,7 @@ Submit = Callable[[Job], Answer]
 def _answers(
     jobs: Sequence[Job], waiting: Sequence[int], submit: Submit, slots: int, broken: Counter[str], give_up: int
 ) -> Iterator[tuple[int, _Done | Failed]]:
-    """Yield (index, answer) as answers come. At most two jobs per slot are pending, so that a group can be given up."""
+    """Yield (index, answer) as answers come. At most two jobs per slot are pending, so that groups can be skipped."""
     left, flying = list(reversed(waiting)), dict[Answer, int]()
     gone, again = set[Answer](), Counter[int]()
     while left or flying:
@@ -216,7 +216,6 @@ def _answer(future: Answer, job: Job) -> _Done | Failed:
 
 
 def _do(work: Callable[..., Any], arguments: tuple[Any, ...], parts: str | None = None) -> _Done | Failed:
-    """Do one job, in a worker."""
     global _parts
     if parts is not None:
         Path(f"{parts}{BEGUN}").write_text(str(os.getpid()))
@@ -243,7 +242,7 @@ def _processes(count: int) -> Iterator[tuple[Submit, int]]:
     """Start ``count`` workers. Leaving the context ends the workers and all processes that they started."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([*PRELOAD, "__main__"])
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // (count + 1)  # 1 for this process
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // (count + 1)  # 1: this process
     with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder:
         for name in ("groups", "parts"):
             Path(folder, name).mkdir()
@@ -316,14 +315,13 @@ def _reported(file: str | None) -> tuple[Any, ...]:
 
 
 def alarm(seconds: float) -> None:
-    """Let the kernel end this job's process after this many seconds, even where a library hangs; 0: never.
+    """Let the kernel end this job's process after ``seconds``, even if a library hangs (0: never).
 
     The seconds are processor time, so that a busy machine does not make an answer late. A process that only waits is
-    ended after `WAITS` times ``seconds`` of wall time. A job may call this before each of its steps, to limit the step.
+    ended after `WAITS` times ``seconds`` of wall time. A job may set the limit anew before each of its steps.
     """
     signal.setitimer(signal.ITIMER_PROF, seconds)
     signal.setitimer(signal.ITIMER_REAL, WAITS * seconds)
-
 
 
 # --- workers of a cluster ---
@@ -331,7 +329,7 @@ def alarm(seconds: float) -> None:
 
 @contextmanager
 def _cluster(address: str) -> Iterator[tuple[Submit, int]]:
-    """Connect to a Dask scheduler; its workers must have the same sources as this process."""
+    """Connect to a Dask scheduler. Its workers must have the same sources as this process."""
     try:
         client_of: Any = importlib.import_module("distributed").Client
     except ImportError as error:
@@ -352,7 +350,7 @@ def _cluster(address: str) -> Iterator[tuple[Submit, int]]:
 
 
 def _do_within(work: Callable[..., Any], arguments: tuple[Any, ...], limit_s: float) -> _Done | Failed:
-    """Do one job on a cluster's worker, whose process ends itself after ``limit_s``, even where a library hangs."""
+    """Do one job on a cluster's worker. The worker's process exits after ``limit_s``, even if a library hangs."""
     faulthandler.dump_traceback_later(limit_s, exit=True, file=2)
     try:
         return _do(work, arguments)

@@ -1,7 +1,7 @@
-"""Finished jobs, stored in a folder, from which a study continues after a stop of any kind.
+"""A store of finished jobs in a folder. After a stop of any kind, a study continues from it.
 
-A result is reused if the job's function and arguments and the packages' versions are the same, and if neither the
-robots' files nor the project's files that the job's process had imported have changed.
+A result is reused if the job's function and arguments and the packages' versions are the same. The robots' files and
+the project's files that the job's process had imported must be unchanged, too.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class _Entry(NamedTuple):
 
 
 class Kept:
-    """Finished jobs in ``folder``; a StudyError where the folder cannot be used."""
+    """Finished jobs in ``folder``. A StudyError is raised if the folder cannot be used."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.reused = folder, 0
@@ -53,7 +53,7 @@ class Kept:
             raise StudyError(f"{folder} cannot keep finished jobs ({error}): {cure}") from error
 
     def get(self, key: str) -> tuple[Any] | None:
-        """Return (result,); None where no result is kept or the code has changed since."""
+        """Return (result,), or None if no result is kept or the code has changed since."""
         try:
             entry = self._cache.get(key)
         except Exception as error:  # noqa: BLE001 - the entry is damaged, or was pickled by other code
@@ -65,7 +65,7 @@ class Kept:
         return (entry.result,)
 
     def put(self, key: str, result: Any, sources: tuple[str, ...]) -> None:
-        """Keep a result with the files it depends on; a StudyError where it cannot be written."""
+        """Keep a result with the names of its source files. Raise a StudyError if it cannot be written."""
         try:
             self._cache[key] = _Entry(result, sources, digest_of(sources))
         except (OSError, sqlite3.Error) as error:
@@ -74,7 +74,7 @@ class Kept:
 
 def key_of(work: Callable[..., Any], arguments: Iterable[Any]) -> str:
     """Return the digest of a job's function and arguments, and of the libraries' versions."""
-    code = getattr(work, "__code__", None)  # covers a script's functions: a cluster's worker lacks their file
+    code = getattr(work, "__code__", None)  # a script's file is missing on a cluster's worker
     own = "" if code is None else _file_digest(code.co_filename)
     asked = [work.__module__, work.__qualname__, own, _plain(list(arguments)), versions()]
     return hashlib.sha256(to_json(asked, indent=None, sort_keys=True).encode()).hexdigest()
@@ -83,7 +83,7 @@ def key_of(work: Callable[..., Any], arguments: Iterable[Any]) -> str:
 def loaded_sources() -> tuple[str, ...]:
     """Return the files that this process has imported from the project, or from outside the installed packages.
 
-    The files are listed again only after a further import, since listing takes 50 ms and a study has a thousand jobs.
+    Listing takes 50 ms, and a study has a thousand jobs. So the files are listed again only after a further import.
     """
     return _sources(tuple(sys.modules))
 
@@ -103,7 +103,7 @@ def _sources(modules: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def digest_of(sources: tuple[str, ...]) -> str:
-    """Return a digest of these files and of the robots' files; a file that is gone counts as changed."""
+    """Return a digest of these files and of the robots' files. A missing file changes the digest."""
     digest = hashlib.sha256()
     for file in (*sources, *robot_files()):
         digest.update(f"{file} {_file_digest(file)}\n".encode())
@@ -118,7 +118,7 @@ def robot_files() -> tuple[str, ...]:
 
 @cache
 def versions() -> dict[str, str | None]:
-    """Return package -> version, None where it is not installed."""
+    """Return package -> version, or None if the package is not installed."""
     found: dict[str, str | None] = dict.fromkeys(PACKAGES)
     for name in PACKAGES:
         with suppress(importlib.metadata.PackageNotFoundError):
@@ -135,7 +135,7 @@ def _file_digest(file: str) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return a job's argument as JSON data: an array as the digest of its bytes, a record as its fields."""
+    """Return a job's argument as JSON data. An array becomes a digest of its bytes, and a dataclass its fields."""
     if value is None or isinstance(value, bool | int | float | str | Path):
         return repr(value)
     if isinstance(value, BaseModel):

@@ -1,6 +1,6 @@
 """The results table of every study: one row per run, and a controller's means and its changes against a baseline.
 
-Means are taken over whole runs. A change compares the trials that both the controller and the baseline completed.
+Means are over whole runs, which did the task to its end. A change compares trials that both controllers completed.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ ERRORS = (
 """Tip errors and RCM errors, each by the robot's own kinematics (the error that control can correct), in the frame
 registered at the start (the error for the patient), and in the base frame (absolute accuracy)."""
 PHASES = ("settled", "travelling")
-"""Prefixes of metrics that are means over a part of a run's ticks; `settled_ticks` and so on count these ticks."""
+"""Prefixes of means over one phase of a run. `settled_ticks` and `travelling_ticks` count the phase's ticks."""
 TITLES = {
     name: f"{part}, {frame}"
     for name, (part, frame) in zip(ERRORS, product(("tip", "RCM"), ("own", "registered", "base")), strict=True)
 }
 """Error -> heading of its column, and of the column with its change."""
 FRAMES = (
-    "Own kinematics: what the controller sees and can answer for. Registered: in the frame touched at the start, which "
-    "is what the patient gets."
+    "Own kinematics: the error that the controller measures and can correct. Registered: the error in the frame that "
+    "is touched at the start, which matters to the patient."
 )
 BASE_FRAME = "Base frame: absolute accuracy."
 
@@ -60,7 +60,7 @@ class Results:
         return iter(self._rows)
 
     def add(self, *rows: Mapping[str, Any]) -> None:
-        """Append rows; a column that a row lacks is null there."""
+        """Append rows. A column that a row lacks is null in this row."""
         self._rows += [dict(row) for row in rows]
 
     def where(self, **keys: Any) -> Results:
@@ -82,14 +82,14 @@ class Results:
         return {row["trial"]: float(row[metric]) for row in mine if row.get(metric) is not None}
 
     def mean(self, metric: str, controller: str) -> Interval | None:
-        """Return the mean over the controller's whole runs with its interval; None without a whole run."""
+        """Return the mean over the controller's whole runs, with its interval; None if it has no whole run."""
         try:
             return mean(list(self.values(metric, controller).values()))
         except StatisticsError:
             return None
 
     def pairs(self, metric: str, controller: str, baseline: str = BASELINE) -> tuple[list[float], list[float]]:
-        """Return both controllers' values on the trials that both completed; for a phase, multiplied by its ticks."""
+        """Return both controllers' values on the trials that both completed. Phases' means are weighted by ticks."""
         mine, theirs = self.values(metric, controller), self.values(metric, baseline)
         both = [trial for trial in mine if trial in theirs]
         phase = next((phase for phase in PHASES if metric.startswith(f"{phase}_")), None)
@@ -97,7 +97,7 @@ class Results:
         return [mine[trial] * ticks[trial] for trial in both], [theirs[trial] * ticks[trial] for trial in both]
 
     def change(self, metric: str, controller: str, baseline: str = BASELINE) -> Change | None:
-        """Return the change against the baseline [percent]; None without a common trial, or where it is undefined."""
+        """Return the change against the baseline [percent]; None if no trial is common, or the change is undefined."""
         try:
             return relative_changes(*self.pairs(metric, controller, baseline))
         except StatisticsError:
@@ -128,13 +128,13 @@ class Results:
 
     @property
     def frame(self) -> pl.DataFrame:
-        """The rows as a polars table; numbers that are not finite are null."""
+        """The rows as a polars table. Numbers that are not finite become null."""
         rows = [plain(row) for row in self._rows]
         names = list(dict.fromkeys(name for row in rows for name in row))
         return pl.DataFrame([pl.Series(name, [row.get(name) for row in rows], strict=False) for name in names])
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Write the rows as Parquet, all or nothing; a StudyError where the file cannot be written."""
+        """Write the rows as Parquet, all or nothing. Raise a StudyError if the file cannot be written."""
         packed = io.BytesIO()
         self.frame.write_parquet(packed, compression="zstd")
         write_whole(path, packed.getvalue(), "rows", StudyError)

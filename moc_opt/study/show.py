@@ -1,4 +1,4 @@
-"""What a study shows: a `Report` of data, and its output as a page, as Markdown and on a terminal."""
+"""The `Report` of a study, and its output as a page, as Markdown and on a terminal."""
 
 from __future__ import annotations
 
@@ -56,12 +56,12 @@ class Report:
     answer: Sequence[str]  #: up to three sentences, the most important one first
     table: Table  #: shown on the first screen, with few columns
     pictures: Sequence[Picture] = ()  #: up to three pictures
-    sections: Sequence[Section] = ()  #: in reading order; a column's ``section`` links to a section
-    load: str = ""  #: the machine's load while times were taken; "" where none were taken
+    sections: Sequence[Section] = ()  #: in reading order; a table's columns link to them by title
+    load: str = ""  #: the machine's load while times were taken; "" if none were taken
     subtitle: str = ""
 
     def page(self, environment: Mapping[str, Any], failed: Sequence[Mapping[str, Any]] = ()) -> Page:
-        """Return the report as a page, with the errors of failed runs and environment.json at the end."""
+        """Return the report as a page. It ends with the errors of failed runs and environment.json."""
         page = Page(self.title, self.subtitle)
         for sentence in self.answer:
             page.headline(sentence)
@@ -84,7 +84,7 @@ class Report:
         return page
 
     def markdown(self) -> str:
-        """Write sentences and tables as Markdown, sections as "## TITLE"; for README and docs."""
+        """Return sentences and tables as Markdown for README and docs. A section begins with "## TITLE"."""
         parts = [f"# {self.title}", *self.answer, _markdown(self.table), self.load]
         for section in self.sections:
             parts += [f"## {section.title}", section.text]
@@ -92,7 +92,7 @@ class Report:
         return "\n\n".join(filter(None, parts)) + "\n"
 
     def screens(self) -> Iterator[object]:
-        """Yield what a terminal prints; rich wraps the table's texts on a narrow terminal."""
+        """Yield the parts that a terminal prints."""
         yield from self.answer
         yield self.table
         if self.load:
@@ -100,7 +100,7 @@ class Report:
 
 
 def about(scenario: Scenario, *, solver: bool = False) -> str:
-    """Return arm, task and preset of a scenario, for a title; with ``solver`` also the solver's name."""
+    """Return arm, task and preset of a scenario, for a title. With ``solver``, add the solver's name."""
     control = scenario.control
     preset = next((name for name in PRESETS if control == ControlSettings.preset(name)), None)
     named = "default" if control == ControlSettings() else preset or "own settings"
@@ -118,7 +118,7 @@ def _markdown(table: Table) -> str:
 def columns(*metrics: str, of: str = "", **titles: str) -> list[Column]:
     """Describe metrics, or their changes ("mu_gain_percent"), as columns with the metric's unit, format and help.
 
-    A name may begin with "settled_" or "travelling_". Values link to the section ``of``. ``titles``: shorter headings.
+    A name may begin with "settled_" or "travelling_". Values link to the section ``of``. ``titles``: other headings.
     """
     found = []
     for name in metrics:
@@ -138,7 +138,7 @@ def intervals_picture(
     found: Mapping[str, tuple[float, float, float]], x_label: str, limits: Mapping[str, float],
     tones: Mapping[str, str] | None = None, *, log: bool = False,
 ) -> go.Figure:  # fmt: skip
-    """Draw (low, value, high) of each name, the first one at the top, and a labelled line at each limit."""
+    """Draw (low, value, high) of each name, with the first name at the top, and a labelled line at each limit."""
     drawn = figure(showlegend=False, height=90 + 24 * max(len(found), 4))
     for name, (low, value, high) in reversed(list(found.items())):
         tone = (tones or {}).get(name)
@@ -177,7 +177,7 @@ def lines_picture(
 
 
 def ends(figures: Mapping[str, Any], name: str) -> tuple[float, float, float] | None:
-    """Return (low, value, high) of a summary's figure (None: absent); without an interval, all three are the value."""
+    """Return (low, value, high) of a figure, or None if it is absent. Without an interval, all three are equal."""
     value, low, high = (figures.get(f"{name}{end}") for end in ("", "_low", "_high"))
     if value is None:
         return None

@@ -1,4 +1,4 @@
-"""Collect solvers' answers to sets of problems, judge and count the answers, and measure the solvers' times.
+"""Collect solvers' answers to sets of problems, judge and count them, and measure the solvers' times.
 
 Solvers run in other processes, and each answer has a time limit of its own. All answers are judged by
 `moc_opt.qp.residuals`, never by the solver. Times are taken afterwards, one job at a time.
@@ -31,11 +31,11 @@ Runner = Callable[..., list[Any]]  # `moc_opt.study.run`, with the study's folde
 
 HUNG, CRASHED, RAISED, NOT_ASKED, REFUSED = "hung", "crashed", "raised", "not asked", "refused"
 """Statuses of an answer in addition to those that solvers return."""
-BROKEN_SETS = 3  # a solver's first hang or crash ends the set; after so many such sets its other sets are skipped
+BROKEN_SETS = 3  # a hang or crash ends a set; after this many such sets, a solver's other sets are skipped
 HOURS = 1e5  # limit of the job for a whole set [s]; every answer has a limit of its own
 WARM_UP = 16  # solves before the timed ones
 CONTRADICTION = 1e-13  # [m/s] references that differ by less are consistent up to rounding
-RIGHTLY = 0.99  # times are compared among solvers with this share of right answers or more: a wrong answer may be fast
+RIGHTLY = 0.99  # times are compared only among solvers with at least this share of right answers
 RESIDUALS = ("primal", "natural", "natural_best", "relative", "loss")
 
 
@@ -45,7 +45,7 @@ class Limits(Settings):
     KIND: ClassVar[str] = "[testsets]"
     rounds: int = Field(8, ge=1, description="warm passes through a set; fewer if they take more than `seconds`")
     seconds: float = Field(0.05, gt=0.0)
-    cold: int = Field(16, ge=1, description="problems of a set that are solved cold")
+    cold: int = Field(16, ge=1, description="problems of a set that are solved cold, each in a new session")
     patience_s: float = Field(0.5, gt=0.0, description="processor time after which a solve counts as hung")
     setup_s: float = Field(15.0, gt=0.0, description="processor time after which setting up counts as hung")
 
@@ -66,8 +66,8 @@ class Answer(NamedTuple):
 class Answers:
     """The answers of one solver under one setting to one set of k problems, judged.
 
-    ``refused`` says why the solver does not take the problems; ``events`` lists its errors and how its process ended.
-    ``every``, ``status``, ``x``, ``residuals`` and ``verified`` have one entry per problem, whether asked or not.
+    ``refused`` says why the solver does not take the problems. ``events`` lists its errors and how its process ended.
+    ``every``, ``status``, ``x``, ``residuals`` and ``verified`` have one entry per problem, asked or not.
     """
 
     def __init__(self, setting: SolverSetting, problems: TestSet, result: list[Any] | Failed) -> None:
@@ -95,7 +95,7 @@ class Answers:
         return not np.isin(self.status, (HUNG, CRASHED, NOT_ASKED, REFUSED)).any()
 
     def counts(self) -> dict[str, int]:
-        """Count the answers by outcome; docs/solvers.md explains the outcomes.
+        """Count the answers by outcome (docs/solvers.md explains the outcomes).
 
         Right answers are the `verified_solved` among the `optima_asked` (feasible problems not refused as inconsistent)
         and the `infeasible_right` among the `infeasible_asked`. `refused_inconsistent` counts the problems among the
@@ -148,7 +148,7 @@ class Answers:
 
 
 def share_right(counts: Mapping[str, Any]) -> float:
-    """Return the share of right answers among the problems that were not refused as inconsistent."""
+    """Return the share of right answers. Problems that were refused as inconsistent are not counted."""
     asked = counts.get("solves", 0) - counts.get("refused_inconsistent", 0)
     return float(counts["right"] / asked) if asked else 0.0
 
@@ -175,7 +175,7 @@ def totals(answers: Sequence[Answers], times: Sequence[Times]) -> dict[str, Any]
 def ask(run: Runner, questions: Sequence[Question], limits: Limits, *, warm: bool = True) -> list[Answers]:
     """Collect the answers to each question: from one session if ``warm``, else from a new session for each problem.
 
-    After a hang or a crash the rest of the set is not asked; after `BROKEN_SETS` such sets, no further set is asked.
+    A hang or a crash ends the set. After `BROKEN_SETS` such sets, all further sets of the solver are skipped.
     """
     jobs = [
         Job(answer, (setting, problems.rows, warm, limits.patience_s, limits.setup_s), HOURS, group=setting.label)
@@ -186,9 +186,10 @@ def ask(run: Runner, questions: Sequence[Question], limits: Limits, *, warm: boo
 
 
 def answer(setting: SolverSetting, rows: Array, warm: bool, patience_s: float, setup_s: float) -> list[Any]:
-    """Return why the solver refuses these problems ("": it does not), then an `Answer` per problem. Runs in a worker.
+    """Return a list: why the solver refuses these problems ("": it accepts), then an `Answer` per problem.
 
-    Each item goes to `report` at once. Limits of processor time: ``patience_s`` per answer, ``setup_s`` for the setup.
+    Runs in a worker, which reports each item at once. ``patience_s`` limits the processor time of an answer, and
+    ``setup_s`` that of the setup.
     """
     found: list[Any] = []
     alarm(setup_s)
@@ -226,7 +227,7 @@ def _made(setting: SolverSetting) -> Solver:
 
 
 def _problems(rows: Array) -> list[NullSpaceQP]:
-    """Make the problems, and compute in advance the properties that adapters read, so that this is not timed."""
+    """Make the problems. Properties that adapters read are computed in advance, so that this is not timed."""
     found = [NullSpaceQP.from_row(np.array(row)) for row in rows]
     for qp in found:
         _ = qp.q, qp.reduced()
@@ -262,7 +263,7 @@ class Times(NamedTuple):
     solve: Array  #: (rounds, k) solves of one session that goes through all problems
     setup: Array  #: starts of fresh sessions
     cold: Array  #: first solves of these sessions
-    update: Array  #: calls that hand a problem to the library; empty where the session has no separate call for it
+    update: Array  #: calls that hand a problem to the library; empty if the session has no such call
     load: Mapping[str, float]  #: the machine's load meanwhile, see `timing.COUNTED`
 
     def figures(self) -> dict[str, Any]:
@@ -274,9 +275,9 @@ class Times(NamedTuple):
 
 
 def time(run: Runner, answers: Sequence[Answers], limits: Limits) -> list[Times | None]:
-    """Time the solver of each of these answers on its set, one after the other with nothing else running.
+    """Time the solver of each `Answers` on its set, one solver at a time, with nothing else running.
 
-    None where a problem was not answered, or the timing failed. Times taken on a busy machine are not stored.
+    An entry is None if a problem was not answered, or if the timing failed. Times from a busy machine are not stored.
     """
     limit = 20.0 * limits.seconds + limits.patience_s + limits.setup_s
     whole = [one for one in answers if one.complete]
@@ -290,7 +291,7 @@ def time(run: Runner, answers: Sequence[Answers], limits: Limits) -> list[Times 
 
 
 def measure(setting: SolverSetting, rows: Array, every: int, rounds: int, seconds: float) -> Times:
-    """Time one session on all problems, in rounds, and a fresh session on every ``every``-th problem; in a worker."""
+    """Time one session on all problems, in rounds, and a new session on every ``every``-th problem."""
     solver, problems = _made(setting), _problems(rows)
     session = solver.start(problems[0])
     each_us(session.solve, problems[:WARM_UP])

@@ -35,7 +35,7 @@ MEANING = (
     "Update: the part of a warm solve that hands the new problem to the library. docs/solvers.md says more."
 )
 SOLVER = Column("solver", "solver")
-RANKED = "answers_rightly"  # key of a flag: the row's times are compared with those of other rows
+RANKED = "answers_rightly"  # key of the flag whether a row's times are compared with other rows
 COUNTS = {
     "claimed_solved": "claimed", "verified_solved": "verified", "silently_wrong": "silently wrong",
     "infeasible_right": "infeas. right", "refused_inconsistent": "refused: inconsistent",
@@ -66,7 +66,7 @@ COUNTED = (
 
 
 def answers_table(title: str, part: Mapping[str, Mapping[str, Any]], suffix: str = "", *more: Column) -> Table:
-    """Make the table of a part in open loop: counts, largest residuals, times (their keys end with ``suffix``)."""
+    """Make the table of an open-loop part: counts, largest residuals, times (whose keys end with ``suffix``)."""
     rows = []
     for name, row in part.items():
         share = share_right(row) if "right" in row else None
@@ -93,11 +93,11 @@ def record(case: Scenario, ticks: int) -> Array:
 
 
 def recorded_sequence(work: Work) -> None:
-    """Give each solver the sequence warm (in one session) and a part of it cold (a session per problem); time both."""
+    """Give each solver the sequence warm (in one session) and a part of it cold (a session per problem). Time both."""
     config = work.config.open_loop
     problems = [NullSpaceQP.from_row(np.array(row)) for row in work.sequence]
     session = Exact().start(problems[0])
-    optima = [session.solve(qp) for qp in problems]  # exact is the reference: its claims on certified sets are right
+    optima = [session.solve(qp) for qp in problems]  # the reference: exact is right on the certified sets
     feasible = np.array([one.status is Status.SOLVED for one in optima])
     data = TestSet("recorded", work.sequence, np.array([one.x for one in optima]), feasible)
     limits = Limits(patience_s=2.0, setup_s=40.0, rounds=2, seconds=1.0, cold=config.cold)
@@ -118,9 +118,9 @@ def recorded_sequence(work: Work) -> None:
         work.answers.add(*one.rows("open_loop_warm"), *alone.rows("open_loop_cold"))
     right = {name: f"{row['right']} of {row['solves']}" for name, row in cold.items()}
     both = {name: row | {"right_cold": right[name]} for name, row in warm.items()}
-    title = "One session through the sequence; cold: a fresh one for each problem"
+    title = "One session for the whole sequence (cold: a new session for each problem)"
     table = answers_table(title, both, "", Column("right_cold", "right, cold"))
-    about = f"{len(data.rows)} subproblems of one run with exact, a tick apart."
+    about = f"{len(data.rows)} subproblems from successive ticks of one run with exact."
     work.sections.append(Section(RECORDED, about, [table]))
 
 
@@ -132,7 +132,7 @@ def certified_sets(work: Work) -> None:
     config = work.config.testsets
     chosen = [TestSet.load(name).thinned(config.every) for name in config.chosen()]
     thinned = [data.thinned(config.every_other) for data in chosen]
-    questions = [  # set by set, so that a solver that keeps hanging is dropped before its remaining sets start
+    questions = [  # set by set: a solver that keeps hanging is dropped before its remaining sets start
         (setting, data if setting.recommended and not setting.nonlinear else thin)
         for data, thin in zip(chosen, thinned, strict=True) for setting in work.settings
     ]  # fmt: skip
@@ -192,7 +192,7 @@ def closed_loop(work: Work) -> None:
     asked = []
     for case in starts:
         k = number[case.name]
-        case = case.change(best_courses=k < part.others)  # computing them takes as long as a run
+        case = case.change(best_courses=k < part.others)  # computing the best courses takes as long as a run
         timed = k < part.timed
         asked += [
             Trial(case, name, work.config.settings.get(name, {}), timed=timed, keep="curves" if timed else "row")
@@ -206,7 +206,7 @@ def closed_loop(work: Work) -> None:
         for name in names
     }
     length = f"the first {part.duration_s:g} s of its task" if part.duration_s else "its whole task"
-    text = f"Each trial is {length}; a seed of its own draws pose, mismatch and noise."
+    text = f"Each trial is {length}. Its own seed draws pose, mismatch and noise."
     work.sections.append(Section(CLOSED, text, [_controllers(work.summary["closed_loop"])]))
 
 
@@ -215,8 +215,8 @@ def figures(
 ) -> dict[str, Any]:
     """Return a controller's entries in the summary: means and changes over its completed runs, sums and largest values.
 
-    Times are pooled over the ``runs`` that ran alone. Runs that broke off or oscillated count only on the trials in
-    ``common`` (None: all), which every solver runs, since other solvers might have failed on the rest, too.
+    Times are pooled over the ``runs`` that ran alone. Entries that end in "_in_common" count only the trials in
+    ``common`` (None: all trials), which every solver runs.
     """
     found = rows.figures(controller, MEANS, CHANGES)
     mine = [row for row in rows if row["controller"] == controller]
@@ -252,6 +252,6 @@ def _controllers(rows: Mapping[str, Mapping[str, Any]]) -> Table:
          *columns(*MEANS), *columns(*COUNTED),
          *(Column(key, title, unit="us", format=".1f") for key, title in ticks.items()),
          Column("deadline_misses", "misses", format=".0f")],
-        shown, "Changes are of the mean, against DCAC on the trials that both ran, with 95 % intervals. mu over "
-        f"that of the best courses is of the trials that every controller runs. {FRAMES} {BASE_FRAME}",
+        shown, "Changes compare the mean with DCAC's on the trials that both ran, with 95 % intervals. The ratio of mu "
+        f"to that of the best courses is from the trials that every controller runs. {FRAMES} {BASE_FRAME}",
     )  # fmt: skip

@@ -13,7 +13,7 @@ from moc_opt.solvers.registry import defaults
 
 DEFAULT, TIGHT, RECOMMENDED = "default", "tight", "recommended"
 QPSOLVERS, NONLINEAR = "qpsolvers:", "nlp-"
-"""Prefixes of solvers' names: of libraries called through qpsolvers, and of solvers of the tick's nonlinear problem."""
+"""Prefixes of solvers' names: libraries that are called through qpsolvers, and solvers of the nonlinear problem."""
 SETTINGS = tomllib.loads(Path(__file__).with_name("solver-settings.toml").read_text(encoding="utf-8"))
 AS_QPSOLVERS_CALLS_IT = {"rows": 6, "cost_scale": 1.0, "advised": False}
 
@@ -44,14 +44,14 @@ class SolverSetting:
 
     @property
     def six_rows(self) -> bool:
-        """Whether the solver is given the paper's six rows, and may say that they contradict each other."""
+        """Whether the solver gets the paper's six equality rows, which can contradict each other."""
         return self.solver == "exact" or self.options.get("rows") == 6
 
 
 def solver_settings(
     names: Iterable[str], overrides: Mapping[str, Mapping[str, Any]] | None = None
 ) -> list[SolverSetting]:
-    """Return every setting of every named solver; ``overrides`` (solver -> options) change the recommended ones."""
+    """Return every setting of every named solver. ``overrides`` (solver -> options) change the recommended ones."""
     return [
         SolverSetting(solver, name, {**options, **((overrides or {}).get(solver, {}) if name == RECOMMENDED else {})},
                       reason)

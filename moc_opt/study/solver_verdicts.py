@@ -1,7 +1,7 @@
 """Which solver to take and which to avoid: a verdict on each solver, and the first screen of the report.
 
-The numbers come from summary.json; the damage in closed loop is computed from the rows of the runs. docs/solvers.md has
-the rules and the reasons for them.
+The numbers come from summary.json. The damage in closed loop is computed from the rows of the runs. docs/solvers.md
+explains the rules.
 """
 
 from __future__ import annotations
@@ -32,25 +32,25 @@ GAPS, NEAR = Mark("◐", "gaps", "fair", 2), Mark("≈", "near", "fair", 3)
 OTHER, OPEN = Mark("≠", "other", "other", 4), Mark("–", "open", "other", 5)
 AVOID = Mark("✘", "avoid", "bad", 6)
 TONES = {TAKE: GOOD, SOUND: GOOD, GAPS: list(SERIES)[4], NEAR: list(SERIES)[4], OTHER: MUTED, OPEN: BAD, AVOID: WORST}
-TOO_MUCH = 5.0  # a solver that loses more than this many tolerances (see `COSTS`) is to be avoided
+TOO_MUCH = 5.0  # a solver is to be avoided if its loss exceeds this many tolerances (see `COSTS`)
 COSTS = {
     "mu_mean": ("mu", 0.01),
     "tip_error_model_mean_mm": ("tip", 0.05), "tip_error_registered_mean_mm": ("registered tip", 0.05),
     "rcm_error_model_mean_mm": ("RCM", 0.05), "rcm_error_registered_mean_mm": ("registered RCM", 0.05),
     "torque_rate_rms_Nm_per_s": ("chatter", 0.1),
 }  # fmt: skip
-"""Metric in closed loop -> (its short name, the tolerance: the relative change up to which two solvers are equal)."""
+"""Metric in closed loop -> (short name, tolerance). Two solvers are equal up to a relative change of the tolerance."""
 FRAMED = tuple(name for name in COSTS if "_error_" in name)
 CERTIFIED, RECORDED, CLOSED = "Certified test sets", "Recorded sequence", "Closed loop"
 NEITHER = "neither right nor wrong"
 INCONSISTENT = (
     "Inconsistent: the six rows contradict each other along the shaft, by 1e-12 to 1e-4 m/s, while five of them have a "
-    f"certified optimum. 'Infeasible' is true of six rows but no answer for the robot: {NEITHER}."
+    f"certified optimum. 'Infeasible' is true of the six rows, but useless for the robot: {NEITHER}."
 )
 
 
 def assess(summary: Summary, runs: Results) -> list[Row]:
-    """Return one row per solver under its recommended setting, the best first; the summary may lack some parts.
+    """Return one row per solver under its recommended setting, the best first. The summary may lack some parts.
 
     A library that was run both by its own adapter and through qpsolvers is judged by its own adapter's results.
     """
@@ -76,7 +76,7 @@ def assess(summary: Summary, runs: Results) -> list[Row]:
 
 
 def verdict(row: Row, damage: float = 0.0) -> Mark:
-    """Return the first verdict whose rule holds; ``damage`` is the loss in closed loop, in tolerances."""
+    """Return the first verdict whose rule holds. ``damage`` is the loss in closed loop, in tolerances."""
     counted = row["counted"]
     broken = counted.get("hung", 0) + counted.get("crashed", 0) + sum(_ended(row["closed"]).values())
     rules = {
@@ -90,7 +90,7 @@ def verdict(row: Row, damage: float = 0.0) -> Mark:
 
 
 def _figures(name: str, certified: Row, warm: Row, closed: Row) -> Row:
-    """Return one solver's figures: counts from certified sets, times from the recorded sequence, if these parts ran."""
+    """Return one solver's figures: counts from certified sets, times from the recorded sequence."""
     counted = certified or warm
     other = name.startswith(NONLINEAR)
     hidden = Missing("it answers the nonlinear problem of the tick: not comparable")
@@ -106,7 +106,7 @@ def _figures(name: str, certified: Row, warm: Row, closed: Row) -> Row:
 
 
 def _ended(closed: Row) -> dict[str, int]:
-    """Return how many runs broke off and how many oscillated, on the trials that every solver ran."""
+    """Return how many runs broke off and how many oscillated, among the trials that every solver ran."""
     return {word: closed.get(f"{word.replace(' ', '_')}_in_common", 0) for word in ("broke off", "oscillated")}
 
 
@@ -116,7 +116,7 @@ def _order(row: Row) -> tuple[float, float, float]:
 
 
 def _damage(row: Row, reference: str | None, runs: Results) -> tuple[Any, float]:
-    """Return the worst loss in closed loop in words, and in tolerances if both intervals confirm it (else 0)."""
+    """Return the worst loss in closed loop in words, and in tolerances (0 unless both intervals confirm it)."""
     for word, count in _ended(row["closed"]).items():
         if count:
             return f"{count} {word}", TOO_MUCH
@@ -136,7 +136,7 @@ def _damage(row: Row, reference: str | None, runs: Results) -> tuple[Any, float]
 
 
 def _size(metric: str, change: Change) -> tuple[float, float]:
-    """Return the smallest and the largest loss in the two intervals of a change, in tolerances; a gain is negative."""
+    """Return the smallest and the largest loss in the two intervals of a change, in tolerances. Gains are negative."""
     sides = [(-one.high, -one.low) if metric == "mu_mean" else (one.low, one.high) for one in change]
     equal = 100.0 * COSTS[metric][1]
     return min(low for low, _ in sides) / equal, max(high for _, high in sides) / equal
@@ -171,7 +171,6 @@ def sentences(summary: Summary, rows: Sequence[Row]) -> list[str]:
 
 
 def _why(summary: Summary, row: Row, others: Sequence[Row], asked: int) -> str:
-    """Say how many problems the recommended solver solved, how fast it is, and whether its time can be trusted."""
     counted = row["counted"]
     kind = "certified" if "testsets" in summary else "recorded"
     parts = [f"verified {counted['verified_solved']} of {counted['optima_asked']} {kind} optima"]
@@ -186,15 +185,14 @@ def _why(summary: Summary, row: Row, others: Sequence[Row], asked: int) -> str:
         # Noise may change the order of solvers whose medians are below this solver's p99.
         close = [one for one in (row, *others) if (one["p50_us"] or 0.0) <= row["p99_us"]]
         if not all(one["quiet"] for one in close):
-            text += " But others used the machine while it, or one about as fast, was timed: run again."
+            text += " But others used the machine while this or an equally fast solver was timed: run again."
     return text
 
 
 def _in_closed_loop(row: Row, shared: int) -> str:
-    """Say how a sound solver changes mu, and the errors in both frames; every solver ran ``shared`` of the trials."""
     closed, trials = row["closed"], row["trials"]
     if few := too_few(trials):
-        return f"What sound answers do in closed loop: {few}."
+        return f"The effect of sound answers in closed loop is open: {few}."
     changes = (spread(closed, change_name(name), 2, "+", " %") for name in ("mu_mean", *FRAMED))
     mu, tip, registered_tip, rcm, registered_rcm = changes
     shaken = f", {count} of which oscillated" if (count := closed.get("oscillated", 0)) else ""
@@ -209,7 +207,6 @@ def _in_closed_loop(row: Row, shared: int) -> str:
 
 
 def _avoid(summary: Summary, rows: Sequence[Row]) -> list[str]:
-    """Name the solvers to avoid, with the reason, and the libraries whose default settings gave wrong answers."""
     parts = []
     for row in rows:
         if row["verdict"] is AVOID:
@@ -278,7 +275,6 @@ def _trials(rows: Sequence[Row]) -> list[int]:
 
 
 def _trials_told(rows: Sequence[Row]) -> str:
-    """Say how many trials each solver ran, since figures over different trials cannot be compared."""
     fewest, *more = _trials(rows)
     if not more:
         return f"Every solver ran {fewest} trials."
@@ -287,7 +283,7 @@ def _trials_told(rows: Sequence[Row]) -> str:
 
 
 def _tip_in_both_frames(runs: Results, solver: str) -> str | None:
-    """Write the changes of the tip's error in both frames as one text; None where there are too few trials."""
+    """Write the changes of the tip's error in both frames as one text, or None if there are too few trials."""
     changes = [runs.change(name, solver) for name in FRAMED if name.startswith("tip")]
     if any(change is None or change.ratio.samples < LEAST_TRIALS for change in changes):
         return None
@@ -307,15 +303,15 @@ def pictures(summary: Summary, rows: Sequence[Row], deadline_us: float) -> list[
             points, x_label="median time of a warm solve [us]", y_label=f"worst relative residual, any {where}",
         )  # fmt: skip
         best = listed(figures.pareto(points))
-        says = f"To the lower left is better: no other solver is both faster and more accurate than {best}."
+        says = f"Lower left is better. No other solver is both faster and more accurate than {best}."
         found.append(Picture(drawn, says, "accuracy-against-time"))
     tones = {row["solver"]: TONES[row["verdict"]] for row in rows}
     gains = {row["solver"]: gain for row in rows if (gain := ends(row["closed"], "mu_gain_percent")) is not None}
     if gains:
         poor = [row["solver"] for row in rows if row["solver"] in gains and str(row["damage"]).endswith("% mu")]
         few = too_few(max(row["trials"] for row in rows))
-        says = f"Gain of mean manipulability over `{BASELINE}` with its 95 % interval over a solver's trials: " + (
-            few or f"{listed(poor) if poor else 'none'} surely lost some."
+        says = f"Gain of mean manipulability over `{BASELINE}` with its 95 % interval over the trials: " + (
+            few or f"{listed(poor) if poor else 'no solver'} clearly fell behind the best solver."
         )
         drawn = intervals_picture(gains, "gain of mean mu [%]", {"no gain": 0.0}, tones)
         found.append(Picture(drawn, says, "closed-loop-effect"))
@@ -325,9 +321,9 @@ def pictures(summary: Summary, rows: Sequence[Row], deadline_us: float) -> list[
     }  # fmt: skip
     if ticks:
         late = [name for name, (*_, slowest) in ticks.items() if slowest > deadline_us]
-        says = "Median to 99.9th percentile of a whole tick in closed loop, the dot at p99: " + (
-            f"now and then later than the deadline of {deadline_us:g} us: {listed(late)}."
-            if late else f"all meet the deadline of {deadline_us:g} us."
+        says = "Time of a whole tick in closed loop, from the median to the 99.9th percentile (dot: p99): " + (
+            f"{listed(late)} sometimes missed the deadline of {deadline_us:g} us."
+            if late else f"the 99.9th percentile of every solver meets the deadline of {deadline_us:g} us."
         )  # fmt: skip
         drawn = intervals_picture(ticks, "time of a tick [us]", {"deadline": deadline_us}, tones, log=True)
         found.append(Picture(drawn, says, "deadlines"))

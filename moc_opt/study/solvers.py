@@ -41,7 +41,7 @@ from moc_opt.study.trials import BASELINE, seeds, trials
 STREAM = 3
 FULL = Path(__file__).parent / "solvers-full.toml"
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-TIMED = ("open_loop_warm", "testsets", "closed_loop")  # the parts of the summary that hold each measured time once
+TIMED = ("open_loop_warm", "testsets", "closed_loop")  # parts of the summary that together hold each time once
 
 
 class OpenLoop(Settings):
@@ -56,7 +56,7 @@ class OpenLoop(Settings):
 class TestSets(Limits):
     """Settings of the certified test sets."""
 
-    __test__: ClassVar[bool] = False  # not a class of tests
+    __test__: ClassVar[bool] = False  # tells pytest that this is no test class
 
     names: Literal["all"] | list[str] = "all"
     timed: list[str] = Field(["circle", "circle-rho0", "random"], description="sets timed under every setting")
@@ -84,14 +84,14 @@ class ClosedLoop(Settings):
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1, description="the trials take them in turn")
     trials: int = Field(60, ge=1, description="number of trials of DCAC and the cited solvers")
     cited: list[str] = Field(["exact", "rnn", "rnn-printed"], description="solvers that the first sentences cite")
-    others: int = Field(15, ge=1, description="number of trials of every other solver: the first ones")
+    others: int = Field(15, ge=1, description="number of trials of every other solver")
     timed: int = Field(1, ge=1, description="number of trials that run alone, for their times")
     duration_s: Level = Field(4.0, description="length of a trial; inf: the whole task")
     slow: list[str] = Field(["nlp-ipopt", "qpsolvers:highs", "qpsolvers:scs"])
     """solvers left out: they take a millisecond per tick"""
 
     def of(self, solver: str) -> int:
-        """Return how many trials a solver or the baseline runs. It always runs the first trials."""
+        """Return how many trials a solver or the baseline runs. These are always the first trials."""
         return self.trials if solver in (BASELINE, *self.cited) else min(self.others, self.trials)
 
 
@@ -99,7 +99,7 @@ class Config(StudyConfig):
     """Configuration of the study, as in moc_opt/study/solvers.toml."""
 
     solvers: Literal["all"] | list[str] = "all"
-    twice: bool = Field(False, description="ask qpsolvers:NAME too where NAME has its own adapter")
+    twice: bool = Field(False, description="also run qpsolvers:NAME if NAME has its own adapter")
     parts: list[Literal["open_loop", "testsets", "closed_loop"]] = Field(["open_loop", "testsets", "closed_loop"])
     open_loop: OpenLoop = OpenLoop()
     testsets: TestSets = TestSets()
@@ -124,14 +124,14 @@ class Config(StudyConfig):
         return trials(base, part.tasks, seeds(self.seed, STREAM, part.trials))
 
     def but(self, **changes: Any) -> Self:
-        """Return a checked copy with these entries changed; a mapping changes single entries of a table."""
+        """Return a checked copy with these entries changed. A mapping changes single entries of a table."""
         tables = {name: getattr(self, name).replace(of) for name, of in changes.items() if isinstance(of, dict)}
         return self.replace(changes | tables)
 
 
 @dataclass
 class Work:
-    """What the parts of the study share, and what they have found so far."""
+    """The data that the parts of the study share, and their results so far."""
 
     study: Study
     config: Config
@@ -209,7 +209,7 @@ def work(study: Study, config: Config) -> Found:
     assembly = float(np.median(each_us(NullSpaceQP.assembled, fresh)))
     found.summary["clock"] = {"cost": {"p50_us": clock_cost_us()}, "assembly": {"p50_us": assembly}}
     slow = [name for name in names if name in config.closed_loop.slow and "closed_loop" in config.parts]
-    told = [f"Not in the closed loop, as they take about a millisecond a tick: {', '.join(slow)}; --full runs them."]
+    told = [f"Too slow for the closed loop (about a millisecond per tick): {', '.join(slow)}. --full runs them."]
     return Found(
         report(found), found.summary, Results([*found.answers, *found.runs]),
         {"load": total(found.timed)}, sentences=told if slow else (),
@@ -217,7 +217,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def once(names: Sequence[str]) -> tuple[list[str], dict[str, str]]:
-    """Drop `qpsolvers:NAME` where NAME is listed too; return the names that are left, and dropped name -> reason."""
+    """Drop `qpsolvers:NAME` if NAME is listed, too. Return the other names, and dropped name -> reason."""
     native = {f"{QPSOLVERS}{name}": name for name in names}
     return [name for name in names if name not in native], {
         name: f"the same library as `{native[name]}`: `twice = true` in the configuration asks both ways"
@@ -240,7 +240,7 @@ def report(found: Work) -> Report:
         went_wrong = Table("What went wrong, and what did not run", shown, troubles)
         sections = [*sections, Section("Exceptions, hangs and crashes", "", [went_wrong])]
     title = f"Solvers of the null-space subproblem on the {scenario.robot.name}"
-    about = f"{', '.join(found.config.closed_loop.tasks)}; gains {scenario.control.gains}; judged by one measure"
+    about = f"{', '.join(found.config.closed_loop.tasks)}; gains {scenario.control.gains}; all judged alike"
     return Report(
         title, sentences(summary, rows), first_table(summary, rows), pictures(summary, rows, scenario.deadline_us),
         sections, load(found.timed), about,
@@ -248,8 +248,8 @@ def report(found: Work) -> Report:
 
 
 def main(arguments: Sequence[str] | None = None, *, program: str = "moc-opt solvers") -> int:
-    """Run the study as the command called ``program``; return the exit status."""
-    for name in THREADS:  # the workers, which start later, inherit these
+    """Run the study as the command called ``program``, and return the exit status."""
+    for name in THREADS:  # the workers start later and inherit these
         os.environ.setdefault(name, "1")
 
     def options(parser: ArgumentParser) -> None:

@@ -1,13 +1,13 @@
-"""Means and changes over independent trials with bootstrap intervals, and rules for when these decide nothing.
+"""Means and changes over independent trials, their bootstrap intervals, and rules for when these are undecided.
 
-Intervals are scipy's bias-corrected and accelerated bootstrap (BCa, Efron 1987) over trials, or over pairs where two
-controllers ran the same trials. From few samples a bootstrap interval is too narrow, and where a change is zero in most
-trials, BCa depends on the few outliers. So the confidence level is raised to match Student's t for that many samples
-("expanded percentiles", Hesterberg 2015), and the interval is extended to contain Student's t interval with the
-jackknife's standard error. Both are built for fewer misses (see `NOMINAL`) than 1 - `CONFIDENCE` (docs/method.md).
+Intervals are scipy's bias-corrected and accelerated bootstrap (BCa, Efron 1987) over trials, or over pairs if two
+controllers ran the same trials. With few samples, a bootstrap interval is too narrow. So the confidence level is raised
+to match Student's t ("expanded percentiles", Hesterberg 2015). If a change is zero in most trials, BCa depends on the
+few outliers. So the interval is extended to contain Student's t interval with the jackknife's standard error. Both
+intervals are built for a lower miss rate than 1 - `CONFIDENCE` (see `NOMINAL`, and docs/method.md).
 
-A change is the ratio of the means. The mean of the trials' ratios is computed as well. Where the two figures disagree
-in sign, or only one of their intervals holds 0, the change is undecided.
+A change is the ratio of the means. The mean of the trials' ratios is computed, too. If the two figures disagree in
+sign, or only one of their intervals contains 0, the change is undecided.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ LEAST_TRIALS = 8  # with fewer trials there is no verdict
 
 
 def too_few(trials: int) -> str | None:
-    """Return the words that replace a verdict where there are too few trials; None where there are enough."""
+    """Return the words that replace a verdict if there are too few trials, else None."""
     return f"too few trials to decide ({trials} of at least {LEAST_TRIALS})" if trials < LEAST_TRIALS else None
 
 
 class StatisticsError(MocOptError, ValueError):
-    """Samples for which a statistic has no value."""
+    """A statistic has no value for these samples."""
 
 
 class Interval(NamedTuple):
-    """A statistic and its confidence interval; `low` and `high` are NaN for a single sample."""
+    """A statistic and its confidence interval. `low` and `high` are NaN for a single sample."""
 
     value: float
     low: float
@@ -66,13 +66,13 @@ class Change(NamedTuple):
     ratios: Interval
 
     def side(self, bound: float = 0.0) -> int:
-        """Return +1 (-1) if both intervals are above (below) the bound [percent]; else, or for too few trials, 0."""
+        """Return +1 (-1) if both intervals lie above (below) the bound [percent], else 0. Too few trials give 0."""
         both = {int(one.low > bound + ROUNDING) - int(one.high < bound - ROUNDING) for one in self}
         return both.pop() if len(both) == 1 and self.ratio.samples >= LEAST_TRIALS else 0
 
     @property
     def undecided(self) -> bool:
-        """Whether the two figures disagree in sign, or only one of the two intervals holds 0."""
+        """Whether the two figures disagree in sign, or only one of the two intervals contains 0."""
         sides = [(one.low > ROUNDING, one.high < -ROUNDING) for one in self]
         values = self.ratio.value, self.ratios.value
         opposed = min(values) < -ROUNDING and max(values) > ROUNDING
@@ -90,7 +90,7 @@ class Change(NamedTuple):
 
 
 def spread(entries: Mapping[str, Any], name: str, digits: int = 3, sign: str = "", unit: str = "") -> str | None:
-    """Return a figure of a summary with its interval, as text; None where the summary lacks it.
+    """Return a figure of a summary with its interval, as text, or None if the summary lacks the figure.
 
     An undecided `Change` is written with its two figures. With ``sign`` "+", positive figures get a plus sign.
     """
@@ -113,13 +113,13 @@ def spread(entries: Mapping[str, Any], name: str, digits: int = 3, sign: str = "
 def share(found: int, trials: int) -> Interval:
     """Return found/trials with the exact binomial interval of independent trials (Clopper and Pearson 1934)."""
     if not 0 <= found <= trials or trials < 1:
-        raise StatisticsError(f"found = {found}, trials = {trials}: give at least one trial, and found from 0 to it")
+        raise StatisticsError(f"found = {found}, trials = {trials}: give at least one trial, and 0 <= found <= trials")
     low, high = stats.binomtest(found, trials).proportion_ci(CONFIDENCE)
     return Interval(found / trials, float(low), float(high), trials)
 
 
 def mean(samples: ArrayLike) -> Interval:
-    """Return the mean of (k,) numbers, one per trial; a StatisticsError where k = 0 or a number is not finite."""
+    """Return the mean of (k,) numbers, one per trial. Raise a StatisticsError if k = 0 or a number is not finite."""
     return _interval(np.mean, samples=samples)
 
 
@@ -133,7 +133,7 @@ def relative_change(treated: ArrayLike, control: ArrayLike) -> Interval:
 
 
 def relative_changes(treated: ArrayLike, control: ArrayLike) -> Change:
-    """Compute `relative_change`, and the mean over trials of 100 (treated/control - 1) [percent]; same errors."""
+    """Compute `relative_change`, and the mean over trials of 100 (treated/control - 1) [percent]. Same errors."""
     ratio = relative_change(treated, control)
     with np.errstate(divide="ignore", invalid="ignore"):
         each = 100.0 * (np.asarray(treated, float) / np.asarray(control, float) - 1.0)
@@ -143,7 +143,7 @@ def relative_changes(treated: ArrayLike, control: ArrayLike) -> Change:
 def difference_of_changes(
     treated: ArrayLike, control: ArrayLike, treated_before: ArrayLike, control_before: ArrayLike
 ) -> Interval:
-    """Return the `relative_change` minus the one of the `_before` numbers of the same trials [percentage points]."""
+    """Return the `relative_change` minus that of the numbers "before", on the same trials [percentage points]."""
     before = {"treated_before": treated_before, "control_before": control_before}
     return _interval(_difference, treated=treated, control=control, **before)
 
@@ -177,7 +177,7 @@ def _interval(statistic: Callable[..., Any], **given: ArrayLike) -> Interval:
     expanded = float(2.0 * stats.norm.cdf(np.sqrt(count / (count - 1)) * quantile) - 1.0)
     half = quantile * _standard_error(statistic, samples)
     for method in ("BCa", "percentile"):
-        # BCa has no value where all resamples or all jackknife values agree; the percentile interval always exists.
+        # BCa has no value if all resamples or all jackknife values agree. The percentile interval always exists.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # degenerate samples
             found = stats.bootstrap(
@@ -191,7 +191,7 @@ def _interval(statistic: Callable[..., Any], **given: ArrayLike) -> Interval:
 
 
 def _standard_error(statistic: Callable[..., Any], samples: Sequence[Array]) -> float:
-    """Return the jackknife's standard error; 0 where leaving out some trial gives a statistic that is not finite."""
+    """Return the jackknife's standard error, or 0 if the statistic is not finite without some trial."""
     count = len(samples[0])
     left = [np.array([np.delete(sample, k) for k in range(count)]) for sample in samples]
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -1,7 +1,7 @@
-"""The certified test sets of the subproblem: what they hold, and how an inconsistent problem is judged.
+"""The certified test sets of the subproblem, and how answers to inconsistent problems are judged.
 
 Every set is an .npz without pickles: ``rows`` (k, 11 n + 10) flat NullSpaceQP records, ``x`` (k, n) the certified
-answers (NaN where none exists) and ``feasible`` (k,). ``benchmarks/testsets.py`` makes and certifies them.
+answers (NaN if infeasible) and ``feasible`` (k,). ``benchmarks/testsets.py`` makes and certifies them.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ ARGUMENTS = (
 
 
 class CertificateError(MocOptError, ArithmeticError):
-    """A test set holds a problem whose answer cannot be certified, or there is no such set."""
+    """A problem's answer cannot be certified, or a test set or one of its arrays is missing."""
 
 
 @dataclass(frozen=True)
 class TestSet:
     """Problems that belong together, with their certified answers."""
 
-    __test__ = False  # not a class of tests
+    __test__ = False  # tells pytest that this is no test class
 
     name: str
     rows: Array
@@ -46,22 +46,22 @@ class TestSet:
     feasible: NDArray[np.bool_]
 
     def problems(self) -> list[NullSpaceQP]:
-        """Return the subproblems, in order: in a sequence neighbours are 2 ms apart."""
+        """Return the subproblems in order. Neighbours in a sequence are 2 ms apart."""
         return [NullSpaceQP.from_row(np.array(row)) for row in self.rows]
 
     @cached_property
     def judged(self) -> Array:
-        """Return the ``rows`` by which answers are judged, whose references the rigid tool can follow.
+        """The ``rows`` against which answers are judged.
 
-        Where the references of tip and wrist differ along the shaft, the wrist's reference is changed. The certificate
-        is for the five equations that this leaves unchanged.
+        If the references of tip and wrist differ along the shaft, a rigid tool cannot follow both. Then the wrist's
+        reference is changed. The five certified equations stay as they are.
         """
         return np.array([straightened(qp).row for qp in self.problems()])
 
     def thinned(self, every: int) -> TestSet:
         """Keep every ``every``-th problem."""
         found = TestSet(self.name, self.rows[::every], self.x[::every], self.feasible[::every])
-        vars(found)["judged"] = self.judged[::every]  # fills the cached property: no row is straightened twice
+        vars(found)["judged"] = self.judged[::every]  # fills the cached property
         return found
 
     def to_bytes(self) -> bytes:
@@ -72,7 +72,7 @@ class TestSet:
 
     @classmethod
     def load(cls, name: str, folder: Path = FOLDER) -> TestSet:
-        """Read a set by name; a CertificateError where there is no such file, or it lacks an array."""
+        """Read a set by name. Raise a CertificateError if the file or one of its arrays is missing."""
         path = folder / f"{name}.npz"
         if not path.exists():
             raise CertificateError(f"test set {name!r}: no file {path}; make it with: python -m benchmarks.testsets")
@@ -84,13 +84,13 @@ class TestSet:
 
 
 def check_name(name: str) -> None:
-    """Raise an UnknownNameError where there is no such set."""
+    """Raise an UnknownNameError if there is no such set."""
     if name not in NAMES:
         raise UnknownNameError("test set", name, NAMES)
 
 
 def straightened(qp: NullSpaceQP) -> NullSpaceQP:
-    """Return the same subproblem with the wrist's reference moved along the shaft, so that it fits the tip's."""
+    """Return the same subproblem with the wrist's reference changed along the shaft to agree with the tip's."""
     five = qp.reduced()
     b = np.linalg.lstsq(five.lift, five.b, rcond=None)[0] if len(five.b) == 5 else np.array(qp.b)
     b[3:] += five_row_gap(qp, b)
@@ -103,6 +103,6 @@ def changed(qp: NullSpaceQP, **values: Any) -> NullSpaceQP:
 
 
 def five_row_gap(qp: NullSpaceQP, b: NDArray[np.floating]) -> Array:
-    """Return the component along the shaft of (the tip's reference - the wrist's reference), (3,) [m/s]."""
+    """Return tip's reference minus wrist's reference, projected onto the shaft (3,) [m/s]."""
     u = np.linalg.svd(qp.J_tip - qp.J_wrist)[0][:, 2]
     return np.asarray(u * (u @ (b[:3] - b[3:])))

@@ -21,11 +21,11 @@ COUNTED = ("times_calls", "times_switches", "times_cpu_s", "times_wall_s")
 """The load while calls were timed, as entries of a summary's row: the number of calls, the number of involuntary
 context switches (ru_nivcsw), the processor time of all threads [s], and the wall time [s].
 
-They do not show what slows all calls alike: caches, memory or a core shared with other processes, a lower clock."""
+A slowdown of all calls alike, as by shared caches or a lower clock rate, does not show in these entries."""
 
 
 def used() -> dict[str, float]:
-    """Return the `COUNTED` entries of this process since it began, with 0 calls."""
+    """Return the `COUNTED` entries of this process since its start, with 0 calls."""
     switches = resource.getrusage(resource.RUSAGE_SELF).ru_nivcsw
     return dict(zip(COUNTED, (0, switches, process_time(), perf_counter()), strict=True))
 
@@ -36,27 +36,27 @@ def since(before: Row, calls: int) -> dict[str, float]:
 
 
 def total(rows: Iterable[Row]) -> dict[str, float]:
-    """Sum the `COUNTED` entries over rows; rows without times count as 0."""
+    """Sum the `COUNTED` entries over rows. Rows without times count as 0."""
     rows = list(rows)
     return {name: sum((row.get(name, 0) for row in rows), 0.0) for name in COUNTED}
 
 
 def cpu_share(row: Row) -> float:
-    """Return processor time divided by wall time, which is above 1 where the calls use several threads."""
+    """Return processor time divided by wall time. It exceeds 1 if the calls use several threads."""
     return float(row["times_cpu_s"] / row["times_wall_s"]) if row.get("times_wall_s") else 1.0
 
 
 def quiet(row: Row) -> bool:
-    """Tell whether the 99th percentile of the times is to be trusted (docs/solvers.md has the measurements for it).
+    """Tell whether the 99th percentile of the times can be trusted (docs/solvers.md has the measurements).
 
-    A switch lengthens one call. A core that a hypervisor takes away is not a switch, but lowers the processor time.
+    A context switch lengthens one call. If a hypervisor takes the core away, only the processor time shows it.
     """
     few = row.get("times_switches", 0) <= MOST_SWITCHES * row.get("times_calls", 0)
     return bool(few and cpu_share(row) >= LEAST_CPU_SHARE)
 
 
 def load(rows: Iterable[Row]) -> str:
-    """Describe the machine's load while the times in these rows were taken; "" if no row has times."""
+    """Describe the machine's load while the times in these rows were taken. Return "" if no row has times."""
     timed = [row for row in rows if row.get("times_calls")]
     if not timed:
         return ""
@@ -74,7 +74,7 @@ def load(rows: Iterable[Row]) -> str:
 
 
 def clock_cost_us() -> float:
-    """Return the cost of reading the clock twice [us]. Every time contains it, and reports name it."""
+    """Return the cost of reading the clock twice [us], which is part of every measured time."""
     gaps = np.empty(2000)
     for i in range(len(gaps)):
         begin = perf_counter_ns()
@@ -88,7 +88,7 @@ def each_us(
 ) -> Array:  # fmt: skip
     """Time ``call(item)`` one by one [us], without garbage-collection pauses.
 
-    Where these lists are given, results are appended to ``results``, and the load meanwhile (`COUNTED`) to ``seen``.
+    If given, the list ``results`` gets the results, and the list ``seen`` gets the load meanwhile (`COUNTED`).
     """
     times = []
     with no_collector():

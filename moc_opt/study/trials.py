@@ -1,4 +1,4 @@
-"""One run becomes one row: a trial (a scenario with a seed of its own) under one controller.
+"""One run becomes one row. A run is a trial (a scenario with a seed of its own) under one controller.
 
 Each seed draws start, mismatch and noise, so that trials are independent. All controllers run the same trials.
 """
@@ -67,7 +67,7 @@ def trials(base: Scenario, tasks: Sequence[str], own_seeds: Sequence[int], *, vi
 
 
 def placed(trial: Scenario) -> Scenario:
-    """Return the trial with its drawn pose written out, so that the pose is searched for once for all controllers."""
+    """Return the trial with its random start pose filled in, so that all controllers share one search."""
     q = Setup(trial).q_start.tolist()
     return trial.change(start={"pose": "home", "q_rad": q, "swivel": "given", "check_path": False})
 
@@ -91,12 +91,12 @@ def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None
 
 @dataclass(frozen=True)
 class Trial:
-    """A run to make: one scenario under one controller. All controllers run the same scenarios."""
+    """A run to do: one scenario under one controller. All controllers run the same scenarios."""
 
     case: Scenario
     controller: str  #: one of `BASELINES`, or the name of a solver
     settings: Mapping[str, Any] = field(default_factory=dict)  #: settings of the solver
-    tags: Mapping[str, Any] = field(default_factory=dict)  #: further columns of the trial's row, such as a group's name
+    tags: Mapping[str, Any] = field(default_factory=dict)  #: further columns of the row, such as a group's name
     timed: bool = False  #: whether the trial runs alone on the machine, so that its times count
     keep: Literal["row", "curves"] = "row"  #: "curves": the columns in `CURVES` are kept, too
     solver: str | Solver | None = None  #: name or object of a solver to use instead of ``controller``
@@ -128,17 +128,17 @@ class Run:
     """
 
     row: Mapping[str, Any]
-    columns: Mapping[str, Array] = field(default_factory=dict)  #: name -> one value a tick; empty if the run broke off
-    load: Mapping[str, float] = field(default_factory=dict)  #: the machine's load meanwhile, where the run was timed
+    columns: Mapping[str, Array] = field(default_factory=dict)  #: name -> one value per tick; {} if it broke off
+    load: Mapping[str, float] = field(default_factory=dict)  #: the machine's load meanwhile, if the run was timed
 
 
 def run_trial(asked: Trial) -> Run:
-    """Run and summarise a trial, in a worker. A run that breaks off gives a row with the reason."""
+    """Run and summarise a trial, in a worker. If the run breaks off, its row has the reason."""
     return run_and_trace(asked)[0]
 
 
 def run_and_trace(asked: Trial, baseline: Trace | None = None) -> tuple[Run, Trace | None]:
-    """Return the result of `run_trial`, with the gain over a baseline's trace if it is given, and the run's trace."""
+    """Return the result of `run_trial` and the trace. With a ``baseline``, the metrics include the gain over it."""
     begun, seen, solver = dict[str, float](), dict[str, float](), asked.solver
 
     def look(tick: int) -> None:
@@ -174,7 +174,6 @@ def run_and_trace(asked: Trial, baseline: Trace | None = None) -> tuple[Run, Tra
 
 
 def _counts(trace: Trace) -> dict[str, Any]:
-    """Count ticks with a subproblem, infeasible subproblems, and ticks by fault; name the method of mu's bound."""
     found: dict[str, Any] = {"mu_bound_method": trace.meta.get("mu_bound_method")}
     if "status" in trace.columns:
         found |= {"asked": int((trace.status != "none").sum()), "infeasible": int((trace.status == "infeasible").sum())}
@@ -194,5 +193,5 @@ def _columns(asked: Trial, trace: Trace) -> dict[str, Array]:
 
 
 def outcome(asked: Trial, result: Run | Failed) -> Run:
-    """Return the run; for a process that hung or died, the row of a failed run."""
+    """Return the run, or the row of a failed run if the process hung or died."""
     return asked.failed(str(result)) if isinstance(result, Failed) else result
