@@ -170,7 +170,7 @@ def test_a_drive_whose_effect_opposes_its_torque_is_no_longer_used(torques, carr
     guard, record = begun(arm, residual_torque=2.0**-8, carries=True, patience=1), arm.terms(ZERO, ZERO)
     read(guard)
     reasons = [follow(guard, before, record=record, other=0.5) for before in (0.5, *torques)]
-    assert [reason.startswith("the measured motion is not") for reason in reasons] == [False, False, True]
+    assert [reason.startswith("the measured motion does not") for reason in reasons] == [False, False, True]
     np.testing.assert_array_equal(guard.rest(ZERO), carries)
 
 
