@@ -179,7 +179,7 @@ def _why(summary: Summary, row: Row, others: Sequence[Row], asked: int) -> str:
     text = "" if others or asked == 1 else f", the only sound one of {asked} solvers"
     text += f". It {listed(parts)}; none of its answers was silently wrong."
     if refused := counted["refused_inconsistent"]:
-        text += f" It refused {refused} more problems, whose six rows contradict each other, which is {NEITHER}."
+        text += f" It refused {refused} more problems, whose six rows contradict each other. That is {NEITHER}."
     if row["p50_us"] is not None:
         text += f" Its median time is {row['p50_us']:.1f} us, p99 {row['p99_us']:.1f} us."
         # Noise may change the order of solvers whose medians are below this solver's p99.
@@ -195,14 +195,15 @@ def _in_closed_loop(row: Row, shared: int) -> str:
         return f"The effect of sound answers in closed loop is open: {few}."
     changes = (spread(closed, change_name(name), 2, "+", " %") for name in ("mu_mean", *FRAMED))
     mu, tip, registered_tip, rcm, registered_rcm = changes
-    shaken = f", {count} of which oscillated" if (count := closed.get("oscillated", 0)) else ""
-    both = f" The table below has the {shared} trials that every solver ran, where the tip error changes by "
-    both += f"{row['tip_change']} %; {closed.get('oscillated_in_common', 0)} of these oscillated."
+    shaken = f"; {count} of them oscillated" if (count := closed.get("oscillated", 0)) else ""
+    both = f" The table below uses the {shared} trials that every solver ran. In these, the tip error (own/registered) "
+    both += f"changes by {row['tip_change']} %; {closed.get('oscillated_in_common', 0)} of them oscillated."
     return (
-        f"In closed loop ({trials} independent trials of `{row['solver']}`{shaken}) sound answers change mean mu by "
-        f"{mu} over `{BASELINE}`. By the robot's own kinematics the tip error changes by {tip} and the RCM error by "
-        f"{rcm}; in the frame registered at the start, which is the patient's, by {registered_tip} and "
-        f"{registered_rcm}." + (both if row["tip_change"] and shared < trials else "")
+        f"In closed loop, `{row['solver']}` ran {trials} independent trials{shaken}. Its sound answers change mean mu "
+        f"by {mu} relative to `{BASELINE}`. By the robot's own kinematics, the tip error changes by {tip} and the RCM "
+        f"error by {rcm}. In the frame registered at the start (the patient's), the tip error changes by "
+        f"{registered_tip} and the RCM error by {registered_rcm}."
+        + (both if row["tip_change"] and shared < trials else "")
     )
 
 
@@ -246,10 +247,10 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
         Column("p99_us", "p99", unit="us", section=recorded, help="one solve in a hundred is slower"),
     ]  # fmt: skip
     caption = (
-        f"★ take: the fastest of the sound ones by p99, ✔ sound, ◐ gaps: less than {100 * RIGHTLY:g} % right, and "
-        "reports it, ≈ near: close to the optimum without claiming it, or worse in closed loop, ✘ avoid "
-        "(docs/solvers.md has the rules). Right: verified, or rightly called infeasible; of problems whose rows "
-        "contradict each other the refused ones do not count. Wrong: claimed as solved, not optimal. –: not run."
+        f"Verdicts: ★ take: the sound solver with the smallest p99. ✔ sound. ◐ gaps: less than {100 * RIGHTLY:g} % "
+        "right, but it reports its failures. ≈ near: close to the optimum without claiming it, or worse in closed "
+        "loop. ✘ avoid. docs/solvers.md has the rules. Right: verified, or rightly called infeasible; refused problems whose "
+        "rows contradict each other do not count. Wrong: claimed as solved, but not optimal. –: not run."
     )
     if any(row["verdict"] is OTHER for row in rows):
         caption += " ≠ other: it answers the nonlinear problem of the tick, not the linear one that is judged."
@@ -261,10 +262,10 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
                    help="change of the mean tip error against DCAC, in both frames"),
         ]  # fmt: skip
         caption += (
-            f" {_trials_told(rows)} Worst damage: largest loss in closed loop against the solver to take; none: within "
-            "tolerance. Tip: change of the error against DCAC, by the robot's own kinematics / in the frame registered "
-            f"at the start, on the {_trials(rows)[0]} trials that every solver ran; ?: undecided. Runs that oscillated "
-            "or were stopped count only among these trials."
+            f" {_trials_told(rows)} Worst damage: largest loss in closed loop relative to the solver to take; "
+            f"none: within tolerance. The last two columns use only the {_trials(rows)[0]} trials that every solver ran. Tip: "
+            "change of the error relative to DCAC, by the robot's own kinematics / in the registered frame; ?: "
+            "undecided."
         )
     return Table("Solvers under the settings we recommend, best first", columns, rows, caption)
 

@@ -68,8 +68,8 @@ def load(rows: Iterable[Row]) -> str:
     if not spoilt:
         return said + "the machine was quiet."
     return said + (
-        f"others used the machine in {spoilt} of {len(timed)} measurements, whose p99 is not to be trusted. Run again "
-        "on a quiet machine: the same command measures these anew."
+        f"others used the machine in {spoilt} of {len(timed)} measurements. Do not trust the p99 of these. On a quiet "
+        "machine, run the same command again: it repeats only these measurements."
     )
 
 
