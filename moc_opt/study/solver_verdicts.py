@@ -249,8 +249,8 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
     caption = (
         f"Verdicts: ★ take: the sound solver with the smallest p99. ✔ sound. ◐ gaps: less than {100 * RIGHTLY:g} % "
         "right, but it reports its failures. ≈ near: close to the optimum without claiming it, or worse in closed "
-        "loop. ✘ avoid. docs/solvers.md has the rules. Right: verified, or rightly called infeasible; refused problems whose "
-        "rows contradict each other do not count. Wrong: claimed as solved, but not optimal. –: not run."
+        "loop. ✘ avoid. docs/solvers.md has the rules. Right: verified, or rightly called infeasible; refused problems "
+        "whose rows contradict each other do not count. Wrong: claimed as solved, but not optimal. –: not run."
     )
     if any(row["verdict"] is OTHER for row in rows):
         caption += " ≠ other: it answers the nonlinear problem of the tick, not the linear one that is judged."
@@ -262,10 +262,10 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
                    help="change of the mean tip error against DCAC, in both frames"),
         ]  # fmt: skip
         caption += (
-            f" {_trials_told(rows)} Worst damage: largest loss in closed loop relative to the solver to take; "
-            f"none: within tolerance. The last two columns use only the {_trials(rows)[0]} trials that every solver ran. Tip: "
-            "change of the error relative to DCAC, by the robot's own kinematics / in the registered frame; ?: "
-            "undecided."
+            f" {_trials_told(rows)} Worst damage: largest loss in closed loop relative to the solver to take; none: "
+            f"within tolerance. The last two columns use only the {_trials(rows)[0]} trials that every solver ran. Tip: "
+            "change of the error relative to DCAC, by the robot's own kinematics / in the registered frame; "
+            "?: undecided."
         )
     return Table("Solvers under the settings we recommend, best first", columns, rows, caption)
 
