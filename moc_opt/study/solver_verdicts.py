@@ -263,8 +263,8 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
         ]  # fmt: skip
         caption += (
             f" {_trials_told(rows)} Worst damage: largest loss in closed loop relative to the solver to take; none: "
-            f"within tolerance. The last two columns use only the {_trials(rows)[0]} trials that every solver ran. Tip: "
-            "change of the error relative to DCAC, by the robot's own kinematics / in the registered frame; "
+            f"within tolerance. The last two columns use only the {_trials(rows)[0]} trials that every solver ran. "
+            "Tip: change of the error relative to DCAC, by the robot's own kinematics / in the registered frame; "
             "?: undecided."
         )
     return Table("Solvers under the settings we recommend, best first", columns, rows, caption)
