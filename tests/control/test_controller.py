@@ -12,6 +12,7 @@ from moc_opt.control.supervisor import Fault
 from moc_opt.errors import ControlError
 from moc_opt.solvers import Status
 from moc_opt.solvers.exact import Exact
+from moc_opt.solvers.isolated import IsolatedSession, Restart
 from tests.control.torques import in_place, tracking
 from tests.reference.law import third_level
 
@@ -210,6 +211,35 @@ def test_exact_within_the_core_and_exact_in_a_session_agree_to_the_last_bit(robo
         assert repr(pair[0].solution) == repr(pair[1].solution)
     assert pair[0].faults == pair[1].faults
     assert (pair[0].fault is Fault.NONE) == (speed < 1.0)
+
+
+@pytest.mark.parametrize("speed", [0.02, 3.0], ids=["feasible", "infeasible"])
+@pytest.mark.parametrize("solver", [Exact(), AsAnyOther()], ids=["core", "session"])
+def test_the_columns_hold_subproblem_answer_and_fault_of_each_tick(robot, solver, speed):
+    controller, state, tip_ref, trocar = started(robot, solver, fallback="damping")
+    columns, y = controller.columns(2), np.full(6, np.nan)
+    controller.tick(state.q, state.v, in_place(state, speed)[0], trocar)
+    controller.note(1, columns)
+    solution, fault = controller.solution, "none" if speed < 1.0 else "infeasible"
+    if speed < 1.0:
+        y = solution.y
+        assert np.isfinite(y).all()
+    expected = {
+        "subproblem": controller.subproblem.row, "x_rad_per_s": solution.x, "dual": y, "status": solution.status.label,
+        "applied_x_rad_per_s": controller.answer, "iterations": 0, "fault": fault, "solve_us": controller.solve_us,
+    }  # fmt: skip
+    assert set(columns) == set(expected)
+    for name, value in expected.items():
+        np.testing.assert_array_equal(columns[name][1], value, err_msg=name)
+    assert (columns["status"][0], columns["fault"][0], columns["subproblem"][0].any()) == ("none", "none", False)
+
+
+def test_a_restart_of_a_solvers_process_has_the_time_of_its_tick(robot):
+    session = Mock(spec=IsolatedSession, restarts=[Restart(3, "it hung")])
+    solver, _ = watching(error=[session] * 2)
+    session.solve = lambda qp: EXACT.start(qp).solve(qp)
+    controller, *_ = started(robot, solver)
+    assert controller.restarts == [{"at_s": 0.006, "reason": "it hung"}]
 
 
 def test_a_start_uses_none_of_the_recorded_solve_times(robot):

@@ -8,9 +8,11 @@ import pytest
 
 from moc_opt.control import Controller, ControlSettings
 from moc_opt.control.law_numbers import numbers_of
+from moc_opt.control.safety_filter import MOST_TICKS
 from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.control.supervisor import SupervisorSettings
 from moc_opt.errors import ControlError, MocOptError, ScenarioError, UnknownNameError
+from moc_opt.inputs.settings import LARGEST
 from moc_opt.realtime.wire import WireSettings
 from moc_opt.robots.model import load_robot
 from moc_opt.scenario import Scenario
@@ -75,6 +77,7 @@ def test_gains_that_are_missing_or_do_not_fit_the_arm_are_refused(settings, join
 @pytest.mark.parametrize(("settings", "words"), [
     ({"law": "dcac", "dcac_damping": [1.0, 2.0]}, "dcac_damping = .* has 2 entries for 8 joints"),
     ({"limit_margin_rad": 3.0}, "limit_margin_rad = 3.0: no room is left for joint 3 .* less than 2.09"),
+    ({"limit_margin_m": 0.5}, "limit_margin_m = 0.5: no room is left for joint 1 .* less than 0.5"),
     ({"observer_gain_per_s": 500.0}, "observer_gain_per_s = 500.0 .* below 500"),
     ({"third_level": "planned", "course_observer_gain_per_s": 600.0}, "course_observer_gain_per_s = 600.0"),
 ])  # fmt: skip
@@ -142,7 +145,8 @@ def test_each_number_has_its_range(kind):
 
 
 @pytest.mark.parametrize(("table", "field", "value"), [
-    ("control", "D_N2", "soft"), ("control", "D_N2", [1.0, -1.0]), ("control", "law", "both"),
+    ("control", "D_N2", "soft"), ("control", "D_N2", [1.0, -1.0]), ("control", "D_N2", True),
+    ("control", "D_N2", 1.01 * LARGEST), ("control", "law", "both"), ("control", "course", "a.json"),
     ("control", "limit_torque", "perhaps"), ("control", "feedforward", 3), ("faults", "bumps_N", 1.0),
     ("plant", "substeps", 1), ("plant", "joint_stiffness_Nm_per_rad", (1e4, -1.0)),
 ])  # fmt: skip
@@ -152,8 +156,8 @@ def test_a_wrong_value_names_its_field(table, field, value):
 
 
 def test_a_preset_is_found_by_its_name():
-    softer = ControlSettings.preset("tuned", gains="robust", observer_gain_per_s=22.0, course_observer_gain_per_s=22.0)
-    assert ControlSettings.preset("robust") == softer
+    softer = {"gains": "robust", "feedforward": True, "observer_gain_per_s": 22.0, "course_observer_gain_per_s": 22.0}
+    assert ControlSettings.preset("robust") == ControlSettings.preset("tuned", **softer)
     with pytest.raises(UnknownNameError, match="did you mean 'tuned'"):
         ControlSettings.preset("tunned")
 
@@ -168,6 +172,8 @@ def test_along_a_planned_motion_the_bounds_allow_the_whole_speed_and_only_deviat
         np.testing.assert_allclose(given["q_min"] - arm.q_min, margins)
         np.testing.assert_allclose(arm.q_max - given["q_max"], margins)
         assert given["k0"] == k0
+        np.testing.assert_array_equal(given["tau_max"], arm.tau_max)
+        assert given["feedforward"]
     assert (local["climbs"], planned["climbs"]) == (True, False)
     # The desired speed v = x is not damped. A deviation from v = x is damped as much as with `local`.
     np.testing.assert_array_equal(planned["D_N2"], 0.0)
@@ -182,6 +188,18 @@ def test_along_a_planned_motion_the_observer_has_its_own_gain_unless_switched_of
     for name in ("tuned", "robust"):  # the observer affects the largest stable delay
         planned = ControlSettings.preset(name, third_level="planned")
         assert planned.observer_rate_per_s <= ControlSettings.preset(name).observer_gain_per_s
+
+
+def test_settings_that_are_left_out_have_the_documented_values():
+    given = ControlSettings(course="a.json", third_level="planned", dcac_damping=LARGEST)
+    assert (given.horizon_s, given.replan_per_s, given.climb, given.dcac_damping) == (1.0, 20.0, "gradient", LARGEST)
+    guard = SafetyFilterSettings()
+    assert (guard.residual_whole_torque, guard.stop_s, guard.stop_yield_s) == (0.5, 0.5, 0.4)
+    assert MOST_TICKS == np.iinfo(np.int32).max
+
+
+def test_with_a_ramp_below_the_period_level_3_starts_with_its_full_torque(robot):
+    assert numbers_of(ControlSettings(ramp_s=0.001), robot, 0.002)["fade"] == 1.0
 
 
 def test_a_wall_inside_the_controllers_joint_range_is_refused():
@@ -213,13 +231,13 @@ def test_the_shafts_margin_grows_with_the_squared_distance_from_tip_to_wrist(len
 
 TABLE_I = {
     "dcac": {
-        "K_X": 2000.0, "D_X": 20.0, "K_N": 600.0, "D_N": 10.0, "rcm_lambda": 0.5, "feedforward": False,
+        "K_X": 2000.0, "D_X": 20.0, "K_N": 600.0, "D_N": 10.0, "rcm_lambda": 0.5, "feedforward": False, "damped": False,
         "K_N2": np.zeros(7), "D_N2": np.zeros(7), "observer_gain": 0.0,  # tau_d = tau_T + tau_N1
     },
     "moc": {
         "K_X": 3000.0, "D_X": 30.0, "K_N": 800.0, "D_N": 10.0, "rcm_lambda": 0.5, "feedforward": False, "k0": 0.1,
         "c0": 0.01, "c1": 0.01, "c2": 0.001, "rho": 0.0, "fade": 1.0, "climbs": False, "observer_gain": 0.0,
-        "shaft_margin": 0.0, "spare_speed": 0.0,
+        "shaft_margin": 0.0, "spare_speed": 0.0, "damped": False,
         "K_N2": [80.0, 120.0, 60.0, 30.0, 20.0, 10.0, 10.0], "D_N2": [6.0, 10.0, 5.0, 3.0, 2.0, 1.0, 1.0],
     },
 }  # fmt: skip
