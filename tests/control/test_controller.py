@@ -216,7 +216,7 @@ def test_exact_within_the_core_and_exact_in_a_session_agree_to_the_last_bit(robo
 @pytest.mark.parametrize("speed", [0.02, 3.0], ids=["feasible", "infeasible"])
 @pytest.mark.parametrize("solver", [Exact(), AsAnyOther()], ids=["core", "session"])
 def test_the_columns_hold_subproblem_answer_and_fault_of_each_tick(robot, solver, speed):
-    controller, state, tip_ref, trocar = started(robot, solver, fallback="damping")
+    controller, state, _, trocar = started(robot, solver, fallback="damping")
     columns, y = controller.columns(2), np.full(6, np.nan)
     controller.tick(state.q, state.v, in_place(state, speed)[0], trocar)
     controller.note(1, columns)

@@ -195,7 +195,7 @@ def test_settings_that_are_left_out_have_the_documented_values():
     assert (given.horizon_s, given.replan_per_s, given.climb, given.dcac_damping) == (1.0, 20.0, "gradient", LARGEST)
     guard = SafetyFilterSettings()
     assert (guard.residual_whole_torque, guard.stop_s, guard.stop_yield_s) == (0.5, 0.5, 0.4)
-    assert MOST_TICKS == np.iinfo(np.int32).max
+    assert np.iinfo(np.int32).max == MOST_TICKS
 
 
 def test_with_a_ramp_below_the_period_level_3_starts_with_its_full_torque(robot):
