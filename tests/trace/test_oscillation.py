@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from moc_opt.errors import TraceError
 from moc_opt.scenario import Scenario, run
 from moc_opt.trace import oscillation as limits
-from moc_opt.trace.oscillation import describe, judged_for_oscillation, shaking
+from moc_opt.trace.oscillation import Shaking, describe, judged_for_oscillation, shaking
 from moc_opt.trace.trace import MissingDataError, Trace
 
 PERIOD = 0.002
@@ -43,6 +43,32 @@ def test_the_joint_size_and_frequency_of_an_oscillation_are_found(joint, amplitu
     assert found.frequency_Hz == pytest.approx(hertz, abs=1.0)
 
 
+@pytest.mark.parametrize(("ticks", "period"), [(8, 0.01), (8, 0.1), (90, 0.003), (700, 0.002), (1500, 0.002)])
+def test_the_figures_of_an_oscillation_equal_their_definitions(ticks, period):
+    """The definitions are computed for each window and each joint, from random values with a strong slow part."""
+    t = 3.0 + period * np.arange(ticks)
+    v = np.random.default_rng(ticks).normal(size=(ticks, 3)) + 3.0 * np.sin(2.0 * np.pi * 5.0 * t)[:, None]
+    half, first = round(1.0 / 8.0 / period) // 2, min(round(0.5 / period), ticks // 2)
+    mean = [v[max(k - half, 0) : k + half + 1].mean(axis=0) for k in range(ticks)]
+    width = min(round(1.0 / period), ticks - first)
+    windows = np.lib.stride_tricks.sliding_window_view((v - mean)[first:], width, axis=0)
+    row, joint = np.unravel_index(np.argmax((windows**2).mean(axis=-1)), windows.shape[:2])
+    worst = windows[row, joint]
+    parts = sorted((part**2).sum() for part in np.array_split(worst, 8))
+    hertz, size = np.fft.rfftfreq(width, period), np.abs(np.fft.rfft((worst - worst.mean()) * np.hanning(width)))
+    wanted = hertz[np.argmax(np.where((hertz >= 8.0 - 1e-9) | (hertz == hertz[-1]), size, -1.0))]
+    found = shaking(Trace({"t_s": t, "v_rad_per_s": v}), "v_rad_per_s")
+    assert found.rms == pytest.approx(np.sqrt(np.mean(worst**2)), abs=1e-9)
+    assert found.joint == joint or found.rms == 0.0
+    assert found.frequency_Hz == pytest.approx(wanted)
+    assert found.rest == pytest.approx(np.sqrt(sum(parts[:6]) / (0.75 * width)), abs=1e-9)
+
+
+def test_a_value_counts_above_the_limit_if_most_of_the_window_has_more_than_half_of_it():
+    cases = {(0.3, 0.11): True, (0.3, 0.1): False, (0.2, 0.15): False, (0.1, 0.15): False}
+    assert {case: Shaking(0, case[0], 40.0, case[1]).above(0.2) for case in cases} == cases
+
+
 @pytest.mark.parametrize("factor", [0.9, 1.1])
 @pytest.mark.parametrize(("column", "limit", "unit", "slides"), [
     ("v_rad_per_s", limits.LIMIT_RAD_PER_S, "rad/s", False), ("tau_Nm", limits.LIMIT_NM, "Nm", False),
@@ -63,10 +89,12 @@ def test_only_a_shaking_above_the_limit_in_the_unit_of_the_joint_counts(factor, 
 
 
 @pytest.mark.parametrize("joint", [2, 5])
-def test_a_jerk_hides_no_oscillation(joint):
-    """The jerk of joint 3 is stronger than the oscillation that follows, of the same joint or of joint 6."""
-    values = np.array(made(joint, 0.5, 40.0, where=(1.7, 9.0), ticks=2000).v_rad_per_s)
-    jerk = made(2, 3.0, 16.0, where=(0.8, 0.8625), ticks=2000)
+@pytest.mark.parametrize(("amplitude", "where", "at"), [(0.5, (1.7, 9.0), 0.8), (0.29, (1.7, 9.0), 0.8),
+                                                        (0.5, (0.0, 2.0), 3.6)])  # fmt: skip
+def test_a_jerk_hides_no_oscillation(joint, amplitude, where, at):
+    """The jerk of joint 3 is stronger than the oscillation before or after it, of the same joint or of joint 6."""
+    values = np.array(made(joint, amplitude, 40.0, where=where, ticks=2000).v_rad_per_s)
+    jerk = made(2, 3.0, 16.0, where=(at, at + 0.0625), ticks=2000)
     values[:, 2] += jerk.v_rad_per_s[:, 2]
     assert describe(jerk, NAMES, TURNING) == ""
     both = jerk.with_columns(v_rad_per_s=values)
@@ -95,8 +123,10 @@ def test_a_run_that_was_stopped_or_is_brief_keeps_its_ending():
     shaken = made(0, 2.0)
     stopped = Trace(shaken.columns, {**shaken.meta, "ended": "stopped: x"})
     assert judged_for_oscillation(stopped, NAMES, TURNING).meta == stopped.meta
-    brief = Trace(shaken.select(shaken.t_s < 0.9).columns, shaken.meta)
-    assert judged_for_oscillation(brief, NAMES, TURNING).meta["ended"] == "completed"
+    for ticks, says in ((450, "completed"), (500, "completed"), (501, "oscillated")):  # 501 ticks last 1 s
+        for since in (0.0, 0.5):
+            brief = Trace({**shaken.head(ticks).columns, "t_s": since + shaken.t_s[:ticks]}, shaken.meta)
+            assert judged_for_oscillation(brief, NAMES, TURNING).meta["ended"].startswith(says)
 
 
 @pytest.mark.parametrize(("begin", "amplitude", "says"), [(1.0, 2.0, True), (1.0, 0.1, False), (2.01, 9.0, False)])
@@ -114,9 +144,11 @@ def test_a_trace_that_cannot_be_judged_is_refused_with_the_reason():
         (trace.select(np.arange(len(trace)) % 3 == 0), MissingDataError, "some ticks are left out"),
         (trace.select(np.arange(len(trace)) < 3), MissingDataError, "four or more"),
         (trace.with_columns(t_s=np.zeros(len(trace))), TraceError, "does not increase"),
+        (trace.with_columns(t_s=np.where(trace.t_s < 2.0, trace.t_s, np.inf)), TraceError, "does not increase"),
     ):
         with pytest.raises(kind, match=said):
             shaking(part, "v_rad_per_s")
+    assert shaking(trace.select(trace.t_s > 0.5), "v_rad_per_s").rms < 0.1  # no tick within it is left out
 
 
 @pytest.mark.parametrize(("changes", "joint"), [
