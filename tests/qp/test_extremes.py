@@ -101,6 +101,18 @@ def test_with_almost_no_regularization_uphill_walks_find_the_largest_linear_cost
         assert found.most == pytest.approx(most, abs=1e-6 * (most - least))
 
 
+@pytest.mark.parametrize(("weight", "steps"), [(0.0, 3), (1e-4, 40), (1.0, 1)])
+def test_few_proximal_steps_lead_to_the_optimum_and_the_cost_does_not_depend_on_units(weight, steps, monkeypatch):
+    Z, low, high, slope = cut_box(3, (8, 3))
+    rho, calls = weight * float(np.linalg.norm(slope)), []
+    monkeypatch.setattr(module, "nearest", lambda *given: calls.append(given) or nearest(*given))
+    module.optimum(Z, low, high, slope / np.linalg.norm(slope), weight)
+    assert len(calls) <= steps
+    here, there = extremes(Z, low, high, slope, rho), extremes(Z, 8.0 * low, 8.0 * high, 4.0 * slope, 0.5 * rho)
+    np.testing.assert_array_equal(np.hstack(there), np.hstack([8.0 * here.w, 32.0 * here.least, 32.0 * here.most,
+                                                               4.0 * here.pull]))  # fmt: skip
+
+
 def test_of_several_optima_the_one_nearest_to_zero_is_found():
     found = extremes(np.eye(3), -np.ones(3), np.ones(3), np.array([1.0, 0.0, 0.0]), 0.0)
     np.testing.assert_allclose(found.w, [-1.0, 0.0, 0.0], atol=1e-11)
@@ -121,6 +133,8 @@ def test_a_range_of_cost_below_rounding_counts_as_zero():
     Z = np.eye(2)
     found = extremes(Z, np.array([0.0, 0.0]), np.array([1e-13, 1.0]), np.array([1.0, 0.0]), 0.0)
     assert found.least == found.most == 0.0
+    shifted = extremes(Z, np.array([-3.0, -3.0]), np.array([1e-13 - 3.0, -2.0]), np.array([1.0, 0.0]), 0.0)
+    assert shifted.least == shifted.most == pytest.approx(-3.0)
     for short in (1e-8, 1e-11):  # a short interval in a wide box still has two ends
         found = extremes(Z, np.array([0.0, 0.0]), np.array([short, 1.0]), np.array([-1.0, 0.0]), 0.0)
         assert found.least == pytest.approx(-short)

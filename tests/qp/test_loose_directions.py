@@ -102,11 +102,13 @@ def test_no_answer_that_slid_to_a_worse_cost_is_verified(seed):
     assert all(found.loss > 0.0 or found.relative > 1e-3 for _, _, found in tried)
 
 
+@pytest.mark.parametrize("regularization", [0.0, 0.01])
 @pytest.mark.parametrize("freedoms", [1, 2])
-def test_if_one_point_is_feasible_the_figure_relative_is_the_scaled_cost_lost_by_a_slide(freedoms):
+def test_if_one_point_is_feasible_the_figure_relative_is_the_scaled_cost_lost_by_a_slide(freedoms, regularization):
     qp, base, Z, direction = random_case(np.random.default_rng(0), freedoms, 1e-9)
     row, pinned = np.array(qp.row), [3, 6][:freedoms]
     fields(row).lower[pinned] = fields(row).upper[pinned] = base[pinned]
+    fields(row).weights[3] = regularization
     one, way = NullSpaceQP.from_row(row), direction - Z @ np.linalg.solve(Z[pinned], direction[pinned])
     slid = max((base + step * way for step in (-0.3, 0.3)), key=lambda x: cost(one, x))
     scale = max(one.c2 * np.abs(Z @ (one.pull @ Z)).max(), one.regularization)

@@ -52,6 +52,10 @@ def test_bad_input_names_the_field(qp, field, value):
         changed(qp, **{field: value})
 
 
+def test_a_weight_of_zero_or_of_the_largest_size_is_accepted(qp):
+    assert [changed(qp, c2=weight).c2 for weight in (0.0, 1e12)] == [0.0, 1e12]
+
+
 def test_an_answer_of_another_shape_is_refused_by_name(qp):
     assert np.isnan(qp.objective(np.full(7, np.nan)))  # a bad answer, not an error
     for given_x, given_y, said in ((np.zeros(6), None, "x: shape"), (np.zeros(7), np.zeros(5), "y: .*five duals")):

@@ -1,5 +1,8 @@
 """The residuals that judge answers, against linear programs, perturbed optima and their definitions."""
 
+from fractions import Fraction
+from operator import mul
+
 import numpy as np
 import pytest
 from scipy.optimize import Bounds, LinearConstraint, milp
@@ -36,6 +39,9 @@ def test_an_optimum_is_verified_and_its_neighbours_are_not(n, structured, regula
         assert with_bad_duals.verified()
         broken = x + 1e-3 * rng.choice([-1.0, 1.0], size=n)
         assert not qp.residuals(broken, y).verified()
+        if n == 12:  # the optimum's duals are taken for the best ones
+            wrong = optimum(changed(qp, grad_mu=-qp.grad_mu))[0]
+            assert qp.residuals(wrong).natural_best == pytest.approx(qp.residuals(wrong, y).natural, rel=1e-6)
 
 
 @pytest.mark.parametrize(("n", "structured"), CASES)
@@ -195,12 +201,13 @@ def test_the_idle_joint_with_the_largest_loss_counts():
         assert found.distance == pytest.approx(qp.upper[j] - qp.lower[j])
 
 
+@pytest.mark.parametrize("unit", [1e-4, 1.0, 1e4])
 @pytest.mark.parametrize("n", [7, 8])
-def test_where_the_gradient_along_the_self_motion_is_rounding_every_feasible_answer_is_verified(n):
+def test_where_the_gradient_along_the_self_motion_is_rounding_every_feasible_answer_is_verified(n, unit):
     qp = random_problem(np.random.default_rng(30), n, structured=False, regularization=0.0)
     Z = kernel(qp)
     x = optimum(qp)[0]
-    across = qp.grad_mu - Z @ (Z.T @ qp.grad_mu)
+    across = unit * (qp.grad_mu - Z @ (Z.T @ qp.grad_mu))
     size = np.abs(across).max() / np.abs(Z[:, 0]).max()
     for share, flat in ((1e-10, True), (1e-8, False)):
         problem = changed(qp, grad_mu=across + share * size * Z[:, 0])
@@ -228,9 +235,10 @@ def test_the_figure_relative_is_scaled_by_the_gradient_along_the_self_motion():
     assert any(rooms)
 
 
-def test_without_any_freedom_only_the_references_decide():
+@pytest.mark.parametrize("unit", [1.0, 1e-8])
+def test_without_any_freedom_only_the_references_decide(unit):
     rng = np.random.default_rng(4)
-    J, x = rng.normal(size=(6, 6)), rng.uniform(-0.5, 0.5, 6)
+    J, x = unit * rng.normal(size=(6, 6)), rng.uniform(-0.5, 0.5, 6)
     b = J @ x
     qp = NullSpaceQP(J[:3], J[3:], b[:3], b[3:], np.ones(6), -np.ones(6), np.ones(6))
     found = qp.residuals(x)
@@ -238,6 +246,40 @@ def test_without_any_freedom_only_the_references_decide():
     assert (found.relative, found.loss, found.natural_best) == (0.0, 0.0, 0.0)
     off = 1e-3 * rng.normal(size=6)
     assert qp.residuals(x + off).distance == pytest.approx(np.abs(off).max(), rel=1e-9)
+
+
+def one_freedom(z, lower, upper):
+    """A problem at rest with six joints that move together along z, and its gradient."""
+    A = np.vstack([np.linalg.svd(z[None])[2][1:], np.zeros(6)])
+    return NullSpaceQP(A[:3], A[3:], np.zeros(3), np.zeros(3), z, lower, upper, regularization=0.0)
+
+
+@pytest.mark.parametrize(("width", "loss"), [(3e-8, 0.0), (3e-7, 1.0)])
+@pytest.mark.parametrize("slow", [0, 5])
+def test_an_interval_that_ends_at_a_slow_joint_counts_as_a_point_if_rounding_is_as_large(slow, width, loss):
+    """The rounding error of a bound, 1e-14 rad/s, is divided by the joint's speed along the self-motion, 1e-7."""
+    z = np.full(6, np.sqrt(0.2))
+    z[slow] = 1e-7
+    lower, upper = np.full(6, -1.0), np.full(6, 1.0)
+    lower[slow], upper[3] = 0.0, width * z[3]
+    assert one_freedom(z, lower, upper).residuals(np.zeros(6)).loss == pytest.approx(loss, abs=1e-6)
+
+
+def test_if_two_bounds_contradict_each_other_the_middle_between_them_is_taken():
+    z = np.array([0.5, 0.5, 0.5, 0.3, 0.3, np.sqrt(0.07)])
+    lower, upper = np.full(6, -1.0), np.full(6, 1.0)
+    lower[0], upper[1] = 8e-7 * z[0], 4e-7 * z[1]
+    assert one_freedom(z, lower, upper).residuals(np.zeros(6)).distance == pytest.approx(6e-7 * 0.5, rel=1e-6)
+
+
+def test_products_that_cancel_are_as_exact_as_in_twice_the_precision():
+    rng = np.random.default_rng(3)
+    A, x = rng.normal(size=(2, 6, 9)), rng.normal(size=(2, 9, 4))
+    A[:, :, 8] = -(A[:, :, :8] @ x[:, :8])[:, :, 0]
+    x[:, 8] = 1.0  # the first column of each product is only rounding
+    exact = [[[float(sum(map(mul, map(Fraction, row), map(Fraction, column)))) for column in given.T] for row in each]
+             for each, given in zip(A, x, strict=True)]  # fmt: skip
+    np.testing.assert_allclose(optimality._product(A, x), exact, rtol=1e-15, atol=1e-30)
 
 
 def test_a_batch_may_mix_ranks_and_idle_joints():
