@@ -167,11 +167,11 @@ def test_an_unknown_load_stops_the_arm_only_if_it_begins_after_the_residual_has_
         assert found == bool(reason) == (told and on and momentum)
 
 
-@pytest.mark.parametrize(("whole", "stops"), [(0.5, True), (1e6, False)])
-def test_a_torque_that_grows_slowly_at_a_constant_pose_stops_the_arm(whole, stops, robot):
+@pytest.mark.parametrize(("levels", "stops"), [({}, True), ({"residual_whole_torque": 1e6}, False)])
+def test_a_torque_that_grows_slowly_at_a_constant_pose_stops_the_arm(levels, stops, robot):
     """This imitates frozen readings with fresh noise under an integrating controller."""
     rate = 0.25 * robot.tau_max[1] * PERIOD * np.eye(N)[1]  # 1.25 times the largest torque after 5 s
-    reason, k = watched(robot, lambda k: rate * k, 2500, residual_whole_torque=whole)
+    reason, k = watched(robot, lambda k: rate * k, 2500, **levels)
     assert ("not what the torque makes" in reason) == bool(reason) == stops
     if stops:
         assert 0.5 < 0.25 * PERIOD * k < 0.55

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings, numbers_of
+from moc_opt.control.safety_filter import MOST_TICKS, SafetyFilter, SafetyFilterSettings, numbers_of
 from moc_opt.errors import ControlError
 from moc_opt.robots.model import RobotModel, load_robot
 from tests.control.torques import PERIOD, REST, N, guard_of, off_by, weight
@@ -20,7 +20,6 @@ def bad_ticks(guard):
 
 
 def by_the_law(s, robot, tau, before, q, v, carries):
-    """The filter's torque, computed with numpy."""
     margins = s.position_margin_rad
     low, high, hold = robot.q_min + margins, robot.q_max - margins, carries * robot.gravity(q)
     ends, step = [], s.torque_rate_Nm_per_s * PERIOD
@@ -87,22 +86,17 @@ def test_a_filter_by_default_carries_the_weight_and_checks_incision_and_motion(r
     with patch.object(robot, "state", side_effect=ArithmeticError), pytest.raises(ArithmeticError):
         mine.limit_torque(REST, REST, q, REST)  # the check of the motion needs the state
     given = numbers_of(SafetyFilterSettings(), robot, PERIOD)
-    assert given["carries"]
-    assert given["in_incision"]
+    assert (given["carries"], given["in_incision"], MOST_TICKS) == (True, True, np.iinfo(np.int32).max)
 
 
-def test_friction_hides_a_stuck_joint_up_to_a_share_of_its_torque_or_a_multiple_of_its_coulomb_friction(robot):
+@pytest.mark.parametrize(("ticks", "replayed"), [(None, np.inf), (70, 25.0), (700, 100.0)])
+def test_the_smaller_limit_for_a_stuck_joint_and_the_larger_one_for_a_replay_are_used(robot, ticks, replayed):
     known = np.array([9.0, 0.0, 0.5, 0.8, 0.5, 0.3, 0.3])  # 0: the friction is not known
     arm = RobotModel(dataclasses.replace(robot.data, coulomb_friction=known))
-    given = numbers_of(SafetyFilterSettings(stuck_torque=0.1, stuck_friction=2.0), arm, PERIOD)
-    expected = np.minimum(0.1 * robot.tau_max, np.where(known == 0.0, np.inf, 2.0 * known))
-    np.testing.assert_allclose(given["held"], expected)
-
-
-@pytest.mark.parametrize(("joint", "replayed"), [(None, np.inf), (70, 25.0), (700, 100.0)])
-def test_a_replay_lasts_repeat_whole_ticks_or_an_nth_of_repeat_joint_ticks_if_this_is_longer(robot, joint, replayed):
-    settings = SafetyFilterSettings(repeat_whole_ticks=25, repeat_joint_ticks=joint)
-    assert numbers_of(settings, robot, PERIOD)["replayed_ticks"] == replayed
+    settings = SafetyFilterSettings(stuck_torque=0.1, stuck_friction=2.0, repeat_joint_ticks=ticks)
+    given = numbers_of(settings, arm, PERIOD)
+    np.testing.assert_allclose(given["held"], np.fmin(0.1 * robot.tau_max, np.where(known > 0.0, 2.0 * known, np.inf)))
+    assert given["replayed_ticks"] == replayed
 
 
 @pytest.mark.parametrize("start", [-1.0, 1.0])

@@ -285,6 +285,7 @@ def test_a_controller_that_breaks_down_stops_the_arm(how, told, monkeypatch):
 
     monkeypatch.setattr(Controller, "tick", tick)
     trace = stopped(0.2, 1e-9, 2e-3, 3.0, told)
+    assert trace.t_s[-1] - trace.meta["stopped_at_s"] == pytest.approx(0.5, abs=0.01)
     assert np.isfinite(trace.tau_Nm).all()
     assert np.abs(trace.v_rad_per_s[-1]).max() < 0.02
 

@@ -8,7 +8,6 @@ import pytest
 
 from moc_opt.control import Controller, ControlSettings
 from moc_opt.control.law_numbers import numbers_of
-from moc_opt.control.safety_filter import MOST_TICKS
 from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.control.supervisor import SupervisorSettings
 from moc_opt.errors import ControlError, MocOptError, ScenarioError, UnknownNameError
@@ -55,6 +54,7 @@ def test_the_matched_dcac_baseline_has_the_same_gains_and_observer(settings, rob
 def test_a_gain_is_one_number_or_one_per_joint():
     given = ControlSettings(gains="moc", K_N2=[3, 2, 1.5], dcac_damping=(0.0, 1.0, 0.0))
     assert ControlSettings(**json.loads(given.model_dump_json())) == given
+    assert ControlSettings(dcac_damping=LARGEST).dcac_damping == LARGEST
     numbers = given.resolve_gains(TABLES, 3)
     np.testing.assert_array_equal(numbers.K_N2, [3.0, 2.0, 1.5])
     np.testing.assert_array_equal(numbers.D_N2, [1.0, 1.0, 1.0])
@@ -165,6 +165,7 @@ def test_a_preset_is_found_by_its_name():
 def test_along_a_planned_motion_the_bounds_allow_the_whole_speed_and_only_deviations_are_damped():
     arm, own = load_robot("lwr4_rail"), {"limit_margin_m": 0.03, "climb": "scaled"}
     given = (ControlSettings(third_level=level, **own) for level in ("local", "planned"))
+    assert ControlSettings(third_level="receding").horizon_s == 1.0
     local, planned = (numbers_of(settings, arm, 0.002) for settings in given)
     for given, share, margin, k0 in ((local, 0.5, 0.15, 2.0), (planned, 1.0, 0.05, 10.0)):
         margins = [0.03, *[margin] * 7]
@@ -188,18 +189,6 @@ def test_along_a_planned_motion_the_observer_has_its_own_gain_unless_switched_of
     for name in ("tuned", "robust"):  # the observer affects the largest stable delay
         planned = ControlSettings.preset(name, third_level="planned")
         assert planned.observer_rate_per_s <= ControlSettings.preset(name).observer_gain_per_s
-
-
-def test_settings_that_are_left_out_have_the_documented_values():
-    given = ControlSettings(course="a.json", third_level="planned", dcac_damping=LARGEST)
-    assert (given.horizon_s, given.replan_per_s, given.climb, given.dcac_damping) == (1.0, 20.0, "gradient", LARGEST)
-    guard = SafetyFilterSettings()
-    assert (guard.residual_whole_torque, guard.stop_s, guard.stop_yield_s) == (0.5, 0.5, 0.4)
-    assert np.iinfo(np.int32).max == MOST_TICKS
-
-
-def test_with_a_ramp_below_the_period_level_3_starts_with_its_full_torque(robot):
-    assert numbers_of(ControlSettings(ramp_s=0.001), robot, 0.002)["fade"] == 1.0
 
 
 def test_a_wall_inside_the_controllers_joint_range_is_refused():

@@ -255,7 +255,6 @@ def test_the_residuals_along_the_self_motion_agree_with_a_numerical_search(c2):
 
 
 def test_without_a_gradient_along_the_self_motion_the_residuals_along_it_are_zero(qp, Z):
-    """Every feasible answer is an optimum if the cost has no gradient along the self-motion."""
     x = solved(qp).x
     for pull, c2, Zs in ((1.0, 1.0, np.zeros((0, 7))), (0.0, 1.0, Z), (1.0, 0.0, Z), (1e-9, 1.0, Z)):
         row = np.array(qp.row)

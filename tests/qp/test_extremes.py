@@ -102,15 +102,14 @@ def test_with_almost_no_regularization_uphill_walks_find_the_largest_linear_cost
 
 
 @pytest.mark.parametrize(("weight", "steps"), [(0.0, 3), (1e-4, 40), (1.0, 1)])
-def test_few_proximal_steps_lead_to_the_optimum_and_the_cost_does_not_depend_on_units(weight, steps, monkeypatch):
-    Z, low, high, slope = cut_box(3, (8, 3))
-    rho, calls = weight * float(np.linalg.norm(slope)), []
+def test_few_proximal_steps_lead_to_the_optimum_and_the_unit_of_speed_does_not_matter(weight, steps, monkeypatch):
+    (Z, low, high, slope), calls = cut_box(3, (8, 3)), []
+    slope /= np.linalg.norm(slope)
     monkeypatch.setattr(module, "nearest", lambda *given: calls.append(given) or nearest(*given))
-    module.optimum(Z, low, high, slope / np.linalg.norm(slope), weight)
+    module.optimum(Z, low, high, slope, weight)
     assert len(calls) <= steps
-    here, there = extremes(Z, low, high, slope, rho), extremes(Z, 8.0 * low, 8.0 * high, 4.0 * slope, 0.5 * rho)
-    np.testing.assert_array_equal(np.hstack(there), np.hstack([8.0 * here.w, 32.0 * here.least, 32.0 * here.most,
-                                                               4.0 * here.pull]))  # fmt: skip
+    here, there = extremes(Z, low, high, slope, weight), extremes(Z, 8.0 * low, 8.0 * high, 8.0 * slope, weight)
+    np.testing.assert_array_equal([there.least, there.most], [64.0 * here.least, 64.0 * here.most])
 
 
 def test_of_several_optima_the_one_nearest_to_zero_is_found():
@@ -169,7 +168,7 @@ def test_joints_with_equal_rows_define_no_corner_together():
     assert found.most == pytest.approx(worst, rel=1e-3)
 
 
-@pytest.mark.parametrize("small", [1e-2, 1e-4, 1e-5])
+@pytest.mark.parametrize("small", [1e-2, 1e-4, 1e-5, 1e-7])
 def test_a_distant_set_is_reached_to_rounding(small):
     """A bound on a joint that hardly depends on w is met only at a large w."""
     for seed in range(10):
@@ -177,19 +176,9 @@ def test_a_distant_set_is_reached_to_rounding(small):
         Z = (z / np.linalg.norm(z))[:, None]
         far = np.full(3, 10.0 / small)
         low, high = np.append(0.7, -far), np.append(1.0, far)
-        w, _ = nearest(Z, low, high, np.zeros(1))
+        w, force = nearest(Z, low, high, np.zeros(1))
         assert Z[0] @ w == pytest.approx(0.7, rel=1e-14)
-
-
-def test_a_joint_that_hardly_moves_does_not_empty_the_box():
-    rng = np.random.default_rng(2)
-    Z = np.linalg.qr(rng.normal(size=(7, 2)) * np.where(np.arange(7), 1.0, 1e-7)[:, None])[0]
-    low, high = -np.ones(7), np.ones(7)
-    low[0] = 0.3 * np.linalg.norm(Z[0])  # 0.3 rad/s along the self-motion, 3e-8 at this joint
-    w, force = nearest(Z, low, high, np.zeros(2))
-    assert (Z @ w >= low - 1e-14).all()
-    assert np.linalg.norm(w) == pytest.approx(0.3)
-    np.testing.assert_allclose(Z.T @ force, w, atol=1e-9)
+        np.testing.assert_allclose(Z.T @ force, w, rtol=1e-9)
 
 
 @pytest.mark.parametrize("seed", [285, 568, 649, 1706, 1724, 4198, 4585])

@@ -40,9 +40,9 @@ def random_case(rng, freedoms, size):
     return qp, x, V[:, rank(A) :], V[:, 4]
 
 
-def arm_case(rng, robot, size, pose=None):
+def arm_case(rng, robot, size):
     """A subproblem of a real arm whose elbow is bent so little that the fifth singular value is about ``size``."""
-    q = robot.random_regular_pose(rng) if pose is None else np.array(pose)
+    q = robot.random_regular_pose(rng)
     elbow = robot.n - 4
     q[elbow] = np.clip(size * rng.choice([-3.0, 3.0]), robot.q_min[elbow], robot.q_max[elbow])
     state = robot.state(q)
@@ -145,15 +145,3 @@ def test_only_the_better_end_is_verified_where_the_gradient_is_nearly_across_the
             assert verified == [True, False], (slope, width)
             seen += 1
     assert seen > 9
-
-
-def test_no_slid_answer_is_verified_at_an_elbow_bent_by_a_microradian():
-    rng = np.random.default_rng(0)
-    qp, *ways = arm_case(rng, ROBOTS[0], 1e-6 / 3.0, ROBOTS[0].data.q_home)
-    worse = [qp.residuals(x) for x, share in attack(rng, qp, *ways) if share > 0.1]
-    assert worse
-    for found in worse:
-        assert found.primal < 1e-6
-        assert min(found.loss, found.distance) > 0.1
-        assert not found.verified()
-    assert qp.residuals(mo.solvers.create("exact").start(qp).solve(qp).x).verified()

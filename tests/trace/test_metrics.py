@@ -117,8 +117,7 @@ def test_a_metric_can_be_registered_with_a_docstring_and_an_unused_name() -> Non
 
     assert METRICS["tip_speed_max_m_per_s"].about == "Largest speed of the tip [m/s]."
     assert "function" not in repr(METRICS["tip_speed_max_m_per_s"])
-    units = [METRICS[name].unit for name in ("tip_speed_max_m_per_s", "loss_max", "mu_mean", "tip_error_mean_mm")]
-    assert units == ["1", "1", "m^3", "mm"]  # of a plain @metric: 1
+    assert [METRICS[name].unit for name in ("completed", "loss_max", "mu_mean")] == ["1", "1", "m^3"]
     assert "tip_speed_max_m_per_s" not in summarize(run())
     speed = run().with_columns(tip_speed_m_per_s=[0.1, 0.5, 0.2, 0.3])
     assert summarize(speed)["tip_speed_max_m_per_s"] == tip_speed_max_m_per_s(speed) == 0.5

@@ -2,13 +2,11 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from moc_opt.errors import TraceError
 from moc_opt.scenario import Scenario, run
 from moc_opt.trace import oscillation as limits
-from moc_opt.trace.oscillation import Shaking, describe, judged_for_oscillation, shaking
+from moc_opt.trace.oscillation import describe, judged_for_oscillation, shaking
 from moc_opt.trace.trace import MissingDataError, Trace
 
 PERIOD = 0.002
@@ -30,22 +28,8 @@ def made(joint=0, amplitude=0.0, hertz=50.0, column="v_rad_per_s", ticks=1500, p
     return Trace(columns, {"ended": "completed", "period_s": period})
 
 
-@settings(max_examples=60, deadline=None)
-@given(
-    joint=st.integers(0, 6), amplitude=st.floats(0.3, 5.0), hertz=st.floats(16.0, 200.0),
-    period=st.sampled_from([0.001, 0.002]),
-)  # fmt: skip
-def test_the_joint_size_and_frequency_of_an_oscillation_are_found(joint, amplitude, hertz, period):
-    """The oscillation is added to a motion of 0.5 rad/s, sampled every 1 or 2 ms."""
-    found = shaking(made(joint, amplitude, hertz, ticks=round(3.0 / period), period=period), "v_rad_per_s")
-    assert found.joint == joint
-    assert found.rms == pytest.approx(amplitude / np.sqrt(2.0), rel=0.15)
-    assert found.frequency_Hz == pytest.approx(hertz, abs=1.0)
-
-
 @pytest.mark.parametrize(("ticks", "period"), [(8, 0.01), (8, 0.1), (90, 0.003), (700, 0.002), (1500, 0.002)])
 def test_the_figures_of_an_oscillation_equal_their_definitions(ticks, period):
-    """The definitions are computed for each window and each joint, from random values with a strong slow part."""
     t = 3.0 + period * np.arange(ticks)
     v = np.random.default_rng(ticks).normal(size=(ticks, 3)) + 3.0 * np.sin(2.0 * np.pi * 5.0 * t)[:, None]
     half, first = round(1.0 / 8.0 / period) // 2, min(round(0.5 / period), ticks // 2)
@@ -56,17 +40,13 @@ def test_the_figures_of_an_oscillation_equal_their_definitions(ticks, period):
     worst = windows[row, joint]
     parts = sorted((part**2).sum() for part in np.array_split(worst, 8))
     hertz, size = np.fft.rfftfreq(width, period), np.abs(np.fft.rfft((worst - worst.mean()) * np.hanning(width)))
-    wanted = hertz[np.argmax(np.where((hertz >= 8.0 - 1e-9) | (hertz == hertz[-1]), size, -1.0))]
+    largest = hertz[np.argmax(np.where((hertz >= 8.0 - 1e-9) | (hertz == hertz[-1]), size, -1.0))]
+    rest = np.sqrt(sum(parts[:6]) / (0.75 * width))
     found = shaking(Trace({"t_s": t, "v_rad_per_s": v}), "v_rad_per_s")
-    assert found.rms == pytest.approx(np.sqrt(np.mean(worst**2)), abs=1e-9)
-    assert found.joint == joint or found.rms == 0.0
-    assert found.frequency_Hz == pytest.approx(wanted)
-    assert found.rest == pytest.approx(np.sqrt(sum(parts[:6]) / (0.75 * width)), abs=1e-9)
-
-
-def test_a_value_counts_above_the_limit_if_most_of_the_window_has_more_than_half_of_it():
-    cases = {(0.3, 0.11): True, (0.3, 0.1): False, (0.2, 0.15): False, (0.1, 0.15): False}
-    assert {case: Shaking(0, case[0], 40.0, case[1]).above(0.2) for case in cases} == cases
+    assert found[1:] == pytest.approx((np.sqrt(np.mean(worst**2)), largest, rest), abs=1e-9)
+    assert found.joint == joint or period > 1.0 / 12.0  # with so few ticks nothing is above 8 Hz
+    for rms, rest, counts in ((0.3, 0.11, True), (0.3, 0.1, False), (0.2, 0.15, False), (0.1, 0.15, False)):
+        assert found._replace(rms=rms, rest=rest).above(0.2) == counts
 
 
 @pytest.mark.parametrize("factor", [0.9, 1.1])

@@ -2,6 +2,7 @@
 
 import contextlib
 import copy
+import itertools
 import os
 import pickle
 import sys
@@ -194,17 +195,16 @@ def test_a_file_that_is_no_trace_is_refused(tmp_path):
 
 
 def test_only_a_trace_of_the_same_kind_may_be_replaced(tmp_path):
-    names = "gone", "empty", "run", "plan", "foreign", "text"
-    gone, empty, run, plan, foreign, text = files = [tmp_path / f"{name}.parquet" for name in names]
+    files = gone, empty, run, plan, foreign, text = [tmp_path / f"{k}.parquet" for k in range(6)]
     empty.touch()
     example(3).save(run)
     example(3).with_meta(kind="plan").save(plan)
     pl.DataFrame({"mu": [0.1]}).write_parquet(foreign, metadata={"moc_opt.meta": "{}"})
     text.write_text("t_s,mu")
-    for kind, allowed in (("run", {gone, empty, run}), ("plan", {gone, empty, plan})):
-        for path in files:
-            with contextlib.nullcontext() if path in allowed else pytest.raises(TraceError, match=f"is no {kind}"):
-                check_trace(path, kind)
+    for kind, path in itertools.product(("run", "plan"), files):
+        allowed = path in (gone, empty, run if kind == "run" else plan)
+        with contextlib.nullcontext() if allowed else pytest.raises(TraceError, match=f"is no {kind}"):
+            check_trace(path, kind)
 
 
 WARNING = {"of": "the RCM error", "unit": "m", "level": 6e-3, "first_s": 0.1, "largest": 8e-3}
