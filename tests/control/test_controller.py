@@ -224,10 +224,9 @@ def test_exact_within_the_core_and_exact_in_a_session_agree_to_the_last_bit(robo
 
 
 def test_a_restart_of_a_solvers_process_has_the_time_of_its_tick(robot):
-    session = Mock(spec=IsolatedSession, restarts=[Restart(3, "it hung")])
-    solver, _ = watching(error=[session] * 2)
-    session.solve = lambda qp: EXACT.start(qp).solve(qp)
-    assert started(robot, solver)[0].restarts == [{"at_s": 0.006, "reason": "it hung"}]
+    session = Mock(spec=IsolatedSession, restarts=[Restart(3, "it hung")], solve=lambda qp: EXACT.start(qp).solve(qp))
+    controller, *_ = started(robot, watching(error=[session] * 2)[0])
+    assert controller.restarts == [{"at_s": 0.006, "reason": "it hung"}]
 
 
 def test_a_start_uses_none_of_the_recorded_solve_times(robot):

@@ -91,8 +91,7 @@ def test_settings_that_do_not_fit_the_arm_or_the_period_are_refused(settings, wo
 RANGES = {
     ControlSettings: {
         "(0, inf)": "K_X K_N k0_per_s", "(0, 1]": "rcm_lambda speed_fraction", "[0.2, 2]": "horizon_s",
-        "[20, 50]": "replan_per_s", "(0, 1)": "course_speed_fraction", "[0, 1]": "shaft_margin",
-    },
+        "[20, 50]": "replan_per_s", "(0, 1)": "course_speed_fraction", "[0, 1]": "shaft_margin"},
     SupervisorSettings: {"(0, inf)": "primal_limit box_limit relative_limit opposite_limit budget_us"},
     SafetyFilterSettings: {
         "(0, inf)": "motion_s motion_rad repeat_m repeat_torque repeat_whole_torque repeat_whole_m stuck_friction "
@@ -100,22 +99,19 @@ RANGES = {
         "jump_rad tip_error_m tip_error_s rcm_error_m rcm_warning_m trocar_force_N trocar_force_warning_N tip_force_N "
         "incision_s stop_damping_Nm_s_per_rad stop_yield_N stop_s", "[1, inf)": "repeat_whole_ticks repeat_joint_ticks",
         "(0, 500)": "residual_rate_per_s", "(1, inf)": "speed_factor", "[0, 1]": "stop_holding",
-        "[0, 60]": "stop_yield_s",
-    },
+        "[0, 60]": "stop_yield_s"},
     FaultSettings: {
         "[0, 1]": "drop_share solver_share", "[0, 50]": "late_ticks", "[1, inf)": "frozen_ticks nan_ticks",
         "[0, 1000]": "lag_ticks", "(0, 1]": "lag_growth", "[1, 5000]": "replay_ticks", "[-1, 1]": "drift_rad_per_s",
         "[-0.1, 0.1]": "encoder_bias_rad", "[0, 0.01]": "encoder_noise_rad", "[0, 200]": "bump_N", "(0, inf)": "bump_s",
-        "[0, 10]": "payload_kg", "[0, 0.1]": "slip_m", "(-inf, inf)": "jump_rad",
-    },
+        "[0, 10]": "payload_kg", "[0, 0.1]": "slip_m", "(-inf, inf)": "jump_rad"},
     PlantSettings: {
         "(0, 0.1]": "period_s", "[1, 1000]": "substeps", "[0, 0.9]": "mass_error", "[0, 10]": "friction",
         "[0, 1)": "friction_error", "[0, 0.05]": "calibration_error_m", "[0, 0.5]": "torque_ripple",
         "[0, 0.1]": "calibration_tilt_rad encoder_bias_rad encoder_noise_rad encoder_resolution_rad "
         "trocar_registration_error_m", "[0, 1e9]": "joint_stiffness_Nm_per_rad",
         "[0, 1e4]": "joint_spring_damping_Nm_s_per_rad trocar_damping_Ns_per_m", "(0, 1e5]": "torque_ripple_per_turn",
-        "[0, 100]": "delay_ticks", "[0, 1e6]": "trocar_stiffness_N_per_m",
-    },
+        "[0, 100]": "delay_ticks", "[0, 1e6]": "trocar_stiffness_N_per_m"},
     WireSettings: {"(0, 1e3]": "damping_Nm_s_per_rad", "(0, inf)": "wait_s silence_s resend_s"},
 }  # fmt: skip
 BESIDE = {

@@ -102,14 +102,12 @@ def test_with_almost_no_regularization_uphill_walks_find_the_largest_linear_cost
 
 
 @pytest.mark.parametrize(("weight", "steps"), [(0.0, 3), (1e-4, 40), (1.0, 1)])
-def test_few_proximal_steps_lead_to_the_optimum_and_the_unit_of_speed_does_not_matter(weight, steps, monkeypatch):
+def test_few_proximal_steps_lead_to_the_optimum(weight, steps, monkeypatch):
     (Z, low, high, slope), calls = cut_box(3, (8, 3)), []
     slope /= np.linalg.norm(slope)
     monkeypatch.setattr(module, "nearest", lambda *given: calls.append(given) or nearest(*given))
     module.optimum(Z, low, high, slope, weight)
     assert len(calls) <= steps
-    here, there = extremes(Z, low, high, slope, weight), extremes(Z, 8.0 * low, 8.0 * high, 8.0 * slope, weight)
-    np.testing.assert_array_equal([there.least, there.most], [64.0 * here.least, 64.0 * here.most])
 
 
 def test_of_several_optima_the_one_nearest_to_zero_is_found():
