@@ -101,7 +101,7 @@ def test_with_almost_no_regularization_uphill_walks_find_the_largest_linear_cost
         assert found.most == pytest.approx(most, abs=1e-6 * (most - least))
 
 
-@pytest.mark.parametrize(("weight", "steps"), [(0.0, 3), (1e-4, 40), (1.0, 1)])
+@pytest.mark.parametrize(("weight", "steps"), [(0.0, 2), (1e-4, 2), (1.0, 1)])
 def test_few_proximal_steps_lead_to_the_optimum(weight, steps, monkeypatch):
     (Z, low, high, slope), calls = cut_box(3, (8, 3)), []
     slope /= np.linalg.norm(slope)
@@ -111,9 +111,9 @@ def test_few_proximal_steps_lead_to_the_optimum(weight, steps, monkeypatch):
 
 
 def test_of_several_optima_the_one_nearest_to_zero_is_found():
-    found = extremes(np.eye(3), -np.ones(3), np.ones(3), np.array([1.0, 0.0, 0.0]), 0.0)
-    np.testing.assert_allclose(found.w, [-1.0, 0.0, 0.0], atol=1e-11)
-    assert (found.least, found.most) == pytest.approx((-1.0, 1.0))
+    found = extremes(np.eye(3), -np.ones(3), np.ones(3), np.array([1.0, 1e-4, 0.0]), 0.0)  # the second one takes longer
+    np.testing.assert_allclose(found.w, [-1.0, -1.0, 0.0], atol=1e-11)
+    assert (found.least, found.most) == pytest.approx((-1.0001, 1.0001))
 
 
 def test_an_empty_set_gives_none_and_a_set_of_one_point_gives_this_point():
