@@ -74,7 +74,6 @@ class Controller:
     def _forget(self) -> None:
         self._supervisor.forget()
         self._session: Session | None = None
-        self._observes = False
         self._subproblem: NullSpaceQP | None = None
         self._solution: Solution | None = None
         self._answer = np.full(self._n, np.nan)

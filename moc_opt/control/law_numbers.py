@@ -15,7 +15,7 @@ PROJECTORS = ("dynamic", "static", "as_published")  #: In the order of the core'
 FALLBACKS = ("damping", "hold", "least-violation")
 LATE = ("hold", "zero", "iterate")
 COURSE_K0_PER_S = 10.0  #: Smallest k0 with a course, which itself slows down before a limit.
-_CHECKS = ("check", "box_limit", "primal_limit", "relative_limit", "opposite_limit", "keep_off_limits")
+_CHECKS = ("check", "box_limit", "primal_limit", "relative_limit", "opposite_limit", "keep_off_limits", "hold_ticks")
 
 
 def numbers_of(settings: ControlSettings, robot: RobotModel, period: float) -> dict[str, Any]:
@@ -64,7 +64,6 @@ def numbers_of(settings: ControlSettings, robot: RobotModel, period: float) -> d
         "observer_gain": observer, "period": period, "third_level": moc, "damped": not moc and bool(damping.any()),
         "fade": 1.0 if settings.ramp_s == 0.0 else min(1.0, period / settings.ramp_s),
         "climbs": moc and settings.climb == "scaled" and not follows,
-        "hold_ticks": min(supervisor.hold_ticks, 2**31 - 1), "fallback": FALLBACKS.index(settings.fallback),
-        "late": LATE.index(supervisor.late),
+        "fallback": FALLBACKS.index(settings.fallback), "late": LATE.index(supervisor.late),
         "budget_us": math.inf if supervisor.budget_us is None else supervisor.budget_us,
     }  # fmt: skip

@@ -50,11 +50,9 @@ class Fault(Enum):
 def _raise_interrupt(error: BaseException) -> None:
     found: BaseException | None = error
     for _ in range(10):  # the chain may be cyclic in foreign code
-        if found is None or isinstance(found, KeyboardInterrupt):
-            break
-        found = found.__cause__ or found.__context__
-    if isinstance(found, KeyboardInterrupt):
-        raise found
+        if isinstance(found, KeyboardInterrupt):
+            raise found
+        found = found and (found.__cause__ or found.__context__)
 
 
 class SupervisorSettings(Settings):

@@ -130,15 +130,11 @@ def _lower_bound(low: Array, high: Array, pull: Array, rho: float) -> float:
 
 def _largest(Z: Array, low: Array, high: Array, slope: Array, rho: float, w: Array) -> float:
     n, r = Z.shape
-
-    def cost(w: Array) -> float:
-        return float(slope @ w + 0.5 * rho * w @ w)
-
     if rho == 0.0:
         found = optimum(Z, low, high, -slope, 0.0)
-        return cost(w if found is None else found[0])
+        return float(slope @ (w if found is None else found[0]))
     if comb(n, r) << r <= MOST_CORNERS:
-        return max(cost(w), _largest_corner(Z, low, high, slope, rho))
+        return _largest_corner(Z, low, high, slope, rho)
     axis = np.eye(r)[0]
     return max(_uphill(Z, low, high, slope, rho, w, way=way) for way in (slope, -slope, axis, -axis))
 
@@ -147,7 +143,7 @@ def _uphill(Z: Array, low: Array, high: Array, slope: Array, rho: float, w: Arra
     n, r = Z.shape
     active: list[int] = []
     side, moved = np.zeros(n), Z @ w
-    most = float(slope @ w + 0.5 * rho * w @ w)
+    most = -np.inf
     for _ in range(STEPS * n):
         if active:
             way = slope + rho * w

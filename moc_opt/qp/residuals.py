@@ -255,7 +255,7 @@ def _moving_joints(problem: Problem, x: Array, factors: _Factors, size: Array) -
         else:
             moved, loss, gap, pull = _in_a_polytope(Z, slope, rho, low, high, above)
         both = np.array([np.ones(len(x)), 1.0 / _or_one(scale)])[:, :, None]
-        if r == 1 or comb(n, r - 1) <= MOST_FACETS:
+        if comb(n, r - 1) <= MOST_FACETS:
             natural = _best_natural(problem, x, Z, both * slope)
         else:
             natural = np.abs(x - np.clip(x - both * pull, problem.lower, problem.upper)).max(-1)

@@ -75,15 +75,15 @@ def shaking(trace: Trace, column: str, limits: ArrayLike | None = None) -> Shaki
     fast = above(values, max(1, round(1.0 / (ABOVE_HZ * period))))[first:]
     total = np.concatenate([np.zeros((1, fast.shape[1])), np.cumsum(fast * fast, axis=0)])
     squares = np.maximum(total[window:] - total[:-window], 0.0) / window
-    bounds = np.broadcast_to(1.0 if limits is None else np.asarray(limits, dtype=np.float64), squares.shape[1:])
+    if limits is None:
+        return _at(fast, squares, squares, period)
+    bounds = np.broadcast_to(np.asarray(limits, dtype=np.float64), squares.shape[1:])
     shares = squares / np.square(bounds)
     loudest = found = _at(fast, squares, shares, period)
-    if limits is None:
-        return loudest
     while not found.above(bounds[found.joint]) and shares.max() > 1.0:
         # This is a jerk. Remove it, and look for an oscillation elsewhere.
-        row = int(np.argmax(shares[:, found.joint]))
-        shares[max(row - window // PARTS, 0) : row + window // PARTS + 1, found.joint] = 0.0
+        away = np.arange(len(shares)) - np.argmax(shares[:, found.joint])
+        shares[np.abs(away) <= window // PARTS, found.joint] = 0.0
         found = _at(fast, squares, shares, period)
     return found if found.above(bounds[found.joint]) else loudest
 
@@ -129,7 +129,7 @@ def judged_for_oscillation(trace: Trace, joint_names: Sequence[str], slides: Fla
     ended, stopped_s = trace.meta.get("ended"), trace.meta.get("stopped_at_s")
     # The braking of a stop is not judged.
     judged = trace if stopped_s is None else trace.head(int(np.searchsorted(trace.t_s, stopped_s)))
-    brief = len(judged) < 4 or judged.t_s[-1] - judged.t_s[0] < START_S + 0.5 * WINDOW_S
+    brief = len(judged) < 4 or judged.t_s[-1] - judged.t_s[0] < START_S + WINDOW_S / 2
     if brief or (ended != "completed" and stopped_s is None):
         return trace
     found = describe(judged, joint_names, slides)

@@ -12,6 +12,7 @@ from moc_opt.control.supervisor import Fault
 from moc_opt.errors import ControlError
 from moc_opt.solvers import Status
 from moc_opt.solvers.exact import Exact
+from moc_opt.solvers.isolated import IsolatedSession, Restart
 from tests.control.torques import in_place, tracking
 from tests.reference.law import third_level
 
@@ -22,7 +23,6 @@ QUIET = {
 
 
 def started(robot, solver=EXACT, state=None, **settings):
-    """Return a started controller, its state and its references."""
     state = robot.state(robot.data.q_home) if state is None else state
     law = "dcac" if solver is None else "moc"
     controller = Controller(robot, ControlSettings(law=law, **settings), solver)
@@ -68,8 +68,10 @@ def test_third_level_fades_in(robot):
     whole, _, tip_ref, trocar = started(robot, state=state, **QUIET)
     faded, *_ = started(robot, state=state, **{**QUIET, "ramp_s": 0.02})
     dcac, *_ = started(robot, None, state, **QUIET)
+    sudden, *_ = started(robot, state=state, **{**QUIET, "ramp_s": 0.001})  # a ramp below the period
     low = dcac.tick(state.q, state.v, tip_ref, trocar)
     top = whole.tick(state.q, state.v, tip_ref, trocar) - low
+    np.testing.assert_array_equal(sudden.tick(state.q, state.v, tip_ref, trocar) - low, top)
     for _ in range(2):
         for share in np.append(np.linspace(0.1, 1.0, 10), [1.0, 1.0]):
             found = faded.tick(state.q, state.v, tip_ref, trocar) - low
@@ -210,6 +212,21 @@ def test_exact_within_the_core_and_exact_in_a_session_agree_to_the_last_bit(robo
         assert repr(pair[0].solution) == repr(pair[1].solution)
     assert pair[0].faults == pair[1].faults
     assert (pair[0].fault is Fault.NONE) == (speed < 1.0)
+    noted = [controller.columns(1) for controller in pair]
+    for controller, columns in zip(pair, noted, strict=True):
+        controller.note(0, columns)
+        assert columns.pop("solve_us") == controller.solve_us
+        assert columns["fault"] == ["none" if speed < 1.0 else "infeasible"]
+        np.testing.assert_array_equal(columns["applied_x_rad_per_s"], [controller.answer])
+    for name, column in noted[0].items():
+        np.testing.assert_array_equal(column, noted[1][name], err_msg=name)
+    assert np.isfinite(noted[0]["dual"]).all() == (speed < 1.0)
+
+
+def test_a_restart_of_a_solvers_process_has_the_time_of_its_tick(robot):
+    session = Mock(spec=IsolatedSession, restarts=[Restart(3, "it hung")], solve=lambda qp: EXACT.start(qp).solve(qp))
+    controller, *_ = started(robot, watching(error=[session] * 2)[0])
+    assert controller.restarts == [{"at_s": 0.006, "reason": "it hung"}]
 
 
 def test_a_start_uses_none_of_the_recorded_solve_times(robot):

@@ -15,7 +15,6 @@ WARNINGS, LIMITS = ("rcm_warning_m", "trocar_force_warning_N"), ("rcm_error_m", 
 
 
 def look(guard, q, trocar, wrench):
-    """Check one measurement of the arm at rest."""
     guard.check_measurement(q, REST, wrench=wrench, trocar=trocar)
 
 

@@ -60,7 +60,6 @@ def unbelieved(level, name, q, v):
 
 
 def tip_error(level, tip):
-    """Whether the tip error stops the arm. If `tip` is None, the tip is at the origin."""
     return "tip" in follow(begun(tip_error=level), tip=tip, tip_ref=0.25, record=ARM.terms(ZERO, ZERO))
 
 
@@ -111,7 +110,6 @@ def incision(level, j, name, shown):
 
 
 def touched(level):
-    """Whether a force at the tip gives a warning."""
     guard = begun(warning=[OFF, level])
     read(guard, wrench=np.array([0.25, 0.0, 0.0, 0.0, 0.0625, 0.0]), trocar=TROCAR)
     return guard.watched()[1][2, 1] == 0.0

@@ -145,9 +145,9 @@ def test_a_noisy_sensor_that_repeats_its_reading_at_rest_stops_the_arm(noisy, al
     assert looked(q[:340], 0.0 * q[:340], wrench=wrench[:340]) == ("", 340)
 
 
-def watched(robot, torque, ticks, **levels):
+def watched(robot, torque, ticks, momentum=True, **levels):
     """Return reason and tick of the stop. The readings show only noise while `torque(k)` [Nm] acts."""
-    rng, q, guard = np.random.default_rng(0), robot.data.q_home, guard_of(robot, momentum=True, **levels)
+    rng, q, guard = np.random.default_rng(0), robot.data.q_home, guard_of(robot, momentum=momentum, **levels)
     for k in range(ticks):
         shown, tau = q + 1e-5 * rng.normal(size=N), robot.gravity(q) + torque(k)
         guard.check_measurement(shown, REST, k, tau)
@@ -161,16 +161,17 @@ def watched(robot, torque, ticks, **levels):
 def test_an_unknown_load_stops_the_arm_only_if_it_begins_after_the_residual_has_settled(robot, begins, told):
     """The residual's mean adapts to the load during the first `_SETTLED` time constants."""
     load = 0.4 * robot.tau_max
-    for on in (True, False):
-        reason, _ = watched(robot, lambda k: (k >= begins) * load, 200, residual_s=1e6, motion=on)
-        assert ("the measured motion does not fit the torque" in reason) == bool(reason) == (told and on)
+    for on, momentum in ((True, True), (False, True), (True, False)):
+        reason, _ = watched(robot, lambda k: (k >= begins) * load, 200, momentum, residual_s=1e6, motion=on)
+        found = "the measured motion does not fit the torque" in reason
+        assert found == bool(reason) == (told and on and momentum)
 
 
-@pytest.mark.parametrize(("whole", "stops"), [(0.5, True), (1e6, False)])
-def test_a_torque_that_grows_slowly_at_a_constant_pose_stops_the_arm(whole, stops, robot):
+@pytest.mark.parametrize(("levels", "stops"), [({}, True), ({"residual_whole_torque": 1e6}, False)])
+def test_a_torque_that_grows_slowly_at_a_constant_pose_stops_the_arm(levels, stops, robot):
     """This imitates frozen readings with fresh noise under an integrating controller."""
     rate = 0.25 * robot.tau_max[1] * PERIOD * np.eye(N)[1]  # 1.25 times the largest torque after 5 s
-    reason, k = watched(robot, lambda k: rate * k, 2500, residual_whole_torque=whole)
+    reason, k = watched(robot, lambda k: rate * k, 2500, **levels)
     assert ("does not fit the torque" in reason) == bool(reason) == stops
     if stops:
         assert 0.5 < 0.25 * PERIOD * k < 0.55

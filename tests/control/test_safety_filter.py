@@ -1,13 +1,14 @@
 """The safety filter: torque near joint limits (walls) and in a stop (brakes), accepted measurements, and settings."""
 
 import dataclasses
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from moc_opt.control.safety_filter import SafetyFilterSettings, numbers_of
+from moc_opt.control.safety_filter import MOST_TICKS, SafetyFilter, SafetyFilterSettings, numbers_of
 from moc_opt.errors import ControlError
 from moc_opt.robots.model import RobotModel, load_robot
 from tests.control.torques import PERIOD, REST, N, guard_of, off_by, weight
@@ -19,7 +20,6 @@ def bad_ticks(guard):
 
 
 def by_the_law(s, robot, tau, before, q, v, carries):
-    """The filter's torque, computed with numpy."""
     margins = s.position_margin_rad
     low, high, hold = robot.q_min + margins, robot.q_max - margins, carries * robot.gravity(q)
     ends, step = [], s.torque_rate_Nm_per_s * PERIOD
@@ -76,6 +76,27 @@ def test_the_wall_of_a_sliding_joint_has_its_own_margin():
     given = numbers_of(SafetyFilterSettings(position_margin_rad=0.3, position_margin_m=0.02), rail, PERIOD)
     np.testing.assert_allclose(given["low"] - rail.q_min, margins)
     np.testing.assert_allclose(rail.q_max - given["high"], margins)
+
+
+def test_a_filter_by_default_carries_the_weight_and_checks_incision_and_motion(robot):
+    mine, q = SafetyFilter(robot, SafetyFilterSettings(incision_s=PERIOD), PERIOD), robot.data.q_home
+    np.testing.assert_allclose(mine.stop_torque(robot.gravity(q)), robot.gravity(q))
+    mine.check_measurement(q, REST, trocar=off_by(robot, q, 0.02))
+    assert mine.reason.startswith("the RCM error")
+    with patch.object(robot, "state", side_effect=ArithmeticError), pytest.raises(ArithmeticError):
+        mine.limit_torque(REST, REST, q, REST)  # the check of the motion needs the state
+    given = numbers_of(SafetyFilterSettings(), robot, PERIOD)
+    assert (given["carries"], given["in_incision"], MOST_TICKS) == (True, True, np.iinfo(np.int32).max)
+
+
+@pytest.mark.parametrize(("ticks", "replayed"), [(None, np.inf), (70, 25.0), (700, 100.0)])
+def test_the_smaller_limit_for_a_stuck_joint_and_the_larger_one_for_a_replay_are_used(robot, ticks, replayed):
+    known = np.array([9.0, 0.0, 0.5, 0.8, 0.5, 0.3, 0.3])  # 0: the friction is not known
+    arm = RobotModel(dataclasses.replace(robot.data, coulomb_friction=known))
+    settings = SafetyFilterSettings(stuck_torque=0.1, stuck_friction=2.0, repeat_joint_ticks=ticks)
+    given = numbers_of(settings, arm, PERIOD)
+    np.testing.assert_allclose(given["held"], np.fmin(0.1 * robot.tau_max, np.where(known > 0.0, 2.0 * known, np.inf)))
+    assert given["replayed_ticks"] == replayed
 
 
 @pytest.mark.parametrize("start", [-1.0, 1.0])

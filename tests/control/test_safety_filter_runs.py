@@ -55,51 +55,40 @@ STOPPED = {
     "a recording of the resting arm": ({**AT_REST, "seed": 8316}, 4.0, 0.08, 2e-3, 5.0, "are a recording"),
     "the same, no noise in the wrench": (
         {**AT_REST, "seed": 8307, "plant": {"force_noise_N": 0.0, "torque_noise_Nm": 0.0}}, 4.0, 0.08, 2e-3, 5.0,
-        "are a recording",
-    ),
+        "are a recording"),
     "forged": (
         {"faults": {"frozen_at_s": 1.7, **FORGED}, "seed": 501, "duration_s": 2.4,
-         "start": {"pose": "random", "swivel": "random"}}, 1.7, 0.1, 4e-3, 5.0, "",
-    ),
+         "start": {"pose": "random", "swivel": "random"}}, 1.7, 0.1, 4e-3, 5.0, ""),
     # Without the check of repeated readings, the tip error is 57 mm in motion and 0 at rest.
     "forged-lag-at-rest": (
         {"faults": {"lag_at_s": 0.0, "lag_growth": 0.3, "forged_stamps": True}, "seed": 2345, "control": DCAC,
-         "task": STILL, "duration_s": 1.5, **ANYWHERE}, 0.0, 0.24, 4e-3, 5.0, "",
-    ),
+         "task": STILL, "duration_s": 1.5, **ANYWHERE}, 0.0, 0.24, 4e-3, 5.0, ""),
     "forged-lag-in-motion": (
         {"faults": {"lag_at_s": 0.6, "lag_growth": 0.3, "forged_stamps": True}, "seed": 2345, "control": DCAC,
-         "robot": {"name": "gen3"}, "duration_s": 1.5, **ANYWHERE}, 0.6, 0.14, 4e-3, 5.0, "",
-    ),
+         "robot": {"name": "gen3"}, "duration_s": 1.5, **ANYWHERE}, 0.6, 0.14, 4e-3, 5.0, ""),
     "one-frozen-found-by-its-noise": (  # the noise allows at most 89 equal readings
         {"faults": {"frozen_at_s": 0.8, "frozen_joint": 1, "frozen_velocity": "zero"}, "seed": 2100, "duration_s": 3.0,
-         "guard": {"repeat_reading_ticks": 10**6}, **SWIVEL}, 0.8, 0.183, 0.045, 25.0, "",
-    ),
+         "guard": {"repeat_reading_ticks": 10**6}, **SWIVEL}, 0.8, 0.183, 0.045, 25.0, ""),
     "slip": ({"faults": {"slip_m": 0.1, "slip_at_s": 1.5}}, 1.5, 0.1, 1.0, 75.0, "force has been above 15 N"),
     "slip-under-a-frozen-wrench": (
         {"faults": {"frozen_at_s": 0.4, "frozen_wrench": True, "slip_m": 0.1, "slip_at_s": 0.8}, "seed": 2140},
-        0.4, 0.056, 1.0, INF, "the wrench sensor repeats its reading",
-    ),
+        0.4, 0.056, 1.0, INF, "the wrench sensor repeats its reading"),
     "drift-apart-from-the-velocity": (
         {"faults": {"drift_rad_per_s": 0.05, "drift_at_s": 0.5, "drift_velocity": "apart"}, "seed": 2210, **SWIVEL},
-        0.5, 0.1, 5e-3, 5.0, "do not follow their velocities",
-    ),
+        0.5, 0.1, 5e-3, 5.0, "do not follow their velocities"),
     "drift-with-the-velocity": (  # with a wrong depth, the force first counts as a contact at the tip
         {"faults": {"drift_at_s": 2.02, "drift_rad_per_s": 0.05}, "seed": 7033, "control": {"preset": "robust"},
          "task": {"v_max_m_per_s": 0.07730648346067734}, "duration_s": 6.0, **SWIVEL},
-        2.02, 4.0, 0.13, 32.0, "the trocar's force",
-    ),
+        2.02, 4.0, 0.13, 32.0, "the trocar's force"),
     "coarse-frozen": (
-        {"faults": {"frozen_at_s": 1.0, **FORGED}, "seed": 11, "plant": QUANTIZED}, 1.0, 0.3, 0.006, 25.0, "",
-    ),
+        {"faults": {"frozen_at_s": 1.0, **FORGED}, "seed": 11, "plant": QUANTIZED}, 1.0, 0.3, 0.006, 25.0, ""),
     "coarse-one-frozen": (  # only the momentum residual shows it
         {"faults": {"frozen_at_s": 1.4, "frozen_joint": 3, **FORGED}, "seed": 11, "plant": QUANTIZED},
-        1.4, 0.3, 0.1, 25.0, "",
-    ),
+        1.4, 0.3, 0.1, 25.0, ""),
     "one-frozen-without-noise": (  # found by the momentum residual, or after tens of mm by the trocar's force
         {"faults": {"frozen_at_s": 1.2, "frozen_joint": 1, "frozen_velocity": "zero"}, "duration_s": 4.0,
          "plant": {"encoder_noise_rad": 0.0}},
-        1.2, 1.5, 0.1, 32.0, "",
-    ),
+        1.2, 1.5, 0.1, 32.0, ""),
 }  # fmt: skip
 
 
@@ -285,6 +274,7 @@ def test_a_controller_that_breaks_down_stops_the_arm(how, told, monkeypatch):
 
     monkeypatch.setattr(Controller, "tick", tick)
     trace = stopped(0.2, 1e-9, 2e-3, 3.0, told)
+    assert trace.t_s[-1] - trace.meta["stopped_at_s"] == pytest.approx(0.5, abs=0.01)
     assert np.isfinite(trace.tau_Nm).all()
     assert np.abs(trace.v_rad_per_s[-1]).max() < 0.02
 

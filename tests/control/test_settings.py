@@ -11,6 +11,7 @@ from moc_opt.control.law_numbers import numbers_of
 from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.control.supervisor import SupervisorSettings
 from moc_opt.errors import ControlError, MocOptError, ScenarioError, UnknownNameError
+from moc_opt.inputs.settings import LARGEST
 from moc_opt.realtime.wire import WireSettings
 from moc_opt.robots.model import load_robot
 from moc_opt.scenario import Scenario
@@ -53,6 +54,7 @@ def test_the_matched_dcac_baseline_has_the_same_gains_and_observer(settings, rob
 def test_a_gain_is_one_number_or_one_per_joint():
     given = ControlSettings(gains="moc", K_N2=[3, 2, 1.5], dcac_damping=(0.0, 1.0, 0.0))
     assert ControlSettings(**json.loads(given.model_dump_json())) == given
+    assert ControlSettings(dcac_damping=LARGEST).dcac_damping == LARGEST
     numbers = given.resolve_gains(TABLES, 3)
     np.testing.assert_array_equal(numbers.K_N2, [3.0, 2.0, 1.5])
     np.testing.assert_array_equal(numbers.D_N2, [1.0, 1.0, 1.0])
@@ -75,6 +77,7 @@ def test_gains_that_are_missing_or_do_not_fit_the_arm_are_refused(settings, join
 @pytest.mark.parametrize(("settings", "words"), [
     ({"law": "dcac", "dcac_damping": [1.0, 2.0]}, "dcac_damping = .* has 2 entries for 8 joints"),
     ({"limit_margin_rad": 3.0}, "limit_margin_rad = 3.0: no room is left for joint 3 .* less than 2.09"),
+    ({"limit_margin_m": 0.5}, "limit_margin_m = 0.5: no room is left for joint 1 .* less than 0.5"),
     ({"observer_gain_per_s": 500.0}, "observer_gain_per_s = 500.0 .* below 500"),
     ({"third_level": "planned", "course_observer_gain_per_s": 600.0}, "course_observer_gain_per_s = 600.0"),
 ])  # fmt: skip
@@ -88,8 +91,7 @@ def test_settings_that_do_not_fit_the_arm_or_the_period_are_refused(settings, wo
 RANGES = {
     ControlSettings: {
         "(0, inf)": "K_X K_N k0_per_s", "(0, 1]": "rcm_lambda speed_fraction", "[0.2, 2]": "horizon_s",
-        "[20, 50]": "replan_per_s", "(0, 1)": "course_speed_fraction", "[0, 1]": "shaft_margin",
-    },
+        "[20, 50]": "replan_per_s", "(0, 1)": "course_speed_fraction", "[0, 1]": "shaft_margin"},
     SupervisorSettings: {"(0, inf)": "primal_limit box_limit relative_limit opposite_limit budget_us"},
     SafetyFilterSettings: {
         "(0, inf)": "motion_s motion_rad repeat_m repeat_torque repeat_whole_torque repeat_whole_m stuck_friction "
@@ -97,22 +99,19 @@ RANGES = {
         "jump_rad tip_error_m tip_error_s rcm_error_m rcm_warning_m trocar_force_N trocar_force_warning_N tip_force_N "
         "incision_s stop_damping_Nm_s_per_rad stop_yield_N stop_s", "[1, inf)": "repeat_whole_ticks repeat_joint_ticks",
         "(0, 500)": "residual_rate_per_s", "(1, inf)": "speed_factor", "[0, 1]": "stop_holding",
-        "[0, 60]": "stop_yield_s",
-    },
+        "[0, 60]": "stop_yield_s"},
     FaultSettings: {
         "[0, 1]": "drop_share solver_share", "[0, 50]": "late_ticks", "[1, inf)": "frozen_ticks nan_ticks",
         "[0, 1000]": "lag_ticks", "(0, 1]": "lag_growth", "[1, 5000]": "replay_ticks", "[-1, 1]": "drift_rad_per_s",
         "[-0.1, 0.1]": "encoder_bias_rad", "[0, 0.01]": "encoder_noise_rad", "[0, 200]": "bump_N", "(0, inf)": "bump_s",
-        "[0, 10]": "payload_kg", "[0, 0.1]": "slip_m", "(-inf, inf)": "jump_rad",
-    },
+        "[0, 10]": "payload_kg", "[0, 0.1]": "slip_m", "(-inf, inf)": "jump_rad"},
     PlantSettings: {
         "(0, 0.1]": "period_s", "[1, 1000]": "substeps", "[0, 0.9]": "mass_error", "[0, 10]": "friction",
         "[0, 1)": "friction_error", "[0, 0.05]": "calibration_error_m", "[0, 0.5]": "torque_ripple",
         "[0, 0.1]": "calibration_tilt_rad encoder_bias_rad encoder_noise_rad encoder_resolution_rad "
         "trocar_registration_error_m", "[0, 1e9]": "joint_stiffness_Nm_per_rad",
         "[0, 1e4]": "joint_spring_damping_Nm_s_per_rad trocar_damping_Ns_per_m", "(0, 1e5]": "torque_ripple_per_turn",
-        "[0, 100]": "delay_ticks", "[0, 1e6]": "trocar_stiffness_N_per_m",
-    },
+        "[0, 100]": "delay_ticks", "[0, 1e6]": "trocar_stiffness_N_per_m"},
     WireSettings: {"(0, 1e3]": "damping_Nm_s_per_rad", "(0, inf)": "wait_s silence_s resend_s"},
 }  # fmt: skip
 BESIDE = {
@@ -142,7 +141,8 @@ def test_each_number_has_its_range(kind):
 
 
 @pytest.mark.parametrize(("table", "field", "value"), [
-    ("control", "D_N2", "soft"), ("control", "D_N2", [1.0, -1.0]), ("control", "law", "both"),
+    ("control", "D_N2", "soft"), ("control", "D_N2", [1.0, -1.0]), ("control", "D_N2", True),
+    ("control", "D_N2", 1.01 * LARGEST), ("control", "law", "both"), ("control", "course", "a.json"),
     ("control", "limit_torque", "perhaps"), ("control", "feedforward", 3), ("faults", "bumps_N", 1.0),
     ("plant", "substeps", 1), ("plant", "joint_stiffness_Nm_per_rad", (1e4, -1.0)),
 ])  # fmt: skip
@@ -152,8 +152,8 @@ def test_a_wrong_value_names_its_field(table, field, value):
 
 
 def test_a_preset_is_found_by_its_name():
-    softer = ControlSettings.preset("tuned", gains="robust", observer_gain_per_s=22.0, course_observer_gain_per_s=22.0)
-    assert ControlSettings.preset("robust") == softer
+    softer = {"gains": "robust", "feedforward": True, "observer_gain_per_s": 22.0, "course_observer_gain_per_s": 22.0}
+    assert ControlSettings.preset("robust") == ControlSettings.preset("tuned", **softer)
     with pytest.raises(UnknownNameError, match="did you mean 'tuned'"):
         ControlSettings.preset("tunned")
 
@@ -161,6 +161,7 @@ def test_a_preset_is_found_by_its_name():
 def test_along_a_planned_motion_the_bounds_allow_the_whole_speed_and_only_deviations_are_damped():
     arm, own = load_robot("lwr4_rail"), {"limit_margin_m": 0.03, "climb": "scaled"}
     given = (ControlSettings(third_level=level, **own) for level in ("local", "planned"))
+    assert ControlSettings(third_level="receding").horizon_s == 1.0
     local, planned = (numbers_of(settings, arm, 0.002) for settings in given)
     for given, share, margin, k0 in ((local, 0.5, 0.15, 2.0), (planned, 1.0, 0.05, 10.0)):
         margins = [0.03, *[margin] * 7]
@@ -168,6 +169,8 @@ def test_along_a_planned_motion_the_bounds_allow_the_whole_speed_and_only_deviat
         np.testing.assert_allclose(given["q_min"] - arm.q_min, margins)
         np.testing.assert_allclose(arm.q_max - given["q_max"], margins)
         assert given["k0"] == k0
+        np.testing.assert_array_equal(given["tau_max"], arm.tau_max)
+        assert given["feedforward"]
     assert (local["climbs"], planned["climbs"]) == (True, False)
     # The desired speed v = x is not damped. A deviation from v = x is damped as much as with `local`.
     np.testing.assert_array_equal(planned["D_N2"], 0.0)
@@ -213,15 +216,14 @@ def test_the_shafts_margin_grows_with_the_squared_distance_from_tip_to_wrist(len
 
 TABLE_I = {
     "dcac": {
-        "K_X": 2000.0, "D_X": 20.0, "K_N": 600.0, "D_N": 10.0, "rcm_lambda": 0.5, "feedforward": False,
+        "K_X": 2000.0, "D_X": 20.0, "K_N": 600.0, "D_N": 10.0, "rcm_lambda": 0.5, "feedforward": False, "damped": False,
         "K_N2": np.zeros(7), "D_N2": np.zeros(7), "observer_gain": 0.0,  # tau_d = tau_T + tau_N1
     },
     "moc": {
         "K_X": 3000.0, "D_X": 30.0, "K_N": 800.0, "D_N": 10.0, "rcm_lambda": 0.5, "feedforward": False, "k0": 0.1,
         "c0": 0.01, "c1": 0.01, "c2": 0.001, "rho": 0.0, "fade": 1.0, "climbs": False, "observer_gain": 0.0,
-        "shaft_margin": 0.0, "spare_speed": 0.0,
-        "K_N2": [80.0, 120.0, 60.0, 30.0, 20.0, 10.0, 10.0], "D_N2": [6.0, 10.0, 5.0, 3.0, 2.0, 1.0, 1.0],
-    },
+        "shaft_margin": 0.0, "spare_speed": 0.0, "damped": False,
+        "K_N2": [80.0, 120.0, 60.0, 30.0, 20.0, 10.0, 10.0], "D_N2": [6.0, 10.0, 5.0, 3.0, 2.0, 1.0, 1.0]},
 }  # fmt: skip
 
 

@@ -49,7 +49,6 @@ def in_place(state, speed=0.0):
 
 
 def subproblem(robot, state, tip_ref, trocar, **parts):
-    """The record of the tick's subproblem."""
     return ticked(robot, state, tip_ref, trocar, **parts)[1]
 
 
@@ -78,7 +77,6 @@ REST = np.zeros(N)
 
 
 def guard_of(robot, q=None, v=REST, carries=True, incision=False, momentum=False, **changes):
-    """A safety filter that was started at a pose."""
     settings = SafetyFilterSettings(**changes)
     mine = SafetyFilter(robot, settings, PERIOD, carries=carries, incision=incision, momentum=momentum)
     mine.start(robot.data.q_home if q is None else q, v)

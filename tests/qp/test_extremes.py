@@ -101,10 +101,19 @@ def test_with_almost_no_regularization_uphill_walks_find_the_largest_linear_cost
         assert found.most == pytest.approx(most, abs=1e-6 * (most - least))
 
 
+@pytest.mark.parametrize(("weight", "steps"), [(0.0, 2), (1e-4, 2), (1.0, 1)])
+def test_few_proximal_steps_lead_to_the_optimum(weight, steps, monkeypatch):
+    (Z, low, high, slope), calls = cut_box(3, (8, 3)), []
+    slope /= np.linalg.norm(slope)
+    monkeypatch.setattr(module, "nearest", lambda *given: calls.append(given) or nearest(*given))
+    module.optimum(Z, low, high, slope, weight)
+    assert len(calls) <= steps
+
+
 def test_of_several_optima_the_one_nearest_to_zero_is_found():
-    found = extremes(np.eye(3), -np.ones(3), np.ones(3), np.array([1.0, 0.0, 0.0]), 0.0)
-    np.testing.assert_allclose(found.w, [-1.0, 0.0, 0.0], atol=1e-11)
-    assert (found.least, found.most) == pytest.approx((-1.0, 1.0))
+    found = extremes(np.eye(3), -np.ones(3), np.ones(3), np.array([1.0, 1e-4, 0.0]), 0.0)  # the second one takes longer
+    np.testing.assert_allclose(found.w, [-1.0, -1.0, 0.0], atol=1e-11)
+    assert (found.least, found.most) == pytest.approx((-1.0001, 1.0001))
 
 
 def test_an_empty_set_gives_none_and_a_set_of_one_point_gives_this_point():
@@ -121,6 +130,8 @@ def test_a_range_of_cost_below_rounding_counts_as_zero():
     Z = np.eye(2)
     found = extremes(Z, np.array([0.0, 0.0]), np.array([1e-13, 1.0]), np.array([1.0, 0.0]), 0.0)
     assert found.least == found.most == 0.0
+    shifted = extremes(Z, np.array([-3.0, -3.0]), np.array([1e-13 - 3.0, -2.0]), np.array([1.0, 0.0]), 0.0)
+    assert shifted.least == shifted.most == pytest.approx(-3.0)
     for short in (1e-8, 1e-11):  # a short interval in a wide box still has two ends
         found = extremes(Z, np.array([0.0, 0.0]), np.array([short, 1.0]), np.array([-1.0, 0.0]), 0.0)
         assert found.least == pytest.approx(-short)
@@ -155,7 +166,7 @@ def test_joints_with_equal_rows_define_no_corner_together():
     assert found.most == pytest.approx(worst, rel=1e-3)
 
 
-@pytest.mark.parametrize("small", [1e-2, 1e-4, 1e-5])
+@pytest.mark.parametrize("small", [1e-2, 1e-4, 1e-5, 1e-7])
 def test_a_distant_set_is_reached_to_rounding(small):
     """A bound on a joint that hardly depends on w is met only at a large w."""
     for seed in range(10):
@@ -163,19 +174,9 @@ def test_a_distant_set_is_reached_to_rounding(small):
         Z = (z / np.linalg.norm(z))[:, None]
         far = np.full(3, 10.0 / small)
         low, high = np.append(0.7, -far), np.append(1.0, far)
-        w, _ = nearest(Z, low, high, np.zeros(1))
+        w, force = nearest(Z, low, high, np.zeros(1))
         assert Z[0] @ w == pytest.approx(0.7, rel=1e-14)
-
-
-def test_a_joint_that_hardly_moves_does_not_empty_the_feasible_set():
-    rng = np.random.default_rng(2)
-    Z = np.linalg.qr(rng.normal(size=(7, 2)) * np.where(np.arange(7), 1.0, 1e-7)[:, None])[0]
-    low, high = -np.ones(7), np.ones(7)
-    low[0] = 0.3 * np.linalg.norm(Z[0])  # 0.3 rad/s along the self-motion, 3e-8 at this joint
-    w, force = nearest(Z, low, high, np.zeros(2))
-    assert (Z @ w >= low - 1e-14).all()
-    assert np.linalg.norm(w) == pytest.approx(0.3)
-    np.testing.assert_allclose(Z.T @ force, w, atol=1e-9)
+        np.testing.assert_allclose(Z.T @ force, w, rtol=1e-9)
 
 
 @pytest.mark.parametrize("seed", [285, 568, 649, 1706, 1724, 4198, 4585])

@@ -40,9 +40,9 @@ def random_case(rng, freedoms, size):
     return qp, x, V[:, rank(A) :], V[:, 4]
 
 
-def arm_case(rng, robot, size, pose=None):
-    """Like `random_case`, for a real arm. Its elbow is so straight that the fifth singular value is about ``size``."""
-    q = robot.random_regular_pose(rng) if pose is None else np.array(pose)
+def arm_case(rng, robot, size):
+    """A subproblem of a real arm whose elbow is bent so little that the fifth singular value is about ``size``."""
+    q = robot.random_regular_pose(rng)
     elbow = robot.n - 4
     q[elbow] = np.clip(size * rng.choice([-3.0, 3.0]), robot.q_min[elbow], robot.q_max[elbow])
     state = robot.state(q)
@@ -102,11 +102,13 @@ def test_no_answer_that_slid_to_a_worse_cost_is_verified(seed):
     assert all(found.loss > 0.0 or found.relative > 1e-3 for _, _, found in tried)
 
 
+@pytest.mark.parametrize("regularization", [0.0, 0.01])
 @pytest.mark.parametrize("freedoms", [1, 2])
-def test_if_one_point_is_feasible_the_residual_relative_is_the_scaled_loss_of_cost(freedoms):
+def test_if_one_point_is_feasible_the_residual_relative_is_the_scaled_loss_of_cost(freedoms, regularization):
     qp, base, Z, direction = random_case(np.random.default_rng(0), freedoms, 1e-9)
     row, pinned = np.array(qp.row), [3, 6][:freedoms]
     fields(row).lower[pinned] = fields(row).upper[pinned] = base[pinned]
+    fields(row).weights[3] = regularization
     one, way = NullSpaceQP.from_row(row), direction - Z @ np.linalg.solve(Z[pinned], direction[pinned])
     slid = max((base + step * way for step in (-0.3, 0.3)), key=lambda x: cost(one, x))
     scale = max(one.c2 * np.abs(Z @ (one.pull @ Z)).max(), one.regularization)
@@ -143,15 +145,3 @@ def test_only_the_better_end_is_verified_if_the_gradient_is_nearly_orthogonal_to
             assert verified == [True, False], (slope, width)
             seen += 1
     assert seen > 9
-
-
-def test_no_slid_answer_is_verified_at_an_elbow_bent_by_a_microradian():
-    rng = np.random.default_rng(0)
-    qp, *ways = arm_case(rng, ROBOTS[0], 1e-6 / 3.0, ROBOTS[0].data.q_home)
-    worse = [qp.residuals(x) for x, share in attack(rng, qp, *ways) if share > 0.1]
-    assert worse
-    for found in worse:
-        assert found.primal < 1e-6
-        assert min(found.loss, found.distance) > 0.1
-        assert not found.verified()
-    assert qp.residuals(mo.solvers.create("exact").start(qp).solve(qp).x).verified()

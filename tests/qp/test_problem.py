@@ -60,7 +60,7 @@ def test_an_answer_of_another_shape_is_refused_by_name(qp):
 
 
 def test_a_record_gives_back_the_same_subproblem(qp):
-    plain = changed(qp, q=None)
+    plain = changed(qp, q=None, c2=1e12)
     assert plain.q is None
     assert changed(qp, q=np.arange(7.0)).q.tolist() == list(range(7))
     for one in (qp, plain):

@@ -27,7 +27,7 @@ def run(**changed: object) -> Trace:
         "rcm_error_registered_m": [0.001, 0.0, 0.0, 0.001], "rcm_error_model_m": [0.0, 0.0, 0.003, 0.001],
         "trocar_force_N": [[3.0, 4.0, 0.0], [0.0, 0.0, -1.0], [0.0, 0.0, 0.0], [0.0, 2.0, 0.0]],
         "status": ["solved", "solved", "infeasible", "solved"], "fault": ["none", "lied", "infeasible", "stopped"],
-        "limited": [3, 0, 1, 0], "verified": [True, False, False, True], "solve_us": [10.0, 20.0, NAN, 30.0],
+        "limited": [3, 0, 1, 0], "verified": [True, False, True, False], "solve_us": [10.0, 20.0, NAN, 30.0],
         "tick_us": [50.0, 100.0, 150.0, 100.5], "primal": [1e-9, 1e-3, NAN, -0.0], "natural": [1e-8, 2e-3, NAN, 0.0],
         "loss": [0.0, 0.5, NAN, 0.25], "travelling": [True, False, True, False],
     }  # fmt: skip
@@ -55,7 +55,7 @@ def test_every_metric_equals_its_value_by_hand() -> None:
         "oscillation_rad_per_s": 1.0, "oscillation_Nm": math.sqrt((1.5**2 + 8.5**2) / 2.0),
         "solve_p50_us": 20.0, "solve_p99_us": 29.8, "tick_p50_us": 100.25,
         "tick_p99_us": float(np.percentile([50.0, 100.0, 150.0, 100.5], 99)), "deadline_misses": 2.0,
-        "claimed_solved": 3.0, "verified_solved": 2.0, "silently_wrong": 1.0, "faults": 2.0, "limited_ticks": 2.0,
+        "claimed_solved": 3.0, "verified_solved": 2.0, "silently_wrong": 2.0, "faults": 2.0, "limited_ticks": 2.0,
         "primal_max": 1e-3, "natural_max": 2e-3, "loss_max": 0.5,
     }  # fmt: skip
     assert list(summary) == list(expected) == list(METRICS)
@@ -78,7 +78,9 @@ def test_metrics_without_baseline_deadline_or_subproblem_are_left_out() -> None:
     assert summarize(run(meta={"ended": "oscillated: joint_7"}))["completed"] == 0.0
     for planned, share in ((1, 1.0), (0, None)):
         assert summarize(run(meta={"ticks": 1, "ticks_planned": planned})).get("share_of_run") == share
+    assert "share_of_run" not in summarize(run(meta={"ticks": 1}))
     assert "mu_gain_percent" not in summarize(trace, baseline=run(mu=[0.0] * 4))
+    assert "mu_gain_percent" in summarize(trace, baseline=run(t_s=None))
 
 
 def test_a_diverged_run_does_not_look_good() -> None:
@@ -114,6 +116,7 @@ def test_a_metric_can_be_registered_with_a_docstring_and_an_unused_name() -> Non
         return float(trace.tip_speed_m_per_s.max())
 
     assert METRICS["tip_speed_max_m_per_s"].about == "Largest speed of the tip [m/s]."
+    assert [METRICS[name].unit for name in ("completed", "loss_max", "mu_mean")] == ["1", "1", "m^3"]
     assert "tip_speed_max_m_per_s" not in summarize(run())
     speed = run().with_columns(tip_speed_m_per_s=[0.1, 0.5, 0.2, 0.3])
     assert summarize(speed)["tip_speed_max_m_per_s"] == tip_speed_max_m_per_s(speed) == 0.5

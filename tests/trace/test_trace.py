@@ -1,6 +1,8 @@
 """A trace: columns that it accepts, immutability, its file and meta, and its forms in pandas, xarray and plotly."""
 
+import contextlib
 import copy
+import itertools
 import os
 import pickle
 import sys
@@ -15,6 +17,7 @@ from hypothesis.extra.numpy import arrays
 import moc_opt as mo
 from moc_opt.errors import MocOptError, TraceError
 from moc_opt.report.run_table import run_tables
+from moc_opt.trace.file import check_trace
 from moc_opt.trace.trace import MissingDataError, Trace
 
 N = 40
@@ -78,7 +81,9 @@ def test_file_pickle_and_copy_give_back_every_bit(tmp_path, trace):
 def test_columns_are_attributes_length_is_ticks_and_repr_describes_the_run(trace):
     assert repr(trace).startswith("Trace(40 ticks, 4.000 s, spiral, lwr4, osqp, completed: t_s, q_rad")
     assert trace.q_rad is trace.columns["q_rad"]
-    assert (len(trace), len(Trace({}))) == (N, 0)
+    assert (len(trace), len(trace.head(0)), len(Trace({}))) == (N, 0, 0)
+    assert Trace({"text": np.array(["a", "bc"], dtype=object)}).text.dtype == "<U2"
+    assert not hasattr(object.__new__(Trace), "meta")  # as while it is copied
     assert {"q_rad", "own", "between", "plot"} <= set(dir(trace))
     with pytest.raises(MissingDataError, match=r"no column 'q_rads'; it has q_rad"):
         _ = trace.q_rads
@@ -146,8 +151,9 @@ def test_unusable_columns_are_named(name, value):
     (lambda t: t.between(0.0, 10**400), "stop_s = 1000"), (lambda t: t.with_columns(mu=[0.0]), "'mu' has 1 rows"),
     (lambda t: t.between(7.0, 8.0), "from 0 to 3.9 s"), (lambda t: Trace({"mu": [1.0]}).between(0, 1), "column 't_s'"),
     (lambda t: t.head(-1), "ticks = -1"), (lambda t: t.head(1.5), "ticks = 1.5"),
-    (lambda t: t.plot([]), r"columns = \[\]"), (lambda t: t.plot("mu"), "columns = 'mu'"),
+    (lambda t: t.head(True), "ticks = True"), (lambda t: t.plot([]), r"columns = \[\]"),
     (lambda t: t.plot(["status"]), "column 'status'"), (lambda t: t.plot(["mue"]), "column 'mue' .* such as mu"),
+    (lambda t: t.plot("mu"), "columns = 'mu'"),
     (lambda t: t.plot(beside="a.parquet"), "beside = 'a.parquet'"),
     (lambda t: mo.summarize("a.parquet"), "trace is 'a.parquet'"), (lambda t: mo.summarize(t, 3), "baseline is 3"),
     (lambda t: mo.summarize(t, t.head(20)), "20 ticks from 0.000 to 1.900 s where the trace has 40 ticks from 0.000"),
@@ -188,11 +194,25 @@ def test_a_file_that_is_no_trace_is_refused(tmp_path):
             Trace.load(tmp_path / name)
 
 
+def test_only_a_trace_of_the_same_kind_may_be_replaced(tmp_path):
+    files = gone, empty, run, plan, foreign, text = [tmp_path / f"{k}.parquet" for k in range(6)]
+    empty.touch()
+    example(3).save(run)
+    example(3).with_meta(kind="plan").save(plan)
+    pl.DataFrame({"mu": [0.1]}).write_parquet(foreign, metadata={"moc_opt.meta": "{}"})
+    text.write_text("t_s,mu")
+    for kind, path in itertools.product(("run", "plan"), files):
+        allowed = path in (gone, empty, run if kind == "run" else plan)
+        with contextlib.nullcontext() if allowed else pytest.raises(TraceError, match=f"is no {kind}"):
+            check_trace(path, kind)
+
+
 WARNING = {"of": "the RCM error", "unit": "m", "level": 6e-3, "first_s": 0.1, "largest": 8e-3}
 
 
 @pytest.mark.parametrize(("name", "sound", "wrong"), [
-    ("period_s", 1, "0.002"), ("ticks", 3, True), ("warnings", [WARNING], [{**WARNING, "level": None}]),
+    ("period_s", 1, "0.002"), ("ticks", 3, True), ("best_courses", {"end": None}, {"absent": 3}),
+    ("warnings", [WARNING], [{**WARNING, "level": None}]),
     ("scenario", {"robot": {"name": "lwr4", "tool_length_m": None}, "seed": 1}, {"robot": ["lwr4"]}),
 ])  # fmt: skip
 def test_a_meta_entry_of_the_wrong_type_is_refused_by_name(name, sound, wrong):
