@@ -7,10 +7,11 @@ import pytest
 
 from moc_opt.errors import MocOptError, TaskError
 from moc_opt.planning import plan
-from moc_opt.planning.course import MOST_VIOLATION, Limits, Targets
+from moc_opt.planning.course import MOST_VIOLATION, Limits, Targets, lay_targets
 from moc_opt.planning.plan import climb, make_plan
 from moc_opt.robots.inverse_kinematics import solve_pose
 from moc_opt.scenario import Scenario, planned
+from moc_opt.tasks import Reference, Trocar, make_path
 from tests.planning.arms import task
 
 
@@ -33,6 +34,32 @@ def test_mean_mu_rises_from_climb_to_course_to_bound_and_the_proposed_start_give
     again = make_plan(robot, plan.best.q_rad[0], targets, swivels=360)
     assert again.start_swivel_rad == pytest.approx(plan.best_swivel_rad)
     assert again.from_start.mu_mean == pytest.approx(plan.best.mu_mean, rel=1e-4)
+
+
+def test_targets_have_the_shaft_in_the_trocar_and_a_trocar_off_the_shaft_is_refused(robot):
+    state = robot.state(robot.data.q_home)
+    path = make_path("line", state.tip, normal=(0.0, 0.0, 1.0), heading=(1.0, 0.0, 0.0), length=0.02)
+
+    def lay(depth, **tool):
+        trocar = state.tip - depth * state.tool_direction
+        return lay_targets(Reference(path, 0.05, 0.2), Trocar(trocar), state.tool_span, 0.8, 5, **tool), trocar
+
+    targets, trocar = lay(0.15)
+    np.testing.assert_allclose(targets.t_s, [0.0, 0.2, 0.4, 0.6, 0.8])
+    way = trocar - targets.tip
+    shaft = state.tool_span * way / np.linalg.norm(way, axis=1)[:, None]
+    np.testing.assert_allclose(targets.wrist - targets.tip, shaft, atol=1e-12)
+    np.testing.assert_allclose(targets.arc_length_m, np.linalg.norm(targets.tip - targets.tip[0], axis=1), atol=1e-12)
+    assert targets.arc_length_m[-1] > 0.01
+    half = targets.at(np.array([0.3]))
+    for name in ("tip", "wrist", "arc_length_m"):
+        np.testing.assert_allclose(getattr(half, name)[0], getattr(targets, name)[1:3].mean(axis=0), atol=1e-12)
+    lay(0.15, tool_m=0.16)
+    for depth, tool, words in (
+        (0.001, {}, "it is 1 mm"), (state.tool_span + 1e-3, {}, "t = 0.00 s"), (0.15, {"tool_m": 0.14}, "2 to 140 mm"),
+    ):
+        with pytest.raises(TaskError, match=words):
+            lay(depth, **tool)
 
 
 def test_no_bound_is_given_where_a_course_exceeds_it(robot, monkeypatch):

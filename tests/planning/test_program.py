@@ -75,10 +75,17 @@ def test_a_course_that_breaks_a_limit_has_a_violation(robot):
     jump, off = np.array(course.q_rad), np.array(course.q_rad)
     jump[10, 6] += 3.5  # the idle joint: only its speed is wrong
     off[3, 1] += 1e-3
-    beyond = abs(jump[10, 6] - jump[9, 6]) - robot.v_max[6] * targets.period_s
-    assert make_course(robot, targets, jump).violation == pytest.approx(beyond)
-    assert make_course(robot, targets, course.q_rad, Limits(margin=1.5)).violation > 0.1
-    assert make_course(robot, targets, off).violation > 1e-5
+    for share in (1.0, 0.5):
+        beyond = abs(jump[10, 6] - jump[9, 6]) - share * robot.v_max[6] * targets.period_s
+        assert make_course(robot, targets, jump, Limits(speed_share=share)).violation == pytest.approx(beyond)
+    room = np.minimum(course.q_rad - robot.q_min, robot.q_max - course.q_rad).min(axis=0)
+    for j in range(6):
+        margin = (room[j] + 0.2) * np.eye(7)[j]
+        assert make_course(robot, targets, course.q_rad, Limits(margin=margin)).violation == pytest.approx(0.2)
+    moved = np.abs([robot.tool_along(off)[i] - (targets.tip, targets.wrist)[i] for i in (0, 1)]).max()
+    assert make_course(robot, targets, off).violation == pytest.approx(moved, rel=1e-6)
+    assert not make_course(robot, targets, off).kept
+    assert make_course(robot, targets, course.q_rad).mu_mean == pytest.approx(np.trapezoid(course.mu) / 19.0)
 
 
 def test_a_joint_at_the_largest_allowed_speed_stops_before_its_limit_at_the_given_brake_rate():

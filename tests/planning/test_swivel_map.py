@@ -83,16 +83,16 @@ def test_trajectories_lie_on_the_map_and_below_its_best_mu(robot, runs, found):
             assert trajectory.mu[i] <= found.best_mu[k] + 1e-3
     for k in (0, 6, 12):
         motion = self_motion(robot, runs["MOC"].q_rad[np.searchsorted(runs["MOC"].t_s, found.t_s[k])])
-        assert found.best_mu[k] == pytest.approx(motion.mu_best, abs=1e-3)
+        assert found.best_mu[k] == pytest.approx(motion.mu_best, abs=1e-5)
         angle = Elbow(robot, robot.state(motion.best).wrist[None]).swivel(motion.best[None])[0]
-        assert np.cos(found.best_swivel_rad[k] - angle) > np.cos(0.03)
+        assert np.cos(found.best_swivel_rad[k] - angle) > np.cos(1e-3)
 
 
 def test_a_run_in_another_branch_of_inverse_kinematics_has_a_large_gap(robot, runs):
     flip = np.array(runs["MOC"].q_rad)
     flip[:, 4] -= np.pi * np.sign(flip[:, 4])
     flip[:, 5] *= -1.0
-    flipped = runs["MOC"].with_columns(q_rad=flip)
+    flipped = runs["MOC"].with_columns(q_rad=flip).select(runs["MOC"].t_s < 7.0)  # the longest run makes the map
     both = manipulability_map(robot, {"MOC": runs["MOC"], "flipped": flipped}, times=3, swivels=24)
     assert both.trajectories["MOC"].gap_rad < 0.3
     assert both.trajectories["flipped"].gap_rad > 1.0
@@ -104,7 +104,7 @@ def test_the_swivels_of_a_map_of_hanging_elbows_are_centred_within_half_a_turn(r
     hanging = RobotModel(replace(robot.data, q_min=q - 0.3, q_max=q + 0.3, q_home=q))
     made = manipulability_map(hanging, {"MOC": runs["MOC"]}, times=3, swivels=72)
     rows = np.flatnonzero((made.limit == FEASIBLE).any(axis=0))
-    assert abs(rows[0] - (72 - rows[-1])) <= 1, "the allowed poses are in the middle of the map"
+    assert min(rows[0], 72 - rows[-1]) >= 33, "the allowed poses are in the middle of the map"
     assert abs(made.swivel_rad.mean()) <= np.pi
 
 
@@ -182,14 +182,14 @@ def hill(top, height, width=60.0):
     return lambda swivel: height * np.exp(-(((np.asarray(swivel) - top + 180) % 360 - 180) ** 2) / width**2)
 
 
-def read(mu, swivel, forbidden=None, gap_rad=0.01):
+def read(mu, swivel, forbidden=None, gap_rad=0.01, since=0.0):
     """Judge a run with these swivels [deg] at 101 times, on a map with ``mu(swivel [deg])`` at every time.
 
-    ``forbidden``: first and last swivel [deg] of a range, and its entry in `limit`.
+    ``forbidden``: first and last swivel [deg] of a range, and its entry in `limit` from the time ``since`` [s] on.
     """
     limit = np.full((len(T), len(ROWS)), FEASIBLE)
     if forbidden:
-        limit[:, (forbidden[0] <= ROWS) & (forbidden[1] >= ROWS)] = forbidden[2]
+        limit[np.ix_(since <= T, (forbidden[0] <= ROWS) & (forbidden[1] >= ROWS))] = forbidden[2]
     grid = np.tile(mu(ROWS), (len(T), 1))
     feasible = np.where(limit == FEASIBLE, grid, -np.inf)
     best = feasible.max(axis=1)
@@ -243,8 +243,9 @@ def test_a_trajectory_at_a_lower_maximum_is_said_to_end_at_a_local_maximum():
     # The best allowed pose lies at a limit, and the run stops before the limit.
     (hill(60.0, 0.3), -4.0, End.FEASIBLE_EDGE), (hill(60.0, 0.3), -10.0, End.FEASIBLE_EDGE),
     (hill(60.0, 0.3), -40.0, End.STILL), (hill(60.0, 0.3, 200.0), -4.0, End.OPTIMUM),
-    (hill(60.0, 0.3, 90.0), ramp(-65.0, -60.0), End.STILL), (hill(60.0, 0.3, 90.0), ramp(-120.0, -30.0), End.RISING),
+    (hill(60.0, 0.3, 90.0), ramp(-69.5, -60.0), End.STILL), (hill(60.0, 0.3, 90.0), ramp(-120.0, -30.0), End.RISING),
     (hill(60.0, 0.3, 90.0), ramp(-20.0, -70.0), End.FALLING),
+    (hill(60.0, 0.3, 90.0), ramp(-70.5, -60.0), End.RISING),
 ])  # fmt: skip
 def test_a_run_is_judged_by_a_limit_that_blocks_its_climb_or_else_by_its_motion(side, top, swivel, end):
     """Joint 4 is beyond its limit from 0 to 140 degrees, or in mirror image from -140 to 0."""
@@ -254,8 +255,10 @@ def test_a_run_is_judged_by_a_limit_that_blocks_its_climb_or_else_by_its_motion(
 
 
 def test_the_share_of_time_at_or_beside_forbidden_poses_is_counted():
-    found = read(hill(60.0, 0.3), ramp(-50.0, 50.0), (-4.0, 20.0, 4))
-    assert found.at_edge == pytest.approx((20.0 + 3.0 + 4.0 + 3.0) / 100.0, abs=0.04)
+    found = read(hill(60.0, 0.3), ramp(-20.0, 50.0), (10.0, 20.0, 4))  # at 12, 15 and 18 degrees, and a row beside them
+    assert found.at_edge == pytest.approx(np.mean(np.abs(ramp(-20.0, 50.0) - 15.0) < 7.5))
+    late = read(hill(60.0, 0.3), 0.0, (-4.0, 20.0, 4), since=5.0)
+    assert late.at_edge == pytest.approx(53 / 101), "the map's times are 0.5 s apart"
     away = read(hill(60.0, 0.3), -40.0, (-4.0, 20.0, 4))
     assert away.at_edge == 0.0
 
