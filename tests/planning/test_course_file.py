@@ -7,6 +7,7 @@ import pytest
 
 import moc_opt as mo
 from moc_opt.errors import ScenarioError
+from moc_opt.planning import guides
 from moc_opt.planning.guides import followed_course, load_course, speed_shares
 from moc_opt.scenario import Setup
 from moc_opt.scenario.planned import followable_plan, plan, save_course, targets_of
@@ -76,6 +77,22 @@ def test_a_file_that_is_no_course_is_refused(course, tmp_path):
         mo.Trace({**trace.columns, **columns}, {**trace.meta, **meta}).save(to)
         with pytest.raises(ScenarioError, match=message):
             loaded(mine)
+
+
+@pytest.mark.parametrize("last", [np.inf, None])
+def test_a_course_that_cannot_brake_in_time_is_smoothed_without_the_brake_or_followed_as_it_is(
+    course, monkeypatch, last
+):
+    scenario, tried = SCENARIO.change(control={"course": str(course)}), []
+
+    def refined(robot, targets, course, limits, *, smoothness, brake):
+        tried.append(brake)
+        return replace(course) if brake == last else course
+
+    monkeypatch.setattr(guides, "refine", refined)
+    following = replace(without_course(scenario).following, settings=scenario.control)
+    np.testing.assert_allclose(followed_course(following).q_rad, loaded(scenario)[0].q_rad)
+    assert tried == [pytest.approx(0.9 * following.brake), np.inf]
 
 
 def test_smoothing_a_course_keeps_the_limits_that_it_was_planned_for(tmp_path):

@@ -1,16 +1,18 @@
 """A follower turns a course (a planned joint motion) into desired velocities, which the arm follows."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
 import moc_opt as mo
-from moc_opt.errors import MocOptError
+from moc_opt.errors import MocOptError, TaskError
+from moc_opt.planning import guides
 from moc_opt.planning.course import Course
-from moc_opt.planning.follow import NODES, Follower
+from moc_opt.planning.follow import NODES, Follower, Piece
 from moc_opt.planning.guides import FASTEST, HURRY, SPEEDS, Ways, followed_course
-from moc_opt.planning.pose_map import reach
+from moc_opt.planning.pose_map import largest_mu, reach
 from moc_opt.planning.program import Program
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.scenario.planned import targets_of
@@ -27,6 +29,11 @@ TRAPPED = BARE.change(
 @cache
 def setup(level="receding"):
     return Setup((FOLLOWED if level == "planned" else TRAPPED).change(control={"third_level": level}))
+
+
+@cache
+def planned_ways():
+    return Ways(setup("planned").following)
 
 
 @cache
@@ -50,6 +57,15 @@ def test_the_desired_velocity_is_the_courses_velocity_plus_a_gain_times_the_erro
     for _ in range(600):  # after the course's end its final pose is held
         last = guide.desired_velocity(robot.state(robot.data.q_home + 0.2))
     np.testing.assert_allclose(last, 5.0 * (0.1 - 0.2), atol=1e-9)
+
+
+def test_between_its_times_a_course_is_the_cubic_with_its_poses_and_velocities_and_it_rests_after_its_end():
+    t, motion = np.linspace(0.3, 1.5, 5), np.polynomial.Polynomial([0.1, -0.2, 0.3, 0.4])
+    piece = Piece(t, motion(t)[:, None], motion.deriv()(t)[:, None])
+    for at in (0.3, 0.45, 0.9, 1.37, 1.4999):
+        np.testing.assert_allclose(piece.at(at), [[motion(at)], [motion.deriv()(at)]], atol=1e-12)
+    np.testing.assert_array_equal(piece.at(0.1), piece.at(0.3))
+    np.testing.assert_array_equal(piece.at(1.5), [[motion(1.5)], [0.0]])
 
 
 def test_an_arm_that_has_left_its_course_still_reaches_the_courses_maximum_of_mu():
@@ -106,12 +122,41 @@ def test_a_course_is_faster_than_its_usual_speed_only_where_that_gains_much_mu()
         start={"q_rad": q, "check_path": False}, trocar={"depth_m": 0.2},
         task={"path": "spiral", "sizes": {"turns": 2.0, "radius": 0.015}},
     )  # fmt: skip
-    here, there = Ways(setup("planned").following), Ways(Setup(far).following)
+    here, there = planned_ways(), Ways(Setup(far).following)
     assert (here.speeds, there.speeds) == (SPEEDS, (HURRY, *SPEEDS))
+    poses = here.at(1.0)[2].q_rad[::5]
+    assert here.usual == pytest.approx(largest_mu(here.run.robot, poses).mu.mean(), rel=2e-3)
     shares = [there.at(part)[1].speed_share for part in there.speeds]
     assert shares == pytest.approx([0.952, 0.85, 0.595, 0.34])
     near_all = Ways(Setup(far.change(control={"course_speed_fraction": 0.95})).following)
     assert [near_all.at(part)[1].speed_share for part in (HURRY, 1.0)] == [FASTEST, 0.95]
+
+
+@pytest.mark.parametrize(("answers", "chosen"), [
+    ([(1.0, False), (0.94, True), (0.96, True)], 2), ([(0.8, True), (0.9, True), (0.7, True), (0.6, True)], 1),
+    ([(1.0, False), (1.0, False), (1.0, False), (0.5, True)], 3), ([(1.0, False)] * 4, None),
+])  # fmt: skip
+def test_slower_courses_are_tried_until_a_smooth_one_keeps_nearly_all_mu_and_the_last_need_not_brake(
+    monkeypatch, answers, chosen
+):
+    """The answers are the smooth courses' shares of mu, and whether they keep all limits."""
+    run, ways, tried, made = setup("planned").following, planned_ways(), [], []
+
+    def refined(robot, targets, course, limits, *, smoothness, brake):
+        share, kept = answers[len(made)]
+        tried.append((limits.speed_share, brake))
+        made.append(replace(course, mu=share * course.mu, violation=0.0 if kept else 1.0))
+        return made[-1]
+
+    monkeypatch.setattr(guides, "refine", refined)
+    if chosen is None:
+        with pytest.raises(TaskError, match="no course"):
+            followed_course(run, ways)
+    else:
+        assert followed_course(run, ways) is made[chosen]
+    brake = 0.9 * run.brake
+    order = [(0.85, brake), (0.595, brake), (0.34, brake), (0.34, np.inf)]
+    np.testing.assert_allclose(tried, order[: len(answers)])
 
 
 FAST = {"task": {"v_max_m_per_s": 2.0, "a_max_m_per_s2": 20.0}, "start": {"check_path": False}}
