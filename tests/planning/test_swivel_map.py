@@ -9,7 +9,7 @@ import pytest
 import moc_opt as mo
 from moc_opt.errors import ReportError, RobotError
 from moc_opt.planning import swivel_map
-from moc_opt.planning.elbow import Elbow
+from moc_opt.planning.elbow import Elbow, wrapped
 from moc_opt.planning.pose_map import largest_mu
 from moc_opt.planning.self_motion import self_motion
 from moc_opt.planning.swivel_map import FEASIBLE, UNREACHABLE, End, manipulability_map
@@ -65,6 +65,13 @@ def test_the_swivel_is_kept_by_a_turn_of_the_base_and_changes_sign_in_a_mirrored
     first, same, other = elbow.swivel(np.array([q, turned, mirrored]))
     assert (same, other) == (pytest.approx(first, abs=1e-12), pytest.approx(-first, abs=1e-12))
     assert abs(first) > 0.1
+    np.testing.assert_allclose(wrapped(np.pi * np.array([0.9, 1.0, -1.0, 2.5])), np.pi * np.array([0.9, -1, -1, 0.5]))
+
+
+def test_the_swivel_counts_from_the_vertical_or_from_a_sideways_axis_if_the_arm_is_upright_somewhere(robot):
+    away = np.array([[0.01, 0.0, 0.5], [0.3, 0.0, 0.2]])  # from the shoulder to the wrist
+    for wrists, axis in ((away[1:], 2), (away, 1), (away[:, [1, 0, 2]], 0)):
+        np.testing.assert_array_equal(Elbow(robot, np.array([0.0, 0.0, 0.31]) + wrists).reference, np.eye(3)[axis])
 
 
 def test_trajectories_lie_on_the_map_and_below_its_best_mu(robot, runs, found):

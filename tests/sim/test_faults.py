@@ -41,6 +41,16 @@ def test_by_default_no_fault_disturbs_the_arm():
         assert FaultSettings(**{field: 0.01}).around_the_arm
 
 
+@pytest.mark.parametrize(("field", "limit", "beyond"), [
+    ("drop_share", 1.0, 1.05), ("frozen_ticks", 1, 0), ("lag_growth", 1.0, 1.05), ("replay_ticks", 1, 0),
+    ("drift_rad_per_s", 1.0, 1.05), ("drift_rad_per_s", -1.0, -1.05), ("nan_ticks", 1, 0), ("solver_share", 1.0, 1.05),
+])  # fmt: skip
+def test_a_fault_beyond_its_range_is_refused(field, limit, beyond):
+    assert getattr(FaultSettings(**{field: limit}), field) == limit
+    with pytest.raises(PlantError, match=field):
+        FaultSettings(**{field: beyond})
+
+
 def test_a_dropped_measurement_is_replaced_by_the_previous_one():
     stamps, q, v = arrived(500, 1, drop_share=0.4)
     found = q[:, 0]
@@ -56,6 +66,7 @@ def test_a_dropped_measurement_is_replaced_by_the_previous_one():
 def test_encoders_give_nan_for_nan_ticks(at):
     found, first = np.isnan(arrived(20, nan_at_s=at, nan_ticks=4)[1][:, 0]), round(at / PERIOD)
     assert np.flatnonzero(found).tolist() == list(range(first, first + 4))
+    assert np.isnan(arrived(20, nan_at_s=at)[1]).sum() == N, "one tick by default"
 
 
 def test_bias_and_noise_have_the_given_size_and_follow_the_seed_and_a_jump_comes_at_its_time():
