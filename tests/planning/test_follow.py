@@ -1,5 +1,6 @@
 """A follower turns a course (a planned joint motion) into desired velocities, which the arm follows."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import cache
 
@@ -8,15 +9,15 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 
 import moc_opt as mo
-from moc_opt.errors import MocOptError, TaskError
+from moc_opt.errors import MocOptError, ScenarioError, TaskError
 from moc_opt.planning import guides
 from moc_opt.planning.course import Course
 from moc_opt.planning.follow import NODES, Follower, Piece
-from moc_opt.planning.guides import FASTEST, HURRY, SPEEDS, Ways, followed_course
+from moc_opt.planning.guides import FASTEST, HURRY, SPEEDS, Ways, followed_course, load_course, speed_shares
 from moc_opt.planning.pose_map import largest_mu, reach
 from moc_opt.planning.program import Program
 from moc_opt.scenario import Scenario, Setup
-from moc_opt.scenario.planned import targets_of
+from moc_opt.scenario.planned import followable_plan, plan, save_course, targets_of
 from moc_opt.tasks.trocar import shaft_distance
 
 BARE = Scenario(bound_samples=0, judge=False)
@@ -137,26 +138,20 @@ def test_a_course_is_faster_than_its_usual_speed_only_where_that_gains_much_mu()
     ([(1.0, False), (0.94, True), (0.96, True)], 2), ([(0.8, True), (0.9, True), (0.7, True), (0.6, True)], 1),
     ([(1.0, False), (1.0, False), (1.0, False), (0.5, True)], 3), ([(1.0, False)] * 4, None),
 ])  # fmt: skip
-def test_slower_courses_are_tried_until_a_smooth_one_keeps_nearly_all_mu_and_the_last_need_not_brake(
-    monkeypatch, answers, chosen
-):
-    """The answers are the smooth courses' shares of mu, and whether they keep all limits."""
-    run, ways, tried, made = setup("planned").following, planned_ways(), [], []
+def test_slower_courses_are_tried_until_a_smooth_one_keeps_nearly_all_mu(monkeypatch, answers, chosen):
+    """An answer is the smooth course's share of mu, and whether it keeps all limits. The last course need not brake."""
+    run, tried, made = setup("planned").following, [], []
 
     def refined(robot, targets, course, limits, *, smoothness, brake):
         share, kept = answers[len(made)]
-        tried.append((limits.speed_share, brake))
+        tried.append((limits.speed_share, brake / run.brake))
         made.append(replace(course, mu=share * course.mu, violation=0.0 if kept else 1.0))
         return made[-1]
 
     monkeypatch.setattr(guides, "refine", refined)
-    if chosen is None:
-        with pytest.raises(TaskError, match="no course"):
-            followed_course(run, ways)
-    else:
-        assert followed_course(run, ways) is made[chosen]
-    brake = 0.9 * run.brake
-    order = [(0.85, brake), (0.595, brake), (0.34, brake), (0.34, np.inf)]
+    with nullcontext() if chosen is not None else pytest.raises(TaskError, match="no course"):
+        assert followed_course(run, planned_ways()) is made[chosen]
+    order = [(0.85, 0.9), (0.595, 0.9), (0.34, 0.9), (0.34, np.inf)]
     np.testing.assert_allclose(tried, order[: len(answers)])
 
 
@@ -239,3 +234,101 @@ def test_near_a_pose_a_parabola_approximates_the_value_function():
         if alive[b, i % 720] and end.low <= z <= end.high:
             close = value.value[k, b, j] + end.slope * z + 0.5 * end.bend * z**2
             assert close == pytest.approx(value.value[k, b, i % 720], abs=0.02 * abs(value.value[k, b, j]))
+
+
+SCENARIO = mo.Scenario(bound_samples=0, judge=False, duration_s=1.0).change(control={"third_level": "planned"})
+
+
+@pytest.fixture(scope="module")
+def course(tmp_path_factory):
+    found, within = followable_plan(SCENARIO)
+    saved = save_course(found, SCENARIO, tmp_path_factory.mktemp("course") / "course.parquet", within)
+    trace = mo.Trace.load(saved)
+    np.testing.assert_array_equal(trace.q_rad, found.from_start.q_rad)
+    np.testing.assert_array_equal(trace.columns["swivel_rad"], found.swivel_rad)
+    assert trace.meta["from_start"] is True
+    return saved
+
+
+def without_course(scenario):
+    return Setup(scenario.change(control={"third_level": "local", "course": ""}))
+
+
+def loaded(scenario):
+    setup = without_course(scenario)
+    return load_course(scenario.control, setup.robot, setup.layout.q, targets_of(setup.robot, setup.layout))
+
+
+def test_a_run_along_a_saved_course_equals_the_run_that_plans_it(course):
+    planned = mo.run(SCENARIO)
+    followed = mo.run(SCENARIO.change(control={"course": str(course)}))
+    assert followed.meta["course_mu_mean"] == pytest.approx(planned.meta["course_mu_mean"], rel=1e-4)
+    np.testing.assert_allclose(followed.q_rad, planned.q_rad, rtol=0.0, atol=1e-2)
+    climbed = mo.run(SCENARIO.change(control={"third_level": "local"}))
+    assert np.abs(climbed.q_rad - followed.q_rad).max() > 1e-3
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    ({"duration_s": 0.8}, "it goes from 0 to 1 s, the run from 0 to 0.8"),
+    ({"start": {"swivel": 0.3}}, r"begins 0\.\d+ rad from the start of the run; plan it"),
+    ({"robot": {"name": "iiwa14"}}, "a course of robot 'lwr4', this run's is 'iiwa14'"),
+    ({"control": {"course_speed_fraction": 0.01}}, "plan it with --speed-share 0.01"),
+    ({"control": {"course": "nowhere.parquet"}}, "nowhere.*no such file.*moc-opt plan"),
+])  # fmt: skip
+def test_a_course_of_another_run_is_refused_with_the_difference(course, change, message):
+    with pytest.raises(ScenarioError, match=message):
+        loaded(SCENARIO.change(control={"course": str(course)}).change(**change))
+
+
+def test_a_file_that_is_no_course_is_refused(course, tmp_path):
+    trace, to = mo.Trace.load(course), tmp_path / "other.parquet"
+    mine, t, q = SCENARIO.change(control={"course": str(to)}), trace.t_s, trace.q_rad
+
+    def moved(rows, joint, by):
+        other = q.copy()
+        other[rows, joint] += by
+        return {"q_rad": other}
+
+    for columns, meta, message in (
+        ({"q_rad": q[:, :6]}, {}, r"q_rad \(\d+, 6\), a course of 7 joints"),
+        (moved(3, 2, np.nan), {}, "a pose is not finite"), ({"t_s": t[::-1].copy()}, {}, "times t_s do not rise"),
+        ({"t_s": np.round(t).astype(np.int64)}, {}, "t_s has shape"),
+        *((moved(slice(9, None), 6, by), {}, r"joint_7 goes 9\d\d\.?\d* rad beyond its limit") for by in (1e3, -1e3)),
+        (moved(5, slice(None), 0.05), {}, "mm off path and shaft at t = 0.125 s"),
+        ({"t_s": np.maximum(t, 0.01)}, {}, "it goes from 0.01 to 1 s"), ({}, {"kind": "run"}, "holds no course"),
+        ({"q_rad": q + 0.1}, {"from_start": False}, r"from the start of the run; begin there: \[start\] q_rad = \["),
+    ):  # fmt: skip
+        mo.Trace({**trace.columns, **columns}, {**trace.meta, **meta}).save(to)
+        with pytest.raises(ScenarioError, match=message):
+            loaded(mine)
+
+
+@pytest.mark.parametrize("last", [np.inf, None])
+def test_a_course_that_cannot_brake_is_smoothed_without_the_brake_or_followed_as_it_is(course, monkeypatch, last):
+    scenario, tried = SCENARIO.change(control={"course": str(course)}), []
+
+    def refined(robot, targets, course, limits, *, smoothness, brake):
+        tried.append(brake)
+        return replace(course) if brake == last else course
+
+    monkeypatch.setattr(guides, "refine", refined)
+    following = replace(without_course(scenario).following, settings=scenario.control)
+    np.testing.assert_allclose(followed_course(following).q_rad, loaded(scenario)[0].q_rad)
+    assert tried == [pytest.approx(0.9 * following.brake), np.inf]
+
+
+def test_smoothing_a_course_keeps_the_limits_that_it_was_planned_for(tmp_path):
+    within = {"margin_rad": 0.6, "speed_share": 0.1}
+    to = save_course(plan(SCENARIO, **within), SCENARIO, tmp_path / "slow.parquet", within)
+    scenario = SCENARIO.change(control={"course": str(to)})
+    setup = without_course(scenario)
+    course, limits = loaded(scenario)
+    assert course.kept
+    assert (limits.margin, limits.speed_share) == (pytest.approx(0.6, abs=1e-6), pytest.approx(0.1, abs=1e-6))
+    assert limits.shaft == 0.25 * scenario.control.shaft_margin
+    robot, period_s = setup.robot, targets_of(setup.robot, setup.layout).period_s
+    slow, fast = (followed_course(replace(setup.following, settings=each.control)) for each in (scenario, SCENARIO))
+    shares = [speed_shares(robot, course.q_rad, period_s).max() for course in (slow, fast)]
+    assert 0.05 < shares[0] < 0.1 + 1e-6
+    assert shares[1] > 0.3
+    assert np.minimum(slow.q_rad - robot.q_min, robot.q_max - slow.q_rad)[:, :6].min() > 0.6 - 1e-6

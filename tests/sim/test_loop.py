@@ -151,15 +151,13 @@ def test_an_exception_during_the_loop_hands_over_the_rows_so_far_if_there_are_an
     assert [len(columns["t_s"]) for columns in rescued] == ([3] if tick else [])
 
 
-def test_a_controller_is_told_the_applied_torque_if_the_safety_filter_has_limited_its_own():
-    told, zero = [], np.zeros(7)
+@pytest.mark.parametrize("limited", [0, 2])
+def test_a_controller_is_told_the_applied_torque_if_the_safety_filter_has_limited_its_own(limited):
+    told, zero, keep = [], np.zeros(7), {"check_measurement": lambda *given: given[:2], "limit_torque": lambda *_: 1.0}
     controller = SimpleNamespace(tick=lambda *_: zero, set_applied_torque=told.append)
-    safety = SimpleNamespace(reason="", check_measurement=lambda q, v, *_: (q, v), limit_torque=lambda *_: zero + 1.0)
-    for limited, times in ((0, 0), (2, 1)):
-        safety.limited = limited
-        tau = FilteredController(controller, safety, zero).tick(Measurement(zero, zero, zero[:6]), zero, zero)
-        assert (tau == 1.0).all()
-        assert len(told) == times
+    safety = SimpleNamespace(reason="", limited=limited, **keep)
+    assert FilteredController(controller, safety, zero).tick(Measurement(zero, zero, zero[:6]), zero, zero) == 1.0
+    assert told == [1.0] * bool(limited)
 
 
 QUICK = {"bound_samples": 0, "judge": False, "duration_s": 1.2}
