@@ -44,10 +44,6 @@ def test_targets_have_the_shaft_in_the_trocar_and_a_trocar_off_the_shaft_is_refu
     shaft = state.tool_span * way / np.linalg.norm(way, axis=1)[:, None]
     np.testing.assert_allclose(targets.wrist - targets.tip, shaft, atol=1e-12)
     np.testing.assert_allclose(targets.arc_length_m, np.linalg.norm(targets.tip - targets.tip[0], axis=1), atol=1e-12)
-    assert targets.arc_length_m[-1] > 0.01
-    half = targets.at(np.array([0.3]))
-    for name in ("tip", "wrist", "arc_length_m"):
-        np.testing.assert_allclose(getattr(half, name)[0], getattr(targets, name)[1:3].mean(axis=0), atol=1e-12)
     path = make_path("line", state.tip, normal=(0.0, 0.0, 1.0), heading=(1.0, 0.0, 0.0), length=0.02)
     for depth, tool, words in ((1e-3, 0.3, "it is 1 mm"), (0.4, 0.5, "t = 0.00 s"), (0.15, 0.14, "2 to 140 mm")):
         trocar = Trocar(state.tip - depth * state.tool_direction)

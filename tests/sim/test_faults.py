@@ -41,14 +41,13 @@ def test_by_default_no_fault_disturbs_the_arm():
         assert FaultSettings(**{field: 0.01}).around_the_arm
 
 
-@pytest.mark.parametrize(("field", "limit", "beyond"), [
-    ("drop_share", 1.0, 1.05), ("frozen_ticks", 1, 0), ("lag_growth", 1.0, 1.05), ("replay_ticks", 1, 0),
-    ("drift_rad_per_s", 1.0, 1.05), ("drift_rad_per_s", -1.0, -1.05), ("nan_ticks", 1, 0), ("solver_share", 1.0, 1.05),
-])  # fmt: skip
-def test_a_fault_beyond_its_range_is_refused(field, limit, beyond):
-    assert getattr(FaultSettings(**{field: limit}), field) == limit
-    with pytest.raises(PlantError, match=field):
-        FaultSettings(**{field: beyond})
+@pytest.mark.parametrize("field", ["drop_share", "lag_growth", "drift_rad_per_s", "solver_share", "frozen_ticks",
+                                   "replay_ticks", "nan_ticks"])  # fmt: skip
+def test_a_fault_beyond_its_range_is_refused(field):
+    FaultSettings(**{field: 1})
+    for beyond in [0] if field.endswith("ticks") else [1.05, -1.05]:
+        with pytest.raises(PlantError, match=field):
+            FaultSettings(**{field: beyond})
 
 
 def test_a_dropped_measurement_is_replaced_by_the_previous_one():

@@ -1,7 +1,6 @@
 """The closed loop: inputs of controller and plant, recorded columns, and reasons to stop."""
 
 import gc
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,8 +9,8 @@ from moc_opt.control.safety_filter import SafetyFilterSettings
 from moc_opt.errors import PlantError
 from moc_opt.live import LiveRun
 from moc_opt.scenario import Scenario, Setup
-from moc_opt.sim import Measurement, Plant, PlantSettings
-from moc_opt.sim.loop import FilteredController, no_collector, simulate
+from moc_opt.sim import Plant, PlantSettings
+from moc_opt.sim.loop import no_collector, simulate
 from moc_opt.sim.record import RunAway, TaskOffset
 from moc_opt.vision.hands_on import HandsOnSettings, HandsOnStatus, guide_to
 
@@ -136,28 +135,6 @@ def test_an_arm_that_runs_away_ends_the_run_and_the_error_has_the_trace(robot, r
     with pytest.raises(RunAway, match=r"ran away at t = 0\.010 s") as said:
         simulate(plant, Holding(robot), *references, watch=push)
     assert len(said.value.trace) == 6
-
-
-@pytest.mark.parametrize("tick", [0, 3])
-def test_an_exception_during_the_loop_hands_over_the_rows_so_far_if_there_are_any(robot, references, tick):
-    def interrupt(at):
-        if at == tick:
-            raise KeyboardInterrupt
-
-    rescued = []
-    for rescue in (rescued.append, None):
-        with pytest.raises(KeyboardInterrupt):
-            simulate(ready(robot), Holding(robot), *references, watch=interrupt, rescue=rescue)
-    assert [len(columns["t_s"]) for columns in rescued] == ([3] if tick else [])
-
-
-@pytest.mark.parametrize("limited", [0, 2])
-def test_a_controller_is_told_the_applied_torque_if_the_safety_filter_has_limited_its_own(limited):
-    told, zero, keep = [], np.zeros(7), {"check_measurement": lambda *given: given[:2], "limit_torque": lambda *_: 1.0}
-    controller = SimpleNamespace(tick=lambda *_: zero, set_applied_torque=told.append)
-    safety = SimpleNamespace(reason="", limited=limited, **keep)
-    assert FilteredController(controller, safety, zero).tick(Measurement(zero, zero, zero[:6]), zero, zero) == 1.0
-    assert told == [1.0] * bool(limited)
 
 
 QUICK = {"bound_samples": 0, "judge": False, "duration_s": 1.2}
