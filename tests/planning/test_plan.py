@@ -1,7 +1,5 @@
 """A plan says whether a path can be executed, or where it is blocked. Its courses are planned joint motions."""
 
-import time
-
 import numpy as np
 import pytest
 
@@ -18,9 +16,7 @@ from tests.planning.arms import line_from, task
 def test_mean_mu_rises_from_climb_to_course_to_bound_and_the_proposed_start_gives_the_best_course(robot):
     q = robot.data.q_home
     targets = task(robot, q, 60)
-    began = time.perf_counter()
     plan = make_plan(robot, q, targets, swivels=360)
-    assert 0.0 < min(plan.took_s.values()) < sum(plan.took_s.values()) < time.perf_counter() - began
     assert plan.executable
     assert plan.blocked is None
     assert plan.climbed_whole
@@ -39,7 +35,6 @@ def test_mean_mu_rises_from_climb_to_course_to_bound_and_the_proposed_start_give
 def test_targets_have_the_shaft_in_the_trocar_and_a_trocar_off_the_shaft_is_refused(robot):
     state = robot.state(robot.data.q_home)
     targets = line_from(robot, robot.data.q_home, 5)
-    np.testing.assert_allclose(targets.t_s, [0.0, 0.2, 0.4, 0.6, 0.8])
     way = state.tip - 0.15 * state.tool_direction - targets.tip
     shaft = state.tool_span * way / np.linalg.norm(way, axis=1)[:, None]
     np.testing.assert_allclose(targets.wrist - targets.tip, shaft, atol=1e-12)

@@ -80,12 +80,10 @@ def test_a_course_that_breaks_a_limit_has_a_violation(robot):
         assert make_course(robot, targets, jump, Limits(speed_share=share)).violation == pytest.approx(beyond)
     room = np.minimum(course.q_rad - robot.q_min, robot.q_max - course.q_rad).min(axis=0)
     for j in range(6):
-        margin = (room[j] + 0.2) * np.eye(7)[j]
-        assert make_course(robot, targets, course.q_rad, Limits(margin=margin)).violation == pytest.approx(0.2)
-    moved = np.abs([robot.tool_along(off)[i] - (targets.tip, targets.wrist)[i] for i in (0, 1)]).max()
+        limits = Limits(margin=(room[j] + 0.2) * np.eye(7)[j])
+        assert make_course(robot, targets, course.q_rad, limits).violation == pytest.approx(0.2)
+    moved = np.abs(np.subtract(robot.tool_along(off), (targets.tip, targets.wrist))).max()
     assert make_course(robot, targets, off).violation == pytest.approx(moved, rel=1e-6)
-    assert not make_course(robot, targets, off).kept
-    assert make_course(robot, targets, course.q_rad).mu_mean == pytest.approx(np.trapezoid(course.mu) / 19.0)
 
 
 def test_a_joint_at_the_largest_allowed_speed_stops_before_its_limit_at_the_given_brake_rate():

@@ -89,10 +89,9 @@ def test_one_step_backwards_compares_each_pose_with_every_pose_in_reach():
 
 
 def test_in_a_bound_poses_stand_for_half_a_cell_and_neighbours_of_feasible_poses_count_as_feasible():
-    """The true mu is a cosine of the joint angle. One sample has no pose."""
     angles, mu = 2.0 * np.pi * np.arange(16) / 16, lambda angle: 1.0 + 0.5 * np.cos(angle - 0.1)
-    angles[8] = np.nan
-    room = np.where(np.isin(np.arange(16), (0, 4, 9)), 0.1, -0.1)
+    angles[8] = np.nan  # a sample without a pose
+    room = np.isin(np.arange(16), (0, 4, 9)) - 0.5
     q, mus, rooms = (np.tile(each, (2, 1, 1)) for each in (angles, mu(angles), room))
     found = replace(small(np.random.default_rng(0), k=2), q_rad=q[..., None], mu=mus, room_rad=rooms)
     told = 2.0 * Value(found, Limits(), cell=WHOLE_CELL).value[-1, 0]  # the last time has half a period's weight

@@ -251,8 +251,7 @@ def test_a_trajectory_at_a_lower_maximum_is_said_to_end_at_a_local_maximum():
     (hill(60.0, 0.3), -4.0, End.FEASIBLE_EDGE), (hill(60.0, 0.3), -10.0, End.FEASIBLE_EDGE),
     (hill(60.0, 0.3), -40.0, End.STILL), (hill(60.0, 0.3, 200.0), -4.0, End.OPTIMUM),
     (hill(60.0, 0.3, 90.0), ramp(-69.5, -60.0), End.STILL), (hill(60.0, 0.3, 90.0), ramp(-120.0, -30.0), End.RISING),
-    (hill(60.0, 0.3, 90.0), ramp(-20.0, -70.0), End.FALLING),
-    (hill(60.0, 0.3, 90.0), ramp(-70.5, -60.0), End.RISING),
+    (hill(60.0, 0.3, 90.0), ramp(-20.0, -70.0), End.FALLING), (hill(60.0, 0.3, 90.0), ramp(-70.5, -60.0), End.RISING),
 ])  # fmt: skip
 def test_a_run_is_judged_by_a_limit_that_blocks_its_climb_or_else_by_its_motion(side, top, swivel, end):
     """Joint 4 is beyond its limit from 0 to 140 degrees, or in mirror image from -140 to 0."""
