@@ -1,19 +1,22 @@
 """A follower turns a course (a planned joint motion) into desired velocities, which the arm follows."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline
 
 import moc_opt as mo
-from moc_opt.errors import MocOptError
+from moc_opt.errors import MocOptError, ScenarioError
+from moc_opt.planning import guides
 from moc_opt.planning.course import Course
-from moc_opt.planning.follow import NODES, Follower
-from moc_opt.planning.guides import FASTEST, HURRY, SPEEDS, Ways, followed_course
-from moc_opt.planning.pose_map import reach
+from moc_opt.planning.follow import NODES, Follower, Piece
+from moc_opt.planning.guides import FASTEST, HURRY, SPEEDS, Ways, followed_course, load_course, speed_shares
+from moc_opt.planning.pose_map import largest_mu, reach
 from moc_opt.planning.program import Program
 from moc_opt.scenario import Scenario, Setup
-from moc_opt.scenario.planned import targets_of
+from moc_opt.scenario.planned import followable_plan, plan, save_course, targets_of
 from moc_opt.tasks.trocar import shaft_distance
 
 BARE = Scenario(bound_samples=0, judge=False)
@@ -38,6 +41,9 @@ def follower(of):
     return of.controller()._guide
 
 
+planned_ways = cache(lambda: Ways(setup("planned").following))
+
+
 def test_the_desired_velocity_is_the_courses_velocity_plus_a_gain_times_the_error(robot):
     t = np.linspace(0.0, 1.0, 11)
     guide = Follower(0.002, course=Course(t, robot.data.q_home + 0.1 * t[:, None], np.ones(11), 0.0))
@@ -50,6 +56,15 @@ def test_the_desired_velocity_is_the_courses_velocity_plus_a_gain_times_the_erro
     for _ in range(600):  # after the course's end its final pose is held
         last = guide.desired_velocity(robot.state(robot.data.q_home + 0.2))
     np.testing.assert_allclose(last, 5.0 * (0.1 - 0.2), atol=1e-9)
+
+
+def test_between_its_times_a_course_is_the_cubic_with_its_poses_and_velocities_and_it_rests_after_its_end():
+    t, (q, v) = np.linspace(0.3, 1.5, 5), np.random.default_rng(0).normal(size=(2, 5, 7))
+    piece, cubic = Piece(t, q, v), CubicHermiteSpline(t, q, v)
+    for at in (0.3, 0.45, 0.9, 1.37, 1.4999):
+        np.testing.assert_allclose(piece.at(at), [cubic(at), cubic(at, 1)], atol=1e-12)
+    np.testing.assert_array_equal(piece.at(0.1), [q[0], v[0]])
+    np.testing.assert_array_equal(piece.at(1.5), [q[-1], np.zeros(7)])
 
 
 def test_an_arm_that_has_left_its_course_still_reaches_the_courses_maximum_of_mu():
@@ -106,12 +121,32 @@ def test_a_course_is_faster_than_its_usual_speed_only_where_that_gains_much_mu()
         start={"q_rad": q, "check_path": False}, trocar={"depth_m": 0.2},
         task={"path": "spiral", "sizes": {"turns": 2.0, "radius": 0.015}},
     )  # fmt: skip
-    here, there = Ways(setup("planned").following), Ways(Setup(far).following)
+    here, there = planned_ways(), Ways(Setup(far).following)
     assert (here.speeds, there.speeds) == (SPEEDS, (HURRY, *SPEEDS))
+    assert here.usual == pytest.approx(largest_mu(here.run.robot, here.at(1.0)[2].q_rad[::5]).mu.mean(), rel=2e-3)
     shares = [there.at(part)[1].speed_share for part in there.speeds]
     assert shares == pytest.approx([0.952, 0.85, 0.595, 0.34])
     near_all = Ways(Setup(far.change(control={"course_speed_fraction": 0.95})).following)
     assert [near_all.at(part)[1].speed_share for part in (HURRY, 1.0)] == [FASTEST, 0.95]
+
+
+@pytest.mark.parametrize(("answers", "chosen"), [
+    ([(1.0, False), (0.94, True), (0.96, True)], 2), ([(0.8, True), (0.9, True), (0.7, True), (0.6, True)], 1),
+    ([(1.0, False), (1.0, False), (1.0, False), (0.5, True)], 3),
+])  # fmt: skip
+def test_slower_courses_are_tried_until_a_smooth_one_keeps_nearly_all_mu(monkeypatch, answers, chosen):
+    """An answer is the smooth course's share of mu, and whether it keeps all limits. The last course need not brake."""
+    run, tried, made = setup("planned").following, [], []
+
+    def refined(robot, targets, course, limits, *, smoothness, brake):
+        share, kept = answers[len(made)]
+        tried.append((limits.speed_share, brake / run.brake))
+        made.append(replace(course, mu=share * course.mu, violation=0.0 if kept else 1.0))
+        return made[-1]
+
+    monkeypatch.setattr(guides, "refine", refined)
+    assert followed_course(run, planned_ways()) is made[chosen]
+    np.testing.assert_allclose(tried, [(0.85, 0.9), (0.595, 0.9), (0.34, 0.9), (0.34, np.inf)][: len(answers)])
 
 
 FAST = {"task": {"v_max_m_per_s": 2.0, "a_max_m_per_s2": 20.0}, "start": {"check_path": False}}
@@ -193,3 +228,84 @@ def test_near_a_pose_a_parabola_approximates_the_value_function():
         if alive[b, i % 720] and end.low <= z <= end.high:
             close = value.value[k, b, j] + end.slope * z + 0.5 * end.bend * z**2
             assert close == pytest.approx(value.value[k, b, i % 720], abs=0.02 * abs(value.value[k, b, j]))
+
+
+SCENARIO = mo.Scenario(bound_samples=0, judge=False, duration_s=1.0).change(control={"third_level": "planned"})
+
+
+@pytest.fixture(scope="module")
+def course(tmp_path_factory):
+    found, within = followable_plan(SCENARIO)
+    saved = save_course(found, SCENARIO, tmp_path_factory.mktemp("course") / "course.parquet", within)
+    trace = mo.Trace.load(saved)
+    np.testing.assert_array_equal(trace.q_rad, found.from_start.q_rad)
+    np.testing.assert_array_equal(trace.columns["swivel_rad"], found.swivel_rad)
+    assert trace.meta["from_start"] is True
+    return saved
+
+
+def without_course(scenario):
+    return Setup(scenario.change(control={"third_level": "local", "course": ""}))
+
+
+def loaded(scenario):
+    setup = without_course(scenario)
+    return load_course(scenario.control, setup.robot, setup.layout.q, targets_of(setup.robot, setup.layout))
+
+
+def test_a_saved_course_is_followed_as_if_the_run_had_planned_it(course):
+    following, file = without_course(SCENARIO).following, SCENARIO.change(control={"course": str(course)})
+    read, made = (followed_course(replace(following, settings=each.control)) for each in (file, SCENARIO))
+    assert read.mu_mean == pytest.approx(made.mu_mean, rel=1e-4)
+    np.testing.assert_allclose(read.q_rad, made.q_rad, rtol=0.0, atol=1e-2)
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    ({"duration_s": 0.8}, "it goes from 0 to 1 s, the run from 0 to 0.8"),
+    ({"start": {"swivel": 0.3}}, r"begins 0\.\d+ rad from the start of the run; plan it"),
+    ({"robot": {"name": "iiwa14"}}, "a course of robot 'lwr4', this run's is 'iiwa14'"),
+    ({"control": {"course_speed_fraction": 0.01}}, "plan it with --speed-share 0.01"),
+    ({"control": {"course": "nowhere.parquet"}}, "nowhere.*no such file.*moc-opt plan"),
+])  # fmt: skip
+def test_a_course_of_another_run_is_refused_with_the_difference(course, change, message):
+    with pytest.raises(ScenarioError, match=message):
+        loaded(SCENARIO.change(control={"course": str(course)}).change(**change))
+
+
+def test_a_file_that_is_no_course_is_refused(course, tmp_path):
+    trace, to = mo.Trace.load(course), tmp_path / "other.parquet"
+    mine, t, q = SCENARIO.change(control={"course": str(to)}), trace.t_s, trace.q_rad
+
+    def moved(rows, joint, by):
+        other = q.copy()
+        other[rows, joint] += by
+        return {"q_rad": other}
+
+    for columns, meta, message in (
+        ({"q_rad": q[:, :6]}, {}, r"q_rad \(\d+, 6\), a course of 7 joints"),
+        (moved(3, 2, np.nan), {}, "a pose is not finite"), ({"t_s": t[::-1].copy()}, {}, "times t_s do not rise"),
+        ({"t_s": np.round(t).astype(np.int64)}, {}, "t_s has shape"),
+        *((moved(slice(9, None), 6, by), {}, r"joint_7 goes 9\d\d\.?\d* rad beyond its limit") for by in (1e3, -1e3)),
+        (moved(5, slice(None), 0.05), {}, "mm off path and shaft at t = 0.125 s"),
+        ({"t_s": np.maximum(t, 0.01)}, {}, "it goes from 0.01 to 1 s"), ({}, {"kind": "run"}, "holds no course"),
+        ({"q_rad": q + 0.1}, {"from_start": False}, r"from the start of the run; begin there: \[start\] q_rad = \["),
+    ):  # fmt: skip
+        mo.Trace({**trace.columns, **columns}, {**trace.meta, **meta}).save(to)
+        with pytest.raises(ScenarioError, match=message):
+            loaded(mine)
+
+
+def test_smoothing_a_course_keeps_the_limits_that_it_was_planned_for(tmp_path):
+    within = {"margin_rad": 0.6, "speed_share": 0.1}
+    to = save_course(plan(SCENARIO, **within), SCENARIO, tmp_path / "slow.parquet", within)
+    scenario = SCENARIO.change(control={"course": str(to)})
+    setup = without_course(scenario)
+    limits = loaded(scenario)[1]
+    assert (limits.margin, limits.speed_share) == (pytest.approx(0.6, abs=1e-6), pytest.approx(0.1, abs=1e-6))
+    assert limits.shaft == 0.25 * scenario.control.shaft_margin
+    robot, period_s = setup.robot, targets_of(setup.robot, setup.layout).period_s
+    slow, fast = (followed_course(replace(setup.following, settings=each.control)) for each in (scenario, SCENARIO))
+    shares = [speed_shares(robot, course.q_rad, period_s).max() for course in (slow, fast)]
+    assert 0.05 < shares[0] < 0.1 + 1e-6
+    assert shares[1] > 0.3
+    assert np.minimum(slow.q_rad - robot.q_min, robot.q_max - slow.q_rad)[:, :6].min() > 0.6 - 1e-6

@@ -5,11 +5,12 @@ import pytest
 
 from moc_opt.errors import MocOptError, TaskError
 from moc_opt.planning import plan
-from moc_opt.planning.course import MOST_VIOLATION, Limits, Targets
+from moc_opt.planning.course import MOST_VIOLATION, Limits, Targets, lay_targets
 from moc_opt.planning.plan import climb, make_plan
 from moc_opt.robots.inverse_kinematics import solve_pose
 from moc_opt.scenario import Scenario, planned
-from tests.planning.arms import task
+from moc_opt.tasks import Reference, Trocar, make_path
+from tests.planning.arms import line_from, task
 
 
 def test_mean_mu_rises_from_climb_to_course_to_bound_and_the_proposed_start_gives_the_best_course(robot):
@@ -29,6 +30,20 @@ def test_mean_mu_rises_from_climb_to_course_to_bound_and_the_proposed_start_give
     again = make_plan(robot, plan.best.q_rad[0], targets, swivels=360)
     assert again.start_swivel_rad == pytest.approx(plan.best_swivel_rad)
     assert again.from_start.mu_mean == pytest.approx(plan.best.mu_mean, rel=1e-4)
+
+
+def test_targets_have_the_shaft_in_the_trocar_and_a_trocar_off_the_shaft_is_refused(robot):
+    state = robot.state(robot.data.q_home)
+    targets = line_from(robot, robot.data.q_home, 5)
+    way = state.tip - 0.15 * state.tool_direction - targets.tip
+    shaft = state.tool_span * way / np.linalg.norm(way, axis=1)[:, None]
+    np.testing.assert_allclose(targets.wrist - targets.tip, shaft, atol=1e-12)
+    np.testing.assert_allclose(targets.arc_length_m, np.linalg.norm(targets.tip - targets.tip[0], axis=1), atol=1e-12)
+    path = make_path("line", state.tip, normal=(0.0, 0.0, 1.0), heading=(1.0, 0.0, 0.0), length=0.02)
+    for depth, tool, words in ((1e-3, 0.3, "it is 1 mm"), (0.4, 0.5, "t = 0.00 s"), (0.15, 0.14, "2 to 140 mm")):
+        trocar = Trocar(state.tip - depth * state.tool_direction)
+        with pytest.raises(TaskError, match=words):
+            lay_targets(Reference(path, 0.05, 0.2), trocar, state.tool_span, 0.8, 5, tool)
 
 
 def test_no_bound_is_given_where_a_course_exceeds_it(robot, monkeypatch):
@@ -108,21 +123,10 @@ def test_a_course_far_below_the_bound_is_refined_again_from_the_bounds_course(mo
     found = planned.plan(trapped, times=60, swivels=180)
     assert found.climbed_whole
     assert 1.15 * found.climbed.mu_mean < found.from_start.mu_mean <= found.bound_from_start
+    assert [start is None for start in asked] == [False, True, False], "the best of all starts is near its bound"
 
 
 @pytest.mark.parametrize(("name", "margin"), [("margin_rad", -1.0), ("margin_m", np.inf), ("margin_m", "x")])
 def test_a_margin_that_is_negative_infinite_or_a_text_is_refused_by_its_name(name, margin):
     with pytest.raises(MocOptError, match=f"{name} = .*give zero or more"):
         planned.plan(Scenario(duration_s=0.1), times=5, **{name: margin})
-
-
-def test_a_start_nearer_to_a_limit_than_the_margin_lowers_the_margin():
-    """This start is at a joint limit, so no course can keep the margin of 0.05 rad."""
-    scenario = Scenario(start={"swivel": 1.0}, duration_s=2.0)
-    robot, margin = scenario.robot.arm(), 0.05
-    found = planned.plan(scenario, times=41, margin_rad=margin)
-    assert found.from_start.kept
-    q = found.from_start.q_rad
-    room = np.minimum(q - robot.q_min, robot.q_max - q)[:, robot.moves.any(axis=0)]
-    assert room[0].min() < margin
-    assert room.min() > min(margin, room[0].min()) - MOST_VIOLATION

@@ -9,7 +9,6 @@ from moc_opt.planning import pose_map
 from moc_opt.planning.course import Targets
 from moc_opt.planning.elbow import Elbow, wrapped
 from moc_opt.planning.pose_map import SCANNED, closed_form, largest_mu, map_of
-from moc_opt.planning.self_motion import self_motion
 from moc_opt.robots.inverse_kinematics import solve_pose
 from moc_opt.robots.model import load_robot
 from tests.planning.arms import IIWA14, H, at_poses, build, line_from
@@ -190,16 +189,6 @@ def test_inverse_kinematics_from_random_starts_finds_no_larger_mu(name, method):
     gaps = [each.mu[0] / elsewhere(robot, q, 60, k) - 1.0 for k, (each, q) in enumerate(zip(found, poses, strict=True))]
     assert min(gaps) > -1e-2
     assert np.median(gaps) > -1e-6
-
-
-@pytest.mark.parametrize("name", ["lwr4_rail", "odd"])
-def test_with_two_dimensional_self_motions_the_largest_mu_need_not_lie_on_the_curve(name, odd_robot):
-    robot = odd_robot if name == "odd" else load_robot(name)
-    rng = np.random.default_rng(4)
-    poses = [robot.data.q_home, *rng.uniform(0.7 * robot.q_min, 0.7 * robot.q_max, (3, robot.n))]
-    shares = [self_motion(robot, q).mu_best / largest_mu(robot, q[None]).mu[0] for q in poses]
-    assert max(shares) < 1.0 + 1e-6
-    assert min(shares) < 0.97
 
 
 def test_points_of_a_path_share_their_maxima(monkeypatch):

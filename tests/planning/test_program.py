@@ -75,10 +75,15 @@ def test_a_course_that_breaks_a_limit_has_a_violation(robot):
     jump, off = np.array(course.q_rad), np.array(course.q_rad)
     jump[10, 6] += 3.5  # the idle joint: only its speed is wrong
     off[3, 1] += 1e-3
-    beyond = abs(jump[10, 6] - jump[9, 6]) - robot.v_max[6] * targets.period_s
-    assert make_course(robot, targets, jump).violation == pytest.approx(beyond)
-    assert make_course(robot, targets, course.q_rad, Limits(margin=1.5)).violation > 0.1
-    assert make_course(robot, targets, off).violation > 1e-5
+    for share in (1.0, 0.5):
+        beyond = abs(jump[10, 6] - jump[9, 6]) - share * robot.v_max[6] * targets.period_s
+        assert make_course(robot, targets, jump, Limits(speed_share=share)).violation == pytest.approx(beyond)
+    room = np.minimum(course.q_rad - robot.q_min, robot.q_max - course.q_rad).min(axis=0)
+    for j in range(6):
+        limits = Limits(margin=(room[j] + 0.2) * np.eye(7)[j])
+        assert make_course(robot, targets, course.q_rad, limits).violation == pytest.approx(0.2)
+    moved = np.abs(np.subtract(robot.tool_along(off), (targets.tip, targets.wrist))).max()
+    assert make_course(robot, targets, off).violation == pytest.approx(moved, rel=1e-6)
 
 
 def test_a_joint_at_the_largest_allowed_speed_stops_before_its_limit_at_the_given_brake_rate():

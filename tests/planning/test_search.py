@@ -88,6 +88,19 @@ def test_one_step_backwards_compares_each_pose_with_every_pose_in_reach():
         np.testing.assert_allclose(value, ways + gain, atol=1e-12)
 
 
+def test_in_a_bound_poses_stand_for_half_a_cell_and_neighbours_of_feasible_poses_count_as_feasible():
+    angles, mu = 2.0 * np.pi * np.arange(16) / 16, lambda angle: 1.0 + 0.5 * np.cos(angle - 0.1)
+    angles[8] = np.nan  # a sample without a pose
+    room = np.isin(np.arange(16), (0, 4, 9)) - 0.5
+    q, mus, rooms = (np.tile(each, (2, 1, 1)) for each in (angles, mu(angles), room))
+    found = replace(small(np.random.default_rng(0), k=2), q_rad=q[..., None], mu=mus, room_rad=rooms)
+    told = 2.0 * Value(found, Limits(), cell=WHOLE_CELL).value[-1, 0]  # the last time has half a period's weight
+    assert np.flatnonzero(np.isfinite(told)).tolist() == [0, 1, 3, 4, 5, 8, 9, 10, 15]
+    most = mu(angles + np.linspace(-0.5, 0.5, 21)[:, None] * angles[1]).max(axis=0)
+    assert np.abs((told - most)[[0, 1, 3, 4, 5, 10, 15]] - 0.01).max() <= 0.01, "above the truth, by little"
+    assert told[8] >= mu(angles[7]) > mu(angles[9])
+
+
 def test_the_climb_to_a_top_goes_to_the_higher_neighbour():
     found = replace(small(np.random.default_rng(0), k=1, m=5), mu=np.array([[[0.2, 0.5, 0.6, 0.1, 0.3]]]))
     found = replace(found, q_rad=0.1 * np.arange(5.0).reshape(1, 1, 5, 1), room_rad=np.ones((1, 1, 5)))

@@ -53,6 +53,8 @@ def test_a_curve_is_the_same_from_any_of_its_poses_and_exists_for_a_tool_off_the
     odd = self_motion(odd_robot, odd_robot.data.q_home)
     assert odd.held == (6,)
     assert len(odd.s) > 10
+    rail = load_robot("lwr4_rail")
+    assert self_motion(rail, rail.data.q_home).held == (0, 7), "the rail, and the joint that turns only the tool"
     check(odd_robot, odd_robot.data.q_home, odd, odd.q)
 
 
@@ -141,12 +143,16 @@ def place(curve):
     return lambda s: np.array([curve.at((top + each) / (curve.s[-1] - curve.s[0])) for each in np.atleast_1d(s)])
 
 
-def test_distance_is_the_arc_length_along_the_self_motion(robot, curve, place):
+def test_distance_is_the_arc_length_along_the_self_motion(robot, curve, place, regular_poses):
     offsets = np.array([-0.6, -0.3, -0.1, 0.1, 0.3, 0.6])
     distance = distance_to_go(robot, [*place(offsets), curve.best, np.zeros(7)])
     np.testing.assert_allclose(distance[:6], np.abs(offsets), atol=0.02)
+    np.testing.assert_allclose(distance[:3] + distance[5:2:-1], 2.0 * np.abs(offsets[:3]), atol=2e-4)
     assert distance[6] < 1e-3
     assert np.isnan(distance[7]), "a straight arm is singular"
+    poses = np.array(regular_poses(6))[[0, 5]]  # from these, mu rises up to a joint limit
+    ends = [self_motion(robot, poses[0]).s[-1], -self_motion(robot, poses[1]).s[0]]
+    np.testing.assert_allclose(distance_to_go(robot, poses), ends, atol=1e-3)
 
 
 @pytest.mark.parametrize(("way", "speed", "before", "after"), [(1.0, 0.5, 1.7, 1.9), (0.4, 0.1, 2.8, 3.2)])

@@ -20,7 +20,6 @@ from tests.robots.arms import FOLDER
 
 BARE = {"judge": False, "bound_samples": 0}
 
-
 WRONG = [  # tables and words of the error message
     ({"task": {"radius": 0.01}}, "mean 'sizes.radius'"), ({"solver": {"name": "osqp", "eps": 1}}, "'settings.eps'"),
     ({"sede": 1}, "did you mean 'seed'"), ({"control": {"preste": "tuned"}}, "did you mean 'preset'"),
@@ -73,24 +72,20 @@ def test_the_trace_remembers_its_scenario():
     np.testing.assert_array_equal(trace.meta["start_q_rad"] - bias, trace.q_rad[0])
 
 
-@pytest.mark.parametrize(
-    ("tables", "told"),
-    [
-        ({}, {"repeat_joint_ticks": 89, "motion_lag_s": 0.012, "repeat_torque": 0.06, "stuck_rad_per_s": 0.2}),
-        ({"guard": {"repeat_joint_ticks": 40}}, {"repeat_joint_ticks": 40}),
-        ({"guard": {"patience_ticks": 5}}, {"repeat_reading_ticks": 5}),
-        ({"guard": {"repeat_reading_ticks": 2}}, {"repeat_reading_ticks": 2}),
-        # Without noise, or without a filter, successive readings may well be equal.
-        ({"plant": {"preset": "nominal"}}, {"repeat_joint_ticks": None, "repeat_reading_ticks": None}),
-        ({"plant": {"velocity_cutoff_Hz": 0.0}}, {"repeat_reading_ticks": None, "motion_lag_s": 0.012}),
-        # A slow filter lags. The limit that suits 50 Hz would stop good runs at 15 Hz.
-        ({"plant": {"velocity_cutoff_Hz": 15.0}}, {"motion_lag_s": 3.0 / (2.0 * np.pi * 15.0)}),
-        # A coarse encoder hides motion within one step.
-        ({"plant": {"encoder_resolution_rad": 1e-4}}, {"repeat_torque": 0.06, "stuck_rad_per_s": 0.2}),
-        ({"plant": {"encoder_resolution_rad": 5e-4}}, {"repeat_torque": 0.25, "stuck_rad_per_s": 0.3}),
-        ({"plant": {"encoder_resolution_rad": 5e-4}, "guard": {"repeat_torque": 0.4}}, {"repeat_torque": 0.4}),
-    ],
-)
+@pytest.mark.parametrize(("tables", "told"), [
+    ({}, {"repeat_joint_ticks": 89, "motion_lag_s": 0.012, "repeat_torque": 0.06, "stuck_rad_per_s": 0.2}),
+    ({"guard": {"repeat_joint_ticks": 40}}, {"repeat_joint_ticks": 40}),
+    *(({"guard": {key: 5}}, {"repeat_reading_ticks": 5}) for key in ("patience_ticks", "repeat_reading_ticks")),
+    # Without noise, or without a filter, successive readings may well be equal.
+    ({"plant": {"preset": "nominal"}}, {"repeat_joint_ticks": None, "repeat_reading_ticks": None}),
+    ({"plant": {"velocity_cutoff_Hz": 0.0}}, {"repeat_reading_ticks": None, "motion_lag_s": 0.012}),
+    # A slow filter lags. The limit that suits 50 Hz would stop good runs at 15 Hz.
+    ({"plant": {"velocity_cutoff_Hz": 15.0}}, {"motion_lag_s": 3.0 / (2.0 * np.pi * 15.0)}),
+    # A coarse encoder hides motion within one step.
+    ({"plant": {"encoder_resolution_rad": 1e-4}}, {"repeat_torque": 0.06, "stuck_rad_per_s": 0.2}),
+    ({"plant": {"encoder_resolution_rad": 5e-4}}, {"repeat_torque": 0.25, "stuck_rad_per_s": 0.3}),
+    ({"plant": {"encoder_resolution_rad": 5e-4}, "guard": {"repeat_torque": 0.4}}, {"repeat_torque": 0.4}),
+])  # fmt: skip
 def test_limits_of_the_safety_filter_follow_from_the_encoders(tables, told):
     scenario = Scenario(**tables)
     assert {name: getattr(scenario.told_guard, name) for name in told} == pytest.approx(told)

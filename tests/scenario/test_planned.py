@@ -1,18 +1,15 @@
-"""Runs are compared with the best course (planned joint motion), or follow a course from a plan or a file."""
+"""Runs are compared with the best course (planned joint motion), and commands plan a course and follow it."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import moc_opt as mo
 from moc_opt.__main__ import main
-from moc_opt.errors import ScenarioError
-from moc_opt.planning.guides import followed_course, load_course, speed_shares
 from moc_opt.scenario import Setup
 from moc_opt.scenario.derived import best_courses
-from moc_opt.scenario.planned import followable_plan, following_warnings, plan, save_course, targets_of
+from moc_opt.scenario.planned import following_warnings, plan
 from moc_opt.tasks.trocar import shaft_distance
 
 
@@ -92,86 +89,6 @@ def test_an_arm_on_a_rail_has_no_best_courses_and_the_trace_says_why():
     run = mo.run(COMPARED.change(robot={"name": "lwr4_rail"}, start={"swivel": "given"}, duration_s=0.1))
     assert "mu_best" not in run.columns
     assert "freedoms" in run.meta["best_courses"]["absent"]
-
-
-SCENARIO = mo.Scenario(bound_samples=0, judge=False, duration_s=1.0).change(control={"third_level": "planned"})
-
-
-@pytest.fixture(scope="module")
-def course(tmp_path_factory):
-    found, within = followable_plan(SCENARIO)
-    saved = save_course(found, SCENARIO, tmp_path_factory.mktemp("course") / "course.parquet", within)
-    trace = mo.Trace.load(saved)
-    np.testing.assert_array_equal(trace.q_rad, found.from_start.q_rad)
-    np.testing.assert_array_equal(trace.columns["swivel_rad"], found.swivel_rad)
-    assert trace.meta["from_start"] is True
-    return saved
-
-
-def without_course(scenario):
-    return Setup(scenario.change(control={"third_level": "local", "course": ""}))
-
-
-def loaded(scenario):
-    setup = without_course(scenario)
-    return load_course(scenario.control, setup.robot, setup.layout.q, targets_of(setup.robot, setup.layout))
-
-
-def test_a_run_along_a_saved_course_equals_the_run_that_plans_it(course):
-    planned = mo.run(SCENARIO)
-    followed = mo.run(SCENARIO.change(control={"course": str(course)}))
-    assert followed.meta["course_mu_mean"] == pytest.approx(planned.meta["course_mu_mean"], rel=1e-4)
-    np.testing.assert_allclose(followed.q_rad, planned.q_rad, rtol=0.0, atol=1e-2)
-    climbed = mo.run(SCENARIO.change(control={"third_level": "local"}))
-    assert np.abs(climbed.q_rad - followed.q_rad).max() > 1e-3
-
-
-@pytest.mark.parametrize(("change", "message"), [
-    ({"duration_s": 0.8}, "it goes from 0 to 1 s, the run from 0 to 0.8"),
-    ({"start": {"swivel": 0.3}}, r"begins 0\.\d+ rad from the start of the run"),
-    ({"robot": {"name": "iiwa14"}}, "a course of robot 'lwr4', this run's is 'iiwa14'"),
-    ({"control": {"course_speed_fraction": 0.01}}, "plan it with --speed-share 0.01"),
-    ({"control": {"course": "nowhere.parquet"}}, "nowhere.*no such file.*moc-opt plan"),
-])  # fmt: skip
-def test_a_course_of_another_run_is_refused_with_the_difference(course, change, message):
-    with pytest.raises(ScenarioError, match=message):
-        loaded(SCENARIO.change(control={"course": str(course)}).change(**change))
-
-
-def test_a_file_that_is_no_course_is_refused(course, tmp_path):
-    trace, to = mo.Trace.load(course), tmp_path / "other.parquet"
-    mine, t, q = SCENARIO.change(control={"course": str(to)}), trace.t_s, trace.q_rad
-
-    def moved(rows, joint, by):
-        other = q.copy()
-        other[rows, joint] += by
-        return {"q_rad": other}
-
-    for columns, meta, message in (
-        ({"q_rad": q[:, :6]}, {}, r"q_rad \(\d+, 6\), a course of 7 joints"),
-        (moved(3, 2, np.nan), {}, "a pose is not finite"), ({"t_s": t[::-1].copy()}, {}, "times t_s do not rise"),
-        ({"t_s": np.round(t).astype(np.int64)}, {}, "t_s has shape"),
-        (moved(slice(9, None), 6, 1000.0), {}, r"joint_7 goes 9\d\d\.?\d* rad beyond its limit"),
-        (moved(5, slice(None), 0.05), {}, "mm off path and shaft at t = 0.125 s"),
-        ({"t_s": t + 0.01}, {}, "it goes from 0.01 to 1.01 s"), ({}, {"kind": "run"}, "the file holds no course"),
-        ({"q_rad": q + 0.1}, {"from_start": False}, r"from the start of the run; begin there: \[start\] q_rad = \["),
-    ):  # fmt: skip
-        mo.Trace({**trace.columns, **columns}, {**trace.meta, **meta}).save(to)
-        with pytest.raises(ScenarioError, match=message):
-            loaded(mine)
-
-
-def test_smoothing_a_course_keeps_the_limits_that_it_was_planned_for(tmp_path):
-    within = {"margin_rad": 0.6, "speed_share": 0.1}
-    to = save_course(plan(SCENARIO, **within), SCENARIO, tmp_path / "slow.parquet", within)
-    scenario = SCENARIO.change(control={"course": str(to)})
-    setup = without_course(scenario)
-    robot, period_s = setup.robot, targets_of(setup.robot, setup.layout).period_s
-    slow, fast = (followed_course(replace(setup.following, settings=each.control)) for each in (scenario, SCENARIO))
-    shares = [speed_shares(robot, course.q_rad, period_s).max() for course in (slow, fast)]
-    assert 0.05 < shares[0] < 0.1 + 1e-6
-    assert shares[1] > 0.3
-    assert np.minimum(slow.q_rad - robot.q_min, robot.q_max - slow.q_rad)[:, :6].min() > 0.6 - 1e-6
 
 
 def test_the_commands_write_a_course_and_follow_it(tmp_path, capsys):

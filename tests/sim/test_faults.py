@@ -41,6 +41,15 @@ def test_by_default_no_fault_disturbs_the_arm():
         assert FaultSettings(**{field: 0.01}).around_the_arm
 
 
+@pytest.mark.parametrize("field", ["drop_share", "lag_growth", "drift_rad_per_s", "solver_share", "frozen_ticks",
+                                   "replay_ticks", "nan_ticks"])  # fmt: skip
+def test_a_fault_beyond_its_range_is_refused(field):
+    FaultSettings(**{field: 1})
+    for beyond in [0] if field.endswith("ticks") else [1.05, -1.05]:
+        with pytest.raises(PlantError, match=field):
+            FaultSettings(**{field: beyond})
+
+
 def test_a_dropped_measurement_is_replaced_by_the_previous_one():
     stamps, q, v = arrived(500, 1, drop_share=0.4)
     found = q[:, 0]
@@ -56,6 +65,7 @@ def test_a_dropped_measurement_is_replaced_by_the_previous_one():
 def test_encoders_give_nan_for_nan_ticks(at):
     found, first = np.isnan(arrived(20, nan_at_s=at, nan_ticks=4)[1][:, 0]), round(at / PERIOD)
     assert np.flatnonzero(found).tolist() == list(range(first, first + 4))
+    assert np.isnan(arrived(20, nan_at_s=at)[1]).sum() == N, "one tick by default"
 
 
 def test_bias_and_noise_have_the_given_size_and_follow_the_seed_and_a_jump_comes_at_its_time():

@@ -11,7 +11,7 @@ from moc_opt.live import LiveRun
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.sim import Plant, PlantSettings
 from moc_opt.sim.loop import no_collector, simulate
-from moc_opt.sim.record import RunAway
+from moc_opt.sim.record import RunAway, TaskOffset
 from moc_opt.vision.hands_on import HandsOnSettings, HandsOnStatus, guide_to
 
 TICKS = 25
@@ -59,7 +59,8 @@ def test_each_tick_records_the_state_at_its_start(robot, references):
     """The controller gets measurements and the registered trocar, and the plant gets the true trocar."""
     tip_refs, trocars, registered = references
     brain, plant = Holding(robot), ready(robot, PlantSettings())
-    trace = simulate(ready(robot, PlantSettings()), brain, *references)
+    offset = TaskOffset(np.array([1e-3, 2e-3, 0.0]), np.array([0.0, 1e-3, 3e-3]))
+    trace = simulate(ready(robot, PlantSettings()), brain, *references, offset=offset)
     assert len(trace) == TICKS
     (started,) = brain.started
     for given, first in zip(started, brain.seen[0], strict=True):
@@ -80,7 +81,9 @@ def test_each_tick_records_the_state_at_its_start(robot, references):
     assert np.linalg.norm(trace.q_rad[-1] - trace.q_rad[0]) > 1e-4  # the arm moves
     np.testing.assert_allclose(trace.tip_error_m, np.linalg.norm(tip_refs[:, 0] - trace.tip_m, axis=1), atol=1e-15)
     u = (trace.tip_m - trace.wrist_m) / np.linalg.norm(trace.tip_m - trace.wrist_m, axis=1)[:, None]
-    for told, which in ((trocars, ""), (registered, "_registered")):
+    away = np.linalg.norm(tip_refs[:, 0] + offset.tip - trace.tip_m, axis=1)
+    np.testing.assert_allclose(trace.tip_error_registered_m, away, atol=1e-15)
+    for told, which in ((trocars, ""), (registered + offset.trocar, "_registered")):
         np.testing.assert_array_equal(trace.columns[f"trocar{which}_m"], told[:, 0])
         away = np.linalg.norm(np.cross(told[:, 0] - trace.tip_m, u), axis=1)
         np.testing.assert_allclose(trace.columns[f"rcm_error{which}_m"], away, rtol=1e-9, atol=1e-12)
