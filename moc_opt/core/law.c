@@ -4,7 +4,7 @@
  *   tau_0 = K_N2 (x - v) - D_N2 v; share rises from 0 to 1 at the start. step.c has the order of a tick. */
 #include "vec.h"
 
-#define STRAIGHT 1e-3  /* smallest sqrt(smaller / larger mobility of the wrist) for the whole feed-forward */
+#define STRAIGHT 1e-3  /* below this sqrt(smaller / larger mobility of the wrist), one direction is not fed forward */
 
 #define SHAFT_PULL 0.1 /* weight of log mu_shaft relative to mu [m^3] */
 #define SHAFT_LOST 0.1 /* below this share of shaft_margin, the push falls with mu_shaft, to zero at mu_shaft = 0 */
@@ -42,7 +42,7 @@ void moc_desired_wrist(const double X[3], const double dX[3], const moc_trocar *
     }
 }
 
-/* tau += J^T F for J (3,n). */
+/* tau += scale J^T F for J (3,n). */
 static void add_force(int n, double J[][MOC_MAX_JOINTS], double scale, const double F[3], double *tau)
 {
     for (int j = 0; j < n; j++)
@@ -55,7 +55,7 @@ static void times(int n, double J[][MOC_MAX_JOINTS], const double *v, double out
         out[i] = dot(n, J[i], v);
 }
 
-/* ddN_d of N_d = X + L e, where L is the span from wrist to tip, for a trocar without acceleration. With
+/* Compute ddN_d of N_d = X + L e for a trocar without acceleration. L is the distance from wrist to tip. With
  * r = P_t - X = |r| e: e'' = (I - e e^T)(r'' - 2 |r|' e') / |r| - |e'|^2 e. */
 static void desired_wrist_acceleration(const line *s, double span, const double ddX_d[3], double out[3])
 {
@@ -137,8 +137,8 @@ static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *d
     }
 }
 
-/* tau += (I - J^T G) tau_W. With MOC_STATIC, G is pinv(J)^T: an arm at rest then has no force at the tip. With
- * MOC_AS_PUBLISHED, G is J: the projector is then not idempotent, and its units are inconsistent. */
+/* tau += (I - J^T G) tau_W. With MOC_STATIC, G is pinv(J)^T, and tau_W causes no tip force if the arm rests. With
+ * MOC_AS_PUBLISHED, G is J. This projector is not idempotent, and its units are inconsistent. */
 static void add_at_rest(moc_projector projector, int n, double J[][MOC_MAX_JOINTS], const double *tau_W, double *tau)
 {
     double at_tip[3], gram[3][MOC_MAX_JOINTS], factor[3][MOC_MAX_JOINTS], diagonal[3];
@@ -253,7 +253,7 @@ void moc_add_third_level(const moc_law *law, int n, const moc_terms *terms, cons
     for (int j = 0; j < n; j++) {
         for (int i = 0; i < r; i++)
             tau[j] += MZ[i][j] * along[i];
-        tau[j] = clip(tau[j], -law->tau_max[j], law->tau_max[j]); /* NaN stays; the safety filter reports it */
+        tau[j] = clip(tau[j], -law->tau_max[j], law->tau_max[j]); /* NaN stays NaN, and the safety filter reports it */
     }
 }
 
