@@ -9,12 +9,12 @@
 #include "vec.h"
 
 #define RANK_TOLERANCE 1e-12 /* a singular value below this share of |A|_F counts as zero */
-#define TIED 1e-7            /* this share for the sixth singular value, which is zero for an ideal rigid tool */
+#define TIED 1e-7            /* the same share for the sixth singular value, which is zero for an exactly rigid tool */
 #define LOOK_CLOSER 1e3      /* a pivot below this multiple of the tolerance gets a closer check (own_part) */
 #define LEFT 1e-6            /* largest |A x - b| of an answer, as in qp/residuals.py [m/s] */
 #define SOUND 1e-6           /* if the last pivot is larger, rounding cannot spoil the answer [m] */
 #define UNBALANCED 1e-4      /* largest error of A^T y = force, divided by the cost's slope */
-#define IDLE 1e-12           /* if its column has no larger entry, a free joint moves neither tip nor wrist */
+#define IDLE 1e-12           /* a free joint whose column has no larger entry moves neither tip nor wrist */
 #define ROUNDING 1e-9        /* an entry of pull below this share of the largest entry counts as zero */
 #define GROWTH 4e-12         /* largest relative rounding error of six elimination steps */
 #define WIDEST 1e-5          /* largest bound violation that may be attributed to rounding [rad/s] */
@@ -101,8 +101,8 @@ static inline int eliminate(moc_plane *plane, const moc_problem *p, int m)
     return 6;
 }
 
-/* Check x against the dropped rows. If no x within the bounds can satisfy a violated row, the problem is
- * infeasible. Otherwise rounding hides whether the row is dependent, and the status is MOC_DOUBTFUL. */
+/* Check x against the rows that elimination dropped. If no x within the bounds can satisfy a violated row, the problem
+ * is infeasible. Otherwise rounding hides whether the row is dependent, and the status is MOC_DOUBTFUL. */
 static moc_status check_dropped(const moc_plane *plane, const moc_problem *p, const double *x)
 {
     moc_status status = MOC_OK;

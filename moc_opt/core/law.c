@@ -1,13 +1,13 @@
 /* The three levels of the law (Su et al. 2019, in the consistent form of docs/method.md), and the subproblem.
  *
  *   tau = h + J_T^T F_T + (I - J_T^T Jbar_T^T) J_W^T F_W + tau_ff - r + share M Z^T (Z M Z^T)^-1 Z tau_0,
- *   tau_0 = K_N2 (x - v) - D_N2 v; share rises from 0 to 1 at the start. step.c has the order of a tick. */
+ *   tau_0 = K_N2 (x - v) - D_N2 v. tau_ff is the feed-forward, r the observer's estimate. share rises from 0 to 1. */
 #include "vec.h"
 
 #define STRAIGHT 1e-3  /* below this sqrt(smaller / larger mobility of the wrist), one direction is not fed forward */
 
 #define SHAFT_PULL 0.1 /* weight of log mu_shaft relative to mu [m^3] */
-#define SHAFT_LOST 0.1 /* below this share of shaft_margin, the push falls with mu_shaft, to zero at mu_shaft = 0 */
+#define SHAFT_LOST 0.1 /* below this share of shaft_margin, moc_shaft_push falls with mu_shaft, down to zero */
 #define BOX_OPENS 3.0  /* the bounds are widest for mu_shaft <= (1 - 1/BOX_OPENS) shaft_margin */
 
 /* The line from the tip to the trocar and its motion. */
@@ -89,7 +89,7 @@ static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *d
     across(t->u, b);
     five_rows(n, t->A, b, rows);
     memcpy(rows[TAU_W], tau_W, (unsigned)n * sizeof *tau_W);
-    for (int i = 0; i < n; i++) /* multiply all rows by H^-T, side by side */
+    for (int i = 0; i < n; i++) /* multiply each row by H^-T */
         for (int k = 0; k < 6; k++)
             rows[k][i] = (rows[k][i] - dot(i, H[i], rows[k])) * inverse[i];
     for (int i = 0; i < 3 && law->feedforward; i++) {

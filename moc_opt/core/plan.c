@@ -38,7 +38,7 @@ static double distance(int n, const double *p, const double *q)
 
 /* Compute the step (n,) nearest to `desired` that satisfies A step = error (rows).
  *
- * No joint within `near` of a limit moves towards this limit. An active-set method holds the joints that would, and
+ * No joint within `near` of a limit moves towards this limit. An active-set method holds joints at their limits, and
  * releases a held joint if its multiplier points inwards. */
 static void allowed_step(const plan_task *task, int rows, const double *q, double A[6][MOC_MAX_JOINTS],
                          const double *error, const double *desired, double damping, double near, double *step)
@@ -117,7 +117,7 @@ double plan_place(const plan_task *task, int points, int rounds, const double *s
 
 #define STRAIGHT 0.8 /* cosine of the largest angle by which the tangent may turn in a step */
 
-/* The longest step along the tangent, up to h, within the joint limits. *hit is the joint that stops it, or NONE. */
+/* The longest step along the tangent, up to h, within the joint limits. *hit is the joint that gets to its limit, or NONE. */
 static double room_ahead(const plan_task *task, const double *q, const double *tangent, double h, int *hit)
 {
     *hit = NONE;

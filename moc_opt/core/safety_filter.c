@@ -6,7 +6,7 @@
  *   LATE              now - newest stamp > usual delay + patience
  *   MEASUREMENT *     |q - q_believed| > jump + v_max (time since the last believed q), or |v| > speed_factor v_max
  *   REPLAYED          all encoders and the wrench equalled earlier readings at a constant lag more than R times. R is
- *                     min(repeat_reading_ticks, repeat_whole_ticks), with replayed_ticks if the wrench has no noise.
+ *                     min(repeat_reading_ticks, W). W is repeat_whole_ticks, or replayed_ticks without wrench noise.
  *   REPEATED *        all q are unchanged, but the reference moved by repeat_m or a torque changed by repeat_torque
  *                     tau_max. If the wrench is unchanged as well, repeat_whole_m and repeat_whole_torque apply.
  *   REPEATED          all q and v were unchanged on more than repeat_reading_ticks ticks in total
@@ -30,7 +30,7 @@
 
 #define SHORTEST_DEPTH 0.05 /* at a smaller depth, a contact of the tip looks like a trocar force [m] */
 #define GRAVITY 9.81        /* [m/s^2] */
-#define FIRST_READINGS 100  /* readings that decide whether the wrench sensor has noise */
+#define FIRST_READINGS 100  /* number of readings that decide whether the wrench sensor has noise */
 #define LARGEST_STAMP (LLONG_MAX / 4) /* a larger stamp cannot be the number of a control period */
 #define SHRINK 0.61803398875 /* factor in as_number, which turns a reading into one number */
 #define FINE 1e9             /* take_in stores a reading x in slot (|x| * FINE) mod slots */
@@ -194,7 +194,7 @@ static inline double take_in(double number, int slots, double *numbers, double *
     before->readings += 1.0;
     int slot = (int)((long long)(fabs(number) * FINE) % slots);
     double lag = before->readings - at[slot];
-    if (at[slot] > 0.0 && same(number, numbers[slot]) && lag > 1.0) { /* lag 1: REPEATED finds it */
+    if (at[slot] > 0.0 && same(number, numbers[slot]) && lag > 1.0) { /* REPEATED checks lag 1 */
         before->hits = same(lag, before->lag) ? before->hits + 1.0 : 1.0;
         before->lag = lag;
     }
@@ -261,7 +261,7 @@ static double rcm_error(double pose[4][3], const double P[3])
 }
 
 /* Compute the trocar's force, perpendicular to the shaft [N], from the wrench sensor at the tool's mount.
- * Let z be the tool's axis, L its length and d the depth of the tip behind the trocar. Without the tool's weight, the
+ * Let z be the tool's axis, L its length and d the depth of the tip beyond the trocar. Without the tool's weight, the
  * reading is due to the trocar's force f and a contact force g at the tip: force = f + g, torque = (L - d) z x f +
  * L z x g. Hence f = (L force - torque x z) / d. If wrong encoders give a wrong d, all of f may look like a contact.
  * Therefore a contact explains at most tip_force. An unknown load on the tool may hide a part of f. Therefore the

@@ -12,7 +12,7 @@ typedef struct {
     double k;       /* gain k of Su et al. 2019 */
     double scale;   /* multiplies c0, c1, c2 and rho */
     int implicit;   /* 1: the multipliers are updated with the new x */
-    double rest;    /* if no right-hand side of rnn.c is larger, the network has come to rest */
+    double rest;    /* the network has come to rest if no right-hand side of rnn.c is larger [rad/s, m/s] */
 } moc_network;
 
 /* Advance x (n,) and y (6,) in place. *made is the number of steps taken. Returns MOC_OK if the network has come to
@@ -45,8 +45,8 @@ double plan_ascend(const plan_task *task, double *q);
  *
  * q (branches, m, n) has the poses. A row of NaN stands for no pose. gain (branches, m) is the reward of a pose. It is
  * -inf if the pose is forbidden. In each branch, q_next is sorted by joint `sorted`, with NaN last. A pose can reach a
- * next pose if no joint moves by more than its step (n,) plus both slacks. The next pose lies in the same branch, or in
- * a branch whose number differs only in bits of crossing[m]. price is the cost of a squared motion [1/rad^2]. */
+ * next pose if no joint moves by more than its step (n,) plus the slack of both poses. The next pose lies in the same
+ * branch, or in a branch whose number differs only in bits of crossing[m]. price is the cost of a squared motion [1/rad^2]. */
 typedef struct {
     int branches, m, next, n, sorted;
     const double *q, *slack, *gain;

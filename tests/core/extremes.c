@@ -2,8 +2,8 @@
  *
  * It checks that no access is outside an array, that every loop ends, and that the torque of the safety filter is
  * finite and within its limits. It also prints a digest of all results. Array entries after the first n are NaN, so
- * that the digest changes if the core uses such an entry. Every compiler gives the same digest, because the program has its
- * own sine and cosine. All other functions that the core takes from the C library are exact.
+ * that the digest changes if the core uses such an entry. Every compiler gives the same digest, because the program has
+ * its own sine and cosine. All other functions that the core takes from the C library are exact.
  *
  * Usage: extremes [courses] [seed]. A course runs one random controller. The exit status is 0 if all checks pass. */
 #include <limits.h>
