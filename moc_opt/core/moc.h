@@ -262,7 +262,7 @@ typedef struct {
     double mean_square[2], largest[2], first_tick[2]; /* RCM error, force; largest rms and first tick of warnings */
     double whole_square, ticks;                  /* mean square of the whole force on the tool; ticks in the incision */
     int unread;                                  /* wrench readings in a row that were not finite */
-    double press, borne;                         /* in a stop: mean trocar force; level from which its rise counts [N] */
+    double press, borne;                         /* in a stop: mean trocar force; level from which a rise counts [N] */
     int yields, open;                            /* 1: the trocar force has opened the brakes; ticks since then */
     int cut;                                     /* 1: a drive is at fault, so the torque of the stop goes to zero */
     int limited;                                 /* number of joints whose last torque was limited */

@@ -117,7 +117,7 @@ double plan_place(const plan_task *task, int points, int rounds, const double *s
 
 #define STRAIGHT 0.8 /* cosine of the largest angle by which the tangent may turn in a step */
 
-/* The longest step along the tangent, up to h, within the joint limits. *hit is the joint that gets to its limit, or NONE. */
+/* The longest step along the tangent, up to h, within the joint limits. The joint *hit (or NONE) limits the step. */
 static double room_ahead(const plan_task *task, const double *q, const double *tangent, double h, int *hit)
 {
     *hit = NONE;

@@ -10,7 +10,7 @@
  * point iteration repeats the projection. It is finite for linear programs (Ferris 1991). */
 #include "vec.h"
 
-#define FAR 1e3          /* take proximal steps if the unconstrained optimum is this many times the bounds' width away */
+#define FAR 1e3          /* use proximal steps if the unconstrained optimum is this many times the bounds' width away */
 #define UNMOVED 1e-20    /* joint j counts as fixed if Pi_jj is smaller */
 #define DEPENDENT 1e-12  /* if the sweeps leave a smaller share of Pi_jj, the active bounds fix joint j */
 

@@ -145,7 +145,7 @@ moc_stop moc_guard_incision(const moc_guard *g, double pose[4][3], const moc_tro
 moc_stop moc_guard_follow(const moc_guard *g, const moc_arm *arm, const moc_terms *t, const double *tip,
                           const double *tip_ref, const double *before, double *tau, moc_watch *w);
 
-/* Compute the torque of a stop. It approaches the torque that carries the arm's weight by torque_step per tick. */
+/* Compute the torque of a stop. Per tick, it approaches the torque of the arm's weight by torque_step. */
 void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before, const moc_watch *w, double *tau);
 
 /* --- step.c --- */
