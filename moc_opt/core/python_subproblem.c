@@ -1,4 +1,4 @@
-/* Functions of the module, most of them for the subproblem: solve it, and fill a QP library's buffers with it. */
+/* Functions of the module. Most of them solve the subproblem, or fill a QP library's buffers with it. */
 #include "python.h"
 #include "vec.h"
 

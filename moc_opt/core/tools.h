@@ -46,7 +46,7 @@ double plan_ascend(const plan_task *task, double *q);
  * q (branches, m, n) has the poses. A row of NaN stands for no pose. gain (branches, m) is the reward of a pose. It is
  * -inf if the pose is forbidden. In each branch, q_next is sorted by joint `sorted`, with NaN last. A pose can reach a
  * next pose if no joint moves by more than its step (n,) plus the slack of both poses. Both poses lie in the same
- * branch, or their branch numbers differ only in bits of crossing[m]. price is the cost of a squared motion [1/rad^2]. */
+ * branch, or their branch numbers differ only in bits of crossing[m]. price is the cost of squared motion [1/rad^2]. */
 typedef struct {
     int branches, m, next, n, sorted;
     const double *q, *slack, *gain;

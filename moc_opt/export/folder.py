@@ -162,10 +162,10 @@ def write(
         tolerance: tolerance of the solver ``exact`` [rad/s].
         stop: damping of the drives in a stop [Nm s/rad], and its shortest duration [s].
         extra: further files, as a mapping from name to content.
-        force: overwrite any file.
+        force: also overwrite files that were edited or that export-c did not write.
 
     Raises:
-        ScenarioError: ``out`` cannot be written, or it has one of these files, but not as export-c wrote it.
+        ScenarioError: ``out`` cannot be written, or one of these files is there, but not as export-c wrote it.
     """
     texts: dict[str, str | bytes] = {**shipped(files("moc_opt.core"), CORE), **shipped(OWN, TESTS)}
     texts |= constants(robot, law, guard, tolerance, stop) | {"recording.h": recording_in_c(recording)} | dict(extra)

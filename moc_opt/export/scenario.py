@@ -20,7 +20,7 @@ from moc_opt.solvers.exact import Exact
 
 TICKS = 150
 """Number of recorded ticks, from the middle of the run. The last third of them has faults."""
-INFEASIBLE, VIOLENT = 0.5, 10.0  # added to the reference velocity in two of these faults [m/s]
+INFEASIBLE, VIOLENT = 0.5, 10.0  # added to the reference velocity in two faults of `record` [m/s]
 
 
 def export_scenario(
@@ -32,7 +32,7 @@ def export_scenario(
         scenario: the scenario. Its run is simulated to record ticks.
         out: folder, created if it does not exist.
         udp: also write a program that runs this controller over UDP, and the references of all ticks.
-        force: overwrite files that export-c did not write.
+        force: also overwrite files that were edited or that export-c did not write.
 
     Raises:
         MocOptError: the C code does not support a setting, the scenario cannot run, or ``out`` cannot be written.

@@ -5,7 +5,7 @@
  * that the digest changes if the core uses such an entry. Every compiler gives the same digest, because the program has
  * its own sine and cosine. All other functions that the core takes from the C library are exact.
  *
- * Usage: extremes [courses] [seed]. A course runs one random controller. The exit status is 0 if all checks pass. */
+ * Usage: extremes [courses] [seed]. A course draws new settings. The exit status is 0 if all checks pass. */
 #include <limits.h>
 #include <math.h>
 #include <stdint.h>
@@ -29,7 +29,7 @@ static double series(double x, int k, double term)
     return sum;
 }
 
-/* These replace sin and cos of the C library, whose last bit depends on the processor. */
+/* sin and cos replace those of the C library, whose last bits depend on the processor. */
 double sin(double x)
 {
     double turned = remainder(x, 6.283185307179586);
@@ -101,7 +101,7 @@ static void fill(double *x, int count, double value)
         x[i] = value;
 }
 
-/* A copy on the heap with exactly this length, so that the sanitizer finds accesses beyond its end. */
+/* Return a copy on the heap of exactly this length, so that the sanitizer finds accesses beyond its end. */
 static double *alone(const double *x, int count)
 {
     double *own = malloc((unsigned)count * sizeof *own);

@@ -144,7 +144,7 @@ def test_the_null_space_basis_changes_continuously_and_is_valid_at_a_straight_el
 
 
 def problem(rng, robot, tight=None):
-    """A random subproblem, its fields, and a basis of ker A. ``tight`` limits the bounds' distance from a solution."""
+    """Return a random subproblem, its fields, and a basis of ker A. Bounds are up to ``tight`` from a solution."""
     s = robot.state(robot.random_regular_pose(rng))
     u, v_T, v_W = s.tool_direction, *(0.05 * rng.normal(size=(2, 3)))
     row, Z = np.full(11 * s.n + 10, np.nan), reference.null_space(s.A)
