@@ -17,7 +17,7 @@ class Arm:
     def terms(self, q: Array, v: Array, /) -> Array: ...  # the packed moc_terms of one state
     def along(self, poses: Array, /) -> tuple[Array, Array, Array]: ...  # tips [m], wrists [m], and mu of many poses
     def tool_pose(self, q: Array, /) -> Array: ...  # the tool's axes x, y, z and its tip [m]
-    # Return the position error [m] and the pose.
+    # Search for a pose with the tip, or tip and wrist, at the target. Return its position error [m] and the pose.
     def nearest_pose(
         self, low: Array, high: Array, target: Array, q: Array, iterations: int, /
     ) -> tuple[float, Array]: ...
@@ -29,7 +29,7 @@ class Arm:
     # Move each start to a local maximum of mu, in place. mus gets the maximum, or -1 if no pose was found.
     def ascend(self, low: Array, high: Array, target: Array, starts: Array, mus: Array, /) -> None: ...
 
-def solve_exact(record: Array, tolerance: float, /) -> tuple[int, Array, Array]: ...  # status, x and y
+def solve_exact(record: Array, tolerance: float, /) -> tuple[int, Array, Array]: ...  # return status, x, y
 # Solve many subproblems without the GIL. X, Y and status are filled.
 def solve_exact_rows(records: Array, tolerance: float, X: Array, Y: Array, status: Array, /) -> None: ...
 # Advance x and y in place. Return the status and the number of steps.
@@ -51,15 +51,15 @@ class Law:
     def begin(
         self, q: Array, v: Array, tip_ref: Array, trocar: Array, x_d: Array | None, /
     ) -> tuple[Array, Array]: ...
-    # Check the answer and add level 3 (moc_finish). Return the fault, the x that is followed, and tau.
+    # Check the answer and add level 3 (moc_finish). Return the fault, the x that level 3 follows, and tau.
     def finish(self, known: int, claim: int, answer: Array, solve_us: float, /) -> tuple[int, Array, Array]: ...
     # A whole tick with the solver `exact`. Return status, fault, solve time [us], terms, and one array with subproblem,
-    # x and y of `exact`, the x that is followed, and tau. If solve_us is NaN, the solve time is measured.
+    # x and y of `exact`, the x that level 3 follows, and tau. If solve_us is NaN, the solve time is measured.
     def step(
         self, q: Array, v: Array, tip_ref: Array, trocar: Array, x_d: Array | None, tolerance: float, solve_us: float,
         /,
     ) -> tuple[int, int, float, Array, Array]: ...
-    def set_applied(self, tau: Array, /) -> None: ...  # replace the last torque, for the observer
+    def set_applied(self, tau: Array, /) -> None: ...  # tell the observer which torque acted last
     def memory(self) -> tuple[int, Array, Array]: ...  # number of rows of Z, Z, and the observer's r [Nm]
 
 REASONS: tuple[str, ...]
@@ -83,7 +83,7 @@ class Guard:
     # rows are the mean square, the largest root mean square above the warning, and the tick of the first warning.
     def watched(self) -> tuple[int, Array]: ...
 
-# Write the subproblem into a QP library's buffers. Return False if the number of equality rows differs.
+# Write the subproblem into a QP library's buffers. Return False if A has another number of rows.
 def load(
     record: Array, five: bool, scale: float, signs: Array, P: Array, p: Array, A: Array, low: Array, high: Array,
     lower: Array, upper: Array, packed: Array, lift: Array, /,

@@ -2,14 +2,14 @@
 #include "vec.h"
 
 #define AT_BOUND 1e-4          /* a joint this close to a bound counts as lying on it [rad/s] */
-#define PASSES 2e-3            /* up to this natural residual, `off` and `opposite` may stay zero */
-#define NO_GRADIENT 1e-12      /* a gradient along the self-motion below this share of the whole counts as zero */
-#define IMMOBILE 1e-12         /* smallest divisor in place of a column's squared length */
-#define GRADIENT_ROUNDING 1e-9 /* a shorter descent direction counts as zero (qp/residuals.py) */
+#define PASSES 2e-3            /* if the natural residual is smaller, `off` and `opposite` may stay zero */
+#define NO_GRADIENT 1e-12      /* if the gradient's share along the self-motion is smaller, it counts as zero */
+#define IMMOBILE 1e-12         /* smallest divisor for a joint whose column in A is almost zero */
+#define GRADIENT_ROUNDING 1e-9 /* a shorter descent direction counts as zero (as in qp/residuals.py) */
 #define DESCENTS 50            /* sweeps of least_violation */
 #define OUTSIDE 1e-6           /* largest bound violation in `retreat` [rad/s] */
 
-/* Whether joint j moves neither tip nor wrist: the unit vector e_j lies in ker A. */
+/* Whether joint j moves neither tip nor wrist, so that the unit vector e_j lies in ker A. */
 static bool is_idle(int rows, double Z[][MOC_MAX_JOINTS], int j)
 {
     double own = 0.0;
@@ -20,7 +20,7 @@ static bool is_idle(int rows, double Z[][MOC_MAX_JOINTS], int j)
 
 /* Compute the direction d (n,) of steepest feasible descent from x. Returns the scale of the cost.
  *
- * d is the negative gradient projected on the tangent cone of the feasible set. It is zero only at an optimum. It
+ * d is the negative gradient projected on the tangent cone of the feasible set. It is zero only at an optimum. d
  * solves a subproblem in which joints at a bound may only move inwards, and idle joints stay still. */
 static double steepest_descent(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS], const double *x, double *d)
 {
@@ -37,18 +37,18 @@ static double steepest_descent(const moc_problem *p, int rows, double Z[][MOC_MA
         scale = larger(idle ? 0.0 : p->c2 * fabs(pull[j]), scale);
     }
     double length = sqrt(dot(p->n, cone.pull, cone.pull));
-    cone.c2 = 1.0 / fmax(length, 1e-300); /* d is no longer than one */
+    cone.c2 = 1.0 / fmax(length, 1e-300); /* |d| <= 1 */
     if (moc_solve_exact(&cone, 1e-9, d, y) != MOC_OK)
         memset(d, 0, (unsigned)p->n * sizeof *d);
     return scale;
 }
 
 /* The residuals are measured along a line of self-motion. If the elbow swivel is the only self-motion, this line is the
- * whole feasible set. If ker A has more dimensions, the line is the steepest feasible descent at x. Without a descent
- * the residuals are zero.
+ * whole feasible set. If ker A has more dimensions, the line is the steepest feasible descent at x. If there is none,
+ * natural, off and opposite are zero.
  *
- * Let s be the coordinate of x along the line. The cost is rho s^2 / 2 - c2 g s. Its optimum within the bounds is
- * clip(c2 g / rho). The optimum of the opposite gradient is clip(-c2 g / rho). */
+ * Along the line, let s be the coordinate of x and g the component of pull. The cost is rho s^2 / 2 - c2 g s. Within
+ * the bounds, the optimum is clip(c2 g / rho). The optimum of the opposite gradient is clip(-c2 g / rho). */
 moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS], const double *x)
 {
     moc_residuals found = {0.0, 0.0, 0.0, 0.0, 0.0};
@@ -68,7 +68,7 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
     moc_onto(n, rows, Z, p->pull, line);
     if (sqrt(dot(n, line, line)) <= NO_GRADIENT * steepest || !(p->c2 > 0.0))
         return found;
-    /* To follow a motion that is almost at rest, pull = (rho/c2) x_d is tiny. The scale is then rho. */
+    /* If x has to follow an x_d that is almost zero, pull = (rho/c2) x_d is tiny. The scale is then rho. */
     double scale = fmax(p->c2 * steepest, p->rho);
     int several = freedoms > 1, faint = p->rho >= p->c2 * steepest;
     if (several) {
@@ -91,7 +91,7 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
             high = smaller(larger(one, other), high);
         }
     }
-    low = smaller(0.0, low); /* here x counts as feasible; `outside` has its violation */
+    low = smaller(0.0, low); /* x counts as feasible here, because `outside` has its bound violation */
     high = larger(0.0, high);
     for (int j = 0; j < n; j++) {
         double push = line[j] * slope;

@@ -1,6 +1,6 @@
 /* The optimum of the subproblem by elimination.
  *
- * On A x = b the c0 and c1 terms are constant. The rest of the cost is rho/2 |x|^2 - c2 pull^T x. Gauss-Jordan
+ * If A x = b, the terms with c0 and c1 are constant. The rest of the cost is rho/2 |x|^2 - c2 pull^T x. Gauss-Jordan
  * elimination with complete pivoting (Golub and Van Loan, Matrix Computations, 3.4.8) writes x as a particular solution
  * plus a combination of free joints. A joint with a zero column (joint 7, if the tool lies on its axis) moves neither
  * tip nor wrist. Its speed is computed separately. If one free joint is left (the elbow swivel), a ratio test gives the
@@ -9,15 +9,15 @@
 #include "vec.h"
 
 #define RANK_TOLERANCE 1e-12 /* a singular value below this share of |A|_F counts as zero */
-#define TIED 1e-7            /* share for the sixth singular value, which would be zero for a rigid tool */
+#define TIED 1e-7            /* the same share for the sixth singular value, which is zero for an exactly rigid tool */
 #define LOOK_CLOSER 1e3      /* a pivot below this multiple of the tolerance gets a closer check (own_part) */
 #define LEFT 1e-6            /* largest |A x - b| of an answer, as in qp/residuals.py [m/s] */
 #define SOUND 1e-6           /* if the last pivot is larger, rounding cannot spoil the answer [m] */
 #define UNBALANCED 1e-4      /* largest error of A^T y = force, divided by the cost's slope */
-#define IDLE 1e-12           /* a free joint with no larger entry in its column moves neither tip nor wrist */
+#define IDLE 1e-12           /* a free joint whose column has no larger entry moves neither tip nor wrist */
 #define ROUNDING 1e-9        /* an entry of pull below this share of the largest entry counts as zero */
 #define GROWTH 4e-12         /* largest relative rounding error of six elimination steps */
-#define WIDEST 1e-5          /* largest bound violation before clipping that rounding may excuse [rad/s] */
+#define WIDEST 1e-5          /* largest bound violation that may be attributed to rounding [rad/s] */
 #define UNCLEAR 1e-3         /* largest widening of the bounds when an infeasible problem is checked again [rad/s] */
 #define SLIVER 2e-9          /* smallest rounding error assumed if several free joints are left [rad/s] */
 
@@ -31,8 +31,8 @@ static void weigh_back(const moc_plane *plane, int steps, double g[6])
     }
 }
 
-/* Estimate the next singular value, divided by |A|_F. Each row left at step k is a combination e^T A of the rows of A.
- * The estimate is the largest |e^T A| / |e|. It is at most four times the pivot divided by the first pivot. */
+/* Estimate singular value k + 1 of A, divided by |A|_F. Each row left at step k is a combination e^T A of the rows of
+ * A. The estimate is the largest |e^T A| / (|e| |A|_F). It is at most 4 * (pivot of step k) / (first pivot). */
 static double own_part(const moc_plane *plane, const moc_problem *p, int k)
 {
     double most = 0.0, size = 0.0;
@@ -101,8 +101,8 @@ static inline int eliminate(moc_plane *plane, const moc_problem *p, int m)
     return 6;
 }
 
-/* Check x against the dropped rows. If no x within the bounds can satisfy a violated row, the problem is
- * infeasible. Otherwise rounding hides whether the row is dependent, and the status is MOC_DOUBTFUL. */
+/* Check x against the rows that elimination dropped. If no x within the bounds can satisfy a violated row, the problem
+ * is infeasible. Otherwise rounding hides whether the row is dependent, and the status is MOC_DOUBTFUL. */
 static moc_status check_dropped(const moc_plane *plane, const moc_problem *p, const double *x)
 {
     moc_status status = MOC_OK;
@@ -149,7 +149,7 @@ static double idle_speed(const moc_problem *p, int j)
     /* a pull at the level of rounding must not send an idle joint to its bound */
     bool faint = fabs(p->pull[j]) <= ROUNDING * largest_of(p->n, p->pull);
     double pull = faint ? 0.0 : p->c2 * p->pull[j];
-    return clip(pull == 0.0 ? 0.0 : pull / p->rho, p->lower[j], p->upper[j]); /* rho = 0: at a bound */
+    return clip(pull == 0.0 ? 0.0 : pull / p->rho, p->lower[j], p->upper[j]); /* a bound if rho = 0 */
 }
 
 /* The interval of s in which x + s z violates no bound by more than the slack, and the joints whose bounds end it. */
@@ -187,12 +187,12 @@ static void solve_one(const moc_plane *plane, const moc_problem *p, double toler
     }
     double still = STILL * sqrt(zz);
     segment s = ratio_test(p, x, z, still, 0.0);
-    /* Rounding may empty an interval that is a single point. If it stays empty, `finish` reports the violation. */
+    /* Rounding may make an interval of one point empty. If the interval stays empty, `finish` reports the violation. */
     for (double slack = 1e-17; s.low > s.high && slack < tolerance;) {
         slack = fmin(100.0 * slack, tolerance);
         s = ratio_test(p, x, z, still, slack);
     }
-    double best = (p->c2 * zg - p->rho * zx) / (p->rho * zz); /* rho = 0: infinite, beyond an end */
+    double best = (p->c2 * zg - p->rho * zx) / (p->rho * zz); /* infinite if rho = 0 */
     if (p->c2 * zg == 0.0 && p->rho == 0.0)
         best = -zx / zz; /* every point is optimal: take the shortest */
     int at_bound = best > s.high ? s.joint[1] : best < s.low ? s.joint[0] : NONE;
@@ -234,7 +234,7 @@ static bool balanced(const moc_plane *plane, const moc_problem *p, const double 
     return fabs(gap) <= most;
 }
 
-/* Solve with a given tolerance of the bounds. */
+/* Solve with a given tolerance for violations of the bounds. */
 static moc_status solve(moc_plane *plane, const moc_problem *p, double tolerance, double *x, double y[6])
 {
     double point[MOC_MAX_JOINTS], force[MOC_MAX_JOINTS];
@@ -264,7 +264,7 @@ static moc_status solve(moc_plane *plane, const moc_problem *p, double tolerance
     double beyond = finish(plane, p, point, force, x, y);
     if (status == MOC_OK && beyond <= tolerance && (plane->freedoms > 1 || plane->pivot < SOUND) &&
         !(off_plane(p, x) <= LEFT && balanced(plane, p, force, y)))
-        status = MOC_DOUBTFUL; /* for example, if columns are parallel but for rounding */
+        status = MOC_DOUBTFUL; /* for example, because columns are parallel except for rounding */
     if (status != MOC_OK)
         return status;
     return beyond > tolerance ? MOC_INFEASIBLE : check_dropped(plane, p, x);
@@ -290,7 +290,7 @@ moc_status moc_solve_exact(const moc_problem *p, double tolerance, double *x, do
     double explained = status == MOC_OK ? 0.0 : explained_by_rounding(&plane, p);
     if (explained <= tolerance)
         return status;
-    double unclear = fmin((plane.freedoms > 1 ? 1e5 : 100.0) * explained, UNCLEAR); /* columns may be parallel */
+    double unclear = fmin((plane.freedoms > 1 ? 1e5 : 100.0) * explained, UNCLEAR); /* columns may be almost parallel */
     if (solve(&plane, p, fmin(100.0 * explained, WIDEST), x, y) == MOC_OK && off_plane(p, x) <= LEFT)
         return MOC_OK;
     return solve(&plane, p, unclear, x, y) == MOC_INFEASIBLE ? status : MOC_DOUBTFUL;

@@ -1,13 +1,13 @@
 /* The three levels of the law (Su et al. 2019, in the consistent form of docs/method.md), and the subproblem.
  *
  *   tau = h + J_T^T F_T + (I - J_T^T Jbar_T^T) J_W^T F_W + tau_ff - r + share M Z^T (Z M Z^T)^-1 Z tau_0,
- *   tau_0 = K_N2 (x - v) - D_N2 v; share rises from 0 to 1 at the start. step.c has the order of a tick. */
+ *   tau_0 = K_N2 (x - v) - D_N2 v. tau_ff is the feed-forward, r the observer's estimate. share rises from 0 to 1. */
 #include "vec.h"
 
-#define STRAIGHT 1e-3  /* smallest sqrt(smaller / larger mobility of the wrist) for the whole feed-forward */
+#define STRAIGHT 1e-3  /* below this sqrt(smaller / larger mobility of the wrist), one direction is not fed forward */
 
 #define SHAFT_PULL 0.1 /* weight of log mu_shaft relative to mu [m^3] */
-#define SHAFT_LOST 0.1 /* below this share of shaft_margin, the push falls with mu_shaft, to zero at mu_shaft = 0 */
+#define SHAFT_LOST 0.1 /* below this share of shaft_margin, moc_shaft_push falls with mu_shaft, down to zero */
 #define BOX_OPENS 3.0  /* the bounds are widest for mu_shaft <= (1 - 1/BOX_OPENS) shaft_margin */
 
 /* The line from the tip to the trocar and its motion. */
@@ -42,7 +42,7 @@ void moc_desired_wrist(const double X[3], const double dX[3], const moc_trocar *
     }
 }
 
-/* tau += J^T F for J (3,n). */
+/* tau += scale J^T F for J (3,n). */
 static void add_force(int n, double J[][MOC_MAX_JOINTS], double scale, const double F[3], double *tau)
 {
     for (int j = 0; j < n; j++)
@@ -55,7 +55,7 @@ static void times(int n, double J[][MOC_MAX_JOINTS], const double *v, double out
         out[i] = dot(n, J[i], v);
 }
 
-/* ddN_d of N_d = X + L e, where L is the span from wrist to tip, for a trocar without acceleration. With
+/* Compute ddN_d of N_d = X + L e for a trocar without acceleration. L is the distance from wrist to tip. With
  * r = P_t - X = |r| e: e'' = (I - e e^T)(r'' - 2 |r|' e') / |r| - |e'|^2 e. */
 static void desired_wrist_acceleration(const line *s, double span, const double ddX_d[3], double out[3])
 {
@@ -89,7 +89,7 @@ static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *d
     across(t->u, b);
     five_rows(n, t->A, b, rows);
     memcpy(rows[TAU_W], tau_W, (unsigned)n * sizeof *tau_W);
-    for (int i = 0; i < n; i++) /* multiply all rows by H^-T, side by side */
+    for (int i = 0; i < n; i++) /* multiply each row by H^-T */
         for (int k = 0; k < 6; k++)
             rows[k][i] = (rows[k][i] - dot(i, H[i], rows[k])) * inverse[i];
     for (int i = 0; i < 3 && law->feedforward; i++) {
@@ -137,8 +137,8 @@ static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *d
     }
 }
 
-/* tau += (I - J^T G) tau_W. With MOC_STATIC, G is pinv(J)^T: an arm at rest then has no force at the tip. With
- * MOC_AS_PUBLISHED, G is J: the projector is then not idempotent, and its units are inconsistent. */
+/* tau += (I - J^T G) tau_W. With MOC_STATIC, G is pinv(J)^T, and tau_W causes no tip force if the arm rests. With
+ * MOC_AS_PUBLISHED, G is J. This projector is not idempotent, and its units are inconsistent. */
 static void add_at_rest(moc_projector projector, int n, double J[][MOC_MAX_JOINTS], const double *tau_W, double *tau)
 {
     double at_tip[3], gram[3][MOC_MAX_JOINTS], factor[3][MOC_MAX_JOINTS], diagonal[3];
@@ -253,7 +253,7 @@ void moc_add_third_level(const moc_law *law, int n, const moc_terms *terms, cons
     for (int j = 0; j < n; j++) {
         for (int i = 0; i < r; i++)
             tau[j] += MZ[i][j] * along[i];
-        tau[j] = clip(tau[j], -law->tau_max[j], law->tau_max[j]); /* NaN stays; the safety filter reports it */
+        tau[j] = clip(tau[j], -law->tau_max[j], law->tau_max[j]); /* NaN stays NaN, and the safety filter reports it */
     }
 }
 

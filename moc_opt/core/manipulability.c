@@ -1,10 +1,10 @@
 /* Manipulability of the tip (Yoshikawa 1985), and of the shaft while the tip is held, each with its gradient. */
 #include "vec.h"
 
-/* If det(J J^T), divided by the cube of its mean diagonal entry, is smaller, then mu is only rounding error. */
+/* With S = J J^T, if det(S) / (mean of S_ii)^3 is smaller than this, mu is only rounding error. */
 #define SINGULAR 1e-14
 
-/* Compute (J J^T)^-1 times its determinant. Returns the determinant. *regular is 0 if it is only rounding. */
+/* Compute (J J^T)^-1 times its determinant. Returns the determinant. *regular is 0 if it is only rounding error. */
 static double gram_adjugate(int n, double J[][MOC_MAX_JOINTS], double adj[3][3], int *regular)
 {
     double S[3][3];
@@ -26,7 +26,7 @@ static void column(double J[][MOC_MAX_JOINTS], int k, double out[3])
  *
  * In a serial chain, dJ_j/dq_k = ang_min(j,k) x J_max(j,k). With the pseudo-inverse's columns P_j = (J J^T)^-1 J_j,
  * dmu/dq_k = mu (ang_k . sum_{j>=k} J_j x P_j + J_k . sum_{j<k} P_j x ang_j).
- * At a singularity mu has no gradient. The function then returns zero as the gradient. */
+ * At a singularity mu has no gradient. The gradient is then set to zero. */
 double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOINTS], double *gradient)
 {
     double adj[3][3], P[MOC_MAX_JOINTS][3], Jk[3], sum[3] = {0.0, 0.0, 0.0};
@@ -100,7 +100,7 @@ double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MA
         column(T, k, Jk[MOC_TIP]);
         column(W, k, Jk[MOC_WRIST]);
         for (int a = 0; a < 3; a++)
-            moved[a] = shrink * (Jk[MOC_WRIST][a] - dot3(K[a], Jk[MOC_TIP])); /* column k of J_W N, times mu */
+            moved[a] = shrink * (Jk[MOC_WRIST][a] - dot3(K[a], Jk[MOC_TIP])); /* column k of J_W N, times mu / det(C) */
         times3(adj, moved, P[MOC_WRIST]);
         for (int a = 0; a < 3; a++)
             P[MOC_TIP][a] = -(K[0][a] * P[MOC_WRIST][0] + K[1][a] * P[MOC_WRIST][1] + K[2][a] * P[MOC_WRIST][2]);

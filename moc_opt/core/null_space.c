@@ -1,7 +1,7 @@
 /* A basis Z of ker A that changes smoothly with the pose, and the climb of mu in ker A. */
 #include "vec.h"
 
-/* The scaled climb takes a Newton step towards the local maximum of mu, in 1 / RATE seconds. */
+/* x_d of the scaled climb is RATE times the Newton step to the local maximum of mu. */
 #define RATE 5.0     /* [1/s] */
 #define LONGEST 1.0  /* length of the longest Newton step [rad] */
 #define PROBE 1e-3   /* step of the finite difference of the slope [rad] */
@@ -42,7 +42,7 @@ int moc_null_space(int n, double A[][MOC_MAX_JOINTS], int rows, double Z[][MOC_M
     moc_plane plane;
 
     memcpy(problem.A, A, sizeof problem.A);
-    moc_eliminate(&plane, &problem); /* if the rank is in doubt, plane.rank is the lower possible one */
+    moc_eliminate(&plane, &problem); /* if the rank is in doubt, plane.rank is the lower of two ranks */
     int found = n - plane.rank, alike = found == rows;
     for (int i = 0; i < found; i++) {
         moc_direction(&plane, n, i, fresh[i]);

@@ -1,11 +1,11 @@
-/* For planning: poses with a given tip and wrist, curves of self-motion, climbs of mu, one step of a value function. */
+/* For planning: poses with a given tip and wrist, curves of self-motion, climbs of mu, steps of dynamic programming. */
 #include "tools.h"
 #include "vec.h"
 
 #define TOLERANCE 1e-10 /* largest position error of tip and wrist [m] */
 #define PI 3.14159265358979323846
 
-/* Compute error (6,) of tip and wrist and A (6,n), and the gradient of mu (n,) unless grad is NULL. Returns mu. */
+/* Compute the position error (6,) of tip and wrist, A (6,n), and, unless NULL, the gradient of mu (n,). Returns mu. */
 static double look(const plan_task *task, const double *q, double error[6], double A[6][MOC_MAX_JOINTS], double *grad)
 {
     moc_frame frame[MOC_MAX_JOINTS];
@@ -34,11 +34,11 @@ static double distance(int n, const double *p, const double *q)
 
 #define LONGEST 0.25    /* longest step for which the linearization is good enough [rad] */
 #define AT_REST 1e-9    /* a joint with a smaller entry in the unit tangent counts as not moving */
-#define DAMPING 4e-12   /* added to A A^T [m^2], because A has rank 5: tip and wrist are rigidly tied */
+#define DAMPING 4e-12   /* added to A A^T [m^2], because A has only rank 5 (tip and wrist are rigidly tied) */
 
 /* Compute the step (n,) nearest to `desired` that satisfies A step = error (rows).
  *
- * No joint within `near` of a limit moves towards this limit. An active-set method holds the joints that would, and
+ * No joint within `near` of a limit moves towards this limit. An active-set method holds joints at their limits, and
  * releases a held joint if its multiplier points inwards. */
 static void allowed_step(const plan_task *task, int rows, const double *q, double A[6][MOC_MAX_JOINTS],
                          const double *error, const double *desired, double damping, double near, double *step)
@@ -117,7 +117,7 @@ double plan_place(const plan_task *task, int points, int rounds, const double *s
 
 #define STRAIGHT 0.8 /* cosine of the largest angle by which the tangent may turn in a step */
 
-/* The longest step along the tangent, up to h, within the joint limits. *hit is the joint that limits it, or NONE. */
+/* The longest step along the tangent, up to h, within the joint limits. The joint *hit (or NONE) limits the step. */
 static double room_ahead(const plan_task *task, const double *q, const double *tangent, double h, int *hit)
 {
     *hit = NONE;
@@ -149,8 +149,8 @@ static double turn_tangent(const plan_task *task, const double *q, const double 
     return length;
 }
 
-/* Whether the start (n,) of the curve lies ahead of q within one step. Whole turns of the joints may first bring the
- * start nearest to q: the result is `pose`. *gap is the distance of `pose` from q. */
+/* Whether the curve closes: its start (n,) lies ahead of q within one step. Whole turns of joints do not count, and
+ * `pose` is the start after the turns that bring it nearest to q. *gap is the distance of `pose` from q. */
 static bool closes(const plan_task *task, const double *start, const double *q, const double *tangent, double step,
                   double *pose, double *gap)
 {
@@ -215,7 +215,7 @@ int plan_follow(const plan_task *task, const double *start, const double *tangen
         s[count] = s[count - 1] + way;
         count++;
         if (count < most && closes(task, start, next, tangent, step, closing, &gap)) {
-            count += gap > 0.1 * step; /* if the start is nearer than this, it replaces `next` */
+            count += gap > 0.1 * step; /* else the start is so near that it replaces `next` */
             double *end = poses + (count - 1) * n;
             memcpy(end, closing, bytes);
             s[count - 1] = s[count - 2] + distance(n, end, end - n);
@@ -254,10 +254,10 @@ double plan_ascend(const plan_task *task, double *q)
     return look(task, q, error, A, NULL);
 }
 
-/* --- one step of a value function --- */
+/* --- one step of dynamic programming --- */
 
 /* The largest value, minus the cost of the motion, among the next poses of a branch that are within reach. Returns
- * `best` if it is larger. */
+ * `best` if none is larger than `best`. */
 static double best_in(const plan_stage *t, int pose, int branch, double best)
 {
     const double *q = t->q + pose * t->n, *slack = t->slack + pose * t->n;

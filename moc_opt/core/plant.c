@@ -41,7 +41,7 @@ FUNCTION(shaft_wrench, {"tip", READ, 3}, {"wrist", READ, 3}, {"twist", READ, 6},
 
 /* Compute encoder readings: positions, then velocities. The rows of memory (3, n) are the bias, the previous position
  * and the estimated velocity. gain belongs to the low-pass filter of the velocity. resolution is in rad. With
- * exact = 1, the readings have a bias, but no noise, resolution or filter. */
+ * exact = 1, the readings have a bias, but no noise, no quantization and no filter. */
 FUNCTION(read_encoders, {"q", READ, N}, {"v", READ, N}, {"noise", READ, N}, {"memory", WRITE, 3, N},
          {"resolution", NUMBER}, {"period", NUMBER}, {"gain", NUMBER}, {"exact", WHOLE}, {"reading", WRITE, 2, N})
 {

@@ -3,19 +3,19 @@
  * Let Pi be the orthogonal projector on ker A, x_p the shortest solution of A x = b, and s = x - x_p. Among the
  * feasible points, the cost rho/2 |x|^2 - c2 g^T x is smallest at the point nearest to s = c2 Pi g / rho, the
  * unconstrained optimum. The dual active-set method of Goldfarb and Idnani (Math. Programming 27, 1983, algorithm 1)
- * starts there and adds violated bounds one by one. It needs no feasible start and proves infeasibility.
+ * starts at this optimum and adds violated bounds one by one. It needs no feasible start and proves infeasibility.
  *
  * Pi is swept on the joints at active bounds (Goodnight, The American Statistician 33, 1979). When joint p is pushed,
  * row p of the swept Pi gives the change of the other joints and of the multipliers. If rho is almost zero, a proximal
  * point iteration repeats the projection. It is finite for linear programs (Ferris 1991). */
 #include "vec.h"
 
-#define FAR 1e3          /* proximal steps are used if the unconstrained optimum is this many box widths away */
+#define FAR 1e3          /* use proximal steps if the unconstrained optimum is this many times the bounds' width away */
 #define UNMOVED 1e-20    /* joint j counts as fixed if Pi_jj is smaller */
-#define DEPENDENT 1e-12  /* joint j cannot move if the active bounds leave it a smaller share of Pi_jj */
+#define DEPENDENT 1e-12  /* if the sweeps leave a smaller share of Pi_jj, the active bounds fix joint j */
 
 typedef struct {
-    int n, r;                                  /* joints, dimension of ker A */
+    int n, r;                                  /* number of joints, dimension of ker A */
     double s[MOC_MAX_JOINTS];                  /* the point, relative to x_p [rad/s] */
     double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS];
     double pull[MOC_MAX_JOINTS];               /* c2 Pi g */
@@ -36,7 +36,7 @@ static void fill_projector(polytope *t)
     }
 }
 
-/* Sweep Pi on joint p (sign 1): s_p and its multiplier change places. Sign -1 undoes the sweep. */
+/* With sign 1, sweep Pi on joint p, so that s_p and its multiplier change places. Sign -1 undoes the sweep. */
 static void sweep(polytope *t, int p, double sign)
 {
     double inverse = 1.0 / t->Pi[p][p], row[MOC_MAX_JOINTS];
@@ -80,7 +80,7 @@ static int furthest_out(const polytope *t, double slack)
     return joint;
 }
 
-/* The active bound whose multiplier reaches zero first while joint p is pushed, and the length of that push. */
+/* Find the active bound whose multiplier reaches zero first as joint p is pushed. *step is the push until then. */
 static int first_to_let_go(const polytope *t, int p, double side, double *step)
 {
     int joint = NONE;
@@ -160,7 +160,7 @@ static moc_status project(polytope *t, double slack, double most)
     return MOC_DOUBTFUL;
 }
 
-/* Run the proximal point iteration from a feasible point. Its multipliers have the weight rho + 1 / base.
+/* Run the proximal point iteration from a feasible point. The multipliers are then (rho + 1 / base) t->force.
  *
  * Long steps come first, because they make progress even if the cost is almost flat. The short steps at the end stay at
  * the vertex and remove the rounding of the long ones. */
@@ -179,7 +179,7 @@ static moc_status approach(polytope *t, double rho, double slack, double most, d
             status = project(t, slack, most);
             moved = 0.0;
             for (int j = 0; j < t->n; j++) {
-                if (status != MOC_OK) /* the step is too long for its rounding error */
+                if (status != MOC_OK) /* rounding spoils so long a step */
                     t->s[j] = before[j];
                 moved = fmax(moved, fabs(t->s[j] - before[j]));
             }

@@ -10,7 +10,7 @@
 
 static PyTypeObject *arm_type; /* set when the module is created, never released */
 
-/* Create an object from its arm. Keywords fill the fields. Returns NULL with an exception. */
+/* Create an object from its arm. Keywords fill the fields. On failure, sets an exception and returns NULL. */
 static PyObject *with_arm(PyTypeObject *type, PyObject *given, PyObject *keywords, const field *fields, int count)
 {
     PyObject *arm;
@@ -33,7 +33,7 @@ typedef struct {
     moc_arm arm;
     moc_law law;
     moc_supervision supervision;
-    moc_controller controller; /* points to the fields above, without a safety filter */
+    moc_controller controller; /* points to the fields above, has no safety filter */
     moc_state state;
 } Law;
 
@@ -63,7 +63,7 @@ static PyObject *law_new(PyTypeObject *type, PyObject *given, PyObject *keywords
 /* Arguments 0 to 3 of start, begin and step: q, v as measured; X_d, dX_d, ddX_d; the trocar P_t, dP_t. */
 #define TICK {"q", READ, N}, {"v", READ, N}, {"tip_ref", READ, 3, 3}, {"trocar", READ, 2, 3}
 
-/* Start the law or begin a tick, and write the packed terms to array i. Returns false with an exception. */
+/* Start the law or begin a tick, and write packed terms to array i. Returns false and sets an exception on failure. */
 static bool take_tick(Law *self, const call *c, bool begins, const double *x_d, int i)
 {
     static const double none[MOC_MAX_JOINTS];
@@ -206,7 +206,7 @@ static PyObject *guard_new(PyTypeObject *type, PyObject *given, PyObject *keywor
     return with_arm(type, given, keywords, guard_fields, COUNT(guard_fields));
 }
 
-/* Convert the number of a control period to an integer. It is clipped to +-4e18, which the filter refuses. */
+/* Convert the number of a control period to an integer. The filter refuses +-4e18, to which it is clipped. */
 static long long stamp_of(double number)
 {
     return (long long)fmin(fmax(number, -4e18), 4e18);

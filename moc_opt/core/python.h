@@ -21,13 +21,13 @@
 
 #include "tools.h"
 
-/* READ, WRITE: an array that is read or written; STRIDED: written, with any strides; MAYBE: read, or None. NUMBER and
- * WHOLE: a number, an integer. MADE: an array that the call creates; these come last in a table. */
+/* The kinds of arguments. READ is an array, and MAYBE an array or None. The call fills WRITE and STRIDED arrays, and
+ * STRIDED ones may have any strides. WHOLE is an integer. The call creates MADE arrays, which come last in a table. */
 typedef enum { READ, WRITE, STRIDED, MAYBE, NUMBER, WHOLE, MADE } kind;
 
-/* Symbolic lengths: N joints, ROW = 11 n + 10 numbers of a packed subproblem, TERMS = n n + 13 n + 18 of packed terms,
- * TICKED = 14 n + 16 results of a tick, K rows (the first such array sets k), ANY length. 0 columns: an array
- * with one axis. */
+/* Symbolic lengths. N is the number of joints n. A packed subproblem has ROW = 11 n + 10 numbers, packed terms have
+ * TERMS = n n + 13 n + 18, and a tick's results TICKED = 14 n + 16. The first array with K rows sets k. ANY allows any
+ * length. An array with one axis has 0 columns. */
 enum { N = -1, ROW = -2, TERMS = -3, TICKED = -4, K = -5, ANY = -6 };
 
 typedef struct {
@@ -42,13 +42,13 @@ enum { MOST_ARGUMENTS = 14 };
 typedef struct {
     int n;                                /* joints; 0 until an array sets it */
     npy_intp k;                           /* rows; -1 until an array sets it */
-    int made, end;                        /* range of the arrays that the call has created */
+    int made, end;                        /* the MADE arrays have numbers from made to end - 1 */
     double *array[MOST_ARGUMENTS];        /* NULL for None */
     double number[MOST_ARGUMENTS];
     PyArrayObject *as[MOST_ARGUMENTS];    /* the array as an object */
 } call;
 
-/* Take the arguments of a call for n joints. With n = 0, an array sets n. Returns false with an exception. */
+/* Take the arguments of a call. If n is 0, an array sets n. Returns false and sets an exception on failure. */
 bool moc_take(call *c, int n, const char *name, PyObject *const *args, Py_ssize_t count, const parameter *table,
              int size);
 
@@ -109,7 +109,7 @@ typedef struct {
     size_t offset;
 } field;
 
-/* Fill an object's fields from the keywords of the same names. All must be given. Returns false with an exception. */
+/* Fill an object's fields from keywords. If any is missing or wrong, returns false and sets an exception. */
 bool moc_fill(PyObject *keywords, const field *fields, int count, Arm *self);
 
 #endif

@@ -14,7 +14,7 @@ static PyObject *arm_new(PyTypeObject *type, PyObject *given, PyObject *keywords
     if (!PyArg_UnpackTuple(given, "Arm", 5, 5, &args[0], &args[1], &args[2], &args[3], &args[4]) ||
         !moc_take(&c, 0, "Arm", args, 5, table, 5))
         return NULL;
-    Arm *self = (Arm *)PyType_GenericAlloc(type, 0); /* zeros */
+    Arm *self = (Arm *)PyType_GenericAlloc(type, 0); /* filled with zeros */
     if (self == NULL)
         return NULL;
     moc_arm *arm = &self->arm;

@@ -1,4 +1,4 @@
-/* Functions of the module, most of them for the subproblem: solve it, and fill a QP library's buffers with it. */
+/* Functions of the module. Most of them solve the subproblem, or fill a QP library's buffers with it. */
 #include "python.h"
 #include "vec.h"
 
@@ -139,7 +139,7 @@ FUNCTION(load, {"record", READ, ROW}, {"five", WHOLE}, {"scale", NUMBER}, {"sign
     double triangle[MOC_MAX_JOINTS * MOC_MAX_JOINTS], scale = c->number[SCALE], *signs = c->array[SIGNS];
     int n = c->n, size = 0;
 
-    if (!all_finite(10 * n + 10, c->array[0])) /* q, the last part, may be unknown */
+    if (!all_finite(10 * n + 10, c->array[0])) /* only q, the last part, may be NaN */
         return PyErr_Format(PyExc_ValueError, "record: the subproblem holds a number that is not finite");
     moc_copy_problem(&problem, n, c->array[0], UNPACK);
     if (equalities(&problem, whole(c, FIVE), A, b, lift) != c->k)
@@ -162,7 +162,7 @@ FUNCTION(load, {"record", READ, ROW}, {"five", WHOLE}, {"scale", NUMBER}, {"sign
     return PyBool_FromLong(1);
 }
 
-/* --- the desired wrist, and one step of a value function --- */
+/* --- the desired wrist, and one step of dynamic programming --- */
 
 FUNCTION(desired_wrist, {"X", READ, 3}, {"dX", READ, 3}, {"trocar", READ, 2, 3}, {"span", NUMBER},
          {"wanted", MADE, 2, 3})

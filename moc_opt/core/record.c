@@ -3,7 +3,7 @@
 
 #include "shared.h"
 
-/* Rows of numbers in a struct. They are MOC_MAX_JOINTS numbers apart. The value N stands for n. */
+/* A part of a struct. Its rows start MOC_MAX_JOINTS numbers apart. In rows and columns, N stands for n. */
 typedef struct {
     size_t offset;
     int rows, columns;

@@ -1,12 +1,12 @@
 /* The safety filter. It checks every measurement, limits every torque, and decides when the arm has to stop.
  *
- * The table gives the condition of each reason to stop. T is the control period, and r the momentum residual.
- * A reason with a * has to hold on more than `patience` ticks in a row. The first reason that applies is reported.
+ * The table gives the condition of each reason to stop. r is the momentum residual. A condition marked with * has to
+ * hold on more than `patience` ticks in a row. The first reason whose condition holds is reported.
  *
  *   LATE              now - newest stamp > usual delay + patience
- *   MEASUREMENT *     |q - q_believed| > jump + ticks v_max T, or |v| > speed_factor v_max
- *   REPLAYED          all encoders and the wrench equal earlier readings at a constant lag. This happened more often
- *                     than repeat_reading_ticks or repeat_whole_ticks (replayed_ticks if the wrench has no noise).
+ *   MEASUREMENT *     |q - q_believed| > jump + v_max (time since the last believed q), or |v| > speed_factor v_max
+ *   REPLAYED          all encoders and the wrench equalled earlier readings at a constant lag more than R times. R is
+ *                     min(repeat_reading_ticks, W). W is repeat_whole_ticks, or replayed_ticks without wrench noise.
  *   REPEATED *        all q are unchanged, but the reference moved by repeat_m or a torque changed by repeat_torque
  *                     tau_max. If the wrench is unchanged as well, repeat_whole_m and repeat_whole_torque apply.
  *   REPEATED          all q and v were unchanged on more than repeat_reading_ticks ticks in total
@@ -30,7 +30,7 @@
 
 #define SHORTEST_DEPTH 0.05 /* at a smaller depth, a contact of the tip looks like a trocar force [m] */
 #define GRAVITY 9.81        /* [m/s^2] */
-#define FIRST_READINGS 100  /* readings that decide whether the wrench sensor has noise */
+#define FIRST_READINGS 100  /* number of readings that decide whether the wrench sensor has noise */
 #define LARGEST_STAMP (LLONG_MAX / 4) /* a larger stamp cannot be the number of a control period */
 #define SHRINK 0.61803398875 /* factor in as_number, which turns a reading into one number */
 #define FINE 1e9             /* take_in stores a reading x in slot (|x| * FINE) mod slots */
@@ -57,7 +57,7 @@ void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v
 
 enum { FRESH, REPEAT, OLD };
 
-/* OLD: the newest measurement is over `patience` ticks later than the first new measurement of the run was. */
+/* OLD: the newest measurement has over `patience` ticks more delay than the first new measurement of the run had. */
 static int age(const moc_guard *g, long long stamp, moc_watch *w)
 {
     bool possible = stamp > -LARGEST_STAMP && stamp < LARGEST_STAMP;
@@ -97,7 +97,7 @@ static bool same(double a, double b)
     return a <= b && a >= b;
 }
 
-/* True if no two successive wrenches of the FIRST_READINGS were equal. False until these have been read. */
+/* Whether no two successive wrenches among the FIRST_READINGS were equal. False until all of these were read. */
 static bool wrench_has_noise(const moc_watch *w)
 {
     return w->looked >= FIRST_READINGS && !w->wrench_is_still;
@@ -142,7 +142,7 @@ static bool compare_joint(const moc_guard *g, double q, double v, double elapsed
     return fabs(j->gap) > g->motion_rad + g->motion_lag_s * j->peak;
 }
 
-/* Whether the reference moved, or the torque changed, since all encoders stopped changing. */
+/* Whether the reference or a torque has changed by more than its limit since all encoders stopped changing. */
 static bool told_to_move(const moc_guard *g, int n, const double *tau, const moc_watch *w)
 {
     bool whole = w->wrench_repeats > g->patience, moved = false;
@@ -155,7 +155,7 @@ static bool told_to_move(const moc_guard *g, int n, const double *tau, const moc
     return moved;
 }
 
-/* The checks REPEATED to WRENCH_REPEATED of a new measurement. */
+/* Apply the checks REPEATED, RAN_AWAY, ONE_REPEATED and WRENCH_REPEATED to a new measurement. */
 static moc_stop compare_readings(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w)
 {
     double elapsed = g->period * fmax(1.0, (double)w->elapsed);
@@ -194,7 +194,7 @@ static inline double take_in(double number, int slots, double *numbers, double *
     before->readings += 1.0;
     int slot = (int)((long long)(fabs(number) * FINE) % slots);
     double lag = before->readings - at[slot];
-    if (at[slot] > 0.0 && same(number, numbers[slot]) && lag > 1.0) { /* lag 1 is an unchanged reading: REPEATED */
+    if (at[slot] > 0.0 && same(number, numbers[slot]) && lag > 1.0) { /* REPEATED checks lag 1 */
         before->hits = same(lag, before->lag) ? before->hits + 1.0 : 1.0;
         before->lag = lag;
     }
@@ -211,14 +211,14 @@ static double as_number(int count, const double *values, double number)
     return number;
 }
 
-/* The checks REPLAYED and LAGGING. No other check finds a replayed recording, because its positions agree with its
+/* Apply REPLAYED and LAGGING. No other check finds a replayed recording, because its positions agree with its
  * velocities and with the model. An encoder that starts to lag by k readings repeats the last k readings. */
 static moc_stop came_before(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w)
 {
     double most = fmin(g->repeat_reading_ticks, wrench_has_noise(w) ? g->repeat_whole_ticks : g->replayed_ticks);
     double lagging = 0.0, whole = as_number(6, m->wrench, as_number(n, m->v, as_number(n, m->q, 0.0)));
 
-    /* An infinite repeat_reading_ticks means that encoders may repeat readings: LAGGING is then off. */
+    /* If repeat_reading_ticks is infinite, encoders may repeat readings, and LAGGING is off. */
     for (int i = 0; i < n && g->repeat_reading_ticks < HUGE_VAL; i++)
         lagging = fmax(lagging, take_in(SHRINK * m->q[i] + m->v[i], MOC_JOINT_SLOTS, w->joint_number[i], w->joint_at[i],
                                         &w->lagging[i]));
@@ -260,12 +260,12 @@ static double rcm_error(double pose[4][3], const double P[3])
     return sqrt(x * x + y * y);
 }
 
-/* Force of the trocar on the shaft, perpendicular to it [N], from the wrench sensor at the tool's mount.
- *
- * Without the tool's weight, the reading is the sum of the trocar's force f, at a depth d behind the tip, and of a
- * contact force g at the tip: force = f + g, torque = (L - d) z x f + L z x g. Hence f = (L force - torque x z) / d.
- * If the encoders and thus d are wrong, all of f may look like a contact. Therefore a contact accounts for tip_force at
- * most. An unknown load on the tool may hide a part of f. Therefore the warning also uses |force|, returned in *all. */
+/* Compute the trocar's force, perpendicular to the shaft [N], from the wrench sensor at the tool's mount.
+ * Let z be the tool's axis, L its length and d the depth of the tip beyond the trocar. Without the tool's weight, the
+ * reading is due to the trocar's force f and a contact force g at the tip: force = f + g, torque = (L - d) z x f +
+ * L z x g. Hence f = (L force - torque x z) / d. If wrong encoders give a wrong d, all of f may look like a contact.
+ * Therefore a contact explains at most tip_force. An unknown load on the tool may hide a part of f. Therefore the
+ * warning also uses |force|, returned in *all. */
 static double trocar_force(const moc_guard *g, double pose[4][3], const double P[3], const double *wrench, double *all)
 {
     double depth = 0.0, L = g->tool_length, weight[2], force[2];
@@ -332,7 +332,7 @@ static bool alone(const moc_guard *g, int n, int i, const moc_watch *w)
     return true;
 }
 
-/* The checks STUCK and UNEXPLAINED. They use the momentum residual (De Luca & Mattone 2003) of moc_observe. */
+/* Apply the checks STUCK and UNEXPLAINED. They use the momentum residual (De Luca & Mattone 2003) of moc_observe. */
 static moc_stop weigh(const moc_guard *g, int n, const moc_terms *t, const double *tau, moc_watch *w)
 {
     moc_stop found = MOC_RUNNING;
@@ -450,7 +450,7 @@ void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before
 /* With closed brakes the arm keeps pressing on the tissue. With open brakes it sinks under any load that its model
  * lacks. Therefore the brakes open when the trocar's force exceeds stop_yield. They close at half of stop_yield, or
  * after stop_yield_ticks. They open again when the force has risen by another stop_yield. They stay closed if
- * the drives cannot carry the weight. If a drive is at fault (w->cut), closed brakes alone hold the arm. */
+ * the drives cannot carry the arm's weight. If a drive is at fault (w->cut), closed brakes alone hold the arm. */
 void moc_guard_hold(const moc_guard *g, const moc_arm *arm, const double *wrench, moc_watch *w, double *friction)
 {
     double weight[MOC_MAX_JOINTS], pose[4][3];

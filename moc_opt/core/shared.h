@@ -16,7 +16,7 @@ typedef struct {
     double p[3];    /* [m] */
 } moc_frame;
 
-/* Velocity of a body at the world's origin for a unit speed of one joint. */
+/* Linear (at the world's origin) and angular velocity of a body that one joint moves at unit speed. */
 typedef struct {
     double lin[3], ang[3];
 } moc_twist;
@@ -38,7 +38,7 @@ void moc_gravity(const moc_arm *arm, const double *q, double *torque);
 void moc_point(const moc_arm *arm, const moc_frame *frame, const moc_twist *twist, int which, double point[3],
                double J[][MOC_MAX_JOINTS]);
 
-/* Return mu of J (3,n), or mu_shaft of A (6,n), and write its gradient (n,). Only the gradient of mu may be NULL. */
+/* Return mu of J (3,n) or mu_shaft of A (6,n), and write its gradient (n,). NULL is allowed in moc_manipulability. */
 double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOINTS], double *gradient);
 double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], const double u[3],
                                 double *gradient);
@@ -64,7 +64,7 @@ void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_r
 void moc_add_third_level(const moc_law *law, int n, const moc_terms *t, const moc_memory *memory, const double *x,
                          double *tau);
 
-/* Compute the desired wrist N_d = X + L e, which puts the shaft through the trocar, and its velocity dN_d. */
+/* Compute the desired wrist N_d = X + span e and dN_d, with the unit vector e from X to the trocar. */
 void moc_desired_wrist(const double X[3], const double dX[3], const moc_trocar *trocar, double span, double N_d[3],
                        double dN_d[3]);
 
@@ -85,19 +85,19 @@ int moc_null_space(int n, double A[][MOC_MAX_JOINTS], int rows, double Z[][MOC_M
  * not longer than `least`. */
 bool moc_orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least);
 
-/* Compute the projection part = Z^T Z x with an orthonormal basis Z (rows, n). part may be x. */
+/* Compute the projection part = Z^T Z x with an orthonormal basis Z (rows, n). `part` and `x` may be the same array. */
 void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, double *part);
 
 /* --- exact.c, polytope.c --- */
 
-#define STILL 1e-10 /* a joint that moves less than this in a unit step has no bounds (qp/extremes.py) */
+#define STILL 1e-10 /* if a joint moves less in a unit step, its bounds do not count (see qp/extremes.py) */
 
 /* A x = b after elimination. Row k < rank reads x[joint[k]] + sum over free joints of row[k][j] x[j] = right[k]. */
 typedef struct {
     double row[6][MOC_MAX_JOINTS], right[6], pivot; /* pivot: the pivot of the last step [m] */
     double step[6][6];         /* step[k][i]: multiple of row k that step k added to row i */
     int from[6];               /* the row that was swapped with row k before step k */
-    int joint[MOC_MAX_JOINTS]; /* pivot joints, then free joints that move tip or wrist, then the others */
+    int joint[MOC_MAX_JOINTS]; /* pivot joints, then free joints that move tip or wrist, then other joints */
     int rank, freedoms;        /* freedoms: number of free joints that move tip or wrist */
 } moc_plane;
 
@@ -107,16 +107,16 @@ bool moc_eliminate(moc_plane *plane, const moc_problem *problem);
 /* Compute the motion z (n,) in ker A in which free joint number k moves by one and the other free joints stay still. */
 void moc_direction(const moc_plane *plane, int n, int k, double *z);
 
-/* Replace a solution x of A x = b by the optimum, for several free joints. Adds the bounds' multipliers to force. */
+/* If several joints are free, move a solution x of A x = b to the optimum. Adds the bounds' multipliers to force. */
 moc_status moc_solve_several(const moc_plane *plane, const moc_problem *problem, double tolerance, double *x,
                              double *force);
 
 /* --- answer.c --- */
 
 typedef struct {
-    double primal;   /* |A x - b|_inf [m/s]. All residuals are NaN if x is not finite. */
+    double primal;   /* |A x - b|_inf [m/s]. If x is not finite, all residuals are NaN. */
     double outside;  /* largest bound violation [rad/s] */
-    double natural;  /* natural residual along the self-motion, for a cost with a gradient of size 1 [rad/s] */
+    double natural;  /* natural residual along the self-motion, for a cost scaled to a gradient of size 1 [rad/s] */
     double off;      /* distance from the optimum [rad/s] */
     double opposite; /* distance from the optimum of the opposite gradient [rad/s] */
 } moc_residuals;
@@ -140,12 +140,12 @@ moc_stop moc_guard_believe(const moc_guard *g, int n, const moc_measurement *m, 
 moc_stop moc_guard_incision(const moc_guard *g, double pose[4][3], const moc_trocar *trocar, const double *wrench,
                             moc_watch *w);
 
-/* Check the tip and the motion, then limit tau in place. t are the terms at watch->q and watch->v. A tip or t that is
- * NULL is not checked. `before` is the torque of the previous tick. A tau that is not finite is not changed. */
+/* Check the tip and the motion, then limit tau in place. t are the terms at watch->q and watch->v. If tip or t is
+ * NULL, its check is left out. `before` is the torque of the previous tick. If tau is not finite, it is not changed. */
 moc_stop moc_guard_follow(const moc_guard *g, const moc_arm *arm, const moc_terms *t, const double *tip,
                           const double *tip_ref, const double *before, double *tau, moc_watch *w);
 
-/* Compute the torque of a stop. It approaches the weight in the last believed pose by torque_step per tick. */
+/* Compute the torque of a stop. Per tick, it approaches the torque of the arm's weight by torque_step. */
 void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before, const moc_watch *w, double *tau);
 
 /* --- step.c --- */

@@ -5,7 +5,7 @@
  * around any controller. If the order changes here, it has to change in loop.py as well. */
 #include "vec.h"
 
-/* --- the law, at the terms in the state --- */
+/* --- the law --- */
 
 static void start_law(const moc_controller *c, moc_state *s)
 {
@@ -74,7 +74,7 @@ moc_stop moc_start(const moc_controller *c, const moc_measurement *m, moc_state 
     return s->reason;
 }
 
-/* Store the torque that acted. An impossible number of rows, or a torque beyond its limit, is a reason to stop. */
+/* Store the torque that acted. Stop if a torque is beyond its limit, or the number of rows of Z is impossible. */
 static void take_applied(const moc_controller *c, const double *applied, moc_state *s)
 {
     int n = c->arm->n;
@@ -171,7 +171,7 @@ moc_stop moc_step(const moc_controller *c, const moc_input *in, moc_state *s, do
 {
     moc_answer answer = {s->answer, MOC_GIVES_NONE, MOC_TAKEN, 0.0};
 
-    if (moc_begin(c, in, s) == MOC_RUNNING) /* without a third level, n is 0 in the subproblem */
+    if (moc_begin(c, in, s) == MOC_RUNNING) /* without a third level, the subproblem has n = 0 */
         answer = moc_ask_exact(c, s);
     return moc_finish(c, &answer, s, tau);
 }

@@ -12,11 +12,11 @@ typedef struct {
     double k;       /* gain k of Su et al. 2019 */
     double scale;   /* multiplies c0, c1, c2 and rho */
     int implicit;   /* 1: the multipliers are updated with the new x */
-    double rest;    /* stop when no right-hand side of rnn.c is larger [rad/s, m/s] */
+    double rest;    /* the network has come to rest if no right-hand side of rnn.c is larger [rad/s, m/s] */
 } moc_network;
 
-/* Advance x (n,) and y (6,) in place. *made is the number of steps. Returns MOC_OK if the network has come to rest,
- * MOC_UNFINISHED if it has not, and MOC_DOUBTFUL if x or y is not finite. */
+/* Advance x (n,) and y (6,) in place. *made is the number of steps taken. Returns MOC_OK if the network has come to
+ * rest, MOC_UNFINISHED if it still moves, and MOC_DOUBTFUL if x or y is not finite. */
 moc_status moc_step_network(const moc_problem *problem, const moc_network *network, double *x, double y[6], int *made);
 
 /* --- planning (plan.c) --- */
@@ -28,8 +28,8 @@ typedef struct {
     double target[2][3];      /* tip and wrist [m] */
 } plan_task;
 
-/* Find a pose with the tip (points = 1), or tip and wrist (points = 2), at the target. The search starts at
- * q (n,). `best` may be q. Returns the position error of the best pose [m]. */
+/* Search from q (n,) for a pose with the tip (points = 1), or tip and wrist (points = 2), at the target. Returns the
+ * position error of the pose `best` [m]. `best` and `q` may be the same array. */
 double plan_place(const plan_task *task, int points, int iterations, const double *q, double *best);
 
 /* Sample the curve of self-motion from q along the unit tangent (n,): arc length s, poses (most, n) and mu. Returns the
@@ -43,17 +43,17 @@ double plan_ascend(const plan_task *task, double *q);
 
 /* One step of dynamic programming: compute the value (branches, m) of each pose from the values at the next time.
  *
- * q (branches, m, n) has the poses. A row of NaN is no pose. gain (branches, m) is the reward of a pose; -inf forbids
- * the pose. In each branch, q_next is sorted by joint number `sorted`, with NaN last. A pose can reach a next pose if
- * no joint moves by more than its step (n,) plus the slack of both poses. The next pose lies in the same branch, or in
- * a branch whose number differs only in bits of crossing[m]. price is the cost of a squared motion [1/rad^2]. */
+ * q (branches, m, n) has the poses. A row of NaN stands for no pose. gain (branches, m) is the reward of a pose. It is
+ * -inf if the pose is forbidden. In each branch, q_next is sorted by joint `sorted`, with NaN last. A pose can reach a
+ * next pose if no joint moves by more than its step (n,) plus the slack of both poses. Both poses lie in the same
+ * branch, or their branch numbers differ only in bits of crossing[m]. price is the cost of squared motion [1/rad^2]. */
 typedef struct {
     int branches, m, next, n, sorted;
     const double *q, *slack, *gain;
     const double *q_next, *slack_next, *value_next;
     const double *step;
     const double *crossing; /* integers */
-    double price, reach;    /* reach: of joint `sorted`, step plus largest slack_next */
+    double price, reach;    /* reach: step of joint `sorted` plus its largest entry in slack_next */
 } plan_stage;
 
 void plan_advance(const plan_stage *stage, double *value);

@@ -64,7 +64,7 @@ static inline bool all_finite(int n, const double *x)
     return sum == 0.0;
 }
 
-/* fmax and fmin without the slow call of the C library. Both return b if a is NaN. */
+/* These replace fmax and fmin of the C library, which are slower. Both return b if a is NaN. */
 static inline double larger(double a, double b)
 {
     return a > b ? a : b;
@@ -81,7 +81,7 @@ static inline double clip(double x, double low, double high)
     return smaller(high, larger(low, x));
 }
 
-/* The lower factor L (m,m) of S = L L^T, and 1 / L_ii in inverse (m,). Not finite if S is not positive definite. */
+/* The lower factor L (m,m) of S = L L^T, and 1 / L_ii in inverse (m,). Finite only if S is positive definite. */
 static inline void cholesky(int m, double S[][MOC_MAX_JOINTS], double L[][MOC_MAX_JOINTS], double *inverse)
 {
     for (int j = 0; j < m; j++) {

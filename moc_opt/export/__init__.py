@@ -1,4 +1,4 @@
-"""Export a scenario's controller as a folder of C: files of the core, constants, recorded ticks and a Makefile.
+"""Export a scenario's controller as a folder of C: the core's C files, constants, recorded ticks and a Makefile.
 
 ``scenario`` refuses settings that the C code does not support, and records ticks. ``folder`` writes the files.
 """

@@ -52,7 +52,7 @@ class Recording(NamedTuple):
 
 
 def shipped(folder: Traversable, names: Iterable[str]) -> dict[str, str]:
-    """Read files of a folder in the package; return name -> text."""
+    """Read files of a folder in the package. Return a dict from each file's name to its text."""
     return {name: (folder / name).read_text(encoding="utf-8") for name in names}
 
 
@@ -96,7 +96,7 @@ def arm_in_c(robot: RobotModel) -> dict[str, Any]:
 def constants(
     robot: RobotModel, law: Mapping[str, Any], guard: Mapping[str, Any], tolerance: float, stop: tuple[float, float]
 ) -> dict[str, str]:
-    """Return name -> text of constants.h and constants.c. For the arguments see `write`."""
+    """Return a dict with the texts of constants.h and constants.c. `write` describes the arguments."""
     header = f"""\
 /* The scenario's numbers. Pass moc_constants to moc_start and moc_step. */
 #ifndef CONSTANTS_H
@@ -105,7 +105,7 @@ def constants(
 #include "moc.h"
 
 #define JOINTS {robot.n}
-#define PERIOD_S {in_c(law["period"])} /* of control */
+#define PERIOD_S {in_c(law["period"])} /* control period [s] */
 #define STOP_DAMPING {in_c(stop[0])} /* of the drives in a stop [Nm s/rad] */
 #define STOP_S {in_c(stop[1])} /* shortest duration of this damping [s] */
 
@@ -161,11 +161,11 @@ def write(
         recording: the ticks that ``make test`` repeats.
         tolerance: tolerance of the solver ``exact`` [rad/s].
         stop: damping of the drives in a stop [Nm s/rad], and its shortest duration [s].
-        extra: further files, name -> content.
-        force: overwrite any file.
+        extra: further files, as a mapping from name to content.
+        force: also overwrite files that were edited or that export-c did not write.
 
     Raises:
-        ScenarioError: ``out`` cannot be written, or one of these files exists there and export-c did not write it.
+        ScenarioError: ``out`` cannot be written, or one of these files is there, but not as export-c wrote it.
     """
     texts: dict[str, str | bytes] = {**shipped(files("moc_opt.core"), CORE), **shipped(OWN, TESTS)}
     texts |= constants(robot, law, guard, tolerance, stop) | {"recording.h": recording_in_c(recording)} | dict(extra)
@@ -186,7 +186,7 @@ def write(
 
 
 def _marked(name: str, text: str) -> str:
-    """Return the text below a first line with its checksum. A later export sees from it whether the text was edited."""
+    """Return the text after a line with its checksum. The checksum shows a later export whether the text was edited."""
     comments = {".c": ("/* ", " */"), ".h": ("/* ", " */"), ".md": ("<!-- ", " -->")}
     before, after = comments.get(Path(name).suffix, ("# ", ""))
     check = hashlib.blake2s(text.encode(), digest_size=8).hexdigest()

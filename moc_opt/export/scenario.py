@@ -20,19 +20,19 @@ from moc_opt.solvers.exact import Exact
 
 TICKS = 150
 """Number of recorded ticks, from the middle of the run. The last third of them has faults."""
-INFEASIBLE, VIOLENT = 0.5, 10.0  # added to the reference velocity in two of these faults [m/s]
+INFEASIBLE, VIOLENT = 0.5, 10.0  # added to the reference velocity in two faults of `record` [m/s]
 
 
 def export_scenario(
     scenario: Scenario, out: str | os.PathLike[str], *, udp: bool = False, force: bool = False
 ) -> list[Path]:
-    """Write the whole controller of a scenario as C (tick, supervisor, fallback and safety filter); return the files.
+    """Write a scenario's controller and safety filter as a folder of C files. Return the files.
 
     Args:
-        scenario: the scenario; its run is simulated to record ticks.
+        scenario: the scenario. Its run is simulated to record ticks.
         out: folder, created if it does not exist.
         udp: also write a program that runs this controller over UDP, and the references of all ticks.
-        force: overwrite files that export-c did not write.
+        force: also overwrite files that were edited or that export-c did not write.
 
     Raises:
         MocOptError: the C code does not support a setting, the scenario cannot run, or ``out`` cannot be written.
@@ -58,13 +58,13 @@ def check(scenario: Scenario) -> None:
     solver, control = scenario.solver, scenario.control
     for wrong, words in (
         (control.law == "moc" and solver.name != "exact",
-         f"[solver] name = {solver.name!r}: the C code contains only 'exact'; take that one"),
+         f"[solver] name = {solver.name!r}: the C code contains only one solver; take 'exact'"),
         (solver.replay_us is not None,
          f"[solver] replay_us = {solver.replay_us!r:.60}: the C code replays no recorded times; leave it out"),
         (solver.isolation != "none",
          f"[solver] isolation = {solver.isolation!r}: an exported controller contains its solver; leave it out"),
         (control.follows,
-         f"[control] third_level = {control.third_level!r}: the C code does not follow courses; take 'local'"),
+         f"[control] third_level = {control.third_level!r}: the C code follows no planned joint motion; take 'local'"),
         (control.supervisor.budget_us is not None,
          f"[control.supervisor] budget_us = {control.supervisor.budget_us}: the C code reads no clock; leave it out"),
     ):  # fmt: skip
@@ -80,7 +80,7 @@ def references(setup: Setup) -> bytes:
 def record(setup: Setup) -> Recording:
     """Record the controller and its safety filter on measurements of the scenario's run. The last third has faults.
 
-    In order, the faults are: NaN for as many ticks as the safety filter bridges; a repeated packet; a joint that jumps
+    In order, the faults are: NaN for so few ticks that the arm does not stop; a repeated packet; a joint that jumps
     for one tick; a joint that is too fast for one tick; infeasible references for some ticks; one reference so fast
     that the torque is limited; and NaN until the end.
     """

@@ -1,11 +1,11 @@
 /* Runs the core on random, extreme and damaged states. `make sanitize` builds this program with sanitizers.
  *
  * It checks that no access is outside an array, that every loop ends, and that the torque of the safety filter is
- * finite and within its limits. It also prints a digest of all results. Array entries from the n-th on are NaN, so that
- * the digest changes if the core uses one of them. Every compiler gives the same digest, because the program has its
- * own sine and cosine. All other functions that the core takes from the C library are exact.
+ * finite and within its limits. It also prints a digest of all results. Array entries after the first n are NaN, so
+ * that the digest changes if the core uses such an entry. Every compiler gives the same digest, because the program has
+ * its own sine and cosine. All other functions that the core takes from the C library are exact.
  *
- * Usage: extremes [courses] [seed]. A course runs one random controller. The exit status is 0 if all checks pass. */
+ * Usage: extremes [courses] [seed]. A course draws new settings. The exit status is 0 if all checks pass. */
 #include <limits.h>
 #include <math.h>
 #include <stdint.h>
@@ -18,7 +18,7 @@
 
 static uint64_t seed = 1, digest = 14695981039346656037u;
 static long reasons[MOC_STOPS], faults[MOC_FAULTS], statuses[4];
-static double grain; /* random numbers are multiples of this, so that some are equal; 0: any number */
+static double grain; /* if above 0, random numbers are multiples of it, so that some are equal */
 
 /* The Taylor series of sine (k = 2, term = x) or cosine (k = 1, term = 1). */
 static double series(double x, int k, double term)
@@ -29,7 +29,7 @@ static double series(double x, int k, double term)
     return sum;
 }
 
-/* These replace sin and cos of the C library, whose last bit depends on the processor. */
+/* sin and cos replace those of the C library, whose last bits depend on the processor. */
 double sin(double x)
 {
     double turned = remainder(x, 6.283185307179586);
@@ -101,7 +101,7 @@ static void fill(double *x, int count, double value)
         x[i] = value;
 }
 
-/* A copy on the heap with exactly this length, so that the sanitizer finds accesses beyond its end. */
+/* Return a copy on the heap of exactly this length, so that the sanitizer finds accesses beyond its end. */
 static double *alone(const double *x, int count)
 {
     double *own = malloc((unsigned)count * sizeof *own);
@@ -109,14 +109,14 @@ static double *alone(const double *x, int count)
     return own;
 }
 
-/* Set the entries of each row from the n-th on to NaN. */
+/* Set the entries of each row after the first n to NaN. */
 static void behind(double *x, int rows, int n)
 {
     for (int i = 0; i < rows; i++)
         fill(x + i * MOC_MAX_JOINTS + n, MOC_MAX_JOINTS - n, (double)NAN);
 }
 
-/* Replace one entry in `one_in`, on average, by an extreme number. */
+/* Replace each entry by an extreme number with the probability 1 / one_in. */
 static void spoil(double *x, int count, unsigned one_in)
 {
     for (int i = 0; i < count; i++)
@@ -127,7 +127,7 @@ static void spoil(double *x, int count, unsigned one_in)
 /* A chain of 1 to 16 revolute and prismatic joints with random axes, some of which coincide. */
 static void draw_arm(moc_arm *arm)
 {
-    unsigned idle = chance(3) ? 2 : 10; /* one joint in `idle` does not move the tool */
+    unsigned idle = chance(3) ? 2 : 10; /* each joint moves the tool, except with the probability 1 / idle */
     memset(arm, 0, sizeof *arm);
     fill(&arm->joint[0].rotation[0][0], MOC_MAX_JOINTS * (int)(sizeof *arm->joint / sizeof(double)), (double)NAN);
     arm->n = chance(3) ? MOC_MAX_JOINTS : 1 + (int)(bits() % MOC_MAX_JOINTS);
@@ -237,7 +237,7 @@ static void draw_guard(moc_guard *g, const moc_law *law, int n)
     }
 }
 
-/* Overwrite parts of the memory, except for the numbers of used array entries. */
+/* Overwrite parts of the memory with extreme numbers, but not the integers, such as the number of rows of Z. */
 static void damage(moc_memory *memory, moc_watch *watch)
 {
     if (chance(2))
@@ -353,13 +353,13 @@ static moc_stop tick(const moc_controller *c, const moc_input *in, int own, moc_
     return reason;
 }
 
-/* 1 in half of the calls, else a power of two down to 2^-59. */
+/* Returns 1 in half of the calls, else a power of two between 2^-59 and 1. */
 static double tiny(void)
 {
     return chance(2) ? 1.0 : ldexp(1.0, -(int)(bits() % 60));
 }
 
-/* Make row i of A x = b a combination of two others and a part of its own. This part may be zero or tiny. */
+/* Make row i of A x = b a combination of two other rows and a multiple of itself. The multiple may be zero or tiny. */
 static void repeat(moc_problem *p, int i, const double *x)
 {
     double own = chance(4) ? 0.0 : tiny(), beside = chance(4) ? tiny() : 0.0;
@@ -372,7 +372,7 @@ static void repeat(moc_problem *p, int i, const double *x)
  * Returns 0 if an answer that `exact` calls solved violates A x = b.
  *
  * Some joints are idle, some have nearly parallel columns, and rows of A may be dependent. The feasible set may be
- * a single corner of the box, or empty. */
+ * a single point at a corner of the bounds, or empty. */
 static int subproblem(void)
 {
     static const double weights[] = {0x1p-10, 0x1p-17, 0.0, 1e-3};
@@ -450,7 +450,7 @@ static double level(double most)
 }
 
 /* Run the safety filter alone. The numbers are so coarse that readings repeat and values equal their limits exactly.
- * The run shows whether the wrench sensor has noise. It continues after a reason to stop. */
+ * The run is so long that the filter decides whether the wrench has noise. It continues after a reason to stop. */
 static void filter(void)
 {
     static const double none[MOC_MAX_JOINTS];

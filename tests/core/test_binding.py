@@ -31,7 +31,7 @@ def test_wrong_numbers_of_arguments_rows_and_columns_are_refused():
     for count in (1, 3):
         with pytest.raises(TypeError, match="takes 2 arguments"):
             core.solve_exact(*[QP.row] * count)
-    for first, others in ((0, 3), (2, 3), (2, 0)):  # the first array determines the number of rows
+    for first, others in ((0, 3), (2, 3), (2, 0)):  # all arrays need as many rows as the first
         with pytest.raises(ValueError, match="X: give"):
             core.solve_exact_rows(np.zeros((first, 87)), 1e-9, *map(np.zeros, ((others, 7), (others, 6), others)))
     with pytest.raises(ValueError, match=r"shape \(n, 27\) for 1 to 16 joints"):
@@ -48,7 +48,7 @@ def test_an_arm_without_joints_or_with_more_than_16_is_refused(n):
 
 
 @pytest.mark.parametrize(("count", "step"), [(0, 0.02), (1, 0.02), (9, 0.0), (9, np.inf), (9, np.nan)])
-def test_a_curve_with_fewer_than_two_samples_or_without_a_finite_step_is_refused(count, step):
+def test_a_curve_with_fewer_than_two_samples_or_a_step_that_is_zero_or_not_finite_is_refused(count, step):
     state = ROBOT.state(ROBOT.data.q_home)
     task = ROBOT.q_min, ROBOT.q_max, np.array([state.tip, state.wrist]), np.array(state.q), np.ones(7)
     with pytest.raises(ValueError, match="2 samples or more"):
@@ -88,7 +88,7 @@ ROWS = (2, np.zeros((4, 3)), np.zeros((4, 3)), np.zeros(4), np.zeros((6, 3)), np
     (6, np.zeros(4)), (7, np.ones(2)), (8, np.zeros(4)), (8, np.array([0.0, 2.0])), (8, np.array([-1.0, 0.0])),
     (8, np.array([0.0, np.nan])), (10, 3), (10, -1),
 ])  # fmt: skip
-def test_wrong_arguments_of_a_value_function_are_refused(k, wrong):
+def test_wrong_arguments_of_a_step_of_dynamic_programming_are_refused(k, wrong):
     np.testing.assert_array_equal(core.advance(*ROWS), np.zeros(4))
     with pytest.raises(ValueError, match=r"give|branches and crossings"):
         core.advance(*ROWS[:k], wrong, *ROWS[k + 1 :])

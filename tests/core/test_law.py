@@ -1,4 +1,4 @@
-"""The core's control law agrees with its equations in numpy, on every arm and on a chain with a sliding joint."""
+"""The core's control law agrees with the same equations in NumPy, on every arm and on a chain with a sliding joint."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def robot(request, odd_robot):
 
 
 def trials(robot, count=10):
-    """Yield states in motion with moving references about 1 mm away, and the random generator."""
+    """Yield pairs: a moving state with moving references about 1 mm away, and the random generator."""
     rng = np.random.default_rng(0)
     for _ in range(count):
         state = robot.state(robot.random_regular_pose(rng), rng.uniform(-0.3, 0.3, robot.n))
@@ -144,7 +144,7 @@ def test_the_null_space_basis_changes_continuously_and_is_valid_at_a_straight_el
 
 
 def problem(rng, robot, tight=None):
-    """A random subproblem, its fields, and a basis of ker A. ``tight`` limits the bounds' distance from a solution."""
+    """Return a random subproblem, its fields, and a basis of ker A. Bounds are up to ``tight`` from a solution."""
     s = robot.state(robot.random_regular_pose(rng))
     u, v_T, v_W = s.tool_direction, *(0.05 * rng.normal(size=(2, 3)))
     row, Z = np.full(11 * s.n + 10, np.nan), reference.null_space(s.A)
@@ -162,7 +162,7 @@ def test_least_violation_agrees_with_scipy(odd_robot):
     for k in range(30):
         row, part, Z = problem(rng, LWR4 if k % 2 else odd_robot)
         part.b[:] *= 6.0
-        if k % 3:  # joint 1 has to move back, as beyond its limit
+        if k % 3:  # joint 1 has to move back, as if beyond its limit
             part.lower[1] = part.upper[1] / 2.0
         x = stand_in(row, Z, INFEASIBLE, "least-violation")
         assert (x >= part.lower).all()
@@ -186,7 +186,7 @@ def test_the_smallest_self_motion_within_the_bounds_agrees_with_scipy(odd_robot)
     assert moved > 10
 
 
-def test_no_self_motion_is_added_if_the_bounds_need_none_or_none_helps():
+def test_no_self_motion_is_added_if_it_is_not_needed_or_cannot_keep_the_bounds():
     row, part, Z = problem(np.random.default_rng(11), LWR4, tight=0.1)
     wide = np.full(7, 10.0)
     for lower, upper in ((-wide, wide), (wide - 1.0, wide), (-wide, 1.0 - wide)):

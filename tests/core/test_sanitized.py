@@ -1,4 +1,4 @@
-"""The core under sanitizers: random chains, extreme inputs and damaged memory. `make sanitize` draws more of them."""
+"""The core under sanitizers: random chains, extreme inputs and damaged memory. `make sanitize` draws more inputs."""
 
 import os
 import re
@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 DIGEST = "53c29b69692d51fd"
-"""Digest of all results of 300 random runs. It is equal with every compiler."""
+"""Digest of all results of 300 random runs. Every compiler gives the same digest."""
 
 FILL = "-ftrivial-auto-var-init="  # sets variables that the code leaves unset (Clang, GCC from 12 on)
 
@@ -36,7 +36,7 @@ def test_for_extreme_inputs_the_torque_is_finite_and_no_access_is_outside_an_arr
     for reason in ("running", "not started", "the controller's state is damaged", "measurements not believed",
                    "the tip has been off its reference", "the controller's torque is not finite"):  # fmt: skip
         assert counted[reason] > 0, reason
-    assert f"digest {DIGEST}\n" in shown, "the core's results have other bits than before"
+    assert f"digest {DIGEST}\n" in shown, "the core's results have changed"
     knows = subprocess.run(["cc", f"{FILL}zero", "-xc", "-fsyntax-only", "-"], input=b"", check=False)
     for filling in () if knows.returncode else ("zero", "pattern"):
         assert extremes(tmp_path / filling, FILL + filling) == shown, "an unset variable changes a result"

@@ -1,4 +1,4 @@
-"""Fixtures for exported folders. Their core is compiled once per session, because exports differ only in constants."""
+"""Fixtures for exported folders. The core is compiled once per session, because exports differ only in constants."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The exported folder: it compiles without a warning, and its torque is that of Python to the last bit."""
+"""The exported folder: it compiles without a warning, and its torque equals Python's to the last bit."""
 
 import math
 import re
@@ -41,7 +41,7 @@ def test_the_export_compiles_without_a_warning_and_repeats_python_to_the_last_bi
     ticks, limited, stopped_at = map(int, counts)
     assert (ticks, difference) == (TICKS, "0.0e+00")
     assert 2 * TICKS // 3 + 30 < stopped_at < ticks
-    assert limited > 0 or name in ("panda", "dcac-damped")  # these runs are stopped before any torque is limited
+    assert limited > 0 or name in ("panda", "dcac-damped")  # these two stop before any torque is limited
     assert re.search(r"one tick: mean [\d.]+ us, longest [\d.]+ us", done.stdout)
 
 
@@ -68,7 +68,7 @@ def test_numbers_are_written_to_the_last_bit():
 
 
 @pytest.mark.parametrize(("tables", "words"), [
-    ({"solver": {"name": "rnn"}}, r"\[solver\] name = 'rnn'.*take that one"),
+    ({"solver": {"name": "rnn"}}, r"\[solver\] name = 'rnn'.*take 'exact'"),
     ({"solver": {"replay_us": [10.0]}}, r"\[solver\] replay_us = \(10.0,\).*leave it out"),
     ({"solver": {"isolation": "process"}}, r"\[solver\] isolation = 'process'.*leave it out"),
     ({"control": {"third_level": "receding"}}, r"\[control\] third_level = 'receding'.*take 'local'"),

@@ -51,7 +51,7 @@ def built(exported: Export) -> Built:
 
 
 def served(scenario: Scenario, controller: Callable[[str], Any], **relayed: Any) -> tuple[Trace, Any, Relay]:
-    """Run in lock-step through a relay. Return the trace, the result of the controller, and the relay."""
+    """Run a controller in lock-step through a relay. Return the trace, the controller's result, and the relay."""
     plant = PlantServer(scenario, "127.0.0.1:0", lock_step=True)
     with ThreadPoolExecutor(1) as pool, Relay(plant.address, seed=2, **relayed) as relay:
         said = pool.submit(controller, relay.address)
@@ -103,7 +103,7 @@ def test_network_faults_are_counted_and_do_not_change_the_run(built: Built, name
 
 
 def test_torques_of_the_plants_watchdog_are_handled_as_in_python_and_the_end_is_reported(built: Built) -> None:
-    """A lost command makes the plant hold the previous torque. From tick 100 on, it gets no command and brakes."""
+    """If a command is lost, the plant holds the previous torque. From tick 100 on, it gets no command and brakes."""
     scenario, folder = built("default")
     blind = scenario.change(wire={"resend_s": 0.33, "resends": 0, "hold_ticks": 2, "damp_ticks": 0})
 

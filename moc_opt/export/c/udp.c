@@ -49,7 +49,7 @@ static struct {
     int socket;
     struct sockaddr_in plant;
     uint64_t session; /* 0 until the plant has sent it */
-    unsigned ignored; /* number of packets */
+    unsigned ignored; /* number of rejected packets */
 } wire;
 
 /* A steady clock [ns]. */
@@ -109,7 +109,7 @@ static int is_sound(const uint8_t *bytes, size_t size, const struct sockaddr_in 
            sender->sin_addr.s_addr == wire.plant.sin_addr.s_addr && sender->sin_port == wire.plant.sin_port;
 }
 
-/* Receive the next valid measurement until the time `until` [ns]. Returns 0 if none has arrived. */
+/* Wait for a valid measurement until the time `until` [ns]. Returns 0 if none has arrived. */
 static int receive(int64_t until, wire_measurement *found)
 {
     do {
@@ -131,7 +131,7 @@ static int receive(int64_t until, wire_measurement *found)
     return 0;
 }
 
-/* Send a packet every 100 ms until a measurement arrives with the flag WIRE_WAITING (waiting = 1) or without it (0). */
+/* Send a packet every 100 ms until a measurement with (waiting = 1) or without (waiting = 0) WIRE_WAITING arrives. */
 static int ask(uint8_t kind, int waiting, wire_measurement *found)
 {
     int64_t until = now_ns() + (int64_t)(1e9 * WIRE_WAIT_S);
