@@ -222,7 +222,7 @@ class NullSpaceQP:
     def assembled(self, rows: int = 5) -> Assembled:
         """Compute the cost and the equality rows: six as in the paper, or five independent ones.
 
-        If tip and wrist are not rigidly connected, rows = 5 gives six rows too: `moc_opt/core/python_subproblem.c`.
+        If tip and wrist are not rigidly connected, rows = 5 also gives six (`moc_opt/core/python_subproblem.c`).
         """
         n = self.n
         P, p, spare, plain = np.empty((n, n)), np.empty(n), np.empty(n), np.ones(3)
@@ -237,7 +237,7 @@ class NullSpaceQP:
         return self.assembled()
 
     def reduced(self) -> Assembled:
-        """Return `assembled()`, with five rows if the tool is rigid and else six. The result is computed once."""
+        """Return `assembled()`, with five rows if the tool is rigid and else six. It is computed only once."""
         return self._reduced
 
     def residuals(self, x: ArrayLike, y: ArrayLike | None = None) -> Residuals:

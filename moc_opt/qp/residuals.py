@@ -185,7 +185,7 @@ def _by_rank(A: Array) -> list[tuple[NDArray[np.intp], _Factors]]:
 
 
 def _rank_five(A: Array) -> tuple[NDArray[np.intp], _Factors]:
-    """Factorize the matrices for which a QR decomposition proves that the rank is 5 and the fifth value is not small.
+    """Factorize the matrices for which a QR decomposition proves rank 5 and a large enough fifth singular value.
 
     With A^T = Q R, the sixth singular value of A is at most |R_66|. The fifth is at least the smallest singular value
     of R's first five rows. A QR decomposition takes less than half the time of a singular value decomposition.

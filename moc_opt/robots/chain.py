@@ -66,7 +66,7 @@ class Kinematics:
 
 @lru_cache(maxsize=64)
 def build_kinematics(name: str, chain: Chain) -> Kinematics:
-    """Write the chain's kinematics in CasADi. mu is from the geometric Jacobian, its gradient from differentiation."""
+    """Write the chain's kinematics in CasADi. mu is from the geometric Jacobian, grad mu from automatic derivatives."""
     import casadi as ca  # imported late: it takes half a second, and only the NLP back-ends and planning need it
 
     q = ca.SX.sym("q", len(chain.axes))

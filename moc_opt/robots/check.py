@@ -21,7 +21,7 @@ from moc_opt.sim.settings import PlantSettings
 
 Verdict = Literal["ok", "care", "cannot"]
 REGULAR, SINGULAR = (0.1, 0.05), 1e-4
-"""Smallest `Freedoms.tip` and `Freedoms.both` (ratios of singular values) for "ok", and of either for "care"."""
+"""Smallest `Freedoms.tip` and `Freedoms.both`, ratios of singular values: REGULAR for "ok", SINGULAR for "care"."""
 LITTLE_TO_GAIN = 0.05
 LEAST_M = 0.005  #: Radius of the circle that every arm must be able to follow from home.
 MARGIN_DEG, MARGIN_MM = 15.0, 80.0

@@ -258,7 +258,7 @@ def load_robot(
     Args:
         name_or_path: an arm of the package (`moc-opt robots` lists them), or a TOML or URDF file; a RobotError names
             what is missing or wrong.
-        tool_length, tool_mass: the tool's length from flange to tip [m] and mass [kg], by default the file's.
+        tool_length, tool_mass: length from flange to tip [m] and mass [kg] of the tool, by default as in the file.
     """
     robot = RobotModel(load_data(name_or_path, tool_length=tool_length, tool_mass=tool_mass))
     if not CARTESIAN.keys() <= robot.data.gains.keys():

@@ -204,7 +204,7 @@ class Home(NamedTuple):
 
     @property
     def order(self) -> tuple[bool, float]:
-        """Sort key (smaller is better): whether the task fails, and how far mu / mu_best is from mid-`SHARE`."""
+        """Sort key, best first: whether the task fails, then how far mu / mu_best is from the middle of `SHARE`."""
         return bool(self.task), abs(self.mu / self.mu_best - 0.5 * (SHARE[0] + SHARE[1]))
 
 

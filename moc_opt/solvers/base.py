@@ -1,4 +1,4 @@
-"""The interface: a solver is a set of frozen settings, and its sessions solve the subproblems of one run each."""
+"""The interface: a solver is a set of frozen settings, and each of its sessions solves the subproblems of one run."""
 
 from __future__ import annotations
 

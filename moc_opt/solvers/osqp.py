@@ -72,7 +72,7 @@ class OSQPSession(TruncatedSession):
         self._core.update_settings(self._options)
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Return the iterate after ``iterations`` from the last solve's start. The next solve starts there."""
+        """Return the iterate after ``iterations`` from the previous start. The next solve starts at this iterate."""
         self._core.warm_start(*self._before)
         return super().truncated(qp, iterations)
 

@@ -1,6 +1,6 @@
 """Any solver that the package qpsolvers finds on this machine, as ``qpsolvers:NAME``.
 
-qpsolvers converts the problem at every call, which takes up to half a millisecond. Compare only answers with it.
+qpsolvers converts the problem at every call, which takes up to half a millisecond. Do not compare speeds with it.
 """
 
 from __future__ import annotations

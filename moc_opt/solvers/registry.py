@@ -39,7 +39,7 @@ QPSOLVERS = "qpsolvers:"  #: Prefix of the solvers that the package qpsolvers fi
 
 
 class Entry(NamedTuple):
-    """A solver's name, the callable that makes it, and a plug-in's entry point."""
+    """A solver's name, the callable that makes it, and for a plug-in its entry point."""
 
     name: str
     make: Callable[..., Solver]
@@ -111,7 +111,7 @@ def check_name(name: str) -> None:
 
 
 def defaults(name: str) -> dict[str, Any]:
-    """Return the defaults of the named solver's settings, if they have one; raises what ``create`` raises."""
+    """Return the default of each setting of the named solver that has one; raises what ``create`` raises."""
     return {p.name: p.default for p in find(name).parameters.values() if p.default is not p.empty}
 
 

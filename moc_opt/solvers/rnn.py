@@ -109,7 +109,7 @@ class RNN(Network):
 
     Args:
         steps: largest number of steps per tick; a tick needs fewer if the state comes to rest.
-        h: step size, in (0, 1], so that x stays within its bounds: dt / (the network's time constant).
+        h: step size dt / (the network's time constant), in (0, 1], so that x stays within its bounds.
         k: the paper's gain.
         scale: multiplies c0, c1, c2 and regularization, which does not change the solution.
         method: "explicit" Euler, or "semi-implicit", where the multipliers are updated with the new x.

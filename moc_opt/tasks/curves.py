@@ -17,7 +17,7 @@ PlanePoint = tuple[float, float, float, float, float]
 Speed = Callable[[Array], tuple[Array, Array]]
 
 _MOST_PANELS = 2**18
-_PROBES = (0.23, 0.5, 0.71)  # in a panel, from 0 to 1; at symmetric places, an error might vanish by chance
+_PROBES = (0.23, 0.5, 0.71)  # places between knots, from 0 to 1; at symmetric places, an error might vanish by chance
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(10)
 
 

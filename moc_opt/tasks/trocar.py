@@ -64,7 +64,7 @@ def shaft_distance(tip: ArrayLike, wrist: ArrayLike, p: ArrayLike) -> Array:
     """Compute the RCM error d = |(P - X) x u| [m] (RCM: remote centre of motion), the shaft's distance from the trocar.
 
     Args:
-        tip, wrist, p: X, N and the trocar P, (3,) or (k, 3) [m]. A (3,) counts for all rows. u = (X - N)/|X - N|.
+        tip, wrist, p: X, N and the trocar P, (3,) or (k, 3) [m]. A single point serves all rows. u = (X - N)/|X - N|.
 
     Returns:
         d (k,), or of shape () if all three are single points.

@@ -32,7 +32,7 @@ _OTHER_FORMATS = frozenset({".csv", ".tsv", ".txt", ".json", ".npy", ".npz", ".m
 
 
 def new_file(path: str | os.PathLike[str]) -> Path:
-    """Return the path of a new trace. Raise a TraceError if its ending or its folder cannot be used."""
+    """Return the path of a new trace. Raise a TraceError if the ending or the folder cannot be used."""
     target = as_path(path, "trace", TraceError)
     if target.suffix.lower() in _OTHER_FORMATS:
         raise TraceError(

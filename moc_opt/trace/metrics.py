@@ -222,7 +222,7 @@ def mu_gain_percent(trace: Trace, baseline: Trace | None) -> float:
 
 @metric
 def mu_fraction_of_bound(trace: Trace) -> float:
-    """Mean of mu / mean of the largest mu of all feasible poses, over the ticks at which the largest is known."""
+    """Mean of mu / mean of the largest mu of all feasible poses, over the ticks with a known largest mu."""
     bound = float(_known(trace, "mu_bound").mean())
     if bound == 0.0:
         raise MissingDataError("the largest mu is zero throughout: a share of it has no value")

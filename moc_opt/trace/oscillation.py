@@ -109,7 +109,7 @@ def above(values: Floats, width: int) -> Floats:
 
 
 def describe(trace: Trace, joint_names: Sequence[str], slides: Flags) -> str:
-    """Return which joint oscillates, at which frequency and how much; empty if none does. Raises as `shaking`."""
+    """Return which joint oscillates, at which frequency and how much; empty if none does. Raises like `shaking`."""
     speeds = np.where(slides, LIMIT_M_PER_S, LIMIT_RAD_PER_S)
     efforts = np.where(slides, LIMIT_N, LIMIT_NM)
     v, tau = shaking(trace, "v_rad_per_s", speeds), shaking(trace, "tau_Nm", efforts)

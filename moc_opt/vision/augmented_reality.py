@@ -77,7 +77,7 @@ class Augmented:
         return found[-1]
 
     def watch(self, seconds: float, q: ArrayLike | None = None) -> tuple[Array, NDArray[np.bool_]]:
-        """Track the board from t = 0, after `locate`. Return each picture's time [s], and whether it is tracked."""
+        """Track the board from t = 0, after `locate`. Return picture times [s], and whether the board is tracked."""
         rate = self.camera.settings.rate_Hz
         times = np.arange(math.floor(seconds * rate) + 1) / rate
         return times, np.array([self._look(t, q).seen for t in times.tolist()])

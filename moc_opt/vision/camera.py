@@ -53,7 +53,7 @@ class Camera:
 
     @property
     def matrix(self) -> Array:
-        """The camera matrix K (3, 3). Pixel centres are integers. The optical axis is at ((W - 1)/2, (H - 1)/2)."""
+        """The matrix K (3, 3). Pixel centres have whole coordinates. The optical axis is at ((W - 1)/2, (H - 1)/2)."""
         width, height = self.settings.width_px, self.settings.height_px
         f = 0.5 * height / math.tan(0.5 * math.radians(self.settings.fov_deg))
         return np.array([[f, 0.0, 0.5 * width - 0.5], [0.0, f, 0.5 * height - 0.5], [0.0, 0.0, 1.0]])

@@ -49,7 +49,7 @@ class HandsOnSettings(VisionSettings):
     joint_damping_Nm_s_per_rad: float = Field(3.0, ge=0.0, le=100.0)
     registration_error_m: float = Field(0.001, ge=0.0, le=0.005)
     """size of the error that is added to the registered trocar, in a seeded direction"""
-    tolerance_m: float = Field(0.002, gt=0.0, le=0.05, description="largest distance of a tip at the incision")
+    tolerance_m: float = Field(0.002, gt=0.0, le=0.05, description="the tip is at the incision within this distance")
     rest_speed_m_per_s: float = Field(0.003, gt=0.0, le=0.1, description="a slower tip counts as resting")
     rest_s: float = Field(0.4, gt=0.0, le=10.0, description="time for which the tip has to rest")
     time_limit_s: float = Field(20.0, gt=0.0, le=600.0)
@@ -90,7 +90,7 @@ class Hand:
     """A spring and a damper to the goal, with an integral part f and a bounded force.
 
     force = D (desired - velocity) + f, |force| <= force_max, with the damping D. `desired` points at the goal. Its
-    size is stiffness/D * distance, at most speed_max. f grows by correction * stiffness * distance per second until arrival.
+    size is stiffness/D * distance, at most speed_max. f grows by correction * stiffness * distance per second.
     """
 
     def __init__(self, settings: HandSettings, period_s: float) -> None:

@@ -15,7 +15,7 @@ from moc_opt.arrays import Array
 from moc_opt.vision.board import Board, Pose, VisionSettings, rotation_from
 from moc_opt.vision.camera import Camera, Picture, dictionary
 
-_OUTLIER, _CLEAN_PX = 4.0, 0.6  # a corner is left out if its error is above 0.6 px and 4 times the median
+_OUTLIER, _CLEAN_PX = 4.0, 0.6  # a corner is left out if its error is above 0.6 px and above 4 times the median
 
 
 class TrackerSettings(VisionSettings):
@@ -27,7 +27,7 @@ class TrackerSettings(VisionSettings):
     error_max_px: float = Field(1.0, gt=0.0, description="largest root mean square error of a sighting")
     jump_m: float = Field(0.004, gt=0.0, description="a sighting farther than this from the estimate is an outlier")
     jump_rad: float = Field(0.05, gt=0.0, description="a sighting turned by more than this is an outlier too")
-    found_after: int = Field(3, ge=1, description="a new pose is accepted after this many sightings that agree")
+    found_after: int = Field(3, ge=1, description="a new pose needs this many agreeing sightings in a row")
     lost_after_s: float = Field(0.12, gt=0.0, description="time without a sighting after which the board is lost")
     smoothing_s: float = Field(0.3, ge=0.0, description="time constant of the average; 0: no averaging")
 
