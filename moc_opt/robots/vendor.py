@@ -169,7 +169,7 @@ def _choose_limits(joints: Iterable[Joint], notes: list[str]) -> list[str]:
             speed = CHOSEN[kind]
         if not 0.0 < effort <= _STRONGEST[kind]:
             weak.append(joint.name)
-            effort = 1e3  # until the arm's weight is known
+            effort = 1e3  # a placeholder until the arm's weight is known
         joint.limit(lower, upper, speed, effort)
     return weak
 

@@ -46,7 +46,7 @@ _STATUS = {
 
 
 def buffered(function: Any, arguments: Mapping[str, Array], results: Mapping[str, Array]) -> tuple[Any, Any]:
-    """Bind a CasADi function to the caller's arrays. Return its buffer, and a call ten times as fast as `function()`."""
+    """Bind a CasADi function to the caller's arrays. Return its buffer, and a call that is ten times as fast."""
     buffer, call = function.buffer()
     for name, array in arguments.items():
         buffer.set_arg(function.index_in(name), array.data)
