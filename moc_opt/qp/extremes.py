@@ -1,8 +1,8 @@
-"""The smallest and the largest cost over all x that satisfy A x = b and the bounds. No solver is used.
+"""The smallest and the largest cost over all x that satisfy A x = b and the bounds.
 
-Let x = x0 + Z w, where Z is an orthonormal basis of ker A. The cost is slope^T w + rho/2 |w|^2, and the bounds (the
-box) are low <= Z w <= high. The optimum is found by projecting points onto this set. Each projection is a non-negative
-least-squares problem (algorithm LDP in Lawson and Hanson, Solving Least Squares Problems, 1974, chapter 23).
+Let x = x0 + Z w, where A x0 = b and Z is an orthonormal basis of ker A. The cost is slope^T w + rho/2 |w|^2, and the
+bounds (the box) are low <= Z w <= high. Points w are projected onto the feasible set until the optimum is found. Each
+projection is a non-negative least-squares problem (Lawson, Hanson, Solving Least Squares Problems, 1974, chapter 23).
 """
 
 from __future__ import annotations
@@ -17,25 +17,25 @@ from numpy.typing import NDArray
 
 from moc_opt.arrays import Array
 
-MOST_CORNERS = 10_000  # largest number of candidate corners; 10 joints with dim ker A = 5 have 8064
-FAR = 1e3  # length of an unbounded proximal step [box widths]
-ROUNDS, STEPS = 200, 20  # largest numbers of proximal steps, and of uphill steps per joint
+MOST_CORNERS = 10_000  # largest number of corners that are tried; 10 joints with dim ker A = 5 have 8064
+FAR = 1e3  # length of a proximal step that meets no bound [box widths]
+ROUNDS, STEPS = 200, 20  # largest number of proximal steps, and of uphill steps per joint
 ROUNDING = 1e-14  # rounding error of numbers of order one
 SETTLED = 1e-11  # a proximal step shorter than this is rounding error, and ends the search
 FLAT = 1e-9  # a slope or multiplier below this fraction of the largest counts as zero
 STILL = 1e-10  # a joint whose row of Z is shorter than this does not bound the motion in ker A
 TOUCHING = 1e-8  # widening of a feasible set that is a point up to rounding [box widths]
-LEVEL = 1e-12  # a range of the scaled cost below this is rounding error
+LEVEL = 1e-12  # a scaled cost that varies by less than this counts as constant
 
 
 class Extremes(NamedTuple):
-    """Smallest and largest cost on the feasible set, relative to the cost at w = 0.
+    """Smallest and largest cost on the feasible set, minus the cost at w = 0.
 
     Attributes:
         w: (r,) an optimum. If there are several, it is the one that proximal steps from w = 0 reach.
         least: a lower bound on the cost, by weak duality. If w is optimal, it equals the cost of w.
         most: the largest cost, or ``least`` if the cost is constant up to rounding. With rho > 0 and more than
-            ``MOST_CORNERS`` candidate corners, it is only a local maximum.
+            ``MOST_CORNERS`` candidate corners, it may be only a local maximum.
         pull: (n,) gradient of the Lagrangian at w = 0, with the optimum's multipliers of A x = b.
     """
 
@@ -54,7 +54,7 @@ def extremes(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> Ext
         slope: (r,) gradient of the cost at w = 0.
         rho: zero or more. If the slope is zero, rho has to be above zero.
     """
-    # Scale lengths by the box's width, and the cost by its steepest slope.
+    # Divide lengths by the largest width of the box, and the cost by its steepest slope.
     width = max(float((high - low).max()), 1e-12)
     steep = max(float(np.linalg.norm(slope)), rho * width)
     low, high, slope, rho = low / width, high / width, slope / steep, rho * width / steep
@@ -95,7 +95,7 @@ def optimum(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> tupl
 def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Array] | None:
     """Find the w (r,) with low <= Z w <= high that is nearest to ``start``, and f (n,) with w - start = Z^T f.
 
-    f is positive at active lower bounds, negative at active upper bounds, zero elsewhere. None if no w is feasible.
+    f is positive at active lower bounds, negative at active upper bounds, 0 elsewhere. Return None if no w is feasible.
     """
     # Scale each row of Z to length 1, so that a joint that hardly moves along Z counts like any other.
     moves = np.linalg.norm(Z, axis=1)

@@ -3,7 +3,8 @@
     min_x  c0/2 |J_T x - v_T|^2 + c1/2 |J_W x - v_W|^2 - c2 x^T pull + regularization/2 |x|^2
     s.t.   J_T x = v_T,   J_W x = v_W,   lower <= x <= upper
 
-x is a joint velocity [rad/s]. pull is grad mu, or (regularization / c2) x_d if the elbow has to follow a velocity x_d.
+x is a joint velocity [rad/s], and J_T and J_W are the Jacobians of tip and wrist. pull is the manipulability's gradient
+grad mu, or (regularization / c2) x_d if the elbow has to follow a joint velocity x_d.
 regularization = 0 gives the problem of Su et al. 2019; with regularization > 0 the problem is a strictly convex QP. The
 six equality rows have rank five if a rigid tool connects tip and wrist.
 """
@@ -31,7 +32,7 @@ _DOUBLE, _CLOSE = np.dtype(np.float64), (8,)
 
 
 def row_length(n: int) -> int:
-    """Return the length of a subproblem's flat record with n joints."""
+    """Return the length of the flat record of a subproblem with n joints."""
     return 11 * n + 10
 
 
@@ -76,7 +77,7 @@ def compute_residuals(rows: Array, x: Array, y: Array | None = None) -> Residual
 
 
 class Assembled(NamedTuple):
-    """A subproblem for a solver, read-only: min 1/2 x^T P x + p^T x, A x = b. lift^T y turns the m duals y into six."""
+    """The read-only arrays of min 1/2 x^T P x + p^T x with A x = b. lift^T y turns the m duals y into six."""
 
     P: Array  #: (n, n)
     p: Array  #: (n,)
@@ -131,7 +132,7 @@ class NullSpaceQP:
         for name, value in zip(WEIGHTS, (c0, c1, c2, regularization), strict=True):
             weight = float(_array(name, value, ()))
             if not 0.0 <= weight <= LARGEST_WEIGHT:
-                raise SubproblemError(f"{name}: {weight}: give 0 to {LARGEST_WEIGHT:g}; products of more overflow")
+                raise SubproblemError(f"{name}: {weight}: give 0 to {LARGEST_WEIGHT:g}; larger weights overflow")
             weights.append(weight)
         crossed = np.flatnonzero(low > high)
         if crossed.size:
@@ -160,7 +161,7 @@ class NullSpaceQP:
         return NullSpaceQP.from_row(self.row.copy())
 
     def _adopt(self, row: Array, n: int) -> None:
-        if row.strides != _CLOSE or row.dtype is not _DOUBLE:  # the core needs contiguous doubles
+        if row.strides != _CLOSE or row.dtype is not _DOUBLE:  # the compiled core needs contiguous doubles
             row = np.array(row, dtype=np.float64).ravel()
         row.setflags(write=False)
         own = self.__dict__  # bypasses __setattr__, which refuses every assignment
@@ -197,7 +198,7 @@ class NullSpaceQP:
     c0 = property(lambda self: float(self.fields.weights[0]), doc="weight of the tip rows")
     c1 = property(lambda self: float(self.fields.weights[1]), doc="weight of the wrist rows")
     c2 = property(lambda self: float(self.fields.weights[2]), doc="weight of the manipulability")
-    regularization = property(lambda self: float(self.fields.weights[3]), doc="rho")
+    regularization = property(lambda self: float(self.fields.weights[3]), doc="rho, the weight of |x|^2")
     A = property(lambda self: self.fields.A, doc="(6, n): J_tip above J_wrist")
     b = property(lambda self: self.fields.b, doc="(6,): v_tip above v_wrist")
 
@@ -221,7 +222,7 @@ class NullSpaceQP:
     def assembled(self, rows: int = 5) -> Assembled:
         """Compute the cost and the equality rows: six as in the paper, or five independent ones.
 
-        If tip and wrist are not rigidly connected, rows = 5 gives six rows too. See `core/python_subproblem.c`.
+        If tip and wrist are not rigidly connected, rows = 5 also gives six (`moc_opt/core/python_subproblem.c`).
         """
         n = self.n
         P, p, spare, plain = np.empty((n, n)), np.empty(n), np.empty(n), np.ones(3)
@@ -236,7 +237,7 @@ class NullSpaceQP:
         return self.assembled()
 
     def reduced(self) -> Assembled:
-        """Return `assembled()`: five independent rows if the tool is rigid, else six. It is computed once and kept."""
+        """Return `assembled()`, with five rows if the tool is rigid and else six. It is computed only once."""
         return self._reduced
 
     def residuals(self, x: ArrayLike, y: ArrayLike | None = None) -> Residuals:

@@ -1,9 +1,9 @@
 """Residuals of an answer to the null-space subproblem: one definition for every solver.
 
-`residuals` takes a leading batch shape ``(...,)``: one call judges a single tick or a whole recording. It ignores the
-status that the solver reports.
+The arrays given to `residuals` may have a leading batch shape ``(...,)``, so that one call judges a whole recording.
+The status that the solver reports is not used.
 
-On A x = b the tracking terms of the cost are constant. The remaining cost, rho/2 |x|^2 - c2 pull^T x, is a sum of
+If A x = b, the tracking terms of the cost are constant. The remaining cost, rho/2 |x|^2 - c2 pull^T x, is a sum of
 independent parts. Each idle joint (a joint with a zero column of A) moves on its own interval. All other joints move
 together in ker A. If ker A has several dimensions, ``extremes`` finds their optimum.
 
@@ -25,15 +25,15 @@ from numpy.typing import NDArray
 from moc_opt.arrays import Array
 from moc_opt.qp.extremes import ROUNDING, STILL, extremes
 
-# The rank of A, as the whole package decides it: the sixth singular value counts as zero below TIED |A|_F, the others
-# below RANK_TOLERANCE |A|_F. With a rigid tool, the exact sixth singular value is zero. Rounding the Jacobians to 7
-# decimals makes it up to 8e-8 |A|_F. The fifth is small only near a straight elbow, where it still counts.
+# The rank of A, in the whole package: the sixth singular value counts as zero below TIED |A|_F, every other singular
+# value below RANK_TOLERANCE |A|_F. With a rigid tool, the exact sixth value is zero. Jacobians that are rounded to 7
+# decimals make it up to 8e-8 |A|_F. The fifth value is small only near a straight elbow, and still counts there.
 TIED = 1e-7
 RANK_TOLERANCE = 1e-12
 GRADIENT_ROUNDING = 1e-9  # a reduced gradient below this fraction of |pull|_inf counts as zero
 A_POINT = 1e-9  # a feasible interval no longer than this [rad/s] counts as a point
 FEASIBLE = 1e-6  # an empty feasible set counts as a point if widening the bounds by this [rad/s] makes it non-empty
-MOST_FACETS = 300  # largest number of facets for which the best duals are found; 10 joints and dim ker A = 5 give 210
+MOST_FACETS = 300  # largest comb(n, dim ker A - 1) for which the best duals are found
 NEARLY_SINGULAR = 1e-3  # division by a singular value below this share of |A|_F needs iterative refinement
 REFINEMENTS = 3  # number of refinement steps; each shrinks the error at least 1e4 times
 
@@ -43,19 +43,19 @@ class Residuals(NamedTuple):
 
     Attributes:
         primal: max(|A x - b|_inf, violation of the bounds) [m/s or rad/s].
-        natural: natural residual with the solver's own y, or with the best y if the solver gave no y.
-        natural_best: natural residual with the best y for this x. If it is far below ``natural``, x is good and the
-            duals are bad. With more than ``MOST_FACETS`` facets, the optimum's y replaces the best y. The residual
-            may then be too large, but it is still zero at an optimum.
+        natural: natural residual with the solver's own y. If the solver gave no y, it is ``natural_best``.
+        natural_best: natural residual with the y that makes it smallest for this x. If it is far below ``natural``, x
+            is good and the duals are bad. If comb(n, dim ker A - 1) exceeds ``MOST_FACETS``, the optimum's y is used.
+            The residual may then be too large, but it is still zero at an optimum.
         relative: ``natural_best`` after dividing the cost by the size of its reduced gradient. This size is
             max(c2 |Z Z^T pull|_inf, rho times 1 rad/s), where Z is an orthonormal basis of ker A. For an idle joint,
-            its own gradient is used. If all feasible points have the same cost, ``relative`` is at least
-            (cost of x - that cost) / size of the reduced gradient [rad/s].
+            its entry of pull replaces Z Z^T pull. If all feasible points have the same cost, ``relative`` is at least
+            (cost of x - cost of these points) / size of the reduced gradient [rad/s].
         loss: (cost of x - smallest cost) / (largest - smallest cost) over the feasible set, in [0, 1], for the
             worst of the independent parts. It is 0 if all feasible points have the same cost. It may be too large
             if ``extremes`` finds only a local maximum.
-        distance: |x - x*|_inf to the optimum x* [rad/s]. If there are several, x* is the nearest in the Euclidean
-            norm. If no point of A x = b is within the bounds, the distance is infinite.
+        distance: |x - x*|_inf to the optimum x* [rad/s]. If there are several optima, x* is the nearest to x in the
+            Euclidean norm. If no point of A x = b is within the bounds, the distance is infinite.
 
     Example:
         >>> from moc_opt.qp.residuals import Residuals
@@ -74,8 +74,8 @@ class Residuals(NamedTuple):
     def verified(self, primal: float = 1e-6, relative: float = 1e-3, loss: float = 1e-2) -> NDArray[np.bool_]:
         """Return whether the answer is optimal within these tolerances (bool, batch shape).
 
-        It has to be feasible within ``primal``, and either ``distance`` is at most ``primal``, or ``relative`` and
-        ``loss`` are at most their tolerances.
+        The answer has to be feasible within ``primal``. In addition, either ``distance`` is at most ``primal``, or
+        ``relative`` and ``loss`` are at most their tolerances.
         """
         near = np.less_equal(self.distance, primal)
         good = np.less_equal(self.relative, relative) & np.less_equal(self.loss, loss)
@@ -94,7 +94,7 @@ class Problem(NamedTuple):
 
 
 def residuals(problem: Problem, x: Array, y: Array | None = None) -> Residuals:
-    """Compute the residuals of answers ``x`` (..., n) with duals ``y`` (..., 6); None: no duals are given.
+    """Compute the residuals of answers ``x`` (..., n), and of their duals ``y`` (..., 6) if the solver gives any.
 
     The residuals of a row of ``x`` that is not finite are infinite, and its loss is 1. A row of ``y`` that is
     not finite counts as not given.
@@ -185,10 +185,10 @@ def _by_rank(A: Array) -> list[tuple[NDArray[np.intp], _Factors]]:
 
 
 def _rank_five(A: Array) -> tuple[NDArray[np.intp], _Factors]:
-    """Factorize the matrices for which a QR decomposition proves rank 5 and no small singular value.
+    """Factorize the matrices for which a QR decomposition proves rank 5 and a large enough fifth singular value.
 
-    With A^T = Q R, the sixth singular value of A is at most |R_66|, and the fifth at least that of R's first five
-    rows. A QR decomposition is five times as fast as a singular value decomposition.
+    With A^T = Q R, the sixth singular value of A is at most |R_66|. The fifth is at least the smallest singular value
+    of R's first five rows. A QR decomposition takes less than half the time of a singular value decomposition.
     """
     Q, R = np.linalg.qr(np.swapaxes(A, 1, 2), mode="complete")
     size, diagonal = np.linalg.norm(A, axis=(1, 2)), np.abs(np.diagonal(R, axis1=1, axis2=2))
@@ -271,7 +271,7 @@ def _on_an_interval(
     slope: Array, rho: Array, low: Array, high: Array, above: Array | float = 0.0, point: Array | float = A_POINT
 ) -> tuple[Array, Array, Array]:
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        free = np.where(slope == 0.0, 0.0, -slope / rho)  # infinite with rho = 0: clipped to an end of the interval
+        free = np.where(slope == 0.0, 0.0, -slope / rho)  # infinite if rho = 0; clipped in the next line
         best = np.clip(free, low, high)
         least, *ends = (s * (slope + 0.5 * rho * s) for s in (best, low, high))
         spread = np.where(high - low > point, np.maximum(*ends) - least, 0.0)
@@ -292,7 +292,7 @@ def _along_a_line(
         return first.max(-1), last.min(-1), np.take_along_axis(np.abs(per_step), stops, axis=-1).min(-1)
 
     (first, last, slowest), (wide_first, wide_last, _) = interval(0.0), interval(FEASIBLE)
-    # An empty interval that widening by FEASIBLE makes non-empty is replaced by the middle of its ends.
+    # If an interval is empty, but not after it is widened by FEASIBLE, the middle of its ends replaces it.
     empty, middle = wide_first > wide_last, np.clip(0.5 * (first + last), wide_first, wide_last)
     low, high = (np.where(first > last, middle, end) for end in (first, last))
     step, loss, gap = _on_an_interval(slope, rho, low, high, above, A_POINT + ROUNDING / slowest)
@@ -305,7 +305,7 @@ def _in_a_polytope(
     moved, loss, gap = np.zeros(low.shape), np.zeros(len(low)), np.zeros(len(low))
     pull = np.einsum("kni,ki->kn", Z, slope)
     for i in np.flatnonzero((slope != 0.0).any(-1) | (rho > 0.0)):
-        for beyond in (0.0, 1e-13, 1e-10, FEASIBLE):  # the smallest widening with a feasible point
+        for beyond in (0.0, 1e-13, 1e-10, FEASIBLE):  # stops at the first widening that gives a feasible point
             found = extremes(Z[i], low[i] - beyond, high[i] + beyond, slope[i], rho[i])
             if found is not None:
                 break

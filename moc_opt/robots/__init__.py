@@ -2,7 +2,7 @@
 
 To add an arm, write a URDF and a TOML like ``lwr4.toml``; see docs/extending.md. ``loader`` and ``urdf`` check these
 files. ``model`` has ``load_robot`` and ``RobotModel.state(q, v)``. ``gains`` derives the gains of an untuned arm.
-``new`` and ``check`` are the commands `moc-opt robot`.
+``new`` and ``check`` do the work of `moc-opt robot new` and `check`.
 """
 
 from moc_opt.robots.loader import RobotData, about, available_robots, load_data

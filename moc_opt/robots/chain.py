@@ -1,4 +1,4 @@
-"""The serial chain as plain numbers, as CasADi functions, and the wrist position that a trocar requires."""
+"""The serial chain as plain numbers and as CasADi functions, and the wrist position that a trocar requires."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """Frame of joint j: (rotations[j], origins[j]) in the frame of joint j - 1, or in the world for j = 0.
+    """A serial chain. Joint j has the pose (rotations[j], origins[j]) in the frame of joint j - 1 (j = 0: the world).
 
     The joint turns about, or slides along, the unit vector axes[j] of its own frame.
     """
@@ -31,7 +31,7 @@ class Chain:
 
     @property
     def joints(self) -> Array:
-        """(n,16) for the core: rotation by rows, origin, axis, and 1 where the joint slides."""
+        """The chain (n,16) for the core. Each row has the rotation by rows, origin, axis, and 1 if the joint slides."""
         parts = (self.rotations.reshape(-1, 9), self.origins, self.axes, self.prismatic[:, None])
         return np.hstack(parts).astype(np.float64)
 
@@ -39,9 +39,9 @@ class Chain:
 def desired_wrist(
     tip: ArrayLike, tip_velocity: ArrayLike, trocar: ArrayLike, trocar_velocity: ArrayLike, span: float
 ) -> tuple[Array, Array]:
-    """Compute N_d = X + L e [m], e = (P_t - X)/|P_t - X|, and dN_d = dX + L de/dt [m/s], (..., 3) each.
+    """Compute the desired wrist N_d = X + L e [m] and its velocity dN_d = dX + L de/dt [m/s], (..., 3) each.
 
-    Points and velocities are (..., 3). A velocity may also be 0.0. ``span`` is L [m].
+    X is the tip, P_t the trocar, e = (P_t - X)/|P_t - X|, and L the ``span`` [m]. A velocity may also be 0.0.
     """
     line, turn = np.subtract(trocar, tip), np.subtract(trocar_velocity, tip_velocity)
     distance = np.linalg.norm(line, axis=-1, keepdims=True)
@@ -66,7 +66,7 @@ class Kinematics:
 
 @lru_cache(maxsize=64)
 def build_kinematics(name: str, chain: Chain) -> Kinematics:
-    """Write the chain's forward kinematics in CasADi SX; mu from the geometric Jacobian, grad mu by AD."""
+    """Write the chain's kinematics in CasADi. mu is from the geometric Jacobian, grad mu from automatic derivatives."""
     import casadi as ca  # imported late: it takes half a second, and only the NLP back-ends and planning need it
 
     q = ca.SX.sym("q", len(chain.axes))

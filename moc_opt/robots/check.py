@@ -21,7 +21,7 @@ from moc_opt.sim.settings import PlantSettings
 
 Verdict = Literal["ok", "care", "cannot"]
 REGULAR, SINGULAR = (0.1, 0.05), 1e-4
-"""Smallest singular-value ratios: `Freedoms.tip` and `Freedoms.both` for the verdict "ok", either for "care"."""
+"""Smallest `Freedoms.tip` and `Freedoms.both`, ratios of singular values: REGULAR for "ok", SINGULAR for "care"."""
 LITTLE_TO_GAIN = 0.05
 LEAST_M = 0.005  #: Radius of the circle that every arm must be able to follow from home.
 MARGIN_DEG, MARGIN_MM = 15.0, 80.0
@@ -55,7 +55,7 @@ def verdict(findings: list[Finding]) -> Verdict:
 
 
 def _judge(what: str, found: str, *faults: tuple[object, Verdict, str]) -> Finding:
-    """Make a row from the first of the (condition, verdict, cure) whose condition holds, else an "ok" row."""
+    """Make a row from the first fault (condition, verdict, cure) whose condition holds; if none holds, an "ok" row."""
     rows = (Finding(what, found, judged, cure) for fault, judged, cure in faults if fault)
     return next(rows, Finding(what, found, "ok"))
 
@@ -90,7 +90,7 @@ def _climb(robot: RobotModel) -> Iterator[Finding]:
         text = f"{mu:.3g} m³, {curve.mu.min():.3g} to {curve.mu_best:.3g} on {'one' if several else 'its'} self-motion"
         little = max(curve.mu_best, largest if several else 0.0) < (1.0 + LITTLE_TO_GAIN) * mu
         yield _judge(what, text, (little, "care", "little to gain from there: choose another home.q_rad"))
-    # This mu may lie on another self-motion curve, and be out of reach.
+    # The pose with this mu may lie on another self-motion curve, and then be out of reach.
     yield Finding("largest mu there", f"{largest:.3g} m³, {how['mu_bound_method']}", "ok")
 
 
@@ -147,7 +147,7 @@ def _bodies(robot: RobotModel) -> Finding:
     far = [f"{name} ({size:.2g} m from its middle)" for name, size in gyrations.items() if size > GYRATION_M]
     return _judge(
         "masses", f"{total:.3g} kg, base and tool included",
-        (not 0.5 < total < 2000.0, "care", "an arm weighs more, or less: are the masses in kg?"),
+        (not 0.5 < total < 2000.0, "care", "no arm has this mass: are the masses in kg?"),
         (far, "care", f"mass far out: {', '.join(far)}; is the inertia about the centre of mass, in kg m^2?"),
     )  # fmt: skip
 
@@ -161,7 +161,7 @@ def _gains(robot: RobotModel, asked: Scenario) -> Finding:
     rates = {"D_X": gains.D_X * tip, "D_N": gains.D_N * wrist, "K_N2": null_space}
     name, rate = max(rates.items(), key=lambda item: item[1])
     cure = (
-        f"beyond {limit:.0f}/s a loop of {1e3 * period:g} ms with its delay swings: multiply {name} by "
+        f"beyond {limit:.0f}/s, a loop of {1e3 * period:g} ms with its delay is unstable: multiply {name} by "
         f"{0.5 * limit / rate:.2g} in the robot file's [gains]"
     )
     text = f"{name} at {100 * rate / limit:.0f} % of the stability limit"

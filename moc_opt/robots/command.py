@@ -25,7 +25,7 @@ def add_commands(commands: Any) -> None:
     )
     new.add_argument(
         "--base-rpy", nargs=3, type=float, default=(0.0, 0.0, 0.0), metavar=("R", "P", "Y"),
-        help="how the base stands [rad]; 3.1416 0 0 hangs from the ceiling",
+        help="roll, pitch, yaw of the base [rad]; with 3.1416 0 0 the arm hangs from the ceiling",
     )  # fmt: skip
     new.add_argument("--seed", type=int, default=0, help="seed of the search for a home pose")
     new.add_argument("--out", type=Path, required=True, metavar="MY.toml", help="robot file to write")
@@ -53,7 +53,7 @@ def run_command(given: argparse.Namespace) -> int:
             base_rpy=tuple(given.base_rpy), seed=given.seed,
         )  # fmt: skip
         print(made.toml, made.urdf, sep="\n")
-        out.print("Assumed or changed, and noted in both files:")
+        out.print("Assumed or changed, and noted in the TOML file:")
         for note in made.notes:
             out.print(Text(f"- {note}"))
         robot = made.robot

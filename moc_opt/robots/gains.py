@@ -33,7 +33,7 @@ CARTESIAN: Mapping[str, tuple[float, float, float, float]] = {
     "dcac": (2000.0, 20.0, 600.0, 10.0), "moc": (3000.0, 30.0, 800.0, 10.0), "default": (3000.0, 80.0, 800.0, 60.0),
     "tuned": (3000.0, 80.0, 1670.0, 74.2), "robust": (3000.0, 50.0, 1670.0, 74.2),
 }  # fmt: skip
-"""K_X, D_X, K_N, D_N [N/m, N s/m]: Table I of Su et al. (2019) for dcac and moc, else those of the LWR4+'s file."""
+"""K_X, D_X, K_N, D_N [N/m, N s/m]: Table I of Su et al. (2019) for "dcac" and "moc", else the LWR4+'s file."""
 _POSES = 16
 
 
@@ -71,7 +71,7 @@ def largest_inverse_masses(robot: RobotModel) -> tuple[float, float]:
 
 
 def largest_null_rate(robot: RobotModel, gains: Array) -> float:
-    """Return the largest eigenvalue of (Z M Z^T)^-1 Z diag(gains) Z^T [1/s] over `surveyed`; Z spans ker A."""
+    """Return the largest eigenvalue of (Z M Z^T)^-1 Z diag(gains) Z^T [1/s] over `surveyed`. Z's rows span ker A."""
     found = 0.0
     for state in surveyed(robot):
         _, values, rows = np.linalg.svd(state.A)

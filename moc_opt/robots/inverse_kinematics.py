@@ -1,4 +1,4 @@
-"""Poses with the tip, and the wrist if wanted, at given points, by damped Gauss-Newton within the joint limits."""
+"""Find poses with the tip (and the wrist) at given points, by damped Gauss-Newton steps within the joint limits."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Placed(NamedTuple):
 
     @property
     def found(self) -> bool:
-        """Whether this is a solution."""
+        """Whether tip and wrist are at their points up to 1e-6 m."""
         return self.miss_m < 1e-6
 
 

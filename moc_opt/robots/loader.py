@@ -71,7 +71,7 @@ class Joints(_Table):
 
 
 class Home(_Table):
-    """The pose at or near which a run begins; rad (m for a prismatic joint)."""
+    """The pose at or near which a run begins [rad, or m for a prismatic joint]."""
 
     KIND: ClassVar[str] = "[home]"
     q_rad: Vector

@@ -1,4 +1,4 @@
-"""RobotModel: all terms of the control laws at one (q, v) of an arm, in one flat read-only array (`RobotState`).
+"""`RobotModel` computes all terms of the control laws at one (q, v), as one flat read-only array (`RobotState`).
 
 Pinocchio reads the URDF; `moc_opt.core` computes the terms.
 """
@@ -25,7 +25,7 @@ from moc_opt.robots.chain import Chain, Kinematics, build_kinematics
 from moc_opt.robots.gains import CARTESIAN, derived_gains
 from moc_opt.robots.loader import RobotData, load_data
 
-_STRUCTURAL_ZERO = 1e-12  # a column this small at several random poses is zero at all of them
+_STRUCTURAL_ZERO = 1e-12  # a column this small at several random poses is zero at every pose
 _TIP, _WRIST = slice(0, 3), slice(3, 6)
 
 
@@ -102,7 +102,7 @@ class RobotState:
     mu = _scalar(0, "Manipulability sqrt(det(J_tip J_tip^T)) [m^3].")
     grad_mu = _part("grad_mu", "dmu/dq (n,) [m^3/rad]; zero at a singularity, where mu has a kink.")
     mu_shaft = _scalar(
-        2, "Manipulability of the shaft once the tip is held [m^2]; see `moc_opt/core/manipulability.c`."
+        2, "Manipulability of the shaft while the tip rests [m^2]; see `moc_opt/core/manipulability.c`."
     )
     grad_mu_shaft = _part("grad_mu_shaft", "dmu_shaft/dq (n,) [m^2/rad]; zero where mu_shaft is 0 and has a kink.")
     M = _part("M", "Joint-space inertia (n,n), rotor inertia included [kg m^2].", shape=(0, 0))
@@ -160,7 +160,7 @@ class RobotModel:
 
     @property
     def arm_arrays(self) -> tuple[Array, ...]:
-        """The arm as numbers, in the order of `core.Arm`."""
+        """The arm as numbers, in the order of the arguments of `core.Arm`."""
         lower = np.tril_indices(3)
         bodies = [[body.mass, *(body.mass * body.lever), *body.inertia[lower]] for body in list(self._pin.inertias)[1:]]
         joints = np.column_stack([self.chain.joints, bodies, self.data.rotor_inertia])
@@ -173,7 +173,7 @@ class RobotModel:
         return RobotModel, (self.data,)  # views into pinocchio's memory do not survive copying
 
     def state(self, q: ArrayLike, v: ArrayLike | None = None) -> RobotState:
-        """Compute all terms at q (n,) [rad] and v (n,) [rad/s] (None: at rest); a RobotError if q or v is unusable."""
+        """Compute all terms at q (n,) [rad] and v (n,) [rad/s], by default 0; a RobotError if q or v is unusable."""
         v = self._rest if v is None else v
         try:  # the core checks arrays by itself
             return RobotState(self.arm.terms(q, v), self.n)  # type: ignore[arg-type]
@@ -186,7 +186,7 @@ class RobotModel:
         return RobotState(self.arm.terms(q, v), self.n)
 
     def mu_along(self, poses: Array) -> Array:
-        """Compute manipulability (k,) [m^3] at the poses (k,n) [rad], equal to that of `state` to the last bit."""
+        """Compute the manipulability (k,) [m^3] at the poses (k,n) [rad], equal to that of `state` to the last bit."""
         return self.arm.along(self._numbers("poses", poses, 2))[2]
 
     def tool_along(self, poses: Array) -> tuple[Array, Array]:
@@ -232,7 +232,7 @@ class RobotModel:
     def _numbers(self, name: str, value: ArrayLike, dimensions: int = 1) -> Array:
         shape = f"({'k, ' if dimensions > 1 else ''}{self.n},)"
         try:
-            array = np.array(value, dtype=np.float64, order="C")  # compiled code relies on this
+            array = np.array(value, dtype=np.float64, order="C")  # the compiled core needs this order
         except (TypeError, ValueError, OverflowError) as error:
             raise RobotError(f"{name} = {shown(value)} is not numeric: give numbers {shape}") from error
         if array.ndim != dimensions or array.shape[-1] != self.n:
@@ -258,7 +258,7 @@ def load_robot(
     Args:
         name_or_path: an arm of the package (`moc-opt robots` lists them), or a TOML or URDF file; a RobotError names
             what is missing or wrong.
-        tool_length, tool_mass: from the last flange to the tip [m], and [kg]; by default those of the robot's file.
+        tool_length, tool_mass: length from flange to tip [m] and mass [kg] of the tool, by default as in the file.
     """
     robot = RobotModel(load_data(name_or_path, tool_length=tool_length, tool_mass=tool_mass))
     if not CARTESIAN.keys() <= robot.data.gains.keys():

@@ -47,13 +47,13 @@ def new_robot(
     source: Path, out: Path, *, tip: str | None = None, tool_m: float = 0.30,
     lock: Mapping[str, float] | None = None, base_rpy: tuple[float, float, float] = (0.0, 0.0, 0.0), seed: int = 0,
 ) -> NewRobot:  # fmt: skip
-    """Write ``out`` (a TOML) and a URDF of the same name beside it; neither must exist yet.
+    """Write ``out`` (a TOML) and a URDF of the same name beside it. Neither file may exist yet.
 
     Args:
         source: the vendor's URDF.
         tip: the link that carries the tool, by default the link beyond the last moving joint.
-        tool_m: mount to tip [m].
-        lock: joint -> position [rad, m] at which it is fixed.
+        tool_m: length of the tool from mount to tip [m].
+        lock: joints to be fixed, each with its position [rad, m].
         base_rpy: roll, pitch, yaw of the base [rad]. With (pi, 0, 0), the arm hangs from the ceiling.
 
     Raises:
@@ -95,7 +95,7 @@ def new_robot(
             for joint, effort in zip(arm.chain, enough_efforts(robot), strict=True):
                 joint.limits["effort"] = effort if joint.name in arm.weak else joint.limits["effort"]
             weak = ", ".join(arm.weak)
-            arm.notes.append(f"{weak}: no usable torque limit: three times what gravity asks for is taken")
+            arm.notes.append(f"{weak}: no usable torque limit: one is derived from the arm's masses")
             robot = write(draft, middle)
         home = search_home(robot, seed=seed)
         gains = derived_gains(write(draft, home.q))
@@ -141,7 +141,7 @@ class Shaft(NamedTuple):
     """The tool's place in the frame of the last link; rpy turns the link's z into the tool's direction."""
 
     wrist: Array  #: (3,) [m]
-    mount: Array  #: (3,) [m]; the link's origin, moved onto the last axis if it is there up to rounding
+    mount: Array  #: (3,) [m]; the link's origin, put onto the last axis if within 1e-6 m of it
     rpy: tuple[float, float, float]  #: [rad]
     note: str
 
@@ -204,7 +204,7 @@ class Home(NamedTuple):
 
     @property
     def order(self) -> tuple[bool, float]:
-        """Sort key, smaller is better: whether the task fails, then how far mu is from the middle of `SHARE`."""
+        """Sort key, best first: whether the task fails, then how far mu / mu_best is from the middle of `SHARE`."""
         return bool(self.task), abs(self.mu / self.mu_best - 0.5 * (SHARE[0] + SHARE[1]))
 
 

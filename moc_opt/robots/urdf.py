@@ -24,7 +24,7 @@ TOOL_NAMES = {"link": {TOOL_LINK, TIP_LINK, WRIST_LINK}, "joint": {"tool_mount",
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 SMALLEST_MASS, SMALLEST_MOMENT = 1e-6, 1e-12
 MOST_LINKS = 250  #: Physics engines recurse along a chain, and crash with some thousands of links.
-_TRIANGLE, _FLAT, _THIN = 1e-6, 1e-9, 1e-12  # relative to the largest moment, because files round their numbers
+_TRIANGLE, _FLAT, _THIN = 1e-6, 1e-9, 1e-12  # margins for rounded moments, relative to the largest one
 SMALLEST = 1e-30  #: A smaller number is read as 0, because some readers refuse numbers below 1e-308.
 LARGEST, LARGEST_MASS, FARTHEST = 1e6, 1e5, 100.0
 """Largest number in a file, largest mass [kg], and largest length or angle of an origin [m, rad]."""
@@ -35,7 +35,7 @@ _ZEROS: Numbers = (0.0, 0.0, 0.0)
 
 @dataclass
 class Link:
-    """A link and its body; without mass and moments it is a frame."""
+    """A link and its body. Without mass and moments, the link is only a frame."""
 
     name: str
     mass: float = 0.0  #: [kg]
@@ -205,7 +205,7 @@ def _check_body(link: Link) -> None:
     if link.mass < SMALLEST_MASS:
         fault = f"its mass is {link.mass:g} kg and must be {SMALLEST_MASS:g} or more"
     if fault:
-        cure = "correct it (about the centre of mass, in kg and kg m^2), or drop it for a frame"
+        cure = "correct it (about the centre of mass, in kg and kg m^2), or drop it to make the link a frame"
         raise RobotError(f"urdf link {link.name!r} has an <inertial> that no body can have: {fault}; {cure}")
     # A flat body is thickened a little. Otherwise rounding would decide whether MuJoCo accepts it.
     least, middle, most = principal(link.moments)
@@ -247,7 +247,7 @@ def principal(moments: Iterable[float]) -> list[float]:
 
 
 class Tree:
-    """Links as a tree: one is the ``base``, and every other link hangs on one joint; a RobotError if they form none.
+    """The tree of links: every link except the ``base`` hangs on one joint. Raise a RobotError if there is no tree.
 
     ``carrier`` maps a link to the joint on which it hangs, and ``carried`` to the joints that hang on it.
     """

@@ -33,7 +33,7 @@ class VendorArm:
     notes: list[str]  #: Assumptions and changes, one sentence each.
     last_link: str = ""
     chain: list[Joint] = field(default_factory=list)  #: The moving joints from base to last link.
-    weak: list[str] = field(default_factory=list)  #: Joints without a usable effort; see `enough_efforts`.
+    weak: list[str] = field(default_factory=list)  #: Joints without a usable effort limit; see `enough_efforts`.
 
 
 def read_vendor(
@@ -57,7 +57,7 @@ def read_vendor(
     arm.chain = tree.chain(arm.last_link, "--tip")
     arm.notes.append(f"the tool sits on {arm.last_link!r}, the link {'asked for' if tip else 'of the last joint'}")
     mend_bodies(arm.urdf.links, arm.notes)
-    between = tree.path(arm.last_link)[len(tree.path(arm.chain[0].parent)) :]  # not fixed; `normalize` checks them
+    between = tree.path(arm.last_link)[len(tree.path(arm.chain[0].parent)) :]  # kept; `normalize` checks them
     _fix([joint for joint in arm.urdf.joints if joint not in between and joint.kind != "fixed"], arm.notes)
     if any(base_rpy):
         arm.urdf.links.insert(0, Link("stand"))
@@ -169,13 +169,13 @@ def _choose_limits(joints: Iterable[Joint], notes: list[str]) -> list[str]:
             speed = CHOSEN[kind]
         if not 0.0 < effort <= _STRONGEST[kind]:
             weak.append(joint.name)
-            effort = 1e3  # until the arm's weight is known
+            effort = 1e3  # a placeholder until the arm's weight is known
         joint.limit(lower, upper, speed, effort)
     return weak
 
 
 def _range(joint: Joint, kind: str) -> tuple[float, float, str]:
-    """Return a finite range, and a description of the change."""
+    """Return a finite range, and why it differs from the joint's range (empty if it does not)."""
     lower, upper = joint.limits.get("lower", 0.0), joint.limits.get("upper", 0.0)
     if joint.kind == "continuous":
         return -math.pi, math.pi, "turns without end: +-180 deg is taken"
@@ -196,7 +196,7 @@ def _range(joint: Joint, kind: str) -> tuple[float, float, str]:
 
 
 def enough_efforts(robot: RobotModel) -> list[float]:
-    """Return effort limits [Nm, N]: three times the larger of a joint's gravity load and M_ii, but at least 5."""
+    """Return effort limits [Nm, N]: three times the larger of gravity load and inertia M_ii, but at least 5."""
     poses = np.random.default_rng(0).uniform(robot.q_min, robot.q_max, (200, robot.n))
     most = np.max([np.abs(robot.gravity(q)) for q in poses], axis=0)
     needed = 3.0 * np.maximum(most, np.diag(robot.state(robot.data.q_home).M))

@@ -1,4 +1,4 @@
-"""The interface of a solver: frozen settings start sessions, and a session solves the subproblems of one run."""
+"""The interface: a solver is a set of frozen settings, and each of its sessions solves the subproblems of one run."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from moc_opt.arrays import Array
 from moc_opt.errors import SolverError, is_number, shown
 from moc_opt.qp.problem import NullSpaceQP
 
-Choices = Mapping[str, tuple[object, ...]]  # name of a setting -> its valid values
+Choices = Mapping[str, tuple[object, ...]]  # the valid values of each setting, by its name
 MOST = 2**31 - 1  # largest integer of a setting: the libraries count in 32 bits
 
 
@@ -21,7 +21,7 @@ class Status(Enum):
     """A solver's claim about its own answer. Each value says what the claim means, or what to do about it."""
 
     SOLVED = "the solver claims an optimum"
-    INFEASIBLE = "no velocity inside the box meets the references: slow the path down or raise k0"
+    INFEASIBLE = "no velocity within the bounds meets the references: slow the path down or raise k0"
     MAX_ITER = "raise max_iter or loosen eps"
     TIME_LIMIT = "raise the time budget or take a faster solver"
     NUMERICAL = "numerical trouble: take rows = 5, regularization > 0 or a larger cost_scale"
@@ -38,8 +38,8 @@ class Solution(NamedTuple):
 
     Attributes:
         x: (n,) joint velocity [rad/s]; NaN if the solver found none.
-        y: (6,) multipliers of the six equality rows with P x + p + A^T y + z = 0
-            (the duals of five rows are lifted to six), or None if the solver gives none.
+        y: (6,) multipliers of the six equality rows, or None if the solver gives none. With the multipliers z of the
+            bounds, P x + p + A^T y + z = 0. A solver of five rows gives five multipliers, which are lifted to six.
         status: the solver's claim.
         iterations: number of iterations of the solver; 0 if it does not iterate.
     """
@@ -59,7 +59,7 @@ class Session(Protocol):
     """A solver's workspace and warm start for one sequence of subproblems."""
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Solve one subproblem. The status of the answer reports a failure; nothing is raised."""
+        """Solve one subproblem. If this fails, the status of the answer says so, and nothing is raised."""
 
 
 @runtime_checkable
@@ -96,8 +96,8 @@ class ObservingSession(Protocol):
 class SolverSettings:
     """Base of this package's solvers, which are frozen dataclasses of settings. It checks the settings.
 
-    `choices` may list the valid values of a field. Otherwise its default decides: a bool allows bools, an int allows
-    ints of at least 1, and a float allows numbers above 0. A default of 0.0 or None is valid too.
+    `choices` may list the valid values of a field. Otherwise the default decides: a bool allows bools, an int allows
+    ints of at least 1, and a float allows numbers above 0. If the default is 0.0 or None, it is valid too.
     """
 
     name: ClassVar[str]
@@ -134,7 +134,7 @@ class SolverSettings:
         return None
 
     def start(self, qp: NullSpaceQP) -> Session:
-        """Return a session for problems with the shape and scaling of ``qp``; a SolverError if it is unsupported."""
+        """Return a session for problems of the shape and size of ``qp``; a SolverError if ``qp`` is refused."""
         reason = self.supports(qp)
         if reason is not None:
             raise SolverError(f"{self.name}: {reason}")

@@ -21,7 +21,7 @@ from moc_opt.solvers.base import Solution, SolverSettings, Status, no_answer
 
 STATUS = {core.OK: Status.SOLVED, core.INFEASIBLE: Status.INFEASIBLE, core.DOUBTFUL: Status.NUMERICAL}
 _STATUSES = np.array([STATUS.get(code) for code in range(max(STATUS) + 1)], dtype=object)
-# Looked up once, because the loop needs them at every tick.
+# These are looked up only once, because the loop needs them at every tick.
 _solve, _new, _SOLVED, _OK = core.solve_exact, tuple.__new__, Status.SOLVED, core.OK
 
 
@@ -44,7 +44,7 @@ class Exact(SolverSettings):
     """Null-space elimination. Dependent rows of A x = b may contradict each other by up to 1e-6 m/s.
 
     Args:
-        tolerance: largest accepted violation of the bounds [rad/s]. A larger one is accepted if rounding explains it.
+        tolerance: violation of the bounds that is accepted [rad/s]. A larger one is accepted if rounding explains it.
     """
 
     tolerance: float = 1e-9
@@ -52,16 +52,16 @@ class Exact(SolverSettings):
     session = ExactSession
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None, or a message that there are too many joints."""
+        """Return None, or a message if there are too many joints."""
         return None if qp.n <= core.MAX_JOINTS else f"{qp.n} joints: `exact` takes at most {core.MAX_JOINTS}"
 
     def solve_batch(self, rows: Array, threads: int | None = None) -> tuple[Array, Array, list[Status]]:
         """Solve flat records (k, 11 n + 10), by default with one thread per core. Return x (k, n), y (k, 6), statuses.
 
-        If a status is not SOLVED, its x and y are NaN. Records of another shape raise a SolverError.
+        If a status is not SOLVED, this record's x and y are NaN. Records of another shape raise a SolverError.
         """
         if threads is not None and threads < 1:
-            raise SolverError(f"exact: threads = {threads}: give 1 or more, or None for one a core")
+            raise SolverError(f"exact: threads = {threads}: give 1 or more, or None for one per core")
         rows = np.ascontiguousarray(rows, dtype=np.float64)
         n = joints_of(rows.shape[-1])
         if rows.ndim != 2 or rows.shape[1] != row_length(n) or not 1 <= n <= core.MAX_JOINTS:

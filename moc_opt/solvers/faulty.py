@@ -22,7 +22,7 @@ class InjectedFault(SolverError):
 
 
 def draw(seed: int, rate: float, ticks: int) -> NDArray[np.bool_]:
-    """Draw the faulty ticks as flags (ticks,), True with probability ``rate``. Longer draws begin like shorter ones."""
+    """Draw the faulty ticks (ticks,), True with probability ``rate``. A longer draw begins like a shorter one."""
     return np.random.default_rng(seed).uniform(size=ticks) < rate
 
 
@@ -31,7 +31,7 @@ class Faulty:
     """A solver that gives wrong answers at random ticks, drawn with a seed.
 
     Args:
-        inner: the solver that answers at all other ticks. At a faulty tick, only the kind "malformed" calls it.
+        inner: the solver that answers at ticks without a fault. At a faulty tick, only the kind "malformed" calls it.
         kind: "fail" reports that there is no answer. Three kinds claim a false optimum: "nan" returns NaN, "lie"
             solves with the negated gradient, and "outside" returns a point outside the bounds. "raise" raises an
             exception. "rig" answers 50 rad/s and rewrites the subproblem to fit. "malformed" gives complex duals.
@@ -70,7 +70,7 @@ class FaultySession:
         self.faults = 0
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Solve one subproblem, or return the fault."""
+        """Solve one subproblem. At a faulty tick, return or raise a fault instead."""
         if self._rng.uniform() >= self._settings.rate:
             return self._inner.solve(qp)
         self.faults += 1

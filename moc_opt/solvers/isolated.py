@@ -29,7 +29,7 @@ from moc_opt.inputs.settings import Settings
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import ObservingSession, Session, Solution, Solver
 
-_LOOK_S = 0.05  # time between two checks of whether the process has ended, which the pipe may not show
+_LOOK_S = 0.05  # time between two checks whether the process has ended; the pipe alone may not show this
 
 
 class Unanswered(Exception):
@@ -115,7 +115,7 @@ class IsolatedSession:
         self._v = v
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Solve one subproblem in the process. If it is late or lost, or the solver raises, Unanswered is raised."""
+        """Solve one subproblem in the process. Raise Unanswered if the answer is late or absent."""
         self._tick += 1
         solver = self._solver
         if self._process is None:
@@ -150,7 +150,7 @@ class IsolatedSession:
 
 
 class _Answer(NamedTuple):
-    tick: int  # number of the tick of the request; 0: the start of a session
+    tick: int  # number of the request's tick; the start of a session has number 0
     raised: bool
     value: Any  # the solver's answer, or the message of the exception
 
@@ -162,7 +162,7 @@ class _Ended(Exception):
 class _Process:
     """A process that starts a session and then answers requests. It is killed when this object is deleted."""
 
-    # A multiprocessing.Process would run the caller's script again, and a daemonic worker may not start one.
+    # A multiprocessing.Process would run the caller's script again, and daemonic workers may not start it.
 
     def __init__(self, solver: Isolated, qp: NullSpaceQP) -> None:
         self._pipe, theirs = Pipe()
@@ -178,13 +178,13 @@ class _Process:
         self.ask(0, qp, None, solver.process.start_s, solver._pickled)
 
     def ask(self, tick: int, qp: NullSpaceQP, v: Array | None, most_s: float, solver: bytes | None = None) -> None:
-        """Send a subproblem, or a pickled solver to start. The process counts as hung after ``most_s`` [s]."""
+        """Send a subproblem, and for a new session the solver. The process counts as hung after ``most_s`` [s]."""
         self._tick, self._most_s, self._hung_at, self.busy = tick, most_s, monotonic() + most_s, True
         with suppress(OSError):  # the process has ended: ``answer`` reports that
             self._pipe.send((solver, qp.row, v, most_s))
 
     def started(self, most_s: float) -> bool:
-        """Wait at most ``most_s`` [s] for the session's start. Return whether it has started; _Ended if it failed."""
+        """Wait at most ``most_s`` [s] for the session's start. Return whether it has started; _Ended if this failed."""
         if not self._started and (said := self.answer(monotonic() + most_s)) is not None:
             if said.raised:
                 raise _Ended(said.value)

@@ -4,7 +4,7 @@ An adapter is one file with two classes: a frozen dataclass of the library's set
 subclass of `LibrarySession`. See docs/extending.md; ``piqp`` is a short example.
 
 The libraries need the same numbers in different layouts: stacked rows, columns, a packed triangle, other signs. One
-call of the core writes these in a microsecond. In numpy this would take as long as the fastest library's solve.
+call of the compiled core writes a layout in a microsecond. Numpy would take as long as the fastest library's solve.
 """
 
 from __future__ import annotations
@@ -73,8 +73,8 @@ class LibrarySession(ABC):
     def _allocate(self, m: int, n: int) -> dict[str, Any]:
         """Return the buffers by name. Each is an array that the library reads, or a view into such an array.
 
-        P (n, n) and p (n,) receive the cost times ``cost_scale``, A (m, n) the equality rows, low and high (m,) both
-        the right-hand sides, lower and upper (n,) the bounds. Optional: ``packed`` (n (n + 1) / 2,), the upper
+        P (n, n) and p (n,) receive the cost times ``cost_scale``, A (m, n) the equality rows, low (m,) and high (m,)
+        their right-hand sides, lower (n,) and upper (n,) the bounds. Optional: ``packed`` (n (n + 1) / 2,), the upper
         triangle of P by columns, and ``signs``, three factors for p, lower and upper.
         """
 
@@ -135,7 +135,7 @@ def upper_triangle(values: Array, n: int) -> sparse.csc_matrix:
 
 
 def stacked(values: Array, boxes: int) -> sparse.csc_matrix:
-    """Wrap (n, m + boxes) values, one row per joint, as m dense rows above ``boxes`` diagonal blocks."""
+    """Wrap (n, m + boxes) values, one row per joint, as a matrix of m dense rows above ``boxes`` diagonal blocks."""
     n, m = len(values), values.shape[1] - boxes
     rows = np.concatenate([np.append(np.arange(m), m + n * np.arange(boxes) + j) for j in range(n)])
     return sparse.csc_matrix((values.ravel(), rows, (m + boxes) * np.arange(n + 1)), shape=(m + boxes * n, n))

@@ -3,9 +3,9 @@
     max_x  c2 (mu(q + x T)/T + d^T x) - regularization/2 |x|^2,   d = g - grad mu(q)
     s.t.   tip(q + x T) = tip(q) + v_T T,   E (wrist(q + x T) - wrist(q)) = E v_W T,   lower <= x <= upper
 
-g is the subproblem's `pull`: grad mu, or a multiple of the velocity that the elbow has to follow. The rows of E (2, 3)
-span the plane perpendicular to the tool. Along the tool, a wrist row would repeat the tip's row, and no solver would
-converge.
+T is the control period. g is the subproblem's `pull`: grad mu, or a multiple of the velocity that the elbow has to
+follow. The rows of E (2, 3) span the plane perpendicular to the tool. Along the tool, a wrist row would repeat the
+tip's row, and no solver would converge.
 
 The program equals the null-space subproblem only for T -> 0. At T = 2 ms and joint speeds near 1 rad/s, curvature moves
 the optimum off A x = b by 8e-4 m/s (median of random problems; at most 6e-3). ``residuals().verified()`` is then False.
@@ -37,7 +37,7 @@ class Kinematics(Protocol):
     mu: Any
 
 
-# The other statuses prove nothing: sqpmethod also ends infeasible problems with "Search_Direction_Becomes_Too_Small".
+# No other status proves anything. Even infeasible problems may end with "Search_Direction_Becomes_Too_Small".
 _STATUS = {
     "Solve_Succeeded": Status.SOLVED,
     "Maximum_Iterations_Exceeded": Status.MAX_ITER,
@@ -46,7 +46,7 @@ _STATUS = {
 
 
 def buffered(function: Any, arguments: Mapping[str, Array], results: Mapping[str, Array]) -> tuple[Any, Any]:
-    """Bind a CasADi function to the caller's arrays. Return its buffer, and a call ten times as fast as a plain one."""
+    """Bind a CasADi function to the caller's arrays. Return its buffer, and a call that is ten times as fast."""
     buffer, call = function.buffer()
     for name, array in arguments.items():
         buffer.set_arg(function.index_in(name), array.data)
@@ -57,10 +57,10 @@ def buffered(function: Any, arguments: Mapping[str, Array], results: Mapping[str
 
 @lru_cache(maxsize=16)
 def program(settings: NLP) -> tuple[Any, Any]:
-    """Return the NLP solver, and the function q -> (tip, wrist, mu, grad mu) that gives its parameters.
+    """Return the NLP solver, and a function of q (n,) that gives tip, wrist, mu and grad mu.
 
     The parameters of the solver are q (n,), tip, wrist and mu at q, d (n,), the columns of E, c2 and regularization.
-    Neither has a state, so that sessions can share them.
+    Solver and function have no state, so that sessions can share them.
     """
     kinematics, n, period = settings.kinematics, settings.kinematics.n, settings.period
     x, q, base, E = ca.SX.sym("x", n), ca.SX.sym("q", n), ca.SX.sym("base", 7), ca.SX.sym("E", 2, 3)
@@ -181,11 +181,11 @@ class NLP(SolverSettings, ABC):
 
 @dataclass(frozen=True)
 class SQP(NLP):
-    """CasADi's sqpmethod with its active-set QP solver qrqp. The major iterations are counted.
+    """CasADi's sqpmethod with its active-set QP solver qrqp. `Solution.iterations` counts the major iterations.
 
-    BFGS starts from the identity, which is the Hessian of the default regularization (1e-5) at cost_scale = 1e5. This
-    halves the iterations that cost_scale = 1e3 needs. With regularization = 0 the exact Hessian is indefinite, and
-    three problems in ten get no answer.
+    BFGS starts from the identity, which is the Hessian of the default regularization (1e-5) at cost_scale = 1e5. With
+    cost_scale = 1e3 it needs twice as many iterations. With hessian = "exact" and regularization = 0, the Hessian is
+    indefinite, and three problems in ten get no answer.
     """
 
     cost_scale: float = 1e5

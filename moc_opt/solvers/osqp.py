@@ -33,7 +33,7 @@ class OSQPSession(TruncatedSession):
 
     def _allocate(self, m: int, n: int) -> dict[str, Any]:
         self._P = np.empty(n * (n + 1) // 2)
-        self._A = np.ones((n, m + 1))  # the columns of [A; I], explicit zeros kept
+        self._A = np.ones((n, m + 1))  # the columns of [A; I], with explicit zeros
         self._q, self._l, self._u = np.empty(n), np.empty(m + n), np.empty(m + n)
         self._last = self._before = np.zeros(n), np.zeros(m + n)  # x and all multipliers
         return {
@@ -82,8 +82,8 @@ class OSQP(Adapter):
     """OSQP through its native interface.
 
     The library's own tolerance of 1e-3 is ten times the whole gradient of this problem. With it, OSQP claims success,
-    but nineteen answers in twenty are not optimal. With eps = 1e-8 and costs times 100, OSQP takes twice as many steps.
-    Then no claim was wrong on some thousand random problems, and max_iter was too small for one in two hundred.
+    but nineteen answers in twenty are not optimal. With eps = 1e-8 and cost_scale = 100, OSQP takes twice as many
+    steps. On some thousand random problems, no claim was then wrong, and one run in two hundred ended at max_iter.
 
     Args:
         eps: absolute tolerance on the scaled problem; eps_rel: the relative tolerance.

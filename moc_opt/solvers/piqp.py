@@ -57,7 +57,7 @@ class PIQP(Adapter):
     """PIQP's dense back-end.
 
     Args:
-        eps: absolute tolerance on the scaled problem (the library's defaults are 1e-8, and 1e-9 relative).
+        eps: absolute tolerance on the scaled problem (the library's defaults are 1e-8 absolute and 1e-9 relative).
         max_iter: largest number of iterations.
     """
 

@@ -22,7 +22,7 @@ _STATUS = {
 }
 _COLD = proxqp.InitialGuess.EQUALITY_CONSTRAINED_INITIAL_GUESS
 # Start from the last answer with fresh step sizes. WARM_START_WITH_PREVIOUS_RESULT also keeps the last active set
-# and penalties; after a jump of the data it can claim success at the opposite bound.
+# and penalties. After a jump of the data, ProxQP can then claim success at the opposite bound.
 _WARM = proxqp.InitialGuess.COLD_START_WITH_PREVIOUS_RESULT
 
 
@@ -53,7 +53,7 @@ class ProxQPSession(LibrarySession):
         status, iterations = _STATUS.get(result.info.status, Status.NUMERICAL), result.info.iter
         if status is not Status.SOLVED and self._warm:
             # The warm start may be the cause of the failure, so solve again from scratch. The data have to be passed
-            # again, because a failed solve leaves the box scaled.
+            # again, because a failed solve leaves the bounds scaled.
             self._guess(False)
             self._hand_over()
             core.solve()
@@ -71,15 +71,15 @@ class ProxQPSession(LibrarySession):
 class ProxQP(Adapter):
     """ProxQP's dense back-end.
 
-    With the library's eps_primal_inf = 1e-4, a third of the feasible subproblems are called infeasible; with 1e-12,
-    many infeasible problems run into max_iter. With costs times 10, every value from 1e-10 to 1e-7 classified 4800
-    feasible and 4800 infeasible problems correctly. With costs times 1e3, a few feasible ones are called infeasible.
+    With the library's eps_primal_inf = 1e-4, a third of the feasible subproblems are called infeasible. With 1e-12,
+    many infeasible problems run into max_iter. With cost_scale = 10, every value from 1e-10 to 1e-7 classified 4800
+    feasible and 4800 infeasible problems correctly. With cost_scale = 1e3, a few feasible ones are called infeasible.
 
     Args:
         eps: absolute tolerance on the scaled problem (the library's default is 1e-5).
         eps_primal_inf: tolerance of the proof of infeasibility (the library's default is 1e-4).
-        max_iter, max_iter_in: largest numbers of outer iterations, and of inner ones in each. Feasible problems take
-            about ten in all. With the library's 10000 and 1500, an undecided problem runs for minutes.
+        max_iter, max_iter_in: largest number of outer iterations, and of inner iterations in each outer one. Feasible
+            problems take about ten in all. With the library's 10000 and 1500, an undecided problem runs for minutes.
     """
 
     rows: int = 5

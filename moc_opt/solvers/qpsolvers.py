@@ -1,6 +1,6 @@
 """Any solver that the package qpsolvers finds on this machine, as ``qpsolvers:NAME``.
 
-qpsolvers converts the problem at every call, which takes up to half a millisecond. Compare answers with it, not speed.
+qpsolvers converts the problem at every call, which takes up to half a millisecond. Do not compare speeds with it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from moc_opt.solvers.library import refuse_semidefinite
 
 
 class Advice(NamedTuple):
-    """Settings with which a library's claims are right on this problem."""
+    """Settings with which a library's claims about this problem are right."""
 
     cost_scale: float = 1.0
     options: Mapping[str, Any] = {}
@@ -85,14 +85,14 @@ ALLOWED = {
             alpha acceleration_lookback acceleration_interval""",
     }.items()
 }  # fmt: skip
-"""Solver -> options that may be set. An option that a new version adds is refused, because it might do harm."""
+"""The options that may be set, by solver. An option that a new version adds is refused, because it might do harm."""
 
 # With sparse libraries, qpsolvers warns of each conversion and failure. These warnings are hidden.
 _NOISY = set(qpsolvers.sparse_solvers) - set(qpsolvers.dense_solvers)
 
 
 def reasons() -> dict[str, str | None]:
-    """Return, for all libraries that qpsolvers knows, name -> None if it is installed, else the reason why not."""
+    """Return the reason why each library that qpsolvers knows cannot run, by its name; None if it can run."""
     known = {module.name.strip("_") for module in pkgutil.iter_modules(qpsolvers.solvers.__path__)}
     here = set(qpsolvers.available_solvers)
     return {
@@ -174,8 +174,8 @@ class QPSolver(SolverSettings):
     Args:
         library: its name in qpsolvers.
         rows: 5 or 6 equality rows; with six, daqp fails on one problem in a hundred.
-        cost_scale: multiplies P and p, by default with the value of `ADVICE`.
-        options: options of the library, in addition to those of `ADVICE`; only options in `ALLOWED`.
+        cost_scale: factor by which P and p are multiplied, by default that of `ADVICE`.
+        options: options of the library, in addition to those of `ADVICE`. Only options in `ALLOWED` are accepted.
         advised: if False, `ADVICE` is ignored, and the library keeps its own defaults.
 
     Raises:

@@ -21,7 +21,7 @@ from moc_opt.inputs.plugins import in_words
 from moc_opt.solvers.base import Solver
 
 GROUP = "moc_opt.solvers"
-# name -> (module in this folder, class, package that must be installed, or "" for none)
+# By name: the module in this folder, the class, and the package that the solver needs ("" if it needs none).
 BUILT_IN: dict[str, tuple[str, str, str]] = {
     "exact": ("exact", "Exact", ""),
     "rnn": ("rnn", "RNN", ""),
@@ -39,7 +39,7 @@ QPSOLVERS = "qpsolvers:"  #: Prefix of the solvers that the package qpsolvers fi
 
 
 class Entry(NamedTuple):
-    """A solver's name, the callable that makes it, and its entry point (None for a solver of this package)."""
+    """A solver's name, the callable that makes it, and for a plug-in its entry point."""
 
     name: str
     make: Callable[..., Solver]
@@ -47,7 +47,7 @@ class Entry(NamedTuple):
 
     @property
     def parameters(self) -> dict[str, inspect.Parameter]:
-        """Name of a setting -> parameter of the callable; empty if the signature is unknown."""
+        """The parameters of the callable, by name; empty if its signature is unknown."""
         try:
             return dict(inspect.signature(self.make).parameters)
         except (TypeError, ValueError):
@@ -84,7 +84,7 @@ def check_solver(given: object, what: str = "") -> Solver:
 
 
 def available() -> dict[str, str | None]:
-    """Return name -> None if the solver can run here, else the reason why not."""
+    """Return the reason why each solver cannot run here, by its name; None if it can run."""
     found: dict[str, str | None] = {name: _absent(package) for name, (_, _, package) in BUILT_IN.items()}
     absent = _absent("qpsolvers")
     libraries = {"NAME": absent} if absent else importlib.import_module("moc_opt.solvers.qpsolvers").reasons()
@@ -96,7 +96,7 @@ def available() -> dict[str, str | None]:
         try:
             entry = _of_plugin(name, points)
             required = (p for p in entry.parameters.values() if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD))
-            if all(p.default is not p.empty for p in required):  # without defaults, it cannot be tried
+            if all(p.default is not p.empty for p in required):  # a required setting cannot be guessed
                 entry.create()
             found[name] = None
         except MocOptError as error:
@@ -111,7 +111,7 @@ def check_name(name: str) -> None:
 
 
 def defaults(name: str) -> dict[str, Any]:
-    """Return name -> default of the named solver's settings that have a default; raises what ``create`` raises."""
+    """Return the default of each setting of the named solver that has one; raises what ``create`` raises."""
     return {p.name: p.default for p in find(name).parameters.values() if p.default is not p.empty}
 
 

@@ -7,7 +7,7 @@ With F(Y) = [dL/dx, -dL/dlambda] (the paper's equation (2)) the network is
     eps dl1/dt = k (J_T x - v_T),   eps dl2/dt = k (J_W x - v_W)
 
 integrated by Euler steps of size h = dt/eps (`moc_opt/core/rnn.c`). If a problem is infeasible, the status is MAX_ITER,
-and the multipliers grow without bound. Afterwards they take as long to decrease.
+and the multipliers grow without bound. They take as long to decrease once a problem is feasible again.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def unstable(qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool, 
     hk_x = hk if h_x is None else h_x * k
     stiff = (2.0 * hk_x * strong + (hk * hk_x if implicit else -hk * hk_x)) * largest * largest
     if not stiff < 4.0:
-        return f"h k max(c0, c1) |A|^2 is too large ({stiff:.2f} of 4): the steps diverge; lower h or k"
+        return f"h k max(c0, c1) |A|^2 is too large ({stiff:.2f}, the limit is 4): the steps diverge; lower h or k"
     return None
 
 
@@ -96,7 +96,7 @@ class RNNPrintedSession(RNNSession):
         self._x = np.array(v, dtype=float)
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Compute x = P(v - k dL/dqd) with the current multipliers, then integrate the multipliers over one tick."""
+        """Compute x = clip(v - k dL/dqd) with the current multipliers, then integrate the multipliers over one tick."""
         return self._advance(qp, 1, 1.0, self._settings.h, 1.0, False)
 
 
@@ -104,16 +104,16 @@ class RNNPrintedSession(RNNSession):
 class RNN(Network):
     """The network with its own state, which continues from tick to tick.
 
-    With the paper's c0 = 0.01 and k = 0.1, an error of 1e-3 takes about 3e7 steps, because explicit steps need
-    h k < c0. ``scale`` allows larger steps: with scale = 100, k = 0.5 and h = 1, this error takes 1400.
+    With the paper's c0 = 0.01 and k = 0.1, it takes about 3e7 steps to reach an error of 1e-3, because explicit steps
+    need h k < c0. ``scale`` allows larger steps: with scale = 100, k = 0.5 and h = 1, it takes 1400 steps.
 
     Args:
         steps: largest number of steps per tick; a tick needs fewer if the state comes to rest.
-        h: step size dt/eps, in (0, 1], so that x stays within its bounds.
+        h: step size dt / (the network's time constant), in (0, 1], so that x stays within its bounds.
         k: the paper's gain.
-        scale: multiplies c0, c1, c2 and regularization, which leaves the solution as it is.
+        scale: multiplies c0, c1, c2 and regularization, which does not change the solution.
         method: "explicit" Euler, or "semi-implicit", where the multipliers are updated with the new x.
-        eps: SOLVED is claimed if no entry of the network's right-hand side is larger [rad/s, m/s].
+        eps: SOLVED is claimed if no entry of the network's right-hand side is larger than this [rad/s, m/s].
 
     Raises:
         SolverError: a setting is out of range, or (from ``start``) the steps would diverge.
@@ -136,18 +136,18 @@ class RNN(Network):
 
 @dataclass(frozen=True)
 class RNNPrinted(Network):
-    """Equation (2) of the paper as it is printed, with the measured joint velocity v as the paper's qd.
+    """Equation (2) of the paper as printed, with the measured joint velocity v as the paper's qd.
 
-    The answer is x = P(v - k dL/dqd), where P clips to the bounds. The third level uses x - v, the paper's qdd_d. The
-    multipliers start at 0 and integrate dlambda/dt = k (J v - v_ref) / eps over the tick. With the paper's weights,
-    the network's time constants are longer than 50 s, so that it acts only as damping. ``session.observe(v)`` passes
-    v before a tick. Without this call, x is the network's own last x.
+    The answer is x = P(v - k dL/dqd), where P clips to the bounds. The law's third level uses x - v, the paper's qdd_d.
+    The multipliers start at 0 and integrate dlambda/dt = k (J v - v_ref) / (time constant) over the tick. With the
+    paper's weights, the network settles with time constants above 50 s, so that it acts only as damping.
+    ``session.observe(v)`` passes v before a tick. Without this call, x is the network's own last x.
 
     Args:
         k: the paper's gain.
-        h: step of the multipliers, dt/eps. The paper gives no time constant eps; h = 0.002 means eps = 1 s at
-            500 Hz. The steps diverge unless h k < c0.
-        eps: SOLVED is claimed if no entry of the network's right-hand side is larger [rad/s, m/s].
+        h: step of the multipliers, dt / (the network's time constant). The paper does not give this time constant.
+            At 500 Hz, h = 0.002 means 1 s. The steps diverge unless h k < c0.
+        eps: SOLVED is claimed if no entry of the network's right-hand side is larger than this [rad/s, m/s].
 
     Raises:
         SolverError: a setting is out of range, or (from ``start``) the steps would diverge.

@@ -51,9 +51,9 @@ def direction3(name: str, value: ArrayLike) -> Array:
 
 
 def sampled(name: str, value: TimeLike, rows: Callable[[Array], Array]) -> Array:
-    """Evaluate `rows`, (k,) -> (k, m, 3), at a number or a vector (k,). The result is (m, 3) or (m, k, 3).
+    """Evaluate `rows` at a number or a vector (k,). The result is (m, 3) or (m, k, 3).
 
-    A TaskError if `value` is neither a number nor a vector.
+    `rows` turns a vector (k,) into an array (k, m, 3). Raise a TaskError if `value` is neither a number nor a vector.
     """
     try:
         array = np.asarray(value, dtype=np.float64)

@@ -17,7 +17,7 @@ PlanePoint = tuple[float, float, float, float, float]
 Speed = Callable[[Array], tuple[Array, Array]]
 
 _MOST_PANELS = 2**18
-_PROBES = (0.23, 0.5, 0.71)  # places in a panel, from 0 to 1; at symmetric places, an error might vanish by chance
+_PROBES = (0.23, 0.5, 0.71)  # places between knots, from 0 to 1; at symmetric places, an error might vanish by chance
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(10)
 
 
@@ -29,7 +29,7 @@ class ArcLength:
     the error s(w(s)) - s, probed in every panel, is below 1e-10 of the length and below 1e-10 m.
 
     Args:
-        speed: function w (k,) -> (ds/dw (k,) [m], d2s/dw2 (k,) [m]), with ds/dw above zero.
+        speed: function of w (k,) that returns ds/dw (k,) [m], which is above zero, and d2s/dw2 (k,) [m].
         breaks: (b,) rising values of w, from 0. The speed is smooth from one break to the next.
         panels: initial number of panels between two breaks, enough to resolve every bend of the curve.
 
@@ -47,7 +47,7 @@ class ArcLength:
             coefficients = _hermite(w, lengths, *speed(w))
             if _worst(speed, w, lengths, coefficients) <= 1e-10 * min(1.0, float(s[-1])):
                 self.knots, self.length = read_only(s), float(s[-1])
-                # Lists, because indexing an array takes longer than the polynomial.
+                # These are lists, because indexing an array takes longer than evaluating the polynomial.
                 self._starts: list[float] = s[:-1].tolist()
                 self._lengths: list[float] = lengths.tolist()
                 self._coefficients: list[list[float]] = coefficients.tolist()
@@ -159,5 +159,5 @@ def spiral(turns: float = 2.0, radius: float = 0.03) -> PlanarCurve:
 
 
 CURVES: dict[str, Callable[..., Any]] = {"line": line, "circle": circle, "sinusoid": sinusoid, "spiral": spiral}
-"""Kind of path -> function of its sizes. The function returns a `PlanarCurve`, or waypoints (k, 3) [m] from the start
+"""For each kind of path, a function of its sizes. It returns a `PlanarCurve`, or waypoints (k, 3) [m] from the start
 (along heading, left and normal). Add new kinds here."""

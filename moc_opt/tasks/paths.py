@@ -26,7 +26,7 @@ GROUP = "moc_opt.tasks"
 WAYPOINTS = "waypoints"
 MOST = 1000  #: Largest number of waypoints of one path.
 FARTHEST_M = 1000.0  #: Largest distance of a waypoint from the start along each axis.
-_SLOWEST = 0.05  # smallest |dp/dw| allowed (w: chord length); a slower path almost turns back on the spot
+_SLOWEST = 0.05  # smallest |dp/dw| allowed (w is the chord length); below it, the path nearly turns back on the spot
 
 
 class Path:
@@ -49,7 +49,7 @@ class Path:
         along = direction3("heading", heading)
         inside = along - (along @ self.normal) * self.normal
         if math.sqrt(float(inside @ inside)) < 1e-6:
-            raise TaskError(f"heading = {heading!r} is parallel to the normal {normal!r}: choose another")
+            raise TaskError(f"heading = {heading!r} is parallel to the normal {normal!r}: choose another heading")
         self.heading = direction3("heading", inside)
         self.left = direction3("left", np.cross(self.normal, self.heading))
 
@@ -60,7 +60,7 @@ class Path:
     def at(self, s: TimeLike) -> tuple[Array, Array, Array]:
         """Return p [m], dp/ds and d2p/ds2 [1/m] at arc length s [m]: each (3,), or (k, 3) if s is (k,).
 
-        A TaskError if s is outside the path, or neither a number nor a vector.
+        Raise a TaskError if s is outside the path, or neither a number nor a vector.
         """
         p, dp, ddp = sampled("s", s, self._checked)
         return p, dp, ddp
@@ -88,10 +88,10 @@ class Waypoints(Path):
     """
 
     def __init__(self, points: ArrayLike, start: ArrayLike, *, normal: ArrayLike, heading: ArrayLike) -> None:
-        """Lay the path through points (k, 3) [m] from the start: along the heading, to the left, along the normal.
+        """Lay the path through points (k, 3) [m], measured from the start along heading, left and normal.
 
-        The first point may be the start itself. A TaskError if points are unusable or missing, if two in a row are
-        equal, or if the path turns back on the spot.
+        The first point may be the start itself. Raise a TaskError if points are unusable or missing, if two in a row
+        are equal, or if the path turns back on the spot.
         """
         self._place(start, normal, heading)
         given = _checked(points)
@@ -168,7 +168,7 @@ def _spline(t: Array, points: Array) -> Array:
 
 
 def kinds() -> dict[str, str]:
-    """Return name -> description of every path. If a plug-in does not load, its description says why."""
+    """Return the description of every path, by name. If a plug-in does not load, its description says why."""
     found = {name: _about(curve) for name, curve in CURVES.items()}
     found[WAYPOINTS] = "A smooth path through the points of `waypoints_m`, in three dimensions."
     for name in _plugins():
@@ -180,7 +180,7 @@ def kinds() -> dict[str, str]:
 
 
 def sizes(kind: str, given: Iterable[str] = ()) -> dict[str, Any]:
-    """Return name -> default of every size of a path; `inspect.Parameter.empty` if the size has no default.
+    """Return the default of every size of a path, by name; `inspect.Parameter.empty` if there is none.
 
     Raises:
         UnknownNameError: no such path, or a name in ``given`` is not the name of a size.

@@ -73,7 +73,7 @@ def _climb(g: Callable[[float], float], lower: float, upper: float) -> float:
 class Reference:
     """The tip reference X_d, dX_d, ddX_d over time: the quintic law along a path, in the shortest allowed time.
 
-    A TaskError if a limit is not positive and finite, or t_start is not finite.
+    Raise a TaskError if a limit is not positive and finite, or t_start is not finite.
     """
 
     path: Path
@@ -93,7 +93,7 @@ class Reference:
         """Return x [m], dx [m/s] and ddx [m/s^2] at t [s]: each (3,), or (k, 3) if t is (k,).
 
         A vector t gives the same bits as single times. The reference rests at the path's start before t_start, and at
-        the path's end after t_start + duration. A TaskError if t is neither a number nor a vector, or NaN.
+        the path's end after t_start + duration. Raise a TaskError if t is NaN, or neither a number nor a vector.
         """
         x, dx, ddx = sampled("t", t, self._rows)
         return x, dx, ddx
@@ -137,14 +137,14 @@ class WaitingReference:
         """Time from the last change of the flag until the reference rests, or runs at its full rate [s]."""
 
     def play(self, go_on: ArrayLike) -> tuple[Array, Array]:
-        """Play the reference from its start with one flag per tick, go_on (N,); a TaskError if these are no flags.
+        """Play the reference from its start with one flag per tick, go_on (N,); a TaskError if go_on is not boolean.
 
         Returns:
             X_d [m], dX_d [m/s], ddX_d [m/s^2] as rows (N, 3, 3), and tau (N,) [s] at each tick.
         """
         flags = np.asarray(go_on)
         if flags.ndim != 1 or flags.dtype != np.bool_:
-            raise TaskError(f"go_on is {flags.dtype} of shape {flags.shape}: give flags (N,), one a tick")
+            raise TaskError(f"go_on is {flags.dtype} of shape {flags.shape}: give flags (N,), one per tick")
         later = flags.astype(np.float64)  # the rate at the end of each tick
         for length in self._lengths:
             later = np.convolve(later, np.ones(length))[: len(flags)] / length
@@ -157,7 +157,7 @@ class WaitingReference:
 
 
 def flags_at(times: ArrayLike, seen_times: ArrayLike, seen: ArrayLike) -> NDArray[np.bool_]:
-    """Turn the flags of a camera's pictures into flags of control ticks. Each holds until the next picture.
+    """Turn flags of a camera's pictures into flags of control ticks. A flag holds until the next picture.
 
     Args:
         times: (N,) times of the ticks [s].

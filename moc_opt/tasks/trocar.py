@@ -40,7 +40,7 @@ class Trocar:
     def at(self, t: TimeLike) -> tuple[Array, Array]:
         """Return position p [m] and velocity dp [m/s] at t [s]: each (3,), or (k, 3) if t is (k,).
 
-        A vector t gives the same bits as single times. A TaskError if t is neither number nor vector, or not finite.
+        A vector t gives the same bits as single times. Raise a TaskError if t is not a finite number or vector.
         """
         p, dp = sampled("t", t, self._rows)
         return p, dp
@@ -61,10 +61,10 @@ class Trocar:
 
 
 def shaft_distance(tip: ArrayLike, wrist: ArrayLike, p: ArrayLike) -> Array:
-    """Compute the RCM error d = |(P - X) x u|, the distance of the shaft's line from the trocar [m].
+    """Compute the RCM error d = |(P - X) x u| [m] (RCM: remote centre of motion), the shaft's distance from the trocar.
 
     Args:
-        tip, wrist, p: X, N and P, (3,) or (k, 3) [m]. A point (3,) is used for all rows. u = (X - N)/|X - N|.
+        tip, wrist, p: X, N and the trocar P, (3,) or (k, 3) [m]. A single point serves all rows. u = (X - N)/|X - N|.
 
     Returns:
         d (k,), or of shape () if all three are single points.

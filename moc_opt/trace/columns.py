@@ -59,19 +59,19 @@ COLUMNS: Mapping[str, Column] = MappingProxyType(
         "tick": Column("1", "(N,)", "index of the tick; without this column the rows are consecutive"),
         "travelling": Column("", "(N,)", "the elbow is still moving to its optimum", "flag"),
         "verified": Column("", "(N,)", "the answer was judged optimal", "flag"),
-        "primal": Column("rad/s, m/s", "(N,)", "primal residual max(|A x - b|_inf, box violation); NaN if none"),
+        "primal": Column("rad/s, m/s", "(N,)", "primal residual max(|A x - b|_inf, violation of bounds); NaN if none"),
         "natural": Column("rad/s", "(N,)", "natural residual; NaN without a subproblem"),
         "natural_best": Column("rad/s", "(N,)", "natural residual with the best multipliers for the answer"),
         "relative": Column("rad/s", "(N,)", "natural_best with the cost divided by its slope along the self-motion"),
         "distance": Column("rad/s", "(N,)", "largest entry of the difference to the nearest optimum"),
-        "loss": Column("1", "(N,)", "loss (cost - best) / (worst - best cost); 0 at the optimum"),
+        "loss": Column("1", "(N,)", "loss (cost - smallest) / (largest - smallest cost); 0 at the optimum"),
         "mu_bound": Column("m^3", "(N,)", "largest mu of all feasible poses with this tip and wrist; NaN if unknown"),
-        "mu_best_from_start": Column("m^3", "(N,)", "mu along the best course from the start of the run"),
+        "mu_best_from_start": Column("m^3", "(N,)", "mu along the best course (planned motion) from the run's start"),
         "mu_best": Column("m^3", "(N,)", "mu along the best course from any swivel and branch at the start"),
         "q_best_from_start_rad": Column("rad", "(N, n)", "joint positions of the best course from the run's start"),
     }
 )  # fmt: skip
-"""Name -> unit, shape and meaning of every column that the package itself writes or reads."""
+"""Unit, shape and meaning of every column that the package itself writes or reads, by name."""
 
 
 def column(name: str, value: ArrayLike) -> NDArray[Any]:

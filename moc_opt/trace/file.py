@@ -1,7 +1,7 @@
 """The Parquet file of a trace, written and read by polars.
 
-Numbers of shape (N, k) are stored as arrays of fixed width, texts as strings. The file's metadata contain a version,
-the trace's meta and the columns' numpy types as JSON, and a checksum of all this and of the columns' bytes.
+A column of shape (N, k) is stored as a Parquet column of lists with k entries. The file's metadata contain a version,
+the trace's meta and the columns' numpy types as JSON, and a checksum of meta, types and the columns' bytes.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _OTHER_FORMATS = frozenset({".csv", ".tsv", ".txt", ".json", ".npy", ".npz", ".m
 
 
 def new_file(path: str | os.PathLike[str]) -> Path:
-    """Return the path of a new trace. Raise a TraceError for another format's ending or an absent folder."""
+    """Return the path of a new trace. Raise a TraceError if the ending or the folder cannot be used."""
     target = as_path(path, "trace", TraceError)
     if target.suffix.lower() in _OTHER_FORMATS:
         raise TraceError(
@@ -47,7 +47,7 @@ def new_file(path: str | os.PathLike[str]) -> Path:
 
 
 def check_trace(path: str | os.PathLike[str], kind: str = "run") -> None:
-    """Raise a TraceError if the path is a file that is not a trace of this kind and would be overwritten."""
+    """Raise a TraceError if writing to the path would overwrite a file that is no trace of this kind."""
     import polars as pl
 
     if os.path.isfile(path) and os.path.getsize(path):

@@ -4,7 +4,8 @@ The trace of a simulated run has these entries:
 
 - ``ended``: the ending and its reason; ``stopped_at_s``, ``ticks``, ``ticks_planned``, ``period_s``;
 - ``warnings``: quantities that exceeded a warning level of the safety filter;
-- ``faults``: refused answers of the third level, label -> count, first_at_s, first (the first message);
+- ``faults``: refused answers of the third level: a dict from the fault's label to their ``count``, the time of the
+  first one (``first_at_s``) and its message (``first``);
 - ``restarts``: time (at_s) and reason of each restart of an isolated solver's process;
 - ``scenario``, ``robot`` (and ``robot_data`` of an arm that is not in the package), ``start_q_rad``, ``deadline_us``.
 """
@@ -39,7 +40,7 @@ class Ending(StrEnum):
 
     @property
     def whole(self) -> bool:
-        """Whether the task was done to its end, with or without oscillation. Only such runs enter means of metrics."""
+        """Whether the whole task was done, with or without oscillation. Only such runs are in the mean of a metric."""
         return self in (Ending.COMPLETED, Ending.OSCILLATED)
 
 
@@ -67,7 +68,7 @@ FORMS: Mapping[str, TypeAdapter[Any]] = {
         "restarts": list[_RESTART], "warnings": list[_WARNING], "scenario": _SCENARIO, "best_courses": _COURSES,
     }.items()
 }  # fmt: skip
-"""Entry of meta -> its type; a table may have further keys."""
+"""The type of each entry of meta that is checked. A table may have further keys."""
 ANYTHING = TypeAdapter(Any)
 
 

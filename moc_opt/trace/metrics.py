@@ -25,7 +25,7 @@ from moc_opt.trace.trace import MissingDataError, Trace
 
 Floats = NDArray[np.float64]
 GROUP = "moc_opt.metrics"
-_LOADED: dict[EntryPoint, str] = {}  # entry point -> why it cannot be used, or "" if it can
+_LOADED: dict[EntryPoint, str] = {}  # why each entry point cannot be used; "" if it can
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Metric:
         return float(self.function(trace, baseline) if compares else self.function(trace))
 
 
-METRICS: dict[str, Metric] = {}  #: Name -> metric, in the order of a summary.
+METRICS: dict[str, Metric] = {}  #: All metrics by name, in the order of a summary.
 
 
 def metric(unit: str | Callable[..., float]) -> Any:
@@ -72,7 +72,7 @@ def _add(name: str, unit: str, about: str, function: Callable[..., float]) -> Me
 
 
 def load_plugins() -> dict[str, str]:
-    """Register the metrics of other packages; return name -> reason for metrics that cannot be loaded."""
+    """Register the metrics of other packages. Return the reasons why metrics cannot be loaded, by name."""
     for name, points in plugins.plugins(GROUP).items():
         if points[0] in _LOADED:
             continue
@@ -98,7 +98,7 @@ def summarize(trace: Trace, baseline: Trace | None = None) -> dict[str, float]:
         baseline: a run for comparison: the controller DCAC with the same gains on the same trial, at the same ticks.
 
     Returns:
-        Name -> value in the order of METRICS. Metrics whose data are absent are left out.
+        The values by name, in the order of METRICS. Metrics whose data are absent are left out.
 
     Raises:
         TraceError: the trace or the baseline is not a Trace or is empty, their ticks differ, or a column holds
@@ -199,7 +199,7 @@ def share_of_run(trace: Trace) -> float:
     return ticks / planned
 
 
-# --- manipulability ---
+# --- manipulability; a course is a planned joint motion ---
 
 
 _figure("mu_mean", "m^3", "Mean", "mu", np.mean)
@@ -222,7 +222,7 @@ def mu_gain_percent(trace: Trace, baseline: Trace | None) -> float:
 
 @metric
 def mu_fraction_of_bound(trace: Trace) -> float:
-    """Mean of mu / mean of the largest mu of all feasible poses, over the ticks at which the latter is known."""
+    """Mean of mu / mean of the largest mu of all feasible poses, over the ticks with a known largest mu."""
     bound = float(_known(trace, "mu_bound").mean())
     if bound == 0.0:
         raise MissingDataError("the largest mu is zero throughout: a share of it has no value")

@@ -7,7 +7,7 @@ without its loudest quarter, the worst second must still exceed half of the limi
 
 The limits were chosen on the LWR4+ in the realistic plant. 94 stable runs had at most 0.080 rad/s and 3.6 Nm (11 N for
 a sliding joint). A limit cycle had 0.49 rad/s and 28 Nm, and chatter had up to 2.7 rad/s and 119 Nm. Each limit is near
-the geometric mean of the largest stable value and the limit cycle's.
+the geometric mean of the limit cycle's value and the largest value of the stable runs.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Flags = Sequence[bool] | NDArray[np.bool_]
 LIMIT_RAD_PER_S, LIMIT_NM = 0.2, 10.0
 LIMIT_M_PER_S, LIMIT_N = 0.08, 100.0  #: The limits for a sliding joint.
 PARTS, LOUDEST, KEPT_UP = 8, 2, 0.5
-"""The worst window is cut into PARTS. Without the LOUDEST parts, it must exceed KEPT_UP times the limit."""
+"""The worst window is cut into PARTS parts. Without the LOUDEST of them, it must exceed KEPT_UP times the limit."""
 ABOVE_HZ, WINDOW_S, START_S, SHORTEST_S = 8.0, 1.0, 0.5, 1e-6
 
 
@@ -54,7 +54,7 @@ def shaking(trace: Trace, column: str, limits: ArrayLike | None = None) -> Shaki
         trace: a trace of consecutive ticks.
         column: ``v_rad_per_s`` or ``tau_Nm``, (N, n).
         limits: limit of each joint (n,), by which its values are divided. An oscillation above its limit then takes
-            precedence over a single jerk. None compares the values themselves.
+            precedence over a single jerk. If None, the values themselves are compared.
 
     Raises:
         MissingDataError: the trace has no such column, no time, fewer than four ticks, or missing ticks.
@@ -109,7 +109,7 @@ def above(values: Floats, width: int) -> Floats:
 
 
 def describe(trace: Trace, joint_names: Sequence[str], slides: Flags) -> str:
-    """Return which joint oscillates, at which frequency and how much; empty if no joint does. Raise as `shaking`."""
+    """Return which joint oscillates, at which frequency and how much; empty if none does. Raises like `shaking`."""
     speeds = np.where(slides, LIMIT_M_PER_S, LIMIT_RAD_PER_S)
     efforts = np.where(slides, LIMIT_N, LIMIT_NM)
     v, tau = shaking(trace, "v_rad_per_s", speeds), shaking(trace, "tau_Nm", efforts)

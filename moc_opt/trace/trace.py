@@ -112,10 +112,11 @@ class Trace:
         return Trace({**self.columns, **arrays}, self.meta)
 
     def select(self, ticks: ArrayLike) -> Trace:
-        """Return the trace of the ticks whose flag in ``ticks`` (N,) is True. Raise a TraceError for other arrays.
+        """Return the trace of the ticks whose flag in ``ticks`` (N,) is True.
 
-        Its column `tick` has the indices of the ticks in the run. ``meta["ended"]`` says that this is a part of a run.
-        ``meta["run_ended"]`` says how the run ended.
+        The new trace's column `tick` has the indices of the ticks in the run. Its ``meta["ended"]`` says that it is a
+        part of a run, and ``meta["run_ended"]`` how the run ended. Raise a TraceError if ``ticks`` is not a boolean
+        array with one entry per tick.
         """
         mask = np.asarray(ticks)
         if mask.dtype != np.bool_ or mask.shape != (len(self),):
@@ -142,8 +143,8 @@ class Trace:
         """Draw columns of the run over time in a plotly figure, as the reports do.
 
         Args:
-            columns: one panel each; None stands for mu, tip error, RCM error and force.
-            name: this run's name in the legend; None stands for the name of its solver, or "dcac".
+            columns: one panel each. None: mu, tip error, RCM error and force.
+            name: this run's name in the legend. None: the name of its solver, or "dcac" if the run has no solver.
             beside: a second run to draw. Its name is that of its solver, or "baseline" if both names are equal.
 
         Raises:
@@ -238,14 +239,14 @@ class Trace:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a Parquet file. An older file of this name stays until the new file is complete.
 
-        Numbers of shape (N, k) become arrays of width k. meta is stored as JSON in the file's metadata "moc_opt.meta".
-        Raise a TraceError if the file cannot be written.
+        A column of shape (N, k) is stored as a Parquet column of lists with k entries, and meta as JSON. All
+        values that `load` reads equal the saved ones to the last bit. Raise a TraceError if the file cannot be written.
         """
         file.write(path, self.columns, self.meta)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Trace:
-        """Read a file that `save` wrote, to the last bit. Raise a TraceError if it is missing, damaged or no trace."""
+        """Read a file that `save` wrote. Raise a TraceError if the file is missing, damaged or no trace."""
         return cls(*file.read(path))
 
 
@@ -267,7 +268,7 @@ def table(of: Mapping[str, Any], name: str) -> dict[str, Any]:
 
 
 def about(trace: Trace) -> dict[str, str]:
-    """Return the main facts of a run as name -> text. ``solver`` is "dcac" under law "dcac", which has no solver."""
+    """Return the main facts of a run as texts, by name. With law "dcac", which has no solver, ``solver`` is "dcac"."""
     meta, scenario = trace.meta, table(trace.meta, "scenario")
     law = "dcac" if table(scenario, "control").get("law") == "dcac" else table(scenario, "solver").get("name")
     known = {"scenario": scenario.get("name"), "robot": meta.get("robot"), "solver": law, "ended": meta.get("ended")}

@@ -53,7 +53,7 @@ class Augmented:
     def locate(self, q: ArrayLike | None = None) -> Pose:
         """Search for the board before t = 0, and return its pose in the base frame, averaged over a second.
 
-        The arm rests at q (n,), or is out of sight. A TaskError is raised if the board is not found within 3 s.
+        The arm rests at q (n,), or is out of sight if q is None. Raise a TaskError if the board is not found in 3 s.
         """
         self._tracker = BoardTracker(self._tracker.limits)
         rate = self.camera.settings.rate_Hz
@@ -77,7 +77,7 @@ class Augmented:
         return found[-1]
 
     def watch(self, seconds: float, q: ArrayLike | None = None) -> tuple[Array, NDArray[np.bool_]]:
-        """Track the board from t = 0, after `locate`. Return each time [s], and whether the board is tracked then."""
+        """Track the board from t = 0, after `locate`. Return picture times [s], and whether the board is tracked."""
         rate = self.camera.settings.rate_Hz
         times = np.arange(math.floor(seconds * rate) + 1) / rate
         return times, np.array([self._look(t, q).seen for t in times.tolist()])

@@ -92,7 +92,7 @@ class Board(VisionSettings):
             if not 0.0 <= start < end:
                 raise ValueError(f"lost_s = {[start, end]}: give [from, until] with 0 <= from < until")
         if self.columns * self.rows > 250:
-            raise ValueError(f"columns x rows = {self.columns * self.rows}: give at most 250 (all markers)")
+            raise ValueError(f"columns x rows = {self.columns * self.rows}: give at most 250 (no more exist)")
         return self
 
     def is_lost(self, t: float) -> bool:
@@ -101,7 +101,7 @@ class Board(VisionSettings):
 
     @property
     def ids(self) -> range:
-        """Numbers of the markers in their dictionary."""
+        """Numbers of the markers in OpenCV's dictionary."""
         return range(self.columns * self.rows)
 
     @property
@@ -140,7 +140,7 @@ class Board(VisionSettings):
 
 @dataclass(frozen=True, eq=False)
 class BoardTask:
-    """A virtual task, defined on a board: a path in a plane parallel to it."""
+    """A virtual task, defined on a board: a path in a plane parallel to the board."""
 
     kind: str  #: kind of path, see `moc_opt.tasks.make_path`
     sizes: Mapping[str, float]  #: sizes of the path, lengths in m

@@ -33,7 +33,7 @@ class CameraSettings(VisionSettings):
     width_px: int = Field(640, ge=64, le=4096)
     height_px: int = Field(480, ge=64, le=4096)
     fov_deg: float = Field(50.0, ge=10.0, le=120.0, description="angle of view from top to bottom")
-    rate_Hz: float = Field(30.0, gt=0.0, le=500.0, description="pictures in a second")
+    rate_Hz: float = Field(30.0, gt=0.0, le=500.0, description="pictures per second")
     distance_m: float = Field(0.16, ge=0.02, le=1.0, description="distance from the middle of the phantom's board")
     tilt_deg: float = Field(25.0, ge=0.0, le=75.0, description="angle of the line of sight to the board's normal")
     azimuth_deg: float = Field(-90.0, description="direction of the camera around the normal, from the board's x")
@@ -53,7 +53,7 @@ class Camera:
 
     @property
     def matrix(self) -> Array:
-        """K (3, 3). Pixel centres have integer coordinates. The optical axis is at ((W - 1)/2, (H - 1)/2)."""
+        """The matrix K (3, 3). Pixel centres have whole coordinates. The optical axis is at ((W - 1)/2, (H - 1)/2)."""
         width, height = self.settings.width_px, self.settings.height_px
         f = 0.5 * height / math.tan(0.5 * math.radians(self.settings.fov_deg))
         return np.array([[f, 0.0, 0.5 * width - 0.5], [0.0, f, 0.5 * height - 0.5], [0.0, 0.0, 1.0]])
@@ -66,7 +66,7 @@ class Camera:
 
     @classmethod
     def above(cls, settings: CameraSettings, phantom_in_base: Pose) -> Camera:
-        """Place a camera that looks at the phantom's middle, with the top of its pictures towards the board's y."""
+        """Place a camera that looks at the phantom's middle, with the board's y towards the top of its pictures."""
         tilt, azimuth = math.radians(settings.tilt_deg), math.radians(settings.azimuth_deg)
         away = np.array([math.sin(tilt) * math.cos(azimuth), math.sin(tilt) * math.sin(azimuth), math.cos(tilt)])
         right = np.cross(-away, (0.0, 1.0, 0.0))  # not zero: the tilt is below a right angle
@@ -111,7 +111,7 @@ class View:
     def picture(
         self, board_in_base: Pose | None, hidden: frozenset[int] = frozenset(), q: Array | None = None
     ) -> Picture:
-        """Take the picture (H, W, 3) of the board with hidden markers, and the tool at q (n,). Either may be absent."""
+        """Take the picture (H, W, 3) of the board with hidden markers and the tool at q (n,), if these are given."""
         width, height = self.camera.settings.width_px, self.camera.settings.height_px
         page = np.full((_FINER * height, _FINER * width, 3), TISSUE, dtype=np.uint8)
         if board_in_base is not None:

@@ -49,11 +49,11 @@ class HandsOnSettings(VisionSettings):
     joint_damping_Nm_s_per_rad: float = Field(3.0, ge=0.0, le=100.0)
     registration_error_m: float = Field(0.001, ge=0.0, le=0.005)
     """size of the error that is added to the registered trocar, in a seeded direction"""
-    tolerance_m: float = Field(0.002, gt=0.0, le=0.05, description="the tip is at the incision if this near")
+    tolerance_m: float = Field(0.002, gt=0.0, le=0.05, description="the tip is at the incision within this distance")
     rest_speed_m_per_s: float = Field(0.003, gt=0.0, le=0.1, description="a slower tip counts as resting")
     rest_s: float = Field(0.4, gt=0.0, le=10.0, description="time for which the tip has to rest")
     time_limit_s: float = Field(20.0, gt=0.0, le=600.0)
-    distance_max_m: float = Field(0.6, gt=0.0, le=3.0, description="an incision farther from the tip is a mistake")
+    distance_max_m: float = Field(0.6, gt=0.0, le=3.0, description="a farther incision is refused")
     hand: HandSettings = HandSettings()
     guard: SafetyFilterSettings = SafetyFilterSettings()
 
@@ -89,8 +89,8 @@ class HandsOn:
 class Hand:
     """A spring and a damper to the goal, with an integral part f and a bounded force.
 
-    force = D (desired - velocity) + f, |force| <= force_max. `desired` is a velocity towards the goal: (stiffness/D)
-    times the distance, at most speed_max. f grows at the rate correction * stiffness * distance until the tip arrives.
+    force = D (desired - velocity) + f, |force| <= force_max, with the damping D. `desired` points at the goal. Its
+    size is stiffness/D * distance, at most speed_max. f grows by correction * stiffness * distance per second.
     """
 
     def __init__(self, settings: HandSettings, period_s: float) -> None:
@@ -106,7 +106,7 @@ class Hand:
         pull = hand.damping_Ns_per_m * (desired - velocity) + self._extra
         force = _cut(pull, hand.force_max_N)
         # f grows only near the goal and below the force limit. Otherwise the tip would overshoot.
-        # f may shrink anywhere. Otherwise f would push a tool that comes loose past the goal for ever.
+        # f may shrink anywhere. Otherwise, if a stuck tool comes loose, f would push it past the goal for ever.
         near = distance * hand.stiffness_N_per_m < hand.damping_Ns_per_m * hand.speed_max_m_per_s
         less = float(way @ self._extra) < 0.0
         if distance > hand.content_m and (less or (near and force is pull)):

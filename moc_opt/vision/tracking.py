@@ -15,7 +15,7 @@ from moc_opt.arrays import Array
 from moc_opt.vision.board import Board, Pose, VisionSettings, rotation_from
 from moc_opt.vision.camera import Camera, Picture, dictionary
 
-_OUTLIER, _CLEAN_PX = 4.0, 0.6  # a corner with an error above 4 times the median and 0.6 px is left out
+_OUTLIER, _CLEAN_PX = 4.0, 0.6  # a corner is left out if its error is above 0.6 px and above 4 times the median
 
 
 class TrackerSettings(VisionSettings):
@@ -27,7 +27,7 @@ class TrackerSettings(VisionSettings):
     error_max_px: float = Field(1.0, gt=0.0, description="largest root mean square error of a sighting")
     jump_m: float = Field(0.004, gt=0.0, description="a sighting farther than this from the estimate is an outlier")
     jump_rad: float = Field(0.05, gt=0.0, description="a sighting turned by more than this is an outlier too")
-    found_after: int = Field(3, ge=1, description="sightings in a row that agree before a new pose is accepted")
+    found_after: int = Field(3, ge=1, description="a new pose needs this many agreeing sightings in a row")
     lost_after_s: float = Field(0.12, gt=0.0, description="time without a sighting after which the board is lost")
     smoothing_s: float = Field(0.3, ge=0.0, description="time constant of the average; 0: no averaging")
 
@@ -54,7 +54,7 @@ class BoardFinder:
         self._matrix = camera.matrix
 
     def corners(self, picture: Picture) -> dict[int, Array]:
-        """Find the board's markers; return marker number -> corners (4, 2) [px]."""
+        """Find the board's markers. Return their corners (4, 2) [px], by marker number."""
         found, ids, _ = self._detector.detectMarkers(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY))
         numbers = [] if ids is None else [int(marker) for marker in ids.ravel()]
         quads = (np.asarray(quad, dtype=np.float64).reshape(4, 2) for quad in found)
@@ -111,7 +111,7 @@ class BoardTracker:
     """Tracks a board from picture to picture, and averages its pose over `smoothing_s`.
 
     A single sighting far from the estimate is an outlier and changes nothing. If `found_after` outliers in a row agree,
-    the board was moved, and the estimate jumps. The tip must not jump with it (see `WaitingReference`).
+    the board was moved, and the estimate jumps. The tip must not jump then (see `WaitingReference`).
     """
 
     def __init__(self, limits: TrackerSettings | None = None) -> None:
