@@ -24,7 +24,7 @@ ENDED = {"broke off": "stopped: the tip", "oscillated": "oscillated: joint_3"}
 
 
 def runs(controller: str, trials: int = 15, unlike: float = 0.0, first_ends: str = "completed", **times: float) -> Any:
-    """Rows of trials that differ widely. `times` scales metrics, and `unlike` adds this solver's own noise."""
+    """Return rows of trials that differ widely. `times` has factors of metrics. `unlike` is the size of added noise."""
     own = np.random.default_rng(5).lognormal(0.0, unlike, trials) if unlike else np.ones(trials)
     found = []
     for k in range(trials):
