@@ -47,7 +47,7 @@ def pytest_xdist_auto_num_workers() -> int:
 @pytest.hookimpl(tryfirst=True)  # before pytest selects by `-m slow`
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     place = {file: k for k, file in enumerate(SLOW, start=1)}
-    assert all((config.rootpath / file).is_file() for file in place), "SLOW names a file that is gone"
+    assert all((config.rootpath / file).is_file() for file in place), "SLOW names a file that does not exist"
     order = {item: place.get(item.nodeid.partition("::")[0], 0) for item in items}
     for item in items:
         if order[item]:
@@ -66,7 +66,7 @@ def registered_metrics() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def chromium() -> Iterator[Any]:
-    """Share one headless browser among all tests of this process, and with the code under test."""
+    """One headless browser, which all tests of this process and the code under test share."""
     from moc_opt.errors import BrowserMissingError
     from moc_opt.report import export  # imported here, because few tests need it
 
@@ -82,7 +82,7 @@ def chromium() -> Iterator[Any]:
 def opened(
     chromium: Any, address: str, ready: str, own: str = "", kinds: tuple[str, ...] = (), **options: Any
 ) -> Iterator[Any]:
-    """Open a page. At the end, check that it logged no message (of `kinds`) and asked for no other address."""
+    """Open a page. At the end, check that it logged nothing (of `kinds`) and requested no address outside `own`."""
     page, said, asked = chromium.new_page(**options), list[str](), list[str]()
 
     def hear(message: Any) -> None:

@@ -1,4 +1,4 @@
-"""Solvers that misbehave. Their processes import this module, so it imports little."""
+"""Solvers that misbehave. Each worker process imports this module, so the module imports little."""
 
 import os
 import signal
@@ -15,7 +15,7 @@ from moc_opt.solvers.base import Solution, Status
 
 @dataclass(frozen=True)
 class Misbehaving:
-    """Answers x = 0 and the problem's number as iterations. From problem ``at`` on, it first does ``act``."""
+    """A solver that answers x = 0 and counts its calls as iterations. From call ``at`` on it first does ``act``."""
 
     act: str = ""
     at: int = 2
@@ -43,7 +43,7 @@ class MisbehavingSession:
 
 
 class GatedSession:
-    """Waits for a file named k before it answers problem k, whose c0 is k. It reports k iterations."""
+    """A session that answers a problem with c0 = k once a file named k exists. It reports k iterations."""
 
     def __init__(self, folder):
         self.folder, self.observed = folder, np.full(7, np.nan)

@@ -89,7 +89,7 @@ def drive(robot):
     assert np.linalg.eigvalsh(state.M).min() > 0.0
 
 
-# file -> the function that reads the file, and a function that has to accept the result
+# For each file: the function that reads it, and a function that must accept the result.
 READERS = {
     "scenario.toml": (Scenario.load, run_two_ticks), "arm.toml": (mo.load_robot, drive),
     "arm.urdf": (lambda path: mo.load_robot(path.with_suffix(".toml")), drive),

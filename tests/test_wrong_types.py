@@ -20,7 +20,7 @@ QP = mo.NullSpaceQP(**PARTS)
 
 
 def each(call: Callable, *names: str, **usual: object) -> dict[str, Callable]:
-    """Return a function of x for each argument. It calls ``call`` with x for this argument, and else usual values."""
+    """For each name, return a function of x that calls ``call`` with x for this argument and usual values otherwise."""
     return {f"{call.__name__} {name}": lambda x, name=name: call(**{**usual, name: x}) for name in names}
 
 

@@ -1,4 +1,4 @@
-"""Answers that are feasible but not optimal. They are corners of the feasible set, where r joints are at their bounds.
+"""Feasible answers that are not optimal: corners of the feasible set. There r joints are at a bound (r = dim ker A).
 
 The loss of a corner comes from an enumeration of all active sets, which uses neither the solvers nor the residuals.
 """

@@ -1,4 +1,4 @@
-"""A fixture that runs a small study in this process. tests/study tests the engine that starts processes."""
+"""The fixture `tiny` runs a small study without worker processes. tests/study tests the engine that starts them."""
 
 import json
 import pickle
@@ -14,7 +14,7 @@ from moc_opt.study import Failed, Job
 
 
 def in_this_process(jobs: Sequence[Job], *, done: Callable[[Job, Any], None], **options: Any) -> list[Any]:
-    """Replace `moc_opt.study.run`. Arguments and results are still pickled."""
+    """Stand in for `moc_opt.study.run`. Like the original, pickle arguments and results."""
     results = list[Any]()
     for job in jobs:
         try:

@@ -96,7 +96,7 @@ def row(case, solver, kind="survived", **figures):
     return {**base, "outcome": kind, "ticks": 100, "recover_s": 0.1, **figures}
 
 
-def test_each_bad_row_misses_one_goal():
+def test_each_bad_row_makes_one_goal_fail():
     good = {"injected": 5, "detected": 5, "missed": 0, "rcm_mean_percent": 1.0, "rcm_max_percent": 2.0,
             "false_alarms": 0}  # fmt: skip
 
@@ -116,7 +116,7 @@ def test_each_bad_row_misses_one_goal():
     )]  # fmt: skip
     bad.append(row("solver-nan-always", "rnn", **{**good, "rcm_mean_percent": 6.0}))
     bad.append(row("nan-lasting", "rnn", "stopped", last_speed_rad_per_s=0.2))
-    assert [len(lost(*fine, one)) for one in bad] == [1] * 9, "each of them breaks one goal"
+    assert [len(lost(*fine, one)) for one in bad] == [1] * 9, "each bad row makes one goal fail"
     [mixed] = worst(Results([row("a", "exact"), row("a", "exact", "stopped")]))
     assert mixed["outcome"] == "1 survived, 1 stopped"
 

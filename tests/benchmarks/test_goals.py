@@ -1,4 +1,4 @@
-"""Goals are judged and shown, and all controllers of a trial have the same phases."""
+"""Goals are judged and shown. The phases of a trial (travelling, settled) are the same ticks for all controllers."""
 
 from typing import Any
 
@@ -43,7 +43,7 @@ def test_goals_are_shown_with_the_missed_ones_first() -> None:
 
 
 def made(controller: str, travelling: list[int] | None, trial: str = "t", **more: Any) -> Run:
-    """Return a run of four ticks. At tick k its error is 2^k um. Under BASELINE the error is doubled."""
+    """Return a run of four ticks. At tick k every column is 2^k * 1e-6, and twice this value for BASELINE."""
     error = 1e-6 * 2.0 ** np.arange(4) * (2.0 if controller == BASELINE else 1.0)
     columns = dict.fromkeys(("t_s", "mu", "tip_error_m", "rcm_error_model_m"), error)
     columns["trocar_force_N"] = np.outer(error, (0.0, 0.6, -0.8))
@@ -72,4 +72,4 @@ def test_phases_are_the_same_ticks_for_all_controllers_of_a_trial() -> None:
     assert grouped["travelling_mu_mean"] == pytest.approx(2e-6)
     assert alone == runs[-1].row
     short = Run(runs[2].row, {name: column[:3] for name, column in runs[2].columns.items()})
-    assert with_phases([runs[1], short]) == [runs[1], short], "runs of different lengths have no phases"
+    assert with_phases([runs[1], short]) == [runs[1], short], "runs of different lengths have no common phases"

@@ -41,7 +41,7 @@ def test_the_goal_of_the_c_controller_needs_enough_cycles_and_few_misses(missed,
     assert found["python"]["reached"] == found["rcm"]["reached"] == "not measured"
 
 
-def test_the_load_runs_only_while_it_is_asked_for(monkeypatch):
+def test_the_load_on_the_processor_runs_only_during_a_loaded_case(monkeypatch):
     started, real = [], realtime.subprocess.Popen
     monkeypatch.setattr(realtime.subprocess, "Popen", lambda command: started.append(real(command)) or started[-1])
     with realtime.loaded("quiet"):

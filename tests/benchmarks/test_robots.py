@@ -58,12 +58,12 @@ def test_findings_are_judged_by_the_ends_of_their_intervals() -> None:
     assert found()["all_end"] is False
 
 
-def test_arms_that_rank_solvers_alike_correlate() -> None:
+def test_rankings_are_correlated_except_for_arms_on_which_all_solvers_are_equal() -> None:
     means = {"a": (1.1, 1.2, 1.3), "b": (2.1, 2.2, 2.3), "c": (3.3, 3.2, 3.1), "d": (1.0, 1.0 + 1e-6, 1.0)}
     figures = {arm: {s: {"mu_mean": m} for s, m in zip("xyz", of, strict=True)} for arm, of in means.items()}
     ranking = robots.ranking(figures)
     assert ranking["order"]["a"] == ["z", "y", "x"]
-    assert ranking["between"] == pytest.approx({"a, b": 1.0, "a, c": -1.0, "b, c": -1.0}), "on d the solvers are equal"
+    assert ranking["between"] == pytest.approx({"a, b": 1.0, "a, c": -1.0, "b, c": -1.0}), "solvers are equal on arm d"
 
 
 PLANNED = """
@@ -76,7 +76,7 @@ scenario = { start = { pose = "random" }, duration_s = 1.0 }
 """
 
 
-def test_no_motion_is_better_than_the_best_planned_one_or_the_bound(tiny: Any) -> None:
+def test_no_motion_has_more_mu_than_the_best_planned_motion_or_the_bound(tiny: Any) -> None:
     left = tiny(plan, PLANNED)
     rows = left.rows
     parts = [row["part"] for row in rows]

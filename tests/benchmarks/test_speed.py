@@ -37,11 +37,11 @@ def test_entries_take_turns_chunk_by_chunk(monkeypatch):
         "b": timed.Timed(lambda item: log.append(("b", item)), range(100, 112)),
     }
     part.time("tick", entries, rounds=2)
-    assert {name: found.shape for name, found in part.times.items()} == {"a": (4, 5), "b": (4, 5)}, "every timed call"
+    assert {name: found.shape for name, found in part.times.items()} == {"a": (4, 5), "b": (4, 5)}, "one per timed call"
     assert {name: found["times_calls"] for name, found in part.seen.items()} == {"a": 20, "b": 20}
     chunks = [log[i : i + 5] for i in range(0, len(log), 5)]
     assert all(len({name for name, _ in chunk}) == 1 for chunk in chunks)
-    # An untimed round comes before the two timed ones. The entries take turns at going first.
+    # An untimed round comes before the two timed rounds. The entries alternate in going first.
     assert [chunk[0][0] for chunk in chunks] == ["a", "b", "b", "a"] * 3
     assert [item for name, item in log if name == "a"] == [*range(10)] * 3
     assert [item for name, item in log if name == "b"] == [*range(100, 110)] * 3
@@ -49,7 +49,7 @@ def test_entries_take_turns_chunk_by_chunk(monkeypatch):
 
 def test_no_call_is_left_out_of_the_figures():
     times = np.full((10, 100), 2.0)
-    times[:, :5] = 9.0  # the cold calls, one in twenty
+    times[:, :5] = 9.0  # one call in twenty is cold
     times[3, 50] = 70.0
     part = timed.Part(times={"a": times, "b": np.full((10, 100), 4.0)}, seen={"a": {}})
     found = part.figures("a", "tick")
@@ -117,7 +117,7 @@ def test_the_command_measures_every_part_and_lists_missing_peers(tiny, capsys, m
     assert "of a core" in capsys.readouterr().out
 
 
-def test_the_goals_of_a_failed_part_are_not_measured_and_no_times_are_kept(tmp_path, monkeypatch):
+def test_the_goals_of_a_failed_part_count_as_not_measured_and_no_times_are_kept(tmp_path, monkeypatch):
     asked = []
 
     def failing(study, jobs, what, keep):

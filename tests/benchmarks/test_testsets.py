@@ -1,4 +1,4 @@
-"""Sets of subproblems: HiGHS and the residuals confirm the certified optima. Sets can be made and exported."""
+"""Sets of subproblems: HiGHS and the residuals confirm the certified optima. Sets can be reproduced and exported."""
 
 import subprocess
 import sys
@@ -122,7 +122,7 @@ def test_qpbenchmark_reads_and_runs_exported_sets_unchanged(tmp_path):
     command = [sys.executable, "-m", "qpbenchmark.benchmark", str(module), "--results-path", str(results)]
     subprocess.run([*command, "run", "--author", "me", "--solver", "daqp"], check=True, capture_output=True)
     rows = pl.read_csv(results)
-    assert len(rows) == 4 * len(written)  # each under four settings
+    assert len(rows) == 4 * len(written)  # qpbenchmark runs each problem under four settings
     assert rows.filter(pl.col("settings") == "high_accuracy")["found"].all()
 
 

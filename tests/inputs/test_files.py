@@ -123,7 +123,7 @@ def test_a_link_at_the_name_of_the_unfinished_file_is_not_followed(tmp_path, mon
 
 
 @pytest.mark.parametrize("path", ["/proc/x", "/proc/no/such/x", "/dev/null/x", "a\0b", "x" * 300])
-def test_a_folder_that_takes_no_file_is_named_before_any_work(path, tmp_path, monkeypatch):
+def test_a_folder_that_cannot_be_written_is_named_before_any_work(path, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for work in (lambda: write_whole(path, b"new"), lambda: files.check_replaceable(path, "file", MocOptError)):
         with pytest.raises(MocOptError, match=r"cannot be written in the folder '/.*: make room") as found:

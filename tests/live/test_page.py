@@ -71,7 +71,7 @@ def test_after_rapid_choices_the_solver_chosen_last_runs(live: LivePage) -> None
 
 
 def knock(live: LivePage, path: str, say: bytes = b"") -> Any:
-    """Return the first answer to a WebSocket of another site's page, or None if it is closed without an answer."""
+    """Return the first answer to a WebSocket of another site's page, or None if the server closes it unanswered."""
     uri, protocol = f"ws://127.0.0.1:{live.server.get_port()}{path}", f"viser-v{viser.__version__}"
     with (
         suppress(ConnectionClosed),

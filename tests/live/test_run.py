@@ -56,7 +56,7 @@ def test_a_solver_is_exchanged_at_the_next_tick(run: LiveRun) -> None:
 @pytest.mark.parametrize("change", [
     lambda run: run.choose(DCAC), lambda run: run.tune(K_X=1500.0, K_N=300.0, observer_gain_per_s=0.0),
 ])  # fmt: skip
-def test_an_exchange_of_controllers_does_not_jerk(change: Callable[[LiveRun], None]) -> None:
+def test_an_exchange_of_controllers_does_not_jerk_the_arm(change: Callable[[LiveRun], None]) -> None:
     run = LiveRun(Scenario(start={"swivel": 0.9}))
     run.advance(400)
     sent: list[Any] = []
@@ -140,7 +140,7 @@ def test_the_trocar_moves_slowly_and_a_reset_keeps_its_new_place(run: LiveRun) -
     np.testing.assert_allclose(run.trocar - start, asked, atol=1e-9)
 
 
-def test_requests_for_a_controller_at_every_tick_leave_the_arm_controlled(run: LiveRun) -> None:
+def test_the_arm_stays_under_control_if_a_new_controller_is_requested_at_every_tick(run: LiveRun) -> None:
     """Exchanges at every tick would freeze the torque, so a request waits until 0.1 s after the previous exchange."""
     rng = np.random.default_rng(0)
     for _ in range(400):

@@ -35,7 +35,7 @@ class Relay:
         self._controller: tuple[str, int] | None = None
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run)
-        self.done: list[Counter[str]] = [Counter(), Counter()]  # count of each fault, by direction ("": no fault)
+        self.done: list[Counter[str]] = [Counter(), Counter()]  # by direction, the count of each fault and of "" (none)
         self.whole: list[Counter[tuple[Kind, int]]] = [Counter(), Counter()]  # intact deliveries by (kind, flags)
 
     @property

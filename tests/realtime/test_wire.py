@@ -90,7 +90,7 @@ def test_a_packet_that_has_arrived_is_taken_after_the_deadline_but_a_flood_is_no
     plant, controller = ends
     controller.sendto(seal(command(sequence=1), KEY), plant.address)
     assert plant.receive(monotonic() - 1.0) is not None
-    for flood in (b"x", seal(command(sequence=2), KEY)):  # invalid packets, then valid ones that are not wanted
+    for flood in (b"x", seal(command(sequence=2), KEY)):  # first invalid packets, then packets of an unwanted tick
         for _ in range(wire.BACKLOG):  # the system's buffer may hold fewer
             controller.sendto(flood, plant.address)
         controller.sendto(seal(command(sequence=3), KEY), plant.address)
@@ -225,7 +225,7 @@ def measurement(flags, k=0, commanded=0.0, scenario=9):
 
 
 def answered(said):
-    """Return the ending, the sent packets, and (ticks, torque) of each correction. The k-th tick commands k Nm."""
+    """Return the ending, the sent packets, and (tick, torque) of each correction. Tick k = 1, 2, ... commands k Nm."""
     said, sent, corrected, wait = iter(said), [], [], WireSettings(wait_s=0.05, silence_s=0.5)
     plant = Mock(n=N, peer=("plant", 1), session=0, quality=dict.fromkeys(wire.COUNTERS, 0), heard="nothing")
     plant.send.side_effect = lambda packet: sent.append((Kind(packet["kind"]), packet.copy()))
@@ -242,7 +242,7 @@ def answered(said):
     ([(0, 0), (1, 1), (2, 2), (3, 3)], [(0, 1), (1, 2), (2, 3), (3, 4)], [], (4, 0, 0), "completed"),
     # The plant did not receive the second command, and held the first torque.
     ([(0, 0), (1, 1), (2, 1), (3, 3)], [(0, 1), (1, 2), (2, 3), (3, 4)], [(2, 1)], (4, 0, 0), "completed"),
-    # A repeated measurement is answered by the same command again.
+    # A repeated measurement is answered by a repeated command.
     ([(0, 0), (1, 1), (1, 1)], [(0, 1), (1, 2), (1, 2)], [], (2, 0, 1), "the plant ended the run at tick 2 of 4"),
     # Measurements that never came are counted.
     ([(0, 0), (3, 1), (1, 1)], [(0, 1), (3, 2)], [], (2, 2, 1), "completed"),
@@ -278,7 +278,7 @@ def test_a_measurement_with_an_impossible_stamp_is_not_answered():
 T = 0.002
 
 
-def test_a_late_tick_delays_no_later_tick_and_a_stall_delays_all_of_them(monkeypatch):
+def test_a_late_tick_does_not_delay_the_next_tick_but_a_stall_delays_all_later_ticks(monkeypatch):
     now = {"s": 100.0, "oversleep": 0.5 * T}
     monkeypatch.setattr(clock, "monotonic", lambda: now["s"])
     monkeypatch.setattr(clock, "sleep", lambda seconds: now.update(s=now["s"] + seconds + now["oversleep"]))

@@ -1,4 +1,4 @@
-"""One test per entry of the last section of docs/method.md. Above each test: the printed formula -> the right one."""
+"""Errors in the paper (last section of docs/method.md). Above each test are the printed and the right formula."""
 
 import numpy as np
 import pytest
@@ -46,7 +46,7 @@ def saddle(qp):
     return np.block([[qp.P, qp.A.T], [-qp.A, np.zeros((6, 6))]])
 
 
-# (I - J_T^T J_T) J_W^T F  ->  I - J_T^T Jbar_T^T, or I - J_T^T pinv(J_T)^T
+# Printed: (I - J_T^T J_T) J_W^T F. Right: I - J_T^T Jbar_T^T, or I - J_T^T pinv(J_T)^T.
 def test_printed_projector_is_not_idempotent_and_lets_the_tip_move(states):
     for s in states:
         printed, dynamic, static = (projector(name, s) for name in ("as_published", "dynamic", "static"))
@@ -55,7 +55,7 @@ def test_printed_projector_is_not_idempotent_and_lets_the_tip_move(states):
         assert leak(s, dynamic) < 1e-10 < 0.3 < leak(s, printed)
 
 
-# J_W is 3x5  ->  3x7, zero where a joint does not move the wrist
+# Printed: J_W is 3x5. Right: it is 3x7, and zero where a joint does not move the wrist.
 def test_wrist_jacobian_has_seven_columns_three_of_them_zero(states):
     for s in states:
         assert s.J_wrist.shape == (3, 7)
@@ -63,7 +63,7 @@ def test_wrist_jacobian_has_seven_columns_three_of_them_zero(states):
         assert (np.abs(s.J_wrist[:, :4]).max(axis=0) > 0.0).all()
 
 
-# [(Z M Z^T) Z M]^T  ->  M Z^T (Z M Z^T)^-1 Z
+# Printed: [(Z M Z^T) Z M]^T. Right: M Z^T (Z M Z^T)^-1 Z.
 def test_printed_third_level_lacks_an_inverse(states):
     for s in states:
         Z = null_space(s.A)
@@ -76,7 +76,7 @@ def test_printed_third_level_lacks_an_inverse(states):
         assert (np.linalg.eigvalsh(inner) ** 2).max() < 0.5
 
 
-# grad F + grad F^T <= 0 with blocks J J^T (3x3)  ->  2 diag(c0 J_T^T J_T + c1 J_W^T J_W, 0, 0) >= 0 (7x7)
+# Printed: grad F + grad F^T <= 0, with blocks J J^T (3x3). Right: 2 diag(c0 J_T^T J_T + c1 J_W^T J_W, 0, 0) >= 0 (7x7).
 def test_gradient_of_f_is_positive_semidefinite_and_seven_by_seven(robot, states):
     for s in states:
         G, wanted = saddle(subproblem(robot, s)), np.zeros((13, 13))
@@ -86,7 +86,7 @@ def test_gradient_of_f_is_positive_semidefinite_and_seven_by_seven(robot, states
         assert np.linalg.eigvalsh(G + G.T)[-1] > 1e-3
 
 
-# F(Y) = [-dL/dqd, dL/dl]  ->  [dL/dqd, -dL/dl]; no time constant  ->  eps, or m steps per tick
+# Printed: F(Y) = [-dL/dqd, dL/dl], and no time constant. Right: [dL/dqd, -dL/dl], with eps or m steps per tick.
 def test_modes_grow_with_the_printed_sign_and_otherwise_have_time_constants_above_50_s(robot, states):
     """With dY/dt = -k F(Y), the real part of an eigenvalue is -k c0 s^2 / 2 for a singular value s of A."""
     for s in states:
@@ -99,7 +99,7 @@ def test_modes_grow_with_the_printed_sign_and_otherwise_have_time_constants_abov
         assert 1e-4 < -growth.min() < 1.0 / 50.0
 
 
-# e_N1 = d / lambda, lambda = 0.5  ->  |N_d - N|, or rcm_lambda
+# Printed: e_N1 = d / lambda with lambda = 0.5. Right: |N_d - N|. The setting rcm_lambda keeps the printed form.
 def test_the_true_lambda_is_not_constant(states):
     """For a shaft 2 mm off the trocar, d / |N_d - N| equals |P - X| / L. This ratio varies with the depth."""
     depths, found = np.array([task.depth_m for task in BOARD_TASKS.values()]), []
@@ -114,7 +114,7 @@ def test_the_true_lambda_is_not_constant(states):
     assert PAPER.rcm_lambda == 0.5
 
 
-# K_N2 = [80, ...] on qdd_d at c2 = 0.001, k = 0.1  ->  kept as rnn-printed
+# Printed: K_N2 = [80, ...] acts on qdd_d, at c2 = 0.001 and k = 0.1. The solver rnn-printed keeps this.
 def test_the_torque_that_mu_causes_in_the_printed_network_is_too_small_to_act(robot, states):
     """Without c2, the torque changes by less than 0.002 Nm. The bounds do not reduce this change."""
     rng, printed, share, free = np.random.default_rng(0), solvers.create("rnn-printed"), 0.0, 0.0

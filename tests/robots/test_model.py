@@ -250,7 +250,7 @@ def test_the_gain_tables_of_a_robot_file_are_those_derived_from_its_masses(name:
 @settings(max_examples=30)
 @given(delay=st.integers(0, 6), side=st.sampled_from([0.98, 1.02]))
 def test_largest_rate_is_the_stability_limit_of_a_delayed_loop(delay: int, side: float) -> None:
-    """Below the limit, all roots of z^(d+1) - z^d + T rate lie within the unit circle. Above it, one lies outside."""
+    """All roots of z^(d+1) - z^d + T rate lie within the unit circle below the limit, but not above it."""
     plant = PlantSettings(delay_ticks=delay, velocity_cutoff_Hz=0.0)
     gain = side * largest_rate(plant) * plant.period_s
     roots = np.roots([1.0, -1.0, *[0.0] * (delay - 1), gain] if delay else [1.0, gain - 1.0])
@@ -281,12 +281,12 @@ Rows = list[tuple[float, float, float, float]]
 
 
 def upright(signs: tuple[float, ...], lengths: tuple[float, ...]) -> Rows:
-    """Return the rows of an arm whose neighbouring axes intersect. Each alpha is the sign times a right angle."""
+    """Return the rows of an arm whose neighbouring axes intersect. Each alpha is a sign times a right angle."""
     return [(0, sign * RIGHT, d, 0) for sign, d in zip(signs, lengths, strict=True)]
 
 
 # Denavit-Hartenberg rows (a, alpha, d, offset of q) as the makers print them, and the distance from the last frame to
-# the flange. In Craig's convention, a and alpha come before the joint's transform. In the classical one, they follow.
+# the flange. In Craig's convention, a and alpha come before the joint's transform. In the classical, they come after.
 DH: dict[str, tuple[str, Rows, float]] = {
     "lwr4": ("classical", upright((1, -1, -1, 1, 1, -1, 0), (0.3105, 0, 0.4, 0, 0.39, 0, 0.078)), 0.0),
     "iiwa14": ("classical", upright((-1, 1, 1, -1, -1, 1, 0), (0.36, 0, 0.42, 0, 0.4, 0, 0.126)), 0.0),

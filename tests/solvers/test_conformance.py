@@ -1,4 +1,4 @@
-"""One suite for every available solver. `EXPECT` has the tolerances of some solvers. All others have ``Expect()``."""
+"""One suite for every available solver. `EXPECT` has the tolerances of some solvers. The others have ``Expect()``."""
 
 import dataclasses
 from dataclasses import dataclass, field

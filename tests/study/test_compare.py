@@ -106,7 +106,7 @@ TIP = {"dcac": (0.02, 0.3), "exact": (0.1, 0.15), "qpsolvers:quadprog": (0.05, 0
 
 
 def compared(trials):
-    """`exact` raises the tip error in trials where DCAC's is small, and lowers it where DCAC's is large."""
+    """Return a comparison in which `exact` raises DCAC's small tip errors and lowers the large ones."""
     rows = [
         {
             "solver": name, "seed": seed, "ended": "completed", "asked": 4 * (name != "dcac"),

@@ -24,7 +24,7 @@ ENDED = {"broke off": "stopped: the tip", "oscillated": "oscillated: joint_3"}
 
 
 def runs(controller: str, trials: int = 15, unlike: float = 0.0, first_ends: str = "completed", **times: float) -> Any:
-    """Rows of trials that differ widely. `times` scales metrics, and `unlike` adds this solver's own noise."""
+    """Return rows of trials that differ widely. `times` has factors of metrics. `unlike` is the size of added noise."""
     own = np.random.default_rng(5).lognormal(0.0, unlike, trials) if unlike else np.ones(trials)
     found = []
     for k in range(trials):
@@ -126,7 +126,7 @@ def test_a_loss_counts_only_where_its_interval_excludes_the_tolerance(cost, unli
     assert damage in getattr(row["damage"], "reason", row["damage"])
 
 
-def test_the_fastest_is_named_with_a_remark_where_the_machine_was_busy():
+def test_the_fastest_solver_is_named_with_a_remark_if_the_machine_was_busy():
     busy = {"times_calls": 1000, "times_switches": 9, "times_cpu_s": 1.0, "times_wall_s": 1.0}
     rivals = (({}, False), (busy, True), ({**busy, "times_switches": 2}, False), ({**busy, "p50": 59.0}, False))
     for more, said in rivals:

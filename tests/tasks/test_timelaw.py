@@ -111,7 +111,7 @@ def test_position_speed_and_acceleration_are_continuous_and_bounded(kind, losses
     slack = 1 + 1e-9
     assert np.linalg.norm(dx, axis=1).max() <= v_bound * slack
     assert np.linalg.norm(ddx, axis=1).max() <= a_bound * slack
-    # The positions alone give the same speeds and accelerations.
+    # Differences of the positions are within the same bounds.
     assert np.linalg.norm(np.diff(x, axis=0), axis=1).max() <= v_bound * PERIOD * slack
     second = np.diff(x, 2, axis=0) / PERIOD**2
     assert np.linalg.norm(second, axis=1).max() <= a_bound * (1 + 1e-4)
