@@ -17,7 +17,7 @@ from moc_opt.errors import MocOptError, describe
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit status: 0, 2 (wrong input), 3 (run not completed), 130 (Ctrl-C, SIGTERM), 1."""
+    """Run a command and return its exit status: 0, 1 (defect), 2 (wrong input), 3 (run incomplete) or 130 (Ctrl-C)."""
     try:
         try:
             return _command(arguments)
@@ -48,7 +48,7 @@ def _command(arguments: Sequence[str] | None) -> int:
     try:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         warnings.formatwarning = lambda text, *_, **__: f"{text}\n"  # without the source line
-        from moc_opt.commands.parser import COMMANDS, make_parser, work_of  # a slow import: Ctrl-C may come
+        from moc_opt.commands.parser import COMMANDS, make_parser, work_of  # a slow import that Ctrl-C may interrupt
 
         parser = make_parser()
         if "_ARGCOMPLETE" in os.environ:  # a shell asks for completions of the command line

@@ -69,7 +69,7 @@ COMMANDS = {
         FORCE,
         option("--third-level", choices=("local", "planned", "receding"), help="local: climb mu; else follow a course"),
         option("--course", metavar="FILE.parquet", help="follow this course, written by `plan --out`"),
-        option("--trace", type=path, metavar="X.parquet", help="write the trace here, even after Ctrl-C"),
+        option("--trace", type=path, metavar="X.parquet", help="write the trace to this file, even after Ctrl-C"),
         JSON,
     ), "Exit status: 0 the run completed; 2 the input is wrong; 3 the run was stopped, ran away or oscillated (the "
        "first line says so); 130 interrupted; 1 an internal error. After 130 and 1, --trace has the rows so far."),

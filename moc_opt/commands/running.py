@@ -161,7 +161,7 @@ def read_waypoints(path: str) -> list[list[float]]:
 
 
 def _matched_dcac(scenario: Scenario, title: str, ticks: int) -> Trace | None:
-    """Run DCAC with the same gains and return its first ``ticks`` ticks. If it ended earlier, say so; return None."""
+    """Run DCAC with equal gains and return its first ``ticks`` ticks. If DCAC ended earlier, say so and return None."""
     matched = scenario.change(control=scenario.control.matched_dcac(), bound_samples=0, best_courses=False)
     trace = _as_far_as_it_goes(lambda: run(matched))
     if len(trace) < ticks or "mu" not in trace.columns:
@@ -199,8 +199,8 @@ def run_control(given: argparse.Namespace) -> int:
     (scenario, title), granted = read_scenario(given.scenario), dict[str, str]()
     if scenario.control.third_level == "receding":
         print(
-            "control: third_level = 'receding' computes courses within ticks, for about 10 ms each: in real time those "
-            "ticks are missed; give the plant --lock-step, or take third_level = 'planned'", file=sys.stderr,
+            "control: third_level = 'receding' computes a course within a tick, in about 10 ms: in real time, such a "
+            "tick is missed; give the plant --lock-step, or take third_level = 'planned'", file=sys.stderr,
         )  # fmt: skip
     first = "planning its course, then " if scenario.control.follows else ""
     where = f"{given.connect}, for {scenario.wire.wait_s:g} s"

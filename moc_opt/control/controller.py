@@ -121,7 +121,7 @@ class Controller:
     )
     faults = property(
         lambda self: self._supervisor.faults,
-        doc="Faults since the start: for each label a dict with ``count``, ``first_at_s`` and ``first`` (a message).",
+        doc="Faults since the start: by label, a dict of ``count``, ``first_at_s`` and ``first`` (the first message).",
     )
 
     @property

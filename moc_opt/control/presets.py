@@ -19,7 +19,7 @@ PAPER: dict[str, Any] = {
 TUNED: dict[str, Any] = {
     "gains": "tuned", "fallback": "damping", "observer_gain_per_s": 33.3, "feedforward": True, "k0_per_s": 1.58,
     "regularization": 3.24e-5, "speed_fraction": 0.49, "ramp_s": 0.653,
-    "course_observer_gain_per_s": 28.0,  # with 33 or 40 /s, three ticks of delay without friction are unstable
+    "course_observer_gain_per_s": 28.0,  # at 33 or 40 /s, an arm without friction is unstable with a delay of 3 ticks
 }  # fmt: skip
 
 # Softened by hand until the loop tolerates a delay of four ticks from command to torque, even without friction and with

@@ -147,7 +147,7 @@ class SafetyFilter:
         return tau if math.isfinite(tau.dot(tau)) else before
 
     def stop_torque(self, before: Array) -> Array:
-        """Return the torque (n,) [Nm] in a stop. It goes from ``before`` to the arm's weight in the last accepted pose.
+        """Return the torque (n,) [Nm] in a stop. It approaches the gravity torque of the last accepted pose.
 
         The torque before the stop is not kept, because it would go on pushing the arm.
         """
@@ -191,7 +191,7 @@ def numbers_of(
         "tool_mass": data.tool_mass, "tool_length": data.tool_length, "tip_force": _or_infinite(s.tip_force_N),
         "stop_yield": _or_infinite(s.stop_yield_N), "stop_yield_ticks": round(s.stop_yield_s / period),
         "press_share": min(1.0, PRESS_PER_S * period),
-        # If one encoder repeats a reading with probability p, all n repeat it with p^n: divide the ticks by n.
+        # One encoder repeats a reading with probability p, all n encoders with p^n. So the ticks are divided by n.
         "replayed_ticks": max(float(s.repeat_whole_ticks), _or_infinite(s.repeat_joint_ticks) / robot.n),
         "stuck_speed": s.stuck_rad_per_s, "held": np.minimum(s.stuck_torque * data.tau_max, coulomb),
         "residual_whole": s.residual_whole_torque, "residual_rate": s.residual_rate_per_s,

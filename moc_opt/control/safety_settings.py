@@ -95,7 +95,7 @@ class SafetyFilterSettings(Settings):
     stop_holding: float = Field(0.25, ge=0.0, le=1.0)
     """dry friction of the brakes in a stop, as a share of tau_max. With 0, the brakes only damp, and a load sinks"""
     stop_yield_N: Level = 8.0
-    """in a stop, a trocar force above this opens the brakes until the force falls to half. Open brakes only damp"""
+    """in a stop, a trocar force above this opens the brakes until it falls to half of this. Open brakes only damp"""
     stop_yield_s: float = Field(0.4, ge=0.0, le=60.0)
     """longest time for which the brakes stay open. They open again if the trocar force rises by another stop_yield_N"""
     stop_s: float = Field(0.5, gt=0.0)

@@ -114,7 +114,7 @@ class ControlSettings(Settings):
     speed_fraction: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5
     """with third_level 'local': largest speed in the box, as a share of the joint's v_max. 1 in the paper"""
     limit_margin_rad: NotNegative = 0.15
-    """third_level 'local': at this distance from a joint limit, no speed towards the limit is allowed. 0 in the paper"""
+    """with third_level 'local': at this distance from a joint limit, x must not lead to the limit. 0 in the paper"""
     limit_margin_m: NotNegative = Field(default=0.05, description="margin of sliding joints with any third_level")
     shaft_margin: float = Field(default=0.175, ge=0.0, le=1.0)
     """threshold that keeps the arm off poses in which the joints can hardly turn the shaft. Let s be the manipulability

@@ -86,7 +86,7 @@ class SupervisorSettings(Settings):
 
 _FAULTS = tuple(Fault)  #: In the order of the core's enum.
 _CLAIMS = {Status.SOLVED: 0, Status.INFEASIBLE: 1, Status.MAX_ITER: 2, Status.TIME_LIMIT: 2}
-"""Numbers in the core's enum moc_claim. Every other status means ``_NO_ANSWER``."""
+"""The number of each status in the core's enum moc_claim. Every other status means ``_NO_ANSWER``."""
 _NO_ANSWER = 3
 _NAN = float("nan")
 

@@ -30,7 +30,7 @@ def in_words(point: EntryPoint) -> str:
 
 
 def load(kind: str, name: str, points: list[EntryPoint], error: type[MocOptError]) -> Any:
-    """Import the object of an entry point. Raise ``error`` if the import fails, or if there are several."""
+    """Import the object of an entry point. Raise ``error`` if this fails, or if several entry points have the name."""
     if len(points) > 1:
         raise error(f"{kind} {name!r}: {' and '.join(map(in_words, points))} claim this name: rename one")
     try:

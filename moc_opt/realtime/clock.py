@@ -22,7 +22,7 @@ class WallClock:
         self.late_us, self.overruns = 0.0, 0
 
     def wait_for(self, tick: int) -> float:
-        """Sleep until a tick begins (tick 0: in one period). Return the deadline for its command (`monotonic`) [s]."""
+        """Sleep until a tick begins. Tick 0 begins in one period. Return its command's deadline (`monotonic`) [s]."""
         if tick == 0:
             self._begin = monotonic() + self._period
         due = self._begin + tick * self._period

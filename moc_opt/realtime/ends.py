@@ -34,13 +34,13 @@ _LINGER_S = 0.3  # time for which the controller still acknowledges repeated END
 class RemoteController(Filtered):
     """The plant's end: it sends measurements and returns the commanded torques. Without a command, its watchdog acts.
 
-    Give it to `sim.loop.simulate` as the controller, and ``pace`` as ``watch``. Call ``close`` afterwards.
+    Pass the object to `sim.loop.simulate` as the controller, and ``pace`` as ``watch``. Call ``close`` afterwards.
 
     Args:
         safety_filter: the plant's own filter. It computes the watchdog's gravity torque and brake friction.
         columns: function that makes the trace columns of the remote controller for a number of ticks.
         applied, tau_max: (n,) torque before the first tick, and largest torque that a command may have [Nm].
-        clock: None: lock-step, in which the plant waits for each command, and repeats a measurement if necessary.
+        clock: None for lock-step, in which the plant waits for each command, and repeats a measurement if necessary.
     """
 
     stop_reason = ""
@@ -60,7 +60,7 @@ class RemoteController(Filtered):
     warnings = property(lambda self: [])  # the other end records them
 
     def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
-        """Wait for a controller, send it the first measurement, and wait for its START; else a WireError."""
+        """Wait for a controller, send the first measurement, and wait for START. Without START, raise a WireError."""
         link, packet, self._sound = self.link, self._packet, seen
         self._fill(seen, wire.WAITING)
 
@@ -170,7 +170,7 @@ class RemoteController(Filtered):
         return None
 
     def _is_due(self, found: Packet) -> bool:
-        """Return whether a packet is this tick's command with usable values. Commands of all kinds are counted."""
+        """Return whether a packet is this tick's command with usable values. Every command is counted."""
         if found["kind"] != Kind.COMMAND:
             return False
         number, friction = int(found["sequence"]), found["friction"]
@@ -232,7 +232,7 @@ class Answering:
         return make_packet(kind, self.link.n, self.link.session, self.scenario)
 
     def _ask(self, kind: Kind, *, waits: bool) -> Packet:
-        """Send a packet again and again until a measurement comes. ``waits``: whether this has the flag WAITING."""
+        """Send a packet again and again until a measurement comes. ``waits``: whether its flag has to be WAITING."""
         link, request, until = self.link, self._packet(kind), monotonic() + self.settings.wait_s
         while (now := monotonic()) < until:
             link.send(request)

@@ -180,7 +180,7 @@ class Scenario(Settings):
 
     @property
     def told_guard(self) -> SafetyFilterSettings:
-        """The settings ``[guard]`` in use, with limits that are left out or too low set for the encoders."""
+        """The settings ``[guard]`` in use. A limit that is left out or too low follows from the encoders' settings."""
         guard, plant, told = self.guard, self.plant, dict[str, float | None]()
         encoder = plant.encoder_noise_rad, plant.encoder_resolution_rad
         if guard.repeat_joint_ticks is None:

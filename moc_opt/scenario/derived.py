@@ -42,7 +42,7 @@ PATH = {"robot", "start", "trocar", "task", "duration_s", "seed"}  # keys of a s
 
 
 def model_errors(columns: Columns, robot: RobotModel, plant: Plant, offset: TaskOffset) -> dict[str, NDArray[Any]]:
-    """Compute tip and RCM error by the controller's kinematics. With encoders on elastic joints' motors: no columns."""
+    """Compute tip and RCM error by the controller's kinematics. If springs separate encoders and links, return {}."""
     if plant.settings.elastic and plant.settings.encoder_side == "motor":
         return {}
     tips, wrists = robot.tool_along(columns["q_rad"] + plant.mismatch.encoder_bias)
@@ -69,7 +69,7 @@ def residual_columns(columns: Columns) -> dict[str, NDArray[Any]]:
 def largest_mu(poses: Array, robot: RobotModel, samples: int) -> tuple[Array, dict[str, str]]:
     """At evenly spaced ticks, compute the largest mu of all feasible poses with the tick's tip and wrist.
 
-    Return this bound (N,), and its method for the trace's meta. At other ticks or poses not finite, the bound is NaN.
+    Return this bound (N,), and its method for the trace's meta. The bound is NaN at other ticks and non-finite poses.
     """
     bound = np.full(len(poses), np.nan)
     ticks = np.linspace(0, len(poses) - 1, min(samples, len(poses))).astype(int)

@@ -37,7 +37,7 @@ def plan(
         swivels: samples per turn of the elbow. For arms without closed-form poses, at least the default is used.
         margin_rad, margin_m: distance of turning and of sliding joints from their limits [rad], [m].
         speed_share: share of the joints' speed limits that a course may use, above 0 to 1.
-        shaft_margin: smallest (manipulability of the shaft) / (distance from wrist to tip)^2, wherever possible.
+        shaft_margin: smallest (manipulability of the shaft) / (distance from wrist to tip)^2, if possible.
         refined: whether a nonlinear program improves the courses found on the grid.
 
     Raises:
@@ -73,8 +73,8 @@ def followable_plan(
 ) -> tuple[Plan, dict[str, float]]:
     """Plan a course within limits, and return the plan and the limits.
 
-    If ``followed`` is true, the limits are those of [control] for a course, else the arm's own limits. None: true if
-    third_level follows a course. If no course keeps the margins of [control], the plan has no margins. Limits given
+    If ``followed`` is true, the limits are those of [control] for a course, else the arm's own limits. If it is None,
+    third_level decides. If no course keeps the margins of [control], the plan has no margins. Limits given
     as arguments have priority. If only one margin is given, the other margin is 0.
     """
     settings = scenario.control

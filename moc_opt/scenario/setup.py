@@ -172,7 +172,7 @@ class Setup:
         return guides(self.following)
 
     def fault_mask(self) -> NDArray[np.bool_]:
-        """Return flags (N,), true at the ticks at which the solver gets a fault."""
+        """Return flags (N,), true at the ticks at which a fault is put into the solver's answer."""
         faults = self.scenario.faults
         never = faults.solver == "none" or self.scenario.control.law != "moc"
         return draw(self._fault_seed, 0.0 if never else faults.solver_share, self.ticks)
@@ -249,7 +249,7 @@ class Setup:
         return trace.with_columns(mu_bound=bound, **best).with_meta(**method, **told)
 
     def _save_rest(self, rows: Columns, meta: Mapping[str, Any], file: Path, error: BaseException) -> None:
-        """Save the rows of a run that an exception ended, and add a note to the exception that names the file."""
+        """Save the rows of a run that an exception ended, and add a note with the file's name to the exception."""
         ticks, period_s = len(rows["t_s"]), self.scenario.plant.period_s
         ended = f"interrupted: {describe(error)} (t = {ticks * period_s:.3f} s)"
         told = {"period_s": period_s, "ended": ended, "ticks": ticks, "ticks_planned": self.ticks}

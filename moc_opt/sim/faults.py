@@ -1,4 +1,4 @@
-"""Faults that are put into a run, drawn with a seed: of sensors, packets, trocar and solver, and pushes on the arm.
+"""Faults that are put into a run: of sensors, packets, trocar and solver, and pushes on the arm. A seed draws them.
 
 The stamp of a measurement is the number of the control period in which it was taken. With ``forged_stamps``, old
 readings have the present stamp, as if a buffer stamped them when they leave it.
