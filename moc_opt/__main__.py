@@ -48,7 +48,7 @@ def _command(arguments: Sequence[str] | None) -> int:
     try:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         warnings.formatwarning = lambda text, *_, **__: f"{text}\n"  # without the source line
-        from moc_opt.commands.parser import COMMANDS, make_parser, work_of  # a slow import that Ctrl-C may interrupt
+        from moc_opt.commands.parser import COMMANDS, make_parser, work_of  # slow: Ctrl-C may come in between
 
         parser = make_parser()
         if "_ARGCOMPLETE" in os.environ:  # a shell asks for completions of the command line

@@ -11,7 +11,7 @@ from moc_opt.inputs.settings import Level, Settings
 
 
 class SafetyFilterSettings(Settings):
-    """Limits of the safety filter, and its actions in a stop. tau_max and v_max: a joint's largest torque and speed.
+    """Limits of the safety filter, and actions in a stop. A joint has the largest torque tau_max and speed v_max.
 
     The fields from ``motion`` to ``residual_s``, and ``jump_rad``, ``speed_factor`` and ``patience_ticks``, decide
     whether measurements are trusted.
@@ -28,7 +28,7 @@ class SafetyFilterSettings(Settings):
     """this time multiplied by the joint's largest recent speed is added to motion_rad, because filtered velocities lag.
     At least three time constants of the velocity filter are used"""
     repeat_m: float = Field(0.003, gt=0.0)
-    """largest travel of the tip's reference while all encoders repeat their readings (below, too: to the last bit)"""
+    """largest travel of the tip's reference while all encoders repeat their readings (to the last bit, also below)"""
     repeat_torque: float = Field(0.06, gt=0.0)
     """largest change of a torque while all encoders repeat their readings, as a share of tau_max. At
     least 500 times the encoders' step in rad is used"""
@@ -95,7 +95,7 @@ class SafetyFilterSettings(Settings):
     stop_holding: float = Field(0.25, ge=0.0, le=1.0)
     """dry friction of the brakes in a stop, as a share of tau_max. With 0, the brakes only damp, and a load sinks"""
     stop_yield_N: Level = 8.0
-    """in a stop, a trocar force above this opens the brakes until it falls to half of this. Open brakes only damp"""
+    """in a stop, a trocar force above this opens the brakes until the force is half of this. Open brakes only damp"""
     stop_yield_s: float = Field(0.4, ge=0.0, le=60.0)
     """longest time for which the brakes stay open. They open again if the trocar force rises by another stop_yield_N"""
     stop_s: float = Field(0.5, gt=0.0)
