@@ -30,7 +30,7 @@ class ExchangeableController:
 
     The controller in ``next`` takes over at the next tick, at the earliest BLEND_S after the previous exchange. If it
     cannot start, ``messages`` gets the error. After an exchange, tau = tau_new + offset. At first, the offset is
-    tau_old - tau_new. It decays by exp(-t / BLEND_S).
+    tau_old - tau_new. Then it decays with exp(-t / BLEND_S).
     """
 
     def __init__(self, first: Controller, period_s: float, messages: deque[str]) -> None:
@@ -107,7 +107,7 @@ class LiveRun:
     solver = property(lambda self: solver_of(self._chosen), doc="The solver, or `DCAC`.")
 
     def choose(self, solver: str) -> None:
-        """Use another solver for the third level, or `DCAC` (no third level). A MocOptError if this cannot run."""
+        """Use another solver for level 3, or `DCAC` (no level 3). Raise a MocOptError if the solver cannot run."""
         law = self.control.matched_dcac() if solver == DCAC else {"law": "moc"}
         self._exchange(self.control.replace(law), solver)
 

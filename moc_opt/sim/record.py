@@ -40,7 +40,7 @@ class TaskOffset(NamedTuple):
     """
 
     tip: Array = np.zeros(3)  #: At the start of the path.
-    trocar: Array = np.zeros(3)  #: At the trocar, without the registration error.
+    trocar: Array = np.zeros(3)  #: At the registered trocar, without the registration error.
 
 
 class Record:
