@@ -17,7 +17,7 @@ from moc_opt.errors import MocOptError, describe
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; return 0, 2 after wrong input, 3 if a run did not end "completed", 130 after Ctrl-C or SIGTERM."""
+    """Run a command and return its exit status: 0, 1 (defect), 2 (wrong input), 3 (run incomplete) or 130 (Ctrl-C)."""
     try:
         try:
             return _command(arguments)
@@ -38,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _nobody_reads() -> bool:
-    """Return whether standard output is the broken pipe."""
+    """Return whether standard output is a pipe that nobody reads any more."""
     watched = select.poll()
     watched.register(sys.stdout.fileno(), 0)
     return bool(watched.poll(0))
@@ -48,7 +48,7 @@ def _command(arguments: Sequence[str] | None) -> int:
     try:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         warnings.formatwarning = lambda text, *_, **__: f"{text}\n"  # without the source line
-        from moc_opt.commands.parser import COMMANDS, make_parser, work_of  # slow: Ctrl-C may come meanwhile
+        from moc_opt.commands.parser import COMMANDS, make_parser, work_of  # slow: Ctrl-C may come in between
 
         parser = make_parser()
         if "_ARGCOMPLETE" in os.environ:  # a shell asks for completions of the command line

@@ -1,4 +1,4 @@
-"""The type of all arrays of doubles, and read-only arrays."""
+"""`Array`, the type of arrays of doubles, and `read_only`, which protects an array."""
 
 from __future__ import annotations
 
@@ -12,6 +12,6 @@ Given = TypeVar("Given", bound=NDArray[Any])
 
 
 def read_only(array: Given) -> Given:
-    """Make an array read-only, and return it; other arrays on the same memory stay writable."""
+    """Make an array read-only, and return it. Other arrays that share its memory stay writable."""
     array.setflags(write=False)
     return array

@@ -9,7 +9,7 @@ from typing import ClassVar
 
 
 class MocOptError(Exception):
-    """Base of every error that moc_opt raises on purpose; its text is cut at ``MOST`` characters."""
+    """Base of every error that moc_opt raises on purpose. Its text is cut at ``MOST`` characters."""
 
     MOST: ClassVar[int] = 2000
 
@@ -39,7 +39,7 @@ class PlantError(MocOptError, ValueError):
 
 
 class SolverError(MocOptError, ValueError):
-    """A solver cannot be built or run with these settings here."""
+    """A solver cannot be built or run with these settings on this machine."""
 
 
 class ScenarioError(MocOptError, ValueError):
@@ -59,24 +59,24 @@ class ReportError(MocOptError, ValueError):
 
 
 class BrowserError(ReportError):
-    """A browser cannot be controlled here; the message says what to do."""
+    """A browser cannot be controlled on this machine. The message says what to do."""
 
 
 class BrowserMissingError(BrowserError):
-    """No browser is installed, or no package to control it; the message says what to install."""
+    """There is no browser, or no package that controls a browser. The message says what to install."""
 
 
 class UnknownNameError(MocOptError, LookupError):
-    """A name that is not known; the message holds the nearest valid names."""
+    """A name is not known. The message lists the nearest valid names."""
 
     MOST = 10_000  # the message may list many names
-    FEW: ClassVar[int] = 12  #: Up to this many names are all shown, even if a command lists them, too.
+    FEW: ClassVar[int] = 12  #: Up to this many names are all in the message, even if a command lists them.
 
     def __init__(self, kind: str, name: str, valid: Iterable[str], listed_by: str = "") -> None:
-        """Name the nearest ``valid`` names, then all of them or, if there are many, the command that lists them."""
+        """Show the nearest ``valid`` names, then all valid names or, if there are many, the command ``listed_by``."""
         names = sorted(valid)
         short = bool(listed_by) and len(names) > self.FEW
-        # A name without a dot is compared with the last parts of dotted names.
+        # An unknown name without a dot is compared with the last parts of dotted names.
         ends = {one: (one if "." in name else one.rpartition(".")[2]).lower() for one in names}
         close = difflib.get_close_matches(name[:100].lower(), set(ends.values()), n=3, cutoff=0.55)
         near = [one for end in close for one in names if ends[one] == end][:3]
@@ -93,7 +93,7 @@ def is_number(value: object) -> bool:
 
 
 def shown(value: object, most: int = 200) -> str:
-    """Return the value as a message shows it, cut at ``most`` characters."""
+    """Return the text of a value in a message, cut at ``most`` characters."""
     try:
         text = repr(value)
     except Exception as reason:  # noqa: BLE001 - repr may be foreign code; it fails for integers of thousands of digits
@@ -113,5 +113,5 @@ def describe(error: BaseException, most: int = 300) -> str:
 
 
 def printable(text: str) -> str:
-    """Replace characters of a foreign text that could control a terminal."""
+    """Replace unprintable characters, because they could control a terminal."""
     return "".join(c if c.isprintable() else "\ufffd" for c in text)

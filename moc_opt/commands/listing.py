@@ -39,7 +39,7 @@ def print_list(given: argparse.Namespace) -> int:
 
 
 def _shown(key: str, value: Any) -> Any:
-    """Return a table's cell: sizes or settings with defaults on one line, a unit as in all tables, else the value."""
+    """Return the text of a table's cell. Sizes or settings with their defaults are put on one line."""
     if key == "unit":
         return pretty_unit(value)
     if not isinstance(value, dict):
@@ -49,7 +49,7 @@ def _shown(key: str, value: Any) -> Any:
 
 
 def solvers() -> tuple[str, Rows, str]:
-    """Return every registered solver, whether it can run here, and its settings."""
+    """Return every registered solver, whether it can run on this machine, and its settings."""
     rows = {}
     for name, reason in available().items():
         settings = {key: value for key, value in defaults(name).items() if key != "kinematics"} if not reason else {}
@@ -68,7 +68,7 @@ def robots() -> tuple[str, Rows, str]:
         left = best_freedoms(arm)
         rows[name] = {"joints": arm.n, "real": left.real, "idle": len(left.idle), "tool": arm.data.tool_length,
                       "about": about(name)}  # fmt: skip
-    more = "The path of your own robot file may replace a name; `moc-opt robot check NAME` says more."
+    more = "Instead of a name, give the path of your own robot file. `moc-opt robot check NAME` checks an arm."
     return "Robots: [robot] name", rows, more
 
 

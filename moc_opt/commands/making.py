@@ -15,7 +15,7 @@ from moc_opt.trace.meta import Ending
 
 
 def save_page(given: argparse.Namespace) -> int:
-    """Write saved runs as the page of this command, then its figures if requested; returns 0.
+    """Write the page of this command from saved runs, and the figures of a map if requested; returns 0.
 
     The page is written even if no browser can draw the figures.
     """

@@ -22,12 +22,12 @@ TOP, ABSENT = "scenario", "left out"
 HEAD = """# The keys of a scenario
 
 `moc-opt keys --markdown` makes this page from the schema that checks every file: edit the schema, not this page. A key
-that is left out has its default. The unit of a number ends its name (`_m_per_s`: m/s) or is in brackets. In `[guard]`,
-`inf` switches off a threshold of RCM error or force.
+that is left out takes its default. The unit of a number is the end of its name (`_m_per_s`: m/s) or is in brackets. In
+`[guard]`, `inf` switches off a threshold of RCM error or force. "In the paper" means in Su et al. (2019), see README.
 
 Level 1 of the control law moves the tip along the path. Level 2 keeps the shaft in the trocar (RCM: remote centre of
-motion). Level 3 moves the elbow to raise the manipulability mu. Its solver computes a joint velocity x. A x = b keeps
-tip and wrist on their references, and the bounds on x are called the box. docs/method.md has the equations.
+motion). Level 3 moves the elbow to raise the manipulability mu. The solver of level 3 computes a joint velocity x. The
+equation A x = b keeps tip and wrist on their references. The bounds on x are called the box. See docs/method.md.
 """
 WORDS = {int: "integer", float: "number", str: "text", bool: "flag", type(None): "", Any: "value"}
 
@@ -87,7 +87,7 @@ def markdown(only: str | None = None) -> str:
 
 
 def _type(hint: Any) -> str:
-    """Write a type in the words of a TOML file."""
+    """Return a type in the words of a TOML file."""
     if hint in WORDS:
         return WORDS[hint]
     origin, inside = get_origin(hint), get_args(hint)

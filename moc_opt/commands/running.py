@@ -21,7 +21,7 @@ from moc_opt.trace.file import check_trace, new_file
 from moc_opt.trace.metrics import METRICS, load_plugins, summarize
 from moc_opt.trace.trace import Trace, about
 
-POINTS = "give x, y, z [m], one point a line; the first line may name the columns, x_m,y_m,z_m, and # begins a comment"
+POINTS = "give x, y, z [m], one point per line; the first line may name the columns (x_m,y_m,z_m), # begins a comment"
 
 
 def read_scenario(path: Path | None) -> tuple[Scenario, str]:
@@ -31,7 +31,7 @@ def read_scenario(path: Path | None) -> tuple[Scenario, str]:
 
 
 def print_tables(tables: Iterable[Table]) -> None:
-    """Print tables in the width of the screen, with a blank line between two."""
+    """Print tables in the width of the screen, with blank lines between them."""
     screen = console()
     for place, table in enumerate(tables):
         if place:
@@ -101,7 +101,7 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
         raise
     for name in scenario.metrics:
         if name not in metrics:
-            print(f"{title}: metric {name} is not known of this run", file=sys.stderr)
+            print(f"{title}: this run has no metric {name}", file=sys.stderr)
     wanted = {name: metrics[name] for name in scenario.metrics if name in metrics} if scenario.metrics else metrics
     if given.json:
         print(to_json(run_json(trace, wanted)))
@@ -117,7 +117,7 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
 
 
 def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
-    """Return the scenario with its values replaced by the options of ``run`` that are given."""
+    """Return the scenario with the changes that the given options of ``run`` make."""
     if given.course == "":
         raise ScenarioError("--course '': give the file that `moc-opt plan --out` wrote")
     if given.course and given.third_level not in (None, "planned"):
@@ -161,7 +161,7 @@ def read_waypoints(path: str) -> list[list[float]]:
 
 
 def _matched_dcac(scenario: Scenario, title: str, ticks: int) -> Trace | None:
-    """Run DCAC with the same gains and return its first ``ticks`` ticks; None (and a message) if DCAC ended earlier."""
+    """Run DCAC with equal gains and return its first ``ticks`` ticks. If DCAC ended earlier, say so and return None."""
     matched = scenario.change(control=scenario.control.matched_dcac(), bound_samples=0, best_courses=False)
     trace = _as_far_as_it_goes(lambda: run(matched))
     if len(trace) < ticks or "mu" not in trace.columns:
@@ -174,7 +174,7 @@ def _matched_dcac(scenario: Scenario, title: str, ticks: int) -> Trace | None:
 
 
 def run_plant(given: argparse.Namespace) -> int:
-    """Wait for a controller, run in real time or in lock step, print the same as `run`; returns the exit status."""
+    """Wait for a controller, run in real time or in lock-step, and print as `run` does; returns the exit status."""
     from moc_opt.realtime.clock import ask_for_realtime
     from moc_opt.realtime.wire import written
     from moc_opt.scenario.wired import PlantServer
@@ -199,8 +199,8 @@ def run_control(given: argparse.Namespace) -> int:
     (scenario, title), granted = read_scenario(given.scenario), dict[str, str]()
     if scenario.control.third_level == "receding":
         print(
-            "control: third_level = 'receding' computes courses within ticks, for about 10 ms each: in real time those "
-            "ticks are missed; give the plant --lock-step, or take third_level = 'planned'", file=sys.stderr,
+            "control: third_level = 'receding' computes a course within a tick, in about 10 ms: in real time, such a "
+            "tick is missed; give the plant --lock-step, or take third_level = 'planned'", file=sys.stderr,
         )  # fmt: skip
     first = "planning its course, then " if scenario.control.follows else ""
     where = f"{given.connect}, for {scenario.wire.wait_s:g} s"

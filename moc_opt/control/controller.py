@@ -32,22 +32,22 @@ class Guide(Protocol):
         """Reset to the start of the run, t = 0."""
 
     def desired_velocity(self, state: RobotState) -> Array:
-        """Return x_d (n,) [rad/s] of this tick; only its part in ker A is used. It is called once per tick."""
+        """Return x_d (n,) [rad/s] of this tick. Only the part of x_d in ker A is used. Called once per tick."""
 
 
 class Controller:
     """One arm, one law and one solver. The closed loop calls ``start`` once, then ``tick`` every period.
 
-    After a tick, ``state`` has the terms of the robot's model. ``subproblem``, ``solution``, ``answer``, ``fault`` and
+    After a tick, ``state`` is the state of the robot's model. ``subproblem``, ``solution``, ``answer``, ``fault`` and
     ``solve_us`` describe level 3. Under DCAC (only levels 1 and 2) they are None, None, NaN, ``Fault.NONE`` and NaN.
 
     Args:
         robot: the model that the control law uses.
         settings: see ControlSettings.
         solver: solver of level 3 for law "moc"; None for "dcac".
-        period: control period [s]; the observer integrates over it.
+        period: control period [s].
         times_us: recorded solve times [us], used instead of the clock.
-        guide: a `Guide` whose velocity replaces the gradient of mu; it needs regularization and c2 above 0.
+        guide: a `Guide` whose velocity replaces the gradient of mu. Then regularization and c2 must be above 0.
 
     Raises:
         ControlError: law "moc" has no solver, law "dcac" has a solver, or a setting does not fit the robot.
@@ -92,7 +92,7 @@ class Controller:
 
     @property
     def state(self) -> RobotState:
-        """The terms of the robot's model at the last tick's q and v."""
+        """The state of the robot's model at the last tick's q and v."""
         return RobotState(self._record, self._n)
 
     @property
@@ -116,11 +116,11 @@ class Controller:
     fault = property(lambda self: self._supervisor.fault, doc="The fault of the last tick's answer.")
     solve_us = property(
         lambda self: self._supervisor.solve_us,
-        doc="Time of the last tick's solve [us] (of `exact`: inside the core). NaN if nothing was solved.",
+        doc="Solve time of the last tick [us]. For `exact`, the core measures it. NaN if nothing was solved.",
     )
     faults = property(
         lambda self: self._supervisor.faults,
-        doc="Faults since the start: label -> ``count``, ``first_at_s`` and ``first`` (the first fault's message).",
+        doc="Faults since the start: by label, a dict of ``count``, ``first_at_s`` and ``first`` (the first message).",
     )
 
     @property
@@ -203,13 +203,13 @@ class Controller:
         return read_only(tau)
 
     def set_applied_torque(self, tau: Array) -> None:
-        """Tell the observer the applied torque (n,) [Nm], if it differs from the result of `tick`."""
+        """Tell the observer which torque (n,) [Nm] was applied. Called only if this is not the result of `tick`."""
         if not np.isfinite(tau).all():
             raise ControlError(f"applied torque = {np.asarray(tau).tolist()} is not finite: the observer cannot use it")
         self._law.set_applied(np.ascontiguousarray(tau, dtype=np.float64))
 
     def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
-        """Create trace columns of level 3 with one row per tick; under DCAC only status and solve time."""
+        """Create trace columns of level 3 with one row per tick. Under DCAC, these are only status and solve time."""
         found: dict[str, NDArray[Any]] = {
             "status": np.full(ticks, "none", dtype="<U12"), "solve_us": np.full(ticks, np.nan)
         }  # fmt: skip

@@ -14,7 +14,7 @@ from moc_opt.robots.model import RobotModel
 PROJECTORS = ("dynamic", "static", "as_published")  #: In the order of the core's enum, like FALLBACKS and LATE.
 FALLBACKS = ("damping", "hold", "least-violation")
 LATE = ("hold", "zero", "iterate")
-COURSE_K0_PER_S = 10.0  #: Smallest k0 with a course, which itself slows down before a limit.
+COURSE_K0_PER_S = 10.0  #: Smallest k0 if the elbow follows a course, which slows down before a limit.
 _CHECKS = ("check", "box_limit", "primal_limit", "relative_limit", "opposite_limit", "keep_off_limits", "hold_ticks")
 
 

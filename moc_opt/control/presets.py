@@ -1,4 +1,4 @@
-"""Named sets of control settings: those of the paper, the result of a search, and a softer set."""
+"""Named sets of control settings: the settings of the paper, the result of a search, and a softer set."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ PAPER: dict[str, Any] = {
     "shaft_margin": 0.0, "fallback": "damping", "ramp_s": 0.0,
 }  # fmt: skip
 
-# Found by a search over random settings for the LWR4+ in the realistic plant. Its gains are in the robot's file. Other
+# Found by a search over random settings for the LWR4+ in the realistic plant. The gains are in the robot's file. Other
 # arms have their own table "tuned", or gains derived from their inertia (`moc_opt.robots.gains`).
 TUNED: dict[str, Any] = {
     "gains": "tuned", "fallback": "damping", "observer_gain_per_s": 33.3, "feedforward": True, "k0_per_s": 1.58,
     "regularization": 3.24e-5, "speed_fraction": 0.49, "ramp_s": 0.653,
-    "course_observer_gain_per_s": 28.0,  # 33 and 40 /s are unstable at three ticks of delay without friction
+    "course_observer_gain_per_s": 28.0,  # at 33 or 40 /s, an arm without friction is unstable with a delay of 3 ticks
 }  # fmt: skip
 
 # Softened by hand until the loop tolerates a delay of four ticks from command to torque, even without friction and with
@@ -29,4 +29,4 @@ ROBUST: dict[str, Any] = {
 }  # fmt: skip
 
 PRESETS: Mapping[str, dict[str, Any]] = MappingProxyType({"paper": PAPER, "tuned": TUNED, "robust": ROBUST})
-"""Name -> the settings that differ from the defaults."""
+"""For each preset, the settings that differ from the defaults."""

@@ -42,7 +42,7 @@ class SafetyFilter:
         period: control period [s].
         carries: whether the torque carries the arm's weight; False if the drives compensate gravity themselves.
         incision: whether the tool is in an incision. If not, RCM error and trocar force are not checked.
-        momentum: whether `limit_torque` computes the state if it gets none, to compare motion and torque.
+        momentum: whether `limit_torque` computes the state if it gets none. It then always compares motion and torque.
 
     Attributes:
         limited: number of joints whose last torque was changed.
@@ -67,7 +67,7 @@ class SafetyFilter:
         self.start(np.clip(robot.data.q_home, robot.q_min, robot.q_max), self._rest)
 
     def start(self, q: Array, v: Array, stamp: int = 0) -> None:
-        """Begin at the first measurement, taken in period ``stamp``. A joint inside its wall is not pushed out then.
+        """Begin at the first measurement, taken in period ``stamp``. A joint that starts in its wall is not pushed out.
 
         Raises:
             ControlError: the measurement is not finite.
@@ -102,7 +102,7 @@ class SafetyFilter:
 
     @property
     def warnings(self) -> list[dict[str, Any]]:
-        """Each quantity ``of`` that exceeded its warning ``level``, with ``first_s``, ``largest`` and ``unit``."""
+        """Exceeded warning levels: ``of`` (quantity), ``level``, ``largest`` value, ``unit``, ``first_s`` (time)."""
         _, figures = self._guard.watched()
         found = []
         for (name, warning, _, unit, scale), largest, first in zip(_WATCHED, *figures[1:].tolist(), strict=True):
@@ -125,14 +125,14 @@ class SafetyFilter:
         """Return the torque (n,) [Nm] within its limits; ``limited`` counts the joints whose torque was changed.
 
         If the torque is not finite, a stop is requested and ``before`` is returned. The tip's distance from its
-        reference is checked too. The motion up to (q, v) is compared with ``before``, which caused it.
+        reference is checked too. The measured motion is compared with ``before``, the torque that caused the motion.
 
         Args:
             tau, before: (n,) the controller's torque, and the torque that was applied last [Nm].
             q, v: (n,) as returned by `check_measurement` [rad], [rad/s].
             tip_ref: (3, 3) rows X_d, dX_d, ddX_d [m]; None: the tip is not checked.
             state: the robot's state at (q, v); None: it is computed here if it is needed.
-            tip: (3,) the tip position that the controller computed [m]; None: that of ``state``.
+            tip: (3,) the tip position that the controller computed [m]; None: the tip of ``state``.
         """
         shown = state is not None or tip is not None
         if state is None and self._computes:
@@ -147,7 +147,7 @@ class SafetyFilter:
         return tau if math.isfinite(tau.dot(tau)) else before
 
     def stop_torque(self, before: Array) -> Array:
-        """Return the torque (n,) [Nm] of a damped stop: it approaches the arm's weight in the last accepted pose.
+        """Return the torque (n,) [Nm] in a stop. It approaches the gravity torque of the last accepted pose.
 
         The torque before the stop is not kept, because it would go on pushing the arm.
         """
@@ -191,7 +191,7 @@ def numbers_of(
         "tool_mass": data.tool_mass, "tool_length": data.tool_length, "tip_force": _or_infinite(s.tip_force_N),
         "stop_yield": _or_infinite(s.stop_yield_N), "stop_yield_ticks": round(s.stop_yield_s / period),
         "press_share": min(1.0, PRESS_PER_S * period),
-        # If one encoder repeats a reading with probability p, all n do so with p^n. Therefore divide the ticks by n.
+        # One encoder repeats a reading with probability p, all n encoders with p^n. So the ticks are divided by n.
         "replayed_ticks": max(float(s.repeat_whole_ticks), _or_infinite(s.repeat_joint_ticks) / robot.n),
         "stuck_speed": s.stuck_rad_per_s, "held": np.minimum(s.stuck_torque * data.tau_max, coulomb),
         "residual_whole": s.residual_whole_torque, "residual_rate": s.residual_rate_per_s,

@@ -45,10 +45,10 @@ GAINS = Gains._fields
 
 
 class ControlSettings(Settings):
-    """The control law. Level 3 makes the joint velocity v follow the solver's x. The bounds on x are called the box.
+    """The control law. Level 3 makes the joint velocity v follow x, the velocity that its solver computes in the box.
 
-    In the robots' files, the gains ``default`` are for both laws. The gains ``dcac`` and ``moc`` are from Table I of Su
-    et al. (2019). K_N2, D_N2 and ``dcac_damping`` are one number for all joints, or one per joint.
+    In the robots' files, the table [gains.default] is for both laws. [gains.dcac] and [gains.moc] are from Table I of
+    Su et al. (2019). K_N2, D_N2 and ``dcac_damping`` are one number for all joints, or one per joint.
     """
 
     KIND: ClassVar[str] = "[control]"
@@ -58,8 +58,8 @@ class ControlSettings(Settings):
     law: Literal["dcac", "moc"] = "moc"
     """'dcac': only level 1 (tip) and level 2 (RCM); 'moc': also level 3, which raises the manipulability mu"""
     gains: str | None = "default"
-    """table with the default gains in the robot's file (moc_opt/robots/lwr4.toml). '': the table named like the law"""
-    K_X: Positive | None = Field(default=None, description="tip stiffness [N/m]; default: see gains (lwr4: 3000)")
+    """name of the table of default gains in the robot's file (such as moc_opt/robots/lwr4.toml). '': the law's name"""
+    K_X: Positive | None = Field(default=None, description="tip stiffness [N/m]; default: see gains (3000 for lwr4)")
     D_X: NotNegative | None = Field(default=None, description="tip damping [N s/m]; default: see gains")
     K_N: Positive | None = Field(default=None, description="wrist stiffness [N/m]; default: see gains")
     D_N: NotNegative | None = Field(default=None, description="wrist damping [N s/m]; default: see gains")
@@ -68,60 +68,61 @@ class ControlSettings(Settings):
     dcac_damping: PerJoint = 0.0
     """law 'dcac': damping of elbow motion that leaves tip and wrist at rest [N m s/rad]. 0 in the paper"""
     rcm_lambda: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
-    """lambda of the wrist error d / lambda (d: RCM error). 0.5 in the paper. If left out, the true error is used"""
+    """if given, the wrist's error is taken as d / rcm_lambda, with the RCM error d. If left out, the true error of the
+    wrist is used. 0.5 in the paper"""
     projector: Literal["dynamic", "static", "as_published"] = "dynamic"
     """null-space projector of level 2. docs/method.md explains the choices"""
     feedforward: bool = True
     """whether the desired accelerations of tip and wrist are fed forward. false in the paper"""
     observer_gain_per_s: NotNegative = 20.0
-    """gain of the momentum observer, which estimates external torques. 0: no observer. With a course, a gain above 0 is
-    replaced by course_observer_gain_per_s"""
+    """gain of the momentum observer, which estimates external torques. 0: no observer. If the elbow follows a course,
+    course_observer_gain_per_s replaces a gain above 0 (see third_level)"""
     limit_torque: bool = True
     """whether the controller limits each torque to the joint's largest torque"""
     k0_per_s: Positive = 2.0
-    """the box allows at most the speed k0 d towards a joint limit, where d is the distance to the limit minus the
-    margin. 0.1 in the paper. If a course is followed, k0 is at least 10"""
+    """the box allows at most the speed k0 d towards a joint limit, where d is the distance to the limit minus
+    limit_margin_rad. 0.1 in the paper. If the elbow follows a course, k0 is at least 10 (see third_level)"""
     third_level: Literal["local", "planned", "receding"] = "local"
     """motion of the elbow under law 'moc'. 'local': in the direction in which mu rises; 'planned': along a course
     (planned joint motion) computed before the run; 'receding': along a course that is replanned during the run"""
     course: str = ""
-    """third_level 'planned': file of the course, written by `moc-opt plan --out`. A relative path starts at the
+    """with third_level 'planned': file of the course, written by `moc-opt plan --out`. A relative path starts at the
     scenario's folder. If empty, a course is planned before the run"""
     horizon_s: Annotated[float, Field(ge=0.2, le=2.0)] = 1.0
-    """third_level 'receding': duration of each replanned course"""
+    """with third_level 'receding': duration of each replanned course"""
     replan_per_s: Annotated[float, Field(ge=20.0, le=50.0)] = 20.0
-    """third_level 'receding': number of courses computed per second"""
+    """with third_level 'receding': number of courses computed per second"""
     course_speed_fraction: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.85
-    """largest joint speed of a course, as a share of v_max. A course may be 1.12 times as fast if this raises mu by
-    1 %. The rest of v_max lets a lagging arm catch up"""
+    """largest speed of a joint in a course, as a share of the joint's largest speed v_max. A course may be up to 1.12
+    times as fast if mu then rises by more than 1 %. The rest of v_max lets a lagging arm catch up"""
     course_margin_rad: NotNegative = 0.05
-    """distance that a course keeps from joint limits. At this distance, the box allows no speed towards the limit. A
-    course comes nearer only if no other reaches the path's end"""
+    """distance that a course keeps from joint limits. At this distance, the box allows no speed towards the limit. If
+    no course with this distance reaches the end of the path, a course may come nearer"""
     course_observer_gain_per_s: NotNegative = 40.0
-    """observer gain while a course is followed, because the elbow then moves faster"""
+    """observer gain if the elbow follows a course. The elbow then moves faster, and needs a faster observer"""
     climb: Literal["gradient", "scaled"] = "gradient"
-    """third_level 'local': speed of the elbow. 'gradient': proportional to the gradient of mu; 'scaled': Newton's step
-    to the nearest maximum of mu, at most 1 rad, divided by 0.2 s"""
+    """with third_level 'local': speed of the elbow. 'gradient': proportional to the gradient of mu; 'scaled': Newton's
+    step to the nearest maximum of mu, at most 1 rad, divided by 0.2 s"""
     c0: NotNegative = Field(default=0.01, description="weight of the tip velocity in the subproblem's cost")
     c1: NotNegative = Field(default=0.01, description="weight of the wrist velocity in the subproblem's cost")
     c2: NotNegative = Field(default=0.001, description="weight of the gradient of mu in the subproblem's cost")
     regularization: NotNegative = 1e-5
-    """weight rho of |x|^2 / 2 in the subproblem's cost. 0 in the paper, whose cost is linear in x on A x = b"""
+    """weight rho of |x|^2 / 2 in the subproblem's cost. 0 in the paper: if A x = b, the cost is then linear in x"""
     fallback: Literal["damping", "hold", "least-violation"] = "least-violation"
-    """replacement for the answer if the solver finds no x in the box with A x = b. 'damping': no self-motion; 'hold':
-    the last good answer, as after other faults; 'least-violation': the x in the box with the smallest |A x - b|"""
+    """x that is used if the solver finds no x in the box with A x = b. 'damping': no self-motion (elbow motion with tip
+    and wrist at rest); 'hold': the last good answer; 'least-violation': the x in the box with the smallest |A x - b|"""
     speed_fraction: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5
-    """third_level 'local': largest speed in the box, as a share of each joint's v_max. 1 in the paper"""
+    """with third_level 'local': largest speed in the box, as a share of the joint's v_max. 1 in the paper"""
     limit_margin_rad: NotNegative = 0.15
-    """third_level 'local': distance from a joint limit at which the box allows no speed towards it. 0 in the paper"""
-    limit_margin_m: NotNegative = Field(default=0.05, description="margin of sliding joints, for every third_level")
+    """with third_level 'local': at this distance from a joint limit, x must not lead to the limit. 0 in the paper"""
+    limit_margin_m: NotNegative = Field(default=0.05, description="margin of sliding joints with any third_level")
     shaft_margin: float = Field(default=0.175, ge=0.0, le=1.0)
     """threshold that keeps the arm off poses in which the joints can hardly turn the shaft. Let s be the manipulability
-    of the shaft with the tip at rest, divided by the squared distance from wrist to tip. Below the threshold,
-    third_level 'local' also raises s. The box then grows as s falls, up to v_max at two thirds of the threshold. A
-    course keeps s above a quarter of the threshold if it can. 0 in the paper"""
+    of the shaft with the tip at rest, divided by the squared distance from wrist to tip. If s is below the
+    threshold, third_level 'local' also raises s. The box then grows as s falls. If s is two thirds of the
+    threshold, the box reaches v_max. If possible, a course keeps s above a quarter of the threshold. 0 in the paper"""
     ramp_s: NotNegative = 0.3
-    """time in which level 3's torque rises to its full size at the start. 0 in the paper"""
+    """time in which level 3's torque rises to its full size at the start of the run. 0 in the paper"""
     supervisor: SupervisorSettings = SupervisorSettings()
 
     @field_validator("gains", mode="before")
@@ -152,14 +153,14 @@ class ControlSettings(Settings):
         """Return a named set of settings (see `moc_opt.control.presets`), with ``changes`` to some of its fields.
 
         Raises:
-            UnknownNameError: no such preset; the message lists them.
+            UnknownNameError: there is no such preset; the message lists the presets.
         """
         if name not in PRESETS:
             raise UnknownNameError("control preset", name, PRESETS)
         return cls(**{**PRESETS[name], **changes})
 
     def check_guided(self) -> None:
-        """Raise a ControlError if rho or c2 is 0, since level 3 could not follow a velocity then (see `Guide`)."""
+        """Raise a ControlError if regularization or c2 is 0, because level 3 then follows no velocity (see `Guide`)."""
         if not min(self.regularization, self.c2) > 0.0:
             raise ControlError(
                 f"third_level = {self.third_level!r}, climb = {self.climb!r} with c2 = {self.c2:g}, regularization = "
@@ -167,10 +168,10 @@ class ControlSettings(Settings):
             )
 
     def matched_dcac(self) -> dict[str, Any]:
-        """Return the changes that make these settings DCAC with the same gains, the baseline of comparisons."""
+        """Return the changes that turn these settings into DCAC with the same gains, the baseline of comparisons."""
         return {
             "law": "dcac", "gains": self.gains or self.law, "third_level": "local", "course": "",
-            "observer_gain_per_s": self.observer_rate_per_s,  # of a course, too
+            "observer_gain_per_s": self.observer_rate_per_s,  # with a course, too
         }  # fmt: skip
 
     @property
@@ -186,7 +187,7 @@ class ControlSettings(Settings):
         return self.observer_gain_per_s
 
     def resolve_gains(self, tables: Mapping[str, Mapping[str, Any]], joints: int) -> Gains:
-        """Return K_X to D_N2, each as set here or else from the robot's ``tables`` [gains.*].
+        """Return the gains K_X to D_N2. Gains that are not set come from the robot's ``tables`` [gains.*].
 
         Raises:
             UnknownNameError: ``gains`` is no table of this robot.
@@ -211,7 +212,7 @@ class ControlSettings(Settings):
 
 
 def per_joint(name: str, value: Any, joints: int) -> Array:
-    """Return (n,) from one number for all joints, or one per joint; a ControlError for another count."""
+    """Return (n,) from one number for all joints, or one per joint. Raise a ControlError for any other count."""
     if not isinstance(value, int | float) and len(value) != joints:
         count = f"{len(value)} entries for {joints} joints"
         raise ControlError(f"{name} = {value!r} has {count}: give one number, or one per joint")

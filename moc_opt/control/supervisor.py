@@ -2,8 +2,8 @@
 
 Tip and RCM control never depend on a solver. A faulty answer is replaced by the last good answer for a few ticks, then
 by damping. The settings `fallback` and `late` offer other replacements. The trace counts the faults of each kind, and
-keeps the message of the first. A solver gets a copy of the subproblem, and its answer is copied before the check, so
-that the solver cannot change them afterwards.
+keeps the message of the first fault. A solver gets a copy of the subproblem, and the check gets a copy of the answer.
+The solver can therefore change neither of them afterwards.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Fault(Enum):
     INFEASIBLE = "the solver found the subproblem infeasible"
     FAILED = "the solver gave no answer"
     RAISED = "the solver raised an exception"
-    MALFORMED = "the answer has not the form of a Solution"
+    MALFORMED = "the answer does not have the form of a Solution"
     NOT_FINITE = "the answer holds NaN or infinity"
     OUTSIDE = "the answer leaves the box or misses the references by more than the check allows"
     FALSE_OPTIMUM = "the solver claimed an optimum and the residual check disagrees"
@@ -61,30 +61,30 @@ class SupervisorSettings(Settings):
     KIND: ClassVar[str] = "[control.supervisor]"
     ERROR: ClassVar[type[MocOptError]] = ControlError
 
-    check: bool = Field(True, description="whether answers are checked against the next four limits")
+    check: bool = Field(True, description="whether answers are checked against the four limits below")
     primal_limit: float = Field(1e-2, gt=0.0)
     """largest violation of A x = b [m/s] or of the box [rad/s] by an answer that the solver calls optimal"""
     box_limit: float = Field(0.1, gt=0.0)
-    """largest violation by any other answer, for example of a solver that ran out of iterations"""
+    """like primal_limit, for an answer that the solver does not call optimal, such as its last iterate"""
     relative_limit: float = Field(0.05, gt=0.0)
     """largest natural residual (0 at an optimum) of an answer that the solver calls optimal [rad/s]. The cost is scaled
     so that the largest entry of its gradient is 1"""
     opposite_limit: float = Field(1e-3, gt=0.0)
-    """an answer called optimal is refused if it is farther than this from the optimum [rad/s] and nearer to the optimum
-    for the negated gradient"""
+    """an answer that the solver calls optimal is refused if it is farther than this from the optimum [rad/s], and
+    nearer to the optimum for the negated gradient"""
     hold_ticks: int = Field(10, ge=0)
-    """ticks in a row at which the last good answer replaces refused answers. Then the self-motion is damped"""
+    """largest number of ticks in a row at which the last good answer is used again. Then self-motion is damped"""
     keep_off_limits: bool = True
-    """whether the elbow, after hold_ticks, still moves just enough to keep x in the box"""
-    budget_us: float | None = Field(None, gt=0.0, description="longest time of a solve [us]; left out: no limit")
+    """whether the elbow, after hold_ticks, still makes the smallest self-motion that keeps x in the box"""
+    budget_us: float | None = Field(None, gt=0.0, description="longest time of a solve [us]; default: no limit")
     late: Literal["hold", "zero", "iterate"] = "hold"
-    """replacement for a late answer. 'hold': the last good answer, as after other faults; 'zero': no self-motion;
-    'iterate': the solver's iterate at the end of the budget, or its late answer if it cannot be interrupted"""
+    """replacement for a late answer. 'hold': the last good answer; 'zero': no self-motion; 'iterate': the solver's
+    iterate at the end of the budget, or the late answer itself if the solver has no iterates"""
 
 
 _FAULTS = tuple(Fault)  #: In the order of the core's enum.
 _CLAIMS = {Status.SOLVED: 0, Status.INFEASIBLE: 1, Status.MAX_ITER: 2, Status.TIME_LIMIT: 2}
-"""Status -> number in the core's enum moc_claim. Every other status means ``_NO_ANSWER``."""
+"""The number of each status in the core's enum moc_claim. Every other status means ``_NO_ANSWER``."""
 _NO_ANSWER = 3
 _NAN = float("nan")
 
@@ -166,7 +166,7 @@ class Supervisor:
     def step(
         self, q: Array, v: Array, tip_ref: Array, trocar: Array, x_d: Array | None, tolerance: float
     ) -> tuple[Status, Array, Array]:
-        """Do the whole tick in the core, with its own solver `exact`; arguments as for `core.Law.begin`.
+        """Do the whole tick in the core, with the core's solver `exact`. The arguments are those of `core.Law.begin`.
 
         Returns the solver's status, the arm's record, and one array (14 n + 16,) with the subproblem's record, the
         solver's x (n,) and y (6,), the x (n,) that the arm follows, and the law's torque (n,) [Nm].

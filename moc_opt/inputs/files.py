@@ -1,7 +1,7 @@
-"""Read files (TOML, JSON, numpy's arrays) within limits of size, and write them whole.
+"""Read files (texts, TOML, numpy's arrays) up to a largest size, and write files all or nothing.
 
 `write_whole` is the only function of the package that writes a file for the user. If a file cannot be read or written,
-each function raises ``error``. Its message names the kind of file, ``what``.
+the functions raise ``error``. The message begins with ``what``, the kind of file.
 """
 
 from __future__ import annotations
@@ -90,20 +90,20 @@ def decimal(text: str) -> float:
 
 
 def check_replaceable(path: Path_, what: str, error: Wrong) -> Path:
-    """Check, before any work, that the folder is writable, and that the path is no folder, pipe or device."""
+    """Check, before any work, that a file can be written at this path; a folder, pipe or device is refused."""
     target = as_path(path, what, error)
     with _writing(target, what, error):
         with contextlib.suppress(FileNotFoundError):
             if not stat.S_ISREG(os.stat(target).st_mode):
                 raise OSError("a folder, pipe or device is there")
         folder = next(folder for folder in (*target.absolute().parents, target) if folder.exists())
-        with tempfile.TemporaryFile(dir=folder):  # permissions are not enough: root cannot write to /proc
+        with tempfile.TemporaryFile(dir=folder):  # a look at permissions is not enough: root cannot write to /proc
             pass
     return target
 
 
 def write_whole(path: Path_, data: bytes | str, what: str = "file", error: Wrong = MocOptError) -> Path:
-    """Write bytes, or a text in UTF-8, all or nothing: an older file stays until the new one is on the disk.
+    """Write bytes, or a text in UTF-8, all or nothing. An existing file stays until the new file is on the disk.
 
     The folder is made if it does not exist. A link at this path is replaced, not followed.
     """
@@ -150,12 +150,12 @@ def plain(value: Any) -> Any:
 
 
 def to_json(value: Any, *, indent: int | None = 2, sort_keys: bool = False) -> str:
-    """Return a value as strict JSON, with NaN and infinity as null; a TypeError if JSON cannot hold the value."""
+    """Return a value as strict JSON, with NaN and infinity as null. Raise a TypeError if JSON cannot hold the value."""
     return json.dumps(plain(value), indent=indent, sort_keys=sort_keys, allow_nan=False)
 
 
 def to_toml(table: Mapping[str, Any]) -> str:
-    """Return a table of texts, numbers, flags, lists and tables as TOML, exact to the last bit for `read_toml`.
+    """Return a table of texts, numbers, flags, lists and tables as TOML, from which `read_toml` makes equal values.
 
     Raises:
         TypeError: a value that TOML cannot hold, such as None; the message names its key.

@@ -1,4 +1,4 @@
-"""Names from outside: the characters of a name, and the escaping of other texts."""
+"""Check names that come from files, and escape other texts for Markdown."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def is_name(text: object) -> bool:
 
 
 def checked(text: str) -> str:
-    """Return a valid name unchanged; a ValueError for any other text."""
+    """Return a valid name unchanged. Raise a ValueError for any other text."""
     if not is_name(text):
         raise ValueError(f"{text!r:.80} is no name: {RULE}")
     return text

@@ -1,4 +1,4 @@
-"""Plug-ins of other packages, by entry points: found once, and loaded at first use."""
+"""Plug-ins, which other packages announce by entry points. A plug-in is loaded at its first use."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from moc_opt.errors import MocOptError, describe
 
 
 def plugins(group: str) -> dict[str, list[EntryPoint]]:
-    """Map each name of a group to the different entry points that claim it; equal entry points count once."""
+    """Return the entry points of a group in a dict by their names. Equal entry points are listed once."""
     return _scan(group, tuple(sys.path))
 
 
@@ -30,7 +30,7 @@ def in_words(point: EntryPoint) -> str:
 
 
 def load(kind: str, name: str, points: list[EntryPoint], error: type[MocOptError]) -> Any:
-    """Import the object of this name's entry point; ``error`` if it does not load, or if several claim the name."""
+    """Import the object of an entry point. Raise ``error`` if this fails, or if several entry points have the name."""
     if len(points) > 1:
         raise error(f"{kind} {name!r}: {' and '.join(map(in_words, points))} claim this name: rename one")
     try:

@@ -15,8 +15,8 @@ from moc_opt.inputs import names
 
 _ALTERNATIVE = re.compile(r"constrained-|literal\[|tuple\[|(float|str)$")  # pydantic's names of types in a union
 LARGEST_INTEGER = 2**63 - 1
-SMALLEST, LARGEST = 1e-30, 1e30  # bounds of |x| for x other than 0: products must not overflow
-MOST = 10_000_000  # largest integer, except for seeds: integers are counts
+SMALLEST, LARGEST = 1e-30, 1e30  # bounds of |x| for each number x but 0, so that products do not overflow
+MOST = 10_000_000  # largest integer that is not a seed
 LONGEST_S = 1e6  # longest time to run, wait or average [s]
 
 Name = Annotated[str, pydantic.AfterValidator(names.checked)]
@@ -33,7 +33,7 @@ class Settings(pydantic.BaseModel):
 
     Raises:
         UnknownNameError: a field does not exist; the message lists the nearest fields.
-        MocOptError: a value is wrong (class ``ERROR``); the message has the field, its value and the range.
+        MocOptError: a value is wrong. The class is ``ERROR``. The message has the field, its value and the range.
     """
 
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
@@ -87,7 +87,7 @@ class Settings(pydantic.BaseModel):
 
 
 def _leaves(given: Any, value: Any, where: str = "") -> Iterator[tuple[str, Any, Any]]:
-    """Yield place, written value and read value of every entry of nested tables and lists."""
+    """Yield, for every entry of nested tables and lists, its place, the value in the file, and the validated value."""
     if not isinstance(value, Mapping | list | tuple):
         yield where, given, value
         return
@@ -100,7 +100,7 @@ def _leaves(given: Any, value: Any, where: str = "") -> Iterator[tuple[str, Any,
 
 
 def _fault(written: Any, read: Any, most: int) -> str:
-    """Return the cure for a wrong number or flag, or ""; pydantic would read "2" as 2 and "yes" as true."""
+    """Return the cure for a wrong number or flag, else "". pydantic alone would read "2" as 2 and "yes" as true."""
     is_flag = isinstance(written, bool | np.bool_)
     if isinstance(read, bool):
         return "" if is_flag else "give true or false, without quotes"
@@ -114,7 +114,7 @@ def _fault(written: Any, read: Any, most: int) -> str:
 
 
 def _explained(items: Sequence[Mapping[str, Any]], kind: str) -> str:
-    """Return the message on a field (table, name, value, cure) from pydantic's errors, one per type of the field."""
+    """Return the message on a field (table, name, value, cure). pydantic gives one error per type of the field."""
     item = items[0]
     field = repr(".".join(f"{key!s:.80}" for key in item["loc"]))[1:-1]  # escapes: a key may hold any character
     message = ", or ".join(one["msg"].removeprefix("Value error, ") for one in items)

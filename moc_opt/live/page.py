@@ -1,4 +1,4 @@
-"""The live page: it runs a `LiveRun` in real time; viser shows the run and takes the users' orders."""
+"""The live page: it runs a `LiveRun` in real time. viser shows the run and takes the users' orders."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ PLOTS: dict[str, list[tuple[str, str, float, str]]] = {
     "force of the trocar [N]": [("force_N", "force", 1.0, BLUE)],
     "whole tick, solver [µs]": [("tick_us", "tick", 1.0, BLUE), ("solve_us", "solver", 1.0, GREEN)],
 }
-"""Title -> (quantity, name, factor to the unit shown, colour)."""
+"""For each title, the curves: quantity, name, factor to the unit shown, and colour."""
 FIELDS = ("regularization", "K_X", "K_N", "K_N2", "D_N2", "k0_per_s")  # settings of the control law
 
 
@@ -75,7 +75,7 @@ class LivePage:
     def wait(self) -> None:
         """Run in real time, carry out orders, and keep the page up to date, until `stop` is called.
 
-        If the run lags by more than `MOST_LAG_S`, the excess is dropped. The pace shown on the page falls then.
+        If the run lags by more than `MOST_LAG_S`, the excess time is skipped. The pace shown on the page then falls.
         """
         run, reached, pace, done = self.run, monotonic(), 1.0, 0
         frame = reached

@@ -29,8 +29,8 @@ class ExchangeableController:
     """A ``sim.protocols.TorqueController`` that passes calls to the controller in use, which can be exchanged.
 
     The controller in ``next`` takes over at the next tick, at the earliest BLEND_S after the previous exchange. If it
-    cannot start, ``messages`` gets its error. After an exchange, tau = tau_new + offset. At first, the offset is
-    tau_old - tau_new. It decays by exp(-t / BLEND_S).
+    cannot start, ``messages`` gets the error. After an exchange, tau = tau_new + offset. At first, the offset is
+    tau_old - tau_new. Then it decays with exp(-t / BLEND_S).
     """
 
     def __init__(self, first: Controller, period_s: float, messages: deque[str]) -> None:
@@ -82,9 +82,9 @@ def solver_of(controller: Controller) -> str:
 class LiveRun:
     """The closed loop of a scenario, along its path to and fro. If the scenario is not usable, a MocOptError is raised.
 
-    Call it from one thread only. A wrong change raises at once. Errors that only the running loop can detect are put
-    into `messages`, oldest first. ``t_s`` is the latest tick's time. ``stopped`` says why the arm was stopped, and is
-    empty while it runs.
+    Call it from one thread only. A wrong change raises an error at once. Errors that only the running loop can detect
+    are put into `messages`, oldest first. ``t_s`` is the latest tick's time. ``stopped`` says why the arm was stopped,
+    and is empty while it runs.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -101,13 +101,13 @@ class LiveRun:
     state = property(lambda self: self._in_use.state, doc="The model's state at the last tick.")
     used = property(lambda self: self._in_use.used, doc="The controller in use.")
     trocar = property(lambda self: self._now[0][0], doc="Position of the true trocar (3,) [m] in the next tick.")
-    # The latest requested controller: the waiting controller, else the controller in use.
+    # The controller that was requested last: it waits for its exchange or is in use.
     _chosen = property(lambda self: self._in_use.next or self._in_use.used)
     control = property(lambda self: self._chosen.settings, doc="The settings of the control law.")
     solver = property(lambda self: solver_of(self._chosen), doc="The solver, or `DCAC`.")
 
     def choose(self, solver: str) -> None:
-        """Take another solver for the third level, or `DCAC` (no third level); a MocOptError if it cannot run here."""
+        """Use another solver for level 3, or `DCAC` (no level 3). Raise a MocOptError if the solver cannot run."""
         law = self.control.matched_dcac() if solver == DCAC else {"law": "moc"}
         self._exchange(self.control.replace(law), solver)
 
@@ -162,7 +162,7 @@ class LiveRun:
         self._rows.clear()
 
     def advance(self, ticks: int) -> None:
-        """Run this many ticks; none while the arm is stopped."""
+        """Run this many ticks. While the arm is stopped, do nothing."""
         try:
             for _ in range(ticks):
                 if not self.stopped:

@@ -8,11 +8,11 @@ from time import monotonic, sleep
 
 _LOCK_ALL = 1 | 2  # MCL_CURRENT | MCL_FUTURE
 _SET_TIMER_SLACK = 29  # PR_SET_TIMERSLACK
-PRIORITY = 50  #: In SCHED_FIFO: above ordinary processes, below a kernel's interrupt threads.
+PRIORITY = 50  #: Above ordinary processes, below the kernel's interrupt threads (SCHED_FIFO).
 
 
 class WallClock:
-    """Periods that begin at fixed times. A tick that begins more than a period late delays all later ticks.
+    """A clock for periods that begin at fixed times. A tick that is more than a period late delays all later ticks.
 
     ``late_us`` is the delay of the latest tick [us]; ``overruns`` counts the ticks that delayed all later ticks.
     """
@@ -22,7 +22,7 @@ class WallClock:
         self.late_us, self.overruns = 0.0, 0
 
     def wait_for(self, tick: int) -> float:
-        """Sleep until a tick begins (tick 0: a period from now). Return its command's deadline (monotonic) [s]."""
+        """Sleep until a tick begins. Tick 0 begins in one period. Return its command's deadline (`monotonic`) [s]."""
         if tick == 0:
             self._begin = monotonic() + self._period
         due = self._begin + tick * self._period
@@ -38,7 +38,7 @@ class WallClock:
 
 
 def ask_for_realtime() -> dict[str, str]:
-    """Request real-time priority, memory that is never paged out, and exact timers; return the answers."""
+    """Request real-time priority, memory that is never paged out, and exact timers. Return what was granted."""
     found, libc = {"scheduling": f"SCHED_FIFO {PRIORITY}"}, ctypes.CDLL(None, use_errno=True)
     try:
         # Children get ordinary priority: a new solver process must not slow the loop down.

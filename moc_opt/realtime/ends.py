@@ -34,13 +34,13 @@ _LINGER_S = 0.3  # time for which the controller still acknowledges repeated END
 class RemoteController(Filtered):
     """The plant's end: it sends measurements and returns the commanded torques. Without a command, its watchdog acts.
 
-    `sim.loop.simulate` runs it, with ``pace`` as the argument ``watch``. Call ``close`` afterwards.
+    Pass the object to `sim.loop.simulate` as the controller, and ``pace`` as ``watch``. Call ``close`` afterwards.
 
     Args:
-        safety_filter: the plant's own filter, which gives the watchdog gravity torque and brakes.
+        safety_filter: the plant's own filter. It computes the watchdog's gravity torque and brake friction.
         columns: function that makes the trace columns of the remote controller for a number of ticks.
         applied, tau_max: (n,) torque before the first tick, and largest torque that a command may have [Nm].
-        clock: None for lock-step: the plant waits for each command, and repeats the measurement if none comes.
+        clock: None for lock-step, in which the plant waits for each command, and repeats a measurement if necessary.
     """
 
     stop_reason = ""
@@ -57,10 +57,10 @@ class RemoteController(Filtered):
         self._command: Packet | None = None
 
     limited = property(lambda self: 0 if self._command is None else int(self._command["limited"]))
-    warnings = property(lambda self: [])  # they arise at the other end
+    warnings = property(lambda self: [])  # the other end records them
 
     def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
-        """Wait for a controller, send it the first measurement, and wait for its START. A WireError if none comes."""
+        """Wait for a controller, send the first measurement, and wait for START. Without START, raise a WireError."""
         link, packet, self._sound = self.link, self._packet, seen
         self._fill(seen, wire.WAITING)
 
@@ -85,7 +85,7 @@ class RemoteController(Filtered):
             self._until = self.clock.wait_for(tick)
 
     def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
-        """Send a measurement, and return the torque (n,) [Nm] of its command, or the watchdog's."""
+        """Send a measurement, and return the torque (n,) [Nm] of the command in reply, or of the watchdog."""
         if np.isfinite(seen.q).all() and np.isfinite(seen.v).all():
             self._sound = seen
         braked = bool(self._filter.reason)
@@ -102,7 +102,7 @@ class RemoteController(Filtered):
         return self._applied
 
     def _without_command(self) -> Array:
-        """Return the watchdog's torque (n,) [Nm]: first the last torque, then gravity and damping, then a stop."""
+        """Return the watchdog's torque (n,) [Nm]: at first the last torque, later gravity and damping, then a stop."""
         self._silent += 1
         safety, past, sound = self._filter, self._silent - self._settings.hold_ticks, self._sound
         if past <= 0:
@@ -117,11 +117,11 @@ class RemoteController(Filtered):
         return safety.stop_torque(self._applied)
 
     def brake_friction(self, seen: Measurement) -> Array:
-        """Return the brakes' dry friction (n,) [Nm] of the last command, or the watchdog's."""
+        """Return the brakes' dry friction (n,) [Nm] of the last command, or of the watchdog."""
         return self._friction
 
     def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
-        """Create the columns of the controller, and those of the wire: delay, controller's time, missed commands."""
+        """Create the controller's columns, and columns for delay, controller's time and missed commands."""
         return {
             **self._make_columns(ticks), "wake_us": np.full(ticks, np.nan), "control_us": np.full(ticks, np.nan),
             "missed": np.zeros(ticks, dtype=np.bool_),
@@ -139,7 +139,7 @@ class RemoteController(Filtered):
                 columns[name][row] = _text(value) if value.dtype.kind == "S" else value
 
     def close(self) -> dict[str, int]:
-        """Tell the controller that the run is over, up to 10 times until it acknowledges; return the counts."""
+        """Tell the controller that the run is over, up to 10 times, until it acknowledges. Return the counts."""
 
         def acknowledges(found: Packet) -> bool:
             self._is_due(found)  # counts a late command
@@ -170,7 +170,7 @@ class RemoteController(Filtered):
         return None
 
     def _is_due(self, found: Packet) -> bool:
-        """Return whether a packet is this tick's command with usable values, and count it."""
+        """Return whether a packet is this tick's command with usable values. Every command is counted."""
         if found["kind"] != Kind.COMMAND:
             return False
         number, friction = int(found["sequence"]), found["friction"]
@@ -232,7 +232,7 @@ class Answering:
         return make_packet(kind, self.link.n, self.link.session, self.scenario)
 
     def _ask(self, kind: Kind, *, waits: bool) -> Packet:
-        """Repeat a packet until a measurement comes, with flag WAITING if ``waits``, else with another flag."""
+        """Send a packet again and again until a measurement comes. ``waits``: whether its flag has to be WAITING."""
         link, request, until = self.link, self._packet(kind), monotonic() + self.settings.wait_s
         while (now := monotonic()) < until:
             link.send(request)

@@ -1,8 +1,8 @@
-"""The wire: packets for Python and C, settings, address and key, and a socket that drops invalid packets.
+"""The wire (UDP): packets for Python and C, settings, address, key, and a socket that drops invalid packets.
 
 A packet has a fixed size and little-endian numbers. It ends with the keyed BLAKE2s checksum (RFC 7693) of all preceding
-bytes. Every layout is a numpy dtype; docs/realtime.md has them as tables. Without a key, any process of this machine
-can take part, but no other machine. Nothing is encrypted.
+bytes. Every layout is a numpy dtype; docs/realtime.md shows the layouts as tables. Without a key, any process of this
+machine can take part, but no other machine. Nothing is encrypted.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ LOOPBACK_KEY = b"moc_opt: loopback, no secret"
 VARIABLE = "MOC_OPT_WIRE_KEY"
 SHORTEST, LONGEST = 16, 32  #: Bytes of a key; BLAKE2s allows at most 32.
 TAG_BYTES = 16
-BACKLOG = 256  #: Most packets read after the deadline, so that a flood of packets cannot stop the loop.
+BACKLOG = 256  #: Largest number of packets read after the deadline. A flood of packets cannot stop the loop.
 COUNTERS = ("received", "missed", "late", "forged", "foreign")
 """The counters of each end; docs/realtime.md explains them."""
 
@@ -47,20 +47,20 @@ class WireError(MocOptError, RuntimeError):
 
 
 class WireSettings(Settings):
-    """`moc-opt plant` and `moc-opt control`: the plant's watchdog for missing commands, and time-outs."""
+    """For `moc-opt plant` and `moc-opt control`: the plant's watchdog for missing commands, and time-outs."""
 
     KIND: ClassVar[str] = "[wire]"
     ERROR: ClassVar[type[MocOptError]] = WireError
 
-    hold_ticks: int = Field(5, ge=0, description="ticks without a command for which the last torque still acts")
+    hold_ticks: int = Field(5, ge=0, description="number of ticks without a command at which the last torque acts")
     damp_ticks: int = Field(50, ge=0)
-    """further ticks without a command, in which the drives carry and damp the arm. Then the brakes close"""
+    """number of further ticks without a command at which the drives carry and damp the arm. Then the brakes close"""
     damping_Nm_s_per_rad: float = Field(5.0, gt=0.0, le=1e3, description="damping of each joint during damp_ticks")
-    wait_s: float = Field(60.0, gt=0.0, description="time for which each end waits for the other to start")
-    silence_s: float = Field(5.0, gt=0.0, description="time without a measurement after which the controller gives up")
-    resend_s: float = Field(0.2, gt=0.0, description="lock-step: time after which a measurement is sent again")
+    wait_s: float = Field(60.0, gt=0.0, description="time for which each end waits for the other end to start")
+    silence_s: float = Field(5.0, gt=0.0, description="time without a measurement after which the controller ends")
+    resend_s: float = Field(0.2, gt=0.0, description="in lock-step: time after which a measurement is sent again")
     resends: int = Field(20, ge=0)
-    """lock-step: number of times that a measurement is sent again before its tick counts as missed"""
+    """in lock-step: number of times that a measurement is sent again before its tick counts as missed"""
 
 
 # --- packets ---
@@ -69,11 +69,11 @@ class WireSettings(Settings):
 class Kind(IntEnum):
     """The kinds of packets. All except MEASUREMENT go to the plant."""
 
-    HELLO = 1  #: Answered by one measurement.
-    START = 2  #: The controller has started at the measurement; the plant may begin.
+    HELLO = 1  #: The plant answers with one measurement.
+    START = 2  #: The controller has started with this measurement; the plant may begin.
     MEASUREMENT = 3
     COMMAND = 4
-    BYE = 5  #: The end of the run is acknowledged.
+    BYE = 5  #: The controller knows that the run has ended.
 
 
 WAITING, RUNNING, ENDED = 0, 1, 2  #: ``flags`` of a measurement: before, during and after the run.
@@ -105,7 +105,7 @@ def layout(kind: Kind, n: int) -> np.dtype[Any]:
 
 
 def make_packet(kind: Kind, n: int, session: int = 0, scenario: int = 0) -> Packet:
-    """Make a packet of zeros with a header. ``session`` is the plant's, ``scenario`` a fingerprint."""
+    """Make a packet of zeros with a header. ``session`` is the plant's number, ``scenario`` a fingerprint."""
     packet = np.zeros((), layout(kind, n))
     packet["magic"], packet["version"], packet["kind"], packet["joints"] = MAGIC, VERSION, kind, n
     packet["session"], packet["scenario"] = session, scenario
@@ -160,12 +160,12 @@ def c_packets(n: int, ticks: int, scenario: int, settings: WireSettings) -> str:
 
 
 def written(address: Address | None) -> str:
-    """Return an address as text that `parse_address` can read; "nobody" for None."""
+    """Return an address as text that `parse_address` can read. None becomes "nobody"."""
     return "nobody" if address is None else f"{address[0]}:{address[1]}"
 
 
 def parse_address(text: str, option: str) -> Address:
-    """Return numeric host and port of "HOST:PORT"; a WireError if the form is wrong or the host unknown."""
+    """Return numeric host and port of "HOST:PORT". Raise a WireError if the form is wrong or the host unknown."""
     host, _, port = text.rpartition(":")
     if not host or not port.isdecimal() or int(port) > 65535:
         raise WireError(f"{option} {text!r}: give HOST:PORT, as 127.0.0.1:30200")
@@ -180,7 +180,7 @@ def read_key(file: Path | None, host: str, option: str) -> bytes:
     """Return the key from the file, else from the environment variable, else the public key for loopback.
 
     Raises:
-        WireError: the key has a wrong length, or none is given and other machines can reach the host.
+        WireError: the key has a wrong length, or there is no key and other machines can reach the host.
     """
     text = os.environ.get(VARIABLE, "") if file is None else read_text(file, "--key-file", WireError)
     if file is None and not text:
@@ -200,9 +200,9 @@ def read_key(file: Path | None, host: str, option: str) -> bytes:
 
 
 class Link:
-    """A socket that sends and receives sealed packets; a WireError if the address cannot be bound.
+    """A socket that sends and receives sealed packets. Raises a WireError if the address cannot be bound.
 
-    It listens at ``address`` and sends to ``peer``. Until they are known, ``peer`` is None and ``session`` is 0.
+    It listens at ``address`` and sends to ``peer``. Until the peer is known, ``peer`` is None and ``session`` is 0.
     ``quality`` has a count for each of ``COUNTERS``; ``sender`` is the address of the latest valid packet.
     """
 

@@ -1,4 +1,4 @@
-"""The validated table of a run: every key of a scenario's TOML."""
+"""The validated settings of a run, with every key of a scenario's TOML file."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ PRESETS: Mapping[str, Mapping[str, Callable[..., Settings]]] = {
     "control": {name: partial(ControlSettings.preset, name) for name in CONTROL_PRESETS},
     "plant": {"realistic": PlantSettings, "nominal": PlantSettings.nominal},
 }
-"""Table -> name of its ``preset`` -> the function that makes the table from its other keys."""
-_LAGS = 3.0  # least lag that the safety filter assumes, in time constants of the encoders' velocity filter
+"""For each table and ``preset``, the function that makes the table from its other keys."""
+_LAGS = 3.0  # smallest motion_lag_s of the safety filter, in time constants of the velocity filter
 _TORQUE, _SPEED = 500.0, 600.0
 """Smallest repeat_torque [share of tau_max] and stuck_rad_per_s [rad/s] per rad of the encoders' step. With smaller
-values, a healthy encoder that does not show a step yet would stop the arm."""
+values, the arm would stop before a healthy encoder shows its first step."""
 
 
 class Scenario(Settings):
     """One run. By default, the law MOC with the solver ``exact`` follows a circle in the realistic plant.
 
-    Every key of the TOML is a field, and every table is a nested model. All are checked and frozen.
+    Every key of the TOML file is a field, and every table is a nested model. All fields are checked and frozen.
 
     Raises:
         ScenarioError: a value is out of range, or fields contradict each other; the message names the field.
@@ -56,20 +56,20 @@ class Scenario(Settings):
     solver: SolverTable = SolverTable()
     plant: PlantSettings = PlantSettings()
     duration_s: float | None = Field(None, gt=0.0, le=MOST_S)
-    """duration of the run. If left out, it is the duration of the path and of the rests before and after it"""
+    """duration of the run. If left out, the run takes as long as the path plus wait_s and hold_s of [task]"""
     deadline_us: float = Field(2000.0, gt=0.0, le=1e9)
-    """a tick (control period) whose computation takes longer counts as a missed deadline. The run goes on"""
+    """deadline for the computation of a tick (control period). Missed deadlines are counted, and the run goes on"""
     guard: SafetyFilterSettings = SafetyFilterSettings()
     faults: FaultSettings = FaultSettings()
     wire: WireSettings = WireSettings()
     judge: bool = Field(True, description="whether the optimality residuals of every answer are computed after the run")
     metrics: tuple[Name, ...] = ()
-    """metrics that `moc-opt run` prints. `moc-opt metrics` lists all names. If empty, it prints a short selection"""
+    """metrics that `moc-opt run` prints. If empty, a short selection is printed. `moc-opt metrics` lists all names"""
     bound_samples: int = Field(25, ge=0, le=100_000)
-    """number of evenly spread ticks at which the largest mu of all poses with the same tip and wrist is computed"""
+    """number of ticks, evenly spread over the run, at which the largest mu with the same tip and wrist is computed"""
     best_courses: bool = False
     """whether the joint motions of largest mean mu are planned after the run, for comparison. Planning takes a second
-    or more. If left out, `moc-opt run` plans them, and `run` in Python does not"""
+    or more. If left out, `moc-opt run` plans these motions, and `moc_opt.run` in Python does not"""
 
     def __init__(self, **values: Any) -> None:
         try:
@@ -99,7 +99,7 @@ class Scenario(Settings):
 
     @model_validator(mode="after")
     def _box_before_the_wall(self) -> Self:
-        """Refuse a box that reaches beyond the safety filter's wall: the third level would press the arm against it."""
+        """Refuse bounds on x that reach into the safety filter's wall. Level 3 would press the arm against the wall."""
         for unit in ("rad", "m"):
             name = "course_margin_rad" if unit == "rad" and self.control.follows else f"limit_margin_{unit}"
             box, wall = getattr(self.control, name), getattr(self.guard, f"position_margin_{unit}")
@@ -122,7 +122,7 @@ class Scenario(Settings):
 
     @classmethod
     def load(cls, path: Self | str | os.PathLike[str]) -> Self:
-        """Read a TOML file. Relative paths in it start at its folder. A scenario is returned as it is.
+        """Read a TOML file. Relative paths in the file start at its folder. A `Scenario` is returned unchanged.
 
         Raises:
             ScenarioError: there is no such file, it is not TOML, or a value is out of range.
@@ -144,7 +144,7 @@ class Scenario(Settings):
         """Write a TOML from which `load` makes the same scenario. Defaults are omitted, and paths are absolute.
 
         Raises:
-            ScenarioError: a solver's setting has no form in TOML, or the file cannot be written.
+            ScenarioError: a solver's setting cannot be written as TOML, or the file cannot be written.
         """
         try:
             text = to_toml(_without_none(_with_files_in(Path.cwd(), self.changes())))
@@ -153,7 +153,7 @@ class Scenario(Settings):
         write_whole(path, text, "scenario", ScenarioError)
 
     def changes(self) -> dict[str, Any]:
-        """Return all non-default values, as arguments. A table is based on the preset that leaves the fewest keys."""
+        """Return all non-default values, as arguments. A table names a preset if this leaves fewer keys."""
         found: dict[str, Any] = {}
         for name, field in type(self).model_fields.items():
             value = getattr(self, name)
@@ -167,7 +167,7 @@ class Scenario(Settings):
     __str__ = __repr__
 
     def change(self, **tables: Any) -> Self:
-        """Copy the scenario with some fields changed; a mapping changes fields inside a table.
+        """Copy the scenario with some fields changed. A mapping for a table changes only the keys that it has.
 
         Raises:
             ScenarioError, UnknownNameError: as for the constructor.
@@ -180,7 +180,7 @@ class Scenario(Settings):
 
     @property
     def told_guard(self) -> SafetyFilterSettings:
-        """The ``[guard]`` in use: limits left out are computed from the encoders, and limits too low are raised."""
+        """The settings ``[guard]`` in use. A limit that is left out or too low follows from the encoders' settings."""
         guard, plant, told = self.guard, self.plant, dict[str, float | None]()
         encoder = plant.encoder_noise_rad, plant.encoder_resolution_rad
         if guard.repeat_joint_ticks is None:
@@ -220,7 +220,7 @@ def _tables(value: Settings, name: str) -> Iterator[dict[str, Any]]:
 
 
 def _without_none(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Replace None by its form in a file: `inf` for no limit, '' for no table of gains; omit a solver's None."""
+    """Replace None by its form in a file: '' for ``gains``, `inf` for limits. A solver's setting None is omitted."""
     plain: dict[str, Any] = {}
     for key, value in table.items():
         if key == "settings":

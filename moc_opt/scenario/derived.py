@@ -1,7 +1,7 @@
-"""Columns computed after a run: errors by the robot's own kinematics, residuals of the answers, and the best mu.
+"""Columns computed after a run: errors by the controller's kinematics, residuals of the answers, and the largest mu.
 
-Dynamic programming on a grid of 50 ms and 0.5 degree finds the courses (joint trajectories) of best mean mu, from the
-run's start and over all starts. `moc_opt.scenario.planned.plan` uses a finer grid (docs/planning.md).
+Dynamic programming on a grid of 50 ms and 0.5 degree finds two courses (joint trajectories) with the largest mean mu:
+one from the run's start, and one from any start. `moc_opt.scenario.planned.plan` uses a finer grid (docs/planning.md).
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ from moc_opt.trace.trace import Trace
 Columns = Mapping[str, NDArray[Any]]
 
 AT_ONCE = 5000  # number of answers whose residuals are computed together
-PERIOD_S = 0.05  # time step of the grid: a joint passes several swivels in a step, so that rounding costs little
+PERIOD_S = 0.05  # time step of the grid. In one step, a joint can pass several samples of the swivel
 PATH = {"robot", "start", "trocar", "task", "duration_s", "seed"}  # keys of a scenario that determine path and start
 
 
 def model_errors(columns: Columns, robot: RobotModel, plant: Plant, offset: TaskOffset) -> dict[str, NDArray[Any]]:
-    """Compute tip and RCM error by the robot's own kinematics; no columns if the encoders are not on the links."""
+    """Compute tip and RCM error by the controller's kinematics. If springs separate encoders and links, return {}."""
     if plant.settings.elastic and plant.settings.encoder_side == "motor":
         return {}
     tips, wrists = robot.tool_along(columns["q_rad"] + plant.mismatch.encoder_bias)
@@ -54,7 +54,7 @@ def model_errors(columns: Columns, robot: RobotModel, plant: Plant, offset: Task
 
 
 def residual_columns(columns: Columns) -> dict[str, NDArray[Any]]:
-    """Compute the residuals of each answer, and whether they verify it; no columns if nothing was solved."""
+    """Compute each answer's residuals, and the flag ``verified``. If nothing was solved, return no columns."""
     if "subproblem" not in columns:
         return {}
     x = columns["x_rad_per_s"]
@@ -67,9 +67,9 @@ def residual_columns(columns: Columns) -> dict[str, NDArray[Any]]:
 
 
 def largest_mu(poses: Array, robot: RobotModel, samples: int) -> tuple[Array, dict[str, str]]:
-    """Compute the largest mu of all feasible poses with the tick's tip and wrist, at evenly spaced ticks.
+    """At evenly spaced ticks, compute the largest mu of all feasible poses with the tick's tip and wrist.
 
-    Return this bound (N,) and meta with the method. The bound is NaN at other ticks, and if a pose is not finite.
+    Return this bound (N,), and its method for the trace's meta. The bound is NaN at other ticks and non-finite poses.
     """
     bound = np.full(len(poses), np.nan)
     ticks = np.linspace(0, len(poses) - 1, min(samples, len(poses))).astype(int)
@@ -82,7 +82,7 @@ def largest_mu(poses: Array, robot: RobotModel, samples: int) -> tuple[Array, di
 
 
 class BestCourses(NamedTuple):
-    """The best courses of one path; None if the grid has no course."""
+    """The courses with the largest mean mu along one path. A course is None if the grid has none."""
 
     robot: RobotModel
     from_start: Course | None
@@ -91,7 +91,7 @@ class BestCourses(NamedTuple):
 
 
 def best_courses(scenario: Scenario) -> BestCourses:
-    """Plan the best courses of a scenario's path, with a cache; errors as for a run."""
+    """Plan the best courses of a scenario's path, or take them from a cache. The errors are those of a run."""
     return _planned(scenario.model_dump_json(include=PATH))
 
 
@@ -101,7 +101,7 @@ def _planned(path: str) -> BestCourses:
     robot = scenario.robot.arm()
     real = best_freedoms(robot).real
     if real != 1:
-        raise ScenarioError(f"tip and shaft leave this arm {real} freedoms, and the planner can use only one")
+        raise ScenarioError(f"with tip and shaft held, this arm has {real} degrees of freedom: the planner needs one")
     layout = lay_out(scenario, robot, checked=False)
     targets = targets_of(robot, layout, period_s=PERIOD_S)
     value = Value(pose_map.map_of(robot, layout.q, targets), Limits())
@@ -113,8 +113,8 @@ def _planned(path: str) -> BestCourses:
 def against_best(scenario: Scenario, trace: Trace) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     """Return the columns of the best courses, and the entry ``best_courses`` of the trace's meta.
 
-    The entry says why the courses are absent, or compares mu [m^3] and swivel [deg] at the end of the run, of a climb
-    from there, and of the best course.
+    If there are no courses, the entry says why. Otherwise it has mu [m^3] and swivel [deg] at three places: at the end
+    of the run, at the maximum of mu that a climb from there reaches, and at the end of the best course.
     """
     try:
         known = best_courses(scenario)
@@ -129,7 +129,7 @@ def against_best(scenario: Scenario, trace: Trace) -> tuple[dict[str, NDArray[An
     if mine is not None:
         columns["q_best_from_start_rad"] = np.stack([np.interp(t, mine.t_s, q) for q in mine.q_rad.T], axis=1)
         top, elbow = top_of(last, trace.q_rad[-1]), Elbow(known.robot, last.targets.wrist)
-        if top is not None and abs(t[-1] - mine.t_s[-1]) < PERIOD_S:  # a run that was stopped ends elsewhere
+        if top is not None and abs(t[-1] - mine.t_s[-1]) < PERIOD_S:  # a stopped run ends elsewhere on the path
             here, there = np.degrees(elbow.swivel(np.stack([top.q_rad, mine.q_rad[-1]]))).tolist()
             told["end"] = {
                 "mu": float(trace.mu[-1]), "top_mu": top.mu, "top_swivel_deg": here, "at_limit": top.at_limit,

@@ -28,7 +28,7 @@ class Layout:
 
     q: Array  #: (n,) [rad]
     trocar: Array  #: (3,) registered trocar at rest [m]
-    registered: Trocar  #: The registered trocar with its motion, for the controller.
+    registered: Trocar  #: The registered trocar and its motion, as the controller knows them.
     reference: Reference
     duration_s: float
 
@@ -95,13 +95,13 @@ def _task(scenario: Scenario, robot: RobotModel, q: Array) -> Layout:
     duration_s = scenario.duration_s or task.wait_s + reference.duration + task.hold_s
     if not duration_s / scenario.plant.period_s <= MOST_TICKS:
         raise ScenarioError(
-            f"the run takes {duration_s:.3g} s (duration_s, or the time of the [task]), with [plant] "
-            f"period_s = {scenario.plant.period_s:.3g} s more than {MOST_TICKS} ticks: give a smaller duration_s"
+            f"the run takes {duration_s:.3g} s (duration_s, or the time of the [task]). With [plant] period_s = "
+            f"{scenario.plant.period_s:.3g} s, it has more than {MOST_TICKS} ticks: give a smaller duration_s"
         )
     return Layout(q, point, registered, reference, duration_s)
 
 
 def described(scenario: Scenario, robot: RobotModel) -> dict[str, Any]:
-    """Return scenario and robot for a trace's `meta`. An arm outside the package is included with all its data."""
+    """Return scenario and robot for a trace's `meta`. If the arm is not in the package, add all data of the arm."""
     found = {"scenario": scenario.model_dump(mode="json"), "robot": robot.data.name}
     return found if scenario.robot.name in available_robots() else {**found, "robot_data": carried(robot)}

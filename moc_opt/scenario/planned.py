@@ -1,4 +1,4 @@
-"""Plan a scenario before its run, with `moc_opt.planning` on its path, trocar and start, and write the course."""
+"""Plan the joint motion (course) of a scenario before its run, with `moc_opt.planning`, and write it to a file."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.layout import Layout, described, lay_out
 from moc_opt.trace.trace import Trace
 
-PERIOD_S, MOST_TIMES = 0.025, 1000  # largest time between points of a plan [s]; most points
+PERIOD_S, MOST_TIMES = 0.025, 1000  # time between two points of a plan [s]; largest number of points
 
 
 def plan(
@@ -27,17 +27,17 @@ def plan(
     margin_rad: float = 0.0, margin_m: float = 0.0, speed_share: float = 1.0, shaft_margin: float = 0.0,
     refined: bool = True,
 ) -> Plan:  # fmt: skip
-    """Plan a scenario's run: whether it can be executed, from which swivel, how well, and along which course.
+    """Plan a scenario's run: find out whether it can be executed, from which swivel of the elbow, and by which course.
 
-    The plan uses the controller's data: the robot model, the registered trocar, the whole reference.
+    The plan uses what the controller knows: the robot model, the registered trocar and the whole reference.
 
     Args:
         scenario: a scenario, or the path of its file.
-        times: number of points on the path; None: 2 to 1000, `PERIOD_S` apart if 1000 suffice.
-        swivels: samples per turn of the elbow. Below the default, they matter only for an arm with a closed form.
+        times: number of points on the path. None: one point per `PERIOD_S`, but at most `MOST_TIMES` points.
+        swivels: samples per turn of the elbow. For arms without closed-form poses, at least the default is used.
         margin_rad, margin_m: distance of turning and of sliding joints from their limits [rad], [m].
         speed_share: share of the joints' speed limits that a course may use, above 0 to 1.
-        shaft_margin: least (manipulability of the shaft) / (distance from wrist to tip)^2, kept where possible.
+        shaft_margin: smallest (manipulability of the shaft) / (distance from wrist to tip)^2, if possible.
         refined: whether a nonlinear program improves the courses found on the grid.
 
     Raises:
@@ -58,7 +58,8 @@ def targets_of(
 ) -> Targets:
     """Return ``times`` targets of tip and wrist on the path, evenly spaced in time from the first tick to the last.
 
-    Without ``times``, there is one per ``period_s``, at most `MOST_TIMES`. Each interval is then divided by ``finer``.
+    Without ``times``, there is one target per ``period_s``, but at most `MOST_TIMES`. Then the time between two targets
+    is divided by ``finer``.
     """
     spaces = int(np.clip(np.ceil(layout.duration_s / period_s), 1, MOST_TIMES - 1))
     span, length = robot.state(layout.q).tool_span, robot.data.tool_length
@@ -72,9 +73,9 @@ def followable_plan(
 ) -> tuple[Plan, dict[str, float]]:
     """Plan a course within limits, and return the plan and the limits.
 
-    ``followed``: whether the limits are those of [control] for a course, or the arm's own. If it is None, third_level
-    decides. If no course keeps the margins of [control], they are left out. Limits given as arguments have
-    priority. If only one margin is given, the other is 0.
+    If ``followed`` is true, the limits are those of [control] for a course, else the arm's own limits. If it is None,
+    third_level decides. If no course keeps the margins of [control], the plan has no margins. Limits given
+    as arguments have priority. If only one margin is given, the other margin is 0.
     """
     settings = scenario.control
     follows = settings.follows if followed is None else followed
@@ -94,7 +95,7 @@ def followable_plan(
 
 
 def following_warnings(scenario: Scenario, found: Plan) -> list[str]:
-    """Say what keeps the scenario's third level from following the course of its plan, each with its cure."""
+    """Return the reasons why the scenario's third level cannot follow the course of the plan, each with a cure."""
     settings, course, said = scenario.control, found.course, list[str]()
     if settings.law != "moc":
         return [f"law = {settings.law!r} has no third level: nothing follows the course; take law = 'moc'"]
@@ -114,7 +115,7 @@ def save_course(found: Plan, scenario: Scenario, to: str | os.PathLike[str], wit
 
     Columns: t_s (k,) [s], q_rad (k,n), mu (k,) [m^3], swivel_rad (k,), tip_m, tip_ref_m and wrist_m (k,3).
 
-    ``within`` has the limits that the course was planned for, by the names of `plan`'s arguments.
+    ``within`` has the limits of the plan. Its keys are names of `plan`'s arguments.
 
     Raises:
         ScenarioError: the plan has no course from any start.

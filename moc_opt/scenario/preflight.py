@@ -1,4 +1,4 @@
-"""Checks before anything moves: limits and rank at the start, the path followed by kinematics alone, random starts."""
+"""Checks before anything moves (limits and rank at the start, kinematics along the path), and random starts."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from moc_opt.tasks import Reference, Trocar
 
 Found = TypeVar("Found")
 
-SINGULAR = (1e-4, 1e-4)  #: Least `Freedoms.tip` and `Freedoms.both` of any start.
-REGULAR = (0.1, 0.05)  #: Least values at a random start and along its path. The LWR4+ has 0.41 and 0.14 at home.
+SINGULAR = (1e-4, 1e-4)  #: Smallest `Freedoms.tip` and `Freedoms.both` of any start.
+REGULAR = (0.1, 0.05)  #: Smallest values at a random start and on its path. At home, the LWR4+ has 0.41 and 0.14.
 DRAWN_MARGIN = 0.1  #: Distance of drawn poses from both limits, as a share of the joint's range.
 DRAWS = 200  #: Number of poses that are tried for a random start.
 SPACING_M = 0.005  #: Distance between the points at which the path is checked [m].
@@ -39,7 +39,7 @@ class UnreachableError(TaskError):
 
 
 def check_start(robot: RobotModel, q: ArrayLike) -> RobotState:
-    """Return the state at q (n,) [rad]; a ScenarioError if no run can begin there."""
+    """Return the state at q (n,) [rad]. Raise a ScenarioError if no run can begin at q."""
     pose = np.asarray(q, dtype=np.float64)
     if pose.shape != (robot.n,) or not np.isfinite(pose).all():
         raise ScenarioError(f"[start] q_rad = {pose.tolist()}: give {robot.n} finite numbers [rad]")
@@ -67,23 +67,23 @@ def random_start(
     robot: RobotModel, rng: np.random.Generator, swivelled: Callable[[Array], Array],
     lay_out: Callable[[Array], tuple[Found, Array]], margins: Array,
 ) -> Found:  # fmt: skip
-    """Draw poses until the task can be done from one, and return the task laid out from there.
+    """Draw poses until the arm can do the task from a pose, and return the task laid out from this pose.
 
     A pose is drawn evenly from the joints' ranges, less `DRAWN_MARGIN` at both ends. ``swivelled(q)`` returns a start:
     a pose with tip and wrist of q and the scenario's swivel. ``lay_out(start)`` returns the task and the poses (k, n)
-    along its path. A draw is rejected if the task cannot be done within joint limits and speeds. It is also rejected if
-    one of these poses is nearly singular (`REGULAR`), has a joint within ``margins`` (n,) of a limit [rad, m], or has
-    tip or wrist below the plane of the base.
+    along the path. A draw is rejected if the arm cannot do the task within joint limits and speeds. It is also rejected
+    if the start or a pose along the path is nearly singular (`REGULAR`), has a joint within ``margins`` (n,) of a limit
+    [rad, m], or has tip or wrist below the plane of the base.
 
     Raises:
-        ScenarioError: all `DRAWS` draws are rejected; the message counts the reasons.
+        ScenarioError: all `DRAWS` draws are rejected; the message says why, and how often.
     """
     room = DRAWN_MARGIN * (robot.q_max - robot.q_min)
     rejected: Counter[str] = Counter()
     for _ in range(DRAWS):
         drawn = rng.uniform(robot.q_min + room, robot.q_max - room)
         try:
-            # Checked before the swivel is chosen, which takes milliseconds.
+            # Check first, because choosing the swivel takes milliseconds.
             _require_fit(robot, drawn, margins)
             q = swivelled(drawn)
             _require_fit(robot, q, margins)
@@ -123,10 +123,10 @@ def check_reachable(
 ) -> Array:
     """Return poses (k, n) that follow the reference with the shaft through the trocar, inside joint limits and speeds.
 
-    The poses are `SPACING_M` apart on the path, and each is solved from the previous pose. If this fails, the path is
-    tried again from the middle of the self-motion through ``q_start`` (n,). A refused path may still be possible with
-    other poses. The reference must start at the tip of ``q_start``. ``until_s`` [s] ends the check. An UnreachableError
-    names field, arc length and cure.
+    The poses are `SPACING_M` apart on the path, and each is solved from the previous pose. If this fails, a second try
+    begins in the middle of the self-motion (with tip and wrist at rest) through ``q_start`` (n,). A refused path may
+    still be possible with other poses. The reference must start at the tip of ``q_start``. The check ends at the time
+    ``until_s`` [s]. If both tries fail, an UnreachableError names field, arc length and cure.
     """
     state = robot.state(q_start)
     places = _places(reference, trocar, until_s)
@@ -189,13 +189,13 @@ def _follow(robot: RobotModel, q: Array, places: _Places, reference: Reference) 
     k = int(np.argmax(shares))
     if shares[k] > 1.0:
         i = int(np.argmax(np.abs(rates[k] / robot.v_max)))
-        # Joint speeds are proportional to the tip's. Its peak may be below v_max, as the acceleration is limited.
+        # Joint speeds are proportional to the tip's speed, whose peak may be below v_max (limited acceleration).
         slower = 0.99 * float(np.linalg.norm(places.tip_velocity, axis=1).max()) / shares[k]
         raise UnreachableError(
             "v_max", places.arc[k],
             f"{robot.data.joint_names[i]} would have to turn at {abs(rates[k, i]):.2f} rad/s, and its limit is "
             f"{robot.v_max[i]:.2f}",
-            f"lower v_max_m_per_s from {reference.v_max:g} to {slower:.3g} m/s, or move the path off the trocar",
+            f"lower v_max_m_per_s from {reference.v_max:g} to {slower:.3g} m/s, or move the path away from the trocar",
         )  # fmt: skip
     return poses
 
@@ -214,7 +214,7 @@ def _out_of_reach(robot: RobotModel, places: _Places, k: int, wrist: Array, plac
 
 
 def _least_rates(robot: RobotModel, a: Array, velocity: Array) -> Array:
-    """Return joint velocities v (n,) of least norm or, if a joint is too fast, of least max |v| / v_max."""
+    """Return v (n,) with the smallest norm. If a joint is then too fast, return v with the smallest max |v| / v_max."""
     left, values, right = np.linalg.svd(a)
     rank = int((values > 1e-9 * values[0]).sum())
     shortest: Array = right[:rank].T @ ((left[:, :rank].T @ velocity) / values[:rank])

@@ -44,7 +44,7 @@ from moc_opt.trace.trace import Trace
 
 
 def make_solver(name: str, robot: RobotModel, **settings: Any) -> Solver:
-    """Create a solver. If it has a parameter ``kinematics``, it gets the arm's kinematics."""
+    """Create a solver. Its parameter ``kinematics``, if there is one, gets the arm's kinematics."""
     entry = find(name)
     if "kinematics" not in settings and "kinematics" in entry.parameters:
         settings = {**settings, "kinematics": robot.kinematics()}
@@ -52,14 +52,14 @@ def make_solver(name: str, robot: RobotModel, **settings: Any) -> Solver:
 
 
 def isolated(solver: Solver, scenario: Scenario, budget_us: float = math.inf, realtime: bool = False) -> Solver:
-    """Wrap a solver in its own process if ``[solver]`` requires it; a SolverError if pickle cannot copy it."""
+    """Put a solver in its own process if ``[solver]`` requires this. A SolverError if pickle cannot copy the solver."""
     if scenario.solver.isolation == "none":
         return solver
     return Isolated(solver, scenario.solver.process, budget_us, waits=not realtime)
 
 
 def make_safety_filter(robot: RobotModel, scenario: Scenario) -> SafetyFilter:
-    """Make the safety filter of an arm in its incision."""
+    """Make the scenario's safety filter, for an arm whose tool is in the incision."""
     return SafetyFilter(robot, scenario.told_guard, scenario.plant.period_s)
 
 
@@ -69,7 +69,7 @@ def make_stop(scenario: Scenario) -> Stop:
 
 
 def recorded_times(scenario: Scenario) -> list[float] | None:
-    """Read the solve times [us] of ``[solver] replay_us``; None: they are measured."""
+    """Read the solve times [us] of ``[solver] replay_us``. Return None if solve times are to be measured."""
     given = scenario.solver.replay_us
     if given is None:
         return None
@@ -77,7 +77,7 @@ def recorded_times(scenario: Scenario) -> list[float] | None:
     read = read_arrays(given, what, ScenarioError) if isinstance(given, str) else {"": np.asarray(given)}
     times = read.get("", np.empty(0))
     if times.dtype.kind not in "fiu" or times.ndim != 1 or not len(times) or not (times >= 0.0).all():
-        raise ScenarioError(f"{what}: {times.dtype} of shape {times.shape}: give one time of 0 us or more a tick")
+        raise ScenarioError(f"{what}: {times.dtype} of shape {times.shape}: give a list of times of 0 us or more")
     return [float(time) for time in times]
 
 
@@ -85,9 +85,9 @@ class Setup:
     """Objects built from a validated scenario, and checked before anything moves. ``trace()`` runs the scenario.
 
     Args:
-        solver: used instead of the scenario's solver, which the trace's `meta` still names.
+        solver: used instead of the scenario's solver. The trace's `meta` still names the scenario's solver.
         realtime: build only the controller, because the plant runs in another process. A tick then never waits while
-            the process of an isolated solver is replaced. Without a budget, it waits for an answer for half a period.
+            the process of an isolated solver is replaced. Without a budget, a tick waits at most half a period.
 
     Raises:
         MocOptError: the scenario is not usable; see also `moc_opt.scenario.layout.lay_out`.
@@ -105,20 +105,20 @@ class Setup:
         self.layout = layout = lay_out(scenario, self.robot)
         self.q_start, self.registered, self.reference = layout.q, layout.registered, layout.reference
         self.duration_s = layout.duration_s
-        self.guide: Guide | None = None  #: Gives the latest controller its course; None: level 3 climbs mu.
+        self.guide: Guide | None = None  #: Guide of the latest controller; None: level 3 raises mu.
         self._replayed_us = recorded_times(scenario)
         if not realtime:
             self._build_plant(plant_seed)
 
     def _build_plant(self, seed: int) -> None:
-        """Put the plant at the start. The path begins at its true tip. The registered incision is on its shaft."""
+        """Put the plant at the start, the path's start at the true tip, and the registered trocar on the true shaft."""
         scenario, entry = self.scenario, self.layout.trocar
         self.plant = plant = Plant(self.robot.data, scenario.plant, seed=seed)
         if scenario.faults.bump_N > 0.0:  # so that an unknown link is found now, not in the middle of the run
             plant.push(scenario.faults.bump_link, np.zeros(3))
         plant.reset(self.q_start)
         self.offset = TaskOffset()
-        if plant.mismatch.displaces or plant.settings.elastic:  # else true and modelled places agree
+        if plant.mismatch.displaces or plant.settings.elastic:  # else true and modelled positions agree
             shaft, tip = plant.tip - plant.wrist, self.robot.state(self.q_start).tip
             touched = plant.tip - scenario.trocar.depth_m * shaft / np.linalg.norm(shaft)
             self.offset = TaskOffset(plant.tip - tip, touched - entry)
@@ -126,7 +126,7 @@ class Setup:
         self.trocar = Trocar(true, *scenario.trocar.breathing)
 
     def solver(self) -> Solver | None:
-        """Make the solver of the scenario; None under DCAC."""
+        """Make the solver of the scenario. Return None under DCAC."""
         if self.scenario.control.law != "moc":
             return None
         asked, faults = self.scenario.solver, self.scenario.faults
@@ -136,7 +136,7 @@ class Setup:
         return Faulty(solver, faults.solver, faults.solver_share, self._fault_seed)
 
     def controller(self) -> LoggedController:
-        """Make the controller of the loop: the scenario's law and solver. A subclass may return any other."""
+        """Make the controller of the loop: the scenario's law and solver. A subclass may return another controller."""
         scenario, solver = self.scenario, self.solver()
         settings, period_s = scenario.control, scenario.plant.period_s
         budget = settings.supervisor.budget_us
@@ -168,17 +168,17 @@ class Setup:
 
     @cached_property
     def _guides(self) -> Callable[[], Guide] | None:
-        """Function that makes a controller's guide. Planning is done once for all controllers."""
+        """A function that makes a guide for each controller, or None. All guides share one plan."""
         return guides(self.following)
 
     def fault_mask(self) -> NDArray[np.bool_]:
-        """Return flags (N,): the ticks at which the solver's answer is faulty."""
+        """Return flags (N,), true at the ticks at which a fault is put into the solver's answer."""
         faults = self.scenario.faults
         never = faults.solver == "none" or self.scenario.control.law != "moc"
         return draw(self._fault_seed, 0.0 if never else faults.solver_share, self.ticks)
 
     def closed_loop(self, controller: TorqueController) -> ClosedLoop:
-        """Make the loop of the plant and a controller behind the scenario's safety filter, without faults and trace."""
+        """Make the closed loop of plant, controller and the scenario's safety filter. It injects no faults."""
         scenario = self.scenario
         return ClosedLoop(self.plant, controller, make_safety_filter(self.robot, scenario), make_stop(scenario))
 
@@ -249,7 +249,7 @@ class Setup:
         return trace.with_columns(mu_bound=bound, **best).with_meta(**method, **told)
 
     def _save_rest(self, rows: Columns, meta: Mapping[str, Any], file: Path, error: BaseException) -> None:
-        """Save the rows of a run that an exception ended, and note in the exception where they are."""
+        """Save the rows of a run that an exception ended, and add a note with the file's name to the exception."""
         ticks, period_s = len(rows["t_s"]), self.scenario.plant.period_s
         ended = f"interrupted: {describe(error)} (t = {ticks * period_s:.3f} s)"
         told = {"period_s": period_s, "ended": ended, "ticks": ticks, "ticks_planned": self.ticks}
@@ -273,7 +273,7 @@ def run(
     """Run one scenario.
 
     Args:
-        scenario: what to run, or the path of its file.
+        scenario: a scenario, or the path of its file.
         watch: called before every tick, with the tick's number.
         to: a Parquet file for the trace, or for the rows so far if an exception (such as Ctrl-C) ends the run.
         solver: used instead of the solver that the scenario names.
@@ -282,7 +282,7 @@ def run(
         The trace, one row per tick; ``meta["ended"]`` says how the run ended.
 
     Raises:
-        MocOptError: the scenario or the trace's file is not usable; raised before the run.
+        MocOptError: the scenario or the trace's file is not usable. This is found before the run.
         RunAway: the plant cannot go on; the error holds the trace.
     """
     return Setup(Scenario.load(scenario), solver).trace(watch, to)

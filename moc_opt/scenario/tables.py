@@ -1,4 +1,4 @@
-"""A scenario's tables [robot], [start], [trocar], [task] and [solver]. Other tables are where they are used."""
+"""A scenario's tables [robot], [start], [trocar], [task] and [solver]. Other modules define the other tables."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class RobotTable(Settings):
     KIND: ClassVar[str] = "[robot]"
     name: str = Field("lwr4", description="name of a robot of the package, or path of a URDF or TOML file")
     tool_length_m: float | None = Field(None, gt=0.0, le=10.0)
-    """length of the tool from its mount to its tip. If left out, the robot's file gives it"""
+    """length of the tool from its mount to its tip. If left out, the length in the robot's file is used"""
     tool_mass_kg: float | None = Field(None, gt=0.0, le=1000.0)
-    """mass of the tool. If left out, the robot's file gives it"""
+    """mass of the tool. If left out, the mass in the robot's file is used"""
 
     def arm(self) -> RobotModel:
         """Load the robot and build its model. If its files are wrong, a MocOptError is raised."""
@@ -39,16 +39,16 @@ class StartTable(Settings):
 
     KIND: ClassVar[str] = "[start]"
     pose: Literal["home", "random"] = "home"
-    """start pose. 'home': q_rad; 'random': a random pose from which the whole task can be done"""
-    q_rad: tuple[float, ...] | None = Field(None, description="joint positions. If left out, the robot's home pose")
+    """start pose. 'home': the pose q_rad; 'random': a random pose from which the arm can do the whole task"""
+    q_rad: tuple[float, ...] | None = Field(None, description="joint positions; default: the robot's home pose")
     swivel: Annotated[float, Field(ge=0.0, le=1.0)] | Literal["given", "random"] = "given"
-    """position of the elbow, from 0 to 1 between the ends of its swivel range. 'given': as in the pose; 'random': drawn
-    from 0.05 to 0.95"""
+    """position of the elbow in its swivel range, from 0 to 1. 'given': the elbow stays where it is in the start
+    pose; 'random': a random number from 0.05 to 0.95"""
     limit_margin_rad: float = Field(0.05, ge=0.0, le=3.0)
-    """pose 'random': smallest distance of a joint from its limits, at the start and along the path"""
+    """with pose 'random': smallest distance of a joint from its limits, at the start and along the path"""
     limit_margin_m: float = Field(0.05, ge=0.0, le=3.0, description="like limit_margin_rad, for sliding joints")
     check_path: bool = True
-    """whether a path that the arm cannot follow is refused before the run. With pose 'random' it always is"""
+    """whether a path that the arm cannot follow is refused before the run. With pose 'random', it is always refused"""
 
     @model_validator(mode="after")
     def _one_pose(self) -> Self:
@@ -66,13 +66,13 @@ class TrocarTable(Settings):
     """largest distance of the trocar from its place at t = 0, reached in the middle of a breath"""
     breathing_period_s: float = Field(4.0, gt=0.0, le=MOST_S, description="period of one breath")
     breathing_direction: Vector = (0.0, 0.0, 1.0)
-    """direction of the breathing in base axes, of any length"""
+    """vector along the breathing motion in base axes. The vector's length has no effect"""
     breathing_known: bool = True
-    """whether the registered trocar, which the controller uses, also moves with the breathing"""
+    """whether the controller knows the breathing: the registered trocar, which the controller uses, then moves too"""
 
     @property
     def breathing(self) -> tuple[float, float, Vector]:
-        """How the trocar moves: amplitude [m], period [s], direction."""
+        """Amplitude [m], period [s] and direction of the trocar's motion."""
         return self.breathing_amplitude_m, self.breathing_period_s, self.breathing_direction
 
 
@@ -83,14 +83,14 @@ class TaskTable(Settings):
     path: Name = "circle"
     """name of the path. `moc-opt tasks` lists all names. 'waypoints' is a smooth curve through waypoints_m"""
     sizes: dict[Name, Annotated[float, Field(ge=-1e3, le=1e3)]] = Field(default_factory=dict)
-    """sizes of the path, lengths in m. `moc-opt tasks` lists the sizes of each path with their defaults"""
+    """sizes of the path. Lengths are in m. `moc-opt tasks` lists the sizes of each path with their defaults"""
     waypoints_m: tuple[Vector, ...] | None = None
-    """points that the tip passes, relative to its start. Axes: heading, left, normal"""
-    normal: Vector = Field((0.0, 0.0, 1.0), description="normal of the path's plane in base axes, of any length")
+    """points on the path, relative to the tip at t = 0. The axes are heading, left (normal x heading) and normal"""
+    normal: Vector = Field((0.0, 0.0, 1.0), description="vector normal to the path's plane, in base axes")
     heading: Vector = (1.0, 0.0, 0.0)
-    """direction in which the path begins, in base axes. It is projected on the path's plane"""
+    """vector along which the path begins, in base axes. The vector is projected onto the path's plane"""
     v_max_m_per_s: float = Field(0.05, gt=0.0, le=10.0, description="largest speed of the tip")
-    a_max_m_per_s2: float = Field(0.2, gt=0.0, le=1e6, description="largest acceleration of the tip, also in curves")
+    a_max_m_per_s2: float = Field(0.2, gt=0.0, le=1e6, description="largest acceleration of the tip, even in curves")
     wait_s: float = Field(0.5, ge=0.0, le=MOST_S, description="time at rest before the path")
     hold_s: float = Field(0.5, ge=0.0, le=MOST_S, description="time at rest after the path")
 
@@ -121,12 +121,12 @@ class SolverTable(Settings):
 
     KIND: ClassVar[str] = "[solver]"
     name: Name = Field("exact", description="name of the solver. `moc-opt solvers --list` lists all")
-    settings: dict[Name, Any] = Field(default_factory=dict, description="settings of this solver, see docs/solvers.md")
+    settings: dict[Name, Any] = Field(default_factory=dict, description="settings of the solver, see docs/solvers.md")
     replay_us: str | tuple[Annotated[float, Field(ge=0.0, le=1e9)], ...] | None = None
-    """recorded solve times [us], or a .npy file of them. They replace the measured times, so that a run with a time
-    budget can be repeated exactly. When they are used up, they start again from the first"""
+    """recorded solve times [us], or the name of a .npy file of solve times. They replace the measured times, so that a
+    run with a time budget can be repeated exactly. After the last recorded time, the first follows again"""
     isolation: Literal["none", "process"] = "none"
-    """'process': the solver runs in its own process, which is replaced if it hangs or ends"""
+    """'process': the solver runs in a process of its own. If this process hangs or ends, another one replaces it"""
     process: ProcessSettings = ProcessSettings()
 
     @model_validator(mode="after")

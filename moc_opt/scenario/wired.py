@@ -1,4 +1,4 @@
-"""A scenario whose plant and controller are two processes with a wire between them."""
+"""A scenario whose plant and controller are two processes, connected over UDP (the wire)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SLOWEST_S, FASTEST_S = 0.004, 0.001
 def fingerprint(scenario: Scenario, robot: RobotModel) -> int:
     """Return a number of 63 bits that differs between plant and controller if they are set up for different runs.
 
-    It covers the task and all data of the arm except its gains, which only the controller uses.
+    It depends on the task, the period and all data of the arm except gains, which only the controller uses.
     """
     whole = scenario.model_dump(mode="json", include={"robot", "start", "trocar", "task", "seed", "duration_s"})
     del whole["robot"]["name"]  # the robot's file may be in another folder at the other end
@@ -38,8 +38,8 @@ def fingerprint(scenario: Scenario, robot: RobotModel) -> int:
 class PlantServer(Setup):
     """The plant of a scenario, for a controller at the other end of a wire.
 
-    It listens at ``listen``, "HOST:PORT". Port 0 takes any free port, and ``address`` has its number. In lock-step, the
-    plant waits for each command. ``system``, for ``meta["wire"]``, says which scheduling was granted.
+    The plant listens at ``listen``, "HOST:PORT". With port 0, any free port is taken, and ``address`` has its number.
+    In lock-step, the plant waits for each command. ``system``, for ``meta["wire"]``, says which scheduling was granted.
 
     Raises:
         MocOptError: what `Setup` raises; or the address cannot be taken, or needs a key.
@@ -54,7 +54,7 @@ class PlantServer(Setup):
         where, period = parse_address(listen, "--listen"), scenario.plant.period_s
         if not lock_step and not FASTEST_S <= period <= SLOWEST_S:
             raise WireError(
-                f"[plant] period_s = {period}: the clock is kept from {FASTEST_S} to {SLOWEST_S} s (1 kHz to 250 Hz); "
+                f"[plant] period_s = {period}: real time needs {FASTEST_S} to {SLOWEST_S} s (1 kHz to 250 Hz); "
                 "change it, or run in lock-step"
             )
         self.system: dict[str, str] = {}
@@ -75,7 +75,7 @@ class PlantServer(Setup):
         return self._remote  # type: ignore[return-value]
 
     def _judged(self, found: Trace) -> Trace:
-        counts: dict[str, Any] = self._remote.close()  # before judging, for which a controller would not wait
+        counts: dict[str, Any] = self._remote.close()  # before judging, which takes too long for the controller to wait
         if self.system:
             give_back_realtime()
             counts["system"] = self.system
@@ -92,9 +92,9 @@ class PlantServer(Setup):
 def answer(
     scenario: Scenario, connect: str, key_file: Path | None = None, ready: Callable[[], None] = lambda: None
 ) -> dict[str, Any]:
-    """Act as the controller of a plant at the other end of a wire ("HOST:PORT"), until the run ends.
+    """Act as the controller of the plant at ``connect`` ("HOST:PORT") until the run ends.
 
-    [control], [solver] and [guard] are used from ``scenario``. All that `fingerprint` covers must equal the plant's.
+    Of ``scenario``, [control], [solver] and [guard] are used. Both ends must have the same `fingerprint`.
     ``ready`` is called once, when the plant has been found and the controller has started.
 
     Raises:

@@ -1,7 +1,7 @@
-"""The simulated plant and the closed loop: arm, trocar, sensors, faults. It knows no solver and no control law.
+"""The simulated plant and the closed loop: arm, trocar, sensors, faults. The package has no solver and no control law.
 
 Read first: ``loop`` (the closed loop of plant, sensors, safety filter and controller), with ``protocols`` (interfaces
-of its parts) and ``record`` (its rows). Then read ``plant`` (MuJoCo), with its parts ``joints`` and ``sensors``.
+of controllers) and ``record`` (one row per tick). Then read ``plant`` (MuJoCo) with ``joints`` and ``sensors``.
 ``mjcf`` builds the MuJoCo model, and compares it with the controller's arm. ``faults`` disturb the plant.
 docs/plant.md explains ``settings``.
 """

@@ -1,7 +1,7 @@
-"""Seeded faults that are injected into a run: in sensors, packets, trocar and solver, and pushes on the arm.
+"""Faults that are put into a run: of sensors, packets, trocar and solver, and pushes on the arm. A seed draws them.
 
 The stamp of a measurement is the number of the control period in which it was taken. With ``forged_stamps``, old
-readings have the present stamp, as if a buffer stamped them when it sent them.
+readings have the present stamp, as if a buffer stamped them when they leave it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ GRAVITY = 9.81
 
 
 class FaultSettings(Settings):
-    """Faults to inject; all are off by default. Times count from the start of the run."""
+    """Faults that are put into the run. All are off by default. Times count from the start of the run."""
 
     KIND: ClassVar[str] = "[faults]"
     ERROR: ClassVar[type[MocOptError]] = PlantError
@@ -39,12 +39,12 @@ class FaultSettings(Settings):
     lag_at_s: float | None = Field(None, ge=0.0, description="time from which measurements lag (left out: never)")
     lag_joint: int | None = Field(None, ge=0)
     """the only encoder that lags, counted from 0. If left out, whole measurements lag"""
-    lag_ticks: int = Field(0, ge=0, le=1000, description="lag at lag_at_s, in ticks")
+    lag_ticks: int = Field(0, ge=0, le=1000, description="lag at the time lag_at_s, in ticks")
     lag_growth: float = Field(0.1, gt=0.0, le=1.0, description="growth of the lag per tick, in ticks")
     replay_at_s: float | None = Field(None, ge=0.0)
     """time from which old measurements arrive again in a loop (left out: never)"""
     replay_ticks: int = Field(100, ge=1, le=5000)
-    """number of replayed measurements, the newest from replay_at_s"""
+    """number of measurements in the loop. The newest is the measurement at replay_at_s"""
     drift_at_s: float = Field(0.0, ge=0.0, description="time at which the drift begins")
     drift_rad_per_s: float = Field(0.0, ge=-1.0, le=1.0)
     """speed at which the encoders drift, each with a random sign"""
@@ -54,7 +54,7 @@ class FaultSettings(Settings):
     """whether frozen, replayed and lagging measurements are stamped as new"""
     encoder_bias_rad: float = Field(0.0, ge=-0.1, le=0.1)
     """constant error of the encoders, each with a random sign"""
-    encoder_noise_rad: float = Field(0.0, ge=0.0, le=0.01, description="standard deviation of more position noise")
+    encoder_noise_rad: float = Field(0.0, ge=0.0, le=0.01, description="standard deviation of added position noise")
     nan_at_s: float | None = Field(None, ge=0.0, description="time from which encoders give NaN (left out: never)")
     nan_ticks: int = Field(1, ge=1, description="number of ticks at which encoders give NaN")
     jump_at_s: float | None = Field(None, ge=0.0)
@@ -71,8 +71,8 @@ class FaultSettings(Settings):
     slip_at_s: float = Field(2.0, ge=0.0, description="time at which the trocar slips")
     solver: Literal["none", "fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang"] = "none"
     """fault of the solver. 'fail': no answer; 'nan': NaN; 'lie': the optimum for the negated gradient; 'raise': an
-    exception; 'outside': an answer outside the box; 'rig': the problem is rewritten to fit the answer; 'malformed':
-    no valid Solution; 'hang': a solve takes ten times budget_us (without a budget: deadline_us)"""
+    exception; 'outside': an answer outside the box; 'rig': a wrong answer that fits a changed copy of the problem;
+    'malformed': no valid Solution; 'hang': a solve takes ten times budget_us (or deadline_us without a budget)"""
     solver_share: float = Field(0.05, ge=0.0, le=1.0, description="share of the answers that have the fault")
 
     @property
@@ -167,7 +167,7 @@ class Faults:
         return seen._replace(q=q, v=v)
 
     def _after(self, at_s: float | None, tick: int) -> int:
-        """Return 1 at the tick of this time, 2 at the next tick and so on; 0 before."""
+        """Return 0 before the time ``at_s``, 1 at its tick, 2 at the next tick, and so on."""
         return 0 if at_s is None else max(0, tick - round(at_s / self._period) + 1)
 
     def _forged(self, arrived: Measurement, taken: Measurement) -> Measurement:

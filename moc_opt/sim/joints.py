@@ -1,12 +1,12 @@
 """The arm's joints in MuJoCo's state, and their drives.
 
-A joint with a spring has two coordinates in MuJoCo, two hinges about one axis. The motor's angle theta has the rotor's
-inertia B, friction and stops. The spring's deflection is delta. The link's angle is q = theta + delta, and
+A joint with a spring has two coordinates in MuJoCo, two hinges about one axis. The first is the motor's angle theta,
+with the rotor's inertia B, friction and stops. The second is the spring's deflection delta. With the link's angle q,
 
-    M(q) ddq + h = tau_J,   B ddtheta + friction + tau_J = tau,   tau_J = -K delta - D ddelta/dt
+    q = theta + delta,   M(q) ddq + h = tau_J,   B ddtheta + friction + tau_J = tau,   tau_J = -K delta - D ddelta/dt
 
-which is Spong's model (1987). The arm's own torque feedback is not simulated. It makes the rotor appear lighter (Ott et
-al. 2008), and B in the robot's file is this smaller inertia.
+This is Spong's model (1987). The torque feedback inside a real arm is not simulated. It makes the rotor appear lighter
+(Ott et al. 2008), and B in the robot's file is this smaller inertia.
 """
 
 from __future__ import annotations
@@ -23,18 +23,19 @@ from moc_opt.errors import PlantError
 from moc_opt.robots import RobotData
 from moc_opt.sim.settings import Mismatch, PlantSettings
 
-_SAGGING_ROUNDS = 12  # iterations for the deflection of the springs by weight
+_SAGGING_ROUNDS = 12  # iterations that find the deflection of the springs under the arm's weight
 _MOST_RAD_A_STEP = 1.0  # largest phase of an oscillation per plant step; explicit springs are stable below 2
 
 
 class Joints:
-    """Joint coordinates and torque drives. With rigid joints and smooth torques, these are MuJoCo's arrays.
+    """Joint coordinates and torque drives. With rigid joints and smooth torques, q, v and torque are MuJoCo's arrays.
 
     The drives have no dynamics: a command is clipped at the torque limits and acts some control periods later.
 
     Attributes:
         q, v: (n,) true positions and velocities of the links [rad], [rad/s].
-        theta, omega: (n,) positions and velocities of the motors; shown: the pair that the encoders measure.
+        theta, omega: (n,) positions and velocities of the motors [rad], [rad/s].
+        shown: the pair (q, v) or (theta, omega) that the encoders measure.
         torque: (n,) torque of the drives, before ripple [Nm].
         motors: slice of the motors in MuJoCo's degrees of freedom.
     """
@@ -125,7 +126,7 @@ def _stiffnesses(data: RobotData, settings: PlantSettings) -> Array:
 
 
 def check_substeps(model: mujoco.MjModel, state: mujoco.MjData, settings: PlantSettings) -> None:
-    """Raise a PlantError if the plant step is too coarse for the springs. The message names a sufficient number."""
+    """Raise a PlantError if the plant step is too coarse for the springs. The message has a sufficient ``substeps``."""
     inertia = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, state, inertia)
     spring = np.arange(1, model.nv, 2)

@@ -2,7 +2,7 @@
 
 A measured q goes through `ClosedLoop.step`, `FilteredController.tick` and the controller's own ``tick``, and the torque
 comes back the same way. `simulate` runs the loop over a whole reference and records it. The live page and the operating
-procedure step the loop themselves.
+procedure call `ClosedLoop.step` themselves.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ LONGEST = 4  #: A stop ends after at most this many times `Stop.seconds`, even i
 
 
 class FilteredController(Filtered):
-    """A controller behind its safety filter, if there is one; ``applied`` (n,) is the last applied torque [Nm]."""
+    """A controller with an optional safety filter. ``applied`` (n,) is the torque [Nm] that was applied last."""
 
     def __init__(self, controller: TorqueController, safety_filter: SafetyFilter | None, applied: Array) -> None:
         self._controller, self._filter, self._applied = controller, safety_filter, applied
@@ -65,7 +65,7 @@ class FilteredController(Filtered):
         return tau
 
     def set_applied_torque(self, tau: Array) -> None:
-        """Take the applied torque (n,) [Nm], if it differs from the result of ``tick``."""
+        """Store which torque (n,) [Nm] was applied. Called only if this is not the result of ``tick``."""
         self._applied = tau
         self._controller.set_applied_torque(tau)
 
@@ -79,7 +79,7 @@ class FilteredController(Filtered):
 
 
 class ClosedLoop:
-    """Plant, controller and safety filter (None: none), advanced one control period at a time.
+    """A plant, a controller and an optional safety filter, advanced one control period at a time.
 
     A controller that is ``Filtered`` has its own safety filter. ``faults`` disturb sensors and arm. After a step,
     ``seen`` is the measurement as it arrived, ``tau`` (n,) the commanded torque [Nm], and ``tick_us`` the time that
@@ -103,11 +103,11 @@ class ClosedLoop:
         self.filtered.start(self.seen, tip_ref, registered)
 
     def step(self, tip_ref: Array, registered: Array, trocar: Array | None = None) -> None:
-        """Measure, check, compute, limit, and move the arm by one control period.
+        """Measure, check the measurement, compute the torque, limit it, and move the arm by one control period.
 
         Args:
             tip_ref: (3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2].
-            registered: (2, 3) rows P_t [m], dP_t [m/s] of the trocar, as registered.
+            registered: (2, 3) rows P_t [m], dP_t [m/s] of the registered trocar.
             trocar: (2, 3) rows P_t, dP_t of the true trocar; None: the arm is in no incision.
 
         Raises:
@@ -130,7 +130,7 @@ class ClosedLoop:
 
     @property
     def finished(self) -> bool:
-        """Whether the stop is over: the arm rests after ``Stop.seconds``, or `LONGEST` times this time has passed."""
+        """Whether a stop is over: the arm is at rest after ``Stop.seconds``, or `LONGEST` times as long has passed."""
         since = self.ticks - self._stopped_at if self._stopped_at >= 0 else 0
         return since > self._watched and bool(since > LONGEST * self._watched or np.abs(self._plant.v).max() < AT_REST)
 
@@ -159,16 +159,17 @@ def simulate(
     """Run the closed loop from the plant's present state, and record it.
 
     Args:
-        controller: computes the torque, and may add columns.
+        controller: computes the torque, and may add columns to the trace.
         tip_refs: (N, 3, 3) rows X_d, dX_d, ddX_d of every tick.
         trocars, registered: (N, 2, 3) rows P_t, dP_t of the true and of the registered trocar.
         safety_filter: checks measurements and limits torques; None: no checks and no limits.
         offset: difference of true and computed positions of tip and trocar; None: no difference.
-        watch: called with the tick's number before each tick; meta: additional meta of the trace.
+        watch: called with the tick's number before each tick.
+        meta: further entries of the trace's meta.
         rescue: called with the columns so far if an exception other than RunAway ends the loop.
 
     Returns:
-        The trace: per tick, the state at its start and its torque. `moc_opt.trace.meta` lists the meta.
+        The trace. A row has the state at the start of a tick, and its torque. `moc_opt.trace.meta` lists the meta.
 
     Raises:
         RunAway: the plant cannot go on; the error holds the trace so far.

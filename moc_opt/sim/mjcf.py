@@ -19,17 +19,17 @@ TOOL_BODY = "tool"
 MOUNT_SITE = "tool_mount_sensor"
 FORCE_SENSOR, TORQUE_SENSOR = "mount_force", "mount_torque"
 TOLERANCE = 1e-6
-"""Largest relative difference between the engines; rounding makes about 1e-14. M is divided by its largest entry m
-without rotors, h by its largest entry plus 9.81 m, tip and wrist by the tip's distance from the base."""
-POSES = 3  #: Number of poses at which the engines are compared.
+"""Largest difference between pinocchio and MuJoCo (rounding: 1e-14), relative to the largest entry m of M without
+rotors, to the largest entry of h plus 9.81 m, and for tip and wrist to the tip's distance from the base."""
+POSES = 3  #: Number of poses at which pinocchio and MuJoCo are compared.
 
 
 def build_spec(data: RobotData, *, substep_s: float, gravity: bool = True) -> mujoco.MjSpec:
     """Build the editable MuJoCo model of the arm. Cameras or boards can be added before it is compiled.
 
     Every link stays a separate body: if MuJoCo merged the tool into the flange, the sensor between them would measure
-    nothing. Without shapes, nothing collides, and no mass is guessed from a mesh. Rotor inertia becomes `dof_armature`.
-    Joint limits are soft stops. `add_mismatch` adds friction.
+    nothing. Without shapes, nothing can collide, and no mass is guessed from a mesh. Rotor inertia becomes
+    `dof_armature`. Joint limits are soft stops. `add_mismatch` adds friction.
 
     Args:
         data: the robot with its tool.
@@ -37,7 +37,7 @@ def build_spec(data: RobotData, *, substep_s: float, gravity: bool = True) -> mu
         gravity: whether gravity acts, 9.81 m/s^2 along -z.
 
     Raises:
-        PlantError: MuJoCo cannot read the URDF, or finds other joints.
+        PlantError: MuJoCo cannot read the URDF, or finds joints that the robot does not list.
     """
     try:
         spec = mujoco.MjSpec.from_string(_bare(data.urdf))
@@ -103,7 +103,7 @@ def add_mismatch(data: RobotData, spec: mujoco.MjSpec, mismatch: Mismatch) -> No
 
 
 def compile_model(name: str, spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """Compile a robot's spec; a PlantError if MuJoCo refuses it, mostly for an impossible inertia."""
+    """Compile a robot's spec. Raise a PlantError if MuJoCo refuses it, mostly because of an impossible inertia."""
     try:
         return spec.compile()
     except ValueError as error:
@@ -123,13 +123,13 @@ def _bare(urdf: str) -> str:
 
 
 def check_engines(robot: RobotModel) -> None:
-    """Compare inertia M, bias h, tip and wrist of pinocchio and MuJoCo, at home and at seeded poses in motion.
+    """Compare inertia M, bias h, tip and wrist of pinocchio and MuJoCo, at home and at random poses in motion.
 
-    It takes about 2 ms. The plant's errors (masses, calibration, friction, elasticity) are left out.
+    This takes about 2 ms. The plant's errors (masses, calibration, friction, elasticity) are left out.
 
     Raises:
         RobotError: the engines differ by more than `TOLERANCE`; the message names the quantity and the difference.
-        PlantError: MuJoCo cannot take the robot.
+        PlantError: MuJoCo cannot load the robot.
     """
     data, rng = robot.data, np.random.default_rng(0)
     model = compile_model(data.name, build_spec(data, substep_s=0.001))

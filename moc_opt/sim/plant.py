@@ -1,6 +1,6 @@
 """The simulated arm: it takes torques and returns measurements, and gives the true state to the trace.
 
-The trocar is compliant: a spring and a damper connect the trocar point with the nearest point of the shaft line. They
+The trocar is compliant: a spring and a damper connect the trocar point with the nearest point of the shaft line. Both
 act across the shaft only, so that the tool slides and turns freely in the incision. Let u be the tool direction, c the
 shaft point nearest to the trocar P, and w the velocity of the tool's material at c. The force on the tool is
 (I - u u^T) (stiffness (P - c) + damping (dP - w)) (`moc_opt/core/plant.c`). A trocar at rest never adds energy to the
@@ -60,8 +60,8 @@ def _truth(of: Callable[[Any], Array], about: str) -> Any:
 class Plant:
     """An arm in MuJoCo with its trocar, its sensors and its delay, advanced one control period at a time.
 
-    The same (data, settings, seed), start and torques give the same results to the last bit, also after `reset`, which
-    restarts the noise. Plants share no state, so that each thread can have its own. The arm begins at `data.q_home`.
+    With equal data, settings, seed, start and torques, all results are equal to the last bit. `reset` also restarts the
+    noise. Plants share no state, so that each thread can have its own. The arm begins at `data.q_home`.
 
     Args:
         data: the robot, as in the controller's model.
@@ -71,7 +71,7 @@ class Plant:
     Attributes: `data`, `settings`, `mismatch`, and MuJoCo's `mj_model` and `mj_data`, for drawing and checks only.
 
     Raises:
-        PlantError: MuJoCo cannot take the robot, or its URDF lacks a frame.
+        PlantError: MuJoCo cannot load the robot, or its URDF lacks a frame.
     """
 
     def __init__(self, data: RobotData, settings: PlantSettings | None = None, seed: int = 0) -> None:
@@ -108,7 +108,7 @@ class Plant:
         self._tool_wrench, self._felt = state.xfrc_applied[tool], np.zeros(6)
         first = model.sensor(FORCE_SENSOR).adr[0]
         self._held = state.sensordata[first : first + 6]
-        self._bodies, self._pushes = bodies, dict[int, tuple[Array, Array]]()  # body -> force, point in its frame
+        self._bodies, self._pushes = bodies, dict[int, tuple[Array, Array]]()  # body: force, point in its frame
         self._tissue = settings.trocar_stiffness_N_per_m, settings.trocar_damping_Ns_per_m
         self._trocar = np.zeros((2, 3))
         self._substeps_s = [k * settings.substep_s for k in range(settings.substeps)]
@@ -123,7 +123,7 @@ class Plant:
             v: (n,) joint velocities [rad/s]; None is rest.
 
         Raises:
-            PlantError: wrong shape, not finite, or q outside the limits. Nothing has changed then.
+            PlantError: wrong shape, not finite, or q outside the limits. The plant is then unchanged.
         """
         start = _finite("q", q, (self.data.n,))
         speed = np.zeros(self.data.n) if v is None else _finite("v", v, (self.data.n,))
@@ -187,7 +187,7 @@ class Plant:
         self._sense(*self._encoders.read(*joints.shown))
 
     def _sense(self, q: Array, v: Array) -> None:
-        # MuJoCo measures the wrench of mount on tool. This sensor, like real ones, measures that of tool on mount.
+        # MuJoCo measures the wrench of the mount on the tool. Like real sensors, this sensor measures the opposite.
         self._measurement = Measurement(q, v, read_only(self._wrench_noise.take() - self._held), self._ticks)
 
     def _load(self, elapsed_s: float) -> None:
@@ -234,7 +234,7 @@ class Plant:
         Args:
             body: the link's name.
             force: (3,) force in world axes [N].
-            point: (3,) point of the link on which the force acts, in the link's frame [m]; None: centre of mass.
+            point: (3,) point at which the force acts, in the link's frame [m]; None: centre of mass.
 
         Raises:
             UnknownNameError: no such link.
@@ -245,7 +245,7 @@ class Plant:
         self._pushes[number] = _finite("push force", force, (3,)).copy(), where
 
     def clear_pushes(self, body: str | None = None) -> None:
-        """Remove the force on one link, or on all."""
+        """Remove the force on one link, or on all links."""
         for number in list(self._pushes) if body is None else [self._number(body)]:
             self._pushes.pop(number, None)
             self.mj_data.xfrc_applied[number] = 0.0

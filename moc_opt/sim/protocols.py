@@ -32,7 +32,7 @@ class TorqueController(Protocol):
         """
 
     def set_applied_torque(self, tau: Array) -> None:
-        """Take the applied torque (n,) [Nm], if the safety filter changed the result of ``tick``."""
+        """Store which torque (n,) [Nm] was applied. Called only if the safety filter changed the result of ``tick``."""
 
 
 class LoggedController(TorqueController, Protocol):

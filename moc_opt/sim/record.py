@@ -33,18 +33,18 @@ class RunAway(PlantError):
 
 
 class TaskOffset(NamedTuple):
-    """True minus computed position of the two points that the arm registered with its own tip, (3,) each [m].
+    """True minus computed position of the two points that the arm registers with its tip, (3,) each [m].
 
     Calibration errors, encoder bias and elastic joints displace the positions that the robot computes, and thus also
     the registered points. Only changes of this displacement after the registration cause errors.
     """
 
     tip: Array = np.zeros(3)  #: At the start of the path.
-    trocar: Array = np.zeros(3)  #: At the trocar, without the registration error.
+    trocar: Array = np.zeros(3)  #: At the registered trocar, without the registration error.
 
 
 class Record:
-    """The rows of a run, of which ``done`` are filled. Arguments as for `moc_opt.sim.loop.simulate`.
+    """The rows of a run. The first ``done`` rows are filled. The arguments are those of `moc_opt.sim.loop.simulate`.
 
     If the controller has ``faults`` and ``restarts``, they go into the trace's meta.
     """

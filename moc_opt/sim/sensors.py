@@ -1,4 +1,4 @@
-"""The measurement that the controller gets, and the noise and encoders that make it."""
+"""The measurement that the controller gets, and the models of noise and encoders."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Encoders:
     def __init__(self, settings: PlantSettings, bias: Array, rng: np.random.Generator) -> None:
         noise, step, cutoff = settings.encoder_noise_rad, settings.encoder_resolution_rad, settings.velocity_cutoff_Hz
         gain = -math.expm1(-2.0 * math.pi * cutoff * settings.period_s) if cutoff > 0.0 else 1.0
-        # memory: bias [rad]; position shown last [rad]; velocity estimate [rad/s]
+        # rows of the memory: bias [rad], last position reading [rad], velocity estimate [rad/s]
         self._noise, self._memory = Noise(rng, np.full(bias.size, noise)), np.zeros((3, bias.size))
         self._memory[0] = bias
         self._conversion = step, settings.period_s, gain, noise == step == cutoff == 0.0
@@ -83,7 +83,7 @@ class Encoders:
         return reading[0], reading[1]
 
 
-_CHANCE = 1e-10  #: Largest probability per reading of a longer repetition.
+_CHANCE = 1e-10  #: Largest probability, at each reading, that the repetition is longer.
 _MOST_TICKS = 500
 
 
@@ -91,8 +91,8 @@ def longest_repetition(noise_rad: float, resolution_rad: float) -> int | None:
     """Return how often in a row an encoder at rest may repeat its reading to the last bit, given its noise.
 
     In the middle of a step of width s, a reading with noise sigma repeats with probability p = erf(s / (sqrt(8)
-    sigma)); elsewhere p is smaller. The result is the first k >= 10 with p^k below 1e-10; None without noise, or if k
-    would exceed 500.
+    sigma)); elsewhere p is smaller. The result is the first k >= 10 with p^k below 1e-10. Without noise, or if k
+    would exceed 500, the result is None.
     """
     if noise_rad == 0.0:
         return None
@@ -102,7 +102,7 @@ def longest_repetition(noise_rad: float, resolution_rad: float) -> int | None:
     return max(10, math.ceil(math.log(_CHANCE) / math.log(max(same, _CHANCE))))
 
 
-_DEAD = 600.0  #: Time constants after which a decaying filter output may repeat to the last bit.
+_DEAD = 600.0  #: After this many time constants, a decaying filter output may repeat to the last bit.
 
 
 def repeats_no_reading(noise_rad: float, resolution_rad: float, cutoff_Hz: float, period_s: float) -> bool:

@@ -22,7 +22,7 @@ _Stiffness = Annotated[float, Field(gt=0, le=1e9)]
 
 
 class PlantSettings(Settings):
-    """The simulated arm, its trocar and its sensors. With 0, an error, noise, ripple or delay is switched off.
+    """The simulated arm, its trocar and its sensors. The value 0 switches an error, noise, ripple or delay off.
 
     The defaults are realistic: wrong masses, friction, noise, a tick of delay, the kinematic errors of a calibrated
     arm, and a registration error of 0.5 mm. Joints are rigid and torques smooth by default; docs/plant.md says why.
@@ -43,20 +43,21 @@ class PlantSettings(Settings):
     """each link's mass and inertia are multiplied by a factor drawn evenly from 1 - mass_error to 1 + mass_error"""
     friction: float = Field(1.0, ge=0, le=10, description="factor on the robot's viscous and Coulomb friction")
     friction_error: float = Field(0.20, ge=0, lt=1)
-    """each joint's friction is multiplied by factors drawn evenly from 1 - friction_error to 1 + friction_error"""
+    """viscous and Coulomb friction of each joint are multiplied by factors drawn evenly from 1 - friction_error to
+    1 + friction_error"""
     calibration_error_m: float = Field(0.0002, ge=0, le=0.05)
-    """distance of every joint's origin, and of the tool's mount, from its place in the controller's model"""
+    """distance of the true origin of each joint, and of the tool's mount, from the origin in the controller's model"""
     calibration_tilt_rad: float = Field(0.0001, ge=0, le=0.1)
-    """angle between every joint's frame and its frame in the controller's model"""
+    """angle between the true frame of each joint and the frame in the controller's model"""
     encoder_bias_rad: float = Field(0.0001, ge=0, le=0.1)
     """standard deviation of the constant error that is drawn for each encoder"""
-    encoder_noise_rad: float = Field(1e-5, ge=0, le=0.1, description="standard deviation of the position noise")
+    encoder_noise_rad: float = Field(1e-5, ge=0, le=0.1, description="standard deviation of the encoders' noise")
     encoder_resolution_rad: float = Field(2.4e-5, ge=0, le=0.1)
     """step of the encoders, by default 18 bits per turn. 0: no steps"""
     velocity_cutoff_Hz: float = Field(50.0, ge=0)
-    """cut-off frequency of the low-pass filter for velocities (differences of positions). 0: no filter"""
+    """measured velocities are differences of positions, low-pass filtered with this cut-off frequency. 0: no filter"""
     encoder_side: Literal["link", "motor"] = "link"
-    """side of an elastic joint's spring on which its encoder sits. Arms with torque sensors have 'link'"""
+    """side of the spring on which the encoder of an elastic joint sits. Arms with torque sensors have 'link'"""
     joint_stiffness_Nm_per_rad: Annotated[float, Field(ge=0, le=1e9)] | tuple[_Stiffness, ...] = 0.0
     """stiffness of the spring between motor and link, one number for all joints or one per joint. 0: rigid joints"""
     joint_spring_damping_Nm_s_per_rad: float = Field(30.0, ge=0, le=1e4)
@@ -68,12 +69,12 @@ class PlantSettings(Settings):
     force_noise_N: float = Field(0.05, ge=0, description="standard deviation of the wrench sensor's force, per axis")
     torque_noise_Nm: float = Field(0.002, ge=0)
     """standard deviation of the wrench sensor's torque, per axis"""
-    delay_ticks: int = Field(1, ge=0, le=100, description="delay of the torque after a command, in ticks")
+    delay_ticks: int = Field(1, ge=0, le=100, description="delay from a command to its torque, in ticks")
     trocar_stiffness_N_per_m: float = Field(800.0, ge=0, le=1e6)
     """stiffness of the abdominal wall at the trocar. 500 to 3000 is realistic"""
     trocar_damping_Ns_per_m: float = Field(10.0, ge=0, le=1e4, description="damping of the abdominal wall")
     trocar_registration_error_m: float = Field(0.0005, ge=0, le=0.1)
-    """distance of the true from the registered trocar, which the controller uses"""
+    """distance between the true trocar and the registered trocar, which the controller uses"""
 
     @model_validator(mode="after")
     def _fine_enough(self) -> Self:
@@ -97,7 +98,7 @@ class PlantSettings(Settings):
 
     @classmethod
     def nominal(cls, **changes: Any) -> PlantSettings:
-        """Make a plant that equals the controller's model and is measured exactly; `changes` override fields."""
+        """Make settings of a plant that equals the controller's model and is measured exactly, except for `changes`."""
         zero = (
             "mass_error", "friction", "friction_error", "calibration_error_m", "calibration_tilt_rad",
             "encoder_bias_rad", "encoder_noise_rad", "encoder_resolution_rad", "velocity_cutoff_Hz",
@@ -111,7 +112,7 @@ class PlantSettings(Settings):
 class Mismatch:
     """Differences between plant and controller's model; arrays are read-only."""
 
-    mass_scale: Mapping[str, float]  #: Link -> factor on its mass and inertia.
+    mass_scale: Mapping[str, float]  #: Factor on mass and inertia of each link.
     viscous_friction: Array  #: (n,) [Nm s/rad]
     coulomb_friction: Array  #: (n,) [Nm]
     registration_error: Array  #: (3,) true minus registered trocar, world axes [m].
@@ -131,7 +132,7 @@ class Mismatch:
     def draw(
         cls, data: RobotData, settings: PlantSettings, links: Sequence[str], seed: np.random.SeedSequence
     ) -> Mismatch:
-        """Draw one factor per link and per joint uniformly from 1 +- error, and uniform directions of the offsets.
+        """Draw uniform factors from 1 +- error (one per link, two per joint), and uniform directions of the offsets.
 
         Each kind of error has its own random stream, whose numbers do not depend on the settings: twice the error
         doubles every deviation.
