@@ -107,7 +107,7 @@ def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = S
 
 
 class ClosedForm(NamedTuple):
-    """The last link's rotation is R_0 Rz(t1) Ry(t2) Rz(t3) Ry(t4) Rz(t5) Ry(t6) Rz(t7), with the angles t = q + offset."""
+    """The last link's rotation is R_0 Rz(t1) Ry(t2) Rz(t3) Ry(t4) Rz(t5) Ry(t6) Rz(t7), where t = q + offset."""
 
     base: Array  #: R_0 (3,3), rotation from the normal form's axes at the shoulder to the world
     shoulder: Array  #: (3,) [m]

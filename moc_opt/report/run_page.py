@@ -24,7 +24,7 @@ def load_report(files: Sequence[str | os.PathLike[str]]) -> Page:
 
 
 def run_page(traces: Mapping[str, Trace], metrics: Mapping[str, Mapping[str, float]], robot: RobotModel) -> Page:
-    """Make the page of runs of one arm, with a baseline first. The runs in ``metrics`` give the page's title."""
+    """Make the page of the runs in ``traces``, all of one arm. Only the runs in ``metrics`` appear in the title."""
     judged = {name: traces[name] for name in metrics}
     styles, page = Styles(traces), Page(title_of(judged), f"runs: {'; '.join(traces)}")
     every = {**metrics, **{name: summarize(trace) for name, trace in traces.items() if name not in metrics}}
