@@ -46,7 +46,7 @@ def time_series(
         styles: the style of each run; None makes new styles.
 
     Raises:
-        ReportError: ``panels`` is empty or not a list of names, a column is in no run or has texts, or a run has no t_s.
+        ReportError: ``panels`` is empty or not a list, a column is in no run or has texts, or a run has no `t_s`.
     """
     styles = styles or Styles(runs)
     data: dict[str, Columns] = {name: getattr(run, "columns", run) for name, run in runs.items()}

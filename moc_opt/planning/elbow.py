@@ -1,8 +1,7 @@
 """The elbow's swivel angle, the distance of a pose to the local maximum of mu, and the times when the elbow moves.
 
 The swivel is the angle of the elbow about the line from the shoulder to the wrist centre, from a fixed direction
-(Kreutz-Delgado, Long and Seraji 1992). mu is the manipulability. The self-motion is the curve of poses with the same
-tip and wrist.
+(Kreutz-Delgado, Long and Seraji 1992). mu is the manipulability. A self-motion keeps tip and wrist in place.
 """
 
 from __future__ import annotations

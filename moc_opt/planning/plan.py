@@ -1,4 +1,7 @@
-"""Plan a path before a run: whether it can be executed, from which start pose, and along which joint trajectory."""
+"""Plan a path before a run: whether it can be executed, from which start pose, and along which course.
+
+A course is a joint trajectory along the path. The best course has the largest mean of mu, the manipulability.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +23,7 @@ from moc_opt.planning.search import WHOLE_CELL, Value, keeping_shaft, reached
 from moc_opt.robots.model import RobotModel
 
 ROOM = 0.01
-"""If mean mu of a course is below the bound by more than this share, the course that attains the bound is refined too.
-mu is the manipulability, and a course is a joint trajectory along the path."""
+"""If a course's mean mu is below the bound by more than this share, the course that gave the bound is refined too."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -55,7 +55,7 @@ class Page:
         self._add(_PARTS.headline(text))
 
     def section(self, title: str) -> None:
-        """Begin a section. After `fold`, sections are folded. If `fold` is never called, the page lists all sections."""
+        """Begin a section. After `fold`, sections are folded. If `fold` is never called, the page lists them all."""
         name = _unlike(title, [section.name for section in self._sections])
         self._sections.append(_Section(name, title, self._folding))
 

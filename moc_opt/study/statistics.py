@@ -133,7 +133,7 @@ def relative_change(treated: ArrayLike, control: ArrayLike) -> Interval:
 
 
 def relative_changes(treated: ArrayLike, control: ArrayLike) -> Change:
-    """Compute `relative_change`, and the mean over trials of 100 (treated/control - 1) [percent]. Same errors."""
+    """Compute `relative_change` and the mean over trials of 100 (treated/control - 1) [percent]. Raise its errors."""
     ratio = relative_change(treated, control)
     with np.errstate(divide="ignore", invalid="ignore"):
         each = 100.0 * (np.asarray(treated, float) / np.asarray(control, float) - 1.0)
@@ -143,7 +143,7 @@ def relative_changes(treated: ArrayLike, control: ArrayLike) -> Change:
 def difference_of_changes(
     treated: ArrayLike, control: ArrayLike, treated_before: ArrayLike, control_before: ArrayLike
 ) -> Interval:
-    """Return the `relative_change` minus that of the numbers "before", on the same trials [percentage points]."""
+    """Return the `relative_change`, minus that of the two samples "before" on the same trials [percentage points]."""
     before = {"treated_before": treated_before, "control_before": control_before}
     return _interval(_difference, treated=treated, control=control, **before)
 
