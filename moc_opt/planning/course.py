@@ -81,7 +81,7 @@ class Course:
     q_rad: Array  #: (k,n)
     mu: Array  #: (k,) manipulability [m^3], computed with the robot model
     violation: float
-    """Largest violation: an error of tip or wrist [m], or an excess over a joint limit or the largest step [rad]."""
+    """Largest violation: error of tip or wrist [m], or excess of a joint position or of a step over its limit [rad]."""
     certified: bool = False  #: Whether a solver has converged, so that the course is a local optimum.
 
     @property
@@ -166,7 +166,7 @@ def make_course(robot: RobotModel, targets: Targets, q: Array, limits: Limits | 
 
 
 def worth(robot: RobotModel, course: Course, limits: Limits, top: float) -> float:
-    """Return a course's mean mu [m^3], reduced by the penalty of `lowered`."""
+    """Return the mean mu of a course [m^3], reduced by the mean penalty of `lowered`."""
     if limits.shaft <= 0.0:
         return course.mu_mean
     return time_mean(lowered(course.mu, shaft_shares(robot, course.q_rad), limits, top))

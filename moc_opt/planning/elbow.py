@@ -1,7 +1,7 @@
 """The elbow's swivel angle, the distance of a pose to the local maximum of mu, and the times when the elbow moves.
 
-The swivel is the angle of the elbow about the line from the shoulder to the wrist centre, from a fixed direction
-(Kreutz-Delgado, Long and Seraji 1992). mu is the manipulability. A self-motion keeps tip and wrist in place.
+The swivel is the angle of the elbow about the line from the shoulder to the wrist centre, counted from a fixed
+direction (Kreutz-Delgado, Long and Seraji 1992). mu is the manipulability. A self-motion keeps tip and wrist in place.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def _uphill(curve: SelfMotion) -> float:
 
 
 def in_transient(robot: RobotModel, t_s: ArrayLike, q_rad: ArrayLike) -> NDArray[np.bool_]:
-    """Detect the ticks (N,) at which the elbow is still moving towards its optimum.
+    """Return for each tick (N,) whether the elbow is still moving towards its optimum, the local maximum of mu.
 
     If the distance to the optimum is constant, the elbow counts as at rest, even if the optimum moves.
 

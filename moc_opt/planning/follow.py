@@ -1,4 +1,4 @@
-"""Follow a course (a joint trajectory) in the loop, by a desired velocity for the third level of the controller:
+"""Follow a course (a joint trajectory) in the loop. The third level of the controller then tracks this velocity:
 
     x_d(t) = dq_c(t) + k (q_c(t) - q)
 
@@ -28,13 +28,13 @@ ON_COURSE_RAD = 0.05
 """If every joint is this near to the old course, a new course begins on the old course, else at the measured pose.
 Always beginning at the measured pose would close a second feedback loop, which oscillates near singular poses."""
 MOST_OFF = 1e-3  #: A course is refused if its error of tip or wrist [m] or its excess over limits [rad] is larger.
-LOST_RAD = 0.3  #: If a joint is farther than this from the course, the arm has left the course. Usual is a tenth.
+LOST_RAD = 0.3  #: If a joint is farther than this from the course, the arm has left it. A tenth of this is usual.
 NO_COURSE = "q_start: from this pose, no course within joint speeds and limits reaches the end of the path"
 ASKED_EACH = 25  #: Ticks between two checks of whether the arm has left its course.
 
 
 class Piece(NamedTuple):
-    """A course at evenly spaced times, with cubic Hermite interpolation. After the final time it rests at the end."""
+    """A course at evenly spaced times, with cubic Hermite interpolation. After the last time it keeps its last pose."""
 
     t_s: Array
     q_rad: Array
@@ -64,7 +64,7 @@ class Planner:
     ) -> None:
         """Take the value function V, a program of `NODES` times, and the targets.
 
-        ``horizon_s`` is the duration of a course [s]. It is rounded up to a time of the map. ``rate_per_s`` is the
+        ``horizon_s`` is the duration of a course [s]. It is rounded up to a time of the pose map. ``rate_per_s`` is the
         number of new courses per second.
         """
         self._value, self._program, self._targets = value, program, targets

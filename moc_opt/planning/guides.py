@@ -34,15 +34,15 @@ SPEEDS = (1.0, 0.7, 0.4)
 """Shares of ``[control] course_speed_fraction``, tried in turn until a course is smooth and can brake in time.
 If all fail, the smallest share is tried without the limit on braking."""
 HURRY, WORTH_IT = 1.12, 0.01
-"""If mean mu then rises by more than the share `WORTH_IT`, a course may be faster by the factor `HURRY`, but not faster
-than the share `FASTEST` of the joints' speed limits. A smaller gain is not worth larger tip and RCM errors."""
+"""A course may be faster by the factor `HURRY`, up to the share `FASTEST` of the joints' speed limits. It is only made
+if mean mu rises by more than the share `WORTH_IT`, because faster courses have larger tip and RCM errors."""
 FASTEST = 0.97
 BRAKE_SHARE = 0.9  #: Share of the safety filter's braking deceleration that a course made before the run uses.
 SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}
-"""Weight of a course's acceleration [s^4/rad^2], see `moc_opt.planning.program`. It lowers tip and RCM errors."""
+"""Weight w of a course's acceleration [s^4/rad^2], see `program`. Smooth courses have smaller tip and RCM errors."""
 MOST_OFF_M = 1e-3  #: Largest distance of tip or wrist from the run's targets, for a course from a file.
 MOST_OFF_RAD = 1e-6  #: Largest error of the first pose, and largest excess over a joint limit, of a course from a file.
-ROUNDING = 1e-6  #: Tolerance of its first time [s], and relative tolerance of its duration and speeds.
+ROUNDING = 1e-6  #: Tolerance of the first time of such a course [s], and relative tolerance of its duration and speeds.
 PLAN_IT = "plan it for this scenario: moc-opt plan SCENARIO --out FILE"
 
 
@@ -277,7 +277,7 @@ def too_fast_to_follow(settings: ControlSettings, robot: RobotModel, shares: Arr
 
 
 def margin_of(robot: RobotModel, margin_rad: float, margin_m: float) -> Margin:
-    """Return one margin for all joints, or one per joint (n,) if a joint slides. Refuse negative margins: TaskError."""
+    """Return one margin for all joints, or one per joint (n,) if a joint slides. Raise a TaskError if one is negative."""
     for name, value in (("margin_rad", margin_rad), ("margin_m", margin_m)):
         if not (is_number(value) and 0.0 <= value < np.inf):
             raise TaskError(f"{name} = {value!r}: give zero or more, and less than half of every joint's range")

@@ -1,7 +1,4 @@
-"""Plan a path before a run: whether it can be executed, from which start pose, and along which course.
-
-A course is a joint trajectory along the path. The best course has the largest mean of mu, the manipulability.
-"""
+"""Plan a path before a run: can it be executed, from which start pose, and along which course (joint trajectory)?"""
 
 from __future__ import annotations
 
@@ -23,7 +20,7 @@ from moc_opt.planning.search import WHOLE_CELL, Value, keeping_shaft, reached
 from moc_opt.robots.model import RobotModel
 
 ROOM = 0.01
-"""If a course's mean mu is below the bound by more than this share, the course that gave the bound is refined too."""
+"""If mean mu (manipulability) of a course is below the bound by more than this share, the bound's course is refined."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +39,7 @@ class Plan:
 
     targets: Targets  #: Targets of tip and wrist on the path, (k,3) each [m], at (k,) times [s].
     from_start: Course | None  #: The best course from the start; None if no course reaches the end of the path.
-    best: Course | None  #: The best course from any swivel and branch at the start of the path; None if none exists.
+    best: Course | None  #: The best course from any swivel and branch; None if no course reaches the end of the path.
     climbed: Course  #: The course of a local climb. It is shorter than the path if the climb ends at a limit.
     bound_from_start: float
     """Upper bound of mean mu from the start [m^3], for courses that the map resolves. NaN if there is no course, or if
@@ -70,7 +67,7 @@ class Plan:
 
     @property
     def course(self) -> Course | None:
-        """The course to follow: from the start, or the best one if no course begins there."""
+        """The course to follow: the best course from the start, or else the best course from any swivel and branch."""
         return self.from_start if self.from_start is not None else self.best
 
     @property

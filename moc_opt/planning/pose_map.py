@@ -6,9 +6,9 @@ the line S N by the swivel angle (Kreutz-Delgado, Long and Seraji 1992). At each
 give eight poses with the same mu. Each of the eight is on a different branch. Joint 7 is idle: it turns only the tool.
 
 **Traced.** Any other arm has curves of poses with the same tip and wrist (self-motion), which are traced numerically.
-Inverse kinematics from the curves at the previous time and from random starts finds curves. All samples form one
-branch. If tip and wrist leave a null space of several dimensions, the curves contain only some of the poses. The
-largest mu on the curves is then no upper bound.
+Inverse kinematics finds a pose on each curve, from the curves at the previous time and from random starts. All samples
+form one branch. If tip and wrist leave a null space of several dimensions, the curves contain only some of the poses.
+The largest mu on the curves is then no upper bound.
 
 `largest_mu` climbs mu from many poses at each point of a path. The result is the largest mu that was found.
 """
@@ -40,7 +40,7 @@ ROUNDING_RAD = 1e-9  #: Tolerance of the joint limits.
 SWIVELS, MOST_SWIVELS = 720, 2880  #: Default and largest number of samples of one turn.
 PEAKS = 4  #: Number of the map's local maxima from which mu is climbed at each point of the path.
 STEP_RAD = 0.03  #: Spacing of the samples along a traced curve.
-SEEDS = 64  #: Random starts of inverse kinematics at a traced map's first time. Each later time has a sixteenth of it.
+SEEDS = 64  #: Number of random starts of inverse kinematics at the first time. Each later time has a sixteenth of it.
 MOST_CURVES = 16  #: Largest number of different curves at one time.
 SAME_CURVE = 0.7  #: A pose nearer to a curve than this share of a step counts as lying on the curve.
 NO_LIMIT_RAD = 20.0
@@ -107,7 +107,7 @@ def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = S
 
 
 class ClosedForm(NamedTuple):
-    """The last link's rotation is R_0 Rz(t1) Ry(t2) Rz(t3) Ry(t4) Rz(t5) Ry(t6) Rz(t7), where t = q + offset."""
+    """Normal form: the last link's rotation is R_0 Rz(t1) Ry(t2) Rz(t3) Ry(t4) Rz(t5) Ry(t6) Rz(t7), t = q + offset."""
 
     base: Array  #: R_0 (3,3), rotation from the normal form's axes at the shoulder to the world
     shoulder: Array  #: (3,) [m]
@@ -142,7 +142,7 @@ def closed_form(robot: RobotModel) -> ClosedForm | None:
         return None
     base = np.column_stack([np.cross(axes[1], axes[0]), axes[1], axes[0]])
     offset, turned = np.zeros(6), np.array(base)
-    for j in range(1, 6):  # the angle that turns axis j + 1 of the normal form to the arm's axis at q = 0
+    for j in range(1, 6):  # find the angle that turns axis j + 1 of the normal form to the arm's axis at q = 0
         x, y, z = turned.T @ axes[j + 1]
         offset[j] = np.arctan2(x, z) if j % 2 else np.arctan2(-x, y)
         turned = turned @ pin.exp3(offset[j] * np.eye(3)[1 if j % 2 else 2])

@@ -152,7 +152,7 @@ def refine(
     course is feasible and has the larger `worth`. With ``smoothness`` or ``brake``, the answer may lose the share
     `SMOOTH_LOSS` of mean mu. The answer is ``certified`` if ipopt met its tolerances.
     """
-    if limits.shaft > 0.0 and _above(robot, course, limits):  # try without the shaft's margin, in half the time
+    if limits.shaft > 0.0 and _above(robot, course, limits):  # first without the shaft's margin, which is faster
         bare = replace(limits, shaft=0.0)
         free = refine(robot, targets, course, bare, smoothness=smoothness, brake=brake)
         if _above(robot, free, limits):
@@ -192,6 +192,6 @@ def too_fast(speed: Any, pose: Any, low: Any, high: Any, brake: float) -> Any:
 
 
 def across(shafts: Array) -> Array:
-    """Return for each shaft (N,3) two orthogonal unit vectors across the shaft, (N,2,3)."""
+    """Return for each shaft (K,3) two orthogonal unit vectors across the shaft, (K,2,3)."""
     vectors: Array = np.linalg.svd(shafts[:, None])[2][:, 1:]
     return vectors

@@ -1,4 +1,4 @@
-"""The manipulability map: mu over time and over the elbow's swivel angle, with the trajectories of runs.
+"""The map of the manipulability mu over time and over the elbow's swivel angle, with the trajectories of runs.
 
 The map also shows at which swivels a joint is beyond its limit. `read_trajectory` computes for how long a run is at the
 optimum. If the run does not end at the optimum, mu is climbed on the map from the run's last swivel, at most to the

@@ -161,7 +161,7 @@ def compare(
 
     Args:
         solvers: names or solver objects (of `solvers.create` or your own). A mapping gives them other names.
-        scenario: the scenario of every trial, or the path of its file; None: the default one.
+        scenario: the scenario of every trial, or the path of its file; None: the default scenario.
         trials: number of trials. Trial k has the seed ``seed + k``, which draws pose, swivel, mismatch and noise.
         seed: the seed of the first trial.
         watch: called with a few words before each run.

@@ -242,7 +242,7 @@ def _processes(count: int) -> Iterator[tuple[Submit, int]]:
     """Start ``count`` workers. Leaving the context ends the workers and all processes that they started."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([*PRELOAD, "__main__"])
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // (count + 1)  # 1: this process
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // (count + 1)  # this process also needs a share
     with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder:
         for name in ("groups", "parts"):
             Path(folder, name).mkdir()
@@ -300,7 +300,7 @@ def _begin(folder: str, memory: int) -> None:
 
 
 def report(part: Any) -> None:
-    """Save a part of this job's result. If the job fails later, `Failed.parts` has the part. A cluster saves nothing."""
+    """Save a part of this job's result. If the job fails later, the part is in `Failed.parts`. A cluster saves none."""
     if _parts is not None:
         _parts.write(pickle.dumps(part))
 

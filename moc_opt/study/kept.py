@@ -74,7 +74,7 @@ class Kept:
 
 def key_of(work: Callable[..., Any], arguments: Iterable[Any]) -> str:
     """Return the digest of a job's function and arguments, and of the libraries' versions."""
-    code = getattr(work, "__code__", None)  # a script's file is missing on a cluster's worker
+    code = getattr(work, "__code__", None)  # the key covers a script's file, because a cluster's worker lacks it
     own = "" if code is None else _file_digest(code.co_filename)
     asked = [work.__module__, work.__qualname__, own, _plain(list(arguments)), versions()]
     return hashlib.sha256(to_json(asked, indent=None, sort_keys=True).encode()).hexdigest()

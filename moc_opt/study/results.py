@@ -25,7 +25,7 @@ ERRORS = (
 """Tip errors and RCM errors, each by the robot's own kinematics (the error that control can correct), in the frame
 registered at the start (the error for the patient), and in the base frame (absolute accuracy)."""
 PHASES = ("settled", "travelling")
-"""Prefixes of means over one phase of a run, and of its number of ticks. The elbow is `in_transient` if travelling."""
+"""Prefixes of means and numbers of ticks over a phase of a run. While travelling, the elbow moves to its optimum."""
 TITLES = {
     name: f"{part}, {frame}"
     for name, (part, frame) in zip(ERRORS, product(("tip", "RCM"), ("own", "registered", "base")), strict=True)
@@ -89,7 +89,7 @@ class Results:
             return None
 
     def pairs(self, metric: str, controller: str, baseline: str = BASELINE) -> tuple[list[float], list[float]]:
-        """Return both controllers' values on trials that both completed. The mean of a phase is weighted by its ticks."""
+        """Return both controllers' values on the trials that both completed. Means of phases are weighted by ticks."""
         mine, theirs = self.values(metric, controller), self.values(metric, baseline)
         both = [trial for trial in mine if trial in theirs]
         phase = next((phase for phase in PHASES if metric.startswith(f"{phase}_")), None)

@@ -154,10 +154,7 @@ def share_right(counts: Mapping[str, Any]) -> float:
 
 
 def totals(answers: Sequence[Answers], times: Sequence[Times]) -> dict[str, Any]:
-    """Sum up one solver under one setting over its sets: sums of counts, largest residuals, times of the slowest set.
-
-    A mean of times over sets would hide the slowest set.
-    """
+    """Sum up one solver under one setting over its sets: total counts, largest residuals, times of the slowest set."""
     rows, figures = [one.summary() for one in answers], [one.figures() for one in times]
     found: dict[str, Any] = {name: sum(row[name] for row in rows) for name in answers[0].counts()}
     for name in (f"{residual}_max" for residual in RESIDUALS):
