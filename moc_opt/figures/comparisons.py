@@ -85,7 +85,7 @@ def label_sides(points: Mapping[str, tuple[float, float]]) -> dict[str, str | No
         points: position of each point by name [px], y downwards. Labels are placed in this order.
 
     Returns:
-        The side by name, in plotly's words ("top center"). It is None if there is no room for the label.
+        The side of each label by name, in plotly's words ("top center"), or None if there is no room for the label.
     """
     markers = {name: (x - MARKER_PX, y - MARKER_PX, x + MARKER_PX, y + MARKER_PX) for name, (x, y) in points.items()}
     placed: list[Box] = []

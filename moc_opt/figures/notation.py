@@ -30,7 +30,7 @@ class Mark:
         symbol: one character.
         word: the text.
         tone: name of the colour: "best", "good", "fair", "bad" or "other".
-        rank: key for sorting; the best verdict has the lowest.
+        rank: key for sorting; the best verdict has the lowest rank.
     """
 
     symbol: str

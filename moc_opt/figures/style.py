@@ -21,7 +21,7 @@ INK, MUTED, GRID, PAPER = "#1f2328", "#5f6871", "#e3e6e9", "#ffffff"
 GOOD, BAD, WORST = "#3b7fb8", "#c9ccd1", "#c4421a"
 """Colours of a solver's answers: GOOD is optimal, BAD is a reported failure, WORST is wrong but claims success."""
 
-# The palette of Okabe and Ito, and the same colours for a dark page. Yellow and black are replaced: they may vanish.
+# The palette of Okabe and Ito, light and dark. Yellow and black are replaced, because each vanishes on one background.
 SERIES = {
     "#0072b2": "#4da3dd", "#d55e00": "#f0834a", "#009e73": "#3fc39d", "#b6569a": "#dc8fc4",
     "#c98a00": "#e8b33f", "#3fa0d0": "#8accf0", "#77787b": "#a9abb0", "#6a4fb3": "#a994ea",

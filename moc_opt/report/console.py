@@ -30,7 +30,7 @@ class _Console(Console):
 
 
 def console(*, stderr: bool = False, file: IO[str] | None = None) -> Console:
-    """Make a console. Without a terminal, it writes plain text of 80 columns, or of `COLUMNS` in the environment."""
+    """Make a console. Without a terminal, it writes plain text of 80 columns, or of the width in $COLUMNS."""
     made = _Console(stderr=stderr, file=file, highlight=False, soft_wrap=False)
     if not made.is_terminal and not os.environ.get("COLUMNS", "").isdigit():
         made.width = PIPED_WIDTH  # rich would take the width of another stream's terminal

@@ -165,8 +165,8 @@ class Part(NamedTuple):
     """A body of revolution."""
 
     link: int  #: index (from 0) of the joint with whose frame the part moves, or `BASE`
-    origin: Array  #: (3,) point at height 0, in this frame [m]
-    axis: Array  #: (3,) unit vector
+    origin: Array  #: (3,) point at height 0, in the frame of the link [m]
+    axis: Array  #: (3,) unit vector in the frame of the link
     radii: Array  #: (k,) radii of the profile's points [m]
     heights: Array  #: (k,) heights of the profile's points [m]
     role: str  #: "shell", "joint" or "tool"; determines the colour

@@ -146,7 +146,7 @@ def run_tables(
 
 
 def _entries(trace: Trace, metrics: Mapping[str, float], first: bool) -> dict[str, tuple[Any, str]]:
-    """Return the value and the meaning of each metric of one run."""
+    """Return the rows of one run by name: the value and its meaning."""
     of, other, count = part(trace), answers_another_problem(trace), replaced(trace)
     ended = str(trace.meta.get("ended", "unknown"))
     word, _, reason = ended.partition(": ") if first else (ended, "", "")

@@ -44,7 +44,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Cell:
-    """A value as the terminal shows it (`text`), and its key for sorting (`sort`). A cell with the key None is last."""
+    """A value as the terminal shows it (`text`), and its key for sorting (`sort`). Cells with key None come last."""
 
     text: str
     sort: float | str | None
