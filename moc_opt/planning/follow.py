@@ -28,7 +28,7 @@ ON_COURSE_RAD = 0.05
 """If every joint is this near to the old course, a new course begins on the old course, else at the measured pose.
 Always beginning at the measured pose would close a second feedback loop, which oscillates near singular poses."""
 MOST_OFF = 1e-3  #: A course is refused if its error of tip or wrist [m] or its excess over limits [rad] is larger.
-LOST_RAD = 0.3  #: If a joint is farther than this from the course, the arm has left it. A tenth of this is usual.
+LOST_RAD = 0.3  #: If a joint is farther than this from the course, the arm has left it. Usual errors are a tenth.
 NO_COURSE = "q_start: from this pose, no course within joint speeds and limits reaches the end of the path"
 ASKED_EACH = 25  #: Ticks between two checks of whether the arm has left its course.
 
@@ -56,7 +56,7 @@ class Piece(NamedTuple):
 class Planner:
     """Makes a course from any pose over the horizon, which is a fixed time ahead, such as one second.
 
-    The value function V of `search` gives a coarse course to a local maximum of mu. `Program` smooths this course.
+    The value function V of `search` gives a coarse course with a large manipulability. `Program` smooths this course.
     """
 
     def __init__(

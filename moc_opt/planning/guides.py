@@ -277,7 +277,7 @@ def too_fast_to_follow(settings: ControlSettings, robot: RobotModel, shares: Arr
 
 
 def margin_of(robot: RobotModel, margin_rad: float, margin_m: float) -> Margin:
-    """Return one margin for all joints, or one per joint (n,) if a joint slides. Raise a TaskError if it is negative."""
+    """Return one margin, or one per joint (n,) if a joint slides. Raise a TaskError if a margin is negative."""
     for name, value in (("margin_rad", margin_rad), ("margin_m", margin_m)):
         if not (is_number(value) and 0.0 <= value < np.inf):
             raise TaskError(f"{name} = {value!r}: give zero or more, and less than half of every joint's range")

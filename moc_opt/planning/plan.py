@@ -20,7 +20,7 @@ from moc_opt.planning.search import WHOLE_CELL, Value, keeping_shaft, reached
 from moc_opt.robots.model import RobotModel
 
 ROOM = 0.01
-"""If mean mu (manipulability) of a course is below the bound by more than this share, the bound's course is refined."""
+"""If mean mu (manipulability) of a course is this share below the bound, the course that gave the bound is refined."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,8 +35,8 @@ def run_page(traces: Mapping[str, Trace], metrics: Mapping[str, Mapping[str, flo
     page.section("Over time")
     page.figure(
         time_series(traces, styles=styles),
-        "From top to bottom: manipulability, tip error, distance of the shaft from the trocar, force on the trocar. The "
-        "dotted line is the largest manipulability of all poses with the same tip and shaft. The tip error is shown by "
+        "From top to bottom: manipulability, tip error, distance of the shaft from the trocar, force on the trocar. "
+        "The dotted line is the largest manipulability of all poses with the same tip and shaft. The tip error is by "
         "the robot's own kinematics and in the patient's frame, if the runs have these errors. If runs coincide, only "
         "the last run is visible. A click on its name in the legend hides a run.", name="curves",
     )  # fmt: skip
