@@ -14,7 +14,7 @@ from moc_opt.tasks import Reference, Trocar
 
 Margin = float | Array
 """Distance kept from the joint limits: one number, or one per joint (n,) [rad, or m for a sliding joint]."""
-SHALLOWEST_M = 0.002  #: Least distance from tip to trocar. Two closer points do not define the shaft's direction.
+SHALLOWEST_M = 0.002  #: Least distance from tip to trocar. Closer points do not define the shaft's line.
 MOST_VIOLATION = 1e-8  #: Largest constraint violation of a feasible course [m], [rad].
 WORTH = 10.0  #: Weight of the penalty in `lowered`.
 

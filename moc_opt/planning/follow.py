@@ -1,4 +1,4 @@
-"""Follow a course (a joint trajectory) in the loop. The third level of the controller then tracks this velocity:
+"""Follow a course (a joint trajectory) in the loop. The third level of the controller then tracks a velocity x_d.
 
     x_d(t) = dq_c(t) + k (q_c(t) - q)
 

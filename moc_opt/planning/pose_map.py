@@ -6,7 +6,7 @@ the line S N by the swivel angle (Kreutz-Delgado, Long and Seraji 1992). At each
 give eight poses with the same mu. Each of the eight is on a different branch. Joint 7 is idle: it turns only the tool.
 
 **Traced.** Any other arm has curves of poses with the same tip and wrist (self-motion), which are traced numerically.
-Inverse kinematics finds a pose on each curve, from the curves at the previous time and from random starts. All samples
+Inverse kinematics, from the curves at the previous time and from random starts, finds a pose on a curve. All samples
 form one branch. If tip and wrist leave a null space of several dimensions, the curves contain only some of the poses.
 The largest mu on the curves is then no upper bound.
 
