@@ -23,7 +23,7 @@ def accuracy_against_time(
     """Draw error against time on log axes. Filled points are the Pareto front.
 
     Args:
-        points: name -> (time, error). Non-finite entries are left out. Errors below `FLOOR` are drawn at `FLOOR`.
+        points: (time, error) by name. Non-finite entries are left out. Errors below `FLOOR` are drawn at `FLOOR`.
         x_label, y_label: labels of the axes, with units.
 
     Raises:
@@ -61,7 +61,7 @@ def accuracy_against_time(
 
 
 def pareto(points: Mapping[str, tuple[float, float]]) -> list[str]:
-    """Return the Pareto front (less is better), in the order of the first coordinate."""
+    """Return the names on the Pareto front (less is better), in the order of the first coordinate."""
     best, front = np.inf, []
     for name in sorted(points, key=lambda name: points[name]):
         if points[name][1] < best:
@@ -82,10 +82,10 @@ def label_sides(points: Mapping[str, tuple[float, float]]) -> dict[str, str | No
     """Choose for each label the side of its point on which it covers the least of other points and earlier labels.
 
     Args:
-        points: name -> position of the point [px], y downwards. Labels are placed in this order.
+        points: position of each point by name [px], y downwards. Labels are placed in this order.
 
     Returns:
-        Name -> side as named by plotly ("top center"); None if there is no room.
+        The side of each label by name, in plotly's words ("top center"), or None if there is no room for the label.
     """
     markers = {name: (x - MARKER_PX, y - MARKER_PX, x + MARKER_PX, y + MARKER_PX) for name, (x, y) in points.items()}
     placed: list[Box] = []
@@ -102,7 +102,7 @@ def label_sides(points: Mapping[str, tuple[float, float]]) -> dict[str, str | No
 
 
 def _boxes(name: str, x: float, y: float) -> dict[str, Box]:
-    """Return side -> rectangle of the label on this side, with the preferred sides first."""
+    """Return the rectangle of the label on each side of the point, with the preferred sides first."""
     wide, near, far = CHARACTER_PX * len(name), MARKER_PX + 1.0, MARKER_PX + 1.0 + LINE_PX
     left, right = (x - near - wide, x - near), (x + near, x + near + wide)
     centre, middle = (x - wide / 2, x + wide / 2), (y - LINE_PX / 2, y + LINE_PX / 2)

@@ -47,10 +47,10 @@ def latency_ecdf(samples: Samples) -> go.Figure:
 
 
 def box_plots(groups: Mapping[str, Samples], value_label: str) -> go.Figure:
-    """Draw box plots of controller -> task -> samples on a log axis, grouped by task, one colour per controller.
+    """Draw box plots of ``groups[controller][task]`` on a log axis, by task, with one colour per controller.
 
     A box spans the quartiles and shows the median. Whiskers reach the outermost sample within 1.5 box lengths (Tukey),
-    measured in logarithms. At most 40 samples beyond them are drawn as points, with both extremes. NaN is left out.
+    measured in logarithms. At most 40 samples beyond the whiskers are drawn as points. NaN is left out.
 
     Raises:
         ReportError: a sample is infinite, or not positive.

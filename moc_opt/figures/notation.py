@@ -30,7 +30,7 @@ class Mark:
         symbol: one character.
         word: the text.
         tone: name of the colour: "best", "good", "fair", "bad" or "other".
-        rank: key for sorting; the best verdict has the lowest.
+        rank: key for sorting; the best verdict has the lowest rank.
     """
 
     symbol: str
@@ -45,7 +45,7 @@ class Notation:
 
     Attributes:
         digits: number of significant digits if `spec` is empty.
-        spec: a format specification of Python (".2f", "+.1f", "d"); it takes precedence.
+        spec: a format specification of Python (".2f", "+.1f", "d"). If it is given, other attributes have no effect.
         scientific: write every number as a mantissa and a power of ten.
         integral: every number of the column is an integer.
     """
@@ -66,7 +66,7 @@ class Notation:
         return cls(digits, spec, scientific=wide and not integral, integral=integral)
 
     def __call__(self, value: float) -> str:
-        """Write one number for a terminal, with a plain hyphen, and with "e" for a power of ten."""
+        """Write one number for a terminal, with a hyphen as minus sign, and with "e" for a power of ten."""
         number = float(value)
         if math.isinf(number):
             return INFINITY if number > 0 else "-" + INFINITY

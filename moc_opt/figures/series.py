@@ -22,7 +22,7 @@ PANELS = {
     "rcm_error_m": ("RCM error in space [mm]", 1e3),
     "trocar_force_N": ("|force| [N]", 1.0),
 }
-"""Column of a trace -> label of its panel, and factor from the column's unit to the label's."""
+"""For each column of a trace, the label of its panel, and the factor that converts the column to the label's unit."""
 TIPS = {
     "tip_error_model_m": ("tip error, own kinematics [mm]", 1e3),
     "tip_error_registered_m": ("tip error, frame registered at the start [mm]", 1e3),
@@ -40,13 +40,13 @@ def time_series(
     A dotted line in the panel of mu is the largest mu of all feasible poses. Long runs are thinned by `envelope`.
 
     Args:
-        runs: name -> `Trace`, or columns of a run, (N,) or (N, k), including `t_s`. Vectors are drawn by their norm.
-        panels: columns, from top to bottom. None stands for ``PANELS``. The absolute tip error in these is mostly
-            calibration error, so it is replaced by the errors of ``TIPS`` that every run has.
+        runs: for each name, a `Trace` or a run's columns (N,) or (N, k), with `t_s`. A vector is drawn as its norm.
+        panels: names of columns, from top to bottom. None means ``PANELS``, but the errors of ``TIPS`` that every run
+            has replace the tip error in space, which is mostly calibration error.
         styles: the style of each run; None makes new styles.
 
     Raises:
-        ReportError: ``panels`` is empty or no list of names, a column is in no run or has texts, or a run has no `t_s`.
+        ReportError: ``panels`` is empty or not a list, a column is in no run or has texts, or a run has no `t_s`.
     """
     styles = styles or Styles(runs)
     data: dict[str, Columns] = {name: getattr(run, "columns", run) for name, run in runs.items()}

@@ -21,7 +21,7 @@ INK, MUTED, GRID, PAPER = "#1f2328", "#5f6871", "#e3e6e9", "#ffffff"
 GOOD, BAD, WORST = "#3b7fb8", "#c9ccd1", "#c4421a"
 """Colours of a solver's answers: GOOD is optimal, BAD is a reported failure, WORST is wrong but claims success."""
 
-# The palette of Okabe and Ito, light -> dark. Yellow and black are replaced: each vanishes on one background.
+# The palette of Okabe and Ito, light and dark. Yellow and black are replaced, because each vanishes on one background.
 SERIES = {
     "#0072b2": "#4da3dd", "#d55e00": "#f0834a", "#009e73": "#3fc39d", "#b6569a": "#dc8fc4",
     "#c98a00": "#e8b33f", "#3fa0d0": "#8accf0", "#77787b": "#a9abb0", "#6a4fb3": "#a994ea",
@@ -30,7 +30,7 @@ DARK = {
     INK: "#e4e7ea", MUTED: "#9aa3ac", GRID: "#31373d", PAPER: "#15181b", GOOD: "#4f95d0", BAD: "#565c63",
     WORST: "#f2693c", **SERIES,
 }  # fmt: skip
-"""Colour on a light page -> colour on a dark page."""
+"""For each colour on a light page, the colour on a dark page."""
 
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
 SYMBOLS = ("circle", "square", "diamond", "triangle-up", "triangle-down", "cross", "x", "pentagon", "star")
@@ -48,17 +48,17 @@ class Style:
 
 
 class Styles(dict[str, Style]):
-    """Name -> style. Share one Styles among all figures of a page, so that a name looks the same everywhere."""
+    """Styles by name. Share one Styles among all figures of a page, so that a name looks the same everywhere."""
 
     def __init__(self, names: Iterable[str]) -> None:
-        """Assign colours in the order of `names`. When all are used, they repeat with another dash and symbol."""
+        """Assign colours in the order of `names`. After the last colour, the colours repeat with another dash."""
         colors = list(SERIES)
         for place, name in enumerate(dict.fromkeys(names)):
             dash = DASHES[place // len(colors) % len(DASHES)]
             self[name] = Style(colors[place % len(colors)], dash, SYMBOLS[place % len(SYMBOLS)])
 
     def __missing__(self, name: str) -> Style:
-        raise ReportError(f"no style for {name!r}: make Styles with it; it has {', '.join(self) or 'none'}")
+        raise ReportError(f"no style for {name!r}: make Styles with this name; known are {', '.join(self) or 'none'}")
 
 
 def _axis() -> dict[str, object]:
@@ -106,10 +106,10 @@ def legend_height(names: Iterable[str]) -> int:
 def log_axis(
     drawn: go.Figure, axis: str, title: str, values: ArrayLike, *, powers: bool = False, margin: float = 0.05
 ) -> None:
-    """Make "x" or "y" a log axis of a figure.
+    """Make the axis "x" or "y" of a figure logarithmic.
 
     Args:
-        values: all drawn values, including limits; all must be positive.
+        values: all drawn values, including limits. They must be positive.
         powers: label the axis with powers of ten (for residuals) instead of plain numbers (for times).
         margin: free space at each end, as a fraction of the range of values.
 
@@ -118,7 +118,7 @@ def log_axis(
     """
     shown = np.asarray(values, dtype=np.float64)
     if shown.size == 0 or not (shown > 0.0).all():
-        raise ReportError(f"{title}: a log axis needs values, and positive ones; leave the figure out and say why")
+        raise ReportError(f"{title}: a log axis needs values, all positive; leave the figure out and say why")
     low, high = math.log10(shown.min()), math.log10(shown.max())
     free = margin * max(high - low, 0.5)
     low, high, step = low - free, high + free, 1
@@ -134,7 +134,7 @@ def log_axis(
 
 
 def rule(drawn: go.Figure, axis: str, at: float, text: str) -> None:
-    """Draw a limit as a dashed line at `at`. Its name is above the plot (axis "x") or inside at the right ("y")."""
+    """Draw a dashed line at `at`. Its name `text` is above the plot for axis "x", and inside at the right for "y"."""
     line = {"color": WORST, "width": 1.2, "dash": "dash"}
     note = {"text": text, "showarrow": False, "font": {"size": 11, "color": WORST}, "yanchor": "bottom"}
     # On a log axis, plotly places a line by its value, but a text by the logarithm.

@@ -13,8 +13,8 @@ from moc_opt.robots.model import RobotModel
 from moc_opt.tasks import Reference, Trocar
 
 Margin = float | Array
-"""Distance kept from the joint limits: one number for all, or one per joint (n,) [rad; m where a joint slides]."""
-SHALLOWEST_M = 0.002  #: Least distance from tip to trocar. Closer points do not define the shaft's direction.
+"""Distance kept from the joint limits: one number, or one per joint (n,) [rad, or m for a sliding joint]."""
+SHALLOWEST_M = 0.002  #: Least distance from tip to trocar. Closer points do not define the shaft's line.
 MOST_VIOLATION = 1e-8  #: Largest constraint violation of a feasible course [m], [rad].
 WORTH = 10.0  #: Weight of the penalty in `lowered`.
 
@@ -25,8 +25,8 @@ class Targets:
 
     t_s: Array  #: (k,) evenly spaced [s]
     tip: Array  #: (k,3) [m]
-    wrist: Array  #: (k,3) N_d = X_d + L e, where e is the unit vector from the tip to the trocar [m]
-    arc_length_m: Array  #: (k,) length of the tip's path from 0 to t_s [m]
+    wrist: Array  #: (k,3) [m], on the line from the tip through the trocar; see `desired_wrist`
+    arc_length_m: Array  #: (k,) length of the tip's path up to each time [m]
 
     @property
     def period_s(self) -> float:
@@ -34,7 +34,7 @@ class Targets:
         return float(self.t_s[1] - self.t_s[0])
 
     def __getitem__(self, some: slice) -> Targets:
-        """Return the targets at some of the times."""
+        """Return the targets in a slice of the times."""
         return Targets(self.t_s[some], self.tip[some], self.wrist[some], self.arc_length_m[some])
 
     def at(self, t: Array) -> Targets:
@@ -52,10 +52,10 @@ def lay_targets(
 ) -> Targets:  # fmt: skip
     """Sample the reference and the trocar at ``count`` times from 0 to the end of the run.
 
-    ``span_m`` is the distance from wrist to tip, and ``tool_m`` that from mount to tip [m].
+    ``span_m`` is the distance from wrist to tip, and ``tool_m`` the length of the tool [m].
 
     Raises:
-        TaskError: at some time the trocar is not on the shaft, or is nearer to the tip than `SHALLOWEST_M`.
+        TaskError: at some time, the trocar is not on the shaft, or is nearer to the tip than `SHALLOWEST_M`.
     """
     t = np.linspace(0.0, duration_s, count)
     tip = np.ascontiguousarray(reference.at(t)[0])
@@ -79,10 +79,10 @@ class Course:
 
     t_s: Array  #: (k,) [s]
     q_rad: Array  #: (k,n)
-    mu: Array  #: (k,) [m^3], by the robot model
+    mu: Array  #: (k,) manipulability [m^3], computed with the robot model
     violation: float
-    """Largest error of tip or wrist [m], or largest excess over a joint limit or over the largest step [rad]."""
-    certified: bool = False  #: Whether a solver converged to the course as a local optimum.
+    """Largest violation: error of tip or wrist [m], or excess of a joint position or of a step over its limit [rad]."""
+    certified: bool = False  #: Whether a solver has converged, so that the course is a local optimum.
 
     @property
     def mu_mean(self) -> float:
@@ -91,7 +91,7 @@ class Course:
 
     @property
     def kept(self) -> bool:
-        """Whether the course keeps targets, limits and speeds within `MOST_VIOLATION`."""
+        """Whether the course violates targets, joint limits and speed limits by at most `MOST_VIOLATION`."""
         return self.violation <= MOST_VIOLATION
 
 
@@ -105,10 +105,10 @@ class Limits:
 
 
 def lowered(mu: Array, share: Array, limits: Limits, top: float) -> Array:
-    """Return mu minus the penalty `WORTH` top (1 - share/margin)^2 where share < margin.
+    """Return mu, reduced by the penalty `WORTH` top (1 - share/margin)^2 wherever share < margin.
 
     ``share`` is from `shaft_shares`, margin is ``limits.shaft``, and ``top`` is the largest mu [m^3]. If the share is
-    small, only fast joints can keep the shaft in the trocar. Their lag becomes RCM error.
+    small, only fast joints can keep the shaft in the trocar. The lag of these joints becomes RCM error.
     """
     if limits.shaft <= 0.0:
         return mu
@@ -120,7 +120,7 @@ def lowered(mu: Array, share: Array, limits: Limits, top: float) -> Array:
 def shaft_shares(robot: RobotModel, poses: Array) -> Array:
     """Compute mu_shaft / (distance from wrist to tip)^2, (k,), at the poses (k,n) [rad].
 
-    mu_shaft is the manipulability of the shaft while the tip is held.
+    mu_shaft is the manipulability of the shaft while the tip stays in place.
     """
     squares = np.array(robot.kinematics().shaft(np.ascontiguousarray(poses).T)).ravel()
     return np.sqrt(np.maximum(squares, 0.0))
@@ -146,7 +146,7 @@ def between(t: Array, times: Array, rows: Array) -> Array:
 
 
 def margin_at(robot: RobotModel, poses: Array, margin: Margin) -> Margin:
-    """Return the margin, reduced where needed so that the poses (..., n) keep it."""
+    """Return the margin from the joint limits, reduced if the poses (..., n) are nearer to a limit."""
     room = np.minimum(poses - robot.q_min, robot.q_max - poses).reshape(-1, robot.n).min(axis=0)
     room = np.where(robot.moves.any(axis=0), np.maximum(room, 0.0), np.inf)
     return np.minimum(margin, room) if isinstance(margin, np.ndarray) else min(margin, float(room.min()))
@@ -166,7 +166,7 @@ def make_course(robot: RobotModel, targets: Targets, q: Array, limits: Limits | 
 
 
 def worth(robot: RobotModel, course: Course, limits: Limits, top: float) -> float:
-    """Return a course's mean mu [m^3], reduced by the penalty of `lowered`."""
+    """Return the mean mu of a course [m^3], reduced by the mean penalty of `lowered`."""
     if limits.shaft <= 0.0:
         return course.mu_mean
     return time_mean(lowered(course.mu, shaft_shares(robot, course.q_rad), limits, top))

@@ -1,7 +1,7 @@
-"""The elbow's swivel angle, its distance to the local maximum of mu, and the times when the elbow moves.
+"""The elbow's swivel angle, the distance of a pose to the local maximum of mu, and the times when the elbow moves.
 
-The swivel is the angle of the elbow about the line from the shoulder to the wrist centre. It is zero in the plane
-through this line and a fixed direction (Kreutz-Delgado, Long and Seraji 1992).
+The swivel is the angle of the elbow about the line from the shoulder to the wrist centre, counted from a fixed
+direction (Kreutz-Delgado, Long and Seraji 1992). mu is the manipulability. A self-motion keeps tip and wrist in place.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from moc_opt.robots.model import RobotModel, link_frames
 
 NEAR_RAD = 0.1  #: An elbow this near to its optimum has arrived. On the LWR4+, mu is then within 0.5 % of the best.
 STILL_RAD_PER_S = 0.05  #: Below this rate of change of the distance to the optimum, the elbow is at rest.
-SAMPLES_PER_S = 25.0  #: How often the self-motion is scanned along a run.
+SAMPLES_PER_S = 25.0  #: Number of scans of the self-motion per second of a run.
 STEP_RAD = 0.1  #: Spacing of the samples of a self-motion.
 WINDOW_S = 0.1  #: Time over which the rate of change of the distance to the optimum is averaged.
 
@@ -27,7 +27,7 @@ class Elbow:
         """Choose the elbow joint, and a reference direction that suits the wrist centres (k, 3) [m] of the path."""
         self._robot = robot
         origins, _ = link_frames(robot, robot.data.q_home[None])
-        # The shoulder is the second joint that turns. A rail before it carries the shoulder.
+        # The shoulder is the second joint that turns. A rail, if there is one, comes before.
         self._shoulder = min(int(np.argmin(robot.chain.prismatic)) + 1, robot.n - 1)
         shoulder, wrist = origins[0, self._shoulder], robot.state(robot.data.q_home).wrist
         away = np.linalg.norm(np.cross(origins[0] - shoulder, _unit(wrist - shoulder)), axis=1)
@@ -52,15 +52,15 @@ def _unit(vectors: Array) -> Array:
 
 
 def wrapped(angles: Array) -> Array:
-    """Return the same angles [rad] in [-pi, pi)."""
+    """Return the angles [rad], changed by whole turns into [-pi, pi)."""
     return np.asarray(angles - 2.0 * np.pi * np.floor(angles / (2.0 * np.pi) + 0.5))
 
 
 def distance_to_go(robot: RobotModel, q: ArrayLike) -> Array:
-    """Return the distance (k,) [rad] from poses q (k, n) [rad] uphill to the local maximum of mu.
+    """Return the distance (k,) [rad] from each pose (k, n) [rad] to the local maximum of mu that is uphill.
 
-    The distance is the arc length of the self-motion in joint space. It is NaN at singular poses. A pose beyond a joint
-    limit is first moved to the limit.
+    The distance is measured along the self-motion in joint space. At a singular pose the distance is NaN. A pose beyond
+    a joint limit is first moved to the limit.
     """
     poses = np.clip(np.asarray(q, dtype=np.float64), robot.q_min, robot.q_max)
     curves = (curve_through(robot, pose, STEP_RAD) for pose in poses)
@@ -72,14 +72,14 @@ def _uphill(curve: SelfMotion) -> float:
     side = 1 if mu[i + 1] >= mu[i - 1] else -1
     while mu[i + side] > mu[i]:
         i += side
-    inside = 1 < i < len(s)  # at a joint limit the maximum is the last sample
+    inside = 1 < i < len(s)  # if mu rises up to a joint limit, the maximum is the first or last sample
     return abs(float(s[i - 1]) + (parabola_peak(s[i - 2 : i + 1], mu[i - 1 : i + 2])[0] if inside else 0.0))
 
 
 def in_transient(robot: RobotModel, t_s: ArrayLike, q_rad: ArrayLike) -> NDArray[np.bool_]:
-    """Detect the ticks (N,) at which the elbow is still moving towards its optimum.
+    """Return for each tick (N,) whether the elbow is still moving towards its optimum, the local maximum of mu.
 
-    An elbow whose distance to the optimum is constant does not count, even if the optimum moves.
+    If the distance to the optimum is constant, the elbow counts as at rest, even if the optimum moves.
 
     Args:
         t_s, q_rad: (N,) time of each tick [s], (N, n) true joint positions [rad].

@@ -1,10 +1,10 @@
-"""Follow a course (a joint trajectory) in the loop. The third level then tracks a velocity instead of climbing mu.
+"""Follow a course (a joint trajectory) in the loop. The third level of the controller then tracks a velocity x_d.
 
     x_d(t) = dq_c(t) + k (q_c(t) - q)
 
-q_c is the course and k a gain. The subproblem projects x_d on the null space of A. The course is made before the run,
-or repeatedly during the run (`Planner`). Near a singular pose the projected error may be zero, so that the gain alone
-may not bring back a distant arm. A planner then makes a new course from the measured pose.
+q_c is the course and k a gain. The controller projects x_d on the null space of the Jacobian of tip and wrist. The
+course is made before the run, or repeatedly during the run (`Planner`). Near a singular pose, the projected error may
+be zero, and the gain cannot bring a distant arm back. A planner then makes a new course from the measured pose.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from moc_opt.planning.search import NEARBY_RAD, Value
 from moc_opt.robots.model import RobotState
 
 GAIN_PER_S = 5.0  #: The gain k.
-NODES = 10  #: Number of points in time of the nonlinear program, without its start.
+NODES = 10  #: Number of times in the nonlinear program, not counting the start.
 CATCH_UP = 1.03  #: A course may exceed the joint speeds of the search by this factor, so that a late arm catches up.
 ON_COURSE_RAD = 0.05
-"""If every joint is this near to the old course, a new course begins on the old one, else at the measured pose.
+"""If every joint is this near to the old course, a new course begins on the old course, else at the measured pose.
 Always beginning at the measured pose would close a second feedback loop, which oscillates near singular poses."""
-MOST_OFF = 1e-3  #: Largest violation of a course that is followed: error of tip or wrist [m], excess over limits [rad].
-LOST_RAD = 0.3  #: The arm has left its course if a joint is farther than this from it. Usual errors are a tenth.
+MOST_OFF = 1e-3  #: A course is refused if its error of tip or wrist [m] or its excess over limits [rad] is larger.
+LOST_RAD = 0.3  #: If a joint is farther than this from the course, the arm has left it. Usual errors are a tenth.
 NO_COURSE = "q_start: from this pose, no course within joint speeds and limits reaches the end of the path"
 ASKED_EACH = 25  #: Ticks between two checks of whether the arm has left its course.
 
 
 class Piece(NamedTuple):
-    """A course at evenly spaced times, with cubic Hermite interpolation. It is at rest after the final time."""
+    """A course at evenly spaced times, with cubic Hermite interpolation. After the last time it keeps its last pose."""
 
     t_s: Array
     q_rad: Array
@@ -54,9 +54,9 @@ class Piece(NamedTuple):
 
 
 class Planner:
-    """Makes a course over the next horizon (a second, say) from any pose.
+    """Makes a course from any pose over the horizon, which is a fixed time ahead, such as one second.
 
-    The value function V of `search` gives a coarse course, which chooses a local maximum of mu. `Program` smooths it.
+    The value function V of `search` gives a coarse course with a large manipulability. `Program` smooths this course.
     """
 
     def __init__(
@@ -64,8 +64,8 @@ class Planner:
     ) -> None:
         """Take the value function V, a program of `NODES` times, and the targets.
 
-        ``horizon_s`` is the duration of a course, rounded up to the map's times [s]. ``rate_per_s`` is the number of
-        solves per second.
+        ``horizon_s`` is the duration of a course [s]. It is rounded up to a time of the pose map. ``rate_per_s`` is the
+        number of new courses per second.
         """
         self._value, self._program, self._targets = value, program, targets
         self._horizon_s, self.rate_per_s = horizon_s, rate_per_s
@@ -73,7 +73,7 @@ class Planner:
         self._refused = 0
 
     def forget(self) -> None:
-        """Rebuild the program's solver (0.15 s), so that a repeated run is the same to the last bit."""
+        """Rebuild the program's solver, so that a repeated run is the same to the last bit. This takes 0.15 s."""
         self._program.forget()
         self._solve_s, self._refused = [], 0
 
@@ -131,10 +131,10 @@ class Follower:
         self, period_s: float, *, course: Course | None = None, planner: Planner | None = None,
         q_start: Array | None = None,
     ) -> None:  # fmt: skip
-        """Follow a course from t = 0 on and hold its last pose, or the courses of a planner from ``q_start`` (n,) on.
+        """Follow a given course and then hold its last pose, or follow a planner's courses from ``q_start`` (n,).
 
-        With both, the planner takes over once the arm has left the course. Raise a TaskError if no course begins at
-        t = 0.
+        With a course and a planner, the planner takes over once the arm has left the course. Raise a TaskError if no
+        course begins at t = 0.
         """
         self._period, self._planner, self._q_start = period_s, planner, q_start
         self._given: Piece | None = None
@@ -150,7 +150,7 @@ class Follower:
             raise TaskError(NO_COURSE)
 
     def start(self) -> None:
-        """Restart at t = 0 with the given course."""
+        """Restart at t = 0 with the given course, or with the planner's first course."""
         self._tick, self._begun = 0, -1
         self._now: Piece | None = self._given
         if self._planner is not None:
@@ -180,11 +180,11 @@ class Follower:
             if np.abs(self._now.at(t)[0] - state.q).max() > LOST_RAD:
                 self._begin(planner, state.q)
         elif planner is not None and 0 <= self._begun < self._tick and self._tick % self._every == 0:
-            # An answer is used one solve later, as if it had been computed in parallel to the loop.
+            # A new course waits until the next solve, as if the planner computed it in parallel with the loop.
             now, self._next = self._next, planner.plan(state.q, t, self._now) or self._next
             self._before, self._now = self._now, now
         q, v = self._now.at(t)
-        if self._begun >= 0:  # blend from the previous course to this one over one period of the solves
+        if self._begun >= 0:  # blend from the previous course to the current course until the next solve
             part, (q_0, v_0) = (self._tick % self._every) / self._every, self._before.at(t)
             q, v = (1.0 - part) * q_0 + part * q, (1.0 - part) * v_0 + part * v
         self._tick += 1

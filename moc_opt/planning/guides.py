@@ -1,7 +1,7 @@
-"""Guides: a guide gives the third level the velocity of a course (a joint trajectory), instead of climbing mu.
+"""Make the guides of a run. A guide gives the third level of the controller the velocity of a course to follow.
 
-With ``[control] third_level = "planned"``, the course is made before the run or read from the file ``[control]
-course``. With "receding", courses are made during the run.
+A course is a joint trajectory. With ``[control] third_level = "planned"``, it is made before the run or read from the
+file ``[control] course``. With "receding", courses are made during the run.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ from moc_opt.planning.search import WHOLE_CELL, Value, Way, keeping_shaft
 from moc_opt.robots.model import RobotModel
 from moc_opt.trace.trace import Trace
 
-COURSE_SHARE = 0.25  #: Share of ``[control] shaft_margin`` that a course keeps, because a course looks ahead.
-V_PERIOD_S = 0.1  #: Time between two points of the map: long enough for joints to pass many of its samples.
-TARGETS_PER_TIME = 20  #: Number of targets in each period of the map. The program of the horizon interpolates them.
+COURSE_SHARE = 0.25  #: A course looks ahead. It therefore keeps only this share of ``[control] shaft_margin``.
+V_PERIOD_S = 0.1  #: Time between two points of the pose map. In this time, a joint can pass many samples of the map.
+TARGETS_PER_TIME = 20  #: Number of targets in each period of the map. `Planner` interpolates between the targets.
 QUARTER = 0.5  #: ``cell`` of `Value`. With 0, the map would be too coarse near singular poses.
 SPEEDS = (1.0, 0.7, 0.4)
 """Shares of ``[control] course_speed_fraction``, tried in turn until a course is smooth and can brake in time.
-If all fail, the smallest share is tried without braking."""
+If all fail, the smallest share is tried without the limit on braking."""
 HURRY, WORTH_IT = 1.12, 0.01
-"""A course may be faster by the factor `HURRY`, up to `FASTEST` of the joint speeds, if mean mu then rises by more
-than the share `WORTH_IT`. A smaller gain is not worth larger tip and RCM errors."""
+"""A course may be faster by the factor `HURRY`, up to the share `FASTEST` of the joints' speed limits. It is only made
+if mean mu rises by more than the share `WORTH_IT`, because faster courses have larger tip and RCM errors."""
 FASTEST = 0.97
 BRAKE_SHARE = 0.9  #: Share of the safety filter's braking deceleration that a course made before the run uses.
 SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}
-"""Weight of a course's acceleration [s^4/rad^2], see `moc_opt.planning.program`. It lowers tip and RCM errors."""
+"""Weight w of a course's acceleration [s^4/rad^2], see `program`. Smooth courses have smaller tip and RCM errors."""
 MOST_OFF_M = 1e-3  #: Largest distance of tip or wrist from the run's targets, for a course from a file.
-MOST_OFF_RAD = 1e-6  #: Largest error of such a course's first pose, and largest excess over a joint limit.
-ROUNDING = 1e-6  #: Tolerance of such a course's first time [s], of its duration, and of its speeds (relative).
+MOST_OFF_RAD = 1e-6  #: Largest error of the first pose, and largest excess over a joint limit, of a course from a file.
+ROUNDING = 1e-6  #: Tolerance of the first time of such a course [s], and relative tolerance of its duration and speeds.
 PLAN_IT = "plan it for this scenario: moc-opt plan SCENARIO --out FILE"
 
 
@@ -54,11 +54,11 @@ class Following:
     q_start: Array  #: (n,) [rad]
     settings: ControlSettings
     targets: Callable[..., Targets]  #: makes targets at most ``period_s`` apart; ``finer`` multiplies their number
-    brake: float  #: deceleration that the safety filter's wall allows [rad/s^2]
+    brake: float  #: deceleration with which the safety filter stops a joint before its limit [rad/s^2]
     period_s: float  #: control period
 
     def stuck(self, part: float) -> ScenarioError:
-        """Return the error that says where and why the path cannot be executed at this share of the speed."""
+        """Return the error that says where and why the path cannot be executed at this share of a course's speed."""
         limits = Limits(speed_share=part * self.settings.course_speed_fraction)
         stuck = make_plan(self.robot, self.q_start, self.targets(), limits, refined=False).blocked
         where = "" if stuck is None else f"{1e3 * stuck.arc_length_m:.1f} mm along the path {stuck.reason}"
@@ -83,13 +83,13 @@ class Ways:
 
     @property
     def speeds(self) -> tuple[float, ...]:
-        """`SPEEDS`, preceded by `HURRY` where it gains more than `WORTH_IT`."""
+        """`SPEEDS`, preceded by `HURRY` if the faster course gains more than `WORTH_IT`."""
         q, mu = self.run.q_start, float(self.run.robot.state(self.run.q_start).mu)
         usual, fast = (self.at(part)[0].of(q, mu) for part in (1.0, HURRY))
         return (HURRY, *SPEEDS) if fast > (1.0 + WORTH_IT) * usual else SPEEDS
 
     def at(self, part: float) -> tuple[Value, Limits, Way]:
-        """Return V at this share of a course's speed, its limits, and the coarse course from the start.
+        """Return V, the limits of courses, and the coarse course from the start, at this share of a course's speed.
 
         If there is no course, V is rebuilt without the margin from joint limits, and then with a larger ``cell`` (see
         `Value`), because the map may be too coarse. Raise a ScenarioError if there still is no course.
@@ -114,9 +114,9 @@ class Ways:
 
 
 def guides(run: Following) -> Callable[[], Guide] | None:
-    """Plan once for ``[control] third_level``; return a function that makes a guide for each controller.
+    """Plan the run once, and return a function that makes a guide for each controller of this run.
 
-    With "local" return None, because the third level then climbs mu.
+    With ``third_level = "local"``, return None, because the third level then climbs the manipulability mu.
 
     Raises:
         ControlError: the third level cannot follow a course under these settings.
@@ -134,7 +134,7 @@ def guides(run: Following) -> Callable[[], Guide] | None:
     course = followed_course(run, ways)
     try:
         rescue = replanned(ways)
-    except (ScenarioError, TaskError):  # the planner has failed, but a course from a file can still be followed
+    except (ScenarioError, TaskError):  # the course can still be followed without a planner
         return lambda: Follower(period, course=course)
     return lambda: Follower(period, course=course, planner=rescue())
 
@@ -142,7 +142,7 @@ def guides(run: Following) -> Callable[[], Guide] | None:
 def replanned(ways: Ways) -> Callable[[], Planner]:
     """Return a function that makes a planner with a receding horizon."""
     run, settings, smooth = ways.run, ways.run.settings, SMOOTHNESS["receding"]
-    # The last two attempts have no braking constraint. In the final one, the program has no penalty for a lost shaft.
+    # The last two attempts have no braking constraint. The final attempt also has no penalty for a lost shaft.
     ladder = [(part, run.brake, True) for part in ways.speeds]
     for part, brake, kept in [*ladder, (SPEEDS[-1], np.inf, True), (SPEEDS[-1], np.inf, False)]:
         value, limits, _ = ways.at(part)
@@ -193,7 +193,7 @@ def followed_course(run: Following, ways: Ways | None = None) -> Course:
 def load_course(
     settings: ControlSettings, robot: RobotModel, q_start: Array, targets: Targets
 ) -> tuple[Course, Limits]:
-    """Read the file of ``[control] course``; return its course from q_start (n,), at the targets, and its limits.
+    """Read the file of ``[control] course``. Return its course, interpolated at the targets, and the course's limits.
 
     Raises:
         ScenarioError: the file cannot be read, has no course of this run, or has a course that the third level cannot
@@ -237,7 +237,7 @@ def load_course(
     )
     allowed, fastest = settings.course_speed_fraction, float(shares.max())
     limits = Limits(
-        # A larger margin than that of this course could make the smooth course infeasible.
+        # With a larger margin than that of this course, there might be no smooth course.
         margin_at(robot, poses, margin), max(fastest, min(allowed, within["speed_share"])),
         max(COURSE_SHARE * settings.shaft_margin, within["shaft_margin"]),
     )  # fmt: skip
@@ -277,7 +277,7 @@ def too_fast_to_follow(settings: ControlSettings, robot: RobotModel, shares: Arr
 
 
 def margin_of(robot: RobotModel, margin_rad: float, margin_m: float) -> Margin:
-    """Return one number if no joint slides, else one per joint (n,). Raise a TaskError if a margin is negative."""
+    """Return one margin, or one per joint (n,) if a joint slides. Raise a TaskError if a margin is negative."""
     for name, value in (("margin_rad", margin_rad), ("margin_m", margin_m)):
         if not (is_number(value) and 0.0 <= value < np.inf):
             raise TaskError(f"{name} = {value!r}: give zero or more, and less than half of every joint's range")

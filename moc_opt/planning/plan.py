@@ -1,4 +1,4 @@
-"""Plan a path before a run: whether it can be executed, from which start pose, and along which joint trajectory."""
+"""Plan a path before a run: can it be executed, from which start pose, and along which course (joint trajectory)?"""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from moc_opt.planning.search import WHOLE_CELL, Value, keeping_shaft, reached
 from moc_opt.robots.model import RobotModel
 
 ROOM = 0.01
-"""If a course's mean mu is below the bound by more than this share, the bound's own course is refined too."""
+"""If mean mu (manipulability) of a course is this share below the bound, the course that gave the bound is refined."""
 
 
 @dataclass(frozen=True, eq=False)
 class Blocked:
-    """The first point of the path that no course (joint trajectory) reaches from the start."""
+    """The first point of the path that no course reaches from the start."""
 
     t_s: float  #: Time of this point [s].
     arc_length_m: float  #: Length of the tip's path up to this point [m].
@@ -35,16 +35,17 @@ class Blocked:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A path planned from one start; k times, n joints."""
+    """The plan of a path from one start; k times, n joints."""
 
     targets: Targets  #: Targets of tip and wrist on the path, (k,3) each [m], at (k,) times [s].
     from_start: Course | None  #: The best course from the start; None if no course reaches the end of the path.
-    best: Course | None  #: The best course from any swivel and branch at the start of the path; None if none exists.
+    best: Course | None  #: The best course from any swivel and branch; None if no course reaches the end of the path.
     climbed: Course  #: The course of a local climb. It is shorter than the path if the climb ends at a limit.
     bound_from_start: float
-    """Upper bound of mean mu from the start [m^3], for courses that the map resolves. NaN if a course exceeds it."""
-    bound: float  #: Upper bound of mean mu over all starts [m^3]; NaN likewise.
-    blocked: Blocked | None  #: Where and why the path cannot be executed from the start; None if it can.
+    """Upper bound of mean mu from the start [m^3], for courses that the map resolves. NaN if there is no course, or if
+    a course exceeds the bound."""
+    bound: float  #: Upper bound of mean mu over all starts [m^3]. NaN in the same cases.
+    blocked: Blocked | None  #: Where and why the path cannot be executed from the start; None if it can be executed.
     start_swivel_rad: float  #: Swivel angle of the elbow at the start [rad]; see `moc_opt.planning.elbow`.
     best_swivel_rad: float  #: The proposed swivel at the start [rad], from ``best``; NaN if ``best`` is None.
     swivel_rad: Array  #: (k,) swivel along ``course`` [rad]; empty if there is no course.
@@ -66,7 +67,7 @@ class Plan:
 
     @property
     def course(self) -> Course | None:
-        """The course to follow: from the start, or the best one if no course begins there."""
+        """The course to follow: the best course from the start, or else the best course from any swivel and branch."""
         return self.from_start if self.from_start is not None else self.best
 
     @property
@@ -79,12 +80,12 @@ def make_plan(
     robot: RobotModel, q_start: Array, targets: Targets, limits: Limits | None = None, *, swivels: int = SWIVELS,
     refined: bool = True,
 ) -> Plan:  # fmt: skip
-    """Plan a path from one start pose, and from every start pose.
+    """Find the best course along a path from one start pose, and from any start pose.
 
     Args:
         q_start: (n,) pose with tip and wrist at the first target [rad].
         targets: targets of tip and wrist at k evenly spaced times, (k,3) each [m].
-        limits: limits of courses and bounds. If the start is nearer to a joint limit, the margin is reduced.
+        limits: limits of courses and bounds. A margin from joint limits is reduced if the start does not keep it.
         swivels: number of samples of one turn of the elbow; see `map_of`.
         refined: whether the nonlinear program improves the courses of the search.
 
@@ -97,7 +98,7 @@ def make_plan(
     tips, wrists = robot.tool_along(start[None])
     off = max(np.abs(tips[0] - targets.tip[0]).max(), np.abs(wrists[0] - targets.wrist[0]).max())
     if off > 1e-6:
-        raise TaskError(f"q_start: tip or wrist is {1e3 * off:.3g} mm from the path's first point: begin it there")
+        raise TaskError(f"q_start: tip or wrist is {1e3 * off:.3g} mm from its first target: begin the path there")
     limits = replace(limits, margin=margin_at(robot, start, limits.margin))
     took, began = dict[str, float](), time.perf_counter()
 
@@ -165,7 +166,7 @@ def check_limits(robot: RobotModel, limits: Limits) -> None:
 
 
 def best_course(value: Value, start: Array | None) -> Array | None:
-    """Return the best course (k,n) on the map from a start (n,), or from any start if it is None.
+    """Return the best course (k,n) on the map from ``start`` (n,), or from any pose if ``start`` is None.
 
     Return None if no course reaches the end of the path.
     """

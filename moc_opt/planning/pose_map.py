@@ -1,15 +1,16 @@
-"""Map every pose that an arm can take at every point of a path, with its mu and its distance from the joint limits.
+"""Map every pose that an arm can take at each point of a path, with its manipulability mu and distance to joint limits.
 
 **Closed form.** The axes of joints 1 to 3 must meet in the shoulder S, 3 to 5 in the elbow E, and 5 to 7 in the wrist
 N. Neighbouring axes must be at right angles, and the tool must lie on axis 7. The elbow then turns on a circle about
 the line S N by the swivel angle (Kreutz-Delgado, Long and Seraji 1992). At each swivel, the signs of joints 2, 4 and 6
-give eight poses with the same mu. Each pose belongs to another branch. Joint 7 is idle.
+give eight poses with the same mu. Each of the eight is on a different branch. Joint 7 is idle: it turns only the tool.
 
-**Traced.** For any other arm, the self-motion curves are followed numerically from each time to the next. Inverse
-kinematics from random starts looks for more curves. All samples form one branch. If tip and wrist leave a null space of
-more than one dimension, the curves have only some of the poses. Their largest mu is then no upper bound.
+**Traced.** Any other arm has curves of poses with the same tip and wrist (self-motion), which are traced numerically.
+Inverse kinematics, from the curves at the previous time and from random starts, finds a pose on a curve. All samples
+form one branch. If tip and wrist leave a null space of several dimensions, the curves contain only some of the poses.
+The largest mu on the curves is then no upper bound.
 
-`largest_mu` climbs to the largest mu at each point of a path. It does not exclude a larger one.
+`largest_mu` climbs mu from many poses at each point of a path. The result is the largest mu that was found.
 """
 
 from __future__ import annotations
@@ -33,21 +34,21 @@ from moc_opt.robots.model import RobotModel, link_frames
 Flags = NDArray[np.bool_]
 
 EXACT_M = 1e-7  #: Axes that pass each other within this distance count as meeting [m].
-BRANCHES = 8  #: Bit 0, 1, 2 of a branch's number is set if joint 2, 4, 6 is negative in the normal form.
+BRANCHES = 8  #: Bits 0, 1 and 2 of a branch's number are set if joints 2, 4 and 6 are negative in the `ClosedForm`.
 STRAIGHT = 1e-9  #: Below this sine of joint 4 the arm is straight, and the swivel is undefined.
 ROUNDING_RAD = 1e-9  #: Tolerance of the joint limits.
 SWIVELS, MOST_SWIVELS = 720, 2880  #: Default and largest number of samples of one turn.
 PEAKS = 4  #: Number of the map's local maxima from which mu is climbed at each point of the path.
 STEP_RAD = 0.03  #: Spacing of the samples along a traced curve.
-SEEDS = 64  #: Random starts of inverse kinematics at a traced map's first time. Later times have a sixteenth each.
+SEEDS = 64  #: Number of random starts of inverse kinematics at the first time. Each later time has a sixteenth as many.
 MOST_CURVES = 16  #: Largest number of different curves at one time.
 SAME_CURVE = 0.7  #: A pose nearer to a curve than this share of a step counts as lying on the curve.
 NO_LIMIT_RAD = 20.0
 REACHED_M = 1e-9
-SCANNED, SCANS = "scanned, all branches", 360  #: Name of the method, and swivels. With 720, no mu was larger.
+SCANNED, SCANS = "scanned, all branches", 360  #: Method, and number of swivels. With 720 swivels, no mu was larger.
 STARTS, LATER = 96, 12
-"""Random starts of `largest_mu` at the first and at each later point, for arms without a closed form. Later points also
-start from the maxima of their neighbours."""
+"""Random starts of `largest_mu` at the first point and at each later point, for arms without a closed form. Climbs at a
+later point also start from the maxima of the neighbouring points."""
 KEPT = 6  #: Largest number of maxima that a point hands on to its neighbours.
 SAME = 1e-5  #: Maxima whose mu differs by less than this share count as one.
 
@@ -70,7 +71,7 @@ class PoseMap:
         return np.asarray(room >= -ROUNDING_RAD)
 
     def crossing(self, k: int, step_rad: Array) -> NDArray[np.int64]:
-        """Return bit masks (m,): the bits of the branch's number that joint steps (n,) [rad] can change at time k."""
+        """Return bit masks (m,): which bits of a branch's number joint steps (n,) [rad] can change at time k."""
         if self.closed is None:
             return np.zeros(self.mu.shape[2], dtype=np.int64)
         with np.errstate(invalid="ignore"):
@@ -79,7 +80,7 @@ class PoseMap:
         return near @ np.array([1, 2, 4])
 
     def peaks(self, k: int) -> Array:
-        """Return the feasible poses (p,n) at time k that are the highest local maxima of mu over the samples."""
+        """Return the feasible poses (p,n) at the highest local maxima of mu over the samples at time k."""
         may = self.room_rad[k] >= -ROUNDING_RAD
         score = np.where(may, self.mu[k], -np.inf).max(axis=0)
         peak = (score >= np.roll(score, 1)) & (score >= np.roll(score, -1)) & np.isfinite(score)
@@ -88,10 +89,10 @@ class PoseMap:
 
 
 def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = SWIVELS) -> PoseMap:
-    """Make the map in closed form if the arm has one, else by tracing. Idle joints stay as at the start.
+    """Make the map, in closed form if the arm has a closed form, else by tracing. Idle joints stay as at the start.
 
     Args:
-        q_start: (n,) [rad] a pose for the first target. The map includes its swivel.
+        q_start: (n,) [rad] a pose for the first target. In closed form, the map has a sample at the pose's swivel.
         swivels: samples of one turn, 8 to `MOST_SWIVELS`. Above `SWIVELS`, traced curves become denser too.
     """
     if not isinstance(swivels, numbers.Integral) or not 8 <= int(swivels) <= MOST_SWIVELS:
@@ -106,20 +107,20 @@ def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = S
 
 
 class ClosedForm(NamedTuple):
-    """The normal form R = R_0 Rz(t1) Ry(t2) Rz(t3) Ry(t4) Rz(t5) Ry(t6) Rz(t7), t = q + offset."""
+    """Normal form: the last link's rotation is R_0 Rz(t1) Ry(t2) Rz(t3) Ry(t4) Rz(t5) Ry(t6) Rz(t7), t = q + offset."""
 
     base: Array  #: R_0 (3,3), rotation from the normal form's axes at the shoulder to the world
     shoulder: Array  #: (3,) [m]
     upper: float  #: Shoulder to elbow along axis 3 [m]; negative if the axis points the other way.
-    fore: float  #: Elbow to wrist along axis 5 [m]; negative likewise.
-    tool: float  #: Wrist to tip along axis 7 [m]; negative likewise.
+    fore: float  #: Elbow to wrist along axis 5 [m]; negative if the axis points the other way.
+    tool: float  #: Wrist to tip along axis 7 [m]; negative if the axis points the other way.
     offset: Array  #: (6,) [rad]
     swivel_rad: Array = np.empty(0)  #: (m,) evenly over one turn; see `moc_opt.planning.elbow.Elbow`
     reference: Array = np.array([0.0, 0.0, 1.0])  #: (3,) direction of the elbow at swivel zero
 
 
 def closed_form(robot: RobotModel) -> ClosedForm | None:
-    """Find the normal form of an arm from its joint axes at q = 0; None if it has no normal form.
+    """Find the normal form of an arm from its joint axes at q = 0; None if the arm has no normal form.
 
     Arms with a joint range above one turn are excluded, because the map would miss joint positions a turn apart.
     """
@@ -141,7 +142,7 @@ def closed_form(robot: RobotModel) -> ClosedForm | None:
         return None
     base = np.column_stack([np.cross(axes[1], axes[0]), axes[1], axes[0]])
     offset, turned = np.zeros(6), np.array(base)
-    for j in range(1, 6):  # the angle that turns axis j + 1 of the normal form to the arm's axis at q = 0
+    for j in range(1, 6):  # find the angle that turns axis j + 1 of the normal form to the arm's axis at q = 0
         x, y, z = turned.T @ axes[j + 1]
         offset[j] = np.arctan2(x, z) if j % 2 else np.arctan2(-x, y)
         turned = turned @ pin.exp3(offset[j] * np.eye(3)[1 if j % 2 else 2])
@@ -214,7 +215,7 @@ def _dot(one: Array, two: Array) -> Array:
 
 
 def reach(robot: RobotModel, q: Array, tip: Array, wrist: Array) -> Array | None:
-    """Return a pose near q with this tip and wrist, by Newton's method without limits; None if it diverges."""
+    """Find a pose near q with this tip and wrist by Newton's method, without joint limits; None if it diverges."""
     placed = solve_pose(robot, q, tip, wrist, iterations=30, limited=False)
     return placed.q if placed.miss_m < REACHED_M else None
 
@@ -278,8 +279,8 @@ class Largest(NamedTuple):
 def largest_mu(robot: RobotModel, poses: Array) -> Largest:
     """Find for each given pose (k, n) the largest mu over all feasible poses with the same tip and wrist.
 
-    The poses should follow a path, because each point hands its maxima on to its neighbours. They are first moved
-    inside the joint limits. The result is never below the mu of the given pose.
+    The given poses should follow a path, because each point hands its maxima on to its neighbours. The given poses are
+    first moved inside the joint limits. The result is never below the mu of the given pose.
     """
     inside = np.clip(poses, robot.q_min, robot.q_max)
     count, tips, wrists = len(inside), *robot.tool_along(inside)

@@ -1,14 +1,15 @@
 """Optimize a course (a joint trajectory) by direct transcription: over a whole path, or over a receding horizon.
 
-Variables are the joints that move tip or wrist, at N evenly spaced times after a fixed start:
+The variables are the joints q that move tip or wrist, at K evenly spaced times after a fixed start:
 
-    max  mean of mu / mu_0 - w (|ddq|^2 + |dq|^2 / T^2) + V(q_N) / mu_0
+    max  mean of mu / mu_0 - w (|ddq|^2 + |dq|^2 / T^2) + V(q_K) / mu_0
     s.t. X(q_k) = X_d,  B_k^T (N(q_k) - X_d) = 0,  q_min <= q_k <= q_max,  |q_k - q_k-1| <= v_max dt,
          and no joint is `too_fast` towards its limit
 
-The columns of B_k (3,2) are orthogonal to the shaft. Five equations suffice, because tip and wrist are rigidly tied;
-with six the multipliers would not be unique. mu is reduced where the shaft is nearly lost (`course.lowered`). V(q_N) is
-the largest integral of mu from the last pose on (`search`).
+mu is the manipulability, X(q) the tip, and N(q) the wrist. The columns of B_k (3,2) are orthogonal to the shaft. Each
+time has five equations, because tip and wrist are rigidly tied. With six, the multipliers would not be unique. mu is
+reduced where the shaft is nearly lost (`course.lowered`). V(q_K) is the largest integral of mu from the last pose on
+(`search`).
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ WHOLE: dict[str, Any] = {
     "ipopt.mu_init": 1e-5, "ipopt.bound_push": 1e-6, "ipopt.bound_frac": 1e-6, "ipopt.slack_bound_push": 1e-6,
     "ipopt.slack_bound_frac": 1e-6, "ipopt.acceptable_iter": 0,
 }  # fmt: skip
-# Settings of CasADi's SQP for a horizon. Three steps suffice: the next solve is warm-started from this answer.
+# Settings of CasADi's SQP for a horizon. Three steps suffice, because each solve starts from the previous answer.
 HORIZON: dict[str, Any] = {
     "print_time": False, "print_header": False, "print_iteration": False, "print_status": False, "error_on_fail": False,
     "max_iter": 3, "tol_pr": 1e-6, "tol_du": 1e-3, "convexify_strategy": "regularize", "qpsol": "osqp", "expand": True,
@@ -44,18 +45,18 @@ HORIZON: dict[str, Any] = {
 SETTLED_S = 0.3  #: T: a joint speed costs as much as the constant acceleration that stops the joint in this time.
 SOFT_RAD = 0.003  #: e of `too_fast`. It keeps the derivative of the largest speed finite at the joint limit.
 SMOOTH_LOSS = 0.05  #: Share of mean mu that smoothness and braking may cost.
-LEAST_SHARE = 1e-4  #: Keeps the derivative of the square root of `course.shaft_shares` finite at 0.
-INSIDE = 1e-9  #: Joint limits and steps are narrowed by this to absorb rounding [rad]; a step by at most half its size.
+LEAST_SHARE = 1e-4  #: Keeps the derivative of `course.shaft_shares`, which is a square root, finite at 0.
+INSIDE = 1e-9  #: Joint limits and steps are narrowed by this, to absorb rounding [rad]. A step is at most halved.
 
 
 class Program:
-    """The nonlinear program for one arm and N times. ``solve`` fills in start, targets and the value V of the end."""
+    """The nonlinear program for one arm and K times. ``solve`` fills in start, targets and the value V at the end."""
 
     def __init__(
         self, robot: RobotModel, nodes: int, period_s: float, limits: Limits, *, mu: float, top: float = 0.0,
         smoothness: float = 0.0, brake: float = np.inf, horizon: bool = False,
     ) -> None:  # fmt: skip
-        """Write the program of N = ``nodes`` times after the start, ``period_s`` apart [s].
+        """Write the program for K = ``nodes`` times after the start. Neighbouring times are ``period_s`` apart [s].
 
         Args:
             mu: mu_0, a typical mu, which scales the objective [m^3].
@@ -117,10 +118,10 @@ class Program:
         self, guess: Array, start: Array, targets: Targets, speed: Array | None = None, end: End | None = None,
         period_s: float | None = None,
     ) -> tuple[Array, bool]:  # fmt: skip
-        """Return poses (N,n) [rad], and whether the solver met its tolerances. Poses are not checked and may be NaN.
+        """Return poses (K,n) [rad], and whether the solver met its tolerances. Poses are not checked and may be NaN.
 
-        The iteration begins at ``guess`` (N,n). The course leaves ``start`` (n,) at ``speed`` (n,) [rad/s]. ``end`` is
-        V near the last pose. ``period_s`` replaces the program's own period.
+        The iteration begins at ``guess`` (K,n). The course leaves ``start`` (n,) at ``speed`` (n,) [rad/s]. ``end``
+        describes V near the last pose. ``period_s`` replaces the program's own period.
         """
         dt, n = self.period_s if period_s is None else period_s, len(start)
         speed = np.zeros(n) if speed is None else speed
@@ -145,13 +146,13 @@ def refine(
     robot: RobotModel, targets: Targets, course: Course, limits: Limits, *, smoothness: float = 0.0,
     brake: float = np.inf,
 ) -> Course:  # fmt: skip
-    """Improve a course over the whole path to a local optimum within limits. Its first pose stays.
+    """Improve a course over the whole path to a local optimum within limits. The first pose stays the same.
 
     The given course may violate constraints. It is returned unchanged if the answer is not feasible, or if the given
     course is feasible and has the larger `worth`. With ``smoothness`` or ``brake``, the answer may lose the share
     `SMOOTH_LOSS` of mean mu. The answer is ``certified`` if ipopt met its tolerances.
     """
-    if limits.shaft > 0.0 and _above(robot, course, limits):  # first without the shaft's margin: half the time
+    if limits.shaft > 0.0 and _above(robot, course, limits):  # first without the shaft's margin, which is faster
         bare = replace(limits, shaft=0.0)
         free = refine(robot, targets, course, bare, smoothness=smoothness, brake=brake)
         if _above(robot, free, limits):
@@ -179,8 +180,8 @@ def _above(robot: RobotModel, course: Course, limits: Limits) -> bool:
 def too_fast(speed: Any, pose: Any, low: Any, high: Any, brake: float) -> Any:
     """Return the excess of each joint's speed over the speed from which it can stop before its limit, in CasADi.
 
-    At a distance d from a limit the speed may be sqrt(2 b) (sqrt(d + e) - sqrt(e)), where b is the brake [rad/s^2] and
-    e is `SOFT_RAD`. Arguments have m entries. The answer has 2 m: towards ``high``, then towards ``low``.
+    At a distance d from a limit, this speed is sqrt(2 b) (sqrt(d + e) - sqrt(e)), where b is the brake [rad/s^2] and e
+    is `SOFT_RAD`. Vectors have m entries. The answer has 2 m entries: towards ``high``, then towards ``low``.
     """
     import casadi as ca
 
@@ -191,6 +192,6 @@ def too_fast(speed: Any, pose: Any, low: Any, high: Any, brake: float) -> Any:
 
 
 def across(shafts: Array) -> Array:
-    """Return for each shaft (N,3) two orthogonal unit vectors across the shaft, (N,2,3)."""
+    """Return for each shaft (K,3) two orthogonal unit vectors across the shaft, (K,2,3)."""
     vectors: Array = np.linalg.svd(shafts[:, None])[2][:, 1:]
     return vectors

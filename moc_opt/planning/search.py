@@ -2,8 +2,9 @@
 
     V_k(p) = g_k(p) + max { V_{k+1}(p') - c |q - q'|^2 / dt : |q - q'| <= v_max dt for every joint }
 
-g is mu dt, and c is a penalty on speed. A course (joint trajectory) is then read off V forwards: at each time it takes
-the best pose within reach. Near a singular pose, it can change its branch.
+p is a pose of the map at time k, with joint positions q, and p' is a pose at time k + 1. mu is the manipulability, g is
+mu dt, and c is a penalty on speed. A course (joint trajectory) is then read off V forwards. At each time, it takes the
+best pose within reach. Near a singular pose, a course can change to another branch.
 
 A pose of the map can stand for its surroundings, so that joints may move a little further than v_max dt. A cell is the
 space between neighbouring poses. For followed courses, a pose stands for a quarter of a cell, so that courses exist on
@@ -36,7 +37,7 @@ class End(NamedTuple):
     along: Array  #: (n,) unit vector of the self-motion
     slope: float = 0.0  #: [m^3 s / rad]
     bend: float = 0.0  #: [m^3 s / rad^2], never above 0
-    low: float = 0.0  #: Outside low and high, poses may be unable to reach the end of the path [rad].
+    low: float = 0.0  #: With z below low or above high [rad], a pose may be unable to reach the end of the path.
     high: float = 0.0
 
 
@@ -52,9 +53,9 @@ class Value:
     """V over a map of k times, b branches, m samples."""
 
     def __init__(self, found: PoseMap, limits: Limits, *, cell: float = 0.0, price: float = 0.0) -> None:
-        """Compute V backwards over the map. With a map of `keeping_shaft`, courses avoid losing the shaft.
+        """Compute V backwards over the map. With a map from `keeping_shaft`, courses avoid losing the shaft.
 
-        A pose stands for ``cell`` times half a cell to either side. If ``cell`` is 1 or more, V is an upper bound.
+        A pose stands for ``cell`` times half a cell on either side. If ``cell`` is 1 or more, V is an upper bound.
         ``price`` is c, the penalty on speed [m^3 s^2/rad^2].
         """
         self.map = found
@@ -77,21 +78,21 @@ class Value:
             )  # fmt: skip
 
     def of(self, q: Array, mu: float) -> float:
-        """Return the mean mu [m^3] of the best course from a pose (n,) with this mu at t = 0; -inf if none exists."""
+        """Return mean mu [m^3] of the best course from a pose (n,) with this mu at t = 0; -inf without a course."""
         found = self._next(1, q, np.zeros(len(q)), self._step, self._price)
         rest = -np.inf if found is None else float(self.value[1][found])
         return float(mu * self._weight[0] + rest) / self._weight.sum()
 
     def best(self) -> tuple[float, Array | None]:
-        """Return the mean mu of the best course from any pose, and the pose (n,); -inf and None if none exists."""
+        """Return mean mu of the best course from any pose, and this pose (n,); -inf and None if there is no course."""
         first = np.unravel_index(int(np.argmax(self.value[0])), self.value[0].shape)
         value = float(self.value[0][first]) / self._weight.sum()
         return value, self.map.q_rad[0][first] if np.isfinite(value) else None
 
     def way(self, q: Array, t_s: float = 0.0, end: int = -1, hurry: float = 1.0) -> Way | None:
-        """Read off the best course from a pose (n,) [rad] at a time [s] to the map's time ``end``; None if none exists.
+        """Read off the best course from a pose (n,) [rad] at a time [s]; None if there is no course.
 
-        The course may use ``hurry`` times the joint speeds of V.
+        The course ends at the map's time with index ``end``. It may use ``hurry`` times the joint speeds of V.
         """
         t, poses, slack, at = self.map.targets.t_s, [q], np.zeros(len(q)), (0, 0)
         end = len(t) - 1 if end < 0 else end
@@ -108,7 +109,7 @@ class Value:
         return Way(np.append(t_s, t[first : end + 1]), np.array(poses), at)
 
     def near(self, end: int, at: tuple[int, int]) -> End:
-        """Fit a parabola to V around one pose of the map, (branch, sample)."""
+        """Fit a parabola to V around the pose ``at`` (branch, sample) of the map, at the time with index ``end``."""
         (b, j), value = at, self.value[end, at[0]]
         q = self.map.q_rad[end, b]
         along = q[(j + 1) % len(q)] - q[j - 1]
@@ -142,10 +143,10 @@ class Value:
 
 
 def keeping_shaft(found: PoseMap, limits: Limits) -> PoseMap:
-    """Return the map with the mu of `lowered`, for use in a search."""
+    """Return the map with mu reduced by `lowered`, for use in a search."""
     if limits.shaft <= 0.0:
         return found
-    # One branch suffices: on all branches of a closed form, the columns of A are equal up to their signs.
+    # One branch suffices: on all branches of a closed form, the Jacobians' columns are equal up to their signs.
     may = found.feasible().any(axis=1)
     share = np.full(may.shape, np.inf)
     share[may] = shaft_shares(found.robot, found.q_rad[:, 0][may])
@@ -154,7 +155,7 @@ def keeping_shaft(found: PoseMap, limits: Limits) -> PoseMap:
 
 
 def reached(found: PoseMap, q_start: Array, limits: Limits) -> list[NDArray[np.bool_]]:
-    """Return flags (b,m) for each later time: which poses can be reached from the start. Stop when none can."""
+    """Return for each time after the start which poses can be reached, (b,m). The list ends before a time with none."""
     step, feasible = limits.speed_share * found.robot.v_max * found.targets.period_s, found.feasible(limits.margin)
     before, value = np.tile(q_start, (found.mu.shape[1], 1, 1)), np.zeros((found.mu.shape[1], 1))
     each: list[NDArray[np.bool_]] = []
@@ -169,7 +170,7 @@ def reached(found: PoseMap, q_start: Array, limits: Limits) -> list[NDArray[np.b
 
 
 def half_cells(q: Array) -> Array:
-    """Return each joint's distance from poses (...,m,n) halfway to the next or previous pose [rad]: the larger one."""
+    """Return half the distance of each joint of poses (...,m,n) to the farther of the two neighbouring poses [rad]."""
     apart = np.abs(wrapped(np.roll(q, -1, axis=-2) - q))
     return 0.5 * np.nan_to_num(np.fmax(apart, np.roll(apart, 1, axis=-2)))
 
@@ -188,8 +189,8 @@ def advance(
 ) -> Array:
     """Return the values (b,m) of the poses at one time, given the values at the next or previous time.
 
-    A pose is within reach of another if no joint differs by more than its step (n,) [rad] plus both slacks. The numbers
-    of their branches may differ only in the bits of ``crossing`` (m,).
+    A pose is within reach of another if no joint differs by more than its step (n,) [rad] plus both slacks. The branch
+    numbers of the two poses may differ only in the bits of ``crossing`` (m,).
 
     Args:
         q, slack: (b,m,n) [rad], NaN if there is no pose; gain: (b,m) added to each value, -inf if forbidden.

@@ -103,7 +103,7 @@ class SelfMotion:
     """Lower and upper joint limits (equal for a joint that is held), and the positions of tip and wrist."""
 
     def at(self, fraction: float) -> Array:
-        """Return the pose (n,) at a fraction in [0, 1] of the arc length, corrected to 1e-10 m."""
+        """Return the pose (n,) at a fraction in [0, 1] of the arc length, with tip and wrist corrected to 1e-10 m."""
         place = float(np.interp(self.s[0] + fraction * np.ptp(self.s), self.s, np.arange(len(self.s))))
         i, weight = int(place), place % 1.0
         if weight > 0.0:
@@ -134,8 +134,8 @@ def self_motion(robot: RobotModel, q: ArrayLike, step: float = 0.02) -> SelfMoti
     """Scan the feasible self-motion through q at fixed tip and wrist.
 
     Joints that move neither tip nor wrist are held still. If more than one freedom is left (a rail, a tool off the last
-    axis), sliding joints at the base are held too, and then joints nearest the tip. The largest mu on the curve is then
-    no upper bound (see `pose_map.largest_mu`). If no freedom is left, the curve is a single pose.
+    axis), sliding joints at the base are held too, and then the joints nearest the tip. In this case, the largest mu on
+    the curve is no upper bound (see `pose_map.largest_mu`). If no freedom is left, the curve is a single pose.
 
     Args:
         q: (n,) a pose inside the joint limits [rad].

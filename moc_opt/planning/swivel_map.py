@@ -1,9 +1,9 @@
-"""The manipulability map: mu over time and over the elbow's swivel angle, with the trajectories of runs.
+"""The map of the manipulability mu over time and over the elbow's swivel angle, with the trajectories of runs.
 
-The map also shows which swivels are beyond a joint limit. `read_trajectory` computes for how long a run is at the
-optimum. If the run does not end there, mu is climbed on the map from the run's last swivel to the first joint limit. If
-this climb is short, its end explains why the run stays: a local maximum, or the edge of the feasible poses. Otherwise
-the map has no explanation. The run may have no third level, or tighter bounds than the joint limits of the map.
+The map also shows at which swivels a joint is beyond its limit. `read_trajectory` computes for how long a run is at the
+optimum. If the run does not end at the optimum, mu is climbed on the map from the run's last swivel, at most to the
+first joint limit. If this climb is short, its end explains why the run stays: a local maximum, or the edge of the
+feasible poses. Otherwise the map has no explanation. The controller may not climb mu, or may have tighter bounds.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ SAME_PATH_M = 1e-6
 OTHER_BRANCH_RAD = 0.5  #: A trajectory with a larger gap is on another branch of inverse kinematics than the map.
 NEEDED = ("t_s", "q_rad", "tip_m", "tip_ref_m")
 NEAR = 0.02  #: A trajectory is at the optimum while its mu is at most this fraction below the best.
-END = 0.2  #: The last fraction of a trajectory's time, from which its ending is judged.
-CLOSE_RAD = np.radians(12.0)  #: Largest swivel of a short climb at the end of a run.
+END = 0.2  #: The ending of a trajectory is judged from this last fraction of its time.
+CLOSE_RAD = np.radians(12.0)  #: A climb from the last swivel of a run counts as short up to this angle.
 STILL_RAD_PER_S = np.radians(1.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """The path of a run on the map; arrays (c,)."""
+    """The path of a run on the map, sampled at c times; arrays (c,)."""
 
     t_s: Array
     swivel_rad: Array  #: Shifted by whole turns into the map's range, so that it may jump by a turn.
@@ -60,7 +60,7 @@ class SwivelMap:
     limit: NDArray[np.int64]
     """(k, m) `FEASIBLE` (0), the joint (from 1) that is farthest beyond a limit, or `UNREACHABLE` (-1)"""
     best_swivel_rad: Array  #: (k,) swivel of the largest feasible mu; NaN if no pose is feasible
-    best_mu: Array  #: (k,) largest feasible mu [m^3]; NaN likewise
+    best_mu: Array  #: (k,) largest feasible mu [m^3]; NaN if no pose is feasible
     trajectories: Mapping[str, Trajectory]
     held: tuple[str, ...] = ()
     """Names of joints that the map holds as in the longest run, although they could move while tip and wrist stay."""
@@ -72,11 +72,11 @@ class SwivelMap:
 def manipulability_map(
     robot: RobotModel, traces: Mapping[str, Trace], *, times: int = 100, swivels: int = 180
 ) -> SwivelMap:
-    """Scan the self-motion at evenly spaced times of a path. All runs (name -> trace) must have this path.
+    """Scan the self-motion at evenly spaced times of a path. ``traces`` has the runs by name, all with the same path.
 
     Raises:
         ReportError: no runs, too few times or swivels, runs of different paths, or a trace without a trocar.
-        RobotError: the swivel angle of the arm's elbow does not tell its poses apart.
+        RobotError: several poses of a self-motion have the same swivel angle.
     """
     if not traces or times < 2 or swivels < 8:
         raise ReportError(f"{len(traces)} runs, {times} times, {swivels} swivels: at least 1, 2, 8 are needed")
@@ -227,7 +227,7 @@ class Reading:
     near: float  #: Share of the time that the run is at the optimum; NaN if run and map cannot be compared.
     mu_share: float  #: (Mean mu) / (mean of the best mu at the same times).
     travel_rad: float  #: Change of the swivel from start to end; positive upwards on the map.
-    from_s: float  #: Time after which the run stays at the optimum [s]; NaN if it does not end at the optimum.
+    from_s: float  #: Time after which the run stays at the optimum [s]; NaN if the run does not end at the optimum.
     end: End
     joint: int  #: The joint (from 1) whose limit holds the run; 0 if no limit does.
     at_edge: float  #: Share of the time that the run is at an infeasible pose or next to one on the map.

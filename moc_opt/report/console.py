@@ -1,4 +1,4 @@
-"""Coloured tables and a progress bar for a terminal. Other outputs get plain text and occasional progress lines."""
+"""Coloured tables and a progress bar for a terminal. A file or pipe gets plain text and occasional progress lines."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from moc_opt.figures.notation import printable
 LINE_EVERY_S = 10.0
 PIPED_WIDTH = 80
 CLOSED = 141
-"""Exit status if the reader closes the output early, as `| head` does. It is that of a command ended by SIGPIPE."""
+"""Exit status if the reader closes the output early, as `| head` does: the status of a command ended by SIGPIPE."""
 
 
 def end_output() -> int:
@@ -30,7 +30,7 @@ class _Console(Console):
 
 
 def console(*, stderr: bool = False, file: IO[str] | None = None) -> Console:
-    """Make a console. If it is no terminal, it writes plain text, 80 columns wide (or as COLUMNS says)."""
+    """Make a console. Without a terminal, it writes plain text of 80 columns, or of the width in $COLUMNS."""
     made = _Console(stderr=stderr, file=file, highlight=False, soft_wrap=False)
     if not made.is_terminal and not os.environ.get("COLUMNS", "").isdigit():
         made.width = PIPED_WIDTH  # rich would take the width of another stream's terminal
@@ -72,7 +72,7 @@ class Bar(Progress):
 
 
 def busy() -> str:
-    """Return a warning for measured times if the load exceeds the number of cores; else empty."""
+    """Return a warning for measured times if the load exceeds the number of cores, else an empty text."""
     cores, load = len(os.sched_getaffinity(0)), os.getloadavg()[0]  # the load of the last minute
     if load <= cores:
         return ""

@@ -1,4 +1,4 @@
-"""The manipulability map as a figure, as a part of a page with a table of its runs, and as a separate page."""
+"""The manipulability map as a figure, as a part of a page with a table of the runs on it, and as a page of its own."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from moc_opt.report.run_table import below_best, listed, title_of
 from moc_opt.report.tables import Column, Table
 from moc_opt.trace.trace import Trace
 
-# From light to dark. White-edged lines in any colour of `SERIES` stand out. Dark pages keep these colours.
+# From light to dark. White-edged lines in any colour of `SERIES` stand out on the map. Dark pages keep these colours.
 SCALE = ((0.0, "#f4f1e6"), (0.25, "#cfe0cf"), (0.5, "#8fc4bd"), (0.75, "#3f8f9c"), (1.0, "#143f5c"))
 EDGE, BEST = "#fffffe", "#17191b"
 HEIGHT_PX = 460
@@ -46,7 +46,7 @@ COLUMNS = (
         "near", "at the optimum", unit="%", format=".0f", better="high",
         help=f"share of the time with mu at most {100 * NEAR:.0f} % below the best mu at the same time",
     ),
-    Column("from_s", "for good from", unit="s", format=".1f", better="low", help="time after which it stays optimal"),
+    Column("from_s", "for good from", unit="s", format=".1f", better="low", help="time after which mu stays optimal"),
     Column("mu_percent", "of the best mu", unit="%", format=".1f", better="high", help="mean mu / mean best mu"),
     Column("travel", "elbow turns", unit="deg", format="+.0f", help="from the start of the run to its end"),
     Column(
@@ -55,10 +55,10 @@ COLUMNS = (
     ),
     Column(
         "end", "in the end",
-        help=f"over the last {100 * END:.0f} % of the time. Local maximum: mu falls to both sides. Edge: mu would rise "
-        f"further, but poses there are forbidden. Both are less than {np.degrees(CLOSE_RAD):.0f} deg away. At rest: "
-        "neither is near. The third level may have tighter bounds than the joint limits of the map. Other branch of "
-        "the inverse kinematics: the map does not apply",
+        help=f"in the last {100 * END:.0f} % of the time. Local maximum: mu falls to both sides. Edge: mu would rise "
+        f"further, but the poses there are forbidden. Both are at most {np.degrees(CLOSE_RAD):.0f} deg away. At rest: "
+        "no maximum and no edge is near. The third level may have tighter bounds than the joint limits of the map. "
+        "Other branch of the inverse kinematics: the map does not apply",
     ),
 )  # fmt: skip
 

@@ -45,7 +45,7 @@ class Page:
 
     def __init__(self, title: str, subtitle: str = "") -> None:
         self.title, self.subtitle = title, subtitle
-        self.figures: dict[str, go.Figure] = {}  #: name -> figure in the order of the page, for `save_figures`
+        self.figures: dict[str, go.Figure] = {}  #: figures by name, in the order of the page, for `save_figures`
         self._sections = [_Section()]
         self._about, self._tables, self._folding = "", 0, False
 
@@ -55,7 +55,7 @@ class Page:
         self._add(_PARTS.headline(text))
 
     def section(self, title: str) -> None:
-        """Begin a section. It is folded if `fold` was called; otherwise the page lists its sections at the top."""
+        """Begin a section. After `fold`, sections are folded. If `fold` is never called, the page lists them all."""
         name = _unlike(title, [section.name for section in self._sections])
         self._sections.append(_Section(name, title, self._folding))
 

@@ -15,7 +15,7 @@ from moc_opt.robots.model import RobotModel
 COURSES = [
     Column("course", "course"), Column("mu_mean", "mean mu", unit="m^3", format=".4f", better="high"),
     Column("mu_worst", "worst mu", unit="m^3", format=".4f", better="high"),
-    Column("share_percent", "of best", unit="%", format=".1f", help="mean mu / mean mu of the best course over all"),
+    Column("share_percent", "of best", unit="%", format=".1f", help="mean mu / best mean mu from any start"),
     Column("certified", "optimum", help="'local': no course nearby is better; 'grid': the best of the map's samples"),
     Column("violation", "violation", unit="m, rad", format=".0e"),
 ]  # fmt: skip

@@ -37,7 +37,7 @@ SERIES_POINTS = 900
 BASE = -1
 SHORTEST_M = 1e-3
 ACROSS = 0.7
-"""If |cosine| of the angle between a joint's axis and link is below this, draw the joint as an elbow, else a ring."""
+"""Below this |cosine| of the angle between a joint's axis and link, the joint is drawn as an elbow, else as a ring."""
 
 
 class Replay:
@@ -109,7 +109,7 @@ def load_runs(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, Trace]
 
 
 def _run_data(trace: Trace, robot: RobotModel, times: Array, color: str) -> dict[str, Any]:
-    """Return one run's data at these times. A run that ended earlier stands still afterwards."""
+    """Return one run's data at these times. After the end of the run, the arm stands still."""
     t = trace.t_s
     ticks = np.clip(np.searchsorted(t, times, side="right") - 1, 0, len(t) - 1)
     origins, rotations = link_frames(robot, trace.q_rad[ticks])
@@ -127,7 +127,7 @@ def _run_data(trace: Trace, robot: RobotModel, times: Array, color: str) -> dict
 
 
 def _panel(trace: Trace, column: str, ticks: NDArray[np.intp]) -> dict[str, Array] | None:
-    """Return a column's curve and its values at the frames; None if the run lacks the column. mu also has its bound."""
+    """Return a column's curve, its values at the frames, and for mu the bound; None if the run lacks the column."""
     if column not in trace.columns:
         return None
     values = trace.columns[column].astype(np.float64)
@@ -165,8 +165,8 @@ class Part(NamedTuple):
     """A body of revolution."""
 
     link: int  #: index (from 0) of the joint with whose frame the part moves, or `BASE`
-    origin: Array  #: (3,) point at height 0, in this frame [m]
-    axis: Array  #: (3,) unit vector
+    origin: Array  #: (3,) point at height 0, in the frame of the link [m]
+    axis: Array  #: (3,) unit vector in the frame of the link
     radii: Array  #: (k,) radii of the profile's points [m]
     heights: Array  #: (k,) heights of the profile's points [m]
     role: str  #: "shell", "joint" or "tool"; determines the colour

@@ -24,7 +24,7 @@ def load_report(files: Sequence[str | os.PathLike[str]]) -> Page:
 
 
 def run_page(traces: Mapping[str, Trace], metrics: Mapping[str, Mapping[str, float]], robot: RobotModel) -> Page:
-    """Make the page of runs of one arm, with a baseline first. The runs in ``metrics`` give the page's title."""
+    """Make the page of the runs in ``traces``, all of one arm. Only the runs in ``metrics`` appear in the title."""
     judged = {name: traces[name] for name in metrics}
     styles, page = Styles(traces), Page(title_of(judged), f"runs: {'; '.join(traces)}")
     every = {**metrics, **{name: summarize(trace) for name, trace in traces.items() if name not in metrics}}
@@ -35,10 +35,10 @@ def run_page(traces: Mapping[str, Trace], metrics: Mapping[str, Mapping[str, flo
     page.section("Over time")
     page.figure(
         time_series(traces, styles=styles),
-        "From top to bottom: manipulability (dotted: the largest of all poses with the same tip and shaft); tip error, "
-        "by the robot's own kinematics and in the patient's frame if they are known; distance of the shaft from the "
-        "trocar; force on the trocar. If runs coincide, only the last run is visible. To hide it, click on its name in "
-        "the legend.", name="curves",
+        "From top to bottom: manipulability, tip error, distance of the shaft from the trocar, force on the trocar. "
+        "The dotted line is the largest manipulability of all poses with the same tip and shaft. The tip error is by "
+        "the robot's own kinematics and in the patient's frame, if the runs have these errors. If runs coincide, only "
+        "the last run is visible. A click on its name in the legend hides a run.", name="curves",
     )  # fmt: skip
     page.section("Main metrics")
     for table in run_tables(traces, every, first=True):

@@ -1,4 +1,4 @@
-"""Show a run as a table, as JSON and in sentences. The ending comes first. Figures of an incomplete run are marked."""
+"""Show a run as a table, as JSON and in sentences. The ending comes first. Numbers of an incomplete run are marked."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def warnings(trace: Trace) -> list[str]:
 
 
 def replaced(trace: Trace) -> str:
-    """Return "at 412 of 4034 ticks: raised 400, late 12" if answers were replaced; else empty."""
+    """Return "at 412 of 4034 ticks: raised 400, late 12" if answers were replaced, else an empty text."""
     counts = {fault: of["count"] for fault, of in trace.meta.get("faults", {}).items()}
     if not counts:
         return ""
@@ -126,8 +126,8 @@ def run_tables(
     """Lay out the metrics of runs side by side. The first rows are the ending and the number of replaced answers.
 
     If any run ended early, each run has a separate table, because a part cannot be compared with a whole run. The title
-    of such a table names the part, and its figures are marked. ``first`` shows only the metrics of `MATTER`, with
-    `facts` in the title. ``first`` and ``explained`` add a column with meanings.
+    of such a table names the part, and its metrics are marked. With ``first``, only the metrics in `MATTER` are shown,
+    with `facts` in the title. ``first`` and ``explained`` add a column with meanings.
     """
     if len(metrics) > 1 and any(part(traces[name]) for name in metrics):
         alone = ({name: values} for name, values in metrics.items())
@@ -146,7 +146,7 @@ def run_tables(
 
 
 def _entries(trace: Trace, metrics: Mapping[str, float], first: bool) -> dict[str, tuple[Any, str]]:
-    """Return the rows of one run: metric -> value, meaning."""
+    """Return the rows of one run by name: the value and its meaning."""
     of, other, count = part(trace), answers_another_problem(trace), replaced(trace)
     ended = str(trace.meta.get("ended", "unknown"))
     word, _, reason = ended.partition(": ") if first else (ended, "", "")
@@ -156,7 +156,7 @@ def _entries(trace: Trace, metrics: Mapping[str, float], first: bool) -> dict[st
         if first and metric not in MATTER:
             continue
         marked = f"{metric} (part)" if of and metric not in WHOLE_RUN else metric
-        # Each value has its own notation, because their sizes differ widely.
+        # Each metric has its own notation, because the metrics' sizes differ widely.
         shown = missing(value) or Notation.of([value], digits=4)(value)
         shown = Missing(ANOTHER_PROBLEM) if other and metric in VERDICTS else shown
         entries[marked] = shown, "" if metric not in METRICS else _with_unit(METRICS[metric])

@@ -24,7 +24,7 @@ from moc_opt.figures.notation import Mark, Missing, Notation, printable
 SHORT_TEXT, HEADING = 14, 10  # length after which a text (in a terminal) or a heading may be broken [characters]
 
 TONES = {"best": "bold green", "good": "green", "fair": "yellow", "bad": "red", "other": "cyan"}
-"""Tone of a `Mark` -> its colour in a terminal."""
+"""For each tone of a `Mark`, the colour in a terminal."""
 
 
 @dataclass(frozen=True)
@@ -33,18 +33,18 @@ class Column:
 
     key: str  #: key of the value in a row
     title: str
-    unit: str = ""  #: "us", "mm"; shown below the title
+    unit: str = ""  #: such as "us" or "mm"; shown below the title
     format: str = ""  #: a format specification (".2f", "+.1f", "d") instead of three significant digits
     better: Literal["low", "high"] | None = None  #: which values are better; they sort first and can be emphasised
     help: str = ""  #: a sentence on the column's meaning, folded below the table
-    among: str = ""  #: key of a flag of the rows that compete for the emphasis; if empty, all rows compete
+    among: str = ""  #: key of a flag: only rows with this flag compete for the emphasis; if empty, all rows compete
     section: str = ""  #: title of a section of the page, to which the values link
     sections: str = ""  #: key of a row's own section title, which replaces `section`
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A value as the terminal shows it (`text`), and its sort key (`sort`). None sorts last."""
+    """A value as the terminal shows it (`text`), and its key for sorting (`sort`). Cells with key None come last."""
 
     text: str
     sort: float | str | None
@@ -58,7 +58,7 @@ class Cell:
 class Table:
     """Rows of results under typed columns. The first column names the row.
 
-    A row is key -> text, flag, number, None, `Missing(reason)` or `Mark`. Absent keys count as None.
+    A row has a text, flag, number, None, `Missing(reason)` or `Mark` for each column's key. Absent keys count as None.
     """
 
     title: str

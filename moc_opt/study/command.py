@@ -48,11 +48,11 @@ class StudyConfig(Settings):
 
     KIND: ClassVar[str] = "configuration:"
     seed: int = Field(0, ge=0, le=2**62)
-    processes: int | None = Field(None, ge=1, description="parallel jobs that are not timed; None: one per core")
+    processes: int | None = Field(None, ge=1, description="number of parallel jobs without timing; None: one per core")
 
     @classmethod
     def load(cls, path: Path, seed: int | None = None) -> Self:
-        """Read a TOML file. A given ``seed`` replaces that of the file. Errors name file and field."""
+        """Read a TOML file. A given ``seed`` replaces the file's seed. The message of an error names file and field."""
         table = read_toml(path, "configuration", ScenarioError)
         try:
             return cls(**table if seed is None else {**table, "seed": seed})
@@ -70,7 +70,7 @@ Config = TypeVar("Config", bound=StudyConfig)
 
 @dataclass(frozen=True)
 class Found:
-    """What a study found. ``summary`` is the content of summary.json: part -> solver or controller -> metric."""
+    """What a study found. ``summary[part][solver or controller][metric]`` is the content of summary.json."""
 
     report: Report
     summary: Mapping[str, Any]
@@ -88,7 +88,7 @@ class Study:
     name: str
     out: Path
     given: Namespace
-    processes: int | None = None  #: jobs at a time; None: one per core
+    processes: int | None = None  #: number of parallel jobs; None: one per core
 
     @cached_property
     def kept(self) -> Kept:
@@ -112,13 +112,13 @@ class Study:
     def trials(
         self, asked: Sequence[Trial], what: str = "runs", *, limit_s: float | None = None, **options: Any
     ) -> list[Run]:
-        """Run trials. Each gives a `Run`, even if it hung or failed. ``limit_s`` replaces each trial's own limit."""
+        """Run trials. Each trial gives a `Run`, even if it hung or failed. ``limit_s`` replaces its own time limit."""
         jobs = [one.job if limit_s is None else replace(one.job, limit_s=limit_s) for one in asked]
         results = self.run(jobs, what, **options)
         return [outcome(one, result) for one, result in zip(asked, results, strict=True)]
 
     def placed(self, cases: Sequence[Scenario]) -> tuple[list[Scenario], list[dict[str, Any]]]:
-        """Search for start poses. Return the trials with a pose, and a row for each trial for which none was found."""
+        """Search for start poses. Return the trials with a pose, and a row for each trial without a pose."""
         found = self.run([Job(placed, (case,)) for case in cases], "starts")
         lost = [
             {**Trial(case, "").failed(str(start)).row, "ended": "no start"}
@@ -213,9 +213,9 @@ def environment(config: Mapping[str, Any], seed: int, argv: Sequence[str] = ()) 
 
 
 def choose(wanted: Literal["all"] | Sequence[str], *beside: str) -> tuple[list[str], dict[str, str]]:
-    """Return the names of solvers that can run here, and name -> reason for those that cannot.
+    """Return the names of the solvers that can run here, and by name the reasons why the others cannot.
 
-    "all" means every known solver. The names in ``beside``, such as a baseline's, can always run.
+    "all" means every known solver. The names in ``beside``, such as that of a baseline, can always run.
     """
     found: dict[str, str | None] = {**dict.fromkeys(beside), **available()}
     names = list(found) if wanted == "all" else list(wanted)

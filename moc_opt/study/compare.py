@@ -1,4 +1,4 @@
-"""Compare solvers in closed loop: the same trials under DCAC and under MOC with each solver (``mo.compare``)."""
+"""Compare solvers in closed loop (``mo.compare``). DCAC, and MOC with each solver, run the same trials."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Solvers = Sequence[str | Solver] | Mapping[str, str | Solver]
 
 METRICS_SHOWN = ("mu_mean", *(name for frame in ("registered", "model") for name in ERRORS if frame in name))
 CHANGES = {change_name(metric): f"{TITLES.get(metric, 'mu')}: change" for metric in METRICS_SHOWN}
-"""Name of a metric's change against DCAC [percent] -> its heading."""
+"""For each metric, the name of its change against DCAC [percent], and the heading of the change's column."""
 COLUMNS = [
     Column("solver", "solver"), Column("trials", "trials"), Column("verified", "verified", "%", ".4g"),
     Column("silently_wrong", "silently wrong"), Column("solve_p50_us", "p50", "us"),
@@ -77,7 +77,7 @@ class Comparison:
         )
 
     def summary(self) -> dict[str, dict[str, Any]]:
-        """Return solver -> its figures: those of a study's summary.json, verified and wrong answers, and times."""
+        """Return by solver the figures of a study's summary.json, figures of verified and wrong answers, and times."""
         return {
             name: self._results.figures(name, METRICS_SHOWN, METRICS_SHOWN) | self._answers(name)
             for name in self.solvers
@@ -161,7 +161,7 @@ def compare(
 
     Args:
         solvers: names or solver objects (of `solvers.create` or your own). A mapping gives them other names.
-        scenario: the scenario of every trial, or the path of its file; None: the default one.
+        scenario: the scenario of every trial, or the path of its file; None: the default scenario.
         trials: number of trials. Trial k has the seed ``seed + k``, which draws pose, swivel, mismatch and noise.
         seed: the seed of the first trial.
         watch: called with a few words before each run.
@@ -187,7 +187,7 @@ def compare(
                 case = placed(case)
             except MocOptError as error:
                 if not rows:
-                    raise  # even the first trial has no start: the scenario is at fault
+                    raise  # if even the first trial has no start, the scenario is at fault
                 rows += [Trial(case, name, tags={"solver": name}).failed(describe(error)).row for name in chosen]
                 continue
             rows += _trial(case, chosen, f"trial {done + 1} of {trials}", watch)
@@ -226,7 +226,7 @@ def _settings(base: Scenario, solver: str | Solver) -> Mapping[str, Any]:
 
 
 def _named(solvers: Solvers, base: Scenario) -> dict[str, str | Solver]:
-    """Return name -> solver, the baseline first. Solvers given by name are built, so that errors show at once."""
+    """Return the solvers by name, the baseline first. Solvers given by name are built, so that errors show at once."""
     if isinstance(solvers, str) or not isinstance(solvers, Mapping | Sequence):
         raise SolverError(f"solvers = {shown(solvers)}: give a list of names or solvers, such as ['exact', 'osqp']")
     named: Iterable[tuple[Any, str | Solver]] = (

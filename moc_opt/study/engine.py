@@ -32,7 +32,7 @@ from moc_opt.errors import MocOptError, StudyError, describe
 from moc_opt.study.kept import Kept, digest_of, key_of, loaded_sources
 
 CONNECT_S = 30.0
-LOOK_S, ATTEMPTS = 1.0, 3  # time between two checks of the processes [s]; most attempts at a job if the pool breaks
+LOOK_S, ATTEMPTS = 1.0, 3  # time between two checks of the processes [s]; attempts at a job if the pool breaks
 BEGUN = ".pid"
 WAITS = 5.0
 PR_SET_PDEATHSIG = 1
@@ -49,7 +49,7 @@ class Job:
     arguments: tuple[Any, ...] = ()
     limit_s: float = 600.0  #: time limit [s], after which the job's process is killed
     alone: bool = False  #: whether the job measures times, so that no other job may run meanwhile
-    group: str = ""  #: name of a group of jobs; after `give_up` hangs or crashes in it (see `run`), the rest is skipped
+    group: str = ""  #: name of a group of jobs. If too many of them hang or crash (see `run`), the rest is skipped.
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ def run(
                     kept.put(keys[k], result, answer.sources)
                 finish(k, result)
     gone, answers = Counter[str](), list[Any]()
-    for k, job in enumerate(jobs):  # answers come in any order: give up groups in the order of the jobs
+    for k, job in enumerate(jobs):  # answers came in any order, but groups are given up in the order of the jobs
         answers.append(_not_begun(job.group) if job.group and gone[job.group] >= give_up else results[k])
         gone[job.group] += _broke(answers[-1])
     return answers
@@ -242,7 +242,7 @@ def _processes(count: int) -> Iterator[tuple[Submit, int]]:
     """Start ``count`` workers. Leaving the context ends the workers and all processes that they started."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([*PRELOAD, "__main__"])
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // (count + 1)  # 1: this process
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // (count + 1)  # this process also needs a share
     with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder:
         for name in ("groups", "parts"):
             Path(folder, name).mkdir()
@@ -300,7 +300,7 @@ def _begin(folder: str, memory: int) -> None:
 
 
 def report(part: Any) -> None:
-    """Save a part of this job's result for `Failed.parts`, if the job fails later. On a cluster, do nothing."""
+    """Save a part of this job's result. If the job fails later, the part is in `Failed.parts`. A cluster saves none."""
     if _parts is not None:
         _parts.write(pickle.dumps(part))
 
@@ -315,10 +315,10 @@ def _reported(file: str | None) -> tuple[Any, ...]:
 
 
 def alarm(seconds: float) -> None:
-    """Let the kernel end this job's process after ``seconds``, even if a library hangs (0: never).
+    """Let the kernel end this job's process after ``seconds``, even if a library hangs. With 0, cancel the alarm.
 
     The seconds are processor time, so that a busy machine does not make an answer late. A process that only waits is
-    ended after `WAITS` times ``seconds`` of wall time. A job may set the limit anew before each of its steps.
+    ended after `WAITS` times ``seconds`` of wall time. A job may set the alarm anew before each of its steps.
     """
     signal.setitimer(signal.ITIMER_PROF, seconds)
     signal.setitimer(signal.ITIMER_REAL, WAITS * seconds)

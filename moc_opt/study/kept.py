@@ -1,4 +1,4 @@
-"""A store of finished jobs in a folder. After a stop of any kind, a study continues from it.
+"""A store of finished jobs in a folder. After a stop of any kind, a study continues from this store.
 
 A result is reused if the job's function and arguments and the packages' versions are the same. The robots' files and
 the project's files that the job's process had imported must be unchanged, too.
@@ -69,19 +69,19 @@ class Kept:
         try:
             self._cache[key] = _Entry(result, sources, digest_of(sources))
         except (OSError, sqlite3.Error) as error:
-            raise StudyError(f"{self.folder}: a finished job cannot be kept ({error}); earlier ones are") from error
+            raise StudyError(f"{self.folder}: a finished job cannot be kept ({error}); earlier jobs are") from error
 
 
 def key_of(work: Callable[..., Any], arguments: Iterable[Any]) -> str:
     """Return the digest of a job's function and arguments, and of the libraries' versions."""
-    code = getattr(work, "__code__", None)  # a script's file is missing on a cluster's worker
+    code = getattr(work, "__code__", None)  # the key covers a script's file, because a cluster's worker lacks it
     own = "" if code is None else _file_digest(code.co_filename)
     asked = [work.__module__, work.__qualname__, own, _plain(list(arguments)), versions()]
     return hashlib.sha256(to_json(asked, indent=None, sort_keys=True).encode()).hexdigest()
 
 
 def loaded_sources() -> tuple[str, ...]:
-    """Return the files that this process has imported from the project, or from outside the installed packages.
+    """Return the files that this process has imported, without the standard library and others' installed packages.
 
     Listing takes 50 ms, and a study has a thousand jobs. So the files are listed again only after a further import.
     """
@@ -118,7 +118,7 @@ def robot_files() -> tuple[str, ...]:
 
 @cache
 def versions() -> dict[str, str | None]:
-    """Return package -> version, or None if the package is not installed."""
+    """Return the version of each package, or None if the package is not installed."""
     found: dict[str, str | None] = dict.fromkeys(PACKAGES)
     for name in PACKAGES:
         with suppress(importlib.metadata.PackageNotFoundError):
@@ -135,7 +135,7 @@ def _file_digest(file: str) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return a job's argument as JSON data. An array becomes a digest of its bytes, and a dataclass its fields."""
+    """Return a job's argument as JSON data. An array becomes a digest of its bytes. A dataclass becomes its fields."""
     if value is None or isinstance(value, bool | int | float | str | Path):
         return repr(value)
     if isinstance(value, BaseModel):

@@ -25,12 +25,12 @@ ERRORS = (
 """Tip errors and RCM errors, each by the robot's own kinematics (the error that control can correct), in the frame
 registered at the start (the error for the patient), and in the base frame (absolute accuracy)."""
 PHASES = ("settled", "travelling")
-"""Prefixes of means over one phase of a run. `settled_ticks` and `travelling_ticks` count the phase's ticks."""
+"""Prefixes of means and numbers of ticks over a phase of a run. While travelling, the elbow moves to its optimum."""
 TITLES = {
     name: f"{part}, {frame}"
     for name, (part, frame) in zip(ERRORS, product(("tip", "RCM"), ("own", "registered", "base")), strict=True)
 }
-"""Error -> heading of its column, and of the column with its change."""
+"""For each error, the heading of its column, and of the column with the change of the error."""
 FRAMES = (
     "Own kinematics: the error that the controller measures and can correct. Registered: the error in the frame that "
     "is touched at the start, which matters to the patient."
@@ -39,7 +39,7 @@ BASE_FRAME = "Base frame: absolute accuracy."
 
 
 def change_name(metric: str) -> str:
-    """Return the name of a metric's change against the baseline in a summary: mu_gain_percent, tip_error_model_..."""
+    """Return the name that a metric's change against the baseline has in a summary, such as mu_gain_percent."""
     if metric == "mu_mean":
         return "mu_gain_percent"
     return metric.removesuffix("_Nm_per_s").removesuffix("_mm").removesuffix("_N").removesuffix("_mean") + (
@@ -77,7 +77,7 @@ class Results:
         return [name for name in dict.fromkeys(row.get(column) for row in self._rows) if name is not None]
 
     def values(self, metric: str, controller: str) -> dict[Any, float]:
-        """Return trial -> value over the controller's whole runs."""
+        """Return by trial the values of a metric in the controller's whole runs."""
         mine = (row for row in self._rows if row.get("controller") == controller and row.get("whole"))
         return {row["trial"]: float(row[metric]) for row in mine if row.get(metric) is not None}
 
@@ -89,7 +89,7 @@ class Results:
             return None
 
     def pairs(self, metric: str, controller: str, baseline: str = BASELINE) -> tuple[list[float], list[float]]:
-        """Return both controllers' values on the trials that both completed. Phases' means are weighted by ticks."""
+        """Return both controllers' values on the trials that both completed. Means of phases are weighted by ticks."""
         mine, theirs = self.values(metric, controller), self.values(metric, baseline)
         both = [trial for trial in mine if trial in theirs]
         phase = next((phase for phase in PHASES if metric.startswith(f"{phase}_")), None)
@@ -106,7 +106,7 @@ class Results:
     def figures(
         self, controller: str, means: Sequence[str] = (), changes: Sequence[str] = (), baseline: str = BASELINE
     ) -> dict[str, Any]:
-        """Return a controller's figures for a summary: counts, means and, against a baseline, changes of metrics."""
+        """Return a controller's figures for a summary: counts, means of metrics, and changes against a baseline."""
         mine = [row for row in self._rows if row.get("controller") == controller]
         found: dict[str, Any] = {
             "trials": len(mine), "whole": sum(bool(row.get("whole")) for row in mine),

@@ -118,7 +118,7 @@ def _markdown(table: Table) -> str:
 def columns(*metrics: str, of: str = "", **titles: str) -> list[Column]:
     """Describe metrics, or their changes ("mu_gain_percent"), as columns with the metric's unit, format and help.
 
-    A name may begin with "settled_" or "travelling_". Values link to the section ``of``. ``titles``: other headings.
+    A name may begin with "settled_" or "travelling_". Values link to the section ``of``. ``titles`` replaces headings.
     """
     found = []
     for name in metrics:

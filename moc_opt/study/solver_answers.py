@@ -54,7 +54,7 @@ Question = tuple[SolverSetting, TestSet]
 
 
 class Answer(NamedTuple):
-    """One answer: status, iterations, x (n,), y (6,), and the exception or defect in words ("": neither)."""
+    """One answer: status, iterations, x (n,), y (6,), and the exception or defect in words, if there was one."""
 
     status: str
     iterations: int
@@ -64,10 +64,10 @@ class Answer(NamedTuple):
 
 
 class Answers:
-    """The answers of one solver under one setting to one set of k problems, judged.
+    """The judged answers of one solver under one setting to one set of k problems.
 
     ``refused`` says why the solver does not take the problems. ``events`` lists its errors and how its process ended.
-    ``every``, ``status``, ``x``, ``residuals`` and ``verified`` have one entry per problem, asked or not.
+    ``every``, ``status``, ``x``, ``residuals`` and ``verified`` have one entry per problem, even if it was not asked.
     """
 
     def __init__(self, setting: SolverSetting, problems: TestSet, result: list[Any] | Failed) -> None:
@@ -154,10 +154,7 @@ def share_right(counts: Mapping[str, Any]) -> float:
 
 
 def totals(answers: Sequence[Answers], times: Sequence[Times]) -> dict[str, Any]:
-    """Sum up one solver under one setting over its sets: sums of counts, largest residuals, times of the slowest set.
-
-    A mean of times over sets would hide the slowest set.
-    """
+    """Sum up one solver under one setting over its sets: total counts, largest residuals, times of the slowest set."""
     rows, figures = [one.summary() for one in answers], [one.figures() for one in times]
     found: dict[str, Any] = {name: sum(row[name] for row in rows) for name in answers[0].counts()}
     for name in (f"{residual}_max" for residual in RESIDUALS):
@@ -173,9 +170,10 @@ def totals(answers: Sequence[Answers], times: Sequence[Times]) -> dict[str, Any]
 
 
 def ask(run: Runner, questions: Sequence[Question], limits: Limits, *, warm: bool = True) -> list[Answers]:
-    """Collect the answers to each question: from one session if ``warm``, else from a new session for each problem.
+    """Collect the answers to each question, which is a setting of a solver and a set of problems.
 
-    A hang or a crash ends the set. After `BROKEN_SETS` such sets, all further sets of the solver are skipped.
+    If ``warm``, one session solves the set, else each problem has a new session. A hang or a crash ends the set. After
+    `BROKEN_SETS` such sets, all further sets of the solver are skipped.
     """
     jobs = [
         Job(answer, (setting, problems.rows, warm, limits.patience_s, limits.setup_s), HOURS, group=setting.label)
@@ -186,10 +184,10 @@ def ask(run: Runner, questions: Sequence[Question], limits: Limits, *, warm: boo
 
 
 def answer(setting: SolverSetting, rows: Array, warm: bool, patience_s: float, setup_s: float) -> list[Any]:
-    """Return a list: why the solver refuses these problems ("": it accepts), then an `Answer` per problem.
+    """Return why the solver refuses the problems (empty if it accepts them), followed by an `Answer` per problem.
 
     Runs in a worker, which reports each item at once. ``patience_s`` limits the processor time of an answer, and
-    ``setup_s`` that of the setup.
+    ``setup_s`` limits the processor time of the setup.
     """
     found: list[Any] = []
     alarm(setup_s)
@@ -235,7 +233,7 @@ def _problems(rows: Array) -> list[NullSpaceQP]:
 
 
 def _session(solver: Solver, qp: NullSpaceQP) -> tuple[Session | None, str]:
-    """Return (session, ""), or None and the reason: the solver's own words, or the exception that it raised."""
+    """Return (session, ""), or None with the reason in the solver's words or the exception that was raised."""
     try:
         reason = solver.supports(qp)
         if reason is None:
@@ -247,7 +245,7 @@ def _session(solver: Solver, qp: NullSpaceQP) -> tuple[Session | None, str]:
 
 
 def _asked(session: Session, qp: NullSpaceQP) -> tuple[Solution, str]:
-    """Return the answer, and the exception or the defect of the answer in words ("": neither)."""
+    """Return the answer, and the exception or the defect of the answer in words. The words are empty if all is well."""
     try:
         return received(session.solve(qp), qp.n)
     except (Exception, SystemExit) as error:  # noqa: BLE001 - as above
@@ -262,7 +260,7 @@ class Times(NamedTuple):
 
     solve: Array  #: (rounds, k) solves of one session that goes through all problems
     setup: Array  #: starts of fresh sessions
-    cold: Array  #: first solves of these sessions
+    cold: Array  #: first solves of the fresh sessions
     update: Array  #: calls that hand a problem to the library; empty if the session has no such call
     load: Mapping[str, float]  #: the machine's load meanwhile, see `timing.COUNTED`
 

@@ -35,7 +35,7 @@ MEANING = (
     "Update: the part of a warm solve that hands the new problem to the library. docs/solvers.md says more."
 )
 SOLVER = Column("solver", "solver")
-RANKED = "answers_rightly"  # key of the flag whether a row's times are compared with other rows
+RANKED = "answers_rightly"  # key of a flag: whether a row's times are compared with those of other rows
 COUNTS = {
     "claimed_solved": "claimed", "verified_solved": "verified", "silently_wrong": "silently wrong",
     "infeasible_right": "infeas. right", "refused_inconsistent": "refused: inconsistent",
@@ -66,7 +66,7 @@ COUNTED = (
 
 
 def answers_table(title: str, part: Mapping[str, Mapping[str, Any]], suffix: str = "", *more: Column) -> Table:
-    """Make the table of an open-loop part: counts, largest residuals, times (whose keys end with ``suffix``)."""
+    """Make the table of an open-loop part: counts, largest residuals, and times, whose keys end with ``suffix``."""
     rows = []
     for name, row in part.items():
         share = share_right(row) if "right" in row else None
@@ -97,7 +97,7 @@ def recorded_sequence(work: Work) -> None:
     config = work.config.open_loop
     problems = [NullSpaceQP.from_row(np.array(row)) for row in work.sequence]
     session = Exact().start(problems[0])
-    optima = [session.solve(qp) for qp in problems]  # the reference: exact is right on the certified sets
+    optima = [session.solve(qp) for qp in problems]  # the reference, because exact is right on the certified sets
     feasible = np.array([one.status is Status.SOLVED for one in optima])
     data = TestSet("recorded", work.sequence, np.array([one.x for one in optima]), feasible)
     limits = Limits(patience_s=2.0, setup_s=40.0, rounds=2, seconds=1.0, cold=config.cold)
@@ -216,7 +216,7 @@ def figures(
     """Return a controller's entries in the summary: means and changes over its completed runs, sums and largest values.
 
     Times are pooled over the ``runs`` that ran alone. Entries that end in "_in_common" count only the trials in
-    ``common`` (None: all trials), which every solver runs.
+    ``common``, which every solver runs. If ``common`` is None, they count all trials.
     """
     found = rows.figures(controller, MEANS, CHANGES)
     mine = [row for row in rows if row["controller"] == controller]

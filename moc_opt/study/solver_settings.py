@@ -39,7 +39,7 @@ class SolverSetting:
 
     @property
     def nonlinear(self) -> bool:
-        """Whether the solver answers the nonlinear problem of the tick. The judge does not verify such answers."""
+        """Whether the solver answers the nonlinear problem of the tick. Such answers are not verified."""
         return self.solver.startswith(NONLINEAR)
 
     @property
@@ -51,7 +51,7 @@ class SolverSetting:
 def solver_settings(
     names: Iterable[str], overrides: Mapping[str, Mapping[str, Any]] | None = None
 ) -> list[SolverSetting]:
-    """Return every setting of every named solver. ``overrides`` (solver -> options) change the recommended ones."""
+    """Return every setting of every named solver. ``overrides[solver]`` has options that change the recommended one."""
     return [
         SolverSetting(solver, name, {**options, **((overrides or {}).get(solver, {}) if name == RECOMMENDED else {})},
                       reason)
@@ -60,11 +60,11 @@ def solver_settings(
 
 
 def of(name: str) -> dict[str, tuple[dict[str, Any], str]]:
-    """Return the settings of one solver: name of a setting -> (options, reason)."""
+    """Return (options, reason) of each setting of one solver, by the name of the setting."""
     tables = SETTINGS.get(name, {})
     if not name.startswith(QPSOLVERS):
         known = {of: ({key: v for key, v in one.items() if key != "why"}, one["why"]) for of, one in tables.items()}
-        return known or {RECOMMENDED: ({}, "as it comes: the study has no row for it")}
+        return known or {RECOMMENDED: ({}, "the solver's own settings: the study has none for this solver")}
     found = {DEFAULT: (AS_QPSOLVERS_CALLS_IT, "the library as qpsolvers calls it, on six rows")}
     if TIGHT in tables:
         values = ", ".join(f"{key} = {value:g}" for key, value in tables[TIGHT]["options"].items())

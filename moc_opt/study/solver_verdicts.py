@@ -39,7 +39,7 @@ COSTS = {
     "rcm_error_model_mean_mm": ("RCM", 0.05), "rcm_error_registered_mean_mm": ("registered RCM", 0.05),
     "torque_rate_rms_Nm_per_s": ("chatter", 0.1),
 }  # fmt: skip
-"""Metric in closed loop -> (short name, tolerance). Two solvers are equal up to a relative change of the tolerance."""
+"""For each metric in closed loop, a short name and a tolerance. A relative change within the tolerance is no loss."""
 FRAMED = tuple(name for name in COSTS if "_error_" in name)
 CERTIFIED, RECORDED, CLOSED = "Certified test sets", "Recorded sequence", "Closed loop"
 NEITHER = "neither right nor wrong"
@@ -76,7 +76,7 @@ def assess(summary: Summary, runs: Results) -> list[Row]:
 
 
 def verdict(row: Row, damage: float = 0.0) -> Mark:
-    """Return the first verdict whose rule holds. ``damage`` is the loss in closed loop, in tolerances."""
+    """Return the first verdict whose rule holds. ``damage`` is the loss in closed loop, divided by its tolerance."""
     counted = row["counted"]
     broken = counted.get("hung", 0) + counted.get("crashed", 0) + sum(_ended(row["closed"]).values())
     rules = {
@@ -116,7 +116,7 @@ def _order(row: Row) -> tuple[float, float, float]:
 
 
 def _damage(row: Row, reference: str | None, runs: Results) -> tuple[Any, float]:
-    """Return the worst loss in closed loop in words, and in tolerances (0 unless both intervals confirm it)."""
+    """Return the worst loss in closed loop in words, and in tolerances (0 unless both intervals confirm the loss)."""
     for word, count in _ended(row["closed"]).items():
         if count:
             return f"{count} {word}", TOO_MUCH

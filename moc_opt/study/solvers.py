@@ -63,7 +63,7 @@ class TestSets(Limits):
     timed_too: list[str] = Field(["infeasible", "joint-limits", "jumps", "near-singular", "inconsistent-1e-6"])
     """sets timed under the recommended settings only"""
     every: int = Field(1, ge=1, description="1: every problem, 2: every second one, ...")
-    every_other: int = Field(4, ge=1, description="thins the sets further for nlp-* and settings not recommended")
+    every_other: int = Field(4, ge=1, description="further thinning for nlp-* and for settings not recommended")
 
     @field_validator("names", "timed", "timed_too")
     @classmethod
@@ -83,7 +83,7 @@ class ClosedLoop(Settings):
     KIND: ClassVar[str] = "[closed_loop]"
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1, description="the trials take them in turn")
     trials: int = Field(60, ge=1, description="number of trials of DCAC and the cited solvers")
-    cited: list[str] = Field(["exact", "rnn", "rnn-printed"], description="solvers that the first sentences cite")
+    cited: list[str] = Field(["exact", "rnn", "rnn-printed"], description="solvers that the report's answer cites")
     others: int = Field(15, ge=1, description="number of trials of every other solver")
     timed: int = Field(1, ge=1, description="number of trials that run alone, for their times")
     duration_s: Level = Field(4.0, description="length of a trial; inf: the whole task")
@@ -136,7 +136,7 @@ class Work:
     study: Study
     config: Config
     names: Sequence[str]  #: names of the solvers that can run here
-    summary: dict[str, dict[str, Any]] = field(default_factory=dict)  #: part -> solver or controller -> metric
+    summary: dict[str, dict[str, Any]] = field(default_factory=dict)  #: see `Found`
     runs: Results = field(default_factory=Results)  #: a row for each run in closed loop
     answers: Results = field(default_factory=Results)  #: a row for each answer in open loop
     sections: list[Section] = field(default_factory=list)  #: sections of the report
@@ -217,7 +217,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def once(names: Sequence[str]) -> tuple[list[str], dict[str, str]]:
-    """Drop `qpsolvers:NAME` if NAME is listed, too. Return the other names, and dropped name -> reason."""
+    """Drop `qpsolvers:NAME` if NAME is listed, too. Return the other names, and the reason for each dropped name."""
     native = {f"{QPSOLVERS}{name}": name for name in names}
     return [name for name in names if name not in native], {
         name: f"the same library as `{native[name]}`: `twice = true` in the configuration asks both ways"

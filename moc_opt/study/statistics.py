@@ -66,7 +66,7 @@ class Change(NamedTuple):
     ratios: Interval
 
     def side(self, bound: float = 0.0) -> int:
-        """Return +1 (-1) if both intervals lie above (below) the bound [percent], else 0. Too few trials give 0."""
+        """Return 1 if both intervals lie above the bound [percent], -1 if both lie below, else 0. Few trials give 0."""
         both = {int(one.low > bound + ROUNDING) - int(one.high < bound - ROUNDING) for one in self}
         return both.pop() if len(both) == 1 and self.ratio.samples >= LEAST_TRIALS else 0
 
@@ -133,7 +133,7 @@ def relative_change(treated: ArrayLike, control: ArrayLike) -> Interval:
 
 
 def relative_changes(treated: ArrayLike, control: ArrayLike) -> Change:
-    """Compute `relative_change`, and the mean over trials of 100 (treated/control - 1) [percent]. Same errors."""
+    """Add to `relative_change` the mean over trials of 100 (treated/control - 1) [percent]. Raise what this raises."""
     ratio = relative_change(treated, control)
     with np.errstate(divide="ignore", invalid="ignore"):
         each = 100.0 * (np.asarray(treated, float) / np.asarray(control, float) - 1.0)
@@ -143,7 +143,7 @@ def relative_changes(treated: ArrayLike, control: ArrayLike) -> Change:
 def difference_of_changes(
     treated: ArrayLike, control: ArrayLike, treated_before: ArrayLike, control_before: ArrayLike
 ) -> Interval:
-    """Return the `relative_change` minus that of the numbers "before", on the same trials [percentage points]."""
+    """Return the `relative_change`, minus that of the two samples "before" on the same trials [percentage points]."""
     before = {"treated_before": treated_before, "control_before": control_before}
     return _interval(_difference, treated=treated, control=control, **before)
 

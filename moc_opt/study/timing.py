@@ -13,7 +13,7 @@ from moc_opt.arrays import Array
 from moc_opt.sim.loop import no_collector
 
 PERCENTILES = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9}
-MOST_SWITCHES = 0.0025  # involuntary context switches per call: a quarter of the 1 % of calls that are above p99
+MOST_SWITCHES = 0.0025  # allowed involuntary context switches per call: a quarter of the 1 % of calls above p99
 LEAST_CPU_SHARE = 0.9
 
 Row = Mapping[str, Any]

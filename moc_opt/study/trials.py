@@ -73,7 +73,7 @@ def placed(trial: Scenario) -> Scenario:
 
 
 def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None = None) -> Scenario:
-    """Return the trial under one of `BASELINES`, or MOC with a solver. `BASELINE` leaves a DCAC trial as it is."""
+    """Return the trial under one of `BASELINES` or under MOC with a solver. `BASELINE` does not change a DCAC trial."""
     control = trial.control
     if controller == BASELINE and control.law == "dcac":
         return trial
@@ -82,7 +82,7 @@ def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None
     if controller == OWN:
         return trial.change(control={"law": "dcac", "gains": "dcac", **dict.fromkeys(GAINS)})
     table = control.matched_dcac()
-    if controller == DAMPED:  # the damping of MOC's third level where x* = 0
+    if controller == DAMPED:  # the damping that MOC's third level has if its desired velocity x* is 0
         data = load_data(trial.robot.name)
         moc = control.resolve_gains(data.gains, data.n)
         table = {**table, "dcac_damping": (moc.K_N2 + moc.D_N2).tolist()}
@@ -128,7 +128,7 @@ class Run:
     """
 
     row: Mapping[str, Any]
-    columns: Mapping[str, Array] = field(default_factory=dict)  #: name -> one value per tick; {} if it broke off
+    columns: Mapping[str, Array] = field(default_factory=dict)  #: curves of a completed run by name, if they are kept
     load: Mapping[str, float] = field(default_factory=dict)  #: the machine's load meanwhile, if the run was timed
 
 

@@ -25,7 +25,7 @@
     layout.legend = { ...layout.legend, font: { size: 10 } };
     layout.margin = { ...layout.margin, l: 40, r: 8 };
     for (const axis of [layout.xaxis, layout.yaxis]) {
-      // Ticks are at powers of ten only. An axis within one decade keeps its own ticks, or it could have none.
+      // Ticks are at powers of ten only. An axis of at most one decade keeps its ticks, or there might be none.
       const decades = axis && axis.range ? axis.range[1] - axis.range[0] : Infinity;
       if (axis && axis.type === "log" && !axis.tickvals && decades > 1) axis.dtick = 1;
     }

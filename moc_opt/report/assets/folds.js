@@ -1,4 +1,4 @@
-// Folded sections: a link into a section opens it. The search field leaves only table rows that contain its text.
+// Folded sections: a link into a section opens it. The search field hides all table rows without the searched text.
 (() => {
   "use strict";
   const sections = [...document.querySelectorAll("details.section")];

@@ -14,7 +14,7 @@ const Scene = (canvas, data) => {
   const parts = data.parts.map((part) => ({ ...part, body: gpu.body(Gl.lathe(part.radii, part.heights)), local: frame(part.origin, part.axis) }));
   const arc = [...Array(25).keys()].map((k) => -Math.PI / 2 + Math.PI * k / 24);
   const ball = gpu.body(Gl.lathe(arc.map(Math.cos), arc.map(Math.sin)));
-  // The body wall: a shallow dome with an opening, and rings around both.
+  // The body wall: a shallow dome with an opening, a ring around the dome, and a ring around the opening.
   const HOLE = 0.009, WALL = 0.13, DOME = 0.45;
   const across = [...Array(25).keys()].map((k) => HOLE + (WALL - HOLE) * k / 24);
   const sag = (r) => DOME - Math.sqrt(DOME * DOME - r * r);
