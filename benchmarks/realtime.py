@@ -292,9 +292,9 @@ def report(summary: Mapping[str, Any], subject: str = "") -> Report:
     ], rows, "Times: median / 99th / 99.99th percentile / worst.")  # fmt: skip
     how = (
         "Wake-up latency: how late the plant's tick begins. Round trip: from the departure of a measurement to the "
-        "arrival of its torque, over the loopback; a cycle is missed where that takes longer than the period. "
-        "Controller: safety filter and control law alone. environment.json says which priority, memory and timers the "
-        "two processes were granted; Python's collector is off inside both loops."
+        "arrival of its torque, over the loopback. A cycle is missed if its round trip takes longer than the period. "
+        "Controller: the time of safety filter and control law alone. environment.json has the priority, memory "
+        "locking and timers that both processes were granted. Python's garbage collector is off inside both loops."
     )
     title, first = "Plant and controller against the clock", goals_table(summary["goals"])
     return Report(title, sentences(summary), first, (), [Section(DETAILS, how, [table])], subtitle=subject)
