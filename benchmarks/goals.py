@@ -29,10 +29,10 @@ class Goal(NamedTuple):
 
 
 def judge(summary: Mapping[str, Any], goals: Mapping[str, Goal]) -> dict[str, dict[str, Any]]:
-    """Return a dict for each goal: name ("what"), unit, limit ("goal"), kind, value (None: not measured) and more.
+    """Return a dict for each goal, with name ("what"), unit, limit ("goal"), kind, value and more.
 
-    "reached" is "yes", "no", "not measured", or "open". It is open if the value's interval contains the limit, or if
-    there are too few trials.
+    The value is None if it was not measured. "reached" is "yes", "no", "not measured", or "open". A goal is open if the
+    value's interval contains the limit, or if there are too few trials.
     """
     found: dict[str, dict[str, Any]] = {}
     for key, goal in goals.items():
