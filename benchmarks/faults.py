@@ -62,7 +62,7 @@ CASES = [
     Column("rcm_mean_percent", "mean RCM", unit="%", format="+.1f", help="change from the same run without the fault"),
     Column("recover_s", "recovered after", unit="s", format=".2f", help="time from the fault's end (its start, if it "
            "lasts) until both errors stay below 1.2 times the fault-free level"),
-    Column("stop_travel_mm", "stop travel", unit="mm", format=".1f", help="motion of the tip after the beginning of the stop"),
+    Column("stop_travel_mm", "stop travel", unit="mm", format=".1f", help="motion of the tip after the stop began"),
 ]  # fmt: skip
 SEEN = [
     Column("case", "fault"), Column("controller", "controller"), Column("injected", "injected", format=".0f"),
