@@ -192,7 +192,7 @@ def break_evens(found: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return, for every preset and kind, the sizes at which the registered tip error crosses each limit.
 
     At ``relative``, the lower ends of the change's intervals cross `MOST_CHANGE_PERCENT`. At ``absolute`` and
-    ``absolute_dcac``, the mean of MOC and of DCAC crosses `MOST_MM`. None: the largest size is within the limit.
+    ``absolute_dcac``, the mean of MOC and of DCAC crosses `MOST_MM`. A size without a crossing is None.
     """
     evens = []
     for preset, kind in dict.fromkeys((row["preset"], row["kind"]) for row in found):
