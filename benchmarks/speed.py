@@ -50,7 +50,7 @@ class Config(StudyConfig):
     @classmethod
     def _with_exact(cls, value: list[str]) -> list[str]:
         if "exact" not in value:
-            raise ValueError("'exact' must be among the solvers: all others are compared with it")
+            raise ValueError("'exact' must be among them, because all others are compared with it")
         return value
 
     def quick(self) -> Self:
