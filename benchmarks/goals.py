@@ -23,7 +23,7 @@ class Goal(NamedTuple):
     unit: str  #: unit of value and limit
     limit: float
     measured: Callable[[Any], Any]
-    most: bool = True  #: True: the value has to be at most the limit; False: at least
+    most: bool = True  #: whether the value has to be at most the limit, else at least
     made_of: Callable[[Any], str] = lambda summary: ""  #: describes the value's components in a summary
     section: str = ""  #: section of the page with related figures
 
