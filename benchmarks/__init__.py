@@ -1,4 +1,4 @@
-"""Studies that need a checkout: ``python -m benchmarks.NAME`` runs one, by means of `moc_opt.study`.
+"""Studies that need a checkout: ``python -m benchmarks.NAME`` runs one with the help of `moc_opt.study`.
 
 Times are measured on one thread, so numerical libraries are limited to one thread before they load.
 """

@@ -1,9 +1,9 @@
 """Find the answers of a test set, and prove them without the solvers and residuals of moc_opt.
 
-The certified answer is the optimum over five equality rows, rounded to doubles: the tip's three rows, and the wrist's
-two across the shaft. The wrist's row along the shaft repeats the tip's, because the tool is rigid. In doubles the two
-agree only to 1e-16, and exact arithmetic would take this rounding error for a sixth independent row. With the five rows
-met, both tracking terms of the cost are constant, and rho/2 |x|^2 - c2 grad_mu^T x is left to minimise.
+The certified answer is the optimum over five equality rows, rounded to doubles. The rows are the tip's three, and the
+wrist's two across the shaft. The wrist's row along the shaft repeats the tip's, because the tool is rigid. In doubles
+these rows agree only to 1e-16, and exact arithmetic would take the rounding error for an independent row. With the five
+rows met, both tracking terms of the cost are constant, and rho/2 |x|^2 - c2 grad_mu^T x is left to minimise.
 
 `optimum` enumerates the sets of bounds that may be active, in rational numbers without rounding. HiGHS has to confirm
 which problems are feasible.
@@ -24,7 +24,7 @@ from moc_opt.study.testsets import CertificateError, TestSet
 
 TIED = 1e-12  # tip and wrist count as tied if their relative motion along the shaft is below this share of |A|
 RANK_TOLERANCE = 1e-12
-"""A singular value below this share of |A| counts as zero for the judge. Such a problem is not certified."""
+"""`moc_opt.qp.residuals` counts a singular value below this share of |A| as zero. Such a problem is not certified."""
 FEASIBLE, INFEASIBLE = 0, 2  # status of scipy's linprog
 NONE = Fraction(0)
 Vector = list[Fraction]
@@ -102,9 +102,9 @@ def _alone(gain: Fraction, weight: Fraction, low: Fraction, high: Fraction) -> F
 def _stationary(
     basis: list[Vector], start: Vector, gains: Vector, weight: Fraction, active: dict[int, Fraction]
 ) -> tuple[Vector, Vector] | None:
-    """Return the stationary point with these bounds active, and their multipliers, or None if it is not unique.
+    """Return the stationary point at the bounds ``active``, and their multipliers, or None if the point is not unique.
 
-    With N the basis, S the active joints and m the multipliers: N^T (weight x - gains) = N_S^T m, x_S = the bounds.
+    It solves N^T (weight x - gains) = N_S^T m and x_S = bounds, with basis N, active joints S and multipliers m.
     """
     r, columns = len(basis[0]), list(zip(*basis, strict=True))
     left = [gain - weight * value for gain, value in zip(gains, start, strict=True)]
@@ -150,7 +150,7 @@ def certified(qp: NullSpaceQP) -> Vector | None:
 
 
 def certify(name: str, problems: Sequence[NullSpaceQP]) -> TestSet:
-    """Find and prove the answers. Raise a CertificateError if HiGHS and `optimum` disagree on feasibility."""
+    """Find and prove the answers of a set. Raise a CertificateError if HiGHS and `optimum` disagree on feasibility."""
     X = np.full((len(problems), problems[0].n), np.nan)
     for i, qp in enumerate(problems):
         found = certified(qp)

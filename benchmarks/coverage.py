@@ -2,9 +2,9 @@
 
 python -m benchmarks.coverage [CONFIG.toml] [--out DIR] [--quick] [--json]
 
-New independent trials make a pool, and the change over the whole pool counts as the true change. Each draw takes as
-many trials from the pool, with replacement, as the solver study has. `moc_opt.study.statistics` computes the interval
-of the change in each draw. docs/method.md has the result.
+New independent trials make a pool, and the change over the whole pool counts as the true change. Each draw takes 60, 15
+or 8 trials from the pool, with replacement. `moc_opt.study.statistics` computes the interval of the change in each
+draw. docs/method.md has the result.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from moc_opt.study.statistics import LEAST_TRIALS, relative_change
 from moc_opt.study.trials import BASELINE, Trial, trials
 
 SEED = 1_000_000
-"""First seed of the pool's trials, far from those of every study."""
+"""First seed of the pool's trials, far from the seeds of every study."""
 SOLVERS = ("exact", "rnn", "rnn-printed")
 METRICS = ("mu_mean", *(ERRORS[k] for k in (3, 4, 0, 1)))
 SIZES = (60, 15, LEAST_TRIALS)
@@ -51,7 +51,7 @@ class Config(StudyConfig):
 
 
 def covered(treated: ArrayLike, control: ArrayLike, size: int, draws: int) -> tuple[float, float]:
-    """Return the share of draws (``size`` trials) whose interval contains the true change, and the median width [%]."""
+    """Return the share [%] of intervals that contain the true change, and their median width [%], over the draws."""
     treated, control = np.asarray(treated), np.asarray(control)
     rng, held, widths = np.random.default_rng(size), 0, []
     true = 100.0 * (treated.mean() / control.mean() - 1.0)
@@ -91,16 +91,16 @@ def report(rows: Sequence[dict[str, object]], config: Config) -> Report:
         *named, Column("true_percent", "pool", unit="%", format="+.1f"),
         Column("ratios_percent", "mean of ratios", unit="%", format="+.1f", help="of the pool"),
         *(Column(f"covered_{size}", f"{size} trials", unit="%", format=".1f", section="Widths",
-                 help="share of intervals with the pool's change") for size in SIZES),
+                 help="share of intervals that contain the pool's change") for size in SIZES),
     ], rows)  # fmt: skip
     widths = [Column(f"width_{size}", f"width of {size}", unit="%", format=".3g") for size in SIZES]
     shares = [float(str(row[f"covered_{size}"])) for row in rows for size in SIZES]
-    answer = f"Intervals called 95 % hold the pool's change in {min(shares):.1f} to {max(shares):.1f} % of the draws."
+    answer = f"Intervals called 95 % contain the pool's change in {min(shares):.1f} to {max(shares):.1f} % of draws."
     folded = Section("Widths", "Medians over the draws.", [Table("Widths", [*named, *widths], rows)])
-    return Report("How often the intervals hold the true change", [answer], table, sections=[folded])
+    return Report("How often the intervals contain the true change", [answer], table, sections=[folded])
 
 
-main = partial(command, "coverage", "How often the intervals hold the true change.", Config, work)
+main = partial(command, "coverage", "How often the intervals contain the true change.", Config, work)
 
 if __name__ == "__main__":
     sys.exit(main())

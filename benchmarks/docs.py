@@ -23,7 +23,7 @@ BLOCK = re.compile(
 
 
 def block(folder: Path, title: str | None) -> str | None:
-    """Return the answer and first table of a study's report, or its section ``title``. None: there is no report."""
+    """Return answer and first table of a study's report, or its section ``title``, or None if there is no report."""
     if not (folder / "report.md").exists():
         return None
     parts = re.split(r"^## (.+)\n", (folder / "report.md").read_text(encoding="utf-8"), flags=re.MULTILINE)

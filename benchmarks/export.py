@@ -54,7 +54,7 @@ class NullSpace(ParquetTestSet):
 
 
 def problems(names: Sequence[str], every: int = 1) -> dict[str, NullSpaceQP]:
-    """Return name -> problem for every `every`-th problem of the sets, without infeasible problems."""
+    """Take every ``every``-th problem of the sets, and return a dict from name to problem of the feasible problems."""
     found = {}
     for name in names:
         check_name(name)
@@ -66,7 +66,7 @@ def problems(names: Sequence[str], every: int = 1) -> dict[str, NullSpaceQP]:
 
 
 def write_qpbenchmark(folder: Path, names: Sequence[str] = SETS, every: int = 1, rows: int = 5) -> Path:
-    """Write the two files, and return the module's path.
+    """Write the module and its Parquet file, and return the module's path.
 
     Infeasible problems are left out, because qpbenchmark counts every unsolved problem against a solver. The format is
     that of qpbenchmark's ``ProblemList``, with matrices flattened row by row.

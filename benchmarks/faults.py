@@ -55,14 +55,14 @@ AT_REST_RAD_PER_S, RCM_LIMIT_PERCENT, FALSE_ALARMS_PERCENT = 0.05, 5.0, 1.0
 EVERY, SOLVERS = "Every fault", "Solver faults"
 CASES = [
     Column("case", "fault"), Column("controller", "controller"),
-    Column("outcome", "outcome", help="survived within the limits, or stopped safely; counted over the trials"),
+    Column("outcome", "outcome", help="how the runs ended, counted over the trials"),
     Column("tip_error_max_mm", "worst tip", unit="mm", format=".2f", help="up to the stop, if there was one"),
     Column("rcm_error_max_mm", "worst RCM", unit="mm", format=".2f", help="including the stop"),
     Column("trocar_force_max_N", "worst force", unit="N", format=".2f"),
     Column("rcm_mean_percent", "mean RCM", unit="%", format="+.1f", help="change from the same run without the fault"),
     Column("recover_s", "recovered after", unit="s", format=".2f", help="time from the fault's end (its start, if it "
-           "lasts) until both errors stay below 1.2 times the fault-free level; a dash: never in the run"),
-    Column("stop_travel_mm", "stop travel", unit="mm", format=".1f", help="of the tip, from the beginning of the stop"),
+           "lasts) until both errors stay below 1.2 times the fault-free level"),
+    Column("stop_travel_mm", "stop travel", unit="mm", format=".1f", help="motion of the tip after the stop began"),
 ]  # fmt: skip
 SEEN = [
     Column("case", "fault"), Column("controller", "controller"), Column("injected", "injected", format=".0f"),
@@ -82,9 +82,9 @@ class Case(Settings):
     plant: dict[str, Any] = Field(default_factory=dict)
     trocar: dict[str, Any] = Field(default_factory=dict)
     camera_lost_s: tuple[float, float] | None = None
-    """(from, until) [s]: the board is out of sight, and the tip waits"""
+    """interval [s] in which the board is out of sight and the tip waits"""
     from_s: float = Field(0.0, ge=0.0)
-    until_s: float | None = Field(None, ge=0.0, description="None: until the end")
+    until_s: float | None = Field(None, ge=0.0, description="None if the fault acts until the end")
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
@@ -167,11 +167,11 @@ def work(study: Study, config: Config) -> Found:
 def run_block(block: Block) -> tuple[list[dict[str, Any]], dict[str, dict[str, Array]]]:
     """Run all cases of a block. Return one row per case, and the curves to draw."""
     rows, curves = [], {}
-    levels: dict[bool, Trace | None] = {}  # whether the path may wait -> its fault-free run
+    levels: dict[bool, Trace | None] = {}  # fault-free runs; the key tells whether the path may wait
     for name, case in block.cases.items():
         trace, how = run_case(case.corrupt(block.trial), case.camera_lost_s)
         waits = case.camera_lost_s is not None
-        if waits not in levels:  # a path that may wait starts more gently than others
+        if waits not in levels:  # a path that may wait has a gentler start than others
             levels[waits] = run_case(block.trial, (0.0, 0.0))[0] if waits else trace
         if (level := levels[waits]) is None:
             raise MocOptError(f"{block.controller}: the run without a fault did not start: {how}")
@@ -199,7 +199,7 @@ class Waited(Reference):
 
 
 def run_case(scenario: Scenario, camera_lost_s: tuple[float, float] | None) -> tuple[Trace | None, str]:
-    """Return the trace, up to where the run broke off, and the ending. A refused scenario has no trace."""
+    """Return the trace and the ending. If the scenario is refused, the trace is None."""
     try:
         setup = Setup(scenario)
         if camera_lost_s is not None:
@@ -350,9 +350,9 @@ def report(
     runs, survived, stopped, injected, detected, harmless = (sum(row.get(key, 0) for row in rows) for key in keys)
     answer = [
         f"Of {runs} runs {survived} survived within the limits, {stopped} were stopped, and "
-        f"{runs - survived - stopped} did neither.",
+        f"{runs - survived - stopped} ended in another way.",
         f"Of {injected} injected solver faults {detected} were detected"
-        + (f"; {harmless} more were optimal all the same." if harmless else "."),
+        + (f"; the answers of {harmless} more were optimal." if harmless else "."),
         goals_sentence(goals),
     ]
     says = "MOC with exact, first trial: after a fault, errors and trocar force recover, or the arm stops."

@@ -23,16 +23,16 @@ class Goal(NamedTuple):
     unit: str  #: unit of value and limit
     limit: float
     measured: Callable[[Any], Any]
-    most: bool = True  #: True: the value has to be at most the limit; False: at least
+    most: bool = True  #: whether the value has to be at most the limit, else at least
     made_of: Callable[[Any], str] = lambda summary: ""  #: describes the value's components in a summary
     section: str = ""  #: section of the page with related figures
 
 
 def judge(summary: Mapping[str, Any], goals: Mapping[str, Goal]) -> dict[str, dict[str, Any]]:
-    """Return a dict for each goal: name ("what"), unit, limit ("goal"), kind, value (None: not measured) and more.
+    """Return a dict for each goal, with name ("what"), unit, limit ("goal"), kind, value and more.
 
-    "reached" is "yes", "no", "not measured", or "open". It is open if the value's interval contains the limit, or if
-    there are too few trials.
+    The value is None if it was not measured. "reached" is "yes", "no", "not measured", or "open". A goal is open if the
+    value's interval contains the limit, or if there are too few trials.
     """
     found: dict[str, dict[str, Any]] = {}
     for key, goal in goals.items():

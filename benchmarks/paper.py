@@ -54,8 +54,8 @@ MOST_MM = {
 RULES = (
     "An effect is the change of MOC against a DCAC on the same trials, 100 (mean MOC / mean DCAC - 1), with its 95 % "
     "interval. The mean of the trials' own ratios stands beside it. A claim is confirmed against a DCAC if both "
-    "intervals lie on its side. A claim holds if it is confirmed against DCAC with MOC's gains, which lacks only the "
-    "third level. It holds only against softer gains if only DCAC with the paper's gains confirms it. It is "
+    "intervals lie on the claimed side. A claim holds if it is confirmed against DCAC with MOC's gains, which lacks "
+    "only the third level. It holds only against softer gains if only DCAC with the paper's gains confirms it. It is "
     "undecided if the two means disagree. Fewer than eight trials decide nothing. The force at the trocar follows the "
     "RCM error and is no further claim."
 )
@@ -63,7 +63,7 @@ RULES = (
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim: a metric's change is above (`upwards`) or below a bound [percent]. `papers`: it is the paper's."""
+    """A claim that a metric changes by more (`upwards`) or less than a bound [percent]. `papers`: the paper has it."""
 
     metric: str
     title: str
@@ -239,7 +239,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def group_figures(rows: Results) -> dict[str, dict[str, Any]]:
-    """Return controller -> means, and changes against DCAC with MOC's gains, over whole runs and by phase."""
+    """Return, for each controller, means and changes against DCAC with MOC's gains, over whole runs and by phase."""
     changed = ["mu_mean", *ERRORS, "trocar_force_mean_N"]
     phases = [f"{phase}_{name}" for phase in PHASES for name in (*ERRORS, "trocar_force_mean_N")]
     means = ["mu_mean", "mu_fraction_of_best", *ERRORS, "trocar_force_mean_N", "torque_rate_rms_Nm_per_s"]
@@ -313,7 +313,7 @@ def ablation(rows: Results, cases: Mapping[str, Case]) -> list[dict[str, Any]]:
 
 
 def _shift(rows: Results, cases: Mapping[str, Case], name: str, printed: str, claim: Claim) -> dict[str, Any]:
-    """Return how far a case's effect lies from the first case's [points], over trials with four whole runs."""
+    """Return the difference of a case's effect from the first case's [points], over trials with four complete runs."""
     four = [
         rows.where(group=case).values(claim.metric, controller)
         for case in (name, printed) for controller in (cases[case].controller, BASELINE)
@@ -329,7 +329,7 @@ def _shift(rows: Results, cases: Mapping[str, Case], name: str, printed: str, cl
 
 
 def swivel_trials(config: Config) -> list[Trial]:
-    """Return one trial started at evenly spread places of its self-motion and at the largest mu, under DCAC and MOC."""
+    """Return runs of one trial under DCAC and MOC, started evenly along its self-motion and at the largest mu."""
     base = config.base(config.swivel.group)
     [trial] = trials(base, [config.swivel.task], seeds(config.seed, STREAM, 1), virtual=True)
     robot = trial.robot.arm()
@@ -476,7 +476,7 @@ def _sections(summary: Mapping[str, Any], config: Config) -> Iterable[Section]:
     keys = list(dict.fromkeys(key for row in summary["procedure"].values() for key in row))
     yield Section("The whole procedure", "A hand guides the tip to the incision, the camera finds the board, and the "
                   "task is done under MOC.", [
-        Table("One procedure a task", [Column("task", "task"), *columns(*keys)],
+        Table("One procedure per task", [Column("task", "task"), *columns(*keys)],
               [{"task": task, **row} for task, row in summary["procedure"].items()]),
     ])  # fmt: skip
 

@@ -36,7 +36,7 @@ STIFFNESS_PER_S = 100.0
 
 
 class Peer(Protocol):
-    """A controller of another library, set up for this work on an arm, with a control period of ``PERIOD_S``."""
+    """A controller of another library, set up for this work on one arm. Its control period is ``PERIOD_S``."""
 
     @property
     def level(self) -> Level:
@@ -90,7 +90,7 @@ class TSID:
         self._posture.setKp(rest)
         self._posture.setKd(np.full(robot.n, self.CLIMB_DAMPING))
         self._dynamics.addMotionTask(self._posture, 1.0, 1, 0.0)
-        self._bounds = tsid.TaskJointBounds("speed", self._robot, PERIOD_S)  # kept: tsid does not own it
+        self._bounds = tsid.TaskJointBounds("speed", self._robot, PERIOD_S)  # kept here, because tsid only refers to it
         self._bounds.setVelocityBounds(-robot.v_max, robot.v_max)
         self._dynamics.addMotionTask(self._bounds, 1.0, 0, 0.0)
         self._solver = tsid.SolverHQuadProgFast("eiquadprog")

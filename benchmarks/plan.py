@@ -2,8 +2,8 @@
 
 python -m benchmarks.plan [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-A course is a planned joint motion along a path. Starts are drawn from the whole workspace. For some starts, planning
-is repeated on a grid of half the spacing.
+A course is a planned joint motion along a path. Starts are drawn from the whole workspace. For some starts, the study
+plans a second time, on a grid with half the spacing.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ STREAM, LOCAL = 7, "local"
 CONTROL = ControlSettings.model_fields
 LOOPS: dict[str, dict[str, Any]] = {
     **{level: {"third_level": level} for level in get_args(CONTROL["third_level"].annotation)},
-    # The other levels have a faster observer. With it, errors are compared at equal lag.
+    # The other levels have a faster observer. This loop allows a comparison of errors with equal observers.
     "local, observer of the courses": {"observer_gain_per_s": CONTROL["course_observer_gain_per_s"].default},
 }
 ERRORS = {"tip": "tip_error_model_mean_mm", "RCM": "rcm_error_model_mean_mm"}
 MOST_GAP_PERCENT = {LOCAL: 2.0, "receding": 1.0, "planned": 0.5}
-"""Goal for each third level: largest gap [percent] of its mean mu to the best course from the same start."""
+"""Goal for each third level: largest gap [percent] between its mean mu and that of the best course from this start."""
 MOST_PLANNED_PERCENT, MOST_CHANGE_PERCENT, TRAPPED_PERCENT = 3.0, 5.0, 5.0
 MOST_SCRATCH_S, MOST_REPLAN_MS, MOST_HALVING_PERCENT = 3.0, 20.0, 0.5
 FIGURES = ("gap_percent", "fraction_of_best", *ERRORS.values(), "course_gap_percent", "replan_ms_p99")
@@ -53,9 +53,9 @@ IN_THE_LOOP, ALONG = "In the loop", "Courses and checks"
 class Config(StudyConfig):
     robots: list[str] = Field(["lwr4", "iiwa14", "panda"], min_length=1)
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
-    seed: int = Field(4000, ge=0, description="not one of the seeds on which the limits of courses were chosen")
+    seed: int = Field(4000, ge=0, description="the limits of courses were chosen on other seeds")
     poses: int = Field(20, ge=1, description="random starts per task and robot")
-    loops: dict[str, dict[str, Any]] = Field(LOOPS, description="closed loops: name -> [control]")
+    loops: dict[str, dict[str, Any]] = Field(LOOPS, description="a table [control] for each name of a closed loop")
     halvings: int = Field(3, ge=0, description="starts per robot with a second plan at half the grid spacing")
     scenario: Scenario = Scenario(start={"pose": "random"})
 
@@ -74,7 +74,7 @@ def about(case: Scenario, part: str) -> dict[str, Any]:
 
 
 def courses(case: Scenario, loops: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return a row on the courses from one start and the bounds of mu, and a row for each closed loop from it."""
+    """Return a row on the courses and bounds of mu for one start, and a row for each closed loop from this start."""
     trial = placed(case)
     found = plan(trial)
     row = about(case, "courses") | {
@@ -98,7 +98,7 @@ def courses(case: Scenario, loops: Mapping[str, Mapping[str, Any]]) -> list[dict
 
 
 def loop(trial: Scenario, name: str, change: Mapping[str, Any], mine: float, best: float) -> dict[str, Any]:
-    """Return a run's row. `mine` and `best` are the mean mu of the best courses from its start and from any start."""
+    """Return a run's row. `mine` is the mean mu of the best course from this start, and `best` from any start."""
     case = trial.change(control=change, best_courses=False, bound_samples=0, judge=False)
     asked = Trial(case, name, case.solver.settings, {"part": "loop"}, solver=case.solver.name)
     run, trace = run_and_trace(asked)
@@ -116,7 +116,7 @@ def loop(trial: Scenario, name: str, change: Mapping[str, Any], mine: float, bes
 
 
 def halving(case: Scenario) -> list[dict[str, Any]]:
-    """Return a row: the gains in mean mu from refining the grid's best course, and from halving the spacing."""
+    """Return a row with the gains in mean mu from refining the grid's best course, and from halving the spacing."""
     found, coarse = plan(case), plan(case, refined=False)
     finer = plan(case, refined=False, times=2 * len(found.targets) - 1, swivels=1440).from_start
     row = about(case, "halving")
@@ -202,7 +202,7 @@ def goals(loops: Mapping[str, Any]) -> dict[str, Goal]:
                        lambda s: s["loops"]["receding"]["replan_ms_p99_max"], section=IN_THE_LOOP),
         "scratch": Goal("map and search from scratch, slowest start", "s", MOST_SCRATCH_S,
                         lambda s: s["courses"]["scratch_s_max"], section=ALONG),
-        "halving": Goal("change of mean mu where the grid is halved", "%", MOST_HALVING_PERCENT,
+        "halving": Goal("change of mean mu if the grid spacing is halved", "%", MOST_HALVING_PERCENT,
                         lambda s: s["courses"]["halving_percent_abs_max"], section=ALONG),
     }  # fmt: skip
 
@@ -224,7 +224,7 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
         Column("robot", "arm", section=ALONG), Column("loop", "third level"),
         Column("gap", "below best", unit="%", section=IN_THE_LOOP),
         Column("gap_percent_max", "worst", unit="%", format=".1f", section=IN_THE_LOOP),
-        Column("trapped", "trapped", format="d", help=f"runs more than {TRAPPED_PERCENT:g} % below"),
+        Column("trapped", "trapped", format="d", help=f"number of runs more than {TRAPPED_PERCENT:g} % below"),
         Column("tip", "tip", unit="%", section=IN_THE_LOOP, help="change of the error against local's"),
         Column("RCM", "RCM", unit="%", section=IN_THE_LOOP, help="change of the error against local's"),
     ], first, "✔ the goal is met, ✘ missed, – open.")  # fmt: skip
@@ -275,18 +275,18 @@ def sentences(summary: Mapping[str, Any], rows: Results, config: Config) -> list
         for name, gaps in every.items() if gaps
     ]  # fmt: skip
     if not said:
-        return ["No run came to its end; see the errors below."]
+        return ["No run completed its task. The errors are below."]
     local = every.get(LOCAL, [])
     trapped = sum(gap > TRAPPED_PERCENT for gap in local)
     return [
-        f"Mean mu ends below that of the best course from the same start by: {'; '.join(said)}.",
-        f"The climb ends at a lower maximum, more than {TRAPPED_PERCENT:g} % below, from {trapped} of {len(local)} "
-        "starts.",
+        f"Gap of mean mu to the best course from the same start: {'; '.join(said)}.",
+        f"From {trapped} of {len(local)} starts, mean mu of `local` is more than {TRAPPED_PERCENT:g} % below that of "
+        "the best course.",
         " ".join(f"{robot}: {goals_sentence(judged)}" for robot, judged in summary["goals"].items()),
     ]
 
 
-main = partial(command, "plan", "How much manipulability a path holds.", Config, work)
+main = partial(command, "plan", "How much manipulability is possible along a path.", Config, work)
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -38,7 +38,7 @@ from moc_opt.trace.trace import Trace
 
 EFFECTS_STREAM, CALIBRATION_STREAM = 10, 9
 KINDS = {"origins": "mm", "encoders": "mrad", "both": "mm and mrad"}
-"""Kind of error -> unit of its size. In "both", the size s means s mm for the origins and s mrad for the encoders."""
+"""Kinds of error, and units of their sizes. In "both", size s means s mm for the origins, s mrad for the encoders."""
 TILT_RAD_PER_M = PlantSettings().calibration_tilt_rad / PlantSettings().calibration_error_m
 DEFAULT_SIZE_MM = 0.2
 LEAST_S = 0.5
@@ -62,8 +62,8 @@ class Sweep(Settings):
 
     KIND: ClassVar[str] = "[calibration]"
     trials: int = Field(5, ge=1, description="per task")
-    duration_s: float | None = Field(4.0, gt=0.0, description="length of a run; None: the whole task")
-    sizes: list[float] = Field([0.05, 0.1, 0.2, 0.3, 0.5], description="of origins [mm], encoders [mrad]; 0 is added")
+    duration_s: float | None = Field(4.0, gt=0.0, description="length of a run; None for the whole task")
+    sizes: list[float] = Field([0.05, 0.1, 0.2, 0.3, 0.5], description="origins [mm] or encoders [mrad]; 0 is added")
 
 
 class Config(StudyConfig):
@@ -192,7 +192,7 @@ def break_evens(found: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return, for every preset and kind, the sizes at which the registered tip error crosses each limit.
 
     At ``relative``, the lower ends of the change's intervals cross `MOST_CHANGE_PERCENT`. At ``absolute`` and
-    ``absolute_dcac``, the mean of MOC and of DCAC crosses `MOST_MM`. None: the largest size is within the limit.
+    ``absolute_dcac``, the mean of MOC and of DCAC crosses `MOST_MM`. A size without a crossing is None.
     """
     evens = []
     for preset, kind in dict.fromkeys((row["preset"], row["kind"]) for row in found):
@@ -210,7 +210,7 @@ def break_evens(found: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 def crossing(sizes: Sequence[float], values: Sequence[float], limit: float) -> float | None:
-    """Return the interpolated size above which all values exceed a limit. None: the last value does not."""
+    """Return the interpolated size above which all values exceed a limit, or None if the last value does not."""
     last = max((k for k, value in enumerate(values) if not value > limit), default=-1)
     if last == len(values) - 1:
         return None

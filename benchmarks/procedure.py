@@ -94,7 +94,7 @@ def _run(
 ) -> tuple[Trace, float, float]:
     """Run the task under MOC. The path waits while the board is lost. Return trace, time waited and time lost [s].
 
-    ``trocars``: the true and the registered trocar, (3,) each [m].
+    ``trocars`` are the true and the registered trocar, (3,) each [m].
     """
     period, (true, registered) = scenario.plant.period_s, trocars
     robot, task = scenario.robot.arm(), scenario.task

@@ -3,7 +3,7 @@
 python -m benchmarks.realtime [CONFIG.toml] [--cycles N] [--out DIR] [--seed N] [--quick] [--json]
 
 Run it alone, because other work on the machine lengthens the times. Finished runs are kept in DIR/jobs. The same
-command on the same machine continues from there, so that a million cycles can be measured in parts.
+command on the same machine adds the missing runs, so that a million cycles can be measured in parts.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 class Run(NamedTuple):
-    """One run: times of every cycle up to a stop [us], counts, and ending."""
+    """One run: times of all cycles until a stop or the end [us], counts, and ending."""
 
     wake_us: Array
     round_us: Array
@@ -162,7 +162,7 @@ def loaded(kind: str) -> Iterator[None]:
 
 
 def run_once(case: Case, scenario: Scenario, program: str | None, number: int, machine: Any) -> Run:
-    """Run a scenario in two processes, connected by UDP. ``program`` is the C controller (None: Python's)."""
+    """Run a scenario in two processes, connected by UDP. ``program`` is the C controller, or None for Python's."""
     begun = datetime.now(UTC).isoformat(timespec="seconds")
     with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder, loaded(case.load):
         file, trace = Path(folder, "run.toml"), Path(folder, "run.parquet")
@@ -292,9 +292,9 @@ def report(summary: Mapping[str, Any], subject: str = "") -> Report:
     ], rows, "Times: median / 99th / 99.99th percentile / worst.")  # fmt: skip
     how = (
         "Wake-up latency: how late the plant's tick begins. Round trip: from the departure of a measurement to the "
-        "arrival of its torque, over the loopback; a cycle is missed where that takes longer than the period. "
-        "Controller: safety filter and control law alone. environment.json says which priority, memory and timers the "
-        "two processes were granted; Python's collector is off inside both loops."
+        "arrival of its torque, over the loopback. A cycle is missed if its round trip takes longer than the period. "
+        "Controller: the time of safety filter and control law alone. environment.json has the priority, memory "
+        "locking and timers that both processes were granted. Python's garbage collector is off inside both loops."
     )
     title, first = "Plant and controller against the clock", goals_table(summary["goals"])
     return Report(title, sentences(summary), first, (), [Section(DETAILS, how, [table])], subtitle=subject)

@@ -88,7 +88,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def verdicts(rows: Results, judged: str) -> dict[str, bool | None]:
-    """Return finding -> whether it holds on an arm, with its whole interval. None: undecided."""
+    """Return, for each finding, whether it holds on an arm over its whole interval, or None if it is undecided."""
     own, base = rows.pairs("tip_error_mean_mm", judged)
 
     def change(metric: str, _: Any) -> Change | None:
@@ -136,7 +136,7 @@ def report(summary: Mapping[str, Any], judged: str) -> Report:
         f"MOC with {judged} against DCAC with the same gains, on every arm",
         [Column("robot", "arm", section="All figures"),
          *(Column(key, title, unit="%", section="Findings", help=FINDINGS[key]) for key, title in headings.items())],
-        first, "Change of the mean. By the interval's end: ✔ the finding holds, ✘ it does not, – undecided.",
+        first, "Change of the mean. ✔ the finding holds in the whole interval, ✘ in no part of it, – undecided.",
     )  # fmt: skip
     every = [{"robot": arm, "controller": name, **row} for arm, by in arms.items() for name, row in by.items()]
     marks = [

@@ -50,7 +50,7 @@ class Config(StudyConfig):
     @classmethod
     def _with_exact(cls, value: list[str]) -> list[str]:
         if "exact" not in value:
-            raise ValueError("'exact' must be among them: the others are compared with it")
+            raise ValueError("'exact' must be among them, because all others are compared with it")
         return value
 
     def quick(self) -> Self:
@@ -174,7 +174,7 @@ COLUMNS = {
     "tick": ("One tick, state to torque", [
         Column("name", "tick with"), *_times("tick", "p50", "p99", "p99_9"),
         Column("tick_cold_p50_us", "cold", unit="us", format=".1f", better="low",
-               help="median of the first five calls of each chunk"),
+               help="median of the first five calls of all chunks"),
         Column("tick_mean_us", "mean", unit="us", format=".1f", help="the exported program prints no percentiles"),
         Column("tick_max_us", "longest", unit="us", format=".1f", better="low"),
     ]),
@@ -207,7 +207,7 @@ SECTIONS = {
     ),
     PEERS: (
         ("peers",),
-        "Each library is timed on one second of its own states on an ideal arm. It controls tip and shaft, limits the "
+        "Each library is timed on the states of its own run on an ideal arm. It controls tip and shaft, limits the "
         "joint speeds, and follows the gradient of mu. Our tick is timed on its own run with the realistic plant.",
     ),
     SOLVERS: (
@@ -244,13 +244,13 @@ def sentences(summary: Summary) -> list[str]:
     said = []
     if "exact" in summary["tick"] and "python" in summary["loop"]:
         own, factor = summary["tick"]["exact"]["tick_p50_us"], summary["loop"]["python"]["factor"]
-        said.append(f"A tick with `exact` takes {own:.1f} us, the closed loop runs {factor:.0f} times real time.")
+        said.append(f"A tick with `exact` takes {own:.1f} us. The loop runs {factor:.0f} times faster than real time.")
     if summary["peers"]:
         name = min(summary["peers"], key=lambda peer: float(summary["peers"][peer]["times_ours"]))
         fastest = summary["peers"][name]
         said.append(
             f"The fastest other library, {name}, takes {fastest['tick_p50_us']:.1f} us for the same job, "
-            f"{fastest['times_ours']:.2g} times ours."
+            f"{fastest['times_ours']:.2g} times our time."
         )
     return [*said, goals_sentence(summary["goals"])]
 

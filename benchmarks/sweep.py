@@ -1,4 +1,4 @@
-"""How do the figures change with the fields of a scenario? Fields vary on a grid or at random, per solver and seed.
+"""How do the figures change with the fields of a scenario? Fields vary on a grid or at random.
 
 python -m benchmarks.sweep [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--dask ADDRESS]
 
@@ -82,15 +82,15 @@ class RandomSample(Settings):
 
     KIND: ClassVar[str] = "[random]"
     samples: int = Field(1, ge=1, le=MOST_RUNS)
-    fields: dict[str, Any] = Field(default_factory=dict, description="path -> range or choice")
+    fields: dict[str, Any] = Field(default_factory=dict, description="a range or a choice for each path")
 
 
 class Config(StudyConfig):
     seeds: int | list[int] = Field(1, description="number of seeds, or a list of seeds")
-    solvers: list[str] | None = Field(None, description="None: the scenario's; dcac: no solver")
-    timed: bool = Field(False, description="one run at a time, so that times count")
-    run_limit_s: float = Field(600.0, gt=0.0, le=MOST_S, description="a run that takes longer is ended")
-    grid: dict[str, Any] = Field(default_factory=dict, description="path -> list of values")
+    solvers: list[str] | None = Field(None, description="None for the scenario's; dcac uses no solver")
+    timed: bool = Field(False, description="make one run at a time and keep its times")
+    run_limit_s: float = Field(600.0, gt=0.0, le=MOST_S, description="a run that takes longer is stopped")
+    grid: dict[str, Any] = Field(default_factory=dict, description="a list of values for each path")
     random: RandomSample = RandomSample()
     settings: dict[str, dict[str, Any]] = Field(default_factory=dict, description="per solver")
     scenario: Scenario = Scenario()
@@ -109,7 +109,7 @@ class Config(StudyConfig):
         return self.seeds if isinstance(self.seeds, list) else range(self.seed, self.seed + self.seeds)
 
     def chosen_solvers(self) -> dict[str, dict[str, Any]]:
-        """Return name -> settings of the solvers, in order. Raise a SolverError if one cannot run here."""
+        """Return the settings of each solver, in order. Raise a SolverError if one cannot run here."""
         table = self.scenario.solver
         if self.solvers is None:
             name = BASELINE if self.scenario.control.law == "dcac" else table.name
@@ -139,7 +139,7 @@ def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]
 
 
 def grid_axes(table: Mapping[str, Any]) -> dict[str, list[Any]]:
-    """Return path -> values of a grid."""
+    """Return the values of each path of a grid."""
     found = dict(flat(table))
     for path, values in found.items():
         if not isinstance(values, list) or not values:
@@ -148,7 +148,7 @@ def grid_axes(table: Mapping[str, Any]) -> dict[str, list[Any]]:
 
 
 def random_draws(table: Mapping[str, Any], samples: int, seed: int) -> dict[str, list[Any]]:
-    """Return path -> ``samples`` values drawn with ``seed``.
+    """Return, for each path, ``samples`` values drawn with ``seed``.
 
     Each field has a random stream of its own, seeded by its path. So a further field does not change the other fields'
     values, and more samples only append values.
@@ -242,7 +242,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def grouped(rows: Results, field: str = "") -> dict[str, dict[str, Any]]:
-    """Return "solver" or "solver, value of the field" -> counts, and each metric's mean, 5th and 95th percentile.
+    """Return, for each solver or each pair of solver and value, counts, and mean, 5th and 95th percentile of metrics.
 
     Means are over the runs that completed their task.
     """

@@ -2,10 +2,10 @@
 
 python -m benchmarks.testsets [--check]
 
-Most sets hold random arm poses of one kind. On one machine, the same seed gives the same problems to the last bit. The
-six sequences were recorded in closed loop, at 500 Hz from the middle of the elbow's travel. Their problems are taken
-from the files, because the control law has changed since. --check compares new problems with those in the files, and
-the files' answers with newly certified answers.
+Most sets hold random arm poses of one kind. On one machine, the same seed gives the same problems to the last bit. Six
+sets are sequences, recorded in closed loop at 500 Hz. Each starts with the elbow in the middle of its travel. Their
+problems are taken from the files, because the control law has changed since. --check compares new problems with those
+in the files, and the files' answers with newly certified answers.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def joint_limits(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
 
 
 def infeasible(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
-    """Yield problems near the border of feasibility, on both sides: the paper's k0 = 0.1 and fast references."""
+    """Yield problems of which some are infeasible, because of k0 = 0.1 (as in the paper) and fast references."""
     while True:
         yield at_pose(robot, robot.random_regular_pose(rng), tip_velocity(rng, 0.1), k0=0.1)
 
@@ -97,7 +97,7 @@ def inconsistent(size: float) -> Callable[[RobotModel, Rng], Iterator[NullSpaceQ
 
 
 def jumps(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
-    """Yield unrelated problems, each twice, to test warm starts. The second one has the opposite gradient."""
+    """Yield pairs of problems that differ only in the sign of the gradient, to test warm starts."""
     while True:
         qp = at_pose(robot, robot.random_regular_pose(rng), tip_velocity(rng, 0.05), regularization=0.0)
         yield qp

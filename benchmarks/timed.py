@@ -1,4 +1,4 @@
-"""The measurements of ``python -m benchmarks.speed``. The public functions from `ticks` to `fresh` are jobs run alone.
+"""Measure times for ``python -m benchmarks.speed``. The public functions from `ticks` to `fresh` each run alone.
 
 The compared calls take turns in chunks, so that a slow moment of the machine affects all of them. Ratios are computed
 between chunks or rounds that were measured side by side.
@@ -34,7 +34,7 @@ from moc_opt.solvers.exact import Exact
 from moc_opt.study.timing import each_us, percentiles, since, total, used
 
 ROOT, CHUNK = Path(__file__).resolve().parents[1], 100
-COLD = 5  # first calls of a chunk, when the caches hold another entry's data
+COLD = 5  # number of first calls of a chunk, during which the caches hold another entry's data
 
 
 class Timed(NamedTuple):
@@ -49,11 +49,11 @@ class Part:
     """The measurements of one job.
 
     Attributes:
-        found: part of the summary -> name -> metrics.
+        found: metrics, by part of the summary and then by name.
         rows: rows for rows.parquet, one per chunk or round.
-        missing: name of an entry that could not run -> reason.
-        times: name of an entry that took turns -> its times (chunks, CHUNK) [us].
-        seen: name of an entry -> counters of `moc_opt.study.timing` (context switches, processor time) meanwhile.
+        missing: reason for each entry that could not run.
+        times: times (chunks, CHUNK) [us] of each entry that took turns.
+        seen: counters of `moc_opt.study.timing` (context switches, processor time) during the calls of each entry.
     """
 
     found: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -65,8 +65,8 @@ class Part:
     def time(self, part: str, entries: Mapping[str, Timed], rounds: int) -> None:
         """Time calls side by side: in turn, each call runs over the next chunk of its own items.
 
-        A disturbance of the machine affects all entries, so ratios taken chunk by chunk vary less than the times. All
-        entries use as many items as the shortest has. One round that is not timed precedes the ``rounds``.
+        A disturbance of the machine affects all entries, so ratios taken chunk by chunk vary less than the times. The
+        entry with the fewest items limits the items of all entries. The first round is not timed and not in ``rounds``.
         """
         names, starts = list(entries), range(0, min(len(entry.items) for entry in entries.values()) - CHUNK + 1, CHUNK)
         chunks: dict[str, list[Array]] = {name: [] for name in names}
@@ -269,7 +269,7 @@ def daqp_by_hand(settings: Any, first: NullSpaceQP) -> Callable[[NullSpaceQP], t
 
 
 def disagreement(solver: Any, by_hand: Callable[[NullSpaceQP], Any], problems: list[NullSpaceQP]) -> str | None:
-    """Say by how much the answers of adapter and library by hand differ [rad/s], or None if they agree to 1e-4."""
+    """Say by how much the answers of adapter and library by hand differ, or return None if they agree to 1e-4 rad/s."""
     session = solver.start(problems[0])
     gap = max(float(np.abs(session.solve(qp).x - by_hand(qp)[0]).max()) for qp in problems[:200])
     return None if gap <= 1e-4 else f"adapter and library by hand differ by {gap:.2g} rad/s"

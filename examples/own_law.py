@@ -55,11 +55,11 @@ class OwnLaw:
         """Do nothing: only a law with an observer needs the torque that left the safety filter."""
 
     def columns(self, ticks):
-        """Return no columns of the law's own for the trace."""
+        """Return no further columns for the trace."""
         return {}
 
     def note(self, row, columns):
-        """Do nothing: the law has no columns of its own."""
+        """Do nothing: this law adds no columns to the trace."""
 
 
 class OwnSetup(Setup):
@@ -71,7 +71,7 @@ class OwnSetup(Setup):
 
 
 def main():
-    """Compare the law with the package's own on one trial."""
+    """Compare the law with the package's law on one trial."""
     scenario = mo.Scenario(duration_s=4.0, start={"swivel": 0.2}, judge=False)
     for name, trace in {"own law": OwnSetup(scenario).trace(), "moc_opt": mo.run(scenario)}.items():
         found = mo.summarize(trace)

@@ -1,4 +1,4 @@
-"""MOC and DCAC side by side: a replay and a manipulability map, as two HTML files that need no other file.
+"""Write a replay and a manipulability map of MOC beside DCAC, as two HTML files that need no other file.
 
 python examples/replay.py [FOLDER]
 """

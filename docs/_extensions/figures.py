@@ -13,7 +13,7 @@ SCRIPT = "plotly.min.js"
 
 
 class PageRenderer(plotly.io.base_renderers.MimetypeRenderer):  # type: ignore[misc]
-    """Draws a figure as a `div` in a page of `gallery/`, after plotly's script, which a theme would load too late."""
+    """Draws a figure as plotly's script and a `div` in a page of `gallery/`. A theme would load the script too late."""
 
     def to_mimebundle(self, fig_dict: dict[str, Any]) -> dict[str, str]:
         """Return the figure as HTML."""

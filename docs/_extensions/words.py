@@ -1,4 +1,4 @@
-"""Adapt docstrings and the changelog to Sphinx: ``|x|`` means an absolute value, links begin at the checkout's root."""
+"""Adapt docstrings, where ``|x|`` is an absolute value, and the changelog, whose links begin at the checkout's root."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def _links(app: Sphinx, relative: Any, parent: str, content: list[str]) -> None:
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Connect both functions."""
+    """Register both adaptations."""
     app.connect("autodoc-process-docstring", _sizes, priority=900)
     app.connect("include-read", _links)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

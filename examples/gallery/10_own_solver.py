@@ -2,8 +2,8 @@
 A solver of your own
 ====================
 
-A solver has settings, `supports` and `start`. A session has `solve`. This solver follows the self-motion until a joint
-reaches its bound. With seven joints and a small regularization this is the optimum, as the residuals confirm.
+A solver has settings, `supports` and `start`, which returns a session with `solve`. This solver is its own session. It
+follows the self-motion until a joint reaches its bound. Without regularization, this is the optimum of seven joints.
 """
 
 from dataclasses import dataclass
