@@ -107,7 +107,7 @@ def test_refinement_finds_a_course_that_a_coarse_map_lacks_and_without_refinemen
     found, grid = planned.plan(scenario, **coarse), planned.plan(scenario, **coarse, refined=False)
     assert found.from_start.violation < MOST_VIOLATION
     assert grid.from_start is None
-    assert "between the poses of the map" in grid.blocked.reason
+    assert "between poses of the map" in grid.blocked.reason
 
 
 def test_a_course_far_below_the_bound_is_refined_again_from_the_bounds_course(monkeypatch):

@@ -148,7 +148,7 @@ def test_wrong_input_is_refused(robot, odd_robot, runs):
         "t_s": 0.002 * np.arange(4), "q_rad": ticks * state.q, "tip_m": ticks * state.tip,
         "tip_ref_m": ticks * state.tip, "trocar_m": ticks * 0.5 * (state.tip + state.wrist),
     })  # fmt: skip
-    with pytest.raises(RobotError, match="no swivel angle"):
+    with pytest.raises(RobotError, match="does not tell the poses apart"):
         manipulability_map(odd_robot, {"odd": odd}, times=2, swivels=8)
 
 
