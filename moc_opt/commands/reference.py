@@ -10,7 +10,6 @@ import typing
 from collections.abc import Iterator
 from typing import Any, Literal, get_args, get_origin
 
-from rich.markup import escape
 from rich.padding import Padding
 
 from moc_opt.errors import UnknownNameError
@@ -48,7 +47,7 @@ def print_keys(given: argparse.Namespace) -> int:
         if given.table in (None, name or TOP):
             screen.print(f"\n[{name}]" if name else "At the top of the file", about, sep="\n", markup=False)
             for key, kind_of, default, meaning in keys:
-                screen.print(f"  {key} = {default}  ({kind_of})", Padding(escape(meaning), (0, 0, 0, 6)), markup=False)
+                screen.print(f"  {key} = {default}  ({kind_of})", Padding(meaning, (0, 0, 0, 6)), markup=False)
     return 0
 
 

@@ -84,7 +84,7 @@ def below_best(trace: Trace) -> str:
     if left > NEAR:
         return f"{said}; at the end mu is still {100.0 * left:.1f} % below the nearest local maximum"
     if end["top_mu"] >= (1.0 - NEAR) * end["best_mu"]:
-        return f"{said}; the run ends at the best pose, so mu was lost before the elbow reached this pose"
+        return f"{said}; the run ends at the best pose and lost mu on the way there"
     top = f"at swivel {end['top_swivel_deg']:.0f} deg ({end['top_mu']:.3f} m³)"
     best = f"at {end['best_swivel_deg']:.0f} deg ({end['best_mu']:.3f} m³)"
     where = "before a joint limit" if end["at_limit"] else "at a local maximum"
@@ -100,6 +100,7 @@ def facts(trace: Trace) -> dict[str, str]:
         "gains": control.get("gains"), "controller" if law == "dcac" else "solver": law,
         "third level": None if law == "dcac" else control.get("third_level"),
         "course": control.get("course") or None, "seed": scenario.get("seed"),
+        "controller's process": "another one; its solver and gains may differ" if "wire" in trace.meta else None,
     }  # fmt: skip
     return {word: str(value) for word, value in known.items() if value is not None}
 
