@@ -37,7 +37,7 @@ SERIES_POINTS = 900
 BASE = -1
 SHORTEST_M = 1e-3
 ACROSS = 0.7
-"""If |cos| of the angle between a joint's axis and its link is below this, the joint is drawn as an elbow, else a ring."""
+"""A joint is drawn as an elbow if |cos| of the angle between its axis and its link is below this, else as a ring."""
 
 
 class Replay:

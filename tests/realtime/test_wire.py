@@ -1,4 +1,4 @@
-"""Packets have the layout of docs/realtime.md, and only valid packets pass. Both ends (plant, controller) are tested separately."""
+"""Packets have the layout of docs/realtime.md. Only valid ones pass. Plant and controller are tested separately."""
 
 import os
 import re
