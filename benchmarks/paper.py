@@ -63,7 +63,7 @@ RULES = (
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim that a metric changes by more (`upwards`) or less than a bound [percent]. `papers`: a claim of the paper."""
+    """A claim that a metric changes by more (`upwards`) or less than a bound [percent]. `papers`: it is the paper's."""
 
     metric: str
     title: str

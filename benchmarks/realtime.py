@@ -242,13 +242,12 @@ def _largest(load: str, metric: str) -> Callable[[Any], Any]:
 
 
 GOALS = {key: Goal(*given, section=DETAILS) for key, given in {
-    "c": ("share of missed cycles (C, 500 Hz, quiet machine)", "", 1e-5, _share("C, 500 Hz, quiet", 100_000)),
-    "python": ("share of missed cycles (Python, 500 Hz, quiet machine)", "", 1e-3,
-               _share("Python, 500 Hz, quiet", 1_000)),
-    "quiet stops": ("largest number of stopped runs of a quiet case", "", 0.0, _largest("quiet", "stopped")),
-    "rcm": ("largest RCM error from the registered trocar, loaded machine", "mm", 1e3 * SAFE_RCM_M,
+    "c": ("share of missed cycles (C, 500 Hz, no load)", "", 1e-5, _share("C, 500 Hz, quiet", 100_000)),
+    "python": ("share of missed cycles (Python, 500 Hz, no load)", "", 1e-3, _share("Python, 500 Hz, quiet", 1_000)),
+    "quiet stops": ("largest number of stopped runs in a case without load", "", 0.0, _largest("quiet", "stopped")),
+    "rcm": ("largest RCM error from the registered trocar, under load", "mm", 1e3 * SAFE_RCM_M,
             _largest("loaded", "rcm_max_mm")),
-    "stops": ("largest number of unclean stops of a loaded case", "", 0.0, _largest("loaded", "unclean")),
+    "stops": ("largest number of unclean stops in a case under load", "", 0.0, _largest("loaded", "unclean")),
 }.items()}  # fmt: skip
 
 

@@ -136,9 +136,8 @@ GOALS = {
     ),
     "first_run": Goal("new process: time of `moc-opt run`", "s", 10.0, lambda s: s["setup"]["first_run_s"]),
     "exact": Goal(
-        "exact from Python / daqp called directly", "", 0.12,
-        lambda s: s["adapters"][timed.BY_HAND]["ratio_of_exact"], section=SOLVERS,
-        made_of=lambda s: f"{s['adapters']['exact']['adapter_p50_us']:.2f} / "
+        "exact from Python / daqp called directly", "", 0.12, lambda s: s["adapters"][timed.BY_HAND]["ratio_of_exact"],
+        section=SOLVERS, made_of=lambda s: f"{s['adapters']['exact']['adapter_p50_us']:.2f} / "
         f"{s['adapters'][timed.BY_HAND]['adapter_p50_us']:.2f} us",
     ),
     "batch": Goal(
@@ -204,10 +203,9 @@ COLUMNS = {
 SECTIONS = {
     TICKS: (
         ("tick", "tick_parts"),
-        "The inputs of the ticks are recorded in a run with the realistic plant. They are then replayed in chunks of "
-        "100, and the controllers take turns chunk by chunk. The first round is not counted. The parts are timed one "
-        "by one, so their sum is not exactly the whole. `c` is `moc_step` in the exported program, with the safety "
-        "filter.",
+        "The inputs of the ticks are recorded in a run with the realistic plant. They are replayed in chunks of 100, "
+        "and the controllers take turns chunk by chunk. The first round is not counted. Each part is timed alone, "
+        "so their sum is not exactly the whole. `c` is `moc_step` in the exported program, with the safety filter.",
     ),
     PEERS: (
         ("peers",),
