@@ -300,7 +300,7 @@ def _begin(folder: str, memory: int) -> None:
 
 
 def report(part: Any) -> None:
-    """Save a part of this job's result. If the job fails later, the part is in `Failed.parts`. Not on a cluster."""
+    """Save a part of this job's result, except on a cluster. If the job fails later, the part is in `Failed.parts`."""
     if _parts is not None:
         _parts.write(pickle.dumps(part))
 

@@ -99,8 +99,8 @@ class Answers:
 
         An answer is right in two cases. `verified_solved` counts verified optima, out of `optima_asked`.
         `infeasible_right` counts infeasible problems recognised as such, out of `infeasible_asked`. Feasible problems
-        refused as inconsistent are not in `optima_asked`. `refused_inconsistent` counts these problems,
-        out of `inconsistent_asked`. Such an answer is neither right nor wrong.
+        refused as inconsistent are not in `optima_asked`. `refused_inconsistent` counts these problems, out of
+        `inconsistent_asked`. Such an answer is neither right nor wrong.
         """
         status, feasible = self.status, self.problems.feasible
         claimed, infeasible = status == "solved", status == "infeasible"
@@ -185,7 +185,7 @@ def ask(run: Runner, questions: Sequence[Question], limits: Limits, *, warm: boo
 
 
 def answer(setting: SolverSetting, rows: Array, warm: bool, patience_s: float, setup_s: float) -> list[Any]:
-    """Return why the solver refuses the problems (empty if it accepts them), followed by an `Answer` per problem.
+    """Return a list: why the solver refuses the problems ("" if it accepts them), then an `Answer` per problem.
 
     Runs in a worker, which reports each item at once. ``patience_s`` limits the processor time of an answer, and
     ``setup_s`` limits the processor time of the setup.

@@ -241,7 +241,7 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
     columns = [
         Column("solver", "solver"), Column("verdict", "verdict"),
         Column("right_percent", "right", unit="%", format=".2f", section=kind,
-               help=f"verified, or rightly called infeasible, out of {counted} problems that were not refused"),
+               help=f"verified, or rightly called infeasible; out of {counted} problems without the refused ones"),
         Column("silently_wrong", "wrong", format=".0f", section=kind, help="claimed as solved, but not optimal"),
         Column("p50_us", "p50", unit="us", section=recorded, help="median time of a warm solve"),
         Column("p99_us", "p99", unit="us", section=recorded, help="one solve in a hundred is slower"),

@@ -133,7 +133,7 @@ def relative_change(treated: ArrayLike, control: ArrayLike) -> Interval:
 
 
 def relative_changes(treated: ArrayLike, control: ArrayLike) -> Change:
-    """Return `relative_change` and the mean of the trials' own 100 (treated/control - 1) [percent]. Raise the same."""
+    """Return `relative_change`, and the mean over trials of 100 (treated/control - 1) [percent]. Same errors."""
     ratio = relative_change(treated, control)
     with np.errstate(divide="ignore", invalid="ignore"):
         each = 100.0 * (np.asarray(treated, float) / np.asarray(control, float) - 1.0)
