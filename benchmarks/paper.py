@@ -438,8 +438,8 @@ def _sections(summary: Mapping[str, Any], config: Config) -> Iterable[Section]:
     yield Section("Claims", f"{RULES} {FRAMES}", [Table(
         f"Group {group}: {config.groups[group].about}", [
             Column("text", "claim"), Column("controller", "solver"), Column("verdict", "verdict"),
-            Column("matched", "DCAC, same gains", unit="%"), Column("own", "DCAC, own gains", unit="%"),
-            Column("damped", "DCAC, damped", unit="%"),
+            Column("matched", "against DCAC, same gains", unit="%"),
+            Column("own", "against DCAC, own gains", unit="%"), Column("damped", "against damped DCAC", unit="%"),
         ], [{**row, **{key: spread(row, f"{key}_percent", sign="+") for key in ("matched", "own", "damped")}}
             for row in summary["claims"] if row["group"] == group])
         for group in config.groups])  # fmt: skip

@@ -195,7 +195,7 @@ def goals(loops: Mapping[str, Any]) -> dict[str, Goal]:
                                   lambda s: s["loops"]["planned"]["gap_percent_max"], section=IN_THE_LOOP)  # fmt: skip
     for name in ("planned", "receding"):
         for words, error in ERRORS.items():
-            found[f"{name} {words}"] = Goal(f"{name}: {words} error relative to local", "%", MOST_CHANGE_PERCENT,
+            found[f"{name} {words}"] = Goal(f"{name}: change of {words} error from local", "%", MOST_CHANGE_PERCENT,
                                             interval(name, change_name(error)), section=IN_THE_LOOP)  # fmt: skip
     return found | {
         "replan": Goal("receding: p99 of the solve time in the worst run", "ms", MOST_REPLAN_MS,
