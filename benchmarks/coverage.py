@@ -89,14 +89,14 @@ def report(rows: Sequence[dict[str, object]], config: Config) -> Report:
     named = [Column("solver", "solver"), Column("change", "change of")]
     table = Table(f"Nominal 95 % intervals: {config.draws} draws from {config.trials} trials", [
         *named, Column("true_percent", "pool", unit="%", format="+.1f"),
-        Column("ratios_percent", "mean of ratios", unit="%", format="+.1f", help="of the pool"),
+        Column("ratios_percent", "mean of ratios", unit="%", format="+.1f", help="mean of the trials' own changes"),
         *(Column(f"covered_{size}", f"{size} trials", unit="%", format=".1f", section="Widths",
                  help="share of intervals that contain the pool's change") for size in SIZES),
     ], rows)  # fmt: skip
-    widths = [Column(f"width_{size}", f"width of {size}", unit="%", format=".3g") for size in SIZES]
+    widths = [Column(f"width_{size}", f"{size} trials", unit="%", format=".3g") for size in SIZES]
     shares = [float(str(row[f"covered_{size}"])) for row in rows for size in SIZES]
-    answer = f"Intervals called 95 % contain the pool's change in {min(shares):.1f} to {max(shares):.1f} % of draws."
-    folded = Section("Widths", "Medians over the draws.", [Table("Widths", [*named, *widths], rows)])
+    answer = f"Nominal 95 % intervals contain the pool's change in {min(shares):.1f} to {max(shares):.1f} % of draws."
+    folded = Section("Widths", "Medians over the draws.", [Table("Widths of the intervals", [*named, *widths], rows)])
     return Report("How often the intervals contain the true change", [answer], table, sections=[folded])
 
 

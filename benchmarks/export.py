@@ -54,7 +54,7 @@ class NullSpace(ParquetTestSet):
 
 
 def problems(names: Sequence[str], every: int = 1) -> dict[str, NullSpaceQP]:
-    """Take every ``every``-th problem of the sets, and return a dict from name to problem of the feasible problems."""
+    """Take every ``every``-th problem of the sets. Return the feasible ones by name."""
     found = {}
     for name in names:
         check_name(name)

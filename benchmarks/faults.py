@@ -2,8 +2,8 @@
 
 python -m benchmarks.faults [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-Solvers fail, lie or hang; packets are late or lost; encoders jump, drift or stick; the arm is pushed; the trocar moves.
-Every run is compared with the same run without a fault.
+Solvers, packets and encoders are faulty, the arm is pushed, or the trocar moves. Every run is compared with the same
+run without a fault.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ CURVES = ("t_s", "tip_error_m", "rcm_error_m", "trocar_force_N")
 SMOOTH_S, RECOVERED, RESOLUTION_M = 0.2, 1.2, 5e-5
 """A run has recovered when its errors, averaged over 0.2 s, stay below 1.2 times the fault-free errors plus 0.05 mm."""
 COMPLAINTS = ("failed", "raised", "malformed", "not_finite", "outside", "lied", "late", "lost")
-"""The supervisor's names of solver faults. "infeasible" is not among them, because it is an honest answer."""
+"""The supervisor's names of solver faults. The status "infeasible" is no fault, because it can be a right answer."""
 OUTCOMES = ("survived", "stopped", "oscillated", "diverged", "ran away", "refused", "failed")
 WORST = (
     "tip_error_max_mm", "rcm_error_max_mm", "trocar_force_max_N", "rcm_mean_percent", "rcm_max_percent",
@@ -56,20 +56,20 @@ EVERY, SOLVERS = "Every fault", "Solver faults"
 CASES = [
     Column("case", "fault"), Column("controller", "controller"),
     Column("outcome", "outcome", help="how the runs ended, counted over the trials"),
-    Column("tip_error_max_mm", "worst tip", unit="mm", format=".2f", help="up to the stop, if there was one"),
-    Column("rcm_error_max_mm", "worst RCM", unit="mm", format=".2f", help="including the stop"),
+    Column("tip_error_max_mm", "worst tip", unit="mm", format=".2f", help="largest tip error up to the stop or end"),
+    Column("rcm_error_max_mm", "worst RCM", unit="mm", format=".2f", help="largest RCM error, including the stop"),
     Column("trocar_force_max_N", "worst force", unit="N", format=".2f"),
     Column("rcm_mean_percent", "mean RCM", unit="%", format="+.1f", help="change from the same run without the fault"),
-    Column("recover_s", "recovered after", unit="s", format=".2f", help="time from the fault's end (its start, if it "
-           "lasts) until both errors stay below 1.2 times the fault-free level"),
+    Column("recover_s", "recovered after", unit="s", format=".2f", help="time until tip and RCM error stay below 1.2 "
+           "times the fault-free level; from the fault's end, or from its start if it lasts"),
     Column("stop_travel_mm", "stop travel", unit="mm", format=".1f", help="motion of the tip after the stop began"),
 ]  # fmt: skip
 SEEN = [
     Column("case", "fault"), Column("controller", "controller"), Column("injected", "injected", format=".0f"),
     Column("detected", "detected", format=".0f"),
-    Column("harmless", "harmless", format=".0f", help="corrupted answers that were used and are optimal"),
+    Column("harmless", "harmless", format=".0f", help="corrupted answers that were used, but are optimal"),
     Column("missed", "missed", format=".0f"),
-    Column("false_alarms", "false alarms", format=".0f", help="honest answers that were refused"),
+    Column("false_alarms", "false alarms", format=".0f", help="answers that were refused without an injected fault"),
 ]  # fmt: skip
 
 
@@ -262,9 +262,9 @@ def detection(trace: Trace) -> dict[str, int]:
 
 
 def recovery(trace: Trace, free: Trace, case: Case, ended: str) -> float | None:
-    """Return the time [s] from the fault's end (its start, if it lasts) until both errors have recovered for good.
+    """Return the time [s] from the fault's end until tip and RCM error have recovered for good (see `RECOVERED`).
 
-    `RECOVERED` defines the limit. Return None if the run did not complete, or if it ends above the limit.
+    If the fault lasts, the time counts from its start. Return None if the run breaks off or ends above the limit.
     """
     if ended != "completed" or len(trace) != len(free):
         return None
@@ -322,22 +322,22 @@ def goals_of(cases: Mapping[str, Case]) -> dict[str, Goal]:
             known = [row for row in summary["rows"] if row["case"] in among and column in row]
             return max(known, key=lambda row: row[column])
 
-        return Goal(f"{words} RCM error above the fault-free run, solver faulty {when}", "%", RCM_LIMIT_PERCENT,
+        return Goal(f"rise of the {words} RCM error if the solver is faulty {when}", "%", RCM_LIMIT_PERCENT,
                     lambda summary: highest(summary)[column], section=EVERY,
                     made_of=lambda summary: "{case}, {controller}".format(**highest(summary)))  # fmt: skip
 
     return {
         "diverged": Goal("runs that diverge and are not stopped", "", 0, total("diverged"), section=EVERY),
-        "lost": Goal("runs that the plant or the process could not finish", "", 0,
+        "lost": Goal("runs that ran away, were refused or failed", "", 0,
                      total("ran_away", "refused", "failed"), section=EVERY),
         "missed": Goal("injected solver faults that were not noticed", "", 0, total("missed"), section=SOLVERS),
         "false_alarms": Goal(
-            "honest answers refused", "% of all ticks", FALSE_ALARMS_PERCENT,
+            "answers refused without an injected fault", "% of all ticks", FALSE_ALARMS_PERCENT,
             lambda summary: 100.0 * total("false_alarms")(summary) / max(total("ticks")(summary), 1), section=SOLVERS),
-        "mean_seldom": above("mean", "now and then", "rcm_mean_percent", seldom),
-        "max_seldom": above("largest", "now and then", "rcm_max_percent", seldom),
+        "mean_seldom": above("mean", "at some ticks", "rcm_mean_percent", seldom),
+        "max_seldom": above("largest", "at some ticks", "rcm_max_percent", seldom),
         "mean_always": above("mean", "at every tick", "rcm_mean_percent", always),
-        "rest": Goal("speed of any joint at the end of a stop", "rad/s", AT_REST_RAD_PER_S,
+        "rest": Goal("largest joint speed at the end of a stop", "rad/s", AT_REST_RAD_PER_S,
                      lambda summary: max(r["last_speed_rad_per_s"] for r in summary["rows"] if r["stopped"]),
                      section=EVERY),
     }  # fmt: skip

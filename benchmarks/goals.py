@@ -23,7 +23,7 @@ class Goal(NamedTuple):
     unit: str  #: unit of value and limit
     limit: float
     measured: Callable[[Any], Any]
-    most: bool = True  #: whether the value has to be at most the limit, else at least
+    most: bool = True  #: True: the value has to be at most the limit; False: at least the limit
     made_of: Callable[[Any], str] = lambda summary: ""  #: describes the value's components in a summary
     section: str = ""  #: section of the page with related figures
 
@@ -72,7 +72,7 @@ def goals_table(found: Mapping[str, Mapping[str, Any]], title: str = "Goals") ->
     rows.sort(key=lambda row: -row["reached"].rank)  # type: ignore[attr-defined]
     shown = [
         Column("reached", ""), Column("what", "goal"), Column("wanted", "wanted"),
-        Column("measured", "measured", sections="section"), Column("made_of", "of"),
+        Column("measured", "measured", sections="section"), Column("made_of", "details"),
     ]  # fmt: skip
     return Table(title, shown if any(row["made_of"] for row in rows) else shown[:-1], rows)
 

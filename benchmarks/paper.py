@@ -57,13 +57,13 @@ RULES = (
     "intervals lie on the claimed side. A claim holds if it is confirmed against DCAC with MOC's gains, which lacks "
     "only the third level. It holds only against softer gains if only DCAC with the paper's gains confirms it. It is "
     "undecided if the two means disagree. Fewer than eight trials decide nothing. The force at the trocar follows the "
-    "RCM error and is no further claim."
+    "RCM error and is no claim of its own."
 )
 
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim that a metric changes by more (`upwards`) or less than a bound [percent]. `papers`: the paper has it."""
+    """A claim that a metric changes by more (`upwards`) or less than a bound [percent]. `papers`: it is the paper's."""
 
     metric: str
     title: str
@@ -149,7 +149,7 @@ class Config(StudyConfig):
     solvers: list[str] = Field(["exact", "rnn", "rnn-printed"], min_length=1)
     best: str = "tuned"
     best_solver: str = "exact"
-    elsewhere: str | None = Field(None, description="a group with other starts, for which the goals are judged too")
+    elsewhere: str | None = Field(None, description="another group for which the goals are judged, with other starts")
     groups: dict[Name, Group] = Field(default_factory=dict, min_length=1)
     ablation: Ablation = Ablation()
     swivel: Swivel = Swivel()
@@ -286,7 +286,7 @@ def goals(rows: Results, group: str | None, solver: str) -> dict[str, dict[str, 
     worst = Interval(min(each), min(each), min(each), len(each)) if each else None
     return judge({}, {
         "mu_gain": Goal("gain in mean mu", "%", LEAST_GAIN_PERCENT, change("mu_mean"), most=False),
-        "mu_worst": Goal(f"smallest gain of {len(each)} trials", "%", 0.0, lambda _: worst, most=False),
+        "mu_worst": Goal(f"smallest gain in mean mu of {len(each)} trials", "%", 0.0, lambda _: worst, most=False),
         **{f"settled_{name}": Goal(f"{title}: change of the settled error", "%", MOST_CHANGE_PERCENT,
                                    change(f"settled_{name}")) for name, title in TITLES.items()},
         **{name: Goal(f"{TITLES[name]}: mean error", "mm", limit, mean(name)) for name, limit in MOST_MM.items()},
@@ -438,8 +438,8 @@ def _sections(summary: Mapping[str, Any], config: Config) -> Iterable[Section]:
     yield Section("Claims", f"{RULES} {FRAMES}", [Table(
         f"Group {group}: {config.groups[group].about}", [
             Column("text", "claim"), Column("controller", "solver"), Column("verdict", "verdict"),
-            Column("matched", "against the same gains", unit="%"), Column("own", "against DCAC's own", unit="%"),
-            Column("damped", "against damped DCAC", unit="%"),
+            Column("matched", "against DCAC, same gains", unit="%"),
+            Column("own", "against DCAC, own gains", unit="%"), Column("damped", "against damped DCAC", unit="%"),
         ], [{**row, **{key: spread(row, f"{key}_percent", sign="+") for key in ("matched", "own", "damped")}}
             for row in summary["claims"] if row["group"] == group])
         for group in config.groups])  # fmt: skip

@@ -294,9 +294,9 @@ class Verdict(NamedTuple):
     def failure(self) -> str | None:
         for what, off in (("tip", self.tip_error_max_mm), ("shaft", self.rcm_error_max_mm)):
             if not off <= TOLERANCE_MM:
-                return f"the {what} is {off:.3g} mm off, {TOLERANCE_MM} are allowed"
+                return f"the {what} is off by {off:.3g} mm; at most {TOLERANCE_MM} mm are allowed"
         if not self.mu_rise_percent >= CLIMB_PERCENT:
-            return f"the manipulability rose by {self.mu_rise_percent:.3g} %, {CLIMB_PERCENT} are asked for"
+            return f"the manipulability rose by {self.mu_rise_percent:.3g} %, at least {CLIMB_PERCENT} % are needed"
         return None
 
 

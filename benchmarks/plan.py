@@ -98,7 +98,7 @@ def courses(case: Scenario, loops: Mapping[str, Mapping[str, Any]]) -> list[dict
 
 
 def loop(trial: Scenario, name: str, change: Mapping[str, Any], mine: float, best: float) -> dict[str, Any]:
-    """Return a run's row. `mine` is the mean mu of the best course from this start, and `best` from any start."""
+    """Return a run's row. `mine` is the mean mu of the best course from this start, and `best` that from any start."""
     case = trial.change(control=change, best_courses=False, bound_samples=0, judge=False)
     asked = Trial(case, name, case.solver.settings, {"part": "loop"}, solver=case.solver.name)
     run, trace = run_and_trace(asked)
@@ -187,20 +187,20 @@ def goals(loops: Mapping[str, Any]) -> dict[str, Goal]:
         return measured
 
     found = {
-        f"gap {name}": Goal(f"{name}: mean gap to the best course", "%", most, interval(name, "gap_percent"),
+        f"gap {name}": Goal(f"{name}: mean gap of mu to the best course", "%", most, interval(name, "gap_percent"),
                             section=IN_THE_LOOP)
         for name, most in MOST_GAP_PERCENT.items() if name in loops
     }  # fmt: skip
-    found["planned worst"] = Goal("planned: largest gap", "%", MOST_PLANNED_PERCENT,
+    found["planned worst"] = Goal("planned: largest gap of mu", "%", MOST_PLANNED_PERCENT,
                                   lambda s: s["loops"]["planned"]["gap_percent_max"], section=IN_THE_LOOP)  # fmt: skip
     for name in ("planned", "receding"):
         for words, error in ERRORS.items():
-            found[f"{name} {words}"] = Goal(f"{name}: {words} error against local's", "%", MOST_CHANGE_PERCENT,
+            found[f"{name} {words}"] = Goal(f"{name}: change of {words} error from local", "%", MOST_CHANGE_PERCENT,
                                             interval(name, change_name(error)), section=IN_THE_LOOP)  # fmt: skip
     return found | {
-        "replan": Goal("receding: p99 of the solves of the worst run", "ms", MOST_REPLAN_MS,
+        "replan": Goal("receding: p99 of the solve time in the worst run", "ms", MOST_REPLAN_MS,
                        lambda s: s["loops"]["receding"]["replan_ms_p99_max"], section=IN_THE_LOOP),
-        "scratch": Goal("map and search from scratch, slowest start", "s", MOST_SCRATCH_S,
+        "scratch": Goal("time of map and search at the slowest start", "s", MOST_SCRATCH_S,
                         lambda s: s["courses"]["scratch_s_max"], section=ALONG),
         "halving": Goal("change of mean mu if the grid spacing is halved", "%", MOST_HALVING_PERCENT,
                         lambda s: s["courses"]["halving_percent_abs_max"], section=ALONG),
@@ -225,8 +225,8 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
         Column("gap", "below best", unit="%", section=IN_THE_LOOP),
         Column("gap_percent_max", "worst", unit="%", format=".1f", section=IN_THE_LOOP),
         Column("trapped", "trapped", format="d", help=f"number of runs more than {TRAPPED_PERCENT:g} % below"),
-        Column("tip", "tip", unit="%", section=IN_THE_LOOP, help="change of the error against local's"),
-        Column("RCM", "RCM", unit="%", section=IN_THE_LOOP, help="change of the error against local's"),
+        Column("tip", "tip", unit="%", section=IN_THE_LOOP, help="change of the tip error relative to local"),
+        Column("RCM", "RCM", unit="%", section=IN_THE_LOOP, help="change of the RCM error relative to local"),
     ], first, "✔ the goal is met, ✘ missed, – open.")  # fmt: skip
     changes = [change_name(error) for error in ERRORS.values()]
     by_robot = [{"robot": robot, **figures} for robot, figures in summary["courses"].items()]
@@ -238,7 +238,7 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
             arm, Column("loop", "third level"), *columns("whole", "trials"),
             Column("gap_percent with interval", "below best from start", unit="%"),
             Column("gap_percent_median", "median", unit="%", format=".2f"),
-            Column("course_gap_percent with interval", "its course below best", unit="%"),
+            Column("course_gap_percent with interval", "planned course below best", unit="%"),
             *columns("left_course", "fraction_of_best", *ERRORS.values(), *changes)], wide)]),
         Section(ALONG, "", [
             Table("Courses along the path, means over the trials", [
@@ -257,7 +257,7 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
                 Column("refined_percent", "refinement gains", unit="%", format=".3f"),
                 Column("halving_percent_abs_max", "halving the grid", unit="%", format=".3f"),
                 Column("map_s", "map", unit="s", format=".2f"), Column("search_s", "search", unit="s", format=".2f"),
-                Column("scratch_s_max", "both, slowest", unit="s", format=".2f"),
+                Column("scratch_s_max", "map and search, slowest", unit="s", format=".2f"),
                 Column("refine_s", "refinement", unit="s", format=".2f")], by_robot)]),
     ]  # fmt: skip
     title = f"{', '.join(config.robots)}: manipulability of planned and climbed courses"

@@ -51,9 +51,10 @@ AFTER = {
 SHOWN = {**TITLES, **AFTER}
 JUDGED = "tip_error_registered_mean_mm"
 DEFINED = (
-    f"Break-even, in the frame registered at the start: the calibration error from which on MOC's mean tip error is "
-    f"more than {MOST_CHANGE_PERCENT:g} % above DCAC's with the same gains, by the lower ends of the 95 % intervals of "
-    f"both means; and that from which on it is above {MOST_MM:g} mm; interpolated between the sizes."
+    "Break-even: the calibration error above which MOC exceeds a limit, interpolated between the tried sizes. Both "
+    "limits hold in the frame registered at the start. The first is exceeded if MOC's mean tip error is more than "
+    f"{MOST_CHANGE_PERCENT:g} % above DCAC's with the same gains. The ratio of the means and the mean of the ratios "
+    f"have to confirm this, with their whole 95 % intervals. The second is a mean tip error of {MOST_MM:g} mm."
 )
 
 
@@ -233,10 +234,10 @@ def report(summary: Mapping[str, Any], config: Config) -> Report:
     first = [{**row, "off": f"{row['preset']}, {row['size'] or 'nothing'}"} for row in rows if row["kind"] == "origins"]
     tip = {key: title.removeprefix("tip, ") for key, title in SHOWN.items() if title.startswith("tip")}
     table = Table(
-        "Mean tip error under DCAC/MOC, with the joints' origins off", [
-            Column("off", "preset, mm off"),
+        "Mean tip error under DCAC/MOC, with errors of the joints' origins", [
+            Column("off", "preset, error [mm]"),
             *(Column(key, title, unit="mm", section="Calibration errors") for key, title in tip.items()),
-        ], first, f"{DEFINED} After travel: over the ticks after the elbow's arrival.",
+        ], first, f"{DEFINED} After travel: mean over the ticks after the elbow's arrival.",
     )  # fmt: skip
     evens = [
         {**row, **{key: _at(row[key], KINDS[row["kind"]]) for key in ("relative", "absolute", "absolute_dcac")}}
@@ -245,11 +246,11 @@ def report(summary: Mapping[str, Any], config: Config) -> Report:
     sections = [
         Section("Calibration errors", f"{DEFINED} {FRAMES} {BASE_FRAME}", [
             Table("Break-even", [
-                Column("preset", "preset"), Column("kind", "off"), Column("relative", "over 5 % above DCAC from"),
-                Column("absolute", "over 0.1 mm from"), Column("absolute_dcac", "DCAC over 0.1 mm from"),
+                Column("preset", "preset"), Column("kind", "errors of"), Column("relative", "MOC above DCAC + 5 %"),
+                Column("absolute", "MOC above 0.1 mm"), Column("absolute_dcac", "DCAC above 0.1 mm"),
             ], evens),
             Table("Mean errors under DCAC/MOC in every frame", [
-                Column("preset", "preset"), Column("off", "off [mm, mrad]"),
+                Column("preset", "preset"), Column("off", "error [mm, mrad]"),
                 *(Column(key, title, unit="mm") for key, title in SHOWN.items()),
                 Column("change", "tip, registered, change", unit="%"),
             ], rows),
@@ -273,21 +274,23 @@ def sentences(summary: Mapping[str, Any]) -> list[str]:
             said.append(f"Preset {preset}: {few}.")
             continue
         relative, absolute = (
-            f"{_at(origins[key], 'mm')} of the joints' origins or {_at(encoders[key], 'mrad')} of the encoders"
+            f"{_at(origins[key], 'mm')} (joints' origins) or {_at(encoders[key], 'mrad')} (encoders)"
             for key in ("relative", "absolute")
         )
         text = (
-            f"Preset {preset}: moving the elbow costs more than {MOST_CHANGE_PERCENT:g} % of tip accuracy in the "
-            f"patient's frame from {relative} on, and the tip error there exceeds {MOST_MM:g} mm from {absolute} on"
+            f"Preset {preset}, {origins['trials']} trials: from a calibration error of {relative} on, moving the elbow "
+            f"raises the mean tip error in the patient's frame by more than {MOST_CHANGE_PERCENT:g} %. From {absolute} "
+            f"on, this tip error exceeds {MOST_MM:g} mm."
         )
         here = (preset, "origins", DEFAULT_SIZE_MM)
         for row in (row for row in summary["calibration"] if (row["preset"], row["kind"], row["size"]) == here):
             if "moc_tip_again_mm" in row:
                 text += (
-                    f"; with {DEFAULT_SIZE_MM:g} mm it is {row['moc_tip_after_mm']:.3f} mm after the travel, and "
-                    f"registering again leaves {row['moc_tip_again_mm']:.3f} (DCAC: {row['dcac_tip_again_mm']:.3f})"
+                    f" With joints' origins off by {DEFAULT_SIZE_MM:g} mm, this tip error is "
+                    f"{row['moc_tip_after_mm']:.3f} mm after the elbow's travel. Registering again reduces it to "
+                    f"{row['moc_tip_again_mm']:.3f} mm (DCAC: {row['dcac_tip_again_mm']:.3f} mm)."
                 )
-        said.append(f"{text} ({origins['trials']} trials).")
+        said.append(text)
     return said
 
 
@@ -305,7 +308,7 @@ def pictures(rows: Sequence[Mapping[str, Any]], config: Config) -> list[Picture]
             name: [(row["size"], *at) for row in mine if (at := ends(row, key)) is not None]
             for name, key in keys.items()
         }
-        drawn = lines_picture(lines, "joints' origins off by [mm]", "mean tip error, registered frame [mm]")
+        drawn = lines_picture(lines, "error of the joints' origins [mm]", "mean tip error, registered frame [mm]")
         rule(drawn, "y", MOST_MM, f"{MOST_MM:g} mm")
         says = f"Preset {preset}: tip error in the frame registered at the start, with 95 % intervals over the trials."
         found.append(Picture(drawn, says, f"calibration-{preset}"))

@@ -242,12 +242,12 @@ def _largest(load: str, metric: str) -> Callable[[Any], Any]:
 
 
 GOALS = {key: Goal(*given, section=DETAILS) for key, given in {
-    "c": ("share of cycles missed, C, 500 Hz, quiet", "", 1e-5, _share("C, 500 Hz, quiet", 100_000)),
-    "python": ("share of cycles missed, Python, 500 Hz, quiet", "", 1e-3, _share("Python, 500 Hz, quiet", 1_000)),
-    "quiet stops": ("runs that were stopped, on a quiet machine", "", 0.0, _largest("quiet", "stopped")),
+    "c": ("share of missed cycles (C, 500 Hz, no load)", "", 1e-5, _share("C, 500 Hz, quiet", 100_000)),
+    "python": ("share of missed cycles (Python, 500 Hz, no load)", "", 1e-3, _share("Python, 500 Hz, quiet", 1_000)),
+    "quiet stops": ("largest number of stopped runs in a case without load", "", 0.0, _largest("quiet", "stopped")),
     "rcm": ("largest RCM error from the registered trocar, under load", "mm", 1e3 * SAFE_RCM_M,
             _largest("loaded", "rcm_max_mm")),
-    "stops": ("stops that were not clean, under load", "", 0.0, _largest("loaded", "unclean")),
+    "stops": ("largest number of unclean stops in a case under load", "", 0.0, _largest("loaded", "unclean")),
 }.items()}  # fmt: skip
 
 
@@ -287,7 +287,7 @@ def report(summary: Mapping[str, Any], subject: str = "") -> Report:
         Column("in_100000", "in 100,000", help="missed cycles, with the 95 % interval"),
         Column("overruns", "plant stalled", format="d", help="periods in which the plant's process did not run"),
         *(Column(time, title, unit="us") for time, title in TIMES.items()), Column("stopped", "stops", format="d"),
-        Column("unclean", "not clean", format="d", help="stops that were not clean"),
+        Column("unclean", "not clean", format="d", help="stops with a large RCM error, or with moving joints"),
         Column("rcm_max_mm", "RCM error, worst", unit="mm", format=".2f"),
     ], rows, "Times: median / 99th / 99.99th percentile / worst.")  # fmt: skip
     how = (

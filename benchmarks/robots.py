@@ -39,8 +39,8 @@ LEAST_GAIN_PERCENT, MOST_CHANGE_PERCENT, MUCH_WORSE, MOST_TAILS = 10.0, 5.0, 1.1
 FINDINGS: Mapping[str, str] = {
     "all_end": "every run completes its task",
     "mu_gain_percent": "mean mu rises by 10 % or more",
-    **{change_name(name): f"settled {title} error at most 5 % above DCAC's" for name, title in SETTLED.items()},
-    "tails": "tip error (base frame) more than 10 % above DCAC's in at most 10 % of all trials",
+    **{change_name(name): f"settled error ({title}) at most 5 % above DCAC's" for name, title in SETTLED.items()},
+    "tails": "at most 10 % of all trials have a tip error (base frame) more than 10 % above DCAC's",
 }  # fmt: skip
 DRAWN = ("mu_gain_percent", *(change_name(f"settled_{ERRORS[k]}") for k in (1, 4)))
 
@@ -171,11 +171,11 @@ def sentences(summary: Mapping[str, Any], judged: str) -> list[str]:
     gains = ", ".join(f"{arm} {spread(row, 'mu_gain_percent', sign='+')} %" for arm, row in mine.items())
     rho = summary["ranking"]["mean"]
     return [
-        f"Change of mean mu with {judged} over DCAC with the same gains, {each} random poses an arm: {gains}.",
-        f"Hold on every arm: {'; '.join(hold) or 'none of the findings'}. Fail on at least one: "
+        f"Change of mean mu with {judged} relative to DCAC with the same gains, {each} random poses per arm: {gains}.",
+        f"Hold on every arm: {'; '.join(hold) or 'none of the findings'}. Fail on at least one arm: "
         f"{'; '.join(fail) or 'none'}." + (f" {', '.join(few)}: {too_few(counts[0])}." if few else ""),
-        "The solvers are too equal to rank." if rho is None else
-        f"The solvers' ranks correlate by {rho:.2f} between two arms on average.",
+        "The solvers' gains are too similar to rank them." if rho is None else
+        f"The rank correlation of the solvers between two arms is {rho:.2f} on average.",
     ]
 
 

@@ -42,7 +42,7 @@ class Config(StudyConfig):
     batch: Count = 1_000_000
     adapters: Names = "all"
     runs: Count = 5
-    starts: Count = Field(5, description="new processes, for the first torque and for `moc-opt run`")
+    starts: Count = Field(5, description="new processes to time the first torque, and again for `moc-opt run`")
     peers: Names = "all"
     scenario: Scenario = Scenario()
 
@@ -130,34 +130,34 @@ def _batch(s: Any) -> float | None:
 
 GOALS = {
     "first_torque": Goal(
-        "new process: import to first torque", "s", 0.5, lambda s: s["setup"]["first_tick_s"],
+        "new process: time from import to first torque", "s", 0.5, lambda s: s["setup"]["first_tick_s"],
         made_of=lambda s: "libraries {libraries_s:.2f}, model {model_s:.2f}, start and tick {start_and_tick_s:.2f} s"
         .format(**s["setup"]),
     ),
-    "first_run": Goal("new process: a first `moc-opt run`", "s", 10.0, lambda s: s["setup"]["first_run_s"]),
+    "first_run": Goal("new process: time of `moc-opt run`", "s", 10.0, lambda s: s["setup"]["first_run_s"]),
     "exact": Goal(
-        "exact from Python over daqp by hand", "", 0.12, lambda s: s["adapters"][timed.BY_HAND]["ratio_of_exact"],
-        section=SOLVERS, made_of=lambda s: f"{s['adapters']['exact']['adapter_p50_us']:.2f} and "
+        "exact from Python / daqp called directly", "", 0.12, lambda s: s["adapters"][timed.BY_HAND]["ratio_of_exact"],
+        section=SOLVERS, made_of=lambda s: f"{s['adapters']['exact']['adapter_p50_us']:.2f} / "
         f"{s['adapters'][timed.BY_HAND]['adapter_p50_us']:.2f} us",
     ),
     "batch": Goal(
-        "exact, a batch on two threads", "million/s", 4.0, _batch, most=False, section=SOLVERS,
-        made_of=lambda s: f"one thread {s['batch']['exact']['batch_one_thread_per_s'] / 1e6:.2f} million/s",
+        "rate of exact in a batch on two threads", "million/s", 4.0, _batch, most=False, section=SOLVERS,
+        made_of=lambda s: f"on one thread {s['batch']['exact']['batch_one_thread_per_s'] / 1e6:.2f} million/s",
     ),
     "tick": Goal(
-        "trimmed pink's tick over ours with exact", "", 12.0, lambda s: s["peers"]["pink-trimmed"]["times_ours"],
-        most=False, section=PEERS, made_of=lambda s: f"{s['peers']['pink-trimmed']['tick_p50_us']:.0f} and "
+        "tick of pink-trimmed / our tick with exact", "", 12.0, lambda s: s["peers"]["pink-trimmed"]["times_ours"],
+        most=False, section=PEERS, made_of=lambda s: f"{s['peers']['pink-trimmed']['tick_p50_us']:.0f} / "
         f"{s['tick']['exact']['tick_p50_us']:.1f} us",
     ),
     "c_tick": Goal(
-        "moc_step in C: mean", "us", 4.0, lambda s: s["tick"]["c"]["tick_mean_us"], section=TICKS,
+        "mean time of moc_step in C", "us", 4.0, lambda s: s["tick"]["c"]["tick_mean_us"], section=TICKS,
         made_of=lambda s: f"longest {s['tick']['c']['tick_max_us']:.1f} us",
     ),
     "limit": Goal(
-        "default run over its limit, MuJoCo's steps and moc_step", "", 3.0,
+        "default run / its limit (MuJoCo's steps plus moc_step)", "", 3.0,
         lambda s: s["loop"]["limit"]["python_over_limit"], section=LOOP,
-        made_of=lambda s: f"{s['loop']['python']['us_per_tick']:.1f} us a tick, filter and controller "
-        f"{s['loop']['python']['tick_p50_us']:.1f} of them; MuJoCo {s['loop']['limit']['steps_us']:.1f}, C "
+        made_of=lambda s: f"{s['loop']['python']['us_per_tick']:.1f} us per tick, of which filter and controller take "
+        f"{s['loop']['python']['tick_p50_us']:.1f} us; limit: MuJoCo {s['loop']['limit']['steps_us']:.1f} us plus C "
         f"{s['tick']['c']['tick_mean_us']:.1f} us",
     ),
 }  # fmt: skip
@@ -171,39 +171,41 @@ def _times(of: str, *percentiles: str, form: str = ".1f") -> list[Column]:
 
 
 COLUMNS = {
-    "tick": ("One tick, state to torque", [
+    "tick": ("One tick, from state to torque", [
         Column("name", "tick with"), *_times("tick", "p50", "p99", "p99_9"),
         Column("tick_cold_p50_us", "cold", unit="us", format=".1f", better="low",
-               help="median of the first five calls of all chunks"),
-        Column("tick_mean_us", "mean", unit="us", format=".1f", help="the exported program prints no percentiles"),
+               help="median over the first five calls of each chunk"),
+        Column("tick_mean_us", "mean", unit="us", format=".1f",
+               help="mean time of a tick; the exported program (`c`) prints it instead of percentiles"),
         Column("tick_max_us", "longest", unit="us", format=".1f", better="low"),
     ]),
     "tick_parts": ("Parts of a tick with exact", [
         Column("name", "part"), *_times("tick", "p50", "p99", form=".2f"),
     ]),
-    "peers": ("One tick in other libraries, the same job on the same arm", [
-        Column("name", "controller"), Column("level", "gives", help="a velocity still needs a servo"),
-        *_times("tick", "p50", "p99"), Column("times_ours", "over ours", format=".2f", help="median over chunks"),
-        Column("tip_error_max_mm", "tip", unit="mm", help="largest tip error on an ideal arm, after half a second"),
-        Column("rcm_error_max_mm", "shaft", unit="mm", help="largest error of the shaft in this time"),
-        Column("mu_rise_percent", "mu", unit="%", format="+.1f", help="rise of the manipulability in that second"),
+    "peers": ("One tick in other libraries, for the same job on the same arm", [
+        Column("name", "controller"), Column("level", "output", help="a velocity still needs a servo"),
+        *_times("tick", "p50", "p99"),
+        Column("times_ours", "this / ours", format=".2f", help="ratio of tick times, median over the chunks"),
+        Column("tip_error_max_mm", "tip", unit="mm", help="largest tip error on an ideal arm from t = 0.5 s on"),
+        Column("rcm_error_max_mm", "shaft", unit="mm", help="largest shaft error in the same interval"),
+        Column("mu_rise_percent", "mu", unit="%", format="+.1f", help="rise of mu over the run of one second"),
     ]),
     "adapters": ("Solvers from Python", [
         Column("name", "adapter"), *_times("adapter", "p50", "p99", form=".2f"),
-        Column("ratio_of_exact", "exact / this", format=".3f", help="time of exact / its time, median over chunks"),
+        Column("ratio_of_exact", "exact / this", format=".3f", help="ratio of solve times, median over the chunks"),
     ]),
     "loop": ("The closed loop", [
         Column("name", "loop"), Column("factor", "real time", unit="times", format=".1f", better="high"),
-        Column("us_per_tick", "all of a tick", unit="us", format=".1f", help="plant, trace and references included"),
+        Column("us_per_tick", "run per tick", unit="us", format=".1f", help="with plant, trace and references"),
         *_times("tick", "p50", "p99", "p99_9"),
     ]),
 }  # fmt: skip
 SECTIONS = {
     TICKS: (
         ("tick", "tick_parts"),
-        "Ticks are recorded in a run with the realistic plant, and timed in chunks of 100 that take turns. The first "
-        "round is not counted. The parts are timed one by one, so their sum is not exactly the whole. `c` is "
-        "`moc_step` in the exported program, with the safety filter.",
+        "The inputs of the ticks are recorded in a run with the realistic plant. They are replayed in chunks of 100, "
+        "and the controllers take turns chunk by chunk. The first round is not counted. Each part is timed alone, "
+        "so their sum is not exactly the whole. `c` is `moc_step` in the exported program, with the safety filter.",
     ),
     PEERS: (
         ("peers",),
@@ -212,13 +214,13 @@ SECTIONS = {
     ),
     SOLVERS: (
         ("adapters",),
-        "By hand: daqp without its adapter, but with the adapter's settings. It is set up once. Each solve loads the "
-        "numbers from the same arrays, and reads answer and multipliers.",
+        "`daqp called directly` is daqp without its adapter, but with the adapter's settings. It is set up once. Each "
+        "solve loads the numbers from the same arrays, and reads x and the multipliers.",
     ),
     LOOP: (
         ("loop",),
         "A run includes references, plant, controller, trace and the progress bar's callback, but not the set-up and "
-        "the judging of answers. The limit is the time of `moc_step` and of MuJoCo's own steps through these states.",
+        "the judging of answers. The limit is the time of `moc_step` plus that of MuJoCo's own steps in these states.",
     ),
 }  # fmt: skip
 

@@ -87,12 +87,12 @@ class RandomSample(Settings):
 
 class Config(StudyConfig):
     seeds: int | list[int] = Field(1, description="number of seeds, or a list of seeds")
-    solvers: list[str] | None = Field(None, description="None for the scenario's; dcac uses no solver")
+    solvers: list[str] | None = Field(None, description="None: the scenario's solver; dcac has no solver")
     timed: bool = Field(False, description="make one run at a time and keep its times")
     run_limit_s: float = Field(600.0, gt=0.0, le=MOST_S, description="a run that takes longer is stopped")
     grid: dict[str, Any] = Field(default_factory=dict, description="a list of values for each path")
     random: RandomSample = RandomSample()
-    settings: dict[str, dict[str, Any]] = Field(default_factory=dict, description="per solver")
+    settings: dict[str, dict[str, Any]] = Field(default_factory=dict, description="settings of each solver")
     scenario: Scenario = Scenario()
 
     def quick(self) -> Self:
@@ -275,7 +275,7 @@ def report(summary: Mapping[str, Any], rows: Results, axes: Mapping[str, list[An
                      "Means over the runs that completed their task.")  # fmt: skip
 
     mu = {name: row["mu_mean"] for name, row in summary["all"].items() if "mu_mean" in row}
-    answer = [f"{len(rows)} runs, {len(rows.failed())} of them without a whole result."]
+    answer = [f"{len(rows.failed())} of {len(rows)} runs have no complete result."]
     if len(mu) > 1:
         best, worst = max(mu, key=mu.__getitem__), min(mu, key=mu.__getitem__)
         answer.append(f"Mean manipulability is between {mu[worst]:.4f} ({worst}) and {mu[best]:.4f} ({best}) m^3.")

@@ -87,7 +87,7 @@ class Part:
             ]
 
     def figures(self, name: str, prefix: str) -> dict[str, float]:
-        """Return percentiles, maximum, the median of the first `COLD` calls of all chunks, and the counters `seen`."""
+        """Return percentiles, maximum, median over the first `COLD` calls of each chunk, and the counters `seen`."""
         times = self.times[name]
         return {
             **percentiles(times.ravel(), prefix), f"{prefix}_max_us": float(times.max()),
@@ -167,7 +167,7 @@ def tick_parts(scenario: Scenario, rounds: int) -> Part:
     answers = [np.array(session.solve(qp).x) for qp in problems]
     entries = {
         "before the solver": Timed(begin, inputs),  # the arm's terms, levels 1 and 2, and the subproblem
-        "of which the arm's terms": Timed(lambda item: robot.state(item[0], item[1]), inputs),
+        "before the solver: arm's terms": Timed(lambda item: robot.state(item[0], item[1]), inputs),
         "solver": Timed(session.solve, problems),
         "after the solver": Timed(lambda answer: law.finish(0, 0, answer, 1.0), answers),  # the check, level 3
     }
@@ -219,7 +219,7 @@ def _seconds(call: Callable[[], Any]) -> float:
 
 
 ADAPTERS = ("daqp", "piqp", "quadprog", "proxqp", "osqp", "clarabel")
-BY_HAND = "daqp by hand"
+BY_HAND = "daqp called directly"
 
 
 def adapters(scenario: Scenario, names: Iterable[str], rounds: int) -> Part:
@@ -246,7 +246,7 @@ def adapters(scenario: Scenario, names: Iterable[str], rounds: int) -> Part:
 
 
 def daqp_by_hand(settings: Any, first: NullSpaceQP) -> Callable[[NullSpaceQP], tuple[Array, Array]]:
-    """Return a call that uses daqp as a careful user would without this package: load numbers, solve, read x and y.
+    """Return a call that uses daqp without its adapter: it loads the numbers, solves, and reads x and y.
 
     The call uses the workspace, options and buffers of our adapter, so that both do the same work in daqp. It does not
     translate the status, convert the multipliers or check anything.
@@ -269,10 +269,10 @@ def daqp_by_hand(settings: Any, first: NullSpaceQP) -> Callable[[NullSpaceQP], t
 
 
 def disagreement(solver: Any, by_hand: Callable[[NullSpaceQP], Any], problems: list[NullSpaceQP]) -> str | None:
-    """Say by how much the answers of adapter and library by hand differ, or return None if they agree to 1e-4 rad/s."""
+    """Say by how much the answers of adapter and direct call differ, or return None if they agree to 1e-4 rad/s."""
     session = solver.start(problems[0])
     gap = max(float(np.abs(session.solve(qp).x - by_hand(qp)[0]).max()) for qp in problems[:200])
-    return None if gap <= 1e-4 else f"adapter and library by hand differ by {gap:.2g} rad/s"
+    return None if gap <= 1e-4 else f"the answers of adapter and direct call differ by {gap:.2g} rad/s"
 
 
 # --- the closed loop and its limit ---
@@ -373,7 +373,7 @@ FIRST_RUN = ("-m", "moc_opt", "run", "--json")
 
 
 def fresh(processes: int) -> Part:
-    """Return median times of new processes [s]: from first import to first torque, and of a whole ``moc-opt run``.
+    """Return median times of new processes [s]: from the first import to the first torque, and of ``moc-opt run``.
 
     Each ``moc-opt run`` has a home folder of its own, so that it finds no caches.
     """

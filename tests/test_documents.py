@@ -61,7 +61,7 @@ def serve(line, place):
         assert said
 
 
-def test_readme_runs_from_top_to_bottom_in_an_empty_folder_and_then_the_python_of_the_tour(place):
+def test_readme_runs_from_top_to_bottom_in_an_empty_folder_and_then_the_python_blocks_of_start_md(place):
     found = blocks("README.md")
     assert [language for language, _ in found] == ["sh", "sh", "python", "python", "python"]
     for text in (text for language, text in found if language == "sh" and not text.startswith(CHECKOUT)):
@@ -74,7 +74,7 @@ def test_readme_runs_from_top_to_bottom_in_an_empty_folder_and_then_the_python_o
     pages = {"report.html", "both.html", "replay.html", "map.html"}
     written = {"scenario.toml", "clarabel.parquet", "network.parquet", "c", *pages}
     assert {file.name for file in folder.iterdir()} == written
-    # MOC moves the elbow away from its poor start. The network as printed does not.
+    # MOC moves the elbow away from its poor start. The neural network, implemented as published, does not.
     mu = {name: mo.load_trace(folder / f"{name}.parquet").mu for name in ("clarabel", "network")}
     assert mu["clarabel"].mean() > 1.2 * mu["network"].mean()
     tour = [text for language, text in blocks("docs/start.md") if language == "python" and "elbow.html" in text]
@@ -111,7 +111,7 @@ def test_every_file_that_the_documents_link_to_exists():
         assert [path for path in named if "NAME" not in path and not (ROOT / path).exists()] == [], document.name
 
 
-def test_all_files_name_the_same_version_date_and_pythons():
+def test_all_files_agree_on_version_and_release_date_and_python_versions():
     said = {name: (ROOT / name).read_text("utf-8") for name in ("CITATION.cff", "CHANGELOG.md", "README.md")}
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     cited = dict(re.findall(r"^(version|date-released): (.*)$", said["CITATION.cff"], re.MULTILINE))

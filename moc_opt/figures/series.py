@@ -40,9 +40,10 @@ def time_series(
     A dotted line in the panel of mu is the largest mu of all feasible poses. Long runs are thinned by `envelope`.
 
     Args:
-        runs: for each name, a `Trace` or a run's columns (N,) or (N, k), with `t_s`. A vector is drawn as its norm.
-        panels: names of columns, from top to bottom. None means ``PANELS``, but the errors of ``TIPS`` that every run
-            has replace the tip error in space, which is mostly calibration error.
+        runs: maps each run's name to a `Trace`, or to a dict of columns that includes `t_s`. A column has shape (N,)
+            or (N, k). A vector is drawn as its norm.
+        panels: names of columns, from top to bottom. None means ``PANELS``, with one change: columns of ``TIPS`` that
+            all runs have replace the tip error in space, which is mostly calibration error.
         styles: the style of each run; None makes new styles.
 
     Raises:
@@ -86,7 +87,7 @@ def time_series(
             yanchor="bottom", showarrow=False, font={"size": 12}, xshift=-2,
         )  # fmt: skip
     if not drawn.data:
-        raise ReportError(f"no run has any of the columns {', '.join(panels)}: name columns that a trace has")
+        raise ReportError(f"no run has any of the columns {', '.join(panels)}: choose columns that exist in a trace")
     groups = [trace.legendgroup for trace in drawn.data]
     for k, trace in enumerate(drawn.data):
         trace.showlegend = trace.legendgroup not in groups[:k]
@@ -136,4 +137,4 @@ def _check(panels: object, runs: Mapping[str, Columns]) -> None:
         if name not in drawable:
             kind = "holds texts" if name in everything else "is in no run"
             near = difflib.get_close_matches(str(name), drawable, n=3) or drawable
-            raise ReportError(f"column {shown(name)} {kind}: name columns of numbers, such as {', '.join(near)}")
+            raise ReportError(f"column {shown(name)} {kind}: choose numeric columns, such as {', '.join(near)}")

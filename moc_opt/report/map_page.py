@@ -94,7 +94,7 @@ def _row(reading: Reading) -> dict[str, Any]:
 
 
 def load_map(files: Sequence[str | os.PathLike[str]]) -> Page:
-    """Return a page with the map of saved traces, named as their files, and of the best courses saved in them."""
+    """Return a page with the map of saved traces, and of the best courses in them. A trace is named after its file."""
     traces, robot = load_runs(files)
     page = Page(f"Manipulability map of {title_of(traces)}", f"runs: {'; '.join(traces)}")
     courses: dict[str, Trace] = {}
@@ -173,7 +173,7 @@ def _colors(drawn: go.Figure, found: SwivelMap, allowed: NDArray[np.bool_]) -> N
 
 
 def _edged(drawn: go.Figure, group: str, t: Array, swivel_rad: Array, mu: Array) -> dict[str, Any]:
-    """Draw a line's white edge, and return plotly's arguments for the line. Both have gaps where the swivel leaps."""
+    """Draw the white edge of a line. Return plotly's arguments for the line. Both have gaps where the swivel jumps."""
     leaps = np.flatnonzero(np.abs(np.diff(swivel_rad)) > np.radians(LEAP_DEG)) + 1
     x, y, values = (np.insert(of, leaps, np.nan) for of in (t, np.degrees(swivel_rad), mu))
     line = {"x": x, "y": y, "mode": "lines", "connectgaps": False, "legendgroup": group}

@@ -16,7 +16,7 @@ COURSES = [
     Column("course", "course"), Column("mu_mean", "mean mu", unit="m^3", format=".4f", better="high"),
     Column("mu_worst", "worst mu", unit="m^3", format=".4f", better="high"),
     Column("share_percent", "of best", unit="%", format=".1f", help="mean mu / best mean mu from any start"),
-    Column("certified", "optimum", help="'local': no course nearby is better; 'grid': the best of the map's samples"),
+    Column("certified", "optimum", help="'local': no course nearby is better. 'grid': the best of the map's samples."),
     Column("violation", "violation", unit="m, rad", format=".0e"),
 ]  # fmt: skip
 VERDICT_TERMS = (
@@ -25,8 +25,8 @@ VERDICT_TERMS = (
 )
 COURSES_TERMS = (
     "Local climb: an ideal climb of mu from the start, without dynamics or gains. The mu of a run with third_level = "
-    "'local' may differ. Optimum: 'local': no course nearby is better; 'grid': the best of the map's samples. "
-    "Violation: the largest distance from the path or beyond a limit."
+    "'local' may differ. Optimum 'local': no course nearby is better. Optimum 'grid': the best of the map's samples. "
+    "Violation: the largest distance from the path, or the largest excess over a limit."
 )
 
 

@@ -37,11 +37,11 @@ SERIES_POINTS = 900
 BASE = -1
 SHORTEST_M = 1e-3
 ACROSS = 0.7
-"""Below this |cosine| of the angle between a joint's axis and link, the joint is drawn as an elbow, else as a ring."""
+"""A joint is drawn as an elbow if |cos| of the angle between its axis and its link is below this, else as a ring."""
 
 
 class Replay:
-    """One to four runs of one arm, played side by side. ``#t=3.2`` in the URL opens the page at t = 3.2 s."""
+    """One to four runs of one arm, played side by side. With ``#t=3.2`` in the URL, the page opens at t = 3.2 s."""
 
     def __init__(self, traces: Mapping[str, Trace], robot: RobotModel) -> None:
         """Check the runs. Raise a ReportError if there is no run, too many runs, or a run of another arm."""
@@ -86,7 +86,7 @@ class Replay:
 
 
 def load_runs(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, Trace], RobotModel]:
-    """Load saved traces, named as their files, and their arm. Raise a ReportError if arms or tools differ."""
+    """Load traces and their arm. Each trace is named after its file. Raise a ReportError if arms or tools differ."""
     traces: dict[str, Trace] = {}
     for file in map(Path, files):
         traces[file.stem if file.stem not in traces else str(file)] = Trace.load(file)
@@ -100,7 +100,7 @@ def load_runs(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, Trace]
     if "robot_data" in meta:  # an arm from outside the package
         return traces, restored(meta["robot_data"])
     if not arm["name"]:
-        raise ReportError("the trace does not say which robot it is of: load it yourself with load_robot")
+        raise ReportError("the trace does not name its robot: load the robot yourself with load_robot")
     tool = {"tool_length": arm.get("tool_length_m"), "tool_mass": arm.get("tool_mass_kg")}
     return traces, load_robot(arm["name"], **tool)
 
@@ -164,7 +164,7 @@ def velocity_ellipsoids(jacobians: Array) -> Array:
 class Part(NamedTuple):
     """A body of revolution."""
 
-    link: int  #: index (from 0) of the joint with whose frame the part moves, or `BASE`
+    link: int  #: index (from 0) of the joint frame that the part is attached to, or `BASE`
     origin: Array  #: (3,) point at height 0, in the frame of the link [m]
     axis: Array  #: (3,) unit vector in the frame of the link
     radii: Array  #: (k,) radii of the profile's points [m]
@@ -192,7 +192,7 @@ def arm_parts(robot: RobotModel) -> list[Part]:
         heights = heights.clip(0.0 if k == 0 else -np.inf, lengths[k] if k == seen[-1] else np.inf)
         parts.append(Part(int(k) - 1, here, ends[k] / lengths[k], ball * np.cos(bend), heights, "shell"))
     for j, axis in enumerate(chain.axes):
-        # The longer of a joint's two links decides, because wrists have links of length zero.
+        # The longer of a joint's two links decides between elbow and ring, because wrist links can have zero length.
         beside = max(ends[j + 1], chain.rotations[j].T @ ends[j], key=np.linalg.norm)
         across = abs(axis @ beside) < ACROSS * np.linalg.norm(beside)
         drums = [(1.06, 1.12, "shell"), (0.78, 1.22, "joint")] if across else [(1.04, 0.10, "joint")]

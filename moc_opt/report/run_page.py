@@ -18,7 +18,7 @@ from moc_opt.trace.trace import Trace
 
 
 def load_report(files: Sequence[str | os.PathLike[str]]) -> Page:
-    """Make the page of saved traces, named as their files. Raise what `load_runs` raises."""
+    """Make the page of saved traces. Each is named after its file. Raise what `load_runs` raises."""
     traces, robot = load_runs(files)
     return run_page(traces, {name: summarize(trace) for name, trace in traces.items()}, robot)
 

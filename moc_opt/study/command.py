@@ -142,7 +142,7 @@ def command(
     parser.add_argument("config", nargs="?", type=Path, help=f"TOML; default: {name}.toml of this study")
     parser.add_argument("--out", type=Path, default=Path("results") / name, help="folder for the results")
     parser.add_argument("--seed", type=int, help="replaces the configuration's seed")
-    parser.add_argument("--quick", action="store_true", help="the same on less data")
+    parser.add_argument("--quick", action="store_true", help="run the same study on less data")
     parser.add_argument("--json", action="store_true", help="print summary.json instead of the answer")
     parser.add_argument("--dask", metavar="ADDRESS", help="run the jobs that are not timed on this Dask scheduler")
     options(parser)
@@ -213,7 +213,7 @@ def environment(config: Mapping[str, Any], seed: int, argv: Sequence[str] = ()) 
 
 
 def choose(wanted: Literal["all"] | Sequence[str], *beside: str) -> tuple[list[str], dict[str, str]]:
-    """Return the names of the solvers that can run here, and by name the reasons why the others cannot.
+    """Return the names of the solvers that can run here, and for each other name the reason why it cannot.
 
     "all" means every known solver. The names in ``beside``, such as that of a baseline, can always run.
     """

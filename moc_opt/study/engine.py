@@ -83,7 +83,7 @@ def run(
     Args:
         kept: store of results. A job whose result is stored there is not run again. Failures are not stored.
         workers: processes on this machine; None: one for each core.
-        dask: address of a Dask scheduler, such as "tcp://host:8786", whose workers do the jobs that need not run alone.
+        dask: address of a Dask scheduler, such as "tcp://host:8786". Its workers do the jobs without ``alone``.
         done: called in this process with each job and its result.
         keep: called with a result; returns whether the result may be stored.
         give_up: after this many jobs of a group hung or crashed, the group's later jobs count as not run.
@@ -300,7 +300,7 @@ def _begin(folder: str, memory: int) -> None:
 
 
 def report(part: Any) -> None:
-    """Save a part of this job's result. If the job fails later, the part is in `Failed.parts`. A cluster saves none."""
+    """Save a part of this job's result, except on a cluster. If the job fails later, the part is in `Failed.parts`."""
     if _parts is not None:
         _parts.write(pickle.dumps(part))
 

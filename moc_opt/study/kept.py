@@ -69,7 +69,7 @@ class Kept:
         try:
             self._cache[key] = _Entry(result, sources, digest_of(sources))
         except (OSError, sqlite3.Error) as error:
-            raise StudyError(f"{self.folder}: a finished job cannot be kept ({error}); earlier jobs are") from error
+            raise StudyError(f"{self.folder}: a finished job cannot be kept: {error}; earlier jobs remain") from error
 
 
 def key_of(work: Callable[..., Any], arguments: Iterable[Any]) -> str:

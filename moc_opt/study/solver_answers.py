@@ -27,14 +27,14 @@ from moc_opt.study.solver_settings import SolverSetting
 from moc_opt.study.testsets import TestSet
 from moc_opt.study.timing import each_us, percentiles, total
 
-Runner = Callable[..., list[Any]]  # `moc_opt.study.run`, with the study's folder, workers and progress
+Runner = Callable[..., list[Any]]  # `moc_opt.study.run` with the study's folder, workers and progress already bound
 
 HUNG, CRASHED, RAISED, NOT_ASKED, REFUSED = "hung", "crashed", "raised", "not asked", "refused"
 """Statuses of an answer in addition to those that solvers return."""
-BROKEN_SETS = 3  # a hang or crash ends a set; after this many such sets, a solver's other sets are skipped
+BROKEN_SETS = 3  # a hang or crash ends a set. After this many such sets, a solver's other sets are skipped.
 HOURS = 1e5  # limit of the job for a whole set [s]; every answer has a limit of its own
 WARM_UP = 16  # solves before the timed ones
-CONTRADICTION = 1e-13  # [m/s] references that differ by less are consistent up to rounding
+CONTRADICTION = 1e-13  # [m/s] if judged and given reference differ by less than this, the difference is rounding
 RIGHTLY = 0.99  # times are compared only among solvers with at least this share of right answers
 RESIDUALS = ("primal", "natural", "natural_best", "relative", "loss")
 
@@ -54,7 +54,7 @@ Question = tuple[SolverSetting, TestSet]
 
 
 class Answer(NamedTuple):
-    """One answer: status, iterations, x (n,), y (6,), and the exception or defect in words, if there was one."""
+    """One answer: status, iterations, x (n,), y (6,), and a description of the exception or defect, if any."""
 
     status: str
     iterations: int
@@ -67,7 +67,7 @@ class Answers:
     """The judged answers of one solver under one setting to one set of k problems.
 
     ``refused`` says why the solver does not take the problems. ``events`` lists its errors and how its process ended.
-    ``every``, ``status``, ``x``, ``residuals`` and ``verified`` have one entry per problem, even if it was not asked.
+    ``every``, ``status``, ``x``, ``residuals`` and ``verified`` have one entry for each problem, asked or not.
     """
 
     def __init__(self, setting: SolverSetting, problems: TestSet, result: list[Any] | Failed) -> None:
@@ -97,9 +97,10 @@ class Answers:
     def counts(self) -> dict[str, int]:
         """Count the answers by outcome (docs/solvers.md explains the outcomes).
 
-        Right answers are the `verified_solved` among the `optima_asked` (feasible problems not refused as inconsistent)
-        and the `infeasible_right` among the `infeasible_asked`. `refused_inconsistent` counts the problems among the
-        `inconsistent_asked` that were called infeasible, which is neither right nor wrong.
+        An answer is right in two cases. `verified_solved` counts verified optima, out of `optima_asked`.
+        `infeasible_right` counts infeasible problems recognised as such, out of `infeasible_asked`. Feasible problems
+        refused as inconsistent are not in `optima_asked`. `refused_inconsistent` counts these problems, out of
+        `inconsistent_asked`. Such an answer is neither right nor wrong.
         """
         status, feasible = self.status, self.problems.feasible
         claimed, infeasible = status == "solved", status == "infeasible"
@@ -120,7 +121,7 @@ class Answers:
         return {"solves": len(status), **{name: int(flags.sum()) for name, flags in found.items()}, **broken}
 
     def summary(self, times: Times | None = None) -> dict[str, Any]:
-        """Return counts, largest residuals and times for summary.json, and the first trouble in words.
+        """Return counts, largest residuals, times and the first trouble, for summary.json.
 
         Residuals are taken over the feasible problems that were answered.
         """
@@ -184,7 +185,7 @@ def ask(run: Runner, questions: Sequence[Question], limits: Limits, *, warm: boo
 
 
 def answer(setting: SolverSetting, rows: Array, warm: bool, patience_s: float, setup_s: float) -> list[Any]:
-    """Return why the solver refuses the problems (empty if it accepts them), followed by an `Answer` per problem.
+    """Return a list: why the solver refuses the problems ("" if it accepts them), then an `Answer` per problem.
 
     Runs in a worker, which reports each item at once. ``patience_s`` limits the processor time of an answer, and
     ``setup_s`` limits the processor time of the setup.
@@ -233,7 +234,7 @@ def _problems(rows: Array) -> list[NullSpaceQP]:
 
 
 def _session(solver: Solver, qp: NullSpaceQP) -> tuple[Session | None, str]:
-    """Return (session, ""), or None with the reason in the solver's words or the exception that was raised."""
+    """Return (session, "") on success, else (None, text). The text is the solver's reason, or describes the fault."""
     try:
         reason = solver.supports(qp)
         if reason is None:
@@ -245,7 +246,7 @@ def _session(solver: Solver, qp: NullSpaceQP) -> tuple[Session | None, str]:
 
 
 def _asked(session: Session, qp: NullSpaceQP) -> tuple[Solution, str]:
-    """Return the answer, and the exception or the defect of the answer in words. The words are empty if all is well."""
+    """Return (answer, trouble). Trouble describes an exception or a defective answer. It is empty if all is well."""
     try:
         return received(session.solve(qp), qp.n)
     except (Exception, SystemExit) as error:  # noqa: BLE001 - as above
@@ -261,7 +262,7 @@ class Times(NamedTuple):
     solve: Array  #: (rounds, k) solves of one session that goes through all problems
     setup: Array  #: starts of fresh sessions
     cold: Array  #: first solves of the fresh sessions
-    update: Array  #: calls that hand a problem to the library; empty if the session has no such call
+    update: Array  #: calls of the session's `update`, which hands a problem to the library; empty if it has none
     load: Mapping[str, float]  #: the machine's load meanwhile, see `timing.COUNTED`
 
     def figures(self) -> dict[str, Any]:

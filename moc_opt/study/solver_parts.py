@@ -44,8 +44,8 @@ COUNTS = {
 }  # fmt: skip
 FAULTS = ("silently_wrong", "infeasible_wrong", "failed", "hung", "crashed")
 RESIDUALS = {
-    "primal": "of all answers, claimed or not", "natural": "with the solver's own duals",
-    "relative": "with the best duals, the cost scaled to one", "loss": "0 at the smallest cost, 1 at the largest",
+    "primal": "largest constraint violation of all answers", "natural": "largest residual with the solver's own duals",
+    "relative": "largest residual with the best duals, cost scaled to one", "loss": "0: smallest cost, 1: largest cost",
 }  # fmt: skip
 TIMES = {
     "solve_p50_us": "p50", "solve_p99_us": "p99", "solve_p99_9_us": "p99.9", "update_p50_us": "update p50",
@@ -97,7 +97,7 @@ def recorded_sequence(work: Work) -> None:
     config = work.config.open_loop
     problems = [NullSpaceQP.from_row(np.array(row)) for row in work.sequence]
     session = Exact().start(problems[0])
-    optima = [session.solve(qp) for qp in problems]  # the reference, because exact is right on the certified sets
+    optima = [session.solve(qp) for qp in problems]  # the reference: exact is right on the certified sets
     feasible = np.array([one.status is Status.SOLVED for one in optima])
     data = TestSet("recorded", work.sequence, np.array([one.x for one in optima]), feasible)
     limits = Limits(patience_s=2.0, setup_s=40.0, rounds=2, seconds=1.0, cold=config.cold)
@@ -152,11 +152,11 @@ def certified_sets(work: Work) -> None:
         for one in mine:
             work.summary.setdefault(f"testset {one.problems.name}", {})[label] = one.summary(times.get(id(one)))
             work.answers.add(*one.rows("testset"))
-    totalled = answers_table("All sets: sums of counts, largest residuals, times of the slowest", whole, "_worst_set")
+    totalled = answers_table("All sets: sum of counts, largest residual, times of the slowest set", whole, "_worst_set")
     by_set = _set_by_set(work.summary, [data.name for data in chosen], work.recommended)
     settings = Table(
         "Every setting of every solver",
-        [SOLVER, Column("setting", "setting"), Column("options", "what it gets"), Column("reason", "why")],
+        [SOLVER, Column("setting", "setting"), Column("options", "options"), Column("reason", "reason")],
         [{"solver": one.solver, "setting": one.name, **work.summary["settings"][one.label]} for one in work.settings],
     )
     work.sections.append(Section(CERTIFIED, f"{MEANING}\n\n{INCONSISTENT}", [totalled, by_set]))

@@ -116,7 +116,7 @@ def _order(row: Row) -> tuple[float, float, float]:
 
 
 def _damage(row: Row, reference: str | None, runs: Results) -> tuple[Any, float]:
-    """Return the worst loss in closed loop in words, and in tolerances (0 unless both intervals confirm the loss)."""
+    """Return the worst loss in closed loop as text, and in tolerances (0 unless both intervals confirm the loss)."""
     for word, count in _ended(row["closed"]).items():
         if count:
             return f"{count} {word}", TOO_MUCH
@@ -241,8 +241,8 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
     columns = [
         Column("solver", "solver"), Column("verdict", "verdict"),
         Column("right_percent", "right", unit="%", format=".2f", section=kind,
-               help=f"verified, or rightly called infeasible, of {counted} problems less those refused"),
-        Column("silently_wrong", "wrong", format=".0f", section=kind, help="claimed solved, not optimal"),
+               help=f"verified, or rightly called infeasible; out of {counted} problems without the refused ones"),
+        Column("silently_wrong", "wrong", format=".0f", section=kind, help="claimed as solved, but not optimal"),
         Column("p50_us", "p50", unit="us", section=recorded, help="median time of a warm solve"),
         Column("p99_us", "p99", unit="us", section=recorded, help="one solve in a hundred is slower"),
     ]  # fmt: skip
@@ -257,9 +257,9 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
     if any(row["trials"] for row in rows):
         columns += [
             Column("damage", "worst damage", section=CLOSED,
-                   help="largest loss in closed loop against the solver to take, beyond the tolerance"),
+                   help="largest loss in closed loop relative to the solver to take, if it exceeds the tolerance"),
             Column("tip_change", "tip own/ registered", unit="%", section=CLOSED,
-                   help="change of the mean tip error against DCAC, in both frames"),
+                   help="change of the mean tip error relative to DCAC: own kinematics / registered frame"),
         ]  # fmt: skip
         caption += (
             f" {_trials_told(rows)} Worst damage: largest loss in closed loop relative to the solver to take; none: "

@@ -81,7 +81,7 @@ class ClosedLoop(Settings):
     """Settings of the trials in closed loop."""
 
     KIND: ClassVar[str] = "[closed_loop]"
-    tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1, description="the trials take them in turn")
+    tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1, description="tasks of the trials, in turn")
     trials: int = Field(60, ge=1, description="number of trials of DCAC and the cited solvers")
     cited: list[str] = Field(["exact", "rnn", "rnn-printed"], description="solvers that the report's answer cites")
     others: int = Field(15, ge=1, description="number of trials of every other solver")
@@ -104,7 +104,7 @@ class Config(StudyConfig):
     open_loop: OpenLoop = OpenLoop()
     testsets: TestSets = TestSets()
     closed_loop: ClosedLoop = ClosedLoop()
-    settings: dict[str, dict[str, Any]] = Field(default_factory=dict, description="per solver")
+    settings: dict[str, dict[str, Any]] = Field(default_factory=dict, description="settings of each solver")
     scenario: Scenario = Scenario()
 
     def quick(self) -> Self:
@@ -220,7 +220,7 @@ def once(names: Sequence[str]) -> tuple[list[str], dict[str, str]]:
     """Drop `qpsolvers:NAME` if NAME is listed, too. Return the other names, and the reason for each dropped name."""
     native = {f"{QPSOLVERS}{name}": name for name in names}
     return [name for name in names if name not in native], {
-        name: f"the same library as `{native[name]}`: `twice = true` in the configuration asks both ways"
+        name: f"the same library as `{native[name]}`: `twice = true` in the configuration runs both"
         for name in names if name in native
     }  # fmt: skip
 
@@ -236,7 +236,7 @@ def report(found: Work) -> Report:
     ]  # fmt: skip
     sections = found.sections
     if troubles:
-        shown = [SOLVER, Column("part", "part"), Column("trouble", "first occurrence, or reason")]
+        shown = [SOLVER, Column("part", "part"), Column("trouble", "first trouble, or reason")]
         went_wrong = Table("What went wrong, and what did not run", shown, troubles)
         sections = [*sections, Section("Exceptions, hangs and crashes", "", [went_wrong])]
     title = f"Solvers of the null-space subproblem on the {scenario.robot.name}"
@@ -254,10 +254,10 @@ def main(arguments: Sequence[str] | None = None, *, program: str = "moc-opt solv
 
     def options(parser: ArgumentParser) -> None:
         parser.epilog = "`moc-opt solvers --list` prints the solvers that can run here, and their settings."
-        parser.add_argument("--full", action="store_true", help=f"more of everything: {FULL.name} of the package")
-        parser.add_argument("--only", nargs="+", metavar="SOLVER", help="these solvers alone")
-        parser.add_argument("--sets", nargs="+", metavar="NAME", help="these test sets alone")
-        parser.add_argument("--parts", nargs="+", metavar="PART", choices=PARTS, help=f"of {', '.join(PARTS)}")
+        parser.add_argument("--full", action="store_true", help=f"run the larger study of {FULL.name} in the package")
+        parser.add_argument("--only", nargs="+", metavar="SOLVER", help="run only these solvers")
+        parser.add_argument("--sets", nargs="+", metavar="NAME", help="use only these test sets")
+        parser.add_argument("--parts", nargs="+", metavar="PART", choices=PARTS, help=f"run some of {', '.join(PARTS)}")
 
     return command(
         "solvers", "Compare the solvers, open loop and in closed loop.", Config, work, arguments,

@@ -133,7 +133,7 @@ def relative_change(treated: ArrayLike, control: ArrayLike) -> Interval:
 
 
 def relative_changes(treated: ArrayLike, control: ArrayLike) -> Change:
-    """Add to `relative_change` the mean over trials of 100 (treated/control - 1) [percent]. Raise what this raises."""
+    """Return `relative_change`, and the mean over trials of 100 (treated/control - 1) [percent]. Same errors."""
     ratio = relative_change(treated, control)
     with np.errstate(divide="ignore", invalid="ignore"):
         each = 100.0 * (np.asarray(treated, float) / np.asarray(control, float) - 1.0)

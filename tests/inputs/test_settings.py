@@ -22,7 +22,7 @@ class Inner(Settings):
 
 
 class Kinds(Settings):
-    """Fields to which a text or a flag might be converted by mistake."""
+    """Fields that might accept a text or a flag by silently converting it."""
 
     flag: bool = False
     limit: float | Literal["none"] | None = None
@@ -67,7 +67,8 @@ def test_errors_name_table_field_value_and_range():
             Inner(**wrong)
     for wrong, said in (
         ({"inner": {"gain": -3.0}}, r"^\[inner\] gain = -3\.0: input should be greater than 0"),
-        ({"name": 5}, "name = 5"), ({"inner": 3}, r"inner = 3: a table: write \[inner\] and its keys below it$"),
+        ({"name": 5}, "name = 5"),
+        ({"inner": 3}, r"inner = 3: must be a table; write \[inner\] with its keys below it$"),
     ):  # fmt: skip
         with pytest.raises(ControlError, match=said):
             Outer(**wrong)

@@ -39,7 +39,7 @@ def test_a_straight_curve_has_even_samples_up_to_the_first_limit_that_it_meets()
         whole = np.sqrt(2.0) * end
         np.testing.assert_allclose(s, [*np.arange(0.0, whole - 1e-3, 0.11), whole], atol=1e-9)
         np.testing.assert_allclose(poses, start + s[:, None] * ALONG, atol=1e-9)
-        assert poses[-1, 1 if end < 0.4 else 0] == (least if end < 0.4 else 0.5), "the limit to the last bit"
+        assert poses[-1, 1 if end < 0.4 else 0] == (least if end < 0.4 else 0.5), "the curve ends exactly at the limit"
         assert not closed
         again, *_ = follow(low, high, poses[-1], ALONG, 0.11)
         assert len(again) == 1, "the start is at the limit already"

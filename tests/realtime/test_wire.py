@@ -1,4 +1,4 @@
-"""Packets have the layout of docs/realtime.md, and only valid packets pass. Each end is tested alone."""
+"""Packets have the layout of docs/realtime.md. Only valid ones pass. Plant and controller are tested separately."""
 
 import os
 import re
@@ -86,7 +86,7 @@ def test_valid_packets_pass_and_all_others_are_counted(ends):
     assert plant.quality == {"received": 0, "missed": 0, "late": 0, "forged": 1, "foreign": 1 + len(foreign)}
 
 
-def test_a_packet_that_has_arrived_is_taken_after_the_deadline_but_a_flood_is_not_read_to_its_end(ends):
+def test_a_waiting_packet_is_still_read_after_the_deadline_but_a_flood_is_not_read_completely(ends):
     plant, controller = ends
     controller.sendto(seal(command(sequence=1), KEY), plant.address)
     assert plant.receive(monotonic() - 1.0) is not None
@@ -248,7 +248,7 @@ def answered(said):
     ([(0, 0), (3, 1), (1, 1)], [(0, 1), (3, 2)], [], (2, 2, 1), "completed"),
 ])  # fmt: skip
 def test_every_tick_is_answered_and_the_end_acknowledged(ticks, commands, corrected, counts, ended):
-    """Each of ``ticks`` is the number of a measurement and the torque that acted before it."""
+    """Each entry of ``ticks`` is (k, torque): a measurement's sequence number, and the torque that acted before it."""
     last = measurement(wire.ENDED, max(ticks)[0])
     ending, told, seen = answered(
         [measurement(wire.WAITING), *(measurement(wire.RUNNING, k, tau) for k, tau in ticks), last]

@@ -1,4 +1,4 @@
-"""The procedure: the trocar is registered by hand, and the board is located, lost and filmed."""
+"""Vision and hands-on tests: registering the trocar by hand, locating the board, noticing its loss, filming the run."""
 
 import cv2
 import numpy as np
@@ -34,7 +34,7 @@ def test_locating_the_board_is_accurate_and_repeats_with_the_same_seed():
     assert found["task_error_max_mm"] < 0.15
 
 
-def test_a_calibration_error_shifts_the_task_by_its_size():
+def test_a_calibration_error_of_2_mm_shifts_the_task_by_2_mm():
     camera = CameraSettings(calibration_error_m=0.002, calibration_error_deg=0.0)
     scene = Augmented(ROBOT, PHANTOM, camera=camera)
     assert scene.accuracy(scene.locate(), CIRCLE)["task_error_max_mm"] == pytest.approx(2.0, abs=0.15)
@@ -85,7 +85,7 @@ def near(picture, colour, point, reach=3):
 
 
 @pytest.mark.parametrize("trocar", [FLAT.apply([0.0, 0.02, 0.15]), FLAT.apply([0.0, 0.0, 1.0])])
-def test_task_tip_and_trocar_are_drawn_where_they_project_to(trocar):
+def test_the_task_and_the_tip_and_the_trocar_are_drawn_where_they_project_to(trocar):
     """The second trocar is behind the camera. The line towards it is still drawn."""
     page = draw(BLANK, CAMERA, task=LINE, progress=0.5, tip=TIP_PLACE, trocar=trocar, text="")
     assert near(page, DONE, LINE[5])
@@ -110,7 +110,7 @@ def test_the_trocar_is_registered_on_the_realistic_arm():
     seed = 2
     found, plant = guided(seed, registration_error_m=0.0)
     assert found.status is HandsOnStatus.REGISTERED
-    # The encoders are accurate. The error is mostly the distance from the incision at which the hand stopped.
+    # The encoders are accurate. Most of the error is how far from the incision the hand stopped.
     assert found.error_m < 0.002
     trace = found.trace
     assert np.linalg.norm(trace.hand_force_N, axis=1).max() <= 15.0 * (1 + 1e-12)
