@@ -54,7 +54,6 @@ def test_limits_of_the_toml_replace_those_of_the_urdf(tmp_path: Path) -> None:
 def test_tool_is_a_slender_rod_on_the_flange(length: float, mass: float) -> None:
     arm = read(load_data(tool_length=length, tool_mass=mass).urdf)
     rod, joints = arm.links[-3], {each.name: each for each in arm.joints}
-    assert rod.moments is not None
     assert (rod.name, rod.mass, rod.xyz) == ("tool", mass, (0.0, 0.0, length / 2))
     assert rod.moments[0] == rod.moments[1] == pytest.approx(mass * length**2 / 12, rel=1e-3)
     assert 0 < rod.moments[2] < 0.01 * rod.moments[0]

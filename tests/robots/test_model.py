@@ -33,8 +33,7 @@ STEP = 1e-6
 @pytest.fixture(params=["robot", "odd_robot"])
 def arm(request: pytest.FixtureRequest) -> RobotModel:
     """The LWR4+, and an arm without any special geometry."""
-    model: RobotModel = request.getfixturevalue(request.param)
-    return model
+    return request.getfixturevalue(request.param)
 
 
 def samples(arm: RobotModel, count: int = 8, seed: int = 1) -> Iterator[tuple[Array, Array, RobotState]]:
