@@ -13,10 +13,11 @@ from moc_opt.errors import MocOptError
 from moc_opt.scenario import Scenario
 from moc_opt.study.command import CONFIGS
 from moc_opt.study.results import Results
-from moc_opt.study.statistics import Change, Interval, too_few
+from moc_opt.study.statistics import too_few
 from moc_opt.study.trials import BASELINES, OWN
 from moc_opt.vision.camera import CameraSettings
 from moc_opt.vision.hands_on import HandsOnSettings
+from tests.benchmarks.test_goals import change
 
 TINY = """
 tasks = ["circle"]
@@ -30,30 +31,21 @@ procedure.camera = { rate_Hz = 10.0, width_px = 400, height_px = 300 }
 procedure.board = { lost_s = [[1.0, 2.0]] }
 scenario = { task = { v_max_m_per_s = 0.1 }, duration_s = 0.4, judge = false, bound_samples = 0 }
 """
-
-
 SMALL = CameraSettings(rate_Hz=10.0, width_px=400, height_px=300)
 QUICK = Scenario(judge=False, bound_samples=0, seed=1, control={"preset": "tuned"}, task={"v_max_m_per_s": 0.1})
 SHIPPED = Config.load(CONFIGS / "paper.toml")
-
-
-def change(low, high, ratios=None, samples=15):
-    one = Interval(0.5 * (low + high), low, high, samples)
-    two = one if ratios is None else Interval(0.5 * sum(ratios), *ratios, samples)
-    return Change(one, two)
-
-
-BETTER, WORSE, OPEN, ODD = change(-9, -3), change(3, 9), change(-3, 9), change(-9, -3, (-2, 5))
+BETTER, WORSE, OPEN = (change(ends, ends) for ends in ((-9, -3), (3, 9), (-3, 9)))
+ODD, FEW = change((-9, -3), (-2, 5)), change((-9, -3), (-9, -3), 7)
 
 
 @pytest.mark.parametrize(("own", "matched", "wanted"), [
     (BETTER, BETTER, HOLDS), (WORSE, BETTER, HOLDS), (BETTER, OPEN, GAINS_ONLY), (BETTER, WORSE, GAINS_ONLY),
     (OPEN, OPEN, FAILS), (WORSE, WORSE, FAILS), (None, WORSE, FAILS), (BETTER, ODD, UNDECIDED),
-    (BETTER, change(-9, -3, samples=7), too_few(7)), (BETTER, None, too_few(0)),
+    (BETTER, FEW, too_few(7)), (BETTER, None, too_few(0)),
 ])  # fmt: skip
 def test_a_claim_is_judged_by_the_intervals_of_both_comparisons(own, matched, wanted):
     assert CLAIMS[1].verdict(own, matched) == wanted
-    found = [CLAIMS[0].verdict(None, change(*ends)) for ends in ((7.5, 20), (6.5, 20), (-20, -8))]
+    found = [CLAIMS[0].verdict(None, change(ends, ends)) for ends in ((7.5, 20), (6.5, 20), (-20, -8))]
     assert found == [HOLDS, FAILS, FAILS], "mu must rise by more than 7 % with its whole interval"
 
 

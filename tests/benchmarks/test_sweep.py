@@ -17,7 +17,6 @@ GRID = {"control.regularization": [1e-6, 1e-5, 1e-4], "plant.mass_error": [0.0, 
 
 
 def config(**changes: Any) -> Config:
-    """A configuration of 12 runs: 3 x 2 values and 2 seeds."""
     return Config(**{"grid": GRID, "seeds": 2, "solvers": ["exact"], "scenario": TINY, **changes})
 
 

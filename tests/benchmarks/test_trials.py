@@ -11,10 +11,6 @@ from moc_opt.scenario import Scenario, Setup
 from moc_opt.study import solvers
 from moc_opt.study.command import CONFIGS
 
-SET_UP = 7
-"""At most this many trials of a study are set up, because finding a start is slow."""
-
-
 STUDIES = {
     "solvers": solvers, "solvers-full": solvers, "plan": plan, "plan-limits": plan, "robots": robots, "plant": plant,
     "paper": paper, "faults": faults, "sweep": sweep, "margins": sweep, "accuracy": sweep,
@@ -35,7 +31,8 @@ def shipped(name: str) -> list[Scenario]:
 def test_no_two_trials_share_a_seed_a_start_or_a_registration(name: str) -> None:
     found = shipped(name)
     assert len({trial.seed for trial in found}) == len(found) > 1
-    some = [Setup(trial.change(best_courses=False)) for trial in found[:: -(-len(found) // SET_UP)]]
+    # At most seven trials are set up, because finding a start is slow.
+    some = [Setup(trial.change(best_courses=False)) for trial in found[:: -(-len(found) // 7)]]
     assert len({(setup.robot.data.name, *setup.q_start.round(9)) for setup in some}) == len(some)
     assert len({tuple(setup.plant.mismatch.registration_error) for setup in some}) == len(some)
 

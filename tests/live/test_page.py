@@ -23,13 +23,11 @@ from viser._messages import GuiUpdateMessage  # noqa: E402
 from websockets.exceptions import ConnectionClosed  # noqa: E402
 from websockets.sync.client import connect  # noqa: E402
 
-SCENARIO = Scenario(start={"swivel": 0.2})
-
 
 @pytest.fixture(scope="module")
 def live() -> Iterator[LivePage]:
     """Serve a page that is updated only every 0.3 s, because software rendering is slow."""
-    with pytest.MonkeyPatch.context() as patch, LivePage(SCENARIO, port=0) as page:
+    with pytest.MonkeyPatch.context() as patch, LivePage(Scenario(start={"swivel": 0.2}), port=0) as page:
         patch.setattr("moc_opt.live.page.FRAME_S", 0.3)
         thread = threading.Thread(target=page.wait)
         thread.start()
@@ -110,7 +108,6 @@ def test_an_order_without_the_token_is_not_obeyed_even_if_it_came_before_the_ref
 
 @pytest.fixture(scope="module")
 def page(chromium: Any, live: LivePage) -> Iterator[Any]:
-    """Open the page. At the end, check that it had no error and made no request to another server."""
     own, few = live.url.partition("/?")[0], {"viewport": {"width": 300, "height": 200}, "device_scale_factor": 0.25}
     with opened(chromium, live.url, "text=real time", own, ("error",), **few) as found:
         yield found

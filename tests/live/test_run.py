@@ -94,7 +94,6 @@ def test_wrong_requests_are_refused_and_the_run_goes_on(run: LiveRun) -> None:
 
 
 def test_a_solver_that_the_loop_cannot_use_gives_a_message(run: LiveRun) -> None:
-    """If the new solver refuses the subproblem, the old solver stays in use."""
     run.advance(10)
     controller = run._build(run.control, "exact")
     controller.solver = Mock(supports=lambda qp: "it is not in the mood")

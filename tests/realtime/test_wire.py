@@ -3,6 +3,7 @@
 import os
 import re
 import socket
+from contextlib import closing
 from itertools import count
 from pathlib import Path
 from time import monotonic
@@ -53,11 +54,9 @@ def test_one_changed_bit_or_another_key_fails_the_authentication(kind, data):
 @pytest.fixture
 def ends():
     plant = Link(7, KEY, (Kind.COMMAND, Kind.HELLO), listen=("127.0.0.1", 0))
-    controller = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    controller.bind(("127.0.0.1", 0))
-    yield plant, controller
-    plant.close()
-    controller.close()
+    with closing(plant), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as controller:
+        controller.bind(("127.0.0.1", 0))
+        yield plant, controller
 
 
 def command(kind=Kind.COMMAND, n=7, session=4, **changes):
@@ -127,9 +126,8 @@ def test_a_key_is_read_from_the_file_else_from_the_environment_and_required_beyo
 
 @pytest.fixture
 def peer(robot):
-    made = Peer(robot)
-    yield made
-    made.close()
+    with closing(Peer(robot)) as made:
+        yield made
 
 
 def test_a_start_packet_of_another_session_is_ignored(peer):
@@ -275,10 +273,8 @@ def test_a_measurement_with_an_impossible_stamp_is_not_answered():
     assert (ending["quality"]["foreign"], ending["quality"]["received"]) == (1, 1)
 
 
-T = 0.002
-
-
 def test_a_late_tick_does_not_delay_the_next_tick_but_a_stall_delays_all_later_ticks(monkeypatch):
+    T = 0.002
     now = {"s": 100.0, "oversleep": 0.5 * T}
     monkeypatch.setattr(clock, "monotonic", lambda: now["s"])
     monkeypatch.setattr(clock, "sleep", lambda seconds: now.update(s=now["s"] + seconds + now["oversleep"]))

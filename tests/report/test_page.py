@@ -20,8 +20,10 @@ from moc_opt.errors import BrowserError, ReportError
 from moc_opt.report.export import browser, save_figures
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Missing, Table
+from moc_opt.robots.model import RobotModel
 from tests.conftest import opened
 from tests.odd_inputs import names
+from tests.report.test_replay import wave
 
 
 class Resources(HTMLParser):
@@ -55,17 +57,12 @@ class Resources(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def full() -> Page:
+def full(robot: RobotModel) -> Page:
     """Return a page with all kinds of parts and figures, a wide table, and text that looks like markup."""
     rng = np.random.default_rng(2)
     solvers = [f"solver-{k}" for k in range(9)]
     times = {name: rng.lognormal(k, 0.2, 400) for k, name in enumerate(solvers)}
-    t = 0.002 * np.arange(3000)
-    errors = {"tip_error_m": 1e-4, "rcm_error_m": 1e-3, "trocar_force_N": 1.0}
-    runs = {
-        name: {"t_s": t, "mu": mean + 0.01 * np.sin(t)} | {key: of * rng.random(3000) for key, of in errors.items()}
-        for name, mean in (("DCAC", 0.27), ("MOC", 0.3))
-    }
+    runs = {"DCAC": wave(robot, 3000), "MOC": wave(robot, 3000, phase=1.0)}
     page = Page("A report <b>", "of made-up numbers")
     page.headline("Nothing is found.")
     page.section("Results")
@@ -142,7 +139,6 @@ def test_figures_that_cannot_be_saved_are_refused(full: Page, tmp_path: Path, mo
 
 @pytest.fixture(scope="module")
 def page(chromium: Any, full: Page, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """Open the page only once, because drawing takes seconds."""
     report = full.save(tmp_path_factory.mktemp("report") / "report.html")
     size = {"width": 1000, "height": 800}
     with opened(chromium, report.as_uri(), "html[data-drawn=yes]", viewport=size, color_scheme="light") as found:

@@ -79,7 +79,6 @@ def test_the_replay_has_the_numbers_of_its_traces(robot: RobotModel, monkeypatch
     assert len(Replay(runs, robot).data()["times"]) == 50, "a long run has fewer frames a second"
     monkeypatch.undo()
     packed = re.search(r'id="replay-data">([^<]+)<', replay.html())
-    assert packed is not None
     written = json.loads(gzip.decompress(base64.b64decode(packed[1])))
     np.testing.assert_allclose(written["runs"][1]["poses"], short["poses"].ravel(), atol=1e-6)
     assert [run["name"] for run in written["runs"]] == ["long", "short"]
@@ -87,12 +86,9 @@ def test_the_replay_has_the_numbers_of_its_traces(robot: RobotModel, monkeypatch
 
 def test_traces_that_cannot_be_shown_are_refused(robot: RobotModel, tmp_path: Path) -> None:
     good = wave(robot, 100)
-    bad_q = np.array(good.q_rad)
-    bad_q[3, 2] = np.nan
     for traces, words in (
         ({}, "1 to 4"), ({str(k): good for k in range(5)}, "1 to 4"),
         ({"x": Trace({"t_s": good.t_s, "q_rad": good.q_rad})}, "'x' lacks the columns tip_m"),
-        ({"x": good.with_columns(q_rad=bad_q)}, "not finite in 'q_rad'"),
     ):  # fmt: skip
         with pytest.raises(MocOptError, match=re.escape(words)):
             Replay(traces, robot)
@@ -103,15 +99,15 @@ def test_traces_that_cannot_be_shown_are_refused(robot: RobotModel, tmp_path: Pa
     assert list(load_runs(files)[0]) == ["exact", "dcac", str(files[2])]
     other = tmp_path / "other.parquet"
     Trace(good.columns, {"scenario": {"robot": {"name": "lwr4", "tool_length_m": 0.4}}}).save(other)
-    with pytest.raises(MocOptError, match="one robot with one tool"):
-        load_runs([files[0], other])
+    for wrong in ([files[0], other], []):
+        with pytest.raises(MocOptError, match="one robot with one tool"):
+            load_runs(wrong)
 
 
 def arm_of(page: Any) -> bytes:
     """Return a picture of the arm after it has been drawn."""
     page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
-    picture: bytes = page.locator("#scene").screenshot()
-    return picture
+    return page.locator("#scene").screenshot()
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,6 @@ import moc_opt as mo
 from moc_opt.__main__ import main
 from moc_opt.errors import ReportError
 from moc_opt.report.document import save_document
-from moc_opt.report.map_page import load_map
 from moc_opt.report.run_page import run_page
 from moc_opt.report.run_table import run_json, run_tables, title_of
 from moc_opt.trace.trace import Trace
@@ -149,16 +148,6 @@ def test_map_writes_the_page_and_the_figures(files, tmp_path, capsys, chromium):
     assert all(file.stat().st_size > 10_000 for file in (out, *figures))
 
 
-def test_runs_that_cannot_be_shown_together_are_refused(files, tmp_path, capsys):
-    first, out = Trace.load(files[0]), tmp_path / "m.html"
-    first.with_columns(tip_ref_m=first.tip_ref_m + np.array([0.0, 0.0, 0.01])).save(tmp_path / "moved.parquet")
-    assert main(["map", str(files[0]), str(tmp_path / "moved.parquet"), "--out", str(out)]) == 2
-    assert "'moved' was given another path" in capsys.readouterr().err
-    assert not out.exists()
-    with pytest.raises(ReportError, match="one robot with one tool"):
-        load_map([])
-
-
 @pytest.mark.parametrize("command", ["report", "replay", "map"])
 def test_a_page_replaces_a_foreign_file_only_with_force_and_needs_a_usable_place(files, tmp_path, capsys, command):
     out = tmp_path / "page.html"
@@ -189,4 +178,3 @@ def test_rows_plans_and_traces_replace_a_foreign_file_only_with_force(tmp_path, 
     with pytest.raises(ReportError, match="--force"):
         save_document(out, "page", "page")
     assert out.read_text() == "mine"
-    assert save_document(out, "page", "page", force=True).read_text() == "page"

@@ -24,13 +24,10 @@ def qp():
     return random_problem(np.random.default_rng(0))
 
 
-def started(qp, act="", at=2, folder="", **settings):
+def started(qp, act="", at=2, folder="", budget_us=np.inf, waits=True, **settings):
     """Start a session. By default it counts as hung only after a minute, because the machine may be busy."""
-    return isolated(Misbehaving(act, at, str(folder)), **{"hang_s": 60.0, **settings}).start(qp)
-
-
-def isolated(solver, budget_us=np.inf, waits=True, **settings):
-    return Isolated(solver, ProcessSettings(**settings), budget_us, waits)
+    process = ProcessSettings(**{"hang_s": 60.0, **settings})
+    return Isolated(Misbehaving(act, at, str(folder)), process, budget_us, waits).start(qp)
 
 
 def fault_of(session, qp):
@@ -162,7 +159,7 @@ def test_a_hanging_process_ends_soon_after_its_loop_was_killed():
 ])  # fmt: skip
 def test_a_solver_that_cannot_run_in_a_process_is_refused_at_the_start(qp, act, settings, text):
     with pytest.raises(SolverError, match=text):
-        isolated(Misbehaving(act), **settings).start(qp)
+        started(qp, act, **settings)
 
 
 def test_the_budget_is_enforced_by_the_process_or_with_replayed_times_by_the_supervisor():

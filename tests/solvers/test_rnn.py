@@ -111,7 +111,6 @@ def test_rnn_printed_applies_equation_2_to_the_measured_velocity():
     assert chosen.h == 0.002  # dt/eps for eps = 1 s at 500 Hz
     assert (chosen.k, qps[0].c0, qps[0].c1, qps[0].c2) == (0.1, 0.01, 0.01, 0.001)
     session = chosen.start(qps[0])
-    assert isinstance(session, ObservingSession)
     rng = np.random.default_rng(7)
     x, l1, l2 = np.zeros(7), np.zeros(3), np.zeros(3)
     for tick, qp in enumerate(qps):

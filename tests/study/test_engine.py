@@ -17,14 +17,17 @@ from moc_opt.study import Failed, Job, Kept, engine, run
 from tests.study import work
 
 HOME = Path(__file__).parents[2]
+ENV = os.environ | {"PYTHONPATH": str(HOME), "PYTHONDONTWRITEBYTECODE": "1"}
 
 
 def test_a_job_that_fails_in_any_way_harms_no_other_job(tmp_path):
     jobs = [
         Job(work.square, (3.0,)), Job(time.sleep, (60.0,), limit_s=0.5), Job(work.die), Job(work.leave),
-        Job(work.refuse), Job(work.press_ctrl_c), Job(work.fork_and_hang, (str(tmp_path / "child"),), limit_s=3.0),
+        Job(work.refuse), Job(work.throw, (KeyboardInterrupt,)),
+        Job(work.fork_and_hang, (str(tmp_path / "child"),), limit_s=3.0),
         Job(work.eat_memory), Job(lambda: None), Job(work.refuse_name), Job(work.odd_result),
-        Job(work.panic), Job(work.no_way_back), Job(work.square, (4.0,)),
+        # GeneratorExit is no subclass of Exception, like a panic of polars.
+        Job(work.throw, (GeneratorExit,)), Job(work.NoWayBack), Job(work.square, (4.0,)),
     ]  # fmt: skip
     done: list[int] = []
     found = run(jobs, workers=2, done=lambda job, result: done.append(jobs.index(job)))
@@ -102,8 +105,7 @@ def test_jobs_run_again_when_their_source_has_changed(tmp_path):
 
 def _python(folder: Path, script: str) -> str:
     (folder / "script.py").write_text(script)
-    env = os.environ | {"PYTHONPATH": str(HOME), "PYTHONDONTWRITEBYTECODE": "1"}
-    return subprocess.check_output([sys.executable, "script.py"], env=env, cwd=folder, text=True).strip()
+    return subprocess.check_output([sys.executable, "script.py"], env=ENV, cwd=folder, text=True).strip()
 
 
 KILLED = """
@@ -117,10 +119,9 @@ if __name__ == "__main__":
 
 def test_a_killed_study_loses_no_finished_job_and_leaves_no_process(tmp_path):
     (tmp_path / "script.py").write_text(KILLED)
-    env = os.environ | {"PYTHONPATH": str(HOME)}
     done = 0
     for number in (signal.SIGKILL, signal.SIGINT):
-        study = subprocess.Popen([sys.executable, "script.py"], env=env, cwd=tmp_path, stderr=subprocess.DEVNULL)
+        study = subprocess.Popen([sys.executable, "script.py"], env=ENV, cwd=tmp_path, stderr=subprocess.DEVNULL)
         before, until = _finished(tmp_path), time.monotonic() + 30.0
         while _finished(tmp_path) <= before and study.poll() is None and time.monotonic() < until:
             time.sleep(0.02)

@@ -26,18 +26,15 @@ seconds = 0.1
 patience_s = 1.5
 cold = 4
 """
-NAMES = ("exact", "osqp", "rnn", "quadprog")
 
 
-@pytest.fixture(scope="module", autouse=True)
-def quiet_machine():
+@pytest.fixture(autouse=True)
+def quiet_machine(monkeypatch):
     """Make these tests independent of other processes on the machine."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("moc_opt.study.timing.quiet", lambda row: True)
-        yield
+    monkeypatch.setattr("moc_opt.study.timing.quiet", lambda row: True)
 
 
-def run(folder: Path, *more: str, names: tuple[str, ...] = NAMES) -> int:
+def run(folder: Path, *more: str, names: tuple[str, ...] = ("exact", "osqp", "rnn", "quadprog")) -> int:
     (folder / "small.toml").write_text(SMALL)
     return solvers.main([str(folder / "small.toml"), "--out", str(folder / "out"), "--only", *names, *more])
 

@@ -35,8 +35,8 @@ def refuse() -> None:
     raise ScenarioError("[task] path = 'knot': no such path")
 
 
-def press_ctrl_c() -> None:
-    raise KeyboardInterrupt
+def throw(error: type[BaseException]) -> None:
+    raise error
 
 
 def fork_and_hang(file: str) -> None:
@@ -70,17 +70,9 @@ def refuse_name() -> None:
     raise UnknownNameError("solver", "osqq", ["osqp"])
 
 
-def panic() -> None:
-    raise GeneratorExit  # no subclass of Exception, like a panic of polars
-
-
-class _NoWayBack:
+class NoWayBack:
     def __reduce__(self) -> Any:
         return os.path.join, (1, 2)
-
-
-def no_way_back() -> Any:
-    return _NoWayBack()
 
 
 def odd_result() -> Any:

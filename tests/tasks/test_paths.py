@@ -96,13 +96,11 @@ def added(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(paths.plugins, "plugins", lambda group: found if group == paths.GROUP else {})
 
 
-@pytest.mark.parametrize("own", [True, False])
-def test_a_function_of_sizes_gives_a_path_in_space(own: bool, added: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The function is in the package's own table or in another package."""
-    if own:
-        monkeypatch.setitem(CURVES, "screw", helix)
-        assert paths.kinds()["screw"] == "Go round once while it climbs."
-    path = make_path("screw" if own else "helix", np.zeros(3), radius=0.02, **AXES)
+@pytest.mark.parametrize("kind", ["screw", "helix"])  # of the package's own table, and of another package
+def test_a_function_of_sizes_gives_a_path_in_space(kind: str, added: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(CURVES, "screw", helix)
+    assert paths.kinds()["screw"] == "Go round once while it climbs."
+    path = make_path(kind, np.zeros(3), radius=0.02, **AXES)
     assert isinstance(path, Waypoints)
     assert path.at(path.length)[0][2] == pytest.approx(0.01)
     assert path.length == pytest.approx(np.hypot(2 * np.pi * 0.02, 0.01), rel=1e-2)

@@ -136,17 +136,6 @@ def test_a_waiting_reference_stays_on_the_path_and_arrives(losses):
     np.testing.assert_array_equal(rows[-1, 1:], 0.0)
 
 
-def test_a_lost_board_stops_the_tip_completely_and_it_continues_later():
-    waiting = WaitingReference(CIRCLE, PERIOD)
-    rows, times = waiting.play(flags(8.0, [(2.0, 2.0)]))
-    stop, go = round((2.0 + waiting.settle_s) / PERIOD), round(4.0 / PERIOD)
-    held = rows[stop + 1 : go]
-    np.testing.assert_array_equal(held[:, 1:], 0.0)
-    np.testing.assert_array_equal(held[:, 0], np.broadcast_to(held[0, 0], held[:, 0].shape))
-    assert 0.0 < times[go] < CIRCLE.duration
-    assert times[-1] > times[go] + 1.0
-
-
 def test_the_tip_never_moves_without_a_board_and_chattering_flags_only_slow_it_down():
     waiting = WaitingReference(CIRCLE, PERIOD)
     rows, times = waiting.play(np.zeros(200, dtype=bool))

@@ -56,21 +56,13 @@ FLAT = Pose(np.eye(3), (0.6, 0.0, 0.05))
 CLEAN = Camera.above(CameraSettings(noise=0.0, blur_px=0.0), FLAT)
 
 
-def at(picture, camera, point):
-    u, v = np.rint(camera.project(point)[0]).astype(int)
-    return picture[v, u].astype(int)
-
-
-def found_in(picture):
-    return BoardFinder(BOARD, CLEAN).corners(picture).keys()
-
-
 def test_the_tool_is_drawn_and_hides_what_is_behind_it():
-    tip, up = FLAT.apply([0.0, 0.0, 0.005]), np.array([0.0, 0.0, 1.0])
+    tip, up, finder = FLAT.apply([0.0, 0.0, 0.005]), np.array([0.0, 0.0, 1.0]), BoardFinder(BOARD, CLEAN)
     view = View(CLEAN, BOARD, shaft=lambda q: (tip, tip + 0.3 * up))
     picture = view.picture(FLAT, q=np.zeros(7))
-    np.testing.assert_allclose(at(picture, CLEAN, tip + 0.01 * up), STEEL, atol=2)
-    assert 12 <= len(found_in(picture)) < len(found_in(view.picture(FLAT))) == 20
+    u, v = np.rint(CLEAN.project(tip + 0.01 * up)[0]).astype(int)
+    np.testing.assert_allclose(picture[v, u].astype(int), STEEL, atol=2)
+    assert 12 <= len(finder.corners(picture)) < len(finder.corners(view.picture(FLAT))) == 20
 
 
 def test_a_board_is_lost_at_the_set_times_and_not_found_if_absent_averted_or_behind_the_camera():
@@ -189,8 +181,7 @@ def test_single_pictures_are_accurate_with_six_of_ten_markers_hidden():
     assert np.max(found, axis=0)[0] < 5e-4
 
 
-def test_no_marker_gives_no_sighting_and_one_marker_a_poorer_pose():
-    assert FINDER.find(np.full((480, 640, 3), 90, dtype=np.uint8)) is None
+def test_one_marker_gives_a_poorer_pose():
     one = FINDER.find(View(EYE, BOARD).picture(EYE.camera_in_base @ TILTED, frozenset(BOARD.ids) - {7}))
     assert one.markers == 1
     assert one.pose.distance(TILTED)[0] < 3e-3

