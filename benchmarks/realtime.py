@@ -260,17 +260,15 @@ def sentences(summary: Mapping[str, Any]) -> list[str]:
     if quiet:
         each = [f"{name.rpartition(', ')[0]} {found['missed']} of {found['cycles']:,}" for name, found in quiet.items()]
         stalled = sum(found["overruns"] for found in quiet.values())
-        said.append(
-            f"Cycles missed on a quiet machine: {'; '.join(each)}. The plant's own process did not run in "
-            f"{stalled} periods."
-        )
+        said.append(f"Cycles missed on a quiet machine: {'; '.join(each)}. {stalled} ticks began over a period late.")
     loaded = [found for name, found in cases.items() if name.endswith("loaded")]
     if loaded:
-        missed, cycles, unclean = (sum(found[key] for found in loaded) for key in ("missed", "cycles", "unclean"))
+        keys = ("missed", "cycles", "stopped", "unclean")
+        missed, cycles, stopped, unclean = (sum(found[key] for found in loaded) for key in keys)
         said.append(
             f"With every core busy, {missed} of {cycles:,} cycles were missed, the largest RCM error was "
             f"{max(found['rcm_max_mm'] for found in loaded):.2f} mm, and "
-            f"{f'{unclean} stops were not clean' if unclean else 'every stop was clean'}."
+            f"{f'{unclean} of {stopped} stops were not clean' if stopped else 'no run was stopped'}."
         )
     return [*said, goals_sentence(summary["goals"])]
 
@@ -282,19 +280,21 @@ def report(summary: Mapping[str, Any], subject: str = "") -> Report:
         times = {time: " / ".join(f"{found[f'{time}_{p}_us']:,.0f}" for p in PERCENTILES) for time in TIMES}
         rows.append({**found, **times, "name": name, "in_100000": f"{value:.2g} [{low:.2g}, {high:.2g}]"})
     table = Table("Every case", [
-        Column("name", "case"), Column("cycles", "cycles"),
+        Column("name", "case"), Column("cycles", "cycles", format=",d"),
         Column("missed", "missed", format="d", help="round trips that took longer than the period"),
-        Column("in_100000", "in 100,000", help="missed cycles, with the 95 % interval"),
-        Column("overruns", "plant stalled", format="d", help="periods in which the plant's process did not run"),
+        Column("in_100000", "per 100,000", help="missed cycles, with the 95 % interval"),
+        Column("overruns", "plant stalled", format="d", help="number of ticks that began more than a period late"),
         *(Column(time, title, unit="us") for time, title in TIMES.items()), Column("stopped", "stops", format="d"),
         Column("unclean", "not clean", format="d", help="stops with a large RCM error, or with moving joints"),
         Column("rcm_max_mm", "RCM error, worst", unit="mm", format=".2f"),
-    ], rows, "Times: median / 99th / 99.99th percentile / worst.")  # fmt: skip
+    ], rows)  # fmt: skip
     how = (
-        "Wake-up latency: how late the plant's tick begins. Round trip: from the departure of a measurement to the "
-        "arrival of its torque, over the loopback. A cycle is missed if its round trip takes longer than the period. "
-        "Controller: the time of safety filter and control law alone. environment.json has the priority, memory "
-        "locking and timers that both processes were granted. Python's garbage collector is off inside both loops."
+        "Each time is written as median / 99th percentile / 99.99th percentile / longest. Brackets: 95 % interval. "
+        "Wake-up latency: how late a tick of the plant begins. Plant stalled: number of ticks that began more than a "
+        "period late. Round trip: from the departure of a measurement to the arrival of its torque, over the loopback. "
+        "A cycle is missed if its round trip takes longer than the period. Controller: the time of safety filter and "
+        "control law alone. environment.json has the priority, memory locking and timers that both processes were "
+        "granted. Python's garbage collector is off inside both loops."
     )
     title, first = "Plant and controller against the clock", goals_table(summary["goals"])
     return Report(title, sentences(summary), first, (), [Section(DETAILS, how, [table])], subtitle=subject)
