@@ -50,9 +50,11 @@ class Fault(Enum):
 def _raise_interrupt(error: BaseException) -> None:
     found: BaseException | None = error
     for _ in range(10):  # the chain may be cyclic in foreign code
-        if isinstance(found, KeyboardInterrupt):
-            raise found
-        found = found and (found.__cause__ or found.__context__)
+        if found is None or isinstance(found, KeyboardInterrupt):
+            break
+        found = found.__context__ if found.__cause__ is None else found.__cause__
+    if isinstance(found, KeyboardInterrupt):
+        raise found
 
 
 class SupervisorSettings(Settings):

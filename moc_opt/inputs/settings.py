@@ -124,6 +124,7 @@ def _explained(items: Sequence[Mapping[str, Any]], kind: str) -> str:
     if item["type"] == "missing":
         return f"{kind} {field} is missing: add it"
     if item["type"] == "model_type":
-        message = f"must be a table; write [{field}] with its keys below it"
+        table = f"{kind[:-1]}.{field}]" if kind.startswith("[") else f"[{field}]"
+        message = f"must be a table; write {table} with its keys below it"
     shown_field = f"{field} = {shown(item['input'])}: {message[0].lower()}" if field else message[0]
     return f"{kind} {shown_field}{message[1:]}"

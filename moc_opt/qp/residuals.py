@@ -34,6 +34,7 @@ GRADIENT_ROUNDING = 1e-9  # a reduced gradient below this fraction of |pull|_inf
 A_POINT = 1e-9  # a feasible interval no longer than this [rad/s] counts as a point
 FEASIBLE = 1e-6  # an empty feasible set counts as a point if widening the bounds by this [rad/s] makes it non-empty
 MOST_FACETS = 300  # largest comb(n, dim ker A - 1) for which the best duals are found
+TIED_BY_ROUNDING = 1e-14  # a sixth singular value below this share of |A|_F comes from the rounding of exact Jacobians
 NEARLY_SINGULAR = 1e-3  # division by a singular value below this share of |A|_F needs iterative refinement
 REFINEMENTS = 3  # number of refinement steps; each shrinks the error at least 1e4 times
 
@@ -185,20 +186,22 @@ def _by_rank(A: Array) -> list[tuple[NDArray[np.intp], _Factors]]:
 
 
 def _rank_five(A: Array) -> tuple[NDArray[np.intp], _Factors]:
-    """Factorize the matrices for which a QR decomposition proves rank 5 and a large enough fifth singular value.
+    """Factorize the matrices for which a QR decomposition proves rank 5 (up to rounding) without small singular values.
 
     With A^T = Q R, the sixth singular value of A is at most |R_66|. The fifth is at least the smallest singular value
-    of R's first five rows. A QR decomposition takes less than half the time of a singular value decomposition.
+    of R's first five rows. A QR decomposition takes less than half the time of a singular value decomposition. A larger
+    sixth singular value would tilt the basis of the null space, so that a joint outside it would seem to move in it.
     """
-    Q, R = np.linalg.qr(np.swapaxes(A, 1, 2), mode="complete")
-    size, diagonal = np.linalg.norm(A, axis=(1, 2)), np.abs(np.diagonal(R, axis1=1, axis2=2))
-    tied = diagonal[:, 5:].max(1, initial=np.inf if A.shape[2] < 6 else 0.0) < RANK_TOLERANCE * size
-    rows = np.flatnonzero(tied & (diagonal[:, :5].min(1, initial=np.inf) > NEARLY_SINGULAR * size))
+    size = _or_one(np.linalg.norm(A, axis=(1, 2)))[:, None, None]
+    Q, R = np.linalg.qr(np.swapaxes(A / size, 1, 2), mode="complete")
+    diagonal = np.abs(np.diagonal(R, axis1=1, axis2=2))
+    tied = diagonal[:, 5:].max(1, initial=np.inf if A.shape[2] < 6 else 0.0) < TIED_BY_ROUNDING
+    rows = np.flatnonzero(tied & (diagonal[:, :5].min(1, initial=np.inf) > NEARLY_SINGULAR))
     top = R[rows, :5]
     inverse = np.linalg.inv(top @ np.swapaxes(top, 1, 2))
-    good = NEARLY_SINGULAR * size[rows] < np.linalg.norm(inverse, axis=(1, 2)) ** -0.5
+    good = np.linalg.norm(inverse, axis=(1, 2)) < NEARLY_SINGULAR**-2
     rows, Q = rows[good], Q[rows[good]]
-    return rows, _Factors(Q[:, :, :5] @ (inverse[good] @ top[good]), Q[:, :, 5:], False)
+    return rows, _Factors(Q[:, :, :5] @ (inverse[good] @ top[good]) / size[rows], Q[:, :, 5:], False)
 
 
 def ranks(s: Array) -> NDArray[np.intp]:

@@ -8,6 +8,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from scipy.linalg import null_space
 
 import moc_opt as mo
 from benchmarks.certify import optimum
@@ -145,3 +146,15 @@ def test_only_the_better_end_is_verified_if_the_gradient_is_nearly_orthogonal_to
             assert verified == [True, False], (slope, width)
             seen += 1
     assert seen > 9
+
+
+def test_a_joint_outside_the_self_motion_does_not_limit_it_if_the_jacobians_are_rounded():
+    """The elbow cannot move, and the self-motion does not need it. So x = 0 is half way to the best speed."""
+    state = ROBOTS[0].state(np.array([-2.405, -0.753, 0.226, -0.016, 1.96, -2.009, 2.289]), np.zeros(7))
+    A, bounds = np.round(state.A, 13), np.ones(7)
+    z = null_space(np.delete(state.A, [3, 6], axis=1), rcond=1e-7)[:, 0]
+    bounds[3] = 0.0
+    qp = NullSpaceQP(A[:3], A[3:], np.zeros(3), np.zeros(3), np.insert(z, [3, 5], 0.0), -bounds, bounds)
+    found = qp.residuals(np.zeros(7))
+    assert found.loss > 0.1
+    assert not found.verified()
