@@ -27,7 +27,7 @@ WRONG = [  # tables and words of the error message
     ({"control": {"preset": "paper", "gain": "moc"}}, "did you mean 'gains'"), ({"plant": {"preset": ["x"]}}, "['x']"),
     ({"task": {"path": "cirle"}}, "did you mean 'circle'"), ({"task": {"sizes": {"radus": 0.01}}}, "mean 'radius'"),
     ({"solver": {"name": "exakt"}}, "'exact'"), ({"swivel": 0.3}, "belongs in [start]"),
-    ({"task": {"duration_s": 3.0}}, "belongs at the top of the file"), ({"control": 5}, "table: write [control]"),
+    ({"task": {"duration_s": 3.0}}, "belongs at the top of the file"), ({"control": 5}, "table; write [control]"),
     ({"seed": -1}, "seed = -1"), ({"start": {"swivel": "0.3"}}, "no quotes"),
     ({"start": {"swivel": 2}}, "[start] swivel = 2: input should be less than or equal to 1, or 'given' or"),
     ({"plant": {"preset": "nominal", "delay_ticks": -1}}, "[plant] delay_ticks = -1"),

@@ -88,7 +88,7 @@ def test_the_command_run_compares_with_the_best_courses_unless_the_scenario_turn
 def test_an_arm_on_a_rail_has_no_best_courses_and_the_trace_says_why():
     run = mo.run(COMPARED.change(robot={"name": "lwr4_rail"}, start={"swivel": "given"}, duration_s=0.1))
     assert "mu_best" not in run.columns
-    assert "freedoms" in run.meta["best_courses"]["absent"]
+    assert "degrees of freedom" in run.meta["best_courses"]["absent"]
 
 
 def test_the_commands_write_a_course_and_follow_it(tmp_path, capsys):
