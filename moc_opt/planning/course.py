@@ -1,4 +1,4 @@
-"""Targets of tip and wrist along a path, and courses: joint trajectories that reach these targets."""
+"""Targets of tip and wrist along a path, and courses. A course is a joint trajectory that reaches these targets."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from moc_opt.tasks import Reference, Trocar
 
 Margin = float | Array
 """Distance kept from the joint limits: one number, or one per joint (n,) [rad, or m for a sliding joint]."""
-SHALLOWEST_M = 0.002  #: Least distance from tip to trocar. Closer points do not define the shaft's line.
-MOST_VIOLATION = 1e-8  #: Largest constraint violation of a feasible course [m], [rad].
-WORTH = 10.0  #: Weight of the penalty in `lowered`.
+SHALLOWEST_M = 0.002  #: Least distance from tip to trocar [m]. If they are closer, they do not define the shaft's line.
+MOST_VIOLATION = 1e-8  #: Largest constraint violation of a feasible course [m] or [rad].
+WORTH = 10.0  #: Weight of the penalty that `lowered` subtracts from mu.
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +141,7 @@ def time_mean(rows: Array) -> float:
 
 
 def between(t: Array, times: Array, rows: Array) -> Array:
-    """Interpolate rows (k,n) linearly at t (m,)."""
+    """Interpolate rows (k,n), given at ``times`` (k,), linearly at ``t`` (m,)."""
     return np.stack([np.interp(t, times, column) for column in rows.T], axis=1)
 
 

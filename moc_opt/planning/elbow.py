@@ -1,4 +1,4 @@
-"""The elbow's swivel angle, the distance of a pose to the local maximum of mu, and the times when the elbow moves.
+"""The elbow's swivel angle, the distance from a pose to the local maximum of mu, and the times when the elbow moves.
 
 The swivel is the angle of the elbow about the line from the shoulder to the wrist centre, counted from a fixed
 direction (Kreutz-Delgado, Long and Seraji 1992). mu is the manipulability. A self-motion keeps tip and wrist in place.
@@ -13,7 +13,7 @@ from moc_opt.arrays import Array
 from moc_opt.planning.self_motion import SelfMotion, curve_through, parabola_peak
 from moc_opt.robots.model import RobotModel, link_frames
 
-NEAR_RAD = 0.1  #: An elbow this near to its optimum has arrived. On the LWR4+, mu is then within 0.5 % of the best.
+NEAR_RAD = 0.1  #: An elbow this near to its optimum counts as there. On the LWR4+, mu is then within 0.5 % of the best.
 STILL_RAD_PER_S = 0.05  #: Below this rate of change of the distance to the optimum, the elbow is at rest.
 SAMPLES_PER_S = 25.0  #: Number of scans of the self-motion per second of a run.
 STEP_RAD = 0.1  #: Spacing of the samples of a self-motion.
@@ -27,7 +27,7 @@ class Elbow:
         """Choose the elbow joint, and a reference direction that suits the wrist centres (k, 3) [m] of the path."""
         self._robot = robot
         origins, _ = link_frames(robot, robot.data.q_home[None])
-        # The shoulder is the second joint that turns. A rail, if there is one, comes before.
+        # The shoulder is the second joint that turns. If there is a rail, it comes before the joints that turn.
         self._shoulder = min(int(np.argmin(robot.chain.prismatic)) + 1, robot.n - 1)
         shoulder, wrist = origins[0, self._shoulder], robot.state(robot.data.q_home).wrist
         away = np.linalg.norm(np.cross(origins[0] - shoulder, _unit(wrist - shoulder)), axis=1)
@@ -57,7 +57,7 @@ def wrapped(angles: Array) -> Array:
 
 
 def distance_to_go(robot: RobotModel, q: ArrayLike) -> Array:
-    """Return the distance (k,) [rad] from each pose (k, n) [rad] to the local maximum of mu that is uphill.
+    """Return the distance (k,) [rad] from each pose (k, n) [rad] to the local maximum of mu that a climb reaches.
 
     The distance is measured along the self-motion in joint space. At a singular pose the distance is NaN. A pose beyond
     a joint limit is first moved to the limit.

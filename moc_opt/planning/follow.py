@@ -1,10 +1,10 @@
-"""Follow a course (a joint trajectory) in the loop. The third level of the controller then tracks a velocity x_d.
+"""Follow a course (planned joint motion) in the loop. The controller's third level then tracks a joint velocity x_d.
 
     x_d(t) = dq_c(t) + k (q_c(t) - q)
 
 q_c is the course and k a gain. The controller projects x_d on the null space of the Jacobian of tip and wrist. The
 course is made before the run, or repeatedly during the run (`Planner`). Near a singular pose, the projected error may
-be zero, and the gain cannot bring a distant arm back. A planner then makes a new course from the measured pose.
+be zero, so that the gain does not bring a distant arm back. A planner then makes a new course from the measured pose.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from moc_opt.planning.program import Program
 from moc_opt.planning.search import NEARBY_RAD, Value
 from moc_opt.robots.model import RobotState
 
-GAIN_PER_S = 5.0  #: The gain k.
-NODES = 10  #: Number of times in the nonlinear program, not counting the start.
-CATCH_UP = 1.03  #: A course may exceed the joint speeds of the search by this factor, so that a late arm catches up.
+GAIN_PER_S = 5.0  #: The gain k in the formula of x_d.
+NODES = 10  #: Number of time steps of the nonlinear program.
+CATCH_UP = 1.03  #: A course may be this much faster than the search allows, so that an arm behind it catches up.
 ON_COURSE_RAD = 0.05
-"""If every joint is this near to the old course, a new course begins on the old course, else at the measured pose.
+"""If every joint is within this of the old course, a new course begins on the old course, else at the measured pose.
 Always beginning at the measured pose would close a second feedback loop, which oscillates near singular poses."""
-MOST_OFF = 1e-3  #: A course is refused if its error of tip or wrist [m] or its excess over limits [rad] is larger.
-LOST_RAD = 0.3  #: If a joint is farther than this from the course, the arm has left it. Usual errors are a tenth.
+MOST_OFF = 1e-3  #: A course is refused if its error of tip or wrist [m] or its excess over limits [rad] exceeds this.
+LOST_RAD = 0.3  #: If a joint is farther than this from the course, the arm has left the course. Usual: a tenth.
 NO_COURSE = "q_start: from this pose, no course within joint speeds and limits reaches the end of the path"
 ASKED_EACH = 25  #: Ticks between two checks of whether the arm has left its course.
 
@@ -54,7 +54,7 @@ class Piece(NamedTuple):
 
 
 class Planner:
-    """Makes a course from any pose over the horizon, which is a fixed time ahead, such as one second.
+    """Makes courses that begin at any pose and last for the horizon, a fixed time such as one second.
 
     The value function V of `search` gives a coarse course with a large manipulability. `Program` smooths this course.
     """
@@ -62,7 +62,7 @@ class Planner:
     def __init__(
         self, value: Value, program: Program, targets: Targets, *, horizon_s: float, rate_per_s: float
     ) -> None:
-        """Take the value function V, a program of `NODES` times, and the targets.
+        """Take the value function V, a program with `NODES` time steps, and the targets.
 
         ``horizon_s`` is the duration of a course [s]. It is rounded up to a time of the pose map. ``rate_per_s`` is the
         number of new courses per second.
@@ -79,7 +79,7 @@ class Planner:
 
     @property
     def told(self) -> dict[str, float]:
-        """Number of ``solves`` since the start, number of ``refused`` solves, and times of the solves [ms]."""
+        """Numbers of ``solves`` and ``refused`` solves since the start, and two percentiles of their times [ms]."""
         median, high = np.percentile(1e3 * np.array(self._solve_s or [0.0]), [50.0, 99.0]).tolist()
         return {"solves": len(self._solve_s), "refused": self._refused, "solve_ms_median": median, "solve_ms_p99": high}
 
@@ -180,7 +180,7 @@ class Follower:
             if np.abs(self._now.at(t)[0] - state.q).max() > LOST_RAD:
                 self._begin(planner, state.q)
         elif planner is not None and 0 <= self._begun < self._tick and self._tick % self._every == 0:
-            # A new course waits until the next solve, as if the planner computed it in parallel with the loop.
+            # A new course takes effect at the next solve, as if the planner computed it in parallel with the loop.
             now, self._next = self._next, planner.plan(state.q, t, self._now) or self._next
             self._before, self._now = self._now, now
         q, v = self._now.at(t)

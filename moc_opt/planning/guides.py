@@ -1,7 +1,7 @@
-"""Make the guides of a run. A guide gives the third level of the controller the velocity of a course to follow.
+"""Make the guides of a run. A guide tells the controller's third level which joint velocity to follow.
 
-A course is a joint trajectory. With ``[control] third_level = "planned"``, it is made before the run or read from the
-file ``[control] course``. With "receding", courses are made during the run.
+The velocity comes from a course (planned joint motion). With ``[control] third_level = "planned"``, the course is made
+before the run or read from the file ``[control] course``. With "receding", courses are made during the run.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ from moc_opt.planning.search import WHOLE_CELL, Value, Way, keeping_shaft
 from moc_opt.robots.model import RobotModel
 from moc_opt.trace.trace import Trace
 
-COURSE_SHARE = 0.25  #: A course looks ahead. It therefore keeps only this share of ``[control] shaft_margin``.
-V_PERIOD_S = 0.1  #: Time between two points of the pose map. In this time, a joint can pass many samples of the map.
-TARGETS_PER_TIME = 20  #: Number of targets in each period of the map. `Planner` interpolates between the targets.
-QUARTER = 0.5  #: ``cell`` of `Value`. With 0, the map would be too coarse near singular poses.
+COURSE_SHARE = 0.25  #: Courses keep this share of ``[control] shaft_margin``. Courses look ahead and need less margin.
+V_PERIOD_S = 0.1  #: Time step of the pose map [s]. In one step, a joint can move across many of the map's poses.
+TARGETS_PER_TIME = 20  #: Targets of tip and wrist per time step of the map. `Planner` interpolates between them.
+QUARTER = 0.5  #: ``cell`` of `Value`, in half cells. With 0, the coarse map would lose the courses near singular poses.
 SPEEDS = (1.0, 0.7, 0.4)
 """Shares of ``[control] course_speed_fraction``, tried in turn until a course is smooth and can brake in time.
 If all fail, the smallest share is tried without the limit on braking."""
 HURRY, WORTH_IT = 1.12, 0.01
-"""A course may be faster by the factor `HURRY`, up to the share `FASTEST` of the joints' speed limits. It is only made
-if mean mu rises by more than the share `WORTH_IT`, because faster courses have larger tip and RCM errors."""
-FASTEST = 0.97
-BRAKE_SHARE = 0.9  #: Share of the safety filter's braking deceleration that a course made before the run uses.
+"""A course `HURRY` times faster than ``course_speed_fraction`` allows is tried only if mean mu (manipulability) rises
+by more than the share `WORTH_IT`, because faster courses have larger tip and RCM errors."""
+FASTEST = 0.97  #: Largest share of the joints' speed limits that courses faster than ``course_speed_fraction`` use.
+BRAKE_SHARE = 0.9  #: Courses made before the run brake with at most this share of the safety filter's deceleration.
 SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}
-"""Weight w of a course's acceleration [s^4/rad^2], see `program`. Smooth courses have smaller tip and RCM errors."""
-MOST_OFF_M = 1e-3  #: Largest distance of tip or wrist from the run's targets, for a course from a file.
-MOST_OFF_RAD = 1e-6  #: Largest error of the first pose, and largest excess over a joint limit, of a course from a file.
-ROUNDING = 1e-6  #: Tolerance of the first time of such a course [s], and relative tolerance of its duration and speeds.
+"""Weight w of a course's squared acceleration [s^4/rad^2], see `program`. Smoothness reduces tip and RCM errors."""
+MOST_OFF_M = 1e-3  #: A course from a file may put tip or wrist at most this far from the run's targets.
+MOST_OFF_RAD = 1e-6  #: Tolerance of the first pose and of the joint limits, for a course from a file.
+ROUNDING = 1e-6  #: Tolerances for a course from a file: first time [s], duration (relative) and speeds (relative).
 PLAN_IT = "plan it for this scenario: moc-opt plan SCENARIO --out FILE"
 
 
@@ -58,7 +58,7 @@ class Following:
     period_s: float  #: control period
 
     def stuck(self, part: float) -> ScenarioError:
-        """Return the error that says where and why the path cannot be executed at this share of a course's speed."""
+        """Return the error that says where and why the path cannot be executed at ``part`` times the usual speed."""
         limits = Limits(speed_share=part * self.settings.course_speed_fraction)
         stuck = make_plan(self.robot, self.q_start, self.targets(), limits, refined=False).blocked
         where = "" if stuck is None else f"{1e3 * stuck.arc_length_m:.1f} mm along the path {stuck.reason}"
@@ -69,7 +69,7 @@ class Following:
 
 
 class Ways:
-    """A coarse map of a run's path, with the value function V and the best coarse course at each speed."""
+    """A coarse pose map of a path. It has the value function V of `search` and the best course for each speed."""
 
     def __init__(self, run: Following) -> None:
         self.run, settings = run, run.settings
@@ -83,13 +83,13 @@ class Ways:
 
     @property
     def speeds(self) -> tuple[float, ...]:
-        """`SPEEDS`, preceded by `HURRY` if the faster course gains more than `WORTH_IT`."""
+        """`SPEEDS`, preceded by `HURRY` if the faster course raises mean mu by more than the share `WORTH_IT`."""
         q, mu = self.run.q_start, float(self.run.robot.state(self.run.q_start).mu)
         usual, fast = (self.at(part)[0].of(q, mu) for part in (1.0, HURRY))
         return (HURRY, *SPEEDS) if fast > (1.0 + WORTH_IT) * usual else SPEEDS
 
     def at(self, part: float) -> tuple[Value, Limits, Way]:
-        """Return V, the limits of courses, and the coarse course from the start, at this share of a course's speed.
+        """Return (V, limits of courses, best coarse course from the start) for ``part`` times the usual speed.
 
         If there is no course, V is rebuilt without the margin from joint limits, and then with a larger ``cell`` (see
         `Value`), because the map may be too coarse. Raise a ScenarioError if there still is no course.
@@ -142,7 +142,7 @@ def guides(run: Following) -> Callable[[], Guide] | None:
 def replanned(ways: Ways) -> Callable[[], Planner]:
     """Return a function that makes a planner with a receding horizon."""
     run, settings, smooth = ways.run, ways.run.settings, SMOOTHNESS["receding"]
-    # The last two attempts have no braking constraint. The final attempt also has no penalty for a lost shaft.
+    # The last two attempts have no braking constraint. The last also drops the penalty on poses below the shaft margin.
     ladder = [(part, run.brake, True) for part in ways.speeds]
     for part, brake, kept in [*ladder, (SPEEDS[-1], np.inf, True), (SPEEDS[-1], np.inf, False)]:
         value, limits, _ = ways.at(part)
@@ -162,7 +162,7 @@ def replanned(ways: Ways) -> Callable[[], Planner]:
 
 
 def followed_course(run: Following, ways: Ways | None = None) -> Course:
-    """Return the smooth course with the best mean mu that the third level can follow from the start of this run.
+    """Find the smooth course with the largest mean mu from the run's start, at a speed that the third level can follow.
 
     Raises:
         ScenarioError: no course reaches the end of the path, or the file of ``[control] course`` is refused.
@@ -237,7 +237,7 @@ def load_course(
     )
     allowed, fastest = settings.course_speed_fraction, float(shares.max())
     limits = Limits(
-        # With a larger margin than that of this course, there might be no smooth course.
+        # With a larger margin than the file's course keeps, there might be no smooth course.
         margin_at(robot, poses, margin), max(fastest, min(allowed, within["speed_share"])),
         max(COURSE_SHARE * settings.shaft_margin, within["shaft_margin"]),
     )  # fmt: skip
@@ -263,7 +263,7 @@ def speed_shares(robot: RobotModel, poses: Array, period_s: float) -> Array:
 
 
 def too_fast_to_follow(settings: ControlSettings, robot: RobotModel, shares: Array) -> tuple[str, str] | None:
-    """Return a message about a joint that is too fast for the third level, and the cure; None if all are slow enough.
+    """Return (message, cure) for a joint that is too fast for the third level to follow; None if no joint is.
 
     ``shares`` (n,) is from `speed_shares`.
     """
@@ -277,7 +277,7 @@ def too_fast_to_follow(settings: ControlSettings, robot: RobotModel, shares: Arr
 
 
 def margin_of(robot: RobotModel, margin_rad: float, margin_m: float) -> Margin:
-    """Return one margin, or one per joint (n,) if a joint slides. Raise a TaskError if a margin is negative."""
+    """Return the margin from joint limits, (n,) if a joint slides; a TaskError if a margin is negative or infinite."""
     for name, value in (("margin_rad", margin_rad), ("margin_m", margin_m)):
         if not (is_number(value) and 0.0 <= value < np.inf):
             raise TaskError(f"{name} = {value!r}: give zero or more, and less than half of every joint's range")

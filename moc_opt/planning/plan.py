@@ -20,7 +20,7 @@ from moc_opt.planning.search import WHOLE_CELL, Value, keeping_shaft, reached
 from moc_opt.robots.model import RobotModel
 
 ROOM = 0.01
-"""If mean mu (manipulability) of a course is this share below the bound, the course that gave the bound is refined."""
+"""If a course's mean mu (manipulability) is this share below its upper bound, the bound's course is refined too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,12 +39,12 @@ class Plan:
 
     targets: Targets  #: Targets of tip and wrist on the path, (k,3) each [m], at (k,) times [s].
     from_start: Course | None  #: The best course from the start; None if no course reaches the end of the path.
-    best: Course | None  #: The best course from any swivel and branch; None if no course reaches the end of the path.
-    climbed: Course  #: The course of a local climb. It is shorter than the path if the climb ends at a limit.
+    best: Course | None  #: The best course from any start pose; None if no course reaches the end of the path.
+    climbed: Course  #: The course of a local climb of mu. It is shorter than the path if the climb ends at a limit.
     bound_from_start: float
     """Upper bound of mean mu from the start [m^3], for courses that the map resolves. NaN if there is no course, or if
     a course exceeds the bound."""
-    bound: float  #: Upper bound of mean mu over all starts [m^3]. NaN in the same cases.
+    bound: float  #: Upper bound of mean mu over all starts [m^3]. NaN if there is no course, or if a course exceeds it.
     blocked: Blocked | None  #: Where and why the path cannot be executed from the start; None if it can be executed.
     start_swivel_rad: float  #: Swivel angle of the elbow at the start [rad]; see `moc_opt.planning.elbow`.
     best_swivel_rad: float  #: The proposed swivel at the start [rad], from ``best``; NaN if ``best`` is None.
@@ -67,7 +67,7 @@ class Plan:
 
     @property
     def course(self) -> Course | None:
-        """The course to follow: the best course from the start, or else the best course from any swivel and branch."""
+        """The course to follow: the best course from the start, or else the best course from any start pose."""
         return self.from_start if self.from_start is not None else self.best
 
     @property
@@ -85,7 +85,7 @@ def make_plan(
     Args:
         q_start: (n,) pose with tip and wrist at the first target [rad].
         targets: targets of tip and wrist at k evenly spaced times, (k,3) each [m].
-        limits: limits of courses and bounds. A margin from joint limits is reduced if the start does not keep it.
+        limits: limits that courses keep. The margin from joint limits is reduced if the start does not keep it.
         swivels: number of samples of one turn of the elbow; see `map_of`.
         refined: whether the nonlinear program improves the courses of the search.
 
@@ -176,7 +176,7 @@ def best_course(value: Value, start: Array | None) -> Array | None:
 
 
 def climb(found: PoseMap, start: Array, limits: Limits) -> Array:
-    """Climb mu from the start (n,) on the samples of the map, as an ideal local law does; return the poses (k,n).
+    """Climb mu from the start (n,) over the poses of the map, as an ideal local law does; return the poses (k,n).
 
     In each period the climb goes uphill from the nearest pose until mu falls, or a joint limit or speed is reached.
     The poses end before the path if no pose is within reach.
@@ -198,7 +198,7 @@ class Top(NamedTuple):
 
     mu: float  #: [m^3]
     q_rad: Array  #: (n,)
-    at_limit: bool  #: Whether mu would rise further, beyond a joint limit.
+    at_limit: bool  #: Whether mu would rise further if a joint went beyond its limit.
 
 
 def top_of(found: PoseMap, q: Array) -> Top | None:

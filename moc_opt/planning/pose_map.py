@@ -6,7 +6,7 @@ the line S N by the swivel angle (Kreutz-Delgado, Long and Seraji 1992). At each
 give eight poses with the same mu. Each of the eight is on a different branch. Joint 7 is idle: it turns only the tool.
 
 **Traced.** Any other arm has curves of poses with the same tip and wrist (self-motion), which are traced numerically.
-Inverse kinematics, from the curves at the previous time and from random starts, finds a pose on a curve. All samples
+Inverse kinematics, from the curves at the previous time and from random starts, finds a pose on a curve. All poses
 form one branch. If tip and wrist leave a null space of several dimensions, the curves contain only some of the poses.
 The largest mu on the curves is then no upper bound.
 
@@ -34,10 +34,10 @@ from moc_opt.robots.model import RobotModel, link_frames
 Flags = NDArray[np.bool_]
 
 EXACT_M = 1e-7  #: Axes that pass each other within this distance count as meeting [m].
-BRANCHES = 8  #: Bits 0, 1 and 2 of a branch's number are set if joints 2, 4 and 6 are negative in the `ClosedForm`.
+BRANCHES = 8  #: Number of branches. In a branch's index, bits 0 to 2 tell whether joints 2, 4 and 6 are negative.
 STRAIGHT = 1e-9  #: Below this sine of joint 4 the arm is straight, and the swivel is undefined.
 ROUNDING_RAD = 1e-9  #: Tolerance of the joint limits.
-SWIVELS, MOST_SWIVELS = 720, 2880  #: Default and largest number of samples of one turn.
+SWIVELS, MOST_SWIVELS = 720, 2880  #: Default and largest number of evenly spaced swivel angles.
 PEAKS = 4  #: Number of the map's local maxima from which mu is climbed at each point of the path.
 STEP_RAD = 0.03  #: Spacing of the samples along a traced curve.
 SEEDS = 64  #: Number of random starts of inverse kinematics at the first time. Each later time has a sixteenth as many.
@@ -45,12 +45,12 @@ MOST_CURVES = 16  #: Largest number of different curves at one time.
 SAME_CURVE = 0.7  #: A pose nearer to a curve than this share of a step counts as lying on the curve.
 NO_LIMIT_RAD = 20.0
 REACHED_M = 1e-9
-SCANNED, SCANS = "scanned, all branches", 360  #: Method, and number of swivels. With 720 swivels, no mu was larger.
+SCANNED, SCANS = "scanned, all branches", 360  #: Method's name, and its number of swivels (720 gave no larger mu).
 STARTS, LATER = 96, 12
-"""Random starts of `largest_mu` at the first point and at each later point, for arms without a closed form. Climbs at a
-later point also start from the maxima of the neighbouring points."""
-KEPT = 6  #: Largest number of maxima that a point hands on to its neighbours.
-SAME = 1e-5  #: Maxima whose mu differs by less than this share count as one.
+"""Random starts of `largest_mu` at the first point, and at each later point, for arms without a closed form. Climbs
+at a later point also start from the maxima of the neighbouring points."""
+KEPT = 6  #: Largest number of maxima of mu that a point of the path hands on to its neighbours.
+SAME = 1e-5  #: Maxima of one point whose mu differs by less than this share count as one.
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ class PoseMap:
         return np.asarray(room >= -ROUNDING_RAD)
 
     def crossing(self, k: int, step_rad: Array) -> NDArray[np.int64]:
-        """Return bit masks (m,): which bits of a branch's number joint steps (n,) [rad] can change at time k."""
+        """Return as masks (m,) which bits of a branch's index joint steps of ``step_rad`` (n,) can flip at time k."""
         if self.closed is None:
             return np.zeros(self.mu.shape[2], dtype=np.int64)
         with np.errstate(invalid="ignore"):
@@ -93,7 +93,7 @@ def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = S
 
     Args:
         q_start: (n,) [rad] a pose for the first target. In closed form, the map has a sample at the pose's swivel.
-        swivels: samples of one turn, 8 to `MOST_SWIVELS`. Above `SWIVELS`, traced curves become denser too.
+        swivels: swivel angles in one turn, 8 to `MOST_SWIVELS`. Above `SWIVELS`, traced curves become denser too.
     """
     if not isinstance(swivels, numbers.Integral) or not 8 <= int(swivels) <= MOST_SWIVELS:
         raise RobotError(f"swivels = {shown(swivels)}: give a whole number from 8 to {MOST_SWIVELS}")

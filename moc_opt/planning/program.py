@@ -8,8 +8,8 @@ The variables are the joints q that move tip or wrist, at K evenly spaced times 
 
 mu is the manipulability, X(q) the tip, and N(q) the wrist. The columns of B_k (3,2) are orthogonal to the shaft. Each
 time has five equations, because tip and wrist are rigidly tied. With six, the multipliers would not be unique. mu is
-reduced where the shaft is nearly lost (`course.lowered`). V(q_K) is the largest integral of mu from the last pose on
-(`search`).
+reduced where the arm can hardly turn the shaft (`course.lowered`). V(q_K) is the largest integral of mu from the last
+pose on (`search`).
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ HORIZON: dict[str, Any] = {
     },
 }  # fmt: skip
 SETTLED_S = 0.3  #: T: a joint speed costs as much as the constant acceleration that stops the joint in this time.
-SOFT_RAD = 0.003  #: e of `too_fast`. It keeps the derivative of the largest speed finite at the joint limit.
+SOFT_RAD = 0.003  #: e in `too_fast`. It keeps the derivative of the largest speed finite at the joint limit.
 SMOOTH_LOSS = 0.05  #: Share of mean mu that smoothness and braking may cost.
-LEAST_SHARE = 1e-4  #: Keeps the derivative of `course.shaft_shares`, which is a square root, finite at 0.
+LEAST_SHARE = 1e-4  #: Smallest smoothed value of `course.shaft_shares`, a square root. Its derivative is then finite.
 INSIDE = 1e-9  #: Joint limits and steps are narrowed by this, to absorb rounding [rad]. A step is at most halved.
 
 
@@ -178,7 +178,7 @@ def _above(robot: RobotModel, course: Course, limits: Limits) -> bool:
 
 
 def too_fast(speed: Any, pose: Any, low: Any, high: Any, brake: float) -> Any:
-    """Return the excess of each joint's speed over the speed from which it can stop before its limit, in CasADi.
+    """Return by how much each joint's speed exceeds the speed from which it can stop before its limit, in CasADi.
 
     At a distance d from a limit, this speed is sqrt(2 b) (sqrt(d + e) - sqrt(e)), where b is the brake [rad/s^2] and e
     is `SOFT_RAD`. Vectors have m entries. The answer has 2 m entries: towards ``high``, then towards ``low``.

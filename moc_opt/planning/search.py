@@ -26,7 +26,7 @@ from moc_opt.planning.course import Limits, lowered, shaft_shares, weights
 from moc_opt.planning.elbow import wrapped
 from moc_opt.planning.pose_map import PoseMap
 
-WHOLE_CELL = 1.1  #: ``cell`` for the bound (see `Value`). It is above 1, because paths between samples are curved.
+WHOLE_CELL = 1.1  #: ``cell`` of `Value` for an upper bound. It is above 1, because curves of poses bend in a cell.
 NEARBY_RAD = 0.2  #: Radius around a pose within which V is approximated by a parabola.
 
 
@@ -53,7 +53,7 @@ class Value:
     """V over a map of k times, b branches, m samples."""
 
     def __init__(self, found: PoseMap, limits: Limits, *, cell: float = 0.0, price: float = 0.0) -> None:
-        """Compute V backwards over the map. With a map from `keeping_shaft`, courses avoid losing the shaft.
+        """Compute V backwards in time. With a map from `keeping_shaft`, courses avoid poses below the shaft margin.
 
         A pose stands for ``cell`` times half a cell on either side. If ``cell`` is 1 or more, V is an upper bound.
         ``price`` is c, the penalty on speed [m^3 s^2/rad^2].
@@ -78,7 +78,7 @@ class Value:
             )  # fmt: skip
 
     def of(self, q: Array, mu: float) -> float:
-        """Return mean mu [m^3] of the best course from a pose (n,) with this mu at t = 0; -inf without a course."""
+        """Return mean mu [m^3] of the best course from a pose (n,) with this mu at t = 0; -inf if there is none."""
         found = self._next(1, q, np.zeros(len(q)), self._step, self._price)
         rest = -np.inf if found is None else float(self.value[1][found])
         return float(mu * self._weight[0] + rest) / self._weight.sum()
@@ -155,7 +155,7 @@ def keeping_shaft(found: PoseMap, limits: Limits) -> PoseMap:
 
 
 def reached(found: PoseMap, q_start: Array, limits: Limits) -> list[NDArray[np.bool_]]:
-    """Return for each time after the start which poses can be reached, (b,m). The list ends before a time with none."""
+    """Flag the poses (b,m) that can be reached at each time after the start. The list ends before a time with none."""
     step, feasible = limits.speed_share * found.robot.v_max * found.targets.period_s, found.feasible(limits.margin)
     before, value = np.tile(q_start, (found.mu.shape[1], 1, 1)), np.zeros((found.mu.shape[1], 1))
     each: list[NDArray[np.bool_]] = []
@@ -170,7 +170,7 @@ def reached(found: PoseMap, q_start: Array, limits: Limits) -> list[NDArray[np.b
 
 
 def half_cells(q: Array) -> Array:
-    """Return half the distance of each joint of poses (...,m,n) to the farther of the two neighbouring poses [rad]."""
+    """Return for each joint of poses (...,m,n) half its distance to the farther of the two neighbouring poses [rad]."""
     apart = np.abs(wrapped(np.roll(q, -1, axis=-2) - q))
     return 0.5 * np.nan_to_num(np.fmax(apart, np.roll(apart, 1, axis=-2)))
 

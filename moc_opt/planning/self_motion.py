@@ -29,8 +29,8 @@ class Freedoms(NamedTuple):
     real: int  #: Number of independent joint motions that move links but neither tip nor wrist.
     idle: tuple[int, ...]
     """Joints (from 0) that move neither tip nor wrist at any pose, such as a last axis along the tool."""
-    tip: float  #: Smallest / largest singular value of the tip's Jacobian; 0 at a singular pose.
-    both: float  #: Fifth / largest singular value of A; 0 if the shaft cannot be placed and turned freely.
+    tip: float  #: Ratio of the smallest to the largest singular value of the tip's Jacobian; 0 at a singular pose.
+    both: float  #: Ratio of the fifth to the largest singular value of A; 0 if the shaft cannot be placed freely.
 
     def refusal(self, robot: RobotModel) -> str:
         """Return the message that no freedom is left for the third level."""
@@ -97,7 +97,7 @@ class SelfMotion:
     q: Array  #: (k,n) [rad]
     mu: Array  #: (k,) [m^3]
     held: tuple[int, ...]
-    """Joints (from 0) that are held still: idle joints, and joints beyond one freedom."""
+    """Joints (from 0) that are held still: idle joints, and those that would leave more than one freedom."""
     _robot: RobotModel = field(repr=False)
     _task: tuple[Array, Array, Array] = field(repr=False)
     """Lower and upper joint limits (equal for a joint that is held), and the positions of tip and wrist."""
@@ -133,9 +133,9 @@ class SelfMotion:
 def self_motion(robot: RobotModel, q: ArrayLike, step: float = 0.02) -> SelfMotion:
     """Scan the feasible self-motion through q at fixed tip and wrist.
 
-    Joints that move neither tip nor wrist are held still. If more than one freedom is left (a rail, a tool off the last
-    axis), sliding joints at the base are held too, and then the joints nearest the tip. In this case, the largest mu on
-    the curve is no upper bound (see `pose_map.largest_mu`). If no freedom is left, the curve is a single pose.
+    Joints that move neither tip nor wrist are held still. If more than one freedom is left (a rail, or a tool off the
+    last axis), sliding joints at the base are held too, and then the joints nearest the tip. The largest mu on the
+    curve is then no upper bound (see `pose_map.largest_mu`). If no freedom is left, the curve is a single pose.
 
     Args:
         q: (n,) a pose inside the joint limits [rad].

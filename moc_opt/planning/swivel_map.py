@@ -3,7 +3,7 @@
 The map also shows at which swivels a joint is beyond its limit. `read_trajectory` computes for how long a run is at the
 optimum. If the run does not end at the optimum, mu is climbed on the map from the run's last swivel, at most to the
 first joint limit. If this climb is short, its end explains why the run stays: a local maximum, or the edge of the
-feasible poses. Otherwise the map has no explanation. The controller may not climb mu, or may have tighter bounds.
+feasible poses. Otherwise the map has no explanation. Perhaps the controller does not climb mu, or has tighter limits.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ UNREACHABLE, FEASIBLE = -1, 0
 TRAJECTORY_POINTS = 500
 STEP_RAD = 0.05
 SAME_PATH_M = 1e-6
-OTHER_BRANCH_RAD = 0.5  #: A trajectory with a larger gap is on another branch of inverse kinematics than the map.
+OTHER_BRANCH_RAD = 0.5  #: Above this ``gap_rad``, a trajectory is on another branch of inverse kinematics than the map.
 NEEDED = ("t_s", "q_rad", "tip_m", "tip_ref_m")
 NEAR = 0.02  #: A trajectory is at the optimum while its mu is at most this fraction below the best.
 END = 0.2  #: The ending of a trajectory is judged from this last fraction of its time.
@@ -42,7 +42,7 @@ class Trajectory:
     """The path of a run on the map, sampled at c times; arrays (c,)."""
 
     t_s: Array
-    swivel_rad: Array  #: Shifted by whole turns into the map's range, so that it may jump by a turn.
+    swivel_rad: Array  #: Swivel, shifted by whole turns into the map's range. It may jump by a turn.
     mu: Array
     gap_rad: float
     """Median distance of the run's joints from the map's pose at the same time and swivel. If it is large, the run is
@@ -63,7 +63,7 @@ class SwivelMap:
     best_mu: Array  #: (k,) largest feasible mu [m^3]; NaN if no pose is feasible
     trajectories: Mapping[str, Trajectory]
     held: tuple[str, ...] = ()
-    """Names of joints that the map holds as in the longest run, although they could move while tip and wrist stay."""
+    """Names of joints that the map holds where the longest run has them, although tip and wrist would let them move."""
 
     def __repr__(self) -> str:
         return f"SwivelMap({len(self.t_s)} times, {len(self.swivel_rad)} swivels, runs: {', '.join(self.trajectories)})"
@@ -229,7 +229,7 @@ class Reading:
     travel_rad: float  #: Change of the swivel from start to end; positive upwards on the map.
     from_s: float  #: Time after which the run stays at the optimum [s]; NaN if the run does not end at the optimum.
     end: End
-    joint: int  #: The joint (from 1) whose limit holds the run; 0 if no limit does.
+    joint: int  #: The joint (from 1) whose limit keeps mu from rising further; 0 if no limit does.
     at_edge: float  #: Share of the time that the run is at an infeasible pose or next to one on the map.
 
 

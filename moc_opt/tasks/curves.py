@@ -1,4 +1,4 @@
-"""Planar curves. Each starts at its own origin, and its first axis is called the heading."""
+"""Planar curves. Each has its own axes and starts at their origin. The first axis is called the heading."""
 
 from __future__ import annotations
 

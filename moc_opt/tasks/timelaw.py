@@ -123,8 +123,8 @@ class WaitingReference:
         X_d(t) = X(tau(t)),   dX_d = sigma X',   ddX_d = sigma^2 X'' + sigma' X'
 
     so that |dX_d| <= v_max and |ddX_d| <= 2 a_max. The rate is the flag (0 or 1), filtered by two moving averages. Its
-    slope is at most 1 / (longer window) <= a_max / v_max. After `settle_s`, the sum of both windows, the rate equals a
-    flag that stays constant.
+    slope is at most 1 / (longer window) <= a_max / v_max. Once the flag has been constant for `settle_s`, the sum of
+    both windows, the rate equals the flag.
     """
 
     def __init__(self, reference: Reference, period_s: float) -> None:

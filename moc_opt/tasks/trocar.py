@@ -46,7 +46,7 @@ class Trocar:
         return p, dp
 
     def rows(self, t: float) -> Array:
-        """Return P_t and dP_t at one time [s] as the rows of an array (2, 3); a TaskError if t is not finite."""
+        """Return position and velocity at a time [s] as the rows of an array (2, 3); a TaskError if t is not finite."""
         return np.asarray(self._rows(np.array([t]))[0])
 
     def _rows(self, t: Array) -> Array:
@@ -64,7 +64,7 @@ def shaft_distance(tip: ArrayLike, wrist: ArrayLike, p: ArrayLike) -> Array:
     """Compute the RCM error d = |(P - X) x u| [m] (RCM: remote centre of motion), the shaft's distance from the trocar.
 
     Args:
-        tip, wrist, p: X, N and the trocar P, (3,) or (k, 3) [m]. A single point serves all rows. u = (X - N)/|X - N|.
+        tip, wrist, p: the points X, N and P, (3,) or (k, 3) [m]. A single point serves all rows. u = (X - N)/|X - N|.
 
     Returns:
         d (k,), or of shape () if all three are single points.

@@ -111,7 +111,7 @@ class View:
     def picture(
         self, board_in_base: Pose | None, hidden: frozenset[int] = frozenset(), q: Array | None = None
     ) -> Picture:
-        """Take the picture (H, W, 3) of the board with hidden markers and the tool at q (n,), if these are given."""
+        """Take a picture (H, W, 3). It shows the board if its pose is given, and the tool if its q (n,) is given."""
         width, height = self.camera.settings.width_px, self.camera.settings.height_px
         page = np.full((_FINER * height, _FINER * width, 3), TISSUE, dtype=np.uint8)
         if board_in_base is not None:
@@ -177,7 +177,7 @@ def board_picture(board: Board) -> NDArray[np.uint8]:
 
 
 def texture_matrix(board: Board) -> Array:
-    """Return the matrix (3, 3) from (x, y, 1) on the board [m] to (column, row, 1) in `board_picture`."""
+    """Return the matrix (3, 3) that maps (x, y, 1) on the board [m] to (column, row, 1) in `board_picture`."""
     scale = _MARKER_BITS * _CELL_PX / board.marker_m
     width, height = board.size_m
     right, down = 0.5 * scale * width - 0.5, 0.5 * scale * height - 0.5

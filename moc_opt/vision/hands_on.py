@@ -87,10 +87,10 @@ class HandsOn:
 
 
 class Hand:
-    """A spring and a damper to the goal, with an integral part f and a bounded force.
+    """A hand that pulls the tool to the goal like a spring and a damper, with an integral part f and a bounded force.
 
-    force = D (desired - velocity) + f, |force| <= force_max, with the damping D. `desired` points at the goal. Its
-    size is stiffness/D * distance, at most speed_max. f grows by correction * stiffness * distance per second.
+    force = D (desired - velocity) + f, |force| <= force_max, with the damping D. `desired` is a
+    velocity to the goal: stiffness/D * distance, at most speed_max. f grows by correction * stiffness * distance per s.
     """
 
     def __init__(self, settings: HandSettings, period_s: float) -> None:

@@ -42,12 +42,12 @@ class Sighting:
 
 
 class BoardFinder:
-    """Finds one board in pictures of one camera: markers, sub-pixel corners, pose by PnP and refinement."""
+    """Finds the markers of one board in pictures of one camera, and computes the board's pose by PnP and refinement."""
 
     def __init__(self, board: Board, camera: Camera) -> None:
         parameters = cv2.aruco.DetectorParameters()
         parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-        # With a window as wide as a cell, distances have 25 % less error than with OpenCV's third of a cell.
+        # With a window as wide as a marker's cell, distances have 25 % less error than with OpenCV's third of a cell.
         parameters.relativeCornerRefinmentWinSize = 1.0
         self._detector = cv2.aruco.ArucoDetector(dictionary(), parameters)
         self._corners = {marker: board.corners(marker) for marker in board.ids}

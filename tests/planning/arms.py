@@ -43,7 +43,7 @@ def build(folder: Path, numbers: dict[str, Any], **changes: Any) -> RobotModel:
 
 
 def sixteen_joints(folder: Path, home: Array) -> RobotModel:
-    """An arm of sixteen joints. Tip and shaft need five, the last joint turns only the tool, and ten remain."""
+    """An arm of sixteen joints. Tip and shaft take five freedoms, the last joint turns only the tool, ten remain."""
     turns = [((0, 0, 0.1), (0, 0, 0)), *[((0, 0, 0.08), (sign * H, 0, 0)) for sign in 7 * (1, -1) + (1,)]]
     return build(folder, {
         "joints": turns, "q_max": np.full(16, 1.8), "v_max": np.full(16, 2.0), "wrist": (0, 0, 0),

@@ -1,4 +1,4 @@
-"""Self-motion curves: straight lines for a gantry of sliding joints, and sharp bends for real arms."""
+"""Curves of poses with the same tip and wrist: straight for a gantry of sliding joints, sharply bent for real arms."""
 
 import numpy as np
 import pytest
@@ -50,7 +50,7 @@ def test_a_straight_curve_has_even_samples_up_to_the_first_limit_that_it_meets()
 
 @pytest.mark.parametrize("step", [0.1, 0.0995, 0.15, 2.0 * np.pi / 60])
 def test_a_curve_closes_after_one_turn_of_a_revolute_joint_but_never_if_joints_slide(step):
-    """The last sample is exactly one turn from the start. No other sample is close to it."""
+    """The last sample is exactly one turn from the start, and not close to the sample before."""
     low, high, start = np.full(5, -30.0), np.full(5, 30.0), np.array([1.0, 0.0, 0.0, 0.0, 2.0])
     low[1:4] = high[1:4] = 0.0
     low[0] = high[0] = 1.0

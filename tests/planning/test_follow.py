@@ -58,7 +58,7 @@ def test_the_desired_velocity_is_the_courses_velocity_plus_a_gain_times_the_erro
     np.testing.assert_allclose(last, 5.0 * (0.1 - 0.2), atol=1e-9)
 
 
-def test_between_its_times_a_course_is_the_cubic_with_its_poses_and_velocities_and_it_rests_after_its_end():
+def test_a_course_is_interpolated_by_cubics_through_its_poses_and_velocities_and_rests_after_its_end():
     t, (q, v) = np.linspace(0.3, 1.5, 5), np.random.default_rng(0).normal(size=(2, 5, 7))
     piece, cubic = Piece(t, q, v), CubicHermiteSpline(t, q, v)
     for at in (0.3, 0.45, 0.9, 1.37, 1.4999):

@@ -46,7 +46,7 @@ def test_targets_have_the_shaft_in_the_trocar_and_a_trocar_off_the_shaft_is_refu
             lay_targets(Reference(path, 0.05, 0.2), trocar, state.tool_span, 0.8, 5, tool)
 
 
-def test_no_bound_is_given_where_a_course_exceeds_it(robot, monkeypatch):
+def test_a_bound_that_a_course_exceeds_is_not_given(robot, monkeypatch):
     """Scaling the bound's mu by 0.9 imitates a map that is too coarse."""
     monkeypatch.setattr("moc_opt.planning.search._highest_nearby", lambda mu: 0.9 * mu)
     plan = make_plan(robot, robot.data.q_home, task(robot, robot.data.q_home, 20), swivels=180)
@@ -54,7 +54,7 @@ def test_no_bound_is_given_where_a_course_exceeds_it(robot, monkeypatch):
     assert np.isnan(plan.bound_from_start)
 
 
-def test_inverse_kinematics_finds_no_pose_at_the_blocked_point_but_one_at_the_point_before(robot):
+def test_a_path_is_blocked_at_the_first_point_where_inverse_kinematics_finds_no_pose(robot):
     q = robot.data.q_home
     state = robot.state(q)
     away = np.linspace(0.0, 0.8, 81)[:, None] * np.array([0.0, 0.6, 0.8])
@@ -100,7 +100,7 @@ def test_bad_arguments_are_named(robot, change, name):
         make_plan(robot, q if change else q + 0.01, task(robot, q, 10), **change)
 
 
-def test_refinement_finds_a_course_that_a_coarse_map_lacks_and_without_refinement_the_map_is_blamed():
+def test_refinement_finds_a_course_that_a_coarse_map_lacks():
     """The joint speeds only allow swivel angles between two samples of the coarse map."""
     scenario = Scenario(seed=1).change(start={"pose": "random"})
     coarse = {"swivels": 90, "speed_share": 0.15, "times": 100}
@@ -110,7 +110,7 @@ def test_refinement_finds_a_course_that_a_coarse_map_lacks_and_without_refinemen
     assert "between poses of the map" in grid.blocked.reason
 
 
-def test_a_course_far_below_the_bound_is_refined_again_from_the_bounds_course(monkeypatch):
+def test_if_a_course_is_far_below_the_bound_the_course_that_gave_the_bound_is_refined(monkeypatch):
     """The local climb replaces the first grid search. The climb ends at a low local maximum of mu."""
     best_course, asked = plan.best_course, []
 

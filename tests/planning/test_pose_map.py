@@ -134,7 +134,7 @@ def test_the_map_of_a_panda_has_every_pose_that_inverse_kinematics_finds_from_ra
     assert seen > 5
 
 
-def test_more_swivels_than_the_default_make_a_traced_map_denser_and_fewer_change_nothing(panda):
+def test_a_traced_map_is_denser_above_the_default_number_of_swivels_and_the_same_below(panda):
     robot, found = panda
     fewer, twice = (map_of(robot, robot.data.q_home, found.targets[:2], swivels) for swivels in (90, 1440))
     one, two, four = (np.isfinite(each.mu[0]).sum() for each in (fewer, found, twice))
@@ -164,7 +164,7 @@ def polished(robot, q, tip, wrist):
 
 
 def elsewhere(robot, q, starts, seed):
-    """Search the largest mu with q's tip and wrist by inverse kinematics from random starts."""
+    """Return the largest mu of the poses with q's tip and wrist that inverse kinematics finds from random starts."""
     s, rng = robot.state(q), np.random.default_rng(seed)
     drawn = rng.uniform(robot.q_min, robot.q_max, (starts, robot.n))
     placed = [solve_pose(robot, start, s.tip, s.wrist) for start in drawn]
@@ -181,7 +181,7 @@ def elsewhere(robot, q, starts, seed):
     *((name, "best found of 96 starts") for name in ("panda", "gen3", "xarm7", "lwr4_rail")),
 ])  # fmt: skip
 def test_inverse_kinematics_from_random_starts_finds_no_larger_mu(name, method):
-    """`largest_mu` may miss a maximum that few starts reach. Therefore a single mu may be 1 % larger."""
+    """`largest_mu` may miss a maximum that few starts reach. At one of the poses, the search may find 1 % more."""
     robot, rng = load_robot(name), np.random.default_rng(21)
     poses = [robot.data.q_home, *rng.uniform(robot.q_min, robot.q_max, (2, robot.n))]
     found = [largest_mu(robot, q[None]) for q in poses]

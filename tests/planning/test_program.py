@@ -30,7 +30,7 @@ def on_grid(robot, targets, limits=None, swivels=180):
 
 
 @pytest.mark.parametrize("name", ["lwr4", "panda"])
-def test_a_refined_course_has_more_mu_than_the_grids_and_is_certified_if_it_converged(name, capfd, monkeypatch):
+def test_refinement_raises_mu_and_certifies_the_course_if_the_solver_converged(name, capfd, monkeypatch):
     robot = load_robot(name)
     targets = task(robot, robot.data.q_home, 60) if name == "lwr4" else line_from(robot, robot.data.q_home, 20)
     course, bound = on_grid(robot, targets, swivels=90)
@@ -132,7 +132,7 @@ def test_the_shafts_margin_changes_a_course_at_the_cost_of_some_mu(robot):
 
 @pytest.fixture(scope="module")
 def middle(robot):
-    """A robot, a start within a course, a guess, targets, and a program."""
+    """A robot, a pose in the middle of a course, a guess of the next poses, their targets, and a program."""
     targets = task(robot, robot.data.q_home, 101)
     q = on_grid(robot, targets)[0].q_rad
     return robot, q[29], q[30 : 30 + NODES], targets[30 : 30 + NODES], horizon(robot)
@@ -168,7 +168,7 @@ def test_the_end_of_a_horizon_moves_to_where_the_value_function_is_higher(middle
     assert abs(along @ (kept[-1] - plain[-1])) < 1e-3
 
 
-def test_a_horizon_begins_at_the_arms_speed(middle):
+def test_a_course_over_a_horizon_begins_at_the_arms_speed(middle):
     robot, start, guess, there, made = middle
     steps = [made.solve(guess, start, there, speed * np.ones(robot.n))[0][0] - start for speed in (-0.5, 0.5)]
     along = np.linalg.svd(robot.state(start).A[:, :6])[2][-1]

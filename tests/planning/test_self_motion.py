@@ -143,7 +143,7 @@ def place(curve):
     return lambda s: np.array([curve.at((top + each) / (curve.s[-1] - curve.s[0])) for each in np.atleast_1d(s)])
 
 
-def test_distance_is_the_arc_length_along_the_self_motion(robot, curve, place, regular_poses):
+def test_the_distance_to_the_optimum_is_the_arc_length_along_the_self_motion(robot, curve, place, regular_poses):
     offsets = np.array([-0.6, -0.3, -0.1, 0.1, 0.3, 0.6])
     distance = distance_to_go(robot, [*place(offsets), curve.best, np.zeros(7)])
     np.testing.assert_allclose(distance[:6], np.abs(offsets), atol=0.02)

@@ -1,4 +1,4 @@
-"""The map of mu over time and swivel (the elbow's angle) equals the model's mu. Invented maps test the verdicts."""
+"""The map of mu over time and swivel (the elbow's angle) equals the model's mu. Invented maps test the readings."""
 
 from dataclasses import replace
 from types import MappingProxyType
@@ -21,7 +21,7 @@ from moc_opt.trace.trace import Trace
 
 @pytest.fixture(scope="module")
 def runs():
-    """Both laws on a circle in a plant that equals the model."""
+    """Runs of both control laws on a circle, in a plant that equals the model."""
     moc = Scenario(plant={"preset": "nominal"}, start={"swivel": 0.2}, judge=False, bound_samples=0,
                    task={"wait_s": 0.5, "hold_s": 0.0, "v_max_m_per_s": 0.05, "a_max_m_per_s2": 0.2})  # fmt: skip
     return {"MOC": mo.run(moc), "DCAC": mo.run(moc.change(control={"law": "dcac"}))}
@@ -68,7 +68,7 @@ def test_the_swivel_is_kept_by_a_turn_of_the_base_and_changes_sign_in_a_mirrored
     np.testing.assert_allclose(wrapped(np.pi * np.array([0.9, 1.0, -1.0, 2.5])), np.pi * np.array([0.9, -1, -1, 0.5]))
 
 
-def test_the_swivel_counts_from_the_vertical_or_from_a_sideways_axis_if_the_arm_is_upright_somewhere(robot):
+def test_the_swivel_is_measured_from_the_vertical_unless_the_arm_is_upright_somewhere(robot):
     away = np.array([[0.01, 0.0, 0.5], [0.3, 0.0, 0.2]])  # from the shoulder to the wrist
     for wrists, axis in ((away[1:], 2), (away, 1), (away[:, [1, 0, 2]], 0)):
         np.testing.assert_array_equal(Elbow(robot, np.array([0.0, 0.0, 0.31]) + wrists).reference, np.eye(3)[axis])
@@ -178,7 +178,7 @@ def test_the_map_of_an_arm_on_a_rail_holds_the_rail_and_names_it(found):
     assert made.best_mu[0] < 0.9 * largest_mu(arm, run_of_it.q_rad[:1]).mu[0]
 
 
-# --- verdicts on trajectories ---
+# --- readings of trajectories ---
 
 T = np.linspace(0.0, 10.0, 21)
 ROWS = np.arange(-180.0, 180.0, 3.0)
@@ -190,7 +190,7 @@ def hill(top, height, width=60.0):
 
 
 def read(mu, swivel, forbidden=None, gap_rad=0.01, since=0.0):
-    """Judge a run with these swivels [deg] at 101 times, on a map with ``mu(swivel [deg])`` at every time.
+    """Read a run with these swivels [deg] at 101 times, on a map with ``mu(swivel [deg])`` at every time.
 
     ``forbidden``: first and last swivel [deg] of a range, and its entry in `limit` from the time ``since`` [s] on.
     """
@@ -253,7 +253,7 @@ def test_a_trajectory_at_a_lower_maximum_is_said_to_end_at_a_local_maximum():
     (hill(60.0, 0.3, 90.0), ramp(-69.5, -60.0), End.STILL), (hill(60.0, 0.3, 90.0), ramp(-120.0, -30.0), End.RISING),
     (hill(60.0, 0.3, 90.0), ramp(-20.0, -70.0), End.FALLING), (hill(60.0, 0.3, 90.0), ramp(-70.5, -60.0), End.RISING),
 ])  # fmt: skip
-def test_a_run_is_judged_by_a_limit_that_blocks_its_climb_or_else_by_its_motion(side, top, swivel, end):
+def test_the_end_of_a_run_is_named_after_a_limit_that_blocks_its_climb_or_else_after_its_motion(side, top, swivel, end):
     """Joint 4 is beyond its limit from 0 to 140 degrees, or in mirror image from -140 to 0."""
     forbidden = (0.0, 140.0, 4) if side > 0.0 else (-140.0, 0.0, 4)
     found = read(lambda given: top(side * np.asarray(given)), side * np.asarray(swivel), forbidden)
@@ -269,7 +269,7 @@ def test_the_share_of_time_at_or_beside_forbidden_poses_is_counted():
     assert away.at_edge == 0.0
 
 
-def test_a_run_in_another_branch_or_without_an_allowed_pose_is_reported_as_not_judged():
+def test_a_run_on_another_branch_or_on_a_map_without_feasible_poses_is_not_compared_with_the_optimum():
     elsewhere = read(hill(60.0, 0.3), 60.0, gap_rad=2.0)
     assert elsewhere.end is End.OTHER_BRANCH
     assert np.isnan([elsewhere.near, elsewhere.mu_share, elsewhere.from_s]).all()
