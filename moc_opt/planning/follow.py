@@ -36,9 +36,9 @@ ASKED_EACH = 25  #: Ticks between two checks of whether the arm has left its cou
 class Piece(NamedTuple):
     """A course at evenly spaced times, with cubic Hermite interpolation. After the last time it keeps its last pose."""
 
-    t_s: Array
-    q_rad: Array
-    v_rad_per_s: Array
+    t_s: Array  #: (k,) times of the poses [s]
+    q_rad: Array  #: (k,n) joint positions [rad]
+    v_rad_per_s: Array  #: (k,n) joint velocities [rad/s]
 
     def at(self, t_s: float) -> tuple[Array, Array]:
         """Return the pose (n,) [rad] and velocity (n,) [rad/s]."""

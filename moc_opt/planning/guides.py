@@ -55,7 +55,7 @@ class Following:
     settings: ControlSettings
     targets: Callable[..., Targets]  #: makes targets at most ``period_s`` apart; ``finer`` multiplies their number
     brake: float  #: deceleration with which the safety filter stops a joint before its limit [rad/s^2]
-    period_s: float  #: control period
+    period_s: float  #: control period [s]
 
     def stuck(self, part: float) -> ScenarioError:
         """Return the error that says where and why the path cannot be executed at ``part`` times the usual speed."""

@@ -1,7 +1,7 @@
 """Map every pose that an arm can take at each point of a path, with its manipulability mu and distance to joint limits.
 
-**Closed form.** The axes of joints 1 to 3 must meet in the shoulder S, 3 to 5 in the elbow E, and 5 to 7 in the wrist
-N. Neighbouring axes must be at right angles, and the tool must lie on axis 7. The elbow then turns on a circle about
+**Closed form.** For it, the axes of joints 1 to 3 must meet in the shoulder S, 3 to 5 in the elbow E, and 5 to 7 in the
+wrist N. Neighbouring axes must be at right angles, and the tool must lie on axis 7. The elbow then turns on a circle about
 the line S N by the swivel angle (Kreutz-Delgado, Long and Seraji 1992). At each swivel, the signs of joints 2, 4 and 6
 give eight poses with the same mu. Each of the eight is on a different branch. Joint 7 is idle: it turns only the tool.
 
@@ -43,8 +43,8 @@ STEP_RAD = 0.03  #: Spacing of the samples along a traced curve.
 SEEDS = 64  #: Number of random starts of inverse kinematics at the first time. Each later time has a sixteenth as many.
 MOST_CURVES = 16  #: Largest number of different curves at one time.
 SAME_CURVE = 0.7  #: A pose nearer to a curve than this share of a step counts as lying on the curve.
-NO_LIMIT_RAD = 20.0
-REACHED_M = 1e-9
+NO_LIMIT_RAD = 20.0  #: Joint limit, to both sides, of an arm from `without_limits`.
+REACHED_M = 1e-9  #: Largest error of tip and wrist at a pose that `reach` returns.
 SCANNED, SCANS = "scanned, all branches", 360  #: Method's name, and its number of swivels (720 gave no larger mu).
 STARTS, LATER = 96, 12
 """Random starts of `largest_mu` at the first point, and at each later point, for arms without a closed form. Climbs

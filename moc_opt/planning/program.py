@@ -42,7 +42,7 @@ HORIZON: dict[str, Any] = {
         "osqp": {"verbose": False, "max_iter": 1000, "eps_abs": 1e-5, "eps_rel": 1e-5, "adaptive_rho_interval": 25},
     },
 }  # fmt: skip
-SETTLED_S = 0.3  #: T: a joint speed costs as much as the constant acceleration that stops the joint in this time.
+SETTLED_S = 0.3  #: T [s]: a joint speed costs as much as the constant acceleration that stops the joint in this time.
 SOFT_RAD = 0.003  #: e in `too_fast`. It keeps the derivative of the largest speed finite at the joint limit.
 SMOOTH_LOSS = 0.05  #: Share of mean mu that smoothness and braking may cost.
 LEAST_SHARE = 1e-4  #: Smallest smoothed value of `course.shaft_shares`, a square root. Its derivative is then finite.

@@ -7,7 +7,7 @@ mu dt, and c is a penalty on speed. A course (joint trajectory) is then read off
 best pose within reach. Near a singular pose, a course can change to another branch.
 
 A pose of the map can stand for its surroundings, so that joints may move a little further than v_max dt. A cell is the
-space between neighbouring poses. For followed courses, a pose stands for a quarter of a cell, so that courses exist on
+space between neighbouring poses. For courses of a run, a pose stands for a quarter of a cell, so that courses exist on
 a coarse map. For an upper bound on mean mu, a pose stands for half a cell. Neighbours of feasible poses then count as
 feasible, and each pose counts with the largest mu nearby.
 """

@@ -17,8 +17,8 @@ from moc_opt.arrays import Array, read_only
 from moc_opt.errors import RobotError
 from moc_opt.robots.model import RobotModel
 
-HELD = 1e-6  #: In the count of freedoms, a singular value of A below this share of the largest counts as zero.
-RANK = 1e-9  #: When a curve is followed, a singular value of A below this counts as zero.
+HELD = 1e-6  #: When freedoms are counted, a singular value of A below this share of the largest is taken as zero.
+RANK = 1e-9  #: When a curve is followed, a singular value of A below this is taken as zero.
 LEAST_STEP, MOST_STEP = 1e-5, 10.0  #: Smallest and largest spacing of the samples on a curve [rad].
 
 

@@ -26,24 +26,24 @@ from moc_opt.robots.model import RobotModel
 from moc_opt.trace.trace import Trace
 
 UNREACHABLE, FEASIBLE = -1, 0
-TRAJECTORY_POINTS = 500
-STEP_RAD = 0.05
-SAME_PATH_M = 1e-6
+TRAJECTORY_POINTS = 500  #: Largest number of times of a `Trajectory`.
+STEP_RAD = 0.05  #: Spacing of the samples of a self-motion.
+SAME_PATH_M = 1e-6  #: Largest difference between the tip references of runs with the same path.
 OTHER_BRANCH_RAD = 0.5  #: Above this ``gap_rad``, a trajectory is on another branch of inverse kinematics than the map.
 NEEDED = ("t_s", "q_rad", "tip_m", "tip_ref_m")
 NEAR = 0.02  #: A trajectory is at the optimum while its mu is at most this fraction below the best.
 END = 0.2  #: The ending of a trajectory is judged from this last fraction of its time.
 CLOSE_RAD = np.radians(12.0)  #: A climb from the last swivel of a run counts as short up to this angle.
-STILL_RAD_PER_S = np.radians(1.0)
+STILL_RAD_PER_S = np.radians(1.0)  #: Below this speed of the swivel at its end, a run counts as at rest.
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """The path of a run on the map, sampled at c times; arrays (c,)."""
 
-    t_s: Array
+    t_s: Array  #: Times of the samples [s].
     swivel_rad: Array  #: Swivel, shifted by whole turns into the map's range. It may jump by a turn.
-    mu: Array
+    mu: Array  #: Manipulability of the run's poses [m^3].
     gap_rad: float
     """Median distance of the run's joints from the map's pose at the same time and swivel. If it is large, the run is
     on another branch, and the map does not apply."""

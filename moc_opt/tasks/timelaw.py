@@ -73,7 +73,7 @@ def _climb(g: Callable[[float], float], lower: float, upper: float) -> float:
 class Reference:
     """The tip reference X_d, dX_d, ddX_d over time: the quintic law along a path, in the shortest allowed time.
 
-    Raise a TaskError if a limit is not positive and finite, or t_start is not finite.
+    A TaskError is raised if a limit is not positive and finite, or if t_start is not finite.
     """
 
     path: Path

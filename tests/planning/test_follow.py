@@ -135,7 +135,7 @@ def test_a_course_is_faster_than_its_usual_speed_only_where_that_gains_much_mu()
     ([(1.0, False), (1.0, False), (1.0, False), (0.5, True)], 3),
 ])  # fmt: skip
 def test_slower_courses_are_tried_until_a_smooth_one_keeps_nearly_all_mu(monkeypatch, answers, chosen):
-    """An answer is the smooth course's share of mu, and whether it keeps all limits. The last course need not brake."""
+    """An answer is (the smooth course's share of mu, whether it keeps all limits). The last course need not brake."""
     run, tried, made = setup("planned").following, [], []
 
     def refined(robot, targets, course, limits, *, smoothness, brake):
@@ -216,7 +216,7 @@ def test_a_run_can_be_repeated_and_a_controller_has_its_own_course(level):
     np.testing.assert_array_equal(first, [one.desired_velocity(state) for _ in first])
 
 
-def test_near_a_pose_a_parabola_approximates_the_value_function():
+def test_a_parabola_approximates_the_value_function_near_a_pose():
     value, k = follower(setup())._planner._value, 5
     alive = np.isfinite(value.value[k])
     b, j = (int(i) for i in np.argwhere(alive)[alive.sum() // 2])

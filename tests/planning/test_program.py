@@ -176,8 +176,8 @@ def test_a_course_over_a_horizon_begins_at_the_arms_speed(middle):
     assert np.sign(along @ (steps[1] - steps[0])[:6]) == np.sign(along.sum())
 
 
-def test_over_a_horizon_the_shafts_margin_moves_the_elbow_to_a_pose_where_the_shaft_turns_more_easily(robot):
-    """Tip and wrist rest."""
+def test_the_shafts_margin_moves_the_elbow_to_a_pose_where_the_shaft_turns_more_easily(robot):
+    """Over the horizon, tip and wrist rest."""
     q = robot.random_regular_pose(np.random.default_rng(5), margin=0.3)
     there, guess, shares = at_poses(robot, np.tile(q, (NODES, 1))), np.tile(q, (NODES, 1)), []
     share = float(shaft_shares(robot, q[None])[0])

@@ -88,7 +88,7 @@ def test_one_step_backwards_compares_each_pose_with_every_pose_in_reach():
         np.testing.assert_allclose(value, ways + gain, atol=1e-12)
 
 
-def test_in_a_bound_poses_stand_for_half_a_cell_and_neighbours_of_feasible_poses_count_as_feasible():
+def test_for_an_upper_bound_a_pose_stands_for_half_a_cell_and_neighbours_of_feasible_poses_are_feasible():
     angles, mu = 2.0 * np.pi * np.arange(16) / 16, lambda angle: 1.0 + 0.5 * np.cos(angle - 0.1)
     angles[8] = np.nan  # a sample without a pose
     room = np.isin(np.arange(16), (0, 4, 9)) - 0.5

@@ -192,7 +192,7 @@ def hill(top, height, width=60.0):
 def read(mu, swivel, forbidden=None, gap_rad=0.01, since=0.0):
     """Read a run with these swivels [deg] at 101 times, on a map with ``mu(swivel [deg])`` at every time.
 
-    ``forbidden``: first and last swivel [deg] of a range, and its entry in `limit` from the time ``since`` [s] on.
+    ``forbidden``: (first swivel, last swivel [deg], their entry in `limit`), from the time ``since`` [s] on.
     """
     limit = np.full((len(T), len(ROWS)), FEASIBLE)
     if forbidden:
