@@ -23,12 +23,12 @@ from moc_opt.robots.model import RobotState
 
 GAIN_PER_S = 5.0  #: The gain k in the formula of x_d.
 NODES = 10  #: Number of time steps of the nonlinear program.
-CATCH_UP = 1.03  #: A course may be this much faster than the search allows, so that an arm behind it catches up.
+CATCH_UP = 1.03  #: A course may be faster by this factor than the search allows, so that a late arm catches up.
 ON_COURSE_RAD = 0.05
 """If every joint is within this of the old course, a new course begins on the old course, else at the measured pose.
 Always beginning at the measured pose would close a second feedback loop, which oscillates near singular poses."""
 MOST_OFF = 1e-3  #: A course is refused if its error of tip or wrist [m] or its excess over limits [rad] exceeds this.
-LOST_RAD = 0.3  #: If a joint is farther than this from the course, the arm has left the course. Usual: a tenth.
+LOST_RAD = 0.3  #: If a joint is farther than this from the course, the arm has left the course. A tenth is usual.
 NO_COURSE = "q_start: from this pose, no course within joint speeds and limits reaches the end of the path"
 ASKED_EACH = 25  #: Ticks between two checks of whether the arm has left its course.
 

@@ -37,7 +37,7 @@ HURRY, WORTH_IT = 1.12, 0.01
 """A course `HURRY` times faster than ``course_speed_fraction`` allows is tried only if mean mu (manipulability) rises
 by more than the share `WORTH_IT`, because faster courses have larger tip and RCM errors."""
 FASTEST = 0.97  #: Largest share of the joints' speed limits that courses faster than ``course_speed_fraction`` use.
-BRAKE_SHARE = 0.9  #: Courses made before the run brake with at most this share of the safety filter's deceleration.
+BRAKE_SHARE = 0.9  #: Share of the safety filter's deceleration with which courses made before the run brake.
 SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}
 """Weight w of a course's squared acceleration [s^4/rad^2], see `program`. Smoothness reduces tip and RCM errors."""
 MOST_OFF_M = 1e-3  #: A course from a file may put tip or wrist at most this far from the run's targets.

@@ -1,7 +1,7 @@
 """Map every pose that an arm can take at each point of a path, with its manipulability mu and distance to joint limits.
 
-**Closed form.** For it, the axes of joints 1 to 3 must meet in the shoulder S, 3 to 5 in the elbow E, and 5 to 7 in the
-wrist N. Neighbouring axes must be at right angles, and the tool must lie on axis 7. The elbow then turns on a circle about
+**Closed form.** It needs axes of joints 1 to 3 that meet in the shoulder S, 3 to 5 in the elbow E, and 5 to 7 in the
+wrist N. Neighbouring axes must be at right angles, and the tool on axis 7. The elbow then turns on a circle about
 the line S N by the swivel angle (Kreutz-Delgado, Long and Seraji 1992). At each swivel, the signs of joints 2, 4 and 6
 give eight poses with the same mu. Each of the eight is on a different branch. Joint 7 is idle: it turns only the tool.
 
