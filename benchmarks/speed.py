@@ -2,7 +2,7 @@
 
 python -m benchmarks.speed [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-Only times of one run can be compared. So finished jobs are not kept, and every run measures everything again.
+Times of different runs cannot be compared. Finished jobs are thus not kept, and every run measures everything again.
 """
 
 from __future__ import annotations
