@@ -102,7 +102,7 @@ def _alone(gain: Fraction, weight: Fraction, low: Fraction, high: Fraction) -> F
 def _stationary(
     basis: list[Vector], start: Vector, gains: Vector, weight: Fraction, active: dict[int, Fraction]
 ) -> tuple[Vector, Vector] | None:
-    """Return (stationary point, multipliers) with joints ``active`` at these bounds, or None if the point is not unique.
+    """Return (stationary point, multipliers) with joints ``active`` at these bounds, or None if it is not unique.
 
     The point solves N^T (weight x - gains) = N_S^T m and x_S = bounds, with basis N, active joints S and multipliers m.
     """

@@ -167,11 +167,11 @@ def work(study: Study, config: Config) -> Found:
 def run_block(block: Block) -> tuple[list[dict[str, Any]], dict[str, dict[str, Array]]]:
     """Run all cases of a block. Return one row per case, and the curves to draw."""
     rows, curves = [], {}
-    levels: dict[bool, Trace | None] = {}  # fault-free runs; the key tells whether the tip may wait
+    levels: dict[bool, Trace | None] = {}  # fault-free runs; True: with a reference that may wait
     for name, case in block.cases.items():
         trace, how = run_case(case.corrupt(block.trial), case.camera_lost_s)
         waits = case.camera_lost_s is not None
-        if waits not in levels:  # a tip that may wait also starts more gently
+        if waits not in levels:  # a reference that may wait also starts more gently
             levels[waits] = run_case(block.trial, (0.0, 0.0))[0] if waits else trace
         if (level := levels[waits]) is None:
             raise MocOptError(f"{block.controller}: the run without a fault did not start: {how}")

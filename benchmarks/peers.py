@@ -53,7 +53,7 @@ def tip_gradient(robot: RobotModel) -> Callable[[Array], Array]:
 
 
 def ahead(point: Array, rate: Array) -> Array:
-    """Return where a reference is one time constant of the peer's gain later. This cancels the lag of the peer."""
+    """Return the reference extrapolated by one time constant of the peer's gain. This cancels the lag of the peer."""
     return point + rate / STIFFNESS_PER_S
 
 

@@ -2,7 +2,7 @@
 
 python -m benchmarks.realtime [CONFIG.toml] [--cycles N] [--out DIR] [--seed N] [--quick] [--json]
 
-Run it alone, because other work on the machine lengthens the times. Finished runs are kept in DIR/jobs. The same
+Run nothing else meanwhile, because other work lengthens the times. Finished runs are kept in DIR/jobs. The same
 command on the same machine adds the missing runs, so that a million cycles can be measured in parts.
 """
 

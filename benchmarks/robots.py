@@ -110,7 +110,7 @@ def verdicts(rows: Results, judged: str) -> dict[str, bool | None]:
 
 
 def ranking(robots: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Rank each arm's solvers by mean mu, rounded to 0.1 %. Return orders, and rank correlations between arms."""
+    """Rank the solvers on each arm by mean mu, rounded to 0.1 %, and compute the rank correlations between arms."""
     scores, between = {}, {}
     for robot, figures in robots.items():
         found = {name: row["mu_mean"] for name, row in figures.items() if name != BASELINE and "mu_mean" in row}

@@ -85,7 +85,7 @@ def infeasible(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
 
 
 def inconsistent(size: float) -> Callable[[RobotModel, Rng], Iterator[NullSpaceQP]]:
-    """Return a recipe (generator) of problems whose tip and wrist references differ by ``size`` [m/s] along the shaft."""
+    """Return a function. It yields problems whose tip and wrist references differ by ``size`` [m/s] along the shaft."""
 
     def make(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
         while True:
