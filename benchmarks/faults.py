@@ -39,7 +39,7 @@ from moc_opt.trace.meta import Ending
 from moc_opt.trace.trace import Trace
 
 PICTURED = ("none", "bump-30N", "trocar-slips", "nan-lasting")
-"""Names of the faults whose runs are drawn, with the solver `exact` in the first trial."""
+"""Names of the cases whose runs are drawn, with the solver `exact` in the first trial."""
 CURVES = ("t_s", "tip_error_m", "rcm_error_m", "trocar_force_N")
 SMOOTH_S, RECOVERED, RESOLUTION_M = 0.2, 1.2, 5e-5
 """A run has recovered when its errors, averaged over 0.2 s, stay below 1.2 times the fault-free errors plus 0.05 mm."""

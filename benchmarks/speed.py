@@ -1,4 +1,4 @@
-"""How long does everything take? Ticks, solvers, adapters, the loop and other libraries are timed in one run.
+"""How long does everything take? Control ticks, solvers, the closed loop and other libraries are timed in one run.
 
 python -m benchmarks.speed [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 

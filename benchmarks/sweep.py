@@ -109,7 +109,7 @@ class Config(StudyConfig):
         return self.seeds if isinstance(self.seeds, list) else range(self.seed, self.seed + self.seeds)
 
     def chosen_solvers(self) -> dict[str, dict[str, Any]]:
-        """Return the settings of each solver, in order. Raise a SolverError if one cannot run here."""
+        """Return a dict from each solver to its settings, in order. Raise a SolverError if a solver cannot run here."""
         table = self.scenario.solver
         if self.solvers is None:
             name = BASELINE if self.scenario.control.law == "dcac" else table.name

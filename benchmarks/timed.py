@@ -200,7 +200,7 @@ def exported(scenario: Scenario) -> Part:
 def batch(scenario: Scenario, count: int) -> Part:
     """Time ``Exact.solve_batch`` on ``count`` recorded subproblems in one call, on one and on two threads.
 
-    The faster of two calls counts. A problem of seven joints has 87 doubles, so a million problems take 696 MB.
+    The faster of two calls is reported. A problem of seven joints has 87 doubles, so a million problems take 696 MB.
     """
     rows = np.array([qp.row for qp in record(scenario)[1]])
     many, solver = np.ascontiguousarray(np.resize(rows, (count, rows.shape[1]))), Exact()
