@@ -1,9 +1,9 @@
 """Find the answers of a test set, and prove them without the solvers and residuals of moc_opt.
 
-The certified answer is the optimum over five equality rows, rounded to doubles. The rows are the tip's three, and the
+The certified answer is the optimum under five rows of A x = b, rounded to doubles: the tip's three rows, and the
 wrist's two across the shaft. The wrist's row along the shaft repeats the tip's, because the tool is rigid. In doubles
-these rows agree only to 1e-16, and exact arithmetic would take the rounding error for an independent row. With the five
-rows met, both tracking terms of the cost are constant, and rho/2 |x|^2 - c2 grad_mu^T x is left to minimise.
+the two agree only to 1e-16, and exact arithmetic would take the rounding error for an independent row. If the five rows
+hold, both tracking terms of the cost are constant, and rho/2 |x|^2 - c2 grad_mu^T x remains to be minimised.
 
 `optimum` enumerates the sets of bounds that may be active, in rational numbers without rounding. HiGHS has to confirm
 which problems are feasible.
@@ -47,18 +47,18 @@ def five_rows(qp: NullSpaceQP) -> tuple[Array, Array]:
 
 
 def optimum(A: Array, b: Array, pull: Vector, rho: float, lower: Array, upper: Array) -> Vector | None:
-    """Minimise rho/2 |x|^2 - pull^T x over A x = b, lower <= x <= upper, without rounding.
+    """Minimise rho/2 |x|^2 - pull^T x subject to A x = b, lower <= x <= upper, without rounding.
 
-    Joints whose column of A is zero are solved one by one. The others are x = start + basis w, with w (r,). If the
-    problem is feasible, at most r active bounds (exactly r if rho = 0) with independent rows of the basis determine an
-    optimum. All such sets of bounds are tried. The first point within the bounds whose multipliers have the right signs
-    is returned. These two properties prove the optimum, because the problem is convex. If no set gives such a point,
-    the problem is infeasible.
+    Joints whose column of A is zero are solved one by one. For the others, A x = b means x = start + basis w, with any
+    w (r,). If the problem is feasible, at most r active bounds (exactly r if rho = 0) with independent rows of the
+    basis determine an optimum. All such sets of bounds are tried. The first point within the bounds whose multipliers
+    have the right signs is returned. These two properties prove the optimum, because the problem is convex. If no set
+    gives such a point, the problem is infeasible.
 
     Args:
         A: (m, n) rows.
         b: (m,) right-hand sides.
-        pull: (n,) linear term of the cost, c2 grad_mu.
+        pull: (n,) vector c2 grad_mu, which enters the cost as -pull^T x.
         rho: weight of |x|^2, 0 or larger.
         lower, upper: (n,) bounds.
 
@@ -102,9 +102,9 @@ def _alone(gain: Fraction, weight: Fraction, low: Fraction, high: Fraction) -> F
 def _stationary(
     basis: list[Vector], start: Vector, gains: Vector, weight: Fraction, active: dict[int, Fraction]
 ) -> tuple[Vector, Vector] | None:
-    """Return the stationary point at the bounds ``active``, and their multipliers, or None if the point is not unique.
+    """Return (stationary point, multipliers) with joints ``active`` at these bounds, or None if it is not unique.
 
-    It solves N^T (weight x - gains) = N_S^T m and x_S = bounds, with basis N, active joints S and multipliers m.
+    The point solves N^T (weight x - gains) = N_S^T m and x_S = bounds, with basis N, active joints S and multipliers m.
     """
     r, columns = len(basis[0]), list(zip(*basis, strict=True))
     left = [gain - weight * value for gain, value in zip(gains, start, strict=True)]
@@ -125,7 +125,7 @@ def dot(one: Iterable[Fraction], other: Iterable[Fraction]) -> Fraction:
 
 
 def eliminated(matrix: list[Vector]) -> tuple[list[Vector], list[int]]:
-    """Return the reduced row echelon form, and the pivot's column for each row that is not zero."""
+    """Return (rows, pivots): the reduced row echelon form, and the column of the pivot of each row that is not zero."""
     rows = [list(row) for row in matrix]
     pivots: list[int] = []
     for column in range(len(rows[0]) if rows else 0):
@@ -143,7 +143,7 @@ def eliminated(matrix: list[Vector]) -> tuple[list[Vector], list[int]]:
 
 
 def certified(qp: NullSpaceQP) -> Vector | None:
-    """Return an optimum (n,) over the five rows, without rounding, or None if the problem is infeasible."""
+    """Return an optimum (n,) under the five rows, in exact numbers, or None if the problem is infeasible."""
     A, b = five_rows(qp)
     pull = [Fraction(qp.c2) * Fraction(g) for g in qp.pull]
     return optimum(A, b, pull, qp.regularization, qp.lower, qp.upper)

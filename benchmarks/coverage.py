@@ -1,10 +1,10 @@
-"""How often do the intervals of the solver study contain the true change? This simulation tells.
+"""How often do the 95 % intervals of the solver study contain the true value? This simulation counts it.
 
 python -m benchmarks.coverage [CONFIG.toml] [--out DIR] [--quick] [--json]
 
-New independent trials make a pool, and the change over the whole pool counts as the true change. Each draw takes 60, 15
-or 8 trials from the pool, with replacement. `moc_opt.study.statistics` computes the interval of the change in each
-draw. docs/method.md has the result.
+The value is the change of a metric's mean from DCAC to MOC. The study runs a pool of new independent trials, and takes
+the change over the whole pool as the true value. Each draw then takes 60, 15 or 8 trials from the pool, with
+replacement, and `moc_opt.study.statistics` computes the interval of their change. docs/method.md has the result.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Config(StudyConfig):
 
 
 def covered(treated: ArrayLike, control: ArrayLike, size: int, draws: int) -> tuple[float, float]:
-    """Return the share [%] of intervals that contain the true change, and their median width [%], over the draws."""
+    """Return (share [%] of the draws whose interval contains the true change, median width of the intervals [%])."""
     treated, control = np.asarray(treated), np.asarray(control)
     rng, held, widths = np.random.default_rng(size), 0, []
     true = 100.0 * (treated.mean() / control.mean() - 1.0)

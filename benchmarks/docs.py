@@ -1,8 +1,8 @@
 """Put the figures of finished studies into README.md and docs: python -m benchmarks.docs [RESULTS]
 
-The text between the lines ``<!-- NAME -->`` and ``<!-- /NAME -->`` of a page becomes the answer and the first table of
-RESULTS/NAME/report.md. The text between ``<!-- NAME: TITLE -->`` and ``<!-- /NAME: TITLE -->`` becomes the report's
-section TITLE. A line with command, seed and machine is put above it. RESULTS is ``results`` by default.
+The answer and the first table of RESULTS/NAME/report.md replace the text between the lines ``<!-- NAME -->`` and
+``<!-- /NAME -->`` of a page. The report's section TITLE replaces the text between ``<!-- NAME: TITLE -->`` and
+``<!-- /NAME: TITLE -->``. The first line names command, seed and machine. RESULTS is ``results`` by default.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ BLOCK = re.compile(
 
 
 def block(folder: Path, title: str | None) -> str | None:
-    """Return answer and first table of a study's report, or its section ``title``, or None if there is no report."""
+    """Return section ``title`` of a study's report (None: answer and first table), or None without a report."""
     if not (folder / "report.md").exists():
         return None
     parts = re.split(r"^## (.+)\n", (folder / "report.md").read_text(encoding="utf-8"), flags=re.MULTILINE)

@@ -54,7 +54,7 @@ class NullSpace(ParquetTestSet):
 
 
 def problems(names: Sequence[str], every: int = 1) -> dict[str, NullSpaceQP]:
-    """Take every ``every``-th problem of the sets. Return the feasible ones by name."""
+    """Take every ``every``-th problem of each set. Return a dict from name to problem, without infeasible problems."""
     found = {}
     for name in names:
         check_name(name)

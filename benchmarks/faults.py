@@ -39,12 +39,12 @@ from moc_opt.trace.meta import Ending
 from moc_opt.trace.trace import Trace
 
 PICTURED = ("none", "bump-30N", "trocar-slips", "nan-lasting")
-"""Cases whose traces are drawn, under `exact` on the first trial."""
+"""Names of the cases whose runs are drawn, with the solver `exact` in the first trial."""
 CURVES = ("t_s", "tip_error_m", "rcm_error_m", "trocar_force_N")
 SMOOTH_S, RECOVERED, RESOLUTION_M = 0.2, 1.2, 5e-5
 """A run has recovered when its errors, averaged over 0.2 s, stay below 1.2 times the fault-free errors plus 0.05 mm."""
 COMPLAINTS = ("failed", "raised", "malformed", "not_finite", "outside", "lied", "late", "lost")
-"""The supervisor's names of solver faults. The status "infeasible" is no fault, because it can be a right answer."""
+"""Reasons to refuse an answer as faulty. "infeasible" is not among them, because it can be the right answer."""
 OUTCOMES = ("survived", "stopped", "oscillated", "diverged", "ran away", "refused", "failed")
 WORST = (
     "tip_error_max_mm", "rcm_error_max_mm", "trocar_force_max_N", "rcm_mean_percent", "rcm_max_percent",
@@ -97,7 +97,7 @@ class Case(Settings):
 
 
 FREE = {"none": Case(group="none")}
-"""The run without a fault, which has to be the first case of a block."""
+"""The case without a fault. It runs before all others, because they are compared with it."""
 
 
 class Config(StudyConfig):
@@ -167,11 +167,11 @@ def work(study: Study, config: Config) -> Found:
 def run_block(block: Block) -> tuple[list[dict[str, Any]], dict[str, dict[str, Array]]]:
     """Run all cases of a block. Return one row per case, and the curves to draw."""
     rows, curves = [], {}
-    levels: dict[bool, Trace | None] = {}  # fault-free runs; the key tells whether the path may wait
+    levels: dict[bool, Trace | None] = {}  # fault-free runs; True: with a reference that may wait
     for name, case in block.cases.items():
         trace, how = run_case(case.corrupt(block.trial), case.camera_lost_s)
         waits = case.camera_lost_s is not None
-        if waits not in levels:  # a path that may wait has a gentler start than others
+        if waits not in levels:  # a reference that may wait also starts more gently
             levels[waits] = run_case(block.trial, (0.0, 0.0))[0] if waits else trace
         if (level := levels[waits]) is None:
             raise MocOptError(f"{block.controller}: the run without a fault did not start: {how}")
@@ -182,7 +182,7 @@ def run_block(block: Block) -> tuple[list[dict[str, Any]], dict[str, dict[str, A
 
 
 class Waited(Reference):
-    """A reference whose path waits while the board is out of sight."""
+    """A reference that rests on its path while the camera does not see the board."""
 
     rows_played: Array
 
@@ -193,13 +193,13 @@ class Waited(Reference):
         object.__setattr__(self, "rows_played", played)
 
     def at(self, t: Any) -> tuple[Array, Array, Array]:
-        """Return point, velocity and acceleration of the first k ticks, (k, 3) each. k is the length of t."""
+        """Return tip position, velocity and acceleration, (k, 3) each, in the first k ticks. k is the length of t."""
         x, dx, ddx = np.swapaxes(self.rows_played[: len(t)], 0, 1)
         return x, dx, ddx
 
 
 def run_case(scenario: Scenario, camera_lost_s: tuple[float, float] | None) -> tuple[Trace | None, str]:
-    """Return the trace and the ending. If the scenario is refused, the trace is None."""
+    """Run a scenario. Return its trace (None if the scenario is refused) and how it ended."""
     try:
         setup = Setup(scenario)
         if camera_lost_s is not None:
@@ -218,7 +218,7 @@ def measure(
     """Return the figures of one run, compared with the run without a fault."""
     if trace is None:
         return {"outcome": "refused"}
-    # A stopped arm need not follow its reference: the tip error counts only up to the stop.
+    # A stopped arm need not follow its reference, so later tip errors are left out.
     whole, stopped_at = trace, trace.meta.get("stopped_at_s")
     trace = trace if stopped_at is None else trace.select(trace.t_s <= stopped_at)
     tip, rcm = 1e3 * trace.tip_error_m, 1e3 * whole.rcm_error_m
@@ -243,7 +243,7 @@ def measure(
 
 
 def detection(trace: Trace) -> dict[str, int]:
-    """Count injected solver faults (detected, harmless and missed), and correct answers that were refused.
+    """Count injected solver faults (detected, harmless and missed), and answers refused without an injected fault.
 
     A corrupted answer that was used can still be the optimum. For example, the opposite gradient has the same optimum
     if the bounds leave a single point. Such an answer counts as harmless, not as missed.
@@ -262,9 +262,9 @@ def detection(trace: Trace) -> dict[str, int]:
 
 
 def recovery(trace: Trace, free: Trace, case: Case, ended: str) -> float | None:
-    """Return the time [s] from the fault's end until tip and RCM error have recovered for good (see `RECOVERED`).
+    """Return the time [s] from the fault's end until tip and RCM error stay below their limits (see `RECOVERED`).
 
-    If the fault lasts, the time counts from its start. Return None if the run breaks off or ends above the limit.
+    If the fault lasts, the time begins with the fault. Return None if the run breaks off or ends above a limit.
     """
     if ended != "completed" or len(trace) != len(free):
         return None
@@ -288,7 +288,7 @@ def smooth(values: Array, width: int) -> Array:
 
 
 def worst(rows: Results) -> list[dict[str, Any]]:
-    """Return one row per case and controller: outcomes counted over the trials, largest errors, sums of faults."""
+    """Return one row per case and controller: how often each outcome occurs, the largest errors, and sums of faults."""
     found = []
     for case, name in product(rows.names("case"), rows.names()):
         if not (mine := list(rows.where(case=case, controller=name))):
@@ -309,7 +309,7 @@ def worst(rows: Results) -> list[dict[str, Any]]:
 
 
 def goals_of(cases: Mapping[str, Case]) -> dict[str, Goal]:
-    """Return the goals, whose values are computed from the rows of `worst`."""
+    """Return the goals of the study. Their values are computed from the rows that `worst` returns."""
     shares = {name: case.faults.get("solver_share", 0.0) for name, case in cases.items() if case.group == "solver"}
     always = {name for name, share in shares.items() if share >= 1.0}
     seldom = set(shares) - always

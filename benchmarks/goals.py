@@ -13,23 +13,23 @@ from moc_opt.study.statistics import Change, Interval, spread, too_few
 
 
 class Goal(NamedTuple):
-    """A goal is reached if the value and its whole interval are at most (or at least) the limit.
+    """A limit for one value. The goal is reached if the value's whole interval is at most (or at least) the limit.
 
-    ``measured`` takes the value from a summary: a number, an `Interval`, or a `Change`, which has two intervals. If
-    ``measured`` returns None or raises a LookupError or ValueError, the value counts as not measured.
+    ``measured`` returns the value in a summary: a number, an `Interval`, or a `Change` (two intervals). If the function
+    returns None or raises a LookupError or ValueError, the value counts as not measured.
     """
 
     what: str
-    unit: str  #: unit of value and limit
+    unit: str  #: unit of the value and the limit
     limit: float
     measured: Callable[[Any], Any]
     most: bool = True  #: True: the value has to be at most the limit; False: at least the limit
-    made_of: Callable[[Any], str] = lambda summary: ""  #: describes the value's components in a summary
-    section: str = ""  #: section of the page with related figures
+    made_of: Callable[[Any], str] = lambda summary: ""  #: returns a text on the parts of the value in a summary
+    section: str = ""  #: heading of the report's section with the related figures
 
 
 def judge(summary: Mapping[str, Any], goals: Mapping[str, Goal]) -> dict[str, dict[str, Any]]:
-    """Return a dict for each goal, with name ("what"), unit, limit ("goal"), kind, value and more.
+    """Return a dict for each goal: "what" (its name), "goal" (its limit), "unit", "kind", "value", "reached" and more.
 
     The value is None if it was not measured. "reached" is "yes", "no", "not measured", or "open". A goal is open if the
     value's interval contains the limit, or if there are too few trials.

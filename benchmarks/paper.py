@@ -2,9 +2,10 @@
 
 python -m benchmarks.paper [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-MOC runs with the paper's parameters (Table I as printed) and with tuned ones, under every solver. DCAC runs with its
-own gains and with MOC's. The study also judges our own goals, exchanges entries of Table I, varies the starting swivel
-and runs the whole procedure, from the hand-guided tip to the end of the path. Runs are parallel, so none is timed.
+MOC runs with the paper's parameters (Table I as printed) and with tuned ones, under every solver. DCAC, the baseline
+without the third level, runs with its own gains and with MOC's. Further parts of the study check our own goals,
+exchange entries of Table I, vary where the elbow starts, and run the whole procedure, from guiding the tip by hand to
+the end of the path. No run is timed, because several run at the same time.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ from moc_opt.vision.board import board_task
 
 STREAM = 0
 PRINTED, NETWORK = "paper", "rnn"
-"""The group with Table I as printed, and the paper's kind of solver."""
+"""Name of the group that has the parameters of Table I as printed, and name of the solver of the paper's kind."""
 HOLDS, GAINS_ONLY, FAILS, UNDECIDED = "holds", "holds only against softer gains", "does not hold", "undecided"
 MARKS = {HOLDS: ("✔", "good", 0), GAINS_ONLY: ("≈", "fair", 1), FAILS: ("✘", "bad", 2)}
 TONES = {HOLDS: GOOD, GAINS_ONLY: list(SERIES)[4], FAILS: WORST}
@@ -50,7 +51,7 @@ MOST_MM = {
     "tip_error_model_mean_mm": 0.1, "tip_error_registered_mean_mm": 0.1, "rcm_error_model_mean_mm": 0.2,
     "rcm_error_registered_mean_mm": 0.2, "rcm_error_mean_mm": 0.5,
 }  # fmt: skip
-"""Goals: largest mean errors [mm]. In the base frame, the trocar's registration error of 0.5 mm alone causes 0.3 mm."""
+"""Limits of the mean errors [mm]. The trocar's registration error of 0.5 mm alone causes 0.3 mm in the base frame."""
 RULES = (
     "An effect is the change of MOC against a DCAC on the same trials, 100 (mean MOC / mean DCAC - 1), with its 95 % "
     "interval. The mean of the trials' own ratios stands beside it. A claim is confirmed against a DCAC if both "
@@ -63,7 +64,7 @@ RULES = (
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim that a metric changes by more (`upwards`) or less than a bound [percent]. `papers`: it is the paper's."""
+    """A claim that a metric changes by more (`upwards`) or less than a bound [%]. `papers`: the paper makes it."""
 
     metric: str
     title: str
@@ -77,7 +78,7 @@ class Claim:
         return effect is not None and effect.side(self.bound) == (1 if self.upwards else -1)
 
     def verdict(self, own: Change | None, matched: Change | None) -> str:
-        """Return the verdict from the effects against DCAC with its own gains (`own`) and with MOC's (`matched`)."""
+        """Say whether the claim holds. `own` is the change against DCAC with its own gains, `matched` with MOC's."""
         few = too_few(matched.ratio.samples if matched else 0)
         if matched is None or few:
             return str(few)
@@ -97,11 +98,11 @@ CLAIMS = (
     Claim(ERRORS[4], TITLES[ERRORS[4]], "the shaft is nearer to the incision in the patient", papers=False),
     Claim(ERRORS[5], TITLES[ERRORS[5]], "the shaft is nearer to the true trocar", papers=False),
 )
-"""The paper's three claims, by the robot's own kinematics as in the paper, and then the same claims in other frames."""
+"""The paper's three claims, on errors by the robot's own kinematics, and then four on the errors in other frames."""
 
 
 def disagree(change: Change, bound: float) -> bool:
-    """Tell whether the two means of a change lie on different sides of a bound [percent], by value or by interval."""
+    """Tell whether the two means of a change, or their intervals, lie on different sides of a bound [%]."""
     sides = {(one.low > bound, one.high < bound) for one in change}
     return len(sides) > 1 or (change.ratio.value > bound) != (change.ratios.value > bound)
 
@@ -135,7 +136,7 @@ class Ablation(Settings):
 
 
 class Swivel(Settings):
-    """The study of the starting swivel."""
+    """The study of the starting swivel (where the elbow is on its self-motion at the start)."""
 
     KIND: ClassVar[str] = "[swivel]"
     group: str = "tuned"
@@ -239,7 +240,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def group_figures(rows: Results) -> dict[str, dict[str, Any]]:
-    """Return, for each controller, means and changes against DCAC with MOC's gains, over whole runs and by phase."""
+    """Return for each controller means over whole runs, and changes against DCAC with MOC's gains, also by phase."""
     changed = ["mu_mean", *ERRORS, "trocar_force_mean_N"]
     phases = [f"{phase}_{name}" for phase in PHASES for name in (*ERRORS, "trocar_force_mean_N")]
     means = ["mu_mean", "mu_fraction_of_best", *ERRORS, "trocar_force_mean_N", "torque_rate_rms_Nm_per_s"]
@@ -251,7 +252,7 @@ def group_figures(rows: Results) -> dict[str, dict[str, Any]]:
 
 
 def claims(rows: Results, group: str, solver: str) -> list[dict[str, Any]]:
-    """Return one row per claim: the verdict, and the effect against each DCAC with its interval."""
+    """Return one row per claim: whether it holds, and the change against each kind of DCAC with its interval."""
     found = []
     for claim in CLAIMS:
         effects = {name: rows.change(claim.metric, solver, name) for name in BASELINES}
@@ -267,13 +268,13 @@ def claims(rows: Results, group: str, solver: str) -> list[dict[str, Any]]:
 
 
 def gains(rows: Results, solver: str) -> list[float]:
-    """Return each trial's gain of mean mu over DCAC with MOC's gains [percent]."""
+    """Return for each trial how much larger mean mu is than under DCAC with MOC's gains [%]."""
     mine, theirs = rows.pairs("mu_mean", solver)
     return [100.0 * (a / b - 1.0) for a, b in zip(mine, theirs, strict=True)]
 
 
 def goals(rows: Results, group: str | None, solver: str) -> dict[str, dict[str, Any]]:
-    """Judge the goals of MOC with a solver on the trials of a group. Changes are against DCAC with the same gains."""
+    """Judge the goals for MOC with a solver on the trials of a group. Changes are against DCAC with the same gains."""
     mine = rows.where(part="trials", group=group)
 
     def change(metric: str) -> Callable[[Any], Change | None]:
@@ -294,7 +295,7 @@ def goals(rows: Results, group: str | None, solver: str) -> dict[str, dict[str, 
 
 
 def ablation(rows: Results, cases: Mapping[str, Case]) -> list[dict[str, Any]]:
-    """Return one row per case and claim of the paper: the effect, its shift from the first case, and `decides`.
+    """Return one row per case and claim of the paper: effect (change against DCAC), shift from case 1, and `decides`.
 
     A case decides a claim if its effect and that of Table I as printed lie on opposite sides of the claim's bound, the
     95 % interval of the difference of the two effects excludes zero, and there are at least eight trials.
@@ -313,7 +314,7 @@ def ablation(rows: Results, cases: Mapping[str, Case]) -> list[dict[str, Any]]:
 
 
 def _shift(rows: Results, cases: Mapping[str, Case], name: str, printed: str, claim: Claim) -> dict[str, Any]:
-    """Return the difference of a case's effect from the first case's [points], over trials with four complete runs."""
+    """Return the shift of a case's effect from the first case's [percentage points], over trials complete in both."""
     four = [
         rows.where(group=case).values(claim.metric, controller)
         for case in (name, printed) for controller in (cases[case].controller, BASELINE)
@@ -329,7 +330,7 @@ def _shift(rows: Results, cases: Mapping[str, Case], name: str, printed: str, cl
 
 
 def swivel_trials(config: Config) -> list[Trial]:
-    """Return runs of one trial under DCAC and MOC, started evenly along its self-motion and at the largest mu."""
+    """Return runs of one trial under DCAC and MOC, with starts evenly along the self-motion, and at its largest mu."""
     base = config.base(config.swivel.group)
     [trial] = trials(base, [config.swivel.task], seeds(config.seed, STREAM, 1), virtual=True)
     robot = trial.robot.arm()
@@ -346,7 +347,7 @@ def swivel_trials(config: Config) -> list[Trial]:
 
 
 def swivel(rows: Results, solver: str) -> dict[str, Any]:
-    """Return the gain of mean mu from the start with the largest mu, and a summary of the other starts [percent]."""
+    """Return the gain of mean mu [%] for the start at the largest mu, and its range and mean for the other starts."""
     top, others = (rows.where(at_maximum=best) for best in (True, False))
     found: dict[str, Any] = {"starts": len(rows) // 2, "broke_off": len(rows.failed())}
     if (of_top := gains(top, solver)) and (of_others := gains(others, solver)):

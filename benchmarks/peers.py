@@ -1,4 +1,4 @@
-"""The work of one control tick, done by other libraries: TSID, pink, mink. `PEERS` lists their classes.
+"""The work of one control tick, done by controllers of other libraries (peers): TSID, pink, mink.
 
 In each tick (control period), the tip follows its reference, the wrist stays on the line through the trocar, the joint
 speeds stay within limits, and the null-space motion follows the gradient of the manipulability. Every peer gets the
@@ -28,9 +28,9 @@ Level = Literal["torque", "velocity"]
 
 PERIOD_S = 0.002
 TOLERANCE_MM, CLIMB_PERCENT = 0.5, 1.0
-"""Largest error of tip and shaft in the second half of the run, and smallest rise of the manipulability."""
+"""Largest allowed error of tip and shaft in the second half of a run [mm], smallest rise of the manipulability [%]."""
 CLIMB = 30.0
-"""Joint velocity per gradient of the manipulability [1/m^3 rad^2/s]: c2/rho of preset "tuned", rounded."""
+"""Joint velocity per unit of the gradient of the manipulability [rad^2/(m^3 s)]: c2/rho of preset "tuned", rounded."""
 STIFFNESS_PER_S = 100.0
 """Rate at which a velocity-level peer reduces an error of tip or shaft [1/s]."""
 
@@ -47,25 +47,25 @@ class Peer(Protocol):
 
 
 def tip_gradient(robot: RobotModel) -> Callable[[Array], Array]:
-    """Return the core's dmu/dq (n,) as a function of q, for libraries that lack this term."""
+    """Return a function that computes dmu/dq (n,) from q in our compiled core, for libraries without this gradient."""
     rest = np.zeros(robot.n)
     return lambda q: robot.state(np.ascontiguousarray(q), rest).grad_mu
 
 
 def ahead(point: Array, rate: Array) -> Array:
-    """Return a reference moved ahead by one time constant of the peer's gain, to cancel its lag."""
+    """Return the reference extrapolated by one time constant of the peer's gain. This cancels the lag of the peer."""
     return point + rate / STIFFNESS_PER_S
 
 
 def wrist_reference(tip_ref: Array, trocar: Array, span: float) -> Array:
-    """Return the wrist [m] and its velocity [m/s], (2, 3), with which the shaft passes through the trocar."""
+    """Return (2, 3): the position of the wrist [m] that puts the shaft through the trocar, and its velocity [m/s]."""
     return core.desired_wrist(tip_ref[0], tip_ref[1], trocar, span)
 
 
 class TSID:
-    """Task-space inverse dynamics (Del Prete et al. 2016): torques from the accelerations of SolverHQuadProgFast.
+    """Task-space inverse dynamics (Del Prete et al. 2016): torques from accelerations that a QP solver finds.
 
-    Level 0 (hard) has three rows for the tip, two for the wrist across the shaft, and the joint speeds. Level 1
+    Level 0 (hard) has three rows for the tip, two for the wrist across the shaft, and the speed limits. Level 1
     accelerates the joints towards a velocity along the gradient of the manipulability.
     """
 
@@ -90,7 +90,7 @@ class TSID:
         self._posture.setKp(rest)
         self._posture.setKd(np.full(robot.n, self.CLIMB_DAMPING))
         self._dynamics.addMotionTask(self._posture, 1.0, 1, 0.0)
-        self._bounds = tsid.TaskJointBounds("speed", self._robot, PERIOD_S)  # kept here, because tsid only refers to it
+        self._bounds = tsid.TaskJointBounds("speed", self._robot, PERIOD_S)  # kept here, because tsid keeps no copy
         self._bounds.setVelocityBounds(-robot.v_max, robot.v_max)
         self._dynamics.addMotionTask(self._bounds, 1.0, 0, 0.0)
         self._solver = tsid.SolverHQuadProgFast("eiquadprog")
@@ -158,7 +158,7 @@ class _PinkArm:
 class Pink(_PinkArm):
     """Differential inverse kinematics with pinocchio and a QP (Caron et al.), by pink's tasks for tip, wrist and mu."""
 
-    RISE_PER_S, RISE_COST = 0.05, 0.02  # rise of the manipulability [m^3/s], and its cost
+    RISE_PER_S, RISE_COST = 0.05, 0.02  # wanted rise of the manipulability [m^3/s], and its weight
 
     def __init__(self, robot: RobotModel) -> None:
         from pink.tasks import FrameTask, ManipulabilityTask
@@ -231,10 +231,10 @@ class PinkTrimmed(_PinkArm):
 
 
 class Mink:
-    """Differential inverse kinematics on MuJoCo, Zakka et al.: FrameTask on the tip, LookAtTask along the shaft."""
+    """Differential inverse kinematics on MuJoCo (Zakka et al.): a FrameTask for the tip, a LookAtTask for the shaft."""
 
     level: Level = "velocity"
-    COST = 1e3  # of the tip and shaft tasks, relative to a damping of one
+    COST = 1e3  # weight of the tip and shaft tasks, relative to a damping of one
 
     def __init__(self, robot: RobotModel) -> None:
         import mink
@@ -276,7 +276,7 @@ def missing(name: str) -> str | None:
 
 
 class Task(NamedTuple):
-    """Start (n,) [rad], and for each tick X_d, dX_d, ddX_d (N, 3, 3) and P_t, dP_t (N, 2, 3)."""
+    """Start pose (n,) [rad], tip references X_d, dX_d, ddX_d (N, 3, 3) and trocar P_t, dP_t (N, 2, 3) of N ticks."""
 
     q_start: Array
     tip_refs: Array
@@ -284,7 +284,7 @@ class Task(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """Largest distances from tip to reference and from shaft to trocar, and the rise of the manipulability."""
+    """What a peer reached: largest distances of tip from reference and shaft from trocar, rise of manipulability."""
 
     tip_error_max_mm: float
     rcm_error_max_mm: float
@@ -311,7 +311,7 @@ def circle(robot: RobotModel, duration_s: float = 1.0, offset_m: float = 2e-4) -
 
 
 def perform(peer: Peer, robot: RobotModel, task: Task) -> tuple[Array, list[Inputs]]:
-    """Return the poses (N, n) of an ideal arm after each tick under the controller, and the inputs of each tick.
+    """Run a peer on an ideal arm. Return (poses, inputs): the poses (N, n) after each tick, the inputs of each tick.
 
     The closed loop of `moc_opt.sim` is not used, because it takes torques, and most peers return velocities.
     """
@@ -331,7 +331,7 @@ def perform(peer: Peer, robot: RobotModel, task: Task) -> tuple[Array, list[Inpu
 
 
 def verdict(poses: Array, robot: RobotModel, task: Task) -> Verdict:
-    """Judge the poses (N, n) of `perform`: errors of tip and shaft in the second half, and mu at the end."""
+    """Measure the errors of tip and shaft in the second half of the poses (N, n) of `perform`, and the rise of mu."""
     if not np.isfinite(poses).all():
         return Verdict(np.inf, np.inf, -100.0)
     late = slice(len(poses) // 2, None)
@@ -348,7 +348,7 @@ def verdict(poses: Array, robot: RobotModel, task: Task) -> Verdict:
 def check(name: str) -> str | None:
     """Run a peer on the default arm and say how it fails. Return None if it passes.
 
-    Call this as a job: a wheel that was built against another pinocchio can crash the process.
+    Call this in a separate process, because a wheel that was built against another pinocchio can crash Python.
     """
     robot = load_robot()
     task = circle(robot)

@@ -18,7 +18,7 @@ def with_phases(runs: Iterable[Run]) -> list[Run]:
 
     ``travelling_NAME`` is the mean of a metric NAME over the ticks at which the elbow of at least one of the trial's
     controllers still travels. ``settled_NAME`` is the mean over the other ticks. So all controllers of a trial have the
-    same phases. ``travelling_ticks`` and ``settled_ticks`` count their ticks.
+    same phases. ``travelling_ticks`` and ``settled_ticks`` are the numbers of ticks in the phases.
     """
     runs = list(runs)
     groups: dict[tuple[Any, ...], list[Run]] = {}

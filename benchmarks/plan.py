@@ -34,7 +34,7 @@ STREAM, LOCAL = 7, "local"
 CONTROL = ControlSettings.model_fields
 LOOPS: dict[str, dict[str, Any]] = {
     **{level: {"third_level": level} for level in get_args(CONTROL["third_level"].annotation)},
-    # The other levels have a faster observer. This loop allows a comparison of errors with equal observers.
+    # "receding" and "planned" have a faster observer. This entry gives it to "local", so that errors can be compared.
     "local, observer of the courses": {"observer_gain_per_s": CONTROL["course_observer_gain_per_s"].default},
 }
 ERRORS = {"tip": "tip_error_model_mean_mm", "RCM": "rcm_error_model_mean_mm"}
@@ -98,7 +98,7 @@ def courses(case: Scenario, loops: Mapping[str, Mapping[str, Any]]) -> list[dict
 
 
 def loop(trial: Scenario, name: str, change: Mapping[str, Any], mine: float, best: float) -> dict[str, Any]:
-    """Return a run's row. `mine` is the mean mu of the best course from this start, and `best` that from any start."""
+    """Return a loop's row. `mine` is the mean mu of the best course from this start, and `best` from any start."""
     case = trial.change(control=change, best_courses=False, bound_samples=0, judge=False)
     asked = Trial(case, name, case.solver.settings, {"part": "loop"}, solver=case.solver.name)
     run, trace = run_and_trace(asked)
@@ -116,7 +116,7 @@ def loop(trial: Scenario, name: str, change: Mapping[str, Any], mine: float, bes
 
 
 def halving(case: Scenario) -> list[dict[str, Any]]:
-    """Return a row with the gains in mean mu from refining the grid's best course, and from halving the spacing."""
+    """Return a row: how much mean mu rises if the grid's best course is refined, and if the grid spacing is halved."""
     found, coarse = plan(case), plan(case, refined=False)
     finer = plan(case, refined=False, times=2 * len(found.targets) - 1, swivels=1440).from_start
     row = about(case, "halving")
@@ -150,7 +150,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def loop_figures(rows: Results, name: str) -> dict[str, Any]:
-    """Return means over the whole runs of one third level, and changes against "local" on the same trials."""
+    """Return means over the complete runs of one third level, and changes against "local" on the same trials."""
     found = rows.figures(name, FIGURES, tuple(ERRORS.values()), LOCAL)
     found["left_course"] = len(rows.values("left_course_s", name))
     for metric in FIGURES:
@@ -162,7 +162,7 @@ def loop_figures(rows: Results, name: str) -> dict[str, Any]:
 
 
 def course_figures(rows: Results) -> dict[str, Any]:
-    """Return counts and means of the figures of an arm's courses, and the largest values."""
+    """Return counts, means and largest values over the courses of one arm."""
     planned = rows.where(part="courses")
     found: dict[str, Any] = {"trials": len(planned), "failed": len(planned.failed())}
     flags = ("executable", "climbed_whole", "certified")

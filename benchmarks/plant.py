@@ -1,13 +1,14 @@
-"""What does each defect of the arm cost, and above which calibration error does moving the elbow cost accuracy?
+"""How much accuracy does each defect of the arm cost? When does moving the elbow make the tip less accurate?
 
 python -m benchmarks.plant [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
 The first part runs every defect alone and all together: calibration error, encoder bias, elastic joints, torque ripple.
-The second part runs calibration errors of several sizes, and computes the error that remains after registering again.
+The second part runs calibration errors of several sizes. It finds the size from which on moving the elbow makes the tip
+less accurate, and the error that remains after registering again.
 *Registered again*: once MOC's elbow is at rest, the arm touches path and incision a second time. The offset between
-true and believed tip at this tick then replaces the offset at the start. This shifts reference and trocar by a constant
-of less than a millimetre, so the error is computed from the same run. Figures "after the travel" are means from this
-tick to the end, under both controllers.
+true and believed tip at this tick then replaces the offset at the start. This shifts the reference and the trocar by
+less than a millimetre. The motion would hardly change, so the run is not simulated again; the error is recomputed from
+its trace. Figures "after the travel" are means from this tick to the end, under both controllers.
 """
 
 from __future__ import annotations
@@ -38,11 +39,11 @@ from moc_opt.trace.trace import Trace
 
 EFFECTS_STREAM, CALIBRATION_STREAM = 10, 9
 KINDS = {"origins": "mm", "encoders": "mrad", "both": "mm and mrad"}
-"""Kinds of error, and units of their sizes. In "both", size s means s mm for the origins, s mrad for the encoders."""
+"""Kinds of calibration error, and units of their sizes. "both", size s: s mm at the origins, s mrad at the encoders."""
 TILT_RAD_PER_M = PlantSettings().calibration_tilt_rad / PlantSettings().calibration_error_m
 DEFAULT_SIZE_MM = 0.2
 LEAST_S = 0.5
-"""Figures "after the travel" are computed only if the run lasts at least this long after the travel."""
+"""Figures "after the travel" are computed only if the run lasts at least this time [s] after the elbow's travel."""
 MOST_CHANGE_PERCENT, MOST_MM = 5.0, 0.1
 AFTER = {
     "tip_after_mm": "tip after travel", "tip_again_mm": "tip registered again",
@@ -101,7 +102,7 @@ class Config(StudyConfig):
 
 
 def plant_of(base: PlantSettings, kind: str, size: float) -> PlantSettings:
-    """Return the plant with kinematic errors of this kind and size only. Frames tilt in proportion to the origins."""
+    """Return the plant with errors of this kind and size. The frames' tilt is proportional to the origins' error."""
     origins = 1e-3 * size if kind in ("origins", "both") else 0.0
     encoders = 1e-3 * size if kind in ("encoders", "both") else 0.0
     return PlantSettings(**base.model_dump() | {
@@ -158,10 +159,10 @@ def registered_again(dcac: Trial, moc: Trial) -> list[Run]:
 
 
 def after_travel(trace: Trace, setup: Setup, tick: int) -> dict[str, float]:
-    """Return mean errors from a tick on [mm]: registered at the start, and registered again at this tick."""
+    """Return mean errors [mm] from `tick` to the end, with the registration at the start and a new one at `tick`."""
     # Touching measures the error (true minus believed) of the tip, and of the shaft at the trocar's depth.
     tips, wrists = setup.robot.tool_along(trace.q_rad + setup.plant.mismatch.encoder_bias)
-    told = trace.trocar_registered_m - setup.offset.trocar  # in the controller's own frame
+    told = trace.trocar_registered_m - setup.offset.trocar  # the trocar in the controller's own frame
     depth = np.linalg.norm(told - tips, axis=1, keepdims=True)
     believed, true = tips - wrists, trace.tip_m - trace.wrist_m
     believed = tips - depth * believed / np.linalg.norm(believed, axis=1, keepdims=True)
@@ -192,8 +193,8 @@ def calibration(rows: Results, solver: str) -> list[dict[str, Any]]:
 def break_evens(found: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return, for every preset and kind, the sizes at which the registered tip error crosses each limit.
 
-    At ``relative``, the lower ends of the change's intervals cross `MOST_CHANGE_PERCENT`. At ``absolute`` and
-    ``absolute_dcac``, the mean of MOC and of DCAC crosses `MOST_MM`. A size without a crossing is None.
+    ``relative`` is the size at which the lower ends of the intervals of the change cross `MOST_CHANGE_PERCENT`. At
+    ``absolute`` MOC's mean error crosses `MOST_MM`, and at ``absolute_dcac`` DCAC's. None: no size crosses the limit.
     """
     evens = []
     for preset, kind in dict.fromkeys((row["preset"], row["kind"]) for row in found):

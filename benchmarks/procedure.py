@@ -92,7 +92,7 @@ def perform(parts: ProcedureSettings, scenario: Scenario, name: str, film: Path 
 def _run(
     scenario: Scenario, plant: Plant, scene: Augmented, path: TipPath, q: Array, trocars: tuple[Array, Array]
 ) -> tuple[Trace, float, float]:
-    """Run the task under MOC. The path waits while the board is lost. Return trace, time waited and time lost [s].
+    """Run the task under MOC. Return (trace, time that the tip waited [s], time that the board was out of sight [s]).
 
     ``trocars`` are the true and the registered trocar, (3,) each [m].
     """
@@ -126,7 +126,7 @@ def _run(
 
 
 def from_path(points: Array, path: TipPath, samples: int = 4000) -> Array:
-    """Return the distance (k,) [m] of points (k, 3) from the nearest point of a path, regardless of time."""
+    """Return the distance (k,) [m] of each point (k, 3) from the nearest point of a path, whenever the tip is there."""
     line = path.at(np.linspace(0.0, path.length, samples))[0]
     found: Array = cKDTree(line).query(points)[0]
     return found

@@ -1,8 +1,8 @@
-"""Plant and controller as two processes against the clock: wake-up latency, round-trip time and missed cycles.
+"""Measure plant and controller as two real-time processes: wake-up latency, round-trip time and missed cycles.
 
 python -m benchmarks.realtime [CONFIG.toml] [--cycles N] [--out DIR] [--seed N] [--quick] [--json]
 
-Run it alone, because other work on the machine lengthens the times. Finished runs are kept in DIR/jobs. The same
+Run nothing else meanwhile, because other work lengthens the times. Finished runs are kept in DIR/jobs. The same
 command on the same machine adds the missing runs, so that a million cycles can be measured in parts.
 """
 
@@ -38,7 +38,7 @@ from moc_opt.study.statistics import Interval, share
 from moc_opt.trace.trace import Trace
 
 SPARE_S = 300.0
-"""Time allowed in addition to the run itself, for starting both processes and saving the trace."""
+"""Time [s] allowed in addition to the run itself, for starting both processes and saving the trace."""
 SAFE_RCM_M, AT_REST_RAD_PER_S = 2e-3, 1e-2
 """A stop is clean if the RCM error stays below `SAFE_RCM_M`, and all joints end slower than `AT_REST_RAD_PER_S`."""
 BURN = "import os\nstudy = os.getppid()\nwhile os.getppid() == study:\n    sum(i * i for i in range(100000))"
@@ -103,7 +103,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 class Run(NamedTuple):
-    """One run: times of all cycles until a stop or the end [us], counts, and ending."""
+    """One run: the times [us] of all cycles before its end or a stop, counts of cycles, and how it ended."""
 
     wake_us: Array
     round_us: Array

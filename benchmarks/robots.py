@@ -2,7 +2,7 @@
 
 python -m benchmarks.robots [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-Starts are drawn from each arm's whole workspace. "Settled" errors leave out the ticks at which an elbow still travels.
+Starts lie anywhere in each arm's workspace. "Settled" errors leave out ticks at which an elbow moves to its optimum.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def verdicts(rows: Results, judged: str) -> dict[str, bool | None]:
-    """Return, for each finding, whether it holds on an arm over its whole interval, or None if it is undecided."""
+    """Return for each finding True if it holds on an arm in its whole interval, False if nowhere in it, else None."""
     own, base = rows.pairs("tip_error_mean_mm", judged)
 
     def change(metric: str, _: Any) -> Change | None:
@@ -110,7 +110,7 @@ def verdicts(rows: Results, judged: str) -> dict[str, bool | None]:
 
 
 def ranking(robots: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Rank each arm's solvers by mean mu, rounded to 0.1 %. Return the orders and the arms' rank correlations."""
+    """Rank the solvers on each arm by mean mu, rounded to 0.1 %, and compute the rank correlations between arms."""
     scores, between = {}, {}
     for robot, figures in robots.items():
         found = {name: row["mu_mean"] for name, row in figures.items() if name != BASELINE and "mu_mean" in row}

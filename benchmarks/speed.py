@@ -1,8 +1,8 @@
-"""How long does everything take? Ticks, solvers, adapters, the loop and other libraries are timed in one run.
+"""How long does everything take? Control ticks, solvers, the closed loop and other libraries are timed in one run.
 
 python -m benchmarks.speed [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-Only times of one run can be compared. So finished jobs are not kept, and every run measures everything again.
+Times of different runs cannot be compared. Finished jobs are thus not kept, and every run measures everything again.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How do the figures change with the fields of a scenario? Fields vary on a grid or at random.
+"""How do the metrics of a run change with the fields of its scenario? Fields vary on a grid or at random.
 
 python -m benchmarks.sweep [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--dask ADDRESS]
 
@@ -109,7 +109,7 @@ class Config(StudyConfig):
         return self.seeds if isinstance(self.seeds, list) else range(self.seed, self.seed + self.seeds)
 
     def chosen_solvers(self) -> dict[str, dict[str, Any]]:
-        """Return the settings of each solver, in order. Raise a SolverError if one cannot run here."""
+        """Return a dict from each solver to its settings, in order. Raise a SolverError if a solver cannot run here."""
         table = self.scenario.solver
         if self.solvers is None:
             name = BASELINE if self.scenario.control.law == "dcac" else table.name
@@ -127,7 +127,7 @@ class Config(StudyConfig):
 
 
 def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield dotted path and value of each field of nested tables. A table with low, high or choice is a value."""
+    """Yield (dotted path, value) for each field of nested tables. A table with low, high or choice is a value."""
     for name, value in table.items():
         path = f"{prefix}{name}"
         if path in ELSEWHERE:
@@ -139,7 +139,7 @@ def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]
 
 
 def grid_axes(table: Mapping[str, Any]) -> dict[str, list[Any]]:
-    """Return the values of each path of a grid."""
+    """Return a dict from the dotted path of each field on the grid to its values."""
     found = dict(flat(table))
     for path, values in found.items():
         if not isinstance(values, list) or not values:
@@ -148,10 +148,10 @@ def grid_axes(table: Mapping[str, Any]) -> dict[str, list[Any]]:
 
 
 def random_draws(table: Mapping[str, Any], samples: int, seed: int) -> dict[str, list[Any]]:
-    """Return, for each path, ``samples`` values drawn with ``seed``.
+    """Return a dict from the dotted path of each field to its ``samples`` values, drawn with ``seed``.
 
-    Each field has a random stream of its own, seeded by its path. So a further field does not change the other fields'
-    values, and more samples only append values.
+    Each field has a random stream of its own, seeded by its path. So an additional field does not change the values of
+    the others, and more samples only append values.
     """
     draws: dict[str, list[Any]] = {}
     for path, entry in flat(table):
@@ -242,9 +242,9 @@ def work(study: Study, config: Config) -> Found:
 
 
 def grouped(rows: Results, field: str = "") -> dict[str, dict[str, Any]]:
-    """Return, for each solver or each pair of solver and value, counts, and mean, 5th and 95th percentile of metrics.
+    """Return for each solver (or solver and value of ``field``) counts, and mean, 5th and 95th percentile of metrics.
 
-    Means are over the runs that completed their task.
+    Means and percentiles are over the runs that completed their task.
     """
     found = {}
     for controller in rows.names():

@@ -48,7 +48,7 @@ def at_pose(
 
 
 def tip_velocity(rng: Rng, speed: float) -> Array:
-    """Return a random direction at a random speed up to ``speed`` [m/s]."""
+    """Return a velocity (3,) [m/s] with a random direction and a random speed up to ``speed``."""
     v = rng.normal(size=3)
     return np.asarray(v * speed * rng.uniform() / np.linalg.norm(v))
 
@@ -85,7 +85,7 @@ def infeasible(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
 
 
 def inconsistent(size: float) -> Callable[[RobotModel, Rng], Iterator[NullSpaceQP]]:
-    """Return a recipe of problems whose tip and wrist references differ along the shaft by ``size`` [m/s]."""
+    """Return a function. It yields problems whose tip and wrist references differ by ``size`` [m/s] along the shaft."""
 
     def make(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
         while True:

@@ -1,7 +1,7 @@
-"""Measure times for ``python -m benchmarks.speed``. The public functions from `ticks` to `fresh` each run alone.
+"""Measure times for ``python -m benchmarks.speed``. Each function from `ticks` to `fresh` is a job that runs alone.
 
-The compared calls take turns in chunks, so that a slow moment of the machine affects all of them. Ratios are computed
-between chunks or rounds that were measured side by side.
+The compared calls take turns in chunks, so that a slow moment of the machine affects all of them. Each ratio is that of
+two chunks or rounds that were measured one after the other.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Part:
     seen: dict[str, dict[str, float]] = field(default_factory=dict)
 
     def time(self, part: str, entries: Mapping[str, Timed], rounds: int) -> None:
-        """Time calls side by side: in turn, each call runs over the next chunk of its own items.
+        """Time the entries in turn: each entry calls its function for the next chunk of its items.
 
         A disturbance of the machine affects all entries, so ratios taken chunk by chunk vary less than the times. The
         entry with the fewest items limits the items of all entries. The first round is not timed and not in ``rounds``.
@@ -95,7 +95,7 @@ class Part:
         }  # fmt: skip
 
     def over(self, name: str, other: str) -> float:
-        """Return the ratio of the two entries' median times in a chunk, as the median over the chunks."""
+        """Return the ratio ``name`` / ``other`` of the median times in a chunk. It is the median over all chunks."""
         return float(np.median(np.median(self.times[name], axis=1) / np.median(self.times[other], axis=1)))
 
 
@@ -153,7 +153,7 @@ def _spread(call: Callable[..., Any]) -> Callable[[tuple[Any, ...]], Any]:
 
 
 def tick_parts(scenario: Scenario, rounds: int) -> Part:
-    """Time separately, on the same states, the calls that our controller makes in one tick."""
+    """Time the calls that our controller makes in one tick, each separately, on the same states."""
     part, (inputs, _), robot = Part(), record(scenario), load_robot(scenario.robot.name)
     law = core.Law(robot.arm, **numbers_of(scenario.control, robot, scenario.plant.period_s))
     law.start(*inputs[0])
@@ -200,7 +200,7 @@ def exported(scenario: Scenario) -> Part:
 def batch(scenario: Scenario, count: int) -> Part:
     """Time ``Exact.solve_batch`` on ``count`` recorded subproblems in one call, on one and on two threads.
 
-    The faster of two calls counts. A record of seven joints has 87 doubles, so a million records take 696 MB.
+    The faster of two calls is reported. A problem of seven joints has 87 doubles, so a million problems take 696 MB.
     """
     rows = np.array([qp.row for qp in record(scenario)[1]])
     many, solver = np.ascontiguousarray(np.resize(rows, (count, rows.shape[1]))), Exact()
@@ -279,9 +279,9 @@ def disagreement(solver: Any, by_hand: Callable[[NullSpaceQP], Any], problems: l
 
 
 def own_steps(scenario: Scenario) -> tuple[Array, Callable[[], Array]]:
-    """Return MuJoCo's states (k, m) before each control period of a run, and a call that steps from all of them.
+    """Return MuJoCo's states (k, m) before each control period of a run, and a function that steps from all of them.
 
-    The call returns the states (k, m) after the periods (column 0 is the time). It runs MuJoCo alone, without Python
+    It returns the states (k, m) after the periods (column 0 is the time). It runs MuJoCo alone, without Python
     between the steps and without our trocar and sensors. The time of a step depends on the state, because dry friction,
     joint limits and the trocar's force add work. So each period starts from its recorded state and forces.
     """
@@ -339,7 +339,7 @@ def loop(scenario: Scenario, runs: int) -> Part:
 
 
 def limit(rows: Iterable[Mapping[str, Any]], c_tick_us: float | None) -> dict[str, float]:
-    """Return medians over the loop's rounds: MuJoCo's steps, the limit (steps plus C tick), and loop / limit."""
+    """Return medians over the rounds: time of MuJoCo's steps, the limit (steps plus C tick), and loop time / limit."""
     us, steps = np.array([(row["us_per_tick"], row["steps_us"]) for row in rows]).T
     found = {"steps_us": float(np.median(steps))}
     if c_tick_us is not None:

@@ -1,7 +1,7 @@
 """A control law of your own in the closed loop: the paper's three levels in plain numpy, without a solver.
 
 Instead of solving a subproblem, the third level follows the gradient of mu, projected onto the self-motion (which moves
-neither tip nor wrist). Plant, sensors, safety filter, trace and metrics are those of every run.
+neither tip nor wrist). Plant, sensors, safety filter, trace and metrics are the package's own, as in every run.
 
 python examples/own_law.py
 """

@@ -3,7 +3,7 @@ One subproblem, one judged answer
 =================================
 
 Build the problem of one tick by hand, solve it, and judge the answer by its residuals. These are the violation of
-A x = b and of the bounds, the distance from optimality, and the loss. It is 0 at the smallest cost, 1 at the largest.
+A x = b and of the bounds, the distance from optimality, and the loss: 0 at the smallest cost, 1 at the largest.
 """
 
 import numpy as np

@@ -2,8 +2,8 @@
 Plan a path before anything moves
 =================================
 
-A plan tells whether the whole path can be executed from a start. It has the best course (joint motion along the path),
-and a bound that no other course exceeds.
+A plan tells whether the whole path can be executed from a start. It contains the best course (joint motion along the
+path), and an upper bound on the mean manipulability mu of all courses.
 """
 
 import moc_opt as mo

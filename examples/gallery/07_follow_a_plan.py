@@ -2,8 +2,8 @@
 Follow a plan instead of climbing
 =================================
 
-The local law climbs mu from the arm's start, and may stay at a lower local maximum. With `third_level = "planned"`, the
-arm follows the planned motion with the best mean mu over the path. Solver, supervisor and safety filter are the same.
+The local law climbs the manipulability mu from the start, and may stay at a lower local maximum. The planned law
+follows the motion with the best mean mu over the path. Solver, supervisor and safety filter are the same in both runs.
 """
 
 import moc_opt as mo

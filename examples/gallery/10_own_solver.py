@@ -2,8 +2,9 @@
 A solver of your own
 ====================
 
-A solver has settings, `supports` and `start`, which returns a session with `solve`. This solver is its own session. It
-follows the self-motion until a joint reaches its bound. Without regularization, this is the optimum of seven joints.
+A solver has settings and the methods `supports` and `start`. `start` returns a session, whose method `solve` answers
+problems. This solver is its own session. It follows the self-motion until a joint reaches its bound. For an arm with
+seven joints, this is the optimum without regularization.
 """
 
 from dataclasses import dataclass

@@ -2,7 +2,7 @@
 The controller as C
 ===================
 
-Write the whole controller of a scenario, with its safety filter, as C without dependencies, heap or unbounded loops.
+Write the controller of a scenario with its safety filter as C code. It has no dependencies, heap or unbounded loops.
 """
 
 import tempfile

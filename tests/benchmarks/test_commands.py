@@ -60,7 +60,7 @@ def test_a_wrong_configuration_is_refused_before_anything_runs(study, text, said
     assert not (tmp_path / "out").exists()
 
 
-def test_every_block_for_results_names_a_study_and_is_closed() -> None:
+def test_every_pair_of_marks_for_results_in_a_page_names_a_study() -> None:
     studies, count = COMMANDS | {file.stem for file in CONFIGS.glob("*.toml")}, 0
     for page, text in PAGES.items():
         blocks = [(at["name"], at["title"]) for at in docs.BLOCK.finditer(text)]

@@ -121,7 +121,7 @@ def test_each_bad_row_makes_one_goal_fail():
     assert mixed["outcome"] == "1 survived, 1 stopped"
 
 
-def test_the_path_waits_while_the_camera_is_lost_and_a_case_that_cannot_start_is_refused():
+def test_the_tip_waits_while_the_board_is_out_of_sight_and_a_case_that_cannot_start_is_refused():
     asked = Scenario(control={"preset": "tuned"}, duration_s=2.0, bound_samples=0, judge=False)
     trace, ended = run_case(asked, (0.8, 1.4))
     assert ended == "completed"

@@ -1,4 +1,4 @@
-"""Goals are judged and shown. The phases of a trial (travelling, settled) are the same ticks for all controllers."""
+"""Goals are judged and shown. All controllers of a trial have the same ticks in its phases (travelling, settled)."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Peers are controllers of other packages. Each listed peer does the task, and a peer that does not is detected."""
+"""Peers are controllers of other packages. Each listed peer does the task, and one that fails at it is detected."""
 
 import re
 

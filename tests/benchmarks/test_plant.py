@@ -53,5 +53,5 @@ def test_both_controllers_run_with_every_defect_and_registering_again_restores_a
     ("values", "at"),
     [((0.0, 10.0, 20.0), 0.5), ((6.0, 7.0, 8.0), 0.0), ((0.0, 9.0, 4.0), None), ((9.0, 1.0, 9.0), 1.5)],
 )
-def test_the_crossing_is_where_values_exceed_the_limit_for_good(values, at):
+def test_beyond_the_crossing_all_values_exceed_the_limit(values, at):
     assert plant.crossing((0.0, 1.0, 2.0), values, 5.0) == at

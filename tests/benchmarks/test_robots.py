@@ -58,7 +58,7 @@ def test_findings_are_judged_by_the_ends_of_their_intervals() -> None:
     assert found()["all_end"] is False
 
 
-def test_rankings_are_correlated_except_for_arms_on_which_all_solvers_are_equal() -> None:
+def test_arms_on_which_all_solvers_are_equal_have_no_rank_correlation() -> None:
     means = {"a": (1.1, 1.2, 1.3), "b": (2.1, 2.2, 2.3), "c": (3.3, 3.2, 3.1), "d": (1.0, 1.0 + 1e-6, 1.0)}
     figures = {arm: {s: {"mu_mean": m} for s, m in zip("xyz", of, strict=True)} for arm, of in means.items()}
     ranking = robots.ranking(figures)

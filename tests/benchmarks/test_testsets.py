@@ -60,7 +60,7 @@ def descent(A: Array, b: Array, slope: Array, lower: Array, upper: Array, x: Arr
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_shipped_answers_equal_the_certificate_and_are_optimal_by_residuals_and_highs(name):
+def test_residuals_and_highs_confirm_that_shipped_answers_are_certified_optima(name):
     kept = TestSet.load(name)
     assert kept.rows.shape[0] == kept.x.shape[0] == kept.feasible.size > 0
     assert compute_residuals(kept.judged, kept.x).verified(primal=1e-9)[kept.feasible].all()
