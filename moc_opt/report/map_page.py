@@ -94,7 +94,7 @@ def _row(reading: Reading) -> dict[str, Any]:
 
 
 def load_map(files: Sequence[str | os.PathLike[str]]) -> Page:
-    """Return a page with the map of saved runs and of the best motions saved with them. Runs are named after files."""
+    """Return a page with the map of saved runs and the best motions saved with them. A run is named after its file."""
     traces, robot = load_runs(files)
     page = Page(f"Manipulability map of {title_of(traces)}", f"runs: {'; '.join(traces)}")
     courses: dict[str, Trace] = {}

@@ -178,7 +178,7 @@ def description(trace: Trace) -> str:
 
 
 def remarks(trace: Trace) -> list[str]:
-    """Return sentences on refused answers, on warnings, and on the best course."""
+    """Return sentences on refused answers, on warnings, and on a mean mu below that of the best planned motion."""
     refused = [
         f"answer refused, {fault}: {of['count']} of {len(trace)} ticks, first at {of['first_at_s']:.3f} s: "
         f"{of['first']}"

@@ -160,7 +160,7 @@ def compare(
     Ctrl-C ends the comparison. The finished trials are returned, if there are any.
 
     Args:
-        solvers: names or solver objects (of `solvers.create` or your own). A mapping names them in the table.
+        solvers: names or solver objects (of `solvers.create` or your own). The keys of a mapping rename them.
         scenario: the scenario of every trial, or the path of its file; None: the default scenario.
         trials: number of trials. Trial k has the seed ``seed + k``, which draws pose, swivel, mismatch and noise.
         seed: the seed of the first trial.

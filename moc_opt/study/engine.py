@@ -119,7 +119,7 @@ def run(
                     raise StudyError("a worker runs another version of the sources: install the same there")
                 try:
                     result = pickle.loads(answer.packed)
-                except Exception as error:  # noqa: BLE001 - foreign classes may raise anything
+                except Exception as error:  # noqa: BLE001 - a user's class may raise anything
                     finish(k, Failed("raised", f"its result cannot be unpickled: {describe(error)}"))
                     continue
                 if kept is not None and same and keep(result):
@@ -147,7 +147,7 @@ Submit = Callable[[Job], Answer]
 def _answers(
     jobs: Sequence[Job], waiting: Sequence[int], submit: Submit, slots: int, broken: Counter[str], give_up: int
 ) -> Iterator[tuple[int, _Done | Failed]]:
-    """Yield (index, answer) as answers come. At most two jobs per worker are pending: a submitted job is run."""
+    """Yield (index, answer) as answers come. Submit two jobs per worker at a time, so that others can be skipped."""
     left, flying = list(reversed(waiting)), dict[Answer, int]()
     gone, again = set[Answer](), Counter[int]()
     while left or flying:
@@ -222,7 +222,7 @@ def _do(work: Callable[..., Any], arguments: tuple[Any, ...], parts: str | None 
         _parts = open(parts, "wb", buffering=0)  # noqa: SIM115 - the file stays open while the job runs
     try:
         result = pickle.dumps(work(*arguments))
-    except BaseException as error:  # noqa: BLE001 - foreign code may raise anything
+    except BaseException as error:  # noqa: BLE001 - a user's code may raise anything
         own = isinstance(error, MocOptError)
         return Failed("raised", f"{type(error).__name__}: {error}" if own else describe(error))
     finally:

@@ -1,6 +1,6 @@
 """A store of finished jobs in a folder. After a stop of any kind, a study continues from this store.
 
-A result is reused if nothing of this has changed: the job's function and arguments, the packages' versions, the robots'
+A result is reused if none of these has changed: the job's function and arguments, the packages' versions, the robots'
 files, and those files of the project that the job's process had imported.
 """
 

@@ -90,7 +90,7 @@ class Results:
             return None
 
     def pairs(self, metric: str, controller: str, baseline: str = BASELINE) -> tuple[list[float], list[float]]:
-        """Return both controllers' values on the trials that both completed. A mean of a phase is times its ticks."""
+        """Return both controllers' values on the trials that both completed. Phase means are multiplied by ticks."""
         mine, theirs = self.values(metric, controller), self.values(metric, baseline)
         both = [trial for trial in mine if trial in theirs]
         phase = next((phase for phase in PHASES if metric.startswith(f"{phase}_")), None)

@@ -241,7 +241,7 @@ def _session(solver: Solver, qp: NullSpaceQP) -> tuple[Session | None, str]:
             session = solver.start(qp)
             return (session, "") if session is not None else (None, "start returned None: return a Session")
         return None, reason if isinstance(reason, str) and reason else f"supports returned {reason!r:.100}"
-    except (Exception, SystemExit) as error:  # noqa: BLE001 - foreign code may raise anything
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - a user's solver may raise anything
         return None, describe(error)
 
 

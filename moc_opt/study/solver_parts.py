@@ -192,7 +192,7 @@ def closed_loop(work: Work) -> None:
     asked = []
     for case in starts:
         k = number[case.name]
-        case = case.change(best_courses=k < part.others)  # computing the best courses takes as long as a run
+        case = case.change(best_courses=k < part.others)  # planning the best joint motions takes as long as a run
         timed = k < part.timed
         asked += [
             Trial(case, name, work.config.settings.get(name, {}), timed=timed, keep="curves" if timed else "row")

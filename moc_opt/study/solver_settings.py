@@ -51,7 +51,7 @@ class SolverSetting:
 def solver_settings(
     names: Iterable[str], overrides: Mapping[str, Mapping[str, Any]] | None = None
 ) -> list[SolverSetting]:
-    """Return every setting of every named solver. ``overrides[solver]`` changes the recommended setting."""
+    """Return every setting of every named solver. ``overrides[solver]`` changes options of "recommended"."""
     return [
         SolverSetting(solver, name, {**options, **((overrides or {}).get(solver, {}) if name == RECOMMENDED else {})},
                       reason)

@@ -52,7 +52,7 @@ INCONSISTENT = (
 def assess(summary: Summary, runs: Results) -> list[Row]:
     """Return one row per solver under its recommended setting, the best first. The summary may lack some parts.
 
-    A library that was run both by its own adapter and through qpsolvers is judged by its own adapter's results.
+    A library that was run both by its own adapter and through qpsolvers is rated by its own adapter's results.
     """
     sets, warm, closed = (summary.get(part, {}) for part in ("testsets", "open_loop_warm", "closed_loop"))
     certified = {n.removesuffix(f"@{RECOMMENDED}"): m for n, m in sets.items() if n.endswith(f"@{RECOMMENDED}")}

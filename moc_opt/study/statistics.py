@@ -27,7 +27,7 @@ RESAMPLES = 4000
 CONFIDENCE = 0.95
 NOMINAL = 0.7
 """Intervals are built for the miss rate `NOMINAL` * (1 - `CONFIDENCE`). In simulations, they miss more often."""
-ROUNDING = 1e-9  # a smaller change counts as zero [percent]
+ROUNDING = 1e-9  # smaller changes are taken as zero [percent]
 LEAST_TRIALS = 8  # with fewer trials, no change is called a gain or a loss
 
 

@@ -1,4 +1,4 @@
-"""The certified test sets of the subproblem, and how answers to inconsistent problems are judged.
+"""Test sets of the subproblem with certified answers. `straightened` makes an inconsistent problem consistent.
 
 Every set is an .npz without pickles: ``rows`` (k, 11 n + 10) with one `NullSpaceQP.row` each, ``x`` (k, n) with the
 certified answers (NaN if infeasible), and ``feasible`` (k,). ``benchmarks/testsets.py`` makes and certifies them.

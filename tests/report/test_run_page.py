@@ -102,7 +102,7 @@ def test_the_exit_status_is_zero_only_if_the_run_completed(tmp_path, capsys, tab
     assert "mu_gain_percent" in found or (ended.startswith("stopped") and "not compared with DCAC" in said.err)
 
 
-def test_whole_runs_share_a_table_and_a_partial_run_has_its_own():
+def test_only_whole_runs_share_a_table():
     late = {"late": {"count": 1, "first_at_s": 0.0, "first": "x"}}
     runs = {"a": trace(faults=late), "b": trace("oscillated: joint_7", scenario={"solver": {"name": "nlp-sqp"}})}
     metrics = {"a": {"mu_mean": 0.2, "silently_wrong": 1.0}, "b": {"mu_mean": 0.3, "silently_wrong": 1.0}}

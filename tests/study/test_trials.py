@@ -42,7 +42,7 @@ def test_a_placed_trial_starts_in_the_pose_that_the_search_would_find() -> None:
     np.testing.assert_allclose(Setup(found).q_start, Setup(drawn).q_start, atol=1e-12)
 
 
-def test_every_controller_meets_the_same_start_arm_and_noise(case: Scenario) -> None:
+def test_every_controller_gets_the_same_start_and_the_same_arm_and_noise(case: Scenario) -> None:
     first, *others = [Setup(variant(case, name)) for name in (*BASELINES, "exact", "rnn-printed")]
     for other in others:
         np.testing.assert_array_equal(other.q_start, first.q_start)
