@@ -79,7 +79,7 @@ def _pixels(points: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float,
 
 
 def label_sides(points: Mapping[str, tuple[float, float]]) -> dict[str, str | None]:
-    """Choose for each label the side of its point where it covers least of the other points and earlier labels.
+    """For each label, choose the side of its point on which it covers least of other points and earlier labels.
 
     Args:
         points: position of each point by name [px], y downwards. Labels are placed in this order.

@@ -64,7 +64,7 @@ def box_plots(groups: Mapping[str, Samples], value_label: str) -> go.Figure:
         lower, q1, median, q3, upper, beyond = zip(*boxes.values(), strict=True) if boxes else [()] * 6
         drawn.add_box(
             x=[label(task) for task in boxes], lowerfence=lower, q1=q1, median=median, q3=q3, upperfence=upper,
-            # Plotly draws no box for a name whose first list is empty. A point at the median is hidden by the box.
+            # Plotly draws no box for a name whose first list is empty. It then gets the median, which the box hides.
             y=[points or [middle] for points, middle in zip(beyond, median, strict=True)],
             boxpoints="outliers", name=label(name), offsetgroup=name,
             fillcolor=f"{styles[name].color}48",  # opacity 0.28

@@ -24,13 +24,13 @@ class Missing:
 
 @dataclass(frozen=True)
 class Mark:
-    """A verdict, shown as a colour with a symbol and a word, so that it can be read without colours.
+    """A rating in a table, shown as a coloured symbol and a word, so that it can be read without colours.
 
     Attributes:
         symbol: one character.
         word: the text.
         tone: name of the colour: "best", "good", "fair", "bad" or "other".
-        rank: key for sorting; the best verdict has the lowest rank.
+        rank: key for sorting; the best rating has the lowest rank.
     """
 
     symbol: str
@@ -99,7 +99,7 @@ def missing(value: object) -> Missing | None:
 
 
 def fraction_length(text: str) -> int:
-    """Count the characters from the decimal point to the end, in order to align a column."""
+    """Return the number of characters from the decimal point to the end, by which a column is aligned."""
     return len(text) - text.index(".") if "." in text and "e" not in text else 0
 
 

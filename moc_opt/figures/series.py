@@ -102,7 +102,7 @@ def envelope(t: ArrayLike, y: ArrayLike, points: int = 1200) -> tuple[Floats, Fl
 
     Args:
         t, y: (N,) times and values. NaN in y is a gap, and stays a gap.
-        points: 4 or more. A series of at most this many points is returned unchanged.
+        points: largest number of points, 4 or more. A series of at most this many points is returned unchanged.
 
     Returns:
         (K,) times and values that are kept. These include the first and the last.

@@ -1,6 +1,6 @@
 """The style of all figures: one plotly template, and colours that colour-blind readers can distinguish.
 
-A figure is built for a light page. A dark page replaces the colours in `DARK` in the figure's JSON.
+A figure is built for a light page. On a dark page, each colour that is a key of `DARK` is replaced by its value.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from moc_opt.figures.notation import pretty_power, pretty_units, printable
 
 INK, MUTED, GRID, PAPER = "#1f2328", "#5f6871", "#e3e6e9", "#ffffff"
 GOOD, BAD, WORST = "#3b7fb8", "#c9ccd1", "#c4421a"
-"""Colours of a solver's answers: GOOD is optimal, BAD is a reported failure, WORST is wrong but claims success."""
+"""Colours of a solver's answers: GOOD is optimal, BAD is a reported failure, WORST is wrong but reported as optimal."""
 
 # The palette of Okabe and Ito, light and dark. Yellow and black are replaced, because each vanishes on one background.
 SERIES = {
@@ -134,7 +134,7 @@ def log_axis(
 
 
 def rule(drawn: go.Figure, axis: str, at: float, text: str) -> None:
-    """Draw a dashed line at `at`. Its name `text` is above the plot for axis "x", and inside at the right for "y"."""
+    """Draw a dashed line at `at` on an axis. `text` is above the plot ("x") or at the line's right end ("y")."""
     line = {"color": WORST, "width": 1.2, "dash": "dash"}
     note = {"text": text, "showarrow": False, "font": {"size": 11, "color": WORST}, "yanchor": "bottom"}
     # On a log axis, plotly places a line by its value, but a text by the logarithm.

@@ -36,7 +36,7 @@ def save_figures(
 ) -> list[Path]:  # fmt: skip
     """Write each figure as DIRECTORY/NAME.FORMAT, as vectors in the colours of a light page; return the files.
 
-    Raise what `browser` raises. Raise a ReportError if a name is no file name or a file cannot be written.
+    Raise the errors of `browser`. Raise a ReportError if a name is no file name or a file cannot be written.
     """
     for name in figures:
         if name != Path(name).name:

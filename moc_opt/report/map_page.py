@@ -1,4 +1,4 @@
-"""The manipulability map as a figure, as a part of a page with a table of the runs on it, and as a page of its own."""
+"""The manipulability map, mu over time and elbow swivel: as a figure, as a part of a page, and as a whole page."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from moc_opt.report.run_table import below_best, listed, title_of
 from moc_opt.report.tables import Column, Table
 from moc_opt.trace.trace import Trace
 
-# From light to dark. White-edged lines in any colour of `SERIES` stand out on the map. Dark pages keep these colours.
+# Colours of small (light) to large mu (dark). White-edged lines in any colour of `style.SERIES` stand out on them.
 SCALE = ((0.0, "#f4f1e6"), (0.25, "#cfe0cf"), (0.5, "#8fc4bd"), (0.75, "#3f8f9c"), (1.0, "#143f5c"))
 EDGE, BEST = "#fffffe", "#17191b"
 HEIGHT_PX = 460
@@ -94,7 +94,7 @@ def _row(reading: Reading) -> dict[str, Any]:
 
 
 def load_map(files: Sequence[str | os.PathLike[str]]) -> Page:
-    """Return a page with the map of saved traces, and of the best courses in them. A trace is named after its file."""
+    """Return a page with the map of saved runs and the best motions saved with them. A run is named after its file."""
     traces, robot = load_runs(files)
     page = Page(f"Manipulability map of {title_of(traces)}", f"runs: {'; '.join(traces)}")
     courses: dict[str, Trace] = {}
@@ -173,7 +173,7 @@ def _colors(drawn: go.Figure, found: SwivelMap, allowed: NDArray[np.bool_]) -> N
 
 
 def _edged(drawn: go.Figure, group: str, t: Array, swivel_rad: Array, mu: Array) -> dict[str, Any]:
-    """Draw the white edge of a line. Return plotly's arguments for the line. Both have gaps where the swivel jumps."""
+    """Draw a line's white edge; return plotly's arguments for the line. Where the swivel jumps, both have a gap."""
     leaps = np.flatnonzero(np.abs(np.diff(swivel_rad)) > np.radians(LEAP_DEG)) + 1
     x, y, values = (np.insert(of, leaps, np.nan) for of in (t, np.degrees(swivel_rad), mu))
     line = {"x": x, "y": y, "mode": "lines", "connectgaps": False, "legendgroup": group}

@@ -23,7 +23,7 @@ from moc_opt.inputs.files import to_json
 from moc_opt.report.document import anchor, macros, render, save_document
 from moc_opt.report.tables import Cell, Column, Table, alignment
 
-# Spaces as wide as a digit and as a decimal point. They align the numbers of a column on their points.
+# A space as wide as a digit and one as wide as a decimal point. They align the decimal points of a column.
 FIGURE_SPACE, POINT_SPACE = "\u2007", "\u2008"
 LONG_TEXT = 40
 _PARTS, _TABLE = macros("parts.html"), macros("table.html")
@@ -55,7 +55,7 @@ class Page:
         self._add(_PARTS.headline(text))
 
     def section(self, title: str) -> None:
-        """Begin a section. After `fold`, sections are folded. If `fold` is never called, the page lists them all."""
+        """Begin a section. After `fold`, sections are folded. Without `fold`, the page begins with a contents list."""
         name = _unlike(title, [section.name for section in self._sections])
         self._sections.append(_Section(name, title, self._folding))
 
@@ -109,7 +109,7 @@ class Page:
 
 
 def _unlike(text: str, taken: Iterable[str]) -> str:
-    """Return a name for URLs and files that is not yet taken."""
+    """Return a name for URLs and files, made from the text, that is not in ``taken``."""
     words = anchor(text)
     return next(name for k in count(1) if (name := f"{words}-{k}" if k > 1 else words) not in taken)
 

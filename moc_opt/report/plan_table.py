@@ -48,7 +48,7 @@ def plan_json(plan: Plan) -> dict[str, Any]:
 
 
 def plan_tables(name: str, plan: Plan, **within: float) -> list[Table]:
-    """Make two tables of a scenario's plan: the verdict, and the courses. Both fit 80 columns.
+    """Make two tables of a plan, which fit 80 columns: whether the path can be executed, and the courses.
 
     Args:
         within: margin_rad, margin_m, speed_share and shaft_margin, as in `moc_opt.scenario.planned.plan`.

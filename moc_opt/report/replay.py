@@ -127,7 +127,7 @@ def _run_data(trace: Trace, robot: RobotModel, times: Array, color: str) -> dict
 
 
 def _panel(trace: Trace, column: str, ticks: NDArray[np.intp]) -> dict[str, Array] | None:
-    """Return a column's curve, its values at the frames, and for mu the bound; None if the run lacks the column."""
+    """Return the data of a column: its curve, its values at the frames, and the bound of mu. None if it is absent."""
     if column not in trace.columns:
         return None
     values = trace.columns[column].astype(np.float64)

@@ -1,4 +1,4 @@
-"""Show runs on one page: their endings, curves and metrics, and the paths of their elbows on the map."""
+"""Show runs on one page: how they ended, curves, metrics, and the elbow's swivel on the manipulability map."""
 
 from __future__ import annotations
 

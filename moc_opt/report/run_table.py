@@ -1,4 +1,4 @@
-"""Show a run as a table, as JSON and in sentences. The ending comes first. Numbers of an incomplete run are marked."""
+"""Show a run as table, JSON and sentences: first how it ended, then its numbers, marked if the run is incomplete."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from moc_opt.trace.metrics import METRICS, Metric
 from moc_opt.trace.trace import Trace, about, table
 
 WHOLE_RUN = ("completed", "share_of_run")
-METHOD = "mu_bound_method"  #: Entry of a trace's meta: how the largest mu was found.
-NEAR = 0.02  #: A mu counts as best if it is at most this fraction below the best course's mu.
+METHOD = "mu_bound_method"  #: Key of the entry of `Trace.meta` that says how the largest mu was found.
+NEAR = 0.02  #: A mu is called best if it is at most this fraction below that of the best planned motion ("course").
 
 MATTER = (
     "mu_mean", "mu_gain_percent", "mu_fraction_of_best_from_start", "tip_error_model_mean_mm",
@@ -23,7 +23,7 @@ MATTER = (
 )  # fmt: skip
 """The main metrics, for the first table."""
 VERDICTS = ("verified_solved", "silently_wrong")
-"""Metrics that count verdicts on the answers to the null-space subproblem."""
+"""Metrics that count the verified and the silently wrong answers to the null-space subproblem."""
 ANOTHER_PROBLEM = (
     "Solvers nlp-* solve a nonlinear problem. Its answer differs by about 1e-3 m/s from that of the linear problem by "
     "which answers are judged, so it counts as neither verified nor wrong."
@@ -31,7 +31,7 @@ ANOTHER_PROBLEM = (
 
 
 def answers_another_problem(trace: Trace, solver: str = "") -> bool:
-    """Return whether the solver (by default that of the run) is nonlinear, so that `VERDICTS` do not apply."""
+    """Return whether the solver (default: that of the run) is nonlinear. If so, metrics in `VERDICTS` mean nothing."""
     return (solver or about(trace).get("solver", "")).startswith("nlp-")
 
 
@@ -67,7 +67,7 @@ def replaced(trace: Trace) -> str:
 
 
 def below_best(trace: Trace) -> str:
-    """If mean mu is below that of the best course from the run's start, return a sentence on the difference."""
+    """Return a sentence if mean mu is below that of the best planned motion from the run's start, else no text."""
     found = table(trace.meta, "best_courses")
     if absent := found.get("absent"):
         return f"there is no best course from this start to compare with: {absent}"
@@ -92,7 +92,7 @@ def below_best(trace: Trace) -> str:
 
 
 def facts(trace: Trace) -> dict[str, str]:
-    """Return arm, path, gains, solver and so on, as named in the scenario. Absent entries are left out."""
+    """Return a dict with arm, path, gains, solver and so on from the scenario. Absent entries are left out."""
     scenario = table(trace.meta, "scenario")
     law, control = about(trace).get("solver"), table(scenario, "control")
     known = {
@@ -124,7 +124,7 @@ def run_tables(
     traces: Mapping[str, Trace], metrics: Mapping[str, Mapping[str, float]], *, first: bool = False,
     explained: bool = False,
 ) -> list[Table]:  # fmt: skip
-    """Lay out the metrics of runs side by side. The first rows are the ending and the number of replaced answers.
+    """Lay out the metrics of runs side by side. The first rows say how a run ended and how many answers were replaced.
 
     If any run ended early, each run has a separate table, because a part cannot be compared with a whole run. The title
     of such a table names the part, and its metrics are marked. With ``first``, only the metrics in `MATTER` are shown,
@@ -147,7 +147,7 @@ def run_tables(
 
 
 def _entries(trace: Trace, metrics: Mapping[str, float], first: bool) -> dict[str, tuple[Any, str]]:
-    """Return the rows of one run by name: the value and its meaning."""
+    """Return a dict from the name of each row of one run to (value, meaning)."""
     of, other, count = part(trace), answers_another_problem(trace), replaced(trace)
     ended = str(trace.meta.get("ended", "unknown"))
     word, _, reason = ended.partition(": ") if first else (ended, "", "")
@@ -178,7 +178,7 @@ def description(trace: Trace) -> str:
 
 
 def remarks(trace: Trace) -> list[str]:
-    """Return sentences on refused answers, on warnings, and on the best course."""
+    """Return sentences on refused answers, on warnings, and on a mean mu below that of the best planned motion."""
     refused = [
         f"answer refused, {fault}: {of['count']} of {len(trace)} ticks, first at {of['first_at_s']:.3f} s: "
         f"{of['first']}"
@@ -188,7 +188,7 @@ def remarks(trace: Trace) -> list[str]:
 
 
 def run_json(trace: Trace, metrics: Mapping[str, float]) -> dict[str, Any]:
-    """Return ending, ``part`` (if the run ended early), ``solver_replaced``, metrics, warnings and faults of a run."""
+    """Return a dict of how a run ended, which ``part`` was done, replaced answers, metrics, warnings and faults."""
     hidden = set(VERDICTS) & set(metrics) if answers_another_problem(trace) else set()
     first = {"part": part(trace).strip(" ()"), "solver_replaced": replaced(trace)}
     return {

@@ -1,7 +1,7 @@
 """The command of a study reads a configuration, runs the study, and writes and prints the results.
 
     class Config(StudyConfig): ...                       # the configuration, read from TOML
-    def work(study: Study, config: Config) -> Found: ... # trials, table, verdict
+    def work(study: Study, config: Config) -> Found: ... # runs the trials
     def main(arguments=None): return command("robots", "What holds on every arm.", Config, work, arguments)
 
 The command writes report.html, report.md, summary.json, rows.parquet and environment.json into ``--out``, and
@@ -70,7 +70,7 @@ Config = TypeVar("Config", bound=StudyConfig)
 
 @dataclass(frozen=True)
 class Found:
-    """What a study found. ``summary[part][solver or controller][metric]`` is the content of summary.json."""
+    """What a study found. ``summary[part][solver or controller][metric]`` is written to summary.json."""
 
     report: Report
     summary: Mapping[str, Any]
@@ -118,7 +118,7 @@ class Study:
         return [outcome(one, result) for one, result in zip(asked, results, strict=True)]
 
     def placed(self, cases: Sequence[Scenario]) -> tuple[list[Scenario], list[dict[str, Any]]]:
-        """Search for start poses. Return the trials with a pose, and a row for each trial without a pose."""
+        """Search for start poses. Return (the trials with a pose, a row for each trial without a pose)."""
         found = self.run([Job(placed, (case,)) for case in cases], "starts")
         lost = [
             {**Trial(case, "").failed(str(start)).row, "ended": "no start"}
@@ -213,7 +213,7 @@ def environment(config: Mapping[str, Any], seed: int, argv: Sequence[str] = ()) 
 
 
 def choose(wanted: Literal["all"] | Sequence[str], *beside: str) -> tuple[list[str], dict[str, str]]:
-    """Return the names of the solvers that can run here, and for each other name the reason why it cannot.
+    """Return (names, reasons): the solvers that can run here, and a dict from each other solver to why it cannot.
 
     "all" means every known solver. The names in ``beside``, such as that of a baseline, can always run.
     """

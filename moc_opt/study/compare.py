@@ -35,7 +35,7 @@ Solvers = Sequence[str | Solver] | Mapping[str, str | Solver]
 
 METRICS_SHOWN = ("mu_mean", *(name for frame in ("registered", "model") for name in ERRORS if frame in name))
 CHANGES = {change_name(metric): f"{TITLES.get(metric, 'mu')}: change" for metric in METRICS_SHOWN}
-"""For each metric, the name of its change against DCAC [percent], and the heading of the change's column."""
+"""A dict from the name of each metric's change against DCAC [percent] to the heading of the change's column."""
 COLUMNS = [
     Column("solver", "solver"), Column("trials", "trials"), Column("verified", "verified", "%", ".4g"),
     Column("silently_wrong", "silently wrong"), Column("solve_p50_us", "p50", "us"),
@@ -55,9 +55,9 @@ class Comparison:
     """What `compare` found.
 
     Attributes:
-        rows: one mapping per run: solver, seed, ended, error, asked (ticks with a subproblem) and every metric. A run
-            that failed has "failed" as `ended`, the reason as `error`, and no metrics.
-        solvers: the solvers' names in the table, the baseline first.
+        rows: one mapping per run, with the keys solver, seed, ended, error, asked (number of ticks with a subproblem)
+            and every metric. A run that failed has "failed" as `ended`, the reason as `error`, and no metrics.
+        solvers: the names in the table; the first is the baseline, "dcac".
         scenario: the scenario from which the trials were made.
         note: remarks, such as that [start] was not used or that the machine was busy.
         complete: False if Ctrl-C ended the comparison after some of the trials.
@@ -77,7 +77,7 @@ class Comparison:
         )
 
     def summary(self) -> dict[str, dict[str, Any]]:
-        """Return by solver the figures of a study's summary.json, figures of verified and wrong answers, and times."""
+        """Return a dict from solver to its means, changes, times, and numbers of verified and wrong answers."""
         return {
             name: self._results.figures(name, METRICS_SHOWN, METRICS_SHOWN) | self._answers(name)
             for name in self.solvers
@@ -115,7 +115,7 @@ class Comparison:
         return Table(f"{title}: solvers on the same trials", known, rows, caption)
 
     def plot(self, metric: str = "mu_mean") -> Figure:
-        """Return a plotly figure: each solver's mean of a metric with its 95 % interval. Refuse unknown metrics."""
+        """Draw each solver's mean of a metric and its 95 % interval. Raise an UnknownNameError if it is unknown."""
         if metric not in METRICS and not any(metric in row for row in self.rows):
             raise UnknownNameError("metric", metric, METRICS, "moc-opt metrics")
         means = {name: mean for name in self.solvers if (mean := self._results.mean(metric, name))}
@@ -160,7 +160,7 @@ def compare(
     Ctrl-C ends the comparison. The finished trials are returned, if there are any.
 
     Args:
-        solvers: names or solver objects (of `solvers.create` or your own). A mapping gives them other names.
+        solvers: names or solver objects (of `solvers.create` or your own). The keys of a mapping rename them.
         scenario: the scenario of every trial, or the path of its file; None: the default scenario.
         trials: number of trials. Trial k has the seed ``seed + k``, which draws pose, swivel, mismatch and noise.
         seed: the seed of the first trial.
@@ -210,7 +210,7 @@ def _trial(
             run, trace = run_and_trace(asked, baseline)
         except Exception as error:
             if name == BASELINE or isinstance(error, MemoryError):
-                raise  # no solver is at fault
+                raise  # the error is not the fault of a solver
             run = asked.failed(describe(error))
         unjudged = trace is not None and answers_another_problem(
             trace, solver if isinstance(solver, str) else solver.name
@@ -226,7 +226,7 @@ def _settings(base: Scenario, solver: str | Solver) -> Mapping[str, Any]:
 
 
 def _named(solvers: Solvers, base: Scenario) -> dict[str, str | Solver]:
-    """Return the solvers by name, the baseline first. Solvers given by name are built, so that errors show at once."""
+    """Return the solvers by name, the baseline first. Build those given by name, so that errors show early."""
     if isinstance(solvers, str) or not isinstance(solvers, Mapping | Sequence):
         raise SolverError(f"solvers = {shown(solvers)}: give a list of names or solvers, such as ['exact', 'osqp']")
     named: Iterable[tuple[Any, str | Solver]] = (

@@ -54,7 +54,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Failed:
-    """Why a job has no result: it took longer than its limit, its process died, it raised, or it was not begun."""
+    """Why a job has no result: it took too long, its process died, it raised an exception, or it was not begun."""
 
     kind: Literal["hung", "crashed", "raised", "not run"]
     reason: str
@@ -86,10 +86,10 @@ def run(
         dask: address of a Dask scheduler, such as "tcp://host:8786". Its workers do the jobs without ``alone``.
         done: called in this process with each job and its result.
         keep: called with a result; returns whether the result may be stored.
-        give_up: after this many jobs of a group hung or crashed, the group's later jobs count as not run.
+        give_up: once this many jobs of a group have hung or crashed, its later jobs give a `Failed` "not run".
 
     Raises:
-        StudyError: ``workers`` is below 1, no worker stays alive, no scheduler answers, or results cannot be kept.
+        StudyError: ``workers`` is below 1, no worker stays alive, no scheduler answers, or results cannot be stored.
     """
     if workers is not None and workers < 1:
         raise StudyError(f"workers = {workers}: give 1 or more, or None for one per core")
@@ -119,7 +119,7 @@ def run(
                     raise StudyError("a worker runs another version of the sources: install the same there")
                 try:
                     result = pickle.loads(answer.packed)
-                except Exception as error:  # noqa: BLE001 - foreign classes may raise anything
+                except Exception as error:  # noqa: BLE001 - a user's class may raise anything
                     finish(k, Failed("raised", f"its result cannot be unpickled: {describe(error)}"))
                     continue
                 if kept is not None and same and keep(result):
@@ -147,7 +147,7 @@ Submit = Callable[[Job], Answer]
 def _answers(
     jobs: Sequence[Job], waiting: Sequence[int], submit: Submit, slots: int, broken: Counter[str], give_up: int
 ) -> Iterator[tuple[int, _Done | Failed]]:
-    """Yield (index, answer) as answers come. At most two jobs per slot are pending, so that groups can be skipped."""
+    """Yield (index, answer) as answers come. Submit two jobs per worker at a time, so that others can be skipped."""
     left, flying = list(reversed(waiting)), dict[Answer, int]()
     gone, again = set[Answer](), Counter[int]()
     while left or flying:
@@ -222,7 +222,7 @@ def _do(work: Callable[..., Any], arguments: tuple[Any, ...], parts: str | None 
         _parts = open(parts, "wb", buffering=0)  # noqa: SIM115 - the file stays open while the job runs
     try:
         result = pickle.dumps(work(*arguments))
-    except BaseException as error:  # noqa: BLE001 - foreign code may raise anything
+    except BaseException as error:  # noqa: BLE001 - a user's code may raise anything
         own = isinstance(error, MocOptError)
         return Failed("raised", f"{type(error).__name__}: {error}" if own else describe(error))
     finally:

@@ -1,7 +1,7 @@
 """A store of finished jobs in a folder. After a stop of any kind, a study continues from this store.
 
-A result is reused if the job's function and arguments and the packages' versions are the same. The robots' files and
-the project's files that the job's process had imported must be unchanged, too.
+A result is reused if none of these has changed: the job's function and arguments, the packages' versions, the robots'
+files, and those files of the project that the job's process had imported.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def key_of(work: Callable[..., Any], arguments: Iterable[Any]) -> str:
 def loaded_sources() -> tuple[str, ...]:
     """Return the files that this process has imported, without the standard library and others' installed packages.
 
-    Listing takes 50 ms, and a study has a thousand jobs. So the files are listed again only after a further import.
+    Listing takes 50 ms, too long for each of a thousand jobs. It is repeated only after a further import.
     """
     return _sources(tuple(sys.modules))
 

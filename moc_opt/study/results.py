@@ -1,6 +1,6 @@
-"""The results table of every study: one row per run, and a controller's means and its changes against a baseline.
+"""The rows of a study, one per run; means of a controller over its runs; and changes of means against a baseline.
 
-Means are over whole runs, which did the task to its end. A change compares trials that both controllers completed.
+Means are over whole runs: those that did the task to its end. A change compares trials that both controllers completed.
 """
 
 from __future__ import annotations
@@ -22,15 +22,16 @@ ERRORS = (
     "tip_error_model_mean_mm", "tip_error_registered_mean_mm", "tip_error_mean_mm",
     "rcm_error_model_mean_mm", "rcm_error_registered_mean_mm", "rcm_error_mean_mm",
 )  # fmt: skip
-"""Tip errors and RCM errors, each by the robot's own kinematics (the error that control can correct), in the frame
-registered at the start (the error for the patient), and in the base frame (absolute accuracy)."""
+"""Names of the mean tip errors and RCM errors [mm], each by the robot's own kinematics (the error that control can
+correct), in the frame registered at the start (the error for the patient), and in the base frame (absolute accuracy).
+"""
 PHASES = ("settled", "travelling")
-"""Prefixes of means and numbers of ticks over a phase of a run. While travelling, the elbow moves to its optimum."""
+"""Prefixes of metrics of one phase of a run. In "travelling", the elbow moves to its optimum; "settled" is the rest."""
 TITLES = {
     name: f"{part}, {frame}"
     for name, (part, frame) in zip(ERRORS, product(("tip", "RCM"), ("own", "registered", "base")), strict=True)
 }
-"""For each error, the heading of its column, and of the column with the change of the error."""
+"""A dict from each of `ERRORS` to the heading of its column, which also heads the column of its change."""
 FRAMES = (
     "Own kinematics: the error that the controller measures and can correct. Registered: the error in the frame that "
     "is touched at the start, which matters to the patient."
@@ -73,23 +74,23 @@ class Results:
         return Results(row for row in self._rows if all(row["trial"] in trials for trials in ran))
 
     def names(self, column: str = "controller") -> list[Any]:
-        """Return the distinct values of a column, in order, without None."""
+        """Return the distinct values of a column, in the order of the rows, without None."""
         return [name for name in dict.fromkeys(row.get(column) for row in self._rows) if name is not None]
 
     def values(self, metric: str, controller: str) -> dict[Any, float]:
-        """Return by trial the values of a metric in the controller's whole runs."""
+        """Return a dict from trial to the metric's value, for the controller's whole runs."""
         mine = (row for row in self._rows if row.get("controller") == controller and row.get("whole"))
         return {row["trial"]: float(row[metric]) for row in mine if row.get(metric) is not None}
 
     def mean(self, metric: str, controller: str) -> Interval | None:
-        """Return the mean over the controller's whole runs, with its interval; None if it has no whole run."""
+        """Return the mean over the controller's whole runs, with its interval; None if there is no whole run."""
         try:
             return mean(list(self.values(metric, controller).values()))
         except StatisticsError:
             return None
 
     def pairs(self, metric: str, controller: str, baseline: str = BASELINE) -> tuple[list[float], list[float]]:
-        """Return both controllers' values on the trials that both completed. Means of phases are weighted by ticks."""
+        """Return both controllers' values on the trials that both completed. Phase means are multiplied by ticks."""
         mine, theirs = self.values(metric, controller), self.values(metric, baseline)
         both = [trial for trial in mine if trial in theirs]
         phase = next((phase for phase in PHASES if metric.startswith(f"{phase}_")), None)
@@ -106,7 +107,7 @@ class Results:
     def figures(
         self, controller: str, means: Sequence[str] = (), changes: Sequence[str] = (), baseline: str = BASELINE
     ) -> dict[str, Any]:
-        """Return a controller's figures for a summary: counts, means of metrics, and changes against a baseline."""
+        """Return a dict for a summary: a controller's counts, means of metrics, and changes against a baseline."""
         mine = [row for row in self._rows if row.get("controller") == controller]
         found: dict[str, Any] = {
             "trials": len(mine), "whole": sum(bool(row.get("whole")) for row in mine),

@@ -26,7 +26,7 @@ FORMATS = {"%": "+.1f", "mm": ".3f", "us": ".1f", "m^3": ".4f", "N": ".2f"}
 
 
 def mark(verdict: bool | str | None, text: str) -> Mark:
-    """Return the `Mark` of a verdict ("yes" or True, "no" or False, else open) with ``text`` as its word."""
+    """Return the `Mark` for the answer "yes" (or True), "no" (or False), or else open, with ``text`` as its word."""
     known = MARKS.get(verdict, OPEN)
     return Mark(known.symbol, text, known.tone, known.rank)
 
@@ -54,7 +54,7 @@ class Report:
 
     title: str  #: the question, and the arm, task, preset and solver unless the study varies them
     answer: Sequence[str]  #: up to three sentences, the most important one first
-    table: Table  #: shown on the first screen, with few columns
+    table: Table  #: table on the first screen, with few columns
     pictures: Sequence[Picture] = ()  #: up to three pictures
     sections: Sequence[Section] = ()  #: in reading order; a table's columns link to them by title
     load: str = ""  #: the machine's load while times were taken; "" if none were taken
@@ -116,9 +116,9 @@ def _markdown(table: Table) -> str:
 
 
 def columns(*metrics: str, of: str = "", **titles: str) -> list[Column]:
-    """Describe metrics, or their changes ("mu_gain_percent"), as columns with the metric's unit, format and help.
+    """Return one column of a table per metric, or per change of a metric ("mu_gain_percent"), with unit and help.
 
-    A name may begin with "settled_" or "travelling_". Values link to the section ``of``. ``titles`` replaces headings.
+    A name may begin with a phase ("settled_", "travelling_"). Values link to section ``of``. ``titles`` sets headings.
     """
     found = []
     for name in metrics:
@@ -138,7 +138,7 @@ def intervals_picture(
     found: Mapping[str, tuple[float, float, float]], x_label: str, limits: Mapping[str, float],
     tones: Mapping[str, str] | None = None, *, log: bool = False,
 ) -> go.Figure:  # fmt: skip
-    """Draw (low, value, high) of each name, with the first name at the top, and a labelled line at each limit."""
+    """Draw each name's value with a bar from low to high, the first name at the top, and a labelled line per limit."""
     drawn = figure(showlegend=False, height=90 + 24 * max(len(found), 4))
     for name, (low, value, high) in reversed(list(found.items())):
         tone = (tones or {}).get(name)
@@ -162,7 +162,7 @@ def intervals_picture(
 def lines_picture(
     lines: Mapping[str, Sequence[tuple[float, float, float, float]]], x_title: str, y_title: str, *, log: bool = False
 ) -> go.Figure:
-    """Draw a line through the points (x, low, value, high) of each name, with bars from low to high."""
+    """Draw for each name a line through its points (x, low, value, high), with bars from low to high."""
     drawn, styles = figure(), Styles(lines)
     for name, points in lines.items():
         drawn.add_scatter(

@@ -1,7 +1,7 @@
-"""Collect solvers' answers to sets of problems, judge and count them, and measure the solvers' times.
+"""Collect solvers' answers to sets of problems, check and count them, and measure the solvers' times.
 
-Solvers run in other processes, and each answer has a time limit of its own. All answers are judged by
-`moc_opt.qp.residuals`, never by the solver. Times are taken afterwards, one job at a time.
+Solvers run in other processes, and each answer has a time limit of its own. Its residuals (`moc_opt.qp.residuals`)
+decide whether it is right, whatever the solver reports. Times are taken afterwards, one job at a time.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ HUNG, CRASHED, RAISED, NOT_ASKED, REFUSED = "hung", "crashed", "raised", "not as
 BROKEN_SETS = 3  # a hang or crash ends a set. After this many such sets, a solver's other sets are skipped.
 HOURS = 1e5  # limit of the job for a whole set [s]; every answer has a limit of its own
 WARM_UP = 16  # solves before the timed ones
-CONTRADICTION = 1e-13  # [m/s] if judged and given reference differ by less than this, the difference is rounding
+CONTRADICTION = 1e-13  # [m/s] a smaller difference between `TestSet.rows` and `TestSet.judged` is rounding
 RIGHTLY = 0.99  # times are compared only among solvers with at least this share of right answers
 RESIDUALS = ("primal", "natural", "natural_best", "relative", "loss")
 
@@ -64,14 +64,14 @@ class Answer(NamedTuple):
 
 
 class Answers:
-    """The judged answers of one solver under one setting to one set of k problems.
+    """The answers of one solver under one setting to one set of k problems, with their residuals.
 
     ``refused`` says why the solver does not take the problems. ``events`` lists its errors and how its process ended.
-    ``every``, ``status``, ``x``, ``residuals`` and ``verified`` have one entry for each problem, asked or not.
+    ``every``, ``status``, ``x``, ``residuals`` and ``verified`` have one entry per problem, even if it was not asked.
     """
 
     def __init__(self, setting: SolverSetting, problems: TestSet, result: list[Any] | Failed) -> None:
-        """Judge the answers that the job returned, or that it had reported before it failed."""
+        """Compute the residuals of the answers that the job returned, or that it had reported before it failed."""
         self.setting, self.problems, self.refused = setting, problems, ""
         failed = result if isinstance(result, Failed) else None
         reason, *given = (result.parts if isinstance(result, Failed) else result) or [None]
@@ -98,9 +98,9 @@ class Answers:
         """Count the answers by outcome (docs/solvers.md explains the outcomes).
 
         An answer is right in two cases. `verified_solved` counts verified optima, out of `optima_asked`.
-        `infeasible_right` counts infeasible problems recognised as such, out of `infeasible_asked`. Feasible problems
-        refused as inconsistent are not in `optima_asked`. `refused_inconsistent` counts these problems, out of
-        `inconsistent_asked`. Such an answer is neither right nor wrong.
+        `infeasible_right` counts infeasible problems recognised as such, out of `infeasible_asked`. A feasible problem
+        whose six rows contradict each other may also be called infeasible. `refused_inconsistent` counts these answers,
+        out of `inconsistent_asked`. They are neither right nor wrong, and their problems are not in `optima_asked`.
         """
         status, feasible = self.status, self.problems.feasible
         claimed, infeasible = status == "solved", status == "infeasible"
@@ -121,9 +121,9 @@ class Answers:
         return {"solves": len(status), **{name: int(flags.sum()) for name, flags in found.items()}, **broken}
 
     def summary(self, times: Times | None = None) -> dict[str, Any]:
-        """Return counts, largest residuals, times and the first trouble, for summary.json.
+        """Return a dict for summary.json: counts, largest residuals, times, and the first exception, hang or crash.
 
-        Residuals are taken over the feasible problems that were answered.
+        The residuals are those of answers to feasible problems.
         """
         found: dict[str, Any] = dict(self.counts())
         answered = self.problems.feasible & np.isfinite(self.x).all(axis=1)
@@ -155,7 +155,7 @@ def share_right(counts: Mapping[str, Any]) -> float:
 
 
 def totals(answers: Sequence[Answers], times: Sequence[Times]) -> dict[str, Any]:
-    """Sum up one solver under one setting over its sets: total counts, largest residuals, times of the slowest set."""
+    """Return a dict of one solver under one setting: total counts, largest residuals, and times of its slowest set."""
     rows, figures = [one.summary() for one in answers], [one.figures() for one in times]
     found: dict[str, Any] = {name: sum(row[name] for row in rows) for name in answers[0].counts()}
     for name in (f"{residual}_max" for residual in RESIDUALS):
@@ -171,7 +171,7 @@ def totals(answers: Sequence[Answers], times: Sequence[Times]) -> dict[str, Any]
 
 
 def ask(run: Runner, questions: Sequence[Question], limits: Limits, *, warm: bool = True) -> list[Answers]:
-    """Collect the answers to each question, which is a setting of a solver and a set of problems.
+    """Collect the answers to each question. A question is a solver under one setting, and a set of problems.
 
     If ``warm``, one session solves the set, else each problem has a new session. A hang or a crash ends the set. After
     `BROKEN_SETS` such sets, all further sets of the solver are skipped.
@@ -241,7 +241,7 @@ def _session(solver: Solver, qp: NullSpaceQP) -> tuple[Session | None, str]:
             session = solver.start(qp)
             return (session, "") if session is not None else (None, "start returned None: return a Session")
         return None, reason if isinstance(reason, str) and reason else f"supports returned {reason!r:.100}"
-    except (Exception, SystemExit) as error:  # noqa: BLE001 - foreign code may raise anything
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - a user's solver may raise anything
         return None, describe(error)
 
 
@@ -259,10 +259,10 @@ def _asked(session: Session, qp: NullSpaceQP) -> tuple[Solution, str]:
 class Times(NamedTuple):
     """Times of one solver on one set [us]."""
 
-    solve: Array  #: (rounds, k) solves of one session that goes through all problems
-    setup: Array  #: starts of fresh sessions
-    cold: Array  #: first solves of the fresh sessions
-    update: Array  #: calls of the session's `update`, which hands a problem to the library; empty if it has none
+    solve: Array  #: (rounds, k) times of warm solves: one session goes through all k problems
+    setup: Array  #: times of starting fresh sessions
+    cold: Array  #: times of the first solve of each fresh session
+    update: Array  #: times of the session's `update`, which hands a problem to the library; empty if it has none
     load: Mapping[str, float]  #: the machine's load meanwhile, see `timing.COUNTED`
 
     def figures(self) -> dict[str, Any]:
@@ -276,7 +276,8 @@ class Times(NamedTuple):
 def time(run: Runner, answers: Sequence[Answers], limits: Limits) -> list[Times | None]:
     """Time the solver of each `Answers` on its set, one solver at a time, with nothing else running.
 
-    An entry is None if a problem was not answered, or if the timing failed. Times from a busy machine are not stored.
+    An entry is None if a problem was not answered, or if the timing failed. The next run of the study
+    reuses the times unless the machine was busy.
     """
     limit = 20.0 * limits.seconds + limits.patience_s + limits.setup_s
     whole = [one for one in answers if one.complete]

@@ -1,4 +1,4 @@
-"""The parts of the solver study: a recorded sequence and the certified sets in open loop, and the closed loop."""
+"""The parts of the solver study: a recorded sequence of problems, sets with certified answers, and closed loop."""
 
 from __future__ import annotations
 
@@ -86,14 +86,14 @@ def answers_table(title: str, part: Mapping[str, Mapping[str, Any]], suffix: str
 
 
 def record(case: Scenario, ticks: int) -> Array:
-    """Record the subproblem of every tick of a closed-loop run with ``exact``. Runs in a worker process."""
+    """Return the subproblem of every tick of a closed-loop run with ``exact``. This is called in a worker process."""
     duration_s = ticks * case.plant.period_s
     trace = run(placed(case).change(duration_s=duration_s, judge=False, bound_samples=0))
     return np.asarray(trace.subproblem)
 
 
 def recorded_sequence(work: Work) -> None:
-    """Give each solver the sequence warm (in one session) and a part of it cold (a session per problem). Time both."""
+    """Let each solver solve the sequence warm (in one session) and a part of it cold (in new sessions). Time both."""
     config = work.config.open_loop
     problems = [NullSpaceQP.from_row(np.array(row)) for row in work.sequence]
     session = Exact().start(problems[0])
@@ -128,7 +128,7 @@ def recorded_sequence(work: Work) -> None:
 
 
 def certified_sets(work: Work) -> None:
-    """Give every set to every solver under every setting: answers in parallel jobs, times one by one."""
+    """Let every solver solve every set under each of its settings, in parallel jobs. Then take times, one by one."""
     config = work.config.testsets
     chosen = [TestSet.load(name).thinned(config.every) for name in config.chosen()]
     thinned = [data.thinned(config.every_other) for data in chosen]
@@ -182,7 +182,7 @@ def _set_by_set(summary: Mapping[str, Any], names: Sequence[str], recommended: S
 
 
 def closed_loop(work: Work) -> None:
-    """Run the controller without a solver (the baseline) and with every solver, each on its trials."""
+    """Run the controller without a solver (the baseline) and with each solver, each on its own number of trials."""
     part = work.config.closed_loop
     cases = work.config.cases()
     number = {case.name: k for k, case in enumerate(cases)}
@@ -192,7 +192,7 @@ def closed_loop(work: Work) -> None:
     asked = []
     for case in starts:
         k = number[case.name]
-        case = case.change(best_courses=k < part.others)  # computing the best courses takes as long as a run
+        case = case.change(best_courses=k < part.others)  # planning the best joint motions takes as long as a run
         timed = k < part.timed
         asked += [
             Trial(case, name, work.config.settings.get(name, {}), timed=timed, keep="curves" if timed else "row")
@@ -213,7 +213,7 @@ def closed_loop(work: Work) -> None:
 def figures(
     rows: Results, controller: str, runs: Sequence[Run] = (), common: Container[str] | None = None
 ) -> dict[str, Any]:
-    """Return a controller's entries in the summary: means and changes over its completed runs, sums and largest values.
+    """Return a dict of a controller's means and changes over its completed runs, its sums and its largest values.
 
     Times are pooled over the ``runs`` that ran alone. Entries that end in "_in_common" count only the trials in
     ``common``, which every solver runs. If ``common`` is None, they count all trials.

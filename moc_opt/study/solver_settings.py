@@ -1,4 +1,4 @@
-"""The settings under which each solver is studied, with reasons, from solver-settings.toml and the adapters' advice."""
+"""The settings under which each solver is studied, and the reasons for them, mostly from solver-settings.toml."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ class SolverSetting:
 
     @property
     def label(self) -> str:
-        """The setting's name in tables."""
+        """Solver and setting in one name, such as "osqp@tight"."""
         return f"{self.solver}@{self.name}"
 
     @property
     def recommended(self) -> bool:
-        """Whether the verdict on the solver is about this setting."""
+        """Whether this is the setting that we recommend for the solver."""
         return self.name == RECOMMENDED
 
     @property
@@ -51,7 +51,7 @@ class SolverSetting:
 def solver_settings(
     names: Iterable[str], overrides: Mapping[str, Mapping[str, Any]] | None = None
 ) -> list[SolverSetting]:
-    """Return every setting of every named solver. ``overrides[solver]`` changes options of the recommended one."""
+    """Return every setting of every named solver. ``overrides[solver]`` changes options of "recommended"."""
     return [
         SolverSetting(solver, name, {**options, **((overrides or {}).get(solver, {}) if name == RECOMMENDED else {})},
                       reason)
@@ -60,7 +60,7 @@ def solver_settings(
 
 
 def of(name: str) -> dict[str, tuple[dict[str, Any], str]]:
-    """Return (options, reason) of each setting of one solver, by the name of the setting."""
+    """Return a dict from the name of each setting of one solver to (options, reason)."""
     tables = SETTINGS.get(name, {})
     if not name.startswith(QPSOLVERS):
         known = {of: ({key: v for key, v in one.items() if key != "why"}, one["why"]) for of, one in tables.items()}

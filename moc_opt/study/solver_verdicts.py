@@ -1,7 +1,7 @@
 """Which solver to take and which to avoid: a verdict on each solver, and the first screen of the report.
 
-The numbers come from summary.json. The damage in closed loop is computed from the rows of the runs. docs/solvers.md
-explains the rules.
+The numbers come from summary.json. The damage (a solver's worst loss in closed loop relative to the best solver) is
+computed from the rows of the runs. docs/solvers.md explains the rules.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ GAPS, NEAR = Mark("◐", "gaps", "fair", 2), Mark("≈", "near", "fair", 3)
 OTHER, OPEN = Mark("≠", "other", "other", 4), Mark("–", "open", "other", 5)
 AVOID = Mark("✘", "avoid", "bad", 6)
 TONES = {TAKE: GOOD, SOUND: GOOD, GAPS: list(SERIES)[4], NEAR: list(SERIES)[4], OTHER: MUTED, OPEN: BAD, AVOID: WORST}
-TOO_MUCH = 5.0  # a solver is to be avoided if its loss exceeds this many tolerances (see `COSTS`)
+TOO_MUCH = 5.0  # a solver is to be avoided if its damage exceeds this many tolerances (see `COSTS`)
 COSTS = {
     "mu_mean": ("mu", 0.01),
     "tip_error_model_mean_mm": ("tip", 0.05), "tip_error_registered_mean_mm": ("registered tip", 0.05),
     "rcm_error_model_mean_mm": ("RCM", 0.05), "rcm_error_registered_mean_mm": ("registered RCM", 0.05),
     "torque_rate_rms_Nm_per_s": ("chatter", 0.1),
 }  # fmt: skip
-"""For each metric in closed loop, a short name and a tolerance. A relative change within the tolerance is no loss."""
+"""For each metric in closed loop, a short name, and the relative change up to which a worse value is no loss."""
 FRAMED = tuple(name for name in COSTS if "_error_" in name)
 CERTIFIED, RECORDED, CLOSED = "Certified test sets", "Recorded sequence", "Closed loop"
 NEITHER = "neither right nor wrong"
@@ -52,7 +52,7 @@ INCONSISTENT = (
 def assess(summary: Summary, runs: Results) -> list[Row]:
     """Return one row per solver under its recommended setting, the best first. The summary may lack some parts.
 
-    A library that was run both by its own adapter and through qpsolvers is judged by its own adapter's results.
+    A library that was run both by its own adapter and through qpsolvers is rated by its own adapter's results.
     """
     sets, warm, closed = (summary.get(part, {}) for part in ("testsets", "open_loop_warm", "closed_loop"))
     certified = {n.removesuffix(f"@{RECOMMENDED}"): m for n, m in sets.items() if n.endswith(f"@{RECOMMENDED}")}
@@ -76,7 +76,7 @@ def assess(summary: Summary, runs: Results) -> list[Row]:
 
 
 def verdict(row: Row, damage: float = 0.0) -> Mark:
-    """Return the first verdict whose rule holds. ``damage`` is the loss in closed loop, divided by its tolerance."""
+    """Return the first verdict whose rule holds. ``damage`` is the worst loss in closed loop, in tolerances."""
     counted = row["counted"]
     broken = counted.get("hung", 0) + counted.get("crashed", 0) + sum(_ended(row["closed"]).values())
     rules = {
@@ -106,7 +106,7 @@ def _figures(name: str, certified: Row, warm: Row, closed: Row) -> Row:
 
 
 def _ended(closed: Row) -> dict[str, int]:
-    """Return how many runs broke off and how many oscillated, among the trials that every solver ran."""
+    """Return the numbers of runs that "broke off" and that "oscillated", on the trials that every solver ran."""
     return {word: closed.get(f"{word.replace(' ', '_')}_in_common", 0) for word in ("broke off", "oscillated")}
 
 
@@ -116,7 +116,7 @@ def _order(row: Row) -> tuple[float, float, float]:
 
 
 def _damage(row: Row, reference: str | None, runs: Results) -> tuple[Any, float]:
-    """Return the worst loss in closed loop as text, and in tolerances (0 unless both intervals confirm the loss)."""
+    """Return (text, size) of the worst loss in closed loop. The size, in tolerances, is 0 if the loss is uncertain."""
     for word, count in _ended(row["closed"]).items():
         if count:
             return f"{count} {word}", TOO_MUCH
@@ -136,7 +136,7 @@ def _damage(row: Row, reference: str | None, runs: Results) -> tuple[Any, float]
 
 
 def _size(metric: str, change: Change) -> tuple[float, float]:
-    """Return the smallest and the largest loss in the two intervals of a change, in tolerances. Gains are negative."""
+    """Return (smallest, largest) loss in the two intervals of a change, in tolerances. A gain is a negative loss."""
     sides = [(-one.high, -one.low) if metric == "mu_mean" else (one.low, one.high) for one in change]
     equal = 100.0 * COSTS[metric][1]
     return min(low for low, _ in sides) / equal, max(high for _, high in sides) / equal
@@ -284,7 +284,7 @@ def _trials_told(rows: Sequence[Row]) -> str:
 
 
 def _tip_in_both_frames(runs: Results, solver: str) -> str | None:
-    """Write the changes of the tip's error in both frames as one text, or None if there are too few trials."""
+    """Return the changes of the tip's error in both frames as text, or None if there are too few trials."""
     changes = [runs.change(name, solver) for name in FRAMED if name.startswith("tip")]
     if any(change is None or change.ratio.samples < LEAST_TRIALS for change in changes):
         return None

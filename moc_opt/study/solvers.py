@@ -1,8 +1,8 @@
-"""The main study: every solver on certified and recorded subproblems, and in the same torque controller.
+"""The main study: each solver solves recorded problems and problems with certified answers, and runs in closed loop.
 
-Read in this order: `Config` (the question), the parts in ``solver_parts``, `work`, `report`. ``solver_answers``
-collects, counts and times answers, ``solver_settings`` has every solver's settings and the reasons for them, and
-``solver_verdicts`` the rules that turn numbers into a verdict.
+Read in this order: `Config` (what is run), the parts in ``solver_parts``, `work`, `report`. ``solver_answers``
+collects, counts and times answers. ``solver_settings`` has every solver's settings and the reasons for them.
+``solver_verdicts`` has the rules that decide which solver to take and which to avoid.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ from moc_opt.study.trials import BASELINE, seeds, trials
 STREAM = 3
 FULL = Path(__file__).parent / "solvers-full.toml"
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-TIMED = ("open_loop_warm", "testsets", "closed_loop")  # parts of the summary that together hold each time once
+TIMED = ("open_loop_warm", "testsets", "closed_loop")  # parts of the summary; each measured time is in exactly one
 
 
 class OpenLoop(Settings):
-    """Settings of the recorded sequence: the subproblems of one run."""
+    """Settings of the recorded sequence: the subproblems of successive ticks of one closed-loop run."""
 
     KIND: ClassVar[str] = "[open_loop]"
     task: str = "circle"
@@ -61,7 +61,7 @@ class TestSets(Limits):
     names: Literal["all"] | list[str] = "all"
     timed: list[str] = Field(["circle", "circle-rho0", "random"], description="sets timed under every setting")
     timed_too: list[str] = Field(["infeasible", "joint-limits", "jumps", "near-singular", "inconsistent-1e-6"])
-    """sets timed under the recommended settings only"""
+    """further sets, which are timed under the recommended settings only"""
     every: int = Field(1, ge=1, description="1: every problem, 2: every second one, ...")
     every_other: int = Field(4, ge=1, description="further thinning for nlp-* and for settings not recommended")
 
@@ -88,10 +88,10 @@ class ClosedLoop(Settings):
     timed: int = Field(1, ge=1, description="number of trials that run alone, for their times")
     duration_s: Level = Field(4.0, description="length of a trial; inf: the whole task")
     slow: list[str] = Field(["nlp-ipopt", "qpsolvers:highs", "qpsolvers:scs"])
-    """solvers left out: they take a millisecond per tick"""
+    """solvers that are left out, because they take about a millisecond per tick"""
 
     def of(self, solver: str) -> int:
-        """Return how many trials a solver or the baseline runs. These are always the first trials."""
+        """Return the number of trials that a solver or the baseline runs. They are the first of `Config.cases`."""
         return self.trials if solver in (BASELINE, *self.cited) else min(self.others, self.trials)
 
 
@@ -118,13 +118,13 @@ class Config(StudyConfig):
         )  # fmt: skip
 
     def cases(self) -> list[Scenario]:
-        """Return the trials of the closed loop."""
+        """Return the scenario of each trial in closed loop."""
         part = self.closed_loop
         base = self.scenario.change(duration_s=part.duration_s, start={"pose": "random"})
         return trials(base, part.tasks, seeds(self.seed, STREAM, part.trials))
 
     def but(self, **changes: Any) -> Self:
-        """Return a checked copy with these entries changed. A mapping changes single entries of a table."""
+        """Return a validated copy with these entries changed. A dict changes single entries of a table."""
         tables = {name: getattr(self, name).replace(of) for name, of in changes.items() if isinstance(of, dict)}
         return self.replace(changes | tables)
 
@@ -136,9 +136,9 @@ class Work:
     study: Study
     config: Config
     names: Sequence[str]  #: names of the solvers that can run here
-    summary: dict[str, dict[str, Any]] = field(default_factory=dict)  #: see `Found`
-    runs: Results = field(default_factory=Results)  #: a row for each run in closed loop
-    answers: Results = field(default_factory=Results)  #: a row for each answer in open loop
+    summary: dict[str, dict[str, Any]] = field(default_factory=dict)  #: content of summary.json so far
+    runs: Results = field(default_factory=Results)  #: one row per run in closed loop
+    answers: Results = field(default_factory=Results)  #: one row per answer in open loop
     sections: list[Section] = field(default_factory=list)  #: sections of the report
     said: str = ""
 
@@ -155,7 +155,7 @@ class Work:
 
     @cached_property
     def sequence(self) -> Array:
-        """The recorded subproblems, one row per tick (ticks, 11 n + 10)."""
+        """The recorded subproblems (ticks, 11 n + 10). Each row is the `NullSpaceQP.row` of one tick."""
         config = self.config
         base = config.scenario.change(start={"pose": "random"})
         (case,) = trials(base, [config.open_loop.task], seeds(config.seed, STREAM, 1))
@@ -166,7 +166,7 @@ class Work:
 
     @property
     def timed(self) -> list[Mapping[str, Any]]:
-        """The rows of the summary that hold times."""
+        """The entries of the summary that hold measured times."""
         return [row for part in TIMED for row in self.summary.get(part, {}).values()]
 
     def runner(self, what: str) -> Callable[..., list[Any]]:
@@ -174,7 +174,7 @@ class Work:
         return partial(self.study.run, what=what)
 
     def say(self) -> None:
-        """Print the report's first sentence as known so far, if it has changed since it was last printed."""
+        """Print the first sentence of the report so far, if it has changed since it was last printed."""
         said = sentences(self.summary, assess(self.summary, self.runs))[0]
         if said != self.said:
             self.said = said
@@ -217,7 +217,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def once(names: Sequence[str]) -> tuple[list[str], dict[str, str]]:
-    """Drop `qpsolvers:NAME` if NAME is listed, too. Return the other names, and the reason for each dropped name."""
+    """Drop `qpsolvers:NAME` if NAME is listed, too. Return (other names, the reason by dropped name)."""
     native = {f"{QPSOLVERS}{name}": name for name in names}
     return [name for name in names if name not in native], {
         name: f"the same library as `{native[name]}`: `twice = true` in the configuration runs both"
@@ -226,7 +226,7 @@ def once(names: Sequence[str]) -> tuple[list[str], dict[str, str]]:
 
 
 def report(found: Work) -> Report:
-    """Say which solver to take, why, and which to avoid."""
+    """Return the report, which says which solver to take and why, and which solvers to avoid."""
     summary, scenario = found.summary, found.config.scenario
     rows = assess(summary, found.runs)
     troubles = [

@@ -1,13 +1,13 @@
-"""Means and changes over independent trials, their bootstrap intervals, and rules for when these are undecided.
+"""Means and changes over independent trials, their bootstrap intervals, and a rule for when a change is undecided.
 
-Intervals are scipy's bias-corrected and accelerated bootstrap (BCa, Efron 1987) over trials, or over pairs if two
-controllers ran the same trials. With few samples, a bootstrap interval is too narrow. So the confidence level is raised
+Intervals are scipy's bias-corrected and accelerated bootstrap (BCa, Efron 1987) over trials, or over pairs of runs if
+two controllers ran the same trials. A bootstrap interval of few samples is too narrow: its confidence level is raised
 to match Student's t ("expanded percentiles", Hesterberg 2015). If a change is zero in most trials, BCa depends on the
-few outliers. So the interval is extended to contain Student's t interval with the jackknife's standard error. Both
-intervals are built for a lower miss rate than 1 - `CONFIDENCE` (see `NOMINAL`, and docs/method.md).
+few others. The interval is therefore extended until it contains Student's t interval with the jackknife's standard
+error. Both intervals are built for a lower miss rate than 1 - `CONFIDENCE` (see `NOMINAL`, and docs/method.md).
 
-A change is the ratio of the means. The mean of the trials' ratios is computed, too. If the two figures disagree in
-sign, or only one of their intervals contains 0, the change is undecided.
+A change is the ratio of two means, minus 1. The mean of the trials' own ratios, minus 1, is computed, too. If the two
+numbers differ in sign, or only one of their intervals contains 0, the change is undecided.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from moc_opt.errors import MocOptError
 RESAMPLES = 4000
 CONFIDENCE = 0.95
 NOMINAL = 0.7
-"""Intervals are built for a miss rate of `NOMINAL` (1 - `CONFIDENCE`), since in simulations they miss more often."""
-ROUNDING = 1e-9  # a smaller change counts as zero [percent]
-LEAST_TRIALS = 8  # with fewer trials there is no verdict
+"""Intervals are built for the miss rate `NOMINAL` * (1 - `CONFIDENCE`). In simulations, they miss more often."""
+ROUNDING = 1e-9  # smaller changes are taken as zero [percent]
+LEAST_TRIALS = 8  # with fewer trials, no change is called a gain or a loss
 
 
 def too_few(trials: int) -> str | None:
-    """Return the words that replace a verdict if there are too few trials, else None."""
+    """Return a text that says that there are too few trials to decide, or None if there are enough."""
     return f"too few trials to decide ({trials} of at least {LEAST_TRIALS})" if trials < LEAST_TRIALS else None
 
 
@@ -55,24 +55,24 @@ class Interval(NamedTuple):
         return f"{self.value:{form}} [{self.low:{form}}, {self.high:{form}}]"
 
     def entries(self, name: str) -> dict[str, float]:
-        """Return {name, name_low, name_high}, for a summary."""
+        """Return a dict for a summary, with the keys ``name``, ``name_low`` and ``name_high``."""
         return {name: self.value, f"{name}_low": self.low, f"{name}_high": self.high}
 
 
 class Change(NamedTuple):
-    """A change against a baseline [percent]: the ``ratio`` of the means, and the mean of the trials' own ``ratios``."""
+    """A change against a baseline [percent]: by the ``ratio`` of the means, and by the mean of the ``ratios``."""
 
     ratio: Interval
     ratios: Interval
 
     def side(self, bound: float = 0.0) -> int:
-        """Return 1 if both intervals lie above the bound [percent], -1 if both lie below, else 0. Few trials give 0."""
+        """Return 1 if both intervals lie above the bound [percent], -1 if both lie below, else 0; 0 for few trials."""
         both = {int(one.low > bound + ROUNDING) - int(one.high < bound - ROUNDING) for one in self}
         return both.pop() if len(both) == 1 and self.ratio.samples >= LEAST_TRIALS else 0
 
     @property
     def undecided(self) -> bool:
-        """Whether the two figures disagree in sign, or only one of the two intervals contains 0."""
+        """Whether the two values differ in sign, or only one of the two intervals contains 0."""
         sides = [(one.low > ROUNDING, one.high < -ROUNDING) for one in self]
         values = self.ratio.value, self.ratios.value
         opposed = min(values) < -ROUNDING and max(values) > ROUNDING
@@ -82,7 +82,7 @@ class Change(NamedTuple):
         return f"{self.ratio:.3g}" + (f" (mean of ratios {self.ratios:.3g}: undecided)" if self.undecided else "")
 
     def entries(self, name: str) -> dict[str, float]:
-        """Return both figures with intervals (``name``, ``name_of_ratios``) and ``name_undecided``, for a summary."""
+        """Return a dict for a summary: both values and intervals (``name``, ``name_of_ratios``), ``name_undecided``."""
         return {
             **self.ratio.entries(name), **self.ratios.entries(f"{name}_of_ratios"),
             f"{name}_undecided": float(self.undecided),
@@ -90,9 +90,9 @@ class Change(NamedTuple):
 
 
 def spread(entries: Mapping[str, Any], name: str, digits: int = 3, sign: str = "", unit: str = "") -> str | None:
-    """Return a figure of a summary with its interval, as text, or None if the summary lacks the figure.
+    """Return one number of a summary and its interval as text, or None if the summary lacks the number.
 
-    An undecided `Change` is written with its two figures. With ``sign`` "+", positive figures get a plus sign.
+    An undecided `Change` is written with its two values. With ``sign`` "+", positive numbers get a plus sign.
     """
     value, low, high = (entries.get(key) for key in (name, f"{name}_low", f"{name}_high"))
     if value is None:
@@ -133,7 +133,7 @@ def relative_change(treated: ArrayLike, control: ArrayLike) -> Interval:
 
 
 def relative_changes(treated: ArrayLike, control: ArrayLike) -> Change:
-    """Return `relative_change`, and the mean over trials of 100 (treated/control - 1) [percent]. Same errors."""
+    """Return `relative_change` (which may raise), and the mean over trials of 100 (treated/control - 1) [percent]."""
     ratio = relative_change(treated, control)
     with np.errstate(divide="ignore", invalid="ignore"):
         each = 100.0 * (np.asarray(treated, float) / np.asarray(control, float) - 1.0)
@@ -143,7 +143,7 @@ def relative_changes(treated: ArrayLike, control: ArrayLike) -> Change:
 def difference_of_changes(
     treated: ArrayLike, control: ArrayLike, treated_before: ArrayLike, control_before: ArrayLike
 ) -> Interval:
-    """Return the `relative_change`, minus that of the two samples "before" on the same trials [percentage points]."""
+    """Return the `relative_change` minus the `relative_change` "before" [percentage points], all on the same trials."""
     before = {"treated_before": treated_before, "control_before": control_before}
     return _interval(_difference, treated=treated, control=control, **before)
 

@@ -1,7 +1,7 @@
-"""The certified test sets of the subproblem, and how answers to inconsistent problems are judged.
+"""Test sets of the subproblem with certified answers. `straightened` makes an inconsistent problem consistent.
 
-Every set is an .npz without pickles: ``rows`` (k, 11 n + 10) flat NullSpaceQP records, ``x`` (k, n) the certified
-answers (NaN if infeasible) and ``feasible`` (k,). ``benchmarks/testsets.py`` makes and certifies them.
+Every set is an .npz without pickles: ``rows`` (k, 11 n + 10) with one `NullSpaceQP.row` each, ``x`` (k, n) with the
+certified answers (NaN if infeasible), and ``feasible`` (k,). ``benchmarks/testsets.py`` makes and certifies them.
 """
 
 from __future__ import annotations
@@ -51,10 +51,10 @@ class TestSet:
 
     @cached_property
     def judged(self) -> Array:
-        """The ``rows`` against which answers are judged.
+        """The problems (k, 11 n + 10) whose residuals decide whether an answer is right.
 
-        If the references of tip and wrist differ along the shaft, a rigid tool cannot follow both. Then the wrist's
-        reference is changed. The five certified equations stay as they are.
+        If the reference velocities of tip and wrist differ along the shaft, a rigid tool cannot follow both. In that
+        case, these rows have another wrist reference than ``rows``. The five certified equations are the same.
         """
         return np.array([straightened(qp).row for qp in self.problems()])
 
@@ -103,6 +103,6 @@ def changed(qp: NullSpaceQP, **values: Any) -> NullSpaceQP:
 
 
 def five_row_gap(qp: NullSpaceQP, b: NDArray[np.floating]) -> Array:
-    """Return tip's reference minus wrist's reference, projected onto the shaft (3,) [m/s]."""
+    """Return the tip's reference velocity minus the wrist's, projected onto the shaft (3,) [m/s]."""
     u = np.linalg.svd(qp.J_tip - qp.J_wrist)[0][:, 2]
     return np.asarray(u * (u @ (b[:3] - b[3:])))

@@ -1,4 +1,4 @@
-"""The clock of every benchmark: timed calls, the machine's load meanwhile, and percentiles of the times."""
+"""Time calls, measure the machine's load meanwhile, and compute percentiles. Every benchmark uses these functions."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def each_us(
 
 
 def percentiles(times: Array, prefix: str) -> dict[str, float]:
-    """Return {prefix_p50_us, prefix_p99_us, prefix_p99_9_us} of the finite times, if any."""
+    """Return {prefix_p50_us, prefix_p99_us, prefix_p99_9_us} of the finite times; {} if there is none."""
     times = times[np.isfinite(times)]
     if times.size == 0:
         return {}

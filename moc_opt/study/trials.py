@@ -1,6 +1,6 @@
-"""One run becomes one row. A run is a trial (a scenario with a seed of its own) under one controller.
+"""Run a trial (a scenario with a seed of its own) under one controller, and make one row of results from the run.
 
-Each seed draws start, mismatch and noise, so that trials are independent. All controllers run the same trials.
+Start pose, model mismatch and noise are drawn with the trial's seed. All controllers run the same, independent trials.
 """
 
 from __future__ import annotations
@@ -50,9 +50,9 @@ def seeds(seed: int, stream: int, count: int) -> list[int]:
 
 
 def trials(base: Scenario, tasks: Sequence[str], own_seeds: Sequence[int], *, virtual: bool = False) -> list[Scenario]:
-    """Make one scenario per seed, with the tasks in turn and a random starting swivel, named "task/seed".
+    """Make one scenario per seed, named "task/seed", with the tasks in turn and a random elbow swivel at the start.
 
-    With ``virtual``, sizes and depth are those of the paper's virtual task of the same name.
+    With ``virtual``, the path's sizes and the trocar's depth are those of the paper's virtual task of the same name.
     """
     found = []
     for k, seed in enumerate(own_seeds):
@@ -67,13 +67,13 @@ def trials(base: Scenario, tasks: Sequence[str], own_seeds: Sequence[int], *, vi
 
 
 def placed(trial: Scenario) -> Scenario:
-    """Return the trial with its random start pose filled in, so that all controllers share one search."""
+    """Return the trial with its random start pose as joint positions, which are searched once for all controllers."""
     q = Setup(trial).q_start.tolist()
     return trial.change(start={"pose": "home", "q_rad": q, "swivel": "given", "check_path": False})
 
 
 def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None = None) -> Scenario:
-    """Return the trial under one of `BASELINES` or under MOC with a solver. `BASELINE` does not change a DCAC trial."""
+    """Return the trial under one of `BASELINES`, or MOC with a solver. `BASELINE` leaves DCAC trials unchanged."""
     control = trial.control
     if controller == BASELINE and control.law == "dcac":
         return trial
@@ -97,7 +97,7 @@ class Trial:
     controller: str  #: one of `BASELINES`, or the name of a solver
     settings: Mapping[str, Any] = field(default_factory=dict)  #: settings of the solver
     tags: Mapping[str, Any] = field(default_factory=dict)  #: further columns of the row, such as a group's name
-    timed: bool = False  #: whether the trial runs alone on the machine, so that its times count
+    timed: bool = False  #: whether the trial runs alone on the machine, and its times are kept
     keep: Literal["row", "curves"] = "row"  #: "curves": the columns in `CURVES` are kept, too
     solver: str | Solver | None = None  #: name or object of a solver to use instead of ``controller``
 
@@ -115,7 +115,7 @@ class Trial:
         return Job(run_trial, (self,), limit, alone=self.timed, group=self.controller)
 
     def failed(self, reason: str) -> Run:
-        """Return the row of a run without a trace."""
+        """Return the `Run` of a trial that left no trace. ``reason`` is the ``error`` in its row."""
         return Run({**self.about, "ended": Ending.FAILED.value, "whole": False, "error": reason})
 
 
@@ -123,8 +123,8 @@ class Trial:
 class Run:
     """What is kept of a run.
 
-    Its row has `Trial.about`, ``ended``, ``whole`` (the task was done to its end), ``error`` (or None), ``raised``
-    (the solver's first exception), and every metric. Times are included only if the run was alone on the machine.
+    Its row has the columns of `Trial.about`, ``ended``, ``whole`` (the task was done to its end), ``error`` (or None),
+    ``raised`` (the solver's first exception), and every metric. Only a run that was alone on the machine has times.
     """
 
     row: Mapping[str, Any]
@@ -138,7 +138,7 @@ def run_trial(asked: Trial) -> Run:
 
 
 def run_and_trace(asked: Trial, baseline: Trace | None = None) -> tuple[Run, Trace | None]:
-    """Return the result of `run_trial` and the trace. With a ``baseline``, the metrics include the gain over it."""
+    """Return (the result of `run_trial`, its trace). With a ``baseline``, the metrics include the gain over it."""
     begun, seen, solver = dict[str, float](), dict[str, float](), asked.solver
 
     def look(tick: int) -> None:

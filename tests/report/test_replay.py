@@ -114,7 +114,7 @@ def arm_of(page: Any) -> bytes:
 def page(chromium: Any, robot: RobotModel, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     runs = {"swaying": wave(robot, 1500), "swaying otherwise": wave(robot, 1500, phase=1.5)}
     file = Replay(runs, robot).save(tmp_path_factory.mktemp("replay") / "replay.html")
-    # A quarter of the pixels is enough. Drawing takes long without a graphics card.
+    # A quarter of the pixels is enough, and drawing them all takes long without a graphics card.
     size = {"viewport": {"width": 900, "height": 800}, "device_scale_factor": 0.5}
     with opened(chromium, file.as_uri(), "html[data-drawn=yes]", **size) as found:
         yield found

@@ -1,4 +1,4 @@
-"""Tables, JSON and pages of runs: the ending comes first, partial runs are marked, no foreign file is lost."""
+"""Tables and pages of runs: first how a run ended; partial runs are marked; files of other programs are kept."""
 
 import json
 from pathlib import Path
@@ -68,7 +68,7 @@ def test_replaced_answers_of_a_solver_are_reported_before_any_figure(raised, mos
 @pytest.mark.parametrize(
     ("solver", "law", "shown"), [("nlp-sqp", "moc", "–"), ("osqp", "moc", "4"), ("nlp-sqp", "dcac", "4")]
 )
-def test_answers_to_the_nonlinear_problem_get_no_verdicts_of_the_linear_one(solver, law, shown):
+def test_a_nonlinear_solvers_answers_are_not_judged_against_the_linear_problem(solver, law, shown):
     run = trace(scenario={"solver": {"name": solver}, "control": {"law": law}})
     metrics = {"mu_mean": 0.2, "verified_solved": 4.0, "silently_wrong": 4.0}
     (table,) = run_tables({"x": run}, {"x": metrics}, first=True)
@@ -83,7 +83,7 @@ def test_answers_to_the_nonlinear_problem_get_no_verdicts_of_the_linear_one(solv
     ("", 0, "completed"), ("[plant]\nfriction = 0.0\n", 3, "oscillated: joint_7 at "),
     ("[guard]\nrcm_error_m = 1e-5\nrcm_warning_m = 1e-5\n", 3, "stopped: the RCM error has been above 0.01 mm"),
 ], ids=["completed", "oscillated", "stopped"])  # fmt: skip
-def test_the_exit_status_tells_success_from_other_endings(tmp_path, capsys, table, status, ended):
+def test_the_exit_status_is_zero_only_if_the_run_completed(tmp_path, capsys, table, status, ended):
     file = tmp_path / "s.toml"
     file.write_text(
         'name = "one"\nduration_s = 2.0\nbound_samples = 0\njudge = false\n'
@@ -102,7 +102,7 @@ def test_the_exit_status_tells_success_from_other_endings(tmp_path, capsys, tabl
     assert "mu_gain_percent" in found or (ended.startswith("stopped") and "not compared with DCAC" in said.err)
 
 
-def test_whole_runs_share_a_table_and_a_partial_run_has_its_own():
+def test_only_whole_runs_share_a_table():
     late = {"late": {"count": 1, "first_at_s": 0.0, "first": "x"}}
     runs = {"a": trace(faults=late), "b": trace("oscillated: joint_7", scenario={"solver": {"name": "nlp-sqp"}})}
     metrics = {"a": {"mu_mean": 0.2, "silently_wrong": 1.0}, "b": {"mu_mean": 0.3, "silently_wrong": 1.0}}
@@ -149,7 +149,7 @@ def test_map_writes_the_page_and_the_figures(files, tmp_path, capsys, chromium):
 
 
 @pytest.mark.parametrize("command", ["report", "replay", "map"])
-def test_a_page_replaces_a_foreign_file_only_with_force_and_needs_a_usable_place(files, tmp_path, capsys, command):
+def test_a_page_replaces_a_file_that_moc_opt_did_not_write_only_with_force(files, tmp_path, capsys, command):
     out = tmp_path / "page.html"
     out.write_text("mine")
     for place, said in (
@@ -164,7 +164,7 @@ def test_a_page_replaces_a_foreign_file_only_with_force_and_needs_a_usable_place
     assert out.stat().st_size > 10_000
 
 
-def test_rows_plans_and_traces_replace_a_foreign_file_only_with_force(tmp_path, capsys):
+def test_rows_plans_and_traces_replace_a_file_that_moc_opt_did_not_write_only_with_force(tmp_path, capsys):
     out = tmp_path / "rows"
     out.write_text("mine")
     for order in (["compare", "exact", "--out"], ["plan", "--out"], ["run", "--trace"], ["plant", "--trace"]):

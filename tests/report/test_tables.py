@@ -81,7 +81,7 @@ def test_a_narrow_terminal_shows_every_number_whole(width: int, count: int, size
 
 @pytest.mark.parametrize(("step_s", "told"), [(10.0, [1, 2, 3, 4]), (6.0, [1, 3]), (1.0, [1])])
 def test_without_a_terminal_progress_writes_a_line_now_and_then(step_s: float, told: list[int]) -> None:
-    """The forecast starts when the number of steps is known. The set-up before that does not count."""
+    """The forecast starts when the number of steps is known. It does not include the set-up before that."""
     file, now = io.StringIO(), [0.0]
     screen = console(file=file)
     screen.get_time = lambda: now[0]

@@ -50,7 +50,7 @@ def asked(tmp_path: Path) -> tuple[Path, Path]:
     return tmp_path / "tiny.toml", tmp_path / "new" / "out"
 
 
-def test_a_study_writes_and_prints_its_result_and_refuses_a_folder_that_no_study_wrote(asked, capsys):
+def test_a_study_writes_and_prints_its_result_but_not_over_files_that_no_study_wrote(asked, capsys):
     config, out = asked
     assert call(squares, config, "--out", out) == 3, "the status that `squares` gives"
     said = capsys.readouterr().out
@@ -95,7 +95,7 @@ def test_options_change_the_configuration(asked, monkeypatch, options, seed, cou
     ("cuont = 3", r"tiny\.toml: .*did you mean 'count'"), ("seed = -1", r"tiny\.toml: .*seed = -1"),
     (None, r"tiny\.toml.*no such file"), ("", r"new"),
 ])  # fmt: skip
-def test_wrong_input_gives_one_line_and_status_2(asked, capsys, content, said):
+def test_an_input_error_is_one_line_on_stderr_and_exit_status_2(asked, capsys, content, said):
     config, out = asked
     config.unlink() if content is None else config.write_text(content)
     out.parent.write_text("a file in the place of the folder")

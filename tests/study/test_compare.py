@@ -15,7 +15,7 @@ from moc_opt.study.trials import placed
 
 
 def standing(name="standing", fails=None):
-    """A solver that claims x = 0 as the optimum of every problem, or whose start raises `fails`."""
+    """Return a solver that reports x = 0 as the optimum of every problem, or whose start raises `fails`."""
     session = SimpleNamespace(solve=lambda qp: Solution(np.zeros(len(qp.lower)), None, Status.SOLVED))
     return SimpleNamespace(name=name, supports=lambda qp: None, start=Mock(side_effect=fails, return_value=session))
 
@@ -24,7 +24,7 @@ SHORT = mo.Scenario(duration_s=0.3, bound_samples=0)
 BRIEF = mo.Scenario(duration_s=0.02, bound_samples=0)
 
 
-def test_every_solver_and_dcac_run_the_same_trials_and_claims_are_judged():
+def test_every_solver_and_dcac_run_the_same_trials_and_each_answer_is_checked():
     said = []
     found = mo.compare(["exact", standing()], SHORT, trials=2, seed=4, watch=said.append)
     assert (said[0], len(said)) == ("trial 1 of 2, dcac", 6)
@@ -74,7 +74,7 @@ def test_a_solver_that_cannot_start_gets_failed_rows_while_the_others_run():
     assert "broken failed in 2: ControlError: solver 'broken'" in found.table.caption
 
 
-def test_only_a_first_trial_without_a_start_ends_the_comparison(monkeypatch):
+def test_a_trial_without_a_start_ends_the_comparison_only_if_it_is_the_first(monkeypatch):
     def only_even(trial):
         if trial.seed % 2:
             raise ScenarioError("no start")
@@ -129,14 +129,14 @@ def test_a_change_gets_a_question_mark_if_the_two_ways_to_average_it_disagree():
 
 
 @pytest.mark.parametrize(("trials", "decided"), [(7, False), (8, True)])
-def test_fewer_than_eight_trials_show_no_change(trials, decided):
+def test_with_fewer_than_eight_trials_no_change_is_shown(trials, decided):
     table = compared(trials).table
     assert ("mu_gain_percent" in {column.key for column in table.columns}) is decided
     assert ("[" in table.rows[1]["mu_mean"]) is decided
     assert max(map(len, repr(compared(trials)).splitlines())) <= 200
 
 
-def test_answers_to_the_nonlinear_problem_are_neither_verified_nor_wrong():
+def test_a_nonlinear_solvers_answers_count_as_neither_verified_nor_wrong():
     found = mo.compare(["nlp-sqp", "exact"], mo.Scenario(duration_s=0.04, bound_samples=0), trials=1)
     summary = found.summary()
     assert {"solve_p50_us", "silently_wrong", "verified"} & set(summary["nlp-sqp"]) == {"solve_p50_us"}

@@ -26,7 +26,7 @@ def test_a_job_that_fails_in_any_way_harms_no_other_job(tmp_path):
         Job(work.refuse), Job(work.throw, (KeyboardInterrupt,)),
         Job(work.fork_and_hang, (str(tmp_path / "child"),), limit_s=3.0),
         Job(work.eat_memory), Job(lambda: None), Job(work.refuse_name), Job(work.odd_result),
-        # GeneratorExit is no subclass of Exception, like a panic of polars.
+        # Like a panic of polars, GeneratorExit is no subclass of Exception.
         Job(work.throw, (GeneratorExit,)), Job(work.NoWayBack), Job(work.square, (4.0,)),
     ]  # fmt: skip
     done: list[int] = []
@@ -53,7 +53,7 @@ def test_processes_that_die_at_once_or_exit_without_an_error_are_reported_as_cra
     assert [getattr(result, "kind", result) for result in found] == ["crashed", "crashed", 4.0] * 6
 
 
-def test_earlier_results_of_a_group_do_not_count_once_the_group_is_given_up(tmp_path):
+def test_a_stored_result_is_ignored_once_an_earlier_job_of_its_group_has_hung(tmp_path):
     """A study that was killed and continued must have the results of an uninterrupted study."""
     good = Job(work.square, (3.0,), group="slow")
     assert run([good], kept=Kept(tmp_path)) == [9.0]
@@ -73,7 +73,7 @@ def test_jobs_whose_times_are_measured_run_alone_and_in_one_process():
     assert found[4] != found[0]
 
 
-def test_finished_jobs_are_kept_and_failures_are_not(tmp_path):
+def test_a_second_run_repeats_only_the_jobs_that_failed(tmp_path):
     log = str(tmp_path / "log")
     jobs = [Job(work.square, (float(x), log)) for x in range(5)] + [Job(work.refuse), Job(work.arrays, (3,))]
     first = run(jobs, kept=Kept(tmp_path / "jobs"), workers=2)
@@ -149,7 +149,7 @@ def test_a_damaged_folder_or_a_file_in_its_place_is_refused_with_a_remedy(tmp_pa
             Kept(tmp_path / name)
 
 
-def test_a_cluster_gives_the_same_results(monkeypatch, tmp_path):
+def test_a_cluster_gives_the_same_results_as_processes_on_this_machine(monkeypatch, tmp_path):
     monkeypatch.setattr(engine, "CONNECT_S", 5.0)
     monkeypatch.syspath_prepend(HOME / "examples")
     own_study = importlib.import_module("own_study")

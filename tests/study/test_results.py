@@ -1,4 +1,4 @@
-"""Results of a study: means, changes, the rows that count, and the written file."""
+"""Results of a study: means, changes, the rows from which they are computed, and the written file."""
 
 from pathlib import Path
 from typing import Any
@@ -36,7 +36,7 @@ def test_means_use_completed_runs_and_changes_use_trials_that_both_controllers_c
     assert rows.mean("mu_mean", "rnn") is rows.change("mu_mean", "rnn") is rows.change("tip", "exact") is None
 
 
-def test_a_trial_is_weighted_by_its_ticks_in_a_phase() -> None:
+def test_a_change_over_one_phase_weights_each_trial_by_its_ticks_in_that_phase() -> None:
     """mu changes by -10 % in the 1000 settled ticks of one trial and by +100 % in the 10 settled ticks of the other."""
     both = {"a": (0.9, 1000), "b": (2.0, 10)}
     rows = Results()

@@ -1,4 +1,4 @@
-"""How the study counts a solver's answers to sets of problems, and how it records a solver that hangs or crashes."""
+"""How the study counts a solver's answers to sets of problems, and what it does if a solver hangs or crashes."""
 
 from functools import partial
 from typing import Any
@@ -34,7 +34,7 @@ def breaking(name: str, **options: Any) -> SolverSetting:
 def test_exact_is_right_on_every_set():
     for found in ask(ONE, [(EXACT, TestSet.load(name)) for name in NAMES], LIMITS):
         counts, name = found.counts(), found.problems.name
-        spared = 2 if name == "near-singular" else 0  # rounding in the residuals decides the verdicts on two problems
+        spared = 2 if name == "near-singular" else 0  # on two problems, rounding decides whether it is right
         assert counts["solves"] == 128
         assert counts["verified_solved"] + counts["failed"] == counts["optima_asked"]
         assert counts["failed"] <= spared
@@ -85,9 +85,9 @@ def made(setting: SolverSetting, problems: TestSet, status: list[str], x: Any) -
     (False, ["infeasible", "solved", "max_iter", "solved"],
      {"infeasible_right": 1, "infeasible_wrong": 0, "silently_wrong": 2, "failed": 1, "right": 1}),
 ])  # fmt: skip
-def test_claims_are_checked_against_the_certificate_and_the_residuals(feasible, status, expected):
+def test_a_reported_status_is_checked_against_the_certificate_and_the_residuals(feasible, status, expected):
     rows, x = (array[::32].copy() for array in (TestSet.load("circle").rows, TestSet.load("circle").x))
-    x[1] = 0.0  # claimed to be solved, but wrong
+    x[1] = 0.0  # reported as solved, but wrong
     counts = made(EXACT, TestSet("made", rows, x, np.full(4, feasible)), status, x).counts()
     assert {name: counts[name] for name in expected} == expected
     assert counts["right"] == counts["verified_solved"] + counts["infeasible_right"]

@@ -1,4 +1,4 @@
-"""Verdicts on solvers follow stated rules. The report's first screen gives the figures that decide them."""
+"""Which solvers to take and which to avoid follows from stated rules. The report's first screen has the numbers."""
 
 import io
 import re
@@ -24,7 +24,7 @@ ENDED = {"broke off": "stopped: the tip", "oscillated": "oscillated: joint_3"}
 
 
 def runs(controller: str, trials: int = 15, unlike: float = 0.0, first_ends: str = "completed", **times: float) -> Any:
-    """Return rows of trials that differ widely. `times` has factors of metrics. `unlike` is the size of added noise."""
+    """Return rows of trials that differ widely. `times` multiplies metrics. `unlike` is the size of added noise."""
     own = np.random.default_rng(5).lognormal(0.0, unlike, trials) if unlike else np.ones(trials)
     found = []
     for k in range(trials):
@@ -75,7 +75,7 @@ def test_each_rule_gives_its_verdict(asked, times, verdict, damage):
 
 
 @pytest.mark.parametrize("ended", ENDED.values())
-def test_endings_on_trials_that_the_others_did_not_run_do_not_count(ended):
+def test_a_bad_ending_is_not_held_against_a_solver_if_the_others_did_not_run_that_trial(ended):
     """Even the optimum might end such a trial in this way, so the solver is not to blame."""
     mine = runs("asked", 60)
     mine[40] |= {"ended": ended, "whole": not ended.startswith("stopped")}
@@ -96,7 +96,7 @@ def test_wrong_answers_in_closed_loop_count_except_those_of_nonlinear_solvers():
     assert "nonlinear" in row["silently_wrong"].reason
 
 
-def test_solvers_are_ranked_one_is_recommended_and_parts_of_the_study_may_be_missing():
+def test_one_solver_is_recommended_and_the_others_follow_from_best_to_worst():
     found = assessed({
         "best": certified(p99=1.0), "slow": certified(p99=50.0), "liar": certified(p99=0.1, silently_wrong=1),
         "half": certified(500), "most": certified(900, p99=90.0),
@@ -116,7 +116,7 @@ def test_solvers_are_ranked_one_is_recommended_and_parts_of_the_study_may_be_mis
     (1.6, 0.0, 7, SOUND, "too few trials to decide (7 of at least 8)"), (1.6, 0.0, 8, AVOID, "+60% tip"),
 ])  # fmt: skip
 def test_a_loss_counts_only_where_its_interval_excludes_the_tolerance(cost, unlike, trials, verdict, damage):
-    """Only trials that both solvers ran count."""
+    """Two solvers are compared only on the trials that both ran."""
     rows = [*runs("best", 60), *runs("asked", trials, unlike, tip_error_model_mean_mm=cost)]
     if unlike:  # the two solvers are equal in all other metrics
         for row, mine in zip(rows, rows[60:], strict=False):

@@ -70,7 +70,7 @@ def test_the_study_has_results_of_every_part_and_a_second_run_reuses_them_all(tm
     assert max(len(line) for line in said.splitlines() if str(tmp_path) not in line) <= 80, "except lines with paths"
 
 
-def test_broken_solvers_are_rows_and_the_others_are_unharmed(tmp_path, monkeypatch, capsys):
+def test_solvers_that_hang_crash_or_raise_get_rows_and_do_not_disturb_the_others(tmp_path, monkeypatch, capsys):
     monkeypatch.syspath_prepend(str(broken_solvers.install(tmp_path / "plugin")))
     monkeypatch.setattr("moc_opt.study.trials.PATIENCE_S", 6.0)
     monkeypatch.setattr("moc_opt.study.trials.PER_S", 1.0)

@@ -42,7 +42,7 @@ def test_a_placed_trial_starts_in_the_pose_that_the_search_would_find() -> None:
     np.testing.assert_allclose(Setup(found).q_start, Setup(drawn).q_start, atol=1e-12)
 
 
-def test_every_controller_meets_the_same_start_arm_and_noise(case: Scenario) -> None:
+def test_every_controller_gets_the_same_start_and_the_same_arm_and_noise(case: Scenario) -> None:
     first, *others = [Setup(variant(case, name)) for name in (*BASELINES, "exact", "rnn-printed")]
     for other in others:
         np.testing.assert_array_equal(other.q_start, first.q_start)
@@ -123,7 +123,7 @@ def test_a_run_that_breaks_off_is_a_row_with_its_reason(case, change, solver, en
     assert hung == {**hung, "ended": "failed", "whole": False, "group": "g", "error": "hung: no answer within 30 s"}
 
 
-def test_errors_of_a_solver_are_in_the_row_of_a_run_that_goes_on(case: Scenario) -> None:
+def test_the_row_of_a_completed_run_reports_the_exceptions_of_its_solver(case: Scenario) -> None:
     row = run_trial(Trial(case.change(faults={"solver": "raise", "solver_share": 0.2}), "exact")).row
     assert (row["ended"], row["error"]) == ("completed", None)
     assert row["raised"].startswith(f"{row['fault_raised']} ticks, first at ")
