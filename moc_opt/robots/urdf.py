@@ -27,7 +27,7 @@ MOST_LINKS = 250  #: Physics engines recurse along a chain, and crash with some 
 _TRIANGLE, _FLAT, _THIN = 1e-6, 1e-9, 1e-12  # margins for rounded moments, relative to the largest one
 SMALLEST = 1e-30  #: A smaller number is read as 0, because some readers refuse numbers below 1e-308.
 LARGEST, LARGEST_MASS, FARTHEST = 1e6, 1e5, 100.0
-"""Largest number in a file, largest mass [kg], and largest length or angle of an origin [m, rad]."""
+"""Largest allowed number in a file, mass [kg], and length or angle of a joint's or body's origin [m, rad]."""
 
 Numbers = tuple[float, ...]
 _ZEROS: Numbers = (0.0, 0.0, 0.0)

@@ -42,7 +42,7 @@ def random_case(rng, freedoms, size):
 
 
 def arm_case(rng, robot, size):
-    """A subproblem of a real arm whose elbow is bent so little that the fifth singular value is about ``size``."""
+    """Return a subproblem of an arm whose elbow is bent so little that the fifth singular value is about ``size``."""
     q = robot.random_regular_pose(rng)
     elbow = robot.n - 4
     q[elbow] = np.clip(size * rng.choice([-3.0, 3.0]), robot.q_min[elbow], robot.q_max[elbow])
