@@ -190,7 +190,7 @@ def _rank_five(A: Array) -> tuple[NDArray[np.intp], _Factors]:
 
     With A^T = Q R, the sixth singular value of A is at most |R_66|. The fifth is at least the smallest singular value
     of R's first five rows. A QR decomposition takes less than half the time of a singular value decomposition. A larger
-    sixth singular value would tilt the basis of the null space. Joints that rest in a self-motion would seem to move.
+    sixth singular value would tilt the basis of the null space. Joints at rest in every self-motion would seem to move.
     """
     size = _or_one(np.linalg.norm(A, axis=(1, 2)))[:, None, None]
     Q, R = np.linalg.qr(np.swapaxes(A / size, 1, 2), mode="complete")

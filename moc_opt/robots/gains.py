@@ -25,10 +25,10 @@ JOINTS: Mapping[str, tuple[float, float, float]] = {
     "tuned": (26.0, 0.087, 125.0), "robust": (17.0, 0.133, 85.0),
 }  # fmt: skip
 """For each table of gains: K_N2 divided by the joint's inertia [1/s] (10 to 22 for the LWR4+), D_N2 / K_N2 (0.13 to 0.2
-for the LWR4+), and the largest (K_N2 + D_N2) / inertia along a self-motion [1/s]."""
+for the LWR4+), and the largest allowed (K_N2 + D_N2) / inertia along a self-motion [1/s]."""
 CARTESIAN_RATE = 160.0
-"""Largest D_X or D_N divided by the smallest mass that it acts on [1/s]. It is 0.72 of the stability limit with three
-ticks of delay at 500 Hz. The LWR4+ has 90 for D_X and 16 for D_N."""
+"""Largest allowed D_X or D_N divided by the smallest mass that it acts on [1/s]. It is 0.72 of the stability limit with
+three ticks of delay at 500 Hz. The LWR4+ has 90 for D_X and 16 for D_N."""
 CARTESIAN: Mapping[str, tuple[float, float, float, float]] = {
     "dcac": (2000.0, 20.0, 600.0, 10.0), "moc": (3000.0, 30.0, 800.0, 10.0), "default": (3000.0, 80.0, 800.0, 60.0),
     "tuned": (3000.0, 80.0, 1670.0, 74.2), "robust": (3000.0, 50.0, 1670.0, 74.2),

@@ -52,7 +52,7 @@ class Tool(_Table):
 
 
 class Limits(_Table):
-    """Joint limits that replace those of the URDF. They are in degrees, and so only for arms without sliding joints."""
+    """Joint limits that replace those of the URDF. They are in degrees, so arms with sliding joints cannot use them."""
 
     KIND: ClassVar[str] = "[limits]"
     q_min_deg: Vector | None = None

@@ -241,7 +241,7 @@ class RobotModel:
 
 
 def link_frames(robot: RobotModel, poses: Array) -> tuple[Array, Array]:
-    """Compute every joint's frame, after its motion, at poses (k,n): (origins, rotations) = (k,n,3) [m], (k,n,3,3)."""
+    """Return (origins, rotations) of the joints' frames at poses (k,n), after joint motion: (k,n,3) [m], (k,n,3,3)."""
     model, data = robot._pin, robot._pin.createData()
     frames = np.empty((len(poses), robot.n, 4, 4))
     for k, pose in enumerate(np.asarray(poses, dtype=np.float64)):

@@ -25,7 +25,7 @@ from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.layout import lay_out
 
 DRAWS = 6000  #: Number of random poses among which a home pose is searched.
-SHORTLIST = 60  #: Number of those drawn poses, the best first, whose self-motion is scanned.
+SHORTLIST = 60  #: Number of candidate home poses, the best by rank, whose self-motion is scanned.
 DOWN = (0.94, 0.8, -1.0)  #: Cosines of the largest angle from tool to straight down: 20, 37, then 180 deg.
 CLEARANCE_M = 0.05  #: Least distance of tip and wrist from the base's plane, on the arm's side of it.
 MARGIN = 0.2  #: Least distance of a home pose from a joint limit, divided by half of the joint's range.

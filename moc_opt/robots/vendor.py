@@ -57,7 +57,7 @@ def read_vendor(
     arm.chain = tree.chain(arm.last_link, "--tip")
     arm.notes.append(f"the tool sits on {arm.last_link!r}, the link {'asked for' if tip else 'of the last joint'}")
     mend_bodies(arm.urdf.links, arm.notes)
-    between = tree.path(arm.last_link)[len(tree.path(arm.chain[0].parent)) :]  # kept; `normalize` checks them
+    between = tree.path(arm.last_link)[len(tree.path(arm.chain[0].parent)) :]  # not fixed; `normalize` checks them
     _fix([joint for joint in arm.urdf.joints if joint not in between and joint.kind != "fixed"], arm.notes)
     if any(base_rpy):
         arm.urdf.links.insert(0, Link("stand"))
@@ -196,7 +196,7 @@ def _range(joint: Joint, kind: str) -> tuple[float, float, str]:
 
 
 def enough_efforts(robot: RobotModel) -> list[float]:
-    """Return effort limits [Nm, N]: three times the larger of gravity load and inertia M_ii, but at least 5."""
+    """Return effort limits [Nm, N]: three times the larger of gravity load and M_ii times 1 rad/s^2, at least 5."""
     poses = np.random.default_rng(0).uniform(robot.q_min, robot.q_max, (200, robot.n))
     most = np.max([np.abs(robot.gravity(q)) for q in poses], axis=0)
     needed = 3.0 * np.maximum(most, np.diag(robot.state(robot.data.q_home).M))

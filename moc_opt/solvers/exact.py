@@ -44,7 +44,7 @@ class Exact(SolverSettings):
     """Null-space elimination. Dependent rows of A x = b may contradict each other by up to 1e-6 m/s.
 
     Args:
-        tolerance: violation of the bounds that is accepted [rad/s]. A larger one is too if rounding explains it.
+        tolerance: violation of the bounds that is accepted [rad/s]. A larger one is accepted if rounding explains it.
     """
 
     tolerance: float = 1e-9

@@ -22,7 +22,7 @@ class InjectedFault(SolverError):
 
 
 def draw(seed: int, rate: float, ticks: int) -> NDArray[np.bool_]:
-    """Return whether each tick is faulty (ticks,), with probability ``rate``. Fewer ticks give the same beginning."""
+    """Return flags (ticks,), True at faulty ticks, with probability ``rate``. A larger ``ticks`` only appends flags."""
     return np.random.default_rng(seed).uniform(size=ticks) < rate
 
 

@@ -29,7 +29,7 @@ from moc_opt.solvers.base import Choices, Solution, SolverSettings, Status, no_a
 
 
 class Kinematics(Protocol):
-    """CasADi functions of q (n,): tip and wrist (3,) [m], mu [m^3]. Hashable objects, so that programs are cached."""
+    """CasADi functions of q (n,): tip and wrist (3,) [m], mu [m^3]. Hashable, so that programs can be cached."""
 
     n: int
     tip: Any

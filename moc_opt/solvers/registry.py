@@ -96,7 +96,7 @@ def available() -> dict[str, str | None]:
         try:
             entry = _of_plugin(name, points)
             required = (p for p in entry.parameters.values() if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD))
-            if all(p.default is not p.empty for p in required):  # a required setting cannot be guessed: not tried
+            if all(p.default is not p.empty for p in required):  # else the plug-in is not tried
                 entry.create()
             found[name] = None
         except MocOptError as error:

@@ -47,7 +47,7 @@ def new_file(path: str | os.PathLike[str]) -> Path:
 
 
 def check_trace(path: str | os.PathLike[str], kind: str = "run") -> None:
-    """Raise a TraceError if writing to the path would overwrite a file that is no trace of this kind (`meta`)."""
+    """Raise a TraceError if the path is a file that is not empty and not a trace with this kind in its meta."""
     import polars as pl
 
     if os.path.isfile(path) and os.path.getsize(path):

@@ -26,7 +26,7 @@ Floats = NDArray[np.float64]
 Flags = Sequence[bool] | NDArray[np.bool_]
 
 LIMIT_RAD_PER_S, LIMIT_NM = 0.2, 10.0
-LIMIT_M_PER_S, LIMIT_N = 0.08, 100.0  #: Limits on speed and force of a sliding joint.
+LIMIT_M_PER_S, LIMIT_N = 0.08, 100.0  #: Limits on the root mean square for a sliding joint.
 PARTS, LOUDEST, KEPT_UP = 8, 2, 0.5
 """The worst second is cut into PARTS parts. Without the LOUDEST parts, it must still exceed KEPT_UP times the limit."""
 ABOVE_HZ, WINDOW_S, START_S, SHORTEST_S = 8.0, 1.0, 0.5, 1e-6
@@ -54,7 +54,7 @@ def shaking(trace: Trace, column: str, limits: ArrayLike | None = None) -> Shaki
         trace: a trace of consecutive ticks.
         column: ``v_rad_per_s`` or ``tau_Nm``, (N, n).
         limits: limit of each joint (n,), by which its values are divided. An oscillation above its limit then takes
-            precedence over a single jerk. If None, the values themselves are compared.
+            precedence over a single jerk. If None, the values are not divided.
 
     Raises:
         MissingDataError: the trace has no such column, no time, fewer than four ticks, or missing ticks.

@@ -1,4 +1,4 @@
-"""The record of a run, with one row per control tick. It converts to pandas, to xarray and to a plotly figure."""
+"""The data of a run, with one row per control tick. A trace converts to pandas, to xarray and to a plotly figure."""
 
 from __future__ import annotations
 
