@@ -90,7 +90,7 @@ def test_the_largest_cost_is_not_overstated_if_there_are_too_many_corners_to_try
 
 @pytest.mark.parametrize("shape", [(12, 7), (16, 10), (24, 18)])
 def test_with_almost_no_regularization_uphill_walks_find_the_largest_linear_cost(shape):
-    """Near joint limits, the bounds of some joints can be 1000 times narrower than those of others."""
+    """Near position limits, the velocity bounds of some joints can be 1000 times narrower than those of others."""
     for seed in range(5):
         Z, low, high, slope = cut_box(seed, shape)
         narrow = 10.0 ** np.random.default_rng(seed).uniform(-3.0, 0.0, shape[0])
