@@ -19,7 +19,7 @@ from moc_opt.arrays import Array
 
 MOST_CORNERS = 10_000  # largest number of corners that are tried; 10 joints with dim ker A = 5 have 8064
 FAR = 1e3  # length of a proximal step that meets no bound [box widths]
-ROUNDS, STEPS = 200, 20  # largest number of proximal steps, and of uphill steps per joint
+ROUNDS, STEPS = 200, 20  # largest number of proximal steps, and of steps to a larger cost (per joint)
 ROUNDING = 1e-14  # rounding error of numbers of order one
 SETTLED = 1e-11  # a proximal step shorter than this is rounding error, and ends the search
 FLAT = 1e-9  # a slope or multiplier below this fraction of the largest counts as zero
@@ -32,7 +32,7 @@ class Extremes(NamedTuple):
     """Smallest and largest cost on the feasible set, minus the cost at w = 0.
 
     Attributes:
-        w: (r,) an optimum. If there are several, it is the one that proximal steps from w = 0 reach.
+        w: (r,) a point of smallest cost. If there are several, it is the one that proximal steps from w = 0 reach.
         least: a lower bound on the cost, by weak duality. If w is optimal, it equals the cost of w.
         most: the largest cost, or ``least`` if the cost is constant up to rounding. With rho > 0 and more than
             ``MOST_CORNERS`` candidate corners, it may be only a local maximum.
@@ -71,7 +71,7 @@ def extremes(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> Ext
 
 
 def optimum(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> tuple[Array, Array] | None:
-    """Find the w (r,) of least cost and the multipliers (n,) of its bounds; None if no w is feasible.
+    """Return (w, f): the w (r,) of smallest cost, and the multipliers f (n,) of its bounds; None if no w is feasible.
 
     The method takes proximal steps from w = 0. With a linear cost, a proximal step that is long enough ends at the
     optimum nearest to its start (Ferris 1991, Finite termination of the proximal point algorithm).
@@ -93,7 +93,7 @@ def optimum(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> tupl
 
 
 def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Array] | None:
-    """Find the w (r,) with low <= Z w <= high that is nearest to ``start``, and f (n,) with w - start = Z^T f.
+    """Return (w, f): the w (r,) nearest to ``start`` with low <= Z w <= high, and f (n,) with w - start = Z^T f.
 
     f is positive at active lower bounds, negative at active upper bounds, 0 elsewhere. Return None if no w is feasible.
     """
@@ -133,7 +133,7 @@ def _largest(Z: Array, low: Array, high: Array, slope: Array, rho: float, w: Arr
     if rho == 0.0:
         found = optimum(Z, low, high, -slope, 0.0)
         return float(slope @ (w if found is None else found[0]))
-    if comb(n, r) << r <= MOST_CORNERS:  # in a set that is almost a point, rounding may leave no corner
+    if comb(n, r) << r <= MOST_CORNERS:  # rounding may leave no corner if the set is almost a point
         return max(float(slope @ w + 0.5 * rho * w @ w), _largest_corner(Z, low, high, slope, rho))
     axis = np.eye(r)[0]
     return max(_uphill(Z, low, high, slope, rho, w, way=way) for way in (slope, -slope, axis, -axis))

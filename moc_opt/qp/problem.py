@@ -32,17 +32,17 @@ _DOUBLE, _CLOSE = np.dtype(np.float64), (8,)
 
 
 def row_length(n: int) -> int:
-    """Return the length of the flat record of a subproblem with n joints."""
+    """Return the length of the flat array that stores a subproblem with n joints."""
     return 11 * n + 10
 
 
 def joints_of(length: int) -> int:
-    """Return the number of joints n of a flat record of this length."""
+    """Return the number of joints n of a subproblem that is stored in a flat array of this length."""
     return (length - 10) // 11
 
 
 class Fields(NamedTuple):
-    """Views of the parts of flat records ``(..., 11 n + 10)``, in the order of `moc_opt/core/record.c`."""
+    """Views of the parts of subproblems stored as arrays (..., 11 n + 10), in the order of `moc_opt/core/record.c`."""
 
     A: Array  # (..., 6, n) = [J_tip; J_wrist]
     b: Array  # (..., 6) = [v_tip; v_wrist]
@@ -51,11 +51,11 @@ class Fields(NamedTuple):
     lower: Array  # (..., n)
     upper: Array  # (..., n)
     weights: Array  # (..., 4) = c0, c1, c2, regularization
-    q: Array  # (..., n), NaN if it was not given
+    q: Array  # (..., n), the joint position; NaN if it was not given
 
 
 def fields(rows: Array) -> Fields:
-    """Split one record, or a batch of records, into named views without copying."""
+    """Split the flat array of one subproblem, or of a batch, into named views without copying."""
     n = joints_of(rows.shape[-1])
     if n < 1 or row_length(n) != rows.shape[-1]:
         raise SubproblemError(f"row: length {rows.shape[-1]} is not 11 n + 10; use NullSpaceQP(...).row")
@@ -77,7 +77,7 @@ def compute_residuals(rows: Array, x: Array, y: Array | None = None) -> Residual
 
 
 class Assembled(NamedTuple):
-    """The read-only arrays of min 1/2 x^T P x + p^T x with A x = b. lift^T y turns the m duals y into six."""
+    """The read-only arrays of min 1/2 x^T P x + p^T x with A x = b. lift^T y converts m duals y to six."""
 
     P: Array  #: (n, n)
     p: Array  #: (n,)
@@ -151,7 +151,7 @@ class NullSpaceQP:
 
     @classmethod
     def from_row(cls, row: Array) -> NullSpaceQP:
-        """Wrap a flat record made by this package. It is neither checked nor copied, and becomes read-only."""
+        """Wrap the `row` of a subproblem. The array is neither checked nor copied, and becomes read-only."""
         self = object.__new__(cls)
         self._adopt(row, joints_of(row.shape[0]))
         return self
@@ -184,7 +184,7 @@ class NullSpaceQP:
 
     @cached_property
     def fields(self) -> Fields:
-        """Read-only views of all parts."""
+        """Read-only views of all parts of `row`."""
         return fields(self.row)
 
     J_tip = property(lambda self: self.fields.A[:3], doc="(3, n) [m/rad]")
@@ -220,7 +220,7 @@ class NullSpaceQP:
         return float(0.5 * x @ self.P @ x + self.p @ x)
 
     def assembled(self, rows: int = 5) -> Assembled:
-        """Compute the cost and the equality rows: six as in the paper, or five independent ones.
+        """Compute the cost, and the equality rows: six as in the paper, or five that are linearly independent.
 
         If tip and wrist are not rigidly connected, rows = 5 also gives six (`moc_opt/core/python_subproblem.c`).
         """
@@ -237,7 +237,7 @@ class NullSpaceQP:
         return self.assembled()
 
     def reduced(self) -> Assembled:
-        """Return `assembled()`, with five rows if the tool is rigid and else six. It is computed only once."""
+        """Return `assembled()`: five rows if the tool is rigid, otherwise six. It is computed only once."""
         return self._reduced
 
     def residuals(self, x: ArrayLike, y: ArrayLike | None = None) -> Residuals:

@@ -1,7 +1,7 @@
 """Residuals of an answer to the null-space subproblem: one definition for every solver.
 
-The arrays given to `residuals` may have a leading batch shape ``(...,)``, so that one call judges a whole recording.
-The status that the solver reports is not used.
+The arrays given to `residuals` may have a leading batch shape ``(...,)``, so that one call checks all answers of a
+run. The status that the solver reports is not used.
 
 If A x = b, the tracking terms of the cost are constant. The remaining cost, rho/2 |x|^2 - c2 pull^T x, is a sum of
 independent parts. Each idle joint (a joint with a zero column of A) moves on its own interval. All other joints move
@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 from moc_opt.arrays import Array
 from moc_opt.qp.extremes import ROUNDING, STILL, extremes
 
-# The rank of A, in the whole package: the sixth singular value counts as zero below TIED |A|_F, every other singular
-# value below RANK_TOLERANCE |A|_F. With a rigid tool, the exact sixth value is zero. Jacobians that are rounded to 7
-# decimals make it up to 8e-8 |A|_F. The fifth value is small only near a straight elbow, and still counts there.
+# How the package computes the rank of A: the sixth singular value is zero if below TIED |A|_F, any other singular
+# value is zero if below RANK_TOLERANCE |A|_F. With a rigid tool, the exact sixth value is zero. Jacobians rounded to 7
+# decimals make it up to 8e-8 |A|_F. The fifth value is small only near a straight elbow, and is not taken as zero.
 TIED = 1e-7
 RANK_TOLERANCE = 1e-12
 GRADIENT_ROUNDING = 1e-9  # a reduced gradient below this fraction of |pull|_inf counts as zero
@@ -186,11 +186,11 @@ def _by_rank(A: Array) -> list[tuple[NDArray[np.intp], _Factors]]:
 
 
 def _rank_five(A: Array) -> tuple[NDArray[np.intp], _Factors]:
-    """Factorize the matrices for which a QR decomposition proves rank 5 (up to rounding) without small singular values.
+    """Factorize by QR decomposition the matrices that provably have rank 5 up to rounding and no small singular value.
 
     With A^T = Q R, the sixth singular value of A is at most |R_66|. The fifth is at least the smallest singular value
     of R's first five rows. A QR decomposition takes less than half the time of a singular value decomposition. A larger
-    sixth singular value would tilt the basis of the null space, so that a joint outside it would seem to move in it.
+    sixth singular value would tilt the basis of the null space. Joints at rest in every self-motion would seem to move.
     """
     size = _or_one(np.linalg.norm(A, axis=(1, 2)))[:, None, None]
     Q, R = np.linalg.qr(np.swapaxes(A / size, 1, 2), mode="complete")

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """A serial chain. Joint j has the pose (rotations[j], origins[j]) in the frame of joint j - 1 (j = 0: the world).
+    """A serial chain. Joint j has the pose (rotations[j], origins[j]) in the frame of joint j - 1.
 
-    The joint turns about, or slides along, the unit vector axes[j] of its own frame.
+    The pose of joint 0 is in the world frame. Each joint turns about, or slides along, axes[j] (unit) of its own frame.
     """
 
     rotations: Array  #: (n,3,3)
@@ -31,7 +31,7 @@ class Chain:
 
     @property
     def joints(self) -> Array:
-        """The chain (n,16) for the core. Each row has the rotation by rows, origin, axis, and 1 if the joint slides."""
+        """The chain (n,16) for the core. Each row has a joint's rotation by rows, origin, axis, and 1 if it slides."""
         parts = (self.rotations.reshape(-1, 9), self.origins, self.axes, self.prismatic[:, None])
         return np.hstack(parts).astype(np.float64)
 
@@ -41,7 +41,7 @@ def desired_wrist(
 ) -> tuple[Array, Array]:
     """Compute the desired wrist N_d = X + L e [m] and its velocity dN_d = dX + L de/dt [m/s], (..., 3) each.
 
-    X is the tip, P_t the trocar, e = (P_t - X)/|P_t - X|, and L the ``span`` [m]. A velocity may also be 0.0.
+    X is the tip, P_t the trocar, e = (P_t - X)/|P_t - X|, and L the ``span`` [m]. Either velocity may be 0.0.
     """
     line, turn = np.subtract(trocar, tip), np.subtract(trocar_velocity, tip_velocity)
     distance = np.linalg.norm(line, axis=-1, keepdims=True)
@@ -56,12 +56,12 @@ class Kinematics:
 
     id: str  #: Robot name and twelve hex digits, a hash of the chain's numbers.
     n: int
-    tip: casadi.Function = field(compare=False, repr=False)  #: q -> (3,) [m]
-    wrist: casadi.Function = field(compare=False, repr=False)  #: q -> (3,) [m]
-    mu: casadi.Function = field(compare=False, repr=False)  #: q -> scalar, sqrt(det(J_tip J_tip^T))
-    grad_mu: casadi.Function = field(compare=False, repr=False)  #: q -> (n,)
+    tip: casadi.Function = field(compare=False, repr=False)  #: Tip (3,) [m].
+    wrist: casadi.Function = field(compare=False, repr=False)  #: Wrist (3,) [m].
+    mu: casadi.Function = field(compare=False, repr=False)  #: Manipulability sqrt(det(J_tip J_tip^T)).
+    grad_mu: casadi.Function = field(compare=False, repr=False)  #: Gradient of mu (n,).
     shaft: casadi.Function = field(compare=False, repr=False)
-    """q -> scalar, (mu_shaft / |X - N|^2)^2 of `moc_opt/core/manipulability.c`; squared, so that it is smooth at 0"""
+    """(mu_shaft / |tip - wrist|^2)^2, mu_shaft as in `moc_opt/core/manipulability.c`. Squared, it is smooth at 0."""
 
 
 @lru_cache(maxsize=64)

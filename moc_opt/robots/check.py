@@ -21,16 +21,16 @@ from moc_opt.sim.settings import PlantSettings
 
 Verdict = Literal["ok", "care", "cannot"]
 REGULAR, SINGULAR = (0.1, 0.05), 1e-4
-"""Smallest `Freedoms.tip` and `Freedoms.both`, ratios of singular values: REGULAR for "ok", SINGULAR for "care"."""
+"""Least ratios of singular values, `Freedoms.tip` and `.both`, for verdicts "ok" (REGULAR) and "care" (SINGULAR)."""
 LITTLE_TO_GAIN = 0.05
 LEAST_M = 0.005  #: Radius of the circle that every arm must be able to follow from home.
 MARGIN_DEG, MARGIN_MM = 15.0, 80.0
-CARE = 0.8  #: At this share of the stability limit, the verdict becomes "care".
+CARE = 0.8  #: Gains at or above this share of the stability limit get the verdict "care".
 GYRATION_M = 0.6  #: Largest plausible radius of gyration of a link, sqrt(largest moment / mass).
 
 
 class Finding(NamedTuple):
-    """One row of the table."""
+    """One row of the table that `moc-opt robot check` prints."""
 
     what: str
     found: str
@@ -39,7 +39,7 @@ class Finding(NamedTuple):
 
 
 def check_robot(robot: RobotModel, scenario: Scenario | None = None) -> list[Finding]:
-    """Check an arm for a scenario's task, period and control, and return the rows of the table."""
+    """Check an arm for a scenario's task, period and control, and return one row per check."""
     asked, sliding = scenario or Scenario(robot={"name": robot.data.name}), int(robot.chain.prismatic.sum())
     kinds = f"{robot.n} joints" + (f", {sliding} of them sliding" if sliding else "")
     found = [Finding("arm", f"{kinds}, tool {1e3 * robot.data.tool_length:.0f} mm", "ok"), *_freedom(robot)]
@@ -90,7 +90,7 @@ def _climb(robot: RobotModel) -> Iterator[Finding]:
         text = f"{mu:.3g} m³, {curve.mu.min():.3g} to {curve.mu_best:.3g} on {'one' if several else 'its'} self-motion"
         little = max(curve.mu_best, largest if several else 0.0) < (1.0 + LITTLE_TO_GAIN) * mu
         yield _judge(what, text, (little, "care", "little to gain from there: choose another home.q_rad"))
-    # The pose with this mu may lie on another self-motion curve, and then be out of reach.
+    # The pose with this mu may lie on another self-motion curve, and then self-motion cannot reach it.
     yield Finding("largest mu there", f"{largest:.3g} m³, {how['mu_bound_method']}", "ok")
 
 
@@ -140,7 +140,7 @@ def _weight(robot: RobotModel) -> Finding:
 
 
 def _bodies(robot: RobotModel) -> Finding:
-    # The loader refuses impossible inertias. This check finds inertias that no arm has.
+    # The loader refuses impossible inertias. This check finds possible ones that are implausible for an arm.
     bodies = [link for link in urdf.read(robot.data.urdf).links if not link.is_frame]
     gyrations = {body.name: math.sqrt(max(body.moments[:3]) / body.mass) for body in bodies}
     total = sum(body.mass for body in bodies)

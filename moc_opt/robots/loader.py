@@ -52,7 +52,7 @@ class Tool(_Table):
 
 
 class Limits(_Table):
-    """Joint limits that replace those of the URDF. They are in degrees, and so only for arms without sliding joints."""
+    """Joint limits that replace those of the URDF. They are in degrees, so arms with sliding joints cannot use them."""
 
     KIND: ClassVar[str] = "[limits]"
     q_min_deg: Vector | None = None
@@ -112,9 +112,9 @@ class RobotData:
     q_home: Array
     wrist_frame: str
     tip_frame: str
-    tool_length: float  #: Mount to tip [m].
+    tool_length: float  #: Distance from mount to tip [m].
     tool_mass: float  #: [kg]
-    gains: Mapping[str, Gains]  #: The [gains.*] tables of the file, by name.
+    gains: Mapping[str, Gains]  #: Tables [gains.NAME] of the file, by NAME.
 
     def __post_init__(self) -> None:
         for name in (self.name, *self.joint_names):  # names are written into source code and pages
@@ -137,7 +137,7 @@ _ARRAYS = tuple(field.name for field in fields(RobotData) if field.type == "Arra
 
 
 def available_robots() -> list[str]:
-    """List the names that `load_data` knows without a path."""
+    """Return the names of the arms in this package, which `load_data` finds without a path."""
     return sorted(path.stem for path in _FOLDER.glob("*.toml"))
 
 
@@ -221,7 +221,7 @@ def _chain(arm: urdf.Urdf, last_link: str) -> list[urdf.Joint]:
 
 
 def _limits(given: Limits, chain: list[urdf.Joint]) -> dict[str, Array]:
-    """Return the limits, and set them in the joints of the chain."""
+    """Return the joint limits by name (q_min, ...), and set them in the joints of the chain."""
     found: dict[str, Array] = {}
     for field, key, entry in (
         ("q_min", "lower", "q_min_deg"), ("q_max", "upper", "q_max_deg"), ("v_max", "velocity", "v_max_deg_per_s"),

@@ -25,13 +25,13 @@ from moc_opt.robots.chain import Chain, Kinematics, build_kinematics
 from moc_opt.robots.gains import CARTESIAN, derived_gains
 from moc_opt.robots.loader import RobotData, load_data
 
-_STRUCTURAL_ZERO = 1e-12  # a column this small at several random poses is zero at every pose
+_STRUCTURAL_ZERO = 1e-12  # a Jacobian's column this small at several random poses is zero at every pose
 _TIP, _WRIST = slice(0, 3), slice(3, 6)
 
 
 @cache
 def layout(n: int) -> dict[str, slice]:
-    """Return the slice of each part of a record, in the order in which the core writes them."""
+    """Return the slice of each part of `RobotState.record`, in the order in which the core writes the parts."""
     parts = {
         "q": n, "v": n, "tip": 3, "wrist": 3, "u": 3, "A": 6 * n, "drift": 6, "grad_mu": n, "grad_mu_shaft": n,
         "M": n * n, "h": n, "energy_slope": n, "gravity": n, "scalars": 3,
@@ -138,7 +138,7 @@ class RobotModel:
     """
 
     def __init__(self, data: RobotData) -> None:
-        """Build the model; a RobotError where pinocchio cannot read the URDF or finds other joints than ``data``."""
+        """Build the model; a RobotError if pinocchio cannot read the URDF or finds other joints than ``data`` has."""
         self.data = data
         self.n = n = data.n
         self.q_min, self.q_max, self.v_max, self.tau_max = data.q_min, data.q_max, data.v_max, data.tau_max
@@ -241,7 +241,7 @@ class RobotModel:
 
 
 def link_frames(robot: RobotModel, poses: Array) -> tuple[Array, Array]:
-    """Compute every joint's frame, after its motion, at poses (k,n): origins (k,n,3) [m], rotations (k,n,3,3)."""
+    """Return (origins, rotations) of the joints' frames at poses (k,n), after joint motion: (k,n,3) [m], (k,n,3,3)."""
     model, data = robot._pin, robot._pin.createData()
     frames = np.empty((len(poses), robot.n, 4, 4))
     for k, pose in enumerate(np.asarray(poses, dtype=np.float64)):
@@ -253,7 +253,7 @@ def link_frames(robot: RobotModel, poses: Array) -> tuple[Array, Array]:
 def load_robot(
     name_or_path: str | os.PathLike[str] = "lwr4", *, tool_length: float | None = None, tool_mass: float | None = None
 ) -> RobotModel:
-    """Load a robot by name or path. Gains that its TOML does not have are derived from its inertia.
+    """Load a robot by name or path. Gains that its TOML lacks are derived from the arm's inertia.
 
     Args:
         name_or_path: an arm of the package (`moc-opt robots` lists them), or a TOML or URDF file; a RobotError names

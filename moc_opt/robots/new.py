@@ -24,12 +24,12 @@ from moc_opt.robots.vendor import VendorArm, enough_efforts, read_vendor
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.layout import lay_out
 
-DRAWS = 6000  #: Number of poses drawn.
-SHORTLIST = 60  #: Number of poses whose self-motion is scanned.
-DOWN = (0.94, 0.8, -1.0)  #: Cosines of the tool's largest angle to straight down, tried in turn: 20 deg, 37 deg, any.
-CLEARANCE_M = 0.05  #: Least height of tip and wrist above the base's plane, or depth below it if the arm hangs.
-MARGIN = 0.2  #: Least distance from a joint limit, divided by half of the joint's range.
-REGULAR = (0.15, 0.08)  #: Least `Freedoms.tip` and `Freedoms.both`, which are ratios of singular values.
+DRAWS = 6000  #: Number of random poses among which a home pose is searched.
+SHORTLIST = 60  #: Number of candidate home poses, the best by rank, whose self-motion is scanned.
+DOWN = (0.94, 0.8, -1.0)  #: Cosines of the largest angle from tool to straight down: 20, 37, then 180 deg.
+CLEARANCE_M = 0.05  #: Least distance of tip and wrist from the base's plane, on the arm's side of it.
+MARGIN = 0.2  #: Least distance of a home pose from a joint limit, divided by half of the joint's range.
+REGULAR = (0.15, 0.08)  #: Least `Freedoms.tip` and `.both` (ratios of singular values) of a home pose.
 SHARE = (0.7, 0.9)
 """Range of mu / (largest mu on the self-motion) at a home pose, so that mu can rise during a run."""
 
@@ -141,13 +141,13 @@ class Shaft(NamedTuple):
     """The tool's place in the frame of the last link; rpy turns the link's z into the tool's direction."""
 
     wrist: Array  #: (3,) [m]
-    mount: Array  #: (3,) [m]; the link's origin, put onto the last axis if within 1e-6 m of it
+    mount: Array  #: (3,) [m]; the link's origin, moved onto the last axis if within 1e-6 m of it
     rpy: tuple[float, float, float]  #: [rad]
     note: str
 
 
 def find_shaft(text: str, last_link: str) -> Shaft:
-    """Lay the tool along the last turning axis, away from the arm, from the last link's origin.
+    """Lay the tool along the last turning axis, away from the arm. The tool begins at the last link's origin.
 
     The wrist point is the shaft's point nearest to the previous axis. On a spherical wrist, both axes cross there. If
     the last joint slides, the tool runs along z of the last link, and the wrist point is the link's origin. ``text`` is
@@ -200,7 +200,7 @@ class Home(NamedTuple):
     mu: float  #: [m^3]
     mu_best: float  #: The largest mu on its own self-motion curve [m^3].
     margin: float  #: Least distance to a joint limit, divided by half the range; idle joints are left out.
-    task: str  #: Why the default task cannot be done from this pose; empty where it can.
+    task: str  #: Why the default task cannot be done from this pose; empty if it can.
 
     @property
     def order(self) -> tuple[bool, float]:
@@ -212,8 +212,8 @@ def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
     """Search the joint ranges for a home pose; a RobotError if every drawn pose is unfit.
 
     Poses with tip and wrist on the arm's side of the base's plane are ranked by mu and by their distance from limits
-    and singularities. The search ends at the first pose that meets `SHARE` and can follow the default path. `DOWN` is
-    relaxed until a pose can follow that path. The best pose by `Home.order` is returned.
+    and singularities. The search ends at the first pose that meets `SHARE` and can follow the default path. The angle
+    of `DOWN` grows until a pose can follow that path. The best pose by `Home.order` is returned.
     """
     rng, idle = np.random.default_rng(seed), ~robot.moves.any(axis=0)
     middle, half = 0.5 * (robot.q_min + robot.q_max), 0.5 * (robot.q_max - robot.q_min)
@@ -237,7 +237,7 @@ def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
 
 
 def _ranked(robot: RobotModel, poses: Array) -> list[Home]:
-    """Return homes of the best poses by rank, up to the first that meets `SHARE` and can follow the default path."""
+    """Return home poses, the best first, up to the first that meets `SHARE` and can follow the default path."""
     moving, mu = robot.moves.any(axis=0), robot.mu_along(poses)
     scores = np.full(len(poses), -np.inf)
     for k, q in enumerate(poses):

@@ -24,10 +24,10 @@ TOOL_NAMES = {"link": {TOOL_LINK, TIP_LINK, WRIST_LINK}, "joint": {"tool_mount",
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 SMALLEST_MASS, SMALLEST_MOMENT = 1e-6, 1e-12
 MOST_LINKS = 250  #: Physics engines recurse along a chain, and crash with some thousands of links.
-_TRIANGLE, _FLAT, _THIN = 1e-6, 1e-9, 1e-12  # margins for rounded moments, relative to the largest one
+_TRIANGLE, _FLAT, _THIN = 1e-6, 1e-9, 1e-12  # margins for rounded moments, relative to the largest moment
 SMALLEST = 1e-30  #: A smaller number is read as 0, because some readers refuse numbers below 1e-308.
 LARGEST, LARGEST_MASS, FARTHEST = 1e6, 1e5, 100.0
-"""Largest number in a file, largest mass [kg], and largest length or angle of an origin [m, rad]."""
+"""Largest allowed number in a file, mass [kg], and length or angle of a joint's or body's origin [m, rad]."""
 
 Numbers = tuple[float, ...]
 _ZEROS: Numbers = (0.0, 0.0, 0.0)
@@ -65,7 +65,7 @@ class Joint:
     rpy: Numbers = _ZEROS  #: [rad]
     axis: Numbers = (1.0, 0.0, 0.0)
     limits: dict[str, float] = field(default_factory=dict)
-    """Lower, upper, velocity and effort, as far as they are given [rad, rad/s, Nm, or m, m/s, N]."""
+    """Those of lower, upper, velocity and effort that the URDF gives [rad, rad/s, Nm, or m, m/s, N]."""
     mimics: bool = False
 
     @property

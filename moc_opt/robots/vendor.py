@@ -19,7 +19,7 @@ from moc_opt.robots.urdf import Joint, Link, Urdf
 FINGERS = 2  #: A branch with at most this many moving joints in a row counts as a finger or a head.
 FASTEST = {"turning": 2.0 * math.pi, "sliding": 2.0}
 """Largest plausible joint speeds [rad/s, m/s]. A public file of the iiwa has 10 rad/s, its data sheet 1.3 to 2.4."""
-CHOSEN = {"turning": 2.0, "sliding": 0.5}  #: The speed that replaces a missing or implausible one.
+CHOSEN = {"turning": 2.0, "sliding": 0.5}  #: Speed limit that replaces a missing or implausible one [rad/s, m/s].
 TRAVEL_M = 0.5  #: A sliding joint without limits gets this range to either side [m].
 _STRONGEST = {"turning": 2000.0, "sliding": 20000.0}  # largest plausible effort [Nm, N]
 _UNITS = {"turning": ("rad", "rad/s"), "sliding": ("m", "m/s")}
@@ -57,7 +57,7 @@ def read_vendor(
     arm.chain = tree.chain(arm.last_link, "--tip")
     arm.notes.append(f"the tool sits on {arm.last_link!r}, the link {'asked for' if tip else 'of the last joint'}")
     mend_bodies(arm.urdf.links, arm.notes)
-    between = tree.path(arm.last_link)[len(tree.path(arm.chain[0].parent)) :]  # kept; `normalize` checks them
+    between = tree.path(arm.last_link)[len(tree.path(arm.chain[0].parent)) :]  # not fixed; `normalize` checks them
     _fix([joint for joint in arm.urdf.joints if joint not in between and joint.kind != "fixed"], arm.notes)
     if any(base_rpy):
         arm.urdf.links.insert(0, Link("stand"))
@@ -100,7 +100,7 @@ def _last_link(tree: urdf.Tree) -> str:
 
 
 def _depth(tree: urdf.Tree, joint: Joint) -> int:
-    """Return the largest number of moving joints in a row, from this joint on."""
+    """Return the largest number of moving joints on a path that begins with this joint and leads away from the base."""
     return joint.moves + max((_depth(tree, other) for other in tree.carried[joint.child]), default=0)
 
 
@@ -175,7 +175,7 @@ def _choose_limits(joints: Iterable[Joint], notes: list[str]) -> list[str]:
 
 
 def _range(joint: Joint, kind: str) -> tuple[float, float, str]:
-    """Return a finite range, and why it differs from the joint's range (empty if it does not)."""
+    """Return (lower, upper, reason): a finite range, and why it is not that of the URDF (empty if it is)."""
     lower, upper = joint.limits.get("lower", 0.0), joint.limits.get("upper", 0.0)
     if joint.kind == "continuous":
         return -math.pi, math.pi, "turns without end: +-180 deg is taken"
@@ -196,7 +196,7 @@ def _range(joint: Joint, kind: str) -> tuple[float, float, str]:
 
 
 def enough_efforts(robot: RobotModel) -> list[float]:
-    """Return effort limits [Nm, N]: three times the larger of gravity load and inertia M_ii, but at least 5."""
+    """Return effort limits [Nm, N]: three times the larger of gravity load and M_ii times 1 rad/s^2, at least 5."""
     poses = np.random.default_rng(0).uniform(robot.q_min, robot.q_max, (200, robot.n))
     most = np.max([np.abs(robot.gravity(q)) for q in poses], axis=0)
     needed = 3.0 * np.maximum(most, np.diag(robot.state(robot.data.q_home).M))

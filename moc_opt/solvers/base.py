@@ -1,4 +1,4 @@
-"""The interface: a solver is a set of frozen settings, and each of its sessions solves the subproblems of one run."""
+"""The interface of a solver: a frozen set of settings that starts sessions. A session solves one run's subproblems."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MOST = 2**31 - 1  # largest integer of a setting: the libraries count in 32 bits
 
 
 class Status(Enum):
-    """A solver's claim about its own answer. Each value says what the claim means, or what to do about it."""
+    """The status that a solver reports with its answer. Each value says what it means, or what to do about it."""
 
     SOLVED = "the solver claims an optimum"
     INFEASIBLE = "no velocity within the bounds meets the references: slow the path down or raise k0"
@@ -39,8 +39,8 @@ class Solution(NamedTuple):
     Attributes:
         x: (n,) joint velocity [rad/s]; NaN if the solver found none.
         y: (6,) multipliers of the six equality rows, or None if the solver gives none. With the multipliers z of the
-            bounds, P x + p + A^T y + z = 0. A solver of five rows gives five multipliers, which are lifted to six.
-        status: the solver's claim.
+            bounds, P x + p + A^T y + z = 0. If a solver uses five rows, its adapter computes six from five.
+        status: the status that the solver reports.
         iterations: number of iterations of the solver; 0 if it does not iterate.
     """
 
@@ -51,7 +51,7 @@ class Solution(NamedTuple):
 
 
 def no_answer(n: int, status: Status, iterations: int = 0) -> Solution:
-    """Return a Solution without an answer. Its x is NaN, so that using it by mistake is noticed."""
+    """Return a Solution for a failed solve. Its x is NaN, so that using x by mistake is noticed, and its y is None."""
     return Solution(np.full(n, np.nan), None, status, iterations)
 
 
@@ -59,12 +59,12 @@ class Session(Protocol):
     """A solver's workspace and warm start for one sequence of subproblems."""
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Solve one subproblem. If this fails, the status of the answer says so, and nothing is raised."""
+        """Solve one subproblem. A failure is reported by the status of the answer, not by an exception."""
 
 
 @runtime_checkable
 class Solver(Protocol):
-    """The settings of a solver, which start independent sessions. docs/extending.md has a complete example."""
+    """The settings of a solver. `start` returns an independent session. docs/extending.md has a complete example."""
 
     @property
     def name(self) -> str:
@@ -82,7 +82,7 @@ class TruncatingSession(Protocol):
     """A session that can be stopped after a number of iterations, as a deadline would stop it."""
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Return the iterate after ``iterations`` (at least 1), starting where the previous solve started."""
+        """Return the iterate after ``iterations`` (at least 1). They begin where the previous solve began."""
 
 
 @runtime_checkable
@@ -90,14 +90,14 @@ class ObservingSession(Protocol):
     """A session that needs the measured velocity: the controller calls ``observe`` before each ``solve``."""
 
     def observe(self, v: Array) -> None:
-        """Take the measured joint velocity v (n,) [rad/s]."""
+        """Store the measured joint velocity v (n,) [rad/s]."""
 
 
 class SolverSettings:
     """Base of this package's solvers, which are frozen dataclasses of settings. It checks the settings.
 
-    `choices` may list the valid values of a field. Otherwise the default decides: a bool allows bools, an int allows
-    ints of at least 1, and a float allows numbers above 0. If the default is 0.0 or None, it is valid too.
+    `choices` may list the valid values of a field. Otherwise the type of the default decides: bool allows bools, int
+    allows integers of at least 1, and float allows numbers above 0. A default of 0.0 or None is also a valid value.
     """
 
     name: ClassVar[str]

@@ -23,7 +23,7 @@ _STATUS = (
     (_CODE.AlmostPrimalInfeasible, Status.MAX_ITER),
     (_CODE.MaxIterations, Status.MAX_ITER),
     (_CODE.MaxTime, Status.TIME_LIMIT),
-)  # not a dict, because the codes cannot be hashed
+)  # not a dict, because Clarabel's status codes cannot be hashed
 
 
 class ClarabelSession(TruncatedSession):

@@ -55,7 +55,7 @@ class DAQPSession(LibrarySession):
 
 @dataclass(frozen=True)
 class DAQP(Adapter):
-    """DAQP's reusable workspace.
+    """DAQP, with a workspace that is kept from tick to tick.
 
     Args:
         rows: 5 or 6 equality rows; with six dependent rows, about one problem in a hundred fails.

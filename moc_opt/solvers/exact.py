@@ -56,9 +56,9 @@ class Exact(SolverSettings):
         return None if qp.n <= core.MAX_JOINTS else f"{qp.n} joints: `exact` takes at most {core.MAX_JOINTS}"
 
     def solve_batch(self, rows: Array, threads: int | None = None) -> tuple[Array, Array, list[Status]]:
-        """Solve flat records (k, 11 n + 10), by default with one thread per core. Return x (k, n), y (k, 6), statuses.
+        """Solve k subproblems, stored as ``rows`` (k, 11 n + 10). Return (x, y, statuses) with x (k, n) and y (k, 6).
 
-        If a status is not SOLVED, this record's x and y are NaN. Records of another shape raise a SolverError.
+        x and y are NaN if the status is not SOLVED. The default is one thread per core. A wrong shape is a SolverError.
         """
         if threads is not None and threads < 1:
             raise SolverError(f"exact: threads = {threads}: give 1 or more, or None for one per core")

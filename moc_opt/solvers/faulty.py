@@ -18,11 +18,11 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 
 
 class InjectedFault(SolverError):
-    """Raised on purpose by a solver of kind "raise"."""
+    """Raised on purpose by a `Faulty` solver of kind "raise"."""
 
 
 def draw(seed: int, rate: float, ticks: int) -> NDArray[np.bool_]:
-    """Draw the faulty ticks (ticks,), True with probability ``rate``. A longer draw begins like a shorter one."""
+    """Return flags (ticks,), True at faulty ticks, with probability ``rate``. A larger ``ticks`` only appends flags."""
     return np.random.default_rng(seed).uniform(size=ticks) < rate
 
 
@@ -32,7 +32,7 @@ class Faulty:
 
     Args:
         inner: the solver that answers at ticks without a fault. At a faulty tick, only the kind "malformed" calls it.
-        kind: "fail" reports that there is no answer. Three kinds claim a false optimum: "nan" returns NaN, "lie"
+        kind: "fail" reports that there is no answer. Three kinds report SOLVED for a wrong x: "nan" returns NaN, "lie"
             solves with the negated gradient, and "outside" returns a point outside the bounds. "raise" raises an
             exception. "rig" answers 50 rad/s and rewrites the subproblem to fit. "malformed" gives complex duals.
         rate: probability that a tick is faulty, 0 to 1.

@@ -29,11 +29,11 @@ from moc_opt.inputs.settings import Settings
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import ObservingSession, Session, Solution, Solver
 
-_LOOK_S = 0.05  # time between two checks whether the process has ended; the pipe alone may not show this
+_LOOK_S = 0.05  # time [s] between checks of whether the process has ended, which the pipe alone may not show
 
 
 class Unanswered(Exception):
-    """No answer at this tick: it is late, the solver raised an exception, or the solver's process was lost."""
+    """There is no answer at this tick: it is late, the solver raised an exception, or the solver's process was lost."""
 
     def __init__(self, kind: Literal["late", "raised", "lost"], text: str) -> None:
         super().__init__(text)
@@ -64,7 +64,7 @@ class ProcessSettings(Settings):
 
 @dataclass(frozen=True)
 class Isolated:
-    """A solver whose sessions each run in a separate process; a SolverError if pickle cannot copy the solver."""
+    """A solver whose sessions each run in a separate process. The solver must be picklable, else a SolverError."""
 
     inner: Solver
     process: ProcessSettings
@@ -89,7 +89,7 @@ class Isolated:
         return self.inner.name
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None. Only ``start`` asks the solver, in its own process."""
+        """Return None. The wrapped solver is asked only at ``start``, in the separate process."""
         return None
 
     def start(self, qp: NullSpaceQP) -> Session:
@@ -141,7 +141,7 @@ class IsolatedSession:
         if not process.started(math.inf if solver.waits else 0.0):
             raise Unanswered("lost", "a new process of the solver is being started")
         until = monotonic() + 1e-6 * solver.budget_us
-        if process.busy:  # it still solves the subproblem of an earlier tick
+        if process.busy:  # the process still solves the subproblem of an earlier tick
             self._newest = process.answer(until) or self._newest
         if not process.busy:
             process.ask(self._tick, qp, self._v, solver.process.hang_s)
@@ -162,7 +162,7 @@ class _Ended(Exception):
 class _Process:
     """A process that starts a session and then answers requests. It is killed when this object is deleted."""
 
-    # A multiprocessing.Process would run the caller's script again, and daemonic workers may not start it.
+    # A multiprocessing.Process would run the caller's script again, and a daemonic process may not start one.
 
     def __init__(self, solver: Isolated, qp: NullSpaceQP) -> None:
         self._pipe, theirs = Pipe()
@@ -178,7 +178,7 @@ class _Process:
         self.ask(0, qp, None, solver.process.start_s, solver._pickled)
 
     def ask(self, tick: int, qp: NullSpaceQP, v: Array | None, most_s: float, solver: bytes | None = None) -> None:
-        """Send a subproblem, and for a new session the solver. The process counts as hung after ``most_s`` [s]."""
+        """Send a subproblem, and ``solver`` to start a session. The process counts as hung after ``most_s`` [s]."""
         self._tick, self._most_s, self._hung_at, self.busy = tick, most_s, monotonic() + most_s, True
         with suppress(OSError):  # the process has ended: ``answer`` reports that
             self._pipe.send((solver, qp.row, v, most_s))
@@ -254,7 +254,7 @@ def serve(fd: int, memory_MB: float) -> None:
             answer = pickle.dumps((False, found))
         except MemoryError:
             os._exit(errno.ENOMEM)
-        except BaseException as error:  # noqa: BLE001 - foreign code may raise anything, and this process goes on
+        except BaseException as error:  # noqa: BLE001 - a plug-in may raise anything, and this process must go on
             answer = pickle.dumps((True, str(error) if isinstance(error, MocOptError) else describe(error)))
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         pipe.send_bytes(answer)

@@ -28,7 +28,7 @@ class Adapter(SolverSettings):
     """Base of a library's settings, which are a frozen dataclass with at least ``cost_scale``.
 
     Attributes:
-        rows: number of equality rows, 5 or 6. It is a setting only if the library can handle six.
+        rows: number of equality rows, 5 or 6. It is a setting only if the library can handle six dependent rows.
         cost_scale: multiplies P and p; the duals are scaled back.
         needs: message for a cost that is not positive definite; empty if the library accepts such a cost.
     """
@@ -52,7 +52,7 @@ def refuse_semidefinite(qp: NullSpaceQP, needs: str) -> str | None:
 class LibrarySession(ABC):
     """One workspace of a library, and the buffers that the library reads."""
 
-    dual_sign: ClassVar[float] = 1.0  #: Sign of the library's multipliers of A x = b.
+    dual_sign: ClassVar[float] = 1.0  #: -1.0 if the library's multipliers of A x = b are -`Solution.y`, else 1.0.
 
     def __init__(self, settings: Any, qp: NullSpaceQP) -> None:
         self._settings = settings
@@ -79,7 +79,7 @@ class LibrarySession(ABC):
         """
 
     def _load(self, qp: NullSpaceQP) -> bool:
-        """Write ``qp`` into the buffers and return True. If its shape differs, write nothing and return False."""
+        """Write ``qp`` into the buffers and return True. If its shape is not that of the buffers, only return False."""
         return qp.n == self._n and core.load(qp.row, *self._to)
 
     def _set_up(self, m: int, n: int) -> None:  # noqa: B027
@@ -120,7 +120,7 @@ class TruncatedSession(LibrarySession):
         """Set the library's largest number of iterations."""
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Return the iterate after ``iterations`` (at least 1), starting where the previous solve started."""
+        """Return the iterate after ``iterations`` (at least 1). They begin where the previous solve began."""
         self._limit(iterations)
         try:
             return self.solve(qp)
@@ -135,7 +135,7 @@ def upper_triangle(values: Array, n: int) -> sparse.csc_matrix:
 
 
 def stacked(values: Array, boxes: int) -> sparse.csc_matrix:
-    """Wrap (n, m + boxes) values, one row per joint, as a matrix of m dense rows above ``boxes`` diagonal blocks."""
+    """Return a matrix of m dense rows above ``boxes`` diagonal blocks. Column j is in row j of ``values``."""
     n, m = len(values), values.shape[1] - boxes
     rows = np.concatenate([np.append(np.arange(m), m + n * np.arange(boxes) + j) for j in range(n)])
     return sparse.csc_matrix((values.ravel(), rows, (m + boxes) * np.arange(n + 1)), shape=(m + boxes * n, n))

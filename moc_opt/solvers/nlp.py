@@ -37,7 +37,7 @@ class Kinematics(Protocol):
     mu: Any
 
 
-# No other status proves anything. Even infeasible problems may end with "Search_Direction_Becomes_Too_Small".
+# Other statuses prove nothing, so they become NUMERICAL. "Search_Direction_Becomes_Too_Small" may mean infeasible, too.
 _STATUS = {
     "Solve_Succeeded": Status.SOLVED,
     "Maximum_Iterations_Exceeded": Status.MAX_ITER,
@@ -46,7 +46,7 @@ _STATUS = {
 
 
 def buffered(function: Any, arguments: Mapping[str, Array], results: Mapping[str, Array]) -> tuple[Any, Any]:
-    """Bind a CasADi function to the caller's arrays. Return its buffer, and a call that is ten times as fast."""
+    """Bind a CasADi function to the caller's arrays. Return (buffer, call): ``call()`` takes a tenth of the time."""
     buffer, call = function.buffer()
     for name, array in arguments.items():
         buffer.set_arg(function.index_in(name), array.data)
@@ -57,7 +57,7 @@ def buffered(function: Any, arguments: Mapping[str, Array], results: Mapping[str
 
 @lru_cache(maxsize=16)
 def program(settings: NLP) -> tuple[Any, Any]:
-    """Return the NLP solver, and a function of q (n,) that gives tip, wrist, mu and grad mu.
+    """Return (solver, function): the NLP solver, and a function from q (n,) to tip, wrist, mu and grad mu.
 
     The parameters of the solver are q (n,), tip, wrist and mu at q, d (n,), the columns of E, c2 and regularization.
     Solver and function have no state, so that sessions can share them.
@@ -184,7 +184,7 @@ class SQP(NLP):
     """CasADi's sqpmethod with its active-set QP solver qrqp. `Solution.iterations` counts the major iterations.
 
     BFGS starts from the identity, which is the Hessian of the default regularization (1e-5) at cost_scale = 1e5. With
-    cost_scale = 1e3 it needs twice as many iterations. With hessian = "exact" and regularization = 0, the Hessian is
+    cost_scale = 1e3, SQP needs twice as many iterations. With hessian = "exact" and regularization = 0, the Hessian is
     indefinite, and three problems in ten get no answer.
     """
 
@@ -216,7 +216,7 @@ class Ipopt(NLP):
         options = {
             "print_level": 0, "sb": "yes", "hessian_approximation": self.hessian, "max_iter": self.max_iter,
             "tol": self.eps, "acceptable_iter": 0, "bound_relax_factor": 0.0, "nlp_scaling_method": "none",
-            # IPOPT would read ipopt.opt in the current folder, which may name files to write and libraries to load.
+            # Else IPOPT reads ipopt.opt in the current folder, which may name files to write and libraries to load.
             "option_file_name": "",
         }  # fmt: skip
         return {f"ipopt.{key}": value for key, value in options.items()}

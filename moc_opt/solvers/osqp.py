@@ -1,7 +1,7 @@
 """OSQP: operator splitting with one factorisation per tick, set up once and updated in place.
 
 Stellato et al. 2020, "OSQP: an operator splitting solver for quadratic programs". OSQP takes only
-l <= A x <= u. Therefore the bounds become n rows below the equality rows.
+constraints of the form l <= C x <= u. Therefore C = [A; I], with n rows for the bounds below the equality rows.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from moc_opt.solvers.base import Solution, Status
 from moc_opt.solvers.library import Adapter, Outcome, TruncatedSession, stacked, upper_triangle
 
 _CODE = ext_builtin.osqp_status_type
-# "Inaccurate" means that only a ten times looser tolerance was met at the last iteration. This counts as not solved.
+# "Inaccurate" means that only a ten times looser tolerance was met at the last iteration, so it becomes MAX_ITER.
 _STATUS = {
     int(_CODE.OSQP_SOLVED): Status.SOLVED,
     int(_CODE.OSQP_PRIMAL_INFEASIBLE): Status.INFEASIBLE,
@@ -72,7 +72,7 @@ class OSQPSession(TruncatedSession):
         self._core.update_settings(self._options)
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Return the iterate after ``iterations`` from the previous start. The next solve starts at this iterate."""
+        """Return the iterate after ``iterations`` from where the previous solve began. The next solve begins at it."""
         self._core.warm_start(*self._before)
         return super().truncated(qp, iterations)
 
@@ -81,9 +81,9 @@ class OSQPSession(TruncatedSession):
 class OSQP(Adapter):
     """OSQP through its native interface.
 
-    The library's own tolerance of 1e-3 is ten times the whole gradient of this problem. With it, OSQP claims success,
+    The library's own tolerance of 1e-3 is ten times the whole gradient of this problem. With it, OSQP reports success,
     but nineteen answers in twenty are not optimal. With eps = 1e-8 and cost_scale = 100, OSQP takes twice as many
-    steps. On some thousand random problems, no claim was then wrong, and one run in two hundred ended at max_iter.
+    steps. On some thousand random problems, each reported success was then right. One in two hundred ended at max_iter.
 
     Args:
         eps: absolute tolerance on the scaled problem; eps_rel: the relative tolerance.

@@ -23,7 +23,7 @@ _STATUS = {
 
 
 class PIQPSession(TruncatedSession):
-    """One dense workspace."""
+    """One dense PIQP workspace."""
 
     def _allocate(self, m: int, n: int) -> dict[str, Any]:
         # The library stores matrices by columns, and would copy a matrix stored by rows at every call.

@@ -22,7 +22,7 @@ _STATUS = {
 }
 _COLD = proxqp.InitialGuess.EQUALITY_CONSTRAINED_INITIAL_GUESS
 # Start from the last answer with fresh step sizes. WARM_START_WITH_PREVIOUS_RESULT also keeps the last active set
-# and penalties. After a jump of the data, ProxQP can then claim success at the opposite bound.
+# and penalties. After a jump of the data, ProxQP can then report success at the opposite bound.
 _WARM = proxqp.InitialGuess.COLD_START_WITH_PREVIOUS_RESULT
 
 
@@ -72,8 +72,8 @@ class ProxQP(Adapter):
     """ProxQP's dense back-end.
 
     With the library's eps_primal_inf = 1e-4, a third of the feasible subproblems are called infeasible. With 1e-12,
-    many infeasible problems run into max_iter. With cost_scale = 10, every value from 1e-10 to 1e-7 classified 4800
-    feasible and 4800 infeasible problems correctly. With cost_scale = 1e3, a few feasible ones are called infeasible.
+    many infeasible problems run into max_iter. With cost_scale = 10, any eps_primal_inf from 1e-10 to 1e-7 classified
+    4800 feasible and 4800 infeasible ones correctly. With cost_scale = 1e3, a few feasible ones are called infeasible.
 
     Args:
         eps: absolute tolerance on the scaled problem (the library's default is 1e-5).

@@ -1,6 +1,6 @@
-"""Any solver that the package qpsolvers finds on this machine, as ``qpsolvers:NAME``.
+"""Adapter of every solver that the package qpsolvers finds on this machine, under the name ``qpsolvers:NAME``.
 
-qpsolvers converts the problem at every call, which takes up to half a millisecond. Do not compare speeds with it.
+qpsolvers converts the problem at every call, which takes up to half a millisecond. Do not use it to compare speeds.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from moc_opt.solvers.library import refuse_semidefinite
 
 
 class Advice(NamedTuple):
-    """Settings with which a library's claims about this problem are right."""
+    """Settings under which the status that a library reports for this problem can be trusted."""
 
     cost_scale: float = 1.0
     options: Mapping[str, Any] = {}
 
 
-# The gradient of this problem is about 1e-4, the size of a usual tolerance. Therefore the cost is multiplied by 1e3.
+# The gradient of this problem is about 1e-4, the size of a usual tolerance. Therefore the cost is scaled by cost_scale.
 ADVICE: dict[str, Advice] = {
     "clarabel": Advice(1e3),  # unscaled, about 1 % of answers have a relative residual above 1e-3
     "daqp": Advice(1e3),  # unscaled, 5 % are at the wrong end of the self-motion if regularization = 0
@@ -85,14 +85,14 @@ ALLOWED = {
             alpha acceleration_lookback acceleration_interval""",
     }.items()
 }  # fmt: skip
-"""The options that may be set, by solver. An option that a new version adds is refused, because it might do harm."""
+"""The options that may be set, by library. An option that a new version adds is refused, because it might do harm."""
 
 # With sparse libraries, qpsolvers warns of each conversion and failure. These warnings are hidden.
 _NOISY = set(qpsolvers.sparse_solvers) - set(qpsolvers.dense_solvers)
 
 
 def reasons() -> dict[str, str | None]:
-    """Return the reason why each library that qpsolvers knows cannot run, by its name; None if it can run."""
+    """Return a dict with an entry for every library known to qpsolvers: why it cannot run here, or None if it can."""
     known = {module.name.strip("_") for module in pkgutil.iter_modules(qpsolvers.solvers.__path__)}
     here = set(qpsolvers.available_solvers)
     return {
@@ -102,12 +102,12 @@ def reasons() -> dict[str, str | None]:
 
 
 def checked(solver: str, options: object) -> dict[str, Any]:
-    """Return a copy of a library's options; raises if an option is not allowed, or is neither a flag nor a number."""
+    """Return a copy of a library's options. Raise if an option is not allowed, or is neither flag nor number."""
     if not isinstance(options, Mapping):
         raise SolverError(f"{solver}: options = {options!r:.80} is not a table of keyword arguments")
     allowed = ALLOWED.get(solver, frozenset())
     for name, value in options.items():
-        if name not in allowed:  # the allowed options neither write or read files, nor load, compile or print
+        if name not in allowed:  # no allowed option reads or writes a file, loads or compiles code, or prints
             raise UnknownNameError(f"option of {solver}", str(name), allowed)
         if not isinstance(value, (bool, int, float)) or not math.isfinite(value) or abs(value) > MOST:
             raise SolverError(
@@ -153,7 +153,7 @@ class QPSolverSession:
         return Solution(x, np.dot(found.y, lift) / scale, Status.SOLVED, iterations)
 
     def _verdict(self, found: qpsolvers.Solution) -> Status:
-        """Return the status for a missing answer. It is INFEASIBLE only if the library's own status says so."""
+        """Return the status of a solve without an answer. It is INFEASIBLE only if the library's own status says so."""
         if self._settings.library == "quadprog":  # its only other failure, an indefinite cost, raises an exception
             return Status.INFEASIBLE
         limit = self._advice.options.get("time_limit")
@@ -172,7 +172,7 @@ class QPSolver(SolverSettings):
     """One library behind ``qpsolvers.solve_problem``.
 
     Args:
-        library: its name in qpsolvers.
+        library: name of the library in qpsolvers.
         rows: 5 or 6 equality rows; with six, daqp fails on one problem in a hundred.
         cost_scale: factor by which P and p are multiplied, by default that of `ADVICE`.
         options: options of the library, in addition to those of `ADVICE`. Only options in `ALLOWED` are accepted.

@@ -39,7 +39,7 @@ QPSOLVERS = "qpsolvers:"  #: Prefix of the solvers that the package qpsolvers fi
 
 
 class Entry(NamedTuple):
-    """A solver's name, the callable that makes it, and for a plug-in its entry point."""
+    """A solver's name, the callable that makes it, and its entry point if another package provides it (a plug-in)."""
 
     name: str
     make: Callable[..., Solver]
@@ -84,7 +84,7 @@ def check_solver(given: object, what: str = "") -> Solver:
 
 
 def available() -> dict[str, str | None]:
-    """Return the reason why each solver cannot run here, by its name; None if it can run."""
+    """Return a dict with an entry for every solver: why it cannot run here, or None if it can."""
     found: dict[str, str | None] = {name: _absent(package) for name, (_, _, package) in BUILT_IN.items()}
     absent = _absent("qpsolvers")
     libraries = {"NAME": absent} if absent else importlib.import_module("moc_opt.solvers.qpsolvers").reasons()
@@ -96,7 +96,7 @@ def available() -> dict[str, str | None]:
         try:
             entry = _of_plugin(name, points)
             required = (p for p in entry.parameters.values() if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD))
-            if all(p.default is not p.empty for p in required):  # a required setting cannot be guessed
+            if all(p.default is not p.empty for p in required):  # else the plug-in is not tried
                 entry.create()
             found[name] = None
         except MocOptError as error:
@@ -111,12 +111,12 @@ def check_name(name: str) -> None:
 
 
 def defaults(name: str) -> dict[str, Any]:
-    """Return the default of each setting of the named solver that has one; raises what ``create`` raises."""
+    """Return a dict of the default values of the named solver's settings. Raise what ``create`` raises."""
     return {p.name: p.default for p in find(name).parameters.values() if p.default is not p.empty}
 
 
 def create(name: str, **settings: Any) -> Solver:
-    """Build a solver's frozen settings.
+    """Create a solver, which is a frozen set of settings.
 
     Raises:
         UnknownNameError: no such solver or setting; the message has the nearest names.
@@ -126,7 +126,7 @@ def create(name: str, **settings: Any) -> Solver:
 
 
 def find(name: str) -> Entry:
-    """Import the named solver and return its `Entry`; raises what ``create`` raises."""
+    """Import the named solver and return its `Entry`. Raise what ``create`` raises."""
     if not isinstance(name, str):
         raise SolverError(f"solver = {shown(name)}: give the name of one, such as 'exact'")
     claimed = plugins.plugins(GROUP).get(name, [])

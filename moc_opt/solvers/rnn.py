@@ -7,7 +7,7 @@ With F(Y) = [dL/dx, -dL/dlambda] (the paper's equation (2)) the network is
     eps dl1/dt = k (J_T x - v_T),   eps dl2/dt = k (J_W x - v_W)
 
 integrated by Euler steps of size h = dt/eps (`moc_opt/core/rnn.c`). If a problem is infeasible, the status is MAX_ITER,
-and the multipliers grow without bound. They take as long to decrease once a problem is feasible again.
+and the multipliers grow without bound. Once a problem is feasible again, they need as long to decrease as they grew.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ class RNN(Network):
         k: the paper's gain.
         scale: multiplies c0, c1, c2 and regularization, which does not change the solution.
         method: "explicit" Euler, or "semi-implicit", where the multipliers are updated with the new x.
-        eps: SOLVED is claimed if no entry of the network's right-hand side is larger than this [rad/s, m/s].
+        eps: SOLVED is reported if no entry of the network's right-hand side is larger than this [rad/s, m/s].
 
     Raises:
         SolverError: a setting is out of range, or (from ``start``) the steps would diverge.
@@ -138,7 +138,7 @@ class RNN(Network):
 class RNNPrinted(Network):
     """Equation (2) of the paper as printed, with the measured joint velocity v as the paper's qd.
 
-    The answer is x = P(v - k dL/dqd), where P clips to the bounds. The law's third level uses x - v, the paper's qdd_d.
+    The answer is x = P(v - k dL/dqd), where P clips to the bounds. The null-space torque uses x - v, the paper's qdd_d.
     The multipliers start at 0 and integrate dlambda/dt = k (J v - v_ref) / (time constant) over the tick. With the
     paper's weights, the network settles with time constants above 50 s, so that it acts only as damping.
     ``session.observe(v)`` passes v before a tick. Without this call, x is the network's own last x.
@@ -147,7 +147,7 @@ class RNNPrinted(Network):
         k: the paper's gain.
         h: step of the multipliers, dt / (the network's time constant). The paper does not give this time constant.
             At 500 Hz, h = 0.002 means 1 s. The steps diverge unless h k < c0.
-        eps: SOLVED is claimed if no entry of the network's right-hand side is larger than this [rad/s, m/s].
+        eps: SOLVED is reported if no entry of the network's right-hand side is larger than this [rad/s, m/s].
 
     Raises:
         SolverError: a setting is out of range, or (from ``start``) the steps would diverge.

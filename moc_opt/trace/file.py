@@ -27,7 +27,7 @@ Columns = Mapping[str, NDArray[Any]]
 
 VERSION = "2"
 VERSION_KEY, META_KEY, TYPES_KEY, SUM_KEY = "moc_opt.trace.trace", "moc_opt.meta", "moc_opt.types", "moc_opt.crc32"
-MOST_BYTES = 2**32  # largest unpacked size of all columns: a small file could unpack to any size
+MOST_BYTES = 2**32  # largest unpacked size of all columns together, because a small file could unpack to any size
 _OTHER_FORMATS = frozenset({".csv", ".tsv", ".txt", ".json", ".npy", ".npz", ".mat", ".h5", ".xlsx", ".html", ".toml"})
 
 
@@ -47,7 +47,7 @@ def new_file(path: str | os.PathLike[str]) -> Path:
 
 
 def check_trace(path: str | os.PathLike[str], kind: str = "run") -> None:
-    """Raise a TraceError if writing to the path would overwrite a file that is no trace of this kind."""
+    """Raise a TraceError if the path is a file that is not empty and not a trace with this kind in its meta."""
     import polars as pl
 
     if os.path.isfile(path) and os.path.getsize(path):

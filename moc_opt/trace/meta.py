@@ -4,8 +4,8 @@ The trace of a simulated run has these entries:
 
 - ``ended``: the ending and its reason; ``stopped_at_s``, ``ticks``, ``ticks_planned``, ``period_s``;
 - ``warnings``: quantities that exceeded a warning level of the safety filter;
-- ``faults``: refused answers of the third level: a dict from the fault's label to their ``count``, the time of the
-  first one (``first_at_s``) and its message (``first``);
+- ``faults``: the solver's refused answers: a dict from the label of a fault to the number of such faults (``count``),
+  the time of the first (``first_at_s``) and its message (``first``);
 - ``restarts``: time (at_s) and reason of each restart of an isolated solver's process;
 - ``scenario``, ``robot`` (and ``robot_data`` of an arm that is not in the package), ``start_q_rad``, ``deadline_us``.
 """

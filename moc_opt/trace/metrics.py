@@ -25,7 +25,7 @@ from moc_opt.trace.trace import MissingDataError, Trace
 
 Floats = NDArray[np.float64]
 GROUP = "moc_opt.metrics"
-_LOADED: dict[EntryPoint, str] = {}  # why each entry point cannot be used; "" if it can
+_LOADED: dict[EntryPoint, str] = {}  # by entry point: why its metric cannot be used, or "" if it can
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Metric:
     name: str  #: key in every summary; includes the unit
     unit: str  #: for example "mm" or "us"; "1" for counts and ratios
     about: str  #: one line on what the metric measures, without the unit
-    function: Callable[..., float] = field(repr=False)  #: `(trace) -> number` or `(trace, baseline) -> number`
+    function: Callable[..., float] = field(repr=False)  #: returns the value from (trace) or (trace, baseline)
 
     def __call__(self, trace: Trace, baseline: Trace | None = None) -> float:
         """Return the metric's value."""
@@ -64,7 +64,7 @@ def _add(name: str, unit: str, about: str, function: Callable[..., float]) -> Me
     if not about:
         raise TraceError(f"metric {name!r} has no docstring: say in one line what it measures")
     known = METRICS[name].function if name in METRICS else function
-    # A module that is loaded again may register its own metrics again.
+    # A reloaded module may register its own metrics again.
     if (known.__module__, known.__qualname__) != (function.__module__, function.__qualname__):
         raise TraceError(f"metric {name!r} is there already, from {known.__module__}: choose another name")
     METRICS[name] = Metric(name, unit, about.splitlines()[0], function)
@@ -72,7 +72,7 @@ def _add(name: str, unit: str, about: str, function: Callable[..., float]) -> Me
 
 
 def load_plugins() -> dict[str, str]:
-    """Register the metrics of other packages. Return the reasons why metrics cannot be loaded, by name."""
+    """Register the metrics of other packages. Return a dict from the name of each failed one to the reason."""
     for name, points in plugins.plugins(GROUP).items():
         if points[0] in _LOADED:
             continue
@@ -95,7 +95,7 @@ def summarize(trace: Trace, baseline: Trace | None = None) -> dict[str, float]:
     """Compute every metric for which the trace has the data.
 
     Args:
-        baseline: a run for comparison: the controller DCAC with the same gains on the same trial, at the same ticks.
+        baseline: a run for comparison, with the controller DCAC, the same gains, the same trial and the same ticks.
 
     Returns:
         The values by name, in the order of METRICS. Metrics whose data are absent are left out.
@@ -210,7 +210,7 @@ _figure("mu_final", "m^3", "Last", "mu", lambda values: values[-1])
 def mu_gain_percent(trace: Trace, baseline: Trace | None) -> float:
     """Gain in mean manipulability over the baseline, DCAC at the same gains; to compare third levels, use mu_mean.
 
-    The baselines of different third levels differ, because each has the observer gain of its third level.
+    Two null-space controllers (third levels) have different baselines, because their observer gains differ.
     """
     if baseline is None:
         raise MissingDataError("there is no baseline: give the trace of DCAC on the same trial")
@@ -282,7 +282,7 @@ def oscillation_Nm(trace: Trace) -> float:
     return shaking(trace, "tau_Nm").rms
 
 
-# --- the solver: times, claims, judgements and residuals ---
+# --- the solver: times, reported status, optimality of the answers, and residuals ---
 
 
 for _column in ("solve_us", "tick_us"):

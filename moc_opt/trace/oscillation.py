@@ -26,9 +26,9 @@ Floats = NDArray[np.float64]
 Flags = Sequence[bool] | NDArray[np.bool_]
 
 LIMIT_RAD_PER_S, LIMIT_NM = 0.2, 10.0
-LIMIT_M_PER_S, LIMIT_N = 0.08, 100.0  #: The limits for a sliding joint.
+LIMIT_M_PER_S, LIMIT_N = 0.08, 100.0  #: Limits on the root mean square for a sliding joint.
 PARTS, LOUDEST, KEPT_UP = 8, 2, 0.5
-"""The worst window is cut into PARTS parts. Without the LOUDEST of them, it must exceed KEPT_UP times the limit."""
+"""The worst second is cut into PARTS parts. Without the LOUDEST parts, it must still exceed KEPT_UP times the limit."""
 ABOVE_HZ, WINDOW_S, START_S, SHORTEST_S = 8.0, 1.0, 0.5, 1e-6
 
 
@@ -38,7 +38,7 @@ class Shaking(NamedTuple):
     joint: int  #: index of the joint, from 0
     rms: float  #: root mean square above ABOVE_HZ in the worst window, in the column's unit
     frequency_Hz: float  #: frequency of the largest entry in the spectrum of that window, above ABOVE_HZ
-    rest: float  #: root mean square in that window without its loudest quarter
+    rest: float  #: root mean square in the worst window without its loudest quarter, in the column's unit
 
     def above(self, limit: float) -> bool:
         """Return whether the oscillation exceeds the limit and is not a single jerk."""
@@ -54,7 +54,7 @@ def shaking(trace: Trace, column: str, limits: ArrayLike | None = None) -> Shaki
         trace: a trace of consecutive ticks.
         column: ``v_rad_per_s`` or ``tau_Nm``, (N, n).
         limits: limit of each joint (n,), by which its values are divided. An oscillation above its limit then takes
-            precedence over a single jerk. If None, the values themselves are compared.
+            precedence over a single jerk. If None, the values are not divided.
 
     Raises:
         MissingDataError: the trace has no such column, no time, fewer than four ticks, or missing ticks.
@@ -109,7 +109,7 @@ def above(values: Floats, width: int) -> Floats:
 
 
 def describe(trace: Trace, joint_names: Sequence[str], slides: Flags) -> str:
-    """Return which joint oscillates, at which frequency and how much; empty if none does. Raises like `shaking`."""
+    """Return a text on the oscillating joint, its frequency and rms; empty if none. Raise what `shaking` raises."""
     speeds = np.where(slides, LIMIT_M_PER_S, LIMIT_RAD_PER_S)
     efforts = np.where(slides, LIMIT_N, LIMIT_NM)
     v, tau = shaking(trace, "v_rad_per_s", speeds), shaking(trace, "tau_Nm", efforts)
@@ -122,12 +122,12 @@ def describe(trace: Trace, joint_names: Sequence[str], slides: Flags) -> str:
 
 
 def judged_for_oscillation(trace: Trace, joint_names: Sequence[str], slides: Flags) -> Trace:
-    """Return the trace, with an oscillation of a completed or stopped run named in ``meta["ended"]``.
+    """Return the trace. If a completed or stopped run oscillated, ``meta["ended"]`` of the returned trace says so.
 
-    "completed" becomes "oscillated: ...". Runs shorter than 1 s are not judged.
+    "completed" becomes "oscillated: ...". Runs shorter than 1 s are not checked.
     """
     ended, stopped_s = trace.meta.get("ended"), trace.meta.get("stopped_at_s")
-    # The braking of a stop is not judged.
+    # The braking of a stop is not checked.
     judged = trace if stopped_s is None else trace.head(int(np.searchsorted(trace.t_s, stopped_s)))
     brief = len(judged) < 4 or judged.t_s[-1] - judged.t_s[0] < START_S + WINDOW_S / 2
     if brief or (ended != "completed" and stopped_s is None):

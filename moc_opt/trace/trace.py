@@ -1,4 +1,4 @@
-"""The record of a run, with one row per control tick. It converts to pandas, to xarray and to a plotly figure."""
+"""The data of a run, with one row per control tick. A trace converts to pandas, to xarray and to a plotly figure."""
 
 from __future__ import annotations
 
@@ -59,8 +59,8 @@ class Trace:
         """Check the columns and meta, and make them read-only.
 
         Args:
-            columns: name -> (N,) or (N, k) floats, integers or flags, or (N,) texts; N is the same for all.
-            meta: name -> JSON value with finite numbers. Tuples become lists, as in JSON.
+            columns: by name, (N,) or (N, k) floats, integers or flags, or (N,) texts. N is the same for all.
+            meta: by name, JSON values with finite numbers. Tuples become lists, as in JSON.
 
         Raises:
             TraceError: a column has a wrong shape, type or number of rows, meta is not JSON, or an entry of meta has
@@ -143,8 +143,8 @@ class Trace:
         """Draw columns of the run over time in a plotly figure, as the reports do.
 
         Args:
-            columns: one panel each. None: mu, tip error, RCM error and force.
-            name: this run's name in the legend. None: the name of its solver, or "dcac" if the run has no solver.
+            columns: one panel each. By default mu, tip error, RCM error and force.
+            name: this run's name in the legend. By default the name of its solver, or "dcac" if the run has no solver.
             beside: a second run to draw. Its name is that of its solver, or "baseline" if both names are equal.
 
         Raises:
@@ -268,7 +268,7 @@ def table(of: Mapping[str, Any], name: str) -> dict[str, Any]:
 
 
 def about(trace: Trace) -> dict[str, str]:
-    """Return the main facts of a run as texts, by name. With law "dcac", which has no solver, ``solver`` is "dcac"."""
+    """Return a dict of a run's main facts as texts. The law "dcac" has no solver, so that ``solver`` is then "dcac"."""
     meta, scenario = trace.meta, table(trace.meta, "scenario")
     law = "dcac" if table(scenario, "control").get("law") == "dcac" else table(scenario, "solver").get("name")
     known = {"scenario": scenario.get("name"), "robot": meta.get("robot"), "solver": law, "ended": meta.get("ended")}

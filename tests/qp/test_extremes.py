@@ -72,8 +72,8 @@ def test_a_regularized_optimum_is_certified_and_the_worst_point_is_a_corner(seed
 
 
 @pytest.mark.parametrize("shape", [(7, 2), (8, 3), (9, 4)])
-def test_with_too_many_corners_to_try_the_largest_cost_is_not_overstated(shape, monkeypatch):
-    """This is safe: if the largest cost is too small, the loss of an answer comes out too large."""
+def test_the_largest_cost_is_not_overstated_if_there_are_too_many_corners_to_try(shape, monkeypatch):
+    """An underestimate is safe: the loss of an answer then comes out too large, never too small."""
     exact = []
     for seed in range(15):
         Z, low, high, slope = cut_box(seed, shape)
@@ -90,7 +90,7 @@ def test_with_too_many_corners_to_try_the_largest_cost_is_not_overstated(shape, 
 
 @pytest.mark.parametrize("shape", [(12, 7), (16, 10), (24, 18)])
 def test_with_almost_no_regularization_uphill_walks_find_the_largest_linear_cost(shape):
-    """Near joint limits, the bounds of some joints can be 1000 times narrower than those of others."""
+    """Near position limits, the velocity bounds of some joints can be 1000 times narrower than those of others."""
     for seed in range(5):
         Z, low, high, slope = cut_box(seed, shape)
         narrow = 10.0 ** np.random.default_rng(seed).uniform(-3.0, 0.0, shape[0])
@@ -110,8 +110,8 @@ def test_few_proximal_steps_lead_to_the_optimum(weight, steps, monkeypatch):
     assert len(calls) <= steps
 
 
-def test_of_several_optima_the_one_nearest_to_zero_is_found():
-    found = extremes(np.eye(3), -np.ones(3), np.ones(3), np.array([1.0, 1e-4, 0.0]), 0.0)  # the second one takes longer
+def test_if_there_are_several_optima_the_nearest_to_zero_is_found():
+    found = extremes(np.eye(3), -np.ones(3), np.ones(3), np.array([1.0, 1e-4, 0.0]), 0.0)  # the second takes more steps
     np.testing.assert_allclose(found.w, [-1.0, -1.0, 0.0], atol=1e-11)
     assert (found.least, found.most) == pytest.approx((-1.0001, 1.0001))
 

@@ -42,7 +42,7 @@ def random_case(rng, freedoms, size):
 
 
 def arm_case(rng, robot, size):
-    """A subproblem of a real arm whose elbow is bent so little that the fifth singular value is about ``size``."""
+    """Return a subproblem of an arm whose elbow is bent so little that the fifth singular value is about ``size``."""
     q = robot.random_regular_pose(rng)
     elbow = robot.n - 4
     q[elbow] = np.clip(size * rng.choice([-3.0, 3.0]), robot.q_min[elbow], robot.q_max[elbow])
@@ -61,7 +61,7 @@ def rank(A):
 
 
 def attack(rng, qp, base, Z, direction):
-    """Slide an optimum within the primal tolerance. Return pairs (x, lost share of the range of the cost)."""
+    """Slide an optimum within the primal tolerance. Return pairs (x, loss of x), with the loss as in `Residuals`."""
     best = extremes(Z, base, qp)
     if best is None:
         return []
@@ -69,7 +69,7 @@ def attack(rng, qp, base, Z, direction):
     assert qp.residuals(x).verified()
     scale = qp.c2 * np.abs(qp.grad_mu).max() * (qp.upper - qp.lower).max()
     if most - least < 1e-6 * scale:
-        return []  # the cost is constant to rounding
+        return []  # the cost is constant up to rounding
     length = min(1.0, 0.9e-6 / max(np.abs(qp.A @ direction).max(), 1e-30)) * rng.uniform(0.2, 1.0)
     found = []
     for sign in (-1.0, 1.0):
@@ -82,7 +82,7 @@ def attack(rng, qp, base, Z, direction):
 
 
 def attempts(rng, count):
-    """Yield pairs (subproblem, wrong answer). Each answer loses more than 1 % of the range of the cost."""
+    """Yield pairs (subproblem, wrong answer). The loss of each answer is above 1 %."""
     while count > 0:
         size = rng.choice(SIZES) * rng.uniform(0.5, 2.0)
         kind = rng.integers(9)
@@ -117,7 +117,7 @@ def test_if_one_point_is_feasible_the_residual_relative_is_the_scaled_loss_of_co
 
 
 def far_ends(A, b, pull, lower, upper):
-    """Return the feasible points (2, n) of largest and smallest pull^T x, or None. The arithmetic is rational."""
+    """Return the feasible points (2, n) of largest and smallest pull^T x, in rational arithmetic; None if none."""
     gains = [Fraction(value) for value in pull]
     found = [optimum(A, b, [sign * gain for gain in gains], 0.0, lower, upper) for sign in (1, -1)]
     return None if None in found else np.array([[float(value) for value in point] for point in found])
@@ -148,8 +148,8 @@ def test_only_the_better_end_is_verified_if_the_gradient_is_nearly_orthogonal_to
     assert seen > 9
 
 
-def test_a_joint_outside_the_self_motion_does_not_limit_it_if_the_jacobians_are_rounded():
-    """The elbow cannot move, and the self-motion does not need it. So x = 0 is half way to the best speed."""
+def test_rounded_jacobians_do_not_make_a_joint_outside_the_self_motion_limit_the_self_motion():
+    """The bounds of the elbow are zero, but the elbow rests in the self-motion, so x = 0 is not the optimum."""
     state = ROBOTS[0].state(np.array([-2.405, -0.753, 0.226, -0.016, 1.96, -2.009, 2.289]), np.zeros(7))
     A, bounds = np.round(state.A, 13), np.ones(7)
     z = null_space(np.delete(state.A, [3, 6], axis=1), rcond=1e-7)[:, 0]

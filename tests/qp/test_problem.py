@@ -1,4 +1,4 @@
-"""The subproblem: its cost and rows, its record of numbers, and errors for bad input."""
+"""Tests of NullSpaceQP: its cost and equality rows, its storage as one flat array, and its errors for bad input."""
 
 import pickle
 
@@ -59,7 +59,7 @@ def test_an_answer_of_another_shape_is_refused_by_name(qp):
             qp.residuals(given_x, given_y)
 
 
-def test_a_record_gives_back_the_same_subproblem(qp):
+def test_the_flat_array_gives_back_the_same_subproblem(qp):
     plain = changed(qp, q=None, c2=1e12)
     assert plain.q is None
     assert changed(qp, q=np.arange(7.0)).q.tolist() == list(range(7))
@@ -71,7 +71,7 @@ def test_a_record_gives_back_the_same_subproblem(qp):
         fields(np.zeros(83))
 
 
-def test_a_record_that_is_not_contiguous_doubles_is_copied(qp):
+def test_an_array_that_is_not_contiguous_doubles_is_copied(qp):
     row = np.array(qp.row)
     for held in (np.repeat(row, 2)[::2], row.astype(np.float32)):
         np.testing.assert_array_equal(NullSpaceQP.from_row(held).row, held)
@@ -80,7 +80,7 @@ def test_a_record_that_is_not_contiguous_doubles_is_copied(qp):
 
 
 @pytest.mark.parametrize("n", [1, 6, 7, 9])
-def test_the_fields_cover_the_record_in_order(n):
+def test_the_fields_cover_the_flat_array_in_order(n):
     record = np.arange(float(row_length(n)))
     for rows in (record, record[None]):
         parts = fields(rows)

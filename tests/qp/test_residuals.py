@@ -1,4 +1,4 @@
-"""The residuals that judge answers, compared with linear programs, perturbed optima and their definitions."""
+"""Tests of the residuals of an answer: comparisons with linear programs, perturbed optima and their definitions."""
 
 from fractions import Fraction
 
@@ -38,7 +38,7 @@ def test_an_optimum_is_verified_and_its_neighbours_are_not(n, structured, regula
         assert with_bad_duals.verified()
         broken = x + 1e-3 * rng.choice([-1.0, 1.0], size=n)
         assert not qp.residuals(broken, y).verified()
-        if n == 12:  # the optimum's duals are taken for the best ones
+        if n == 12:  # the optimum's duals are used instead of the best ones
             wrong = optimum(changed(qp, grad_mu=-qp.grad_mu))[0]
             assert qp.residuals(wrong).natural_best == pytest.approx(qp.residuals(wrong, y).natural, rel=1e-6)
 
@@ -65,7 +65,7 @@ def test_natural_best_is_the_smallest_natural_residual_over_all_duals(n, structu
 
 
 def ends_of_the_swivel(qp):
-    """Return the best and the worst point of a problem whose only motion is the elbow swivel (or idle joints)."""
+    """Return the best and the worst point of a problem whose only motion is one self-motion (and idle joints)."""
     x, _ = optimum(qp)
     moving = np.abs(qp.A).max(0) > 1e-12
     z = np.zeros(qp.n)
@@ -127,7 +127,7 @@ def test_each_limit_of_the_verification_rule_decides_alone(gates, verified):
 
 
 def sliver(width, regularization=0.0):
-    """Return a problem with a feasible self-motion of ``width`` [rad/s], its optimum, and the direction."""
+    """Return (problem, x, z): its self-motion along z is feasible over ``width`` [rad/s]; x is its optimum."""
     qp = random_problem(np.random.default_rng(21), regularization=regularization)
     x, worst = ends_of_the_swivel(qp)
     z = (x - worst) / np.abs(x - worst).max()
@@ -181,7 +181,7 @@ def test_an_idle_joint_is_judged_by_its_own_interval(pull, regularization):
     assert qp.residuals(there).loss == pytest.approx(1.0, abs=1e-9)
 
 
-def test_the_idle_joint_with_the_largest_loss_counts():
+def test_the_loss_is_that_of_the_idle_joint_with_the_largest_loss():
     J, ones = np.diag([1.0, 0.0, 0.0]), np.ones(3)
     qp = NullSpaceQP(J, J, np.zeros(3), np.zeros(3), [0.0, 2.0, -1.0], -ones, ones)
     assert qp.residuals([0.0, 1.0, -1.0]).verified()
@@ -238,7 +238,7 @@ def test_without_a_null_space_only_the_references_decide(unit):
 
 
 def one_freedom(z, lower, upper):
-    """A problem at rest with six joints that move together along z, and its gradient."""
+    """Return a problem at rest whose six joints can move only along z, which is also the gradient."""
     A = np.vstack([np.linalg.svd(z[None])[2][1:], np.zeros(6)])
     return NullSpaceQP(A[:3], A[3:], np.zeros(3), np.zeros(3), z, lower, upper, regularization=0.0)
 

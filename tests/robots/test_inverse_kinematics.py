@@ -1,4 +1,4 @@
-"""Inverse kinematics: poses that are found reach their targets within the limits, and a failure is explained."""
+"""Inverse kinematics: the poses found reach their targets within the limits, and a failure is explained."""
 
 import numpy as np
 import pytest

@@ -312,7 +312,7 @@ def poses(robot: RobotModel, count: int = 8) -> Array:
 @pytest.mark.parametrize("name", DH)
 def test_the_tip_agrees_with_the_makers_denavit_hartenberg_table(name: str) -> None:
     robot = load_robot(name)
-    miss = 5e-4 if name == "gen3" else 1e-9  # its table neglects two offsets of 0.175 mm
+    miss = 5e-4 if name == "gen3" else 1e-9  # the maker's table neglects two offsets of 0.175 mm
     for q in poses(robot):
         np.testing.assert_allclose(robot.state(q).tip, by_dh(name, q), rtol=0, atol=miss)
 

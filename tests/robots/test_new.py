@@ -166,7 +166,7 @@ def test_a_home_pose_that_is_found_meets_its_requirements(name: str) -> None:
     assert state.mu == pytest.approx(home.mu)
     assert min(state.tip[2], state.wrist[2]) > new.CLEARANCE_M - 0.01
     assert home.task == ""
-    if name == "xarm7":  # the ranking decides which pose comes first
+    if name == "xarm7":  # the ranking decides which pose is tried first
         np.testing.assert_array_equal(home.q, [-0.72, 0.06, -0.89, 1.37, 0.22, 1.37, 0.0])
         assert np.abs(search_home(robot, seed=2).q - home.q).max() > 0.1
 
@@ -180,7 +180,7 @@ def test_an_arm_that_is_singular_everywhere_has_no_home(robot: RobotModel) -> No
         search_home(stiff)
 
 
-def test_the_commands_new_check_run_and_replay_work_on_a_vendors_file(tmp_path: Path, monkeypatch, capsys) -> None:
+def test_a_vendors_file_works_with_the_commands_new_check_run_and_replay(tmp_path: Path, monkeypatch, capsys) -> None:
     (tmp_path / "vendor.urdf").write_text(with_hand(text_of("iiwa14")), encoding="utf-8")
     (tmp_path / "short.toml").write_text("duration_s = 0.1\nbound_samples = 2\n", encoding="utf-8")
     monkeypatch.chdir(tmp_path)

@@ -1,4 +1,4 @@
-"""Vendors' URDFs: joints outside the arm are locked, one chain is found or chosen, impossible numbers are replaced."""
+"""Vendors' URDFs: joints outside the arm are fixed, one serial chain is found, and impossible numbers are replaced."""
 
 import re
 from pathlib import Path
@@ -58,7 +58,7 @@ def test_fingers_are_locked_and_the_arm_moves_as_before(vendors) -> None:
     assert list(model.names)[1:] == CHAIN
     assert model.inertias[7].mass - bare.inertias[7].mass == pytest.approx(0.7 + 2 * 0.015)  # fingers keep their mass
     left = model.frames[model.getFrameId("left")].placement.translation
-    turn = np.array([0.01 * np.sin(0.785), 0.01 * np.cos(0.785), 0.107])  # locked at the limit nearest to 0
+    turn = np.array([0.01 * np.sin(0.785), 0.01 * np.cos(0.785), 0.107])  # fixed at the limit nearest to 0
     np.testing.assert_allclose(left, turn, rtol=0, atol=1e-12)
     told = " ".join(arm.notes)
     assert all(word in told for word in ("finger_1 (at 0.01 m)", "finger_2", "'link_7', the link of the last"))

@@ -1,4 +1,4 @@
-"""Adapters of solver libraries: rows, buffers, warm sessions, options, and the nonlinear problem."""
+"""Tests of the adapters of solver libraries: rows, buffers, warm starts, options, and the nonlinear problem."""
 
 from types import SimpleNamespace
 
@@ -129,7 +129,7 @@ def test_an_expired_time_limit_has_its_own_status():
 
 @pytest.mark.parametrize("kind", [SQP, Ipopt])
 def test_a_step_of_the_nonlinear_solvers_ends_exactly_at_the_references(kind):
-    """tip(q + x T) equals tip(q) + v_T T, and the wrist meets its reference across the tool."""
+    """tip(q + x T) equals tip(q) + v_T T, and the wrist meets its reference perpendicular to the tool."""
     arm = random_arm(np.random.default_rng(3))
     kinematics = arm.kinematics()
     chosen = kind(kinematics)
@@ -143,7 +143,7 @@ def test_a_step_of_the_nonlinear_solvers_ends_exactly_at_the_references(kind):
         np.testing.assert_allclose(tip, qp.v_tip, atol=1e-6)
         across = qp.reduced().lift[3:, 3:]
         np.testing.assert_allclose(across @ wrist, across @ qp.v_wrist, atol=1e-6)
-        assert np.abs(qp.A @ x - qp.b).max() > 1e-6  # x does not meet the linear rows
+        assert np.abs(qp.A @ x - qp.b).max() > 1e-6  # x does not satisfy A x = b
 
 
 def test_the_nonlinear_solvers_use_the_given_gradient_and_not_that_of_mu(robot, regular_poses):

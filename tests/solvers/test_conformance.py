@@ -1,4 +1,4 @@
-"""One suite for every available solver. `EXPECT` has the tolerances of some solvers. The others have ``Expect()``."""
+"""Tests that every available solver has to pass, with the tolerances in `EXPECT` or, by default, in ``Expect()``."""
 
 import dataclasses
 from dataclasses import dataclass, field
@@ -33,13 +33,13 @@ class Expect:
     settings: dict[str, Any] = field(default_factory=dict)
     primal: float = 1e-7  # |A x - b|_inf and violation of the bounds [m/s, rad/s]
     relative: float = 1e-4  # natural residual with the best y, divided by the size of the reduced gradient
-    loss: float = 1e-4  # lost share of the range of the cost
+    loss: float = 1e-4  # (cost of x - smallest cost) / (largest - smallest feasible cost)
     natural: float = 1e-5  # natural residual with the solver's own y [rad/s]
     x: float = 2e-4  # distance to the exact answer and between warm and cold answers [rad/s]
     gap: float = 1e-6  # (f(x) - f(exact)) / (c2 |grad_mu|_inf) where regularization = 0 [rad/s]
     solved: float = 1.0  # smallest share of feasible problems with the status SOLVED
     certified: float = 1.0  # smallest share of infeasible problems with the status INFEASIBLE
-    undamped: float | None = 1.0  # like ``solved``, with regularization = 0. None means not supported
+    undamped: float | None = 1.0  # like ``solved``, but with regularization = 0; None if not supported
     recovers: bool = True  # the solver solves the problem after an infeasible one
     arm: bool = False  # the solver needs the arm's kinematics, so it gets problems of ARM
 
@@ -52,8 +52,8 @@ NLP = Expect(
 EXPECT = {
     "exact": Expect(primal=1e-12, relative=1e-8, loss=1e-9, natural=1e-12, x=1e-9, gap=1e-9),
     # k is small because some of these arms are larger than real arms. The network cannot prove a problem infeasible.
-    # With regularization = 0 it keeps oscillating in some problems. In an infeasible problem its multipliers grow, and
-    # the next problem needs as long to reduce them.
+    # With regularization = 0 it keeps oscillating in some problems. In an infeasible problem its multipliers grow. They
+    # need as long to decrease in the next problem.
     "rnn": Expect(
         {"steps": 300_000, "k": 0.2}, primal=1e-6, relative=1e-3, loss=5e-3, x=5e-3, gap=1e-4, certified=0.0,
         undamped=0.75, recovers=False,
@@ -76,7 +76,7 @@ EXPECT = {
 
 
 def expect(name: str) -> Expect:
-    """The requirements on a solver. A plug-in need not prove a problem infeasible, but must not call it solved."""
+    """Return the requirements on a solver. A plug-in need not prove a problem infeasible, but not call it solved."""
     built_in = name in registry.BUILT_IN or name.startswith("qpsolvers:")
     return EXPECT.get(name, Expect() if built_in else Expect(certified=0.0))
 
@@ -121,14 +121,14 @@ def check_claims(limits: Expect, qps: list[NullSpaceQP], found: list[Any]) -> No
         if solution.status is not Status.SOLVED:
             continue
         residuals = qp.residuals(solution.x, solution.y)
-        if limits.arm:  # x misses the linear rows, so the nearest point on these rows is judged
+        if limits.arm:  # x misses A x = b, so the loss of the nearest point on A x = b is taken
             residuals = residuals._replace(loss=qp.residuals(on_rows(qp, solution.x)).loss)
         assert residuals.verified(limits.primal, limits.relative, limits.loss), residuals
         assert np.abs(solution.x - exact.x).max() <= limits.x
 
 
 @every_solver
-def test_claimed_answers_are_optimal(name):
+def test_answers_reported_as_solved_are_optimal(name):
     check_claims(expect(name), of(name), answers(name, of(name)))
 
 
@@ -141,7 +141,7 @@ def recorded(arm: str) -> tuple[list[NullSpaceQP], Any]:
 
 @pytest.mark.parametrize("arm", available_robots())
 @every_solver
-def test_claimed_answers_to_recorded_subproblems_of_every_arm_are_optimal(name, arm):
+def test_answers_reported_as_solved_for_subproblems_of_a_run_of_every_arm_are_optimal(name, arm):
     qps, moving = recorded(arm)
     session = solver(name, moving).start(qps[0])
     check_claims(expect(name), qps, [session.solve(qp) for qp in qps])

@@ -83,7 +83,7 @@ def test_a_problem_whose_feasible_set_ends_in_a_thin_wedge_is_solved(n, narrow):
     rng = np.random.default_rng(n)
     for _ in range(25):
         qp = wedge(rng, n, narrow)
-        if narrow > 1e-5 or solve(qp).status is Status.SOLVED:  # NUMERICAL is allowed, a wrong answer is not
+        if narrow > 1e-5 or solve(qp).status is Status.SOLVED:  # the status NUMERICAL is allowed, but no wrong answer
             check(qp, primal=1e-17 / narrow)
 
 
@@ -137,7 +137,7 @@ def test_a_violation_equal_to_the_tolerance_is_allowed():
     assert [status(A, gap * np.eye(6)[5], wide) for gap in (1e-6, 1.1e-6)] == [core.OK, core.INFEASIBLE]
 
 
-def test_units_of_length_and_of_the_cost_change_no_answer():
+def test_answers_do_not_depend_on_the_units_of_length_and_cost():
     """Answers are equal to the last bit. The status differs only where the absolute tolerance on A x = b decides."""
     rng = np.random.default_rng(0)
     plain = [random_problem(rng, 7 + k % 3, structured=False, regularization=1e-5 * (k % 2)) for k in range(120)]
@@ -160,7 +160,7 @@ def test_units_of_length_and_of_the_cost_change_no_answer():
     assert np.mean(same) > 0.97
 
 
-def test_an_idle_joint_without_gradient_stays_still_and_without_any_gradient_x_is_the_shortest():
+def test_an_answer_contains_no_motion_that_does_not_lower_the_cost():
     qp = random_problem(np.random.default_rng(14), regularization=0.0)
     assert solve(qp).x[6] == 0.0
     assert solve(changed(qp, c2=0.0, grad_mu=np.ones(7))).x[6] == 0.0
@@ -199,7 +199,7 @@ def test_a_batch_gives_the_answers_of_single_solves_with_any_number_of_threads()
 
 @pytest.mark.parametrize("decimals", range(3, 16))
 @pytest.mark.parametrize("singular", [False, True])
-def test_near_the_rank_tolerance_no_wrong_answer_is_called_solved(decimals, singular):
+def test_no_wrong_answer_is_called_solved_near_the_rank_tolerance(decimals, singular):
     rng = np.random.default_rng(decimals)
     for k in range(8):
         plain = random_problem(rng, 7 + k % 3, structured=False, regularization=0.0 if k % 2 else 1e-5)
@@ -230,7 +230,7 @@ def test_no_answer_is_wrong_with_parallel_columns_or_with_joints_at_their_bounds
     assert solve(NullSpaceQP(A[:3], A[3:], b[:3], b[3:], rng.normal(size=16), -one, one)).status is not Status.SOLVED
     for k in range(200):
         q, v = rng.uniform(robot.q_min, robot.q_max), robot.v_max
-        q[3], q[5] = [(rng.uniform(-0.01, 0.01), q[5]), (q[3], 1e-9), (1e-10, q[5])][k % 3]  # 1e-9: hardly moves
+        q[3], q[5] = [(rng.uniform(-0.01, 0.01), q[5]), (q[3], 1e-9), (1e-10, q[5])][k % 3]  # 1e-9: one hardly moves
         s, x = robot.state(q), np.where(rng.random(7) < 0.5, rng.choice([-1.0, 1.0], 7) * v, rng.uniform(-v, v))
         qp = NullSpaceQP(s.J_tip, s.J_wrist, s.J_tip @ x, s.J_wrist @ x, s.grad_mu, -v, v)
         if k % 3 < 2 or solve(qp).status is not Status.NUMERICAL:  # NUMERICAL is allowed in the third case

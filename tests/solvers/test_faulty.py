@@ -23,11 +23,11 @@ def is_wrong(kind, qp, answer):
         return np.isnan(answer.x).all()
     if kind == "outside":
         return (answer.x > qp.upper).any()
-    return qp.residuals(answer.x).primal < 1e-9 and not qp.residuals(answer.x).verified()  # a false claim
+    return qp.residuals(answer.x).primal < 1e-9 and not qp.residuals(answer.x).verified()  # a false SOLVED
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_answers_are_wrong_at_the_drawn_ticks_and_right_at_the_others(kind):
+def test_exactly_the_answers_at_the_drawn_ticks_are_wrong(kind):
     """Except with "malformed", a faulty tick does not call the inner solver, whose state then stays the same."""
     inner = create("rnn")  # its answers depend on all problems before
     session, honest = Faulty(inner, kind, rate=0.3, seed=4).start(PROBLEMS[0]), inner.start(PROBLEMS[0])

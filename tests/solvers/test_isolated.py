@@ -1,4 +1,4 @@
-"""Solvers in separate processes: a run stays the same if they behave, and loses single answers if they do not."""
+"""Solvers in separate processes: a faultless solver gives the same run, and a failure costs only single answers."""
 
 import signal
 import subprocess
@@ -25,7 +25,7 @@ def qp():
 
 
 def started(qp, act="", at=2, folder="", budget_us=np.inf, waits=True, **settings):
-    """Start a session. By default it counts as hung only after a minute, because the machine may be busy."""
+    """Start a session. By default its process counts as hung only after a minute, because the machine may be busy."""
     process = ProcessSettings(**{"hang_s": 60.0, **settings})
     return Isolated(Misbehaving(act, at, str(folder)), process, budget_us, waits).start(qp)
 
@@ -58,7 +58,7 @@ def is_gone(number):
 
 
 @pytest.mark.parametrize("solver", ["exact", "rnn-printed"])  # rnn-printed observes the velocity
-def test_a_solver_that_behaves_gives_the_same_trace(solver):
+def test_a_faultless_solver_gives_the_same_trace_in_a_separate_process(solver):
     inside, isolated = (
         run(Scenario(solver={"name": solver, "isolation": way, "process": {"hang_s": 60.0}}, **QUICK))
         for way in ("none", "process")
@@ -138,7 +138,7 @@ def test_child_processes_of_a_solver_end_with_its_session(qp, tmp_path):
     until(lambda: all(map(is_gone, numbers)))
 
 
-def test_a_hanging_process_ends_soon_after_its_loop_was_killed():
+def test_a_hanging_process_ends_soon_after_the_control_loop_was_killed():
     """Nothing is left to kill the process, so it ends by itself one second after twice `hang_s`."""
     code = (
         "import numpy as np; from tests.problems import random_problem; from moc_opt.solvers.isolated import *; "
@@ -162,7 +162,7 @@ def test_a_solver_that_cannot_run_in_a_process_is_refused_at_the_start(qp, act, 
         started(qp, act, **settings)
 
 
-def test_the_budget_is_enforced_by_the_process_or_with_replayed_times_by_the_supervisor():
+def test_the_process_enforces_the_budget_unless_the_solve_times_are_replayed():
     scenario = Scenario(solver={"isolation": "process"}, control={"supervisor": {"budget_us": 700.0}}, **QUICK)
     controller = Setup(scenario).controller()
     assert (controller.solver.budget_us, controller.settings.supervisor.budget_us) == (700.0, None)

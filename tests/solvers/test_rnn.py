@@ -1,4 +1,4 @@
-"""The networks follow their equations, refuse unstable settings, and claim only true optima."""
+"""The networks follow their equations, refuse unstable settings, and report SOLVED only for true optima."""
 
 import numpy as np
 import pytest
@@ -126,7 +126,7 @@ def test_rnn_printed_applies_equation_2_to_the_measured_velocity():
     assert not isinstance(RNN().start(qps[0]), ObservingSession)
 
 
-def test_a_converged_network_stops_early_and_an_unconverged_one_claims_nothing():
+def test_only_a_network_that_has_converged_stops_early_and_reports_solved():
     qp = random_problem(np.random.default_rng(3), regularization=0.01)
     many, few = (RNN(steps=steps).start(qp).solve(qp) for steps in (100_000, 10))
     assert (many.status, few.status, few.iterations) == (Status.SOLVED, Status.MAX_ITER, 10)

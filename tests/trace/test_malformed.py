@@ -68,7 +68,7 @@ VALUES = {
     "when": pa.array([1, 2], pa.timestamp("ns")), "decimal": pa.array([1, 2], pa.decimal128(30, 2)),
 }  # fmt: skip
 DEEP, SOUND = b"[" * 100_000, {"t_s": "<f8"}
-CLAIMS = [  # types of columns (or their JSON), meta, version
+CLAIMS = [  # metadata of a file: types of columns (or their JSON), meta, version
     *(({name: "<f8"}, b"{}", b"2") for name in VALUES if name != "t_s"), (SOUND, DEEP, b"2"), (SOUND, b"{}", b"\xff"),
     *(({"t_s": kind}, b"{}", b"2") for kind in ("|O", "<U9", "|V8", "<M8[ns]", "<c16", "|b1", "f8,i4", "junk", 3)),
     ({"text": "<U999999999"}, b"{}", b"2"), (b"[]", b"{}", b"2"), (DEEP, b"{}", b"2"), (b"\xff", b"{}", b"2"),
@@ -92,7 +92,7 @@ def test_a_table_that_claims_to_be_a_trace_is_one_or_is_refused(tmp_path, claim)
 
 
 def test_a_parquet_file_of_many_rows_is_not_unpacked(tmp_path):
-    """A few kilobytes can stand for terabytes."""
+    """A file of a few kilobytes could unpack to terabytes."""
     path, rows = tmp_path / "many.parquet", 3_000_000
     keys = {"moc_opt.trace.trace": "2", "moc_opt.types": '{"status": "<U1000"}', "moc_opt.meta": "{}"}
     pq.write_table(pa.table({"status": ["solved"] * rows}).replace_schema_metadata(keys), path)

@@ -83,8 +83,8 @@ def test_metrics_without_baseline_deadline_or_subproblem_are_left_out() -> None:
     assert "mu_gain_percent" in summarize(trace, baseline=run(t_s=None))
 
 
-def test_a_diverged_run_does_not_look_good() -> None:
-    """NaN means "no subproblem" only in the solver's columns."""
+def test_a_run_that_diverged_to_nan_has_no_good_metrics() -> None:
+    """Only in the solver's columns, NaN means "no subproblem" and is left out. Elsewhere, the metric is NaN, too."""
     summary = summarize(run(mu=[0.1, NAN, 0.3, 0.4], tip_error_m=[NAN] * 4, primal=[0.0, math.inf, NAN, 0.0]))
     assert np.isnan([summary["mu_mean"], summary["tip_error_max_mm"]]).all()
     assert summary["primal_max"] == math.inf

@@ -1,4 +1,4 @@
-"""Oscillation is found in traces and runs that oscillate, and not in ordinary ones."""
+"""Oscillation is found in traces and runs that oscillate, and not in ordinary traces and runs."""
 
 import numpy as np
 import pytest
@@ -54,7 +54,7 @@ def test_the_figures_of_an_oscillation_equal_their_definitions(ticks, period):
     ("v_rad_per_s", limits.LIMIT_RAD_PER_S, "rad/s", False), ("tau_Nm", limits.LIMIT_NM, "Nm", False),
     ("v_rad_per_s", limits.LIMIT_M_PER_S, "m/s", True), ("tau_Nm", limits.LIMIT_N, "N", True),
 ])  # fmt: skip
-def test_only_a_shaking_above_the_limit_in_the_unit_of_the_joint_counts(factor, column, limit, unit, slides):
+def test_a_joint_oscillates_only_if_it_shakes_above_the_limit_in_its_own_unit(factor, column, limit, unit, slides):
     """Joint 5 shakes below its own limit, so only joint 1 counts."""
     trace = made(0, factor * np.sqrt(2.0) * limit, 71.0, column)
     values = np.array(getattr(trace, column))
@@ -111,7 +111,7 @@ def test_a_run_that_was_stopped_or_is_brief_keeps_its_ending():
 
 
 @pytest.mark.parametrize(("begin", "amplitude", "says"), [(1.0, 2.0, True), (1.0, 0.1, False), (2.01, 9.0, False)])
-def test_a_stop_names_an_oscillation_before_it_but_no_shaking_due_to_braking(begin, amplitude, says):
+def test_the_ending_of_a_stopped_run_names_only_an_oscillation_before_the_stop(begin, amplitude, says):
     trace = made(3, amplitude, 24.0, where=(begin, 3.0)).with_meta(ended="stopped: x (t = 2.000 s)", stopped_at_s=2.0)
     said = judged_for_oscillation(trace, NAMES, TURNING).meta["ended"]
     assert said.startswith("stopped: x (t = 2.000 s)")
@@ -129,7 +129,7 @@ def test_a_trace_that_cannot_be_judged_is_refused_with_the_reason():
     ):
         with pytest.raises(kind, match=said):
             shaking(part, "v_rad_per_s")
-    assert shaking(trace.select(trace.t_s > 0.5), "v_rad_per_s").rms < 0.1  # no tick within it is left out
+    assert shaking(trace.select(trace.t_s > 0.5), "v_rad_per_s").rms < 0.1  # its ticks are consecutive
 
 
 @pytest.mark.parametrize(("changes", "joint"), [

@@ -55,7 +55,7 @@ def assert_same(one, other):
 
 @st.composite
 def traces(draw):
-    """Draw a trace with columns unknown to the package. Floats have any bit pattern."""
+    """Draw a trace whose columns the package does not know. Floats have any bit pattern."""
     rows, columns = draw(st.integers(0, 6)), {}
     for i in range(draw(st.integers(0, 4))):
         dtype = np.dtype(draw(st.sampled_from(["f8", "f4", "i8", "i1", "u2", "?", "U5"])))
@@ -83,7 +83,7 @@ def test_columns_are_attributes_length_is_ticks_and_repr_describes_the_run(trace
     assert trace.q_rad is trace.columns["q_rad"]
     assert (len(trace), len(trace.head(0)), len(Trace({}))) == (N, 0, 0)
     assert Trace({"text": np.array(["a", "bc"], dtype=object)}).text.dtype == "<U2"
-    assert not hasattr(object.__new__(Trace), "meta")  # as while it is copied
+    assert not hasattr(object.__new__(Trace), "meta")  # as during a copy
     assert {"q_rad", "own", "between", "plot"} <= set(dir(trace))
     with pytest.raises(MissingDataError, match=r"no column 'q_rads'; it has q_rad"):
         _ = trace.q_rads
@@ -93,7 +93,7 @@ def test_columns_are_attributes_length_is_ticks_and_repr_describes_the_run(trace
 def test_trace_is_frozen_and_owns_its_arrays():
     mu, deep, view = np.ones(4, dtype=">f8"), {"a": [1]}, np.ones(4)
     locked = view[:]
-    locked.setflags(write=False)  # its base is still writable
+    locked.setflags(write=False)  # the array that it views is still writable
     made = Trace({"mu": mu, "own": locked}, {"deep": deep})
     mu[0] = view[0] = 7.0
     deep["a"].append(2)
