@@ -70,7 +70,7 @@ class UnknownNameError(MocOptError, LookupError):
     """A name is not known. The message lists the nearest valid names."""
 
     MOST = 10_000  # the message may list many names
-    FEW: ClassVar[int] = 12  #: Up to this many names are all in the message, even if a command lists them.
+    FEW: ClassVar[int] = 12  #: Largest number of names that the message lists although a command lists them too.
 
     def __init__(self, kind: str, name: str, valid: Iterable[str], listed_by: str = "") -> None:
         """Show the nearest ``valid`` names, then all valid names or, if there are many, the command ``listed_by``."""

@@ -25,7 +25,7 @@ POINTS = "give x, y, z [m], one point per line; the first line may name the colu
 
 
 def read_scenario(path: Path | None) -> tuple[Scenario, str]:
-    """Return the scenario of a file, or the default scenario, and its name in messages."""
+    """Return (scenario, title): the scenario of the file or the default scenario, and its name in messages."""
     scenario = Scenario() if path is None else Scenario.load(path)
     return scenario, scenario.name if path is None or "name" in scenario.model_fields_set else path.stem
 
@@ -218,7 +218,7 @@ def run_control(given: argparse.Namespace) -> int:
 
 
 def _words(value: Any) -> str:
-    if isinstance(value, dict) and value.keys() == {"count", "first_at_s", "first"}:  # a fault: refused answers
+    if isinstance(value, dict) and value.keys() == {"count", "first_at_s", "first"}:  # refused answers
         return f"{value['count']}, first at {value['first_at_s']:.3f} s: {value['first']}"
     return value if isinstance(value, str) else to_json(value, indent=None)
 
@@ -227,7 +227,7 @@ def _words(value: Any) -> str:
 
 
 def plan_scenario(given: argparse.Namespace) -> int:
-    """Plan a scenario, print the plan, write the course; returns 0, or 3 if no course covers the whole path."""
+    """Plan a scenario, print the plan, write the joint motion; returns 0, or 3 if the path cannot be executed."""
     from moc_opt.report.plan_table import plan_json, plan_tables, start_toml
     from moc_opt.scenario.planned import followable_plan, following_warnings, save_course
 

@@ -109,7 +109,7 @@ class Controller:
 
     @property
     def answer(self) -> Array:
-        """The x (n,) [rad/s] that level 3 followed, from the solver or the supervisor; NaN under DCAC."""
+        """The x (n,) [rad/s] that level 3 followed: the solver's answer or its replacement. NaN under DCAC."""
         self._take_apart()
         return self._answer
 
@@ -190,12 +190,13 @@ class Controller:
             status, self._record, out = self._supervisor.step(q, v, tip_ref, trocar, x_d, self._exact.tolerance)
             self._ticked = status, out
             return out[self._torques]
-        # The core computes tau = tau_tip + tau_rcm + tau_ff - r (r: the observer's estimate) and the subproblem.
+        # The core computes the subproblem and tau = tau_tip + tau_rcm + tau_ff - r. Here tau_ff is the feedforward and
+        # r the observer's estimate.
         self._record, row = self._law.begin(q, v, tip_ref, trocar, x_d)
         if self._session is not None:
             self._subproblem = qp = NullSpaceQP.from_row(row)
-            # Level 3 adds M Z^T (Z M Z^T)^-1 Z (K_N2 (x* - v) - D_N2 v) to tau, which is then clipped to tau_max. x* is
-            # the solver's answer, or the supervisor's replacement.
+            # Level 3 adds M Z^T (Z M Z^T)^-1 Z (K_N2 (x* - v) - D_N2 v) to tau, and clips the sum to tau_max. x* is the
+            # solver's answer, or the supervisor's replacement.
             seen = v if self._observes else None
             self._solution, self._answer, tau = self._supervisor.solve(self._session, qp, seen)
         else:
@@ -203,7 +204,7 @@ class Controller:
         return read_only(tau)
 
     def set_applied_torque(self, tau: Array) -> None:
-        """Tell the observer which torque (n,) [Nm] was applied. Called only if this is not the result of `tick`."""
+        """Tell the observer which torque (n,) [Nm] was applied. Called only if it differs from the result of `tick`."""
         if not np.isfinite(tau).all():
             raise ControlError(f"applied torque = {np.asarray(tau).tolist()} is not finite: the observer cannot use it")
         self._law.set_applied(np.ascontiguousarray(tau, dtype=np.float64))

@@ -2,8 +2,8 @@
 
 Tip and RCM control never depend on a solver. A faulty answer is replaced by the last good answer for a few ticks, then
 by damping. The settings `fallback` and `late` offer other replacements. The trace counts the faults of each kind, and
-keeps the message of the first fault. A solver gets a copy of the subproblem, and the check gets a copy of the answer.
-The solver can therefore change neither of them afterwards.
+keeps the message of the first fault. A solver gets a copy of the subproblem, and the check gets a copy of the answer,
+so that the solver cannot change the data of the check.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Fault(Enum):
     label: str  #: Name in traces and reports.
 
     def __init__(self, meaning: str) -> None:
-        # The label stays "lied", as in older traces.
+        # Older traces have the label "lied".
         self.label = "lied" if self.name == "FALSE_OPTIMUM" else self.name.lower()
 
 
@@ -154,8 +154,8 @@ class Supervisor:
         """Let the session solve, check its answer, and finish the law's tick with the answer or its replacement.
 
         The session gets copies of the tick's subproblem ``qp`` and of the measured velocity ``v`` (n,) [rad/s] (None if
-        the session does not observe v). Returns the solver's answer, the x (n,) that the arm follows, and the torque
-        (n,) [Nm] of the law.
+        the session does not observe v). Return (solution, x, tau): the solver's answer, the x (n,) [rad/s] that the arm
+        follows, and the torque (n,) [Nm] of the law.
         """
         solution, known, text = self._ask(session, qp, v)
         number, x, tau = self._law.finish(
@@ -170,8 +170,8 @@ class Supervisor:
     ) -> tuple[Status, Array, Array]:
         """Do the whole tick in the core, with the core's solver `exact`. The arguments are those of `core.Law.begin`.
 
-        Returns the solver's status, the arm's record, and one array (14 n + 16,) with the subproblem's record, the
-        solver's x (n,) and y (6,), the x (n,) that the arm follows, and the law's torque (n,) [Nm].
+        Return (status, record, out). ``record`` has the numbers of a `RobotState`. ``out`` (14 n + 16,) has, in this
+        order, `NullSpaceQP.row`, the solver's x and y, the x that the arm follows, and the law's torque (n,) [Nm].
         """
         given_us = _NAN if self._times is None else next(self._times, _NAN)
         code, number, self.solve_us, record, out = self._law.step(q, v, tip_ref, trocar, x_d, tolerance, given_us)

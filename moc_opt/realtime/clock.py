@@ -8,7 +8,7 @@ from time import monotonic, sleep
 
 _LOCK_ALL = 1 | 2  # MCL_CURRENT | MCL_FUTURE
 _SET_TIMER_SLACK = 29  # PR_SET_TIMERSLACK
-PRIORITY = 50  #: Above ordinary processes, below the kernel's interrupt threads (SCHED_FIFO).
+PRIORITY = 50  #: Priority under SCHED_FIFO, above all ordinary processes.
 
 
 class WallClock:
@@ -22,7 +22,7 @@ class WallClock:
         self.late_us, self.overruns = 0.0, 0
 
     def wait_for(self, tick: int) -> float:
-        """Sleep until a tick begins. Tick 0 begins in one period. Return its command's deadline (`monotonic`) [s]."""
+        """Sleep until a tick begins. Tick 0 begins in one period. Return the deadline (`monotonic`) of the tick [s]."""
         if tick == 0:
             self._begin = monotonic() + self._period
         due = self._begin + tick * self._period

@@ -27,7 +27,7 @@ PRESETS: Mapping[str, Mapping[str, Callable[..., Settings]]] = {
     "control": {name: partial(ControlSettings.preset, name) for name in CONTROL_PRESETS},
     "plant": {"realistic": PlantSettings, "nominal": PlantSettings.nominal},
 }
-"""For each table and ``preset``, the function that makes the table from its other keys."""
+"""For each table and each name of a preset, the function that makes the table from the table's other keys."""
 _LAGS = 3.0  # smallest motion_lag_s of the safety filter, in time constants of the velocity filter
 _TORQUE, _SPEED = 500.0, 600.0
 """Smallest repeat_torque [share of tau_max] and stuck_rad_per_s [rad/s] per rad of the encoders' step. With smaller
@@ -141,7 +141,7 @@ class Scenario(Settings):
             raise
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a TOML from which `load` makes the same scenario. Defaults are omitted, and paths are absolute.
+        """Write a TOML file from which `load` makes the same scenario. Defaults are omitted, and paths are absolute.
 
         Raises:
             ScenarioError: a solver's setting cannot be written as TOML, or the file cannot be written.

@@ -26,11 +26,11 @@ _POSE_STREAM = (1,)  # random stream of the pose; swivel, plant and faults have 
 class Layout:
     """A start pose, and the task laid out from it."""
 
-    q: Array  #: (n,) [rad]
+    q: Array  #: (n,) joint positions at the start [rad]
     trocar: Array  #: (3,) registered trocar at rest [m]
     registered: Trocar  #: The registered trocar and its motion, as the controller knows them.
-    reference: Reference
-    duration_s: float
+    reference: Reference  #: Path of the tip as a function of time.
+    duration_s: float  #: Duration of the run [s].
 
 
 def seeds_of(scenario: Scenario) -> tuple[int, int, int]:

@@ -25,7 +25,7 @@ _STOPPED = {
 
 
 class RunAway(PlantError):
-    """The plant cannot go on; ``trace`` holds the rows so far."""
+    """The simulation of the plant diverged. ``trace`` has the rows up to this time."""
 
     def __init__(self, message: str, trace: Trace) -> None:
         super().__init__(message)
