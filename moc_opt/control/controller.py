@@ -47,7 +47,7 @@ class Controller:
         solver: solver of level 3 for law "moc"; None for "dcac".
         period: control period [s].
         times_us: recorded solve times [us], used instead of the clock.
-        guide: a `Guide` whose velocity replaces the gradient of mu. Then regularization and c2 must be above 0.
+        guide: a `Guide`, whose velocity replaces the gradient of mu. regularization and c2 must then be above 0.
 
     Raises:
         ControlError: law "moc" has no solver, law "dcac" has a solver, or a setting does not fit the robot.
@@ -216,7 +216,7 @@ class Controller:
         }  # fmt: skip
         if self.solver is not None:
             n, end = self._n, self._row_length
-            # One block in the order of the core's result: subproblem, x, y, and the x that is followed.
+            # One block in the order of the core's result: subproblem, the solver's x and y, and the x that is used.
             self._block = block = np.full((ticks, end + 2 * n + 6), np.nan)
             found |= {
                 "subproblem": block[:, :end], "x_rad_per_s": block[:, end : end + n],
@@ -268,6 +268,6 @@ def _start_session(solver: Solver, qp: NullSpaceQP) -> Session:
             reason = f"supports returned a {type(reason).__name__}: return None or the reason why not"
     except (KeyboardInterrupt, MocOptError):
         raise
-    except BaseException as error:  # foreign code may raise anything
+    except BaseException as error:  # a plug-in may raise anything
         raise ControlError(f"solver {name} cannot run in this controller: {describe(error)}") from error
     raise ControlError(f"solver {name} cannot run in this controller: {reason}")

@@ -50,7 +50,7 @@ def numbers_of(settings: ControlSettings, robot: RobotModel, period: float) -> d
             f"[control] {kind} = {margin[j]}: no room is left for joint {j + 1} between its limits; give less "
             f"than {half[j]:.3g}"
         )
-    fraction = 1.0 if follows else settings.speed_fraction  # a course keeps its own speed limit
+    fraction = 1.0 if follows else settings.speed_fraction  # the planner has limited a course's speed
     return {
         **{name: getattr(settings, name) for name in ("feedforward", "c0", "c1", "c2")},
         **{name: getattr(supervisor, name) for name in _CHECKS},

@@ -91,8 +91,7 @@ class SafetyFilter:
             stamp: number of the control period in which q and v were measured, counted by the arm; None: not known.
             applied: (n,) torque that was applied last [Nm]; None: not known.
             wrench: (6,) force [N] and torque [Nm] of the tool on its mount, in tool axes; None: not known.
-            trocar: (2, 3) rows P_t, dP_t of the registered trocar, for the checks of RCM error and trocar force. None:
-                there are no such checks.
+            trocar: (2, 3) rows P_t, dP_t of the registered trocar; None: RCM error and trocar force are not checked.
         """
         number, seen = math.nan if stamp is None else stamp, _NO_WRENCH if wrench is None else wrench
         reason, q, v = self._guard.believe(q, v, number, applied, seen, trocar)

@@ -49,7 +49,7 @@ class Fault(Enum):
 
 def _raise_interrupt(error: BaseException) -> None:
     found: BaseException | None = error
-    for _ in range(10):  # the chain may be cyclic in foreign code
+    for _ in range(10):  # the chain of a plug-in's errors may be cyclic
         if found is None or isinstance(found, KeyboardInterrupt):
             break
         found = found.__context__ if found.__cause__ is None else found.__cause__
@@ -91,7 +91,7 @@ _NO_ANSWER = 3
 _NAN = float("nan")
 
 
-MOST_ITERATIONS = 2**31 - 1  #: The largest count of iterations that a trace can hold.
+MOST_ITERATIONS = 2**31 - 1  #: The largest number of iterations that a trace can hold.
 
 
 def received(given: object, n: int) -> tuple[Solution, str]:
@@ -122,7 +122,7 @@ def _unlike(name: str, value: object, shape: tuple[int, ...]) -> str:
 
 
 class Supervisor:
-    """Let the core check a session's answers and replace refused answers, and count the faults.
+    """Check the answers of a solver's session in the core, replace refused answers, and count the faults.
 
     Args:
         settings: limits of the check, and the replacement.
@@ -146,7 +146,7 @@ class Supervisor:
         self.forget()
 
     def forget(self) -> None:
-        """Reset fault, solve time and all counts."""
+        """Reset fault, solve time and the numbers of faults."""
         self.fault, self.solve_us, self._asked = Fault.NONE, float("nan"), 0
         self.faults: dict[str, dict[str, Any]] = {}
 

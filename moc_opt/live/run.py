@@ -80,7 +80,7 @@ def solver_of(controller: Controller) -> str:
 
 
 class LiveRun:
-    """The closed loop of a scenario, along its path to and fro. If the scenario is not usable, a MocOptError is raised.
+    """The closed loop of a scenario, which runs to and fro along its path. An unusable scenario raises a MocOptError.
 
     Call it from one thread only. A wrong change raises an error at once. Errors that only the running loop can detect
     are put into `messages`, oldest first. ``t_s`` is the latest tick's time. ``stopped`` says why the arm was stopped,

@@ -57,7 +57,7 @@ class RemoteController(Filtered):
         self._command: Packet | None = None
 
     limited = property(lambda self: 0 if self._command is None else int(self._command["limited"]))
-    warnings = property(lambda self: [])  # the other end records them
+    warnings = property(lambda self: [])  # the controller's end records the warnings of its safety filter
 
     def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
         """Wait for a controller, send the first measurement, and wait for START. Without START, raise a WireError."""

@@ -180,7 +180,7 @@ class Scenario(Settings):
 
     @property
     def told_guard(self) -> SafetyFilterSettings:
-        """The settings ``[guard]`` in use. A limit that is left out or too low follows from the encoders' settings."""
+        """The settings ``[guard]`` in use. Limits that are left out or too low are computed from the encoders' data."""
         guard, plant, told = self.guard, self.plant, dict[str, float | None]()
         encoder = plant.encoder_noise_rad, plant.encoder_resolution_rad
         if guard.repeat_joint_ticks is None:
@@ -197,7 +197,7 @@ class Scenario(Settings):
 
 
 def _with_files_in(folder: Path, table: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the table with relative paths of robot and course files resolved against a folder."""
+    """Return the table with all relative paths (of a robot's file, of a planned joint motion) resolved in a folder."""
     found = dict(table)
     for name, key in (("robot", "name"), ("control", "course")):
         file = table[name].get(key) if isinstance(table.get(name), Mapping) else None

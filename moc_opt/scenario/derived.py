@@ -114,7 +114,7 @@ def against_best(scenario: Scenario, trace: Trace) -> tuple[dict[str, NDArray[An
     """Return the columns of the best courses, and the entry ``best_courses`` of the trace's meta.
 
     If there are no courses, the entry says why. Otherwise it compares mu [m^3] and elbow swivel [deg] of three poses:
-    the last pose of the run, the maximum of mu that a climb from this pose reaches, and the last pose of the course.
+    the last pose of the run, the maximum of mu that a climb from this pose reaches, and the best course's last pose.
     """
     try:
         known = best_courses(scenario)

@@ -71,7 +71,7 @@ def random_start(
     """Draw poses until the arm can do the task from a pose, and return the task laid out from this pose.
 
     A pose is drawn evenly from the joints' ranges, less `DRAWN_MARGIN` at both ends. ``swivelled(q)`` returns a start:
-    a pose with tip and wrist of q and the scenario's swivel. ``lay_out(start)`` returns the task and the poses (k, n)
+    a pose with tip and wrist of q and the scenario's elbow swivel. ``lay_out(start)`` returns task and poses (k, n)
     along the path. A draw is rejected if the arm cannot do the task within joint limits and speeds. It is also rejected
     if the start or a pose along the path is nearly singular (`REGULAR`), has a joint within ``margins`` (n,) of a limit
     [rad, m], or has tip or wrist below the plane of the base.

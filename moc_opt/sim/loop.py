@@ -83,7 +83,7 @@ class ClosedLoop:
 
     A controller that is ``Filtered`` has its own safety filter. ``faults`` disturb sensors and arm. After a step,
     ``seen`` is the measurement as it arrived, ``tau`` (n,) the commanded torque [Nm], and ``tick_us`` the time that
-    safety filter and controller took [us]. ``ticks`` counts the steps.
+    safety filter and controller took [us]. ``ticks`` is the number of steps so far.
     """
 
     def __init__(

@@ -37,7 +37,7 @@ _RUNAWAY_RAD_PER_S = 1e3  #: Norm of the joint velocities above which the simula
 
 @dataclass(frozen=True)
 class Stop:
-    """How the arm is stopped: damping of the drives [Nm s/rad], and shortest simulated time of a stop [s]."""
+    """A stop's parameters: damping of the drives [Nm s/rad], and shortest simulated time of the stop [s]."""
 
     damping: float = 15.0
     seconds: float = 0.5
@@ -169,7 +169,7 @@ class Plant:
         self._touch = (0.0, 0.0) if place is None else self._tissue
         if place is not None:
             self._trocar[:] = place
-        # Unlike in mj_step, mj_step2 comes first, so that the kinematics belong to the new state after the loop.
+        # mj_step calls mj_step1 first. In this order, the kinematics after the loop belong to the new state.
         for elapsed_s in self._substeps_s:
             joints.drive()
             self._load(elapsed_s)

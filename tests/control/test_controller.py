@@ -87,7 +87,7 @@ def test_settings_reach_the_core(setting, core_s, robot):
     state = robot.state(robot.data.q_home)
     controller, _, tip_ref, trocar = started(robot, None, state, **{**QUIET, **setting})
     assert controller.solution is controller.subproblem is None
-    tip_ref, trocar = tip_ref + 0.3, trocar + np.array([[0.01, 0.0, 0.0], np.zeros(3)])  # so that the limits act
+    tip_ref, trocar = tip_ref + 0.3, trocar + np.array([[0.01, 0.0, 0.0], np.zeros(3)])  # torque exceeds tau_max
     given = {name: robot.tau_max if value is None else value for name, value in core_s.items()}
     wanted = tracking(robot, state, tip_ref, trocar, gains=(3000.0, 80.0, 800.0, 60.0), **given)
     np.testing.assert_array_equal(controller.tick(state.q, state.v, tip_ref, trocar), wanted)

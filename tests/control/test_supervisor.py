@@ -105,7 +105,7 @@ def test_each_fault_has_its_name_and_is_counted(fault, qp, Z):
     ((label, found),) = mine.faults.items()
     assert (label, found["count"], found["first_at_s"]) == (fault.label, 1, 0.002)
     assert fault is not Fault.RAISED or found["first"] == "RuntimeError: from inside a solver"
-    # the last good answer is held, but an infeasible subproblem is answered by the fallback
+    # the last good answer is used again, except for an infeasible subproblem, for which the fallback is used
     np.testing.assert_array_equal(x, np.zeros(7) if fault is Fault.INFEASIBLE else good.x)
     mine.forget()
     assert mine.faults == {}
@@ -261,7 +261,7 @@ def test_without_a_gradient_along_the_self_motion_the_residuals_along_it_are_zer
         row = np.array(qp.row)
         fields(row).pull[:] *= pull
         fields(row).weights[2] *= c2
-        if pull == 1e-9:  # a small gradient counts, because the threshold is relative to the gradient's size
+        if pull == 1e-9:  # a small gradient has a residual: the threshold is relative to the gradient's size
             assert judged(row, Zs, x + 0.1 * Z[0] + 0.1 * Z[1])[2] > 0.0
         else:
             assert judged(row, Zs, x)[2:] == (0.0, 0.0, 0.0)

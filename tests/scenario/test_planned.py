@@ -43,7 +43,7 @@ def test_the_start_that_a_plan_proposes_can_be_pasted_into_the_scenario(tmp_path
     found = plan(mo.Scenario.load(file))
     assert main(["plan", file]) == 0
     said = capsys.readouterr()
-    assert said.err == ""  # no warning, because this third level follows no course
+    assert said.err == ""  # no warning: the third level 'local' follows no course
     assert "can be executed from this start yes" in " ".join(said.out.split())
     assert max(len(line.rstrip()) for line in said.out.splitlines()) <= 80
     again = plan(mo.Scenario.load(scenario_file(tmp_path, text + said.out[said.out.index("\n[start]\n") :])))
@@ -58,7 +58,7 @@ def test_a_plan_has_the_limits_of_the_third_level_that_follows_it(tmp_path, caps
         told = json.loads(capsys.readouterr().out)
         within = {"margin_rad": margin, "margin_m": 0.0, "shaft_margin": 0.04375, "speed_share": share}
         assert told["within"] == within
-        assert bool(told["warnings"]) == bool(options)  # such a course is too fast to be followed
+        assert bool(told["warnings"]) == bool(options)  # a course with speed share 1 is too fast to be followed
 
 
 COMPARED = mo.Scenario(duration_s=1.5, judge=False, bound_samples=0, best_courses=True, start={"swivel": 0.2})
