@@ -61,7 +61,7 @@ def solvers() -> tuple[str, Rows, str]:
 
 
 def robots() -> tuple[str, Rows, str]:
-    """Return (title, rows, note): for each arm, its joints, freedoms with tip and shaft held, tool and description."""
+    """Return (title, rows, note): each arm's joints, null-space dimension (tip and shaft held), tool, description."""
     rows = {}
     for name in available_robots():
         arm = load_robot(name)

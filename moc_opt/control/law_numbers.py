@@ -14,7 +14,7 @@ from moc_opt.robots.model import RobotModel
 PROJECTORS = ("dynamic", "static", "as_published")  #: Values of ``projector`` in the order of the core's enum.
 FALLBACKS = ("damping", "hold", "least-violation")  #: Values of ``fallback`` in the order of the core's enum.
 LATE = ("hold", "zero", "iterate")  #: Values of ``late`` in the order of the core's enum.
-COURSE_K0_PER_S = 10.0  #: Smallest k0 [1/s] if a course (planned joint motion) is followed. A course slows at limits.
+COURSE_K0_PER_S = 10.0  #: Smallest k0 [1/s] if a course (planned joint motion) is followed. A course slows near limits.
 _CHECKS = ("check", "box_limit", "primal_limit", "relative_limit", "opposite_limit", "keep_off_limits", "hold_ticks")
 
 

@@ -42,7 +42,7 @@ class SafetyFilter:
         period: control period [s].
         carries: whether the torque carries the arm's weight; False if the drives compensate gravity themselves.
         incision: whether the tool is in an incision. If not, RCM error and trocar force are not checked.
-        momentum: whether `limit_torque` computes the state if none is given. If not, no check of motion is then made.
+        momentum: whether `limit_torque` computes the state if none is given. Motion is not checked without a state.
 
     Attributes:
         limited: number of joints whose last torque was changed.

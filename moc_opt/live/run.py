@@ -16,7 +16,7 @@ from moc_opt.tasks.trocar import shaft_distance
 DCAC = "none (DCAC)"
 QUANTITIES = ("t_s", "mu", "tip_error_m", "rcm_error_m", "force_N", "solve_us", "tick_us")
 HISTORY_S = 20.0  # time for which the quantities of past ticks are kept [s]
-BLEND_S = 0.1  # time constant of the torque's change after an exchange of controllers, shortest time between two [s]
+BLEND_S = 0.1  # time constant of the torque after an exchange of controllers, and shortest time between exchanges [s]
 RAMP_S = 0.3  # shortest fade-in of a new third level [s]. Its torque may be large at first
 SLOWLY_M_PER_S, MOST_OFFSET_M = 0.02, 0.05  # largest speed [m/s] and offset [m] of a trocar that the user moves
 

@@ -105,7 +105,7 @@ def layout(kind: Kind, n: int) -> np.dtype[Any]:
 
 
 def make_packet(kind: Kind, n: int, session: int = 0, scenario: int = 0) -> Packet:
-    """Make a packet of zeros with a header. ``session`` is a run's number, ``scenario`` its settings' fingerprint."""
+    """Make a packet of zeros with a header that has the run's number ``session`` and the fingerprint ``scenario``."""
     packet = np.zeros((), layout(kind, n))
     packet["magic"], packet["version"], packet["kind"], packet["joints"] = MAGIC, VERSION, kind, n
     packet["session"], packet["scenario"] = session, scenario

@@ -69,7 +69,7 @@ def residual_columns(columns: Columns) -> dict[str, NDArray[Any]]:
 def largest_mu(poses: Array, robot: RobotModel, samples: int) -> tuple[Array, dict[str, str]]:
     """At evenly spaced ticks, compute the largest mu of all feasible poses with the tick's tip and wrist.
 
-    Return (bound, meta): the largest mu (N,) [m^3], NaN at other ticks and non-finite poses, and the method's name.
+    Return (bound, meta). ``bound`` (N,) [m^3] is NaN at other ticks and at non-finite poses. ``meta`` names the method.
     """
     bound = np.full(len(poses), np.nan)
     ticks = np.linspace(0, len(poses) - 1, min(samples, len(poses))).astype(int)

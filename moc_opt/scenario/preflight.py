@@ -215,7 +215,7 @@ def _out_of_reach(robot: RobotModel, places: _Places, k: int, wrist: Array, plac
 
 
 def _least_rates(robot: RobotModel, a: Array, velocity: Array) -> Array:
-    """Return the v (n,) of smallest norm with a v = velocity. If a joint is too fast, minimize max |v| / v_max."""
+    """Return the v (n,) of smallest norm with a v = velocity. If a joint is then too fast, minimize max |v| / v_max."""
     left, values, right = np.linalg.svd(a)
     rank = int((values > 1e-9 * values[0]).sum())
     shortest: Array = right[:rank].T @ ((left[:, :rank].T @ velocity) / values[:rank])

@@ -52,7 +52,7 @@ def make_solver(name: str, robot: RobotModel, **settings: Any) -> Solver:
 
 
 def isolated(solver: Solver, scenario: Scenario, budget_us: float = math.inf, realtime: bool = False) -> Solver:
-    """Put a solver in its own process if ``[solver]`` asks for it. Raise a SolverError if pickle cannot copy it."""
+    """Put a solver in its own process if ``[solver]`` says so. Raise a SolverError if pickle cannot copy the solver."""
     if scenario.solver.isolation == "none":
         return solver
     return Isolated(solver, scenario.solver.process, budget_us, waits=not realtime)

@@ -130,7 +130,7 @@ class ClosedLoop:
 
     @property
     def finished(self) -> bool:
-        """Whether a stop is over: after ``Stop.seconds`` if the arm rests, at the latest after `LONGEST` times that."""
+        """Whether a stop is over: after ``Stop.seconds`` if the arm is at rest, else after `LONGEST` * that time."""
         since = self.ticks - self._stopped_at if self._stopped_at >= 0 else 0
         return since > self._watched and bool(since > LONGEST * self._watched or np.abs(self._plant.v).max() < AT_REST)
 

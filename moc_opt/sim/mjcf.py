@@ -19,9 +19,9 @@ TOOL_BODY = "tool"
 MOUNT_SITE = "tool_mount_sensor"
 FORCE_SENSOR, TORQUE_SENSOR = "mount_force", "mount_torque"
 TOLERANCE = 1e-6
-"""Largest relative difference between pinocchio and MuJoCo. Rounding causes 1e-14. Let m be the largest entry of M
-without rotor inertia. A difference in M is divided by m, a difference in h by the largest entry of h plus 9.81 m, and
-a difference in tip or wrist by the distance of the tip from the base."""
+"""Largest relative difference between pinocchio and MuJoCo. Rounding causes 1e-14. Let a be the largest entry of M
+without rotor inertia, and g = 9.81 m/s^2. A difference in M is divided by a, and a difference in h by g a plus the
+largest entry of h. A difference in tip or wrist is divided by the distance of the tip from the base."""
 POSES = 3  #: Number of poses at which pinocchio and MuJoCo are compared.
 
 

@@ -44,7 +44,7 @@ class TaskOffset(NamedTuple):
 
 
 class Record:
-    """The rows of a run. The first ``done`` rows are filled. The arguments are those of `moc_opt.sim.loop.simulate`.
+    """The rows of a run, of which the first ``done`` are filled. Arguments are those of `moc_opt.sim.loop.simulate`.
 
     If the controller has ``faults`` and ``restarts``, they go into the trace's meta.
     """
