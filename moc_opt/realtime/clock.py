@@ -22,7 +22,7 @@ class WallClock:
         self.late_us, self.overruns = 0.0, 0
 
     def wait_for(self, tick: int) -> float:
-        """Sleep until a tick begins. Tick 0 begins in one period. Return its deadline in the time of `monotonic` [s]."""
+        """Sleep until a tick begins. Tick 0 begins in one period. Return the tick's deadline (`monotonic`) [s]."""
         if tick == 0:
             self._begin = monotonic() + self._period
         due = self._begin + tick * self._period
