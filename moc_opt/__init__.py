@@ -1,4 +1,4 @@
-"""moc_opt: manipulability optimization control of a surgical arm, and one measure by which every solver is judged.
+"""moc_opt: manipulability optimization control of a surgical arm, and one test of the answers of all its solvers.
 
 Each public name is imported at its first use. ``import moc_opt`` alone imports no solver, simulator or compiler.
 """

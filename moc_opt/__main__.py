@@ -17,7 +17,7 @@ from moc_opt.errors import MocOptError, describe
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit status: 0, 1 (defect), 2 (wrong input), 3 (run incomplete) or 130 (Ctrl-C)."""
+    """Run a command and return its exit status: 0, 1 (a bug), 2 (wrong input), 3 (run incomplete) or 130 (Ctrl-C)."""
     try:
         try:
             return _command(arguments)
@@ -69,7 +69,7 @@ def _command(arguments: Sequence[str] | None) -> int:
         refused = isinstance(error, MocOptError | MemoryError)
         status = 130 if isinstance(error, KeyboardInterrupt) else 2 if refused else 1
         if isinstance(error, BrokenPipeError) or (status == 1 and not hasattr(error, "__notes__")):
-            raise  # a defect shows its traceback, unless notes say where its run was saved
+            raise  # a bug shows its traceback, unless notes say where the run was saved
         print(_one_line(error), file=sys.stderr)
         return status
 

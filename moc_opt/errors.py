@@ -70,7 +70,7 @@ class UnknownNameError(MocOptError, LookupError):
     """A name is not known. The message lists the nearest valid names."""
 
     MOST = 10_000  # the message may list many names
-    FEW: ClassVar[int] = 12  #: Up to this many names are all in the message, even if a command lists them.
+    FEW: ClassVar[int] = 12  #: Largest number of names that the message lists although a command lists them too.
 
     def __init__(self, kind: str, name: str, valid: Iterable[str], listed_by: str = "") -> None:
         """Show the nearest ``valid`` names, then all valid names or, if there are many, the command ``listed_by``."""
@@ -96,7 +96,7 @@ def shown(value: object, most: int = 200) -> str:
     """Return the text of a value in a message, cut at ``most`` characters."""
     try:
         text = repr(value)
-    except Exception as reason:  # noqa: BLE001 - repr may be foreign code; it fails for integers of thousands of digits
+    except Exception as reason:  # noqa: BLE001 - repr of a user's class may raise anything; repr of huge integers fails
         text = f"({type(value).__name__} that cannot be written: {type(reason).__name__})"
     return text if len(text) <= most else text[: most - 3] + "..."
 
@@ -106,7 +106,7 @@ def describe(error: BaseException, most: int = 300) -> str:
     name = type(error).__name__
     try:
         said = " ".join(str(error).split())
-    except (Exception, SystemExit) as worse:  # noqa: BLE001 - str(error) may run foreign code
+    except (Exception, SystemExit) as worse:  # noqa: BLE001 - str(error) of a plug-in may raise anything
         said = f"(its text raised {type(worse).__name__})"
     text = f"{name}: {said}" if said else name
     return printable(text if len(text) <= most else text[: most - 3] + "...")

@@ -49,7 +49,7 @@ def _shown(key: str, value: Any) -> Any:
 
 
 def solvers() -> tuple[str, Rows, str]:
-    """Return every registered solver, whether it can run on this machine, and its settings."""
+    """Return (title, rows, note): for each registered solver, whether it can run here, and its settings."""
     rows = {}
     for name, reason in available().items():
         settings = {key: value for key, value in defaults(name).items() if key != "kinematics"} if not reason else {}
@@ -61,7 +61,7 @@ def solvers() -> tuple[str, Rows, str]:
 
 
 def robots() -> tuple[str, Rows, str]:
-    """Return every arm of the package: joints, null-space dimension with tip and shaft held, tool, description."""
+    """Return (title, rows, note): each arm's joints, null-space dimension (tip and shaft held), tool, description."""
     rows = {}
     for name in available_robots():
         arm = load_robot(name)
@@ -73,7 +73,7 @@ def robots() -> tuple[str, Rows, str]:
 
 
 def tasks() -> tuple[str, Rows, str]:
-    """Return every path, its sizes with their defaults, and its description."""
+    """Return (title, rows, note): for each path, its sizes with their defaults, and its description."""
     rows = {}
     for name, words in kinds().items():
         try:
@@ -86,7 +86,7 @@ def tasks() -> tuple[str, Rows, str]:
 
 
 def metrics() -> tuple[str, Rows, str]:
-    """Return every metric with its unit."""
+    """Return (title, rows, note): for each metric, its unit and meaning."""
     load_plugins()
     rows = {name: {"unit": one.unit, "about": one.about} for name, one in METRICS.items()}
     return "Metrics: metrics = [...] of a scenario, run --metric", rows, ""

@@ -25,7 +25,7 @@ POINTS = "give x, y, z [m], one point per line; the first line may name the colu
 
 
 def read_scenario(path: Path | None) -> tuple[Scenario, str]:
-    """Return the scenario of a file, or the default scenario, and its name in messages."""
+    """Return (scenario, title): the scenario of the file or the default scenario, and its name in messages."""
     scenario = Scenario() if path is None else Scenario.load(path)
     return scenario, scenario.name if path is None or "name" in scenario.model_fields_set else path.stem
 
@@ -43,7 +43,7 @@ def print_tables(tables: Iterable[Table]) -> None:
 
 
 def run_scenario(given: argparse.Namespace) -> int:
-    """Run a scenario, compare it with DCAC at the same gains, print and save; returns the exit status."""
+    """Run a scenario and its baseline (DCAC with equal gains), print metrics, write files; returns the exit status."""
     scenario, title = read_scenario(given.scenario)
     if "best_courses" not in scenario.model_fields_set:
         scenario = scenario.change(best_courses=True)
@@ -64,7 +64,7 @@ def run_scenario(given: argparse.Namespace) -> int:
 
 
 def _check_trace_out(file: Path | None, force: bool, kind: str = "run") -> None:
-    """Refuse, before any work, a trace or course that cannot be written, or would replace a file of another kind."""
+    """Refuse, before any work, an output file that cannot be written or that would replace a file of another kind."""
     if file is not None:
         new_file(file)
         if not force:
@@ -212,13 +212,13 @@ def run_control(given: argparse.Namespace) -> int:
     else:
         flat = {name: value for name, value in told.items() if not isinstance(value, dict)}
         flat |= {f"{name}: {key}": v for name, of in told.items() if isinstance(of, dict) for key, v in of.items()}
-        rows = [{"what": name, "value": _words(value)} for name, value in flat.items() if value]  # no zero counts
+        rows = [{"what": name, "value": _words(value)} for name, value in flat.items() if value]  # omits counts of 0
         print_tables([Table(f"Controller of {title}", [Column("what", "what"), Column("value", "value")], rows)])
     return 0 if found["ended"] == "completed" else 3
 
 
 def _words(value: Any) -> str:
-    if isinstance(value, dict) and value.keys() == {"count", "first_at_s", "first"}:  # a fault: refused answers
+    if isinstance(value, dict) and value.keys() == {"count", "first_at_s", "first"}:  # refused answers
         return f"{value['count']}, first at {value['first_at_s']:.3f} s: {value['first']}"
     return value if isinstance(value, str) else to_json(value, indent=None)
 
@@ -227,13 +227,13 @@ def _words(value: Any) -> str:
 
 
 def plan_scenario(given: argparse.Namespace) -> int:
-    """Plan a scenario, print the plan, write the course; returns 0, or 3 if no course covers the whole path."""
+    """Plan a scenario, print the plan, write the joint motion; returns 0, or 3 if the path cannot be executed."""
     from moc_opt.report.plan_table import plan_json, plan_tables, start_toml
     from moc_opt.scenario.planned import followable_plan, following_warnings, save_course
 
     scenario, title = read_scenario(given.scenario)
     _check_trace_out(given.out, given.force, "course")
-    follows = scenario.control.follows or given.out is not None  # `--out` writes a course to follow later
+    follows = scenario.control.follows or given.out is not None  # a run may follow the course that `--out` writes
     plan, within = followable_plan(scenario, given.margin, given.speed_share, given.margin_m, followed=follows)
     warned = following_warnings(scenario, plan) if follows else []
     path = save_course(plan, scenario, given.out, within) if given.out is not None and plan.course is not None else None

@@ -47,7 +47,7 @@ class Controller:
         solver: solver of level 3 for law "moc"; None for "dcac".
         period: control period [s].
         times_us: recorded solve times [us], used instead of the clock.
-        guide: a `Guide` whose velocity replaces the gradient of mu. Then regularization and c2 must be above 0.
+        guide: a `Guide`, whose velocity replaces the gradient of mu. regularization and c2 must then be above 0.
 
     Raises:
         ControlError: law "moc" has no solver, law "dcac" has a solver, or a setting does not fit the robot.
@@ -109,7 +109,7 @@ class Controller:
 
     @property
     def answer(self) -> Array:
-        """The x (n,) [rad/s] that level 3 followed, from the solver or the supervisor; NaN under DCAC."""
+        """The x (n,) [rad/s] that level 3 followed: the solver's answer or its replacement. NaN under DCAC."""
         self._take_apart()
         return self._answer
 
@@ -190,12 +190,13 @@ class Controller:
             status, self._record, out = self._supervisor.step(q, v, tip_ref, trocar, x_d, self._exact.tolerance)
             self._ticked = status, out
             return out[self._torques]
-        # The core computes tau = tau_tip + tau_rcm + tau_ff - r (r: the observer's estimate) and the subproblem.
+        # The core computes the subproblem and tau = tau_tip + tau_rcm + tau_ff - r. Here tau_ff is the feedforward and
+        # r the observer's estimate.
         self._record, row = self._law.begin(q, v, tip_ref, trocar, x_d)
         if self._session is not None:
             self._subproblem = qp = NullSpaceQP.from_row(row)
-            # Level 3 adds M Z^T (Z M Z^T)^-1 Z (K_N2 (x* - v) - D_N2 v) to tau, which is then clipped to tau_max. x* is
-            # the solver's answer, or the supervisor's replacement.
+            # Level 3 adds M Z^T (Z M Z^T)^-1 Z (K_N2 (x* - v) - D_N2 v) to tau, and clips the sum to tau_max. x* is the
+            # solver's answer, or the supervisor's replacement.
             seen = v if self._observes else None
             self._solution, self._answer, tau = self._supervisor.solve(self._session, qp, seen)
         else:
@@ -203,7 +204,7 @@ class Controller:
         return read_only(tau)
 
     def set_applied_torque(self, tau: Array) -> None:
-        """Tell the observer which torque (n,) [Nm] was applied. Called only if this is not the result of `tick`."""
+        """Tell the observer which torque (n,) [Nm] was applied. Called only if it differs from the result of `tick`."""
         if not np.isfinite(tau).all():
             raise ControlError(f"applied torque = {np.asarray(tau).tolist()} is not finite: the observer cannot use it")
         self._law.set_applied(np.ascontiguousarray(tau, dtype=np.float64))
@@ -215,7 +216,7 @@ class Controller:
         }  # fmt: skip
         if self.solver is not None:
             n, end = self._n, self._row_length
-            # One block in the order of the core's result: subproblem, x, y, and the x that is followed.
+            # One block in the order of the core's result: subproblem, the solver's x and y, and the x that is used.
             self._block = block = np.full((ticks, end + 2 * n + 6), np.nan)
             found |= {
                 "subproblem": block[:, :end], "x_rad_per_s": block[:, end : end + n],
@@ -267,6 +268,6 @@ def _start_session(solver: Solver, qp: NullSpaceQP) -> Session:
             reason = f"supports returned a {type(reason).__name__}: return None or the reason why not"
     except (KeyboardInterrupt, MocOptError):
         raise
-    except BaseException as error:  # foreign code may raise anything
+    except BaseException as error:  # a plug-in may raise anything
         raise ControlError(f"solver {name} cannot run in this controller: {describe(error)}") from error
     raise ControlError(f"solver {name} cannot run in this controller: {reason}")

@@ -11,10 +11,10 @@ from moc_opt.control.settings import ControlSettings, per_joint
 from moc_opt.errors import ControlError
 from moc_opt.robots.model import RobotModel
 
-PROJECTORS = ("dynamic", "static", "as_published")  #: In the order of the core's enum, like FALLBACKS and LATE.
-FALLBACKS = ("damping", "hold", "least-violation")
-LATE = ("hold", "zero", "iterate")
-COURSE_K0_PER_S = 10.0  #: Smallest k0 if the elbow follows a course, which slows down before a limit.
+PROJECTORS = ("dynamic", "static", "as_published")  #: Values of ``projector`` in the order of the core's enum.
+FALLBACKS = ("damping", "hold", "least-violation")  #: Values of ``fallback`` in the order of the core's enum.
+LATE = ("hold", "zero", "iterate")  #: Values of ``late`` in the order of the core's enum.
+COURSE_K0_PER_S = 10.0  #: Smallest k0 [1/s] if a course (planned joint motion) is followed. A course slows near limits.
 _CHECKS = ("check", "box_limit", "primal_limit", "relative_limit", "opposite_limit", "keep_off_limits", "hold_ticks")
 
 
@@ -39,7 +39,7 @@ def numbers_of(settings: ControlSettings, robot: RobotModel, period: float) -> d
     if observer and not observer * period < 1.0:
         name = "course_observer_gain_per_s" if follows else "observer_gain_per_s"
         raise ControlError(f"{name} = {observer} at a period of {period} s: keep it below {1.0 / period:g}")
-    # By default, the box stops a joint before the safety filter's wall.
+    # By default, the bounds on x stop a joint before it reaches the safety filter's virtual wall.
     turning = settings.course_margin_rad if follows else settings.limit_margin_rad
     margin = np.where(robot.chain.prismatic, settings.limit_margin_m, turning)
     half = 0.5 * (robot.q_max - robot.q_min)
@@ -50,7 +50,7 @@ def numbers_of(settings: ControlSettings, robot: RobotModel, period: float) -> d
             f"[control] {kind} = {margin[j]}: no room is left for joint {j + 1} between its limits; give less "
             f"than {half[j]:.3g}"
         )
-    fraction = 1.0 if follows else settings.speed_fraction  # a course keeps its own speed limit
+    fraction = 1.0 if follows else settings.speed_fraction  # the planner has limited a course's speed
     return {
         **{name: getattr(settings, name) for name in ("feedforward", "c0", "c1", "c2")},
         **{name: getattr(supervisor, name) for name in _CHECKS},

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-# Each law has its own gains (Table I of the paper), and the wrist error is d / lambda. There is no observer, no ramp,
-# and no margin to the joint limits.
+# Each law has its own gains (Table I of the paper). The wrist error is d / lambda, with the RCM error d. There is no
+# observer, no ramp, and no margin to the joint limits.
 PAPER: dict[str, Any] = {
     "gains": None, "feedforward": False, "rcm_lambda": 0.5, "k0_per_s": 0.1, "regularization": 0.0,
     "observer_gain_per_s": 0.0, "speed_fraction": 1.0, "limit_margin_rad": 0.0, "limit_margin_m": 0.0,

@@ -19,7 +19,7 @@ from moc_opt.robots.model import RobotModel, RobotState
 
 PRESS_PER_S = 50.0  # cut-off of the low-pass filter on the trocar's force in a stop [1/s]
 MOST_TICKS = 2**31 - 1  # the largest int of C
-_SETTLED = 6.0  # the momentum residual counts as settled after this many of its time constants
+_SETTLED = 6.0  # settling time of the momentum residual (torque that the model does not explain), in time constants
 _NO_WRENCH = np.full(6, np.nan)
 _LATE, _TIP = core.REASONS.index("measurements are too late"), core.REASONS.index("the tip has been off its reference")
 _WATCHED = (
@@ -42,7 +42,7 @@ class SafetyFilter:
         period: control period [s].
         carries: whether the torque carries the arm's weight; False if the drives compensate gravity themselves.
         incision: whether the tool is in an incision. If not, RCM error and trocar force are not checked.
-        momentum: whether `limit_torque` computes the state if it gets none. It then always compares motion and torque.
+        momentum: whether `limit_torque` computes the state if none is given. Motion is not checked without a state.
 
     Attributes:
         limited: number of joints whose last torque was changed.
@@ -67,7 +67,7 @@ class SafetyFilter:
         self.start(np.clip(robot.data.q_home, robot.q_min, robot.q_max), self._rest)
 
     def start(self, q: Array, v: Array, stamp: int = 0) -> None:
-        """Begin at the first measurement, taken in period ``stamp``. A joint that starts in its wall is not pushed out.
+        """Begin at the first measurement, taken in period ``stamp``. A joint inside its wall is not pushed out then.
 
         Raises:
             ControlError: the measurement is not finite.
@@ -91,8 +91,7 @@ class SafetyFilter:
             stamp: number of the control period in which q and v were measured, counted by the arm; None: not known.
             applied: (n,) torque that was applied last [Nm]; None: not known.
             wrench: (6,) force [N] and torque [Nm] of the tool on its mount, in tool axes; None: not known.
-            trocar: (2, 3) rows P_t, dP_t of the registered trocar, for the checks of RCM error and trocar force. None:
-                there are no such checks.
+            trocar: (2, 3) rows P_t, dP_t of the registered trocar; None: RCM error and trocar force are not checked.
         """
         number, seen = math.nan if stamp is None else stamp, _NO_WRENCH if wrench is None else wrench
         reason, q, v = self._guard.believe(q, v, number, applied, seen, trocar)
@@ -102,7 +101,7 @@ class SafetyFilter:
 
     @property
     def warnings(self) -> list[dict[str, Any]]:
-        """Exceeded warning levels: ``of`` (quantity), ``level``, ``largest`` value, ``unit``, ``first_s`` (time)."""
+        """A dict for each exceeded level: ``of`` (quantity), ``level``, ``largest`` value, ``unit``, ``first_s``."""
         _, figures = self._guard.watched()
         found = []
         for (name, warning, _, unit, scale), largest, first in zip(_WATCHED, *figures[1:].tolist(), strict=True):
@@ -169,7 +168,7 @@ class SafetyFilter:
 def numbers_of(
     settings: SafetyFilterSettings, robot: RobotModel, period: float, carries: bool = True, incision: bool = True
 ) -> dict[str, Any]:
-    """Return the fields of the core's moc_guard for these settings and this arm.
+    """Return a dict with the fields of the core's struct moc_guard for these settings and this arm.
 
     Args:
         period: control period [s]; the other arguments are those of `SafetyFilter`.
@@ -191,7 +190,7 @@ def numbers_of(
         "tool_mass": data.tool_mass, "tool_length": data.tool_length, "tip_force": _or_infinite(s.tip_force_N),
         "stop_yield": _or_infinite(s.stop_yield_N), "stop_yield_ticks": round(s.stop_yield_s / period),
         "press_share": min(1.0, PRESS_PER_S * period),
-        # One encoder repeats a reading with probability p, all n encoders with p^n. So the ticks are divided by n.
+        # All n encoders repeat their readings for k / n ticks as rarely as one encoder repeats its reading for k ticks.
         "replayed_ticks": max(float(s.repeat_whole_ticks), _or_infinite(s.repeat_joint_ticks) / robot.n),
         "stuck_speed": s.stuck_rad_per_s, "held": np.minimum(s.stuck_torque * data.tau_max, coulomb),
         "residual_whole": s.residual_whole_torque, "residual_rate": s.residual_rate_per_s,

@@ -33,10 +33,10 @@ PerJoint = Annotated[float | tuple[float, ...], BeforeValidator(_number_or_numbe
 class Gains(NamedTuple):
     """The gains of the three levels, with defaults from the robot's file filled in."""
 
-    K_X: float
-    D_X: float
-    K_N: float
-    D_N: float
+    K_X: float  #: [N/m]
+    D_X: float  #: [N s/m]
+    K_N: float  #: [N/m]
+    D_N: float  #: [N s/m]
     K_N2: Array  #: (n,) [N m s/rad]; K_N2 and D_N2 are zero under law ``dcac``.
     D_N2: Array  #: (n,) [N m s/rad]
 
@@ -171,12 +171,12 @@ class ControlSettings(Settings):
         """Return the changes that turn these settings into DCAC with the same gains, the baseline of comparisons."""
         return {
             "law": "dcac", "gains": self.gains or self.law, "third_level": "local", "course": "",
-            "observer_gain_per_s": self.observer_rate_per_s,  # with a course, too
+            "observer_gain_per_s": self.observer_rate_per_s,  # the gain in use
         }  # fmt: skip
 
     @property
     def follows(self) -> bool:
-        """Whether the third level follows a course."""
+        """Whether the third level follows a course (planned joint motion)."""
         return self.third_level != "local"
 
     @property

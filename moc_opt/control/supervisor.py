@@ -2,8 +2,8 @@
 
 Tip and RCM control never depend on a solver. A faulty answer is replaced by the last good answer for a few ticks, then
 by damping. The settings `fallback` and `late` offer other replacements. The trace counts the faults of each kind, and
-keeps the message of the first fault. A solver gets a copy of the subproblem, and the check gets a copy of the answer.
-The solver can therefore change neither of them afterwards.
+keeps the message of the first fault. A solver gets a copy of the subproblem, and the check gets a copy of the answer,
+so that the solver cannot change the data of the check.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ class Fault(Enum):
     label: str  #: Name in traces and reports.
 
     def __init__(self, meaning: str) -> None:
-        # The label stays "lied", as in older traces.
+        # Older traces have the label "lied".
         self.label = "lied" if self.name == "FALSE_OPTIMUM" else self.name.lower()
 
 
 def _raise_interrupt(error: BaseException) -> None:
     found: BaseException | None = error
-    for _ in range(10):  # the chain may be cyclic in foreign code
+    for _ in range(10):  # the chain of a plug-in's errors may be cyclic
         if found is None or isinstance(found, KeyboardInterrupt):
             break
         found = found.__context__ if found.__cause__ is None else found.__cause__
@@ -91,7 +91,7 @@ _NO_ANSWER = 3
 _NAN = float("nan")
 
 
-MOST_ITERATIONS = 2**31 - 1  #: The largest count of iterations that a trace can hold.
+MOST_ITERATIONS = 2**31 - 1  #: The largest number of iterations that a trace can hold.
 
 
 def received(given: object, n: int) -> tuple[Solution, str]:
@@ -122,7 +122,7 @@ def _unlike(name: str, value: object, shape: tuple[int, ...]) -> str:
 
 
 class Supervisor:
-    """Let the core check a session's answers and replace refused answers, and count the faults.
+    """Check the answers of a solver's session in the core, replace refused answers, and count the faults.
 
     Args:
         settings: limits of the check, and the replacement.
@@ -146,7 +146,7 @@ class Supervisor:
         self.forget()
 
     def forget(self) -> None:
-        """Reset fault, solve time and all counts."""
+        """Reset fault, solve time and the numbers of faults."""
         self.fault, self.solve_us, self._asked = Fault.NONE, float("nan"), 0
         self.faults: dict[str, dict[str, Any]] = {}
 
@@ -154,8 +154,8 @@ class Supervisor:
         """Let the session solve, check its answer, and finish the law's tick with the answer or its replacement.
 
         The session gets copies of the tick's subproblem ``qp`` and of the measured velocity ``v`` (n,) [rad/s] (None if
-        the session does not observe v). Returns the solver's answer, the x (n,) that the arm follows, and the torque
-        (n,) [Nm] of the law.
+        the session does not observe v). Return (solution, x, tau): the solver's answer, the x (n,) [rad/s] that the arm
+        follows, and the torque (n,) [Nm] of the law.
         """
         solution, known, text = self._ask(session, qp, v)
         number, x, tau = self._law.finish(
@@ -170,8 +170,8 @@ class Supervisor:
     ) -> tuple[Status, Array, Array]:
         """Do the whole tick in the core, with the core's solver `exact`. The arguments are those of `core.Law.begin`.
 
-        Returns the solver's status, the arm's record, and one array (14 n + 16,) with the subproblem's record, the
-        solver's x (n,) and y (6,), the x (n,) that the arm follows, and the law's torque (n,) [Nm].
+        Return (status, record, out). ``record`` has the numbers of a `RobotState`. ``out`` (14 n + 16,) has, in this
+        order, `NullSpaceQP.row`, the solver's x and y, the x that the arm follows, and the law's torque (n,) [Nm].
         """
         given_us = _NAN if self._times is None else next(self._times, _NAN)
         code, number, self.solve_us, record, out = self._law.step(q, v, tip_ref, trocar, x_d, tolerance, given_us)

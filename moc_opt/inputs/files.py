@@ -90,7 +90,7 @@ def decimal(text: str) -> float:
 
 
 def check_replaceable(path: Path_, what: str, error: Wrong) -> Path:
-    """Check, before any work, that a file can be written at this path; a folder, pipe or device is refused."""
+    """Check, before any work, that a file can be written at this path. Refuse a folder, pipe or device there."""
     target = as_path(path, what, error)
     with _writing(target, what, error):
         with contextlib.suppress(FileNotFoundError):

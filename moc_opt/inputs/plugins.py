@@ -35,6 +35,6 @@ def load(kind: str, name: str, points: list[EntryPoint], error: type[MocOptError
         raise error(f"{kind} {name!r}: {' and '.join(map(in_words, points))} claim this name: rename one")
     try:
         return points[0].load()
-    except (Exception, SystemExit, KeyboardInterrupt) as reason:  # foreign code may raise anything
+    except (Exception, SystemExit, KeyboardInterrupt) as reason:  # a plug-in may raise anything
         why = f"{in_words(points[0])} does not load: {describe(reason)}"
         raise error(f"{kind} {name!r}: {why}; mend or uninstall its package") from reason

@@ -16,7 +16,7 @@ from moc_opt.inputs import names
 _ALTERNATIVE = re.compile(r"constrained-|literal\[|tuple\[|(float|str)$")  # pydantic's names of types in a union
 LARGEST_INTEGER = 2**63 - 1
 SMALLEST, LARGEST = 1e-30, 1e30  # bounds of |x| for each number x but 0, so that products do not overflow
-MOST = 10_000_000  # largest integer that is not a seed
+MOST = 10_000_000  # largest integer of all settings but seeds
 LONGEST_S = 1e6  # longest time to run, wait or average [s]
 
 Name = Annotated[str, pydantic.AfterValidator(names.checked)]

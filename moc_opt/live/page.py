@@ -27,7 +27,7 @@ from moc_opt.robots.model import link_frames
 from moc_opt.scenario import Scenario
 
 HOST, PORT = "127.0.0.1", 8642
-FRAME_S, MOST_LAG_S, PIECE_S = 0.08, 0.2, 0.02
+FRAME_S, MOST_LAG_S, PIECE_S = 0.08, 0.2, 0.02  # time between frames, largest lag, time between groups of ticks [s]
 COLOURS = {"shell": (211, 216, 221), "tool": (95, 102, 110), "joint": (0, 114, 178)}
 TROCAR, PATH = (168, 91, 69), (31, 35, 40)
 BLUE, ORANGE, GREEN = "#0072b2", "#d55e00", "#009e73"
@@ -38,7 +38,7 @@ PLOTS: dict[str, list[tuple[str, str, float, str]]] = {
     "whole tick, solver [µs]": [("tick_us", "tick", 1.0, BLUE), ("solve_us", "solver", 1.0, GREEN)],
 }
 """For each title, the curves: quantity, name, factor to the unit shown, and colour."""
-FIELDS = ("regularization", "K_X", "K_N", "K_N2", "D_N2", "k0_per_s")  # settings of the control law
+FIELDS = ("regularization", "K_X", "K_N", "K_N2", "D_N2", "k0_per_s")  # settings that the page can change
 
 
 class LivePage:
@@ -159,7 +159,7 @@ class Panel:
                     field.value = self._written(name)
 
     def _choose(self) -> None:
-        if self._solver.value != self._run.solver:  # else `_tell` set the drop-down, not a user
+        if self._solver.value != self._run.solver:  # if equal, `_tell` has set the drop-down
             self._run.choose(self._solver.value)
 
     def _move_trocar(self) -> None:
@@ -263,7 +263,7 @@ def _quaternion(rotation: Array) -> Array:
 def serve(scenario: Scenario, *, port: int = PORT, title: str = "") -> int:
     """Open the page and keep it until Ctrl-C; return the exit code."""
     with LivePage(scenario, port=port, title=title) as page:
-        # Unlike this handler, a KeyboardInterrupt could leave a lock of the page's threads held.
+        # Without this handler, Ctrl-C raises a KeyboardInterrupt, which could leave a lock of the page's threads held.
         signal.signal(signal.SIGINT, lambda number, frame: page.stop())
         print(f"live at {page.url} - Ctrl-C ends it", file=sys.stderr, flush=True)
         page.wait()

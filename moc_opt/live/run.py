@@ -15,10 +15,10 @@ from moc_opt.tasks.trocar import shaft_distance
 
 DCAC = "none (DCAC)"
 QUANTITIES = ("t_s", "mu", "tip_error_m", "rcm_error_m", "force_N", "solve_us", "tick_us")
-HISTORY_S = 20.0
-BLEND_S = 0.1  # time constant of the blend of torques after an exchange, and shortest time between exchanges
-RAMP_S = 0.3  # fade-in of a new third level, whose torque may be large at first
-SLOWLY_M_PER_S, MOST_OFFSET_M = 0.02, 0.05  # largest speed and offset of the trocar: a jump would hit the shaft
+HISTORY_S = 20.0  # time for which the quantities of past ticks are kept [s]
+BLEND_S = 0.1  # time constant of the torque after an exchange of controllers, and shortest time between exchanges [s]
+RAMP_S = 0.3  # shortest fade-in of a new third level [s]. Its torque may be large at first
+SLOWLY_M_PER_S, MOST_OFFSET_M = 0.02, 0.05  # largest speed [m/s] and offset [m] of a trocar that the user moves
 
 
 class LiveError(ScenarioError):
@@ -80,7 +80,7 @@ def solver_of(controller: Controller) -> str:
 
 
 class LiveRun:
-    """The closed loop of a scenario, along its path to and fro. If the scenario is not usable, a MocOptError is raised.
+    """The closed loop of a scenario, which runs to and fro along its path. An unusable scenario raises a MocOptError.
 
     Call it from one thread only. A wrong change raises an error at once. Errors that only the running loop can detect
     are put into `messages`, oldest first. ``t_s`` is the latest tick's time. ``stopped`` says why the arm was stopped,
@@ -146,7 +146,7 @@ class LiveRun:
         return self._setup.reference.rows(self._setup.duration_s - within) * [[1.0], [-1.0], [1.0]]  # backwards
 
     def history(self, points: int = 400) -> Array:
-        """Return `QUANTITIES` (k, 7) of the last `HISTORY_S`, as maxima over k <= `points` groups of ticks."""
+        """Return rows (k, 7) of `QUANTITIES`. Each has the maxima over one of k <= `points` groups of past ticks."""
         rows = np.array(self._rows).reshape(-1, len(QUANTITIES))
         size = max(1, -(-len(rows) // points))
         stretches = rows[len(rows) % size :].reshape(-1, size, len(QUANTITIES))  # drops the incomplete oldest group

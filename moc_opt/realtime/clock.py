@@ -8,13 +8,13 @@ from time import monotonic, sleep
 
 _LOCK_ALL = 1 | 2  # MCL_CURRENT | MCL_FUTURE
 _SET_TIMER_SLACK = 29  # PR_SET_TIMERSLACK
-PRIORITY = 50  #: Above ordinary processes, below the kernel's interrupt threads (SCHED_FIFO).
+PRIORITY = 50  #: Priority under SCHED_FIFO, above all ordinary processes.
 
 
 class WallClock:
     """A clock for periods that begin at fixed times. A tick that is more than a period late delays all later ticks.
 
-    ``late_us`` is the delay of the latest tick [us]; ``overruns`` counts the ticks that delayed all later ticks.
+    ``late_us`` is the delay of the latest tick [us]; ``overruns`` is the number of ticks that delayed all later ticks.
     """
 
     def __init__(self, period_s: float) -> None:
@@ -22,7 +22,7 @@ class WallClock:
         self.late_us, self.overruns = 0.0, 0
 
     def wait_for(self, tick: int) -> float:
-        """Sleep until a tick begins. Tick 0 begins in one period. Return its command's deadline (`monotonic`) [s]."""
+        """Sleep until a tick begins. Tick 0 begins in one period. Return the tick's deadline (`monotonic`) [s]."""
         if tick == 0:
             self._begin = monotonic() + self._period
         due = self._begin + tick * self._period

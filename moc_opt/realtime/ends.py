@@ -1,4 +1,4 @@
-"""The two ends of the wire: `RemoteController` in the plant's process, and `Answering` in the controller's.
+"""The two ends of the wire (UDP): `RemoteController` in the plant's process, and `Answering` in the controller's.
 
 The plant sets the pace. In every period it sends a measurement and expects a command in reply. docs/realtime.md has the
 order of the packets and the stages of the watchdog.
@@ -26,7 +26,7 @@ from moc_opt.sim.protocols import Filtered, LoggedController
 from moc_opt.sim.sensors import Measurement
 
 INCOMING = (Kind.HELLO, Kind.START, Kind.COMMAND, Kind.BYE)
-_BYE_S, _BYE_TIMES = 0.1, 10
+_BYE_S, _BYE_TIMES = 0.1, 10  # interval [s] and largest number of ENDED packets
 _REPEAT_S = 0.1  # time after which HELLO and START are sent again
 _LINGER_S = 0.3  # time for which the controller still acknowledges repeated ENDED packets
 
@@ -57,7 +57,7 @@ class RemoteController(Filtered):
         self._command: Packet | None = None
 
     limited = property(lambda self: 0 if self._command is None else int(self._command["limited"]))
-    warnings = property(lambda self: [])  # the other end records them
+    warnings = property(lambda self: [])  # the controller's end records the warnings of its safety filter
 
     def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
         """Wait for a controller, send the first measurement, and wait for START. Without START, raise a WireError."""
@@ -139,7 +139,7 @@ class RemoteController(Filtered):
                 columns[name][row] = _text(value) if value.dtype.kind == "S" else value
 
     def close(self) -> dict[str, int]:
-        """Tell the controller that the run is over, up to 10 times, until it acknowledges. Return the counts."""
+        """Tell the controller that the run is over, up to 10 times, until it acknowledges. Return packet counts."""
 
         def acknowledges(found: Packet) -> bool:
             self._is_due(found)  # counts a late command
@@ -202,9 +202,9 @@ class Answering:
     def run(self) -> dict[str, Any]:
         """Find the plant, start at its first measurement, and answer until the run ends.
 
-        Return how the run ``ended``, the number of ``ticks`` answered, the counts of the plant's packets (``quality``),
-        the safety filter's ``warnings`` and the third level's ``faults``. If no plant answers, or it runs another
-        scenario, a WireError is raised.
+        Return a dict: ``ended`` says how the run ended, ``ticks`` is the number of answers, and ``quality`` has the
+        counts of the plant's packets. ``warnings`` are of the safety filter, and ``faults`` of the third level. If no
+        plant answers, or the plant runs another scenario, a WireError is raised.
         """
         link = self.link
         first = self._ask(Kind.HELLO, waits=True)
@@ -232,7 +232,7 @@ class Answering:
         return make_packet(kind, self.link.n, self.link.session, self.scenario)
 
     def _ask(self, kind: Kind, *, waits: bool) -> Packet:
-        """Send a packet again and again until a measurement comes. ``waits``: whether its flag has to be WAITING."""
+        """Send a packet until a measurement comes. Its flag has to be WAITING if ``waits``, else any other value."""
         link, request, until = self.link, self._packet(kind), monotonic() + self.settings.wait_s
         while (now := monotonic()) < until:
             link.send(request)

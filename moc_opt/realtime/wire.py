@@ -32,7 +32,7 @@ from moc_opt.qp.problem import row_length
 MAGIC, VERSION = b"MOCW", 3
 LOOPBACK_KEY = b"moc_opt: loopback, no secret"
 VARIABLE = "MOC_OPT_WIRE_KEY"
-SHORTEST, LONGEST = 16, 32  #: Bytes of a key; BLAKE2s allows at most 32.
+SHORTEST, LONGEST = 16, 32  #: Smallest and largest number of bytes of a key. BLAKE2s allows 32.
 TAG_BYTES = 16
 BACKLOG = 256  #: Largest number of packets read after the deadline. A flood of packets cannot stop the loop.
 COUNTERS = ("received", "missed", "late", "forged", "foreign")
@@ -69,7 +69,7 @@ class WireSettings(Settings):
 class Kind(IntEnum):
     """The kinds of packets. All except MEASUREMENT go to the plant."""
 
-    HELLO = 1  #: The plant answers with one measurement.
+    HELLO = 1  #: The controller looks for a plant. The plant answers with one measurement.
     START = 2  #: The controller has started with this measurement; the plant may begin.
     MEASUREMENT = 3
     COMMAND = 4
@@ -105,7 +105,7 @@ def layout(kind: Kind, n: int) -> np.dtype[Any]:
 
 
 def make_packet(kind: Kind, n: int, session: int = 0, scenario: int = 0) -> Packet:
-    """Make a packet of zeros with a header. ``session`` is the plant's number, ``scenario`` a fingerprint."""
+    """Make a packet of zeros with a header that has the run's number ``session`` and the fingerprint ``scenario``."""
     packet = np.zeros((), layout(kind, n))
     packet["magic"], packet["version"], packet["kind"], packet["joints"] = MAGIC, VERSION, kind, n
     packet["session"], packet["scenario"] = session, scenario
@@ -177,7 +177,7 @@ def parse_address(text: str, option: str) -> Address:
 
 
 def read_key(file: Path | None, host: str, option: str) -> bytes:
-    """Return the key from the file, else from the environment variable, else the public key for loopback.
+    """Return the key from the file, else from the environment variable. On loopback, `LOOPBACK_KEY` is the default.
 
     Raises:
         WireError: the key has a wrong length, or there is no key and other machines can reach the host.
@@ -262,7 +262,7 @@ class Link:
         return None
 
     def _sound(self, data: bytes, sender: Address) -> Packet | None:
-        """Return the packet if it is valid and of this run; else count it as forged or foreign and return None."""
+        """Return a valid packet of this run. Count others as forged (wrong checksum) or foreign, and return None."""
         form = self._incoming.get(data[5]) if len(data) > 5 else None
         if form is not None and len(data) == form.nbytes:
             if not sealed(data, self._key):

@@ -27,7 +27,7 @@ PRESETS: Mapping[str, Mapping[str, Callable[..., Settings]]] = {
     "control": {name: partial(ControlSettings.preset, name) for name in CONTROL_PRESETS},
     "plant": {"realistic": PlantSettings, "nominal": PlantSettings.nominal},
 }
-"""For each table and ``preset``, the function that makes the table from its other keys."""
+"""For each table and each name of a preset, the function that makes the table from the table's other keys."""
 _LAGS = 3.0  # smallest motion_lag_s of the safety filter, in time constants of the velocity filter
 _TORQUE, _SPEED = 500.0, 600.0
 """Smallest repeat_torque [share of tau_max] and stuck_rad_per_s [rad/s] per rad of the encoders' step. With smaller
@@ -141,7 +141,7 @@ class Scenario(Settings):
             raise
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a TOML from which `load` makes the same scenario. Defaults are omitted, and paths are absolute.
+        """Write a TOML file from which `load` makes the same scenario. Defaults are omitted, and paths are absolute.
 
         Raises:
             ScenarioError: a solver's setting cannot be written as TOML, or the file cannot be written.
@@ -180,7 +180,7 @@ class Scenario(Settings):
 
     @property
     def told_guard(self) -> SafetyFilterSettings:
-        """The settings ``[guard]`` in use. A limit that is left out or too low follows from the encoders' settings."""
+        """The settings ``[guard]`` in use. Limits that are left out or too low are computed from the encoders' data."""
         guard, plant, told = self.guard, self.plant, dict[str, float | None]()
         encoder = plant.encoder_noise_rad, plant.encoder_resolution_rad
         if guard.repeat_joint_ticks is None:
@@ -197,7 +197,7 @@ class Scenario(Settings):
 
 
 def _with_files_in(folder: Path, table: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the table with relative paths of robot and course files resolved against a folder."""
+    """Return the table with all relative paths (of a robot's file, of a planned joint motion) resolved in a folder."""
     found = dict(table)
     for name, key in (("robot", "name"), ("control", "course")):
         file = table[name].get(key) if isinstance(table.get(name), Mapping) else None

@@ -37,7 +37,7 @@ from moc_opt.trace.trace import Trace
 Columns = Mapping[str, NDArray[Any]]
 
 AT_ONCE = 5000  # number of answers whose residuals are computed together
-PERIOD_S = 0.05  # time step of the grid. In one step, a joint can pass several samples of the swivel
+PERIOD_S = 0.05  # time step of the grid [s]. In one step, the elbow can move by several samples of the grid
 PATH = {"robot", "start", "trocar", "task", "duration_s", "seed"}  # keys of a scenario that determine path and start
 
 
@@ -69,7 +69,7 @@ def residual_columns(columns: Columns) -> dict[str, NDArray[Any]]:
 def largest_mu(poses: Array, robot: RobotModel, samples: int) -> tuple[Array, dict[str, str]]:
     """At evenly spaced ticks, compute the largest mu of all feasible poses with the tick's tip and wrist.
 
-    Return this bound (N,), and its method for the trace's meta. The bound is NaN at other ticks and non-finite poses.
+    Return (bound, meta). ``bound`` (N,) [m^3] is NaN at other ticks and at non-finite poses. ``meta`` names the method.
     """
     bound = np.full(len(poses), np.nan)
     ticks = np.linspace(0, len(poses) - 1, min(samples, len(poses))).astype(int)
@@ -82,12 +82,12 @@ def largest_mu(poses: Array, robot: RobotModel, samples: int) -> tuple[Array, di
 
 
 class BestCourses(NamedTuple):
-    """The courses with the largest mean mu along one path. A course is None if the grid has none."""
+    """The courses with the largest mean mu along one path. None stands for a course that does not exist."""
 
     robot: RobotModel
-    from_start: Course | None
-    best: Course | None
-    last: pose_map.PoseMap  #: The map of poses at the end of the path.
+    from_start: Course | None  #: The best course from the start pose of the run.
+    best: Course | None  #: The best course from any start pose.
+    last: pose_map.PoseMap  #: Grid of all poses that reach the last two points of the path.
 
 
 def best_courses(scenario: Scenario) -> BestCourses:
@@ -113,8 +113,8 @@ def _planned(path: str) -> BestCourses:
 def against_best(scenario: Scenario, trace: Trace) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     """Return the columns of the best courses, and the entry ``best_courses`` of the trace's meta.
 
-    If there are no courses, the entry says why. Otherwise it has mu [m^3] and swivel [deg] at three places: at the end
-    of the run, at the maximum of mu that a climb from there reaches, and at the end of the best course.
+    If there are no courses, the entry says why. Otherwise it compares mu [m^3] and elbow swivel [deg] of three poses:
+    the last pose of the run, the maximum of mu that a climb from this pose reaches, and the best course's last pose.
     """
     try:
         known = best_courses(scenario)

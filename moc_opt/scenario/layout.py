@@ -17,20 +17,20 @@ from moc_opt.scenario.config import Scenario
 from moc_opt.tasks import Reference, Trocar, make_path
 
 MOST_TICKS = 1_000_000
-"""Largest number of ticks in a run: half an hour at 500 Hz. Judging such a run takes about 4 GB of memory."""
+"""Largest number of ticks in a run: half an hour at 500 Hz. Computing residuals then takes about 4 GB of memory."""
 
-_POSE_STREAM = (1,)  # random stream of the pose; swivel, plant and faults have other streams
+_POSE_STREAM = (1,)  # random stream of the start pose. The elbow's swivel has another stream
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
     """A start pose, and the task laid out from it."""
 
-    q: Array  #: (n,) [rad]
+    q: Array  #: (n,) joint positions at the start [rad]
     trocar: Array  #: (3,) registered trocar at rest [m]
     registered: Trocar  #: The registered trocar and its motion, as the controller knows them.
-    reference: Reference
-    duration_s: float
+    reference: Reference  #: Path of the tip as a function of time.
+    duration_s: float  #: Duration of the run [s].
 
 
 def seeds_of(scenario: Scenario) -> tuple[int, int, int]:
@@ -59,7 +59,7 @@ def lay_out(scenario: Scenario, robot: RobotModel, *, checked: bool = True) -> L
         # The whole task has to be possible, however short the run is.
         return preflight.random_start(robot, rng, swivelled, lambda q: _checked(scenario, robot, q, np.inf), margins)
     q = np.array(robot.data.q_home if start.q_rad is None else start.q_rad, dtype=np.float64)
-    preflight.check_start(robot, q)  # a singular pose has no swivel
+    preflight.check_start(robot, q)  # the elbow of a singular pose has no swivel
     q = swivelled(q)
     if not (checked and start.check_path):
         return _task(scenario, robot, q)

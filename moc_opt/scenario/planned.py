@@ -73,9 +73,9 @@ def followable_plan(
 ) -> tuple[Plan, dict[str, float]]:
     """Plan a course within limits, and return the plan and the limits.
 
-    If ``followed`` is true, the limits are those of [control] for a course, else the arm's own limits. If it is None,
-    third_level decides. If no course keeps the margins of [control], the plan has no margins. Limits given
-    as arguments have priority. If only one margin is given, the other margin is 0.
+    ``followed`` says whether a third level will follow the course. If None, third_level decides. A course that is
+    followed has the limits of [control], without margins if no course keeps them. Another course has the arm's own
+    limits. Limits given as arguments have priority. If only one margin is given, the other margin is 0.
     """
     settings = scenario.control
     follows = settings.follows if followed is None else followed

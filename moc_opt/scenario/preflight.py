@@ -20,8 +20,9 @@ from moc_opt.tasks import Reference, Trocar
 
 Found = TypeVar("Found")
 
-SINGULAR = (1e-4, 1e-4)  #: Smallest `Freedoms.tip` and `Freedoms.both` of any start.
-REGULAR = (0.1, 0.05)  #: Smallest values at a random start and on its path. At home, the LWR4+ has 0.41 and 0.14.
+SINGULAR = (1e-4, 1e-4)  #: Smallest allowed `Freedoms.tip` and `Freedoms.both` at any start.
+REGULAR = (0.1, 0.05)
+"""Smallest `Freedoms.tip` and `Freedoms.both` of a random start and its path. At home, the LWR4+ has 0.41 and 0.14."""
 DRAWN_MARGIN = 0.1  #: Distance of drawn poses from both limits, as a share of the joint's range.
 DRAWS = 200  #: Number of poses that are tried for a random start.
 SPACING_M = 0.005  #: Distance between the points at which the path is checked [m].
@@ -70,7 +71,7 @@ def random_start(
     """Draw poses until the arm can do the task from a pose, and return the task laid out from this pose.
 
     A pose is drawn evenly from the joints' ranges, less `DRAWN_MARGIN` at both ends. ``swivelled(q)`` returns a start:
-    a pose with tip and wrist of q and the scenario's swivel. ``lay_out(start)`` returns the task and the poses (k, n)
+    a pose with tip and wrist of q and the scenario's elbow swivel. ``lay_out(start)`` returns task and poses (k, n)
     along the path. A draw is rejected if the arm cannot do the task within joint limits and speeds. It is also rejected
     if the start or a pose along the path is nearly singular (`REGULAR`), has a joint within ``margins`` (n,) of a limit
     [rad, m], or has tip or wrist below the plane of the base.
@@ -214,7 +215,7 @@ def _out_of_reach(robot: RobotModel, places: _Places, k: int, wrist: Array, plac
 
 
 def _least_rates(robot: RobotModel, a: Array, velocity: Array) -> Array:
-    """Return v (n,) with the smallest norm. If a joint is then too fast, return v with the smallest max |v| / v_max."""
+    """Return the v (n,) of smallest norm with a v = velocity. If a joint is then too fast, minimize max |v| / v_max."""
     left, values, right = np.linalg.svd(a)
     rank = int((values > 1e-9 * values[0]).sum())
     shortest: Array = right[:rank].T @ ((left[:, :rank].T @ velocity) / values[:rank])

@@ -52,7 +52,7 @@ def make_solver(name: str, robot: RobotModel, **settings: Any) -> Solver:
 
 
 def isolated(solver: Solver, scenario: Scenario, budget_us: float = math.inf, realtime: bool = False) -> Solver:
-    """Put a solver in its own process if ``[solver]`` requires this. A SolverError if pickle cannot copy the solver."""
+    """Put a solver in its own process if ``[solver]`` says so. Raise a SolverError if pickle cannot copy the solver."""
     if scenario.solver.isolation == "none":
         return solver
     return Isolated(solver, scenario.solver.process, budget_us, waits=not realtime)
@@ -105,13 +105,13 @@ class Setup:
         self.layout = layout = lay_out(scenario, self.robot)
         self.q_start, self.registered, self.reference = layout.q, layout.registered, layout.reference
         self.duration_s = layout.duration_s
-        self.guide: Guide | None = None  #: Guide of the latest controller; None: level 3 raises mu.
+        self.guide: Guide | None = None  #: Motion that the latest controller follows; None: level 3 raises mu.
         self._replayed_us = recorded_times(scenario)
         if not realtime:
             self._build_plant(plant_seed)
 
     def _build_plant(self, seed: int) -> None:
-        """Put the plant at the start, the path's start at the true tip, and the registered trocar on the true shaft."""
+        """Put the plant at the start. Then place path and registered trocar at its true tip and on its true shaft."""
         scenario, entry = self.scenario, self.layout.trocar
         self.plant = plant = Plant(self.robot.data, scenario.plant, seed=seed)
         if scenario.faults.bump_N > 0.0:  # so that an unknown link is found now, not in the middle of the run
@@ -159,7 +159,7 @@ class Setup:
 
     @property
     def following(self) -> Following:
-        """The data of this run that planning a course needs."""
+        """The data of this run that are needed to plan a course (joint motion)."""
         scenario = self.scenario
         return Following(
             self.robot, self.q_start, scenario.control, partial(targets_of, self.robot, self.layout),
@@ -168,7 +168,7 @@ class Setup:
 
     @cached_property
     def _guides(self) -> Callable[[], Guide] | None:
-        """A function that makes a guide for each controller, or None. All guides share one plan."""
+        """A function that makes a `Guide` for each controller; None: level 3 raises mu. All guides share one plan."""
         return guides(self.following)
 
     def fault_mask(self) -> NDArray[np.bool_]:
@@ -192,7 +192,7 @@ class Setup:
         return self.scenario.plant.period_s * np.arange(self.ticks, dtype=np.float64)
 
     def inputs(self) -> tuple[Array, Array]:
-        """Return the controller's inputs of every tick: X_d, dX_d, ddX_d (N, 3, 3); registered P_t, dP_t (N, 2, 3)."""
+        """Return (tip_refs, registered) of all ticks: rows X_d, dX_d, ddX_d (N, 3, 3), and rows P_t, dP_t (N, 2, 3)."""
         tip_refs, registered = (np.stack(of.at(self.times()), axis=1) for of in (self.reference, self.registered))
         return tip_refs, registered
 
@@ -257,7 +257,7 @@ class Setup:
         error.add_note(f"the first {ticks * period_s:.3f} s of the run are in {file}")
 
     def _row_by_row(self, columns: Mapping[str, NDArray[Any]]) -> Columns:
-        """Return the columns computed row by row: faults injected, errors by the robot's kinematics, mu, residuals."""
+        """Return columns computed row by row: injected faults, errors by the robot's kinematics, mu, residuals."""
         found: Columns = {}
         if self.scenario.faults.solver != "none":
             found["injected"] = self.fault_mask()[: len(columns["t_s"])]
@@ -283,6 +283,6 @@ def run(
 
     Raises:
         MocOptError: the scenario or the trace's file is not usable. This is found before the run.
-        RunAway: the plant cannot go on; the error holds the trace.
+        RunAway: the simulation of the plant diverged. The error has the trace.
     """
     return Setup(Scenario.load(scenario), solver).trace(watch, to)

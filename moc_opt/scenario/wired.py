@@ -20,7 +20,7 @@ from moc_opt.sim.protocols import LoggedController
 from moc_opt.trace.trace import Trace
 
 SLOWEST_S, FASTEST_S = 0.004, 0.001
-"""Longest and shortest control period of a run in real time: 250 Hz and 1 kHz."""
+"""Longest and shortest control period of a run in real time [s]: 250 Hz and 1 kHz."""
 
 
 def fingerprint(scenario: Scenario, robot: RobotModel) -> int:
@@ -42,7 +42,7 @@ class PlantServer(Setup):
     In lock-step, the plant waits for each command. ``system``, for ``meta["wire"]``, says which scheduling was granted.
 
     Raises:
-        MocOptError: what `Setup` raises; or the address cannot be taken, or needs a key.
+        MocOptError: `Setup` refuses the scenario, or the address cannot be taken or needs a key.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class PlantServer(Setup):
 
     @cached_property
     def _guides(self) -> None:
-        """Plan nothing: the guide belongs to the controller at the other end."""
+        """Plan no joint motion: the controller at the other end does this."""
 
     def controller(self) -> LoggedController:
         """Return the controller at the other end."""
@@ -98,7 +98,7 @@ def answer(
     ``ready`` is called once, when the plant has been found and the controller has started.
 
     Raises:
-        MocOptError: what `Setup` raises; or no plant answers there, or the plant runs another scenario.
+        MocOptError: `Setup` refuses the scenario, no plant answers there, or the plant runs another scenario.
     """
     where = parse_address(connect, "--connect")
     key = read_key(key_file, where[0], "--connect")

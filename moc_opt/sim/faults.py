@@ -1,7 +1,7 @@
 """Faults that are put into a run: of sensors, packets, trocar and solver, and pushes on the arm. A seed draws them.
 
 The stamp of a measurement is the number of the control period in which it was taken. With ``forged_stamps``, old
-readings have the present stamp, as if a buffer stamped them when they leave it.
+readings get the stamp of the period in which they arrive, as if the output of a buffer stamped them.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class FaultSettings(Settings):
 
     @property
     def around_the_arm(self) -> bool:
-        """Whether anything but the solver has faults. If not, the loop skips ``sense`` and ``act``."""
+        """Whether sensors, trocar or arm have a fault. If not, the loop skips ``sense`` and ``act``."""
         solver = {"solver", "solver_share"}
         return any(getattr(self, k) != f.default for k, f in type(self).model_fields.items() if k not in solver)
 
@@ -85,7 +85,7 @@ class FaultSettings(Settings):
 class Faults:
     """The faults of a run with n joints: ``sense`` corrupts measurements, ``act`` pushes, ``slip`` moves the trocar.
 
-    ``period`` is the control period [s]; ``seed`` draws signs, noise, drops and directions.
+    ``period`` is the control period [s]. Signs, noise, dropped measurements and directions are random with ``seed``.
 
     Raises:
         PlantError: ``frozen_joint`` or ``lag_joint`` is no joint of the arm.
@@ -126,7 +126,7 @@ class Faults:
             plant.push(s.bump_link, held + self._bump * (tick == self._bump_on))
 
     def slip(self, trocars: Array, times: Array) -> Array:
-        """Return the true trocar (N, 2, 3) with its slip, a smooth step of 0.1 s."""
+        """Return position and velocity (N, 2, 3) of the true trocar with its slip, a smooth step that takes 0.1 s."""
         if self.settings.slip_m == 0.0:
             return trocars
         u = np.clip((times - self.settings.slip_at_s) / 0.1, 0.0, 1.0)

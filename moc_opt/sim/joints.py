@@ -24,20 +24,20 @@ from moc_opt.robots import RobotData
 from moc_opt.sim.settings import Mismatch, PlantSettings
 
 _SAGGING_ROUNDS = 12  # iterations that find the deflection of the springs under the arm's weight
-_MOST_RAD_A_STEP = 1.0  # largest phase of an oscillation per plant step; explicit springs are stable below 2
+_MOST_RAD_A_STEP = 1.0  # largest phase of a spring's oscillation per plant step [rad]. Integration is stable below 2
 
 
 class Joints:
-    """Joint coordinates and torque drives. With rigid joints and smooth torques, q, v and torque are MuJoCo's arrays.
+    """Joint coordinates and torque drives. Without springs and ripple, q, v and torque are MuJoCo's own arrays.
 
-    The drives have no dynamics: a command is clipped at the torque limits and acts some control periods later.
+    The drives have no dynamics: a command is clipped at the torque limits and acts ``delay_ticks`` periods later.
 
     Attributes:
         q, v: (n,) true positions and velocities of the links [rad], [rad/s].
         theta, omega: (n,) positions and velocities of the motors [rad], [rad/s].
         shown: the pair (q, v) or (theta, omega) that the encoders measure.
         torque: (n,) torque of the drives, before ripple [Nm].
-        motors: slice of the motors in MuJoCo's degrees of freedom.
+        motors: slice that selects the motors among MuJoCo's degrees of freedom.
     """
 
     def __init__(
@@ -46,12 +46,12 @@ class Joints:
         self._model, self._state, self._high, self._low = model, state, data.tau_max.copy(), -data.tau_max
         self._elastic, self._on_links = settings.elastic, settings.encoder_side == "link"
         self._stiffness = _stiffnesses(data, settings)
-        self.motors = slice(None, None, 2 if settings.elastic else 1)  # an elastic joint has two: motor, spring
+        self.motors = slice(None, None, 2 if settings.elastic else 1)  # an elastic joint: motor, spring
         self.q, self.v = self.theta, self.omega = state.qpos, state.qvel
         if settings.elastic:
             self.q, self.v, self.theta, self.omega = np.zeros((4, data.n))
         self.shown = (self.q, self.v) if self._on_links else (self.theta, self.omega)
-        # With springs or ripple, `drive` fills MuJoCo's array.
+        # With springs or ripple, `drive` computes MuJoCo's torques from ``torque``.
         self._direct = not settings.elastic and settings.torque_ripple == 0.0
         self.torque = state.qfrc_applied if self._direct else np.zeros(data.n)
         self._ripple = settings.torque_ripple * data.tau_max
@@ -61,7 +61,7 @@ class Joints:
     def start(self, shown: Array, speed: Array) -> None:
         """Put the arm where encoders without errors read ``shown`` (n,) [rad], moving at ``speed`` (n,) [rad/s].
 
-        The drives and all delayed commands hold the arm's weight, which deflects elastic joints.
+        Until the first command acts, the drives carry the arm's weight. The weight deflects elastic joints.
         """
         state, model = self._state, self._model
         weight = state.qfrc_bias[self.motors]
@@ -80,7 +80,7 @@ class Joints:
         self.gather()
 
     def command(self, tau: ArrayLike) -> None:
-        """Queue the command of a period (n,) [Nm], and apply the command that is due; errors as for `Plant.step`."""
+        """Queue a commanded torque (n,) [Nm], and apply the torque that is due. Errors are those of `Plant.step`."""
         wanted = np.asarray(tau, dtype=np.float64)
         if wanted.shape != self._high.shape:
             raise PlantError(f"tau has shape {wanted.shape}: give {self._high.shape}, one torque a joint [Nm]")
@@ -107,7 +107,7 @@ class Joints:
 
 
 def add_springs(data: RobotData, spec: mujoco.MjSpec, settings: PlantSettings) -> None:
-    """Put a spring in series with each joint of a spec; a PlantError if the number of stiffnesses is wrong."""
+    """Put a spring in series with each joint of a spec. Raise a PlantError if the number of stiffnesses is wrong."""
     for joint, value in zip(list(spec.joints), _stiffnesses(data, settings), strict=True):
         spring = joint.parent.add_joint(name=f"{joint.name}_spring", type=joint.type, axis=joint.axis, pos=joint.pos)
         spring.limited = mujoco.mjtLimited.mjLIMITED_FALSE

@@ -65,7 +65,7 @@ class FilteredController(Filtered):
         return tau
 
     def set_applied_torque(self, tau: Array) -> None:
-        """Store which torque (n,) [Nm] was applied. Called only if this is not the result of ``tick``."""
+        """Store which torque (n,) [Nm] was applied. Called only if it differs from the result of ``tick``."""
         self._applied = tau
         self._controller.set_applied_torque(tau)
 
@@ -83,7 +83,7 @@ class ClosedLoop:
 
     A controller that is ``Filtered`` has its own safety filter. ``faults`` disturb sensors and arm. After a step,
     ``seen`` is the measurement as it arrived, ``tau`` (n,) the commanded torque [Nm], and ``tick_us`` the time that
-    safety filter and controller took [us]. ``ticks`` counts the steps.
+    safety filter and controller took [us]. ``ticks`` is the number of steps so far.
     """
 
     def __init__(
@@ -130,7 +130,7 @@ class ClosedLoop:
 
     @property
     def finished(self) -> bool:
-        """Whether a stop is over: the arm is at rest after ``Stop.seconds``, or `LONGEST` times as long has passed."""
+        """Whether a stop is over: after ``Stop.seconds`` if the arm is at rest, else after `LONGEST` * that time."""
         since = self.ticks - self._stopped_at if self._stopped_at >= 0 else 0
         return since > self._watched and bool(since > LONGEST * self._watched or np.abs(self._plant.v).max() < AT_REST)
 
@@ -169,10 +169,10 @@ def simulate(
         rescue: called with the columns so far if an exception other than RunAway ends the loop.
 
     Returns:
-        The trace. A row has the state at the start of a tick, and its torque. `moc_opt.trace.meta` lists the meta.
+        The trace. A row has a tick's torque, and the state at the tick's start. `moc_opt.trace.meta` lists the meta.
 
     Raises:
-        RunAway: the plant cannot go on; the error holds the trace so far.
+        RunAway: the simulation of the plant diverged. The error has the trace up to this time.
     """
     record = Record(plant, controller, tip_refs, trocars, registered, offset or TaskOffset())
     loop = ClosedLoop(plant, controller, safety_filter, stop, faults)

@@ -19,8 +19,9 @@ TOOL_BODY = "tool"
 MOUNT_SITE = "tool_mount_sensor"
 FORCE_SENSOR, TORQUE_SENSOR = "mount_force", "mount_torque"
 TOLERANCE = 1e-6
-"""Largest difference between pinocchio and MuJoCo (rounding: 1e-14), relative to the largest entry m of M without
-rotors, to the largest entry of h plus 9.81 m, and for tip and wrist to the tip's distance from the base."""
+"""Largest relative difference between pinocchio and MuJoCo. Rounding causes 1e-14. Let a be the largest entry of M
+without rotor inertia, and g = 9.81 m/s^2. A difference in M is divided by a, and a difference in h by g a plus the
+largest entry of h. A difference in tip or wrist is divided by the distance of the tip from the base."""
 POSES = 3  #: Number of poses at which pinocchio and MuJoCo are compared.
 
 
@@ -28,7 +29,7 @@ def build_spec(data: RobotData, *, substep_s: float, gravity: bool = True) -> mu
     """Build the editable MuJoCo model of the arm. Cameras or boards can be added before it is compiled.
 
     Every link stays a separate body: if MuJoCo merged the tool into the flange, the sensor between them would measure
-    nothing. Without shapes, nothing can collide, and no mass is guessed from a mesh. Rotor inertia becomes
+    nothing. All shapes are removed: nothing can collide, and no mass is computed from a mesh. Rotor inertia becomes
     `dof_armature`. Joint limits are soft stops. `add_mismatch` adds friction.
 
     Args:
@@ -62,8 +63,8 @@ def build_spec(data: RobotData, *, substep_s: float, gravity: bool = True) -> mu
         joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
         joint.armature = data.rotor_inertia[i]
         joint.damping[0] = joint.frictionloss = 0.0
-        # With this stiff friction, a joint under half its Coulomb torque creeps at about 1e-5 rad/s. With MuJoCo's
-        # default, which is made for coarser steps, it creeps a hundred times faster.
+        # With this stiff friction, a joint creeps at about 1e-5 rad/s if it is loaded with half its Coulomb torque.
+        # MuJoCo's default is made for coarser steps. With it, the joint creeps a hundred times faster.
         joint.solref_friction = (2.0 * substep_s, 1.0)
         joint.solimp_friction = (0.99, 0.99, 0.001, 0.5, 2.0)
 
@@ -145,7 +146,7 @@ def check_engines(robot: RobotModel) -> None:
         mujoco.mj_fwdVelocity(model, state)
         mujoco.mj_fullM(model, state, M)
         ours = robot.state(q, state.qvel)
-        # Without rotor inertia, which would hide errors of small links.
+        # The size of M is taken without rotor inertia, which would hide errors of small links.
         heavy = max(np.abs(M - rotor).max(), 1e-8 * rotor.max())
         bias, reach = np.abs(theirs["h"]).max() - GRAVITY[2] * heavy, max(1e-3, np.linalg.norm(theirs["tip"]))
         sizes = {"M": (heavy, "kg m^2"), "h": (bias, "Nm"), "tip": (reach, "m"), "wrist": (reach, "m")}

@@ -1,10 +1,10 @@
 """The simulated arm: it takes torques and returns measurements, and gives the true state to the trace.
 
 The trocar is compliant: a spring and a damper connect the trocar point with the nearest point of the shaft line. Both
-act across the shaft only, so that the tool slides and turns freely in the incision. Let u be the tool direction, c the
-shaft point nearest to the trocar P, and w the velocity of the tool's material at c. The force on the tool is
-(I - u u^T) (stiffness (P - c) + damping (dP - w)) (`moc_opt/core/plant.c`). A trocar at rest never adds energy to the
-arm. The shaft line has no ends: the tool is assumed to be inserted.
+act perpendicular to the shaft only: the tool slides and turns freely in the incision. Let u be the tool direction, P
+the trocar point, dP the velocity of P, c the shaft point nearest to P, and w the velocity of the tool's material at c.
+The force on the tool is (I - u u^T) (stiffness (P - c) + damping (dP - w)) (`moc_opt/core/plant.c`). A trocar at rest
+never adds energy to the arm. The shaft line has no ends: the tool is assumed to be inserted.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _RUNAWAY_RAD_PER_S = 1e3  #: Norm of the joint velocities above which the simula
 
 @dataclass(frozen=True)
 class Stop:
-    """How the arm is stopped: damping of the drives [Nm s/rad], and shortest simulated time of a stop [s]."""
+    """A stop's parameters: damping of the drives [Nm s/rad], and shortest simulated time of the stop [s]."""
 
     damping: float = 15.0
     seconds: float = 0.5
@@ -108,7 +108,7 @@ class Plant:
         self._tool_wrench, self._felt = state.xfrc_applied[tool], np.zeros(6)
         first = model.sensor(FORCE_SENSOR).adr[0]
         self._held = state.sensordata[first : first + 6]
-        self._bodies, self._pushes = bodies, dict[int, tuple[Array, Array]]()  # body: force, point in its frame
+        self._bodies, self._pushes = bodies, dict[int, tuple[Array, Array]]()  # body: force [N], point of action [m]
         self._tissue = settings.trocar_stiffness_N_per_m, settings.trocar_damping_Ns_per_m
         self._trocar = np.zeros((2, 3))
         self._substeps_s = [k * settings.substep_s for k in range(settings.substeps)]
@@ -169,7 +169,7 @@ class Plant:
         self._touch = (0.0, 0.0) if place is None else self._tissue
         if place is not None:
             self._trocar[:] = place
-        # Unlike in mj_step, mj_step2 comes first, so that the kinematics belong to the new state after the loop.
+        # mj_step calls mj_step1 first. In this order, the kinematics after the loop belong to the new state.
         for elapsed_s in self._substeps_s:
             joints.drive()
             self._load(elapsed_s)

@@ -46,10 +46,10 @@ class LoggedController(TorqueController, Protocol):
 
 
 class Filtered(ABC):
-    """Turns a measurement into a safe torque, in this process or at the other end of a wire (``realtime``)."""
+    """Turns a measurement into a safe torque, in this process or in another process over UDP (``realtime``)."""
 
     stop_reason: Any  #: Why the arm has to be stopped; empty otherwise.
-    limited: Any  #: Number of joints whose last torque the safety filter changed.
+    limited: Any  #: Number of joints whose torque the safety filter changed in the last tick.
     warnings: Any  #: Quantities that exceeded a warning level since the start, as JSON values.
 
     @abstractmethod

@@ -25,7 +25,7 @@ _STOPPED = {
 
 
 class RunAway(PlantError):
-    """The plant cannot go on; ``trace`` holds the rows so far."""
+    """The simulation of the plant diverged. ``trace`` has the rows up to this time."""
 
     def __init__(self, message: str, trace: Trace) -> None:
         super().__init__(message)
@@ -44,7 +44,7 @@ class TaskOffset(NamedTuple):
 
 
 class Record:
-    """The rows of a run. The first ``done`` rows are filled. The arguments are those of `moc_opt.sim.loop.simulate`.
+    """The rows of a run, of which the first ``done`` are filled. Arguments are those of `moc_opt.sim.loop.simulate`.
 
     If the controller has ``faults`` and ``restarts``, they go into the trace's meta.
     """

@@ -46,7 +46,7 @@ class Noise:
 
 
 class Encoders:
-    """Joint positions with bias, noise and a finite step; velocities from their low-passed difference quotient.
+    """Joint positions with bias, noise and a finite step. Velocities are low-passed difference quotients of positions.
 
     velocity += (1 - exp(-2 pi cutoff period)) (difference quotient - velocity), once a control period.
     If noise, step and cutoff are all 0, both values are exact except for the bias. If only the cutoff is 0, the
@@ -83,8 +83,8 @@ class Encoders:
         return reading[0], reading[1]
 
 
-_CHANCE = 1e-10  #: Largest probability, at each reading, that the repetition is longer.
-_MOST_TICKS = 500
+_CHANCE = 1e-10  #: Largest probability, at each reading, of a repetition longer than `longest_repetition`.
+_MOST_TICKS = 500  #: Largest result of `longest_repetition` [ticks].
 
 
 def longest_repetition(noise_rad: float, resolution_rad: float) -> int | None:

@@ -16,7 +16,7 @@ from moc_opt.errors import MocOptError, PlantError
 from moc_opt.inputs.settings import Settings
 from moc_opt.robots import RobotData
 
-GRAVITY = (0.0, 0.0, -9.81)  #: [m/s^2], world axes; pinocchio's default too.
+GRAVITY = (0.0, 0.0, -9.81)  #: [m/s^2], world axes. It is also pinocchio's default.
 _COARSEST_SUBSTEP_S = 1e-3
 _Stiffness = Annotated[float, Field(gt=0, le=1e9)]
 

@@ -48,7 +48,7 @@ def test_velocity_bounds_end_the_climb_before_a_joint_limit(number, preset, robo
     assert trace.tip_error_m.max() < 2e-3
 
 
-def test_the_shafts_margin_prevents_jerks_near_a_straight_wrist() -> None:
+def test_shaft_margin_prevents_jerks_near_a_straight_wrist() -> None:
     """Mu grows towards a straight wrist, where joint 5 has to turn ever faster."""
     trial = mo.Scenario(seed=707, start={"pose": "random"}, judge=False, bound_samples=0)
     lost, kept = mo.run(trial.change(control={"shaft_margin": 0.0})), mo.run(trial)

@@ -31,7 +31,7 @@ def started(robot, solver=EXACT, state=None, **settings):
     return controller, state, tip_ref, trocar
 
 
-def test_references_may_have_any_memory_layout_and_have_to_be_finite(robot):
+def test_finite_references_with_any_memory_layout_are_accepted(robot):
     controller, state, tip_ref, trocar = started(robot, None, **QUIET)
     expected = controller.tick(state.q, state.v, tip_ref, trocar)
     for kind in (np.asfortranarray, lambda a: np.repeat(a, 2, axis=1)[:, ::2], lambda a: a.astype(">f8")):
@@ -87,7 +87,7 @@ def test_settings_reach_the_core(setting, core_s, robot):
     state = robot.state(robot.data.q_home)
     controller, _, tip_ref, trocar = started(robot, None, state, **{**QUIET, **setting})
     assert controller.solution is controller.subproblem is None
-    tip_ref, trocar = tip_ref + 0.3, trocar + np.array([[0.01, 0.0, 0.0], np.zeros(3)])  # so that the limits act
+    tip_ref, trocar = tip_ref + 0.3, trocar + np.array([[0.01, 0.0, 0.0], np.zeros(3)])  # torque exceeds tau_max
     given = {name: robot.tau_max if value is None else value for name, value in core_s.items()}
     wanted = tracking(robot, state, tip_ref, trocar, gains=(3000.0, 80.0, 800.0, 60.0), **given)
     np.testing.assert_array_equal(controller.tick(state.q, state.v, tip_ref, trocar), wanted)
@@ -95,7 +95,7 @@ def test_settings_reach_the_core(setting, core_s, robot):
 
 @pytest.mark.parametrize("fallback", ["damping", "hold", "least-violation"])
 def test_if_the_subproblem_is_infeasible_the_arm_follows_the_fallback(fallback, robot):
-    """With k0 = 1e-3 /s, the subproblem is infeasible for a reference at 0.3 m/s and feasible for one at rest."""
+    """With k0 = 1e-3 /s, the subproblem is infeasible for a reference at 0.3 m/s, and feasible at rest."""
     state = robot.state(robot.data.q_home, np.linspace(-0.2, 0.2, 7))
     (fast, trocar), (slow, _) = in_place(state, 0.3), in_place(state)
     controller = Controller(robot, ControlSettings(fallback=fallback, k0_per_s=1e-3, **QUIET), EXACT)
@@ -139,12 +139,12 @@ def test_a_session_may_observe_the_measured_velocity(robot):
     ({"supports": "it needs regularization = 0"}, "it needs regularization = 0"), ({"supports": 3}, "returned a int"),
     ({"error": RuntimeError("no licence")}, "no licence"), ({"error": [3]}, "returned a int without solve"),
 ])  # fmt: skip
-def test_a_solver_that_refuses_or_cannot_start_is_named_before_the_first_tick(robot, wrong, why):
+def test_a_solver_that_cannot_run_is_named_in_an_error_before_the_first_tick(robot, wrong, why):
     with pytest.raises(ControlError, match=f"solver 'watching' cannot run in this controller: .*{why}"):
         started(robot, watching(**wrong)[0])
 
 
-def test_a_law_without_its_solver_a_tick_before_the_start_and_wrong_shapes_are_refused(robot):
+def test_wrong_solvers_early_ticks_and_wrong_shapes_are_refused(robot):
     state = robot.state(robot.data.q_home)
     for law, solver, words in (("moc", None, "'moc' with solver None"), ("dcac", EXACT, "'dcac' with solver 'exact'")):
         with pytest.raises(ControlError, match=words):
@@ -158,7 +158,7 @@ def test_a_law_without_its_solver_a_tick_before_the_start_and_wrong_shapes_are_r
             controller.tick(state.q, state.v, *map(np.zeros, shapes))
 
 
-def test_observer_sees_the_limited_torque(robot):
+def test_the_observer_uses_the_limited_torque(robot):
     torques, estimates = [], []
     for limit in (True, False):
         controller, state, tip_ref, trocar = started(robot, limit_torque=limit, observer_gain_per_s=20.0)
@@ -172,7 +172,7 @@ def test_observer_sees_the_limited_torque(robot):
     np.testing.assert_allclose(estimates[1] - estimates[0], -20.0 * 0.002 * cut, atol=1e-9)
 
 
-def test_a_start_forgets_the_previous_run_and_two_controllers_share_nothing(robot):
+def test_a_run_depends_neither_on_the_previous_run_nor_on_another_controller(robot):
     controller, other = (Controller(robot, ControlSettings(), EXACT) for _ in range(2))
     home, taus = robot.data.q_home, [[], []]
     tip_ref, trocar = in_place(robot.state(home), 0.01)

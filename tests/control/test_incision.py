@@ -44,7 +44,7 @@ def test_the_rcm_error_is_the_distance_of_the_shaft_from_the_trocar(robot, seed,
     force=st.tuples(*[st.floats(-20.0, 20.0)] * 3), touch=st.tuples(*[st.floats(-20.0, 20.0)] * 3),
 )  # fmt: skip
 def test_the_trocars_force_is_separated_from_the_tools_weight_and_a_force_at_the_tip(robot, seed, depth, force, touch):
-    """Only the component perpendicular to the shaft counts."""
+    """The expected force has only the component perpendicular to the shaft."""
     q = np.random.default_rng(seed).uniform(robot.q_min, robot.q_max)
     pose = robot.tool_pose(q)
     length, mass = robot.data.tool_length, robot.data.tool_mass
@@ -54,7 +54,7 @@ def test_the_trocars_force_is_separated_from_the_tools_weight_and_a_force_at_the
     expected = np.linalg.norm(pose[:2] @ np.array(force))
     point = pose[3] - depth * pose[2]
     assert seen(robot, q, point, wrench)[1] == pytest.approx(expected, abs=1e-6)
-    close = pose[3] - 0.5 * SHORTEST_DEPTH_M * pose[2]  # too shallow to separate the forces, so their sum counts
+    close = pose[3] - 0.5 * SHORTEST_DEPTH_M * pose[2]  # too shallow to separate the forces: their sum is used
     across = np.linalg.norm(pose[:2] @ (np.array(force) + np.array(touch)))
     assert seen(robot, q, close, wrench)[1] == pytest.approx(across, abs=1e-6)
     for allowed in (1e-9, 10.0):  # at most this force is attributed to the tip
@@ -93,7 +93,7 @@ def test_warnings_and_stops_follow_the_low_passed_mean_squares(robot, time_s):
             due = np.transpose([first * PERIOD, now, levels])[first <= k]
             found = [[w["first_s"], w["largest"], w["level"]] for w in guard.warnings]
             np.testing.assert_allclose(np.reshape(found, (-1, 3)), due, rtol=1e-9)
-        look(guard, q, off_by(robot, q, 0.0), weight(robot, q))  # the largest value stays
+        look(guard, q, off_by(robot, q, 0.0), weight(robot, q))  # the warning keeps the largest value
         assert [(w["unit"], round(w["largest"], 2)) for w in guard.warnings] == [("mm", 5.0), ("N", 6.0)]
     for j, (limit, level, told) in enumerate(zip(LIMITS, (4e-3, 4.0), ("4 mm", "4 N"), strict=True)):
         guard = guard_of(robot, **quiet | {limit: level})
@@ -102,7 +102,7 @@ def test_warnings_and_stops_follow_the_low_passed_mean_squares(robot, time_s):
             assert guard.reason.endswith(f"has been above {told}") == (mean > 4.0)
 
 
-def test_a_wrench_sensor_without_readings_stops_the_arm_and_a_short_gap_does_not(robot):
+def test_only_a_long_gap_in_the_wrench_sensors_readings_stops_the_arm(robot):
     q, bad = robot.data.q_home, np.full(6, np.nan)
     guard, sound = guard_of(robot, incision=True), (off_by(robot, q, 0.0), weight(robot, q))
     for wrench in (bad, bad, bad, sound[1], bad, bad, bad):

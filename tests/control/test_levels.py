@@ -116,7 +116,7 @@ def touched(level):
 
 
 def residual(level, name, repeats=0, **others):
-    """Whether a torque of 1 Nm without any motion stops the arm. After one tick, the residual is r = -rate T."""
+    """Whether a torque of 1 Nm without any motion stops the arm. After one tick, the momentum residual is -rate T."""
     guard, record = begun(**{name: level} | others), ARM.terms(ZERO, ZERO)
     for _ in range(2 + repeats):
         read(guard)
@@ -163,7 +163,7 @@ def test_a_level_acts_only_on_larger_values(noticed, level, more):
 
 @pytest.mark.parametrize(("torques", "carries"), [((1.5, 1.5), 0.0), ((-0.5, -0.5), 0.0), ((1.5, 0.0), 0.5)])
 def test_a_drive_whose_effect_opposes_its_torque_is_no_longer_used(torques, carries):
-    """The weight is 0.5 Nm. At zero torque no drive is blamed."""
+    """The weight is 0.5 Nm. A drive at zero torque is still used."""
     arm = core.Arm(LOADED, np.zeros((2, 3)), np.eye(3), np.ones((2, 2)), np.array([0.0, -1.0, 0.0]))
     guard, record = begun(arm, residual_torque=2.0**-8, carries=True, patience=1), arm.terms(ZERO, ZERO)
     read(guard)
@@ -177,7 +177,7 @@ def test_a_motion_at_constant_speed_needs_no_torque():
     assert [follow(guard, record=record) for _ in range(4)] == ["running"] * 4
 
 
-def test_after_a_fast_motion_lag_is_allowed_only_for_a_while():
+def test_lag_is_allowed_only_for_a_short_time_after_a_fast_motion():
     for still, reason in ((1, "running"), (12, "velocities")):
         guard = begun(motion_s=4.0 * T, motion_rad=0.0, motion_lag_s=1.0)
         assert [read(guard, v=float(k == 0)) for k in range(still + 1)] == ["running"] * (still + 1)
@@ -185,14 +185,14 @@ def test_after_a_fast_motion_lag_is_allowed_only_for_a_while():
 
 
 def test_brakes_that_closed_after_stop_yield_ticks_open_again_when_the_force_rises_by_stop_yield():
-    """The brakes close after two ticks. The rise counts from the lowest force since then."""
+    """The brakes close after two ticks. The rise is the difference from the lowest force since they closed."""
     guard = begun(stop_yield=0.25, stop_yield_ticks=2)
     read(guard, wrench=pressed(0.0), trocar=TROCAR)
     opened = {0.25: 0, 1.0: 1, 1.125: 1, 0.9375: 0, 1.1875: 0, 1.25: 1, 0.875: 0, 0.5: 0, 0.75: 0, 0.8125: 1}
     assert [guard.hold(pressed(force))[0] == 0.0 for force in opened] == list(map(bool, opened.values()))
 
 
-def test_brakes_stay_closed_where_the_drives_cannot_carry_the_weight():
+def test_brakes_stay_closed_if_the_drives_cannot_carry_the_weight():
     arm = core.Arm(LOADED, POINTS, np.eye(3), np.ones((2, 2)), np.array([0.0, -1.0, 0.0]))
     for tau_max, opened in ((0.5, True), (0.5 - T, False)):  # the weight is 0.5 Nm
         guard = begun(arm, carries=True, tau_max=tau_max, stop_yield=0.25)

@@ -65,14 +65,14 @@ def test_a_fresh_packet_is_newer_than_all_before_it_and_never_too_old(stamps, pa
 
 
 @pytest.mark.parametrize("missed", [1, PATIENCE, PATIENCE + 1])
-def test_missed_ticks_of_the_controller_do_no_harm_up_to_the_patience(missed):
-    """The filter accepts packet numbers that are ahead of its own count by at most the patience."""
+def test_the_controller_may_miss_as_many_ticks_as_patience_ticks_says(missed):
+    """The filter accepts packet numbers that are ahead of its own count by at most `patience_ticks`."""
     found = ages([0, 1, 2, 3 + missed, 4 + missed])
     assert found == [FRESH] * 5 if missed <= PATIENCE else found[3] == REPEAT
 
 
 def looked(q, v, tau=None, reference=None, wrench=None, **levels):
-    """Check readings (k, n). Return the reason of a stop and the index of the reading that causes it, or ("", k)."""
+    """Check k readings (k, n). Return the reason of a stop and the index of the reading, or ("", k) without a stop."""
     guard = guard_of(ARM, q[0], v[0], carries=False, **levels)
     for k in range(len(q)):
         if reference is not None:
@@ -116,7 +116,7 @@ def test_a_position_that_stops_while_its_velocity_goes_on_stops_the_arm(speed, j
     ("way", False, 3e-3), ("way", True, 5e-4), ("torque", False, 6.0), ("torque", True, 0.05),
 ])  # fmt: skip
 def test_a_repeated_reading_stops_the_arm_once_the_reference_moves_or_the_torque_changes(by, whole, level):
-    """Static friction may hold the arm up to this level. The level is lower if the wrench reading repeats too."""
+    """Up to `level`, static friction may hold the arm. `level` is lower if the wrench reading repeats too."""
     still, reference, tau = np.tile(np.linspace(-1.0, 1.0, N), (600, 1)), np.zeros((600, 3, 3)), np.zeros((600, N))
     grown = reference[:, 0, 0] if by == "way" else tau[:, 2]
     grown[:] = (0.01 * PERIOD if by == "way" else -0.02) * np.arange(600)
@@ -159,7 +159,7 @@ def watched(robot, torque, ticks, momentum=True, **levels):
 
 @pytest.mark.parametrize(("begins", "told"), [(1, False), (120, True)])
 def test_an_unknown_load_stops_the_arm_only_if_it_begins_after_the_residual_has_settled(robot, begins, told):
-    """The residual's mean adapts to the load during the first `_SETTLED` time constants."""
+    """The mean of the momentum residual adapts to a load during the first `_SETTLED` time constants."""
     load = 0.4 * robot.tau_max
     for on, momentum in ((True, True), (False, True), (True, False)):
         reason, _ = watched(robot, lambda k: (k >= begins) * load, 200, momentum, residual_s=1e6, motion=on)

@@ -90,7 +90,7 @@ def test_a_filter_by_default_carries_the_weight_and_checks_incision_and_motion(r
 
 
 @pytest.mark.parametrize(("ticks", "replayed"), [(None, np.inf), (70, 25.0), (700, 100.0)])
-def test_the_smaller_limit_for_a_stuck_joint_and_the_larger_one_for_a_replay_are_used(robot, ticks, replayed):
+def test_the_limits_for_stuck_joints_and_replays_follow_from_the_settings(robot, ticks, replayed):
     known = np.array([9.0, 0.0, 0.5, 0.8, 0.5, 0.3, 0.3])  # 0: the friction is not known
     arm = RobotModel(dataclasses.replace(robot.data, coulomb_friction=known))
     settings = SafetyFilterSettings(stuck_torque=0.1, stuck_friction=2.0, repeat_joint_ticks=ticks)

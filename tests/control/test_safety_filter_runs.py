@@ -76,13 +76,13 @@ STOPPED = {
     "drift-apart-from-the-velocity": (
         {"faults": {"drift_rad_per_s": 0.05, "drift_at_s": 0.5, "drift_velocity": "apart"}, "seed": 2210, **SWIVEL},
         0.5, 0.1, 5e-3, 5.0, "do not follow their velocities"),
-    "drift-with-the-velocity": (  # with a wrong depth, the force first counts as a contact at the tip
+    "drift-with-the-velocity": (  # the force first seems to be a contact at the tip, as the depth is wrong
         {"faults": {"drift_at_s": 2.02, "drift_rad_per_s": 0.05}, "seed": 7033, "control": {"preset": "robust"},
          "task": {"v_max_m_per_s": 0.07730648346067734}, "duration_s": 6.0, **SWIVEL},
         2.02, 4.0, 0.13, 32.0, "the trocar's force"),
     "coarse-frozen": (
         {"faults": {"frozen_at_s": 1.0, **FORGED}, "seed": 11, "plant": QUANTIZED}, 1.0, 0.3, 0.006, 25.0, ""),
-    "coarse-one-frozen": (  # only the momentum residual shows it
+    "coarse-one-frozen": (  # only the momentum residual shows this fault
         {"faults": {"frozen_at_s": 1.4, "frozen_joint": 3, **FORGED}, "seed": 11, "plant": QUANTIZED},
         1.4, 0.3, 0.1, 25.0, ""),
     "one-frozen-without-noise": (  # found by the momentum residual, or after tens of mm by the trocar's force
@@ -107,7 +107,7 @@ def test_wrong_measurements_stop_the_arm(name):
 
 # fault of the encoder, largest delay of the stop [s], largest tip error [m]
 @pytest.mark.parametrize(("wrong", "within", "error"), [
-    # The position freezes and the filtered velocity does not decay. Without the check: 31 mm, 24 N.
+    # The position freezes and the filtered velocity does not decay. Without the check, the error is 31 mm.
     ({"frozen_velocity": "repeated"}, 0.0121, 0.012), ({"frozen_velocity": "zero"}, 0.0121, 0.012),
     # Now and then a reading comes twice. Without the check, the error is 53 mm.
     ({"lag_growth": 0.05}, 0.21, 0.012), ({"lag_growth": 0.5}, 0.03, 0.012),
@@ -128,7 +128,7 @@ def test_one_encoder_that_is_stuck_or_lags_is_found(robot, wrong, within, error)
     ("lwr4", 4, 3), ("iiwa14", 4, 4), ("panda", 4, 3), ("gen3", 2, 0), ("xarm7", 2, 0), ("lwr4_rail", 3, 4),
 ])  # fmt: skip
 def test_a_broken_drive_is_stopped_and_the_brakes_hold_the_arm(arm, joint, seed, gain, monkeypatch):
-    """The drive gives zero or the opposite torque. Of all joints and five seeds, these move the tip farthest."""
+    """The drive gives zero or the opposite torque. These joints and seeds of those tried move the tip farthest."""
     sound = Plant.step
 
     def step(plant, tau, trocar=None):
@@ -148,7 +148,7 @@ def test_a_broken_drive_is_stopped_and_the_brakes_hold_the_arm(arm, joint, seed,
     {"nan_at_s": 0.4, "nan_ticks": 3}, {"frozen_at_s": 0.4, "frozen_ticks": 3},
     {"frozen_at_s": 0.4, "frozen_ticks": 3, "late_ticks": 2},
 ], ids=["nan", "frozen", "late-and-frozen"])  # fmt: skip
-def test_a_short_gap_is_bridged(gap):
+def test_a_short_gap_in_the_measurements_is_bridged(gap):
     kind = next(name for name in gap if name.endswith("_ticks"))
     late, robust = {"late_ticks": gap.get("late_ticks", 0)}, {"preset": "robust"}
     clean, bridged = (run(Scenario(control=robust, faults=f, duration_s=0.8, **QUICK)) for f in (late, gap))

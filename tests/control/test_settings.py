@@ -191,7 +191,7 @@ def test_a_wall_inside_the_controllers_joint_range_is_refused():
     for unit, box in (("rad", 0.15), ("m", 0.05)):
         with pytest.raises(ScenarioError, match=f"position_margin_{unit} = 0.2 .*_{unit} = {box}"):
             Scenario(guard={f"position_margin_{unit}": 0.2})
-    for control in ({"limit_margin_rad": 0.2}, {"law": "dcac"}, {"preset": "paper"}):  # equal margins, or no margin
+    for control in ({"limit_margin_rad": 0.2}, {"law": "dcac"}, {"preset": "paper"}):  # allowed: equal margins, or none
         Scenario(guard={"position_margin_rad": 0.2}, control=control)
 
 

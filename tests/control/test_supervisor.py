@@ -72,13 +72,13 @@ def asked(qp, Z, answer, n=7, v=None, **changes):
 
 
 def judged(row, Z, x):
-    """The core's figures of an answer: primal, outside, natural, off, opposite (`moc_residuals`)."""
+    """The core's residuals of an answer: primal, outside, natural, off, opposite (`moc_residuals`)."""
     made = law(len(x))
     made.load(row, np.ascontiguousarray(Z))
     return made.judge(np.ascontiguousarray(x))
 
 
-def test_a_good_answer_is_followed_and_copied_from_any_layout_of_memory(qp, Z):
+def test_a_good_answer_with_any_memory_layout_is_copied_and_followed(qp, Z):
     good = solved(qp)
     for x in (good.x, np.repeat(good.x, 3)[1::3], good.x[::-1].copy()[::-1]):
         mine, solution, followed = asked(qp, Z, Solution(x, good.y, Status.SOLVED, np.int64(2**31 - 1)))
@@ -105,7 +105,7 @@ def test_each_fault_has_its_name_and_is_counted(fault, qp, Z):
     ((label, found),) = mine.faults.items()
     assert (label, found["count"], found["first_at_s"]) == (fault.label, 1, 0.002)
     assert fault is not Fault.RAISED or found["first"] == "RuntimeError: from inside a solver"
-    # the last good answer is held, but an infeasible subproblem is answered by the fallback
+    # the last good answer is used again, except for an infeasible subproblem, for which the fallback is used
     np.testing.assert_array_equal(x, np.zeros(7) if fault is Fault.INFEASIBLE else good.x)
     mine.forget()
     assert mine.faults == {}
@@ -188,8 +188,8 @@ def test_any_exception_of_a_session_is_counted_except_the_users_interrupt(error,
     assert np.isfinite(x).all()
 
 
-def test_a_falsely_claimed_optimum_is_refused_at_every_tick(recorded):
-    """The answer is the optimum for the negated gradient. It is refused, unless the residuals verify it as optimal."""
+def test_an_optimum_for_the_negated_gradient_is_refused(recorded):
+    """The solver calls this answer optimal. It is refused, unless its residuals verify it for the true gradient."""
     lies = 0
     for qp in map(NullSpaceQP.from_row, recorded):
         lie = opposite(qp)
@@ -202,7 +202,7 @@ def test_a_falsely_claimed_optimum_is_refused_at_every_tick(recorded):
 
 
 def along_the_line(qp, Z, x):
-    """Compute natural, off and opposite of x by numerical search instead of formulas."""
+    """Compute `natural`, `off` and `opposite` (see `judged`) of x by numerical search instead of formulas."""
     d = Z.T @ (Z @ qp.pull)
     d /= np.linalg.norm(d)
     moving = np.abs(d) > 1e-9
@@ -261,7 +261,7 @@ def test_without_a_gradient_along_the_self_motion_the_residuals_along_it_are_zer
         row = np.array(qp.row)
         fields(row).pull[:] *= pull
         fields(row).weights[2] *= c2
-        if pull == 1e-9:  # a small gradient counts, because the threshold is relative to the gradient's size
+        if pull == 1e-9:  # a small gradient has a residual: the threshold is relative to the gradient's size
             assert judged(row, Zs, x + 0.1 * Z[0] + 0.1 * Z[1])[2] > 0.0
         else:
             assert judged(row, Zs, x)[2:] == (0.0, 0.0, 0.0)
@@ -291,7 +291,7 @@ def test_wrong_vertices_are_refused_in_null_spaces_of_several_dimensions(n, tilt
     off=st.just(0.0) | st.floats(-9.0, -1.0).map(lambda k: 10.0**k), rest=st.none() | st.floats(-12.0, 0.0),
 )  # fmt: skip
 def test_every_verified_answer_is_accepted(seed, n, rho, off, rest):
-    """With `rest`, (rho / c2) x_d replaces the gradient, and x_d is nearly zero."""
+    """With `rest`, (rho / c2) x_d replaces the gradient. The desired velocity x_d is nearly zero."""
     rng = np.random.default_rng(seed)
     problem = random_problem(rng, n, structured=n == 7, regularization=rho)
     if rest is not None and rho > 0.0:
@@ -338,7 +338,7 @@ def test_both_ends_of_a_segment_shorter_than_opposite_limit_are_accepted(qp, Z):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_an_idle_joint_is_judged_if_no_other_self_motion_exists(seed):
-    """Five joints serve five independent rows. The sixth joint moves neither tip nor wrist."""
+    """Five joints have to satisfy five independent rows. The sixth joint moves neither tip nor wrist."""
     qp, joints = random_problem(np.random.default_rng(seed)), [0, 1, 2, 3, 4, 6]
     A, x = qp.A[:, joints], 0.5 * (qp.lower + qp.upper)[joints]
     one = NullSpaceQP(*np.split(A, 2), *np.split(A @ x, 2), np.r_[qp.pull[:5], 0.2],
@@ -433,8 +433,8 @@ def test_at_most_one_percent_of_a_registered_solvers_answers_are_refused(name):
     (0, 0, "primal_limit"), (0, 1, "primal_limit"), (2, 0, "box_limit"), (2, 1, "box_limit"), (0, 2, "relative_limit"),
     (0, 3, "opposite_limit"), (0, None, "budget_us"),
 ])  # fmt: skip
-def test_an_answer_at_a_limit_of_the_check_is_accepted_and_one_beyond_it_is_not(qp, Z, claim, j, limit):
-    """Claim 0 means optimum, and claim 2 means iterate. `j` is the index of the figure in `judged`."""
+def test_the_check_accepts_an_answer_at_a_limit_and_refuses_a_worse_answer(qp, Z, claim, j, limit):
+    """The solver reports an optimum (claim 0) or an iterate (claim 2). `j` is the index of a residual in `judged`."""
     x = opposite(qp).x if j in (2, 3) else np.clip(solved(qp).x, qp.lower, qp.upper)
     x = x + 0.01 * (qp.A[0] if j == 0 else np.where(x == qp.upper, 1.0, 0.0) if j == 1 else 0.0)
     figure = 50.0 if j is None else judged(qp.row, Z, x)[j]
@@ -446,8 +446,8 @@ def test_an_answer_at_a_limit_of_the_check_is_accepted_and_one_beyond_it_is_not(
         assert (made.finish(0, claim, x, 50.0)[0] == 0) == taken
 
 
-def test_with_several_null_space_directions_or_a_faint_gradient_a_good_answer_gets_no_distance(qp):
-    """Then `off`, the distance to the optimum, stays zero."""
+def test_the_distance_to_the_optimum_needs_one_null_space_direction_and_a_clear_gradient(qp):
+    """Otherwise `off`, the distance to the optimum, stays zero."""
     faint, several = changed(qp, c2=1e-7, regularization=1e-2), random_problem(np.random.default_rng(3), 8)
     for each, searched in ((qp, True), (faint, False), (several, False)):
         Z = null_space(each.A)

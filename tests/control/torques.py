@@ -29,7 +29,7 @@ def law(n, arm=None, supervision=None, fallback="damping", **changes):
 
 
 def ticked(robot, state, tip_ref, trocar, x=None, x_d=None, **parts):
-    """Return the first tick's torque tau (n,) and the record of its subproblem."""
+    """Return (tau, row): torque (n,) [Nm] and subproblem (`NullSpaceQP.row`) of the first tick."""
     made = law(robot.n, robot.arm, check=False, **parts)
     made.start(state.q, state.v, tip_ref, trocar)
     row = made.begin(state.q, state.v, tip_ref, trocar, x_d)[1]
@@ -37,7 +37,7 @@ def ticked(robot, state, tip_ref, trocar, x=None, x_d=None, **parts):
 
 
 def tracking(robot, state, tip_ref, trocar, gains=(0.0, 0.0, 0.0, 0.0), **parts):
-    """tau_tip + tau_rcm (n,) [Nm]."""
+    """The torque of the levels tip and RCM, tau_tip + tau_rcm (n,) [Nm]."""
     names = dict(zip(("K_X", "D_X", "K_N", "D_N"), gains, strict=True))
     return ticked(robot, state, tip_ref, trocar, **names, **parts, third_level=False)[0]
 

@@ -42,7 +42,7 @@ def test_every_preset_works_on_every_arm(name, preset, more):
     assert summarize(trace)["tip_error_max_mm"] < 1.5
 
 
-def test_sixteen_joints_run_and_are_judged(tmp_path):
+def test_the_answers_for_an_arm_with_sixteen_joints_are_verified(tmp_path):
     """All answers of `exact` are verified. After a shift along the self-motion, no answer is verified."""
     robot = sixteen_joints(tmp_path, np.random.default_rng(2).uniform(-0.7, 0.7, 16))
     trace = run(Scenario(robot={"name": str(tmp_path / "arm.toml")}, duration_s=0.3, bound_samples=1))

@@ -14,7 +14,7 @@ from moc_opt.tasks.trocar import shaft_distance
 
 
 @pytest.mark.parametrize("start", [{"pose": "random"}, {"swivel": "random"}, {}])
-def test_the_plan_begins_where_the_run_does(start):
+def test_the_plan_has_the_start_pose_and_the_path_of_the_run(start):
     scenario = mo.Scenario(seed=3).change(start=start, plant={"preset": "nominal"})
     found, setup = mo.plan(scenario, swivels=180, times=60, refined=False), Setup(scenario)
     np.testing.assert_allclose(found.from_start.q_rad[0], setup.q_start, atol=1e-12)
@@ -43,7 +43,7 @@ def test_the_start_that_a_plan_proposes_can_be_pasted_into_the_scenario(tmp_path
     found = plan(mo.Scenario.load(file))
     assert main(["plan", file]) == 0
     said = capsys.readouterr()
-    assert said.err == ""  # no warning, because this third level follows no course
+    assert said.err == ""  # no warning: the third level 'local' follows no course
     assert "can be executed from this start yes" in " ".join(said.out.split())
     assert max(len(line.rstrip()) for line in said.out.splitlines()) <= 80
     again = plan(mo.Scenario.load(scenario_file(tmp_path, text + said.out[said.out.index("\n[start]\n") :])))
@@ -51,14 +51,14 @@ def test_the_start_that_a_plan_proposes_can_be_pasted_into_the_scenario(tmp_path
     assert again.from_start.mu_mean > 1.02 * found.from_start.mu_mean
 
 
-def test_a_plan_keeps_to_the_limits_of_the_third_level_that_follows_it(tmp_path, capsys):
+def test_a_plan_has_the_limits_of_the_third_level_that_follows_it(tmp_path, capsys):
     file = scenario_file(tmp_path, 'duration_s = 0.5\n[control]\nthird_level = "planned"\n')
     for options, margin, share in (([], 0.05, 0.85), (["--speed-share", "1", "--margin", "0"], 0.0, 1.0)):
         assert main(["plan", file, "--json", *options]) == 0
         told = json.loads(capsys.readouterr().out)
         within = {"margin_rad": margin, "margin_m": 0.0, "shaft_margin": 0.04375, "speed_share": share}
         assert told["within"] == within
-        assert bool(told["warnings"]) == bool(options)  # such a course is too fast to be followed
+        assert bool(told["warnings"]) == bool(options)  # a course with speed share 1 is too fast to be followed
 
 
 COMPARED = mo.Scenario(duration_s=1.5, judge=False, bound_samples=0, best_courses=True, start={"swivel": 0.2})
@@ -115,7 +115,7 @@ def test_the_commands_write_a_course_and_follow_it(tmp_path, capsys):
     assert main(["run", str(own), "--third-level", "local", "--json"]) == 0
 
 
-def test_what_prevents_a_third_level_from_following_a_course_is_named_with_a_remedy():
+def test_a_warning_says_why_the_third_level_cannot_follow_a_course():
     scenario = mo.Scenario(duration_s=2.0, start={"swivel": 0.2})
     fast, robot = plan(scenario, refined=False), scenario.robot.arm()
     (said,) = following_warnings(scenario, fast)

@@ -38,7 +38,7 @@ def setup(seed=0, path="circle", **tables):
     ([0.3, 0.6, -0.2, 0.0, 0.4, -0.9, 0.0], "the tool cannot be turned in every direction"),
     ([0.1] * 6, "give 7 finite numbers"), ([0.1] * 6 + [np.nan], "give 7 finite numbers"),
 ])  # fmt: skip
-def test_a_start_that_is_singular_or_no_pose_is_refused(q, told):
+def test_a_singular_or_invalid_start_is_refused(q, told):
     with pytest.raises(ScenarioError, match=told):
         check_start(ROBOT, q)
 
@@ -80,7 +80,7 @@ def test_a_path_that_leaves_the_workspace_says_where():
 
 
 def test_the_joint_that_reaches_its_limit_is_named():
-    """The wrist's distance alone determines joint 4 (the elbow). At its limit no self-motion helps."""
+    """The distance from shoulder to wrist determines joint 4 (the elbow). Self-motion does not change this joint."""
     highest = np.array(ROBOT.q_max)
     highest[3] = HOME.q[3] + 0.05
     stiff = RobotModel(dataclasses.replace(ROBOT.data, q_max=highest))
@@ -104,7 +104,7 @@ def test_a_trocar_beyond_the_tool_or_on_the_path_and_a_start_off_the_path_are_re
         assert (told.value.field, told.value.arc_length_m) == (field, pytest.approx(place, abs=PLACE_M))
 
 
-def test_another_swivel_is_tried_where_the_given_one_fails(monkeypatch):
+def test_another_elbow_position_is_tried_if_the_given_start_fails(monkeypatch):
     """The given start is made to fail. The pose with most room to the joint limits replaces it."""
     task, scan, solve = reference(radius=0.03), self_motion(ROBOT, HOME.q), preflight.solve_pose
 
@@ -131,7 +131,7 @@ def test_the_shaft_follows_a_breathing_trocar():
 
 
 @pytest.mark.parametrize(("seed", "swivel"), [(0, "given"), (1, "random"), (2, 0.5)])
-def test_a_random_start_keeps_the_stated_rules(seed, swivel):
+def test_a_random_start_is_regular_and_away_from_joint_limits(seed, swivel):
     made = setup(seed, PATHS[seed % 3], start={"pose": "random", "swivel": swivel})
     state, left = ROBOT.state(made.q_start), freedoms(ROBOT, made.q_start)
     assert left.tip >= 0.1

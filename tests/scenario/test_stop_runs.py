@@ -23,7 +23,7 @@ QUICK = {"bound_samples": 0, "judge": False}
 
 
 def after(trace):
-    """Largest displacement of the tip [m], largest and final trocar force [N], all after the stop."""
+    """Return, for the time after a stop: largest displacement of the tip [m], largest and last trocar force [N]."""
     stop = trace.t_s >= trace.meta["stopped_at_s"]
     force = np.linalg.norm(trace.trocar_force_N[stop], axis=1)
     return np.linalg.norm(trace.tip_m[stop] - trace.tip_m[stop][0], axis=1).max(), force.max(), force[-1]
@@ -32,7 +32,7 @@ def after(trace):
 @pytest.mark.parametrize("share", [1.0, 0.3, 0.15, 0.08])
 @pytest.mark.parametrize("swivel", [0.0, 1.0])
 def test_an_arm_with_weak_drives_is_held_from_any_swivel(monkeypatch, share, swivel):
-    """With a share of 0.15, the drives carry three quarters of the weight. With damping alone, the tip sinks 70 mm."""
+    """With `share` = 0.15, the drives carry three quarters of the weight. With damping alone, the tip sinks 70 mm."""
     data = RobotTable().arm().data
     weak = RobotModel(dataclasses.replace(data, tau_max=share * data.tau_max))
     monkeypatch.setattr(RobotTable, "arm", lambda table: weak)

@@ -25,7 +25,7 @@ def whole():
 
 @pytest.mark.parametrize("place", ["watch", "controller"])
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), ValueError("a defect")])
-def test_whatever_ends_a_run_leaves_its_rows(whole, error, place, tmp_path, monkeypatch):
+def test_the_rows_of_a_run_are_saved_whatever_ends_it(whole, error, place, tmp_path, monkeypatch):
     """A defect of the controller also ends the run. Only errors of its solver are caught."""
     ticks, calls, setup = 57, iter(range(10**6)), Setup(Scenario(**SHORT))
     controller = setup.controller()
@@ -89,7 +89,7 @@ def test_a_file_that_cannot_be_written_is_refused_before_the_run(target, tmp_pat
     assert sorted(os.listdir(tmp_path)) == ["file", "s.toml"]
 
 
-def test_a_trace_replaces_no_course_and_a_course_no_trace(tmp_path):
+def test_traces_and_courses_do_not_replace_each_other(tmp_path):
     for kind, other in (("run", "course"), ("course", "run")):
         Trace({"t_s": np.zeros(2)}, {"kind": kind} if kind == "course" else {}).save(tmp_path / "t.parquet")
         check_trace(tmp_path / "t.parquet", kind)

@@ -1,4 +1,4 @@
-"""A run over the wire equals the simulated run. Faulty packets are counted, and the arm stays safe."""
+"""A run over the wire (UDP) equals the simulated run. Faulty packets are counted, and the arm stays safe."""
 
 import json
 import re
@@ -53,7 +53,7 @@ RUNS = {
 
 
 @pytest.mark.parametrize("name", RUNS)
-def test_without_loss_the_wire_changes_nothing(name):
+def test_a_run_over_the_wire_without_packet_loss_equals_the_simulated_run(name):
     scenario = Scenario(**SHORT, seed=3, **RUNS[name])
     found, ending, _ = wired(scenario)
     expected = run(scenario)
@@ -79,7 +79,7 @@ def test_in_lock_step_no_fault_of_the_wire_changes_the_run():
         done, whole = relay.done[way], relay.whole[way]
         assert all(done[fault] for fault in FAULTS)
         assert end["forged"] == done["forge"]
-        assert 0 <= end["foreign"] - done["cut"] <= 10  # repeated packets of the handshake
+        assert 0 <= end["foreign"] - done["cut"] <= 10  # repeated handshake packets also count as foreign
         of_ticks = sum(count for (kind, flags), count in whole.items() if kind is Kind.COMMAND or flags == RUNNING)
         assert end["received"] + end["late"] == of_ticks
         assert end["late"] > 5
@@ -120,7 +120,7 @@ def test_a_controller_without_measurements_stops_the_arm():
 
 
 def test_a_run_against_the_clock_completes_or_stops_cleanly(tmp_path):
-    """The two commands run at once. The number of missed ticks depends on the machine."""
+    """The commands `plant` and `control` run at the same time. The number of missed ticks depends on the machine."""
     file, trace = tmp_path / "run.toml", tmp_path / "run.parquet"
     file.write_text("duration_s = 0.4\nbound_samples = 0\n[plant]\nperiod_s = 0.004\nsubsteps = 4\n")
     key = tmp_path / "key"
@@ -160,7 +160,7 @@ def test_both_ends_must_have_the_same_scenario_apart_from_the_controller():
         run_there = pool.submit(plant.trace)
         with pytest.raises(WireError, match="another scenario"):
             answer(base.change(seed=1), written(plant.address))
-        answer(base, written(plant.address))  # the plant has waited for a controller that fits
+        answer(base, written(plant.address))  # the plant still waits for a controller with its scenario
         assert run_there.result().meta["ended"] == "completed"
 
 

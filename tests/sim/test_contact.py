@@ -31,7 +31,7 @@ def shaft_of(plant, depth=0.15, off=1e-3):
     return np.vstack([plant.tip + depth * u + off * side / np.linalg.norm(side), np.zeros(3)])
 
 
-def test_a_wrong_push_is_refused_by_name_and_a_new_push_replaces_the_previous_one_on_its_link():
+def test_a_push_replaces_the_previous_push_on_its_link_unless_it_is_refused():
     plant = Plant(DATA, PlantSettings.nominal())
     for push, message in (
         (("lnk_1", [1, 0, 0]), "did you mean 'link_1'"), (("link_1", [1, 0]), "push force"),
@@ -180,7 +180,7 @@ def test_the_weight_bends_the_joints_and_the_arm_rests(side):
     np.testing.assert_allclose(plant.applied_torque, MODEL.state(before).h, atol=1e-9)
 
 
-def test_very_stiff_joints_move_like_rigid_ones():
+def test_very_stiff_joints_move_like_rigid_joints():
     rigid = Plant(DATA, PlantSettings.nominal(period_s=1e-3, substeps=400))
     stiff = Plant(DATA, elastic(joint_stiffness_Nm_per_rad=1.5e6, period_s=1e-3, substeps=400,
                                 joint_spring_damping_Nm_s_per_rad=300.0))  # fmt: skip
@@ -191,7 +191,7 @@ def test_very_stiff_joints_move_like_rigid_ones():
     np.testing.assert_allclose(stiff.tip, rigid.tip, atol=2e-6)
 
 
-def test_the_true_position_is_that_of_the_links_also_in_the_trace():
+def test_the_true_position_in_plant_and_trace_is_the_position_of_the_links():
     plant = Plant(DATA, elastic(encoder_side="motor"))
     hold(plant, 20, 5.0)
     motors, links = plant.measure().q, plant.q
@@ -213,11 +213,11 @@ def test_brakes_act_on_the_motors_until_reset():
     assert plant.mj_model.dof_damping[::2].max() < 15.0
 
 
-def test_a_step_too_coarse_for_the_springs_is_refused_with_the_cure():
+def test_too_few_substeps_for_the_springs_are_refused_with_a_sufficient_number():
     with pytest.raises(PlantError, match="substeps = 2 makes plant steps of 1 ms") as said:
         Plant(DATA, elastic(substeps=2))
     fastest, need = map(int, re.search(r"up to (\d+) rad/s: raise substeps to (\d+)", str(said.value)).groups())
-    assert need == np.ceil(0.002 * fastest)  # one radian of the fastest swing per step
+    assert need == np.ceil(0.002 * fastest)  # one radian of the fastest oscillation per step
     Plant(DATA, elastic(substeps=need))
     with pytest.raises(PlantError, match=r"has 2 entries.*7 joints"):
         Plant(DATA, elastic(joint_stiffness_Nm_per_rad=(1e4, 1e4)))

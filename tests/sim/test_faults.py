@@ -28,7 +28,7 @@ def measured(k):
 
 
 def arrived(ticks=60, seed=0, **changes):
-    """Return packet numbers (ticks,), positions and velocities that arrive if packet k has q = k and v = 0.1 k."""
+    """Return (stamps, q, v) as they arrive: packet numbers, positions, velocities. Packet k has q = k and v = 0.1 k."""
     mine = faults(seed, **changes)
     seen = [mine.sense(measured(k), k) for k in range(ticks)]
     return np.array([s.stamp for s in seen]), np.array([s.q for s in seen]), np.array([s.v for s in seen])
@@ -50,7 +50,7 @@ def test_a_fault_beyond_its_range_is_refused(field):
             FaultSettings(**{field: beyond})
 
 
-def test_a_dropped_measurement_is_replaced_by_the_previous_one():
+def test_a_dropped_measurement_is_replaced_by_the_previous_measurement():
     stamps, q, v = arrived(500, 1, drop_share=0.4)
     found = q[:, 0]
     np.testing.assert_array_equal(found, stamps)
@@ -68,7 +68,7 @@ def test_encoders_give_nan_for_nan_ticks(at):
     assert np.isnan(arrived(20, nan_at_s=at)[1]).sum() == N, "one tick by default"
 
 
-def test_bias_and_noise_have_the_given_size_and_follow_the_seed_and_a_jump_comes_at_its_time():
+def test_bias_noise_and_jump_have_the_given_size():
     bias = faults(encoder_bias_rad=0.01).sense(measured(0), 0).q
     np.testing.assert_allclose(np.abs(bias), 0.01)
     noisy = np.array([faults(encoder_noise_rad=0.01, seed=s).sense(measured(0), 0).q for s in range(200)])
@@ -139,7 +139,7 @@ def test_every_injected_solver_fault_is_named_in_the_trace(kind, named):
     assert trace.meta["ended"] == "completed"
 
 
-def test_a_hanging_solver_takes_ten_times_the_given_budget_and_dcac_has_no_solver_to_hang():
+def test_a_hanging_solver_takes_ten_times_the_given_budget():
     control = {**TUNED, "supervisor": {"budget_us": 7.0, "late": "zero"}}
     scenario = Scenario(control=control, faults={"solver": "hang", "solver_share": 0.5}, **SHORT)
     trace = run(scenario)

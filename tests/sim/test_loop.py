@@ -113,7 +113,7 @@ def test_meta_describes_the_run_and_the_time_continues_at_the_plants_time(robot,
     assert more.t_s[0] == pytest.approx(trace.t_s[-1] + 0.004)
 
 
-def test_the_garbage_collector_is_restored_after_an_error_and_stays_off_if_it_was_off(robot, references):
+def test_the_loop_restores_the_state_of_the_garbage_collector(robot, references):
     with pytest.raises(PlantError, match="not finite"):
         simulate(ready(robot), Holding(robot, float("nan")), *references)
     assert gc.isenabled()
@@ -151,7 +151,7 @@ def live(scenario):
 
 
 def procedure(scenario):
-    """Return the values of `live` for hand guiding, which has neither reference nor trocar."""
+    """Guide the arm by hand, without reference and trocar. Return reason, time [s] and final speeds as `live` does."""
     setup = Setup(scenario)
     incision = setup.plant.tip + np.array([0.05, 0.1, 0.1])
     found = guide_to(incision, setup.plant, setup.robot, HandsOnSettings(guard=scenario.guard, time_limit_s=1.2))
@@ -185,7 +185,7 @@ def test_a_reason_of_the_safety_filter_stops_every_loop(loop, reason, guard, mon
 
 
 def test_a_stop_is_simulated_for_stop_s(robot):
-    """The step that orders the stop is added to stop_s. From this step on the arm is braked."""
+    """The arm is braked from the step that requests the stop. The time stop_s begins after this step."""
     setup = Setup(Scenario(**QUICK))
     loop = setup.closed_loop(setup.controller())
     loop.filtered._filter.request_stop("for a test")  # the start forgets this request

@@ -49,7 +49,7 @@ def run(plant, periods, seed=0, trocar=TROCAR):
     return np.array(rows)
 
 
-def test_free_fall_is_pinocchios_forward_dynamics():
+def test_free_fall_follows_pinocchios_forward_dynamics():
     """Two plant steps equal two steps of semi-implicit Euler with the controller's M and h."""
     plant, rng = nominal(period_s=1e-3), np.random.default_rng(1)
     q, v = DATA.q_home.copy(), rng.uniform(-0.5, 0.5, 7)
@@ -86,7 +86,7 @@ def test_the_friction_has_the_coefficients_of_the_robot_file():
     assert drive(plant, needed * turning, 200).v[0] == pytest.approx(0.4, abs=1e-3)
 
 
-def test_the_mass_error_changes_masses_and_inertias_alone():
+def test_the_mass_error_changes_only_masses_and_inertias():
     plant, right = nominal(mass_error=0.1, seed=3), Plant(DATA, NOMINAL)
     wrong, exact = plant.mj_model, right.mj_model
     scale = wrong.body_mass[1:-2] / exact.body_mass[1:-2]
@@ -140,7 +140,7 @@ def chain_tip(model, mismatch, q):
     return place + turn @ (chain.offsets[0] + mismatch.origin_shift[-1])
 
 
-def test_the_calibration_error_is_in_the_plants_kinematics_alone():
+def test_the_calibration_error_changes_only_the_plants_kinematics():
     plant, rng = nominal(2, calibration_error_m=4e-4, calibration_tilt_rad=3e-4), np.random.default_rng(2)
     mismatch = plant.mismatch
     np.testing.assert_allclose(np.linalg.norm(mismatch.origin_shift, axis=1), 4e-4)
@@ -237,7 +237,7 @@ def test_the_noise_of_the_wrench_sensor_reaches_the_measurement():
     np.testing.assert_allclose(np.std(np.subtract(*seen), axis=0), np.repeat([0.1, 0.002], 3), rtol=0.1)
 
 
-def test_a_refused_period_leaves_the_noise_and_the_arm_as_they_were():
+def test_a_refused_step_changes_neither_noise_nor_arm():
     one, other = Plant(DATA, seed=1), Plant(DATA, seed=1)
     torque, trocar = one.applied_torque, np.stack([one.tip, np.zeros(3)])
     for k in range(260):  # beyond one block of noise
@@ -252,7 +252,7 @@ def test_a_refused_period_leaves_the_noise_and_the_arm_as_they_were():
         np.testing.assert_array_equal(found, wanted)
 
 
-def test_a_bad_start_is_refused_by_name_and_leaves_the_plant_as_it_was():
+def test_a_refused_start_does_not_change_the_plant():
     plant = drive(Plant(DATA, NOMINAL), np.zeros(7), 3)
     before, far = plant.q, DATA.q_home + 9.0 * np.eye(7)[0]
     for start, words in (
