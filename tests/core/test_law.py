@@ -22,7 +22,7 @@ def robot(request, odd_robot):
 
 
 def trials(robot, count=10):
-    """Yield pairs: a moving state with moving references about 1 mm away, and the random generator."""
+    """Yield ((state, tip_ref, trocar), rng). The state moves. The references move too, about 1 mm away from it."""
     rng = np.random.default_rng(0)
     for _ in range(count):
         state = robot.state(robot.random_regular_pose(rng), rng.uniform(-0.3, 0.3, robot.n))
@@ -144,7 +144,7 @@ def test_the_null_space_basis_changes_continuously_and_is_valid_at_a_straight_el
 
 
 def problem(rng, robot, tight=None):
-    """Return a random subproblem, its fields, and a basis of ker A. Bounds are up to ``tight`` from a solution."""
+    """Return (row, its fields, basis of ker A) of a random subproblem. Bounds are up to ``tight`` from a solution."""
     s = robot.state(robot.random_regular_pose(rng))
     u, v_T, v_W = s.tool_direction, *(0.05 * rng.normal(size=(2, 3)))
     row, Z = np.full(11 * s.n + 10, np.nan), reference.null_space(s.A)

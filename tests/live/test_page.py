@@ -50,7 +50,7 @@ def test_the_page_listens_on_loopback_alone(live: LivePage) -> None:
         socket.create_connection(("127.0.0.2", live.server.get_port()))
 
 
-def test_the_run_keeps_step_with_the_clock(live: LivePage) -> None:
+def test_the_run_advances_in_real_time(live: LivePage) -> None:
     until(lambda: live.run.t_s > 0.5, "the run does not begin")
 
     def in_step() -> bool:
@@ -69,7 +69,7 @@ def test_after_rapid_choices_the_solver_chosen_last_runs(live: LivePage) -> None
 
 
 def knock(live: LivePage, path: str, say: bytes = b"") -> Any:
-    """Return the first answer to a WebSocket of another site's page, or None if the server closes it unanswered."""
+    """Open a WebSocket as another site's page would. Return the first answer, or None if the server only closes it."""
     uri, protocol = f"ws://127.0.0.1:{live.server.get_port()}{path}", f"viser-v{viser.__version__}"
     with (
         suppress(ConnectionClosed),

@@ -87,7 +87,7 @@ def test_velocity_and_acceleration_are_derivatives_and_zero_before_and_after(kin
 PERIOD = 0.01
 REFERENCES = {kind: Reference(build(kind), 0.05, 0.2) for kind in CURVES}
 CIRCLE = Reference(build("circle", radius=0.02), 0.05, 0.2)
-BRAKE_S = 0.05 / 0.2  # time from full rate to rest at the largest slope of the reference's rate
+BRAKE_S = 0.05 / 0.2  # shortest time in which a waiting reference slows from its full rate to rest
 
 
 def flags(seconds, losses):
