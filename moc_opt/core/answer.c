@@ -43,9 +43,9 @@ static double steepest_descent(const moc_problem *p, int rows, double Z[][MOC_MA
     return scale;
 }
 
-/* natural, off and opposite are measured along a line of self-motion. If the elbow swivel is the only self-motion, the
- * line contains the whole feasible set. If ker A has more dimensions, the line is the steepest feasible descent at x.
- * If x has no feasible descent, they are zero.
+/* The residuals natural, off and opposite are measured along a line of self-motion. If the elbow swivel is the only
+ * self-motion, this line contains the whole feasible set. If ker A has more dimensions, it is the steepest feasible
+ * descent at x. If x has no feasible descent, the three residuals are zero.
  *
  * Along the line, let s be the coordinate of x and g the component of pull. The cost is rho s^2 / 2 - c2 g s. Within
  * the bounds, the optimum is clip(c2 g / rho). The optimum of the opposite gradient is clip(-c2 g / rho). */

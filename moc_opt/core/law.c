@@ -4,7 +4,7 @@
  *   tau_0 = K_N2 (x - v) - D_N2 v. tau_ff is the feed-forward, r the observer's estimate. share rises from 0 to 1. */
 #include "vec.h"
 
-#define STRAIGHT 1e-3  /* if sqrt(smaller / larger mobility of the wrist) is smaller, one has no feed-forward */
+#define STRAIGHT 1e-3  /* smallest sqrt(smaller / larger mobility of the wrist) for feed-forward in both directions */
 
 #define SHAFT_PULL 0.1 /* weight of log mu_shaft relative to mu [m^3] */
 #define SHAFT_LOST 0.1 /* if mu_shaft / shaft_margin is smaller, moc_shaft_push falls with mu_shaft, down to zero */

@@ -209,10 +209,10 @@ typedef struct {
     double wall_stiffness, wall_damping, wall_brake;    /* [Nm/rad], [Nm s/rad], [rad/s^2] */
     double torque_step;                                 /* largest change of a torque in a tick [Nm] */
     double jump, speed_factor;                          /* MEASUREMENT: largest jump [rad], largest |v| / v_max */
-    double tip_error, tip_share;                        /* TIP: rms [m], weight of a tick in the mean square */
+    double tip_error, tip_share;                        /* TIP: largest rms [m], weight of a tick in the mean square */
     int in_incision;                                    /* 0: RCM error and trocar force are not checked */
-    double warning[2], limit[2];                        /* rms of RCM error [m] and trocar force [N] to warn or stop */
-    double incision_share;                              /* weight of a tick in the mean squares for limit[2] */
+    double warning[2], limit[2];                        /* thresholds of rms RCM error [m], rms trocar force [N] */
+    double incision_share;                              /* weight of a tick in the mean squares of these two */
     double tool_mass, tool_length;                      /* mass [kg] and length [m] of the tool, a rod */
     double tip_force;                                   /* largest force that may come from a contact of the tip [N] */
     double stop_holding;                                /* dry friction of closed brakes, divided by tau_max */
@@ -220,15 +220,15 @@ typedef struct {
     int stop_yield_ticks;                               /* largest number of ticks for which the brakes stay open */
     double press_share;                                 /* weight of a tick in the mean trocar force of a stop */
     int motion;                                         /* 0: LATE and the checks named below are off */
-    double motion_s, motion_rad, motion_lag_s;          /* RAN_AWAY */
+    double motion_s, motion_rad, motion_lag_s;          /* RAN_AWAY: memory [s], largest gap [rad], largest lag [s] */
     double repeat_m, repeat_torque;                     /* REPEATED: motion of the reference [m], share of tau_max */
-    double repeat_whole_m, repeat_whole_torque;         /* REPEATED, if the wrench is unchanged as well */
-    double repeat_whole_ticks;                          /* WRENCH_REPEATED and REPLAYED, if the wrench has noise */
+    double repeat_whole_m, repeat_whole_torque;         /* REPEATED: motion [m], share, if the wrench is unchanged */
+    double repeat_whole_ticks;                          /* WRENCH_REPEATED, REPLAYED: ticks if the wrench has noise */
     double repeat_joint_ticks, repeat_reading_ticks;    /* ONE_REPEATED: ticks in a row, ticks in total */
-    double replayed_ticks;                              /* REPLAYED, if the wrench has no noise */
-    double stuck_speed;                                 /* STUCK [rad/s] */
+    double replayed_ticks;                              /* REPLAYED: ticks if the wrench has no noise */
+    double stuck_speed;                                 /* STUCK: largest unseen speed from the torque [rad/s] */
     double held[MOC_MAX_JOINTS];                        /* STUCK: change of torque that static friction can hold [Nm] */
-    double residual_torque, residual_whole;             /* UNEXPLAINED, shares of tau_max */
+    double residual_torque, residual_whole;             /* UNEXPLAINED: largest residuals, divided by tau_max */
     double residual_rate, residual_share;               /* observer gain [1/s], weight of a tick in the mean of r */
     int settling_ticks;                                 /* ticks until the residual has settled */
 } moc_guard;
@@ -259,10 +259,10 @@ typedef struct {
     int bad;                                     /* measurements in a row that were not believed */
     double tip_square;                           /* mean square of the tip's error [m^2] */
     double point[3];                             /* the trocar, as last registered [m] */
-    double mean_square[2], largest[2], first_tick[2]; /* of RCM error and force; for warnings */
+    double mean_square[2], largest[2], first_tick[2]; /* RCM error, force: mean square; largest rms, first warning */
     double whole_square, ticks;                  /* mean square of the whole force on the tool; ticks in the incision */
     int unread;                                  /* wrench readings in a row that were not finite */
-    double press, borne;                         /* in a stop: mean trocar force; start of its rise [N] */
+    double press, borne;                         /* in a stop: mean trocar force, level to compare it with [N] */
     int yields, open;                            /* 1: the trocar force has opened the brakes; ticks since then */
     int cut;                                     /* 1: a drive is at fault, so the torque of the stop goes to zero */
     int limited;                                 /* number of joints whose last torque was limited */

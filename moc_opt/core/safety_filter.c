@@ -28,7 +28,7 @@
 
 #include "vec.h"
 
-#define SHORTEST_DEPTH 0.05 /* smallest depth of the tip that separates tip contact from trocar force [m] */
+#define SHORTEST_DEPTH 0.05 /* tip depth below which a contact of the tip looks like a trocar force [m] */
 #define GRAVITY 9.81        /* gravitational acceleration [m/s^2] */
 #define FIRST_READINGS 100  /* number of readings that decide whether the wrench sensor has noise */
 #define LARGEST_STAMP (LLONG_MAX / 4) /* largest stamp that can be the number of a control period */
@@ -368,7 +368,7 @@ static moc_stop weigh(const moc_guard *g, int n, const moc_terms *t, const doubl
 
 /* --- limits of the torque --- */
 
-/* Largest torque towards a wall that its spring and brake allow, without the weight. Infinite if neither acts. */
+/* Largest torque towards a wall that its spring and brake allow on top of the weight's. Infinite if neither acts. */
 static double left_by_wall(const moc_guard *g, int i, double distance, double speed)
 {
     /* the speed from which the joint can still stop at the wall */

@@ -1,4 +1,4 @@
-"""Vision and hands-on tests: registering the trocar by hand, locating the board, noticing a lost board, filming the run."""
+"""Vision and hands-on tests: registering the trocar by hand, locating and losing the board, filming the run."""
 
 import cv2
 import numpy as np
