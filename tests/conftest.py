@@ -1,4 +1,4 @@
-"""Arms and poses that several test files share."""
+"""Fixtures that several test files share: arms, poses, a browser."""
 
 import contextlib
 import os

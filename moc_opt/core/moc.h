@@ -212,7 +212,7 @@ typedef struct {
     double tip_error, tip_share;                        /* TIP: largest rms [m], weight of a tick in the mean square */
     int in_incision;                                    /* 0: RCM error and trocar force are not checked */
     double warning[2], limit[2];                        /* thresholds of rms RCM error [m], rms trocar force [N] */
-    double incision_share;                              /* weight of a tick in the mean squares of these two */
+    double incision_share;                              /* weight of a tick in the mean squares of RCM and force */
     double tool_mass, tool_length;                      /* mass [kg] and length [m] of the tool, a rod */
     double tip_force;                                   /* largest force that may come from a contact of the tip [N] */
     double stop_holding;                                /* dry friction of closed brakes, divided by tau_max */

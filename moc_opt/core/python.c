@@ -63,8 +63,7 @@ static PyObject *law_new(PyTypeObject *type, PyObject *given, PyObject *keywords
 /* Arguments 0 to 3 of start, begin and step: q, v as measured; X_d, dX_d, ddX_d; the trocar P_t, dP_t. */
 #define TICK {"q", READ, N}, {"v", READ, N}, {"tip_ref", READ, 3, 3}, {"trocar", READ, 2, 3}
 
-/* Begin a tick, or start the law if not `begins`. Write packed terms to array i. On failure, set an exception and
- * return false. */
+/* Begin a tick, or start the law if not `begins`. Pack the terms into array i. Returns false if it raises. */
 static bool take_tick(Law *self, const call *c, bool begins, const double *x_d, int i)
 {
     static const double none[MOC_MAX_JOINTS];

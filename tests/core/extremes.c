@@ -5,7 +5,7 @@
  * that the digest changes if the core uses such an entry. Every compiler gives the same digest, because the program has
  * its own sine and cosine. All other functions that the core takes from the C library are exact.
  *
- * Usage: extremes [courses] [seed]. A course draws new settings. The exit status is 0 if all checks pass. */
+ * Usage: extremes [courses] [seed]. A course is a run with random settings. The exit status is 0 if all checks pass. */
 #include <limits.h>
 #include <math.h>
 #include <stdint.h>

@@ -107,7 +107,7 @@ def test_an_address_is_read_or_refused():
             wire.parse_address(wrong, "--listen")
 
 
-def test_a_key_is_read_from_the_file_else_from_the_environment_and_required_beyond_loopback(tmp_path, monkeypatch):
+def test_a_key_is_read_from_the_file_else_from_the_environment_and_is_required_beyond_loopback(tmp_path, monkeypatch):
     monkeypatch.delenv(wire.VARIABLE, raising=False)
     assert wire.read_key(None, "127.0.0.1", "--listen") == wire.LOOPBACK_KEY
     for host in ("192.0.2.1", "0.0.0.0"):

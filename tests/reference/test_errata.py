@@ -56,7 +56,7 @@ def test_printed_projector_is_not_idempotent_and_lets_the_tip_move(states):
 
 
 # Printed: J_W is 3x5. Right: it is 3x7, and zero where a joint does not move the wrist.
-def test_wrist_jacobian_has_seven_columns_three_of_them_zero(states):
+def test_the_wrist_jacobian_has_seven_columns_of_which_three_are_zero(states):
     for s in states:
         assert s.J_wrist.shape == (3, 7)
         np.testing.assert_array_equal(s.J_wrist[:, 4:], 0.0)  # axes 5, 6 and 7 meet in the wrist centre
@@ -87,7 +87,7 @@ def test_gradient_of_f_is_positive_semidefinite_and_seven_by_seven(robot, states
 
 
 # Printed: F(Y) = [-dL/dqd, dL/dl], without a time constant. Right: [dL/dqd, -dL/dl], with eps, or m steps per tick.
-def test_modes_grow_with_the_printed_sign_and_otherwise_have_time_constants_above_50_s(robot, states):
+def test_modes_grow_with_the_printed_sign_and_decay_slowly_with_the_right_sign(robot, states):
     """With dY/dt = -k F(Y), the real part of an eigenvalue is -k c0 s^2 / 2 for a singular value s of A."""
     for s in states:
         qp = subproblem(robot, s)
