@@ -245,11 +245,11 @@ typedef struct {
 
 /* What the safety filter remembers about a joint. */
 typedef struct {
-    double gap, peak, shown, speed;          /* q - integral of v; largest recent |v|; the last q and v */
+    double gap, peak, shown, speed;          /* q - integral of v; largest recent |v|; last q; last v */
     double repeats, whole;                   /* ticks with unchanged q, in a row; with unchanged q and v, in total */
     double torque;                           /* torque when all encoders stopped changing [Nm] */
     double integral, residual, mean;         /* momentum observer: integral, residual and its mean */
-    double at_repeat, unseen, exceeded;      /* mean when q last changed; speed since (STUCK); ticks (UNEXPLAINED) */
+    double at_repeat, unseen, exceeded;      /* mean when q last changed; STUCK: speed; UNEXPLAINED: ticks in a row */
 } moc_joint_watch;
 
 /* What the safety filter remembers. */
@@ -260,7 +260,7 @@ typedef struct {
     double tip_square;                           /* mean square of the tip's error [m^2] */
     double point[3];                             /* the trocar, as last registered [m] */
     double mean_square[2], largest[2], first_tick[2]; /* RCM error, force: mean square; largest rms, first warning */
-    double whole_square, ticks;                  /* mean square of the whole force on the tool; ticks in the incision */
+    double whole_square, ticks;                  /* mean square of the whole force across the shaft; tick number */
     int unread;                                  /* wrench readings in a row that were not finite */
     double press, borne;                         /* in a stop: mean trocar force, level to compare it with [N] */
     int yields, open;                            /* 1: the trocar force has opened the brakes; ticks since then */

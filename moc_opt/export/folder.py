@@ -25,10 +25,10 @@ CORE = (
     "answer.c", "safety_filter.c", "step.c", "record.c",
 )  # fmt: skip
 """The files of `moc_opt/core` that `moc_step` needs."""
-TESTS = ("main.c", "Makefile", "README.md")
-UDP = ("udp.c",)
+TESTS = ("main.c", "Makefile", "README.md")  # files of `OWN` in every exported folder
+UDP = ("udp.c",)  # files of `OWN` for the controller over UDP
 OWN = files("moc_opt.export") / "c"
-MARK = "Written by moc-opt export-c"
+MARK = "Written by moc-opt export-c"  # begins the first line of every exported text file
 SUPERVISION = (
     "check", "box_limit", "primal_limit", "relative_limit", "opposite_limit", "hold_ticks", "keep_off_limits",
     "fallback", "late", "budget_us",

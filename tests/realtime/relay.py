@@ -97,6 +97,8 @@ NO_TIME: Any = SimpleNamespace(late_us=0.0, overruns=0, wait_for=lambda tick: 0.
 
 
 class Peer:
+    """A scripted controller (`say`) and the plant's end of the link (`plant`), which is under test."""
+
     def __init__(self, robot) -> None:
         self.n, self.k = robot.n, 0
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

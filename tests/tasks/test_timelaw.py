@@ -91,6 +91,7 @@ BRAKE_S = 0.05 / 0.2  # shortest time in which a waiting reference slows from it
 
 
 def flags(seconds, losses):
+    """Return one flag per tick: whether the board is seen. A loss is (start, length) [s]."""
     t = PERIOD * np.arange(round(seconds / PERIOD))
     seen = np.ones(len(t), dtype=bool)
     for start, length in losses:
