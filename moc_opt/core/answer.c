@@ -107,7 +107,7 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
     return found;
 }
 
-/* Compute the smallest self-motion that keeps the joint velocities within the bounds. If there is none, `motion` is
+/* Compute the smallest self-motion that keeps the joint velocities within the bounds. If none does, `motion` is
  * unchanged. The shortest x of A x = b within the bounds is the optimum of the subproblem without pull. `motion` is the
  * part of this x in ker A. */
 static void retreat(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOINTS], double *motion)

@@ -226,7 +226,7 @@ typedef struct {
     double repeat_whole_ticks;                          /* WRENCH_REPEATED, REPLAYED: ticks if the wrench has noise */
     double repeat_joint_ticks, repeat_reading_ticks;    /* ONE_REPEATED: ticks in a row, ticks in total */
     double replayed_ticks;                              /* REPLAYED: ticks if the wrench has no noise */
-    double stuck_speed;                                 /* STUCK: largest unseen speed from the torque [rad/s] */
+    double stuck_speed;                                 /* STUCK: largest |integral| in its formula [rad/s] */
     double held[MOC_MAX_JOINTS];                        /* STUCK: change of torque that static friction can hold [Nm] */
     double residual_torque, residual_whole;             /* UNEXPLAINED: largest residuals, divided by tau_max */
     double residual_rate, residual_share;               /* observer gain [1/s], weight of a tick in the mean of r */
@@ -262,7 +262,7 @@ typedef struct {
     double mean_square[2], largest[2], first_tick[2]; /* RCM error, force: mean square; largest rms, first warning */
     double whole_square, ticks;                  /* mean square of the whole force across the shaft; tick number */
     int unread;                                  /* wrench readings in a row that were not finite */
-    double press, borne;                         /* in a stop: mean trocar force, level to compare it with [N] */
+    double press, borne;                         /* in a stop: mean trocar force; level that it is compared with */
     int yields, open;                            /* 1: the trocar force has opened the brakes; ticks since then */
     int cut;                                     /* 1: a drive is at fault, so the torque of the stop goes to zero */
     int limited;                                 /* number of joints whose last torque was limited */

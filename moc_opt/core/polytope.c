@@ -127,7 +127,7 @@ static bool push(polytope *t, int p, int *active)
 }
 
 /* Move s within ker A to the nearest point within the bounds. Pi has to be unswept. Afterwards s - s_start = Pi force.
- * Violations up to the slack are allowed. If no point is found, the bounds are widened in steps of up to `most`,
+ * Violations up to the slack are allowed. If no point is found, the bounds are widened by steps of at most `most`,
  * because rounding may hide a feasible set that is a single point. */
 static moc_status project(polytope *t, double slack, double most)
 {
