@@ -1,4 +1,4 @@
-"""Arms and poses that several test files share."""
+"""Fixtures that several test files share: arms, poses, a browser."""
 
 import contextlib
 import os
@@ -23,7 +23,7 @@ settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.register_profile("long", deadline=None, max_examples=5000, print_blob=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
-# A shell starts background jobs with SIGINT ignored. The processes that the tests start would inherit this.
+# A shell starts background jobs with SIGINT ignored. The processes that the tests start would inherit this setting.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -82,7 +82,7 @@ def chromium() -> Iterator[Any]:
 def opened(
     chromium: Any, address: str, ready: str, own: str = "", kinds: tuple[str, ...] = (), **options: Any
 ) -> Iterator[Any]:
-    """Open a page. At the end, check that it logged nothing (of `kinds`) and requested no address outside `own`."""
+    """Yield an open page, then check that it logged nothing (of `kinds`) and requested only addresses within `own`."""
     page, said, asked = chromium.new_page(**options), list[str](), list[str]()
 
     def hear(message: Any) -> None:

@@ -15,7 +15,7 @@ from moc_opt.solvers.base import Solution, Status
 
 @dataclass(frozen=True)
 class Misbehaving:
-    """A solver that answers x = 0 and counts its calls as iterations. From call ``at`` on it first does ``act``."""
+    """A solver that answers x = 0 and counts its calls as iterations. From call ``at`` on, it does ``act`` first."""
 
     act: str = ""
     at: int = 2

@@ -22,7 +22,7 @@ def many(share=1.0):
 
 @contextlib.contextmanager
 def ends_well(*named):
-    """Allow only a MocOptError inside. Its message needs 15 to 2000 characters and one of ``named`` (unless empty)."""
+    """Allow no exception but a MocOptError. Its message has 15 to 2000 characters and, if given, one of ``named``."""
 
     def ring(number, frame):
         pytest.fail(f"no end after {LONGEST_S} s")

@@ -59,7 +59,7 @@ def unit(rng: np.random.Generator) -> Array:
 
 
 def random_arm(rng: np.random.Generator, n: int = 7, structured: bool = True) -> Arm:
-    """Return random axes through points within about half a metre of the wrist.
+    """Return an arm with random axes through points within about half a metre of the wrist.
 
     With structured and n = 7, joints 5 to 7 pass through the wrist, and the tool lies along joint 7. Joints 5 to 7 then
     do not move the wrist, and joint 7 does not move the tip.

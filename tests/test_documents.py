@@ -1,7 +1,7 @@
 """The fenced blocks of README run from top to bottom in an empty folder.
 
 `sh` blocks go to a shell, and `python` blocks to one interpreter. A block that begins with "# in a checkout" does not
-run, but its targets must be in the Makefile. `moc-opt live` is interrupted once it has printed its address.
+run, but the Makefile must have its targets. `moc-opt live` is interrupted once it has printed its address.
 """
 
 import os
@@ -20,7 +20,7 @@ import moc_opt as mo
 ROOT = Path(__file__).resolve().parent.parent
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 CHECKOUT = "# in a checkout"
-PATIENCE_S = 1200  # limit for one block
+PATIENCE_S = 1200  # time limit for one block
 
 
 def blocks(document):

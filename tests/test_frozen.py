@@ -1,6 +1,6 @@
-"""Closed-loop runs keep the figures in frozen.json, within tolerances that do not matter on a robot.
+"""The metrics of closed-loop runs equal those in frozen.json, within tolerances that do not matter on a robot.
 
-A commit that changes figures on purpose rewrites the file (``python -m tests.test_frozen --write``) and says why.
+A commit that changes metrics on purpose rewrites the file (``python -m tests.test_frozen --write``) and says why.
 """
 
 import json
@@ -71,7 +71,7 @@ for fallback in ("hold", "damping", "least-violation"):
 
 
 def scenarios() -> dict[str, mo.Scenario]:
-    """Return every arm with every solver (paths and seeds alternate), and all `VARIANTS`."""
+    """Return {name: scenario} for every arm with every solver (paths and seeds alternate), and all `VARIANTS`."""
     tables: dict[str, dict[str, Any]] = {}
     for a, arm in enumerate(ARMS):
         for s, solver in enumerate(SOLVERS):

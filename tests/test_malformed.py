@@ -184,7 +184,7 @@ def test_a_subproblem_is_answered_without_a_false_claim_or_names_the_field(n, se
 
 
 def ordinary(qp):
-    """Return whether numbers are at most 1e3 and A is well conditioned. Otherwise, residuals may be rounding errors."""
+    """Return whether all numbers are at most 1e3 and A is well conditioned. Else residuals may be rounding errors."""
     largest = max(float(np.abs(array).max()) for array in (qp.A, qp.b, qp.lower, qp.upper, qp.grad_mu))
     sizes = np.linalg.svd(qp.A, compute_uv=False)
     return largest <= 1e3 and sizes[0] > 0.0 and sizes[sizes > 1e-9 * sizes[0]].min() > 1e-3 * sizes[0]

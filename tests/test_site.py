@@ -1,6 +1,6 @@
 """The sources of the documentation site are consistent. `make docs` builds the site.
 
-Every public name of the reference is used in an example, on a page or in its own docstring, which is run here.
+Every public name of the reference is used in an example, on a page, or in its docstring's doctest, which is run here.
 """
 
 import doctest

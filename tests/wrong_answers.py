@@ -1,6 +1,6 @@
-"""Feasible answers that are not optimal: corners of the feasible set. There r joints are at a bound (r = dim ker A).
+"""Feasible answers that are not optimal: corners of the feasible set, where r = dim ker A joints are at a bound.
 
-The loss of a corner comes from an enumeration of all active sets, which uses neither the solvers nor the residuals.
+The loss (cost above the optimum) is computed from all active sets, without the solvers and the residuals.
 """
 
 from itertools import combinations, product
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 class Wrong(NamedTuple):
-    """A subproblem, a corner x of its feasible set, and the share of the range of the cost that x loses."""
+    """A subproblem, a corner x of its feasible set, and (cost of x - least cost) / (range of the cost)."""
 
     qp: NullSpaceQP
     x: Array

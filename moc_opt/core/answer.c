@@ -1,13 +1,13 @@
-/* Checks a solver's answer and replaces a refused answer. */
+/* The check of a solver's answer, and the replacements of a refused answer. */
 #include "vec.h"
 
-#define AT_BOUND 1e-4          /* a joint this close to a bound counts as lying on it [rad/s] */
-#define PASSES 2e-3            /* if the natural residual is smaller, `off` and `opposite` may stay zero */
-#define NO_GRADIENT 1e-12      /* if the gradient's share along the self-motion is smaller, it counts as zero */
-#define IMMOBILE 1e-12         /* smallest divisor for a joint whose column in A is almost zero */
-#define GRADIENT_ROUNDING 1e-9 /* a shorter descent direction counts as zero (as in qp/residuals.py) */
-#define DESCENTS 50            /* sweeps of least_violation */
-#define OUTSIDE 1e-6           /* largest bound violation in `retreat` [rad/s] */
+#define AT_BOUND 1e-4          /* a joint velocity this close to a bound counts as lying on it [rad/s] */
+#define PASSES 2e-3            /* up to this natural residual, `off` and `opposite` may be left at zero [rad/s] */
+#define NO_GRADIENT 1e-12      /* largest |part of pull in ker A| / (largest entry of pull) that counts as zero */
+#define IMMOBILE 1e-12         /* smallest divisor in least_violation, for joints whose column in A is tiny [m^2] */
+#define GRADIENT_ROUNDING 1e-9 /* length up to which a descent direction counts as zero (as in qp/residuals.py) */
+#define DESCENTS 50            /* number of sweeps over all joints in least_violation */
+#define OUTSIDE 1e-6           /* largest bound violation [rad/s] and |A x - b| [m/s] of the x in `retreat` */
 
 /* Whether joint j moves neither tip nor wrist, so that the unit vector e_j lies in ker A. */
 static bool is_idle(int rows, double Z[][MOC_MAX_JOINTS], int j)
@@ -43,9 +43,9 @@ static double steepest_descent(const moc_problem *p, int rows, double Z[][MOC_MA
     return scale;
 }
 
-/* The residuals are measured along a line of self-motion. If the elbow swivel is the only self-motion, this line is the
- * whole feasible set. If ker A has more dimensions, the line is the steepest feasible descent at x. If there is none,
- * natural, off and opposite are zero.
+/* The residuals natural, off and opposite are measured along a line of self-motion. If the elbow swivel is the only
+ * self-motion, this line contains the whole feasible set. If ker A has more dimensions, it is the steepest feasible
+ * descent at x. If x has no feasible descent, the three residuals are zero.
  *
  * Along the line, let s be the coordinate of x and g the component of pull. The cost is rho s^2 / 2 - c2 g s. Within
  * the bounds, the optimum is clip(c2 g / rho). The optimum of the opposite gradient is clip(-c2 g / rho). */
@@ -91,7 +91,7 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
             high = smaller(larger(one, other), high);
         }
     }
-    low = smaller(0.0, low); /* x counts as feasible here, because `outside` has its bound violation */
+    low = smaller(0.0, low); /* x counts as feasible here, because `outside` reports its bound violation */
     high = larger(0.0, high);
     for (int j = 0; j < n; j++) {
         double push = line[j] * slope;
@@ -107,7 +107,7 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
     return found;
 }
 
-/* Compute the smallest self-motion that keeps the joint velocities within the bounds. If there is none, `motion` is
+/* Compute the smallest self-motion that keeps the joint velocities within the bounds. If none does, `motion` is
  * unchanged. The shortest x of A x = b within the bounds is the optimum of the subproblem without pull. `motion` is the
  * part of this x in ker A. */
 static void retreat(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOINTS], double *motion)

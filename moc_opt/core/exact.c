@@ -2,24 +2,24 @@
  *
  * If A x = b, the terms with c0 and c1 are constant. The rest of the cost is rho/2 |x|^2 - c2 pull^T x. Gauss-Jordan
  * elimination with complete pivoting (Golub and Van Loan, Matrix Computations, 3.4.8) writes x as a particular solution
- * plus a combination of free joints. A joint with a zero column (joint 7, if the tool lies on its axis) moves neither
- * tip nor wrist. Its speed is computed separately. If one free joint is left (the elbow swivel), a ratio test gives the
- * optimum. If several are left, polytope.c finds it. Rows are padded with zeros to 8 or 16 numbers, so that the
- * compiler unrolls the loops over a row. */
+ * plus one self-motion per free joint (a joint without a pivot). A joint with a zero column (joint 7, if the tool lies
+ * on its axis) moves neither tip nor wrist. Its speed is computed separately. If one free joint is left (the elbow
+ * swivel), a ratio test gives the optimum. If several are left, polytope.c computes it. Rows are padded with zeros to
+ * 8 or 16 numbers, so that the compiler unrolls the loops over a row. */
 #include "vec.h"
 
-#define RANK_TOLERANCE 1e-12 /* a singular value below this share of |A|_F counts as zero */
-#define TIED 1e-7            /* the same share for the sixth singular value, which is zero for an exactly rigid tool */
-#define LOOK_CLOSER 1e3      /* a pivot below this multiple of the tolerance gets a closer check (own_part) */
-#define LEFT 1e-6            /* largest |A x - b| of an answer, as in qp/residuals.py [m/s] */
-#define SOUND 1e-6           /* if the last pivot is larger, rounding cannot spoil the answer [m] */
-#define UNBALANCED 1e-4      /* largest error of A^T y = force, divided by the cost's slope */
-#define IDLE 1e-12           /* a free joint whose column has no larger entry moves neither tip nor wrist */
-#define ROUNDING 1e-9        /* an entry of pull below this share of the largest entry counts as zero */
+#define RANK_TOLERANCE 1e-12 /* largest singular value of A, divided by |A|_F, that counts as zero */
+#define TIED 1e-7            /* largest sixth singular value, divided by |A|_F, for which the tool counts as rigid */
+#define LOOK_CLOSER 1e3      /* own_part checks a pivot that is smaller than LOOK_CLOSER * tolerance * first pivot */
+#define LEFT 1e-6            /* largest |A x - b| of an accepted answer, as in qp/residuals.py [m/s] */
+#define SOUND 1e-6           /* largest value of the last pivot for which rounding may spoil the answer [m] */
+#define UNBALANCED 1e-4      /* largest |A^T y - force| of an accepted answer, divided by max(c2 |pull|, rho) */
+#define IDLE 1e-12           /* a free joint is idle (moves neither tip nor wrist) if its column has no larger entry */
+#define ROUNDING 1e-9        /* an idle joint's entry of pull counts as zero up to this share of the largest entry */
 #define GROWTH 4e-12         /* largest relative rounding error of six elimination steps */
 #define WIDEST 1e-5          /* largest bound violation that may be attributed to rounding [rad/s] */
-#define UNCLEAR 1e-3         /* largest widening of the bounds when an infeasible problem is checked again [rad/s] */
-#define SLIVER 2e-9          /* smallest rounding error assumed if several free joints are left [rad/s] */
+#define UNCLEAR 1e-3         /* largest widening of the bounds in the last solve of moc_solve_exact [rad/s] */
+#define SLIVER 2e-9          /* smallest assumed rounding error of x if several free joints are left [rad/s] */
 
 /* Turn multipliers g (6,) of the eliminated rows into multipliers of the rows of A. */
 static void weigh_back(const moc_plane *plane, int steps, double g[6])
@@ -143,16 +143,16 @@ void moc_direction(const moc_plane *plane, int n, int k, double *z)
     z[free] = 1.0;
 }
 
-/* The optimal speed of a joint that moves neither tip nor wrist. */
+/* The optimal speed of an idle joint, which moves neither tip nor wrist. */
 static double idle_speed(const moc_problem *p, int j)
 {
-    /* a pull at the level of rounding must not send an idle joint to its bound */
+    /* an entry of pull at the level of rounding must not send an idle joint to its bound */
     bool faint = fabs(p->pull[j]) <= ROUNDING * largest_of(p->n, p->pull);
     double pull = faint ? 0.0 : p->c2 * p->pull[j];
-    return clip(pull == 0.0 ? 0.0 : pull / p->rho, p->lower[j], p->upper[j]); /* a bound if rho = 0 */
+    return clip(pull == 0.0 ? 0.0 : pull / p->rho, p->lower[j], p->upper[j]); /* rho = 0: at a bound */
 }
 
-/* The interval of s in which x + s z violates no bound by more than the slack, and the joints whose bounds end it. */
+/* The interval of s in which x + s z violates no bound by more than the slack, and the joints that limit it. */
 typedef struct {
     double low, high;
     int joint[2];
@@ -222,7 +222,7 @@ static double finish(const moc_plane *plane, const moc_problem *p, const double 
     return beyond;
 }
 
-/* Whether A^T y = force holds for the joints that move tip or wrist. */
+/* Whether the optimality condition A^T y = force holds for the joints that move tip or wrist. */
 static bool balanced(const moc_plane *plane, const moc_problem *p, const double *force, const double y[6])
 {
     double most = UNBALANCED * fmax(p->c2 * largest_of(p->n, p->pull), p->rho), gap = 0.0;
@@ -290,7 +290,7 @@ moc_status moc_solve_exact(const moc_problem *p, double tolerance, double *x, do
     double explained = status == MOC_OK ? 0.0 : explained_by_rounding(&plane, p);
     if (explained <= tolerance)
         return status;
-    double unclear = fmin((plane.freedoms > 1 ? 1e5 : 100.0) * explained, UNCLEAR); /* columns may be almost parallel */
+    double unclear = fmin((plane.freedoms > 1 ? 1e5 : 100.0) * explained, UNCLEAR); /* 1e5: columns may be parallel */
     if (solve(&plane, p, fmin(100.0 * explained, WIDEST), x, y) == MOC_OK && off_plane(p, x) <= LEFT)
         return MOC_OK;
     return solve(&plane, p, unclear, x, y) == MOC_INFEASIBLE ? status : MOC_DOUBTFUL;

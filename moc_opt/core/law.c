@@ -4,10 +4,10 @@
  *   tau_0 = K_N2 (x - v) - D_N2 v. tau_ff is the feed-forward, r the observer's estimate. share rises from 0 to 1. */
 #include "vec.h"
 
-#define STRAIGHT 1e-3  /* below this sqrt(smaller / larger mobility of the wrist), one direction is not fed forward */
+#define STRAIGHT 1e-3  /* smallest sqrt(smaller / larger mobility of the wrist) for feed-forward in both directions */
 
 #define SHAFT_PULL 0.1 /* weight of log mu_shaft relative to mu [m^3] */
-#define SHAFT_LOST 0.1 /* below this share of shaft_margin, moc_shaft_push falls with mu_shaft, down to zero */
+#define SHAFT_LOST 0.1 /* if mu_shaft / shaft_margin is smaller, moc_shaft_push falls with mu_shaft, down to zero */
 #define BOX_OPENS 3.0  /* the bounds are widest for mu_shaft <= (1 - 1/BOX_OPENS) shaft_margin */
 
 /* The line from the tip to the trocar and its motion. */
@@ -173,7 +173,7 @@ void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, cons
 
     /* RCM: F_W = K_N (N_d - N) + D_N (dN_d - dN), N_d = X + L e. Let theta be the angle between e and -u. Then
      * |N_d - N| = 2 L sin(theta/2) and the RCM error is d = |P_t - X| sin(theta), so that lambda = d / |N_d - N| is
-     * |P_t - X| / L cos(theta/2). Su et al. use a constant lambda. It scales only the spring. */
+     * |P_t - X| / L cos(theta/2). Su et al. use a constant lambda, which scales only the spring force. */
     line s = shaft_line(t->tip, dX, trocar);
     if (law->rcm_lambda > 0.0)
         share = s.distance / t->span * sqrt(fmax(0.0, 0.5 * (1.0 - dot3(s.e, t->u)))) / law->rcm_lambda;

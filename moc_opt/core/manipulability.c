@@ -1,10 +1,10 @@
 /* Manipulability of the tip (Yoshikawa 1985), and of the shaft while the tip is held, each with its gradient. */
 #include "vec.h"
 
-/* With S = J J^T, if det(S) / (mean of S_ii)^3 is smaller than this, mu is only rounding error. */
+/* mu is only rounding error if det(S) / (mean of S_ii)^3 is smaller than this, where S = J J^T. */
 #define SINGULAR 1e-14
 
-/* Compute (J J^T)^-1 times its determinant. Returns the determinant. *regular is 0 if it is only rounding error. */
+/* Compute (J J^T)^-1 det(J J^T). Returns the determinant. *regular is 0 if the determinant is only rounding error. */
 static double gram_adjugate(int n, double J[][MOC_MAX_JOINTS], double adj[3][3], int *regular)
 {
     double S[3][3];

@@ -22,9 +22,9 @@ typedef enum {
 
 /* A joint and the link that it moves, in the joint's own axes. The Python binding relies on the order of the fields. */
 typedef struct {
-    double rotation[3][3]; /* from the joint's axes to the previous joint's, at q = 0 */
-    double origin[3];      /* of the joint's axes, in the previous joint's axes [m] */
-    double axis[3];        /* unit vector */
+    double rotation[3][3]; /* from the joint's axes to the previous joint's axes, at q = 0 */
+    double origin[3];      /* origin of the joint's axes, in the previous joint's axes [m] */
+    double axis[3];        /* unit vector along which the joint slides, or about which it turns */
     double slides;         /* 1: prismatic, 0: revolute */
     double mass;           /* [kg] */
     double moment[3];      /* mass times centre of mass [kg m] */
@@ -47,8 +47,8 @@ typedef struct {
 typedef struct {
     double q[MOC_MAX_JOINTS], v[MOC_MAX_JOINTS];
     double tip[3], wrist[3], u[3];           /* u = (X - N) / L */
-    double pose[4][3];                       /* the tool's axes x, y, z = u, and the tip */
-    double A[6][MOC_MAX_JOINTS];             /* J_T over J_W */
+    double pose[4][3];                       /* rows: the tool's axes x, y, z = u, and the tip */
+    double A[6][MOC_MAX_JOINTS];             /* rows of J_T, then of J_W */
     double drift[6];                         /* dJ_T/dt v, dJ_W/dt v [m/s^2] */
     double grad_mu[MOC_MAX_JOINTS], grad_mu_shaft[MOC_MAX_JOINTS];
     double M[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
@@ -67,7 +67,7 @@ typedef struct {
     int n;
     double A[6][MOC_MAX_JOINTS], b[6];     /* [J_T; J_W], [v_T; v_W] */
     double grad_mu[MOC_MAX_JOINTS];
-    double pull[MOC_MAX_JOINTS];           /* grad_mu + moc_shaft_push() grad_mu_shaft; to follow x_d: rho/c2 x_d */
+    double pull[MOC_MAX_JOINTS];           /* grad_mu + moc_shaft_push() grad_mu_shaft, or rho/c2 x_d to follow x_d */
     double lower[MOC_MAX_JOINTS], upper[MOC_MAX_JOINTS]; /* [rad/s] */
     double c0, c1, c2, rho;
     double q[MOC_MAX_JOINTS];              /* the pose to which A belongs; only nonlinear solvers use it */
@@ -124,7 +124,7 @@ typedef struct {
 
 /* --- an answer, its check, and its replacements --- */
 
-/* What a solver claims about its answer. */
+/* The status that a solver reports for its answer. */
 typedef enum {
     MOC_CLAIMS_OPTIMUM = 0,
     MOC_CLAIMS_INFEASIBLE,
@@ -209,27 +209,27 @@ typedef struct {
     double wall_stiffness, wall_damping, wall_brake;    /* [Nm/rad], [Nm s/rad], [rad/s^2] */
     double torque_step;                                 /* largest change of a torque in a tick [Nm] */
     double jump, speed_factor;                          /* MEASUREMENT: largest jump [rad], largest |v| / v_max */
-    double tip_error, tip_share;                        /* TIP: rms [m], weight of a tick in the mean square */
+    double tip_error, tip_share;                        /* TIP: largest rms [m], weight of a tick in the mean square */
     int in_incision;                                    /* 0: RCM error and trocar force are not checked */
-    double warning[2], limit[2];                        /* of the RCM error [m] and the trocar force [N] */
-    double incision_share;                              /* weight of a tick in both mean squares */
-    double tool_mass, tool_length;                      /* of the tool, a rod beyond the wrench sensor [kg, m] */
+    double warning[2], limit[2];                        /* thresholds of rms RCM error [m], rms trocar force [N] */
+    double incision_share;                              /* weight of a tick in the mean squares of RCM and force */
+    double tool_mass, tool_length;                      /* mass [kg] and length [m] of the tool, a rod */
     double tip_force;                                   /* largest force that may come from a contact of the tip [N] */
     double stop_holding;                                /* dry friction of closed brakes, divided by tau_max */
     double stop_yield;                                  /* trocar force above which the brakes open in a stop [N] */
     int stop_yield_ticks;                               /* largest number of ticks for which the brakes stay open */
     double press_share;                                 /* weight of a tick in the mean trocar force of a stop */
     int motion;                                         /* 0: LATE and the checks named below are off */
-    double motion_s, motion_rad, motion_lag_s;          /* RAN_AWAY */
+    double motion_s, motion_rad, motion_lag_s;          /* RAN_AWAY: memory [s], largest gap [rad], largest lag [s] */
     double repeat_m, repeat_torque;                     /* REPEATED: motion of the reference [m], share of tau_max */
-    double repeat_whole_m, repeat_whole_torque;         /* REPEATED, if the wrench is unchanged as well */
-    double repeat_whole_ticks;                          /* WRENCH_REPEATED and REPLAYED, if the wrench has noise */
+    double repeat_whole_m, repeat_whole_torque;         /* REPEATED: motion [m], share, if the wrench is unchanged */
+    double repeat_whole_ticks;                          /* WRENCH_REPEATED, REPLAYED: ticks if the wrench has noise */
     double repeat_joint_ticks, repeat_reading_ticks;    /* ONE_REPEATED: ticks in a row, ticks in total */
-    double replayed_ticks;                              /* REPLAYED, if the wrench has no noise */
-    double stuck_speed;                                 /* STUCK [rad/s] */
+    double replayed_ticks;                              /* REPLAYED: ticks if the wrench has no noise */
+    double stuck_speed;                                 /* STUCK: largest |integral| in its formula [rad/s] */
     double held[MOC_MAX_JOINTS];                        /* STUCK: change of torque that static friction can hold [Nm] */
-    double residual_torque, residual_whole;             /* UNEXPLAINED, shares of tau_max */
-    double residual_rate, residual_share;               /* observer gain [1/s], weight of a tick in the mean */
+    double residual_torque, residual_whole;             /* UNEXPLAINED: largest residuals, divided by tau_max */
+    double residual_rate, residual_share;               /* observer gain [1/s], weight of a tick in the mean of r */
     int settling_ticks;                                 /* ticks until the residual has settled */
 } moc_guard;
 
@@ -245,11 +245,11 @@ typedef struct {
 
 /* What the safety filter remembers about a joint. */
 typedef struct {
-    double gap, peak, shown, speed;          /* q - integral of v; largest recent |v|; the last q and v */
+    double gap, peak, shown, speed;          /* q - integral of v; largest recent |v|; last q; last v */
     double repeats, whole;                   /* ticks with unchanged q, in a row; with unchanged q and v, in total */
     double torque;                           /* torque when all encoders stopped changing [Nm] */
     double integral, residual, mean;         /* momentum observer: integral, residual and its mean */
-    double at_repeat, unseen, exceeded;      /* mean when q last changed; speed since (STUCK); ticks (UNEXPLAINED) */
+    double at_repeat, unseen, exceeded;      /* mean when q last changed; STUCK: speed; UNEXPLAINED: ticks in a row */
 } moc_joint_watch;
 
 /* What the safety filter remembers. */
@@ -259,10 +259,10 @@ typedef struct {
     int bad;                                     /* measurements in a row that were not believed */
     double tip_square;                           /* mean square of the tip's error [m^2] */
     double point[3];                             /* the trocar, as last registered [m] */
-    double mean_square[2], largest[2], first_tick[2]; /* RCM error, force; largest rms and first tick of warnings */
-    double whole_square, ticks;                  /* mean square of the whole force on the tool; ticks in the incision */
+    double mean_square[2], largest[2], first_tick[2]; /* RCM error, force: mean square; largest rms, first warning */
+    double whole_square, ticks;                  /* mean square of the whole force across the shaft; tick number */
     int unread;                                  /* wrench readings in a row that were not finite */
-    double press, borne;                         /* in a stop: mean trocar force; level from which a rise counts [N] */
+    double press, borne;                         /* in a stop: mean trocar force; level that it is compared with */
     int yields, open;                            /* 1: the trocar force has opened the brakes; ticks since then */
     int cut;                                     /* 1: a drive is at fault, so the torque of the stop goes to zero */
     int limited;                                 /* number of joints whose last torque was limited */
@@ -272,7 +272,7 @@ typedef struct {
     double wrench[6], wrench_repeats;            /* latest wrench; how many readings in a row before it were equal */
     int looked, wrench_is_still;                 /* wrenches read, up to FIRST_READINGS; 1: two in a row were equal */
     int weighed;                                 /* number of readings that were compared with the torque */
-    double number[MOC_SLOTS], at[MOC_SLOTS];     /* table of take_in: readings and their indices; 0: empty slot */
+    double number[MOC_SLOTS], at[MOC_SLOTS];     /* table of take_in: readings and their indices (0: empty) */
     double joint_number[MOC_MAX_JOINTS][MOC_JOINT_SLOTS], joint_at[MOC_MAX_JOINTS][MOC_JOINT_SLOTS];
     moc_came_before whole, lagging[MOC_MAX_JOINTS];
 } moc_watch;
@@ -298,7 +298,7 @@ typedef struct {
     const moc_law *law;
     const moc_supervision *supervision;
     const moc_guard *guard; /* NULL: no safety filter; every measurement is believed, and nothing stops the arm */
-    double tolerance;       /* of moc_solve_exact [rad/s] */
+    double tolerance;       /* argument of moc_solve_exact [rad/s] */
 } moc_controller;
 
 typedef struct {

@@ -1,10 +1,9 @@
 /* A basis Z of ker A that changes smoothly with the pose, and the climb of mu in ker A. */
 #include "vec.h"
 
-/* x_d of the scaled climb is RATE times the Newton step to the local maximum of mu. */
-#define RATE 5.0     /* [1/s] */
-#define LONGEST 1.0  /* length of the longest Newton step [rad] */
-#define PROBE 1e-3   /* step of the finite difference of the slope [rad] */
+#define RATE 5.0     /* x_d of the scaled climb, divided by the Newton step to the local maximum of mu [1/s] */
+#define LONGEST 1.0  /* length of the longest Newton step of the scaled climb [rad] */
+#define PROBE 1e-3   /* joint-space step of the finite difference of the slope of mu [rad] */
 
 bool moc_orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least)
 {

@@ -1,11 +1,11 @@
-/* For planning: poses with a given tip and wrist, curves of self-motion, climbs of mu, steps of dynamic programming. */
+/* Planning: poses with tip and wrist at given points, curves of self-motion, climbs of mu, dynamic programming. */
 #include "tools.h"
 #include "vec.h"
 
-#define TOLERANCE 1e-10 /* largest position error of tip and wrist [m] */
+#define TOLERANCE 1e-10 /* largest position error of tip and wrist in a pose that counts as found [m] */
 #define PI 3.14159265358979323846
 
-/* Compute the position error (6,) of tip and wrist, A (6,n), and, unless NULL, the gradient of mu (n,). Returns mu. */
+/* Compute the position error (6,) of tip and wrist, A (6,n) and, if grad is not NULL, grad mu (n,). Returns mu. */
 static double look(const plan_task *task, const double *q, double error[6], double A[6][MOC_MAX_JOINTS], double *grad)
 {
     moc_frame frame[MOC_MAX_JOINTS];
@@ -32,11 +32,11 @@ static double distance(int n, const double *p, const double *q)
 
 /* --- one pose --- */
 
-#define LONGEST 0.25    /* longest step for which the linearization is good enough [rad] */
-#define AT_REST 1e-9    /* a joint with a smaller entry in the unit tangent counts as not moving */
-#define DAMPING 4e-12   /* added to A A^T [m^2], because A has only rank 5 (tip and wrist are rigidly tied) */
+#define LONGEST 0.25    /* longest step in joint space, short enough for a linearization [rad] */
+#define AT_REST 1e-9    /* largest entry of the unit tangent with which a joint counts as not moving */
+#define DAMPING 4e-12   /* added to the diagonal of A A^T [m^2], because A has only rank 5 (tip and wrist are tied) */
 
-/* Compute the step (n,) nearest to `desired` that satisfies A step = error (rows).
+/* Compute the step (n,) nearest to `desired` that satisfies the first `rows` rows of A step = error.
  *
  * No joint within `near` of a limit moves towards this limit. An active-set method holds joints at their limits, and
  * releases a held joint if its multiplier points inwards. */
@@ -117,7 +117,7 @@ double plan_place(const plan_task *task, int points, int rounds, const double *s
 
 #define STRAIGHT 0.8 /* cosine of the largest angle by which the tangent may turn in a step */
 
-/* The longest step along the tangent, up to h, within the joint limits. The joint *hit (or NONE) limits the step. */
+/* The longest step along the tangent, up to h, within the joint limits. *hit is the joint that limits it, or NONE. */
 static double room_ahead(const plan_task *task, const double *q, const double *tangent, double h, int *hit)
 {
     *hit = NONE;
@@ -132,7 +132,7 @@ static double room_ahead(const plan_task *task, const double *q, const double *t
 }
 
 /* Compute mu at q, and the curve's unit tangent (n,) at q. The tangent is the previous tangent `last` projected on ker
- * A, without the fixed joints. Returns the cosine of the angle between both tangents. */
+ * A, with zeros for fixed joints. Returns the cosine of the angle between both tangents. */
 static double turn_tangent(const plan_task *task, const double *q, const double *last, double *tangent, double *mu)
 {
     double error[6], A[6][MOC_MAX_JOINTS], Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
@@ -149,8 +149,8 @@ static double turn_tangent(const plan_task *task, const double *q, const double 
     return length;
 }
 
-/* Whether the curve closes: its start (n,) lies ahead of q within one step. Whole turns of joints do not count, and
- * `pose` is the start after the turns that bring it nearest to q. *gap is the distance of `pose` from q. */
+/* Whether the curve closes: its start (n,) lies ahead of q within one step. `pose` is the start, with whole turns
+ * added to its joints that bring it nearest to q. *gap is the distance of `pose` from q. */
 static bool closes(const plan_task *task, const double *start, const double *q, const double *tangent, double step,
                   double *pose, double *gap)
 {
@@ -229,7 +229,7 @@ int plan_follow(const plan_task *task, const double *start, const double *tangen
 
 /* --- climbs --- */
 
-#define SHORTEST 1e-6  /* with a shorter step, the climb has converged [rad] */
+#define SHORTEST 1e-6  /* length of a step below which the climb has converged [rad] */
 
 double plan_ascend(const plan_task *task, double *q)
 {
@@ -256,8 +256,8 @@ double plan_ascend(const plan_task *task, double *q)
 
 /* --- one step of dynamic programming --- */
 
-/* The largest value, minus the cost of the motion, among the next poses of a branch that are within reach. Returns
- * `best` if none is larger than `best`. */
+/* Return the largest (value - cost of the motion) over the next poses of a branch that are within reach, or `best` if
+ * `best` is larger. */
 static double best_in(const plan_stage *t, int pose, int branch, double best)
 {
     const double *q = t->q + pose * t->n, *slack = t->slack + pose * t->n;

@@ -5,14 +5,14 @@
  * unconstrained optimum. The dual active-set method of Goldfarb and Idnani (Math. Programming 27, 1983, algorithm 1)
  * starts at this optimum and adds violated bounds one by one. It needs no feasible start and proves infeasibility.
  *
- * Pi is swept on the joints at active bounds (Goodnight, The American Statistician 33, 1979). When joint p is pushed,
- * row p of the swept Pi gives the change of the other joints and of the multipliers. If rho is almost zero, a proximal
- * point iteration repeats the projection. It is finite for linear programs (Ferris 1991). */
+ * Pi is swept on the joints at active bounds (Goodnight, The American Statistician 33, 1979). When joint p is pushed
+ * to its bound, row p of the swept Pi gives the change of the other joints and of the multipliers. If rho is almost
+ * zero, a proximal point iteration repeats the projection. It ends for linear programs (Ferris 1991). */
 #include "vec.h"
 
-#define FAR 1e3          /* use proximal steps if the unconstrained optimum is this many times the bounds' width away */
-#define UNMOVED 1e-20    /* joint j counts as fixed if Pi_jj is smaller */
-#define DEPENDENT 1e-12  /* if the sweeps leave a smaller share of Pi_jj, the active bounds fix joint j */
+#define FAR 1e3          /* proximal steps are used if |c2 Pi g| / rho is at least FAR * (largest upper - lower) */
+#define UNMOVED 1e-20    /* largest Pi_jj with which joint j counts as unable to move in ker A */
+#define DEPENDENT 1e-12  /* the active bounds fix joint j if Pi_jj, divided by Pi_jj before any sweep, is smaller */
 
 typedef struct {
     int n, r;                                  /* number of joints, dimension of ker A */
@@ -36,7 +36,7 @@ static void fill_projector(polytope *t)
     }
 }
 
-/* With sign 1, sweep Pi on joint p, so that s_p and its multiplier change places. Sign -1 undoes the sweep. */
+/* With sign 1, sweep Pi on joint p, so that s_p becomes fixed and its multiplier free. Sign -1 undoes the sweep. */
 static void sweep(polytope *t, int p, double sign)
 {
     double inverse = 1.0 / t->Pi[p][p], row[MOC_MAX_JOINTS];
@@ -127,7 +127,7 @@ static bool push(polytope *t, int p, int *active)
 }
 
 /* Move s within ker A to the nearest point within the bounds. Pi has to be unswept. Afterwards s - s_start = Pi force.
- * Violations up to the slack are allowed. If no point is found, the bounds are widened in steps of up to `most`,
+ * Violations up to the slack are allowed. If no point is found, the bounds are widened by steps of at most `most`,
  * because rounding may hide a feasible set that is a single point. */
 static moc_status project(polytope *t, double slack, double most)
 {
@@ -179,7 +179,7 @@ static moc_status approach(polytope *t, double rho, double slack, double most, d
             status = project(t, slack, most);
             moved = 0.0;
             for (int j = 0; j < t->n; j++) {
-                if (status != MOC_OK) /* rounding spoils so long a step */
+                if (status != MOC_OK) /* rounding spoils such a long step */
                     t->s[j] = before[j];
                 moved = fmax(moved, fabs(t->s[j] - before[j]));
             }

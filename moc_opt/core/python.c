@@ -63,7 +63,7 @@ static PyObject *law_new(PyTypeObject *type, PyObject *given, PyObject *keywords
 /* Arguments 0 to 3 of start, begin and step: q, v as measured; X_d, dX_d, ddX_d; the trocar P_t, dP_t. */
 #define TICK {"q", READ, N}, {"v", READ, N}, {"tip_ref", READ, 3, 3}, {"trocar", READ, 2, 3}
 
-/* Start the law or begin a tick, and write packed terms to array i. Returns false and sets an exception on failure. */
+/* Begin a tick, or start the law if not `begins`. Pack the terms into array i. Returns false if it raises. */
 static bool take_tick(Law *self, const call *c, bool begins, const double *x_d, int i)
 {
     static const double none[MOC_MAX_JOINTS];
@@ -206,7 +206,7 @@ static PyObject *guard_new(PyTypeObject *type, PyObject *given, PyObject *keywor
     return with_arm(type, given, keywords, guard_fields, COUNT(guard_fields));
 }
 
-/* Convert the number of a control period to an integer. The filter refuses +-4e18, to which it is clipped. */
+/* Convert the number of a control period to an integer, clipped to +-4e18. The filter refuses these two values. */
 static long long stamp_of(double number)
 {
     return (long long)fmin(fmax(number, -4e18), 4e18);

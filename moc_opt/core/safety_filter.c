@@ -22,19 +22,19 @@
  *   STUCK             while q_i is unchanged, |integral of (change of r_i beyond held_i) / M_ii| > stuck_speed
  *   TORQUE            the controller's torque is not finite
  *
- * A torque is limited by each joint's wall and brake (left_by_wall), then by torque_step, then by tau_max.
+ * Each joint's torque is limited by its virtual wall (left_by_wall), then by torque_step, then by tau_max.
  * docs/reliability.md explains the limits. docs/extending.md describes how to add a check. */
 #include <limits.h>
 
 #include "vec.h"
 
-#define SHORTEST_DEPTH 0.05 /* at a smaller depth, a contact of the tip looks like a trocar force [m] */
-#define GRAVITY 9.81        /* [m/s^2] */
+#define SHORTEST_DEPTH 0.05 /* tip depth below which a contact of the tip looks like a trocar force [m] */
+#define GRAVITY 9.81        /* gravitational acceleration [m/s^2] */
 #define FIRST_READINGS 100  /* number of readings that decide whether the wrench sensor has noise */
-#define LARGEST_STAMP (LLONG_MAX / 4) /* a larger stamp cannot be the number of a control period */
-#define SHRINK 0.61803398875 /* factor in as_number, which turns a reading into one number */
-#define FINE 1e9             /* take_in stores a reading x in slot (|x| * FINE) mod slots */
-#define LARGEST_NUMBER 1e6   /* take_in ignores larger numbers */
+#define LARGEST_STAMP (LLONG_MAX / 4) /* largest stamp that can be the number of a control period */
+#define SHRINK 0.61803398875 /* ratio between the weights of successive values in as_number */
+#define FINE 1e9             /* take_in stores a number x in the slot floor(FINE * |x|) mod slots */
+#define LARGEST_NUMBER 1e6   /* largest |x| of a number x that take_in stores */
 
 void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v, long long stamp, moc_watch *w)
 {
@@ -57,13 +57,13 @@ void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v
 
 enum { FRESH, REPEAT, OLD };
 
-/* OLD: the newest measurement has over `patience` ticks more delay than the first new measurement of the run had. */
+/* OLD: the newest stamp's delay exceeds the delay of the run's first new measurement by more than `patience`. */
 static int age(const moc_guard *g, long long stamp, moc_watch *w)
 {
     bool possible = stamp > -LARGEST_STAMP && stamp < LARGEST_STAMP;
     w->now++;
     long long late = possible ? w->now - stamp : LLONG_MAX;
-    if (late < 0 && late >= -g->patience) { /* the controller missed ticks, so it takes the arm's count */
+    if (late < 0 && late >= -g->patience) { /* the controller missed ticks: adopt the arm's count */
         w->now = stamp;
         late = 0;
     }
@@ -185,8 +185,8 @@ static moc_stop compare_readings(const moc_guard *g, int n, const moc_measuremen
                                                                                   : MOC_RUNNING;
 }
 
-/* Store a reading, given as one number, in a table. Returns how often a reading has equalled the reading that came a
- * constant lag earlier. The count restarts when the lag changes. */
+/* Store a reading, given as one number, in a table. Returns how many readings equalled the reading that came a
+ * constant number of readings (the lag) earlier. The count restarts when the lag changes. */
 static inline double take_in(double number, int slots, double *numbers, double *at, moc_came_before *before)
 {
     if (!(fabs(number) < LARGEST_NUMBER))
@@ -211,8 +211,8 @@ static double as_number(int count, const double *values, double number)
     return number;
 }
 
-/* Apply REPLAYED and LAGGING. No other check finds a replayed recording, because its positions agree with its
- * velocities and with the model. An encoder that starts to lag by k readings repeats the last k readings. */
+/* Apply the checks REPLAYED and LAGGING. No other check finds a replayed recording, because its positions agree
+ * with its velocities and with the model. An encoder that starts to lag by k readings repeats the last k readings. */
 static moc_stop came_before(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w)
 {
     double most = fmin(g->repeat_reading_ticks, wrench_has_noise(w) ? g->repeat_whole_ticks : g->replayed_ticks);
@@ -263,9 +263,9 @@ static double rcm_error(double pose[4][3], const double P[3])
 /* Compute the trocar's force, perpendicular to the shaft [N], from the wrench sensor at the tool's mount.
  * Let z be the tool's axis, L its length and d the depth of the tip beyond the trocar. Without the tool's weight, the
  * reading is due to the trocar's force f and a contact force g at the tip: force = f + g, torque = (L - d) z x f +
- * L z x g. Hence f = (L force - torque x z) / d. If wrong encoders give a wrong d, all of f may look like a contact.
- * Therefore a contact explains at most tip_force. An unknown load on the tool may hide a part of f. Therefore the
- * warning also uses |force|, returned in *all. */
+ * L z x g. Hence f = (L force - torque x z) / d. With wrong encoders, d is wrong, and all of f may look like
+ * a contact force. At most tip_force is therefore attributed to a contact. An unknown load on the tool may hide a part
+ * of f, so that the warning also uses |force|, returned in *all. */
 static double trocar_force(const moc_guard *g, double pose[4][3], const double P[3], const double *wrench, double *all)
 {
     double depth = 0.0, L = g->tool_length, weight[2], force[2];
@@ -368,7 +368,7 @@ static moc_stop weigh(const moc_guard *g, int n, const moc_terms *t, const doubl
 
 /* --- limits of the torque --- */
 
-/* Largest torque towards a wall that its spring and brake allow in addition to the weight. Infinite if neither acts. */
+/* Largest torque towards a wall that its spring and brake allow on top of the weight's. Infinite if neither acts. */
 static double left_by_wall(const moc_guard *g, int i, double distance, double speed)
 {
     /* the speed from which the joint can still stop at the wall */
@@ -448,8 +448,8 @@ void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before
 }
 
 /* With closed brakes the arm keeps pressing on the tissue. With open brakes it sinks under any load that its model
- * lacks. Therefore the brakes open when the trocar's force exceeds stop_yield. They close at half of stop_yield, or
- * after stop_yield_ticks. They open again when the force has risen by another stop_yield. They stay closed if
+ * lacks. The brakes thus open when the trocar's force exceeds stop_yield. They close at half of stop_yield, or after
+ * stop_yield_ticks. They open again when the force has risen by another stop_yield. They stay closed if
  * the drives cannot carry the arm's weight. If a drive is at fault (w->cut), closed brakes alone hold the arm. */
 void moc_guard_hold(const moc_guard *g, const moc_arm *arm, const double *wrench, moc_watch *w, double *friction)
 {

@@ -21,7 +21,7 @@ typedef struct {
     double lin[3], ang[3];
 } moc_twist;
 
-/* Compute all terms. Returns MOC_OK or MOC_NOT_FINITE. */
+/* Compute all fields of moc_terms. Returns MOC_OK or MOC_NOT_FINITE. */
 moc_status moc_compute_terms(const moc_arm *arm, const double *q, const double *v, moc_terms *terms);
 
 /* Compute frame[n] and twist[n] of the joints at a finite q. moc_kinematics also fills the kinematic terms. */
@@ -71,7 +71,7 @@ void moc_desired_wrist(const double X[3], const double dX[3], const moc_trocar *
 /* Advance the observer of joint i by one period with the torque tau: r = gain (M v - integral(tau + C^T v - g + r)). */
 void moc_observe(int n, const moc_terms *t, int i, double tau, double gain, double period, double *integral, double *r);
 
-/* Return the weight of grad mu_shaft in the pull, relative to grad mu [m]. */
+/* Return the weight of grad mu_shaft in moc_problem.pull, in which grad mu has the weight 1 [m]. */
 double moc_shaft_push(double mu_shaft, double margin);
 
 /* Compute the joint velocity x_d of the scaled climb of mu [rad/s]. It is zero at a maximum and at a singularity. */
@@ -90,7 +90,7 @@ void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, doub
 
 /* --- exact.c, polytope.c --- */
 
-#define STILL 1e-10 /* if a joint moves less in a unit step, its bounds do not count (see qp/extremes.py) */
+#define STILL 1e-10 /* the bounds of joint j are ignored along a unit direction z if |z_j| is smaller */
 
 /* A x = b after elimination. Row k < rank reads x[joint[k]] + sum over free joints of row[k][j] x[j] = right[k]. */
 typedef struct {
@@ -121,7 +121,7 @@ typedef struct {
     double opposite; /* distance from the optimum of the opposite gradient [rad/s] */
 } moc_residuals;
 
-/* Compute the residuals of x. The rows of Z span the self-motion. */
+/* Compute the residuals of x. The rows of Z are an orthonormal basis of ker A. */
 moc_residuals moc_judge(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOINTS], const double *x);
 
 /* Check an answer and write the x that the third level follows. */
@@ -145,7 +145,7 @@ moc_stop moc_guard_incision(const moc_guard *g, double pose[4][3], const moc_tro
 moc_stop moc_guard_follow(const moc_guard *g, const moc_arm *arm, const moc_terms *t, const double *tip,
                           const double *tip_ref, const double *before, double *tau, moc_watch *w);
 
-/* Compute the torque of a stop. Per tick, it approaches the torque of the arm's weight by torque_step. */
+/* Compute the torque of a stop. In each tick, it approaches the weight's torque by up to torque_step. */
 void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before, const moc_watch *w, double *tau);
 
 /* --- step.c --- */

@@ -12,7 +12,7 @@ typedef struct {
     double k;       /* gain k of Su et al. 2019 */
     double scale;   /* multiplies c0, c1, c2 and rho */
     int implicit;   /* 1: the multipliers are updated with the new x */
-    double rest;    /* the network has come to rest if no right-hand side of rnn.c is larger [rad/s, m/s] */
+    double rest;    /* the network is at rest if no right-hand side in rnn.c is larger [rad/s, m/s] */
 } moc_network;
 
 /* Advance x (n,) and y (6,) in place. *made is the number of steps taken. Returns MOC_OK if the network has come to

@@ -25,10 +25,10 @@ CORE = (
     "answer.c", "safety_filter.c", "step.c", "record.c",
 )  # fmt: skip
 """The files of `moc_opt/core` that `moc_step` needs."""
-TESTS = ("main.c", "Makefile", "README.md")
-UDP = ("udp.c",)
+TESTS = ("main.c", "Makefile", "README.md")  # files of `OWN` in every exported folder
+UDP = ("udp.c",)  # files of `OWN` for the controller over UDP
 OWN = files("moc_opt.export") / "c"
-MARK = "Written by moc-opt export-c"
+MARK = "Written by moc-opt export-c"  # begins the first line of every exported text file
 SUPERVISION = (
     "check", "box_limit", "primal_limit", "relative_limit", "opposite_limit", "hold_ticks", "keep_off_limits",
     "fallback", "late", "budget_us",
@@ -45,7 +45,7 @@ class Recording(NamedTuple):
     tip_ref: Array  # (k, 3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2]
     trocar: Array  # (k, 2, 3) rows P_t [m], dP_t [m/s]
     wrench: Array  # (k, 6) force [N] and torque [Nm] of the tool on its mount, tool axes
-    tau: Array  # (k, n) [Nm]
+    tau: Array  # (k, n) torque from the safety filter [Nm]
     sent: Array  # (n,) torque before the first tick [Nm]
     sound: int  # number of ticks before the first fault; the self-test measures their times
     stopped_at: int  # tick at which the safety filter stopped the arm, or -1
@@ -165,7 +165,7 @@ def write(
         force: also overwrite files that were edited or that export-c did not write.
 
     Raises:
-        ScenarioError: ``out`` cannot be written, or one of these files is there, but not as export-c wrote it.
+        ScenarioError: ``out`` cannot be written, or contains one of these files, but not as export-c wrote it.
     """
     texts: dict[str, str | bytes] = {**shipped(files("moc_opt.core"), CORE), **shipped(OWN, TESTS)}
     texts |= constants(robot, law, guard, tolerance, stop) | {"recording.h": recording_in_c(recording)} | dict(extra)

@@ -73,7 +73,7 @@ def check(scenario: Scenario) -> None:
 
 
 def references(setup: Setup) -> bytes:
-    """Return tip_ref (3, 3) and registered trocar (2, 3) tick by tick, as little-endian doubles."""
+    """Return tip_ref (3, 3) and the registered trocar (2, 3) of every tick, as little-endian doubles."""
     return np.hstack([part.reshape(setup.ticks, -1) for part in setup.inputs()]).astype("<f8").tobytes()
 
 

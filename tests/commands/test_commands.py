@@ -149,7 +149,7 @@ def test_compare_prints_every_solver_and_writes_every_run(capsys, tmp_path, monk
     assert exact["mu_mean_low"] <= exact["mu_mean"] <= exact["mu_mean_high"]
 
 
-def test_a_comparison_whose_runs_are_all_stopped_says_so(tmp_path, capsys):
+def test_a_comparison_reports_that_all_its_runs_were_stopped(tmp_path, capsys):
     file = tmp_path / "far.toml"
     file.write_text("bound_samples = 0\n[guard]\ntip_error_m = 1e-6\ntip_error_s = 0.004\n", encoding="utf-8")
     assert main(["compare", "exact", "--trials", "1", "--scenario", str(file)]) == 3

@@ -59,7 +59,7 @@ def test_a_path_and_a_metric_of_an_installed_package_can_be_used_by_name(tmp_pat
     short.write_text("duration_s = 0.02\nbound_samples = 0\n[task.sizes]\nradius = 0.01\n")
     assert "own_travel_rad" in printed(capsys, short, "--metric", "own_travel_rad")
     for arguments, said in (
-        (["run", str(short), "--task", "helix"], "[task] a helix needs its radius"),  # its radius is for the circle
+        (["run", str(short), "--task", "helix"], "[task] a helix needs its radius"),  # the file's is a circle's
         (["run", str(short), "--metric", "own_travel"], "did you mean 'own_travel_rad'"),
     ):
         assert main(arguments) == 2

@@ -5,7 +5,7 @@
  * that the digest changes if the core uses such an entry. Every compiler gives the same digest, because the program has
  * its own sine and cosine. All other functions that the core takes from the C library are exact.
  *
- * Usage: extremes [courses] [seed]. A course draws new settings. The exit status is 0 if all checks pass. */
+ * Usage: extremes [courses] [seed]. A course is a run with random settings. The exit status is 0 if all checks pass. */
 #include <limits.h>
 #include <math.h>
 #include <stdint.h>
@@ -60,7 +60,7 @@ static double uniform(double low, double high)
     return grain > 0.0 ? grain * nearbyint(x / grain) : x;
 }
 
-/* NaN, an infinity, a denormal or huge number, or any pattern of bits. */
+/* Returns NaN, an infinity, a denormal or huge number, or any pattern of bits. */
 static double extreme(void)
 {
     static const double strange[] = {0.0, -0.0, 1e300, -1e300, 5e-324, 1.7976931348623157e308, 1e16, 1.5707963267948966};
@@ -174,7 +174,7 @@ static void draw_law(moc_law *law, int n)
     law->third_level = !chance(4);
     law->damped = !law->third_level && chance(2);
     law->climbs = law->rho > 0.0 && chance(2);
-    behind(law->K_N2, 3, n); /* with D_N2 and tau_max */
+    behind(law->K_N2, 3, n); /* K_N2, D_N2 and tau_max */
     behind(law->q_min, 3, n);
     for (int j = 0; j < n; j++) {
         law->K_N2[j] = uniform(0.0, 120.0);
@@ -226,7 +226,7 @@ static void draw_guard(moc_guard *g, const moc_law *law, int n)
         g->warning[k] = chance(3) ? HUGE_VAL : k ? 8.0 : 0.006;
         g->limit[k] = chance(3) ? HUGE_VAL : k ? 15.0 : 0.012;
     }
-    behind(g->low, 4, n); /* with high, v_max and tau_max */
+    behind(g->low, 4, n); /* low, high, v_max and tau_max */
     behind(g->held, 1, n);
     for (int j = 0; j < n; j++) {
         g->low[j] = law->q_min[j] + 0.045;
@@ -385,7 +385,7 @@ static int subproblem(void)
     p.c2 = weights[bits() % 4];
     p.rho = weights[bits() % 3];
     behind(p.A[0], 6, p.n);
-    behind(p.pull, 3, p.n); /* with lower and upper */
+    behind(p.pull, 3, p.n); /* pull, lower and upper */
     for (int j = 0; j < p.n; j++) {
         double share = uniform(0.0, 1.0), speed = tiny(), alike = uniform(-2.0, 2.0), column = chance(9) ? 0.0 : size;
         bool twin = j > 0 && chance(3);

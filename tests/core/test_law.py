@@ -22,7 +22,7 @@ def robot(request, odd_robot):
 
 
 def trials(robot, count=10):
-    """Yield pairs: a moving state with moving references about 1 mm away, and the random generator."""
+    """Yield ((state, tip_ref, trocar), rng). The state moves. The references move too, about 1 mm away from it."""
     rng = np.random.default_rng(0)
     for _ in range(count):
         state = robot.state(robot.random_regular_pose(rng), rng.uniform(-0.3, 0.3, robot.n))
@@ -50,7 +50,7 @@ def test_the_feedforward_gives_the_tip_the_acceleration_of_its_reference(robot):
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-13, 1e-7, 1e-5, -1e-4])
-def test_at_a_straight_elbow_the_feedforward_is_bounded_and_still_accelerates_the_tip(angle):
+def test_the_feedforward_is_bounded_at_a_straight_elbow_and_accelerates_the_tip(angle):
     q = np.array(LWR4.data.q_home)
     q[3] = angle
     s = LWR4.state(q)
@@ -117,7 +117,7 @@ def test_the_scaled_climb_does_not_depend_on_the_weights_of_the_cost(robot):
 
 
 @pytest.mark.parametrize("bend", [0.0, 1e-12])
-def test_without_a_gradient_along_the_self_motion_the_scaled_climb_is_zero(bend):
+def test_the_scaled_climb_is_zero_without_a_gradient_along_the_self_motion(bend):
     s = LWR4.state(np.array([0.2, 0.0, 0.0, bend, 0.0, 0.0, 0.0]))
     found = fields(subproblem(LWR4, s, *in_place(s), climbs=True, c2=1.0, rho=1.0)).pull
     np.testing.assert_array_equal(found, np.zeros(7))
@@ -144,7 +144,7 @@ def test_the_null_space_basis_changes_continuously_and_is_valid_at_a_straight_el
 
 
 def problem(rng, robot, tight=None):
-    """Return a random subproblem, its fields, and a basis of ker A. Bounds are up to ``tight`` from a solution."""
+    """Return (row, its fields, basis of ker A) of a random subproblem. Bounds are up to ``tight`` from a solution."""
     s = robot.state(robot.random_regular_pose(rng))
     u, v_T, v_W = s.tool_direction, *(0.05 * rng.normal(size=(2, 3)))
     row, Z = np.full(11 * s.n + 10, np.nan), reference.null_space(s.A)

@@ -51,7 +51,7 @@ def built(exported: Export) -> Built:
 
 
 def served(scenario: Scenario, controller: Callable[[str], Any], **relayed: Any) -> tuple[Trace, Any, Relay]:
-    """Run a controller in lock-step through a relay. Return the trace, the controller's result, and the relay."""
+    """Run a controller in lock-step through a relay. Return (trace, controller's result, relay)."""
     plant = PlantServer(scenario, "127.0.0.1:0", lock_step=True)
     with ThreadPoolExecutor(1) as pool, Relay(plant.address, seed=2, **relayed) as relay:
         said = pool.submit(controller, relay.address)
@@ -64,7 +64,7 @@ def ran(folder: Path, *arguments: str, **options: Any) -> subprocess.CompletedPr
 
 
 def program(folder: Path, address: str) -> tuple[dict[str, Any], int]:
-    """Run the exported controller. Return its printed result and its exit status."""
+    """Run the exported controller. Return (printed result, exit status)."""
     done = ran(folder, *address.split(":"), str(folder / "reference.bin"))
     assert done.returncode in (0, 3), done.stderr
     return json.loads(done.stdout), done.returncode
@@ -102,8 +102,8 @@ def test_network_faults_are_counted_and_do_not_change_the_run(built: Built, name
     assert said["ticks"] == len(expected)
 
 
-def test_torques_of_the_plants_watchdog_are_handled_as_in_python_and_the_end_is_reported(built: Built) -> None:
-    """If a command is lost, the plant holds the previous torque. From tick 100 on, it gets no command and brakes."""
+def test_lost_commands_give_the_same_run_as_in_python_and_the_program_reports_the_early_end(built: Built) -> None:
+    """If a command is lost, the plant holds the previous torque. From tick 100 on, all are lost, and it brakes."""
     scenario, folder = built("default")
     blind = scenario.change(wire={"resend_s": 0.33, "resends": 0, "hold_ticks": 2, "damp_ticks": 0})
 

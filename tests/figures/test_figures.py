@@ -53,7 +53,7 @@ def test_an_ecdf_of_many_samples_has_few_points_and_each_is_exact() -> None:
     assert set(np.sort(times)[-20:]) <= set(line.x), "the slowest times are all kept"
 
 
-def test_boxes_follow_tukey_and_a_box_without_samples_leaves_its_place_empty() -> None:
+def test_a_box_has_tukeys_whiskers_and_a_box_without_samples_is_a_gap() -> None:
     values = [*range(1, 12), 100.0, math.nan]
     made = figures.box_plots({"DCAC": {"line": [], "circle": values}, "MOC": {"line": [2.0]}}, "error [mm]")
     box = made.data[0]

@@ -62,7 +62,7 @@ def header(shape, kind):
     header((3,), "<U100000"), b"\x93NUMPY\x01\x00\x10\x00secret:x:0 hello", b"secret:x:0:0:root\n",
     header((1,), "<U6") + "secret".encode("utf-32-le"),
 ])  # fmt: skip
-def test_a_file_without_recorded_times_is_refused_and_none_of_it_is_quoted(data, tmp_path):
+def test_a_file_without_recorded_times_is_refused_without_quoting_it(data, tmp_path):
     """A header can claim terabytes of data, and a scenario can name any file of the machine."""
     (tmp_path / "a.npy").write_bytes(data)
     with pytest.raises(ScenarioError, match="replay_us") as found:
@@ -81,7 +81,7 @@ def test_every_decimal_number_is_read(value):
     assert decimal(repr(value)) == float(value)
 
 
-def test_an_older_file_stays_if_the_disk_is_full(tmp_path, monkeypatch):
+def test_an_existing_file_is_unchanged_if_the_disk_is_full(tmp_path, monkeypatch):
     def full(handle):
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -94,7 +94,7 @@ def test_an_older_file_stays_if_the_disk_is_full(tmp_path, monkeypatch):
     assert os.listdir(tmp_path) == ["file.parquet"]
 
 
-def test_links_are_replaced_and_pipes_devices_and_folders_refused(tmp_path):
+def test_links_are_replaced_and_pipes_devices_and_folders_are_refused(tmp_path):
     other, link = tmp_path / "other", tmp_path / "link.parquet"
     other.write_bytes(b"mine")
     link.symlink_to(other)

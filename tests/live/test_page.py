@@ -50,7 +50,7 @@ def test_the_page_listens_on_loopback_alone(live: LivePage) -> None:
         socket.create_connection(("127.0.0.2", live.server.get_port()))
 
 
-def test_the_run_keeps_step_with_the_clock(live: LivePage) -> None:
+def test_the_run_advances_in_real_time(live: LivePage) -> None:
     until(lambda: live.run.t_s > 0.5, "the run does not begin")
 
     def in_step() -> bool:
@@ -61,7 +61,7 @@ def test_the_run_keeps_step_with_the_clock(live: LivePage) -> None:
     until(in_step, "the run is always too fast or too slow")
 
 
-def test_after_rapid_choices_the_solver_chosen_last_runs(live: LivePage) -> None:
+def test_the_solver_chosen_last_runs_after_rapid_choices(live: LivePage) -> None:
     for name in ("rnn", "exact", "rnn", "osqp"):
         live._panel._solver.value = name
     until(lambda: solver_of(live.run.used) == "osqp", "another solver runs")
@@ -69,7 +69,7 @@ def test_after_rapid_choices_the_solver_chosen_last_runs(live: LivePage) -> None
 
 
 def knock(live: LivePage, path: str, say: bytes = b"") -> Any:
-    """Return the first answer to a WebSocket of another site's page, or None if the server closes it unanswered."""
+    """Open a WebSocket as another site's page would. Return the first answer, or None if the server only closes it."""
     uri, protocol = f"ws://127.0.0.1:{live.server.get_port()}{path}", f"viser-v{viser.__version__}"
     with (
         suppress(ConnectionClosed),
@@ -87,7 +87,7 @@ def test_nothing_is_sent_without_the_token(live: LivePage, path: str) -> None:
     assert knock(live, path.format(token=live.url.rpartition("/")[2])) is None
 
 
-def test_an_order_without_the_token_is_not_obeyed_even_if_it_came_before_the_refusal(live: LivePage) -> None:
+def test_an_order_without_the_token_is_ignored_even_if_it_arrives_before_the_refusal(live: LivePage) -> None:
     """The same message is obeyed with the token, which shows that it is a valid order."""
     box: Any = live._panel._solver
     order = msgspec.msgpack.encode(GuiUpdateMessage(box._impl.uuid, {"value": "rnn"}).as_serializable_dict())

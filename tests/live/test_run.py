@@ -15,7 +15,7 @@ from moc_opt.scenario import Scenario, Setup
 
 @pytest.fixture
 def run() -> LiveRun:
-    """MOC on the default circle. The elbow starts away from the pose of largest mu."""
+    """A live run of MOC on the default circle. The elbow starts away from the pose of largest mu."""
     return LiveRun(Scenario(start={"swivel": 0.2}, plant={"preset": "nominal"}))
 
 

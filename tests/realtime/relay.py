@@ -20,7 +20,7 @@ FAULTS = ("drop", "double", "cut", "forge")
 
 
 class Relay:
-    """A context manager that passes the packets of a controller on to the plant, and those of the plant back.
+    """A context manager that passes a controller's packets to the plant, and the plant's packets to the controller.
 
     Each of FAULTS happens to a random ``share`` of the packets. ``lost(kind, number)`` is true for packets that never
     arrive. A receiver stops counting after its final packet, so later packets get no fault.
@@ -35,8 +35,8 @@ class Relay:
         self._controller: tuple[str, int] | None = None
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run)
-        self.done: list[Counter[str]] = [Counter(), Counter()]  # by direction, the count of each fault and of "" (none)
-        self.whole: list[Counter[tuple[Kind, int]]] = [Counter(), Counter()]  # intact deliveries by (kind, flags)
+        self.done: list[Counter[str]] = [Counter(), Counter()]  # per direction: count of each fault, "": none
+        self.whole: list[Counter[tuple[Kind, int]]] = [Counter(), Counter()]  # per direction
 
     @property
     def address(self) -> str:
@@ -93,10 +93,12 @@ KEY, SCENARIO = b"k" * 16, 9
 SETTINGS = WireSettings(hold_ticks=2, damp_ticks=3, wait_s=0.1)
 NOTHING = np.zeros((3, 3)), np.zeros((2, 3))
 NO_TIME: Any = SimpleNamespace(late_us=0.0, overruns=0, wait_for=lambda tick: 0.0)
-"""A clock whose ticks end as soon as they begin, so that only packets that have already arrived count."""
+"""A clock whose ticks end as soon as they begin, so that only packets that have already arrived are received."""
 
 
 class Peer:
+    """A scripted controller (`say`) and the plant's end of the link (`plant`), which is under test."""
+
     def __init__(self, robot) -> None:
         self.n, self.k = robot.n, 0
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

@@ -1,4 +1,4 @@
-"""Packets have the layout of docs/realtime.md. Only valid ones pass. Plant and controller are tested separately."""
+"""Packets have the layout of docs/realtime.md. Only valid packets pass. Plant and controller are tested alone."""
 
 import os
 import re
@@ -25,7 +25,7 @@ KEY = b"sixteen bytes or more"
 
 
 def table(mark: str) -> list[tuple[int, str, str]]:
-    """Return offset, field and type of each row of the table `mark` in the page."""
+    """Return (offset, field, type) for each row of the table `mark` in docs/realtime.md."""
     text = PAGE.partition(f"<!-- {mark} -->\n")[2].partition("\n\n")[0]
     return [(int(a), b, c) for a, b, c in re.findall(r"^\| (\d+) \| (\w+) \| ([^|]+) \|", text, re.MULTILINE)]
 
@@ -107,7 +107,7 @@ def test_an_address_is_read_or_refused():
             wire.parse_address(wrong, "--listen")
 
 
-def test_a_key_is_read_from_the_file_else_from_the_environment_and_required_beyond_loopback(tmp_path, monkeypatch):
+def test_a_key_is_read_from_the_file_else_from_the_environment_and_is_required_beyond_loopback(tmp_path, monkeypatch):
     monkeypatch.delenv(wire.VARIABLE, raising=False)
     assert wire.read_key(None, "127.0.0.1", "--listen") == wire.LOOPBACK_KEY
     for host in ("192.0.2.1", "0.0.0.0"):
@@ -223,7 +223,7 @@ def measurement(flags, k=0, commanded=0.0, scenario=9):
 
 
 def answered(said):
-    """Return the ending, the sent packets, and (tick, torque) of each correction. Tick k = 1, 2, ... commands k Nm."""
+    """Return (ending, sent packets, corrections as (tick, torque)). In tick k = 1, 2, ..., the command is k Nm."""
     said, sent, corrected, wait = iter(said), [], [], WireSettings(wait_s=0.05, silence_s=0.5)
     plant = Mock(n=N, peer=("plant", 1), session=0, quality=dict.fromkeys(wire.COUNTERS, 0), heard="nothing")
     plant.send.side_effect = lambda packet: sent.append((Kind(packet["kind"]), packet.copy()))
@@ -245,7 +245,7 @@ def answered(said):
     # Measurements that never came are counted.
     ([(0, 0), (3, 1), (1, 1)], [(0, 1), (3, 2)], [], (2, 2, 1), "completed"),
 ])  # fmt: skip
-def test_every_tick_is_answered_and_the_end_acknowledged(ticks, commands, corrected, counts, ended):
+def test_every_tick_is_answered_and_the_end_is_acknowledged(ticks, commands, corrected, counts, ended):
     """Each entry of ``ticks`` is (k, torque): a measurement's sequence number, and the torque that acted before it."""
     last = measurement(wire.ENDED, max(ticks)[0])
     ending, told, seen = answered(

@@ -7,20 +7,20 @@ positions of tip and wrist, L is their distance, and P and dP are the position a
 import numpy as np
 from scipy.linalg import null_space as scipy_null_space
 
-# The first four constants are explained in moc_opt/core/law.c.
+# The first four constants are explained in moc_opt/core/law.c, the others in null_space.c.
 STRAIGHT, SHAFT_PULL, SHAFT_LOST, BOX_OPENS = 1e-3, 0.1, 0.1, 3.0
 CLIMB_PER_S, LONGEST_RAD, PROBE_RAD = 5.0, 1.0, 1e-3
 
 
 def towards_trocar(X, dX, P, dP):
-    """Return |P - X|, e = (P - X) / |P - X|, d|P - X|/dt and de/dt."""
+    """Return (|P - X|, e, d|P - X|/dt, de/dt) with e = (P - X) / |P - X|."""
     r, dr = P - X, dP - dX
     e = r / np.linalg.norm(r)
     return np.linalg.norm(r), e, e @ dr, (dr - (e @ dr) * e) / np.linalg.norm(r)
 
 
 def desired_wrist(X, dX, P, dP, L):
-    """N_d = X + L e, dN_d = dX + L de/dt."""
+    """Return (N_d, dN_d), the wrist's desired position X + L e and velocity dX + L de/dt."""
     _, e, _, de = towards_trocar(X, dX, P, dP)
     return X + L * e, dX + L * de
 
@@ -69,7 +69,7 @@ def rcm_torque(s, K_N, D_N, trocar, projector_name="dynamic", rcm_lambda=None):
 def feedforward(s, tip_ref, trocar):
     """J_T^T F_T + B^T F_W, the torque for the accelerations a_T of the tip and a_W of the wrist.
 
-    B are the two rows of J_W across the shaft. While the tip is held, the wrist's mobility is
+    B (2, n) is J_W projected on two directions across the shaft. While the tip is held, the wrist's mobility is
     S = B M^-1 B^T - B M^-1 J^T Lambda J M^-1 B^T, where Lambda is the tip's inertia. A direction with almost no
     mobility gets no force.
     """
@@ -87,20 +87,20 @@ def feedforward(s, tip_ref, trocar):
 
 
 def velocity_damper(q, q_min, q_max, v_max, k0):
-    """lower = max(-v_max, -k0 (q - q_min)), upper likewise. Beyond a limit, only velocities back inside are allowed."""
+    """lower = max(-v_max, -k0 (q - q_min)), upper = min(v_max, -k0 (q - q_max)). Beyond a limit, q may only return."""
     lower = np.clip(-k0 * (q - q_min), -v_max, v_max)
     return lower, np.clip(-k0 * (q - q_max), -v_max, v_max)
 
 
 def references(s, tip_ref, trocar):
-    """Return v_T = dX_d and the wrist's reference velocity v_W. v_W is corrected so that u^T (v_T - v_W) = 0."""
+    """Return (v_T, v_W): dX_d, and the wrist's reference velocity, corrected so that u^T (v_T - v_W) = 0."""
     v_T, u = tip_ref[1], s.tool_direction
     _, v_W = desired_wrist(s.tip, v_T, *trocar, s.tool_span)
     return v_T, v_W + u * (u @ (v_T - v_W))
 
 
 def shaft_push(mu_shaft, margin):
-    """Return the factor of grad mu_shaft, which is added to grad mu where mu_shaft is below the margin."""
+    """Return the factor with which grad mu_shaft is added to grad mu. It is zero if mu_shaft is above the margin."""
     if mu_shaft >= margin:
         return 0.0
     return SHAFT_PULL * (1.0 - mu_shaft / margin) * mu_shaft / (mu_shaft**2 + (SHAFT_LOST * margin) ** 2)
@@ -133,6 +133,6 @@ def third_level(s, x, K_N2, D_N2):
 
 
 def observe(s, tau, gain, period, integral, r):
-    """Momentum observer r = K_o (p - integral(tau + C^T v - g + r)), p = M v. Return the next integral and r."""
+    """Momentum observer r = K_o (p - integral(tau + C^T v - g + r)), p = M v. Return (next integral, next r)."""
     integral = integral + (tau + s.energy_slope - s.gravity + r) * period  # energy_slope is C^T v
     return integral, gain * (s.M @ s.v - integral)

@@ -56,7 +56,7 @@ def test_printed_projector_is_not_idempotent_and_lets_the_tip_move(states):
 
 
 # Printed: J_W is 3x5. Right: it is 3x7, and zero where a joint does not move the wrist.
-def test_wrist_jacobian_has_seven_columns_three_of_them_zero(states):
+def test_the_wrist_jacobian_has_seven_columns_of_which_three_are_zero(states):
     for s in states:
         assert s.J_wrist.shape == (3, 7)
         np.testing.assert_array_equal(s.J_wrist[:, 4:], 0.0)  # axes 5, 6 and 7 meet in the wrist centre
@@ -86,12 +86,12 @@ def test_gradient_of_f_is_positive_semidefinite_and_seven_by_seven(robot, states
         assert np.linalg.eigvalsh(G + G.T)[-1] > 1e-3
 
 
-# Printed: F(Y) = [-dL/dqd, dL/dl], and no time constant. Right: [dL/dqd, -dL/dl], with eps or m steps per tick.
-def test_modes_grow_with_the_printed_sign_and_otherwise_have_time_constants_above_50_s(robot, states):
+# Printed: F(Y) = [-dL/dqd, dL/dl], without a time constant. Right: [dL/dqd, -dL/dl], with eps, or m steps per tick.
+def test_modes_grow_with_the_printed_sign_and_decay_slowly_with_the_right_sign(robot, states):
     """With dY/dt = -k F(Y), the real part of an eigenvalue is -k c0 s^2 / 2 for a singular value s of A."""
     for s in states:
         qp = subproblem(robot, s)
-        growth = np.linalg.eigvals(-K * saddle(qp)).real  # negated with the printed sign
+        growth = np.linalg.eigvals(-K * saddle(qp)).real  # the printed sign negates these values
         assert growth.max() < 1e-10
         assert (growth < -1e-12).sum() >= 6  # zero along the null space of A
         largest = np.linalg.svd(qp.A, compute_uv=False)[0]
@@ -114,9 +114,9 @@ def test_the_true_lambda_is_not_constant(states):
     assert PAPER.rcm_lambda == 0.5
 
 
-# Printed: K_N2 = [80, ...] acts on qdd_d, at c2 = 0.001 and k = 0.1. The solver rnn-printed keeps this.
+# Printed: K_N2 = [80, ...] acts on qdd_d, at c2 = 0.001 and k = 0.1. The solver rnn-printed uses this form.
 def test_the_torque_that_mu_causes_in_the_printed_network_is_too_small_to_act(robot, states):
-    """Without c2, the torque changes by less than 0.002 Nm. The bounds do not reduce this change."""
+    """Setting c2 to zero changes the torque by less than 0.002 Nm. The bounds do not reduce this change."""
     rng, printed, share, free = np.random.default_rng(0), solvers.create("rnn-printed"), 0.0, 0.0
     for rest in states:
         for v in (np.zeros(7), rng.uniform(-0.01, 0.01, 7)):

@@ -1,4 +1,4 @@
-"""Paths: arc length, derivatives, place in space, paths of other packages, and what make_path refuses."""
+"""Paths: arc length, derivatives, place in space, paths of other packages, and refused arguments."""
 
 import math
 from collections.abc import Callable
@@ -66,7 +66,7 @@ def test_spiral_arc_length_is_the_closed_form(turns: float, radius: float, place
     assert path.at(0.0)[1] @ path.heading == pytest.approx(1.0)
 
 
-def test_a_circle_goes_to_the_left_about_its_centre_and_a_line_is_straight() -> None:
+def test_a_circle_turns_left_and_a_line_is_straight() -> None:
     path, center = make_path("circle", START, radius=0.03, **AXES), START + np.array([0.0, 0.03, 0.0])
     p, _, ddp = path.at(np.linspace(0.0, path.length, 97))
     np.testing.assert_allclose(ddp, (center - p) / 0.03**2, atol=1e-10)
@@ -96,8 +96,8 @@ def added(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(paths.plugins, "plugins", lambda group: found if group == paths.GROUP else {})
 
 
-@pytest.mark.parametrize("kind", ["screw", "helix"])  # of the package's own table, and of another package
-def test_a_function_of_sizes_gives_a_path_in_space(kind: str, added: None, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("kind", ["screw", "helix"])  # a kind of moc_opt, a kind of another package
+def test_a_function_defines_a_kind_of_path(kind: str, added: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(CURVES, "screw", helix)
     assert paths.kinds()["screw"] == "Go round once while it climbs."
     path = make_path(kind, np.zeros(3), radius=0.02, **AXES)
@@ -120,7 +120,7 @@ def test_a_wrong_kind_or_size_of_a_path_is_named(added: None, kind: str, sizes: 
         make_path(kind, np.zeros(3), **AXES, **sizes)
 
 
-def test_every_path_is_listed_and_a_broken_one_hides_no_other(added: None) -> None:
+def test_every_path_is_listed_even_if_one_does_not_load(added: None) -> None:
     found = paths.kinds()
     assert found["helix"] == "Go round once while it climbs."
     assert "does not load" in found["gone"]
@@ -169,7 +169,7 @@ MOVING: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("name", MOVING)
-def test_an_array_and_single_numbers_give_the_same_bits(name: str) -> None:
+def test_an_array_gives_the_same_bits_as_its_single_numbers(name: str) -> None:
     one = MOVING[name]
     s = np.random.default_rng(3).uniform(0.0, getattr(one, "length", 2.0), 60)
     vector = one.at(s)

@@ -63,13 +63,13 @@ def test_the_duration_of_a_curve_reaches_one_limit_and_exceeds_none(path: Path, 
     ("sinusoid", {"amplitude": 0.1, "wavelength": 0.01, "periods": 1.5}), ("sinusoid", {"periods": 60.0}),
     ("spiral", {"turns": 50.0, "radius": 0.05}),
 ])  # fmt: skip
-def test_no_bend_is_missed_however_sharp_or_many(kind: str, sizes: dict[str, float]) -> None:
+def test_the_duration_keeps_the_limits_at_sharp_bends_and_at_many_bends(kind: str, sizes: dict[str, float]) -> None:
     used = extremes(Reference(build(kind, **sizes), 100.0, 0.5), 30_001)
     assert 1.0 - 5e-3 <= max(used) <= 1.0 + 1e-9
 
 
 @pytest.mark.parametrize("kind", CURVES)
-def test_velocity_and_acceleration_are_derivatives_and_zero_before_and_after(kind: str) -> None:
+def test_velocity_and_acceleration_are_derivatives_and_are_zero_outside_the_motion(kind: str) -> None:
     path = build(kind)
     reference = Reference(path, 0.1, 0.3, t_start=0.5)
     end, h = 0.5 + reference.duration, 1e-5 * reference.duration
@@ -87,10 +87,11 @@ def test_velocity_and_acceleration_are_derivatives_and_zero_before_and_after(kin
 PERIOD = 0.01
 REFERENCES = {kind: Reference(build(kind), 0.05, 0.2) for kind in CURVES}
 CIRCLE = Reference(build("circle", radius=0.02), 0.05, 0.2)
-BRAKE_S = 0.05 / 0.2  # time from full rate to rest at the largest slope of the reference's rate
+BRAKE_S = 0.05 / 0.2  # shortest time in which a waiting reference slows from its full rate to rest
 
 
 def flags(seconds, losses):
+    """Return one flag per tick: whether the board is seen. A loss is (start, length) [s]."""
     t = PERIOD * np.arange(round(seconds / PERIOD))
     seen = np.ones(len(t), dtype=bool)
     for start, length in losses:

@@ -207,7 +207,7 @@ def test_a_board_is_found_after_several_sightings_that_agree():
     assert tracker.pose.distance(HERE)[0] < 1e-12
 
 
-def test_sightings_of_a_resting_board_are_averaged_and_without_smoothing_the_newest_is_taken():
+def test_sightings_of_a_resting_board_are_averaged_unless_smoothing_is_off():
     rng = np.random.default_rng(0)
     draws = ((1e-3 * rng.standard_normal(3), 1e-4 * rng.standard_normal(3)) for _ in range(300))
     sightings = [sight(HERE @ Pose(rotation_from(turn), shift)) for turn, shift in draws]
@@ -238,7 +238,7 @@ def test_a_lost_board_is_reported_after_a_while_and_its_pose_is_kept():
     assert answers[10].pose.distance(HERE)[0] < 1e-12
 
 
-def test_a_moved_board_is_followed_once_enough_sightings_agree_and_not_if_they_disagree():
+def test_a_moved_board_is_followed_only_if_enough_sightings_agree():
     tracker, wild = BoardTracker(), BoardTracker()
     for each in (tracker, wild):
         feed(each, [sight()] * 5)

@@ -1,4 +1,4 @@
-"""Vision and hands-on tests: registering the trocar by hand, locating the board, noticing its loss, filming the run."""
+"""Vision and hands-on tests: registering the trocar by hand, locating and losing the board, filming the run."""
 
 import cv2
 import numpy as np
@@ -85,7 +85,7 @@ def near(picture, colour, point, reach=3):
 
 
 @pytest.mark.parametrize("trocar", [FLAT.apply([0.0, 0.02, 0.15]), FLAT.apply([0.0, 0.0, 1.0])])
-def test_the_task_and_the_tip_and_the_trocar_are_drawn_where_they_project_to(trocar):
+def test_task_tip_and_trocar_are_drawn_at_their_projections(trocar):
     """The second trocar is behind the camera. The line towards it is still drawn."""
     page = draw(BLANK, CAMERA, task=LINE, progress=0.5, tip=TIP_PLACE, trocar=trocar, text="")
     assert near(page, DONE, LINE[5])
@@ -110,7 +110,7 @@ def test_the_trocar_is_registered_on_the_realistic_arm():
     seed = 2
     found, plant = guided(seed, registration_error_m=0.0)
     assert found.status is HandsOnStatus.REGISTERED
-    # The encoders are accurate. Most of the error is how far from the incision the hand stopped.
+    # The encoders are accurate. Most of the error is the distance from the incision at which the hand stopped.
     assert found.error_m < 0.002
     trace = found.trace
     assert trace.tip_error_m[0] > 0.05
@@ -130,7 +130,7 @@ def test_the_trocar_is_registered_on_the_realistic_arm():
     # The encoders' noise alone exceeds this speed, though not at every tick.
     ({"rest_speed_m_per_s": 3e-4, "time_limit_s": 4.0}, HandsOnStatus.RESTLESS),
 ])  # fmt: skip
-def test_a_tip_that_does_not_reach_the_incision_or_never_rests_there_registers_nothing(settings, status):
+def test_no_trocar_is_registered_if_the_tip_does_not_reach_the_incision_or_rest_there(settings, status):
     found, _ = guided(0, **settings)
     assert found.status is status
     assert found.registered is None
@@ -168,7 +168,7 @@ def test_the_hand_is_a_spring_and_damper_near_the_goal_and_keeps_its_largest_spe
 
 
 def moved(hand, place, load=(0.0, 0.0, 0.0), seconds=6.0):
-    """Return places and final velocity of a mass of 4 kg that the hand moves under a steady load."""
+    """Return (places, final velocity) of a mass of 4 kg that the hand moves under a steady load."""
     place, velocity, places = np.array(place), np.zeros(3), []
     for _ in range(round(seconds / PERIOD)):
         velocity = velocity + PERIOD * (hand.pull(place, velocity, np.zeros(3)) + load) / 4.0

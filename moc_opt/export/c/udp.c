@@ -25,7 +25,7 @@ enum { TAG = 16, KEY = 32, SHORTEST_KEY = 16, TURN_US = 50000, REPEAT_NS = 10000
 
 /* --- the signature at the end of every packet: BLAKE2s (RFC 7693) with a key, by OpenSSL --- */
 
-static EVP_MAC_CTX *check; /* has the key */
+static EVP_MAC_CTX *check; /* the signature's context, which holds the key */
 
 static int take_key(const char *key, size_t length)
 {
