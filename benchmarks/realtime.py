@@ -247,7 +247,8 @@ GOALS = {key: Goal(*given, section=DETAILS) for key, given in {
     "quiet stops": ("largest number of stopped runs in a case without load", "", 0.0, _largest("quiet", "stopped")),
     "rcm": ("largest RCM error from the registered trocar, under load", "mm", 1e3 * SAFE_RCM_M,
             _largest("loaded", "rcm_max_mm")),
-    "stops": ("largest number of unclean stops in a case under load", "", 0.0, _largest("loaded", "unclean")),
+    "stops": ("largest number of unclean stops in a case under load", "", 0.0,
+              lambda s: _largest("loaded", "unclean")(s) if _largest("loaded", "stopped")(s) else None),
 }.items()}  # fmt: skip
 
 
