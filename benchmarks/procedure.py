@@ -126,7 +126,7 @@ def _run(
 
 
 def from_path(points: Array, path: TipPath, samples: int = 4000) -> Array:
-    """Return the distance (k,) [m] of each point (k, 3) from the nearest point of a path, whenever the tip is there."""
+    """Return the distance (k,) [m] of each point (k, 3) from the nearest point of the path, at whatever time."""
     line = path.at(np.linspace(0.0, path.length, samples))[0]
     found: Array = cKDTree(line).query(points)[0]
     return found

@@ -1,4 +1,4 @@
-"""The metrics of closed-loop runs equal those in frozen.json, within tolerances that do not matter on a robot.
+"""The metrics of closed-loop runs equal those in frozen.json, up to differences too small to matter on a robot.
 
 A commit that changes metrics on purpose rewrites the file (``python -m tests.test_frozen --write``) and says why.
 """

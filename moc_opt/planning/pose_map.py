@@ -1,12 +1,12 @@
 """Map every pose that an arm can take at each point of a path, with its manipulability mu and distance to joint limits.
 
-**Closed form.** It needs axes of joints 1 to 3 that meet in the shoulder S, 3 to 5 in the elbow E, and 5 to 7 in the
-wrist N. Neighbouring axes must be at right angles, and the tool on axis 7. The elbow then turns on a circle about
+**Closed form.** The axes of joints 1 to 3 must meet in the shoulder S, those of 3 to 5 in the elbow E, and those of 5 to
+7 in the wrist N. Neighbouring axes must be at right angles, and the tool on axis 7. The elbow then turns on a circle about
 the line S N by the swivel angle (Kreutz-Delgado, Long and Seraji 1992). At each swivel, the signs of joints 2, 4 and 6
 give eight poses with the same mu. Each of the eight is on a different branch. Joint 7 is idle: it turns only the tool.
 
 **Traced.** Any other arm has curves of poses with the same tip and wrist (self-motion), which are traced numerically.
-Inverse kinematics, from the curves at the previous time and from random starts, finds a pose on a curve. All poses
+Inverse kinematics starts from the curves at the previous time and from random poses, to find each curve. All poses
 form one branch. If tip and wrist leave a null space of several dimensions, the curves contain only some of the poses.
 The largest mu on the curves is then no upper bound.
 
@@ -50,7 +50,7 @@ STARTS, LATER = 96, 12
 """Random starts of `largest_mu` at the first point, and at each later point, for arms without a closed form. Climbs
 at a later point also start from the maxima of the neighbouring points."""
 KEPT = 6  #: Largest number of maxima of mu that a point of the path hands on to its neighbours.
-SAME = 1e-5  #: Maxima of one point whose mu differs by less than this share count as one.
+SAME = 1e-5  #: At one point of the path, maxima whose mu differ by less than this fraction count as one.
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ class PoseMap:
         return np.asarray(room >= -ROUNDING_RAD)
 
     def crossing(self, k: int, step_rad: Array) -> NDArray[np.int64]:
-        """Return as masks (m,) which bits of a branch's index joint steps of ``step_rad`` (n,) can flip at time k."""
+        """Return a bit mask (m,) per swivel: the bits of the branch index that a step ``step_rad`` (n,) can flip at time k."""
         if self.closed is None:
             return np.zeros(self.mu.shape[2], dtype=np.int64)
         with np.errstate(invalid="ignore"):

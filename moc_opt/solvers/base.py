@@ -39,7 +39,7 @@ class Solution(NamedTuple):
     Attributes:
         x: (n,) joint velocity [rad/s]; NaN if the solver found none.
         y: (6,) multipliers of the six equality rows, or None if the solver gives none. With the multipliers z of the
-            bounds, P x + p + A^T y + z = 0. If a solver uses five rows, its adapter computes six from five.
+            bounds, P x + p + A^T y + z = 0. If a solver uses five rows, its adapter computes six multipliers.
         status: the status that the solver reports.
         iterations: number of iterations of the solver; 0 if it does not iterate.
     """
@@ -82,7 +82,7 @@ class TruncatingSession(Protocol):
     """A session that can be stopped after a number of iterations, as a deadline would stop it."""
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Return the iterate after ``iterations`` (at least 1). They begin where the previous solve began."""
+        """Return the iterate after ``iterations`` (at least 1) from the previous solve's initial point."""
 
 
 @runtime_checkable

@@ -1,6 +1,6 @@
 """Run a trial (a scenario with a seed of its own) under one controller, and make one row of results from the run.
 
-Start pose, model mismatch and noise are drawn with the trial's seed. All controllers run the same, independent trials.
+Start pose, model mismatch and noise are drawn with the trial's seed. Trials are independent. All controllers run them.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def trials(base: Scenario, tasks: Sequence[str], own_seeds: Sequence[int], *, vi
 
 
 def placed(trial: Scenario) -> Scenario:
-    """Return the trial with its random start pose as joint positions, which are searched once for all controllers."""
+    """Return the trial with its random start pose resolved to joint positions. All controllers share this search."""
     q = Setup(trial).q_start.tolist()
     return trial.change(start={"pose": "home", "q_rad": q, "swivel": "given", "check_path": False})
 

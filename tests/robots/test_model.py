@@ -239,7 +239,7 @@ def test_the_gain_tables_of_a_robot_file_are_those_derived_from_its_masses(name:
 @settings(max_examples=30)
 @given(delay=st.integers(0, 6), side=st.sampled_from([0.98, 1.02]))
 def test_largest_rate_is_the_stability_limit_of_a_delayed_loop(delay: int, side: float) -> None:
-    """All roots of z^(d+1) - z^d + T rate lie within the unit circle below the limit, but not above it."""
+    """If the rate is below the limit, and only then, all roots of z^(d+1) - z^d + T rate lie within the unit circle."""
     plant = PlantSettings(delay_ticks=delay, velocity_cutoff_Hz=0.0)
     gain = side * largest_rate(plant) * plant.period_s
     roots = np.roots([1.0, -1.0, *[0.0] * (delay - 1), gain] if delay else [1.0, gain - 1.0])

@@ -1,4 +1,4 @@
-"""Jobs for the tests of the engine. Some succeed, and the others fail as a trial or its solver may fail."""
+"""Jobs for the tests of the engine. Some succeed. The others fail in the ways in which a trial or its solver can fail."""
 
 import os
 import signal
