@@ -1,9 +1,9 @@
 """Map every pose that an arm can take at each point of a path, with its manipulability mu and distance to joint limits.
 
-**Closed form.** The axes of joints 1 to 3 must meet in the shoulder S, those of 3 to 5 in the elbow E, and those of 5 to
-7 in the wrist N. Neighbouring axes must be at right angles, and the tool on axis 7. The elbow then turns on a circle about
-the line S N by the swivel angle (Kreutz-Delgado, Long and Seraji 1992). At each swivel, the signs of joints 2, 4 and 6
-give eight poses with the same mu. Each of the eight is on a different branch. Joint 7 is idle: it turns only the tool.
+**Closed form.** The axes of joints 1 to 3 must meet in the shoulder S, those of 3 to 5 in the elbow E, and those of 5
+to 7 in the wrist N. Neighbouring axes must be at right angles, and the tool on axis 7. The elbow then turns about the
+line S N by the swivel angle (Kreutz-Delgado, Long and Seraji 1992). At each swivel, the signs of joints 2, 4 and 6 give
+eight poses with the same mu. Each of the eight is on a different branch. Joint 7 is idle: it turns only the tool.
 
 **Traced.** Any other arm has curves of poses with the same tip and wrist (self-motion), which are traced numerically.
 Inverse kinematics starts from the curves at the previous time and from random poses, to find each curve. All poses
@@ -71,7 +71,7 @@ class PoseMap:
         return np.asarray(room >= -ROUNDING_RAD)
 
     def crossing(self, k: int, step_rad: Array) -> NDArray[np.int64]:
-        """Return a bit mask (m,) per swivel: the bits of the branch index that a step ``step_rad`` (n,) can flip at time k."""
+        """Return a mask (m,) per swivel: the bits of the branch index that a step (n,) [rad] can flip at time k."""
         if self.closed is None:
             return np.zeros(self.mu.shape[2], dtype=np.int64)
         with np.errstate(invalid="ignore"):

@@ -96,7 +96,7 @@ def test_a_reported_status_is_checked_against_the_certificate_and_the_residuals(
 
 @pytest.mark.parametrize(("rows", "refused"), [(6, 7), (5, 0)])
 def test_refusing_six_inconsistent_rows_is_neither_right_nor_wrong(rows, refused):
-    """One of eight problems is answered. Calling the other seven infeasible is wrong if the solver gets five rows, not six."""
+    """One of eight problems is answered. If a solver gets five rows, calling the others infeasible is wrong."""
     problems = TestSet.load("inconsistent-1e-4").thinned(16)
     x = TestSet.load("inconsistent-1e-4").x[::16].copy()
     x[1:] = np.nan

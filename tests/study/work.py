@@ -1,4 +1,4 @@
-"""Jobs for the tests of the engine. Some succeed. The others fail in the ways in which a trial or its solver can fail."""
+"""Jobs for the tests of the engine. Some succeed. The others fail in ways of a trial or its solver."""
 
 import os
 import signal
