@@ -104,7 +104,9 @@ def test_for_an_upper_bound_a_pose_stands_for_half_a_cell_and_neighbours_of_feas
 def test_the_climb_to_a_top_goes_to_the_higher_neighbour():
     found = replace(small(np.random.default_rng(0), k=1, m=5), mu=np.array([[[0.2, 0.5, 0.6, 0.1, 0.3]]]))
     found = replace(found, q_rad=0.1 * np.arange(5.0).reshape(1, 1, 5, 1), room_rad=np.ones((1, 1, 5)))
-    assert [top_of(found, np.array([at])).mu for at in (0.1, 0.2, 0.3)] == [0.6, 0.6, 0.6]
+    assert [top_of(found, np.array([at]))[::2] for at in (0.1, 0.2, 0.3)] == [(0.6, False)] * 3
+    walled = replace(found, room_rad=np.array([[[1.0, 1.0, -1.0, 1.0, 1.0]]]))  # a joint limit hides the best pose
+    assert [top_of(walled, np.array([at]))[::2] for at in (0.0, 0.3)] == [(0.5, True), (0.3, False)]
 
 
 @pytest.fixture(scope="module")
