@@ -214,7 +214,7 @@ SECTIONS = {
     ),
     SOLVERS: (
         ("adapters",),
-        "`daqp called directly` is daqp without its adapter, but with the adapter's settings. It is set up once. Each "
+        "`daqp by hand` is daqp without its adapter, but with the adapter's settings. It is set up once. Each "
         "solve loads the numbers from the same arrays, and reads x and the multipliers.",
     ),
     LOOP: (

@@ -167,7 +167,7 @@ def tick_parts(scenario: Scenario, rounds: int) -> Part:
     answers = [np.array(session.solve(qp).x) for qp in problems]
     entries = {
         "before the solver": Timed(begin, inputs),  # the arm's terms, levels 1 and 2, and the subproblem
-        "before the solver: arm's terms": Timed(lambda item: robot.state(item[0], item[1]), inputs),
+        "of which the arm's terms": Timed(lambda item: robot.state(item[0], item[1]), inputs),
         "solver": Timed(session.solve, problems),
         "after the solver": Timed(lambda answer: law.finish(0, 0, answer, 1.0), answers),  # the check, level 3
     }
@@ -219,7 +219,7 @@ def _seconds(call: Callable[[], Any]) -> float:
 
 
 ADAPTERS = ("daqp", "piqp", "quadprog", "proxqp", "osqp", "clarabel")
-BY_HAND = "daqp called directly"
+BY_HAND = "daqp by hand"
 
 
 def adapters(scenario: Scenario, names: Iterable[str], rounds: int) -> Part:

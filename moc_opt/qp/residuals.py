@@ -196,6 +196,7 @@ def _rank_five(A: Array) -> tuple[NDArray[np.intp], _Factors]:
     Q, R = np.linalg.qr(np.swapaxes(A / size, 1, 2), mode="complete")
     diagonal = np.abs(np.diagonal(R, axis1=1, axis2=2))
     tied = diagonal[:, 5:].max(1, initial=np.inf if A.shape[2] < 6 else 0.0) < TIED_BY_ROUNDING
+    # With such a diagonal, the triangular block of `top` is regular, so that no singular matrix is inverted.
     rows = np.flatnonzero(tied & (diagonal[:, :5].min(1, initial=np.inf) > NEARLY_SINGULAR))
     top = R[rows, :5]
     inverse = np.linalg.inv(top @ np.swapaxes(top, 1, 2))
@@ -212,8 +213,10 @@ def ranks(s: Array) -> NDArray[np.intp]:
 
 def _idle_patterns(A: Array) -> list[tuple[NDArray[np.intp], NDArray[np.bool_]]]:
     moves = np.linalg.norm(A, axis=1) > RANK_TOLERANCE * np.linalg.norm(A, axis=(1, 2))[:, None]
-    bits, first, which = np.unique(moves @ (1 << np.arange(A.shape[2])), return_index=True, return_inverse=True)
-    return [(np.flatnonzero(which == i), moves[first[i]]) for i in range(len(bits))]
+    if (moves == moves[:1]).all():  # as in most batches; `unique` has to sort
+        return [(np.arange(len(A)), pattern) for pattern in moves[:1]]
+    patterns, which = np.unique(moves, axis=0, return_inverse=True)
+    return [(np.flatnonzero(which.ravel() == i), pattern) for i, pattern in enumerate(patterns)]
 
 
 def _some(problem: Problem, rows: NDArray[np.intp], joints: NDArray[np.bool_]) -> Problem:

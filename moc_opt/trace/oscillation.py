@@ -129,7 +129,7 @@ def judged_for_oscillation(trace: Trace, joint_names: Sequence[str], slides: Fla
     ended, stopped_s = trace.meta.get("ended"), trace.meta.get("stopped_at_s")
     # The braking of a stop is not checked.
     judged = trace if stopped_s is None else trace.head(int(np.searchsorted(trace.t_s, stopped_s)))
-    brief = len(judged) < 4 or judged.t_s[-1] - judged.t_s[0] < START_S + WINDOW_S / 2
+    brief = len(judged) < 4 or judged.t_s[-1] - judged.t_s[0] < START_S + 0.5 * WINDOW_S
     if brief or (ended != "completed" and stopped_s is None):
         return trace
     found = describe(judged, joint_names, slides)

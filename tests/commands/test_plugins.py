@@ -82,7 +82,7 @@ def test_waypoints_from_a_file_of_points_equal_those_of_a_scenario(tmp_path, cap
 
 
 @pytest.mark.parametrize(("text", "line", "cure"), [
-    ("x_mm,y_mm,z_mm\n10,0,0\n", 1, "the first line may name the columns"),
+    ("x_mm,y_mm,z_mm\n10,0,0\n", 1, r"the first line may name the columns \(x_m,y_m,z_m\)"),
     ("# index and all\n0,0.1,0,0\n1,0.2,0,0\n", 2, "give x, y, z"), ("0 0 0\n1 2 nan\n", 2, "nan"),
     ("0,0,\u0661\n", 1, "give x, y, z"),
 ])  # fmt: skip

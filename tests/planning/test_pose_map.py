@@ -8,7 +8,8 @@ from moc_opt.errors import RobotError
 from moc_opt.planning import pose_map
 from moc_opt.planning.course import Targets
 from moc_opt.planning.elbow import Elbow, wrapped
-from moc_opt.planning.pose_map import SCANNED, closed_form, largest_mu, map_of
+from moc_opt.planning.pose_map import SCANNED, closed_form, largest_mu, map_of, without_limits
+from moc_opt.planning.self_motion import self_motion
 from moc_opt.robots.inverse_kinematics import solve_pose
 from moc_opt.robots.model import load_robot
 from tests.planning.arms import IIWA14, H, at_poses, build, line_from
@@ -232,3 +233,22 @@ def test_an_ascent_ends_at_a_maximum_within_the_limits_and_nearest_poses_are_fou
         assert mu[0] == -1.0, "out of reach"
     assert at_limits > 20  # maxima that a limit determines
     assert found >= 58
+
+
+@pytest.mark.parametrize("name", ["lwr4_rail", "odd"])
+def test_with_two_dimensional_self_motions_the_largest_mu_need_not_lie_on_the_curve(name, odd_robot):
+    robot, rng = odd_robot if name == "odd" else load_robot(name), np.random.default_rng(4)
+    poses = [robot.data.q_home, *rng.uniform(0.7 * robot.q_min, 0.7 * robot.q_max, (3, robot.n))]
+    shares = [self_motion(robot, q).mu_best / largest_mu(robot, q[None]).mu[0] for q in poses]
+    assert max(shares) < 1.0 + 1e-6
+    assert min(shares) < 0.97
+
+
+def test_a_target_out_of_reach_is_approached_as_far_as_the_stretched_arm_reaches(robot):
+    free, rng, shoulder = without_limits(robot), np.random.default_rng(2), np.array([0.0, 0.0, 0.31])
+    length = np.linalg.norm(free.state(np.zeros(7)).tip - shoulder)
+    for direction in rng.normal(size=(8, 3)):
+        way = direction / np.linalg.norm(direction)
+        start = robot.data.q_home + rng.normal(scale=0.3, size=7)
+        miss, _ = free.arm.nearest_pose(free.q_min, free.q_max, (shoulder + 2.0 * way)[None], start, 60)
+        assert miss < (2.0 - length) * np.abs(way).max() + 1e-3
