@@ -1,6 +1,6 @@
-"""moc_opt: manipulability optimization control of a surgical arm, and one test of the answers of all its solvers.
+"""moc_opt: manipulability optimization control of a surgical arm.
 
-Each public name is imported at its first use. ``import moc_opt`` alone imports no solver, simulator or compiler.
+Each public name is imported at its first use.
 """
 
 from __future__ import annotations

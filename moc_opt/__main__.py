@@ -1,4 +1,4 @@
-"""moc-opt, or python -m moc_opt: run a command, and turn an error into one line and an exit status."""
+"""Run the command moc-opt, and turn an error into one line and an exit status."""
 
 from __future__ import annotations
 
@@ -38,7 +38,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _nobody_reads() -> bool:
-    """Return whether standard output is a pipe that nobody reads any more."""
     watched = select.poll()
     watched.register(sys.stdout.fileno(), 0)
     return bool(watched.poll(0))
@@ -47,11 +46,11 @@ def _nobody_reads() -> bool:
 def _command(arguments: Sequence[str] | None) -> int:
     try:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
-        warnings.formatwarning = lambda text, *_, **__: f"{text}\n"  # without the source line
+        warnings.formatwarning = lambda text, *_, **__: f"{text}\n"
         from moc_opt.commands.parser import COMMANDS, make_parser, work_of  # slow: Ctrl-C may come in between
 
         parser = make_parser()
-        if "_ARGCOMPLETE" in os.environ:  # a shell asks for completions of the command line
+        if "_ARGCOMPLETE" in os.environ:  # a shell asks for completions
             import argcomplete
 
             argcomplete.autocomplete(parser)
@@ -75,7 +74,6 @@ def _command(arguments: Sequence[str] | None) -> int:
 
 
 def _one_line(error: BaseException) -> str:
-    """Return the error in one line, with the notes that say where the rows of the run were saved."""
     said = "interrupted" if isinstance(error, KeyboardInterrupt) else f"{type(error).__name__}: {error}"
     where = ""
     if not isinstance(error, MocOptError | MemoryError | KeyboardInterrupt):

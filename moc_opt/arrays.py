@@ -1,4 +1,4 @@
-"""`Array`, the type of arrays of doubles, and `read_only`, which protects an array."""
+"""The array type `Array`, and `read_only`, which protects an array."""
 
 from __future__ import annotations
 
@@ -12,6 +12,6 @@ Given = TypeVar("Given", bound=NDArray[Any])
 
 
 def read_only(array: Given) -> Given:
-    """Make an array read-only, and return it. Other arrays that share its memory stay writable."""
+    """Make an array read-only, and return it."""
     array.setflags(write=False)
     return array

@@ -9,7 +9,7 @@ from typing import ClassVar
 
 
 class MocOptError(Exception):
-    """Base of every error that moc_opt raises on purpose. Its text is cut at ``MOST`` characters."""
+    """Base of every error that moc_opt raises on purpose."""
 
     MOST: ClassVar[int] = 2000
 
@@ -51,29 +51,29 @@ class TraceError(MocOptError, ValueError):
 
 
 class StudyError(MocOptError, RuntimeError):
-    """A study cannot go on: no worker stays alive, or finished jobs cannot be kept."""
+    """A study cannot go on."""
 
 
 class ReportError(MocOptError, ValueError):
-    """A table, figure or page cannot be made from these data, or cannot be written."""
+    """A table, figure or page cannot be made or written."""
 
 
 class BrowserError(ReportError):
-    """A browser cannot be controlled on this machine. The message says what to do."""
+    """A browser cannot be controlled on this machine."""
 
 
 class BrowserMissingError(BrowserError):
-    """There is no browser, or no package that controls a browser. The message says what to install."""
+    """There is no browser, or no package that controls a browser."""
 
 
 class UnknownNameError(MocOptError, LookupError):
     """A name is not known. The message lists the nearest valid names."""
 
     MOST = 10_000  # the message may list many names
-    FEW: ClassVar[int] = 12  #: Largest number of names that the message lists although a command lists them too.
+    FEW: ClassVar[int] = 12  #: With more names, the message refers to the command ``listed_by``.
 
     def __init__(self, kind: str, name: str, valid: Iterable[str], listed_by: str = "") -> None:
-        """Show the nearest ``valid`` names, then all valid names or, if there are many, the command ``listed_by``."""
+        """``listed_by`` is a command that lists the ``valid`` names."""
         names = sorted(valid)
         short = bool(listed_by) and len(names) > self.FEW
         # An unknown name without a dot is compared with the last parts of dotted names.
@@ -87,7 +87,7 @@ class UnknownNameError(MocOptError, LookupError):
 
 
 def is_number(value: object) -> bool:
-    """Return whether a value is a real number (Python's or numpy's, but no bool) that fits a float."""
+    """Return whether a value is a real number, but no bool, that fits a float."""
     fits = not isinstance(value, int) or abs(value) < 2**1023
     return isinstance(value, Real) and not isinstance(value, bool) and fits
 

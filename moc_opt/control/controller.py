@@ -24,33 +24,29 @@ from moc_opt.solvers.isolated import IsolatedSession
 class Guide(Protocol):
     """A source of joint velocities x_d that the elbow follows instead of moving towards a larger mu.
 
-    The vector `pull` in the subproblem's cost is then (rho / c2) x_d instead of grad mu. On the feasible set, the cost
-    becomes rho/2 |x - x_d|^2 up to a constant.
+    The vector `pull` in the subproblem's cost is then (rho / c2) x_d instead of grad mu.
     """
 
     def start(self) -> None:
-        """Reset to the start of the run, t = 0."""
+        """Reset to t = 0."""
 
     def desired_velocity(self, state: RobotState) -> Array:
-        """Return x_d (n,) [rad/s] of this tick. Only the part of x_d in ker A is used. Called once per tick."""
+        """Return x_d (n,) [rad/s] of this tick. Called once per tick."""
 
 
 class Controller:
-    """One arm, one law and one solver. The closed loop calls ``start`` once, then ``tick`` every period.
-
-    After a tick, ``state`` is the state of the robot's model. ``subproblem``, ``solution``, ``answer``, ``fault`` and
-    ``solve_us`` describe level 3. Under DCAC (only levels 1 and 2) they are None, None, NaN, ``Fault.NONE`` and NaN.
+    """Compute the torques of one arm. Call ``start`` once, then ``tick`` every period.
 
     Args:
         robot: the model that the control law uses.
         settings: see ControlSettings.
-        solver: solver of level 3 for law "moc"; None for "dcac".
+        solver: solver of level 3 for law "moc"; None for "dcac", which has no level 3.
         period: control period [s].
         times_us: recorded solve times [us], used instead of the clock.
         guide: a `Guide`, whose velocity replaces the gradient of mu. regularization and c2 must then be above 0.
 
     Raises:
-        ControlError: law "moc" has no solver, law "dcac" has a solver, or a setting does not fit the robot.
+        ControlError: the solver or a setting does not fit.
     """
 
     def __init__(
@@ -65,8 +61,8 @@ class Controller:
         if guide is not None or (settings.climb == "scaled" and settings.law == "moc"):
             settings.check_guided()
         self._guide, self._n, self._row_length = guide, robot.n, row_length(robot.n)
-        self._torques = slice(-robot.n, None)  # place of the torque in the core's result
-        self._exact = solver if type(solver) is Exact else None  # runs inside the core, without a session
+        self._torques = slice(-robot.n, None)
+        self._exact = solver if type(solver) is Exact else None  # needs no session
         self._started = False
         self._supervisor = Supervisor(settings.supervisor, self._law, robot.n, period, times_us)
         self._forget()
@@ -80,7 +76,6 @@ class Controller:
         self._ticked: tuple[Status, Array] | None = None
 
     def _take_apart(self) -> None:
-        """Split the core's result of a tick solved by `exact` into its parts. Called only when a part is read."""
         if self._ticked is None:
             return
         status, out = self._ticked
@@ -103,7 +98,7 @@ class Controller:
 
     @property
     def solution(self) -> Solution | None:
-        """The solver's answer to the last tick's subproblem; None under DCAC."""
+        """The solver's answer in the last tick; None under DCAC."""
         self._take_apart()
         return self._solution
 
@@ -125,29 +120,28 @@ class Controller:
 
     @property
     def restarts(self) -> list[dict[str, Any]]:
-        """Replacements of an isolated solver's process, each with ``at_s`` (time since the start) and ``reason``."""
+        """Restarts of an isolated solver's process, each with ``at_s`` [s] and ``reason``."""
         found = self._session.restarts if isinstance(self._session, IsolatedSession) else []
         return [{"at_s": self._period * restart.tick, "reason": restart.reason} for restart in found]
 
     @property
     def null_space(self) -> Array:
-        """A copy of the last tick's Z (r, n), whose rows are an orthonormal basis of ker A."""
+        """The last tick's Z (r, n), whose rows are an orthonormal basis of ker A."""
         rows, Z, _ = self._law.memory()
         return Z[:rows]
 
     @property
     def external_torque(self) -> Array:
-        """A copy of the observer's estimate of the external torque (n,) [Nm]; zero without an observer."""
+        """The observer's estimate of the external torque (n,) [Nm]; zero without an observer."""
         return self._law.memory()[2]
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
-        """Reset the state, and start the solver with the subproblem of this measurement; arguments as for `tick`.
-
-        First, a copy of the controller runs one tick, so that libraries are initialized before the loop starts.
+        """Reset the controller, and start its solver. The arguments are those of `tick`.
 
         Raises:
-            ControlError: the solver does not support the subproblem, or raises an exception when it starts.
+            ControlError: the solver cannot start.
         """
+        # A copy runs one tick first, so that all libraries are initialized.
         copy = Controller(self.robot, self.settings, self.solver, self._period)
         copy._begin(q, v, tip_ref, trocar)
         copy.tick(q, v, tip_ref, trocar)
@@ -174,14 +168,14 @@ class Controller:
             trocar: (2, 3) rows P_t [m], dP_t [m/s] of the registered trocar.
 
         Raises:
-            ControlError: `start` was not called, or a reference has a wrong shape or is not finite.
+            ControlError: `start` was not called, or a reference is malformed.
         """
         if not self._started:
             raise ControlError("tick before start: call start once before the first tick")
         x_d = None if self._guide is None else self._guide.desired_velocity(self.robot.state(q, v))
         try:
             return self._torque(q, v, tip_ref, trocar, x_d)
-        except ValueError:  # the core takes only contiguous float arrays: convert
+        except ValueError:  # the core takes only contiguous float arrays
             state, tip_ref, trocar = self.robot.state(q, v), _rows("tip_ref", tip_ref, 3), _rows("trocar", trocar, 2)
             return self._torque(state.q, state.v, tip_ref, trocar, x_d)
 
@@ -190,33 +184,29 @@ class Controller:
             status, self._record, out = self._supervisor.step(q, v, tip_ref, trocar, x_d, self._exact.tolerance)
             self._ticked = status, out
             return out[self._torques]
-        # The core computes the subproblem and tau = tau_tip + tau_rcm + tau_ff - r. Here tau_ff is the feedforward and
-        # r the observer's estimate.
         self._record, row = self._law.begin(q, v, tip_ref, trocar, x_d)
         if self._session is not None:
             self._subproblem = qp = NullSpaceQP.from_row(row)
-            # Level 3 adds M Z^T (Z M Z^T)^-1 Z (K_N2 (x* - v) - D_N2 v) to tau, and clips the sum to tau_max. x* is the
-            # solver's answer, or the supervisor's replacement.
             seen = v if self._observes else None
             self._solution, self._answer, tau = self._supervisor.solve(self._session, qp, seen)
         else:
-            tau = self._law.finish(0, 0, v, 0.0)[2]  # DCAC has no answer to check
+            tau = self._law.finish(0, 0, v, 0.0)[2]
         return read_only(tau)
 
     def set_applied_torque(self, tau: Array) -> None:
-        """Tell the observer which torque (n,) [Nm] was applied. Called only if it differs from the result of `tick`."""
+        """Tell the observer which torque (n,) [Nm] was applied, if it is not the result of `tick`."""
         if not np.isfinite(tau).all():
             raise ControlError(f"applied torque = {np.asarray(tau).tolist()} is not finite: the observer cannot use it")
         self._law.set_applied(np.ascontiguousarray(tau, dtype=np.float64))
 
     def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
-        """Create trace columns of level 3 with one row per tick. Under DCAC, these are only status and solve time."""
+        """Create trace columns of level 3 with one row per tick."""
         found: dict[str, NDArray[Any]] = {
             "status": np.full(ticks, "none", dtype="<U12"), "solve_us": np.full(ticks, np.nan)
         }  # fmt: skip
         if self.solver is not None:
             n, end = self._n, self._row_length
-            # One block in the order of the core's result: subproblem, the solver's x and y, and the x that is used.
+            # The block has the order of the core's result.
             self._block = block = np.full((ticks, end + 2 * n + 6), np.nan)
             found |= {
                 "subproblem": block[:, :end], "x_rad_per_s": block[:, end : end + n],
@@ -227,7 +217,7 @@ class Controller:
         return found
 
     def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Write the last tick's values into one row of the columns that `columns` created."""
+        """Write the last tick's values into one row of these columns."""
         if self._ticked is not None and self._ticked[0] is Status.SOLVED:
             status, out = self._ticked
             self._block[row] = out[: -self._n]
@@ -254,7 +244,6 @@ def _rows(name: str, given: Array, count: int) -> Array:
 
 
 def _start_session(solver: Solver, qp: NullSpaceQP) -> Session:
-    # A MocOptError passes unchanged. Any other exception becomes a ControlError.
     name = "?"
     try:
         name = repr(solver.name)

@@ -1,4 +1,4 @@
-"""Compute the numbers of the control law (docs/method.md, `core/law.c`) from settings and an arm."""
+"""The numbers of the control law (`core/law.c`), computed from settings and an arm."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from moc_opt.control.settings import ControlSettings, per_joint
 from moc_opt.errors import ControlError
 from moc_opt.robots.model import RobotModel
 
-PROJECTORS = ("dynamic", "static", "as_published")  #: Values of ``projector`` in the order of the core's enum.
-FALLBACKS = ("damping", "hold", "least-violation")  #: Values of ``fallback`` in the order of the core's enum.
-LATE = ("hold", "zero", "iterate")  #: Values of ``late`` in the order of the core's enum.
-COURSE_K0_PER_S = 10.0  #: Smallest k0 [1/s] if a course (planned joint motion) is followed. A course slows near limits.
+PROJECTORS = ("dynamic", "static", "as_published")  #: In the order of the core's enum.
+FALLBACKS = ("damping", "hold", "least-violation")  #: In the order of the core's enum.
+LATE = ("hold", "zero", "iterate")  #: In the order of the core's enum.
+COURSE_K0_PER_S = 10.0  #: Smallest k0 along a planned joint motion [1/s].
 _CHECKS = ("check", "box_limit", "primal_limit", "relative_limit", "opposite_limit", "keep_off_limits", "hold_ticks")
 
 
@@ -25,8 +25,7 @@ def numbers_of(settings: ControlSettings, robot: RobotModel, period: float) -> d
         period: control period [s].
 
     Raises:
-        ControlError, UnknownNameError: a gain is missing, the margins leave a joint no room between its limits, or the
-            observer's gain is too large for the period.
+        ControlError, UnknownNameError: a gain or margin does not fit the robot or the period.
     """
     n, moc, follows, supervisor = robot.n, settings.law == "moc", settings.follows, settings.supervisor
     gains = settings.resolve_gains(robot.data.gains, n)
@@ -39,7 +38,6 @@ def numbers_of(settings: ControlSettings, robot: RobotModel, period: float) -> d
     if observer and not observer * period < 1.0:
         name = "course_observer_gain_per_s" if follows else "observer_gain_per_s"
         raise ControlError(f"{name} = {observer} at a period of {period} s: keep it below {1.0 / period:g}")
-    # By default, the bounds on x stop a joint before it reaches the safety filter's virtual wall.
     turning = settings.course_margin_rad if follows else settings.limit_margin_rad
     margin = np.where(robot.chain.prismatic, settings.limit_margin_m, turning)
     half = 0.5 * (robot.q_max - robot.q_min)
@@ -50,7 +48,7 @@ def numbers_of(settings: ControlSettings, robot: RobotModel, period: float) -> d
             f"[control] {kind} = {margin[j]}: no room is left for joint {j + 1} between its limits; give less "
             f"than {half[j]:.3g}"
         )
-    fraction = 1.0 if follows else settings.speed_fraction  # the planner has limited a course's speed
+    fraction = 1.0 if follows else settings.speed_fraction  # the planner limits the speed
     return {
         **{name: getattr(settings, name) for name in ("feedforward", "c0", "c1", "c2")},
         **{name: getattr(supervisor, name) for name in _CHECKS},

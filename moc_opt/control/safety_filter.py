@@ -1,7 +1,6 @@
-"""The safety filter: it checks every measurement, limits the torque at every tick, and requests a stop.
+"""The safety filter: it checks every measurement, limits the torque, and requests a stop.
 
-`moc_opt/core/safety_filter.c` has the formula of every limit and of every reason to stop. docs/reliability.md explains
-the limits. In a stop, the drives brake, and the torque carries the arm's weight in the last accepted pose.
+The formulas are in `moc_opt/core/safety_filter.c`.
 """
 
 from __future__ import annotations
@@ -19,13 +18,13 @@ from moc_opt.robots.model import RobotModel, RobotState
 
 PRESS_PER_S = 50.0  # cut-off of the low-pass filter on the trocar's force in a stop [1/s]
 MOST_TICKS = 2**31 - 1  # the largest int of C
-_SETTLED = 6.0  # settling time of the momentum residual (torque that the model does not explain), in time constants
+_SETTLED = 6.0  # settling time of the momentum residual [time constants]
 _NO_WRENCH = np.full(6, np.nan)
 _LATE, _TIP = core.REASONS.index("measurements are too late"), core.REASONS.index("the tip has been off its reference")
 _WATCHED = (
     ("the RCM error", "rcm_warning_m", "rcm_error_m", "mm", 1e3),
     ("the trocar's force", "trocar_force_warning_N", "trocar_force_N", "N", 1.0),
-)  # quantity, settings of its warning level and limit, unit in messages, factor from SI to this unit
+)  # quantity, settings, unit, factor from SI
 _AS_SET = (  # settings with the same name in the core
     "speed_factor", "stop_holding", "motion", "motion_s", "motion_rad", "motion_lag_s", "repeat_m", "repeat_torque",
     "repeat_whole_m", "repeat_whole_torque", "repeat_whole_ticks", "repeat_joint_ticks", "repeat_reading_ticks",
@@ -37,12 +36,12 @@ class SafetyFilter:
     """Check measurements and limit torques of one arm.
 
     Args:
-        robot: the model of the arm; its limits, tool and friction are used.
+        robot: the model of the arm.
         settings: see SafetyFilterSettings.
         period: control period [s].
-        carries: whether the torque carries the arm's weight; False if the drives compensate gravity themselves.
+        carries: whether the torque carries the arm's weight.
         incision: whether the tool is in an incision. If not, RCM error and trocar force are not checked.
-        momentum: whether `limit_torque` computes the state if none is given. Motion is not checked without a state.
+        momentum: whether `limit_torque` computes a missing state. Motion is not checked without a state.
 
     Attributes:
         limited: number of joints whose last torque was changed.
@@ -67,7 +66,7 @@ class SafetyFilter:
         self.start(np.clip(robot.data.q_home, robot.q_min, robot.q_max), self._rest)
 
     def start(self, q: Array, v: Array, stamp: int = 0) -> None:
-        """Begin at the first measurement, taken in period ``stamp``. A joint inside its wall is not pushed out then.
+        """Begin at the first measurement, taken in period ``stamp``.
 
         Raises:
             ControlError: the measurement is not finite.
@@ -83,12 +82,11 @@ class SafetyFilter:
     ) -> tuple[Array, Array]:  # fmt: skip
         """Return the measurement. If it is late or impossible, return the last accepted measurement, extrapolated.
 
-        A stop is requested if too many measurements in a row are bad, if readings repeat or contradict each other, or
-        if the RCM error or the trocar's force is above its limit.
+        A stop is requested if too many measurements are bad, or the RCM error or the trocar's force is above its limit.
 
         Args:
             q, v: (n,) measured [rad], [rad/s].
-            stamp: number of the control period in which q and v were measured, counted by the arm; None: not known.
+            stamp: number of the control period in which q and v were measured; None: not known.
             applied: (n,) torque that was applied last [Nm]; None: not known.
             wrench: (6,) force [N] and torque [Nm] of the tool on its mount, in tool axes; None: not known.
             trocar: (2, 3) rows P_t, dP_t of the registered trocar; None: RCM error and trocar force are not checked.
@@ -114,23 +112,22 @@ class SafetyFilter:
         return found
 
     def request_stop(self, reason: str) -> None:
-        """Request a stop. The first reason is kept. An empty reason requests nothing."""
+        """Request a stop. The first reason is kept."""
         self.reason = self.reason or reason
 
     def limit_torque(
         self, tau: Array, before: Array, q: Array, v: Array, tip_ref: Array | None = None,
         state: RobotState | None = None, tip: Array | None = None,
     ) -> Array:  # fmt: skip
-        """Return the torque (n,) [Nm] within its limits; ``limited`` counts the joints whose torque was changed.
+        """Return the torque (n,) [Nm] within its limits.
 
-        If the torque is not finite, a stop is requested and ``before`` is returned. The tip's distance from its
-        reference is checked too. The measured motion is compared with ``before``, the torque that caused the motion.
+        If the torque is not finite, a stop is requested and ``before`` is returned.
 
         Args:
             tau, before: (n,) the controller's torque, and the torque that was applied last [Nm].
             q, v: (n,) as returned by `check_measurement` [rad], [rad/s].
             tip_ref: (3, 3) rows X_d, dX_d, ddX_d [m]; None: the tip is not checked.
-            state: the robot's state at (q, v); None: it is computed here if it is needed.
+            state: the robot's state at (q, v), if known.
             tip: (3,) the tip position that the controller computed [m]; None: the tip of ``state``.
         """
         shown = state is not None or tip is not None
@@ -146,18 +143,14 @@ class SafetyFilter:
         return tau if math.isfinite(tau.dot(tau)) else before
 
     def stop_torque(self, before: Array) -> Array:
-        """Return the torque (n,) [Nm] in a stop. It approaches the gravity torque of the last accepted pose.
-
-        The torque before the stop is not kept, because it would go on pushing the arm.
-        """
+        """Return the torque (n,) [Nm] in a stop. It approaches the gravity torque of the last accepted pose."""
         self.limited = 0
         return self._guard.rest(np.ascontiguousarray(before, dtype=np.float64))
 
     def brake_friction(self, wrench: Array) -> Array:
         """Return the dry friction (n,) [Nm] of the brakes in a stop; zero while the brakes are open.
 
-        The brakes open at a trocar force of ``stop_yield_N``. They close at half of this force or after
-        ``stop_yield_s``. They open again if the force has risen by another ``stop_yield_N``; see `moc_guard_hold`.
+        The brakes open at a trocar force of ``stop_yield_N``. They close at half of it or after ``stop_yield_s``.
 
         Args:
             wrench: (6,) force [N] and torque [Nm] of the tool on its mount, in tool axes.
@@ -168,7 +161,7 @@ class SafetyFilter:
 def numbers_of(
     settings: SafetyFilterSettings, robot: RobotModel, period: float, carries: bool = True, incision: bool = True
 ) -> dict[str, Any]:
-    """Return a dict with the fields of the core's struct moc_guard for these settings and this arm.
+    """Return the fields of the core's struct moc_guard, by name.
 
     Args:
         period: control period [s]; the other arguments are those of `SafetyFilter`.
@@ -190,7 +183,6 @@ def numbers_of(
         "tool_mass": data.tool_mass, "tool_length": data.tool_length, "tip_force": _or_infinite(s.tip_force_N),
         "stop_yield": _or_infinite(s.stop_yield_N), "stop_yield_ticks": round(s.stop_yield_s / period),
         "press_share": min(1.0, PRESS_PER_S * period),
-        # All n encoders repeat their readings for k / n ticks as rarely as one encoder repeats its reading for k ticks.
         "replayed_ticks": max(float(s.repeat_whole_ticks), _or_infinite(s.repeat_joint_ticks) / robot.n),
         "stuck_speed": s.stuck_rad_per_s, "held": np.minimum(s.stuck_torque * data.tau_max, coulomb),
         "residual_whole": s.residual_whole_torque, "residual_rate": s.residual_rate_per_s,

@@ -11,11 +11,7 @@ from moc_opt.inputs.settings import Level, Settings
 
 
 class SafetyFilterSettings(Settings):
-    """Limits of the safety filter, and actions in a stop. A joint has the largest torque tau_max and speed v_max.
-
-    The fields from ``motion`` to ``residual_s``, and ``jump_rad``, ``speed_factor`` and ``patience_ticks``, decide
-    whether measurements are trusted.
-    """
+    """Limits of the safety filter, and actions in a stop. A joint has the largest torque tau_max and speed v_max."""
 
     KIND: ClassVar[str] = "[guard]"
     ERROR: ClassVar[type[MocOptError]] = ControlError

@@ -1,4 +1,4 @@
-"""The settings of a controller. Gains that are left out come from a table in the robot's file."""
+"""The settings of a controller."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ PerJoint = Annotated[float | tuple[float, ...], BeforeValidator(_number_or_numbe
 
 
 class Gains(NamedTuple):
-    """The gains of the three levels, with defaults from the robot's file filled in."""
+    """The gains of the three levels."""
 
     K_X: float  #: [N/m]
     D_X: float  #: [N s/m]
     K_N: float  #: [N/m]
     D_N: float  #: [N s/m]
-    K_N2: Array  #: (n,) [N m s/rad]; K_N2 and D_N2 are zero under law ``dcac``.
-    D_N2: Array  #: (n,) [N m s/rad]
+    K_N2: Array  #: (n,) [N m s/rad]; zero under law ``dcac``.
+    D_N2: Array  #: (n,) [N m s/rad]; zero under law ``dcac``.
 
 
 GAINS = Gains._fields
@@ -47,8 +47,7 @@ GAINS = Gains._fields
 class ControlSettings(Settings):
     """The control law. Level 3 makes the joint velocity v follow x, the velocity that its solver computes in the box.
 
-    In the robots' files, the table [gains.default] is for both laws. [gains.dcac] and [gains.moc] are from Table I of
-    Su et al. (2019). K_N2, D_N2 and ``dcac_damping`` are one number for all joints, or one per joint.
+    The tables [gains.dcac] and [gains.moc] in the robots' files are from Table I of Su et al. (2019).
     """
 
     KIND: ClassVar[str] = "[control]"
@@ -150,17 +149,17 @@ class ControlSettings(Settings):
 
     @classmethod
     def preset(cls, name: str, **changes: Any) -> ControlSettings:
-        """Return a named set of settings (see `moc_opt.control.presets`), with ``changes`` to some of its fields.
+        """Return a named set of settings, with ``changes`` to some of its fields.
 
         Raises:
-            UnknownNameError: there is no such preset; the message lists the presets.
+            UnknownNameError: there is no such preset.
         """
         if name not in PRESETS:
             raise UnknownNameError("control preset", name, PRESETS)
         return cls(**{**PRESETS[name], **changes})
 
     def check_guided(self) -> None:
-        """Raise a ControlError if regularization or c2 is 0, because level 3 then follows no velocity (see `Guide`)."""
+        """Raise a ControlError unless regularization and c2 are above 0."""
         if not min(self.regularization, self.c2) > 0.0:
             raise ControlError(
                 f"third_level = {self.third_level!r}, climb = {self.climb!r} with c2 = {self.c2:g}, regularization = "
@@ -168,10 +167,10 @@ class ControlSettings(Settings):
             )
 
     def matched_dcac(self) -> dict[str, Any]:
-        """Return the changes that turn these settings into DCAC with the same gains, the baseline of comparisons."""
+        """Return the changes that turn these settings into DCAC with the same gains."""
         return {
             "law": "dcac", "gains": self.gains or self.law, "third_level": "local", "course": "",
-            "observer_gain_per_s": self.observer_rate_per_s,  # the gain in use
+            "observer_gain_per_s": self.observer_rate_per_s,
         }  # fmt: skip
 
     @property
@@ -187,11 +186,11 @@ class ControlSettings(Settings):
         return self.observer_gain_per_s
 
     def resolve_gains(self, tables: Mapping[str, Mapping[str, Any]], joints: int) -> Gains:
-        """Return the gains K_X to D_N2. Gains that are not set come from the robot's ``tables`` [gains.*].
+        """Return the gains. Gains that are not set come from the robot's ``tables`` [gains.*].
 
         Raises:
             UnknownNameError: ``gains`` is no table of this robot.
-            ControlError: a gain that this law needs is neither set nor in the table, or does not fit the joints.
+            ControlError: a gain is missing or does not fit the joints.
         """
         name = self.gains or self.law
         if name not in tables:

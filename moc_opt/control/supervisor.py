@@ -1,9 +1,7 @@
 """The supervisor of the third level: every answer is checked before the arm follows it.
 
 Tip and RCM control never depend on a solver. A faulty answer is replaced by the last good answer for a few ticks, then
-by damping. The settings `fallback` and `late` offer other replacements. The trace counts the faults of each kind, and
-keeps the message of the first fault. A solver gets a copy of the subproblem, and the check gets a copy of the answer,
-so that the solver cannot change the data of the check.
+by damping.
 """
 
 from __future__ import annotations
@@ -27,7 +25,7 @@ from moc_opt.solvers.isolated import Unanswered
 
 
 class Fault(Enum):
-    """The faults that an answer can have, each with its meaning in words."""
+    """The faults of a solver's answer."""
 
     NONE = "the answer was taken"
     INFEASIBLE = "the solver found the subproblem infeasible"
@@ -49,7 +47,7 @@ class Fault(Enum):
 
 def _raise_interrupt(error: BaseException) -> None:
     found: BaseException | None = error
-    for _ in range(10):  # the chain of a plug-in's errors may be cyclic
+    for _ in range(10):  # the chain may be cyclic
         if found is None or isinstance(found, KeyboardInterrupt):
             break
         found = found.__context__ if found.__cause__ is None else found.__cause__
@@ -84,9 +82,8 @@ class SupervisorSettings(Settings):
     iterate at the end of the budget, or the late answer itself if the solver has no iterates"""
 
 
-_FAULTS = tuple(Fault)  #: In the order of the core's enum.
+_FAULTS = tuple(Fault)
 _CLAIMS = {Status.SOLVED: 0, Status.INFEASIBLE: 1, Status.MAX_ITER: 2, Status.TIME_LIMIT: 2}
-"""The number of each status in the core's enum moc_claim. Every other status means ``_NO_ANSWER``."""
 _NO_ANSWER = 3
 _NAN = float("nan")
 
@@ -95,10 +92,9 @@ MOST_ITERATIONS = 2**31 - 1  #: The largest number of iterations that a trace ca
 
 
 def received(given: object, n: int) -> tuple[Solution, str]:
-    """Return a copy of a solver's answer, and a message, which is empty if the answer is a well-formed ``Solution``.
+    """Return a copy of a solver's answer, and a message, which is empty if the answer is well-formed.
 
-    In the copy, x (n,) and y (6,) are contiguous arrays of float64, and iterations is an int that fits 32 bits. If any
-    part is malformed, the whole answer is refused and x is NaN. NaN entries alone do not make an answer malformed.
+    If any part is malformed, x (n,) is NaN.
     """
     if not isinstance(given, Solution):
         return no_answer(n, Status.NUMERICAL), f"solve returned a {type(given).__name__}: return a Solution"
@@ -122,18 +118,16 @@ def _unlike(name: str, value: object, shape: tuple[int, ...]) -> str:
 
 
 class Supervisor:
-    """Check the answers of a solver's session in the core, replace refused answers, and count the faults.
+    """Check the answers of a solver's session, replace refused answers, and count the faults.
 
     Args:
-        settings: limits of the check, and the replacement.
-        law: the core's `Law`, which holds the subproblem of this tick and the last good answer.
+        settings: see SupervisorSettings.
+        law: the core's control law.
         n: number of joints.
         period: control period [s].
-        times_us: recorded solve times [us], with which a run with deadlines can be repeated exactly. The clock is used
-            if this is None, and after the last recorded time.
+        times_us: recorded solve times [us], used instead of the clock while they last.
 
-    ``faults`` maps the label of a fault to its ``count`` since the start, ``first_at_s`` (time of the first) and
-    ``first`` (the message of the first, or of the exception if the solver raised one).
+    ``faults`` maps the label of a fault to a dict of ``count``, ``first_at_s`` and ``first`` (the first message).
     """
 
     def __init__(
@@ -146,16 +140,15 @@ class Supervisor:
         self.forget()
 
     def forget(self) -> None:
-        """Reset fault, solve time and the numbers of faults."""
+        """Reset the fault, the solve time and the counts."""
         self.fault, self.solve_us, self._asked = Fault.NONE, float("nan"), 0
         self.faults: dict[str, dict[str, Any]] = {}
 
     def solve(self, session: Session, qp: NullSpaceQP, v: Array | None = None) -> tuple[Solution, Array, Array]:
-        """Let the session solve, check its answer, and finish the law's tick with the answer or its replacement.
+        """Let the session solve, check its answer, and finish the tick.
 
-        The session gets copies of the tick's subproblem ``qp`` and of the measured velocity ``v`` (n,) [rad/s] (None if
-        the session does not observe v). Return (solution, x, tau): the solver's answer, the x (n,) [rad/s] that the arm
-        follows, and the torque (n,) [Nm] of the law.
+        Return (solution, x, tau): the solver's answer, the x (n,) [rad/s] that the arm follows, the torque (n,) [Nm].
+        ``v`` (n,) [rad/s] is the measured velocity; None if the session does not use it.
         """
         solution, known, text = self._ask(session, qp, v)
         number, x, tau = self._law.finish(
@@ -168,7 +161,7 @@ class Supervisor:
     def step(
         self, q: Array, v: Array, tip_ref: Array, trocar: Array, x_d: Array | None, tolerance: float
     ) -> tuple[Status, Array, Array]:
-        """Do the whole tick in the core, with the core's solver `exact`. The arguments are those of `core.Law.begin`.
+        """Do the whole tick in the core, with the core's solver `exact`.
 
         Return (status, record, out). ``record`` has the numbers of a `RobotState`. ``out`` (14 n + 16,) has, in this
         order, `NullSpaceQP.row`, the solver's x and y, the x that the arm follows, and the law's torque (n,) [Nm].

@@ -1,7 +1,6 @@
 """One control period in C: arm, control law, subproblem, solver `exact`, neural network, safety filter.
 
-Read `moc.h` first. `tools.h` declares the functions that only Python calls. `arguments.c`, `python*.c` and `plant.c`
-are the Python binding. It raises ValueError or TypeError unless arrays are C-contiguous float64 of the right shape.
+Read `moc.h` first. Calls from Python raise ValueError or TypeError unless arrays are C-contiguous float64.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Export a scenario's controller as a folder of C: the core's C files, constants, recorded ticks and a Makefile.
+"""Export a scenario's controller as a folder of C files.
 
-``scenario`` refuses settings that the C code does not support, and records ticks. ``folder`` writes the files.
+``scenario`` records ticks, and ``folder`` writes the files.
 """
 
 from moc_opt.export.folder import write

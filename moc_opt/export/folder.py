@@ -1,4 +1,4 @@
-"""Write the exported folder: the C files of `moc_opt/core` and ``c/``, and a scenario's numbers as C initialisers."""
+"""Write the exported folder: C files, and a scenario's numbers as C initialisers."""
 
 from __future__ import annotations
 
@@ -25,34 +25,34 @@ CORE = (
     "answer.c", "safety_filter.c", "step.c", "record.c",
 )  # fmt: skip
 """The files of `moc_opt/core` that `moc_step` needs."""
-TESTS = ("main.c", "Makefile", "README.md")  # files of `OWN` in every exported folder
-UDP = ("udp.c",)  # files of `OWN` for the controller over UDP
+TESTS = ("main.c", "Makefile", "README.md")  # in every exported folder
+UDP = ("udp.c",)
 OWN = files("moc_opt.export") / "c"
-MARK = "Written by moc-opt export-c"  # begins the first line of every exported text file
+MARK = "Written by moc-opt export-c"  # begins every exported text file
 SUPERVISION = (
     "check", "box_limit", "primal_limit", "relative_limit", "opposite_limit", "hold_ticks", "keep_off_limits",
     "fallback", "late", "budget_us",
 )  # fmt: skip
-"""The fields of moc_supervision. `control.law_numbers.numbers_of` returns them together with the fields of moc_law."""
+"""The fields of moc_supervision."""
 
 
 class Recording(NamedTuple):
-    """k consecutive ticks: measurements, references, and the torques from the safety filter."""
+    """k consecutive ticks: measurements, references and torques."""
 
     q: Array  # (k, n) [rad]; may be NaN
     v: Array  # (k, n) [rad/s]
-    stamp: Array  # (k,) index of the control period in which q and v were measured
+    stamp: Array  # (k,) control period of the measurement
     tip_ref: Array  # (k, 3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2]
     trocar: Array  # (k, 2, 3) rows P_t [m], dP_t [m/s]
     wrench: Array  # (k, 6) force [N] and torque [Nm] of the tool on its mount, tool axes
     tau: Array  # (k, n) torque from the safety filter [Nm]
     sent: Array  # (n,) torque before the first tick [Nm]
-    sound: int  # number of ticks before the first fault; the self-test measures their times
-    stopped_at: int  # tick at which the safety filter stopped the arm, or -1
+    sound: int  # number of ticks before the first fault
+    stopped_at: int  # tick of the stop, or -1
 
 
 def shipped(folder: Traversable, names: Iterable[str]) -> dict[str, str]:
-    """Read files of a folder in the package. Return a dict from each file's name to its text."""
+    """Return the texts of files in a folder of the package, by name."""
     return {name: (folder / name).read_text(encoding="utf-8") for name in names}
 
 
@@ -96,7 +96,7 @@ def arm_in_c(robot: RobotModel) -> dict[str, Any]:
 def constants(
     robot: RobotModel, law: Mapping[str, Any], guard: Mapping[str, Any], tolerance: float, stop: tuple[float, float]
 ) -> dict[str, str]:
-    """Return a dict with the texts of constants.h and constants.c. `write` describes the arguments."""
+    """Return the texts of constants.h and constants.c. `write` describes the arguments."""
     header = f"""\
 /* The scenario's numbers. Pass moc_constants to moc_start and moc_step. */
 #ifndef CONSTANTS_H
@@ -156,8 +156,7 @@ def write(
     """Write the folder, and return its files.
 
     Args:
-        law, guard: numbers under the names in moc.h, from `control.law_numbers.numbers_of` and
-            `control.safety_filter.numbers_of`.
+        law, guard: numbers under the names in moc.h.
         recording: the ticks that ``make test`` repeats.
         tolerance: tolerance of the solver ``exact`` [rad/s].
         stop: damping of the drives in a stop [Nm s/rad], and its shortest duration [s].
@@ -165,7 +164,7 @@ def write(
         force: also overwrite files that were edited or that export-c did not write.
 
     Raises:
-        ScenarioError: ``out`` cannot be written, or contains one of these files, but not as export-c wrote it.
+        ScenarioError: ``out`` cannot be written, or only with ``force``.
     """
     texts: dict[str, str | bytes] = {**shipped(files("moc_opt.core"), CORE), **shipped(OWN, TESTS)}
     texts |= constants(robot, law, guard, tolerance, stop) | {"recording.h": recording_in_c(recording)} | dict(extra)
@@ -186,7 +185,6 @@ def write(
 
 
 def _marked(name: str, text: str) -> str:
-    """Return the text after a line with its checksum. The checksum shows a later export whether the text was edited."""
     comments = {".c": ("/* ", " */"), ".h": ("/* ", " */"), ".md": ("<!-- ", " -->")}
     before, after = comments.get(Path(name).suffix, ("# ", ""))
     check = hashlib.blake2s(text.encode(), digest_size=8).hexdigest()

@@ -1,4 +1,4 @@
-"""Export a scenario as a folder of C: refuse unsupported settings, and record ticks for the self-test."""
+"""Export a scenario as a folder of C, with recorded ticks for the self-test."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from moc_opt.sim.sensors import Measurement
 from moc_opt.solvers.exact import Exact
 
 TICKS = 150
-"""Number of recorded ticks, from the middle of the run. The last third of them has faults."""
-INFEASIBLE, VIOLENT = 0.5, 10.0  # added to the reference velocity in two faults of `record` [m/s]
+"""Number of recorded ticks, from the middle of the run."""
+INFEASIBLE, VIOLENT = 0.5, 10.0  # added to the reference velocity in two faults [m/s]
 
 
 def export_scenario(
@@ -29,13 +29,13 @@ def export_scenario(
     """Write a scenario's controller and safety filter as a folder of C files. Return the files.
 
     Args:
-        scenario: the scenario. Its run is simulated to record ticks.
+        scenario: its run is simulated to record ticks.
         out: folder, created if it does not exist.
-        udp: also write a program that runs this controller over UDP, and the references of all ticks.
+        udp: also write a program that runs this controller over UDP.
         force: also overwrite files that were edited or that export-c did not write.
 
     Raises:
-        MocOptError: the C code does not support a setting, the scenario cannot run, or ``out`` cannot be written.
+        MocOptError: a setting is not supported, the scenario cannot run, or ``out`` cannot be written.
     """
     check(scenario)
     setup = Setup(scenario.change(judge=False, bound_samples=0, faults={"solver": "none"}))
@@ -78,12 +78,7 @@ def references(setup: Setup) -> bytes:
 
 
 def record(setup: Setup) -> Recording:
-    """Record the controller and its safety filter on measurements of the scenario's run. The last third has faults.
-
-    In order, the faults are: NaN for so few ticks that the arm does not stop; a repeated packet; a joint that jumps
-    for one tick; a joint that is too fast for one tick; infeasible references for some ticks; one reference so fast
-    that the torque is limited; and NaN until the end.
-    """
+    """Record the controller and its safety filter on measurements of the run. The last third has faults."""
     scenario, trace, t = setup.scenario, setup.trace(), setup.times()
     whole = min(len(trace), len(t))
     k = min(TICKS, whole)

@@ -1,1 +1,1 @@
-"""Input from outside: settings (base class of every TOML table), files, names and plug-ins, all checked when read."""
+"""Input from outside: settings, files, names and plug-ins, all checked when read."""

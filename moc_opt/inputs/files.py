@@ -1,7 +1,6 @@
-"""Read files (texts, TOML, numpy's arrays) up to a largest size, and write files all or nothing.
+"""Read files up to a largest size, and write files all or nothing.
 
-`write_whole` is the only function of the package that writes a file for the user. If a file cannot be read or written,
-the functions raise ``error``. The message begins with ``what``, the kind of file.
+If a file cannot be read or written, ``error`` is raised. Its message begins with ``what``, the kind of file.
 """
 
 from __future__ import annotations
@@ -22,23 +21,23 @@ from typing import Any
 
 from moc_opt.errors import MocOptError, shown
 
-MOST_TEXT = 4 * 2**20  #: Largest text file (TOML, URDF, JSON) that is read [bytes].
-MOST_ARRAYS = 2**27  #: Largest file of numpy's arrays that is read [bytes].
-MOST_DATA = 4 * 2**30  #: Largest Parquet file that is read [bytes].
+MOST_TEXT = 4 * 2**20  #: Largest text file [bytes].
+MOST_ARRAYS = 2**27  #: Largest file of numpy's arrays [bytes].
+MOST_DATA = 4 * 2**30  #: Largest Parquet file [bytes].
 
 Path_ = str | os.PathLike[str]
 Wrong = type[MocOptError]
 
 
 def as_path(path: object, what: str, error: Wrong) -> Path:
-    """Return ``path`` as a Path; raise ``error`` if it is neither a text nor a path."""
+    """Return ``path`` as a Path. Raise ``error`` if it is none."""
     if isinstance(path, str) or (isinstance(path, os.PathLike) and isinstance(os.fspath(path), str)):
         return Path(path)
     raise error(f"{what} {shown(path)} is no path: give the name of a file as text, or a pathlib.Path")
 
 
 def read_bytes(path: Path_, what: str, error: Wrong, most: int = MOST_TEXT) -> bytes:
-    """Read a regular file of at most ``most`` bytes; links are followed."""
+    """Read a regular file of at most ``most`` bytes."""
     try:
         found = os.stat(path)
         if not stat.S_ISREG(found.st_mode):
@@ -79,18 +78,18 @@ def read_arrays(path: Path_, what: str, error: Wrong) -> dict[str, Any]:
     try:
         found = np.load(io.BytesIO(data), allow_pickle=False)
         return {"": found} if isinstance(found, np.ndarray) else dict(found)
-    except Exception as reason:  # a damaged file may raise anything, with its bytes in the message
+    except Exception as reason:  # a damaged file may raise anything
         why = f"{what} {os.fspath(path)!r} is damaged or no file of arrays ({type(reason).__name__})"
         raise error(f"{why}: write it with numpy.save") from reason
 
 
 def decimal(text: str) -> float:
-    """Read a decimal number. Other texts give NaN, even if float() accepts them (0_1, digits of other scripts)."""
+    """Read a decimal number. Other texts give NaN."""
     return float(text) if re.fullmatch(r"[+-]?(\d+(\.\d*)?|\.\d+)(e[+-]?\d+)?", text, re.ASCII | re.I) else math.nan
 
 
 def check_replaceable(path: Path_, what: str, error: Wrong) -> Path:
-    """Check, before any work, that a file can be written at this path. Refuse a folder, pipe or device there."""
+    """Check that a file can be written at this path. Refuse a folder, pipe or device."""
     target = as_path(path, what, error)
     with _writing(target, what, error):
         with contextlib.suppress(FileNotFoundError):
@@ -103,12 +102,12 @@ def check_replaceable(path: Path_, what: str, error: Wrong) -> Path:
 
 
 def write_whole(path: Path_, data: bytes | str, what: str = "file", error: Wrong = MocOptError) -> Path:
-    """Write bytes, or a text in UTF-8, all or nothing. An existing file stays until the new file is on the disk.
+    """Write bytes, or a text in UTF-8, all or nothing. A missing folder is made.
 
-    The folder is made if it does not exist. A link at this path is replaced, not followed.
+    A link at this path is replaced, not followed.
     """
     target = check_replaceable(path, what, error)
-    # The unfinished file is in the same folder, because a rename is atomic only within one file system.
+    # A rename is atomic only within one file system.
     unfinished = target.with_name(f".{target.name[:40]}.{secrets.token_hex(8)}.tmp")
     with _writing(target, what, error):
         try:
@@ -150,15 +149,15 @@ def plain(value: Any) -> Any:
 
 
 def to_json(value: Any, *, indent: int | None = 2, sort_keys: bool = False) -> str:
-    """Return a value as strict JSON, with NaN and infinity as null. Raise a TypeError if JSON cannot hold the value."""
+    """Return a value as strict JSON, with NaN and infinity as null. Raise a TypeError if this fails."""
     return json.dumps(plain(value), indent=indent, sort_keys=sort_keys, allow_nan=False)
 
 
 def to_toml(table: Mapping[str, Any]) -> str:
-    """Return a table of texts, numbers, flags, lists and tables as TOML, from which `read_toml` makes equal values.
+    """Return a table as TOML, from which `read_toml` makes equal values.
 
     Raises:
-        TypeError: a value that TOML cannot hold, such as None; the message names its key.
+        TypeError: TOML cannot hold a value, such as None.
     """
     tables = {key: value for key, value in table.items() if isinstance(value, Mapping)}
     lines = _toml_entries({key: value for key, value in table.items() if key not in tables}, "")
@@ -176,7 +175,7 @@ def _toml_key(key: str) -> str:
 
 
 def _toml_value(value: Any, where: str) -> str:
-    if hasattr(value, "tolist"):  # numpy's numbers and arrays
+    if hasattr(value, "tolist"):
         value = value.tolist()
     if isinstance(value, float):
         return repr(value)

@@ -13,7 +13,7 @@ _NAME = re.compile(r"[A-Za-z0-9_](?:[A-Za-z0-9_ .:+/-]*[A-Za-z0-9_])?")
 
 
 def is_name(text: object) -> bool:
-    """Return whether ``text`` can name a robot, link, joint, scenario or solver (see `RULE`)."""
+    """Return whether a text is a valid name (see `RULE`)."""
     return isinstance(text, str) and len(text) <= MAX_LENGTH and ".." not in text and bool(_NAME.fullmatch(text))
 
 
@@ -25,5 +25,5 @@ def checked(text: str) -> str:
 
 
 def in_markdown(text: str) -> str:
-    """Escape a text so that Markdown and HTML show its characters and interpret none of them."""
+    """Escape a text so that Markdown and HTML show it literally."""
     return re.sub(r"[^A-Za-z0-9 .,:;()/%°µ-]", lambda found: f"&#{ord(found.group())};", text)

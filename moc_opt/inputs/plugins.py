@@ -1,4 +1,4 @@
-"""Plug-ins, which other packages announce by entry points. A plug-in is loaded at its first use."""
+"""Plug-ins, which other packages announce by entry points."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from moc_opt.errors import MocOptError, describe
 
 
 def plugins(group: str) -> dict[str, list[EntryPoint]]:
-    """Return the entry points of a group in a dict by their names. Equal entry points are listed once."""
+    """Return the entry points of a group by name."""
     return _scan(group, tuple(sys.path))
 
 
-@lru_cache(maxsize=24)  # a scan of a hundred packages takes 10 ms, and a sweep makes thousands of solvers
+@lru_cache(maxsize=24)  # a scan of a hundred packages takes 10 ms
 def _scan(group: str, path: tuple[str, ...]) -> dict[str, list[EntryPoint]]:
     found: dict[str, dict[str, EntryPoint]] = {}
     for point in entry_points(group=group):
@@ -24,13 +24,13 @@ def _scan(group: str, path: tuple[str, ...]) -> dict[str, list[EntryPoint]]:
 
 
 def in_words(point: EntryPoint) -> str:
-    """Name the entry point and the package that announces it, for messages."""
+    """Name the entry point and its package, for messages."""
     package = getattr(point.dist, "name", None)
     return f"entry point {point.value!r}" + (f" of package {package!r}" if package else "")
 
 
 def load(kind: str, name: str, points: list[EntryPoint], error: type[MocOptError]) -> Any:
-    """Import the object of an entry point. Raise ``error`` if this fails, or if several entry points have the name."""
+    """Import the object of an entry point. Raise ``error`` if this fails, or if the name is not unique."""
     if len(points) > 1:
         raise error(f"{kind} {name!r}: {' and '.join(map(in_words, points))} claim this name: rename one")
     try:

@@ -15,12 +15,12 @@ from moc_opt.inputs import names
 
 _ALTERNATIVE = re.compile(r"constrained-|literal\[|tuple\[|(float|str)$")  # pydantic's names of types in a union
 LARGEST_INTEGER = 2**63 - 1
-SMALLEST, LARGEST = 1e-30, 1e30  # bounds of |x| for each number x but 0, so that products do not overflow
-MOST = 10_000_000  # largest integer of all settings but seeds
+SMALLEST, LARGEST = 1e-30, 1e30  # bounds of |x| for each number x but 0
+MOST = 10_000_000  # largest integer that is no seed
 LONGEST_S = 1e6  # longest time to run, wait or average [s]
 
 Name = Annotated[str, pydantic.AfterValidator(names.checked)]
-"""A name that comes from a file; it has to follow `moc_opt.inputs.names.RULE`."""
+"""A name that follows `moc_opt.inputs.names.RULE`."""
 Level = Annotated[
     Annotated[float, pydantic.Field(gt=0.0)] | None,
     pydantic.BeforeValidator(lambda value: None if value == math.inf else value),
@@ -29,18 +29,18 @@ Level = Annotated[
 
 
 class Settings(pydantic.BaseModel):
-    """Base of every table of settings; ``KIND`` is the table's name in messages.
+    """Base of every table of settings. ``KIND`` is the table's name in messages.
 
     Raises:
-        UnknownNameError: a field does not exist; the message lists the nearest fields.
-        MocOptError: a value is wrong. The class is ``ERROR``. The message has the field, its value and the range.
+        UnknownNameError: a field does not exist.
+        MocOptError: a value is wrong; the class is ``ERROR``.
     """
 
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
 
     KIND: ClassVar[str] = "setting"
     ERROR: ClassVar[type[MocOptError]] = ScenarioError
-    MORE_KEYS: ClassVar[tuple[str, ...]] = ()  #: Keys that a file may have in addition to the fields.
+    MORE_KEYS: ClassVar[tuple[str, ...]] = ()  #: Further keys that a file may have.
 
     @pydantic.field_validator("*", mode="wrap")
     @classmethod
@@ -71,13 +71,13 @@ class Settings(pydantic.BaseModel):
             raise self.ERROR("; ".join(_explained(items, self.KIND) for items in faults.values())) from error
 
     def replace(self, changes: Mapping[str, Any]) -> Self:
-        """Copy with some fields changed. Unlike ``model_copy``, this checks all fields again."""
+        """Copy with some fields changed, and check all fields."""
         values = {name: getattr(self, name) for name in type(self).model_fields}
         return type(self)(**{**values, **changes})
 
     @classmethod
     def keys(cls, values: Mapping[str, Any]) -> list[str]:
-        """List the keys that a table with these values may have. Subclasses add dotted keys of inner tables."""
+        """List the keys that a table with these values may have."""
         return [*cls.model_fields, *cls.MORE_KEYS]
 
     @classmethod
@@ -87,7 +87,7 @@ class Settings(pydantic.BaseModel):
 
 
 def _leaves(given: Any, value: Any, where: str = "") -> Iterator[tuple[str, Any, Any]]:
-    """Yield, for every entry of nested tables and lists, its place, the value in the file, and the validated value."""
+    """Yield place, value as written, and validated value of every entry."""
     if not isinstance(value, Mapping | list | tuple):
         yield where, given, value
         return
@@ -100,7 +100,7 @@ def _leaves(given: Any, value: Any, where: str = "") -> Iterator[tuple[str, Any,
 
 
 def _fault(written: Any, read: Any, most: int) -> str:
-    """Return the cure for a wrong number or flag, else "". pydantic alone would read "2" as 2 and "yes" as true."""
+    """Return the cure for a wrong value, such as "2" or "yes", which pydantic would convert."""
     is_flag = isinstance(written, bool | np.bool_)
     if isinstance(read, bool):
         return "" if is_flag else "give true or false, without quotes"
@@ -114,12 +114,12 @@ def _fault(written: Any, read: Any, most: int) -> str:
 
 
 def _explained(items: Sequence[Mapping[str, Any]], kind: str) -> str:
-    """Return the message on a field (table, name, value, cure). pydantic gives one error per type of the field."""
+    """Join the errors on one field. pydantic gives one per type of the field."""
     item = items[0]
     field = repr(".".join(f"{key!s:.80}" for key in item["loc"]))[1:-1]  # escapes: a key may hold any character
     message = ", or ".join(one["msg"].removeprefix("Value error, ") for one in items)
     message = message.replace(", or Input should be", ", or")
-    if isinstance(item.get("ctx", {}).get("error"), MocOptError):  # from an inner table: the message names the field
+    if isinstance(item.get("ctx", {}).get("error"), MocOptError):  # from an inner table
         return message if not field or message.startswith(f"[{field}]") else f"{kind} {field}: {message}"
     if item["type"] == "missing":
         return f"{kind} {field} is missing: add it"

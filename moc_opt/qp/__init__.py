@@ -1,5 +1,4 @@
-"""The null-space subproblem, which chooses the joint velocity at a given tip and wrist velocity, and its residuals.
+"""The null-space subproblem, which chooses the joint velocity at a given tip and wrist velocity.
 
-Read first: ``problem`` (``NullSpaceQP``: cost, equality rows A x = b, bounds), then ``residuals`` (how far an answer is
-from optimal). ``extremes`` finds the smallest and largest cost if ker A has several dimensions.
+Read ``problem`` first, then ``residuals``, which measure how far an answer is from the optimum.
 """

@@ -1,8 +1,8 @@
 """The smallest and the largest cost over all x that satisfy A x = b and the bounds.
 
 Let x = x0 + Z w, where A x0 = b and Z is an orthonormal basis of ker A. The cost is slope^T w + rho/2 |w|^2, and the
-bounds (the box) are low <= Z w <= high. Points w are projected onto the feasible set until the optimum is found. Each
-projection is a non-negative least-squares problem (Lawson, Hanson, Solving Least Squares Problems, 1974, chapter 23).
+bounds are low <= Z w <= high. Each projection onto this set is a non-negative least-squares problem (Lawson, Hanson,
+Solving Least Squares Problems, 1974, chapter 23).
 """
 
 from __future__ import annotations
@@ -17,25 +17,24 @@ from numpy.typing import NDArray
 
 from moc_opt.arrays import Array
 
-MOST_CORNERS = 10_000  # largest number of corners that are tried; 10 joints with dim ker A = 5 have 8064
+MOST_CORNERS = 10_000  # largest number of corners that are tried
 FAR = 1e3  # length of a proximal step that meets no bound [box widths]
-ROUNDS, STEPS = 200, 20  # largest number of proximal steps, and of steps to a larger cost (per joint)
+ROUNDS, STEPS = 200, 20  # largest numbers of proximal steps, and of steps uphill per joint
 ROUNDING = 1e-14  # rounding error of numbers of order one
-SETTLED = 1e-11  # a proximal step shorter than this is rounding error, and ends the search
+SETTLED = 1e-11  # a shorter proximal step ends the search
 FLAT = 1e-9  # a slope or multiplier below this fraction of the largest counts as zero
-STILL = 1e-10  # a joint whose row of Z is shorter than this does not bound the motion in ker A
-TOUCHING = 1e-8  # widening of a feasible set that is a point up to rounding [box widths]
-LEVEL = 1e-12  # a scaled cost that varies by less than this counts as constant
+STILL = 1e-10  # a shorter row of Z does not bound the motion in ker A
+TOUCHING = 1e-8  # widening of a feasible set that is a point [box widths]
+LEVEL = 1e-12  # a scaled cost that varies by less counts as constant
 
 
 class Extremes(NamedTuple):
     """Smallest and largest cost on the feasible set, minus the cost at w = 0.
 
     Attributes:
-        w: (r,) a point of smallest cost. If there are several, it is the one that proximal steps from w = 0 reach.
+        w: (r,) a point of smallest cost.
         least: a lower bound on the cost, by weak duality. If w is optimal, it equals the cost of w.
-        most: the largest cost, or ``least`` if the cost is constant up to rounding. With rho > 0 and more than
-            ``MOST_CORNERS`` candidate corners, it may be only a local maximum.
+        most: the largest cost. With rho > 0 and many corners, it may be only a local maximum.
         pull: (n,) gradient of the Lagrangian at w = 0, with the optimum's multipliers of A x = b.
     """
 
@@ -52,9 +51,8 @@ def extremes(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> Ext
         Z: (n, r) orthonormal columns.
         low, high: (n,) bounds on Z w, finite [rad/s].
         slope: (r,) gradient of the cost at w = 0.
-        rho: zero or more. If the slope is zero, rho has to be above zero.
+        rho: zero or more; above zero if the slope is zero.
     """
-    # Divide lengths by the largest width of the box, and the cost by its steepest slope.
     width = max(float((high - low).max()), 1e-12)
     steep = max(float(np.linalg.norm(slope)), rho * width)
     low, high, slope, rho = low / width, high / width, slope / steep, rho * width / steep
@@ -65,7 +63,7 @@ def extremes(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> Ext
     pull = Z @ slope + force - Z @ (Z.T @ force)
     least = _lower_bound(low, high, pull, rho)
     most = _largest(Z, low, high, slope, rho, w)
-    if most - least <= LEVEL:  # every point is optimal up to rounding
+    if most - least <= LEVEL:
         most = least
     return Extremes(width * w, steep * width * least, steep * width * most, steep * pull)
 
@@ -73,8 +71,7 @@ def extremes(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> Ext
 def optimum(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> tuple[Array, Array] | None:
     """Return (w, f): the w (r,) of smallest cost, and the multipliers f (n,) of its bounds; None if no w is feasible.
 
-    The method takes proximal steps from w = 0. With a linear cost, a proximal step that is long enough ends at the
-    optimum nearest to its start (Ferris 1991, Finite termination of the proximal point algorithm).
+    The method takes proximal steps (Ferris 1991, Finite termination of the proximal point algorithm).
     """
     w = np.zeros(len(slope))
     if rho * FAR >= np.linalg.norm(slope):
@@ -97,7 +94,7 @@ def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Arr
 
     f is positive at active lower bounds, negative at active upper bounds, 0 elsewhere. Return None if no w is feasible.
     """
-    # Scale each row of Z to length 1, so that a joint that hardly moves along Z counts like any other.
+    # Scale each row of Z to length 1, so that all joints count alike.
     moves = np.linalg.norm(Z, axis=1)
     moves = np.where(moves > STILL, moves, np.inf)
     G, away = Z / moves[:, None], Z @ start
@@ -105,9 +102,9 @@ def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Arr
     size = float(short.max())
     if size <= 0.0:
         return start, np.zeros(len(low))
-    from scipy.optimize import nnls  # the import takes half a second, and is needed only if dim ker A > 1
+    from scipy.optimize import nnls  # a slow import
 
-    for loose in (0.0, TOUCHING):  # if the feasible set is a point up to rounding, widen it a little
+    for loose in (0.0, TOUCHING):  # the feasible set may be a point
         u, _ = nnls(np.vstack([G.T, (short - loose) / size]), np.append(np.zeros(len(start)), 1.0))
         left = 1.0 - float((short - loose) @ u) / size
         if u.max() * size <= left / TOUCHING:
@@ -116,7 +113,7 @@ def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Arr
         return None
     active = u > 0.0
     u *= size / left
-    # Solve again with the active bounds alone. This gives the shortest step onto them, exact up to rounding.
+    # Solve again with the active bounds alone, exact up to rounding.
     step, *_ = np.linalg.lstsq(G[active], short[active], rcond=None)
     if (short - G @ step).max() > max((short - G @ (G.T @ u)).max(), 0.0) + ROUNDING:
         step = G.T @ u
@@ -162,7 +159,7 @@ def _uphill(Z: Array, low: Array, high: Array, slope: Array, rho: float, w: Arra
         room[np.abs(rise) <= FLAT * np.linalg.norm(way)] = np.inf
         room[active] = np.inf
         j = int(np.argmin(room))
-        if not np.isfinite(room[j]):  # nothing bounds this direction
+        if not np.isfinite(room[j]):
             break
         w = w + max(float(room[j]), 0.0) * way
         moved = Z @ w

@@ -1,12 +1,11 @@
-"""The null-space subproblem of one control tick, as data that need no robot and no solver.
+"""The null-space subproblem of one control tick.
 
     min_x  c0/2 |J_T x - v_T|^2 + c1/2 |J_W x - v_W|^2 - c2 x^T pull + regularization/2 |x|^2
     s.t.   J_T x = v_T,   J_W x = v_W,   lower <= x <= upper
 
-x is a joint velocity [rad/s], and J_T and J_W are the Jacobians of tip and wrist. pull is the manipulability's gradient
-grad mu, or (regularization / c2) x_d if the elbow has to follow a joint velocity x_d.
-regularization = 0 gives the problem of Su et al. 2019; with regularization > 0 the problem is a strictly convex QP. The
-six equality rows have rank five if a rigid tool connects tip and wrist.
+x is a joint velocity [rad/s]. J_T and J_W are the Jacobians of tip and wrist. By default, pull is the gradient of the
+manipulability mu. regularization = 0 gives the problem of Su et al. (2019). The six equality rows have rank five if a
+rigid tool connects tip and wrist.
 """
 
 from __future__ import annotations
@@ -32,17 +31,17 @@ _DOUBLE, _CLOSE = np.dtype(np.float64), (8,)
 
 
 def row_length(n: int) -> int:
-    """Return the length of the flat array that stores a subproblem with n joints."""
+    """Return the length of the flat array of a subproblem with n joints."""
     return 11 * n + 10
 
 
 def joints_of(length: int) -> int:
-    """Return the number of joints n of a subproblem that is stored in a flat array of this length."""
+    """Return the number of joints of a subproblem from the length of its flat array."""
     return (length - 10) // 11
 
 
 class Fields(NamedTuple):
-    """Views of the parts of subproblems stored as arrays (..., 11 n + 10), in the order of `moc_opt/core/record.c`."""
+    """Views of the parts of subproblems stored as arrays (..., 11 n + 10)."""
 
     A: Array  # (..., 6, n) = [J_tip; J_wrist]
     b: Array  # (..., 6) = [v_tip; v_wrist]
@@ -55,7 +54,7 @@ class Fields(NamedTuple):
 
 
 def fields(rows: Array) -> Fields:
-    """Split the flat array of one subproblem, or of a batch, into named views without copying."""
+    """Split the flat array of one subproblem, or of a batch, into named views."""
     n = joints_of(rows.shape[-1])
     if n < 1 or row_length(n) != rows.shape[-1]:
         raise SubproblemError(f"row: length {rows.shape[-1]} is not 11 n + 10; use NullSpaceQP(...).row")
@@ -70,7 +69,7 @@ def _places(n: int) -> tuple[slice, ...]:
 
 
 def compute_residuals(rows: Array, x: Array, y: Array | None = None) -> Residuals:
-    """Return the residuals of a batch of answers x (k, n), y (k, 6) to the subproblems ``rows`` (k, 11 n + 10)."""
+    """Return the residuals of answers x (k, n), y (k, 6) to the subproblems ``rows`` (k, 11 n + 10)."""
     part = fields(rows)
     problem = optimality.Problem(part.A, part.b, part.pull, part.lower, part.upper, part.weights)
     return optimality.residuals(problem, x, y)
@@ -95,11 +94,11 @@ class NullSpaceQP:
         grad_mu: (n,) gradient of the manipulability.
         lower, upper: (n,) bounds on the joint velocity [rad/s].
         c0, c1, c2: the weights in the cost; regularization: the weight rho of |x|^2, 0 in the paper.
-        q: (n,) joint position at which the Jacobians were taken [rad]; only the nonlinear solvers need it.
+        q: (n,) joint position of the Jacobians [rad]; only the nonlinear solvers need it.
         pull: (n,) the vector `pull` in the cost, by default grad_mu.
 
     Raises:
-        SubproblemError: an argument is invalid; the message names it, its value and the cure.
+        SubproblemError: an argument is invalid.
 
     Example:
         >>> robot = mo.load_robot("lwr4")
@@ -157,14 +156,14 @@ class NullSpaceQP:
         return self
 
     def copy(self) -> NullSpaceQP:
-        """Return a copy of the subproblem in its own memory."""
+        """Return a copy of the subproblem."""
         return NullSpaceQP.from_row(self.row.copy())
 
     def _adopt(self, row: Array, n: int) -> None:
         if row.strides != _CLOSE or row.dtype is not _DOUBLE:  # the compiled core needs contiguous doubles
             row = np.array(row, dtype=np.float64).ravel()
         row.setflags(write=False)
-        own = self.__dict__  # bypasses __setattr__, which refuses every assignment
+        own = self.__dict__  # bypasses __setattr__
         own["row"], own["n"] = row, n
 
     def __setattr__(self, name: str, value: object) -> NoReturn:
@@ -220,9 +219,9 @@ class NullSpaceQP:
         return float(0.5 * x @ self.P @ x + self.p @ x)
 
     def assembled(self, rows: int = 5) -> Assembled:
-        """Compute the cost, and the equality rows: six as in the paper, or five that are linearly independent.
+        """Compute the cost and the equality rows: six, or five that are linearly independent.
 
-        If tip and wrist are not rigidly connected, rows = 5 also gives six (`moc_opt/core/python_subproblem.c`).
+        If tip and wrist are not rigidly connected, rows = 5 also gives six.
         """
         n = self.n
         P, p, spare, plain = np.empty((n, n)), np.empty(n), np.empty(n), np.ones(3)
@@ -237,14 +236,14 @@ class NullSpaceQP:
         return self.assembled()
 
     def reduced(self) -> Assembled:
-        """Return `assembled()`: five rows if the tool is rigid, otherwise six. It is computed only once."""
+        """Return `assembled()`, which is computed only once."""
         return self._reduced
 
     def residuals(self, x: ArrayLike, y: ArrayLike | None = None) -> Residuals:
-        """Compute the residuals of an answer x (n,) and its duals y (6,); see ``moc_opt.qp.residuals.Residuals``.
+        """Compute the residuals of an answer x (n,) and its duals y (6,).
 
         Raises:
-            SubproblemError: a shape is wrong. NaN in x is no error, but makes the residuals infinite.
+            SubproblemError: a shape is wrong.
         """
         x = _array("x", x, (self.n,), finite=False)
         duals = None if y is None else _array("y", y, (6,), "; lift five duals with reduced().lift.T", finite=False)

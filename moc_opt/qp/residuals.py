@@ -1,15 +1,7 @@
 """Residuals of an answer to the null-space subproblem: one definition for every solver.
 
-The arrays given to `residuals` may have a leading batch shape ``(...,)``, so that one call checks all answers of a
-run. The status that the solver reports is not used.
-
-If A x = b, the tracking terms of the cost are constant. The remaining cost, rho/2 |x|^2 - c2 pull^T x, is a sum of
-independent parts. Each idle joint (a joint with a zero column of A) moves on its own interval. All other joints move
-together in ker A. If ker A has several dimensions, ``extremes`` finds their optimum.
-
-The stationarity measure is the natural residual of the bound-constrained Lagrangian,
-``x - clip(x - (P x + p + A^T y), lower, upper)`` (Facchinei & Pang 2003, section 1.5.2). It is zero
-exactly at a KKT point and needs no multipliers of the bounds.
+The stationarity measure is the natural residual ``x - clip(x - (P x + p + A^T y), lower, upper)`` (Facchinei & Pang
+2003, section 1.5.2). It is zero exactly at a KKT point. An idle joint is a joint with a zero column of A.
 """
 
 from __future__ import annotations
@@ -25,18 +17,17 @@ from numpy.typing import NDArray
 from moc_opt.arrays import Array
 from moc_opt.qp.extremes import ROUNDING, STILL, extremes
 
-# How the package computes the rank of A: the sixth singular value is zero if below TIED |A|_F, any other singular
-# value is zero if below RANK_TOLERANCE |A|_F. With a rigid tool, the exact sixth value is zero. Jacobians rounded to 7
-# decimals make it up to 8e-8 |A|_F. The fifth value is small only near a straight elbow, and is not taken as zero.
+# The sixth singular value of A counts as zero below TIED |A|_F, any other singular value below RANK_TOLERANCE |A|_F.
+# Jacobians rounded to 7 decimals make the sixth value up to 8e-8 |A|_F.
 TIED = 1e-7
 RANK_TOLERANCE = 1e-12
 GRADIENT_ROUNDING = 1e-9  # a reduced gradient below this fraction of |pull|_inf counts as zero
-A_POINT = 1e-9  # a feasible interval no longer than this [rad/s] counts as a point
-FEASIBLE = 1e-6  # an empty feasible set counts as a point if widening the bounds by this [rad/s] makes it non-empty
+A_POINT = 1e-9  # a feasible interval this short counts as a point [rad/s]
+FEASIBLE = 1e-6  # widening of the bounds that may make an empty feasible set a point [rad/s]
 MOST_FACETS = 300  # largest comb(n, dim ker A - 1) for which the best duals are found
-TIED_BY_ROUNDING = 1e-14  # a sixth singular value below this share of |A|_F comes from the rounding of exact Jacobians
-NEARLY_SINGULAR = 1e-3  # division by a singular value below this share of |A|_F needs iterative refinement
-REFINEMENTS = 3  # number of refinement steps; each shrinks the error at least 1e4 times
+TIED_BY_ROUNDING = 1e-14  # a sixth singular value below this share of |A|_F is rounding
+NEARLY_SINGULAR = 1e-3  # a singular value below this share of |A|_F needs refinement
+REFINEMENTS = 3  # number of refinement steps
 
 
 class Residuals(NamedTuple):
@@ -46,17 +37,12 @@ class Residuals(NamedTuple):
         primal: max(|A x - b|_inf, violation of the bounds) [m/s or rad/s].
         natural: natural residual with the solver's own y. If the solver gave no y, it is ``natural_best``.
         natural_best: natural residual with the y that makes it smallest for this x. If it is far below ``natural``, x
-            is good and the duals are bad. If comb(n, dim ker A - 1) exceeds ``MOST_FACETS``, the optimum's y is used.
-            The residual may then be too large, but it is still zero at an optimum.
+            is good and the duals are bad.
         relative: ``natural_best`` after dividing the cost by the size of its reduced gradient. This size is
-            max(c2 |Z Z^T pull|_inf, rho times 1 rad/s), where Z is an orthonormal basis of ker A. For an idle joint,
-            its entry of pull replaces Z Z^T pull. If all feasible points have the same cost, ``relative`` is at least
-            (cost of x - cost of these points) / size of the reduced gradient [rad/s].
-        loss: (cost of x - smallest cost) / (largest - smallest cost) over the feasible set, in [0, 1], for the
-            worst of the independent parts. It is 0 if all feasible points have the same cost. It may be too large
-            if ``extremes`` finds only a local maximum.
-        distance: |x - x*|_inf to the optimum x* [rad/s]. If there are several optima, x* is the nearest to x in the
-            Euclidean norm. If no point of A x = b is within the bounds, the distance is infinite.
+            max(c2 |Z Z^T pull|_inf, rho times 1 rad/s), with an orthonormal basis Z of ker A.
+        loss: (cost of x - smallest cost) / (largest - smallest cost) over the feasible set, in [0, 1]. It is 0 if all
+            feasible points have the same cost.
+        distance: |x - x*|_inf to the nearest optimum x* [rad/s]. If no point is feasible, the distance is infinite.
 
     Example:
         >>> from moc_opt.qp.residuals import Residuals
@@ -84,7 +70,7 @@ class Residuals(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """The arrays of a subproblem that the residuals need; each may have a leading batch shape."""
+    """The arrays of a subproblem; each may have a leading batch shape."""
 
     A: Array  # (..., 6, n)
     b: Array  # (..., 6)
@@ -97,8 +83,8 @@ class Problem(NamedTuple):
 def residuals(problem: Problem, x: Array, y: Array | None = None) -> Residuals:
     """Compute the residuals of answers ``x`` (..., n), and of their duals ``y`` (..., 6) if the solver gives any.
 
-    The residuals of a row of ``x`` that is not finite are infinite, and its loss is 1. A row of ``y`` that is
-    not finite counts as not given.
+    If a row of ``x`` is not finite, its residuals are infinite and its loss is 1. A row of ``y`` that is not finite
+    counts as not given.
     """
     shape = x.shape[:-1]
     n = x.shape[-1]
@@ -137,14 +123,14 @@ def residuals(problem: Problem, x: Array, y: Array | None = None) -> Residuals:
 
 
 class _Factors(NamedTuple):
-    """Pseudo-inverses of a batch of matrices A of equal rank, and bases Z of their kernels."""
+    """Pseudo-inverses of matrices A of equal rank, and bases Z of their kernels."""
 
     inverse: Array  # (k, n, 6)
     Z: Array  # (k, n, n - rank), orthonormal
-    exactly: bool  # whether a small singular value requires products in twice the precision
+    exactly: bool  # whether products need twice the precision
 
     def slid(self, A: Array, x: Array, b: Array) -> Array:
-        """Return the shortest d (k, n, m) with A (x - d) = b, for x (k, n, m) and b (k, 6, m)."""
+        """Return the shortest d (k, n, m) with A (x - d) = b."""
         if not self.exactly:
             return self.inverse @ (A @ x - b)
         d, rows = np.zeros_like(x), np.concatenate([A, -A, np.broadcast_to(-np.eye(6), (len(A), 6, 6))], axis=2)
@@ -154,7 +140,7 @@ class _Factors(NamedTuple):
 
 
 def _product(A: Array, x: Array) -> Array:
-    """Multiply A (k, 6, n) by x (k, n, m) as if in twice the precision (Ogita, Rump and Oishi 2005, Dot2)."""
+    """Multiply A by x as if in twice the precision (Ogita, Rump and Oishi 2005, Dot2)."""
     a, b = np.broadcast_arrays(A[:, :, None], np.swapaxes(x, 1, 2)[:, None])
     (a_high, a_low), (b_high, b_low) = ((high := (c := 134217729.0 * v) - (c - v), v - high) for v in (a, b))
     products = a * b
@@ -186,17 +172,11 @@ def _by_rank(A: Array) -> list[tuple[NDArray[np.intp], _Factors]]:
 
 
 def _rank_five(A: Array) -> tuple[NDArray[np.intp], _Factors]:
-    """Factorize by QR decomposition the matrices that provably have rank 5 up to rounding and no small singular value.
-
-    With A^T = Q R, the sixth singular value of A is at most |R_66|. The fifth is at least the smallest singular value
-    of R's first five rows. A QR decomposition takes less than half the time of a singular value decomposition. A larger
-    sixth singular value would tilt the basis of the null space. Joints at rest in every self-motion would seem to move.
-    """
+    """Factorize by QR the matrices that provably have rank 5 and no small singular value."""
     size = _or_one(np.linalg.norm(A, axis=(1, 2)))[:, None, None]
     Q, R = np.linalg.qr(np.swapaxes(A / size, 1, 2), mode="complete")
     diagonal = np.abs(np.diagonal(R, axis1=1, axis2=2))
     tied = diagonal[:, 5:].max(1, initial=np.inf if A.shape[2] < 6 else 0.0) < TIED_BY_ROUNDING
-    # With such a diagonal, the triangular block of `top` is regular, so that no singular matrix is inverted.
     rows = np.flatnonzero(tied & (diagonal[:, :5].min(1, initial=np.inf) > NEARLY_SINGULAR))
     top = R[rows, :5]
     inverse = np.linalg.inv(top @ np.swapaxes(top, 1, 2))
@@ -206,14 +186,14 @@ def _rank_five(A: Array) -> tuple[NDArray[np.intp], _Factors]:
 
 
 def ranks(s: Array) -> NDArray[np.intp]:
-    """Return the ranks of matrices with six rows, from their singular values (..., 6 or fewer) in descending order."""
+    """Return the ranks of matrices with six rows, from their singular values in descending order."""
     least = np.where(np.arange(s.shape[-1]) < 5, RANK_TOLERANCE, TIED)
     return (s > least * np.linalg.norm(s, axis=-1, keepdims=True)).sum(-1)
 
 
 def _idle_patterns(A: Array) -> list[tuple[NDArray[np.intp], NDArray[np.bool_]]]:
     moves = np.linalg.norm(A, axis=1) > RANK_TOLERANCE * np.linalg.norm(A, axis=(1, 2))[:, None]
-    if (moves == moves[:1]).all():  # as in most batches; `unique` has to sort
+    if (moves == moves[:1]).all():  # as in most batches; `unique` is slow
         return [(np.arange(len(A)), pattern) for pattern in moves[:1]]
     patterns, which = np.unique(moves, axis=0, return_inverse=True)
     return [(np.flatnonzero(which.ravel() == i), pattern) for i, pattern in enumerate(patterns)]
@@ -277,7 +257,7 @@ def _on_an_interval(
     slope: Array, rho: Array, low: Array, high: Array, above: Array | float = 0.0, point: Array | float = A_POINT
 ) -> tuple[Array, Array, Array]:
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        free = np.where(slope == 0.0, 0.0, -slope / rho)  # infinite if rho = 0; clipped in the next line
+        free = np.where(slope == 0.0, 0.0, -slope / rho)  # infinite if rho = 0
         best = np.clip(free, low, high)
         least, *ends = (s * (slope + 0.5 * rho * s) for s in (best, low, high))
         spread = np.where(high - low > point, np.maximum(*ends) - least, 0.0)
@@ -298,7 +278,6 @@ def _along_a_line(
         return first.max(-1), last.min(-1), np.take_along_axis(np.abs(per_step), stops, axis=-1).min(-1)
 
     (first, last, slowest), (wide_first, wide_last, _) = interval(0.0), interval(FEASIBLE)
-    # If an interval is empty, but not after it is widened by FEASIBLE, the middle of its ends replaces it.
     empty, middle = wide_first > wide_last, np.clip(0.5 * (first + last), wide_first, wide_last)
     low, high = (np.where(first > last, middle, end) for end in (first, last))
     step, loss, gap = _on_an_interval(slope, rho, low, high, above, A_POINT + ROUNDING / slowest)
@@ -311,7 +290,7 @@ def _in_a_polytope(
     moved, loss, gap = np.zeros(low.shape), np.zeros(len(low)), np.zeros(len(low))
     pull = np.einsum("kni,ki->kn", Z, slope)
     for i in np.flatnonzero((slope != 0.0).any(-1) | (rho > 0.0)):
-        for beyond in (0.0, 1e-13, 1e-10, FEASIBLE):  # stops at the first widening that gives a feasible point
+        for beyond in (0.0, 1e-13, 1e-10, FEASIBLE):
             found = extremes(Z[i], low[i] - beyond, high[i] + beyond, slope[i], rho[i])
             if found is not None:
                 break

@@ -1,4 +1,4 @@
-"""A clock for control periods in real time, and requests to the system for real-time scheduling."""
+"""A clock for control periods, and requests for real-time scheduling."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from time import monotonic, sleep
 
 _LOCK_ALL = 1 | 2  # MCL_CURRENT | MCL_FUTURE
 _SET_TIMER_SLACK = 29  # PR_SET_TIMERSLACK
-PRIORITY = 50  #: Priority under SCHED_FIFO, above all ordinary processes.
+PRIORITY = 50  #: Priority under SCHED_FIFO.
 
 
 class WallClock:
     """A clock for periods that begin at fixed times. A tick that is more than a period late delays all later ticks.
 
-    ``late_us`` is the delay of the latest tick [us]; ``overruns`` is the number of ticks that delayed all later ticks.
+    ``late_us`` is the delay of the latest tick [us]; ``overruns`` counts the delays of all later ticks.
     """
 
     def __init__(self, period_s: float) -> None:
@@ -22,7 +22,7 @@ class WallClock:
         self.late_us, self.overruns = 0.0, 0
 
     def wait_for(self, tick: int) -> float:
-        """Sleep until a tick begins. Tick 0 begins in one period. Return the tick's deadline (`monotonic`) [s]."""
+        """Sleep until a tick begins, and return its deadline (`monotonic`) [s]."""
         if tick == 0:
             self._begin = monotonic() + self._period
         due = self._begin + tick * self._period
@@ -38,10 +38,10 @@ class WallClock:
 
 
 def ask_for_realtime() -> dict[str, str]:
-    """Request real-time priority, memory that is never paged out, and exact timers. Return what was granted."""
+    """Request real-time priority, locked memory and exact timers. Return what was granted."""
     found, libc = {"scheduling": f"SCHED_FIFO {PRIORITY}"}, ctypes.CDLL(None, use_errno=True)
     try:
-        # Children get ordinary priority: a new solver process must not slow the loop down.
+        # A new solver process must not slow the loop down.
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(PRIORITY))
     except OSError as error:
         found["scheduling"] = f"as other processes (SCHED_FIFO: {error.strerror})"
@@ -52,7 +52,7 @@ def ask_for_realtime() -> dict[str, str]:
 
 
 def give_back_realtime() -> None:
-    """Return to ordinary scheduling for the long work after a run."""
+    """Return to ordinary scheduling."""
     if os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
         ctypes.CDLL(None).munlockall()

@@ -1,7 +1,6 @@
 """The two ends of the wire (UDP): `RemoteController` in the plant's process, and `Answering` in the controller's.
 
-The plant sets the pace. In every period it sends a measurement and expects a command in reply. docs/realtime.md has the
-order of the packets and the stages of the watchdog.
+In every period, the plant sends a measurement and expects a command in reply.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from moc_opt.sim.sensors import Measurement
 INCOMING = (Kind.HELLO, Kind.START, Kind.COMMAND, Kind.BYE)
 _BYE_S, _BYE_TIMES = 0.1, 10  # interval [s] and largest number of ENDED packets
 _REPEAT_S = 0.1  # time after which HELLO and START are sent again
-_LINGER_S = 0.3  # time for which the controller still acknowledges repeated ENDED packets
+_LINGER_S = 0.3  # time for which repeated ENDED packets are acknowledged
 
 
 class RemoteController(Filtered):
@@ -37,10 +36,10 @@ class RemoteController(Filtered):
     Pass the object to `sim.loop.simulate` as the controller, and ``pace`` as ``watch``. Call ``close`` afterwards.
 
     Args:
-        safety_filter: the plant's own filter. It computes the watchdog's gravity torque and brake friction.
-        columns: function that makes the trace columns of the remote controller for a number of ticks.
+        safety_filter: the plant's own filter.
+        columns: function that makes the trace columns for a number of ticks.
         applied, tau_max: (n,) torque before the first tick, and largest torque that a command may have [Nm].
-        clock: None for lock-step, in which the plant waits for each command, and repeats a measurement if necessary.
+        clock: None for lock-step, in which the plant waits for each command.
     """
 
     stop_reason = ""
@@ -57,10 +56,10 @@ class RemoteController(Filtered):
         self._command: Packet | None = None
 
     limited = property(lambda self: 0 if self._command is None else int(self._command["limited"]))
-    warnings = property(lambda self: [])  # the controller's end records the warnings of its safety filter
+    warnings = property(lambda self: [])  # the controller's end records its own
 
     def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
-        """Wait for a controller, send the first measurement, and wait for START. Without START, raise a WireError."""
+        """Wait until a controller starts at the first measurement. Raise a WireError if none does."""
         link, packet, self._sound = self.link, self._packet, seen
         self._fill(seen, wire.WAITING)
 
@@ -85,7 +84,7 @@ class RemoteController(Filtered):
             self._until = self.clock.wait_for(tick)
 
     def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
-        """Send a measurement, and return the torque (n,) [Nm] of the command in reply, or of the watchdog."""
+        """Send a measurement, and return the torque (n,) [Nm] of the command or of the watchdog."""
         if np.isfinite(seen.q).all() and np.isfinite(seen.v).all():
             self._sound = seen
         braked = bool(self._filter.reason)
@@ -102,7 +101,7 @@ class RemoteController(Filtered):
         return self._applied
 
     def _without_command(self) -> Array:
-        """Return the watchdog's torque (n,) [Nm]: at first the last torque, later gravity and damping, then a stop."""
+        """Return the last torque, later gravity and damping, and finally stop."""
         self._silent += 1
         safety, past, sound = self._filter, self._silent - self._settings.hold_ticks, self._sound
         if past <= 0:
@@ -117,18 +116,18 @@ class RemoteController(Filtered):
         return safety.stop_torque(self._applied)
 
     def brake_friction(self, seen: Measurement) -> Array:
-        """Return the brakes' dry friction (n,) [Nm] of the last command, or of the watchdog."""
+        """Return the dry friction (n,) [Nm] of the brakes."""
         return self._friction
 
     def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
-        """Create the controller's columns, and columns for delay, controller's time and missed commands."""
+        """Create the controller's columns, and columns for delays and missed commands."""
         return {
             **self._make_columns(ticks), "wake_us": np.full(ticks, np.nan), "control_us": np.full(ticks, np.nan),
             "missed": np.zeros(ticks, dtype=np.bool_),
         }  # fmt: skip
 
     def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Write the latest tick's values into a row. Values of level 3 are written if the command has them."""
+        """Write the latest tick's values into a row."""
         command, columns["missed"][row] = self._command, self._missed
         if self.clock is not None:
             columns["wake_us"][row] = self.clock.late_us
@@ -139,10 +138,10 @@ class RemoteController(Filtered):
                 columns[name][row] = _text(value) if value.dtype.kind == "S" else value
 
     def close(self) -> dict[str, int]:
-        """Tell the controller that the run is over, up to 10 times, until it acknowledges. Return packet counts."""
+        """Tell the controller that the run is over. Return the packet counts."""
 
         def acknowledges(found: Packet) -> bool:
-            self._is_due(found)  # counts a late command
+            self._is_due(found)  # for its counts
             return bool(found["kind"] == Kind.BYE)
 
         self._packet["flags"], link = wire.ENDED, self.link
@@ -161,7 +160,7 @@ class RemoteController(Filtered):
 
     def _exchange(self, seen: Measurement) -> Packet | None:
         self._fill(seen, wire.RUNNING)
-        # After a missed tick, send only once per tick, so that the run ends soon if the controller died.
+        # After a missed tick, send only once, so that the run ends soon if the controller died.
         for _ in range(1 if self.clock is not None or self._silent else 1 + self._settings.resends):
             self.link.send(self._packet)
             until = monotonic() + self._settings.resend_s if self.clock is None else self._until
@@ -170,7 +169,7 @@ class RemoteController(Filtered):
         return None
 
     def _is_due(self, found: Packet) -> bool:
-        """Return whether a packet is this tick's command with usable values. Every command is counted."""
+        """Return whether a packet is this tick's command with usable values."""
         if found["kind"] != Kind.COMMAND:
             return False
         number, friction = int(found["sequence"]), found["friction"]
@@ -194,17 +193,16 @@ class Answering:
     settings: WireSettings
     controller: LoggedController
     safety_filter: SafetyFilter | None
-    tip_refs: Array  #: (N, 3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2] of every tick.
+    tip_refs: Array  #: (N, 3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2].
     registered: Array  #: (N, 2, 3) position [m] and velocity [m/s] of the registered trocar.
-    scenario: int  #: Fingerprint of the settings that both ends must share.
+    scenario: int  #: Fingerprint that both ends must share.
     ready: Callable[[], None] = lambda: None  #: Called once after the controller has started.
 
     def run(self) -> dict[str, Any]:
         """Find the plant, start at its first measurement, and answer until the run ends.
 
-        Return a dict: ``ended`` says how the run ended, ``ticks`` is the number of answers, and ``quality`` has the
-        counts of the plant's packets. ``warnings`` are of the safety filter, and ``faults`` of the third level. If no
-        plant answers, or the plant runs another scenario, a WireError is raised.
+        Return a dict of ``ended`` (how the run ended), ``ticks`` (number of answers), ``quality`` (packet counts),
+        ``warnings`` and ``faults``. Raise a WireError if no plant answers, or the plant runs another scenario.
         """
         link = self.link
         first = self._ask(Kind.HELLO, waits=True)
@@ -232,7 +230,7 @@ class Answering:
         return make_packet(kind, self.link.n, self.link.session, self.scenario)
 
     def _ask(self, kind: Kind, *, waits: bool) -> Packet:
-        """Send a packet until a measurement comes. Its flag has to be WAITING if ``waits``, else any other value."""
+        """Send a packet until a measurement comes, which is WAITING if ``waits``."""
         link, request, until = self.link, self._packet(kind), monotonic() + self.settings.wait_s
         while (now := monotonic()) < until:
             link.send(request)
@@ -268,7 +266,7 @@ class Answering:
 
     def _answer(self, found: Packet, filtered: FilteredController) -> None:
         begin, number, command, seen = perf_counter_ns(), int(found["sequence"]), self._command, _measurement(found)
-        if not np.array_equal(found["commanded"], command["tau"]):  # the plant's watchdog replaced the torque
+        if not np.array_equal(found["commanded"], command["tau"]):  # from the watchdog
             filtered.set_applied_torque(np.array(found["commanded"]))
         command["tau"] = filtered.tick(seen, self.tip_refs[number], self.registered[number])
         command["sequence"], command["limited"], command["flags"] = number, filtered.limited, wire.REPORTED

@@ -1,7 +1,6 @@
-"""The wire (UDP): packets for Python and C, settings, address, key, and a socket that drops invalid packets.
+"""The wire (UDP): packets for Python and C, and a socket that drops invalid packets.
 
-A packet has a fixed size and little-endian numbers. It ends with the keyed BLAKE2s checksum (RFC 7693) of all preceding
-bytes. Every layout is a numpy dtype; docs/realtime.md shows the layouts as tables. Without a key, any process of this
+A packet ends with the keyed BLAKE2s checksum (RFC 7693) of all preceding bytes. Without a key, any process of this
 machine can take part, but no other machine. Nothing is encrypted.
 """
 
@@ -32,13 +31,13 @@ from moc_opt.qp.problem import row_length
 MAGIC, VERSION = b"MOCW", 3
 LOOPBACK_KEY = b"moc_opt: loopback, no secret"
 VARIABLE = "MOC_OPT_WIRE_KEY"
-SHORTEST, LONGEST = 16, 32  #: Smallest and largest number of bytes of a key. BLAKE2s allows 32.
+SHORTEST, LONGEST = 16, 32  #: Smallest and largest number of bytes of a key.
 TAG_BYTES = 16
-BACKLOG = 256  #: Largest number of packets read after the deadline. A flood of packets cannot stop the loop.
+BACKLOG = 256  #: Largest number of packets read after the deadline.
 COUNTERS = ("received", "missed", "late", "forged", "foreign")
-"""The counters of each end; docs/realtime.md explains them."""
+"""The counters of each end, explained in docs/realtime.md."""
 
-Packet = NDArray[np.void]  #: A record of shape (); ``packet["q"]`` is a view of its bytes.
+Packet = NDArray[np.void]  #: A record of shape ().
 Address = tuple[str, int]  #: Host and port.
 
 
@@ -69,17 +68,17 @@ class WireSettings(Settings):
 class Kind(IntEnum):
     """The kinds of packets. All except MEASUREMENT go to the plant."""
 
-    HELLO = 1  #: The controller looks for a plant. The plant answers with one measurement.
-    START = 2  #: The controller has started with this measurement; the plant may begin.
+    HELLO = 1  #: The controller looks for a plant.
+    START = 2  #: The plant may begin.
     MEASUREMENT = 3
     COMMAND = 4
     BYE = 5  #: The controller knows that the run has ended.
 
 
 WAITING, RUNNING, ENDED = 0, 1, 2  #: ``flags`` of a measurement: before, during and after the run.
-STOP, REPORTED = 1, 2  #: Bits in ``flags`` of a command: stop the arm; level 3's results are included.
+STOP, REPORTED = 1, 2  #: Bits in ``flags`` of a command.
 
-# Every field's offset is a multiple of its size, so that a C struct of the same fields has the same bytes.
+# Every field's offset is a multiple of its size, as in a C struct.
 HEADER: list[tuple[Any, ...]] = [
     ("magic", "S4"), ("version", "u1"), ("kind", "u1"), ("joints", "u1"), ("flags", "u1"), ("session", "<u8"),
     ("scenario", "<u8"), ("sequence", "<i8"),
@@ -105,7 +104,7 @@ def layout(kind: Kind, n: int) -> np.dtype[Any]:
 
 
 def make_packet(kind: Kind, n: int, session: int = 0, scenario: int = 0) -> Packet:
-    """Make a packet of zeros with a header that has the run's number ``session`` and the fingerprint ``scenario``."""
+    """Make a packet of zeros with a header."""
     packet = np.zeros((), layout(kind, n))
     packet["magic"], packet["version"], packet["kind"], packet["joints"] = MAGIC, VERSION, kind, n
     packet["session"], packet["scenario"] = session, scenario
@@ -113,13 +112,13 @@ def make_packet(kind: Kind, n: int, session: int = 0, scenario: int = 0) -> Pack
 
 
 def seal(packet: Packet, key: bytes) -> bytes:
-    """Return the bytes of a packet with their checksum at the end."""
+    """Return the bytes of a packet with their checksum."""
     data = packet.tobytes()[:-TAG_BYTES]
     return data + hashlib.blake2s(data, key=key, digest_size=TAG_BYTES).digest()
 
 
 def sealed(data: bytes, key: bytes) -> bool:
-    """Return whether a packet ends with the checksum of its bytes."""
+    """Return whether a packet ends with its checksum."""
     wanted = hashlib.blake2s(data[:-TAG_BYTES], key=key, digest_size=TAG_BYTES).digest()
     return hmac.compare_digest(wanted, data[-TAG_BYTES:])
 
@@ -137,7 +136,7 @@ def _c_struct(name: str, whole: np.dtype[Any], head: str) -> str:
 
 
 def c_packets(n: int, ticks: int, scenario: int, settings: WireSettings) -> str:
-    """Return the text of ``wire_packets.h``: a struct for every kind of packet, and constants."""
+    """Return the text of ``wire_packets.h``."""
     defines = {
         "JOINTS": n, "TICKS": ticks, "SCENARIO": f"UINT64_C({scenario})", "VERSION": VERSION,
         "MAGIC": f'"{MAGIC.decode()}"', "LOOPBACK_KEY": f'"{LOOPBACK_KEY.decode()}"', "WAIT_S": settings.wait_s,
@@ -177,7 +176,7 @@ def parse_address(text: str, option: str) -> Address:
 
 
 def read_key(file: Path | None, host: str, option: str) -> bytes:
-    """Return the key from the file, else from the environment variable. On loopback, `LOOPBACK_KEY` is the default.
+    """Return the key from the file, else from the environment variable, else `LOOPBACK_KEY`.
 
     Raises:
         WireError: the key has a wrong length, or there is no key and other machines can reach the host.
@@ -190,7 +189,7 @@ def read_key(file: Path | None, host: str, option: str) -> bytes:
             f"{option} {host}: other machines reach that address, and whoever can send to it moves the arm: give both "
             f"ends the same key by --key-file or {VARIABLE}, or take 127.0.0.1"
         )
-    key = (text if file is None else text.strip()).encode(errors="surrogateescape")  # the C program does not strip it
+    key = (text if file is None else text.strip()).encode(errors="surrogateescape")
     if not SHORTEST <= len(key) <= LONGEST:
         raise WireError(
             f"{VARIABLE if file is None else f'--key-file {str(file)!r}'}: a key of {len(key)} bytes: give one line of "
@@ -202,8 +201,8 @@ def read_key(file: Path | None, host: str, option: str) -> bytes:
 class Link:
     """A socket that sends and receives sealed packets. Raises a WireError if the address cannot be bound.
 
-    It listens at ``address`` and sends to ``peer``. Until the peer is known, ``peer`` is None and ``session`` is 0.
-    ``quality`` has a count for each of ``COUNTERS``; ``sender`` is the address of the latest valid packet.
+    It listens at ``address`` and sends to ``peer``, which is None until it is known. ``quality`` has the counts of
+    ``COUNTERS``; ``sender`` is the address of the latest valid packet.
     """
 
     def __init__(
@@ -229,7 +228,7 @@ class Link:
         return ", ".join(f"{name} {count}" for name, count in self.quality.items() if count) or "nothing came"
 
     def send(self, packet: Packet, to: Address | None = None) -> None:
-        """Seal a packet and send it. If the system does not take the packet, it is lost, as any UDP packet may be."""
+        """Seal a packet and send it."""
         try:
             self._socket.sendto(seal(packet, self._key), to or self.peer)  # type: ignore[arg-type]
         except (BlockingIOError, ConnectionError):
@@ -238,10 +237,7 @@ class Link:
             raise WireError(f"nothing can be sent to {written(to or self.peer)}: {describe(error)}") from error
 
     def receive(self, until: float, wanted: Callable[[Packet], bool] = lambda packet: True) -> Packet | None:
-        """Return the next valid packet for which ``wanted`` is true, or None at ``until`` (`time.monotonic`) [s].
-
-        Packets that have already arrived are read even after ``until``, up to `BACKLOG` of them.
-        """
+        """Return the next valid packet for which ``wanted`` is true, or None at ``until`` (`time.monotonic`) [s]."""
         looked_at = 0
         while looked_at < BACKLOG or monotonic() < until:
             try:
@@ -262,7 +258,7 @@ class Link:
         return None
 
     def _sound(self, data: bytes, sender: Address) -> Packet | None:
-        """Return a valid packet of this run. Count others as forged (wrong checksum) or foreign, and return None."""
+        """Return a valid packet of this run, or count it as forged or foreign."""
         form = self._incoming.get(data[5]) if len(data) > 5 else None
         if form is not None and len(data) == form.nbytes:
             if not sealed(data, self._key):
