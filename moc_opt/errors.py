@@ -102,7 +102,7 @@ def shown(value: object, most: int = 200) -> str:
 
 
 def describe(error: BaseException, most: int = 300) -> str:
-    """Return type and text of an exception in one printable line of at most ``most`` characters."""
+    """Return type and text of an exception in one line of at most ``most`` characters."""
     name = type(error).__name__
     try:
         said = " ".join(str(error).split())
@@ -113,5 +113,5 @@ def describe(error: BaseException, most: int = 300) -> str:
 
 
 def printable(text: str) -> str:
-    """Replace unprintable characters, because they could control a terminal."""
+    """Replace characters that could control a terminal."""
     return "".join(c if c.isprintable() else "\ufffd" for c in text)

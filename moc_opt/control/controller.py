@@ -22,7 +22,7 @@ from moc_opt.solvers.isolated import IsolatedSession
 
 
 class Guide(Protocol):
-    """A source of joint velocities x_d that the elbow follows instead of moving towards a larger mu.
+    """A source of joint velocities x_d that the elbow follows instead of the gradient of mu.
 
     The vector `pull` in the subproblem's cost is then (rho / c2) x_d instead of grad mu.
     """
@@ -46,7 +46,7 @@ class Controller:
         guide: a `Guide`, whose velocity replaces the gradient of mu. regularization and c2 must then be above 0.
 
     Raises:
-        ControlError: the solver or a setting does not fit.
+        ControlError: the solver or a setting does not fit the law or the robot.
     """
 
     def __init__(
@@ -217,7 +217,7 @@ class Controller:
         return found
 
     def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Write the last tick's values into one row of these columns."""
+        """Write the last tick's values into one row."""
         if self._ticked is not None and self._ticked[0] is Status.SOLVED:
             status, out = self._ticked
             self._block[row] = out[: -self._n]

@@ -82,7 +82,7 @@ class SupervisorSettings(Settings):
     iterate at the end of the budget, or the late answer itself if the solver has no iterates"""
 
 
-_FAULTS = tuple(Fault)
+_FAULTS = tuple(Fault)  # in the order of the core's enum
 _CLAIMS = {Status.SOLVED: 0, Status.INFEASIBLE: 1, Status.MAX_ITER: 2, Status.TIME_LIMIT: 2}
 _NO_ANSWER = 3
 _NAN = float("nan")

@@ -161,7 +161,7 @@ def write(
         tolerance: tolerance of the solver ``exact`` [rad/s].
         stop: damping of the drives in a stop [Nm s/rad], and its shortest duration [s].
         extra: further files, as a mapping from name to content.
-        force: also overwrite files that were edited or that export-c did not write.
+        force: also overwrite files that export-c did not write as they are.
 
     Raises:
         ScenarioError: ``out`` cannot be written, or only with ``force``.

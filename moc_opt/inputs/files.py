@@ -71,7 +71,7 @@ def read_toml(path: Path_, what: str, error: Wrong) -> dict[str, Any]:
 
 
 def read_arrays(path: Path_, what: str, error: Wrong) -> dict[str, Any]:
-    """Read the numpy arrays of a .npz file by name, or the array of a .npy file under the name ""."""
+    """Read the arrays of a .npz file by name, or the array of a .npy file as ""."""
     import numpy as np
 
     data = read_bytes(path, what, error, MOST_ARRAYS)
@@ -136,7 +136,7 @@ def _writing(target: Path, what: str, error: Wrong) -> Iterator[None]:
 
 
 def plain(value: Any) -> Any:
-    """Convert a value to JSON's types: numpy's numbers become numbers, NaN and infinity become None."""
+    """Convert a value to JSON's types. NaN and infinity become None."""
     if isinstance(value, Mapping):
         return {str(key): plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):

@@ -130,7 +130,7 @@ def _largest(Z: Array, low: Array, high: Array, slope: Array, rho: float, w: Arr
     if rho == 0.0:
         found = optimum(Z, low, high, -slope, 0.0)
         return float(slope @ (w if found is None else found[0]))
-    if comb(n, r) << r <= MOST_CORNERS:  # rounding may leave no corner if the set is almost a point
+    if comb(n, r) << r <= MOST_CORNERS:  # rounding may leave no corner
         return max(float(slope @ w + 0.5 * rho * w @ w), _largest_corner(Z, low, high, slope, rho))
     axis = np.eye(r)[0]
     return max(_uphill(Z, low, high, slope, rho, w, way=way) for way in (slope, -slope, axis, -axis))

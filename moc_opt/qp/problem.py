@@ -58,7 +58,7 @@ def fields(rows: Array) -> Fields:
     n = joints_of(rows.shape[-1])
     if n < 1 or row_length(n) != rows.shape[-1]:
         raise SubproblemError(f"row: length {rows.shape[-1]} is not 11 n + 10; use NullSpaceQP(...).row")
-    one = rows.ndim == 1  # indexing without an ellipsis saves five microseconds in the control loop
+    one = rows.ndim == 1  # indexing without an ellipsis is faster
     A, *parts = (rows[place] if one else rows[..., place] for place in _places(n))
     return Fields(A.reshape(*rows.shape[:-1], 6, n), *parts)
 
@@ -93,7 +93,7 @@ class NullSpaceQP:
         v_tip, v_wrist: (3,) reference velocities [m/s], equal along the shaft's axis u: u^T (v_tip - v_wrist) = 0.
         grad_mu: (n,) gradient of the manipulability.
         lower, upper: (n,) bounds on the joint velocity [rad/s].
-        c0, c1, c2: the weights in the cost; regularization: the weight rho of |x|^2, 0 in the paper.
+        c0, c1, c2, regularization: the weights in the cost.
         q: (n,) joint position of the Jacobians [rad]; only the nonlinear solvers need it.
         pull: (n,) the vector `pull` in the cost, by default grad_mu.
 
@@ -150,7 +150,7 @@ class NullSpaceQP:
 
     @classmethod
     def from_row(cls, row: Array) -> NullSpaceQP:
-        """Wrap the `row` of a subproblem. The array is neither checked nor copied, and becomes read-only."""
+        """Wrap the `row` of a subproblem without check or copy. The array becomes read-only."""
         self = object.__new__(cls)
         self._adopt(row, joints_of(row.shape[0]))
         return self

@@ -56,7 +56,7 @@ class RemoteController(Filtered):
         self._command: Packet | None = None
 
     limited = property(lambda self: 0 if self._command is None else int(self._command["limited"]))
-    warnings = property(lambda self: [])  # the controller's end records its own
+    warnings = property(lambda self: [])  # the controller's end records them
 
     def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
         """Wait until a controller starts at the first measurement. Raise a WireError if none does."""
@@ -169,7 +169,6 @@ class RemoteController(Filtered):
         return None
 
     def _is_due(self, found: Packet) -> bool:
-        """Return whether a packet is this tick's command with usable values."""
         if found["kind"] != Kind.COMMAND:
             return False
         number, friction = int(found["sequence"]), found["friction"]
@@ -266,7 +265,7 @@ class Answering:
 
     def _answer(self, found: Packet, filtered: FilteredController) -> None:
         begin, number, command, seen = perf_counter_ns(), int(found["sequence"]), self._command, _measurement(found)
-        if not np.array_equal(found["commanded"], command["tau"]):  # from the watchdog
+        if not np.array_equal(found["commanded"], command["tau"]):  # the watchdog acted
             filtered.set_applied_torque(np.array(found["commanded"]))
         command["tau"] = filtered.tick(seen, self.tip_refs[number], self.registered[number])
         command["sequence"], command["limited"], command["flags"] = number, filtered.limited, wire.REPORTED

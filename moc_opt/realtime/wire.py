@@ -72,7 +72,7 @@ class Kind(IntEnum):
     START = 2  #: The plant may begin.
     MEASUREMENT = 3
     COMMAND = 4
-    BYE = 5  #: The controller knows that the run has ended.
+    BYE = 5  #: The controller leaves.
 
 
 WAITING, RUNNING, ENDED = 0, 1, 2  #: ``flags`` of a measurement: before, during and after the run.
@@ -164,7 +164,7 @@ def written(address: Address | None) -> str:
 
 
 def parse_address(text: str, option: str) -> Address:
-    """Return numeric host and port of "HOST:PORT". Raise a WireError if the form is wrong or the host unknown."""
+    """Return numeric host and port of "HOST:PORT". Raise a WireError if there is no such host."""
     host, _, port = text.rpartition(":")
     if not host or not port.isdecimal() or int(port) > 65535:
         raise WireError(f"{option} {text!r}: give HOST:PORT, as 127.0.0.1:30200")
@@ -249,7 +249,7 @@ class Link:
                 select.select([self._socket], [], [], left)
                 continue
             except ConnectionError:
-                continue  # an earlier packet reached a port where nobody listens
+                continue  # nobody listened to an earlier packet
             looked_at += 1
             if (packet := self._sound(data, sender)) is not None:
                 self.sender = sender
