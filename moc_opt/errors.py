@@ -76,7 +76,7 @@ class UnknownNameError(MocOptError, LookupError):
         """``listed_by`` is a command that lists the ``valid`` names."""
         names = sorted(valid)
         short = bool(listed_by) and len(names) > self.FEW
-        # An unknown name without a dot is compared with the last parts of dotted names.
+        # A name without a dot is compared with the last parts of dotted names.
         ends = {one: (one if "." in name else one.rpartition(".")[2]).lower() for one in names}
         close = difflib.get_close_matches(name[:100].lower(), set(ends.values()), n=3, cutoff=0.55)
         near = [one for end in close for one in names if ends[one] == end][:3]

@@ -62,7 +62,7 @@ class Controller:
             settings.check_guided()
         self._guide, self._n, self._row_length = guide, robot.n, row_length(robot.n)
         self._torques = slice(-robot.n, None)
-        self._exact = solver if type(solver) is Exact else None  # needs no session
+        self._exact = solver if type(solver) is Exact else None
         self._started = False
         self._supervisor = Supervisor(settings.supervisor, self._law, robot.n, period, times_us)
         self._forget()

@@ -25,7 +25,7 @@ CORE = (
     "answer.c", "safety_filter.c", "step.c", "record.c",
 )  # fmt: skip
 """The files of `moc_opt/core` that `moc_step` needs."""
-TESTS = ("main.c", "Makefile", "README.md")  # in every exported folder
+TESTS = ("main.c", "Makefile", "README.md")
 UDP = ("udp.c",)
 OWN = files("moc_opt.export") / "c"
 MARK = "Written by moc-opt export-c"  # begins every exported text file
@@ -161,7 +161,7 @@ def write(
         tolerance: tolerance of the solver ``exact`` [rad/s].
         stop: damping of the drives in a stop [Nm s/rad], and its shortest duration [s].
         extra: further files, as a mapping from name to content.
-        force: also overwrite files that export-c did not write as they are.
+        force: also overwrite edited and foreign files.
 
     Raises:
         ScenarioError: ``out`` cannot be written, or only with ``force``.

@@ -32,7 +32,7 @@ def export_scenario(
         scenario: its run is simulated to record ticks.
         out: folder, created if it does not exist.
         udp: also write a program that runs this controller over UDP.
-        force: also overwrite files that export-c did not write as they are.
+        force: also overwrite edited and foreign files.
 
     Raises:
         MocOptError: a setting is not supported, the scenario cannot run, or ``out`` cannot be written.

@@ -114,9 +114,8 @@ def _fault(written: Any, read: Any, most: int) -> str:
 
 
 def _explained(items: Sequence[Mapping[str, Any]], kind: str) -> str:
-    """Join the errors on one field. pydantic gives one per type of the field."""
     item = items[0]
-    field = repr(".".join(f"{key!s:.80}" for key in item["loc"]))[1:-1]  # a key may hold any character
+    field = repr(".".join(f"{key!s:.80}" for key in item["loc"]))[1:-1]  # with escapes
     message = ", or ".join(one["msg"].removeprefix("Value error, ") for one in items)
     message = message.replace(", or Input should be", ", or")
     if isinstance(item.get("ctx", {}).get("error"), MocOptError):  # from an inner table

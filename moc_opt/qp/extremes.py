@@ -104,7 +104,7 @@ def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Arr
         return start, np.zeros(len(low))
     from scipy.optimize import nnls  # a slow import
 
-    for loose in (0.0, TOUCHING):  # the feasible set may be a point
+    for loose in (0.0, TOUCHING):  # if the feasible set is a point, widen it
         u, _ = nnls(np.vstack([G.T, (short - loose) / size]), np.append(np.zeros(len(start)), 1.0))
         left = 1.0 - float((short - loose) @ u) / size
         if u.max() * size <= left / TOUCHING:

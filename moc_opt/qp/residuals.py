@@ -27,7 +27,7 @@ FEASIBLE = 1e-6  # widening of the bounds that may make an empty feasible set a 
 MOST_FACETS = 300  # largest number of facets for which the best duals are found
 TIED_BY_ROUNDING = 1e-14  # a sixth singular value below this share of |A|_F is rounding
 NEARLY_SINGULAR = 1e-3  # a singular value below this share of |A|_F needs refinement
-REFINEMENTS = 3  # number of refinement steps
+REFINEMENTS = 3  # steps of iterative refinement
 
 
 class Residuals(NamedTuple):
@@ -178,7 +178,7 @@ def _rank_five(A: Array) -> tuple[NDArray[np.intp], _Factors]:
     diagonal = np.abs(np.diagonal(R, axis1=1, axis2=2))
     tied = diagonal[:, 5:].max(1, initial=np.inf if A.shape[2] < 6 else 0.0) < TIED_BY_ROUNDING
     rows = np.flatnonzero(tied & (diagonal[:, :5].min(1, initial=np.inf) > NEARLY_SINGULAR))
-    top = R[rows, :5]
+    top = R[rows, :5]  # regular, because of the diagonal
     inverse = np.linalg.inv(top @ np.swapaxes(top, 1, 2))
     good = np.linalg.norm(inverse, axis=(1, 2)) < NEARLY_SINGULAR**-2
     rows, Q = rows[good], Q[rows[good]]

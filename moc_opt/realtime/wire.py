@@ -164,7 +164,7 @@ def written(address: Address | None) -> str:
 
 
 def parse_address(text: str, option: str) -> Address:
-    """Return numeric host and port of "HOST:PORT". Raise a WireError if there is no such host."""
+    """Return numeric host and port of "HOST:PORT". Raise a WireError if form or host is wrong."""
     host, _, port = text.rpartition(":")
     if not host or not port.isdecimal() or int(port) > 65535:
         raise WireError(f"{option} {text!r}: give HOST:PORT, as 127.0.0.1:30200")
@@ -176,7 +176,7 @@ def parse_address(text: str, option: str) -> Address:
 
 
 def read_key(file: Path | None, host: str, option: str) -> bytes:
-    """Return the key from the file, else from the environment variable, else `LOOPBACK_KEY`.
+    """Return the key from the file, else from the environment variable. On loopback, `LOOPBACK_KEY` is the default.
 
     Raises:
         WireError: the key has a wrong length, or there is no key and other machines can reach the host.
@@ -189,7 +189,7 @@ def read_key(file: Path | None, host: str, option: str) -> bytes:
             f"{option} {host}: other machines reach that address, and whoever can send to it moves the arm: give both "
             f"ends the same key by --key-file or {VARIABLE}, or take 127.0.0.1"
         )
-    key = (text if file is None else text.strip()).encode(errors="surrogateescape")
+    key = (text if file is None else text.strip()).encode(errors="surrogateescape")  # the C program does not strip it
     if not SHORTEST <= len(key) <= LONGEST:
         raise WireError(
             f"{VARIABLE if file is None else f'--key-file {str(file)!r}'}: a key of {len(key)} bytes: give one line of "
