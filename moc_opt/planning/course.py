@@ -1,4 +1,4 @@
-"""Targets of tip and wrist along a path, and courses. A course is a joint trajectory that reaches these targets."""
+"""Targets of tip and wrist along a path, and courses: joint trajectories that reach them."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from moc_opt.robots.model import RobotModel
 from moc_opt.tasks import Reference, Trocar
 
 Margin = float | Array
-"""Distance kept from the joint limits: one number, or one per joint (n,) [rad, or m for a sliding joint]."""
-SHALLOWEST_M = 0.002  #: Least distance from tip to trocar [m]. If they are closer, they do not define the shaft's line.
+"""Distance kept from the joint limits, a number or (n,) [rad, or m for a sliding joint]."""
+SHALLOWEST_M = 0.002  #: Least distance from tip to trocar [m].
 MOST_VIOLATION = 1e-8  #: Largest constraint violation of a feasible course [m] or [rad].
 WORTH = 10.0  #: Weight of the penalty that `lowered` subtracts from mu.
 
@@ -25,7 +25,7 @@ class Targets:
 
     t_s: Array  #: (k,) evenly spaced [s]
     tip: Array  #: (k,3) [m]
-    wrist: Array  #: (k,3) [m], on the line from the tip through the trocar; see `desired_wrist`
+    wrist: Array  #: (k,3) [m], on the line from the tip through the trocar
     arc_length_m: Array  #: (k,) length of the tip's path up to each time [m]
 
     @property
@@ -50,7 +50,7 @@ def lay_targets(
     reference: Reference, trocar: Trocar, span_m: float, duration_s: float, count: int,
     tool_m: float = np.inf,
 ) -> Targets:  # fmt: skip
-    """Sample the reference and the trocar at ``count`` times from 0 to the end of the run.
+    """Sample reference and trocar at ``count`` times from 0 to ``duration_s`` [s].
 
     ``span_m`` is the distance from wrist to tip, and ``tool_m`` the length of the tool [m].
 
@@ -75,23 +75,23 @@ def lay_targets(
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """A joint trajectory along a path: k times, n joints; read-only arrays. It may end before the path ends."""
+    """A joint trajectory with k times and n joints, which may end before the path."""
 
     t_s: Array  #: (k,) [s]
     q_rad: Array  #: (k,n)
     mu: Array  #: (k,) manipulability [m^3], computed with the robot model
     violation: float
-    """Largest violation: error of tip or wrist [m], or excess of a joint position or of a step over its limit [rad]."""
-    certified: bool = False  #: Whether a solver has converged, so that the course is a local optimum.
+    """Largest error of tip or wrist [m], or excess over joint limits or steps [rad]."""
+    certified: bool = False  #: Whether a solver has converged to a local optimum.
 
     @property
     def mu_mean(self) -> float:
-        """Mean manipulability over the time, by the trapezoidal rule [m^3]."""
+        """Mean manipulability over the time [m^3]."""
         return time_mean(self.mu)
 
     @property
     def kept(self) -> bool:
-        """Whether the course violates targets, joint limits and speed limits by at most `MOST_VIOLATION`."""
+        """Whether the course violates its constraints by at most `MOST_VIOLATION`."""
         return self.violation <= MOST_VIOLATION
 
 
@@ -107,8 +107,7 @@ class Limits:
 def lowered(mu: Array, share: Array, limits: Limits, top: float) -> Array:
     """Return mu, reduced by the penalty `WORTH` top (1 - share/margin)^2 wherever share < margin.
 
-    ``share`` is from `shaft_shares`, margin is ``limits.shaft``, and ``top`` is the largest mu [m^3]. If the share is
-    small, only fast joints can keep the shaft in the trocar. The lag of these joints becomes RCM error.
+    ``share`` is from `shaft_shares`, margin is ``limits.shaft``, and ``top`` is the largest mu [m^3].
     """
     if limits.shaft <= 0.0:
         return mu
@@ -127,7 +126,7 @@ def shaft_shares(robot: RobotModel, poses: Array) -> Array:
 
 
 def weights(count: int) -> Array:
-    """Return the weights of the trapezoidal rule on evenly spaced times, (count,)."""
+    """Return the trapezoidal rule's weights (count,) on evenly spaced times."""
     weight = np.ones(count)
     if count > 1:
         weight[[0, -1]] = 0.5
@@ -135,7 +134,7 @@ def weights(count: int) -> Array:
 
 
 def time_mean(rows: Array) -> float:
-    """Return the mean of rows (k,) over evenly spaced times, by the trapezoidal rule."""
+    """Return the mean of rows (k,) over evenly spaced times."""
     weight = weights(len(rows))
     return float(weight @ rows / weight.sum())
 
@@ -153,7 +152,7 @@ def margin_at(robot: RobotModel, poses: Array, margin: Margin) -> Margin:
 
 
 def make_course(robot: RobotModel, targets: Targets, q: Array, limits: Limits | None = None) -> Course:
-    """Make a course of poses (k,n) at the first k targets, and compute its mu and violation."""
+    """Make a course of poses (k,n) at the first k targets."""
     limits, count = Limits() if limits is None else limits, len(q)
     tips, wrists = robot.tool_along(q)
     off = max(np.abs(tips - targets.tip[:count]).max(), np.abs(wrists - targets.wrist[:count]).max())
@@ -166,7 +165,7 @@ def make_course(robot: RobotModel, targets: Targets, q: Array, limits: Limits | 
 
 
 def worth(robot: RobotModel, course: Course, limits: Limits, top: float) -> float:
-    """Return the mean mu of a course [m^3], reduced by the mean penalty of `lowered`."""
+    """Return the mean mu of a course [m^3], less the mean penalty of `lowered`."""
     if limits.shaft <= 0.0:
         return course.mu_mean
     return time_mean(lowered(course.mu, shaft_shares(robot, course.q_rad), limits, top))
