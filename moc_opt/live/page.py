@@ -44,8 +44,7 @@ FIELDS = ("regularization", "K_X", "K_N", "K_N2", "D_N2", "k0_per_s")  # setting
 class LivePage:
     """A run and its page on loopback, at ``port`` or the next free port. Leaving the context stops both.
 
-    Only clients with the token in ``url`` get access. If viser is missing or the port number is invalid, a LiveError is
-    raised; if the scenario is not usable, a MocOptError.
+    Only clients with the token in ``url`` get access. A LiveError is raised if viser is missing or the port is invalid.
     """
 
     def __init__(self, scenario: Scenario, *, port: int = PORT, title: str = "") -> None:
@@ -155,7 +154,7 @@ class Panel:
                     field.value = self._written(name)
 
     def _choose(self) -> None:
-        if self._solver.value != self._run.solver:  # if equal, `_tell` has set the drop-down
+        if self._solver.value != self._run.solver:
             self._run.choose(self._solver.value)
 
     def _move_trocar(self) -> None:

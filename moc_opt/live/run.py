@@ -29,7 +29,7 @@ class ExchangeableController:
     """A ``sim.protocols.TorqueController`` that passes each call to an exchangeable controller.
 
     The controller in ``next`` takes over at the next tick, at the earliest BLEND_S after the previous exchange. The
-    torque is then tau_new + (tau_old - tau_new) exp(-t / BLEND_S). Errors at its start are put into ``messages``.
+    torque is then tau_new + (tau_old - tau_new) exp(-t / BLEND_S).
     """
 
     def __init__(self, first: Controller, period_s: float, messages: deque[str]) -> None:
@@ -82,8 +82,7 @@ class LiveRun:
     """The closed loop of a scenario, which runs to and fro along its path.
 
     Call it from one thread only. An unusable scenario raises a MocOptError. Errors of the running loop are put into
-    `messages`, oldest first. ``t_s`` is the latest tick's time. ``stopped`` says why the arm was stopped, and is empty
-    while it runs.
+    `messages`, oldest first. ``t_s`` is the latest tick's time [s]. ``stopped`` says why the arm was stopped.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -100,7 +99,6 @@ class LiveRun:
     state = property(lambda self: self._in_use.state, doc="The model's state at the last tick.")
     used = property(lambda self: self._in_use.used, doc="The controller in use.")
     trocar = property(lambda self: self._now[0][0], doc="Position of the true trocar (3,) [m] in the next tick.")
-    # The controller that was requested last.
     _chosen = property(lambda self: self._in_use.next or self._in_use.used)
     control = property(lambda self: self._chosen.settings, doc="The settings of the control law.")
     solver = property(lambda self: solver_of(self._chosen), doc="The solver, or `DCAC`.")
@@ -111,7 +109,7 @@ class LiveRun:
         self._exchange(self.control.replace(law), solver)
 
     def tune(self, **settings: Any) -> None:
-        """Change settings of the control law, by the names of `ControlSettings`; a MocOptError if one is wrong."""
+        """Change settings of `ControlSettings` by name; a MocOptError if one is wrong."""
         if "law" in settings:
             raise LiveError("law cannot be set here: choose(solver) sets it")
         self._exchange(self.control.replace(settings), self.solver)

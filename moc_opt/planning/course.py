@@ -34,7 +34,6 @@ class Targets:
         return float(self.t_s[1] - self.t_s[0])
 
     def __getitem__(self, some: slice) -> Targets:
-        """Return the targets in a slice of the times."""
         return Targets(self.t_s[some], self.tip[some], self.wrist[some], self.arc_length_m[some])
 
     def at(self, t: Array) -> Targets:
@@ -55,7 +54,7 @@ def lay_targets(
     ``span_m`` is the distance from wrist to tip, and ``tool_m`` the length of the tool [m].
 
     Raises:
-        TaskError: at some time, the trocar is not on the shaft, or is nearer to the tip than `SHALLOWEST_M`.
+        TaskError: the trocar is not on the shaft, or is too near to the tip.
     """
     t = np.linspace(0.0, duration_s, count)
     tip = np.ascontiguousarray(reference.at(t)[0])
@@ -79,7 +78,7 @@ class Course:
 
     t_s: Array  #: (k,) [s]
     q_rad: Array  #: (k,n)
-    mu: Array  #: (k,) manipulability [m^3], computed with the robot model
+    mu: Array  #: (k,) manipulability [m^3]
     violation: float
     """Largest error of tip or wrist [m], or excess over joint limits or steps [rad]."""
     certified: bool = False  #: Whether a solver has converged to a local optimum.
@@ -101,7 +100,7 @@ class Limits:
 
     margin: Margin = 0.0  #: distance kept from the joint limits
     speed_share: float = 1.0  #: share of the joints' speed limits that may be used
-    shaft: float = 0.0  #: if `shaft_shares` is below this value, `lowered` reduces mu
+    shaft: float = 0.0  #: `shaft_shares` below which `lowered` reduces mu
 
 
 def lowered(mu: Array, share: Array, limits: Limits, top: float) -> Array:
@@ -145,7 +144,7 @@ def between(t: Array, times: Array, rows: Array) -> Array:
 
 
 def margin_at(robot: RobotModel, poses: Array, margin: Margin) -> Margin:
-    """Return the margin from the joint limits, reduced if the poses (..., n) are nearer to a limit."""
+    """Reduce the margin if the poses (..., n) are nearer to a joint limit."""
     room = np.minimum(poses - robot.q_min, robot.q_max - poses).reshape(-1, robot.n).min(axis=0)
     room = np.where(robot.moves.any(axis=0), np.maximum(room, 0.0), np.inf)
     return np.minimum(margin, room) if isinstance(margin, np.ndarray) else min(margin, float(room.min()))

@@ -23,7 +23,7 @@ class Elbow:
     """Measures the swivel angle of an arm."""
 
     def __init__(self, robot: RobotModel, wrists: Array) -> None:
-        """Choose the elbow joint, and a reference direction for the path's wrist centres (k, 3) [m]."""
+        """Choose elbow joint and reference direction for the wrist centres (k, 3) [m]."""
         self._robot = robot
         origins, _ = link_frames(robot, robot.data.q_home[None])
         # The shoulder is the second joint that turns.
@@ -78,7 +78,7 @@ def in_transient(robot: RobotModel, t_s: ArrayLike, q_rad: ArrayLike) -> NDArray
     """Return for each tick (N,) whether the elbow still moves towards the local maximum of mu.
 
     Args:
-        t_s, q_rad: (N,) time of each tick [s], (N, n) true joint positions [rad].
+        t_s, q_rad: (N,) times [s], (N, n) true joint positions [rad].
     """
     t, q = np.asarray(t_s, dtype=np.float64), np.asarray(q_rad, dtype=np.float64)
     count = max(2, int(np.ceil((t[-1] - t[0]) * SAMPLES_PER_S)) + 1)

@@ -24,7 +24,7 @@ NODES = 10  #: Number of time steps of the nonlinear program.
 CATCH_UP = 1.03  #: Factor by which a course may be faster than the search allows.
 ON_COURSE_RAD = 0.05
 """Largest distance from the old course at which a new course begins on the old course. Starts from the measured pose
-would close a second feedback loop, which oscillates near singular poses."""
+would close a second feedback loop."""
 MOST_OFF = 1e-3  #: Largest error of tip or wrist [m] and excess over limits [rad] of a usable course.
 LOST_RAD = 0.3  #: Distance of a joint above which the arm has left the course.
 NO_COURSE = "q_start: from this pose, no course within joint speeds and limits reaches the end of the path"
@@ -52,7 +52,7 @@ class Piece(NamedTuple):
 
 
 class Planner:
-    """Makes courses from any pose over a horizon, a fixed time such as one second.
+    """Makes courses from any pose over a fixed time, the horizon.
 
     The value function V of `search` gives a coarse course, and `Program` smooths it.
     """
@@ -60,10 +60,7 @@ class Planner:
     def __init__(
         self, value: Value, program: Program, targets: Targets, *, horizon_s: float, rate_per_s: float
     ) -> None:
-        """Take the value function V, a program with `NODES` time steps, and the targets.
-
-        ``horizon_s`` is the duration of a course [s], and ``rate_per_s`` the number of new courses per second.
-        """
+        """Take ``horizon_s``, the duration of a course [s], and ``rate_per_s``, the new courses per second."""
         self._value, self._program, self._targets = value, program, targets
         self._horizon_s, self.rate_per_s = horizon_s, rate_per_s
         self._solve_s: list[float] = []
@@ -119,7 +116,7 @@ class Planner:
 
 
 class Follower:
-    """The desired velocities of one run, tick by tick; see `moc_opt.control.controller.Guide`."""
+    """The desired velocities of one run, tick by tick."""
 
     def __init__(
         self, period_s: float, *, course: Course | None = None, planner: Planner | None = None,
@@ -144,7 +141,7 @@ class Follower:
             raise TaskError(NO_COURSE)
 
     def start(self) -> None:
-        """Restart at t = 0 with the given course, or with the planner's first course."""
+        """Restart at t = 0."""
         self._tick, self._begun = 0, -1
         self._now: Piece | None = self._given
         if self._planner is not None:

@@ -88,7 +88,7 @@ class Ways:
     def at(self, part: float) -> tuple[Value, Limits, Way]:
         """Return (value function V, limits, best coarse course) for ``part`` times the usual speed.
 
-        If there is no course, weaker limits are tried. A ScenarioError is raised if there still is no course.
+        A ScenarioError is raised if there is no course.
         """
         if part not in self._known:
             run, settings = self.run, self.run.settings
@@ -161,7 +161,7 @@ def followed_course(run: Following, ways: Ways | None = None) -> Course:
     """Find a smooth course with a large mean mu from the run's start.
 
     Raises:
-        ScenarioError: no course reaches the end of the path, or the file of ``[control] course`` is refused.
+        ScenarioError: no course reaches the end of the path, or the course file is refused.
         TaskError: no smooth course was found.
     """
     robot, targets, brake, smooth = run.robot, run.targets(), BRAKE_SHARE * run.brake, SMOOTHNESS["planned"]
@@ -272,7 +272,7 @@ def too_fast_to_follow(settings: ControlSettings, robot: RobotModel, shares: Arr
 
 
 def margin_of(robot: RobotModel, margin_rad: float, margin_m: float) -> Margin:
-    """Return the margin from joint limits, (n,) if a joint slides; a TaskError if a margin is negative or infinite."""
+    """Return the margin from joint limits, (n,) if a joint slides; a TaskError if it is negative."""
     for name, value in (("margin_rad", margin_rad), ("margin_m", margin_m)):
         if not (is_number(value) and 0.0 <= value < np.inf):
             raise TaskError(f"{name} = {value!r}: give zero or more, and less than half of every joint's range")

@@ -27,9 +27,9 @@ ROOM = 0.01
 class Blocked:
     """The first point of the path that no course reaches from the start."""
 
-    t_s: float  #: Time of this point [s].
+    t_s: float  #: Time [s].
     arc_length_m: float  #: Length of the tip's path up to this point [m].
-    tip_m: tuple[float, float, float]  #: Position of the tip at this point [m].
+    tip_m: tuple[float, float, float]  #: Position of the tip [m].
     reason: str  #: The obstacle in words.
 
 
@@ -46,8 +46,8 @@ class Plan:
     bound: float  #: Upper bound of mean mu over all starts [m^3]; NaN if unknown.
     blocked: Blocked | None  #: Where and why the path cannot be executed from the start, or None.
     start_swivel_rad: float  #: Swivel (elbow angle) at the start [rad]; see `elbow`.
-    best_swivel_rad: float  #: Swivel at the start of ``best`` [rad]; NaN if ``best`` is None.
-    swivel_rad: Array  #: (k,) swivel along ``course`` [rad]; empty if there is no course.
+    best_swivel_rad: float  #: Swivel at the start of ``best`` [rad].
+    swivel_rad: Array  #: (k,) swivel along ``course`` [rad].
     took_s: Mapping[str, float]  #: Times [s] of the steps "map", "search", "bound" and "refine".
 
     def __repr__(self) -> str:
@@ -84,13 +84,12 @@ def make_plan(
     Args:
         q_start: (n,) pose with tip and wrist at the first target [rad].
         targets: targets of tip and wrist at k evenly spaced times, (k,3) each [m].
-        limits: limits that courses keep.
-        swivels: number of samples of one turn of the elbow.
+        swivels: samples in one turn of the elbow, 8 to `pose_map.MOST_SWIVELS`.
         refined: whether the nonlinear program improves the courses of the search.
 
     Raises:
         TaskError: an argument is out of range, or the start is not at the first target.
-        RobotError: fewer than 8 swivels, or more than `pose_map.MOST_SWIVELS`.
+        RobotError: the number of swivels is out of range.
     """
     limits, start = limits or Limits(), np.array(q_start, dtype=np.float64)
     check_limits(robot, limits)
@@ -164,7 +163,7 @@ def check_limits(robot: RobotModel, limits: Limits) -> None:
 
 
 def best_course(value: Value, start: Array | None) -> Array | None:
-    """Return the best course (k,n) on the map from ``start`` (n,), or from any pose; None if there is none."""
+    """Return the best course (k,n) on the map from ``start`` (n,), or from any pose."""
     start = value.best()[1] if start is None else start
     way = None if start is None else value.way(start)
     return None if way is None else way.q_rad
@@ -196,7 +195,7 @@ class Top(NamedTuple):
 
 
 def top_of(found: PoseMap, q: Array) -> Top | None:
-    """Climb mu at the map's last time from the feasible pose nearest to q (n,); None if there is none."""
+    """Climb mu at the map's last time from the feasible pose nearest to q (n,)."""
     poses, may = found.q_rad[-1], found.feasible()[-1]
     if not may.any():
         return None

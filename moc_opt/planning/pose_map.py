@@ -1,11 +1,8 @@
 """Map every pose of an arm at each point of a path, with its manipulability mu and distance to joint limits.
 
-**Closed form.** The axes of joints 1 to 3 must meet in the shoulder, those of 3 to 5 in the elbow, and those of 5 to 7
-in the wrist. The elbow then turns about the line from shoulder to wrist by the swivel angle (Kreutz-Delgado, Long and
-Seraji 1992). Each swivel has eight poses, one on each branch.
-
-**Traced.** Any other arm has curves of poses with the same tip and wrist, which are traced numerically. With a null
-space of several dimensions, the curves contain only some of the poses.
+For arms whose axes meet in a shoulder, an elbow and a wrist, the poses have a closed form in the elbow's swivel angle
+(Kreutz-Delgado, Long and Seraji 1992). For any other arm, curves of poses are traced numerically. With a null space of
+several dimensions, the curves contain only some of the poses.
 """
 
 from __future__ import annotations
@@ -136,7 +133,7 @@ def closed_form(robot: RobotModel) -> ClosedForm | None:
         return None
     base = np.column_stack([np.cross(axes[1], axes[0]), axes[1], axes[0]])
     offset, turned = np.zeros(6), np.array(base)
-    for j in range(1, 6):  # the angle from the normal form's axis j + 1 to the arm's axis at q = 0
+    for j in range(1, 6):
         x, y, z = turned.T @ axes[j + 1]
         offset[j] = np.arctan2(x, z) if j % 2 else np.arctan2(-x, y)
         turned = turned @ pin.exp3(offset[j] * np.eye(3)[1 if j % 2 else 2])

@@ -1,4 +1,4 @@
-"""Optimize a course (a joint trajectory) by direct transcription: over a whole path, or over a receding horizon.
+"""Optimize a course (a joint trajectory) by direct transcription.
 
 The variables are the joints q that move tip or wrist, at K evenly spaced times after a fixed start:
 
@@ -146,8 +146,8 @@ def refine(
 ) -> Course:  # fmt: skip
     """Improve a course over the whole path to a local optimum. The first pose stays the same.
 
-    The given course may violate constraints. It is returned unchanged if the answer is infeasible or worse. With
-    ``smoothness`` or ``brake``, the answer may lose the share `SMOOTH_LOSS` of mean mu.
+    The given course is returned unchanged if the answer is infeasible or worse. With ``smoothness`` or ``brake``, the
+    answer may lose the share `SMOOTH_LOSS` of mean mu.
     """
     if limits.shaft > 0.0 and _above(robot, course, limits):  # first without the shaft's margin, which is faster
         bare = replace(limits, shaft=0.0)

@@ -137,7 +137,7 @@ class Value:
 
 
 def keeping_shaft(found: PoseMap, limits: Limits) -> PoseMap:
-    """Return the map with mu reduced by `lowered`, for use in a search."""
+    """Return the map with mu reduced by `lowered`."""
     if limits.shaft <= 0.0:
         return found
     # On all branches, the Jacobians' columns are equal up to their signs.

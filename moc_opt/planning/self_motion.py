@@ -22,7 +22,7 @@ LEAST_STEP, MOST_STEP = 1e-5, 10.0  #: Smallest and largest spacing of the sampl
 
 
 class Freedoms(NamedTuple):
-    """The freedoms of n joints with fixed tip and wrist. rank + real + (number of idle joints) = n."""
+    """The freedoms of n joints with fixed tip and wrist."""
 
     rank: int  #: Rank of A, 5 if the arm can place the shaft freely.
     real: int  #: Number of independent joint motions that move links but neither tip nor wrist.
@@ -90,16 +90,16 @@ def parabola_peak(x: Array, y: Array) -> tuple[float, float]:
 
 @dataclass(frozen=True, eq=False)
 class SelfMotion:
-    """Samples along the feasible self-motion; read-only arrays, in the order of the curve."""
+    """Samples along the feasible self-motion, in the order of the curve."""
 
-    s: Array  #: (k,) arc length in joint space [rad], 0 at the pose where the scan began
+    s: Array  #: (k,) arc length in joint space [rad], 0 at the scanned pose
     q: Array  #: (k,n) [rad]
     mu: Array  #: (k,) [m^3]
     held: tuple[int, ...]
     """Joints (from 0) that are held still."""
     _robot: RobotModel = field(repr=False)
     _task: tuple[Array, Array, Array] = field(repr=False)
-    """Joint limits (equal for a joint that is held), and the positions of tip and wrist."""
+    """Joint limits, and the positions of tip and wrist."""
 
     def at(self, fraction: float) -> Array:
         """Return the pose (n,) at a fraction in [0, 1] of the arc length."""

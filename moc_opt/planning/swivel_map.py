@@ -49,7 +49,7 @@ class SwivelMap:
     t_s: Array  #: (k,)
     swivel_rad: Array  #: (m,) evenly over one turn
     mu: Array  #: (k, m) [m^3], also beyond joint limits; NaN if there is no pose
-    q_rad: Array  #: (k, m, n) the poses; NaN if there is no pose
+    q_rad: Array  #: (k, m, n) the poses
     limit: NDArray[np.int64]
     """(k, m) `FEASIBLE` (0), the joint (from 1) that is farthest beyond a limit, or `UNREACHABLE` (-1)"""
     best_swivel_rad: Array  #: (k,) swivel of the largest feasible mu; NaN if no pose is feasible

@@ -35,7 +35,6 @@ class Augmented:
         self, robot: RobotModel, phantom_in_base: Pose, *, camera: CameraSettings | None = None,
         board: Board | None = None, tracker: TrackerSettings | None = None, seed: int = 0,
     ) -> None:  # fmt: skip
-        """Place the camera relative to the true pose of the phantom's board."""
         self.board, self.phantom = board or Board(), phantom_in_base
         noise, calibration, hidden = np.random.SeedSequence(seed).generate_state(3).tolist()
         self.camera = Camera.above(camera or CameraSettings(), phantom_in_base)

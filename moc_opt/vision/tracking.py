@@ -109,8 +109,8 @@ class Tracked:
 class BoardTracker:
     """Tracks a board from picture to picture, and averages its pose over `smoothing_s`.
 
-    If `found_after` outliers in a row agree, the board was moved, and the estimate jumps. The tip must not jump then
-    (see `WaitingReference`).
+    If `found_after` sightings far from the estimate agree, the estimate jumps. The tip must not jump then (see
+    `WaitingReference`).
     """
 
     def __init__(self, limits: TrackerSettings | None = None) -> None:
