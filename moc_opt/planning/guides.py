@@ -33,7 +33,7 @@ SPEEDS = (1.0, 0.7, 0.4)
 """Shares of ``[control] course_speed_fraction``, tried until a course is smooth and can brake."""
 HURRY, WORTH_IT = 1.12, 0.01
 """Factor of a faster course, tried only if mean mu (manipulability) rises by the share `WORTH_IT`."""
-FASTEST = 0.97  #: Largest share of the joints' speed limits in a faster course.
+FASTEST = 0.97  #: Largest share of the joints' speed limits with `HURRY`.
 BRAKE_SHARE = 0.9  #: Share of the safety filter's deceleration that courses made before the run use.
 SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}
 """Weight w of a course's squared acceleration [s^4/rad^2]; see `program`."""

@@ -20,7 +20,7 @@ from moc_opt.planning.search import WHOLE_CELL, Value, keeping_shaft, reached
 from moc_opt.robots.model import RobotModel
 
 ROOM = 0.01
-"""Relative gap of mean mu (manipulability) to its bound, above which the bound's course is tried."""
+"""Relative gap of mean mu (manipulability) to its bound, above which another course is tried."""
 
 
 @dataclass(frozen=True, eq=False)

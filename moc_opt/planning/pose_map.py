@@ -26,7 +26,7 @@ from moc_opt.robots.model import RobotModel, link_frames
 Flags = NDArray[np.bool_]
 
 EXACT_M = 1e-7  #: Axes that pass each other within this distance count as meeting [m].
-BRANCHES = 8  #: Number of branches. Bits 0 to 2 of an index tell whether joints 2, 4 and 6 are negative.
+BRANCHES = 8  #: Branches of inverse kinematics. Bits 0 to 2 of an index tell whether joints 2, 4 and 6 are negative.
 STRAIGHT = 1e-9  #: Sine of joint 4 below which the arm counts as straight.
 ROUNDING_RAD = 1e-9  #: Tolerance of the joint limits.
 SWIVELS, MOST_SWIVELS = 720, 2880  #: Default and largest number of evenly spaced swivel angles.

@@ -140,7 +140,7 @@ def keeping_shaft(found: PoseMap, limits: Limits) -> PoseMap:
     """Return the map with mu reduced by `lowered`."""
     if limits.shaft <= 0.0:
         return found
-    # On all branches, the Jacobians' columns are equal up to their signs.
+    # On all branches, the Jacobians' columns differ only in their signs.
     may = found.feasible().any(axis=1)
     share = np.full(may.shape, np.inf)
     share[may] = shaft_shares(found.robot, found.q_rad[:, 0][may])
