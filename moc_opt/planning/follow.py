@@ -157,7 +157,7 @@ class Follower:
 
     @property
     def told(self) -> dict[str, float]:
-        """`Planner.told`, and the time when the arm left a given course; empty if no planner was used."""
+        """`Planner.told`, and the time when the arm left a given course [s]; empty if no planner was used."""
         if self._planner is None or self._begun < 0:
             return {}
         left = {} if self._given is None else {"left_course_s": self._begun * self._period}

@@ -118,8 +118,8 @@ class Program:
     ) -> tuple[Array, bool]:  # fmt: skip
         """Return poses (K,n) [rad], which may be NaN, and whether the solver met its tolerances.
 
-        The course leaves ``start`` (n,) at ``speed`` (n,) [rad/s]. ``end`` describes V near the last pose. ``period_s``
-        replaces the program's period.
+        The iteration begins at ``guess`` (K,n). The course leaves ``start`` (n,) at ``speed`` (n,) [rad/s]. ``end``
+        describes V near the last pose. ``period_s`` replaces the program's period.
         """
         dt, n = self.period_s if period_s is None else period_s, len(start)
         speed = np.zeros(n) if speed is None else speed

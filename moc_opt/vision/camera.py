@@ -108,7 +108,7 @@ class View:
     def picture(
         self, board_in_base: Pose | None, hidden: frozenset[int] = frozenset(), q: Array | None = None
     ) -> Picture:
-        """Take a picture (H, W, 3) of the board and the tool, if their poses are given."""
+        """Take a picture (H, W, 3) of the board and, at q (n,), of the tool."""
         width, height = self.camera.settings.width_px, self.camera.settings.height_px
         page = np.full((_FINER * height, _FINER * width, 3), TISSUE, dtype=np.uint8)
         if board_in_base is not None:
