@@ -1,4 +1,4 @@
-"""The live page: it runs a `LiveRun` in real time. viser shows the run and takes the users' orders."""
+"""The live page, which runs a `LiveRun` in real time and takes the user's orders."""
 
 from __future__ import annotations
 
@@ -37,15 +37,14 @@ PLOTS: dict[str, list[tuple[str, str, float, str]]] = {
     "force of the trocar [N]": [("force_N", "force", 1.0, BLUE)],
     "whole tick, solver [µs]": [("tick_us", "tick", 1.0, BLUE), ("solve_us", "solver", 1.0, GREEN)],
 }
-"""For each title, the curves: quantity, name, factor to the unit shown, and colour."""
+"""Curves of each plot: quantity, name, factor to the unit shown, colour."""
 FIELDS = ("regularization", "K_X", "K_N", "K_N2", "D_N2", "k0_per_s")  # settings that the page can change
 
 
 class LivePage:
     """A run and its page on loopback, at ``port`` or the next free port. Leaving the context stops both.
 
-    Only clients with the token in ``url`` see the page and can give orders. If viser is missing or the port number is
-    invalid, a LiveError is raised; if the scenario is not usable, a MocOptError.
+    Only clients with the token in ``url`` get access. A LiveError is raised if viser is missing or the port is invalid.
     """
 
     def __init__(self, scenario: Scenario, *, port: int = PORT, title: str = "") -> None:
@@ -73,9 +72,9 @@ class LivePage:
             self.server.stop()
 
     def wait(self) -> None:
-        """Run in real time, carry out orders, and keep the page up to date, until `stop` is called.
+        """Run in real time, carry out orders and refresh the page until `stop` is called.
 
-        If the run lags by more than `MOST_LAG_S`, the excess time is skipped. The pace shown on the page then falls.
+        If the run lags by more than `MOST_LAG_S`, the excess time is skipped.
         """
         run, reached, pace, done = self.run, monotonic(), 1.0, 0
         frame = reached
@@ -99,11 +98,7 @@ class LivePage:
 
 
 def _refuse_without(token: str, server: Any) -> None:
-    """Close each WebSocket whose path is not the token, before anything is sent or obeyed.
-
-    A browser lets any site open a WebSocket to this machine, and a foreign host name can be made to point here (DNS
-    rebinding). No other site knows the token. viser calls this hook before it reads or writes a message.
-    """
+    """Close each WebSocket without the token, because any web site can open one to this machine."""
     sockets = server._websock_server
 
     @sockets.on_client_connect
@@ -121,9 +116,9 @@ def _refuse_without(token: str, server: Any) -> None:
 
 
 class Panel:
-    """The side panel: it shows the state of the run and takes the users' orders.
+    """The side panel, with the state of the run and the user's controls.
 
-    viser calls back from many threads. Orders are therefore queued, and the loop's thread carries them out in `obey`.
+    viser calls back from many threads, so orders are queued for the loop's thread.
     """
 
     def __init__(self, server: Any, run: LiveRun) -> None:
@@ -149,7 +144,7 @@ class Panel:
         gui.add_button("Reset to the start").on_click(lambda _: self.orders.put(run.reset))
 
     def obey(self) -> None:
-        """Carry out the queued orders. If an order fails, show why, restore the fields, and go on."""
+        """Carry out the queued orders, and show the error of each order that fails."""
         while not self.orders.empty():
             try:
                 self.orders.get()()
@@ -159,7 +154,7 @@ class Panel:
                     field.value = self._written(name)
 
     def _choose(self) -> None:
-        if self._solver.value != self._run.solver:  # if equal, `_tell` has set the drop-down
+        if self._solver.value != self._run.solver:
             self._run.choose(self._solver.value)
 
     def _move_trocar(self) -> None:
@@ -184,7 +179,6 @@ class Panel:
             self._run.tune(**values)
 
     def _tell(self, text: str) -> None:
-        """Show an error message on every open page, and set the drop-down back to the run's solver."""
         for client in self._server.get_clients().values():
             client.add_notification("This cannot be done", text[:600], color="red", auto_close_seconds=12)
         self._solver.value = self._run.solver
@@ -209,7 +203,6 @@ class Panel:
 
 
 def _plot(gui: Any, title: str, lines: list[tuple[str, str, float, str]]) -> Any:
-    """Add an empty plot. Times have a log axis, because single ticks may be very long."""
     times, quiet = "µs" in title, {"ticks": {"show": False}}
     named = [{"label": name, "stroke": color, "width": 1.5} for _, name, _, color in lines]
     return gui.add_uplot(
@@ -223,7 +216,7 @@ class Scene:
     """The arm, the trocar and the path in three dimensions."""
 
     def __init__(self, server: Any, run: LiveRun) -> None:
-        from trimesh.creation import revolve  # trimesh comes with viser, in the extra `live`
+        from trimesh.creation import revolve  # in the extra `live`
 
         self._run, scene, tip = run, server.scene, run.state.tip
         scene.set_up_direction("+z")
@@ -263,7 +256,7 @@ def _quaternion(rotation: Array) -> Array:
 def serve(scenario: Scenario, *, port: int = PORT, title: str = "") -> int:
     """Open the page and keep it until Ctrl-C; return the exit code."""
     with LivePage(scenario, port=port, title=title) as page:
-        # Without this handler, Ctrl-C raises a KeyboardInterrupt, which could leave a lock of the page's threads held.
+        # A KeyboardInterrupt could leave a lock of the page's threads held.
         signal.signal(signal.SIGINT, lambda number, frame: page.stop())
         print(f"live at {page.url} - Ctrl-C ends it", file=sys.stderr, flush=True)
         page.wait()

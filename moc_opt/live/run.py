@@ -1,4 +1,4 @@
-"""A scenario that runs without end, a few ticks at a time, while solver, gains and trocar can be changed."""
+"""An endless run of a scenario whose solver, gains and trocar can be changed on the way."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from moc_opt.tasks.trocar import shaft_distance
 
 DCAC = "none (DCAC)"
 QUANTITIES = ("t_s", "mu", "tip_error_m", "rcm_error_m", "force_N", "solve_us", "tick_us")
-HISTORY_S = 20.0  # time for which the quantities of past ticks are kept [s]
-BLEND_S = 0.1  # time constant of the torque after an exchange of controllers, and shortest time between exchanges [s]
-RAMP_S = 0.3  # shortest fade-in of a new third level [s]. Its torque may be large at first
-SLOWLY_M_PER_S, MOST_OFFSET_M = 0.02, 0.05  # largest speed [m/s] and offset [m] of a trocar that the user moves
+HISTORY_S = 20.0  # time for which past quantities are kept [s]
+BLEND_S = 0.1  # time constant of the torque blend, and shortest time between exchanges [s]
+RAMP_S = 0.3  # shortest fade-in of a new third level [s]
+SLOWLY_M_PER_S, MOST_OFFSET_M = 0.02, 0.05  # largest speed [m/s] and offset [m] of a moved trocar
 
 
 class LiveError(ScenarioError):
@@ -26,11 +26,10 @@ class LiveError(ScenarioError):
 
 
 class ExchangeableController:
-    """A ``sim.protocols.TorqueController`` that passes calls to the controller in use, which can be exchanged.
+    """A ``sim.protocols.TorqueController`` that passes each call to an exchangeable controller.
 
-    The controller in ``next`` takes over at the next tick, at the earliest BLEND_S after the previous exchange. If it
-    cannot start, ``messages`` gets the error. After an exchange, tau = tau_new + offset. At first, the offset is
-    tau_old - tau_new. Then it decays with exp(-t / BLEND_S).
+    The controller in ``next`` takes over at the next tick, at the earliest BLEND_S after the previous exchange. The
+    torque is then tau_new + (tau_old - tau_new) exp(-t / BLEND_S).
     """
 
     def __init__(self, first: Controller, period_s: float, messages: deque[str]) -> None:
@@ -47,7 +46,7 @@ class ExchangeableController:
         self.used.start(q, v, tip_ref, trocar)
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """Return the torque (n,) [Nm] of the controller in use, blended with the old torque after an exchange."""
+        """Return the blended torque (n,) [Nm]."""
         self._wait -= 1
         tau, new = None, self.next
         if self._wait <= 0 and new is not None:
@@ -80,11 +79,10 @@ def solver_of(controller: Controller) -> str:
 
 
 class LiveRun:
-    """The closed loop of a scenario, which runs to and fro along its path. An unusable scenario raises a MocOptError.
+    """The closed loop of a scenario, which runs to and fro along its path.
 
-    Call it from one thread only. A wrong change raises an error at once. Errors that only the running loop can detect
-    are put into `messages`, oldest first. ``t_s`` is the latest tick's time. ``stopped`` says why the arm was stopped,
-    and is empty while it runs.
+    Call it from one thread only. An unusable scenario raises a MocOptError. Errors of the running loop are put into
+    `messages`, oldest first. ``t_s`` is the latest tick's time [s]. ``stopped`` says why the arm was stopped.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -101,18 +99,17 @@ class LiveRun:
     state = property(lambda self: self._in_use.state, doc="The model's state at the last tick.")
     used = property(lambda self: self._in_use.used, doc="The controller in use.")
     trocar = property(lambda self: self._now[0][0], doc="Position of the true trocar (3,) [m] in the next tick.")
-    # The controller that was requested last: it waits for its exchange or is in use.
     _chosen = property(lambda self: self._in_use.next or self._in_use.used)
     control = property(lambda self: self._chosen.settings, doc="The settings of the control law.")
     solver = property(lambda self: solver_of(self._chosen), doc="The solver, or `DCAC`.")
 
     def choose(self, solver: str) -> None:
-        """Use another solver for level 3, or `DCAC` (no level 3). Raise a MocOptError if the solver cannot run."""
+        """Use another solver for level 3, or `DCAC`; a MocOptError if the solver cannot run."""
         law = self.control.matched_dcac() if solver == DCAC else {"law": "moc"}
         self._exchange(self.control.replace(law), solver)
 
     def tune(self, **settings: Any) -> None:
-        """Change settings of the control law, by the names of `ControlSettings`; a MocOptError if one is wrong."""
+        """Change settings of `ControlSettings` by name; a MocOptError if one is wrong."""
         if "law" in settings:
             raise LiveError("law cannot be set here: choose(solver) sets it")
         self._exchange(self.control.replace(settings), self.solver)
@@ -132,21 +129,21 @@ class LiveRun:
         return Controller(self.robot, control, solver, self.period_s)
 
     def place_trocar(self, x_m: float, y_m: float, z_m: float = 0.0) -> None:
-        """Move true and registered trocar slowly to an offset in world axes [m], each at most `MOST_OFFSET_M`."""
+        """Move the trocar slowly to an offset in world axes [m], each at most `MOST_OFFSET_M`."""
         for value in (x_m, y_m, z_m):
             if not is_number(value) or not abs(value) <= MOST_OFFSET_M:
                 raise LiveError(f"trocar offset = {value!r} m: give a number from {-MOST_OFFSET_M} to {MOST_OFFSET_M}")
         self._asked = np.array([x_m, y_m, z_m])
 
     def rows(self, t: float) -> Array:
-        """Return X_d, dX_d, ddX_d (3, 3) at a time [s]: along the path and back, without end."""
+        """Return X_d, dX_d, ddX_d (3, 3) at a time [s]."""
         lap, within = divmod(t, self._setup.duration_s)
         if int(lap) % 2 == 0:
             return self._setup.reference.rows(within)
         return self._setup.reference.rows(self._setup.duration_s - within) * [[1.0], [-1.0], [1.0]]  # backwards
 
     def history(self, points: int = 400) -> Array:
-        """Return rows (k, 7) of `QUANTITIES`. Each has the maxima over one of k <= `points` groups of past ticks."""
+        """Return rows (k, 7) of `QUANTITIES`: their maxima over k <= `points` groups of past ticks."""
         rows = np.array(self._rows).reshape(-1, len(QUANTITIES))
         size = max(1, -(-len(rows) // points))
         stretches = rows[len(rows) % size :].reshape(-1, size, len(QUANTITIES))  # drops the incomplete oldest group
@@ -162,7 +159,7 @@ class LiveRun:
         self._rows.clear()
 
     def advance(self, ticks: int) -> None:
-        """Run this many ticks. While the arm is stopped, do nothing."""
+        """Run this many ticks, or none if the arm is stopped."""
         try:
             for _ in range(ticks):
                 if not self.stopped:
@@ -183,7 +180,6 @@ class LiveRun:
             self._halt(self._loop.stop_reason)
 
     def _move_trocars(self) -> None:
-        """Set rows (2, 3) P_t, dP_t of the true and the registered trocar for the period that begins now."""
         t = self._loop.ticks * self.period_s
         away, most = self._asked - self._offset, SLOWLY_M_PER_S * self.period_s
         shift = away * min(1.0, most / max(float(np.linalg.norm(away)), 1e-12))

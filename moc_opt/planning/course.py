@@ -1,4 +1,4 @@
-"""Targets of tip and wrist along a path, and courses. A course is a joint trajectory that reaches these targets."""
+"""Targets of tip and wrist along a path, and courses: joint trajectories that reach them."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from moc_opt.robots.model import RobotModel
 from moc_opt.tasks import Reference, Trocar
 
 Margin = float | Array
-"""Distance kept from the joint limits: one number, or one per joint (n,) [rad, or m for a sliding joint]."""
-SHALLOWEST_M = 0.002  #: Least distance from tip to trocar [m]. If they are closer, they do not define the shaft's line.
+"""Distance kept from the joint limits, a number or (n,) [rad, or m for a sliding joint]."""
+SHALLOWEST_M = 0.002  #: Least distance from tip to trocar [m].
 MOST_VIOLATION = 1e-8  #: Largest constraint violation of a feasible course [m] or [rad].
 WORTH = 10.0  #: Weight of the penalty that `lowered` subtracts from mu.
 
@@ -25,7 +25,7 @@ class Targets:
 
     t_s: Array  #: (k,) evenly spaced [s]
     tip: Array  #: (k,3) [m]
-    wrist: Array  #: (k,3) [m], on the line from the tip through the trocar; see `desired_wrist`
+    wrist: Array  #: (k,3) [m], on the line from the tip through the trocar
     arc_length_m: Array  #: (k,) length of the tip's path up to each time [m]
 
     @property
@@ -34,7 +34,6 @@ class Targets:
         return float(self.t_s[1] - self.t_s[0])
 
     def __getitem__(self, some: slice) -> Targets:
-        """Return the targets in a slice of the times."""
         return Targets(self.t_s[some], self.tip[some], self.wrist[some], self.arc_length_m[some])
 
     def at(self, t: Array) -> Targets:
@@ -50,12 +49,12 @@ def lay_targets(
     reference: Reference, trocar: Trocar, span_m: float, duration_s: float, count: int,
     tool_m: float = np.inf,
 ) -> Targets:  # fmt: skip
-    """Sample the reference and the trocar at ``count`` times from 0 to the end of the run.
+    """Sample reference and trocar at ``count`` times from 0 to ``duration_s`` [s].
 
     ``span_m`` is the distance from wrist to tip, and ``tool_m`` the length of the tool [m].
 
     Raises:
-        TaskError: at some time, the trocar is not on the shaft, or is nearer to the tip than `SHALLOWEST_M`.
+        TaskError: the trocar is not on the shaft, or is too near to the tip.
     """
     t = np.linspace(0.0, duration_s, count)
     tip = np.ascontiguousarray(reference.at(t)[0])
@@ -75,23 +74,23 @@ def lay_targets(
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """A joint trajectory along a path: k times, n joints; read-only arrays. It may end before the path ends."""
+    """A joint trajectory with k times and n joints, which may end before the path."""
 
     t_s: Array  #: (k,) [s]
     q_rad: Array  #: (k,n)
-    mu: Array  #: (k,) manipulability [m^3], computed with the robot model
+    mu: Array  #: (k,) manipulability [m^3]
     violation: float
-    """Largest violation: error of tip or wrist [m], or excess of a joint position or of a step over its limit [rad]."""
-    certified: bool = False  #: Whether a solver has converged, so that the course is a local optimum.
+    """Largest error of tip or wrist [m], or excess over joint limits or steps [rad]."""
+    certified: bool = False  #: Whether a solver has converged to a local optimum.
 
     @property
     def mu_mean(self) -> float:
-        """Mean manipulability over the time, by the trapezoidal rule [m^3]."""
+        """Mean manipulability over the time [m^3]."""
         return time_mean(self.mu)
 
     @property
     def kept(self) -> bool:
-        """Whether the course violates targets, joint limits and speed limits by at most `MOST_VIOLATION`."""
+        """Whether the course violates its constraints by at most `MOST_VIOLATION`."""
         return self.violation <= MOST_VIOLATION
 
 
@@ -101,14 +100,13 @@ class Limits:
 
     margin: Margin = 0.0  #: distance kept from the joint limits
     speed_share: float = 1.0  #: share of the joints' speed limits that may be used
-    shaft: float = 0.0  #: if `shaft_shares` is below this value, `lowered` reduces mu
+    shaft: float = 0.0  #: `shaft_shares` below which `lowered` reduces mu
 
 
 def lowered(mu: Array, share: Array, limits: Limits, top: float) -> Array:
     """Return mu, reduced by the penalty `WORTH` top (1 - share/margin)^2 wherever share < margin.
 
-    ``share`` is from `shaft_shares`, margin is ``limits.shaft``, and ``top`` is the largest mu [m^3]. If the share is
-    small, only fast joints can keep the shaft in the trocar. The lag of these joints becomes RCM error.
+    ``share`` is from `shaft_shares`, margin is ``limits.shaft``, and ``top`` is the largest mu [m^3].
     """
     if limits.shaft <= 0.0:
         return mu
@@ -127,7 +125,7 @@ def shaft_shares(robot: RobotModel, poses: Array) -> Array:
 
 
 def weights(count: int) -> Array:
-    """Return the weights of the trapezoidal rule on evenly spaced times, (count,)."""
+    """Return the trapezoidal rule's weights (count,) on evenly spaced times."""
     weight = np.ones(count)
     if count > 1:
         weight[[0, -1]] = 0.5
@@ -135,7 +133,7 @@ def weights(count: int) -> Array:
 
 
 def time_mean(rows: Array) -> float:
-    """Return the mean of rows (k,) over evenly spaced times, by the trapezoidal rule."""
+    """Return the mean of rows (k,) over evenly spaced times."""
     weight = weights(len(rows))
     return float(weight @ rows / weight.sum())
 
@@ -146,14 +144,14 @@ def between(t: Array, times: Array, rows: Array) -> Array:
 
 
 def margin_at(robot: RobotModel, poses: Array, margin: Margin) -> Margin:
-    """Return the margin from the joint limits, reduced if the poses (..., n) are nearer to a limit."""
+    """Reduce the margin if the poses (..., n) are nearer to a joint limit."""
     room = np.minimum(poses - robot.q_min, robot.q_max - poses).reshape(-1, robot.n).min(axis=0)
     room = np.where(robot.moves.any(axis=0), np.maximum(room, 0.0), np.inf)
     return np.minimum(margin, room) if isinstance(margin, np.ndarray) else min(margin, float(room.min()))
 
 
 def make_course(robot: RobotModel, targets: Targets, q: Array, limits: Limits | None = None) -> Course:
-    """Make a course of poses (k,n) at the first k targets, and compute its mu and violation."""
+    """Make a course of poses (k,n) at the first k targets."""
     limits, count = Limits() if limits is None else limits, len(q)
     tips, wrists = robot.tool_along(q)
     off = max(np.abs(tips - targets.tip[:count]).max(), np.abs(wrists - targets.wrist[:count]).max())
@@ -166,7 +164,7 @@ def make_course(robot: RobotModel, targets: Targets, q: Array, limits: Limits | 
 
 
 def worth(robot: RobotModel, course: Course, limits: Limits, top: float) -> float:
-    """Return the mean mu of a course [m^3], reduced by the mean penalty of `lowered`."""
+    """Return the mean mu of a course [m^3], less the mean penalty of `lowered`."""
     if limits.shaft <= 0.0:
         return course.mu_mean
     return time_mean(lowered(course.mu, shaft_shares(robot, course.q_rad), limits, top))

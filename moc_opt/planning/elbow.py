@@ -1,7 +1,6 @@
-"""The elbow's swivel angle, the distance from a pose to the local maximum of mu, and the times when the elbow moves.
+"""The elbow's swivel angle, and the distance from a pose to the local maximum of the manipulability mu.
 
-The swivel is the angle of the elbow about the line from the shoulder to the wrist centre, counted from a fixed
-direction (Kreutz-Delgado, Long and Seraji 1992). mu is the manipulability. A self-motion keeps tip and wrist in place.
+The swivel is the angle of the elbow about the line from shoulder to wrist (Kreutz-Delgado, Long and Seraji 1992).
 """
 
 from __future__ import annotations
@@ -13,21 +12,21 @@ from moc_opt.arrays import Array
 from moc_opt.planning.self_motion import SelfMotion, curve_through, parabola_peak
 from moc_opt.robots.model import RobotModel, link_frames
 
-NEAR_RAD = 0.1  #: An elbow this near to its optimum counts as there. On the LWR4+, mu is then within 0.5 % of the best.
-STILL_RAD_PER_S = 0.05  #: Below this rate of change of the distance to the optimum, the elbow is at rest.
-SAMPLES_PER_S = 25.0  #: Number of scans of the self-motion per second of a run.
+NEAR_RAD = 0.1  #: Distance to the optimum below which the elbow counts as there.
+STILL_RAD_PER_S = 0.05  #: Rate of the distance to the optimum below which the elbow rests.
+SAMPLES_PER_S = 25.0  #: Scans of the self-motion per second of a run.
 STEP_RAD = 0.1  #: Spacing of the samples of a self-motion.
-WINDOW_S = 0.1  #: Time over which the rate of change of the distance to the optimum is averaged.
+WINDOW_S = 0.1  #: Time over which the distance's rate of change is averaged.
 
 
 class Elbow:
-    """Measures the swivel angle of an arm: the angle of the plane through shoulder, elbow and wrist centre."""
+    """Measures the swivel angle of an arm."""
 
     def __init__(self, robot: RobotModel, wrists: Array) -> None:
-        """Choose the elbow joint, and a reference direction that suits the wrist centres (k, 3) [m] of the path."""
+        """Choose elbow joint and reference direction for the wrist centres (k, 3) [m]."""
         self._robot = robot
         origins, _ = link_frames(robot, robot.data.q_home[None])
-        # The shoulder is the second joint that turns. If there is a rail, it comes before the joints that turn.
+        # The shoulder is the second joint that turns.
         self._shoulder = min(int(np.argmin(robot.chain.prismatic)) + 1, robot.n - 1)
         shoulder, wrist = origins[0, self._shoulder], robot.state(robot.data.q_home).wrist
         away = np.linalg.norm(np.cross(origins[0] - shoulder, _unit(wrist - shoulder)), axis=1)
@@ -35,7 +34,7 @@ class Elbow:
         # The reference points up, unless the line from shoulder to wrist is nearly vertical.
         sideways = np.sqrt(1.0 - _unit(wrists - shoulder) ** 2).min(axis=0)
         axis = 2 if sideways[2] > 0.3 else int(np.argmax(sideways))
-        self.reference = np.eye(3)[axis]  #: (3,) unit vector towards which the elbow lies at swivel zero
+        self.reference = np.eye(3)[axis]  #: (3,) unit vector towards the elbow at swivel zero
 
     def swivel(self, q: Array) -> Array:
         """Return the swivels (k,) [rad], in (-pi, pi], of poses (k, n)."""
@@ -52,15 +51,14 @@ def _unit(vectors: Array) -> Array:
 
 
 def wrapped(angles: Array) -> Array:
-    """Return the angles [rad], changed by whole turns into [-pi, pi)."""
+    """Return the angles [rad], wrapped into [-pi, pi)."""
     return np.asarray(angles - 2.0 * np.pi * np.floor(angles / (2.0 * np.pi) + 0.5))
 
 
 def distance_to_go(robot: RobotModel, q: ArrayLike) -> Array:
-    """Return the distance (k,) [rad] from each pose (k, n) [rad] to the local maximum of mu that a climb reaches.
+    """Return the distance (k,) [rad] from each pose (k, n) [rad] to the local maximum of mu.
 
-    The distance is measured along the self-motion in joint space. At a singular pose the distance is NaN. A pose beyond
-    a joint limit is first moved to the limit.
+    The distance runs along the self-motion (tip and wrist stay in place), and is NaN at a singular pose.
     """
     poses = np.clip(np.asarray(q, dtype=np.float64), robot.q_min, robot.q_max)
     curves = (curve_through(robot, pose, STEP_RAD) for pose in poses)
@@ -72,17 +70,15 @@ def _uphill(curve: SelfMotion) -> float:
     side = 1 if mu[i + 1] >= mu[i - 1] else -1
     while mu[i + side] > mu[i]:
         i += side
-    inside = 1 < i < len(s)  # if mu rises up to a joint limit, the maximum is the first or last sample
+    inside = 1 < i < len(s)  # else the maximum is at a joint limit
     return abs(float(s[i - 1]) + (parabola_peak(s[i - 2 : i + 1], mu[i - 1 : i + 2])[0] if inside else 0.0))
 
 
 def in_transient(robot: RobotModel, t_s: ArrayLike, q_rad: ArrayLike) -> NDArray[np.bool_]:
-    """Return for each tick (N,) whether the elbow is still moving towards its optimum, the local maximum of mu.
-
-    If the distance to the optimum is constant, the elbow counts as at rest, even if the optimum moves.
+    """Return for each tick (N,) whether the elbow still moves towards the local maximum of mu.
 
     Args:
-        t_s, q_rad: (N,) time of each tick [s], (N, n) true joint positions [rad].
+        t_s, q_rad: (N,) times [s], (N, n) true joint positions [rad].
     """
     t, q = np.asarray(t_s, dtype=np.float64), np.asarray(q_rad, dtype=np.float64)
     count = max(2, int(np.ceil((t[-1] - t[0]) * SAMPLES_PER_S)) + 1)

@@ -2,9 +2,7 @@
 
     x_d(t) = dq_c(t) + k (q_c(t) - q)
 
-q_c is the course and k a gain. The controller projects x_d on the null space of the Jacobian of tip and wrist. The
-course is made before the run, or repeatedly during the run (`Planner`). Near a singular pose, the projected error may
-be zero, so that the gain does not bring a distant arm back. A planner then makes a new course from the measured pose.
+q_c is the course and k a gain.
 """
 
 from __future__ import annotations
@@ -21,20 +19,20 @@ from moc_opt.planning.program import Program
 from moc_opt.planning.search import NEARBY_RAD, Value
 from moc_opt.robots.model import RobotState
 
-GAIN_PER_S = 5.0  #: The gain k in the formula of x_d.
+GAIN_PER_S = 5.0  #: Gain k of x_d.
 NODES = 10  #: Number of time steps of the nonlinear program.
-CATCH_UP = 1.03  #: A course may be faster by this factor than the search allows, so that a late arm catches up.
+CATCH_UP = 1.03  #: Factor by which a course may be faster than the search allows.
 ON_COURSE_RAD = 0.05
-"""If every joint is within this of the old course, a new course begins on the old course, else at the measured pose.
-Always beginning at the measured pose would close a second feedback loop, which oscillates near singular poses."""
-MOST_OFF = 1e-3  #: A course is refused if its error of tip or wrist [m] or its excess over limits [rad] exceeds this.
-LOST_RAD = 0.3  #: If a joint is farther than this from the course, the arm has left the course. A tenth is usual.
+"""Largest distance from the old course at which a new course begins on the old course. Starts from the measured pose
+would close a second feedback loop."""
+MOST_OFF = 1e-3  #: Largest error of tip or wrist [m] and excess over limits [rad] of a usable course.
+LOST_RAD = 0.3  #: Distance of a joint above which the arm has left the course.
 NO_COURSE = "q_start: from this pose, no course within joint speeds and limits reaches the end of the path"
 ASKED_EACH = 25  #: Ticks between two checks of whether the arm has left its course.
 
 
 class Piece(NamedTuple):
-    """A course at evenly spaced times, with cubic Hermite interpolation. After the last time it keeps its last pose."""
+    """A course with cubic Hermite interpolation, which holds its last pose at the end."""
 
     t_s: Array  #: (k,) times of the poses [s]
     q_rad: Array  #: (k,n) joint positions [rad]
@@ -54,40 +52,33 @@ class Piece(NamedTuple):
 
 
 class Planner:
-    """Makes courses that begin at any pose and last for the horizon, a fixed time such as one second.
+    """Makes courses from any pose over a fixed time, the horizon.
 
-    The value function V of `search` gives a coarse course with a large manipulability. `Program` smooths this course.
+    The value function V of `search` gives a coarse course, and `Program` smooths it.
     """
 
     def __init__(
         self, value: Value, program: Program, targets: Targets, *, horizon_s: float, rate_per_s: float
     ) -> None:
-        """Take the value function V, a program with `NODES` time steps, and the targets.
-
-        ``horizon_s`` is the duration of a course [s]. It is rounded up to a time of the pose map. ``rate_per_s`` is the
-        number of new courses per second.
-        """
+        """Take ``horizon_s``, the duration of a course [s], and ``rate_per_s``, the new courses per second."""
         self._value, self._program, self._targets = value, program, targets
         self._horizon_s, self.rate_per_s = horizon_s, rate_per_s
         self._solve_s: list[float] = []
         self._refused = 0
 
     def forget(self) -> None:
-        """Rebuild the program's solver, so that a repeated run is the same to the last bit. This takes 0.15 s."""
+        """Rebuild the solver in 0.15 s, so that a repeated run is bitwise the same."""
         self._program.forget()
         self._solve_s, self._refused = [], 0
 
     @property
     def told(self) -> dict[str, float]:
-        """Numbers of ``solves`` and ``refused`` solves since the start, and two percentiles of their times [ms]."""
+        """Numbers of ``solves`` and ``refused`` solves, and percentiles of their times [ms]."""
         median, high = np.percentile(1e3 * np.array(self._solve_s or [0.0]), [50.0, 99.0]).tolist()
         return {"solves": len(self._solve_s), "refused": self._refused, "solve_ms_median": median, "solve_ms_p99": high}
 
     def plan(self, q: Array, t: float, last: Piece | None) -> Piece | None:
-        """Make a course from a pose (n,) at a time [s].
-
-        Return ``last`` if no usable course is found or the path has ended.
-        """
+        """Make a course from a pose (n,) at a time [s]; return ``last`` if there is none."""
         path, began = self._value.map.targets, time.perf_counter()
         end = min(int(np.searchsorted(path.t_s, t + self._horizon_s)), len(path) - 1)
         if path.t_s[end] - t < 0.5 * path.period_s:
@@ -125,21 +116,21 @@ class Planner:
 
 
 class Follower:
-    """The desired velocities of one run, tick by tick; see `moc_opt.control.controller.Guide`."""
+    """The desired velocities of one run, tick by tick."""
 
     def __init__(
         self, period_s: float, *, course: Course | None = None, planner: Planner | None = None,
         q_start: Array | None = None,
     ) -> None:  # fmt: skip
-        """Follow a given course and then hold its last pose, or follow a planner's courses from ``q_start`` (n,).
+        """Follow a given course, or a planner's courses from ``q_start`` (n,) [rad].
 
-        With a course and a planner, the planner takes over once the arm has left the course. Raise a TaskError if no
-        course begins at t = 0.
+        With both, the planner takes over once the arm has left the course. A TaskError is raised if no course begins at
+        t = 0.
         """
         self._period, self._planner, self._q_start = period_s, planner, q_start
         self._given: Piece | None = None
         self.course_mu_mean = None if course is None else course.mu_mean
-        """Mean manipulability of the given course [m^3]; None without a given course."""
+        """Mean manipulability of the given course [m^3], or None."""
         if course is not None:
             velocity = np.gradient(course.q_rad, course.t_s, axis=0)
             velocity[-1] = 0.0
@@ -150,7 +141,7 @@ class Follower:
             raise TaskError(NO_COURSE)
 
     def start(self) -> None:
-        """Restart at t = 0 with the given course, or with the planner's first course."""
+        """Restart at t = 0."""
         self._tick, self._begun = 0, -1
         self._now: Piece | None = self._given
         if self._planner is not None:
@@ -166,7 +157,7 @@ class Follower:
 
     @property
     def told(self) -> dict[str, float]:
-        """`Planner.told`, and the time at which the arm left a given course [s]; empty if no planner was used."""
+        """`Planner.told`, and the time when the arm left a given course [s]; empty if no planner was used."""
         if self._planner is None or self._begun < 0:
             return {}
         left = {} if self._given is None else {"left_course_s": self._begun * self._period}
@@ -180,11 +171,11 @@ class Follower:
             if np.abs(self._now.at(t)[0] - state.q).max() > LOST_RAD:
                 self._begin(planner, state.q)
         elif planner is not None and 0 <= self._begun < self._tick and self._tick % self._every == 0:
-            # A new course takes effect at the next solve, as if the planner computed it in parallel with the loop.
+            # A new course takes effect at the next solve, as if computed in parallel with the loop.
             now, self._next = self._next, planner.plan(state.q, t, self._now) or self._next
             self._before, self._now = self._now, now
         q, v = self._now.at(t)
-        if self._begun >= 0:  # blend from the previous course to the current course until the next solve
+        if self._begun >= 0:  # blend from the previous course to the current course
             part, (q_0, v_0) = (self._tick % self._every) / self._every, self._before.at(t)
             q, v = (1.0 - part) * q_0 + part * q, (1.0 - part) * v_0 + part * v
         self._tick += 1

@@ -1,7 +1,6 @@
 """Make the guides of a run. A guide tells the controller's third level which joint velocity to follow.
 
-The velocity comes from a course (planned joint motion). With ``[control] third_level = "planned"``, the course is made
-before the run or read from the file ``[control] course``. With "receding", courses are made during the run.
+The velocity comes from a course (planned joint motion), made before the run or during the run.
 """
 
 from __future__ import annotations
@@ -26,23 +25,21 @@ from moc_opt.planning.search import WHOLE_CELL, Value, Way, keeping_shaft
 from moc_opt.robots.model import RobotModel
 from moc_opt.trace.trace import Trace
 
-COURSE_SHARE = 0.25  #: Courses keep this share of ``[control] shaft_margin``. Courses look ahead and need less margin.
-V_PERIOD_S = 0.1  #: Time step of the pose map [s]. In one step, a joint can move across many of the map's poses.
-TARGETS_PER_TIME = 20  #: Targets of tip and wrist per time step of the map. `Planner` interpolates between them.
-QUARTER = 0.5  #: ``cell`` of `Value`, in half cells. With 0, the coarse map would lose the courses near singular poses.
+COURSE_SHARE = 0.25  #: Share of ``[control] shaft_margin`` that courses keep.
+V_PERIOD_S = 0.1  #: Time step of the pose map [s].
+TARGETS_PER_TIME = 20  #: Targets of tip and wrist per time step of the map.
+QUARTER = 0.5  #: ``cell`` of `Value`. With 0, the coarse map loses courses near singular poses.
 SPEEDS = (1.0, 0.7, 0.4)
-"""Shares of ``[control] course_speed_fraction``, tried in turn until a course is smooth and can brake in time.
-If all fail, the smallest share is tried without the limit on braking."""
+"""Shares of ``[control] course_speed_fraction``, tried until a course is smooth and can brake."""
 HURRY, WORTH_IT = 1.12, 0.01
-"""A course `HURRY` times faster than ``course_speed_fraction`` allows is tried only if mean mu (manipulability) rises
-by more than the share `WORTH_IT`, because faster courses have larger tip and RCM errors."""
-FASTEST = 0.97  #: Largest share of the joints' speed limits that courses faster than ``course_speed_fraction`` use.
-BRAKE_SHARE = 0.9  #: Share of the safety filter's deceleration with which courses made before the run brake.
+"""Factor of a faster course, tried only if mean mu (manipulability) rises by the share `WORTH_IT`."""
+FASTEST = 0.97  #: Largest share of the joints' speed limits with `HURRY`.
+BRAKE_SHARE = 0.9  #: Share of the safety filter's deceleration that courses made before the run use.
 SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}
-"""Weight w of a course's squared acceleration [s^4/rad^2], see `program`. Smoothness reduces tip and RCM errors."""
-MOST_OFF_M = 1e-3  #: A course from a file may put tip or wrist at most this far from the run's targets.
-MOST_OFF_RAD = 1e-6  #: Tolerance of the first pose and of the joint limits, for a course from a file.
-ROUNDING = 1e-6  #: Tolerances for a course from a file: first time [s], duration (relative) and speeds (relative).
+"""Weight w of a course's squared acceleration [s^4/rad^2]; see `program`."""
+MOST_OFF_M = 1e-3  #: Largest distance of tip or wrist from its target, for a course file.
+MOST_OFF_RAD = 1e-6  #: Tolerance of first pose and joint limits, for a course file.
+ROUNDING = 1e-6  #: Tolerance of a course file's first time [s], duration and speeds (relative).
 PLAN_IT = "plan it for this scenario: moc-opt plan SCENARIO --out FILE"
 
 
@@ -54,11 +51,11 @@ class Following:
     q_start: Array  #: (n,) [rad]
     settings: ControlSettings
     targets: Callable[..., Targets]  #: makes targets at most ``period_s`` apart; ``finer`` multiplies their number
-    brake: float  #: deceleration with which the safety filter stops a joint before its limit [rad/s^2]
+    brake: float  #: safety filter's deceleration before a joint limit [rad/s^2]
     period_s: float  #: control period [s]
 
     def stuck(self, part: float) -> ScenarioError:
-        """Return the error that says where and why the path cannot be executed at ``part`` times the usual speed."""
+        """Return the error of a path without a course at ``part`` times the usual speed."""
         limits = Limits(speed_share=part * self.settings.course_speed_fraction)
         stuck = make_plan(self.robot, self.q_start, self.targets(), limits, refined=False).blocked
         where = "" if stuck is None else f"{1e3 * stuck.arc_length_m:.1f} mm along the path {stuck.reason}"
@@ -69,7 +66,7 @@ class Following:
 
 
 class Ways:
-    """A coarse pose map of a path. It has the value function V of `search` and the best course for each speed."""
+    """A coarse pose map of a path, with the best course for each speed."""
 
     def __init__(self, run: Following) -> None:
         self.run, settings = run, run.settings
@@ -83,16 +80,15 @@ class Ways:
 
     @property
     def speeds(self) -> tuple[float, ...]:
-        """`SPEEDS`, preceded by `HURRY` if the faster course raises mean mu by more than the share `WORTH_IT`."""
+        """The speeds to try: `SPEEDS`, preceded by `HURRY` if mean mu rises enough."""
         q, mu = self.run.q_start, float(self.run.robot.state(self.run.q_start).mu)
         usual, fast = (self.at(part)[0].of(q, mu) for part in (1.0, HURRY))
         return (HURRY, *SPEEDS) if fast > (1.0 + WORTH_IT) * usual else SPEEDS
 
     def at(self, part: float) -> tuple[Value, Limits, Way]:
-        """Return (V, limits of courses, best coarse course from the start) for ``part`` times the usual speed.
+        """Return (value function V, limits, best coarse course) for ``part`` times the usual speed.
 
-        If there is no course, V is rebuilt without the margin from joint limits, and then with a larger ``cell`` (see
-        `Value`), because the map may be too coarse. Raise a ScenarioError if there still is no course.
+        A ScenarioError is raised if there is no course.
         """
         if part not in self._known:
             run, settings = self.run, self.run.settings
@@ -114,13 +110,13 @@ class Ways:
 
 
 def guides(run: Following) -> Callable[[], Guide] | None:
-    """Plan the run once, and return a function that makes a guide for each controller of this run.
+    """Plan the run once, and return a function that makes a guide for each controller.
 
-    With ``third_level = "local"``, return None, because the third level then climbs the manipulability mu.
+    With ``third_level = "local"``, return None.
 
     Raises:
         ControlError: the third level cannot follow a course under these settings.
-        ScenarioError: the path cannot be executed from the start. The message says where and why.
+        ScenarioError: the path cannot be executed from the start.
         TaskError: no smooth course was found at the start.
     """
     settings, period = run.settings, run.period_s
@@ -142,7 +138,7 @@ def guides(run: Following) -> Callable[[], Guide] | None:
 def replanned(ways: Ways) -> Callable[[], Planner]:
     """Return a function that makes a planner with a receding horizon."""
     run, settings, smooth = ways.run, ways.run.settings, SMOOTHNESS["receding"]
-    # The last two attempts have no braking constraint. The last also drops the penalty on poses below the shaft margin.
+    # The last two attempts have no braking constraint, the last also no shaft margin.
     ladder = [(part, run.brake, True) for part in ways.speeds]
     for part, brake, kept in [*ladder, (SPEEDS[-1], np.inf, True), (SPEEDS[-1], np.inf, False)]:
         value, limits, _ = ways.at(part)
@@ -162,10 +158,10 @@ def replanned(ways: Ways) -> Callable[[], Planner]:
 
 
 def followed_course(run: Following, ways: Ways | None = None) -> Course:
-    """Find the smooth course with the largest mean mu from the run's start, at a speed that the third level can follow.
+    """Find a smooth course with a large mean mu from the run's start.
 
     Raises:
-        ScenarioError: no course reaches the end of the path, or the file of ``[control] course`` is refused.
+        ScenarioError: no course reaches the end of the path, or the course file is refused.
         TaskError: no smooth course was found.
     """
     robot, targets, brake, smooth = run.robot, run.targets(), BRAKE_SHARE * run.brake, SMOOTHNESS["planned"]
@@ -175,7 +171,7 @@ def followed_course(run: Following, ways: Ways | None = None) -> Course:
             found = refine(robot, targets, course, limits, smoothness=smooth, brake=rule)
             if found is not course:
                 return found
-        return course  # unchanged, because no smooth course with nearly the same mu was found
+        return course  # no smooth course with nearly the same mu was found
     ways, other = ways or Ways(run), []
     for part, rule in [*((part, brake) for part in ways.speeds), (SPEEDS[-1], np.inf)]:
         _, limits, way = ways.at(part)
@@ -193,11 +189,10 @@ def followed_course(run: Following, ways: Ways | None = None) -> Course:
 def load_course(
     settings: ControlSettings, robot: RobotModel, q_start: Array, targets: Targets
 ) -> tuple[Course, Limits]:
-    """Read the file of ``[control] course``. Return its course, interpolated at the targets, and the course's limits.
+    """Read the file of ``[control] course``; return its course at the targets, and its limits.
 
     Raises:
-        ScenarioError: the file cannot be read, has no course of this run, or has a course that the third level cannot
-            follow. The message names what differs: robot, start, duration, path, limits or speeds.
+        ScenarioError: the file cannot be read, or has no course that the third level can follow in this run.
     """
 
     def refused(why: str, cure: str = PLAN_IT) -> ScenarioError:
@@ -257,13 +252,13 @@ def _no_course(trace: Trace, t: Array, q: Array, robot: RobotModel) -> str:
 
 
 def speed_shares(robot: RobotModel, poses: Array, period_s: float) -> Array:
-    """Return the largest speed of each joint along poses (k,n), divided by its speed limit, (n,)."""
+    """Return (largest speed) / (speed limit) of each joint, (n,), along poses (k,n)."""
     fastest: Array = np.abs(np.diff(poses, axis=0)).max(axis=0) / (period_s * robot.v_max)
     return fastest
 
 
 def too_fast_to_follow(settings: ControlSettings, robot: RobotModel, shares: Array) -> tuple[str, str] | None:
-    """Return (message, cure) for a joint that is too fast for the third level to follow; None if no joint is.
+    """Return (message, cure) if a joint is too fast for the third level, else None.
 
     ``shares`` (n,) is from `speed_shares`.
     """
@@ -277,7 +272,7 @@ def too_fast_to_follow(settings: ControlSettings, robot: RobotModel, shares: Arr
 
 
 def margin_of(robot: RobotModel, margin_rad: float, margin_m: float) -> Margin:
-    """Return the margin from joint limits, (n,) if a joint slides; a TaskError if a margin is negative or infinite."""
+    """Return the margin from joint limits, (n,) if a joint slides; a TaskError if it is negative."""
     for name, value in (("margin_rad", margin_rad), ("margin_m", margin_m)):
         if not (is_number(value) and 0.0 <= value < np.inf):
             raise TaskError(f"{name} = {value!r}: give zero or more, and less than half of every joint's range")

@@ -1,4 +1,4 @@
-"""Plan a path before a run: can it be executed, from which start pose, and along which course (joint trajectory)?"""
+"""Plan a path before a run: whether it can be executed, and along which course (joint trajectory)."""
 
 from __future__ import annotations
 
@@ -20,35 +20,34 @@ from moc_opt.planning.search import WHOLE_CELL, Value, keeping_shaft, reached
 from moc_opt.robots.model import RobotModel
 
 ROOM = 0.01
-"""If a course's mean mu (manipulability) is this share below its upper bound, the bound's course is refined too."""
+"""Relative gap of mean mu (manipulability) to its bound, above which another course is tried."""
 
 
 @dataclass(frozen=True, eq=False)
 class Blocked:
     """The first point of the path that no course reaches from the start."""
 
-    t_s: float  #: Time of this point [s].
+    t_s: float  #: Time [s].
     arc_length_m: float  #: Length of the tip's path up to this point [m].
-    tip_m: tuple[float, float, float]  #: Position of the tip at this point [m].
-    reason: str  #: The obstacle in words, with the joint's name if a single joint is the obstacle.
+    tip_m: tuple[float, float, float]  #: Position of the tip [m].
+    reason: str  #: The obstacle in words.
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
     """The plan of a path from one start; k times, n joints."""
 
-    targets: Targets  #: Targets of tip and wrist on the path, (k,3) each [m], at (k,) times [s].
-    from_start: Course | None  #: The best course from the start; None if no course reaches the end of the path.
-    best: Course | None  #: The best course from any start pose; None if no course reaches the end of the path.
-    climbed: Course  #: The course of a local climb of mu. It is shorter than the path if the climb ends at a limit.
+    targets: Targets  #: Targets of tip and wrist, (k,3) each [m].
+    from_start: Course | None  #: Best course from the start, or None.
+    best: Course | None  #: Best course from any start pose, or None.
+    climbed: Course  #: Course of a local climb of mu, shorter than the path if a limit ends it.
     bound_from_start: float
-    """Upper bound of mean mu from the start [m^3], for courses that the map resolves. NaN if there is no course, or if
-    a course exceeds the bound."""
-    bound: float  #: Upper bound of mean mu over all starts [m^3]. NaN if there is no course, or if a course exceeds it.
-    blocked: Blocked | None  #: Where and why the path cannot be executed from the start; None if it can be executed.
-    start_swivel_rad: float  #: Swivel angle of the elbow at the start [rad]; see `moc_opt.planning.elbow`.
-    best_swivel_rad: float  #: The proposed swivel at the start [rad], from ``best``; NaN if ``best`` is None.
-    swivel_rad: Array  #: (k,) swivel along ``course`` [rad]; empty if there is no course.
+    """Upper bound of mean mu from the start [m^3], for courses that the map resolves; NaN if unknown."""
+    bound: float  #: Upper bound of mean mu over all starts [m^3]; NaN if unknown.
+    blocked: Blocked | None  #: Where and why the path cannot be executed from the start, or None.
+    start_swivel_rad: float  #: Swivel (elbow angle) at the start [rad]; see `elbow`.
+    best_swivel_rad: float  #: Swivel at the start of ``best`` [rad].
+    swivel_rad: Array  #: (k,) swivel along ``course`` [rad].
     took_s: Mapping[str, float]  #: Times [s] of the steps "map", "search", "bound" and "refine".
 
     def __repr__(self) -> str:
@@ -62,17 +61,17 @@ class Plan:
 
     @property
     def executable(self) -> bool:
-        """Whether the whole path can be executed from the start, within joint limits and speeds."""
+        """Whether the whole path can be executed from the start."""
         return self.from_start is not None
 
     @property
     def course(self) -> Course | None:
-        """The course to follow: the best course from the start, or else the best course from any start pose."""
+        """The best course from the start, or else from any start pose."""
         return self.from_start if self.from_start is not None else self.best
 
     @property
     def climbed_whole(self) -> bool:
-        """Whether the local climb gets to the end of the path."""
+        """Whether the local climb reaches the end of the path."""
         return len(self.climbed.mu) == len(self.targets)
 
 
@@ -80,18 +79,17 @@ def make_plan(
     robot: RobotModel, q_start: Array, targets: Targets, limits: Limits | None = None, *, swivels: int = SWIVELS,
     refined: bool = True,
 ) -> Plan:  # fmt: skip
-    """Find the best course along a path from one start pose, and from any start pose.
+    """Find the best course along a path, from one start pose and from any start pose.
 
     Args:
         q_start: (n,) pose with tip and wrist at the first target [rad].
         targets: targets of tip and wrist at k evenly spaced times, (k,3) each [m].
-        limits: limits that courses keep. The margin from joint limits is reduced if the start does not keep it.
-        swivels: number of samples of one turn of the elbow; see `map_of`.
+        swivels: samples in one turn of the elbow, 8 to `pose_map.MOST_SWIVELS`.
         refined: whether the nonlinear program improves the courses of the search.
 
     Raises:
         TaskError: an argument is out of range, or the start is not at the first target.
-        RobotError: fewer than 8 swivels, or more than `pose_map.MOST_SWIVELS`.
+        RobotError: the number of swivels is out of range.
     """
     limits, start = limits or Limits(), np.array(q_start, dtype=np.float64)
     check_limits(robot, limits)
@@ -133,7 +131,6 @@ def make_plan(
     mine, best = courses[0], better(courses[1], courses[0])  # "all starts" include the given start
     done("refine")
     elbow, shown = Elbow(robot, targets.wrist), mine if mine is not None else best
-    # No bound is given if there is no course, or if the course exceeds the bound.
     mine_most, most = (
         np.nan if course is None or course.mu_mean > bound else bound
         for course, bound in zip((mine, best), bounds, strict=True)
@@ -166,19 +163,15 @@ def check_limits(robot: RobotModel, limits: Limits) -> None:
 
 
 def best_course(value: Value, start: Array | None) -> Array | None:
-    """Return the best course (k,n) on the map from ``start`` (n,), or from any pose if ``start`` is None.
-
-    Return None if no course reaches the end of the path.
-    """
+    """Return the best course (k,n) on the map from ``start`` (n,), or from any pose."""
     start = value.best()[1] if start is None else start
     way = None if start is None else value.way(start)
     return None if way is None else way.q_rad
 
 
 def climb(found: PoseMap, start: Array, limits: Limits) -> Array:
-    """Climb mu from the start (n,) over the poses of the map, as an ideal local law does; return the poses (k,n).
+    """Climb mu from the start (n,) over the poses of the map; return the poses (k,n).
 
-    In each period the climb goes uphill from the nearest pose until mu falls, or a joint limit or speed is reached.
     The poses end before the path if no pose is within reach.
     """
     step, feasible = limits.speed_share * found.robot.v_max * found.targets.period_s, found.feasible(limits.margin)
@@ -198,14 +191,11 @@ class Top(NamedTuple):
 
     mu: float  #: [m^3]
     q_rad: Array  #: (n,)
-    at_limit: bool  #: Whether mu would rise further if a joint went beyond its limit.
+    at_limit: bool  #: Whether mu would rise further beyond a joint limit.
 
 
 def top_of(found: PoseMap, q: Array) -> Top | None:
-    """Climb mu at the map's last time from the feasible pose nearest to q (n,), without speed limits.
-
-    Return None if no pose is feasible.
-    """
+    """Climb mu at the map's last time from the feasible pose nearest to q (n,)."""
     poses, may = found.q_rad[-1], found.feasible()[-1]
     if not may.any():
         return None
@@ -249,7 +239,7 @@ def _blocked(found: PoseMap, start: Array, limits: Limits, bound: float) -> Bloc
         doubt = " between poses of the map, but the bound does not exclude a course" if np.isfinite(bound) else ""
         fast = names[int(np.argmax(least))]
         reason = f"{fast} would have to turn at {least.max():.3g} times its speed limit{doubt}"
-        if near.any() and least.max() > 1.0:  # there are poses within reach, but they are beyond a limit
+        if near.any() and least.max() > 1.0:  # poses within reach are beyond a limit
             name = nearest_limit(near)
             reason = f"{name} runs into its limit; only other swivels or branches have poses within the limits"
     x, y, z = targets.tip[k].tolist()

@@ -1,16 +1,8 @@
-"""Map every pose that an arm can take at each point of a path, with its manipulability mu and distance to joint limits.
+"""Map every pose of an arm at each point of a path, with its manipulability mu and distance to joint limits.
 
-**Closed form.** The axes of joints 1 to 3 must meet in the shoulder S, those of 3 to 5 in the elbow E, and those of 5
-to 7 in the wrist N. Neighbouring axes must be at right angles, and the tool on axis 7. The elbow then turns about the
-line S N by the swivel angle (Kreutz-Delgado, Long and Seraji 1992). At each swivel, the signs of joints 2, 4 and 6 give
-eight poses with the same mu. Each of the eight is on a different branch. Joint 7 is idle: it turns only the tool.
-
-**Traced.** Any other arm has curves of poses with the same tip and wrist (self-motion), which are traced numerically.
-Inverse kinematics starts from the curves at the previous time and from random poses, to find each curve. All poses
-form one branch. If tip and wrist leave a null space of several dimensions, the curves contain only some of the poses.
-The largest mu on the curves is then no upper bound.
-
-`largest_mu` climbs mu from many poses at each point of a path. The result is the largest mu that was found.
+For arms whose axes meet in a shoulder, an elbow and a wrist, the poses have a closed form in the elbow's swivel angle
+(Kreutz-Delgado, Long and Seraji 1992). For any other arm, curves of poses are traced numerically. With a null space of
+several dimensions, the curves contain only some of the poses.
 """
 
 from __future__ import annotations
@@ -34,35 +26,34 @@ from moc_opt.robots.model import RobotModel, link_frames
 Flags = NDArray[np.bool_]
 
 EXACT_M = 1e-7  #: Axes that pass each other within this distance count as meeting [m].
-BRANCHES = 8  #: Number of branches. In a branch's index, bits 0 to 2 tell whether joints 2, 4 and 6 are negative.
-STRAIGHT = 1e-9  #: Below this sine of joint 4 the arm is straight, and the swivel is undefined.
+BRANCHES = 8  #: Branches of inverse kinematics. Bits 0 to 2 of an index tell whether joints 2, 4 and 6 are negative.
+STRAIGHT = 1e-9  #: Sine of joint 4 below which the arm counts as straight.
 ROUNDING_RAD = 1e-9  #: Tolerance of the joint limits.
 SWIVELS, MOST_SWIVELS = 720, 2880  #: Default and largest number of evenly spaced swivel angles.
-PEAKS = 4  #: Number of the map's local maxima from which mu is climbed at each point of the path.
+PEAKS = 4  #: Local maxima of the map from which mu is climbed.
 STEP_RAD = 0.03  #: Spacing of the samples along a traced curve.
-SEEDS = 64  #: Number of random starts of inverse kinematics at the first time. Each later time has a sixteenth as many.
+SEEDS = 64  #: Random starts of inverse kinematics at the first time.
 MOST_CURVES = 16  #: Largest number of different curves at one time.
-SAME_CURVE = 0.7  #: A pose nearer to a curve than this share of a step counts as lying on the curve.
+SAME_CURVE = 0.7  #: Share of a step within which a pose counts as on the curve.
 NO_LIMIT_RAD = 20.0  #: Joint limit, to both sides, of an arm from `without_limits`.
 REACHED_M = 1e-9  #: Largest error of tip and wrist at a pose that `reach` returns.
-SCANNED, SCANS = "scanned, all branches", 360  #: Method's name, and its number of swivels (720 gave no larger mu).
+SCANNED, SCANS = "scanned, all branches", 360  #: Name of the method, and its number of swivels.
 STARTS, LATER = 96, 12
-"""Random starts of `largest_mu` at the first point, and at each later point, for arms without a closed form. Climbs
-at a later point also start from the maxima of the neighbouring points."""
-KEPT = 6  #: Largest number of maxima of mu that a point of the path hands on to its neighbours.
-SAME = 1e-5  #: At one point of the path, maxima whose mu differ by less than this fraction count as one.
+"""Random starts of `largest_mu` at the first point, and at each later point."""
+KEPT = 6  #: Largest number of maxima that a point hands on to its neighbours.
+SAME = 1e-5  #: Relative difference of mu below which two maxima count as one.
 
 
 @dataclass(frozen=True, eq=False)
 class PoseMap:
-    """Poses at k times on b branches, with m swivels (or samples along curves) and n joints. NaN means no pose."""
+    """Poses at k times on b branches, with m swivels (or samples along curves); NaN means no pose."""
 
     robot: RobotModel
     targets: Targets
     q_rad: Array  #: (k,b,m,n)
-    mu: Array  #: (k,b,m) [m^3], also beyond joint limits; in closed form the same on all branches
+    mu: Array  #: (k,b,m) [m^3], also beyond joint limits
     room_rad: Array
-    """(k,b,m) smallest distance of a joint from its limits; negative beyond a limit. Idle joints do not count."""
+    """(k,b,m) smallest distance of a joint from its limits; negative beyond a limit"""
     closed: ClosedForm | None = None
 
     def feasible(self, margin: Margin = 0.0) -> Flags:
@@ -71,7 +62,7 @@ class PoseMap:
         return np.asarray(room >= -ROUNDING_RAD)
 
     def crossing(self, k: int, step_rad: Array) -> NDArray[np.int64]:
-        """Return a mask (m,) per swivel: the bits of the branch index that a step (n,) [rad] can flip at time k."""
+        """Return the bits (m,) of the branch that a step (n,) [rad] can flip at time k."""
         if self.closed is None:
             return np.zeros(self.mu.shape[2], dtype=np.int64)
         with np.errstate(invalid="ignore"):
@@ -80,7 +71,7 @@ class PoseMap:
         return near @ np.array([1, 2, 4])
 
     def peaks(self, k: int) -> Array:
-        """Return the feasible poses (p,n) at the highest local maxima of mu over the samples at time k."""
+        """Return the feasible poses (p,n) at the highest local maxima of mu at time k."""
         may = self.room_rad[k] >= -ROUNDING_RAD
         score = np.where(may, self.mu[k], -np.inf).max(axis=0)
         peak = (score >= np.roll(score, 1)) & (score >= np.roll(score, -1)) & np.isfinite(score)
@@ -89,11 +80,11 @@ class PoseMap:
 
 
 def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = SWIVELS) -> PoseMap:
-    """Make the map, in closed form if the arm has a closed form, else by tracing. Idle joints stay as at the start.
+    """Make the map, in closed form if the arm has a closed form, else by tracing.
 
     Args:
-        q_start: (n,) [rad] a pose for the first target. In closed form, the map has a sample at the pose's swivel.
-        swivels: swivel angles in one turn, 8 to `MOST_SWIVELS`. Above `SWIVELS`, traced curves become denser too.
+        q_start: (n,) [rad] a pose for the first target.
+        swivels: swivel angles in one turn, 8 to `MOST_SWIVELS`.
     """
     if not isinstance(swivels, numbers.Integral) or not 8 <= int(swivels) <= MOST_SWIVELS:
         raise RobotError(f"swivels = {shown(swivels)}: give a whole number from 8 to {MOST_SWIVELS}")
@@ -109,20 +100,20 @@ def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = S
 class ClosedForm(NamedTuple):
     """Normal form: the last link's rotation is R_0 Rz(t1) Ry(t2) Rz(t3) Ry(t4) Rz(t5) Ry(t6) Rz(t7), t = q + offset."""
 
-    base: Array  #: R_0 (3,3), rotation from the normal form's axes at the shoulder to the world
+    base: Array  #: R_0 (3,3), rotation from the normal form's axes to the world
     shoulder: Array  #: (3,) [m]
-    upper: float  #: Shoulder to elbow along axis 3 [m]; negative if the axis points the other way.
-    fore: float  #: Elbow to wrist along axis 5 [m]; negative if the axis points the other way.
-    tool: float  #: Wrist to tip along axis 7 [m]; negative if the axis points the other way.
+    upper: float  #: Shoulder to elbow along axis 3, signed [m].
+    fore: float  #: Elbow to wrist along axis 5, signed [m].
+    tool: float  #: Wrist to tip along axis 7, signed [m].
     offset: Array  #: (6,) [rad]
-    swivel_rad: Array = np.empty(0)  #: (m,) evenly over one turn; see `moc_opt.planning.elbow.Elbow`
+    swivel_rad: Array = np.empty(0)  #: (m,) evenly over one turn
     reference: Array = np.array([0.0, 0.0, 1.0])  #: (3,) direction of the elbow at swivel zero
 
 
 def closed_form(robot: RobotModel) -> ClosedForm | None:
-    """Find the normal form of an arm from its joint axes at q = 0; None if the arm has no normal form.
+    """Find the normal form of an arm from its joint axes at q = 0, or None.
 
-    Arms with a joint range above one turn are excluded, because the map would miss joint positions a turn apart.
+    Arms with a joint range above one turn are excluded.
     """
     chain = robot.chain
     if robot.n != 7 or chain.prismatic.any():
@@ -142,7 +133,7 @@ def closed_form(robot: RobotModel) -> ClosedForm | None:
         return None
     base = np.column_stack([np.cross(axes[1], axes[0]), axes[1], axes[0]])
     offset, turned = np.zeros(6), np.array(base)
-    for j in range(1, 6):  # find the angle that turns axis j + 1 of the normal form to the arm's axis at q = 0
+    for j in range(1, 6):
         x, y, z = turned.T @ axes[j + 1]
         offset[j] = np.arctan2(x, z) if j % 2 else np.arctan2(-x, y)
         turned = turned @ pin.exp3(offset[j] * np.eye(3)[1 if j % 2 else 2])
@@ -215,20 +206,20 @@ def _dot(one: Array, two: Array) -> Array:
 
 
 def reach(robot: RobotModel, q: Array, tip: Array, wrist: Array) -> Array | None:
-    """Find a pose near q with this tip and wrist by Newton's method, without joint limits; None if it diverges."""
+    """Find a pose near q with this tip and wrist, without joint limits; None if there is none."""
     placed = solve_pose(robot, q, tip, wrist, iterations=30, limited=False)
     return placed.q if placed.miss_m < REACHED_M else None
 
 
 def without_limits(robot: RobotModel) -> RobotModel:
-    """Return the same arm with revolute joints that can turn by `NO_LIMIT_RAD` to both sides."""
+    """Return the same arm, with revolute joints that turn by `NO_LIMIT_RAD` to both sides."""
     slides, data = robot.chain.prismatic, robot.data
     low, high = np.where(slides, data.q_min, -NO_LIMIT_RAD), np.where(slides, data.q_max, NO_LIMIT_RAD)
     return RobotModel(replace(data, q_min=low, q_max=high))
 
 
 def nearest_turns(robot: RobotModel, q: Array) -> Array:
-    """Turn each revolute joint of the poses by whole turns, as near as possible to the middle of its range."""
+    """Turn revolute joints by whole turns, as near as possible to the middle of their range."""
     turns = np.round((q - 0.5 * (robot.q_min + robot.q_max)) / (2.0 * np.pi))
     return q - 2.0 * np.pi * np.where(robot.chain.prismatic, 0.0, turns)
 
@@ -273,14 +264,13 @@ class Largest(NamedTuple):
     """The largest mu at k points, and how it was found."""
 
     mu: Array  #: (k,) [m^3]
-    method: str  #: `SCANNED`, or "best found of N starts", where N counts the starts at all points.
+    method: str  #: `SCANNED`, or "best found of N starts".
 
 
 def largest_mu(robot: RobotModel, poses: Array) -> Largest:
-    """Find for each given pose (k, n) the largest mu over all feasible poses with the same tip and wrist.
+    """Find for each pose (k, n) the largest mu with the same tip and wrist.
 
-    The given poses should follow a path, because each point hands its maxima on to its neighbours. The given poses are
-    first moved inside the joint limits. The result is never below the mu of the given pose.
+    The poses should follow a path, because each point hands its maxima on to its neighbours.
     """
     inside = np.clip(poses, robot.q_min, robot.q_max)
     count, tips, wrists = len(inside), *robot.tool_along(inside)

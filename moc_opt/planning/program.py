@@ -1,4 +1,4 @@
-"""Optimize a course (a joint trajectory) by direct transcription: over a whole path, or over a receding horizon.
+"""Optimize a course (a joint trajectory) by direct transcription.
 
 The variables are the joints q that move tip or wrist, at K evenly spaced times after a fixed start:
 
@@ -6,10 +6,9 @@ The variables are the joints q that move tip or wrist, at K evenly spaced times 
     s.t. X(q_k) = X_d,  B_k^T (N(q_k) - X_d) = 0,  q_min <= q_k <= q_max,  |q_k - q_k-1| <= v_max dt,
          and no joint is `too_fast` towards its limit
 
-mu is the manipulability, X(q) the tip, and N(q) the wrist. The columns of B_k (3,2) are orthogonal to the shaft. Each
-time has five equations, because tip and wrist are rigidly tied. With six, the multipliers would not be unique. mu is
-reduced where the arm can hardly turn the shaft (`course.lowered`). V(q_K) is the largest integral of mu from the last
-pose on (`search`).
+mu is the manipulability, reduced as in `course.lowered`. X(q) is the tip, and N(q) is the wrist. The columns of B_k
+(3,2) are orthogonal to the shaft. With six equations instead of these five, the multipliers would not be unique. V is
+the value function of `search`.
 """
 
 from __future__ import annotations
@@ -25,15 +24,14 @@ from moc_opt.planning.course import WORTH, Course, Limits, Targets, make_course,
 from moc_opt.planning.search import End
 from moc_opt.robots.model import RobotModel
 
-# Settings of ipopt for a whole path. With a larger first barrier parameter mu_init (1e-3), ipopt often leaves a fast
-# course and converges to a slow one at another local maximum of mu.
+# Settings of ipopt for a whole path. With a larger mu_init, ipopt often converges to a slower course.
 WHOLE: dict[str, Any] = {
     "print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.max_iter": 300, "ipopt.tol": 1e-8,
     "ipopt.constr_viol_tol": 1e-10, "ipopt.bound_relax_factor": 0.0, "ipopt.honor_original_bounds": "yes",
     "ipopt.mu_init": 1e-5, "ipopt.bound_push": 1e-6, "ipopt.bound_frac": 1e-6, "ipopt.slack_bound_push": 1e-6,
     "ipopt.slack_bound_frac": 1e-6, "ipopt.acceptable_iter": 0,
 }  # fmt: skip
-# Settings of CasADi's SQP for a horizon. Three steps suffice, because each solve starts from the previous answer.
+# Settings of CasADi's SQP for a horizon.
 HORIZON: dict[str, Any] = {
     "print_time": False, "print_header": False, "print_iteration": False, "print_status": False, "error_on_fail": False,
     "max_iter": 3, "tol_pr": 1e-6, "tol_du": 1e-3, "convexify_strategy": "regularize", "qpsol": "osqp", "expand": True,
@@ -42,27 +40,27 @@ HORIZON: dict[str, Any] = {
         "osqp": {"verbose": False, "max_iter": 1000, "eps_abs": 1e-5, "eps_rel": 1e-5, "adaptive_rho_interval": 25},
     },
 }  # fmt: skip
-SETTLED_S = 0.3  #: T [s]: a joint speed costs as much as the constant acceleration that stops the joint in this time.
-SOFT_RAD = 0.003  #: e in `too_fast`. It keeps the derivative of the largest speed finite at the joint limit.
+SETTLED_S = 0.3  #: Time T of the formula above [s].
+SOFT_RAD = 0.003  #: e in `too_fast`; it keeps the derivative finite at the joint limit.
 SMOOTH_LOSS = 0.05  #: Share of mean mu that smoothness and braking may cost.
-LEAST_SHARE = 1e-4  #: Smallest smoothed value of `course.shaft_shares`, a square root. Its derivative is then finite.
-INSIDE = 1e-9  #: Joint limits and steps are narrowed by this, to absorb rounding [rad]. A step is at most halved.
+LEAST_SHARE = 1e-4  #: Smallest smoothed value of `course.shaft_shares`.
+INSIDE = 1e-9  #: Narrowing of joint limits and steps, to absorb rounding [rad].
 
 
 class Program:
-    """The nonlinear program for one arm and K times. ``solve`` fills in start, targets and the value V at the end."""
+    """The nonlinear program for one arm and K times."""
 
     def __init__(
         self, robot: RobotModel, nodes: int, period_s: float, limits: Limits, *, mu: float, top: float = 0.0,
         smoothness: float = 0.0, brake: float = np.inf, horizon: bool = False,
     ) -> None:  # fmt: skip
-        """Write the program for K = ``nodes`` times after the start. Neighbouring times are ``period_s`` apart [s].
+        """Write the program for K = ``nodes`` times after the start, ``period_s`` [s] apart.
 
         Args:
             mu: mu_0, a typical mu, which scales the objective [m^3].
             top: largest mu, which scales the penalty of `lowered` [m^3]; 0 stands for mu_0.
             smoothness: w [s^4/rad^2].
-            brake: deceleration with which joints can stop before their limits [rad/s^2]; inf removes the constraint.
+            brake: deceleration with which joints can stop before their limits [rad/s^2], or inf.
             horizon: use three SQP steps instead of ipopt, and let the arm move at the end.
         """
         import casadi as ca  # imported late: it takes half a second
@@ -111,17 +109,17 @@ class Program:
         self.forget()
 
     def forget(self) -> None:
-        """Rebuild the solver. Its workspace would make a second run differ from the first in the last bits."""
+        """Rebuild the solver, so that a second run is bitwise the same."""
         self._solver = self._make()
 
     def solve(
         self, guess: Array, start: Array, targets: Targets, speed: Array | None = None, end: End | None = None,
         period_s: float | None = None,
     ) -> tuple[Array, bool]:  # fmt: skip
-        """Return poses (K,n) [rad], and whether the solver met its tolerances. Poses are not checked and may be NaN.
+        """Return poses (K,n) [rad], which may be NaN, and whether the solver met its tolerances.
 
         The iteration begins at ``guess`` (K,n). The course leaves ``start`` (n,) at ``speed`` (n,) [rad/s]. ``end``
-        describes V near the last pose. ``period_s`` replaces the program's own period.
+        describes V near the last pose. ``period_s`` replaces the program's period.
         """
         dt, n = self.period_s if period_s is None else period_s, len(start)
         speed = np.zeros(n) if speed is None else speed
@@ -146,11 +144,10 @@ def refine(
     robot: RobotModel, targets: Targets, course: Course, limits: Limits, *, smoothness: float = 0.0,
     brake: float = np.inf,
 ) -> Course:  # fmt: skip
-    """Improve a course over the whole path to a local optimum within limits. The first pose stays the same.
+    """Improve a course over the whole path to a local optimum. The first pose stays the same.
 
-    The given course may violate constraints. It is returned unchanged if the answer is not feasible, or if the given
-    course is feasible and has the larger `worth`. With ``smoothness`` or ``brake``, the answer may lose the share
-    `SMOOTH_LOSS` of mean mu. The answer is ``certified`` if ipopt met its tolerances.
+    The given course is returned unchanged if the answer is infeasible or worse. With ``smoothness`` or ``brake``, the
+    answer may lose the share `SMOOTH_LOSS` of mean mu.
     """
     if limits.shaft > 0.0 and _above(robot, course, limits):  # first without the shaft's margin, which is faster
         bare = replace(limits, shaft=0.0)
@@ -178,10 +175,10 @@ def _above(robot: RobotModel, course: Course, limits: Limits) -> bool:
 
 
 def too_fast(speed: Any, pose: Any, low: Any, high: Any, brake: float) -> Any:
-    """Return by how much each joint's speed exceeds the speed from which it can stop before its limit, in CasADi.
+    """Return each joint's excess over the speed from which it can stop before its limit.
 
     At a distance d from a limit, this speed is sqrt(2 b) (sqrt(d + e) - sqrt(e)), where b is the brake [rad/s^2] and e
-    is `SOFT_RAD`. Vectors have m entries. The answer has 2 m entries: towards ``high``, then towards ``low``.
+    is `SOFT_RAD`. The answer has 2 m entries for m joints: towards ``high``, then towards ``low``.
     """
     import casadi as ca
 
@@ -192,6 +189,6 @@ def too_fast(speed: Any, pose: Any, low: Any, high: Any, brake: float) -> Any:
 
 
 def across(shafts: Array) -> Array:
-    """Return for each shaft (K,3) two orthogonal unit vectors across the shaft, (K,2,3)."""
+    """Return two orthogonal unit vectors (K,2,3) across each shaft (K,3)."""
     vectors: Array = np.linalg.svd(shafts[:, None])[2][:, 1:]
     return vectors

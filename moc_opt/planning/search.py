@@ -2,14 +2,8 @@
 
     V_k(p) = g_k(p) + max { V_{k+1}(p') - c |q - q'|^2 / dt : |q - q'| <= v_max dt for every joint }
 
-p is a pose of the map at time k, with joint positions q, and p' is a pose at time k + 1. mu is the manipulability, g is
-mu dt, and c is a penalty on speed. A course (joint trajectory) is then read off V forwards. At each time, it takes the
-best pose within reach. Near a singular pose, a course can change to another branch.
-
-A pose of the map can stand for its surroundings, so that joints may move a little further than v_max dt. A cell is the
-space between neighbouring poses. For courses of a run, a pose stands for a quarter of a cell, so that courses exist on
-a coarse map. For an upper bound on mean mu, a pose stands for half a cell. Neighbours of feasible poses then count as
-feasible, and each pose counts with the largest mu nearby.
+p is a pose at time k with joint positions q, and p' is a pose at time k + 1. mu is the manipulability, g is mu dt, and
+c is a penalty on speed. A course (joint trajectory) is then read off V forwards.
 """
 
 from __future__ import annotations
@@ -26,7 +20,7 @@ from moc_opt.planning.course import Limits, lowered, shaft_shares, weights
 from moc_opt.planning.elbow import wrapped
 from moc_opt.planning.pose_map import PoseMap
 
-WHOLE_CELL = 1.1  #: ``cell`` of `Value` for an upper bound. It is above 1, because curves of poses bend in a cell.
+WHOLE_CELL = 1.1  #: ``cell`` of `Value` for an upper bound, above 1 because curves bend.
 NEARBY_RAD = 0.2  #: Radius around a pose within which V is approximated by a parabola.
 
 
@@ -37,7 +31,7 @@ class End(NamedTuple):
     along: Array  #: (n,) unit vector of the self-motion
     slope: float = 0.0  #: [m^3 s / rad]
     bend: float = 0.0  #: [m^3 s / rad^2], never above 0
-    low: float = 0.0  #: With z below low or above high [rad], a pose may be unable to reach the end of the path.
+    low: float = 0.0  #: range of z [rad] from which the path's end can be reached
     high: float = 0.0
 
 
@@ -53,10 +47,10 @@ class Value:
     """V over a map of k times, b branches, m samples."""
 
     def __init__(self, found: PoseMap, limits: Limits, *, cell: float = 0.0, price: float = 0.0) -> None:
-        """Compute V backwards in time. With a map from `keeping_shaft`, courses avoid poses below the shaft margin.
+        """Compute V backwards in time.
 
-        A pose stands for ``cell`` times half a cell on either side. If ``cell`` is 1 or more, V is an upper bound.
-        ``price`` is c, the penalty on speed [m^3 s^2/rad^2].
+        A pose stands for its surroundings, up to ``cell`` times half the distance to its neighbours. If ``cell`` is 1
+        or more, V is an upper bound. ``price`` is c, the penalty on speed [m^3 s^2/rad^2].
         """
         self.map = found
         self._period = found.targets.period_s
@@ -78,13 +72,13 @@ class Value:
             )  # fmt: skip
 
     def of(self, q: Array, mu: float) -> float:
-        """Return mean mu [m^3] of the best course from a pose (n,) with this mu at t = 0; -inf if there is none."""
+        """Return mean mu [m^3] of the best course from a pose (n,) with this mu, or -inf."""
         found = self._next(1, q, np.zeros(len(q)), self._step, self._price)
         rest = -np.inf if found is None else float(self.value[1][found])
         return float(mu * self._weight[0] + rest) / self._weight.sum()
 
     def best(self) -> tuple[float, Array | None]:
-        """Return mean mu of the best course from any pose, and this pose (n,); -inf and None if there is no course."""
+        """Return mean mu of the best course from any pose, and this pose (n,) or None."""
         first = np.unravel_index(int(np.argmax(self.value[0])), self.value[0].shape)
         value = float(self.value[0][first]) / self._weight.sum()
         return value, self.map.q_rad[0][first] if np.isfinite(value) else None
@@ -92,7 +86,7 @@ class Value:
     def way(self, q: Array, t_s: float = 0.0, end: int = -1, hurry: float = 1.0) -> Way | None:
         """Read off the best course from a pose (n,) [rad] at a time [s]; None if there is no course.
 
-        The course ends at the map's time with index ``end``. It may use ``hurry`` times the joint speeds of V.
+        The course ends at the time with index ``end``. It may use ``hurry`` times the joint speeds of V.
         """
         t, poses, slack, at = self.map.targets.t_s, [q], np.zeros(len(q)), (0, 0)
         end = len(t) - 1 if end < 0 else end
@@ -109,7 +103,7 @@ class Value:
         return Way(np.append(t_s, t[first : end + 1]), np.array(poses), at)
 
     def near(self, end: int, at: tuple[int, int]) -> End:
-        """Fit a parabola to V around the pose ``at`` (branch, sample) of the map, at the time with index ``end``."""
+        """Fit a parabola to V around the pose ``at`` (branch, sample) at the time with index ``end``."""
         (b, j), value = at, self.value[end, at[0]]
         q = self.map.q_rad[end, b]
         along = q[(j + 1) % len(q)] - q[j - 1]
@@ -143,10 +137,10 @@ class Value:
 
 
 def keeping_shaft(found: PoseMap, limits: Limits) -> PoseMap:
-    """Return the map with mu reduced by `lowered`, for use in a search."""
+    """Return the map with mu reduced by `lowered`."""
     if limits.shaft <= 0.0:
         return found
-    # One branch suffices: on all branches of a closed form, the Jacobians' columns are equal up to their signs.
+    # On all branches, the Jacobians' columns differ only in their signs.
     may = found.feasible().any(axis=1)
     share = np.full(may.shape, np.inf)
     share[may] = shaft_shares(found.robot, found.q_rad[:, 0][may])
@@ -155,7 +149,7 @@ def keeping_shaft(found: PoseMap, limits: Limits) -> PoseMap:
 
 
 def reached(found: PoseMap, q_start: Array, limits: Limits) -> list[NDArray[np.bool_]]:
-    """Flag the poses (b,m) that can be reached at each time after the start. The list ends before a time with none."""
+    """Flag the poses (b,m) that can be reached at each time, until there are none."""
     step, feasible = limits.speed_share * found.robot.v_max * found.targets.period_s, found.feasible(limits.margin)
     before, value = np.tile(q_start, (found.mu.shape[1], 1, 1)), np.zeros((found.mu.shape[1], 1))
     each: list[NDArray[np.bool_]] = []
@@ -170,7 +164,7 @@ def reached(found: PoseMap, q_start: Array, limits: Limits) -> list[NDArray[np.b
 
 
 def half_cells(q: Array) -> Array:
-    """Return for each joint of poses (...,m,n) half its distance to the farther of the two neighbouring poses [rad]."""
+    """Return half of each joint's distance to the farther neighbouring pose, (...,m,n) [rad]."""
     apart = np.abs(wrapped(np.roll(q, -1, axis=-2) - q))
     return 0.5 * np.nan_to_num(np.fmax(apart, np.roll(apart, 1, axis=-2)))
 
@@ -187,10 +181,10 @@ def advance(
     q: Array, slack: Array, gain: Array, q_next: Array, slack_next: Array, value_next: Array, step: Array,
     crossing: NDArray[np.int64], price: float,
 ) -> Array:
-    """Return the values (b,m) of the poses at one time, given the values at the next or previous time.
+    """Return the values (b,m) of the poses at one time, from the values at the next time.
 
-    A pose is within reach of another if no joint differs by more than its step (n,) [rad] plus both slacks. The branch
-    numbers of the two poses may differ only in the bits of ``crossing`` (m,).
+    A pose is within reach of another if no joint differs by more than its step (n,) [rad] plus both slacks. Their
+    branch numbers may differ only in the bits of ``crossing`` (m,).
 
     Args:
         q, slack: (b,m,n) [rad], NaN if there is no pose; gain: (b,m) added to each value, -inf if forbidden.
@@ -198,7 +192,7 @@ def advance(
         price: penalty on the squared step [unit of the values / rad^2].
     """  # fmt: skip
     branches, _, n = q.shape
-    # Sort by the joint whose range spans the most steps: the poses within reach then form a short interval.
+    # Sorted by the joint that spans the most steps, the poses within reach form a short interval.
     spread = np.nan_to_num(np.fmax.reduce(q_next, 1) - np.fmin.reduce(q_next, 1)).sum(axis=0)
     by = int(np.argmax(spread / step))
     order = np.argsort(q_next[:, :, by])

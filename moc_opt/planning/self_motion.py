@@ -1,8 +1,7 @@
 """Self-motion: the poses that an arm can take while tip and wrist stay in place.
 
-The self-motion is followed as a curve from joint limit to joint limit. Each step goes along the null vector of
-A = [J_tip; J_wrist], and Newton's method corrects tip and wrist. A freedom is a dimension of the null space of A that
-moves links. If there is one freedom, the curve contains every pose that a self-motion reaches.
+The curve of poses is followed along the null vector of A = [J_tip; J_wrist]. A freedom is a dimension of the null space
+of A that moves links.
 """
 
 from __future__ import annotations
@@ -17,20 +16,20 @@ from moc_opt.arrays import Array, read_only
 from moc_opt.errors import RobotError
 from moc_opt.robots.model import RobotModel
 
-HELD = 1e-6  #: When freedoms are counted, a singular value of A below this share of the largest is taken as zero.
-RANK = 1e-9  #: When a curve is followed, a singular value of A below this is taken as zero.
+HELD = 1e-6  #: Relative size of a singular value of A that counts as zero.
+RANK = 1e-9  #: Absolute size of a singular value of A that counts as zero on curves.
 LEAST_STEP, MOST_STEP = 1e-5, 10.0  #: Smallest and largest spacing of the samples on a curve [rad].
 
 
 class Freedoms(NamedTuple):
-    """The freedoms of n joints when tip and wrist are fixed. rank + real + (number of idle joints) = n."""
+    """The freedoms of n joints with fixed tip and wrist."""
 
-    rank: int  #: Rank of A. It is 5 if the arm can place and turn the shaft freely.
+    rank: int  #: Rank of A, 5 if the arm can place the shaft freely.
     real: int  #: Number of independent joint motions that move links but neither tip nor wrist.
     idle: tuple[int, ...]
-    """Joints (from 0) that move neither tip nor wrist at any pose, such as a last axis along the tool."""
-    tip: float  #: Ratio of the smallest to the largest singular value of the tip's Jacobian; 0 at a singular pose.
-    both: float  #: Ratio of the fifth to the largest singular value of A; 0 if the shaft cannot be placed freely.
+    """Joints (from 0) that move neither tip nor wrist at any pose."""
+    tip: float  #: Smallest over largest singular value of the tip's Jacobian.
+    both: float  #: Fifth over largest singular value of A.
 
     def refusal(self, robot: RobotModel) -> str:
         """Return the message that no freedom is left for the third level."""
@@ -66,7 +65,7 @@ def require_freedom(robot: RobotModel) -> None:
 
 
 def limit_shares(robot: RobotModel, q: Array) -> Array:
-    """Return (distance to the nearer limit) / (half the range) of each joint, (n,): 1 in the middle, 0 at a limit."""
+    """Return (distance to the nearer limit) / (half the range) of each joint, (n,)."""
     nearest: Array = np.minimum(q - robot.q_min, robot.q_max - q) / (0.5 * (robot.q_max - robot.q_min))
     return nearest
 
@@ -75,7 +74,7 @@ def parabola_peak(x: Array, y: Array) -> tuple[float, float]:
     """Compute the peak of the parabola through three samples, relative to the middle sample.
 
     Args:
-        x, y: (3,) places in ascending order, and values. The first and last value may be infinite.
+        x, y: (3,) places in ascending order, and values.
 
     Returns:
         The step from x[1] to the peak, clipped to the samples, and the height above y[1]; zeros if there is no peak.
@@ -91,19 +90,19 @@ def parabola_peak(x: Array, y: Array) -> tuple[float, float]:
 
 @dataclass(frozen=True, eq=False)
 class SelfMotion:
-    """Samples along the feasible self-motion; read-only arrays, in the order of the curve."""
+    """Samples along the feasible self-motion, in the order of the curve."""
 
-    s: Array  #: (k,) arc length in joint space [rad], 0 at the pose where the scan began
+    s: Array  #: (k,) arc length in joint space [rad], 0 at the scanned pose
     q: Array  #: (k,n) [rad]
     mu: Array  #: (k,) [m^3]
     held: tuple[int, ...]
-    """Joints (from 0) that are held still: idle joints, and those that would leave more than one freedom."""
+    """Joints (from 0) that are held still."""
     _robot: RobotModel = field(repr=False)
     _task: tuple[Array, Array, Array] = field(repr=False)
-    """Lower and upper joint limits (equal for a joint that is held), and the positions of tip and wrist."""
+    """Joint limits, and the positions of tip and wrist."""
 
     def at(self, fraction: float) -> Array:
-        """Return the pose (n,) at a fraction in [0, 1] of the arc length, with tip and wrist corrected to 1e-10 m."""
+        """Return the pose (n,) at a fraction in [0, 1] of the arc length."""
         place = float(np.interp(self.s[0] + fraction * np.ptp(self.s), self.s, np.arange(len(self.s))))
         i, weight = int(place), place % 1.0
         if weight > 0.0:
@@ -111,12 +110,12 @@ class SelfMotion:
             miss, pose = self._robot.arm.nearest_pose(*self._task, between, 10)
             if miss < 1e-10:
                 return pose
-        # Newton's method fails only if the curve touches a joint limit or a singular pose between two samples.
+        # Newton's method fails only near a joint limit or a singular pose.
         return np.array(self.q[round(place)])
 
     @property
     def best(self) -> Array:
-        """The pose (n,) of the largest mu, refined between the samples by a parabola."""
+        """The pose (n,) of the largest mu, refined by a parabola."""
         i = int(np.argmax(self.mu))
         if not 0 < i < len(self.mu) - 1:
             return np.array(self.q[i])
@@ -133,9 +132,8 @@ class SelfMotion:
 def self_motion(robot: RobotModel, q: ArrayLike, step: float = 0.02) -> SelfMotion:
     """Scan the feasible self-motion through q at fixed tip and wrist.
 
-    Joints that move neither tip nor wrist are held still. If more than one freedom is left (a rail, or a tool off the
-    last axis), sliding joints at the base are held too, and then the joints nearest the tip. The largest mu on the
-    curve is then no upper bound (see `pose_map.largest_mu`). If no freedom is left, the curve is a single pose.
+    If more than one freedom is left, further joints are held still. The largest mu on the curve is then no upper bound.
+    If no freedom is left, the curve is a single pose.
 
     Args:
         q: (n,) a pose inside the joint limits [rad].
@@ -156,7 +154,7 @@ def self_motion(robot: RobotModel, q: ArrayLike, step: float = 0.02) -> SelfMoti
     task = low, high, np.array([state.tip, state.wrist])
     s, poses, mu = np.zeros(1), state.q[None], np.array([state.mu])
     if len(active) > np.linalg.matrix_rank(state.A[:, active], tol=RANK):
-        # No real curve has so many samples. The number bounds the memory if a curve never ends.
+        # This bounds the memory if a curve never ends.
         most = int(np.ceil(4 * np.sum(robot.q_max - robot.q_min) / step)) + 2
 
         def follow(tangent: Array) -> tuple[Array, Array, Array, bool]:
@@ -177,7 +175,7 @@ def self_motion(robot: RobotModel, q: ArrayLike, step: float = 0.02) -> SelfMoti
 
 
 def curve_through(robot: RobotModel, q: ArrayLike, step: float) -> SelfMotion | None:
-    """Return `self_motion`; None if it raises a RobotError, as at a singular pose."""
+    """Return `self_motion`, or None if it raises a RobotError."""
     try:
         return self_motion(robot, q, step)
     except RobotError:

@@ -1,10 +1,4 @@
-"""The map of the manipulability mu over time and over the elbow's swivel angle, with the trajectories of runs.
-
-The map also shows at which swivels a joint is beyond its limit. `read_trajectory` computes for how long a run is at the
-optimum. If the run does not end at the optimum, mu is climbed on the map from the run's last swivel, at most to the
-first joint limit. If this climb is short, its end explains why the run stays: a local maximum, or the edge of the
-feasible poses. Otherwise the map has no explanation. Perhaps the controller does not climb mu, or has tighter limits.
-"""
+"""The map of the manipulability mu over time and the elbow's swivel angle, with the trajectories of runs."""
 
 from __future__ import annotations
 
@@ -29,12 +23,12 @@ UNREACHABLE, FEASIBLE = -1, 0
 TRAJECTORY_POINTS = 500  #: Largest number of times of a `Trajectory`.
 STEP_RAD = 0.05  #: Spacing of the samples of a self-motion.
 SAME_PATH_M = 1e-6  #: Largest difference between the tip references of runs with the same path.
-OTHER_BRANCH_RAD = 0.5  #: Above this ``gap_rad``, a trajectory is on another branch of inverse kinematics than the map.
+OTHER_BRANCH_RAD = 0.5  #: ``gap_rad`` above which a trajectory is on another branch of inverse kinematics.
 NEEDED = ("t_s", "q_rad", "tip_m", "tip_ref_m")
-NEAR = 0.02  #: A trajectory is at the optimum while its mu is at most this fraction below the best.
-END = 0.2  #: The ending of a trajectory is judged from this last fraction of its time.
-CLOSE_RAD = np.radians(12.0)  #: A climb from the last swivel of a run counts as short up to this angle.
-STILL_RAD_PER_S = np.radians(1.0)  #: Below this speed of the swivel at its end, a run counts as at rest.
+NEAR = 0.02  #: Fraction below the best mu that counts as the optimum.
+END = 0.2  #: Last fraction of the time, from which the end is judged.
+CLOSE_RAD = np.radians(12.0)  #: Largest angle of a climb that counts as short.
+STILL_RAD_PER_S = np.radians(1.0)  #: Speed of the swivel below which a run counts as at rest.
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,11 +36,10 @@ class Trajectory:
     """The path of a run on the map, sampled at c times; arrays (c,)."""
 
     t_s: Array  #: Times of the samples [s].
-    swivel_rad: Array  #: Swivel, shifted by whole turns into the map's range. It may jump by a turn.
+    swivel_rad: Array  #: Swivel in the map's range. It may jump by a turn.
     mu: Array  #: Manipulability of the run's poses [m^3].
     gap_rad: float
-    """Median distance of the run's joints from the map's pose at the same time and swivel. If it is large, the run is
-    on another branch, and the map does not apply."""
+    """Median distance of the run's joints from the map. If it is large, the map does not apply."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -56,14 +49,14 @@ class SwivelMap:
     t_s: Array  #: (k,)
     swivel_rad: Array  #: (m,) evenly over one turn
     mu: Array  #: (k, m) [m^3], also beyond joint limits; NaN if there is no pose
-    q_rad: Array  #: (k, m, n) the poses; NaN if there is no pose
+    q_rad: Array  #: (k, m, n) the poses
     limit: NDArray[np.int64]
     """(k, m) `FEASIBLE` (0), the joint (from 1) that is farthest beyond a limit, or `UNREACHABLE` (-1)"""
     best_swivel_rad: Array  #: (k,) swivel of the largest feasible mu; NaN if no pose is feasible
     best_mu: Array  #: (k,) largest feasible mu [m^3]; NaN if no pose is feasible
     trajectories: Mapping[str, Trajectory]
     held: tuple[str, ...] = ()
-    """Names of joints that the map holds where the longest run has them, although tip and wrist would let them move."""
+    """Names of joints that the map holds still, although they could move."""
 
     def __repr__(self) -> str:
         return f"SwivelMap({len(self.t_s)} times, {len(self.swivel_rad)} swivels, runs: {', '.join(self.trajectories)})"
@@ -72,7 +65,7 @@ class SwivelMap:
 def manipulability_map(
     robot: RobotModel, traces: Mapping[str, Trace], *, times: int = 100, swivels: int = 180
 ) -> SwivelMap:
-    """Scan the self-motion at evenly spaced times of a path. ``traces`` has the runs by name, all with the same path.
+    """Scan the self-motion at evenly spaced times of the path that all runs in ``traces`` share.
 
     Raises:
         ReportError: no runs, too few times or swivels, runs of different paths, or a trace without a trocar.
@@ -122,7 +115,7 @@ def _poses_at(curve: SelfMotion, elbow: Elbow, swivels: Array) -> Array:
     known = sign * (angles[-1] - turned) >= 0.0
     found = np.full((len(swivels), curve.q.shape[1]), np.nan)
     aim = turned[known]
-    for _ in range(3):  # interpolation between samples is linear: correct by the remaining error
+    for _ in range(3):  # correct the error of linear interpolation
         poses = [curve.at(float(part)) for part in np.interp(sign * aim, sign * angles, along)]
         found[known] = np.array(poses).reshape(-1, found.shape[1])
         aim = aim + wrapped(turned[known] - elbow.swivel(found[known]))
@@ -142,7 +135,7 @@ def _targets(
         apart = np.abs(trace.tip_ref_m[shared] - guide.tip_ref_m[shared]).max()
         if apart > SAME_PATH_M:
             raise ReportError(f"run {name!r} was given another path (up to {apart:.3g} m apart): map each path alone")
-    # Use double precision, because the distance from tip to wrist must be exact within REACHED_M.
+    # The distance from tip to wrist must be exact within REACHED_M.
     tips, trocars = (np.asarray(guide.columns[name][ticks], dtype=np.float64) for name in ("tip_ref_m", column))
     span = robot.state(robot.data.q_home).tool_span
     return tips, desired_wrist(tips, 0.0, trocars, 0.0, span)[0]
@@ -168,7 +161,7 @@ def _best(swivel: Array, mu: Array, limit: NDArray[np.int64]) -> tuple[float, fl
 
 
 def _cut(feasible: NDArray[np.bool_]) -> int:
-    # Cut the circle of swivels open at the row farthest from all rows with a feasible pose.
+    # Cut the circle of swivels at the row farthest from feasible poses.
     allowed, count = np.flatnonzero(feasible.any(axis=0)), feasible.shape[1]
     apart = np.abs(np.arange(count)[:, None] - allowed)
     return int(np.argmax(np.minimum(apart, count - apart).min(axis=1, initial=count)))
@@ -193,7 +186,7 @@ def _trajectory(robot: RobotModel, elbow: Elbow, trace: Trace, times: Array, swi
 
 
 def check_showable(name: str, trace: Trace, robot: RobotModel) -> None:
-    """Raise a ReportError if a run is empty, lacks a column, has another number of joints, or is not finite."""
+    """Raise a ReportError if a run is empty, incomplete, not finite, or of another arm."""
     missing = [column for column in NEEDED if column not in trace.columns]
     if missing or not len(trace):
         what = f"lacks the columns {', '.join(missing)}" if missing else "has no ticks"
@@ -207,7 +200,7 @@ def check_showable(name: str, trace: Trace, robot: RobotModel) -> None:
 
 
 class End(StrEnum):
-    """The place where a trajectory ends, or the change of mu at its end."""
+    """How a trajectory ends."""
 
     OPTIMUM = "at the optimum"
     LOCAL_MAXIMUM = "at a local maximum"
@@ -224,13 +217,13 @@ class Reading:
     """The analysis of one trajectory."""
 
     name: str
-    near: float  #: Share of the time that the run is at the optimum; NaN if run and map cannot be compared.
+    near: float  #: Share of the time at the optimum; NaN if unknown.
     mu_share: float  #: (Mean mu) / (mean of the best mu at the same times).
-    travel_rad: float  #: Change of the swivel from start to end; positive upwards on the map.
-    from_s: float  #: Time after which the run stays at the optimum [s]; NaN if the run does not end at the optimum.
+    travel_rad: float  #: Change of the swivel from start to end.
+    from_s: float  #: Time after which the run stays at the optimum [s], or NaN.
     end: End
-    joint: int  #: The joint (from 1) whose limit keeps mu from rising further; 0 if no limit does.
-    at_edge: float  #: Share of the time that the run is at an infeasible pose or next to one on the map.
+    joint: int  #: Joint (from 1) whose limit keeps mu from rising further, or 0.
+    at_edge: float  #: Share of the time at an infeasible pose or next to one.
 
 
 def read_trajectory(found: SwivelMap, name: str) -> Reading:
@@ -257,7 +250,7 @@ def read_trajectory(found: SwivelMap, name: str) -> Reading:
 
 
 def _what_holds(found: SwivelMap, run: Trajectory, late: NDArray[np.bool_]) -> tuple[End, int]:
-    # Take the last column up to the run's end that has a feasible pose, or else the first such column.
+    # the last column with a feasible pose up to the run's end
     known = np.flatnonzero(np.isfinite(found.best_mu))
     column = int(max(known[found.t_s[known] <= run.t_s[-1] + 1e-9], default=known[0]))
     mu, limit, count = found.mu[column], found.limit[column], found.mu.shape[1]

@@ -1,5 +1,4 @@
-"""The paper's operative procedure: augmented reality and hand guiding.
+"""The paper's operative procedure: augmented reality, and hand guiding to the incision.
 
-Read ``augmented_reality`` first. Its parts are ``board``, ``camera`` and ``tracking``, which need OpenCV (the extra
-``vision``). In ``hands_on``, a hand guides the tool to the incision and the trocar is registered.
+``augmented_reality`` and its parts need OpenCV (the extra ``vision``).
 """

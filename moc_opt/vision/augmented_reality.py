@@ -1,4 +1,4 @@
-"""Augmented reality: an endoscope tracks a marker board with a virtual task, and films the run for the surgeon."""
+"""Augmented reality: an endoscope tracks a marker board with a virtual task, and films the run."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from moc_opt.vision.tracking import BoardFinder, BoardTracker, Tracked, TrackerS
 _SEARCH_S, _LOOK_S = 2.0, 1.0
 _ON_PATH_M = 0.001
 TASK, DONE, TIP, TROCAR, TEXT = (80, 220, 60), (200, 140, 20), (0, 215, 255), (255, 120, 240), (255, 255, 255)
-_CODEC = "VP80"  # OpenCV's wheel writes this without system libraries, and browsers play it
+_CODEC = "VP80"  # needs no system libraries, and browsers play it
 _NEAR_M = 0.01
 
 
@@ -35,7 +35,6 @@ class Augmented:
         self, robot: RobotModel, phantom_in_base: Pose, *, camera: CameraSettings | None = None,
         board: Board | None = None, tracker: TrackerSettings | None = None, seed: int = 0,
     ) -> None:  # fmt: skip
-        """Place the camera relative to the true pose of the phantom's board."""
         self.board, self.phantom = board or Board(), phantom_in_base
         noise, calibration, hidden = np.random.SeedSequence(seed).generate_state(3).tolist()
         self.camera = Camera.above(camera or CameraSettings(), phantom_in_base)
@@ -51,7 +50,7 @@ class Augmented:
         self._tracker = BoardTracker(tracker)
 
     def locate(self, q: ArrayLike | None = None) -> Pose:
-        """Search for the board before t = 0, and return its pose in the base frame, averaged over a second.
+        """Search for the board before t = 0, and return its averaged pose in the base frame.
 
         The arm rests at q (n,), or is out of sight if q is None. Raise a TaskError if the board is not found in 3 s.
         """
@@ -77,13 +76,13 @@ class Augmented:
         return found[-1]
 
     def watch(self, seconds: float, q: ArrayLike | None = None) -> tuple[Array, NDArray[np.bool_]]:
-        """Track the board from t = 0, after `locate`. Return picture times [s], and whether the board is tracked."""
+        """Track the board after `locate`. Return picture times [s], and whether the board is tracked."""
         rate = self.camera.settings.rate_Hz
         times = np.arange(math.floor(seconds * rate) + 1) / rate
         return times, np.array([self._look(t, q).seen for t in times.tolist()])
 
     def accuracy(self, estimate: Pose, task: BoardTask) -> dict[str, float]:
-        """Return the errors of an estimated board pose in the base frame, calibration error included.
+        """Return the errors of an estimated board pose in the base frame.
 
         ``task_error_max_mm`` is the largest distance of a point of the task from its true place.
         """
@@ -128,10 +127,10 @@ class Augmented:
 def draw(
     picture: Picture, camera: Camera, *, task: ArrayLike, progress: float, tip: ArrayLike, trocar: ArrayLike, text: str
 ) -> Picture:
-    """Draw task, tip and trocar into a copy of the picture (H, W, 3), where the camera would see them.
+    """Draw task, tip and trocar into a copy of the picture (H, W, 3).
 
-    ``task`` (k, 3), ``tip`` (3,) and ``trocar`` (3,) are in the base frame [m]. The finished share of the path,
-    ``progress`` (0 to 1), has another colour. A line leads from the tip towards the trocar.
+    ``task`` (k, 3), ``tip`` (3,) and ``trocar`` (3,) are in the base frame [m]. ``progress`` is the finished share of
+    the path (0 to 1).
     """
     page = picture.copy()
     points, end, far = (np.asarray(part, dtype=np.float64) for part in (task, tip, trocar))
@@ -144,7 +143,7 @@ def draw(
             cv2.polylines(page, [sixteenths], False, colour, 2, cv2.LINE_AA, 4)
     near, away = camera.camera_in_base.inverse().apply(np.array([end, far]))[:, 2]
     if near > _NEAR_M:
-        if away < _NEAR_M:  # the trocar is behind the camera, so the line ends in front of the camera
+        if away < _NEAR_M:  # the trocar is behind the camera
             far = end + (near - _NEAR_M) / (near - away) * (far - end)
         pixel, beyond = np.clip(camera.project(np.array([end, far])), -1e6, 1e6)
         _line_to_trocar(page, _whole(pixel), _whole(beyond))
@@ -171,7 +170,7 @@ def _whole(pixel: Array) -> tuple[int, int]:
 
 
 def save_film(path: str | os.PathLike[str], pictures: Iterable[Picture], rate_Hz: float) -> int:
-    """Write pictures (H, W, 3) of one size to a film (.webm), and return their count; a PlantError if this fails."""
+    """Write pictures (H, W, 3) to a film (.webm), and return their count; a PlantError if this fails."""
     writer, count = cv2.VideoWriter(), 0
     for picture in pictures:
         if not count:

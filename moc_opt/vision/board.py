@@ -1,7 +1,6 @@
-"""Poses of frames, a marker board, and the virtual tasks defined on it.
+"""Poses of frames, a marker board, and virtual tasks.
 
-The board's frame has its origin in the middle of the board. x points to the right along the rows of markers, y upwards,
-and z out of the printed side.
+The board's origin is its middle. x points to the right, y upwards, and z out of the printed side.
 """
 
 from __future__ import annotations
@@ -30,8 +29,8 @@ class Pose:
     Poses are chained with @: board_in_base = camera_in_base @ board_in_camera.
     """
 
-    R: Array  #: (3, 3) rotation, whose columns are the inner axes in the outer frame
-    t: Array  #: (3,) the inner origin in the outer frame [m]
+    R: Array  #: (3, 3) rotation
+    t: Array  #: (3,) inner origin in the outer frame [m]
 
     def __init__(self, R: ArrayLike, t: ArrayLike) -> None:
         object.__setattr__(self, "R", read_only(np.array(R, dtype=np.float64)))
@@ -53,17 +52,17 @@ class Pose:
         return Pose(self.R @ other.R, self.apply(other.t))
 
     def distance(self, other: Pose) -> tuple[float, float]:
-        """Return the distance between the two origins [m], and the angle between the two frames [rad]."""
+        """Return the distance [m] and the angle [rad] between two poses."""
         return float(np.linalg.norm(self.t - other.t)), float(np.linalg.norm(pin.log3(self.R.T @ other.R)))
 
     def towards(self, other: Pose, share: float) -> Pose:
-        """Interpolate by a ``share`` from 0 to 1. The origin moves on a line; the frame turns about a fixed axis."""
+        """Interpolate by a ``share`` from 0 to 1."""
         turn = rotation_from(share * pin.log3(self.R.T @ other.R))
         return Pose(self.R @ turn, self.t + share * (other.t - self.t))
 
 
 def rotation_from(vector: ArrayLike) -> Array:
-    """Return the rotation (3, 3) of a rotation vector (3,), whose length is the angle [rad]."""
+    """Return the rotation (3, 3) of a rotation vector (3,) [rad]."""
     return np.asarray(pin.exp3(np.array(vector, dtype=np.float64)))
 
 
@@ -96,7 +95,7 @@ class Board(VisionSettings):
         return self
 
     def is_lost(self, t: float) -> bool:
-        """Return whether nothing of the board can be seen at time t [s]."""
+        """Return whether the board is out of sight at time t [s]."""
         return any(start <= t < end for start, end in self.lost_s)
 
     @property
@@ -106,7 +105,7 @@ class Board(VisionSettings):
 
     @property
     def size_m(self) -> tuple[float, float]:
-        """Width and height of the whole board [m], with a gap all around."""
+        """Width and height of the whole board [m]."""
         pitch = self.marker_m + self.gap_m
         return self.columns * pitch + self.gap_m, self.rows * pitch + self.gap_m
 
@@ -118,12 +117,12 @@ class Board(VisionSettings):
         return _rectangle(left, top, left + self.marker_m, top - self.marker_m)
 
     def outline(self) -> Array:
-        """Return the corners (4, 3) of the board in its own frame [m], clockwise from the top left."""
+        """Return the corners (4, 3) of the board in its own frame [m]."""
         x, y = 0.5 * self.size_m[0], 0.5 * self.size_m[1]
         return _rectangle(-x, y, x, -y)
 
     def task_in_base(self, task: BoardTask, board_in_base: Pose) -> Path:
-        """Transform a virtual task into the robot's base frame; a TaskError if the task reaches beyond the board."""
+        """Transform a virtual task into the base frame; a TaskError if it reaches beyond the board."""
         own = task.on_board()
         places = own.at(np.linspace(0.0, own.length, 65))[0]
         beyond = float((np.abs(places[:, :2]) - 0.5 * np.array(self.size_m)).max())
@@ -140,16 +139,16 @@ class Board(VisionSettings):
 
 @dataclass(frozen=True, eq=False)
 class BoardTask:
-    """A virtual task, defined on a board: a path in a plane parallel to the board."""
+    """A virtual task: a path in a plane parallel to a board."""
 
-    kind: str  #: kind of path, see `moc_opt.tasks.make_path`
+    kind: str  #: kind of path; see `make_path`
     sizes: Mapping[str, float]  #: sizes of the path, lengths in m
-    start_m: tuple[float, float] = (0.0, 0.0)  #: start of the path on the board, x and y [m]
-    height_m: float = 0.005  #: height of the path's plane above the board [m]
+    start_m: tuple[float, float] = (0.0, 0.0)  #: start of the path, x and y [m]
+    height_m: float = 0.005  #: height of the path above the board [m]
     depth_m: float = 0.15  #: depth of the board below the trocar [m]
 
     def on_board(self) -> Path:
-        """Return the path in the board's own frame; its heading is the board's x."""
+        """Return the path in the board's own frame."""
         start = (*self.start_m, self.height_m)
         return make_path(self.kind, start, normal=(0.0, 0.0, 1.0), heading=(1.0, 0.0, 0.0), **self.sizes)
 
@@ -164,21 +163,20 @@ BOARD_TASKS: Mapping[str, BoardTask] = MappingProxyType({
     "sinusoid": BoardTask("sinusoid", _WAVES, start_m=(-0.02, 0.0), depth_m=0.12),
     "spiral": BoardTask("spiral", {"turns": 2.0, "radius": 0.015}, depth_m=0.20),
 })  # fmt: skip
-"""The three virtual tasks: 2 to 4 cm in size, on a board 12 to 20 cm below the trocar."""
+"""The three virtual tasks."""
 
 
 def board_task(name: str) -> BoardTask:
-    """Look up a preset of `BOARD_TASKS`; an UnknownNameError if none has this name."""
+    """Look up a preset of `BOARD_TASKS`; an UnknownNameError if there is none."""
     if name not in BOARD_TASKS:
         raise UnknownNameError("virtual task", str(name), BOARD_TASKS)
     return BOARD_TASKS[name]
 
 
 def board_below(trocar: ArrayLike, shaft: ArrayLike, depth_m: float) -> Pose:
-    """Return the pose of a board that faces the trocar, with its middle `depth_m` below the trocar.
+    """Return the pose of a board that faces the trocar, `depth_m` [m] below the trocar.
 
-    The board's z points against the shaft (3,). Its x is the base's x, projected into the board. A TaskError is raised
-    if the shaft is parallel to the base's x.
+    The board's z points against the shaft (3,). A TaskError is raised if the shaft is parallel to the base's x.
     """
     into = direction3("shaft", shaft)
     x = direction3("shaft", np.array([1.0, 0.0, 0.0]) - into[0] * into)

@@ -1,4 +1,4 @@
-"""The endoscope's camera: its settings, a pinhole model with a pose, and its pictures of a scene."""
+"""The endoscope's camera: its settings, a pinhole model, and its pictures of a scene."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from moc_opt.vision.board import Board, Pose, VisionSettings, rotation_from
 Picture = NDArray[np.uint8]  # (H, W, 3), blue green red
 
 TISSUE, COVER, STEEL = (92, 100, 178), (70, 60, 150), (150, 148, 145)
-SHAFT_RADIUS_M = 0.004  # radius of the drawn shaft
-_MARKER_BITS = 6  # cells along a marker: 4 bits, and a black frame around them
+SHAFT_RADIUS_M = 0.004
+_MARKER_BITS = 6  # 4 bits, and a black frame around them
 _CELL_PX = 16  # pixels along one cell of the drawn board
-_FINER = 2  # the scene is drawn this many times finer than the picture, so that the markers' edges are smooth
+_FINER = 2  # the scene is drawn this many times finer than the picture
 
 
 class CameraSettings(VisionSettings):
@@ -53,20 +53,20 @@ class Camera:
 
     @property
     def matrix(self) -> Array:
-        """The matrix K (3, 3). Pixel centres have whole coordinates. The optical axis is at ((W - 1)/2, (H - 1)/2)."""
+        """The matrix K (3, 3). Pixel centres have whole coordinates."""
         width, height = self.settings.width_px, self.settings.height_px
         f = 0.5 * height / math.tan(0.5 * math.radians(self.settings.fov_deg))
         return np.array([[f, 0.0, 0.5 * width - 0.5], [0.0, f, 0.5 * height - 0.5], [0.0, 0.0, 1.0]])
 
     def project(self, points_in_base: ArrayLike) -> Array:
-        """Return the pixels (k, 2) of points (k, 3) [m] in the base frame; NaN for points behind the camera."""
+        """Return the pixels (k, 2) of points (k, 3) [m] in the base frame; NaN behind the camera."""
         points = self.camera_in_base.inverse().apply(np.atleast_2d(np.asarray(points_in_base, dtype=np.float64)))
         depth = np.where(points[:, 2] > 1e-6, points[:, 2], np.nan)
         return np.asarray((points @ self.matrix.T)[:, :2] / depth[:, None])
 
     @classmethod
     def above(cls, settings: CameraSettings, phantom_in_base: Pose) -> Camera:
-        """Place a camera that looks at the phantom's middle, with the board's y towards the top of its pictures."""
+        """Place a camera that looks at the middle of the phantom's board."""
         tilt, azimuth = math.radians(settings.tilt_deg), math.radians(settings.azimuth_deg)
         away = np.array([math.sin(tilt) * math.cos(azimuth), math.sin(tilt) * math.sin(azimuth), math.cos(tilt)])
         right = np.cross(-away, (0.0, 1.0, 0.0))  # not zero: the tilt is below a right angle
@@ -75,7 +75,7 @@ class Camera:
         return cls(settings, phantom_in_base @ Pose(turn, settings.distance_m * away))
 
     def miscalibrated(self, seed: int) -> Camera:
-        """Return the camera at the pose of a faulty calibration: the true pose plus the settings' errors, at random."""
+        """Return the camera with the settings' calibration errors, in random directions."""
         away, axis = np.random.default_rng(seed).standard_normal((2, 3))
         turn = math.radians(self.settings.calibration_error_deg) * axis / np.linalg.norm(axis)
         error = Pose(rotation_from(turn), self.settings.calibration_error_m * away / np.linalg.norm(away))
@@ -83,16 +83,13 @@ class Camera:
 
 
 def hide(ids: range, fraction: float, seed: int) -> frozenset[int]:
-    """Draw at random which markers are covered: the share `fraction` (0 to 1), rounded to a whole number of markers.
-
-    With the same seed, a larger fraction covers the same markers and more.
-    """
+    """Draw at random which markers are covered, a share ``fraction`` (0 to 1) of all."""
     order = np.random.default_rng(seed).permutation(np.array(ids))
     return frozenset(order[: round(fraction * len(ids))].tolist())
 
 
 class View:
-    """Takes pictures of the board and the tool's shaft, with blur and noise.
+    """Takes pictures of the board and the tool's shaft.
 
     ``shaft`` maps a pose q (n,) to the tip and another point (3,) of the shaft in the base frame [m].
     """
@@ -105,13 +102,13 @@ class View:
         self._page = cv2.cvtColor(board_picture(board), cv2.COLOR_GRAY2BGR)
         self._texture = texture_matrix(board)
         self._rng = np.random.default_rng(seed)
-        # With _FINER = 2, the centre of pixel u is at 2 u + 0.5 in the finer drawing.
+        # With _FINER = 2, the centre of pixel u is at 2 u + 0.5.
         self._finer = np.array([[_FINER, 0.0, 0.5 * (_FINER - 1)], [0.0, _FINER, 0.5 * (_FINER - 1)], [0.0, 0.0, 1.0]])
 
     def picture(
         self, board_in_base: Pose | None, hidden: frozenset[int] = frozenset(), q: Array | None = None
     ) -> Picture:
-        """Take a picture (H, W, 3). It shows the board if its pose is given, and the tool if its q (n,) is given."""
+        """Take a picture (H, W, 3) of the board and, at q (n,), of the tool."""
         width, height = self.camera.settings.width_px, self.camera.settings.height_px
         page = np.full((_FINER * height, _FINER * width, 3), TISSUE, dtype=np.uint8)
         if board_in_base is not None:
@@ -124,7 +121,7 @@ class View:
     def _draw_board(self, page: Picture, pose: Pose, hidden: frozenset[int]) -> None:
         printed, board = self._page.copy(), self._board
         if pose.R[:, 2] @ pose.t >= 0.0 or pose.apply(board.outline())[:, 2].min() <= 1e-3:
-            return  # the camera sees the board's back, or a part of the board is behind the camera
+            return  # the board faces away, or a part is behind the camera
         radius = min(0.72 * board.marker_m, 0.5 * board.marker_m + 0.9 * board.gap_m) * self._texture[0, 0]
         for marker in hidden:
             x, y, _ = self._texture @ [*board.corners(marker)[:, :2].mean(axis=0), 1.0]
@@ -152,11 +149,11 @@ class View:
 
 
 def expose(picture: Picture, settings: CameraSettings, rng: np.random.Generator) -> Picture:
-    """Return the picture (H, W, 3) with the blur of the lens and then the noise of the sensor."""
+    """Return the picture (H, W, 3) with blur and noise."""
     if settings.blur_px > 0.0:
         picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), settings.blur_px), dtype=np.uint8)
     if settings.noise > 0.0:
-        # All three colours get the same noise: the detection uses only grey levels.
+        # The detection uses only grey levels.
         grain = np.rint(settings.noise * rng.standard_normal(picture.shape[:2], dtype=np.float32))
         picture = np.clip(picture.astype(np.int16) + grain.astype(np.int16)[:, :, None], 0, 255).astype(np.uint8)
     return picture
@@ -169,7 +166,7 @@ def board_picture(board: Board) -> NDArray[np.uint8]:
     page = np.full((height, width), 255, dtype=np.uint8)
     for marker in board.ids:
         left, top, _ = texture_matrix(board) @ [*board.corners(marker)[0, :2], 1.0]
-        # Rounding the shift to whole pixels would move a marker by up to 0.1 mm.
+        # Whole pixels would move a marker by up to 0.1 mm.
         shift = np.array([[1.0, 0.0, left - 0.5], [0.0, 1.0, top - 0.5]])
         square = np.pad(cv2.aruco.generateImageMarker(dictionary(), marker, side), 1, constant_values=255)
         cv2.warpAffine(square, shift, (width, height), dst=page, borderMode=cv2.BORDER_TRANSPARENT)
@@ -177,7 +174,7 @@ def board_picture(board: Board) -> NDArray[np.uint8]:
 
 
 def texture_matrix(board: Board) -> Array:
-    """Return the matrix (3, 3) that maps (x, y, 1) on the board [m] to (column, row, 1) in `board_picture`."""
+    """Return the matrix (3, 3) from (x, y, 1) [m] on the board to pixels of `board_picture`."""
     scale = _MARKER_BITS * _CELL_PX / board.marker_m
     width, height = board.size_m
     right, down = 0.5 * scale * width - 0.5, 0.5 * scale * height - 0.5

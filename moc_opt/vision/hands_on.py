@@ -1,4 +1,4 @@
-"""First step of the operative procedure: a hand guides the tip to the incision, where the trocar is registered."""
+"""Hand guiding of the tip to the incision, where the trocar is registered."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from moc_opt.trace.trace import Trace
 from moc_opt.vision.board import VisionSettings
 
 _NO_REFERENCE, _NO_TROCAR = np.zeros((3, 3)), np.zeros((2, 3))
-_SPEED_FILTER_Hz = 5.0  # without this filter, the encoders' noise is some mm/s at the tip
+_SPEED_FILTER_Hz = 5.0  # of the tip's speed
 
 
 class HandSettings(VisionSettings):
@@ -59,7 +59,7 @@ class HandsOnSettings(VisionSettings):
 
 
 class HandsOnStatus(Enum):
-    """How the guiding ended. The text explains it and, after a failure, names the cure."""
+    """How the guiding ended."""
 
     REGISTERED = "the tip rested at the incision and the trocar is registered"
     SHORT = "the tip did not reach the incision: raise hand.force_max_N, tolerance_m or time_limit_s"
@@ -76,20 +76,20 @@ class HandsOn:
 
     status: HandsOnStatus
     trocar: Array  #: (3,) true position of the incision [m]
-    registered: Array | None  #: (3,) the registered trocar [m]; None if it was not registered
-    q: Array  #: (n,) the robot's measured pose at the end [rad]
+    registered: Array | None  #: (3,) registered trocar [m], or None
+    q: Array  #: (n,) measured pose at the end [rad]
     trace: Trace  #: one row per tick
 
     @property
     def error_m(self) -> float:
-        """Distance of the registered trocar from the true one [m]; NaN if it was not registered."""
+        """Distance of the registered trocar from the true trocar [m], or NaN."""
         return math.nan if self.registered is None else float(np.linalg.norm(self.registered - self.trocar))
 
 
 class Hand:
-    """A hand that pulls the tool to the goal like a spring and a damper, with an integral part f and a bounded force.
+    """A hand that pulls the tool to the goal like a spring and a damper.
 
-    force = D (desired - velocity) + f, |force| <= force_max, with the damping D. `desired` is a
+    force = D (desired - velocity) + f, |force| <= force_max, with the damping D and an integral part f. `desired` is a
     velocity to the goal: stiffness/D * distance, at most speed_max. f grows by correction * stiffness * distance per s.
     """
 
@@ -97,7 +97,7 @@ class Hand:
         self.settings, self._period, self._extra = settings, period_s, np.zeros(3)
 
     def pull(self, place: Array, velocity: Array, goal: Array) -> Array:
-        """Compute the hand's force (3,) [N] on the tool, once a period; a PlantError if the arm ran away."""
+        """Compute the hand's force (3,) [N], once a period; a PlantError if the arm ran away."""
         hand, way = self.settings, goal - place
         distance = math.sqrt(float(way @ way))
         if not math.isfinite(distance + float(velocity @ velocity)):
@@ -106,7 +106,6 @@ class Hand:
         pull = hand.damping_Ns_per_m * (desired - velocity) + self._extra
         force = _cut(pull, hand.force_max_N)
         # f grows only near the goal and below the force limit. Otherwise the tip would overshoot.
-        # f may shrink anywhere. Otherwise, if a stuck tool comes loose, f would push it past the goal for ever.
         near = distance * hand.stiffness_N_per_m < hand.damping_Ns_per_m * hand.speed_max_m_per_s
         less = float(way @ self._extra) < 0.0
         if distance > hand.content_m and (less or (near and force is pull)):
@@ -120,11 +119,7 @@ def _cut(vector: Array, most: float) -> Array:
 
 
 class _Guiding:
-    """Hand guiding with the interface of a controller: tau = g(q) - D v, without reference and memory.
-
-    Errors of the model's masses make the arm drift slowly, unless friction or a hand holds it. ``seen`` is the state
-    at the last accepted measurement.
-    """
+    """Hand guiding with the interface of a controller: tau = g(q) - D v."""
 
     def __init__(self, robot: RobotModel, damping_Nm_s_per_rad: float) -> None:
         self._robot, self._damping = robot, damping_Nm_s_per_rad
@@ -144,11 +139,10 @@ class _Guiding:
 def guide_to(
     incision: ArrayLike, plant: Plant, robot: RobotModel, settings: HandsOnSettings | None = None, *, seed: int = 0
 ) -> HandsOn:
-    """Let a hand pull the tip to the incision (3,) [m] while the arm only carries its own weight.
+    """Let a hand pull the tip to the incision (3,) [m], and register the trocar.
 
-    The hand sees the true tip. The robot registers the tip of its own kinematics, plus a seeded error. The plant
-    continues from its present state. If the incision is too far away or out of reach, a TaskError is raised before
-    anything moves. If the arm runs away, a PlantError is raised.
+    The robot registers the tip of its own kinematics, plus a seeded error. If the incision is too far away or out of
+    reach, a TaskError is raised before anything moves. If the arm runs away, a PlantError is raised.
     """
     settings = settings or HandsOnSettings()
     goal = vector3("incision", incision)
@@ -166,14 +160,14 @@ def guide_to(
     loop = ClosedLoop(plant, law, safety_filter, Stop(guard.stop_damping_Nm_s_per_rad, guard.stop_s))
     loop.start(_NO_REFERENCE, _NO_TROCAR)
     hand, tool, tip = Hand(settings.hand, period), plant.mj_data.body("tool"), plant.mj_data.body(robot.data.tip_frame)
-    point = tool.xmat.reshape(3, 3).T @ (tip.xpos - tool.xpos)  # where the hand holds the tool, in the tool's frame [m]
+    point = tool.xmat.reshape(3, 3).T @ (tip.xpos - tool.xpos)  # in the tool's frame [m]
     gain = -math.expm1(-2.0 * math.pi * _SPEED_FILTER_Hz * period)
     slow, reached = np.zeros(3), False
     rows: list[dict[str, Array | float]] = []
-    resting: list[Array] = []  # accepted tip positions since the tip came to rest at the incision
+    resting: list[Array] = []  # tip positions since the tip came to rest
     needed, ticks = max(1, round(settings.rest_s / period)), math.ceil(settings.time_limit_s / period)
     while len(resting) < needed and loop.ticks < ticks and not loop.finished:
-        # The model's J_tip is accurate enough for the tip's true velocity.
+        # The model's J_tip is accurate enough here.
         force = hand.pull(plant.tip, robot.state(plant.q, plant.v).J_tip @ plant.v, goal)
         plant.push("tool", force, point)
         off = float(np.linalg.norm(plant.tip - goal))

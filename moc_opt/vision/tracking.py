@@ -1,4 +1,4 @@
-"""Detect the board's pose in pictures (OpenCV's ArUco markers), reject outliers, and average over time."""
+"""Detect the board's pose in pictures (OpenCV's ArUco markers), reject outliers, and average."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from moc_opt.arrays import Array
 from moc_opt.vision.board import Board, Pose, VisionSettings, rotation_from
 from moc_opt.vision.camera import Camera, Picture, dictionary
 
-_OUTLIER, _CLEAN_PX = 4.0, 0.6  # a corner is left out if its error is above 0.6 px and above 4 times the median
+_OUTLIER, _CLEAN_PX = 4.0, 0.6  # a corner is left out if its error exceeds 0.6 px and 4 times the median
 
 
 class TrackerSettings(VisionSettings):
@@ -34,27 +34,27 @@ class TrackerSettings(VisionSettings):
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """The board's pose measured in one picture, and how well this pose fits the corners found."""
+    """The board's pose measured in one picture."""
 
     pose: Pose
     markers: int
-    error_px: float  #: Root mean square distance of the found corners from those of this pose [px].
+    error_px: float  #: Root mean square error of the corners [px].
 
 
 class BoardFinder:
-    """Finds the markers of one board in pictures of one camera, and computes the board's pose by PnP and refinement."""
+    """Finds the pose of one board in pictures of one camera."""
 
     def __init__(self, board: Board, camera: Camera) -> None:
         parameters = cv2.aruco.DetectorParameters()
         parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-        # With a window as wide as a marker's cell, distances have 25 % less error than with OpenCV's third of a cell.
+        # A window as wide as a marker's cell reduces distance errors by 25 %.
         parameters.relativeCornerRefinmentWinSize = 1.0
         self._detector = cv2.aruco.ArucoDetector(dictionary(), parameters)
         self._corners = {marker: board.corners(marker) for marker in board.ids}
         self._matrix = camera.matrix
 
     def corners(self, picture: Picture) -> dict[int, Array]:
-        """Find the board's markers. Return their corners (4, 2) [px], by marker number."""
+        """Find the board's markers; return their corners (4, 2) [px] by marker number."""
         found, ids, _ = self._detector.detectMarkers(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY))
         numbers = [] if ids is None else [int(marker) for marker in ids.ravel()]
         quads = (np.asarray(quad, dtype=np.float64).reshape(4, 2) for quad in found)
@@ -63,8 +63,7 @@ class BoardFinder:
     def find(self, picture: Picture) -> Sighting | None:
         """Find the board's pose in the camera's frame; None if no marker is seen or no pose fits.
 
-        The corners of a distant plane fit two poses (mirrored about the line of sight). Both are refined, and the
-        better fit is taken. Corners with large errors, often near the tool, are left out.
+        The corners of a distant plane fit two poses. Both are refined, and the better fit is taken.
         """
         seen = self.corners(picture)
         if not seen:
@@ -103,15 +102,15 @@ class Tracked:
     """The tracker's result for a picture."""
 
     seen: bool  #: Whether the board is being tracked.
-    pose: Pose | None  #: Averaged pose, kept while the board is lost; None until the board is first found.
-    refused: str | None  #: Why this picture's sighting was not used; None if it was used.
+    pose: Pose | None  #: Averaged pose, kept while the board is lost; None before it is found.
+    refused: str | None  #: Why the sighting was not used, or None.
 
 
 class BoardTracker:
     """Tracks a board from picture to picture, and averages its pose over `smoothing_s`.
 
-    A single sighting far from the estimate is an outlier and changes nothing. If `found_after` outliers in a row agree,
-    the board was moved, and the estimate jumps. The tip must not jump then (see `WaitingReference`).
+    If `found_after` sightings far from the estimate agree, the estimate jumps. The tip must not jump then (see
+    `WaitingReference`).
     """
 
     def __init__(self, limits: TrackerSettings | None = None) -> None:
@@ -119,10 +118,10 @@ class BoardTracker:
         self.pose: Pose | None = None
         self._tracking, self._time, self._last_seen = False, -math.inf, -math.inf
         self._count = 0  # number of averaged sightings
-        self._streak: list[Pose] = []  # good sightings in a row, not yet in the estimate
+        self._streak: list[Pose] = []  # good sightings not yet in the estimate
 
     def update(self, t: float, sighting: Sighting | None) -> Tracked:
-        """Update the estimate with the sighting (if any) in the next picture, taken at time t [s]."""
+        """Update the estimate with the sighting, if any, at time t [s]."""
         elapsed, self._time = t - self._time, t
         refused = self._refusal(sighting)
         if sighting is None or refused is not None:
@@ -153,7 +152,7 @@ class BoardTracker:
         self._streak.append(pose)
         if len(self._streak) < self.limits.found_after:
             return "far from the estimate" if self._tracking else "waiting for more sightings that agree"
-        # At the old pose, the old average continues. At another pose, a new average begins.
+        # At another pose, a new average begins.
         if self.pose is None or not self._near(self.pose, pose):
             mean, self._count = self._streak[0], 1
             for other in self._streak[1:]:
