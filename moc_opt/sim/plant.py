@@ -57,7 +57,8 @@ def _truth(of: Callable[[Any], Array], about: str) -> Any:
 class Plant:
     """An arm in MuJoCo with trocar, sensors and delay, advanced one control period at a time.
 
-    The arm begins at `data.q_home`. Equal arguments and torques give equal results to the last bit.
+    The arm begins at `data.q_home`. Equal arguments and torques give equal results to the last bit. `mj_model` and
+    `mj_data` are for drawing and checks only.
 
     Args:
         data: the robot, as in the controller's model.

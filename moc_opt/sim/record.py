@@ -33,7 +33,7 @@ class RunAway(PlantError):
 
 
 class TaskOffset(NamedTuple):
-    """True minus computed position of the two points that the arm touches with its tip, (3,) each [m]."""
+    """True minus computed position of the two points that the arm registers with its tip, (3,) each [m]."""
 
     tip: Array = np.zeros(3)  #: At the start of the path.
     trocar: Array = np.zeros(3)  #: At the trocar, without the registration error.

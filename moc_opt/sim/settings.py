@@ -131,7 +131,7 @@ class Mismatch:
     def draw(
         cls, data: RobotData, settings: PlantSettings, links: Sequence[str], seed: np.random.SeedSequence
     ) -> Mismatch:
-        """Draw factors from 1 +- error, and directions of the offsets, uniformly."""
+        """Draw uniform factors from 1 +- error, and uniform directions of the offsets."""
         of_links, of_joints, of_trocar, of_origins, of_axes, of_encoders, of_ripple = (
             np.random.default_rng(child) for child in seed.spawn(7)
         )
