@@ -66,7 +66,7 @@ def residual_columns(columns: Columns) -> dict[str, NDArray[Any]]:
 
 
 def largest_mu(poses: Array, robot: RobotModel, samples: int) -> tuple[Array, dict[str, str]]:
-    """Compute the largest mu [m^3] with the same tip and wrist, at evenly spaced ticks.
+    """Compute the largest mu [m^3] for the run's tip and wrist, at evenly spaced ticks.
 
     Return (bound, meta). ``bound`` (N,) is NaN at other ticks. ``meta`` names the method.
     """

@@ -1,4 +1,4 @@
-"""Lay a scenario's task out from one start pose: registered trocar, reference of the tip, duration."""
+"""Lay a scenario's task out from one start pose."""
 
 from __future__ import annotations
 
@@ -101,6 +101,6 @@ def _task(scenario: Scenario, robot: RobotModel, q: Array) -> Layout:
 
 
 def described(scenario: Scenario, robot: RobotModel) -> dict[str, Any]:
-    """Return scenario and robot for a trace's `meta`, and all data of an arm from elsewhere."""
+    """Return scenario and robot for a trace's `meta`, and the data of an arm outside the package."""
     found = {"scenario": scenario.model_dump(mode="json"), "robot": robot.data.name}
     return found if scenario.robot.name in available_robots() else {**found, "robot_data": carried(robot)}

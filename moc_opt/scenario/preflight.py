@@ -68,11 +68,11 @@ def random_start(
     robot: RobotModel, rng: np.random.Generator, swivelled: Callable[[Array], Array],
     lay_out: Callable[[Array], tuple[Found, Array]], margins: Array,
 ) -> Found:  # fmt: skip
-    """Draw poses until the arm can do the task from one, and return its task.
+    """Draw start poses until the arm can do the task, and return the task.
 
     Args:
-        swivelled: returns the start pose with the scenario's elbow angle, from a drawn pose (n,).
-        lay_out: returns task and poses (k, n) along the path, from a start pose (n,).
+        swivelled: function from a drawn pose (n,) to the start pose with the scenario's elbow angle.
+        lay_out: function from a start pose (n,) to the task and poses (k, n) along the path.
         margins: (n,) smallest distance from the joint limits [rad, m].
 
     Raises:

@@ -79,7 +79,7 @@ class FaultSettings(Settings):
 
 
 class Faults:
-    """The faults of a run with n joints. ``period`` is the control period [s].
+    """The faults of a run of an arm with n joints. ``period`` is the control period [s].
 
     Raises:
         PlantError: ``frozen_joint`` or ``lag_joint`` is no joint of the arm.

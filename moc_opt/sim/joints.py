@@ -1,6 +1,6 @@
 """The arm's joints in MuJoCo's state, and their drives.
 
-A joint with a spring is two hinges: the motor's angle theta and the spring's deflection delta (Spong 1987).
+A joint with a spring has a motor angle theta, a spring deflection delta and a link angle q (Spong 1987):
 
     q = theta + delta,   M(q) ddq + h = tau_J,   B ddtheta + friction + tau_J = tau,   tau_J = -K delta - D ddelta/dt
 
@@ -26,7 +26,7 @@ _MOST_RAD_A_STEP = 1.0  # largest phase of a spring's oscillation per plant step
 
 
 class Joints:
-    """Joint coordinates and torque drives without dynamics.
+    """Joint coordinates, and torque drives without dynamics.
 
     Attributes:
         q, v: (n,) positions and velocities of the links [rad], [rad/s].
@@ -72,7 +72,7 @@ class Joints:
         self.gather()
 
     def command(self, tau: ArrayLike) -> None:
-        """Queue a commanded torque (n,) [Nm], and apply the torque that is due. Raise a PlantError if it is wrong."""
+        """Queue a torque (n,) [Nm], and apply the torque that is due. Raise a PlantError for a wrong torque."""
         wanted = np.asarray(tau, dtype=np.float64)
         if wanted.shape != self._high.shape:
             raise PlantError(f"tau has shape {wanted.shape}: give {self._high.shape}, one torque a joint [Nm]")

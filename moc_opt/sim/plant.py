@@ -1,7 +1,7 @@
 """The simulated arm and its compliant trocar.
 
 The trocar's force on the tool is (I - u u^T) (stiffness (P - c) + damping (dP - w)). Here u is the tool direction, P
-the trocar point, c the shaft point nearest to P, and w the tool's velocity at c.
+the trocar point, dP its velocity, c the shaft point nearest to P, and w the tool's velocity at c.
 """
 
 from __future__ import annotations

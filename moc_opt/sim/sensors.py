@@ -89,8 +89,8 @@ _MOST_TICKS = 500  #: Largest result of `longest_repetition` [ticks].
 def longest_repetition(noise_rad: float, resolution_rad: float) -> int | None:
     """Return how often in a row an encoder at rest may repeat its reading.
 
-    With step s and noise sigma, a reading repeats with probability p <= erf(s / (sqrt(8) sigma)). The result is the
-    first k >= 10 with p^k below 1e-10. Without noise, or above 500, the result is None.
+    With step s and noise sigma, a reading repeats with a probability of at most p = erf(s / (sqrt(8) sigma)). The
+    result is the first k >= 10 with p^k below 1e-10. Without noise, or above 500, the result is None.
     """
     if noise_rad == 0.0:
         return None

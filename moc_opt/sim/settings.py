@@ -124,7 +124,7 @@ class Mismatch:
 
     @property
     def displaces(self) -> bool:
-        """Whether tip and shaft are displaced from the model's."""
+        """Whether the model's tip and shaft are displaced."""
         return bool(self.origin_shift.any() or self.origin_turn.any() or self.encoder_bias.any())
 
     @classmethod

@@ -1,4 +1,4 @@
-"""The Parquet file of a trace, with meta, numpy types and a checksum in its metadata."""
+"""The Parquet file of a trace (record of a run), with meta and a checksum."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _OTHER_FORMATS = frozenset({".csv", ".tsv", ".txt", ".json", ".npy", ".npz", ".m
 
 
 def new_file(path: str | os.PathLike[str]) -> Path:
-    """Return the path of a new trace. Raise a TraceError if it cannot be used."""
+    """Return the path of a new trace. Raise a TraceError if the path cannot be used."""
     target = as_path(path, "trace", TraceError)
     if target.suffix.lower() in _OTHER_FORMATS:
         raise TraceError(

@@ -1,8 +1,8 @@
-"""The meta of a trace: entries about the whole run, and their types.
+"""The meta of a trace (record of a run): entries and their types.
 
 - ``ended``: the ending and its reason
 - ``warnings``: quantities that exceeded a warning level of the safety filter
-- ``faults``: for each fault of the solver: number, time of the first, and message of the first
+- ``faults``: count, first time and first message of each fault of the solver
 - ``restarts``: time and reason of each restart of an isolated solver's process
 - ``robot_data``: data of an arm that is not in the package
 """

@@ -22,7 +22,7 @@ from moc_opt.trace.trace import MissingDataError, Trace
 
 Floats = NDArray[np.float64]
 GROUP = "moc_opt.metrics"
-_LOADED: dict[EntryPoint, str] = {}  # by entry point: the failure, or ""
+_LOADED: dict[EntryPoint, str] = {}  # by entry point: reason of a failure, or ""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Metric:
     name: str  #: key in every summary; includes the unit
     unit: str  #: such as "mm"; "1" for counts and ratios
     about: str  #: one line on what the metric measures
-    function: Callable[..., float] = field(repr=False)  #: of (trace) or (trace, baseline)
+    function: Callable[..., float] = field(repr=False)  #: function of (trace) or (trace, baseline)
 
     def __call__(self, trace: Trace, baseline: Trace | None = None) -> float:
         """Return the value. Raise a MissingDataError if the trace lacks the data."""

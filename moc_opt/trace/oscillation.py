@@ -22,7 +22,7 @@ Flags = Sequence[bool] | NDArray[np.bool_]
 LIMIT_RAD_PER_S, LIMIT_NM = 0.2, 10.0
 LIMIT_M_PER_S, LIMIT_N = 0.08, 100.0  #: Limits for a sliding joint.
 PARTS, LOUDEST, KEPT_UP = 8, 2, 0.5
-"""Without its LOUDEST of PARTS parts, an oscillation exceeds KEPT_UP times the limit."""
+"""Parts of the worst second, loudest parts left out, share of the limit for the rest."""
 ABOVE_HZ, WINDOW_S, START_S, SHORTEST_S = 8.0, 1.0, 0.5, 1e-6
 
 
@@ -113,7 +113,7 @@ def describe(trace: Trace, joint_names: Sequence[str], slides: Flags) -> str:
 
 
 def judged_for_oscillation(trace: Trace, joint_names: Sequence[str], slides: Flags) -> Trace:
-    """Return the trace. If the run oscillated, its ``meta["ended"]`` says so."""
+    """Return the trace, whose ``meta["ended"]`` names an oscillation of the run."""
     ended, stopped_s = trace.meta.get("ended"), trace.meta.get("stopped_at_s")
     judged = trace if stopped_s is None else trace.head(int(np.searchsorted(trace.t_s, stopped_s)))
     brief = len(judged) < 4 or judged.t_s[-1] - judged.t_s[0] < START_S + 0.5 * WINDOW_S
