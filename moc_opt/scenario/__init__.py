@@ -1,9 +1,6 @@
-"""A validated scenario and its run. Only this package connects solver, controller and plant.
+"""A validated scenario and its run.
 
-Read first: ``config``, whose class ``Scenario`` has every key of the TOML file (``tables`` defines some tables). Then
-read ``setup``: ``Setup`` builds the objects, and ``Setup.trace`` or ``run`` makes a trace. ``layout`` computes the task
-from a start pose. ``preflight`` checks that the arm can do the task, and draws random starts. ``planned`` plans joint
-motions before a run. ``derived`` adds columns to a trace. ``wired`` runs plant and controller in two processes.
+``config`` defines the keys of the TOML file, and ``setup`` builds and runs a scenario.
 """
 
 from moc_opt.errors import MocOptError

@@ -27,20 +27,19 @@ PRESETS: Mapping[str, Mapping[str, Callable[..., Settings]]] = {
     "control": {name: partial(ControlSettings.preset, name) for name in CONTROL_PRESETS},
     "plant": {"realistic": PlantSettings, "nominal": PlantSettings.nominal},
 }
-"""For each table and each name of a preset, the function that makes the table from the table's other keys."""
-_LAGS = 3.0  # smallest motion_lag_s of the safety filter, in time constants of the velocity filter
+"""By table and preset: the function that makes the table."""
+_LAGS = 3.0  # smallest motion_lag_s, in time constants of the velocity filter
 _TORQUE, _SPEED = 500.0, 600.0
-"""Smallest repeat_torque [share of tau_max] and stuck_rad_per_s [rad/s] per rad of the encoders' step. With smaller
-values, the arm would stop before a healthy encoder shows its first step."""
+"""Smallest repeat_torque [share of tau_max] and stuck_rad_per_s [rad/s], per rad of encoder step."""
 
 
 class Scenario(Settings):
     """One run. By default, the law MOC with the solver ``exact`` follows a circle in the realistic plant.
 
-    Every key of the TOML file is a field, and every table is a nested model. All fields are checked and frozen.
+    Every key of the TOML file is a field, and every table is a nested model.
 
     Raises:
-        ScenarioError: a value is out of range, or fields contradict each other; the message names the field.
+        ScenarioError: a value is out of range, or fields contradict each other.
         UnknownNameError: a key, preset, solver or path does not exist.
     """
 
@@ -81,7 +80,6 @@ class Scenario(Settings):
 
     @classmethod
     def _places(cls, key: str) -> list[str]:
-        # In TOML a key belongs to the table header above it, which may be the wrong table.
         tables = {name: field.annotation for name, field in cls.model_fields.items()}
         inside = [f"in [{name}]" for name, kind in tables.items() if key in getattr(kind, "model_fields", {})]
         return ["at the top of the file, above all tables", *inside] if key in tables else inside
@@ -99,7 +97,6 @@ class Scenario(Settings):
 
     @model_validator(mode="after")
     def _box_before_the_wall(self) -> Self:
-        """Refuse bounds on x that reach into the safety filter's wall. Level 3 would press the arm against the wall."""
         for unit in ("rad", "m"):
             name = "course_margin_rad" if unit == "rad" and self.control.follows else f"limit_margin_{unit}"
             box, wall = getattr(self.control, name), getattr(self.guard, f"position_margin_{unit}")
@@ -122,10 +119,10 @@ class Scenario(Settings):
 
     @classmethod
     def load(cls, path: Self | str | os.PathLike[str]) -> Self:
-        """Read a TOML file. Relative paths in the file start at its folder. A `Scenario` is returned unchanged.
+        """Read a TOML file, whose relative paths start at its folder. A `Scenario` is returned unchanged.
 
         Raises:
-            ScenarioError: there is no such file, it is not TOML, or a value is out of range.
+            ScenarioError: the file is missing or not TOML, or a value is out of range.
             UnknownNameError: a key or preset does not exist.
         """
         if isinstance(path, cls):
@@ -141,10 +138,10 @@ class Scenario(Settings):
             raise
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a TOML file from which `load` makes the same scenario. Defaults are omitted, and paths are absolute.
+        """Write a TOML file that `load` reads. Defaults are omitted, and paths become absolute.
 
         Raises:
-            ScenarioError: a solver's setting cannot be written as TOML, or the file cannot be written.
+            ScenarioError: a setting or the file cannot be written.
         """
         try:
             text = to_toml(_without_none(_with_files_in(Path.cwd(), self.changes())))
@@ -153,7 +150,7 @@ class Scenario(Settings):
         write_whole(path, text, "scenario", ScenarioError)
 
     def changes(self) -> dict[str, Any]:
-        """Return all non-default values, as arguments. A table names a preset if this leaves fewer keys."""
+        """Return all non-default values by name."""
         found: dict[str, Any] = {}
         for name, field in type(self).model_fields.items():
             value = getattr(self, name)
@@ -180,7 +177,7 @@ class Scenario(Settings):
 
     @property
     def told_guard(self) -> SafetyFilterSettings:
-        """The settings ``[guard]`` in use. Limits that are left out or too low are computed from the encoders' data."""
+        """The settings ``[guard]``, with limits that suit the plant's encoders."""
         guard, plant, told = self.guard, self.plant, dict[str, float | None]()
         encoder = plant.encoder_noise_rad, plant.encoder_resolution_rad
         if guard.repeat_joint_ticks is None:
@@ -189,7 +186,7 @@ class Scenario(Settings):
             *encoder, plant.velocity_cutoff_Hz, plant.period_s
         ):
             told["repeat_reading_ticks"] = guard.patience_ticks
-        if plant.velocity_cutoff_Hz > 0.0:  # the filter lags by its time constant, and by more when the motion reverses
+        if plant.velocity_cutoff_Hz > 0.0:
             told["motion_lag_s"] = max(guard.motion_lag_s, _LAGS / (2.0 * math.pi * plant.velocity_cutoff_Hz))
         told["repeat_torque"] = max(guard.repeat_torque, _TORQUE * plant.encoder_resolution_rad)
         told["stuck_rad_per_s"] = max(guard.stuck_rad_per_s, _SPEED * plant.encoder_resolution_rad)
@@ -197,7 +194,6 @@ class Scenario(Settings):
 
 
 def _with_files_in(folder: Path, table: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the table with all relative paths (of a robot's file, of a planned joint motion) resolved in a folder."""
     found = dict(table)
     for name, key in (("robot", "name"), ("control", "course")):
         file = table[name].get(key) if isinstance(table.get(name), Mapping) else None
@@ -207,7 +203,6 @@ def _with_files_in(folder: Path, table: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _tables(value: Settings, name: str) -> Iterator[dict[str, Any]]:
-    """Yield the ways to write a table: without a preset, then with each of its presets."""
     yield value.model_dump(exclude_defaults=True)
     for preset, make in PRESETS.get(name, {}).items():
         base, table = make(), dict[str, Any]()
@@ -220,7 +215,6 @@ def _tables(value: Settings, name: str) -> Iterator[dict[str, Any]]:
 
 
 def _without_none(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Replace None by its form in a file: '' for ``gains``, `inf` for limits. A solver's setting None is omitted."""
     plain: dict[str, Any] = {}
     for key, value in table.items():
         if key == "settings":

@@ -1,8 +1,4 @@
-"""Columns computed after a run: errors by the controller's kinematics, residuals of the answers, and the largest mu.
-
-Dynamic programming on a grid of 50 ms and 0.5 degree finds two courses (joint trajectories) with the largest mean mu:
-one from the run's start, and one from any start. `moc_opt.scenario.planned.plan` uses a finer grid (docs/planning.md).
-"""
+"""Columns computed after a run: model errors, residuals, largest mu, and courses (planned joint motions)."""
 
 from __future__ import annotations
 
@@ -36,13 +32,16 @@ from moc_opt.trace.trace import Trace
 
 Columns = Mapping[str, NDArray[Any]]
 
-AT_ONCE = 5000  # number of answers whose residuals are computed together
-PERIOD_S = 0.05  # time step of the grid [s]. In one step, the elbow can move by several samples of the grid
-PATH = {"robot", "start", "trocar", "task", "duration_s", "seed"}  # keys of a scenario that determine path and start
+AT_ONCE = 5000  # answers whose residuals are computed together
+PERIOD_S = 0.05  # time step of the planning grid [s]
+PATH = {"robot", "start", "trocar", "task", "duration_s", "seed"}  # keys that determine path and start
 
 
 def model_errors(columns: Columns, robot: RobotModel, plant: Plant, offset: TaskOffset) -> dict[str, NDArray[Any]]:
-    """Compute tip and RCM error by the controller's kinematics. If springs separate encoders and links, return {}."""
+    """Compute tip and RCM error [m] by the controller's kinematics.
+
+    Elastic joints with encoders on the motors give no columns.
+    """
     if plant.settings.elastic and plant.settings.encoder_side == "motor":
         return {}
     tips, wrists = robot.tool_along(columns["q_rad"] + plant.mismatch.encoder_bias)
@@ -54,7 +53,7 @@ def model_errors(columns: Columns, robot: RobotModel, plant: Plant, offset: Task
 
 
 def residual_columns(columns: Columns) -> dict[str, NDArray[Any]]:
-    """Compute each answer's residuals, and the flag ``verified``. If nothing was solved, return no columns."""
+    """Compute each answer's residuals and the flag ``verified``; {} without subproblems."""
     if "subproblem" not in columns:
         return {}
     x = columns["x_rad_per_s"]
@@ -67,9 +66,9 @@ def residual_columns(columns: Columns) -> dict[str, NDArray[Any]]:
 
 
 def largest_mu(poses: Array, robot: RobotModel, samples: int) -> tuple[Array, dict[str, str]]:
-    """At evenly spaced ticks, compute the largest mu of all feasible poses with the tick's tip and wrist.
+    """Compute the largest mu [m^3] for the run's tip and wrist, at evenly spaced ticks.
 
-    Return (bound, meta). ``bound`` (N,) [m^3] is NaN at other ticks and at non-finite poses. ``meta`` names the method.
+    Return (bound, meta). ``bound`` (N,) is NaN at other ticks. ``meta`` names the method.
     """
     bound = np.full(len(poses), np.nan)
     ticks = np.linspace(0, len(poses) - 1, min(samples, len(poses))).astype(int)
@@ -82,16 +81,16 @@ def largest_mu(poses: Array, robot: RobotModel, samples: int) -> tuple[Array, di
 
 
 class BestCourses(NamedTuple):
-    """The courses with the largest mean mu along one path. None stands for a course that does not exist."""
+    """The courses with the largest mean mu along one path, or None."""
 
     robot: RobotModel
-    from_start: Course | None  #: The best course from the start pose of the run.
-    best: Course | None  #: The best course from any start pose.
-    last: pose_map.PoseMap  #: Grid of all poses that reach the last two points of the path.
+    from_start: Course | None  #: From the start pose of the run.
+    best: Course | None  #: From any start pose.
+    last: pose_map.PoseMap  #: Poses that reach the last two points of the path.
 
 
 def best_courses(scenario: Scenario) -> BestCourses:
-    """Plan the best courses of a scenario's path, or take them from a cache. The errors are those of a run."""
+    """Plan the best courses of a scenario. Raise a MocOptError if the scenario is not usable."""
     return _planned(scenario.model_dump_json(include=PATH))
 
 
@@ -113,8 +112,7 @@ def _planned(path: str) -> BestCourses:
 def against_best(scenario: Scenario, trace: Trace) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     """Return the columns of the best courses, and the entry ``best_courses`` of the trace's meta.
 
-    If there are no courses, the entry says why. Otherwise it compares mu [m^3] and elbow swivel [deg] of three poses:
-    the last pose of the run, the maximum of mu that a climb from this pose reaches, and the best course's last pose.
+    The entry compares the last poses of run and course by mu [m^3] and swivel (elbow angle) [deg].
     """
     try:
         known = best_courses(scenario)

@@ -1,4 +1,4 @@
-"""Lay a scenario's task out from one start pose: registered trocar, reference of the tip, duration."""
+"""Lay a scenario's task out from one start pose."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from moc_opt.scenario.config import Scenario
 from moc_opt.tasks import Reference, Trocar, make_path
 
 MOST_TICKS = 1_000_000
-"""Largest number of ticks in a run: half an hour at 500 Hz. Computing residuals then takes about 4 GB of memory."""
+"""Largest number of ticks in a run. Its residuals take about 4 GB of memory."""
 
-_POSE_STREAM = (1,)  # random stream of the start pose. The elbow's swivel has another stream
+_POSE_STREAM = (1,)  # random stream of the start pose
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +28,7 @@ class Layout:
 
     q: Array  #: (n,) joint positions at the start [rad]
     trocar: Array  #: (3,) registered trocar at rest [m]
-    registered: Trocar  #: The registered trocar and its motion, as the controller knows them.
+    registered: Trocar  #: Motion of the registered trocar, known to the controller.
     reference: Reference  #: Path of the tip as a function of time.
     duration_s: float  #: Duration of the run [s].
 
@@ -40,7 +40,7 @@ def seeds_of(scenario: Scenario) -> tuple[int, int, int]:
 
 
 def lay_out(scenario: Scenario, robot: RobotModel, *, checked: bool = True) -> Layout:
-    """Choose the start, lay out the task, and check that the arm can do it. A random start is always checked.
+    """Choose the start, lay out the task, and check that the arm can do it.
 
     Raises:
         ScenarioError: start, trocar or duration are not usable, or no random start can do the task.
@@ -56,10 +56,9 @@ def lay_out(scenario: Scenario, robot: RobotModel, *, checked: bool = True) -> L
     if start.pose == "random":
         rng = np.random.default_rng(np.random.SeedSequence(scenario.seed, spawn_key=_POSE_STREAM))
         margins = np.where(robot.chain.prismatic, start.limit_margin_m, start.limit_margin_rad)
-        # The whole task has to be possible, however short the run is.
         return preflight.random_start(robot, rng, swivelled, lambda q: _checked(scenario, robot, q, np.inf), margins)
     q = np.array(robot.data.q_home if start.q_rad is None else start.q_rad, dtype=np.float64)
-    preflight.check_start(robot, q)  # the elbow of a singular pose has no swivel
+    preflight.check_start(robot, q)  # a singular pose has no swivel (elbow angle)
     q = swivelled(q)
     if not (checked and start.check_path):
         return _task(scenario, robot, q)
@@ -102,6 +101,6 @@ def _task(scenario: Scenario, robot: RobotModel, q: Array) -> Layout:
 
 
 def described(scenario: Scenario, robot: RobotModel) -> dict[str, Any]:
-    """Return scenario and robot for a trace's `meta`. If the arm is not in the package, add all data of the arm."""
+    """Return scenario and robot for a trace's `meta`, and the data of an arm outside the package."""
     found = {"scenario": scenario.model_dump(mode="json"), "robot": robot.data.name}
     return found if scenario.robot.name in available_robots() else {**found, "robot_data": carried(robot)}

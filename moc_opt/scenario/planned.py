@@ -1,4 +1,4 @@
-"""Plan the joint motion (course) of a scenario before its run, with `moc_opt.planning`, and write it to a file."""
+"""Plan a scenario's course (joint motion) before its run, and write it to a file."""
 
 from __future__ import annotations
 
@@ -27,18 +27,16 @@ def plan(
     margin_rad: float = 0.0, margin_m: float = 0.0, speed_share: float = 1.0, shaft_margin: float = 0.0,
     refined: bool = True,
 ) -> Plan:  # fmt: skip
-    """Plan a scenario's run: find out whether it can be executed, from which swivel of the elbow, and by which course.
-
-    The plan uses what the controller knows: the robot model, the registered trocar and the whole reference.
+    """Plan a scenario's run, and find out whether it can be executed.
 
     Args:
         scenario: a scenario, or the path of its file.
-        times: number of points on the path. None: one point per `PERIOD_S`, but at most `MOST_TIMES` points.
-        swivels: samples per turn of the elbow. For arms without closed-form poses, at least the default is used.
+        times: number of points on the path. None: one per `PERIOD_S`, but at most `MOST_TIMES`.
+        swivels: samples per turn of the elbow.
         margin_rad, margin_m: distance of turning and of sliding joints from their limits [rad], [m].
-        speed_share: share of the joints' speed limits that a course may use, above 0 to 1.
+        speed_share: usable share of the joints' speed limits, above 0 to 1.
         shaft_margin: smallest (manipulability of the shaft) / (distance from wrist to tip)^2, if possible.
-        refined: whether a nonlinear program improves the courses found on the grid.
+        refined: whether a nonlinear program improves the course.
 
     Raises:
         MocOptError: the scenario's start, path or trocar is not usable, or an argument is out of range.
@@ -56,10 +54,9 @@ def plan(
 def targets_of(
     robot: RobotModel, layout: Layout, times: int | None = None, *, period_s: float = PERIOD_S, finer: int = 1
 ) -> Targets:
-    """Return ``times`` targets of tip and wrist on the path, evenly spaced in time from the first tick to the last.
+    """Return ``times`` targets of tip and wrist, evenly spaced in time over the run.
 
-    Without ``times``, there is one target per ``period_s``, but at most `MOST_TIMES`. Then the time between two targets
-    is divided by ``finer``.
+    Without ``times``, there is one target per ``period_s`` / ``finer``, but at most `MOST_TIMES` * ``finer``.
     """
     spaces = int(np.clip(np.ceil(layout.duration_s / period_s), 1, MOST_TIMES - 1))
     span, length = robot.state(layout.q).tool_span, robot.data.tool_length
@@ -73,9 +70,7 @@ def followable_plan(
 ) -> tuple[Plan, dict[str, float]]:
     """Plan a course within limits, and return the plan and the limits.
 
-    ``followed`` says whether a third level will follow the course. If None, third_level decides. A course that is
-    followed has the limits of [control], without margins if no course keeps them. Another course has the arm's own
-    limits. Limits given as arguments have priority. If only one margin is given, the other margin is 0.
+    If a third level follows the course, its limits are those of [control], else the arm's own. Arguments have priority.
     """
     settings = scenario.control
     follows = settings.follows if followed is None else followed
@@ -95,7 +90,7 @@ def followable_plan(
 
 
 def following_warnings(scenario: Scenario, found: Plan) -> list[str]:
-    """Return the reasons why the scenario's third level cannot follow the course of the plan, each with a cure."""
+    """Return the reasons why the third level cannot follow the plan's course, with cures."""
     settings, course, said = scenario.control, found.course, list[str]()
     if settings.law != "moc":
         return [f"law = {settings.law!r} has no third level: nothing follows the course; take law = 'moc'"]
@@ -111,11 +106,10 @@ def following_warnings(scenario: Scenario, found: Plan) -> list[str]:
 
 
 def save_course(found: Plan, scenario: Scenario, to: str | os.PathLike[str], within: Mapping[str, float]) -> Path:
-    """Write the plan's course as a Parquet file that `Trace.load` and ``[control] course`` read.
+    """Write the plan's course as a Parquet file for ``[control] course``.
 
     Columns: t_s (k,) [s], q_rad (k,n), mu (k,) [m^3], swivel_rad (k,), tip_m, tip_ref_m and wrist_m (k,3).
-
-    ``within`` has the limits of the plan. Its keys are names of `plan`'s arguments.
+    ``within`` has the limits of the plan, by `plan`'s argument names.
 
     Raises:
         ScenarioError: the plan has no course from any start.

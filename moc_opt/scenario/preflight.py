@@ -1,4 +1,4 @@
-"""Checks before anything moves (limits and rank at the start, kinematics along the path), and random starts."""
+"""Checks of the start and the path before a run, and random starts."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from moc_opt.tasks import Reference, Trocar
 
 Found = TypeVar("Found")
 
-SINGULAR = (1e-4, 1e-4)  #: Smallest allowed `Freedoms.tip` and `Freedoms.both` at any start.
+SINGULAR = (1e-4, 1e-4)  #: Smallest `Freedoms.tip` and `Freedoms.both` of a start.
 REGULAR = (0.1, 0.05)
-"""Smallest `Freedoms.tip` and `Freedoms.both` of a random start and its path. At home, the LWR4+ has 0.41 and 0.14."""
-DRAWN_MARGIN = 0.1  #: Distance of drawn poses from both limits, as a share of the joint's range.
-DRAWS = 200  #: Number of poses that are tried for a random start.
-SPACING_M = 0.005  #: Distance between the points at which the path is checked [m].
+"""Smallest `Freedoms.tip` and `Freedoms.both` of a random start and its path."""
+DRAWN_MARGIN = 0.1  #: Distance of drawn poses from both limits [share of the joint's range].
+DRAWS = 200  #: Poses tried for a random start.
+SPACING_M = 0.005  #: Distance between checked points of the path [m].
 _TIMES = 1500
 _SHALLOWEST_M = 0.002
 _START_TOLERANCE_M = 0.002
 
 
 class UnreachableError(TaskError):
-    """The arm cannot do this task. `field` names the cause (such as "trocar"), `arc_length_m` the place on the path."""
+    """The arm cannot do this task. `field` names the cause, and `arc_length_m` the place on the path."""
 
     def __init__(self, field: str, arc_length_m: float, problem: str, cure: str) -> None:
         super().__init__(f"[task] at {1e3 * arc_length_m:.1f} mm along the path {problem}: {cure}")
@@ -40,7 +40,7 @@ class UnreachableError(TaskError):
 
 
 def check_start(robot: RobotModel, q: ArrayLike) -> RobotState:
-    """Return the state at q (n,) [rad]. Raise a ScenarioError if no run can begin at q."""
+    """Return the state at q (n,) [rad]. Raise a ScenarioError if no run can begin there."""
     pose = np.asarray(q, dtype=np.float64)
     if pose.shape != (robot.n,) or not np.isfinite(pose).all():
         raise ScenarioError(f"[start] q_rad = {pose.tolist()}: give {robot.n} finite numbers [rad]")
@@ -68,23 +68,21 @@ def random_start(
     robot: RobotModel, rng: np.random.Generator, swivelled: Callable[[Array], Array],
     lay_out: Callable[[Array], tuple[Found, Array]], margins: Array,
 ) -> Found:  # fmt: skip
-    """Draw poses until the arm can do the task from a pose, and return the task laid out from this pose.
+    """Draw start poses until the arm can do the task, and return the task.
 
-    A pose is drawn evenly from the joints' ranges, less `DRAWN_MARGIN` at both ends. ``swivelled(q)`` returns a start:
-    a pose with tip and wrist of q and the scenario's elbow swivel. ``lay_out(start)`` returns task and poses (k, n)
-    along the path. A draw is rejected if the arm cannot do the task within joint limits and speeds. It is also rejected
-    if the start or a pose along the path is nearly singular (`REGULAR`), has a joint within ``margins`` (n,) of a limit
-    [rad, m], or has tip or wrist below the plane of the base.
+    Args:
+        swivelled: function from a drawn pose (n,) to the start pose with the scenario's elbow angle.
+        lay_out: function from a start pose (n,) to the task and poses (k, n) along the path.
+        margins: (n,) smallest distance from the joint limits [rad, m].
 
     Raises:
-        ScenarioError: all `DRAWS` draws are rejected; the message says why, and how often.
+        ScenarioError: all `DRAWS` draws are rejected.
     """
     room = DRAWN_MARGIN * (robot.q_max - robot.q_min)
     rejected: Counter[str] = Counter()
     for _ in range(DRAWS):
         drawn = rng.uniform(robot.q_min + room, robot.q_max - room)
         try:
-            # Check first, because choosing the swivel takes milliseconds.
             _require_fit(robot, drawn, margins)
             q = swivelled(drawn)
             _require_fit(robot, q, margins)
@@ -122,12 +120,13 @@ def _require_fit(robot: RobotModel, q: Array, margins: Array, where: str = "") -
 def check_reachable(
     robot: RobotModel, q_start: ArrayLike, reference: Reference, trocar: Trocar, until_s: float = np.inf
 ) -> Array:
-    """Return poses (k, n) that follow the reference with the shaft through the trocar, inside joint limits and speeds.
+    """Return poses (k, n) that follow the reference with the shaft through the trocar, within limits.
 
-    The poses are `SPACING_M` apart on the path, and each is solved from the previous pose. If this fails, a second try
-    begins in the middle of the self-motion (with tip and wrist at rest) through ``q_start`` (n,). A refused path may
-    still be possible with other poses. The reference must start at the tip of ``q_start``. The check ends at the time
-    ``until_s`` [s]. If both tries fail, an UnreachableError names field, arc length and cure.
+    The reference must start at the tip of ``q_start`` (n,). The check ends at the time ``until_s`` [s]. A refused path
+    may still be possible with other poses.
+
+    Raises:
+        UnreachableError: the arm cannot follow the path.
     """
     state = robot.state(q_start)
     places = _places(reference, trocar, until_s)
@@ -139,10 +138,9 @@ def check_reachable(
     try:
         return _follow(robot, state.q, places, reference)
     except UnreachableError:
-        # A RobotError means that the start is singular or outside the limits: it has no self-motion.
         with suppress(UnreachableError, RobotError):
             return _follow(robot, _middle(robot, state.q), places, reference)
-        raise  # the user should hear why the given start fails, not why the middle does
+        raise  # says why the given start fails, not the middle
 
 
 class _Places(NamedTuple):
@@ -190,7 +188,7 @@ def _follow(robot: RobotModel, q: Array, places: _Places, reference: Reference) 
     k = int(np.argmax(shares))
     if shares[k] > 1.0:
         i = int(np.argmax(np.abs(rates[k] / robot.v_max)))
-        # Joint speeds are proportional to the tip's speed, whose peak may be below v_max (limited acceleration).
+        # The peak of the tip's speed may be below v_max.
         slower = 0.99 * float(np.linalg.norm(places.tip_velocity, axis=1).max()) / shares[k]
         raise UnreachableError(
             "v_max", places.arc[k],
@@ -215,14 +213,14 @@ def _out_of_reach(robot: RobotModel, places: _Places, k: int, wrist: Array, plac
 
 
 def _least_rates(robot: RobotModel, a: Array, velocity: Array) -> Array:
-    """Return the v (n,) of smallest norm with a v = velocity. If a joint is then too fast, minimize max |v| / v_max."""
+    """Return v (n,) with a v = velocity and small |v| / v_max."""
     left, values, right = np.linalg.svd(a)
     rank = int((values > 1e-9 * values[0]).sum())
     shortest: Array = right[:rank].T @ ((left[:, :rank].T @ velocity) / values[:rank])
     base = shortest / robot.v_max
     if float(np.abs(base).max()) <= 1.0 or rank == robot.n:
         return shortest
-    from scipy.optimize import linprog  # late: slow to import, and rarely needed
+    from scipy.optimize import linprog  # slow to import
 
     free, ones = right[rank:].T / robot.v_max[:, None], np.ones((robot.n, 1))
     found = linprog(

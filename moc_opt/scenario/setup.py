@@ -44,7 +44,7 @@ from moc_opt.trace.trace import Trace
 
 
 def make_solver(name: str, robot: RobotModel, **settings: Any) -> Solver:
-    """Create a solver. Its parameter ``kinematics``, if there is one, gets the arm's kinematics."""
+    """Create a solver, with the arm's kinematics if the solver takes them."""
     entry = find(name)
     if "kinematics" not in settings and "kinematics" in entry.parameters:
         settings = {**settings, "kinematics": robot.kinematics()}
@@ -52,14 +52,14 @@ def make_solver(name: str, robot: RobotModel, **settings: Any) -> Solver:
 
 
 def isolated(solver: Solver, scenario: Scenario, budget_us: float = math.inf, realtime: bool = False) -> Solver:
-    """Put a solver in its own process if ``[solver]`` says so. Raise a SolverError if pickle cannot copy the solver."""
+    """Put a solver in its own process if ``[solver]`` says so. Raise a SolverError if pickle fails."""
     if scenario.solver.isolation == "none":
         return solver
     return Isolated(solver, scenario.solver.process, budget_us, waits=not realtime)
 
 
 def make_safety_filter(robot: RobotModel, scenario: Scenario) -> SafetyFilter:
-    """Make the scenario's safety filter, for an arm whose tool is in the incision."""
+    """Make the scenario's safety filter."""
     return SafetyFilter(robot, scenario.told_guard, scenario.plant.period_s)
 
 
@@ -69,7 +69,7 @@ def make_stop(scenario: Scenario) -> Stop:
 
 
 def recorded_times(scenario: Scenario) -> list[float] | None:
-    """Read the solve times [us] of ``[solver] replay_us``. Return None if solve times are to be measured."""
+    """Read the solve times [us] of ``[solver] replay_us``; None: they are measured."""
     given = scenario.solver.replay_us
     if given is None:
         return None
@@ -82,15 +82,14 @@ def recorded_times(scenario: Scenario) -> list[float] | None:
 
 
 class Setup:
-    """Objects built from a validated scenario, and checked before anything moves. ``trace()`` runs the scenario.
+    """Objects built from a scenario, and checked before anything moves.
 
     Args:
         solver: used instead of the scenario's solver. The trace's `meta` still names the scenario's solver.
-        realtime: build only the controller, because the plant runs in another process. A tick then never waits while
-            the process of an isolated solver is replaced. Without a budget, a tick waits at most half a period.
+        realtime: build only the controller, because the plant runs in another process.
 
     Raises:
-        MocOptError: the scenario is not usable; see also `moc_opt.scenario.layout.lay_out`.
+        MocOptError: the scenario is not usable.
     """
 
     def __init__(self, scenario: Scenario, solver: Solver | None = None, *, realtime: bool = False) -> None:
@@ -105,20 +104,19 @@ class Setup:
         self.layout = layout = lay_out(scenario, self.robot)
         self.q_start, self.registered, self.reference = layout.q, layout.registered, layout.reference
         self.duration_s = layout.duration_s
-        self.guide: Guide | None = None  #: Motion that the latest controller follows; None: level 3 raises mu.
+        self.guide: Guide | None = None  #: Motion that the controller follows; None: level 3 raises mu.
         self._replayed_us = recorded_times(scenario)
         if not realtime:
             self._build_plant(plant_seed)
 
     def _build_plant(self, seed: int) -> None:
-        """Put the plant at the start. Then place path and registered trocar at its true tip and on its true shaft."""
         scenario, entry = self.scenario, self.layout.trocar
         self.plant = plant = Plant(self.robot.data, scenario.plant, seed=seed)
-        if scenario.faults.bump_N > 0.0:  # so that an unknown link is found now, not in the middle of the run
+        if scenario.faults.bump_N > 0.0:  # finds an unknown link before the run
             plant.push(scenario.faults.bump_link, np.zeros(3))
         plant.reset(self.q_start)
         self.offset = TaskOffset()
-        if plant.mismatch.displaces or plant.settings.elastic:  # else true and modelled positions agree
+        if plant.mismatch.displaces or plant.settings.elastic:
             shaft, tip = plant.tip - plant.wrist, self.robot.state(self.q_start).tip
             touched = plant.tip - scenario.trocar.depth_m * shaft / np.linalg.norm(shaft)
             self.offset = TaskOffset(plant.tip - tip, touched - entry)
@@ -126,7 +124,7 @@ class Setup:
         self.trocar = Trocar(true, *scenario.trocar.breathing)
 
     def solver(self) -> Solver | None:
-        """Make the solver of the scenario. Return None under DCAC."""
+        """Make the solver of the scenario; None under DCAC."""
         if self.scenario.control.law != "moc":
             return None
         asked, faults = self.scenario.solver, self.scenario.faults
@@ -136,14 +134,14 @@ class Setup:
         return Faulty(solver, faults.solver, faults.solver_share, self._fault_seed)
 
     def controller(self) -> LoggedController:
-        """Make the controller of the loop: the scenario's law and solver. A subclass may return another controller."""
+        """Make the controller of the scenario."""
         scenario, solver = self.scenario, self.solver()
         settings, period_s = scenario.control, scenario.plant.period_s
         budget = settings.supervisor.budget_us
         times: Iterator[float] | None = None if self._replayed_us is None else itertools.cycle(self._replayed_us)
         if solver is not None:
             if scenario.faults.solver == "hang":
-                # Replayed times replace the clock, so that only the seed decides which ticks are late.
+                # Replayed times make the late ticks depend on the seed only.
                 budget = budget or scenario.deadline_us
                 times = iter(np.where(self.fault_mask(), 10.0 * budget, 0.0))
             wait_us = 0.5e6 * period_s if self.realtime else math.inf
@@ -151,7 +149,7 @@ class Setup:
                 wait_us = budget
             inside, solver = solver, isolated(solver, scenario, wait_us, self.realtime)
             if solver is not inside and times is None:
-                budget = None  # the session keeps the budget itself
+                budget = None  # the isolated solver keeps the budget
         watch = settings.supervisor.model_copy(update={"budget_us": budget})
         settings = settings.model_copy(update={"supervisor": watch})
         self.guide = None if self._guides is None else self._guides()
@@ -159,7 +157,7 @@ class Setup:
 
     @property
     def following(self) -> Following:
-        """The data of this run that are needed to plan a course (joint motion)."""
+        """The data of this run for planning a course (joint motion)."""
         scenario = self.scenario
         return Following(
             self.robot, self.q_start, scenario.control, partial(targets_of, self.robot, self.layout),
@@ -168,17 +166,17 @@ class Setup:
 
     @cached_property
     def _guides(self) -> Callable[[], Guide] | None:
-        """A function that makes a `Guide` for each controller; None: level 3 raises mu. All guides share one plan."""
+        """A function that makes a `Guide`; None: level 3 raises mu."""
         return guides(self.following)
 
     def fault_mask(self) -> NDArray[np.bool_]:
-        """Return flags (N,), true at the ticks at which a fault is put into the solver's answer."""
+        """Return flags (N,), true at ticks with a fault of the solver."""
         faults = self.scenario.faults
         never = faults.solver == "none" or self.scenario.control.law != "moc"
         return draw(self._fault_seed, 0.0 if never else faults.solver_share, self.ticks)
 
     def closed_loop(self, controller: TorqueController) -> ClosedLoop:
-        """Make the closed loop of plant, controller and the scenario's safety filter. It injects no faults."""
+        """Make the closed loop of plant, controller and safety filter, without faults."""
         scenario = self.scenario
         return ClosedLoop(self.plant, controller, make_safety_filter(self.robot, scenario), make_stop(scenario))
 
@@ -192,13 +190,13 @@ class Setup:
         return self.scenario.plant.period_s * np.arange(self.ticks, dtype=np.float64)
 
     def inputs(self) -> tuple[Array, Array]:
-        """Return (tip_refs, registered) of all ticks: rows X_d, dX_d, ddX_d (N, 3, 3), and rows P_t, dP_t (N, 2, 3)."""
+        """Return the rows X_d, dX_d, ddX_d (N, 3, 3) and P_t, dP_t (N, 2, 3) of all ticks."""
         tip_refs, registered = (np.stack(of.at(self.times()), axis=1) for of in (self.reference, self.registered))
         return tip_refs, registered
 
     def trace(self, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None) -> Trace:
-        """Run, check the answers, and return the trace; arguments and errors are those of `run`."""
-        # Absolute, because a solver may change the working directory.
+        """Run, check the answers, and return the trace; see `run`."""
+        # A solver may change the working directory.
         file = None if to is None else new_file(to).absolute()
         if self.plant.time > 0.0:
             self.plant.reset(self.q_start)
@@ -249,7 +247,6 @@ class Setup:
         return trace.with_columns(mu_bound=bound, **best).with_meta(**method, **told)
 
     def _save_rest(self, rows: Columns, meta: Mapping[str, Any], file: Path, error: BaseException) -> None:
-        """Save the rows of a run that an exception ended, and add a note with the file's name to the exception."""
         ticks, period_s = len(rows["t_s"]), self.scenario.plant.period_s
         ended = f"interrupted: {describe(error)} (t = {ticks * period_s:.3f} s)"
         told = {"period_s": period_s, "ended": ended, "ticks": ticks, "ticks_planned": self.ticks}
@@ -257,7 +254,6 @@ class Setup:
         error.add_note(f"the first {ticks * period_s:.3f} s of the run are in {file}")
 
     def _row_by_row(self, columns: Mapping[str, NDArray[Any]]) -> Columns:
-        """Return columns computed row by row: injected faults, errors by the robot's kinematics, mu, residuals."""
         found: Columns = {}
         if self.scenario.faults.solver != "none":
             found["injected"] = self.fault_mask()[: len(columns["t_s"])]
@@ -275,14 +271,14 @@ def run(
     Args:
         scenario: a scenario, or the path of its file.
         watch: called before every tick, with the tick's number.
-        to: a Parquet file for the trace, or for the rows so far if an exception (such as Ctrl-C) ends the run.
-        solver: used instead of the solver that the scenario names.
+        to: a Parquet file for the trace. After an exception such as Ctrl-C, it has the rows so far.
+        solver: used instead of the scenario's solver.
 
     Returns:
-        The trace, one row per tick; ``meta["ended"]`` says how the run ended.
+        The trace, one row per tick. ``meta["ended"]`` says how the run ended.
 
     Raises:
-        MocOptError: the scenario or the trace's file is not usable. This is found before the run.
+        MocOptError: the scenario or the trace's file is not usable.
         RunAway: the simulation of the plant diverged. The error has the trace.
     """
     return Setup(Scenario.load(scenario), solver).trace(watch, to)

@@ -1,4 +1,4 @@
-"""A scenario's tables [robot], [start], [trocar], [task] and [solver]. Other modules define the other tables."""
+"""A scenario's tables [robot], [start], [trocar], [task] and [solver]."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class RobotTable(Settings):
     """mass of the tool. If left out, the mass in the robot's file is used"""
 
     def arm(self) -> RobotModel:
-        """Load the robot and build its model. If its files are wrong, a MocOptError is raised."""
+        """Load the robot. Raise a MocOptError if its files are wrong."""
         return load_robot(self.name, tool_length=self.tool_length_m, tool_mass=self.tool_mass_kg)
 
 
@@ -112,7 +112,7 @@ class TaskTable(Settings):
 
     @classmethod
     def keys(cls, values: Mapping[str, Any]) -> list[str]:
-        """List the keys of the table, and the keys of ``sizes``."""
+        """List the keys of the table and of ``sizes``."""
         return [*super().keys(values), *sorted({f"sizes.{name}" for path in CURVES for name in sizes(path)})]
 
 
@@ -136,5 +136,5 @@ class SolverTable(Settings):
 
     @classmethod
     def keys(cls, values: Mapping[str, Any]) -> list[str]:
-        """List the keys of the table, and the settings of the solver that ``values`` names."""
+        """List the keys of the table and of the solver's settings."""
         return [*super().keys(values), *(f"settings.{name}" for name in defaults(values.get("name", "exact")))]

@@ -1,4 +1,4 @@
-"""A scenario whose plant and controller are two processes, connected over UDP (the wire)."""
+"""A scenario whose plant and controller are two processes, connected over UDP."""
 
 from __future__ import annotations
 
@@ -20,29 +20,26 @@ from moc_opt.sim.protocols import LoggedController
 from moc_opt.trace.trace import Trace
 
 SLOWEST_S, FASTEST_S = 0.004, 0.001
-"""Longest and shortest control period of a run in real time [s]: 250 Hz and 1 kHz."""
+"""Longest and shortest control period in real time [s]."""
 
 
 def fingerprint(scenario: Scenario, robot: RobotModel) -> int:
-    """Return a number of 63 bits that differs between plant and controller if they are set up for different runs.
-
-    It depends on the task, the period and all data of the arm except gains, which only the controller uses.
-    """
+    """Return a hash (63 bits) of the task, the period and the arm without gains."""
     whole = scenario.model_dump(mode="json", include={"robot", "start", "trocar", "task", "seed", "duration_s"})
-    del whole["robot"]["name"]  # the robot's file may be in another folder at the other end
+    del whole["robot"]["name"]  # the other end may have another folder
     whole["arm"] = {name: value for name, value in carried(robot).items() if name != "gains"}
     text = to_json([whole, scenario.plant.period_s], sort_keys=True)
     return int.from_bytes(hashlib.blake2s(text.encode(), digest_size=8).digest(), "little") >> 1
 
 
 class PlantServer(Setup):
-    """The plant of a scenario, for a controller at the other end of a wire.
+    """The plant of a scenario, for a controller in another process.
 
-    The plant listens at ``listen``, "HOST:PORT". With port 0, any free port is taken, and ``address`` has its number.
-    In lock-step, the plant waits for each command. ``system``, for ``meta["wire"]``, says which scheduling was granted.
+    The plant listens at ``listen``, "HOST:PORT". Port 0 takes any free port, and ``address`` has its number. In
+    lock-step, the plant waits for each command. ``system`` describes the granted scheduling.
 
     Raises:
-        MocOptError: `Setup` refuses the scenario, or the address cannot be taken or needs a key.
+        MocOptError: the scenario or the address is not usable.
     """
 
     def __init__(
@@ -68,21 +65,21 @@ class PlantServer(Setup):
 
     @cached_property
     def _guides(self) -> None:
-        """Plan no joint motion: the controller at the other end does this."""
+        """Plan no joint motion, because the controller does this."""
 
     def controller(self) -> LoggedController:
-        """Return the controller at the other end."""
+        """Return the remote controller."""
         return self._remote  # type: ignore[return-value]
 
     def _judged(self, found: Trace) -> Trace:
-        counts: dict[str, Any] = self._remote.close()  # before judging, which takes too long for the controller to wait
+        counts: dict[str, Any] = self._remote.close()  # before judging, which is slow
         if self.system:
             give_back_realtime()
             counts["system"] = self.system
         return super()._judged(found.with_meta(wire=counts))
 
     def trace(self, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None) -> Trace:
-        """Wait for the controller, run, and return the trace; ``watch`` is not called."""
+        """Wait for the controller, run, and return the trace. ``watch`` is not called."""
         try:
             return super().trace(self._remote.pace, to)
         finally:
@@ -94,16 +91,15 @@ def answer(
 ) -> dict[str, Any]:
     """Act as the controller of the plant at ``connect`` ("HOST:PORT") until the run ends.
 
-    Of ``scenario``, [control], [solver] and [guard] are used. Both ends must have the same `fingerprint`.
-    ``ready`` is called once, when the plant has been found and the controller has started.
+    Both ends must have the same `fingerprint`. ``ready`` is called when the controller has started.
 
     Raises:
-        MocOptError: `Setup` refuses the scenario, no plant answers there, or the plant runs another scenario.
+        MocOptError: the scenario is not usable, no plant answers, or the plant runs another scenario.
     """
     where = parse_address(connect, "--connect")
     key = read_key(key_file, where[0], "--connect")
     setup = Setup(scenario, realtime=True)
-    controller = setup.controller()  # before the plant is searched: planning a course may take seconds
+    controller = setup.controller()  # before the link, because planning may take seconds
     link = Link(setup.robot.n, key, (Kind.MEASUREMENT,), peer=where)
     try:
         return Answering(

@@ -1,8 +1,4 @@
-"""Faults that are put into a run: of sensors, packets, trocar and solver, and pushes on the arm. A seed draws them.
-
-The stamp of a measurement is the number of the control period in which it was taken. With ``forged_stamps``, old
-readings get the stamp of the period in which they arrive, as if the output of a buffer stamped them.
-"""
+"""Faults of sensors, packets, trocar and solver, and pushes on the arm."""
 
 from __future__ import annotations
 
@@ -77,15 +73,13 @@ class FaultSettings(Settings):
 
     @property
     def around_the_arm(self) -> bool:
-        """Whether sensors, trocar or arm have a fault. If not, the loop skips ``sense`` and ``act``."""
+        """Whether sensors, trocar or arm have a fault."""
         solver = {"solver", "solver_share"}
         return any(getattr(self, k) != f.default for k, f in type(self).model_fields.items() if k not in solver)
 
 
 class Faults:
-    """The faults of a run with n joints: ``sense`` corrupts measurements, ``act`` pushes, ``slip`` moves the trocar.
-
-    ``period`` is the control period [s]. Signs, noise, dropped measurements and directions are random with ``seed``.
+    """The faults of a run of an arm with n joints. ``period`` is the control period [s].
 
     Raises:
         PlantError: ``frozen_joint`` or ``lag_joint`` is no joint of the arm.
@@ -117,7 +111,7 @@ class Faults:
         self._tape: list[Measurement] = []
 
     def act(self, plant: Plant, tick: int) -> None:
-        """Begin or end pushes that are due at this tick."""
+        """Begin or end the pushes of this tick."""
         s = self.settings
         if s.payload_kg > 0.0 and tick == 0:
             plant.push(TOOL_BODY, self._weight)
@@ -126,7 +120,7 @@ class Faults:
             plant.push(s.bump_link, held + self._bump * (tick == self._bump_on))
 
     def slip(self, trocars: Array, times: Array) -> Array:
-        """Return position and velocity (N, 2, 3) of the true trocar with its slip, a smooth step that takes 0.1 s."""
+        """Return position and velocity (N, 2, 3) of the slipping trocar."""
         if self.settings.slip_m == 0.0:
             return trocars
         u = np.clip((times - self.settings.slip_at_s) / 0.1, 0.0, 1.0)
@@ -136,7 +130,7 @@ class Faults:
         return moved
 
     def sense(self, seen: Measurement, tick: int) -> Measurement:
-        """Return the measurement with its faults, as it arrives: late, lagging, frozen, replayed or dropped."""
+        """Return the measurement with its faults."""
         s, taken = self.settings, self._taken(seen, tick)
         self._past.append(taken)
         lagging = self._after(s.lag_at_s, tick)
@@ -167,7 +161,6 @@ class Faults:
         return seen._replace(q=q, v=v)
 
     def _after(self, at_s: float | None, tick: int) -> int:
-        """Return 0 before the time ``at_s``, 1 at its tick, 2 at the next tick, and so on."""
         return 0 if at_s is None else max(0, tick - round(at_s / self._period) + 1)
 
     def _forged(self, arrived: Measurement, taken: Measurement) -> Measurement:

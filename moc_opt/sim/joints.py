@@ -1,12 +1,10 @@
 """The arm's joints in MuJoCo's state, and their drives.
 
-A joint with a spring has two coordinates in MuJoCo, two hinges about one axis. The first is the motor's angle theta,
-with the rotor's inertia B, friction and stops. The second is the spring's deflection delta. With the link's angle q,
+A joint with a spring has a motor angle theta, a spring deflection delta and a link angle q (Spong 1987):
 
     q = theta + delta,   M(q) ddq + h = tau_J,   B ddtheta + friction + tau_J = tau,   tau_J = -K delta - D ddelta/dt
 
-This is Spong's model (1987). The torque feedback inside a real arm is not simulated. It makes the rotor appear lighter
-(Ott et al. 2008), and B in the robot's file is this smaller inertia.
+B is the smaller rotor inertia under torque feedback (Ott et al. 2008).
 """
 
 from __future__ import annotations
@@ -23,21 +21,19 @@ from moc_opt.errors import PlantError
 from moc_opt.robots import RobotData
 from moc_opt.sim.settings import Mismatch, PlantSettings
 
-_SAGGING_ROUNDS = 12  # iterations that find the deflection of the springs under the arm's weight
-_MOST_RAD_A_STEP = 1.0  # largest phase of a spring's oscillation per plant step [rad]. Integration is stable below 2
+_SAGGING_ROUNDS = 12  # iterations for the springs' deflection under the arm's weight
+_MOST_RAD_A_STEP = 1.0  # largest phase of a spring's oscillation per plant step [rad]
 
 
 class Joints:
-    """Joint coordinates and torque drives. Without springs and ripple, q, v and torque are MuJoCo's own arrays.
-
-    The drives have no dynamics: a command is clipped at the torque limits and acts ``delay_ticks`` periods later.
+    """Joint coordinates, and torque drives without dynamics.
 
     Attributes:
-        q, v: (n,) true positions and velocities of the links [rad], [rad/s].
+        q, v: (n,) positions and velocities of the links [rad], [rad/s].
         theta, omega: (n,) positions and velocities of the motors [rad], [rad/s].
         shown: the pair (q, v) or (theta, omega) that the encoders measure.
         torque: (n,) torque of the drives, before ripple [Nm].
-        motors: slice that selects the motors among MuJoCo's degrees of freedom.
+        motors: slice of the motors in MuJoCo's degrees of freedom.
     """
 
     def __init__(
@@ -46,12 +42,11 @@ class Joints:
         self._model, self._state, self._high, self._low = model, state, data.tau_max.copy(), -data.tau_max
         self._elastic, self._on_links = settings.elastic, settings.encoder_side == "link"
         self._stiffness = _stiffnesses(data, settings)
-        self.motors = slice(None, None, 2 if settings.elastic else 1)  # an elastic joint: motor, spring
+        self.motors = slice(None, None, 2 if settings.elastic else 1)  # elastic: motor, spring
         self.q, self.v = self.theta, self.omega = state.qpos, state.qvel
         if settings.elastic:
             self.q, self.v, self.theta, self.omega = np.zeros((4, data.n))
         self.shown = (self.q, self.v) if self._on_links else (self.theta, self.omega)
-        # With springs or ripple, `drive` computes MuJoCo's torques from ``torque``.
         self._direct = not settings.elastic and settings.torque_ripple == 0.0
         self.torque = state.qfrc_applied if self._direct else np.zeros(data.n)
         self._ripple = settings.torque_ripple * data.tau_max
@@ -59,10 +54,7 @@ class Joints:
         self._delay_ticks, self._due = settings.delay_ticks, deque[Array]()
 
     def start(self, shown: Array, speed: Array) -> None:
-        """Put the arm where encoders without errors read ``shown`` (n,) [rad], moving at ``speed`` (n,) [rad/s].
-
-        Until the first command acts, the drives carry the arm's weight. The weight deflects elastic joints.
-        """
+        """Put the arm where encoders without errors read ``shown`` (n,) [rad], at ``speed`` (n,) [rad/s]."""
         state, model = self._state, self._model
         weight = state.qfrc_bias[self.motors]
         state.qpos[self.motors] = shown
@@ -80,7 +72,7 @@ class Joints:
         self.gather()
 
     def command(self, tau: ArrayLike) -> None:
-        """Queue a commanded torque (n,) [Nm], and apply the torque that is due. Errors are those of `Plant.step`."""
+        """Queue a torque (n,) [Nm], and apply the torque that is due. Raise a PlantError for a wrong torque."""
         wanted = np.asarray(tau, dtype=np.float64)
         if wanted.shape != self._high.shape:
             raise PlantError(f"tau has shape {wanted.shape}: give {self._high.shape}, one torque a joint [Nm]")
@@ -93,13 +85,13 @@ class Joints:
         self.torque[:] = self._due.popleft()
 
     def drive(self) -> None:
-        """Apply the drives' torque with its ripple to the motors."""
+        """Apply torque and ripple to the motors."""
         if not self._direct:
             ripple = self._ripple * np.sin(self._waves * self._state.qpos[self.motors] + self._phase)
             self._state.qfrc_applied[self.motors] = self.torque + ripple
 
     def gather(self) -> None:
-        """Compute the angles of elastic joints: a link's angle is the sum of the motor's and the spring's."""
+        """Compute the angles of elastic joints."""
         if self._elastic:
             place, speed = self._state.qpos, self._state.qvel
             self.theta[:], self.omega[:] = place[::2], speed[::2]
@@ -107,7 +99,7 @@ class Joints:
 
 
 def add_springs(data: RobotData, spec: mujoco.MjSpec, settings: PlantSettings) -> None:
-    """Put a spring in series with each joint of a spec. Raise a PlantError if the number of stiffnesses is wrong."""
+    """Put a spring in each joint. Raise a PlantError if the number of stiffnesses is wrong."""
     for joint, value in zip(list(spec.joints), _stiffnesses(data, settings), strict=True):
         spring = joint.parent.add_joint(name=f"{joint.name}_spring", type=joint.type, axis=joint.axis, pos=joint.pos)
         spring.limited = mujoco.mjtLimited.mjLIMITED_FALSE
@@ -126,7 +118,7 @@ def _stiffnesses(data: RobotData, settings: PlantSettings) -> Array:
 
 
 def check_substeps(model: mujoco.MjModel, state: mujoco.MjData, settings: PlantSettings) -> None:
-    """Raise a PlantError if the plant step is too coarse for the springs. The message has a sufficient ``substeps``."""
+    """Raise a PlantError if the plant step is too coarse for the springs."""
     inertia = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, state, inertia)
     spring = np.arange(1, model.nv, 2)

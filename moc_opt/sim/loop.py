@@ -1,8 +1,6 @@
-"""The closed loop: sensors, safety filter, controller, safety filter, drives, once every control period.
+"""The closed loop of plant, sensors, safety filter and controller.
 
-A measured q goes through `ClosedLoop.step`, `FilteredController.tick` and the controller's own ``tick``, and the torque
-comes back the same way. `simulate` runs the loop over a whole reference and records it. The live page and the operating
-procedure call `ClosedLoop.step` themselves.
+`ClosedLoop.step` advances the loop, and `simulate` records a whole run.
 """
 
 from __future__ import annotations
@@ -28,23 +26,23 @@ if TYPE_CHECKING:
     from moc_opt.control.safety_filter import SafetyFilter
 
 AT_REST = 0.005  #: Largest speed of a joint at rest [rad/s, m/s].
-LONGEST = 4  #: A stop ends after at most this many times `Stop.seconds`, even if the tissue still pushes the arm.
+LONGEST = 4  #: Longest duration of a stop, in `Stop.seconds`.
 
 
 class FilteredController(Filtered):
-    """A controller with an optional safety filter. ``applied`` (n,) is the torque [Nm] that was applied last."""
+    """A controller with an optional safety filter. ``applied`` (n,) is the latest torque [Nm]."""
 
     def __init__(self, controller: TorqueController, safety_filter: SafetyFilter | None, applied: Array) -> None:
         self._controller, self._filter, self._applied = controller, safety_filter, applied
 
     def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
-        """Start controller and safety filter at the first measurement."""
+        """Start controller and safety filter."""
         self._controller.start(seen.q, seen.v, tip_ref, trocar)
         if self._filter is not None:
             self._filter.start(seen.q, seen.v, seen.stamp)
 
     def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
-        """Return this period's torque (n,) [Nm], within limits. After a request to stop, the torque damps the arm."""
+        """Return this period's torque (n,) [Nm], within limits. In a stop, the torque damps the arm."""
         safety, controller, applied = self._filter, self._controller, self._applied
         if safety is None:
             return controller.tick(seen.q, seen.v, tip_ref, trocar)
@@ -65,12 +63,12 @@ class FilteredController(Filtered):
         return tau
 
     def set_applied_torque(self, tau: Array) -> None:
-        """Store which torque (n,) [Nm] was applied. Called only if it differs from the result of ``tick``."""
+        """Store an applied torque (n,) [Nm] that differs from the result of ``tick``."""
         self._applied = tau
         self._controller.set_applied_torque(tau)
 
     def brake_friction(self, seen: Measurement) -> Array | float:
-        """Return the dry friction (n,) [Nm] of the brakes in a stop."""
+        """Return the brakes' dry friction (n,) [Nm]."""
         return 0.0 if self._filter is None else self._filter.brake_friction(seen.force)
 
     stop_reason = property(lambda self: "" if self._filter is None else self._filter.reason)
@@ -81,9 +79,8 @@ class FilteredController(Filtered):
 class ClosedLoop:
     """A plant, a controller and an optional safety filter, advanced one control period at a time.
 
-    A controller that is ``Filtered`` has its own safety filter. ``faults`` disturb sensors and arm. After a step,
-    ``seen`` is the measurement as it arrived, ``tau`` (n,) the commanded torque [Nm], and ``tick_us`` the time that
-    safety filter and controller took [us]. ``ticks`` is the number of steps so far.
+    After a step, ``seen`` is the measurement as it arrived, ``tau`` (n,) the commanded torque [Nm], ``tick_us`` the
+    computing time [us], and ``ticks`` the number of steps.
     """
 
     def __init__(
@@ -98,12 +95,12 @@ class ClosedLoop:
         self.filtered: Filtered = controller
 
     def start(self, tip_ref: Array, registered: Array) -> None:
-        """Start controller and safety filter at the plant's present measurement; arguments as for ``step``."""
+        """Start at the plant's present measurement; arguments as for ``step``."""
         self.seen = self._plant.measure()
         self.filtered.start(self.seen, tip_ref, registered)
 
     def step(self, tip_ref: Array, registered: Array, trocar: Array | None = None) -> None:
-        """Measure, check the measurement, compute the torque, limit it, and move the arm by one control period.
+        """Measure, compute the torque, and move the arm by one control period.
 
         Args:
             tip_ref: (3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2].
@@ -111,7 +108,7 @@ class ClosedLoop:
             trocar: (2, 3) rows P_t, dP_t of the true trocar; None: the arm is in no incision.
 
         Raises:
-            PlantError: the plant cannot go on. ``seen`` and ``tau`` belong to this step even then.
+            PlantError: the plant cannot go on.
         """
         plant, seen = self._plant, self._plant.measure()
         if self._faults is not None:
@@ -130,7 +127,7 @@ class ClosedLoop:
 
     @property
     def finished(self) -> bool:
-        """Whether a stop is over: after ``Stop.seconds`` if the arm is at rest, else after `LONGEST` * that time."""
+        """Whether a stop is over."""
         since = self.ticks - self._stopped_at if self._stopped_at >= 0 else 0
         return since > self._watched and bool(since > LONGEST * self._watched or np.abs(self._plant.v).max() < AT_REST)
 
@@ -139,7 +136,7 @@ class ClosedLoop:
 
 @contextmanager
 def no_collector() -> Iterator[None]:
-    """Switch the garbage collector off, after collecting young objects (a full collection takes 0.1 s)."""
+    """Switch the garbage collector off."""
     enabled = gc.isenabled()
     gc.collect(1)
     gc.disable()
@@ -159,20 +156,19 @@ def simulate(
     """Run the closed loop from the plant's present state, and record it.
 
     Args:
-        controller: computes the torque, and may add columns to the trace.
         tip_refs: (N, 3, 3) rows X_d, dX_d, ddX_d of every tick.
         trocars, registered: (N, 2, 3) rows P_t, dP_t of the true and of the registered trocar.
-        safety_filter: checks measurements and limits torques; None: no checks and no limits.
-        offset: difference of true and computed positions of tip and trocar; None: no difference.
+        safety_filter: None: no checks and no limits.
+        offset: true minus computed position of tip and trocar; None: zero.
         watch: called with the tick's number before each tick.
         meta: further entries of the trace's meta.
-        rescue: called with the columns so far if an exception other than RunAway ends the loop.
+        rescue: called with the columns so far if another exception than RunAway ends the loop.
 
     Returns:
-        The trace. A row has a tick's torque, and the state at the tick's start. `moc_opt.trace.meta` lists the meta.
+        The trace. A row has a tick's torque, and the state at the tick's start.
 
     Raises:
-        RunAway: the simulation of the plant diverged. The error has the trace up to this time.
+        RunAway: the simulation of the plant diverged. The error has the trace.
     """
     record = Record(plant, controller, tip_refs, trocars, registered, offset or TaskOffset())
     loop = ClosedLoop(plant, controller, safety_filter, stop, faults)

@@ -1,4 +1,4 @@
-"""The MuJoCo model of a robot, made from the URDF text of the controller's model, and a comparison of both models."""
+"""The MuJoCo model of a robot, and its comparison with the controller's model."""
 
 from __future__ import annotations
 
@@ -12,25 +12,19 @@ from moc_opt.errors import PlantError, RobotError
 from moc_opt.robots import RobotData
 from moc_opt.sim.settings import GRAVITY, Mismatch
 
-if TYPE_CHECKING:  # at run time it would load pinocchio
+if TYPE_CHECKING:  # the import would load pinocchio
     from moc_opt.robots.model import RobotModel
 
 TOOL_BODY = "tool"
 MOUNT_SITE = "tool_mount_sensor"
 FORCE_SENSOR, TORQUE_SENSOR = "mount_force", "mount_torque"
 TOLERANCE = 1e-6
-"""Largest relative difference between pinocchio and MuJoCo. Rounding causes 1e-14. Let a be the largest entry of M
-without rotor inertia, and g = 9.81 m/s^2. A difference in M is divided by a, and a difference in h by g a plus the
-largest entry of h. A difference in tip or wrist is divided by the distance of the tip from the base."""
-POSES = 3  #: Number of poses at which pinocchio and MuJoCo are compared.
+"""Largest relative difference between pinocchio and MuJoCo."""
+POSES = 3  #: Number of compared poses.
 
 
 def build_spec(data: RobotData, *, substep_s: float, gravity: bool = True) -> mujoco.MjSpec:
-    """Build the editable MuJoCo model of the arm. Cameras or boards can be added before it is compiled.
-
-    Every link stays a separate body: if MuJoCo merged the tool into the flange, the sensor between them would measure
-    nothing. All shapes are removed: nothing can collide, and no mass is computed from a mesh. Rotor inertia becomes
-    `dof_armature`. Joint limits are soft stops. `add_mismatch` adds friction.
+    """Build the editable MuJoCo model of the arm, without shapes and friction. Joint limits are soft stops.
 
     Args:
         data: the robot with its tool.
@@ -48,7 +42,7 @@ def build_spec(data: RobotData, *, substep_s: float, gravity: bool = True) -> mu
     spec.option.timestep = substep_s
     spec.option.gravity = GRAVITY if gravity else (0.0, 0.0, 0.0)
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    # A diverged state must be reported: by default, MuJoCo silently resets it to zero.
+    # By default, MuJoCo silently resets a diverged state to zero.
     spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_CONTACT)
 
     names = tuple(joint.name for joint in spec.joints)
@@ -63,8 +57,7 @@ def build_spec(data: RobotData, *, substep_s: float, gravity: bool = True) -> mu
         joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
         joint.armature = data.rotor_inertia[i]
         joint.damping[0] = joint.frictionloss = 0.0
-        # With this stiff friction, a joint creeps at about 1e-5 rad/s if it is loaded with half its Coulomb torque.
-        # MuJoCo's default is made for coarser steps. With it, the joint creeps a hundred times faster.
+        # With MuJoCo's softer default, a loaded joint would creep a hundred times faster.
         joint.solref_friction = (2.0 * substep_s, 1.0)
         joint.solimp_friction = (0.99, 0.99, 0.001, 0.5, 2.0)
 
@@ -79,11 +72,7 @@ def build_spec(data: RobotData, *, substep_s: float, gravity: bool = True) -> mu
 
 
 def add_mismatch(data: RobotData, spec: mujoco.MjSpec, mismatch: Mismatch) -> None:
-    """Set the plant's friction, masses and kinematics in a spec from `build_spec`.
-
-    MuJoCo integrates its friction implicitly. With an explicit smooth tanh, an arm would creep under a load that
-    static friction holds in a real arm.
-    """
+    """Set the plant's friction, masses and kinematics in a spec from `build_spec`."""
     for body in spec.bodies:
         if body.name in mismatch.mass_scale:
             body.mass *= mismatch.mass_scale[body.name]
@@ -97,14 +86,14 @@ def add_mismatch(data: RobotData, spec: mujoco.MjSpec, mismatch: Mismatch) -> No
             mujoco.mju_axisAngle2Quat(by, vector / angle, angle)
             mujoco.mju_mulQuat(turned, by, link.quat)
             link.quat = turned
-    # Wrist and tip are points of the shaft: they shift with the tool.
+    # Wrist and tip shift with the tool.
     for name in (TOOL_BODY, data.tip_frame, data.wrist_frame):
         if (body := spec.body(name)) is not None:
             body.pos = body.pos + mismatch.origin_shift[-1]
 
 
 def compile_model(name: str, spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """Compile a robot's spec. Raise a PlantError if MuJoCo refuses it, mostly because of an impossible inertia."""
+    """Compile a robot's spec. Raise a PlantError if MuJoCo refuses it."""
     try:
         return spec.compile()
     except ValueError as error:
@@ -124,12 +113,10 @@ def _bare(urdf: str) -> str:
 
 
 def check_engines(robot: RobotModel) -> None:
-    """Compare inertia M, bias h, tip and wrist of pinocchio and MuJoCo, at home and at random poses in motion.
-
-    This takes about 2 ms. The plant's errors (masses, calibration, friction, elasticity) are left out.
+    """Compare inertia M, bias h, tip and wrist of pinocchio and MuJoCo at random states.
 
     Raises:
-        RobotError: the engines differ by more than `TOLERANCE`; the message names the quantity and the difference.
+        RobotError: the engines differ by more than `TOLERANCE`.
         PlantError: MuJoCo cannot load the robot.
     """
     data, rng = robot.data, np.random.default_rng(0)
@@ -146,7 +133,7 @@ def check_engines(robot: RobotModel) -> None:
         mujoco.mj_fwdVelocity(model, state)
         mujoco.mj_fullM(model, state, M)
         ours = robot.state(q, state.qvel)
-        # The size of M is taken without rotor inertia, which would hide errors of small links.
+        # Rotor inertia would hide errors of small links.
         heavy = max(np.abs(M - rotor).max(), 1e-8 * rotor.max())
         bias, reach = np.abs(theirs["h"]).max() - GRAVITY[2] * heavy, max(1e-3, np.linalg.norm(theirs["tip"]))
         sizes = {"M": (heavy, "kg m^2"), "h": (bias, "Nm"), "tip": (reach, "m"), "wrist": (reach, "m")}

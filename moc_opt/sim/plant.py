@@ -1,10 +1,7 @@
-"""The simulated arm: it takes torques and returns measurements, and gives the true state to the trace.
+"""The simulated arm and its compliant trocar.
 
-The trocar is compliant: a spring and a damper connect the trocar point with the nearest point of the shaft line. Both
-act perpendicular to the shaft only: the tool slides and turns freely in the incision. Let u be the tool direction, P
-the trocar point, dP the velocity of P, c the shaft point nearest to P, and w the velocity of the tool's material at c.
-The force on the tool is (I - u u^T) (stiffness (P - c) + damping (dP - w)) (`moc_opt/core/plant.c`). A trocar at rest
-never adds energy to the arm. The shaft line has no ends: the tool is assumed to be inserted.
+The trocar's force on the tool is (I - u u^T) (stiffness (P - c) + damping (dP - w)). Here u is the tool direction, P
+the trocar point, dP its velocity, c the shaft point nearest to P, and w the tool's velocity at c.
 """
 
 from __future__ import annotations
@@ -28,16 +25,16 @@ from moc_opt.sim.sensors import Encoders, Measurement, Noise
 from moc_opt.sim.settings import Mismatch, PlantSettings
 
 if mujoco.get_mju_user_warning() is None:
-    # MuJoCo's own handler writes a log file into the current folder. The plant itself detects an arm that runs away.
+    # MuJoCo's own handler writes a log file into the current folder.
     mujoco.set_mju_user_warning(lambda message: None)
 
 
-_RUNAWAY_RAD_PER_S = 1e3  #: Norm of the joint velocities above which the simulation counts as diverged.
+_RUNAWAY_RAD_PER_S = 1e3  #: Norm of the joint velocities of a diverged simulation.
 
 
 @dataclass(frozen=True)
 class Stop:
-    """A stop's parameters: damping of the drives [Nm s/rad], and shortest simulated time of the stop [s]."""
+    """Damping of the drives in a stop [Nm s/rad], and shortest time of the stop [s]."""
 
     damping: float = 15.0
     seconds: float = 0.5
@@ -48,7 +45,7 @@ DEFAULT_STOP = Stop()
 
 def _finite(name: str, value: ArrayLike, shape: tuple[int, ...], note: str = "") -> Array:
     array = np.asarray(value, np.float64)
-    if array.shape != shape or not math.isfinite((flat := array.ravel()).dot(flat)):  # 4x faster than isfinite().all()
+    if array.shape != shape or not math.isfinite((flat := array.ravel()).dot(flat)):  # faster than isfinite().all()
         raise PlantError(f"{name} = {array.tolist()!r:.200}: give finite numbers of shape {shape}{note}")
     return array
 
@@ -58,17 +55,15 @@ def _truth(of: Callable[[Any], Array], about: str) -> Any:
 
 
 class Plant:
-    """An arm in MuJoCo with its trocar, its sensors and its delay, advanced one control period at a time.
+    """An arm in MuJoCo with trocar, sensors and delay, advanced one control period at a time.
 
-    With equal data, settings, seed, start and torques, all results are equal to the last bit. `reset` also restarts the
-    noise. Plants share no state, so that each thread can have its own. The arm begins at `data.q_home`.
+    The arm begins at `data.q_home`. Equal arguments and torques give equal results to the last bit. `mj_model` and
+    `mj_data` are for drawing and checks only.
 
     Args:
         data: the robot, as in the controller's model.
         settings: how the plant differs from the controller's model; None: `PlantSettings()`.
         seed: seed of the mismatch and of the noise, 0 or more.
-
-    Attributes: `data`, `settings`, `mismatch`, and MuJoCo's `mj_model` and `mj_data`, for drawing and checks only.
 
     Raises:
         PlantError: MuJoCo cannot load the robot, or its URDF lacks a frame.
@@ -77,7 +72,7 @@ class Plant:
     def __init__(self, data: RobotData, settings: PlantSettings | None = None, seed: int = 0) -> None:
         self.data = data
         self.settings = settings = PlantSettings() if settings is None else settings
-        # Each purpose has its own random stream, so that switching one off does not change the others.
+        # Separate random streams keep each error independent of the others.
         mismatch, *self._noise_seeds = np.random.SeedSequence(seed).spawn(3)
         spec = build_spec(data, substep_s=settings.substep_s, gravity=settings.gravity)
         heavy = [body.name for body in spec.bodies if body.mass > 0.0]
@@ -108,22 +103,20 @@ class Plant:
         self._tool_wrench, self._felt = state.xfrc_applied[tool], np.zeros(6)
         first = model.sensor(FORCE_SENSOR).adr[0]
         self._held = state.sensordata[first : first + 6]
-        self._bodies, self._pushes = bodies, dict[int, tuple[Array, Array]]()  # body: force [N], point of action [m]
+        self._bodies, self._pushes = bodies, dict[int, tuple[Array, Array]]()  # force [N], point [m]
         self._tissue = settings.trocar_stiffness_N_per_m, settings.trocar_damping_Ns_per_m
         self._trocar = np.zeros((2, 3))
         self._substeps_s = [k * settings.substep_s for k in range(settings.substeps)]
 
     def reset(self, q: ArrayLike, v: ArrayLike | None = None) -> None:
-        """Restart at time 0 without pushes. Until the first command acts, the drives carry the arm's weight at q.
-
-        The encoders show q plus noise. The true positions are q minus the encoders' bias.
+        """Restart at time 0 without pushes. The drives carry the arm's weight until the first command.
 
         Args:
             q: (n,) joint positions within their limits, as encoders without noise show them [rad].
             v: (n,) joint velocities [rad/s]; None is rest.
 
         Raises:
-            PlantError: wrong shape, not finite, or q outside the limits. The plant is then unchanged.
+            PlantError: wrong shape, not finite, or q outside the limits.
         """
         start = _finite("q", q, (self.data.n,))
         speed = np.zeros(self.data.n) if v is None else _finite("v", v, (self.data.n,))
@@ -154,11 +147,10 @@ class Plant:
 
         Args:
             tau: (n,) commanded joint torques [Nm]. They act `delay_ticks` periods later, clipped at tau_max.
-            trocar: (2, 3) rows: trocar point at the start of the period [m] and its constant velocity [m/s]; None:
-                no trocar in this period.
+            trocar: (2, 3) rows: trocar point [m] and its velocity [m/s]; None: no trocar.
 
         Raises:
-            PlantError: wrong shape or not finite (the arm has not moved then), or the arm ran away.
+            PlantError: wrong shape or not finite, or the arm ran away.
         """
         rows = ", point [m] over velocity [m/s], or None for no trocar; the arm has not moved"
         place = None if trocar is None else _finite("trocar", trocar, (2, 3), rows)
@@ -169,7 +161,7 @@ class Plant:
         self._touch = (0.0, 0.0) if place is None else self._tissue
         if place is not None:
             self._trocar[:] = place
-        # mj_step calls mj_step1 first. In this order, the kinematics after the loop belong to the new state.
+        # In this order, the kinematics after the loop belong to the new state.
         for elapsed_s in self._substeps_s:
             joints.drive()
             self._load(elapsed_s)
@@ -177,7 +169,7 @@ class Plant:
             mujoco.mj_step1(model, state)
         joints.gather()
         self._ticks += 1
-        if not joints.v.dot(joints.v) < _RUNAWAY_RAD_PER_S**2:  # true also of NaN
+        if not joints.v.dot(joints.v) < _RUNAWAY_RAD_PER_S**2:  # also for NaN
             self._ran_away = True
             raise PlantError(
                 f"the arm ran away before t = {self.time:.4g} s (v = {joints.v.tolist()} rad/s): lower the "
@@ -187,7 +179,7 @@ class Plant:
         self._sense(*self._encoders.read(*joints.shown))
 
     def _sense(self, q: Array, v: Array) -> None:
-        # MuJoCo measures the wrench of the mount on the tool. Like real sensors, this sensor measures the opposite.
+        # MuJoCo measures the opposite wrench, of the mount on the tool.
         self._measurement = Measurement(q, v, read_only(self._wrench_noise.take() - self._held), self._ticks)
 
     def _load(self, elapsed_s: float) -> None:
@@ -204,18 +196,18 @@ class Plant:
         return self._felt[:3]
 
     def write_truth(self, row: Array) -> None:
-        """Write the present q, v, tip, wrist and force of the trocar into row (2 n + 9,)."""
+        """Write q, v, tip, wrist and trocar force into row (2 n + 9,)."""
         np.concatenate((self._joints.q, self._joints.v, self._tip, self._wrist, self._feel()), out=row)
 
     def measure(self) -> Measurement:
-        """Return the measurement at the end of the last period. A second call returns the same measurement."""
+        """Return the measurement at the end of the last period."""
         return self._measurement
 
     def brake(self, damping_Nm_s_per_rad: float, friction_Nm: ArrayLike = 0.0) -> None:
-        """Close the brakes until `reset`: they add damping and dry friction in every joint, whatever is commanded.
+        """Close the brakes until `reset`. They add damping and dry friction in every joint.
 
         Args:
-            damping_Nm_s_per_rad: damping by the short-circuited drives. With damping alone, a loaded arm sinks.
+            damping_Nm_s_per_rad: damping by the drives. With damping alone, a loaded arm sinks.
             friction_Nm: friction of the holding brakes, one number or one per joint (n,).
 
         Raises:
@@ -224,12 +216,12 @@ class Plant:
         friction = np.broadcast_to(np.asarray(friction_Nm, dtype=np.float64), self.data.n)
         if not ((friction >= 0.0) & np.isfinite(friction)).all():
             raise PlantError(f"friction_Nm = {friction.tolist()}: give 0 or more")
-        drives = self._joints.motors  # the brakes act on the motors
+        drives = self._joints.motors
         self.mj_model.dof_damping[drives] = self._drive_damping[drives] + damping_Nm_s_per_rad
         self.mj_model.dof_frictionloss[drives] = self._drive_friction[drives] + friction
 
     def push(self, body: str, force: ArrayLike, point: ArrayLike | None = None) -> None:
-        """Apply a constant force to a link from the next period on, until it is cleared or replaced.
+        """Apply a constant force to a link from the next period on.
 
         Args:
             body: the link's name.
@@ -245,7 +237,7 @@ class Plant:
         self._pushes[number] = _finite("push force", force, (3,)).copy(), where
 
     def clear_pushes(self, body: str | None = None) -> None:
-        """Remove the force on one link, or on all links."""
+        """Remove the force on one link or on all links."""
         for number in list(self._pushes) if body is None else [self._number(body)]:
             self._pushes.pop(number, None)
             self.mj_data.xfrc_applied[number] = 0.0
@@ -260,7 +252,6 @@ class Plant:
         """Time since the reset [s]."""
         return self._ticks * self.settings.period_s
 
-    # Read-only copies of the true state.
     q = _truth(lambda plant: plant._joints.q, "(n,) joint positions [rad].")
     v = _truth(lambda plant: plant._joints.v, "(n,) joint velocities [rad/s].")
     applied_torque = _truth(

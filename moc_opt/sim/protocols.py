@@ -1,4 +1,4 @@
-"""The interfaces of the closed loop: a controller, and a controller behind its safety filter."""
+"""The interfaces of a controller and of its safety filter."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from moc_opt.sim.sensors import Measurement
 class TorqueController(Protocol):
     """Computes a torque from a measurement.
 
-    If the controller has an attribute ``tip`` (3,) [m] or ``state`` (`RobotState`) of its last tick, the safety filter
-    checks the tip error. With ``state``, the filter does not compute the model's terms again.
+    If the controller has an attribute ``tip`` (3,) [m] or ``state`` (`RobotState`), the safety filter checks the tip
+    error.
     """
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
-        """Reset, and prepare for a run that begins at this measurement; arguments as for ``tick``."""
+        """Prepare for a run that begins at this measurement; arguments as for ``tick``."""
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
         """Compute the torque (n,) [Nm] of this period.
@@ -32,11 +32,11 @@ class TorqueController(Protocol):
         """
 
     def set_applied_torque(self, tau: Array) -> None:
-        """Store which torque (n,) [Nm] was applied. Called only if the safety filter changed the result of ``tick``."""
+        """Store an applied torque (n,) [Nm] that differs from the result of ``tick``."""
 
 
 class LoggedController(TorqueController, Protocol):
-    """A controller that also writes its own columns into the trace."""
+    """A controller with its own columns in the trace."""
 
     def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
         """Create the columns that ``note`` fills, with ``ticks`` rows."""
@@ -46,11 +46,11 @@ class LoggedController(TorqueController, Protocol):
 
 
 class Filtered(ABC):
-    """Turns a measurement into a safe torque, in this process or in another process over UDP (``realtime``)."""
+    """Turns a measurement into a safe torque, in this or another process."""
 
     stop_reason: Any  #: Why the arm has to be stopped; empty otherwise.
-    limited: Any  #: Number of joints whose torque the safety filter changed in the last tick.
-    warnings: Any  #: Quantities that exceeded a warning level since the start, as JSON values.
+    limited: Any  #: Number of joints whose torque was changed in the last tick.
+    warnings: Any  #: Quantities that exceeded a warning level, as JSON values.
 
     @abstractmethod
     def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
@@ -58,8 +58,8 @@ class Filtered(ABC):
 
     @abstractmethod
     def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
-        """Return this period's torque (n,) [Nm], within limits. After a request to stop, the torque damps the arm."""
+        """Return this period's torque (n,) [Nm], within limits. In a stop, the torque damps the arm."""
 
     @abstractmethod
     def brake_friction(self, seen: Measurement) -> Array | float:
-        """Return the dry friction (n,) [Nm] of the brakes in a stop."""
+        """Return the brakes' dry friction (n,) [Nm]."""

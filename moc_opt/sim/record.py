@@ -1,4 +1,4 @@
-"""The record of the closed loop: one row per tick, filled while the loop runs, and turned into a trace at the end."""
+"""The record of the closed loop, with one row per tick."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _STOPPED = {
 
 
 class RunAway(PlantError):
-    """The simulation of the plant diverged. ``trace`` has the rows up to this time."""
+    """The simulation of the plant diverged. ``trace`` has the rows so far."""
 
     def __init__(self, message: str, trace: Trace) -> None:
         super().__init__(message)
@@ -33,21 +33,14 @@ class RunAway(PlantError):
 
 
 class TaskOffset(NamedTuple):
-    """True minus computed position of the two points that the arm registers with its tip, (3,) each [m].
-
-    Calibration errors, encoder bias and elastic joints displace the positions that the robot computes, and thus also
-    the registered points. Only changes of this displacement after the registration cause errors.
-    """
+    """True minus computed position of the two points that the arm registers with its tip, (3,) each [m]."""
 
     tip: Array = np.zeros(3)  #: At the start of the path.
-    trocar: Array = np.zeros(3)  #: At the registered trocar, without the registration error.
+    trocar: Array = np.zeros(3)  #: At the trocar, without the registration error.
 
 
 class Record:
-    """The rows of a run, of which the first ``done`` are filled. Arguments are those of `moc_opt.sim.loop.simulate`.
-
-    If the controller has ``faults`` and ``restarts``, they go into the trace's meta.
-    """
+    """The rows of a run, of which the first ``done`` are filled."""
 
     def __init__(
         self, plant: Plant, controller: LoggedController, tip_refs: Array, trocars: Array, registered: Array,
@@ -85,7 +78,7 @@ class Record:
                 self._ending = {"ended": f"stopped: {filtered.stop_reason} (t = {t:.3f} s)", "stopped_at_s": t}
 
     def columns(self) -> Columns:
-        """Return the columns of the filled rows, with tip and RCM errors added."""
+        """Return the filled rows, with tip and RCM errors."""
         rows, edges = slice(self.done), np.cumsum([*self._widths.values()])[:-1]
         found: Columns = {name: column[rows] for name, column in self._columns.items()}
         found |= dict(zip(self._widths, np.split(self._truth[rows], edges, axis=1), strict=True))
@@ -98,7 +91,7 @@ class Record:
         return found
 
     def trace(self, warnings: list[dict[str, Any]], meta: Mapping[str, Any], *, ran_away: bool) -> Trace:
-        """Return the trace of the filled rows. Times in ``warnings`` count from the first tick."""
+        """Return the trace of the filled rows."""
         t = self._columns["t_s"]
         found: dict[str, Any] = {
             "period_s": self._plant.settings.period_s, "ticks": self.done, "ticks_planned": len(t), **self._ending,

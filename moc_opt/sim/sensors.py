@@ -1,4 +1,4 @@
-"""The measurement that the controller gets, and the models of noise and encoders."""
+"""The measurement, and the models of noise and encoders."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from moc_opt.sim.settings import PlantSettings
 
 
 class Measurement(NamedTuple):
-    """The readings that the controller gets, as read-only arrays."""
+    """The readings that the controller gets."""
 
     q: Array  #: (n,) joint positions [rad].
     v: Array  #: (n,) joint velocities [rad/s].
     force: Array  #: (6,) force [N] and torque [Nm] of the tool on its mount, tool axes, one plant step old.
     stamp: int = 0
-    """Number of the control period in which the reading was taken, counted by the arm."""
+    """Number of the control period in which the reading was taken."""
 
 
 _NOISE_ROWS = 256
 
 
 class Noise:
-    """Gaussian noise of given standard deviations (m,), drawn in blocks for speed."""
+    """Gaussian noise of given standard deviations (m,)."""
 
     def __init__(self, rng: np.random.Generator, deviation: Array) -> None:
         self._rng, self._deviation, self._quiet = rng, deviation, not deviation.any()
         self._block, self._next = np.zeros((_NOISE_ROWS, deviation.size)), _NOISE_ROWS
-        self._rows = list(self._block)  # making a view costs four times as much as a look-up
+        self._rows = list(self._block)  # a view costs more than a look-up
 
     def take(self) -> Array:
         """Return the next row (m,), valid until the next call."""
@@ -46,14 +46,13 @@ class Noise:
 
 
 class Encoders:
-    """Joint positions with bias, noise and a finite step. Velocities are low-passed difference quotients of positions.
+    """Joint positions with bias, noise and a finite step, and velocities from filtered differences.
 
     velocity += (1 - exp(-2 pi cutoff period)) (difference quotient - velocity), once a control period.
-    If noise, step and cutoff are all 0, both values are exact except for the bias. If only the cutoff is 0, the
-    velocity is the difference quotient.
+    If noise, step and cutoff are all 0, the velocity is exact.
 
     Args:
-        settings: settings of the plant; period, noise, resolution and cutoff are used.
+        settings: settings of the plant.
         bias: (n,) constant error [rad].
         rng: generator of the noise.
     """
@@ -61,19 +60,19 @@ class Encoders:
     def __init__(self, settings: PlantSettings, bias: Array, rng: np.random.Generator) -> None:
         noise, step, cutoff = settings.encoder_noise_rad, settings.encoder_resolution_rad, settings.velocity_cutoff_Hz
         gain = -math.expm1(-2.0 * math.pi * cutoff * settings.period_s) if cutoff > 0.0 else 1.0
-        # rows of the memory: bias [rad], last position reading [rad], velocity estimate [rad/s]
+        # rows: bias [rad], last position [rad], velocity estimate [rad/s]
         self._noise, self._memory = Noise(rng, np.full(bias.size, noise)), np.zeros((3, bias.size))
         self._memory[0] = bias
         self._conversion = step, settings.period_s, gain, noise == step == cutoff == 0.0
 
     def start(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Read for the first time, at (q, v), (n,) each. The velocity estimate begins at v."""
+        """Return the first reading at (q, v), (n,) each."""
         self._memory[2] = v
         resolution, period, _, exact = self._conversion
         return self._sample(q, v, (resolution, period, 0.0, exact))
 
     def read(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Return the reading of the next period: position [rad] and velocity [rad/s], (n,) read-only."""
+        """Return the next position [rad] and velocity [rad/s], (n,) each."""
         return self._sample(q, v, self._conversion)
 
     def _sample(self, q: Array, v: Array, conversion: tuple[float, float, float, bool]) -> tuple[Array, Array]:
@@ -83,16 +82,15 @@ class Encoders:
         return reading[0], reading[1]
 
 
-_CHANCE = 1e-10  #: Largest probability, at each reading, of a repetition longer than `longest_repetition`.
+_CHANCE = 1e-10  #: Largest probability of a longer repetition, at each reading.
 _MOST_TICKS = 500  #: Largest result of `longest_repetition` [ticks].
 
 
 def longest_repetition(noise_rad: float, resolution_rad: float) -> int | None:
-    """Return how often in a row an encoder at rest may repeat its reading to the last bit, given its noise.
+    """Return how often in a row an encoder at rest may repeat its reading.
 
-    In the middle of a step of width s, a reading with noise sigma repeats with probability p = erf(s / (sqrt(8)
-    sigma)); elsewhere p is smaller. The result is the first k >= 10 with p^k below 1e-10. Without noise, or if k
-    would exceed 500, the result is None.
+    With step s and noise sigma, a reading repeats with a probability of at most p = erf(s / (sqrt(8) sigma)). The
+    result is the first k >= 10 with p^k below 1e-10. Without noise, or above 500, the result is None.
     """
     if noise_rad == 0.0:
         return None
@@ -102,14 +100,13 @@ def longest_repetition(noise_rad: float, resolution_rad: float) -> int | None:
     return max(10, math.ceil(math.log(_CHANCE) / math.log(max(same, _CHANCE))))
 
 
-_DEAD = 600.0  #: After this many time constants, a decaying filter output may repeat to the last bit.
+_DEAD = 600.0  #: Time constants after which a decaying filter output may repeat.
 
 
 def repeats_no_reading(noise_rad: float, resolution_rad: float, cutoff_Hz: float, period_s: float) -> bool:
-    """Return whether an encoder never repeats both position and velocity to the last bit.
+    """Return whether an encoder never repeats both position and velocity.
 
-    While the position repeats, the filtered velocity decays and differs at every reading. With noise, the position
-    changes long before the velocity is too small to change (`_DEAD`).
+    While the position repeats, the filtered velocity decays.
     """
     longest = longest_repetition(noise_rad, resolution_rad)
     return longest is not None and 0.0 < 2.0 * math.pi * cutoff_Hz * period_s * longest < _DEAD

@@ -1,4 +1,4 @@
-"""Settings of the plant's differences from the controller's model. `Mismatch` has the values drawn with a seed."""
+"""Settings of the plant, and its differences from the controller's model."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from moc_opt.errors import MocOptError, PlantError
 from moc_opt.inputs.settings import Settings
 from moc_opt.robots import RobotData
 
-GRAVITY = (0.0, 0.0, -9.81)  #: [m/s^2], world axes. It is also pinocchio's default.
+GRAVITY = (0.0, 0.0, -9.81)  #: [m/s^2], world axes.
 _COARSEST_SUBSTEP_S = 1e-3
 _Stiffness = Annotated[float, Field(gt=0, le=1e9)]
 
@@ -24,12 +24,11 @@ _Stiffness = Annotated[float, Field(gt=0, le=1e9)]
 class PlantSettings(Settings):
     """The simulated arm, its trocar and its sensors. The value 0 switches an error, noise, ripple or delay off.
 
-    The defaults are realistic: wrong masses, friction, noise, a tick of delay, the kinematic errors of a calibrated
-    arm, and a registration error of 0.5 mm. Joints are rigid and torques smooth by default; docs/plant.md says why.
+    The defaults are realistic, but joints are rigid and torques smooth (docs/plant.md).
 
     Raises:
-        PlantError: a value is out of range; the message names the field, the value and the range.
-        UnknownNameError: a field does not exist; the message lists the nearest fields.
+        PlantError: a value is out of range.
+        UnknownNameError: a field does not exist.
     """
 
     KIND: ClassVar[str] = "[plant]"
@@ -88,7 +87,7 @@ class PlantSettings(Settings):
 
     @property
     def elastic(self) -> bool:
-        """Whether a spring lies between motor and link."""
+        """Whether joints have springs."""
         return self.joint_stiffness_Nm_per_rad != 0.0
 
     @property
@@ -98,7 +97,7 @@ class PlantSettings(Settings):
 
     @classmethod
     def nominal(cls, **changes: Any) -> PlantSettings:
-        """Make settings of a plant that equals the controller's model and is measured exactly, except for `changes`."""
+        """Make settings of a plant that equals the controller's model, except for `changes`."""
         zero = (
             "mass_error", "friction", "friction_error", "calibration_error_m", "calibration_tilt_rad",
             "encoder_bias_rad", "encoder_noise_rad", "encoder_resolution_rad", "velocity_cutoff_Hz",
@@ -110,33 +109,29 @@ class PlantSettings(Settings):
 
 @dataclass(frozen=True, eq=False)
 class Mismatch:
-    """Differences between plant and controller's model; arrays are read-only."""
+    """Differences between plant and controller's model."""
 
     mass_scale: Mapping[str, float]  #: Factor on mass and inertia of each link.
     viscous_friction: Array  #: (n,) [Nm s/rad]
     coulomb_friction: Array  #: (n,) [Nm]
     registration_error: Array  #: (3,) true minus registered trocar, world axes [m].
     origin_shift: Array
-    """(n + 1, 3) true minus modelled origin of each joint and of the tool's mount, axes of the preceding link [m]."""
+    """(n + 1, 3) true minus modelled origin of joints and tool mount, preceding link's axes [m]."""
     origin_turn: Array
-    """(n, 3) rotation vector from each joint's modelled to its true frame, axes of the preceding link [rad]."""
-    encoder_bias: Array  #: (n,) reading minus true position of each encoder [rad, m].
-    ripple_phase: Array  #: (n,) phase of the torque ripple at joint position 0 [rad].
+    """(n, 3) rotation vector from modelled to true joint frame, preceding link's axes [rad]."""
+    encoder_bias: Array  #: (n,) reading minus true position [rad, m].
+    ripple_phase: Array  #: (n,) phase of the ripple at joint position 0 [rad].
 
     @property
     def displaces(self) -> bool:
-        """Whether tip and shaft differ from the model's tip and shaft at the encoders' readings."""
+        """Whether the model's tip and shaft are displaced."""
         return bool(self.origin_shift.any() or self.origin_turn.any() or self.encoder_bias.any())
 
     @classmethod
     def draw(
         cls, data: RobotData, settings: PlantSettings, links: Sequence[str], seed: np.random.SeedSequence
     ) -> Mismatch:
-        """Draw uniform factors from 1 +- error (one per link, two per joint), and uniform directions of the offsets.
-
-        Each kind of error has its own random stream, whose numbers do not depend on the settings: twice the error
-        doubles every deviation.
-        """
+        """Draw uniform factors from 1 +- error, and uniform directions of the offsets."""
         of_links, of_joints, of_trocar, of_origins, of_axes, of_encoders, of_ripple = (
             np.random.default_rng(child) for child in seed.spawn(7)
         )

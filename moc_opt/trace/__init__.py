@@ -1,4 +1,1 @@
-"""The trace of a run: ``trace`` (``Trace``, one row per control tick), ``columns`` (units, meaning) and ``metrics``.
-
-``file`` reads and writes Parquet, ``meta`` has the entries about a whole run, and ``oscillation`` finds shaking joints.
-"""
+"""The trace (record) of a run, its file, its metrics and its oscillations."""

@@ -1,4 +1,4 @@
-"""The columns of a trace: their units, shapes and meaning, and checks of the arrays."""
+"""The columns of a trace (record of a run), and checks of the arrays."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from moc_opt.errors import TraceError
 
 
 class Column(NamedTuple):
-    """The documentation of one column."""
+    """Unit, shape and meaning of a column."""
 
     unit: str
     shape: str
@@ -71,11 +71,11 @@ COLUMNS: Mapping[str, Column] = MappingProxyType(
         "q_best_from_start_rad": Column("rad", "(N, n)", "joint positions of the best course from the run's start"),
     }
 )  # fmt: skip
-"""Unit, shape and meaning of every column that the package itself writes or reads, by name."""
+"""Every column that the package writes or reads, by name."""
 
 
 def column(name: str, value: ArrayLike) -> NDArray[Any]:
-    """Return a column as a read-only array that nothing else can change. Raise a TraceError if the value is wrong."""
+    """Return a column as a read-only array. Raise a TraceError if the value is wrong."""
     try:
         array = np.asarray(value)
     except ValueError as error:
@@ -94,7 +94,6 @@ def column(name: str, value: ArrayLike) -> NDArray[Any]:
         fits = len(shape) == 1 if not width else len(shape) == 2 and width in ("n", "k", str(shape[1]))
         if kind not in wanted or not fits:
             raise TraceError(f"column {name!r} is {dtype} of shape {shape}: give {known.kind}s of shape {known.shape}")
-    # Copy the array unless it is read-only already.
     native = dtype.newbyteorder("=")
     if array.flags.writeable or not array.flags.owndata or dtype != native:
         array = np.array(array, dtype=native, order="C")

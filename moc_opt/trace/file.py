@@ -1,8 +1,4 @@
-"""The Parquet file of a trace, written and read by polars.
-
-A column of shape (N, k) is stored as a Parquet column of lists with k entries. The file's metadata contain a version,
-the trace's meta and the columns' numpy types as JSON, and a checksum of meta, types and the columns' bytes.
-"""
+"""The Parquet file of a trace (record of a run), with meta and a checksum."""
 
 from __future__ import annotations
 
@@ -27,12 +23,12 @@ Columns = Mapping[str, NDArray[Any]]
 
 VERSION = "2"
 VERSION_KEY, META_KEY, TYPES_KEY, SUM_KEY = "moc_opt.trace.trace", "moc_opt.meta", "moc_opt.types", "moc_opt.crc32"
-MOST_BYTES = 2**32  # largest unpacked size of all columns together, because a small file could unpack to any size
+MOST_BYTES = 2**32  # largest unpacked size, because a small file could unpack to any size
 _OTHER_FORMATS = frozenset({".csv", ".tsv", ".txt", ".json", ".npy", ".npz", ".mat", ".h5", ".xlsx", ".html", ".toml"})
 
 
 def new_file(path: str | os.PathLike[str]) -> Path:
-    """Return the path of a new trace. Raise a TraceError if the ending or the folder cannot be used."""
+    """Return the path of a new trace. Raise a TraceError if the path cannot be used."""
     target = as_path(path, "trace", TraceError)
     if target.suffix.lower() in _OTHER_FORMATS:
         raise TraceError(
@@ -47,7 +43,7 @@ def new_file(path: str | os.PathLike[str]) -> Path:
 
 
 def check_trace(path: str | os.PathLike[str], kind: str = "run") -> None:
-    """Raise a TraceError if the path is a file that is not empty and not a trace with this kind in its meta."""
+    """Raise a TraceError if the path is a non-empty file of another kind."""
     import polars as pl
 
     if os.path.isfile(path) and os.path.getsize(path):
@@ -61,8 +57,8 @@ def check_trace(path: str | os.PathLike[str], kind: str = "run") -> None:
 
 
 def write(path: str | os.PathLike[str], columns: Columns, meta: Mapping[str, Any]) -> None:
-    """Write a trace completely or not at all. Raise a TraceError if the file cannot be written."""
-    import polars as pl  # imported late: it takes longer than all other imports of this package
+    """Write a trace. Raise a TraceError if the file cannot be written."""
+    import polars as pl  # slow to import
 
     target, packed = new_file(path), io.BytesIO()
     entries = json.dumps(dict(meta))
@@ -77,7 +73,7 @@ def write(path: str | os.PathLike[str], columns: Columns, meta: Mapping[str, Any
 
 
 def read(path: str | os.PathLike[str]) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Read columns and meta that `write` wrote. Raise a TraceError if the file is missing, damaged, or no trace."""
+    """Read columns and meta. Raise a TraceError if the file is missing, damaged or no trace."""
     import polars as pl
 
     file = as_path(path, "trace", TraceError)
@@ -115,7 +111,7 @@ def _array(column: pl.Series, dtype: np.dtype[Any]) -> NDArray[Any]:
 
 
 def checksum(columns: Columns, *texts: str) -> str:
-    """Return the CRC-32 of the texts and of all columns' bytes, as text."""
+    """Return the CRC-32 of the texts and columns."""
     found = zlib.crc32("".join(texts).encode())
     for array in columns.values():
         found = zlib.crc32(array.tobytes(), found)

@@ -1,13 +1,10 @@
-"""The meta of a trace: entries about the whole run, and the types of the entries that pages and tables read.
+"""The meta of a trace (record of a run): entries and their types.
 
-The trace of a simulated run has these entries:
-
-- ``ended``: the ending and its reason; ``stopped_at_s``, ``ticks``, ``ticks_planned``, ``period_s``;
-- ``warnings``: quantities that exceeded a warning level of the safety filter;
-- ``faults``: the solver's refused answers: a dict from the label of a fault to the number of such faults (``count``),
-  the time of the first (``first_at_s``) and its message (``first``);
-- ``restarts``: time (at_s) and reason of each restart of an isolated solver's process;
-- ``scenario``, ``robot`` (and ``robot_data`` of an arm that is not in the package), ``start_q_rad``, ``deadline_us``.
+- ``ended``: the ending and its reason
+- ``warnings``: quantities that exceeded a warning level of the safety filter
+- ``faults``: count, first time and first message of each fault of the solver
+- ``restarts``: time and reason of each restart of an isolated solver's process
+- ``robot_data``: data of an arm that is not in the package
 """
 
 from __future__ import annotations
@@ -18,13 +15,13 @@ from enum import StrEnum
 from typing import Any
 
 from pydantic import FiniteFloat, TypeAdapter, ValidationError
-from typing_extensions import TypedDict  # pydantic takes typing.TypedDict only from Python 3.12 on
+from typing_extensions import TypedDict  # pydantic needs it before Python 3.12
 
 from moc_opt.errors import TraceError, shown
 
 
 class Ending(StrEnum):
-    """How a run ends. ``meta["ended"]`` begins with one of these words, and a reason may follow ("stopped: ...")."""
+    """How a run ends. ``meta["ended"]`` begins with one of these words."""
 
     COMPLETED = "completed"
     OSCILLATED = "oscillated"
@@ -35,12 +32,12 @@ class Ending(StrEnum):
 
     @classmethod
     def of(cls, ended: str) -> Ending:
-        """Return the ending from the text of ``meta["ended"]``; FAILED if the text begins with none of these words."""
+        """Return the ending from the text of ``meta["ended"]``; FAILED if the text is unknown."""
         return next((ending for ending in cls if ended.startswith(ending.value)), cls.FAILED)
 
     @property
     def whole(self) -> bool:
-        """Whether the whole task was done, with or without oscillation. Only such runs are in the mean of a metric."""
+        """Whether the whole task was done."""
         return self in (Ending.COMPLETED, Ending.OSCILLATED)
 
 
@@ -68,15 +65,15 @@ FORMS: Mapping[str, TypeAdapter[Any]] = {
         "restarts": list[_RESTART], "warnings": list[_WARNING], "scenario": _SCENARIO, "best_courses": _COURSES,
     }.items()
 }  # fmt: skip
-"""The type of each entry of meta that is checked. A table may have further keys."""
+"""The types of entries of meta."""
 ANYTHING = TypeAdapter(Any)
 
 
 def plain(meta: Mapping[str, Any]) -> dict[str, Any]:
-    """Return meta as JSON would return it after writing and reading.
+    """Return meta with the types of JSON.
 
     Raises:
-        TraceError: meta cannot be written as JSON, or the type of an entry is not that of `FORMS`.
+        TraceError: meta is not JSON, or an entry has another type than in `FORMS`.
     """
     found = {}
     for name, value in meta.items():

@@ -1,7 +1,4 @@
-"""Metrics of a run: `summarize` computes every metric for which a trace has the data.
-
-To add a metric, write a function under `@metric`. Its name includes the unit and is the key in every summary.
-"""
+"""Metrics of a run. To add a metric, write a function under `@metric`."""
 
 from __future__ import annotations
 
@@ -25,32 +22,32 @@ from moc_opt.trace.trace import MissingDataError, Trace
 
 Floats = NDArray[np.float64]
 GROUP = "moc_opt.metrics"
-_LOADED: dict[EntryPoint, str] = {}  # by entry point: why its metric cannot be used, or "" if it can
+_LOADED: dict[EntryPoint, str] = {}  # by entry point: reason of a failure, or ""
 
 
 @dataclass(frozen=True)
 class Metric:
-    """A registered metric. Calling it raises a MissingDataError if the trace lacks the data."""
+    """A registered metric."""
 
     name: str  #: key in every summary; includes the unit
-    unit: str  #: for example "mm" or "us"; "1" for counts and ratios
-    about: str  #: one line on what the metric measures, without the unit
-    function: Callable[..., float] = field(repr=False)  #: returns the value from (trace) or (trace, baseline)
+    unit: str  #: such as "mm"; "1" for counts and ratios
+    about: str  #: one line on what the metric measures
+    function: Callable[..., float] = field(repr=False)  #: function of (trace) or (trace, baseline)
 
     def __call__(self, trace: Trace, baseline: Trace | None = None) -> float:
-        """Return the metric's value."""
+        """Return the value. Raise a MissingDataError if the trace lacks the data."""
         compares = len(inspect.signature(self.function).parameters) > 1
         return float(self.function(trace, baseline) if compares else self.function(trace))
 
 
-METRICS: dict[str, Metric] = {}  #: All metrics by name, in the order of a summary.
+METRICS: dict[str, Metric] = {}  #: All metrics by name.
 
 
 def metric(unit: str | Callable[..., float]) -> Any:
     """Register a function as a metric under its own name: `@metric("mm")`, or `@metric` for counts and ratios.
 
-    The function takes `(trace)` or `(trace, baseline)`. The first line of its docstring describes the metric. If the
-    function raises a MissingDataError, as for an absent column, a summary leaves the metric out.
+    The function takes `(trace)` or `(trace, baseline)`. The first line of its docstring describes the metric. After a
+    MissingDataError, a summary leaves the metric out.
 
     Raises:
         TraceError: the function has no docstring, or another metric already has its name.
@@ -72,7 +69,7 @@ def _add(name: str, unit: str, about: str, function: Callable[..., float]) -> Me
 
 
 def load_plugins() -> dict[str, str]:
-    """Register the metrics of other packages. Return a dict from the name of each failed one to the reason."""
+    """Register the metrics of other packages. Return the reasons of failures by name."""
     for name, points in plugins.plugins(GROUP).items():
         if points[0] in _LOADED:
             continue
@@ -95,14 +92,13 @@ def summarize(trace: Trace, baseline: Trace | None = None) -> dict[str, float]:
     """Compute every metric for which the trace has the data.
 
     Args:
-        baseline: a run for comparison, with the controller DCAC, the same gains, the same trial and the same ticks.
+        baseline: a run of DCAC for comparison, with the same gains, trial and ticks.
 
     Returns:
-        The values by name, in the order of METRICS. Metrics whose data are absent are left out.
+        The values by name.
 
     Raises:
-        TraceError: the trace or the baseline is not a Trace or is empty, their ticks differ, or a column holds
-            impossible numbers.
+        TraceError: the trace or the baseline is wrong or empty, or their ticks differ.
     """
     load_plugins()
     for role, run in (("trace", trace), ("baseline", baseline)):
@@ -145,7 +141,6 @@ def _extent(trace: Trace) -> str:
 
 
 def _floats(trace: Trace, column: str) -> Floats:
-    """Return a column of numbers, or the norms of a column of vectors."""
     values = np.asarray(getattr(trace, column), dtype=np.float64)
     return values if values.ndim == 1 else _lengths(values)
 
@@ -155,7 +150,6 @@ def _lengths(rows: Floats) -> Floats:
 
 
 def _known(trace: Trace, column: str) -> Floats:
-    """Return the entries of a column that are not NaN. Raise a MissingDataError if all are NaN."""
     values = _floats(trace, column)
     values = values[~np.isnan(values)]
     if values.size == 0:
@@ -208,10 +202,7 @@ _figure("mu_final", "m^3", "Last", "mu", lambda values: values[-1])
 
 @metric("percent")
 def mu_gain_percent(trace: Trace, baseline: Trace | None) -> float:
-    """Gain in mean manipulability over the baseline, DCAC at the same gains; to compare third levels, use mu_mean.
-
-    Two null-space controllers (third levels) have different baselines, because their observer gains differ.
-    """
+    """Gain in mean manipulability over the baseline, DCAC at the same gains; to compare third levels, use mu_mean."""
     if baseline is None:
         raise MissingDataError("there is no baseline: give the trace of DCAC on the same trial")
     reference = METRICS["mu_mean"](baseline)
@@ -260,7 +251,6 @@ def torque_rate_rms_Nm_per_s(trace: Trace) -> float:
     """Chatter: root mean square over the ticks of |tau_k - tau_(k-1)| / (t_k - t_(k-1))."""
     change, step = _lengths(np.diff(trace.tau_Nm, axis=0)), np.diff(_floats(trace, "t_s"))
     if "tick" in trace.columns:
-        # Selected ticks may have gaps. Leave out differences across gaps.
         together = np.diff(trace.tick) == 1
         change, step = change[together], step[together]
     if step.size == 0:

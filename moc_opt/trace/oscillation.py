@@ -1,13 +1,7 @@
 """Find joints that oscillate faster than any task requires, in the trace of a run.
 
-Chatter and limit cycles of a torque loop are above 8 Hz, and motions of a task are below. A moving mean over 1/8 s is
-subtracted from each joint's velocity and torque. The largest root mean square of the rest over one second is compared
-with a limit. The first half second is left out, because an arm starts with a jerk. A single jerk is no oscillation:
-without its loudest quarter, the worst second must still exceed half of the limit.
-
-The limits were chosen on the LWR4+ in the realistic plant. 94 stable runs had at most 0.080 rad/s and 3.6 Nm (11 N for
-a sliding joint). A limit cycle had 0.49 rad/s and 28 Nm, and chatter had up to 2.7 rad/s and 119 Nm. Each limit is near
-the geometric mean of the limit cycle's value and the largest value of the stable runs.
+A moving mean over 1/8 s is subtracted from each joint's velocity and torque. The largest root mean square of the rest
+over one second is compared with a limit.
 """
 
 from __future__ import annotations
@@ -26,9 +20,9 @@ Floats = NDArray[np.float64]
 Flags = Sequence[bool] | NDArray[np.bool_]
 
 LIMIT_RAD_PER_S, LIMIT_NM = 0.2, 10.0
-LIMIT_M_PER_S, LIMIT_N = 0.08, 100.0  #: Limits on the root mean square for a sliding joint.
+LIMIT_M_PER_S, LIMIT_N = 0.08, 100.0  #: Limits for a sliding joint.
 PARTS, LOUDEST, KEPT_UP = 8, 2, 0.5
-"""The worst second is cut into PARTS parts. Without the LOUDEST parts, it must still exceed KEPT_UP times the limit."""
+"""Parts of the worst second, loudest parts left out, share of the limit for the rest."""
 ABOVE_HZ, WINDOW_S, START_S, SHORTEST_S = 8.0, 1.0, 0.5, 1e-6
 
 
@@ -36,9 +30,9 @@ class Shaking(NamedTuple):
     """The largest oscillation in a run."""
 
     joint: int  #: index of the joint, from 0
-    rms: float  #: root mean square above ABOVE_HZ in the worst window, in the column's unit
-    frequency_Hz: float  #: frequency of the largest entry in the spectrum of that window, above ABOVE_HZ
-    rest: float  #: root mean square in the worst window without its loudest quarter, in the column's unit
+    rms: float  #: root mean square in the worst window, in the column's unit
+    frequency_Hz: float  #: frequency of the spectrum's largest entry
+    rest: float  #: like rms, without the loudest quarter of the window
 
     def above(self, limit: float) -> bool:
         """Return whether the oscillation exceeds the limit and is not a single jerk."""
@@ -46,18 +40,15 @@ class Shaking(NamedTuple):
 
 
 def shaking(trace: Trace, column: str, limits: ArrayLike | None = None) -> Shaking:
-    """Find the largest root mean square above ``ABOVE_HZ`` of any joint over a window of ``WINDOW_S``.
-
-    For a run shorter than ``START_S`` + ``WINDOW_S``, the window and the part left out at the start are shortened.
+    """Find the largest root mean square above ``ABOVE_HZ`` of any joint over ``WINDOW_S``.
 
     Args:
         trace: a trace of consecutive ticks.
         column: ``v_rad_per_s`` or ``tau_Nm``, (N, n).
-        limits: limit of each joint (n,), by which its values are divided. An oscillation above its limit then takes
-            precedence over a single jerk. If None, the values are not divided.
+        limits: limit of each joint (n,), by which its values are divided; None: no limits.
 
     Raises:
-        MissingDataError: the trace has no such column, no time, fewer than four ticks, or missing ticks.
+        MissingDataError: a column or ticks are missing, or there are fewer than four ticks.
         TraceError: the time does not increase.
     """
     values, time = np.asarray(getattr(trace, column), dtype=np.float64), np.asarray(trace.t_s, dtype=np.float64)
@@ -81,7 +72,7 @@ def shaking(trace: Trace, column: str, limits: ArrayLike | None = None) -> Shaki
     shares = squares / np.square(bounds)
     loudest = found = _at(fast, squares, shares, period)
     while not found.above(bounds[found.joint]) and shares.max() > 1.0:
-        # This is a jerk. Remove it, and look for an oscillation elsewhere.
+        # Remove this jerk, and look for an oscillation elsewhere.
         away = np.arange(len(shares)) - np.argmax(shares[:, found.joint])
         shares[np.abs(away) <= window // PARTS, found.joint] = 0.0
         found = _at(fast, squares, shares, period)
@@ -101,7 +92,7 @@ def _at(fast: Floats, squares: Floats, shares: Floats, period: float) -> Shaking
 
 
 def above(values: Floats, width: int) -> Floats:
-    """Return the rows (N, k) minus their centred mean over about ``width`` rows (fewer at both ends)."""
+    """Return the rows (N, k) minus their centred mean over ``width`` rows."""
     total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
     place, half = np.arange(len(values)), width // 2
     begin, end = np.maximum(place - half, 0), np.minimum(place + half + 1, len(values))
@@ -109,7 +100,7 @@ def above(values: Floats, width: int) -> Floats:
 
 
 def describe(trace: Trace, joint_names: Sequence[str], slides: Flags) -> str:
-    """Return a text on the oscillating joint, its frequency and rms; empty if none. Raise what `shaking` raises."""
+    """Return a text on the oscillating joint, its frequency and rms; empty if none."""
     speeds = np.where(slides, LIMIT_M_PER_S, LIMIT_RAD_PER_S)
     efforts = np.where(slides, LIMIT_N, LIMIT_NM)
     v, tau = shaking(trace, "v_rad_per_s", speeds), shaking(trace, "tau_Nm", efforts)
@@ -122,12 +113,8 @@ def describe(trace: Trace, joint_names: Sequence[str], slides: Flags) -> str:
 
 
 def judged_for_oscillation(trace: Trace, joint_names: Sequence[str], slides: Flags) -> Trace:
-    """Return the trace. If a completed or stopped run oscillated, ``meta["ended"]`` of the returned trace says so.
-
-    "completed" becomes "oscillated: ...". Runs shorter than 1 s are not checked.
-    """
+    """Return the trace, whose ``meta["ended"]`` names an oscillation of the run."""
     ended, stopped_s = trace.meta.get("ended"), trace.meta.get("stopped_at_s")
-    # The braking of a stop is not checked.
     judged = trace if stopped_s is None else trace.head(int(np.searchsorted(trace.t_s, stopped_s)))
     brief = len(judged) < 4 or judged.t_s[-1] - judged.t_s[0] < START_S + 0.5 * WINDOW_S
     if brief or (ended != "completed" and stopped_s is None):

@@ -1,4 +1,4 @@
-"""The data of a run, with one row per control tick. A trace converts to pandas, to xarray and to a plotly figure."""
+"""The trace (data) of a run, with one row per control tick."""
 
 from __future__ import annotations
 
@@ -19,22 +19,21 @@ from moc_opt.trace import file
 from moc_opt.trace.columns import COLUMNS, Column, column
 from moc_opt.trace.meta import Ending, plain
 
-if TYPE_CHECKING:  # for code completion on the results of plot(), to_pandas() and to_xarray()
+if TYPE_CHECKING:  # for code completion
     from pandas import DataFrame
     from plotly.graph_objects import Figure
     from xarray import Dataset
 
 
 class MissingDataError(TraceError, AttributeError):
-    """A trace lacks a column, an entry of meta, or ticks that a call needs."""
+    """A trace lacks a column, an entry of meta or ticks."""
 
 
 class Trace:
     """A run: `columns` with one row per control tick, and `meta` with the run's settings and ending.
 
-    `trace.q_rad` is `trace.columns["q_rad"]`; `len(trace)` is the number of ticks. No column is obligatory, and other
-    columns than those of `Trace.COLUMNS` are allowed. A column in `Trace.COLUMNS` must have the shape given there
-    (N ticks, n joints). Arrays are read-only. Do not change nested values of `meta` (plain JSON).
+    `trace.q_rad` is `trace.columns["q_rad"]`; `len(trace)` is the number of ticks. Other columns than those of
+    `Trace.COLUMNS` are allowed. Arrays are read-only.
 
     Example:
         >>> trace = mo.run(mo.Scenario(duration_s=0.1, bound_samples=0))
@@ -60,11 +59,10 @@ class Trace:
 
         Args:
             columns: by name, (N,) or (N, k) floats, integers or flags, or (N,) texts. N is the same for all.
-            meta: by name, JSON values with finite numbers. Tuples become lists, as in JSON.
+            meta: by name, JSON values with finite numbers.
 
         Raises:
-            TraceError: a column has a wrong shape, type or number of rows, meta is not JSON, or an entry of meta has
-                another type than in `moc_opt.trace.meta`.
+            TraceError: a column has a wrong shape, type or number of rows, or meta is wrong.
         """
         for argument, given in (("columns", columns), ("meta", {} if meta is None else meta)):
             if not isinstance(given, Mapping):
@@ -79,11 +77,9 @@ class Trace:
         object.__setattr__(self, "meta", MappingProxyType(plain(meta or {})))
 
     def __len__(self) -> int:
-        """Number of ticks."""
         return len(next(iter(self.columns.values()), ()))
 
     def __getattr__(self, name: str) -> NDArray[Any]:
-        """Return a column. Raise a MissingDataError (an AttributeError) if it is absent."""
         if name.startswith("__") or name in Trace.__slots__:
             raise AttributeError(name)
         try:
@@ -104,7 +100,6 @@ class Trace:
         return f"Trace({', '.join(facts)}: {', '.join(self.columns)})"
 
     def __dir__(self) -> Iterable[str]:
-        """Return the names of methods and columns."""
         return [*super().__dir__(), *self.columns]
 
     def with_columns(self, **arrays: ArrayLike) -> Trace:
@@ -114,9 +109,8 @@ class Trace:
     def select(self, ticks: ArrayLike) -> Trace:
         """Return the trace of the ticks whose flag in ``ticks`` (N,) is True.
 
-        The new trace's column `tick` has the indices of the ticks in the run. Its ``meta["ended"]`` says that it is a
-        part of a run, and ``meta["run_ended"]`` how the run ended. Raise a TraceError if ``ticks`` is not a boolean
-        array with one entry per tick.
+        The column `tick` has the indices in the run, and ``meta["run_ended"]`` the ending of the run. Raise a
+        TraceError if ``ticks`` has another shape or type.
         """
         mask = np.asarray(ticks)
         if mask.dtype != np.bool_ or mask.shape != (len(self),):
@@ -126,7 +120,7 @@ class Trace:
         return self._of(MappingProxyType(found), self.meta)._as_part_of(self)
 
     def between(self, start_s: float, stop_s: float) -> Trace:
-        """Return the ticks with start_s <= t_s < stop_s, as `select` does. Raise a TraceError if there are none."""
+        """Return the ticks with start_s <= t_s < stop_s. Raise a TraceError if there are none."""
         if not (is_number(start_s) and is_number(stop_s)):
             given = f"start_s = {shown(start_s)}, stop_s = {shown(stop_s)}"
             raise TraceError(f"between({given}): give times in seconds, inf for no limit")
@@ -140,15 +134,15 @@ class Trace:
     def plot(
         self, columns: Sequence[str] | None = None, *, name: str | None = None, beside: Trace | None = None
     ) -> Figure:
-        """Draw columns of the run over time in a plotly figure, as the reports do.
+        """Draw columns of the run over time in a plotly figure.
 
         Args:
             columns: one panel each. By default mu, tip error, RCM error and force.
-            name: this run's name in the legend. By default the name of its solver, or "dcac" if the run has no solver.
-            beside: a second run to draw. Its name is that of its solver, or "baseline" if both names are equal.
+            name: this run's name in the legend. By default the name of its solver.
+            beside: a second run to draw.
 
         Raises:
-            MocOptError: an argument is wrong; see `moc_opt.figures.time_series`.
+            MocOptError: an argument is wrong.
         """
         from moc_opt.figures import time_series
 
@@ -165,8 +159,7 @@ class Trace:
     def to_pandas(self) -> DataFrame:
         """Return a pandas.DataFrame with one row per tick, indexed by `t_s`; its `attrs` are `meta`.
 
-        A vector becomes several columns: `tip_m_x`, `tip_m_y`, `tip_m_z`; joints are numbered from 0 (`q_rad_0`).
-        Raise a TraceError if pandas is not installed.
+        A vector becomes several columns, such as `tip_m_x` or `q_rad_0`. Raise a TraceError without pandas.
         """
         pandas = _package("pandas")
         columns: dict[str, NDArray[Any]] = {}
@@ -182,10 +175,7 @@ class Trace:
         return made
 
     def to_xarray(self) -> Dataset:
-        """Return an xarray.Dataset over `t_s`, `joint` and `axis`; each variable has its unit and meaning.
-
-        Raise a TraceError if xarray is not installed.
-        """
+        """Return an xarray.Dataset over `t_s`, `joint` and `axis`. Raise a TraceError without xarray."""
         xarray = _package("xarray")
         variables: dict[str, Any] = {}
         coordinates: dict[str, Any] = {}
@@ -207,7 +197,7 @@ class Trace:
         return xarray.Dataset(variables, coordinates, attributes)
 
     def head(self, ticks: int) -> Trace:
-        """Return the trace of the first ``ticks`` ticks, or of all if there are fewer. See `select` for `meta`."""
+        """Return the trace of the first ``ticks`` ticks, or of all if there are fewer."""
         if isinstance(ticks, bool) or not isinstance(ticks, int | np.integer) or ticks < 0:
             raise TraceError(f"head: ticks = {shown(ticks)}: give an integer of 0 or more")
         columns = MappingProxyType({name: array[:ticks] for name, array in self.columns.items()})
@@ -237,11 +227,7 @@ class Trace:
         return made
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a Parquet file. An older file of this name stays until the new file is complete.
-
-        A column of shape (N, k) is stored as a Parquet column of lists with k entries, and meta as JSON. All
-        values that `load` reads equal the saved ones to the last bit. Raise a TraceError if the file cannot be written.
-        """
+        """Write a Parquet file. Raise a TraceError if the file cannot be written."""
         file.write(path, self.columns, self.meta)
 
     @classmethod
@@ -257,18 +243,18 @@ def _name(name: str) -> str:
 
 
 def load_trace(path: str | os.PathLike[str]) -> Trace:
-    """Read a file that `Trace.save` or the option ``--trace`` of a command wrote; see `Trace.load`."""
+    """Read the file of a trace; see `Trace.load`."""
     return Trace.load(path)
 
 
 def table(of: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """Return the table ``name`` of meta; an empty table if it is absent or not a table."""
+    """Return the table ``name`` of meta; an empty table if there is none."""
     found = of.get(name)
     return found if isinstance(found, dict) else {}
 
 
 def about(trace: Trace) -> dict[str, str]:
-    """Return a dict of a run's main facts as texts. The law "dcac" has no solver, so that ``solver`` is then "dcac"."""
+    """Return a dict of a run's main facts as texts. With the law "dcac", ``solver`` is "dcac"."""
     meta, scenario = trace.meta, table(trace.meta, "scenario")
     law = "dcac" if table(scenario, "control").get("law") == "dcac" else table(scenario, "solver").get("name")
     known = {"scenario": scenario.get("name"), "robot": meta.get("robot"), "solver": law, "ended": meta.get("ended")}
