@@ -92,7 +92,7 @@ _NOISY = set(qpsolvers.sparse_solvers) - set(qpsolvers.dense_solvers)
 
 
 def reasons() -> dict[str, str | None]:
-    """Return a dict from library name to why it cannot run here, or None."""
+    """Return, for each library name, the reason why it cannot run here, or None."""
     known = {module.name.strip("_") for module in pkgutil.iter_modules(qpsolvers.solvers.__path__)}
     here = set(qpsolvers.available_solvers)
     return {

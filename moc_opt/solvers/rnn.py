@@ -109,7 +109,7 @@ class RNN(Network):
         k: the paper's gain.
         scale: factor of c0, c1, c2 and regularization. It does not change the solution.
         method: "explicit" Euler, or "semi-implicit" (the multipliers use the new x).
-        eps: largest entry of the network's right-hand side at rest [rad/s, m/s].
+        eps: largest entry of the network's right-hand side for SOLVED [rad/s, m/s].
 
     Raises:
         SolverError: a setting is out of range, or (from ``start``) the steps would diverge.
@@ -140,7 +140,7 @@ class RNNPrinted(Network):
     Args:
         k: the paper's gain.
         h: step of the multipliers, dt / (the network's time constant). The steps diverge unless h k < c0.
-        eps: largest entry of the network's right-hand side at rest [rad/s, m/s].
+        eps: largest entry of the network's right-hand side for SOLVED [rad/s, m/s].
 
     Raises:
         SolverError: a setting is out of range, or (from ``start``) the steps would diverge.

@@ -211,7 +211,7 @@ def environment(config: Mapping[str, Any], seed: int, argv: Sequence[str] = ()) 
 
 
 def choose(wanted: Literal["all"] | Sequence[str], *beside: str) -> tuple[list[str], dict[str, str]]:
-    """Return the solvers that can run here, and a dict from each other solver to the reason.
+    """Return the names of solvers that can run here, and the reasons why others cannot.
 
     "all" means every known solver. The names in ``beside`` can always run.
     """

@@ -101,7 +101,7 @@ def _figures(name: str, certified: Row, warm: Row, closed: Row) -> Row:
 
 
 def _ended(closed: Row) -> dict[str, int]:
-    """Count runs that ended early, on the trials that every solver ran."""
+    """Count the runs that broke off or oscillated."""
     return {word: closed.get(f"{word.replace(' ', '_')}_in_common", 0) for word in ("broke off", "oscillated")}
 
 
@@ -111,7 +111,7 @@ def _order(row: Row) -> tuple[float, float, float]:
 
 
 def _damage(row: Row, reference: str | None, runs: Results) -> tuple[Any, float]:
-    """Return (text, size) of the worst loss; the size is 0 if uncertain."""
+    """Return (text, size) of the worst loss. The size of an uncertain loss is 0."""
     for word, count in _ended(row["closed"]).items():
         if count:
             return f"{count} {word}", TOO_MUCH

@@ -20,7 +20,7 @@ from moc_opt.errors import MocOptError
 RESAMPLES = 4000
 CONFIDENCE = 0.95
 NOMINAL = 0.7
-"""Factor of the miss rate 1 - `CONFIDENCE`. In simulations, intervals miss more often."""
+"""Intervals are built for the miss rate `NOMINAL` * (1 - `CONFIDENCE`). In simulations, they miss more often."""
 ROUNDING = 1e-9  # smaller changes are taken as zero [percent]
 LEAST_TRIALS = 8  # with fewer trials, no change is called a gain or a loss
 
