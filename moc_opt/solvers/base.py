@@ -1,4 +1,4 @@
-"""The interface of a solver: a frozen set of settings that starts sessions. A session solves one run's subproblems."""
+"""The interface of a solver. A `Solver` holds settings, and its sessions solve subproblems."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from moc_opt.arrays import Array
 from moc_opt.errors import SolverError, is_number, shown
 from moc_opt.qp.problem import NullSpaceQP
 
-Choices = Mapping[str, tuple[object, ...]]  # the valid values of each setting, by its name
-MOST = 2**31 - 1  # largest integer of a setting: the libraries count in 32 bits
+Choices = Mapping[str, tuple[object, ...]]  # the valid values of each setting
+MOST = 2**31 - 1  # largest integer of a setting (32 bits)
 
 
 class Status(Enum):
-    """The status that a solver reports with its answer. Each value says what it means, or what to do about it."""
+    """The status of an answer. Its value explains the status or names a remedy."""
 
     SOLVED = "the solver claims an optimum"
     INFEASIBLE = "no velocity within the bounds meets the references: slow the path down or raise k0"
@@ -27,7 +27,7 @@ class Status(Enum):
     NUMERICAL = "numerical trouble: take rows = 5, regularization > 0 or a larger cost_scale"
     UNSUPPORTED = "ask supports(qp) why this solver cannot take this problem"
 
-    label: str  #: Lower-case name, used in traces and tables.
+    label: str  #: lower-case name
 
     def __init__(self, cure: str) -> None:
         self.label = self.name.lower()
@@ -37,11 +37,10 @@ class Solution(NamedTuple):
     """A solver's answer.
 
     Attributes:
-        x: (n,) joint velocity [rad/s]; NaN if the solver found none.
-        y: (6,) multipliers of the six equality rows, or None if the solver gives none. With the multipliers z of the
-            bounds, P x + p + A^T y + z = 0. If a solver uses five rows, its adapter computes six multipliers.
+        x: (n,) joint velocity [rad/s]; NaN if there is none.
+        y: (6,) multipliers of the equality rows, or None. With multipliers z of the bounds, P x + p + A^T y + z = 0.
         status: the status that the solver reports.
-        iterations: number of iterations of the solver; 0 if it does not iterate.
+        iterations: number of iterations; 0 for a direct method.
     """
 
     x: Array
@@ -51,35 +50,35 @@ class Solution(NamedTuple):
 
 
 def no_answer(n: int, status: Status, iterations: int = 0) -> Solution:
-    """Return a Solution for a failed solve. Its x is NaN, so that using x by mistake is noticed, and its y is None."""
+    """Return a Solution for a failed solve, with NaN as x and None as y."""
     return Solution(np.full(n, np.nan), None, status, iterations)
 
 
 class Session(Protocol):
-    """A solver's workspace and warm start for one sequence of subproblems."""
+    """A solver's workspace for one sequence of subproblems."""
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Solve one subproblem. A failure is reported by the status of the answer, not by an exception."""
+        """Solve one subproblem. A failure is reported by the answer's status, not by an exception."""
 
 
 @runtime_checkable
 class Solver(Protocol):
-    """The settings of a solver. `start` returns an independent session. docs/extending.md has a complete example."""
+    """The settings of a solver. docs/extending.md has an example."""
 
     @property
     def name(self) -> str:
         """Name in the registry."""
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None if the solver accepts the problem, else the reason why not."""
+        """Return None if the solver accepts the problem, else the reason."""
 
     def start(self, qp: NullSpaceQP) -> Session:
-        """Return a new session whose memory is set up for problems of the shape and size of ``qp``."""
+        """Return a new session for problems of the size of ``qp``."""
 
 
 @runtime_checkable
 class TruncatingSession(Protocol):
-    """A session that can be stopped after a number of iterations, as a deadline would stop it."""
+    """A session that can stop after a number of iterations."""
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
         """Return the iterate after ``iterations`` (at least 1) from the previous solve's initial point."""
@@ -87,21 +86,21 @@ class TruncatingSession(Protocol):
 
 @runtime_checkable
 class ObservingSession(Protocol):
-    """A session that needs the measured velocity: the controller calls ``observe`` before each ``solve``."""
+    """A session that needs the measured velocity. Call ``observe`` before each ``solve``."""
 
     def observe(self, v: Array) -> None:
         """Store the measured joint velocity v (n,) [rad/s]."""
 
 
 class SolverSettings:
-    """Base of this package's solvers, which are frozen dataclasses of settings. It checks the settings.
+    """Base of this package's solvers, which are frozen dataclasses. It checks their settings.
 
-    `choices` may list the valid values of a field. Otherwise the type of the default decides: bool allows bools, int
-    allows integers of at least 1, and float allows numbers above 0. A default of 0.0 or None is also a valid value.
+    `choices` may list a field's valid values. Otherwise, an int must be at least 1 and a float above 0.
+    A default of 0.0 or None is also valid.
     """
 
     name: ClassVar[str]
-    session: ClassVar[type[Any]]  #: Class of the sessions; it is called with the settings and a first problem.
+    session: ClassVar[type[Any]]  #: class of the sessions, called with the settings and a first problem
     choices: ClassVar[Choices] = {}
 
     def __post_init__(self) -> None:
@@ -130,11 +129,11 @@ class SolverSettings:
         return True, ""
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None if the solver accepts the problem, else the reason why not."""
+        """Return None if the solver accepts the problem, else the reason."""
         return None
 
     def start(self, qp: NullSpaceQP) -> Session:
-        """Return a session for problems of the shape and size of ``qp``; a SolverError if ``qp`` is refused."""
+        """Return a session for problems of the size of ``qp``. Raise a SolverError if ``qp`` is refused."""
         reason = self.supports(qp)
         if reason is not None:
             raise SolverError(f"{self.name}: {reason}")

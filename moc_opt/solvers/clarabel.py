@@ -1,7 +1,6 @@
-"""Clarabel: an interior-point method for conic programs, set up once and updated in place.
+"""Clarabel: an interior-point method for conic programs.
 
-Goulart and Chen 2024, "Clarabel: an interior-point solver for conic programs with quadratic
-objectives". The sparse matrices keep explicit zeros, so that every tick only replaces values.
+Goulart and Chen 2024, "Clarabel: an interior-point solver for conic programs with quadratic objectives".
 """
 
 from __future__ import annotations
@@ -23,11 +22,11 @@ _STATUS = (
     (_CODE.AlmostPrimalInfeasible, Status.MAX_ITER),
     (_CODE.MaxIterations, Status.MAX_ITER),
     (_CODE.MaxTime, Status.TIME_LIMIT),
-)  # not a dict, because Clarabel's status codes cannot be hashed
+)  # not a dict: the status codes cannot be hashed
 
 
 class ClarabelSession(TruncatedSession):
-    """One workspace of Clarabel, and the values of P and A in compressed-column order."""
+    """One workspace of Clarabel."""
 
     def _allocate(self, m: int, n: int) -> dict[str, Any]:
         self._P, self._q, self._b = np.empty(n * (n + 1) // 2), np.empty(n), np.empty(m + 2 * n)
@@ -65,9 +64,8 @@ class Clarabel(Adapter):
     """Clarabel's native interface, with the constraints [A; I; -I] x + s = [b; upper; -lower].
 
     Args:
-        cost_scale: multiplies P and p; the duals are scaled back. With cost_scale = 1, about one answer in a
-            hundred has a relative residual above 1e-3.
-        eps: value of all three tolerances (the library's default is 1e-8).
+        cost_scale: factor of P and p; the duals are scaled back.
+        eps: value of all three tolerances.
         max_iter: largest number of iterations.
     """
 

@@ -1,7 +1,7 @@
-"""DAQP: a dual active-set method, set up once and updated in place.
+"""DAQP: a dual active-set method.
 
 Arnstrom, Bemporad and Axehill 2022, "A dual active-set solver for embedded quadratic programming
-using recursive LDL^T updates". If the cost is only semi-definite, DAQP takes proximal steps.
+using recursive LDL^T updates".
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _STATUS = {1: Status.SOLVED, 2: Status.SOLVED, -1: Status.INFEASIBLE, -4: Status
 
 
 class DAQPSession(LibrarySession):
-    """One workspace and its buffers, in which the bounds come before the equality rows."""
+    """One workspace, in which the bounds come before the equality rows."""
 
     def _allocate(self, m: int, n: int) -> dict[str, Any]:
         self._P, self._p, self._A = np.empty((n, n)), np.empty(n), np.empty((m, n))
@@ -36,7 +36,7 @@ class DAQPSession(LibrarySession):
         self._core, settings = Model(), self._settings
         tolerances = {"primal_tol": settings.primal_tol, "dual_tol": settings.dual_tol}
         self._core.settings = {**tolerances, "iter_limit": settings.max_iter}
-        # The flag is negative if the set-up failed. Then every later call except another set-up would raise.
+        # After a failed set-up (a negative flag), only another set-up is possible.
         self._flag, _ = self._core.setup(self._P, self._p, self._A, self._upper, self._lower, self._sense)
 
     def _hand_over(self) -> None:
@@ -55,13 +55,12 @@ class DAQPSession(LibrarySession):
 
 @dataclass(frozen=True)
 class DAQP(Adapter):
-    """DAQP, with a workspace that is kept from tick to tick.
+    """DAQP with a persistent workspace.
 
     Args:
-        rows: 5 or 6 equality rows; with six dependent rows, about one problem in a hundred fails.
-        cost_scale: multiplies P and p; the duals are scaled back. With cost_scale = 1 and no regularization,
-            one answer in twenty is at the wrong end of the self-motion.
-        primal_tol, dual_tol: tolerances; the library's defaults are 1e-6 and 1e-12.
+        rows: 5 or 6 equality rows. With six, about one problem in a hundred fails.
+        cost_scale: factor of P and p; the duals are scaled back.
+        primal_tol, dual_tol: tolerances.
         max_iter: largest number of iterations.
     """
 

@@ -1,8 +1,4 @@
-"""``exact``: computes the subproblem's optimum by elimination. All other solvers are compared with it.
-
-It does not iterate towards a tolerance. The mathematics is in `moc_opt/core/exact.c`, and in `polytope.c` if ker A has
-several dimensions. docs/method.md derives both.
-"""
+"""``exact``: computes the subproblem's optimum by elimination. docs/method.md derives the method."""
 
 from __future__ import annotations
 
@@ -21,12 +17,12 @@ from moc_opt.solvers.base import Solution, SolverSettings, Status, no_answer
 
 STATUS = {core.OK: Status.SOLVED, core.INFEASIBLE: Status.INFEASIBLE, core.DOUBTFUL: Status.NUMERICAL}
 _STATUSES = np.array([STATUS.get(code) for code in range(max(STATUS) + 1)], dtype=object)
-# These are looked up only once, because the loop needs them at every tick.
+# looked up once, for speed
 _solve, _new, _SOLVED, _OK = core.solve_exact, tuple.__new__, Status.SOLVED, core.OK
 
 
 class ExactSession:
-    """A session that keeps nothing between ticks, because a warm start would not change the answer."""
+    """A session that keeps nothing between ticks."""
 
     __slots__ = ("tolerance",)
 
@@ -34,17 +30,17 @@ class ExactSession:
         self.tolerance = settings.tolerance
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Solve one subproblem; the arrays of the answer belong to the caller."""
+        """Solve one subproblem."""
         code, x, y = _solve(qp.row, self.tolerance)
         return _new(Solution, (x, y, _SOLVED, 0)) if code == _OK else no_answer(qp.n, STATUS[code])
 
 
 @dataclass(frozen=True)
 class Exact(SolverSettings):
-    """Null-space elimination. Dependent rows of A x = b may contradict each other by up to 1e-6 m/s.
+    """Null-space elimination.
 
     Args:
-        tolerance: violation of the bounds that is accepted [rad/s]. A larger one is accepted if rounding explains it.
+        tolerance: accepted violation of the bounds [rad/s].
     """
 
     tolerance: float = 1e-9
@@ -56,7 +52,7 @@ class Exact(SolverSettings):
         return None if qp.n <= core.MAX_JOINTS else f"{qp.n} joints: `exact` takes at most {core.MAX_JOINTS}"
 
     def solve_batch(self, rows: Array, threads: int | None = None) -> tuple[Array, Array, list[Status]]:
-        """Solve k subproblems, stored as ``rows`` (k, 11 n + 10). Return (x, y, statuses) with x (k, n) and y (k, 6).
+        """Solve k subproblems ``rows`` (k, 11 n + 10). Return x (k, n), y (k, 6) and k statuses.
 
         x and y are NaN if the status is not SOLVED. The default is one thread per core. A wrong shape is a SolverError.
         """

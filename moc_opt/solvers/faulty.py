@@ -1,4 +1,4 @@
-"""A wrapper that makes any solver fail at random ticks, to test how the controller copes with faults."""
+"""A wrapper that makes a solver fail at random ticks, for tests of the controller."""
 
 from __future__ import annotations
 
@@ -18,24 +18,23 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 
 
 class InjectedFault(SolverError):
-    """Raised on purpose by a `Faulty` solver of kind "raise"."""
+    """Raised on purpose by a `Faulty` solver."""
 
 
 def draw(seed: int, rate: float, ticks: int) -> NDArray[np.bool_]:
-    """Return flags (ticks,), True at faulty ticks, with probability ``rate``. A larger ``ticks`` only appends flags."""
+    """Return flags (ticks,), each True with probability ``rate``."""
     return np.random.default_rng(seed).uniform(size=ticks) < rate
 
 
 @dataclass(frozen=True)
 class Faulty:
-    """A solver that gives wrong answers at random ticks, drawn with a seed.
+    """A solver that fails at random ticks.
 
     Args:
-        inner: the solver that answers at ticks without a fault. At a faulty tick, only the kind "malformed" calls it.
-        kind: "fail" reports that there is no answer. Three kinds report SOLVED for a wrong x: "nan" returns NaN, "lie"
-            solves with the negated gradient, and "outside" returns a point outside the bounds. "raise" raises an
-            exception. "rig" answers 50 rad/s and rewrites the subproblem to fit. "malformed" gives complex duals.
-        rate: probability that a tick is faulty, 0 to 1.
+        inner: the solver that answers at the other ticks.
+        kind: "fail": no answer; "nan": x is NaN; "lie": the gradient is negated; "raise": an exception; "outside": x is
+            outside the bounds; "rig": the subproblem is rewritten to fit x; "malformed": complex duals.
+        rate: probability of a fault at a tick, 0 to 1.
         seed: seed of the draw.
     """
 
@@ -46,7 +45,7 @@ class Faulty:
 
     @property
     def name(self) -> str:
-        """Name of the wrapped solver, and the kind of its faults."""
+        """Name of the wrapped solver, and the kind of fault."""
         return f"{self.inner.name}+{self.kind}"
 
     def supports(self, qp: NullSpaceQP) -> str | None:
@@ -54,12 +53,12 @@ class Faulty:
         return self.inner.supports(qp)
 
     def start(self, qp: NullSpaceQP) -> FaultySession:
-        """Return a session; `draw` gives the ticks at which its answers are replaced."""
+        """Return a session; `draw` gives its faulty ticks."""
         return FaultySession(self, self.inner.start(qp), qp)
 
 
 class FaultySession:
-    """A session; ``faults`` counts the answers that were replaced."""
+    """A session. ``faults`` counts the replaced answers."""
 
     def __init__(self, settings: Faulty, inner: Session, qp: NullSpaceQP) -> None:
         self._settings, self._inner = settings, inner
@@ -70,7 +69,7 @@ class FaultySession:
         self.faults = 0
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Solve one subproblem. At a faulty tick, return or raise a fault instead."""
+        """Solve one subproblem, or return or raise a fault."""
         if self._rng.uniform() >= self._settings.rate:
             return self._inner.solve(qp)
         self.faults += 1

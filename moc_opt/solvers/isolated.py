@@ -1,7 +1,6 @@
-"""A solver in a separate process: whatever happens there, the control loop waits only for a bounded time.
+"""A solver in a separate process, which is replaced after a crash or a hang.
 
-A session replaces a process that hangs, has ended or ran out of memory. The new process is ready after about a second.
-Simulated time stands still until then. In real time (``waits=False``), the ticks until then have no answer.
+Simulated time waits for the new process. In real time (``waits=False``), ticks until then have no answer.
 """
 
 from __future__ import annotations
@@ -29,11 +28,11 @@ from moc_opt.inputs.settings import Settings
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import ObservingSession, Session, Solution, Solver
 
-_LOOK_S = 0.05  # time [s] between checks of whether the process has ended, which the pipe alone may not show
+_LOOK_S = 0.05  # time between checks of whether the process has ended [s]
 
 
 class Unanswered(Exception):
-    """There is no answer at this tick: it is late, the solver raised an exception, or the solver's process was lost."""
+    """A tick has no answer: it is late, the solver raised, or its process was lost."""
 
     def __init__(self, kind: Literal["late", "raised", "lost"], text: str) -> None:
         super().__init__(text)
@@ -43,7 +42,7 @@ class Unanswered(Exception):
 class Restart(NamedTuple):
     """The replacement of a process."""
 
-    tick: int  #: number of solves before the solve that failed
+    tick: int  #: number of solves before the failed one
     reason: str
 
 
@@ -64,12 +63,12 @@ class ProcessSettings(Settings):
 
 @dataclass(frozen=True)
 class Isolated:
-    """A solver whose sessions each run in a separate process. The solver must be picklable, else a SolverError."""
+    """A solver whose sessions run in separate processes. Raise a SolverError if it cannot be pickled."""
 
     inner: Solver
     process: ProcessSettings
-    budget_us: float = math.inf  #: Longest time that a tick waits for its answer [us].
-    waits: bool = True  #: Whether a tick waits while a process is replaced, as in simulated time.
+    budget_us: float = math.inf  #: longest wait for an answer [us]
+    waits: bool = True  #: whether a tick waits while a process is replaced
     _pickled: bytes = field(default=b"", init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -89,16 +88,16 @@ class Isolated:
         return self.inner.name
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None. The wrapped solver is asked only at ``start``, in the separate process."""
+        """Return None. Only ``start`` asks the wrapped solver."""
         return None
 
     def start(self, qp: NullSpaceQP) -> Session:
-        """Start a session; a SolverError if its process does not start or the solver does not accept the problem."""
+        """Start a session. Raise a SolverError if its process does not start or the solver refuses the problem."""
         return IsolatedSession(self, qp)
 
 
 class IsolatedSession:
-    """One session; ``restarts`` lists when and why its process was replaced."""
+    """A session. ``restarts`` lists the replacements of its process."""
 
     def __init__(self, solver: Isolated, qp: NullSpaceQP) -> None:
         self._solver, self._tick, self.restarts = solver, 0, list[Restart]()
@@ -111,7 +110,7 @@ class IsolatedSession:
             raise SolverError(f"solver {solver.name!r} in a process of its own: {ended}") from None
 
     def observe(self, v: Array) -> None:
-        """Keep the measured joint velocity v (n,) [rad/s], for a solver that observes it."""
+        """Store the measured joint velocity v (n,) [rad/s]."""
         self._v = v
 
     def solve(self, qp: NullSpaceQP) -> Solution:
@@ -136,12 +135,12 @@ class IsolatedSession:
         return newest.value  # type: ignore[no-any-return]  # its form is checked by the controller
 
     def _answered(self, process: _Process, qp: NullSpaceQP) -> _Answer | None:
-        """Return the newest answer that has arrived by the end of the budget; None if there is none yet."""
+        """Return the newest answer within the budget, or None."""
         solver = self._solver
         if not process.started(math.inf if solver.waits else 0.0):
             raise Unanswered("lost", "a new process of the solver is being started")
         until = monotonic() + 1e-6 * solver.budget_us
-        if process.busy:  # the process still solves the subproblem of an earlier tick
+        if process.busy:  # with an earlier tick
             self._newest = process.answer(until) or self._newest
         if not process.busy:
             process.ask(self._tick, qp, self._v, solver.process.hang_s)
@@ -150,19 +149,19 @@ class IsolatedSession:
 
 
 class _Answer(NamedTuple):
-    tick: int  # number of the request's tick; the start of a session has number 0
+    tick: int  # 0: start of the session
     raised: bool
-    value: Any  # the solver's answer, or the message of the exception
+    value: Any  # the solver's answer or the exception's message
 
 
 class _Ended(Exception):
-    """A process can no longer be used; the text says why."""
+    """A process can no longer be used."""
 
 
 class _Process:
-    """A process that starts a session and then answers requests. It is killed when this object is deleted."""
+    """A process that answers requests. It is killed when this object is deleted."""
 
-    # A multiprocessing.Process would run the caller's script again, and a daemonic process may not start one.
+    # A multiprocessing.Process would run the caller's script again.
 
     def __init__(self, solver: Isolated, qp: NullSpaceQP) -> None:
         self._pipe, theirs = Pipe()
@@ -178,13 +177,13 @@ class _Process:
         self.ask(0, qp, None, solver.process.start_s, solver._pickled)
 
     def ask(self, tick: int, qp: NullSpaceQP, v: Array | None, most_s: float, solver: bytes | None = None) -> None:
-        """Send a subproblem, and ``solver`` to start a session. The process counts as hung after ``most_s`` [s]."""
+        """Send a subproblem, and ``solver`` to start a session."""
         self._tick, self._most_s, self._hung_at, self.busy = tick, most_s, monotonic() + most_s, True
-        with suppress(OSError):  # the process has ended: ``answer`` reports that
+        with suppress(OSError):  # `answer` reports that the process has ended
             self._pipe.send((solver, qp.row, v, most_s))
 
     def started(self, most_s: float) -> bool:
-        """Wait at most ``most_s`` [s] for the session's start. Return whether it has started; _Ended if this failed."""
+        """Wait at most ``most_s`` [s] for the session's start."""
         if not self._started and (said := self.answer(monotonic() + most_s)) is not None:
             if said.raised:
                 raise _Ended(said.value)
@@ -192,7 +191,7 @@ class _Process:
         return self._started
 
     def answer(self, until: float) -> _Answer | None:
-        """Wait for the answer until the ``monotonic`` time ``until``; _Ended if the process hangs or has ended."""
+        """Wait for the answer until the ``monotonic`` time ``until``."""
         while True:
             left = max(min(until, self._hung_at) - monotonic(), 0.0)
             try:
@@ -221,8 +220,7 @@ class _Process:
 
 
 def _kill(process: subprocess.Popen[bytes], pipe: Connection, owner: int) -> None:
-    """Kill a process and its children, except children that have started their own process group (setsid)."""
-    if os.getpid() != owner:  # this object is a copy in a forked process
+    if os.getpid() != owner:  # a copy in a forked process
         return
     with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
@@ -231,7 +229,7 @@ def _kill(process: subprocess.Popen[bytes], pipe: Connection, owner: int) -> Non
 
 
 def serve(fd: int, memory_MB: float) -> None:
-    """Answer the requests from the pipe ``fd`` until the other end of the pipe is closed."""
+    """Answer requests from the pipe ``fd`` until it is closed."""
     most, hard = int(1e6 * memory_MB), resource.getrlimit(resource.RLIMIT_DATA)[1]
     resource.setrlimit(resource.RLIMIT_DATA, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
     pipe = Connection(fd)
@@ -241,7 +239,7 @@ def serve(fd: int, memory_MB: float) -> None:
             solver, row, v, most_s = pipe.recv()
         except (EOFError, OSError):
             return
-        # If this process hangs after its parent has ended, the timer's signal ends it.
+        # This timer ends a process that hangs after its parent has ended.
         signal.setitimer(signal.ITIMER_REAL, 2.0 * most_s + 1.0)
         try:
             qp = NullSpaceQP.from_row(row)

@@ -1,10 +1,6 @@
-"""Base of the adapters of QP libraries: settings, buffers, number of equality rows, scaling of cost and duals.
+"""Base of the adapters of QP libraries: settings, buffers, and the scaling of cost and duals.
 
-An adapter is one file with two classes: a frozen dataclass of the library's settings, derived from `Adapter`, and a
-subclass of `LibrarySession`. See docs/extending.md; ``piqp`` is a short example.
-
-The libraries need the same numbers in different layouts: stacked rows, columns, a packed triangle, other signs. One
-call of the compiled core writes a layout in a microsecond. Numpy would take as long as the fastest library's solve.
+docs/extending.md explains adapters, and ``piqp`` is a short example.
 """
 
 from __future__ import annotations
@@ -25,12 +21,12 @@ _HAS_X = (Status.SOLVED, Status.MAX_ITER, Status.TIME_LIMIT)
 
 
 class Adapter(SolverSettings):
-    """Base of a library's settings, which are a frozen dataclass with at least ``cost_scale``.
+    """Base of a library's settings.
 
     Attributes:
-        rows: number of equality rows, 5 or 6. It is a setting only if the library can handle six dependent rows.
-        cost_scale: multiplies P and p; the duals are scaled back.
-        needs: message for a cost that is not positive definite; empty if the library accepts such a cost.
+        rows: number of equality rows, 5 or 6.
+        cost_scale: factor of P and p; the duals are scaled back.
+        needs: message if the cost must be positive definite, else empty.
     """
 
     rows: int = 5
@@ -39,20 +35,20 @@ class Adapter(SolverSettings):
     needs: ClassVar[str] = ""
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None if the library accepts the subproblem, else the reason why not."""
+        """Return None if the library accepts the subproblem, else the reason."""
         return refuse_semidefinite(qp, self.needs) if self.needs else None
 
 
 def refuse_semidefinite(qp: NullSpaceQP, needs: str) -> str | None:
-    """Return why ``qp`` is refused by a library that needs a positive definite cost; None if it is accepted."""
+    """Return a reason if the cost is not positive definite, else None."""
     why = f"{needs}, and regularization is {qp.regularization:g}: set regularization > 0"
     return None if qp.regularization > 1e-10 * (qp.c0 + qp.c1) else why
 
 
 class LibrarySession(ABC):
-    """One workspace of a library, and the buffers that the library reads."""
+    """One workspace of a library, and its buffers."""
 
-    dual_sign: ClassVar[float] = 1.0  #: -1.0 if the library's multipliers of A x = b are -`Solution.y`, else 1.0.
+    dual_sign: ClassVar[float] = 1.0  #: sign of the library's multipliers relative to `Solution.y`
 
     def __init__(self, settings: Any, qp: NullSpaceQP) -> None:
         self._settings = settings
@@ -71,32 +67,24 @@ class LibrarySession(ABC):
 
     @abstractmethod
     def _allocate(self, m: int, n: int) -> dict[str, Any]:
-        """Return the buffers by name. Each is an array that the library reads, or a view into such an array.
-
-        P (n, n) and p (n,) receive the cost times ``cost_scale``, A (m, n) the equality rows, low (m,) and high (m,)
-        their right-hand sides, lower (n,) and upper (n,) the bounds. Optional: ``packed`` (n (n + 1) / 2,), the upper
-        triangle of P by columns, and ``signs``, three factors for p, lower and upper.
-        """
+        """Return the buffers by name, as docs/extending.md explains."""
 
     def _load(self, qp: NullSpaceQP) -> bool:
-        """Write ``qp`` into the buffers and return True. If its shape is not that of the buffers, only return False."""
+        """Write ``qp`` into the buffers. Return False if its shape differs."""
         return qp.n == self._n and core.load(qp.row, *self._to)
 
     def _set_up(self, m: int, n: int) -> None:  # noqa: B027
-        """Create the library's workspace from the loaded arrays, and set its options."""
+        """Create the library's workspace from the loaded arrays."""
 
     def _hand_over(self) -> None:  # noqa: B027
         """Pass the loaded arrays to the library."""
 
     @abstractmethod
     def _run(self) -> Outcome:
-        """Run the library. Return the status, iterations, x (n,) and the multipliers (m,) of A x = b.
-
-        The next run must not overwrite x. x and the multipliers are used only if the status is one of `_HAS_X`.
-        """
+        """Return status, iterations, x (n,) and multipliers (m,). The next run must not overwrite x."""
 
     def update(self, qp: NullSpaceQP) -> None:
-        """Pass the subproblem to the library. If its shape has changed, create a new workspace first."""
+        """Pass the subproblem to the library."""
         if not self._load(qp):
             self._build(qp)
         self._hand_over()
@@ -113,14 +101,14 @@ class LibrarySession(ABC):
 
 
 class TruncatedSession(LibrarySession):
-    """A session of a library whose limit of iterations can be changed between solves."""
+    """A session whose limit of iterations can be changed."""
 
     @abstractmethod
     def _limit(self, iterations: int) -> None:
-        """Set the library's largest number of iterations."""
+        """Set the largest number of iterations."""
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Return the iterate after ``iterations`` (at least 1). They begin where the previous solve began."""
+        """Return the iterate after ``iterations`` (at least 1) from the previous solve's initial point."""
         self._limit(iterations)
         try:
             return self.solve(qp)
@@ -129,13 +117,13 @@ class TruncatedSession(LibrarySession):
 
 
 def upper_triangle(values: Array, n: int) -> sparse.csc_matrix:
-    """Wrap (n (n + 1) / 2,) values, by columns, as the upper triangle of an (n, n) matrix. Zeros are kept."""
+    """Return an upper triangle (n, n) from its values (n (n + 1) / 2,) by columns. Zeros are kept."""
     rows = np.concatenate([np.arange(j + 1) for j in range(n)])
     return sparse.csc_matrix((values, rows, np.cumsum(np.arange(n + 1))), shape=(n, n))
 
 
 def stacked(values: Array, boxes: int) -> sparse.csc_matrix:
-    """Return a matrix of m dense rows above ``boxes`` diagonal blocks. Column j is in row j of ``values``."""
+    """Return m dense rows above ``boxes`` diagonal blocks. Column j is in row j of ``values``."""
     n, m = len(values), values.shape[1] - boxes
     rows = np.concatenate([np.append(np.arange(m), m + n * np.arange(boxes) + j) for j in range(n)])
     return sparse.csc_matrix((values.ravel(), rows, (m + boxes) * np.arange(n + 1)), shape=(m + boxes * n, n))

@@ -3,12 +3,8 @@
     max_x  c2 (mu(q + x T)/T + d^T x) - regularization/2 |x|^2,   d = g - grad mu(q)
     s.t.   tip(q + x T) = tip(q) + v_T T,   E (wrist(q + x T) - wrist(q)) = E v_W T,   lower <= x <= upper
 
-T is the control period. g is the subproblem's `pull`: grad mu, or a multiple of the velocity that the elbow has to
-follow. The rows of E (2, 3) span the plane perpendicular to the tool. Along the tool, a wrist row would repeat the
-tip's row, and no solver would converge.
-
-The program equals the null-space subproblem only for T -> 0. At T = 2 ms and joint speeds near 1 rad/s, curvature moves
-the optimum off A x = b by 8e-4 m/s (median of random problems; at most 6e-3). ``residuals().verified()`` is then False.
+T is the control period, g is the subproblem's `pull`, and the rows of E (2, 3) span the plane perpendicular to the
+tool. The program equals the null-space subproblem only for T -> 0, so that ``residuals().verified()`` is False.
 """
 
 from __future__ import annotations
@@ -29,7 +25,7 @@ from moc_opt.solvers.base import Choices, Solution, SolverSettings, Status, no_a
 
 
 class Kinematics(Protocol):
-    """CasADi functions of q (n,): tip and wrist (3,) [m], mu [m^3]. Hashable, so that programs can be cached."""
+    """CasADi functions of q (n,): tip and wrist (3,) [m], mu [m^3]. The object must be hashable."""
 
     n: int
     tip: Any
@@ -37,7 +33,7 @@ class Kinematics(Protocol):
     mu: Any
 
 
-# Other statuses prove nothing, so they become NUMERICAL. "Search_Direction_Becomes_Too_Small" may mean infeasible, too.
+# All other statuses become NUMERICAL.
 _STATUS = {
     "Solve_Succeeded": Status.SOLVED,
     "Maximum_Iterations_Exceeded": Status.MAX_ITER,
@@ -46,7 +42,7 @@ _STATUS = {
 
 
 def buffered(function: Any, arguments: Mapping[str, Array], results: Mapping[str, Array]) -> tuple[Any, Any]:
-    """Bind a CasADi function to the caller's arrays. Return (buffer, call): ``call()`` takes a tenth of the time."""
+    """Bind a CasADi function to the caller's arrays. Return (buffer, call)."""
     buffer, call = function.buffer()
     for name, array in arguments.items():
         buffer.set_arg(function.index_in(name), array.data)
@@ -57,11 +53,7 @@ def buffered(function: Any, arguments: Mapping[str, Array], results: Mapping[str
 
 @lru_cache(maxsize=16)
 def program(settings: NLP) -> tuple[Any, Any]:
-    """Return (solver, function): the NLP solver, and a function from q (n,) to tip, wrist, mu and grad mu.
-
-    The parameters of the solver are q (n,), tip, wrist and mu at q, d (n,), the columns of E, c2 and regularization.
-    Solver and function have no state, so that sessions can share them.
-    """
+    """Return the NLP solver, and a function from q (n,) to tip, wrist, mu and grad mu."""
     kinematics, n, period = settings.kinematics, settings.kinematics.n, settings.period
     x, q, base, E = ca.SX.sym("x", n), ca.SX.sym("q", n), ca.SX.sym("base", 7), ca.SX.sym("E", 2, 3)
     beside, c2, regularization = ca.SX.sym("beside", n), ca.SX.sym("c2"), ca.SX.sym("regularization")
@@ -83,7 +75,7 @@ def program(settings: NLP) -> tuple[Any, Any]:
 
 
 class NLPSession:
-    """Buffers of one solver, in which the last optimum is kept as the warm start."""
+    """Buffers of one solver. The last optimum is the warm start."""
 
     def __init__(self, settings: NLP, qp: NullSpaceQP) -> None:
         self._settings, n = settings, qp.n
@@ -135,13 +127,13 @@ class NLPSession:
 
 @dataclass(frozen=True)
 class NLP(SolverSettings, ABC):
-    """Base of ``SQP`` and ``Ipopt``, with the settings that both have.
+    """Base of ``SQP`` and ``Ipopt``.
 
     Args:
         kinematics: tip, wrist and mu as CasADi functions, from ``robot.kinematics()``.
         period: T [s], the control period.
-        cost_scale: multiplies the cost; the duals are scaled back.
-        eps: tolerance of the scaled problem's KKT conditions.
+        cost_scale: factor of the cost; the duals are scaled back.
+        eps: tolerance of the KKT conditions.
         max_iter: largest number of iterations per tick.
         hessian: "limited-memory" (BFGS) or "exact".
     """
@@ -165,7 +157,7 @@ class NLP(SolverSettings, ABC):
         super().__post_init__()
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None, or why a problem is refused: no q, another number of joints, or a tool that is not rigid."""
+        """Return None if the program applies to the problem, else the reason."""
         if qp.q is None:
             return "the subproblem has no q; an NLP needs the position where it was linearized"
         if qp.n != self.kinematics.n:
@@ -176,16 +168,14 @@ class NLP(SolverSettings, ABC):
 
     @abstractmethod
     def _options(self) -> dict[str, Any]:
-        """Return the options of the CasADi plug-in: no output, tolerance, largest number of iterations."""
+        """Return the options of the CasADi plug-in."""
 
 
 @dataclass(frozen=True)
 class SQP(NLP):
-    """CasADi's sqpmethod with its active-set QP solver qrqp. `Solution.iterations` counts the major iterations.
+    """CasADi's sqpmethod with its active-set QP solver qrqp.
 
-    BFGS starts from the identity, which is the Hessian of the default regularization (1e-5) at cost_scale = 1e5. With
-    cost_scale = 1e3, SQP needs twice as many iterations. With hessian = "exact" and regularization = 0, the Hessian is
-    indefinite, and three problems in ten get no answer.
+    With hessian = "exact" and regularization = 0, three problems in ten get no answer.
     """
 
     cost_scale: float = 1e5
@@ -206,7 +196,7 @@ class SQP(NLP):
 class Ipopt(NLP):
     """The interior-point method IPOPT (Waechter & Biegler 2006).
 
-    IPOPT convexifies the exact Hessian by itself. With BFGS and regularization = 0 it runs out of iterations.
+    With BFGS and regularization = 0, IPOPT runs out of iterations.
     """
 
     name = "nlp-ipopt"
@@ -216,7 +206,7 @@ class Ipopt(NLP):
         options = {
             "print_level": 0, "sb": "yes", "hessian_approximation": self.hessian, "max_iter": self.max_iter,
             "tol": self.eps, "acceptable_iter": 0, "bound_relax_factor": 0.0, "nlp_scaling_method": "none",
-            # Else IPOPT reads ipopt.opt in the current folder, which may name files to write and libraries to load.
+            # Otherwise IPOPT reads ipopt.opt in the current folder, which may load libraries.
             "option_file_name": "",
         }  # fmt: skip
         return {f"ipopt.{key}": value for key, value in options.items()}

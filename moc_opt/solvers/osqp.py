@@ -1,7 +1,6 @@
-"""OSQP: operator splitting with one factorisation per tick, set up once and updated in place.
+"""OSQP: operator splitting with one factorisation per tick.
 
-Stellato et al. 2020, "OSQP: an operator splitting solver for quadratic programs". OSQP takes only
-constraints of the form l <= C x <= u. Therefore C = [A; I], with n rows for the bounds below the equality rows.
+Stellato et al. 2020, "OSQP: an operator splitting solver for quadratic programs".
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from moc_opt.solvers.base import Solution, Status
 from moc_opt.solvers.library import Adapter, Outcome, TruncatedSession, stacked, upper_triangle
 
 _CODE = ext_builtin.osqp_status_type
-# "Inaccurate" means that only a ten times looser tolerance was met at the last iteration, so it becomes MAX_ITER.
+# An "inaccurate" answer met only a ten times looser tolerance.
 _STATUS = {
     int(_CODE.OSQP_SOLVED): Status.SOLVED,
     int(_CODE.OSQP_PRIMAL_INFEASIBLE): Status.INFEASIBLE,
@@ -29,7 +28,7 @@ _STATUS = {
 
 
 class OSQPSession(TruncatedSession):
-    """One OSQP workspace. The sparse matrices keep explicit zeros, so that every tick only replaces values."""
+    """One OSQP workspace."""
 
     def _allocate(self, m: int, n: int) -> dict[str, Any]:
         self._P = np.empty(n * (n + 1) // 2)
@@ -72,7 +71,7 @@ class OSQPSession(TruncatedSession):
         self._core.update_settings(self._options)
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Return the iterate after ``iterations`` from where the previous solve began. The next solve begins at it."""
+        """Return the iterate after ``iterations`` from the previous solve's initial point."""
         self._core.warm_start(*self._before)
         return super().truncated(qp, iterations)
 
@@ -81,15 +80,13 @@ class OSQPSession(TruncatedSession):
 class OSQP(Adapter):
     """OSQP through its native interface.
 
-    The library's own tolerance of 1e-3 is ten times the whole gradient of this problem. With it, OSQP reports success,
-    but nineteen answers in twenty are not optimal. With eps = 1e-8 and cost_scale = 100, OSQP takes twice as many
-    steps. On some thousand random problems, each reported success was then right. One in two hundred ended at max_iter.
+    With the library's tolerance of 1e-3, nineteen answers in twenty are not optimal.
 
     Args:
-        eps: absolute tolerance on the scaled problem; eps_rel: the relative tolerance.
+        eps, eps_rel: absolute and relative tolerance on the scaled problem.
         max_iter: largest number of iterations per tick.
-        check_termination: number of iterations from one check of the residuals to the next.
-        polishing: whether the active set's equations are solved once more at the end.
+        check_termination: number of iterations between checks of the residuals.
+        polishing: whether the active set's equations are solved at the end.
     """
 
     rows: int = 5

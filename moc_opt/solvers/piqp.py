@@ -1,7 +1,6 @@
-"""PIQP: a proximal interior-point method, dense, set up once and updated in place.
+"""PIQP: a dense proximal interior-point method without a warm start.
 
 Schwan, Jiang, Kuhn and Jones 2023, "PIQP: a proximal interior-point quadratic programming solver".
-PIQP has no warm start: only the workspace is kept from tick to tick.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ class PIQPSession(TruncatedSession):
     """One dense PIQP workspace."""
 
     def _allocate(self, m: int, n: int) -> dict[str, Any]:
-        # The library stores matrices by columns, and would copy a matrix stored by rows at every call.
+        # The library would copy matrices that are stored by rows.
         P, A, p = np.empty((n, n), order="F"), np.empty((m, n), order="F"), np.empty(n)
         b, lower, upper = np.empty(m), np.empty(n), np.empty(n)
         self._data = (P, p, A, b, None, None, None, lower, upper)
@@ -57,7 +56,7 @@ class PIQP(Adapter):
     """PIQP's dense back-end.
 
     Args:
-        eps: absolute tolerance on the scaled problem (the library's defaults are 1e-8 absolute and 1e-9 relative).
+        eps: absolute tolerance on the scaled problem.
         max_iter: largest number of iterations.
     """
 

@@ -1,4 +1,4 @@
-"""ProxQP: a proximal augmented Lagrangian method, dense, set up once and updated in place.
+"""ProxQP: a dense proximal augmented Lagrangian method.
 
 Bambade et al. 2022, "PROX-QP: yet another quadratic programming solver for robotics and beyond".
 """
@@ -21,8 +21,7 @@ _STATUS = {
     _CODE.PROXQP_MAX_ITER_REACHED: Status.MAX_ITER,
 }
 _COLD = proxqp.InitialGuess.EQUALITY_CONSTRAINED_INITIAL_GUESS
-# Start from the last answer with fresh step sizes. WARM_START_WITH_PREVIOUS_RESULT also keeps the last active set
-# and penalties. After a jump of the data, ProxQP can then report success at the opposite bound.
+# After a jump of the data, WARM_START_WITH_PREVIOUS_RESULT can report success at the opposite bound.
 _WARM = proxqp.InitialGuess.COLD_START_WITH_PREVIOUS_RESULT
 
 
@@ -52,8 +51,7 @@ class ProxQPSession(LibrarySession):
         core.solve()
         status, iterations = _STATUS.get(result.info.status, Status.NUMERICAL), result.info.iter
         if status is not Status.SOLVED and self._warm:
-            # The warm start may be the cause of the failure, so solve again from scratch. The data have to be passed
-            # again, because a failed solve leaves the bounds scaled.
+            # A failed solve leaves the bounds scaled, so the data are passed again.
             self._guess(False)
             self._hand_over()
             core.solve()
@@ -71,15 +69,12 @@ class ProxQPSession(LibrarySession):
 class ProxQP(Adapter):
     """ProxQP's dense back-end.
 
-    With the library's eps_primal_inf = 1e-4, a third of the feasible subproblems are called infeasible. With 1e-12,
-    many infeasible problems run into max_iter. With cost_scale = 10, any eps_primal_inf from 1e-10 to 1e-7 classified
-    4800 feasible and 4800 infeasible ones correctly. With cost_scale = 1e3, a few feasible ones are called infeasible.
+    With the library's eps_primal_inf = 1e-4, a third of the feasible subproblems are called infeasible.
 
     Args:
-        eps: absolute tolerance on the scaled problem (the library's default is 1e-5).
-        eps_primal_inf: tolerance of the proof of infeasibility (the library's default is 1e-4).
-        max_iter, max_iter_in: largest number of outer iterations, and of inner iterations in each outer one. Feasible
-            problems take about ten in all. With the library's 10000 and 1500, an undecided problem runs for minutes.
+        eps: absolute tolerance on the scaled problem.
+        eps_primal_inf: tolerance of the proof of infeasibility.
+        max_iter, max_iter_in: largest number of outer iterations, and of inner ones per outer iteration.
     """
 
     rows: int = 5

@@ -1,6 +1,6 @@
-"""Adapter of every solver that the package qpsolvers finds on this machine, under the name ``qpsolvers:NAME``.
+"""Adapter of the solvers that the package qpsolvers finds, named ``qpsolvers:NAME``.
 
-qpsolvers converts the problem at every call, which takes up to half a millisecond. Do not use it to compare speeds.
+qpsolvers converts the problem at every call. Do not use it to compare speeds.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from moc_opt.solvers.library import refuse_semidefinite
 
 
 class Advice(NamedTuple):
-    """Settings under which the status that a library reports for this problem can be trusted."""
+    """Settings under which a library's reported status can be trusted."""
 
     cost_scale: float = 1.0
     options: Mapping[str, Any] = {}
 
 
-# The gradient of this problem is about 1e-4, the size of a usual tolerance. Therefore the cost is scaled by cost_scale.
+# The gradient of the subproblem is about 1e-4, so cost_scale multiplies the cost.
 ADVICE: dict[str, Advice] = {
-    "clarabel": Advice(1e3),  # unscaled, about 1 % of answers have a relative residual above 1e-3
-    "daqp": Advice(1e3),  # unscaled, 5 % are at the wrong end of the self-motion if regularization = 0
+    "clarabel": Advice(1e3),
+    "daqp": Advice(1e3),
     "highs": Advice(1e3, {"time_limit": 0.1}),  # unscaled, its QP solver cycles for ever
     "osqp": Advice(1e2, {"eps_abs": 1e-8, "eps_rel": 0.0}),  # with eps_abs = 1e-3, nine answers in ten are wrong
     "piqp": Advice(1e3, {"eps_abs": 1e-9, "eps_rel": 0.0}),
-    # eps_primal_inf = 1e-4 cannot be changed through qpsolvers, so that 4 % of feasible problems are called infeasible.
+    # qpsolvers cannot change eps_primal_inf: 4 % of feasible problems are called infeasible.
     "proxqp": Advice(1e3, {"eps_abs": 1e-9, "eps_rel": 0.0}),
     "scs": Advice(1e3, {"eps_abs": 1e-8, "eps_rel": 0.0}),  # with eps_abs = 1e-4, half of the answers are wrong
 }
@@ -85,14 +85,14 @@ ALLOWED = {
             alpha acceleration_lookback acceleration_interval""",
     }.items()
 }  # fmt: skip
-"""The options that may be set, by library. An option that a new version adds is refused, because it might do harm."""
+"""The options that may be set, by library. All others are refused, because they might do harm."""
 
-# With sparse libraries, qpsolvers warns of each conversion and failure. These warnings are hidden.
+# With sparse libraries, qpsolvers warns at each call.
 _NOISY = set(qpsolvers.sparse_solvers) - set(qpsolvers.dense_solvers)
 
 
 def reasons() -> dict[str, str | None]:
-    """Return a dict with an entry for every library known to qpsolvers: why it cannot run here, or None if it can."""
+    """Return, for each library name, the reason why it cannot run here, or None."""
     known = {module.name.strip("_") for module in pkgutil.iter_modules(qpsolvers.solvers.__path__)}
     here = set(qpsolvers.available_solvers)
     return {
@@ -102,7 +102,7 @@ def reasons() -> dict[str, str | None]:
 
 
 def checked(solver: str, options: object) -> dict[str, Any]:
-    """Return a copy of a library's options. Raise if an option is not allowed, or is neither flag nor number."""
+    """Return a copy of a library's options. Raise if one is not allowed, or is neither flag nor number."""
     if not isinstance(options, Mapping):
         raise SolverError(f"{solver}: options = {options!r:.80} is not a table of keyword arguments")
     allowed = ALLOWED.get(solver, frozenset())
@@ -128,11 +128,11 @@ class QPSolverSession:
             return no_answer(qp.n, Status.UNSUPPORTED)
         try:
             return self.attempt(qp) if np.isfinite(qp.row[: -qp.n]).all() else no_answer(qp.n, Status.NUMERICAL)
-        except (QPError, ValueError, ArithmeticError):  # this is how the libraries report a failed factorisation
+        except (QPError, ValueError, ArithmeticError):  # a failed factorisation
             return no_answer(qp.n, Status.NUMERICAL)
 
     def attempt(self, qp: NullSpaceQP) -> Solution:
-        """Solve one subproblem; raises what the library raises."""
+        """Solve one subproblem. Raise what the library raises."""
         P, p, A, b, lift = qp.assembled(self._settings.rows)
         scale, library = self._advice.cost_scale, self._settings.library
         # Pass copies: daqp refuses read-only arrays.
@@ -153,8 +153,8 @@ class QPSolverSession:
         return Solution(x, np.dot(found.y, lift) / scale, Status.SOLVED, iterations)
 
     def _verdict(self, found: qpsolvers.Solution) -> Status:
-        """Return the status of a solve without an answer. It is INFEASIBLE only if the library's own status says so."""
-        if self._settings.library == "quadprog":  # its only other failure, an indefinite cost, raises an exception
+        """Return the status of a solve without an answer."""
+        if self._settings.library == "quadprog":  # any other failure raises an exception
             return Status.INFEASIBLE
         limit = self._advice.options.get("time_limit")
         if limit is not None and found.solve_time is not None and found.solve_time >= limit:
@@ -173,10 +173,10 @@ class QPSolver(SolverSettings):
 
     Args:
         library: name of the library in qpsolvers.
-        rows: 5 or 6 equality rows; with six, daqp fails on one problem in a hundred.
-        cost_scale: factor by which P and p are multiplied, by default that of `ADVICE`.
-        options: options of the library, in addition to those of `ADVICE`. Only options in `ALLOWED` are accepted.
-        advised: if False, `ADVICE` is ignored, and the library keeps its own defaults.
+        rows: 5 or 6 equality rows. With six, daqp fails on one problem in a hundred.
+        cost_scale: factor of P and p; default: that of `ADVICE`.
+        options: options in `ALLOWED`, in addition to those of `ADVICE`.
+        advised: if False, `ADVICE` is ignored.
 
     Raises:
         SolverError: a setting is out of range, or (from ``start``) the library refuses an option.
@@ -197,25 +197,25 @@ class QPSolver(SolverSettings):
 
     @property
     def advice(self) -> Advice:
-        """The scale of the cost and the keyword arguments with which the library is called."""
+        """The scale of the cost, and the keyword arguments of the library."""
         base = ADVICE.get(self.library, Advice()) if self.advised else Advice()
         scale = base.cost_scale if self.cost_scale is None else self.cost_scale
         return Advice(scale, {**base.options, **(self.options or {})})
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None, or why quadprog refuses the problem. The other libraries take every problem."""
+        """Return None, or why quadprog refuses the problem."""
         needs = "quadprog needs a positive definite cost"
         return refuse_semidefinite(qp, needs) if self.library == "quadprog" else None
 
     def start(self, qp: NullSpaceQP) -> Session:
-        """Return a session. If the caller gives options, one problem is solved to see if the library accepts them."""
+        """Return a session. Options are tried on ``qp`` first."""
         session = super().start(qp)
         if self.options:
             try:
                 session.attempt(qp)  # type: ignore[attr-defined]
             except (QPError, FloatingPointError, ZeroDivisionError):
-                pass  # the problem failed, not the options: `solve` reports this failure as a status
-            except Exception as error:  # each library has its own class of errors for a value that it refuses
+                pass  # the problem failed, not the options
+            except Exception as error:  # each library has its own errors
                 refused = f"options = {self.options} are refused ({describe(error)}); see the library's manual"
                 raise SolverError(f"{self.name}: {refused}") from error
         return session

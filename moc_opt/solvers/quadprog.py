@@ -13,7 +13,7 @@ from moc_opt.solvers.library import Adapter, LibrarySession, Outcome
 
 
 class QuadprogSession(LibrarySession):
-    """Arrays of the constraints C^T x >= b: first the equality rows, then x >= lower, then -x >= -upper."""
+    """Constraints C^T x >= b: the equality rows, x >= lower, -x >= -upper."""
 
     dual_sign = -1.0
 
@@ -30,7 +30,7 @@ class QuadprogSession(LibrarySession):
     def _run(self) -> Outcome:
         try:
             x, _, _, steps, multipliers, _ = quadprog.solve_qp(self._P, self._a, self._C, self._b, self._m)
-        except ValueError as error:  # this is how quadprog reports every failure
+        except ValueError as error:  # any failure
             infeasible = "inconsistent" in str(error)
             return Status.INFEASIBLE if infeasible else Status.NUMERICAL, 0, self._a, self._a
         return Status.SOLVED, int(steps[0]), x, multipliers[: self._m]
@@ -38,10 +38,7 @@ class QuadprogSession(LibrarySession):
 
 @dataclass(frozen=True)
 class Quadprog(Adapter):
-    """quadprog with five equality rows, and only for regularization > 0, because quadprog factorises P.
-
-    With six dependent rows, quadprog fails if they contradict each other by 1e-12.
-    """
+    """quadprog with five equality rows. It needs regularization > 0."""
 
     cost_scale: float = 1.0
     name = "quadprog"

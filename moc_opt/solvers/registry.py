@@ -1,4 +1,4 @@
-"""Solvers by name: those of this package, those that qpsolvers finds, and those of other packages' entry points.
+"""Solvers by name: built-in ones, those of qpsolvers, and plug-ins of other packages.
 
 To add a solver to this package, add a file to this folder and a line to ``BUILT_IN``.
 """
@@ -21,7 +21,7 @@ from moc_opt.inputs.plugins import in_words
 from moc_opt.solvers.base import Solver
 
 GROUP = "moc_opt.solvers"
-# By name: the module in this folder, the class, and the package that the solver needs ("" if it needs none).
+# By name: module, class, and required package ("" if none).
 BUILT_IN: dict[str, tuple[str, str, str]] = {
     "exact": ("exact", "Exact", ""),
     "rnn": ("rnn", "RNN", ""),
@@ -35,11 +35,11 @@ BUILT_IN: dict[str, tuple[str, str, str]] = {
     "nlp-sqp": ("nlp", "SQP", "casadi"),
     "nlp-ipopt": ("nlp", "Ipopt", "casadi"),
 }
-QPSOLVERS = "qpsolvers:"  #: Prefix of the solvers that the package qpsolvers finds.
+QPSOLVERS = "qpsolvers:"  #: prefix of the solvers of qpsolvers
 
 
 class Entry(NamedTuple):
-    """A solver's name, the callable that makes it, and its entry point if another package provides it (a plug-in)."""
+    """A solver's name, the callable that makes it, and its entry point if it is a plug-in."""
 
     name: str
     make: Callable[..., Solver]
@@ -47,14 +47,14 @@ class Entry(NamedTuple):
 
     @property
     def parameters(self) -> dict[str, inspect.Parameter]:
-        """The parameters of the callable, by name; empty if its signature is unknown."""
+        """The callable's parameters by name; empty if unknown."""
         try:
             return dict(inspect.signature(self.make).parameters)
         except (TypeError, ValueError):
             return {}
 
     def create(self, **settings: Any) -> Solver:
-        """Make the solver; see the function `create`."""
+        """Make the solver."""
         made_by = "it" if self.plugin is None else in_words(self.plugin)
         try:
             solver = self.make(**settings)
@@ -69,7 +69,7 @@ class Entry(NamedTuple):
 
 
 def check_solver(given: object, what: str = "") -> Solver:
-    """Return the given solver; a SolverError if the object is not a solver, for example a name or a class."""
+    """Return the given solver. Raise a SolverError if it is no solver."""
     what = what or shown(given, 80)
     if isinstance(given, type):
         raise SolverError(f"{what} is a class, no solver: call it, as in {given.__name__}()")
@@ -84,7 +84,7 @@ def check_solver(given: object, what: str = "") -> Solver:
 
 
 def available() -> dict[str, str | None]:
-    """Return a dict with an entry for every solver: why it cannot run here, or None if it can."""
+    """Return, for each solver name, the reason why it cannot run here, or None."""
     found: dict[str, str | None] = {name: _absent(package) for name, (_, _, package) in BUILT_IN.items()}
     absent = _absent("qpsolvers")
     libraries = {"NAME": absent} if absent else importlib.import_module("moc_opt.solvers.qpsolvers").reasons()
@@ -105,21 +105,21 @@ def available() -> dict[str, str | None]:
 
 
 def check_name(name: str) -> None:
-    """Raise an UnknownNameError if no solver has this name. Only `create` finds out whether the solver can run here."""
+    """Raise an UnknownNameError if no solver has this name."""
     if not (_ours(name) or name in plugins.plugins(GROUP)):
         raise UnknownNameError("solver", name, available(), "moc-opt solvers --list")
 
 
 def defaults(name: str) -> dict[str, Any]:
-    """Return a dict of the default values of the named solver's settings. Raise what ``create`` raises."""
+    """Return the default settings of the named solver. Raise what ``create`` raises."""
     return {p.name: p.default for p in find(name).parameters.values() if p.default is not p.empty}
 
 
 def create(name: str, **settings: Any) -> Solver:
-    """Create a solver, which is a frozen set of settings.
+    """Create a solver.
 
     Raises:
-        UnknownNameError: no such solver or setting; the message has the nearest names.
+        UnknownNameError: no such solver or setting.
         SolverError: a package is missing, a plug-in is no solver, or a setting is out of range.
     """
     return find(name).create(**settings)

@@ -1,4 +1,4 @@
-"""The recurrent neural network of Su et al. 2019 as a solver, with consistent signs.
+"""The recurrent neural network of Su et al. 2019, with consistent signs.
 
 With F(Y) = [dL/dx, -dL/dlambda] (the paper's equation (2)) the network is
 
@@ -6,8 +6,8 @@ With F(Y) = [dL/dx, -dL/dlambda] (the paper's equation (2)) the network is
                                  + J_T^T l1 + J_W^T l2), lower, upper)
     eps dl1/dt = k (J_T x - v_T),   eps dl2/dt = k (J_W x - v_W)
 
-integrated by Euler steps of size h = dt/eps (`moc_opt/core/rnn.c`). If a problem is infeasible, the status is MAX_ITER,
-and the multipliers grow without bound. Once a problem is feasible again, they need as long to decrease as they grew.
+integrated by Euler steps of size h = dt/eps (`moc_opt/core/rnn.c`). On infeasible problems, the multipliers grow
+without bound.
 """
 
 from __future__ import annotations
@@ -25,10 +25,9 @@ from moc_opt.solvers.base import Choices, Solution, SolverSettings, Status, no_a
 
 
 def unstable(qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool, h_x: float | None = None) -> str | None:
-    """Return why Euler steps of this size diverge on ``qp``, or None. The step of x is h_x, or h if h_x is None.
+    """Return why Euler steps of this size diverge on ``qp``, or None. By default, h_x = h.
 
-    Let s be a singular value of A, and c = scale c0 = scale c1. Away from the bounds, the network along the singular
-    vector is an oscillator with damping k c s^2 and stiffness k^2 s^2. Explicit steps are stable only if h k < c and
+    With c = scale c0 = scale c1 and a singular value s of A, explicit steps are stable only if h k < c and
     (2 h_x k c - h h_x k^2) s^2 < 4. Semi-implicit steps are stable only if (2 h_x k c + h h_x k^2) s^2 < 4.
     """
     c0, c1 = scale * qp.c0, scale * qp.c1
@@ -41,7 +40,7 @@ def unstable(qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool, 
     if weak <= 0.0:
         return "c0 and c1 must be above 0: nothing else damps the multipliers"
     largest = float(np.linalg.norm(qp.A, 2))
-    # `largest * largest` becomes infinite where `largest**2` would raise OverflowError
+    # `largest**2` could raise OverflowError.
     hk_x = hk if h_x is None else h_x * k
     stiff = (2.0 * hk_x * strong + (hk * hk_x if implicit else -hk * hk_x)) * largest * largest
     if not stiff < 4.0:
@@ -50,7 +49,7 @@ def unstable(qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool, 
 
 
 class Network(SolverSettings):
-    """Base of `RNN` and `RNNPrinted`. It checks that the step size h is in (0, 1]."""
+    """Base of `RNN` and `RNNPrinted`, with a step size h in (0, 1]."""
 
     h: float
 
@@ -61,7 +60,7 @@ class Network(SolverSettings):
 
 
 class RNNSession:
-    """The state of one network: x and the multipliers. All start at 0."""
+    """The state of one network: x and the multipliers."""
 
     def __init__(self, settings: Any, qp: NullSpaceQP) -> None:
         self._settings = settings
@@ -71,12 +70,12 @@ class RNNSession:
         self._x, self._y = np.zeros(n), np.zeros(6)
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Solve one subproblem, starting from the state after the last tick."""
+        """Solve one subproblem from the state after the last tick."""
         s = self._settings
         return self._advance(qp, s.steps, s.h, s.h, s.scale, s.method == "semi-implicit")
 
     def _advance(self, qp: NullSpaceQP, most: int, h_x: float, h_y: float, scale: float, implicit: bool) -> Solution:
-        """Take at most ``most`` steps from the current state. If the state does not stay finite, it is reset to 0."""
+        """Take at most ``most`` steps. Reset a state that is not finite."""
         if qp.n != len(self._x):
             self._rest(qp.n)
         s, x, y = self._settings, self._x, self._y
@@ -89,14 +88,14 @@ class RNNSession:
 
 
 class RNNPrintedSession(RNNSession):
-    """The multipliers of one network, whose x is the measured velocity: see ``base.ObservingSession``."""
+    """The multipliers of one network, whose x is the measured velocity."""
 
     def observe(self, v: ArrayLike) -> None:
         """Use the measured joint velocity v (n,) [rad/s] as x at the next tick."""
         self._x = np.array(v, dtype=float)
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Compute x = clip(v - k dL/dqd) with the current multipliers, then integrate the multipliers over one tick."""
+        """Compute x = clip(v - k dL/dqd), then integrate the multipliers over one tick."""
         return self._advance(qp, 1, 1.0, self._settings.h, 1.0, False)
 
 
@@ -104,16 +103,13 @@ class RNNPrintedSession(RNNSession):
 class RNN(Network):
     """The network with its own state, which continues from tick to tick.
 
-    With the paper's c0 = 0.01 and k = 0.1, it takes about 3e7 steps to reach an error of 1e-3, because explicit steps
-    need h k < c0. ``scale`` allows larger steps: with scale = 100, k = 0.5 and h = 1, it takes 1400 steps.
-
     Args:
-        steps: largest number of steps per tick; a tick needs fewer if the state comes to rest.
-        h: step size dt / (the network's time constant), in (0, 1], so that x stays within its bounds.
+        steps: largest number of steps per tick.
+        h: step size dt / (the network's time constant), in (0, 1].
         k: the paper's gain.
-        scale: multiplies c0, c1, c2 and regularization, which does not change the solution.
-        method: "explicit" Euler, or "semi-implicit", where the multipliers are updated with the new x.
-        eps: SOLVED is reported if no entry of the network's right-hand side is larger than this [rad/s, m/s].
+        scale: factor of c0, c1, c2 and regularization. It does not change the solution.
+        method: "explicit" Euler, or "semi-implicit" (the multipliers use the new x).
+        eps: largest entry of the network's right-hand side for SOLVED [rad/s, m/s].
 
     Raises:
         SolverError: a setting is out of range, or (from ``start``) the steps would diverge.
@@ -130,7 +126,7 @@ class RNN(Network):
     choices: ClassVar[Choices] = {"method": ("explicit", "semi-implicit")}
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return why the steps would not be stable, or None."""
+        """Return why the steps would diverge, or None."""
         return unstable(qp, self.h, self.k, self.scale, self.method == "semi-implicit")
 
 
@@ -138,16 +134,13 @@ class RNN(Network):
 class RNNPrinted(Network):
     """Equation (2) of the paper as printed, with the measured joint velocity v as the paper's qd.
 
-    The answer is x = P(v - k dL/dqd), where P clips to the bounds. The null-space torque uses x - v, the paper's qdd_d.
-    The multipliers start at 0 and integrate dlambda/dt = k (J v - v_ref) / (time constant) over the tick. With the
-    paper's weights, the network settles with time constants above 50 s, so that it acts only as damping.
-    ``session.observe(v)`` passes v before a tick. Without this call, x is the network's own last x.
+    The answer is x = P(v - k dL/dqd), where P clips to the bounds. ``session.observe(v)`` passes v before a tick.
+    With the paper's weights, the network acts only as damping.
 
     Args:
         k: the paper's gain.
-        h: step of the multipliers, dt / (the network's time constant). The paper does not give this time constant.
-            At 500 Hz, h = 0.002 means 1 s. The steps diverge unless h k < c0.
-        eps: SOLVED is reported if no entry of the network's right-hand side is larger than this [rad/s, m/s].
+        h: step of the multipliers, dt / (the network's time constant). The steps diverge unless h k < c0.
+        eps: largest entry of the network's right-hand side for SOLVED [rad/s, m/s].
 
     Raises:
         SolverError: a setting is out of range, or (from ``start``) the steps would diverge.
@@ -160,5 +153,5 @@ class RNNPrinted(Network):
     session = RNNPrintedSession
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return why the steps would not be stable, or None."""
+        """Return why the steps would diverge, or None."""
         return unstable(qp, self.h, self.k, 1.0, False, h_x=1.0)

@@ -4,8 +4,7 @@
     def work(study: Study, config: Config) -> Found: ... # runs the trials
     def main(arguments=None): return command("robots", "What holds on every arm.", Config, work, arguments)
 
-The command writes report.html, report.md, summary.json, rows.parquet and environment.json into ``--out``, and
-finished jobs into its subfolder jobs/. After a stop of any kind, the same command continues from these jobs.
+After a stop of any kind, the same command continues from the finished jobs in the subfolder jobs/.
 """
 
 from __future__ import annotations
@@ -52,7 +51,7 @@ class StudyConfig(Settings):
 
     @classmethod
     def load(cls, path: Path, seed: int | None = None) -> Self:
-        """Read a TOML file. A given ``seed`` replaces the file's seed. The message of an error names file and field."""
+        """Read a TOML file. A given ``seed`` replaces the file's seed."""
         table = read_toml(path, "configuration", ScenarioError)
         try:
             return cls(**table if seed is None else {**table, "seed": seed})
@@ -61,7 +60,7 @@ class StudyConfig(Settings):
             raise
 
     def quick(self) -> Self:
-        """Return the same study on less data, for a first look and for the tests."""
+        """Return the same study on less data."""
         return self
 
 
@@ -76,14 +75,14 @@ class Found:
     summary: Mapping[str, Any]
     rows: Results = field(default_factory=Results)
     environment: Mapping[str, Any] = field(default_factory=dict)  #: further entries of environment.json
-    files: Sequence[str] = ()  #: names of further files that the study wrote into the same folder
+    files: Sequence[str] = ()  #: names of further files of the study
     sentences: Sequence[str] = ()  #: printed below the report
     status: int = 0  #: exit status
 
 
 @dataclass(frozen=True)
 class Study:
-    """A study's name, the folder of its results, its parsed options, and methods that run jobs."""
+    """A study's name, result folder and parsed options. Its methods run jobs."""
 
     name: str
     out: Path
@@ -92,14 +91,14 @@ class Study:
 
     @cached_property
     def kept(self) -> Kept:
-        """The store of finished jobs, including those of earlier runs."""
+        """The store of finished jobs."""
         return Kept(self.out / "jobs")
 
     def run(
         self, jobs: Sequence[Job], what: str = "jobs", *, done: Callable[[Job, Any], None] = lambda job, result: None,
         **options: Any,
     ) -> list[Any]:  # fmt: skip
-        """Run jobs by `moc_opt.study.run` with a progress bar, and store their results in the folder jobs/."""
+        """Run jobs with a progress bar, and store their results."""
         with Bar(f"{self.name}: {what}", len(jobs)) as bar:
 
             def note(job: Job, result: Any) -> None:
@@ -112,13 +111,13 @@ class Study:
     def trials(
         self, asked: Sequence[Trial], what: str = "runs", *, limit_s: float | None = None, **options: Any
     ) -> list[Run]:
-        """Run trials. Each trial gives a `Run`, even if it hung or failed. ``limit_s`` replaces its own time limit."""
+        """Run trials. Return a `Run` for each, even if it failed. ``limit_s`` replaces the time limits."""
         jobs = [one.job if limit_s is None else replace(one.job, limit_s=limit_s) for one in asked]
         results = self.run(jobs, what, **options)
         return [outcome(one, result) for one, result in zip(asked, results, strict=True)]
 
     def placed(self, cases: Sequence[Scenario]) -> tuple[list[Scenario], list[dict[str, Any]]]:
-        """Search for start poses. Return (the trials with a pose, a row for each trial without a pose)."""
+        """Search for start poses. Return the trials with a pose, and a row for each other trial."""
         found = self.run([Job(placed, (case,)) for case in cases], "starts")
         lost = [
             {**Trial(case, "").failed(str(start)).row, "ended": "no start"}
@@ -134,9 +133,8 @@ def command(
 ) -> int:  # fmt: skip
     """Parse the command line, run the study, write and print its results, and return the exit status.
 
-    ``config`` is read from NAME.toml in ``folder`` (None: benchmarks/configs). The files go to ``--out`` (default:
-    results/NAME). ``options`` adds the study's own options to the parser, and `Study.given` has their values. The exit
-    status is `Found.status`, or 2 after an error (one line on stderr), or 130 after Ctrl-C or SIGTERM.
+    ``config`` is read from NAME.toml in ``folder`` (default: benchmarks/configs). ``options`` adds options.
+    The exit status is `Found.status`, 2 after an error, or 130 after Ctrl-C or SIGTERM.
     """
     parser = ArgumentParser(prog=program or f"python -m benchmarks.{name}", description=about)
     parser.add_argument("config", nargs="?", type=Path, help=f"TOML; default: {name}.toml of this study")
@@ -165,14 +163,14 @@ def command(
 
 
 def check_folder(out: Path) -> None:
-    """Raise a StudyError if the folder holds a file named in `FILES` that no study has written."""
+    """Raise a StudyError if the folder holds files in `FILES` that no study has written."""
     there = [name for name in FILES if (out / name).exists()]
     if there and not (there[0] == FILES[0] and b'"study":' in (out / FILES[0]).read_bytes()):
         raise StudyError(f"{out} has {', '.join(there)} that no study has written: give another folder as --out")
 
 
 def leave(found: Found, study: Study, config: StudyConfig, argv: Sequence[str]) -> None:
-    """Write the files of a study and print its answer, or its summary with ``--json``."""
+    """Write the files of a study and print its answer."""
     out = study.out
     out.mkdir(parents=True, exist_ok=True)
     surroundings = environment(config.model_dump(mode="json"), config.seed, argv)
@@ -196,7 +194,7 @@ def leave(found: Found, study: Study, config: StudyConfig, argv: Sequence[str]) 
 
 
 def environment(config: Mapping[str, Any], seed: int, argv: Sequence[str] = ()) -> dict[str, Any]:
-    """Return the machine, versions, commit, seed and the whole configuration."""
+    """Return the machine, versions, commit, seed and configuration."""
     cpu = Path("/proc/cpuinfo")
     model = re.search(r"model name\s*: (.*)", cpu.read_text()) if cpu.exists() else None
     return {
@@ -213,9 +211,9 @@ def environment(config: Mapping[str, Any], seed: int, argv: Sequence[str] = ()) 
 
 
 def choose(wanted: Literal["all"] | Sequence[str], *beside: str) -> tuple[list[str], dict[str, str]]:
-    """Return (names, reasons): the solvers that can run here, and a dict from each other solver to why it cannot.
+    """Return the names of solvers that can run here, and the reasons why others cannot.
 
-    "all" means every known solver. The names in ``beside``, such as that of a baseline, can always run.
+    "all" means every known solver. The names in ``beside`` can always run.
     """
     found: dict[str, str | None] = {**dict.fromkeys(beside), **available()}
     names = list(found) if wanted == "all" else list(wanted)
@@ -227,7 +225,7 @@ def choose(wanted: Literal["all"] | Sequence[str], *beside: str) -> tuple[list[s
 
 
 def runnable(wanted: Sequence[str], *beside: str) -> list[str]:
-    """Return the names of a study's solvers. If one cannot run here, raise a SolverError with the reason."""
+    """Return the solvers' names. Raise a SolverError if one cannot run here."""
     names, reasons = choose(wanted, *beside)
     if reasons:
         name, reason = next(iter(reasons.items()))
@@ -236,7 +234,6 @@ def runnable(wanted: Sequence[str], *beside: str) -> list[str]:
 
 
 def _commit() -> str | None:
-    """Return this checkout's commit, with "+changes" if files were changed; None outside a checkout."""
     order = ["git", "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+changes"]
     try:
         done = subprocess.run(order, cwd=Path(__file__).parent, capture_output=True, text=True, check=True)

@@ -1,4 +1,4 @@
-"""Compare solvers in closed loop (``mo.compare``). DCAC, and MOC with each solver, run the same trials."""
+"""Compare solvers in closed loop (``mo.compare``), on the same trials as DCAC."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Solvers = Sequence[str | Solver] | Mapping[str, str | Solver]
 
 METRICS_SHOWN = ("mu_mean", *(name for frame in ("registered", "model") for name in ERRORS if frame in name))
 CHANGES = {change_name(metric): f"{TITLES.get(metric, 'mu')}: change" for metric in METRICS_SHOWN}
-"""A dict from the name of each metric's change against DCAC [percent] to the heading of the change's column."""
+"""Headings of the columns of changes against DCAC, by name."""
 COLUMNS = [
     Column("solver", "solver"), Column("trials", "trials"), Column("verified", "verified", "%", ".4g"),
     Column("silently_wrong", "silently wrong"), Column("solve_p50_us", "p50", "us"),
@@ -55,12 +55,11 @@ class Comparison:
     """What `compare` found.
 
     Attributes:
-        rows: one mapping per run, with the keys solver, seed, ended, error, asked (number of ticks with a subproblem)
-            and every metric. A run that failed has "failed" as `ended`, the reason as `error`, and no metrics.
+        rows: one mapping per run: solver, seed, ended, error, asked (number of subproblems) and every metric.
         solvers: the names in the table; the first is the baseline, "dcac".
-        scenario: the scenario from which the trials were made.
-        note: remarks, such as that [start] was not used or that the machine was busy.
-        complete: False if Ctrl-C ended the comparison after some of the trials.
+        scenario: the scenario of the trials.
+        note: remarks, such as that the machine was busy.
+        complete: False if Ctrl-C ended the comparison.
     """
 
     rows: Sequence[Mapping[str, Any]]
@@ -77,7 +76,7 @@ class Comparison:
         )
 
     def summary(self) -> dict[str, dict[str, Any]]:
-        """Return a dict from solver to its means, changes, times, and numbers of verified and wrong answers."""
+        """Return each solver's means, changes, times, and numbers of verified and wrong answers."""
         return {
             name: self._results.figures(name, METRICS_SHOWN, METRICS_SHOWN) | self._answers(name)
             for name in self.solvers
@@ -98,7 +97,7 @@ class Comparison:
 
     @property
     def table(self) -> Table:
-        """One row per solver: trials, verified and silently wrong answers, times, and the arm's mu and errors."""
+        """One row per solver: trials, answers, times, and the arm's mu and errors."""
         rows, failures = [], []
         for name, found in self.summary().items():
             trials = f"{found['whole']}" + f" of {found['trials']}" * (found["whole"] < found["trials"])
@@ -115,7 +114,7 @@ class Comparison:
         return Table(f"{title}: solvers on the same trials", known, rows, caption)
 
     def plot(self, metric: str = "mu_mean") -> Figure:
-        """Draw each solver's mean of a metric and its 95 % interval. Raise an UnknownNameError if it is unknown."""
+        """Draw each solver's mean of a metric with its 95 % interval. Raise an UnknownNameError if it is unknown."""
         if metric not in METRICS and not any(metric in row for row in self.rows):
             raise UnknownNameError("metric", metric, METRICS, "moc-opt metrics")
         means = {name: mean for name in self.solvers if (mean := self._results.mean(metric, name))}
@@ -124,7 +123,7 @@ class Comparison:
         return intervals_picture({name: (one.low, one.value, one.high) for name, one in means.items()}, said, {})
 
     def to_pandas(self) -> DataFrame:
-        """Return a pandas.DataFrame with one row per run. Raise a ScenarioError if pandas is not installed."""
+        """Return a pandas.DataFrame with one row per run. Raise a ScenarioError without pandas."""
         try:
             import pandas
         except ImportError as error:
@@ -132,7 +131,7 @@ class Comparison:
         return pandas.DataFrame([dict(row) for row in self.rows])
 
     def save_rows(self, path: str | os.PathLike[str]) -> None:
-        """Write one row per run as CSV. Raise a ScenarioError if the file cannot be written."""
+        """Write the runs as CSV. Raise a ScenarioError if the file cannot be written."""
         write_whole(path, Results(self.rows).frame.write_csv(), "table of runs", ScenarioError)
 
     def __repr__(self) -> str:
@@ -140,7 +139,7 @@ class Comparison:
 
 
 def _cells(found: Mapping[str, Any]) -> dict[str, str | None]:
-    """Write means and changes with their intervals. For too few trials, write only the means."""
+    """Write means and changes with their intervals."""
     cells = dict[str, str | None]()
     for name in (name for name in (*METRICS_SHOWN, *CHANGES) if name in found):
         few, sign = too_few(found["compared" if name in CHANGES else "whole"]), "+" * (name in CHANGES)
@@ -156,18 +155,17 @@ def compare(
 ) -> Comparison:  # fmt: skip
     """Run every solver, and DCAC with the same gains, on the same trials.
 
-    If a solver cannot be started or ends a run with an error, its rows hold the reason, and the other solvers go on.
-    Ctrl-C ends the comparison. The finished trials are returned, if there are any.
+    A failed run's row holds the reason. After Ctrl-C, the finished trials are returned.
 
     Args:
-        solvers: names or solver objects (of `solvers.create` or your own). The keys of a mapping rename them.
-        scenario: the scenario of every trial, or the path of its file; None: the default scenario.
-        trials: number of trials. Trial k has the seed ``seed + k``, which draws pose, swivel, mismatch and noise.
+        solvers: names or solver objects. The keys of a mapping rename them.
+        scenario: a scenario, or the path of its file; None: the default scenario.
+        trials: number of trials. Trial k has the seed ``seed + k``.
         seed: the seed of the first trial.
         watch: called with a few words before each run.
 
     Raises:
-        UnknownNameError, SolverError: a solver is unknown, none is given, or two share a name. Nothing has run then.
+        UnknownNameError, SolverError: a solver is unknown, none is given, or two share a name.
         ScenarioError: an argument is not usable, the scenario has no third level, or DCAC cannot run it.
     """
     base = Scenario() if scenario is None else Scenario.load(scenario)
@@ -210,7 +208,7 @@ def _trial(
             run, trace = run_and_trace(asked, baseline)
         except Exception as error:
             if name == BASELINE or isinstance(error, MemoryError):
-                raise  # the error is not the fault of a solver
+                raise  # no solver's fault
             run = asked.failed(describe(error))
         unjudged = trace is not None and answers_another_problem(
             trace, solver if isinstance(solver, str) else solver.name
@@ -226,7 +224,7 @@ def _settings(base: Scenario, solver: str | Solver) -> Mapping[str, Any]:
 
 
 def _named(solvers: Solvers, base: Scenario) -> dict[str, str | Solver]:
-    """Return the solvers by name, the baseline first. Build those given by name, so that errors show early."""
+    """Return the solvers by name, and build them once to show errors early."""
     if isinstance(solvers, str) or not isinstance(solvers, Mapping | Sequence):
         raise SolverError(f"solvers = {shown(solvers)}: give a list of names or solvers, such as ['exact', 'osqp']")
     named: Iterable[tuple[Any, str | Solver]] = (

@@ -1,8 +1,8 @@
-"""Run jobs in other processes: in a pool of the library pebble, or on the workers of a Dask scheduler.
+"""Run jobs in other processes: in a pool of the library pebble, or on a Dask scheduler's workers.
 
     results = run([Job(trial, (scenario, "osqp", seed)) for seed in range(60)], kept=Kept(out / "jobs"))
 
-A job that takes longer than its limit, raises, dies by a signal or asks for too much memory loses only its own result.
+A job that fails loses only its own result.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from moc_opt.errors import MocOptError, StudyError, describe
 from moc_opt.study.kept import Kept, digest_of, key_of, loaded_sources
 
 CONNECT_S = 30.0
-LOOK_S, ATTEMPTS = 1.0, 3  # time between two checks of the processes [s]; attempts at a job if the pool breaks
+LOOK_S, ATTEMPTS = 1.0, 3  # time between checks of the processes [s]; attempts at a job
 BEGUN = ".pid"
 WAITS = 5.0
 PR_SET_PDEATHSIG = 1
@@ -47,18 +47,18 @@ class Job:
 
     work: Callable[..., Any]
     arguments: tuple[Any, ...] = ()
-    limit_s: float = 600.0  #: time limit [s], after which the job's process is killed
-    alone: bool = False  #: whether the job measures times, so that no other job may run meanwhile
-    group: str = ""  #: name of a group of jobs. If too many of them hang or crash (see `run`), the rest is skipped.
+    limit_s: float = 600.0  #: time limit [s]
+    alone: bool = False  #: whether the job measures times, so that no other job may run
+    group: str = ""  #: group, which `run` may give up after hangs or crashes
 
 
 @dataclass(frozen=True)
 class Failed:
-    """Why a job has no result: it took too long, its process died, it raised an exception, or it was not begun."""
+    """Why a job has no result."""
 
     kind: Literal["hung", "crashed", "raised", "not run"]
     reason: str
-    parts: tuple[Any, ...] = ()  #: the parts that the job saved by calling `report`
+    parts: tuple[Any, ...] = ()  #: the parts that the job saved by `report`
 
     def __str__(self) -> str:
         return self.reason if self.kind in ("raised", "not run") else f"{self.kind}: {self.reason}"
@@ -66,7 +66,7 @@ class Failed:
 
 @dataclass(frozen=True)
 class _Done:
-    """A pickled result, the source files that the worker had imported, and their digest on the worker's machine."""
+    """A pickled result, the worker's imported source files, and their digest."""
 
     packed: bytes
     sources: tuple[str, ...]
@@ -78,15 +78,15 @@ def run(
     done: Callable[[Job, Any], None] = lambda job, result: None, keep: Callable[[Any], bool] = lambda result: True,
     give_up: int = 1,
 ) -> list[Any]:  # fmt: skip
-    """Run all jobs, those with ``alone`` first. Return their results in the given order; a failed job gives a `Failed`.
+    """Run all jobs, and return their results in order. A failed job gives a `Failed`.
 
     Args:
-        kept: store of results. A job whose result is stored there is not run again. Failures are not stored.
-        workers: processes on this machine; None: one for each core.
-        dask: address of a Dask scheduler, such as "tcp://host:8786". Its workers do the jobs without ``alone``.
-        done: called in this process with each job and its result.
-        keep: called with a result; returns whether the result may be stored.
-        give_up: once this many jobs of a group have hung or crashed, its later jobs give a `Failed` "not run".
+        kept: store of results. A stored job is not run again.
+        workers: processes on this machine; None: one per core.
+        dask: address of a Dask scheduler, such as "tcp://host:8786", for the jobs without ``alone``.
+        done: called with each job and its result.
+        keep: called with a result; returns whether to store it.
+        give_up: number of hangs or crashes after which a group's later jobs are skipped.
 
     Raises:
         StudyError: ``workers`` is below 1, no worker stays alive, no scheduler answers, or results cannot be stored.
@@ -126,7 +126,7 @@ def run(
                     kept.put(keys[k], result, answer.sources)
                 finish(k, result)
     gone, answers = Counter[str](), list[Any]()
-    for k, job in enumerate(jobs):  # answers came in any order, but groups are given up in the order of the jobs
+    for k, job in enumerate(jobs):  # groups are given up in the order of the jobs
         answers.append(_not_begun(job.group) if job.group and gone[job.group] >= give_up else results[k])
         gone[job.group] += _broke(answers[-1])
     return answers
@@ -147,7 +147,7 @@ Submit = Callable[[Job], Answer]
 def _answers(
     jobs: Sequence[Job], waiting: Sequence[int], submit: Submit, slots: int, broken: Counter[str], give_up: int
 ) -> Iterator[tuple[int, _Done | Failed]]:
-    """Yield (index, answer) as answers come. Submit two jobs per worker at a time, so that others can be skipped."""
+    """Yield (index, answer) as answers come, with two submitted jobs per worker."""
     left, flying = list(reversed(waiting)), dict[Answer, int]()
     gone, again = set[Answer](), Counter[int]()
     while left or flying:
@@ -159,7 +159,7 @@ def _answers(
             else:
                 flying[submit(jobs[k])] = k
         done, pending = wait(flying, timeout=LOOK_S, return_when=FIRST_COMPLETED)
-        # Pebble does not notice a process that exits with status 0, or that dies before it reports that its job began.
+        # Pebble does not notice every process that dies.
         before, gone = gone, {future for future in pending if _process_is_gone(future)}
         for future in done | (gone & before):
             k = flying.pop(future)
@@ -181,7 +181,6 @@ def _answers(
 
 
 def _process_is_gone(future: Answer) -> bool:
-    """Tell whether the job began in a process that no longer exists."""
     begun = Path(f"{getattr(future, 'parts', '')}{BEGUN}")
     if not begun.exists() or not (pid := begun.read_text()):
         return False
@@ -239,7 +238,7 @@ def _do(work: Callable[..., Any], arguments: tuple[Any, ...], parts: str | None 
 
 @contextmanager
 def _processes(count: int) -> Iterator[tuple[Submit, int]]:
-    """Start ``count`` workers. Leaving the context ends the workers and all processes that they started."""
+    """Start ``count`` workers. Leaving the context ends them and their children."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([*PRELOAD, "__main__"])
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // (count + 1)  # this process also needs a share
@@ -249,7 +248,7 @@ def _processes(count: int) -> Iterator[tuple[Submit, int]]:
         numbers = count_from_zero()
 
         def started() -> ProcessPool:
-            # The workers inherit this mask. Without it, Ctrl-C during a worker's imports would print a traceback.
+            # The workers inherit this mask, so that Ctrl-C prints no tracebacks.
             masked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
             try:
                 made = ProcessPool(count, initializer=_begin, initargs=(folder, memory), context=context)
@@ -288,7 +287,6 @@ def _processes(count: int) -> Iterator[tuple[Submit, int]]:
 
 
 def _begin(folder: str, memory: int) -> None:
-    """Set up a worker: own process group, Ctrl-C ignored, killed when its parent dies, memory limited."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for number in (signal.SIGALRM, signal.SIGPROF):
         signal.signal(number, signal.SIG_DFL)
@@ -300,7 +298,7 @@ def _begin(folder: str, memory: int) -> None:
 
 
 def report(part: Any) -> None:
-    """Save a part of this job's result, except on a cluster. If the job fails later, the part is in `Failed.parts`."""
+    """Save a part of this job's result. If the job fails later, the part is in `Failed.parts`."""
     if _parts is not None:
         _parts.write(pickle.dumps(part))
 
@@ -308,17 +306,16 @@ def report(part: Any) -> None:
 def _reported(file: str | None) -> tuple[Any, ...]:
     parts = list[Any]()
     if file is not None and os.path.exists(file):
-        with open(file, "rb") as packed, suppress(Exception):  # the final part may be cut off, or may not unpickle
+        with open(file, "rb") as packed, suppress(Exception):  # the final part may be cut off
             while True:
                 parts.append(pickle.load(packed))
     return tuple(parts)
 
 
 def alarm(seconds: float) -> None:
-    """Let the kernel end this job's process after ``seconds``, even if a library hangs. With 0, cancel the alarm.
+    """Let the kernel end this job's process after ``seconds`` of processor time. With 0, cancel the alarm.
 
-    The seconds are processor time, so that a busy machine does not make an answer late. A process that only waits is
-    ended after `WAITS` times ``seconds`` of wall time. A job may set the alarm anew before each of its steps.
+    A process that only waits is ended after `WAITS` times ``seconds`` of wall time.
     """
     signal.setitimer(signal.ITIMER_PROF, seconds)
     signal.setitimer(signal.ITIMER_REAL, WAITS * seconds)
@@ -329,7 +326,7 @@ def alarm(seconds: float) -> None:
 
 @contextmanager
 def _cluster(address: str) -> Iterator[tuple[Submit, int]]:
-    """Connect to a Dask scheduler. Its workers must have the same sources as this process."""
+    """Connect to a Dask scheduler, whose workers need the same sources."""
     try:
         client_of: Any = importlib.import_module("distributed").Client
     except ImportError as error:
@@ -350,7 +347,7 @@ def _cluster(address: str) -> Iterator[tuple[Submit, int]]:
 
 
 def _do_within(work: Callable[..., Any], arguments: tuple[Any, ...], limit_s: float) -> _Done | Failed:
-    """Do one job on a cluster's worker. The worker's process exits after ``limit_s``, even if a library hangs."""
+    """Do one job on a cluster's worker, whose process exits after ``limit_s``."""
     faulthandler.dump_traceback_later(limit_s, exit=True, file=2)
     try:
         return _do(work, arguments)

@@ -1,7 +1,6 @@
-"""A store of finished jobs in a folder. After a stop of any kind, a study continues from this store.
+"""A store of finished jobs, from which a stopped study continues.
 
-A result is reused if none of these has changed: the job's function and arguments, the packages' versions, the robots'
-files, and those files of the project that the job's process had imported.
+A result is reused if the job, the packages' versions, the robots' files and the imported sources are unchanged.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ class _Entry(NamedTuple):
 
 
 class Kept:
-    """Finished jobs in ``folder``. A StudyError is raised if the folder cannot be used."""
+    """Finished jobs in ``folder``. Raise a StudyError if the folder cannot be used."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.reused = folder, 0
@@ -53,7 +52,7 @@ class Kept:
             raise StudyError(f"{folder} cannot keep finished jobs ({error}): {cure}") from error
 
     def get(self, key: str) -> tuple[Any] | None:
-        """Return (result,), or None if no result is kept or the code has changed since."""
+        """Return (result,), or None if there is no valid result."""
         try:
             entry = self._cache.get(key)
         except Exception as error:  # noqa: BLE001 - the entry is damaged, or was pickled by other code
@@ -65,7 +64,7 @@ class Kept:
         return (entry.result,)
 
     def put(self, key: str, result: Any, sources: tuple[str, ...]) -> None:
-        """Keep a result with the names of its source files. Raise a StudyError if it cannot be written."""
+        """Store a result with the names of its source files. Raise a StudyError if this fails."""
         try:
             self._cache[key] = _Entry(result, sources, digest_of(sources))
         except (OSError, sqlite3.Error) as error:
@@ -73,18 +72,15 @@ class Kept:
 
 
 def key_of(work: Callable[..., Any], arguments: Iterable[Any]) -> str:
-    """Return the digest of a job's function and arguments, and of the libraries' versions."""
-    code = getattr(work, "__code__", None)  # the key covers a script's file, because a cluster's worker lacks it
+    """Return the digest of a job's function, its arguments, and the libraries' versions."""
+    code = getattr(work, "__code__", None)  # a cluster's worker does not import the script
     own = "" if code is None else _file_digest(code.co_filename)
     asked = [work.__module__, work.__qualname__, own, _plain(list(arguments)), versions()]
     return hashlib.sha256(to_json(asked, indent=None, sort_keys=True).encode()).hexdigest()
 
 
 def loaded_sources() -> tuple[str, ...]:
-    """Return the files that this process has imported, without the standard library and others' installed packages.
-
-    Listing takes 50 ms, too long for each of a thousand jobs. It is repeated only after a further import.
-    """
+    """Return the imported files, without the standard library and installed packages."""
     return _sources(tuple(sys.modules))
 
 
@@ -103,7 +99,7 @@ def _sources(modules: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def digest_of(sources: tuple[str, ...]) -> str:
-    """Return a digest of these files and of the robots' files. A missing file changes the digest."""
+    """Return a digest of these files and the robots' files."""
     digest = hashlib.sha256()
     for file in (*sources, *robot_files()):
         digest.update(f"{file} {_file_digest(file)}\n".encode())
@@ -118,7 +114,7 @@ def robot_files() -> tuple[str, ...]:
 
 @cache
 def versions() -> dict[str, str | None]:
-    """Return the version of each package, or None if the package is not installed."""
+    """Return the version of each package, or None if it is not installed."""
     found: dict[str, str | None] = dict.fromkeys(PACKAGES)
     for name in PACKAGES:
         with suppress(importlib.metadata.PackageNotFoundError):
@@ -135,7 +131,7 @@ def _file_digest(file: str) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return a job's argument as JSON data. An array becomes a digest of its bytes. A dataclass becomes its fields."""
+    """Return a job's argument as JSON data."""
     if value is None or isinstance(value, bool | int | float | str | Path):
         return repr(value)
     if isinstance(value, BaseModel):

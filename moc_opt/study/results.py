@@ -1,6 +1,6 @@
-"""The rows of a study, one per run; means of a controller over its runs; and changes of means against a baseline.
+"""The rows of a study, and means and changes over its runs.
 
-Means are over whole runs: those that did the task to its end. A change compares trials that both controllers completed.
+Means are over whole runs (completed tasks). A change compares trials that both controllers completed.
 """
 
 from __future__ import annotations
@@ -22,16 +22,14 @@ ERRORS = (
     "tip_error_model_mean_mm", "tip_error_registered_mean_mm", "tip_error_mean_mm",
     "rcm_error_model_mean_mm", "rcm_error_registered_mean_mm", "rcm_error_mean_mm",
 )  # fmt: skip
-"""Names of the mean tip errors and RCM errors [mm], each by the robot's own kinematics (the error that control can
-correct), in the frame registered at the start (the error for the patient), and in the base frame (absolute accuracy).
-"""
+"""Mean errors [mm] by the robot's own kinematics, in the registered frame and in the base frame."""
 PHASES = ("settled", "travelling")
-"""Prefixes of metrics of one phase of a run. In "travelling", the elbow moves to its optimum; "settled" is the rest."""
+"""Prefixes of metrics. While "travelling", the elbow moves to its optimum."""
 TITLES = {
     name: f"{part}, {frame}"
     for name, (part, frame) in zip(ERRORS, product(("tip", "RCM"), ("own", "registered", "base")), strict=True)
 }
-"""A dict from each of `ERRORS` to the heading of its column, which also heads the column of its change."""
+"""Column headings of `ERRORS` and of their changes."""
 FRAMES = (
     "Own kinematics: the error that the controller measures and can correct. Registered: the error in the frame that "
     "is touched at the start, which matters to the patient."
@@ -40,7 +38,7 @@ BASE_FRAME = "Base frame: absolute accuracy."
 
 
 def change_name(metric: str) -> str:
-    """Return the name that a metric's change against the baseline has in a summary, such as mu_gain_percent."""
+    """Return the name of a metric's change against the baseline, such as mu_gain_percent."""
     if metric == "mu_mean":
         return "mu_gain_percent"
     return metric.removesuffix("_Nm_per_s").removesuffix("_mm").removesuffix("_N").removesuffix("_mean") + (
@@ -49,7 +47,7 @@ def change_name(metric: str) -> str:
 
 
 class Results:
-    """Rows of a study, each with ``trial``, ``controller``, ``ended``, ``whole``, ``error`` and its metrics."""
+    """Rows of a study with ``trial``, ``controller``, ``ended``, ``whole``, ``error`` and metrics."""
 
     def __init__(self, rows: Iterable[Mapping[str, Any]] = ()) -> None:
         self._rows: list[dict[str, Any]] = [dict(row) for row in rows]
@@ -61,7 +59,7 @@ class Results:
         return iter(self._rows)
 
     def add(self, *rows: Mapping[str, Any]) -> None:
-        """Append rows. A column that a row lacks is null in this row."""
+        """Append rows."""
         self._rows += [dict(row) for row in rows]
 
     def where(self, **keys: Any) -> Results:
@@ -74,16 +72,16 @@ class Results:
         return Results(row for row in self._rows if all(row["trial"] in trials for trials in ran))
 
     def names(self, column: str = "controller") -> list[Any]:
-        """Return the distinct values of a column, in the order of the rows, without None."""
+        """Return the distinct values of a column in order, without None."""
         return [name for name in dict.fromkeys(row.get(column) for row in self._rows) if name is not None]
 
     def values(self, metric: str, controller: str) -> dict[Any, float]:
-        """Return a dict from trial to the metric's value, for the controller's whole runs."""
+        """Return the metric's value per trial, for the controller's whole runs."""
         mine = (row for row in self._rows if row.get("controller") == controller and row.get("whole"))
         return {row["trial"]: float(row[metric]) for row in mine if row.get(metric) is not None}
 
     def mean(self, metric: str, controller: str) -> Interval | None:
-        """Return the mean over the controller's whole runs, with its interval; None if there is no whole run."""
+        """Return the mean over the controller's whole runs, or None if there are none."""
         try:
             return mean(list(self.values(metric, controller).values()))
         except StatisticsError:
@@ -98,7 +96,7 @@ class Results:
         return [mine[trial] * ticks[trial] for trial in both], [theirs[trial] * ticks[trial] for trial in both]
 
     def change(self, metric: str, controller: str, baseline: str = BASELINE) -> Change | None:
-        """Return the change against the baseline [percent]; None if no trial is common, or the change is undefined."""
+        """Return the change against the baseline [percent], or None if it is undefined."""
         try:
             return relative_changes(*self.pairs(metric, controller, baseline))
         except StatisticsError:
@@ -107,7 +105,7 @@ class Results:
     def figures(
         self, controller: str, means: Sequence[str] = (), changes: Sequence[str] = (), baseline: str = BASELINE
     ) -> dict[str, Any]:
-        """Return a dict for a summary: a controller's counts, means of metrics, and changes against a baseline."""
+        """Return a controller's counts, means and changes against a baseline, for a summary."""
         mine = [row for row in self._rows if row.get("controller") == controller]
         found: dict[str, Any] = {
             "trials": len(mine), "whole": sum(bool(row.get("whole")) for row in mine),
@@ -129,13 +127,13 @@ class Results:
 
     @property
     def frame(self) -> pl.DataFrame:
-        """The rows as a polars table. Numbers that are not finite become null."""
+        """The rows as a polars table, with null for numbers that are not finite."""
         rows = [plain(row) for row in self._rows]
         names = list(dict.fromkeys(name for row in rows for name in row))
         return pl.DataFrame([pl.Series(name, [row.get(name) for row in rows], strict=False) for name in names])
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Write the rows as Parquet, all or nothing. Raise a StudyError if the file cannot be written."""
+        """Write the rows as Parquet. Raise a StudyError if the file cannot be written."""
         packed = io.BytesIO()
         self.frame.write_parquet(packed, compression="zstd")
         write_whole(path, packed.getvalue(), "rows", StudyError)

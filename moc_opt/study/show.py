@@ -1,4 +1,4 @@
-"""The `Report` of a study, and its output as a page, as Markdown and on a terminal."""
+"""The `Report` of a study, as a page, as Markdown and on a terminal."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ FORMATS = {"%": "+.1f", "mm": ".3f", "us": ".1f", "m^3": ".4f", "N": ".2f"}
 
 
 def mark(verdict: bool | str | None, text: str) -> Mark:
-    """Return the `Mark` for the answer "yes" (or True), "no" (or False), or else open, with ``text`` as its word."""
+    """Return the `Mark` of a verdict, with ``text`` as its word."""
     known = MARKS.get(verdict, OPEN)
     return Mark(known.symbol, text, known.tone, known.rank)
 
 
 class Picture(NamedTuple):
-    """A figure, one sentence that says what the figure shows, and the name of its file."""
+    """A figure, a sentence about it, and its file name."""
 
     figure: go.Figure
     says: str
@@ -41,7 +41,7 @@ class Picture(NamedTuple):
 
 @dataclass(frozen=True)
 class Section:
-    """Text, tables and pictures under a title, folded on the page."""
+    """Text, tables and pictures under a title."""
 
     title: str
     text: str = ""
@@ -52,16 +52,16 @@ class Section:
 class Report:
     """What a study found, for a reader."""
 
-    title: str  #: the question, and the arm, task, preset and solver unless the study varies them
+    title: str  #: the question and the fixed conditions
     answer: Sequence[str]  #: up to three sentences, the most important one first
-    table: Table  #: table on the first screen, with few columns
+    table: Table  #: table on the first screen
     pictures: Sequence[Picture] = ()  #: up to three pictures
-    sections: Sequence[Section] = ()  #: in reading order; a table's columns link to them by title
-    load: str = ""  #: the machine's load while times were taken; "" if none were taken
+    sections: Sequence[Section] = ()  #: in reading order
+    load: str = ""  #: the machine's load while times were taken
     subtitle: str = ""
 
     def page(self, environment: Mapping[str, Any], failed: Sequence[Mapping[str, Any]] = ()) -> Page:
-        """Return the report as a page. It ends with the errors of failed runs and environment.json."""
+        """Return the report as a page, with failed runs and the environment at its end."""
         page = Page(self.title, self.subtitle)
         for sentence in self.answer:
             page.headline(sentence)
@@ -84,7 +84,7 @@ class Report:
         return page
 
     def markdown(self) -> str:
-        """Return sentences and tables as Markdown for README and docs. A section begins with "## TITLE"."""
+        """Return the sentences and tables as Markdown."""
         parts = [f"# {self.title}", *self.answer, _markdown(self.table), self.load]
         for section in self.sections:
             parts += [f"## {section.title}", section.text]
@@ -100,7 +100,7 @@ class Report:
 
 
 def about(scenario: Scenario, *, solver: bool = False) -> str:
-    """Return arm, task and preset of a scenario, for a title. With ``solver``, add the solver's name."""
+    """Return the arm, task and preset of a scenario, and with ``solver`` the solver, for a title."""
     control = scenario.control
     preset = next((name for name in PRESETS if control == ControlSettings.preset(name)), None)
     named = "default" if control == ControlSettings() else preset or "own settings"
@@ -116,9 +116,9 @@ def _markdown(table: Table) -> str:
 
 
 def columns(*metrics: str, of: str = "", **titles: str) -> list[Column]:
-    """Return one column of a table per metric, or per change of a metric ("mu_gain_percent"), with unit and help.
+    """Return one column of a table per metric, or per change of a metric, with unit and help.
 
-    A name may begin with a phase ("settled_", "travelling_"). Values link to section ``of``. ``titles`` sets headings.
+    Values link to section ``of``. ``titles`` sets headings.
     """
     found = []
     for name in metrics:
@@ -138,7 +138,7 @@ def intervals_picture(
     found: Mapping[str, tuple[float, float, float]], x_label: str, limits: Mapping[str, float],
     tones: Mapping[str, str] | None = None, *, log: bool = False,
 ) -> go.Figure:  # fmt: skip
-    """Draw each name's value with a bar from low to high, the first name at the top, and a labelled line per limit."""
+    """Draw each name's value with a bar from low to high, and a line per limit."""
     drawn = figure(showlegend=False, height=90 + 24 * max(len(found), 4))
     for name, (low, value, high) in reversed(list(found.items())):
         tone = (tones or {}).get(name)
@@ -162,7 +162,7 @@ def intervals_picture(
 def lines_picture(
     lines: Mapping[str, Sequence[tuple[float, float, float, float]]], x_title: str, y_title: str, *, log: bool = False
 ) -> go.Figure:
-    """Draw for each name a line through its points (x, low, value, high), with bars from low to high."""
+    """Draw a line for each name through its points (x, low, value, high), with error bars."""
     drawn, styles = figure(), Styles(lines)
     for name, points in lines.items():
         drawn.add_scatter(
@@ -177,7 +177,7 @@ def lines_picture(
 
 
 def ends(figures: Mapping[str, Any], name: str) -> tuple[float, float, float] | None:
-    """Return (low, value, high) of a figure, or None if it is absent. Without an interval, all three are equal."""
+    """Return (low, value, high) of a figure, or None if it is absent."""
     value, low, high = (figures.get(f"{name}{end}") for end in ("", "_low", "_high"))
     if value is None:
         return None

@@ -1,7 +1,6 @@
-"""Collect solvers' answers to sets of problems, check and count them, and measure the solvers' times.
+"""Collect solvers' answers to sets of problems, check and count them, and measure times.
 
-Solvers run in other processes, and each answer has a time limit of its own. Its residuals (`moc_opt.qp.residuals`)
-decide whether it is right, whatever the solver reports. Times are taken afterwards, one job at a time.
+The residuals of an answer (`moc_opt.qp.residuals`) decide whether it is right, whatever the solver reports.
 """
 
 from __future__ import annotations
@@ -27,20 +26,20 @@ from moc_opt.study.solver_settings import SolverSetting
 from moc_opt.study.testsets import TestSet
 from moc_opt.study.timing import each_us, percentiles, total
 
-Runner = Callable[..., list[Any]]  # `moc_opt.study.run` with the study's folder, workers and progress already bound
+Runner = Callable[..., list[Any]]  # `moc_opt.study.run` with some arguments bound
 
 HUNG, CRASHED, RAISED, NOT_ASKED, REFUSED = "hung", "crashed", "raised", "not asked", "refused"
-"""Statuses of an answer in addition to those that solvers return."""
-BROKEN_SETS = 3  # a hang or crash ends a set. After this many such sets, a solver's other sets are skipped.
-HOURS = 1e5  # limit of the job for a whole set [s]; every answer has a limit of its own
+"""Statuses of an answer in addition to those of `Status`."""
+BROKEN_SETS = 3  # number of sets with a hang or crash after which the others are skipped
+HOURS = 1e5  # time limit of a whole set [s]
 WARM_UP = 16  # solves before the timed ones
-CONTRADICTION = 1e-13  # [m/s] a smaller difference between `TestSet.rows` and `TestSet.judged` is rounding
-RIGHTLY = 0.99  # times are compared only among solvers with at least this share of right answers
+CONTRADICTION = 1e-13  # largest rounding difference of `TestSet.rows` and `TestSet.judged` [m/s]
+RIGHTLY = 0.99  # least share of right answers for a comparison of times
 RESIDUALS = ("primal", "natural", "natural_best", "relative", "loss")
 
 
 class Limits(Settings):
-    """How much is measured, and how long a solve and a solver's setup may take."""
+    """How much is measured, and how long a solve and a setup may take."""
 
     KIND: ClassVar[str] = "[testsets]"
     rounds: int = Field(8, ge=1, description="warm passes through a set; fewer if they take more than `seconds`")
@@ -54,7 +53,7 @@ Question = tuple[SolverSetting, TestSet]
 
 
 class Answer(NamedTuple):
-    """One answer: status, iterations, x (n,), y (6,), and a description of the exception or defect, if any."""
+    """A solver's answer: status, iterations, x (n,), y (6,), and a description of any defect."""
 
     status: str
     iterations: int
@@ -64,14 +63,12 @@ class Answer(NamedTuple):
 
 
 class Answers:
-    """The answers of one solver under one setting to one set of k problems, with their residuals.
+    """One solver's answers to one set of k problems, with their residuals.
 
-    ``refused`` says why the solver does not take the problems. ``events`` lists its errors and how its process ended.
-    ``every``, ``status``, ``x``, ``residuals`` and ``verified`` have one entry per problem, even if it was not asked.
+    ``refused`` says why the solver does not take the problems. ``events`` lists its errors.
     """
 
     def __init__(self, setting: SolverSetting, problems: TestSet, result: list[Any] | Failed) -> None:
-        """Compute the residuals of the answers that the job returned, or that it had reported before it failed."""
         self.setting, self.problems, self.refused = setting, problems, ""
         failed = result if isinstance(result, Failed) else None
         reason, *given = (result.parts if isinstance(result, Failed) else result) or [None]
@@ -91,16 +88,14 @@ class Answers:
 
     @property
     def complete(self) -> bool:
-        """Whether the solver returned or raised something on every problem."""
+        """Whether the solver answered or raised on every problem."""
         return not np.isin(self.status, (HUNG, CRASHED, NOT_ASKED, REFUSED)).any()
 
     def counts(self) -> dict[str, int]:
-        """Count the answers by outcome (docs/solvers.md explains the outcomes).
+        """Count the answers by outcome (see docs/solvers.md).
 
-        An answer is right in two cases. `verified_solved` counts verified optima, out of `optima_asked`.
-        `infeasible_right` counts infeasible problems recognised as such, out of `infeasible_asked`. A feasible problem
-        whose six rows contradict each other may also be called infeasible. `refused_inconsistent` counts these answers,
-        out of `inconsistent_asked`. They are neither right nor wrong, and their problems are not in `optima_asked`.
+        If the six rows of a feasible problem contradict each other, "infeasible" is neither right nor wrong.
+        `refused_inconsistent` counts these answers.
         """
         status, feasible = self.status, self.problems.feasible
         claimed, infeasible = status == "solved", status == "infeasible"
@@ -121,10 +116,7 @@ class Answers:
         return {"solves": len(status), **{name: int(flags.sum()) for name, flags in found.items()}, **broken}
 
     def summary(self, times: Times | None = None) -> dict[str, Any]:
-        """Return a dict for summary.json: counts, largest residuals, times, and the first exception, hang or crash.
-
-        The residuals are those of answers to feasible problems.
-        """
+        """Return counts, largest residuals, times and the first fault, for summary.json."""
         found: dict[str, Any] = dict(self.counts())
         answered = self.problems.feasible & np.isfinite(self.x).all(axis=1)
         for name in RESIDUALS:
@@ -149,13 +141,13 @@ class Answers:
 
 
 def share_right(counts: Mapping[str, Any]) -> float:
-    """Return the share of right answers. Problems that were refused as inconsistent are not counted."""
+    """Return the share of right answers among the problems not refused as inconsistent."""
     asked = counts.get("solves", 0) - counts.get("refused_inconsistent", 0)
     return float(counts["right"] / asked) if asked else 0.0
 
 
 def totals(answers: Sequence[Answers], times: Sequence[Times]) -> dict[str, Any]:
-    """Return a dict of one solver under one setting: total counts, largest residuals, and times of its slowest set."""
+    """Return one solver's total counts, largest residuals, and times of its slowest set."""
     rows, figures = [one.summary() for one in answers], [one.figures() for one in times]
     found: dict[str, Any] = {name: sum(row[name] for row in rows) for name in answers[0].counts()}
     for name in (f"{residual}_max" for residual in RESIDUALS):
@@ -171,10 +163,9 @@ def totals(answers: Sequence[Answers], times: Sequence[Times]) -> dict[str, Any]
 
 
 def ask(run: Runner, questions: Sequence[Question], limits: Limits, *, warm: bool = True) -> list[Answers]:
-    """Collect the answers to each question. A question is a solver under one setting, and a set of problems.
+    """Collect the answers to each question (a solver's setting and a set of problems).
 
-    If ``warm``, one session solves the set, else each problem has a new session. A hang or a crash ends the set. After
-    `BROKEN_SETS` such sets, all further sets of the solver are skipped.
+    If ``warm``, one session solves the set, else each problem has a new session.
     """
     jobs = [
         Job(answer, (setting, problems.rows, warm, limits.patience_s, limits.setup_s), HOURS, group=setting.label)
@@ -185,10 +176,9 @@ def ask(run: Runner, questions: Sequence[Question], limits: Limits, *, warm: boo
 
 
 def answer(setting: SolverSetting, rows: Array, warm: bool, patience_s: float, setup_s: float) -> list[Any]:
-    """Return a list: why the solver refuses the problems ("" if it accepts them), then an `Answer` per problem.
+    """Return the reason for a refusal ("" if none), then an `Answer` per problem.
 
-    Runs in a worker, which reports each item at once. ``patience_s`` limits the processor time of an answer, and
-    ``setup_s`` limits the processor time of the setup.
+    ``patience_s`` and ``setup_s`` limit the processor time of an answer and of the setup.
     """
     found: list[Any] = []
     alarm(setup_s)
@@ -218,7 +208,7 @@ def _answers(setting: SolverSetting, rows: Array, warm: bool) -> Iterator[Any]:
         yield Answer(solution.status.label, solution.iterations, np.array(solution.x), np.array(y))
 
 
-_robot = cache(load_robot)  # each worker reads the robot once and builds hundreds of solvers
+_robot = cache(load_robot)  # each worker reads the robot once
 
 
 def _made(setting: SolverSetting) -> Solver:
@@ -226,7 +216,7 @@ def _made(setting: SolverSetting) -> Solver:
 
 
 def _problems(rows: Array) -> list[NullSpaceQP]:
-    """Make the problems. Properties that adapters read are computed in advance, so that this is not timed."""
+    """Make the problems, and compute their properties before times are taken."""
     found = [NullSpaceQP.from_row(np.array(row)) for row in rows]
     for qp in found:
         _ = qp.q, qp.reduced()
@@ -234,7 +224,7 @@ def _problems(rows: Array) -> list[NullSpaceQP]:
 
 
 def _session(solver: Solver, qp: NullSpaceQP) -> tuple[Session | None, str]:
-    """Return (session, "") on success, else (None, text). The text is the solver's reason, or describes the fault."""
+    """Return (session, ""), or (None, the reason or fault)."""
     try:
         reason = solver.supports(qp)
         if reason is None:
@@ -246,7 +236,7 @@ def _session(solver: Solver, qp: NullSpaceQP) -> tuple[Session | None, str]:
 
 
 def _asked(session: Session, qp: NullSpaceQP) -> tuple[Solution, str]:
-    """Return (answer, trouble). Trouble describes an exception or a defective answer. It is empty if all is well."""
+    """Return the answer, and a description of a fault ("" if none)."""
     try:
         return received(session.solve(qp), qp.n)
     except (Exception, SystemExit) as error:  # noqa: BLE001 - as above
@@ -259,14 +249,14 @@ def _asked(session: Session, qp: NullSpaceQP) -> tuple[Solution, str]:
 class Times(NamedTuple):
     """Times of one solver on one set [us]."""
 
-    solve: Array  #: (rounds, k) times of warm solves: one session goes through all k problems
-    setup: Array  #: times of starting fresh sessions
-    cold: Array  #: times of the first solve of each fresh session
-    update: Array  #: times of the session's `update`, which hands a problem to the library; empty if it has none
-    load: Mapping[str, float]  #: the machine's load meanwhile, see `timing.COUNTED`
+    solve: Array  #: (rounds, k) times of warm solves in one session
+    setup: Array  #: times of starting sessions
+    cold: Array  #: times of the first solve of each session
+    update: Array  #: times of the session's `update`; empty if it has none
+    load: Mapping[str, float]  #: the machine's load meanwhile
 
     def figures(self) -> dict[str, Any]:
-        """Return percentiles of the times, the number of timed solves, and the machine's load while they ran."""
+        """Return percentiles of the times, the number of solves, and the machine's load."""
         found: dict[str, Any] = {"timed_solves": int(self.solve.size), **self.load}
         for name in ("solve", "cold", "setup", "update"):
             found |= percentiles(getattr(self, name).ravel(), name)
@@ -274,10 +264,9 @@ class Times(NamedTuple):
 
 
 def time(run: Runner, answers: Sequence[Answers], limits: Limits) -> list[Times | None]:
-    """Time the solver of each `Answers` on its set, one solver at a time, with nothing else running.
+    """Time the solver of each `Answers` on its set, with nothing else running.
 
-    An entry is None if a problem was not answered, or if the timing failed. The next run of the study
-    reuses the times unless the machine was busy.
+    An entry is None if a problem was not answered, or if the timing failed.
     """
     limit = 20.0 * limits.seconds + limits.patience_s + limits.setup_s
     whole = [one for one in answers if one.complete]
@@ -291,7 +280,7 @@ def time(run: Runner, answers: Sequence[Answers], limits: Limits) -> list[Times 
 
 
 def measure(setting: SolverSetting, rows: Array, every: int, rounds: int, seconds: float) -> Times:
-    """Time one session on all problems, in rounds, and a new session on every ``every``-th problem."""
+    """Time one session on all problems, and new sessions on every ``every``-th problem."""
     solver, problems = _made(setting), _problems(rows)
     session = solver.start(problems[0])
     each_us(session.solve, problems[:WARM_UP])

@@ -1,4 +1,4 @@
-"""The parts of the solver study: a recorded sequence of problems, sets with certified answers, and closed loop."""
+"""The parts of the solver study: a recorded sequence, certified sets, and closed loop."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ MEANING = (
     "Update: the part of a warm solve that hands the new problem to the library. docs/solvers.md says more."
 )
 SOLVER = Column("solver", "solver")
-RANKED = "answers_rightly"  # key of a flag: whether a row's times are compared with those of other rows
+RANKED = "answers_rightly"  # key of the flag: whether a row's times are compared
 COUNTS = {
     "claimed_solved": "claimed", "verified_solved": "verified", "silently_wrong": "silently wrong",
     "infeasible_right": "infeas. right", "refused_inconsistent": "refused: inconsistent",
@@ -66,7 +66,7 @@ COUNTED = (
 
 
 def answers_table(title: str, part: Mapping[str, Mapping[str, Any]], suffix: str = "", *more: Column) -> Table:
-    """Make the table of an open-loop part: counts, largest residuals, and times, whose keys end with ``suffix``."""
+    """Make the table of an open-loop part. The keys of times end with ``suffix``."""
     rows = []
     for name, row in part.items():
         share = share_right(row) if "right" in row else None
@@ -86,18 +86,18 @@ def answers_table(title: str, part: Mapping[str, Mapping[str, Any]], suffix: str
 
 
 def record(case: Scenario, ticks: int) -> Array:
-    """Return the subproblem of every tick of a closed-loop run with ``exact``. This is called in a worker process."""
+    """Return the subproblem of every tick of a closed-loop run with ``exact``."""
     duration_s = ticks * case.plant.period_s
     trace = run(placed(case).change(duration_s=duration_s, judge=False, bound_samples=0))
     return np.asarray(trace.subproblem)
 
 
 def recorded_sequence(work: Work) -> None:
-    """Let each solver solve the sequence warm (in one session) and a part of it cold (in new sessions). Time both."""
+    """Let each solver solve the sequence warm (in one session) and cold (in new sessions)."""
     config = work.config.open_loop
     problems = [NullSpaceQP.from_row(np.array(row)) for row in work.sequence]
     session = Exact().start(problems[0])
-    optima = [session.solve(qp) for qp in problems]  # the reference: exact is right on the certified sets
+    optima = [session.solve(qp) for qp in problems]  # the reference
     feasible = np.array([one.status is Status.SOLVED for one in optima])
     data = TestSet("recorded", work.sequence, np.array([one.x for one in optima]), feasible)
     limits = Limits(patience_s=2.0, setup_s=40.0, rounds=2, seconds=1.0, cold=config.cold)
@@ -128,11 +128,11 @@ def recorded_sequence(work: Work) -> None:
 
 
 def certified_sets(work: Work) -> None:
-    """Let every solver solve every set under each of its settings, in parallel jobs. Then take times, one by one."""
+    """Let every solver solve every set under each of its settings, then take times."""
     config = work.config.testsets
     chosen = [TestSet.load(name).thinned(config.every) for name in config.chosen()]
     thinned = [data.thinned(config.every_other) for data in chosen]
-    questions = [  # set by set: a solver that keeps hanging is dropped before its remaining sets start
+    questions = [  # set by set, so that a hanging solver is dropped early
         (setting, data if setting.recommended and not setting.nonlinear else thin)
         for data, thin in zip(chosen, thinned, strict=True) for setting in work.settings
     ]  # fmt: skip
@@ -182,7 +182,7 @@ def _set_by_set(summary: Mapping[str, Any], names: Sequence[str], recommended: S
 
 
 def closed_loop(work: Work) -> None:
-    """Run the controller without a solver (the baseline) and with each solver, each on its own number of trials."""
+    """Run the controller without a solver (the baseline) and with each solver."""
     part = work.config.closed_loop
     cases = work.config.cases()
     number = {case.name: k for k, case in enumerate(cases)}
@@ -213,10 +213,9 @@ def closed_loop(work: Work) -> None:
 def figures(
     rows: Results, controller: str, runs: Sequence[Run] = (), common: Container[str] | None = None
 ) -> dict[str, Any]:
-    """Return a dict of a controller's means and changes over its completed runs, its sums and its largest values.
+    """Return a controller's means and changes over its completed runs, its sums and its largest values.
 
-    Times are pooled over the ``runs`` that ran alone. Entries that end in "_in_common" count only the trials in
-    ``common``, which every solver runs. If ``common`` is None, they count all trials.
+    Times are pooled over the timed ``runs``. "_in_common" marks counts over the trials in ``common`` (None: all).
     """
     found = rows.figures(controller, MEANS, CHANGES)
     mine = [row for row in rows if row["controller"] == controller]

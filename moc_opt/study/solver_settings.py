@@ -1,4 +1,4 @@
-"""The settings under which each solver is studied, and the reasons for them, mostly from solver-settings.toml."""
+"""The settings under which each solver is studied (solver-settings.toml), and the reasons for them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from moc_opt.solvers.registry import defaults
 
 DEFAULT, TIGHT, RECOMMENDED = "default", "tight", "recommended"
 QPSOLVERS, NONLINEAR = "qpsolvers:", "nlp-"
-"""Prefixes of solvers' names: libraries that are called through qpsolvers, and solvers of the nonlinear problem."""
+"""Prefixes of solvers that are called through qpsolvers, and of nonlinear solvers."""
 SETTINGS = tomllib.loads(Path(__file__).with_name("solver-settings.toml").read_text(encoding="utf-8"))
 AS_QPSOLVERS_CALLS_IT = {"rows": 6, "cost_scale": 1.0, "advised": False}
 
@@ -29,29 +29,29 @@ class SolverSetting:
 
     @property
     def label(self) -> str:
-        """Solver and setting in one name, such as "osqp@tight"."""
+        """Solver and setting, such as "osqp@tight"."""
         return f"{self.solver}@{self.name}"
 
     @property
     def recommended(self) -> bool:
-        """Whether this is the setting that we recommend for the solver."""
+        """Whether this is the recommended setting."""
         return self.name == RECOMMENDED
 
     @property
     def nonlinear(self) -> bool:
-        """Whether the solver answers the nonlinear problem of the tick. Such answers are not verified."""
+        """Whether the solver answers the nonlinear problem of the tick."""
         return self.solver.startswith(NONLINEAR)
 
     @property
     def six_rows(self) -> bool:
-        """Whether the solver gets the paper's six equality rows, which can contradict each other."""
+        """Whether the solver gets six equality rows, which can contradict each other."""
         return self.solver == "exact" or self.options.get("rows") == 6
 
 
 def solver_settings(
     names: Iterable[str], overrides: Mapping[str, Mapping[str, Any]] | None = None
 ) -> list[SolverSetting]:
-    """Return every setting of every named solver. ``overrides[solver]`` changes options of "recommended"."""
+    """Return every setting of every named solver. ``overrides[solver]`` changes "recommended"."""
     return [
         SolverSetting(solver, name, {**options, **((overrides or {}).get(solver, {}) if name == RECOMMENDED else {})},
                       reason)
@@ -60,7 +60,7 @@ def solver_settings(
 
 
 def of(name: str) -> dict[str, tuple[dict[str, Any], str]]:
-    """Return a dict from the name of each setting of one solver to (options, reason)."""
+    """Return one solver's (options, reason) by name of the setting."""
     tables = SETTINGS.get(name, {})
     if not name.startswith(QPSOLVERS):
         known = {of: ({key: v for key, v in one.items() if key != "why"}, one["why"]) for of, one in tables.items()}
@@ -74,7 +74,7 @@ def of(name: str) -> dict[str, tuple[dict[str, Any], str]]:
 
 
 def effective(setting: SolverSetting) -> dict[str, Any]:
-    """Return all options that the solver gets: the adapter's defaults, overridden by the options of the setting."""
+    """Return all options that the solver gets, including the adapter's defaults."""
     found = {**defaults(setting.solver), **setting.options}
     for name in ("kinematics", "period"):
         found.pop(name, None)

@@ -1,8 +1,4 @@
-"""Which solver to take and which to avoid: a verdict on each solver, and the first screen of the report.
-
-The numbers come from summary.json. The damage (a solver's worst loss in closed loop relative to the best solver) is
-computed from the rows of the runs. docs/solvers.md explains the rules.
-"""
+"""A verdict on each solver, and the first screen of the report. docs/solvers.md explains the rules."""
 
 from __future__ import annotations
 
@@ -32,14 +28,14 @@ GAPS, NEAR = Mark("◐", "gaps", "fair", 2), Mark("≈", "near", "fair", 3)
 OTHER, OPEN = Mark("≠", "other", "other", 4), Mark("–", "open", "other", 5)
 AVOID = Mark("✘", "avoid", "bad", 6)
 TONES = {TAKE: GOOD, SOUND: GOOD, GAPS: list(SERIES)[4], NEAR: list(SERIES)[4], OTHER: MUTED, OPEN: BAD, AVOID: WORST}
-TOO_MUCH = 5.0  # avoid a solver whose worst loss exceeds this many times the metric's tolerance in `COSTS`
+TOO_MUCH = 5.0  # largest acceptable loss, in tolerances of `COSTS`
 COSTS = {
     "mu_mean": ("mu", 0.01),
     "tip_error_model_mean_mm": ("tip", 0.05), "tip_error_registered_mean_mm": ("registered tip", 0.05),
     "rcm_error_model_mean_mm": ("RCM", 0.05), "rcm_error_registered_mean_mm": ("registered RCM", 0.05),
     "torque_rate_rms_Nm_per_s": ("chatter", 0.1),
 }  # fmt: skip
-"""Maps each metric in closed loop to a short name and a tolerance. A metric that worsens by less is no loss."""
+"""Short name and tolerance of each metric. A smaller change is no loss."""
 FRAMED = tuple(name for name in COSTS if "_error_" in name)
 CERTIFIED, RECORDED, CLOSED = "Certified test sets", "Recorded sequence", "Closed loop"
 NEITHER = "neither right nor wrong"
@@ -50,9 +46,9 @@ INCONSISTENT = (
 
 
 def assess(summary: Summary, runs: Results) -> list[Row]:
-    """Return one row per solver under its recommended setting, the best first. The summary may lack some parts.
+    """Return one row per solver under its recommended setting, the best first.
 
-    A library that was run both by its own adapter and through qpsolvers is rated by its own adapter's results.
+    A library that also ran through its own adapter is rated by that adapter.
     """
     sets, warm, closed = (summary.get(part, {}) for part in ("testsets", "open_loop_warm", "closed_loop"))
     certified = {n.removesuffix(f"@{RECOMMENDED}"): m for n, m in sets.items() if n.endswith(f"@{RECOMMENDED}")}
@@ -90,13 +86,12 @@ def verdict(row: Row, damage: float = 0.0) -> Mark:
 
 
 def _figures(name: str, certified: Row, warm: Row, closed: Row) -> Row:
-    """Return one solver's figures: counts from certified sets, times from the recorded sequence."""
     counted = certified or warm
     other = name.startswith(NONLINEAR)
     hidden = Missing("it answers the nonlinear problem of the tick: not comparable")
     wrong = sum(int(part.get("silently_wrong") or 0) for part in (certified, warm, closed))
     timed, suffix = (warm, "") if warm.get("solve_p50_us") is not None else (certified, "_worst_set")
-    share = math.floor(1e4 * share_right(counted)) / 100.0 if counted.get("solves") else None  # 100: each is right
+    share = math.floor(1e4 * share_right(counted)) / 100.0 if counted.get("solves") else None  # 100: all are right
     return {
         "solver": name, "counted": counted, "closed": closed, "relative_max": counted.get("relative_max"),
         "right_percent": hidden if other else share, "silently_wrong": hidden if other else wrong,
@@ -106,7 +101,7 @@ def _figures(name: str, certified: Row, warm: Row, closed: Row) -> Row:
 
 
 def _ended(closed: Row) -> dict[str, int]:
-    """Return the numbers of runs that "broke off" and that "oscillated", on the trials that every solver ran."""
+    """Count the runs that broke off or oscillated."""
     return {word: closed.get(f"{word.replace(' ', '_')}_in_common", 0) for word in ("broke off", "oscillated")}
 
 
@@ -116,7 +111,7 @@ def _order(row: Row) -> tuple[float, float, float]:
 
 
 def _damage(row: Row, reference: str | None, runs: Results) -> tuple[Any, float]:
-    """Return (text, size) of the worst loss in closed loop. The size, in tolerances, is 0 if the loss is uncertain."""
+    """Return (text, size) of the worst loss. The size of an uncertain loss is 0."""
     for word, count in _ended(row["closed"]).items():
         if count:
             return f"{count} {word}", TOO_MUCH
@@ -136,7 +131,7 @@ def _damage(row: Row, reference: str | None, runs: Results) -> tuple[Any, float]
 
 
 def _size(metric: str, change: Change) -> tuple[float, float]:
-    """Return (smallest, largest) loss in the two intervals of a change, in tolerances. A gain is a negative loss."""
+    """Return the smallest and largest loss in a change's intervals, in tolerances."""
     sides = [(-one.high, -one.low) if metric == "mu_mean" else (one.low, one.high) for one in change]
     equal = 100.0 * COSTS[metric][1]
     return min(low for low, _ in sides) / equal, max(high for _, high in sides) / equal
@@ -146,7 +141,7 @@ def _size(metric: str, change: Change) -> tuple[float, float]:
 
 
 def sentences(summary: Summary, rows: Sequence[Row]) -> list[str]:
-    """Say which solver to take and why, which others are sound, how these change mu and errors, and which to avoid."""
+    """Say which solver to take and why, which others are sound, and which to avoid."""
     if not rows:
         return ["Nothing was run."]
     best, sound = rows[0], [row for row in rows if row["verdict"] is SOUND]
@@ -182,7 +177,7 @@ def _why(summary: Summary, row: Row, others: Sequence[Row], asked: int) -> str:
         text += f" It refused {refused} more problems, whose six rows contradict each other. That is {NEITHER}."
     if row["p50_us"] is not None:
         text += f" Its median time is {row['p50_us']:.1f} us, p99 {row['p99_us']:.1f} us."
-        # Noise may change the order of solvers whose medians are below this solver's p99.
+        # Noise may change the order of these solvers.
         close = [one for one in (row, *others) if (one["p50_us"] or 0.0) <= row["p99_us"]]
         if not all(one["quiet"] for one in close):
             text += " But others used the machine while this or an equally fast solver was timed: run again."
@@ -234,7 +229,7 @@ def _avoid(summary: Summary, rows: Sequence[Row]) -> list[str]:
 
 
 def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
-    """Return the table of the first screen: every solver under its recommended setting, the best first."""
+    """Return the table of the first screen: every solver, the best first."""
     counted = max((row["counted"].get("solves", 0) for row in rows), default=0)
     kind = CERTIFIED if "testsets" in summary else RECORDED
     recorded = RECORDED if "open_loop_warm" in summary else CERTIFIED
@@ -271,7 +266,7 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
 
 
 def _trials(rows: Sequence[Row]) -> list[int]:
-    """Return the distinct counts of trials that solvers ran in closed loop, in ascending order."""
+    """Return the distinct counts of closed-loop trials in ascending order."""
     return sorted({row["closed"]["trials"] for row in rows if row["closed"].get("trials")})
 
 
@@ -284,7 +279,7 @@ def _trials_told(rows: Sequence[Row]) -> str:
 
 
 def _tip_in_both_frames(runs: Results, solver: str) -> str | None:
-    """Return the changes of the tip's error in both frames as text, or None if there are too few trials."""
+    """Return the tip error's changes in both frames as text, or None."""
     changes = [runs.change(name, solver) for name in FRAMED if name.startswith("tip")]
     if any(change is None or change.ratio.samples < LEAST_TRIALS for change in changes):
         return None
@@ -292,7 +287,7 @@ def _tip_in_both_frames(runs: Results, solver: str) -> str | None:
 
 
 def pictures(summary: Summary, rows: Sequence[Row], deadline_us: float) -> list[Picture]:
-    """Draw accuracy against time, the effect in closed loop, and the time of a tick against its deadline."""
+    """Draw accuracy against time, the effect in closed loop, and the times of ticks."""
     found = list[Picture]()
     points = {
         row["solver"]: (row["p50_us"], max(row["relative_max"], FLOOR)) for row in rows

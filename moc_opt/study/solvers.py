@@ -1,9 +1,4 @@
-"""The main study: each solver solves recorded problems and problems with certified answers, and runs in closed loop.
-
-Read in this order: `Config` (what is run), the parts in ``solver_parts``, `work`, `report`. ``solver_answers``
-collects, counts and times answers. ``solver_settings`` has every solver's settings and the reasons for them.
-``solver_verdicts`` has the rules that decide which solver to take and which to avoid.
-"""
+"""The main study: each solver solves recorded and certified problems, and runs in closed loop."""
 
 from __future__ import annotations
 
@@ -41,7 +36,7 @@ from moc_opt.study.trials import BASELINE, seeds, trials
 STREAM = 3
 FULL = Path(__file__).parent / "solvers-full.toml"
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-TIMED = ("open_loop_warm", "testsets", "closed_loop")  # parts of the summary; each measured time is in exactly one
+TIMED = ("open_loop_warm", "testsets", "closed_loop")  # parts of the summary with measured times
 
 
 class OpenLoop(Settings):
@@ -73,7 +68,7 @@ class TestSets(Limits):
         return value
 
     def chosen(self) -> list[str]:
-        """Return the names of the sets, in the order of `testsets.NAMES`."""
+        """Return the names of the sets in order."""
         return [name for name in testsets.NAMES if self.names == "all" or name in self.names]
 
 
@@ -91,7 +86,7 @@ class ClosedLoop(Settings):
     """solvers that are left out, because they take about a millisecond per tick"""
 
     def of(self, solver: str) -> int:
-        """Return the number of trials that a solver or the baseline runs. They are the first of `Config.cases`."""
+        """Return the number of trials of a solver or the baseline."""
         return self.trials if solver in (BASELINE, *self.cited) else min(self.others, self.trials)
 
 
@@ -124,19 +119,19 @@ class Config(StudyConfig):
         return trials(base, part.tasks, seeds(self.seed, STREAM, part.trials))
 
     def but(self, **changes: Any) -> Self:
-        """Return a validated copy with these entries changed. A dict changes single entries of a table."""
+        """Return a validated copy with these entries changed. A dict changes entries of a table."""
         tables = {name: getattr(self, name).replace(of) for name, of in changes.items() if isinstance(of, dict)}
         return self.replace(changes | tables)
 
 
 @dataclass
 class Work:
-    """The data that the parts of the study share, and their results so far."""
+    """Shared data of the study's parts, and their results so far."""
 
     study: Study
     config: Config
-    names: Sequence[str]  #: names of the solvers that can run here
-    summary: dict[str, dict[str, Any]] = field(default_factory=dict)  #: content of summary.json so far
+    names: Sequence[str]  #: solvers that can run here
+    summary: dict[str, dict[str, Any]] = field(default_factory=dict)  #: content of summary.json
     runs: Results = field(default_factory=Results)  #: one row per run in closed loop
     answers: Results = field(default_factory=Results)  #: one row per answer in open loop
     sections: list[Section] = field(default_factory=list)  #: sections of the report
@@ -155,7 +150,7 @@ class Work:
 
     @cached_property
     def sequence(self) -> Array:
-        """The recorded subproblems (ticks, 11 n + 10). Each row is the `NullSpaceQP.row` of one tick."""
+        """The recorded subproblems (ticks, 11 n + 10)."""
         config = self.config
         base = config.scenario.change(start={"pose": "random"})
         (case,) = trials(base, [config.open_loop.task], seeds(config.seed, STREAM, 1))
@@ -166,15 +161,15 @@ class Work:
 
     @property
     def timed(self) -> list[Mapping[str, Any]]:
-        """The entries of the summary that hold measured times."""
+        """The summary's entries with measured times."""
         return [row for part in TIMED for row in self.summary.get(part, {}).values()]
 
     def runner(self, what: str) -> Callable[..., list[Any]]:
-        """Return `moc_opt.study.run` with the study's folder, workers and progress."""
+        """Return `Study.run` with ``what`` as the text of its progress bar."""
         return partial(self.study.run, what=what)
 
     def say(self) -> None:
-        """Print the first sentence of the report so far, if it has changed since it was last printed."""
+        """Print the report's first sentence, if it has changed."""
         said = sentences(self.summary, assess(self.summary, self.runs))[0]
         if said != self.said:
             self.said = said
@@ -187,7 +182,7 @@ PARTS = {"open_loop": recorded_sequence, "testsets": certified_sets, "closed_loo
 
 
 def work(study: Study, config: Config) -> Found:
-    """Run the requested parts in the order of `PARTS`, and report what they found."""
+    """Run the requested parts in the order of `PARTS`."""
     given = study.given
     if given.full and not given.quick:
         config = Config.load(FULL, config.seed)
@@ -217,7 +212,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def once(names: Sequence[str]) -> tuple[list[str], dict[str, str]]:
-    """Drop `qpsolvers:NAME` if NAME is listed, too. Return (other names, the reason by dropped name)."""
+    """Drop `qpsolvers:NAME` if NAME is listed, too. Return the other names, and the reasons."""
     native = {f"{QPSOLVERS}{name}": name for name in names}
     return [name for name in names if name not in native], {
         name: f"the same library as `{native[name]}`: `twice = true` in the configuration runs both"
@@ -226,7 +221,7 @@ def once(names: Sequence[str]) -> tuple[list[str], dict[str, str]]:
 
 
 def report(found: Work) -> Report:
-    """Return the report, which says which solver to take and why, and which solvers to avoid."""
+    """Return the report on the study."""
     summary, scenario = found.summary, found.config.scenario
     rows = assess(summary, found.runs)
     troubles = [
@@ -248,7 +243,7 @@ def report(found: Work) -> Report:
 
 
 def main(arguments: Sequence[str] | None = None, *, program: str = "moc-opt solvers") -> int:
-    """Run the study as the command called ``program``, and return the exit status."""
+    """Run the study as a command, and return the exit status."""
     for name in THREADS:  # the workers start later and inherit these
         os.environ.setdefault(name, "1")
 

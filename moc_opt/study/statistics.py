@@ -1,13 +1,7 @@
-"""Means and changes over independent trials, their bootstrap intervals, and a rule for when a change is undecided.
+"""Means and changes over independent trials, with bootstrap confidence intervals.
 
-Intervals are scipy's bias-corrected and accelerated bootstrap (BCa, Efron 1987) over trials, or over pairs of runs if
-two controllers ran the same trials. A bootstrap interval of few samples is too narrow: its confidence level is raised
-to match Student's t ("expanded percentiles", Hesterberg 2015). If a change is zero in most trials, BCa depends on the
-few others. The interval is therefore extended until it contains Student's t interval with the jackknife's standard
-error. Both intervals are built for a lower miss rate than 1 - `CONFIDENCE` (see `NOMINAL`, and docs/method.md).
-
-A change is the ratio of two means, minus 1. The mean of the trials' own ratios, minus 1, is computed, too. If the two
-numbers differ in sign, or only one of their intervals contains 0, the change is undecided.
+Intervals are scipy's BCa bootstrap (Efron 1987), expanded for few samples (Hesterberg 2015; see docs/method.md).
+A change is the ratio of two means, minus 1.
 """
 
 from __future__ import annotations
@@ -32,7 +26,7 @@ LEAST_TRIALS = 8  # with fewer trials, no change is called a gain or a loss
 
 
 def too_few(trials: int) -> str | None:
-    """Return a text that says that there are too few trials to decide, or None if there are enough."""
+    """Return a message if there are too few trials to decide, else None."""
     return f"too few trials to decide ({trials} of at least {LEAST_TRIALS})" if trials < LEAST_TRIALS else None
 
 
@@ -41,7 +35,7 @@ class StatisticsError(MocOptError, ValueError):
 
 
 class Interval(NamedTuple):
-    """A statistic and its confidence interval. `low` and `high` are NaN for a single sample."""
+    """A statistic and its confidence interval, which is NaN for a single sample."""
 
     value: float
     low: float
@@ -55,18 +49,18 @@ class Interval(NamedTuple):
         return f"{self.value:{form}} [{self.low:{form}}, {self.high:{form}}]"
 
     def entries(self, name: str) -> dict[str, float]:
-        """Return a dict for a summary, with the keys ``name``, ``name_low`` and ``name_high``."""
+        """Return the entries ``name``, ``name_low`` and ``name_high`` of a summary."""
         return {name: self.value, f"{name}_low": self.low, f"{name}_high": self.high}
 
 
 class Change(NamedTuple):
-    """A change against a baseline [percent]: by the ``ratio`` of the means, and by the mean of the ``ratios``."""
+    """A change against a baseline [percent]: ``ratio`` of means, and mean of the trials' ``ratios``."""
 
     ratio: Interval
     ratios: Interval
 
     def side(self, bound: float = 0.0) -> int:
-        """Return 1 if both intervals lie above the bound [percent], -1 if both lie below, else 0; 0 for few trials."""
+        """Return 1 if both intervals lie above the bound [percent], -1 if below, else 0."""
         both = {int(one.low > bound + ROUNDING) - int(one.high < bound - ROUNDING) for one in self}
         return both.pop() if len(both) == 1 and self.ratio.samples >= LEAST_TRIALS else 0
 
@@ -82,7 +76,7 @@ class Change(NamedTuple):
         return f"{self.ratio:.3g}" + (f" (mean of ratios {self.ratios:.3g}: undecided)" if self.undecided else "")
 
     def entries(self, name: str) -> dict[str, float]:
-        """Return a dict for a summary: both values and intervals (``name``, ``name_of_ratios``), ``name_undecided``."""
+        """Return both values with their intervals, and whether the change is undecided, for a summary."""
         return {
             **self.ratio.entries(name), **self.ratios.entries(f"{name}_of_ratios"),
             f"{name}_undecided": float(self.undecided),
@@ -90,10 +84,7 @@ class Change(NamedTuple):
 
 
 def spread(entries: Mapping[str, Any], name: str, digits: int = 3, sign: str = "", unit: str = "") -> str | None:
-    """Return one number of a summary and its interval as text, or None if the summary lacks the number.
-
-    An undecided `Change` is written with its two values. With ``sign`` "+", positive numbers get a plus sign.
-    """
+    """Return a summary's number and its interval as text, or None if it is absent."""
     value, low, high = (entries.get(key) for key in (name, f"{name}_low", f"{name}_high"))
     if value is None:
         return None
@@ -119,12 +110,12 @@ def share(found: int, trials: int) -> Interval:
 
 
 def mean(samples: ArrayLike) -> Interval:
-    """Return the mean of (k,) numbers, one per trial. Raise a StatisticsError if k = 0 or a number is not finite."""
+    """Return the mean of (k,) numbers. Raise a StatisticsError if k = 0 or a number is not finite."""
     return _interval(np.mean, samples=samples)
 
 
 def relative_change(treated: ArrayLike, control: ArrayLike) -> Interval:
-    """Compute 100 (mean(treated)/mean(control) - 1) [percent] of (k,) numbers of the same k trials, resampled in pairs.
+    """Compute 100 (mean(treated)/mean(control) - 1) [percent] of (k,) numbers of the same k trials.
 
     Raises:
         StatisticsError: no pair, different lengths, a number that is not finite, or controls with mean 0.
@@ -133,7 +124,7 @@ def relative_change(treated: ArrayLike, control: ArrayLike) -> Interval:
 
 
 def relative_changes(treated: ArrayLike, control: ArrayLike) -> Change:
-    """Return `relative_change` (which may raise), and the mean over trials of 100 (treated/control - 1) [percent]."""
+    """Return `relative_change`, and the mean over trials of 100 (treated/control - 1) [percent]."""
     ratio = relative_change(treated, control)
     with np.errstate(divide="ignore", invalid="ignore"):
         each = 100.0 * (np.asarray(treated, float) / np.asarray(control, float) - 1.0)
@@ -143,7 +134,7 @@ def relative_changes(treated: ArrayLike, control: ArrayLike) -> Change:
 def difference_of_changes(
     treated: ArrayLike, control: ArrayLike, treated_before: ArrayLike, control_before: ArrayLike
 ) -> Interval:
-    """Return the `relative_change` minus the `relative_change` "before" [percentage points], all on the same trials."""
+    """Return the `relative_change` minus that of the "before" samples [percentage points]."""
     before = {"treated_before": treated_before, "control_before": control_before}
     return _interval(_difference, treated=treated, control=control, **before)
 
@@ -177,7 +168,7 @@ def _interval(statistic: Callable[..., Any], **given: ArrayLike) -> Interval:
     expanded = float(2.0 * stats.norm.cdf(np.sqrt(count / (count - 1)) * quantile) - 1.0)
     half = quantile * _standard_error(statistic, samples)
     for method in ("BCa", "percentile"):
-        # BCa has no value if all resamples or all jackknife values agree. The percentile interval always exists.
+        # BCa has no value if all resamples agree.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # degenerate samples
             found = stats.bootstrap(
@@ -191,7 +182,7 @@ def _interval(statistic: Callable[..., Any], **given: ArrayLike) -> Interval:
 
 
 def _standard_error(statistic: Callable[..., Any], samples: Sequence[Array]) -> float:
-    """Return the jackknife's standard error, or 0 if the statistic is not finite without some trial."""
+    """Return the jackknife's standard error, or 0 if it is not finite."""
     count = len(samples[0])
     left = [np.array([np.delete(sample, k) for k in range(count)]) for sample in samples]
     with np.errstate(divide="ignore", invalid="ignore"):

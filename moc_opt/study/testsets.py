@@ -1,7 +1,6 @@
-"""Test sets of the subproblem with certified answers. `straightened` makes an inconsistent problem consistent.
+"""Test sets of the subproblem with certified answers, which ``benchmarks/testsets.py`` makes.
 
-Every set is an .npz without pickles: ``rows`` (k, 11 n + 10) with one `NullSpaceQP.row` each, ``x`` (k, n) with the
-certified answers (NaN if infeasible), and ``feasible`` (k,). ``benchmarks/testsets.py`` makes and certifies them.
+A set is an .npz with ``rows`` (k, 11 n + 10), ``x`` (k, n) (NaN if infeasible), and ``feasible`` (k,).
 """
 
 from __future__ import annotations
@@ -31,12 +30,12 @@ ARGUMENTS = (
 
 
 class CertificateError(MocOptError, ArithmeticError):
-    """A problem's answer cannot be certified, or a test set or one of its arrays is missing."""
+    """An answer cannot be certified, or a test set is missing or incomplete."""
 
 
 @dataclass(frozen=True)
 class TestSet:
-    """Problems that belong together, with their certified answers."""
+    """Problems with their certified answers."""
 
     __test__ = False  # tells pytest that this is no test class
 
@@ -46,15 +45,14 @@ class TestSet:
     feasible: NDArray[np.bool_]
 
     def problems(self) -> list[NullSpaceQP]:
-        """Return the subproblems in order. Neighbours in a sequence are 2 ms apart."""
+        """Return the subproblems in order."""
         return [NullSpaceQP.from_row(np.array(row)) for row in self.rows]
 
     @cached_property
     def judged(self) -> Array:
-        """The problems (k, 11 n + 10) whose residuals decide whether an answer is right.
+        """The problems (k, 11 n + 10) by which answers are judged.
 
-        If the reference velocities of tip and wrist differ along the shaft, a rigid tool cannot follow both. In that
-        case, these rows have another wrist reference than ``rows``. The five certified equations are the same.
+        If tip and wrist references contradict each other along the shaft, the wrist's is changed.
         """
         return np.array([straightened(qp).row for qp in self.problems()])
 
@@ -65,14 +63,14 @@ class TestSet:
         return found
 
     def to_bytes(self) -> bytes:
-        """Return the .npz file."""
+        """Return the set as an .npz file."""
         buffer = io.BytesIO()
         np.savez_compressed(buffer, rows=self.rows, x=self.x, feasible=self.feasible)
         return buffer.getvalue()
 
     @classmethod
     def load(cls, name: str, folder: Path = FOLDER) -> TestSet:
-        """Read a set by name. Raise a CertificateError if the file or one of its arrays is missing."""
+        """Read a set by name. Raise a CertificateError if the file or an array is missing."""
         path = folder / f"{name}.npz"
         if not path.exists():
             raise CertificateError(f"test set {name!r}: no file {path}; make it with: python -m benchmarks.testsets")
@@ -90,7 +88,7 @@ def check_name(name: str) -> None:
 
 
 def straightened(qp: NullSpaceQP) -> NullSpaceQP:
-    """Return the same subproblem with the wrist's reference changed along the shaft to agree with the tip's."""
+    """Return the subproblem with the wrist's reference along the shaft set to the tip's."""
     five = qp.reduced()
     b = np.linalg.lstsq(five.lift, five.b, rcond=None)[0] if len(five.b) == 5 else np.array(qp.b)
     b[3:] += five_row_gap(qp, b)
@@ -98,11 +96,11 @@ def straightened(qp: NullSpaceQP) -> NullSpaceQP:
 
 
 def changed(qp: NullSpaceQP, **values: Any) -> NullSpaceQP:
-    """Return the same subproblem with other values of some of its arguments."""
+    """Return the subproblem with some arguments changed."""
     return NullSpaceQP(**{name: getattr(qp, name) for name in ARGUMENTS} | values)
 
 
 def five_row_gap(qp: NullSpaceQP, b: NDArray[np.floating]) -> Array:
-    """Return the tip's reference velocity minus the wrist's, projected onto the shaft (3,) [m/s]."""
+    """Return the tip's reference velocity minus the wrist's along the shaft (3,) [m/s]."""
     u = np.linalg.svd(qp.J_tip - qp.J_wrist)[0][:, 2]
     return np.asarray(u * (u @ (b[:3] - b[3:])))

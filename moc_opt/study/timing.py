@@ -1,4 +1,4 @@
-"""Time calls, measure the machine's load meanwhile, and compute percentiles. Every benchmark uses these functions."""
+"""Time calls, measure the machine's load, and compute percentiles."""
 
 from __future__ import annotations
 
@@ -13,50 +13,45 @@ from moc_opt.arrays import Array
 from moc_opt.sim.loop import no_collector
 
 PERCENTILES = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9}
-MOST_SWITCHES = 0.0025  # allowed involuntary context switches per call: a quarter of the 1 % of calls above p99
+MOST_SWITCHES = 0.0025  # allowed involuntary context switches per call
 LEAST_CPU_SHARE = 0.9
 
 Row = Mapping[str, Any]
 COUNTED = ("times_calls", "times_switches", "times_cpu_s", "times_wall_s")
-"""The load while calls were timed, as entries of a summary's row: the number of calls, the number of involuntary
-context switches (ru_nivcsw), the processor time of all threads [s], and the wall time [s].
-
-A slowdown of all calls alike, as by shared caches or a lower clock rate, does not show in these entries."""
+"""The load while calls were timed: number of calls, involuntary context switches (ru_nivcsw), processor time of all
+threads [s], and wall time [s]."""
 
 
 def used() -> dict[str, float]:
-    """Return the `COUNTED` entries of this process since its start, with 0 calls."""
+    """Return the `COUNTED` entries since this process started, with 0 calls."""
     switches = resource.getrusage(resource.RUSAGE_SELF).ru_nivcsw
     return dict(zip(COUNTED, (0, switches, process_time(), perf_counter()), strict=True))
 
 
 def since(before: Row, calls: int) -> dict[str, float]:
-    """Return the `COUNTED` entries since ``before``, with this number of timed calls."""
+    """Return the `COUNTED` entries since ``before``."""
     return {name: value - before[name] for name, value in used().items()} | {"times_calls": calls}
 
 
 def total(rows: Iterable[Row]) -> dict[str, float]:
-    """Sum the `COUNTED` entries over rows. Rows without times count as 0."""
+    """Sum the `COUNTED` entries over rows."""
     rows = list(rows)
     return {name: sum((row.get(name, 0) for row in rows), 0.0) for name in COUNTED}
 
 
 def cpu_share(row: Row) -> float:
-    """Return processor time divided by wall time. It exceeds 1 if the calls use several threads."""
+    """Return processor time divided by wall time."""
     return float(row["times_cpu_s"] / row["times_wall_s"]) if row.get("times_wall_s") else 1.0
 
 
 def quiet(row: Row) -> bool:
-    """Tell whether the 99th percentile of the times can be trusted (docs/solvers.md has the measurements).
-
-    A context switch lengthens one call. If a hypervisor takes the core away, only the processor time shows it.
-    """
+    """Tell whether the 99th percentile of the times can be trusted (see docs/solvers.md)."""
     few = row.get("times_switches", 0) <= MOST_SWITCHES * row.get("times_calls", 0)
     return bool(few and cpu_share(row) >= LEAST_CPU_SHARE)
 
 
 def load(rows: Iterable[Row]) -> str:
-    """Describe the machine's load while the times in these rows were taken. Return "" if no row has times."""
+    """Describe the machine's load while times were taken. Return "" without times."""
     timed = [row for row in rows if row.get("times_calls")]
     if not timed:
         return ""
@@ -74,7 +69,7 @@ def load(rows: Iterable[Row]) -> str:
 
 
 def clock_cost_us() -> float:
-    """Return the cost of reading the clock twice [us], which is part of every measured time."""
+    """Return the cost of reading the clock twice [us]."""
     gaps = np.empty(2000)
     for i in range(len(gaps)):
         begin = perf_counter_ns()
@@ -86,9 +81,9 @@ def each_us(
     call: Callable[[Any], Any], items: Iterable[Any], results: list[Any] | None = None,
     seen: list[dict[str, float]] | None = None,
 ) -> Array:  # fmt: skip
-    """Time ``call(item)`` one by one [us], without garbage-collection pauses.
+    """Time ``call(item)`` one by one [us], without garbage collection.
 
-    If given, the list ``results`` gets the results, and the list ``seen`` gets the load meanwhile (`COUNTED`).
+    ``results`` and ``seen`` collect the results and the machine's load.
     """
     times = []
     with no_collector():
@@ -97,7 +92,7 @@ def each_us(
             begin = perf_counter_ns()
             result = call(item)
             times.append(perf_counter_ns() - begin)
-            if results is not None:  # keeping answers takes fresh memory, which lengthens the slowest calls
+            if results is not None:  # keeping results lengthens the slowest calls
                 results.append(result)
         if seen is not None:
             seen.append(since(before, len(times)))
@@ -105,7 +100,7 @@ def each_us(
 
 
 def percentiles(times: Array, prefix: str) -> dict[str, float]:
-    """Return {prefix_p50_us, prefix_p99_us, prefix_p99_9_us} of the finite times; {} if there is none."""
+    """Return the percentiles of the finite times by name, such as prefix_p50_us."""
     times = times[np.isfinite(times)]
     if times.size == 0:
         return {}

@@ -1,6 +1,6 @@
-"""Run a trial (a scenario with a seed of its own) under one controller, and make one row of results from the run.
+"""Run a trial (a scenario with its own seed) under a controller, and make one row of results.
 
-Start pose, model mismatch and noise are drawn with the trial's seed. Trials are independent. All controllers run them.
+All controllers run the same trials.
 """
 
 from __future__ import annotations
@@ -38,21 +38,21 @@ CURVES = (
     "rcm_error_registered_m", "rcm_error_m", "trocar_force_N", "solve_us", "tick_us",
 )  # fmt: skip
 CLOCKS = ("solve_", "tick_", "deadline_")
-LOOK_TICKS = 100  # ticks between two readings of the machine's load during a timed run
+LOOK_TICKS = 100  # ticks between two readings of the machine's load
 PATIENCE_S, PER_S, LONGEST_S = 30.0, 30.0, 60.0
-"""A run may take 30 s plus 30 s per simulated second. A task longer than 60 s, or of unknown length, counts as 60 s."""
+"""Time limit of a run: 30 s, plus 30 s per simulated second, of which at most 60 count."""
 
 
 def seeds(seed: int, stream: int, count: int) -> list[int]:
-    """Draw the seeds of ``count`` trials. Each study has its own ``stream``, so that no two studies share seeds."""
+    """Draw the seeds of ``count`` trials. Studies with different streams share no seeds."""
     state = np.random.SeedSequence([seed, stream]).generate_state(count, np.uint32)
     return [int(entry) for entry in state]
 
 
 def trials(base: Scenario, tasks: Sequence[str], own_seeds: Sequence[int], *, virtual: bool = False) -> list[Scenario]:
-    """Make one scenario per seed, named "task/seed", with the tasks in turn and a random elbow swivel at the start.
+    """Make one scenario per seed, with the tasks in turn and a random elbow angle at the start.
 
-    With ``virtual``, the path's sizes and the trocar's depth are those of the paper's virtual task of the same name.
+    With ``virtual``, the path's sizes and the trocar's depth are those of the paper's virtual task.
     """
     found = []
     for k, seed in enumerate(own_seeds):
@@ -67,13 +67,13 @@ def trials(base: Scenario, tasks: Sequence[str], own_seeds: Sequence[int], *, vi
 
 
 def placed(trial: Scenario) -> Scenario:
-    """Return the trial with its random start pose resolved to joint positions. All controllers share this search."""
+    """Return the trial with its random start pose resolved to joint positions."""
     q = Setup(trial).q_start.tolist()
     return trial.change(start={"pose": "home", "q_rad": q, "swivel": "given", "check_path": False})
 
 
 def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None = None) -> Scenario:
-    """Return the trial under one of `BASELINES`, or MOC with a solver. `BASELINE` leaves DCAC trials unchanged."""
+    """Return the trial under one of `BASELINES`, or under MOC with a solver."""
     control = trial.control
     if controller == BASELINE and control.law == "dcac":
         return trial
@@ -82,7 +82,7 @@ def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None
     if controller == OWN:
         return trial.change(control={"law": "dcac", "gains": "dcac", **dict.fromkeys(GAINS)})
     table = control.matched_dcac()
-    if controller == DAMPED:  # the damping that MOC's third level has if its desired velocity x* is 0
+    if controller == DAMPED:  # the damping of MOC's third level if x* = 0
         data = load_data(trial.robot.name)
         moc = control.resolve_gains(data.gains, data.n)
         table = {**table, "dcac_damping": (moc.K_N2 + moc.D_N2).tolist()}
@@ -91,15 +91,15 @@ def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None
 
 @dataclass(frozen=True)
 class Trial:
-    """A run to do: one scenario under one controller. All controllers run the same scenarios."""
+    """One scenario under one controller."""
 
     case: Scenario
     controller: str  #: one of `BASELINES`, or the name of a solver
     settings: Mapping[str, Any] = field(default_factory=dict)  #: settings of the solver
-    tags: Mapping[str, Any] = field(default_factory=dict)  #: further columns of the row, such as a group's name
-    timed: bool = False  #: whether the trial runs alone on the machine, and its times are kept
-    keep: Literal["row", "curves"] = "row"  #: "curves": the columns in `CURVES` are kept, too
-    solver: str | Solver | None = None  #: name or object of a solver to use instead of ``controller``
+    tags: Mapping[str, Any] = field(default_factory=dict)  #: further columns of the row
+    timed: bool = False  #: whether the trial runs alone and is timed
+    keep: Literal["row", "curves"] = "row"  #: "curves": also keep the columns in `CURVES`
+    solver: str | Solver | None = None  #: solver to use instead of ``controller``
 
     @property
     def about(self) -> dict[str, Any]:
@@ -115,30 +115,30 @@ class Trial:
         return Job(run_trial, (self,), limit, alone=self.timed, group=self.controller)
 
     def failed(self, reason: str) -> Run:
-        """Return the `Run` of a trial that left no trace. ``reason`` is the ``error`` in its row."""
+        """Return the `Run` of a trial that failed for this reason."""
         return Run({**self.about, "ended": Ending.FAILED.value, "whole": False, "error": reason})
 
 
 @dataclass(frozen=True)
 class Run:
-    """What is kept of a run.
+    """The result of a trial.
 
-    Its row has the columns of `Trial.about`, ``ended``, ``whole`` (the task was done to its end), ``error`` (or None),
-    ``raised`` (the solver's first exception), and every metric. Only a run that was alone on the machine has times.
+    Its row has the columns of `Trial.about`, ``ended``, ``whole`` (completed), ``error``, ``raised`` (the solver's
+    first exception) and every metric.
     """
 
     row: Mapping[str, Any]
-    columns: Mapping[str, Array] = field(default_factory=dict)  #: curves of a completed run by name, if they are kept
-    load: Mapping[str, float] = field(default_factory=dict)  #: the machine's load meanwhile, if the run was timed
+    columns: Mapping[str, Array] = field(default_factory=dict)  #: curves of a completed run by name
+    load: Mapping[str, float] = field(default_factory=dict)  #: the machine's load, if the run was timed
 
 
 def run_trial(asked: Trial) -> Run:
-    """Run and summarise a trial, in a worker. If the run breaks off, its row has the reason."""
+    """Run and summarise a trial."""
     return run_and_trace(asked)[0]
 
 
 def run_and_trace(asked: Trial, baseline: Trace | None = None) -> tuple[Run, Trace | None]:
-    """Return (the result of `run_trial`, its trace). With a ``baseline``, the metrics include the gain over it."""
+    """Return the result of `run_trial` and its trace. With a ``baseline``, metrics include the gain over it."""
     begun, seen, solver = dict[str, float](), dict[str, float](), asked.solver
 
     def look(tick: int) -> None:
@@ -193,5 +193,5 @@ def _columns(asked: Trial, trace: Trace) -> dict[str, Array]:
 
 
 def outcome(asked: Trial, result: Run | Failed) -> Run:
-    """Return the run, or the row of a failed run if the process hung or died."""
+    """Return the run, or a failed one if the process hung or died."""
     return asked.failed(str(result)) if isinstance(result, Failed) else result
