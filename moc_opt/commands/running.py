@@ -226,7 +226,7 @@ def _words(value: Any) -> str:
 
 
 def plan_scenario(given: argparse.Namespace) -> int:
-    """Plan a scenario and print the plan; return 0, or 3 if it cannot be executed."""
+    """Plan a scenario and print the plan; return 0, or 3 if the path cannot be executed."""
     from moc_opt.report.plan_table import plan_json, plan_tables, start_toml
     from moc_opt.scenario.planned import followable_plan, following_warnings, save_course
 

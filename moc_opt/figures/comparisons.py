@@ -79,7 +79,7 @@ def _pixels(points: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float,
 
 
 def label_sides(points: Mapping[str, tuple[float, float]]) -> dict[str, str | None]:
-    """Choose the side of each label on which it covers least.
+    """Choose the side of each label on which it covers least of other points and labels.
 
     Args:
         points: positions by name [px], y downwards.

@@ -93,7 +93,7 @@ def _courses(plan: Plan) -> list[dict[str, Any]]:
 
 
 def start_toml(robot: RobotModel, plan: Plan) -> str:
-    """Return a [start] table of the best course; empty if there is none."""
+    """Return a [start] table with the first pose of the best course, else an empty text."""
     if plan.best is None:
         return ""
     inside = np.ceil(1e6 * robot.q_min) / 1e6, np.floor(1e6 * robot.q_max) / 1e6

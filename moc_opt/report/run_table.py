@@ -13,7 +13,7 @@ from moc_opt.trace.trace import Trace, about, table
 
 WHOLE_RUN = ("completed", "share_of_run")
 METHOD = "mu_bound_method"  #: Entry of `Trace.meta` that says how the largest mu was found.
-NEAR = 0.02  #: Largest relative distance of a mu that counts as best.
+NEAR = 0.02  #: A mu at most this share below the best counts as best.
 
 MATTER = (
     "mu_mean", "mu_gain_percent", "mu_fraction_of_best_from_start", "tip_error_model_mean_mm",

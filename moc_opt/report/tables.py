@@ -21,7 +21,7 @@ from moc_opt.errors import is_number
 from moc_opt.figures import notation
 from moc_opt.figures.notation import Mark, Missing, Notation, printable
 
-SHORT_TEXT, HEADING = 14, 10  # lengths of an unbroken text and heading [characters]
+SHORT_TEXT, HEADING = 14, 10  # longest unbroken text, and longest line of a heading [characters]
 
 TONES = {"best": "bold green", "good": "green", "fair": "yellow", "bad": "red", "other": "cyan"}
 """Colours in a terminal of a `Mark`'s tones."""
