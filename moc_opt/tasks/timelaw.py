@@ -131,7 +131,7 @@ class WaitingReference:
         long = max(1, math.ceil(reference.v_max / reference.a_max / self.period_s - 1e-9))
         self._lengths = long, max(1, long // 2)
         self.settle_s = sum(self._lengths) * self.period_s
-        """Time from a change of the flag until the rate is 0 or 1 [s]."""
+        """Time from the last change of the flag until the rate is 0 or 1 [s]."""
 
     def play(self, go_on: ArrayLike) -> tuple[Array, Array]:
         """Play the reference with one flag per tick, go_on (N,); a TaskError if not boolean.
