@@ -25,7 +25,7 @@ TITLES = {"real": "freedoms", "tool": "tool [m]", "about": "what it is"}
 
 
 def print_list(given: argparse.Namespace) -> int:
-    """Print the list that the command names; returns 0."""
+    """Print the list of a command; return 0."""
     title, rows, note = {"robots": robots, "tasks": tasks, "metrics": metrics, "solvers": solvers}[given.command]()
     if given.json:
         print(to_json(rows))
@@ -34,12 +34,11 @@ def print_list(given: argparse.Namespace) -> int:
              for name, row in rows.items() if row.get("here", "yes") == "yes"]  # fmt: skip
     keys = dict.fromkeys(key for row in rows.values() for key in row if key != "here")
     print_tables([Table(title, [Column("name", "name"), *(Column(key, TITLES.get(key, key)) for key in keys)], shown)])
-    console().print(note, markup=False)  # not a caption, which would be as narrow as the table
+    console().print(note, markup=False)  # a caption would be as narrow as the table
     return 0
 
 
 def _shown(key: str, value: Any) -> Any:
-    """Return the text of a table's cell. Sizes or settings with their defaults are put on one line."""
     if key == "unit":
         return pretty_unit(value)
     if not isinstance(value, dict):
@@ -49,7 +48,7 @@ def _shown(key: str, value: Any) -> Any:
 
 
 def solvers() -> tuple[str, Rows, str]:
-    """Return (title, rows, note): for each registered solver, whether it can run here, and its settings."""
+    """List the registered solvers; return (title, rows, note)."""
     rows = {}
     for name, reason in available().items():
         settings = {key: value for key, value in defaults(name).items() if key != "kinematics"} if not reason else {}
@@ -61,7 +60,7 @@ def solvers() -> tuple[str, Rows, str]:
 
 
 def robots() -> tuple[str, Rows, str]:
-    """Return (title, rows, note): each arm's joints, null-space dimension (tip and shaft held), tool, description."""
+    """List the robots; return (title, rows, note)."""
     rows = {}
     for name in available_robots():
         arm = load_robot(name)
@@ -73,20 +72,20 @@ def robots() -> tuple[str, Rows, str]:
 
 
 def tasks() -> tuple[str, Rows, str]:
-    """Return (title, rows, note): for each path, its sizes with their defaults, and its description."""
+    """List the paths; return (title, rows, note)."""
     rows = {}
     for name, words in kinds().items():
         try:
             known = sizes(name)
         except MocOptError:
-            known = {}  # a path that does not load: its description gives the reason
+            known = {}  # its description says why it does not load
         given = {key: None if value is inspect.Parameter.empty else value for key, value in known.items()}
         rows[name] = {"sizes": given, "about": words}
     return "Tasks: [task] path, [task.sizes]", rows, "Lengths in m."
 
 
 def metrics() -> tuple[str, Rows, str]:
-    """Return (title, rows, note): for each metric, its unit and meaning."""
+    """List the metrics; return (title, rows, note)."""
     load_plugins()
     rows = {name: {"unit": one.unit, "about": one.about} for name, one in METRICS.items()}
     return "Metrics: metrics = [...] of a scenario, run --metric", rows, ""

@@ -1,4 +1,4 @@
-"""Commands for pages of saved runs, the live page, C code, a comparison of solvers, and the solver study."""
+"""Commands that write pages, C code and comparisons of solvers."""
 
 from __future__ import annotations
 
@@ -15,10 +15,7 @@ from moc_opt.trace.meta import Ending
 
 
 def save_page(given: argparse.Namespace) -> int:
-    """Write the page of this command from saved runs, and the figures of a map if requested; returns 0.
-
-    The page is written even if no browser can draw the figures.
-    """
+    """Write a page from saved runs; return 0."""
     from moc_opt.report.export import save_figures
     from moc_opt.report.map_page import load_map
     from moc_opt.report.page import Page
@@ -35,7 +32,7 @@ def save_page(given: argparse.Namespace) -> int:
 
 
 def serve_page(given: argparse.Namespace) -> int:
-    """Run a scenario in real time on a local web page, until the user stops it; returns the exit status."""
+    """Run a scenario on a local web page; return the exit status."""
     from moc_opt.live.page import serve
 
     scenario, title = read_scenario(given.scenario)
@@ -43,7 +40,7 @@ def serve_page(given: argparse.Namespace) -> int:
 
 
 def export_c(given: argparse.Namespace) -> int:
-    """Write the whole controller as C, with recorded ticks for its self-test; returns 0."""
+    """Write the whole controller as C code; return 0."""
     from moc_opt.export import export_scenario
 
     out, udp = given.out, given.main == "udp"
@@ -56,7 +53,7 @@ def export_c(given: argparse.Namespace) -> int:
 
 
 def compare_solvers(given: argparse.Namespace) -> int:
-    """Compare solvers, print and write the result; returns 0, 3 if a solver completed no trial, 130 after Ctrl-C."""
+    """Compare solvers; return 0, 3 if one completed no trial, 130 after Ctrl-C."""
     from moc_opt.study.compare import compare
 
     if given.out is not None:
@@ -76,12 +73,12 @@ def compare_solvers(given: argparse.Namespace) -> int:
         reason = next(row["error"] for row in found.rows if row["solver"] == name)
         print(f"{name}: no trial was completed; the first one: {reason}", file=sys.stderr)
     if not found.complete:
-        return 130  # as after any Ctrl-C
+        return 130
     return 3 if lost else 0
 
 
 def list_or_study(given: argparse.Namespace) -> int:
-    """List the solvers, or run the study of all solvers with its own arguments; returns the exit status."""
+    """List the solvers, or run the solver study; return the exit status."""
     if given.list:
         return print_list(given)
     from moc_opt.study import solvers

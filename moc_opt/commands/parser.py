@@ -1,4 +1,4 @@
-"""The commands of `moc-opt` as data, in `COMMANDS`. The function of a command is imported when the command runs."""
+"""The commands of `moc-opt` as data, in `COMMANDS`."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ Option = tuple[tuple[str, ...], dict[str, Any]]
 
 
 class Command(NamedTuple):
-    """A command: its function, its line in the help, its options, and the text below the options (exit statuses)."""
+    """A command with its options and help texts."""
 
-    work: str  #: "module:function" in moc_opt; the function takes the parsed options and returns the exit status
+    work: str  #: "module:function" in moc_opt, called with the parsed options
     about: str
     options: tuple[Option, ...]
     ends: str = ""
@@ -29,7 +29,7 @@ def option(*names: str, **settings: Any) -> Option:
 
 
 def path(text: str) -> Path:
-    """Return the text as a path. An empty text is refused: Path("") would mean the current folder."""
+    """Return the text as a path; refuse "", which would be the current folder."""
     if not text:
         raise argparse.ArgumentTypeError("the name is empty: give one")
     return Path(text)
@@ -41,7 +41,7 @@ def flag(name: str, about: str) -> Option:
 
 
 def pages(name: str) -> tuple[Option, ...]:
-    """Declare the options of a command that makes a page NAME.html from saved traces."""
+    """Declare the options of a command that writes NAME.html from traces."""
     return (
         option("traces", nargs="+", type=path, help="files (Parquet) that `run --trace` wrote; give a baseline first"),
         option("--out", type=path, default=Path(f"{name}.html"), help=f"default {name}.html"),
@@ -143,11 +143,11 @@ COMMANDS = {
         flag("--markdown", "print docs/scenario.md, or its part on that table"),
     )),
 }  # fmt: skip
-"""Every command in the order of the help, except `robot`, which `moc_opt.robots.command` adds."""
+"""All commands except `robot`, in the order of the help."""
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Make the parser of all commands. Without a command, it sets ``command`` to None."""
+    """Make the parser of all commands."""
     parser = argparse.ArgumentParser(
         prog="moc-opt",
         description="moc-opt, or python -m moc_opt: scenarios, robots and solvers from the command line.",
@@ -155,7 +155,7 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"moc-opt {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
     for name, command in COMMANDS.items():
-        # `solvers` passes --help on to the study, which prints its own help.
+        # `solvers` passes --help on to the study.
         one = commands.add_parser(name, help=command.about, epilog=command.ends or None, add_help=name != "solvers")
         for names, settings in command.options:
             one.add_argument(*names, **settings)

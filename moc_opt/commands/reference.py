@@ -1,4 +1,4 @@
-"""moc-opt keys: every key of a scenario with its type, default and meaning, read from the schema."""
+"""moc-opt keys: every key of a scenario, read from the schema."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Key = tuple[str, str, str, str]  # name, type, default and meaning
 
 
 def print_keys(given: argparse.Namespace) -> int:
-    """Print the keys of every table, or of one table; returns 0."""
+    """Print the keys of all tables, or of one; return 0."""
     names = [name or TOP for name, _, _ in tables()]
     if given.table is not None and given.table not in names:
         raise UnknownNameError("table of a scenario", given.table, names)
@@ -52,7 +52,7 @@ def print_keys(given: argparse.Namespace) -> int:
 
 
 def tables(kind: type[Settings] = Scenario, path: str = "") -> Iterator[tuple[str, str, list[Key]]]:
-    """Yield every table: name (empty: the top of the file), first line of its documentation, keys."""
+    """Yield every table as (name, description, keys). The top of the file has no name."""
     inner: list[tuple[str, type[Settings]]] = []
     keys: list[Key] = []
     if path in PRESETS:
@@ -72,7 +72,7 @@ def tables(kind: type[Settings] = Scenario, path: str = "") -> Iterator[tuple[st
 
 
 def markdown(only: str | None = None) -> str:
-    """Write docs/scenario.md, or its part on one table."""
+    """Return the text of docs/scenario.md, or of its part on one table."""
     parts = [HEAD] if only is None else []
     for name, about, keys in tables():
         if only not in (None, name or TOP):
@@ -86,7 +86,6 @@ def markdown(only: str | None = None) -> str:
 
 
 def _type(hint: Any) -> str:
-    """Return a type in the words of a TOML file."""
     if hint in WORDS:
         return WORDS[hint]
     origin, inside = get_origin(hint), get_args(hint)

@@ -1,4 +1,4 @@
-"""The commands `run`, `plant`, `control` and `plan`: they run one scenario, in one process or in two, or plan it."""
+"""The commands `run`, `plant`, `control` and `plan`."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ POINTS = "give x, y, z [m], one point per line; the first line may name the colu
 
 
 def read_scenario(path: Path | None) -> tuple[Scenario, str]:
-    """Return (scenario, title): the scenario of the file or the default scenario, and its name in messages."""
+    """Read a scenario, or take the default scenario; return it and its title."""
     scenario = Scenario() if path is None else Scenario.load(path)
     return scenario, scenario.name if path is None or "name" in scenario.model_fields_set else path.stem
 
 
 def print_tables(tables: Iterable[Table]) -> None:
-    """Print tables in the width of the screen, with blank lines between them."""
+    """Print tables with blank lines between them."""
     screen = console()
     for place, table in enumerate(tables):
         if place:
@@ -43,7 +43,7 @@ def print_tables(tables: Iterable[Table]) -> None:
 
 
 def run_scenario(given: argparse.Namespace) -> int:
-    """Run a scenario and its baseline (DCAC with equal gains), print metrics, write files; returns the exit status."""
+    """Run a scenario, print its metrics and write its files; return the exit status."""
     scenario, title = read_scenario(given.scenario)
     if "best_courses" not in scenario.model_fields_set:
         scenario = scenario.change(best_courses=True)
@@ -64,7 +64,6 @@ def run_scenario(given: argparse.Namespace) -> int:
 
 
 def _check_trace_out(file: Path | None, force: bool, kind: str = "run") -> None:
-    """Refuse, before any work, an output file that cannot be written or that would replace a file of another kind."""
     if file is not None:
         new_file(file)
         if not force:
@@ -79,7 +78,7 @@ def _as_far_as_it_goes(make: Callable[[], Trace]) -> Trace:
 
 
 def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace) -> int:
-    """Print how a run ended, and its metrics; return the exit status."""
+    """Print a run's end and metrics; return the exit status."""
     ended = str(trace.meta["ended"])
     for line in [*([] if ended == "completed" else [f"{ended}{part(trace)}"]), *remarks(trace)]:
         print(f"{title}: {line}", file=sys.stderr)
@@ -117,7 +116,7 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
 
 
 def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
-    """Return the scenario with the changes that the given options of ``run`` make."""
+    """Apply the options of ``run`` to a scenario."""
     if given.course == "":
         raise ScenarioError("--course '': give the file that `moc-opt plan --out` wrote")
     if given.course and given.third_level not in (None, "planned"):
@@ -146,7 +145,7 @@ def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
 
 
 def read_waypoints(path: str) -> list[list[float]]:
-    """Read points x, y, z [m], one per line, split by commas or spaces; a ScenarioError names a wrong line."""
+    """Read points x, y, z [m], one per line; a ScenarioError names a wrong line."""
     points: list[list[float]] = []
     for number, line in enumerate(read_text(path, "waypoints", ScenarioError).splitlines(), start=1):
         words = re.sub("[,\"']", " ", line.partition("#")[0]).split()
@@ -161,7 +160,7 @@ def read_waypoints(path: str) -> list[list[float]]:
 
 
 def _matched_dcac(scenario: Scenario, title: str, ticks: int) -> Trace | None:
-    """Run DCAC with equal gains and return its first ``ticks`` ticks. If DCAC ended earlier, say so and return None."""
+    """Run DCAC with equal gains; return None if it ended before ``ticks``."""
     matched = scenario.change(control=scenario.control.matched_dcac(), bound_samples=0, best_courses=False)
     trace = _as_far_as_it_goes(lambda: run(matched))
     if len(trace) < ticks or "mu" not in trace.columns:
@@ -170,11 +169,11 @@ def _matched_dcac(scenario: Scenario, title: str, ticks: int) -> Trace | None:
     return trace.head(ticks)
 
 
-# --- plant and control: the two ends of a wire, each in its own process ---
+# --- plant and control ---
 
 
 def run_plant(given: argparse.Namespace) -> int:
-    """Wait for a controller, run in real time or in lock-step, and print as `run` does; returns the exit status."""
+    """Run the plant for a controller in another process; return the exit status."""
     from moc_opt.realtime.clock import ask_for_realtime
     from moc_opt.realtime.wire import written
     from moc_opt.scenario.wired import PlantServer
@@ -192,7 +191,7 @@ def run_plant(given: argparse.Namespace) -> int:
 
 
 def run_control(given: argparse.Namespace) -> int:
-    """Answer a plant until its run ends, and print how the run went; returns the exit status."""
+    """Run the controller for a plant in another process; return the exit status."""
     from moc_opt.realtime.clock import ask_for_realtime
     from moc_opt.scenario.wired import answer
 
@@ -227,13 +226,13 @@ def _words(value: Any) -> str:
 
 
 def plan_scenario(given: argparse.Namespace) -> int:
-    """Plan a scenario, print the plan, write the joint motion; returns 0, or 3 if the path cannot be executed."""
+    """Plan a scenario and print the plan; return 0, or 3 if the path cannot be executed."""
     from moc_opt.report.plan_table import plan_json, plan_tables, start_toml
     from moc_opt.scenario.planned import followable_plan, following_warnings, save_course
 
     scenario, title = read_scenario(given.scenario)
     _check_trace_out(given.out, given.force, "course")
-    follows = scenario.control.follows or given.out is not None  # a run may follow the course that `--out` writes
+    follows = scenario.control.follows or given.out is not None  # the written plan is for a run to follow
     plan, within = followable_plan(scenario, given.margin, given.speed_share, given.margin_m, followed=follows)
     warned = following_warnings(scenario, plan) if follows else []
     path = save_course(plan, scenario, given.out, within) if given.out is not None and plan.course is not None else None
@@ -243,7 +242,7 @@ def plan_scenario(given: argparse.Namespace) -> int:
         print_tables(plan_tables(title, plan, **within))
         if start := start_toml(scenario.robot.arm(), plan):
             print(f"\n{start}")
-    for line in warned:  # last, below the tables
+    for line in warned:
         print(f"{title}: warning: {line}", file=sys.stderr)
     if path is not None:
         print(path, file=sys.stderr if given.json else sys.stdout)

@@ -1,7 +1,4 @@
-"""Figures: each function takes plain arrays and returns a plotly figure. All figures have the same style.
-
-``style`` has the colours and the template, and ``notation`` writes numbers, units and missing values as text.
-"""
+"""Figures: each function takes plain arrays and returns a plotly figure."""
 
 from moc_opt.figures.comparisons import accuracy_against_time, pareto
 from moc_opt.figures.distributions import box_plots, latency_ecdf

@@ -1,4 +1,4 @@
-"""Accuracy against computing time, as labelled points. Labels cover neither each other nor other points."""
+"""Accuracy against computing time, as labelled points."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def accuracy_against_time(
     """Draw error against time on log axes. Filled points are the Pareto front.
 
     Args:
-        points: (time, error) by name. Non-finite entries are left out. Errors below `FLOOR` are drawn at `FLOOR`.
+        points: (time, error) by name; non-finite entries are left out.
         x_label, y_label: labels of the axes, with units.
 
     Raises:
@@ -38,7 +38,7 @@ def accuracy_against_time(
     log_axis(drawn, "x", x_label, [time for time, _ in known.values()], margin=MARGIN)
     log_axis(drawn, "y", y_label, [error for _, error in known.values()], powers=True, margin=MARGIN)
     front = pareto(known)
-    # Draw the border of the dominated region, from the top edge of the plot to the right edge.
+    # Draw the border of the dominated region.
     top, right = 10.0 ** drawn.layout.yaxis.range[1], 10.0 ** drawn.layout.xaxis.range[1]
     times, errors = zip(*(known[name] for name in front), strict=True)
     drawn.add_scatter(
@@ -61,7 +61,7 @@ def accuracy_against_time(
 
 
 def pareto(points: Mapping[str, tuple[float, float]]) -> list[str]:
-    """Return the names on the Pareto front (less is better), in the order of the first coordinate."""
+    """Return the names on the Pareto front (less is better), sorted by time."""
     best, front = np.inf, []
     for name in sorted(points, key=lambda name: points[name]):
         if points[name][1] < best:
@@ -71,7 +71,7 @@ def pareto(points: Mapping[str, tuple[float, float]]) -> list[str]:
 
 
 def _pixels(points: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-    """Return the positions of the points in a plot of usual size [px]; the origin is the middle, and y is downwards."""
+    """Return approximate positions [px] from the plot's middle, y downwards."""
     logs = np.log10(np.array(list(points.values())))
     extent = np.maximum(np.ptp(logs, axis=0), 0.5) * (1.0 + 2.0 * MARGIN)
     centres = (logs - logs.mean(axis=0)) / extent * [680.0, -310.0]
@@ -79,13 +79,13 @@ def _pixels(points: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float,
 
 
 def label_sides(points: Mapping[str, tuple[float, float]]) -> dict[str, str | None]:
-    """For each label, choose the side of its point on which it covers least of other points and earlier labels.
+    """Choose the side of each label on which it covers least of other points and labels.
 
     Args:
-        points: position of each point by name [px], y downwards. Labels are placed in this order.
+        points: positions by name [px], y downwards.
 
     Returns:
-        The side of each label by name, in plotly's words ("top center"), or None if there is no room for the label.
+        Plotly's word for each side ("top center"), or None if there is no room.
     """
     markers = {name: (x - MARKER_PX, y - MARKER_PX, x + MARKER_PX, y + MARKER_PX) for name, (x, y) in points.items()}
     placed: list[Box] = []
@@ -102,12 +102,11 @@ def label_sides(points: Mapping[str, tuple[float, float]]) -> dict[str, str | No
 
 
 def _boxes(name: str, x: float, y: float) -> dict[str, Box]:
-    """Return the rectangle of the label on each side of the point, with the preferred sides first."""
     wide, near, far = CHARACTER_PX * len(name), MARKER_PX + 1.0, MARKER_PX + 1.0 + LINE_PX
     left, right = (x - near - wide, x - near), (x + near, x + near + wide)
     centre, middle = (x - wide / 2, x + wide / 2), (y - LINE_PX / 2, y + LINE_PX / 2)
     above, below = (y - far, y - near), (y + near, y + far)
-    # Below comes first, because the line of the front runs above and to the right of its points.
+    # Preferred sides come first: the front's line runs above and to the right.
     spans = {
         "bottom center": (centre, below), "top center": (centre, above), "middle left": (left, middle),
         "middle right": (right, middle), "bottom left": (left, below), "bottom right": (right, below),

@@ -1,4 +1,4 @@
-"""Distributions on a log axis: cumulative distributions of times, and box plots."""
+"""Cumulative distributions and box plots on a log axis."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from moc_opt.figures.style import Styles, figure, label, legend_height, log_axis
 
 Floats = NDArray[np.float64]
 Samples = Mapping[str, ArrayLike]
-CLOCK_US = 1e-3  #: Shorter times are drawn as 1 ns, the resolution of the clock, because a log axis has no zero.
+CLOCK_US = 1e-3  #: Shortest drawn time [us], the clock's resolution.
 ECDF_POINTS = 400
 
 
 def latency_ecdf(samples: Samples) -> go.Figure:
-    """Draw the fraction of solves or ticks that are done within a time [us], on a log axis of time.
+    """Draw the fraction of solves or ticks done within a time [us].
 
-    NaN (no solve) is left out. Infinity (never done) lowers the fraction. The legend marks names without samples.
+    NaN (no solve) is left out. Infinity (never done) lowers the fraction.
 
     Raises:
         ReportError: no time is finite, or a time is negative.
@@ -32,7 +32,7 @@ def latency_ecdf(samples: Samples) -> go.Figure:
         if not len(times):
             drawn.add_scatter(x=[], y=[], name=f"{label(name)} (no sample)", line_color=styles[name].color)
             continue
-        # Few quantiles suffice for most of the curve, but each of the slowest times needs its own step.
+        # Each of the slowest times needs its own step.
         slowest = len(times) - np.geomspace(1, len(times), ECDF_POINTS)
         ranks = np.unique(np.append(np.linspace(0, len(times) - 1, ECDF_POINTS), np.ceil(slowest)).astype(np.int64))
         drawn.add_scatter(
@@ -47,10 +47,9 @@ def latency_ecdf(samples: Samples) -> go.Figure:
 
 
 def box_plots(groups: Mapping[str, Samples], value_label: str) -> go.Figure:
-    """Draw box plots of ``groups[controller][task]`` on a log axis, by task, with one colour per controller.
+    """Draw box plots of ``groups[controller][task]`` on a log axis.
 
-    A box spans the quartiles and shows the median. Whiskers reach the outermost sample within 1.5 box lengths (Tukey),
-    measured in logarithms. At most 40 samples beyond the whiskers are drawn as points. NaN is left out.
+    Whiskers reach at most 1.5 box lengths (Tukey), measured in logarithms. At most 40 samples beyond them are drawn.
 
     Raises:
         ReportError: a sample is infinite, or not positive.
@@ -64,7 +63,7 @@ def box_plots(groups: Mapping[str, Samples], value_label: str) -> go.Figure:
         lower, q1, median, q3, upper, beyond = zip(*boxes.values(), strict=True) if boxes else [()] * 6
         drawn.add_box(
             x=[label(task) for task in boxes], lowerfence=lower, q1=q1, median=median, q3=q3, upperfence=upper,
-            # Plotly draws no box for a name whose first list is empty. It then gets the median, which the box hides.
+            # Plotly draws no box for a name whose first list is empty.
             y=[points or [middle] for points, middle in zip(beyond, median, strict=True)],
             boxpoints="outliers", name=label(name), offsetgroup=name,
             fillcolor=f"{styles[name].color}48",  # opacity 0.28
@@ -79,13 +78,13 @@ def box_plots(groups: Mapping[str, Samples], value_label: str) -> go.Figure:
 
 
 def _box(name: str, values: Floats) -> tuple[float, float, float, float, float, list[float]]:
-    """Return lower whisker, quartiles, upper whisker, and at most 40 of the samples beyond the whiskers."""
+    """Return lower whisker, quartiles, upper whisker, and at most 40 samples beyond."""
     values = np.sort(values)
     if np.isinf(values).any() or values[0] <= 0.0:
         raise ReportError(f"{name!r} reaches from {values[0]} to {values[-1]}: one axis cannot show all of this range")
     scale = np.log10(values)
     q1, q3 = np.percentile(scale, (25, 75))
-    reach = 1.5 * (q3 - q1) + 1e-12 * abs(q3)  # the second term absorbs rounding if all samples are equal
+    reach = 1.5 * (q3 - q1) + 1e-12 * abs(q3)  # the second term absorbs rounding
     near = (scale >= q1 - reach) & (scale <= q3 + reach)
     inside, beyond = values[near], values[~near]
     kept = beyond[np.unique(np.linspace(0, len(beyond) - 1, min(len(beyond), 40)).astype(int))]
@@ -94,7 +93,6 @@ def _box(name: str, values: Floats) -> tuple[float, float, float, float, float, 
 
 
 def _known(name: str, values: ArrayLike) -> Floats:
-    """Return the samples that are not NaN. Raise a ReportError if a sample is negative."""
     known = np.asarray(values, dtype=np.float64).ravel()
     known = known[~np.isnan(known)]
     if (known < 0.0).any():

@@ -1,4 +1,4 @@
-"""Write numbers as text: one notation for a whole column, and missing values with their reasons."""
+"""Write numbers, units and missing values as text."""
 
 from __future__ import annotations
 
@@ -17,20 +17,19 @@ RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 
 @dataclass(frozen=True)
 class Missing:
-    """A missing value, with the reason: ``Missing("proxqp does not report duals")``."""
+    """A missing value, with the reason."""
 
     reason: str = "no value"
 
 
 @dataclass(frozen=True)
 class Mark:
-    """A rating in a table, shown as a coloured symbol and a word, so that it can be read without colours.
+    """A rating in a table, as a coloured symbol and a word.
 
     Attributes:
         symbol: one character.
-        word: the text.
-        tone: name of the colour: "best", "good", "fair", "bad" or "other".
-        rank: key for sorting; the best rating has the lowest rank.
+        tone: "best", "good", "fair", "bad" or "other".
+        rank: key for sorting; the best rating has the lowest.
     """
 
     symbol: str
@@ -44,10 +43,10 @@ class Notation:
     """How the numbers of one column are written.
 
     Attributes:
-        digits: number of significant digits if `spec` is empty.
-        spec: a format specification of Python (".2f", "+.1f", "d"). If it is given, other attributes have no effect.
-        scientific: write every number as a mantissa and a power of ten.
-        integral: every number of the column is an integer.
+        digits: number of significant digits.
+        spec: Python's format specification (".2f"), which replaces all other attributes.
+        scientific: write powers of ten.
+        integral: every number is an integer.
     """
 
     digits: int = 3
@@ -57,16 +56,16 @@ class Notation:
 
     @classmethod
     def of(cls, values: Iterable[object], digits: int = 3, spec: str = "") -> Notation:
-        """Choose one notation for all `values` of a column."""
+        """Choose one notation for a column."""
         numbers = [float(value) for value in values if is_number(value)]  # type: ignore[arg-type]
         sizes = [abs(number) for number in numbers if math.isfinite(number)]
-        # Counts may be floats, so a column of integers is written without decimals.
+        # Counts may be floats.
         integral = bool(sizes) and all(size.is_integer() for size in sizes) and max(sizes) < 1e12
         wide = any(0.0 < size < 1e-4 or size >= 1e6 for size in sizes)
         return cls(digits, spec, scientific=wide and not integral, integral=integral)
 
     def __call__(self, value: float) -> str:
-        """Write one number for a terminal, with a hyphen as minus sign, and with "e" for a power of ten."""
+        """Write one number for a terminal."""
         number = float(value)
         if math.isinf(number):
             return INFINITY if number > 0 else "-" + INFINITY
@@ -99,18 +98,18 @@ def missing(value: object) -> Missing | None:
 
 
 def fraction_length(text: str) -> int:
-    """Return the number of characters from the decimal point to the end, by which a column is aligned."""
+    """Return the number of characters from the decimal point to the end."""
     return len(text) - text.index(".") if "." in text and "e" not in text else 0
 
 
 def pretty_unit(unit: str) -> str:
-    """Return the unit with raised exponents (m³ for m^3) and with µs for us."""
+    """Write m^3 as m³ and us as µs."""
     raised = re.sub(r"\^(-?\d+)", lambda match: match[1].translate(RAISED), printable(unit))
     return re.sub(r"\bus\b", "µs", raised)
 
 
 def pretty_units(text: str) -> str:
-    """Return a label with `pretty_unit` applied to the units in [brackets]."""
+    """Apply `pretty_unit` to the units in [brackets]."""
     return re.sub(r"\[([^\]]*)\]", lambda match: f"[{pretty_unit(match[1])}]", text)
 
 
@@ -120,5 +119,5 @@ def pretty_power(power: int) -> str:
 
 
 def printable(text: str) -> str:
-    """Replace control and direction characters, because a name from a file must not control a terminal or page."""
+    """Replace control and direction characters, which could control a terminal or page."""
     return "".join(c if c == "\n" or unicodedata.category(c) not in ("Cc", "Cf", "Cs") else "\ufffd" for c in text)

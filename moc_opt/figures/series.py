@@ -1,4 +1,4 @@
-"""Runs over time: manipulability, tip error, RCM error and force in stacked panels."""
+"""Runs over time, in stacked panels."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PANELS = {
     "rcm_error_m": ("RCM error in space [mm]", 1e3),
     "trocar_force_N": ("|force| [N]", 1.0),
 }
-"""For each column of a trace, the label of its panel, and the factor that converts the column to the label's unit."""
+"""For each column: its panel's label, and the factor to the label's unit."""
 TIPS = {
     "tip_error_model_m": ("tip error, own kinematics [mm]", 1e3),
     "tip_error_registered_m": ("tip error, frame registered at the start [mm]", 1e3),
@@ -35,19 +35,17 @@ HOVER = "%{y:.4g}<extra>%{fullData.name}</extra>"
 def time_series(
     runs: Mapping[str, Any], panels: Sequence[str] | None = None, *, styles: Styles | None = None
 ) -> go.Figure:
-    """Draw several runs over time, with one panel per column and a common legend.
+    """Draw runs over time, with one panel per column.
 
-    A dotted line in the panel of mu is the largest mu of all feasible poses. Long runs are thinned by `envelope`.
+    A dotted line is the largest mu of all feasible poses.
 
     Args:
-        runs: maps each run's name to a `Trace`, or to a dict of columns that includes `t_s`. A column has shape (N,)
-            or (N, k). A vector is drawn as its norm.
-        panels: names of columns, from top to bottom. None means ``PANELS``, with one change: columns of ``TIPS`` that
-            all runs have replace the tip error in space, which is mostly calibration error.
+        runs: by name, a `Trace` or a dict of columns (N,) or (N, k) with `t_s`. A vector is drawn as its norm.
+        panels: names of columns. None means ``PANELS``, with the tip errors of ``TIPS`` that all runs have.
         styles: the style of each run; None makes new styles.
 
     Raises:
-        ReportError: ``panels`` is empty or not a list, a column is in no run or has texts, or a run has no `t_s`.
+        ReportError: ``panels`` is empty or not a list, a column is missing or has texts, or a run has no `t_s`.
     """
     styles = styles or Styles(runs)
     data: dict[str, Columns] = {name: getattr(run, "columns", run) for name, run in runs.items()}
@@ -81,7 +79,7 @@ def time_series(
                     legendrank=len(data),
                 )  # fmt: skip
         drawn.update_yaxes(row=row, col=1, rangemode="normal" if column == "mu" else "tozero", nticks=5)
-        # On a narrow screen, a horizontal label above the panel is easier to read.
+        # On a narrow screen, a label above the panel is easier to read.
         drawn.add_annotation(
             text=words, xref="paper", x=0.0, xanchor="left", yref=f"y{row if row > 1 else ''} domain", y=1.0,
             yanchor="bottom", showarrow=False, font={"size": 12}, xshift=-2,
@@ -98,14 +96,14 @@ def time_series(
 
 
 def envelope(t: ArrayLike, y: ArrayLike, points: int = 1200) -> tuple[Floats, Floats]:
-    """Thin a series to at most `points`. The smallest and largest value in each stretch of time are kept.
+    """Thin a series to at most `points`; keep the extremes of each stretch.
 
     Args:
-        t, y: (N,) times and values. NaN in y is a gap, and stays a gap.
-        points: largest number of points, 4 or more. A series of at most this many points is returned unchanged.
+        t, y: (N,) times and values; NaN in y is a gap.
+        points: largest number of points, 4 or more.
 
     Returns:
-        (K,) times and values that are kept. These include the first and the last.
+        (K,) times and values that are kept.
 
     Raises:
         ReportError: t and y differ in length, or `points` is too small.

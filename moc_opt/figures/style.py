@@ -1,7 +1,4 @@
-"""The style of all figures: one plotly template, and colours that colour-blind readers can distinguish.
-
-A figure is built for a light page. On a dark page, each colour that is a key of `DARK` is replaced by its value.
-"""
+"""The style of all figures: a plotly template, and colours for colour-blind readers."""
 
 from __future__ import annotations
 
@@ -19,9 +16,9 @@ from moc_opt.figures.notation import pretty_power, pretty_units, printable
 
 INK, MUTED, GRID, PAPER = "#1f2328", "#5f6871", "#e3e6e9", "#ffffff"
 GOOD, BAD, WORST = "#3b7fb8", "#c9ccd1", "#c4421a"
-"""Colours of a solver's answers: GOOD is optimal, BAD is a reported failure, WORST is wrong but reported as optimal."""
+"""Colours of answers: optimal, failed, and wrong but reported as optimal."""
 
-# The palette of Okabe and Ito, light and dark. Yellow and black are replaced, because each vanishes on one background.
+# The palette of Okabe and Ito, light and dark, without yellow and black.
 SERIES = {
     "#0072b2": "#4da3dd", "#d55e00": "#f0834a", "#009e73": "#3fc39d", "#b6569a": "#dc8fc4",
     "#c98a00": "#e8b33f", "#3fa0d0": "#8accf0", "#77787b": "#a9abb0", "#6a4fb3": "#a994ea",
@@ -30,7 +27,7 @@ DARK = {
     INK: "#e4e7ea", MUTED: "#9aa3ac", GRID: "#31373d", PAPER: "#15181b", GOOD: "#4f95d0", BAD: "#565c63",
     WORST: "#f2693c", **SERIES,
 }  # fmt: skip
-"""For each colour on a light page, the colour on a dark page."""
+"""The dark page's colour for each colour of a light page."""
 
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
 SYMBOLS = ("circle", "square", "diamond", "triangle-up", "triangle-down", "cross", "x", "pentagon", "star")
@@ -48,10 +45,9 @@ class Style:
 
 
 class Styles(dict[str, Style]):
-    """Styles by name. Share one Styles among all figures of a page, so that a name looks the same everywhere."""
+    """Styles by name, shared by all figures of a page."""
 
     def __init__(self, names: Iterable[str]) -> None:
-        """Assign colours in the order of `names`. After the last colour, the colours repeat with another dash."""
         colors = list(SERIES)
         for place, name in enumerate(dict.fromkeys(names)):
             dash = DASHES[place // len(colors) % len(DASHES)]
@@ -87,7 +83,7 @@ TEMPLATE = go.layout.Template(
 
 
 def label(name: object) -> str:
-    """Return a name with escaped markup, so that plotly shows it literally."""
+    """Escape a name, so that plotly shows it literally."""
     return html.escape(printable(str(name)), quote=False)
 
 
@@ -97,7 +93,7 @@ def figure(**layout: object) -> go.Figure:
 
 
 def legend_height(names: Iterable[str]) -> int:
-    """Return the height [px] of a legend above a plot. Add it to the figure's height."""
+    """Return the height [px] of a legend above a plot."""
     lengths = [len(name) for name in names]
     columns = max(1, int(LEGEND_PX / (6.6 * max(lengths, default=1) + 46.0)))
     return 20 * math.ceil(len(lengths) / columns)
@@ -109,9 +105,9 @@ def log_axis(
     """Make the axis "x" or "y" of a figure logarithmic.
 
     Args:
-        values: all drawn values, including limits. They must be positive.
-        powers: label the axis with powers of ten (for residuals) instead of plain numbers (for times).
-        margin: free space at each end, as a fraction of the range of values.
+        values: all drawn values, which must be positive.
+        powers: label the axis with powers of ten.
+        margin: free space at each end, as a fraction of the range.
 
     Raises:
         ReportError: there is no value, or a value is not positive.
@@ -127,17 +123,17 @@ def log_axis(
         step = max(1, math.ceil((high - low) / MAX_POWERS))
         exponents = range(step * math.ceil(low / step), math.floor(high) + 1, step)
         ticks = {"tickvals": [10.0**power for power in exponents], "ticktext": [*map(pretty_power, exponents)]}
-    # Between the labels above, plotly itself would draw thousands of minor ticks.
+    # Plotly would otherwise draw thousands of minor ticks.
     minor = {"ticks": "outside", "ticklen": 2, "tickcolor": MUTED, "dtick": "D1" if step == 1 else 1}
     layout = {"type": "log", "title": {"text": pretty_units(title)}, "minor": minor, "range": [low, high], **ticks}
     drawn.update_layout({f"{axis}axis": {"tickangle": 0, **layout}})
 
 
 def rule(drawn: go.Figure, axis: str, at: float, text: str) -> None:
-    """Draw a dashed line at `at` on an axis. `text` is above the plot ("x") or at the line's right end ("y")."""
+    """Draw a dashed line with a text at a value of an axis."""
     line = {"color": WORST, "width": 1.2, "dash": "dash"}
     note = {"text": text, "showarrow": False, "font": {"size": 11, "color": WORST}, "yanchor": "bottom"}
-    # On a log axis, plotly places a line by its value, but a text by the logarithm.
+    # On a log axis, plotly places a text by the logarithm.
     place = math.log10(at) if drawn.layout[f"{axis}axis"].type == "log" else at
     if axis == "x":
         drawn.add_shape(type="line", x0=at, x1=at, y0=0, y1=1, yref="paper", line=line)

@@ -1,4 +1,4 @@
-"""Render HTML files from the templates in ``report/assets``, escape all texts, and save the files atomically."""
+"""Render HTML files from templates, and save them."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ GENERATOR = b'<meta name="generator" content="moc_opt">'  # marks pages written 
 
 
 def render(template: str, **values: Any) -> str:
-    """Fill in a template of ``report/assets``. Every value is escaped unless it is `Markup`."""
+    """Fill in a template of ``report/assets``; escape all values but `Markup`."""
     return _TEMPLATES.get_template(template).render(values)
 
 
 def macros(template: str) -> Any:
-    """Return the macros of a template as functions that return `Markup`. Every argument is escaped."""
+    """Return the macros of a template as functions that escape their arguments."""
     return _TEMPLATES.get_template(template).module
 
 
@@ -35,7 +35,7 @@ def inline(text: str) -> Markup:
 
 
 def anchor(title: str) -> str:
-    """Return the URL fragment of the section with this title."""
+    """Return the URL fragment of a section."""
     return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")[:60] or "part"
 
 
@@ -66,5 +66,5 @@ def check_out(path: str | os.PathLike[str], what: str, *, force: bool = False) -
 
 
 def save_document(path: str | os.PathLike[str], text: str, what: str, *, force: bool = False) -> Path:
-    """Write a page. An older file of this name stays until the new file is complete."""
+    """Write a page atomically."""
     return write_whole(check_out(path, what, force=force), text.encode(), what, ReportError)

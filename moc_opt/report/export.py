@@ -1,4 +1,4 @@
-"""Save figures as SVG and PDF for papers. Plotly needs a headless browser for this."""
+"""Save figures as SVG and PDF, with a headless browser."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Page as BrowserPage
 
 WIDTH_PX = 680
-"""Default width of a figure: 180 mm, two columns of a journal. Text of 12 px is then printed as 9 pt."""
+"""Default width of a figure [px], printed as 180 mm (two columns)."""
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "microsoft-edge")
 CURE = (
     "install a browser (Debian, Ubuntu: apt-get install chromium; anywhere: python -m playwright install chromium), "
@@ -34,9 +34,9 @@ def save_figures(
     figures: Mapping[str, go.Figure], directory: str | os.PathLike[str],
     formats: Sequence[Literal["svg", "pdf"]] = ("svg", "pdf"),
 ) -> list[Path]:  # fmt: skip
-    """Write each figure as DIRECTORY/NAME.FORMAT, as vectors in the colours of a light page; return the files.
+    """Write each figure as DIRECTORY/NAME.FORMAT; return the files.
 
-    Raise the errors of `browser`. Raise a ReportError if a name is no file name or a file cannot be written.
+    Raise the errors of `browser`, or a ReportError if a file cannot be written.
     """
     for name in figures:
         if name != Path(name).name:
@@ -55,7 +55,7 @@ def save_figures(
 
 @contextmanager
 def browser() -> Iterator[Browser]:
-    """Start a headless Chromium (the program in MOC_OPT_BROWSER, else an installed browser); close it at the end.
+    """Start a headless Chromium, and close it at the end.
 
     Raise a BrowserMissingError if playwright or a browser is missing, and a BrowserError if the browser fails.
     """

@@ -1,4 +1,4 @@
-"""The manipulability map, mu over time and elbow swivel: as a figure, as a part of a page, and as a whole page."""
+"""The manipulability map: mu over time and elbow angle (swivel)."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ from moc_opt.report.run_table import below_best, listed, title_of
 from moc_opt.report.tables import Column, Table
 from moc_opt.trace.trace import Trace
 
-# Colours of small (light) to large mu (dark). White-edged lines in any colour of `style.SERIES` stand out on them.
+# Small mu is light, large mu is dark.
 SCALE = ((0.0, "#f4f1e6"), (0.25, "#cfe0cf"), (0.5, "#8fc4bd"), (0.75, "#3f8f9c"), (1.0, "#143f5c"))
 EDGE, BEST = "#fffffe", "#17191b"
 HEIGHT_PX = 460
-LEAP_DEG = 25.0  # If the swivel changes by more than this between two sampled times, its line has a gap.
+LEAP_DEG = 25.0  # A larger jump of the swivel leaves a gap in its line.
 HOVER = "%{x:.2f} s, %{y:.0f}°: µ = %{customdata:.3f} m³<extra>%{fullData.name}</extra>"
 COLUMNS = (
     Column("name", "trajectory"),
@@ -64,7 +64,7 @@ COLUMNS = (
 
 
 def add_map(page: Page, found: SwivelMap, *, styles: Styles | None = None) -> None:
-    """Append the figure and the table of one map to a page. Raise what `map_figure` raises."""
+    """Append the figure and the table of one map to a page."""
     drawn = map_figure(found, styles)
     if found.held:
         page.text(
@@ -94,7 +94,7 @@ def _row(reading: Reading) -> dict[str, Any]:
 
 
 def load_map(files: Sequence[str | os.PathLike[str]]) -> Page:
-    """Return a page with the map of saved runs and the best motions saved with them. A run is named after its file."""
+    """Make a page with the map of saved runs and their best planned motions."""
     traces, robot = load_runs(files)
     page = Page(f"Manipulability map of {title_of(traces)}", f"runs: {'; '.join(traces)}")
     courses: dict[str, Trace] = {}
@@ -112,10 +112,9 @@ def load_map(files: Sequence[str | os.PathLike[str]]) -> Page:
 
 
 def map_figure(found: SwivelMap, styles: Styles | None = None) -> go.Figure:
-    """Draw mu as colour over time and swivel, with a line for every run. Forbidden poses are grey.
+    """Draw mu as colour over time and swivel, with a line for every run.
 
-    The line of a run on another branch of the inverse kinematics is dotted, because the map does not show this run's
-    mu. Raise a ReportError if no pose of the map is allowed.
+    Runs on another branch of the inverse kinematics are dotted. Raise a ReportError if no pose is allowed.
     """
     styles, allowed = styles or Styles(found.trajectories), found.limit == FEASIBLE
     if not allowed.any():
@@ -128,8 +127,8 @@ def map_figure(found: SwivelMap, styles: Styles | None = None) -> go.Figure:
         dash = "dot" if run.gap_rad > OTHER_BRANCH_RAD else styles[name].dash
         line = {"color": styles[name].color, "width": 2.4, "dash": dash}
         drawn.add_scatter(**_edged(drawn, name, run.t_s, run.swivel_rad, run.mu), name=label(name), line=line)
-    # The line of the best poses is on top, because runs at the optimum coincide with it. On dark pages the map stays
-    # light but the legend turns dark, so the legend has its own line in the colour of the text.
+    # The best poses are drawn last, because runs at the optimum coincide with them.
+    # On a dark page, the legend turns dark and the map does not.
     dotted = {"width": 2.0, "dash": "dot"}
     drawn.add_scatter(**best, name="best", showlegend=False, line={"color": BEST, **dotted})
     drawn.add_scatter(x=[None], y=[None], mode="lines", legendgroup="best", name="best", line={"color": INK, **dotted})
@@ -151,7 +150,7 @@ def map_figure(found: SwivelMap, styles: Styles | None = None) -> go.Figure:
 
 
 def _colors(drawn: go.Figure, found: SwivelMap, allowed: NDArray[np.bool_]) -> None:
-    """Draw mu as colour, then grey over forbidden poses. Colours continue below the grey for a smooth edge."""
+    """Draw mu, then grey over forbidden poses; mu continues below for a smooth edge."""
     mu, degrees = np.where(found.limit == UNREACHABLE, np.nan, found.mu), np.degrees(found.swivel_rad)
     low, high = float(mu[allowed].min()), float(mu[allowed].max())
     drawn.add_heatmap(
@@ -173,7 +172,7 @@ def _colors(drawn: go.Figure, found: SwivelMap, allowed: NDArray[np.bool_]) -> N
 
 
 def _edged(drawn: go.Figure, group: str, t: Array, swivel_rad: Array, mu: Array) -> dict[str, Any]:
-    """Draw a line's white edge; return plotly's arguments for the line. Where the swivel jumps, both have a gap."""
+    """Draw a line's white edge; return plotly's arguments for the line."""
     leaps = np.flatnonzero(np.abs(np.diff(swivel_rad)) > np.radians(LEAP_DEG)) + 1
     x, y, values = (np.insert(of, leaps, np.nan) for of in (t, np.degrees(swivel_rad), mu))
     line = {"x": x, "y": y, "mode": "lines", "connectgaps": False, "legendgroup": group}

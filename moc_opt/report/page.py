@@ -1,4 +1,4 @@
-"""A report as one HTML file that needs no other file and no other host."""
+"""A report as one HTML file that needs no other file."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from moc_opt.inputs.files import to_json
 from moc_opt.report.document import anchor, macros, render, save_document
 from moc_opt.report.tables import Cell, Column, Table, alignment
 
-# A space as wide as a digit and one as wide as a decimal point. They align the decimal points of a column.
+# Spaces as wide as a digit and as a decimal point, to align numbers.
 FIGURE_SPACE, POINT_SPACE = "\u2007", "\u2008"
 LONG_TEXT = 40
 _PARTS, _TABLE = macros("parts.html"), macros("table.html")
@@ -40,32 +40,32 @@ class _Section:
 class Page:
     """A report. Call its methods in reading order, then `save`.
 
-    All texts are escaped. A blank line begins a new paragraph, and `backticks` mark code.
+    All texts are escaped, and `backticks` mark code.
     """
 
     def __init__(self, title: str, subtitle: str = "") -> None:
         self.title, self.subtitle = title, subtitle
-        self.figures: dict[str, go.Figure] = {}  #: figures by name, in the order of the page, for `save_figures`
+        self.figures: dict[str, go.Figure] = {}  #: figures by name, for `save_figures`
         self._sections = [_Section()]
         self._about, self._tables, self._folding = "", 0, False
 
     def headline(self, text: str) -> None:
-        """Append a highlighted finding. The first finding is also the page's meta description."""
+        """Append a highlighted finding."""
         self._about = self._about or text
         self._add(_PARTS.headline(text))
 
     def section(self, title: str) -> None:
-        """Begin a section. After `fold`, sections are folded. Without `fold`, the page begins with a contents list."""
+        """Begin a section, which is folded after `fold`."""
         name = _unlike(title, [section.name for section in self._sections])
         self._sections.append(_Section(name, title, self._folding))
 
     def fold(self) -> None:
-        """Fold all later sections, and put a search field for their tables above them."""
+        """Fold all later sections, and put a search field above them."""
         self._folding = True
         self._sections.append(_Section(parts=[_PARTS.finder()]))
 
     def text(self, text: str) -> None:
-        """Append paragraphs."""
+        """Append paragraphs, separated by blank lines."""
         for paragraph in filter(None, text.split("\n\n")):
             self._add(_PARTS.paragraph(paragraph))
 
@@ -75,17 +75,14 @@ class Page:
         self._add(_drawn(table, self._tables))
 
     def figure(self, figure: go.Figure, caption: str, *, name: str = "") -> None:
-        """Append a numbered figure with a caption.
-
-        ``name`` is the name of its file in `save_figures`; if it is empty, the caption's first words are used.
-        """
+        """Append a numbered figure; ``name`` is its name in `save_figures`."""
         name = _unlike(name or " ".join(caption.split()[:5]), self.figures)
         self.figures[name] = figure
         height = int(figure.layout.height or figure.layout.template.layout.height or 450)
         self._add(_PARTS.figure(name, len(self.figures), caption, height))
 
     def environment(self, values: Mapping[str, Any]) -> None:
-        """Append a section "Environment" with nested plain values. Each top-level mapping is folded."""
+        """Append a section "Environment" with nested plain values."""
         self.section("Environment")
         self._add(_PARTS.environment(values))
 
@@ -104,19 +101,18 @@ class Page:
         )  # fmt: skip
 
     def save(self, path: str | os.PathLike[str], *, force: bool = False) -> Path:
-        """Write the file, as `save_document` does. With `force`, also replace a file that is no page of moc_opt."""
+        """Write the file, as `save_document` does."""
         return save_document(path, self.html(), "page", force=force)
 
 
 def _unlike(text: str, taken: Iterable[str]) -> str:
-    """Return a name for URLs and files, made from the text, that is not in ``taken``."""
+    """Return a name for URLs and files that is not in ``taken``."""
     words = anchor(text)
     return next(name for k in count(1) if (name := f"{words}-{k}" if k > 1 else words) not in taken)
 
 
 @cache
 def _packed_plotly() -> str:
-    """Return plotly.js compressed and in base64. `figures.js` unpacks it."""
     return base64.b64encode(gzip.compress(get_plotlyjs().encode(), mtime=0)).decode()
 
 
@@ -144,7 +140,7 @@ def _column(
     power = max((len(text.partition("e")[2]) for text in numbers), default=0)
     for cell, row in zip(cells, rows, strict=True):
         own = fraction_length(cell.text)
-        # An integer in a column of fractions has no point and no digits after it: pad for both.
+        # An integer has no point and no digits after it.
         pad = POINT_SPACE * bool(fraction and not own) + FIGURE_SPACE * (fraction - max(own, 1))
         long = not cell.numeric and len(cell.text) > LONG_TEXT
         yield {

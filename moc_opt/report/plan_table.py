@@ -1,4 +1,4 @@
-"""A plan as tables and as JSON: whether the path can be executed, and figures of the courses (joint trajectories)."""
+"""A plan as tables and as JSON."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ COURSES_TERMS = (
 
 
 def plan_json(plan: Plan) -> dict[str, Any]:
-    """Return the figures of a plan as data for JSON."""
+    """Return a plan as data for JSON."""
     stuck = plan.blocked
     return {
         "executable": plan.executable, "bound_from_start": plan.bound_from_start, "bound": plan.bound,
@@ -48,7 +48,7 @@ def plan_json(plan: Plan) -> dict[str, Any]:
 
 
 def plan_tables(name: str, plan: Plan, **within: float) -> list[Table]:
-    """Make two tables of a plan, which fit 80 columns: whether the path can be executed, and the courses.
+    """Make two tables of a plan: its verdict, and its courses (joint trajectories).
 
     Args:
         within: margin_rad, margin_m, speed_share and shaft_margin, as in `moc_opt.scenario.planned.plan`.
@@ -93,10 +93,7 @@ def _courses(plan: Plan) -> list[dict[str, Any]]:
 
 
 def start_toml(robot: RobotModel, plan: Plan) -> str:
-    """Return a [start] table with the first pose of the best course; empty if there is no course.
-
-    Joint positions are rounded and kept within the joint limits.
-    """
+    """Return a [start] table with the first pose of the best course, else an empty text."""
     if plan.best is None:
         return ""
     inside = np.ceil(1e6 * robot.q_min) / 1e6, np.floor(1e6 * robot.q_max) / 1e6

@@ -1,7 +1,6 @@
-"""Show runs in 3-D, in one HTML file that needs no other file.
+"""Show runs in 3-D, in one HTML file.
 
-The arm is drawn from its joint frames, without mesh files. Every part is a body of revolution on one link. Lengths and
-axes are those of the robot. Thicknesses are invented, in proportion to the arm's reach.
+The arm is drawn from its joint frames. Thicknesses are invented.
 """
 
 from __future__ import annotations
@@ -30,21 +29,21 @@ from moc_opt.trace.trace import Trace, table
 MOST_RUNS = 4
 FRAMES_PER_S = 30.0
 FRAMES_IN_ALL = 9000
-"""Largest total number of frames of all runs. A longer replay has fewer frames per second; the page interpolates."""
+"""Largest total number of frames of all runs."""
 PATH_POINTS = 1500
 SERIES_POINTS = 900
 
 BASE = -1
 SHORTEST_M = 1e-3
 ACROSS = 0.7
-"""A joint is drawn as an elbow if |cos| of the angle between its axis and its link is below this, else as a ring."""
+"""Largest |cos| of the angle between axis and link of an elbow."""
 
 
 class Replay:
-    """One to four runs of one arm, played side by side. With ``#t=3.2`` in the URL, the page opens at t = 3.2 s."""
+    """One to four runs of one arm, played side by side."""
 
     def __init__(self, traces: Mapping[str, Trace], robot: RobotModel) -> None:
-        """Check the runs. Raise a ReportError if there is no run, too many runs, or a run of another arm."""
+        """Check the runs; a ReportError if their number or an arm is wrong."""
         if not 1 <= len(traces) <= MOST_RUNS:
             raise ReportError(f"{len(traces)} runs: give 1 to {MOST_RUNS}, more are too small to see")
         for name, trace in traces.items():
@@ -52,7 +51,7 @@ class Replay:
         self.traces, self.robot = dict(traces), robot
 
     def data(self) -> dict[str, Any]:
-        """Return the page's data: names, texts and arrays."""
+        """Return the names, texts and arrays of the page."""
         start = min(float(trace.t_s[0]) for trace in self.traces.values())
         end = max(float(trace.t_s[-1]) for trace in self.traces.values())
         frames = min(int(np.ceil((end - start) * FRAMES_PER_S)) + 1, FRAMES_IN_ALL // len(self.traces))
@@ -86,7 +85,7 @@ class Replay:
 
 
 def load_runs(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, Trace], RobotModel]:
-    """Load traces and their arm. Each trace is named after its file. Raise a ReportError if arms or tools differ."""
+    """Load traces and their arm; a ReportError if arms or tools differ."""
     traces: dict[str, Trace] = {}
     for file in map(Path, files):
         traces[file.stem if file.stem not in traces else str(file)] = Trace.load(file)
@@ -105,11 +104,11 @@ def load_runs(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, Trace]
     return traces, load_robot(arm["name"], **tool)
 
 
-# --- data of a run: poses, points and curves ---
+# --- data of a run ---
 
 
 def _run_data(trace: Trace, robot: RobotModel, times: Array, color: str) -> dict[str, Any]:
-    """Return one run's data at these times. After the end of the run, the arm stands still."""
+    """Return a run's data at these times; after its end, the arm stands still."""
     t = trace.t_s
     ticks = np.clip(np.searchsorted(t, times, side="right") - 1, 0, len(t) - 1)
     origins, rotations = link_frames(robot, trace.q_rad[ticks])
@@ -127,7 +126,6 @@ def _run_data(trace: Trace, robot: RobotModel, times: Array, color: str) -> dict
 
 
 def _panel(trace: Trace, column: str, ticks: NDArray[np.intp]) -> dict[str, Array] | None:
-    """Return the data of a column: its curve, its values at the frames, and the bound of mu. None if it is absent."""
     if column not in trace.columns:
         return None
     values = trace.columns[column].astype(np.float64)
@@ -140,7 +138,6 @@ def _panel(trace: Trace, column: str, ticks: NDArray[np.intp]) -> dict[str, Arra
 
 
 def _rounded(value: Any) -> Any:
-    """Return the value with every array as a flat list, rounded to 6 decimals."""
     if isinstance(value, dict):
         return {key: _rounded(entry) for key, entry in value.items()}
     if isinstance(value, list):
@@ -149,9 +146,9 @@ def _rounded(value: Any) -> Any:
 
 
 def velocity_ellipsoids(jacobians: Array) -> Array:
-    """Return S = (J J^T)^(1/2) (k, 3, 3) of J (k, 3, n). S maps the unit sphere to the ellipsoid of tip velocities.
+    """Return S = (J J^T)^(1/2) (k, 3, 3) of J (k, 3, n).
 
-    The determinant of S is mu (Yoshikawa 1985). S can be interpolated between two frames, unlike eigenvectors.
+    S maps the unit sphere to the ellipsoid of tip velocities. Its determinant is mu (Yoshikawa 1985).
     """
     axes, lengths, _ = np.linalg.svd(jacobians, full_matrices=False)
     roots: Array = (axes * lengths[:, None, :]) @ np.swapaxes(axes, 1, 2)
@@ -164,12 +161,12 @@ def velocity_ellipsoids(jacobians: Array) -> Array:
 class Part(NamedTuple):
     """A body of revolution."""
 
-    link: int  #: index (from 0) of the joint frame that the part is attached to, or `BASE`
-    origin: Array  #: (3,) point at height 0, in the frame of the link [m]
-    axis: Array  #: (3,) unit vector in the frame of the link
-    radii: Array  #: (k,) radii of the profile's points [m]
-    heights: Array  #: (k,) heights of the profile's points [m]
-    role: str  #: "shell", "joint" or "tool"; determines the colour
+    link: int  #: joint frame (from 0) that carries the part, or `BASE`
+    origin: Array  #: (3,) point at height 0, in the link's frame [m]
+    axis: Array  #: (3,) unit vector in the link's frame
+    radii: Array  #: (k,) radii of the profile [m]
+    heights: Array  #: (k,) heights of the profile [m]
+    role: str  #: "shell", "joint" or "tool"
 
 
 def arm_parts(robot: RobotModel) -> list[Part]:
@@ -186,13 +183,13 @@ def arm_parts(robot: RobotModel) -> list[Part]:
     parts = [Part(BASE, here, np.array([0.0, 0.0, 1.0]), *plate, "shell")]
     seen = np.flatnonzero(lengths > SHORTEST_M)
     bend = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 16)
-    for k in seen:  # a cone from one ball to the next, cut flat at the ground and at the flange
+    for k in seen:  # a cone between balls, cut flat at ground and flange
         ball = np.where(bend < 0.0, radius[max(k - 1, 0)], radius[min(k, n - 1)])
         heights = np.where(bend < 0.0, 0.0, lengths[k]) + ball * np.sin(bend)
         heights = heights.clip(0.0 if k == 0 else -np.inf, lengths[k] if k == seen[-1] else np.inf)
         parts.append(Part(int(k) - 1, here, ends[k] / lengths[k], ball * np.cos(bend), heights, "shell"))
     for j, axis in enumerate(chain.axes):
-        # The longer of a joint's two links decides between elbow and ring, because wrist links can have zero length.
+        # Links of the wrist can have zero length, so the longer link decides.
         beside = max(ends[j + 1], chain.rotations[j].T @ ends[j], key=np.linalg.norm)
         across = abs(axis @ beside) < ACROSS * np.linalg.norm(beside)
         drums = [(1.06, 1.12, "shell"), (0.78, 1.22, "joint")] if across else [(1.04, 0.10, "joint")]
@@ -205,7 +202,7 @@ def arm_parts(robot: RobotModel) -> list[Part]:
 
 
 def _drum(radius: float, half: float) -> tuple[Array, Array]:
-    """Return the profile of a cylinder centred at height 0, with bevelled edges."""
+    """Return the profile of a cylinder with bevelled edges."""
     edge = 0.15 * min(radius, half)
     heights = np.array([-half, -half, edge - half, half - edge, half, half])
     return np.array([0.0, radius - edge, radius, radius, radius - edge, 0.0]), heights

@@ -1,4 +1,4 @@
-"""Show runs on one page: how they ended, curves, metrics, and the elbow's swivel on the manipulability map."""
+"""Show runs on one page: curves, metrics and map."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from moc_opt.trace.trace import Trace
 
 
 def load_report(files: Sequence[str | os.PathLike[str]]) -> Page:
-    """Make the page of saved traces. Each is named after its file. Raise what `load_runs` raises."""
+    """Make the page of saved traces. Raise what `load_runs` raises."""
     traces, robot = load_runs(files)
     return run_page(traces, {name: summarize(trace) for name, trace in traces.items()}, robot)
 
 
 def run_page(traces: Mapping[str, Trace], metrics: Mapping[str, Mapping[str, float]], robot: RobotModel) -> Page:
-    """Make the page of the runs in ``traces``, all of one arm. Only the runs in ``metrics`` appear in the title."""
+    """Make the page of runs of one arm; ``metrics`` names those in the title."""
     judged = {name: traces[name] for name in metrics}
     styles, page = Styles(traces), Page(title_of(judged), f"runs: {'; '.join(traces)}")
     every = {**metrics, **{name: summarize(trace) for name, trace in traces.items() if name not in metrics}}

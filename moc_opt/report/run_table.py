@@ -1,4 +1,4 @@
-"""Show a run as table, JSON and sentences: first how it ended, then its numbers, marked if the run is incomplete."""
+"""Show a run as table, JSON and sentences."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from moc_opt.trace.metrics import METRICS, Metric
 from moc_opt.trace.trace import Trace, about, table
 
 WHOLE_RUN = ("completed", "share_of_run")
-METHOD = "mu_bound_method"  #: Key of the entry of `Trace.meta` that says how the largest mu was found.
-NEAR = 0.02  #: A mu is called best if it is at most this fraction below that of the best planned motion ("course").
+METHOD = "mu_bound_method"  #: Entry of `Trace.meta` that says how the largest mu was found.
+NEAR = 0.02  #: A mu at most this share below the best counts as best.
 
 MATTER = (
     "mu_mean", "mu_gain_percent", "mu_fraction_of_best_from_start", "tip_error_model_mean_mm",
@@ -23,7 +23,7 @@ MATTER = (
 )  # fmt: skip
 """The main metrics, for the first table."""
 VERDICTS = ("verified_solved", "silently_wrong")
-"""Metrics that count the verified and the silently wrong answers to the null-space subproblem."""
+"""Metrics that count verified and silently wrong answers."""
 ANOTHER_PROBLEM = (
     "Solvers nlp-* solve a nonlinear problem. Its answer differs by about 1e-3 m/s from that of the linear problem by "
     "which answers are judged, so it counts as neither verified nor wrong."
@@ -31,12 +31,12 @@ ANOTHER_PROBLEM = (
 
 
 def answers_another_problem(trace: Trace, solver: str = "") -> bool:
-    """Return whether the solver (default: that of the run) is nonlinear. If so, metrics in `VERDICTS` mean nothing."""
+    """Return whether the solver is nonlinear; then metrics in `VERDICTS` mean nothing."""
     return (solver or about(trace).get("solver", "")).startswith("nlp-")
 
 
 def part(trace: Trace) -> str:
-    """Return " (first 0.6 s of 8.0 s)" for a run that ended early, " (a part)" for a cut trace, "" for a whole run."""
+    """Return the completed part of a run, as " (first 0.6 s of 8.0 s)", or ""."""
     ending = Ending.of(str(trace.meta.get("ended")))
     if ending is Ending.PART:
         return " (a part)"
@@ -57,7 +57,7 @@ def warnings(trace: Trace) -> list[str]:
 
 
 def replaced(trace: Trace) -> str:
-    """Return "at 412 of 4034 ticks: raised 400, late 12" if answers were replaced, else an empty text."""
+    """Return how many answers were replaced ("at 412 of 4034 ticks: late 412"), or ""."""
     counts = {fault: of["count"] for fault, of in trace.meta.get("faults", {}).items()}
     if not counts:
         return ""
@@ -67,7 +67,7 @@ def replaced(trace: Trace) -> str:
 
 
 def below_best(trace: Trace) -> str:
-    """Return a sentence if mean mu is below that of the best planned motion from the run's start, else no text."""
+    """Return a sentence if mean mu is below the best planned motion's, else no text."""
     found = table(trace.meta, "best_courses")
     if absent := found.get("absent"):
         return f"there is no best course from this start to compare with: {absent}"
@@ -92,7 +92,7 @@ def below_best(trace: Trace) -> str:
 
 
 def facts(trace: Trace) -> dict[str, str]:
-    """Return a dict with arm, path, gains, solver and so on from the scenario. Absent entries are left out."""
+    """Return arm, path, gains, solver and so on from the scenario."""
     scenario = table(trace.meta, "scenario")
     law, control = about(trace).get("solver"), table(scenario, "control")
     known = {
@@ -106,7 +106,7 @@ def facts(trace: Trace) -> dict[str, str]:
 
 
 def title_of(traces: Mapping[str, Trace]) -> str:
-    """Return "lwr4, circle, default gains: dcac and exact". If a solver is not known, use the name of the run."""
+    """Return "lwr4, circle, default gains: dcac and exact"."""
     runs = [facts(trace) for trace in traces.values()]
     each = {word: listed([run[word] for run in runs if word in run]) for word in ("arm", "path", "gains")}
     laws = listed([run.get("controller") or run.get("solver") or name for name, run in zip(traces, runs, strict=True)])
@@ -124,11 +124,10 @@ def run_tables(
     traces: Mapping[str, Trace], metrics: Mapping[str, Mapping[str, float]], *, first: bool = False,
     explained: bool = False,
 ) -> list[Table]:  # fmt: skip
-    """Lay out the metrics of runs side by side. The first rows say how a run ended and how many answers were replaced.
+    """Lay out the metrics of runs side by side.
 
-    If any run ended early, each run has a separate table, because a part cannot be compared with a whole run. The title
-    of such a table names the part, and its metrics are marked. With ``first``, only the metrics in `MATTER` are shown,
-    with `facts` in the title. ``first`` and ``explained`` add a column with meanings.
+    If any run ended early, each run has a separate table. ``first`` shows only the metrics in `MATTER`. ``first`` and
+    ``explained`` add a column with meanings.
     """
     if len(metrics) > 1 and any(part(traces[name]) for name in metrics):
         alone = ({name: values} for name, values in metrics.items())
@@ -147,7 +146,7 @@ def run_tables(
 
 
 def _entries(trace: Trace, metrics: Mapping[str, float], first: bool) -> dict[str, tuple[Any, str]]:
-    """Return a dict from the name of each row of one run to (value, meaning)."""
+    """Return (value, meaning) of each row."""
     of, other, count = part(trace), answers_another_problem(trace), replaced(trace)
     ended = str(trace.meta.get("ended", "unknown"))
     word, _, reason = ended.partition(": ") if first else (ended, "", "")
@@ -157,7 +156,7 @@ def _entries(trace: Trace, metrics: Mapping[str, float], first: bool) -> dict[st
         if first and metric not in MATTER:
             continue
         marked = f"{metric} (part)" if of and metric not in WHOLE_RUN else metric
-        # Each metric has its own notation, because the metrics' sizes differ widely.
+        # Each metric has its own notation.
         shown = missing(value) or Notation.of([value], digits=4)(value)
         shown = Missing(ANOTHER_PROBLEM) if other and metric in VERDICTS else shown
         entries[marked] = shown, "" if metric not in METRICS else _with_unit(METRICS[metric])
@@ -178,7 +177,7 @@ def description(trace: Trace) -> str:
 
 
 def remarks(trace: Trace) -> list[str]:
-    """Return sentences on refused answers, on warnings, and on a mean mu below that of the best planned motion."""
+    """Return sentences on refused answers, warnings and a low mean mu."""
     refused = [
         f"answer refused, {fault}: {of['count']} of {len(trace)} ticks, first at {of['first_at_s']:.3f} s: "
         f"{of['first']}"
@@ -188,7 +187,7 @@ def remarks(trace: Trace) -> list[str]:
 
 
 def run_json(trace: Trace, metrics: Mapping[str, float]) -> dict[str, Any]:
-    """Return a dict of how a run ended, which ``part`` was done, replaced answers, metrics, warnings and faults."""
+    """Return a run's end, metrics, warnings and faults for JSON."""
     hidden = set(VERDICTS) & set(metrics) if answers_another_problem(trace) else set()
     first = {"part": part(trace).strip(" ()"), "solver_replaced": replaced(trace)}
     return {

@@ -1,4 +1,4 @@
-"""A table of results for the terminal and for a page. Each column has one notation; the best value is emphasised."""
+"""A table of results for the terminal and for a page."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from moc_opt.errors import is_number
 from moc_opt.figures import notation
 from moc_opt.figures.notation import Mark, Missing, Notation, printable
 
-SHORT_TEXT, HEADING = 14, 10  # length after which a text (in a terminal) or a heading may be broken [characters]
+SHORT_TEXT, HEADING = 14, 10  # longest unbroken text, and longest line of a heading [characters]
 
 TONES = {"best": "bold green", "good": "green", "fair": "yellow", "bad": "red", "other": "cyan"}
-"""For each tone of a `Mark`, the colour in a terminal."""
+"""Colours in a terminal of a `Mark`'s tones."""
 
 
 @dataclass(frozen=True)
@@ -33,18 +33,18 @@ class Column:
 
     key: str  #: key of the value in a row
     title: str
-    unit: str = ""  #: such as "us" or "mm"; shown below the title
-    format: str = ""  #: a format specification (".2f", "+.1f", "d") instead of three significant digits
-    better: Literal["low", "high"] | None = None  #: which values are better; they sort first and can be emphasised
-    help: str = ""  #: a sentence on the column's meaning, folded below the table
-    among: str = ""  #: key of a flag: only rows with this flag compete for the emphasis; if empty, all rows compete
-    section: str = ""  #: title of a section of the page, to which the values link
-    sections: str = ""  #: key of a row's own section title, which replaces `section`
+    unit: str = ""  #: such as "us" or "mm"
+    format: str = ""  #: format specification (".2f"); empty: three significant digits
+    better: Literal["low", "high"] | None = None  #: which values are better
+    help: str = ""  #: a sentence on the column's meaning
+    among: str = ""  #: key of a flag: only rows with this flag can be best
+    section: str = ""  #: section of the page to which the values link
+    sections: str = ""  #: key of a row's own section
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A value as the terminal shows it (`text`), and its key for sorting (`sort`). Cells with key None come last."""
+    """A value as text, with its key for sorting. Cells with key None come last."""
 
     text: str
     sort: float | str | None
@@ -58,7 +58,7 @@ class Cell:
 class Table:
     """Rows of results under typed columns. The first column names the row.
 
-    A row has a text, flag, number, None, `Missing(reason)` or `Mark` for each column's key. Absent keys count as None.
+    A value is a text, flag, number, None, `Missing` or `Mark`.
     """
 
     title: str
@@ -67,7 +67,7 @@ class Table:
     caption: str = ""
 
     def cells(self, column: Column) -> list[Cell]:
-        """Return the cells of the column, one per row."""
+        """Return the cells of a column."""
         values = [row.get(column.key) for row in self.rows]
         written = Notation.of(values, spec=column.format)
         cells = [_cell(value, written) for value in values]
@@ -87,7 +87,7 @@ class Table:
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[RichTable]:
         shown, wide = list(self.columns), options.update(width=10_000)
-        # Texts can be broken, but numbers cannot. A table that is still too wide loses its last columns.
+        # A table that is too wide loses its last columns.
         while len(shown) > 1 and Measurement.get(console, wide, self._drawn(shown)).minimum > options.max_width:
             shown.pop()
         yield self._drawn(shown)
@@ -120,28 +120,28 @@ class Table:
         return self.to_text(shutil.get_terminal_size((200, 24)).columns)
 
     def texts(self) -> tuple[list[str], list[tuple[str, ...]]]:
-        """Return the headings with their units, and the cells' texts row by row."""
+        """Return the headings with units, and the cells' texts row by row."""
         headings = [f"{column.title} [{column.unit}]" if column.unit else column.title for column in self.columns]
         return headings, list(zip(*([cell.text for cell in self.cells(of)] for of in self.columns), strict=True))
 
     def to_text(self, width: int = 10_000) -> str:
-        """Return the table as plain text of at most this width [characters]."""
+        """Return the table as plain text, at most ``width`` characters wide."""
         file = io.StringIO()
         screen = Console(
             file=file, width=width, color_system=None, force_terminal=False, highlight=False,
-            force_jupyter=False,  # in Jupyter, rich would show the table instead of writing it
+            force_jupyter=False,  # in Jupyter, rich would show the table instead
         )  # fmt: skip
         screen.print(self)
         return "\n".join(line.rstrip() for line in file.getvalue().splitlines()) + "\n"
 
 
 def heading_lines(title: str) -> list[str]:
-    """Break a heading between words into lines of at most `HEADING` characters. Longer words stay whole."""
+    """Break a heading into lines of at most `HEADING` characters."""
     return wrap(printable(title), HEADING, break_long_words=False, break_on_hyphens=False)
 
 
 def alignment(cells: Sequence[Cell]) -> Literal["left", "right"]:
-    """Return the alignment of a column: right if all its values are numbers, else left."""
+    """Return "right" if all values are numbers, else "left"."""
     values = [cell for cell in cells if cell.why is None]
     return "right" if all(cell.numeric for cell in values) and cells else "left"
 

@@ -1,4 +1,4 @@
-"""The serial chain as plain numbers and as CasADi functions, and the wrist position that a trocar requires."""
+"""The serial chain as plain numbers and as CasADi functions."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """A serial chain. Joint j has the pose (rotations[j], origins[j]) in the frame of joint j - 1.
+    """A serial chain. Joint j's pose is given in the frame of joint j - 1.
 
-    The pose of joint 0 is in the world frame. Each joint turns about, or slides along, axes[j] (unit) of its own frame.
+    Joint 0 is placed in the world frame. Each joint turns about, or slides along, its own unit axis.
     """
 
     rotations: Array  #: (n,3,3)
@@ -31,7 +31,7 @@ class Chain:
 
     @property
     def joints(self) -> Array:
-        """The chain (n,16) for the core. Each row has a joint's rotation by rows, origin, axis, and 1 if it slides."""
+        """The chain (n,16) for the core: rotation, origin, axis, and 1 if it slides."""
         parts = (self.rotations.reshape(-1, 9), self.origins, self.axes, self.prismatic[:, None])
         return np.hstack(parts).astype(np.float64)
 
@@ -39,9 +39,9 @@ class Chain:
 def desired_wrist(
     tip: ArrayLike, tip_velocity: ArrayLike, trocar: ArrayLike, trocar_velocity: ArrayLike, span: float
 ) -> tuple[Array, Array]:
-    """Compute the desired wrist N_d = X + L e [m] and its velocity dN_d = dX + L de/dt [m/s], (..., 3) each.
+    """Compute the desired wrist N_d = X + L e [m] and its velocity [m/s], (..., 3) each.
 
-    X is the tip, P_t the trocar, e = (P_t - X)/|P_t - X|, and L the ``span`` [m]. Either velocity may be 0.0.
+    X is the tip, P_t the trocar, e = (P_t - X)/|P_t - X|, and L the ``span`` [m].
     """
     line, turn = np.subtract(trocar, tip), np.subtract(trocar_velocity, tip_velocity)
     distance = np.linalg.norm(line, axis=-1, keepdims=True)
@@ -52,22 +52,22 @@ def desired_wrist(
 
 @dataclass(frozen=True)
 class Kinematics:
-    """CasADi functions of q (n,); two objects with the same ``id`` are equal. mu has no gradient at a singularity."""
+    """CasADi functions of q (n,). mu has no gradient at a singularity."""
 
-    id: str  #: Robot name and twelve hex digits, a hash of the chain's numbers.
+    id: str  #: Robot name and a hash of the chain.
     n: int
     tip: casadi.Function = field(compare=False, repr=False)  #: Tip (3,) [m].
     wrist: casadi.Function = field(compare=False, repr=False)  #: Wrist (3,) [m].
     mu: casadi.Function = field(compare=False, repr=False)  #: Manipulability sqrt(det(J_tip J_tip^T)).
     grad_mu: casadi.Function = field(compare=False, repr=False)  #: Gradient of mu (n,).
     shaft: casadi.Function = field(compare=False, repr=False)
-    """(mu_shaft / |tip - wrist|^2)^2, mu_shaft as in `moc_opt/core/manipulability.c`. Squared, it is smooth at 0."""
+    """(mu_shaft / |tip - wrist|^2)^2, smooth at 0; see `moc_opt/core/manipulability.c`."""
 
 
 @lru_cache(maxsize=64)
 def build_kinematics(name: str, chain: Chain) -> Kinematics:
-    """Write the chain's kinematics in CasADi. mu is from the geometric Jacobian, grad mu from automatic derivatives."""
-    import casadi as ca  # imported late: it takes half a second, and only the NLP back-ends and planning need it
+    """Write the chain's kinematics in CasADi."""
+    import casadi as ca  # slow to import, and rarely needed
 
     q = ca.SX.sym("q", len(chain.axes))
     rotation, origin = ca.SX.eye(3), ca.SX.zeros(3)

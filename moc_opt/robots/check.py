@@ -1,4 +1,4 @@
-"""The check of an arm: its null space, home pose, reach, limits, gains and masses, with verdicts and cures."""
+"""The check of an arm, with verdicts and cures."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from moc_opt.sim.settings import PlantSettings
 
 Verdict = Literal["ok", "care", "cannot"]
 REGULAR, SINGULAR = (0.1, 0.05), 1e-4
-"""Least ratios of singular values, `Freedoms.tip` and `.both`, for verdicts "ok" (REGULAR) and "care" (SINGULAR)."""
+"""Least `Freedoms.tip` and `.both` for verdicts "ok" and "care"."""
 LITTLE_TO_GAIN = 0.05
-LEAST_M = 0.005  #: Radius of the circle that every arm must be able to follow from home.
+LEAST_M = 0.005  #: Radius of the circle that every arm must follow [m].
 MARGIN_DEG, MARGIN_MM = 15.0, 80.0
-CARE = 0.8  #: Gains at or above this share of the stability limit get the verdict "care".
-GYRATION_M = 0.6  #: Largest plausible radius of gyration of a link, sqrt(largest moment / mass).
+CARE = 0.8  #: Share of the stability limit from which gains get "care".
+GYRATION_M = 0.6  #: Largest plausible radius of gyration of a link [m].
 
 
 class Finding(NamedTuple):
-    """One row of the table that `moc-opt robot check` prints."""
+    """One row of the table of a check."""
 
     what: str
     found: str
@@ -39,7 +39,7 @@ class Finding(NamedTuple):
 
 
 def check_robot(robot: RobotModel, scenario: Scenario | None = None) -> list[Finding]:
-    """Check an arm for a scenario's task, period and control, and return one row per check."""
+    """Check an arm for a scenario, and return one row per check."""
     asked, sliding = scenario or Scenario(robot={"name": robot.data.name}), int(robot.chain.prismatic.sum())
     kinds = f"{robot.n} joints" + (f", {sliding} of them sliding" if sliding else "")
     found = [Finding("arm", f"{kinds}, tool {1e3 * robot.data.tool_length:.0f} mm", "ok"), *_freedom(robot)]
@@ -55,7 +55,7 @@ def verdict(findings: list[Finding]) -> Verdict:
 
 
 def _judge(what: str, found: str, *faults: tuple[object, Verdict, str]) -> Finding:
-    """Make a row from the first fault (condition, verdict, cure) whose condition holds; if none holds, an "ok" row."""
+    """Make a row from the first fault that holds, else an "ok" row."""
     rows = (Finding(what, found, judged, cure) for fault, judged, cure in faults if fault)
     return next(rows, Finding(what, found, "ok"))
 
@@ -90,7 +90,7 @@ def _climb(robot: RobotModel) -> Iterator[Finding]:
         text = f"{mu:.3g} m³, {curve.mu.min():.3g} to {curve.mu_best:.3g} on {'one' if several else 'its'} self-motion"
         little = max(curve.mu_best, largest if several else 0.0) < (1.0 + LITTLE_TO_GAIN) * mu
         yield _judge(what, text, (little, "care", "little to gain from there: choose another home.q_rad"))
-    # The pose with this mu may lie on another self-motion curve, and then self-motion cannot reach it.
+    # This pose may lie on another self-motion curve.
     yield Finding("largest mu there", f"{largest:.3g} m³, {how['mu_bound_method']}", "ok")
 
 
@@ -140,7 +140,7 @@ def _weight(robot: RobotModel) -> Finding:
 
 
 def _bodies(robot: RobotModel) -> Finding:
-    # The loader refuses impossible inertias. This check finds possible ones that are implausible for an arm.
+    # The loader refuses impossible inertias, but not implausible ones.
     bodies = [link for link in urdf.read(robot.data.urdf).links if not link.is_frame]
     gyrations = {body.name: math.sqrt(max(body.moments[:3]) / body.mass) for body in bodies}
     total = sum(body.mass for body in bodies)
@@ -156,7 +156,7 @@ def _gains(robot: RobotModel, asked: Scenario) -> Finding:
     limit, period = largest_rate(asked.plant), asked.plant.period_s
     gains = asked.control.resolve_gains(robot.data.gains, robot.n)
     tip, wrist = largest_inverse_masses(robot)
-    # Largest ratio of each velocity gain to the inertia that it acts on [1/s].
+    # Largest ratio of each velocity gain to its inertia [1/s].
     null_space = largest_null_rate(robot, gains.K_N2 + gains.D_N2)
     rates = {"D_X": gains.D_X * tip, "D_N": gains.D_N * wrist, "K_N2": null_space}
     name, rate = max(rates.items(), key=lambda item: item[1])
@@ -169,10 +169,10 @@ def _gains(robot: RobotModel, asked: Scenario) -> Finding:
 
 
 def largest_rate(plant: PlantSettings) -> float:
-    """Return the largest ratio [1/s] of a velocity gain to an inertia at which the plant's sampled loop is stable.
+    """Return the largest stable ratio of a velocity gain to an inertia [1/s].
 
-    With a period T and d ticks of delay, v[k+1] = v[k] - T rate v[k-d] decays while T rate < 2 sin(pi / (2 (2 d + 1))):
-    2, 1, 0.62, 0.45 for d = 0 to 3 (Levin and May, 1976). The velocity filter counts as further ticks of delay.
+    With a period T and d ticks of delay, v[k+1] = v[k] - T rate v[k-d] decays while T rate < 2 sin(pi / (2 (2 d + 1)))
+    (Levin and May, 1976). The velocity filter counts as delay.
     """
     cutoff, period = plant.velocity_cutoff_Hz, plant.period_s
     filter_ticks = math.ceil(1.0 / (2.0 * math.pi * cutoff * period)) if cutoff > 0.0 else 0

@@ -1,4 +1,4 @@
-"""moc-opt robot new | check: make a robot file from a vendor's URDF, and check an arm."""
+"""moc-opt robot new | check: make a robot file, and check an arm."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def add_commands(commands: Any) -> None:
 
 
 def run_command(given: argparse.Namespace) -> int:
-    """Run the command and return its exit status: 0, or 3 where the verdict is "cannot"."""
+    """Run the command; return 0, or 3 if the verdict is "cannot"."""
     from rich.text import Text
 
     from moc_opt.report.console import console

@@ -1,8 +1,6 @@
-"""Gains for an arm that nobody has tuned.
+"""Gains for an untuned arm, with the same ratios to the inertia [1/s] as the tuned LWR4+.
 
-A velocity gain divided by the inertia that it acts on is a rate [1/s]. The rate times the period decides whether a
-sampled loop is stable (`moc_opt.robots.check.largest_rate`). The LWR4+ is tuned. Other arms get the same rates,
-and therefore the same distance from the stability limit. A joint's gain is in N m s/rad, or in N s/m if it slides.
+The ratio times the period decides whether a sampled loop is stable.
 """
 
 from __future__ import annotations
@@ -24,25 +22,22 @@ JOINTS: Mapping[str, tuple[float, float, float]] = {
     "moc": (JOINT_RATE, 1.0 / 7.0, 125.0), "default": (JOINT_RATE, 1.0 / 7.0, 125.0),
     "tuned": (26.0, 0.087, 125.0), "robust": (17.0, 0.133, 85.0),
 }  # fmt: skip
-"""For each table of gains: K_N2 divided by the joint's inertia [1/s] (10 to 22 for the LWR4+), D_N2 / K_N2 (0.13 to 0.2
-for the LWR4+), and the largest allowed (K_N2 + D_N2) / inertia along a self-motion [1/s]."""
+"""By table: K_N2 / inertia [1/s], D_N2 / K_N2, and largest (K_N2 + D_N2) / inertia [1/s]."""
 CARTESIAN_RATE = 160.0
-"""Largest allowed D_X or D_N divided by the smallest mass that it acts on [1/s]. It is 0.72 of the stability limit with
-three ticks of delay at 500 Hz. The LWR4+ has 90 for D_X and 16 for D_N."""
+"""Largest D_X or D_N divided by mass [1/s]: 0.72 of the stability limit with three ticks of delay at 500 Hz."""
 CARTESIAN: Mapping[str, tuple[float, float, float, float]] = {
     "dcac": (2000.0, 20.0, 600.0, 10.0), "moc": (3000.0, 30.0, 800.0, 10.0), "default": (3000.0, 80.0, 800.0, 60.0),
     "tuned": (3000.0, 80.0, 1670.0, 74.2), "robust": (3000.0, 50.0, 1670.0, 74.2),
 }  # fmt: skip
-"""K_X, D_X, K_N, D_N [N/m, N s/m] by table: "dcac" and "moc" from Table I of Su et al. (2019), else from lwr4.toml."""
+"""K_X, D_X, K_N, D_N [N/m, N s/m]; "dcac" and "moc" from Su et al. (2019), Table I."""
 _POSES = 16
 
 
 def derived_gains(robot: RobotModel) -> dict[str, Table]:
     """Derive the tables of `CARTESIAN` from the arm's inertia.
 
-    K_N2 of joint i is a rate times M_ii at the home pose, and D_N2 is a share of K_N2 (`JOINTS`). The rate is lowered
-    if (K_N2 + D_N2) / inertia would exceed the limit in `JOINTS`. K_X and D_X are those of the LWR4+. If D_X would
-    exceed `CARTESIAN_RATE`, K_X and D_X are lowered by the same factor. K_N and D_N are treated likewise.
+    K_N2 of joint i is a rate times M_ii at the home pose, and D_N2 is a share of K_N2. The other gains are those of the
+    LWR4+. Gains are lowered to the limits in `JOINTS` and `CARTESIAN_RATE`.
     """
     inertia = np.diag(robot.state(robot.data.q_home).M)
     inverse_masses = largest_inverse_masses(robot)
@@ -61,7 +56,7 @@ def derived_gains(robot: RobotModel) -> dict[str, Table]:
 
 
 def largest_inverse_masses(robot: RobotModel) -> tuple[float, float]:
-    """Return the largest eigenvalue of J M^-1 J^T [1/kg] at tip and wrist, over the poses of `surveyed`."""
+    """Return the largest eigenvalue of J M^-1 J^T [1/kg] at tip and wrist."""
     found = [
         [np.linalg.eigvalsh(J @ np.linalg.solve(state.M, J.T))[-1] for J in (state.J_tip, state.J_wrist)]
         for state in surveyed(robot)
@@ -71,7 +66,7 @@ def largest_inverse_masses(robot: RobotModel) -> tuple[float, float]:
 
 
 def largest_null_rate(robot: RobotModel, gains: Array) -> float:
-    """Return the largest eigenvalue of (Z M Z^T)^-1 Z diag(gains) Z^T [1/s] over `surveyed`. Z's rows span ker A."""
+    """Return the largest eigenvalue of (Z M Z^T)^-1 Z diag(gains) Z^T [1/s]; Z's rows span ker A."""
     found = 0.0
     for state in surveyed(robot):
         _, values, rows = np.linalg.svd(state.A)

@@ -1,4 +1,4 @@
-"""Find poses with the tip (and the wrist) at given points, by damped Gauss-Newton steps within the joint limits."""
+"""Find poses with the tip (and the wrist) at given points."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ class Placed(NamedTuple):
     """The result of a search for a pose."""
 
     q: Array  #: (n,) inside the limits [rad]
-    miss_m: float  #: The larger of the distances of tip and wrist from their points [m].
-    at_limit: tuple[int, ...]  #: Joints (from 0) that stand at a limit.
+    miss_m: float  #: Larger distance of tip or wrist from its point [m].
+    at_limit: tuple[int, ...]  #: Joints (from 0) at a limit.
 
     @property
     def found(self) -> bool:
-        """Whether tip and wrist are at their points up to 1e-6 m."""
+        """Whether tip and wrist are within 1e-6 m of their points."""
         return self.miss_m < 1e-6
 
 
@@ -32,11 +32,10 @@ def solve_pose(
     robot: RobotModel, q: ArrayLike, tip: ArrayLike, wrist: ArrayLike | None = None, *, iterations: int = 40,
     limited: bool = True,
 ) -> Placed:  # fmt: skip
-    """Find a pose near q with the tip, and the wrist if given, at these points (3,) [m].
+    """Find a pose near q (n,) with the tip, and the wrist if given, at points (3,) [m].
 
-    The search starts at q (n,), clipped to the limits. A joint that reaches its limit stays there while the others take
-    over. The search is local, so it may miss an existing pose. If ``limited`` is False, the joint limits are ignored.
-    A RobotError is raised if a pose or a point has a wrong shape or is not finite.
+    The search is local and may miss a pose. If ``limited`` is False, joint limits are ignored. Raise a RobotError if an
+    argument has a wrong shape or is not finite.
     """
     points = np.array([tip] if wrist is None else [tip, wrist], dtype=np.float64)
     low, high = (robot.q_min, robot.q_max) if limited else (np.full(robot.n, -np.inf), np.full(robot.n, np.inf))
@@ -63,10 +62,9 @@ def pose_with_tip(robot: RobotModel, q: ArrayLike, tip: ArrayLike) -> Array:
 
 
 def pose_through(robot: RobotModel, tip: ArrayLike, trocar: ArrayLike) -> Array:
-    """Find a pose (n,) with the tip at a point and the shaft through the trocar, both (3,) [m]; a TaskError if none.
+    """Find a pose (n,) with the tip at a point and the shaft through the trocar.
 
-    The search starts at the home pose. If it fails, it starts at seeded random poses, and the solution farthest from
-    the joint limits is returned.
+    Both are (3,) [m]. A TaskError is raised if no pose is found.
     """
     x, p = np.asarray(tip, dtype=np.float64), np.asarray(trocar, dtype=np.float64)
     length = robot.data.tool_length

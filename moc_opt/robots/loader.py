@@ -1,4 +1,4 @@
-"""A robot's two files: the schema of the TOML, and the function that turns TOML and URDF into `RobotData`."""
+"""Load a robot's two files, TOML and URDF, as `RobotData`."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class _Table(Settings):
 
 
 class Frames(_Table):
-    """Where wrist and tool sit on the last link; xyz in m, rpy in rad (URDF's fixed-axis order)."""
+    """Wrist and tool on the last link; xyz in m, rpy in rad (URDF's fixed-axis order)."""
 
     KIND: ClassVar[str] = "[frames]"
     last_link: Name
@@ -52,7 +52,7 @@ class Tool(_Table):
 
 
 class Limits(_Table):
-    """Joint limits that replace those of the URDF. They are in degrees, so arms with sliding joints cannot use them."""
+    """Joint limits that replace those of the URDF; not for arms with sliding joints."""
 
     KIND: ClassVar[str] = "[limits]"
     q_min_deg: Vector | None = None
@@ -62,7 +62,7 @@ class Limits(_Table):
 
 
 class Joints(_Table):
-    """Drive properties that a URDF cannot hold: one number for all joints, or one per joint."""
+    """Drive properties: one number for all joints, or one per joint."""
 
     KIND: ClassVar[str] = "[joints]"
     rotor_inertia_kg_m2: PerJoint = 0.2
@@ -78,7 +78,7 @@ class Home(_Table):
 
 
 class RobotDescription(_Table):
-    """The whole TOML file; `urdf` is relative to the file itself, and `about` says what the arm is."""
+    """The whole TOML file; `urdf` is relative to the file itself."""
 
     KIND: ClassVar[str] = "robot"
     name: Name
@@ -100,13 +100,13 @@ class RobotData:
     """
 
     name: str
-    urdf: str  #: The complete URDF text, links "tool", "tip" and "wrist" included.
+    urdf: str  #: URDF text, with links "tool", "tip" and "wrist".
     joint_names: tuple[str, ...]
     q_min: Array
     q_max: Array
     v_max: Array
     tau_max: Array
-    rotor_inertia: Array  #: Reflected rotor inertia, added to the diagonal of M [kg m^2]; not in the URDF text.
+    rotor_inertia: Array  #: Rotor inertia on the diagonal of M [kg m^2], not in the URDF.
     viscous_friction: Array  #: [Nm s/rad]
     coulomb_friction: Array  #: [Nm]
     q_home: Array
@@ -114,7 +114,7 @@ class RobotData:
     tip_frame: str
     tool_length: float  #: Distance from mount to tip [m].
     tool_mass: float  #: [kg]
-    gains: Mapping[str, Gains]  #: Tables [gains.NAME] of the file, by NAME.
+    gains: Mapping[str, Gains]  #: Tables [gains.NAME] by NAME.
 
     def __post_init__(self) -> None:
         for name in (self.name, *self.joint_names):  # names are written into source code and pages
@@ -137,22 +137,19 @@ _ARRAYS = tuple(field.name for field in fields(RobotData) if field.type == "Arra
 
 
 def available_robots() -> list[str]:
-    """Return the names of the arms in this package, which `load_data` finds without a path."""
+    """Return the names of the arms in this package."""
     return sorted(path.stem for path in _FOLDER.glob("*.toml"))
 
 
 def about(name_or_path: str | os.PathLike[str]) -> str:
-    """Return the robot's description in its TOML; empty if there is none. Raises what `load_data` raises."""
+    """Return the description in a robot's TOML. Raises what `load_data` raises."""
     return _described(_find(name_or_path)).about
 
 
 def load_data(
     name_or_path: str | os.PathLike[str] = "lwr4", *, tool_length: float | None = None, tool_mass: float | None = None
 ) -> RobotData:
-    """Load a robot by name, from a TOML file (which names its URDF), or from a URDF with a TOML beside it.
-
-    Arguments and errors are those of `moc_opt.load_robot`.
-    """
+    """Load a robot's data; arguments and errors are those of `moc_opt.load_robot`."""
     path = _find(name_or_path)
     description = _described(path)
     changes = {"length_m": tool_length, "mass_kg": tool_mass}
@@ -221,7 +218,7 @@ def _chain(arm: urdf.Urdf, last_link: str) -> list[urdf.Joint]:
 
 
 def _limits(given: Limits, chain: list[urdf.Joint]) -> dict[str, Array]:
-    """Return the joint limits by name (q_min, ...), and set them in the joints of the chain."""
+    """Return the joint limits by name, and set them in the chain."""
     found: dict[str, Array] = {}
     for field, key, entry in (
         ("q_min", "lower", "q_min_deg"), ("q_max", "upper", "q_max_deg"), ("v_max", "velocity", "v_max_deg_per_s"),
@@ -257,7 +254,6 @@ def _vector(name: str, values: float | tuple[float, ...], n: int) -> Array:
 
 
 def _append_tool(arm: urdf.Urdf, frames: Frames, tool: Tool) -> None:
-    # The control laws take the line through wrist and tip as the shaft.
     mount, wrist, rpy = np.array(frames.tool_mount_xyz_m), np.array(frames.wrist_xyz_m), frames.tool_mount_rpy_rad
     (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)
     axis = np.array([cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr])  # z of Rz(yaw) Ry(pitch) Rx(roll)

@@ -1,7 +1,4 @@
-"""`RobotModel` computes all terms of the control laws at one (q, v), as one flat read-only array (`RobotState`).
-
-Pinocchio reads the URDF; `moc_opt.core` computes the terms.
-"""
+"""`RobotModel` computes the terms of the control laws at one (q, v), as a `RobotState`."""
 
 from __future__ import annotations
 
@@ -25,13 +22,13 @@ from moc_opt.robots.chain import Chain, Kinematics, build_kinematics
 from moc_opt.robots.gains import CARTESIAN, derived_gains
 from moc_opt.robots.loader import RobotData, load_data
 
-_STRUCTURAL_ZERO = 1e-12  # a Jacobian's column this small at several random poses is zero at every pose
+_STRUCTURAL_ZERO = 1e-12  # a Jacobian's column below this at random poses is zero everywhere
 _TIP, _WRIST = slice(0, 3), slice(3, 6)
 
 
 @cache
 def layout(n: int) -> dict[str, slice]:
-    """Return the slice of each part of `RobotState.record`, in the order in which the core writes the parts."""
+    """Return the slice of each part of `RobotState.record`, in the core's order."""
     parts = {
         "q": n, "v": n, "tip": 3, "wrist": 3, "u": 3, "A": 6 * n, "drift": 6, "grad_mu": n, "grad_mu_shaft": n,
         "M": n * n, "h": n, "energy_slope": n, "gravity": n, "scalars": 3,
@@ -76,7 +73,7 @@ class RobotState:
 
     def __init__(self, record: Array, n: int) -> None:
         record.setflags(write=False)
-        own = self.__dict__  # bypasses our __setattr__: a state is made at every tick
+        own = self.__dict__  # bypasses our slower __setattr__
         own["record"], own["n"] = record, n
 
     def __setattr__(self, name: str, value: object) -> NoReturn:
@@ -119,8 +116,8 @@ class RobotModel:
         n: number of joints.
         q_min, q_max: (n,) limits [rad; m where a joint slides].
         v_max: (n,) largest speeds [rad/s or m/s]; tau_max: (n,) largest torques [Nm or N].
-        moves: (2,n) whether each joint can move the tip (first row) and the wrist (second row) at all.
-        arm: the same arm in the form of the compiled core.
+        moves: (2,n) whether each joint can move the tip (first row) and the wrist.
+        arm: the arm for the compiled core.
 
     Example:
         >>> robot = mo.load_robot("lwr4")
@@ -138,7 +135,7 @@ class RobotModel:
     """
 
     def __init__(self, data: RobotData) -> None:
-        """Build the model; a RobotError if pinocchio cannot read the URDF or finds other joints than ``data`` has."""
+        """Build the model; a RobotError if pinocchio does not find the joints of ``data``."""
         self.data = data
         self.n = n = data.n
         self.q_min, self.q_max, self.v_max, self.tau_max = data.q_min, data.q_max, data.v_max, data.tau_max
@@ -152,7 +149,7 @@ class RobotModel:
         self._rest = np.zeros(n)
         self.moves = read_only(np.ones((2, n), dtype=np.bool_))
         self.arm = core.Arm(*self.arm_arrays)
-        # Find the joints that can move tip and wrist. A last joint about the tool's axis moves neither.
+        # A last joint about the tool's axis moves neither tip nor wrist.
         drawn = np.random.default_rng(0).uniform(self.q_min, self.q_max, (4, n))
         columns = [np.linalg.norm(self.state(q).A.reshape(2, 3, n), axis=1) for q in drawn]
         self.moves = read_only(np.max(columns, axis=0) > _STRUCTURAL_ZERO)
@@ -160,7 +157,7 @@ class RobotModel:
 
     @property
     def arm_arrays(self) -> tuple[Array, ...]:
-        """The arm as numbers, in the order of the arguments of `core.Arm`."""
+        """The arm as the arguments of `core.Arm`."""
         lower = np.tril_indices(3)
         bodies = [[body.mass, *(body.mass * body.lever), *body.inertia[lower]] for body in list(self._pin.inertias)[1:]]
         joints = np.column_stack([self.chain.joints, bodies, self.data.rotor_inertia])
@@ -173,7 +170,7 @@ class RobotModel:
         return RobotModel, (self.data,)  # views into pinocchio's memory do not survive copying
 
     def state(self, q: ArrayLike, v: ArrayLike | None = None) -> RobotState:
-        """Compute all terms at q (n,) [rad] and v (n,) [rad/s], by default 0; a RobotError if q or v is unusable."""
+        """Compute all terms at q (n,) [rad] and v (n,) [rad/s], by default 0; a RobotError if unusable."""
         v = self._rest if v is None else v
         try:  # the core checks arrays by itself
             return RobotState(self.arm.terms(q, v), self.n)  # type: ignore[arg-type]
@@ -186,7 +183,7 @@ class RobotModel:
         return RobotState(self.arm.terms(q, v), self.n)
 
     def mu_along(self, poses: Array) -> Array:
-        """Compute the manipulability (k,) [m^3] at the poses (k,n) [rad], equal to that of `state` to the last bit."""
+        """Compute the manipulability (k,) [m^3] at the poses (k,n) [rad]."""
         return self.arm.along(self._numbers("poses", poses, 2))[2]
 
     def tool_along(self, poses: Array) -> tuple[Array, Array]:
@@ -194,13 +191,13 @@ class RobotModel:
         return self.arm.along(self._numbers("poses", poses, 2))[:2]
 
     def gravity(self, q: ArrayLike) -> Array:
-        """Compute the gravity torque g (n,) [Nm], the same as in `state`."""
+        """Compute the gravity torque g (n,) [Nm]."""
         return self.state(q).gravity.copy()
 
     def tool_pose(self, q: ArrayLike) -> Array:
-        """Compute the tool's pose (4,3) in world axes: rows x, y and z axis, then the tip [m].
+        """Compute the tool's pose (4,3) in world axes: x, y and z axis, then tip [m].
 
-        z runs along the shaft from wrist to tip; the wrench sensor measures in these axes.
+        z points from wrist to tip; the wrench sensor measures in these axes.
         """
         return self.arm.tool_pose(self._numbers("q", q))
 
@@ -217,11 +214,11 @@ class RobotModel:
         return Chain(rotations, origins, axes, prismatic, self._offsets)
 
     def kinematics(self) -> Kinematics:
-        """Return CasADi functions tip, wrist, mu, grad_mu of q, built at the first call."""
+        """Return CasADi functions of q, built at the first call."""
         return build_kinematics(self.data.name, self.chain)
 
     def random_regular_pose(self, rng: np.random.Generator, *, margin: float = 0.1, mu_min: float = 0.05) -> Array:
-        """Draw a pose (n,) with mu > `mu_min`, each joint at least `margin` times its range away from its limits."""
+        """Draw a pose (n,) with mu > `mu_min`, `margin` times the range inside the limits."""
         room = margin * (self.q_max - self.q_min)
         for _ in range(1000):
             q = rng.uniform(self.q_min + room, self.q_max - room)
@@ -232,7 +229,7 @@ class RobotModel:
     def _numbers(self, name: str, value: ArrayLike, dimensions: int = 1) -> Array:
         shape = f"({'k, ' if dimensions > 1 else ''}{self.n},)"
         try:
-            array = np.array(value, dtype=np.float64, order="C")  # the compiled core needs this order
+            array = np.array(value, dtype=np.float64, order="C")  # the core needs this order
         except (TypeError, ValueError, OverflowError) as error:
             raise RobotError(f"{name} = {shown(value)} is not numeric: give numbers {shape}") from error
         if array.ndim != dimensions or array.shape[-1] != self.n:
@@ -241,7 +238,7 @@ class RobotModel:
 
 
 def link_frames(robot: RobotModel, poses: Array) -> tuple[Array, Array]:
-    """Return (origins, rotations) of the joints' frames at poses (k,n), after joint motion: (k,n,3) [m], (k,n,3,3)."""
+    """Return origins (k,n,3) [m] and rotations (k,n,3,3) of the joints' frames at poses (k,n)."""
     model, data = robot._pin, robot._pin.createData()
     frames = np.empty((len(poses), robot.n, 4, 4))
     for k, pose in enumerate(np.asarray(poses, dtype=np.float64)):
@@ -253,11 +250,10 @@ def link_frames(robot: RobotModel, poses: Array) -> tuple[Array, Array]:
 def load_robot(
     name_or_path: str | os.PathLike[str] = "lwr4", *, tool_length: float | None = None, tool_mass: float | None = None
 ) -> RobotModel:
-    """Load a robot by name or path. Gains that its TOML lacks are derived from the arm's inertia.
+    """Load a robot by name or path. Gains that its TOML lacks are derived from its inertia.
 
     Args:
-        name_or_path: an arm of the package (`moc-opt robots` lists them), or a TOML or URDF file; a RobotError names
-            what is missing or wrong.
+        name_or_path: an arm of the package, or a TOML or URDF file; a RobotError says what is wrong.
         tool_length, tool_mass: length from flange to tip [m] and mass [kg] of the tool, by default as in the file.
     """
     robot = RobotModel(load_data(name_or_path, tool_length=tool_length, tool_mass=tool_mass))
@@ -278,12 +274,12 @@ def _build(data: RobotData) -> Any:
 
 
 def carried(robot: RobotModel) -> dict[str, Any]:
-    """Return the robot as JSON values, so that a trace of a user's own arm can be replayed anywhere."""
+    """Return the robot's data as JSON values."""
     return {name: plain(value) for name, value in vars(robot.data).items()}
 
 
 def restored(values: Mapping[str, Any]) -> RobotModel:
-    """Rebuild a robot from the values of `carried`; a RobotError where they are damaged."""
+    """Rebuild a robot from the values of `carried`; a RobotError if they are damaged."""
     try:
         arm = urdf.read(values["urdf"])
         urdf.normalize(arm)

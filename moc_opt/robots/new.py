@@ -1,4 +1,4 @@
-"""Make a robot file from a vendor's URDF: a commented TOML and a small URDF beside it."""
+"""Make a robot file (TOML and URDF) from a vendor's URDF."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from moc_opt.robots.vendor import VendorArm, enough_efforts, read_vendor
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.layout import lay_out
 
-DRAWS = 6000  #: Number of random poses among which a home pose is searched.
-SHORTLIST = 60  #: Number of candidate home poses, the best by rank, whose self-motion is scanned.
-DOWN = (0.94, 0.8, -1.0)  #: Cosines of the largest angle from tool to straight down: 20, 37, then 180 deg.
-CLEARANCE_M = 0.05  #: Least distance of tip and wrist from the base's plane, on the arm's side of it.
-MARGIN = 0.2  #: Least distance of a home pose from a joint limit, divided by half of the joint's range.
-REGULAR = (0.15, 0.08)  #: Least `Freedoms.tip` and `.both` (ratios of singular values) of a home pose.
+DRAWS = 6000  #: Number of random poses from which the home pose is chosen.
+SHORTLIST = 60  #: Number of best poses whose self-motion is scanned.
+DOWN = (0.94, 0.8, -1.0)  #: Cosines of the tool's largest angle from straight down: 20, 37, 180 deg.
+CLEARANCE_M = 0.05  #: Least distance of tip and wrist from the base's plane [m].
+MARGIN = 0.2  #: Least distance from a joint limit, divided by half the range.
+REGULAR = (0.15, 0.08)  #: Least `Freedoms.tip` and `.both` of a home pose.
 SHARE = (0.7, 0.9)
-"""Range of mu / (largest mu on the self-motion) at a home pose, so that mu can rise during a run."""
+"""Range of mu / (largest mu on the self-motion) at home, so that mu can rise."""
 
 
 class NewRobot(NamedTuple):
-    """The files that were written, their robot, and notes on every assumption and change."""
+    """The files that were written, their robot, and notes."""
 
     toml: Path
     urdf: Path
@@ -47,17 +47,17 @@ def new_robot(
     source: Path, out: Path, *, tip: str | None = None, tool_m: float = 0.30,
     lock: Mapping[str, float] | None = None, base_rpy: tuple[float, float, float] = (0.0, 0.0, 0.0), seed: int = 0,
 ) -> NewRobot:  # fmt: skip
-    """Write ``out`` (a TOML) and a URDF of the same name beside it. Neither file may exist yet.
+    """Write ``out`` (a TOML) and a URDF beside it. Neither may exist yet.
 
     Args:
         source: the vendor's URDF.
         tip: the link that carries the tool, by default the link beyond the last moving joint.
-        tool_m: length of the tool from mount to tip [m].
+        tool_m: length of the tool [m].
         lock: joints to be fixed, each with its position [rad, m].
-        base_rpy: roll, pitch, yaw of the base [rad]. With (pi, 0, 0), the arm hangs from the ceiling.
+        base_rpy: roll, pitch, yaw of the base [rad]; (pi, 0, 0) hangs from the ceiling.
 
     Raises:
-        RobotError: the file is no serial arm, tip and shaft leave no null space, or an output file exists.
+        RobotError: the file is no serial arm, no null space is left, or an output file exists.
         UnknownNameError: ``tip`` or a joint of ``lock`` is not in the file.
     """
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}\.toml", out.name):
@@ -106,7 +106,7 @@ def new_robot(
 
 
 def _drives(arm: VendorArm) -> dict[str, list[float]]:
-    # Vendors do not publish these values. They are guessed from the effort limit.
+    # Vendors do not publish these values; they are guessed.
     rotors, friction = [], []
     for joint in arm.chain:
         effort, sliding = joint.limits["effort"], joint.kind == "prismatic"
@@ -138,20 +138,19 @@ _FORM.filters.update(numbers=_numbers, comment=_comment)
 
 
 class Shaft(NamedTuple):
-    """The tool's place in the frame of the last link; rpy turns the link's z into the tool's direction."""
+    """The tool's place in the last link's frame; rpy turns z into its direction."""
 
     wrist: Array  #: (3,) [m]
-    mount: Array  #: (3,) [m]; the link's origin, moved onto the last axis if within 1e-6 m of it
+    mount: Array  #: (3,) [m]
     rpy: tuple[float, float, float]  #: [rad]
     note: str
 
 
 def find_shaft(text: str, last_link: str) -> Shaft:
-    """Lay the tool along the last turning axis, away from the arm. The tool begins at the last link's origin.
+    """Lay the tool along the last turning axis, away from the arm.
 
-    The wrist point is the shaft's point nearest to the previous axis. On a spherical wrist, both axes cross there. If
-    the last joint slides, the tool runs along z of the last link, and the wrist point is the link's origin. ``text`` is
-    a valid URDF.
+    The wrist point is the shaft's point nearest to the previous axis. If the last joint slides, the tool runs along the
+    last link's z.
     """
     model = pin.buildModelFromXML(text)
     data = model.createData()
@@ -170,7 +169,7 @@ def find_shaft(text: str, last_link: str) -> Shaft:
             b, gap = float(axis @ before), other - point
             foot = point + (gap @ axis - b * (gap @ before)) / (1.0 - b * b) * axis
         ahead = float(axis @ (origin - foot))
-        if abs(ahead) < 1e-4:  # the link's origin is at the crossing, so its z axis decides
+        if abs(ahead) < 1e-4:  # at the crossing, the link's z axis decides
             ahead = float(axis @ z) if abs(float(axis @ z)) > 0.5 else 1.0
         on_axis = point + (origin - point) @ axis * axis
         direction, note = np.sign(ahead) * axis, "the tool runs along the last axis"
@@ -198,22 +197,21 @@ class Home(NamedTuple):
 
     q: Array  #: (n,) [rad, m]
     mu: float  #: [m^3]
-    mu_best: float  #: The largest mu on its own self-motion curve [m^3].
-    margin: float  #: Least distance to a joint limit, divided by half the range; idle joints are left out.
-    task: str  #: Why the default task cannot be done from this pose; empty if it can.
+    mu_best: float  #: Largest mu on its self-motion curve [m^3].
+    margin: float  #: Least distance to a joint limit, divided by half the range.
+    task: str  #: Why the default task fails; empty if it can be done.
 
     @property
     def order(self) -> tuple[bool, float]:
-        """Sort key, best first: whether the task fails, then how far mu / mu_best is from the middle of `SHARE`."""
+        """Sort key: whether the task fails, then the distance from the middle of `SHARE`."""
         return bool(self.task), abs(self.mu / self.mu_best - 0.5 * (SHARE[0] + SHARE[1]))
 
 
 def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
-    """Search the joint ranges for a home pose; a RobotError if every drawn pose is unfit.
+    """Search the joint ranges for a home pose; a RobotError if none is fit.
 
-    Poses with tip and wrist on the arm's side of the base's plane are ranked by mu and by their distance from limits
-    and singularities. The search ends at the first pose that meets `SHARE` and can follow the default path. The angle
-    of `DOWN` grows until a pose can follow that path. The best pose by `Home.order` is returned.
+    Poses are ranked by mu and by their distance from limits and singularities. The angle of `DOWN` grows until a pose
+    can follow the default path.
     """
     rng, idle = np.random.default_rng(seed), ~robot.moves.any(axis=0)
     middle, half = 0.5 * (robot.q_min + robot.q_max), 0.5 * (robot.q_max - robot.q_min)
@@ -237,7 +235,7 @@ def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
 
 
 def _ranked(robot: RobotModel, poses: Array) -> list[Home]:
-    """Return home poses, the best first, up to the first that meets `SHARE` and can follow the default path."""
+    """Return home poses, the best first, up to the first fit one."""
     moving, mu = robot.moves.any(axis=0), robot.mu_along(poses)
     scores = np.full(len(poses), -np.inf)
     for k, q in enumerate(poses):
@@ -252,7 +250,7 @@ def _ranked(robot: RobotModel, poses: Array) -> list[Home]:
         except RobotError:
             continue  # the curve meets a singularity
         here = robot.state(q).mu
-        # Following the path takes longer than the scan, so it is tried only if the pose may become the home.
+        # Following the path is slow, so only likely homes try it.
         wanted = SHARE[0] <= here / largest <= SHARE[1]
         task = task_fault(robot, q) if wanted or not homes else "not tried"
         homes.append(Home(q, here, largest, float(limit_shares(robot, q)[moving].min()), task))
@@ -262,7 +260,7 @@ def _ranked(robot: RobotModel, poses: Array) -> list[Home]:
 
 
 def task_fault(robot: RobotModel, q: Array, scenario: Scenario | None = None) -> str:
-    """Say why the default scenario's path (or that of ``scenario``) cannot be followed from q; empty if it can."""
+    """Say why a scenario's path cannot be followed from q; empty if it can."""
     asked = (scenario or Scenario()).change(start={"q_rad": tuple(q.tolist())})
     try:
         lay_out(asked, robot)

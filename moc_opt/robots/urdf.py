@@ -1,7 +1,4 @@
-"""A URDF as plain data: read it, check it, and write it so that pinocchio and MuJoCo get the same numbers.
-
-Links, joints and their numbers are kept; shapes and everything else are left out.
-"""
+"""A URDF's links and joints as plain data: read, check and write them."""
 
 from __future__ import annotations
 
@@ -20,14 +17,14 @@ from moc_opt.inputs.files import decimal
 MOVING = frozenset({"revolute", "continuous", "prismatic"})
 TOOL_LINK, TIP_LINK, WRIST_LINK = "tool", "tip", "wrist"
 TOOL_NAMES = {"link": {TOOL_LINK, TIP_LINK, WRIST_LINK}, "joint": {"tool_mount", "tip_frame", "wrist_frame"}}
-"""Names of the tool's links and joints, which a URDF must not have."""
+"""Names that a URDF must not have, because the tool has them."""
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 SMALLEST_MASS, SMALLEST_MOMENT = 1e-6, 1e-12
-MOST_LINKS = 250  #: Physics engines recurse along a chain, and crash with some thousands of links.
-_TRIANGLE, _FLAT, _THIN = 1e-6, 1e-9, 1e-12  # margins for rounded moments, relative to the largest moment
-SMALLEST = 1e-30  #: A smaller number is read as 0, because some readers refuse numbers below 1e-308.
+MOST_LINKS = 250  #: Physics engines crash on chains of some thousands of links.
+_TRIANGLE, _FLAT, _THIN = 1e-6, 1e-9, 1e-12  # margins for rounding, relative to the largest moment
+SMALLEST = 1e-30  #: A smaller number is read as 0, because some readers refuse it.
 LARGEST, LARGEST_MASS, FARTHEST = 1e6, 1e5, 100.0
-"""Largest allowed number in a file, mass [kg], and length or angle of a joint's or body's origin [m, rad]."""
+"""Largest number in a file, mass [kg], and length or angle of an origin [m, rad]."""
 
 Numbers = tuple[float, ...]
 _ZEROS: Numbers = (0.0, 0.0, 0.0)
@@ -35,7 +32,7 @@ _ZEROS: Numbers = (0.0, 0.0, 0.0)
 
 @dataclass
 class Link:
-    """A link and its body. Without mass and moments, the link is only a frame."""
+    """A link and its body. Without mass and moments, it is only a frame."""
 
     name: str
     mass: float = 0.0  #: [kg]
@@ -65,7 +62,7 @@ class Joint:
     rpy: Numbers = _ZEROS  #: [rad]
     axis: Numbers = (1.0, 0.0, 0.0)
     limits: dict[str, float] = field(default_factory=dict)
-    """Those of lower, upper, velocity and effort that the URDF gives [rad, rad/s, Nm, or m, m/s, N]."""
+    """The URDF's lower, upper, velocity and effort [rad, rad/s, Nm, or m, m/s, N]."""
     mimics: bool = False
 
     @property
@@ -74,7 +71,7 @@ class Joint:
         return self.kind in MOVING
 
     def limit(self, lower: float, upper: float, velocity: float, effort: float) -> None:
-        """Set all four limits; a continuous joint becomes a revolute one."""
+        """Set all four limits; a continuous joint becomes revolute."""
         self.kind = "revolute" if self.kind == "continuous" else self.kind
         self.limits = {"lower": lower, "upper": upper, "velocity": velocity, "effort": effort}
 
@@ -87,7 +84,7 @@ class Urdf:
     joints: list[Joint]
 
     def to_text(self, name: str) -> str:
-        """Write the URDF as indented text. Its numbers keep every bit."""
+        """Write the URDF as text; numbers keep every bit."""
 
         def as_text(*values: float) -> str:
             return " ".join(repr(float(value)) for value in values)
@@ -113,7 +110,7 @@ class Urdf:
 
 
 def read(text: str) -> Urdf:
-    """Read links and joints, and check their numbers; a RobotError if one is wrong."""
+    """Read links and joints; a RobotError if a number is wrong."""
     try:
         root = ET.fromstring(text)
     except ET.ParseError as error:
@@ -168,7 +165,7 @@ def _one(parent: ET.Element, tag: str, where: str) -> ET.Element | None:
 
 
 def _numbers(element: ET.Element | None, key: str, what: str, count: int = 3, most: float = LARGEST) -> Numbers:
-    """Read the numbers of an attribute; zeros where element or attribute is missing."""
+    """Read an attribute's numbers; zeros if it is missing."""
     text = None if element is None else element.get(key)
     if text is None:
         return (0.0,) * count
@@ -184,9 +181,9 @@ def _numbers(element: ET.Element | None, key: str, what: str, count: int = 3, mo
 
 
 def normalize(arm: Urdf) -> Tree:
-    """Check everything except the ranges of joints. Scale axes to length one and thicken flat bodies, in place.
+    """Check a URDF; scale axes to length one and thicken flat bodies, in place.
 
-    A RobotError is raised if a name or number is wrong, a mass or inertia is impossible, or the links form no tree.
+    A RobotError is raised if a name or number is wrong, a body is impossible, or the links form no tree.
     """
     for name in [link.name for link in arm.links] + [joint.name for joint in arm.joints]:
         if not names.is_name(name):
@@ -207,7 +204,7 @@ def _check_body(link: Link) -> None:
     if fault:
         cure = "correct it (about the centre of mass, in kg and kg m^2), or drop it to make the link a frame"
         raise RobotError(f"urdf link {link.name!r} has an <inertial> that no body can have: {fault}; {cure}")
-    # A flat body is thickened a little. Otherwise rounding would decide whether MuJoCo accepts it.
+    # Rounding would otherwise decide whether MuJoCo accepts a flat body.
     least, middle, most = principal(link.moments)
     link.thicken(max(_FLAT * most - (least + middle - most), 0.0))
 
@@ -229,7 +226,7 @@ def _check_joint(joint: Joint) -> None:
 
 
 def inertia_fault(moments: Iterable[float]) -> str | None:
-    """Say why these `MOMENTS` about the centre of mass [kg m^2] are impossible; None if they are possible."""
+    """Say why these `MOMENTS` [kg m^2] are impossible; None if they are possible."""
     least, middle, most = principal(moments)
     if least >= max(SMALLEST_MOMENT, _THIN * most) and least + middle >= most * (1.0 - _TRIANGLE):
         return None
@@ -240,14 +237,14 @@ def inertia_fault(moments: Iterable[float]) -> str | None:
 
 
 def principal(moments: Iterable[float]) -> list[float]:
-    """Return the three principal moments of `MOMENTS`, in rising order."""
+    """Return the three principal moments in rising order."""
     xx, yy, zz, xy, xz, yz = moments
     found: list[float] = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]).tolist()
     return found
 
 
 class Tree:
-    """The tree of links: every link except the ``base`` hangs on one joint. Raise a RobotError if there is no tree.
+    """The tree of links; a RobotError if there is none.
 
     ``carrier`` maps a link to the joint on which it hangs, and ``carried`` to the joints that hang on it.
     """
@@ -281,7 +278,7 @@ class Tree:
         self.base = bases[0]
 
     def chain(self, last_link: str, named: str) -> list[Joint]:
-        """Return the moving joints from base to ``last_link``, which was given by the field or option ``named``."""
+        """Return the moving joints from base to a link; ``named`` appears in errors."""
         if last_link not in self.links:
             raise UnknownNameError(f"link ({named})", last_link, self.links)
         chain = [joint for joint in self.path(last_link) if joint.moves]
@@ -298,7 +295,7 @@ class Tree:
         return found[::-1]
 
     def reach(self, link: str, *, fixed: bool = False) -> list[str]:
-        """Return the link and all links that hang on it. With ``fixed``, only links fixed to it are followed."""
+        """Return a link and all links that hang on it; with ``fixed``, only by fixed joints."""
         found = [link]
         for one in found:  # grows during the iteration
             found += [joint.child for joint in self.carried[one] if not fixed or joint.kind == "fixed"]

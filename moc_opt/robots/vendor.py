@@ -1,4 +1,4 @@
-"""Turn a vendor's URDF into one serial arm, and note every assumption and change."""
+"""Turn a vendor's URDF into one serial arm, and note every change."""
 
 from __future__ import annotations
 
@@ -16,34 +16,33 @@ from moc_opt.robots import urdf
 from moc_opt.robots.model import RobotModel
 from moc_opt.robots.urdf import Joint, Link, Urdf
 
-FINGERS = 2  #: A branch with at most this many moving joints in a row counts as a finger or a head.
+FINGERS = 2  #: A branch with at most this many moving joints is a finger.
 FASTEST = {"turning": 2.0 * math.pi, "sliding": 2.0}
-"""Largest plausible joint speeds [rad/s, m/s]. A public file of the iiwa has 10 rad/s, its data sheet 1.3 to 2.4."""
-CHOSEN = {"turning": 2.0, "sliding": 0.5}  #: Speed limit that replaces a missing or implausible one [rad/s, m/s].
-TRAVEL_M = 0.5  #: A sliding joint without limits gets this range to either side [m].
+"""Largest plausible joint speeds [rad/s, m/s]."""
+CHOSEN = {"turning": 2.0, "sliding": 0.5}  #: Speed limits that replace missing or implausible ones [rad/s, m/s].
+TRAVEL_M = 0.5  #: Range of a sliding joint without limits, to either side [m].
 _STRONGEST = {"turning": 2000.0, "sliding": 20000.0}  # largest plausible effort [Nm, N]
 _UNITS = {"turning": ("rad", "rad/s"), "sliding": ("m", "m/s")}
 
 
 @dataclass
 class VendorArm:
-    """One serial arm: joints off the chain are fixed, and each joint of the chain has all four limits."""
+    """One serial arm: other joints are fixed, and each joint has all limits."""
 
     urdf: Urdf
-    notes: list[str]  #: Assumptions and changes, one sentence each.
+    notes: list[str]  #: Assumptions and changes.
     last_link: str = ""
-    chain: list[Joint] = field(default_factory=list)  #: The moving joints from base to last link.
-    weak: list[str] = field(default_factory=list)  #: Joints without a usable effort limit; see `enough_efforts`.
+    chain: list[Joint] = field(default_factory=list)  #: Moving joints from base to last link.
+    weak: list[str] = field(default_factory=list)  #: Joints without a usable effort limit.
 
 
 def read_vendor(
     path: Path, *, tip: str | None = None, lock: Mapping[str, float] | None = None,
     base_rpy: urdf.Numbers = (0.0, 0.0, 0.0),
 ) -> VendorArm:  # fmt: skip
-    """Read a URDF and make it a serial arm; arguments and errors are those of `new.new_robot`.
+    """Read a URDF as a serial arm; arguments and errors are those of `new.new_robot`.
 
-    Side joints (fingers, a second arm, a head) and the joints of ``lock`` are fixed. Implausible masses and limits are
-    replaced. Meshes are ignored.
+    Side joints and the joints of ``lock`` are fixed. Implausible masses and limits are replaced.
     """
     arm = VendorArm(urdf.read(read_text(path, "urdf", RobotError)), [])
     joints = {joint.name: joint for joint in arm.urdf.joints}
@@ -100,12 +99,12 @@ def _last_link(tree: urdf.Tree) -> str:
 
 
 def _depth(tree: urdf.Tree, joint: Joint) -> int:
-    """Return the largest number of moving joints on a path that begins with this joint and leads away from the base."""
+    """Return the largest number of moving joints on a path from here outwards."""
     return joint.moves + max((_depth(tree, other) for other in tree.carried[joint.child]), default=0)
 
 
 def _fix(joints: Iterable[Joint], notes: list[str], at: float | None = None) -> None:
-    """Fix joints at a position, by default at the position in their range that is nearest to 0."""
+    """Fix joints, by default at the position nearest to 0."""
     fixed = []
     for joint in joints:
         told = joint.kind
@@ -134,9 +133,9 @@ def _shift(joint: Joint, value: float) -> None:
 
 
 def mend_bodies(links: Iterable[Link], notes: list[str]) -> None:
-    """Make every body physically possible, in place; each change is noted.
+    """Make every body physically possible, in place, and note each change.
 
-    A link without mass becomes a frame. An impossible inertia gets the smallest isotropic addition that suffices.
+    A link without mass becomes a frame. An impossible inertia gets the smallest isotropic addition.
     """
     frames = []
     for link in links:
@@ -175,7 +174,7 @@ def _choose_limits(joints: Iterable[Joint], notes: list[str]) -> list[str]:
 
 
 def _range(joint: Joint, kind: str) -> tuple[float, float, str]:
-    """Return (lower, upper, reason): a finite range, and why it is not that of the URDF (empty if it is)."""
+    """Return a range, and why it is not the URDF's (else empty)."""
     lower, upper = joint.limits.get("lower", 0.0), joint.limits.get("upper", 0.0)
     if joint.kind == "continuous":
         return -math.pi, math.pi, "turns without end: +-180 deg is taken"
@@ -196,7 +195,7 @@ def _range(joint: Joint, kind: str) -> tuple[float, float, str]:
 
 
 def enough_efforts(robot: RobotModel) -> list[float]:
-    """Return effort limits [Nm, N]: three times the larger of gravity load and M_ii times 1 rad/s^2, at least 5."""
+    """Return effort limits [Nm, N] from the gravity load and the inertia."""
     poses = np.random.default_rng(0).uniform(robot.q_min, robot.q_max, (200, robot.n))
     most = np.max([np.abs(robot.gravity(q)) for q in poses], axis=0)
     needed = 3.0 * np.maximum(most, np.diag(robot.state(robot.data.q_home).M))

@@ -1,8 +1,6 @@
-"""The task: paths of the tool's tip, the time law along a path, and the trocar that the shaft must pass through.
+"""The task: paths of the tool's tip, the time law, and the trocar.
 
-To add a path, write a function that turns sizes (such as a length) into waypoints, and add it to ``CURVES`` in
-``curves``. `moc-opt tasks` then lists the path, and ``[task] path`` accepts its name. ``paths`` places a path in space.
-``timelaw`` moves the tip along it (``Reference``: X_d and its derivatives).
+To add a path, see ``paths``.
 """
 
 from __future__ import annotations

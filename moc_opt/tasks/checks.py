@@ -1,4 +1,4 @@
-"""Checks of the numbers that define a task, and evaluation of functions at one number or at many."""
+"""Checks of the numbers that define a task."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ TimeLike = float | ArrayLike
 
 
 def number(name: str, value: object, above: float = -math.inf) -> float:
-    """Return the value as a float; a TaskError if it is no number, not finite, or not greater than ``above``."""
+    """Return the value as a float; a TaskError if not finite or not greater than ``above``."""
     if not (is_number(value) and max(above, -1e300) < value < 1e300):  # type: ignore[operator]
         raise TaskError(f"{name} = {value!r}: give one finite number" + (" above zero" if above == 0.0 else ""))
     return float(value)  # type: ignore[arg-type]
 
 
 def positive(name: str, value: object) -> float:
-    """Return the value as a float; a TaskError if it is not a finite number above zero."""
+    """Return the value as a float; a TaskError if it is not finite and above zero."""
     return number(name, value, above=0.0)
 
 
 def vector3(name: str, value: ArrayLike, *, rows: bool = False) -> Array:
-    """Return a read-only copy of finite numbers (3,), or (k, 3) with ``rows``; a TaskError for anything else."""
+    """Return a read-only array (3,), or (k, 3) with ``rows``; a TaskError if not finite."""
     wanted = "give finite numbers (k, 3)" if rows else "give three finite numbers"
     try:
         result = np.array(value, dtype=np.float64)
@@ -41,19 +41,19 @@ def vector3(name: str, value: ArrayLike, *, rows: bool = False) -> Array:
 
 
 def direction3(name: str, value: ArrayLike) -> Array:
-    """Return the unit vector (3,) along a vector, read-only; a TaskError if the value is zero or no vector."""
+    """Return the unit vector (3,) along a vector; a TaskError if it is zero."""
     given = vector3(name, value)
     largest = float(np.abs(given).max())
     if largest == 0.0:
         raise TaskError(f"{name} = {value!r} has no direction: give a vector of non-zero length")
-    scaled = given / largest  # keeps the square of a very long or short vector from overflowing or vanishing
+    scaled = given / largest  # keeps the squares from overflowing or vanishing
     return read_only(np.asarray(scaled / math.sqrt(float(scaled @ scaled))))
 
 
 def sampled(name: str, value: TimeLike, rows: Callable[[Array], Array]) -> Array:
-    """Evaluate `rows` at a number or a vector (k,). The result is (m, 3) or (m, k, 3).
+    """Evaluate `rows` at a number or a vector (k,), as (m, 3) or (m, k, 3).
 
-    `rows` turns a vector (k,) into an array (k, m, 3). Raise a TaskError if `value` is neither a number nor a vector.
+    `rows` maps (k,) to (k, m, 3). Raise a TaskError if `value` is neither a number nor a vector.
     """
     try:
         array = np.asarray(value, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Planar curves. Each has its own axes and starts at their origin. The first axis is called the heading."""
+"""Planar curves. Each starts at the origin of its axes; the first axis is the heading."""
 
 from __future__ import annotations
 
@@ -17,24 +17,22 @@ PlanePoint = tuple[float, float, float, float, float]
 Speed = Callable[[Array], tuple[Array, Array]]
 
 _MOST_PANELS = 2**18
-_PROBES = (0.23, 0.5, 0.71)  # places between knots, from 0 to 1; at symmetric places, an error might vanish by chance
+_PROBES = (0.23, 0.5, 0.71)  # not symmetric, because an error might vanish at symmetric places
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(10)
 
 
 class ArcLength:
     """The inverse w(s) of the arc length s(w) = integral of speed(w) from 0 to w.
 
-    w(s) is a quintic Hermite interpolation. At its knots, w (by Gauss-Legendre quadrature), dw/ds = 1/speed and
-    d2w/ds2 = -speed'/speed^3 are exact. The intervals between knots are called panels. Their number is doubled until
-    the error s(w(s)) - s, probed in every panel, is below 1e-10 of the length and below 1e-10 m.
+    It is a quintic Hermite interpolation, refined until its error is below 1e-10 of the length and below 1e-10 m.
 
     Args:
-        speed: function of w (k,) that returns ds/dw (k,) [m], which is above zero, and d2s/dw2 (k,) [m].
-        breaks: (b,) rising values of w, from 0. The speed is smooth from one break to the next.
-        panels: initial number of panels between two breaks, enough to resolve every bend of the curve.
+        speed: function of w (k,) that returns ds/dw (k,) [m] above zero, and d2s/dw2 (k,) [m].
+        breaks: (b,) rising values of w, from 0; the speed is smooth between them.
+        panels: initial number of intervals between two breaks.
 
     Raises:
-        TaskError: the accuracy is not reached with 2^18 panels in total.
+        TaskError: the accuracy is not reached with 2^18 intervals.
     """
 
     def __init__(self, speed: Speed, breaks: Array, panels: int) -> None:
@@ -47,7 +45,7 @@ class ArcLength:
             coefficients = _hermite(w, lengths, *speed(w))
             if _worst(speed, w, lengths, coefficients) <= 1e-10 * min(1.0, float(s[-1])):
                 self.knots, self.length = read_only(s), float(s[-1])
-                # These are lists, because indexing an array takes longer than evaluating the polynomial.
+                # Indexing an array would be slower.
                 self._starts: list[float] = s[:-1].tolist()
                 self._lengths: list[float] = lengths.tolist()
                 self._coefficients: list[list[float]] = coefficients.tolist()
@@ -89,10 +87,10 @@ def _worst(speed: Speed, w: Array, lengths: Array, coefficients: Array) -> float
 
 
 class PlanarCurve(NamedTuple):
-    """A smooth curve in the plane, parametrised by arc length from its own origin."""
+    """A smooth curve in the plane, parametrised by arc length."""
 
     length: float  #: [m]
-    knots: Array  #: Arc lengths (k,) [m], from 0 to `length`, close enough together to resolve every bend.
+    knots: Array  #: Arc lengths (k,) [m], from 0 to `length`, that resolve every bend.
     at: Callable[[float], PlanePoint]
     """Function of s in [0, length]: x, y [m], unit tangent tx, ty, curvature [1/m] (positive to the left)."""
 
@@ -139,7 +137,7 @@ def sinusoid(amplitude: float = 0.01, wavelength: float = 0.02, periods: float =
 def spiral(turns: float = 2.0, radius: float = 0.03) -> PlanarCurve:
     """Archimedean spiral to the left, r = radius angle / (2 pi turns), which leaves its centre along the heading.
 
-    `turns` need not be whole; `radius` [m] is the final radius. The curvature at the centre is 4 pi turns / radius.
+    `turns` need not be whole; `radius` [m] is the final radius.
     """
     turns = positive("turns", turns)
     b = positive("radius", radius) / (2.0 * math.pi * turns)
@@ -159,5 +157,4 @@ def spiral(turns: float = 2.0, radius: float = 0.03) -> PlanarCurve:
 
 
 CURVES: dict[str, Callable[..., Any]] = {"line": line, "circle": circle, "sinusoid": sinusoid, "spiral": spiral}
-"""For each kind of path, a function of its sizes. It returns a `PlanarCurve`, or waypoints (k, 3) [m] from the start
-(along heading, left and normal). Add new kinds here."""
+"""Functions of a path's sizes, which return a `PlanarCurve` or waypoints (k, 3) [m]."""

@@ -1,7 +1,6 @@
-"""Paths of the tool tip in space, as functions of arc length: planar curves and curves through waypoints.
+"""Paths of the tool tip in space, as functions of arc length.
 
-To add a path to this package, write a function and add it to `CURVES` in curves.py. In your own package, give the
-function an entry point of the group `moc_opt.tasks`.
+To add a path, add a function to `CURVES`, or an entry point of the group `moc_opt.tasks`.
 """
 
 from __future__ import annotations
@@ -24,22 +23,21 @@ from moc_opt.tasks.curves import CURVES, ArcLength, PlanarCurve
 
 GROUP = "moc_opt.tasks"
 WAYPOINTS = "waypoints"
-MOST = 1000  #: Largest number of waypoints of one path.
-FARTHEST_M = 1000.0  #: Largest distance of a waypoint from the start along each axis.
-_SLOWEST = 0.05  # smallest |dp/dw| allowed (w is the chord length); below it, the path nearly turns back on the spot
+MOST = 1000  #: Largest number of waypoints.
+FARTHEST_M = 1000.0  #: Largest distance of a waypoint from the start along each axis [m].
+_SLOWEST = 0.05  # smallest |dp/dw| (w: chord length); below it, the path turns back on the spot
 
 
 class Path:
-    """A planar curve in space, from `start`, in the plane of the unit vectors `heading` and `left`."""
+    """A planar curve in space, from `start`, along `heading` and `left`."""
 
     length: float  #: [m]
-    knots: Array  #: Arc lengths (k,) [m], from 0 to `length`, close enough together to resolve every bend.
+    knots: Array  #: Arc lengths (k,) [m], from 0 to `length`, that resolve every bend.
 
     def __init__(self, curve: PlanarCurve, start: ArrayLike, *, normal: ArrayLike, heading: ArrayLike) -> None:
         """Place the curve at start (3,) [m]; a TaskError if a vector is unusable.
 
-        The plane is perpendicular to the normal (3,). The curve's first axis is the heading (3,), projected into the
-        plane. The heading must not be parallel to the normal. The second axis, `left`, is normal x heading.
+        The plane is perpendicular to the normal (3,). The heading (3,) is projected into it. `left` = normal x heading.
         """
         self._place(start, normal, heading)
         self.curve, self.length, self.knots = curve, float(curve.length), curve.knots
@@ -54,13 +52,13 @@ class Path:
         self.left = direction3("left", np.cross(self.normal, self.heading))
 
     def curvature(self, s: float) -> float:
-        """Return the curvature [1/m] at s [m] in [0, length]; for a planar curve it is signed, positive to the left."""
+        """Return the curvature [1/m] at s [m]; positive to the left if the path is planar."""
         return self.curve.at(s)[4]
 
     def at(self, s: TimeLike) -> tuple[Array, Array, Array]:
-        """Return p [m], dp/ds and d2p/ds2 [1/m] at arc length s [m]: each (3,), or (k, 3) if s is (k,).
+        """Return p [m], dp/ds and d2p/ds2 [1/m] at arc length s [m].
 
-        Raise a TaskError if s is outside the path, or neither a number nor a vector.
+        Each is (3,), or (k, 3) if s is (k,). Raise a TaskError if s is outside the path or unusable.
         """
         p, dp, ddp = sampled("s", s, self._checked)
         return p, dp, ddp
@@ -72,26 +70,19 @@ class Path:
         return self.points(np.clip(s, 0.0, self.length))
 
     def points(self, s: Array) -> Array:
-        """Return p [m], dp/ds and d2p/ds2 [1/m] as (k, 3, 3) at s (k,) [m] in [0, length], unchecked.
-
-        A vector gives the same bits as single numbers, because the curve is evaluated number by number.
-        """
+        """Return p [m], dp/ds and d2p/ds2 [1/m] as (k, 3, 3) at s (k,) [m], unchecked."""
         x, y, tx, ty, k = np.array([self.curve.at(one) for one in s.tolist()]).reshape(-1, 5).T[:, :, None]
         a, b = self.heading, self.left
         return np.stack([self.start + a * x + b * y, a * tx + b * ty, a * (-k * ty) + b * (k * tx)], axis=1)
 
 
 class Waypoints(Path):
-    """A path from `start` through every waypoint, with continuous direction and curvature.
-
-    It is the natural cubic spline over the chord length, with curvature 0 at both ends.
-    """
+    """A natural cubic spline over the chord length, from `start` through every waypoint."""
 
     def __init__(self, points: ArrayLike, start: ArrayLike, *, normal: ArrayLike, heading: ArrayLike) -> None:
-        """Lay the path through points (k, 3) [m], measured from the start along heading, left and normal.
+        """Lay the path through points (k, 3) [m] from the start, along heading, left and normal.
 
-        The first point may be the start itself. Raise a TaskError if points are unusable or missing, if two in a row
-        are equal, or if the path turns back on the spot.
+        Raise a TaskError if points are unusable, two in a row are equal, or the path turns back on the spot.
         """
         self._place(start, normal, heading)
         given = _checked(points)
@@ -158,7 +149,7 @@ def _checked(points: ArrayLike) -> Array:
 
 
 def _spline(t: Array, points: Array) -> Array:
-    from scipy.interpolate import CubicSpline  # the import takes 0.3 s, and only waypoints need it
+    from scipy.interpolate import CubicSpline  # slow to import
 
     found = CubicSpline(t, points, bc_type="natural").c  # (4, pieces, 3), highest power first
     return np.ascontiguousarray(found[::-1].transpose(1, 2, 0))
@@ -168,7 +159,7 @@ def _spline(t: Array, points: Array) -> Array:
 
 
 def kinds() -> dict[str, str]:
-    """Return the description of every path, by name. If a plug-in does not load, its description says why."""
+    """Return the description of every path, by name."""
     found = {name: _about(curve) for name, curve in CURVES.items()}
     found[WAYPOINTS] = "A smooth path through the points of `waypoints_m`, in three dimensions."
     for name in _plugins():
@@ -180,10 +171,10 @@ def kinds() -> dict[str, str]:
 
 
 def sizes(kind: str, given: Iterable[str] = ()) -> dict[str, Any]:
-    """Return the default of every size of a path, by name; `inspect.Parameter.empty` if there is none.
+    """Return the default of every size of a path; `inspect.Parameter.empty` if there is none.
 
     Raises:
-        UnknownNameError: no such path, or a name in ``given`` is not the name of a size.
+        UnknownNameError: there is no such path, or no such size in ``given``.
         TaskError: the path is a plug-in that does not load.
     """
     parameters = {} if kind == WAYPOINTS else inspect.signature(_maker(kind)).parameters
@@ -198,13 +189,14 @@ def make_path(
     kind: str, start: ArrayLike, *, normal: ArrayLike, heading: ArrayLike, waypoints: ArrayLike | None = None,
     **given: float,
 ) -> Path:  # fmt: skip
-    """Build a path by its name in `kinds`, with the given `sizes`; start, normal and heading are those of `Path`.
+    """Build a path by its name in `kinds`, with the given `sizes`.
 
     Args:
+        start, normal, heading: as in `Path`.
         waypoints: (k, 3) [m], see `Waypoints`; only for the kind "waypoints".
 
     Raises:
-        UnknownNameError: no such kind, or the kind has no such size; the message lists the valid names.
+        UnknownNameError: no such kind or size.
         TaskError: a size is missing or not positive and finite, or a vector is unusable.
     """
     known = sizes(kind, given)

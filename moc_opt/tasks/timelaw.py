@@ -1,4 +1,4 @@
-"""The quintic time law, which moves the tip along a path, and a reference that can pause."""
+"""The quintic time law, and a reference that can pause."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def quintic(u: Number) -> tuple[Number, Number, Number]:
 
 
 def duration(path: Path, v_max: float, a_max: float) -> float:
-    """Compute the shortest duration T [s] of the quintic law with |velocity| <= v_max and |acceleration| <= a_max.
+    """Compute the shortest duration T [s] of the quintic law within the limits.
 
     With D the length of the path, kappa its curvature, s = s(u) and u = t/T:
         |velocity| = D s'/T                   at most 15 D / (8 T),
@@ -48,7 +48,7 @@ def _largest_acceleration(path: Path) -> float:
         s, ds, dds = quintic(u)
         return math.hypot(dds, length * path.curvature(min(s * length, length)) * ds * ds)
 
-    # Equal steps of u resolve the time law, and the knots of the path resolve its bends.
+    # Equal steps resolve the time law, and the knots resolve the bends.
     even = np.linspace(0.0, 1.0, 513)
     progress = [quintic(u)[0] for u in even.tolist()]
     u = np.unique(np.concatenate((even, np.interp(path.knots / length, progress, even))))
@@ -71,15 +71,15 @@ def _climb(g: Callable[[float], float], lower: float, upper: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """The tip reference X_d, dX_d, ddX_d over time: the quintic law along a path, in the shortest allowed time.
+    """The tip reference X_d, dX_d, ddX_d: the quintic law along a path.
 
     A TaskError is raised if a limit is not positive and finite, or if t_start is not finite.
     """
 
     path: Path
     v_max: float  #: Largest speed [m/s].
-    a_max: float  #: Largest acceleration [m/s^2], tangential and centripetal together.
-    t_start: float = 0.0  #: Time at which the motion begins [s].
+    a_max: float  #: Largest acceleration [m/s^2].
+    t_start: float = 0.0  #: Start of the motion [s].
     duration: float = field(init=False)  #: [s]
 
     def __post_init__(self) -> None:
@@ -92,14 +92,13 @@ class Reference:
     def at(self, t: TimeLike) -> tuple[Array, Array, Array]:
         """Return x [m], dx [m/s] and ddx [m/s^2] at t [s]: each (3,), or (k, 3) if t is (k,).
 
-        A vector t gives the same bits as single times. The reference rests at the path's start before t_start, and at
-        the path's end after t_start + duration. Raise a TaskError if t is NaN, or neither a number nor a vector.
+        The reference rests before and after its motion. Raise a TaskError if t is NaN or unusable.
         """
         x, dx, ddx = sampled("t", t, self._rows)
         return x, dx, ddx
 
     def rows(self, t: float) -> Array:
-        """Return X_d, dX_d, ddX_d at one time [s] as the rows of an array (3, 3); a TaskError if t is NaN."""
+        """Return X_d, dX_d, ddX_d (3, 3) at one time [s]; a TaskError if t is NaN."""
         return np.asarray(self._rows(np.array([t]))[0])
 
     def _rows(self, t: Array) -> Array:
@@ -115,32 +114,30 @@ class Reference:
 
 
 class WaitingReference:
-    """A reference that slows down to a stop while a flag is False, and speeds up again when it is True.
+    """A reference that stops while a flag is False, and goes on when it is True.
 
-    It begins at rest at the start of the path. X_d, dX_d and ddX_d do not jump. Let tau be the time along the given
-    reference, which advances at the rate sigma in [0, 1]. Then
+    It begins at rest. X_d, dX_d and ddX_d do not jump. Let tau be the time along the given reference. It advances at
+    the rate sigma in [0, 1]. Then
 
         X_d(t) = X(tau(t)),   dX_d = sigma X',   ddX_d = sigma^2 X'' + sigma' X'
 
-    so that |dX_d| <= v_max and |ddX_d| <= 2 a_max. The rate is the flag (0 or 1), filtered by two moving averages. Its
-    slope is at most 1 / (longer window) <= a_max / v_max. Once the flag has been constant for `settle_s`, the sum of
-    both windows, the rate equals the flag.
+    so that |dX_d| <= v_max and |ddX_d| <= 2 a_max. The rate is the flag, filtered by two moving averages.
     """
 
     def __init__(self, reference: Reference, period_s: float) -> None:
-        """Take the reference and the period of the ticks [s]; a TaskError if the period is not positive and finite."""
+        """Take a reference and the ticks' period [s]; a TaskError if it is not positive."""
         self.reference, self.period_s = reference, positive("period_s", period_s)
-        # The windows are rounded up, so that the rate changes no faster than a_max / v_max.
+        # Rounded up, so that the rate changes no faster than a_max / v_max.
         long = max(1, math.ceil(reference.v_max / reference.a_max / self.period_s - 1e-9))
         self._lengths = long, max(1, long // 2)
         self.settle_s = sum(self._lengths) * self.period_s
-        """Time from the last change of the flag until the reference rests, or runs at its full rate [s]."""
+        """Time from the last change of the flag until the rate is 0 or 1 [s]."""
 
     def play(self, go_on: ArrayLike) -> tuple[Array, Array]:
-        """Play the reference from its start with one flag per tick, go_on (N,); a TaskError if go_on is not boolean.
+        """Play the reference with one flag per tick, go_on (N,); a TaskError if not boolean.
 
         Returns:
-            X_d [m], dX_d [m/s], ddX_d [m/s^2] as rows (N, 3, 3), and tau (N,) [s] at each tick.
+            X_d [m], dX_d [m/s], ddX_d [m/s^2] as rows (N, 3, 3), and tau (N,) [s].
         """
         flags = np.asarray(go_on)
         if flags.ndim != 1 or flags.dtype != np.bool_:
@@ -157,7 +154,7 @@ class WaitingReference:
 
 
 def flags_at(times: ArrayLike, seen_times: ArrayLike, seen: ArrayLike) -> NDArray[np.bool_]:
-    """Turn flags of a camera's pictures into flags of control ticks. A flag holds until the next picture.
+    """Turn flags of a camera's pictures into flags of control ticks.
 
     Args:
         times: (N,) times of the ticks [s].
@@ -165,11 +162,11 @@ def flags_at(times: ArrayLike, seen_times: ArrayLike, seen: ArrayLike) -> NDArra
         seen: (k,) flags of the pictures.
 
     Returns:
-        (N,) flags of the ticks; False before the first picture.
+        (N,) flags of the latest pictures; False before the first.
     """
     pictures, answers = np.asarray(seen_times, dtype=np.float64), np.asarray(seen, dtype=np.bool_)
     if pictures.ndim != 1 or pictures.shape != answers.shape or (np.diff(pictures) <= 0.0).any():
         raise TaskError("seen_times: give one rising time [s] for each entry of seen")
-    # A picture taken at the time of a tick counts for this tick, even if rounding makes its time slightly later.
+    # Rounding may make a picture's time slightly later than its tick.
     last = np.searchsorted(pictures, np.asarray(times, dtype=np.float64) + 1e-9, side="right")
     return np.concatenate(([False], answers))[last]

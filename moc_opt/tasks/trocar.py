@@ -1,4 +1,4 @@
-"""The trocar, the point in the body wall through which the shaft must pass, and its distance from the shaft."""
+"""The trocar, the point in the body wall through which the shaft must pass."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ class Trocar:
     """
 
     point: ArrayLike  #: Position at t = 0, (3,) [m].
-    breathing_amplitude_m: float = 0.0  #: Largest distance from `point`, zero or above.
-    breathing_period_s: float = 4.0  #: Time of one breath.
-    direction: ArrayLike = (0.0, 0.0, 1.0)  #: Direction of the motion, (3,), of any length above zero.
+    breathing_amplitude_m: float = 0.0  #: Largest distance from `point` [m].
+    breathing_period_s: float = 4.0  #: Time of one breath [s].
+    direction: ArrayLike = (0.0, 0.0, 1.0)  #: Direction of the motion (3,), of any length above zero.
 
     def __post_init__(self) -> None:
         amplitude = number("breathing_amplitude_m", self.breathing_amplitude_m)
@@ -40,13 +40,13 @@ class Trocar:
     def at(self, t: TimeLike) -> tuple[Array, Array]:
         """Return position p [m] and velocity dp [m/s] at t [s]: each (3,), or (k, 3) if t is (k,).
 
-        A vector t gives the same bits as single times. Raise a TaskError if t is not a finite number or vector.
+        Raise a TaskError if t is not a finite number or vector.
         """
         p, dp = sampled("t", t, self._rows)
         return p, dp
 
     def rows(self, t: float) -> Array:
-        """Return position and velocity at a time [s] as the rows of an array (2, 3); a TaskError if t is not finite."""
+        """Return position and velocity (2, 3) at a time [s]; a TaskError if not finite."""
         return np.asarray(self._rows(np.array([t]))[0])
 
     def _rows(self, t: Array) -> Array:
@@ -61,16 +61,16 @@ class Trocar:
 
 
 def shaft_distance(tip: ArrayLike, wrist: ArrayLike, p: ArrayLike) -> Array:
-    """Compute the RCM error d = |(P - X) x u| [m] (RCM: remote centre of motion), the shaft's distance from the trocar.
+    """Compute the shaft's distance from the trocar, the remote-centre-of-motion error d = |(P - X) x u| [m].
 
     Args:
-        tip, wrist, p: the points X, N and P, (3,) or (k, 3) [m]. A single point serves all rows. u = (X - N)/|X - N|.
+        tip, wrist, p: the points X, N and P, (3,) or (k, 3) [m]. u = (X - N)/|X - N|.
 
     Returns:
-        d (k,), or of shape () if all three are single points.
+        d (k,), or of shape () for single points.
     """
     tool = np.subtract(tip, wrist)
     u = tool / np.sqrt((tool * tool).sum(axis=-1, keepdims=True))
-    # The cross product is written out, because np.cross takes ten times as long.
+    # np.cross takes ten times as long.
     (a, b, c), (d, e, f) = np.moveaxis(np.subtract(p, tip), -1, 0), np.moveaxis(u, -1, 0)
     return np.asarray(np.sqrt((b * f - c * e) ** 2 + (c * d - a * f) ** 2 + (a * e - b * d) ** 2))
