@@ -2,7 +2,7 @@
 
 python -m benchmarks.speed [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-Times of different runs cannot be compared. Finished jobs are thus not kept, and every run measures everything again.
+Times of different runs cannot be compared.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Names = Literal["all"] | list[str]
 Summary = Mapping[str, Any]
 TICKS, PEERS, SOLVERS, LOOP = "Ticks", "Other libraries", "Solvers", "Loop"
 TIMED = ("tick", "tick_parts", "peers", "adapters", "loop")
-"""Parts of the summary with counters of the machine's load (`moc_opt.study.timing.COUNTED`)."""
+"""parts with counters of the machine's load"""
 
 
 class Config(StudyConfig):
@@ -75,7 +75,7 @@ def work(study: Study, config: Config) -> Found:
             no_peer[name] = str(failure)
     able = [name for name in tried if name not in no_peer]
 
-    # Judging the answers and bounding mu are not part of the loop's time.
+    # Judging and bounding are not part of the loop's time.
     scenario, rounds = config.scenario.change(seed=config.seed, judge=False, bound_samples=0), config.rounds
     long = scenario.change(duration_s=config.ticks * scenario.plant.period_s)
     asked: dict[str, tuple[Callable[..., timed.Part], tuple[Any, ...]]] = {
@@ -124,7 +124,7 @@ def summed_up(whole: timed.Part, failed: Mapping[str, str]) -> dict[str, Any]:
 
 def _batch(s: Any) -> float | None:
     found = s["batch"]["exact"]
-    # In smaller batches, starting the threads dominates the time.
+    # In smaller batches, starting threads dominates.
     return found["batch_two_threads_per_s"] / 1e6 if found["batch"] >= 1_000_000 else None
 
 
