@@ -136,7 +136,7 @@ class Block:
 def work(study: Study, config: Config) -> Found:
     runnable(config.solvers)
     limits, cases = (config.tip_limit_mm, config.rcm_limit_mm), {**FREE, **config.cases}
-    sound = {name: case for name, case in cases.items() if case.group != "solver"}  # DCAC has no solver
+    sound = {name: case for name, case in cases.items() if case.group != "solver"}  # DCAC has no solver that could fail
     blocks = [
         Block(name, variant(trial, name), sound if name == BASELINE else cases, limits, (name, k) == ("exact", 0))
         for k, trial in enumerate(config.scenarios()) for name in (BASELINE, *config.solvers)

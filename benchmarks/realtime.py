@@ -219,13 +219,13 @@ def summarise(runs: Sequence[Run]) -> dict[str, Any]:
     found |= share(found["missed"], found["cycles"]).entries("missed_share")
     for time in TIMES:
         values = np.concatenate([getattr(run, f"{time}_us") for run in runs])
-        values = values[np.isfinite(values)]  # NaN: no answer
+        values = values[np.isfinite(values)]  # NaN: cycles without an answer
         found |= {f"{time}_{name}_us": float(np.percentile(values, at)) for name, at in PERCENTILES.items()}
     return found
 
 
 def _share(name: str, least: int) -> Callable[[Any], Interval | None]:
-    """Measure a case's share of missed cycles if it has ``least`` cycles."""
+    """Return a function for a case's share of missed cycles."""
 
     def measured(summary: Any) -> Interval | None:
         found = summary["cases"][name]

@@ -222,7 +222,7 @@ def _check_names(runs: Sequence[Trial]) -> None:
         except MocOptError as error:
             if isinstance(error.__cause__, UnknownNameError):
                 raise
-            # Other errors get a row.
+            # Combinations with other errors get a row.
 
 
 # --- the figures ---
