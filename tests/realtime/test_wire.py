@@ -139,7 +139,7 @@ def test_start_packet_of_another_session_is_ignored(peer):
     assert peer.link.quality["foreign"] == 2
 
 
-def test_every_command_fault_is_counted(peer):
+def test_faulty_commands_are_counted(peer):
     peer.start()
     ones, quality = np.ones(peer.n), peer.link.quality
     peer.say(Kind.COMMAND, 0, tau=ones, limited=3, control_us=12.0, flags=wire.REPORTED, solve_us=2.0)
