@@ -1,6 +1,6 @@
-"""Studies that need a checkout: ``python -m benchmarks.NAME`` runs one with the help of `moc_opt.study`.
+"""Studies that need a checkout: ``python -m benchmarks.NAME`` runs one.
 
-Times are measured on one thread, so numerical libraries are limited to one thread before they load.
+Numerical libraries are limited to one thread before they load.
 """
 
 import os

@@ -1,12 +1,7 @@
 """Find the answers of a test set, and prove them without the solvers and residuals of moc_opt.
 
-The certified answer is the optimum under five rows of A x = b, rounded to doubles: the tip's three rows, and the
-wrist's two across the shaft. The wrist's row along the shaft repeats the tip's, because the tool is rigid. In doubles
-the two agree only to 1e-16, and exact arithmetic would take the rounding error for an independent row. If the five rows
-hold, both tracking terms of the cost are constant, and rho/2 |x|^2 - c2 grad_mu^T x remains to be minimised.
-
-`optimum` enumerates the sets of bounds that may be active, in rational numbers without rounding. HiGHS has to confirm
-which problems are feasible.
+`optimum` minimises rho/2 |x|^2 - c2 grad_mu^T x under five rows of A x = b, in rational numbers: the tip's three rows,
+and the wrist's two across the shaft. HiGHS has to confirm which problems are feasible.
 """
 
 from __future__ import annotations
@@ -22,18 +17,18 @@ from moc_opt.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.study.testsets import CertificateError, TestSet
 
-TIED = 1e-12  # tip and wrist count as tied if their relative motion along the shaft is below this share of |A|
+TIED = 1e-12  # largest relative motion of tip and wrist along the shaft, as a share of |A|
 RANK_TOLERANCE = 1e-12
-"""`moc_opt.qp.residuals` counts a singular value below this share of |A| as zero. Such a problem is not certified."""
+"""A singular value below this share of |A| counts as zero."""
 FEASIBLE, INFEASIBLE = 0, 2  # status of scipy's linprog
 NONE = Fraction(0)
 Vector = list[Fraction]
 
 
 def five_rows(qp: NullSpaceQP) -> tuple[Array, Array]:
-    """Return A (5, n) and b (5,) of the certified problem: the tip's three rows and the wrist's two across the shaft.
+    """Return A (5, n) and b (5,): the tip's three rows and the wrist's two across the shaft.
 
-    Raise a CertificateError if no rigid tool ties tip and wrist, or if the rank of the rows is below five.
+    The wrist's row along the shaft repeats the tip's up to rounding. Exact arithmetic would count it as independent.
     """
     directions, sizes, _ = np.linalg.svd(qp.J_tip - qp.J_wrist)
     if sizes[2] > TIED * np.linalg.norm(qp.A):
@@ -49,21 +44,16 @@ def five_rows(qp: NullSpaceQP) -> tuple[Array, Array]:
 def optimum(A: Array, b: Array, pull: Vector, rho: float, lower: Array, upper: Array) -> Vector | None:
     """Minimise rho/2 |x|^2 - pull^T x subject to A x = b, lower <= x <= upper, without rounding.
 
-    Joints whose column of A is zero are solved one by one. For the others, A x = b means x = start + basis w, with any
-    w (r,). If the problem is feasible, at most r active bounds (exactly r if rho = 0) with independent rows of the
-    basis determine an optimum. All such sets of bounds are tried. The first point within the bounds whose multipliers
-    have the right signs is returned. These two properties prove the optimum, because the problem is convex. If no set
-    gives such a point, the problem is infeasible.
+    Joints whose column of A is zero are solved one by one. For the others, all sets of active bounds are tried. The
+    first point within the bounds whose multipliers have the right signs is an optimum, because the problem is convex.
+    Return None if there is no such point: the problem is infeasible.
 
     Args:
         A: (m, n) rows.
         b: (m,) right-hand sides.
-        pull: (n,) vector c2 grad_mu, which enters the cost as -pull^T x.
+        pull: (n,) vector c2 grad_mu.
         rho: weight of |x|^2, 0 or larger.
         lower, upper: (n,) bounds.
-
-    Returns:
-        (n,) an optimum in exact numbers (one of them if there are several), or None if the problem is infeasible.
     """
     weight, ends = Fraction(rho), [(Fraction(low), Fraction(high)) for low, high in zip(lower, upper, strict=True)]
     moving = [j for j in range(len(ends)) if A[:, j].any()]
@@ -71,7 +61,7 @@ def optimum(A: Array, b: Array, pull: Vector, rho: float, lower: Array, upper: A
     count = len(moving)
     exact = [[Fraction(value) for value in (*row[moving], right)] for row, right in zip(A, b, strict=True)]
     rows, pivots = eliminated(exact)
-    if count in pivots:  # a row reads 0 = 1: infeasible
+    if count in pivots:
         return None
     if not moving:
         return x
@@ -93,7 +83,7 @@ def optimum(A: Array, b: Array, pull: Vector, rho: float, lower: Array, upper: A
 
 
 def _alone(gain: Fraction, weight: Fraction, low: Fraction, high: Fraction) -> Fraction:
-    """Minimise weight/2 x^2 - gain x on [low, high]. If weight and gain are 0, return the x nearest to zero."""
+    """Minimise weight/2 x^2 - gain x on [low, high], with x nearest to zero if weight and gain are 0."""
     if weight or not gain:
         return min(max(gain / weight if weight else NONE, low), high)
     return high if gain > 0 else low
@@ -102,9 +92,9 @@ def _alone(gain: Fraction, weight: Fraction, low: Fraction, high: Fraction) -> F
 def _stationary(
     basis: list[Vector], start: Vector, gains: Vector, weight: Fraction, active: dict[int, Fraction]
 ) -> tuple[Vector, Vector] | None:
-    """Return (stationary point, multipliers) with joints ``active`` at these bounds, or None if it is not unique.
+    """Return (stationary point, multipliers) for these active bounds, or None if it is not unique.
 
-    The point solves N^T (weight x - gains) = N_S^T m and x_S = bounds, with basis N, active joints S and multipliers m.
+    With basis N and active joints S, N^T (weight x - gains) = N_S^T m and x_S = bounds.
     """
     r, columns = len(basis[0]), list(zip(*basis, strict=True))
     left = [gain - weight * value for gain, value in zip(gains, start, strict=True)]
@@ -125,7 +115,7 @@ def dot(one: Iterable[Fraction], other: Iterable[Fraction]) -> Fraction:
 
 
 def eliminated(matrix: list[Vector]) -> tuple[list[Vector], list[int]]:
-    """Return (rows, pivots): the reduced row echelon form, and the column of the pivot of each row that is not zero."""
+    """Return (reduced row echelon form, pivot columns)."""
     rows = [list(row) for row in matrix]
     pivots: list[int] = []
     for column in range(len(rows[0]) if rows else 0):
@@ -143,14 +133,14 @@ def eliminated(matrix: list[Vector]) -> tuple[list[Vector], list[int]]:
 
 
 def certified(qp: NullSpaceQP) -> Vector | None:
-    """Return an optimum (n,) under the five rows, in exact numbers, or None if the problem is infeasible."""
+    """Return an exact optimum (n,) under the five rows, or None if the problem is infeasible."""
     A, b = five_rows(qp)
     pull = [Fraction(qp.c2) * Fraction(g) for g in qp.pull]
     return optimum(A, b, pull, qp.regularization, qp.lower, qp.upper)
 
 
 def certify(name: str, problems: Sequence[NullSpaceQP]) -> TestSet:
-    """Find and prove the answers of a set. Raise a CertificateError if HiGHS and `optimum` disagree on feasibility."""
+    """Certify the answers of a set. Raise a CertificateError if HiGHS disagrees on feasibility."""
     X = np.full((len(problems), problems[0].n), np.nan)
     for i, qp in enumerate(problems):
         found = certified(qp)

@@ -1,10 +1,8 @@
-"""How often do the 95 % intervals of the solver study contain the true value? This simulation counts it.
+"""How often do the 95 % intervals of the solver study contain the true value?
 
 python -m benchmarks.coverage [CONFIG.toml] [--out DIR] [--quick] [--json]
 
-The value is the change of a metric's mean from DCAC to MOC. The study runs a pool of new independent trials, and takes
-the change over the whole pool as the true value. Each draw then takes 60, 15 or 8 trials from the pool, with
-replacement, and `moc_opt.study.statistics` computes the interval of their change. docs/method.md has the result.
+The true value is the change from DCAC to MOC over a pool of new trials. Intervals come from random draws of the pool.
 """
 
 from __future__ import annotations
@@ -30,7 +28,7 @@ from moc_opt.study.statistics import LEAST_TRIALS, relative_change
 from moc_opt.study.trials import BASELINE, Trial, trials
 
 SEED = 1_000_000
-"""First seed of the pool's trials, far from the seeds of every study."""
+"""first seed of the pool, far from the seeds of every study"""
 SOLVERS = ("exact", "rnn", "rnn-printed")
 METRICS = ("mu_mean", *(ERRORS[k] for k in (3, 4, 0, 1)))
 SIZES = (60, 15, LEAST_TRIALS)
@@ -51,7 +49,7 @@ class Config(StudyConfig):
 
 
 def covered(treated: ArrayLike, control: ArrayLike, size: int, draws: int) -> tuple[float, float]:
-    """Return (share [%] of the draws whose interval contains the true change, median width of the intervals [%])."""
+    """Return (share [%] of the intervals that contain the true change, median width of the intervals [%])."""
     treated, control = np.asarray(treated), np.asarray(control)
     rng, held, widths = np.random.default_rng(size), 0, []
     true = 100.0 * (treated.mean() / control.mean() - 1.0)

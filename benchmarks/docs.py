@@ -1,8 +1,7 @@
 """Put the figures of finished studies into README.md and docs: python -m benchmarks.docs [RESULTS]
 
-The answer and the first table of RESULTS/NAME/report.md replace the text between the lines ``<!-- NAME -->`` and
-``<!-- /NAME -->`` of a page. The report's section TITLE replaces the text between ``<!-- NAME: TITLE -->`` and
-``<!-- /NAME: TITLE -->``. The first line names command, seed and machine. RESULTS is ``results`` by default.
+The text between ``<!-- NAME -->`` and ``<!-- /NAME -->`` in a page becomes the answer and the first table of
+RESULTS/NAME/report.md. Between ``<!-- NAME: TITLE -->`` and ``<!-- /NAME: TITLE -->``, it becomes section TITLE.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ BLOCK = re.compile(
 
 
 def block(folder: Path, title: str | None) -> str | None:
-    """Return section ``title`` of a study's report (None: answer and first table), or None without a report."""
+    """Return section ``title`` of a study's report (None: answer and first table), if there is a report."""
     if not (folder / "report.md").exists():
         return None
     parts = re.split(r"^## (.+)\n", (folder / "report.md").read_text(encoding="utf-8"), flags=re.MULTILINE)

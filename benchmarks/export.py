@@ -1,9 +1,6 @@
-"""Export the test sets in the format of qpbenchmark (2.7.1 or later).
+"""Export the test sets as DIR/null_space.py and DIR/null_space.parquet for qpbenchmark (2.7.1 or later).
 
     python -m benchmarks.export qpbenchmark --out DIR [--sets NAME ...] [--every K] [--rows 5|6]
-
-This command writes DIR/null_space.py and DIR/null_space.parquet, a test set that qpbenchmark can run:
-
     qpbenchmark DIR/null_space.py --results-path DIR/results.csv run --author NAME
 """
 
@@ -26,7 +23,7 @@ from moc_opt.study.testsets import TestSet, check_name
 
 NAME = "null_space"
 SETS = ("circle", "circle-rho0", "random", "joint-limits", "near-singular", "jumps")
-SECONDS = 0.1  # time limit of a solve in qpbenchmark; most solvers need a thousandth of it
+SECONDS = 0.1  # time limit of a solve in qpbenchmark
 
 MODULE = '''"""{title}: {count} subproblems of a manipulability controller, each of them feasible.
 
@@ -54,7 +51,7 @@ class NullSpace(ParquetTestSet):
 
 
 def problems(names: Sequence[str], every: int = 1) -> dict[str, NullSpaceQP]:
-    """Take every ``every``-th problem of each set. Return a dict from name to problem, without infeasible problems."""
+    """Return a dict from name to problem: every ``every``-th problem that is feasible."""
     found = {}
     for name in names:
         check_name(name)
@@ -66,11 +63,7 @@ def problems(names: Sequence[str], every: int = 1) -> dict[str, NullSpaceQP]:
 
 
 def write_qpbenchmark(folder: Path, names: Sequence[str] = SETS, every: int = 1, rows: int = 5) -> Path:
-    """Write the module and its Parquet file, and return the module's path.
-
-    Infeasible problems are left out, because qpbenchmark counts every unsolved problem against a solver. The format is
-    that of qpbenchmark's ``ProblemList``, with matrices flattened row by row.
-    """
+    """Write the module and its Parquet file in the format of qpbenchmark's ``ProblemList``."""
     chosen = problems(names, every)
     if not chosen:
         raise StudyError(f"sets = {', '.join(names)}: no problem in them is feasible; take other sets")

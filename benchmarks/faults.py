@@ -1,9 +1,6 @@
-"""What happens when something breaks? Under every fault, a controller has to survive within limits or stop safely.
+"""What happens when something breaks? Every run is compared with the same run without a fault.
 
 python -m benchmarks.faults [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
-
-Solvers, packets and encoders are faulty, the arm is pushed, or the trocar moves. Every run is compared with the same
-run without a fault.
 """
 
 from __future__ import annotations
@@ -39,12 +36,12 @@ from moc_opt.trace.meta import Ending
 from moc_opt.trace.trace import Trace
 
 PICTURED = ("none", "bump-30N", "trocar-slips", "nan-lasting")
-"""Names of the cases whose runs are drawn, with the solver `exact` in the first trial."""
+"""cases whose runs are drawn"""
 CURVES = ("t_s", "tip_error_m", "rcm_error_m", "trocar_force_N")
 SMOOTH_S, RECOVERED, RESOLUTION_M = 0.2, 1.2, 5e-5
-"""A run has recovered when its errors, averaged over 0.2 s, stay below 1.2 times the fault-free errors plus 0.05 mm."""
+"""A run has recovered once its mean errors over 0.2 s stay below 1.2 times the fault-free errors plus 0.05 mm."""
 COMPLAINTS = ("failed", "raised", "malformed", "not_finite", "outside", "lied", "late", "lost")
-"""Reasons to refuse an answer as faulty. "infeasible" is not among them, because it can be the right answer."""
+"""Reasons to refuse an answer as faulty. "infeasible" can be the right answer."""
 OUTCOMES = ("survived", "stopped", "oscillated", "diverged", "ran away", "refused", "failed")
 WORST = (
     "tip_error_max_mm", "rcm_error_max_mm", "trocar_force_max_N", "rcm_mean_percent", "rcm_max_percent",
@@ -74,8 +71,6 @@ SEEN = [
 
 
 class Case(Settings):
-    """One fault: the changes that it makes to a scenario, and the time during which it acts."""
-
     KIND: ClassVar[str] = "[cases]"
     group: Literal["none", "solver", "sensors", "plant", "contact", "camera"]
     faults: dict[str, Any] = Field(default_factory=dict)
@@ -97,7 +92,7 @@ class Case(Settings):
 
 
 FREE = {"none": Case(group="none")}
-"""The case without a fault. It runs before all others, because they are compared with it."""
+"""The case without a fault has to run first."""
 
 
 class Config(StudyConfig):
@@ -127,8 +122,6 @@ class Config(StudyConfig):
 
 @dataclass(frozen=True)
 class Block:
-    """One controller on one trial, with the cases to run."""
-
     controller: str
     trial: Scenario
     cases: Mapping[str, Case]
@@ -165,9 +158,9 @@ def work(study: Study, config: Config) -> Found:
 
 
 def run_block(block: Block) -> tuple[list[dict[str, Any]], dict[str, dict[str, Array]]]:
-    """Run all cases of a block. Return one row per case, and the curves to draw."""
+    """Return one row per case, and the curves to draw."""
     rows, curves = [], {}
-    levels: dict[bool, Trace | None] = {}  # fault-free runs; True: with a reference that may wait
+    levels: dict[bool, Trace | None] = {}
     for name, case in block.cases.items():
         trace, how = run_case(case.corrupt(block.trial), case.camera_lost_s)
         waits = case.camera_lost_s is not None
@@ -182,8 +175,6 @@ def run_block(block: Block) -> tuple[list[dict[str, Any]], dict[str, dict[str, A
 
 
 class Waited(Reference):
-    """A reference that rests on its path while the camera does not see the board."""
-
     rows_played: Array
 
     def __init__(self, reference: Reference, times: Array, lost_s: tuple[float, float]) -> None:
@@ -193,13 +184,12 @@ class Waited(Reference):
         object.__setattr__(self, "rows_played", played)
 
     def at(self, t: Any) -> tuple[Array, Array, Array]:
-        """Return tip position, velocity and acceleration, (k, 3) each, in the first k ticks. k is the length of t."""
         x, dx, ddx = np.swapaxes(self.rows_played[: len(t)], 0, 1)
         return x, dx, ddx
 
 
 def run_case(scenario: Scenario, camera_lost_s: tuple[float, float] | None) -> tuple[Trace | None, str]:
-    """Run a scenario. Return its trace (None if the scenario is refused) and how it ended."""
+    """Return the trace (None if the scenario is refused) and how the run ended."""
     try:
         setup = Setup(scenario)
         if camera_lost_s is not None:
@@ -215,10 +205,9 @@ def run_case(scenario: Scenario, camera_lost_s: tuple[float, float] | None) -> t
 def measure(
     trace: Trace | None, free: Trace, ended: str, case: Case, limits_mm: tuple[float, float]
 ) -> dict[str, Any]:
-    """Return the figures of one run, compared with the run without a fault."""
     if trace is None:
         return {"outcome": "refused"}
-    # A stopped arm need not follow its reference, so later tip errors are left out.
+    # After a stop, tip errors do not count.
     whole, stopped_at = trace, trace.meta.get("stopped_at_s")
     trace = trace if stopped_at is None else trace.select(trace.t_s <= stopped_at)
     tip, rcm = 1e3 * trace.tip_error_m, 1e3 * whole.rcm_error_m
@@ -243,10 +232,9 @@ def measure(
 
 
 def detection(trace: Trace) -> dict[str, int]:
-    """Count injected solver faults (detected, harmless and missed), and answers refused without an injected fault.
+    """Count injected solver faults (detected, harmless, missed), and false alarms.
 
-    A corrupted answer that was used can still be the optimum. For example, the opposite gradient has the same optimum
-    if the bounds leave a single point. Such an answer counts as harmless, not as missed.
+    A corrupted answer that was used counts as harmless if it is optimal.
     """
     never: NDArray[np.bool_] = np.zeros(len(trace), dtype=np.bool_)
     injected = trace.columns.get("injected", never) & (trace.fault != "stopped")
@@ -262,9 +250,9 @@ def detection(trace: Trace) -> dict[str, int]:
 
 
 def recovery(trace: Trace, free: Trace, case: Case, ended: str) -> float | None:
-    """Return the time [s] from the fault's end until tip and RCM error stay below their limits (see `RECOVERED`).
+    """Return the time [s] from the fault's end until the errors stay below their limits, or None.
 
-    If the fault lasts, the time begins with the fault. Return None if the run breaks off or ends above a limit.
+    If the fault lasts, the time begins with the fault.
     """
     if ended != "completed" or len(trace) != len(free):
         return None
@@ -283,12 +271,11 @@ def recovery(trace: Trace, free: Trace, case: Case, ended: str) -> float | None:
 
 
 def smooth(values: Array, width: int) -> Array:
-    """Return the running mean (N,) over the latest ``width`` values, or over all values so far if they are fewer."""
     return pl.Series(values).rolling_mean(width, min_samples=1).to_numpy()
 
 
 def worst(rows: Results) -> list[dict[str, Any]]:
-    """Return one row per case and controller: how often each outcome occurs, the largest errors, and sums of faults."""
+    """Return one row per case and controller."""
     found = []
     for case, name in product(rows.names("case"), rows.names()):
         if not (mine := list(rows.where(case=case, controller=name))):
@@ -297,7 +284,7 @@ def worst(rows: Results) -> list[dict[str, Any]]:
         there = [f"{n} {word}" if n < len(mine) else word for word, n in counts.items() if n]
         known = {key: [r[key] for r in mine if r.get(key) is not None] for key in (*WORST, *COUNTS, "recover_s")}
         recovered = len(known["recover_s"])
-        if recovered < len(mine):  # the run did not recover in every trial
+        if recovered < len(mine):
             known["recover_s"] = []
         found.append({
             "case": case, "controller": name, "group": mine[0]["group"], "outcome": ", ".join(there), "runs": len(mine),
@@ -309,7 +296,6 @@ def worst(rows: Results) -> list[dict[str, Any]]:
 
 
 def goals_of(cases: Mapping[str, Case]) -> dict[str, Goal]:
-    """Return the goals of the study. Their values are computed from the rows that `worst` returns."""
     shares = {name: case.faults.get("solver_share", 0.0) for name, case in cases.items() if case.group == "solver"}
     always = {name for name, share in shares.items() if share >= 1.0}
     seldom = set(shares) - always

@@ -13,26 +13,21 @@ from moc_opt.study.statistics import Change, Interval, spread, too_few
 
 
 class Goal(NamedTuple):
-    """A limit for one value. The goal is reached if the value's whole interval is at most (or at least) the limit.
-
-    ``measured`` returns the value in a summary: a number, an `Interval`, or a `Change` (two intervals). If the function
-    returns None or raises a LookupError or ValueError, the value counts as not measured.
-    """
+    """A limit for the value of ``measured``, an `Interval` or a `Change`. The whole interval has to meet it."""
 
     what: str
     unit: str  #: unit of the value and the limit
     limit: float
     measured: Callable[[Any], Any]
-    most: bool = True  #: True: the value has to be at most the limit; False: at least the limit
-    made_of: Callable[[Any], str] = lambda summary: ""  #: returns a text on the parts of the value in a summary
-    section: str = ""  #: heading of the report's section with the related figures
+    most: bool = True  #: False: the value has to be at least the limit
+    made_of: Callable[[Any], str] = lambda summary: ""  #: describes the parts of the value
+    section: str = ""  #: section of the report with the related figures
 
 
 def judge(summary: Mapping[str, Any], goals: Mapping[str, Goal]) -> dict[str, dict[str, Any]]:
-    """Return a dict for each goal: "what" (its name), "goal" (its limit), "unit", "kind", "value", "reached" and more.
+    """Return a dict for each goal: its name, limit, unit, kind, value and whether it is reached.
 
-    The value is None if it was not measured. "reached" is "yes", "no", "not measured", or "open". A goal is open if the
-    value's interval contains the limit, or if there are too few trials.
+    A goal is open if the value's interval contains the limit, or if there are too few trials.
     """
     found: dict[str, dict[str, Any]] = {}
     for key, goal in goals.items():
@@ -54,7 +49,7 @@ def _reached(goal: Goal, measured: Any) -> dict[str, Any]:
     one = both[0]
     within = [end <= goal.limit if goal.most else end >= goal.limit for by in both for end in (by.low, by.high)]
     reached = "yes" if all(within) else "open" if any(within) else "no"
-    if (one.samples > 1 or one.low != one.high) and too_few(one.samples):  # one trial: low and high are NaN
+    if (one.samples > 1 or one.low != one.high) and too_few(one.samples):
         reached = "open"
     found = {"value": one.value, "reached": reached}
     return found if one.low == one.high else found | measured.entries("value")
@@ -78,7 +73,6 @@ def goals_table(found: Mapping[str, Mapping[str, Any]], title: str = "Goals") ->
 
 
 def value_text(row: Mapping[str, Any]) -> str | None:
-    """Write a goal's value with interval and unit, or return None if it was not measured."""
     value = row["value"]
     if value is None:
         return None
@@ -87,7 +81,6 @@ def value_text(row: Mapping[str, Any]) -> str | None:
 
 
 def goals_sentence(found: Mapping[str, Mapping[str, Any]]) -> str:
-    """Say how many goals are reached, and which are not."""
     words = [row["reached"] for row in found.values()]
     text = f"{words.count('yes')} of {len(words)} goals are reached"
     text += "".join(f", {words.count(word)} {word}" for word in ("open", "not measured") if word in words)

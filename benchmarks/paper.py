@@ -2,10 +2,7 @@
 
 python -m benchmarks.paper [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-MOC runs with the paper's parameters (Table I as printed) and with tuned ones, under every solver. DCAC, the baseline
-without the third level, runs with its own gains and with MOC's. Further parts of the study check our own goals,
-exchange entries of Table I, vary where the elbow starts, and run the whole procedure, from guiding the tip by hand to
-the end of the path. No run is timed, because several run at the same time.
+MOC runs with Table I as printed and with tuned parameters. DCAC runs with its own gains and with MOC's.
 """
 
 from __future__ import annotations
@@ -42,7 +39,7 @@ from moc_opt.vision.board import board_task
 
 STREAM = 0
 PRINTED, NETWORK = "paper", "rnn"
-"""Name of the group that has the parameters of Table I as printed, and name of the solver of the paper's kind."""
+"""group with Table I as printed, and solver of the paper's kind"""
 HOLDS, GAINS_ONLY, FAILS, UNDECIDED = "holds", "holds only against softer gains", "does not hold", "undecided"
 MARKS = {HOLDS: ("✔", "good", 0), GAINS_ONLY: ("≈", "fair", 1), FAILS: ("✘", "bad", 2)}
 TONES = {HOLDS: GOOD, GAINS_ONLY: list(SERIES)[4], FAILS: WORST}
@@ -51,7 +48,7 @@ MOST_MM = {
     "tip_error_model_mean_mm": 0.1, "tip_error_registered_mean_mm": 0.1, "rcm_error_model_mean_mm": 0.2,
     "rcm_error_registered_mean_mm": 0.2, "rcm_error_mean_mm": 0.5,
 }  # fmt: skip
-"""Limits of the mean errors [mm]. The trocar's registration error of 0.5 mm alone causes 0.3 mm in the base frame."""
+"""largest mean errors [mm]"""
 RULES = (
     "An effect is the change of MOC against a DCAC on the same trials, 100 (mean MOC / mean DCAC - 1), with its 95 % "
     "interval. The mean of the trials' own ratios stands beside it. A claim is confirmed against a DCAC if both "
@@ -64,7 +61,7 @@ RULES = (
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim that a metric changes by more (`upwards`) or less than a bound [%]. `papers`: the paper makes it."""
+    """A claim that a metric changes by more (`upwards`) or less than a bound [%]."""
 
     metric: str
     title: str
@@ -74,11 +71,11 @@ class Claim:
     papers: bool = True
 
     def confirmed(self, effect: Change | None) -> bool:
-        """Tell whether the effect has enough trials and both of its intervals lie beyond the bound."""
+        """Tell whether both intervals of the effect lie beyond the bound."""
         return effect is not None and effect.side(self.bound) == (1 if self.upwards else -1)
 
     def verdict(self, own: Change | None, matched: Change | None) -> str:
-        """Say whether the claim holds. `own` is the change against DCAC with its own gains, `matched` with MOC's."""
+        """Judge the changes against DCAC with its `own` gains, and with `matched` ones."""
         few = too_few(matched.ratio.samples if matched else 0)
         if matched is None or few:
             return str(few)
@@ -98,18 +95,16 @@ CLAIMS = (
     Claim(ERRORS[4], TITLES[ERRORS[4]], "the shaft is nearer to the incision in the patient", papers=False),
     Claim(ERRORS[5], TITLES[ERRORS[5]], "the shaft is nearer to the true trocar", papers=False),
 )
-"""The paper's three claims, on errors by the robot's own kinematics, and then four on the errors in other frames."""
+"""the paper's three claims, and four on errors in other frames"""
 
 
 def disagree(change: Change, bound: float) -> bool:
-    """Tell whether the two means of a change, or their intervals, lie on different sides of a bound [%]."""
+    """Tell whether the means or intervals lie on different sides of a bound [%]."""
     sides = {(one.low > bound, one.high < bound) for one in change}
     return len(sides) > 1 or (change.ratio.value > bound) != (change.ratios.value > bound)
 
 
 class Group(Settings):
-    """Trials with one set of parameters."""
-
     KIND: ClassVar[str] = "[groups.*]"
     about: str = ""
     control: dict[str, Any] = Field(default_factory=dict)
@@ -118,7 +113,7 @@ class Group(Settings):
 
 
 class Case(Settings):
-    """Table I with some entries exchanged, for MOC and for the DCAC that it is compared with."""
+    """Table I with some entries exchanged, for MOC and for DCAC."""
 
     KIND: ClassVar[str] = "[ablation.cases.*]"
     about: str = ""
@@ -128,7 +123,7 @@ class Case(Settings):
 
 
 class Ablation(Settings):
-    """Table I with entries exchanged. The first case is the table as printed. Without cases there is no ablation."""
+    """Table I with entries exchanged. The first case is the table as printed."""
 
     KIND: ClassVar[str] = "[ablation]"
     group: str = Field(PRINTED, description="the group whose parameters and trials are used")
@@ -136,7 +131,7 @@ class Ablation(Settings):
 
 
 class Swivel(Settings):
-    """The study of the starting swivel (where the elbow is on its self-motion at the start)."""
+    """The study of the starting swivel (elbow angle)."""
 
     KIND: ClassVar[str] = "[swivel]"
     group: str = "tuned"
@@ -159,7 +154,6 @@ class Config(StudyConfig):
 
     @classmethod
     def load(cls, path: Path, seed: int | None = None) -> Self:
-        """Read a TOML file, and check every name in it before anything runs."""
         config = super().load(path, seed)
         table_1 = config.ablation
         for group in (config.best, config.swivel.group, config.elsewhere, table_1.group if table_1.cases else None):
@@ -182,12 +176,10 @@ class Config(StudyConfig):
         })  # fmt: skip
 
     def base(self, group: str) -> Scenario:
-        """Return the scenario that a group's trials share."""
         table = self.groups[group]
         return self.scenario.change(control=table.control, task=table.task, start=table.start)
 
     def changed(self, case: Case) -> Scenario:
-        """Return the scenario that the trials of a case of the ablation share."""
         for name in case.without:
             if name not in ControlSettings.model_fields:
                 raise UnknownNameError("[ablation.cases.*] without", name, ControlSettings.model_fields)
@@ -240,7 +232,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def group_figures(rows: Results) -> dict[str, dict[str, Any]]:
-    """Return for each controller means over whole runs, and changes against DCAC with MOC's gains, also by phase."""
+    """Return means and changes against DCAC with MOC's gains, for each controller."""
     changed = ["mu_mean", *ERRORS, "trocar_force_mean_N"]
     phases = [f"{phase}_{name}" for phase in PHASES for name in (*ERRORS, "trocar_force_mean_N")]
     means = ["mu_mean", "mu_fraction_of_best", *ERRORS, "trocar_force_mean_N", "torque_rate_rms_Nm_per_s"]
@@ -252,7 +244,7 @@ def group_figures(rows: Results) -> dict[str, dict[str, Any]]:
 
 
 def claims(rows: Results, group: str, solver: str) -> list[dict[str, Any]]:
-    """Return one row per claim: whether it holds, and the change against each kind of DCAC with its interval."""
+    """Return one row per claim, with the changes against each kind of DCAC."""
     found = []
     for claim in CLAIMS:
         effects = {name: rows.change(claim.metric, solver, name) for name in BASELINES}
@@ -268,13 +260,12 @@ def claims(rows: Results, group: str, solver: str) -> list[dict[str, Any]]:
 
 
 def gains(rows: Results, solver: str) -> list[float]:
-    """Return for each trial how much larger mean mu is than under DCAC with MOC's gains [%]."""
+    """Return each trial's gain of mean mu [%] over DCAC with MOC's gains."""
     mine, theirs = rows.pairs("mu_mean", solver)
     return [100.0 * (a / b - 1.0) for a, b in zip(mine, theirs, strict=True)]
 
 
 def goals(rows: Results, group: str | None, solver: str) -> dict[str, dict[str, Any]]:
-    """Judge the goals for MOC with a solver on the trials of a group. Changes are against DCAC with the same gains."""
     mine = rows.where(part="trials", group=group)
 
     def change(metric: str) -> Callable[[Any], Change | None]:
@@ -314,7 +305,7 @@ def ablation(rows: Results, cases: Mapping[str, Case]) -> list[dict[str, Any]]:
 
 
 def _shift(rows: Results, cases: Mapping[str, Case], name: str, printed: str, claim: Claim) -> dict[str, Any]:
-    """Return the shift of a case's effect from the first case's [percentage points], over trials complete in both."""
+    """Return the shift of the effect [percentage points] from the printed table's."""
     four = [
         rows.where(group=case).values(claim.metric, controller)
         for case in (name, printed) for controller in (cases[case].controller, BASELINE)
@@ -330,7 +321,7 @@ def _shift(rows: Results, cases: Mapping[str, Case], name: str, printed: str, cl
 
 
 def swivel_trials(config: Config) -> list[Trial]:
-    """Return runs of one trial under DCAC and MOC, with starts evenly along the self-motion, and at its largest mu."""
+    """Return trials under DCAC and MOC, with starts along the self-motion."""
     base = config.base(config.swivel.group)
     [trial] = trials(base, [config.swivel.task], seeds(config.seed, STREAM, 1), virtual=True)
     robot = trial.robot.arm()
@@ -347,7 +338,7 @@ def swivel_trials(config: Config) -> list[Trial]:
 
 
 def swivel(rows: Results, solver: str) -> dict[str, Any]:
-    """Return the gain of mean mu [%] for the start at the largest mu, and its range and mean for the other starts."""
+    """Return the gain of mean mu [%] at the best start and at the others."""
     top, others = (rows.where(at_maximum=best) for best in (True, False))
     found: dict[str, Any] = {"starts": len(rows) // 2, "broke_off": len(rows.failed())}
     if (of_top := gains(top, solver)) and (of_others := gains(others, solver)):

@@ -1,9 +1,6 @@
 """The work of one control tick, done by controllers of other libraries (peers): TSID, pink, mink.
 
-In each tick (control period), the tip follows its reference, the wrist stays on the line through the trocar, the joint
-speeds stay within limits, and the null-space motion follows the gradient of the manipulability. Every peer gets the
-same arm, its own fastest solver, hard equalities if it supports them, and our compiled gradient if it has none. `check`
-runs a peer for a second on an ideal arm without friction, noise or model error. Only peers that pass are timed.
+Tip and shaft follow their references within speed limits, and the null-space motion climbs the manipulability mu.
 """
 
 from __future__ import annotations
@@ -23,58 +20,54 @@ from moc_opt.sim.mjcf import build_spec, compile_model
 from moc_opt.tasks import Reference, Trocar, make_path, shaft_distance
 
 Inputs = tuple[Array, Array, Array, Array]
-"""q, v, tip reference and trocar in one tick."""
+"""q, v, tip reference and trocar"""
 Level = Literal["torque", "velocity"]
 
 PERIOD_S = 0.002
 TOLERANCE_MM, CLIMB_PERCENT = 0.5, 1.0
-"""Largest allowed error of tip and shaft in the second half of a run [mm], smallest rise of the manipulability [%]."""
+"""largest error of tip and shaft [mm], smallest rise of mu [%]"""
 CLIMB = 30.0
-"""Joint velocity per unit of the gradient of the manipulability [rad^2/(m^3 s)]: c2/rho of preset "tuned", rounded."""
+"""joint velocity per unit of grad mu [rad^2/(m^3 s)]"""
 STIFFNESS_PER_S = 100.0
-"""Rate at which a velocity-level peer reduces an error of tip or shaft [1/s]."""
+"""decay rate of tip and shaft errors [1/s]"""
 
 
 class Peer(Protocol):
-    """A controller of another library, set up for this work on one arm. Its control period is ``PERIOD_S``."""
+    """A controller of another library, with the control period ``PERIOD_S``."""
 
     @property
     def level(self) -> Level:
-        """Whether `tick` returns torques or velocities. Velocities still need a servo."""
+        """Whether `tick` returns torques or velocities."""
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
         """Return torques [Nm] or velocities [rad/s] (n,). tip_ref has rows X_d, dX_d, ddX_d, and trocar P_t, dP_t."""
 
 
 def tip_gradient(robot: RobotModel) -> Callable[[Array], Array]:
-    """Return a function that computes dmu/dq (n,) from q in our compiled core, for libraries without this gradient."""
+    """Return a function that computes grad mu (n,) from q."""
     rest = np.zeros(robot.n)
     return lambda q: robot.state(np.ascontiguousarray(q), rest).grad_mu
 
 
 def ahead(point: Array, rate: Array) -> Array:
-    """Return the reference extrapolated by one time constant of the peer's gain. This cancels the lag of the peer."""
+    """Return the reference extrapolated by one time constant, to cancel the lag."""
     return point + rate / STIFFNESS_PER_S
 
 
 def wrist_reference(tip_ref: Array, trocar: Array, span: float) -> Array:
-    """Return (2, 3): the position of the wrist [m] that puts the shaft through the trocar, and its velocity [m/s]."""
+    """Return wrist position [m] and velocity [m/s] (2, 3) with the shaft through the trocar."""
     return core.desired_wrist(tip_ref[0], tip_ref[1], trocar, span)
 
 
 class TSID:
-    """Task-space inverse dynamics (Del Prete et al. 2016): torques from accelerations that a QP solver finds.
-
-    Level 0 (hard) has three rows for the tip, two for the wrist across the shaft, and the speed limits. Level 1
-    accelerates the joints towards a velocity along the gradient of the manipulability.
-    """
+    """Task-space inverse dynamics (Del Prete et al. 2016): a QP finds accelerations."""
 
     level: Level = "torque"
-    STIFFNESS, DAMPING = 2500.0, 100.0  # [1/s^2], [1/s]: critically damped at 50 rad/s
-    CLIMB_DAMPING = 20.0  # [1/s] gain of level 1 on the error in joint velocity
+    STIFFNESS, DAMPING = 2500.0, 100.0  # [1/s^2], [1/s]
+    CLIMB_DAMPING = 20.0  # [1/s]
 
     def __init__(self, robot: RobotModel) -> None:
-        with warnings.catch_warnings():  # tsid registers two of its types twice
+        with warnings.catch_warnings():  # tsid registers two types twice
             warnings.simplefilter("ignore", RuntimeWarning)
             import tsid
         model = pin.buildModelFromXML(robot.data.urdf)
@@ -84,7 +77,7 @@ class TSID:
         rest = np.zeros(robot.n)
         self._dynamics.computeProblemData(0.0, robot.data.q_home, rest)
         self._tip = self._point("tip", robot.data.tip_frame, [1, 1, 1, 0, 0, 0])
-        # The row along the shaft repeats the tip's and is left out, because hard rows must be independent.
+        # Hard rows must be independent. The row along the shaft repeats the tip's.
         self._wrist = self._point("wrist", robot.data.wrist_frame, [1, 1, 0, 0, 0, 0])
         self._posture = tsid.TaskJointPosture("posture", self._robot)
         self._posture.setKp(rest)
@@ -131,8 +124,6 @@ class TSID:
 
 
 class _PinkArm:
-    """The model of pink's controllers, and one configuration that is updated in place."""
-
     level: Level = "velocity"
     GAIN = min(1.0, STIFFNESS_PER_S * PERIOD_S)
 
@@ -156,9 +147,9 @@ class _PinkArm:
 
 
 class Pink(_PinkArm):
-    """Differential inverse kinematics with pinocchio and a QP (Caron et al.), by pink's tasks for tip, wrist and mu."""
+    """Differential inverse kinematics with a QP (Caron et al.), by pink's own tasks."""
 
-    RISE_PER_S, RISE_COST = 0.05, 0.02  # wanted rise of the manipulability [m^3/s], and its weight
+    RISE_PER_S, RISE_COST = 0.05, 0.02  # wanted rise of mu [m^3/s], and its weight
 
     def __init__(self, robot: RobotModel) -> None:
         from pink.tasks import FrameTask, ManipulabilityTask
@@ -182,7 +173,7 @@ class Pink(_PinkArm):
 
 
 class _Rows:
-    """A constraint for pink: five hard rows, which `PinkTrimmed` fills in each tick."""
+    """Five hard rows for pink, which `PinkTrimmed` fills in each tick."""
 
     def __init__(self, n: int, gain: float) -> None:
         self.jacobian, self.error, self.gain = np.zeros((5, n)), np.zeros(5), gain
@@ -195,21 +186,21 @@ class _Rows:
 
 
 class _Climb:
-    """A task for pink and mink: a linear cost along the gradient of mu. The solver's damping keeps it bounded."""
+    """A linear cost along the gradient of mu, for pink and mink."""
 
     def __init__(self, robot: RobotModel, objective: Callable[..., Any], q_of: Callable[[Any], Array]) -> None:
         self._objective, self._q_of = objective, q_of
         self._zero, self._gradient = np.zeros((robot.n, robot.n)), tip_gradient(robot)
 
     def compute_qp_residual(self, configuration: Any) -> None:
-        """Return nothing: this cost has no least-squares form."""
+        """Return nothing."""
 
     def compute_qp_objective(self, configuration: Any) -> Any:
         return self._objective(self._zero, -CLIMB * PERIOD_S * self._gradient(self._q_of(configuration)))
 
 
 class PinkTrimmed(_PinkArm):
-    """pink with tip and shaft as five hard equality rows, and our compiled gradient instead of ManipulabilityTask."""
+    """pink with five hard equality rows and our compiled gradient."""
 
     def __init__(self, robot: RobotModel) -> None:
         super().__init__(robot)
@@ -221,7 +212,7 @@ class PinkTrimmed(_PinkArm):
         wrist = ahead(*wrist_reference(tip_ref, trocar, self.span))
         places, local, rows = self.data.oMf, pin.ReferenceFrame.LOCAL, self._rows
         tip, joint = places[self.tip], places[self.wrist]
-        # In the tool's axes, z is along the shaft. Only the wrist's two rows across the shaft are used.
+        # In the tool's axes, z is along the shaft.
         turn = tip.rotation.T
         rows.jacobian[:3] = pin.getFrameJacobian(self.model, self.data, self.tip, local)[:3]
         rows.jacobian[3:] = pin.getFrameJacobian(self.model, self.data, self.wrist, local)[:2]
@@ -231,10 +222,10 @@ class PinkTrimmed(_PinkArm):
 
 
 class Mink:
-    """Differential inverse kinematics on MuJoCo (Zakka et al.): a FrameTask for the tip, a LookAtTask for the shaft."""
+    """Differential inverse kinematics on MuJoCo (Zakka et al.)."""
 
     level: Level = "velocity"
-    COST = 1e3  # weight of the tip and shaft tasks, relative to a damping of one
+    COST = 1e3  # weight of the tip and shaft tasks
 
     def __init__(self, robot: RobotModel) -> None:
         import mink
@@ -243,7 +234,7 @@ class Mink:
         self._mink, self._configuration = mink, mink.Configuration(model, np.array(robot.data.q_home))
         tip, gain = robot.data.tip_frame, min(1.0, STIFFNESS_PER_S * PERIOD_S)
         self._tip = mink.FrameTask(tip, "body", position_cost=self.COST, orientation_cost=0.0, gain=gain)
-        # The tip looks back along -z at the trocar above it, which puts the shaft on the line through the trocar.
+        # The tip's -z axis points at the trocar.
         self._shaft = mink.LookAtTask(tip, "body", axis=(0.0, 0.0, -1.0), cost=self.COST, gain=gain)
         climb = _Climb(robot, mink.tasks.Objective, lambda configuration: configuration.data.qpos)
         self._tasks = (self._tip, self._shaft, climb)
@@ -266,7 +257,6 @@ INSTALL = {"tsid": "build it from source against the installed pinocchio; its wh
 
 
 def missing(name: str) -> str | None:
-    """Say how to install a peer's package if it is missing, else return None."""
     package = name.partition("-")[0]
     install = INSTALL.get(package, "pip install '.[peers]' in the clone")
     return None if find_spec(package) else f"package {package!r} is not installed: {install}"
@@ -276,7 +266,7 @@ def missing(name: str) -> str | None:
 
 
 class Task(NamedTuple):
-    """Start pose (n,) [rad], tip references X_d, dX_d, ddX_d (N, 3, 3) and trocar P_t, dP_t (N, 2, 3) of N ticks."""
+    """Start pose (n,) [rad], tip references (N, 3, 3) and trocar (N, 2, 3) of N ticks."""
 
     q_start: Array
     tip_refs: Array
@@ -284,8 +274,6 @@ class Task(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """What a peer reached: largest distances of tip from reference and shaft from trocar, rise of manipulability."""
-
     tip_error_max_mm: float
     rcm_error_max_mm: float
     mu_rise_percent: float
@@ -301,7 +289,7 @@ class Verdict(NamedTuple):
 
 
 def circle(robot: RobotModel, duration_s: float = 1.0, offset_m: float = 2e-4) -> Task:
-    """Return a circle that starts ``offset_m`` above the home pose's tip, with the trocar 0.15 m up the shaft."""
+    """Return a circle above the home pose's tip, with the trocar 0.15 m up the shaft."""
     state = robot.state(robot.data.q_home)
     start = state.tip + np.array([0.0, 0.0, offset_m])
     path = make_path("circle", start, normal=(0.0, 0.0, 1.0), heading=(1.0, 0.0, 0.0), radius=0.03)
@@ -311,10 +299,7 @@ def circle(robot: RobotModel, duration_s: float = 1.0, offset_m: float = 2e-4) -
 
 
 def perform(peer: Peer, robot: RobotModel, task: Task) -> tuple[Array, list[Inputs]]:
-    """Run a peer on an ideal arm. Return (poses, inputs): the poses (N, n) after each tick, the inputs of each tick.
-
-    The closed loop of `moc_opt.sim` is not used, because it takes torques, and most peers return velocities.
-    """
+    """Return the poses (N, n) after each tick on an ideal arm, and the inputs."""
     q, v = task.q_start.copy(), np.zeros(robot.n)
     poses, given = np.empty((len(task.tip_refs), robot.n)), []
     for k in range(len(poses)):
@@ -331,12 +316,10 @@ def perform(peer: Peer, robot: RobotModel, task: Task) -> tuple[Array, list[Inpu
 
 
 def verdict(poses: Array, robot: RobotModel, task: Task) -> Verdict:
-    """Measure the errors of tip and shaft in the second half of the poses (N, n) of `perform`, and the rise of mu."""
     if not np.isfinite(poses).all():
         return Verdict(np.inf, np.inf, -100.0)
     late = slice(len(poses) // 2, None)
     states = [robot.state(q) for q in poses[late]]
-    # The pose after a tick is compared with the tip reference of the next tick.
     tips, wrists = (np.array([getattr(state, name) for state in states]) for name in ("tip", "wrist"))
     wanted = np.roll(task.tip_refs[:, 0], -1, axis=0)[late]
     off = np.linalg.norm(tips - wanted, axis=1)[:-1]
@@ -346,9 +329,9 @@ def verdict(poses: Array, robot: RobotModel, task: Task) -> Verdict:
 
 
 def check(name: str) -> str | None:
-    """Run a peer on the default arm and say how it fails. Return None if it passes.
+    """Run a peer on the default arm and say how it fails, if it does.
 
-    Call this in a separate process, because a wheel that was built against another pinocchio can crash Python.
+    Call this in a separate process, because a mismatched wheel can crash Python.
     """
     robot = load_robot()
     task = circle(robot)

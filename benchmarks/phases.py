@@ -14,11 +14,9 @@ from moc_opt.study.trials import Run
 
 
 def with_phases(runs: Iterable[Run]) -> list[Run]:
-    """Add to each row the means of its errors while the elbow travels to its optimum, and after its arrival.
+    """Add mean errors while an elbow travels (``travelling_NAME``), and afterwards (``settled_NAME``).
 
-    ``travelling_NAME`` is the mean of a metric NAME over the ticks at which the elbow of at least one of the trial's
-    controllers still travels. ``settled_NAME`` is the mean over the other ticks. So all controllers of a trial have the
-    same phases. ``travelling_ticks`` and ``settled_ticks`` are the numbers of ticks in the phases.
+    All controllers of a trial have the same phases.
     """
     runs = list(runs)
     groups: dict[tuple[Any, ...], list[Run]] = {}

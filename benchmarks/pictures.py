@@ -25,7 +25,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     }
     found = {name: run(scenario) for name, scenario in runs.items()}
     drawn = figures.time_series(found)
-    drawn.update_layout(legend_entrywidth=150)  # leaves room for a wider font
+    drawn.update_layout(legend_entrywidth=150)
     for path in save_figures({"trial": drawn}, given.out, formats=("svg",)):
         print(path)
     return 0

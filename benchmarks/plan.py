@@ -2,8 +2,7 @@
 
 python -m benchmarks.plan [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-A course is a planned joint motion along a path. Starts are drawn from the whole workspace. For some starts, the study
-plans a second time, on a grid with half the spacing.
+A course is a planned joint motion along a path.
 """
 
 from __future__ import annotations
@@ -34,12 +33,12 @@ STREAM, LOCAL = 7, "local"
 CONTROL = ControlSettings.model_fields
 LOOPS: dict[str, dict[str, Any]] = {
     **{level: {"third_level": level} for level in get_args(CONTROL["third_level"].annotation)},
-    # "receding" and "planned" have a faster observer. This entry gives it to "local", so that errors can be compared.
+    # "receding" and "planned" have a faster observer.
     "local, observer of the courses": {"observer_gain_per_s": CONTROL["course_observer_gain_per_s"].default},
 }
 ERRORS = {"tip": "tip_error_model_mean_mm", "RCM": "rcm_error_model_mean_mm"}
 MOST_GAP_PERCENT = {LOCAL: 2.0, "receding": 1.0, "planned": 0.5}
-"""Goal for each third level: largest gap [percent] between its mean mu and that of the best course from this start."""
+"""largest gap of mean mu from the best course [%]"""
 MOST_PLANNED_PERCENT, MOST_CHANGE_PERCENT, TRAPPED_PERCENT = 3.0, 5.0, 5.0
 MOST_SCRATCH_S, MOST_REPLAN_MS, MOST_HALVING_PERCENT = 3.0, 20.0, 0.5
 FIGURES = ("gap_percent", "fraction_of_best", *ERRORS.values(), "course_gap_percent", "replan_ms_p99")
@@ -74,7 +73,7 @@ def about(case: Scenario, part: str) -> dict[str, Any]:
 
 
 def courses(case: Scenario, loops: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return a row on the courses and bounds of mu for one start, and a row for each closed loop from this start."""
+    """Return a row on the courses of one start, and a row for each closed loop."""
     trial = placed(case)
     found = plan(trial)
     row = about(case, "courses") | {
@@ -98,7 +97,7 @@ def courses(case: Scenario, loops: Mapping[str, Mapping[str, Any]]) -> list[dict
 
 
 def loop(trial: Scenario, name: str, change: Mapping[str, Any], mine: float, best: float) -> dict[str, Any]:
-    """Return a loop's row. `mine` is the mean mu of the best course from this start, and `best` from any start."""
+    """`mine` and `best` are the mean mu of the best course from this and from any start."""
     case = trial.change(control=change, best_courses=False, bound_samples=0, judge=False)
     asked = Trial(case, name, case.solver.settings, {"part": "loop"}, solver=case.solver.name)
     run, trace = run_and_trace(asked)
@@ -116,7 +115,7 @@ def loop(trial: Scenario, name: str, change: Mapping[str, Any], mine: float, bes
 
 
 def halving(case: Scenario) -> list[dict[str, Any]]:
-    """Return a row: how much mean mu rises if the grid's best course is refined, and if the grid spacing is halved."""
+    """Return the rise of mean mu by refinement, and by halving the grid spacing."""
     found, coarse = plan(case), plan(case, refined=False)
     finer = plan(case, refined=False, times=2 * len(found.targets) - 1, swivels=1440).from_start
     row = about(case, "halving")
@@ -150,7 +149,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def loop_figures(rows: Results, name: str) -> dict[str, Any]:
-    """Return means over the complete runs of one third level, and changes against "local" on the same trials."""
+    """Return means of one third level, and changes against "local"."""
     found = rows.figures(name, FIGURES, tuple(ERRORS.values()), LOCAL)
     found["left_course"] = len(rows.values("left_course_s", name))
     for metric in FIGURES:
@@ -162,7 +161,6 @@ def loop_figures(rows: Results, name: str) -> dict[str, Any]:
 
 
 def course_figures(rows: Results) -> dict[str, Any]:
-    """Return counts, means and largest values over the courses of one arm."""
     planned = rows.where(part="courses")
     found: dict[str, Any] = {"trials": len(planned), "failed": len(planned.failed())}
     flags = ("executable", "climbed_whole", "certified")
@@ -177,8 +175,6 @@ def course_figures(rows: Results) -> dict[str, Any]:
 
 
 def goals(loops: Mapping[str, Any]) -> dict[str, Goal]:
-    """Return the goals of one arm."""
-
     def interval(name: str, key: str) -> Any:
         def measured(summary: Any) -> Interval:
             of = summary["loops"][name]

@@ -2,13 +2,8 @@
 
 python -m benchmarks.plant [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-The first part runs every defect alone and all together: calibration error, encoder bias, elastic joints, torque ripple.
-The second part runs calibration errors of several sizes. It finds the size from which on moving the elbow makes the tip
-less accurate, and the error that remains after registering again.
-*Registered again*: once MOC's elbow is at rest, the arm touches path and incision a second time. The offset between
-true and believed tip at this tick then replaces the offset at the start. This shifts the reference and the trocar by
-less than a millimetre. The motion would hardly change, so the run is not simulated again; the error is recomputed from
-its trace. Figures "after the travel" are means from this tick to the end, under both controllers.
+*Registered again*: once the elbow is at rest, the arm touches path and incision a second time. The errors after this
+are recomputed from the trace, because the motion hardly changes.
 """
 
 from __future__ import annotations
@@ -39,11 +34,11 @@ from moc_opt.trace.trace import Trace
 
 EFFECTS_STREAM, CALIBRATION_STREAM = 10, 9
 KINDS = {"origins": "mm", "encoders": "mrad", "both": "mm and mrad"}
-"""Kinds of calibration error, and units of their sizes. "both", size s: s mm at the origins, s mrad at the encoders."""
+"""kinds of calibration error, and units of their sizes"""
 TILT_RAD_PER_M = PlantSettings().calibration_tilt_rad / PlantSettings().calibration_error_m
 DEFAULT_SIZE_MM = 0.2
 LEAST_S = 0.5
-"""Figures "after the travel" are computed only if the run lasts at least this time [s] after the elbow's travel."""
+"""shortest time after the elbow's travel over which errors are averaged [s]"""
 MOST_CHANGE_PERCENT, MOST_MM = 5.0, 0.1
 AFTER = {
     "tip_after_mm": "tip after travel", "tip_again_mm": "tip registered again",
@@ -60,8 +55,6 @@ DEFINED = (
 
 
 class Sweep(Settings):
-    """The study of calibration errors of several sizes."""
-
     KIND: ClassVar[str] = "[calibration]"
     trials: int = Field(5, ge=1, description="per task")
     duration_s: float | None = Field(4.0, gt=0.0, description="length of a run; None for the whole task")
@@ -93,7 +86,6 @@ class Config(StudyConfig):
     def under_presets(
         self, cases: Sequence[Scenario], plants: Sequence[tuple[dict[str, Any], PlantSettings]]
     ) -> Iterator[tuple[dict[str, Any], Scenario]]:
-        """Yield (tags, trial) for every preset, plant and trial."""
         for preset in self.presets:
             control = {} if preset == "default" else {"preset": preset}
             for tags, plant in plants:
@@ -102,7 +94,7 @@ class Config(StudyConfig):
 
 
 def plant_of(base: PlantSettings, kind: str, size: float) -> PlantSettings:
-    """Return the plant with errors of this kind and size. The frames' tilt is proportional to the origins' error."""
+    """Return the plant with these errors. The frames' tilt is proportional to the origins' error."""
     origins = 1e-3 * size if kind in ("origins", "both") else 0.0
     encoders = 1e-3 * size if kind in ("encoders", "both") else 0.0
     return PlantSettings(**base.model_dump() | {
@@ -141,7 +133,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def registered_again(dcac: Trial, moc: Trial) -> list[Run]:
-    """Run both controllers. If both complete and MOC's elbow arrives, add the errors after registering again."""
+    """Run both controllers, and add the errors after registering again."""
     both = [run_and_trace(dcac), run_and_trace(moc)]
     found = [run for run, _ in both]
     whole = [trace for run, trace in both if trace is not None and run.row["whole"]]
@@ -159,8 +151,8 @@ def registered_again(dcac: Trial, moc: Trial) -> list[Run]:
 
 
 def after_travel(trace: Trace, setup: Setup, tick: int) -> dict[str, float]:
-    """Return mean errors [mm] from `tick` to the end, with the registration at the start and a new one at `tick`."""
-    # Touching measures the error (true minus believed) of the tip, and of the shaft at the trocar's depth.
+    """Return mean errors [mm] from `tick` on, with the old and a new registration."""
+    # Touching measures the error (true minus believed) of tip and shaft.
     tips, wrists = setup.robot.tool_along(trace.q_rad + setup.plant.mismatch.encoder_bias)
     told = trace.trocar_registered_m - setup.offset.trocar  # the trocar in the controller's own frame
     depth = np.linalg.norm(told - tips, axis=1, keepdims=True)
@@ -174,7 +166,7 @@ def after_travel(trace: Trace, setup: Setup, tick: int) -> dict[str, float]:
 
 
 def calibration(rows: Results, solver: str) -> list[dict[str, Any]]:
-    """Return a row per preset, kind and size: both controllers' means, and changes. Every kind has a size 0."""
+    """Return a row per preset, kind and size: both means, and changes."""
     found = []
     for preset, kind in product(rows.names("preset"), KINDS):
         here = Results(row for row in rows.where(preset=preset) if row["kind"] == kind or row["size"] == 0.0)
@@ -193,8 +185,8 @@ def calibration(rows: Results, solver: str) -> list[dict[str, Any]]:
 def break_evens(found: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return, for every preset and kind, the sizes at which the registered tip error crosses each limit.
 
-    ``relative`` is the size at which the lower ends of the intervals of the change cross `MOST_CHANGE_PERCENT`. At
-    ``absolute`` MOC's mean error crosses `MOST_MM`, and at ``absolute_dcac`` DCAC's. None: no size crosses the limit.
+    At ``relative`` the change from DCAC crosses `MOST_CHANGE_PERCENT`, and at ``absolute`` MOC's error crosses
+    `MOST_MM`.
     """
     evens = []
     for preset, kind in dict.fromkeys((row["preset"], row["kind"]) for row in found):
@@ -212,7 +204,7 @@ def break_evens(found: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 def crossing(sizes: Sequence[float], values: Sequence[float], limit: float) -> float | None:
-    """Return the interpolated size above which all values exceed a limit, or None if the last value does not."""
+    """Return the interpolated size above which all values exceed a limit, if any."""
     last = max((k for k, value in enumerate(values) if not value > limit), default=-1)
     if last == len(values) - 1:
         return None

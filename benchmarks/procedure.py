@@ -1,9 +1,6 @@
 """The operative procedure: a hand guides the tip to the incision, the camera finds the board, the arm does the task.
 
-There is one run per task. The trocar is registered where the hand-guided tip comes to rest, with the errors of the hand
-and of the kinematics. The task is transformed from the board to the robot's base through the camera's extrinsics, with
-the errors of calibration and detection. It pauses while the board is lost. Reported errors are against the true
-incision and the true task on the phantom.
+Reported errors are against the true incision and the true task on the phantom.
 """
 
 from __future__ import annotations
@@ -41,8 +38,6 @@ METRICS = ("mu_mean", "tip_error_mean_mm", "rcm_error_mean_mm", "trocar_force_me
 
 
 class ProcedureSettings(Settings):
-    """The settings of the procedure's components."""
-
     KIND: ClassVar[str] = "[procedure]"
     hands_on: HandsOnSettings = HandsOnSettings()
     camera: CameraSettings = CameraSettings()
@@ -52,15 +47,12 @@ class ProcedureSettings(Settings):
 
 
 def perform(parts: ProcedureSettings, scenario: Scenario, name: str, film: Path | None = None) -> dict[str, Any]:
-    """Perform the whole procedure once on the named task, and return its row of rows.parquet.
-
-    ``film`` is the file for a film of the surgeon's view. If the procedure cannot go on, a MocOptError is raised.
-    """
+    """Perform the procedure once on the named task, and return its row of rows.parquet."""
     task = board_task(name)
     robot = scenario.robot.arm()
     home = robot.state(robot.data.q_home)
     hand_seed, plant_seed, swivel_seed, eye_seed = np.random.SeedSequence(scenario.seed).generate_state(4).tolist()
-    # The registration error comes from the hand and the kinematics, so the plant adds none.
+    # The hand already causes a registration error.
     plant = Plant(robot.data, scenario.plant.model_copy(update={"trocar_registration_error_m": 0.0}), seed=plant_seed)
     incision = home.tip - task.depth_m * home.tool_direction
     guided = guide_to(incision, plant, robot, parts.hands_on, seed=hand_seed)
@@ -92,21 +84,17 @@ def perform(parts: ProcedureSettings, scenario: Scenario, name: str, film: Path 
 def _run(
     scenario: Scenario, plant: Plant, scene: Augmented, path: TipPath, q: Array, trocars: tuple[Array, Array]
 ) -> tuple[Trace, float, float]:
-    """Run the task under MOC. Return (trace, time that the tip waited [s], time that the board was out of sight [s]).
-
-    ``trocars`` are the true and the registered trocar, (3,) each [m].
-    """
+    """Run the task under MOC. Return (trace, waiting time [s], time without the board [s])."""
     period, (true, registered) = scenario.plant.period_s, trocars
     robot, task = scenario.robot.arm(), scenario.task
     reference = Reference(path, task.v_max_m_per_s, task.a_max_m_per_s2, t_start=task.wait_s)
     check_reachable(robot, q, reference, Trocar(registered))
     waiting = WaitingReference(reference, period)
     lost = sum(end - begin for begin, end in scene.board.lost_s)
-    # Each start and each stop of the path takes `settle_s`.
     settling = 2.0 * waiting.settle_s * (1 + len(scene.board.lost_s))
     seconds = reference.t_start + reference.duration + lost + settling + task.hold_s
     times = period * np.arange(round(seconds / period))
-    # The tool is drawn in its starting pose, because its later poses are not known yet.
+    # The tool's later poses are not known yet.
     looked_at, seen = scene.watch(seconds, q)
     rows, played = waiting.play(flags_at(times, looked_at, seen))
     last = int(np.searchsorted(played, reference.t_start + reference.duration))
@@ -126,7 +114,7 @@ def _run(
 
 
 def from_path(points: Array, path: TipPath, samples: int = 4000) -> Array:
-    """Return the distance (k,) [m] of each point (k, 3) from the nearest point of the path, at whatever time."""
+    """Return the distance (k,) [m] of each point (k, 3) from the path."""
     line = path.at(np.linspace(0.0, path.length, samples))[0]
     found: Array = cKDTree(line).query(points)[0]
     return found

@@ -2,8 +2,7 @@
 
 python -m benchmarks.realtime [CONFIG.toml] [--cycles N] [--out DIR] [--seed N] [--quick] [--json]
 
-Run nothing else meanwhile, because other work lengthens the times. Finished runs are kept in DIR/jobs. The same
-command on the same machine adds the missing runs, so that a million cycles can be measured in parts.
+Run nothing else meanwhile. The same command continues a stopped measurement.
 """
 
 from __future__ import annotations
@@ -38,9 +37,9 @@ from moc_opt.study.statistics import Interval, share
 from moc_opt.trace.trace import Trace
 
 SPARE_S = 300.0
-"""Time [s] allowed in addition to the run itself, for starting both processes and saving the trace."""
+"""time [s] allowed for starting and saving"""
 SAFE_RCM_M, AT_REST_RAD_PER_S = 2e-3, 1e-2
-"""A stop is clean if the RCM error stays below `SAFE_RCM_M`, and all joints end slower than `AT_REST_RAD_PER_S`."""
+"""limits of RCM error and final joint speed for a clean stop"""
 BURN = "import os\nstudy = os.getppid()\nwhile os.getppid() == study:\n    sum(i * i for i in range(100000))"
 PERCENTILES = {"p50": 50.0, "p99": 99.0, "p99_99": 99.99, "worst": 100.0}
 TIMES = {"wake": "wake-up latency", "round": "round trip", "control": "controller"}
@@ -51,8 +50,6 @@ Rate = Literal[250, 500, 1000]
 
 
 class Case(NamedTuple):
-    """One measured case: controller, rate, and load of the machine."""
-
     controller: str
     rate_Hz: Rate
     load: str
@@ -103,7 +100,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 class Run(NamedTuple):
-    """One run: the times [us] of all cycles before its end or a stop, counts of cycles, and how it ended."""
+    """Times [us] and counts of the cycles before the end or a stop."""
 
     wake_us: Array
     round_us: Array
@@ -118,14 +115,14 @@ class Run(NamedTuple):
 
 
 def runs_of(study: Study, config: Config) -> dict[Case, list[Run]]:
-    """Split each case's cycles into runs, and run them. A run that is stopped has fewer cycles and is not repeated."""
+    """Split each case's cycles into runs, and run them."""
     scenarios = {rate: config.run_at(rate) for rate in config.rates_Hz}
     programs = {
         ("c", rate): str(build(scenario, study.out / "programs" / str(rate)))
         for rate, scenario in scenarios.items() if "c" in config.controllers
     }  # fmt: skip
     machine = environment({}, 0)["machine"]
-    here = (machine["processor"], machine["cores"])  # so that another machine's runs are not reused
+    here = (machine["processor"], machine["cores"])
     each = min(config.cycles, config.run_cycles)
     asked = [(case, number) for case in config.measured() for number in range(-(-config.cycles // each))]
     jobs = []
@@ -150,7 +147,7 @@ def build(scenario: Scenario, folder: Path) -> Path:
 
 @contextmanager
 def loaded(kind: str) -> Iterator[None]:
-    """Keep every core busy during the block, or no core if ``kind`` is "quiet"."""
+    """Keep every core busy during the block, unless ``kind`` is "quiet"."""
     count = 0 if kind == "quiet" else os.cpu_count() or 1
     busy = [subprocess.Popen([sys.executable, "-c", BURN]) for _ in range(count)]
     try:
@@ -162,7 +159,7 @@ def loaded(kind: str) -> Iterator[None]:
 
 
 def run_once(case: Case, scenario: Scenario, program: str | None, number: int, machine: Any) -> Run:
-    """Run a scenario in two processes, connected by UDP. ``program`` is the C controller, or None for Python's."""
+    """Run a scenario with the C controller ``program``, or with Python's (None)."""
     begun = datetime.now(UTC).isoformat(timespec="seconds")
     with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder, loaded(case.load):
         file, trace = Path(folder, "run.toml"), Path(folder, "run.parquet")
@@ -195,7 +192,7 @@ def _started(*words: str, program: Sequence[str] = (sys.executable, "-m", "moc_o
 
 
 def read(trace: Trace, said: dict[str, Any], begun: str) -> Run:
-    """Make the `Run` from a trace and the JSON that the controller printed at its end."""
+    """Make the `Run` from a trace and the controller's JSON."""
     columns, wire, ended = trace.columns, trace.meta["wire"], str(trace.meta["ended"])
     rcm = float(np.max(trace.rcm_error_registered_m))
     rest = bool(np.abs(trace.v_rad_per_s[-1]).max() < AT_REST_RAD_PER_S)
@@ -228,7 +225,7 @@ def summarise(runs: Sequence[Run]) -> dict[str, Any]:
 
 
 def _share(name: str, least: int) -> Callable[[Any], Interval | None]:
-    """Return a function of the summary: a case's share of missed cycles, or None if it has fewer than ``least``."""
+    """Return a function for a case's share of missed cycles."""
 
     def measured(summary: Any) -> Interval | None:
         found = summary["cases"][name]

@@ -1,8 +1,6 @@
 """Do the findings on one arm hold on the others? The study runs every arm of the package under every controller.
 
 python -m benchmarks.robots [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
-
-Starts lie anywhere in each arm's workspace. "Settled" errors leave out ticks at which an elbow moves to its optimum.
 """
 
 from __future__ import annotations
@@ -63,7 +61,7 @@ class Config(StudyConfig):
 def on_each_arm(
     base: Scenario, robots: Sequence[str], tasks: Sequence[str], own_seeds: Sequence[int]
 ) -> list[Scenario]:
-    """Make trials of the paper's virtual tasks (see `trials`), arm by arm, the same number on each arm."""
+    """Make the same number of trials on each arm."""
     count = len(own_seeds) // len(robots)
     arms = [base.change(robot={"name": name}) for name in robots]
     return [
@@ -88,7 +86,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def verdicts(rows: Results, judged: str) -> dict[str, bool | None]:
-    """Return for each finding True if it holds on an arm in its whole interval, False if nowhere in it, else None."""
+    """Return True or False for each finding, or None if its interval is undecided."""
     own, base = rows.pairs("tip_error_mean_mm", judged)
 
     def change(metric: str, _: Any) -> Change | None:
@@ -110,7 +108,7 @@ def verdicts(rows: Results, judged: str) -> dict[str, bool | None]:
 
 
 def ranking(robots: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Rank the solvers on each arm by mean mu, rounded to 0.1 %, and compute the rank correlations between arms."""
+    """Rank the solvers on each arm by mean mu, and correlate the ranks."""
     scores, between = {}, {}
     for robot, figures in robots.items():
         found = {name: row["mu_mean"] for name, row in figures.items() if name != BASELINE and "mu_mean" in row}

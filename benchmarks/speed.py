@@ -2,7 +2,7 @@
 
 python -m benchmarks.speed [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-Times of different runs cannot be compared. Finished jobs are thus not kept, and every run measures everything again.
+Times of different runs cannot be compared.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Names = Literal["all"] | list[str]
 Summary = Mapping[str, Any]
 TICKS, PEERS, SOLVERS, LOOP = "Ticks", "Other libraries", "Solvers", "Loop"
 TIMED = ("tick", "tick_parts", "peers", "adapters", "loop")
-"""Parts of the summary with counters of the machine's load (`moc_opt.study.timing.COUNTED`)."""
+"""parts with counters of the machine's load"""
 
 
 class Config(StudyConfig):

@@ -2,8 +2,7 @@
 
 python -m benchmarks.sweep [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--dask ADDRESS]
 
-The configuration alone determines the runs. Every path, name and scenario is checked before anything runs. After a
-stop, the same command continues the sweep. docs/results.md describes the configuration.
+The same command continues a stopped sweep.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ class SweepError(MocOptError, ValueError):
 
 
 class Draw(Settings):
-    """The distribution of a field: uniform over a range on its scale, or a choice of equally likely values."""
+    """A uniform distribution over a range, or equally likely values."""
 
     KIND: ClassVar[str] = "[random.fields]"
     ERROR: ClassVar[type[MocOptError]] = SweepError
@@ -66,7 +65,7 @@ class Draw(Settings):
         return self
 
     def at(self, u: float) -> Any:
-        """Return the value at u in [0, 1): the quantile of the distribution."""
+        """Return the quantile at u in [0, 1)."""
         if self.choice is not None:
             return self.choice[int(u * len(self.choice))]
         if self.scale == "integer":
@@ -78,8 +77,6 @@ class Draw(Settings):
 
 
 class RandomSample(Settings):
-    """Fields that are drawn at random. Each of the ``samples`` has one value of every field."""
-
     KIND: ClassVar[str] = "[random]"
     samples: int = Field(1, ge=1, le=MOST_RUNS)
     fields: dict[str, Any] = Field(default_factory=dict, description="a range or a choice for each path")
@@ -109,7 +106,7 @@ class Config(StudyConfig):
         return self.seeds if isinstance(self.seeds, list) else range(self.seed, self.seed + self.seeds)
 
     def chosen_solvers(self) -> dict[str, dict[str, Any]]:
-        """Return a dict from each solver to its settings, in order. Raise a SolverError if a solver cannot run here."""
+        """Return each solver's settings. Raise a SolverError if one cannot run."""
         table = self.scenario.solver
         if self.solvers is None:
             name = BASELINE if self.scenario.control.law == "dcac" else table.name
@@ -127,7 +124,7 @@ class Config(StudyConfig):
 
 
 def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield (dotted path, value) for each field of nested tables. A table with low, high or choice is a value."""
+    """Yield (dotted path, value). A table with low, high or choice is a value."""
     for name, value in table.items():
         path = f"{prefix}{name}"
         if path in ELSEWHERE:
@@ -139,7 +136,7 @@ def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]
 
 
 def grid_axes(table: Mapping[str, Any]) -> dict[str, list[Any]]:
-    """Return a dict from the dotted path of each field on the grid to its values."""
+    """Return the values for each dotted path."""
     found = dict(flat(table))
     for path, values in found.items():
         if not isinstance(values, list) or not values:
@@ -148,10 +145,9 @@ def grid_axes(table: Mapping[str, Any]) -> dict[str, list[Any]]:
 
 
 def random_draws(table: Mapping[str, Any], samples: int, seed: int) -> dict[str, list[Any]]:
-    """Return a dict from the dotted path of each field to its ``samples`` values, drawn with ``seed``.
+    """Return ``samples`` values for each dotted path.
 
-    Each field has a random stream of its own, seeded by its path. So an additional field does not change the values of
-    the others, and more samples only append values.
+    Each field has its own random stream, so more fields or samples change no value.
     """
     draws: dict[str, list[Any]] = {}
     for path, entry in flat(table):
@@ -167,11 +163,11 @@ def random_draws(table: Mapping[str, Any], samples: int, seed: int) -> dict[str,
 
 
 def plan(config: Config) -> list[Trial]:
-    """Return the runs, ordered by grid, then sample, then seed, then solver. Equal runs are listed once."""
+    """Return the runs. Equal runs are listed once."""
     grid, seeds, solvers = grid_axes(config.grid), config.chosen_seeds(), config.chosen_solvers()
     samples = config.random.samples if config.random.fields else 1
     count = math.prod([*map(len, grid.values()), samples, len(seeds), len(solvers)])
-    if not 1 <= count <= MOST_RUNS:  # checked before anything is drawn
+    if not 1 <= count <= MOST_RUNS:
         raise SweepError(f"{count} runs: a sweep has 1 to {MOST_RUNS}; split a larger one into several")
     draws = random_draws(config.random.fields, samples, config.seed)
     if twice := grid.keys() & draws.keys():
@@ -179,7 +175,7 @@ def plan(config: Config) -> list[Trial]:
     found: dict[str, Trial] = {}
     for *values, sample, seed, solver in product(*grid.values(), range(samples), seeds, solvers):
         fields = dict(zip(grid, values, strict=True)) | {path: drawn[sample] for path, drawn in draws.items()}
-        if solver == BASELINE:  # DCAC has no solver, so it ignores a solver's fields
+        if solver == BASELINE:  # DCAC has no solver
             fields = {path: value for path, value in fields.items() if not path.startswith("solver.")}
         case = _case(config.scenario, seed, fields)
         settings = {**solvers[solver], **case.solver.settings}
@@ -212,7 +208,7 @@ def _words(fields: Mapping[str, Any]) -> str:
 
 
 def _check_names(runs: Sequence[Trial]) -> None:
-    """Build robots, paths and solvers with their settings, once per name, so that wrong names raise before any run."""
+    """Raise on wrong names before any run."""
     seen: set[tuple[str, Any]] = set()
     for run in runs:
         names = {("solver", run.controller)} | {(path, v) for path, v in run.tags.items() if isinstance(v, str)}
@@ -226,7 +222,7 @@ def _check_names(runs: Sequence[Trial]) -> None:
         except MocOptError as error:
             if isinstance(error.__cause__, UnknownNameError):
                 raise
-            # Other combinations that cannot run get a row with the error.
+            # Combinations with other errors get a row.
 
 
 # --- the figures ---
@@ -242,10 +238,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def grouped(rows: Results, field: str = "") -> dict[str, dict[str, Any]]:
-    """Return for each solver (or solver and value of ``field``) counts, and mean, 5th and 95th percentile of metrics.
-
-    Means and percentiles are over the runs that completed their task.
-    """
+    """Return counts, means and percentiles over completed runs for each solver and value of ``field``."""
     found = {}
     for controller in rows.names():
         for value in rows.names(field) if field else [None]:

@@ -25,7 +25,7 @@ from moc_opt.robots.chain import desired_wrist
 from moc_opt.robots.model import RobotModel, load_robot
 from moc_opt.study.testsets import FOLDER, INCONSISTENT, NAMES, SEQUENCES, TestSet, changed
 
-CLOSE = 1e-9  # largest difference of an answer in --check [rad/s]; other machines' rounding moves optima by 1e-14
+CLOSE = 1e-9  # largest difference of an answer in --check [rad/s]
 Rng = np.random.Generator
 SIZE = 128  # problems per set
 VERSION = 1  # part of the seed of the drawn sets
@@ -34,13 +34,13 @@ VERSION = 1  # part of the seed of the drawn sets
 def at_pose(
     robot: RobotModel, q: Array, v_tip: Array, *, regularization: float = 1e-5, k0: float = 2.0, depth: float = 0.15
 ) -> NullSpaceQP:
-    """Build the subproblem for a pose and a tip velocity. The trocar is on the shaft, ``depth`` [m] above the tip."""
+    """Build the subproblem with the trocar on the shaft, ``depth`` [m] above the tip."""
     state = robot.state(q)
     trocar = state.tip - depth * state.tool_direction
     _, v_wrist = desired_wrist(state.tip, v_tip, trocar, np.zeros(3), state.tool_span)
     lower, upper = (np.clip(-k0 * (q - limit), -robot.v_max, robot.v_max) for limit in (robot.q_min, robot.q_max))
     u = state.tool_direction
-    v_wrist = v_wrist + u * (u @ (v_tip - v_wrist))  # the tool is rigid: equal velocities along it
+    v_wrist = v_wrist + u * (u @ (v_tip - v_wrist))  # the tool is rigid
     return NullSpaceQP(
         state.J_tip, state.J_wrist, v_tip, v_wrist, state.grad_mu, lower=lower, upper=upper, q=q,
         regularization=regularization,
@@ -48,28 +48,28 @@ def at_pose(
 
 
 def tip_velocity(rng: Rng, speed: float) -> Array:
-    """Return a velocity (3,) [m/s] with a random direction and a random speed up to ``speed``."""
+    """Return a random velocity (3,) [m/s], not faster than ``speed``."""
     v = rng.normal(size=3)
     return np.asarray(v * speed * rng.uniform() / np.linalg.norm(v))
 
 
 def random_poses(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
-    """Yield problems at regular (not near-singular) poses all over the workspace."""
+    """Yield problems at regular poses all over the workspace."""
     while True:
         yield at_pose(robot, robot.random_regular_pose(rng), tip_velocity(rng, 0.05))
 
 
 def near_singular(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
-    """Yield problems with the elbow 0.1 to 1e-8 rad from straight. A straight elbow reduces A's rank from 5 to 4."""
+    """Yield problems with the elbow 0.1 to 1e-8 rad from straight."""
     for bend in np.logspace(-1, -8, SIZE):
         q = robot.random_regular_pose(rng)
         q[3] = bend
-        # The tip rests, because near the singularity almost every other velocity is infeasible.
+        # Almost every tip velocity is infeasible there.
         yield at_pose(robot, q, np.zeros(3))
 
 
 def joint_limits(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
-    """Yield problems with one to three joints within 1 mrad of a limit, where one bound on x is almost zero."""
+    """Yield problems with one to three joints within 1 mrad of a limit."""
     while True:
         q = robot.random_regular_pose(rng)
         for joint in rng.choice(robot.n - 1, size=rng.integers(1, 4), replace=False):
@@ -79,13 +79,13 @@ def joint_limits(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
 
 
 def infeasible(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
-    """Yield problems of which some are infeasible, because of k0 = 0.1 (as in the paper) and fast references."""
+    """Yield problems of which some are infeasible."""
     while True:
         yield at_pose(robot, robot.random_regular_pose(rng), tip_velocity(rng, 0.1), k0=0.1)
 
 
 def inconsistent(size: float) -> Callable[[RobotModel, Rng], Iterator[NullSpaceQP]]:
-    """Return a function. It yields problems whose tip and wrist references differ by ``size`` [m/s] along the shaft."""
+    """Return a maker of problems whose references differ by ``size`` [m/s] along the shaft."""
 
     def make(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
         while True:
@@ -97,7 +97,7 @@ def inconsistent(size: float) -> Callable[[RobotModel, Rng], Iterator[NullSpaceQ
 
 
 def jumps(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
-    """Yield pairs of problems that differ only in the sign of the gradient, to test warm starts."""
+    """Yield pairs of problems that differ only in the sign of the gradient."""
     while True:
         qp = at_pose(robot, robot.random_regular_pose(rng), tip_velocity(rng, 0.05), regularization=0.0)
         yield qp
@@ -115,7 +115,7 @@ RECIPES: dict[str, Callable[[RobotModel, Rng], Iterator[NullSpaceQP]]] = {
 
 
 def make(name: str, robot: RobotModel, seed: int = 0) -> TestSet:
-    """Make and certify one set: a recorded sequence from its file, any other set from its name and the seed."""
+    """Make and certify one set."""
     if name in SEQUENCES:
         return certify(name, TestSet.load(name).problems())
     rng = np.random.default_rng([seed, VERSION, *name.encode()])

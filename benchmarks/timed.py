@@ -1,7 +1,6 @@
 """Measure times for ``python -m benchmarks.speed``. Each function from `ticks` to `fresh` is a job that runs alone.
 
-The compared calls take turns in chunks, so that a slow moment of the machine affects all of them. Each ratio is that of
-two chunks or rounds that were measured one after the other.
+The compared calls take turns in chunks, so that a slow moment affects all of them.
 """
 
 from __future__ import annotations
@@ -34,12 +33,10 @@ from moc_opt.solvers.exact import Exact
 from moc_opt.study.timing import each_us, percentiles, since, total, used
 
 ROOT, CHUNK = Path(__file__).resolve().parents[1], 100
-COLD = 5  # number of first calls of a chunk, during which the caches hold another entry's data
+COLD = 5  # number of first calls of a chunk that count as cold
 
 
 class Timed(NamedTuple):
-    """A call to time, and the arguments of its successive calls."""
-
     call: Callable[[Any], Any]
     items: Sequence[Any]
 
@@ -52,8 +49,8 @@ class Part:
         found: metrics, by part of the summary and then by name.
         rows: rows for rows.parquet, one per chunk or round.
         missing: reason for each entry that could not run.
-        times: times (chunks, CHUNK) [us] of each entry that took turns.
-        seen: counters of `moc_opt.study.timing` (context switches, processor time) during the calls of each entry.
+        times: times (chunks, CHUNK) [us] of each entry.
+        seen: context switches and processor time of each entry.
     """
 
     found: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -63,11 +60,7 @@ class Part:
     seen: dict[str, dict[str, float]] = field(default_factory=dict)
 
     def time(self, part: str, entries: Mapping[str, Timed], rounds: int) -> None:
-        """Time the entries in turn: each entry calls its function for the next chunk of its items.
-
-        A disturbance of the machine affects all entries, so ratios taken chunk by chunk vary less than the times. The
-        entry with the fewest items limits the items of all entries. The first round is not timed and not in ``rounds``.
-        """
+        """Time the entries in turn, a chunk at a time. The first round is not timed."""
         names, starts = list(entries), range(0, min(len(entry.items) for entry in entries.values()) - CHUNK + 1, CHUNK)
         chunks: dict[str, list[Array]] = {name: [] for name in names}
         seen: dict[str, list[dict[str, float]]] = {name: [] for name in names}
@@ -87,7 +80,6 @@ class Part:
             ]
 
     def figures(self, name: str, prefix: str) -> dict[str, float]:
-        """Return percentiles, maximum, median over the first `COLD` calls of each chunk, and the counters `seen`."""
         times = self.times[name]
         return {
             **percentiles(times.ravel(), prefix), f"{prefix}_max_us": float(times.max()),
@@ -95,7 +87,7 @@ class Part:
         }  # fmt: skip
 
     def over(self, name: str, other: str) -> float:
-        """Return the ratio ``name`` / ``other`` of the median times in a chunk. It is the median over all chunks."""
+        """Return the median ratio ``name`` / ``other`` of the chunks' median times."""
         return float(np.median(np.median(self.times[name], axis=1) / np.median(self.times[other], axis=1)))
 
 
@@ -114,7 +106,7 @@ def record(scenario: Scenario) -> tuple[list[peers.Inputs], list[NullSpaceQP]]:
 
     trace = Heard(scenario).trace()
     problems = [NullSpaceQP.from_row(np.array(row)) for row in trace.subproblem]
-    for qp in problems:  # computed in advance, so that it is not timed
+    for qp in problems:
         _ = qp.q, qp.reduced()
     return heard, problems
 
@@ -123,7 +115,7 @@ def record(scenario: Scenario) -> tuple[list[peers.Inputs], list[NullSpaceQP]]:
 
 
 def ticks(scenario: Scenario, solvers: Iterable[str], libraries: Iterable[str], rounds: int) -> Part:
-    """Time our tick with every solver, and other libraries' ticks on the states of their own runs."""
+    """Time one tick with every solver, and with other libraries on their own runs."""
     part, entries, (inputs, _) = Part(), dict[str, Timed](), record(scenario)
     robot = load_robot(scenario.robot.name)
     for name in solvers:
@@ -153,7 +145,7 @@ def _spread(call: Callable[..., Any]) -> Callable[[tuple[Any, ...]], Any]:
 
 
 def tick_parts(scenario: Scenario, rounds: int) -> Part:
-    """Time the calls that our controller makes in one tick, each separately, on the same states."""
+    """Time each call of one tick separately, on the same states."""
     part, (inputs, _), robot = Part(), record(scenario), load_robot(scenario.robot.name)
     law = core.Law(robot.arm, **numbers_of(scenario.control, robot, scenario.plant.period_s))
     law.start(*inputs[0])
@@ -166,10 +158,10 @@ def tick_parts(scenario: Scenario, rounds: int) -> Part:
     session = Exact().start(problems[0])
     answers = [np.array(session.solve(qp).x) for qp in problems]
     entries = {
-        "before the solver": Timed(begin, inputs),  # the arm's terms, levels 1 and 2, and the subproblem
+        "before the solver": Timed(begin, inputs),
         "of which the arm's terms": Timed(lambda item: robot.state(item[0], item[1]), inputs),
         "solver": Timed(session.solve, problems),
-        "after the solver": Timed(lambda answer: law.finish(0, 0, answer, 1.0), answers),  # the check, level 3
+        "after the solver": Timed(lambda answer: law.finish(0, 0, answer, 1.0), answers),
     }
     part.time("tick_parts", entries, rounds)
     part.found["tick_parts"] = {name: part.figures(name, "tick") for name in entries}
@@ -181,7 +173,7 @@ _COMPARED = re.compile(r"largest difference from the recorded torque ([\d.e+-]+)
 
 
 def exported(scenario: Scenario) -> Part:
-    """Export the scenario's controller, build and run its test program, and return the times that it prints."""
+    """Build and run the C test program, and return its times."""
     with tempfile.TemporaryDirectory() as folder:
         export_scenario(scenario, folder)
         command = ["make", "--silent", "test"]
@@ -198,10 +190,7 @@ def exported(scenario: Scenario) -> Part:
 
 
 def batch(scenario: Scenario, count: int) -> Part:
-    """Time ``Exact.solve_batch`` on ``count`` recorded subproblems in one call, on one and on two threads.
-
-    The faster of two calls is reported. A problem of seven joints has 87 doubles, so a million problems take 696 MB.
-    """
+    """Time ``Exact.solve_batch`` on ``count`` subproblems, on one and two threads."""
     rows = np.array([qp.row for qp in record(scenario)[1]])
     many, solver = np.ascontiguousarray(np.resize(rows, (count, rows.shape[1]))), Exact()
     found = {"batch": float(count)}
@@ -223,7 +212,7 @@ BY_HAND = "daqp by hand"
 
 
 def adapters(scenario: Scenario, names: Iterable[str], rounds: int) -> Part:
-    """Time the adapters of solver libraries side by side with exact, and daqp also without its adapter."""
+    """Time the adapters, and daqp also without its adapter."""
     part, (_, problems), robot = Part(), record(scenario), load_robot(scenario.robot.name)
     entries = {"exact": Timed(Exact().start(problems[0]).solve, problems)}
     for name in names:
@@ -246,11 +235,7 @@ def adapters(scenario: Scenario, names: Iterable[str], rounds: int) -> Part:
 
 
 def daqp_by_hand(settings: Any, first: NullSpaceQP) -> Callable[[NullSpaceQP], tuple[Array, Array]]:
-    """Return a call that uses daqp without its adapter: it loads the numbers, solves, and reads x and y.
-
-    The call uses the workspace, options and buffers of our adapter, so that both do the same work in daqp. It does not
-    translate the status, convert the multipliers or check anything.
-    """
+    """Return a call that uses daqp without its adapter."""
     at, scale, n = settings.start(first), settings.cost_scale, first.n
     core = at._core
 
@@ -269,7 +254,7 @@ def daqp_by_hand(settings: Any, first: NullSpaceQP) -> Callable[[NullSpaceQP], t
 
 
 def disagreement(solver: Any, by_hand: Callable[[NullSpaceQP], Any], problems: list[NullSpaceQP]) -> str | None:
-    """Say by how much the answers of adapter and direct call differ, or return None if they agree to 1e-4 rad/s."""
+    """Say by how much two answers differ, or return None within 1e-4 rad/s."""
     session = solver.start(problems[0])
     gap = max(float(np.abs(session.solve(qp).x - by_hand(qp)[0]).max()) for qp in problems[:200])
     return None if gap <= 1e-4 else f"the answers of adapter and direct call differ by {gap:.2g} rad/s"
@@ -279,13 +264,11 @@ def disagreement(solver: Any, by_hand: Callable[[NullSpaceQP], Any], problems: l
 
 
 def own_steps(scenario: Scenario) -> tuple[Array, Callable[[], Array]]:
-    """Return MuJoCo's states (k, m) before each control period of a run, and a function that steps from all of them.
+    """Return MuJoCo's recorded states (k, m), and a function that steps from all of them.
 
-    It returns the states (k, m) after the periods (column 0 is the time). It runs MuJoCo alone, without Python
-    between the steps and without our trocar and sensors. The time of a step depends on the state, because dry friction,
-    joint limits and the trocar's force add work. So each period starts from its recorded state and forces.
+    The steps run without Python, trocar and sensors. Column 0 is the time.
     """
-    # Imported here, so that processes that measure other parts have no threads of MuJoCo.
+    # Other jobs must have no threads of MuJoCo.
     import mujoco
     from mujoco.rollout import rollout
 
@@ -313,10 +296,7 @@ def own_steps(scenario: Scenario) -> tuple[Array, Callable[[], Array]]:
 
 
 def loop(scenario: Scenario, runs: int) -> Part:
-    """Time runs as in ``moc-opt run``, and MuJoCo's steps over the same states.
-
-    References, trace and the progress bar's callback are included. A first, untimed run warms the caches.
-    """
+    """Time whole runs, and MuJoCo's steps over the same states."""
     part, (states, stepped), times = Part(), own_steps(scenario), list[Array]()
     seen, bar = list[dict[str, float]](), list[int]()
     for turn in range(1 + runs):
@@ -339,7 +319,7 @@ def loop(scenario: Scenario, runs: int) -> Part:
 
 
 def limit(rows: Iterable[Mapping[str, Any]], c_tick_us: float | None) -> dict[str, float]:
-    """Return medians over the rounds: time of MuJoCo's steps, the limit (steps plus C tick), and loop time / limit."""
+    """Return median times of MuJoCo's steps and of the limit (steps plus C tick)."""
     us, steps = np.array([(row["us_per_tick"], row["steps_us"]) for row in rows]).T
     found = {"steps_us": float(np.median(steps))}
     if c_tick_us is not None:
@@ -373,9 +353,9 @@ FIRST_RUN = ("-m", "moc_opt", "run", "--json")
 
 
 def fresh(processes: int) -> Part:
-    """Return median times of new processes [s]: from the first import to the first torque, and of ``moc-opt run``.
+    """Return median times of new processes [s] to the first torque, and of ``moc-opt run``.
 
-    Each ``moc-opt run`` has a home folder of its own, so that it finds no caches.
+    Each ``moc-opt run`` has its own home folder, so that it finds no caches.
     """
     part = Part()
     for turn in range(processes):

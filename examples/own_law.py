@@ -1,7 +1,7 @@
 """A control law of your own in the closed loop: the paper's three levels in plain numpy, without a solver.
 
 Instead of solving a subproblem, the third level follows the gradient of mu, projected onto the self-motion (which moves
-neither tip nor wrist). Plant, sensors, safety filter, trace and metrics are the package's own, as in every run.
+neither tip nor wrist).
 
 python examples/own_law.py
 """
@@ -14,7 +14,7 @@ from moc_opt.scenario.setup import Setup
 
 
 class OwnLaw:
-    """A controller needs only these methods, which `moc_opt.sim.protocols` documents."""
+    """A controller needs only these methods."""
 
     K_X, D_X, K_N, D_N, K_N2 = 3000.0, 30.0, 800.0, 10.0, 15.0
     CLIMB = 30.0  # joint velocity per unit of the gradient of mu
@@ -23,7 +23,7 @@ class OwnLaw:
         self.robot, self.tip = robot, np.zeros(3)
 
     def start(self, q, v, tip_ref, trocar):
-        """Do nothing: this law has no state to reset."""
+        """Do nothing."""
 
     def tick(self, q, v, tip_ref, trocar):
         """Return the torque (n,) [Nm] for the measured q (n,) [rad] and v (n,) [rad/s]."""
@@ -52,26 +52,22 @@ class OwnLaw:
         return tau_tip + tau_rcm + tau_mu
 
     def set_applied_torque(self, tau):
-        """Do nothing: only a law with an observer needs the torque that left the safety filter."""
+        """Do nothing: this law has no observer."""
 
     def columns(self, ticks):
-        """Return no further columns for the trace."""
+        """Return no further columns."""
         return {}
 
     def note(self, row, columns):
-        """Do nothing: this law adds no columns to the trace."""
+        """Do nothing."""
 
 
 class OwnSetup(Setup):
-    """The set-up of a run, with another controller."""
-
     def controller(self):
-        """Make the controller of a run."""
         return OwnLaw(self.robot)
 
 
 def main():
-    """Compare the law with the package's law on one trial."""
     scenario = mo.Scenario(duration_s=4.0, start={"swivel": 0.2}, judge=False)
     for name, trace in {"own law": OwnSetup(scenario).trace(), "moc_opt": mo.run(scenario)}.items():
         found = mo.summarize(trace)

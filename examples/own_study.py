@@ -13,7 +13,6 @@ from moc_opt.study import Failed, Job, Kept, run
 
 
 def trial(solver, delay, seed):
-    """Run one trial and return its row. If the trial hangs, crashes or raises, `run` returns a `Failed` instead."""
     scenario = mo.Scenario(duration_s=2.0, seed=seed, start={"pose": "random"}, bound_samples=0)
     scenario = scenario.change(solver={"name": solver}, plant={"delay_ticks": delay})
     return {"solver": solver, "delay": delay, "seed": seed, **mo.summarize(mo.run(scenario))}

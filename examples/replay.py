@@ -1,4 +1,4 @@
-"""Write a replay and a manipulability map of MOC beside DCAC, as two self-contained HTML files.
+"""Write a replay and a manipulability map of MOC beside DCAC, as two HTML files.
 
 python examples/replay.py [FOLDER]
 """

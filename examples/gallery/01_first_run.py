@@ -3,7 +3,7 @@ One run, and its metrics
 ========================
 
 From a random start, an LWR4+ follows a circle with its tool through the trocar. The controller's third level raises
-the manipulability mu, with the solver `exact`. The baseline is the same trial without the third level (`dcac`).
+the manipulability mu. The baseline (`dcac`) has no third level.
 """
 
 import moc_opt as mo

@@ -2,8 +2,8 @@
 One subproblem, one judged answer
 =================================
 
-Build the problem of one tick by hand, solve it, and judge the answer by its residuals. These are the violation of
-A x = b and of the bounds, the distance from optimality, and the loss: 0 at the smallest cost, 1 at the largest.
+Build the problem of one tick by hand, solve it, and judge the answer by its residuals. The loss is 0 at the smallest
+cost and 1 at the largest.
 """
 
 import numpy as np
@@ -23,8 +23,7 @@ print(f"|A x - b| {residuals.primal:.1e}, natural residual {residuals.natural:.1
 print("verified:", residuals.verified())
 
 # %%
-# A wrong answer is detected even if it satisfies every constraint. This answer moves tip and wrist as required, but
-# gives manipulability away.
+# A wrong answer is detected even if it satisfies every constraint. This answer gives manipulability away.
 kernel = np.linalg.svd(qp.A)[2][5:]
 uphill = kernel.T @ (kernel @ state.grad_mu)
 wrong = solution.x - 0.3 * uphill / np.linalg.norm(uphill)

@@ -2,8 +2,8 @@
 Plan a path before anything moves
 =================================
 
-A plan tells whether the whole path can be executed from a start. It contains the best course (joint motion along the
-path), and an upper bound on the mean manipulability mu of all courses.
+A plan tells whether the whole path can be executed from a start. It contains the best joint motion
+(course), and an upper bound on the mean manipulability mu.
 """
 
 import moc_opt as mo

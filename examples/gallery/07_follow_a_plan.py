@@ -3,7 +3,7 @@ Follow a plan instead of climbing
 =================================
 
 The local law climbs the manipulability mu from the start, and may stay at a lower local maximum. The planned law
-follows the motion with the best mean mu over the path. Solver, supervisor and safety filter are the same in both runs.
+follows the motion with the best mean mu over the path.
 """
 
 import moc_opt as mo

@@ -3,7 +3,7 @@ What a defect of the robot costs
 ================================
 
 The realistic plant differs from the controller's model in masses, friction, delay, noise and calibration. Switch some
-of these defects off, or make them larger, and compare the errors.
+of these defects off, and compare the errors.
 """
 
 import moc_opt as mo

@@ -17,8 +17,6 @@ from moc_opt.solvers.base import Solution, Status
 
 @dataclass(frozen=True)
 class Walk:
-    """A solver that returns the end of the feasible interval to which the gradient of mu points."""
-
     name = "walk"
 
     def supports(self, qp):

@@ -3,7 +3,7 @@ A bad answer does no harm
 =========================
 
 A supervisor checks every answer before the arm follows it. Here a solver claims success for the opposite of the
-optimum at one tick in five. Each such answer is refused and replaced by a safe answer. The trace counts the refusals.
+optimum at one tick in five. Each such answer is refused and replaced by a safe answer.
 """
 
 import moc_opt as mo

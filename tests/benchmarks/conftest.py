@@ -1,4 +1,4 @@
-"""The fixture `tiny` runs a small study without worker processes. tests/study tests the engine that starts them."""
+"""The fixture `tiny` runs a small study without worker processes."""
 
 import json
 import pickle
@@ -14,7 +14,7 @@ from moc_opt.study import Failed, Job
 
 
 def in_this_process(jobs: Sequence[Job], *, done: Callable[[Job, Any], None], **options: Any) -> list[Any]:
-    """Stand in for `moc_opt.study.run`. Like the original, pickle arguments and results."""
+    """Stand in for `moc_opt.study.run`, with pickled arguments and results."""
     results = list[Any]()
     for job in jobs:
         try:
@@ -28,8 +28,6 @@ def in_this_process(jobs: Sequence[Job], *, done: Callable[[Job, Any], None], **
 
 @pytest.fixture(scope="session")
 def tiny(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., SimpleNamespace]:
-    """Return a function that runs a study with seed 3 and returns its folder, configuration, summary and rows."""
-
     def run(study: ModuleType, text: str, *options: str) -> SimpleNamespace:
         folder = tmp_path_factory.mktemp(study.__name__)
         file, out = folder / "tiny.toml", folder / "out"

@@ -1,4 +1,4 @@
-"""The commands of `benchmarks`. The documents name all of them, and `benchmarks.docs` writes results into pages."""
+"""The commands of `benchmarks`."""
 
 import importlib
 import json
@@ -23,7 +23,7 @@ COMMANDS = {
 }  # fmt: skip
 
 
-def test_the_documents_name_every_command_and_no_other() -> None:
+def test_documents_name_exactly_the_commands() -> None:
     named = {page: set(re.findall(r"-m benchmarks\.([a-z_]+)|`benchmarks\.([a-z_]+)`", PAGES[page])) for page in PAGES}
     wrong = {page: names for page, found in named.items() if (names := {a or b for a, b in found} - COMMANDS)}
     assert wrong == {}
@@ -31,7 +31,7 @@ def test_the_documents_name_every_command_and_no_other() -> None:
 
 
 @pytest.mark.parametrize("name", sorted(COMMANDS - {"docs"}))
-def test_the_help_of_a_command_shows_how_to_call_it(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_shows_how_to_call_a_command(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="0"):
         importlib.import_module(f"benchmarks.{name}").main(["--help"])
     assert f"python -m benchmarks.{name}" in capsys.readouterr().out
@@ -52,7 +52,7 @@ FAULT, GROUPS = '[cases.a]\ngroup = "plant"\n', "[groups.tuned]\n[groups.paper]\
     ("speed", 'solvers = ["exact", "dapq"]', "did you mean 'daqp'"),
     ("speed", 'peers = ["minc"]', "did you mean 'mink'"),
 ])  # fmt: skip
-def test_a_wrong_configuration_is_refused_before_anything_runs(study, text, said, tmp_path, capsys):
+def test_wrong_configuration_is_refused_before_any_run(study, text, said, tmp_path, capsys):
     (tmp_path / "wrong.toml").write_text(text)
     command = importlib.import_module(f"benchmarks.{study}").main
     assert command([str(tmp_path / "wrong.toml"), "--out", str(tmp_path / "out")]) == 2
@@ -60,7 +60,7 @@ def test_a_wrong_configuration_is_refused_before_anything_runs(study, text, said
     assert not (tmp_path / "out").exists()
 
 
-def test_every_pair_of_marks_for_results_in_a_page_names_a_study() -> None:
+def test_marks_in_pages_name_studies() -> None:
     studies, count = COMMANDS | {file.stem for file in CONFIGS.glob("*.toml")}, 0
     for page, text in PAGES.items():
         blocks = [(at["name"], at["title"]) for at in docs.BLOCK.finditer(text)]
@@ -84,7 +84,7 @@ old
 """
 
 
-def test_results_of_a_study_are_written_into_the_pages(tmp_path, monkeypatch, capsys):
+def test_results_are_written_into_the_pages(tmp_path, monkeypatch, capsys):
     table = Table("Sums", [Column("k", "k"), Column("us", "time", unit="us")], [{"k": "a", "us": 2.0}])
     more = Section("More \\1", "Read this.", [table])
     report = Report("A title", ["It holds."], table, sections=[Section("Before"), more, Section("Behind", "No.")])

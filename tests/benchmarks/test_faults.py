@@ -1,4 +1,4 @@
-"""The study of injected faults: its runs, the figures computed from them, and its goals."""
+"""The study of injected faults."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,6 @@ camera = { group = "camera", camera_lost_s = [0.1, 0.2] }
 
 
 def run_of(error, level=1e-3, **meta):
-    """Return a made-up trace with tip error `error`, RCM error `level`, and one row every 10 ms."""
     error = np.asarray(error, dtype=float)
     n = len(error)
     columns = {
@@ -42,7 +41,7 @@ def test_every_configured_fault_changes_the_scenario():
     assert kinds == {"fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang"}
 
 
-def test_every_run_is_a_row_and_the_summary_counts_the_rows(tiny):
+def test_summary_counts_every_run(tiny):
     left = tiny(faults, TINY)
     assert [(row["controller"], row["case"]) for row in left.rows] == [
         ("dcac", "none"), ("dcac", "gone"), ("dcac", "camera"),
@@ -55,12 +54,12 @@ def test_every_run_is_a_row_and_the_summary_counts_the_rows(tiny):
     assert summary["goals"]["missed"]["reached"] == "yes"
 
 
-def test_recovery_lasts_until_the_error_stays_below_its_limit():
+def test_recovery_ends_when_errors_stay_below_limits():
     free = run_of(np.full(300, 1e-3))
     error = np.full(300, 1e-3)
     error[100:150] = 5e-3
     case = Case(group="contact", from_s=1.0, until_s=1.4)
-    # The mean over 20 rows falls below the limit of 1.25 mm once only one of the 20 rows is 5 mm.
+    # The mean of 20 rows is below the limit if only one of them is 5 mm.
     assert recovery(run_of(error), free, case, "completed") == pytest.approx(1.69 - 1.4, abs=0.02)
     assert recovery(run_of(error), free, Case(group="plant"), "completed") == pytest.approx(1.69, abs=0.02)
     assert recovery(free, free, case, "completed") == 0.0
@@ -81,7 +80,7 @@ def test_each_ending_has_its_outcome(error, ended, expected):
     assert measure(None, free, "refused: x", FREE["none"], (20.0, 20.0)) == {"outcome": "refused"}
 
 
-def test_detected_harmless_and_missed_faults_and_false_alarms_are_counted_separately():
+def test_fault_outcomes_are_counted_separately():
     trace = run_of(np.zeros(6)).with_columns(
         injected=[True, True, True, False, False, True],
         fault=["lied", "none", "none", "lied", "infeasible", "stopped"],
@@ -121,7 +120,7 @@ def test_each_bad_row_makes_one_goal_fail():
     assert mixed["outcome"] == "1 survived, 1 stopped"
 
 
-def test_the_tip_waits_while_the_board_is_out_of_sight_and_a_case_that_cannot_start_is_refused():
+def test_tip_waits_while_the_board_is_hidden():
     asked = Scenario(control={"preset": "tuned"}, duration_s=2.0, bound_samples=0, judge=False)
     trace, ended = run_case(asked, (0.8, 1.4))
     assert ended == "completed"

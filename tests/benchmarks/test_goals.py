@@ -1,4 +1,4 @@
-"""Goals are judged and shown. All controllers of a trial have the same ticks in its phases (travelling, settled)."""
+"""Goals, and the phases of a run (travelling, settled)."""
 
 from typing import Any
 
@@ -25,7 +25,7 @@ def change(one: tuple[float, float], two: tuple[float, float], trials: int = 9) 
     (change((3, 4), (6, 7)), "open", "open"), (change((3, 4), (2, 4), 7), "open", "open"),
     (None, "not measured", "not measured"),
 ])  # fmt: skip
-def test_a_goal_is_judged_by_the_worse_end_of_every_interval(measured: Any, most: str, least: str) -> None:
+def test_goal_is_judged_by_the_worse_interval_end(measured: Any, most: str, least: str) -> None:
     summary = {} if measured is None else {"x": measured}
     asked = {str(m): Goal("x", "us", 5.0, lambda s: s["x"], most=m, made_of=lambda s: "all") for m in (True, False)}
     found = goals.judge(summary, asked)
@@ -33,7 +33,7 @@ def test_a_goal_is_judged_by_the_worse_end_of_every_interval(measured: Any, most
     assert (found["True"]["kind"], found["True"]["made_of"]) == ("at most", "" if measured is None else "all")
 
 
-def test_goals_are_shown_with_the_missed_ones_first() -> None:
+def test_missed_goals_are_shown_first() -> None:
     values = {"a": 1.0, "b": Interval(7.0, 6.0, 8.0, 9), "c": Interval(5.0, 4.0, 6.0, 9)}
     asked = {key: Goal(f"goal {key}", "us", 5.0, lambda s, key=key: s[key], section="All") for key in "acbd"}
     found = goals.judge(values, asked)
@@ -43,7 +43,7 @@ def test_goals_are_shown_with_the_missed_ones_first() -> None:
 
 
 def made(controller: str, travelling: list[int] | None, trial: str = "t", **more: Any) -> Run:
-    """Return a run of four ticks. At tick k every column is 2^k * 1e-6, and twice this value for BASELINE."""
+    """Return four ticks. At tick k every column is 2^k * 1e-6, doubled for BASELINE."""
     error = 1e-6 * 2.0 ** np.arange(4) * (2.0 if controller == BASELINE else 1.0)
     columns = dict.fromkeys(("t_s", "mu", "tip_error_m", "rcm_error_model_m"), error)
     columns["trocar_force_N"] = np.outer(error, (0.0, 0.6, -0.8))
@@ -51,7 +51,7 @@ def made(controller: str, travelling: list[int] | None, trial: str = "t", **more
     return Run({"trial": trial, "controller": controller, **more}, {**columns, **flags})
 
 
-def test_phases_are_the_same_ticks_for_all_controllers_of_a_trial() -> None:
+def test_controllers_of_a_trial_share_its_phases() -> None:
     runs = [
         made(BASELINE, None), made("exact", [1, 0, 0, 0]), made("rnn", [0, 0, 1, 0]),
         Run({"trial": "t", "controller": "osqp", "whole": False}),

@@ -1,4 +1,4 @@
-"""The study of the paper's claims: its verdicts, the procedure with a camera, and the command."""
+"""The study of the paper's claims."""
 
 from collections import Counter
 
@@ -43,7 +43,7 @@ ODD, FEW = change((-9, -3), (-2, 5)), change((-9, -3), (-9, -3), 7)
     (OPEN, OPEN, FAILS), (WORSE, WORSE, FAILS), (None, WORSE, FAILS), (BETTER, ODD, UNDECIDED),
     (BETTER, FEW, too_few(7)), (BETTER, None, too_few(0)),
 ])  # fmt: skip
-def test_a_claim_is_judged_by_the_intervals_of_both_comparisons(own, matched, wanted):
+def test_claim_is_judged_by_intervals_of_both_comparisons(own, matched, wanted):
     assert CLAIMS[1].verdict(own, matched) == wanted
     found = [CLAIMS[0].verdict(None, change(ends, ends)) for ends in ((7.5, 20), (6.5, 20), (-20, -8))]
     assert found == [HOLDS, FAILS, FAILS], "mu must rise by more than 7 % with its whole interval"
@@ -56,7 +56,7 @@ def row(group, controller, k, mu=1.0, tip=1.0, **more):
     return {**about, "ended": "completed", **errors, **own, **more}
 
 
-def test_claims_and_goals_are_computed_from_the_right_rows():
+def test_claims_use_the_right_rows():
     ten = range(10)
     rows = [row("tuned", name, k, tip=2.0 if name == OWN else 1.0) for name in BASELINES for k in ten]
     rows += [row("tuned", "exact", k, mu=1.2 + 0.001 * k, tip=1.1, settled_rcm_error_mean_mm=1.2) for k in ten]
@@ -74,7 +74,7 @@ def test_claims_and_goals_are_computed_from_the_right_rows():
     assert {few[key]["reached"] for key in ("mu_gain", "settled_rcm_error_mean_mm", "mu_worst")} == {"open"}
 
 
-def test_an_exchanged_entry_decides_a_claim_only_if_it_surely_reverses_the_claim():
+def test_deciding_entry_reverses_a_claim():
     cases = {name: Case(about=name) for name in ("printed", "turns", "same", "noisy")}
     rng, rows = np.random.default_rng(3), []
     for name, tip, spread in (("printed", 0.9, 0.0), ("turns", 1.2, 0.0), ("same", 0.9, 0.0), ("noisy", 1.01, 0.5)):
@@ -90,7 +90,7 @@ def test_an_exchanged_entry_decides_a_claim_only_if_it_surely_reverses_the_claim
     assert found["turns", "tip, own"]["shift_percent"] == pytest.approx(30.0, abs=2.0)
 
 
-def test_the_shipped_configuration_is_the_papers_experiment():
+def test_shipped_configuration_is_the_papers_experiment():
     cases = {group: SHIPPED.cases(SHIPPED.base(group)) for group in SHIPPED.groups}
     tasks = Counter(case.name.partition("/")[0] for case in cases["paper"])
     assert tasks == {"circle": 15, "sinusoid": 15, "spiral": 15}
@@ -100,7 +100,7 @@ def test_the_shipped_configuration_is_the_papers_experiment():
         assert [case.seed for case in mine] == [case.seed for case in cases["paper"]]
 
 
-def test_a_procedure_that_ends_early_gives_the_reason():
+def test_stopped_procedure_gives_the_reason():
     with pytest.raises(MocOptError, match="did not reach the incision"):
         procedure.perform(ProcedureSettings(camera=SMALL, hands_on=HandsOnSettings(time_limit_s=0.2)), QUICK, "circle")
     base = QUICK.change(guard={"rcm_error_m": 2e-4, "rcm_warning_m": 1e-4})
@@ -109,7 +109,7 @@ def test_a_procedure_that_ends_early_gives_the_reason():
     assert row["share_of_run"] < 1.0
 
 
-def test_the_command_reports_every_part_and_completes_the_procedure(tiny):
+def test_command_completes_the_procedure(tiny):
     left = tiny(paper, TINY)
     summary = left.summary
     found = summary["groups"]["tuned"]
@@ -125,8 +125,8 @@ def test_the_command_reports_every_part_and_completes_the_procedure(tiny):
     assert (row["ended"], row["share_of_run"], row["registered"]) == ("completed", 1.0, True)
     assert 0.0 < row["registration_error_mm"] < 5.0
     assert row["board_position_mm"] < 2.0
-    assert 0.9 < row["waited_s"] < 2.5  # 1 s without the board, plus slowing down and restarting
-    assert row["tip_error_mean_mm"] < 1.5  # large, because the arm deviates from its model by half a millimetre
+    assert 0.9 < row["waited_s"] < 2.5  # 1 s without the board, plus restarting
+    assert row["tip_error_mean_mm"] < 1.5  # the arm deviates from its model by half a millimetre
     assert row["path_deviation_max_mm"] < row["task_error_max_mm"] + 1.0
     assert row["pictures"] > 10
     assert (left.out / "film.webm").stat().st_size > 1000

@@ -1,4 +1,4 @@
-"""Peers are controllers of other packages. Each listed peer does the task, and one that fails at it is detected."""
+"""Controllers of other packages (peers) do the task."""
 
 import re
 
@@ -15,7 +15,7 @@ def task(robot):
 
 
 @pytest.mark.parametrize("name", list(peers.PEERS))
-def test_a_peer_that_is_listed_does_the_task(name, robot, task):
+def test_listed_peer_does_the_task(name, robot, task):
     if reason := peers.missing(name):
         pytest.skip(reason)
     poses, given = peers.perform(peers.PEERS[name](robot), robot, task)
@@ -24,7 +24,7 @@ def test_a_peer_that_is_listed_does_the_task(name, robot, task):
 
 
 class Puppet:
-    """A small velocity-level controller. One of its parts can be made wrong."""
+    """A velocity-level controller with parts that can be wrong."""
 
     level = "velocity"
 
@@ -44,13 +44,13 @@ class Puppet:
     ({}, None), ({"tip": -1.0}, "tip is"), ({"tip": 0.1}, "tip is"), ({"shaft": 0.02}, "shaft is|tip is"),
     ({"climb": 0.0}, "manipulability rose"), ({"climb": -30.0}, "manipulability rose"),
 ])  # fmt: skip
-def test_a_peer_that_does_not_do_the_task_is_detected(wrong, words, robot, task, monkeypatch):
+def test_failing_peer_is_detected(wrong, words, robot, task, monkeypatch):
     monkeypatch.setitem(peers.PEERS, "puppet", lambda robot: Puppet(robot, **wrong))
     failure = peers.check("puppet")
     assert failure is None if words is None else re.search(words, failure)
 
 
-def test_a_torque_peer_moves_the_ideal_arm(robot, task):
+def test_torque_peer_moves_the_ideal_arm(robot, task):
     class Hold:
         level = "torque"
 

@@ -1,4 +1,4 @@
-"""The study of the arm's defects, such as biased encoders and displaced joint origins."""
+"""The study of the arm's defects."""
 
 import pytest
 
@@ -16,7 +16,7 @@ scenario = { judge = false, bound_samples = 0, duration_s = 0.3 }
 """
 
 
-def test_both_controllers_run_with_every_defect_and_registering_again_restores_accuracy(tiny):
+def test_registering_again_restores_accuracy(tiny):
     results = tiny(plant, TINY)
     summary = results.summary
     found = summary["effects"]["tuned"]
@@ -39,7 +39,7 @@ def test_both_controllers_run_with_every_defect_and_registering_again_restores_a
     assert origins["moc_rcm_again_mm"] < 0.7 * origins["moc_rcm_after_mm"]
     assert all("too few trials" in row["undecided"] for row in summary["break_even"])
 
-    # A registration at tick 0 gives the frame that the run itself uses.
+    # At tick 0, both registrations are equal.
     case = results.config.cases(plant.CALIBRATION_STREAM, 1)[0]
     setup = Setup(case.change(duration_s=0.6, plant=plant.plant_of(case.plant, "both", 0.5).model_dump()))
     trace = setup.trace()
@@ -53,5 +53,5 @@ def test_both_controllers_run_with_every_defect_and_registering_again_restores_a
     ("values", "at"),
     [((0.0, 10.0, 20.0), 0.5), ((6.0, 7.0, 8.0), 0.0), ((0.0, 9.0, 4.0), None), ((9.0, 1.0, 9.0), 1.5)],
 )
-def test_beyond_the_crossing_all_values_exceed_the_limit(values, at):
+def test_values_beyond_the_crossing_exceed_the_limit(values, at):
     assert plant.crossing((0.0, 1.0, 2.0), values, 5.0) == at

@@ -1,4 +1,4 @@
-"""The studies of robot arms and of planning: their figures, and a bound that no planned motion exceeds."""
+"""The studies of robot arms and of planning."""
 
 from typing import Any
 
@@ -16,7 +16,7 @@ scenario = { start = { pose = "random" }, duration_s = 0.4, bound_samples = 2 }
 """
 
 
-def test_every_run_is_a_row_and_the_summary_agrees_with_the_rows(tiny: Any) -> None:
+def test_summary_agrees_with_the_rows(tiny: Any) -> None:
     left = tiny(robots, TINY)
     rows = left.rows
     runs = [("xarm7", "dcac"), ("xarm7", "exact"), ("lwr4_rail", "dcac"), ("lwr4_rail", "exact")]
@@ -37,7 +37,7 @@ def row(trial: int, controller: str, mu: float = 1.0, tip: float = 1.0, **more: 
     return {**about, **errors, **own, **more}
 
 
-def test_findings_are_judged_by_the_ends_of_their_intervals() -> None:
+def test_findings_are_judged_by_interval_ends() -> None:
     base = [row(k, "dcac") for k in range(40)]
     mine = [row(k, "exact", mu=1.2, tip=1.2 if k == 0 else 1.0) for k in range(40)]
 
@@ -58,7 +58,7 @@ def test_findings_are_judged_by_the_ends_of_their_intervals() -> None:
     assert found()["all_end"] is False
 
 
-def test_arms_on_which_all_solvers_are_equal_have_no_rank_correlation() -> None:
+def test_equal_solvers_have_no_rank_correlation() -> None:
     means = {"a": (1.1, 1.2, 1.3), "b": (2.1, 2.2, 2.3), "c": (3.3, 3.2, 3.1), "d": (1.0, 1.0 + 1e-6, 1.0)}
     figures = {arm: {s: {"mu_mean": m} for s, m in zip("xyz", of, strict=True)} for arm, of in means.items()}
     ranking = robots.ranking(figures)
@@ -76,7 +76,7 @@ scenario = { start = { pose = "random" }, duration_s = 1.0 }
 """
 
 
-def test_no_motion_has_more_mu_than_the_best_planned_motion_or_the_bound(tiny: Any) -> None:
+def test_no_motion_exceeds_the_bound_on_mu(tiny: Any) -> None:
     left = tiny(plan, PLANNED)
     rows = left.rows
     parts = [row["part"] for row in rows]

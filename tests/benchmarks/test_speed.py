@@ -1,4 +1,4 @@
-"""The speed benchmark: compared codes do the same work, and a ratio compares two times of the same round."""
+"""The speed benchmark."""
 
 import json
 
@@ -15,7 +15,7 @@ SHORT = Scenario(judge=False, bound_samples=0, duration_s=0.2)
 
 
 @pytest.mark.skipif(available().get("daqp", "") is not None, reason="daqp is not installed")
-def test_daqp_called_by_hand_gives_the_same_optimum_as_the_adapter():
+def test_direct_daqp_call_gives_the_adapters_optimum():
     rng = np.random.default_rng(4)
     sequence = [random_problem(rng, structured=False) for _ in range(60)]
     solver = create("daqp")
@@ -29,7 +29,7 @@ def test_daqp_called_by_hand_gives_the_same_optimum_as_the_adapter():
     assert "differ by" in timed.disagreement(solver, lambda qp: (np.zeros(7), np.zeros(5)), sequence)
 
 
-def test_entries_take_turns_chunk_by_chunk(monkeypatch):
+def test_entries_take_turns_by_chunk(monkeypatch):
     monkeypatch.setattr(timed, "CHUNK", 5)
     log, part = [], timed.Part()
     entries = {
@@ -41,15 +41,15 @@ def test_entries_take_turns_chunk_by_chunk(monkeypatch):
     assert {name: found["times_calls"] for name, found in part.seen.items()} == {"a": 20, "b": 20}
     chunks = [log[i : i + 5] for i in range(0, len(log), 5)]
     assert all(len({name for name, _ in chunk}) == 1 for chunk in chunks)
-    # An untimed round comes before the two timed rounds. The entries alternate in going first.
+    # The first round is untimed. The entries alternate in going first.
     assert [chunk[0][0] for chunk in chunks] == ["a", "b", "b", "a"] * 3
     assert [item for name, item in log if name == "a"] == [*range(10)] * 3
     assert [item for name, item in log if name == "b"] == [*range(100, 110)] * 3
 
 
-def test_no_call_is_left_out_of_the_figures():
+def test_figures_include_every_call():
     times = np.full((10, 100), 2.0)
-    times[:, :5] = 9.0  # one call in twenty is cold
+    times[:, :5] = 9.0
     times[3, 50] = 70.0
     part = timed.Part(times={"a": times, "b": np.full((10, 100), 4.0)}, seen={"a": {}})
     found = part.figures("a", "tick")
@@ -58,7 +58,7 @@ def test_no_call_is_left_out_of_the_figures():
     assert part.over("b", "a") == 2.0
 
 
-def test_recorded_inputs_and_problems_are_those_of_the_run():
+def test_recorded_problems_are_those_of_the_run():
     inputs, problems = timed.record(SHORT)
     trace = Setup(SHORT).trace()
     assert len(inputs) == len(problems) == len(trace) == 100
@@ -66,15 +66,15 @@ def test_recorded_inputs_and_problems_are_those_of_the_run():
     np.testing.assert_array_equal([given[2][0] for given in inputs], trace.tip_ref_m)
 
 
-def test_a_ratio_compares_times_of_the_same_round():
+def test_ratio_compares_times_of_one_round():
     rows = [{"us_per_tick": 40.0 * slow, "steps_us": 10.0 * slow - 1.0} for slow in (1.0, 10.0, 1.0)]
     found = timed.limit(rows, 1.0)
     assert found == {"steps_us": 9.0, "limit_us": 10.0, "python_over_limit": 4.0}
     assert set(timed.limit(rows, None)) == {"steps_us"}
 
 
-def test_mujoco_alone_steps_from_the_recorded_states_of_the_run():
-    """A step from each recorded state ends only near the next state, because it applies the previous step's forces."""
+def test_mujoco_steps_from_the_recorded_states():
+    """The steps apply forces that are one step old, so states agree only nearly."""
     states, stepped = timed.own_steps(SHORT.change(duration_s=0.4))
     after, n = stepped(), 7
     assert len(states) == 200
@@ -96,7 +96,7 @@ scenario.duration_s = 0.2
 """
 
 
-def test_the_command_measures_every_part_and_lists_missing_peers(tiny, capsys, monkeypatch):
+def test_command_measures_every_part(tiny, capsys, monkeypatch):
     monkeypatch.setattr(speed.peers, "missing", lambda name: "it is missing")
     left = tiny(speed, SMALL)
     summary, rows = left.summary, left.rows
@@ -117,7 +117,7 @@ def test_the_command_measures_every_part_and_lists_missing_peers(tiny, capsys, m
     assert "of a core" in capsys.readouterr().out
 
 
-def test_the_goals_of_a_failed_part_count_as_not_measured_and_no_times_are_kept(tmp_path, monkeypatch):
+def test_goals_of_a_failed_part_are_not_measured(tmp_path, monkeypatch):
     asked = []
 
     def failing(study, jobs, what, keep):

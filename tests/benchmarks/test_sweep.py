@@ -1,4 +1,4 @@
-"""Sweeps: the runs that follow from a configuration, and the files that the command writes."""
+"""Sweeps over the fields of a scenario."""
 
 from typing import Any
 
@@ -32,7 +32,7 @@ def config(**changes: Any) -> Config:
     ({"seeds": []}, "0 runs"), ({"settings": {"osqp": {}}}, r"\[settings\]"),
     ({"scenario": {"solver": {"name": "rnn"}}}, r"\[scenario.solver\]"),
 ])  # fmt: skip
-def test_a_wrong_sweep_is_refused_before_anything_runs(changes: dict[str, Any], message: str) -> None:
+def test_wrong_sweep_is_refused_before_any_run(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(MocOptError, match=message):
         plan(config(**changes))
 
@@ -55,7 +55,7 @@ def test_draws_stay_in_range_and_more_samples_keep_the_first(seed: int, samples:
     assert longer["control.regularization"][:samples] == drawn["control.regularization"]
 
 
-def test_the_plan_is_every_combination_in_a_fixed_order() -> None:
+def test_plan_is_every_combination_in_fixed_order() -> None:
     runs = plan(config(solvers=["exact", "osqp"]))
     assert len(runs) == 24
     assert [run.controller for run in runs[:3]] == ["exact", "osqp", "exact"]
@@ -65,7 +65,7 @@ def test_the_plan_is_every_combination_in_a_fixed_order() -> None:
     assert (runs[-1].controller, last.duration_s) == ("osqp", 0.05)
 
 
-def test_a_run_that_several_combinations_share_is_done_once() -> None:
+def test_shared_runs_are_done_once() -> None:
     axes = {"solver.settings.eps": [1e-6, 1e-8], "control.k0_per_s": [1.0, 2.0]}
     runs = plan(config(solvers=["dcac", "osqp"], grid=axes, seeds=1))
     assert len(runs) == 6  # not 8, because DCAC uses no solver
@@ -75,7 +75,7 @@ def test_a_run_that_several_combinations_share_is_done_once() -> None:
     assert len(plan(config(random=drawn, grid={}, seeds=1))) == 2
 
 
-def test_without_a_list_of_solvers_the_scenarios_own_solver_runs() -> None:
+def test_scenarios_own_solver_runs_by_default() -> None:
     own = {**TINY, "solver": {"name": "osqp", "settings": {"eps": 1e-7}}, "control": {"law": "moc"}}
     (run,) = plan(Config(scenario=own, seeds=1))
     assert (run.controller, run.settings) == ("osqp", {"eps": 1e-7})
@@ -107,7 +107,7 @@ scenario = { duration_s = 0.05, judge = false, bound_samples = 0 }
 """
 
 
-def test_the_command_writes_its_files_and_reports_times_only_of_runs_that_ran_alone(tiny: Any) -> None:
+def test_times_are_reported_only_if_runs_are_timed(tiny: Any) -> None:
     timed, shared = (tiny(sweep, SMALL.replace("timed = true", asked)) for asked in ("timed = true", ""))
     assert min(row["tick_p50_us"] for row in timed.rows) > 0.0
     assert [row["mu_mean"] for row in shared.rows] == [row["mu_mean"] for row in timed.rows]

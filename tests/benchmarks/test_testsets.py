@@ -1,4 +1,4 @@
-"""Sets of subproblems: HiGHS and the residuals confirm the certified optima. Sets can be reproduced and exported."""
+"""Test sets of subproblems with certified optima."""
 
 import subprocess
 import sys
@@ -34,14 +34,14 @@ ALONE, LONG = [[1.0, 0.0]], ([0.0, -1.0], [1.0, 2.0])
     (ALONE, [0.5], [0.0, 1.0], 0.0, LONG, [0.5, 2.0]), (ALONE, [0.5], [0.0, -1.0], 0.0, LONG, [0.5, -1.0]),
     (ALONE, [0.5], [0.0, 3.0], 2.0, LONG, [0.5, 1.5]), (ALONE, [0.5], [0.0, -3.0], 2.0, LONG, [0.5, -1.0]),
 ])  # fmt: skip
-def test_the_enumeration_finds_known_optima_of_two_joints(A, b, pull, rho, box, expected):
+def test_enumeration_finds_known_optima(A, b, pull, rho, box, expected):
     assert found(A, b, pull, rho, *box) == expected
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.3])
 @pytest.mark.parametrize("rows", [5, 4, 3, 2])
-def test_highs_finds_no_better_point_with_several_degrees_of_freedom(rows, rho):
-    """The problem is convex, so a point is optimal if HiGHS cannot lower the linearized cost."""
+def test_highs_finds_no_better_point(rows, rho):
+    """A point is optimal if HiGHS cannot lower the linearized cost."""
     rng = np.random.default_rng([rows, int(10 * rho)])
     A, pull, upper = rng.normal(size=(rows, 6)), rng.normal(size=6), rng.uniform(0.1, 1.0, 6)
     b = A @ rng.uniform(-upper, upper)
@@ -50,7 +50,7 @@ def test_highs_finds_no_better_point_with_several_degrees_of_freedom(rows, rho):
 
 
 def descent(A: Array, b: Array, slope: Array, lower: Array, upper: Array, x: Array) -> float:
-    """Check A x = b to 1e-12. Return how far HiGHS can lower slope^T x, divided by |slope|_inf."""
+    """Return how far HiGHS can lower slope^T x, divided by |slope|_inf."""
     np.testing.assert_allclose(A @ x, b, atol=1e-12)
     assert (np.maximum(lower - x, x - upper) <= 1e-15).all()
     unit = slope / (np.abs(slope).max() or 1.0)
@@ -60,7 +60,7 @@ def descent(A: Array, b: Array, slope: Array, lower: Array, upper: Array, x: Arr
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_residuals_and_highs_confirm_that_shipped_answers_are_certified_optima(name):
+def test_shipped_answers_are_certified_optima(name):
     kept = TestSet.load(name)
     assert kept.rows.shape[0] == kept.x.shape[0] == kept.feasible.size > 0
     assert compute_residuals(kept.judged, kept.x).verified(primal=1e-9)[kept.feasible].all()
@@ -78,7 +78,7 @@ def test_residuals_and_highs_confirm_that_shipped_answers_are_certified_optima(n
             assert descent(A, b, slope, qp.lower, qp.upper, x) < 1e-6
 
 
-def test_a_certificate_that_highs_contradicts_is_refused(monkeypatch):
+def test_certificate_that_highs_contradicts_is_refused(monkeypatch):
     infeasible = TestSet.load("infeasible")
     unsolved = infeasible.problems()[int(np.argmin(infeasible.feasible))]
     for qp, answer in ((TestSet.load("circle").problems()[0], None), (unsolved, [Fraction(0)] * 7)):
@@ -90,7 +90,7 @@ def test_a_certificate_that_highs_contradicts_is_refused(monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["random", "joint-limits", "jumps", "inconsistent-1e-6"])
-def test_a_set_is_reproduced_when_it_is_made_again(name, robot):
+def test_sets_are_reproducible(name, robot):
     made, kept = testsets.make(name, robot), TestSet.load(name)
     np.testing.assert_allclose(made.rows, kept.rows, rtol=1e-9, atol=1e-12, equal_nan=True)
     np.testing.assert_array_equal(made.feasible, kept.feasible)
@@ -106,7 +106,7 @@ def test_inconsistent_references_differ_along_the_shaft():
 
 
 @pytest.mark.skipif(find_spec("qpbenchmark") is None, reason="pip install '.[qpbenchmark]'")
-def test_qpbenchmark_reads_and_runs_exported_sets_unchanged(tmp_path):
+def test_qpbenchmark_runs_exported_sets(tmp_path):
     from qpbenchmark.benchmark import load_test_set
 
     assert export.main(["qpbenchmark", "--out", str(tmp_path), "--sets", "circle", "random", "--every", "64"]) == 0

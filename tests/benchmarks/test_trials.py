@@ -1,4 +1,4 @@
-"""The trials of every study are independent: no two of them share a seed, a start or an error of registration."""
+"""The trials of every study are independent."""
 
 from pathlib import Path
 from typing import Any
@@ -28,16 +28,16 @@ def shipped(name: str) -> list[Scenario]:
 
 
 @pytest.mark.parametrize("name", STUDIES)
-def test_no_two_trials_share_a_seed_a_start_or_a_registration(name: str) -> None:
+def test_trials_share_no_seed_start_or_registration(name: str) -> None:
     found = shipped(name)
     assert len({trial.seed for trial in found}) == len(found) > 1
-    # At most seven trials are set up, because finding a start is slow.
+    # Finding a start is slow.
     some = [Setup(trial.change(best_courses=False)) for trial in found[:: -(-len(found) // 7)]]
     assert len({(setup.robot.data.name, *setup.q_start.round(9)) for setup in some}) == len(some)
     assert len({tuple(setup.plant.mismatch.registration_error) for setup in some}) == len(some)
 
 
-def test_the_pool_of_the_coverage_study_shares_no_trial_with_the_study_of_solvers() -> None:
+def test_coverage_pool_shares_no_trial_with_solver_study() -> None:
     pool = {case.seed for case in coverage.Config().cases()}
     assert len(pool) == coverage.Config().trials
     assert not {trial.seed for name in ("solvers", "solvers-full") for trial in shipped(name)} & pool
@@ -46,16 +46,16 @@ def test_the_pool_of_the_coverage_study_shares_no_trial_with_the_study_of_solver
 POOL = np.random.default_rng(0).lognormal(0.0, 0.3, (2, 240))
 
 
-def test_intervals_of_more_trials_are_shorter_and_still_contain_the_true_value() -> None:
+def test_more_trials_give_shorter_intervals() -> None:
     (few, wide), (many, narrow) = (coverage.covered(*POOL, size, 60) for size in (15, 60))
     assert 0.4 < narrow / wide < 0.6  # about sqrt(15/60)
     assert min(few, many) > 85.0
-    # If rare large values dominate the mean, the intervals of few trials miss it.
+    # Few trials miss rare large values.
     rng = np.random.default_rng(1)
     assert coverage.covered(POOL[0] * np.where(rng.random(240) < 0.01, 1e3, 1.0), POOL[1], 15, 30)[0] < 50.0
 
 
-def test_the_command_writes_a_row_for_every_metric(tiny: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_command_writes_a_row_for_every_metric(tiny: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     cases = coverage.Config.cases
     monkeypatch.setattr(coverage.Config, "cases", lambda config: cases(config)[:3])
     monkeypatch.setattr(coverage, "SOLVERS", ("rnn-printed",))

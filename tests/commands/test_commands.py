@@ -1,4 +1,4 @@
-"""The commands: their files, exit statuses and lists, and the reference of a scenario's keys."""
+"""The commands of moc-opt, and the page of a scenario's keys."""
 
 import json
 import os
@@ -22,7 +22,7 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "scenario.md"
 
 
 @pytest.mark.parametrize("command", [*COMMANDS, "robot"])
-def test_every_command_has_a_function_and_help(command, capsys):
+def test_every_command_has_help(command, capsys):
     assert callable(work_of(command))
     if command != "solvers":  # `solvers` shows the help of the study
         with pytest.raises(SystemExit) as ended:
@@ -32,7 +32,7 @@ def test_every_command_has_a_function_and_help(command, capsys):
 
 
 @pytest.mark.parametrize(("line", "goes_on"), [("ex", "export-c "), ("run --third-level pl", "planned ")])
-def test_a_shell_completes_a_command_line(line, goes_on, tmp_path):
+def test_shell_completes_a_command_line(line, goes_on, tmp_path):
     asked = f"moc-opt {line}"
     shell = {"_ARGCOMPLETE": "1", "COMP_LINE": asked, "COMP_POINT": str(len(asked)),
              "_ARGCOMPLETE_STDOUT_FILENAME": str(tmp_path / "told")}  # fmt: skip
@@ -45,7 +45,7 @@ def test_a_shell_completes_a_command_line(line, goes_on, tmp_path):
     ("report", "a.toml", "--out", "a.toml"), ("compare", "exact", "--scenario", "a.toml", "--out", "a.toml"),
     ("plan", "a.toml", "--out", "a.toml"), ("map", "x", "a.toml", "--out", "x/../a.toml"),
 ])  # fmt: skip
-def test_an_input_file_is_not_overwritten(arguments, tmp_path, monkeypatch, capsys):
+def test_input_file_is_not_overwritten(arguments, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a.toml").write_text("duration_s = 0.02\n", encoding="utf-8")
     assert main(list(arguments)) == 2
@@ -58,7 +58,7 @@ def test_an_input_file_is_not_overwritten(arguments, tmp_path, monkeypatch, caps
     (("run",), "a\0b"), (("report",), "x" * 300), (("replay",), "\ud800"), (("plan",), "."), (("robot", "new"), ""),
     (("compare", "exact"), "loop"),
 ])  # fmt: skip
-def test_a_name_that_no_file_can_have_is_refused_in_one_line(command, name, tmp_path, monkeypatch, capsys):
+def test_impossible_file_name_is_refused(command, name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "loop").symlink_to("loop")
     given = ["--scenario", name] if command[0] == "compare" else [name]
@@ -70,7 +70,7 @@ def test_a_name_that_no_file_can_have_is_refused_in_one_line(command, name, tmp_
 
 
 @pytest.mark.parametrize("arguments", [["run", "--sede=3"], ["solvers", "--list", "--quick"], []])
-def test_an_unknown_option_and_a_missing_command_are_refused(arguments, capsys):
+def test_unknown_option_is_refused(arguments, capsys):
     with pytest.raises(SystemExit) as ended:
         main(arguments)
     assert ended.value.code == 2
@@ -79,7 +79,7 @@ def test_an_unknown_option_and_a_missing_command_are_refused(arguments, capsys):
     assert ("did you mean --seed?" in shown) == ("--sede=3" in arguments)
 
 
-def test_an_output_that_is_closed_or_full_ends_the_command_without_a_traceback():
+def test_closed_output_gives_no_traceback():
     reader, writer = os.pipe()
     os.close(reader)  # as `| head` does once it has its lines
     with os.fdopen(writer, "wb") as closed, open("/dev/full", "wb") as full:
@@ -93,7 +93,7 @@ def test_an_output_that_is_closed_or_full_ends_the_command_without_a_traceback()
     (["robots"], available_robots), (["tasks"], lambda: [*CURVES, "waypoints"]), (["metrics"], lambda: METRICS),
     (["solvers", "--list"], mo.solvers.available),
 ])  # fmt: skip
-def test_a_command_that_lists_names_lists_all_of_them(capsys, monkeypatch, command, expected):
+def test_lists_of_names_are_complete(capsys, monkeypatch, command, expected):
     monkeypatch.setenv("COLUMNS", "400")  # so that no name is wrapped
     assert main([*command, "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)
@@ -107,7 +107,7 @@ def test_a_command_that_lists_names_lists_all_of_them(capsys, monkeypatch, comma
         }  # fmt: skip
 
 
-def test_the_page_of_keys_is_up_to_date_and_its_defaults_are_those_of_the_scenario():
+def test_page_of_keys_is_up_to_date():
     assert PAGE.read_text(encoding="utf-8") == markdown(), "run: moc-opt keys --markdown > docs/scenario.md"
     for name, _, keys in tables():
         table = Scenario()
@@ -119,7 +119,7 @@ def test_the_page_of_keys_is_up_to_date_and_its_defaults_are_those_of_the_scenar
                 assert float(default) == value, f"{name}.{key}"
 
 
-def test_the_command_keys_prints_one_table_and_suggests_the_nearest_name(capsys):
+def test_keys_prints_one_table(capsys):
     assert main(["keys", "control.supervisor"]) == 0
     assert "hold_ticks" in capsys.readouterr().out
     assert main(["keys", "control.supervisor", "--markdown"]) == 0
@@ -131,7 +131,7 @@ def test_the_command_keys_prints_one_table_and_suggests_the_nearest_name(capsys)
     assert "did you mean 'control'" in capsys.readouterr().err
 
 
-def test_compare_prints_every_solver_and_writes_every_run(capsys, tmp_path, monkeypatch):
+def test_compare_writes_every_run(capsys, tmp_path, monkeypatch):
     monkeypatch.setenv("COLUMNS", "400")
     brief, rows = tmp_path / "brief.toml", tmp_path / "rows.csv"
     brief.write_text("duration_s = 0.02\nbound_samples = 0\n", encoding="utf-8")
@@ -149,14 +149,14 @@ def test_compare_prints_every_solver_and_writes_every_run(capsys, tmp_path, monk
     assert exact["mu_mean_low"] <= exact["mu_mean"] <= exact["mu_mean_high"]
 
 
-def test_a_comparison_reports_that_all_its_runs_were_stopped(tmp_path, capsys):
+def test_comparison_reports_stopped_runs(tmp_path, capsys):
     file = tmp_path / "far.toml"
     file.write_text("bound_samples = 0\n[guard]\ntip_error_m = 1e-6\ntip_error_s = 0.004\n", encoding="utf-8")
     assert main(["compare", "exact", "--trials", "1", "--scenario", str(file)]) == 3
     assert "exact: no trial was completed; the first one: stopped" in capsys.readouterr().err
 
 
-def test_the_command_solvers_passes_its_arguments_to_the_study(monkeypatch):
+def test_solvers_passes_its_arguments_to_the_study(monkeypatch):
     asked = []
     monkeypatch.setattr("moc_opt.study.solvers.main", lambda arguments: asked.append(arguments) or 7)
     assert main(["solvers", "--quick", "--out", "here", "--json"]) == 7

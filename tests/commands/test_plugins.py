@@ -1,4 +1,4 @@
-"""Scenarios and the command line can use waypoints, and paths and metrics of another package."""
+"""Waypoints, and plugins of other packages."""
 
 import json
 import sys
@@ -36,7 +36,7 @@ def printed(capsys, *arguments):
     return json.loads(found.out)
 
 
-def test_a_path_and_a_metric_of_an_installed_package_can_be_used_by_name(tmp_path, monkeypatch, capsys):
+def test_installed_path_can_be_used_by_name(tmp_path, monkeypatch, capsys):
     info = tmp_path / "own_things-1.0.dist-info"
     info.mkdir()
     (tmp_path / "own_things.py").write_text(PACKAGE, encoding="utf-8")
@@ -59,7 +59,7 @@ def test_a_path_and_a_metric_of_an_installed_package_can_be_used_by_name(tmp_pat
     short.write_text("duration_s = 0.02\nbound_samples = 0\n[task.sizes]\nradius = 0.01\n")
     assert "own_travel_rad" in printed(capsys, short, "--metric", "own_travel_rad")
     for arguments, said in (
-        (["run", str(short), "--task", "helix"], "[task] a helix needs its radius"),  # the file's is a circle's
+        (["run", str(short), "--task", "helix"], "[task] a helix needs its radius"),
         (["run", str(short), "--metric", "own_travel"], "did you mean 'own_travel_rad'"),
     ):
         assert main(arguments) == 2
@@ -69,7 +69,7 @@ def test_a_path_and_a_metric_of_an_installed_package_can_be_used_by_name(tmp_pat
         assert {"helix", "own_travel_rad"} & set(json.loads(capsys.readouterr().out))
 
 
-def test_waypoints_from_a_file_of_points_equal_those_of_a_scenario(tmp_path, capsys):
+def test_waypoints_can_be_read_from_a_file(tmp_path, capsys):
     points, file = tmp_path / "points.csv", tmp_path / "short.toml"
     points.write_text("# of a probe\nx_m,y_m,z_m\n0.01, 0, 0\n0.02 0.01 -0.005\n\n0.03,0,0\n", encoding="utf-8")
     file.write_text("duration_s = 0.7\nbound_samples = 0\nbest_courses = false\n[task]\nwait_s = 0.0\n")
@@ -78,7 +78,7 @@ def test_waypoints_from_a_file_of_points_equal_those_of_a_scenario(tmp_path, cap
     assert scenario.task.path == "waypoints"
     asked = mo.run(scenario).tip_ref_m
     np.testing.assert_array_equal(mo.load_trace(tmp_path / "a.parquet").tip_ref_m, asked)
-    assert np.ptp(asked, axis=0).min() > 1e-4  # the path moves in all three directions
+    assert np.ptp(asked, axis=0).min() > 1e-4
 
 
 @pytest.mark.parametrize(("text", "line", "cure"), [
@@ -86,7 +86,7 @@ def test_waypoints_from_a_file_of_points_equal_those_of_a_scenario(tmp_path, cap
     ("# index and all\n0,0.1,0,0\n1,0.2,0,0\n", 2, "give x, y, z"), ("0 0 0\n1 2 nan\n", 2, "nan"),
     ("0,0,\u0661\n", 1, "give x, y, z"),
 ])  # fmt: skip
-def test_a_file_of_points_with_wrong_columns_or_numbers_is_refused_with_a_remedy(text, line, cure, tmp_path):
+def test_wrong_file_of_points_is_refused(text, line, cure, tmp_path):
     file = tmp_path / "points.csv"
     file.write_text(text, encoding="utf-8")
     with pytest.raises(ScenarioError, match=rf"line {line}: .*{cure}"):
@@ -96,7 +96,7 @@ def test_a_file_of_points_with_wrong_columns_or_numbers_is_refused_with_a_remedy
 @pytest.mark.parametrize(("arguments", "cure"), [
     (["--task", "bad.csv"], "bad.csv': there is no point in it"), (["--task", "spirla"], "did you mean 'spiral'"),
 ])  # fmt: skip
-def test_a_wrong_task_is_refused_with_a_remedy(arguments, cure, tmp_path, monkeypatch, capsys):
+def test_wrong_task_is_refused_with_a_remedy(arguments, cure, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "bad.csv").write_text("# nothing\n", encoding="utf-8")
     assert main(["run", *arguments]) == 2

@@ -1,4 +1,4 @@
-"""The exported folder: it compiles without a warning, and its torque equals Python's to the last bit."""
+"""The exported folder with C code."""
 
 import math
 import re
@@ -33,7 +33,7 @@ def default(exported):
 
 
 @pytest.mark.parametrize("name", RUNS)
-def test_the_export_compiles_without_a_warning_and_repeats_python_to_the_last_bit(name, exported):
+def test_export_repeats_python_to_the_last_bit(name, exported):
     done = make(exported(Scenario(**{"duration_s": 1.0, **RUNS[name]})), "test", FLAGS)
     assert done.returncode == 0, done.stdout + done.stderr
     right = r"(\d+) ticks, (\d+) limited, .* \(tick (\d+), as it should.*\); largest difference .* (\S+) Nm"
@@ -51,7 +51,7 @@ def test_the_export_compiles_without_a_warning_and_repeats_python_to_the_last_bi
     ("safety_filter.c", "return newer ? FRESH : REPEAT;", "return FRESH;"),
     ("answer.c", "        least_violation(p, x);", "        ;"),
 ])  # fmt: skip
-def test_the_self_test_of_the_export_fails_for_wrong_code(default, tmp_path, file, old, new):
+def test_self_test_fails_for_wrong_code(default, tmp_path, file, old, new):
     wrong = Path(shutil.copytree(default, tmp_path / "wrong"))
     text = (wrong / file).read_text()
     assert old in text
@@ -74,13 +74,13 @@ def test_numbers_are_written_to_the_last_bit():
     ({"control": {"third_level": "receding"}}, r"\[control\] third_level = 'receding'.*take 'local'"),
     ({"control": {"supervisor": {"budget_us": 100.0}}}, r"budget_us = 100.0.*leave it out"),
 ])  # fmt: skip
-def test_a_setting_that_c_does_not_support_is_refused_by_name(tmp_path, tables, words):
+def test_unsupported_setting_is_refused_by_name(tmp_path, tables, words):
     with pytest.raises(ScenarioError, match=words):
         export_scenario(Scenario(**tables), tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
-def test_the_command_overwrites_only_its_own_files(tmp_path, capsys):
+def test_export_overwrites_only_its_own_files(tmp_path, capsys):
     scenario, out = tmp_path / "scenario.toml", tmp_path / "c"
     scenario.write_text("duration_s = 0.5\n")
     command = ["export-c", str(scenario), "--out", str(out)]

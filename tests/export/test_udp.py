@@ -1,4 +1,4 @@
-"""The exported program as a controller over UDP: its run equals Python's, even if packets are lost or damaged."""
+"""The exported program as a controller over UDP."""
 
 import json
 import shutil
@@ -35,7 +35,7 @@ Built = Callable[[str], tuple[Scenario, Path]]
 
 @pytest.fixture(scope="module")
 def built(exported: Export) -> Built:
-    """Return a function `built(name)`, which returns a scenario of RUNS and the folder with its program."""
+    """Return a function that returns a run's scenario and program folder."""
 
     @cache
     def build(name: str) -> tuple[Scenario, Path]:
@@ -51,7 +51,7 @@ def built(exported: Export) -> Built:
 
 
 def served(scenario: Scenario, controller: Callable[[str], Any], **relayed: Any) -> tuple[Trace, Any, Relay]:
-    """Run a controller in lock-step through a relay. Return (trace, controller's result, relay)."""
+    """Return (trace, controller's result, relay) of a run in lock-step."""
     plant = PlantServer(scenario, "127.0.0.1:0", lock_step=True)
     with ThreadPoolExecutor(1) as pool, Relay(plant.address, seed=2, **relayed) as relay:
         said = pool.submit(controller, relay.address)
@@ -64,14 +64,14 @@ def ran(folder: Path, *arguments: str, **options: Any) -> subprocess.CompletedPr
 
 
 def program(folder: Path, address: str) -> tuple[dict[str, Any], int]:
-    """Run the exported controller. Return (printed result, exit status)."""
+    """Return (printed result, exit status)."""
     done = ran(folder, *address.split(":"), str(folder / "reference.bin"))
     assert done.returncode in (0, 3), done.stderr
     return json.loads(done.stdout), done.returncode
 
 
 @pytest.mark.parametrize("name", RUNS)
-def test_the_program_controls_exactly_as_python_does(built: Built, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_program_controls_exactly_as_python_does(built: Built, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     scenario, folder = built(name)
     monkeypatch.setenv("MOC_OPT_WIRE_KEY", {"dcac": "k" * 16, "stopped": "k" * 32}.get(name, ""))
     found, (said, status), _ = served(scenario, partial(program, folder))
@@ -91,7 +91,7 @@ def test_the_program_controls_exactly_as_python_does(built: Built, name: str, mo
 
 
 @pytest.mark.parametrize("name", ["default", "stopped"])
-def test_network_faults_are_counted_and_do_not_change_the_run(built: Built, name: str) -> None:
+def test_network_faults_do_not_change_the_run(built: Built, name: str) -> None:
     scenario, folder = built(name)
     found, (said, _), relay = served(scenario, partial(program, folder), share=0.04)
     expected = run(scenario)
@@ -102,8 +102,8 @@ def test_network_faults_are_counted_and_do_not_change_the_run(built: Built, name
     assert said["ticks"] == len(expected)
 
 
-def test_lost_commands_give_the_same_run_as_in_python_and_the_program_reports_the_early_end(built: Built) -> None:
-    """If a command is lost, the plant holds the previous torque. From tick 100 on, all are lost, and it brakes."""
+def test_lost_commands_give_the_same_run_as_python(built: Built) -> None:
+    """From tick 100 on, all commands are lost and the plant brakes."""
     scenario, folder = built("default")
     blind = scenario.change(wire={"resend_s": 0.33, "resends": 0, "hold_ticks": 2, "damp_ticks": 0})
 
@@ -117,7 +117,7 @@ def test_lost_commands_give_the_same_run_as_in_python_and_the_program_reports_th
     assert (said["ended"], status, said["ticks"]) == ("the plant ended the run early", 3, 103)
 
 
-def test_the_program_allocates_no_memory_on_the_heap(built: Built) -> None:
+def test_program_allocates_no_heap_memory(built: Built) -> None:
     if shutil.which("nm") is None:
         pytest.skip("no nm")
     command = ["nm", "-u", built("default")[1] / "moc_udp"]
@@ -126,7 +126,7 @@ def test_the_program_allocates_no_memory_on_the_heap(built: Built) -> None:
     assert not {"malloc", "calloc", "realloc", "free"} & {name.split("@")[0].split()[-1] for name in names.splitlines()}
 
 
-def test_wrong_arguments_are_refused_with_a_message(built: Built, tmp_path: Path) -> None:
+def test_wrong_arguments_are_refused(built: Built, tmp_path: Path) -> None:
     folder, short = built("default")[1], tmp_path / "short"
     reference = str(folder / "reference.bin")
     short.write_bytes((folder / "reference.bin").read_bytes()[:-8])

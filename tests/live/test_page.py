@@ -1,4 +1,4 @@
-"""The live page: its address, its access token, and its controls in a browser."""
+"""The live page and its access token."""
 
 import asyncio
 import socket
@@ -26,7 +26,7 @@ from websockets.sync.client import connect  # noqa: E402
 
 @pytest.fixture(scope="module")
 def live() -> Iterator[LivePage]:
-    """Serve a page that is updated only every 0.3 s, because software rendering is slow."""
+    """Serve a page with slow updates, because software rendering is slow."""
     with pytest.MonkeyPatch.context() as patch, LivePage(Scenario(start={"swivel": 0.2}), port=0) as page:
         patch.setattr("moc_opt.live.page.FRAME_S", 0.3)
         thread = threading.Thread(target=page.wait)
@@ -43,14 +43,14 @@ def until(true: Any, what: str) -> None:
         sleep(0.05)
 
 
-def test_the_page_listens_on_loopback_alone(live: LivePage) -> None:
+def test_page_listens_on_loopback_alone(live: LivePage) -> None:
     with socket.create_connection(("127.0.0.1", live.server.get_port())):
         pass
-    with pytest.raises(ConnectionRefusedError):  # a server on all addresses would answer here too
+    with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("127.0.0.2", live.server.get_port()))
 
 
-def test_the_run_advances_in_real_time(live: LivePage) -> None:
+def test_run_advances_in_real_time(live: LivePage) -> None:
     until(lambda: live.run.t_s > 0.5, "the run does not begin")
 
     def in_step() -> bool:
@@ -61,7 +61,7 @@ def test_the_run_advances_in_real_time(live: LivePage) -> None:
     until(in_step, "the run is always too fast or too slow")
 
 
-def test_the_solver_chosen_last_runs_after_rapid_choices(live: LivePage) -> None:
+def test_last_chosen_solver_runs(live: LivePage) -> None:
     for name in ("rnn", "exact", "rnn", "osqp"):
         live._panel._solver.value = name
     until(lambda: solver_of(live.run.used) == "osqp", "another solver runs")
@@ -69,7 +69,7 @@ def test_the_solver_chosen_last_runs_after_rapid_choices(live: LivePage) -> None
 
 
 def knock(live: LivePage, path: str, say: bytes = b"") -> Any:
-    """Open a WebSocket as another site's page would. Return the first answer, or None if the server only closes it."""
+    """Open a WebSocket as another site's page would, and return the first answer."""
     uri, protocol = f"ws://127.0.0.1:{live.server.get_port()}{path}", f"viser-v{viser.__version__}"
     with (
         suppress(ConnectionClosed),
@@ -87,8 +87,7 @@ def test_nothing_is_sent_without_the_token(live: LivePage, path: str) -> None:
     assert knock(live, path.format(token=live.url.rpartition("/")[2])) is None
 
 
-def test_an_order_without_the_token_is_ignored_even_if_it_arrives_before_the_refusal(live: LivePage) -> None:
-    """The same message is obeyed with the token, which shows that it is a valid order."""
+def test_order_without_the_token_is_ignored(live: LivePage) -> None:
     box: Any = live._panel._solver
     order = msgspec.msgpack.encode(GuiUpdateMessage(box._impl.uuid, {"value": "rnn"}).as_serializable_dict())
 
@@ -114,7 +113,7 @@ def page(chromium: Any, live: LivePage) -> Iterator[Any]:
 
 
 def click(locator: Any) -> None:
-    """Click without waiting for the layout to settle, because software rendering is slow."""
+    """Click without waiting for the layout to settle."""
     locator.evaluate("element => element.click()")
 
 
@@ -128,7 +127,7 @@ def says(page: Any, text: str) -> None:
     page.wait_for_function(f"document.body.innerText.includes('{text}')", polling=100, timeout=60_000)
 
 
-def test_a_solver_is_switched_and_the_plots_react(page: Any, live: LivePage) -> None:
+def test_plots_react_to_a_switched_solver(page: Any, live: LivePage) -> None:
     pictures = "[...document.querySelectorAll('.uplot canvas')].map(c => c.toDataURL())"
     live._panel._solver.value = "exact"
     says(page, "exact ·")
@@ -142,7 +141,7 @@ def test_a_solver_is_switched_and_the_plots_react(page: Any, live: LivePage) -> 
     assert all(old != new for old, new in zip(before, page.evaluate(pictures), strict=True))
 
 
-def test_bad_input_gives_a_message_and_the_run_goes_on(page: Any, live: LivePage) -> None:
+def test_run_goes_on_after_bad_input(page: Any, live: LivePage) -> None:
     field = page.locator("xpath=//label[starts-with(., 'K_X')]/following::input[1]")
     apply, typed, before = page.get_by_role("button", name="Apply"), live._panel._fields["K_X"], live.run.control
     good = typed.value

@@ -1,4 +1,4 @@
-"""The live run without its page: its results, exchanged controllers, and refused requests."""
+"""The live run without its page."""
 
 from collections.abc import Callable
 from typing import Any
@@ -15,7 +15,7 @@ from moc_opt.scenario import Scenario, Setup
 
 @pytest.fixture
 def run() -> LiveRun:
-    """A live run of MOC on the default circle. The elbow starts away from the pose of largest mu."""
+    """The elbow starts away from the largest mu."""
     return LiveRun(Scenario(start={"swivel": 0.2}, plant={"preset": "nominal"}))
 
 
@@ -23,7 +23,7 @@ def column(run: LiveRun, name: str, ticks: int) -> Any:
     return run.history(10**6)[-ticks:, QUANTITIES.index(name)]
 
 
-def test_a_live_run_equals_the_run_of_its_scenario() -> None:
+def test_live_run_equals_the_run_of_its_scenario() -> None:
     scenario = Scenario(start={"swivel": 0.2}, duration_s=0.6, judge=False, bound_samples=0)
     trace = Setup(scenario).trace()
     run = LiveRun(scenario.change(duration_s=None))
@@ -34,7 +34,7 @@ def test_a_live_run_equals_the_run_of_its_scenario() -> None:
     np.testing.assert_allclose(column(run, "force_N", len(trace)), force, atol=1e-6)
 
 
-def test_a_solver_is_exchanged_at_the_next_tick(run: LiveRun) -> None:
+def test_solver_is_exchanged_at_the_next_tick(run: LiveRun) -> None:
     run.advance(5)
     assert solver_of(run.used) == "exact"
     run.choose("rnn")
@@ -56,7 +56,7 @@ def test_a_solver_is_exchanged_at_the_next_tick(run: LiveRun) -> None:
 @pytest.mark.parametrize("change", [
     lambda run: run.choose(DCAC), lambda run: run.tune(K_X=1500.0, K_N=300.0, observer_gain_per_s=0.0),
 ])  # fmt: skip
-def test_an_exchange_of_controllers_does_not_jerk_the_arm(change: Callable[[LiveRun], None]) -> None:
+def test_exchange_does_not_jerk_the_arm(change: Callable[[LiveRun], None]) -> None:
     run = LiveRun(Scenario(start={"swivel": 0.9}))
     run.advance(400)
     sent: list[Any] = []
@@ -72,7 +72,7 @@ def test_an_exchange_of_controllers_does_not_jerk_the_arm(change: Callable[[Live
     assert not run.messages
 
 
-def test_wrong_requests_are_refused_and_the_run_goes_on(run: LiveRun) -> None:
+def test_run_goes_on_after_wrong_requests(run: LiveRun) -> None:
     run.advance(20)
     before = run.control
     for kind, orders in {
@@ -93,7 +93,7 @@ def test_wrong_requests_are_refused_and_the_run_goes_on(run: LiveRun) -> None:
     assert solver_of(run.used) == run.solver == "exact"
 
 
-def test_a_solver_that_the_loop_cannot_use_gives_a_message(run: LiveRun) -> None:
+def test_unusable_solver_gives_a_message(run: LiveRun) -> None:
     run.advance(10)
     controller = run._build(run.control, "exact")
     controller.solver = Mock(supports=lambda qp: "it is not in the mood")
@@ -104,7 +104,7 @@ def test_a_solver_that_the_loop_cannot_use_gives_a_message(run: LiveRun) -> None
     assert run.t_s == pytest.approx(0.038)
 
 
-def test_a_runaway_arm_is_stopped_and_can_be_reset(run: LiveRun) -> None:
+def test_runaway_arm_is_stopped(run: LiveRun) -> None:
     run.advance(50)
     run._setup.plant.mj_data.qvel[:] = 1e6
     run.advance(100)
@@ -122,7 +122,7 @@ def test_a_runaway_arm_is_stopped_and_can_be_reset(run: LiveRun) -> None:
     assert column(run, "tip_error_m", 50).max() < 1e-3
 
 
-def test_the_trocar_moves_slowly_and_a_reset_keeps_its_new_place(run: LiveRun) -> None:
+def test_trocar_moves_slowly(run: LiveRun) -> None:
     run.advance(10)
     start, asked = run.trocar, np.array([0.005, -0.0025, 0.001])
     run.place_trocar(*asked)
@@ -139,8 +139,8 @@ def test_the_trocar_moves_slowly_and_a_reset_keeps_its_new_place(run: LiveRun) -
     np.testing.assert_allclose(run.trocar - start, asked, atol=1e-9)
 
 
-def test_the_arm_stays_under_control_if_a_new_controller_is_requested_at_every_tick(run: LiveRun) -> None:
-    """Exchanges at every tick would freeze the torque, so a request waits until 0.1 s after the previous exchange."""
+def test_arm_survives_requests_at_every_tick(run: LiveRun) -> None:
+    """A request waits until 0.1 s after the previous exchange."""
     rng = np.random.default_rng(0)
     for _ in range(400):
         run.choose(str(rng.choice([DCAC, "exact", "rnn"])))
@@ -150,7 +150,7 @@ def test_the_arm_stays_under_control_if_a_new_controller_is_requested_at_every_t
     assert column(run, "rcm_error_m", 400).max() < 3e-3
 
 
-def test_the_path_is_followed_back_and_forth() -> None:
+def test_path_is_followed_back_and_forth() -> None:
     run = LiveRun(Scenario(task={"path": "spiral"}))
     one_way = run._setup.duration_s
     times = np.linspace(0.0, 2.5 * one_way, 4001)

@@ -1,4 +1,4 @@
-"""Helpers for network tests: a relay that drops, doubles, cuts and forges packets, and a scripted controller."""
+"""A relay that damages packets, and a scripted controller."""
 
 import select
 import socket
@@ -20,10 +20,9 @@ FAULTS = ("drop", "double", "cut", "forge")
 
 
 class Relay:
-    """A context manager that passes a controller's packets to the plant, and the plant's packets to the controller.
+    """Pass packets between controller and plant, with FAULTS in a random ``share`` of them.
 
-    Each of FAULTS happens to a random ``share`` of the packets. ``lost(kind, number)`` is true for packets that never
-    arrive. A receiver stops counting after its final packet, so later packets get no fault.
+    ``lost(kind, number)`` is true for packets that never arrive.
     """
 
     def __init__(self, plant, share=0.0, lost=lambda kind, number: False, seed=0) -> None:
@@ -35,7 +34,7 @@ class Relay:
         self._controller: tuple[str, int] | None = None
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run)
-        self.done: list[Counter[str]] = [Counter(), Counter()]  # per direction: count of each fault, "": none
+        self.done: list[Counter[str]] = [Counter(), Counter()]  # per direction
         self.whole: list[Counter[tuple[Kind, int]]] = [Counter(), Counter()]  # per direction
 
     @property
@@ -73,7 +72,7 @@ class Relay:
             self._send(data[: len(data) // 2], way)
         elif name == "forge":
             at = int(self._rng.integers(0, len(data)))
-            at += at == 5  # with another kind in byte 5, the packet would count as cut
+            at += at == 5  # byte 5 is the kind
             self._send(data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :], way)
         for _ in range(0 if name in ("drop", "cut", "forge") else 2 if name == "double" else 1):
             if not self._ended(way):
@@ -93,11 +92,11 @@ KEY, SCENARIO = b"k" * 16, 9
 SETTINGS = WireSettings(hold_ticks=2, damp_ticks=3, wait_s=0.1)
 NOTHING = np.zeros((3, 3)), np.zeros((2, 3))
 NO_TIME: Any = SimpleNamespace(late_us=0.0, overruns=0, wait_for=lambda tick: 0.0)
-"""A clock whose ticks end as soon as they begin, so that only packets that have already arrived are received."""
+"""A clock whose ticks end as soon as they begin."""
 
 
 class Peer:
-    """A scripted controller (`say`) and the plant's end of the link (`plant`), which is under test."""
+    """A scripted controller (`say`) and the plant's end of the link (`plant`)."""
 
     def __init__(self, robot) -> None:
         self.n, self.k = robot.n, 0

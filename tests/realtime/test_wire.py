@@ -1,4 +1,4 @@
-"""Packets have the layout of docs/realtime.md. Only valid packets pass. Plant and controller are tested alone."""
+"""Packets, and both ends of the link."""
 
 import os
 import re
@@ -25,13 +25,13 @@ KEY = b"sixteen bytes or more"
 
 
 def table(mark: str) -> list[tuple[int, str, str]]:
-    """Return (offset, field, type) for each row of the table `mark` in docs/realtime.md."""
+    """Return (offset, field, type) for each row of a table in docs/realtime.md."""
     text = PAGE.partition(f"<!-- {mark} -->\n")[2].partition("\n\n")[0]
     return [(int(a), b, c) for a, b, c in re.findall(r"^\| (\d+) \| (\w+) \| ([^|]+) \|", text, re.MULTILINE)]
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_page_lists_every_field_with_its_offset_and_type(kind):
+def test_page_lists_every_field(kind):
     dtype, times = layout(kind, 7), {(): "", (7,): " x n", (6,): " x 6", (87,): " x (11 n + 10)"}
     fields = [(at, name, of.base.str.lstrip("<|") + times[of.shape]) for name, (of, at) in dtype.fields.items()]
     assert table("header") + table(kind.name) == fields[:-1]
@@ -66,13 +66,13 @@ def command(kind=Kind.COMMAND, n=7, session=4, **changes):
     return packet
 
 
-def test_valid_packets_pass_and_all_others_are_counted(ends):
+def test_only_valid_packets_pass(ends):
     plant, controller = ends
     plant.session, plant.peer = 4, controller.getsockname()
     foreign = (
         seal(command(sequence=3), KEY)[:-1], seal(command(sequence=3), KEY) + b"\0", b"", seal(command(n=6), KEY),
         seal(command(session=5), KEY), seal(command(magic=b"OTHR"), KEY), seal(command(version=9), KEY),
-        seal(command(joints=6), KEY), seal(command(kind=Kind.MEASUREMENT), KEY),  # the plant's own packet
+        seal(command(joints=6), KEY), seal(command(kind=Kind.MEASUREMENT), KEY),  # the plant's own
     )  # fmt: skip
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
         stranger.sendto(seal(command(sequence=1), KEY), plant.address)  # not the address that began the session
@@ -85,7 +85,7 @@ def test_valid_packets_pass_and_all_others_are_counted(ends):
     assert plant.quality == {"received": 0, "missed": 0, "late": 0, "forged": 1, "foreign": 1 + len(foreign)}
 
 
-def test_a_waiting_packet_is_still_read_after_the_deadline_but_a_flood_is_not_read_completely(ends):
+def test_flood_of_packets_is_not_read_completely(ends):
     plant, controller = ends
     controller.sendto(seal(command(sequence=1), KEY), plant.address)
     assert plant.receive(monotonic() - 1.0) is not None
@@ -99,7 +99,7 @@ def test_a_waiting_packet_is_still_read_after_the_deadline_but_a_flood_is_not_re
     assert plant.quality["foreign"] == wire.BACKLOG
 
 
-def test_an_address_is_read_or_refused():
+def test_wrong_address_is_refused():
     assert wire.parse_address("127.0.0.1:30200", "--listen") == ("127.0.0.1", 30200)
     assert wire.parse_address("localhost:0", "--listen") == ("127.0.0.1", 0)
     for wrong in ("30200", "127.0.0.1", ":30200", "1.1.1.1:x", "1.1.1.1:70000", "no host.invalid:1"):
@@ -107,7 +107,7 @@ def test_an_address_is_read_or_refused():
             wire.parse_address(wrong, "--listen")
 
 
-def test_a_key_is_read_from_the_file_else_from_the_environment_and_is_required_beyond_loopback(tmp_path, monkeypatch):
+def test_key_is_required_beyond_loopback(tmp_path, monkeypatch):
     monkeypatch.delenv(wire.VARIABLE, raising=False)
     assert wire.read_key(None, "127.0.0.1", "--listen") == wire.LOOPBACK_KEY
     for host in ("192.0.2.1", "0.0.0.0"):
@@ -130,7 +130,7 @@ def peer(robot):
         yield made
 
 
-def test_a_start_packet_of_another_session_is_ignored(peer):
+def test_start_packet_of_another_session_is_ignored(peer):
     peer.say(Kind.HELLO)
     peer.say(Kind.START, session=peer.session ^ 1)
     peer.say(Kind.COMMAND)
@@ -139,7 +139,7 @@ def test_a_start_packet_of_another_session_is_ignored(peer):
     assert peer.link.quality["foreign"] == 2
 
 
-def test_commands_are_followed_and_every_fault_is_counted(peer):
+def test_faulty_commands_are_counted(peer):
     peer.start()
     ones, quality = np.ones(peer.n), peer.link.quality
     peer.say(Kind.COMMAND, 0, tau=ones, limited=3, control_us=12.0, flags=wire.REPORTED, solve_us=2.0)
@@ -147,16 +147,16 @@ def test_commands_are_followed_and_every_fault_is_counted(peer):
     assert peer.plant.limited == 3
     assert (peer.columns["control_us"][0], peer.columns["solve_us"][0]) == (12.0, 2.0)
     assert (quality["received"], quality["missed"]) == (1, 0)
-    np.testing.assert_array_equal(peer.tick(), ones)  # no command for tick 1: the previous torque is held
+    np.testing.assert_array_equal(peer.tick(), ones)  # no command: the previous torque is held
     assert (quality["missed"], peer.plant.limited) == (1, 0)
     assert peer.columns["missed"][:2].tolist() == [False, True]
-    peer.say(Kind.COMMAND, 1, tau=7 * ones)  # late: not followed
-    peer.say(Kind.COMMAND, 4, tau=7 * ones)  # for a future tick
+    peer.say(Kind.COMMAND, 1, tau=7 * ones)  # late
+    peer.say(Kind.COMMAND, 4, tau=7 * ones)  # too early
     peer.say(Kind.COMMAND, 2, tau=np.nan * ones)
     np.testing.assert_array_equal(peer.tick(), ones)
     assert (quality["late"], quality["foreign"], quality["missed"]) == (1, 2, 2)
     peer.say(Kind.COMMAND, 3, tau=2 * ones, control_us=8.0, solve_us=5.0)  # without wire.REPORTED
-    peer.say(Kind.COMMAND, 3, tau=3 * ones)  # the same tick again, with another torque
+    peer.say(Kind.COMMAND, 3, tau=3 * ones)
     np.testing.assert_array_equal(peer.tick(), 2 * ones)
     assert (peer.columns["control_us"][3], np.isnan(peer.columns["solve_us"][3])) == (8.0, True)
     np.testing.assert_array_equal(peer.tick(), 2 * ones)
@@ -172,7 +172,7 @@ def test_commands_are_followed_and_every_fault_is_counted(peer):
 @pytest.mark.parametrize("wrong", [
     {"tau": 1e300}, {"tau": -500.0}, {"friction": -1.0}, {"limited": 8}, {"flags": wire.STOP, "friction": np.inf},
 ])  # fmt: skip
-def test_a_command_that_no_safety_filter_would_give_is_not_followed(peer, wrong):
+def test_unsafe_command_is_not_followed(peer, wrong):
     peer.start()
     held = peer.tick()
     peer.say(Kind.COMMAND, 1, **({"tau": 1.0} | wrong))
@@ -181,7 +181,7 @@ def test_a_command_that_no_safety_filter_would_give_is_not_followed(peer, wrong)
     assert not peer.plant.stop_reason
 
 
-def test_the_watchdog_holds_then_damps_then_brakes(peer):
+def test_watchdog_holds_then_damps_then_brakes(peer):
     peer.start()
     ones = np.ones(peer.n)
     peer.say(Kind.COMMAND, 0, tau=ones)
@@ -193,7 +193,7 @@ def test_the_watchdog_holds_then_damps_then_brakes(peer):
         assert peer.plant.stop_reason == ""
     np.testing.assert_allclose(tau, peer.hold - 0.5, atol=1e-9)  # gravity torque minus 5 Nm s/rad times 0.1 rad/s
     peer.say(Kind.COMMAND, peer.k, tau=3 * ones)
-    np.testing.assert_array_equal(peer.tick(), 3 * ones)  # a command that comes in time is followed again
+    np.testing.assert_array_equal(peer.tick(), 3 * ones)
     for _ in range(SETTINGS.hold_ticks + SETTINGS.damp_ticks + 1):
         peer.tick()
     assert (peer.plant.brake_friction(peer.seen) > 0.0).all()
@@ -202,7 +202,7 @@ def test_the_watchdog_holds_then_damps_then_brakes(peer):
     assert peer.plant.stop_reason == "no command from the controller for 6 ticks"
 
 
-def test_a_stop_by_the_controller_is_final(peer):
+def test_controllers_stop_is_final(peer):
     peer.start()
     ones = np.ones(peer.n)
     peer.say(Kind.COMMAND, 0, tau=ones, flags=wire.STOP, reason=b"because\x1b", friction=2 * ones)
@@ -223,7 +223,7 @@ def measurement(flags, k=0, commanded=0.0, scenario=9):
 
 
 def answered(said):
-    """Return (ending, sent packets, corrections as (tick, torque)). In tick k = 1, 2, ..., the command is k Nm."""
+    """Return (ending, sent packets, corrections). In tick k, the command is k Nm."""
     said, sent, corrected, wait = iter(said), [], [], WireSettings(wait_s=0.05, silence_s=0.5)
     plant = Mock(n=N, peer=("plant", 1), session=0, quality=dict.fromkeys(wire.COUNTERS, 0), heard="nothing")
     plant.send.side_effect = lambda packet: sent.append((Kind(packet["kind"]), packet.copy()))
@@ -242,11 +242,10 @@ def answered(said):
     ([(0, 0), (1, 1), (2, 1), (3, 3)], [(0, 1), (1, 2), (2, 3), (3, 4)], [(2, 1)], (4, 0, 0), "completed"),
     # A repeated measurement is answered by a repeated command.
     ([(0, 0), (1, 1), (1, 1)], [(0, 1), (1, 2), (1, 2)], [], (2, 0, 1), "the plant ended the run at tick 2 of 4"),
-    # Measurements that never came are counted.
     ([(0, 0), (3, 1), (1, 1)], [(0, 1), (3, 2)], [], (2, 2, 1), "completed"),
 ])  # fmt: skip
-def test_every_tick_is_answered_and_the_end_is_acknowledged(ticks, commands, corrected, counts, ended):
-    """Each entry of ``ticks`` is (k, torque): a measurement's sequence number, and the torque that acted before it."""
+def test_every_tick_is_answered(ticks, commands, corrected, counts, ended):
+    """``ticks`` has the sequence number and the previous torque of each measurement."""
     last = measurement(wire.ENDED, max(ticks)[0])
     ending, told, seen = answered(
         [measurement(wire.WAITING), *(measurement(wire.RUNNING, k, tau) for k, tau in ticks), last]
@@ -261,19 +260,19 @@ def test_every_tick_is_answered_and_the_end_is_acknowledged(ticks, commands, cor
 
 
 @pytest.mark.parametrize("said", [[measurement(wire.WAITING, scenario=8)], [], [measurement(wire.RUNNING)] * 100])
-def test_a_plant_that_is_silent_or_running_or_has_another_scenario_is_refused(said):
+def test_unready_plant_is_refused(said):
     with pytest.raises(WireError):
         answered(said)
 
 
-def test_a_measurement_with_an_impossible_stamp_is_not_answered():
+def test_measurement_with_impossible_stamp_is_not_answered():
     odd = measurement(wire.RUNNING, 1)
     odd["stamp"] = -(2**63)
     ending, _, _ = answered([measurement(wire.WAITING), measurement(wire.RUNNING), odd, measurement(wire.ENDED, 1)])
     assert (ending["quality"]["foreign"], ending["quality"]["received"]) == (1, 1)
 
 
-def test_a_late_tick_does_not_delay_the_next_tick_but_a_stall_delays_all_later_ticks(monkeypatch):
+def test_late_tick_does_not_delay_the_next(monkeypatch):
     T = 0.002
     now = {"s": 100.0, "oversleep": 0.5 * T}
     monkeypatch.setattr(clock, "monotonic", lambda: now["s"])
@@ -294,7 +293,7 @@ def test_a_late_tick_does_not_delay_the_next_tick_but_a_stall_delays_all_later_t
     assert (now["s"], time.overruns) == (pytest.approx(100.0 + 31.0 * T), 1)
 
 
-def test_processes_started_later_do_not_inherit_realtime_priority(monkeypatch):
+def test_child_processes_have_no_realtime_priority(monkeypatch):
     asked = []
     monkeypatch.setattr(clock.os, "sched_setscheduler", lambda pid, policy, parameter: asked.append(policy))
     monkeypatch.setattr(clock.os, "sched_getscheduler", lambda pid: asked[-1])

@@ -1,4 +1,4 @@
-"""A page is one file that fetches nothing, contains its data, is never left half-written, and works in a browser."""
+"""Pages are self-contained and work in a browser."""
 
 import base64
 import gzip
@@ -27,8 +27,6 @@ from tests.report.test_replay import wave
 
 
 class Resources(HTMLParser):
-    """Collects the addresses that a page might fetch, its tags with the names of their attributes, and its scripts."""
-
     def __init__(self, source: str) -> None:
         super().__init__()
         self.fetched: list[str] = []
@@ -58,7 +56,7 @@ class Resources(HTMLParser):
 
 @pytest.fixture(scope="module")
 def full(robot: RobotModel) -> Page:
-    """Return a page with all kinds of parts and figures, a wide table, and text that looks like markup."""
+    """Return a page with all kinds of parts, and text that looks like markup."""
     rng = np.random.default_rng(2)
     solvers = [f"solver-{k}" for k in range(9)]
     times = {name: rng.lognormal(k, 0.2, 400) for k, name in enumerate(solvers)}
@@ -82,7 +80,7 @@ def full(robot: RobotModel) -> Page:
     return page
 
 
-def test_a_page_fetches_nothing_and_contains_the_data_of_its_figures(full: Page) -> None:
+def test_page_fetches_nothing(full: Page) -> None:
     found = Resources(full.html())
     assert [address for address in found.fetched if not address.startswith("data:")] == []
     assert not {"@import", "url("} & set(re.findall(r"@import|url\(", found.styles))
@@ -124,7 +122,7 @@ def test_saving_twice_gives_the_same_small_file(full: Page, tmp_path: Path) -> N
     assert sorted(file.name for file in tmp_path.rglob("*")) == ["a", "b.html", "report.html"]
 
 
-def test_figures_that_cannot_be_saved_are_refused(full: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unsavable_figures_are_refused(full: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     one = full.figures["ecdf"]
     with pytest.raises(ReportError, match="without a folder"):
         save_figures({"../one": one}, tmp_path)
@@ -149,7 +147,7 @@ def column(page: Any, place: int) -> list[str]:
     return [text.strip() for text in page.locator(f"tbody tr > :nth-child({place})").all_inner_texts()]
 
 
-def test_a_heading_sorts_by_mouse_and_keyboard(page: Any) -> None:
+def test_heading_sorts_by_mouse_and_keyboard(page: Any) -> None:
     before = column(page, 1)
     heading = page.locator("th[scope=col]").nth(1)
     heading.locator("button").click()

@@ -1,4 +1,4 @@
-"""The replay agrees with the model and the trace, and its page works in a real browser."""
+"""The replay agrees with the model and the trace."""
 
 import base64
 import gzip
@@ -19,7 +19,7 @@ from tests.conftest import opened
 
 
 def wave(robot: RobotModel, ticks: int, *, phase: float = 0.0) -> Trace:
-    """Return a trace, sampled at 500 Hz, of an arm that sways about its home pose."""
+    """Return a trace at 500 Hz of an arm that sways."""
     t = 0.002 * np.arange(ticks)
     q = robot.data.q_home + 0.2 * np.sin(2.0 * t[:, None] + phase + np.arange(robot.n))
     tips, rng = robot.tool_along(q)[0], np.random.default_rng(ticks)
@@ -32,7 +32,7 @@ def wave(robot: RobotModel, ticks: int, *, phase: float = 0.0) -> Trace:
 
 
 @pytest.mark.parametrize("arm", ["robot", "odd_robot"])
-def test_frames_and_parts_agree_with_the_model(arm: str, request: pytest.FixtureRequest) -> None:
+def test_frames_agree_with_the_model(arm: str, request: pytest.FixtureRequest) -> None:
     model: RobotModel = request.getfixturevalue(arm)
     q = np.random.default_rng(1).uniform(model.q_min, model.q_max, (5, model.n))
     origins, rotations = link_frames(model, q)
@@ -48,7 +48,7 @@ def test_frames_and_parts_agree_with_the_model(arm: str, request: pytest.Fixture
     assert all((part.radii >= 0.0).all() and abs(np.linalg.norm(part.axis) - 1.0) < 1e-9 for part in parts)
 
 
-def test_the_ellipsoid_has_mu_as_its_volume(robot: RobotModel, regular_poses: Any) -> None:
+def test_ellipsoid_has_mu_as_its_volume(robot: RobotModel, regular_poses: Any) -> None:
     states = [robot.state(q) for q in regular_poses(5)]
     jacobians = np.array([state.J_tip for state in states])
     roots = velocity_ellipsoids(jacobians)
@@ -56,7 +56,7 @@ def test_the_ellipsoid_has_mu_as_its_volume(robot: RobotModel, regular_poses: An
     np.testing.assert_allclose(np.linalg.det(roots), [state.mu for state in states], rtol=1e-9)
 
 
-def test_the_replay_has_the_numbers_of_its_traces(robot: RobotModel, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_replay_has_the_numbers_of_its_traces(robot: RobotModel, monkeypatch: pytest.MonkeyPatch) -> None:
     runs = {"long": wave(robot, 1500), "short": wave(robot, 700, phase=1.0)}
     replay = Replay(runs, robot)
     data = replay.data()
@@ -84,7 +84,7 @@ def test_the_replay_has_the_numbers_of_its_traces(robot: RobotModel, monkeypatch
     assert [run["name"] for run in written["runs"]] == ["long", "short"]
 
 
-def test_traces_that_cannot_be_shown_are_refused(robot: RobotModel, tmp_path: Path) -> None:
+def test_unusable_traces_are_refused(robot: RobotModel, tmp_path: Path) -> None:
     good = wave(robot, 100)
     for traces, words in (
         ({}, "1 to 4"), ({str(k): good for k in range(5)}, "1 to 4"),
@@ -105,7 +105,6 @@ def test_traces_that_cannot_be_shown_are_refused(robot: RobotModel, tmp_path: Pa
 
 
 def arm_of(page: Any) -> bytes:
-    """Return a picture of the arm after it has been drawn."""
     page.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
     return page.locator("#scene").screenshot()
 
@@ -114,13 +113,13 @@ def arm_of(page: Any) -> bytes:
 def page(chromium: Any, robot: RobotModel, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     runs = {"swaying": wave(robot, 1500), "swaying otherwise": wave(robot, 1500, phase=1.5)}
     file = Replay(runs, robot).save(tmp_path_factory.mktemp("replay") / "replay.html")
-    # A quarter of the pixels is enough, and drawing them all takes long without a graphics card.
+    # A quarter of the pixels is enough.
     size = {"viewport": {"width": 900, "height": 800}, "device_scale_factor": 0.5}
     with opened(chromium, file.as_uri(), "html[data-drawn=yes]", **size) as found:
         yield found
 
 
-def test_the_slider_moves_the_arm_and_the_cursor(page: Any) -> None:
+def test_slider_moves_the_arm(page: Any) -> None:
     page.evaluate("replay.seek(0)")
     arm, curve = arm_of(page), page.locator(".plot canvas").first.screenshot()
     box = page.locator("#time").bounding_box()
@@ -133,7 +132,7 @@ def test_the_slider_moves_the_arm_and_the_cursor(page: Any) -> None:
     assert arm_of(page) == arm, "nothing moves by itself"
 
 
-def test_the_replay_plays_pauses_and_takes_keys(page: Any) -> None:
+def test_replay_takes_keys(page: Any) -> None:
     page.evaluate("replay.seek(0)")
     page.locator("h1").click()
     page.keyboard.press("Space")

@@ -1,4 +1,4 @@
-"""Tables and pages of runs: first how a run ended; partial runs are marked; files of other programs are kept."""
+"""Tables and pages of runs."""
 
 import json
 from pathlib import Path
@@ -33,7 +33,7 @@ def files(tmp_path_factory) -> list[Path]:
     return [folder / f"{name}.parquet" for name in found]
 
 
-def test_the_ending_is_the_first_row_and_figures_of_a_partial_run_are_marked():
+def test_ending_is_the_first_row():
     metrics = {"completed": 0.0, "share_of_run": 0.75, "mu_mean": 0.25}
     stopped = trace("stopped: x", 3, warnings=[WARNING])
     (table,) = run_tables({"slip": stopped}, {"slip": metrics})
@@ -51,8 +51,7 @@ def test_the_ending_is_the_first_row_and_figures_of_a_partial_run_are_marked():
 
 
 @pytest.mark.parametrize(("raised", "most"), [(2, False), (3, True)])
-def test_replaced_answers_of_a_solver_are_reported_before_any_figure(raised, most):
-    """A run can complete with answers of the fallback alone, so the report names the replacements."""
+def test_replaced_answers_are_reported_first(raised, most):
     faults = {"raised": {"count": raised, "first_at_s": 0.0, "first": "ZeroDivisionError"}}
     (table,) = run_tables({"slip": trace(faults=faults)}, {"slip": {"mu_mean": 0.25}}, first=True)
     assert [row["metric"] for row in table.rows] == ["ended", "solver replaced", "mu_mean"]
@@ -68,7 +67,7 @@ def test_replaced_answers_of_a_solver_are_reported_before_any_figure(raised, mos
 @pytest.mark.parametrize(
     ("solver", "law", "shown"), [("nlp-sqp", "moc", "–"), ("osqp", "moc", "4"), ("nlp-sqp", "dcac", "4")]
 )
-def test_a_nonlinear_solvers_answers_are_not_judged_against_the_linear_problem(solver, law, shown):
+def test_answers_of_nonlinear_solvers_are_not_judged(solver, law, shown):
     run = trace(scenario={"solver": {"name": solver}, "control": {"law": law}})
     metrics = {"mu_mean": 0.2, "verified_solved": 4.0, "silently_wrong": 4.0}
     (table,) = run_tables({"x": run}, {"x": metrics}, first=True)
@@ -83,7 +82,7 @@ def test_a_nonlinear_solvers_answers_are_not_judged_against_the_linear_problem(s
     ("", 0, "completed"), ("[plant]\nfriction = 0.0\n", 3, "oscillated: joint_7 at "),
     ("[guard]\nrcm_error_m = 1e-5\nrcm_warning_m = 1e-5\n", 3, "stopped: the RCM error has been above 0.01 mm"),
 ], ids=["completed", "oscillated", "stopped"])  # fmt: skip
-def test_the_exit_status_is_zero_only_if_the_run_completed(tmp_path, capsys, table, status, ended):
+def test_exit_status_is_zero_only_after_completion(tmp_path, capsys, table, status, ended):
     file = tmp_path / "s.toml"
     file.write_text(
         'name = "one"\nduration_s = 2.0\nbound_samples = 0\njudge = false\n'
@@ -98,7 +97,7 @@ def test_the_exit_status_is_zero_only_if_the_run_completed(tmp_path, capsys, tab
     if ended.startswith("stopped"):
         assert found["share_of_run"] < 1.0
         assert [w["of"] for w in found["warnings"]] == ["the RCM error"]
-    # A stopped run is compared with the same part of DCAC's run, or not at all if DCAC's run is shorter.
+    # If DCAC's run is shorter, there is no comparison.
     assert "mu_gain_percent" in found or (ended.startswith("stopped") and "not compared with DCAC" in said.err)
 
 
@@ -116,7 +115,7 @@ def test_only_whole_runs_share_a_table():
     assert [table.title for table in apart] == ["a", "b (first 0.3 s of 0.4 s, braking included)"]
 
 
-def test_run_and_report_write_pages_that_name_arm_task_gains_and_solver(tmp_path, capsys, files):
+def test_pages_name_arm_task_gains_and_solver(tmp_path, capsys, files):
     file, page = tmp_path / "line.toml", tmp_path / "pages" / "line.html"
     file.write_text('duration_s = 0.4\nbound_samples = 3\n[task]\npath = "line"\n', encoding="utf-8")
     assert main(["run", str(file), "--report", str(page), "--trace", str(tmp_path / "a.parquet")]) == 0
@@ -132,7 +131,7 @@ def test_run_and_report_write_pages_that_name_arm_task_gains_and_solver(tmp_path
     assert "is a trace, no scenario: `moc-opt report`, `replay` or `map` shows it" in capsys.readouterr().err
 
 
-def test_a_run_that_cannot_be_mapped_still_has_its_curves(robot):
+def test_unmappable_run_has_curves(robot):
     t = np.linspace(0.0, 1.0, 20)
     own = Trace({"t_s": t, "mu": 0.1 + t}, {"ended": "stopped: too far off"})
     found = run_page({"own": own}, {"own": {"mu_mean": 0.6}}, robot)
@@ -140,7 +139,7 @@ def test_a_run_that_cannot_be_mapped_still_has_its_curves(robot):
     assert all(words in found.html() for words in ("There is no map", "stopped: too far off"))
 
 
-def test_map_writes_the_page_and_the_figures(files, tmp_path, capsys, chromium):
+def test_map_writes_page_and_figures(files, tmp_path, capsys, chromium):
     out = tmp_path / "new" / "map.html"
     assert main(["map", *map(str, files), "--out", str(out), "--figures"]) == 0
     figures = [out.parent / "figures" / f"map.{kind}" for kind in ("svg", "pdf")]
@@ -149,7 +148,7 @@ def test_map_writes_the_page_and_the_figures(files, tmp_path, capsys, chromium):
 
 
 @pytest.mark.parametrize("command", ["report", "replay", "map"])
-def test_a_page_replaces_a_file_that_moc_opt_did_not_write_only_with_force(files, tmp_path, capsys, command):
+def test_page_replaces_foreign_files_only_with_force(files, tmp_path, capsys, command):
     out = tmp_path / "page.html"
     out.write_text("mine")
     for place, said in (
@@ -164,7 +163,7 @@ def test_a_page_replaces_a_file_that_moc_opt_did_not_write_only_with_force(files
     assert out.stat().st_size > 10_000
 
 
-def test_rows_plans_and_traces_replace_a_file_that_moc_opt_did_not_write_only_with_force(tmp_path, capsys):
+def test_other_outputs_replace_foreign_files_only_with_force(tmp_path, capsys):
     out = tmp_path / "rows"
     out.write_text("mine")
     for order in (["compare", "exact", "--out"], ["plan", "--out"], ["run", "--trace"], ["plant", "--trace"]):

@@ -1,4 +1,4 @@
-"""Tables for the terminal (notation, emphasis, missing values), and progress without a terminal."""
+"""Tables and progress in the terminal."""
 
 import io
 import math
@@ -29,7 +29,7 @@ def best(values: list[object], **options: object) -> list[bool]:
     return [cell.best for cell in cells(values, **options)]
 
 
-def test_a_column_has_one_notation() -> None:
+def test_column_has_one_notation() -> None:
     assert texts([1.702, 2370.16, 48.04]) == ["1.70", "2370", "48.0"]
     assert texts([5.4e-16, 0.0, 0.12]) == ["5.40e-16", "0", "1.20e-1"]
     assert texts([4034.0, 0, np.int64(7)]) == ["4034", "0", "7"]
@@ -47,13 +47,13 @@ def test_the_digits_asked_for_are_kept(value: float, digits: int) -> None:
     assert float(written) == pytest.approx(value, rel=0.51 * 10 ** (1 - digits))
 
 
-def test_missing_infinite_and_boolean_values_have_their_texts() -> None:
+def test_special_values_have_their_texts() -> None:
     values = [None, math.nan, Missing("not asked"), math.inf, -math.inf, 1.5]
     assert texts(values) == ["–", "–", "–", "∞", "-∞", "1.50"]
     assert texts([True, np.bool_(False)]) == ["yes", "no"]
 
 
-def test_the_best_value_and_values_that_look_equal_to_it_are_marked() -> None:
+def test_best_values_are_marked() -> None:
     assert best([2.0, 1.0, None, math.inf, 1.0004], better="low") == [False, True, False, False, True]
     assert best([2.5, 1.0, -math.inf, math.inf], better="high") == [True, False, False, False]
     assert best([1.0, 1.0, 1.0, 2.0], better="low") == [False] * 4, "no emphasis if most are best"
@@ -80,8 +80,8 @@ def test_a_narrow_terminal_shows_every_number_whole(width: int, count: int, size
 
 
 @pytest.mark.parametrize(("step_s", "told"), [(10.0, [1, 2, 3, 4]), (6.0, [1, 3]), (1.0, [1])])
-def test_without_a_terminal_progress_writes_a_line_now_and_then(step_s: float, told: list[int]) -> None:
-    """The forecast starts when the number of steps is known. It does not include the set-up before that."""
+def test_progress_writes_lines_without_a_terminal(step_s: float, told: list[int]) -> None:
+    """The forecast does not include the set-up."""
     file, now = io.StringIO(), [0.0]
     screen = console(file=file)
     screen.get_time = lambda: now[0]

@@ -1,4 +1,4 @@
-"""The command of a study: options, files, output, exit status, and an interrupted study."""
+"""The command of a study."""
 
 import json
 import os
@@ -30,7 +30,7 @@ class Config(StudyConfig):
 
 
 def squares(study: Study, config: Config) -> Found:
-    """A study that sums the first `config.count` squares, and whose last job fails."""
+    """Sum the first `config.count` squares. The last job fails."""
     found = study.run([Job(slow_square, (k,)) for k in range(config.count)])
     rows = Results({"trial": k, "x": x} for k, x in enumerate(found))
     rows.add({"trial": "last", "error": str(study.run([Job(refuse)])[0])})
@@ -50,7 +50,7 @@ def asked(tmp_path: Path) -> tuple[Path, Path]:
     return tmp_path / "tiny.toml", tmp_path / "new" / "out"
 
 
-def test_a_study_writes_and_prints_its_result_but_not_over_files_that_no_study_wrote(asked, capsys):
+def test_study_writes_and_prints_its_result(asked, capsys):
     config, out = asked
     assert call(squares, config, "--out", out) == 3, "the status that `squares` gives"
     said = capsys.readouterr().out
@@ -95,7 +95,7 @@ def test_options_change_the_configuration(asked, monkeypatch, options, seed, cou
     ("cuont = 3", r"tiny\.toml: .*did you mean 'count'"), ("seed = -1", r"tiny\.toml: .*seed = -1"),
     (None, r"tiny\.toml.*no such file"), ("", r"new"),
 ])  # fmt: skip
-def test_an_input_error_is_one_line_on_stderr_and_exit_status_2(asked, capsys, content, said):
+def test_input_error_is_one_line(asked, capsys, content, said):
     config, out = asked
     config.unlink() if content is None else config.write_text(content)
     out.parent.write_text("a file in the place of the folder")
@@ -104,7 +104,7 @@ def test_an_input_error_is_one_line_on_stderr_and_exit_status_2(asked, capsys, c
     assert re.search(rf"^\w+Error: .*{said}", line)
 
 
-def test_a_trial_without_a_start_becomes_a_row_of_the_results(asked):
+def test_trial_without_a_start_becomes_a_row(asked):
     case = Scenario(name="circle/5", seed=5, duration_s=0.1, bound_samples=0, judge=False)
     bad = case.change(name="bad", start={"q_rad": (0.0,) * 7})
     study = Study("tiny", asked[1], command.Namespace(), 1)
@@ -117,7 +117,7 @@ def test_a_trial_without_a_start_becomes_a_row_of_the_results(asked):
     assert study.trials([Trial(endless, "rnn")], limit_s=0.01)[0].row["error"].startswith("hung")
 
 
-def test_solvers_are_chosen_by_their_names(monkeypatch):
+def test_solvers_are_chosen_by_name(monkeypatch):
     monkeypatch.setattr(command, "available", lambda: {"exact": None, "osqp": "no module named osqp"})
     assert command.choose("all", "dcac") == (["dcac", "exact"], {"osqp": "no module named osqp"})
     assert command.runnable(["dcac", "exact"], "dcac") == ["dcac", "exact"]

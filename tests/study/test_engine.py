@@ -1,4 +1,4 @@
-"""The engine that runs a study's jobs: each job gives its result or the reason for its failure, and runs only once."""
+"""The engine that runs a study's jobs."""
 
 import importlib
 import os
@@ -20,13 +20,13 @@ HOME = Path(__file__).parents[2]
 ENV = os.environ | {"PYTHONPATH": str(HOME), "PYTHONDONTWRITEBYTECODE": "1"}
 
 
-def test_a_job_that_fails_in_any_way_harms_no_other_job(tmp_path):
+def test_failing_job_harms_no_other(tmp_path):
     jobs = [
         Job(work.square, (3.0,)), Job(time.sleep, (60.0,), limit_s=0.5), Job(work.die), Job(work.leave),
         Job(work.refuse), Job(work.throw, (KeyboardInterrupt,)),
         Job(work.fork_and_hang, (str(tmp_path / "child"),), limit_s=3.0),
         Job(work.eat_memory), Job(lambda: None), Job(work.refuse_name), Job(work.odd_result),
-        # Like a panic of polars, GeneratorExit is no subclass of Exception.
+        # GeneratorExit is no subclass of Exception.
         Job(work.throw, (GeneratorExit,)), Job(work.NoWayBack), Job(work.square, (4.0,)),
     ]  # fmt: skip
     done: list[int] = []
@@ -47,33 +47,33 @@ def test_a_job_that_fails_in_any_way_harms_no_other_job(tmp_path):
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_processes_that_die_at_once_or_exit_without_an_error_are_reported_as_crashed(workers):
+def test_dying_processes_are_reported_as_crashed(workers):
     jobs = [Job(work.die, (signal.SIGKILL, 0.0)), Job(work.leave, (0, 0.0)), Job(work.square, (2.0,))] * 6
     found = run(jobs, workers=workers)
     assert [getattr(result, "kind", result) for result in found] == ["crashed", "crashed", 4.0] * 6
 
 
-def test_a_stored_result_is_ignored_once_an_earlier_job_of_its_group_has_hung(tmp_path):
-    """A study that was killed and continued must have the results of an uninterrupted study."""
+def test_stored_result_is_ignored_after_a_hang(tmp_path):
+    """A continued study must give the results of an uninterrupted study."""
     good = Job(work.square, (3.0,), group="slow")
     assert run([good], kept=Kept(tmp_path)) == [9.0]
     found = run([Job(time.sleep, (60.0,), limit_s=0.3, group="slow"), good], kept=Kept(tmp_path))
     assert [result.kind for result in found] == ["hung", "not run"]
 
 
-def test_a_job_may_limit_the_time_of_its_own_steps():
+def test_job_may_limit_the_time_of_its_steps():
     found = run([Job(work.steps, ([0.01, 0.5, 0.01], 0.3)), Job(work.steps, ([0.01, 9.0], 0.3))], workers=2)
     assert found[0] == 3, "the limit is on processor time, of which a short sleep uses none"
     assert (found[1].kind, found[1].parts) == ("hung", (0.01,))
 
 
-def test_jobs_whose_times_are_measured_run_alone_and_in_one_process():
+def test_timed_jobs_run_alone():
     found = run([Job(os.getpid, alone=True) for _ in range(4)] + [Job(os.getpid)], workers=2)
     assert len(set(found[:4])) == 1
     assert found[4] != found[0]
 
 
-def test_a_second_run_repeats_only_the_jobs_that_failed(tmp_path):
+def test_second_run_repeats_only_failed_jobs(tmp_path):
     log = str(tmp_path / "log")
     jobs = [Job(work.square, (float(x), log)) for x in range(5)] + [Job(work.refuse), Job(work.arrays, (3,))]
     first = run(jobs, kept=Kept(tmp_path / "jobs"), workers=2)
@@ -94,7 +94,7 @@ if __name__ == "__main__":
 """
 
 
-def test_jobs_run_again_when_their_source_has_changed(tmp_path):
+def test_changed_jobs_run_again(tmp_path):
     (tmp_path / "own_trial.py").write_text("import own_part\ndef trial(): return own_part.value()\n")
     answers = []
     for text in ("1", "1", "2"):
@@ -117,7 +117,7 @@ if __name__ == "__main__":
 """
 
 
-def test_a_killed_study_loses_no_finished_job_and_leaves_no_process(tmp_path):
+def test_killed_study_loses_no_finished_job(tmp_path):
     (tmp_path / "script.py").write_text(KILLED)
     done = 0
     for number in (signal.SIGKILL, signal.SIGINT):
@@ -140,7 +140,7 @@ def _finished(folder: Path) -> int:
     return len(Kept(folder / "jobs")._cache) if (folder / "jobs").exists() else 0
 
 
-def test_a_damaged_folder_or_a_file_in_its_place_is_refused_with_a_remedy(tmp_path):
+def test_damaged_folder_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
     (tmp_path / "jobs").mkdir()
     (tmp_path / "jobs" / "cache.db").write_bytes(b"not a database" * 1000)
@@ -149,7 +149,7 @@ def test_a_damaged_folder_or_a_file_in_its_place_is_refused_with_a_remedy(tmp_pa
             Kept(tmp_path / name)
 
 
-def test_a_cluster_gives_the_same_results_as_processes_on_this_machine(monkeypatch, tmp_path):
+def test_cluster_gives_the_same_results(monkeypatch, tmp_path):
     monkeypatch.setattr(engine, "CONNECT_S", 5.0)
     monkeypatch.syspath_prepend(HOME / "examples")
     own_study = importlib.import_module("own_study")
@@ -168,7 +168,7 @@ def test_a_cluster_gives_the_same_results_as_processes_on_this_machine(monkeypat
         run(jobs, dask="tcp://127.0.0.1:1")
 
 
-def test_a_negative_number_of_workers_and_a_cluster_without_dask_are_refused(monkeypatch):
+def test_cluster_without_dask_is_refused(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     for more, said in (({"workers": -3}, "workers = -3: give 1"), ({"dask": "tcp://x:1"}, r".\[cluster\]")):
         with pytest.raises(StudyError, match=said):

@@ -1,4 +1,4 @@
-"""Results of a study: means, changes, the rows from which they are computed, and the written file."""
+"""Results of a study."""
 
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ ROWS = [
 ]  # fmt: skip
 
 
-def test_means_use_completed_runs_and_changes_use_trials_that_both_controllers_completed() -> None:
+def test_means_use_only_completed_runs() -> None:
     rows = Results(ROWS)
     assert (rows.names(), rows.names("raised")) == (["dcac", "exact", "rnn"], ["2 ticks"])
     assert [one["controller"] for one in rows.where(trial="a", whole=True)] == ["dcac", "exact"]
@@ -36,8 +36,7 @@ def test_means_use_completed_runs_and_changes_use_trials_that_both_controllers_c
     assert rows.mean("mu_mean", "rnn") is rows.change("mu_mean", "rnn") is rows.change("tip", "exact") is None
 
 
-def test_a_change_over_one_phase_weights_each_trial_by_its_ticks_in_that_phase() -> None:
-    """mu changes by -10 % in the 1000 settled ticks of one trial and by +100 % in the 10 settled ticks of the other."""
+def test_changes_in_a_phase_are_weighted_by_ticks() -> None:
     both = {"a": (0.9, 1000), "b": (2.0, 10)}
     rows = Results()
     for trial, (value, ticks) in both.items():
@@ -50,7 +49,7 @@ def test_a_change_over_one_phase_weights_each_trial_by_its_ticks_in_that_phase()
     assert rows.figures("exact", (), ["settled_mu_mean"])["settled_mu_change_percent_undecided"] == 1.0
 
 
-def test_figures_of_a_controller_are_counts_means_intervals_and_gains() -> None:
+def test_figures_are_counts_means_and_gains() -> None:
     found = Results(ROWS).figures("exact", ["mu_mean", "unknown"], ["mu_mean", "unknown"])
     counts = {"trials": 5, "whole": 4, "compared": 2, "reason": "ran away", "trouble": "e, 2 ticks"}
     assert found.items() >= {**counts, "mu_mean": 3.5, "mu_gain_percent_undecided": 0.0}.items()

@@ -1,4 +1,4 @@
-"""The page of a study and its picture of intervals."""
+"""The page of a study."""
 
 from moc_opt.figures.style import figure
 from moc_opt.report.tables import Column, Table
@@ -16,7 +16,7 @@ REPORT = Report(
 )  # fmt: skip
 
 
-def test_a_page_begins_with_the_result_and_ends_with_failed_runs_and_environment() -> None:
+def test_page_begins_with_the_result() -> None:
     failed = [{"trial": "t1", "controller": "rnn", "error": "hung: 30 s", "unknown": 1}]
     html = REPORT.page({"seed": 3}, failed).html()
     order = ["It holds.", "It is <code>exact</code>", "First", "Times were taken.", 'id="seen"', "Read these.",
@@ -27,7 +27,7 @@ def test_a_page_begins_with_the_result_and_ends_with_failed_runs_and_environment
     assert "Runs that failed" not in REPORT.page({}).html()
 
 
-def test_the_picture_of_intervals_shows_each_value_with_both_ends() -> None:
+def test_picture_shows_each_interval() -> None:
     given = {"one": (1.0, 2.0, 4.0), "two": (3.0, 3.0, 3.0)}
     drawn = show.intervals_picture(given, "x [us]", {"limit": 10.0}, {"one": "#000000"}, log=True)
     found = {}

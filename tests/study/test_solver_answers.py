@@ -1,4 +1,4 @@
-"""How the study counts a solver's answers to sets of problems, and what it does if a solver hangs or crashes."""
+"""How the study counts a solver's answers."""
 
 from functools import partial
 from typing import Any
@@ -53,7 +53,7 @@ def test_exact_is_right_on_every_set():
     (breaking("quits"), 64, ["refused", "refused"], "SystemExit: no more"),
     (breaking("no-such"), 64, ["refused", "refused"], "UnknownName"),
 ], ids=lambda value: value.solver if isinstance(value, SolverSetting) else "")  # fmt: skip
-def test_every_answer_of_a_broken_solver_has_its_status(setting, every, status, said):
+def test_broken_solvers_answers_have_a_status(setting, every, status, said):
     limits = Limits(patience_s=1.0, setup_s=4.0)
     (found,) = ask(ONE, [(setting, TestSet.load("circle").thinned(every))], limits)
     assert found.status.tolist() == status
@@ -67,7 +67,7 @@ def test_every_answer_of_a_broken_solver_has_its_status(setting, every, status, 
     assert found.summary().get("trouble", found.refused) != ""
 
 
-def test_a_solver_that_hangs_in_three_sets_is_asked_no_further_set():
+def test_hanging_solver_is_asked_no_further_set():
     sets = [TestSet.load(name).thinned(64) for name in ("circle", "spiral", "sinusoid", "random", "jumps")]
     found = ask(ONE, [(breaking("hangs", at=0), data) for data in sets], Limits(patience_s=0.5))
     status = [one.status.tolist() for one in found]
@@ -85,7 +85,7 @@ def made(setting: SolverSetting, problems: TestSet, status: list[str], x: Any) -
     (False, ["infeasible", "solved", "max_iter", "solved"],
      {"infeasible_right": 1, "infeasible_wrong": 0, "silently_wrong": 2, "failed": 1, "right": 1}),
 ])  # fmt: skip
-def test_a_reported_status_is_checked_against_the_certificate_and_the_residuals(feasible, status, expected):
+def test_reported_status_is_checked(feasible, status, expected):
     rows, x = (array[::32].copy() for array in (TestSet.load("circle").rows, TestSet.load("circle").x))
     x[1] = 0.0  # reported as solved, but wrong
     counts = made(EXACT, TestSet("made", rows, x, np.full(4, feasible)), status, x).counts()
@@ -96,7 +96,7 @@ def test_a_reported_status_is_checked_against_the_certificate_and_the_residuals(
 
 @pytest.mark.parametrize(("rows", "refused"), [(6, 7), (5, 0)])
 def test_refusing_six_inconsistent_rows_is_neither_right_nor_wrong(rows, refused):
-    """One of eight problems is answered. If a solver gets five rows, calling the others infeasible is wrong."""
+    """Refusing five consistent rows is wrong."""
     problems = TestSet.load("inconsistent-1e-4").thinned(16)
     x = TestSet.load("inconsistent-1e-4").x[::16].copy()
     x[1:] = np.nan
@@ -110,7 +110,7 @@ def test_refusing_six_inconsistent_rows_is_neither_right_nor_wrong(rows, refused
 
 
 def test_cold_sessions_are_independent():
-    """The network `rnn` keeps its state between warm solves. Every cold solve starts from rest."""
+    """Every cold solve of the network `rnn` starts from rest."""
     data, setting = TestSet.load("circle").thinned(16), SolverSetting("rnn", "x", {"steps": 5}, "")
     (warm,), (cold,) = (ask(ONE, [(setting, data)], LIMITS, warm=warm) for warm in (True, False))
     assert np.abs(warm.x[-1] - cold.x[-1]).max() > 1e-3
@@ -118,7 +118,7 @@ def test_cold_sessions_are_independent():
 
 
 @pytest.mark.parametrize("quiet", [True, False])
-def test_a_later_run_reuses_times_only_if_the_machine_was_quiet(quiet, tmp_path, monkeypatch):
+def test_only_times_of_quiet_machines_are_reused(quiet, tmp_path, monkeypatch):
     monkeypatch.setattr("moc_opt.study.timing.quiet", lambda row: quiet)
     (asked,) = ask(ONE, [(EXACT, TestSet.load("circle").thinned(16))], LIMITS)
     (first,), (again,) = (time(partial(ONE, kept=Kept(tmp_path / "jobs")), [asked], LIMITS) for _ in range(2))
@@ -132,12 +132,12 @@ def test_a_later_run_reuses_times_only_if_the_machine_was_quiet(quiet, tmp_path,
 @pytest.mark.parametrize(
     "setting", solver_settings([n for n, why in available().items() if why is None]), ids=lambda e: e.label
 )
-def test_every_setting_has_a_reason_and_only_options_that_its_solver_knows(setting, robot):
+def test_settings_have_only_known_options(setting, robot):
     assert len(setting.reason) > 10
     assert make_solver(setting.solver, robot, **setting.options).name == setting.solver
 
 
-def test_settings_belong_to_known_solvers_and_an_override_changes_only_the_recommended_setting():
+def test_settings_belong_to_known_solvers():
     assert set(SETTINGS) <= set(available())
     by_label = {e.label: effective(e) for e in solver_settings(["osqp", "qpsolvers:osqp", "exact"])}
     assert (by_label["osqp@recommended"]["cost_scale"], by_label["osqp@default"]["rows"]) == (100.0, 6)

@@ -1,4 +1,4 @@
-"""The study of solvers has all its files and parts, and broken solvers do not end it."""
+"""The study of solvers."""
 
 import json
 from pathlib import Path
@@ -30,7 +30,6 @@ cold = 4
 
 @pytest.fixture(autouse=True)
 def quiet_machine(monkeypatch):
-    """Make these tests independent of other processes on the machine."""
     monkeypatch.setattr("moc_opt.study.timing.quiet", lambda row: True)
 
 
@@ -39,7 +38,7 @@ def run(folder: Path, *more: str, names: tuple[str, ...] = ("exact", "osqp", "rn
     return solvers.main([str(folder / "small.toml"), "--out", str(folder / "out"), "--only", *names, *more])
 
 
-def test_the_study_has_results_of_every_part_and_a_second_run_reuses_them_all(tmp_path, capsys):
+def test_second_run_reuses_all_results(tmp_path, capsys):
     out = tmp_path / "out"
     assert run(tmp_path, "--parts", *PARTS) == 0
     summary = json.loads((out / "summary.json").read_text())
@@ -70,7 +69,7 @@ def test_the_study_has_results_of_every_part_and_a_second_run_reuses_them_all(tm
     assert max(len(line) for line in said.splitlines() if str(tmp_path) not in line) <= 80, "except lines with paths"
 
 
-def test_solvers_that_hang_crash_or_raise_get_rows_and_do_not_disturb_the_others(tmp_path, monkeypatch, capsys):
+def test_broken_solvers_do_not_disturb_the_others(tmp_path, monkeypatch, capsys):
     monkeypatch.syspath_prepend(str(broken_solvers.install(tmp_path / "plugin")))
     monkeypatch.setattr("moc_opt.study.trials.PATIENCE_S", 6.0)
     monkeypatch.setattr("moc_opt.study.trials.PER_S", 1.0)
@@ -89,7 +88,7 @@ def test_solvers_that_hang_crash_or_raise_get_rows_and_do_not_disturb_the_others
     assert "problem 3: ZeroDivisionError: division by zero" in table["raises@recommended"]["trouble"]
 
 
-def test_wrong_input_is_refused_with_the_nearest_valid_name(tmp_path, capsys):
+def test_wrong_input_is_refused_with_the_nearest_name(tmp_path, capsys):
     for arguments, text, cure in (
         (["--only", "osqq"], "", "'osqp'"), (["--sets", "circel"], "", "'circle'"),
         ([], "[testsets]\ntimed = ['circel']", "'circle'"), ([], "parts = ['testset']", "'testsets'"),
@@ -99,7 +98,7 @@ def test_wrong_input_is_refused_with_the_nearest_valid_name(tmp_path, capsys):
         assert cure in capsys.readouterr().err
 
 
-def test_the_shipped_configuration_is_the_default_and_the_full_one_times_every_set():
+def test_shipped_configuration_is_the_default():
     config = Config.load(Path(solvers.__file__).with_name("solvers.toml"))
     assert config == Config()
     assert config.parts == list(PARTS)

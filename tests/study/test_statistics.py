@@ -1,4 +1,4 @@
-"""Bootstrap intervals: coverage, paired trials, undecided changes and refused samples."""
+"""Bootstrap intervals."""
 
 import numpy as np
 import pytest
@@ -7,8 +7,8 @@ from moc_opt.study import statistics
 from moc_opt.study.statistics import StatisticsError, mean, relative_change, relative_changes, share
 
 
-def test_the_difference_of_two_changes_resamples_all_four_samples_together():
-    """If both changes are constant over the trials, the interval of their difference has no width."""
+def test_difference_of_changes_resamples_all_samples_together():
+    """If both changes are constant, their difference has no width."""
     control = np.array([0.1, 1.0, 10.0, 3.0, 0.5])
     found = statistics.difference_of_changes(1.2 * control, control, 0.7 * control, 2.0 * control)
     assert (found.value, found.low, found.high) == pytest.approx((85.0, 85.0, 85.0))
@@ -20,15 +20,15 @@ def test_the_difference_of_two_changes_resamples_all_four_samples_together():
 
 
 @pytest.mark.parametrize(("count", "skewed", "least"), [(15, False, 0.86), (15, True, 0.90), (8, True, 0.90)])
-def test_the_interval_of_the_mean_covers_the_truth_about_as_often_as_stated(count, skewed, least):
-    """The nominal coverage is 95 %. A bootstrap interval of few samples is known to cover a little less."""
+def test_interval_of_the_mean_covers_the_truth(count, skewed, least):
+    """The nominal coverage is 95 %."""
     rng = np.random.default_rng(4 if skewed else 0)
     draw, truth = (rng.lognormal, np.exp(0.125)) if skewed else (rng.normal, 0.0)
     found = [mean(draw(0.0, 0.5, count)) for _ in range(200)]
     assert least <= np.mean([one.low <= truth <= one.high for one in found]) <= 0.99
 
 
-def test_a_change_is_undecided_if_the_ratio_of_means_and_the_mean_of_ratios_disagree():
+def test_change_is_undecided_if_averages_disagree():
     control = np.array([0.1, 3.0, 3.1, 3.2] * 4)
     change = relative_changes([0.4, 2.0, 2.1, 2.2] * 4, control)
     assert change.ratio.high < 0.0 < change.ratios.value
@@ -39,7 +39,7 @@ def test_a_change_is_undecided_if_the_ratio_of_means_and_the_mean_of_ratios_disa
     assert relative_changes(1.2 * control[:7], control[:7]).side() == 0  # fewer than LEAST_TRIALS
 
 
-def test_the_interval_of_a_share_covers_the_truth_at_least_as_often_as_stated():
+def test_interval_of_a_share_covers_the_truth():
     rng = np.random.default_rng(0)
     drawn, times = np.unique(rng.binomial(2000, 2e-3, 20_000), return_counts=True)
     holds = [(one := share(int(k), 2000)).low <= 2e-3 <= one.high for k in drawn]

@@ -1,4 +1,4 @@
-"""Measured times: how calls are timed, their percentiles, and when times are not to be trusted."""
+"""Measured times, and when they are not to be trusted."""
 
 import gc
 import os
@@ -13,7 +13,7 @@ from moc_opt.study import Job, run, timing
 from moc_opt.study.timing import COUNTED, each_us, percentiles
 
 
-def test_every_call_is_timed_with_garbage_collection_off(monkeypatch):
+def test_calls_are_timed_without_garbage_collection(monkeypatch):
     now, results, during, seen = [0], [], [], []
 
     def work(us):
@@ -28,7 +28,7 @@ def test_every_call_is_timed_with_garbage_collection_off(monkeypatch):
     assert each_us(work, []).shape == (0,)
 
 
-def test_percentiles_ignore_times_that_are_not_finite():
+def test_percentiles_ignore_non_finite_times():
     found = percentiles(np.array([np.nan, *np.arange(1001.0)]), "solve")
     assert found == pytest.approx({"solve_p50_us": 500.0, "solve_p99_us": 990.0, "solve_p99_9_us": 999.0})
     assert percentiles(np.array([np.nan]), "solve") == {}
@@ -40,7 +40,7 @@ def test_percentiles_ignore_times_that_are_not_finite():
     [((), True), ((4000, 10, 1.0, 1.0), True), ((4000, 11, 1.0, 1.0), False), ((4000, 0, 0.9, 1.0), True),
      ((4000, 0, 0.89, 1.0), False)],
 )  # fmt: skip
-def test_a_machine_counts_as_quiet_if_few_calls_lost_the_core(seen, quiet):
+def test_machine_is_quiet_if_calls_keep_the_core(seen, quiet):
     row = dict(zip(COUNTED, seen, strict=False))
     assert timing.quiet(row) is quiet
     said = timing.load([{"solves": 3}, row, dict(zip(COUNTED, (1000, 2, 0.998, 1.0), strict=True))])
@@ -55,7 +55,7 @@ def spin_ms(ms):
 
 
 def beside_a_competitor(calls):
-    """Time calls of a millisecond on a core that another process tries to use all the time."""
+    """Time calls on a core that another process also uses."""
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     rival = subprocess.Popen([sys.executable, "-c", "while True: pass"])  # the new process inherits the affinity
     try:
@@ -68,7 +68,7 @@ def beside_a_competitor(calls):
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system cannot bind a process to a core")
-def test_times_on_a_core_that_another_process_uses_are_not_trusted():
+def test_times_on_a_shared_core_are_not_trusted():
     (seen,) = run([Job(beside_a_competitor, (300,))], workers=1)
     assert (seen["times_calls"], timing.quiet(seen)) == (300, False)
     assert timing.cpu_share(seen) < 0.8

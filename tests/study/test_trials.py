@@ -1,4 +1,4 @@
-"""Each trial has its own seed, is the same for all controllers, and gives a row however its run ends."""
+"""Trials of a study."""
 
 from typing import Any
 
@@ -22,7 +22,7 @@ def case() -> Scenario:
     return study.placed(study.trials(SHORT, ["circle"], [5], virtual=True)[0])
 
 
-def test_each_seed_has_a_scenario_of_its_own() -> None:
+def test_each_seed_has_its_own_scenario() -> None:
     own = study.seeds(0, 0, 6)
     drawn = study.trials(SHORT, list(BOARD_TASKS), own, virtual=True)
     assert [scene.seed for scene in drawn] == own
@@ -35,14 +35,14 @@ def test_each_seed_has_a_scenario_of_its_own() -> None:
     assert [scene.task.path for scene in plain] == ["line", "circle", "line"]
 
 
-def test_a_placed_trial_starts_in_the_pose_that_the_search_would_find() -> None:
+def test_placed_trial_starts_in_the_pose_of_the_search() -> None:
     (drawn,) = study.trials(SHORT.change(start={"pose": "random"}), ["circle"], [9])
     found = study.placed(drawn)
     assert (found.seed, found.name, found.start.pose) == (9, drawn.name, "home")
     np.testing.assert_allclose(Setup(found).q_start, Setup(drawn).q_start, atol=1e-12)
 
 
-def test_every_controller_gets_the_same_start_and_the_same_arm_and_noise(case: Scenario) -> None:
+def test_every_controller_gets_the_same_trial(case: Scenario) -> None:
     first, *others = [Setup(variant(case, name)) for name in (*BASELINES, "exact", "rnn-printed")]
     for other in others:
         np.testing.assert_array_equal(other.q_start, first.q_start)
@@ -52,7 +52,7 @@ def test_every_controller_gets_the_same_start_and_the_same_arm_and_noise(case: S
 
 
 @pytest.mark.parametrize("preset", ["paper", "tuned"])
-def test_baselines_differ_from_moc_only_in_the_stated_settings(case: Scenario, preset: str) -> None:
+def test_baselines_differ_only_in_the_stated_settings(case: Scenario, preset: str) -> None:
     given = case.change(control={"preset": preset})
     tables = load_data("lwr4").gains
     moc = variant(given, "rnn", {"steps": 5})
@@ -78,7 +78,7 @@ def ran(case: Scenario) -> dict[str, Any]:
     return {one.controller: study.run_and_trace(one) for one in asked}
 
 
-def test_a_row_has_the_metrics_and_the_run_keeps_the_columns_asked_for(case: Scenario, ran: dict[str, Any]) -> None:
+def test_run_keeps_the_requested_columns(case: Scenario, ran: dict[str, Any]) -> None:
     run, trace = ran["exact"]
     about = {"trial": case.name, "seed": 5, "robot": "lwr4", "task": "circle", "controller": "exact", "group": "g"}
     assert run.row.items() >= {**about, "ended": "completed", "whole": True, "error": None, "ticks": 150}.items()
@@ -91,7 +91,7 @@ def test_a_row_has_the_metrics_and_the_run_keeps_the_columns_asked_for(case: Sce
     assert "travelling" not in ran[BASELINE][0].columns, "DCAC does not travel to an optimum"
 
 
-def test_only_a_timed_run_reports_times_and_it_runs_alone(case: Scenario, ran: dict[str, Any]) -> None:
+def test_only_timed_runs_report_times(case: Scenario, ran: dict[str, Any]) -> None:
     asked = Trial(case, "exact", timed=True)
     run = run_trial(asked)
     timed = run.row
@@ -112,7 +112,7 @@ def test_only_a_timed_run_reports_times_and_it_runs_alone(case: Scenario, ran: d
     ({"start": {"q_rad": (0.0,) * 7}}, "exact", "failed", "ScenarioError: [start] q_rad"),
     ({}, "no-such-solver", "failed", "UnknownNameError: unknown solver"),
 ])  # fmt: skip
-def test_a_run_that_breaks_off_is_a_row_with_its_reason(case, change, solver, ended, error):
+def test_run_that_breaks_off_gives_its_reason(case, change, solver, ended, error):
     run = run_trial(Trial(case.change(**change), solver, tags={"group": "g"}, keep="curves"))
     assert run.row["whole"] is False
     assert run.row["ended"].startswith(ended)
@@ -123,7 +123,7 @@ def test_a_run_that_breaks_off_is_a_row_with_its_reason(case, change, solver, en
     assert hung == {**hung, "ended": "failed", "whole": False, "group": "g", "error": "hung: no answer within 30 s"}
 
 
-def test_the_row_of_a_completed_run_reports_the_exceptions_of_its_solver(case: Scenario) -> None:
+def test_row_reports_the_solvers_exceptions(case: Scenario) -> None:
     row = run_trial(Trial(case.change(faults={"solver": "raise", "solver_share": 0.2}), "exact")).row
     assert (row["ended"], row["error"]) == ("completed", None)
     assert row["raised"].startswith(f"{row['fault_raised']} ticks, first at ")

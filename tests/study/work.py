@@ -1,4 +1,4 @@
-"""Jobs for the tests of the engine. Some succeed. The others fail in ways of a trial or its solver."""
+"""Jobs for the tests of the engine."""
 
 import os
 import signal

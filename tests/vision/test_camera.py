@@ -1,4 +1,4 @@
-"""The camera, its pictures of board and tool, and how the board is found in a picture and tracked."""
+"""The camera, and how the board is found and tracked."""
 
 import numpy as np
 import pytest
@@ -14,13 +14,13 @@ PHANTOM = Pose(rotation_from((0.1, 0.2, 0.3)), (0.6, 0.1, 0.05))
 CAMERA = Camera.above(CameraSettings(), PHANTOM)
 
 
-def test_the_camera_stands_where_the_settings_say_and_looks_at_the_middle_of_the_phantom():
+def test_camera_looks_at_the_middle_of_the_phantom():
     np.testing.assert_allclose(CAMERA.project(PHANTOM.t), [[319.5, 239.5]], atol=1e-9)
     eye = PHANTOM.inverse().apply(CAMERA.camera_in_base.t)
     assert np.linalg.norm(eye) == pytest.approx(0.16)
     assert np.degrees(np.arccos(eye[2] / 0.16)) == pytest.approx(25.0)
     assert eye[1] < 0.0
-    # In the picture, the board's y points upwards and its x to the right.
+    # The board's x points to the right, and its y upwards.
     middle, right, up = CAMERA.project(PHANTOM.apply([[0, 0, 0], [0.01, 0, 0], [0, 0.01, 0]]))
     assert right[0] > middle[0]
     assert up[1] < middle[1]
@@ -34,14 +34,14 @@ def test_projection_is_that_of_a_pinhole_camera(direction, depth):
     assert np.isnan(CAMERA.project(CAMERA.camera_in_base.apply([0.0, 0.0, -depth]))).all()
 
 
-def test_the_calibration_error_has_the_size_that_is_set():
+def test_calibration_error_has_the_set_size():
     camera = Camera.above(CameraSettings(calibration_error_m=0.002, calibration_error_deg=0.5), PHANTOM)
     one, other = (camera.miscalibrated(seed).camera_in_base for seed in (3, 4))
     assert camera.camera_in_base.distance(one) == pytest.approx((0.002, np.radians(0.5)))
     assert one.distance(other)[0] > 1e-4
 
 
-def test_the_sensor_blurs_and_adds_noise():
+def test_sensor_blurs_and_adds_noise():
     picture = np.full((200, 200, 3), 128, dtype=np.uint8)
     noisy, blurred = CameraSettings(noise=5.0, blur_px=0.0), CameraSettings(noise=0.0, blur_px=2.0)
     grey = expose(picture, noisy, np.random.default_rng(0)).astype(float)
@@ -56,7 +56,7 @@ FLAT = Pose(np.eye(3), (0.6, 0.0, 0.05))
 CLEAN = Camera.above(CameraSettings(noise=0.0, blur_px=0.0), FLAT)
 
 
-def test_the_tool_is_drawn_and_hides_what_is_behind_it():
+def test_tool_hides_what_is_behind_it():
     tip, up, finder = FLAT.apply([0.0, 0.0, 0.005]), np.array([0.0, 0.0, 1.0]), BoardFinder(BOARD, CLEAN)
     view = View(CLEAN, BOARD, shaft=lambda q: (tip, tip + 0.3 * up))
     picture = view.picture(FLAT, q=np.zeros(7))
@@ -65,7 +65,7 @@ def test_the_tool_is_drawn_and_hides_what_is_behind_it():
     assert 12 <= len(finder.corners(picture)) < len(finder.corners(view.picture(FLAT))) == 20
 
 
-def test_a_board_is_lost_at_the_set_times_and_not_found_if_absent_averted_or_behind_the_camera():
+def test_board_is_lost_at_the_set_times():
     lost = Board(lost_s=((1.0, 2.0), (3.0, 4.0)))
     assert [lost.is_lost(t) for t in (0.5, 1.0, 1.99, 2.0, 3.5)] == [False, True, True, False, True]
     view, finder = View(CLEAN, BOARD), BoardFinder(BOARD, CLEAN)
@@ -95,12 +95,12 @@ def test_blending_two_poses_goes_straight_from_one_to_the_other(a, b, share):
     way, turn = a.distance(b)
     moved, turned = a.distance(a.towards(b, share))
     assert moved == pytest.approx(share * way, abs=1e-12)
-    # Half a turn can go in either direction. Both turns have the right length.
+    # Half a turn can go in either direction.
     assert turned == pytest.approx(share * turn, abs=1e-6)
     assert a.towards(b, 1.0).distance(b) == pytest.approx((0.0, 0.0), abs=2e-6)
 
 
-def test_markers_are_squares_in_rows_from_the_top_left():
+def test_markers_are_squares_in_rows():
     assert len(BOARD.ids) == 20
     assert BOARD.size_m == pytest.approx((0.130, 0.105))
     corners = np.array([BOARD.corners(marker) for marker in BOARD.ids])
@@ -130,14 +130,14 @@ def test_a_task_is_small_enough_and_moves_with_its_board(pose, name):
     np.testing.assert_allclose(carried.normal, pose.R[:, 2], atol=1e-12)
 
 
-def test_a_task_that_leaves_the_board_or_is_unknown_is_refused():
+def test_task_beyond_the_board_is_refused():
     with pytest.raises(TaskError):
         BOARD.task_in_base(BoardTask("line", {"length": 0.076}), Pose(np.eye(3), np.zeros(3)))
     with pytest.raises(UnknownNameError):
         board_task("cirle")
 
 
-def test_a_phantom_lies_below_the_trocar_and_faces_it():
+def test_phantom_faces_the_trocar():
     trocar, shaft = np.array([0.6, 0.1, 0.2]), np.array([0.0, 0.1, -1.0])
     pose = board_below(trocar, shaft, 0.15)
     into = shaft / np.linalg.norm(shaft)
@@ -155,8 +155,7 @@ FINDER = BoardFinder(BOARD, EYE)
 SHOT = View(EYE, BOARD).picture(EYE.camera_in_base @ TILTED)
 
 
-def test_the_pose_and_the_corners_are_found():
-    """A principal point that is half a pixel off would shift all corners by half a pixel."""
+def test_pose_and_corners_are_found():
     sighting = FINDER.find(SHOT)
     assert (np.array(sighting.pose.distance(TILTED)) < [1e-4, 1e-3]).all()
     assert sighting.markers == 20
@@ -166,8 +165,8 @@ def test_the_pose_and_the_corners_are_found():
     np.testing.assert_allclose(np.mean(off, axis=(0, 1)), 0.0, atol=0.03)
 
 
-def test_single_pictures_are_accurate_with_six_of_ten_markers_hidden():
-    """The board is tilted, turned and 12 to 20 cm away. Errors of 0.07 mm and 0.03 degrees can be reached."""
+def test_pictures_are_accurate_with_hidden_markers():
+    """Errors of 0.07 mm and 0.03 degrees can be reached."""
     rng, eye = np.random.default_rng(1), Camera(CameraSettings(), EYE.camera_in_base)
     view, finder, found = View(eye, BOARD, seed=1), BoardFinder(BOARD, eye), []
     for k in range(15):
@@ -200,14 +199,14 @@ def feed(tracker, sightings, start=0.0):
     return [tracker.update(start + DT * k, sighting) for k, sighting in enumerate(sightings)]
 
 
-def test_a_board_is_found_after_several_sightings_that_agree():
+def test_board_is_found_after_several_agreeing_sightings():
     tracker = BoardTracker()
     found = feed(tracker, [None, sight(THERE), sight(), sight(), sight(), sight()])
     assert [tracked.seen for tracked in found] == [False] * 4 + [True] * 2
     assert tracker.pose.distance(HERE)[0] < 1e-12
 
 
-def test_sightings_of_a_resting_board_are_averaged_unless_smoothing_is_off():
+def test_sightings_of_a_resting_board_are_averaged():
     rng = np.random.default_rng(0)
     draws = ((1e-3 * rng.standard_normal(3), 1e-4 * rng.standard_normal(3)) for _ in range(300))
     sightings = [sight(HERE @ Pose(rotation_from(turn), shift)) for turn, shift in draws]
@@ -231,14 +230,14 @@ def test_outliers_change_nothing(bad):
     assert tracker.pose is before
 
 
-def test_a_lost_board_is_reported_after_a_while_and_its_pose_is_kept():
+def test_lost_board_keeps_its_pose():
     tracker = BoardTracker(TrackerSettings(lost_after_s=0.12))
     answers = feed(tracker, [sight()] * 5 + [None] * 6 + [sight()] * 3)
     assert [tracked.seen for tracked in answers[4:]] == [True] * 4 + [False] * 5 + [True]
     assert answers[10].pose.distance(HERE)[0] < 1e-12
 
 
-def test_a_moved_board_is_followed_only_if_enough_sightings_agree():
+def test_moved_board_is_followed_after_agreeing_sightings():
     tracker, wild = BoardTracker(), BoardTracker()
     for each in (tracker, wild):
         feed(each, [sight()] * 5)

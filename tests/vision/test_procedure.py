@@ -1,4 +1,4 @@
-"""Vision and hands-on tests: registering the trocar by hand, locating and losing the board, filming the run."""
+"""Registering by hand, locating the board and filming the run."""
 
 import cv2
 import numpy as np
@@ -24,7 +24,7 @@ INCISION = HOME.tip - 0.15 * HOME.tool_direction
 PHANTOM = board_below(INCISION, HOME.tool_direction, CIRCLE.depth_m)
 
 
-def test_locating_the_board_is_accurate_and_repeats_with_the_same_seed():
+def test_locating_the_board_is_accurate():
     scenes = [Augmented(ROBOT, PHANTOM, camera=EXACT, board=Board(hidden_fraction=0.3), seed=5) for _ in range(2)]
     one, other = (scene.locate(ROBOT.data.q_home) for scene in scenes)
     np.testing.assert_array_equal([*one.R, one.t], [*other.R, other.t])
@@ -34,20 +34,20 @@ def test_locating_the_board_is_accurate_and_repeats_with_the_same_seed():
     assert found["task_error_max_mm"] < 0.15
 
 
-def test_a_calibration_error_of_2_mm_shifts_the_task_by_2_mm():
+def test_calibration_error_shifts_the_task():
     camera = CameraSettings(calibration_error_m=0.002, calibration_error_deg=0.0)
     scene = Augmented(ROBOT, PHANTOM, camera=camera)
     assert scene.accuracy(scene.locate(), CIRCLE)["task_error_max_mm"] == pytest.approx(2.0, abs=0.15)
 
 
 @pytest.mark.parametrize(("hidden", "reason"), [(1.0, "no marker seen"), (0.9, "2 markers seen")])
-def test_a_board_with_too_few_markers_in_view_is_reported_before_anything_moves(hidden, reason):
+def test_board_with_too_few_markers_is_reported(hidden, reason):
     scene = Augmented(ROBOT, PHANTOM, camera=CameraSettings(rate_Hz=5.0), board=Board(hidden_fraction=hidden))
     with pytest.raises(TaskError, match=reason):
         scene.locate()
 
 
-def test_the_loss_and_the_return_of_a_board_are_noticed_within_a_quarter_of_a_second():
+def test_loss_of_a_board_is_noticed_quickly():
     scene = Augmented(ROBOT, PHANTOM, camera=EXACT, board=Board(hidden_fraction=0.2, lost_s=((2.0, 3.0),)))
     scene.locate()
     looked_at, seen = scene.watch(4.0, ROBOT.data.q_home)
@@ -56,7 +56,7 @@ def test_the_loss_and_the_return_of_a_board_are_noticed_within_a_quarter_of_a_se
     assert 3.0 < lost[-1] + 0.05 < 3.2
 
 
-def test_the_film_shows_the_run_or_is_refused_where_it_cannot_be_written(tmp_path):
+def test_film_shows_the_run(tmp_path):
     scene, t = Augmented(ROBOT, PHANTOM, camera=EXACT), 0.002 * np.arange(500)
     path = scene.board.task_in_base(CIRCLE, PHANTOM)
     tips, q = Reference(path, 0.05, 0.2).at(t)[0], ROBOT.data.q_home + 0.01 * t[:, None]
@@ -86,7 +86,7 @@ def near(picture, colour, point, reach=3):
 
 @pytest.mark.parametrize("trocar", [FLAT.apply([0.0, 0.02, 0.15]), FLAT.apply([0.0, 0.0, 1.0])])
 def test_task_tip_and_trocar_are_drawn_at_their_projections(trocar):
-    """The second trocar is behind the camera. The line towards it is still drawn."""
+    """The second trocar is behind the camera."""
     page = draw(BLANK, CAMERA, task=LINE, progress=0.5, tip=TIP_PLACE, trocar=trocar, text="")
     assert near(page, DONE, LINE[5])
     assert near(page, TASK, LINE[45])
@@ -105,12 +105,11 @@ def guided(seed=0, **settings):
     return guide_to(incision(seed), plant, ROBOT, HandsOnSettings(**settings), seed=seed), plant
 
 
-def test_the_trocar_is_registered_on_the_realistic_arm():
-    """A registration error shifts the registered trocar and changes nothing else in the run."""
+def test_trocar_is_registered_on_the_realistic_arm():
     seed = 2
     found, plant = guided(seed, registration_error_m=0.0)
     assert found.status is HandsOnStatus.REGISTERED
-    # The encoders are accurate. Most of the error is the distance from the incision at which the hand stopped.
+    # Most of the error is the distance at which the hand stopped.
     assert found.error_m < 0.002
     trace = found.trace
     assert trace.tip_error_m[0] > 0.05
@@ -127,10 +126,10 @@ def test_the_trocar_is_registered_on_the_realistic_arm():
 
 @pytest.mark.parametrize(("settings", "status"), [
     ({"hand": HandSettings(force_max_N=0.5), "time_limit_s": 2.0}, HandsOnStatus.SHORT),
-    # The encoders' noise alone exceeds this speed, though not at every tick.
+    # The encoders' noise alone exceeds this speed.
     ({"rest_speed_m_per_s": 3e-4, "time_limit_s": 4.0}, HandsOnStatus.RESTLESS),
 ])  # fmt: skip
-def test_no_trocar_is_registered_if_the_tip_does_not_reach_the_incision_or_rest_there(settings, status):
+def test_trocar_needs_a_tip_resting_at_the_incision(settings, status):
     found, _ = guided(0, **settings)
     assert found.status is status
     assert found.registered is None
@@ -139,7 +138,7 @@ def test_no_trocar_is_registered_if_the_tip_does_not_reach_the_incision_or_rest_
 
 
 @pytest.mark.parametrize("point", [(1.5, 0.0, 0.3), (1.16, 0.05, 0.0), (0.6, 0.0, np.nan)])
-def test_an_impossible_incision_is_refused_before_anything_moves(point):
+def test_impossible_incision_is_refused_before_any_motion(point):
     plant = Plant(ROBOT.data, PlantSettings())
     before = plant.q
     with pytest.raises(TaskError):
@@ -159,7 +158,7 @@ def test_the_force_of_the_hand_is_bounded_in_every_state(moments, most):
         assert np.linalg.norm(hand.pull(place, velocity, np.zeros(3))) <= most * (1 + 1e-12)
 
 
-def test_the_hand_is_a_spring_and_damper_near_the_goal_and_keeps_its_largest_speed_far_away():
+def test_hand_is_a_spring_near_the_goal():
     hand = Hand(HandSettings(stiffness_N_per_m=500.0, damping_Ns_per_m=50.0, correction_per_s=0.0), PERIOD)
     goal, velocity = np.array([0.002, 0.0, 0.0]), np.array([0.0, 0.01, 0.0])
     np.testing.assert_allclose(hand.pull(np.zeros(3), velocity, goal), [1.0, -0.5, 0.0], atol=1e-12)
@@ -168,7 +167,7 @@ def test_the_hand_is_a_spring_and_damper_near_the_goal_and_keeps_its_largest_spe
 
 
 def moved(hand, place, load=(0.0, 0.0, 0.0), seconds=6.0):
-    """Return (places, final velocity) of a mass of 4 kg that the hand moves under a steady load."""
+    """Return (places, final velocity) of a mass of 4 kg under a steady load."""
     place, velocity, places = np.array(place), np.zeros(3), []
     for _ in range(round(seconds / PERIOD)):
         velocity = velocity + PERIOD * (hand.pull(place, velocity, np.zeros(3)) + load) / 4.0
@@ -177,7 +176,7 @@ def moved(hand, place, load=(0.0, 0.0, 0.0), seconds=6.0):
     return np.array(places), velocity
 
 
-def test_a_hand_that_is_strong_enough_corrects_for_a_steady_load():
+def test_strong_hand_corrects_for_a_steady_load():
     load, start = np.array([0.0, 0.0, -5.0]), (0.1, 0.0, 0.0)
     without, _ = moved(Hand(HandSettings(correction_per_s=0.0), PERIOD), start, load)
     assert np.linalg.norm(without[-1]) == pytest.approx(5.0 / 600.0, rel=0.05)
@@ -186,7 +185,7 @@ def test_a_hand_that_is_strong_enough_corrects_for_a_steady_load():
     assert np.linalg.norm(velocity) < 1e-3
     weak, _ = moved(Hand(HandSettings(force_max_N=4.0), PERIOD), start, load, seconds=2.0)
     assert np.linalg.norm(weak[-1]) > 0.05
-    # A tool that was stuck and comes loose is not thrown.
+    # A tool that comes loose is not thrown.
     hand, place = Hand(HandSettings(), PERIOD), np.array([0.005, 0.0, 0.0])
     for _ in range(10_000):
         hand.pull(place, np.zeros(3), np.zeros(3))
