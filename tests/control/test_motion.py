@@ -71,7 +71,7 @@ def test_controller_may_miss_at_most_patience_ticks(missed):
 
 
 def looked(q, v, tau=None, reference=None, wrench=None, **levels):
-    """Return reason and index of the reading that stops, or ("", k)."""
+    """Return the reason of a stop and the index of its reading."""
     guard = guard_of(ARM, q[0], v[0], carries=False, **levels)
     for k in range(len(q)):
         if reference is not None:

@@ -9,7 +9,7 @@ from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings
 
 
 def law(n, arm=None, supervision=None, fallback="damping", **changes):
-    """A core.Law for n joints in which parts and gains that are not given are off."""
+    """A core.Law for n joints with only the given parts and gains."""
     s = supervisor.SupervisorSettings() if supervision is None else supervision
     wide = np.full(n, 1e3)
     blank = core.Arm(np.zeros((n, 27)), np.zeros((2, 3)), np.eye(3), np.ones((2, n)), np.zeros(3))
@@ -53,7 +53,7 @@ def subproblem(robot, state, tip_ref, trocar, **parts):
 
 
 def stand_in(row, Z, fault, fallback="damping"):
-    """The x (n,) that replaces an answer with this fault without an earlier answer."""
+    """The x (n,) that replaces a faulty answer if no earlier answer is held."""
     made = law(Z.shape[1], fallback=fallback, hold_ticks=0)
     made.load(row, Z)
     found, x, _ = made.finish(fault, 0, np.zeros(Z.shape[1]), 0.0)

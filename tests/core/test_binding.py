@@ -31,7 +31,7 @@ def test_wrong_numbers_of_rows_and_columns_are_refused():
     for count in (1, 3):
         with pytest.raises(TypeError, match="takes 2 arguments"):
             core.solve_exact(*[QP.row] * count)
-    for first, others in ((0, 3), (2, 3), (2, 0)):  # rows must match the first
+    for first, others in ((0, 3), (2, 3), (2, 0)):  # all arrays need the same number of rows
         with pytest.raises(ValueError, match="X: give"):
             core.solve_exact_rows(np.zeros((first, 87)), 1e-9, *map(np.zeros, ((others, 7), (others, 6), others)))
     with pytest.raises(ValueError, match=r"shape \(n, 27\) for 1 to 16 joints"):
@@ -48,7 +48,7 @@ def test_arm_with_zero_or_17_joints_is_refused(n):
 
 
 @pytest.mark.parametrize(("count", "step"), [(0, 0.02), (1, 0.02), (9, 0.0), (9, np.inf), (9, np.nan)])
-def test_curve_with_one_sample_or_bad_step_is_refused(count, step):
+def test_curve_with_too_few_samples_is_refused(count, step):
     state = ROBOT.state(ROBOT.data.q_home)
     task = ROBOT.q_min, ROBOT.q_max, np.array([state.tip, state.wrist]), np.array(state.q), np.ones(7)
     with pytest.raises(ValueError, match="2 samples or more"):

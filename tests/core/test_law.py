@@ -13,7 +13,7 @@ from tests.reference import law as reference
 
 GAINS = (3000.0, 80.0, 800.0, 60.0)
 LWR4 = load_robot()
-INFEASIBLE, FAILED = 1, 2
+INFEASIBLE, FAILED = 1, 2  # values of the core's moc_fault
 
 
 @pytest.fixture(scope="module", params=[*available_robots(), "odd"])
@@ -125,7 +125,7 @@ def test_scaled_climb_is_zero_without_gradient_along_self_motion(bend):
 
 def test_null_space_basis_changes_continuously_at_straight_elbow():
     q, sizes, before, made = np.array(LWR4.data.q_home), [], None, law(7, LWR4.arm)
-    for angle in (0.1, 3e-12, *np.linspace(0.1, -0.1, 201)):  # rank in doubt at 3e-12 rad
+    for angle in (0.1, 3e-12, *np.linspace(0.1, -0.1, 201)):  # at 3e-12 rad the rank is in doubt
         q[3] = angle
         s = LWR4.state(q)
         if before is None:

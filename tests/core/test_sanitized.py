@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 DIGEST = "53c29b69692d51fd"
 """Digest of 300 random runs, equal for every compiler."""
 
-FILL = "-ftrivial-auto-var-init="  # initializes unset variables
+FILL = "-ftrivial-auto-var-init="  # compiler flag that initializes unset variables
 
 
 def extremes(program, sanitizers=None):

@@ -50,7 +50,7 @@ def test_natural_best_is_smallest_residual_over_all_duals(n, structured):
 
     def reachable(qp, x, t):
         low, high = np.where(qp.upper - x <= t, -np.inf, -t), np.where(x - qp.lower <= t, np.inf, t)
-        scale, slope = 1e4, qp.P @ x + qp.p  # avoid numbers below the program's tolerance
+        scale, slope = 1e4, qp.P @ x + qp.p  # keeps numbers above the program's tolerance
         rows = LinearConstraint(qp.A.T, scale * (low - slope), scale * (high - slope))
         return milp(np.zeros(6), constraints=rows, bounds=Bounds()).status == 0
 
@@ -127,7 +127,7 @@ def test_each_limit_of_the_rule_decides_alone(gates, verified):
 
 
 def sliver(width, regularization=0.0):
-    """Return (problem, x, z) with optimum x and self-motion along z of `width` [rad/s]."""
+    """Return (problem, optimum x, z). The self-motion along z has this `width` [rad/s]."""
     qp = random_problem(np.random.default_rng(21), regularization=regularization)
     x, worst = ends_of_the_swivel(qp)
     z = (x - worst) / np.abs(x - worst).max()
@@ -192,7 +192,7 @@ def test_idle_joint_with_the_largest_loss_decides():
 
 @pytest.mark.parametrize("unit", [1e-4, 1.0, 1e4])
 @pytest.mark.parametrize("n", [7, 8])
-def test_every_answer_is_verified_without_a_gradient(n, unit):
+def test_every_feasible_answer_is_verified_without_a_gradient(n, unit):
     qp = random_problem(np.random.default_rng(30), n, structured=False, regularization=0.0)
     Z = kernel(qp)
     x = optimum(qp)[0]
@@ -261,7 +261,7 @@ def test_middle_of_contradicting_bounds_is_taken():
     assert one_freedom(z, lower, upper).residuals(np.zeros(6)).distance == pytest.approx(6e-7 * 0.5, rel=1e-6)
 
 
-def test_products_that_cancel_are_exact():
+def test_products_that_cancel_are_accurate():
     rng = np.random.default_rng(3)
     A, x = rng.normal(size=(2, 6, 9)), rng.normal(size=(2, 9, 4))
     A[:, :, 8] = -(A[:, :, :8] @ x[:, :8])[:, :, 0]
@@ -301,7 +301,7 @@ def test_natural_and_primal_equal_their_definitions(regularization):
             assert found.primal == pytest.approx(max(np.abs(qp.A @ x - qp.b).max(), beyond), rel=1e-12)
             bad = np.array(y)
             bad[3] = np.nan
-            for none in (None, bad):  # both take the best dual
+            for none in (None, bad):  # the best dual is used
                 without = qp.residuals(x, none)
                 assert without.natural == without.natural_best == found.natural_best
 

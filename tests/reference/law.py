@@ -1,6 +1,6 @@
 """The control law of docs/method.md in plain numpy. Tests compare the C core with it.
 
-``s`` is a RobotState. X and N are the tip and wrist, L is their distance, P and dP the trocar's position and velocity.
+``s`` is a RobotState. X is the tip, N the wrist and L their distance. The trocar has the position P and velocity dP.
 """
 
 import numpy as np
@@ -68,7 +68,8 @@ def rcm_torque(s, K_N, D_N, trocar, projector_name="dynamic", rcm_lambda=None):
 def feedforward(s, tip_ref, trocar):
     """J_T^T F_T + B^T F_W, the torque for the accelerations of tip and wrist.
 
-    B (2, n) is J_W across the shaft. The wrist's mobility is S = B M^-1 B^T - B M^-1 J^T Lambda J M^-1 B^T.
+    B (2, n) is J_W projected on two directions across the shaft. Lambda is the tip's inertia.
+    The wrist's mobility is S = B M^-1 B^T - B M^-1 J^T Lambda J M^-1 B^T.
     """
     J, B = s.J_tip, scipy_null_space(s.tool_direction[None]).T @ s.J_wrist
     M_inverse = np.linalg.inv(s.M)
@@ -90,7 +91,7 @@ def velocity_damper(q, q_min, q_max, v_max, k0):
 
 
 def references(s, tip_ref, trocar):
-    """Return (v_T, v_W), corrected so that u^T (v_T - v_W) = 0."""
+    """Return the reference velocities (v_T, v_W) of tip and wrist, with u^T (v_T - v_W) = 0."""
     v_T, u = tip_ref[1], s.tool_direction
     _, v_W = desired_wrist(s.tip, v_T, *trocar, s.tool_span)
     return v_T, v_W + u * (u @ (v_T - v_W))
@@ -110,9 +111,9 @@ def slope(s, margin=0.0):
 
 
 def scaled_climb(robot, s, margin=0.0):
-    """x_d = k t |d| / max(-h, |d| / r), a Newton step along t = d / |d|.
+    """x_d = k t |d| / max(-h, |d| / r), a Newton step to the maximum of mu along t = d / |d|.
 
-    h is the slope of |d| along t.
+    h is the slope of |d| along t, k is CLIMB_PER_S, and r is LONGEST_RAD.
     """
     d = slope(s, margin)
     steep = np.linalg.norm(d)
@@ -130,6 +131,6 @@ def third_level(s, x, K_N2, D_N2):
 
 
 def observe(s, tau, gain, period, integral, r):
-    """Momentum observer r = K_o (p - integral(tau + C^T v - g + r)), p = M v."""
+    """Momentum observer r = K_o (p - integral(tau + C^T v - g + r)), p = M v. Return (next integral, next r)."""
     integral = integral + (tau + s.energy_slope - s.gravity + r) * period  # energy_slope is C^T v
     return integral, gain * (s.M @ s.v - integral)

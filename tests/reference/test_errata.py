@@ -1,4 +1,4 @@
-"""Errors in the paper (last section of docs/method.md)."""
+"""Errors in the paper (last section of docs/method.md). Above each test are the printed and the right formula."""
 
 import numpy as np
 import pytest
@@ -87,7 +87,7 @@ def test_gradient_of_f_is_positive_semidefinite(robot, states):
 
 # Printed: F(Y) = [-dL/dqd, dL/dl], without a time constant. Right: [dL/dqd, -dL/dl], with eps, or m steps per tick.
 def test_modes_grow_with_the_printed_sign(robot, states):
-    """With dY/dt = -k F(Y), an eigenvalue has the real part -k c0 s^2 / 2."""
+    """With dY/dt = -k F(Y), the real part of an eigenvalue is -k c0 s^2 / 2 for a singular value s of A."""
     for s in states:
         qp = subproblem(robot, s)
         growth = np.linalg.eigvals(-K * saddle(qp)).real  # the printed sign negates these values
