@@ -43,7 +43,7 @@ def test_nearest_pose_is_returned_for_target_out_of_reach(robot):
     (np.zeros(7), np.array([0.5, 0.0, np.nan]), "tip or wrist = .* is not finite"),
 ])  # fmt: skip
 def test_poses_that_are_not_finite_are_refused(robot, q, tip, message):
-    """Comparisons with NaN are false."""
+    """Without this check, a NaN point would count as reached."""
     with pytest.raises(RobotError, match=message):
         solve_pose(robot, q, tip)
 

@@ -273,6 +273,7 @@ def upright(signs: tuple[float, ...], lengths: tuple[float, ...]) -> Rows:
 
 
 # Denavit-Hartenberg rows (a, alpha, d, offset of q) from the makers, and the distance to the flange.
+# In Craig's convention, a and alpha come before the joint's transform.
 DH: dict[str, tuple[str, Rows, float]] = {
     "lwr4": ("classical", upright((1, -1, -1, 1, 1, -1, 0), (0.3105, 0, 0.4, 0, 0.39, 0, 0.078)), 0.0),
     "iiwa14": ("classical", upright((-1, 1, 1, -1, -1, 1, 0), (0.36, 0, 0.42, 0, 0.4, 0, 0.126)), 0.0),
@@ -293,7 +294,7 @@ DH: dict[str, tuple[str, Rows, float]] = {
 
 
 def by_dh(name: str, q: Array) -> Array:
-    """Return the tip of a 0.3 m tool by the maker's table."""
+    """Return the tip of a 0.3 m tool by the maker's table. The Gen3's first axis points down from its base."""
     kind, rows, flange = DH[name]
     T = pin.SE3(np.diag([1.0, -1.0, -1.0] if name == "gen3" else np.ones(3)), np.zeros(3))
     for (a, alpha, d, offset), angle in zip(rows, q, strict=True):

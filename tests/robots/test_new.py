@@ -282,7 +282,7 @@ def test_task_out_of_reach_gets_care(robot: RobotModel) -> None:
 
 
 @pytest.mark.parametrize("factor", [0.9, 8.0])
-def test_gains_that_oscillate_are_refused(robot: RobotModel, factor: float) -> None:
+def test_gains_that_cause_oscillation_are_refused(robot: RobotModel, factor: float) -> None:
     """The verdict agrees with a run without friction."""
     gains = [factor * gain for gain in robot.data.gains["default"]["K_N2"]]  # type: ignore[union-attr]
     asked = Scenario(control={"K_N2": gains}, plant={"friction": 0.0}, bound_samples=0, judge=False)

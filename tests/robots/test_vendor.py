@@ -175,7 +175,7 @@ def test_limits_in_wrong_order_are_named(name: str, reach: str, unit: str, vendo
         assert vendors(endless).chain[0].limits.items() >= ONE_TURN.items()
 
 
-def test_replaced_torque_limits_carry_the_arm(vendors) -> None:
+def test_replacement_torque_limits_can_carry_the_arm(vendors) -> None:
     assert vendors(re.sub(r'effort="\d+"', 'effort="0"', text_of())).weak == CHAIN
     robot = load_robot("panda")
     efforts = enough_efforts(robot)

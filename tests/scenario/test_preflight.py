@@ -73,6 +73,7 @@ def test_path_that_leaves_the_workspace_says_where():
     with pytest.raises(UnreachableError) as told:
         check_reachable(ROBOT, pose_through(ROBOT, tip, trocar), upwards, Trocar(trocar))
     assert told.value.field == "path"
+    # The shoulder is at 0.3105 m, the arm 0.79 m long, and the wrist 0.378 m above the tip.
     stretched = np.sqrt(0.79**2 - 0.74**2) + 0.3105 - 0.378 - 0.10
     assert told.value.arc_length_m == pytest.approx(stretched, abs=PLACE_M)
     assert f"{1e3 * told.value.arc_length_m:.1f} mm along the path" in str(told.value)
@@ -143,7 +144,7 @@ def test_a_random_start_is_regular_and_away_from_joint_limits(seed, swivel):
 
 @pytest.mark.parametrize(("name", "margins"), [("lwr4", (0.15, 0.0)), ("lwr4_rail", (0.05, 0.2))])
 def test_random_start_keeps_the_given_margins(name, margins):
-    """Without these keys, some joint has less."""
+    """Without these keys, some joint has a smaller margin."""
     asking = {"limit_margin_rad": margins[0], "limit_margin_m": margins[1]}
     for keys, kept in ((asking, True), ({}, False)):
         made = setup(0, robot={"name": name}, start={"pose": "random", "swivel": "random", **keys})

@@ -73,7 +73,7 @@ def test_signal_and_defect_print_the_files_name(tmp_path, capsys, monkeypatch, n
     assert main(["run", str(file), "--trace", str(target)]) == status
     said = capsys.readouterr()
     assert (said.out, said.err[: len(told)]) == ("", told)
-    assert len(Trace.load(target)) == 148  # two come before the loop
+    assert len(Trace.load(target)) == 148  # two measurements come before the loop
     assert sorted(os.listdir(tmp_path)) == ["s.toml", "t.parquet"]
 
 

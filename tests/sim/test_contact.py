@@ -54,7 +54,7 @@ def test_push_replaces_previous_push_on_its_link():
 
 
 def test_trocar_and_pushes_act_at_their_points():
-    """One plant step from rest without gravity: v = step * M^-1 J^T F."""
+    """One plant step from rest with gravity compensated: v = step * M^-1 J^T F."""
     plant, state = Plant(DATA, PlantSettings.nominal(period_s=1e-3, substeps=1)), MODEL.state(DATA.q_home)
     trocar, lever = shaft_of(plant, depth=0.1, off=2e-3), np.array([0.01, 0.02, 0.03])
     force, _ = numpy_shaft_force(state.tip, state.wrist, np.zeros(6), np.zeros(3), trocar, 0.0, 800.0, 10.0)

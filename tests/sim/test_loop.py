@@ -141,7 +141,7 @@ QUICK = {"bound_samples": 0, "judge": False, "duration_s": 1.2}
 
 
 def live(scenario):
-    """Run as the live page does. Return reason, time [s] and final joint speeds."""
+    """Run as the live page does. Return reason, time [s] and final joint speeds (n,)."""
     run = LiveRun(scenario.change(duration_s=None))
     run.advance(round(QUICK["duration_s"] / run.period_s))
     at = run.t_s
@@ -187,7 +187,7 @@ def test_stop_is_simulated_for_stop_s(robot):
     """The time stop_s begins after the step that requests the stop."""
     setup = Setup(Scenario(**QUICK))
     loop = setup.closed_loop(setup.controller())
-    loop.filtered._filter.request_stop("for a test")  # forgotten at the start
+    loop.filtered._filter.request_stop("for a test")  # the start forgets this request
     references = setup.reference.rows(0.0), np.stack(setup.registered.at(0.0)), np.stack(setup.trocar.at(0.0))
     loop.start(*references[:2])
     for _ in range(5):

@@ -272,7 +272,7 @@ def test_arm_that_ran_away_raises_until_reset(force, tmp_path, monkeypatch):
     for words in ("ran away before t = .* lower the controller's gains", "call reset first"):
         with pytest.raises(PlantError, match=words):
             plant.step(np.zeros(7))
-    assert force > 1e10 or not list(tmp_path.iterdir())  # MuJoCo writes its log file
+    assert force > 1e10 or not list(tmp_path.iterdir())  # only the second force makes MuJoCo write its log file
     plant.reset(DATA.q_home)
     assert np.abs(drive(plant, plant.applied_torque, 1).v).max() < 1e-6
 
@@ -298,7 +298,7 @@ def test_invalid_models_are_refused():
 
 
 def test_shapes_in_the_urdf_change_nothing():
-    """A mesh without a file, and a box."""
+    """The shapes are a mesh without a file and a box."""
     shapes = (
         '<link name="tip"><visual><geometry><mesh filename="package://no/where.stl"/></geometry></visual>'
         '<collision><geometry><box size="1 1 1"/></geometry></collision></link>'

@@ -79,10 +79,10 @@ class Buffers(LibrarySession):
 )  # fmt: skip
 def test_each_part_of_the_problem_is_written_to_its_array_with_its_scale_and_sign(seed, n, rows, tool, scale, signs):
     J, ones = np.random.default_rng(seed).normal(size=(2, 3, n)), np.ones(n)
-    if isinstance(tool, int):  # along an axis
+    if isinstance(tool, int):  # a rigid tool along an axis
         J[1, tool] = J[0, tool]
     qp = problem(seed, n=n) if tool == "any" else NullSpaceQP(*J, *(J @ ones), ones, -ones, ones)
-    m = 6 if tool == "apart" else rows  # without a rigid tool
+    m = 6 if tool == "apart" else rows  # without a rigid tool all six rows stay
     session = Buffers(SimpleNamespace(rows=rows, cost_scale=scale, signs=signs, needs=""), problem(1, n=6))
     found, arrays = session.solve(qp), session.arrays
     A, b = (qp.reduced().A, qp.reduced().b) if m == 5 else (qp.A, qp.b)
@@ -143,7 +143,7 @@ def test_nonlinear_step_ends_exactly_at_the_references(kind):
         np.testing.assert_allclose(tip, qp.v_tip, atol=1e-6)
         across = qp.reduced().lift[3:, 3:]
         np.testing.assert_allclose(across @ wrist, across @ qp.v_wrist, atol=1e-6)
-        assert np.abs(qp.A @ x - qp.b).max() > 1e-6  # only the linear rows are missed
+        assert np.abs(qp.A @ x - qp.b).max() > 1e-6  # x does not satisfy A x = b
 
 
 def test_nonlinear_solvers_use_the_given_gradient(robot, regular_poses):

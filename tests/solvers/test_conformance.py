@@ -25,17 +25,17 @@ every_solver = pytest.mark.parametrize("name", NAMES)
 
 @dataclass(frozen=True)
 class Expect:
-    """Tolerances of SOLVED answers, and smallest shares of such answers."""
+    """Tolerances of answers with the status SOLVED, and the smallest shares of such answers."""
 
     settings: dict[str, Any] = field(default_factory=dict)
     primal: float = 1e-7  # |A x - b|_inf and violation of bounds [m/s, rad/s]
-    relative: float = 1e-4  # natural residual with the best y / |reduced gradient|
+    relative: float = 1e-4  # natural residual with the best y, divided by the size of the reduced gradient
     loss: float = 1e-4  # (cost of x - smallest) / (largest - smallest cost)
     natural: float = 1e-5  # natural residual with the solver's own y [rad/s]
     x: float = 2e-4  # distance to exact and cold answers [rad/s]
     gap: float = 1e-6  # (f(x) - f(exact)) / (c2 |grad_mu|_inf) where regularization = 0 [rad/s]
-    solved: float = 1.0  # smallest share of SOLVED feasible problems
-    certified: float = 1.0  # smallest share of INFEASIBLE infeasible problems
+    solved: float = 1.0  # smallest share of feasible problems with the status SOLVED
+    certified: float = 1.0  # smallest share of infeasible problems with the status INFEASIBLE
     undamped: float | None = 1.0  # ``solved`` with regularization = 0 (None: not supported)
     recovers: bool = True  # the solver recovers after an infeasible problem
     arm: bool = False  # the solver needs the arm's kinematics
@@ -52,7 +52,7 @@ EXPECT = {
         {"steps": 300_000, "k": 0.2}, primal=1e-6, relative=1e-3, loss=5e-3, x=5e-3, gap=1e-4, certified=0.0,
         undamped=0.75, recovers=False,
     ),
-    "rnn-printed": Expect(solved=0.0, certified=0.0, undamped=0.0),  # time constants exceed 50 s
+    "rnn-printed": Expect(solved=0.0, certified=0.0, undamped=0.0),  # its time constants exceed 50 s
     # One problem in 200 needs more than max_iter iterations.
     "osqp": Expect(solved=0.95, undamped=0.95), "qpsolvers:osqp": Expect(solved=0.95, undamped=0.95),
     "piqp": Expect(certified=0.85),  # the others end as MAX_ITER
@@ -115,7 +115,7 @@ def check_claims(limits: Expect, qps: list[NullSpaceQP], found: list[Any]) -> No
         if solution.status is not Status.SOLVED:
             continue
         residuals = qp.residuals(solution.x, solution.y)
-        if limits.arm:  # the loss of the nearest point counts
+        if limits.arm:  # x misses A x = b, so the nearest point is taken
             residuals = residuals._replace(loss=qp.residuals(on_rows(qp, solution.x)).loss)
         assert residuals.verified(limits.primal, limits.relative, limits.loss), residuals
         assert np.abs(solution.x - exact.x).max() <= limits.x
@@ -235,7 +235,7 @@ def test_update_alone_changes_no_answer(name):
 
 
 @pytest.mark.parametrize("name", sorted({"osqp", "piqp", "clarabel"} & {*NAMES}))
-def test_truncated_solve_has_fewer_iterations(name):
+def test_truncated_solve_repeats_previous_solve_with_fewer_iterations(name):
     qps = sequence(name, seed=9)
     whole, cut = solver(name).start(qps[0]), solver(name).start(qps[0])
     far = 0
@@ -251,7 +251,7 @@ def test_truncated_solve_has_fewer_iterations(name):
         np.testing.assert_allclose(again.x, expected.x, rtol=0.0, atol=expect(name).x)
     assert far > 0
     after, expected = cut.solve(qps[0]), whole.solve(qps[0])
-    assert after.status is expected.status  # the limit is reset
+    assert after.status is expected.status  # the iteration limit is reset
     np.testing.assert_allclose(after.x, expected.x, rtol=0.0, atol=expect(name).x)
 
 

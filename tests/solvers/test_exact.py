@@ -163,7 +163,7 @@ def test_answer_contains_no_useless_motion():
     qp = random_problem(np.random.default_rng(14), regularization=0.0)
     assert solve(qp).x[6] == 0.0
     assert solve(changed(qp, c2=0.0, grad_mu=np.ones(7))).x[6] == 0.0
-    for size in (1e-3, 1e3):  # 1e-9 of the largest entry counts as zero
+    for size in (1e-3, 1e3):  # a gradient below 1e-9 of the largest entry counts as zero
         grads = [size * (qp.grad_mu + share * np.eye(7)[6] * np.abs(qp.grad_mu[:6]).max()) for share in (5e-10, 2e-9)]
         assert [abs(solve(changed(qp, grad_mu=grad)).x[6]) > 0.1 for grad in grads] == [False, True]
     none = remade(changed(qp, regularization=1.0), np.zeros((6, 7)), np.zeros(6))
@@ -243,14 +243,14 @@ def test_solver_and_residuals_agree_on_slow_joints(moves, stops):
     A, x[6] = null_space(z[None]).T, 1.0
     found = check(NullSpaceQP(A[:3], A[3:], A[:3] @ x, A[3:] @ x, z, -wide, wide, regularization=1e-5)).x
     assert found[0] == pytest.approx(0.0 if stops else 1.0, abs=1e-5)
-    low, high = -wide, np.array(wide)  # far from its bounds
+    low, high = -wide, np.array(wide)  # this joint is far from its bounds
     low[0], high[0] = 0.0, 1e-5
     short = NullSpaceQP(A[:3], A[3:], np.zeros(3), np.zeros(3), z, low, high, regularization=1e-5)
     assert [bool(short.residuals(end * z).verified()) for end in (0.0, 1e-5)] == [False, True]
 
 
 def test_rounding_seldom_makes_a_corner_infeasible():
-    """Rounding of b is divided by A's smallest column, about 1e-3."""
+    """Rounding errors of b are divided by A's smallest column, about 1e-3."""
     rng, refused = np.random.default_rng(1), 0
     for _ in range(300):
         n, u = int(rng.integers(6, 10)), unit(rng)

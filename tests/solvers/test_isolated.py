@@ -25,7 +25,7 @@ def qp():
 
 
 def started(qp, act="", at=2, folder="", budget_us=np.inf, waits=True, **settings):
-    """Start a session that waits a minute for a busy machine."""
+    """Start a session whose process counts as hung after a minute."""
     process = ProcessSettings(**{"hang_s": 60.0, **settings})
     return Isolated(Misbehaving(act, at, str(folder)), process, budget_us, waits).start(qp)
 
@@ -56,7 +56,7 @@ def is_gone(number):
         return True
 
 
-@pytest.mark.parametrize("solver", ["exact", "rnn-printed"])  # observes the velocity
+@pytest.mark.parametrize("solver", ["exact", "rnn-printed"])  # rnn-printed observes the velocity
 def test_separate_process_gives_the_same_trace(solver):
     inside, isolated = (
         run(Scenario(solver={"name": solver, "isolation": way, "process": {"hang_s": 60.0}}, **QUICK))
@@ -84,7 +84,7 @@ def test_failure_costs_one_answer(qp, act, kind, reason):
     assert reason in text
     assert is_gone(first) == (kind == "lost")
     if act == "hang":
-        assert session.solve(qp).iterations == 1  # the new session's first
+        assert session.solve(qp).iterations == 1  # the new session's first answer
     assert [(tick, why in text) for tick, why in session.restarts] == ([(1, True)] if kind == "lost" else [])
 
 
@@ -107,7 +107,7 @@ def test_late_answer_is_used_for_answer_age_ticks(qp, tmp_path):
         session.observe(np.arange(7.0))
         assert fault_of(session, numbered(1))[0] == "late"
     (tmp_path / "1").touch()
-    answer = old.solve(numbered(2))  # has no answer yet
+    answer = old.solve(numbered(2))  # problem 2 has no answer yet
     assert answer.iterations == 1
     np.testing.assert_array_equal(answer.x, np.arange(7.0))
     np.testing.assert_array_equal(answer.y, qp.b)

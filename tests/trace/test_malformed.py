@@ -51,7 +51,7 @@ def changed(data, changes):
 @many(2.0)
 @given(st.booleans(), changes)
 def test_a_damaged_trace_is_read_or_refused(tmp_path, good_file, footer_only, changes):
-    """In the footer, the length is corrected."""
+    """If only the footer is damaged, its length is corrected."""
     path, length = tmp_path / "trace.parquet", int.from_bytes(good_file[-8:-4], "little")
     if footer_only:
         footer = changed(good_file[-8 - length : -8], changes)
@@ -77,7 +77,7 @@ CLAIMS = [  # metadata of a file: types of columns (or their JSON), meta, versio
 
 
 @pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: str(claim)[:60])
-def test_false_trace_is_refused(tmp_path, claim):
+def test_file_that_claims_to_be_a_trace_is_checked(tmp_path, claim):
     types, meta, version = claim
     path, names = tmp_path / "trace.parquet", types if isinstance(types, dict) else SOUND
     types = json.dumps(types).encode() if isinstance(types, dict) else types

@@ -129,7 +129,7 @@ def test_metric_can_be_registered() -> None:
     completed.__doc__ = "Another one."
     with pytest.raises(TraceError, match=r"'completed' is there already, from moc_opt\.trace\.metrics"):
         metric(completed)
-    # A notebook registers the function again.
+    # A notebook may register the same function again.
     assert metric(METRICS["completed"].function) is METRICS["completed"]
 
 
