@@ -203,14 +203,14 @@ def test_stopped_arm_carries_weight_within_torque_limits(robot, rate):
 
 @pytest.mark.parametrize("newton", [9.0, 30.0, 100.0])
 def test_trocar_force_above_stop_yield_opens_brakes(robot, newton):
-    """After k ticks the mean is (1 - (1 - 50 /s T)^k) times the force."""
+    """After k ticks the mean force is (1 - (1 - 50 /s T)^k) times the force."""
     q, guard = robot.data.q_home, guard_of(robot, incision=True)
     guard.check_measurement(q, REST, wrench=weight(robot, q), trocar=off_by(robot, q, 0.0))
     opened = [not guard.brake_friction(weight(robot, q, newton)).any() for _ in range(400)]
     first = next(k for k in range(1, 60) if newton * (1.0 - 0.9**k) > SafetyFilterSettings().stop_yield_N)
     assert opened.index(True) + 1 == first
     assert (first == 1) == (newton > 80.0)
-    assert np.flatnonzero(opened).tolist() == list(range(first - 1, first - 1 + 200))  # once, for stop_yield_s
+    assert np.flatnonzero(opened).tolist() == list(range(first - 1, first - 1 + 200))  # open once, for stop_yield_s
 
 
 def test_mean_with_short_time_constant_is_latest_value(robot):

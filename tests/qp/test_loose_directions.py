@@ -1,4 +1,4 @@
-"""No answer is verified that has slid to a worse cost near a straight elbow.
+"""Answers that slid to a worse cost near a straight elbow are not verified.
 
 Each attempt slides an optimum along the nearly singular direction of A within the primal tolerance.
 """
@@ -104,7 +104,7 @@ def test_no_answer_that_slid_is_verified(seed):
 
 @pytest.mark.parametrize("regularization", [0.0, 0.01])
 @pytest.mark.parametrize("freedoms", [1, 2])
-def test_relative_is_the_scaled_loss_at_one_feasible_point(freedoms, regularization):
+def test_residual_relative_is_scaled_loss_for_one_feasible_point(freedoms, regularization):
     qp, base, Z, direction = random_case(np.random.default_rng(0), freedoms, 1e-9)
     row, pinned = np.array(qp.row), [3, 6][:freedoms]
     fields(row).lower[pinned] = fields(row).upper[pinned] = base[pinned]
@@ -116,7 +116,7 @@ def test_relative_is_the_scaled_loss_at_one_feasible_point(freedoms, regularizat
 
 
 def far_ends(A, b, pull, lower, upper):
-    """Return the feasible points (2, n) of extreme pull^T x, in rational arithmetic."""
+    """Return the feasible points (2, n) of largest and smallest pull^T x, in rational arithmetic."""
     gains = [Fraction(value) for value in pull]
     found = [optimum(A, b, [sign * gain for gain in gains], 0.0, lower, upper) for sign in (1, -1)]
     return None if None in found else np.array([[float(value) for value in point] for point in found])

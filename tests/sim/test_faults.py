@@ -109,7 +109,7 @@ def test_trocar_slips_smoothly():
     np.testing.assert_allclose(moved[1:-1, 1], rate[1:-1], atol=4e-3)  # rates reach 0.15 m/s
     assert faults().slip(still, t) is still
     ways = np.array([faults(seed, slip_m=0.01, slip_at_s=0.0).slip(still, t)[-1, 0] for seed in range(40)])
-    assert (ways[:, :2].min(axis=0) < -0.008).all()  # to every side
+    assert (ways[:, :2].min(axis=0) < -0.008).all()  # slips go to every side
     assert (ways[:, :2].max(axis=0) > 0.008).all()
 
 
@@ -153,7 +153,7 @@ K = np.arange(60)
 STUCK = np.where(K < 20, K, 19)
 
 
-# settings of the fault, packet numbers, positions of joints 1 and 3
+# settings of the fault, arriving packet numbers, arriving positions of joints 1 and 3
 @pytest.mark.parametrize(("changes", "stamps", "first", "third"), [
     ({"frozen_ticks": 10}, *[np.where((K < 20) | (K >= 30), K, 19)] * 3),
     ({"frozen_ticks": 10, "forged_stamps": True}, K, *[np.where((K < 20) | (K >= 30), K, 19)] * 2),

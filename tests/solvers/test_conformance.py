@@ -47,7 +47,7 @@ NLP = Expect(
 )
 EXPECT = {
     "exact": Expect(primal=1e-12, relative=1e-8, loss=1e-9, natural=1e-12, x=1e-9, gap=1e-9),
-    # The network cannot prove a problem infeasible and keeps oscillating with regularization = 0.
+    # The network cannot prove a problem infeasible, and may keep oscillating with regularization = 0.
     "rnn": Expect(
         {"steps": 300_000, "k": 0.2}, primal=1e-6, relative=1e-3, loss=5e-3, x=5e-3, gap=1e-4, certified=0.0,
         undamped=0.75, recovers=False,

@@ -185,7 +185,7 @@ def test_shaft_distance_is_the_distance_of_a_point_from_a_line(tip, tool, p, shi
     wrist = tip - tool
     d, u = shaft_distance(tip, wrist, p), tool / length
     assert d == pytest.approx(np.linalg.norm(np.cross(p - tip, u)), abs=1e-12)
-    # The distance depends on neither origin nor stretch.
+    # The distance depends on neither shift nor stretch.
     assert shaft_distance(tip + shift, tip - stretch * tool + shift, p + shift) == pytest.approx(d, abs=1e-11)
     rows = shaft_distance([tip, tip + shift], [wrist, wrist + shift], p)
     np.testing.assert_allclose(rows, [d, shaft_distance(tip + shift, wrist + shift, p)], rtol=1e-14)
