@@ -1,4 +1,4 @@
-"""Solvers that misbehave. They are written to disk as a plug-in, so that worker processes find them."""
+"""Solvers that misbehave, written to disk as a plug-in for worker processes."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -69,7 +69,7 @@ POINTS = {name: name.capitalize() for name in NAMES}
 def install(
     folder: Path, package: str = "broken_solvers_plugin", source: str = MODULE, points: Mapping[str, str] = POINTS
 ) -> Path:
-    """Write a plug-in as pip installs it. `points` maps solver to class. The caller puts the folder on sys.path."""
+    """Write a plug-in as pip installs it. `points` maps solver to class."""
     info = folder / f"{package}-1.0.dist-info"
     info.mkdir(parents=True)
     (folder / f"{package}.py").write_text(source)

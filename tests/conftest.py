@@ -1,4 +1,4 @@
-"""Fixtures that several test files share: arms, poses, a browser."""
+"""Fixtures that several test files share."""
 
 import contextlib
 import os
@@ -18,12 +18,12 @@ from moc_opt.trace.metrics import METRICS
 Array = NDArray[np.float64]
 Draw = Callable[..., list[Array]]
 
-# Property tests use the same examples in every run. The profile "long" draws new examples.
+# The profile "long" draws new examples in every run.
 settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.register_profile("long", deadline=None, max_examples=5000, print_blob=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
-# A shell starts background jobs with SIGINT ignored. The processes that the tests start would inherit this setting.
+# A shell starts background jobs with SIGINT ignored.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -34,12 +34,12 @@ SLOW = (
     "tests/test_wheel.py", "tests/solvers/test_isolated.py", "tests/planning/test_follow.py",
     "tests/export/test_folder.py",
 )  # fmt: skip
-"""The slowest files, slowest first. They are marked `slow` and run after the rest."""
+"""The slowest files, slowest first."""
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
-    """Return 1.5 workers per core, because tests spend 40 % of their time waiting for a process or a page."""
+    """Return 1.5 workers per core, because tests often wait for a process."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return cores + cores // 2
 
@@ -66,9 +66,9 @@ def registered_metrics() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def chromium() -> Iterator[Any]:
-    """One headless browser, which all tests of this process and the code under test share."""
+    """One headless browser for all tests of this process."""
     from moc_opt.errors import BrowserMissingError
-    from moc_opt.report import export  # imported here, because few tests need it
+    from moc_opt.report import export  # few tests need it
 
     try:
         with export.browser() as running, pytest.MonkeyPatch.context() as patch:
@@ -82,11 +82,11 @@ def chromium() -> Iterator[Any]:
 def opened(
     chromium: Any, address: str, ready: str, own: str = "", kinds: tuple[str, ...] = (), **options: Any
 ) -> Iterator[Any]:
-    """Yield an open page, then check that it logged nothing (of `kinds`) and requested only addresses within `own`."""
+    """Yield an open page, then check its log (`kinds`) and requested addresses (`own`)."""
     page, said, asked = chromium.new_page(**options), list[str](), list[str]()
 
     def hear(message: Any) -> None:
-        # The driver warns that reading pixels back is slow. Only the tests' screenshots read pixels.
+        # The driver warns that reading pixels back is slow.
         if (not kinds or message.type in kinds) and "GPU stall due to ReadPixels" not in message.text:
             said.append(f"{message.type}: {message.text}")
 
@@ -103,13 +103,12 @@ def opened(
 
 @pytest.fixture(scope="session")
 def robot() -> RobotModel:
-    """The LWR4+ with its default tool."""
     return load_robot()
 
 
 @pytest.fixture(scope="session")
 def regular_poses(robot: RobotModel) -> Draw:
-    """Return a function that draws random poses away from joint limits, with mu > 0.05."""
+    """Return a function that draws random poses with mu > 0.05."""
 
     def draw(count: int = 20, seed: int = 0) -> list[Array]:
         rng = np.random.default_rng(seed)
@@ -120,7 +119,7 @@ def regular_poses(robot: RobotModel) -> Draw:
 
 @pytest.fixture(scope="session")
 def odd_robot(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
-    """An arm with seven oblique joints (the third is prismatic) and a tool that is not on the last axis."""
+    """An arm with seven oblique joints (the third is prismatic) and an off-axis tool."""
     folder, rng = tmp_path_factory.mktemp("odd"), np.random.default_rng(7)
     links, joints = [Link("link_0")], []
     for j in range(1, 8):

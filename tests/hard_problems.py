@@ -1,4 +1,4 @@
-"""Difficult subproblems: rounded or nearly singular Jacobians, and very large or small numbers."""
+"""Difficult subproblems: nearly singular Jacobians and very large or small numbers."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from tests.problems import Arm, changed, random_problem
 
 
 def rounded(qp: NullSpaceQP, decimals: int) -> NullSpaceQP:
-    """Round the Jacobians to `decimals`, and make the references consistent with them."""
+    """Round the Jacobians to `decimals` and adapt the references."""
     x = np.linalg.lstsq(qp.A, qp.b, rcond=1e-9)[0]
     A = np.round(qp.A, decimals)
     return remade(qp, A, A @ x)
@@ -21,7 +21,7 @@ def remade(qp: NullSpaceQP, A: np.ndarray, b: np.ndarray, size: float = 1.0) -> 
 
 
 def nearly_singular(qp: NullSpaceQP, size: float) -> NullSpaceQP:
-    """Set the fifth singular value of A to ``size`` times the first. The tool stays rigid."""
+    """Set the fifth singular value of A to `size` times the first."""
     u = np.linalg.svd(qp.J_tip - qp.J_wrist)[0][:, 2]
     free = np.eye(6) - 0.5 * np.outer(np.r_[u, -u], np.r_[u, -u])
     U, s, V = np.linalg.svd(free @ qp.A, full_matrices=False)
@@ -32,7 +32,7 @@ def nearly_singular(qp: NullSpaceQP, size: float) -> NullSpaceQP:
 
 
 def hard_problems(arm: Arm | None = None, n: int = 7, seed: int = 0) -> list[NullSpaceQP]:
-    """Return two problems of each kind without regularization, and two with regularization."""
+    """Return two problems of each kind, with and without regularization."""
     rng = np.random.default_rng(seed)
     found = []
     for regularization in (0.0, 1e-5):

@@ -1,4 +1,4 @@
-"""Solvers that misbehave. Each worker process imports this module, so the module imports little."""
+"""Solvers that misbehave, in a module that worker processes import quickly."""
 
 import os
 import signal
@@ -15,7 +15,7 @@ from moc_opt.solvers.base import Solution, Status
 
 @dataclass(frozen=True)
 class Misbehaving:
-    """A solver that answers x = 0 and counts its calls as iterations. From call ``at`` on, it does ``act`` first."""
+    """A solver that answers x = 0 and misbehaves (`act`) from call `at` on."""
 
     act: str = ""
     at: int = 2
@@ -43,7 +43,7 @@ class MisbehavingSession:
 
 
 class GatedSession:
-    """A session that answers a problem with c0 = k once a file named k exists. It reports k iterations."""
+    """A session that answers a problem with c0 = k once a file named k exists."""
 
     def __init__(self, folder):
         self.folder, self.observed = folder, np.full(7, np.nan)
@@ -64,7 +64,7 @@ def hang(session):
 
 
 def fork_and_exit(session):
-    """Exit, and leave a child that keeps every file of this process open."""
+    """Exit, and leave a child that keeps all files open."""
     if os.fork() == 0:
         time.sleep(20.0)
     os._exit(3)

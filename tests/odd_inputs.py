@@ -1,4 +1,4 @@
-"""Hostile input (numbers, texts, names, nested values, damaged files), and the outcomes that are allowed for it."""
+"""Hostile input, and the outcomes that are allowed for it."""
 
 import contextlib
 import signal
@@ -11,18 +11,18 @@ from hypothesis import HealthCheck, event, settings
 from moc_opt.errors import MocOptError
 
 LONGEST_S = 600
-"""Time limit for one input. Some inputs compile C, which is slow on a busy machine."""
+"""Time limit for one input, long enough to compile C."""
 
 
 def many(share=1.0):
-    """Return Hypothesis settings with this share of the active profile's examples, for slow tests."""
+    """Return Hypothesis settings with this share of the active profile's examples."""
     slow = (HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.function_scoped_fixture)
     return settings(max_examples=max(10, round(share * settings().max_examples)), suppress_health_check=slow)
 
 
 @contextlib.contextmanager
 def ends_well(*named):
-    """Allow no exception but a MocOptError. Its message has 15 to 2000 characters and, if given, one of ``named``."""
+    """Allow no exception but a MocOptError that contains one of `named`."""
 
     def ring(number, frame):
         pytest.fail(f"no end after {LONGEST_S} s")
@@ -30,7 +30,7 @@ def ends_well(*named):
     before = signal.signal(signal.SIGALRM, ring)
     signal.alarm(LONGEST_S)
     try:
-        with np.errstate(all="ignore"):  # numbers such as 1e300 may overflow
+        with np.errstate(all="ignore"):  # 1e300 may overflow
             yield
     except MocOptError as refusal:
         said = str(refusal)
@@ -77,7 +77,7 @@ names = st.one_of(
     st.lists(pieces, min_size=1, max_size=4).map("".join), st.text(max_size=8),
     st.from_regex(r"[A-Za-z0-9_ .:+/-]{1,12}", fullmatch=True),
 )  # fmt: skip
-"""Valid names, and texts that would break out of a comment, a tag or a folder."""
+"""Valid names, and texts that would break out of a comment, tag or folder."""
 
 
 LINES = st.sampled_from(["", "<", "]", "[[robot]]", "</link>", '<link name="tip"/>', "\x00"])
@@ -88,7 +88,7 @@ ODD = st.one_of(
 
 @st.composite
 def edited(draw: st.DrawFn, text: str) -> bytes:
-    """Return the text with a few lines, words or values changed, or unrelated bytes or text."""
+    """Return the text with a few lines, words or values changed."""
     kind = draw(st.integers(0, 9))
     if kind == 0:
         return draw(st.binary(max_size=200))

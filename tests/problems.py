@@ -1,4 +1,4 @@
-"""Seeded subproblems of random serial arms with a rigid tool, with and without a spherical wrist."""
+"""Seeded subproblems of random serial arms with a rigid tool."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -15,7 +15,7 @@ TOOL = 0.38  # wrist to tip [m]
 
 @dataclass(frozen=True)
 class Arm:
-    """A serial arm at q = 0: joint axes (n, 3), a point on each (n, 3) [m], tip (3,) and wrist (3,) [m]."""
+    """A serial arm at q = 0: axes (n, 3), points on them (n, 3) [m], tip (3,) and wrist (3,) [m]."""
 
     axes: Array
     points: Array
@@ -23,11 +23,7 @@ class Arm:
     wrist: Array
 
     def terms(self, q: Array) -> tuple[Array, Array, Array]:
-        """Return J_tip and J_wrist, (3, n) each [m/rad], and the gradient (n,) of mu = sqrt(det(J_tip J_tip^T)).
-
-        The gradient is mu tr(J^+ dJ/dq_i). Column j of dJ/dq_i is the cross product of the joint axis min(i, j) and
-        column max(i, j) of J_tip.
-        """
+        """Return J_tip and J_wrist, (3, n) each [m/rad], and the gradient (n,) of mu."""
         R, t = np.eye(3), np.zeros(3)
         axes, points = np.empty_like(self.axes), np.empty_like(self.points)
         for i, (axis, point) in enumerate(zip(self.axes, self.points, strict=True)):
@@ -41,7 +37,7 @@ class Arm:
         return J_tip, J_wrist, mu * np.einsum("jk,ijk->i", np.linalg.pinv(J_tip), turned)
 
     def kinematics(self) -> Kinematics:
-        """Return the arm as CasADi functions for NLP solvers. At q = 0, all frames are parallel to the world's."""
+        """Return the arm as CasADi functions for NLP solvers."""
         ends = np.array([self.tip, self.wrist]) - self.points[-1]
         placed = np.diff(self.points, axis=0, prepend=np.zeros((1, 3)))
         turned, slides = np.tile(np.eye(3), (len(self.axes), 1, 1)), np.zeros(len(self.axes), dtype=np.bool_)
@@ -59,11 +55,7 @@ def unit(rng: np.random.Generator) -> Array:
 
 
 def random_arm(rng: np.random.Generator, n: int = 7, structured: bool = True) -> Arm:
-    """Return an arm with random axes through points within about half a metre of the wrist.
-
-    With structured and n = 7, joints 5 to 7 pass through the wrist, and the tool lies along joint 7. Joints 5 to 7 then
-    do not move the wrist, and joint 7 does not move the tip.
-    """
+    """Return an arm with random axes and, if structured and n = 7, a spherical wrist."""
     axes = np.array([unit(rng) for _ in range(n)])
     points = rng.normal(scale=0.25, size=(n, 3))
     tool = unit(rng)
@@ -74,7 +66,7 @@ def random_arm(rng: np.random.Generator, n: int = 7, structured: bool = True) ->
 
 
 def problem_of(arm: Arm, q: Array, x_inside: Array, lower: Array, upper: Array, **weights: float) -> NullSpaceQP:
-    """Return the subproblem of ``arm`` at q whose references are met by ``x_inside``."""
+    """Return the subproblem of `arm` at q whose references `x_inside` meets."""
     J_tip, J_wrist, grad_mu = arm.terms(q)
     return NullSpaceQP(
         J_tip, J_wrist, J_tip @ x_inside, J_wrist @ x_inside, grad_mu, lower=lower, upper=upper, q=q, **weights
@@ -88,7 +80,7 @@ def random_box(rng: np.random.Generator, n: int) -> tuple[Array, Array]:
 def smooth_sequence(
     rng: np.random.Generator, count: int, *, arm: Arm | None = None, **weights: float
 ) -> list[NullSpaceQP]:
-    """Make ``count`` subproblems of one arm along a smooth motion, 2 ms apart."""
+    """Make `count` subproblems of one arm along a smooth motion, 2 ms apart."""
     arm = random_arm(rng) if arm is None else arm
     lower, upper = random_box(rng, len(arm.axes))
     start, phase = rng.uniform(-1.5, 1.5, len(arm.axes)), rng.uniform(0.0, 2.0 * np.pi, len(arm.axes))
@@ -107,14 +99,14 @@ PARTS = (
 
 
 def changed(qp: NullSpaceQP, **parts: Any) -> NullSpaceQP:
-    """Return the problem with some of its arguments (PARTS) replaced."""
+    """Return the problem with some arguments (PARTS) replaced."""
     return NullSpaceQP(**{**{name: getattr(qp, name) for name in PARTS}, **parts})
 
 
 def random_problem(
     rng: np.random.Generator, n: int = 7, *, arm: Arm | None = None, structured: bool = True, **weights: float
 ) -> NullSpaceQP:
-    """Return a subproblem of ``arm`` (or a random arm) at a random pose. Weights: c0, c1, c2, regularization."""
+    """Return a subproblem of `arm` (or a random arm) at a random pose."""
     arm = random_arm(rng, n, structured) if arm is None else arm
     q = rng.uniform(-1.5, 1.5, len(arm.axes))
     lower, upper = random_box(rng, len(arm.axes))
@@ -123,10 +115,7 @@ def random_problem(
 
 
 def out_of_reach(rng: np.random.Generator, qp: NullSpaceQP) -> NullSpaceQP:
-    """Replace the references by others that no velocity within the bounds meets (Farkas' lemma).
-
-    With w = A^T y, y^T A x is at most the sum of max(w_i lower_i, w_i upper_i). With b = s A w, y^T b is larger.
-    """
+    """Replace the references by others that no velocity within the bounds meets (Farkas' lemma)."""
     w = qp.A.T @ rng.normal(size=6)
     reach = np.maximum(w * qp.lower, w * qp.upper).sum()
     b = qp.A @ w * (rng.uniform(1.1, 2.0) * reach / (w @ w))
@@ -134,7 +123,7 @@ def out_of_reach(rng: np.random.Generator, qp: NullSpaceQP) -> NullSpaceQP:
 
 
 def on_rows(qp: NullSpaceQP, x: Array) -> Array:
-    """Return the point of A x = b nearest to x. Answers to the nonlinear problem do not meet A x = b exactly."""
+    """Return the point of A x = b nearest to x."""
     return np.asarray(x - np.linalg.pinv(qp.A, rcond=1e-6) @ (qp.A @ x - qp.b))
 
 

@@ -1,7 +1,6 @@
-"""The fenced blocks of README run from top to bottom in an empty folder.
+"""README's fenced blocks run from top to bottom in an empty folder.
 
-`sh` blocks go to a shell, and `python` blocks to one interpreter. A block that begins with "# in a checkout" does not
-run, but the Makefile must have its targets. `moc-opt live` is interrupted once it has printed its address.
+A block that begins with "# in a checkout" does not run, but the Makefile must have its targets.
 """
 
 import os
@@ -24,13 +23,13 @@ PATIENCE_S = 1200  # time limit for one block
 
 
 def blocks(document):
-    """Return (language, text) of every fenced block, in order."""
+    """Return (language, text) of every fenced block."""
     return BLOCK.findall((ROOT / document).read_text(encoding="utf-8"))
 
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
-    """Return an empty folder, and an environment whose `moc-opt` is that of this checkout."""
+    """Return an empty folder and an environment with this checkout's `moc-opt`."""
     folder, tools = tmp_path_factory.mktemp("empty"), tmp_path_factory.mktemp("bin")
     command = tools / "moc-opt"
     command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -P -m moc_opt "$@"\n', encoding="utf-8")
@@ -61,7 +60,7 @@ def serve(line, place):
         assert said
 
 
-def test_readme_runs_from_top_to_bottom_in_an_empty_folder_and_then_the_python_blocks_of_start_md(place):
+def test_readme_and_start_page_run(place):
     found = blocks("README.md")
     assert [language for language, _ in found] == ["sh", "sh", "python", "python", "python"]
     for text in (text for language, text in found if language == "sh" and not text.startswith(CHECKOUT)):
@@ -74,7 +73,7 @@ def test_readme_runs_from_top_to_bottom_in_an_empty_folder_and_then_the_python_b
     pages = {"report.html", "both.html", "replay.html", "map.html"}
     written = {"scenario.toml", "clarabel.parquet", "network.parquet", "c", *pages}
     assert {file.name for file in folder.iterdir()} == written
-    # MOC moves the elbow away from its poor start. The neural network, implemented as published, does not.
+    # MOC moves the elbow away, and the network as published does not.
     mu = {name: mo.load_trace(folder / f"{name}.parquet").mu for name in ("clarabel", "network")}
     assert mu["clarabel"].mean() > 1.2 * mu["network"].mean()
     tour = [text for language, text in blocks("docs/start.md") if language == "python" and "elbow.html" in text]
@@ -83,7 +82,7 @@ def test_readme_runs_from_top_to_bottom_in_an_empty_folder_and_then_the_python_b
     assert (folder / "elbow.html").stat().st_size > 10_000
 
 
-def test_the_start_page_shows_the_scenario_and_the_commands_of_readme():
+def test_start_page_shows_scenario_and_commands_of_readme():
     (scenario,) = (text for kind, text in blocks("docs/start.md") if kind == "toml")
     script = next(text for kind, text in blocks("README.md") if "scenario.toml" in text)
     assert script.startswith(f"cat > scenario.toml <<'END'\n{scenario}END\n")
@@ -94,7 +93,7 @@ def test_the_start_page_shows_the_scenario_and_the_commands_of_readme():
     assert [line for line in commands if not any(one.startswith(line.rstrip()) for one in said)] == []
 
 
-def test_the_make_targets_that_readme_names_exist():
+def test_make_targets_that_readme_names_exist():
     targets = re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
     lines = [line for _, text in blocks("README.md") if text.startswith(CHECKOUT) for line in text.splitlines()[1:]]
     assert len(lines) >= 2
@@ -102,7 +101,7 @@ def test_the_make_targets_that_readme_names_exist():
     assert {line.split()[1] for line in lines} <= set(targets)
 
 
-def test_every_file_that_the_documents_link_to_exists():
+def test_every_linked_file_exists():
     for document in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]:
         text = document.read_text(encoding="utf-8")
         links = re.findall(r"\]\((?!https?:|#|mailto:)([^)#\s]+)", text)
@@ -111,7 +110,7 @@ def test_every_file_that_the_documents_link_to_exists():
         assert [path for path in named if "NAME" not in path and not (ROOT / path).exists()] == [], document.name
 
 
-def test_all_files_agree_on_version_and_release_date_and_python_versions():
+def test_all_files_agree_on_the_version():
     said = {name: (ROOT / name).read_text("utf-8") for name in ("CITATION.cff", "CHANGELOG.md", "README.md")}
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     cited = dict(re.findall(r"^(version|date-released): (.*)$", said["CITATION.cff"], re.MULTILINE))

@@ -1,4 +1,4 @@
-"""A module imports only from its own floor (a layer of the package) or a lower one, and loads only what it needs."""
+"""A module imports only from its own floor (a layer of the package) or below."""
 
 import ast
 import subprocess
@@ -34,7 +34,7 @@ def rooms_imported(source):
                 yield next(name for name in names if name in FLOOR)
 
 
-def test_a_module_imports_only_from_its_own_floor_or_a_lower_one():
+def test_module_imports_only_from_its_floor_or_below():
     for file in PACKAGE.rglob("*.py"):
         place = file.relative_to(PACKAGE)
         floor = FLOOR.get(".".join(place.with_suffix("").parts), FLOOR.get(place.parts[0].removesuffix(".py")))
@@ -57,7 +57,7 @@ LOADS_NONE_OF = {
 
 
 @pytest.mark.parametrize(("statement", "others"), LOADS_NONE_OF.items())
-def test_an_import_loads_only_what_it_needs(statement, others):
+def test_import_loads_only_what_it_needs(statement, others):
     code = f"import sys\n{statement}\nprint([m for m in {others!r} if m in sys.modules])"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "[]"

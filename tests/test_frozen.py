@@ -1,6 +1,6 @@
-"""The metrics of closed-loop runs equal those in frozen.json, up to differences too small to matter on a robot.
+"""The metrics of closed-loop runs equal those in frozen.json up to small differences.
 
-A commit that changes metrics on purpose rewrites the file (``python -m tests.test_frozen --write``) and says why.
+``python -m tests.test_frozen --write`` rewrites the file.
 """
 
 import json
@@ -64,14 +64,14 @@ encoders-jump = { faults = { jump_at_s = 0.5, jump_rad = 0.2 } }
 for name in ("whole-circle", "whole-line-rnn"):
     VARIANTS[name]["duration_s"] = None
 for fallback in ("hold", "damping", "least-violation"):
-    VARIANTS[f"fast-{fallback}"] = {  # many of its subproblems are infeasible
+    VARIANTS[f"fast-{fallback}"] = {  # many infeasible subproblems
         "seed": 4, "task": {"v_max_m_per_s": 0.43, "a_max_m_per_s2": 8.0}, "start": {"check_path": False},
         "guard": {"rcm_error_m": 0.012}, "control": {"fallback": fallback},
     }  # fmt: skip
 
 
 def scenarios() -> dict[str, mo.Scenario]:
-    """Return {name: scenario} for every arm with every solver (paths and seeds alternate), and all `VARIANTS`."""
+    """Return {name: scenario} for every arm with every solver, and all `VARIANTS`."""
     tables: dict[str, dict[str, Any]] = {}
     for a, arm in enumerate(ARMS):
         for s, solver in enumerate(SOLVERS):
@@ -121,7 +121,7 @@ def test_every_scenario_has_frozen_figures() -> None:
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_a_run_keeps_its_figures(name: str) -> None:
+def test_run_keeps_its_figures(name: str) -> None:
     was, now = FROZEN[name], run(SCENARIOS[name])
     assert set(now) == set(was)
     ended = now.pop("ended")

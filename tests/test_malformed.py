@@ -1,6 +1,6 @@
-"""Malformed input is either accepted with a valid result, or refused with a MocOptError that says why.
+"""Malformed input gives a valid result or a MocOptError.
 
-`HYPOTHESIS_PROFILE=long` draws thousands of inputs. An input that once caused a failure is kept as an example.
+`HYPOTHESIS_PROFILE=long` draws thousands of inputs.
 """
 
 import contextlib
@@ -31,14 +31,14 @@ ARM_TOML = (FOLDER / "lwr4.toml").read_bytes().replace(b'"lwr4.urdf"', b'"arm.ur
 
 
 def fields(table=Scenario):
-    """Yield the path of every field. A table comes before its own fields."""
+    """Yield the path of every field, tables first."""
     for name, field in table.model_fields.items():
         yield (name,)
         if hasattr(field.annotation, "model_fields"):
             yield from ((name, *rest) for rest in fields(field.annotation))
 
 
-usual = st.sampled_from([0.0, 1e-3, 0.02, 0.1, 0.5, 1.0, 2, True, False])  # with these values, more scenarios run
+usual = st.sampled_from([0.0, 1e-3, 0.02, 0.1, 0.5, 1.0, 2, True, False])  # more scenarios run with these values
 strange = st.sampled_from(["typo", "", "seeds", "class", "duration", "model_config"])
 values = st.one_of(usual, numbers, texts, junk)
 
@@ -89,7 +89,7 @@ def drive(robot):
     assert np.linalg.eigvalsh(state.M).min() > 0.0
 
 
-# For each file: the function that reads it, and a function that must accept the result.
+# For each file: its reader, and a function that must accept the result.
 READERS = {
     "scenario.toml": (Scenario.load, run_two_ticks), "arm.toml": (mo.load_robot, drive),
     "arm.urdf": (lambda path: mo.load_robot(path.with_suffix(".toml")), drive),
@@ -184,7 +184,7 @@ def test_a_subproblem_is_answered_without_a_false_claim_or_names_the_field(n, se
 
 
 def ordinary(qp):
-    """Return whether all numbers are at most 1e3 and A is well conditioned. Else residuals may be rounding errors."""
+    """Return whether all numbers are at most 1e3 and A is well conditioned."""
     largest = max(float(np.abs(array).max()) for array in (qp.A, qp.b, qp.lower, qp.upper, qp.grad_mu))
     sizes = np.linalg.svd(qp.A, compute_uv=False)
     return largest <= 1e3 and sizes[0] > 0.0 and sizes[sizes > 1e-9 * sizes[0]].min() > 1e-3 * sizes[0]
@@ -221,6 +221,6 @@ def packet(what, peer):
     made = wire.make_packet(wire.Kind(what[0]), peer.n, peer.session, SCENARIO)
     made["sequence"] = peer.k
     for name, value in what[1].items():
-        with contextlib.suppress(ValueError, OverflowError, TypeError):  # a value that the field cannot hold
+        with contextlib.suppress(ValueError, OverflowError, TypeError):  # the field cannot hold it
             made[name] = value
     return wire.seal(made, KEY)

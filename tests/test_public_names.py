@@ -1,4 +1,4 @@
-"""Public names keep their signatures. Error messages stay short and name the nearest valid names."""
+"""Public names keep their signatures, and error messages stay short."""
 
 import inspect
 
@@ -9,7 +9,7 @@ from moc_opt import errors
 from moc_opt.errors import MocOptError, RobotError, TraceError, UnknownNameError
 
 
-def test_the_signature_of_the_subproblem_is_unchanged():
+def test_signature_of_the_subproblem_is_unchanged():
     parameters = inspect.signature(mo.NullSpaceQP).parameters
     names = "J_tip J_wrist v_tip v_wrist grad_mu lower upper c0 c1 c2 regularization q pull"
     assert " ".join(parameters) == names
@@ -18,7 +18,7 @@ def test_the_signature_of_the_subproblem_is_unchanged():
 
 
 @pytest.mark.parametrize("kind", [MocOptError, RobotError, TraceError])
-def test_a_message_of_a_megabyte_is_cut(kind):
+def test_message_of_a_megabyte_is_cut(kind):
     assert str(kind("a field, its value and the cure")) == "a field, its value and the cure"
     assert str(kind("x" * 2000)) == "x" * 2000
     cut = str(kind("begins so " + "x" * 10**6))
@@ -35,14 +35,14 @@ MANY = [*(f"name_{i}" for i in range(500)), "osqp", "proxqp", "nlp-ipopt"]
     ("name_7x", MANY, "did you mean 'name_7'"), ("proxpq", MANY, "did you mean 'proxqp'? `"),
     ("a", MANY[:3], "valid names: name_0, name_1, name_2"),
 ])  # fmt: skip
-def test_an_unknown_name_is_answered_with_the_nearest_ones_and_not_with_a_long_list(name, valid, told):
+def test_error_lists_the_nearest_names(name, valid, told):
     text = str(UnknownNameError("metric", name, valid, "moc-opt metrics"))
     assert told in text
     assert text.endswith("`moc-opt metrics` lists all 503") == (valid is MANY)
-    assert text.count("name_") <= 4  # the wrong name, and three near ones
+    assert text.count("name_") <= 4  # the wrong name and three near ones
 
 
-def test_every_error_of_the_package_is_a_moc_opt_error():
+def test_every_error_is_a_moc_opt_error():
     classes = [c for _, c in inspect.getmembers(errors, inspect.isclass) if issubclass(c, Exception)]
     assert len(classes) > 5
     assert all(issubclass(c, MocOptError) for c in classes)

@@ -1,6 +1,6 @@
-"""The sources of the documentation site are consistent. `make docs` builds the site.
+"""The sources of the documentation site are consistent.
 
-Every public name of the reference is used in an example, on a page, or in its docstring's doctest, which is run here.
+Every public name of the reference is used in an example, a page or a doctest.
 """
 
 import doctest
@@ -25,14 +25,14 @@ assert len(EXAMPLES) >= 10
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
-def test_an_example_runs(example, capsys):
+def test_example_runs(example, capsys):
     runpy.run_path(str(example), run_name="__main__")
     printed = capsys.readouterr().out
     assert printed.strip()
     assert "nan" not in printed
 
 
-def test_a_broken_link_is_found(tmp_path, monkeypatch):
+def test_broken_link_is_found(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(DOCS / "_extensions")
     links = importlib.import_module("links")
     (tmp_path / "reports" / "a").mkdir(parents=True)
@@ -45,7 +45,7 @@ def test_a_broken_link_is_found(tmp_path, monkeypatch):
     assert links.broken(tmp_path) == [("a.html", link) for link in sorted(wrong)]
 
 
-def test_a_figure_of_the_gallery_is_drawn(chromium, tmp_path, monkeypatch):
+def test_figure_of_the_gallery_is_drawn(chromium, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(DOCS / "_extensions")
     site = importlib.import_module("figures")
     for folder in ("_static", "gallery"):
@@ -75,7 +75,7 @@ def found(name):
 
 
 def methods(name):
-    """Return {name: method} of a class for the methods that the reference lists. Properties need no example."""
+    """Return {name: method} of a class for the methods of the reference."""
     kind, options = ENTRIES[name]
     if kind != "class" or ":members:" not in options or ":undoc-members:" in options:
         return {}
@@ -96,7 +96,7 @@ def test_every_public_name_is_in_the_reference():
 
 
 @pytest.mark.parametrize("name", ENTRIES)
-def test_a_public_name_and_its_methods_are_used_in_examples_and_its_own_example_runs(name, tmp_path, monkeypatch):
+def test_public_name_is_used_in_an_example(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     runner, said, shown = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS), [], PAGES
     for title, one in {name: found(name), **methods(name)}.items():

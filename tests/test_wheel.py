@@ -1,7 +1,6 @@
-"""The source archive and the wheel are complete, even if the only compiler is that of the `ziglang` wheel.
+"""The source archive and the wheel are complete.
 
-The wheel is built from the archive, by a stand-in for ziglang that calls the system's compiler. The wheel is installed
-with only its requirements, which are links into this environment. Nothing is downloaded.
+The system's compiler stands in for the `ziglang` wheel. Nothing is downloaded.
 """
 
 import contextlib
@@ -37,13 +36,13 @@ def call(*command, **options):
 
 
 def closure(lines):
-    """Return every installed distribution that these requirements need, without extras."""
+    """Return every installed distribution that these requirements need."""
     found, waiting = {}, list(lines or ())
     while waiting:
         line = waiting.pop()
         name = re.match(r"[\w.-]+", line)[0]
         if "extra ==" not in line and name not in found:
-            with contextlib.suppress(PackageNotFoundError):  # a requirement of another platform
+            with contextlib.suppress(PackageNotFoundError):  # another platform's requirement
                 found[name] = distribution(name)
                 waiting += found[name].requires or ()
     return found.values()
@@ -51,7 +50,7 @@ def closure(lines):
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
-    """Build the wheel from the source archive of a checkout, with no compiler on the path."""
+    """Build the wheel with no compiler on the path."""
     if COMPILER is None:
         pytest.skip("no C compiler on the path")
     source, built, tools, path = (tmp_path_factory.mktemp(name) for name in ("source", "built", "tools", "path"))
@@ -75,7 +74,7 @@ def wheel(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def run(wheel, tmp_path_factory):
-    """Install the wheel in a new environment. Return a function that calls its `moc-opt`, with an empty home."""
+    """Return a function that calls `moc-opt` in a new environment."""
     home = tmp_path_factory.mktemp("home")
     call(sys.executable, "-m", "venv", "--without-pip", home / "env")
     tools = home / "env" / "bin"
@@ -91,7 +90,7 @@ def run(wheel, tmp_path_factory):
     return lambda *words, cwd: call(tools / "moc-opt", *words, cwd=cwd, env=bare)
 
 
-def test_one_wheel_for_all_pythons_runs_in_an_empty_folder_with_its_requirements_alone(wheel, run, tmp_path):
+def test_one_wheel_runs_on_all_pythons(wheel, run, tmp_path):
     assert "-cp311-abi3-" in wheel.name
     tops = {name.partition("/")[0] for name in ZipFile(wheel).namelist()}
     assert {name for name in tops if not name.endswith(".dist-info")} == {"moc_opt"}
@@ -121,8 +120,8 @@ def backend():
 
 
 @pytest.mark.parametrize("hook", ["get_requires_for_build_wheel", "get_requires_for_build_editable"])
-def test_ziglang_is_required_only_where_there_is_no_compiler(hook, backend, monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)  # setuptools leaves files here
+def test_ziglang_is_required_only_without_a_compiler(hook, backend, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)  # setuptools leaves files
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CC", raising=False)
     assert any(name.startswith("ziglang") for name in getattr(backend, hook)())
@@ -135,7 +134,7 @@ def test_ziglang_is_required_only_where_there_is_no_compiler(hook, backend, monk
     assert getattr(backend, hook)() == []
 
 
-def test_a_python_without_headers_is_reported_with_a_remedy(backend, monkeypatch, tmp_path):
+def test_missing_headers_are_reported_with_a_remedy(backend, monkeypatch, tmp_path):
     monkeypatch.setattr(sysconfig, "get_path", lambda name: str(tmp_path))
     with pytest.raises(SystemExit, match=r"Python\.h.*python3-dev"):
         backend.get_requires_for_build_wheel()

@@ -1,4 +1,4 @@
-"""Every argument of a public name gives a result or an error of the package, and never another exception."""
+"""Every argument of a public name gives a result or an error of the package."""
 
 from collections.abc import Callable
 
@@ -20,7 +20,7 @@ QP = mo.NullSpaceQP(**PARTS)
 
 
 def each(call: Callable, *names: str, **usual: object) -> dict[str, Callable]:
-    """For each name, return a function of x that calls ``call`` with x for this argument and usual values otherwise."""
+    """For each name, return a function of x that passes x as this argument."""
     return {f"{call.__name__} {name}": lambda x, name=name: call(**{**usual, name: x}) for name in names}
 
 
@@ -47,8 +47,8 @@ TAKES_SECONDS = {
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_a_wrong_argument_is_an_error_of_the_package(name, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)  # some calls write a file "x"
+def test_wrong_argument_is_an_error_of_the_package(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # some calls write a file
     said = []
     for value in WRONG:
         if any(type(value) is type(one) and value == one for one in TAKES_SECONDS.get(name, ())):

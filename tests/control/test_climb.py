@@ -1,4 +1,4 @@
-"""The scaled climb of the manipulability mu: its step length, its end at joint limits, and jerks."""
+"""The scaled climb of the manipulability mu."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from tests.control.torques import in_place, subproblem
 from tests.reference.law import CLIMB_PER_S
 
 
-def test_the_scaled_climb_asks_for_the_displacement_to_a_nearby_maximum_of_mu(robot: RobotModel) -> None:
+def test_scaled_climb_asks_for_displacement_to_maximum_of_mu(robot: RobotModel) -> None:
     """The expected displacement is an arc length on the self-motion curve."""
     q = np.asarray(self_motion(robot, robot.data.q_home, 0.01).q)
     top = int(np.argmax(robot.mu_along(q)))
@@ -26,14 +26,14 @@ def test_the_scaled_climb_asks_for_the_displacement_to_a_nearby_maximum_of_mu(ro
         assert desired @ (q[top] - q[top + off]) > 0.0
 
 
-def test_the_scaled_climb_without_regularization_is_refused() -> None:
+def test_scaled_climb_without_regularization_is_refused() -> None:
     with pytest.raises(ControlError, match=r"climb = 'scaled' with c2 = 0\.001, regularization = 0"):
         mo.run(mo.Scenario(control={"climb": "scaled", "regularization": 0.0}))
 
 
 @pytest.mark.parametrize(("number", "preset"), [(13, "nominal"), (25, "realistic")])
-def test_velocity_bounds_end_the_climb_before_a_joint_limit(number, preset, robot, regular_poses) -> None:
-    """From these two poses, mu grows up to a joint limit. The safety filter must not act."""
+def test_velocity_bounds_end_climb_before_joint_limit(number, preset, robot, regular_poses) -> None:
+    """From these two poses, mu grows up to a joint limit."""
     q = regular_poses(30)[number].tolist()
     trace = mo.run(mo.Scenario(
         start={"q_rad": q, "swivel": 0.5}, plant={"preset": preset}, duration_s=4.0, task={"wait_s": 5.0},
@@ -49,7 +49,6 @@ def test_velocity_bounds_end_the_climb_before_a_joint_limit(number, preset, robo
 
 
 def test_shaft_margin_prevents_jerks_near_a_straight_wrist() -> None:
-    """Mu grows towards a straight wrist, where joint 5 has to turn ever faster."""
     trial = mo.Scenario(seed=707, start={"pose": "random"}, judge=False, bound_samples=0)
     lost, kept = mo.run(trial.change(control={"shaft_margin": 0.0})), mo.run(trial)
     assert lost.meta["ended"] == kept.meta["ended"] == "completed"

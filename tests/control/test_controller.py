@@ -1,4 +1,4 @@
-"""The controller of three levels: its torque, its fallback for infeasible subproblems, and its state."""
+"""The controller of three levels: torque, fallback and state."""
 
 from types import SimpleNamespace
 from unittest.mock import Mock
@@ -63,7 +63,7 @@ def test_torque_is_the_sum_of_the_levels(law, robot, regular_poses):
 
 
 def test_third_level_fades_in(robot):
-    """With a ramp of ten periods, the first tick gives a tenth of the torque. A new start restarts the ramp."""
+    """With a ramp of ten periods, the first tick gives a tenth of the torque."""
     state = robot.state(robot.data.q_home)
     whole, _, tip_ref, trocar = started(robot, state=state, **QUIET)
     faded, *_ = started(robot, state=state, **{**QUIET, "ramp_s": 0.02})
@@ -94,8 +94,8 @@ def test_settings_reach_the_core(setting, core_s, robot):
 
 
 @pytest.mark.parametrize("fallback", ["damping", "hold", "least-violation"])
-def test_if_the_subproblem_is_infeasible_the_arm_follows_the_fallback(fallback, robot):
-    """With k0 = 1e-3 /s, the subproblem is infeasible for a reference at 0.3 m/s, and feasible at rest."""
+def test_arm_follows_fallback_if_subproblem_is_infeasible(fallback, robot):
+    """With k0 = 1e-3 /s, a reference at 0.3 m/s makes the subproblem infeasible."""
     state = robot.state(robot.data.q_home, np.linspace(-0.2, 0.2, 7))
     (fast, trocar), (slow, _) = in_place(state, 0.3), in_place(state)
     controller = Controller(robot, ControlSettings(fallback=fallback, k0_per_s=1e-3, **QUIET), EXACT)
@@ -119,32 +119,32 @@ def test_if_the_subproblem_is_infeasible_the_arm_follows_the_fallback(fallback, 
 
 
 def watching(supports=None, error=None):
-    """A solver that solves like `exact`. With `supports` it refuses the problem, and with `error` it cannot start."""
+    """A solver like `exact` that may refuse the problem or fail to start."""
     solver, session = Mock(spec=["name", "supports", "start"]), SimpleNamespace(observe=Mock())
     solver.name, solver.supports.return_value, solver.start.side_effect = "watching", supports, error or [session] * 2
     session.solve = lambda qp: EXACT.start(qp).solve(qp)
     return solver, session
 
 
-def test_a_session_may_observe_the_measured_velocity(robot):
+def test_session_may_observe_measured_velocity(robot):
     solver, session = watching()
     controller, state, tip_ref, trocar = started(robot, solver)
     for speed in (0.1, -0.2):
         controller.tick(state.q, np.full(7, speed), tip_ref, trocar)
     seen = [one.args[0][0] for one in session.observe.call_args_list]
-    assert seen == [0.0, 0.1, -0.2]  # the first entry is from the warm-up before the loop
+    assert seen == [0.0, 0.1, -0.2]  # 0.0 comes from the warm-up
 
 
 @pytest.mark.parametrize(("wrong", "why"), [
     ({"supports": "it needs regularization = 0"}, "it needs regularization = 0"), ({"supports": 3}, "returned a int"),
     ({"error": RuntimeError("no licence")}, "no licence"), ({"error": [3]}, "returned a int without solve"),
 ])  # fmt: skip
-def test_a_solver_that_cannot_run_is_named_in_an_error_before_the_first_tick(robot, wrong, why):
+def test_solver_that_cannot_run_is_named_before_first_tick(robot, wrong, why):
     with pytest.raises(ControlError, match=f"solver 'watching' cannot run in this controller: .*{why}"):
         started(robot, watching(**wrong)[0])
 
 
-def test_wrong_solvers_early_ticks_and_wrong_shapes_are_refused(robot):
+def test_wrong_arguments_are_refused(robot):
     state = robot.state(robot.data.q_home)
     for law, solver, words in (("moc", None, "'moc' with solver None"), ("dcac", EXACT, "'dcac' with solver 'exact'")):
         with pytest.raises(ControlError, match=words):
@@ -172,7 +172,7 @@ def test_the_observer_uses_the_limited_torque(robot):
     np.testing.assert_allclose(estimates[1] - estimates[0], -20.0 * 0.002 * cut, atol=1e-9)
 
 
-def test_a_run_depends_neither_on_the_previous_run_nor_on_another_controller(robot):
+def test_run_does_not_depend_on_previous_run(robot):
     controller, other = (Controller(robot, ControlSettings(), EXACT) for _ in range(2))
     home, taus = robot.data.q_home, [[], []]
     tip_ref, trocar = in_place(robot.state(home), 0.01)
@@ -191,12 +191,12 @@ def test_a_run_depends_neither_on_the_previous_run_nor_on_another_controller(rob
 
 
 class AsAnyOther(Exact):
-    """`exact` in a session like any other solver. Only the type `Exact` itself runs in the core."""
+    """`exact` in a session, because only the type `Exact` runs in the core."""
 
 
 @pytest.mark.parametrize("fallback", ["damping", "hold", "least-violation"])
 @pytest.mark.parametrize("speed", [0.02, 3.0], ids=["feasible", "infeasible"])
-def test_exact_within_the_core_and_exact_in_a_session_agree_to_the_last_bit(robot, speed, fallback):
+def test_exact_agrees_bitwise_in_core_and_session(robot, speed, fallback):
     rng, settings = np.random.default_rng(3), ControlSettings(fallback=fallback)
     pair = [Controller(robot, settings, solver) for solver in (Exact(), AsAnyOther())]
     for k in range(20):
@@ -223,13 +223,13 @@ def test_exact_within_the_core_and_exact_in_a_session_agree_to_the_last_bit(robo
     assert np.isfinite(noted[0]["dual"]).all() == (speed < 1.0)
 
 
-def test_a_restart_of_a_solvers_process_has_the_time_of_its_tick(robot):
+def test_solver_restart_has_the_time_of_its_tick(robot):
     session = Mock(spec=IsolatedSession, restarts=[Restart(3, "it hung")], solve=lambda qp: EXACT.start(qp).solve(qp))
     controller, *_ = started(robot, watching(error=[session] * 2)[0])
     assert controller.restarts == [{"at_s": 0.006, "reason": "it hung"}]
 
 
-def test_a_start_uses_none_of_the_recorded_solve_times(robot):
+def test_start_uses_no_recorded_solve_times(robot):
     settings, state = ControlSettings(supervisor={"budget_us": 20.0}), robot.state(robot.data.q_home)
     controller = Controller(robot, settings, EXACT, times_us=iter([30.0, 10.0, 30.0, 10.0]))
     controller.start(state.q, state.v, *in_place(state))
@@ -238,7 +238,7 @@ def test_a_start_uses_none_of_the_recorded_solve_times(robot):
         assert controller.fault is fault
 
 
-def test_the_basis_of_the_null_space_changes_continuously_with_the_pose(robot):
+def test_null_space_basis_changes_continuously_with_the_pose(robot):
     controller, state, *task = started(robot)
     end, before = robot.random_regular_pose(np.random.default_rng(4)), None
     for q in np.linspace(state.q, end, 300):
@@ -250,7 +250,7 @@ def test_the_basis_of_the_null_space_changes_continuously_with_the_pose(robot):
         before = Z
 
 
-def test_writing_into_a_controllers_outputs_does_not_change_its_state(robot):
+def test_writing_into_outputs_does_not_change_controller_state(robot):
     controller, state, tip_ref, trocar = started(robot)
     tau = controller.tick(state.q, state.v, tip_ref, trocar)
     with pytest.raises(ValueError, match="read-only"):

@@ -1,4 +1,4 @@
-"""The safety filter at the incision: RCM error, trocar force, and their warnings and limits."""
+"""The safety filter at the incision: RCM error and trocar force."""
 
 import math
 
@@ -19,7 +19,7 @@ def look(guard, q, trocar, wrench):
 
 
 def seen(robot, q, point, wrench=None, tip_force=None):
-    """RCM error [m] and trocar force [N] that the filter computes from one reading."""
+    """RCM error [m] and trocar force [N] from one reading."""
     guard = guard_of(robot, q, incision=True, incision_s=PERIOD, tip_force_N=tip_force)
     look(guard, q, np.array([point, np.zeros(3)]), wrench)
     _, figures = guard._guard.watched()
@@ -44,7 +44,7 @@ def test_the_rcm_error_is_the_distance_of_the_shaft_from_the_trocar(robot, seed,
     force=st.tuples(*[st.floats(-20.0, 20.0)] * 3), touch=st.tuples(*[st.floats(-20.0, 20.0)] * 3),
 )  # fmt: skip
 def test_the_trocars_force_is_separated_from_the_tools_weight_and_a_force_at_the_tip(robot, seed, depth, force, touch):
-    """The expected force has only the component perpendicular to the shaft."""
+    """The expected force is perpendicular to the shaft."""
     q = np.random.default_rng(seed).uniform(robot.q_min, robot.q_max)
     pose = robot.tool_pose(q)
     length, mass = robot.data.tool_length, robot.data.tool_mass
@@ -54,10 +54,10 @@ def test_the_trocars_force_is_separated_from_the_tools_weight_and_a_force_at_the
     expected = np.linalg.norm(pose[:2] @ np.array(force))
     point = pose[3] - depth * pose[2]
     assert seen(robot, q, point, wrench)[1] == pytest.approx(expected, abs=1e-6)
-    close = pose[3] - 0.5 * SHORTEST_DEPTH_M * pose[2]  # too shallow to separate the forces: their sum is used
+    close = pose[3] - 0.5 * SHORTEST_DEPTH_M * pose[2]  # too shallow to separate the forces
     across = np.linalg.norm(pose[:2] @ (np.array(force) + np.array(touch)))
     assert seen(robot, q, close, wrench)[1] == pytest.approx(across, abs=1e-6)
-    for allowed in (1e-9, 10.0):  # at most this force is attributed to the tip
+    for allowed in (1e-9, 10.0):  # largest force attributed to the tip
         found = seen(robot, q, point, wrench, allowed)[1]
         assert found == pytest.approx(max(expected, across - allowed), abs=1e-6)
 
@@ -79,8 +79,7 @@ def test_each_limit_and_warning_can_be_switched_off(robot, j, of, off_m, newton,
 
 
 @pytest.mark.parametrize("time_s", [0.05, 0.002, 0.0005])
-def test_warnings_and_stops_follow_the_low_passed_mean_squares(robot, time_s):
-    """An RCM error of 5 mm and a force of 6 N act together."""
+def test_warnings_and_stops_follow_low_passed_mean_squares(robot, time_s):
     q, left = robot.data.q_home, 1.0 - min(1.0, PERIOD / time_s)
     means = [5.0, 6.0] * np.sqrt(1.0 - left ** np.arange(1, 401))[:, None]
     seen = off_by(robot, q, 0.005), weight(robot, q, 6.0)
@@ -102,7 +101,7 @@ def test_warnings_and_stops_follow_the_low_passed_mean_squares(robot, time_s):
             assert guard.reason.endswith(f"has been above {told}") == (mean > 4.0)
 
 
-def test_only_a_long_gap_in_the_wrench_sensors_readings_stops_the_arm(robot):
+def test_long_gap_in_wrench_readings_stops_the_arm(robot):
     q, bad = robot.data.q_home, np.full(6, np.nan)
     guard, sound = guard_of(robot, incision=True), (off_by(robot, q, 0.0), weight(robot, q))
     for wrench in (bad, bad, bad, sound[1], bad, bad, bad):
@@ -117,6 +116,6 @@ def test_only_a_long_gap_in_the_wrench_sensors_readings_stops_the_arm(robot):
     rcm = guard_of(robot, incision=True, incision_s=PERIOD)
     look(rcm, q, off_by(robot, q, 0.05), bad)
     assert rcm.reason.startswith("the RCM error")
-    bare = guard_of(robot)  # incision=False: RCM error and force are not checked
+    bare = guard_of(robot)
     look(bare, q, off_by(robot, q, 1.0), bad)
     assert (bare.reason, bare.warnings) == ("", [])

@@ -1,6 +1,6 @@
-"""Each level (a limit of the safety filter) allows a value equal to the level, but no larger value.
+"""Each level (a limit of the safety filter) is the largest allowed value.
 
-The arm has two joints of unit inertia about z. All numbers are short binary fractions, so that arithmetic is exact.
+All numbers are short binary fractions, so that arithmetic is exact.
 """
 
 import numpy as np
@@ -17,7 +17,7 @@ TROCAR = np.array([[0.0, 0.0, -0.125], [0.0] * 3])
 
 
 def begun(arm=ARM, **levels):
-    """A safety filter that was started at rest at q = 0. Levels that are not given are off."""
+    """A safety filter at rest with only the given levels on."""
     given = {
         "period": T, "patience": 0, "carries": False, "low": -1e9, "high": 1e9, "v_max": 1.0, "tau_max": 1.0,
         "wall_stiffness": 0.0, "wall_damping": 0.0, "wall_brake": 1.0, "torque_step": OFF, "jump": OFF,
@@ -37,7 +37,7 @@ def begun(arm=ARM, **levels):
 
 
 def read(guard, q=0.0, v=0.0, applied=0.0, wrench=DEAF, trocar=None, other=0.0):
-    """Return the reason to stop after one reading. `other` is the second joint's position."""
+    """Return the reason to stop after one reading."""
     tau = np.array([applied, 0.0])
     return core.REASONS[guard.believe(np.array([q, other]), np.array([v, 0.0]), np.nan, tau, wrench, trocar)[0]]
 
@@ -49,7 +49,7 @@ def follow(guard, before=0.0, tip=None, tip_ref=None, record=None, other=0.0):
 
 
 def pressed(force):
-    """The wrench sensor's reading while the trocar presses on the shaft along x."""
+    """The wrench reading while the trocar presses on the shaft along x."""
     return np.array([0.0, 0.0, 0.0, 0.0, -0.125 * force, 0.0])
 
 
@@ -70,7 +70,7 @@ def way(level, name="motion_rad", v=0.0):
 
 
 def told(level, name, wrench, applied, tip, **others):
-    """Whether a fourth equal reading stops the arm. The first three come with 0.25 Nm and a reference at 0.25 m."""
+    """Whether a fourth equal reading stops the arm."""
     guard = begun(**{name: level} | others)
     for _ in range(3):
         follow(guard, tip=0.25, tip_ref=0.25)
@@ -89,13 +89,13 @@ def not_believed(level):
 
 
 def replayed(level, name, lives):
-    """Whether the arm stops if the first eight of 20 readings come again. With `lives`, joint 2 keeps changing."""
+    """Whether the arm stops if the first eight of 20 readings come again."""
     guard = begun(**{name: level})
     return [read(guard, q=k % 20, other=k % 20 + lives * k, wrench=np.zeros(6)) for k in range(28)][-1] != "running"
 
 
 def repeated(level, name, v=0.0, wrench=lambda k: DEAF, lives=0.0):
-    """Whether nine equal readings after 99 different ones stop the arm. With ``lives``, joint 2 keeps changing."""
+    """Whether nine equal readings after 99 different ones stop the arm."""
     guard = begun(**{name: level})
     for k in range(99):
         read(guard, q=k * T, v=v * k, wrench=wrench(k), other=k * T)
@@ -116,7 +116,7 @@ def touched(level):
 
 
 def residual(level, name, repeats=0, **others):
-    """Whether a torque of 1 Nm without any motion stops the arm. After one tick, the momentum residual is -rate T."""
+    """Whether a torque of 1 Nm without motion stops the arm."""
     guard, record = begun(**{name: level} | others), ARM.terms(ZERO, ZERO)
     for _ in range(2 + repeats):
         read(guard)
@@ -162,8 +162,8 @@ def test_a_level_acts_only_on_larger_values(noticed, level, more):
 
 
 @pytest.mark.parametrize(("torques", "carries"), [((1.5, 1.5), 0.0), ((-0.5, -0.5), 0.0), ((1.5, 0.0), 0.5)])
-def test_a_drive_whose_effect_opposes_its_torque_is_no_longer_used(torques, carries):
-    """The weight is 0.5 Nm. A drive at zero torque is still used."""
+def test_drive_that_opposes_its_torque_is_no_longer_used(torques, carries):
+    """A drive at zero torque is still used."""
     arm = core.Arm(LOADED, np.zeros((2, 3)), np.eye(3), np.ones((2, 2)), np.array([0.0, -1.0, 0.0]))
     guard, record = begun(arm, residual_torque=2.0**-8, carries=True, patience=1), arm.terms(ZERO, ZERO)
     read(guard)
@@ -172,27 +172,27 @@ def test_a_drive_whose_effect_opposes_its_torque_is_no_longer_used(torques, carr
     np.testing.assert_array_equal(guard.rest(ZERO), carries)
 
 
-def test_a_motion_at_constant_speed_needs_no_torque():
+def test_motion_at_constant_speed_needs_no_torque():
     guard, record = begun(residual_torque=2.0**-9), ARM.terms(ZERO, ZERO + 0.5)
     assert [follow(guard, record=record) for _ in range(4)] == ["running"] * 4
 
 
-def test_lag_is_allowed_only_for_a_short_time_after_a_fast_motion():
+def test_lag_is_allowed_only_shortly_after_fast_motion():
     for still, reason in ((1, "running"), (12, "velocities")):
         guard = begun(motion_s=4.0 * T, motion_rad=0.0, motion_lag_s=1.0)
         assert [read(guard, v=float(k == 0)) for k in range(still + 1)] == ["running"] * (still + 1)
         assert reason in read(guard, q=0.25)
 
 
-def test_brakes_that_closed_after_stop_yield_ticks_open_again_when_the_force_rises_by_stop_yield():
-    """The brakes close after two ticks. The rise is the difference from the lowest force since they closed."""
+def test_closed_brakes_open_again_after_rise_by_stop_yield():
+    """The rise is the difference from the lowest force since the brakes closed."""
     guard = begun(stop_yield=0.25, stop_yield_ticks=2)
     read(guard, wrench=pressed(0.0), trocar=TROCAR)
     opened = {0.25: 0, 1.0: 1, 1.125: 1, 0.9375: 0, 1.1875: 0, 1.25: 1, 0.875: 0, 0.5: 0, 0.75: 0, 0.8125: 1}
     assert [guard.hold(pressed(force))[0] == 0.0 for force in opened] == list(map(bool, opened.values()))
 
 
-def test_brakes_stay_closed_if_the_drives_cannot_carry_the_weight():
+def test_brakes_stay_closed_if_drives_cannot_carry_weight():
     arm = core.Arm(LOADED, POINTS, np.eye(3), np.ones((2, 2)), np.array([0.0, -1.0, 0.0]))
     for tau_max, opened in ((0.5, True), (0.5 - T, False)):  # the weight is 0.5 Nm
         guard = begun(arm, carries=True, tau_max=tau_max, stop_yield=0.25)

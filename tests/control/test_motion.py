@@ -16,12 +16,12 @@ from tests.control.torques import PERIOD, REST, N, guard_of
 
 PATIENCE = 3
 ARM = RobotModel(dataclasses.replace(load_data("lwr4"), tau_max=np.full(N, 100.0), v_max=np.full(N, 1e3)))
-"""An arm with speed limits so high that every finite reading is accepted."""
+"""An arm whose speed limits accept every finite reading."""
 FRESH, REPEAT, OLD = range(3)
 
 
 def ages(stamps, patience=PATIENCE):
-    """Return FRESH, REPEAT or OLD for each packet. The packets come at successive ticks after packet 0."""
+    """Return FRESH, REPEAT or OLD for each packet, one packet a tick."""
     guard = core.Guard(ARM.arm, **numbers_of(SafetyFilterSettings(patience_ticks=patience), ARM, PERIOD))
     deaf, late, found = np.full(6, np.nan), core.REASONS.index("measurements are too late"), []
     guard.start(REST, REST, 0)
@@ -50,7 +50,7 @@ def test_a_constant_delay_is_accepted_and_the_last_packet_is_too_old_after_the_p
 @settings(max_examples=200, deadline=None)
 def test_a_fresh_packet_is_newer_than_all_before_it_and_never_too_old(stamps, patience):
     newest, clock, delay = 0, 0, None
-    found = ages([0, *stamps], patience)[1:]  # as in a run, the first packet belongs to the start
+    found = ages([0, *stamps], patience)[1:]  # the first packet belongs to the start
     for stamp, one in zip(stamps, found, strict=True):
         clock += 1
         if 0 < stamp - clock <= patience:
@@ -65,14 +65,13 @@ def test_a_fresh_packet_is_newer_than_all_before_it_and_never_too_old(stamps, pa
 
 
 @pytest.mark.parametrize("missed", [1, PATIENCE, PATIENCE + 1])
-def test_the_controller_may_miss_as_many_ticks_as_patience_ticks_says(missed):
-    """The filter accepts packet numbers that are ahead of its own count by at most `patience_ticks`."""
+def test_controller_may_miss_at_most_patience_ticks(missed):
     found = ages([0, 1, 2, 3 + missed, 4 + missed])
     assert found == [FRESH] * 5 if missed <= PATIENCE else found[3] == REPEAT
 
 
 def looked(q, v, tau=None, reference=None, wrench=None, **levels):
-    """Check k readings (k, n). Return the reason of a stop and the index of the reading, or ("", k) without a stop."""
+    """Return the reason of a stop and the index of its reading."""
     guard = guard_of(ARM, q[0], v[0], carries=False, **levels)
     for k in range(len(q)):
         if reference is not None:
@@ -87,7 +86,7 @@ def looked(q, v, tau=None, reference=None, wrench=None, **levels):
 @given(st.integers(0, 2**32 - 1), st.floats(0.1, 2.0), st.sampled_from([30.0, 50.0, 100.0, 0.0]))
 @settings(max_examples=40, deadline=None)
 def test_readings_of_a_smooth_motion_with_filtered_velocity_are_accepted(seed, speed, cutoff):
-    """As in the plant's encoders, positions are quantized and noisy, and velocities are low-passed."""
+    """Positions are quantized and noisy, and velocities are low-passed."""
     rng = np.random.default_rng(seed)
     t = PERIOD * np.arange(800)[:, None]
     rate = rng.uniform(0.5, 3.0, N)
@@ -101,7 +100,7 @@ def test_readings_of_a_smooth_motion_with_filtered_velocity_are_accepted(seed, s
 
 @pytest.mark.parametrize("speed", [0.02, 0.1, 1.0])
 @pytest.mark.parametrize("joint", [0, 6])
-def test_a_position_that_stops_while_its_velocity_goes_on_stops_the_arm(speed, joint):
+def test_position_that_stops_at_nonzero_velocity_stops_arm(speed, joint):
     v = np.zeros((400, N))
     v[:, joint] = speed
     q = np.cumsum(v, axis=0) * PERIOD
@@ -115,16 +114,16 @@ def test_a_position_that_stops_while_its_velocity_goes_on_stops_the_arm(speed, j
 @pytest.mark.parametrize(("by", "whole", "level"), [
     ("way", False, 3e-3), ("way", True, 5e-4), ("torque", False, 6.0), ("torque", True, 0.05),
 ])  # fmt: skip
-def test_a_repeated_reading_stops_the_arm_once_the_reference_moves_or_the_torque_changes(by, whole, level):
-    """Up to `level`, static friction may hold the arm. `level` is lower if the wrench reading repeats too."""
+def test_repeated_reading_stops_arm_once_reference_or_torque_changes(by, whole, level):
+    """Up to `level`, static friction may hold the arm."""
     still, reference, tau = np.tile(np.linspace(-1.0, 1.0, N), (600, 1)), np.zeros((600, 3, 3)), np.zeros((600, N))
     grown = reference[:, 0, 0] if by == "way" else tau[:, 2]
     grown[:] = (0.01 * PERIOD if by == "way" else -0.02) * np.arange(600)
-    assert looked(still, 0.0 * still)[0] == ""  # at rest under a reference at rest: no fault
+    assert looked(still, 0.0 * still)[0] == ""  # the reference is at rest
     wrench = np.zeros((600, 6)) if whole else np.random.default_rng(0).normal(size=(600, 6))
     wrong, k = looked(still, 0.0 * still, tau, reference, wrench)
     assert "all encoders repeat" in wrong
-    assert abs(grown[k]) == pytest.approx(level, abs=1e-4 if by == "way" else 0.1)  # plus a few ticks of patience
+    assert abs(grown[k]) == pytest.approx(level, abs=1e-4 if by == "way" else 0.1)  # plus a few ticks
     one = still.copy()
     one[:, 6] += 1e-5 * np.arange(600)
     assert looked(one, np.gradient(one, PERIOD, axis=0), reference=reference)[0] == ""  # one joint changes
@@ -132,8 +131,8 @@ def test_a_repeated_reading_stops_the_arm_once_the_reference_moves_or_the_torque
 
 @pytest.mark.parametrize("alone", [True, False])
 @pytest.mark.parametrize("noisy", [True, False])
-def test_a_noisy_sensor_that_repeats_its_reading_at_rest_stops_the_arm(noisy, alone):
-    """With `alone`, only the wrench reading repeats. Otherwise the whole packet repeats."""
+def test_noisy_sensor_that_repeats_its_reading_stops_arm(noisy, alone):
+    """With `alone`, only the wrench reading repeats."""
     rng = np.random.default_rng(4)
     q = rng.normal(scale=1e-5, size=(600, N)) * alone
     wrench = rng.normal(size=(600, 6)) if noisy else np.ones((600, 6))
@@ -141,12 +140,12 @@ def test_a_noisy_sensor_that_repeats_its_reading_at_rest_stops_the_arm(noisy, al
     wrong, k = looked(q, 0.0 * q, wrench=wrench)
     assert (("wrench sensor repeats" if alone else "all encoders repeat") in wrong) == noisy
     assert k == (326 if noisy else 600)
-    wrench[325] += 1.0  # one different reading restarts the count
+    wrench[325] += 1.0  # the count restarts
     assert looked(q[:340], 0.0 * q[:340], wrench=wrench[:340]) == ("", 340)
 
 
 def watched(robot, torque, ticks, momentum=True, **levels):
-    """Return reason and tick of the stop. The readings show only noise while `torque(k)` [Nm] acts."""
+    """Return reason and tick of the stop under `torque(k)` [Nm] without motion."""
     rng, q, guard = np.random.default_rng(0), robot.data.q_home, guard_of(robot, momentum=momentum, **levels)
     for k in range(ticks):
         shown, tau = q + 1e-5 * rng.normal(size=N), robot.gravity(q) + torque(k)
@@ -158,8 +157,8 @@ def watched(robot, torque, ticks, momentum=True, **levels):
 
 
 @pytest.mark.parametrize(("begins", "told"), [(1, False), (120, True)])
-def test_an_unknown_load_stops_the_arm_only_if_it_begins_after_the_residual_has_settled(robot, begins, told):
-    """The mean of the momentum residual adapts to a load during the first `_SETTLED` time constants."""
+def test_unknown_load_stops_arm_once_residual_has_settled(robot, begins, told):
+    """The residual's mean adapts to a load in the first `_SETTLED` time constants."""
     load = 0.4 * robot.tau_max
     for on, momentum in ((True, True), (False, True), (True, False)):
         reason, _ = watched(robot, lambda k: (k >= begins) * load, 200, momentum, residual_s=1e6, motion=on)
@@ -168,8 +167,7 @@ def test_an_unknown_load_stops_the_arm_only_if_it_begins_after_the_residual_has_
 
 
 @pytest.mark.parametrize(("levels", "stops"), [({}, True), ({"residual_whole_torque": 1e6}, False)])
-def test_a_torque_that_grows_slowly_at_a_constant_pose_stops_the_arm(levels, stops, robot):
-    """This imitates frozen readings with fresh noise under an integrating controller."""
+def test_slowly_growing_torque_without_motion_stops_arm(levels, stops, robot):
     rate = 0.25 * robot.tau_max[1] * PERIOD * np.eye(N)[1]  # 1.25 times the largest torque after 5 s
     reason, k = watched(robot, lambda k: rate * k, 2500, **levels)
     assert ("does not fit the torque" in reason) == bool(reason) == stops

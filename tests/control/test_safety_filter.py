@@ -1,4 +1,4 @@
-"""The safety filter: torque near joint limits (walls) and in a stop (brakes), accepted measurements, and settings."""
+"""The safety filter: walls (torque near joint limits), brakes and measurements."""
 
 import dataclasses
 from unittest.mock import patch
@@ -15,7 +15,7 @@ from tests.control.torques import PERIOD, REST, N, guard_of, off_by, weight
 
 
 def bad_ticks(guard):
-    """Number of consecutive refused measurements up to the latest."""
+    """Number of consecutive refused measurements."""
     return guard._guard.watched()[0]
 
 
@@ -49,7 +49,7 @@ def test_the_torque_follows_the_numpy_law_and_stays_within_its_limits(robot, see
     q = np.where(rng.random(N) < 0.5, robot.q_min, robot.q_max) + near * (robot.q_max - robot.q_min) / 2.0
     v = fast * robot.v_max * rng.uniform(-1.0, 1.0, N)
     wall, at = robot.q_max - guard.settings.position_margin_rad, rng.random((2, N)) < 0.25
-    q = np.where(at[0], wall, q)  # exactly at the wall, or exactly at the largest allowed speed
+    q = np.where(at[0], wall, q)  # exactly at the wall or the largest speed
     room = np.sqrt(2.0 * guard.settings.wall_brake_rad_per_s2 * np.maximum(wall - q, 0.0))
     v = np.where(at[1], np.minimum(robot.v_max, room), v)
     before, tau = rng.uniform(-1.0, 1.0, (2, N)) * robot.tau_max * [[1.0], [asked]]
@@ -62,7 +62,7 @@ def test_the_torque_follows_the_numpy_law_and_stays_within_its_limits(robot, see
 
 
 @pytest.mark.parametrize(("j", "bad"), [(0, np.nan), (3, np.inf), (6, -np.inf)])
-def test_one_torque_that_is_not_finite_stops_the_arm(robot, j, bad):
+def test_torque_that_is_not_finite_stops_arm(robot, j, bad):
     guard = guard_of(robot)
     tau, before = np.ones(N), np.full(N, 2.0)
     tau[j] = bad
@@ -71,14 +71,14 @@ def test_one_torque_that_is_not_finite_stops_the_arm(robot, j, bad):
     assert guard.reason == "the controller's torque is not finite"
 
 
-def test_the_wall_of_a_sliding_joint_has_its_own_margin():
+def test_wall_of_sliding_joint_has_its_own_margin():
     rail, margins = load_robot("lwr4_rail"), [0.02, *[0.3] * 7]
     given = numbers_of(SafetyFilterSettings(position_margin_rad=0.3, position_margin_m=0.02), rail, PERIOD)
     np.testing.assert_allclose(given["low"] - rail.q_min, margins)
     np.testing.assert_allclose(rail.q_max - given["high"], margins)
 
 
-def test_a_filter_by_default_carries_the_weight_and_checks_incision_and_motion(robot):
+def test_default_filter_checks_incision_and_motion(robot):
     mine, q = SafetyFilter(robot, SafetyFilterSettings(incision_s=PERIOD), PERIOD), robot.data.q_home
     np.testing.assert_allclose(mine.stop_torque(robot.gravity(q)), robot.gravity(q))
     mine.check_measurement(q, REST, trocar=off_by(robot, q, 0.02))
@@ -90,7 +90,7 @@ def test_a_filter_by_default_carries_the_weight_and_checks_incision_and_motion(r
 
 
 @pytest.mark.parametrize(("ticks", "replayed"), [(None, np.inf), (70, 25.0), (700, 100.0)])
-def test_the_limits_for_stuck_joints_and_replays_follow_from_the_settings(robot, ticks, replayed):
+def test_limits_for_stuck_joints_follow_from_settings(robot, ticks, replayed):
     known = np.array([9.0, 0.0, 0.5, 0.8, 0.5, 0.3, 0.3])  # 0: the friction is not known
     arm = RobotModel(dataclasses.replace(robot.data, coulomb_friction=known))
     settings = SafetyFilterSettings(stuck_torque=0.1, stuck_friction=2.0, repeat_joint_ticks=ticks)
@@ -100,7 +100,7 @@ def test_the_limits_for_stuck_joints_and_replays_follow_from_the_settings(robot,
 
 
 @pytest.mark.parametrize("start", [-1.0, 1.0])
-def test_a_start_within_a_wall_moves_this_wall_to_the_start(robot, start):
+def test_start_within_a_wall_moves_this_wall(robot, start):
     q, s = np.array(robot.data.q_home), SafetyFilterSettings()
     q[1] = start * (robot.q_max[1] - 0.5 * s.position_margin_rad)
     guard = guard_of(robot, q, carries=False)
@@ -110,7 +110,7 @@ def test_a_start_within_a_wall_moves_this_wall_to_the_start(robot, start):
     assert back[1] == pytest.approx(-start * s.wall_stiffness_Nm_per_rad * 1e-3)
     q[5] = robot.q_max[5] - 0.5 * s.position_margin_rad
     assert guard.limit_torque(REST, REST, q, REST)[5] < 0.0
-    guard.start(np.array(robot.data.q_home), REST)  # the next run has all its walls again
+    guard.start(np.array(robot.data.q_home), REST)  # all walls are back
     assert guard.limit_torque(REST, REST, q, REST)[1] * start < 0.0
 
 
@@ -132,8 +132,8 @@ def test_bad_measurements_are_bridged_by_extrapolation(robot):
     assert "not believed" in guard.reason
 
 
-def test_the_largest_accepted_step_grows_with_the_gap(robot):
-    """After b bad measurements, the arm may be jump_rad + (1 + b) T v_max away from the extrapolated pose."""
+def test_largest_accepted_step_grows_with_the_gap(robot):
+    """After b bad measurements, the largest step is jump_rad + (1 + b) T v_max."""
     q, v = robot.data.q_home, np.full(N, 0.2)
     for bad in range(3):
         for share, sound in ((0.999, True), (1.001, False)):
@@ -146,7 +146,7 @@ def test_the_largest_accepted_step_grows_with_the_gap(robot):
 
 
 @pytest.mark.parametrize(("speed", "told"), [(0.5, ""), (1.0, "do not follow their velocities")])
-def test_readings_every_three_ticks_are_compared_with_three_ticks_of_their_velocity(robot, speed, told):
+def test_reading_is_compared_with_velocity_over_three_ticks(robot, speed, told):
     guard, v = guard_of(robot), np.full(N, 0.5)
     for stamp in np.arange(60) // 3 * 3:
         guard.check_measurement(robot.data.q_home + stamp * PERIOD * speed, v, int(stamp), REST)
@@ -156,7 +156,7 @@ def test_readings_every_three_ticks_are_compared_with_three_ticks_of_their_veloc
 
 @pytest.mark.parametrize("time_s", [0.1, 0.002, 0.0005])
 @pytest.mark.parametrize("factor", [0.999, 1.1, 3.0])
-def test_a_tip_error_stops_the_arm_once_its_mean_square_exceeds_the_limit(robot, time_s, factor):
+def test_mean_square_tip_error_above_limit_stops_arm(robot, time_s, factor):
     guard = guard_of(robot, tip_error_m=0.004, tip_error_s=time_s)
     share = min(1.0, PERIOD / time_s)
     for _ in range(2):  # the second start forgets the first run
@@ -170,7 +170,7 @@ def test_a_tip_error_stops_the_arm_once_its_mean_square_exceeds_the_limit(robot,
     assert guard.reason
 
 
-def test_a_start_forgets_everything(robot):
+def test_start_forgets_everything(robot):
     guard = guard_of(robot, patience_ticks=0)
     guard.limit_torque(np.full(N, 1e3), REST, robot.data.q_home, REST)
     assert guard.limited == N
@@ -189,7 +189,7 @@ def test_a_start_forgets_everything(robot):
 
 
 @pytest.mark.parametrize("rate", [20000.0, 1e9])
-def test_in_a_stop_the_weight_is_carried_within_the_torque_limits(robot, rate):
+def test_stopped_arm_carries_weight_within_torque_limits(robot, rate):
     q = np.array([0.3, 1.2, 0.1, -0.6, 0.2, 0.4, 0.0])
     before, step = np.array([-100.0, 100.0, 0.0, 0.0, 10.0, 0.0, 0.0]), rate * PERIOD
     for carries in (True, False):
@@ -202,25 +202,25 @@ def test_in_a_stop_the_weight_is_carried_within_the_torque_limits(robot, rate):
 
 
 @pytest.mark.parametrize("newton", [9.0, 30.0, 100.0])
-def test_the_brakes_open_when_the_mean_of_the_trocars_force_exceeds_stop_yield(robot, newton):
-    """After k ticks the mean is (1 - (1 - 50 /s T)^k) times the force."""
+def test_trocar_force_above_stop_yield_opens_brakes(robot, newton):
+    """After k ticks the mean force is (1 - (1 - 50 /s T)^k) times the force."""
     q, guard = robot.data.q_home, guard_of(robot, incision=True)
     guard.check_measurement(q, REST, wrench=weight(robot, q), trocar=off_by(robot, q, 0.0))
     opened = [not guard.brake_friction(weight(robot, q, newton)).any() for _ in range(400)]
     first = next(k for k in range(1, 60) if newton * (1.0 - 0.9**k) > SafetyFilterSettings().stop_yield_N)
     assert opened.index(True) + 1 == first
     assert (first == 1) == (newton > 80.0)
-    assert np.flatnonzero(opened).tolist() == list(range(first - 1, first - 1 + 200))  # for stop_yield_s, only once
+    assert np.flatnonzero(opened).tolist() == list(range(first - 1, first - 1 + 200))  # open once, for stop_yield_s
 
 
-def test_a_mean_with_a_time_constant_below_the_period_is_the_latest_value(robot):
+def test_mean_with_short_time_constant_is_latest_value(robot):
     short = SafetyFilterSettings(tip_error_s=0.05, incision_s=0.05, residual_s=0.05)
     found = numbers_of(short, robot, 0.1)
     assert {found[f"{name}_share"] for name in ("tip", "incision", "residual", "press")} == {1.0}
 
 
 @pytest.mark.parametrize("share", [1.0, 0.05])
-def test_the_brakes_hold_a_share_of_each_drives_torque_and_the_weight_that_the_drive_cannot_carry(robot, share):
+def test_brakes_hold_weight_that_drives_cannot_carry(robot, share):
     weak = dataclasses.replace(robot.data, tau_max=share * robot.data.tau_max)
     guard = guard_of(RobotModel(weak))
     left = np.maximum(np.abs(robot.gravity(weak.q_home)) - weak.tau_max, 0.0)

@@ -1,4 +1,4 @@
-"""A controller's settings: gains, ranges, presets, and the numbers of the paper's Table I."""
+"""A controller's settings: gains, ranges, presets and the paper's Table I."""
 
 import json
 import re
@@ -27,7 +27,7 @@ TABLES = {
 }
 
 
-def test_gains_come_from_the_chosen_table_unless_a_setting_replaces_them():
+def test_gains_come_from_chosen_table_unless_replaced():
     assert ControlSettings().resolve_gains(TABLES, 3).K_X == 2500.0
     assert ControlSettings(law="dcac").resolve_gains(TABLES, 3).K_X == 2500.0
     assert ControlSettings(gains=None).resolve_gains(TABLES, 3).K_X == 3000.0
@@ -41,7 +41,7 @@ def test_gains_come_from_the_chosen_table_unless_a_setting_replaces_them():
     ControlSettings.preset("paper"), ControlSettings.preset("tuned"), ControlSettings(law="dcac", gains=None),
     ControlSettings(third_level="planned"), ControlSettings(third_level="receding", observer_gain_per_s=0.0),
 ])  # fmt: skip
-def test_the_matched_dcac_baseline_has_the_same_gains_and_observer(settings, robot):
+def test_matched_dcac_baseline_has_same_gains_and_observer(settings, robot):
     given = settings.resolve_gains(robot.data.gains, 7)
     changed = ControlSettings(**{**settings.model_dump(), **settings.matched_dcac()})
     matched = changed.resolve_gains(robot.data.gains, 7)
@@ -51,7 +51,7 @@ def test_the_matched_dcac_baseline_has_the_same_gains_and_observer(settings, rob
     assert changed.observer_rate_per_s == settings.observer_rate_per_s
 
 
-def test_a_gain_is_one_number_or_one_per_joint():
+def test_gain_is_one_number_or_one_per_joint():
     given = ControlSettings(gains="moc", K_N2=[3, 2, 1.5], dcac_damping=(0.0, 1.0, 0.0))
     assert ControlSettings(**json.loads(given.model_dump_json())) == given
     assert ControlSettings(dcac_damping=LARGEST).dcac_damping == LARGEST
@@ -68,7 +68,7 @@ def test_a_gain_is_one_number_or_one_per_joint():
     ({"gains": "listed"}, 7, r"D_X in \[gains.listed\] of the robot = .*: give one number"),
     ({"gains": {"K_N2": 80.0}}, 7, r"gains = .*keys of \[control\]"),
 ])  # fmt: skip
-def test_gains_that_are_missing_or_do_not_fit_the_arm_are_refused(settings, joints, words):
+def test_gains_that_do_not_fit_the_arm_are_refused(settings, joints, words):
     with pytest.raises((ControlError, UnknownNameError), match=words):
         ControlSettings(**settings).resolve_gains(TABLES, joints)
     assert not ControlSettings(law="dcac", gains="dcac").resolve_gains(TABLES, 7).K_N2.any()  # DCAC needs no K_N2
@@ -81,13 +81,13 @@ def test_gains_that_are_missing_or_do_not_fit_the_arm_are_refused(settings, join
     ({"observer_gain_per_s": 500.0}, "observer_gain_per_s = 500.0 .* below 500"),
     ({"third_level": "planned", "course_observer_gain_per_s": 600.0}, "course_observer_gain_per_s = 600.0"),
 ])  # fmt: skip
-def test_settings_that_do_not_fit_the_arm_or_the_period_are_refused(settings, words):
+def test_settings_that_do_not_fit_are_refused(settings, words):
     solver = None if settings.get("law") == "dcac" else create("exact")
     with pytest.raises(ControlError, match=words):
         Controller(load_robot("lwr4_rail"), ControlSettings(**settings), solver, period=0.002)
 
 
-# The range of each number. Numbers that are not listed have the range [0, inf).
+# Numbers that are not listed have the range [0, inf).
 RANGES = {
     ControlSettings: {
         "(0, inf)": "K_X K_N k0_per_s", "(0, 1]": "rcm_lambda speed_fraction", "[0.2, 2]": "horizon_s",
@@ -146,19 +146,19 @@ def test_each_number_has_its_range(kind):
     ("control", "limit_torque", "perhaps"), ("control", "feedforward", 3), ("faults", "bumps_N", 1.0),
     ("plant", "substeps", 1), ("plant", "joint_stiffness_Nm_per_rad", (1e4, -1.0)),
 ])  # fmt: skip
-def test_a_wrong_value_names_its_field(table, field, value):
+def test_wrong_value_names_its_field(table, field, value):
     with pytest.raises(MocOptError, match=rf"\b{field}\b"):
         Scenario(**{table: {field: value}})
 
 
-def test_a_preset_is_found_by_its_name():
+def test_preset_is_found_by_its_name():
     softer = {"gains": "robust", "feedforward": True, "observer_gain_per_s": 22.0, "course_observer_gain_per_s": 22.0}
     assert ControlSettings.preset("robust") == ControlSettings.preset("tuned", **softer)
     with pytest.raises(UnknownNameError, match="did you mean 'tuned'"):
         ControlSettings.preset("tunned")
 
 
-def test_along_a_planned_motion_the_bounds_allow_the_whole_speed_and_only_deviations_are_damped():
+def test_planned_motion_may_use_the_whole_speed():
     arm, own = load_robot("lwr4_rail"), {"limit_margin_m": 0.03, "climb": "scaled"}
     given = (ControlSettings(third_level=level, **own) for level in ("local", "planned"))
     assert ControlSettings(third_level="receding").horizon_s == 1.0
@@ -172,31 +172,31 @@ def test_along_a_planned_motion_the_bounds_allow_the_whole_speed_and_only_deviat
         np.testing.assert_array_equal(given["tau_max"], arm.tau_max)
         assert given["feedforward"]
     assert (local["climbs"], planned["climbs"]) == (True, False)
-    # The desired speed v = x is not damped. A deviation from v = x is damped as much as with `local`.
+    # The desired speed v = x is not damped.
     np.testing.assert_array_equal(planned["D_N2"], 0.0)
     np.testing.assert_allclose(planned["K_N2"], local["K_N2"] + local["D_N2"])
     assert local["D_N2"].max() > 0.0
     assert numbers_of(ControlSettings(third_level="planned", k0_per_s=12.0), arm, 0.002)["k0"] == 12.0
 
 
-def test_along_a_planned_motion_the_observer_has_its_own_gain_unless_switched_off():
+def test_planned_motion_has_its_own_observer_gain():
     for gain, level, rate in ((20.0, "local", 20.0), (20.0, "receding", 40.0), (0.0, "receding", 0.0)):
         assert ControlSettings(third_level=level, observer_gain_per_s=gain).observer_rate_per_s == rate
-    for name in ("tuned", "robust"):  # the observer affects the largest stable delay
+    for name in ("tuned", "robust"):
         planned = ControlSettings.preset(name, third_level="planned")
         assert planned.observer_rate_per_s <= ControlSettings.preset(name).observer_gain_per_s
 
 
-def test_a_wall_inside_the_controllers_joint_range_is_refused():
+def test_wall_inside_controllers_joint_range_is_refused():
     for unit, box in (("rad", 0.15), ("m", 0.05)):
         with pytest.raises(ScenarioError, match=f"position_margin_{unit} = 0.2 .*_{unit} = {box}"):
             Scenario(guard={f"position_margin_{unit}": 0.2})
-    for control in ({"limit_margin_rad": 0.2}, {"law": "dcac"}, {"preset": "paper"}):  # allowed: equal margins, or none
+    for control in ({"limit_margin_rad": 0.2}, {"law": "dcac"}, {"preset": "paper"}):  # equal margins, or none
         Scenario(guard={"position_margin_rad": 0.2}, control=control)
 
 
 @pytest.mark.parametrize("wrong", [{"rcm_warning_m": 0.0101}, {"trocar_force_warning_N": 15.1}])
-def test_a_warning_level_above_its_limit_is_refused(wrong):
+def test_warning_level_above_its_limit_is_refused(wrong):
     with pytest.raises(ControlError, match=next(iter(wrong))):
         SafetyFilterSettings(**wrong)
     SafetyFilterSettings(rcm_warning_m=0.010, trocar_force_warning_N=15.0)
@@ -204,7 +204,7 @@ def test_a_warning_level_above_its_limit_is_refused(wrong):
 
 
 @pytest.mark.parametrize("length", [0.15, 0.6])
-def test_the_shafts_margin_grows_with_the_squared_distance_from_tip_to_wrist(length):
+def test_shaft_margin_grows_with_squared_distance_tip_to_wrist(length):
     robot = load_robot("gen3", tool_length=length)
     lever = length + 0.061525 + 0.10593
     law = numbers_of(ControlSettings(shaft_margin=0.2, speed_fraction=0.4), robot, 0.002)
@@ -212,7 +212,7 @@ def test_the_shafts_margin_grows_with_the_squared_distance_from_tip_to_wrist(len
     assert law["spare_speed"] == pytest.approx(1.5)
 
 
-# --- Table I of Su et al. (2019), copied from the paper, not from the package ---
+# --- Table I of Su et al. (2019), copied from the paper ---
 
 TABLE_I = {
     "dcac": {
@@ -228,7 +228,7 @@ TABLE_I = {
 
 
 @pytest.mark.parametrize("law", TABLE_I)
-def test_the_preset_paper_has_the_numbers_of_table_i(robot, law):
+def test_preset_paper_has_the_numbers_of_table_i(robot, law):
     given = numbers_of(ControlSettings.preset("paper", law=law), robot, 0.002)
     for name, number in TABLE_I[law].items():
         np.testing.assert_array_equal(given[name], number, err_msg=name)

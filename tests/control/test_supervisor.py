@@ -1,4 +1,4 @@
-"""The supervisor of the third level refuses wrong answers. Tip and RCM do not depend on the answers."""
+"""The supervisor of the third level refuses wrong answers."""
 
 from types import SimpleNamespace
 from unittest.mock import Mock
@@ -28,13 +28,13 @@ ZERO, OK, LATE = np.zeros(7), Status.SOLVED, ["hold", "zero", "iterate"]
 
 
 def scripted(*answers):
-    """A session that returns these answers in turn. An exception among them is raised."""
+    """A session that returns these answers in turn and raises exceptions among them."""
     return Mock(spec=["solve"], **{"solve.side_effect": list(answers)})
 
 
 @pytest.fixture(scope="module")
 def recorded():
-    """Subproblems of closed-loop runs, with and without regularization."""
+    """Subproblems of closed-loop runs."""
     traces = (run(Scenario(control=control, **{**QUICK, "duration_s": 1.5}))
               for control in ({"preset": "tuned"}, {}, {"preset": "paper"}))  # fmt: skip
     return np.concatenate([trace.subproblem[::12] for trace in traces])
@@ -65,20 +65,20 @@ def supervisor(fallback="damping", times=None, **changes):
 
 
 def asked(qp, Z, answer, n=7, v=None, **changes):
-    """Return the supervisor, the solution and the x that the arm follows, after one answer."""
+    """Return the supervisor, the solution and the x that the arm follows."""
     mine = Supervisor(SupervisorSettings(**changes), "damping", n)
     session = answer if hasattr(answer, "solve") else scripted(answer)
     return mine, *mine.solve(session, qp, Z, v)
 
 
 def judged(row, Z, x):
-    """The core's residuals of an answer: primal, outside, natural, off, opposite (`moc_residuals`)."""
+    """The core's residuals of an answer: primal, outside, natural, off, opposite."""
     made = law(len(x))
     made.load(row, np.ascontiguousarray(Z))
     return made.judge(np.ascontiguousarray(x))
 
 
-def test_a_good_answer_with_any_memory_layout_is_copied_and_followed(qp, Z):
+def test_good_answer_is_copied_and_followed(qp, Z):
     good = solved(qp)
     for x in (good.x, np.repeat(good.x, 3)[1::3], good.x[::-1].copy()[::-1]):
         mine, solution, followed = asked(qp, Z, Solution(x, good.y, Status.SOLVED, np.int64(2**31 - 1)))
@@ -89,7 +89,7 @@ def test_a_good_answer_with_any_memory_layout_is_copied_and_followed(qp, Z):
 
 
 @pytest.mark.parametrize("fault", [f for f in Fault if f not in (Fault.NONE, Fault.LATE)])
-def test_each_fault_has_its_name_and_is_counted(fault, qp, Z):
+def test_each_fault_is_named_and_counted(fault, qp, Z):
     good = solved(qp)
     wrong = {
         Fault.FAILED: no_answer(7, Status.NUMERICAL), Fault.RAISED: RuntimeError("from inside\na solver"),
@@ -105,14 +105,14 @@ def test_each_fault_has_its_name_and_is_counted(fault, qp, Z):
     ((label, found),) = mine.faults.items()
     assert (label, found["count"], found["first_at_s"]) == (fault.label, 1, 0.002)
     assert fault is not Fault.RAISED or found["first"] == "RuntimeError: from inside a solver"
-    # the last good answer is used again, except for an infeasible subproblem, for which the fallback is used
+    # only an infeasible subproblem gets the fallback at once
     np.testing.assert_array_equal(x, np.zeros(7) if fault is Fault.INFEASIBLE else good.x)
     mine.forget()
     assert mine.faults == {}
 
 
 @pytest.mark.parametrize("hold", [0, 1, 4])
-def test_the_last_good_answer_is_held_for_hold_ticks_and_then_damping_replaces_it(hold, qp, Z):
+def test_last_good_answer_is_held_for_hold_ticks(hold, qp, Z):
     mine = supervisor(hold_ticks=hold)
     wrong = no_answer(7, Status.NUMERICAL)
     mine.solve(scripted(solved(qp)), qp, Z)
@@ -122,8 +122,8 @@ def test_the_last_good_answer_is_held_for_hold_ticks_and_then_damping_replaces_i
     assert mine.solve(scripted(wrong), qp, Z)[1].any() == (hold > 0)  # a good answer restarts the count
 
 
-def test_without_any_answer_the_elbow_is_kept_off_the_joint_limits(robot):
-    """From this start, damping alone leads joint 6 to its limit."""
+def test_elbow_stays_off_joint_limits_without_answers(robot):
+    """Damping alone leads joint 6 to its limit."""
     base = Scenario(control={"preset": "tuned"}, start={"swivel": "random"}, judge=False, bound_samples=0,
                     faults={"solver": "nan", "solver_share": 1.0})  # fmt: skip
     kept = run(base)
@@ -145,7 +145,7 @@ def test_without_any_answer_the_elbow_is_kept_off_the_joint_limits(robot):
     (Solution(ZERO, ZERO[:5], OK), "y has shape (5,)"),
     *((Solution(ZERO, None, OK, n), "iterations ") for n in ("many", None, -1, 2**31, True)),
 ])  # fmt: skip
-def test_a_malformed_answer_is_a_fault_whose_message_says_what_is_wrong(answer, told, qp, Z):
+def test_message_says_what_is_malformed(answer, told, qp, Z):
     mine, solution, x = asked(qp, Z, answer)
     assert mine.fault is Fault.MALFORMED
     assert mine.faults["malformed"]["first"].startswith(told)
@@ -153,7 +153,7 @@ def test_a_malformed_answer_is_a_fault_whose_message_says_what_is_wrong(answer, 
     assert not x.any()
 
 
-def test_a_solver_that_writes_into_its_arguments_changes_neither_subproblem_nor_check(qp, Z):
+def test_solver_that_writes_into_its_arguments_changes_nothing(qp, Z):
     def solve(shown):
         for array in (shown.row, shown.row if shown.row.base is None else shown.row.base):
             array.setflags(write=True)
@@ -172,9 +172,9 @@ def test_a_solver_that_writes_into_its_arguments_changes_neither_subproblem_nor_
 
 @pytest.mark.parametrize("error", [SystemExit("enough"), RuntimeError("no"), MemoryError(), KeyboardInterrupt()])
 @pytest.mark.parametrize("where", ["observe", "solve", "under another error"])
-def test_any_exception_of_a_session_is_counted_except_the_users_interrupt(error, where, qp, Z):
+def test_exceptions_of_a_session_are_counted(error, where, qp, Z):
     raised, session = error, Mock(spec=["solve", "observe"])
-    if where == "under another error":  # CasADi wraps exceptions like this
+    if where == "under another error":  # as CasADi wraps exceptions
         raised = SystemError("returned a result with an exception set")
         raised.__cause__ = error
     getattr(session, "observe" if where == "observe" else "solve").side_effect = raised
@@ -188,8 +188,8 @@ def test_any_exception_of_a_session_is_counted_except_the_users_interrupt(error,
     assert np.isfinite(x).all()
 
 
-def test_an_optimum_for_the_negated_gradient_is_refused(recorded):
-    """The solver calls this answer optimal. It is refused, unless its residuals verify it for the true gradient."""
+def test_optimum_for_negated_gradient_is_refused(recorded):
+    """It is accepted only if its residuals verify it for the true gradient."""
     lies = 0
     for qp in map(NullSpaceQP.from_row, recorded):
         lie = opposite(qp)
@@ -202,7 +202,7 @@ def test_an_optimum_for_the_negated_gradient_is_refused(recorded):
 
 
 def along_the_line(qp, Z, x):
-    """Compute `natural`, `off` and `opposite` (see `judged`) of x by numerical search instead of formulas."""
+    """Compute `natural`, `off` and `opposite` of x by numerical search."""
     d = Z.T @ (Z @ qp.pull)
     d /= np.linalg.norm(d)
     moving = np.abs(d) > 1e-9
@@ -235,8 +235,7 @@ def along_the_line(qp, Z, x):
 
 
 @pytest.mark.parametrize("c2", [1e-3, 0.5])
-def test_the_residuals_along_the_self_motion_agree_with_a_numerical_search(c2):
-    """The null space has one dimension. x lies within, at or beyond its bounds."""
+def test_residuals_along_self_motion_agree_with_numerical_search(c2):
     rng, seen = np.random.default_rng(12), []
     for number in range(60):
         qp = random_problem(rng, c2=c2, regularization=c2 * 10.0 ** rng.uniform(-2.0, 1.0))
@@ -252,22 +251,22 @@ def test_the_residuals_along_the_self_motion_agree_with_a_numerical_search(c2):
         assert off == pytest.approx(wanted[1], rel=1e-5, abs=2e-6)
         assert opposite_off == pytest.approx(wanted[2], rel=1e-5, abs=2e-6)
         seen.append((outside, relative, off, opposite_off))
-    assert (np.median(seen, axis=0)[1:] > 1e-3).all()  # the compared figures are not zeros
+    assert (np.median(seen, axis=0)[1:] > 1e-3).all()
 
 
-def test_without_a_gradient_along_the_self_motion_the_residuals_along_it_are_zero(qp, Z):
+def test_residuals_are_zero_without_gradient_along_self_motion(qp, Z):
     x = solved(qp).x
     for pull, c2, Zs in ((1.0, 1.0, np.zeros((0, 7))), (0.0, 1.0, Z), (1.0, 0.0, Z), (1e-9, 1.0, Z)):
         row = np.array(qp.row)
         fields(row).pull[:] *= pull
         fields(row).weights[2] *= c2
-        if pull == 1e-9:  # a small gradient has a residual: the threshold is relative to the gradient's size
+        if pull == 1e-9:  # the threshold is relative to the gradient
             assert judged(row, Zs, x + 0.1 * Z[0] + 0.1 * Z[1])[2] > 0.0
         else:
             assert judged(row, Zs, x)[2:] == (0.0, 0.0, 0.0)
 
 
-def test_the_solve_time_is_measured_in_microseconds_and_compared_with_the_budget(qp, Z, monkeypatch):
+def test_solve_time_in_microseconds_is_compared_with_budget(qp, Z, monkeypatch):
     monkeypatch.setattr("moc_opt.control.supervisor.perf_counter_ns", iter([7_000_000, 7_250_500]).__next__)
     mine = supervisor(budget_us=250.4)
     mine.solve(scripted(solved(qp)), qp, Z)
@@ -278,7 +277,7 @@ def test_the_solve_time_is_measured_in_microseconds_and_compared_with_the_budget
 @pytest.mark.parametrize("rho", [0.0, 0.3])
 @pytest.mark.parametrize("tilt", [1.0, 1e-3])
 @pytest.mark.parametrize("n", [7, 8, 9])
-def test_wrong_vertices_are_refused_in_null_spaces_of_several_dimensions(n, tilt, rho):
+def test_wrong_vertices_of_larger_null_spaces_are_refused(n, tilt, rho):
     """With a small `tilt`, most of the gradient is perpendicular to the null space."""
     wrong = wrong_corners(n, n, 10, tilt=tilt, regularization=rho)
     faults = [asked(w.qp, null_space(w.qp.A), Solution(w.x, None, Status.SOLVED), n)[0].fault for w in wrong]
@@ -291,7 +290,7 @@ def test_wrong_vertices_are_refused_in_null_spaces_of_several_dimensions(n, tilt
     off=st.just(0.0) | st.floats(-9.0, -1.0).map(lambda k: 10.0**k), rest=st.none() | st.floats(-12.0, 0.0),
 )  # fmt: skip
 def test_every_verified_answer_is_accepted(seed, n, rho, off, rest):
-    """With `rest`, (rho / c2) x_d replaces the gradient. The desired velocity x_d is nearly zero."""
+    """With `rest`, (rho / c2) x_d replaces the gradient."""
     rng = np.random.default_rng(seed)
     problem = random_problem(rng, n, structured=n == 7, regularization=rho)
     if rest is not None and rho > 0.0:
@@ -306,13 +305,12 @@ def test_every_verified_answer_is_accepted(seed, n, rho, off, rest):
         assert mine.fault is Fault.NONE
     assert off > 0.0 or found.verified()
     relative = judged(problem.row, Z, x)[2]
-    assert relative <= found.relative * (1.0 + 1e-6) + 1e-6  # bounds of joints that hardly move are ignored
+    assert relative <= found.relative * (1.0 + 1e-6) + 1e-6  # joints that hardly move are ignored
 
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("idle_speed", [0.0, 0.5])
-def test_the_speed_of_an_idle_joint_does_not_make_an_optimum_false(seed, idle_speed):
-    """The ninth joint moves neither tip nor wrist."""
+def test_speed_of_idle_joint_does_not_falsify_an_optimum(seed, idle_speed):
     eight = random_problem(np.random.default_rng(seed), 8, structured=False, regularization=1e-3)
     still = np.zeros((3, 1))
     nine = NullSpaceQP(
@@ -326,7 +324,7 @@ def test_the_speed_of_an_idle_joint_does_not_make_an_optimum_false(seed, idle_sp
     assert asked(nine, null_space(nine.A), Solution(x, None, Status.SOLVED), 9)[0].fault is Fault.NONE
 
 
-def test_both_ends_of_a_segment_shorter_than_opposite_limit_are_accepted(qp, Z):
+def test_both_ends_of_a_short_segment_are_accepted(qp, Z):
     x, along = solved(qp).x, 1e-4 * Z[0]
     low, high = np.minimum(x - along, x + along), np.maximum(x - along, x + along)
     narrow = NullSpaceQP(
@@ -337,8 +335,8 @@ def test_both_ends_of_a_segment_shorter_than_opposite_limit_are_accepted(qp, Z):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_an_idle_joint_is_judged_if_no_other_self_motion_exists(seed):
-    """Five joints have to satisfy five independent rows. The sixth joint moves neither tip nor wrist."""
+def test_idle_joint_is_checked_without_other_self_motion(seed):
+    """Five joints satisfy five independent rows, and the sixth joint is idle."""
     qp, joints = random_problem(np.random.default_rng(seed)), [0, 1, 2, 3, 4, 6]
     A, x = qp.A[:, joints], 0.5 * (qp.lower + qp.upper)[joints]
     one = NullSpaceQP(*np.split(A, 2), *np.split(A @ x, 2), np.r_[qp.pull[:5], 0.2],
@@ -351,7 +349,7 @@ def test_an_idle_joint_is_judged_if_no_other_self_motion_exists(seed):
 
 
 @pytest.mark.parametrize("late", LATE)
-def test_a_late_answer_is_replaced_as_the_setting_says(late, qp, Z):
+def test_late_answer_is_replaced_as_the_setting_says(late, qp, Z):
     good = solved(qp)
     other = Solution(good.x + 1e-6, None, Status.SOLVED)
     mine = supervisor(times=[10.0, 3000.0, 2000.0, 10.0], budget_us=2000.0, late=late)
@@ -363,21 +361,21 @@ def test_a_late_answer_is_replaced_as_the_setting_says(late, qp, Z):
     mine.solve(scripted(good), qp, Z)
     assert mine.fault is Fault.NONE
     mine.forget()
-    solution, x = mine.solve(scripted(Unanswered("late", "nothing after 700 us")), qp, Z)  # no answer at all
+    solution, x = mine.solve(scripted(Unanswered("late", "nothing after 700 us")), qp, Z)
     assert (mine.fault, solution.status) == (Fault.LATE, Status.TIME_LIMIT)
     assert mine.faults["late"]["first"] == "nothing after 700 us"
     np.testing.assert_array_equal(x, np.zeros(7) if late == "zero" else good.x)
 
 
 def stoppable(whole, truncated):
-    """A session with a whole and a truncated answer. A truncated answer that is an exception is raised."""
+    """A session with a whole and a truncated answer."""
     return SimpleNamespace(solve=Mock(return_value=whole), truncated=Mock(side_effect=[truncated]))
 
 
 @pytest.mark.parametrize(("us", "iterations", "allowed"), [
     (400.0, 40, 10), (1e6, 40, 1), (100.0, 40, None), (400.0, 1, 1), (400.0, 0, None),
 ])  # fmt: skip
-def test_a_late_solver_that_can_be_truncated_gets_the_iterations_that_fit_the_budget(us, iterations, allowed, qp, Z):
+def test_late_solver_gets_iterations_that_fit_the_budget(us, iterations, allowed, qp, Z):
     whole = solved(qp)._replace(iterations=iterations)
     session = stoppable(whole, whole._replace(x=0.5 * whole.x, status=Status.MAX_ITER))
     mine = supervisor(times=[us], budget_us=100.0, late="iterate")
@@ -392,7 +390,7 @@ def test_a_late_solver_that_can_be_truncated_gets_the_iterations_that_fit_the_bu
     (ValueError("cannot stop"), Fault.RAISED), (Solution(np.full(7, 9e3), None, Status.MAX_ITER), Fault.OUTSIDE),
     (Solution(np.full(7, np.nan), None, Status.MAX_ITER), Fault.NOT_FINITE),
 ])  # fmt: skip
-def test_a_truncated_answer_is_checked_like_any_other(cut, fault, qp, Z):
+def test_truncated_answer_is_checked_like_any_other(cut, fault, qp, Z):
     mine = supervisor(times=[10.0, 400.0], budget_us=100.0, late="iterate")
     good = solved(qp)
     mine.solve(scripted(good), qp, Z)
@@ -402,8 +400,8 @@ def test_a_truncated_answer_is_checked_like_any_other(cut, fault, qp, Z):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_tip_and_rcm_do_not_depend_on_the_third_level(kind, robot):
-    """In the same state, right and wrong answers give the same acceleration of tip and wrist."""
+def test_tip_and_rcm_do_not_depend_on_third_level(kind, robot):
+    """Right and wrong answers give the same acceleration of tip and wrist."""
     rng, q, settings = np.random.default_rng(5), robot.data.q_home, ControlSettings.preset("tuned")
     good, bad = (Controller(robot, settings, one) for one in (Exact(), Faulty(Exact(), kind, rate=1.0)))
     references = in_place(robot.state(q), 0.02)
@@ -416,14 +414,14 @@ def test_tip_and_rcm_do_not_depend_on_the_third_level(kind, robot):
         assert bad.fault is not Fault.NONE
         change = state.A @ np.linalg.solve(state.M, torques[1] - torques[0])
         assert np.abs(change).max() < 1e-8
-        # both observers get the same torque, so that their estimates are equal
+        # both observers get the same torque
         for mine in (good, bad):
             mine.set_applied_torque(torques[0])
-    assert np.abs(torques[1] - torques[0]).max() > 1e-3  # the compared torques differ
+    assert np.abs(torques[1] - torques[0]).max() > 1e-3  # the torques differ
 
 
 @pytest.mark.parametrize("name", [name for name, reason in available().items() if reason is None])
-def test_at_most_one_percent_of_a_registered_solvers_answers_are_refused(name):
+def test_at_most_one_percent_of_answers_are_refused(name):
     trace = run(Scenario(solver={"name": name}, **QUICK))
     refused = ("lied", "outside", "late", "not_finite", "malformed", "raised")
     assert np.isin(trace.fault, refused).mean() <= 0.01, trace.meta["faults"]
@@ -433,8 +431,8 @@ def test_at_most_one_percent_of_a_registered_solvers_answers_are_refused(name):
     (0, 0, "primal_limit"), (0, 1, "primal_limit"), (2, 0, "box_limit"), (2, 1, "box_limit"), (0, 2, "relative_limit"),
     (0, 3, "opposite_limit"), (0, None, "budget_us"),
 ])  # fmt: skip
-def test_the_check_accepts_an_answer_at_a_limit_and_refuses_a_worse_answer(qp, Z, claim, j, limit):
-    """The solver reports an optimum (claim 0) or an iterate (claim 2). `j` is the index of a residual in `judged`."""
+def test_check_accepts_an_answer_at_a_limit(qp, Z, claim, j, limit):
+    """The solver claims an optimum (0) or an iterate (2). `j` is an index of `judged`."""
     x = opposite(qp).x if j in (2, 3) else np.clip(solved(qp).x, qp.lower, qp.upper)
     x = x + 0.01 * (qp.A[0] if j == 0 else np.where(x == qp.upper, 1.0, 0.0) if j == 1 else 0.0)
     figure = 50.0 if j is None else judged(qp.row, Z, x)[j]
@@ -446,7 +444,7 @@ def test_the_check_accepts_an_answer_at_a_limit_and_refuses_a_worse_answer(qp, Z
         assert (made.finish(0, claim, x, 50.0)[0] == 0) == taken
 
 
-def test_the_distance_to_the_optimum_needs_one_null_space_direction_and_a_clear_gradient(qp):
+def test_off_needs_one_direction_and_a_clear_gradient(qp):
     """Otherwise `off`, the distance to the optimum, stays zero."""
     faint, several = changed(qp, c2=1e-7, regularization=1e-2), random_problem(np.random.default_rng(3), 8)
     for each, searched in ((qp, True), (faint, False), (several, False)):

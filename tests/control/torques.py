@@ -1,4 +1,4 @@
-"""Helpers for tests: a control law with only chosen parts switched on, a supervisor, and a safety filter."""
+"""Helpers for tests: a control law, a supervisor and a safety filter."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings
 
 
 def law(n, arm=None, supervision=None, fallback="damping", **changes):
-    """A core.Law for n joints. Gains that are not given are zero, limits are wide, and parts are off."""
+    """A core.Law for n joints with only the given parts and gains."""
     s = supervisor.SupervisorSettings() if supervision is None else supervision
     wide = np.full(n, 1e3)
     blank = core.Arm(np.zeros((n, 27)), np.zeros((2, 3)), np.eye(3), np.ones((2, n)), np.zeros(3))
@@ -29,7 +29,7 @@ def law(n, arm=None, supervision=None, fallback="damping", **changes):
 
 
 def ticked(robot, state, tip_ref, trocar, x=None, x_d=None, **parts):
-    """Return (tau, row): torque (n,) [Nm] and subproblem (`NullSpaceQP.row`) of the first tick."""
+    """Return (tau, row): torque (n,) [Nm] and subproblem of the first tick."""
     made = law(robot.n, robot.arm, check=False, **parts)
     made.start(state.q, state.v, tip_ref, trocar)
     row = made.begin(state.q, state.v, tip_ref, trocar, x_d)[1]
@@ -37,13 +37,13 @@ def ticked(robot, state, tip_ref, trocar, x=None, x_d=None, **parts):
 
 
 def tracking(robot, state, tip_ref, trocar, gains=(0.0, 0.0, 0.0, 0.0), **parts):
-    """The torque of the levels tip and RCM, tau_tip + tau_rcm (n,) [Nm]."""
+    """The torque tau_tip + tau_rcm (n,) [Nm]."""
     names = dict(zip(("K_X", "D_X", "K_N", "D_N"), gains, strict=True))
     return ticked(robot, state, tip_ref, trocar, **names, **parts, third_level=False)[0]
 
 
 def in_place(state, speed=0.0):
-    """References at the tip and shaft of this state. The tip reference moves along x at `speed` [m/s]."""
+    """References at this state. The tip reference moves along x at `speed` [m/s]."""
     tip_ref = np.array([state.tip, [speed, 0.0, 0.0], np.zeros(3)])
     return tip_ref, np.array([state.tip - 0.15 * state.tool_direction, np.zeros(3)])
 
@@ -53,7 +53,7 @@ def subproblem(robot, state, tip_ref, trocar, **parts):
 
 
 def stand_in(row, Z, fault, fallback="damping"):
-    """The x (n,) that replaces an answer with this fault if no earlier answer can be held."""
+    """The x (n,) that replaces a faulty answer if no earlier answer is held."""
     made = law(Z.shape[1], fallback=fallback, hold_ticks=0)
     made.load(row, Z)
     found, x, _ = made.finish(fault, 0, np.zeros(Z.shape[1]), 0.0)
@@ -62,7 +62,7 @@ def stand_in(row, Z, fault, fallback="damping"):
 
 
 class Supervisor(supervisor.Supervisor):
-    """A supervisor whose law gets its subproblem and null space from the test."""
+    """A supervisor with subproblem and null space from the test."""
 
     def __init__(self, settings, fallback, n, times_us=None):
         super().__init__(settings, law(n, supervision=settings, fallback=fallback), n, 0.002, times_us)
@@ -84,13 +84,13 @@ def guard_of(robot, q=None, v=REST, carries=True, incision=False, momentum=False
 
 
 def off_by(robot, q, distance):
-    """A registered trocar (2, 3) that the shaft misses by this distance [m]."""
+    """A registered trocar (2, 3) that the shaft misses by `distance` [m]."""
     pose = robot.tool_pose(q)
     return np.stack([pose[3] - 0.15 * pose[2] + distance * pose[0], np.zeros(3)])
 
 
 def weight(robot, q, force=0.0):
-    """The wrench sensor's reading at rest: the tool's weight and a force [N] across the shaft, 0.15 m above the tip."""
+    """The wrench reading at rest with a force [N] across the shaft."""
     pose, length = robot.tool_pose(q), robot.data.tool_length
     load, pull = np.array([0.0, 0.0, -9.81 * robot.data.tool_mass]), force * pose[1]
     moment = np.cross(0.5 * length * pose[2], load) + np.cross((length - 0.15) * pose[2], pull)

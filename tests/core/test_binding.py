@@ -19,19 +19,19 @@ READ_ONLY.setflags(write=False)
     ("x", np.zeros(14)[::2]), ("x", READ_ONLY), ("x", np.zeros(7, int)), ("x", None), ("y", np.zeros((6, 1))),
     ("x", np.zeros(64, np.uint8)[1:57].view(float)), ("y", np.zeros(5)), ("rest", "1e-9"),
 ])  # fmt: skip
-def test_a_wrong_array_raises_an_exception_that_names_it(name, wrong):
+def test_wrong_array_is_named_in_the_exception(name, wrong):
     sound = {"record": QP.row, "x": np.zeros(7), "y": np.zeros(6), "steps": 1, "h_x": 1.0, "h_y": 1.0, "k": 1.0,
              "scale": -1.0, "implicit": 0, "rest": 0.0}  # fmt: skip
-    core.step_network(*sound.values())  # -1 is a valid scale, but also Python's code for a failed conversion
+    core.step_network(*sound.values())  # -1 is also Python's code for a failed conversion
     with pytest.raises((TypeError, ValueError), match="real number" if name == "rest" else f"{name}: give"):
         core.step_network(*{**sound, name: wrong}.values())
 
 
-def test_wrong_numbers_of_arguments_rows_and_columns_are_refused():
+def test_wrong_numbers_of_rows_and_columns_are_refused():
     for count in (1, 3):
         with pytest.raises(TypeError, match="takes 2 arguments"):
             core.solve_exact(*[QP.row] * count)
-    for first, others in ((0, 3), (2, 3), (2, 0)):  # all arrays need as many rows as the first
+    for first, others in ((0, 3), (2, 3), (2, 0)):  # all arrays need the same number of rows
         with pytest.raises(ValueError, match="X: give"):
             core.solve_exact_rows(np.zeros((first, 87)), 1e-9, *map(np.zeros, ((others, 7), (others, 6), others)))
     with pytest.raises(ValueError, match=r"shape \(n, 27\) for 1 to 16 joints"):
@@ -42,13 +42,13 @@ def test_wrong_numbers_of_arguments_rows_and_columns_are_refused():
 
 
 @pytest.mark.parametrize("n", [0, 17])
-def test_an_arm_without_joints_or_with_more_than_16_is_refused(n):
+def test_arm_with_zero_or_17_joints_is_refused(n):
     with pytest.raises(ValueError, match="1 to 16 joints"):
         core.Arm(np.zeros((n, 27)), np.zeros((2, 3)), np.eye(3), np.ones((2, n)), np.zeros(3))
 
 
 @pytest.mark.parametrize(("count", "step"), [(0, 0.02), (1, 0.02), (9, 0.0), (9, np.inf), (9, np.nan)])
-def test_a_curve_with_fewer_than_two_samples_or_a_step_that_is_zero_or_not_finite_is_refused(count, step):
+def test_curve_with_too_few_samples_is_refused(count, step):
     state = ROBOT.state(ROBOT.data.q_home)
     task = ROBOT.q_min, ROBOT.q_max, np.array([state.tip, state.wrist]), np.array(state.q), np.ones(7)
     with pytest.raises(ValueError, match="2 samples or more"):
@@ -56,19 +56,19 @@ def test_a_curve_with_fewer_than_two_samples_or_a_step_that_is_zero_or_not_finit
 
 
 @pytest.mark.parametrize("points", [0, 3])
-def test_a_target_with_zero_or_three_points_is_refused(points):
+def test_target_with_zero_or_three_points_is_refused(points):
     with pytest.raises(ValueError, match=f"target has {points} rows"):
         ROBOT.arm.nearest_pose(ROBOT.q_min, ROBOT.q_max, np.zeros((points, 3)), ROBOT.q_min, 5)
 
 
-def test_records_and_answers_have_their_documented_shapes():
+def test_arrays_have_their_documented_shapes():
     assert ROBOT.state(ROBOT.data.q_home).record.shape == (7 * 7 + 13 * 7 + 18,)
     status, x, y = core.solve_exact(QP.row, 1e-9)
     assert (status, x.shape, y.shape) == (core.OK, (7,), (6,))
 
 
 @pytest.mark.parametrize("k", range(4))
-def test_a_tick_with_nan_and_a_basis_with_too_many_rows_are_refused(k):
+def test_tick_with_nan_is_refused(k):
     made, given = law(7), [np.zeros(7), np.zeros(7), np.zeros((3, 3)), np.ones((2, 3))]
     made.start(*given)
     given[k].flat[-1] = np.nan
@@ -88,7 +88,7 @@ ROWS = (2, np.zeros((4, 3)), np.zeros((4, 3)), np.zeros(4), np.zeros((6, 3)), np
     (6, np.zeros(4)), (7, np.ones(2)), (8, np.zeros(4)), (8, np.array([0.0, 2.0])), (8, np.array([-1.0, 0.0])),
     (8, np.array([0.0, np.nan])), (10, 3), (10, -1),
 ])  # fmt: skip
-def test_wrong_arguments_of_a_step_of_dynamic_programming_are_refused(k, wrong):
+def test_wrong_arguments_of_dynamic_programming_are_refused(k, wrong):
     np.testing.assert_array_equal(core.advance(*ROWS), np.zeros(4))
     with pytest.raises(ValueError, match=r"give|branches and crossings"):
         core.advance(*ROWS[:k], wrong, *ROWS[k + 1 :])

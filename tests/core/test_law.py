@@ -1,4 +1,4 @@
-"""The core's control law agrees with the same equations in NumPy, on every arm and on a chain with a sliding joint."""
+"""The core's control law agrees with the same equations in NumPy."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def robot(request, odd_robot):
 
 
 def trials(robot, count=10):
-    """Yield ((state, tip_ref, trocar), rng). The state moves. The references move too, about 1 mm away from it."""
+    """Yield ((state, tip_ref, trocar), rng) with references about 1 mm away."""
     rng = np.random.default_rng(0)
     for _ in range(count):
         state = robot.state(robot.random_regular_pose(rng), rng.uniform(-0.3, 0.3, robot.n))
@@ -33,7 +33,7 @@ def trials(robot, count=10):
 
 @pytest.mark.parametrize("rcm_lambda", [0.0, 0.5])
 @pytest.mark.parametrize("projector", PROJECTORS)
-def test_the_tip_and_rcm_torques_agree_with_the_equations(robot, projector, rcm_lambda):
+def test_tip_and_rcm_torques_agree_with_the_equations(robot, projector, rcm_lambda):
     for (s, tip_ref, trocar), _ in trials(robot):
         found = tracking(robot, s, tip_ref, trocar, GAINS, projector=PROJECTORS.index(projector), rcm_lambda=rcm_lambda)
         wanted = reference.tip_torque(s, *GAINS[:2], tip_ref)
@@ -41,7 +41,7 @@ def test_the_tip_and_rcm_torques_agree_with_the_equations(robot, projector, rcm_
         np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9)
 
 
-def test_the_feedforward_gives_the_tip_the_acceleration_of_its_reference(robot):
+def test_feedforward_gives_tip_the_acceleration_of_its_reference(robot):
     for (s, tip_ref, trocar), _ in trials(robot):
         found = tracking(robot, s, tip_ref, trocar, feedforward=True) - tracking(robot, s, tip_ref, trocar)
         np.testing.assert_allclose(found, reference.feedforward(s, tip_ref, trocar), rtol=1e-6, atol=1e-6)
@@ -50,7 +50,7 @@ def test_the_feedforward_gives_the_tip_the_acceleration_of_its_reference(robot):
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-13, 1e-7, 1e-5, -1e-4])
-def test_the_feedforward_is_bounded_at_a_straight_elbow_and_accelerates_the_tip(angle):
+def test_feedforward_is_bounded_at_a_straight_elbow(angle):
     q = np.array(LWR4.data.q_home)
     q[3] = angle
     s = LWR4.state(q)
@@ -61,7 +61,7 @@ def test_the_feedforward_is_bounded_at_a_straight_elbow_and_accelerates_the_tip(
     np.testing.assert_allclose((s.A @ np.linalg.solve(s.M, found))[:3], tip_ref[2], atol=1e-7)
 
 
-def test_the_subproblem_agrees_with_the_equations(robot):
+def test_subproblem_agrees_with_the_equations(robot):
     n, margin = robot.n, 0.175 * robot.state(robot.data.q_home).tool_span ** 2
     for (s, tip_ref, trocar), rng in trials(robot):
         k0, low, high = rng.uniform(0.1, 400.0), s.q - rng.uniform(-0.1, 1.0, n), s.q + rng.uniform(0.1, 1.0)
@@ -82,7 +82,7 @@ def test_the_subproblem_agrees_with_the_equations(robot):
         np.testing.assert_array_equal(followed.grad_mu, s.grad_mu)
 
 
-def test_the_third_level_accelerates_neither_tip_nor_wrist(robot):
+def test_third_level_accelerates_neither_tip_nor_wrist(robot):
     for (s, *_), rng in trials(robot):
         x, K, D = rng.normal(size=robot.n), rng.uniform(10, 120, robot.n), rng.uniform(0, 5, robot.n)
         found = ticked(robot, s, *in_place(s), x, K_N2=K, D_N2=D, fade=0.6)[0] - s.h
@@ -91,7 +91,7 @@ def test_the_third_level_accelerates_neither_tip_nor_wrist(robot):
         assert np.abs(found).max() > 1e-3
 
 
-def test_the_observer_agrees_with_the_equations(robot):
+def test_observer_agrees_with_the_equations(robot):
     for (s, tip_ref, trocar), rng in trials(robot, 5):
         made = law(robot.n, robot.arm, observer_gain=25.0)
         made.start(s.q, s.v, tip_ref, trocar)
@@ -105,7 +105,7 @@ def test_the_observer_agrees_with_the_equations(robot):
             np.testing.assert_allclose(made.memory()[2], wanted, rtol=1e-8, atol=1e-8)
 
 
-def test_the_scaled_climb_does_not_depend_on_the_weights_of_the_cost(robot):
+def test_scaled_climb_does_not_depend_on_cost_weights(robot):
     margin, lost = 0.175 * robot.state(robot.data.q_home).tool_span ** 2, 0
     for (s, tip_ref, trocar), rng in trials(robot, 20):
         c2, rho = 10.0 ** rng.uniform(-5.0, 0.0, 2)
@@ -117,13 +117,13 @@ def test_the_scaled_climb_does_not_depend_on_the_weights_of_the_cost(robot):
 
 
 @pytest.mark.parametrize("bend", [0.0, 1e-12])
-def test_the_scaled_climb_is_zero_without_a_gradient_along_the_self_motion(bend):
+def test_scaled_climb_is_zero_without_gradient_along_self_motion(bend):
     s = LWR4.state(np.array([0.2, 0.0, 0.0, bend, 0.0, 0.0, 0.0]))
     found = fields(subproblem(LWR4, s, *in_place(s), climbs=True, c2=1.0, rho=1.0)).pull
     np.testing.assert_array_equal(found, np.zeros(7))
 
 
-def test_the_null_space_basis_changes_continuously_and_is_valid_at_a_straight_elbow():
+def test_null_space_basis_changes_continuously_at_straight_elbow():
     q, sizes, before, made = np.array(LWR4.data.q_home), [], None, law(7, LWR4.arm)
     for angle in (0.1, 3e-12, *np.linspace(0.1, -0.1, 201)):  # at 3e-12 rad the rank is in doubt
         q[3] = angle
@@ -144,7 +144,7 @@ def test_the_null_space_basis_changes_continuously_and_is_valid_at_a_straight_el
 
 
 def problem(rng, robot, tight=None):
-    """Return (row, its fields, basis of ker A) of a random subproblem. Bounds are up to ``tight`` from a solution."""
+    """Return (row, its fields, basis of ker A) of a random subproblem."""
     s = robot.state(robot.random_regular_pose(rng))
     u, v_T, v_W = s.tool_direction, *(0.05 * rng.normal(size=(2, 3)))
     row, Z = np.full(11 * s.n + 10, np.nan), reference.null_space(s.A)
@@ -162,7 +162,7 @@ def test_least_violation_agrees_with_scipy(odd_robot):
     for k in range(30):
         row, part, Z = problem(rng, LWR4 if k % 2 else odd_robot)
         part.b[:] *= 6.0
-        if k % 3:  # joint 1 has to move back, as if beyond its limit
+        if k % 3:  # joint 1 has to move back
             part.lower[1] = part.upper[1] / 2.0
         x = stand_in(row, Z, INFEASIBLE, "least-violation")
         assert (x >= part.lower).all()
@@ -171,13 +171,13 @@ def test_least_violation_agrees_with_scipy(odd_robot):
         assert np.linalg.norm(part.A @ x - part.b) < 1.01 * np.linalg.norm(part.A @ best - part.b) + 1e-5
 
 
-def test_the_smallest_self_motion_within_the_bounds_agrees_with_scipy(odd_robot):
+def test_smallest_self_motion_within_bounds_agrees_with_scipy(odd_robot):
     rng, moved = np.random.default_rng(10), 0
     for k in range(40):
         row, part, Z = problem(rng, LWR4 if k % 2 else odd_robot, tight=0.2)
         found = stand_in(row, Z, FAILED)
         x = np.linalg.lstsq(part.A, part.b, rcond=1e-9)[0] + found
-        # minimize |x|^2 with A x = b within the bounds: a large weight enforces A x = b
+        # a large weight enforces A x = b
         heavy, right = np.vstack([1e4 * part.A, np.eye(7)]), np.concatenate([1e4 * part.b, np.zeros(7)])
         best = lsq_linear(heavy, right, (part.lower, part.upper), tol=1e-14).x
         np.testing.assert_allclose(part.A @ found, 0.0, atol=1e-12)
@@ -186,7 +186,7 @@ def test_the_smallest_self_motion_within_the_bounds_agrees_with_scipy(odd_robot)
     assert moved > 10
 
 
-def test_no_self_motion_is_added_if_it_is_not_needed_or_cannot_keep_the_bounds():
+def test_no_unnecessary_self_motion_is_added():
     row, part, Z = problem(np.random.default_rng(11), LWR4, tight=0.1)
     wide = np.full(7, 10.0)
     for lower, upper in ((-wide, wide), (wide - 1.0, wide), (-wide, 1.0 - wide)):

@@ -1,4 +1,4 @@
-"""The core under sanitizers: random chains, extreme inputs and damaged memory. `make sanitize` draws more inputs."""
+"""The core under sanitizers: random chains, extreme inputs and damaged memory."""
 
 import os
 import re
@@ -13,13 +13,13 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 DIGEST = "53c29b69692d51fd"
-"""Digest of all results of 300 random runs. Every compiler gives the same digest."""
+"""Digest of 300 random runs, equal for every compiler."""
 
-FILL = "-ftrivial-auto-var-init="  # flag of Clang and GCC 12 that initializes variables which the code leaves unset
+FILL = "-ftrivial-auto-var-init="  # compiler flag that initializes unset variables
 
 
 def extremes(program, sanitizers=None):
-    """Return the output of 300 random runs. ``sanitizers`` replaces the flags of `make sanitize`."""
+    """Return the output of 300 random runs."""
     flags = [] if sanitizers is None else [f"SANITIZERS={sanitizers}"]
     built = subprocess.run(["make", "-C", ROOT, "--no-print-directory", f"EXTREMES={program}", *flags, program],
                            capture_output=True, text=True, check=False)  # fmt: skip
@@ -30,7 +30,7 @@ def extremes(program, sanitizers=None):
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler on the path")
-def test_for_extreme_inputs_the_torque_is_finite_and_no_access_is_outside_an_array(tmp_path):
+def test_torque_is_finite_for_extreme_inputs(tmp_path):
     shown = extremes(tmp_path / "extremes")
     counted = {name: int(count) for name, count in re.findall(r"^  (.+): (\d+)$", shown, re.MULTILINE)}
     for reason in ("running", "not started", "the controller's state is damaged", "measurements not believed",
@@ -54,8 +54,8 @@ TESTS = ("core/test_binding.py", "core/test_law.py", "control/test_levels.py", "
          "solvers/test_rnn.py")  # fmt: skip
 
 
-def test_the_binding_makes_no_access_outside_an_array(tmp_path):
-    """Run `TESTS` in a new process, with an extension module that is built with sanitizers."""
+def test_binding_makes_no_access_outside_an_array(tmp_path):
+    """Run `TESTS` with an extension module that is built with sanitizers."""
     if shutil.which("gcc") is None:
         pytest.skip("no GCC on the path")
     libraries = [subprocess.run(["gcc", f"-print-file-name=lib{name}.so"], capture_output=True, text=True,

@@ -34,7 +34,7 @@ def test_every_reader_refuses_anything_but_a_regular_file(load, error, tmp_path)
             load(tmp_path / name)
 
 
-def test_the_size_of_a_file_is_checked_before_it_is_read(tmp_path):
+def test_file_size_is_checked_before_reading(tmp_path):
     with (tmp_path / "large").open("wb") as file:
         file.truncate(10 * 2**40)
     (tmp_path / "whole").write_bytes(b"x" * 100)
@@ -45,7 +45,7 @@ def test_the_size_of_a_file_is_checked_before_it_is_read(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["a = " + "[" * 100_000, "seed = " + "9" * 5000, "x = \ud800", "x"])
-def test_a_file_that_is_no_toml_is_refused_by_name(text, tmp_path):
+def test_file_that_is_no_toml_is_named(text, tmp_path):
     (tmp_path / "s.toml").write_bytes(text.encode("utf-8", "surrogatepass"))
     with pytest.raises(ScenarioError, match=r"s\.toml.*(TOML|UTF-8)"):
         read_toml(tmp_path / "s.toml", "scenario", ScenarioError)
@@ -62,8 +62,8 @@ def header(shape, kind):
     header((3,), "<U100000"), b"\x93NUMPY\x01\x00\x10\x00secret:x:0 hello", b"secret:x:0:0:root\n",
     header((1,), "<U6") + "secret".encode("utf-32-le"),
 ])  # fmt: skip
-def test_a_file_without_recorded_times_is_refused_without_quoting_it(data, tmp_path):
-    """A header can claim terabytes of data, and a scenario can name any file of the machine."""
+def test_file_without_recorded_times_is_not_quoted(data, tmp_path):
+    """A header can claim terabytes, and a scenario can name any file."""
     (tmp_path / "a.npy").write_bytes(data)
     with pytest.raises(ScenarioError, match="replay_us") as found:
         recorded_times(Scenario(solver={"replay_us": str(tmp_path / "a.npy")}))
@@ -72,7 +72,7 @@ def test_a_file_without_recorded_times_is_refused_without_quoting_it(data, tmp_p
 
 @pytest.mark.parametrize("text", ["0_1", "1_000.0", "\u0661", "\uff11", "inf", "nan", "0x1p2", "", "1.2.3", "- 1",
                                   "1" * 10**5 + "x"])  # fmt: skip
-def test_a_text_that_is_no_decimal_number_gives_nan(text):
+def test_text_that_is_no_decimal_number_gives_nan(text):
     assert np.isnan(decimal(text))
 
 
@@ -81,7 +81,7 @@ def test_every_decimal_number_is_read(value):
     assert decimal(repr(value)) == float(value)
 
 
-def test_an_existing_file_is_unchanged_if_the_disk_is_full(tmp_path, monkeypatch):
+def test_file_is_unchanged_if_the_disk_is_full(tmp_path, monkeypatch):
     def full(handle):
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -94,7 +94,7 @@ def test_an_existing_file_is_unchanged_if_the_disk_is_full(tmp_path, monkeypatch
     assert os.listdir(tmp_path) == ["file.parquet"]
 
 
-def test_links_are_replaced_and_pipes_devices_and_folders_are_refused(tmp_path):
+def test_pipes_devices_and_folders_are_refused(tmp_path):
     other, link = tmp_path / "other", tmp_path / "link.parquet"
     other.write_bytes(b"mine")
     link.symlink_to(other)
@@ -112,8 +112,8 @@ def test_links_are_replaced_and_pipes_devices_and_folders_are_refused(tmp_path):
     assert sorted(os.listdir(tmp_path)) == before
 
 
-def test_a_link_at_the_name_of_the_unfinished_file_is_not_followed(tmp_path, monkeypatch):
-    monkeypatch.setattr(secrets, "token_hex", lambda count: "0")  # as if an attacker had guessed it
+def test_link_at_the_temporary_name_is_not_followed(tmp_path, monkeypatch):
+    monkeypatch.setattr(secrets, "token_hex", lambda count: "0")  # an attacker's guess
     victim = tmp_path / "victim"
     victim.write_bytes(b"mine")
     (tmp_path / ".a.0.tmp").symlink_to(victim)
@@ -123,7 +123,7 @@ def test_a_link_at_the_name_of_the_unfinished_file_is_not_followed(tmp_path, mon
 
 
 @pytest.mark.parametrize("path", ["/proc/x", "/proc/no/such/x", "/dev/null/x", "a\0b", "x" * 300])
-def test_a_folder_that_cannot_be_written_is_named_before_any_work(path, tmp_path, monkeypatch):
+def test_folder_that_cannot_be_written_is_named_first(path, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for work in (lambda: write_whole(path, b"new"), lambda: files.check_replaceable(path, "file", MocOptError)):
         with pytest.raises(MocOptError, match=r"cannot be written in the folder '/.*: make room") as found:
@@ -146,7 +146,7 @@ def test_a_written_table_reads_back_the_same_from_toml_and_is_valid_json(table):
     assert json.loads(text, parse_constant=pytest.fail)["numpy"] == [None, None, 1.0]
 
 
-def test_numpy_values_become_toml_numbers_and_none_is_refused():
+def test_numpy_values_become_toml_numbers():
     assert tomllib.loads(to_toml({"a": np.float64(0.1), "b": np.arange(3)})) == {"a": 0.1, "b": [0, 1, 2]}
     with pytest.raises(TypeError, match=r"a\.b = None has no form in TOML"):
         to_toml({"a": {"b": None}})

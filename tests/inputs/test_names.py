@@ -1,4 +1,4 @@
-"""Names in input: which texts are valid, where names are checked, and how Markdown shows other texts."""
+"""Names in input: which are valid, where they are checked, how Markdown shows texts."""
 
 import html
 from dataclasses import replace
@@ -27,7 +27,7 @@ BAD = [
 DATA = load_data()
 
 
-def test_a_name_has_only_allowed_characters():
+def test_name_has_only_allowed_characters():
     for text in GOOD:
         assert names.checked(text) == text
     for text in BAD:
@@ -37,7 +37,7 @@ def test_a_name_has_only_allowed_characters():
 
 
 @pytest.mark.parametrize("bad", ["a\\", "*/", "a\nb", "<b>", "../x", ""])
-def test_every_place_where_a_name_is_read_checks_it(bad):
+def test_every_reader_of_a_name_checks_it(bad):
     for table in (
         {"name": bad}, {"solver": {"name": bad}}, {"task": {"path": bad}}, {"faults": {"bump_link": bad}},
         {"task": {"sizes": {bad: 1.0}}}, {"solver": {"settings": {bad: 1.0}}},
@@ -54,7 +54,7 @@ def test_every_place_where_a_name_is_read_checks_it(bad):
 @given(st.one_of(hostile_names, st.text(st.characters(codec="utf-8", exclude_categories=["Cc"]))))
 @settings(max_examples=100)
 def test_markdown_shows_any_text_as_it_is(text):
-    """The live page's Markdown renders HTML, and a text may come from an exception of another package."""
+    """The live page's Markdown renders HTML."""
     shown = names.in_markdown(text)
     assert not set(shown) & set("<>*_`[]{}\\!|~$\"'\n")
     if text.isprintable():

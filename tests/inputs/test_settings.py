@@ -1,4 +1,4 @@
-"""Settings: unknown keys and wrong types are refused, and every error names field, value and range."""
+"""Settings refuse unknown keys and wrong types. Errors name field, value and range."""
 
 import importlib
 import pkgutil
@@ -22,8 +22,6 @@ class Inner(Settings):
 
 
 class Kinds(Settings):
-    """Fields that might accept a text or a flag by silently converting it."""
-
     flag: bool = False
     limit: float | Literal["none"] | None = None
     point: tuple[float, float] = (0.0, 0.0)
@@ -44,12 +42,12 @@ class Outer(Settings):
     ("sizes", {"radius": "0.03"}, r"\[radius\] = '0.03': a number has no quotes"),
     ("flag", "yes", r"flag = 'yes': give true or false, without quotes"), ("flag", 1, r"flag = 1: give true or false"),
 ])  # fmt: skip
-def test_a_number_or_flag_given_as_another_type_is_refused(field, value, cure):
+def test_number_or_flag_of_another_type_is_refused(field, value, cure):
     with pytest.raises(ScenarioError, match=cure):
         Kinds(**{field: value})
 
 
-def test_numbers_flags_and_texts_of_the_right_kind_are_taken_as_they_are():
+def test_values_of_the_right_type_are_unchanged():
     given = {"flag": True, "limit": "none", "point": [1, 2.5], "sizes": {"a": 1}, "free": {"a": "2", "b": True}}
     assert (Kinds(**given).free, Kinds(**given).point) == (given["free"], (1.0, 2.5))
     assert Kinds(limit=np.float32(2.0), flag=np.True_) == Kinds(limit=2.0, flag=True)
@@ -89,8 +87,7 @@ NEEDED = {"last_link": "link_7", "group": "solver", "low": 0.0, "high": 1.0}
 """Values of fields that have no default."""
 
 
-def test_no_number_of_any_table_may_be_extreme():
-    """Far too large or too small numbers are refused with the field's name, whatever the field's own range."""
+def test_no_number_may_be_extreme():
     tables = every_table()
     assert len(tables) > 25
     tried = 0

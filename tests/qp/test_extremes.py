@@ -1,4 +1,4 @@
-"""The smallest and the largest cost on A x = b within the bounds, compared with HiGHS and with random points."""
+"""The smallest and the largest cost on A x = b within the bounds."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ SHAPES = st.sampled_from([(2, 1), (5, 2), (7, 2), (8, 3), (9, 4), (10, 5), (16, 
 
 
 def cut_box(seed, shape, size=1.0):
-    """Return Z (n, r), bounds (n,) around a feasible point Z w, and a slope (r,)."""
+    """Return Z (n, r), bounds (n,) around a feasible point, and a slope (r,)."""
     rng = np.random.default_rng(seed)
     n, r = shape
     Z = np.linalg.qr(rng.normal(size=shape))[0]
@@ -43,7 +43,7 @@ def test_extremes_of_linear_costs_agree_with_highs(seed, shape, size):
     assert found.most == pytest.approx(size * most, abs=1e-6 * spread)
     assert slope @ found.w == pytest.approx(found.least, abs=1e-9 * spread)
     beyond = np.maximum(size * low - Z @ found.w, Z @ found.w - size * high).max()
-    assert beyond < 1e-11 * size * shape[1]  # rounding grows with the dimension of w
+    assert beyond < 1e-11 * size * shape[1]
 
 
 @settings(max_examples=100)
@@ -51,7 +51,6 @@ def test_extremes_of_linear_costs_agree_with_highs(seed, shape, size):
     seed=st.integers(0, 10**6), shape=SHAPES, weight=st.floats(-9.0, 2.0), size=st.sampled_from([1e-6, 1e-4, 1.0, 1e3])
 )
 def test_a_regularized_optimum_is_certified_and_the_worst_point_is_a_corner(seed, shape, weight, size):
-    """The costs of 200 random points on the surface of the feasible set lie between both extremes."""
     Z, low, high, slope = cut_box(seed, shape, size)
     regularization = float(np.linalg.norm(slope) * 10.0**weight / size)
     found = extremes(Z, low, high, slope, regularization)
@@ -72,8 +71,8 @@ def test_a_regularized_optimum_is_certified_and_the_worst_point_is_a_corner(seed
 
 
 @pytest.mark.parametrize("shape", [(7, 2), (8, 3), (9, 4)])
-def test_the_largest_cost_is_not_overstated_if_there_are_too_many_corners_to_try(shape, monkeypatch):
-    """An underestimate is safe: the loss of an answer then comes out too large, never too small."""
+def test_largest_cost_is_not_overstated_with_many_corners(shape, monkeypatch):
+    """An underestimate is safe: the loss of an answer then comes out too large."""
     exact = []
     for seed in range(15):
         Z, low, high, slope = cut_box(seed, shape)
@@ -89,8 +88,8 @@ def test_the_largest_cost_is_not_overstated_if_there_are_too_many_corners_to_try
 
 
 @pytest.mark.parametrize("shape", [(12, 7), (16, 10), (24, 18)])
-def test_with_almost_no_regularization_uphill_walks_find_the_largest_linear_cost(shape):
-    """Near position limits, the velocity bounds of some joints can be 1000 times narrower than those of others."""
+def test_uphill_walks_find_the_largest_linear_cost(shape):
+    """Some velocity bounds are 1000 times narrower than others."""
     for seed in range(5):
         Z, low, high, slope = cut_box(seed, shape)
         narrow = 10.0 ** np.random.default_rng(seed).uniform(-3.0, 0.0, shape[0])
@@ -110,13 +109,13 @@ def test_few_proximal_steps_lead_to_the_optimum(weight, steps, monkeypatch):
     assert len(calls) <= steps
 
 
-def test_if_there_are_several_optima_the_nearest_to_zero_is_found():
-    found = extremes(np.eye(3), -np.ones(3), np.ones(3), np.array([1.0, 1e-4, 0.0]), 0.0)  # the second takes more steps
+def test_optimum_nearest_to_zero_is_found():
+    found = extremes(np.eye(3), -np.ones(3), np.ones(3), np.array([1.0, 1e-4, 0.0]), 0.0)
     np.testing.assert_allclose(found.w, [-1.0, -1.0, 0.0], atol=1e-11)
     assert (found.least, found.most) == pytest.approx((-1.0001, 1.0001))
 
 
-def test_an_empty_set_gives_none_and_a_set_of_one_point_gives_this_point():
+def test_empty_set_gives_none():
     Z = np.array([[1.0], [1.0]]) / np.sqrt(2.0)
     apart = np.array([0.0, 1.0]), np.array([0.5, 2.0])
     assert nearest(Z, *apart, np.zeros(1)) is None
@@ -126,13 +125,13 @@ def test_an_empty_set_gives_none_and_a_set_of_one_point_gives_this_point():
     assert nearest(Z, *touching, np.zeros(1))[0] == pytest.approx([0.5 * np.sqrt(2.0)])
 
 
-def test_a_range_of_cost_below_rounding_counts_as_zero():
+def test_cost_range_below_rounding_counts_as_zero():
     Z = np.eye(2)
     found = extremes(Z, np.array([0.0, 0.0]), np.array([1e-13, 1.0]), np.array([1.0, 0.0]), 0.0)
     assert found.least == found.most == 0.0
     shifted = extremes(Z, np.array([-3.0, -3.0]), np.array([1e-13 - 3.0, -2.0]), np.array([1.0, 0.0]), 0.0)
     assert shifted.least == shifted.most == pytest.approx(-3.0)
-    for short in (1e-8, 1e-11):  # a short interval in a wide box still has two ends
+    for short in (1e-8, 1e-11):  # a short interval in a wide box
         found = extremes(Z, np.array([0.0, 0.0]), np.array([short, 1.0]), np.array([-1.0, 0.0]), 0.0)
         assert found.least == pytest.approx(-short)
 
@@ -149,26 +148,24 @@ def test_the_nearest_point_satisfies_its_optimality_conditions(seed, shape):
     at_low, at_high = np.abs(x - low) < 1e-9, np.abs(x - high) < 1e-9
     assert (force[~at_low] <= 0.0).all()
     assert (force[~at_high] >= 0.0).all()
-    for part in nearest(np.eye(2), np.array([0.0, -1.0]), np.ones(2), np.zeros(2)):  # a point on its bound
+    for part in nearest(np.eye(2), np.array([0.0, -1.0]), np.ones(2), np.zeros(2)):  # on its bound
         np.testing.assert_array_equal(part, np.zeros(2))
 
 
-def test_joints_with_equal_rows_define_no_corner_together():
-    """The bounds of two equal rows of Z are parallel, so that corners come from the other pairs."""
+def test_joints_with_equal_rows_define_no_corner():
     Z = np.linalg.qr(np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.5, -0.7]]))[0]
     Z[1] = Z[0]  # to the last bit
     low, high, slope, regularization = -np.ones(4), np.ones(4), np.array([0.3, -0.2]), 0.5
     found = extremes(Z, low, high, slope, regularization)
     ring = np.linspace(0.0, 2.0 * np.pi, 20001)
     rays = np.stack([np.cos(ring), np.sin(ring)])
-    edge = rays / np.abs(Z @ rays).max(0)  # the border of the set in each direction
+    edge = rays / np.abs(Z @ rays).max(0)  # the border of the set
     worst = (slope @ edge + 0.5 * regularization * (edge**2).sum(0)).max()
     assert found.most == pytest.approx(worst, rel=1e-3)
 
 
 @pytest.mark.parametrize("small", [1e-2, 1e-4, 1e-5, 1e-7])
-def test_a_distant_set_is_reached_to_rounding(small):
-    """A bound on a joint that hardly depends on w is met only at a large w."""
+def test_distant_set_is_reached_to_rounding(small):
     for seed in range(10):
         z = np.append(small, np.random.default_rng(seed).normal(size=3))
         Z = (z / np.linalg.norm(z))[:, None]
@@ -180,8 +177,8 @@ def test_a_distant_set_is_reached_to_rounding(small):
 
 
 @pytest.mark.parametrize("seed", [285, 568, 649, 1706, 1724, 4198, 4585])
-def test_the_optimum_is_verified_if_every_feasible_point_is_on_a_bound(seed):
-    """If every feasible point is on a bound, the multipliers can be very large."""
+def test_optimum_is_verified_if_all_points_are_on_bounds(seed):
+    """The multipliers can be very large."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(8, 13))
     A = rng.normal(size=(6, n))

@@ -1,7 +1,6 @@
-"""Answers that have slid to a worse cost along a nearly singular direction of A are not verified.
+"""Answers that slid to a worse cost near a straight elbow are not verified.
 
-Near a straight elbow, A has such a direction. Each attempt slides an optimum along it within the primal tolerance, and
-optimizes it again along ker A. Best and worst cost come from an enumeration of active sets.
+Each attempt slides an optimum along the nearly singular direction of A within the primal tolerance.
 """
 
 from fractions import Fraction
@@ -20,7 +19,7 @@ SIZES = 10.0 ** np.arange(-13, -3)
 
 
 def extremes(Z, base, qp):
-    """Return the optimum (n,) and the least and largest feasible cost, or None if no point is feasible."""
+    """Return the optimum (n,), and the least and largest feasible cost."""
     points = candidates(qp, Z, base, damped=True)
     if not len(points):
         return None
@@ -29,7 +28,7 @@ def extremes(Z, base, qp):
 
 
 def random_case(rng, freedoms, size):
-    """Return a subproblem, a feasible point, ker A, and the direction of A's fifth singular value ``size``."""
+    """Return a subproblem, a feasible point, ker A, and A's nearly singular direction."""
     n = freedoms + 5
     U, V = (np.linalg.qr(rng.normal(size=(k, k)))[0] for k in (6, n))
     A = U[:, :5] * [1.0, 0.8, 0.6, 0.4, size] @ V[:, :5].T
@@ -42,7 +41,7 @@ def random_case(rng, freedoms, size):
 
 
 def arm_case(rng, robot, size):
-    """Return a subproblem of an arm whose elbow is bent so little that the fifth singular value is about ``size``."""
+    """Return a subproblem of an arm with an almost straight elbow."""
     q = robot.random_regular_pose(rng)
     elbow = robot.n - 4
     q[elbow] = np.clip(size * rng.choice([-3.0, 3.0]), robot.q_min[elbow], robot.q_max[elbow])
@@ -56,12 +55,12 @@ def arm_case(rng, robot, size):
 
 
 def rank(A):
-    """Return the rank, four or five. The fifth singular value counts as zero below 1e-12 |A|_F."""
+    """Return the rank. The fifth singular value counts as zero below 1e-12 |A|_F."""
     return 5 if np.linalg.svd(A)[1][4] > 1e-12 * np.linalg.norm(A) else 4
 
 
 def attack(rng, qp, base, Z, direction):
-    """Slide an optimum within the primal tolerance. Return pairs (x, loss of x), with the loss as in `Residuals`."""
+    """Slide an optimum within the primal tolerance. Return pairs (x, loss of x)."""
     best = extremes(Z, base, qp)
     if best is None:
         return []
@@ -69,7 +68,7 @@ def attack(rng, qp, base, Z, direction):
     assert qp.residuals(x).verified()
     scale = qp.c2 * np.abs(qp.grad_mu).max() * (qp.upper - qp.lower).max()
     if most - least < 1e-6 * scale:
-        return []  # the cost is constant up to rounding
+        return []  # the cost is constant
     length = min(1.0, 0.9e-6 / max(np.abs(qp.A @ direction).max(), 1e-30)) * rng.uniform(0.2, 1.0)
     found = []
     for sign in (-1.0, 1.0):
@@ -82,7 +81,7 @@ def attack(rng, qp, base, Z, direction):
 
 
 def attempts(rng, count):
-    """Yield pairs (subproblem, wrong answer). The loss of each answer is above 1 %."""
+    """Yield pairs (subproblem, wrong answer) with a loss above 1 %."""
     while count > 0:
         size = rng.choice(SIZES) * rng.uniform(0.5, 2.0)
         kind = rng.integers(9)
@@ -94,7 +93,7 @@ def attempts(rng, count):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_no_answer_that_slid_to_a_worse_cost_is_verified(seed):
+def test_no_answer_that_slid_is_verified(seed):
     rng = np.random.default_rng(seed)
     tried = [(qp, x, qp.residuals(x)) for qp, x in attempts(rng, 80)]
     assert len(tried) > 10
@@ -105,7 +104,7 @@ def test_no_answer_that_slid_to_a_worse_cost_is_verified(seed):
 
 @pytest.mark.parametrize("regularization", [0.0, 0.01])
 @pytest.mark.parametrize("freedoms", [1, 2])
-def test_if_one_point_is_feasible_the_residual_relative_is_the_scaled_loss_of_cost(freedoms, regularization):
+def test_residual_relative_is_scaled_loss_for_one_feasible_point(freedoms, regularization):
     qp, base, Z, direction = random_case(np.random.default_rng(0), freedoms, 1e-9)
     row, pinned = np.array(qp.row), [3, 6][:freedoms]
     fields(row).lower[pinned] = fields(row).upper[pinned] = base[pinned]
@@ -117,15 +116,15 @@ def test_if_one_point_is_feasible_the_residual_relative_is_the_scaled_loss_of_co
 
 
 def far_ends(A, b, pull, lower, upper):
-    """Return the feasible points (2, n) of largest and smallest pull^T x, in rational arithmetic; None if none."""
+    """Return the feasible points (2, n) of largest and smallest pull^T x, in rational arithmetic."""
     gains = [Fraction(value) for value in pull]
     found = [optimum(A, b, [sign * gain for gain in gains], 0.0, lower, upper) for sign in (1, -1)]
     return None if None in found else np.array([[float(value) for value in point] for point in found])
 
 
 @pytest.mark.parametrize("size", 10.0 ** np.arange(-11, -1, 2))
-def test_only_the_better_end_is_verified_if_the_gradient_is_nearly_orthogonal_to_the_self_motion(size):
-    """Rounding errors of A x - b, divided by the smallest singular value, must not decide which end is better."""
+def test_only_the_better_end_is_verified(size):
+    """The gradient is nearly orthogonal to the self-motion."""
     rng, seen = np.random.default_rng(int(-np.log10(size))), 0
     for slope, width in [(1e-2, 1e-4), (1e-4, 1e-2), (1e-6, 1e-4), (1e-8, 1e-2), (1e-8, 3e-6)] * 3:
         unit = rng.choice([1.0, 1e3])  # unit of length
@@ -148,8 +147,8 @@ def test_only_the_better_end_is_verified_if_the_gradient_is_nearly_orthogonal_to
     assert seen > 9
 
 
-def test_rounded_jacobians_do_not_make_a_joint_outside_the_self_motion_limit_the_self_motion():
-    """The bounds of the elbow are zero, but the elbow rests in the self-motion, so x = 0 is not the optimum."""
+def test_rounded_jacobians_do_not_limit_the_self_motion():
+    """The elbow has zero bounds, but rests in the self-motion."""
     state = ROBOTS[0].state(np.array([-2.405, -0.753, 0.226, -0.016, 1.96, -2.009, 2.289]), np.zeros(7))
     A, bounds = np.round(state.A, 13), np.ones(7)
     z = null_space(np.delete(state.A, [3, 6], axis=1), rcond=1e-7)[:, 0]

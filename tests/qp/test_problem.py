@@ -1,4 +1,4 @@
-"""Tests of NullSpaceQP: its cost and equality rows, its storage as one flat array, and its errors for bad input."""
+"""NullSpaceQP: cost, equality rows, flat storage and errors for bad input."""
 
 import pickle
 
@@ -52,14 +52,14 @@ def test_bad_input_names_the_field(qp, field, value):
         changed(qp, **{field: value})
 
 
-def test_an_answer_of_another_shape_is_refused_by_name(qp):
-    assert np.isnan(qp.objective(np.full(7, np.nan)))  # a bad answer, not an error
+def test_answer_of_another_shape_is_refused_by_name(qp):
+    assert np.isnan(qp.objective(np.full(7, np.nan)))  # NaN is no error
     for given_x, given_y, said in ((np.zeros(6), None, "x: shape"), (np.zeros(7), np.zeros(5), "y: .*five duals")):
         with pytest.raises(SubproblemError, match=said):
             qp.residuals(given_x, given_y)
 
 
-def test_the_flat_array_gives_back_the_same_subproblem(qp):
+def test_flat_array_gives_back_the_same_subproblem(qp):
     plain = changed(qp, q=None, c2=1e12)
     assert plain.q is None
     assert changed(qp, q=np.arange(7.0)).q.tolist() == list(range(7))
@@ -71,7 +71,7 @@ def test_the_flat_array_gives_back_the_same_subproblem(qp):
         fields(np.zeros(83))
 
 
-def test_an_array_that_is_not_contiguous_doubles_is_copied(qp):
+def test_array_that_is_not_contiguous_doubles_is_copied(qp):
     row = np.array(qp.row)
     for held in (np.repeat(row, 2)[::2], row.astype(np.float32)):
         np.testing.assert_array_equal(NullSpaceQP.from_row(held).row, held)
@@ -80,7 +80,7 @@ def test_an_array_that_is_not_contiguous_doubles_is_copied(qp):
 
 
 @pytest.mark.parametrize("n", [1, 6, 7, 9])
-def test_the_fields_cover_the_flat_array_in_order(n):
+def test_fields_cover_the_flat_array_in_order(n):
     record = np.arange(float(row_length(n)))
     for rows in (record, record[None]):
         parts = fields(rows)
@@ -90,7 +90,6 @@ def test_the_fields_cover_the_flat_array_in_order(n):
 
 
 def check_assembled(qp, rows):
-    """Check the core's cost and rows against plain numpy."""
     found, weight = qp.assembled(), np.repeat([qp.c0, qp.c1], 3)
     np.testing.assert_allclose(qp.P, qp.A.T @ (weight[:, None] * qp.A) + qp.regularization * np.eye(qp.n), atol=1e-14)
     np.testing.assert_allclose(qp.p, -qp.A.T @ (weight * qp.b) - qp.c2 * qp.pull, atol=1e-14)

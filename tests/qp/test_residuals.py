@@ -1,4 +1,4 @@
-"""Tests of the residuals of an answer: comparisons with linear programs, perturbed optima and their definitions."""
+"""The residuals of an answer."""
 
 from fractions import Fraction
 
@@ -23,7 +23,7 @@ def optimum(qp):
 
 @pytest.mark.parametrize("regularization", [0.0, 1e-5])
 @pytest.mark.parametrize(("n", "structured"), [*CASES, (12, False)])  # with 12 joints, not all facets are tried
-def test_an_optimum_is_verified_and_its_neighbours_are_not(n, structured, regularization):
+def test_optimum_is_verified_and_its_neighbours_are_not(n, structured, regularization):
     rng = np.random.default_rng(5)
     for _ in range(8):
         qp = random_problem(rng, n, structured=structured, regularization=regularization)
@@ -38,19 +38,19 @@ def test_an_optimum_is_verified_and_its_neighbours_are_not(n, structured, regula
         assert with_bad_duals.verified()
         broken = x + 1e-3 * rng.choice([-1.0, 1.0], size=n)
         assert not qp.residuals(broken, y).verified()
-        if n == 12:  # the optimum's duals are used instead of the best ones
+        if n == 12:  # the optimum's duals are used
             wrong = optimum(changed(qp, grad_mu=-qp.grad_mu))[0]
             assert qp.residuals(wrong).natural_best == pytest.approx(qp.residuals(wrong, y).natural, rel=1e-6)
 
 
 @pytest.mark.parametrize(("n", "structured"), CASES)
-def test_natural_best_is_the_smallest_natural_residual_over_all_duals(n, structured):
-    """The smallest residual t is found by bisection: a linear program in y decides whether t can be reached."""
+def test_natural_best_is_smallest_residual_over_all_duals(n, structured):
+    """Bisection finds t, and a linear program in y decides whether t can be reached."""
     rng = np.random.default_rng(7)
 
     def reachable(qp, x, t):
         low, high = np.where(qp.upper - x <= t, -np.inf, -t), np.where(x - qp.lower <= t, np.inf, t)
-        scale, slope = 1e4, qp.P @ x + qp.p  # unscaled, the numbers are below the program's tolerance
+        scale, slope = 1e4, qp.P @ x + qp.p  # keeps numbers above the program's tolerance
         rows = LinearConstraint(qp.A.T, scale * (low - slope), scale * (high - slope))
         return milp(np.zeros(6), constraints=rows, bounds=Bounds()).status == 0
 
@@ -65,7 +65,7 @@ def test_natural_best_is_the_smallest_natural_residual_over_all_duals(n, structu
 
 
 def ends_of_the_swivel(qp):
-    """Return the best and the worst point of a problem whose only motion is one self-motion (and idle joints)."""
+    """Return the best and worst point of a problem with one self-motion."""
     x, _ = optimum(qp)
     moving = np.abs(qp.A).max(0) > 1e-12
     z = np.zeros(qp.n)
@@ -77,7 +77,7 @@ def ends_of_the_swivel(qp):
 
 
 @pytest.mark.parametrize("regularization", [0.0, 1e-5, 1e-3])
-def test_loss_is_the_lost_share_of_the_range_of_the_cost(regularization):
+def test_loss_is_lost_share_of_cost_range(regularization):
     rng = np.random.default_rng(8)
     for _ in range(5):
         qp = random_problem(rng, regularization=regularization)
@@ -90,7 +90,7 @@ def test_loss_is_the_lost_share_of_the_range_of_the_cost(regularization):
             found = qp.residuals(between)
             assert found.loss == pytest.approx(expected, abs=1e-9)
             assert found.distance == pytest.approx(share * np.abs(worst - x).max(), rel=1e-6)
-        assert qp.residuals(worst + 0.1 * (worst - x)).loss == 1.0  # beyond the worst point it stays 1
+        assert qp.residuals(worst + 0.1 * (worst - x)).loss == 1.0  # beyond the worst point
         assert 0.0 <= qp.residuals(x - 0.1 * (worst - x)).loss <= 1.0
 
 
@@ -114,7 +114,7 @@ def test_no_wrong_corner_is_verified(n, size, tilt, regularization):
     ({"relative": 1.0, "loss": 1.0, "distance": 1e-6}, True),
     ({"relative": 1.0, "loss": 1.0, "distance": 1.1e-6}, False), ({"primal": 2e-6, "distance": 0.0}, False),
 ])  # fmt: skip
-def test_each_limit_of_the_verification_rule_decides_alone(gates, verified):
+def test_each_limit_of_the_rule_decides_alone(gates, verified):
     at_the_limit = {
         "primal": 1e-6, "natural": 9.0, "natural_best": 9.0, "relative": 1e-3, "loss": 1e-2, "distance": 1.0,
     }  # fmt: skip
@@ -127,7 +127,7 @@ def test_each_limit_of_the_verification_rule_decides_alone(gates, verified):
 
 
 def sliver(width, regularization=0.0):
-    """Return (problem, x, z): its self-motion along z is feasible over ``width`` [rad/s]; x is its optimum."""
+    """Return (problem, optimum x, z). The self-motion along z has this `width` [rad/s]."""
     qp = random_problem(np.random.default_rng(21), regularization=regularization)
     x, worst = ends_of_the_swivel(qp)
     z = (x - worst) / np.abs(x - worst).max()
@@ -140,22 +140,22 @@ def sliver(width, regularization=0.0):
 
 
 @pytest.mark.parametrize("regularization", [0.0, 1e-5])
-def test_an_answer_within_the_primal_tolerance_of_an_optimum_is_verified(regularization):
+def test_answer_within_primal_tolerance_of_optimum_is_verified(regularization):
     qp, x, z = sliver(1e-5, regularization)
     for off, right in ((0.0, True), (9e-7, True), (1.5e-6, False), (1e-5, False)):
         found = qp.residuals(x - off * z)
         assert found.distance == pytest.approx(off, abs=1e-9)
         assert found.loss == pytest.approx(off / 1e-5, abs=1e-3)
         assert found.verified() == right
-    for width, loss in ((5e-10, 0.0), (5e-9, 1.0)):  # below 1e-9 rad/s the interval counts as a point
+    for width, loss in ((5e-10, 0.0), (5e-9, 1.0)):  # below 1e-9 rad/s it counts as a point
         qp, x, z = sliver(width, regularization)
         assert qp.residuals(x - width * z).loss == pytest.approx(loss, abs=1e-4)
 
 
 @pytest.mark.parametrize("regularization", [0.0, 1e-5])
 @pytest.mark.parametrize("pull", [-2.0, 0.0, 3.0])
-def test_an_idle_joint_is_judged_by_its_own_interval(pull, regularization):
-    """Joint 7 moves neither tip nor wrist, so it has its own optimum. It does not hide the loss of other joints."""
+def test_idle_joint_is_checked_by_its_own_interval(pull, regularization):
+    """Joint 7 moves neither tip nor wrist."""
     qp = random_problem(np.random.default_rng(14), regularization=regularization)
     grad_mu = np.array(qp.grad_mu)
     grad_mu[6] = pull
@@ -181,7 +181,7 @@ def test_an_idle_joint_is_judged_by_its_own_interval(pull, regularization):
     assert qp.residuals(there).loss == pytest.approx(1.0, abs=1e-9)
 
 
-def test_the_loss_is_that_of_the_idle_joint_with_the_largest_loss():
+def test_idle_joint_with_the_largest_loss_decides():
     J, ones = np.diag([1.0, 0.0, 0.0]), np.ones(3)
     qp = NullSpaceQP(J, J, np.zeros(3), np.zeros(3), [0.0, 2.0, -1.0], -ones, ones)
     assert qp.residuals([0.0, 1.0, -1.0]).verified()
@@ -192,7 +192,7 @@ def test_the_loss_is_that_of_the_idle_joint_with_the_largest_loss():
 
 @pytest.mark.parametrize("unit", [1e-4, 1.0, 1e4])
 @pytest.mark.parametrize("n", [7, 8])
-def test_if_the_gradient_along_the_self_motion_is_only_rounding_every_feasible_answer_is_verified(n, unit):
+def test_every_feasible_answer_is_verified_without_a_gradient(n, unit):
     qp = random_problem(np.random.default_rng(30), n, structured=False, regularization=0.0)
     Z = kernel(qp)
     x = optimum(qp)[0]
@@ -208,12 +208,12 @@ def test_if_the_gradient_along_the_self_motion_is_only_rounding_every_feasible_a
         assert problem.residuals(best).verified()
 
 
-def test_the_residual_relative_is_scaled_by_the_gradient_along_the_self_motion():
-    """Almost all of grad_mu is orthogonal to ker A. Scaled by |grad_mu|, a wrong corner's residual would be 1e-3."""
+def test_relative_is_scaled_by_gradient_along_self_motion():
+    """Almost all of grad_mu is orthogonal to ker A."""
     rooms = []
     for w in wrong_corners(5, 6, 8, tilt=1e-3):
         z = kernel(w.qp)[:, 0]
-        for regularization in (0.0, 1.0):  # with 1.0, rho sets the scale
+        for regularization in (0.0, 1.0):  # 1.0: rho sets the scale
             slope = z @ (regularization * w.x - w.qp.c2 * w.qp.grad_mu)
             scale = max(w.qp.c2 * abs(z @ w.qp.grad_mu) * np.abs(z).max(), regularization)
             room = np.where(z * slope > 0.0, w.x - w.qp.lower, w.qp.upper - w.x)[np.abs(z) > 1e-9].min()
@@ -225,7 +225,7 @@ def test_the_residual_relative_is_scaled_by_the_gradient_along_the_self_motion()
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e-8])
-def test_without_a_null_space_only_the_references_decide(unit):
+def test_only_references_decide_without_a_null_space(unit):
     rng = np.random.default_rng(4)
     J, x = unit * rng.normal(size=(6, 6)), rng.uniform(-0.5, 0.5, 6)
     b = J @ x
@@ -238,15 +238,15 @@ def test_without_a_null_space_only_the_references_decide(unit):
 
 
 def one_freedom(z, lower, upper):
-    """Return a problem at rest whose six joints can move only along z, which is also the gradient."""
+    """Return a problem whose six joints can move only along z, the gradient."""
     A = np.vstack([np.linalg.svd(z[None])[2][1:], np.zeros(6)])
     return NullSpaceQP(A[:3], A[3:], np.zeros(3), np.zeros(3), z, lower, upper, regularization=0.0)
 
 
 @pytest.mark.parametrize(("width", "loss"), [(3e-8, 0.0), (3e-7, 1.0)])
 @pytest.mark.parametrize("slow", [0, 5])
-def test_an_interval_that_ends_at_a_slow_joint_counts_as_a_point_if_rounding_is_as_large(slow, width, loss):
-    """The rounding error of a bound, 1e-14 rad/s, is divided by the joint's speed along the self-motion, 1e-7."""
+def test_interval_shorter_than_rounding_counts_as_a_point(slow, width, loss):
+    """The rounding error of a bound is divided by the joint's speed, 1e-7."""
     z = np.full(6, np.sqrt(0.2))
     z[slow] = 1e-7
     lower, upper = np.full(6, -1.0), np.full(6, 1.0)
@@ -254,24 +254,24 @@ def test_an_interval_that_ends_at_a_slow_joint_counts_as_a_point_if_rounding_is_
     assert one_freedom(z, lower, upper).residuals(np.zeros(6)).loss == pytest.approx(loss, abs=1e-6)
 
 
-def test_if_two_bounds_contradict_each_other_the_middle_between_them_is_taken():
+def test_middle_of_contradicting_bounds_is_taken():
     z = np.array([0.5, 0.5, 0.5, 0.3, 0.3, np.sqrt(0.07)])
     lower, upper = np.full(6, -1.0), np.full(6, 1.0)
     lower[0], upper[1] = 8e-7 * z[0], 4e-7 * z[1]
     assert one_freedom(z, lower, upper).residuals(np.zeros(6)).distance == pytest.approx(6e-7 * 0.5, rel=1e-6)
 
 
-def test_products_that_cancel_are_as_exact_as_in_twice_the_precision():
+def test_products_that_cancel_are_accurate():
     rng = np.random.default_rng(3)
     A, x = rng.normal(size=(2, 6, 9)), rng.normal(size=(2, 9, 4))
     A[:, :, 8] = -(A[:, :, :8] @ x[:, :8])[:, :, 0]
-    x[:, 8] = 1.0  # the first column of each product is only rounding
+    x[:, 8] = 1.0  # the first column is only rounding
     exact = np.vectorize(Fraction, otypes=[object])
     expected = np.array([exact(a) @ exact(b) for a, b in zip(A, x, strict=True)], dtype=float)
     np.testing.assert_allclose(optimality._product(A, x), expected, rtol=1e-15, atol=1e-30)
 
 
-def test_a_batch_may_mix_ranks_and_idle_joints():
+def test_batch_may_mix_ranks_and_idle_joints():
     rng = np.random.default_rng(40)
     problems = [random_problem(rng, 7, structured=k % 2 == 0, regularization=1e-5 * (k % 3)) for k in range(9)]
     J = rng.normal(size=(6, 7))
@@ -301,14 +301,14 @@ def test_natural_and_primal_equal_their_definitions(regularization):
             assert found.primal == pytest.approx(max(np.abs(qp.A @ x - qp.b).max(), beyond), rel=1e-12)
             bad = np.array(y)
             bad[3] = np.nan
-            for none in (None, bad):  # without a valid dual, the best dual is used
+            for none in (None, bad):  # the best dual is used
                 without = qp.residuals(x, none)
                 assert without.natural == without.natural_best == found.natural_best
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1e-3, 1.0, 1e3, 1e6])
-def test_which_joints_are_idle_does_not_depend_on_the_unit_of_length(scale):
-    """In any unit, a column of 1e-13 |A| counts as zero and one of 1e-11 |A| does not."""
+def test_idle_joints_do_not_depend_on_length_unit(scale):
+    """A column below about 1e-12 |A| counts as zero."""
     rng = np.random.default_rng(51)
     A = rng.normal(size=(6, 8))
     A /= np.linalg.norm(A)
@@ -320,8 +320,8 @@ def test_which_joints_are_idle_does_not_depend_on_the_unit_of_length(scale):
 
 @pytest.mark.parametrize("regularization", [0.0, 1e-5])
 @pytest.mark.parametrize("n", [7, 8])
-def test_if_one_point_is_feasible_the_distance_is_measured_to_this_point(n, regularization):
-    """Only this point is verified. If no point is feasible, the loss is 1 and the distance infinite."""
+def test_distance_is_measured_to_the_only_feasible_point(n, regularization):
+    """If no point is feasible, the loss is 1 and the distance infinite."""
     qp = random_problem(np.random.default_rng(17), n, structured=False, regularization=regularization)
     x, z = optimum(qp)[0], kernel(qp)[:, 0]
     lower, upper = np.array(x), np.array(x)
@@ -340,8 +340,8 @@ def test_if_one_point_is_feasible_the_distance_is_measured_to_this_point(n, regu
 
 
 @pytest.mark.parametrize("n", [7, 8])
-def test_rest_is_not_optimal_if_the_bounds_exclude_it(n):
-    """A cost without a gradient is smallest at rest, or on a bound if the bounds exclude rest."""
+def test_rest_is_not_optimal_if_bounds_exclude_it(n):
+    """Without a gradient, the cost is smallest at rest."""
     qp = random_problem(np.random.default_rng(60), n, structured=False, regularization=1.0)
     z = kernel(qp)[:, 0]
     j = int(np.argmax(np.abs(z)))
@@ -354,7 +354,7 @@ def test_rest_is_not_optimal_if_the_bounds_exclude_it(n):
     assert still.residuals(optimum(still)[0]).verified()
 
 
-def test_a_nan_answer_has_the_worst_residuals_and_the_residual_relative_does_not_depend_on_c2():
+def test_nan_answer_has_the_worst_residuals():
     qp = random_problem(np.random.default_rng(10), regularization=0.0)
     found = qp.residuals(np.full(7, np.nan))
     assert (found.primal, found.loss, found.verified()) == (np.inf, 1.0, False)
@@ -363,7 +363,7 @@ def test_a_nan_answer_has_the_worst_residuals_and_the_residual_relative_does_not
     assert big == pytest.approx(small, rel=1e-9)
 
 
-def test_the_rank_of_each_problem_of_a_batch_is_decided_alone():
+def test_rank_of_each_problem_is_decided_alone():
     s = np.array([[1.0, 1.0, 1.0, 1.0, 1.0, last] for last in (1.0, 1e-6, 1e-8, 0.0)])
     s = np.vstack([s, [1.0, 1.0, 1.0, 1.0, 1e-8, 1e-9], [1.0, 1.0, 1.0, 1.0, 1e-14, 1e-14]])
     expected = [6, 6, 5, 5, 5, 4]

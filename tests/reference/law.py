@@ -1,13 +1,12 @@
 """The control law of docs/method.md in plain numpy. Tests compare the C core with it.
 
-It is written for reading, with slow pseudo-inverses instead of factorizations. ``s`` is a RobotState. X and N are the
-positions of tip and wrist, L is their distance, and P and dP are the position and velocity of the trocar.
+``s`` is a RobotState. X is the tip, N the wrist and L their distance. The trocar has the position P and velocity dP.
 """
 
 import numpy as np
 from scipy.linalg import null_space as scipy_null_space
 
-# The first four constants are explained in moc_opt/core/law.c, the others in null_space.c.
+# These constants are explained in moc_opt/core/law.c and null_space.c.
 STRAIGHT, SHAFT_PULL, SHAFT_LOST, BOX_OPENS = 1e-3, 0.1, 0.1, 3.0
 CLIMB_PER_S, LONGEST_RAD, PROBE_RAD = 5.0, 1.0, 1e-3
 
@@ -38,7 +37,7 @@ def null_space(A):
 
 
 def projector(name, s):
-    """Return the second level's projector (n, n): dynamically consistent, static, or as the paper prints it."""
+    """Return the second level's projector (n, n)."""
     J, eye = s.J_tip, np.eye(s.n)
     if name == "as_published":
         return eye - J.T @ J
@@ -67,11 +66,10 @@ def rcm_torque(s, K_N, D_N, trocar, projector_name="dynamic", rcm_lambda=None):
 
 
 def feedforward(s, tip_ref, trocar):
-    """J_T^T F_T + B^T F_W, the torque for the accelerations a_T of the tip and a_W of the wrist.
+    """J_T^T F_T + B^T F_W, the torque for the accelerations of tip and wrist.
 
-    B (2, n) is J_W projected on two directions across the shaft. While the tip is held, the wrist's mobility is
-    S = B M^-1 B^T - B M^-1 J^T Lambda J M^-1 B^T, where Lambda is the tip's inertia. A direction with almost no
-    mobility gets no force.
+    B (2, n) is J_W projected on two directions across the shaft. Lambda is the tip's inertia.
+    The wrist's mobility is S = B M^-1 B^T - B M^-1 J^T Lambda J M^-1 B^T.
     """
     J, B = s.J_tip, scipy_null_space(s.tool_direction[None]).T @ s.J_wrist
     M_inverse = np.linalg.inv(s.M)
@@ -87,27 +85,27 @@ def feedforward(s, tip_ref, trocar):
 
 
 def velocity_damper(q, q_min, q_max, v_max, k0):
-    """lower = max(-v_max, -k0 (q - q_min)), upper = min(v_max, -k0 (q - q_max)). Beyond a limit, q may only return."""
+    """lower = max(-v_max, -k0 (q - q_min)), upper = min(v_max, -k0 (q - q_max))."""
     lower = np.clip(-k0 * (q - q_min), -v_max, v_max)
     return lower, np.clip(-k0 * (q - q_max), -v_max, v_max)
 
 
 def references(s, tip_ref, trocar):
-    """Return (v_T, v_W): dX_d, and the wrist's reference velocity, corrected so that u^T (v_T - v_W) = 0."""
+    """Return the reference velocities (v_T, v_W) of tip and wrist, with u^T (v_T - v_W) = 0."""
     v_T, u = tip_ref[1], s.tool_direction
     _, v_W = desired_wrist(s.tip, v_T, *trocar, s.tool_span)
     return v_T, v_W + u * (u @ (v_T - v_W))
 
 
 def shaft_push(mu_shaft, margin):
-    """Return the factor with which grad mu_shaft is added to grad mu. It is zero if mu_shaft is above the margin."""
+    """Return the factor of grad mu_shaft, zero above the margin."""
     if mu_shaft >= margin:
         return 0.0
     return SHAFT_PULL * (1.0 - mu_shaft / margin) * mu_shaft / (mu_shaft**2 + (SHAFT_LOST * margin) ** 2)
 
 
 def slope(s, margin=0.0):
-    """Return the gradient that the null-space motion follows, projected onto ker A."""
+    """Return the gradient of the null-space motion, projected onto ker A."""
     Z = null_space(s.A)
     return Z.T @ Z @ (s.grad_mu + shaft_push(s.mu_shaft, margin) * s.grad_mu_shaft)
 

@@ -18,7 +18,6 @@ K_N2 = np.array([80.0, 120.0, 60.0, 30.0, 20.0, 10.0, 10.0])  # Table I [N m s/r
 
 @pytest.fixture(scope="module")
 def states(robot, regular_poses):
-    """The arm at rest in 50 regular poses."""
     return [robot.state(q) for q in regular_poses(50)]
 
 
@@ -36,18 +35,18 @@ def idempotence(N):
 
 
 def leak(state, N):
-    """Return the tip acceleration that the projector N lets through, divided by the tip acceleration without N."""
+    """Return the share of the tip acceleration that the projector N lets through."""
     J, M = state.J_tip, state.M
     return np.linalg.norm(J @ np.linalg.solve(M, N), 2) / np.linalg.norm(J @ np.linalg.inv(M), 2)
 
 
 def saddle(qp):
-    """Return the Jacobian (n + 6, n + 6) of F(Y) = [dL/dx, -dL/dlambda]. The printed F has the opposite sign."""
+    """Return the Jacobian (n + 6, n + 6) of F(Y) = [dL/dx, -dL/dlambda]."""
     return np.block([[qp.P, qp.A.T], [-qp.A, np.zeros((6, 6))]])
 
 
 # Printed: (I - J_T^T J_T) J_W^T F. Right: I - J_T^T Jbar_T^T, or I - J_T^T pinv(J_T)^T.
-def test_printed_projector_is_not_idempotent_and_lets_the_tip_move(states):
+def test_printed_projector_lets_the_tip_move(states):
     for s in states:
         printed, dynamic, static = (projector(name, s) for name in ("as_published", "dynamic", "static"))
         assert idempotence(printed) > 0.05
@@ -56,7 +55,7 @@ def test_printed_projector_is_not_idempotent_and_lets_the_tip_move(states):
 
 
 # Printed: J_W is 3x5. Right: it is 3x7, and zero where a joint does not move the wrist.
-def test_the_wrist_jacobian_has_seven_columns_of_which_three_are_zero(states):
+def test_wrist_jacobian_has_seven_columns(states):
     for s in states:
         assert s.J_wrist.shape == (3, 7)
         np.testing.assert_array_equal(s.J_wrist[:, 4:], 0.0)  # axes 5, 6 and 7 meet in the wrist centre
@@ -69,25 +68,25 @@ def test_printed_third_level_lacks_an_inverse(states):
         Z = null_space(s.A)
         inner = Z @ s.M @ Z.T
         consistent, printed = s.M @ Z.T @ np.linalg.inv(inner) @ Z, (inner @ Z @ s.M).T
-        assert printed.shape == (7, len(Z))  # not (7, 7), so no joint vector fits
+        assert printed.shape == (7, len(Z))  # so no joint vector fits
         assert idempotence(consistent) < 1e-9
-        assert idempotence(printed @ Z) > 0.5  # with Z the shape is right, but the inverse is missing
-        # ratio of the printed torque to the consistent one [kg^2 m^4]
+        assert idempotence(printed @ Z) > 0.5  # the inverse is missing
+        # printed torque / consistent torque [kg^2 m^4]
         assert (np.linalg.eigvalsh(inner) ** 2).max() < 0.5
 
 
 # Printed: grad F + grad F^T <= 0, with blocks J J^T (3x3). Right: 2 diag(c0 J_T^T J_T + c1 J_W^T J_W, 0, 0) >= 0 (7x7).
-def test_gradient_of_f_is_positive_semidefinite_and_seven_by_seven(robot, states):
+def test_gradient_of_f_is_positive_semidefinite(robot, states):
     for s in states:
         G, wanted = saddle(subproblem(robot, s)), np.zeros((13, 13))
         wanted[:7, :7] = 2.0 * (PAPER.c0 * s.J_tip.T @ s.J_tip + PAPER.c1 * s.J_wrist.T @ s.J_wrist)
         np.testing.assert_allclose(G + G.T, wanted, atol=1e-15)
-        # The proof of convergence needs a monotone F. With the printed sign, F is not monotone.
+        # The proof of convergence needs a monotone F.
         assert np.linalg.eigvalsh(G + G.T)[-1] > 1e-3
 
 
 # Printed: F(Y) = [-dL/dqd, dL/dl], without a time constant. Right: [dL/dqd, -dL/dl], with eps, or m steps per tick.
-def test_modes_grow_with_the_printed_sign_and_decay_slowly_with_the_right_sign(robot, states):
+def test_modes_grow_with_the_printed_sign(robot, states):
     """With dY/dt = -k F(Y), the real part of an eigenvalue is -k c0 s^2 / 2 for a singular value s of A."""
     for s in states:
         qp = subproblem(robot, s)
@@ -100,8 +99,8 @@ def test_modes_grow_with_the_printed_sign_and_decay_slowly_with_the_right_sign(r
 
 
 # Printed: e_N1 = d / lambda with lambda = 0.5. Right: |N_d - N|. The setting rcm_lambda keeps the printed form.
-def test_the_true_lambda_is_not_constant(states):
-    """For a shaft 2 mm off the trocar, d / |N_d - N| equals |P - X| / L. This ratio varies with the depth."""
+def test_true_lambda_is_not_constant(states):
+    """For a shaft off the trocar, d / |N_d - N| equals |P - X| / L."""
     depths, found = np.array([task.depth_m for task in BOARD_TASKS.values()]), []
     for s in states:
         across = np.cross(s.tool_direction, np.eye(3)[np.argmin(np.abs(s.tool_direction))])
@@ -115,8 +114,7 @@ def test_the_true_lambda_is_not_constant(states):
 
 
 # Printed: K_N2 = [80, ...] acts on qdd_d, at c2 = 0.001 and k = 0.1. The solver rnn-printed uses this form.
-def test_the_torque_that_mu_causes_in_the_printed_network_is_too_small_to_act(robot, states):
-    """Setting c2 to zero changes the torque by less than 0.002 Nm. The bounds do not reduce this change."""
+def test_torque_of_mu_in_printed_network_is_tiny(robot, states):
     rng, printed, share, free = np.random.default_rng(0), solvers.create("rnn-printed"), 0.0, 0.0
     for rest in states:
         for v in (np.zeros(7), rng.uniform(-0.01, 0.01, 7)):

@@ -1,4 +1,4 @@
-"""URDFs as vendors write them: arms of the package with additional parts."""
+"""URDFs as vendors write them."""
 
 from pathlib import Path
 
@@ -34,7 +34,7 @@ def joint(name: str, kind: str, parent: str, child: str, more: str = "") -> str:
 
 
 def with_hand(text: str) -> str:
-    """Add a massless flange, a hand, two fingers (the second mimics the first), shapes and drives."""
+    """Add a massless flange, a hand, two fingers, shapes and drives."""
     slide = '<axis xyz="0 1 0"/><limit lower="0.01" upper="0.04" velocity="0.2" effort="20"/>'
     mesh = '<visual><geometry><mesh filename="package://nowhere/finger.dae"/></geometry></visual>'
     return added(

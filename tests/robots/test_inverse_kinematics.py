@@ -1,4 +1,4 @@
-"""Inverse kinematics: the poses found reach their targets within the limits, and a failure is explained."""
+"""Inverse kinematics reaches its targets or explains the failure."""
 
 import numpy as np
 import pytest
@@ -14,8 +14,8 @@ def inside(robot, q):
     return bool(((q >= robot.q_min) & (q <= robot.q_max)).all())
 
 
-def test_with_one_joint_at_its_limit_the_others_reach_the_target(robot):
-    """The start is at a joint limit, and the shortest way to the goal leads beyond this limit."""
+def test_target_is_reached_with_one_joint_at_its_limit(robot):
+    """The shortest way to the goal leads beyond the limit."""
     q = np.array(robot.data.q_home)
     q[2] = robot.q_min[2] + 1e-3
     state = robot.state(q)
@@ -29,10 +29,10 @@ def test_with_one_joint_at_its_limit_the_others_reach_the_target(robot):
     assert inside(robot, placed.q)
 
 
-def test_for_a_target_out_of_reach_the_nearest_pose_is_returned_as_not_found(robot):
+def test_nearest_pose_is_returned_for_target_out_of_reach(robot):
     placed = solve_pose(robot, robot.data.q_home, np.array([3.0, 0.0, 0.3]), iterations=200)
     assert not placed.found
-    reach = 0.4 + 0.39 + 0.378  # from the shoulder to the tip of the stretched arm
+    reach = 0.4 + 0.39 + 0.378  # shoulder to tip of the stretched arm
     assert placed.miss_m == pytest.approx(3.0 - reach, abs=0.05)
     gap = np.abs(np.array([3.0, 0.0, 0.3]) - robot.state(placed.q).tip).max()
     assert placed.miss_m == pytest.approx(gap, abs=1e-12)
@@ -42,8 +42,8 @@ def test_for_a_target_out_of_reach_the_nearest_pose_is_returned_as_not_found(rob
     (np.full(7, np.nan), np.zeros(3), "q = .* is not finite"), (np.zeros((7, 1)), np.zeros(3), "q has shape"),
     (np.zeros(7), np.array([0.5, 0.0, np.nan]), "tip or wrist = .* is not finite"),
 ])  # fmt: skip
-def test_poses_and_points_that_are_not_finite_or_have_another_shape_are_refused(robot, q, tip, message):
-    """Comparisons with NaN are false, so a NaN point would count as reached without this check."""
+def test_poses_that_are_not_finite_are_refused(robot, q, tip, message):
+    """Without this check, a NaN point would count as reached."""
     with pytest.raises(RobotError, match=message):
         solve_pose(robot, q, tip)
 
@@ -68,6 +68,6 @@ def test_a_pose_is_found_for_the_tip_and_trocar_of_any_regular_pose(robot, seed)
     ((0.58, 0, 0.05), (0.58, 0, 0.45), "400 mm from the tip"), ((0.58, 0, 0.05), (0.58, 0, 0.05), "0 mm from the tip"),
     ((1.2, 0, 0.05), (1.2, 0, 0.2), "out of reach"), ((0.58, 0, np.nan), (0.58, 0, 0.2), "nan mm from the tip"),
 ])  # fmt: skip
-def test_an_impossible_tip_or_trocar_is_refused_with_the_reason(robot, tip, trocar, message):
+def test_impossible_tip_or_trocar_is_refused_with_reason(robot, tip, trocar, message):
     with pytest.raises(TaskError, match=message):
         pose_through(robot, tip, trocar)

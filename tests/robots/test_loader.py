@@ -1,4 +1,4 @@
-"""Robot files: the LWR4+ has the numbers of its data sheet, and a bad file is refused with the reason."""
+"""Robot files: published numbers are read, and bad files are refused."""
 
 from pathlib import Path
 
@@ -24,7 +24,7 @@ def write(folder: Path, toml: str = TOML, urdf: str = URDF) -> Path:
     return path
 
 
-def test_the_lwr4_has_the_published_numbers() -> None:
+def test_lwr4_has_the_published_numbers() -> None:
     data = load_data("lwr4")
     np.testing.assert_allclose(np.degrees(data.q_max), [170, 120, 170, 120, 170, 120, 170])
     np.testing.assert_array_equal(data.q_min, -data.q_max)
@@ -38,7 +38,7 @@ def test_the_lwr4_has_the_published_numbers() -> None:
         data.q_home[0] = 1.0
 
 
-def test_limits_of_the_toml_replace_those_of_the_urdf(tmp_path: Path) -> None:
+def test_limits_of_toml_replace_those_of_urdf(tmp_path: Path) -> None:
     data = load_data(write(tmp_path, changed(TOML, ("q_max_deg = [170, 120", "q_max_deg = [150, 120"))))
     first = read(data.urdf).joints[0]
     assert first.limits["upper"] == data.q_max[0] == pytest.approx(np.radians(150))
@@ -61,7 +61,7 @@ def test_tool_is_a_slender_rod_on_the_flange(length: float, mass: float) -> None
         assert (joints[name].parent, joints[name].xyz) == ("link_7", (0.0, 0.0, z))
 
 
-def test_a_robot_is_loaded_by_the_path_of_its_toml_or_urdf(tmp_path: Path) -> None:
+def test_robot_is_loaded_by_its_path(tmp_path: Path) -> None:
     path = write(tmp_path)
     (tmp_path / "lwr4.toml").write_text(TOML, encoding="utf-8")
     expected = load_data("lwr4").urdf
@@ -69,7 +69,7 @@ def test_a_robot_is_loaded_by_the_path_of_its_toml_or_urdf(tmp_path: Path) -> No
         assert load_data(asked).urdf == expected
 
 
-def test_a_missing_file_or_robot_is_named(tmp_path: Path) -> None:
+def test_missing_file_or_robot_is_named(tmp_path: Path) -> None:
     gone = write(tmp_path, changed(TOML, ('"lwr4.urdf"', '"gone.urdf"')))
     for asked, told in (
         ("lwr", "unknown robot .*'lwr': did you mean 'lwr4'"), (tmp_path / "none.toml", r"none\.toml.*no such file"),
@@ -117,21 +117,21 @@ BAD_URDF = {
 
 
 @pytest.mark.parametrize("case", [*BAD_TOML, *BAD_URDF])
-def test_a_mistake_in_a_robot_file_is_named(case: str, tmp_path: Path) -> None:
+def test_mistake_in_a_robot_file_is_named(case: str, tmp_path: Path) -> None:
     *pair, told = (BAD_TOML | BAD_URDF)[case]
     toml, urdf = (changed(TOML, pair), URDF) if case in BAD_TOML else (TOML, changed(URDF, pair))
     with pytest.raises(MocOptError, match=told):
         load_data(write(tmp_path, toml, urdf))
 
 
-def test_no_link_but_the_base_may_be_called_world(tmp_path: Path) -> None:
+def test_only_the_base_may_be_called_world(tmp_path: Path) -> None:
     assert load_data(write(tmp_path, urdf=URDF.replace('"link_0"', '"world"'))).n == 7
     with pytest.raises(RobotError, match=r"joint_3.*a link 'world'.*rename it"):
         load_data(write(tmp_path, urdf=URDF.replace('"link_3"', '"world"')))
 
 
 @pytest.mark.parametrize("bad", [-0.1, 5e-4, float("nan"), float("inf"), "long"])
-def test_bad_tool_arguments_are_refused_by_name(bad: float) -> None:
+def test_bad_tool_arguments_are_named(bad: float) -> None:
     with pytest.raises(RobotError, match="length"):
         load_data(tool_length=bad)
     with pytest.raises(RobotError, match="mass_kg"):
@@ -142,7 +142,7 @@ def test_bad_tool_arguments_are_refused_by_name(bad: float) -> None:
     "", "0 0", "0 0 0 0", "0,0,0",
     *(f"0 0 {bad}" for bad in ("0x10", "nan", "inf", "1,5", "1e", "-101", "1e999", "1_0", "\u0663.0")),
 ])  # fmt: skip
-def test_a_text_other_than_three_ordinary_decimal_numbers_is_refused(text):
+def test_texts_other_than_three_numbers_are_refused(text):
     origin = '<joint name="j"><parent link="a"/><child link="b"/><origin xyz="{}"/></joint>'
     assert read(f'<robot name="x">{origin.format(f"{FARTHEST} 0 -1e-31")}</robot>').joints[0].xyz == (100.0, 0.0, 0.0)
     with pytest.raises(RobotError, match=r"<origin> of joint 'j', xyz is '.*give three decimal numbers"):
@@ -175,7 +175,7 @@ def test_the_verdict_on_an_inertia_does_not_depend_on_its_axes(moments, seed):
         assert (fault is not None) == wrong
 
 
-def test_parts_of_a_urdf_that_are_not_read_are_not_written():
+def test_unread_parts_of_a_urdf_are_not_written():
     text = load_data().urdf
     more = text.replace("<link", '<gazebo secret="1"/><link', 1).replace(
         "</inertial>", "<density/></inertial><visual><geometry><mesh filename='/etc/passwd'/></geometry></visual>"
@@ -186,7 +186,7 @@ def test_parts_of_a_urdf_that_are_not_read_are_not_written():
 
 
 @pytest.mark.parametrize("axis", ["0 0 2", "0.7 0.7 0", "1e-2 0 0"])
-def test_an_axis_is_scaled_to_length_one(axis):
+def test_axis_is_scaled_to_length_one(axis):
     arm = read(load_data().urdf.replace('<axis xyz="0.0 0.0 1.0"', f'<axis xyz="{axis}"', 1))
     normalize(arm)
     assert np.linalg.norm(arm.joints[0].axis) == pytest.approx(1.0, rel=1e-15)

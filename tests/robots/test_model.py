@@ -1,4 +1,4 @@
-"""The robot model agrees with finite differences, plain numpy and pinocchio at random regular poses."""
+"""The robot model agrees with finite differences, numpy and pinocchio."""
 
 import json
 import pickle
@@ -32,7 +32,6 @@ STEP = 1e-6
 
 @pytest.fixture(params=["robot", "odd_robot"])
 def arm(request: pytest.FixtureRequest) -> RobotModel:
-    """The LWR4+, and an arm without any special geometry."""
     return request.getfixturevalue(request.param)
 
 
@@ -45,13 +44,13 @@ def samples(arm: RobotModel, count: int = 8, seed: int = 1) -> Iterator[tuple[Ar
 
 
 def reference(arm: RobotModel) -> tuple[Any, Any]:
-    """Return a pinocchio model that is built separately from the model under test."""
+    """Return a pinocchio model that is built separately."""
     model = pin.buildModelFromXML(arm.data.urdf)
     return model, model.createData()
 
 
 @pytest.mark.parametrize("scale", [1e-4, 1e4])
-def test_the_gradients_scale_with_the_unit_of_length(robot: RobotModel, scale: float) -> None:
+def test_gradients_scale_with_the_unit_of_length(robot: RobotModel, scale: float) -> None:
     joints, points, *others = robot.arm_arrays
     joints[:, 9:12] *= scale
     scaled, parts = core.Arm(joints, points * scale, *others), layout(robot.n)
@@ -85,7 +84,7 @@ def test_positions_jacobians_and_drifts_equal_pinocchios(arm: RobotModel) -> Non
         np.testing.assert_allclose(s.wrist + s.tool_span * s.tool_direction, s.tip, atol=1e-15)
 
 
-def test_both_manipulabilities_and_their_gradients_agree_with_numpy_and_finite_differences(arm: RobotModel) -> None:
+def test_manipulability_gradients_agree_with_finite_differences(arm: RobotModel) -> None:
     for q, _, s in samples(arm):
         assert s.mu == pytest.approx(np.sqrt(np.linalg.det(s.J_tip @ s.J_tip.T)), rel=1e-12)
         held = np.eye(arm.n) - np.linalg.pinv(s.J_tip) @ s.J_tip
@@ -99,8 +98,8 @@ def test_both_manipulabilities_and_their_gradients_agree_with_numpy_and_finite_d
             np.testing.assert_allclose(getattr(s, f"grad_{name}"), slopes, atol=2e-8)
 
 
-def test_a_shaft_that_cannot_turn_while_the_tip_is_held_gives_no_gradient() -> None:
-    """Three sliding joints move the tip. Two parallel axes through the tip move the wrist in one direction only."""
+def test_shaft_that_cannot_turn_gives_no_gradient() -> None:
+    """The wrist can move in one direction only while the tip is held."""
     joints, n = np.tile(np.r_[np.eye(3).ravel(), np.zeros(3), 0.0, 0.0, 1.0, 0.0], (5, 1)), 5
     joints[:3, 12:15], joints[:3, 15], joints[3:, 12:15] = np.eye(3), 1.0, [0.0, 1.0, 0.0]
     points = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -0.3]])
@@ -112,14 +111,14 @@ def test_a_shaft_that_cannot_turn_while_the_tip_is_held_gives_no_gradient() -> N
 
 
 @pytest.mark.parametrize("bend", [0.0, 1e-12, 1e-9])
-def test_a_singular_arm_gives_no_nan(robot: RobotModel, bend: float) -> None:
+def test_singular_arm_gives_no_nan(robot: RobotModel, bend: float) -> None:
     s = robot.state(np.array([0.2, 0.0, 0.0, bend, 0.0, 0.0, 0.0]))
     assert s.mu < 1e-6
     np.testing.assert_array_equal([s.grad_mu, s.grad_mu_shaft], np.zeros((2, 7)))
     assert np.isfinite(s.record).all()
 
 
-def test_inertia_bias_gravity_and_coriolis_terms_equal_pinocchios(arm: RobotModel) -> None:
+def test_dynamic_terms_equal_pinocchios(arm: RobotModel) -> None:
     model, data = reference(arm)
     for q, v, s in samples(arm):
         bare = pin.crba(model, data, q)
@@ -141,7 +140,7 @@ def test_structural_zeros_are_exact(robot: RobotModel, odd_robot: RobotModel, re
         assert s.grad_mu[6] == 0.0
 
 
-def test_states_share_no_memory_and_cannot_be_changed(robot: RobotModel) -> None:
+def test_states_share_no_memory(robot: RobotModel) -> None:
     q, v = robot.data.q_home.copy(), np.ones(7)
     first = robot.state(q, v)
     kept, second = first.record.copy(), robot.state(q + 0.3, -v)
@@ -163,7 +162,7 @@ def test_states_share_no_memory_and_cannot_be_changed(robot: RobotModel) -> None
     ([0, 0, 0, np.nan, 0, 0, 0], None, "q = "), (np.zeros(7), [0, 0, 0, 0, 0, 0, -np.inf], "v = "),
     (["a"] * 7, None, "q = "),
 ])  # fmt: skip
-def test_bad_vectors_are_named_and_good_ones_of_any_type_accepted(robot: RobotModel, q: Any, v: Any, message: str):
+def test_bad_vectors_are_named(robot: RobotModel, q: Any, v: Any, message: str):
     with pytest.raises(RobotError, match=message):
         robot.state(q, v)
     good = np.linspace(-0.5, 0.7, 7)
@@ -173,7 +172,7 @@ def test_bad_vectors_are_named_and_good_ones_of_any_type_accepted(robot: RobotMo
         np.testing.assert_array_equal(robot.state(taken, taken).record, expected)
 
 
-def test_symbolic_kinematics_and_a_pickled_copy_agree_with_the_model(arm: RobotModel) -> None:
+def test_symbolic_kinematics_agree_with_the_model(arm: RobotModel) -> None:
     k, again = arm.kinematics(), pickle.loads(pickle.dumps(arm))
     assert k is arm.kinematics()
     assert pickle.loads(pickle.dumps(k)) == k
@@ -210,7 +209,7 @@ def test_the_desired_wrists_velocity_is_its_derivative(kernel, seed):
 
 
 @pytest.mark.parametrize("name", ["lwr4", "lwr4_rail"])
-def test_missing_gain_tables_are_derived_and_given_ones_are_kept(name: str, tmp_path: Path) -> None:
+def test_missing_gain_tables_are_derived(name: str, tmp_path: Path) -> None:
     path = tmp_path / f"{name}.toml"
     path.write_text((FOLDER / path.name).read_text(encoding="utf-8").partition("[gains.")[0], encoding="utf-8")
     shutil.copy(FOLDER / f"{name}.urdf", tmp_path)
@@ -223,14 +222,14 @@ def test_missing_gain_tables_are_derived_and_given_ones_are_kept(name: str, tmp_
 
 
 @pytest.mark.parametrize("name", ["iiwa14", "panda", "gen3", "xarm7", "lwr4_rail"])
-def test_the_gain_tables_of_a_robot_file_are_those_derived_from_its_masses(name: str) -> None:
+def test_stored_gain_tables_are_derived_from_masses(name: str) -> None:
     robot = load_robot(name)
     derived = derived_gains(robot)
     assert set(robot.data.gains) == set(derived)
     for key, table in derived.items():
         for gain, value in table.items():
             if (name, key) == ("gen3", "default") and gain in ("K_X", "D_X", "K_N", "D_N"):
-                # At three ticks of delay only softer gains are stable here (tests/scenario/test_arms_runs.py).
+                # Only softer gains are stable at three ticks of delay.
                 assert robot.data.gains[key][gain] < value
                 continue
             np.testing.assert_array_equal(robot.data.gains[key][gain], value, err_msg=f"{key}, {gain}")
@@ -239,14 +238,14 @@ def test_the_gain_tables_of_a_robot_file_are_those_derived_from_its_masses(name:
 @settings(max_examples=30)
 @given(delay=st.integers(0, 6), side=st.sampled_from([0.98, 1.02]))
 def test_largest_rate_is_the_stability_limit_of_a_delayed_loop(delay: int, side: float) -> None:
-    """If the rate is below the limit, and only then, all roots of z^(d+1) - z^d + T rate lie within the unit circle."""
+    """Below the limit, all roots of z^(d+1) - z^d + T rate lie within the unit circle."""
     plant = PlantSettings(delay_ticks=delay, velocity_cutoff_Hz=0.0)
     gain = side * largest_rate(plant) * plant.period_s
     roots = np.roots([1.0, -1.0, *[0.0] * (delay - 1), gain] if delay else [1.0, gain - 1.0])
     assert (np.abs(roots).max() < 1.0) == (side < 1.0)
 
 
-def test_a_robot_restored_from_a_trace_is_the_same_arm() -> None:
+def test_robot_restored_from_a_trace_is_the_same() -> None:
     robot = load_robot("lwr4_rail", tool_length=0.25)
     again = restored(json.loads(json.dumps(carried(robot))))
     q, v = robot.data.q_home, np.linspace(-1.0, 1.0, robot.n)
@@ -259,7 +258,7 @@ def test_a_robot_restored_from_a_trace_is_the_same_arm() -> None:
     {"q_min": [0.0]}, {"q_min": "x"}, {"q_max": [np.nan] * 7}, {"joint_names": []}, {"more": 1}, {"urdf": "<robot/>"},
     {"gains": 3}, {"tip_frame": "gone"}, {"joint_names": [*"abcdefg"]}, {"urdf": "<robot"}, None,
 ])  # fmt: skip
-def test_a_damaged_stored_robot_is_refused(robot: RobotModel, change: dict[str, Any] | None) -> None:
+def test_damaged_stored_robot_is_refused(robot: RobotModel, change: dict[str, Any] | None) -> None:
     with pytest.raises(RobotError):
         restored([] if change is None else {**carried(robot), **change})  # type: ignore[arg-type]
 
@@ -269,12 +268,12 @@ Rows = list[tuple[float, float, float, float]]
 
 
 def upright(signs: tuple[float, ...], lengths: tuple[float, ...]) -> Rows:
-    """Return the rows of an arm whose neighbouring axes intersect. Each alpha is a sign times a right angle."""
+    """Return the rows of an arm whose neighbouring axes intersect."""
     return [(0, sign * RIGHT, d, 0) for sign, d in zip(signs, lengths, strict=True)]
 
 
-# Denavit-Hartenberg rows (a, alpha, d, offset of q) as the makers print them, and the distance from the last frame to
-# the flange. In Craig's convention, a and alpha come before the joint's transform. In the classical, they come after.
+# Denavit-Hartenberg rows (a, alpha, d, offset of q) from the makers, and the distance to the flange.
+# In Craig's convention, a and alpha come before the joint's transform.
 DH: dict[str, tuple[str, Rows, float]] = {
     "lwr4": ("classical", upright((1, -1, -1, 1, 1, -1, 0), (0.3105, 0, 0.4, 0, 0.39, 0, 0.078)), 0.0),
     "iiwa14": ("classical", upright((-1, 1, 1, -1, -1, 1, 0), (0.36, 0, 0.42, 0, 0.4, 0, 0.126)), 0.0),
@@ -310,20 +309,20 @@ def poses(robot: RobotModel, count: int = 8) -> Array:
 
 
 @pytest.mark.parametrize("name", DH)
-def test_the_tip_agrees_with_the_makers_denavit_hartenberg_table(name: str) -> None:
+def test_tip_agrees_with_the_makers_table(name: str) -> None:
     robot = load_robot(name)
-    miss = 5e-4 if name == "gen3" else 1e-9  # the maker's table neglects two offsets of 0.175 mm
+    miss = 5e-4 if name == "gen3" else 1e-9  # the table neglects two offsets of 0.175 mm
     for q in poses(robot):
         np.testing.assert_allclose(robot.state(q).tip, by_dh(name, q), rtol=0, atol=miss)
 
 
-def test_the_iiwa14_has_the_mass_of_its_data_sheet() -> None:
+def test_iiwa14_has_the_mass_of_its_data_sheet() -> None:
     robot = load_robot("iiwa14")
     masses = [link.mass for link in urdf.read(robot.data.urdf).links]
     assert sum(masses) - robot.data.tool_mass == pytest.approx(29.9, rel=0.03)
 
 
-def test_the_rail_carries_the_lwr4() -> None:
+def test_rail_carries_the_lwr4() -> None:
     rail, bare = load_robot("lwr4_rail"), load_robot("lwr4")
     for q in poses(rail):
         ours, theirs = rail.state(q), bare.state(q[1:])

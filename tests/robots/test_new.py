@@ -1,4 +1,4 @@
-"""`robot new` makes a robot from a vendor's URDF and notes its assumptions. `robot check` judges the robot."""
+"""`robot new` makes a robot from a vendor's URDF, and `robot check` examines it."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_every_assumption_is_noted_in_the_robot_file(panda) -> None:
     assert "mesh" not in panda.urdf.read_text(encoding="utf-8")
 
 
-def test_the_new_robot_has_the_vendors_kinematics_and_a_home_pose_with_room_to_gain_mu(panda) -> None:
+def test_new_robot_has_the_vendors_kinematics(panda) -> None:
     ours, theirs = panda.robot, load_robot("panda")
     assert ours.data.name == "my"
     for q in np.random.default_rng(1).uniform(-1.0, 1.0, (5, 7)):
@@ -62,7 +62,7 @@ def test_the_new_robot_has_the_vendors_kinematics_and_a_home_pose_with_room_to_g
     assert found["rcm_error_max_mm"] < 2.5
 
 
-def test_a_base_turned_by_base_rpy_makes_the_arm_hang(tmp_path: Path) -> None:
+def test_base_rpy_makes_the_arm_hang(tmp_path: Path) -> None:
     hanging = made(tmp_path, text_of("iiwa14"), base_rpy=(np.pi, 0.0, 0.0)).robot
     standing = load_robot("iiwa14")
     for q in np.random.default_rng(1).uniform(-1.0, 1.0, (3, 7)):
@@ -71,14 +71,14 @@ def test_a_base_turned_by_base_rpy_makes_the_arm_hang(tmp_path: Path) -> None:
     assert hanging.state(hanging.data.q_home).tip[2] < 0.0
 
 
-def test_rotor_inertia_and_friction_follow_from_the_torque_limits(tmp_path: Path) -> None:
+def test_rotor_inertia_and_friction_follow_torque_limits(tmp_path: Path) -> None:
     data = made(tmp_path, text_of("lwr4_rail")).robot.data
     assert data.rotor_inertia.tolist() == [20.0] + [0.2] * 7
     assert data.coulomb_friction.tolist() == data.viscous_friction.tolist()
     assert data.coulomb_friction.tolist() == [4.0, 1.0, 1.0, 0.8, 0.8, 0.8, 0.3, 0.3]
 
 
-def test_a_urdf_that_is_no_usable_arm_is_refused_and_no_file_is_left(tmp_path: Path) -> None:
+def test_unusable_urdf_leaves_no_file(tmp_path: Path) -> None:
     massless = re.sub(r"<inertial>.*?</inertial>", "", text_of(), flags=re.DOTALL)
     with pytest.raises(RobotError, match="joint 'joint_1' moves no mass"):
         made(tmp_path, massless)
@@ -96,7 +96,7 @@ ROBOTS = "cmeel.prefix/share/example-robot-data/robots"
     ("tiago_pro_description/robots/tiago_pro.urdf", "arm_left_7_link", 8),
     ("talos_data/robots/talos_full_v2.urdf", "arm_left_7_link", 9),
 ])  # fmt: skip
-def test_a_vendors_file_works_unchanged(path: str, tip: str | None, joints: int, tmp_path: Path) -> None:
+def test_vendors_file_works_unchanged(path: str, tip: str | None, joints: int, tmp_path: Path) -> None:
     try:
         source = Path(str(metadata.distribution("example-robot-data").locate_file(f"{ROBOTS}/{path}")))
     except metadata.PackageNotFoundError:
@@ -116,7 +116,7 @@ def direction(rpy: tuple[float, float, float]) -> np.ndarray:
     ("lwr4", -0.078, 1), ("iiwa14", -0.081, 1), ("panda", 0, 1), ("gen3", 0.10593, -1), ("xarm7", -0.097, 1),
     ("lwr4_rail", -0.078, 1),
 ])  # fmt: skip
-def test_the_wrist_of_a_known_arm_is_found(name: str, height: float, up: int) -> None:
+def test_wrist_of_a_known_arm_is_found(name: str, height: float, up: int) -> None:
     last = f"link_{8 if name == 'lwr4_rail' else 7}"
     found = find_shaft(text_of(name), last)
     for point, expected in (
@@ -125,8 +125,7 @@ def test_the_wrist_of_a_known_arm_is_found(name: str, height: float, up: int) ->
         np.testing.assert_allclose(point, expected, rtol=0, atol=1e-12)
 
 
-def test_the_wrist_is_the_point_nearest_to_an_oblique_axis() -> None:
-    """The shortest connection between the last two axes is perpendicular to both."""
+def test_wrist_is_the_point_nearest_an_oblique_axis() -> None:
     text = re.sub(r'(name="joint_6".*?<axis xyz=")0 0 1', r"\g<1>0 0.5 1", text_of("xarm7"), flags=re.DOTALL)
     model = pin.buildModelFromXML(text)
     data = model.createData()
@@ -139,7 +138,7 @@ def test_the_wrist_is_the_point_nearest_to_an_oblique_axis() -> None:
     assert np.abs(found.wrist).max() > 1e-3
 
 
-def test_a_flange_on_the_last_axis_has_the_same_wrist_and_an_unusual_one_is_noted() -> None:
+def test_flange_on_the_last_axis_keeps_the_wrist() -> None:
     def with_flange(origin: str) -> str:
         return added(text_of(), link("flange") + joint("f", "fixed", "link_7", "flange", f"<origin {origin}/>"))
 
@@ -155,23 +154,23 @@ def test_a_flange_on_the_last_axis_has_the_same_wrist_and_an_unusual_one_is_note
 
 
 @pytest.mark.parametrize("name", available_robots())
-def test_a_home_pose_that_is_found_meets_its_requirements(name: str) -> None:
+def test_found_home_pose_meets_its_requirements(name: str) -> None:
     robot = load_robot(name)
     home = search_home(robot, seed=3)
     left, state = freedoms(robot, home.q), robot.state(home.q)
     assert left.tip > new.REGULAR[0]
     assert left.both > new.REGULAR[1]
-    assert home.margin > new.MARGIN - 0.01  # poses are rounded to two digits
+    assert home.margin > new.MARGIN - 0.01  # rounded to two digits
     assert new.SHARE[0] <= home.mu / home.mu_best <= new.SHARE[1]
     assert state.mu == pytest.approx(home.mu)
     assert min(state.tip[2], state.wrist[2]) > new.CLEARANCE_M - 0.01
     assert home.task == ""
-    if name == "xarm7":  # the ranking decides which pose is tried first
+    if name == "xarm7":  # the ranking decides which is tried first
         np.testing.assert_array_equal(home.q, [-0.72, 0.06, -0.89, 1.37, 0.22, 1.37, 0.0])
         assert np.abs(search_home(robot, seed=2).q - home.q).max() > 0.1
 
 
-def test_an_arm_that_is_singular_everywhere_has_no_home(robot: RobotModel) -> None:
+def test_arm_that_is_singular_everywhere_has_no_home(robot: RobotModel) -> None:
     """These limits keep elbow and wrist straight."""
     q_min, q_max = robot.data.q_min.copy(), robot.data.q_max.copy()
     q_min[[1, 3, 5]], q_max[[1, 3, 5]] = -1e-3, 1e-3
@@ -180,7 +179,7 @@ def test_an_arm_that_is_singular_everywhere_has_no_home(robot: RobotModel) -> No
         search_home(stiff)
 
 
-def test_a_vendors_file_works_with_the_commands_new_check_run_and_replay(tmp_path: Path, monkeypatch, capsys) -> None:
+def test_commands_accept_a_vendors_file(tmp_path: Path, monkeypatch, capsys) -> None:
     (tmp_path / "vendor.urdf").write_text(with_hand(text_of("iiwa14")), encoding="utf-8")
     (tmp_path / "short.toml").write_text("duration_s = 0.1\nbound_samples = 2\n", encoding="utf-8")
     monkeypatch.chdir(tmp_path)
@@ -197,7 +196,7 @@ def test_a_vendors_file_works_with_the_commands_new_check_run_and_replay(tmp_pat
     line = next(line for line in text.splitlines() if line.startswith("q_rad"))
     Path("my.toml").write_text(text.replace(line, f"q_rad = {[0.0] * 7}"), encoding="utf-8")
     assert main(["robot", "check", "my.toml"]) == 3
-    Path("my.toml").unlink()  # the trace contains the arm
+    Path("my.toml").unlink()  # the trace has the arm
     assert main(["replay", "run.parquet", "--out", "run.html"]) == 0
 
 
@@ -207,7 +206,7 @@ def test_a_vendors_file_works_with_the_commands_new_check_run_and_replay(tmp_pat
     (["--base-rpy", "nan", "0", "0"], "--base-rpy"), (["--out", "x.txt"], "--out"),
     (["--out", "my robot.toml"], "--out"),
 ])  # fmt: skip
-def test_a_wrong_argument_gives_one_line_and_no_file(arguments: list[str], told: str, tmp_path: Path, capsys) -> None:
+def test_wrong_argument_gives_one_line_and_no_file(arguments: list[str], told: str, tmp_path: Path, capsys) -> None:
     source = tmp_path / "vendor.urdf"
     source.write_text(text_of("iiwa14"), encoding="utf-8")
     assert main(["robot", "new", str(source), "--out", str(tmp_path / "my.toml"), *arguments]) == 2
@@ -226,7 +225,7 @@ def altered(robot: RobotModel, **fields: object) -> RobotModel:
 
 
 @pytest.mark.parametrize("name", available_robots())
-def test_robot_check_finds_no_fault_in_the_arms_of_the_package(name: str) -> None:
+def test_robot_check_finds_no_fault_in_own_arms(name: str) -> None:
     found = check_robot(load_robot(name))
     assert verdict(found) == "ok"
     assert len(found) == 11
@@ -238,7 +237,7 @@ def test_robot_check_finds_no_fault_in_the_arms_of_the_package(name: str) -> Non
     ("gravity at home", {"tau_max": [5.0] * 7}, "cannot", "check masses"),
     ("masses", {"urdf": ('ixx="0.01845" iyy="0.01602"', 'ixx="5.0" iyy="5.0"')}, "care", "link_1"),
 ])  # fmt: skip
-def test_each_fault_is_judged_in_its_row(robot: RobotModel, what: str, fields: dict, judged: str, told: str) -> None:
+def test_each_fault_is_reported_in_its_row(robot: RobotModel, what: str, fields: dict, judged: str, told: str) -> None:
     if "urdf" in fields:
         fields = {"urdf": changed(robot.data.urdf, fields["urdf"])}
     row = rows(altered(robot, **fields))[what]
@@ -246,14 +245,14 @@ def test_each_fault_is_judged_in_its_row(robot: RobotModel, what: str, fields: d
     assert told in row.cure
 
 
-def test_a_home_pose_with_little_mu_to_gain_gets_the_verdict_care(robot: RobotModel) -> None:
+def test_home_pose_near_largest_mu_gets_care(robot: RobotModel) -> None:
     curve = self_motion(robot, robot.data.q_home)
     for share, judged in ((0.98, "care"), (0.91, "ok")):
         q = curve.q[np.argmin(np.abs(curve.mu / curve.mu_best - share))]
         assert rows(altered(robot, q_home=q))["mu at home"].verdict == judged
 
 
-def test_the_distance_of_a_sliding_joint_from_its_limit_is_in_mm() -> None:
+def test_sliding_joints_distance_from_limit_is_in_mm() -> None:
     rail = load_robot("lwr4_rail")
     row = rows(rail)["nearest limit"]
     room = min(rail.data.q_home[0] - rail.q_min[0], rail.q_max[0] - rail.data.q_home[0])
@@ -266,7 +265,7 @@ def test_the_distance_of_a_sliding_joint_from_its_limit_is_in_mm() -> None:
     assert "keeps 50 mm free: move home.q_rad 80 mm" in row.cure
 
 
-def test_a_singular_home_is_refused_and_every_row_that_is_not_ok_has_a_cure(robot: RobotModel) -> None:
+def test_singular_home_is_refused(robot: RobotModel) -> None:
     found = rows(altered(robot, q_home=np.zeros(7), v_max=np.full(7, 10.0), tau_max=np.full(7, 1.0)))
     assert verdict(list(found.values())) == "cannot"
     assert "singular" in found["freedoms left"].cure + found["singular values"].cure
@@ -275,7 +274,7 @@ def test_a_singular_home_is_refused_and_every_row_that_is_not_ok_has_a_cure(robo
     assert all(bool(row.cure) == (row.verdict != "ok") for row in found.values())
 
 
-def test_a_task_out_of_reach_gets_the_verdict_care_and_a_cure(robot: RobotModel) -> None:
+def test_task_out_of_reach_gets_care(robot: RobotModel) -> None:
     asked = Scenario(task={"path": "circle", "sizes": {"radius": 0.5}})
     row = rows(robot, asked)["task from home"]
     assert row.verdict == "care"
@@ -283,8 +282,8 @@ def test_a_task_out_of_reach_gets_the_verdict_care_and_a_cure(robot: RobotModel)
 
 
 @pytest.mark.parametrize("factor", [0.9, 8.0])
-def test_gains_with_which_the_plant_oscillates_are_refused(robot: RobotModel, factor: float) -> None:
-    """The verdict agrees with a run without friction, in which the LWR4+'s K_N2 is multiplied by the factor."""
+def test_gains_that_cause_oscillation_are_refused(robot: RobotModel, factor: float) -> None:
+    """The verdict agrees with a run without friction."""
     gains = [factor * gain for gain in robot.data.gains["default"]["K_N2"]]  # type: ignore[union-attr]
     asked = Scenario(control={"K_N2": gains}, plant={"friction": 0.0}, bound_samples=0, judge=False)
     asked = asked.change(task={"path": "line", "sizes": {"length": 0.005}})

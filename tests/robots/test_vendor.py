@@ -1,4 +1,4 @@
-"""Vendors' URDFs: joints outside the arm are fixed, one serial chain is found, and impossible numbers are replaced."""
+"""Vendors' URDFs become one serial chain with possible numbers."""
 
 import re
 from pathlib import Path
@@ -51,14 +51,14 @@ def model_of(arm: VendorArm) -> pin.Model:
     return pin.buildModelFromXML(arm.urdf.to_text("arm"))
 
 
-def test_fingers_are_locked_and_the_arm_moves_as_before(vendors) -> None:
+def test_fingers_are_locked(vendors) -> None:
     arm = vendors(with_hand(text_of()))
     assert (arm.last_link, chain(arm)) == ("link_7", CHAIN)
     model, bare = model_of(arm), pin.buildModelFromXML(text_of())
     assert list(model.names)[1:] == CHAIN
     assert model.inertias[7].mass - bare.inertias[7].mass == pytest.approx(0.7 + 2 * 0.015)  # fingers keep their mass
     left = model.frames[model.getFrameId("left")].placement.translation
-    turn = np.array([0.01 * np.sin(0.785), 0.01 * np.cos(0.785), 0.107])  # fixed at the limit nearest to 0
+    turn = np.array([0.01 * np.sin(0.785), 0.01 * np.cos(0.785), 0.107])  # at the limit nearest to 0
     np.testing.assert_allclose(left, turn, rtol=0, atol=1e-12)
     told = " ".join(arm.notes)
     assert all(word in told for word in ("finger_1 (at 0.01 m)", "finger_2", "'link_7', the link of the last"))
@@ -67,7 +67,7 @@ def test_fingers_are_locked_and_the_arm_moves_as_before(vendors) -> None:
     assert vendors(with_hand(text_of()), tip="hand").last_link == "hand"
 
 
-def test_a_second_arm_requires_a_named_tip_and_a_head_of_two_joints_does_not(vendors) -> None:
+def test_second_arm_requires_a_named_tip(vendors) -> None:
     text = added(text_of(), branch("b", 4, "link_0"))
     with pytest.raises(RobotError, match=r"2 chains leave link 'link_0', towards .*'b0'.*--tip"):
         vendors(text)
@@ -80,7 +80,7 @@ def test_a_second_arm_requires_a_named_tip_and_a_head_of_two_joints_does_not(ven
     assert chain(vendors(added(text_of(), branch("head", 2, "link_0")))) == CHAIN
 
 
-def test_a_joint_locked_by_name_stays_at_its_given_angle(vendors) -> None:
+def test_joint_locked_by_name_stays_at_its_angle(vendors) -> None:
     arm = vendors(text_of(), lock={"joint_3": 0.4})
     assert chain(arm) == [name for name in CHAIN if name != "joint_3"]
     q = np.array([0.1, -0.3, -1.2, 0.5, 1.4, 0.2])
@@ -94,7 +94,7 @@ def test_a_joint_locked_by_name_stays_at_its_given_angle(vendors) -> None:
     ('name="joint_4" type="revolute"', 'name="joint_4" type="floating"', "has type 'floating'"),
     ('<child link="link_4"/>', '<child link="link_4"/><mimic joint="joint_3"/>', "mimics"),
 ])  # fmt: skip
-def test_a_floating_or_mimic_joint_is_refused_within_the_arm_and_locked_outside(old, new, told, vendors) -> None:
+def test_floating_or_mimic_joint_is_refused_within_the_arm(old, new, told, vendors) -> None:
     with pytest.raises(RobotError, match=f"'joint_4' {told}"):
         vendors(changed(text_of(), (old, new)))
     arm = vendors(added(text_of(), link("ship") + joint("sea", "floating", "ship", "link_0")))
@@ -107,7 +107,7 @@ def test_parts_with_reserved_names_are_renamed(vendors) -> None:
     assert {"world_link", "tip_frame_joint"} <= {part.name for part in (*arm.urdf.links, *arm.urdf.joints)}
 
 
-def test_a_file_that_is_no_urdf_of_an_arm_is_refused(vendors) -> None:
+def test_file_that_is_no_arm_is_refused(vendors) -> None:
     with pytest.raises(RobotError, match="xacro"):
         vendors('<robot xmlns:xacro="http://x/xacro"><xacro:macro name="a"/></robot>')
     with pytest.raises(RobotError, match="no joint moves"):
@@ -120,7 +120,7 @@ def mended(*links: Link) -> list[str]:
     return notes
 
 
-def test_a_body_that_can_exist_is_kept_and_one_without_mass_becomes_a_frame() -> None:
+def test_body_without_mass_becomes_a_frame() -> None:
     ours, again = (read(text_of()).links for _ in range(2))
     assert (mended(*ours), ours) == ([], again)
     frame, weightless, heavy = Link("f", 1e-7, (0.1,) * 6), Link("n", 0.0, (1e-9,) * 6), Link("h", 1.0)
@@ -166,16 +166,16 @@ def test_impossible_limits_are_replaced_and_noted(name: str, limit: str, expecte
 
 
 @pytest.mark.parametrize(("name", "reach", "unit"), [("panda", "2.8973", "rad"), ("lwr4_rail", "0.5", "m")])
-def test_limits_in_the_wrong_order_are_refused_by_name(name: str, reach: str, unit: str, vendors) -> None:
+def test_limits_in_wrong_order_are_named(name: str, reach: str, unit: str, vendors) -> None:
     text = changed(text_of(name), (f'lower="-{reach}" upper="{reach}"', f'lower="{reach}" upper="-{reach}"'))
     with pytest.raises(RobotError, match=rf"'joint_1': .* in {unit}, "):
         vendors(text)
-    if name == "panda":  # the limits of a continuous joint are ignored
+    if name == "panda":  # continuous joints have no limits
         endless = changed(text, ('name="joint_1" type="revolute"', 'name="joint_1" type="continuous"'))
         assert vendors(endless).chain[0].limits.items() >= ONE_TURN.items()
 
 
-def test_torque_limits_that_replace_missing_ones_are_enough_to_carry_the_arm(vendors) -> None:
+def test_replacement_torque_limits_can_carry_the_arm(vendors) -> None:
     assert vendors(re.sub(r'effort="\d+"', 'effort="0"', text_of())).weak == CHAIN
     robot = load_robot("panda")
     efforts = enough_efforts(robot)

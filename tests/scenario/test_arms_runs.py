@@ -1,4 +1,4 @@
-"""Runs in the realistic plant: every arm of the package, an arm with sixteen joints, and a user's own control law."""
+"""Runs of every arm in the realistic plant."""
 
 import runpy
 from pathlib import Path
@@ -24,7 +24,7 @@ def test_every_arm_does_the_default_task(name):
     assert found["verified_solved"] == len(moc)
     assert found["mu_gain_percent"] > 10.0
     for law, figures in {"moc": found, "dcac": summarize(dcac)}.items():
-        # The gen3 passes near poses in which its shaft can hardly turn.
+        # The gen3's shaft can hardly turn in some poses.
         assert figures["tip_error_max_mm"] < (1.2 if (name, law) == ("gen3", "moc") else 1.0)
         assert figures["rcm_error_max_mm"] < 2.2
 
@@ -32,7 +32,7 @@ def test_every_arm_does_the_default_task(name):
 @pytest.mark.parametrize(("preset", "more"), [(None, 2), ("tuned", 1), ("robust", 1)])
 @pytest.mark.parametrize("name", available_robots())
 def test_every_preset_works_on_every_arm(name, preset, more):
-    """The plant has `more` extra ticks of delay and no friction, because friction would hide oscillation."""
+    """Friction is off, because it would hide oscillation."""
     asked = Scenario(
         seed=1, robot={"name": name}, control={"preset": preset} if preset else {}, duration_s=2.5, **BARE,
         start={"pose": "home" if preset else "random"},
@@ -42,14 +42,14 @@ def test_every_preset_works_on_every_arm(name, preset, more):
     assert summarize(trace)["tip_error_max_mm"] < 1.5
 
 
-def test_the_answers_for_an_arm_with_sixteen_joints_are_verified(tmp_path):
-    """All answers of `exact` are verified. After a shift along the self-motion, no answer is verified."""
+def test_answers_for_sixteen_joints_are_verified(tmp_path):
+    """After a shift along the self-motion, no answer is verified."""
     robot = sixteen_joints(tmp_path, np.random.default_rng(2).uniform(-0.7, 0.7, 16))
     trace = run(Scenario(robot={"name": str(tmp_path / "arm.toml")}, duration_s=0.3, bound_samples=1))
     assert trace.meta["ended"] == "completed"
     assert trace.verified.all()
     assert trace.meta["mu_bound_method"].startswith("best found of ")
-    rows = slice(50, None, 25)  # after the ramp of the third level
+    rows = slice(50, None, 25)  # after the ramp
     rng, x = np.random.default_rng(0), np.array(trace.x_rad_per_s[rows])
     for k, q in enumerate(trace.q_rad[rows]):
         Z = np.linalg.svd(robot.state(q).A)[2][5:]
@@ -57,7 +57,7 @@ def test_the_answers_for_an_arm_with_sixteen_joints_are_verified(tmp_path):
     assert not compute_residuals(trace.subproblem[rows], x).verified().any()
 
 
-def test_a_law_written_in_python_follows_the_path_and_climbs():
+def test_law_written_in_python_follows_path_and_climbs():
     setup = runpy.run_path(str(Path(__file__).parents[2] / "examples" / "own_law.py"))["OwnSetup"]
     scenario = Scenario(duration_s=1.5, start={"swivel": 0.2}, **BARE)
     own, dcac = setup(scenario).trace(), run(scenario.change(control=scenario.control.matched_dcac()))

@@ -1,4 +1,4 @@
-"""A scenario: its tables are validated, errors name the cure, files load again, and runs repeat to the bit."""
+"""A scenario: validation, files and repeatable runs."""
 
 import re
 import shutil
@@ -46,20 +46,20 @@ WRONG_AT_THE_RUN = [
 
 
 @pytest.mark.parametrize(("tables", "words"), WRONG)
-def test_a_wrong_key_or_value_is_named_when_the_scenario_is_made(tables, words):
+def test_wrong_key_or_value_is_named(tables, words):
     with pytest.raises((ScenarioError, UnknownNameError), match=re.escape(words)):
         Scenario(**tables)
 
 
 @pytest.mark.parametrize(("tables", "words"), WRONG_AT_THE_RUN)
-def test_values_that_do_not_fit_together_are_refused_before_anything_moves(tables, words):
+def test_values_that_do_not_fit_together_are_refused(tables, words):
     moved = []
     with pytest.raises(MocOptError, match=re.escape(words)):
         run(Scenario(**{"duration_s": 0.01, **tables}), watch=moved.append)
     assert moved == []
 
 
-def test_the_trace_remembers_its_scenario():
+def test_trace_remembers_its_scenario():
     scenario = Scenario(
         name="all of it", seed=7, duration_s=0.02, deadline_us=1500.0, judge=False, start={"swivel": 0.3},
         trocar={"breathing_direction": [0.0, 1.0, 0.0]}, task={"path": "sinusoid", "sizes": {"amplitude": 0.01}},
@@ -76,23 +76,23 @@ def test_the_trace_remembers_its_scenario():
     ({}, {"repeat_joint_ticks": 89, "motion_lag_s": 0.012, "repeat_torque": 0.06, "stuck_rad_per_s": 0.2}),
     ({"guard": {"repeat_joint_ticks": 40}}, {"repeat_joint_ticks": 40}),
     *(({"guard": {key: 5}}, {"repeat_reading_ticks": 5}) for key in ("patience_ticks", "repeat_reading_ticks")),
-    # Without noise, or without a filter, successive readings may well be equal.
+    # Without noise or filter, successive readings may be equal.
     ({"plant": {"preset": "nominal"}}, {"repeat_joint_ticks": None, "repeat_reading_ticks": None}),
     ({"plant": {"velocity_cutoff_Hz": 0.0}}, {"repeat_reading_ticks": None, "motion_lag_s": 0.012}),
-    # A slow filter lags. The limit that suits 50 Hz would stop good runs at 15 Hz.
+    # A slow filter lags.
     ({"plant": {"velocity_cutoff_Hz": 15.0}}, {"motion_lag_s": 3.0 / (2.0 * np.pi * 15.0)}),
     # A coarse encoder hides motion within one step.
     ({"plant": {"encoder_resolution_rad": 1e-4}}, {"repeat_torque": 0.06, "stuck_rad_per_s": 0.2}),
     ({"plant": {"encoder_resolution_rad": 5e-4}}, {"repeat_torque": 0.25, "stuck_rad_per_s": 0.3}),
     ({"plant": {"encoder_resolution_rad": 5e-4}, "guard": {"repeat_torque": 0.4}}, {"repeat_torque": 0.4}),
 ])  # fmt: skip
-def test_limits_of_the_safety_filter_follow_from_the_encoders(tables, told):
+def test_safety_limits_follow_from_the_encoders(tables, told):
     scenario = Scenario(**tables)
     assert {name: getattr(scenario.told_guard, name) for name in told} == pytest.approx(told)
     assert scenario.guard == Scenario(guard=tables.get("guard", {})).guard
 
 
-def test_a_change_of_the_plant_keeps_its_other_settings_and_is_validated():
+def test_change_of_plant_keeps_its_other_settings():
     base = Scenario(plant=PlantSettings.nominal())
     assert base.change(plant={"delay_ticks": 2}).plant == PlantSettings.nominal(delay_ticks=2)
     assert base.change(plant={"preset": "realistic"}).plant == PlantSettings()
@@ -103,7 +103,7 @@ def test_a_change_of_the_plant_keeps_its_other_settings_and_is_validated():
         base.seed = 3
 
 
-def test_the_true_shaft_passes_through_the_trocar_despite_wrong_kinematics():
+def test_true_shaft_passes_through_trocar_despite_wrong_kinematics():
     """The model's tip is wrong by more than 0.5 mm."""
     bad = {"calibration_error_m": 5e-4, "calibration_tilt_rad": 5e-4, "encoder_bias_rad": 5e-4, "preset": "nominal"}
     setup = Setup(Scenario(plant=bad, seed=4, control={"law": "dcac"}, **BARE, duration_s=0.2))
@@ -121,7 +121,7 @@ def test_the_true_shaft_passes_through_the_trocar_despite_wrong_kinematics():
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_the_registered_trocar_breathes_only_if_the_breathing_is_known(known):
+def test_registered_trocar_breathes_if_breathing_is_known(known):
     breathing = {"breathing_amplitude_m": 0.01, "breathing_period_s": 0.4, "breathing_known": known}
     trace = run(Scenario(duration_s=0.3, trocar=breathing, plant={"preset": "nominal"}, **BARE))
     moved = trace.trocar_m - trace.trocar_m[0]
@@ -132,7 +132,7 @@ def test_the_registered_trocar_breathes_only_if_the_breathing_is_known(known):
     np.testing.assert_array_equal(told, moved if known else np.zeros_like(moved))
 
 
-def test_a_singular_pose_has_a_bound_of_mu_and_a_nan_pose_has_none(robot):
+def test_singular_pose_has_a_bound_of_mu(robot):
     """With a straight elbow, the self-motion curve is not unique."""
     poses = np.tile(robot.data.q_home, (3, 1))
     poses[0], poses[2] = [0.3, 0.6, -0.2, 0.0, 0.4, -0.9, 0.0], np.nan
@@ -144,7 +144,7 @@ def test_a_singular_pose_has_a_bound_of_mu_and_a_nan_pose_has_none(robot):
 
 
 @pytest.mark.parametrize("law", ["moc", "dcac"])
-def test_the_same_seed_gives_the_same_trace_to_the_bit(law):
+def test_same_seed_gives_the_same_trace_bitwise(law):
     scenario = Scenario(duration_s=0.2, bound_samples=3, seed=5, start={"swivel": "random"}, control={"law": law})
     setup = Setup(scenario)
     first, *others = (
@@ -154,7 +154,7 @@ def test_the_same_seed_gives_the_same_trace_to_the_bit(law):
     assert others == [first, first]
 
 
-def test_a_robots_file_is_found_from_the_scenarios_folder(tmp_path, monkeypatch):
+def test_robot_file_is_found_from_scenarios_folder(tmp_path, monkeypatch):
     folder = tmp_path / "arms"
     folder.mkdir()
     for kind in ("toml", "urdf"):
@@ -214,7 +214,7 @@ def test_a_saved_scenario_loads_as_an_equal_one(tmp_path_factory, values):
     assert eval(repr(scenario), {"Scenario": Scenario}) == scenario
 
 
-def test_only_values_that_differ_from_the_defaults_are_written(tmp_path):
+def test_only_values_that_differ_from_defaults_are_written(tmp_path):
     tables = {"seed": 3, "control": {"preset": "tuned", "K_N2": 20.0}, "plant": {"preset": "nominal"}}
     assert Scenario(**tables).changes() == tables
     Scenario().save(tmp_path / "a.toml")
@@ -222,7 +222,7 @@ def test_only_values_that_differ_from_the_defaults_are_written(tmp_path):
     assert repr(Scenario()) == "Scenario()"
 
 
-def test_a_limit_that_is_off_is_still_off_after_saving_and_loading(tmp_path):
+def test_limit_that_is_off_stays_off_after_loading(tmp_path):
     optional = {key: type(None) in get_args(kind.annotation) for key, kind in SafetyFilterSettings.model_fields.items()}
     lifted = [key for key, value in Scenario().guard if optional[key] and value is not None]
     assert "stop_yield_N" in lifted
@@ -231,7 +231,7 @@ def test_a_limit_that_is_off_is_still_off_after_saving_and_loading(tmp_path):
     assert Scenario.load(tmp_path / "lifted.toml") == scenario
 
 
-def test_a_solver_setting_of_none_is_left_out_of_the_file(tmp_path):
+def test_solver_setting_of_none_is_not_written(tmp_path):
     to = tmp_path / "new" / "folder" / "a.toml"
     Scenario(solver={"name": "qpsolvers:quadprog", "settings": {"cost_scale": None, "rows": 6}}).save(to)
     assert Scenario.load(to).solver.settings == {"rows": 6}

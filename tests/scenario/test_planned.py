@@ -1,4 +1,4 @@
-"""Runs are compared with the best course (planned joint motion), and commands plan a course and follow it."""
+"""Commands plan a course (planned joint motion), follow it and compare runs with it."""
 
 import json
 
@@ -14,7 +14,7 @@ from moc_opt.tasks.trocar import shaft_distance
 
 
 @pytest.mark.parametrize("start", [{"pose": "random"}, {"swivel": "random"}, {}])
-def test_the_plan_has_the_start_pose_and_the_path_of_the_run(start):
+def test_plan_has_start_and_path_of_the_run(start):
     scenario = mo.Scenario(seed=3).change(start=start, plant={"preset": "nominal"})
     found, setup = mo.plan(scenario, swivels=180, times=60, refined=False), Setup(scenario)
     np.testing.assert_allclose(found.from_start.q_rad[0], setup.q_start, atol=1e-12)
@@ -30,20 +30,20 @@ def scenario_file(folder, text):
     return str(folder / "mine.toml")
 
 
-def test_the_command_plan_exits_with_3_for_a_path_that_cannot_be_executed(tmp_path, capsys):
+def test_command_plan_exits_with_3_for_impossible_path(tmp_path, capsys):
     file = scenario_file(tmp_path, '[task]\npath = "circle"\nv_max_m_per_s = 3.0\na_max_m_per_s2 = 50.0\n')
     assert main(["plan", file, "--json"]) == 3
     told = json.loads(capsys.readouterr().out)
     assert (told["executable"], bool(told["blocked"]["reason"]), told["blocked"]["t_s"] > 0.0) == (False, True, True)
 
 
-def test_the_start_that_a_plan_proposes_can_be_pasted_into_the_scenario(tmp_path, capsys):
+def test_proposed_start_can_be_pasted_into_the_scenario(tmp_path, capsys):
     text = "duration_s = 1.0\nseed = 3\n"
     file = scenario_file(tmp_path, text + "[start]\nswivel = 0.15\n")
     found = plan(mo.Scenario.load(file))
     assert main(["plan", file]) == 0
     said = capsys.readouterr()
-    assert said.err == ""  # no warning: the third level 'local' follows no course
+    assert said.err == ""  # 'local' follows no course
     assert "can be executed from this start yes" in " ".join(said.out.split())
     assert max(len(line.rstrip()) for line in said.out.splitlines()) <= 80
     again = plan(mo.Scenario.load(scenario_file(tmp_path, text + said.out[said.out.index("\n[start]\n") :])))
@@ -51,20 +51,20 @@ def test_the_start_that_a_plan_proposes_can_be_pasted_into_the_scenario(tmp_path
     assert again.from_start.mu_mean > 1.02 * found.from_start.mu_mean
 
 
-def test_a_plan_has_the_limits_of_the_third_level_that_follows_it(tmp_path, capsys):
+def test_plan_has_the_limits_of_its_third_level(tmp_path, capsys):
     file = scenario_file(tmp_path, 'duration_s = 0.5\n[control]\nthird_level = "planned"\n')
     for options, margin, share in (([], 0.05, 0.85), (["--speed-share", "1", "--margin", "0"], 0.0, 1.0)):
         assert main(["plan", file, "--json", *options]) == 0
         told = json.loads(capsys.readouterr().out)
         within = {"margin_rad": margin, "margin_m": 0.0, "shaft_margin": 0.04375, "speed_share": share}
         assert told["within"] == within
-        assert bool(told["warnings"]) == bool(options)  # a course with speed share 1 is too fast to be followed
+        assert bool(told["warnings"]) == bool(options)  # speed share 1 is too fast
 
 
 COMPARED = mo.Scenario(duration_s=1.5, judge=False, bound_samples=0, best_courses=True, start={"swivel": 0.2})
 
 
-def test_a_run_is_compared_with_the_courses_of_its_own_path():
+def test_run_is_compared_with_courses_of_its_path():
     trace, robot, found = mo.run(COMPARED), COMPARED.robot.arm(), plan(COMPARED)
     q = trace.columns["q_best_from_start_rad"]
     np.testing.assert_allclose(q[0], found.climbed.q_rad[0], atol=1e-12)
@@ -73,32 +73,32 @@ def test_a_run_is_compared_with_the_courses_of_its_own_path():
     for name, course in (("mu_fraction_of_best_from_start", found.from_start), ("mu_fraction_of_best", found.best)):
         assert metrics[name] == pytest.approx(metrics["mu_mean"] / course.mu_mean, rel=0.01)
     assert metrics["mu_fraction_of_best"] <= metrics["mu_fraction_of_best_from_start"] <= 1.005
-    known = best_courses(COMPARED)  # the courses are planned once for all controllers
+    known = best_courses(COMPARED)  # planned once for all controllers
     assert known is best_courses(COMPARED.change(control={"preset": "tuned"}, solver={"name": "osqp"}))
     assert known is not best_courses(COMPARED.change(start={"swivel": 0.3}))
 
 
 @pytest.mark.parametrize(("line", "there"), [("", True), ("best_courses = false\n", False)])
-def test_the_command_run_compares_with_the_best_courses_unless_the_scenario_turns_it_off(tmp_path, capsys, line, there):
+def test_command_run_compares_with_best_courses_by_default(tmp_path, capsys, line, there):
     file = scenario_file(tmp_path, f"{line}duration_s = 0.1\nbound_samples = 0\n")
     assert main(["run", file, "--seed", "3", "--json"]) == 0
     assert ("mu_fraction_of_best" in json.loads(capsys.readouterr().out)) == there
 
 
-def test_an_arm_on_a_rail_has_no_best_courses_and_the_trace_says_why():
+def test_trace_says_why_a_rail_has_no_courses():
     run = mo.run(COMPARED.change(robot={"name": "lwr4_rail"}, start={"swivel": "given"}, duration_s=0.1))
     assert "mu_best" not in run.columns
     assert "degrees of freedom" in run.meta["best_courses"]["absent"]
 
 
-def test_the_commands_write_a_course_and_follow_it(tmp_path, capsys):
+def test_commands_write_a_course_and_follow_it(tmp_path, capsys):
     to, ran = tmp_path / "course.parquet", tmp_path / "run.parquet"
     text = 'duration_s = 0.3\nbound_samples = 0\nbest_courses = false\n[control]\nthird_level = "local"\n'
     mine = scenario_file(tmp_path, text)
-    for out, status in ((to, 0), (to, 0), (mine, 2)):  # a course may replace only a course
+    for out, status in ((to, 0), (to, 0), (mine, 2)):  # a course replaces only a course
         assert main(["plan", mine, "--out", str(out)]) == status
         assert "warning" not in capsys.readouterr().err
-    assert mo.Trace.load(to).meta["within"]["speed_share"] == 0.85  # the limit of a third level that follows the course
+    assert mo.Trace.load(to).meta["within"]["speed_share"] == 0.85  # the limit of 'planned'
     assert (tmp_path / "mine.toml").read_text(encoding="utf-8") == text
     assert main(["run", mine, "--course", str(to), "--trace", str(ran)]) == 0
     assert mo.Trace.load(ran).meta["scenario"]["control"]["course"] == str(to)
@@ -115,7 +115,7 @@ def test_the_commands_write_a_course_and_follow_it(tmp_path, capsys):
     assert main(["run", str(own), "--third-level", "local", "--json"]) == 0
 
 
-def test_a_warning_says_why_the_third_level_cannot_follow_a_course():
+def test_warning_says_why_a_course_cannot_be_followed():
     scenario = mo.Scenario(duration_s=2.0, start={"swivel": 0.2})
     fast, robot = plan(scenario, refined=False), scenario.robot.arm()
     (said,) = following_warnings(scenario, fast)

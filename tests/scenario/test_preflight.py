@@ -1,4 +1,4 @@
-"""A start or path that the arm cannot do is refused before anything moves. The error names field and place."""
+"""Starts and paths that the arm cannot do are refused with field and place."""
 
 import dataclasses
 import re
@@ -34,29 +34,29 @@ def setup(seed=0, path="circle", **tables):
 
 @pytest.mark.parametrize(("q", "told"), [
     (np.zeros(7), "singular"),
-    # With a straight elbow, the tip can move in every direction but the tool cannot turn in every direction.
+    # With a straight elbow, the tool cannot turn in every direction.
     ([0.3, 0.6, -0.2, 0.0, 0.4, -0.9, 0.0], "the tool cannot be turned in every direction"),
     ([0.1] * 6, "give 7 finite numbers"), ([0.1] * 6 + [np.nan], "give 7 finite numbers"),
 ])  # fmt: skip
-def test_a_singular_or_invalid_start_is_refused(q, told):
+def test_singular_or_invalid_start_is_refused(q, told):
     with pytest.raises(ScenarioError, match=told):
         check_start(ROBOT, q)
 
 
-def test_a_joint_outside_its_limits_is_named():
+def test_joint_outside_its_limits_is_named():
     q, joint = np.array(ROBOT.data.q_home), 4
     q[joint] = ROBOT.q_max[joint] + 1e-3
     with pytest.raises(ScenarioError, match=rf"joint {joint + 1} = .*choose"):
         check_start(ROBOT, q)
     q[joint] = ROBOT.q_max[joint]
-    check_start(ROBOT, q)  # the limit itself is allowed
+    check_start(ROBOT, q)  # the limit is allowed
 
 
 def reference(kind="circle", v_max=0.05, a_max=0.2, **sizes):
     return Reference(make_path(kind, HOME.tip, normal=(0, 0, 1), heading=(1, 0, 0), **sizes), v_max, a_max)
 
 
-def test_a_path_that_is_too_fast_is_refused_with_a_speed_that_works():
+def test_path_that_is_too_fast_gets_a_possible_speed():
     with pytest.raises(UnreachableError) as told:
         check_reachable(ROBOT, ROBOT.data.q_home, reference("line", 5.0, 200.0, length=0.06), TROCAR)
     assert told.value.field == "v_max"
@@ -66,8 +66,8 @@ def test_a_path_that_is_too_fast_is_refused_with_a_speed_that_works():
     check_reachable(ROBOT, ROBOT.data.q_home, reference("line", slower, 200.0, length=0.06), TROCAR)
 
 
-def test_a_path_that_leaves_the_workspace_says_where():
-    """The path pulls the tool out along the shaft until the arm is stretched."""
+def test_path_that_leaves_the_workspace_says_where():
+    """The path pulls the tool out until the arm is stretched."""
     tip, trocar = np.array([0.74, 0.0, 0.10]), np.array([0.74, 0.0, 0.30])
     upwards = straight(tip, tip + np.array([0.0, 0.0, 0.16]))
     with pytest.raises(UnreachableError) as told:
@@ -79,8 +79,8 @@ def test_a_path_that_leaves_the_workspace_says_where():
     assert f"{1e3 * told.value.arc_length_m:.1f} mm along the path" in str(told.value)
 
 
-def test_the_joint_that_reaches_its_limit_is_named():
-    """The distance from shoulder to wrist determines joint 4 (the elbow). Self-motion does not change this joint."""
+def test_joint_that_reaches_its_limit_is_named():
+    """Self-motion does not change joint 4 (the elbow)."""
     highest = np.array(ROBOT.q_max)
     highest[3] = HOME.q[3] + 0.05
     stiff = RobotModel(dataclasses.replace(ROBOT.data, q_max=highest))
@@ -92,7 +92,7 @@ def test_the_joint_that_reaches_its_limit_is_named():
     assert told.value.arc_length_m == pytest.approx(0.1 * np.linspace(0.0, 1.0, len(free))[over][0], abs=PLACE_M)
 
 
-def test_a_trocar_beyond_the_tool_or_on_the_path_and_a_start_off_the_path_are_refused():
+def test_trocar_on_the_path_is_refused():
     up = straight(HOME.tip, HOME.tip + np.array([0.0, 0.0, 0.06]))
     away = straight(HOME.tip + np.array([0.0, 0.01, 0.0]), HOME.tip)
     for task, through, field, place in (
@@ -104,8 +104,8 @@ def test_a_trocar_beyond_the_tool_or_on_the_path_and_a_start_off_the_path_are_re
         assert (told.value.field, told.value.arc_length_m) == (field, pytest.approx(place, abs=PLACE_M))
 
 
-def test_another_elbow_position_is_tried_if_the_given_start_fails(monkeypatch):
-    """The given start is made to fail. The pose with most room to the joint limits replaces it."""
+def test_another_elbow_position_is_tried(monkeypatch):
+    """The given start is made to fail."""
     task, scan, solve = reference(radius=0.03), self_motion(ROBOT, HOME.q), preflight.solve_pose
 
     def only_elsewhere(arm, q, tip, wrist):
@@ -119,7 +119,7 @@ def test_another_elbow_position_is_tried_if_the_given_start_fails(monkeypatch):
     assert taken == pytest.approx(room.max(), abs=1e-6)
 
 
-def test_the_shaft_follows_a_breathing_trocar():
+def test_shaft_follows_a_breathing_trocar():
     circle, breathing = reference(radius=0.02), Trocar(INCISION, breathing_amplitude_m=0.01)
     found = check_reachable(ROBOT, HOME.q, circle, breathing)
     tips, wrists = ROBOT.tool_along(found)
@@ -143,8 +143,8 @@ def test_a_random_start_is_regular_and_away_from_joint_limits(seed, swivel):
 
 
 @pytest.mark.parametrize(("name", "margins"), [("lwr4", (0.15, 0.0)), ("lwr4_rail", (0.05, 0.2))])
-def test_a_random_start_keeps_the_margins_that_were_asked_for(name, margins):
-    """Each joint keeps its margin at the start and along the path. Without these keys, some joint has less."""
+def test_random_start_keeps_the_given_margins(name, margins):
+    """Without these keys, some joint has a smaller margin."""
     asking = {"limit_margin_rad": margins[0], "limit_margin_m": margins[1]}
     for keys, kept in ((asking, True), ({}, False)):
         made = setup(0, robot={"name": name}, start={"pose": "random", "swivel": "random", **keys})

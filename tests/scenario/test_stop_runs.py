@@ -1,6 +1,6 @@
-"""After a stop, the arm is held, also with weak drives, and gives way to a trocar that presses.
+"""After a stop, the arm is held and gives way to a trocar that presses.
 
-docs/reliability.md states the bounds. These starts, times and loads were not used to choose settings.
+docs/reliability.md states the bounds.
 """
 
 import dataclasses
@@ -23,7 +23,7 @@ QUICK = {"bound_samples": 0, "judge": False}
 
 
 def after(trace):
-    """Return, for the time after a stop: largest displacement of the tip [m], largest and last trocar force [N]."""
+    """Return the largest tip displacement [m], largest and last trocar force [N] after a stop."""
     stop = trace.t_s >= trace.meta["stopped_at_s"]
     force = np.linalg.norm(trace.trocar_force_N[stop], axis=1)
     return np.linalg.norm(trace.tip_m[stop] - trace.tip_m[stop][0], axis=1).max(), force.max(), force[-1]
@@ -31,8 +31,8 @@ def after(trace):
 
 @pytest.mark.parametrize("share", [1.0, 0.3, 0.15, 0.08])
 @pytest.mark.parametrize("swivel", [0.0, 1.0])
-def test_an_arm_with_weak_drives_is_held_from_any_swivel(monkeypatch, share, swivel):
-    """With `share` = 0.15, the drives carry three quarters of the weight. With damping alone, the tip sinks 70 mm."""
+def test_arm_with_weak_drives_is_held(monkeypatch, share, swivel):
+    """With `share` = 0.15, the drives carry three quarters of the weight."""
     data = RobotTable().arm().data
     weak = RobotModel(dataclasses.replace(data, tau_max=share * data.tau_max))
     monkeypatch.setattr(RobotTable, "arm", lambda table: weak)
@@ -49,8 +49,8 @@ def test_an_arm_with_weak_drives_is_held_from_any_swivel(monkeypatch, share, swi
 
 @pytest.mark.parametrize("load", [{"payload_kg": 0.3}, {"payload_kg": 0.7}, {}], ids=str)
 @pytest.mark.parametrize("seed", [41, 42])
-def test_an_unknown_load_does_not_sink(load, seed):
-    """The masses are also 30 % wrong. A load above stop_yield_N would be taken for a pressing trocar."""
+def test_unknown_load_does_not_sink(load, seed):
+    """A load above stop_yield_N would be taken for a pressing trocar."""
     scenario = Scenario(
         seed=seed, start={"pose": "random"}, faults={"nan_at_s": 0.4, "nan_ticks": 10**6, **load},
         plant={"mass_error": 0.3}, duration_s=1.2, **QUICK,
@@ -62,7 +62,7 @@ def test_an_unknown_load_does_not_sink(load, seed):
 
 
 @pytest.mark.parametrize(("seed", "slip_m"), [(50, 0.03), (51, 0.1), (52, 0.03), (53, 0.1)])
-def test_the_arm_gives_way_to_a_trocar_that_presses(seed, slip_m):
+def test_arm_gives_way_to_a_pressing_trocar(seed, slip_m):
     """The tissue may keep moving after the stop."""
     at = float(np.random.default_rng(seed).uniform(0.2, 1.8))
     scenario = Scenario(
@@ -75,11 +75,10 @@ def test_the_arm_gives_way_to_a_trocar_that_presses(seed, slip_m):
     assert most < 80.0
     assert last < 16.0
     held = run(scenario.change(guard={"stop_yield_N": None}))
-    assert after(held)[2] > 1.5 * last  # brakes that stay closed keep the force up
+    assert after(held)[2] > 1.5 * last  # closed brakes keep the force up
 
 
-def test_the_brakes_open_for_a_pressing_trocar_and_again_only_if_it_presses_harder(robot):
-    """After stop_yield_s, the brakes close under a constant force. A larger force opens them once more."""
+def test_brakes_open_again_only_for_a_larger_force(robot):
     guard, q = SafetyFilter(robot, SafetyFilterSettings(), 0.002, momentum=False), np.array(robot.data.q_home)
     guard.start(q, np.zeros(7))
     pose, length = robot.tool_pose(q), robot.data.tool_length
@@ -91,18 +90,17 @@ def test_the_brakes_open_for_a_pressing_trocar_and_again_only_if_it_presses_hard
         reading = free + np.array([force, 0.0, 0.0, 0.0, force * (length - 0.15), 0.0])
         return [not guard.brake_friction(reading).any() for _ in range(ticks)]
 
-    # The brakes never open on a reading of NaN.
     for force, last in ((0.0, False), (7.0, False), (20.0, True), (6.0, True), (3.0, False), (np.nan, False)):
         assert is_open(force, 100)[-1] == last, force
     most = round(SafetyFilterSettings().stop_yield_s / 0.002)
-    # Brakes that closed at 20 N stay closed at 26 N and open at 40 N. After a fall to 0 N, 20 N opens them again.
+    # After a fall to 0 N, 20 N opens the brakes again.
     for force, ticks in ((0.0, 0), (20.0, most), (26.0, 0), (40.0, most), (0.0, 0), (20.0, most)):
         found = is_open(force, 1000)
         assert (sum(found), any(found[-500:])) == (ticks, False), force
 
 
 PRESSED_N = 35.0
-"""Bound [N] on the root mean square of the force over 0.1 s in a completed run. The filter's limit is 15 N."""
+"""Bound [N] on the root mean square of the force in a completed run."""
 
 at_s, some, whole, forged = st.floats(0.05, 0.6), st.floats, st.integers, st.booleans()
 

@@ -1,4 +1,4 @@
-"""However a run ends, its trace is written to the file with all ticks up to the end."""
+"""However a run ends, its trace is written."""
 
 import os
 import signal
@@ -25,8 +25,7 @@ def whole():
 
 @pytest.mark.parametrize("place", ["watch", "controller"])
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), ValueError("a defect")])
-def test_the_rows_of_a_run_are_saved_whatever_ends_it(whole, error, place, tmp_path, monkeypatch):
-    """A defect of the controller also ends the run. Only errors of its solver are caught."""
+def test_trace_is_saved_whatever_ends_the_run(whole, error, place, tmp_path, monkeypatch):
     ticks, calls, setup = 57, iter(range(10**6)), Setup(Scenario(**SHORT))
     controller = setup.controller()
 
@@ -58,7 +57,7 @@ def test_the_rows_of_a_run_are_saved_whatever_ends_it(whole, error, place, tmp_p
     (signal.SIGINT, 130, "interrupted; the first 0.296 s "), (signal.SIGTERM, 130, "interrupted; the first 0.296 s "),
     (0, 1, f"ZeroDivisionError: a defect of two lines ({Path(__file__).name}:"),
 ])  # fmt: skip
-def test_a_signal_and_a_defect_print_one_line_that_names_the_file(tmp_path, capsys, monkeypatch, number, status, told):
+def test_signal_and_defect_print_the_files_name(tmp_path, capsys, monkeypatch, number, status, told):
     ticks, real = iter(range(10**6)), Plant.measure
 
     def breaking(self):
@@ -79,7 +78,7 @@ def test_a_signal_and_a_defect_print_one_line_that_names_the_file(tmp_path, caps
 
 
 @pytest.mark.parametrize("target", ["nowhere/t.parquet", "file/t.parquet", "t.csv", "."])
-def test_a_file_that_cannot_be_written_is_refused_before_the_run(target, tmp_path, capsys, monkeypatch):
+def test_file_that_cannot_be_written_is_refused_first(target, tmp_path, capsys, monkeypatch):
     (tmp_path / "file").write_text("")
     (tmp_path / "s.toml").write_text("duration_s = 0.1\n")
     monkeypatch.chdir(tmp_path)

@@ -1,4 +1,4 @@
-"""A run over the wire (UDP) equals the simulated run. Faulty packets are counted, and the arm stays safe."""
+"""A run over the wire (UDP) equals the simulated run and survives faulty packets."""
 
 import json
 import re
@@ -20,7 +20,7 @@ SHORT = {"duration_s": 0.6, "bound_samples": 0, "judge": False}
 
 
 def wired(scenario, relayed=None):
-    """Run in lock-step, with the controller in its own thread, connected directly or through a relay."""
+    """Run in lock-step, with the controller in its own thread."""
     plant = PlantServer(scenario, "127.0.0.1:0", lock_step=True)
     with ThreadPoolExecutor(1) as pool:
         if relayed is None:
@@ -32,7 +32,7 @@ def wired(scenario, relayed=None):
 
 
 def assert_same(found, expected):
-    """All columns except measured times are equal, up to rounding."""
+    """Compare all columns except measured times."""
     assert set(found.columns) == set(expected.columns) | {"wake_us", "control_us", "missed"}
     assert found.meta["ended"] == expected.meta["ended"]
     for name in expected.columns.keys() - {"tick_us", "solve_us"}:
@@ -53,7 +53,7 @@ RUNS = {
 
 
 @pytest.mark.parametrize("name", RUNS)
-def test_a_run_over_the_wire_without_packet_loss_equals_the_simulated_run(name):
+def test_run_over_the_wire_equals_the_simulated_run(name):
     scenario = Scenario(**SHORT, seed=3, **RUNS[name])
     found, ending, _ = wired(scenario)
     expected = run(scenario)
@@ -65,11 +65,11 @@ def test_a_run_over_the_wire_without_packet_loss_equals_the_simulated_run(name):
         assert ending[entry] == expected.meta.get(entry, without)
     assert found.meta.get("stopped_at_s") == expected.meta.get("stopped_at_s")
     assert expected.meta.get({"warned": "warnings", "spoilt answers": "faults"}.get(name, "ended"))
-    assert sum(ending["quality"].values()) == ending["ticks"]  # no other packet came
+    assert sum(ending["quality"].values()) == ending["ticks"]
     assert found.meta["wire"] == dict.fromkeys(COUNTERS, 0) | {"received": len(expected)}
 
 
-def test_in_lock_step_no_fault_of_the_wire_changes_the_run():
+def test_no_wire_fault_changes_a_lock_step_run():
     scenario = Scenario(**SHORT, wire={"resend_s": 0.02, "resends": 1000})
     found, ending, relay = wired(scenario, {"share": 0.04, "seed": 1})
     expected = run(scenario)
@@ -79,7 +79,7 @@ def test_in_lock_step_no_fault_of_the_wire_changes_the_run():
         done, whole = relay.done[way], relay.whole[way]
         assert all(done[fault] for fault in FAULTS)
         assert end["forged"] == done["forge"]
-        assert 0 <= end["foreign"] - done["cut"] <= 10  # repeated handshake packets also count as foreign
+        assert 0 <= end["foreign"] - done["cut"] <= 10  # repeated handshakes count as foreign
         of_ticks = sum(count for (kind, flags), count in whole.items() if kind is Kind.COMMAND or flags == RUNNING)
         assert end["received"] + end["late"] == of_ticks
         assert end["late"] > 5
@@ -88,11 +88,11 @@ def test_in_lock_step_no_fault_of_the_wire_changes_the_run():
     assert ending["ended"] == found.meta["ended"] == "completed"
 
 
-# A tick counts as missed after 0.33 s, which is long enough for a busy machine.
+# 0.33 s is long enough for a busy machine.
 BLIND = {"resend_s": 0.33, "resends": 0, "hold_ticks": 3, "damp_ticks": 5}
 
 
-def test_missing_commands_are_bridged_for_some_ticks_and_then_the_brakes_close():
+def test_brakes_close_after_several_missing_commands():
     gaps = [range(50, 52), range(100, 106), range(220, 10_000)]
     scenario = Scenario(**SHORT, wire=BLIND)
     found, ending, _ = wired(scenario, {"lost": lambda kind, k: kind is Kind.COMMAND and any(k in gap for gap in gaps)})
@@ -104,7 +104,7 @@ def test_missing_commands_are_bridged_for_some_ticks_and_then_the_brakes_close()
     assert np.abs(found.v_rad_per_s[-1]).max() < 1e-3
 
 
-def test_a_controller_without_measurements_stops_the_arm():
+def test_controller_without_measurements_stops_the_arm():
     few, many = {60, 61}, range(150, 156)
     lost = {"lost": lambda kind, k: kind is Kind.MEASUREMENT and (k in few or k in many)}
     found, ending, _ = wired(Scenario(**SHORT, wire=BLIND), lost)
@@ -119,8 +119,8 @@ def test_a_controller_without_measurements_stops_the_arm():
     assert np.abs(found.v_rad_per_s[-1]).max() < 1e-3
 
 
-def test_a_run_against_the_clock_completes_or_stops_cleanly(tmp_path):
-    """The commands `plant` and `control` run at the same time. The number of missed ticks depends on the machine."""
+def test_run_against_the_clock_completes_or_stops_cleanly(tmp_path):
+    """The number of missed ticks depends on the machine."""
     file, trace = tmp_path / "run.toml", tmp_path / "run.parquet"
     file.write_text("duration_s = 0.4\nbound_samples = 0\n[plant]\nperiod_s = 0.004\nsubsteps = 4\n")
     key = tmp_path / "key"
@@ -143,7 +143,7 @@ def test_a_run_against_the_clock_completes_or_stops_cleanly(tmp_path):
     assert saved.rcm_error_registered_m.max() < 2e-3
 
 
-def test_both_ends_must_have_the_same_scenario_apart_from_the_controller():
+def test_both_ends_must_have_the_same_scenario():
     base = Scenario(**SHORT)
 
     def told(scenario):
@@ -160,11 +160,11 @@ def test_both_ends_must_have_the_same_scenario_apart_from_the_controller():
         run_there = pool.submit(plant.trace)
         with pytest.raises(WireError, match="another scenario"):
             answer(base.change(seed=1), written(plant.address))
-        answer(base, written(plant.address))  # the plant still waits for a controller with its scenario
+        answer(base, written(plant.address))  # the plant still waits for its controller
         assert run_there.result().meta["ended"] == "completed"
 
 
-def test_the_controller_printed_in_the_docs_answers_every_tick():
+def test_printed_controller_answers_every_tick():
     page = (Path(__file__).parents[2] / "docs" / "realtime.md").read_text(encoding="utf-8")
     blocks = re.findall(r"^```python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
     (shown,) = (text for text in blocks if "HEADER" in text)

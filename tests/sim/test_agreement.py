@@ -1,4 +1,4 @@
-"""An arm that pinocchio and MuJoCo read differently is refused, and the loader's arms are the same in both engines."""
+"""An arm that pinocchio and MuJoCo read differently is refused."""
 
 import re
 from dataclasses import replace
@@ -24,14 +24,14 @@ def edited(text, link, attribute, value):
 
 # Pinocchio drops these values, and MuJoCo keeps them.
 @pytest.mark.parametrize(("attribute", "value"), [("rpy", ""), ("rpy", "0x0 0 0"), ("xyz", ""), ("xyz", "0 0 0x1p-3")])
-def test_an_inertia_that_one_engine_drops_is_refused(robot, attribute, value):
+def test_inertia_that_one_engine_drops_is_refused(robot, attribute, value):
     other = RobotModel(replace(robot.data, urdf=edited(robot.data.urdf, "link_3", attribute, value)))
     with pytest.raises(RobotError, match=r"robot 'lwr4': pinocchio and MuJoCo differ in M by .*1e-06 is allowed"):
         check_engines(other)
 
 
 @pytest.mark.parametrize("change", ["M", "h", "tip", "wrist"])
-def test_mass_bias_tip_and_wrist_are_compared_between_the_engines(robot, change):
+def test_mass_bias_tip_and_wrist_are_compared(robot, change):
 
     def shifted(scale):
         def state(q, v):
@@ -58,7 +58,7 @@ def test_mass_bias_tip_and_wrist_are_compared_between_the_engines(robot, change)
 )  # fmt: skip
 @settings(max_examples=40)
 def test_both_engines_accept_a_flat_body_in_any_axes(a, b, beyond, seed, tmp_path_factory):
-    """A plate's rounded moments may violate the triangle inequality, which MuJoCo does not accept."""
+    """A plate's rounded moments may violate MuJoCo's triangle inequality."""
     Q, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
     I = Q @ np.diag([a, b, (a + b) * (1.0 + beyond)]) @ Q.T  # noqa: E741
     moments = {"ixx": I[0, 0], "iyy": I[1, 1], "izz": I[2, 2], "ixy": I[0, 1], "ixz": I[0, 2], "iyz": I[1, 2]}

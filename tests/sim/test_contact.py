@@ -1,4 +1,4 @@
-"""Forces on the arm: the trocar's force on the shaft, constant pushes, and the springs of elastic joints."""
+"""Forces on the arm: trocar, pushes and the springs of elastic joints."""
 
 import re
 
@@ -25,13 +25,12 @@ def numpy_shaft_force(tip, wrist, twist, origin, trocar, elapsed, stiffness, dam
 
 
 def shaft_of(plant, depth=0.15, off=1e-3):
-    """A trocar (2, 3) at rest, `off` metres beside the shaft."""
     u = (plant.wrist - plant.tip) / np.linalg.norm(plant.wrist - plant.tip)
     side = np.cross(u, [1.0, 0.2, 0.0])
     return np.vstack([plant.tip + depth * u + off * side / np.linalg.norm(side), np.zeros(3)])
 
 
-def test_a_push_replaces_the_previous_push_on_its_link_unless_it_is_refused():
+def test_push_replaces_previous_push_on_its_link():
     plant = Plant(DATA, PlantSettings.nominal())
     for push, message in (
         (("lnk_1", [1, 0, 0]), "did you mean 'link_1'"), (("link_1", [1, 0]), "push force"),
@@ -49,13 +48,13 @@ def test_a_push_replaces_the_previous_push_on_its_link_unless_it_is_refused():
     plant.clear_pushes("link_1")
     assert not plant._pushes
     plant.push("link_1", [1, 0, 0])
-    plant.push(plant.mj_model.body(1).name, [1, 0, 0])  # the fixed base can be pushed too
+    plant.push(plant.mj_model.body(1).name, [1, 0, 0])  # the fixed base
     plant.reset(DATA.q_home)
     assert not plant._pushes
 
 
-def test_trocar_and_pushes_accelerate_the_arm_through_their_points_of_action_until_removed():
-    """One plant step from rest with gravity compensated: v = step * M^-1 J^T F, with J from the controller's model."""
+def test_trocar_and_pushes_act_at_their_points():
+    """One plant step from rest with gravity compensated: v = step * M^-1 J^T F."""
     plant, state = Plant(DATA, PlantSettings.nominal(period_s=1e-3, substeps=1)), MODEL.state(DATA.q_home)
     trocar, lever = shaft_of(plant, depth=0.1, off=2e-3), np.array([0.01, 0.02, 0.03])
     force, _ = numpy_shaft_force(state.tip, state.wrist, np.zeros(6), np.zeros(3), trocar, 0.0, 800.0, 10.0)
@@ -76,7 +75,7 @@ def test_trocar_and_pushes_accelerate_the_arm_through_their_points_of_action_unt
 
 
 @pytest.mark.parametrize(("stiffness", "damping"), [(800.0, 10.0), (800.0, 0.0), (0.0, 10.0)])
-def test_the_trocar_force_belongs_to_the_present_state(stiffness, damping):
+def test_trocar_force_belongs_to_the_present_state(stiffness, damping):
     wall = PlantSettings.nominal(trocar_stiffness_N_per_m=stiffness, trocar_damping_Ns_per_m=damping)
     plant = Plant(DATA, wall)
     state = MODEL.state(DATA.q_home)
@@ -94,8 +93,8 @@ def test_the_trocar_force_belongs_to_the_present_state(stiffness, damping):
     assert not plant.trocar_force.any()
 
 
-def test_a_moving_trocar_moves_within_the_period():
-    """One period of 20 plant steps equals ten periods of 2 steps, each with the trocar's new position."""
+def test_moving_trocar_moves_within_the_period():
+    """One period of 20 plant steps equals ten periods of 2 steps."""
     coarse = Plant(DATA, PlantSettings.nominal(period_s=0.02, substeps=20))
     fine = Plant(DATA, PlantSettings.nominal())
     state = MODEL.state(DATA.q_home)
@@ -111,8 +110,8 @@ def test_a_moving_trocar_moves_within_the_period():
 @pytest.mark.parametrize(
     ("stiffness", "damping"), [(800.0, 10.0), (800.0, 100.0), (20e3, 10.0), (20e3, 100.0), (20e3, 0.0)]
 )
-def test_neither_a_soft_nor_a_rigid_incision_gives_the_arm_energy(stiffness, damping):
-    """The trocar is 1 mm beside the shaft and gravity is compensated. With some damping the arm comes to rest."""
+def test_incision_gives_the_arm_no_energy(stiffness, damping):
+    """The trocar is 1 mm beside the shaft and gravity is compensated."""
     wall = PlantSettings.nominal(trocar_stiffness_N_per_m=stiffness, trocar_damping_Ns_per_m=damping)
     plant = Plant(DATA, wall)
     trocar, springs, energies, joints = shaft_of(plant), [], [], 2.0 if damping else 0.0
@@ -143,8 +142,8 @@ def hold(plant, periods, more=0.0):
 
 
 @pytest.mark.parametrize("stiffness", [1e3, 1e4])
-def test_a_joint_swings_at_the_frequency_of_its_two_inertias(stiffness):
-    """The frequency is sqrt(k (1/B + 1/J)) with the inertias B of the rotor and J of the links."""
+def test_joint_swings_at_frequency_of_its_two_inertias(stiffness):
+    """The frequency is sqrt(k (1/B + 1/J)) with the inertias of rotor B and links J."""
     settings = elastic(
         joint_stiffness_Nm_per_rad=(stiffness, *[1e5] * 6), period_s=1e-3, substeps=100, gravity=False,
         joint_spring_damping_Nm_s_per_rad=0.0,
@@ -154,7 +153,7 @@ def test_a_joint_swings_at_the_frequency_of_its_two_inertias(stiffness):
     plant.reset(bent)
     rotor = DATA.rotor_inertia[0]
     link = MODEL.state(bent).M[0, 0] - rotor
-    plant.mj_data.qpos[1] = 1e-4  # deflects the spring of joint 1, the only cause of motion
+    plant.mj_data.qpos[1] = 1e-4  # deflects the spring of joint 1
     spring = np.zeros(300)
     for k in range(300):
         plant.step(np.zeros(7))
@@ -166,7 +165,7 @@ def test_a_joint_swings_at_the_frequency_of_its_two_inertias(stiffness):
 
 
 @pytest.mark.parametrize("side", ["link", "motor"])
-def test_the_weight_bends_the_joints_and_the_arm_rests(side):
+def test_weight_bends_the_joints(side):
     plant = Plant(DATA, elastic(joint_stiffness_Nm_per_rad=tuple(STIFF), encoder_side=side))
     sag = plant.mj_data.qpos[1::2]
     np.testing.assert_allclose(sag, -MODEL.state(plant.q).h / STIFF, atol=1e-12)
@@ -191,7 +190,7 @@ def test_very_stiff_joints_move_like_rigid_joints():
     np.testing.assert_allclose(stiff.tip, rigid.tip, atol=2e-6)
 
 
-def test_the_true_position_in_plant_and_trace_is_the_position_of_the_links():
+def test_true_position_is_that_of_the_links():
     plant = Plant(DATA, elastic(encoder_side="motor"))
     hold(plant, 20, 5.0)
     motors, links = plant.measure().q, plant.q
@@ -213,11 +212,11 @@ def test_brakes_act_on_the_motors_until_reset():
     assert plant.mj_model.dof_damping[::2].max() < 15.0
 
 
-def test_too_few_substeps_for_the_springs_are_refused_with_a_sufficient_number():
+def test_error_for_few_substeps_names_a_sufficient_number():
     with pytest.raises(PlantError, match="substeps = 2 makes plant steps of 1 ms") as said:
         Plant(DATA, elastic(substeps=2))
     fastest, need = map(int, re.search(r"up to (\d+) rad/s: raise substeps to (\d+)", str(said.value)).groups())
-    assert need == np.ceil(0.002 * fastest)  # one radian of the fastest oscillation per step
+    assert need == np.ceil(0.002 * fastest)  # one radian per step
     Plant(DATA, elastic(substeps=need))
     with pytest.raises(PlantError, match=r"has 2 entries.*7 joints"):
         Plant(DATA, elastic(joint_stiffness_Nm_per_rad=(1e4, 1e4)))

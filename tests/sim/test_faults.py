@@ -28,13 +28,13 @@ def measured(k):
 
 
 def arrived(ticks=60, seed=0, **changes):
-    """Return (stamps, q, v) as they arrive: packet numbers, positions, velocities. Packet k has q = k and v = 0.1 k."""
+    """Return (stamps, q, v) as they arrive. Packet k has q = k and v = 0.1 k."""
     mine = faults(seed, **changes)
     seen = [mine.sense(measured(k), k) for k in range(ticks)]
     return np.array([s.stamp for s in seen]), np.array([s.q for s in seen]), np.array([s.v for s in seen])
 
 
-def test_by_default_no_fault_disturbs_the_arm():
+def test_no_fault_disturbs_the_arm_by_default():
     np.testing.assert_array_equal(arrived(20)[1][:, 0], np.arange(20.0))
     assert not any(FaultSettings(**only).around_the_arm for only in ({}, {"solver": "lie", "solver_share": 0.5}))
     for field in ("encoder_bias_rad", "drop_share", "bump_N", "payload_kg", "slip_m"):
@@ -43,14 +43,14 @@ def test_by_default_no_fault_disturbs_the_arm():
 
 @pytest.mark.parametrize("field", ["drop_share", "lag_growth", "drift_rad_per_s", "solver_share", "frozen_ticks",
                                    "replay_ticks", "nan_ticks"])  # fmt: skip
-def test_a_fault_beyond_its_range_is_refused(field):
+def test_fault_beyond_its_range_is_refused(field):
     FaultSettings(**{field: 1})
     for beyond in [0] if field.endswith("ticks") else [1.05, -1.05]:
         with pytest.raises(PlantError, match=field):
             FaultSettings(**{field: beyond})
 
 
-def test_a_dropped_measurement_is_replaced_by_the_previous_measurement():
+def test_dropped_measurement_is_replaced_by_previous_one():
     stamps, q, v = arrived(500, 1, drop_share=0.4)
     found = q[:, 0]
     np.testing.assert_array_equal(found, stamps)
@@ -83,8 +83,8 @@ def test_bias_noise_and_jump_have_the_given_size():
 
 @pytest.mark.parametrize(("at", "long"), [(0.02, 0.01), (0.021, 0.01), (0.0199, 0.0003), (0.0, 0.01)])
 @pytest.mark.parametrize("link", ["link_4", "tool"])
-def test_a_push_begins_and_ends_at_its_times(link, at, long):
-    """Times between two ticks are rounded. The shortest push lasts one tick. A payload on the tool stays."""
+def test_push_begins_and_ends_at_its_times(link, at, long):
+    """Times between two ticks are rounded."""
     held, mine = {}, faults(bump_N=30.0, bump_at_s=at, bump_s=long, bump_link=link, payload_kg=2.0)
     plant = SimpleNamespace(push=held.__setitem__)
     weight = np.array([0.0, 0.0, -2.0 * GRAVITY])
@@ -98,7 +98,7 @@ def test_a_push_begins_and_ends_at_its_times(link, at, long):
     np.testing.assert_allclose(np.array(pushed)[:, 2], 0.0, atol=1e-9)
 
 
-def test_the_trocar_slips_smoothly():
+def test_trocar_slips_smoothly():
     t = PERIOD * np.arange(500)
     still = np.zeros((500, 2, 3))
     moved = faults(slip_m=0.01, slip_at_s=0.3).slip(still, t)
@@ -109,23 +109,23 @@ def test_the_trocar_slips_smoothly():
     np.testing.assert_allclose(moved[1:-1, 1], rate[1:-1], atol=4e-3)  # rates reach 0.15 m/s
     assert faults().slip(still, t) is still
     ways = np.array([faults(seed, slip_m=0.01, slip_at_s=0.0).slip(still, t)[-1, 0] for seed in range(40)])
-    assert (ways[:, :2].min(axis=0) < -0.008).all()  # the directions go to every side
+    assert (ways[:, :2].min(axis=0) < -0.008).all()  # slips go to every side
     assert (ways[:, :2].max(axis=0) > 0.008).all()
 
 
-def test_an_unknown_link_or_joint_is_refused_before_the_run():
+def test_unknown_link_or_joint_is_refused_before_the_run():
     with pytest.raises(PlantError, match="frozen_joint = 7"):
         faults(frozen_at_s=0.0, frozen_joint=7)
     with pytest.raises(UnknownNameError, match="did you mean 'link_4'"):
         Setup(Scenario(faults={"bump_N": 1.0, "bump_link": "link_44"}, **SHORT))
-    Setup(Scenario(faults={"bump_link": "link_44"}, **SHORT))  # without a push its link is not checked
+    Setup(Scenario(faults={"bump_link": "link_44"}, **SHORT))
 
 
 @pytest.mark.parametrize(("kind", "named"), [
     ("fail", "failed"), ("nan", "not_finite"), ("lie", "lied"), ("raise", "raised"), ("outside", "outside"),
     ("rig", "outside"), ("malformed", "malformed"), ("hang", "late"),
 ])  # fmt: skip
-def test_every_injected_solver_fault_is_named_in_the_trace(kind, named):
+def test_every_solver_fault_is_named_in_the_trace(kind, named):
     wrong = {"solver": kind, "solver_share": 0.2}
     solver = {"name": "rnn" if kind == "hang" else "exact"}
     scenario = Scenario(control=TUNED, solver=solver, faults=wrong, seed=3, **SHORT)
@@ -135,11 +135,11 @@ def test_every_injected_solver_fault_is_named_in_the_trace(kind, named):
     np.testing.assert_array_equal(trace.fault, np.where(trace.injected, named, "none"))
     assert {name: found["count"] for name, found in trace.meta["faults"].items()} == {named: trace.injected.sum()}
     if kind == "hang":
-        np.testing.assert_array_equal(trace.tau_Nm, run(scenario).tau_Nm)  # repeatable, although late
+        np.testing.assert_array_equal(trace.tau_Nm, run(scenario).tau_Nm)  # repeatable
     assert trace.meta["ended"] == "completed"
 
 
-def test_a_hanging_solver_takes_ten_times_the_given_budget():
+def test_hanging_solver_takes_ten_times_the_budget():
     control = {**TUNED, "supervisor": {"budget_us": 7.0, "late": "zero"}}
     scenario = Scenario(control=control, faults={"solver": "hang", "solver_share": 0.5}, **SHORT)
     trace = run(scenario)
@@ -153,7 +153,7 @@ K = np.arange(60)
 STUCK = np.where(K < 20, K, 19)
 
 
-# settings of the fault, then the packet numbers and the positions of joints 1 and 3 that arrive
+# settings of the fault, arriving packet numbers, arriving positions of joints 1 and 3
 @pytest.mark.parametrize(("changes", "stamps", "first", "third"), [
     ({"frozen_ticks": 10}, *[np.where((K < 20) | (K >= 30), K, 19)] * 3),
     ({"frozen_ticks": 10, "forged_stamps": True}, K, *[np.where((K < 20) | (K >= 30), K, 19)] * 2),
@@ -164,7 +164,7 @@ STUCK = np.where(K < 20, K, 19)
      np.maximum(np.where(K < 20, K - 3, 12), 0)),
     ({"replay_ticks": 8}, *[np.r_[:20, np.resize(np.arange(13, 21), 40)]] * 3),
 ], ids=str)  # fmt: skip
-def test_frozen_lagging_and_replayed_measurements_arrive_at_their_times(changes, stamps, first, third):
+def test_faulty_measurements_arrive_at_their_times(changes, stamps, first, third):
     kind = next(iter(changes)).partition("_")[0]
     frozen = {"frozen_velocity": "zero"} if kind == "frozen" else {}
     found, q, v = arrived(**{f"{kind}_at_s": 0.04}, **frozen, **changes)
@@ -176,7 +176,7 @@ def test_frozen_lagging_and_replayed_measurements_arrive_at_their_times(changes,
         np.testing.assert_allclose(v[:, j], np.where(rests, 0.0, 0.1 * old))
 
 
-def test_a_drift_is_in_position_and_in_velocity():
+def test_drift_is_in_position_and_velocity():
     clean, drifting = arrived(), arrived(drift_rad_per_s=0.5, drift_at_s=0.02, seed=3)
     moved, faster = drifting[1] - clean[1], drifting[2] - clean[2]
     assert not moved[:11].any()
@@ -203,7 +203,7 @@ def test_readings_are_rounded_to_the_encoders_resolution(seed, step):
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
 
 
-def test_encoder_noise_has_its_standard_deviation_and_follows_its_seed():
+def test_encoder_noise_has_its_standard_deviation():
     sensor = encoders(3, noise_rad=1e-4)
     sensor.start(np.zeros(7), np.zeros(7))
     noise = np.array([sensor.read(np.zeros(7), np.zeros(7))[0] for _ in range(3000)])
@@ -227,7 +227,7 @@ def test_velocity_is_the_low_passed_difference_quotient():
     np.testing.assert_allclose(estimates, rise[:, None] * speed, atol=1e-9)
 
 
-def test_the_velocity_starts_at_its_true_value_and_is_unfiltered_without_a_cutoff():
+def test_velocity_starts_at_its_true_value():
     sensor = encoders(noise_rad=1e-5)
     first, velocity = sensor.start(np.zeros(7), np.full(7, 0.3))
     np.testing.assert_array_equal(velocity, 0.3)
@@ -253,7 +253,7 @@ def test_an_encoder_at_rest_repeats_a_reading_no_longer_than_its_noise_allows(no
 @given(st.floats(0.3, 10.0), st.floats(5.0, 400.0), st.integers(0, 2**32 - 1))
 @settings(max_examples=20, deadline=None)
 def test_an_encoder_with_noise_and_a_velocity_filter_repeats_no_reading(steps, cutoff, seed):
-    """`repeats_no_reading` promises this once the velocity has been nonzero."""
+    """The velocity has been nonzero before."""
     noise, step = 1e-5, steps * 1e-5
     sensor = encoders(seed, N := 16, noise_rad=noise, resolution_rad=step, cutoff_Hz=cutoff)
     q = np.full(N, 1000.0 * step)
@@ -264,10 +264,10 @@ def test_an_encoder_with_noise_and_a_velocity_filter_repeats_no_reading(steps, c
         assert not twice.any()
 
 
-def test_an_encoder_with_too_little_noise_or_filtering_may_repeat_a_reading():
+def test_encoder_with_little_noise_may_repeat_a_reading():
     given = [(0.0, 2.4e-5), (3e-6, 2.4e-5), (1e-5, 2.4e-5), (1e-5, 0.0)]
     assert [longest_repetition(noise, step) for noise, step in given] == [None, None, 89, 10]
-    # Without a filter, a constant position always gives zero velocity. A filter of 10 kHz hardly filters.
+    # A filter of 10 kHz hardly filters.
     filters = [(1e-5, 50.0), (1e-5, 0.0), (1e-5, 1e4), (0.0, 50.0)]
     promised = [repeats_no_reading(noise, 2.4e-5, cutoff, PERIOD) for noise, cutoff in filters]
     assert promised == [True, False, False, False]

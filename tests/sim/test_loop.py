@@ -40,7 +40,7 @@ class Holding:
 
 @pytest.fixture(scope="module")
 def references(robot):
-    """Tip references, and true and registered trocars, that differ from tick to tick."""
+    """Tip references, and true and registered trocars, of every tick."""
     s, k = robot.state(robot.data.q_home), np.arange(TICKS, dtype=float)
     tip_refs, trocars = np.zeros((TICKS, 3, 3)), np.zeros((TICKS, 2, 3))
     tip_refs[:, 0] = s.tip + 1e-4 * k[:, None]
@@ -56,7 +56,7 @@ def ready(robot, settings=None):
 
 
 def test_each_tick_records_the_state_at_its_start(robot, references):
-    """The controller gets measurements and the registered trocar, and the plant gets the true trocar."""
+    """Only the plant gets the true trocar."""
     tip_refs, trocars, registered = references
     brain, plant = Holding(robot), ready(robot, PlantSettings())
     offset = TaskOffset(np.array([1e-3, 2e-3, 0.0]), np.array([0.0, 1e-3, 3e-3]))
@@ -78,7 +78,7 @@ def test_each_tick_records_the_state_at_its_start(robot, references):
             np.testing.assert_array_equal(given, shown)
         np.testing.assert_array_equal(trace.tau_Nm[k], tau := Holding(robot).tick(*brain.seen[k]))
         plant.step(tau, trocars[k])
-    assert np.linalg.norm(trace.q_rad[-1] - trace.q_rad[0]) > 1e-4  # the arm moves
+    assert np.linalg.norm(trace.q_rad[-1] - trace.q_rad[0]) > 1e-4
     np.testing.assert_allclose(trace.tip_error_m, np.linalg.norm(tip_refs[:, 0] - trace.tip_m, axis=1), atol=1e-15)
     u = (trace.tip_m - trace.wrist_m) / np.linalg.norm(trace.tip_m - trace.wrist_m, axis=1)[:, None]
     away = np.linalg.norm(tip_refs[:, 0] + offset.tip - trace.tip_m, axis=1)
@@ -90,7 +90,7 @@ def test_each_tick_records_the_state_at_its_start(robot, references):
     assert np.abs(trace.rcm_error_m - trace.rcm_error_registered_m).max() > 1e-4
 
 
-def test_the_time_of_a_tick_excludes_recording_and_no_garbage_is_collected_during_the_loop(robot, references):
+def test_no_garbage_is_collected_during_the_loop(robot, references):
     brain, watched = Holding(robot), []
 
     def watch(tick):
@@ -104,7 +104,7 @@ def test_the_time_of_a_tick_excludes_recording_and_no_garbage_is_collected_durin
     np.testing.assert_array_equal(trace.extra, np.arange(1, TICKS + 1))
 
 
-def test_meta_describes_the_run_and_the_time_continues_at_the_plants_time(robot, references):
+def test_meta_describes_the_run(robot, references):
     plant = ready(robot, PlantSettings.nominal(period_s=0.004, substeps=4))
     trace, ticks = simulate(plant, Holding(robot), *references, meta={"answer": 42}), ("ticks", "ticks_planned")
     assert trace.meta == {"period_s": 0.004, "ended": "completed", "answer": 42, **dict.fromkeys(ticks, TICKS)}
@@ -113,7 +113,7 @@ def test_meta_describes_the_run_and_the_time_continues_at_the_plants_time(robot,
     assert more.t_s[0] == pytest.approx(trace.t_s[-1] + 0.004)
 
 
-def test_the_loop_restores_the_state_of_the_garbage_collector(robot, references):
+def test_loop_restores_the_garbage_collectors_state(robot, references):
     with pytest.raises(PlantError, match="not finite"):
         simulate(ready(robot), Holding(robot, float("nan")), *references)
     assert gc.isenabled()
@@ -126,7 +126,7 @@ def test_the_loop_restores_the_state_of_the_garbage_collector(robot, references)
         gc.enable()
 
 
-def test_an_arm_that_runs_away_ends_the_run_and_the_error_has_the_trace(robot, references):
+def test_error_of_runaway_arm_has_the_trace(robot, references):
     plant = ready(robot)
 
     def push(tick):
@@ -141,17 +141,17 @@ QUICK = {"bound_samples": 0, "judge": False, "duration_s": 1.2}
 
 
 def live(scenario):
-    """Run as the live page does. Return the reason of the stop, its time [s] and the final joint speeds (n,)."""
+    """Run as the live page does. Return reason, time [s] and final joint speeds (n,)."""
     run = LiveRun(scenario.change(duration_s=None))
     run.advance(round(QUICK["duration_s"] / run.period_s))
     at = run.t_s
     run.advance(10)
-    assert not run.stopped or run.t_s == at  # a stopped run does not advance
+    assert not run.stopped or run.t_s == at  # no advance after a stop
     return run.stopped, at - scenario.guard.stop_s, run._setup.plant.v
 
 
 def procedure(scenario):
-    """Guide the arm by hand, without reference and trocar. Return reason, time [s] and final speeds as `live` does."""
+    """Guide the arm by hand. Return reason, time [s] and final speeds as `live` does."""
     setup = Setup(scenario)
     incision = setup.plant.tip + np.array([0.05, 0.1, 0.1])
     found = guide_to(incision, setup.plant, setup.robot, HandsOnSettings(guard=scenario.guard, time_limit_s=1.2))
@@ -168,11 +168,10 @@ FORCED = {"trocar_force_N": 0.1, "trocar_force_warning_N": 0.1}
     (live, NOT_BELIEVED, {}), (procedure, NOT_BELIEVED, {}), (live, "the tip has been", {"tip_error_m": 1e-5}),
     (live, "the trocar's force has been above", FORCED),
 ])  # fmt: skip
-def test_a_reason_of_the_safety_filter_stops_every_loop(loop, reason, guard, monkeypatch):
+def test_reason_of_the_safety_filter_stops_every_loop(loop, reason, guard, monkeypatch):
     measure = Plant.measure
 
     def broken(plant):
-        """Encoders that show NaN from 0.2 s on."""
         seen = measure(plant)
         return seen._replace(q=seen.q + np.nan) if plant.time > 0.2 else seen
 
@@ -184,8 +183,8 @@ def test_a_reason_of_the_safety_filter_stops_every_loop(loop, reason, guard, mon
     assert np.abs(speed).max() < 0.02  # the brakes hold
 
 
-def test_a_stop_is_simulated_for_stop_s(robot):
-    """The arm is braked from the step that requests the stop. The time stop_s begins after this step."""
+def test_stop_is_simulated_for_stop_s(robot):
+    """The time stop_s begins after the step that requests the stop."""
     setup = Setup(Scenario(**QUICK))
     loop = setup.closed_loop(setup.controller())
     loop.filtered._filter.request_stop("for a test")  # the start forgets this request

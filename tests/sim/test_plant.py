@@ -1,4 +1,4 @@
-"""The plant equals the controller's model except for the errors that its settings ask for, and runs are repeatable."""
+"""The plant equals the controller's model except for the errors in its settings."""
 
 import re
 from concurrent.futures import ThreadPoolExecutor
@@ -49,8 +49,7 @@ def run(plant, periods, seed=0, trocar=TROCAR):
     return np.array(rows)
 
 
-def test_free_fall_follows_pinocchios_forward_dynamics():
-    """Two plant steps equal two steps of semi-implicit Euler with the controller's M and h."""
+def test_free_fall_follows_pinocchios_dynamics():
     plant, rng = nominal(period_s=1e-3), np.random.default_rng(1)
     q, v = DATA.q_home.copy(), rng.uniform(-0.5, 0.5, 7)
     tau = rng.uniform(-5, 5, 7)
@@ -78,15 +77,15 @@ def test_friction_only_removes_energy_and_without_it_energy_is_kept(seed, scale,
         assert course[-1] == pytest.approx(first, rel=1e-3)
 
 
-def test_the_friction_has_the_coefficients_of_the_robot_file():
-    """A steady turn about the vertical first axis needs a torque of d v + c (viscous and Coulomb friction)."""
+def test_friction_has_the_robot_files_coefficients():
+    """A steady turn about the vertical first axis needs a torque of d v + c."""
     plant, turning = nominal(friction=2.0, substeps=20), np.eye(7)[0]
     plant.reset(np.zeros(7), 0.4 * turning)
     needed = 2.0 * (DATA.viscous_friction[0] * 0.4 + DATA.coulomb_friction[0])
     assert drive(plant, needed * turning, 200).v[0] == pytest.approx(0.4, abs=1e-3)
 
 
-def test_the_mass_error_changes_only_masses_and_inertias():
+def test_mass_error_changes_only_masses_and_inertias():
     plant, right = nominal(mass_error=0.1, seed=3), Plant(DATA, NOMINAL)
     wrong, exact = plant.mj_model, right.mj_model
     scale = wrong.body_mass[1:-2] / exact.body_mass[1:-2]
@@ -97,7 +96,7 @@ def test_the_mass_error_changes_only_masses_and_inertias():
         np.testing.assert_array_equal(getattr(wrong, name), getattr(exact, name), err_msg=name)
 
 
-def test_factors_of_mass_and_friction_come_from_the_seed_and_fill_their_range():
+def test_mass_and_friction_factors_follow_the_seed():
     def drawn(error, seed):
         settings = PlantSettings(mass_error=error, friction_error=2.0 * error, friction=3.0)
         one = Mismatch.draw(DATA, settings, DATA.joint_names, np.random.SeedSequence(seed))
@@ -120,9 +119,9 @@ def test_joints_stop_near_their_limits():
 
 
 @pytest.mark.parametrize("delay", [0, 1, 3])
-def test_torque_is_cut_at_the_limit_and_acts_after_the_delay(delay):
+def test_torque_acts_after_the_delay(delay):
     plant = nominal(delay_ticks=delay)
-    plant.reset(DATA.q_home + 0.2)  # until the delay is over, the torque that holds this pose acts
+    plant.reset(DATA.q_home + 0.2)  # the holding torque acts during the delay
     hold = plant.applied_torque
     commands = hold + DATA.tau_max * np.random.default_rng(7).normal(size=(8, 7))
     acted = [drive(plant, tau, 1).applied_torque for tau in commands]
@@ -131,7 +130,7 @@ def test_torque_is_cut_at_the_limit_and_acts_after_the_delay(delay):
 
 
 def chain_tip(model, mismatch, q):
-    """The tip by forward kinematics with the drawn shifts and turns of the joint frames."""
+    """The tip by forward kinematics with the drawn errors of the joint frames."""
     chain = model.chain
     place, turn = np.zeros(3), np.eye(3)
     for i in range(model.n):
@@ -140,7 +139,7 @@ def chain_tip(model, mismatch, q):
     return place + turn @ (chain.offsets[0] + mismatch.origin_shift[-1])
 
 
-def test_the_calibration_error_changes_only_the_plants_kinematics():
+def test_calibration_error_changes_only_the_plants_kinematics():
     plant, rng = nominal(2, calibration_error_m=4e-4, calibration_tilt_rad=3e-4), np.random.default_rng(2)
     mismatch = plant.mismatch
     np.testing.assert_allclose(np.linalg.norm(mismatch.origin_shift, axis=1), 4e-4)
@@ -150,12 +149,11 @@ def test_the_calibration_error_changes_only_the_plants_kinematics():
         mujoco.mj_forward(plant.mj_model, plant.mj_data)
         np.testing.assert_allclose(plant.tip, chain_tip(MODEL, mismatch, q), atol=1e-12)
         assert 1e-5 < np.linalg.norm(plant.tip - MODEL.state(q).tip) < 8 * 4e-4 + 7 * 3e-4 * 1.6
-    # Wrist and tip still lie on one straight tool.
     mount = plant.mj_data.site("tool_mount_sensor").xmat.reshape(3, 3)
     np.testing.assert_allclose(plant.tip - plant.wrist, _HOME.tool_span * mount[:, 2], atol=1e-12)
 
 
-def test_encoder_bias_displaces_the_tip_by_jacobian_times_bias():
+def test_encoder_bias_displaces_tip_by_jacobian_times_bias():
     plant = nominal(1, encoder_bias_rad=5e-4)
     bias = plant.mismatch.encoder_bias
     np.testing.assert_array_equal(plant.measure().q, DATA.q_home - bias + bias)
@@ -173,7 +171,6 @@ STREAMS = {
 
 @pytest.mark.parametrize("name", STREAMS)
 def test_each_error_has_its_own_random_stream(name):
-    """Switching one error off does not change the other errors."""
     full, none = (vars(Plant(DATA, PlantSettings(**off), seed=7).mismatch) for off in ({}, {name: 0.0}))
     changed = {field for field, drawn in full.items() if not np.all(drawn == none[field])}
     alone = nominal(**{name: 0.01}).mismatch
@@ -181,7 +178,7 @@ def test_each_error_has_its_own_random_stream(name):
     assert changed == ({STREAMS[name]} - {""})
 
 
-def test_torque_ripple_is_a_sine_of_the_joint_angle():
+def test_torque_ripple_is_a_sine_of_joint_angle():
     plant = nominal(3, torque_ripple=0.01, torque_ripple_per_turn=50.0)
     other = nominal(4, torque_ripple=0.01)
     assert np.abs(plant.mismatch.ripple_phase - other.mismatch.ripple_phase).min() > 1e-3
@@ -198,7 +195,7 @@ def test_torque_ripple_is_a_sine_of_the_joint_angle():
     assert spectrum[2] > 1e6 * np.delete(spectrum, 2).max()
 
 
-def test_a_measurement_is_exact_in_the_nominal_plant_and_close_in_the_realistic_plant():
+def test_measurement_is_exact_in_the_nominal_plant():
     exact, near = Plant(DATA, NOMINAL), Plant(DATA, seed=2)
     for plant in (exact, near):
         run(plant, 50)
@@ -212,7 +209,7 @@ def test_a_measurement_is_exact_in_the_nominal_plant_and_close_in_the_realistic_
         assert not array.flags.writeable
 
 
-def test_equal_seeds_give_equal_numbers_and_plants_share_nothing_even_in_threads():
+def test_equal_seeds_give_equal_numbers_in_threads():
     one, two = Plant(DATA, seed=9), Plant(DATA, seed=9)
     first = run(one, 100)
     np.testing.assert_array_equal(first, run(two, 100))
@@ -220,7 +217,7 @@ def test_equal_seeds_give_equal_numbers_and_plants_share_nothing_even_in_threads
     one.reset(DATA.q_home)
     np.testing.assert_array_equal(first, run(one, 100))
     assert not np.array_equal(first, run(Plant(DATA, seed=10), 100))
-    without = Plant(DATA, PlantSettings(encoder_noise_rad=0), seed=9)  # the wrench's noise stays the same
+    without = Plant(DATA, PlantSettings(encoder_noise_rad=0), seed=9)  # the wrench's noise is the same
     np.testing.assert_array_equal(Plant(DATA, seed=9).measure().force, without.measure().force)
     alone = [run(Plant(DATA, seed=seed), 300, seed) for seed in (1, 2)]
     with ThreadPoolExecutor(2) as threads:
@@ -228,8 +225,7 @@ def test_equal_seeds_give_equal_numbers_and_plants_share_nothing_even_in_threads
     np.testing.assert_array_equal(alone, together)
 
 
-def test_the_noise_of_the_wrench_sensor_reaches_the_measurement():
-    """Two plants that differ only in this noise move alike. The noise is the difference of their readings."""
+def test_wrench_noise_reaches_the_measurement():
     levels = {"force_noise_N": 0.1, "torque_noise_Nm": 0.002}
     noisy, quiet = (Plant(DATA, PlantSettings(**given), seed=5) for given in (levels, dict.fromkeys(levels, 0.0)))
     seen = [[drive(one, one.applied_torque, 1).measure().force for _ in range(1000)] for one in (noisy, quiet)]
@@ -237,7 +233,7 @@ def test_the_noise_of_the_wrench_sensor_reaches_the_measurement():
     np.testing.assert_allclose(np.std(np.subtract(*seen), axis=0), np.repeat([0.1, 0.002], 3), rtol=0.1)
 
 
-def test_a_refused_step_changes_neither_noise_nor_arm():
+def test_refused_step_does_not_change_the_arm():
     one, other = Plant(DATA, seed=1), Plant(DATA, seed=1)
     torque, trocar = one.applied_torque, np.stack([one.tip, np.zeros(3)])
     for k in range(260):  # beyond one block of noise
@@ -252,7 +248,7 @@ def test_a_refused_step_changes_neither_noise_nor_arm():
         np.testing.assert_array_equal(found, wanted)
 
 
-def test_a_refused_start_does_not_change_the_plant():
+def test_refused_start_does_not_change_the_plant():
     plant = drive(Plant(DATA, NOMINAL), np.zeros(7), 3)
     before, far = plant.q, DATA.q_home + 9.0 * np.eye(7)[0]
     for start, words in (
@@ -264,12 +260,12 @@ def test_a_refused_start_does_not_change_the_plant():
     np.testing.assert_array_equal(plant.q, before)
     assert plant.time == pytest.approx(3 * 0.002)
     plant.reset(DATA.q_min)
-    plant.reset(DATA.q_max)  # the limits themselves are allowed
+    plant.reset(DATA.q_max)  # the limits are allowed
 
 
 @pytest.mark.parametrize("force", [1e5, 1e15])
-def test_an_arm_that_ran_away_raises_an_error_at_every_step_until_reset(force, tmp_path, monkeypatch):
-    """With the second force, the state leaves MuJoCo's valid range within the period."""
+def test_arm_that_ran_away_raises_until_reset(force, tmp_path, monkeypatch):
+    """The second force exceeds MuJoCo's valid range within the period."""
     monkeypatch.chdir(tmp_path)
     plant = Plant(replace(DATA, rotor_inertia=np.zeros(7)), NOMINAL)
     plant.push("tool", [force, 0.0, 0.0])
@@ -281,7 +277,7 @@ def test_an_arm_that_ran_away_raises_an_error_at_every_step_until_reset(force, t
     assert np.abs(drive(plant, plant.applied_torque, 1).v).max() < 1e-6
 
 
-def test_the_nominal_preset_switches_every_difference_off():
+def test_nominal_preset_switches_every_difference_off():
     realistic, none = PlantSettings().model_dump(), NOMINAL.model_dump()
     for name, value in realistic.items():
         off = re.search("error|tilt|bias|noise|friction|delay|cutoff|resolution", name)
@@ -301,8 +297,8 @@ def test_invalid_models_are_refused():
     assert compile_model("lwr4", build_spec(DATA, substep_s=1e-3)).nv == 7
 
 
-def test_visual_and_collision_shapes_in_the_urdf_change_nothing():
-    """The shapes are a mesh without a file and a box that would change mass and collisions."""
+def test_shapes_in_the_urdf_change_nothing():
+    """The shapes are a mesh without a file and a box."""
     shapes = (
         '<link name="tip"><visual><geometry><mesh filename="package://no/where.stl"/></geometry></visual>'
         '<collision><geometry><box size="1 1 1"/></geometry></collision></link>'

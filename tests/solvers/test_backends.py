@@ -1,4 +1,4 @@
-"""Tests of the adapters of solver libraries: rows, buffers, warm starts, options, and the nonlinear problem."""
+"""The adapters of solver libraries."""
 
 from types import SimpleNamespace
 
@@ -34,7 +34,7 @@ def problems(seed, count, **options):
     return [random_problem(rng, **options) for _ in range(count)]
 
 
-def test_no_library_is_given_a_number_that_is_not_finite():
+def test_no_library_gets_numbers_that_are_not_finite():
     damaged = NullSpaceQP.from_row(np.full(87, np.nan))
     with pytest.raises(ValueError, match="not finite"):
         OSQP().start(problem()).solve(damaged)
@@ -55,7 +55,7 @@ def test_five_and_six_rows_give_the_same_answer(one, other, within):
 
 
 class Buffers(LibrarySession):
-    """A session whose arrays are views into stacked, padded and transposed arrays, like those of the libraries."""
+    """A session with the stacked, padded and transposed arrays of the libraries."""
 
     def _allocate(self, m, n):
         sides = self.sides = np.full((2, m + n + 1), np.nan)
@@ -101,7 +101,7 @@ def test_each_part_of_the_problem_is_written_to_its_array_with_its_scale_and_sig
 
 @pytest.mark.parametrize("regularization", [1e-5, 0.0])
 @pytest.mark.parametrize("rows", [5, 6])
-def test_a_warm_session_solves_problems_that_jump_between_feasible_and_infeasible(rows, regularization):
+def test_warm_session_survives_infeasible_problems(rows, regularization):
     rng, session = np.random.default_rng(1), ProxQP(rows=rows).start(problem())
     for k in range(80):
         qp = (infeasible_problem if k % 2 else random_problem)(rng, regularization=regularization)
@@ -121,15 +121,15 @@ def test_options_reach_the_library():
         QPSolver("daqp", options={"no_such": 1})
 
 
-def test_an_expired_time_limit_has_its_own_status():
-    """Without scaling and a time limit, HiGHS does not terminate on this problem."""
+def test_expired_time_limit_has_its_own_status():
+    """Without the limit, HiGHS does not terminate here."""
     assert solve(QPSolver("highs", advised=False, options={"time_limit": 0.02}), problem(3)).status is Status.TIME_LIMIT
     assert "time_limit" in ADVICE["highs"].options
 
 
 @pytest.mark.parametrize("kind", [SQP, Ipopt])
-def test_a_step_of_the_nonlinear_solvers_ends_exactly_at_the_references(kind):
-    """tip(q + x T) equals tip(q) + v_T T, and the wrist meets its reference perpendicular to the tool."""
+def test_nonlinear_step_ends_exactly_at_the_references(kind):
+    """tip(q + x T) equals tip(q) + v_T T."""
     arm = random_arm(np.random.default_rng(3))
     kinematics = arm.kinematics()
     chosen = kind(kinematics)
@@ -146,8 +146,8 @@ def test_a_step_of_the_nonlinear_solvers_ends_exactly_at_the_references(kind):
         assert np.abs(qp.A @ x - qp.b).max() > 1e-6  # x does not satisfy A x = b
 
 
-def test_the_nonlinear_solvers_use_the_given_gradient_and_not_that_of_mu(robot, regular_poses):
-    """The gradient in the cost may differ from that of mu, for example to follow a planned joint motion."""
+def test_nonlinear_solvers_use_the_given_gradient(robot, regular_poses):
+    """The gradient may differ from that of mu."""
     rng = np.random.default_rng(11)
     chosen = create("nlp-sqp", kinematics=robot.kinematics())
     for q in regular_poses(4):

@@ -1,4 +1,4 @@
-"""Tests that every available solver has to pass, with the tolerances in `EXPECT` or, by default, in ``Expect()``."""
+"""Tests that every solver passes with its tolerances in `EXPECT`."""
 
 import dataclasses
 from dataclasses import dataclass, field
@@ -25,58 +25,52 @@ every_solver = pytest.mark.parametrize("name", NAMES)
 
 @dataclass(frozen=True)
 class Expect:
-    """Tolerances of answers with the status SOLVED, and the smallest accepted shares of such answers.
-
-    The defaults are one to two digits tighter than those of ``Residuals.verified``.
-    """
+    """Tolerances of answers with the status SOLVED, and the smallest shares of such answers."""
 
     settings: dict[str, Any] = field(default_factory=dict)
-    primal: float = 1e-7  # |A x - b|_inf and violation of the bounds [m/s, rad/s]
+    primal: float = 1e-7  # |A x - b|_inf and violation of bounds [m/s, rad/s]
     relative: float = 1e-4  # natural residual with the best y, divided by the size of the reduced gradient
-    loss: float = 1e-4  # (cost of x - smallest cost) / (largest - smallest feasible cost)
+    loss: float = 1e-4  # (cost of x - smallest) / (largest - smallest cost)
     natural: float = 1e-5  # natural residual with the solver's own y [rad/s]
-    x: float = 2e-4  # distance to the exact answer and between warm and cold answers [rad/s]
+    x: float = 2e-4  # distance to exact and cold answers [rad/s]
     gap: float = 1e-6  # (f(x) - f(exact)) / (c2 |grad_mu|_inf) where regularization = 0 [rad/s]
     solved: float = 1.0  # smallest share of feasible problems with the status SOLVED
     certified: float = 1.0  # smallest share of infeasible problems with the status INFEASIBLE
-    undamped: float | None = 1.0  # like ``solved``, but with regularization = 0; None if not supported
-    recovers: bool = True  # the solver solves the problem after an infeasible one
-    arm: bool = False  # the solver needs the arm's kinematics, so it gets problems of ARM
+    undamped: float | None = 1.0  # ``solved`` with regularization = 0 (None: not supported)
+    recovers: bool = True  # the solver recovers after an infeasible problem
+    arm: bool = False  # the solver needs the arm's kinematics
 
 
 NLP = Expect(
-    # These solve the nonlinear problem, whose optimum differs (docstring of moc_opt.solvers.nlp). Near a maximum of mu,
-    # the reduced gradient is small, so the relative residual is large.
+    # Nonlinear solvers have another optimum (see moc_opt.solvers.nlp).
     primal=1e-2, relative=3e-2, loss=0.02, natural=1e-4, x=0.6, gap=0.1, arm=True,
 )
 EXPECT = {
     "exact": Expect(primal=1e-12, relative=1e-8, loss=1e-9, natural=1e-12, x=1e-9, gap=1e-9),
-    # k is small because some of these arms are larger than real arms. The network cannot prove a problem infeasible.
-    # With regularization = 0 it keeps oscillating in some problems. In an infeasible problem its multipliers grow. They
-    # need as long to decrease in the next problem.
+    # The network cannot prove a problem infeasible, and may keep oscillating with regularization = 0.
     "rnn": Expect(
         {"steps": 300_000, "k": 0.2}, primal=1e-6, relative=1e-3, loss=5e-3, x=5e-3, gap=1e-4, certified=0.0,
         undamped=0.75, recovers=False,
     ),
-    "rnn-printed": Expect(solved=0.0, certified=0.0, undamped=0.0),  # the time constants of its modes exceed 50 s
-    # Operator splitting needs more than max_iter iterations for one problem in 200.
+    "rnn-printed": Expect(solved=0.0, certified=0.0, undamped=0.0),  # its time constants exceed 50 s
+    # One problem in 200 needs more than max_iter iterations.
     "osqp": Expect(solved=0.95, undamped=0.95), "qpsolvers:osqp": Expect(solved=0.95, undamped=0.95),
-    "piqp": Expect(certified=0.85),  # the other infeasible problems end as MAX_ITER
+    "piqp": Expect(certified=0.85),  # the others end as MAX_ITER
     "quadprog": Expect(undamped=None),  # needs P > 0
-    "nlp-sqp": dataclasses.replace(NLP, certified=0.0),  # it reports no reason when it stops
+    "nlp-sqp": dataclasses.replace(NLP, certified=0.0),  # it reports no reason
     "nlp-ipopt": NLP,
-    # Through qpsolvers, daqp and highs report no reason when they fail.
+    # Through qpsolvers, daqp and highs report no reason.
     "qpsolvers:daqp": Expect(certified=0.0),
-    # The default limit of 0.1 s is meant for a control loop. It is too short on a busy machine.
+    # The default limit of 0.1 s is too short on a busy machine.
     "qpsolvers:highs": Expect({"options": {"time_limit": 30.0}}, certified=0.0),
-    "qpsolvers:piqp": Expect(certified=0.85),  # the other infeasible problems end as MAX_ITER
+    "qpsolvers:piqp": Expect(certified=0.85),  # the others end as MAX_ITER
     "qpsolvers:proxqp": Expect(solved=0.85, undamped=0.7),  # see moc_opt.solvers.qpsolvers.ADVICE
     "qpsolvers:quadprog": Expect(undamped=None),  # needs P > 0
 }
 
 
 def expect(name: str) -> Expect:
-    """Return the requirements on a solver. A plug-in need not prove a problem infeasible, but not call it solved."""
+    """Return the requirements on a solver."""
     built_in = name in registry.BUILT_IN or name.startswith("qpsolvers:")
     return EXPECT.get(name, Expect() if built_in else Expect(certified=0.0))
 
@@ -121,7 +115,7 @@ def check_claims(limits: Expect, qps: list[NullSpaceQP], found: list[Any]) -> No
         if solution.status is not Status.SOLVED:
             continue
         residuals = qp.residuals(solution.x, solution.y)
-        if limits.arm:  # x misses A x = b, so the loss of the nearest point on A x = b is taken
+        if limits.arm:  # x misses A x = b, so the nearest point is taken
             residuals = residuals._replace(loss=qp.residuals(on_rows(qp, solution.x)).loss)
         assert residuals.verified(limits.primal, limits.relative, limits.loss), residuals
         assert np.abs(solution.x - exact.x).max() <= limits.x
@@ -134,14 +128,14 @@ def test_answers_reported_as_solved_are_optimal(name):
 
 @cache
 def recorded(arm: str) -> tuple[list[NullSpaceQP], Any]:
-    """Return twelve subproblems of the first 0.6 s of the default run, and the arm's kinematics."""
+    """Return twelve subproblems of a default run, and the arm's kinematics."""
     trace = run(Scenario(robot={"name": arm}, duration_s=0.6, bound_samples=0, judge=False))
     return [NullSpaceQP.from_row(row) for row in trace.columns["subproblem"][::25]], load_robot(arm).kinematics()
 
 
 @pytest.mark.parametrize("arm", available_robots())
 @every_solver
-def test_answers_reported_as_solved_for_subproblems_of_a_run_of_every_arm_are_optimal(name, arm):
+def test_solved_subproblems_of_every_arm_are_optimal(name, arm):
     qps, moving = recorded(arm)
     session = solver(name, moving).start(qps[0])
     check_claims(expect(name), qps, [session.solve(qp) for qp in qps])
@@ -152,7 +146,7 @@ def test_duals_follow_the_sign_convention(name):
     qps, limits = of(name), expect(name)
     told_apart, found = 0, answers(name, qps)
     if name not in registry.BUILT_IN and all(solution.y is None for solution in found):
-        return  # a plug-in may give no duals
+        return  # duals are optional
     for qp, solution in zip(qps, found, strict=True):
         if solution.status is not Status.SOLVED or solution.y is None:
             continue
@@ -165,7 +159,7 @@ def test_duals_follow_the_sign_convention(name):
 
 @every_solver
 def test_costs_without_regularization_are_optimal(name):
-    """With regularization = 0 the optimum need not be unique, so that costs are compared and never x."""
+    """The optimum need not be unique."""
     limits, qps = expect(name), of(name, regularization=0.0)
     if limits.undamped is None:
         assert all(solver(name).supports(qp) for qp in qps)
@@ -175,20 +169,19 @@ def test_costs_without_regularization_are_optimal(name):
     for qp, solution, exact in zip(qps, found, answers("exact", qps), strict=True):
         if solution.status is Status.SOLVED:
             assert qp.residuals(solution.x).primal <= limits.primal
-            # on A x = b, only -c2 grad_mu^T x varies in the cost
             gap = qp.grad_mu @ (exact.x - solution.x) / np.abs(qp.grad_mu).max()
             assert abs(gap) <= limits.gap
 
 
 @every_solver
-def test_an_infeasible_problem_is_never_called_solved(name):
+def test_infeasible_problem_is_never_called_solved(name):
     found = answers(name, of(name, feasible=False))
     assert share(found, Status.SOLVED) == 0.0
     assert share(found, Status.INFEASIBLE) >= expect(name).certified
 
 
 @every_solver
-def test_an_infeasible_tick_does_not_spoil_the_next_answers(name):
+def test_infeasible_tick_does_not_spoil_the_next_answers(name):
     limits = expect(name)
     good, bad = of(name)[:6], of(name, feasible=False)[:6]
     session = solver(name).start(good[0])
@@ -203,13 +196,13 @@ def test_an_infeasible_tick_does_not_spoil_the_next_answers(name):
 
 
 @every_solver
-def test_warm_answers_equal_cold_ones_and_sessions_share_nothing(name):
+def test_warm_answers_equal_cold_answers(name):
     limits, qps, others, chosen = expect(name), sequence(name, seed=5), sequence(name, seed=7), solver(name)
     alone, mine, another = answers(name, qps), chosen.start(qps[0]), chosen.start(others[0])
     warm = [(mine.solve(qp), another.solve(other))[0] for qp, other in zip(qps, others, strict=True)]
     for expected, found in zip(alone, warm, strict=True):
         assert found.status is expected.status
-        # the last digits may differ, because vectorised sums depend on the alignment of memory
+        # vectorised sums depend on the alignment of memory
         np.testing.assert_allclose(found.x, expected.x, rtol=0.0, atol=1e-11)
     cold = [chosen.start(qp).solve(qp) for qp in qps]
     both = [(a, b) for a, b in zip(warm, cold, strict=True) if a.status is b.status is Status.SOLVED]
@@ -218,8 +211,8 @@ def test_warm_answers_equal_cold_ones_and_sessions_share_nothing(name):
         np.testing.assert_allclose(a.x, b.x, rtol=0.0, atol=limits.x)
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if not expect(name).arm])  # ARM's number of joints is fixed
-def test_a_new_number_of_joints_starts_a_new_workspace(name):
+@pytest.mark.parametrize("name", [name for name in NAMES if not expect(name).arm])  # ARM has a fixed number of joints
+def test_new_number_of_joints_starts_a_new_workspace(name):
     rng, limits, chosen = np.random.default_rng(6), expect(name), solver(name)
     session = chosen.start(random_problem(rng))
     for n in (9, 6, 7):
@@ -231,7 +224,7 @@ def test_a_new_number_of_joints_starts_a_new_workspace(name):
 
 
 @pytest.mark.parametrize("name", sorted({"osqp", "proxqp", "daqp", "piqp", "quadprog", "clarabel"} & {*NAMES}))
-def test_an_update_alone_changes_no_answer(name):
+def test_update_alone_changes_no_answer(name):
     qps = sequence(name, seed=8)
     plain, updated = solver(name).start(qps[0]), solver(name).start(qps[0])
     for qp, other in zip(qps, reversed(qps), strict=True):
@@ -242,7 +235,7 @@ def test_an_update_alone_changes_no_answer(name):
 
 
 @pytest.mark.parametrize("name", sorted({"osqp", "piqp", "clarabel"} & {*NAMES}))
-def test_a_truncated_solve_is_the_previous_solve_with_fewer_iterations(name):
+def test_truncated_solve_repeats_previous_solve_with_fewer_iterations(name):
     qps = sequence(name, seed=9)
     whole, cut = solver(name).start(qps[0]), solver(name).start(qps[0])
     far = 0
@@ -271,7 +264,7 @@ def test_inputs_and_earlier_answers_stay_untouched(name):
     session = chosen.start(qps[0])
     found = [session.solve(qp) for qp in qps]
     copies = [np.array(s.x) for s in found]
-    found[-1].x[:] = 1e9  # the caller's array, not the session's
+    found[-1].x[:] = 1e9  # the caller's array
     session.solve(qps[0])
     for solution, x in zip(found[:-1], copies[:-1], strict=True):
         np.testing.assert_array_equal(solution.x, x)
@@ -279,7 +272,7 @@ def test_inputs_and_earlier_answers_stay_untouched(name):
 
 
 def odd_problems() -> list[NullSpaceQP]:
-    """Return valid but awkward problems, for example without a gradient, without room or without motion."""
+    """Return valid but awkward problems."""
     rng = np.random.default_rng(9)
     qp = random_problem(rng, arm=ARM)
     x = create("exact").start(qp).solve(qp).x
@@ -291,7 +284,7 @@ def odd_problems() -> list[NullSpaceQP]:
     return [*(changed(qp, **parts) for parts in odd), *(random_problem(rng, n, structured=False) for n in (5, 9))]
 
 
-# With their usual settings, these solvers may take minutes for one bad problem.
+# These solvers may take minutes for one bad problem.
 CATCH_UP: dict[str, dict[str, Any]] = {
     "rnn": {"steps": 1000}, "qpsolvers:highs": {}, "qpsolvers:proxqp": {"options": {"max_iter": 20}},
     "qpsolvers:osqp": {"options": {"max_iter": 500}}, "qpsolvers:scs": {"options": {"max_iters": 500}},
@@ -299,7 +292,7 @@ CATCH_UP: dict[str, dict[str, Any]] = {
 
 
 @every_solver
-def test_awkward_and_nearly_singular_problems_get_a_status_and_no_exception(name):
+def test_awkward_problems_get_a_status(name):
     limits = expect(name)
     chosen = solver(name, settings=CATCH_UP.get(name))
     stream, taken = chosen.start(of(name)[0]), 0

@@ -1,4 +1,4 @@
-"""The solver `exact` is the reference for all others. Its residuals are rounding errors, and it agrees with HiGHS."""
+"""The solver `exact` is the reference for all others."""
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ def check(qp, primal=np.inf):
        regularization=st.sampled_from([0.0, 1e-8, 1e-6, 1e-5, 1e-3, 1.0]))  # fmt: skip
 def test_answers_satisfy_the_kkt_conditions_for_any_number_of_joints(seed, n, structured, regularization):
     qp = random_problem(np.random.default_rng(seed), n, structured=structured, regularization=regularization)
-    # The condition number of A on its row space amplifies rounding.
+    # The condition number of A amplifies rounding.
     s = np.linalg.svd(qp.A, compute_uv=False)
     solution = check(qp, 1e-14 * s[0] / s[s > 1e-9 * s[0]][-1] * 10 + 1e-13)
     assert qp.residuals(solution.x, solution.y).natural < 1e-11
@@ -42,7 +42,7 @@ def test_answers_satisfy_the_kkt_conditions_for_any_number_of_joints(seed, n, st
 
 @pytest.mark.parametrize("decimals", [7, 8, 9, 10, 11, 12, 13, 14])
 def test_rounded_jacobians_agree_with_highs_on_five_rows(decimals):
-    """Rounding makes the dependent sixth row of A independent. This row must not determine the self-motion."""
+    """The dependent sixth row must not determine the self-motion."""
     rng, refused = np.random.default_rng(decimals), 0
     for k in range(16):
         qp = rounded(random_problem(rng, 6 + k % 4, structured=k % 8 < 4, regularization=0.0), decimals)
@@ -57,8 +57,8 @@ def test_rounded_jacobians_agree_with_highs_on_five_rows(decimals):
 
 @pytest.mark.parametrize("regularization", [0.0, 1e-8, 1e-5, 1.0])
 @pytest.mark.parametrize(("n", "seed"), [(7, 18), (8, 18), (9, 18), (10, 74), (11, 696), (12, 1075)])
-def test_a_problem_is_solved_if_a_x_b_goes_through_a_corner_of_the_bounds(n, seed, regularization):
-    # Some of these problems have only one feasible point. Rounding must not make them infeasible.
+def test_problem_through_a_corner_of_bounds_is_solved(n, seed, regularization):
+    # Some of these problems have only one feasible point.
     rng = np.random.default_rng(seed)
     for i in range(16):
         qp = random_problem(rng, n, structured=bool(i % 2), regularization=regularization)
@@ -67,7 +67,7 @@ def test_a_problem_is_solved_if_a_x_b_goes_through_a_corner_of_the_bounds(n, see
 
 
 def wedge(rng, n, narrow, size=1.0, **settings):
-    """Return a problem whose feasible set ends in a thin wedge, because bounds of some joints are nearly parallel."""
+    """Return a problem whose feasible set ends in a thin wedge."""
     Z = rng.normal(size=(n - 6, n))
     Z[:, 1] = 1.3 * Z[:, 0] + narrow * rng.normal(size=n - 6)
     Z[:, 3] = -0.8 * Z[:, 2] + narrow * rng.normal(size=n - 6)
@@ -79,15 +79,15 @@ def wedge(rng, n, narrow, size=1.0, **settings):
 
 
 @pytest.mark.parametrize(("n", "narrow"), [(8, 1e-4), (9, 1e-4), (10, 1e-4), (15, 1e-6)])
-def test_a_problem_whose_feasible_set_ends_in_a_thin_wedge_is_solved(n, narrow):
+def test_problem_that_ends_in_a_wedge_is_solved(n, narrow):
     rng = np.random.default_rng(n)
     for _ in range(25):
         qp = wedge(rng, n, narrow)
-        if narrow > 1e-5 or solve(qp).status is Status.SOLVED:  # the status NUMERICAL is allowed, but no wrong answer
+        if narrow > 1e-5 or solve(qp).status is Status.SOLVED:  # NUMERICAL is allowed, a wrong answer is not
             check(qp, primal=1e-17 / narrow)
 
 
-def test_rounding_seldom_leaves_a_wedge_of_any_size_without_an_answer():
+def test_rounding_seldom_leaves_a_wedge_without_answer():
     rng, found = np.random.default_rng(0), []
     for k in range(1000):
         n, narrow, size = rng.choice([8, 8, 9, 12, 16]), 10.0 ** rng.uniform(-7.0, -2.0), 10.0 ** rng.uniform(-3.0, 3.0)
@@ -96,7 +96,7 @@ def test_rounding_seldom_leaves_a_wedge_of_any_size_without_an_answer():
     assert Status.INFEASIBLE not in found
 
 
-def test_a_joint_that_hardly_moves_does_not_stop_the_self_motion_at_its_bound():
+def test_slow_joint_does_not_stop_the_self_motion():
     rng, ends = np.random.default_rng(3), np.ones(8)
     for regularization in (0.0, 1e-5, 1.0):
         for _ in range(20):
@@ -111,19 +111,18 @@ def test_a_joint_that_hardly_moves_does_not_stop_the_self_motion_at_its_bound():
 
 
 @pytest.mark.parametrize(("decimals", "answered"), [(12, True), (8, True), (7, True), (4, False)])
-def test_rounded_references_are_answered_if_some_x_meets_them_within_the_primal_tolerance(decimals, answered):
+def test_rounded_references_within_tolerance_are_answered(decimals, answered):
     for seed in range(20):
         qp = random_problem(np.random.default_rng(seed), 7)
         kept = changed(qp, v_tip=qp.v_tip.round(decimals), v_wrist=qp.v_wrist.round(decimals))
         gap = np.abs(kept.A @ np.linalg.lstsq(kept.A, kept.b, rcond=1e-9)[0] - kept.b).max()
         if answered:
             check(kept)
-        elif gap > 1e-6:  # the least-squares x misses the references by more than the tolerance
+        elif gap > 1e-6:  # beyond the tolerance
             assert solve(kept).status is Status.INFEASIBLE
 
 
-def test_a_violation_equal_to_the_tolerance_is_allowed():
-    """This holds for the bounds, and for equal rows with different right-hand sides."""
+def test_violation_equal_to_the_tolerance_is_allowed():
     A, wide, tolerance = np.eye(6, 7), np.ones(7), 2.0**-20
 
     def status(A, b, upper, tolerance=1e-9):
@@ -137,8 +136,8 @@ def test_a_violation_equal_to_the_tolerance_is_allowed():
     assert [status(A, gap * np.eye(6)[5], wide) for gap in (1e-6, 1.1e-6)] == [core.OK, core.INFEASIBLE]
 
 
-def test_answers_do_not_depend_on_the_units_of_length_and_cost():
-    """Answers are equal to the last bit. The status differs only where the absolute tolerance on A x = b decides."""
+def test_answers_do_not_depend_on_units():
+    """Only the absolute tolerance on A x = b may change the status."""
     rng = np.random.default_rng(0)
     plain = [random_problem(rng, 7 + k % 3, structured=False, regularization=1e-5 * (k % 2)) for k in range(120)]
     problems = [nearly_singular(qp, 10.0 ** -rng.uniform(2, 15)) for qp in plain[:60]]
@@ -160,11 +159,11 @@ def test_answers_do_not_depend_on_the_units_of_length_and_cost():
     assert np.mean(same) > 0.97
 
 
-def test_an_answer_contains_no_motion_that_does_not_lower_the_cost():
+def test_answer_contains_no_useless_motion():
     qp = random_problem(np.random.default_rng(14), regularization=0.0)
     assert solve(qp).x[6] == 0.0
     assert solve(changed(qp, c2=0.0, grad_mu=np.ones(7))).x[6] == 0.0
-    for size in (1e-3, 1e3):  # a gradient below 1e-9 of the largest entry causes no motion
+    for size in (1e-3, 1e3):  # a gradient below 1e-9 of the largest entry counts as zero
         grads = [size * (qp.grad_mu + share * np.eye(7)[6] * np.abs(qp.grad_mu[:6]).max()) for share in (5e-10, 2e-9)]
         assert [abs(solve(changed(qp, grad_mu=grad)).x[6]) > 0.1 for grad in grads] == [False, True]
     none = remade(changed(qp, regularization=1.0), np.zeros((6, 7)), np.zeros(6))
@@ -173,7 +172,7 @@ def test_an_answer_contains_no_motion_that_does_not_lower_the_cost():
     np.testing.assert_allclose(check(flat).x, np.linalg.lstsq(qp.A, qp.b, rcond=None)[0], atol=1e-10)
 
 
-def test_a_batch_gives_the_answers_of_single_solves_with_any_number_of_threads():
+def test_batch_gives_the_answers_of_single_solves():
     rng = np.random.default_rng(16)
     problems = [(random_problem if i % 5 else infeasible_problem)(rng, structured=i % 4 < 2) for i in range(40)]
     rows = np.array([qp.row for qp in problems])
@@ -199,7 +198,7 @@ def test_a_batch_gives_the_answers_of_single_solves_with_any_number_of_threads()
 
 @pytest.mark.parametrize("decimals", range(3, 16))
 @pytest.mark.parametrize("singular", [False, True])
-def test_no_wrong_answer_is_called_solved_near_the_rank_tolerance(decimals, singular):
+def test_no_answer_is_wrong_near_the_rank_tolerance(decimals, singular):
     rng = np.random.default_rng(decimals)
     for k in range(8):
         plain = random_problem(rng, 7 + k % 3, structured=False, regularization=0.0 if k % 2 else 1e-5)
@@ -209,8 +208,8 @@ def test_no_wrong_answer_is_called_solved_near_the_rank_tolerance(decimals, sing
 
 
 @pytest.mark.parametrize("freedoms", [0, 1])
-def test_a_violation_of_a_bound_counts_as_rounding_if_the_smallest_pivot_explains_it(freedoms):
-    """Rounding causes an error of 4e-12 max(|A| |x|) / pivot [rad/s]. A hundred times this error is allowed."""
+def test_violation_explained_by_smallest_pivot_is_rounding(freedoms):
+    """A hundred times the error 4e-12 max(|A| |x|) / pivot [rad/s] is allowed."""
     wide = np.full(7, 10.0)
     for smallest, beyond, status in (
         (1e-3, 2e-6, Status.SOLVED), (1e-3, 2e-5, Status.INFEASIBLE), (1.0, 1e-7, Status.INFEASIBLE)
@@ -222,7 +221,7 @@ def test_a_violation_of_a_bound_counts_as_rounding_if_the_smallest_pivot_explain
         assert solve(qp).status is status
 
 
-def test_no_answer_is_wrong_with_parallel_columns_or_with_joints_at_their_bounds_near_a_straight_elbow(robot):
+def test_no_answer_is_wrong_near_a_straight_elbow(robot):
     rng, one = np.random.default_rng(10248), np.ones(16)
     A = rng.integers(-1, 2, (6, int(rng.integers(9, 17)))).astype(float)
     A[:, 8:] = A[:, :8]
@@ -230,7 +229,7 @@ def test_no_answer_is_wrong_with_parallel_columns_or_with_joints_at_their_bounds
     assert solve(NullSpaceQP(A[:3], A[3:], b[:3], b[3:], rng.normal(size=16), -one, one)).status is not Status.SOLVED
     for k in range(200):
         q, v = rng.uniform(robot.q_min, robot.q_max), robot.v_max
-        q[3], q[5] = [(rng.uniform(-0.01, 0.01), q[5]), (q[3], 1e-9), (1e-10, q[5])][k % 3]  # 1e-9: one hardly moves
+        q[3], q[5] = [(rng.uniform(-0.01, 0.01), q[5]), (q[3], 1e-9), (1e-10, q[5])][k % 3]  # 1e-9: a slow joint
         s, x = robot.state(q), np.where(rng.random(7) < 0.5, rng.choice([-1.0, 1.0], 7) * v, rng.uniform(-v, v))
         qp = NullSpaceQP(s.J_tip, s.J_wrist, s.J_tip @ x, s.J_wrist @ x, s.grad_mu, -v, v)
         if k % 3 < 2 or solve(qp).status is not Status.NUMERICAL:  # NUMERICAL is allowed in the third case
@@ -238,20 +237,20 @@ def test_no_answer_is_wrong_with_parallel_columns_or_with_joints_at_their_bounds
 
 
 @pytest.mark.parametrize(("moves", "stops"), [(1.6e-10, True), (1.2e-10, False)])
-def test_solver_and_residuals_agree_which_slow_joints_stop_the_self_motion(moves, stops):
-    """A joint at its bound moves by about 1e-10 per unit step. The other joints leave room for a unit step."""
+def test_solver_and_residuals_agree_on_slow_joints(moves, stops):
+    """A joint at its bound moves by about 1e-10 per unit step."""
     z, x, wide = np.array([1.0, -0.5, 0.3, 0.2, -0.4, 0.6, moves]), np.zeros(7), np.ones(7)
     A, x[6] = null_space(z[None]).T, 1.0
     found = check(NullSpaceQP(A[:3], A[3:], A[:3] @ x, A[3:] @ x, z, -wide, wide, regularization=1e-5)).x
     assert found[0] == pytest.approx(0.0 if stops else 1.0, abs=1e-5)
-    low, high = -wide, np.array(wide)  # far from its bounds, this joint does not shorten the interval
+    low, high = -wide, np.array(wide)  # this joint is far from its bounds
     low[0], high[0] = 0.0, 1e-5
     short = NullSpaceQP(A[:3], A[3:], np.zeros(3), np.zeros(3), z, low, high, regularization=1e-5)
     assert [bool(short.residuals(end * z).verified()) for end in (0.0, 1e-5)] == [False, True]
 
 
-def test_rounding_seldom_makes_a_corner_of_the_bounds_infeasible():
-    """Rounding of b, divided by the smallest column of A (about 1e-3), would exceed a fixed tolerance."""
+def test_rounding_seldom_makes_a_corner_infeasible():
+    """Rounding errors of b are divided by A's smallest column, about 1e-3."""
     rng, refused = np.random.default_rng(1), 0
     for _ in range(300):
         n, u = int(rng.integers(6, 10)), unit(rng)

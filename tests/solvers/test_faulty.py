@@ -1,4 +1,4 @@
-"""A solver that fails on purpose fails at the drawn ticks and in the chosen way."""
+"""A solver that fails on purpose fails at the drawn ticks."""
 
 import numpy as np
 import pytest
@@ -27,8 +27,8 @@ def is_wrong(kind, qp, answer):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_exactly_the_answers_at_the_drawn_ticks_are_wrong(kind):
-    """Except with "malformed", a faulty tick does not call the inner solver, whose state then stays the same."""
+def test_exactly_the_drawn_ticks_are_wrong(kind):
+    """Except with "malformed", a faulty tick does not call the inner solver."""
     inner = create("rnn")  # its answers depend on all problems before
     session, honest = Faulty(inner, kind, rate=0.3, seed=4).start(PROBLEMS[0]), inner.start(PROBLEMS[0])
     corrupted = draw(4, 0.3, len(PROBLEMS))
@@ -47,7 +47,7 @@ def test_exactly_the_answers_at_the_drawn_ticks_are_wrong(kind):
     assert session.faults == corrupted.sum()
 
 
-def test_the_drawn_ticks_follow_their_seed_and_a_longer_draw_begins_with_the_shorter_one():
+def test_drawn_ticks_follow_their_seed():
     long = draw(3, 0.2, 1000)
     np.testing.assert_array_equal(long[:400], draw(3, 0.2, 400))
     assert (draw(4, 0.2, 1000) != long).any()

@@ -1,4 +1,4 @@
-"""Solvers in separate processes: a faultless solver gives the same run, and a failure costs only single answers."""
+"""Solvers in separate processes, where a failure costs only single answers."""
 
 import signal
 import subprocess
@@ -25,7 +25,7 @@ def qp():
 
 
 def started(qp, act="", at=2, folder="", budget_us=np.inf, waits=True, **settings):
-    """Start a session. By default its process counts as hung only after a minute, because the machine may be busy."""
+    """Start a session whose process counts as hung after a minute."""
     process = ProcessSettings(**{"hang_s": 60.0, **settings})
     return Isolated(Misbehaving(act, at, str(folder)), process, budget_us, waits).start(qp)
 
@@ -50,7 +50,6 @@ def until(said):
 
 
 def is_gone(number):
-    """Return whether the process has ended or is a zombie."""
     try:
         return Path(f"/proc/{number}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z"
     except FileNotFoundError:
@@ -58,7 +57,7 @@ def is_gone(number):
 
 
 @pytest.mark.parametrize("solver", ["exact", "rnn-printed"])  # rnn-printed observes the velocity
-def test_a_faultless_solver_gives_the_same_trace_in_a_separate_process(solver):
+def test_separate_process_gives_the_same_trace(solver):
     inside, isolated = (
         run(Scenario(solver={"name": solver, "isolation": way, "process": {"hang_s": 60.0}}, **QUICK))
         for way in ("none", "process")
@@ -76,7 +75,7 @@ def test_a_faultless_solver_gives_the_same_trace_in_a_separate_process(solver):
     ("close everything", "lost", "closed its end"), ("eat", "lost", "its memory was full: raise [solver.process]"),
     ("raise", "raised", "ZeroDivisionError"), ("quit", "raised", "SystemExit: enough"),
 ])  # fmt: skip
-def test_a_failure_costs_one_answer_and_only_a_lost_process_is_replaced(qp, act, kind, reason):
+def test_failure_costs_one_answer(qp, act, kind, reason):
     limits = {"hang": {"hang_s": 0.5}, "eat": {"memory_MB": 500.0}}
     session = started(qp, act, **limits.get(act, {}))
     assert session.solve(qp).iterations == 1
@@ -89,7 +88,7 @@ def test_a_failure_costs_one_answer_and_only_a_lost_process_is_replaced(qp, act,
     assert [(tick, why in text) for tick, why in session.restarts] == ([(1, True)] if kind == "lost" else [])
 
 
-def test_a_solver_that_is_lost_more_often_than_most_restarts_is_given_up(qp):
+def test_solver_that_is_lost_too_often_is_given_up(qp):
     session = started(qp, "exit", at=1, most_restarts=1)
     texts = [fault_of(session, qp)[1] for _ in range(4)]
     assert ["status 3" in text for text in texts] == [True, True, False, False]
@@ -97,7 +96,7 @@ def test_a_solver_that_is_lost_more_often_than_most_restarts_is_given_up(qp):
     assert len(session.restarts) == 2
 
 
-def test_a_late_answer_is_used_for_up_to_answer_age_ticks(qp, tmp_path):
+def test_late_answer_is_used_for_answer_age_ticks(qp, tmp_path):
     def numbered(number):
         row = np.array(qp.row)
         fields(row).weights[0] = number
@@ -120,7 +119,7 @@ def test_a_late_answer_is_used_for_up_to_answer_age_ticks(qp, tmp_path):
     assert own.restarts == old.restarts == []
 
 
-def test_in_real_time_no_tick_waits_for_the_new_process(qp):
+def test_no_tick_waits_for_the_new_process(qp):
     session = started(qp, "exit", waits=False)
     session.solve(qp)
     assert "status 3" in fault_of(session, qp)[1]
@@ -129,7 +128,7 @@ def test_in_real_time_no_tick_waits_for_the_new_process(qp):
     assert session.solve(qp).iterations == 1
 
 
-def test_child_processes_of_a_solver_end_with_its_session(qp, tmp_path):
+def test_child_processes_end_with_the_session(qp, tmp_path):
     session, file = started(qp, "child and hang", at=1, folder=tmp_path, budget_us=1000.0), tmp_path / "pid"
     assert fault_of(session, qp)[0] == "late"
     until(lambda: file.exists() and file.read_text())
@@ -138,8 +137,8 @@ def test_child_processes_of_a_solver_end_with_its_session(qp, tmp_path):
     until(lambda: all(map(is_gone, numbers)))
 
 
-def test_a_hanging_process_ends_soon_after_the_control_loop_was_killed():
-    """Nothing is left to kill the process, so it ends by itself one second after twice `hang_s`."""
+def test_hanging_process_ends_after_the_loop_was_killed():
+    """It ends by itself one second after twice `hang_s`."""
     code = (
         "import numpy as np; from tests.problems import random_problem; from moc_opt.solvers.isolated import *; "
         "from tests.isolated_solvers import Misbehaving; qp = random_problem(np.random.default_rng(0)); "
@@ -157,12 +156,12 @@ def test_a_hanging_process_ends_soon_after_the_control_loop_was_killed():
     ("", {"start_s": 0.01}, "no answer for 0.01 s"),
     (lambda: None, {}, "cannot run in a process of its own: .*isolation = 'none'"),
 ])  # fmt: skip
-def test_a_solver_that_cannot_run_in_a_process_is_refused_at_the_start(qp, act, settings, text):
+def test_solver_that_cannot_start_is_refused(qp, act, settings, text):
     with pytest.raises(SolverError, match=text):
         started(qp, act, **settings)
 
 
-def test_the_process_enforces_the_budget_unless_the_solve_times_are_replayed():
+def test_process_enforces_the_budget_unless_times_are_replayed():
     scenario = Scenario(solver={"isolation": "process"}, control={"supervisor": {"budget_us": 700.0}}, **QUICK)
     controller = Setup(scenario).controller()
     assert (controller.solver.budget_us, controller.settings.supervisor.budget_us) == (700.0, None)

@@ -1,4 +1,4 @@
-"""Solvers by name: which are available, why others are not, plug-ins, and the options that may be set."""
+"""Solvers by name: availability, plug-ins and options."""
 
 import contextlib
 import os
@@ -60,13 +60,13 @@ def test_the_error_of_a_wrong_name_or_setting_gives_the_remedy(name, given, erro
     ("rnn", "h", 1.5), ("rnn", "scale", float("nan")), ("rnn", "scale", float("inf")), ("rnn", "method", "implicit"),
     ("rnn-printed", "h", 1.5), ("nlp-sqp", "kinematics", None), ("nlp-sqp", "hessian", "bfgs"),
 ])  # fmt: skip
-def test_a_bad_setting_is_refused_by_name(name, field, value):
+def test_bad_setting_is_refused_by_name(name, field, value):
     arm = {"kinematics": SimpleNamespace(n=7, tip=None, wrist=None, mu=None)} if name.startswith("nlp") else {}
     with pytest.raises(SolverError, match=re.escape(f"{name}: {field} = {value!r} ")):
         create(name, **{**arm, field: value})
 
 
-def test_a_missing_package_is_reported_as_the_reason(monkeypatch):
+def test_missing_package_is_reported_as_the_reason(monkeypatch):
     assert set(registry.BUILT_IN) <= set(HERE)
     monkeypatch.setattr(registry, "find_spec", lambda package: None)
     reasons = available()
@@ -91,7 +91,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("case", BROKEN)
-def test_a_broken_plug_in_is_reported_and_hides_no_other_solver(case, install):
+def test_broken_plug_in_hides_no_other_solver(case, install):
     source, message = BROKEN[case]
     install("bad_plugin", source, broken="C")
     install("good_plugin", WHOLE, good="Good")
@@ -106,13 +106,13 @@ def test_a_broken_plug_in_is_reported_and_hides_no_other_solver(case, install):
 
 
 @pytest.mark.parametrize("name", ["osqp", "qpsolvers:daqp"])
-def test_a_plug_in_with_a_built_in_name_is_not_used_and_the_message_asks_to_rename_it(name, install):
+def test_plug_in_with_built_in_name_is_not_used(name, install):
     install("impostor", WHOLE, **{name.replace(":", "__"): "Good"})
     reasons = available()
     assert reasons[name] is None
     assert "rename the entry point" in reasons[f"{name} (entry point 'impostor:Good' of package 'impostor')"]
     with pytest.warns(UserWarning, match=f"entry point 'impostor:Good' of package 'impostor': the name '{name}'"):
-        assert create(name).name == name  # the built-in solver
+        assert create(name).name == name
 
 
 @pytest.mark.parametrize(("solver", "options"), [
@@ -121,20 +121,20 @@ def test_a_plug_in_with_a_built_in_name_is_not_used_and_the_message_asks_to_rena
     ("clarabel", "direct_solve_method pardiso_verbose"), ("daqp", "initvals is_avi break_points"),
     ("quadprog", "factorized verbose"), ("gurobi", "LogFile ResultFile NodefileDir"), ("cvxopt", "mosek solver"),
 ])  # fmt: skip
-def test_an_option_that_writes_loads_compiles_or_replaces_the_problem_is_refused_by_name(solver, options):
+def test_dangerous_option_is_refused_by_name(solver, options):
     for option in options.split():
         with pytest.raises(UnknownNameError, match=f"option of qpsolvers:{solver} '{option}'"):
             checked(f"qpsolvers:{solver}", {option: 1})
 
 
 @pytest.mark.parametrize("value", ["1e-6", "/tmp/x", [1.0], {"a": 1}, None, float("nan"), float("inf"), 2**70, 1e300])
-def test_an_option_that_is_neither_a_flag_nor_a_finite_number_is_refused(value):
+def test_option_must_be_a_flag_or_finite_number(value):
     with pytest.raises(SolverError, match=r"qpsolvers:osqp: option eps_abs = .*give true, false or a number"):
         checked("qpsolvers:osqp", {"eps_abs": value})
 
 
 @pytest.mark.parametrize("solver", [name for name in HERE if ALLOWED.get(name)])
-def test_the_library_accepts_every_option_on_its_list(solver):
+def test_library_accepts_every_option_on_its_list(solver):
     qp = random_problem(np.random.default_rng(0))
     brief = {name: 20 for name in ("max_iter", "max_iters", "iter_limit") if name in ALLOWED[solver]}
     for option in sorted(ALLOWED[solver]):
@@ -145,8 +145,8 @@ def test_the_library_accepts_every_option_on_its_list(solver):
         assert taken, option
 
 
-def test_ipopt_reads_no_options_from_the_current_folder(tmp_path):
-    """An ipopt.opt in a scenario's folder could name a file to write or a library to load."""
+def test_ipopt_reads_no_options_from_current_folder(tmp_path):
+    """Such a file could name a library to load."""
     (tmp_path / "ipopt.opt").write_text("output_file written.txt\nfile_print_level 5\n")
     program = (
         "from moc_opt.scenario import Scenario, run\n"

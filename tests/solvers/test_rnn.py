@@ -1,4 +1,4 @@
-"""The networks follow their equations, refuse unstable settings, and report SOLVED only for true optima."""
+"""The networks follow their equations and refuse unstable settings."""
 
 import numpy as np
 import pytest
@@ -45,14 +45,14 @@ def test_steps_integrate_the_networks_equation(method, h):
 
 
 def spectral_radius(qp, c, h, k, implicit, h_x):
-    """Return the spectral radius of one step on the ranges of A and A^T, without active bounds or regularization."""
+    """Return the spectral radius of one step without active bounds or regularization."""
     A, hk, hk_x = qp.A, h * k, h_x * k
     m, n = A.shape
     onto_x = np.hstack([np.eye(n) - hk_x * c * A.T @ A, -hk_x * A.T])
     seen = onto_x if implicit else np.eye(n, n + m)
     step = np.vstack([onto_x, np.hstack([np.zeros((m, n)), np.eye(m)]) + hk * A @ seen])
     U, _, Vt = np.linalg.svd(A)
-    basis = block_diag(Vt[:5].T, U[:, :5])  # all other modes stay constant
+    basis = block_diag(Vt[:5].T, U[:, :5])  # the other modes are constant
     return np.abs(np.linalg.eigvals(basis.T @ step @ basis)).max()
 
 
@@ -64,7 +64,7 @@ def spectral_radius(qp, c, h, k, implicit, h_x):
 def test_settings_are_called_unstable_exactly_where_a_step_diverges(seed, c, k, h, implicit, h_x):
     qp = random_problem(np.random.default_rng(seed), c0=c, c1=c, regularization=0.0)
     radius = spectral_radius(qp, c, h, k, implicit, h if h_x is None else h_x)
-    if abs(radius - 1.0) > 1e-9:  # slow modes have a radius of 1 up to rounding
+    if abs(radius - 1.0) > 1e-9:  # slow modes have a radius near 1
         assert (unstable(qp, h, k, 1.0, implicit, h_x) is None) == (radius < 1.0)
 
 
@@ -86,7 +86,7 @@ def test_a_claimed_answer_is_verified_and_x_stays_in_the_box(seed, steps, infeas
     make = infeasible_problem if infeasible else random_problem
     qp = make(np.random.default_rng(seed))
     chosen = RNN(steps=steps, k=0.2)
-    assume(chosen.supports(qp) is None)  # a few random arms are so large that the steps would diverge
+    assume(chosen.supports(qp) is None)  # the steps diverge for very large arms
     found = chosen.start(qp).solve(qp)
     assert np.all(found.x >= qp.lower - 1e-15)
     assert np.all(found.x <= qp.upper + 1e-15)
@@ -95,7 +95,7 @@ def test_a_claimed_answer_is_verified_and_x_stays_in_the_box(seed, steps, infeas
         assert qp.residuals(found.x, found.y).verified()
 
 
-def test_after_an_overflow_the_network_restarts_from_zero():
+def test_network_restarts_from_zero_after_overflow():
     good = random_problem(np.random.default_rng(5))
     huge = changed(good, J_tip=1e200 * good.J_tip, J_wrist=1e200 * good.J_wrist)
     session = RNN(k=0.2).start(good)
@@ -104,8 +104,8 @@ def test_after_an_overflow_the_network_restarts_from_zero():
     np.testing.assert_array_equal(session.solve(good).x, fresh.x)
 
 
-def test_rnn_printed_applies_equation_2_to_the_measured_velocity():
-    """The answer minus the measured v is the printed qdd_d = -v + P(v - k dL/dqd). h scales only the steps of y."""
+def test_rnn_printed_applies_equation_2_to_measured_velocity():
+    """The answer minus v is the printed qdd_d = -v + P(v - k dL/dqd)."""
     qps = smooth_sequence(np.random.default_rng(6), 40, regularization=0.0)
     chosen = RNNPrinted()
     assert chosen.h == 0.002  # dt/eps for eps = 1 s at 500 Hz
@@ -114,7 +114,7 @@ def test_rnn_printed_applies_equation_2_to_the_measured_velocity():
     rng = np.random.default_rng(7)
     x, l1, l2 = np.zeros(7), np.zeros(3), np.zeros(3)
     for tick, qp in enumerate(qps):
-        if tick % 3:  # in the other ticks the network continues from its own x
+        if tick % 3:  # the network continues from its own x
             x = rng.uniform(-1.0, 1.0, 7)
             session.observe(x)
         dx, d1, d2 = right_hand_side(qp, x, l1, l2, 0.1)
@@ -126,7 +126,7 @@ def test_rnn_printed_applies_equation_2_to_the_measured_velocity():
     assert not isinstance(RNN().start(qps[0]), ObservingSession)
 
 
-def test_only_a_network_that_has_converged_stops_early_and_reports_solved():
+def test_only_a_converged_network_reports_solved():
     qp = random_problem(np.random.default_rng(3), regularization=0.01)
     many, few = (RNN(steps=steps).start(qp).solve(qp) for steps in (100_000, 10))
     assert (many.status, few.status, few.iterations) == (Status.SOLVED, Status.MAX_ITER, 10)

@@ -1,4 +1,4 @@
-"""Paths: arc length, derivatives, place in space, paths of other packages, and refused arguments."""
+"""Paths: geometry, paths of other packages, and refused arguments."""
 
 import math
 from collections.abc import Callable
@@ -40,7 +40,7 @@ any_path = st.one_of(
 @given(any_path, st.floats(0.0, 1.0))
 def test_a_curve_lies_in_its_plane_and_its_derivatives_are_finite_differences(path: Path, place: float) -> None:
     bends = max(1.0 / path.length, *(abs(path.curve.at(s)[4]) for s in path.curve.knots.tolist()))
-    # The step is small compared with the tightest bend, and large compared with rounding.
+    # The step is small against the tightest bend.
     h = 1e-3 / bends
     s = h + place * (path.length - 2.0 * h)
     np.testing.assert_allclose(path.at(0.0)[0], START, atol=1e-15)
@@ -66,12 +66,12 @@ def test_spiral_arc_length_is_the_closed_form(turns: float, radius: float, place
     assert path.at(0.0)[1] @ path.heading == pytest.approx(1.0)
 
 
-def test_a_circle_turns_left_and_a_line_is_straight() -> None:
+def test_circle_turns_left() -> None:
     path, center = make_path("circle", START, radius=0.03, **AXES), START + np.array([0.0, 0.03, 0.0])
     p, _, ddp = path.at(np.linspace(0.0, path.length, 97))
     np.testing.assert_allclose(ddp, (center - p) / 0.03**2, atol=1e-10)
     np.testing.assert_allclose(p[-1], START, atol=1e-13)
-    # The circle runs counter-clockwise about +z: it starts south of its centre and leaves towards the east.
+    # The circle runs counter-clockwise about +z.
     np.testing.assert_allclose(path.at(0.0)[1], [1.0, 0.0, 0.0], atol=1e-15)
     line = make_path("line", START, normal=(1, 0, 0), heading=(0, 0, -3), length=0.2)
     np.testing.assert_allclose(line.at(line.length)[0], START - [0.0, 0.0, 0.2], atol=1e-15)
@@ -97,7 +97,7 @@ def added(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("kind", ["screw", "helix"])  # a kind of moc_opt, a kind of another package
-def test_a_function_defines_a_kind_of_path(kind: str, added: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_function_defines_a_kind_of_path(kind: str, added: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(CURVES, "screw", helix)
     assert paths.kinds()["screw"] == "Go round once while it climbs."
     path = make_path(kind, np.zeros(3), radius=0.02, **AXES)
@@ -115,17 +115,17 @@ def test_a_function_defines_a_kind_of_path(kind: str, added: None, monkeypatch: 
     ("number", {}, TaskError, "class or function"), ("crash", {}, TaskError, "ZeroDivisionError"),
     ("gone", {}, TaskError, "ModuleNotFoundError"), ("waypoints", {}, TaskError, "waypoints"),
 ])  # fmt: skip
-def test_a_wrong_kind_or_size_of_a_path_is_named(added: None, kind: str, sizes: dict, error: type, told: str) -> None:
+def test_wrong_kind_or_size_is_named(added: None, kind: str, sizes: dict, error: type, told: str) -> None:
     with pytest.raises(error, match=told):
         make_path(kind, np.zeros(3), **AXES, **sizes)
 
 
-def test_every_path_is_listed_even_if_one_does_not_load(added: None) -> None:
+def test_every_path_is_listed_if_one_does_not_load(added: None) -> None:
     found = paths.kinds()
     assert found["helix"] == "Go round once while it climbs."
     assert "does not load" in found["gone"]
     assert {*CURVES, "waypoints", "ring"} <= set(found)
-    taken = make_path("circle", np.zeros(3), radius=0.02, **AXES)  # no plug-in replaces a built-in path
+    taken = make_path("circle", np.zeros(3), radius=0.02, **AXES)  # the built-in path
     assert taken.curvature(0.0) == pytest.approx(50.0)
 
 
@@ -135,7 +135,7 @@ STEPS = st.lists(st.tuples(*[st.floats(-0.01, 0.01)] * 3), min_size=1, max_size=
 @settings(max_examples=20)
 @given(STEPS)
 def test_a_path_through_waypoints_has_unit_speed_and_smooth_curvature(steps: list) -> None:
-    points = np.cumsum(np.add(steps, (0.02, 0.0, 0.0)), axis=0)  # steps of 1 to 3 cm ahead make no cusp
+    points = np.cumsum(np.add(steps, (0.02, 0.0, 0.0)), axis=0)  # 1 to 3 cm ahead, without cusps
     path = Waypoints(points, START, **AXES)
     s = np.linspace(0.0, path.length, 1001)
     p, tangent, bend = path.at(s)
@@ -152,7 +152,7 @@ def test_a_path_through_waypoints_has_unit_speed_and_smooth_curvature(steps: lis
     assert path.curvature(s[400]) == pytest.approx(np.linalg.norm(bend[400]))
 
 
-def test_waypoints_are_in_the_axes_of_the_path_and_a_single_one_gives_a_straight_line() -> None:
+def test_waypoints_are_in_the_axes_of_the_path() -> None:
     path = Waypoints([[0.01, 0.02, 0.03]], np.zeros(3), normal=(1, 0, 0), heading=(0, 0, 2))
     end, _, bend = path.at(path.length)
     np.testing.assert_allclose(end, [0.03, -0.02, 0.01], atol=1e-12)  # left = normal x heading
@@ -169,7 +169,7 @@ MOVING: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("name", MOVING)
-def test_an_array_gives_the_same_bits_as_its_single_numbers(name: str) -> None:
+def test_array_gives_bits_of_single_numbers(name: str) -> None:
     one = MOVING[name]
     s = np.random.default_rng(3).uniform(0.0, getattr(one, "length", 2.0), 60)
     vector = one.at(s)
@@ -211,7 +211,7 @@ REFUSED: dict[str, tuple[str, Callable[[Any], Any], list[Any]]] = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_an_unusable_argument_is_refused_by_name(name: str) -> None:
+def test_unusable_argument_is_refused_by_name(name: str) -> None:
     told, make, values = REFUSED[name]
     for value in values:
         with pytest.raises(TaskError, match=told):

@@ -1,4 +1,4 @@
-"""The quintic time law, the shortest duration within the limits, references that wait, and the moving trocar."""
+"""The quintic time law, shortest durations, references that wait, and the moving trocar."""
 
 import math
 
@@ -12,7 +12,7 @@ from moc_opt.tasks import CURVES, Path, Reference, Trocar, duration, quintic, sh
 from moc_opt.tasks.timelaw import WaitingReference, flags_at
 from tests.tasks.test_paths import START, build, size
 
-# With gentle bends, evenly spaced samples come close to the sharpest point. Sharp bends have their own test.
+# With gentle bends, samples come close to the sharpest point.
 curved = st.one_of(
     st.builds(lambda r: build("circle", radius=r), size),
     st.builds(
@@ -44,7 +44,7 @@ def test_the_duration_of_a_line_is_the_closed_form(length: float, v_max: float, 
 
 
 def extremes(reference: Reference, count: int) -> tuple[float, float]:
-    """Return the largest sampled speed and acceleration, as fractions of their limits."""
+    """Return the largest speed and acceleration, as fractions of their limits."""
     t = reference.t_start + np.linspace(0.0, reference.duration, count)
     _, dx, ddx = reference.at(t)
     speed, acceleration = np.linalg.norm(dx, axis=1).max(), np.linalg.norm(ddx, axis=1).max()
@@ -63,13 +63,13 @@ def test_the_duration_of_a_curve_reaches_one_limit_and_exceeds_none(path: Path, 
     ("sinusoid", {"amplitude": 0.1, "wavelength": 0.01, "periods": 1.5}), ("sinusoid", {"periods": 60.0}),
     ("spiral", {"turns": 50.0, "radius": 0.05}),
 ])  # fmt: skip
-def test_the_duration_keeps_the_limits_at_sharp_bends_and_at_many_bends(kind: str, sizes: dict[str, float]) -> None:
+def test_duration_keeps_the_limits_at_sharp_bends(kind: str, sizes: dict[str, float]) -> None:
     used = extremes(Reference(build(kind, **sizes), 100.0, 0.5), 30_001)
     assert 1.0 - 5e-3 <= max(used) <= 1.0 + 1e-9
 
 
 @pytest.mark.parametrize("kind", CURVES)
-def test_velocity_and_acceleration_are_derivatives_and_are_zero_outside_the_motion(kind: str) -> None:
+def test_velocity_and_acceleration_are_derivatives(kind: str) -> None:
     path = build(kind)
     reference = Reference(path, 0.1, 0.3, t_start=0.5)
     end, h = 0.5 + reference.duration, 1e-5 * reference.duration
@@ -87,11 +87,11 @@ def test_velocity_and_acceleration_are_derivatives_and_are_zero_outside_the_moti
 PERIOD = 0.01
 REFERENCES = {kind: Reference(build(kind), 0.05, 0.2) for kind in CURVES}
 CIRCLE = Reference(build("circle", radius=0.02), 0.05, 0.2)
-BRAKE_S = 0.05 / 0.2  # shortest time in which a waiting reference slows from its full rate to rest
+BRAKE_S = 0.05 / 0.2  # shortest braking time
 
 
 def flags(seconds, losses):
-    """Return one flag per tick: whether the board is seen. A loss is (start, length) [s]."""
+    """Return whether the board is seen at each tick, with losses (start, length) [s]."""
     t = PERIOD * np.arange(round(seconds / PERIOD))
     seen = np.ones(len(t), dtype=bool)
     for start, length in losses:
@@ -112,11 +112,10 @@ def test_position_speed_and_acceleration_are_continuous_and_bounded(kind, losses
     slack = 1 + 1e-9
     assert np.linalg.norm(dx, axis=1).max() <= v_bound * slack
     assert np.linalg.norm(ddx, axis=1).max() <= a_bound * slack
-    # Differences of the positions are within the same bounds.
     assert np.linalg.norm(np.diff(x, axis=0), axis=1).max() <= v_bound * PERIOD * slack
     second = np.diff(x, 2, axis=0) / PERIOD**2
     assert np.linalg.norm(second, axis=1).max() <= a_bound * (1 + 1e-4)
-    # `ddx` is the acceleration at the start of a tick. Until the next tick it changes by up to about `steps`.
+    # Until the next tick, `ddx` changes by up to about `steps`.
     steps = v_bound * PERIOD / (0.5 * BRAKE_S**2)
     assert np.abs(second - ddx[1:-1]).max() < 0.01 + 1.2 * steps
     middle = np.diff(x, axis=0) / PERIOD - 0.5 * (dx[1:] + dx[:-1])
@@ -137,7 +136,7 @@ def test_a_waiting_reference_stays_on_the_path_and_arrives(losses):
     np.testing.assert_array_equal(rows[-1, 1:], 0.0)
 
 
-def test_the_tip_never_moves_without_a_board_and_chattering_flags_only_slow_it_down():
+def test_tip_never_moves_without_a_board():
     waiting = WaitingReference(CIRCLE, PERIOD)
     rows, times = waiting.play(np.zeros(200, dtype=bool))
     np.testing.assert_array_equal(rows[:, 0], np.broadcast_to(START, (200, 3)))
@@ -148,7 +147,7 @@ def test_the_tip_never_moves_without_a_board_and_chattering_flags_only_slow_it_d
     assert 0.45 < rate.min() <= rate.max() < 0.55
 
 
-def test_answers_of_the_camera_hold_until_the_next_picture():
+def test_camera_answers_hold_until_the_next_picture():
     found = flags_at([0.0, 0.05, 0.1, 0.15, 0.2, 0.3], [0.1, 0.2], [True, False])
     np.testing.assert_array_equal(found, [False, False, True, True, False, False])
     np.testing.assert_array_equal(flags_at([0.0, 1.0], [], []), [False, False])
@@ -161,7 +160,7 @@ points = arrays(np.float64, 3, elements=st.floats(-1.0, 1.0))
 def test_breathing_moves_the_trocar_there_and_back() -> None:
     given = np.array(POINT)
     trocar = Trocar(given, breathing_amplitude_m=0.01, breathing_period_s=5.0, direction=(0.0, 3.0, 4.0))
-    given[:] = 0.0  # the trocar keeps a copy
+    given[:] = 0.0  # the trocar has a copy
     away = 0.01 * np.array([0.0, 0.6, 0.8])
     for t, part in ((0.0, 0.0), (1.25, 0.5), (2.5, 1.0), (5.0, 0.0), (7.5, 1.0)):
         np.testing.assert_allclose(trocar.at(t)[0], POINT + part * away, atol=1e-15)
@@ -186,7 +185,7 @@ def test_shaft_distance_is_the_distance_of_a_point_from_a_line(tip, tool, p, shi
     wrist = tip - tool
     d, u = shaft_distance(tip, wrist, p), tool / length
     assert d == pytest.approx(np.linalg.norm(np.cross(p - tip, u)), abs=1e-12)
-    # The distance depends neither on the world's origin nor on where along the shaft the wrist is.
+    # The distance depends on neither shift nor stretch.
     assert shaft_distance(tip + shift, tip - stretch * tool + shift, p + shift) == pytest.approx(d, abs=1e-11)
     rows = shaft_distance([tip, tip + shift], [wrist, wrist + shift], p)
     np.testing.assert_allclose(rows, [d, shaft_distance(tip + shift, wrist + shift, p)], rtol=1e-14)

@@ -1,4 +1,4 @@
-"""Malformed traces are read correctly or refused. No code in a file runs, and no text in it controls a terminal."""
+"""Malformed traces are read or refused, without running code or controlling a terminal."""
 
 import contextlib
 import copy
@@ -51,7 +51,7 @@ def changed(data, changes):
 @many(2.0)
 @given(st.booleans(), changes)
 def test_a_damaged_trace_is_read_or_refused(tmp_path, good_file, footer_only, changes):
-    """The damage is anywhere in the file, or only in the footer, whose length is then corrected."""
+    """If only the footer is damaged, its length is corrected."""
     path, length = tmp_path / "trace.parquet", int.from_bytes(good_file[-8:-4], "little")
     if footer_only:
         footer = changed(good_file[-8 - length : -8], changes)
@@ -77,7 +77,7 @@ CLAIMS = [  # metadata of a file: types of columns (or their JSON), meta, versio
 
 
 @pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: str(claim)[:60])
-def test_a_table_that_claims_to_be_a_trace_is_one_or_is_refused(tmp_path, claim):
+def test_file_that_claims_to_be_a_trace_is_checked(tmp_path, claim):
     types, meta, version = claim
     path, names = tmp_path / "trace.parquet", types if isinstance(types, dict) else SOUND
     types = json.dumps(types).encode() if isinstance(types, dict) else types
@@ -91,8 +91,8 @@ def test_a_table_that_claims_to_be_a_trace_is_one_or_is_refused(tmp_path, claim)
         assert all(column.dtype.kind in "fiubU" for column in mo.load_trace(path).columns.values())
 
 
-def test_a_parquet_file_of_many_rows_is_not_unpacked(tmp_path):
-    """A file of a few kilobytes could unpack to terabytes."""
+def test_parquet_file_of_many_rows_is_not_unpacked(tmp_path):
+    """A few kilobytes could unpack to terabytes."""
     path, rows = tmp_path / "many.parquet", 3_000_000
     keys = {"moc_opt.trace.trace": "2", "moc_opt.types": '{"status": "<U1000"}', "moc_opt.meta": "{}"}
     pq.write_table(pa.table({"status": ["solved"] * rows}).replace_schema_metadata(keys), path)
@@ -123,12 +123,11 @@ def places(value, before=()):
 @many()
 @given(data=st.data())
 def test_a_foreign_trace_is_shown_or_refused(tmp_path, faulty_run, data):
-    """If the trace is not refused, it gives metrics, table and JSON, and none of its texts controls the terminal."""
     columns, meta = dict(faulty_run[0]), copy.deepcopy(faulty_run[1])
     entries = [place for place in places(meta) if place]
     for _ in range(data.draw(st.integers(0, 3))):
         (*path, last), odd, inner = data.draw(st.sampled_from(entries)), data.draw(odd_entries), meta
-        with contextlib.suppress(KeyError, IndexError, TypeError):  # an earlier change has removed this entry
+        with contextlib.suppress(KeyError, IndexError, TypeError):  # this entry was removed before
             for key in path:
                 inner = inner[key]
             inner[last] = odd

@@ -1,4 +1,4 @@
-"""Each metric equals a number computed by hand. A metric without its data is left out. Wrong data are refused."""
+"""Each metric equals a number computed by hand."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_every_metric_equals_its_value_by_hand() -> None:
         "trocar_force_mean_N": 2.0, "trocar_force_max_N": 5.0,
         # Steps of 5, 0 and 10 Nm in 2 ms.
         "torque_rate_rms_Nm_per_s": math.sqrt((2500.0**2 + 5000.0**2) / 3.0),
-        # Ticks 3 and 4 deviate from the mean of all ticks by -1 and 1 rad/s, and by -1.5 and 8.5 Nm.
+        # Ticks 3 and 4 deviate from the mean by -1 and 1 rad/s, and by -1.5 and 8.5 Nm.
         "oscillation_rad_per_s": 1.0, "oscillation_Nm": math.sqrt((1.5**2 + 8.5**2) / 2.0),
         "solve_p50_us": 20.0, "solve_p99_us": 29.8, "tick_p50_us": 100.25,
         "tick_p99_us": float(np.percentile([50.0, 100.0, 150.0, 100.5], 99)), "deadline_misses": 2.0,
@@ -63,7 +63,7 @@ def test_every_metric_equals_its_value_by_hand() -> None:
     assert all(type(value) is float for value in summary.values())
 
 
-def test_metrics_without_baseline_deadline_or_subproblem_are_left_out() -> None:
+def test_metrics_without_their_data_are_left_out() -> None:
     nothing = [NAN] * 4
     trace = run(meta={}, solve_us=nothing, primal=nothing, natural=nothing, loss=nothing, mu_bound=nothing)
     gone = {"mu_gain_percent", "deadline_misses", "solve_p50_us", "solve_p99_us", "primal_max"}
@@ -83,20 +83,20 @@ def test_metrics_without_baseline_deadline_or_subproblem_are_left_out() -> None:
     assert "mu_gain_percent" in summarize(trace, baseline=run(t_s=None))
 
 
-def test_a_run_that_diverged_to_nan_has_no_good_metrics() -> None:
-    """Only in the solver's columns, NaN means "no subproblem" and is left out. Elsewhere, the metric is NaN, too."""
+def test_diverged_run_has_no_good_metrics() -> None:
+    """NaN means "no subproblem" only in the solver's columns."""
     summary = summarize(run(mu=[0.1, NAN, 0.3, 0.4], tip_error_m=[NAN] * 4, primal=[0.0, math.inf, NAN, 0.0]))
     assert np.isnan([summary["mu_mean"], summary["tip_error_max_mm"]]).all()
     assert summary["primal_max"] == math.inf
 
 
-def test_the_torque_rate_skips_gaps_between_ticks() -> None:
+def test_torque_rate_skips_gaps_between_ticks() -> None:
     assert "torque_rate_rms_Nm_per_s" not in summarize(run().select([False, True, False, True]))
     ends = run().select([True, False, True, True])
     assert summarize(ends)["torque_rate_rms_Nm_per_s"] == pytest.approx(5000.0)
 
 
-def test_a_trace_that_cannot_be_summarized_is_refused() -> None:
+def test_trace_that_cannot_be_summarized_is_refused() -> None:
     empty = Trace({"mu": []})
     refused = {
         "trace is empty": lambda: summarize(empty), "baseline is empty": lambda: summarize(run(), empty),
@@ -109,7 +109,7 @@ def test_a_trace_that_cannot_be_summarized_is_refused() -> None:
             call()
 
 
-def test_a_metric_can_be_registered_with_a_docstring_and_an_unused_name() -> None:
+def test_metric_can_be_registered() -> None:
     @metric
     def tip_speed_max_m_per_s(trace: Trace) -> float:
         """Largest speed of the tip [m/s]."""
@@ -129,11 +129,11 @@ def test_a_metric_can_be_registered_with_a_docstring_and_an_unused_name() -> Non
     completed.__doc__ = "Another one."
     with pytest.raises(TraceError, match=r"'completed' is there already, from moc_opt\.trace\.metrics"):
         metric(completed)
-    # A notebook that runs its cell again registers the same function again.
+    # A notebook may register the same function again.
     assert metric(METRICS["completed"].function) is METRICS["completed"]
 
 
-def test_metrics_of_other_packages_are_in_the_summary_and_a_broken_one_hides_no_other(monkeypatch):
+def test_broken_metric_hides_no_other(monkeypatch):
     values = {"len": "builtins:len", "number": "math:pi", "gone": "no_such:f", "abs": "builtins:abs"}
     found = {name: [EntryPoint(name, value, metrics.GROUP)] for name, value in values.items()}
     monkeypatch.setattr(metrics.plugins, "plugins", lambda group: found)

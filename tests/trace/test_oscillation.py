@@ -1,4 +1,4 @@
-"""Oscillation is found in traces and runs that oscillate, and not in ordinary traces and runs."""
+"""Oscillation is found in traces that oscillate, and not in ordinary traces."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ STIFF = {"K_X": 3000.0, "D_X": 80.0, "K_N": 800.0, "D_N": 60.0, "K_N2": 80.0, "D
 
 
 def made(joint=0, amplitude=0.0, hertz=50.0, column="v_rad_per_s", ticks=1500, period=PERIOD, where=None):
-    """Return a slow motion of every joint, with an oscillation of one `joint` between the two times `where`."""
+    """Return a slow motion with an oscillation of one `joint` between the times `where`."""
     t = period * np.arange(ticks)
     columns = {
         "t_s": t, "v_rad_per_s": 0.5 * np.sin(2.0 * np.pi * 0.5 * t)[:, None] * np.ones(7),
@@ -29,7 +29,7 @@ def made(joint=0, amplitude=0.0, hertz=50.0, column="v_rad_per_s", ticks=1500, p
 
 
 @pytest.mark.parametrize(("ticks", "period"), [(8, 0.01), (8, 0.1), (8, 0.07), (12, 0.07), (90, 0.003), (1500, 0.002)])
-def test_the_figures_of_an_oscillation_equal_their_definitions(ticks, period):
+def test_oscillation_figures_equal_their_definitions(ticks, period):
     t = 3.0 + period * np.arange(ticks)
     v = np.random.default_rng(ticks).normal(size=(ticks, 3)) + 3.0 * np.sin(2.0 * np.pi * 5.0 * t)[:, None]
     half, first = round(1.0 / 8.0 / period) // 2, min(round(0.5 / period), ticks // 2)
@@ -54,8 +54,8 @@ def test_the_figures_of_an_oscillation_equal_their_definitions(ticks, period):
     ("v_rad_per_s", limits.LIMIT_RAD_PER_S, "rad/s", False), ("tau_Nm", limits.LIMIT_NM, "Nm", False),
     ("v_rad_per_s", limits.LIMIT_M_PER_S, "m/s", True), ("tau_Nm", limits.LIMIT_N, "N", True),
 ])  # fmt: skip
-def test_a_joint_oscillates_only_if_it_shakes_above_the_limit_in_its_own_unit(factor, column, limit, unit, slides):
-    """Joint 5 shakes below its own limit, so only joint 1 counts."""
+def test_joint_oscillates_only_above_its_limit(factor, column, limit, unit, slides):
+    """Joint 5 shakes below its own limit."""
     trace = made(0, factor * np.sqrt(2.0) * limit, 71.0, column)
     values = np.array(getattr(trace, column))
     values[:, 4] += 0.5 * limits.LIMIT_RAD_PER_S * np.sin(2.0 * np.pi * 31.0 * trace.t_s)
@@ -72,35 +72,35 @@ def test_a_joint_oscillates_only_if_it_shakes_above_the_limit_in_its_own_unit(fa
 @pytest.mark.parametrize(("amplitude", "where", "at", "size"), [
     (0.5, (1.7, 9.0), 0.8, 3.0), (0.283, (1.7, 9.0), 0.8, 1.13), (0.5, (0.0, 2.0), 3.6, 3.0),
 ])  # fmt: skip
-def test_a_jerk_does_not_hide_an_oscillation(joint, amplitude, where, at, size):
-    """The jerk of joint 3 is stronger than the oscillation before or after it, of the same joint or of joint 6."""
+def test_jerk_does_not_hide_an_oscillation(joint, amplitude, where, at, size):
+    """The jerk of joint 3 is stronger than the oscillation."""
     values = np.array(made(joint, amplitude, 40.0, where=where, ticks=2000).v_rad_per_s)
     jerk = made(2, size, 16.0, where=(at, at + 0.0625), ticks=2000)
     values[:, 2] += jerk.v_rad_per_s[:, 2]
     assert describe(jerk, NAMES, TURNING) == ""
     both = jerk.with_columns(v_rad_per_s=values)
-    assert shaking(both, "v_rad_per_s").joint == 2  # the jerk is the strongest shaking
+    assert shaking(both, "v_rad_per_s").joint == 2  # the jerk is the strongest
     assert describe(both, NAMES, TURNING).startswith(f"joint_{joint + 1} at 40 Hz")
 
 
 @pytest.mark.parametrize(("amplitude", "hertz", "where", "says"), [
-    # Task motions of any amplitude, at up to a quarter of the lowest judged frequency.
+    # Task motions of any amplitude.
     (1.0, 0.2, None, False), (1.0, 1.0, None, False), (1.0, limits.ABOVE_HZ / 4.0, None, False),
-    # A jerk during the start, and one after it.
+    # Jerks during and after the start.
     (3.0, 40.0, (0.0, 0.9 * limits.START_S), False), (3.0, 40.0, (limits.START_S, 2.0 * limits.START_S), True),
-    # A shaking of one second, anywhere.
+    # A shaking of one second.
     (1.0, 47.0, (0.5, 1.5), True), (1.0, 47.0, (2.0, 3.0), True), (1.0, 47.0, (7.0, 8.0), True),
-    # A jerk of 0.1 s, wherever it falls, and a shaking of 0.5 s.
+    # A jerk of 0.1 s and a shaking of 0.5 s.
     *((2.0, 30.0, (begin, begin + 0.1), False) for begin in (1.0, 1.07, 1.9)),
     *((2.0, 30.0, (begin, begin + 0.5), True) for begin in (1.0, 1.07, 1.9)),
 ])  # fmt: skip
-def test_a_lasting_shake_is_an_oscillation_and_a_task_or_a_jerk_is_not(amplitude, hertz, where, says):
+def test_lasting_shake_is_an_oscillation(amplitude, hertz, where, says):
     trace = made(6, amplitude, hertz, ticks=4000, where=where)
     assert (describe(trace, NAMES, TURNING).startswith(f"joint_7 at {hertz:.0f} Hz")) == says
     assert says or describe(trace, NAMES, TURNING) == ""
 
 
-def test_a_run_that_was_stopped_or_is_brief_keeps_its_ending():
+def test_stopped_or_brief_run_keeps_its_ending():
     shaken = made(0, 2.0)
     stopped = Trace(shaken.columns, {**shaken.meta, "ended": "stopped: x"})
     assert judged_for_oscillation(stopped, NAMES, TURNING).meta == stopped.meta
@@ -111,7 +111,7 @@ def test_a_run_that_was_stopped_or_is_brief_keeps_its_ending():
 
 
 @pytest.mark.parametrize(("begin", "amplitude", "says"), [(1.0, 2.0, True), (1.0, 0.1, False), (2.01, 9.0, False)])
-def test_the_ending_of_a_stopped_run_names_only_an_oscillation_before_the_stop(begin, amplitude, says):
+def test_stopped_run_names_only_an_oscillation_before_stop(begin, amplitude, says):
     trace = made(3, amplitude, 24.0, where=(begin, 3.0)).with_meta(ended="stopped: x (t = 2.000 s)", stopped_at_s=2.0)
     said = judged_for_oscillation(trace, NAMES, TURNING).meta["ended"]
     assert said.startswith("stopped: x (t = 2.000 s)")
@@ -119,7 +119,7 @@ def test_the_ending_of_a_stopped_run_names_only_an_oscillation_before_the_stop(b
     assert said == trace.meta["ended"] or says
 
 
-def test_a_trace_that_cannot_be_judged_is_refused_with_the_reason():
+def test_trace_that_cannot_be_judged_is_refused():
     trace = made()
     for part, kind, said in (
         (trace.select(np.arange(len(trace)) % 3 == 0), MissingDataError, "some ticks are left out"),
@@ -129,7 +129,7 @@ def test_a_trace_that_cannot_be_judged_is_refused_with_the_reason():
     ):
         with pytest.raises(kind, match=said):
             shaking(part, "v_rad_per_s")
-    assert shaking(trace.select(trace.t_s > 0.5), "v_rad_per_s").rms < 0.1  # its ticks are consecutive
+    assert shaking(trace.select(trace.t_s > 0.5), "v_rad_per_s").rms < 0.1  # consecutive ticks
 
 
 @pytest.mark.parametrize(("changes", "joint"), [
@@ -137,11 +137,8 @@ def test_a_trace_that_cannot_be_judged_is_refused_with_the_reason():
     ({"plant": {"friction": 0.0}, "control": STIFF}, "joint_7"),
     ({"control": {**STIFF, "regularization": 0.0}}, "joint_5"),
 ], ids=["delay", "no friction", "rho = 0"])  # fmt: skip
-def test_an_unstable_loop_is_found_to_oscillate(changes, joint):
-    """K_N2 is 80 for every joint. In addition, the delay is two ticks, or friction is zero, or rho is zero.
-
-    The limits on RCM error, trocar force and unexplained motion are off, because they would stop these runs earlier.
-    """
+def test_unstable_loop_is_found_to_oscillate(changes, joint):
+    """Limits that would stop these runs are off."""
     free = {"rcm_error_m": None, "trocar_force_N": None, "motion": False}
     trace = run(Scenario(seed=1, duration_s=4.0, guard=free, **changes, **QUICK))
     assert trace.meta["ended"].startswith(f"oscillated: {joint} at "), trace.meta["ended"]

@@ -1,4 +1,4 @@
-"""A trace: columns that it accepts, immutability, its file and meta, and its forms in pandas, xarray and plotly."""
+"""A trace: columns, immutability, its file and its forms in other libraries."""
 
 import contextlib
 import copy
@@ -44,7 +44,6 @@ def trace():
 
 
 def assert_same(one, other):
-    """Assert that names, order, types, shapes and bits are equal."""
     assert list(one.columns) == list(other.columns)
     for name, array in one.columns.items():
         again = other.columns[name]
@@ -55,7 +54,7 @@ def assert_same(one, other):
 
 @st.composite
 def traces(draw):
-    """Draw a trace whose columns the package does not know. Floats have any bit pattern."""
+    """Draw a trace with unknown columns whose floats have any bit pattern."""
     rows, columns = draw(st.integers(0, 6)), {}
     for i in range(draw(st.integers(0, 4))):
         dtype = np.dtype(draw(st.sampled_from(["f8", "f4", "i8", "i1", "u2", "?", "U5"])))
@@ -78,7 +77,7 @@ def test_file_pickle_and_copy_give_back_every_bit(tmp_path, trace):
         assert_same(trace, again)
 
 
-def test_columns_are_attributes_length_is_ticks_and_repr_describes_the_run(trace):
+def test_columns_are_attributes_and_length_is_ticks(trace):
     assert repr(trace).startswith("Trace(40 ticks, 4.000 s, spiral, lwr4, osqp, completed: t_s, q_rad")
     assert trace.q_rad is trace.columns["q_rad"]
     assert (len(trace), len(trace.head(0)), len(Trace({}))) == (N, 0, 0)
@@ -90,15 +89,15 @@ def test_columns_are_attributes_length_is_ticks_and_repr_describes_the_run(trace
     assert not hasattr(trace, "limited")
 
 
-def test_trace_is_frozen_and_owns_its_arrays():
+def test_trace_owns_its_arrays():
     mu, deep, view = np.ones(4, dtype=">f8"), {"a": [1]}, np.ones(4)
     locked = view[:]
-    locked.setflags(write=False)  # the array that it views is still writable
+    locked.setflags(write=False)  # its base is writable
     made = Trace({"mu": mu, "own": locked}, {"deep": deep})
     mu[0] = view[0] = 7.0
     deep["a"].append(2)
     assert made.mu.tolist() == made.own.tolist() == [1.0] * 4
-    assert made.mu.dtype == np.dtype("f8")  # the byte order of this machine
+    assert made.mu.dtype == np.dtype("f8")  # this machine's byte order
     assert made.with_columns(own=[2.0] * 4).mu is made.mu
     assert made.meta["deep"] == {"a": [1]}
     with pytest.raises(ValueError, match="read-only"):
@@ -119,7 +118,7 @@ def test_select_keeps_the_tick_numbers(trace):
         trace.select(np.arange(N))
 
 
-def test_a_part_of_a_run_is_marked_as_a_part(trace):
+def test_part_of_a_run_is_marked_as_part(trace):
     whole = trace.with_meta(ticks=N, ticks_planned=N)
     assert mo.summarize(whole)["completed"] == 1.0
     for part in (whole.between(1.0, 2.0), whole.head(10), whole.select(np.arange(N) < 10)):
@@ -159,12 +158,12 @@ def test_unusable_columns_are_named(name, value):
     (lambda t: mo.summarize(t, t.head(20)), "20 ticks from 0.000 to 1.900 s where the trace has 40 ticks from 0.000"),
     (lambda t: mo.summarize(t, t.with_columns(t_s=t.t_s + 0.1)), "from 0.100 to 4.000 s where"),
 ])  # fmt: skip
-def test_a_wrong_argument_is_named(trace, call, named):
+def test_wrong_argument_is_named(trace, call, named):
     with pytest.raises(MocOptError, match=named):
         call(trace)
 
 
-def test_pyarrow_reads_the_file_and_saving_again_replaces_it_under_an_open_reader(tmp_path):
+def test_file_is_replaced_under_an_open_reader(tmp_path):
     path = tmp_path / "t.parquet"
     example().save(path)
     parquet = pytest.importorskip("pyarrow.parquet")
@@ -180,7 +179,7 @@ def test_pyarrow_reads_the_file_and_saving_again_replaces_it_under_an_open_reade
     assert os.listdir(tmp_path) == ["t.parquet"]
 
 
-def test_a_file_that_is_no_trace_is_refused(tmp_path):
+def test_file_that_is_no_trace_is_refused(tmp_path):
     foreign, versioned = tmp_path / "foreign.parquet", tmp_path / "versioned.parquet"
     pl.DataFrame({"mu": [0.1, None]}).write_parquet(foreign)
     pl.DataFrame({"mu": [0.1]}).write_parquet(versioned, metadata={"moc_opt.trace.trace": "99"})
@@ -194,7 +193,7 @@ def test_a_file_that_is_no_trace_is_refused(tmp_path):
             Trace.load(tmp_path / name)
 
 
-def test_only_a_trace_of_the_same_kind_may_be_replaced(tmp_path):
+def test_only_a_trace_of_same_kind_is_replaced(tmp_path):
     files = gone, empty, run, plan, foreign, text = [tmp_path / f"{k}.parquet" for k in range(6)]
     empty.touch()
     example(3).save(run)
@@ -215,14 +214,14 @@ WARNING = {"of": "the RCM error", "unit": "m", "level": 6e-3, "first_s": 0.1, "l
     ("warnings", [WARNING], [{**WARNING, "level": None}]),
     ("scenario", {"robot": {"name": "lwr4", "tool_length_m": None}, "seed": 1}, {"robot": ["lwr4"]}),
 ])  # fmt: skip
-def test_a_meta_entry_of_the_wrong_type_is_refused_by_name(name, sound, wrong):
+def test_meta_entry_of_wrong_type_is_named(name, sound, wrong):
     Trace({"mu": np.ones(2)}, {name: sound, "my_own": [{"a": None}]})
     for give in (lambda meta: Trace({}, meta), lambda meta: Trace({}).with_meta(**meta)):
         with pytest.raises(TraceError, match=name):
             give({name: wrong})
 
 
-def test_meta_is_kept_in_the_form_that_json_returns():
+def test_meta_is_kept_as_json_returns_it():
     assert Trace({}, {"a": (1, 2), "b": {3: "x"}}).meta == {"a": [1, 2], "b": {"3": "x"}}
     for value in (np.nan, np.inf, {1, 2}, np.zeros(2), {"deep": [np.nan]}):
         with pytest.raises(TraceError, match=r"meta\['seed'\]"):
@@ -231,7 +230,7 @@ def test_meta_is_kept_in_the_form_that_json_returns():
         Trace({}, {1: "a"})
 
 
-def test_to_pandas_has_every_number_and_a_missing_pandas_is_reported(trace, monkeypatch):
+def test_pandas_gets_every_number(trace, monkeypatch):
     frame = trace.to_pandas()
     assert (frame.index.name, frame.shape) == ("t_s", (N, 7 + 3 + 3 + 5))
     assert np.array_equal(frame.index, trace.t_s)
@@ -245,7 +244,7 @@ def test_to_pandas_has_every_number_and_a_missing_pandas_is_reported(trace, monk
         trace.to_pandas()
 
 
-def test_xarray_names_the_dimensions_and_units(trace):
+def test_xarray_names_dimensions_and_units(trace):
     pytest.importorskip("xarray", reason="xarray is not installed: pip install '.[dataframes]'")
     found = trace.to_xarray()
     assert (found.q_rad.dims, found.tip_m.dims) == (("t_s", "joint"), ("t_s", "axis"))
@@ -256,7 +255,7 @@ def test_xarray_names_the_dimensions_and_units(trace):
     assert found.attrs["robot"] == "lwr4"
 
 
-def test_plot_draws_the_columns_asked_for_and_a_baseline(trace):
+def test_plot_draws_the_requested_columns(trace):
     lines = {line.name: line for line in trace.plot(["mu"], name="osqp", beside=trace.between(0.0, 1.0)).data}
     assert set(lines) == {"baseline", "osqp"}
     assert np.allclose(lines["osqp"].y, trace.mu)
