@@ -37,7 +37,7 @@ static double steepest_descent(const moc_problem *p, int rows, double Z[][MOC_MA
         scale = larger(idle ? 0.0 : p->c2 * fabs(pull[j]), scale);
     }
     double length = sqrt(dot(p->n, cone.pull, cone.pull));
-    cone.c2 = 1.0 / fmax(length, 1e-300); /* |d| <= 1 */
+    cone.c2 = 1.0 / larger(length, 1e-300); /* |d| <= 1 */
     if (moc_solve_exact(&cone, 1e-9, d, y) != MOC_OK)
         memset(d, 0, (unsigned)p->n * sizeof *d);
     return scale;
@@ -69,7 +69,7 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
     if (sqrt(dot(n, line, line)) <= NO_GRADIENT * steepest || !(p->c2 > 0.0))
         return found;
     /* If x has to follow an x_d that is almost zero, pull = (rho/c2) x_d is tiny. The scale is then rho. */
-    double scale = fmax(p->c2 * steepest, p->rho);
+    double scale = larger(p->c2 * steepest, p->rho);
     int several = freedoms > 1, faint = p->rho >= p->c2 * steepest;
     if (several) {
         scale = steepest_descent(p, rows, Z, x, line);
@@ -99,11 +99,11 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
             room = smaller(larger(signbit(push) ? p->upper[j] - x[j] : x[j] - p->lower[j], 0.0), room);
     }
     double desired = pull / p->rho;
-    found.natural = fmin(fabs(slope) / total, room);
+    found.natural = smaller(fabs(slope) / total, room);
     if ((several || faint) && found.natural <= PASSES)
         return found;
-    found.off = fabs(fmin(fmax(desired - place, low), high));
-    found.opposite = fabs(fmin(fmax(-desired - place, low), high));
+    found.off = fabs(smaller(larger(desired - place, low), high));
+    found.opposite = fabs(smaller(larger(-desired - place, low), high));
     return found;
 }
 
@@ -141,7 +141,7 @@ static void least_violation(const moc_problem *p, double *x)
             double along = 0.0;
             for (int i = 0; i < 6; i++)
                 along += p->A[i][j] * missing[i];
-            double best = clip(x[j] - along / fmax(size[j], IMMOBILE), p->lower[j], p->upper[j]);
+            double best = clip(x[j] - along / larger(size[j], IMMOBILE), p->lower[j], p->upper[j]);
             for (int i = 0; i < 6; i++)
                 missing[i] += (best - x[j]) * p->A[i][j];
             x[j] = best;

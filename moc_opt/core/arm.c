@@ -15,22 +15,17 @@ void moc_place(const moc_arm *arm, const double *q, moc_frame *frame, moc_twist 
         double slides = joint->slides > 0.0 ? 1.0 : 0.0, angle = (1.0 - slides) * q[j];
         double cosine = cos(angle), sine = sin(angle), axis[3];
 
-        for (int i = 0; i < 3; i++) { /* the axes at q_j = 0 */
+        for (int i = 0; i < 3; i++) {
             const double *row = before->R[i];
+            double fixed[3]; /* the row at q_j = 0 */
             for (int c = 0; c < 3; c++)
-                here->R[i][c] = row[0] * joint->rotation[0][c] + row[1] * joint->rotation[1][c] +
-                                row[2] * joint->rotation[2][c];
-            axis[i] = dot3(here->R[i], joint->axis);
+                fixed[c] = row[0] * joint->rotation[0][c] + row[1] * joint->rotation[1][c] +
+                           row[2] * joint->rotation[2][c];
+            axis[i] = dot3(fixed, joint->axis);
+            for (int c = 0; c < 3; c++) /* Rodrigues' formula */
+                here->R[i][c] = cosine * fixed[c] + (1.0 - cosine) * axis[i] * joint->axis[c];
+            add_cross(sine, fixed, joint->axis, here->R[i]);
             here->p[i] = before->p[i] + dot3(row, joint->origin) + slides * q[j] * axis[i];
-        }
-        for (int c = 0; c < 3; c++) { /* Rodrigues' formula on each column */
-            double x[3] = {here->R[0][c], here->R[1][c], here->R[2][c]}, turned[3];
-            double along = (1.0 - cosine) * dot3(axis, x);
-            for (int i = 0; i < 3; i++)
-                turned[i] = cosine * x[i] + along * axis[i];
-            add_cross(sine, axis, x, turned);
-            for (int i = 0; i < 3; i++)
-                here->R[i][c] = turned[i];
         }
         for (int i = 0; i < 3; i++) {
             twist[j].ang[i] = (1.0 - slides) * axis[i];
@@ -123,7 +118,7 @@ static void dynamics(const moc_arm *arm, const moc_frame *frame, const moc_twist
 {
     int n = arm->n;
     body link[MOC_MAX_JOINTS];
-    moc_twist rate[MOC_MAX_JOINTS], H[MOC_MAX_JOINTS], force[MOC_MAX_JOINTS], up = {{0.0}, {0.0}};
+    moc_twist rate[MOC_MAX_JOINTS], H[MOC_MAX_JOINTS], force[MOC_MAX_JOINTS];
 
     memset(V, 0, sizeof *V);
     memset(acceleration, 0, sizeof *acceleration);
@@ -139,8 +134,6 @@ static void dynamics(const moc_arm *arm, const moc_frame *frame, const moc_twist
         add_cross(1.0, V->ang, H[k].ang, force[k].ang);
         add_cross(1.0, V->lin, H[k].lin, force[k].ang);
     }
-    for (int i = 0; i < 3; i++)
-        up.lin[i] = -arm->gravity[i];
     for (int k = n - 1; k >= 0; k--) { /* from the tip inwards: each joint carries all links beyond it */
         if (k + 1 < n) {
             link[k].mass += link[k + 1].mass;
@@ -152,7 +145,10 @@ static void dynamics(const moc_arm *arm, const moc_frame *frame, const moc_twist
             add(1.0, &H[k + 1], &H[k]);
             add(1.0, &force[k + 1], &force[k]);
         }
-        moc_twist own = momentum(&link[k], &S[k]), weight = momentum(&link[k], &up);
+        moc_twist own = momentum(&link[k], &S[k]), weight = {{0.0}, {0.0}};
+        for (int i = 0; i < 3; i++)
+            weight.lin[i] = -link[k].mass * arm->gravity[i];
+        add_cross(-1.0, link[k].moment, arm->gravity, weight.ang);
         for (int j = 0; j <= k; j++)
             t->M[j][k] = t->M[k][j] = power(&S[j], &own);
         t->M[k][k] += arm->joint[k].rotor;
@@ -216,8 +212,9 @@ void moc_kinematics(const moc_arm *arm, const double *q, moc_frame *frame, moc_t
     for (int i = 0; i < 3; i++)
         t->u[i] = t->tip[i] - t->wrist[i];
     t->span = normalise3(t->u);
-    t->mu = moc_manipulability(n, twist, t->A, t->grad_mu);
-    t->mu_shaft = moc_shaft_manipulability(n, twist, t->A, t->u, t->grad_mu_shaft);
+    moc_gram gram = moc_gram_of(n, t->A);
+    t->mu = moc_manipulability(n, twist, t->A, &gram, t->grad_mu);
+    t->mu_shaft = moc_shaft_manipulability(n, twist, t->A, &gram, t->u, t->grad_mu_shaft);
 }
 
 moc_status moc_compute_terms(const moc_arm *arm, const double *q, const double *v, moc_terms *t)

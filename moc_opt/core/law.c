@@ -83,15 +83,21 @@ static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *d
 {
     enum { TAU_W = 5 };
     double H[MOC_MAX_JOINTS][MOC_MAX_JOINTS], inverse[MOC_MAX_JOINTS], rows[6][MOC_MAX_JOINTS], b[2][3];
-    double a[6] = {0.0}, c[6]; /* desired accelerations; weights of the rows */
+    double column[MOC_MAX_JOINTS][6], a[6] = {0.0}, c[6]; /* desired accelerations a; weights c of the rows */
 
     cholesky(n, t->M, H, inverse);
     across(t->u, b);
     five_rows(n, t->A, b, rows);
     memcpy(rows[TAU_W], tau_W, (unsigned)n * sizeof *tau_W);
-    for (int i = 0; i < n; i++) /* multiply each row by H^-T */
+    for (int i = 0; i < n; i++) { /* multiply the rows by H^-T, column by column */
         for (int k = 0; k < 6; k++)
-            rows[k][i] = (rows[k][i] - dot(i, H[i], rows[k])) * inverse[i];
+            column[i][k] = rows[k][i];
+        for (int j = 0; j < i; j++)
+            for (int k = 0; k < 6; k++)
+                column[i][k] -= H[i][j] * column[j][k];
+        for (int k = 0; k < 6; k++)
+            rows[k][i] = column[i][k] *= inverse[i];
+    }
     for (int i = 0; i < 3 && law->feedforward; i++) {
         double gap = ddN_d[i] - t->drift[3 + i];
         a[i] = ddX_d[i] - t->drift[i];
@@ -124,7 +130,7 @@ static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *d
         rows[4][j] -= tangent * third;
     }
     double one = dot(n, rows[3], rows[3]), other = dot(n, rows[4], rows[4]);
-    double least = STRAIGHT * STRAIGHT * fmax(one, other);
+    double least = STRAIGHT * STRAIGHT * larger(one, other);
     c[3] = one > least ? a[3] / one : 0.0;
     c[4] = other > least ? a[4] / other : 0.0;
     c[TAU_W] = law->projector == MOC_DYNAMIC;
@@ -176,7 +182,7 @@ void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, cons
      * |P_t - X| / L cos(theta/2). Su et al. use a constant lambda, which scales only the spring force. */
     line s = shaft_line(t->tip, dX, trocar);
     if (law->rcm_lambda > 0.0)
-        share = s.distance / t->span * sqrt(fmax(0.0, 0.5 * (1.0 - dot3(s.e, t->u)))) / law->rcm_lambda;
+        share = s.distance / t->span * sqrt(larger(0.5 * (1.0 - dot3(s.e, t->u)), 0.0)) / law->rcm_lambda;
     for (int i = 0; i < 3; i++)
         F[i] = law->K_N * share * (t->tip[i] + t->span * s.e[i] - t->wrist[i]) +
                law->D_N * (dX[i] + t->span * s.turn[i] - dN[i]);
@@ -203,8 +209,8 @@ void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_r
 {
     double N_d[3], gap = 0.0, push = moc_shaft_push(t->mu_shaft, law->shaft_margin);
     /* Near a pose in which the shaft cannot move in one direction, joints have to turn fast. The bounds widen there. */
-    double nearness = fmax(0.0, BOX_OPENS * (1.0 - t->mu_shaft / law->shaft_margin));
-    double wider = 1.0 + law->spare_speed * fmin(1.0, nearness);
+    double nearness = larger(BOX_OPENS * (1.0 - t->mu_shaft / law->shaft_margin), 0.0);
+    double wider = 1.0 + law->spare_speed * smaller(nearness, 1.0);
 
     p->n = n;
     memcpy(p->A, t->A, sizeof p->A);
@@ -221,8 +227,8 @@ void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_r
         p->grad_mu[j] = t->grad_mu[j];
         p->pull[j] = x_d ? law->rho / law->c2 * x_d[j] : t->grad_mu[j] + push * t->grad_mu_shaft[j];
         /* Velocity damper: a joint beyond its limit may only move back. lower <= upper always holds. */
-        p->lower[j] = fmin(fmax(-v_max, -law->k0 * (t->q[j] - law->q_min[j])), v_max);
-        p->upper[j] = fmax(fmin(v_max, -law->k0 * (t->q[j] - law->q_max[j])), -v_max);
+        p->lower[j] = smaller(larger(-law->k0 * (t->q[j] - law->q_min[j]), -v_max), v_max);
+        p->upper[j] = larger(smaller(-law->k0 * (t->q[j] - law->q_max[j]), v_max), -v_max);
     }
     p->c0 = law->c0;
     p->c1 = law->c1;

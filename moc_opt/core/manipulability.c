@@ -4,16 +4,17 @@
 /* mu is only rounding error if det(S) / (mean of S_ii)^3 is smaller than this, where S = J J^T. */
 #define SINGULAR 1e-14
 
-/* Compute (J J^T)^-1 det(J J^T). Returns the determinant. *regular is 0 if the determinant is only rounding error. */
-static double gram_adjugate(int n, double J[][MOC_MAX_JOINTS], double adj[3][3], int *regular)
+moc_gram moc_gram_of(int n, double J[][MOC_MAX_JOINTS])
 {
     double S[3][3];
+    moc_gram gram;
     for (int i = 0; i < 3; i++)
         for (int k = 0; k <= i; k++)
             S[i][k] = S[k][i] = dot(n, J[i], J[k]);
-    double det = adjugate3(S, adj), mean = (S[0][0] + S[1][1] + S[2][2]) / 3.0;
-    *regular = det > SINGULAR * mean * mean * mean;
-    return det;
+    gram.det = adjugate3(S, gram.adj);
+    double mean = (S[0][0] + S[1][1] + S[2][2]) / 3.0;
+    gram.regular = gram.det > SINGULAR * mean * mean * mean;
+    return gram;
 }
 
 static void column(double J[][MOC_MAX_JOINTS], int k, double out[3])
@@ -27,20 +28,18 @@ static void column(double J[][MOC_MAX_JOINTS], int k, double out[3])
  * In a serial chain, dJ_j/dq_k = ang_min(j,k) x J_max(j,k). With the pseudo-inverse's columns P_j = (J J^T)^-1 J_j,
  * dmu/dq_k = mu (ang_k . sum_{j>=k} J_j x P_j + J_k . sum_{j<k} P_j x ang_j).
  * At a singularity mu has no gradient. The gradient is then set to zero. */
-double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOINTS], double *gradient)
+double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOINTS], moc_gram *gram, double *gradient)
 {
-    double adj[3][3], P[MOC_MAX_JOINTS][3], Jk[3], sum[3] = {0.0, 0.0, 0.0};
-    int regular;
-    double mu = sqrt(fmax(gram_adjugate(n, J, adj, &regular), 0.0));
+    double P[MOC_MAX_JOINTS][3], Jk[3], sum[3] = {0.0, 0.0, 0.0}, mu = sqrt(larger(gram->det, 0.0));
 
     if (gradient == NULL)
         return mu;
     memset(gradient, 0, (unsigned)n * sizeof *gradient);
-    if (!regular)
+    if (!gram->regular)
         return mu;
     for (int k = 0; k < n; k++) { /* adj is the inverse times mu^2; the second loop divides by mu */
         column(J, k, Jk);
-        times3(adj, Jk, P[k]);
+        times3(gram->adj, Jk, P[k]);
         gradient[k] = dot3(Jk, sum);
         add_cross(1.0, P[k], twist[k].ang, sum);
     }
@@ -63,30 +62,28 @@ double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOIN
  * C^+ (J_W N)_j for the wrist's columns and -K^T C^+ (J_W N)_j for the tip's. Then
  * dmu_s/dq_k = mu_s sum_{wrist, tip} (J_k . sum_{j<k} P_j x ang_j - ang_k . sum_{j<k} J_j x P_j).
  * The gradient is set to zero where mu or mu_s has a kink. */
-double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], const double u[3],
-                                double *gradient)
+double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], moc_gram *gram,
+                                const double u[3], double *gradient)
 {
     double(*T)[MOC_MAX_JOINTS] = A, (*W)[MOC_MAX_JOINTS] = A + 3;
-    double adj[3][3], mixed[3], K[3][3], C[3][3];
-    int regular;
-    double det = gram_adjugate(n, T, adj, &regular);
+    double adj[3][3], mixed[3], K[3][3], C[3][3], inverse = 1.0 / gram->det;
 
     memset(gradient, 0, (unsigned)n * sizeof *gradient);
-    if (!regular)
+    if (!gram->regular)
         return 0.0;
     for (int a = 0; a < 3; a++) {
         for (int b = 0; b < 3; b++)
-            mixed[b] = dot(n, W[a], T[b]) / det;
-        times3(adj, mixed, K[a]);
+            mixed[b] = dot(n, W[a], T[b]) * inverse;
+        times3(gram->adj, mixed, K[a]);
         for (int b = 0; b <= a; b++)
-            C[a][b] = C[b][a] = dot(n, W[a], W[b]) - det * dot3(K[b], mixed);
+            C[a][b] = C[b][a] = dot(n, W[a], W[b]) - gram->det * dot3(K[b], mixed);
     }
 
     /* C has rank two. The product of its two eigenvalues is the sum of its principal 2x2 minors. */
     double minors = 0.0, trace = C[0][0] + C[1][1] + C[2][2];
     for (int a = 0, b = 1; a < 3; a++, b = (b + 1) % 3)
         minors += C[a][a] * C[b][b] - C[a][b] * C[b][a];
-    double mu = sqrt(fmax(minors, 0.0));
+    double mu = sqrt(larger(minors, 0.0));
     if (!(minors > SINGULAR * trace * trace))
         return mu;
     for (int a = 0; a < 3; a++) /* an added eigenvalue along u makes C invertible */

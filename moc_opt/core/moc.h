@@ -73,6 +73,17 @@ typedef struct {
     double q[MOC_MAX_JOINTS];              /* the pose to which A belongs; only nonlinear solvers use it */
 } moc_problem;
 
+/* A (6,n) after elimination. Row k < rank of A x = b reads x[joint[k]] + sum of row[k][j] x[j] over free joints j = the
+ * eliminated b_k. */
+typedef struct {
+    double row[6][MOC_MAX_JOINTS], pivot; /* pivot: the pivot of the last step [m] */
+    double step[6][6];         /* step[k][i]: multiple of row k that step k added to row i */
+    int from[6];               /* the row that was swapped with row k before step k */
+    int joint[MOC_MAX_JOINTS]; /* pivot joints, then free joints that move tip or wrist, then idle joints */
+    int rank, freedoms;        /* freedoms: number of free joints that move tip or wrist */
+    int doubtful;              /* 1: rounding hides the rank; `rank` is the lower of two possible ranks */
+} moc_plane;
+
 /* Compute the optimum x (n,) and the multipliers y (6,) of A x = b by elimination. The problem counts as
  * feasible if its bounds, widened by `tolerance` [rad/s], allow a solution. x and y are valid only with MOC_OK. */
 moc_status moc_solve_exact(const moc_problem *problem, double tolerance, double *x, double y[6]);
@@ -314,6 +325,7 @@ typedef struct {
     moc_watch watch;
     moc_terms terms;                /* the fields from here to `status` belong to the latest tick */
     moc_problem problem;            /* filled if the law has a third level */
+    moc_plane plane;                /* problem.A after elimination */
     double told[3];                 /* the tip's reference [m] */
     double tau[MOC_MAX_JOINTS];     /* after moc_begin: levels 1 and 2 minus r; after moc_finish: the torque to send */
     moc_fault fault;                /* why the answer was refused, or MOC_TAKEN */

@@ -34,17 +34,13 @@ void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, doub
 }
 
 /* If possible, the previous basis is projected on the new kernel, so that it does not rotate within the kernel. */
-int moc_null_space(int n, double A[][MOC_MAX_JOINTS], int rows, double Z[][MOC_MAX_JOINTS])
+int moc_null_space(const moc_plane *plane, int n, int rows, double Z[][MOC_MAX_JOINTS])
 {
     double fresh[MOC_MAX_JOINTS][MOC_MAX_JOINTS], turned[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
-    moc_problem problem = {.n = n};
-    moc_plane plane;
+    int found = n - plane->rank, alike = found == rows;
 
-    memcpy(problem.A, A, sizeof problem.A);
-    moc_eliminate(&plane, &problem); /* if the rank is in doubt, plane.rank is the lower of two ranks */
-    int found = n - plane.rank, alike = found == rows;
     for (int i = 0; i < found; i++) {
-        moc_direction(&plane, n, i, fresh[i]);
+        moc_direction(plane, n, i, fresh[i]);
         moc_orthonormalise(n, fresh, i, 0.0);
     }
     for (int i = 0; i < found && alike; i++) {
@@ -73,6 +69,7 @@ void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_m
     moc_frame frame[MOC_MAX_JOINTS];
     moc_twist twist[MOC_MAX_JOINTS];
     moc_terms ahead;
+    moc_plane plane;
     int n = arm->n;
 
     memset(x_d, 0, (unsigned)n * sizeof *x_d);
@@ -83,7 +80,8 @@ void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_m
     for (int j = 0; j < n; j++)
         q[j] = t->q[j] + PROBE * (slope[j] / steepness);
     moc_kinematics(arm, q, frame, twist, &ahead);
-    slope_of(n, law, &ahead, moc_null_space(n, ahead.A, 0, Z), Z, there);
+    moc_eliminate(n, ahead.A, &plane);
+    slope_of(n, law, &ahead, moc_null_space(&plane, n, 0, Z), Z, there);
     double bend = (dot(n, there, slope) / steepness - steepness) / PROBE;
     double step = steepness / fmax(-bend, steepness / LONGEST);
     for (int j = 0; j < n && all_finite(1, &step); j++)

@@ -19,7 +19,8 @@ static double look(const plan_task *task, const double *q, double error[6], doub
         for (int i = 0; i < 3; i++)
             error[3 * p + i] = task->target[p][i] - point[i];
     }
-    return moc_manipulability(n, twist, A, grad);
+    moc_gram gram = moc_gram_of(n, A);
+    return moc_manipulability(n, twist, A, &gram, grad);
 }
 
 static double distance(int n, const double *p, const double *q)
@@ -136,13 +137,15 @@ static double room_ahead(const plan_task *task, const double *q, const double *t
 static double turn_tangent(const plan_task *task, const double *q, const double *last, double *tangent, double *mu)
 {
     double error[6], A[6][MOC_MAX_JOINTS], Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
+    moc_plane plane;
     int n = task->arm->n;
 
     *mu = look(task, q, error, A, NULL);
     for (int j = 0; j < n; j++)
         for (int i = 0; i < 6 && !(task->low[j] < task->high[j]); i++)
             A[i][j] = 0.0;
-    moc_onto(n, moc_null_space(n, A, 0, Z), Z, last, tangent);
+    moc_eliminate(n, A, &plane);
+    moc_onto(n, moc_null_space(&plane, n, 0, Z), Z, last, tangent);
     double length = sqrt(dot(n, tangent, tangent));
     for (int j = 0; j < n; j++)
         tangent[j] /= length;

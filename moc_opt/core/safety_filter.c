@@ -42,8 +42,8 @@ void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v
     for (int i = 0; i < n; i++) {
         w->q[i] = w->joint[i].shown = q[i];
         w->v[i] = v[i];
-        w->low[i] = fmin(g->low[i], q[i]);
-        w->high[i] = fmax(g->high[i], q[i]);
+        w->low[i] = smaller(q[i], g->low[i]);
+        w->high[i] = larger(q[i], g->high[i]);
         w->joint[i].peak = fabs(v[i]);
         w->joint[i].repeats = -1.0; /* the first reading may equal the start */
     }
@@ -120,13 +120,13 @@ static void compare_wrench(const double *wrench, moc_watch *w)
 /* Compare a joint's new position with its velocity and with the previous position. Returns whether RAN_AWAY applies. */
 static bool compare_joint(const moc_guard *g, double q, double v, double elapsed, moc_joint_watch *j)
 {
-    double keep = 1.0 - fmin(1.0, elapsed / g->motion_s);
+    double keep = 1.0 - smaller(elapsed / g->motion_s, 1.0);
     bool first = j->repeats < 0.0;
 
     if (first) /* start with a zero gap */
         j->shown = q - elapsed * v;
     j->gap = keep * j->gap + (q - j->shown) - elapsed * v;
-    j->peak = fmax(keep * j->peak, fabs(v));
+    j->peak = larger(fabs(v), keep * j->peak);
     bool repeats = same(q, j->shown);
     /* If a joint has never moved, an unchanged q and v prove nothing. */
     j->whole += !first && repeats && same(v, j->speed) && j->peak > 0.0;
@@ -158,7 +158,7 @@ static bool told_to_move(const moc_guard *g, int n, const double *tau, const moc
 /* Apply the checks REPEATED, RAN_AWAY, ONE_REPEATED and WRENCH_REPEATED to a new measurement. */
 static moc_stop compare_readings(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w)
 {
-    double elapsed = g->period * fmax(1.0, (double)w->elapsed);
+    double elapsed = g->period * larger((double)w->elapsed, 1.0);
     double fewest = 1e18, most = 0.0, fewest_whole = 1e18, most_whole = 0.0;
     bool ran_away = false;
 
@@ -166,10 +166,10 @@ static moc_stop compare_readings(const moc_guard *g, int n, const moc_measuremen
     compare_wrench(m->wrench, w);
     for (int i = 0; i < n; i++) {
         ran_away |= compare_joint(g, m->q[i], m->v[i], elapsed, &w->joint[i]);
-        fewest = fmin(fewest, w->joint[i].repeats);
-        most = fmax(most, w->joint[i].repeats);
-        fewest_whole = fmin(fewest_whole, w->joint[i].whole);
-        most_whole = fmax(most_whole, w->joint[i].whole);
+        fewest = smaller(w->joint[i].repeats, fewest);
+        most = larger(w->joint[i].repeats, most);
+        fewest_whole = smaller(w->joint[i].whole, fewest_whole);
+        most_whole = larger(w->joint[i].whole, most_whole);
     }
     if (fewest <= g->patience) { /* the state from which told_to_move measures changes */
         for (int i = 0; i < n; i++)
@@ -215,13 +215,13 @@ static double as_number(int count, const double *values, double number)
  * with its velocities and with the model. An encoder that starts to lag by k readings repeats the last k readings. */
 static moc_stop came_before(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w)
 {
-    double most = fmin(g->repeat_reading_ticks, wrench_has_noise(w) ? g->repeat_whole_ticks : g->replayed_ticks);
+    double most = smaller(g->repeat_reading_ticks, wrench_has_noise(w) ? g->repeat_whole_ticks : g->replayed_ticks);
     double lagging = 0.0, whole = as_number(6, m->wrench, as_number(n, m->v, as_number(n, m->q, 0.0)));
 
     /* If repeat_reading_ticks is infinite, encoders may repeat readings, and LAGGING is off. */
     for (int i = 0; i < n && g->repeat_reading_ticks < HUGE_VAL; i++)
-        lagging = fmax(lagging, take_in(SHRINK * m->q[i] + m->v[i], MOC_JOINT_SLOTS, w->joint_number[i], w->joint_at[i],
-                                        &w->lagging[i]));
+        lagging = larger(take_in(SHRINK * m->q[i] + m->v[i], MOC_JOINT_SLOTS, w->joint_number[i], w->joint_at[i],
+                                 &w->lagging[i]), lagging);
     if (take_in(whole, MOC_SLOTS, w->number, w->at, &w->whole) > most)
         return MOC_STOP_REPLAYED;
     return lagging > g->repeat_reading_ticks ? MOC_STOP_LAGGING : MOC_RUNNING;
@@ -372,10 +372,10 @@ static moc_stop weigh(const moc_guard *g, int n, const moc_terms *t, const doubl
 static double left_by_wall(const moc_guard *g, int i, double distance, double speed)
 {
     /* the speed from which the joint can still stop at the wall */
-    double allowed = fmin(g->v_max[i], sqrt(2.0 * g->wall_brake * fmax(distance, 0.0)));
+    double allowed = smaller(sqrt(2.0 * g->wall_brake * larger(distance, 0.0)), g->v_max[i]);
     if (!(distance < 0.0 || speed > allowed))
         return HUGE_VAL;
-    return -g->wall_stiffness * fmax(-distance, 0.0) - g->wall_damping * fmax(speed - allowed, 0.0);
+    return -g->wall_stiffness * larger(-distance, 0.0) - g->wall_damping * larger(speed - allowed, 0.0);
 }
 
 /* The torque that carries the arm's weight at q. Returns false if it is not finite. */
@@ -406,9 +406,9 @@ static int limit_torque(const moc_guard *g, const moc_arm *arm, const double *be
     for (int i = 0; i < arm->n; i++) {
         double asked = tau[i];
         if (braked)
-            tau[i] = fmax(fmin(tau[i], weight[i] + most[i]), weight[i] + least[i]);
-        tau[i] = fmin(fmax(tau[i], before[i] - g->torque_step), before[i] + g->torque_step);
-        tau[i] = fmin(fmax(tau[i], -g->tau_max[i]), g->tau_max[i]);
+            tau[i] = larger(weight[i] + least[i], smaller(weight[i] + most[i], tau[i]));
+        tau[i] = clip(tau[i], before[i] - g->torque_step, before[i] + g->torque_step);
+        tau[i] = clip(tau[i], -g->tau_max[i], g->tau_max[i]);
         touched += !same(tau[i], asked);
     }
     return touched;
@@ -472,11 +472,11 @@ void moc_guard_hold(const moc_guard *g, const moc_arm *arm, const double *wrench
             w->yields = 0;
             w->borne = w->press;
         } else if (!w->yields) {
-            w->borne = fmin(w->borne, w->press);
+            w->borne = smaller(w->press, w->borne);
         }
     }
     for (int i = 0; i < arm->n; i++) {
-        double beyond = w->cut ? weight[i] : fmax(weight[i] - g->tau_max[i], 0.0); /* not carried by the drive */
+        double beyond = w->cut ? weight[i] : larger(weight[i] - g->tau_max[i], 0.0); /* not carried by the drive */
         friction[i] = w->yields ? 0.0 : g->stop_holding * g->tau_max[i] + 1.5 * beyond;
     }
 }

@@ -38,10 +38,19 @@ void moc_gravity(const moc_arm *arm, const double *q, double *torque);
 void moc_point(const moc_arm *arm, const moc_frame *frame, const moc_twist *twist, int which, double point[3],
                double J[][MOC_MAX_JOINTS]);
 
-/* Return mu of J (3,n) or mu_shaft of A (6,n), and write its gradient (n,). NULL is allowed in moc_manipulability. */
-double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOINTS], double *gradient);
-double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], const double u[3],
-                                double *gradient);
+/* The determinant of J J^T, and its inverse times the determinant. */
+typedef struct {
+    double det, adj[3][3];
+    bool regular; /* false if the determinant is only rounding error */
+} moc_gram;
+
+moc_gram moc_gram_of(int n, double J[][MOC_MAX_JOINTS]);
+
+/* Return mu of J (3,n) or mu_shaft of A (6,n), and write its gradient (n,). NULL is allowed in moc_manipulability.
+ * `gram` belongs to J, and to the first three rows of A. */
+double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOINTS], moc_gram *gram, double *gradient);
+double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], moc_gram *gram,
+                                const double u[3], double *gradient);
 
 /* --- record.c --- */
 
@@ -79,7 +88,7 @@ void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_m
 
 /* Write an orthonormal basis of ker A to Z, and return its number of rows. `rows` is the number of rows of the previous
  * basis in Z. If the new basis has as many rows, it is chosen close to the previous one. */
-int moc_null_space(int n, double A[][MOC_MAX_JOINTS], int rows, double Z[][MOC_MAX_JOINTS]);
+int moc_null_space(const moc_plane *plane, int n, int rows, double Z[][MOC_MAX_JOINTS]);
 
 /* Make row k of Z orthogonal to the rows before it, and scale it to length 1. Returns false if the orthogonal part is
  * not longer than `least`. */
@@ -92,17 +101,12 @@ void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, doub
 
 #define STILL 1e-10 /* the bounds of joint j are ignored along a unit direction z if |z_j| is smaller */
 
-/* A x = b after elimination. Row k < rank reads x[joint[k]] + sum over free joints of row[k][j] x[j] = right[k]. */
-typedef struct {
-    double row[6][MOC_MAX_JOINTS], right[6], pivot; /* pivot: the pivot of the last step [m] */
-    double step[6][6];         /* step[k][i]: multiple of row k that step k added to row i */
-    int from[6];               /* the row that was swapped with row k before step k */
-    int joint[MOC_MAX_JOINTS]; /* pivot joints, then free joints that move tip or wrist, then other joints */
-    int rank, freedoms;        /* freedoms: number of free joints that move tip or wrist */
-} moc_plane;
+/* Eliminate A (6,n). */
+void moc_eliminate(int n, double A[][MOC_MAX_JOINTS], moc_plane *plane);
 
-/* Eliminate A x = b and list the free joints after the pivot joints. Returns false if the rank is in doubt. */
-bool moc_eliminate(moc_plane *plane, const moc_problem *problem);
+/* moc_solve_exact, for a problem whose A was eliminated before. */
+moc_status moc_solve_eliminated(const moc_plane *plane, const moc_problem *problem, double tolerance, double *x,
+                                double y[6]);
 
 /* Compute the motion z (n,) in ker A in which free joint number k moves by one and the other free joints stay still. */
 void moc_direction(const moc_plane *plane, int n, int k, double *z);

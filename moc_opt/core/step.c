@@ -38,7 +38,8 @@ static void levels(const moc_controller *c, const moc_input *in, moc_state *s)
         s->tau[i] -= memory->external[i];
     if (!law->third_level && !law->damped)
         return;
-    memory->rows = moc_null_space(n, t->A, memory->rows, memory->Z);
+    moc_eliminate(n, t->A, &s->plane);
+    memory->rows = moc_null_space(&s->plane, n, memory->rows, memory->Z);
     if (!law->third_level)
         return;
     if (x_d == NULL && law->climbs) {
@@ -130,7 +131,7 @@ static moc_stop complete(const moc_controller *c, const moc_answer *answer, moc_
 
     if (law->third_level)
         s->fault = moc_supervise(c->supervision, &s->problem, answer, memory, s->x);
-    memory->share = law->third_level ? fmin(1.0, memory->share + law->fade) : 1.0;
+    memory->share = law->third_level ? smaller(memory->share + law->fade, 1.0) : 1.0;
     moc_add_third_level(law, c->arm->n, &s->terms, memory, law->third_level ? s->x : rest, s->tau);
     memcpy(memory->tau, s->tau, bytes);
     if (!c->guard)
@@ -163,7 +164,9 @@ moc_stop moc_finish(const moc_controller *c, const moc_answer *answer, moc_state
 moc_answer moc_ask_exact(const moc_controller *c, moc_state *s)
 {
     static const moc_claim claims[] = {MOC_CLAIMS_OPTIMUM, MOC_CLAIMS_INFEASIBLE, MOC_GIVES_NONE}; /* by moc_status */
-    s->status = moc_solve_exact(&s->problem, c->tolerance, s->answer, s->y);
+    if (!c->law->third_level)
+        return (moc_answer){s->answer, MOC_GIVES_NONE, MOC_TAKEN, 0.0};
+    s->status = moc_solve_eliminated(&s->plane, &s->problem, c->tolerance, s->answer, s->y);
     return (moc_answer){s->answer, claims[s->status], MOC_TAKEN, 0.0};
 }
 
@@ -171,7 +174,7 @@ moc_stop moc_step(const moc_controller *c, const moc_input *in, moc_state *s, do
 {
     moc_answer answer = {s->answer, MOC_GIVES_NONE, MOC_TAKEN, 0.0};
 
-    if (moc_begin(c, in, s) == MOC_RUNNING) /* without a third level, the subproblem has n = 0 */
+    if (moc_begin(c, in, s) == MOC_RUNNING)
         answer = moc_ask_exact(c, s);
     return moc_finish(c, &answer, s, tau);
 }

@@ -380,6 +380,7 @@ static int subproblem(void)
     double x[MOC_MAX_JOINTS], near[MOC_MAX_JOINTS], y[6] = {0.0}, rest = chance(2) ? 0.0 : 1e-3;
     double size = ldexp(1.0, (int)(bits() % 21) - 10), narrow = tiny(), steep = tiny();
     moc_memory memory = {.age = (int)(bits() % 3)};
+    moc_plane plane;
 
     grain = chance(2) ? 0.25 : 0.0;
     p.c2 = weights[bits() % 4];
@@ -420,7 +421,8 @@ static int subproblem(void)
     note(near, p.n);
     note(y, 6);
     fill(&memory.Z[0][0], MOC_MAX_JOINTS * MOC_MAX_JOINTS, (double)NAN);
-    memory.rows = moc_null_space(p.n, p.A, 0, memory.Z);
+    moc_eliminate(p.n, p.A, &plane);
+    memory.rows = moc_null_space(&plane, p.n, 0, memory.Z);
     behind(memory.Z[0], memory.rows, p.n);
     for (int k = 0; k < 4; k++) {
         const moc_supervision s = draw_supervision();
