@@ -22,10 +22,10 @@
 #define SLIVER 2e-9          /* smallest assumed rounding error of x if several free joints are left [rad/s] */
 
 /* Turn multipliers g (6,) of the eliminated rows into multipliers of the rows of A. */
-static void weigh_back(const moc_plane *plane, int steps, double g[6])
+static inline void weigh_back(const moc_plane *plane, int steps, double g[6])
 {
     for (int k = steps - 1; k >= 0; k--) {
-        double own = dot(6, plane->step[k], g);
+        double own = -plane->inverse[k] * dot(6, plane->scale[k], g);
         g[k] = g[plane->from[k]];
         g[plane->from[k]] = own;
     }
@@ -79,18 +79,17 @@ static inline int eliminate(moc_plane *plane, int n, double A[][MOC_MAX_JOINTS],
         plane->pivot = size;
         plane->joint[k] = column;
         plane->from[k] = pivot;
-        double inverse = 1.0 / plane->row[pivot][column];
+        double inverse = plane->inverse[k] = 1.0 / plane->row[pivot][column];
         for (int c = 0; c < m; c++) {
             pivot_row[c] = plane->row[pivot][c] * inverse;
             plane->row[pivot][c] = plane->row[k][c];
         }
         for (int i = 0; i < 6; i++) {
-            double scale = plane->row[i][column];
-            plane->step[k][i] = -scale * inverse;
+            double scale = plane->scale[k][i] = plane->row[i][column];
             for (int c = 0; c < m; c++)
                 plane->row[i][c] -= scale * pivot_row[c];
         }
-        plane->step[k][k] = inverse;
+        plane->scale[k][k] = -1.0;
         memcpy(plane->row[k], pivot_row, (unsigned)m * sizeof *pivot_row);
     }
     return 6;
@@ -121,11 +120,11 @@ static void carry_over(const moc_plane *plane, const double b[6], double right[6
 {
     memcpy(right, b, 6 * sizeof *right);
     for (int k = 0; k < plane->rank; k++) {
-        double own = right[plane->from[k]];
+        double own = right[plane->from[k]] * plane->inverse[k];
         right[plane->from[k]] = right[k];
         right[k] = 0.0;
         for (int i = 0; i < 6; i++)
-            right[i] += plane->step[k][i] * own;
+            right[i] -= plane->scale[k][i] * own;
     }
 }
 

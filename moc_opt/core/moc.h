@@ -77,7 +77,8 @@ typedef struct {
  * eliminated b_k. */
 typedef struct {
     double row[6][MOC_MAX_JOINTS], pivot; /* pivot: the pivot of the last step [m] */
-    double step[6][6];         /* step[k][i]: multiple of row k that step k added to row i */
+    double inverse[6];         /* 1 / pivot of step k */
+    double scale[6][6];        /* step k subtracted scale[k][i] * (row k) from row i; scale[k][k] is -1 */
     int from[6];               /* the row that was swapped with row k before step k */
     int joint[MOC_MAX_JOINTS]; /* pivot joints, then free joints that move tip or wrist, then idle joints */
     int rank, freedoms;        /* freedoms: number of free joints that move tip or wrist */
