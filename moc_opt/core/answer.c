@@ -6,7 +6,7 @@
 #define NO_GRADIENT 1e-12      /* largest |part of pull in ker A| / (largest entry of pull) that counts as zero */
 #define IMMOBILE 1e-12         /* smallest divisor in least_violation [m^2] */
 #define GRADIENT_ROUNDING 1e-9 /* largest length of a descent direction that counts as zero */
-#define DESCENTS 50            /* sweeps over all joints in least_violation */
+#define DESCENTS 50            /* sweeps in least_violation */
 #define OUTSIDE 1e-6           /* largest bound violation [rad/s] and |A x - b| [m/s] in `retreat` */
 
 /* Whether joint j moves neither tip nor wrist. */

@@ -6,12 +6,12 @@
  * polytope.c computes it. Rows are padded to 8 or 16 numbers, so that the compiler unrolls the loops over a row. */
 #include "vec.h"
 
-#define RANK_TOLERANCE 1e-12 /* largest singular value of A, divided by |A|_F, that counts as zero */
-#define TIED 1e-7            /* largest sixth singular value, divided by |A|_F, for which the tool counts as rigid */
+#define RANK_TOLERANCE 1e-12 /* largest (singular value of A) / |A|_F that counts as zero */
+#define TIED 1e-7            /* largest (sixth singular value) / |A|_F of a rigid tool */
 #define LOOK_CLOSER 1e3      /* own_part checks pivots below LOOK_CLOSER * tolerance * first pivot */
 #define LEFT 1e-6            /* largest |A x - b| of an accepted answer [m/s] */
 #define SOUND 1e-6           /* a smaller last pivot makes a check of the answer necessary [m] */
-#define UNBALANCED 1e-4      /* largest |A^T y - force| of an accepted answer, divided by max(c2 |pull|, rho) */
+#define UNBALANCED 1e-4      /* largest |A^T y - force| / max(c2 |pull|, rho) of an accepted answer */
 #define IDLE 1e-12           /* largest column entry of an idle joint, which moves neither tip nor wrist */
 #define ROUNDING 1e-9        /* an idle joint's pull counts as zero below this share of the largest pull */
 #define GROWTH 4e-12         /* largest relative rounding error of the elimination */
@@ -19,7 +19,7 @@
 #define UNCLEAR 1e-3         /* largest widening of the bounds in the last solve [rad/s] */
 #define SLIVER 2e-9          /* smallest assumed rounding error with several free joints [rad/s] */
 
-/* Turn multipliers g (6,) of the eliminated rows into multipliers of A. */
+/* Turn multipliers g (6,) of eliminated rows into multipliers of A. */
 static void weigh_back(const moc_plane *plane, int steps, double g[6])
 {
     for (int k = steps - 1; k >= 0; k--) {
@@ -127,8 +127,7 @@ static void carry_over(const moc_plane *plane, const double b[6], double right[6
     }
 }
 
-/* Check x against the rows that elimination dropped. The problem is infeasible if no x within the bounds satisfies a
- * violated row. */
+/* Check x against the rows that elimination dropped. */
 static moc_status check_dropped(const moc_plane *plane, const moc_problem *p, const double right[6], const double *x)
 {
     moc_status status = MOC_OK;
@@ -297,6 +296,6 @@ moc_status moc_solve_eliminated(const moc_plane *plane, const moc_problem *p, do
 moc_status moc_solve_exact(const moc_problem *p, double tolerance, double *x, double y[6])
 {
     moc_plane plane;
-    moc_eliminate(p->n, ((moc_problem *)p)->A, &plane); /* only read: C cannot convert a matrix to const */
+    moc_eliminate(p->n, ((moc_problem *)p)->A, &plane); /* only read */
     return moc_solve_eliminated(&plane, p, tolerance, x, y);
 }

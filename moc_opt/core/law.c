@@ -1,4 +1,4 @@
-/* The three levels of the law (Su et al. 2019, in the form of docs/method.md), and the subproblem.
+/* The law (Su et al. 2019, in the form of docs/method.md) and the subproblem.
  *
  *   tau = h + J_T^T F_T + (I - J_T^T Jbar_T^T) J_W^T F_W + tau_ff - r + share M Z^T (Z M Z^T)^-1 Z tau_0,
  *   tau_0 = K_N2 (x - v) - D_N2 v, feed-forward tau_ff, observer's estimate r, share rising from 0 to 1. */
@@ -10,7 +10,6 @@
 #define SHAFT_LOST 0.1 /* mu_shaft / shaft_margin below which moc_shaft_push falls to zero */
 #define BOX_OPENS 3.0  /* the bounds are widest for mu_shaft <= (1 - 1/BOX_OPENS) shaft_margin */
 
-/* The line from tip to trocar. */
 typedef struct {
     double distance; /* |P_t - X| [m] */
     double e[3];     /* (P_t - X) / |P_t - X| */
@@ -42,7 +41,7 @@ void moc_desired_wrist(const double X[3], const double dX[3], const moc_trocar *
     }
 }
 
-/* tau += scale J^T F, J (3,n). */
+/* tau += scale J^T F */
 static void add_force(int n, double J[][MOC_MAX_JOINTS], double scale, const double F[3], double *tau)
 {
     for (int j = 0; j < n; j++)
@@ -132,7 +131,7 @@ static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *d
     c[3] = one > least ? a[3] / one : 0.0;
     c[4] = other > least ? a[4] / other : 0.0;
     c[TAU_W] = law->projector == MOC_DYNAMIC;
-    for (int k = 0; k < n; k++) { /* H times the sum of the rows */
+    for (int k = 0; k < n; k++) {
         double sum = 0.0;
         for (int i = 0; i < 6; i++)
             sum += c[i] * rows[i][k];

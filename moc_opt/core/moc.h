@@ -12,7 +12,7 @@ typedef enum {
     MOC_OK = 0,
     MOC_INFEASIBLE, /* no x within the bounds solves A x = b */
     MOC_DOUBTFUL,   /* rounding hides the result */
-    MOC_UNFINISHED, /* the network (rnn.c) has not converged yet */
+    MOC_UNFINISHED, /* the network (rnn.c) has not converged */
     MOC_NOT_FINITE  /* q or v is not finite */
 } moc_status;
 
@@ -65,13 +65,13 @@ typedef struct {
     int n;
     double A[6][MOC_MAX_JOINTS], b[6];     /* [J_T; J_W], [v_T; v_W] */
     double grad_mu[MOC_MAX_JOINTS];
-    double pull[MOC_MAX_JOINTS];           /* grad_mu + moc_shaft_push() grad_mu_shaft, or rho/c2 x_d to follow x_d */
+    double pull[MOC_MAX_JOINTS];           /* grad_mu + moc_shaft_push() grad_mu_shaft, or rho/c2 x_d */
     double lower[MOC_MAX_JOINTS], upper[MOC_MAX_JOINTS]; /* [rad/s] */
     double c0, c1, c2, rho;
     double q[MOC_MAX_JOINTS];              /* the pose of A; only nonlinear solvers use it */
 } moc_problem;
 
-/* A (6,n) after elimination: x[joint[k]] + sum of row[k][j] x[j] over free joints j = eliminated b_k, k < rank. */
+/* Eliminated A x = b: for k < rank, x[joint[k]] + (sum of row[k][j] x[j] over free joints j) = eliminated b_k. */
 typedef struct {
     double row[6][MOC_MAX_JOINTS], pivot; /* pivot of the last step [m] */
     double step[6][6];         /* [k][i]: multiple of row k that step k added to row i */
@@ -81,14 +81,14 @@ typedef struct {
     int doubtful;              /* 1: rounding hides the rank */
 } moc_plane;
 
-/* Compute the optimum x (n,) and the multipliers y (6,) of A x = b. Bounds may be exceeded by `tolerance` [rad/s] when
- * feasibility is judged. x and y are valid only with MOC_OK. */
+/* Compute the optimum x (n,) and the multipliers y (6,) of A x = b. They are valid only with MOC_OK. The problem counts
+ * as feasible if a solution exists within the bounds widened by `tolerance` [rad/s]. */
 moc_status moc_solve_exact(const moc_problem *problem, double tolerance, double *x, double y[6]);
 
 /* --- the law --- */
 
 typedef struct {
-    double X[3], dX[3], ddX[3]; /* desired motion of the tip [m], [m/s], [m/s^2] */
+    double X[3], dX[3], ddX[3]; /* desired tip [m], [m/s], [m/s^2] */
 } moc_reference;
 
 typedef struct {
@@ -99,32 +99,31 @@ typedef struct {
 typedef enum { MOC_DYNAMIC = 0, MOC_STATIC, MOC_AS_PUBLISHED } moc_projector;
 
 typedef struct {
-    double K_X, D_X, K_N, D_N;                   /* stiffness and damping at tip and wrist [N/m], [N s/m] */
+    double K_X, D_X, K_N, D_N;                   /* at tip and wrist [N/m], [N s/m] */
     double rcm_lambda;                           /* lambda of Su et al. (law.c); 0: not used */
     moc_projector projector;
     int feedforward;                             /* 1: desired accelerations are fed forward */
     double K_N2[MOC_MAX_JOINTS], D_N2[MOC_MAX_JOINTS]; /* gains of the third level [N m s/rad] */
     double tau_max[MOC_MAX_JOINTS];              /* largest torques [Nm], may be infinite */
     double k0;                                   /* velocity damper at joint limits [1/s] */
-    double c0, c1, c2, rho;                      /* weights of the subproblem */
-    double q_min[MOC_MAX_JOINTS], q_max[MOC_MAX_JOINTS], v_max[MOC_MAX_JOINTS]; /* joint limits */
-    double shaft_margin;                         /* below this value of mu_shaft, level 3 also raises mu_shaft [m^2] */
+    double c0, c1, c2, rho;
+    double q_min[MOC_MAX_JOINTS], q_max[MOC_MAX_JOINTS], v_max[MOC_MAX_JOINTS];
+    double shaft_margin;                         /* below this mu_shaft, level 3 also raises mu_shaft [m^2] */
     double spare_speed;                          /* largest relative growth of v_max below shaft_margin */
     double observer_gain;                        /* disturbance observer K_o [1/s]; 0: none */
-    double period;                               /* control period T [s] */
+    double period;                               /* [s] */
     double fade;                                 /* growth of the third level's share per tick */
     int third_level;                             /* 1: level 3 follows the subproblem's x; 0: no subproblem */
     int damped;                                  /* 1: if third_level is 0, D_N2 damps the self-motion */
     int climbs;                                  /* 1: level 3 climbs mu by Newton steps (moc_climb) */
 } moc_law;
 
-/* What the law remembers from tick to tick. */
 typedef struct {
     int rows;
     double Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];    /* rows: orthonormal basis of ker A */
     double share;                                /* factor of level 3, rises from 0 to 1 */
-    double integral[MOC_MAX_JOINTS];             /* the observer's integral [Nm s] */
-    double external[MOC_MAX_JOINTS];             /* the observer's estimate r [Nm] */
+    double integral[MOC_MAX_JOINTS];             /* of the observer [Nm s] */
+    double external[MOC_MAX_JOINTS];             /* observer's estimate r [Nm] */
     double tau[MOC_MAX_JOINTS];                  /* torque in this period, for the observer [Nm] */
     double good[MOC_MAX_JOINTS];                 /* last accepted answer [rad/s] */
     int age;                                     /* ticks since the last accepted answer, up to hold_ticks + 1 */
@@ -132,12 +131,11 @@ typedef struct {
 
 /* --- an answer, its check, and its replacements --- */
 
-/* What a solver says about its answer. */
 typedef enum {
     MOC_CLAIMS_OPTIMUM = 0,
     MOC_CLAIMS_INFEASIBLE,
-    MOC_CLAIMS_NOTHING, /* x is an iterate: the solver ran out of iterations or time */
-    MOC_GIVES_NONE      /* there is no answer */
+    MOC_CLAIMS_NOTHING, /* x is an iterate */
+    MOC_GIVES_NONE
 } moc_claim;
 
 /* Why an answer was refused, in the order of control/supervisor.py. */
@@ -180,7 +178,6 @@ typedef struct {
 
 /* --- the safety filter (safety_filter.c) --- */
 
-/* The reasons to stop the arm. */
 #define MOC_REASONS(REASON)                                                                                            \
     REASON(MOC_RUNNING, "running")                                                                                     \
     REASON(MOC_STOP_NOT_STARTED, "not started") /* or the start was refused */                                         \
@@ -208,24 +205,24 @@ typedef enum { MOC_REASONS(MOC_NAME) MOC_STOPS } moc_stop;
 /* Settings of the safety filter. An infinite limit turns its check off. Names in capitals are reasons to stop. Their
  * formulas are at the top of safety_filter.c. */
 typedef struct {
-    double period;                                      /* control period T [s] */
+    double period;                                      /* [s] */
     int patience;                                       /* ticks in a row that a check may fail */
     int carries;                                        /* 0: the drives compensate the arm's weight */
     double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS];   /* virtual walls [rad, m] */
     double v_max[MOC_MAX_JOINTS], tau_max[MOC_MAX_JOINTS];
     double wall_stiffness, wall_damping, wall_brake;    /* [Nm/rad], [Nm s/rad], [rad/s^2] */
-    double torque_step;                                 /* largest change of torque per tick [Nm] */
+    double torque_step;                                 /* [Nm per tick] */
     double jump, speed_factor;                          /* MEASUREMENT: largest jump [rad], largest |v| / v_max */
-    double tip_error, tip_share;                        /* TIP: largest rms [m], weight of a tick in the mean square */
+    double tip_error, tip_share;                        /* TIP: largest rms [m], weight of a tick */
     int in_incision;                                    /* 0: RCM and FORCE are off */
     double warning[2], limit[2];                        /* rms RCM error [m], rms trocar force [N] */
-    double incision_share;                              /* weight of a tick in both mean squares */
+    double incision_share;                              /* RCM, FORCE: weight of a tick */
     double tool_mass, tool_length;                      /* the tool is a rod [kg], [m] */
     double tip_force;                                   /* largest contact force at the tip [N] */
-    double stop_holding;                                /* dry friction of closed brakes, divided by tau_max */
-    double stop_yield;                                  /* trocar force above which the brakes open in a stop [N] */
+    double stop_holding;                                /* dry friction of closed brakes / tau_max */
+    double stop_yield;                                  /* trocar force that opens the brakes in a stop [N] */
     int stop_yield_ticks;                               /* largest number of ticks with open brakes */
-    double press_share;                                 /* weight of a tick in the mean force of a stop */
+    double press_share;                                 /* weight of a tick in the mean force */
     int motion;                                         /* 0: LATE and the checks below are off */
     double motion_s, motion_rad, motion_lag_s;          /* RAN_AWAY: memory [s], gap [rad], lag [s] */
     double repeat_m, repeat_torque;                     /* REPEATED: reference motion [m], share of tau_max */
@@ -237,7 +234,7 @@ typedef struct {
     double held[MOC_MAX_JOINTS];                        /* STUCK: static friction [Nm] */
     double residual_torque, residual_whole;             /* UNEXPLAINED: largest residuals / tau_max */
     double residual_rate, residual_share;               /* observer gain [1/s], weight of a tick in mean r */
-    int settling_ticks;                                 /* ticks until the residual has settled */
+    int settling_ticks;                                 /* of the residual */
 } moc_guard;
 
 enum { MOC_RCM = 0, MOC_FORCE = 1 };
@@ -245,12 +242,11 @@ enum { MOC_RCM = 0, MOC_FORCE = 1 };
 #define MOC_SLOTS 4096      /* table of earlier readings */
 #define MOC_JOINT_SLOTS 256 /* table of each encoder */
 
-/* Number of readings, lag between the latest two equal readings, number of repetitions with this lag. */
+/* Number of readings, lag between the latest two equal readings, repetitions with this lag. */
 typedef struct {
     double readings, lag, hits;
 } moc_came_before;
 
-/* What the safety filter remembers about a joint. */
 typedef struct {
     double gap, peak, shown, speed;          /* q - integral of v; largest recent |v|; last q; last v */
     double repeats, whole;                   /* ticks: unchanged q, in a row; unchanged q and v, in total */
@@ -259,7 +255,6 @@ typedef struct {
     double at_repeat, unseen, exceeded;      /* mean when q last changed; STUCK: speed; UNEXPLAINED: ticks in a row */
 } moc_joint_watch;
 
-/* What the safety filter remembers. */
 typedef struct {
     double q[MOC_MAX_JOINTS], v[MOC_MAX_JOINTS]; /* believed state; v extrapolates q between measurements */
     double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS]; /* virtual walls; a start beyond a wall moves the wall */
@@ -270,9 +265,9 @@ typedef struct {
     double whole_square, ticks;                  /* mean square of the force across the shaft [N^2]; tick number */
     int unread;                                  /* wrenches in a row that were not finite */
     double press, borne;                         /* in a stop: mean trocar force, reference force [N] */
-    int yields, open;                            /* 1: the trocar force has opened the brakes; ticks since then */
+    int yields, open;                            /* 1: the brakes are open; ticks since then */
     int cut;                                     /* 1: a drive is at fault; the torque of the stop goes to zero */
-    int limited;                                 /* number of joints whose last torque was limited */
+    int limited;                                 /* number of joints with limited torque */
     long long now, newest, delay, elapsed, taken; /* in control periods: see `age` in safety_filter.c */
     moc_joint_watch joint[MOC_MAX_JOINTS];
     double told[3], still[3];                    /* tip reference, now and when the encoders stopped changing [m] */
@@ -321,7 +316,7 @@ typedef struct {
     moc_problem problem;            /* filled if the law has a third level */
     moc_plane plane;                /* problem.A after elimination */
     double told[3];                 /* tip reference [m] */
-    double tau[MOC_MAX_JOINTS];     /* after moc_begin: levels 1 and 2 minus r; after moc_finish: the torque to send */
+    double tau[MOC_MAX_JOINTS];     /* levels 1 and 2 minus r; after moc_finish, the torque to send */
     moc_fault fault;
     double x[MOC_MAX_JOINTS];       /* followed by the third level [rad/s] */
     double answer[MOC_MAX_JOINTS];  /* x, y and status of moc_solve_exact in moc_step */

@@ -5,7 +5,7 @@
 #define TOLERANCE 1e-10 /* largest position error of tip and wrist [m] */
 #define PI 3.14159265358979323846
 
-/* Compute the position error (6,) of tip and wrist, A (6,n) and grad mu (n,) or NULL. Returns mu. */
+/* Compute the position error (6,) of tip and wrist, A (6,n) and, if grad is not NULL, grad mu (n,). Returns mu. */
 static double look(const plan_task *task, const double *q, double error[6], double A[6][MOC_MAX_JOINTS], double *grad)
 {
     moc_frame frame[MOC_MAX_JOINTS];
@@ -37,8 +37,8 @@ static double distance(int n, const double *p, const double *q)
 #define AT_REST 1e-9    /* largest entry of the unit tangent for a joint at rest */
 #define DAMPING 4e-12   /* added to the diagonal of A A^T [m^2], because A has only rank 5 */
 
-/* Compute the step (n,) nearest to `desired` with A step = error (`rows` rows). No joint within `near` of a limit moves
- * towards this limit. An active-set method holds such joints, and releases them if their multiplier points inwards. */
+/* Compute the step (n,) nearest to `desired` with A step = error (`rows` rows) by an active-set method. No joint moves
+ * towards a limit that is nearer than `near`. */
 static void allowed_step(const plan_task *task, int rows, const double *q, double A[6][MOC_MAX_JOINTS],
                          const double *error, const double *desired, double damping, double near, double *step)
 {
@@ -166,8 +166,8 @@ static bool closes(const plan_task *task, const double *start, const double *q, 
     return inside && *gap <= 1.01 * step && ahead > 0.0;
 }
 
-/* Compute the curve's next pose (n,), its mu and its tangent. *hit is the joint that reaches its limit there, or NONE.
- * Returns the distance from q, or 0 if the curve is singular. */
+/* Compute the curve's next pose (n,), mu and tangent. *hit is the joint at its limit, or NONE. Returns the distance
+ * from q, or 0 if the curve is singular. */
 static double next_sample(const plan_task *task, const double *q, double step, double *tangent, double *next,
                           double *mu, int *hit)
 {

@@ -23,7 +23,7 @@ typedef struct {
     double Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];  /* rows: orthonormal basis of ker A */
 } polytope;
 
-/* Pi = Z^T Z, before any sweep. */
+/* Pi = Z^T Z */
 static void fill_projector(polytope *t)
 {
     for (int i = 0; i < t->n; i++) {
@@ -155,8 +155,8 @@ static moc_status project(polytope *t, double slack, double most)
     return MOC_DOUBTFUL;
 }
 
-/* Run the proximal point iteration. The multipliers are then (rho + 1 / base) t->force. Long steps come first for an
- * almost flat cost. Short steps remove their rounding. */
+/* Run the proximal point iteration. The multipliers are then (rho + 1 / base) t->force. Short steps at the end remove
+ * the rounding of long steps. */
 static moc_status approach(polytope *t, double rho, double slack, double most, double base)
 {
     static const double scales[] = {1e8, 1e4, 1.0};

@@ -57,8 +57,7 @@ void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v
 
 enum { FRESH, REPEAT, OLD };
 
-/* OLD: the newest stamp's delay exceeds the usual delay by more than `patience`. The run's first new measurement shows
- * the usual delay. */
+/* OLD: the newest stamp's delay exceeds the delay of the run's first new measurement by more than `patience`. */
 static int age(const moc_guard *g, long long stamp, moc_watch *w)
 {
     bool possible = stamp > -LARGEST_STAMP && stamp < LARGEST_STAMP;
@@ -98,7 +97,7 @@ static bool same(double a, double b)
     return a <= b && a >= b;
 }
 
-/* Whether no two successive wrenches of the FIRST_READINGS were equal. */
+/* Whether no two successive wrenches of FIRST_READINGS were equal. */
 static bool wrench_has_noise(const moc_watch *w)
 {
     return w->looked >= FIRST_READINGS && !w->wrench_is_still;
@@ -118,13 +117,13 @@ static void compare_wrench(const double *wrench, moc_watch *w)
     }
 }
 
-/* Compare a joint's position with its velocity and its previous position. Returns whether RAN_AWAY applies. */
+/* Returns whether RAN_AWAY applies. */
 static bool compare_joint(const moc_guard *g, double q, double v, double elapsed, moc_joint_watch *j)
 {
     double keep = 1.0 - smaller(elapsed / g->motion_s, 1.0);
     bool first = j->repeats < 0.0;
 
-    if (first) /* zero gap */
+    if (first) /* start with gap = 0 */
         j->shown = q - elapsed * v;
     j->gap = keep * j->gap + (q - j->shown) - elapsed * v;
     j->peak = larger(fabs(v), keep * j->peak);
@@ -143,7 +142,7 @@ static bool compare_joint(const moc_guard *g, double q, double v, double elapsed
     return fabs(j->gap) > g->motion_rad + g->motion_lag_s * j->peak;
 }
 
-/* Whether the reference or a torque has changed by more than its limit since the encoders stopped changing. */
+/* Whether the reference or a torque has changed since the encoders stopped changing. */
 static bool told_to_move(const moc_guard *g, int n, const double *tau, const moc_watch *w)
 {
     bool whole = w->wrench_repeats > g->patience, moved = false;
@@ -186,8 +185,7 @@ static moc_stop compare_readings(const moc_guard *g, int n, const moc_measuremen
                                                                                   : MOC_RUNNING;
 }
 
-/* Store a reading in a table. Returns how many readings equalled an earlier reading at the same lag (number of readings
- * between the two). */
+/* Store a reading in a table. Returns how many readings equalled an earlier reading at the same lag. */
 static inline double take_in(double number, int slots, double *numbers, double *at, moc_came_before *before)
 {
     if (!(fabs(number) < LARGEST_NUMBER))
@@ -212,8 +210,7 @@ static double as_number(int count, const double *values, double number)
     return number;
 }
 
-/* The checks REPLAYED and LAGGING. A replayed recording agrees with the model, so that no other check finds it. An
- * encoder that starts to lag by k readings repeats the last k readings. */
+/* The checks REPLAYED and LAGGING. A replayed recording agrees with the model, so that no other check finds it. */
 static moc_stop came_before(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w)
 {
     double most = smaller(g->repeat_reading_ticks, wrench_has_noise(w) ? g->repeat_whole_ticks : g->replayed_ticks);
@@ -263,9 +260,8 @@ static double rcm_error(double pose[4][3], const double P[3])
 /* Compute the trocar's force across the shaft [N] from the wrench at the tool's mount.
  * Let z be the tool's axis, L its length and d the depth of the tip beyond the trocar. Without the tool's weight, the
  * trocar's force f and a contact force g at the tip give force = f + g and torque = (L - d) z x f + L z x g. Hence
- * f = (L force - torque x z) / d. Wrong encoders make d wrong, so that f may look like a contact force. At most
- * tip_force therefore counts as contact. An unknown load on the tool may hide a part of f. The warning therefore also
- * uses |force|, returned in *all. */
+ * f = (L force - torque x z) / d. With a wrong d, f may look like a contact force. At most tip_force therefore counts
+ * as contact. An unknown load may hide a part of f. The warning therefore also uses |force|, returned in *all. */
 static double trocar_force(const moc_guard *g, double pose[4][3], const double P[3], const double *wrench, double *all)
 {
     double depth = 0.0, L = g->tool_length, weight[2], force[2];
@@ -332,7 +328,7 @@ static bool alone(const moc_guard *g, int n, int i, const moc_watch *w)
     return true;
 }
 
-/* The checks STUCK and UNEXPLAINED of the momentum residual (De Luca & Mattone 2003). */
+/* The checks STUCK and UNEXPLAINED use the momentum residual (De Luca & Mattone 2003). */
 static moc_stop weigh(const moc_guard *g, int n, const moc_terms *t, const double *tau, moc_watch *w)
 {
     moc_stop found = MOC_RUNNING;
@@ -387,7 +383,7 @@ static bool weight_of(const moc_guard *g, const moc_arm *arm, const double *q, d
     return all_finite(arm->n, weight);
 }
 
-/* Limit tau in place. Returns the number of changed torques. */
+/* Returns the number of changed torques. */
 static int limit_torque(const moc_guard *g, const moc_arm *arm, const double *before, const moc_watch *w, double *tau)
 {
     double least[MOC_MAX_JOINTS], most[MOC_MAX_JOINTS], weight[MOC_MAX_JOINTS];

@@ -1,4 +1,4 @@
-/* Functions that the core's files share. Arrays are (n,), or have rows of MOC_MAX_JOINTS numbers. */
+/* Functions that the core's files share. Matrices have rows of MOC_MAX_JOINTS numbers. */
 #ifndef MOC_SHARED_H
 #define MOC_SHARED_H
 
@@ -21,7 +21,7 @@ typedef struct {
     double lin[3], ang[3];
 } moc_twist;
 
-/* Compute all fields of moc_terms. Returns MOC_OK or MOC_NOT_FINITE. */
+/* Returns MOC_OK or MOC_NOT_FINITE. */
 moc_status moc_compute_terms(const moc_arm *arm, const double *q, const double *v, moc_terms *terms);
 
 /* Compute frame[n] and twist[n] at a finite q. moc_kinematics also fills the kinematic terms. */
@@ -31,7 +31,7 @@ void moc_kinematics(const moc_arm *arm, const double *q, moc_frame *frame, moc_t
 /* Compute the tool's axes x, y, z and the tip in the world. */
 void moc_tool_pose(const moc_arm *arm, const double *q, double pose[4][3]);
 
-/* Compute the torque that carries the arm's weight [Nm]. */
+/* Compute the torque of the arm's weight [Nm]. */
 void moc_gravity(const moc_arm *arm, const double *q, double *torque);
 
 /* Compute tip or wrist in the world [m] and its Jacobian (3,n). */
@@ -65,7 +65,7 @@ void moc_copy_terms(moc_terms *terms, int n, double *record, direction way);
 void moc_tracking_torque(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
                          const moc_trocar *trocar, double *tau);
 
-/* Fill the subproblem. If x_d [rad/s] is not NULL, x follows x_d instead of climbing mu. */
+/* If x_d [rad/s] is not NULL, x follows x_d instead of climbing mu. */
 void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
                       const moc_trocar *trocar, const double *x_d, moc_problem *problem);
 
@@ -86,8 +86,7 @@ double moc_shaft_push(double mu_shaft, double margin);
 /* Compute the joint velocity x_d of the scaled climb of mu [rad/s]. */
 void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_memory *memory, double *x_d);
 
-/* Write an orthonormal basis of ker A, close to the previous basis in Z, which has `rows` rows. Returns the new number
- * of rows. */
+/* Replace the basis Z (rows, n) by a close orthonormal basis of ker A. Returns the new number of rows. */
 int moc_null_space(const moc_plane *plane, int n, int rows, double Z[][MOC_MAX_JOINTS]);
 
 /* Make row k of Z orthonormal to the rows before it. Returns false if its orthogonal part is at most `least` long. */
@@ -106,7 +105,7 @@ void moc_eliminate(int n, double A[][MOC_MAX_JOINTS], moc_plane *plane);
 moc_status moc_solve_eliminated(const moc_plane *plane, const moc_problem *problem, double tolerance, double *x,
                                 double y[6]);
 
-/* Compute the z (n,) in ker A with speed 1 of free joint number k and zero of the other free joints. */
+/* Compute the z (n,) in ker A with 1 for free joint number k and 0 for the other free joints. */
 void moc_direction(const moc_plane *plane, int n, int k, double *z);
 
 /* Move a solution x of A x = b to the optimum if several joints are free. Adds the bounds' multipliers to force. */
@@ -118,15 +117,15 @@ moc_status moc_solve_several(const moc_plane *plane, const moc_problem *problem,
 typedef struct {
     double primal;   /* |A x - b|_inf [m/s]; NaN if x is not finite */
     double outside;  /* largest bound violation [rad/s] */
-    double natural;  /* natural residual along the self-motion, for a cost with a gradient of size 1 [rad/s] */
+    double natural;  /* natural residual along the self-motion, for a gradient of size 1 [rad/s] */
     double off;      /* distance from the optimum [rad/s] */
     double opposite; /* distance from the optimum of the opposite gradient [rad/s] */
 } moc_residuals;
 
-/* Compute the residuals of x, with an orthonormal basis Z of ker A. */
+/* Z is an orthonormal basis of ker A. */
 moc_residuals moc_judge(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOINTS], const double *x);
 
-/* Check an answer and write the x that the third level follows. */
+/* Check an answer and write the x for the third level. */
 moc_fault moc_supervise(const moc_supervision *s, const moc_problem *problem, const moc_answer *answer,
                         moc_memory *memory, double *x);
 
@@ -138,7 +137,7 @@ void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v
 /* Check a measurement, and set watch->q and watch->v to the believed state. */
 moc_stop moc_guard_believe(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w);
 
-/* Check RCM error and trocar force at the tool's pose. */
+/* Check RCM error and trocar force. */
 moc_stop moc_guard_incision(const moc_guard *g, double pose[4][3], const moc_trocar *trocar, const double *wrench,
                             moc_watch *w);
 
@@ -152,7 +151,7 @@ void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before
 
 /* --- step.c --- */
 
-/* Solve state->problem with moc_solve_exact. The state keeps x, y and the status. */
+/* Solve state->problem with moc_solve_exact. */
 moc_answer moc_ask_exact(const moc_controller *c, moc_state *state);
 
 #endif

@@ -29,12 +29,11 @@ typedef struct {
 } plan_task;
 
 /* Search from q (n,) for a pose with tip (points = 1), or tip and wrist (points = 2), at the target. Returns the error
- * of the pose `best` [m]. `best` and `q` may be the same array. */
+ * of `best` [m]. `best` may be `q`. */
 double plan_place(const plan_task *task, int points, int iterations, const double *q, double *best);
 
-/* Sample the curve of self-motion from q along the unit tangent (n,): arc length s, poses (most, n) and mu. Returns the
- * number of samples. ker A must have one dimension. The curve ends at the first joint limit, or (*closed = 1) at its
- * start. */
+/* Sample the curve of self-motion from q along the unit tangent (n,): arc length s, poses (most, n) and mu. ker A must
+ * have one dimension. The curve ends at a joint limit, or (*closed = 1) at its start. Returns the number of samples. */
 int plan_follow(const plan_task *task, const double *q, const double *tangent, double step, int most, double *s,
                 double *poses, double *mus, int *closed);
 
@@ -43,10 +42,9 @@ double plan_ascend(const plan_task *task, double *q);
 
 /* One step of dynamic programming: compute the value (branches, m) of each pose from the values at the next time.
  *
- * q (branches, m, n) has the poses, or NaN. gain (branches, m) is a pose's reward, -inf if the pose is forbidden. In
- * each branch, q_next is sorted by joint `sorted`, with NaN last. In a transition, no joint moves by more than its step
- * (n,) plus the slack of both poses, and the branch number may change in the bits of crossing[m]. price is the cost of
- * squared motion [1/rad^2]. */
+ * q (branches, m, n) has the poses, or NaN. gain (branches, m) is a pose's reward, or -inf. Each branch of q_next is
+ * sorted by joint `sorted`, with NaN last. In a step, no joint moves by more than its step (n,) plus the slack of both
+ * poses, and the branch number changes only in bits of crossing[m]. price is the cost of squared motion [1/rad^2]. */
 typedef struct {
     int branches, m, next, n, sorted;
     const double *q, *slack, *gain;
