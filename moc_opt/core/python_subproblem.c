@@ -45,7 +45,7 @@ FUNCTION(step_network, {"record", READ, ROW}, {"x", WRITE, N}, {"y", WRITE, 6}, 
 
 #define TIED 1e-7 /* largest (sixth singular value) / |A|_F of rigidly tied tip and wrist */
 
-/* Compute the unit vector u with u^T (J_T - J_W) = 0, a multiple of any column of the adjugate of
+/* Compute the unit vector u with u^T (J_T - J_W) = 0, a multiple of each nonzero column of the adjugate of
  * (J_T - J_W)(J_T - J_W)^T. Returns false if tip and wrist are not rigidly tied. */
 static bool tool_direction(const moc_problem *p, double u[3])
 {

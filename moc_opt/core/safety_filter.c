@@ -71,7 +71,7 @@ static int age(const moc_guard *g, long long stamp, moc_watch *w)
     if (newer) {
         w->elapsed += stamp - w->newest;
         w->newest = stamp;
-        if (++w->taken == 2) /* the first measurement is older than the run */
+        if (++w->taken == 2) /* the first measurement is from before the run */
             w->delay = late;
     }
     if (w->now - w->newest > w->delay + g->patience)
