@@ -41,8 +41,8 @@ static double steepest_descent(const moc_problem *p, int rows, double Z[][MOC_MA
     return scale;
 }
 
-/* The residuals natural, off and opposite are measured along a line of self-motion. If ker A has several dimensions, the
- * line has the direction of steepest feasible descent.
+/* The residuals natural, off and opposite are measured along a line of self-motion. If ker A has several dimensions,
+ * this line has the direction of steepest feasible descent.
  *
  * Along the line, let s be the coordinate of x and g the component of pull. The cost is rho s^2 / 2 - c2 g s. The
  * optimum is clip(c2 g / rho). The optimum of the opposite gradient is clip(-c2 g / rho). */

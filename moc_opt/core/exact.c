@@ -287,7 +287,7 @@ moc_status moc_solve_eliminated(const moc_plane *plane, const moc_problem *p, do
     double explained = status == MOC_OK ? 0.0 : explained_by_rounding(plane, p);
     if (explained <= tolerance)
         return status;
-    double unclear = smaller((plane->freedoms > 1 ? 1e5 : 100.0) * explained, UNCLEAR); /* 1e5: columns may be parallel */
+    double unclear = smaller((plane->freedoms > 1 ? 1e5 : 100.0) * explained, UNCLEAR); /* 1e5 for parallel columns */
     if (solve(plane, p, smaller(100.0 * explained, WIDEST), x, y) == MOC_OK && off_plane(p, x) <= LEFT)
         return MOC_OK;
     return solve(plane, p, unclear, x, y) == MOC_INFEASIBLE ? status : MOC_DOUBTFUL;
