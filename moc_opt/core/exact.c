@@ -1,27 +1,25 @@
 /* The optimum of the subproblem by elimination.
  *
- * If A x = b, the terms with c0 and c1 are constant. The rest of the cost is rho/2 |x|^2 - c2 pull^T x. Gauss-Jordan
- * elimination with complete pivoting (Golub and Van Loan, Matrix Computations, 3.4.8) writes x as a particular solution
- * plus one self-motion per free joint (a joint without a pivot). A joint with a zero column (joint 7, if the tool lies
- * on its axis) moves neither tip nor wrist. Its speed is computed separately. If one free joint is left (the elbow
- * swivel), a ratio test gives the optimum. If several are left, polytope.c computes it. Rows are padded with zeros to
- * 8 or 16 numbers, so that the compiler unrolls the loops over a row. */
+ * If A x = b, the cost is rho/2 |x|^2 - c2 pull^T x + constant. Gauss-Jordan elimination with complete pivoting (Golub
+ * and Van Loan, Matrix Computations, 3.4.8) writes x as a particular solution plus one self-motion per free joint (a
+ * joint without a pivot). With one free joint (the elbow swivel), a ratio test gives the optimum. With several,
+ * polytope.c computes it. Rows are padded to 8 or 16 numbers, so that the compiler unrolls the loops over a row. */
 #include "vec.h"
 
-#define RANK_TOLERANCE 1e-12 /* largest singular value of A, divided by |A|_F, that counts as zero */
-#define TIED 1e-7            /* largest sixth singular value, divided by |A|_F, for which the tool counts as rigid */
-#define LOOK_CLOSER 1e3      /* own_part checks a pivot that is smaller than LOOK_CLOSER * tolerance * first pivot */
-#define LEFT 1e-6            /* largest |A x - b| of an accepted answer, as in qp/residuals.py [m/s] */
-#define SOUND 1e-6           /* largest value of the last pivot for which rounding may spoil the answer [m] */
-#define UNBALANCED 1e-4      /* largest |A^T y - force| of an accepted answer, divided by max(c2 |pull|, rho) */
-#define IDLE 1e-12           /* a free joint is idle (moves neither tip nor wrist) if its column has no larger entry */
-#define ROUNDING 1e-9        /* an idle joint's entry of pull counts as zero up to this share of the largest entry */
-#define GROWTH 4e-12         /* largest relative rounding error of six elimination steps */
-#define WIDEST 1e-5          /* largest bound violation that may be attributed to rounding [rad/s] */
-#define UNCLEAR 1e-3         /* largest widening of the bounds in the last solve of moc_solve_exact [rad/s] */
-#define SLIVER 2e-9          /* smallest assumed rounding error of x if several free joints are left [rad/s] */
+#define RANK_TOLERANCE 1e-12 /* largest (singular value of A) / |A|_F that counts as zero */
+#define TIED 1e-7            /* largest (sixth singular value) / |A|_F of a rigid tool */
+#define LOOK_CLOSER 1e3      /* own_part checks pivots below LOOK_CLOSER * tolerance * first pivot */
+#define LEFT 1e-6            /* largest |A x - b| of an accepted answer [m/s] */
+#define SOUND 1e-6           /* a smaller last pivot makes a check of the answer necessary [m] */
+#define UNBALANCED 1e-4      /* largest |A^T y - force| / max(c2 |pull|, rho) of an accepted answer */
+#define IDLE 1e-12           /* largest column entry of an idle joint, which moves neither tip nor wrist */
+#define ROUNDING 1e-9        /* an idle joint's pull counts as zero below this share of the largest pull */
+#define GROWTH 4e-12         /* largest relative rounding error of the elimination */
+#define WIDEST 1e-5          /* largest bound violation that may come from rounding [rad/s] */
+#define UNCLEAR 1e-3         /* largest widening of the bounds in the last solve [rad/s] */
+#define SLIVER 2e-9          /* smallest assumed rounding error with several free joints [rad/s] */
 
-/* Turn multipliers g (6,) of the eliminated rows into multipliers of the rows of A. */
+/* Turn multipliers g (6,) of eliminated rows into multipliers of A. */
 static inline void weigh_back(const moc_plane *plane, int steps, double g[6])
 {
     for (int k = steps - 1; k >= 0; k--) {
@@ -31,8 +29,8 @@ static inline void weigh_back(const moc_plane *plane, int steps, double g[6])
     }
 }
 
-/* Estimate singular value k + 1 of A, divided by |A|_F. Each row left at step k is a combination e^T A of the rows of
- * A. The estimate is the largest |e^T A| / (|e| |A|_F). It is at most 4 * (pivot of step k) / (first pivot). */
+/* Estimate singular value k + 1 of A, divided by |A|_F: the largest |e^T A| / (|e| |A|_F) over the rows e^T A that are
+ * left at step k. It is at most 4 * (pivot of step k) / (first pivot). */
 static double own_part(const moc_plane *plane, int n, double A[][MOC_MAX_JOINTS], int k)
 {
     double most = 0.0, size = 0.0;
@@ -47,7 +45,7 @@ static double own_part(const moc_plane *plane, int n, double A[][MOC_MAX_JOINTS]
     return sqrt(most);
 }
 
-/* Returns the rank of A, or -1 - k if rounding hides whether the rows left at step k are dependent. */
+/* Returns the rank of A, or -1 - k if rounding hides whether the rank is k. */
 static inline int eliminate(moc_plane *plane, int n, double A[][MOC_MAX_JOINTS], int m)
 {
     double first = plane->pivot = HUGE_VAL;
@@ -115,7 +113,7 @@ void moc_eliminate(int n, double A[][MOC_MAX_JOINTS], moc_plane *plane)
     }
 }
 
-/* Repeat the steps of elimination on b. */
+/* Eliminate b. */
 static void carry_over(const moc_plane *plane, const double b[6], double right[6])
 {
     memcpy(right, b, 6 * sizeof *right);
@@ -128,8 +126,7 @@ static void carry_over(const moc_plane *plane, const double b[6], double right[6
     }
 }
 
-/* Check x against the rows that elimination dropped. If no x within the bounds can satisfy a violated row, the problem
- * is infeasible. Otherwise rounding hides whether the row is dependent, and the status is MOC_DOUBTFUL. */
+/* Check x against the rows that elimination dropped. */
 static moc_status check_dropped(const moc_plane *plane, const moc_problem *p, const double right[6], const double *x)
 {
     moc_status status = MOC_OK;
@@ -156,16 +153,15 @@ void moc_direction(const moc_plane *plane, int n, int k, double *z)
     z[free] = 1.0;
 }
 
-/* The optimal speed of an idle joint, which moves neither tip nor wrist. */
 static double idle_speed(const moc_problem *p, int j)
 {
-    /* an entry of pull at the level of rounding must not send an idle joint to its bound */
+    /* rounding in pull must not send an idle joint to its bound */
     bool faint = fabs(p->pull[j]) <= ROUNDING * largest_of(p->n, p->pull);
     double pull = faint ? 0.0 : p->c2 * p->pull[j];
     return clip(pull == 0.0 ? 0.0 : pull / p->rho, p->lower[j], p->upper[j]); /* rho = 0: at a bound */
 }
 
-/* The interval of s in which x + s z violates no bound by more than the slack, and the joints that limit it. */
+/* The interval of s in which x + s z is within the bounds, and the joints that limit it. */
 typedef struct {
     double low, high;
     int joint[2];
@@ -186,7 +182,7 @@ static inline segment ratio_test(const moc_problem *p, const double *x, const do
     return s;
 }
 
-/* Solve for a single free joint: move x to the best point x + s z within the bounds. */
+/* Move x to the best x + s z within the bounds. */
 static void solve_one(const moc_plane *plane, const moc_problem *p, double tolerance, double *x, double *force)
 {
     double z[MOC_MAX_JOINTS], zz = 0.0, zx = 0.0, zg = 0.0, slope = 0.0;
@@ -200,7 +196,7 @@ static void solve_one(const moc_plane *plane, const moc_problem *p, double toler
     }
     double still = STILL * sqrt(zz);
     segment s = ratio_test(p, x, z, still, 0.0);
-    /* Rounding may make an interval of one point empty. If the interval stays empty, `finish` reports the violation. */
+    /* rounding may make an interval of one point empty */
     for (double slack = 1e-17; s.low > s.high && slack < tolerance;) {
         slack = smaller(100.0 * slack, tolerance);
         s = ratio_test(p, x, z, still, slack);
@@ -235,7 +231,7 @@ static double finish(const moc_plane *plane, const moc_problem *p, const double 
     return beyond;
 }
 
-/* Whether the optimality condition A^T y = force holds for the joints that move tip or wrist. */
+/* Whether A^T y = force holds for the joints that move tip or wrist. */
 static bool balanced(const moc_plane *plane, const moc_problem *p, const double *force, const double y[6])
 {
     double most = UNBALANCED * larger(p->c2 * largest_of(p->n, p->pull), p->rho), gap = 0.0;
@@ -247,7 +243,6 @@ static bool balanced(const moc_plane *plane, const moc_problem *p, const double 
     return fabs(gap) <= most;
 }
 
-/* Solve with a given tolerance for violations of the bounds. */
 static moc_status solve(const moc_plane *plane, const moc_problem *p, double tolerance, double *x, double y[6])
 {
     double point[MOC_MAX_JOINTS], force[MOC_MAX_JOINTS] = {0.0}, right[6];
@@ -267,14 +262,13 @@ static moc_status solve(const moc_plane *plane, const moc_problem *p, double tol
     double beyond = finish(plane, p, point, force, x, y);
     if (status == MOC_OK && beyond <= tolerance && (plane->freedoms > 1 || plane->pivot < SOUND) &&
         !(off_plane(p, x) <= LEFT && balanced(plane, p, force, y)))
-        status = MOC_DOUBTFUL; /* for example, because columns are parallel except for rounding */
+        status = MOC_DOUBTFUL;
     if (status != MOC_OK)
         return status;
     return beyond > tolerance ? MOC_INFEASIBLE : check_dropped(plane, p, right, x);
 }
 
-/* Largest bound violation that rounding in A x = b can cause [rad/s]: the rounding error of the largest |A| |x|,
- * divided by the last pivot. */
+/* Largest bound violation from rounding [rad/s]: the rounding error of |A| |x|, divided by the last pivot. */
 static double explained_by_rounding(const moc_plane *plane, const moc_problem *p)
 {
     double sum[6] = {0.0};
@@ -288,11 +282,11 @@ moc_status moc_solve_eliminated(const moc_plane *plane, const moc_problem *p, do
 {
     moc_status status = solve(plane, p, tolerance, x, y);
 
-    /* If rounding may have decided this status, solve again with a tolerance that exceeds the effect of rounding. */
+    /* If rounding may have decided the status, solve again with a larger tolerance. */
     double explained = status == MOC_OK ? 0.0 : explained_by_rounding(plane, p);
     if (explained <= tolerance)
         return status;
-    double unclear = smaller((plane->freedoms > 1 ? 1e5 : 100.0) * explained, UNCLEAR); /* 1e5: columns may be parallel */
+    double unclear = smaller((plane->freedoms > 1 ? 1e5 : 100.0) * explained, UNCLEAR); /* 1e5 for parallel columns */
     if (solve(plane, p, smaller(100.0 * explained, WIDEST), x, y) == MOC_OK && off_plane(p, x) <= LEFT)
         return MOC_OK;
     return solve(plane, p, unclear, x, y) == MOC_INFEASIBLE ? status : MOC_DOUBTFUL;
@@ -301,6 +295,6 @@ moc_status moc_solve_eliminated(const moc_plane *plane, const moc_problem *p, do
 moc_status moc_solve_exact(const moc_problem *p, double tolerance, double *x, double y[6])
 {
     moc_plane plane;
-    moc_eliminate(p->n, ((moc_problem *)p)->A, &plane); /* only read: C cannot convert a matrix to const */
+    moc_eliminate(p->n, ((moc_problem *)p)->A, &plane); /* only read */
     return moc_solve_eliminated(&plane, p, tolerance, x, y);
 }

@@ -1,4 +1,4 @@
-/* The arm as a Python object, with the poses and curves that planning needs. */
+/* The type Arm. */
 #include "python.h"
 
 static PyObject *arm_new(PyTypeObject *type, PyObject *given, PyObject *keywords)

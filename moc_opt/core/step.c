@@ -1,8 +1,5 @@
-/* One tick: moc_begin (check of the measurement, terms, levels 1 and 2, subproblem), any solver, and moc_finish (check
- * of the answer, level 3, limits of the torque).
- *
- * In Python c->guard is NULL, and FilteredController of moc_opt/sim/loop.py calls the functions of safety_filter.c
- * around any controller. If the order changes here, it has to change in loop.py as well. */
+/* One tick: moc_begin, any solver, moc_finish. FilteredController of moc_opt/sim/loop.py calls the functions of
+ * safety_filter.c in the order of this file. If the order changes here, it has to change there. */
 #include "vec.h"
 
 /* --- the law --- */
@@ -30,7 +27,7 @@ static void levels(const moc_controller *c, const moc_input *in, moc_state *s)
     double climb[MOC_MAX_JOINTS];
     int n = c->arm->n;
 
-    for (int i = 0; i < n && law->observer_gain > 0.0; i++) /* the observer uses the previous torque */
+    for (int i = 0; i < n && law->observer_gain > 0.0; i++)
         moc_observe(n, t, i, memory->tau[i], law->observer_gain, law->period, &memory->integral[i],
                     &memory->external[i]);
     moc_tracking_torque(law, n, t, &in->ref, &in->trocar, s->tau);
@@ -75,7 +72,7 @@ moc_stop moc_start(const moc_controller *c, const moc_measurement *m, moc_state 
     return s->reason;
 }
 
-/* Store the torque that acted. Stop if a torque is beyond its limit, or the number of rows of Z is impossible. */
+/* Store the torque that acted. Stop if a torque is beyond its limit or the memory is damaged. */
 static void take_applied(const moc_controller *c, const double *applied, moc_state *s)
 {
     int n = c->arm->n;
