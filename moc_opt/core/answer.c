@@ -1,15 +1,15 @@
-/* The check of a solver's answer, and the replacements of a refused answer. */
+/* Check a solver's answer, and replace a refused answer. */
 #include "vec.h"
 
-#define AT_BOUND 1e-4          /* a joint velocity this close to a bound counts as lying on it [rad/s] */
-#define PASSES 2e-3            /* up to this natural residual, `off` and `opposite` may be left at zero [rad/s] */
+#define AT_BOUND 1e-4          /* largest distance from a bound that counts as zero [rad/s] */
+#define PASSES 2e-3            /* natural residual up to which `off` and `opposite` may stay zero [rad/s] */
 #define NO_GRADIENT 1e-12      /* largest |part of pull in ker A| / (largest entry of pull) that counts as zero */
-#define IMMOBILE 1e-12         /* smallest divisor in least_violation, for joints whose column in A is tiny [m^2] */
-#define GRADIENT_ROUNDING 1e-9 /* length up to which a descent direction counts as zero (as in qp/residuals.py) */
-#define DESCENTS 50            /* number of sweeps over all joints in least_violation */
-#define OUTSIDE 1e-6           /* largest bound violation [rad/s] and |A x - b| [m/s] of the x in `retreat` */
+#define IMMOBILE 1e-12         /* smallest divisor in least_violation [m^2] */
+#define GRADIENT_ROUNDING 1e-9 /* largest length of a descent direction that counts as zero */
+#define DESCENTS 50            /* sweeps in least_violation */
+#define OUTSIDE 1e-6           /* largest bound violation [rad/s] and |A x - b| [m/s] in `retreat` */
 
-/* Whether joint j moves neither tip nor wrist, so that the unit vector e_j lies in ker A. */
+/* Whether joint j moves neither tip nor wrist. */
 static bool is_idle(int rows, double Z[][MOC_MAX_JOINTS], int j)
 {
     double own = 0.0;
@@ -18,10 +18,8 @@ static bool is_idle(int rows, double Z[][MOC_MAX_JOINTS], int j)
     return own > 1.0 - 1e-12;
 }
 
-/* Compute the direction d (n,) of steepest feasible descent from x. Returns the scale of the cost.
- *
- * d is the negative gradient projected on the tangent cone of the feasible set. It is zero only at an optimum. d
- * solves a subproblem in which joints at a bound may only move inwards, and idle joints stay still. */
+/* Compute the direction d (n,) of steepest feasible descent from x, the negative gradient projected on the tangent cone
+ * of the feasible set. Returns the scale of the cost. */
 static double steepest_descent(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS], const double *x, double *d)
 {
     moc_problem cone = {.n = p->n, .rho = 1.0};
@@ -37,18 +35,17 @@ static double steepest_descent(const moc_problem *p, int rows, double Z[][MOC_MA
         scale = larger(idle ? 0.0 : p->c2 * fabs(pull[j]), scale);
     }
     double length = sqrt(dot(p->n, cone.pull, cone.pull));
-    cone.c2 = 1.0 / fmax(length, 1e-300); /* |d| <= 1 */
+    cone.c2 = 1.0 / larger(length, 1e-300); /* |d| <= 1 */
     if (moc_solve_exact(&cone, 1e-9, d, y) != MOC_OK)
         memset(d, 0, (unsigned)p->n * sizeof *d);
     return scale;
 }
 
-/* The residuals natural, off and opposite are measured along a line of self-motion. If the elbow swivel is the only
- * self-motion, this line contains the whole feasible set. If ker A has more dimensions, it is the steepest feasible
- * descent at x. If x has no feasible descent, the three residuals are zero.
+/* The residuals natural, off and opposite are measured along a line of self-motion. If ker A has several dimensions,
+ * this line has the direction of steepest feasible descent.
  *
- * Along the line, let s be the coordinate of x and g the component of pull. The cost is rho s^2 / 2 - c2 g s. Within
- * the bounds, the optimum is clip(c2 g / rho). The optimum of the opposite gradient is clip(-c2 g / rho). */
+ * Along the line, let s be the coordinate of x and g the component of pull. The cost is rho s^2 / 2 - c2 g s. The
+ * optimum is clip(c2 g / rho). The optimum of the opposite gradient is clip(-c2 g / rho). */
 moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS], const double *x)
 {
     moc_residuals found = {0.0, 0.0, 0.0, 0.0, 0.0};
@@ -68,8 +65,8 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
     moc_onto(n, rows, Z, p->pull, line);
     if (sqrt(dot(n, line, line)) <= NO_GRADIENT * steepest || !(p->c2 > 0.0))
         return found;
-    /* If x has to follow an x_d that is almost zero, pull = (rho/c2) x_d is tiny. The scale is then rho. */
-    double scale = fmax(p->c2 * steepest, p->rho);
+    /* pull = (rho/c2) x_d may be almost zero */
+    double scale = larger(p->c2 * steepest, p->rho);
     int several = freedoms > 1, faint = p->rho >= p->c2 * steepest;
     if (several) {
         scale = steepest_descent(p, rows, Z, x, line);
@@ -91,7 +88,7 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
             high = smaller(larger(one, other), high);
         }
     }
-    low = smaller(0.0, low); /* x counts as feasible here, because `outside` reports its bound violation */
+    low = smaller(0.0, low); /* `outside` reports bound violations */
     high = larger(0.0, high);
     for (int j = 0; j < n; j++) {
         double push = line[j] * slope;
@@ -99,17 +96,16 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
             room = smaller(larger(signbit(push) ? p->upper[j] - x[j] : x[j] - p->lower[j], 0.0), room);
     }
     double desired = pull / p->rho;
-    found.natural = fmin(fabs(slope) / total, room);
+    found.natural = smaller(fabs(slope) / total, room);
     if ((several || faint) && found.natural <= PASSES)
         return found;
-    found.off = fabs(fmin(fmax(desired - place, low), high));
-    found.opposite = fabs(fmin(fmax(-desired - place, low), high));
+    found.off = fabs(smaller(larger(desired - place, low), high));
+    found.opposite = fabs(smaller(larger(-desired - place, low), high));
     return found;
 }
 
-/* Compute the smallest self-motion that keeps the joint velocities within the bounds. If none does, `motion` is
- * unchanged. The shortest x of A x = b within the bounds is the optimum of the subproblem without pull. `motion` is the
- * part of this x in ker A. */
+/* Compute the smallest self-motion within the bounds, as the part in ker A of the shortest x with A x = b. If there is
+ * none, `motion` is unchanged. */
 static void retreat(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOINTS], double *motion)
 {
     moc_problem p = *problem;
@@ -123,7 +119,7 @@ static void retreat(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOI
     moc_onto(p.n, rows, Z, x, motion);
 }
 
-/* Compute the x within the bounds with the smallest |A x - b|, by coordinate descent. */
+/* Minimize |A x - b| within the bounds by coordinate descent. */
 static void least_violation(const moc_problem *p, double *x)
 {
     double missing[6], size[MOC_MAX_JOINTS] = {0.0};
@@ -141,7 +137,7 @@ static void least_violation(const moc_problem *p, double *x)
             double along = 0.0;
             for (int i = 0; i < 6; i++)
                 along += p->A[i][j] * missing[i];
-            double best = clip(x[j] - along / fmax(size[j], IMMOBILE), p->lower[j], p->upper[j]);
+            double best = clip(x[j] - along / larger(size[j], IMMOBILE), p->lower[j], p->upper[j]);
             for (int i = 0; i < 6; i++)
                 missing[i] += (best - x[j]) * p->A[i][j];
             x[j] = best;

@@ -1,14 +1,13 @@
-/* Arguments of the binding: arrays, numbers, and keywords that fill a struct. */
+/* Arguments of the binding. */
 #include "python.h"
 
-/* The symbolic lengths of python.h: coefficients of n^2, n and 1, and the words in messages. */
+/* Symbolic lengths of python.h: coefficients of n^2, n and 1, words in messages. */
 static const struct {
     int nn, n, one;
     const char *words;
 } lengths[] = {{0, 1, 0, "n"},          {0, 11, 10, "11 n + 10"}, {1, 13, 18, "n n + 13 n + 18"},
                {0, 14, 16, "14 n + 16"}, {0, 0, 0, "k"},           {0, 0, 0, "any"}};
 
-/* The value of a length other than ANY. */
 static npy_intp length_of(const call *c, int wanted)
 {
     if (wanted >= 0 || wanted == K)
@@ -16,7 +15,7 @@ static npy_intp length_of(const call *c, int wanted)
     return (lengths[-1 - wanted].nn * c->n + lengths[-1 - wanted].n) * c->n + lengths[-1 - wanted].one;
 }
 
-/* Whether an array has the wanted length. The first array of a call sets n and k for the others. */
+/* Whether an array has the wanted length. The first array of a call sets n and k. */
 static bool fits(call *c, int wanted, npy_intp length)
 {
     if (wanted == K && c->k < 0)
@@ -114,8 +113,6 @@ PyObject *moc_done(call *c, PyObject *result)
         Py_DECREF(c->as[--c->end]);
     return result;
 }
-
-/* --- fields of an object --- */
 
 bool moc_fill(PyObject *keywords, const field *fields, int count, Arm *self)
 {

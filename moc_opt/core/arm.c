@@ -1,7 +1,5 @@
-/* Kinematics and dynamics of a serial chain, in world axes at the world's origin (Featherstone 2008, chapter 5).
- *
- * A twist is [lin, ang]: the velocity of the body's point at the world's origin, and the angular velocity. All twists
- * refer to the same point, so that velocities, accelerations and momenta add up. */
+/* Kinematics and dynamics of a serial chain (Featherstone 2008, chapter 5). Twists [lin, ang] and momenta are in world
+ * axes, at the world's origin. */
 #include "vec.h"
 
 void moc_place(const moc_arm *arm, const double *q, moc_frame *frame, moc_twist *twist)
@@ -15,22 +13,17 @@ void moc_place(const moc_arm *arm, const double *q, moc_frame *frame, moc_twist 
         double slides = joint->slides > 0.0 ? 1.0 : 0.0, angle = (1.0 - slides) * q[j];
         double cosine = cos(angle), sine = sin(angle), axis[3];
 
-        for (int i = 0; i < 3; i++) { /* the axes at q_j = 0 */
+        for (int i = 0; i < 3; i++) {
             const double *row = before->R[i];
+            double fixed[3]; /* the row at q_j = 0 */
             for (int c = 0; c < 3; c++)
-                here->R[i][c] = row[0] * joint->rotation[0][c] + row[1] * joint->rotation[1][c] +
-                                row[2] * joint->rotation[2][c];
-            axis[i] = dot3(here->R[i], joint->axis);
+                fixed[c] = row[0] * joint->rotation[0][c] + row[1] * joint->rotation[1][c] +
+                           row[2] * joint->rotation[2][c];
+            axis[i] = dot3(fixed, joint->axis);
+            for (int c = 0; c < 3; c++) /* Rodrigues' formula */
+                here->R[i][c] = cosine * fixed[c] + (1.0 - cosine) * axis[i] * joint->axis[c];
+            add_cross(sine, fixed, joint->axis, here->R[i]);
             here->p[i] = before->p[i] + dot3(row, joint->origin) + slides * q[j] * axis[i];
-        }
-        for (int c = 0; c < 3; c++) { /* Rodrigues' formula on each column */
-            double x[3] = {here->R[0][c], here->R[1][c], here->R[2][c]}, turned[3];
-            double along = (1.0 - cosine) * dot3(axis, x);
-            for (int i = 0; i < 3; i++)
-                turned[i] = cosine * x[i] + along * axis[i];
-            add_cross(sine, axis, x, turned);
-            for (int i = 0; i < 3; i++)
-                here->R[i][c] = turned[i];
         }
         for (int i = 0; i < 3; i++) {
             twist[j].ang[i] = (1.0 - slides) * axis[i];
@@ -57,7 +50,7 @@ void moc_point(const moc_arm *arm, const moc_frame *frame, const moc_twist *twis
     }
 }
 
-/* Mass, first moment and inertia (lower triangle) of bodies about the world's origin. */
+/* Mass, first moment and inertia (lower triangle) about the world's origin. */
 typedef struct {
     double mass, moment[3], I[3][3];
 } body;
@@ -70,7 +63,7 @@ static body link_in_world(const moc_joint *joint, const moc_frame *frame)
 
     for (int i = 0; i < 3; i++)
         link.moment[i] = joint->mass * frame->p[i] + dot3(frame->R[i], joint->moment);
-    /* Parallel axes: the inertia about the origin is larger by m (|c|^2 - c c^T), with c the centre of mass. */
+    /* parallel axes: add m (|c|^2 I - c c^T), with the centre of mass c */
     double square = share * dot3(link.moment, link.moment);
     for (int i = 0; i < 3; i++) {
         double turned[3] = {dot3(frame->R[i], local[0]), dot3(frame->R[i], local[1]), dot3(frame->R[i], local[2])};
@@ -81,7 +74,6 @@ static body link_in_world(const moc_joint *joint, const moc_frame *frame)
     return link;
 }
 
-/* Momentum of bodies that move with a twist. */
 static moc_twist momentum(const body *b, const moc_twist *twist)
 {
     const double *w = twist->ang;
@@ -94,7 +86,7 @@ static moc_twist momentum(const body *b, const moc_twist *twist)
     return H;
 }
 
-/* Rate of change of a twist fixed to a body that moves with V: [w x lin + v x ang, w x ang]. */
+/* Rate of change of a twist that moves with V: [w x lin + v x ang, w x ang]. */
 static moc_twist carried(const moc_twist *V, const moc_twist *S)
 {
     moc_twist rate = {{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}};
@@ -117,17 +109,17 @@ static void add(double s, const moc_twist *what, moc_twist *to)
     }
 }
 
-/* Compute M, h, gravity and dT/dq, and the last link's velocity V and its acceleration at zero joint acceleration. */
+/* Compute M, h, gravity and energy_slope, and the last link's V and acceleration at zero joint acceleration. */
 static void dynamics(const moc_arm *arm, const moc_frame *frame, const moc_twist *S, moc_terms *t, moc_twist *V,
                      moc_twist *acceleration)
 {
     int n = arm->n;
     body link[MOC_MAX_JOINTS];
-    moc_twist rate[MOC_MAX_JOINTS], H[MOC_MAX_JOINTS], force[MOC_MAX_JOINTS], up = {{0.0}, {0.0}};
+    moc_twist rate[MOC_MAX_JOINTS], H[MOC_MAX_JOINTS], force[MOC_MAX_JOINTS];
 
     memset(V, 0, sizeof *V);
     memset(acceleration, 0, sizeof *acceleration);
-    for (int k = 0; k < n; k++) { /* from the base outwards: velocity, momentum and rate of momentum */
+    for (int k = 0; k < n; k++) { /* from the base outwards */
         link[k] = link_in_world(&arm->joint[k], &frame[k]);
         rate[k] = carried(V, &S[k]);
         add(t->v[k], &S[k], V);
@@ -139,9 +131,7 @@ static void dynamics(const moc_arm *arm, const moc_frame *frame, const moc_twist
         add_cross(1.0, V->ang, H[k].ang, force[k].ang);
         add_cross(1.0, V->lin, H[k].lin, force[k].ang);
     }
-    for (int i = 0; i < 3; i++)
-        up.lin[i] = -arm->gravity[i];
-    for (int k = n - 1; k >= 0; k--) { /* from the tip inwards: each joint carries all links beyond it */
+    for (int k = n - 1; k >= 0; k--) { /* from the tip inwards: sums over all links beyond joint k */
         if (k + 1 < n) {
             link[k].mass += link[k + 1].mass;
             for (int i = 0; i < 3; i++) {
@@ -152,18 +142,20 @@ static void dynamics(const moc_arm *arm, const moc_frame *frame, const moc_twist
             add(1.0, &H[k + 1], &H[k]);
             add(1.0, &force[k + 1], &force[k]);
         }
-        moc_twist own = momentum(&link[k], &S[k]), weight = momentum(&link[k], &up);
+        moc_twist own = momentum(&link[k], &S[k]), weight = {{0.0}, {0.0}};
+        for (int i = 0; i < 3; i++)
+            weight.lin[i] = -link[k].mass * arm->gravity[i];
+        add_cross(-1.0, link[k].moment, arm->gravity, weight.ang);
         for (int j = 0; j <= k; j++)
             t->M[j][k] = t->M[k][j] = power(&S[j], &own);
         t->M[k][k] += arm->joint[k].rotor;
         t->gravity[k] = power(&S[k], &weight);
         t->h[k] = power(&S[k], &force[k]) + t->gravity[k];
-        /* H[k] is now the momentum of all links that joint k moves */
         t->energy_slope[k] = power(&rate[k], &H[k]);
     }
 }
 
-/* Acceleration dJ/dt v of a point of the last link at zero joint acceleration. */
+/* Compute dJ/dt v of a point of the last link. */
 static void point_drift(const moc_twist *V, const moc_twist *acceleration, const double point[3], double out[3])
 {
     double velocity[3];
@@ -216,8 +208,9 @@ void moc_kinematics(const moc_arm *arm, const double *q, moc_frame *frame, moc_t
     for (int i = 0; i < 3; i++)
         t->u[i] = t->tip[i] - t->wrist[i];
     t->span = normalise3(t->u);
-    t->mu = moc_manipulability(n, twist, t->A, t->grad_mu);
-    t->mu_shaft = moc_shaft_manipulability(n, twist, t->A, t->u, t->grad_mu_shaft);
+    moc_gram gram = moc_gram_of(n, t->A);
+    t->mu = moc_manipulability(n, twist, t->A, &gram, t->grad_mu);
+    t->mu_shaft = moc_shaft_manipulability(n, twist, t->A, &gram, t->u, t->grad_mu_shaft);
 }
 
 moc_status moc_compute_terms(const moc_arm *arm, const double *q, const double *v, moc_terms *t)

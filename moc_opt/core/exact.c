@@ -1,61 +1,57 @@
 /* The optimum of the subproblem by elimination.
  *
- * If A x = b, the terms with c0 and c1 are constant. The rest of the cost is rho/2 |x|^2 - c2 pull^T x. Gauss-Jordan
- * elimination with complete pivoting (Golub and Van Loan, Matrix Computations, 3.4.8) writes x as a particular solution
- * plus one self-motion per free joint (a joint without a pivot). A joint with a zero column (joint 7, if the tool lies
- * on its axis) moves neither tip nor wrist. Its speed is computed separately. If one free joint is left (the elbow
- * swivel), a ratio test gives the optimum. If several are left, polytope.c computes it. Rows are padded with zeros to
- * 8 or 16 numbers, so that the compiler unrolls the loops over a row. */
+ * If A x = b, the cost is rho/2 |x|^2 - c2 pull^T x + constant. Gauss-Jordan elimination with complete pivoting (Golub
+ * and Van Loan, Matrix Computations, 3.4.8) writes x as a particular solution plus one self-motion per free joint (a
+ * joint without a pivot). With one free joint (the elbow swivel), a ratio test gives the optimum. With several,
+ * polytope.c computes it. Rows are padded to 8 or 16 numbers, so that the compiler unrolls the loops over a row. */
 #include "vec.h"
 
-#define RANK_TOLERANCE 1e-12 /* largest singular value of A, divided by |A|_F, that counts as zero */
-#define TIED 1e-7            /* largest sixth singular value, divided by |A|_F, for which the tool counts as rigid */
-#define LOOK_CLOSER 1e3      /* own_part checks a pivot that is smaller than LOOK_CLOSER * tolerance * first pivot */
-#define LEFT 1e-6            /* largest |A x - b| of an accepted answer, as in qp/residuals.py [m/s] */
-#define SOUND 1e-6           /* largest value of the last pivot for which rounding may spoil the answer [m] */
-#define UNBALANCED 1e-4      /* largest |A^T y - force| of an accepted answer, divided by max(c2 |pull|, rho) */
-#define IDLE 1e-12           /* a free joint is idle (moves neither tip nor wrist) if its column has no larger entry */
-#define ROUNDING 1e-9        /* an idle joint's entry of pull counts as zero up to this share of the largest entry */
-#define GROWTH 4e-12         /* largest relative rounding error of six elimination steps */
-#define WIDEST 1e-5          /* largest bound violation that may be attributed to rounding [rad/s] */
-#define UNCLEAR 1e-3         /* largest widening of the bounds in the last solve of moc_solve_exact [rad/s] */
-#define SLIVER 2e-9          /* smallest assumed rounding error of x if several free joints are left [rad/s] */
+#define RANK_TOLERANCE 1e-12 /* largest (singular value of A) / |A|_F that counts as zero */
+#define TIED 1e-7            /* largest (sixth singular value) / |A|_F of a rigid tool */
+#define LOOK_CLOSER 1e3      /* own_part checks pivots below LOOK_CLOSER * tolerance * first pivot */
+#define LEFT 1e-6            /* largest |A x - b| of an accepted answer [m/s] */
+#define SOUND 1e-6           /* a smaller last pivot makes a check of the answer necessary [m] */
+#define UNBALANCED 1e-4      /* largest |A^T y - force| / max(c2 |pull|, rho) of an accepted answer */
+#define IDLE 1e-12           /* largest column entry of an idle joint, which moves neither tip nor wrist */
+#define ROUNDING 1e-9        /* an idle joint's pull counts as zero below this share of the largest pull */
+#define GROWTH 4e-12         /* largest relative rounding error of the elimination */
+#define WIDEST 1e-5          /* largest bound violation that may come from rounding [rad/s] */
+#define UNCLEAR 1e-3         /* largest widening of the bounds in the last solve [rad/s] */
+#define SLIVER 2e-9          /* smallest assumed rounding error with several free joints [rad/s] */
 
-/* Turn multipliers g (6,) of the eliminated rows into multipliers of the rows of A. */
-static void weigh_back(const moc_plane *plane, int steps, double g[6])
+/* Turn multipliers g (6,) of eliminated rows into multipliers of A. */
+static inline void weigh_back(const moc_plane *plane, int steps, double g[6])
 {
     for (int k = steps - 1; k >= 0; k--) {
-        double own = dot(6, plane->step[k], g);
+        double own = -plane->inverse[k] * dot(6, plane->scale[k], g);
         g[k] = g[plane->from[k]];
         g[plane->from[k]] = own;
     }
 }
 
-/* Estimate singular value k + 1 of A, divided by |A|_F. Each row left at step k is a combination e^T A of the rows of
- * A. The estimate is the largest |e^T A| / (|e| |A|_F). It is at most 4 * (pivot of step k) / (first pivot). */
-static double own_part(const moc_plane *plane, const moc_problem *p, int k)
+/* Estimate singular value k + 1 of A, divided by |A|_F: the largest |e^T A| / (|e| |A|_F) over the rows e^T A that are
+ * left at step k. It is at most 4 * (pivot of step k) / (first pivot). */
+static double own_part(const moc_plane *plane, int n, double A[][MOC_MAX_JOINTS], int k)
 {
     double most = 0.0, size = 0.0;
     for (int i = 0; i < 6; i++)
-        size += dot(p->n, p->A[i], p->A[i]);
+        size += dot(n, A[i], A[i]);
     for (int i = k; i < 6; i++) {
         double e[6] = {0.0};
         e[i] = 1.0;
         weigh_back(plane, k, e);
-        most = larger(dot(p->n, plane->row[i], plane->row[i]) / (size * dot(6, e, e)), most);
+        most = larger(dot(n, plane->row[i], plane->row[i]) / (size * dot(6, e, e)), most);
     }
     return sqrt(most);
 }
 
-/* Returns the rank of A, or -1 - k if rounding hides whether the rows left at step k are dependent. */
-static inline int eliminate(moc_plane *plane, const moc_problem *p, int m)
+/* Returns the rank of A, or -1 - k if rounding hides whether the rank is k. */
+static inline int eliminate(moc_plane *plane, int n, double A[][MOC_MAX_JOINTS], int m)
 {
     double first = plane->pivot = HUGE_VAL;
-    for (int i = 0; i < 6; i++) {
+    for (int i = 0; i < 6; i++)
         for (int c = 0; c < m; c++)
-            plane->row[i][c] = c < p->n ? p->A[i][c] : 0.0;
-        plane->right[i] = p->b[i];
-    }
+            plane->row[i][c] = c < n ? A[i][c] : 0.0;
     for (int k = 0; k < 6; k++) {
         double largest[MOC_MAX_JOINTS], pivot_row[MOC_MAX_JOINTS], size = 0.0;
         int column = 0, pivot = k;
@@ -72,7 +68,7 @@ static inline int eliminate(moc_plane *plane, const moc_problem *p, int m)
         first = k == 0 ? size : first;
         double tolerance = k < 5 ? RANK_TOLERANCE : TIED;
         if (!(size > LOOK_CLOSER * tolerance * first)) {
-            double own = size > 0.25 * tolerance * first ? own_part(plane, p, k) / tolerance : 0.0;
+            double own = size > 0.25 * tolerance * first ? own_part(plane, n, A, k) / tolerance : 0.0;
             if (!(own > 10.0))
                 return !(own > 1.0) ? k : -1 - k;
         }
@@ -81,56 +77,70 @@ static inline int eliminate(moc_plane *plane, const moc_problem *p, int m)
         plane->pivot = size;
         plane->joint[k] = column;
         plane->from[k] = pivot;
-        double inverse = 1.0 / plane->row[pivot][column], pivot_right = plane->right[pivot] * inverse;
+        double inverse = plane->inverse[k] = 1.0 / plane->row[pivot][column];
         for (int c = 0; c < m; c++) {
             pivot_row[c] = plane->row[pivot][c] * inverse;
             plane->row[pivot][c] = plane->row[k][c];
         }
-        plane->right[pivot] = plane->right[k];
         for (int i = 0; i < 6; i++) {
-            double scale = plane->row[i][column];
-            plane->step[k][i] = -scale * inverse;
-            plane->right[i] -= scale * pivot_right;
+            double scale = plane->scale[k][i] = plane->row[i][column];
             for (int c = 0; c < m; c++)
                 plane->row[i][c] -= scale * pivot_row[c];
         }
-        plane->step[k][k] = inverse;
-        plane->right[k] = pivot_right;
+        plane->scale[k][k] = -1.0;
         memcpy(plane->row[k], pivot_row, (unsigned)m * sizeof *pivot_row);
     }
     return 6;
 }
 
-/* Check x against the rows that elimination dropped. If no x within the bounds can satisfy a violated row, the problem
- * is infeasible. Otherwise rounding hides whether the row is dependent, and the status is MOC_DOUBTFUL. */
-static moc_status check_dropped(const moc_plane *plane, const moc_problem *p, const double *x)
+void moc_eliminate(int n, double A[][MOC_MAX_JOINTS], moc_plane *plane)
+{
+    int found = n <= 8 ? eliminate(plane, n, A, 8) : eliminate(plane, n, A, 16), idle = n;
+    bool taken[MOC_MAX_JOINTS] = {false};
+
+    plane->doubtful = found < 0;
+    plane->rank = found < 0 ? -1 - found : found;
+    plane->freedoms = 0;
+    for (int k = 0; k < plane->rank; k++)
+        taken[plane->joint[k]] = true;
+    for (int j = 0; j < n; j++) {
+        double reach = 0.0;
+        if (taken[j])
+            continue;
+        for (int i = 0; i < plane->rank; i++)
+            reach = larger(fabs(plane->row[i][j]), reach);
+        plane->joint[reach > IDLE ? plane->rank + plane->freedoms++ : --idle] = j;
+    }
+}
+
+/* Eliminate b. */
+static void carry_over(const moc_plane *plane, const double b[6], double right[6])
+{
+    memcpy(right, b, 6 * sizeof *right);
+    for (int k = 0; k < plane->rank; k++) {
+        double own = right[plane->from[k]] * plane->inverse[k];
+        right[plane->from[k]] = right[k];
+        right[k] = 0.0;
+        for (int i = 0; i < 6; i++)
+            right[i] -= plane->scale[k][i] * own;
+    }
+}
+
+/* Check x against the rows that elimination dropped. */
+static moc_status check_dropped(const moc_plane *plane, const moc_problem *p, const double right[6], const double *x)
 {
     moc_status status = MOC_OK;
     for (int i = plane->rank; i < 6; i++) {
-        double reach = LEFT, right = plane->right[i];
-        if (fabs(dot(p->n, plane->row[i], x) - right) <= LEFT)
+        double reach = LEFT;
+        if (fabs(dot(p->n, plane->row[i], x) - right[i]) <= LEFT)
             continue;
         for (int j = 0; j < p->n; j++)
             reach += fabs(plane->row[i][j]) * larger(fabs(p->lower[j]), fabs(p->upper[j]));
-        if (fabs(right) > reach)
+        if (fabs(right[i]) > reach)
             return MOC_INFEASIBLE;
         status = MOC_DOUBTFUL;
     }
     return status;
-}
-
-bool moc_eliminate(moc_plane *plane, const moc_problem *p)
-{
-    int found = p->n <= 8 ? eliminate(plane, p, 8) : eliminate(plane, p, 16), next;
-    bool taken[MOC_MAX_JOINTS] = {false};
-
-    next = plane->rank = found < 0 ? -1 - found : found;
-    for (int k = 0; k < plane->rank; k++)
-        taken[plane->joint[k]] = true;
-    for (int j = 0; j < p->n; j++)
-        if (!taken[j])
-            plane->joint[next++] = j;
-    return found >= 0;
 }
 
 void moc_direction(const moc_plane *plane, int n, int k, double *z)
@@ -143,16 +153,15 @@ void moc_direction(const moc_plane *plane, int n, int k, double *z)
     z[free] = 1.0;
 }
 
-/* The optimal speed of an idle joint, which moves neither tip nor wrist. */
 static double idle_speed(const moc_problem *p, int j)
 {
-    /* an entry of pull at the level of rounding must not send an idle joint to its bound */
+    /* rounding in pull must not send an idle joint to its bound */
     bool faint = fabs(p->pull[j]) <= ROUNDING * largest_of(p->n, p->pull);
     double pull = faint ? 0.0 : p->c2 * p->pull[j];
     return clip(pull == 0.0 ? 0.0 : pull / p->rho, p->lower[j], p->upper[j]); /* rho = 0: at a bound */
 }
 
-/* The interval of s in which x + s z violates no bound by more than the slack, and the joints that limit it. */
+/* The interval of s in which x + s z is within the bounds, and the joints that limit it. */
 typedef struct {
     double low, high;
     int joint[2];
@@ -173,7 +182,7 @@ static inline segment ratio_test(const moc_problem *p, const double *x, const do
     return s;
 }
 
-/* Solve for a single free joint: move x to the best point x + s z within the bounds. */
+/* Move x to the best x + s z within the bounds. */
 static void solve_one(const moc_plane *plane, const moc_problem *p, double tolerance, double *x, double *force)
 {
     double z[MOC_MAX_JOINTS], zz = 0.0, zx = 0.0, zg = 0.0, slope = 0.0;
@@ -187,9 +196,9 @@ static void solve_one(const moc_plane *plane, const moc_problem *p, double toler
     }
     double still = STILL * sqrt(zz);
     segment s = ratio_test(p, x, z, still, 0.0);
-    /* Rounding may make an interval of one point empty. If the interval stays empty, `finish` reports the violation. */
+    /* rounding may make an interval of one point empty */
     for (double slack = 1e-17; s.low > s.high && slack < tolerance;) {
-        slack = fmin(100.0 * slack, tolerance);
+        slack = smaller(100.0 * slack, tolerance);
         s = ratio_test(p, x, z, still, slack);
     }
     double best = (p->c2 * zg - p->rho * zx) / (p->rho * zz); /* infinite if rho = 0 */
@@ -222,10 +231,10 @@ static double finish(const moc_plane *plane, const moc_problem *p, const double 
     return beyond;
 }
 
-/* Whether the optimality condition A^T y = force holds for the joints that move tip or wrist. */
+/* Whether A^T y = force holds for the joints that move tip or wrist. */
 static bool balanced(const moc_plane *plane, const moc_problem *p, const double *force, const double y[6])
 {
-    double most = UNBALANCED * fmax(p->c2 * largest_of(p->n, p->pull), p->rho), gap = 0.0;
+    double most = UNBALANCED * larger(p->c2 * largest_of(p->n, p->pull), p->rho), gap = 0.0;
     for (int k = 0; k < plane->rank + plane->freedoms && fabs(gap) <= most; k++) {
         gap = force[plane->joint[k]];
         for (int i = 0; i < 6; i++)
@@ -234,28 +243,17 @@ static bool balanced(const moc_plane *plane, const moc_problem *p, const double 
     return fabs(gap) <= most;
 }
 
-/* Solve with a given tolerance for violations of the bounds. */
-static moc_status solve(moc_plane *plane, const moc_problem *p, double tolerance, double *x, double y[6])
+static moc_status solve(const moc_plane *plane, const moc_problem *p, double tolerance, double *x, double y[6])
 {
-    double point[MOC_MAX_JOINTS], force[MOC_MAX_JOINTS];
+    double point[MOC_MAX_JOINTS], force[MOC_MAX_JOINTS] = {0.0}, right[6];
     moc_status status = MOC_OK;
 
-    plane->freedoms = 0;
-    if (!moc_eliminate(plane, p))
+    if (plane->doubtful)
         return MOC_DOUBTFUL;
+    carry_over(plane, p->b, right);
     for (int k = 0; k < p->n; k++) { /* a particular solution */
-        point[plane->joint[k]] = k < plane->rank ? plane->right[k] : 0.0;
-        force[k] = 0.0;
-    }
-    for (int k = plane->rank; k < p->n; k++) {
         int j = plane->joint[k];
-        double reach = 0.0;
-        for (int i = 0; i < plane->rank; i++)
-            reach = larger(fabs(plane->row[i][j]), reach);
-        if (reach > IDLE)
-            plane->joint[plane->rank + plane->freedoms++] = j;
-        else
-            point[j] = idle_speed(p, j);
+        point[j] = k < plane->rank ? right[k] : k < plane->rank + plane->freedoms ? 0.0 : idle_speed(p, j);
     }
     if (plane->freedoms == 1)
         solve_one(plane, p, tolerance, point, force);
@@ -264,14 +262,13 @@ static moc_status solve(moc_plane *plane, const moc_problem *p, double tolerance
     double beyond = finish(plane, p, point, force, x, y);
     if (status == MOC_OK && beyond <= tolerance && (plane->freedoms > 1 || plane->pivot < SOUND) &&
         !(off_plane(p, x) <= LEFT && balanced(plane, p, force, y)))
-        status = MOC_DOUBTFUL; /* for example, because columns are parallel except for rounding */
+        status = MOC_DOUBTFUL;
     if (status != MOC_OK)
         return status;
-    return beyond > tolerance ? MOC_INFEASIBLE : check_dropped(plane, p, x);
+    return beyond > tolerance ? MOC_INFEASIBLE : check_dropped(plane, p, right, x);
 }
 
-/* Largest bound violation that rounding in A x = b can cause [rad/s]: the rounding error of the largest |A| |x|,
- * divided by the last pivot. */
+/* Largest bound violation from rounding [rad/s]: the rounding error of |A| |x|, divided by the last pivot. */
 static double explained_by_rounding(const moc_plane *plane, const moc_problem *p)
 {
     double sum[6] = {0.0};
@@ -281,17 +278,23 @@ static double explained_by_rounding(const moc_plane *plane, const moc_problem *p
     return larger(GROWTH * largest_of(6, sum) / plane->pivot, plane->freedoms > 1 ? SLIVER : 0.0);
 }
 
+moc_status moc_solve_eliminated(const moc_plane *plane, const moc_problem *p, double tolerance, double *x, double y[6])
+{
+    moc_status status = solve(plane, p, tolerance, x, y);
+
+    /* If rounding may have decided the status, solve again with a larger tolerance. */
+    double explained = status == MOC_OK ? 0.0 : explained_by_rounding(plane, p);
+    if (explained <= tolerance)
+        return status;
+    double unclear = smaller((plane->freedoms > 1 ? 1e5 : 100.0) * explained, UNCLEAR); /* 1e5 for parallel columns */
+    if (solve(plane, p, smaller(100.0 * explained, WIDEST), x, y) == MOC_OK && off_plane(p, x) <= LEFT)
+        return MOC_OK;
+    return solve(plane, p, unclear, x, y) == MOC_INFEASIBLE ? status : MOC_DOUBTFUL;
+}
+
 moc_status moc_solve_exact(const moc_problem *p, double tolerance, double *x, double y[6])
 {
     moc_plane plane;
-    moc_status status = solve(&plane, p, tolerance, x, y);
-
-    /* If rounding may have decided this status, solve again with a tolerance that exceeds the effect of rounding. */
-    double explained = status == MOC_OK ? 0.0 : explained_by_rounding(&plane, p);
-    if (explained <= tolerance)
-        return status;
-    double unclear = fmin((plane.freedoms > 1 ? 1e5 : 100.0) * explained, UNCLEAR); /* 1e5: columns may be parallel */
-    if (solve(&plane, p, fmin(100.0 * explained, WIDEST), x, y) == MOC_OK && off_plane(p, x) <= LEFT)
-        return MOC_OK;
-    return solve(&plane, p, unclear, x, y) == MOC_INFEASIBLE ? status : MOC_DOUBTFUL;
+    moc_eliminate(p->n, ((moc_problem *)p)->A, &plane); /* only read */
+    return moc_solve_eliminated(&plane, p, tolerance, x, y);
 }

@@ -1,16 +1,15 @@
-/* The three levels of the law (Su et al. 2019, in the consistent form of docs/method.md), and the subproblem.
+/* The law (Su et al. 2019, in the form of docs/method.md) and the subproblem.
  *
  *   tau = h + J_T^T F_T + (I - J_T^T Jbar_T^T) J_W^T F_W + tau_ff - r + share M Z^T (Z M Z^T)^-1 Z tau_0,
- *   tau_0 = K_N2 (x - v) - D_N2 v. tau_ff is the feed-forward, r the observer's estimate. share rises from 0 to 1. */
+ *   tau_0 = K_N2 (x - v) - D_N2 v, feed-forward tau_ff, observer's estimate r, share rising from 0 to 1. */
 #include "vec.h"
 
-#define STRAIGHT 1e-3  /* smallest sqrt(smaller / larger mobility of the wrist) for feed-forward in both directions */
+#define STRAIGHT 1e-3  /* smallest sqrt(smaller / larger wrist mobility) for feed-forward in both directions */
 
 #define SHAFT_PULL 0.1 /* weight of log mu_shaft relative to mu [m^3] */
-#define SHAFT_LOST 0.1 /* if mu_shaft / shaft_margin is smaller, moc_shaft_push falls with mu_shaft, down to zero */
+#define SHAFT_LOST 0.1 /* mu_shaft / shaft_margin below which moc_shaft_push falls to zero */
 #define BOX_OPENS 3.0  /* the bounds are widest for mu_shaft <= (1 - 1/BOX_OPENS) shaft_margin */
 
-/* The line from the tip to the trocar and its motion. */
 typedef struct {
     double distance; /* |P_t - X| [m] */
     double e[3];     /* (P_t - X) / |P_t - X| */
@@ -42,7 +41,7 @@ void moc_desired_wrist(const double X[3], const double dX[3], const moc_trocar *
     }
 }
 
-/* tau += scale J^T F for J (3,n). */
+/* tau += scale J^T F */
 static void add_force(int n, double J[][MOC_MAX_JOINTS], double scale, const double F[3], double *tau)
 {
     for (int j = 0; j < n; j++)
@@ -67,38 +66,42 @@ static void desired_wrist_acceleration(const line *s, double span, const double 
         out[i] = ddX_d[i] + span * ((bend[i] - along * s->e[i]) / s->distance - square * s->e[i]);
 }
 
-/* Add level 2 in its dynamic form, and the feed-forward of the desired accelerations of tip and wrist (Khatib 1987,
- * eq. 51, for the tip):
+/* Add level 2 in its dynamic form, and the feed-forward (Khatib 1987, eq. 51, for the tip):
  *
  *   tau += (I - J_T^T Jbar_T^T) tau_W + A5^T (A5 M^-1 A5^T)^-1 a,  Jbar_T = M^-1 J_T^T (J_T M^-1 J_T^T)^-1,
  *   a = [ddX_d - dJ_T v; b^T (ddN_d - dJ_W v)], or 0 without a feed-forward.
  *
- * A5 is J_T over b^T J_W, and the columns of b (3, 2) are two directions perpendicular to the shaft. The code forms
- * six rows, A5 H^-T and (H^-1 tau_W)^T, with M = H H^T (Cholesky). It makes the last three rows orthogonal to the tip's
- * three. No matrix is squared, which keeps twice as many digits at a nearly straight elbow.
- *
- * A straight elbow cannot accelerate the wrist in one direction. The feed-forward leaves this direction out. */
+ * A5 is J_T over b^T J_W. The columns of b (3, 2) are perpendicular to the shaft. With M = H H^T (Cholesky), the last
+ * three of the rows A5 H^-T and (H^-1 tau_W)^T are made orthogonal to the tip's three. A squared matrix would have half
+ * the digits at a nearly straight elbow. A straight elbow cannot accelerate the wrist in one direction. The
+ * feed-forward leaves this direction out. */
 static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *ddX_d, const double *ddN_d,
                         const double *tau_W, double *tau)
 {
     enum { TAU_W = 5 };
     double H[MOC_MAX_JOINTS][MOC_MAX_JOINTS], inverse[MOC_MAX_JOINTS], rows[6][MOC_MAX_JOINTS], b[2][3];
-    double a[6] = {0.0}, c[6]; /* desired accelerations; weights of the rows */
+    double column[MOC_MAX_JOINTS][6], a[6] = {0.0}, c[6]; /* c: weights of the rows */
 
     cholesky(n, t->M, H, inverse);
     across(t->u, b);
     five_rows(n, t->A, b, rows);
     memcpy(rows[TAU_W], tau_W, (unsigned)n * sizeof *tau_W);
-    for (int i = 0; i < n; i++) /* multiply each row by H^-T */
+    for (int i = 0; i < n; i++) { /* multiply the rows by H^-T */
         for (int k = 0; k < 6; k++)
-            rows[k][i] = (rows[k][i] - dot(i, H[i], rows[k])) * inverse[i];
+            column[i][k] = rows[k][i];
+        for (int j = 0; j < i; j++)
+            for (int k = 0; k < 6; k++)
+                column[i][k] -= H[i][j] * column[j][k];
+        for (int k = 0; k < 6; k++)
+            rows[k][i] = column[i][k] *= inverse[i];
+    }
     for (int i = 0; i < 3 && law->feedforward; i++) {
         double gap = ddN_d[i] - t->drift[3 + i];
         a[i] = ddX_d[i] - t->drift[i];
         a[3] += b[0][i] * gap;
         a[4] += b[1][i] * gap;
     }
-    for (int i = 0; i < 6; i++) { /* make the tip's rows orthonormal, and the others orthogonal to them */
+    for (int i = 0; i < 6; i++) { /* make the tip's rows orthonormal, the others orthogonal to them */
         for (int k = 0; k < i && k < 3; k++) {
             double along = dot(n, rows[k], rows[i]);
             a[i] -= along * c[k];
@@ -112,7 +115,7 @@ static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *d
                 rows[i][j] *= shrink;
         }
     }
-    /* A Jacobi rotation (Golub and Van Loan, 8.5.2), without its cosine, makes the wrist's two rows orthogonal. */
+    /* a Jacobi rotation (Golub and Van Loan, 8.5.2) makes the wrist's two rows orthogonal */
     double product = dot(n, rows[3], rows[4]), squares = dot(n, rows[3], rows[3]) - dot(n, rows[4], rows[4]);
     double size = fabs(squares) + sqrt(squares * squares + 4.0 * product * product);
     double tangent = size > 0.0 ? copysign(2.0, squares) * product / size : 0.0, third = a[3];
@@ -124,11 +127,11 @@ static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *d
         rows[4][j] -= tangent * third;
     }
     double one = dot(n, rows[3], rows[3]), other = dot(n, rows[4], rows[4]);
-    double least = STRAIGHT * STRAIGHT * fmax(one, other);
+    double least = STRAIGHT * STRAIGHT * larger(one, other);
     c[3] = one > least ? a[3] / one : 0.0;
     c[4] = other > least ? a[4] / other : 0.0;
     c[TAU_W] = law->projector == MOC_DYNAMIC;
-    for (int k = 0; k < n; k++) { /* H times the sum of the rows */
+    for (int k = 0; k < n; k++) {
         double sum = 0.0;
         for (int i = 0; i < 6; i++)
             sum += c[i] * rows[i][k];
@@ -137,8 +140,7 @@ static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *d
     }
 }
 
-/* tau += (I - J^T G) tau_W. With MOC_STATIC, G is pinv(J)^T, and tau_W causes no tip force if the arm rests. With
- * MOC_AS_PUBLISHED, G is J. This projector is not idempotent, and its units are inconsistent. */
+/* tau += (I - J^T G) tau_W. With MOC_STATIC, G is pinv(J)^T. With MOC_AS_PUBLISHED, G is J (not idempotent). */
 static void add_at_rest(moc_projector projector, int n, double J[][MOC_MAX_JOINTS], const double *tau_W, double *tau)
 {
     double at_tip[3], gram[3][MOC_MAX_JOINTS], factor[3][MOC_MAX_JOINTS], diagonal[3];
@@ -158,7 +160,7 @@ static void add_at_rest(moc_projector projector, int n, double J[][MOC_MAX_JOINT
 void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, const moc_reference *ref,
                          const moc_trocar *trocar, double *tau)
 {
-    moc_terms *t = (moc_terms *)terms; /* only read: C cannot convert a matrix to const */
+    moc_terms *t = (moc_terms *)terms; /* only read */
     double(*J_T)[MOC_MAX_JOINTS] = t->A, (*J_W)[MOC_MAX_JOINTS] = t->A + 3;
     double dX[3], dN[3], F[3], ddN_d[3], tau_W[MOC_MAX_JOINTS] = {0.0}, share = 1.0;
 
@@ -171,12 +173,11 @@ void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, cons
     memcpy(tau, t->h, (unsigned)n * sizeof *tau);
     add_force(n, J_T, 1.0, F, tau);
 
-    /* RCM: F_W = K_N (N_d - N) + D_N (dN_d - dN), N_d = X + L e. Let theta be the angle between e and -u. Then
-     * |N_d - N| = 2 L sin(theta/2) and the RCM error is d = |P_t - X| sin(theta), so that lambda = d / |N_d - N| is
-     * |P_t - X| / L cos(theta/2). Su et al. use a constant lambda, which scales only the spring force. */
+    /* RCM: F_W = K_N (N_d - N) + D_N (dN_d - dN), N_d = X + L e. With the angle theta between e and -u,
+     * lambda = (RCM error) / |N_d - N| = |P_t - X| / L cos(theta/2). Su et al. use a constant lambda for the spring. */
     line s = shaft_line(t->tip, dX, trocar);
     if (law->rcm_lambda > 0.0)
-        share = s.distance / t->span * sqrt(fmax(0.0, 0.5 * (1.0 - dot3(s.e, t->u)))) / law->rcm_lambda;
+        share = s.distance / t->span * sqrt(larger(0.5 * (1.0 - dot3(s.e, t->u)), 0.0)) / law->rcm_lambda;
     for (int i = 0; i < 3; i++)
         F[i] = law->K_N * share * (t->tip[i] + t->span * s.e[i] - t->wrist[i]) +
                law->D_N * (dX[i] + t->span * s.turn[i] - dN[i]);
@@ -189,8 +190,7 @@ void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, cons
         add_at_rest(law->projector, n, J_T, tau_W, tau);
 }
 
-/* With m = mu_shaft, the push is SHAFT_PULL (1 - m/margin) m / (m^2 + lost^2) [m] below the margin, and zero above.
- * It starts smoothly at the margin, and its product with grad mu_shaft has no kink at m = 0. */
+/* With m = mu_shaft, the push is SHAFT_PULL (1 - m/margin) m / (m^2 + lost^2) [m] below the margin, and zero above. */
 double moc_shaft_push(double mu_shaft, double margin)
 {
     double lost = SHAFT_LOST * margin;
@@ -202,9 +202,9 @@ void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_r
                       const moc_trocar *trocar, const double *x_d, moc_problem *p)
 {
     double N_d[3], gap = 0.0, push = moc_shaft_push(t->mu_shaft, law->shaft_margin);
-    /* Near a pose in which the shaft cannot move in one direction, joints have to turn fast. The bounds widen there. */
-    double nearness = fmax(0.0, BOX_OPENS * (1.0 - t->mu_shaft / law->shaft_margin));
-    double wider = 1.0 + law->spare_speed * fmin(1.0, nearness);
+    /* near a singularity of the shaft, the bounds widen */
+    double nearness = larger(BOX_OPENS * (1.0 - t->mu_shaft / law->shaft_margin), 0.0);
+    double wider = 1.0 + law->spare_speed * smaller(nearness, 1.0);
 
     p->n = n;
     memcpy(p->A, t->A, sizeof p->A);
@@ -214,15 +214,15 @@ void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_r
         p->b[i] = ref->dX[i];
         gap += t->u[i] * (p->b[i] - p->b[3 + i]);
     }
-    for (int i = 0; i < 3; i++) /* make u^T (v_T - v_W) = 0: a rigid tool cannot change its length */
+    for (int i = 0; i < 3; i++) /* u^T (v_T - v_W) = 0: the tool is rigid */
         p->b[3 + i] += gap * t->u[i];
     for (int j = 0; j < n; j++) {
         double v_max = law->v_max[j] * wider;
         p->grad_mu[j] = t->grad_mu[j];
         p->pull[j] = x_d ? law->rho / law->c2 * x_d[j] : t->grad_mu[j] + push * t->grad_mu_shaft[j];
-        /* Velocity damper: a joint beyond its limit may only move back. lower <= upper always holds. */
-        p->lower[j] = fmin(fmax(-v_max, -law->k0 * (t->q[j] - law->q_min[j])), v_max);
-        p->upper[j] = fmax(fmin(v_max, -law->k0 * (t->q[j] - law->q_max[j])), -v_max);
+        /* velocity damper; lower <= upper also beyond a limit */
+        p->lower[j] = smaller(larger(-law->k0 * (t->q[j] - law->q_min[j]), -v_max), v_max);
+        p->upper[j] = larger(smaller(-law->k0 * (t->q[j] - law->q_max[j]), v_max), -v_max);
     }
     p->c0 = law->c0;
     p->c1 = law->c1;
@@ -253,7 +253,7 @@ void moc_add_third_level(const moc_law *law, int n, const moc_terms *terms, cons
     for (int j = 0; j < n; j++) {
         for (int i = 0; i < r; i++)
             tau[j] += MZ[i][j] * along[i];
-        tau[j] = clip(tau[j], -law->tau_max[j], law->tau_max[j]); /* NaN stays NaN, and the safety filter reports it */
+        tau[j] = clip(tau[j], -law->tau_max[j], law->tau_max[j]); /* NaN stays NaN for the safety filter */
     }
 }
 

@@ -1,19 +1,20 @@
-/* Manipulability of the tip (Yoshikawa 1985), and of the shaft while the tip is held, each with its gradient. */
+/* Manipulability of the tip (Yoshikawa 1985) and of the shaft, and their gradients. */
 #include "vec.h"
 
-/* mu is only rounding error if det(S) / (mean of S_ii)^3 is smaller than this, where S = J J^T. */
+/* mu counts as zero below this det(S) / (mean of S_ii)^3, S = J J^T */
 #define SINGULAR 1e-14
 
-/* Compute (J J^T)^-1 det(J J^T). Returns the determinant. *regular is 0 if the determinant is only rounding error. */
-static double gram_adjugate(int n, double J[][MOC_MAX_JOINTS], double adj[3][3], int *regular)
+moc_gram moc_gram_of(int n, double J[][MOC_MAX_JOINTS])
 {
     double S[3][3];
+    moc_gram gram;
     for (int i = 0; i < 3; i++)
         for (int k = 0; k <= i; k++)
             S[i][k] = S[k][i] = dot(n, J[i], J[k]);
-    double det = adjugate3(S, adj), mean = (S[0][0] + S[1][1] + S[2][2]) / 3.0;
-    *regular = det > SINGULAR * mean * mean * mean;
-    return det;
+    gram.det = adjugate3(S, gram.adj);
+    double mean = (S[0][0] + S[1][1] + S[2][2]) / 3.0;
+    gram.regular = gram.det > SINGULAR * mean * mean * mean;
+    return gram;
 }
 
 static void column(double J[][MOC_MAX_JOINTS], int k, double out[3])
@@ -25,22 +26,19 @@ static void column(double J[][MOC_MAX_JOINTS], int k, double out[3])
 /* mu = sqrt(det(J J^T)); dmu/dq_k = mu trace(dJ/dq_k pinv(J)).
  *
  * In a serial chain, dJ_j/dq_k = ang_min(j,k) x J_max(j,k). With the pseudo-inverse's columns P_j = (J J^T)^-1 J_j,
- * dmu/dq_k = mu (ang_k . sum_{j>=k} J_j x P_j + J_k . sum_{j<k} P_j x ang_j).
- * At a singularity mu has no gradient. The gradient is then set to zero. */
-double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOINTS], double *gradient)
+ * dmu/dq_k = mu (ang_k . sum_{j>=k} J_j x P_j + J_k . sum_{j<k} P_j x ang_j). It is set to zero at a singularity. */
+double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOINTS], moc_gram *gram, double *gradient)
 {
-    double adj[3][3], P[MOC_MAX_JOINTS][3], Jk[3], sum[3] = {0.0, 0.0, 0.0};
-    int regular;
-    double mu = sqrt(fmax(gram_adjugate(n, J, adj, &regular), 0.0));
+    double P[MOC_MAX_JOINTS][3], Jk[3], sum[3] = {0.0, 0.0, 0.0}, mu = sqrt(larger(gram->det, 0.0));
 
     if (gradient == NULL)
         return mu;
     memset(gradient, 0, (unsigned)n * sizeof *gradient);
-    if (!regular)
+    if (!gram->regular)
         return mu;
-    for (int k = 0; k < n; k++) { /* adj is the inverse times mu^2; the second loop divides by mu */
+    for (int k = 0; k < n; k++) { /* adj = mu^2 (J J^T)^-1 */
         column(J, k, Jk);
-        times3(adj, Jk, P[k]);
+        times3(gram->adj, Jk, P[k]);
         gradient[k] = dot3(Jk, sum);
         add_cross(1.0, P[k], twist[k].ang, sum);
     }
@@ -55,52 +53,48 @@ double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOIN
 
 /* mu_s = sqrt(pdet(C)), C = J_W (I - pinv(J_T) J_T) J_W^T, the mobility of the wrist while the tip is held.
  *
- * C is zero along the shaft u, and pdet(C) is the product of its other two eigenvalues. If mu_s is zero, a rotation of
- * the shaft needs infinite joint speed.
- *
- * The gradient is taken in the tool's axes, which joint k turns with ang_k. In these axes, dJ_j/dq_k is
- * ang_j x J_k - ang_k x J_j for k > j, and zero else. With N = I - pinv(J_T) J_T and K = J_W pinv(J_T), let P_j be
- * C^+ (J_W N)_j for the wrist's columns and -K^T C^+ (J_W N)_j for the tip's. Then
+ * pdet(C) is the product of the two eigenvalues of C across the shaft u. Along u, C is zero. In the tool's axes, which
+ * joint k turns with ang_k, dJ_j/dq_k is ang_j x J_k - ang_k x J_j for k > j, and zero else. With
+ * N = I - pinv(J_T) J_T and K = J_W pinv(J_T), let P_j be C^+ (J_W N)_j for the wrist's columns and
+ * -K^T C^+ (J_W N)_j for the tip's. Then
  * dmu_s/dq_k = mu_s sum_{wrist, tip} (J_k . sum_{j<k} P_j x ang_j - ang_k . sum_{j<k} J_j x P_j).
- * The gradient is set to zero where mu or mu_s has a kink. */
-double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], const double u[3],
-                                double *gradient)
+ * It is set to zero at a singularity. */
+double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], moc_gram *gram,
+                                const double u[3], double *gradient)
 {
     double(*T)[MOC_MAX_JOINTS] = A, (*W)[MOC_MAX_JOINTS] = A + 3;
-    double adj[3][3], mixed[3], K[3][3], C[3][3];
-    int regular;
-    double det = gram_adjugate(n, T, adj, &regular);
+    double adj[3][3], mixed[3], K[3][3], C[3][3], inverse = 1.0 / gram->det;
 
     memset(gradient, 0, (unsigned)n * sizeof *gradient);
-    if (!regular)
+    if (!gram->regular)
         return 0.0;
     for (int a = 0; a < 3; a++) {
         for (int b = 0; b < 3; b++)
-            mixed[b] = dot(n, W[a], T[b]) / det;
-        times3(adj, mixed, K[a]);
+            mixed[b] = dot(n, W[a], T[b]) * inverse;
+        times3(gram->adj, mixed, K[a]);
         for (int b = 0; b <= a; b++)
-            C[a][b] = C[b][a] = dot(n, W[a], W[b]) - det * dot3(K[b], mixed);
+            C[a][b] = C[b][a] = dot(n, W[a], W[b]) - gram->det * dot3(K[b], mixed);
     }
 
-    /* C has rank two. The product of its two eigenvalues is the sum of its principal 2x2 minors. */
+    /* C has rank two, so that pdet(C) is the sum of the principal 2x2 minors */
     double minors = 0.0, trace = C[0][0] + C[1][1] + C[2][2];
     for (int a = 0, b = 1; a < 3; a++, b = (b + 1) % 3)
         minors += C[a][a] * C[b][b] - C[a][b] * C[b][a];
-    double mu = sqrt(fmax(minors, 0.0));
+    double mu = sqrt(larger(minors, 0.0));
     if (!(minors > SINGULAR * trace * trace))
         return mu;
-    for (int a = 0; a < 3; a++) /* an added eigenvalue along u makes C invertible */
+    for (int a = 0; a < 3; a++) /* make C invertible */
         for (int b = 0; b < 3; b++)
             C[a][b] += trace * u[a] * u[b];
     double shrink = mu / adjugate3(C, adj);
 
-    double turns[2][3] = {{0.0}}, pulls[2][3] = {{0.0}}; /* sums over j < k of J_j x P_j and P_j x ang_j */
+    double turns[2][3] = {{0.0}}, pulls[2][3] = {{0.0}}; /* sums over j < k */
     for (int k = 0; k < n; k++) {
         double Jk[2][3], P[2][3], moved[3];
         column(T, k, Jk[MOC_TIP]);
         column(W, k, Jk[MOC_WRIST]);
         for (int a = 0; a < 3; a++)
-            moved[a] = shrink * (Jk[MOC_WRIST][a] - dot3(K[a], Jk[MOC_TIP])); /* column k of J_W N, times mu / det(C) */
+            moved[a] = shrink * (Jk[MOC_WRIST][a] - dot3(K[a], Jk[MOC_TIP]));
         times3(adj, moved, P[MOC_WRIST]);
         for (int a = 0; a < 3; a++)
             P[MOC_TIP][a] = -(K[0][a] * P[MOC_WRIST][0] + K[1][a] * P[MOC_WRIST][1] + K[2][a] * P[MOC_WRIST][2]);

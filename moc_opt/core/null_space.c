@@ -1,13 +1,13 @@
-/* A basis Z of ker A that changes smoothly with the pose, and the climb of mu in ker A. */
+/* A smooth basis Z of ker A, and the climb of mu in ker A. */
 #include "vec.h"
 
-#define RATE 5.0     /* x_d of the scaled climb, divided by the Newton step to the local maximum of mu [1/s] */
-#define LONGEST 1.0  /* length of the longest Newton step of the scaled climb [rad] */
-#define PROBE 1e-3   /* joint-space step of the finite difference of the slope of mu [rad] */
+#define RATE 5.0     /* x_d / (Newton step to the maximum of mu) [1/s] */
+#define LONGEST 1.0  /* longest Newton step [rad] */
+#define PROBE 1e-3   /* step of the finite difference [rad] */
 
 bool moc_orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least)
 {
-    for (int twice = 0; twice < 2; twice++) { /* the second pass removes the rounding of the first */
+    for (int twice = 0; twice < 2; twice++) { /* twice because of rounding */
         for (int i = 0; i < k; i++) {
             double along = dot(n, Z[i], Z[k]);
             for (int j = 0; j < n; j++)
@@ -33,18 +33,14 @@ void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, doub
     memcpy(part, sum, (unsigned)n * sizeof *part);
 }
 
-/* If possible, the previous basis is projected on the new kernel, so that it does not rotate within the kernel. */
-int moc_null_space(int n, double A[][MOC_MAX_JOINTS], int rows, double Z[][MOC_MAX_JOINTS])
+/* If possible, the previous basis is projected on the new kernel. */
+int moc_null_space(const moc_plane *plane, int n, int rows, double Z[][MOC_MAX_JOINTS])
 {
     double fresh[MOC_MAX_JOINTS][MOC_MAX_JOINTS], turned[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
-    moc_problem problem = {.n = n};
-    moc_plane plane;
+    int found = n - plane->rank, alike = found == rows;
 
-    memcpy(problem.A, A, sizeof problem.A);
-    moc_eliminate(&plane, &problem); /* if the rank is in doubt, plane.rank is the lower of two ranks */
-    int found = n - plane.rank, alike = found == rows;
     for (int i = 0; i < found; i++) {
-        moc_direction(&plane, n, i, fresh[i]);
+        moc_direction(plane, n, i, fresh[i]);
         moc_orthonormalise(n, fresh, i, 0.0);
     }
     for (int i = 0; i < found && alike; i++) {
@@ -55,7 +51,6 @@ int moc_null_space(int n, double A[][MOC_MAX_JOINTS], int rows, double Z[][MOC_M
     return found;
 }
 
-/* The gradient that the climb follows: grad mu + push grad mu_shaft, projected on ker A. */
 static void slope_of(int n, const moc_law *law, const moc_terms *t, int rows, double Z[][MOC_MAX_JOINTS], double *slope)
 {
     double push = moc_shaft_push(t->mu_shaft, law->shaft_margin);
@@ -65,7 +60,7 @@ static void slope_of(int n, const moc_law *law, const moc_terms *t, int rows, do
 }
 
 /* x_d = RATE z |d| / max(-h, |d| / LONGEST) with d = (I - A^+ A)(grad mu + push grad mu_shaft), z = d / |d|, and h the
- * slope of |d| along z. The unscaled climb, c2/rho d, is slow where mu is flat, and stiff at a sharp maximum. */
+ * slope of |d| along z. */
 void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_memory *memory, double *x_d)
 {
     double slope[MOC_MAX_JOINTS] = {0.0}, there[MOC_MAX_JOINTS] = {0.0};
@@ -73,6 +68,7 @@ void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_m
     moc_frame frame[MOC_MAX_JOINTS];
     moc_twist twist[MOC_MAX_JOINTS];
     moc_terms ahead;
+    moc_plane plane;
     int n = arm->n;
 
     memset(x_d, 0, (unsigned)n * sizeof *x_d);
@@ -83,7 +79,8 @@ void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_m
     for (int j = 0; j < n; j++)
         q[j] = t->q[j] + PROBE * (slope[j] / steepness);
     moc_kinematics(arm, q, frame, twist, &ahead);
-    slope_of(n, law, &ahead, moc_null_space(n, ahead.A, 0, Z), Z, there);
+    moc_eliminate(n, ahead.A, &plane);
+    slope_of(n, law, &ahead, moc_null_space(&plane, n, 0, Z), Z, there);
     double bend = (dot(n, there, slope) / steepness - steepness) / PROBE;
     double step = steepness / fmax(-bend, steepness / LONGEST);
     for (int j = 0; j < n && all_finite(1, &step); j++)

@@ -1,8 +1,8 @@
-/* Planning: poses with tip and wrist at given points, curves of self-motion, climbs of mu, dynamic programming. */
+/* Planning: inverse kinematics, curves of self-motion, climbs of mu, dynamic programming. */
 #include "tools.h"
 #include "vec.h"
 
-#define TOLERANCE 1e-10 /* largest position error of tip and wrist in a pose that counts as found [m] */
+#define TOLERANCE 1e-10 /* largest position error of tip and wrist [m] */
 #define PI 3.14159265358979323846
 
 /* Compute the position error (6,) of tip and wrist, A (6,n) and, if grad is not NULL, grad mu (n,). Returns mu. */
@@ -19,7 +19,8 @@ static double look(const plan_task *task, const double *q, double error[6], doub
         for (int i = 0; i < 3; i++)
             error[3 * p + i] = task->target[p][i] - point[i];
     }
-    return moc_manipulability(n, twist, A, grad);
+    moc_gram gram = moc_gram_of(n, A);
+    return moc_manipulability(n, twist, A, &gram, grad);
 }
 
 static double distance(int n, const double *p, const double *q)
@@ -32,14 +33,12 @@ static double distance(int n, const double *p, const double *q)
 
 /* --- one pose --- */
 
-#define LONGEST 0.25    /* longest step in joint space, short enough for a linearization [rad] */
-#define AT_REST 1e-9    /* largest entry of the unit tangent with which a joint counts as not moving */
-#define DAMPING 4e-12   /* added to the diagonal of A A^T [m^2], because A has only rank 5 (tip and wrist are tied) */
+#define LONGEST 0.25    /* longest step in joint space [rad] */
+#define AT_REST 1e-9    /* largest entry of the unit tangent for a joint at rest */
+#define DAMPING 4e-12   /* added to the diagonal of A A^T [m^2], because A has only rank 5 */
 
-/* Compute the step (n,) nearest to `desired` that satisfies the first `rows` rows of A step = error.
- *
- * No joint within `near` of a limit moves towards this limit. An active-set method holds joints at their limits, and
- * releases a held joint if its multiplier points inwards. */
+/* Compute the step (n,) nearest to `desired` with A step = error (`rows` rows) by an active-set method. No joint moves
+ * towards a limit that is nearer than `near`. */
 static void allowed_step(const plan_task *task, int rows, const double *q, double A[6][MOC_MAX_JOINTS],
                          const double *error, const double *desired, double damping, double near, double *step)
 {
@@ -86,8 +85,7 @@ static void allowed_step(const plan_task *task, int rows, const double *q, doubl
     }
 }
 
-/* Gauss-Newton with a damping proportional to the squared error (Sugihara, IEEE Trans. Robotics 27, 2011). Far from
- * the target the steps are short. Near the target they are Newton steps. */
+/* Gauss-Newton with a damping proportional to the squared error (Sugihara, IEEE Trans. Robotics 27, 2011). */
 double plan_place(const plan_task *task, int points, int rounds, const double *start, double *best)
 {
     static const double nowhere[MOC_MAX_JOINTS];
@@ -115,9 +113,9 @@ double plan_place(const plan_task *task, int points, int rounds, const double *s
 
 /* --- along a curve --- */
 
-#define STRAIGHT 0.8 /* cosine of the largest angle by which the tangent may turn in a step */
+#define STRAIGHT 0.8 /* cosine of the largest turn of the tangent in a step */
 
-/* The longest step along the tangent, up to h, within the joint limits. *hit is the joint that limits it, or NONE. */
+/* Return the longest step along the tangent, up to h, within the joint limits. *hit is the limiting joint, or NONE. */
 static double room_ahead(const plan_task *task, const double *q, const double *tangent, double h, int *hit)
 {
     *hit = NONE;
@@ -131,26 +129,28 @@ static double room_ahead(const plan_task *task, const double *q, const double *t
     return h;
 }
 
-/* Compute mu at q, and the curve's unit tangent (n,) at q. The tangent is the previous tangent `last` projected on ker
- * A, with zeros for fixed joints. Returns the cosine of the angle between both tangents. */
+/* Compute mu and the curve's unit tangent (n,) at q by projecting the previous tangent `last` on ker A. Returns the
+ * cosine of the angle between both tangents. */
 static double turn_tangent(const plan_task *task, const double *q, const double *last, double *tangent, double *mu)
 {
     double error[6], A[6][MOC_MAX_JOINTS], Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
+    moc_plane plane;
     int n = task->arm->n;
 
     *mu = look(task, q, error, A, NULL);
     for (int j = 0; j < n; j++)
         for (int i = 0; i < 6 && !(task->low[j] < task->high[j]); i++)
             A[i][j] = 0.0;
-    moc_onto(n, moc_null_space(n, A, 0, Z), Z, last, tangent);
+    moc_eliminate(n, A, &plane);
+    moc_onto(n, moc_null_space(&plane, n, 0, Z), Z, last, tangent);
     double length = sqrt(dot(n, tangent, tangent));
     for (int j = 0; j < n; j++)
         tangent[j] /= length;
     return length;
 }
 
-/* Whether the curve closes: its start (n,) lies ahead of q within one step. `pose` is the start, with whole turns
- * added to its joints that bring it nearest to q. *gap is the distance of `pose` from q. */
+/* Whether the curve's start (n,) lies ahead of q within one step. `pose` is the start plus whole turns of joints, and
+ * *gap its distance from q. */
 static bool closes(const plan_task *task, const double *start, const double *q, const double *tangent, double step,
                   double *pose, double *gap)
 {
@@ -166,9 +166,8 @@ static bool closes(const plan_task *task, const double *start, const double *q, 
     return inside && *gap <= 1.01 * step && ahead > 0.0;
 }
 
-/* Compute the next pose (n,) of the curve after q, its mu and its tangent. The step is shorter if the curve turns
- * sharply. *hit is the joint that reaches its limit in the next pose, or NONE. Returns the distance from q, or 0 if
- * the curve is singular. */
+/* Compute the curve's next pose (n,), mu and tangent. *hit is the joint at its limit, or NONE. Returns the distance
+ * from q, or 0 if the curve is singular. */
 static double next_sample(const plan_task *task, const double *q, double step, double *tangent, double *next,
                           double *mu, int *hit)
 {
@@ -183,7 +182,7 @@ static double next_sample(const plan_task *task, const double *q, double step, d
         double ahead = room_ahead(task, q, tangent, step, hit);
         memcpy(low, task->low, bytes);
         memcpy(high, task->high, bytes);
-        if (*hit != NONE) /* fix this joint at its limit, where the curve ends */
+        if (*hit != NONE) /* fix this joint at its limit */
             low[*hit] = high[*hit] = signbit(tangent[*hit]) ? low[*hit] : high[*hit];
         for (int j = 0; j < n; j++)
             next[j] = clip(q[j] + ahead * tangent[j], low[j], high[j]);
@@ -210,12 +209,12 @@ int plan_follow(const plan_task *task, const double *start, const double *tangen
     while (count < most && hit == NONE) {
         double *q = poses + (count - 1) * n, *next = q + n;
         double way = next_sample(task, q, step, tangent, next, mus + count, &hit);
-        if (way < 1e-9) /* singular, or at the limit already */
+        if (way < 1e-9)
             break;
         s[count] = s[count - 1] + way;
         count++;
         if (count < most && closes(task, start, next, tangent, step, closing, &gap)) {
-            count += gap > 0.1 * step; /* else the start is so near that it replaces `next` */
+            count += gap > 0.1 * step; /* a start that is nearer replaces `next` */
             double *end = poses + (count - 1) * n;
             memcpy(end, closing, bytes);
             s[count - 1] = s[count - 2] + distance(n, end, end - n);
@@ -229,7 +228,7 @@ int plan_follow(const plan_task *task, const double *start, const double *tangen
 
 /* --- climbs --- */
 
-#define SHORTEST 1e-6  /* length of a step below which the climb has converged [rad] */
+#define SHORTEST 1e-6  /* shortest step of a climb [rad] */
 
 double plan_ascend(const plan_task *task, double *q)
 {
@@ -239,9 +238,9 @@ double plan_ascend(const plan_task *task, double *q)
 
     if (!(plan_place(task, 2, 40, q, q) < TOLERANCE))
         return -1.0;
-    while (h >= SHORTEST) { /* terminates, because each accepted step raises mu */
+    while (h >= SHORTEST) {
         double mu = look(task, q, error, A, grad);
-        /* a joint within 0.01 h of a limit must not move towards it, because clipping would spoil the step */
+        /* clipping would spoil a step towards a limit within 0.01 h */
         allowed_step(task, 6, q, A, nothing, grad, 0.0, 0.01 * h, way);
         double length = sqrt(dot(n, way, way));
         for (int j = 0; j < n; j++)
@@ -256,15 +255,14 @@ double plan_ascend(const plan_task *task, double *q)
 
 /* --- one step of dynamic programming --- */
 
-/* Return the largest (value - cost of the motion) over the next poses of a branch that are within reach, or `best` if
- * `best` is larger. */
+/* Return the largest (value - cost of the motion) over a branch's next poses within reach, but at least `best`. */
 static double best_in(const plan_stage *t, int pose, int branch, double best)
 {
     const double *q = t->q + pose * t->n, *slack = t->slack + pose * t->n;
     int n = t->n, by = t->sorted, first = branch * t->next, end = first + t->next, beyond = end;
     double way = (t->reach + slack[by]) * (1.0 + 1e-9);
 
-    while (first < beyond) { /* bisection for the first pose within reach */
+    while (first < beyond) { /* bisection */
         int middle = first + (beyond - first) / 2;
         if (t->q_next[middle * n + by] < q[by] - way)
             first = middle + 1;
@@ -289,7 +287,7 @@ void plan_advance(const plan_stage *t, double *value)
     for (int pose = 0; pose < t->branches * t->m; pose++) {
         double best = -HUGE_VAL;
         int bits = (int)t->crossing[pose % t->m], flips = bits + 1;
-        while (flips > 0 && t->gain[pose] > -HUGE_VAL) { /* over all subsets of the bits */
+        while (flips > 0 && t->gain[pose] > -HUGE_VAL) { /* all subsets of the bits */
             flips = (flips - 1) & bits;
             best = best_in(t, pose, pose / t->m ^ flips, best);
         }

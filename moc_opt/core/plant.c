@@ -1,12 +1,11 @@
-/* Functions of the simulated plant between two steps of MuJoCo: sim/plant.py calls shaft_wrench, and sim/sensors.py
- * calls read_encoders. They are not part of the exported controller. */
+/* The simulated trocar (called by sim/plant.py) and encoders (called by sim/sensors.py). */
 #include "python.h"
 #include "vec.h"
 
-/* Compute the wrench of the trocar on the tool in world axes: force, then moment about com. Let c be the point of the
- * shaft nearest to the trocar P, and w the tool's velocity at c. Then
- * force = (I - u u^T)(stiffness (P - c) + damping (dP - w)). The shaft's line runs through tip and wrist. twist is the
- * angular velocity, then the velocity at origin. trocar is P and dP at the start of the period, `elapsed` s ago. */
+/* Compute the wrench of the trocar on the tool in world axes: force, then moment about com. With the shaft's point c
+ * nearest to the trocar P, and the tool's velocity w at c,
+ * force = (I - u u^T)(stiffness (P - c) + damping (dP - w)).
+ * twist is the angular velocity, then the velocity at origin. trocar is P and dP `elapsed` s ago. */
 FUNCTION(shaft_wrench, {"tip", READ, 3}, {"wrist", READ, 3}, {"twist", READ, 6}, {"origin", READ, 3}, {"com", READ, 3},
          {"trocar", READ, 2, 3}, {"elapsed", NUMBER}, {"stiffness", NUMBER}, {"damping", NUMBER}, {"wrench", WRITE, 6})
 {
@@ -39,9 +38,8 @@ FUNCTION(shaft_wrench, {"tip", READ, 3}, {"wrist", READ, 3}, {"twist", READ, 6},
     Py_RETURN_NONE;
 }
 
-/* Compute encoder readings: positions, then velocities. The rows of memory (3, n) are the bias, the previous position
- * and the estimated velocity. gain belongs to the low-pass filter of the velocity. resolution is in rad. With
- * exact = 1, the readings have a bias, but no noise, no quantization and no filter. */
+/* Compute encoder readings: positions, then low-pass filtered velocities. The rows of memory (3, n) are the bias, the
+ * previous position and the estimated velocity. resolution is in rad. With exact = 1, only the bias is added. */
 FUNCTION(read_encoders, {"q", READ, N}, {"v", READ, N}, {"noise", READ, N}, {"memory", WRITE, 3, N},
          {"resolution", NUMBER}, {"period", NUMBER}, {"gain", NUMBER}, {"exact", WHOLE}, {"reading", WRITE, 2, N})
 {

@@ -1,32 +1,29 @@
-/* The optimum if several free joints are left, computed as a projection on the feasible set.
+/* The optimum with several free joints, as a projection on the feasible set.
  *
- * Let Pi be the orthogonal projector on ker A, x_p the shortest solution of A x = b, and s = x - x_p. Among the
- * feasible points, the cost rho/2 |x|^2 - c2 g^T x is smallest at the point nearest to s = c2 Pi g / rho, the
- * unconstrained optimum. The dual active-set method of Goldfarb and Idnani (Math. Programming 27, 1983, algorithm 1)
- * starts at this optimum and adds violated bounds one by one. It needs no feasible start and proves infeasibility.
- *
- * Pi is swept on the joints at active bounds (Goodnight, The American Statistician 33, 1979). When joint p is pushed
- * to its bound, row p of the swept Pi gives the change of the other joints and of the multipliers. If rho is almost
- * zero, a proximal point iteration repeats the projection. It ends for linear programs (Ferris 1991). */
+ * Let Pi be the orthogonal projector on ker A, x_p the shortest solution of A x = b, and s = x - x_p. The optimum of
+ * rho/2 |x|^2 - c2 g^T x is the feasible point nearest to s = c2 Pi g / rho. The dual active-set method of Goldfarb and
+ * Idnani (Math. Programming 27, 1983, algorithm 1) starts at this s and adds violated bounds one by one. Pi is swept on
+ * the joints at active bounds (Goodnight, The American Statistician 33, 1979). If rho is almost zero, a proximal point
+ * iteration repeats the projection (Ferris 1991). */
 #include "vec.h"
 
 #define FAR 1e3          /* proximal steps are used if |c2 Pi g| / rho is at least FAR * (largest upper - lower) */
-#define UNMOVED 1e-20    /* largest Pi_jj with which joint j counts as unable to move in ker A */
-#define DEPENDENT 1e-12  /* the active bounds fix joint j if Pi_jj, divided by Pi_jj before any sweep, is smaller */
+#define UNMOVED 1e-20    /* largest Pi_jj of a joint that cannot move in ker A */
+#define DEPENDENT 1e-12  /* largest (Pi_jj after sweeps) / (before) of a joint that the active bounds fix */
 
 typedef struct {
-    int n, r;                                  /* number of joints, dimension of ker A */
-    double s[MOC_MAX_JOINTS];                  /* the point, relative to x_p [rad/s] */
+    int n, r;                                  /* joints, dimension of ker A */
+    double s[MOC_MAX_JOINTS];                  /* x - x_p [rad/s] */
     double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS];
     double pull[MOC_MAX_JOINTS];               /* c2 Pi g */
     double side[MOC_MAX_JOINTS];               /* +1 at an active lower bound, -1 at an upper one, 0 elsewhere */
-    double force[MOC_MAX_JOINTS];              /* multiplier of the active bound, positive at a lower bound */
+    double force[MOC_MAX_JOINTS];              /* multiplier, positive at a lower bound */
     double room[MOC_MAX_JOINTS];               /* Pi_jj before any sweep */
-    double Pi[MOC_MAX_JOINTS][MOC_MAX_JOINTS]; /* the projector, swept on the active joints */
+    double Pi[MOC_MAX_JOINTS][MOC_MAX_JOINTS]; /* swept on the active joints */
     double Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];  /* rows: orthonormal basis of ker A */
 } polytope;
 
-/* Pi = Z^T Z, before any sweep. */
+/* Pi = Z^T Z */
 static void fill_projector(polytope *t)
 {
     for (int i = 0; i < t->n; i++) {
@@ -36,7 +33,7 @@ static void fill_projector(polytope *t)
     }
 }
 
-/* With sign 1, sweep Pi on joint p, so that s_p becomes fixed and its multiplier free. Sign -1 undoes the sweep. */
+/* With sign 1, sweep Pi on joint p, so that s_p is fixed. Sign -1 undoes the sweep. */
 static void sweep(polytope *t, int p, double sign)
 {
     double inverse = 1.0 / t->Pi[p][p], row[MOC_MAX_JOINTS];
@@ -52,7 +49,7 @@ static void sweep(polytope *t, int p, double sign)
         t->Pi[p][j] = sign * inverse * row[j];
 }
 
-/* Remove the accumulated rounding from s: project it on ker A and set active joints to their bounds. */
+/* Remove rounding from s: project s on ker A and set active joints to their bounds. */
 static void settle(polytope *t)
 {
     moc_onto(t->n, t->r, t->Z, t->s, t->s);
@@ -66,7 +63,6 @@ static void settle(polytope *t)
     }
 }
 
-/* The joint that violates its bounds most, or NONE if no violation exceeds the slack. */
 static int furthest_out(const polytope *t, double slack)
 {
     int joint = NONE;
@@ -80,7 +76,7 @@ static int furthest_out(const polytope *t, double slack)
     return joint;
 }
 
-/* Find the active bound whose multiplier reaches zero first as joint p is pushed. *step is the push until then. */
+/* Find the multiplier that reaches zero first when joint p is pushed. *step is the push until then. */
 static int first_to_let_go(const polytope *t, int p, double side, double *step)
 {
     int joint = NONE;
@@ -95,7 +91,7 @@ static int first_to_let_go(const polytope *t, int p, double side, double *step)
     return joint;
 }
 
-/* Push joint p onto the bound that it violates, and release active bounds on the way. Returns false on failure. */
+/* Push joint p onto the bound that it violates. Returns false on failure. */
 static bool push(polytope *t, int p, int *active)
 {
     double side = t->s[p] < t->low[p] ? 1.0 : -1.0, bound = signbit(side) ? t->high[p] : t->low[p];
@@ -103,7 +99,7 @@ static bool push(polytope *t, int p, int *active)
         double step, full = HUGE_VAL, gives = t->Pi[p][p];
         int drop = first_to_let_go(t, p, side, &step);
         if (*active < t->r && gives > DEPENDENT * t->room[p])
-            full = side * (bound - t->s[p]) / gives; /* reaches the bound */
+            full = side * (bound - t->s[p]) / gives;
         else if (drop == NONE)
             return false;
         double length = side * fmin(step, full), move = full < HUGE_VAL ? length : 0.0;
@@ -126,9 +122,8 @@ static bool push(polytope *t, int p, int *active)
     }
 }
 
-/* Move s within ker A to the nearest point within the bounds. Pi has to be unswept. Afterwards s - s_start = Pi force.
- * Violations up to the slack are allowed. If no point is found, the bounds are widened by steps of at most `most`,
- * because rounding may hide a feasible set that is a single point. */
+/* Move s within ker A to the nearest point within the bounds: s - s_start = Pi force. Pi has to be unswept. If no point
+ * is found, the bounds are widened, because rounding may hide a feasible set that is a single point. */
 static moc_status project(polytope *t, double slack, double most)
 {
     double start[MOC_MAX_JOINTS];
@@ -145,7 +140,7 @@ static moc_status project(polytope *t, double slack, double most)
         }
         if (push(t, p, &active))
             continue;
-        for (int j = 0; j < t->n; j++) { /* widen the bounds for another try */
+        for (int j = 0; j < t->n; j++) {
             t->low[j] -= slack;
             t->high[j] += slack;
             t->s[j] = start[j];
@@ -160,10 +155,8 @@ static moc_status project(polytope *t, double slack, double most)
     return MOC_DOUBTFUL;
 }
 
-/* Run the proximal point iteration from a feasible point. The multipliers are then (rho + 1 / base) t->force.
- *
- * Long steps come first, because they make progress even if the cost is almost flat. The short steps at the end stay at
- * the vertex and remove the rounding of the long ones. */
+/* Run the proximal point iteration. The multipliers are then (rho + 1 / base) t->force. Short steps at the end remove
+ * the rounding of long steps. */
 static moc_status approach(polytope *t, double rho, double slack, double most, double base)
 {
     static const double scales[] = {1e8, 1e4, 1.0};

@@ -1,16 +1,13 @@
-/* The core as a Python module, for CPython's limited API: one wheel serves every version from 3.11 on.
- *
- * This file has the types Law and Guard. python_arm.c has the type Arm. python_subproblem.c and plant.c have the
- * functions of the module. */
+/* The Python module, for CPython's limited API from 3.11 on, and its types Law and Guard. */
 #define MOC_MODULE
 #include "python.h"
 #include "vec.h"
 
 #include <time.h>
 
-static PyTypeObject *arm_type; /* set when the module is created, never released */
+static PyTypeObject *arm_type;
 
-/* Create an object from its arm. Keywords fill the fields. On failure, sets an exception and returns NULL. */
+/* Create an object from its arm and the keywords. On failure, sets an exception and returns NULL. */
 static PyObject *with_arm(PyTypeObject *type, PyObject *given, PyObject *keywords, const field *fields, int count)
 {
     PyObject *arm;
@@ -33,7 +30,7 @@ typedef struct {
     moc_arm arm;
     moc_law law;
     moc_supervision supervision;
-    moc_controller controller; /* points to the fields above, has no safety filter */
+    moc_controller controller; /* points to the fields above */
     moc_state state;
 } Law;
 
@@ -60,10 +57,10 @@ static PyObject *law_new(PyTypeObject *type, PyObject *given, PyObject *keywords
     return (PyObject *)self;
 }
 
-/* Arguments 0 to 3 of start, begin and step: q, v as measured; X_d, dX_d, ddX_d; the trocar P_t, dP_t. */
+/* Arguments 0 to 3 of start, begin and step; tip_ref is X_d, dX_d, ddX_d. */
 #define TICK {"q", READ, N}, {"v", READ, N}, {"tip_ref", READ, 3, 3}, {"trocar", READ, 2, 3}
 
-/* Begin a tick, or start the law if not `begins`. Pack the terms into array i. Returns false if it raises. */
+/* Begin a tick, or start the law if not `begins`. Array i receives the terms. Returns false if it raises. */
 static bool take_tick(Law *self, const call *c, bool begins, const double *x_d, int i)
 {
     static const double none[MOC_MAX_JOINTS];
@@ -206,7 +203,7 @@ static PyObject *guard_new(PyTypeObject *type, PyObject *given, PyObject *keywor
     return with_arm(type, given, keywords, guard_fields, COUNT(guard_fields));
 }
 
-/* Convert the number of a control period to an integer, clipped to +-4e18. The filter refuses these two values. */
+/* The filter refuses +-4e18. */
 static long long stamp_of(double number)
 {
     return (long long)fmin(fmax(number, -4e18), 4e18);

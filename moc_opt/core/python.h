@@ -1,7 +1,5 @@
-/* Arguments of the binding. Each function has a table with the names, types and shapes of its arguments.
- *
- * All arguments are checked before anything is written. Arrays have to be NumPy arrays of float64, C-contiguous, and of
- * the right shape. A wrong argument raises a ValueError or TypeError that names the argument and the expected shape. */
+/* The Python binding. Each function has a table of its arguments. All arguments are checked before anything is written.
+ * A wrong argument raises a ValueError or TypeError. */
 #ifndef MOC_PYTHON_H
 #define MOC_PYTHON_H
 
@@ -9,7 +7,7 @@
 #define Py_LIMITED_API 0x030B0000
 #define NPY_NO_DEPRECATED_API NPY_2_0_API_VERSION
 #define PY_ARRAY_UNIQUE_SYMBOL moc_numpy
-#ifndef MOC_MODULE /* python.c imports NumPy's functions for all files */
+#ifndef MOC_MODULE /* python.c imports NumPy for all files */
 #define NO_IMPORT_ARRAY
 #endif
 #include <Python.h>
@@ -21,13 +19,12 @@
 
 #include "tools.h"
 
-/* The kinds of arguments. READ is an array, and MAYBE an array or None. The call fills WRITE and STRIDED arrays, and
- * STRIDED ones may have any strides. WHOLE is an integer. The call creates MADE arrays, which come last in a table. */
+/* READ is a C-contiguous float64 array, MAYBE an array or None. The call fills WRITE arrays and STRIDED arrays (of any
+ * strides). WHOLE is an integer. The call creates MADE arrays, which come last in a table. */
 typedef enum { READ, WRITE, STRIDED, MAYBE, NUMBER, WHOLE, MADE } kind;
 
-/* Symbolic lengths. N is the number of joints n. A packed subproblem has ROW = 11 n + 10 numbers, packed terms have
- * TERMS = n n + 13 n + 18, and a tick's results TICKED = 14 n + 16. The first array with K rows sets k. ANY allows any
- * length. An array with one axis has 0 columns. */
+/* Symbolic lengths: N = n joints, ROW = 11 n + 10 (subproblem), TERMS = n n + 13 n + 18, TICKED = 14 n + 16 (results of
+ * a tick). The first array with K rows sets k. ANY allows any length. An array with one axis has 0 columns. */
 enum { N = -1, ROW = -2, TERMS = -3, TICKED = -4, K = -5, ANY = -6 };
 
 typedef struct {
@@ -38,24 +35,22 @@ typedef struct {
 
 enum { MOST_ARGUMENTS = 14 };
 
-/* The arguments of one call, in the order of its table. */
 typedef struct {
     int n;                                /* joints; 0 until an array sets it */
     npy_intp k;                           /* rows; -1 until an array sets it */
-    int made, end;                        /* the MADE arrays have numbers from made to end - 1 */
+    int made, end;                        /* MADE arrays: made to end - 1 */
     double *array[MOST_ARGUMENTS];        /* NULL for None */
     double number[MOST_ARGUMENTS];
-    PyArrayObject *as[MOST_ARGUMENTS];    /* the array as an object */
+    PyArrayObject *as[MOST_ARGUMENTS];
 } call;
 
-/* Take the arguments of a call. If n is 0, an array sets n. Returns false and sets an exception on failure. */
+/* Take a call's arguments. If n is 0, an array sets n. On failure, sets an exception and returns false. */
 bool moc_take(call *c, int n, const char *name, PyObject *const *args, Py_ssize_t count, const parameter *table,
              int size);
 
-/* Release the references to the arrays that the call has created. Returns the result. */
+/* Release the MADE arrays. Returns the result. */
 PyObject *moc_done(call *c, PyObject *result);
 
-/* rows_of is the number of rows of array i. whole is number i, clipped to the range of an int. */
 static inline int rows_of(const call *c, int i)
 {
     return (int)PyArray_DIM(c->as[i], 0);
@@ -68,8 +63,8 @@ static inline int whole(const call *c, int i)
 
 #define COUNT(table) ((int)(sizeof(table) / sizeof(table)[0]))
 
-/* FUNCTION(name, parameters...) { body } defines a function of the module. METHOD(Type, name, parameters...) { body }
- * defines a method. The body has the arguments in `c` and the object in `self`. _core.pyi describes each function. */
+/* FUNCTION(name, parameters...) { body } defines a function, METHOD(Type, name, parameters...) { body } a method. The
+ * body has the arguments in `c` and the object in `self`. _core.pyi describes each function. */
 #define CALL(function, name, joints, body, ...)                                                                        \
     static PyObject *function(PyObject *self, PyObject *const *args, Py_ssize_t count)                                 \
     {                                                                                                                  \
@@ -94,7 +89,6 @@ typedef struct {
     moc_arm arm;
 } Arm;
 
-/* Define the type moc_Type with its methods. */
 #define TYPE(Type, new, ...)                                                                                           \
     static PyMethodDef Type##_methods[] = {__VA_ARGS__, {NULL, NULL, 0, NULL}};                                        \
     static PyType_Slot Type##_slots[] = {{Py_tp_new, new}, {Py_tp_methods, Type##_methods}, {0, NULL}};                \
@@ -103,13 +97,12 @@ typedef struct {
 extern PyType_Spec moc_Arm, moc_Law, moc_Guard;                       /* python_arm.c, python.c */
 extern PyMethodDef moc_subproblem_functions[], moc_plant_functions[]; /* python_subproblem.c, plant.c */
 
-/* A field of an object: a number or an array, and its offset. */
 typedef struct {
     parameter is;
     size_t offset;
 } field;
 
-/* Fill an object's fields from keywords. If any is missing or wrong, returns false and sets an exception. */
+/* Fill an object's fields from keywords. On failure, sets an exception and returns false. */
 bool moc_fill(PyObject *keywords, const field *fields, int count, Arm *self);
 
 #endif

@@ -1,4 +1,4 @@
-/* The arm as a Python object, with the poses and curves that planning needs. */
+/* The type Arm. */
 #include "python.h"
 
 static PyObject *arm_new(PyTypeObject *type, PyObject *given, PyObject *keywords)
@@ -50,7 +50,8 @@ METHOD(Arm, along, {"poses", READ, K, N}, {"tips", MADE, K, 3}, {"wrists", MADE,
         moc_place(arm, c->array[0] + i * c->n, frame, twist);
         moc_point(arm, frame, twist, MOC_WRIST, c->array[2] + 3 * i, J);
         moc_point(arm, frame, twist, MOC_TIP, c->array[1] + 3 * i, J);
-        c->array[3][i] = moc_manipulability(c->n, twist, J, NULL);
+        moc_gram gram = moc_gram_of(c->n, J);
+        c->array[3][i] = moc_manipulability(c->n, twist, J, &gram, NULL);
     }
     return Py_BuildValue("OOO", c->as[1], c->as[2], c->as[3]);
 }

@@ -1,4 +1,4 @@
-/* Functions of the module. Most of them solve the subproblem, or fill a QP library's buffers with it. */
+/* Functions of the module. */
 #include "python.h"
 #include "vec.h"
 
@@ -40,13 +40,13 @@ FUNCTION(step_network, {"record", READ, ROW}, {"x", WRITE, N}, {"y", WRITE, 6}, 
 
 /* --- a QP library's buffers: 1/2 x^T P x + p^T x, and five independent equality rows ---
  *
- * Tip and wrist are rigidly tied: u^T (J_T - J_W) = 0 for the tool's direction u. The five rows are the tip's three and
- * the wrist's two perpendicular to u: A5 = lift A, and A5^T y5 = A^T (lift^T y5). */
+ * The five rows are the tip's three and the wrist's two perpendicular to the tool's direction u: A5 = lift A. The
+ * multipliers of A are lift^T y5. */
 
-#define TIED 1e-7 /* tip and wrist are tied if the sixth singular value is below this share of |A|_F */
+#define TIED 1e-7 /* largest (sixth singular value) / |A|_F of rigidly tied tip and wrist */
 
-/* Compute the unit vector u with u^T (J_T - J_W) = 0. Returns false if tip and wrist are not rigidly tied. The adjugate
- * of (J_T - J_W)(J_T - J_W)^T is a positive multiple of u u^T, so that its longest column is parallel to u. */
+/* Compute the unit vector u with u^T (J_T - J_W) = 0, a multiple of each nonzero column of the adjugate of
+ * (J_T - J_W)(J_T - J_W)^T. Returns false if tip and wrist are not rigidly tied. */
 static bool tool_direction(const moc_problem *p, double u[3])
 {
     double D[3][MOC_MAX_JOINTS], G[3][3], adj[3][3], size = 0.0, apart = 0.0;
@@ -70,7 +70,7 @@ static bool tool_direction(const moc_problem *p, double u[3])
         double gap = u[0] * D[0][j] + u[1] * D[1][j] + u[2] * D[2][j];
         apart += gap * gap;
     }
-    /* [u; -u] / sqrt(2) is the left singular vector of A that belongs to its sixth singular value */
+    /* [u; -u] / sqrt(2) is the sixth left singular vector of A */
     return 0.5 * apart <= TIED * TIED * size;
 }
 
@@ -91,7 +91,7 @@ static void cost(const moc_problem *p, double P[][MOC_MAX_JOINTS], double *linea
     }
 }
 
-/* Write the equality rows: five if `five` is set and tip and wrist are tied, else six. Returns their number. */
+/* Write five rows if `five` is set and tip and wrist are tied, else six. Returns their number. */
 static int equalities(moc_problem *p, int five, double A[6][MOC_MAX_JOINTS], double b[6], double lift[6][6])
 {
     double u[3], two[2][3];
@@ -117,7 +117,6 @@ static int equalities(moc_problem *p, int five, double A[6][MOC_MAX_JOINTS], dou
     return 5;
 }
 
-/* Fill an array of any strides with a vector, or a matrix with rows of MOC_MAX_JOINTS. */
 static void put(const call *c, int argument, double scale, const double *from)
 {
     PyArrayObject *to = c->as[argument];
@@ -128,7 +127,7 @@ static void put(const call *c, int argument, double scale, const double *from)
                 scale * from[matrix ? i * MOC_MAX_JOINTS + j : i];
 }
 
-/* The three signs multiply p, lower and upper. packed is the upper triangle of P by columns, or empty. */
+/* signs multiply p, lower and upper. packed is the upper triangle of P by columns, or empty. */
 FUNCTION(load, {"record", READ, ROW}, {"five", WHOLE}, {"scale", NUMBER}, {"signs", READ, 3}, {"P", STRIDED, N, N},
          {"p", STRIDED, N}, {"A", STRIDED, K, N}, {"low", STRIDED, K}, {"high", STRIDED, K}, {"lower", STRIDED, N},
          {"upper", STRIDED, N}, {"packed", STRIDED, ANY}, {"lift", WRITE, K, 6})

@@ -1,9 +1,9 @@
-/* Copies between a struct and its packed record. In a record, each row of joints has n numbers. */
+/* Copies between a struct and its record, in which a row of joints has n numbers. */
 #include <stddef.h>
 
 #include "shared.h"
 
-/* A part of a struct. Its rows start MOC_MAX_JOINTS numbers apart. In rows and columns, N stands for n. */
+/* A part of a struct. Its rows start MOC_MAX_JOINTS numbers apart. N stands for n. */
 typedef struct {
     size_t offset;
     int rows, columns;

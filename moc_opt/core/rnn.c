@@ -1,4 +1,4 @@
-/* The recurrent neural network of Su et al. 2019, with consistent signs, integrated by Euler steps of h = dt/eps:
+/* The recurrent neural network of Su et al. 2019, integrated by Euler steps of h = dt/eps:
  *
  *   eps dx/dt = -x + clip(x - k (c0 J_T^T (J_T x - v_T) + c1 J_W^T (J_W x - v_W) + rho x - c2 pull + A^T y))
  *   eps dy/dt = k (A x - b) */

@@ -1,40 +1,40 @@
-/* The safety filter. It checks every measurement, limits every torque, and decides when the arm has to stop.
+/* The safety filter checks every measurement, limits every torque, and decides when the arm has to stop.
  *
  * The table gives the condition of each reason to stop. r is the momentum residual. A condition marked with * has to
  * hold on more than `patience` ticks in a row. The first reason whose condition holds is reported.
  *
  *   LATE              now - newest stamp > usual delay + patience
  *   MEASUREMENT *     |q - q_believed| > jump + v_max (time since the last believed q), or |v| > speed_factor v_max
- *   REPLAYED          all encoders and the wrench equalled earlier readings at a constant lag more than R times. R is
+ *   REPLAYED          all encoders and the wrench equal earlier readings at a constant lag, more than R times. R is
  *                     min(repeat_reading_ticks, W). W is repeat_whole_ticks, or replayed_ticks without wrench noise.
  *   REPEATED *        all q are unchanged, but the reference moved by repeat_m or a torque changed by repeat_torque
  *                     tau_max. If the wrench is unchanged as well, repeat_whole_m and repeat_whole_torque apply.
- *   REPEATED          all q and v were unchanged on more than repeat_reading_ticks ticks in total
+ *   REPEATED          all q and v are unchanged on more than repeat_reading_ticks ticks in total
  *   RAN_AWAY          |q - integral of v over motion_s| > motion_rad + motion_lag_s * (largest recent |v|)
- *   ONE_REPEATED      one q is unchanged for more than repeat_joint_ticks ticks in a row, or one q and its v were
- *                     unchanged on more than repeat_reading_ticks ticks in total
+ *   ONE_REPEATED      one q is unchanged for more than repeat_joint_ticks ticks in a row, or one q and its v for
+ *                     more than repeat_reading_ticks ticks in total
  *   WRENCH_REPEATED   the wrench has noise, but is unchanged for more than repeat_whole_ticks ticks
  *   LAGGING           one encoder equals earlier readings at a constant lag, more than repeat_reading_ticks times
  *   WRENCH *          the wrench is not finite
- *   RCM, FORCE        the rms of the shaft's distance from the trocar, or of the trocar's force, is above its limit
+ *   RCM, FORCE        rms distance of the shaft from the trocar, or rms trocar force, is above its limit
  *   TIP               rms |X - X_d| > tip_error
  *   UNEXPLAINED *     |r_i - mean of r_i| > residual_torque tau_max, or |r_i| > residual_whole tau_max
  *   STUCK             while q_i is unchanged, |integral of (change of r_i beyond held_i) / M_ii| > stuck_speed
  *   TORQUE            the controller's torque is not finite
  *
  * Each joint's torque is limited by its virtual wall (left_by_wall), then by torque_step, then by tau_max.
- * docs/reliability.md explains the limits. docs/extending.md describes how to add a check. */
+ * docs/reliability.md explains the limits. */
 #include <limits.h>
 
 #include "vec.h"
 
-#define SHORTEST_DEPTH 0.05 /* tip depth below which a contact of the tip looks like a trocar force [m] */
-#define GRAVITY 9.81        /* gravitational acceleration [m/s^2] */
-#define FIRST_READINGS 100  /* number of readings that decide whether the wrench sensor has noise */
-#define LARGEST_STAMP (LLONG_MAX / 4) /* largest stamp that can be the number of a control period */
-#define SHRINK 0.61803398875 /* ratio between the weights of successive values in as_number */
-#define FINE 1e9             /* take_in stores a number x in the slot floor(FINE * |x|) mod slots */
-#define LARGEST_NUMBER 1e6   /* largest |x| of a number x that take_in stores */
+#define SHORTEST_DEPTH 0.05 /* smallest tip depth that tells trocar and tip forces apart [m] */
+#define GRAVITY 9.81        /* [m/s^2] */
+#define FIRST_READINGS 100  /* readings that decide whether the wrench has noise */
+#define LARGEST_STAMP (LLONG_MAX / 4) /* largest possible stamp */
+#define SHRINK 0.61803398875 /* ratio of successive weights in as_number */
+#define FINE 1e9             /* take_in stores x in slot floor(FINE |x|) mod slots */
+#define LARGEST_NUMBER 1e6   /* largest |x| that take_in stores */
 
 void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v, long long stamp, moc_watch *w)
 {
@@ -42,8 +42,8 @@ void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v
     for (int i = 0; i < n; i++) {
         w->q[i] = w->joint[i].shown = q[i];
         w->v[i] = v[i];
-        w->low[i] = fmin(g->low[i], q[i]);
-        w->high[i] = fmax(g->high[i], q[i]);
+        w->low[i] = smaller(q[i], g->low[i]);
+        w->high[i] = larger(q[i], g->high[i]);
         w->joint[i].peak = fabs(v[i]);
         w->joint[i].repeats = -1.0; /* the first reading may equal the start */
     }
@@ -63,7 +63,7 @@ static int age(const moc_guard *g, long long stamp, moc_watch *w)
     bool possible = stamp > -LARGEST_STAMP && stamp < LARGEST_STAMP;
     w->now++;
     long long late = possible ? w->now - stamp : LLONG_MAX;
-    if (late < 0 && late >= -g->patience) { /* the controller missed ticks: adopt the arm's count */
+    if (late < 0 && late >= -g->patience) { /* the controller missed ticks */
         w->now = stamp;
         late = 0;
     }
@@ -71,7 +71,7 @@ static int age(const moc_guard *g, long long stamp, moc_watch *w)
     if (newer) {
         w->elapsed += stamp - w->newest;
         w->newest = stamp;
-        if (++w->taken == 2) /* the first measurement dates from before the run and shows no delay */
+        if (++w->taken == 2) /* the first measurement is from before the run */
             w->delay = late;
     }
     if (w->now - w->newest > w->delay + g->patience)
@@ -79,7 +79,7 @@ static int age(const moc_guard *g, long long stamp, moc_watch *w)
     return newer ? FRESH : REPEAT;
 }
 
-/* Whether q is close enough to the last believed position, and v is not too large. False for NaN. */
+/* The check MEASUREMENT. False for NaN. */
 static bool believable(const moc_guard *g, int n, const double *q, const double *v, const moc_watch *w)
 {
     double ticks = 1.0 + (double)w->bad;
@@ -90,14 +90,14 @@ static bool believable(const moc_guard *g, int n, const double *q, const double 
     return true;
 }
 
-/* --- readings that do not change, or that equal earlier ones --- */
+/* --- repeated readings --- */
 
 static bool same(double a, double b)
 {
     return a <= b && a >= b;
 }
 
-/* Whether no two successive wrenches among the FIRST_READINGS were equal. False until all of these were read. */
+/* Whether no two successive wrenches of FIRST_READINGS were equal. */
 static bool wrench_has_noise(const moc_watch *w)
 {
     return w->looked >= FIRST_READINGS && !w->wrench_is_still;
@@ -117,32 +117,32 @@ static void compare_wrench(const double *wrench, moc_watch *w)
     }
 }
 
-/* Compare a joint's new position with its velocity and with the previous position. Returns whether RAN_AWAY applies. */
+/* Returns whether RAN_AWAY applies. */
 static bool compare_joint(const moc_guard *g, double q, double v, double elapsed, moc_joint_watch *j)
 {
-    double keep = 1.0 - fmin(1.0, elapsed / g->motion_s);
+    double keep = 1.0 - smaller(elapsed / g->motion_s, 1.0);
     bool first = j->repeats < 0.0;
 
-    if (first) /* start with a zero gap */
+    if (first) /* start with gap = 0 */
         j->shown = q - elapsed * v;
     j->gap = keep * j->gap + (q - j->shown) - elapsed * v;
-    j->peak = fmax(keep * j->peak, fabs(v));
+    j->peak = larger(fabs(v), keep * j->peak);
     bool repeats = same(q, j->shown);
-    /* If a joint has never moved, an unchanged q and v prove nothing. */
+    /* an unchanged q and v prove nothing before the joint has moved */
     j->whole += !first && repeats && same(v, j->speed) && j->peak > 0.0;
     j->speed = v;
     if (first || repeats) {
         j->repeats += 1.0;
     } else {
         j->repeats = 0.0;
-        j->at_repeat = j->mean; /* the mean, because a coarse encoder step disturbs the residual */
+        j->at_repeat = j->mean; /* a coarse encoder step disturbs the residual itself */
         j->unseen = 0.0;
     }
     j->shown = q;
     return fabs(j->gap) > g->motion_rad + g->motion_lag_s * j->peak;
 }
 
-/* Whether the reference or a torque has changed by more than its limit since all encoders stopped changing. */
+/* Whether the reference or a torque has changed since the encoders stopped changing. */
 static bool told_to_move(const moc_guard *g, int n, const double *tau, const moc_watch *w)
 {
     bool whole = w->wrench_repeats > g->patience, moved = false;
@@ -155,10 +155,10 @@ static bool told_to_move(const moc_guard *g, int n, const double *tau, const moc
     return moved;
 }
 
-/* Apply the checks REPEATED, RAN_AWAY, ONE_REPEATED and WRENCH_REPEATED to a new measurement. */
+/* The checks REPEATED, RAN_AWAY, ONE_REPEATED and WRENCH_REPEATED. */
 static moc_stop compare_readings(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w)
 {
-    double elapsed = g->period * fmax(1.0, (double)w->elapsed);
+    double elapsed = g->period * larger((double)w->elapsed, 1.0);
     double fewest = 1e18, most = 0.0, fewest_whole = 1e18, most_whole = 0.0;
     bool ran_away = false;
 
@@ -166,12 +166,12 @@ static moc_stop compare_readings(const moc_guard *g, int n, const moc_measuremen
     compare_wrench(m->wrench, w);
     for (int i = 0; i < n; i++) {
         ran_away |= compare_joint(g, m->q[i], m->v[i], elapsed, &w->joint[i]);
-        fewest = fmin(fewest, w->joint[i].repeats);
-        most = fmax(most, w->joint[i].repeats);
-        fewest_whole = fmin(fewest_whole, w->joint[i].whole);
-        most_whole = fmax(most_whole, w->joint[i].whole);
+        fewest = smaller(w->joint[i].repeats, fewest);
+        most = larger(w->joint[i].repeats, most);
+        fewest_whole = smaller(w->joint[i].whole, fewest_whole);
+        most_whole = larger(w->joint[i].whole, most_whole);
     }
-    if (fewest <= g->patience) { /* the state from which told_to_move measures changes */
+    if (fewest <= g->patience) { /* for told_to_move */
         for (int i = 0; i < n; i++)
             w->joint[i].torque = m->applied[i];
         memcpy(w->still, w->told, sizeof w->still);
@@ -185,8 +185,7 @@ static moc_stop compare_readings(const moc_guard *g, int n, const moc_measuremen
                                                                                   : MOC_RUNNING;
 }
 
-/* Store a reading, given as one number, in a table. Returns how many readings equalled the reading that came a
- * constant number of readings (the lag) earlier. The count restarts when the lag changes. */
+/* Store a reading in a table. Returns how many readings equalled an earlier reading at the same lag. */
 static inline double take_in(double number, int slots, double *numbers, double *at, moc_came_before *before)
 {
     if (!(fabs(number) < LARGEST_NUMBER))
@@ -203,7 +202,7 @@ static inline double take_in(double number, int slots, double *numbers, double *
     return before->hits;
 }
 
-/* A weighted sum of the values. Readings that are equal to the last bit have equal sums. */
+/* A weighted sum of the values, equal for equal readings. */
 static double as_number(int count, const double *values, double number)
 {
     for (int i = 0; i < count; i++)
@@ -211,17 +210,15 @@ static double as_number(int count, const double *values, double number)
     return number;
 }
 
-/* Apply the checks REPLAYED and LAGGING. No other check finds a replayed recording, because its positions agree
- * with its velocities and with the model. An encoder that starts to lag by k readings repeats the last k readings. */
+/* The checks REPLAYED and LAGGING. A replayed recording agrees with the model, so that no other check finds it. */
 static moc_stop came_before(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w)
 {
-    double most = fmin(g->repeat_reading_ticks, wrench_has_noise(w) ? g->repeat_whole_ticks : g->replayed_ticks);
+    double most = smaller(g->repeat_reading_ticks, wrench_has_noise(w) ? g->repeat_whole_ticks : g->replayed_ticks);
     double lagging = 0.0, whole = as_number(6, m->wrench, as_number(n, m->v, as_number(n, m->q, 0.0)));
 
-    /* If repeat_reading_ticks is infinite, encoders may repeat readings, and LAGGING is off. */
     for (int i = 0; i < n && g->repeat_reading_ticks < HUGE_VAL; i++)
-        lagging = fmax(lagging, take_in(SHRINK * m->q[i] + m->v[i], MOC_JOINT_SLOTS, w->joint_number[i], w->joint_at[i],
-                                        &w->lagging[i]));
+        lagging = larger(take_in(SHRINK * m->q[i] + m->v[i], MOC_JOINT_SLOTS, w->joint_number[i], w->joint_at[i],
+                                 &w->lagging[i]), lagging);
     if (take_in(whole, MOC_SLOTS, w->number, w->at, &w->whole) > most)
         return MOC_STOP_REPLAYED;
     return lagging > g->repeat_reading_ticks ? MOC_STOP_LAGGING : MOC_RUNNING;
@@ -260,12 +257,11 @@ static double rcm_error(double pose[4][3], const double P[3])
     return sqrt(x * x + y * y);
 }
 
-/* Compute the trocar's force, perpendicular to the shaft [N], from the wrench sensor at the tool's mount.
+/* Compute the trocar's force across the shaft [N] from the wrench at the tool's mount.
  * Let z be the tool's axis, L its length and d the depth of the tip beyond the trocar. Without the tool's weight, the
- * reading is due to the trocar's force f and a contact force g at the tip: force = f + g, torque = (L - d) z x f +
- * L z x g. Hence f = (L force - torque x z) / d. With wrong encoders, d is wrong, and all of f may look like
- * a contact force. At most tip_force is therefore attributed to a contact. An unknown load on the tool may hide a part
- * of f, so that the warning also uses |force|, returned in *all. */
+ * trocar's force f and a contact force g at the tip give force = f + g and torque = (L - d) z x f + L z x g. Hence
+ * f = (L force - torque x z) / d. With a wrong d, f may look like a contact force. At most tip_force therefore counts
+ * as contact. An unknown load may hide a part of f. The warning therefore also uses |force|, returned in *all. */
 static double trocar_force(const moc_guard *g, double pose[4][3], const double P[3], const double *wrench, double *all)
 {
     double depth = 0.0, L = g->tool_length, weight[2], force[2];
@@ -278,7 +274,7 @@ static double trocar_force(const moc_guard *g, double pose[4][3], const double P
     double whole = *all = sqrt(force[0] * force[0] + force[1] * force[1]);
     if (!(depth >= SHORTEST_DEPTH))
         return whole;
-    /* (L force - torque x z) / d; the weight acts in the middle of the rod */
+    /* the weight acts in the middle of the rod */
     double x = (L * force[0] - (wrench[4] - 0.5 * L * weight[0])) / depth;
     double y = (L * force[1] - (-wrench[3] - 0.5 * L * weight[1])) / depth;
     double across = sqrt(x * x + y * y);
@@ -319,10 +315,10 @@ moc_stop moc_guard_incision(const moc_guard *g, double pose[4][3], const moc_tro
     return reason;
 }
 
-/* --- the torque compared with the motion --- */
+/* --- torque and motion --- */
 
-/* Whether joint i has by far the largest residual. Its drive is then at fault, because an external force or an unstable
- * loop would disturb several joints. */
+/* Whether joint i has by far the largest residual. Its drive is then at fault, because other causes would disturb
+ * several joints. */
 static bool alone(const moc_guard *g, int n, int i, const moc_watch *w)
 {
     double mine = fabs(w->joint[i].residual - w->joint[i].mean) / g->tau_max[i];
@@ -332,7 +328,7 @@ static bool alone(const moc_guard *g, int n, int i, const moc_watch *w)
     return true;
 }
 
-/* Apply the checks STUCK and UNEXPLAINED. They use the momentum residual (De Luca & Mattone 2003) of moc_observe. */
+/* The checks STUCK and UNEXPLAINED use the momentum residual (De Luca & Mattone 2003). */
 static moc_stop weigh(const moc_guard *g, int n, const moc_terms *t, const double *tau, moc_watch *w)
 {
     moc_stop found = MOC_RUNNING;
@@ -368,17 +364,17 @@ static moc_stop weigh(const moc_guard *g, int n, const moc_terms *t, const doubl
 
 /* --- limits of the torque --- */
 
-/* Largest torque towards a wall that its spring and brake allow on top of the weight's. Infinite if neither acts. */
+/* Largest torque towards a wall beyond the weight's torque. Infinite if neither spring nor brake acts. */
 static double left_by_wall(const moc_guard *g, int i, double distance, double speed)
 {
-    /* the speed from which the joint can still stop at the wall */
-    double allowed = fmin(g->v_max[i], sqrt(2.0 * g->wall_brake * fmax(distance, 0.0)));
+    /* a joint at this speed can stop at the wall */
+    double allowed = smaller(sqrt(2.0 * g->wall_brake * larger(distance, 0.0)), g->v_max[i]);
     if (!(distance < 0.0 || speed > allowed))
         return HUGE_VAL;
-    return -g->wall_stiffness * fmax(-distance, 0.0) - g->wall_damping * fmax(speed - allowed, 0.0);
+    return -g->wall_stiffness * larger(-distance, 0.0) - g->wall_damping * larger(speed - allowed, 0.0);
 }
 
-/* The torque that carries the arm's weight at q. Returns false if it is not finite. */
+/* Compute the torque of the arm's weight at q. Returns false if it is not finite. */
 static bool weight_of(const moc_guard *g, const moc_arm *arm, const double *q, double *weight)
 {
     memset(weight, 0, (unsigned)arm->n * sizeof *weight);
@@ -387,7 +383,7 @@ static bool weight_of(const moc_guard *g, const moc_arm *arm, const double *q, d
     return all_finite(arm->n, weight);
 }
 
-/* Limit tau in place. Returns the number of joints whose torque was changed. */
+/* Returns the number of changed torques. */
 static int limit_torque(const moc_guard *g, const moc_arm *arm, const double *before, const moc_watch *w, double *tau)
 {
     double least[MOC_MAX_JOINTS], most[MOC_MAX_JOINTS], weight[MOC_MAX_JOINTS];
@@ -398,7 +394,7 @@ static int limit_torque(const moc_guard *g, const moc_arm *arm, const double *be
         most[i] = left_by_wall(g, i, w->high[i] - w->q[i], w->v[i]);
         least[i] = -left_by_wall(g, i, w->q[i] - w->low[i], -w->v[i]);
         braked |= isfinite(most[i]) || isfinite(least[i]);
-        if (least[i] > most[i]) /* the joint leaves a wall too fast, so that spring and brake contradict each other */
+        if (least[i] > most[i]) /* spring and brake contradict each other */
             least[i] = most[i] = 0.0;
     }
     if (braked)
@@ -406,9 +402,9 @@ static int limit_torque(const moc_guard *g, const moc_arm *arm, const double *be
     for (int i = 0; i < arm->n; i++) {
         double asked = tau[i];
         if (braked)
-            tau[i] = fmax(fmin(tau[i], weight[i] + most[i]), weight[i] + least[i]);
-        tau[i] = fmin(fmax(tau[i], before[i] - g->torque_step), before[i] + g->torque_step);
-        tau[i] = fmin(fmax(tau[i], -g->tau_max[i]), g->tau_max[i]);
+            tau[i] = larger(weight[i] + least[i], smaller(weight[i] + most[i], tau[i]));
+        tau[i] = clip(tau[i], before[i] - g->torque_step, before[i] + g->torque_step);
+        tau[i] = clip(tau[i], -g->tau_max[i], g->tau_max[i]);
         touched += !same(tau[i], asked);
     }
     return touched;
@@ -439,7 +435,7 @@ moc_stop moc_guard_follow(const moc_guard *g, const moc_arm *arm, const moc_term
 void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before, const moc_watch *w, double *tau)
 {
     double weight[MOC_MAX_JOINTS];
-    bool known = weight_of(g, arm, w->q, weight); /* false: tau = 0, and the brakes alone hold the arm */
+    bool known = weight_of(g, arm, w->q, weight); /* false: the brakes alone hold the arm */
 
     for (int i = 0; i < arm->n; i++) {
         double wanted = w->cut ? 0.0 : clip(weight[i], -g->tau_max[i], g->tau_max[i]);
@@ -447,10 +443,10 @@ void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before
     }
 }
 
-/* With closed brakes the arm keeps pressing on the tissue. With open brakes it sinks under any load that its model
- * lacks. The brakes thus open when the trocar's force exceeds stop_yield. They close at half of stop_yield, or after
- * stop_yield_ticks. They open again when the force has risen by another stop_yield. They stay closed if
- * the drives cannot carry the arm's weight. If a drive is at fault (w->cut), closed brakes alone hold the arm. */
+/* Closed brakes keep the tool pressed on the tissue. With open brakes, the arm sinks under an unknown load. The brakes
+ * thus open when the trocar's force exceeds stop_yield. They close at half of stop_yield, or after stop_yield_ticks.
+ * They open again when the force has risen by another stop_yield. They stay closed if the drives cannot carry the arm's
+ * weight, or if a drive is at fault (w->cut). */
 void moc_guard_hold(const moc_guard *g, const moc_arm *arm, const double *wrench, moc_watch *w, double *friction)
 {
     double weight[MOC_MAX_JOINTS], pose[4][3];
@@ -464,7 +460,7 @@ void moc_guard_hold(const moc_guard *g, const moc_arm *arm, const double *wrench
         double all;
         moc_tool_pose(arm, w->q, pose);
         double force = trocar_force(g, pose, w->point, wrench, &all);
-        /* A running mean, because the tool's inertia adds to the trocar's force when the stop begins. */
+        /* a mean, because the tool's inertia adds to the force when the stop begins */
         w->press = all_finite(1, &force) ? w->press + g->press_share * (force - w->press) : 0.0;
         w->yields = w->press - w->borne > (w->yields ? 0.5 * g->stop_yield : g->stop_yield);
         w->open = w->yields ? w->open + 1 : 0;
@@ -472,11 +468,11 @@ void moc_guard_hold(const moc_guard *g, const moc_arm *arm, const double *wrench
             w->yields = 0;
             w->borne = w->press;
         } else if (!w->yields) {
-            w->borne = fmin(w->borne, w->press);
+            w->borne = smaller(w->press, w->borne);
         }
     }
     for (int i = 0; i < arm->n; i++) {
-        double beyond = w->cut ? weight[i] : fmax(weight[i] - g->tau_max[i], 0.0); /* not carried by the drive */
+        double beyond = w->cut ? weight[i] : larger(weight[i] - g->tau_max[i], 0.0);
         friction[i] = w->yields ? 0.0 : g->stop_holding * g->tau_max[i] + 1.5 * beyond;
     }
 }

@@ -1,4 +1,4 @@
-/* Functions that the core's files share. Vectors of joints are (n,). The rows of matrices are MOC_MAX_JOINTS apart. */
+/* Functions that the core's files share. Matrices have rows of MOC_MAX_JOINTS numbers. */
 #ifndef MOC_SHARED_H
 #define MOC_SHARED_H
 
@@ -10,42 +10,51 @@
 
 /* --- arm.c, manipulability.c --- */
 
-/* A joint's axes in the world: rotation and origin. */
+/* A joint's axes in the world. */
 typedef struct {
     double R[3][3];
     double p[3];    /* [m] */
 } moc_frame;
 
-/* Linear (at the world's origin) and angular velocity of a body that one joint moves at unit speed. */
+/* Linear velocity (at the world's origin) and angular velocity at unit joint speed. */
 typedef struct {
     double lin[3], ang[3];
 } moc_twist;
 
-/* Compute all fields of moc_terms. Returns MOC_OK or MOC_NOT_FINITE. */
+/* Returns MOC_OK or MOC_NOT_FINITE. */
 moc_status moc_compute_terms(const moc_arm *arm, const double *q, const double *v, moc_terms *terms);
 
-/* Compute frame[n] and twist[n] of the joints at a finite q. moc_kinematics also fills the kinematic terms. */
+/* Compute frame[n] and twist[n] at a finite q. moc_kinematics also fills the kinematic terms. */
 void moc_place(const moc_arm *arm, const double *q, moc_frame *frame, moc_twist *twist);
 void moc_kinematics(const moc_arm *arm, const double *q, moc_frame *frame, moc_twist *twist, moc_terms *terms);
 
-/* Compute the tool's axes x, y, z and its tip in the world. */
+/* Compute the tool's axes x, y, z and the tip in the world. */
 void moc_tool_pose(const moc_arm *arm, const double *q, double pose[4][3]);
 
-/* Compute the torque that carries the arm's weight [Nm]. */
+/* Compute the torque of the arm's weight [Nm]. */
 void moc_gravity(const moc_arm *arm, const double *q, double *torque);
 
-/* Compute tip or wrist in the world [m] and its Jacobian (3,n), with zero columns for joints that never move it. */
+/* Compute tip or wrist in the world [m] and its Jacobian (3,n). */
 void moc_point(const moc_arm *arm, const moc_frame *frame, const moc_twist *twist, int which, double point[3],
                double J[][MOC_MAX_JOINTS]);
 
-/* Return mu of J (3,n) or mu_shaft of A (6,n), and write its gradient (n,). NULL is allowed in moc_manipulability. */
-double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOINTS], double *gradient);
-double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], const double u[3],
-                                double *gradient);
+/* Determinant and adjugate of J J^T. */
+typedef struct {
+    double det, adj[3][3];
+    bool regular; /* false: det is rounding error */
+} moc_gram;
+
+moc_gram moc_gram_of(int n, double J[][MOC_MAX_JOINTS]);
+
+/* Return mu of J (3,n) or mu_shaft of A (6,n), and write its gradient (n,). Only in moc_manipulability, `gradient` may
+ * be NULL. `gram` belongs to J, or to the first three rows of A. */
+double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOINTS], moc_gram *gram, double *gradient);
+double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], moc_gram *gram,
+                                const double u[3], double *gradient);
 
 /* --- record.c --- */
 
-/* Copy a struct to or from its packed record. moc_opt/qp/problem.py and moc_opt/robots/model.py read these records. */
+/* Copy a struct to or from its record, which moc_opt/qp/problem.py and moc_opt/robots/model.py read. */
 typedef enum { UNPACK, PACK } direction;
 void moc_copy_problem(moc_problem *problem, int n, double *record, direction way);
 void moc_copy_terms(moc_terms *terms, int n, double *record, direction way);
@@ -56,7 +65,7 @@ void moc_copy_terms(moc_terms *terms, int n, double *record, direction way);
 void moc_tracking_torque(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
                          const moc_trocar *trocar, double *tau);
 
-/* Fill this tick's subproblem. If x_d is not NULL, x follows x_d [rad/s] instead of climbing mu. */
+/* If x_d [rad/s] is not NULL, x follows x_d instead of climbing mu. */
 void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
                       const moc_trocar *trocar, const double *x_d, moc_problem *problem);
 
@@ -64,93 +73,85 @@ void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_r
 void moc_add_third_level(const moc_law *law, int n, const moc_terms *t, const moc_memory *memory, const double *x,
                          double *tau);
 
-/* Compute the desired wrist N_d = X + span e and dN_d, with the unit vector e from X to the trocar. */
+/* Compute N_d = X + span e and dN_d, with the unit vector e from X to the trocar. */
 void moc_desired_wrist(const double X[3], const double dX[3], const moc_trocar *trocar, double span, double N_d[3],
                        double dN_d[3]);
 
-/* Advance the observer of joint i by one period with the torque tau: r = gain (M v - integral(tau + C^T v - g + r)). */
+/* Advance the momentum observer of joint i by one period: r = gain (M v - integral(tau + C^T v - g + r)). */
 void moc_observe(int n, const moc_terms *t, int i, double tau, double gain, double period, double *integral, double *r);
 
-/* Return the weight of grad mu_shaft in moc_problem.pull, in which grad mu has the weight 1 [m]. */
+/* Return the weight [m] of grad mu_shaft in moc_problem.pull. */
 double moc_shaft_push(double mu_shaft, double margin);
 
-/* Compute the joint velocity x_d of the scaled climb of mu [rad/s]. It is zero at a maximum and at a singularity. */
+/* Compute the joint velocity x_d of the scaled climb of mu [rad/s]. */
 void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_memory *memory, double *x_d);
 
-/* Write an orthonormal basis of ker A to Z, and return its number of rows. `rows` is the number of rows of the previous
- * basis in Z. If the new basis has as many rows, it is chosen close to the previous one. */
-int moc_null_space(int n, double A[][MOC_MAX_JOINTS], int rows, double Z[][MOC_MAX_JOINTS]);
+/* Replace the basis Z (rows, n) by a close orthonormal basis of ker A. Returns the new number of rows. */
+int moc_null_space(const moc_plane *plane, int n, int rows, double Z[][MOC_MAX_JOINTS]);
 
-/* Make row k of Z orthogonal to the rows before it, and scale it to length 1. Returns false if the orthogonal part is
- * not longer than `least`. */
+/* Make row k of Z orthonormal to the rows before it. Returns false if its orthogonal part is at most `least` long. */
 bool moc_orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least);
 
-/* Compute the projection part = Z^T Z x with an orthonormal basis Z (rows, n). `part` and `x` may be the same array. */
+/* part = Z^T Z x, with an orthonormal basis Z (rows, n). `part` and `x` may be the same array. */
 void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, double *part);
 
 /* --- exact.c, polytope.c --- */
 
-#define STILL 1e-10 /* the bounds of joint j are ignored along a unit direction z if |z_j| is smaller */
+#define STILL 1e-10 /* joint j does not move along a unit direction z if |z_j| is smaller */
 
-/* A x = b after elimination. Row k < rank reads x[joint[k]] + sum over free joints of row[k][j] x[j] = right[k]. */
-typedef struct {
-    double row[6][MOC_MAX_JOINTS], right[6], pivot; /* pivot: the pivot of the last step [m] */
-    double step[6][6];         /* step[k][i]: multiple of row k that step k added to row i */
-    int from[6];               /* the row that was swapped with row k before step k */
-    int joint[MOC_MAX_JOINTS]; /* pivot joints, then free joints that move tip or wrist, then other joints */
-    int rank, freedoms;        /* freedoms: number of free joints that move tip or wrist */
-} moc_plane;
+void moc_eliminate(int n, double A[][MOC_MAX_JOINTS], moc_plane *plane);
 
-/* Eliminate A x = b and list the free joints after the pivot joints. Returns false if the rank is in doubt. */
-bool moc_eliminate(moc_plane *plane, const moc_problem *problem);
+/* moc_solve_exact with an A that was eliminated before. */
+moc_status moc_solve_eliminated(const moc_plane *plane, const moc_problem *problem, double tolerance, double *x,
+                                double y[6]);
 
-/* Compute the motion z (n,) in ker A in which free joint number k moves by one and the other free joints stay still. */
+/* Compute the z (n,) in ker A with 1 for free joint number k and 0 for the other free joints. */
 void moc_direction(const moc_plane *plane, int n, int k, double *z);
 
-/* If several joints are free, move a solution x of A x = b to the optimum. Adds the bounds' multipliers to force. */
+/* Move a solution x of A x = b to the optimum if several joints are free. Adds the bounds' multipliers to force. */
 moc_status moc_solve_several(const moc_plane *plane, const moc_problem *problem, double tolerance, double *x,
                              double *force);
 
 /* --- answer.c --- */
 
 typedef struct {
-    double primal;   /* |A x - b|_inf [m/s]. If x is not finite, all residuals are NaN. */
+    double primal;   /* |A x - b|_inf [m/s]; NaN if x is not finite */
     double outside;  /* largest bound violation [rad/s] */
-    double natural;  /* natural residual along the self-motion, for a cost scaled to a gradient of size 1 [rad/s] */
+    double natural;  /* natural residual along the self-motion, for a gradient of size 1 [rad/s] */
     double off;      /* distance from the optimum [rad/s] */
     double opposite; /* distance from the optimum of the opposite gradient [rad/s] */
 } moc_residuals;
 
-/* Compute the residuals of x. The rows of Z are an orthonormal basis of ker A. */
+/* Z is an orthonormal basis of ker A. */
 moc_residuals moc_judge(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOINTS], const double *x);
 
-/* Check an answer and write the x that the third level follows. */
+/* Check an answer and write the x for the third level. */
 moc_fault moc_supervise(const moc_supervision *s, const moc_problem *problem, const moc_answer *answer,
                         moc_memory *memory, double *x);
 
 /* --- safety_filter.c --- */
 
-/* Start at a finite q and v. They were measured in control period number `stamp`. */
+/* Start at a finite q and v, measured in control period number `stamp`. */
 void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v, long long stamp, moc_watch *w);
 
-/* Check a measurement. Afterwards watch->q and watch->v are the believed state. */
+/* Check a measurement, and set watch->q and watch->v to the believed state. */
 moc_stop moc_guard_believe(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w);
 
-/* Check RCM error and trocar force at the believed pose of the tool. */
+/* Check RCM error and trocar force. */
 moc_stop moc_guard_incision(const moc_guard *g, double pose[4][3], const moc_trocar *trocar, const double *wrench,
                             moc_watch *w);
 
-/* Check the tip and the motion, then limit tau in place. t are the terms at watch->q and watch->v. If tip or t is
- * NULL, its check is left out. `before` is the torque of the previous tick. If tau is not finite, it is not changed. */
+/* Check tip and motion, then limit a finite tau in place. t are the terms at watch->q and watch->v. `before` is the
+ * torque of the previous tick. If tip or t is NULL, its check is left out. */
 moc_stop moc_guard_follow(const moc_guard *g, const moc_arm *arm, const moc_terms *t, const double *tip,
                           const double *tip_ref, const double *before, double *tau, moc_watch *w);
 
-/* Compute the torque of a stop. In each tick, it approaches the weight's torque by up to torque_step. */
+/* Compute the torque of a stop, which approaches the weight's torque by up to torque_step per tick. */
 void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before, const moc_watch *w, double *tau);
 
 /* --- step.c --- */
 
-/* Solve the state's subproblem with moc_solve_exact. Stores x, y and the status in the state. */
+/* Solve state->problem with moc_solve_exact. */
 moc_answer moc_ask_exact(const moc_controller *c, moc_state *state);
 
 #endif

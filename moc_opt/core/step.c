@@ -1,8 +1,5 @@
-/* One tick: moc_begin (check of the measurement, terms, levels 1 and 2, subproblem), any solver, and moc_finish (check
- * of the answer, level 3, limits of the torque).
- *
- * In Python c->guard is NULL, and FilteredController of moc_opt/sim/loop.py calls the functions of safety_filter.c
- * around any controller. If the order changes here, it has to change in loop.py as well. */
+/* One tick: moc_begin, any solver, moc_finish. FilteredController of moc_opt/sim/loop.py calls the functions of
+ * safety_filter.c in the order of this file. If the order changes here, it has to change there. */
 #include "vec.h"
 
 /* --- the law --- */
@@ -30,7 +27,7 @@ static void levels(const moc_controller *c, const moc_input *in, moc_state *s)
     double climb[MOC_MAX_JOINTS];
     int n = c->arm->n;
 
-    for (int i = 0; i < n && law->observer_gain > 0.0; i++) /* the observer uses the previous torque */
+    for (int i = 0; i < n && law->observer_gain > 0.0; i++)
         moc_observe(n, t, i, memory->tau[i], law->observer_gain, law->period, &memory->integral[i],
                     &memory->external[i]);
     moc_tracking_torque(law, n, t, &in->ref, &in->trocar, s->tau);
@@ -38,7 +35,8 @@ static void levels(const moc_controller *c, const moc_input *in, moc_state *s)
         s->tau[i] -= memory->external[i];
     if (!law->third_level && !law->damped)
         return;
-    memory->rows = moc_null_space(n, t->A, memory->rows, memory->Z);
+    moc_eliminate(n, t->A, &s->plane);
+    memory->rows = moc_null_space(&s->plane, n, memory->rows, memory->Z);
     if (!law->third_level)
         return;
     if (x_d == NULL && law->climbs) {
@@ -74,7 +72,7 @@ moc_stop moc_start(const moc_controller *c, const moc_measurement *m, moc_state 
     return s->reason;
 }
 
-/* Store the torque that acted. Stop if a torque is beyond its limit, or the number of rows of Z is impossible. */
+/* Store the torque that acted. Stop if a torque is beyond its limit or the memory is damaged. */
 static void take_applied(const moc_controller *c, const double *applied, moc_state *s)
 {
     int n = c->arm->n;
@@ -130,7 +128,7 @@ static moc_stop complete(const moc_controller *c, const moc_answer *answer, moc_
 
     if (law->third_level)
         s->fault = moc_supervise(c->supervision, &s->problem, answer, memory, s->x);
-    memory->share = law->third_level ? fmin(1.0, memory->share + law->fade) : 1.0;
+    memory->share = law->third_level ? smaller(memory->share + law->fade, 1.0) : 1.0;
     moc_add_third_level(law, c->arm->n, &s->terms, memory, law->third_level ? s->x : rest, s->tau);
     memcpy(memory->tau, s->tau, bytes);
     if (!c->guard)
@@ -163,7 +161,9 @@ moc_stop moc_finish(const moc_controller *c, const moc_answer *answer, moc_state
 moc_answer moc_ask_exact(const moc_controller *c, moc_state *s)
 {
     static const moc_claim claims[] = {MOC_CLAIMS_OPTIMUM, MOC_CLAIMS_INFEASIBLE, MOC_GIVES_NONE}; /* by moc_status */
-    s->status = moc_solve_exact(&s->problem, c->tolerance, s->answer, s->y);
+    if (!c->law->third_level)
+        return (moc_answer){s->answer, MOC_GIVES_NONE, MOC_TAKEN, 0.0};
+    s->status = moc_solve_eliminated(&s->plane, &s->problem, c->tolerance, s->answer, s->y);
     return (moc_answer){s->answer, claims[s->status], MOC_TAKEN, 0.0};
 }
 
@@ -171,7 +171,7 @@ moc_stop moc_step(const moc_controller *c, const moc_input *in, moc_state *s, do
 {
     moc_answer answer = {s->answer, MOC_GIVES_NONE, MOC_TAKEN, 0.0};
 
-    if (moc_begin(c, in, s) == MOC_RUNNING) /* without a third level, the subproblem has n = 0 */
+    if (moc_begin(c, in, s) == MOC_RUNNING)
         answer = moc_ask_exact(c, s);
     return moc_finish(c, &answer, s, tau);
 }

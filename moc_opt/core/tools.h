@@ -1,4 +1,4 @@
-/* Functions that only Python calls: the neural network and the planning. The exported controller lacks them. */
+/* Functions that only Python calls: neural network and planning. */
 #ifndef MOC_TOOLS_H
 #define MOC_TOOLS_H
 
@@ -7,34 +7,33 @@
 /* --- rnn.c --- */
 
 typedef struct {
-    int steps;      /* largest number of steps */
-    double h_x, h_y; /* step sizes dt/eps of x and of the multipliers */
-    double k;       /* gain k of Su et al. 2019 */
-    double scale;   /* multiplies c0, c1, c2 and rho */
-    int implicit;   /* 1: the multipliers are updated with the new x */
-    double rest;    /* the network is at rest if no right-hand side in rnn.c is larger [rad/s, m/s] */
+    int steps;       /* largest number of steps */
+    double h_x, h_y; /* step sizes dt/eps of x and y */
+    double k;        /* gain k of Su et al. 2019 */
+    double scale;    /* multiplies c0, c1, c2 and rho */
+    int implicit;    /* 1: y is updated with the new x */
+    double rest;     /* largest right-hand side of a network at rest [rad/s, m/s] */
 } moc_network;
 
-/* Advance x (n,) and y (6,) in place. *made is the number of steps taken. Returns MOC_OK if the network has come to
- * rest, MOC_UNFINISHED if it still moves, and MOC_DOUBTFUL if x or y is not finite. */
+/* Advance x (n,) and y (6,) in place. *made is the number of steps. Returns MOC_OK at rest, MOC_UNFINISHED if x or y
+ * still moves, MOC_DOUBTFUL if x or y is not finite. */
 moc_status moc_step_network(const moc_problem *problem, const moc_network *network, double *x, double y[6], int *made);
 
 /* --- planning (plan.c) --- */
 
-/* An arm, its joint limits, and the targets of its tip and wrist. A joint whose limits are equal is fixed. */
+/* A joint with equal limits is fixed. */
 typedef struct {
     const moc_arm *arm;
     const double *low, *high; /* (n,) */
     double target[2][3];      /* tip and wrist [m] */
 } plan_task;
 
-/* Search from q (n,) for a pose with the tip (points = 1), or tip and wrist (points = 2), at the target. Returns the
- * position error of the pose `best` [m]. `best` and `q` may be the same array. */
+/* Search from q (n,) for a pose with tip (points = 1), or tip and wrist (points = 2), at the target. Returns the error
+ * of `best` [m]. `best` may be `q`. */
 double plan_place(const plan_task *task, int points, int iterations, const double *q, double *best);
 
-/* Sample the curve of self-motion from q along the unit tangent (n,): arc length s, poses (most, n) and mu. Returns the
- * number of samples. ker A must have one dimension. The curve ends at the first joint limit, exactly on the limit.
- * If the curve returns to its start, up to whole turns of joints, it ends there and *closed is 1. */
+/* Sample the curve of self-motion from q along the unit tangent (n,): arc length s, poses (most, n) and mu. ker A must
+ * have one dimension. The curve ends at a joint limit, or (*closed = 1) at its start. Returns the number of samples. */
 int plan_follow(const plan_task *task, const double *q, const double *tangent, double step, int most, double *s,
                 double *poses, double *mus, int *closed);
 
@@ -43,10 +42,9 @@ double plan_ascend(const plan_task *task, double *q);
 
 /* One step of dynamic programming: compute the value (branches, m) of each pose from the values at the next time.
  *
- * q (branches, m, n) has the poses. A row of NaN stands for no pose. gain (branches, m) is the reward of a pose. It is
- * -inf if the pose is forbidden. In each branch, q_next is sorted by joint `sorted`, with NaN last. A pose can reach a
- * next pose if no joint moves by more than its step (n,) plus the slack of both poses. Both poses lie in the same
- * branch, or their branch numbers differ only in bits of crossing[m]. price is the cost of squared motion [1/rad^2]. */
+ * q (branches, m, n) has the poses, or NaN. gain (branches, m) is a pose's reward, or -inf. Each branch of q_next is
+ * sorted by joint `sorted`, with NaN last. In a step, no joint moves by more than its step (n,) plus the slack of both
+ * poses, and the branch number changes only in bits of crossing[m]. price is the cost of squared motion [1/rad^2]. */
 typedef struct {
     int branches, m, next, n, sorted;
     const double *q, *slack, *gain;

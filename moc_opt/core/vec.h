@@ -1,4 +1,4 @@
-/* Three-vectors, and small dense algebra with rows of MOC_MAX_JOINTS. */
+/* Three-vectors and small dense matrices. */
 #ifndef MOC_VEC_H
 #define MOC_VEC_H
 
@@ -35,7 +35,7 @@ static inline void times3(double S[3][3], const double x[3], double out[3])
         out[i] = dot3(S[i], x);
 }
 
-/* The adjugate of a symmetric matrix, which is its inverse times the determinant. Returns the determinant. */
+/* Compute the adjugate of a symmetric matrix. Returns the determinant. */
 static inline double adjugate3(double S[3][3], double adj[3][3])
 {
     for (int i = 0; i < 3; i++) {
@@ -45,7 +45,7 @@ static inline double adjugate3(double S[3][3], double adj[3][3])
     return dot3(S[0], adj[0]);
 }
 
-/* The scalar product, as two partial sums that the processor computes in parallel. */
+/* Two partial sums are faster than one. */
 static inline double dot(int n, const double *a, const double *b)
 {
     double even = n % 2 ? a[n - 1] * b[n - 1] : 0.0, odd = 0.0;
@@ -64,7 +64,7 @@ static inline bool all_finite(int n, const double *x)
     return sum == 0.0;
 }
 
-/* These replace fmax and fmin of the C library, which are slower. Both return b if a is NaN. */
+/* Faster than fmax and fmin. Both return b if a is NaN. */
 static inline double larger(double a, double b)
 {
     return a > b ? a : b;
@@ -75,13 +75,13 @@ static inline double smaller(double a, double b)
     return a < b ? a : b;
 }
 
-/* x clipped to [low, high]; high if low > high. */
+/* If low > high, the result is high. */
 static inline double clip(double x, double low, double high)
 {
     return smaller(high, larger(low, x));
 }
 
-/* The lower factor L (m,m) of S = L L^T, and 1 / L_ii in inverse (m,). Finite only if S is positive definite. */
+/* S = L L^T with L (m,m), and 1 / L_ii in inverse (m,). Not finite if S is not positive definite. */
 static inline void cholesky(int m, double S[][MOC_MAX_JOINTS], double L[][MOC_MAX_JOINTS], double *inverse)
 {
     for (int j = 0; j < m; j++) {
@@ -97,7 +97,7 @@ static inline moc_stop first_of(moc_stop reason, moc_stop other)
     return reason == MOC_RUNNING ? other : reason;
 }
 
-/* x (m,) becomes S^-1 x, given the factor of S. */
+/* x (m,) becomes S^-1 x. */
 static inline void solve_factored(int m, double L[][MOC_MAX_JOINTS], const double *inverse, double *x)
 {
     for (int i = 0; i < m; i++)
@@ -109,10 +109,10 @@ static inline void solve_factored(int m, double L[][MOC_MAX_JOINTS], const doubl
     }
 }
 
-/* Two unit vectors b[0], b[1] that form a right-handed orthonormal basis with the unit vector u. */
+/* Complete the unit vector u to a right-handed orthonormal basis (b[0], b[1], u). */
 static inline void across(const double u[3], double b[2][3])
 {
-    int k = fabs(u[0]) <= fabs(u[1]) ? 0 : 1; /* an axis that is at least 45 degrees away from u */
+    int k = fabs(u[0]) <= fabs(u[1]) ? 0 : 1; /* an axis at least 45 degrees from u */
     double e[3] = {0.0, 0.0, 0.0};
 
     e[k] = 1.0;
@@ -122,7 +122,7 @@ static inline void across(const double u[3], double b[2][3])
     add_cross(1.0, u, b[0], b[1]);
 }
 
-/* The largest |x_i|, or NaN if any x_i is NaN. */
+/* max |x_i|, or NaN if any x_i is NaN. */
 static inline double largest_of(int count, const double *x)
 {
     double most = 0.0;
@@ -140,7 +140,7 @@ static inline double off_plane(const moc_problem *p, const double *x)
     return largest_of(6, gap);
 }
 
-/* Five independent rows of A: three of the tip, and two of the wrist along b (see `across`). */
+/* Five independent rows of A: three of the tip, two of the wrist along b (see `across`). */
 static inline void five_rows(int n, double A[][MOC_MAX_JOINTS], double b[2][3], double A5[5][MOC_MAX_JOINTS])
 {
     memcpy(A5, A, 3 * sizeof *A5);

@@ -16,7 +16,6 @@ from moc_opt.qp.problem import NullSpaceQP, joints_of, row_length
 from moc_opt.solvers.base import Solution, SolverSettings, Status, no_answer
 
 STATUS = {core.OK: Status.SOLVED, core.INFEASIBLE: Status.INFEASIBLE, core.DOUBTFUL: Status.NUMERICAL}
-_STATUSES = np.array([STATUS.get(code) for code in range(max(STATUS) + 1)], dtype=object)
 # looked up once, for speed
 _solve, _new, _SOLVED, _OK = core.solve_exact, tuple.__new__, Status.SOLVED, core.OK
 
@@ -63,9 +62,12 @@ class Exact(SolverSettings):
         if rows.ndim != 2 or rows.shape[1] != row_length(n) or not 1 <= n <= core.MAX_JOINTS:
             raise SolverError(f"exact: rows has shape {rows.shape}: give (k, 11 n + 10), n at most {core.MAX_JOINTS}")
         X, Y, codes = np.empty((len(rows), n)), np.empty((len(rows), 6)), np.empty(len(rows))
-        shares = threads or os.cpu_count() or 1
-        parts = [np.array_split(array, shares) for array in (rows, X, Y, codes)]
-        with ThreadPoolExecutor(shares) as pool:  # the core releases the GIL
+        threads = threads or os.cpu_count() or 1
+        parts = [np.array_split(array, 8 * threads) for array in (rows, X, Y, codes)]  # small parts spread evenly
+        with ThreadPoolExecutor(threads) as pool:  # the core releases the GIL
             list(pool.map(core.solve_exact_rows, parts[0], repeat(self.tolerance), *parts[1:]))
-        X[codes != _OK] = Y[codes != _OK] = np.nan
-        return X, Y, _STATUSES[codes.astype(np.intp)].tolist()
+        statuses, unsolved = [Status.SOLVED] * len(rows), np.flatnonzero(codes != _OK)
+        X[unsolved] = Y[unsolved] = np.nan
+        for k in unsolved:
+            statuses[k] = STATUS[codes[k]]
+        return X, Y, statuses

@@ -1,9 +1,7 @@
-/* Runs the core on random, extreme and damaged states. `make sanitize` builds this program with sanitizers.
+/* Runs the core with sanitizers on random, extreme and damaged states (`make sanitize`).
  *
- * It checks that no access is outside an array, that every loop ends, and that the torque of the safety filter is
- * finite and within its limits. It also prints a digest of all results. Array entries after the first n are NaN, so
- * that the digest changes if the core uses such an entry. Every compiler gives the same digest, because the program has
- * its own sine and cosine. All other functions that the core takes from the C library are exact.
+ * It checks that the torque of the safety filter is finite and within its limits, and prints a digest of all results.
+ * Array entries after the first n are NaN, so that the digest changes if the core uses such an entry.
  *
  * Usage: extremes [courses] [seed]. A course is a run with random settings. The exit status is 0 if all checks pass. */
 #include <limits.h>
@@ -18,9 +16,9 @@
 
 static uint64_t seed = 1, digest = 14695981039346656037u;
 static long reasons[MOC_STOPS], faults[MOC_FAULTS], statuses[4];
-static double grain; /* if above 0, random numbers are multiples of it, so that some are equal */
+static double grain; /* if above 0, random numbers are multiples of grain */
 
-/* The Taylor series of sine (k = 2, term = x) or cosine (k = 1, term = 1). */
+/* Sine: k = 2, term = x. Cosine: k = 1, term = 1. */
 static double series(double x, int k, double term)
 {
     double sum = term;
@@ -29,7 +27,7 @@ static double series(double x, int k, double term)
     return sum;
 }
 
-/* sin and cos replace those of the C library, whose last bits depend on the processor. */
+/* The last bits of the C library's sin and cos depend on the processor. */
 double sin(double x)
 {
     double turned = remainder(x, 6.283185307179586);
@@ -60,7 +58,6 @@ static double uniform(double low, double high)
     return grain > 0.0 ? grain * nearbyint(x / grain) : x;
 }
 
-/* Returns NaN, an infinity, a denormal or huge number, or any pattern of bits. */
 static double extreme(void)
 {
     static const double strange[] = {0.0, -0.0, 1e300, -1e300, 5e-324, 1.7976931348623157e308, 1e16, 1.5707963267948966};
@@ -79,12 +76,11 @@ static double extreme(void)
     }
 }
 
-/* Add results to the digest. */
 static void note(const double *x, int count)
 {
     for (int i = 0; i < count; i++) {
         uint64_t pattern;
-        double value = x[i] + 0.0; /* turns -0 into 0, because C does not define the sign of fmax(0, -0) */
+        double value = x[i] + 0.0; /* -0 becomes 0: C does not define the sign of fmax(0, -0) */
         memcpy(&pattern, &value, sizeof pattern);
         digest = (digest ^ (isnan(x[i]) ? 1 : pattern)) * 1099511628211u;
     }
@@ -101,7 +97,7 @@ static void fill(double *x, int count, double value)
         x[i] = value;
 }
 
-/* Return a copy on the heap of exactly this length, so that the sanitizer finds accesses beyond its end. */
+/* Return a copy of exactly this length, so that the sanitizer finds accesses beyond its end. */
 static double *alone(const double *x, int count)
 {
     double *own = malloc((unsigned)count * sizeof *own);
@@ -109,14 +105,12 @@ static double *alone(const double *x, int count)
     return own;
 }
 
-/* Set the entries of each row after the first n to NaN. */
 static void behind(double *x, int rows, int n)
 {
     for (int i = 0; i < rows; i++)
         fill(x + i * MOC_MAX_JOINTS + n, MOC_MAX_JOINTS - n, (double)NAN);
 }
 
-/* Replace each entry by an extreme number with the probability 1 / one_in. */
 static void spoil(double *x, int count, unsigned one_in)
 {
     for (int i = 0; i < count; i++)
@@ -124,10 +118,9 @@ static void spoil(double *x, int count, unsigned one_in)
             x[i] = extreme();
 }
 
-/* A chain of 1 to 16 revolute and prismatic joints with random axes, some of which coincide. */
 static void draw_arm(moc_arm *arm)
 {
-    unsigned idle = chance(3) ? 2 : 10; /* each joint moves the tool, except with the probability 1 / idle */
+    unsigned idle = chance(3) ? 2 : 10; /* one joint in `idle` does not move the tool */
     memset(arm, 0, sizeof *arm);
     fill(&arm->joint[0].rotation[0][0], MOC_MAX_JOINTS * (int)(sizeof *arm->joint / sizeof(double)), (double)NAN);
     arm->n = chance(3) ? MOC_MAX_JOINTS : 1 + (int)(bits() % MOC_MAX_JOINTS);
@@ -237,7 +230,6 @@ static void draw_guard(moc_guard *g, const moc_law *law, int n)
     }
 }
 
-/* Overwrite parts of the memory with extreme numbers, but not the integers, such as the number of rows of Z. */
 static void damage(moc_memory *memory, moc_watch *watch)
 {
     if (chance(2))
@@ -280,7 +272,6 @@ static int bounded(const moc_guard *g, int n, const double *tau)
     return 1;
 }
 
-/* Run the functions of plan.c: a pose, a curve, a climb, and a value function over the curve's poses. */
 static void plan(moc_arm *arm, const moc_law *law, const double *from)
 {
     enum { MOST = 12 };
@@ -297,7 +288,7 @@ static void plan(moc_arm *arm, const moc_law *law, const double *from)
 
     for (int j = 0; j < n; j++) {
         low[j] = chance(10) || lone != NONE ? high[j] = q[j] : low[j];
-        if (j == lone) { /* Only this joint turns, about the tool's axis. The curve thus closes. */
+        if (j == lone) { /* only this joint turns, so that the curve closes */
             arm->joint[j].slides = arm->joint[j].axis[0] = arm->joint[j].axis[1] = 0.0;
             arm->joint[j].axis[2] = 1.0;
             high[j] += chance(2) ? 7.0 : 6.28;
@@ -309,7 +300,7 @@ static void plan(moc_arm *arm, const moc_law *law, const double *from)
     memcpy(task.target[MOC_WRIST], terms.wrist, sizeof terms.wrist);
     spoil(task.target[MOC_TIP], 6, 100);
     if (chance(5))
-        task.target[MOC_TIP][0] += 2.0; /* out of reach of most arms */
+        task.target[MOC_TIP][0] += 2.0;
     for (int j = 0; j < n; j++)
         best[j] = q[j] + uniform(-0.1, 0.1);
     note_one(plan_place(&task, 1 + chance(2), 8, best, best));
@@ -333,7 +324,7 @@ static void plan(moc_arm *arm, const moc_law *law, const double *from)
         free(own[k]);
 }
 
-/* Run one tick with moc_step, or, if `own` is set, with spoilt answers and random claims of a solver. */
+/* Run moc_step, or, if `own` is set, a solver with spoilt answers and random claims. */
 static moc_stop tick(const moc_controller *c, const moc_input *in, int own, moc_state *state, double *tau)
 {
     double x[MOC_MAX_JOINTS] = {0.0}, y[6];
@@ -353,13 +344,12 @@ static moc_stop tick(const moc_controller *c, const moc_input *in, int own, moc_
     return reason;
 }
 
-/* Returns 1 in half of the calls, else a power of two between 2^-59 and 1. */
 static double tiny(void)
 {
     return chance(2) ? 1.0 : ldexp(1.0, -(int)(bits() % 60));
 }
 
-/* Make row i of A x = b a combination of two other rows and a multiple of itself. The multiple may be zero or tiny. */
+/* Make row i of A x = b nearly dependent on rows 0 and 1. */
 static void repeat(moc_problem *p, int i, const double *x)
 {
     double own = chance(4) ? 0.0 : tiny(), beside = chance(4) ? tiny() : 0.0;
@@ -368,11 +358,7 @@ static void repeat(moc_problem *p, int i, const double *x)
     p->b[i] = dot(p->n, p->A[i], x) + beside * uniform(-1.0, 1.0);
 }
 
-/* Solve a random subproblem, run the network on it, and let moc_judge and moc_supervise check good and bad answers.
- * Returns 0 if an answer that `exact` calls solved violates A x = b.
- *
- * Some joints are idle, some have nearly parallel columns, and rows of A may be dependent. The feasible set may be
- * a single point at a corner of the bounds, or empty. */
+/* Solve a random subproblem, run the network, and supervise answers. Returns 0 if MOC_OK comes with A x != b. */
 static int subproblem(void)
 {
     static const double weights[] = {0x1p-10, 0x1p-17, 0.0, 1e-3};
@@ -380,6 +366,7 @@ static int subproblem(void)
     double x[MOC_MAX_JOINTS], near[MOC_MAX_JOINTS], y[6] = {0.0}, rest = chance(2) ? 0.0 : 1e-3;
     double size = ldexp(1.0, (int)(bits() % 21) - 10), narrow = tiny(), steep = tiny();
     moc_memory memory = {.age = (int)(bits() % 3)};
+    moc_plane plane;
 
     grain = chance(2) ? 0.25 : 0.0;
     p.c2 = weights[bits() % 4];
@@ -420,7 +407,8 @@ static int subproblem(void)
     note(near, p.n);
     note(y, 6);
     fill(&memory.Z[0][0], MOC_MAX_JOINTS * MOC_MAX_JOINTS, (double)NAN);
-    memory.rows = moc_null_space(p.n, p.A, 0, memory.Z);
+    moc_eliminate(p.n, p.A, &plane);
+    memory.rows = moc_null_space(&plane, p.n, 0, memory.Z);
     behind(memory.Z[0], memory.rows, p.n);
     for (int k = 0; k < 4; k++) {
         const moc_supervision s = draw_supervision();
@@ -449,8 +437,7 @@ static double level(double most)
     return chance(2) ? HUGE_VAL : uniform(0.0, most);
 }
 
-/* Run the safety filter alone. The numbers are so coarse that readings repeat and values equal their limits exactly.
- * The run is so long that the filter decides whether the wrench has noise. It continues after a reason to stop. */
+/* Run the safety filter alone, on numbers so coarse that readings repeat and values equal their limits. */
 static void filter(void)
 {
     static const double none[MOC_MAX_JOINTS];
@@ -492,7 +479,7 @@ static void filter(void)
     moc_guard_start(&g, arm.n, q, v, 0, &w);
     for (long long k = 1; k < 240; k++) {
         double tau[MOC_MAX_JOINTS], tip[3], ref[3], pose[4][3];
-        bool again = noise == 0 || (k > 180 && k % 30 > 5); /* the wrench is unchanged */
+        bool again = noise == 0 || (k > 180 && k % 30 > 5);
         moc_trocar trocar = {{0.0}, {0.0}};
         const moc_terms *terms = chance(9) ? NULL : &t;
         const double *applied = chance(9) ? NULL : before;
@@ -529,7 +516,7 @@ static void filter(void)
         }
         note(w.q, arm.n);
         note(tau, arm.n);
-        note(w.mean_square, 6); /* with `largest` and `first_tick` */
+        note(w.mean_square, 6);
         note_one(w.limited);
         if (!chance(3))
             continue;
@@ -544,8 +531,7 @@ static void filter(void)
     free(wrench);
 }
 
-/* Run one random controller for 29 ticks: once with moc_step, once with moc_begin, a solver and moc_finish. Returns 0
- * if a torque is beyond its limits or NaN, or if a friction is negative. */
+/* Run a random controller. Returns 0 if a torque is beyond its limits or NaN, or if a friction is negative. */
 static int course(void)
 {
     static moc_state states[2];
@@ -636,7 +622,7 @@ static int course(void)
     return 1;
 }
 
-/* Check the functions of vec.h on copies of exact length. Returns 0 if a result is wrong. */
+/* Check the functions of vec.h. */
 static int algebra(void)
 {
     double S[5][MOC_MAX_JOINTS], L[5][MOC_MAX_JOINTS], start[5], worst = 0.0;
@@ -676,8 +662,7 @@ static int algebra(void)
     return sound;
 }
 
-/* Check that moc_start and moc_begin accept values at a limit and refuse values beyond it. Also check NaN readings, and
- * ticks without a start. Returns 0 if a check fails. */
+/* Check moc_start and moc_begin at limits, with NaN readings, and without a start. */
 static int contract(void)
 {
     static moc_state state;
@@ -724,7 +709,7 @@ static int contract(void)
             return 0;
     }
     fill(tau, MOC_MAX_JOINTS, (double)NAN);
-    guard.patience = 3; /* after a NaN reading, the believed position is unchanged */
+    guard.patience = 3; /* a NaN reading leaves the believed position unchanged */
     in.measured.q = tau;
     moc_start(&controller, &(moc_measurement){q, v, 0, 0, most, none}, &state);
     if (moc_begin(&controller, &in, &state) != MOC_RUNNING ||

@@ -1,4 +1,4 @@
-/* Self-test: repeat the recorded ticks, compare the torques with those of Python, and time the ticks. */
+/* Self-test: repeat recorded ticks, compare the torques with those of Python, time the ticks. */
 #define _POSIX_C_SOURCE 199309L
 
 #include <stdio.h>

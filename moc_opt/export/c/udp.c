@@ -1,4 +1,4 @@
-/* The controller over UDP: receive a measurement, compute the torque, send it; see docs/realtime.md.
+/* The controller over UDP (docs/realtime.md).
  *
  * Usage: moc_udp HOST PORT reference.bin, with the key in MOC_OPT_WIRE_KEY. The loop uses no heap. */
 #define _POSIX_C_SOURCE 200809L
@@ -23,9 +23,9 @@
 
 enum { TAG = 16, KEY = 32, SHORTEST_KEY = 16, TURN_US = 50000, REPEAT_NS = 100000000, PRIORITY = 50 };
 
-/* --- the signature at the end of every packet: BLAKE2s (RFC 7693) with a key, by OpenSSL --- */
+/* --- the signature at the end of every packet: BLAKE2s (RFC 7693) with a key --- */
 
-static EVP_MAC_CTX *check; /* the signature's context, which holds the key */
+static EVP_MAC_CTX *check; /* holds the key */
 
 static int take_key(const char *key, size_t length)
 {
@@ -43,16 +43,15 @@ static int sign(const uint8_t *data, size_t length, uint8_t tag[TAG])
            EVP_MAC_final(check, tag, &length, TAG);
 }
 
-/* --- the link: a UDP socket that accepts only valid measurements --- */
+/* --- the link --- */
 
 static struct {
     int socket;
     struct sockaddr_in plant;
-    uint64_t session; /* 0 until the plant has sent it */
+    uint64_t session; /* 0: unknown */
     unsigned ignored; /* number of rejected packets */
 } wire;
 
-/* A steady clock [ns]. */
 static int64_t now_ns(void)
 {
     struct timespec now;
@@ -60,7 +59,7 @@ static int64_t now_ns(void)
     return (int64_t)now.tv_sec * 1000000000 + now.tv_nsec;
 }
 
-/* Open the socket to host:port. Returns NULL, or an error message. */
+/* Returns NULL, or an error message. */
 static const char *open_link(const char *host, const char *port)
 {
     struct timeval turn = {.tv_usec = TURN_US}; /* timeout of recvfrom */
@@ -84,7 +83,7 @@ static const char *open_link(const char *host, const char *port)
     return NULL;
 }
 
-/* Fill in the header of a packet except its flags, sign the packet and send it. Errors of sending are ignored. */
+/* Complete the header of a packet, sign and send the packet. Errors of sending are ignored. */
 static void send_packet(wire_header *packet, size_t size, uint8_t kind, int64_t number)
 {
     uint8_t *bytes = (uint8_t *)packet;
@@ -109,13 +108,13 @@ static int is_sound(const uint8_t *bytes, size_t size, const struct sockaddr_in 
            sender->sin_addr.s_addr == wire.plant.sin_addr.s_addr && sender->sin_port == wire.plant.sin_port;
 }
 
-/* Wait for a valid measurement until the time `until` [ns]. Returns 0 if none has arrived. */
+/* Wait for a valid measurement until `until` [ns]. Returns 0 if none has arrived. */
 static int receive(int64_t until, wire_measurement *found)
 {
     do {
         struct sockaddr_in sender;
         socklen_t length = sizeof sender;
-        union { /* one byte longer than a measurement, so that a longer datagram is recognized */
+        union { /* the extra byte reveals longer datagrams */
             wire_measurement packet;
             uint8_t bytes[sizeof(wire_measurement) + 1];
         } scratch;
@@ -131,7 +130,7 @@ static int receive(int64_t until, wire_measurement *found)
     return 0;
 }
 
-/* Send a packet every 100 ms until a measurement with (waiting = 1) or without (waiting = 0) WIRE_WAITING arrives. */
+/* Repeat a packet until a measurement with (waiting = 1) or without (waiting = 0) WIRE_WAITING arrives. */
 static int ask(uint8_t kind, int waiting, wire_measurement *found)
 {
     int64_t until = now_ns() + (int64_t)(1e9 * WIRE_WAIT_S);
@@ -157,7 +156,6 @@ static moc_state state;
 static wire_command command;
 static unsigned ticks;
 
-/* Write the third level's answer and its subproblem into `command`. */
 static void report(void)
 {
     static const char *const statuses[] = {"solved", "infeasible", "numerical"};
@@ -183,7 +181,6 @@ static moc_measurement measured(const wire_measurement *m)
     return (moc_measurement){m->q, m->v, m->stamp, 1, m->commanded, m->wrench};
 }
 
-/* Compute one tick and write its result into `command`. */
 static void tick(const wire_measurement *m)
 {
     int64_t begin = now_ns(), number = m->head.sequence;
@@ -230,7 +227,7 @@ static const char *answer(wire_measurement *m)
             newest = number;
             tick(m);
         }
-        if (number == newest) /* also if the plant repeats a measurement because the answer was lost */
+        if (number == newest) /* also for a repeated measurement, whose answer was lost */
             send_packet(&command.head, sizeof command, WIRE_KIND_COMMAND, number);
     } while (receive(now_ns() + (int64_t)(1e9 * WIRE_SILENCE_S), m));
     return "the plant has been silent";
