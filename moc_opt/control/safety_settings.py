@@ -26,18 +26,17 @@ class SafetyFilterSettings(Settings):
     """lag of measured velocities. At the speed v, the lag times v is added to `motion_rad`. At least three time
     constants of the velocity filter are used"""
     repeat_m: float = Field(0.003, gt=0.0)
-    """largest travel of the tip's reference while all encoders repeat their readings exactly"""
+    """largest travel of the tip's reference at unchanged encoder readings"""
     repeat_torque: float = Field(0.06, gt=0.0)
-    """largest change of a torque while all encoders repeat their readings, as a share of the largest torque. At least
-    500 times `encoder_resolution_rad` is used"""
+    """largest torque change at unchanged encoder readings, as a share of the largest torque. At least 500 times
+    `encoder_resolution_rad` is used"""
     repeat_whole_torque: float = Field(0.0005, gt=0.0)
-    """largest change of a torque while encoders and wrench sensor repeat their readings, as a share of the largest
-    torque"""
+    """largest torque change at unchanged encoder and wrench readings, as a share of the largest torque"""
     repeat_whole_m: float = Field(0.0005, gt=0.0)
-    """largest travel of the tip's reference while encoders and wrench sensor repeat their readings exactly"""
+    """largest travel of the tip's reference at unchanged encoder and wrench readings"""
     repeat_whole_ticks: int = Field(25, ge=1)
-    """largest number of control periods in a row at which a noisy wrench sensor repeats its reading. It also limits how
-    often whole measurements repeat earlier measurements"""
+    """largest number of consecutive control periods at which a noisy wrench sensor repeats its reading. It also limits
+    how often whole measurements repeat earlier measurements"""
     stuck_torque: float = Field(0.06, ge=0.0)
     """torque change that static friction can hold, as a share of the joint's largest torque. It is used while an
     encoder repeats its reading"""
@@ -45,8 +44,8 @@ class SafetyFilterSettings(Settings):
     """torque change that static friction can hold, divided by the Coulomb friction. The smaller of this torque and
     `stuck_torque` is used"""
     repeat_joint_ticks: int | None = Field(None, ge=1)
-    """largest number of control periods in a row at which one encoder repeats its reading. By default, it is computed
-    from the encoders' noise and step"""
+    """largest number of consecutive control periods at which one encoder repeats its reading. By default, it is
+    computed from the encoders' noise and step"""
     repeat_reading_ticks: int | None = Field(None, ge=0)
     """largest number of times in a run that one encoder repeats both position and velocity. By default, it is
     `patience_ticks` for noisy encoders with filtered velocities, and unlimited for others"""
@@ -83,17 +82,16 @@ class SafetyFilterSettings(Settings):
     patience_ticks: int = Field(3, ge=0)
     """number of bad or missing measurements in a row that are replaced by extrapolation. One more stops the arm"""
     tip_error_m: float = Field(0.01, gt=0.0)
-    """root mean square distance of the tip from its reference above which the arm is stopped"""
+    """rms distance of the tip from its reference above which the arm is stopped"""
     tip_error_s: float = Field(0.1, gt=0.0, description="time constant of the mean square of the tip error")
     rcm_error_m: Level = 0.010
-    """root mean square distance of the shaft from the registered trocar above which the arm is stopped"""
+    """rms distance of the shaft from the registered trocar above which the arm is stopped"""
     rcm_warning_m: Level = 0.005
-    """root mean square distance of the shaft from the registered trocar above which a warning is recorded"""
+    """rms distance of the shaft from the registered trocar above which a warning is recorded"""
     trocar_force_N: Level = 15.0
-    """root mean square force of the trocar on the shaft above which the arm is stopped"""
+    """rms force of the trocar on the shaft above which the arm is stopped"""
     trocar_force_warning_N: Level = 8.0
-    """root mean square force across the shaft above which a warning is recorded. It includes loads and contacts at the
-    tip"""
+    """rms force across the shaft above which a warning is recorded. It includes loads and contacts at the tip"""
     tip_force_N: Level = 10.0
     """largest force across the shaft that is attributed to a contact at the tip. The rest counts as trocar force"""
     incision_s: float = Field(0.1, gt=0.0)

@@ -67,8 +67,8 @@ class ControlSettings(Settings):
     D_N: NotNegative | None = None
     """wrist damping [N s/m]. The default is in the table that `gains` names"""
     K_N2: PerJoint | None = None
-    """level 3: gain on the error between the solver's and the measured joint velocity [N m s/rad]. The default is in
-    the table that `gains` names"""
+    """level 3: gain on the difference between the solver's and the measured joint velocity [N m s/rad]. The default is
+    in the table that `gains` names"""
     D_N2: PerJoint | None = None
     """level 3: damping gain on the measured joint velocity [N m s/rad]. The default is in the table that `gains`
     names"""
@@ -128,7 +128,7 @@ class ControlSettings(Settings):
     """smallest desired manipulability of the shaft about the tip, divided by the squared wrist-tip distance. Below it,
     `third_level` 'local' also raises this manipulability. 0 switches this off"""
     ramp_s: NotNegative = 0.3
-    """time in which the torque of level 3 rises to its full size after the start"""
+    """time in which the torque of level 3 rises to full size at the start"""
     supervisor: SupervisorSettings = SupervisorSettings()
 
     @field_validator("gains", mode="before")

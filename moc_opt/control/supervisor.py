@@ -64,9 +64,9 @@ class SupervisorSettings(Settings):
     check: bool = True
     """whether answers are checked against `primal_limit`, `box_limit`, `relative_limit` and `opposite_limit`"""
     primal_limit: float = Field(1e-2, gt=0.0)
-    """largest violation of A x = b [m/s] or of the bounds on x [rad/s] by an answer reported as optimal"""
+    """largest constraint violation of an answer reported as optimal [A x = b: m/s; bounds on x: rad/s]"""
     box_limit: float = Field(0.1, gt=0.0)
-    """largest violation of A x = b [m/s] or of the bounds on x [rad/s] by an answer that is not reported as optimal"""
+    """largest constraint violation of an answer not reported as optimal [A x = b: m/s; bounds on x: rad/s]"""
     relative_limit: float = Field(0.05, gt=0.0)
     """largest natural residual (0 at an optimum) of an answer reported as optimal [rad/s]. The largest entry of the
     cost gradient is scaled to 1"""
@@ -74,7 +74,7 @@ class SupervisorSettings(Settings):
     """distance from the optimum above which an answer with the wrong sign is refused [rad/s]. Such an answer is nearer
     to the optimum for the negated gradient"""
     hold_ticks: int = Field(10, ge=0)
-    """largest number of control periods in a row with the last good answer. After them, elbow motion is damped"""
+    """largest number of consecutive control periods with the last good answer. After them, elbow motion is damped"""
     keep_off_limits: bool = True
     """whether the elbow still keeps off joint limits when `hold_ticks` is exceeded"""
     budget_us: float | None = Field(None, gt=0.0, description="longest time of a solve. By default, there is no limit")
