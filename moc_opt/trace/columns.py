@@ -72,9 +72,9 @@ COLUMNS: Mapping[str, Column] = MappingProxyType(
         "distance": Column("rad/s", "(N,)", "largest entry of the difference to the nearest optimum"),
         "loss": Column("1", "(N,)", "cost above the optimum / range of feasible costs; 0 at the optimum"),
         "mu_bound": Column("m^3", "(N,)", "largest mu of all feasible poses with this tip and wrist; NaN if unknown"),
-        "mu_best_from_start": Column("m^3", "(N,)", "mu along the best course (planned motion) from the run's start"),
-        "mu_best": Column("m^3", "(N,)", "mu along the best course from any swivel and branch at the start"),
-        "q_best_from_start_rad": Column("rad", "(N, n)", "joint positions of the best course from the run's start"),
+        "mu_best_from_start": Column("m^3", "(N,)", "mu along the best planned joint motion from the run's start"),
+        "mu_best": Column("m^3", "(N,)", "mu along the best planned joint motion from any start pose"),
+        "q_best_from_start_rad": Column("rad", "(N, n)", "best planned joint motion from the run's start"),
     }
 )  # fmt: skip
 """Every column that the package writes or reads, by name."""

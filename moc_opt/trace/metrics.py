@@ -202,7 +202,10 @@ _figure("mu_final", "m^3", "Last", "mu", lambda values: values[-1])
 
 @metric("percent")
 def mu_gain_percent(trace: Trace, baseline: Trace | None) -> float:
-    """Change of mean manipulability against the same run without level 3 (DCAC)."""
+    """Change of mean manipulability against the same run without level 3 (DCAC).
+
+    The baseline's gains depend on the settings of level 3. To compare these, use `mu_mean`.
+    """
     if baseline is None:
         raise MissingDataError("there is no baseline: give the trace of DCAC on the same trial")
     reference = METRICS["mu_mean"](baseline)
