@@ -21,7 +21,7 @@ from moc_opt.tasks.paths import kinds, sizes
 from moc_opt.trace.metrics import METRICS, load_plugins
 
 Rows = dict[str, dict[str, Any]]
-TITLES = {"real": "freedoms", "tool": "tool [m]", "about": "what it is"}
+TITLES = {"real": "freedoms", "idle": "idle joints", "tool": "tool [m]", "about": "what it is"}
 
 
 def print_list(given: argparse.Namespace) -> int:
@@ -67,7 +67,10 @@ def robots() -> tuple[str, Rows, str]:
         left = best_freedoms(arm)
         rows[name] = {"joints": arm.n, "real": left.real, "idle": len(left.idle), "tool": arm.data.tool_length,
                       "about": about(name)}  # fmt: skip
-    more = "Instead of a name, give the path of your own robot file. `moc-opt robot check NAME` checks an arm."
+    more = (
+        "Freedoms: dimensions of joint motion with tip and wrist at rest, apart from idle joints, which move neither. "
+        "Instead of a name, give the path of your own robot file. `moc-opt robot check NAME` checks an arm."
+    )
     return "Robots: [robot] name", rows, more
 
 

@@ -43,104 +43,109 @@ def flag(name: str, about: str) -> Option:
 def pages(name: str) -> tuple[Option, ...]:
     """Declare the options of a command that writes NAME.html from traces."""
     return (
-        option("traces", nargs="+", type=path, help="files (Parquet) that `run --trace` wrote; give a baseline first"),
-        option("--out", type=path, default=Path(f"{name}.html"), help=f"default {name}.html"),
+        option("traces", nargs="+", type=path, help="files of `moc-opt run --trace`, the baseline first"),
+        option("--out", type=path, default=Path(f"{name}.html"), help=f"HTML file to write; default {name}.html"),
         FORCE,
     )
 
 
-SCENARIO = option("scenario", nargs="?", type=path, help="TOML file; default: the default scenario")
+SCENARIO = option("scenario", nargs="?", type=path, help="TOML file; if left out, all settings have their defaults")
 FORCE = flag("--force", "overwrite a file even if moc_opt did not write it")
-JSON = flag("--json", "print JSON")
-ALL = flag("--all", "print every metric, not the short selection")
-KEY = option("--key-file", type=path, help="file with a key of 16 to 32 bytes; default: $MOC_OPT_WIRE_KEY")
+JSON = flag("--json", "print JSON instead of tables")
+ALL = flag("--all", "print all metrics instead of the main ones")
+KEY = option("--key-file", type=path, help="file with the shared key (16 to 32 bytes); default: $MOC_OPT_WIRE_KEY")
 WIRE = "127.0.0.1:30200"
 
 COMMANDS = {
     "run": Command("commands.running:run_scenario", "run one scenario and print its metrics", (
         SCENARIO,
-        option("--seed", type=int, help="replaces the scenario's seed"),
-        option("--solver", help="replaces the solver, with default settings; `solvers --list` has the names"),
-        option("--robot", metavar="NAME|MY.toml", help="replaces the scenario's robot"),
-        option("--task", metavar="NAME|POINTS.csv", help="name from `tasks`, or a file with one x,y,z [m] per line"),
+        option("--seed", type=int, help="seed of random numbers, instead of the scenario's"),
+        option("--solver", help="solver, with default settings: a name from `moc-opt solvers --list`"),
+        option("--robot", metavar="NAME|MY.toml", help="robot: a name from `moc-opt robots`, or a robot file"),
+        option("--task", metavar="NAME|POINTS.csv",
+               help="path: a name from `moc-opt tasks`, or a file with one point x,y,z [m] per line"),
         option("--metric", action="append", metavar="NAME", help="print only this metric; may be repeated"),
         ALL,
         option("--report", type=path, metavar="FILE.html", help="write metrics, curves and map to this page"),
         FORCE,
-        option("--third-level", choices=("local", "planned", "receding"), help="local: climb mu; else follow a course"),
-        option("--course", metavar="FILE.parquet", help="follow this course, written by `plan --out`"),
-        option("--trace", type=path, metavar="X.parquet", help="write the trace to this file, even after Ctrl-C"),
+        option("--third-level", choices=("local", "planned", "receding"),
+               help="motion of the elbow. local: up the gradient of the manipulability; planned, receding: along a "
+                    "joint motion planned before or during the run"),
+        option("--course", metavar="FILE.parquet", help="follow the joint motion in this file of `moc-opt plan --out`"),
+        option("--trace", type=path, metavar="X.parquet", help="write the record of the run (trace) to this file"),
         JSON,
     ), "Exit status: 0 the run completed; 2 the input is wrong; 3 the run was stopped, ran away or oscillated (the "
-       "first line says so); 130 interrupted; 1 an internal error. After 130 and 1, --trace has the rows so far."),
+       "first line says so); 130 interrupted; 1 an internal error. After 130 and 1, --trace has the run so far."),
     "plan": Command("commands.running:plan_scenario",
-                    "plan a scenario: whether and how well it can be executed", (
+                    "check that the arm can follow the path, and plan its joint motion", (
         SCENARIO,
         option("--margin", type=float, metavar="RAD",
-               help="distance from the joint limits; default 0, or course_margin_rad if a course is followed"),
+               help="distance of turning joints from their limits"),
         option("--margin-m", type=float, metavar="M", help="distance of sliding joints from their limits"),
         option("--speed-share", type=float, metavar="S",
-               help="share of the joints' speed limits that a course may use, above 0 to 1; default 1, or "
-                    "course_speed_fraction if a course is followed (with --out, third_level planned or receding)"),
-        option("--out", type=path, metavar="FILE.parquet", help="write the course to this file"),
+               help="largest joint speed, as a share of the joint's speed limit"),
+        option("--out", type=path, metavar="FILE.parquet", help="write the joint motion (course) to this file"),
         FORCE,
         JSON,
-    ), "Exit status: 0 the whole path can be executed from this start; 3 it cannot; 2 path or input is unusable."),
-    "replay": Command("commands.making:save_page", "show one to four saved traces in 3-D, in one HTML file",
+    ), "The margins default to 0, and the share to 1. If a run will follow the motion (--out, or third_level planned "
+       "or receding), the defaults are course_margin_rad, limit_margin_m and course_speed_fraction of [control]. Exit "
+       "status: 0 the arm can follow the whole path from this start; 3 it cannot; 2 path or input is unusable."),
+    "replay": Command("commands.making:save_page", "show one to four saved runs in 3-D, in one HTML file",
                       pages("replay")),
-    "map": Command("commands.making:save_page", "show saved traces of one path on the map of mu, in one HTML file",
+    "map": Command("commands.making:save_page", "show saved runs of one path on a manipulability map, in one HTML file",
                    (*pages("map"), flag("--figures", "also write the figures as SVG and PDF"))),
     "report": Command("commands.making:save_page",
-                      "show saved traces in one HTML file: metrics, curves, manipulability map", pages("report")),
-    "live": Command("commands.making:serve_page", "run a scenario in real time, on a page of this machine", (
+                      "show metrics, curves and map of saved runs, in one HTML file", pages("report")),
+    "live": Command("commands.making:serve_page", "run a scenario in real time, on a local web page", (
         SCENARIO,
-        option("--port", type=int, default=8642, help="port, 0 to 65535; 0 takes any free port; default 8642"),
+        option("--port", type=int, default=8642, help="port of the web page; default 8642; 0 takes any free port"),
     )),
     "export-c": Command("commands.making:export_c",
-                        "write the scenario's controller and safety filter as dependency-free C", (
+                        "write the scenario's controller and safety filter as C code", (
         SCENARIO,
-        option("--out", type=path, required=True, help="folder; it is made if it does not exist"),
-        flag("--force", "write over files that export-c has not written"),
-        option("--main", choices=("test", "udp"), default="test", help="udp: also write a client of `moc-opt plant`"),
+        option("--out", type=path, required=True, help="folder for the C code; it is made if it does not exist"),
+        flag("--force", "overwrite files that export-c did not write"),
+        option("--main", choices=("test", "udp"), default="test",
+               help="test: write a self-test; udp: also write a program that controls `moc-opt plant`"),
     )),
     "plant": Command("commands.running:run_plant",
-                     "run the plant of a scenario in real time, for a controller over UDP", (
+                     "simulate the arm in real time, for a controller over UDP", (
         SCENARIO,
-        option("--listen", metavar="HOST:PORT", default=WIRE, help=f"default {WIRE}"),
+        option("--listen", metavar="HOST:PORT", default=WIRE, help=f"address of this plant; default {WIRE}"),
         flag("--lock-step", "wait for each command instead of running in real time"),
-        option("--trace", type=path, metavar="FILE.parquet", help="write the trace to this file"),
+        option("--trace", type=path, metavar="FILE.parquet", help="write the record of the run (trace) to this file"),
         FORCE,
         ALL,
         KEY,
         JSON,
-    ), "Exit status: as for `run`. docs/realtime.md describes the protocol."),
+    ), "Exit status: as for `moc-opt run`. docs/realtime.md describes the protocol."),
     "control": Command("commands.running:run_control",
-                       "run the controller of a scenario, for a plant over UDP", (
+                       "run the controller for `moc-opt plant`, over UDP", (
         SCENARIO,
-        option("--connect", metavar="HOST:PORT", default=WIRE, help=f"default {WIRE}"),
+        option("--connect", metavar="HOST:PORT", default=WIRE, help=f"address of the plant; default {WIRE}"),
         KEY,
         JSON,
     ), "Exit status: 0 the plant ended the run; 2 the input is wrong; 3 the controller asked for a stop, or the plant "
        "fell silent."),
     "compare": Command("commands.making:compare_solvers",
-                       "compare solvers, and DCAC with equal gains, on the same random trials", (
+                       "compare solvers, and control without level 3, on random trials", (
         option("solvers", nargs="+", metavar="SOLVER", help="names from `moc-opt solvers --list`"),
-        option("--scenario", type=path, metavar="FILE.toml", help="default: the default scenario"),
-        option("--trials", type=int, default=15, help="number of random start poses and swivels; default 15"),
+        option("--scenario", type=path, metavar="FILE.toml", help="if left out, all settings have their defaults"),
+        option("--trials", type=int, default=15, help="number of random start poses; default 15"),
         option("--seed", type=int, default=0, help="seed of the first trial; default 0"),
         option("--out", type=path, metavar="FILE.csv", help="write one row per run to this file"),
         FORCE,
         JSON,
     )),
     "solvers": Command("commands.making:list_or_study",
-                       "run the study of all solvers (some minutes), or list them",
+                       "compare all solvers in a study (some minutes), or list them",
                        (flag("--list", "print the solvers that can run here, and their settings"), JSON)),
     "robots": Command("commands.listing:print_list", "list the arms of the package", (JSON,)),
-    "tasks": Command("commands.listing:print_list", "list the paths for [task] path, and their sizes", (JSON,)),
-    "metrics": Command("commands.listing:print_list", "list the metrics of a run, with meaning and unit", (JSON,)),
-    "keys": Command("commands.reference:print_keys", "list every key of a scenario: type, unit, default, meaning", (
-        option("table", nargs="?", help="list only this table: task, control, control.supervisor, plant, ..."),
-        flag("--markdown", "print docs/scenario.md, or its part on that table"),
+    "tasks": Command("commands.listing:print_list", "list the paths of the tip, and their sizes", (JSON,)),
+    "metrics": Command("commands.listing:print_list", "list the metrics of a run, with units and meanings", (JSON,)),
+    "keys": Command("commands.reference:print_keys", "list the settings of a scenario: type, default and meaning", (
+        option("table", nargs="?", help="list only this table, such as task or control.supervisor"),
+        flag("--markdown", "print the page docs/scenario.md, or its part on the table"),
     )),
 }  # fmt: skip
 """All commands except `robot`, in the order of the help."""

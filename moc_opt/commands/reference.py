@@ -21,12 +21,16 @@ TOP, ABSENT = "scenario", "left out"
 HEAD = """# The keys of a scenario
 
 `moc-opt keys --markdown` makes this page from the schema that checks every file: edit the schema, not this page. A key
-that is left out takes its default. The unit of a number is the end of its name (`_m_per_s`: m/s) or is in brackets. In
-`[guard]`, `inf` switches off a threshold of RCM error or force. "In the paper" means in Su et al. (2019), see README.
+that is left out takes its default. A number has the unit at the end of its name or in brackets. For example, `_m_per_s`
+is m/s, and `_ticks` is a number of control periods. In `[guard]`, `inf` switches off a limit of RCM error or force.
+`[control] preset = "paper"` has the values of Su et al. (2019).
 
-Level 1 of the control law moves the tip along the path. Level 2 keeps the shaft in the trocar (RCM: remote centre of
-motion). Level 3 moves the elbow to raise the manipulability mu. The solver of level 3 computes a joint velocity x. The
-equation A x = b keeps tip and wrist on their references. The bounds on x are called the box. See docs/method.md.
+The control law has three levels, which docs/method.md explains:
+
+1. Level 1 moves the tip along the path.
+2. Level 2 keeps the shaft in the trocar, which is the remote centre of motion (RCM).
+3. Level 3 moves the elbow to raise the manipulability. Its solver computes a joint velocity x. The equation A x = b
+   keeps tip and wrist on their references.
 """
 WORDS = {int: "integer", float: "number", str: "text", bool: "flag", type(None): "", Any: "value"}
 
@@ -56,7 +60,7 @@ def tables(kind: type[Settings] = Scenario, path: str = "") -> Iterator[tuple[st
     inner: list[tuple[str, type[Settings]]] = []
     keys: list[Key] = []
     if path in PRESETS:
-        meaning = "a named set of values for this table. Any key that you also give overrides the preset"
+        meaning = "named set of values for this table. Keys that you also give override it"
         keys.append(("preset", " | ".join(map(repr, PRESETS[path])), ABSENT, meaning))
     for name, field in kind.model_fields.items():
         hint = field.annotation

@@ -11,91 +11,101 @@ from moc_opt.inputs.settings import Level, Settings
 
 
 class SafetyFilterSettings(Settings):
-    """Limits of the safety filter, and actions in a stop. A joint has the largest torque tau_max and speed v_max."""
+    """Limits of the safety filter, and its actions when it stops the arm."""
 
     KIND: ClassVar[str] = "[guard]"
     ERROR: ClassVar[type[MocOptError]] = ControlError
 
     motion: bool = True
     """whether measurements are checked for age, repetition, and agreement of positions, velocities and torques"""
-    motion_s: float = Field(0.1, gt=0.0, description="time constant with which the difference q - integral of v decays")
-    motion_rad: float = Field(0.001, gt=0.0, description="largest |q - integral of v| of a joint at rest")
+    motion_s: float = Field(0.1, gt=0.0)
+    """memory (time constant) of the comparison of a joint's position with its integrated velocity"""
+    motion_rad: float = Field(0.001, gt=0.0)
+    """largest difference between a joint's position and its integrated velocity at rest"""
     motion_lag_s: float = Field(0.012, ge=0.0)
-    """this time multiplied by the joint's largest recent speed is added to motion_rad, because filtered velocities lag.
-    At least three time constants of the velocity filter are used"""
+    """lag of measured velocities. At the speed v, the lag times v is added to `motion_rad`. At least three time
+    constants of the velocity filter are used"""
     repeat_m: float = Field(0.003, gt=0.0)
-    """largest travel of the tip's reference while all encoders repeat their readings (to the last bit, also below)"""
+    """largest travel of the tip's reference at unchanged encoder readings"""
     repeat_torque: float = Field(0.06, gt=0.0)
-    """largest change of a torque while all encoders repeat their readings, as a share of tau_max. At
-    least 500 times the encoders' step in rad is used"""
+    """largest torque change at unchanged encoder readings, as a share of the largest torque. At least 500 times
+    `encoder_resolution_rad` is used"""
     repeat_whole_torque: float = Field(0.0005, gt=0.0)
-    """replaces repeat_torque while the wrench sensor also repeats its reading"""
+    """largest torque change at unchanged encoder and wrench readings, as a share of the largest torque"""
     repeat_whole_m: float = Field(0.0005, gt=0.0)
-    """replaces repeat_m while the wrench sensor also repeats its reading"""
+    """largest travel of the tip's reference at unchanged encoder and wrench readings"""
     repeat_whole_ticks: int = Field(25, ge=1)
-    """largest number of ticks in a row at which a wrench sensor with noise may repeat one reading. It is also the
-    largest number of measurements that may equal the measurements a constant time earlier"""
+    """largest number of consecutive control periods at which a noisy wrench sensor repeats its reading. It also limits
+    how often whole measurements repeat earlier measurements"""
     stuck_torque: float = Field(0.06, ge=0.0)
-    """largest change of a joint's momentum residual that static friction explains while the joint's encoder repeats one
-    reading, as a share of tau_max. The residual is the observed torque that the model does not explain"""
+    """torque change that static friction can hold, as a share of the joint's largest torque. It is used while an
+    encoder repeats its reading"""
     stuck_friction: float = Field(6.0, gt=0.0)
-    """stuck_torque allows at most this multiple of the Coulomb friction, if the robot's file gives a friction"""
+    """torque change that static friction can hold, divided by the Coulomb friction. The smaller of this torque and
+    `stuck_torque` is used"""
     repeat_joint_ticks: int | None = Field(None, ge=1)
-    """largest number of ticks in a row at which one encoder may repeat its reading. If left out, the number follows
-    from the encoders' noise and step. With little or no noise, there is then no limit"""
+    """largest number of consecutive control periods at which one encoder repeats its reading. By default, it is
+    computed from the encoders' noise and step"""
     repeat_reading_ticks: int | None = Field(None, ge=0)
-    """largest number of times in a run that one encoder may repeat both position and velocity, or that its readings may
-    equal the readings a constant time earlier. If left out, it is patience_ticks for encoders with noise and filtered
-    velocities. For other encoders there is then no limit"""
+    """largest number of times in a run that one encoder repeats both position and velocity. By default, it is
+    `patience_ticks` for noisy encoders with filtered velocities, and unlimited for others"""
     stuck_rad_per_s: float = Field(0.2, gt=0.0)
-    """largest speed that a residual beyond stuck_torque may have given a joint while its encoder repeats one reading.
-    At least 600 times the encoders' step in rad is used"""
+    """largest speed that unexplained torque may give a joint while its encoder repeats its reading. At least 600 times
+    `encoder_resolution_rad` is used"""
     residual_torque: float = Field(0.2, gt=0.0)
-    """largest difference of a joint's momentum residual from its running mean, as a share of tau_max. If a larger
-    difference lasts for more than patience_ticks ticks, the arm is stopped"""
+    """largest change of a joint's momentum residual (unexplained torque), as a share of its largest torque. If it is
+    exceeded for more than `patience_ticks` control periods, the arm is stopped"""
     residual_whole_torque: float = Field(0.5, gt=0.0)
-    """largest momentum residual of a joint, as a share of tau_max. If a larger residual lasts for more than
-    patience_ticks ticks, the arm is stopped"""
-    residual_rate_per_s: float = Field(40.0, gt=0.0, lt=500.0, description="gain of the observer of this residual")
-    residual_s: float = Field(0.25, gt=0.0, description="time constant of the residual's running mean")
+    """largest momentum residual (unexplained torque) of a joint, as a share of its largest torque. If it is exceeded
+    for more than `patience_ticks` control periods, the arm is stopped"""
+    residual_rate_per_s: float = Field(40.0, gt=0.0, lt=500.0)
+    """gain of the observer that estimates the momentum residuals"""
+    residual_s: float = Field(0.25, gt=0.0)
+    """time constant of the running mean from which `residual_torque` measures changes"""
     torque_rate_Nm_per_s: float = Field(20000.0, gt=0.0, description="largest rate of change of a joint's torque")
     position_margin_rad: float = Field(0.045, ge=0.0)
-    """distance from a joint limit at which a virtual wall (spring and damper) begins"""
-    position_margin_m: float = Field(0.045, ge=0.0, description="like position_margin_rad, for sliding joints")
+    """distance from a turning joint's limit at which a virtual wall (spring and damper) begins"""
+    position_margin_m: float = Field(0.045, ge=0.0)
+    """distance from a sliding joint's limit at which a virtual wall (spring and damper) begins"""
     wall_stiffness_Nm_per_rad: float = Field(2000.0, ge=0.0)
-    """stiffness of the wall, which pushes a joint back (N per m for a sliding joint)"""
+    """stiffness of the virtual wall before a joint limit (sliding joints: N/m)"""
     wall_damping_Nm_s_per_rad: float = Field(20.0, ge=0.0)
-    """damping of a joint's speed beyond the speed that is allowed towards a wall. Inside a wall, no speed is allowed"""
+    """damping of joint speed above the limit that `wall_brake_rad_per_s2` sets (sliding joints: N s/m)"""
     wall_brake_rad_per_s2: float = Field(2.0, gt=0.0)
-    """deceleration a before a wall. At the distance d from the wall, the allowed speed is sqrt(2 a d), at most v_max"""
+    """deceleration a before a virtual wall. At the distance d, the largest speed is sqrt(2 a d)"""
     jump_rad: float = Field(0.05, gt=0.0)
-    """largest motion of a joint between two good measurements, in addition to v_max times the time between them"""
-    speed_factor: float = Field(5.0, gt=1.0, description="a measured speed above this multiple of v_max is refused")
+    """largest jump of a measured joint position, beyond travel at the joint's speed limit. A larger jump counts as a
+    bad measurement (see `patience_ticks`)"""
+    speed_factor: float = Field(5.0, gt=1.0)
+    """largest measured speed, divided by the joint's speed limit. A larger speed counts as a bad measurement (see
+    `patience_ticks`)"""
     patience_ticks: int = Field(3, ge=0)
     """number of bad or missing measurements in a row that are replaced by extrapolation. One more stops the arm"""
     tip_error_m: float = Field(0.01, gt=0.0)
-    """root mean square tip error (distance of the tip from its reference) above which the arm is stopped"""
+    """rms distance of the tip from its reference above which the arm is stopped"""
     tip_error_s: float = Field(0.1, gt=0.0, description="time constant of the mean square of the tip error")
     rcm_error_m: Level = 0.010
-    """root mean square RCM error (distance of the shaft from the registered trocar) above which the arm is stopped"""
-    rcm_warning_m: Level = Field(0.005, description="root mean square RCM error above which a warning is recorded")
+    """rms distance of the shaft from the registered trocar above which the arm is stopped"""
+    rcm_warning_m: Level = 0.005
+    """rms distance of the shaft from the registered trocar above which a warning is recorded"""
     trocar_force_N: Level = 15.0
-    """root mean square force of the trocar on the shaft above which the arm is stopped"""
+    """rms force of the trocar on the shaft above which the arm is stopped"""
     trocar_force_warning_N: Level = 8.0
-    """root mean square of the trocar force, or of the whole force across the shaft, above which a warning is recorded.
-    The whole force includes a load and a contact at the tip"""
+    """rms force across the shaft above which a warning is recorded. It includes loads and contacts at the tip"""
     tip_force_N: Level = 10.0
     """largest force across the shaft that is attributed to a contact at the tip. The rest counts as trocar force"""
-    incision_s: float = Field(0.1, gt=0.0, description="time constant of the mean squares of RCM error and force")
+    incision_s: float = Field(0.1, gt=0.0)
+    """time constant of the mean squares of RCM error and trocar force"""
     stop_damping_Nm_s_per_rad: float = Field(20.0, gt=0.0, description="damping of the drives in a stop")
     stop_holding: float = Field(0.25, ge=0.0, le=1.0)
-    """dry friction of the brakes in a stop, as a share of tau_max. With 0, the brakes only damp, and a load sinks"""
+    """dry friction of the brakes in a stop, as a share of the largest torque. With 0, a load sinks"""
     stop_yield_N: Level = 8.0
-    """in a stop, a trocar force above this opens the brakes until the force is half of this. Open brakes only damp"""
+    """trocar force above which the brakes open in a stop. They close at half of it"""
     stop_yield_s: float = Field(0.4, ge=0.0, le=60.0)
-    """longest time for which the brakes stay open. They open again if the trocar force rises by another stop_yield_N"""
+    """longest time for which the brakes stay open in a stop. They open again if the trocar force rises by
+    `stop_yield_N`"""
     stop_s: float = Field(0.5, gt=0.0)
-    """shortest simulated time of a stop. The stop ends when the arm rests, at the latest after 4 times stop_s"""
+    """shortest time of a stop. The stop ends when the arm rests, at the latest after 4 times `stop_s`"""
 
     @model_validator(mode="after")
     def _warned_before_it_stops(self) -> Self:

@@ -45,7 +45,7 @@ GAINS = Gains._fields
 
 
 class ControlSettings(Settings):
-    """The control law. Level 3 makes the joint velocity v follow x, the velocity that its solver computes in the box.
+    """The control law. At level 3, the joints follow the velocity x that the solver computes.
 
     The tables [gains.dcac] and [gains.moc] in the robots' files are from Table I of Su et al. (2019).
     """
@@ -55,73 +55,80 @@ class ControlSettings(Settings):
     ERROR: ClassVar[type[MocOptError]] = ControlError
 
     law: Literal["dcac", "moc"] = "moc"
-    """'dcac': only level 1 (tip) and level 2 (RCM); 'moc': also level 3, which raises the manipulability mu"""
+    """control law. 'dcac': control of tip and RCM; 'moc': also level 3, which raises the manipulability"""
     gains: str | None = "default"
-    """name of the table of default gains in the robot's file (such as moc_opt/robots/lwr4.toml). '': the law's name"""
-    K_X: Positive | None = Field(default=None, description="tip stiffness [N/m]; default: see gains (3000 for lwr4)")
-    D_X: NotNegative | None = Field(default=None, description="tip damping [N s/m]; default: see gains")
-    K_N: Positive | None = Field(default=None, description="wrist stiffness [N/m]; default: see gains")
-    D_N: NotNegative | None = Field(default=None, description="wrist damping [N s/m]; default: see gains")
-    K_N2: PerJoint | None = Field(default=None, description="gain of level 3 on x - v [N m s/rad]; default: see gains")
-    D_N2: PerJoint | None = Field(default=None, description="gain of level 3 on -v [N m s/rad]; default: see gains")
+    """name of a table of gains in the robot's file. '' takes the table with the name of `law`"""
+    K_X: Positive | None = None
+    """tip stiffness [N/m]. The default is in the table that `gains` names"""
+    D_X: NotNegative | None = None
+    """tip damping [N s/m]. The default is in the table that `gains` names"""
+    K_N: Positive | None = None
+    """wrist stiffness [N/m]. The default is in the table that `gains` names"""
+    D_N: NotNegative | None = None
+    """wrist damping [N s/m]. The default is in the table that `gains` names"""
+    K_N2: PerJoint | None = None
+    """level 3: gain on the difference between the solver's and the measured joint velocity [N m s/rad]. The default is
+    in the table that `gains` names"""
+    D_N2: PerJoint | None = None
+    """level 3: damping gain on the measured joint velocity [N m s/rad]. The default is in the table that `gains`
+    names"""
     dcac_damping: PerJoint = 0.0
-    """law 'dcac': damping of elbow motion that leaves tip and wrist at rest [N m s/rad]. 0 in the paper"""
+    """damping of elbow motion under `law` = 'dcac' [N m s/rad]"""
     rcm_lambda: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
-    """if given, the wrist's error is taken as d / rcm_lambda, with the RCM error d. If left out, the true error of the
-    wrist is used. 0.5 in the paper"""
+    """assumed constant ratio of RCM error to wrist error. By default, the true wrist error is used"""
     projector: Literal["dynamic", "static", "as_published"] = "dynamic"
-    """null-space projector of level 2. docs/method.md explains the choices"""
+    """null-space projector of level 2. 'dynamic': dynamically consistent; 'static': consistent only at rest;
+    'as_published': as printed in Su et al. (2019)"""
     feedforward: bool = True
-    """whether the desired accelerations of tip and wrist are fed forward. false in the paper"""
+    """whether the desired accelerations of tip and wrist are fed forward"""
     observer_gain_per_s: NotNegative = 20.0
-    """gain of the momentum observer, which estimates external torques. 0: no observer. If the elbow follows a course,
-    course_observer_gain_per_s replaces a gain above 0 (see third_level)"""
+    """gain of the momentum observer, which estimates external torques. 0 switches it off. With `third_level` 'planned'
+    or 'receding', `course_observer_gain_per_s` replaces it"""
     limit_torque: bool = True
     """whether the controller limits each torque to the joint's largest torque"""
     k0_per_s: Positive = 2.0
-    """the box allows at most the speed k0 d towards a joint limit, where d is the distance to the limit minus
-    limit_margin_rad. 0.1 in the paper. If the elbow follows a course, k0 is at least 10 (see third_level)"""
+    """largest speed towards a joint limit, divided by the distance left before the limit's margin. With `third_level`
+    'planned' or 'receding', it is at least 10"""
     third_level: Literal["local", "planned", "receding"] = "local"
-    """motion of the elbow under law 'moc'. 'local': in the direction in which mu rises; 'planned': along a course
-    (planned joint motion) computed before the run; 'receding': along a course that is replanned during the run"""
+    """motion of the elbow under `law` = 'moc'. 'local': up the gradient of the manipulability; 'planned': along a joint
+    motion that is planned before the run; 'receding': along a joint motion that is replanned during the run"""
     course: str = ""
-    """with third_level 'planned': file of the course, written by `moc-opt plan --out`. A relative path starts at the
-    scenario's folder. If empty, a course is planned before the run"""
+    """file of the planned joint motion, from `moc-opt plan --out`, relative to the scenario's folder. If empty, the
+    motion is planned before the run"""
     horizon_s: Annotated[float, Field(ge=0.2, le=2.0)] = 1.0
-    """with third_level 'receding': duration of each replanned course"""
+    """planning horizon of `third_level` 'receding'"""
     replan_per_s: Annotated[float, Field(ge=20.0, le=50.0)] = 20.0
-    """with third_level 'receding': number of courses computed per second"""
+    """planning rate of `third_level` 'receding'"""
     course_speed_fraction: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.85
-    """largest speed of a joint in a course, as a share of the joint's largest speed v_max. A course may be up to 1.12
-    times as fast if mu then rises by more than 1 %. The rest of v_max lets a lagging arm catch up"""
+    """largest joint speed of a planned motion, as a share of the joint's speed limit. With the rest, a lagging arm can
+    catch up"""
     course_margin_rad: NotNegative = 0.05
-    """distance that a course keeps from joint limits. At this distance, the box allows no speed towards the limit. If
-    no course with this distance reaches the end of the path, a course may come nearer"""
+    """distance of turning joints from their limits in a planned motion. If no motion keeps it, a motion without this
+    distance is used"""
     course_observer_gain_per_s: NotNegative = 40.0
-    """observer gain if the elbow follows a course. The elbow then moves faster, and needs a faster observer"""
+    """gain of the momentum observer with `third_level` 'planned' or 'receding'"""
     climb: Literal["gradient", "scaled"] = "gradient"
-    """with third_level 'local': speed of the elbow. 'gradient': proportional to the gradient of mu; 'scaled': Newton's
-    step to the nearest maximum of mu, at most 1 rad, divided by 0.2 s"""
-    c0: NotNegative = Field(default=0.01, description="weight of the tip velocity in the subproblem's cost")
-    c1: NotNegative = Field(default=0.01, description="weight of the wrist velocity in the subproblem's cost")
-    c2: NotNegative = Field(default=0.001, description="weight of the gradient of mu in the subproblem's cost")
+    """elbow speed with `third_level` 'local'. 'gradient': proportional to the gradient of the manipulability; 'scaled':
+    Newton step to the nearest maximum, divided by 0.2 s"""
+    c0: NotNegative = Field(0.01, description="weight of the tip velocity in the solver's cost")
+    c1: NotNegative = Field(0.01, description="weight of the wrist velocity in the solver's cost")
+    c2: NotNegative = Field(0.001, description="weight of the manipulability gradient in the solver's cost")
     regularization: NotNegative = 1e-5
-    """weight rho of |x|^2 / 2 in the subproblem's cost. 0 in the paper: if A x = b, the cost is then linear in x"""
+    """weight of |x|^2 / 2 in the solver's cost, for the joint velocity x. With 0, x can jump between bounds"""
     fallback: Literal["damping", "hold", "least-violation"] = "least-violation"
-    """x that is used if the solver finds no x in the box with A x = b. 'damping': no self-motion (elbow motion with tip
-    and wrist at rest); 'hold': the last good answer; 'least-violation': the x in the box with the smallest |A x - b|"""
+    """joint velocity x if the subproblem is infeasible. 'damping': no elbow motion; 'hold': the last good answer;
+    'least-violation': the smallest |A x - b| within the bounds on x"""
     speed_fraction: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5
-    """with third_level 'local': largest speed in the box, as a share of the joint's v_max. 1 in the paper"""
+    """largest joint speed with `third_level` 'local', as a share of the joint's speed limit"""
     limit_margin_rad: NotNegative = 0.15
-    """with third_level 'local': at this distance from a joint limit, x must not lead to the limit. 0 in the paper"""
-    limit_margin_m: NotNegative = Field(default=0.05, description="margin of sliding joints with any third_level")
+    """distance from a turning joint's limit at which `third_level` 'local' stops the approach"""
+    limit_margin_m: NotNegative = 0.05
+    """distance from a sliding joint's limit at which level 3 stops the approach"""
     shaft_margin: float = Field(default=0.175, ge=0.0, le=1.0)
-    """threshold that keeps the arm off poses in which the joints can hardly turn the shaft. Let s be the manipulability
-    of the shaft with the tip at rest, divided by the squared distance from wrist to tip. If s is below the
-    threshold, third_level 'local' also raises s. The box then grows as s falls. If s is two thirds of the
-    threshold, the box reaches v_max. If possible, a course keeps s above a quarter of the threshold. 0 in the paper"""
+    """smallest desired manipulability of the shaft about the tip, divided by the squared wrist-tip distance. Below it,
+    `third_level` 'local' also raises this manipulability. 0 switches this off"""
     ramp_s: NotNegative = 0.3
-    """time in which level 3's torque rises to its full size at the start of the run. 0 in the paper"""
+    """time in which the torque of level 3 rises to full size at the start"""
     supervisor: SupervisorSettings = SupervisorSettings()
 
     @field_validator("gains", mode="before")

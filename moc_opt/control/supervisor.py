@@ -56,30 +56,31 @@ def _raise_interrupt(error: BaseException) -> None:
 
 
 class SupervisorSettings(Settings):
-    """When a solver's answer is refused, and what replaces it."""
+    """Checks of the solver's answers, and replacements of refused answers."""
 
     KIND: ClassVar[str] = "[control.supervisor]"
     ERROR: ClassVar[type[MocOptError]] = ControlError
 
-    check: bool = Field(True, description="whether answers are checked against the four limits below")
+    check: bool = True
+    """whether answers are checked against `primal_limit`, `box_limit`, `relative_limit` and `opposite_limit`"""
     primal_limit: float = Field(1e-2, gt=0.0)
-    """largest violation of A x = b [m/s] or of the box [rad/s] by an answer that the solver calls optimal"""
+    """largest constraint violation of an answer reported as optimal [A x = b: m/s; bounds on x: rad/s]"""
     box_limit: float = Field(0.1, gt=0.0)
-    """like primal_limit, for an answer that the solver does not call optimal, such as its last iterate"""
+    """largest constraint violation of an answer not reported as optimal [A x = b: m/s; bounds on x: rad/s]"""
     relative_limit: float = Field(0.05, gt=0.0)
-    """largest natural residual (0 at an optimum) of an answer that the solver calls optimal [rad/s]. The cost is scaled
-    so that the largest entry of its gradient is 1"""
+    """largest natural residual (0 at an optimum) of an answer reported as optimal [rad/s]. The largest entry of the
+    cost gradient is scaled to 1"""
     opposite_limit: float = Field(1e-3, gt=0.0)
-    """an answer that the solver calls optimal is refused if it is farther than this from the optimum [rad/s], and
-    nearer to the optimum for the negated gradient"""
+    """distance from the optimum above which an answer with the wrong sign is refused [rad/s]. Such an answer is nearer
+    to the optimum for the negated gradient"""
     hold_ticks: int = Field(10, ge=0)
-    """largest number of ticks in a row at which the last good answer is used again. Then self-motion is damped"""
+    """largest number of consecutive control periods with the last good answer. After them, elbow motion is damped"""
     keep_off_limits: bool = True
-    """whether the elbow, after hold_ticks, still makes the smallest self-motion that keeps x in the box"""
-    budget_us: float | None = Field(None, gt=0.0, description="longest time of a solve [us]; default: no limit")
+    """whether the elbow still keeps off joint limits when `hold_ticks` is exceeded"""
+    budget_us: float | None = Field(None, gt=0.0, description="longest time of a solve. By default, there is no limit")
     late: Literal["hold", "zero", "iterate"] = "hold"
-    """replacement for a late answer. 'hold': the last good answer; 'zero': no self-motion; 'iterate': the solver's
-    iterate at the end of the budget, or the late answer itself if the solver has no iterates"""
+    """replacement for an answer later than `budget_us`. 'hold': the last good answer; 'zero': no elbow motion;
+    'iterate': the solver's iterate at that time, or else the late answer"""
 
 
 _FAULTS = tuple(Fault)  # in the order of the core's enum

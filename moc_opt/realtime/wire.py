@@ -46,20 +46,23 @@ class WireError(MocOptError, RuntimeError):
 
 
 class WireSettings(Settings):
-    """For `moc-opt plant` and `moc-opt control`: the plant's watchdog for missing commands, and time-outs."""
+    """Time-outs of `moc-opt plant` and `moc-opt control`, and the plant's reaction to missing commands."""
 
     KIND: ClassVar[str] = "[wire]"
     ERROR: ClassVar[type[MocOptError]] = WireError
 
-    hold_ticks: int = Field(5, ge=0, description="number of ticks without a command at which the last torque acts")
+    hold_ticks: int = Field(5, ge=0)
+    """number of control periods without a command for which the last torque acts"""
     damp_ticks: int = Field(50, ge=0)
-    """number of further ticks without a command at which the drives carry and damp the arm. Then the brakes close"""
-    damping_Nm_s_per_rad: float = Field(5.0, gt=0.0, le=1e3, description="damping of each joint during damp_ticks")
-    wait_s: float = Field(60.0, gt=0.0, description="time for which each end waits for the other end to start")
+    """number of control periods after `hold_ticks` for which the drives carry and damp the arm. Then the brakes
+    close"""
+    damping_Nm_s_per_rad: float = Field(5.0, gt=0.0, le=1e3, description="damping of each joint during `damp_ticks`")
+    wait_s: float = Field(60.0, gt=0.0, description="time for which plant and controller wait for each other to start")
     silence_s: float = Field(5.0, gt=0.0, description="time without a measurement after which the controller ends")
-    resend_s: float = Field(0.2, gt=0.0, description="in lock-step: time after which a measurement is sent again")
+    resend_s: float = Field(0.2, gt=0.0)
+    """time after which an unanswered measurement is sent again, with `moc-opt plant --lock-step`"""
     resends: int = Field(20, ge=0)
-    """in lock-step: number of times that a measurement is sent again before its tick counts as missed"""
+    """number of times that an unanswered measurement is sent again, with `moc-opt plant --lock-step`"""
 
 
 # --- packets ---

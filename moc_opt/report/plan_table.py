@@ -16,17 +16,15 @@ COURSES = [
     Column("course", "course"), Column("mu_mean", "mean mu", unit="m^3", format=".4f", better="high"),
     Column("mu_worst", "worst mu", unit="m^3", format=".4f", better="high"),
     Column("share_percent", "of best", unit="%", format=".1f", help="mean mu / best mean mu from any start"),
-    Column("certified", "optimum", help="'local': no course nearby is better. 'grid': the best of the map's samples."),
+    Column("certified", "optimum", help="'local': no similar course is better. 'grid': the best of sampled courses."),
     Column("violation", "violation", unit="m, rad", format=".0e"),
 ]  # fmt: skip
-VERDICT_TERMS = (
-    "Swivel: angle of the elbow about the line from shoulder to wrist. Course: joint trajectory along the path. Bound: "
-    "upper bound of mean mu."
-)
+STEPS = {"map": "map of poses", "search": "search on the map", "bound": "bound of mean mu", "refine": "refinement"}
+VERDICT_TERMS = "mu: manipulability. Swivel: angle of the elbow about the line from shoulder to wrist."
 COURSES_TERMS = (
-    "Local climb: an ideal climb of mu from the start, without dynamics or gains. The mu of a run with third_level = "
-    "'local' may differ. Optimum 'local': no course nearby is better. Optimum 'grid': the best of the map's samples. "
-    "Violation: the largest distance from the path, or the largest excess over a limit."
+    "Course: joint motion along the path. Local climb: up the gradient of mu, with ideal tracking. A run with "
+    "third_level = 'local' may differ. Optimum 'local': no similar course is better. Optimum 'grid': the best of "
+    "sampled courses. Violation: largest distance from the path, or largest excess over a limit."
 )
 
 
@@ -62,16 +60,17 @@ def plan_tables(name: str, plan: Plan, **within: float) -> list[Table]:
     limits = f"{' and '.join(margins)} from the joint limits" if margins else "the joint limits"
     said["planned within"] = f"{limits}, {100.0 * within.get('speed_share', 1.0):.3g} % of the joints' largest speeds"
     if within.get("shaft_margin"):
-        said["margin from losing the shaft"] = f"{within['shaft_margin']:.3g}, where a course can keep it"
+        said["shaft manipulability"] = f"{within['shaft_margin']:.3g} (wrist-tip distance)^2 or more, where possible"
     for what, angle in {"at the start": plan.start_swivel_rad, "of the best start": plan.best_swivel_rad}.items():
         known = math.isfinite(angle)
         said[f"swivel {what}"] = f"{math.degrees(angle):.1f} deg" if known else "none: no course reaches the end"
-    bounds = {"from this start": plan.bound_from_start, "over all starts": plan.bound}
-    said |= {f"bound {of} (mean mu)": f"{bound:.5f}" for of, bound in bounds.items() if math.isfinite(bound)}
-    said["computed in"] = ", ".join(f"{part} {seconds:.2f} s" for part, seconds in plan.took_s.items())
+    bounds = {"from this start": plan.bound_from_start, "from any start": plan.bound}
+    said |= {f"largest mean mu {of}": f"at most {bound:.5f}" for of, bound in bounds.items() if math.isfinite(bound)}
+    took = {STEPS.get(part, part): seconds for part, seconds in plan.took_s.items()}
+    said["computation time"] = ", ".join(f"{part} {seconds:.2f} s" for part, seconds in took.items())
     rows = [{"what": what, "value": value} for what, value in said.items()]
     columns = [Column("what", "plan"), Column("value", "value")]
-    courses = Table("Courses, best in mean mu", COURSES, _courses(plan), COURSES_TERMS)
+    courses = Table("Courses of largest mean mu", COURSES, _courses(plan), COURSES_TERMS)
     return [Table(f"Plan of {name}", columns, rows, VERDICT_TERMS), courses]
 
 

@@ -70,13 +70,14 @@ def below_best(trace: Trace) -> str:
     """Return a sentence if mean mu is below the best planned motion's, else no text."""
     found = table(trace.meta, "best_courses")
     if absent := found.get("absent"):
-        return f"there is no best course from this start to compare with: {absent}"
+        return f"mean mu is not compared with the best joint motion from this start: {absent}"
     if not {"mu", "mu_best_from_start"} <= set(trace.columns):
         return ""
     below = 1.0 - float(trace.mu.mean()) / float(trace.mu_best_from_start.mean())
     if not below > NEAR:
         return ""
-    said, end = f"mean mu is {100.0 * below:.1f} % below the best course from this start", found.get("end")
+    end = found.get("end")
+    said = f"mean mu is {100.0 * below:.1f} % below that of the best joint motion from this start"
     control = table(table(trace.meta, "scenario"), "control")
     if end is None or (control.get("law"), control.get("third_level")) != ("moc", "local"):
         return said
@@ -88,7 +89,7 @@ def below_best(trace: Trace) -> str:
     top = f"at swivel {end['top_swivel_deg']:.0f} deg ({end['top_mu']:.3f} m³)"
     best = f"at {end['best_swivel_deg']:.0f} deg ({end['best_mu']:.3f} m³)"
     where = "before a joint limit" if end["at_limit"] else "at a local maximum"
-    return f"{said}; the local law ends {where} {top}, the course {best}"
+    return f"{said}; the run ends {where} {top}, the best motion ends {best}"
 
 
 def facts(trace: Trace) -> dict[str, str]:

@@ -97,7 +97,7 @@ class Table:
             box=box.SIMPLE_HEAD, pad_edge=False, title_justify="left", caption_justify="left", padding=(0, 1, 0, 0)
         )
         hidden = "; ".join(column.title for column in self.columns[len(shown) :])
-        caption = f"{self.caption} Too wide for this terminal: {hidden}." if hidden else self.caption
+        caption = f"{self.caption} Columns left out in this narrow terminal: {hidden}." if hidden else self.caption
         drawn.title = Text(printable(self.title), style="bold")
         drawn.caption = Text(printable(caption.strip())) if caption else None
         columns = []

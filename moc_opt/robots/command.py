@@ -17,11 +17,11 @@ def add_commands(commands: Any) -> None:
     kinds = robot.add_subparsers(dest="robot_command", required=True)
     new = kinds.add_parser("new", help="write a robot file (TOML, and a URDF beside it) from any vendor's URDF")
     new.add_argument("source", type=Path, metavar="ARM.urdf")
-    new.add_argument("--tip", metavar="LINK", help="the link that carries the tool, by default that of the last joint")
-    new.add_argument("--tool", type=float, default=0.30, metavar="M", help="length of the tool [m]")
+    new.add_argument("--tip", metavar="LINK", help="link that carries the tool; default: the link of the last joint")
+    new.add_argument("--tool", type=float, default=0.30, metavar="M", help="length of the tool [m]; default 0.3")
     new.add_argument(
         "--lock", action="append", default=[], type=_lock, metavar="JOINT[=VALUE]",
-        help="fix this joint [rad, m]; may be repeated",
+        help="fix this joint at a value [rad, m]; may be repeated",
     )
     new.add_argument(
         "--base-rpy", nargs=3, type=float, default=(0.0, 0.0, 0.0), metavar=("R", "P", "Y"),
@@ -30,7 +30,7 @@ def add_commands(commands: Any) -> None:
     new.add_argument("--seed", type=int, default=0, help="seed of the search for a home pose")
     new.add_argument("--out", type=Path, required=True, metavar="MY.toml", help="robot file to write")
     check = kinds.add_parser(
-        "check", help="freedoms, reach, limits, gains and masses of a robot, with a verdict",
+        "check", help="check null space, reach, limits, gains and masses of a robot",
         epilog="Exit status: 0 the arm can be used; 3 it cannot; 2 the input is wrong.",
     )  # fmt: skip
     check.add_argument("robot", metavar="MY.toml|NAME", help="robot file, or an arm of `moc-opt robots`")

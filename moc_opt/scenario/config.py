@@ -34,7 +34,7 @@ _TORQUE, _SPEED = 500.0, 600.0
 
 
 class Scenario(Settings):
-    """One run. By default, the law MOC with the solver ``exact`` follows a circle in the realistic plant.
+    """Settings of one run. By default, the arm follows a circle with all three levels and the solver `exact`.
 
     Every key of the TOML file is a field, and every table is a nested model.
 
@@ -46,7 +46,7 @@ class Scenario(Settings):
     KIND: ClassVar[str] = "scenario:"
     name: Name = Field("circle", description="title of the run")
     seed: int = Field(0, ge=0, le=LARGEST_INTEGER)
-    """seed of all random numbers: start pose and swivel, the plant's errors and noise, and faults"""
+    """seed of all random numbers: start pose, plant errors, noise and faults"""
     robot: RobotTable = RobotTable()
     start: StartTable = StartTable()
     trocar: TrocarTable = TrocarTable()
@@ -55,20 +55,21 @@ class Scenario(Settings):
     solver: SolverTable = SolverTable()
     plant: PlantSettings = PlantSettings()
     duration_s: float | None = Field(None, gt=0.0, le=MOST_S)
-    """duration of the run. If left out, the run takes as long as the path plus wait_s and hold_s of [task]"""
+    """duration of the run. By default, the run lasts for the path plus `wait_s` and `hold_s` of [task]"""
     deadline_us: float = Field(2000.0, gt=0.0, le=1e9)
-    """deadline for the computation of a tick (control period). Missed deadlines are counted, and the run goes on"""
+    """longest allowed computation time in a control period. A missed deadline is counted, and the run goes on"""
     guard: SafetyFilterSettings = SafetyFilterSettings()
     faults: FaultSettings = FaultSettings()
     wire: WireSettings = WireSettings()
-    judge: bool = Field(True, description="whether the optimality residuals of every answer are computed after the run")
+    judge: bool = True
+    """whether the optimality residuals of every solver answer are computed after the run"""
     metrics: tuple[Name, ...] = ()
-    """metrics that `moc-opt run` prints. If empty, a short selection is printed. `moc-opt metrics` lists all names"""
+    """names of the metrics that `moc-opt run` prints, from `moc-opt metrics`. If empty, it prints the main metrics"""
     bound_samples: int = Field(25, ge=0, le=100_000)
-    """number of ticks, evenly spread over the run, at which the largest mu with the same tip and wrist is computed"""
+    """number of control periods at which the largest possible manipulability is computed, for comparison"""
     best_courses: bool = False
-    """whether the joint motions of largest mean mu are planned after the run, for comparison. Planning takes a second
-    or more. If left out, `moc-opt run` plans these motions, and `moc_opt.run` in Python does not"""
+    """whether the joint motions of largest mean manipulability are planned after the run, for comparison. If left out,
+    `moc-opt run` plans them, and `moc_opt.run` in Python does not"""
 
     def __init__(self, **values: Any) -> None:
         try:

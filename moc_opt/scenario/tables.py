@@ -23,11 +23,11 @@ class RobotTable(Settings):
     """The arm and its tool."""
 
     KIND: ClassVar[str] = "[robot]"
-    name: str = Field("lwr4", description="name of a robot of the package, or path of a URDF or TOML file")
+    name: str = Field("lwr4", description="name of a robot from `moc-opt robots`, or path of a URDF or TOML file")
     tool_length_m: float | None = Field(None, gt=0.0, le=10.0)
-    """length of the tool from its mount to its tip. If left out, the length in the robot's file is used"""
+    """length of the tool from its mount to its tip. By default, the robot's file gives it"""
     tool_mass_kg: float | None = Field(None, gt=0.0, le=1000.0)
-    """mass of the tool. If left out, the mass in the robot's file is used"""
+    """mass of the tool. By default, the robot's file gives it"""
 
     def arm(self) -> RobotModel:
         """Load the robot. Raise a MocOptError if its files are wrong."""
@@ -35,20 +35,23 @@ class RobotTable(Settings):
 
 
 class StartTable(Settings):
-    """The pose of the arm at t = 0. The elbow can swivel while tip and wrist rest."""
+    """The pose of the arm at the start of the run."""
 
     KIND: ClassVar[str] = "[start]"
     pose: Literal["home", "random"] = "home"
-    """start pose. 'home': the pose q_rad; 'random': a random pose from which the arm can do the whole task"""
-    q_rad: tuple[float, ...] | None = Field(None, description="joint positions; default: the robot's home pose")
+    """start pose. 'home': `q_rad`; 'random': a random pose from which the arm can do the whole task"""
+    q_rad: tuple[float, ...] | None = None
+    """joint positions at the start. By default, they are the robot's home pose"""
     swivel: Annotated[float, Field(ge=0.0, le=1.0)] | Literal["given", "random"] = "given"
-    """position of the elbow in its swivel range, from 0 to 1. 'given': the elbow stays where it is in the start
-    pose; 'random': a random number from 0.05 to 0.95"""
+    """elbow angle at the start, from 0 to 1 of its range. 'given': as in the start pose; 'random': drawn from 0.05 to
+    0.95"""
     limit_margin_rad: float = Field(0.05, ge=0.0, le=3.0)
-    """with pose 'random': smallest distance of a joint from its limits, at the start and along the path"""
-    limit_margin_m: float = Field(0.05, ge=0.0, le=3.0, description="like limit_margin_rad, for sliding joints")
+    """smallest distance of turning joints from their limits along the path. Only `pose` = 'random' uses it"""
+    limit_margin_m: float = Field(0.05, ge=0.0, le=3.0)
+    """smallest distance of sliding joints from their limits along the path. Only `pose` = 'random' uses it"""
     check_path: bool = True
-    """whether a path that the arm cannot follow is refused before the run. With pose 'random', it is always refused"""
+    """whether a path that the arm cannot follow is refused before the run. With `pose` = 'random', it is always
+    refused"""
 
     @model_validator(mode="after")
     def _one_pose(self) -> Self:
@@ -58,17 +61,17 @@ class StartTable(Settings):
 
 
 class TrocarTable(Settings):
-    """The trocar: a point that lies on the shaft at t = 0, and then rests or moves with the breathing."""
+    """The trocar (incision point). It lies on the tool's shaft at the start, and can move with the breathing."""
 
     KIND: ClassVar[str] = "[trocar]"
-    depth_m: float = Field(0.15, gt=0.0, le=10.0, description="depth of the tip below the trocar at t = 0")
+    depth_m: float = Field(0.15, gt=0.0, le=10.0, description="depth of the tip below the trocar at the start")
     breathing_amplitude_m: float = Field(0.0, ge=0.0, le=0.5)
-    """largest distance of the trocar from its place at t = 0, reached in the middle of a breath"""
-    breathing_period_s: float = Field(4.0, gt=0.0, le=MOST_S, description="period of one breath")
+    """largest displacement of the trocar by the breathing, from its place at the start"""
+    breathing_period_s: float = Field(4.0, gt=0.0, le=MOST_S, description="duration of one breath")
     breathing_direction: Vector = (0.0, 0.0, 1.0)
-    """vector along the breathing motion in base axes. The vector's length has no effect"""
+    """direction of the breathing motion in base axes. The vector's length has no effect"""
     breathing_known: bool = True
-    """whether the controller knows the breathing: the registered trocar, which the controller uses, then moves too"""
+    """whether the controller knows the breathing motion. If not, it assumes a trocar at rest"""
 
     @property
     def breathing(self) -> tuple[float, float, Vector]:
@@ -81,14 +84,14 @@ class TaskTable(Settings):
 
     KIND: ClassVar[str] = "[task]"
     path: Name = "circle"
-    """name of the path. `moc-opt tasks` lists all names. 'waypoints' is a smooth curve through waypoints_m"""
+    """name of the path, from `moc-opt tasks`. 'waypoints' is a smooth curve through `waypoints_m`"""
     sizes: dict[Name, Annotated[float, Field(ge=-1e3, le=1e3)]] = Field(default_factory=dict)
-    """sizes of the path. Lengths are in m. `moc-opt tasks` lists the sizes of each path with their defaults"""
+    """sizes of the path, with lengths in m. `moc-opt tasks` lists their names and defaults"""
     waypoints_m: tuple[Vector, ...] | None = None
-    """points on the path, relative to the tip at t = 0. The axes are heading, left (normal x heading) and normal"""
-    normal: Vector = Field((0.0, 0.0, 1.0), description="vector normal to the path's plane, in base axes")
+    """waypoints relative to the tip at the start. Their axes are `heading`, left (`normal` x `heading`) and `normal`"""
+    normal: Vector = Field((0.0, 0.0, 1.0), description="vector perpendicular to the plane of the path, in base axes")
     heading: Vector = (1.0, 0.0, 0.0)
-    """vector along which the path begins, in base axes. The vector is projected onto the path's plane"""
+    """direction in which the path begins, in base axes. It is projected onto the path's plane"""
     v_max_m_per_s: float = Field(0.05, gt=0.0, le=10.0, description="largest speed of the tip")
     a_max_m_per_s2: float = Field(0.2, gt=0.0, le=1e6, description="largest acceleration of the tip, even in curves")
     wait_s: float = Field(0.5, ge=0.0, le=MOST_S, description="time at rest before the path")
@@ -117,16 +120,18 @@ class TaskTable(Settings):
 
 
 class SolverTable(Settings):
-    """The solver of the third level."""
+    """The solver of the subproblem at level 3."""
 
     KIND: ClassVar[str] = "[solver]"
-    name: Name = Field("exact", description="name of the solver. `moc-opt solvers --list` lists all")
-    settings: dict[Name, Any] = Field(default_factory=dict, description="settings of the solver, see docs/solvers.md")
+    name: Name = Field("exact", description="name of the solver, from `moc-opt solvers --list`")
+    settings: dict[Name, Any] = Field(default_factory=dict)
+    """settings of the solver. docs/solvers.md explains them"""
     replay_us: str | tuple[Annotated[float, Field(ge=0.0, le=1e9)], ...] | None = None
-    """recorded solve times [us], or the name of a .npy file of solve times. They replace the measured times, so that a
-    run with a time budget can be repeated exactly. After the last recorded time, the first follows again"""
+    """recorded solve times, or a .npy file of solve times, that replace the measured times. A run with a time budget
+    can then be repeated exactly"""
     isolation: Literal["none", "process"] = "none"
-    """'process': the solver runs in a process of its own. If this process hangs or ends, another one replaces it"""
+    """where the solver runs. 'none': in the controller's process; 'process': in its own process, which is replaced if
+    it hangs or ends"""
     process: ProcessSettings = ProcessSettings()
 
     @model_validator(mode="after")

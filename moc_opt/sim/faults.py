@@ -19,57 +19,64 @@ GRAVITY = 9.81
 
 
 class FaultSettings(Settings):
-    """Faults that are put into the run. All are off by default. Times count from the start of the run."""
+    """Faults that are put into the run. All are off by default."""
 
     KIND: ClassVar[str] = "[faults]"
     ERROR: ClassVar[type[MocOptError]] = PlantError
 
     drop_share: float = Field(0.0, ge=0.0, le=1.0, description="share of the measurements that never arrive")
-    late_ticks: int = Field(0, ge=0, le=50, description="delay of every measurement, in ticks")
-    frozen_at_s: float | None = Field(None, ge=0.0, description="time at which readings freeze (left out: never)")
-    frozen_ticks: int = Field(1_000_000, ge=1, description="number of ticks for which readings stay frozen")
+    late_ticks: int = Field(0, ge=0, le=50, description="delay of every measurement")
+    frozen_at_s: float | None = Field(None, ge=0.0)
+    """time at which readings freeze. By default, this never happens"""
+    frozen_ticks: int = Field(1_000_000, ge=1, description="number of control periods for which readings stay frozen")
     frozen_joint: int | None = Field(None, ge=0)
-    """the only encoder that freezes, counted from 0. If left out, whole measurements freeze"""
+    """index (from 0) of the only encoder that freezes. If left out, all sensors freeze"""
     frozen_wrench: bool = Field(False, description="whether only the wrench sensor freezes")
-    frozen_velocity: Literal["repeated", "zero"] = Field("repeated", description="velocity in a frozen reading")
-    lag_at_s: float | None = Field(None, ge=0.0, description="time from which measurements lag (left out: never)")
+    frozen_velocity: Literal["repeated", "zero"] = "repeated"
+    """velocity in a frozen reading. 'repeated': the last velocity; 'zero': 0"""
+    lag_at_s: float | None = Field(None, ge=0.0)
+    """time from which measurements lag. By default, this never happens"""
     lag_joint: int | None = Field(None, ge=0)
-    """the only encoder that lags, counted from 0. If left out, whole measurements lag"""
-    lag_ticks: int = Field(0, ge=0, le=1000, description="lag at the time lag_at_s, in ticks")
-    lag_growth: float = Field(0.1, gt=0.0, le=1.0, description="growth of the lag per tick, in ticks")
+    """index (from 0) of the only encoder that lags. If left out, all sensors lag"""
+    lag_ticks: int = Field(0, ge=0, le=1000, description="lag of measurements at the time `lag_at_s`")
+    lag_growth: float = Field(0.1, gt=0.0, le=1.0)
+    """growth of the lag after `lag_at_s`, in control periods per control period"""
     replay_at_s: float | None = Field(None, ge=0.0)
-    """time from which old measurements arrive again in a loop (left out: never)"""
+    """time from which old measurements arrive again in a loop. By default, this never happens"""
     replay_ticks: int = Field(100, ge=1, le=5000)
-    """number of measurements in the loop. The newest is the measurement at replay_at_s"""
-    drift_at_s: float = Field(0.0, ge=0.0, description="time at which the drift begins")
+    """number of measurements before `replay_at_s` that arrive again"""
+    drift_at_s: float = Field(0.0, ge=0.0, description="time at which the encoders begin to drift")
     drift_rad_per_s: float = Field(0.0, ge=-1.0, le=1.0)
     """speed at which the encoders drift, each with a random sign"""
     drift_velocity: Literal["included", "apart"] = "included"
-    """whether measured velocities contain the drift ('included') or not ('apart')"""
+    """whether measured velocities contain the drift of the encoders ('included') or not ('apart')"""
     forged_stamps: bool = False
-    """whether frozen, replayed and lagging measurements are stamped as new"""
+    """whether frozen, replayed and lagging measurements carry the time stamps of new ones"""
     encoder_bias_rad: float = Field(0.0, ge=-0.1, le=0.1)
     """constant error of the encoders, each with a random sign"""
-    encoder_noise_rad: float = Field(0.0, ge=0.0, le=0.01, description="standard deviation of added position noise")
-    nan_at_s: float | None = Field(None, ge=0.0, description="time from which encoders give NaN (left out: never)")
-    nan_ticks: int = Field(1, ge=1, description="number of ticks at which encoders give NaN")
+    encoder_noise_rad: float = Field(0.0, ge=0.0, le=0.01, description="standard deviation of additional encoder noise")
+    nan_at_s: float | None = Field(None, ge=0.0)
+    """time from which encoders give NaN. By default, this never happens"""
+    nan_ticks: int = Field(1, ge=1, description="number of control periods for which encoders give NaN")
     jump_at_s: float | None = Field(None, ge=0.0)
-    """time at which all encoders jump and stay displaced (left out: never)"""
-    jump_rad: float = Field(0.2, description="size of the encoders' jump")
+    """time at which all encoders jump and stay displaced. By default, this never happens"""
+    jump_rad: float = Field(0.2, description="size of the encoders' jump at the time `jump_at_s`")
 
-    bump_N: float = Field(0.0, ge=0.0, le=200.0, description="force of a horizontal push on bump_link")
-    bump_at_s: float = Field(2.0, ge=0.0, description="time at which the push begins")
-    bump_s: float = Field(0.3, gt=0.0, description="duration of the push")
-    bump_link: Name = Field("link_4", description="the link that is pushed")
-    payload_kg: float = Field(0.0, ge=0.0, le=10.0, description="mass hung on the tool, unknown to the model")
+    bump_N: float = Field(0.0, ge=0.0, le=200.0, description="force of a horizontal push on the link `bump_link`")
+    bump_at_s: float = Field(2.0, ge=0.0, description="time at which the push on `bump_link` begins")
+    bump_s: float = Field(0.3, gt=0.0, description="duration of the push on `bump_link`")
+    bump_link: Name = Field("link_4", description="name of the link that is pushed with the force `bump_N`")
+    payload_kg: float = Field(0.0, ge=0.0, le=10.0)
+    """mass that hangs on the tool, unknown to the controller"""
 
     slip_m: float = Field(0.0, ge=0.0, le=0.1, description="distance by which the trocar slips horizontally")
     slip_at_s: float = Field(2.0, ge=0.0, description="time at which the trocar slips")
     solver: Literal["none", "fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang"] = "none"
-    """fault of the solver. 'fail': no answer; 'nan': NaN; 'lie': the optimum for the negated gradient; 'raise': an
-    exception; 'outside': an answer outside the box; 'rig': a wrong answer that fits a changed copy of the problem;
-    'malformed': no valid Solution; 'hang': a solve takes ten times budget_us (or deadline_us without a budget)"""
-    solver_share: float = Field(0.05, ge=0.0, le=1.0, description="share of the answers that have the fault")
+    """fault of the solver's answers. 'fail': no answer; 'nan': NaN; 'lie': optimum for the negated gradient; 'raise':
+    exception; 'outside': outside the bounds; 'rig': wrong answer, and the solver changes the problem to fit it;
+    'malformed': wrong data type; 'hang': solve time of ten times `budget_us` (or `deadline_us`)"""
+    solver_share: float = Field(0.05, ge=0.0, le=1.0)
+    """share of the solver's answers that have the fault `solver`"""
 
     @property
     def around_the_arm(self) -> bool:

@@ -35,45 +35,47 @@ class PlantSettings(Settings):
     MORE_KEYS: ClassVar[tuple[str, ...]] = ("preset",)
     ERROR: ClassVar[type[MocOptError]] = PlantError
 
-    period_s: float = Field(0.002, gt=0, le=0.1, description="control period: time between two ticks")
-    substeps: int = Field(2, ge=1, le=1000, description="plant steps per control period. A step may last 1 ms at most")
-    gravity: bool = Field(True, description="whether gravity acts: 9.81 m/s^2 along -z")
+    period_s: float = Field(0.002, gt=0, le=0.1, description="control period (time between two torque commands)")
+    substeps: int = Field(2, ge=1, le=1000)
+    """number of simulation steps per control period. A step may last 1 ms at most"""
+    gravity: bool = Field(True, description="whether gravity acts (9.81 m/s^2 along -z)")
     mass_error: float = Field(0.10, ge=0, le=0.9)
-    """each link's mass and inertia are multiplied by a factor drawn evenly from 1 - mass_error to 1 + mass_error"""
-    friction: float = Field(1.0, ge=0, le=10, description="factor on the robot's viscous and Coulomb friction")
+    """largest relative error of each link's mass and inertia. The errors are drawn uniformly"""
+    friction: float = Field(1.0, ge=0, le=10)
+    """factor on the viscous and Coulomb friction in the robot's file"""
     friction_error: float = Field(0.20, ge=0, lt=1)
-    """viscous and Coulomb friction of each joint are multiplied by factors drawn evenly from 1 - friction_error to
-    1 + friction_error"""
+    """largest relative error of each joint's friction. The errors are drawn uniformly"""
     calibration_error_m: float = Field(0.0002, ge=0, le=0.05)
-    """distance of the true origin of each joint, and of the tool's mount, from the origin in the controller's model"""
+    """position error of each joint's frame and of the tool's mount in the controller's model"""
     calibration_tilt_rad: float = Field(0.0001, ge=0, le=0.1)
-    """angle between the true frame of each joint and the frame in the controller's model"""
+    """orientation error of each joint's frame in the controller's model"""
     encoder_bias_rad: float = Field(0.0001, ge=0, le=0.1)
-    """standard deviation of the constant error that is drawn for each encoder"""
+    """standard deviation of the encoders' constant errors"""
     encoder_noise_rad: float = Field(1e-5, ge=0, le=0.1, description="standard deviation of the encoders' noise")
     encoder_resolution_rad: float = Field(2.4e-5, ge=0, le=0.1)
-    """step of the encoders, by default 18 bits per turn. 0: no steps"""
+    """step of the encoders, by default 18 bits per turn"""
     velocity_cutoff_Hz: float = Field(50.0, ge=0)
-    """measured velocities are differences of positions, low-pass filtered with this cut-off frequency. 0: no filter"""
+    """cut-off frequency of the low-pass filter on differentiated positions. 0: no filter"""
     encoder_side: Literal["link", "motor"] = "link"
-    """side of the spring on which the encoder of an elastic joint sits. Arms with torque sensors have 'link'"""
+    """side of the joint's spring on which the encoder sits. Arms with torque sensors have 'link'"""
     joint_stiffness_Nm_per_rad: Annotated[float, Field(ge=0, le=1e9)] | tuple[_Stiffness, ...] = 0.0
-    """stiffness of the spring between motor and link, one number for all joints or one per joint. 0: rigid joints"""
+    """stiffness of the spring between motor and link, for all joints or per joint. 0: rigid joints"""
     joint_spring_damping_Nm_s_per_rad: float = Field(30.0, ge=0, le=1e4)
-    """damping parallel to the joint's spring"""
+    """damping parallel to the spring between motor and link"""
     torque_ripple: float = Field(0.0, ge=0, le=0.5)
     """amplitude of the torque ripple, as a share of the joint's largest torque"""
     torque_ripple_per_turn: float = Field(200.0, gt=0, le=1e5)
-    """periods of the ripple in one turn of the joint"""
+    """periods of the torque ripple in one turn of the joint"""
     force_noise_N: float = Field(0.05, ge=0, description="standard deviation of the wrench sensor's force, per axis")
     torque_noise_Nm: float = Field(0.002, ge=0)
     """standard deviation of the wrench sensor's torque, per axis"""
-    delay_ticks: int = Field(1, ge=0, le=100, description="delay from a command to its torque, in ticks")
+    delay_ticks: int = Field(1, ge=0, le=100, description="delay from a torque command to its effect")
     trocar_stiffness_N_per_m: float = Field(800.0, ge=0, le=1e6)
     """stiffness of the abdominal wall at the trocar. 500 to 3000 is realistic"""
-    trocar_damping_Ns_per_m: float = Field(10.0, ge=0, le=1e4, description="damping of the abdominal wall")
+    trocar_damping_Ns_per_m: float = Field(10.0, ge=0, le=1e4)
+    """damping of the abdominal wall at the trocar"""
     trocar_registration_error_m: float = Field(0.0005, ge=0, le=0.1)
-    """distance between the true trocar and the registered trocar, which the controller uses"""
+    """distance between the true trocar and the trocar position that the controller uses"""
 
     @model_validator(mode="after")
     def _fine_enough(self) -> Self:

@@ -47,18 +47,20 @@ class Restart(NamedTuple):
 
 
 class ProcessSettings(Settings):
-    """For [solver] isolation = 'process': when the process is replaced, and how old its answers may be."""
+    """Limits of the solver's own process, if [solver] isolation = 'process'."""
 
     KIND: ClassVar[str] = "[solver.process]"
     answer_age_ticks: int = Field(0, ge=0)
-    """largest age of an earlier answer that may replace a late one. 0: none may"""
+    """largest age of an earlier answer that may replace a late answer. 0: no earlier answer may"""
     hang_s: float = Field(1.0, gt=0.0)
-    """time without an answer after which the process is killed and replaced"""
+    """time without an answer after which the solver's process is killed and replaced"""
     memory_MB: float = Field(4096.0, gt=0.0)
-    """largest memory of the process. If it needs more, it ends and is replaced"""
+    """largest memory of the solver's process. If it needs more, it ends and is replaced"""
     most_restarts: int = Field(20, ge=0)
-    """largest number of replacements in a run. Afterwards the run goes on without this solver"""
-    start_s: float = Field(120.0, gt=0.0, description="longest time for starting the process, including compilation")
+    """largest number of replacements of the solver's process in a run. After them, the run goes on without the
+    solver"""
+    start_s: float = Field(120.0, gt=0.0)
+    """longest time for starting the solver's process, including compilation"""
 
 
 @dataclass(frozen=True)

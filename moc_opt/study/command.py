@@ -137,12 +137,12 @@ def command(
     The exit status is `Found.status`, 2 after an error, or 130 after Ctrl-C or SIGTERM.
     """
     parser = ArgumentParser(prog=program or f"python -m benchmarks.{name}", description=about)
-    parser.add_argument("config", nargs="?", type=Path, help=f"TOML; default: {name}.toml of this study")
+    parser.add_argument("config", nargs="?", type=Path, help=f"settings of the study; default: its file {name}.toml")
     parser.add_argument("--out", type=Path, default=Path("results") / name, help="folder for the results")
-    parser.add_argument("--seed", type=int, help="replaces the configuration's seed")
+    parser.add_argument("--seed", type=int, help="seed of random numbers, instead of the one in the settings")
     parser.add_argument("--quick", action="store_true", help="run the same study on less data")
-    parser.add_argument("--json", action="store_true", help="print summary.json instead of the answer")
-    parser.add_argument("--dask", metavar="ADDRESS", help="run the jobs that are not timed on this Dask scheduler")
+    parser.add_argument("--json", action="store_true", help="print the summary as JSON instead of text")
+    parser.add_argument("--dask", metavar="ADDRESS", help="Dask scheduler for the jobs that are not timed")
     options(parser)
     given = parser.parse_args(arguments)
     signal.signal(signal.SIGTERM, signal.default_int_handler)

@@ -31,10 +31,10 @@ TITLES = {
 }
 """Column headings of `ERRORS` and of their changes."""
 FRAMES = (
-    "Own kinematics: the error that the controller measures and can correct. Registered: the error in the frame that "
-    "is touched at the start, which matters to the patient."
+    "Own: the error by the controller's model, which the controller can correct. Registered: the error relative to the "
+    "points touched at the start, which matters to the patient."
 )
-BASE_FRAME = "Base frame: absolute accuracy."
+BASE_FRAME = "Base: the error in the base frame (absolute accuracy)."
 
 
 def change_name(metric: str) -> str:

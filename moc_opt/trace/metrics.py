@@ -186,7 +186,7 @@ def completed(trace: Trace) -> float:
 
 @metric
 def share_of_run(trace: Trace) -> float:
-    """Ticks in the trace / planned ticks. Below 1, the other metrics describe only a part of the run."""
+    """Completed share of the planned run. Below 1, the other metrics describe only this part."""
     ticks, planned = trace.meta.get("ticks"), trace.meta.get("ticks_planned")
     if not isinstance(ticks, int) or not isinstance(planned, int) or planned < 1:
         raise MissingDataError("meta has no 'ticks' and 'ticks_planned': give both as numbers of ticks")
@@ -202,7 +202,10 @@ _figure("mu_final", "m^3", "Last", "mu", lambda values: values[-1])
 
 @metric("percent")
 def mu_gain_percent(trace: Trace, baseline: Trace | None) -> float:
-    """Gain in mean manipulability over the baseline, DCAC at the same gains; to compare third levels, use mu_mean."""
+    """Change of mean manipulability against the same run without level 3 (DCAC).
+
+    The baseline's gains depend on the settings of level 3. To compare these, use `mu_mean`.
+    """
     if baseline is None:
         raise MissingDataError("there is no baseline: give the trace of DCAC on the same trial")
     reference = METRICS["mu_mean"](baseline)
@@ -213,7 +216,7 @@ def mu_gain_percent(trace: Trace, baseline: Trace | None) -> float:
 
 @metric
 def mu_fraction_of_bound(trace: Trace) -> float:
-    """Mean of mu / mean of the largest mu of all feasible poses, over the ticks with a known largest mu."""
+    """Mean manipulability / mean of the largest possible manipulability with the same tip and wrist."""
     bound = float(_known(trace, "mu_bound").mean())
     if bound == 0.0:
         raise MissingDataError("the largest mu is zero throughout: a share of it has no value")
@@ -222,13 +225,13 @@ def mu_fraction_of_bound(trace: Trace) -> float:
 
 @metric
 def mu_fraction_of_best_from_start(trace: Trace) -> float:
-    """Mean of mu / mean of mu along the best course from the same start, if such a course was planned."""
+    """Mean manipulability / mean along the best joint motion from the same start."""
     return METRICS["mu_mean"](trace) / _known(trace, "mu_best_from_start").mean()
 
 
 @metric
 def mu_fraction_of_best(trace: Trace) -> float:
-    """Mean of mu / mean of mu along the best course from any swivel and branch at the start."""
+    """Mean manipulability / mean along the best joint motion from any start with the same tip and wrist."""
     return METRICS["mu_mean"](trace) / _known(trace, "mu_best").mean()
 
 
@@ -248,7 +251,7 @@ for _column, _unit in (
 
 @metric("Nm/s")
 def torque_rate_rms_Nm_per_s(trace: Trace) -> float:
-    """Chatter: root mean square over the ticks of |tau_k - tau_(k-1)| / (t_k - t_(k-1))."""
+    """Chatter: root mean square rate of change of the joint torque vector."""
     change, step = _lengths(np.diff(trace.tau_Nm, axis=0)), np.diff(_floats(trace, "t_s"))
     if "tick" in trace.columns:
         together = np.diff(trace.tick) == 1
@@ -262,13 +265,13 @@ def torque_rate_rms_Nm_per_s(trace: Trace) -> float:
 
 @metric("rad/s")
 def oscillation_rad_per_s(trace: Trace) -> float:
-    """Largest root mean square of a joint's velocity above 8 Hz over one second; see moc_opt.trace.oscillation."""
+    """Largest oscillation of a joint velocity: root mean square above 8 Hz, over one second."""
     return shaking(trace, "v_rad_per_s").rms
 
 
 @metric("Nm")
 def oscillation_Nm(trace: Trace) -> float:
-    """Largest root mean square of a joint's torque above 8 Hz over one second; see moc_opt.trace.oscillation."""
+    """Largest oscillation of a joint torque: root mean square above 8 Hz, over one second."""
     return shaking(trace, "tau_Nm").rms
 
 
@@ -282,7 +285,7 @@ for _column in ("solve_us", "tick_us"):
 
 @metric
 def deadline_misses(trace: Trace) -> float:
-    """Ticks that took longer than the deadline."""
+    """Number of control periods whose computation missed the deadline."""
     deadline = trace.meta.get("deadline_us")
     if deadline is None:
         raise MissingDataError("meta has no 'deadline_us': give the time a tick may take [us]")
@@ -293,31 +296,31 @@ def deadline_misses(trace: Trace) -> float:
 
 @metric
 def claimed_solved(trace: Trace) -> float:
-    """Ticks at which the solver claimed to have solved the subproblem."""
+    """Number of answers that the solver reported as optimal."""
     return _count(trace.status == "solved")
 
 
 @metric
 def verified_solved(trace: Trace) -> float:
-    """Ticks at which the answer was judged optimal, whatever the solver claimed."""
+    """Number of answers that the check found optimal, whatever the solver reported."""
     return _count(trace.verified)
 
 
 @metric
 def silently_wrong(trace: Trace) -> float:
-    """Ticks at which the solver claimed an optimum and the answer was judged wrong."""
+    """Number of answers that the solver reported as optimal, but the check found wrong."""
     return _count((trace.status == "solved") & ~trace.verified)
 
 
 @metric
 def faults(trace: Trace) -> float:
-    """Ticks at which the third level's answer was refused or missing, for any reason."""
+    """Number of control periods in which the solver's answer was refused or missing."""
     return _count((trace.fault != "none") & (trace.fault != "stopped"))
 
 
 @metric
 def limited_ticks(trace: Trace) -> float:
-    """Ticks at which the safety filter changed the controller's torque."""
+    """Number of control periods in which the safety filter changed the torque."""
     return _count(trace.limited)
 
 
