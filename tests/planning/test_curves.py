@@ -31,7 +31,7 @@ def follow(low, high, start, tangent, step, most=200, slides=False):
     return s[:count], poses[:count], closed
 
 
-def test_a_straight_curve_has_even_samples_up_to_the_first_limit_that_it_meets():
+def test_a_straight_curve_ends_at_the_first_joint_limit():
     start, high = np.array([0.1, 0.2, 0.3, 0.0, 0.0]), np.array([0.5, 3.0, 1.0, 0.0, 0.0])
     for least, end in ((-0.19, 0.39), (-0.21, 0.4), (-0.3, 0.4)):  # joint 2 ends the curve at 0.39, joint 1 at 0.4
         low = np.array([-1.0, least, 0.2, 0.0, 0.0])
@@ -49,7 +49,7 @@ def test_a_straight_curve_has_even_samples_up_to_the_first_limit_that_it_meets()
 
 
 @pytest.mark.parametrize("step", [0.1, 0.0995, 0.15, 2.0 * np.pi / 60])
-def test_a_curve_closes_after_one_turn_of_a_revolute_joint_but_never_if_joints_slide(step):
+def test_a_curve_closes_after_one_turn_of_a_joint(step):
     """The last sample is exactly one turn from the start, and not close to the sample before."""
     low, high, start = np.full(5, -30.0), np.full(5, 30.0), np.array([1.0, 0.0, 0.0, 0.0, 2.0])
     low[1:4] = high[1:4] = 0.0
@@ -77,7 +77,7 @@ def test_a_curve_closes_after_one_turn_of_a_revolute_joint_but_never_if_joints_s
     assert s[-1] == pytest.approx(min(399 * step, 30.0 * np.sqrt(2.0)), rel=1e-9)
 
 
-def test_inverse_kinematics_takes_damped_newton_steps_of_at_most_0_25():
+def test_inverse_kinematics_takes_short_damped_newton_steps():
     """A sliding joint moves to a target on its axis. The damping of each step is proportional to the squared error."""
     arm, low, high = gantry(True), np.zeros(5), np.zeros(5)
     low[2], high[2] = -9.0, 9.0
@@ -97,7 +97,7 @@ def test_inverse_kinematics_takes_damped_newton_steps_of_at_most_0_25():
 
 
 @pytest.mark.parametrize(("name", "draw"), [("panda", 129), ("panda", 298), ("gen3", 260), ("xarm7", 5)])
-def test_a_curve_that_turns_sharply_is_followed_in_shorter_steps(name, draw):
+def test_a_sharply_bent_curve_is_followed_in_shorter_steps(name, draw):
     """Near these poses the arm can hardly turn the shaft. The expected values come from finer steps."""
     robot = load_robot(name)
     q = np.random.default_rng(3).uniform(robot.q_min, robot.q_max, (300, 7))[draw]

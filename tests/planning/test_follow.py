@@ -44,7 +44,7 @@ def follower(of):
 planned_ways = cache(lambda: Ways(setup("planned").following))
 
 
-def test_the_desired_velocity_is_the_courses_velocity_plus_a_gain_times_the_error(robot):
+def test_the_desired_velocity_corrects_the_position_error(robot):
     t = np.linspace(0.0, 1.0, 11)
     guide = Follower(0.002, course=Course(t, robot.data.q_home + 0.1 * t[:, None], np.ones(11), 0.0))
     for tick in range(400):
@@ -58,7 +58,7 @@ def test_the_desired_velocity_is_the_courses_velocity_plus_a_gain_times_the_erro
     np.testing.assert_allclose(last, 5.0 * (0.1 - 0.2), atol=1e-9)
 
 
-def test_a_course_is_interpolated_by_cubics_through_its_poses_and_velocities_and_rests_after_its_end():
+def test_a_course_is_interpolated_by_cubic_polynomials():
     t, (q, v) = np.linspace(0.3, 1.5, 5), np.random.default_rng(0).normal(size=(2, 5, 7))
     piece, cubic = Piece(t, q, v), CubicHermiteSpline(t, q, v)
     for at in (0.3, 0.45, 0.9, 1.37, 1.4999):
@@ -67,7 +67,7 @@ def test_a_course_is_interpolated_by_cubics_through_its_poses_and_velocities_and
     np.testing.assert_array_equal(piece.at(1.5), [q[-1], np.zeros(7)])
 
 
-def test_an_arm_that_has_left_its_course_still_reaches_the_courses_maximum_of_mu():
+def test_an_arm_off_its_course_still_reaches_the_maximum():
     """The elbow is held for 1 s, while mu rises by 30 % on the course. Then the arm moves with the desired velocity."""
     made = Setup(TRAPPED.change(control={"third_level": "planned"}))
     robot, guide, q, held = made.robot, follower(made), np.array(made.q_start), 500
@@ -86,7 +86,7 @@ def test_an_arm_that_has_left_its_course_still_reaches_the_courses_maximum_of_mu
     assert not guide.told
 
 
-def test_the_arm_follows_its_course_and_has_hardly_less_mu_than_with_the_local_climb():
+def test_the_arm_follows_its_course_in_a_run():
     made = setup("planned")
     trace, guide = made.trace(), follower(made)
     assert trace.meta["ended"] == "completed"
@@ -100,7 +100,7 @@ def test_the_arm_follows_its_course_and_has_hardly_less_mu_than_with_the_local_c
     assert Setup(FOLLOWED.change(control=FOLLOWED.control.matched_dcac())).controller()._guide is None
 
 
-def test_a_start_nearer_to_a_limit_than_the_margin_costs_no_mu():
+def test_a_start_inside_the_limit_margin_costs_no_mu():
     courses = []
     for swivel in (0.01, 0.0142):  # 0.030 and 0.043 rad from a limit
         made = Setup(FOLLOWED.change(start={"swivel": swivel}, control={"course_margin_rad": 0.05}))
@@ -113,7 +113,7 @@ def test_a_start_nearer_to_a_limit_than_the_margin_costs_no_mu():
     assert just_inside.mu_mean > 0.99 * deeper.mu_mean
 
 
-def test_a_course_is_faster_than_its_usual_speed_only_where_that_gains_much_mu():
+def test_a_faster_course_is_tried_if_it_gains_much_mu():
     """From the second start the elbow has far to go, so that a higher speed gains much mu."""
     q = (0.11625160465135753, -0.48236975363387774, 0.6927921516761183, -1.0529279629259627, 2.6042965767787516,
          1.9686742406249267, 1.3759513161472126)  # fmt: skip
@@ -134,7 +134,7 @@ def test_a_course_is_faster_than_its_usual_speed_only_where_that_gains_much_mu()
     ([(1.0, False), (0.94, True), (0.96, True)], 2), ([(0.8, True), (0.9, True), (0.7, True), (0.6, True)], 1),
     ([(1.0, False), (1.0, False), (1.0, False), (0.5, True)], 3),
 ])  # fmt: skip
-def test_slower_courses_are_tried_until_a_smooth_one_keeps_nearly_all_mu(monkeypatch, answers, chosen):
+def test_slower_courses_are_tried_until_a_smooth_one_is_found(monkeypatch, answers, chosen):
     """An answer is (the smooth course's share of mu, whether it keeps all limits). The last course need not brake."""
     run, tried, made = setup("planned").following, [], []
 
@@ -158,12 +158,12 @@ FAST = {"task": {"v_max_m_per_s": 2.0, "a_max_m_per_s2": 20.0}, "start": {"check
     (FAST, r"third_level = 'planned'.*mm along the path"),
     (FAST | {"control": {"third_level": "receding"}}, r"third_level = 'receding'.*mm along the path"),
 ])  # fmt: skip
-def test_settings_under_which_no_course_can_be_followed_are_refused_before_the_run(change, message):
+def test_settings_without_a_feasible_course_are_refused(change, message):
     with pytest.raises(MocOptError, match=message):
         Setup(FOLLOWED.change(**change)).controller()
 
 
-def test_the_receding_horizon_leaves_the_local_maximum_at_which_the_local_law_ends():
+def test_the_receding_horizon_leaves_a_local_maximum():
     trace, climbed, told = ran("receding"), ran("local"), ran("receding").meta["replans"]
     assert trace.meta["ended"] == "completed"
     assert 20.0 * (setup().duration_s - 0.3) < told["solves"] < 30.0 * setup().duration_s
@@ -173,7 +173,7 @@ def test_the_receding_horizon_leaves_the_local_maximum_at_which_the_local_law_en
     assert trace.columns["tip_error_model_m"].mean() < 2.0 * climbed.columns["tip_error_model_m"].mean()
 
 
-def test_the_receding_horizons_motion_is_on_the_path_and_within_the_joint_speeds():
+def test_motion_of_the_receding_horizon_stays_on_the_path():
     one, q = follower(setup()), [setup().q_start]
     for _ in range(setup().ticks):
         q.append(q[-1] + 0.002 * one.desired_velocity(setup().robot.state(q[-1])))
@@ -206,7 +206,7 @@ def test_wrong_answers_of_the_program_are_refused(monkeypatch, wrong):
 
 
 @pytest.mark.parametrize("level", ["planned", "receding"])
-def test_a_run_can_be_repeated_and_a_controller_has_its_own_course(level):
+def test_a_repeated_run_has_the_same_desired_velocities(level):
     one, other = follower(setup(level)), follower(setup(level))
     state = setup(level).robot.state(setup(level).q_start)
     first = [one.desired_velocity(state) for _ in range(300 if level == "planned" else 60)]
@@ -253,7 +253,7 @@ def loaded(scenario):
     return load_course(scenario.control, setup.robot, setup.layout.q, targets_of(setup.robot, setup.layout))
 
 
-def test_a_saved_course_is_followed_as_if_the_run_had_planned_it(course):
+def test_a_saved_course_is_followed_like_a_planned_one(course):
     following, file = without_course(SCENARIO).following, SCENARIO.change(control={"course": str(course)})
     read, made = (followed_course(replace(following, settings=each.control)) for each in (file, SCENARIO))
     assert read.mu_mean == pytest.approx(made.mu_mean, rel=1e-4)
@@ -267,7 +267,7 @@ def test_a_saved_course_is_followed_as_if_the_run_had_planned_it(course):
     ({"control": {"course_speed_fraction": 0.01}}, "plan it with --speed-share 0.01"),
     ({"control": {"course": "nowhere.parquet"}}, "nowhere.*no such file.*moc-opt plan"),
 ])  # fmt: skip
-def test_a_course_of_another_run_is_refused_with_the_difference(course, change, message):
+def test_a_course_of_another_run_is_refused(course, change, message):
     with pytest.raises(ScenarioError, match=message):
         loaded(SCENARIO.change(control={"course": str(course)}).change(**change))
 
@@ -295,7 +295,7 @@ def test_a_file_that_is_no_course_is_refused(course, tmp_path):
             loaded(mine)
 
 
-def test_smoothing_a_course_keeps_the_limits_that_it_was_planned_for(tmp_path):
+def test_smoothing_keeps_the_limits_of_a_planned_course(tmp_path):
     within = {"margin_rad": 0.6, "speed_share": 0.1}
     to = save_course(plan(SCENARIO, **within), SCENARIO, tmp_path / "slow.parquet", within)
     scenario = SCENARIO.change(control={"course": str(to)})

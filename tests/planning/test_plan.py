@@ -13,7 +13,7 @@ from moc_opt.tasks import Reference, Trocar, make_path
 from tests.planning.arms import line_from, task
 
 
-def test_mean_mu_rises_from_climb_to_course_to_bound_and_the_proposed_start_gives_the_best_course(robot):
+def test_mean_mu_rises_from_climb_to_course_to_bound(robot):
     q = robot.data.q_home
     targets = task(robot, q, 60)
     plan = make_plan(robot, q, targets, swivels=360)
@@ -32,7 +32,7 @@ def test_mean_mu_rises_from_climb_to_course_to_bound_and_the_proposed_start_give
     assert again.from_start.mu_mean == pytest.approx(plan.best.mu_mean, rel=1e-4)
 
 
-def test_targets_have_the_shaft_in_the_trocar_and_a_trocar_off_the_shaft_is_refused(robot):
+def test_targets_have_the_shaft_in_the_trocar(robot):
     state = robot.state(robot.data.q_home)
     targets = line_from(robot, robot.data.q_home, 5)
     way = state.tip - 0.15 * state.tool_direction - targets.tip
@@ -54,7 +54,7 @@ def test_a_bound_that_a_course_exceeds_is_not_given(robot, monkeypatch):
     assert np.isnan(plan.bound_from_start)
 
 
-def test_a_path_is_blocked_at_the_first_point_where_inverse_kinematics_finds_no_pose(robot):
+def test_a_path_is_blocked_at_its_first_unreachable_point(robot):
     q = robot.data.q_home
     state = robot.state(q)
     away = np.linspace(0.0, 0.8, 81)[:, None] * np.array([0.0, 0.6, 0.8])
@@ -82,7 +82,7 @@ def test_a_path_is_blocked_at_the_first_point_where_inverse_kinematics_finds_no_
     (Limits(speed_share=0.03), "joint_4 would have to turn at 1.03 times its speed limit"),
     (Limits(0.6), "within the joint limits: joint_4 is beyond its own"),
 ])  # fmt: skip
-def test_a_joint_that_is_too_slow_or_at_its_limit_is_named(robot, limits, told):
+def test_the_joint_that_blocks_a_path_is_named(robot, limits, told):
     q = robot.data.q_home
     plan = make_plan(robot, q, task(robot, q, 60), limits, swivels=180, refined=False)
     assert told in plan.blocked.reason
@@ -110,7 +110,7 @@ def test_refinement_finds_a_course_that_a_coarse_map_lacks():
     assert "between poses of the map" in grid.blocked.reason
 
 
-def test_if_a_course_is_far_below_the_bound_the_course_that_gave_the_bound_is_refined(monkeypatch):
+def test_a_course_far_below_the_bound_is_replaced(monkeypatch):
     """The local climb replaces the first grid search. The climb ends at a low local maximum of mu."""
     best_course, asked = plan.best_course, []
 
@@ -127,6 +127,6 @@ def test_if_a_course_is_far_below_the_bound_the_course_that_gave_the_bound_is_re
 
 
 @pytest.mark.parametrize(("name", "margin"), [("margin_rad", -1.0), ("margin_m", np.inf), ("margin_m", "x")])
-def test_a_margin_that_is_negative_infinite_or_a_text_is_refused_by_its_name(name, margin):
+def test_a_wrong_margin_is_refused_by_its_name(name, margin):
     with pytest.raises(MocOptError, match=f"{name} = .*give zero or more"):
         planned.plan(Scenario(duration_s=0.1), times=5, **{name: margin})

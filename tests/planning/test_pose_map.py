@@ -27,7 +27,7 @@ def panda():
     return robot, map_of(robot, robot.data.q_home, line_from(robot, robot.data.q_home))
 
 
-def test_tip_wrist_mu_and_distance_from_the_joint_limits_agree_with_the_model_at_every_pose(arm):
+def test_every_pose_of_the_map_agrees_with_the_model(arm):
     rng = np.random.default_rng(0)
     starts = np.array([arm.random_regular_pose(rng, margin=0.02) for _ in range(10)])
     found = map_of(arm, starts[0], at_poses(arm, starts), 180)
@@ -38,7 +38,7 @@ def test_tip_wrist_mu_and_distance_from_the_joint_limits_agree_with_the_model_at
     np.testing.assert_allclose(np.minimum(q - arm.q_min, arm.q_max - q)[:, :6].min(axis=1), found.room_rad.ravel())
 
 
-def test_the_peaks_are_the_four_highest_local_maxima_over_the_swivel(arm):
+def test_the_peaks_are_the_four_highest_local_maxima(arm):
     found = map_of(arm, arm.data.q_home, at_poses(arm, np.array([arm.data.q_home] * 2)), 180)
     score = np.where(found.room_rad[0] >= 0.0, found.mu[0], -np.inf).max(axis=0)
     tops = [j for j in range(180) if score[j - 1] <= score[j] >= score[(j + 1) % 180] and np.isfinite(score[j])]
@@ -47,7 +47,7 @@ def test_the_peaks_are_the_four_highest_local_maxima_over_the_swivel(arm):
     assert at == set(sorted(tops, key=lambda j: -score[j])[:4])
 
 
-def test_every_pose_of_the_arm_is_in_the_map_in_one_of_eight_branches(arm):
+def test_the_map_has_eight_branches_with_every_pose(arm):
     rng, branches = np.random.default_rng(1), set()
     for _ in range(40):
         q = arm.random_regular_pose(rng, margin=0.01)
@@ -118,7 +118,7 @@ def test_each_joint_keeps_its_own_margin(panda):
     np.testing.assert_array_equal(found.feasible(np.full(7, 0.3)), found.feasible(0.3))
 
 
-def test_the_map_of_a_panda_has_every_pose_that_inverse_kinematics_finds_from_random_starts(panda):
+def test_a_traced_map_has_every_pose_of_inverse_kinematics(panda):
     robot, found = panda
     tip, wrist = found.targets.tip[2], found.targets.wrist[2]
     poses = found.q_rad[2, 0][np.isfinite(found.mu[2, 0])]
@@ -135,7 +135,7 @@ def test_the_map_of_a_panda_has_every_pose_that_inverse_kinematics_finds_from_ra
     assert seen > 5
 
 
-def test_a_traced_map_is_denser_above_the_default_number_of_swivels_and_the_same_below(panda):
+def test_a_traced_map_is_denser_with_more_swivels(panda):
     robot, found = panda
     fewer, twice = (map_of(robot, robot.data.q_home, found.targets[:2], swivels) for swivels in (90, 1440))
     one, two, four = (np.isfinite(each.mu[0]).sum() for each in (fewer, found, twice))
@@ -206,7 +206,7 @@ def test_points_of_a_path_share_their_maxima(monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["panda", "lwr4_rail", "odd"])
-def test_an_ascent_ends_at_a_maximum_within_the_limits_and_nearest_poses_are_found_within_them(name, odd_robot):
+def test_an_ascent_ends_at_a_maximum_within_the_limits(name, odd_robot):
     """The limits are narrow, so that joints reach them. At the end, a linear program finds no direction of ascent."""
     robot = odd_robot if name == "odd" else load_robot(name)
     rng, at_limits, found = np.random.default_rng(5), 0, 0
@@ -236,7 +236,7 @@ def test_an_ascent_ends_at_a_maximum_within_the_limits_and_nearest_poses_are_fou
 
 
 @pytest.mark.parametrize("name", ["lwr4_rail", "odd"])
-def test_with_two_dimensional_self_motions_the_largest_mu_need_not_lie_on_the_curve(name, odd_robot):
+def test_a_two_dimensional_self_motion_has_larger_mu_elsewhere(name, odd_robot):
     robot, rng = odd_robot if name == "odd" else load_robot(name), np.random.default_rng(4)
     poses = [robot.data.q_home, *rng.uniform(0.7 * robot.q_min, 0.7 * robot.q_max, (3, robot.n))]
     shares = [self_motion(robot, q).mu_best / largest_mu(robot, q[None]).mu[0] for q in poses]
@@ -244,7 +244,7 @@ def test_with_two_dimensional_self_motions_the_largest_mu_need_not_lie_on_the_cu
     assert min(shares) < 0.97
 
 
-def test_a_target_out_of_reach_is_approached_as_far_as_the_stretched_arm_reaches(robot):
+def test_a_stretched_arm_approaches_a_target_out_of_reach(robot):
     free, rng, shoulder = without_limits(robot), np.random.default_rng(2), np.array([0.0, 0.0, 0.31])
     length = np.linalg.norm(free.state(np.zeros(7)).tip - shoulder)
     for direction in rng.normal(size=(8, 3)):

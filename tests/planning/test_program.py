@@ -30,7 +30,7 @@ def on_grid(robot, targets, limits=None, swivels=180):
 
 
 @pytest.mark.parametrize("name", ["lwr4", "panda"])
-def test_refinement_raises_mu_and_certifies_the_course_if_the_solver_converged(name, capfd, monkeypatch):
+def test_refinement_raises_mu_to_a_certified_local_maximum(name, capfd, monkeypatch):
     robot = load_robot(name)
     targets = task(robot, robot.data.q_home, 60) if name == "lwr4" else line_from(robot, robot.data.q_home, 20)
     course, bound = on_grid(robot, targets, swivels=90)
@@ -46,7 +46,7 @@ def test_refinement_raises_mu_and_certifies_the_course_if_the_solver_converged(n
     assert course.mu_mean <= early.mu_mean < better.mu_mean
 
 
-def test_smoothing_a_course_at_its_limits_does_not_move_it_to_another_maximum_of_mu(robot):
+def test_smoothing_a_course_keeps_its_maximum_of_mu(robot):
     """From this start, only a narrow path leads to the better maximum of mu."""
     q = (0.2912492688528833, -0.9312126696305606, -0.2813874639891124, -0.9455987681077571, 0.08576585626315732,
          -1.0843382517252966, 1.987021145390591)  # fmt: skip
@@ -86,7 +86,7 @@ def test_a_course_that_breaks_a_limit_has_a_violation(robot):
     assert make_course(robot, targets, off).violation == pytest.approx(moved, rel=1e-6)
 
 
-def test_a_joint_at_the_largest_allowed_speed_stops_before_its_limit_at_the_given_brake_rate():
+def test_a_joint_at_its_largest_speed_stops_before_its_limit():
     v, q, zero = casadi.MX.sym("v"), casadi.MX.sym("q"), casadi.DM(0.0)
     excess = casadi.Function("excess", [v, q], [too_fast(v, q, casadi.DM(-9.0), zero, 2.0)])
     pose, dt, speeds = -1.5, 1e-3, []
@@ -99,7 +99,7 @@ def test_a_joint_at_the_largest_allowed_speed_stops_before_its_limit_at_the_give
     assert float(excess(-100.0, -9.0)[1]) == 100.0, "at the lower limit no speed towards it is allowed"
 
 
-def test_with_a_brake_a_course_slows_down_before_its_limits(robot):
+def test_a_course_slows_down_before_its_limits(robot):
     brake, limits, targets, late = 0.5, Limits(margin=0.3), task(robot, robot.data.q_home, 60), []
     course, _ = on_grid(robot, targets, limits)
     for rule in (np.inf, brake):
@@ -112,13 +112,13 @@ def test_with_a_brake_a_course_slows_down_before_its_limits(robot):
     assert late[1] < 1e-6
 
 
-def test_a_course_for_which_the_joints_are_far_too_slow_is_not_kept(robot):
+def test_a_course_of_slow_joints_is_not_kept(robot):
     targets, slow = task(robot, robot.data.q_home, 20), Limits(speed_share=1e-10)
     course, _ = on_grid(robot, targets)
     assert not refine(robot, targets, make_course(robot, targets, course.q_rad, slow), slow).kept
 
 
-def test_the_shafts_margin_changes_a_course_at_the_cost_of_some_mu(robot):
+def test_the_shaft_margin_costs_some_mu(robot):
     targets = task(robot, robot.data.q_home, 40)
     course, _ = on_grid(robot, targets)
     margin = 1.2 * float(shaft_shares(robot, course.q_rad).min())
@@ -142,7 +142,7 @@ def horizon(robot, smoothness=0.001, margin=0.0):
     return Program(robot, NODES, 0.05, Limits(margin), mu=0.1, smoothness=smoothness, horizon=True)
 
 
-def test_a_course_over_a_horizon_keeps_all_limits_and_is_smoother_with_a_higher_weight(middle, capfd):
+def test_a_course_over_a_horizon_keeps_all_limits(middle, capfd):
     robot, start, guess, there, usual = middle
     rough = []
     for made in (horizon(robot, 1e-4), usual, horizon(robot, 1e-1)):
@@ -155,7 +155,7 @@ def test_a_course_over_a_horizon_keeps_all_limits_and_is_smoother_with_a_higher_
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_the_end_of_a_horizon_moves_to_where_the_value_function_is_higher(middle, side):
+def test_a_horizon_ends_where_the_value_function_is_higher(middle, side):
     robot, start, guess, there, made = middle
     rest = (guess[-1] - start) / (NODES * there.period_s)
     plain, _ = made.solve(guess, start, there, rest)
@@ -168,7 +168,7 @@ def test_the_end_of_a_horizon_moves_to_where_the_value_function_is_higher(middle
     assert abs(along @ (kept[-1] - plain[-1])) < 1e-3
 
 
-def test_a_course_over_a_horizon_begins_at_the_arms_speed(middle):
+def test_a_horizon_begins_at_the_arms_speed(middle):
     robot, start, guess, there, made = middle
     steps = [made.solve(guess, start, there, speed * np.ones(robot.n))[0][0] - start for speed in (-0.5, 0.5)]
     along = np.linalg.svd(robot.state(start).A[:, :6])[2][-1]
@@ -176,7 +176,7 @@ def test_a_course_over_a_horizon_begins_at_the_arms_speed(middle):
     assert np.sign(along @ (steps[1] - steps[0])[:6]) == np.sign(along.sum())
 
 
-def test_the_shafts_margin_moves_the_elbow_to_a_pose_where_the_shaft_turns_more_easily(robot):
+def test_the_shaft_margin_moves_the_elbow(robot):
     """Over the horizon, tip and wrist rest."""
     q = robot.random_regular_pose(np.random.default_rng(5), margin=0.3)
     there, guess, shares = at_poses(robot, np.tile(q, (NODES, 1))), np.tile(q, (NODES, 1)), []

@@ -68,7 +68,7 @@ def test_dynamic_programming_finds_the_best_of_all_courses(start, cell, price):
     assert none < 15
 
 
-def test_one_step_backwards_compares_each_pose_with_every_pose_in_reach():
+def test_one_step_backwards_tries_every_pose_in_reach():
     """Rounding to eighths makes some distances equal to the step."""
     rng = np.random.default_rng(3)
     for trial in range(40):
@@ -88,7 +88,7 @@ def test_one_step_backwards_compares_each_pose_with_every_pose_in_reach():
         np.testing.assert_allclose(value, ways + gain, atol=1e-12)
 
 
-def test_for_an_upper_bound_a_pose_stands_for_half_a_cell_and_neighbours_of_feasible_poses_are_feasible():
+def test_in_an_upper_bound_a_pose_represents_its_cell():
     angles, mu = 2.0 * np.pi * np.arange(16) / 16, lambda angle: 1.0 + 0.5 * np.cos(angle - 0.1)
     angles[8] = np.nan  # a sample without a pose
     room = np.isin(np.arange(16), (0, 4, 9)) - 0.5
@@ -101,7 +101,7 @@ def test_for_an_upper_bound_a_pose_stands_for_half_a_cell_and_neighbours_of_feas
     assert told[8] >= mu(angles[7]) > mu(angles[9])
 
 
-def test_the_climb_to_a_top_goes_to_the_higher_neighbour():
+def test_a_climb_goes_to_the_higher_neighbour():
     found = replace(small(np.random.default_rng(0), k=1, m=5), mu=np.array([[[0.2, 0.5, 0.6, 0.1, 0.3]]]))
     found = replace(found, q_rad=0.1 * np.arange(5.0).reshape(1, 1, 5, 1), room_rad=np.ones((1, 1, 5)))
     assert [top_of(found, np.array([at]))[::2] for at in (0.1, 0.2, 0.3)] == [(0.6, False)] * 3
@@ -114,7 +114,7 @@ def coarse(robot):
     return map_of(robot, robot.data.q_home, task(robot, robot.data.q_home, 60), 180)
 
 
-def test_courses_and_the_climb_keep_task_limits_and_speeds_and_stay_below_the_bound(robot, coarse):
+def test_courses_keep_all_limits_and_the_bound(robot, coarse):
     q = robot.data.q_home
     value, bound = (Value(coarse, Limits(), cell=cell) for cell in (0.0, WHOLE_CELL))
     for start in (q, None):
@@ -135,7 +135,7 @@ def test_courses_and_the_climb_keep_task_limits_and_speeds_and_stay_below_the_bo
 
 
 @pytest.mark.parametrize("joint", [1, 5])
-def test_a_course_goes_through_a_singular_pose_into_the_next_branch(robot, joint):
+def test_a_course_passes_a_singular_pose_to_another_branch(robot, joint):
     """The targets belong to a motion in which one joint turns through zero."""
     way = np.tile(np.array([0.3, 0.5, -0.4, 1.2, 0.5, -0.7, 0.0]), (41, 1))
     way[:, joint] = np.linspace(0.45, -0.47, 41) * (1.0 if joint == 1 else -1.0)
@@ -150,7 +150,7 @@ def test_a_course_goes_through_a_singular_pose_into_the_next_branch(robot, joint
     assert mean <= Value(found, Limits(), cell=WHOLE_CELL).of(way[0], robot.state(way[0]).mu)
 
 
-def test_poses_below_the_shafts_margin_have_less_mu_in_the_search(robot, coarse):
+def test_poses_below_the_shaft_margin_have_less_mu(robot, coarse):
     margin = 0.5
     found = map_of(robot, robot.data.q_home, coarse.targets[:10], 90)
     kept, may = keeping_shaft(found, Limits(shaft=margin)), found.feasible()

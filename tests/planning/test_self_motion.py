@@ -23,7 +23,7 @@ def check(robot, start, motion, poses):
         np.testing.assert_array_equal(q[list(motion.held)], start[list(motion.held)])
 
 
-def test_a_curve_keeps_tip_wrist_and_limits_and_has_the_models_mu(robot, regular_poses):
+def test_a_curve_keeps_tip_wrist_and_limits(robot, regular_poses):
     rng = np.random.default_rng(5)
     for start in regular_poses(10, seed=4):
         motion = self_motion(robot, start)
@@ -43,7 +43,7 @@ def test_a_curve_keeps_tip_wrist_and_limits_and_has_the_models_mu(robot, regular
         assert motion.mu_best == pytest.approx(self_motion(robot, start, step=0.005).mu_best, abs=1e-6)
 
 
-def test_a_curve_is_the_same_from_any_of_its_poses_and_exists_for_a_tool_off_the_last_axis(robot, odd_robot):
+def test_a_curve_is_the_same_from_any_pose(robot, odd_robot):
     motion = self_motion(robot, robot.data.q_home)
     again, *from_ends = (self_motion(robot, q) for q in (motion.at(0.8), motion.q[0], motion.q[-1]))
     for other in (again, *from_ends):
@@ -58,7 +58,7 @@ def test_a_curve_is_the_same_from_any_of_its_poses_and_exists_for_a_tool_off_the
     check(odd_robot, odd_robot.data.q_home, odd, odd.q)
 
 
-def test_without_joint_limits_a_curve_closes_after_a_full_turn_of_the_elbow(robot):
+def test_a_curve_without_joint_limits_closes(robot):
     free = RobotModel(replace(robot.data, q_min=np.full(7, -17.0), q_max=np.full(7, 17.0)))
     q = np.array([0.2, -1.0, 0.3, 1.5, -0.4, -0.6, 0.1])
     motion = self_motion(free, q)
@@ -83,7 +83,7 @@ def test_bad_input_is_named(robot):
             self_motion(robot, q, step=step)
 
 
-def test_the_peak_of_a_parabola_is_found_from_any_three_samples():
+def test_three_samples_give_the_peak_of_a_parabola():
     rng = np.random.default_rng(6)
     for _ in range(100):
         bend, top, height = rng.uniform(-3.0, -0.1), rng.normal(), rng.normal()
@@ -111,7 +111,7 @@ def test_arms_have_their_known_rank_and_null_space_dimension(robot, odd_robot, t
     assert straight.both == pytest.approx(0.0, abs=1e-9)
 
 
-def test_an_arm_without_a_self_motion_is_refused_under_moc_and_runs_under_dcac(tmp_path):
+def test_moc_refuses_an_arm_without_a_self_motion(tmp_path):
     joints, rest = IIWA14["joints"], [k for k in range(7) if k != 2]
     six = {name: IIWA14[name][rest] for name in ("q_max", "v_max")}
     six |= {"joints": [*joints[:2], ((0, 0.42, 0), (0, 0, 0)), *joints[4:]], "home": np.take(IIWA14["home"], rest)}
@@ -123,7 +123,7 @@ def test_an_arm_without_a_self_motion_is_refused_under_moc_and_runs_under_dcac(t
     assert run(asked.change(control={"law": "dcac"})).meta["ended"] == "completed"
 
 
-def test_limit_shares_are_one_in_the_middle_and_zero_at_a_limit(robot):
+def test_limit_shares_are_zero_at_a_limit(robot):
     np.testing.assert_allclose(limit_shares(robot, 0.5 * (robot.q_min + robot.q_max)), 1.0)
     np.testing.assert_allclose(limit_shares(robot, robot.q_max), 0.0, atol=1e-12)
 
@@ -143,7 +143,7 @@ def place(curve):
     return lambda s: np.array([curve.at((top + each) / (curve.s[-1] - curve.s[0])) for each in np.atleast_1d(s)])
 
 
-def test_the_distance_to_the_optimum_is_the_arc_length_along_the_self_motion(robot, curve, place, regular_poses):
+def test_the_distance_to_go_is_an_arc_length(robot, curve, place, regular_poses):
     offsets = np.array([-0.6, -0.3, -0.1, 0.1, 0.3, 0.6])
     distance = distance_to_go(robot, [*place(offsets), curve.best, np.zeros(7)])
     np.testing.assert_allclose(distance[:6], np.abs(offsets), atol=0.02)
@@ -156,13 +156,13 @@ def test_the_distance_to_the_optimum_is_the_arc_length_along_the_self_motion(rob
 
 
 @pytest.mark.parametrize(("way", "speed", "before", "after"), [(1.0, 0.5, 1.7, 1.9), (0.4, 0.1, 2.8, 3.2)])
-def test_a_moving_elbow_is_in_transient_until_0_1_rad_before_the_optimum(robot, place, way, speed, before, after):
+def test_a_moving_elbow_is_in_transient(robot, place, way, speed, before, after):
     flags = in_transient(robot, T, place(np.minimum(speed * T - way, 0.0)))
     assert flags[before > T].all()
     assert not flags[after < T].any()
 
 
-def test_an_elbow_that_rests_or_moves_slowly_or_follows_its_optimum_is_not_in_transient(robot, curve, place):
+def test_a_resting_elbow_is_not_in_transient(robot, curve, place):
     """A turn of the base moves arm and optimum together. A turn of the last joint moves only the tool."""
     far, turns = np.tile(place(-0.5), (100, 1)), np.linspace(0.0, 1.0, 100)
     base, last = (np.outer(turns, axis) for axis in np.eye(7)[[0, 6]])

@@ -56,7 +56,7 @@ def test_the_grid_equals_direct_evaluation(robot, runs, found):
     assert abs(found.swivel_rad.mean()) <= np.pi
 
 
-def test_the_swivel_is_kept_by_a_turn_of_the_base_and_changes_sign_in_a_mirrored_pose(robot):
+def test_a_mirrored_pose_has_the_opposite_swivel(robot):
     q = np.array(robot.data.q_home)
     elbow = Elbow(robot, robot.state(q).wrist[None])
     assert elbow.joint == 3
@@ -68,13 +68,13 @@ def test_the_swivel_is_kept_by_a_turn_of_the_base_and_changes_sign_in_a_mirrored
     np.testing.assert_allclose(wrapped(np.pi * np.array([0.9, 1.0, -1.0, 2.5])), np.pi * np.array([0.9, -1, -1, 0.5]))
 
 
-def test_the_swivel_is_measured_from_the_vertical_unless_the_arm_is_upright_somewhere(robot):
+def test_the_swivel_is_measured_from_a_suitable_axis(robot):
     away = np.array([[0.01, 0.0, 0.5], [0.3, 0.0, 0.2]])  # from the shoulder to the wrist
     for wrists, axis in ((away[1:], 2), (away, 1), (away[:, [1, 0, 2]], 0)):
         np.testing.assert_array_equal(Elbow(robot, np.array([0.0, 0.0, 0.31]) + wrists).reference, np.eye(3)[axis])
 
 
-def test_trajectories_lie_on_the_map_and_below_its_best_mu(robot, runs, found):
+def test_trajectories_lie_on_the_map(robot, runs, found):
     assert np.all(found.best_mu >= np.where(found.limit == FEASIBLE, found.mu, -np.inf).max(axis=1))
     for name, trajectory in found.trajectories.items():
         assert trajectory.gap_rad < 0.15, "the joint angles of half a row"
@@ -95,7 +95,7 @@ def test_trajectories_lie_on_the_map_and_below_its_best_mu(robot, runs, found):
         assert np.cos(found.best_swivel_rad[k] - angle) > np.cos(1e-3)
 
 
-def test_a_run_in_another_branch_of_inverse_kinematics_has_a_large_gap(robot, runs):
+def test_a_run_on_another_branch_has_a_large_gap(robot, runs):
     flip = np.array(runs["MOC"].q_rad)
     flip[:, 4] -= np.pi * np.sign(flip[:, 4])
     flip[:, 5] *= -1.0
@@ -105,7 +105,7 @@ def test_a_run_in_another_branch_of_inverse_kinematics_has_a_large_gap(robot, ru
     assert both.trajectories["flipped"].gap_rad > 1.0
 
 
-def test_the_swivels_of_a_map_of_hanging_elbows_are_centred_within_half_a_turn(robot, runs, found):
+def test_a_map_of_hanging_elbows_is_centred(robot, runs, found):
     """The joint limits allow only poses near a swivel of -2.3 rad."""
     q = found.q_rad[6, np.argmin(np.cos(found.swivel_rad - 0.8))]
     hanging = RobotModel(replace(robot.data, q_min=q - 0.3, q_max=q + 0.3, q_home=q))
@@ -152,7 +152,7 @@ def test_wrong_input_is_refused(robot, odd_robot, runs):
         manipulability_map(odd_robot, {"odd": odd}, times=2, swivels=8)
 
 
-def test_the_figure_shows_the_map_the_forbidden_poses_and_every_trajectory(found):
+def test_the_figure_shows_the_map_and_its_trajectories(found):
     drawn = map_figure(found)
     colored, grey = (trace for trace in drawn.data if trace.type == "heatmap")
     np.testing.assert_array_equal(np.isnan(grey.z.T), found.limit == FEASIBLE)
@@ -163,7 +163,7 @@ def test_the_figure_shows_the_map_the_forbidden_poses_and_every_trajectory(found
         map_figure(replace(found, limit=np.ones_like(found.limit)))
 
 
-def test_the_map_of_an_arm_on_a_rail_holds_the_rail_and_names_it(found):
+def test_the_map_of_an_arm_holds_its_rail(found):
     """At each time, the map holds the rail at its position in the run."""
     arm = load_robot("lwr4_rail")
     run_of_it = mo.run(Scenario(robot={"name": "lwr4_rail"}, duration_s=1.0, judge=False, bound_samples=0))
@@ -216,7 +216,7 @@ def ramp(start, end, until=10.0):
     return start + (end - start) * np.minimum(np.linspace(0.0, 10.0, 101) / until, 1.0)
 
 
-def test_a_trajectory_that_climbs_to_the_optimum_is_said_to_end_there():
+def test_a_climb_to_the_optimum_ends_there():
     top = hill(60.0, 0.3)
     found = read(top, ramp(-30.0, 60.0, until=5.0))
     assert found.end is End.OPTIMUM
@@ -231,7 +231,7 @@ def test_a_trajectory_that_climbs_to_the_optimum_is_said_to_end_there():
     assert read(top, np.append(np.full(100, 60.0), 0.0)).from_s == 10.0, "it leaves the optimum at the end"
 
 
-def test_a_trajectory_at_a_lower_maximum_is_said_to_end_at_a_local_maximum():
+def test_a_run_can_end_at_a_local_maximum():
     """This also holds if +-180 degrees lies between the maximum and the run."""
 
     def two(swivel):
@@ -253,14 +253,14 @@ def test_a_trajectory_at_a_lower_maximum_is_said_to_end_at_a_local_maximum():
     (hill(60.0, 0.3, 90.0), ramp(-69.5, -60.0), End.STILL), (hill(60.0, 0.3, 90.0), ramp(-120.0, -30.0), End.RISING),
     (hill(60.0, 0.3, 90.0), ramp(-20.0, -70.0), End.FALLING), (hill(60.0, 0.3, 90.0), ramp(-70.5, -60.0), End.RISING),
 ])  # fmt: skip
-def test_the_end_of_a_run_is_named_after_a_limit_that_blocks_its_climb_or_else_after_its_motion(side, top, swivel, end):
+def test_the_end_of_a_run_names_the_blocking_limit(side, top, swivel, end):
     """Joint 4 is beyond its limit from 0 to 140 degrees, or in mirror image from -140 to 0."""
     forbidden = (0.0, 140.0, 4) if side > 0.0 else (-140.0, 0.0, 4)
     found = read(lambda given: top(side * np.asarray(given)), side * np.asarray(swivel), forbidden)
     assert (found.end, found.joint) == (end, 4 if end is End.FEASIBLE_EDGE else 0)
 
 
-def test_the_share_of_time_at_or_beside_forbidden_poses_is_counted():
+def test_time_beside_forbidden_poses_is_counted():
     found = read(hill(60.0, 0.3), ramp(-20.0, 50.0), (10.0, 20.0, 4))  # at 12, 15 and 18 degrees, and a row beside them
     assert found.at_edge == pytest.approx(np.mean(np.abs(ramp(-20.0, 50.0) - 15.0) < 7.5))
     late = read(hill(60.0, 0.3), 0.0, (-4.0, 20.0, 4), since=5.0)
@@ -269,7 +269,7 @@ def test_the_share_of_time_at_or_beside_forbidden_poses_is_counted():
     assert away.at_edge == 0.0
 
 
-def test_a_run_on_another_branch_or_on_a_map_without_feasible_poses_is_not_compared_with_the_optimum():
+def test_a_run_on_another_branch_is_not_compared():
     elsewhere = read(hill(60.0, 0.3), 60.0, gap_rad=2.0)
     assert elsewhere.end is End.OTHER_BRANCH
     assert np.isnan([elsewhere.near, elsewhere.mu_share, elsewhere.from_s]).all()
