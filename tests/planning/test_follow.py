@@ -113,7 +113,7 @@ def test_a_start_inside_the_limit_margin_costs_no_mu():
     assert just_inside.mu_mean > 0.99 * deeper.mu_mean
 
 
-def test_a_faster_course_is_tried_if_it_gains_much_mu():
+def test_a_faster_course_is_tried_if_it_pays():
     """From the second start the elbow has far to go, so that a higher speed gains much mu."""
     q = (0.11625160465135753, -0.48236975363387774, 0.6927921516761183, -1.0529279629259627, 2.6042965767787516,
          1.9686742406249267, 1.3759513161472126)  # fmt: skip
@@ -134,7 +134,7 @@ def test_a_faster_course_is_tried_if_it_gains_much_mu():
     ([(1.0, False), (0.94, True), (0.96, True)], 2), ([(0.8, True), (0.9, True), (0.7, True), (0.6, True)], 1),
     ([(1.0, False), (1.0, False), (1.0, False), (0.5, True)], 3),
 ])  # fmt: skip
-def test_slower_courses_are_tried_until_a_smooth_one_is_found(monkeypatch, answers, chosen):
+def test_slower_courses_are_tried_until_one_is_smooth(monkeypatch, answers, chosen):
     """An answer is (the smooth course's share of mu, whether it keeps all limits). The last course need not brake."""
     run, tried, made = setup("planned").following, [], []
 

@@ -86,7 +86,7 @@ def test_a_course_that_breaks_a_limit_has_a_violation(robot):
     assert make_course(robot, targets, off).violation == pytest.approx(moved, rel=1e-6)
 
 
-def test_a_joint_at_its_largest_speed_stops_before_its_limit():
+def test_a_fast_joint_stops_before_its_limit():
     v, q, zero = casadi.MX.sym("v"), casadi.MX.sym("q"), casadi.DM(0.0)
     excess = casadi.Function("excess", [v, q], [too_fast(v, q, casadi.DM(-9.0), zero, 2.0)])
     pose, dt, speeds = -1.5, 1e-3, []
