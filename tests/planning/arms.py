@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from moc_opt.inputs.files import to_toml
 from moc_opt.planning.course import Targets, lay_targets
@@ -40,6 +41,17 @@ def build(folder: Path, numbers: dict[str, Any], **changes: Any) -> RobotModel:
         "home": {"q_rad": np.asarray(arm["home"], dtype=float)},
     }), encoding="utf-8")  # fmt: skip
     return load_robot(folder / "arm.toml")
+
+
+def turned(folder: Path) -> RobotModel:
+    """The iiwa14 on a tilted base. Joint zeros are shifted, limits are asymmetric, and axes 3, 5 and 7 are reversed."""
+    back, joints = pin.exp3(np.array([0.2, -0.1, 0.3])), []
+    for j, (xyz, rpy) in enumerate(IIWA14["joints"]):
+        turn = pin.exp3(np.array([np.pi, 0.0, 0.0]) if j in (2, 4, 6) else np.array([0.0, 0.0, 0.2 * j - 0.5]))
+        joints.append((tuple(back @ xyz), tuple(pin.rpy.matrixToRpy(back @ pin.rpy.rpyToMatrix(*rpy) @ turn))))
+        back = turn.T if j in (2, 4) else np.eye(3)
+    return build(folder, IIWA14, joints=joints, q_min=0.2 - IIWA14["q_max"], wrist=(0.0, 0.0, 0.081),
+                 mount=(0.0, 0.0, -0.045), rpy=(np.pi, 0.0, 0.0))  # fmt: skip
 
 
 def sixteen_joints(folder: Path, home: Array) -> RobotModel:

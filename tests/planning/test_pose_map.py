@@ -1,4 +1,6 @@
-"""The pose map has every pose at each point of a path. It agrees with the model, and no search finds a larger mu."""
+"""The pose map has every pose at each point of a path."""
+
+import itertools
 
 import numpy as np
 import pytest
@@ -8,16 +10,16 @@ from moc_opt.errors import RobotError
 from moc_opt.planning import pose_map
 from moc_opt.planning.course import Targets
 from moc_opt.planning.elbow import Elbow, wrapped
-from moc_opt.planning.pose_map import SCANNED, closed_form, largest_mu, map_of, without_limits
+from moc_opt.planning.pose_map import SCANNED, closed_form, largest_mu, map_of, nearest_turns, reach, without_limits
 from moc_opt.planning.self_motion import self_motion
 from moc_opt.robots.inverse_kinematics import solve_pose
-from moc_opt.robots.model import load_robot
-from tests.planning.arms import IIWA14, H, at_poses, build, line_from
+from moc_opt.robots.model import link_frames, load_robot
+from tests.planning.arms import IIWA14, H, at_poses, build, line_from, turned
 
 
-@pytest.fixture(scope="module", params=["lwr4", "iiwa14"])
-def arm(request):
-    return load_robot(request.param)
+@pytest.fixture(scope="module", params=["lwr4", "iiwa14", "turned"])
+def arm(request, tmp_path_factory):
+    return turned(tmp_path_factory.mktemp("arm")) if request.param == "turned" else load_robot(request.param)
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +37,15 @@ def test_every_pose_of_the_map_agrees_with_the_model(arm):
     for places, targets in zip(arm.tool_along(q), (found.targets.tip, found.targets.wrist), strict=True):
         np.testing.assert_allclose(places.reshape(shape) - targets[:, None, None], 0.0, atol=1e-12)
     np.testing.assert_allclose(arm.mu_along(q), found.mu.ravel(), atol=1e-12)
-    np.testing.assert_allclose(np.minimum(q - arm.q_min, arm.q_max - q)[:, :6].min(axis=1), found.room_rad.ravel())
+    room = np.minimum(q - arm.q_min, arm.q_max - q)[:, :6].min(axis=1)
+    np.testing.assert_allclose(room, found.room_rad.ravel(), atol=1e-12)
+    rotations = link_frames(arm, found.q_rad[3, 0])[1]
+    axes = np.einsum("kjab,jb->kja", rotations, arm.chain.axes)
+    sines = np.linalg.norm(np.cross(axes[:, :5:2], axes[:, 2::2]), axis=2)  # of joints 2, 4 and 6
+    for step in (0.1, 0.9):
+        near = sines <= np.sin(np.minimum(step * np.array([2.0, 2.4, 2.8]), np.pi / 2))
+        steps = step * np.array([9.0, 1.0, 9.0, 1.2, 9.0, 1.4, 9.0])
+        np.testing.assert_array_equal(found.crossing(3, steps), near @ [1, 2, 4])
 
 
 def test_the_peaks_are_the_four_highest_local_maxima(arm):
@@ -87,6 +97,7 @@ def test_too_few_and_too_many_swivels_are_refused(name, swivels):
     {"wrist": (0.01, 0.0, -0.081), "mount": (0.01, 0.0, 0.045)},  # a tool parallel to axis 7, not on it
     {"wrist": (0.0, 0.0, -0.07)},  # a wrist point that is not the intersection of axes 5 to 7
     {"q_max": np.radians([170, 120, 170, 120, 200, 120, 175])},  # a joint with more than one turn
+    {"joints": [*IIWA14["joints"][:2], ((0, 0, 0), (H, 0, np.pi)), ((0, 0, 0), (H, 0, 0)), *IIWA14["joints"][4:]]},  # no upper arm
     {"joints": [*IIWA14["joints"][:3], ((0.02, 0.0, 0.2155), (H, 0, 0)), *IIWA14["joints"][4:]]},  # elbow offset
     {"joints": [*IIWA14["joints"][:5], ((0.0, 0.0, 0.2155), (H - 0.1, 0, 0)), IIWA14["joints"][6]]},  # oblique axes
 ])  # fmt: skip
@@ -133,6 +144,27 @@ def test_a_traced_map_has_every_pose_of_inverse_kinematics(panda):
             apart = np.abs(wrapped(poses - placed.q))[:, :6].max(axis=1)
             assert apart.min() < 0.1, "a pose that the map lacks"
     assert seen > 5
+
+
+def test_a_traced_map_separates_its_curves(panda):
+    for q in panda[1].q_rad[:, 0, :, :6]:
+        pieces = np.split(q, np.flatnonzero(np.isnan(q[:, 0])) + 1)
+        curves = [piece[:-1] if np.isnan(piece[-1:, 0]).any() else piece for piece in pieces]
+        curves = [curve for curve in curves if len(curve)]
+        assert len(curves) > 1
+        for one, two in itertools.permutations(curves, 2):
+            assert np.linalg.norm(wrapped(np.diff(one, axis=0)), axis=1).max() < 0.0301
+            assert np.linalg.norm(wrapped(one - two[0]), axis=1).min() > 0.021, "a curve is there twice"
+
+
+@pytest.mark.parametrize("name", ["panda", "lwr4_rail"])
+def test_nearest_turns_are_nearest_to_the_middle(name):
+    robot = load_robot(name)
+    q = np.random.default_rng(0).uniform(-9.0, 9.0, (50, robot.n))
+    near, slides = nearest_turns(robot, q), robot.chain.prismatic
+    np.testing.assert_array_equal(near[:, slides], q[:, slides])
+    np.testing.assert_allclose(wrapped(near - q)[:, ~slides], 0.0, atol=1e-12)
+    assert np.abs(near - 0.5 * (robot.q_min + robot.q_max))[:, ~slides].max() < np.pi
 
 
 def test_a_traced_map_is_denser_with_more_swivels(panda):
@@ -190,6 +222,8 @@ def test_inverse_kinematics_from_random_starts_finds_no_larger_mu(name, method):
     gaps = [each.mu[0] / elsewhere(robot, q, 60, k) - 1.0 for k, (each, q) in enumerate(zip(found, poses, strict=True))]
     assert min(gaps) > -1e-2
     assert np.median(gaps) > -1e-6
+    if method == SCANNED:
+        np.testing.assert_allclose(largest_mu(robot, np.array(poses)).mu, [each.mu[0] for each in found], rtol=1e-6)
 
 
 def test_points_of_a_path_share_their_maxima(monkeypatch):
@@ -198,10 +232,10 @@ def test_points_of_a_path_share_their_maxima(monkeypatch):
     curve = np.linspace(0.0, 0.02, 8)[:, None] + robot.data.q_home
     monkeypatch.setattr(pose_map, "STARTS", 200)
     alone = np.array([largest_mu(robot, q[None]).mu[0] for q in curve])
-    monkeypatch.setattr(pose_map, "STARTS", 48)
-    monkeypatch.setattr(pose_map, "LATER", 6)
+    monkeypatch.setattr(pose_map, "STARTS", 2)
+    monkeypatch.setattr(pose_map, "LATER", 8)
     found = largest_mu(robot, curve)
-    assert found.method == f"best found of {48 + 7 * 6} starts"
+    assert found.method == f"best found of {2 + 7 * 8} starts"
     np.testing.assert_allclose(found.mu, alone, rtol=1e-6)
 
 
@@ -246,6 +280,8 @@ def test_a_two_dimensional_self_motion_has_larger_mu_elsewhere(name, odd_robot):
 
 def test_a_stretched_arm_approaches_a_target_out_of_reach(robot):
     free, rng, shoulder = without_limits(robot), np.random.default_rng(2), np.array([0.0, 0.0, 0.31])
+    there = robot.state(beyond := robot.q_max + 0.1)
+    np.testing.assert_allclose(reach(robot, beyond - 0.01, there.tip, there.wrist)[:6], beyond[:6], atol=0.03)
     length = np.linalg.norm(free.state(np.zeros(7)).tip - shoulder)
     for direction in rng.normal(size=(8, 3)):
         way = direction / np.linalg.norm(direction)
