@@ -14,11 +14,13 @@ from moc_opt.planning.pose_map import PoseMap, map_of
 from moc_opt.planning.search import WHOLE_CELL, Value, advance, keeping_shaft, shaft_shares
 from tests.planning.arms import at_poses, task
 
+PARTS = ("q_rad", "mu", "room_rad")
+
 
 def small(rng, k=4, m=4):
-    """A small map for one joint with speed limit 1. Poses outside the map have mu = 0.4."""
-    arm: Any = SimpleNamespace(v_max=np.ones(1), state=lambda q: SimpleNamespace(mu=0.4))
-    targets = Targets(np.arange(float(k)), np.zeros((k, 3)), np.zeros((k, 3)), np.zeros(k))
+    """A small map for one joint, which can turn by 1 in a period. Poses outside the map have mu = 0.4."""
+    arm: Any = SimpleNamespace(v_max=np.full(1, 2.0), state=lambda q: SimpleNamespace(mu=0.4))
+    targets = Targets(0.5 * np.arange(k), np.zeros((k, 3)), np.zeros((k, 3)), np.zeros(k))
     q, mu = rng.uniform(0.0, 1.0, (k, 1, m, 1)), rng.uniform(0.1, 1.0, (k, 1, m))
     return PoseMap(arm, targets, q, mu, rng.uniform(-0.2, 1.0, (k, 1, m)))
 
@@ -48,9 +50,9 @@ def every_course(found, step, start, cell=0.0):
 
 @pytest.mark.parametrize(("start", "cell", "price"), [(None, 0, 0), (0.5, 0, 0), (0.5, 0.5, 0), (0.5, 0, 1)])
 def test_dynamic_programming_finds_the_best_of_all_courses(start, cell, price):
-    """With a price on speed, each of the three steps lowers the mean mu by price |dq|^2 / 3."""
+    """With a price on speed, each of the three steps of 0.5 s lowers the mean mu by price (dq / 0.5)^2 / 3."""
     rng, none = np.random.default_rng(0), 0
-    for _ in range(15):
+    for _ in range(40):
         found, step = small(rng), float(rng.uniform(0.1, 0.8))
         courses = every_course(found, step, start, cell)
         value = Value(found, Limits(speed_share=step), cell=cell, price=price)
@@ -61,11 +63,32 @@ def test_dynamic_programming_finds_the_best_of_all_courses(start, cell, price):
             assert q is None
             assert told == -np.inf
             continue
-        worths = [worth(mu) - price * (np.diff(way) ** 2).sum() / 3.0 for way, mu in courses]
+        worths = [worth(mu) - price * (np.diff(way / 0.5) ** 2).sum() / 3.0 for way, mu in courses]
         assert price or told == pytest.approx(max(worths), abs=1e-12)
         taken = [each for each, (way, _) in zip(worths, courses, strict=True) if np.array_equal(way, q[:, 0])]
         assert taken == [pytest.approx(max(worths), abs=1e-12)]
     assert none < 15
+
+
+@pytest.mark.parametrize(("t_s", "first", "end", "hurry"), [
+    (0.0, 1, -1, 1.0), (0.7, 2, -1, 1.2), (0.22, 1, 4, 1.0), (1.3, 3, 3, 1.0),
+])  # fmt: skip
+def test_a_way_from_any_time_takes_the_best_pose_in_reach(t_s, first, end, hurry):
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        found, q = small(rng, k=6, m=9), [np.array([0.5])]
+        value = Value(found, Limits(speed_share=0.3), price=0.2)
+        times = np.array([t_s, *(0.5 * np.arange(6))[first : 6 if end < 0 else end + 1]])
+        for k, dt in enumerate(np.diff(times), start=first):
+            away = np.abs(found.q_rad[k, 0, :, 0] - q[-1])
+            gain = np.where(away <= hurry * 0.3 * dt / 0.5, value.value[k, 0] - 0.2 * away**2 / dt, -np.inf)
+            q.append(found.q_rad[k, 0, int(np.argmax(gain))] if gain.max() > -np.inf else np.full(1, np.nan))
+        way = value.way(q[0], t_s, end, hurry)
+        assert (way is None) == np.isnan(q[-1][0])
+        if way is not None:
+            np.testing.assert_array_equal(way.t_s, times)
+            np.testing.assert_array_equal(way.q_rad, q)
+            np.testing.assert_array_equal(found.q_rad[first + len(times) - 2][way.last], q[-1])
 
 
 def test_one_step_backwards_tries_every_pose_in_reach():
@@ -94,11 +117,34 @@ def test_in_an_upper_bound_a_pose_represents_its_cell():
     room = np.isin(np.arange(16), (0, 4, 9)) - 0.5
     q, mus, rooms = (np.tile(each, (2, 1, 1)) for each in (angles, mu(angles), room))
     found = replace(small(np.random.default_rng(0), k=2), q_rad=q[..., None], mu=mus, room_rad=rooms)
-    told = 2.0 * Value(found, Limits(), cell=WHOLE_CELL).value[-1, 0]  # the last time has half a period's weight
+    told = 4.0 * Value(found, Limits(), cell=1.0).value[-1, 0]  # the last time has the weight 0.25 s
     assert np.flatnonzero(np.isfinite(told)).tolist() == [0, 1, 3, 4, 5, 8, 9, 10, 15]
     most = mu(angles + np.linspace(-0.5, 0.5, 21)[:, None] * angles[1]).max(axis=0)
     assert np.abs((told - most)[[0, 1, 3, 4, 5, 10, 15]] - 0.01).max() <= 0.01, "above the truth, by little"
     assert told[8] >= mu(angles[7]) > mu(angles[9])
+
+
+@pytest.mark.parametrize("j", [0, 77, 199])
+def test_a_quadratic_value_function_equals_its_parabola(j):
+    """The poses lie on a circle of 200 samples. Six on each side are nearer than 0.2 rad."""
+    at = 2.0 * np.pi * np.arange(200) / 200
+    q, z = np.transpose([np.cos(at), np.sin(at)]), np.sin(at - at[j])
+    arm: Any = SimpleNamespace(v_max=np.ones(2))
+    for dead, low, high, bend in (
+        ((), -6, 6, -3.0), ((-5, -4, 5, 6), -3, 4, -3.0), ((-2, 3), -1, 2, 3.0), ((-2, 2), -1, 1, 0.0),
+    ):  # fmt: skip
+        room = np.ones(200)
+        room[(j + np.array(dead, dtype=int)) % 200] = -1.0
+        slope = 0.4 if bend else 0.0  # three poses are too few for a parabola
+        mu = 4.0 * (0.3 + 0.4 * z + 0.5 * bend * z**2)  # the last time has the weight 0.25 s
+        rows = (np.tile(each, (2, 1) + (1,) * each.ndim) for each in (q, mu, room))
+        found = replace(small(np.random.default_rng(0), k=2), robot=arm, **dict(zip(PARTS, rows, strict=True)))
+        end = Value(found, Limits()).near(1, (0, j))
+        told = [*q[j], -q[j, 1], q[j, 0], slope, min(bend, 0.0), *np.sin(2.0 * np.pi * np.array([low, high]) / 200)]
+        np.testing.assert_allclose(np.hstack(end), told, atol=1e-9)
+    sparse = replace(found, **{part: getattr(found, part)[:, :, j % 10 :: 10] for part in PARTS})
+    lone = Value(sparse, Limits()).near(1, (0, j // 10))
+    np.testing.assert_array_equal(np.hstack(lone), [*q[j], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], "no other pose is near")
 
 
 def test_a_climb_goes_to_the_higher_neighbour():
