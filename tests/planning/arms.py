@@ -33,7 +33,8 @@ def build(folder: Path, numbers: dict[str, Any], **changes: Any) -> RobotModel:
     for j, (xyz, rpy) in enumerate(arm["joints"]):
         limits = {"lower": arm["q_min"][j], "upper": arm["q_max"][j], "velocity": arm["v_max"][j], "effort": 100.0}
         ends = f"link_{j}", f"link_{j + 1}"
-        joints.append(Joint(f"joint_{j + 1}", "revolute", *ends, xyz, rpy, (0.0, 0.0, 1.0), limits))
+        kind = "prismatic" if j in arm.get("slides", ()) else "revolute"
+        joints.append(Joint(f"joint_{j + 1}", kind, *ends, xyz, rpy, (0.0, 0.0, 1.0), limits))
     (folder / "arm.urdf").write_text(Urdf(links, joints).to_text("arm"), encoding="utf-8")
     frames = {"wrist_xyz_m": arm["wrist"], "tool_mount_xyz_m": arm["mount"], "tool_mount_rpy_rad": arm["rpy"]}
     (folder / "arm.toml").write_text(to_toml({

@@ -108,7 +108,7 @@ def test_too_few_and_too_many_swivels_are_refused(name, swivels):
     {"q_max": np.radians([170, 120, 170, 120, 200, 120, 175])},  # a joint with more than one turn
     {"joints": [*JOINTS[:2], ((0, 0, 0), (H, 0, np.pi)), ((0, 0, 0), (H, 0, 0)), *JOINTS[4:]]},  # no upper arm
     {"joints": [*JOINTS[:3], ((0.02, 0.0, 0.2155), (H, 0, 0)), *JOINTS[4:]]},  # elbow offset
-    {"joints": [JOINTS[0], ((0.02, 0.0, 0.2025), JOINTS[1][1]), *JOINTS[2:]]},  # shoulder offset
+    {"joints": [JOINTS[0], *(((0.02, y, z), (H, 0, np.pi)) for y, z in ((0, 0.2025), (0.2045, 0))), *JOINTS[3:]]},
     {"joints": [*JOINTS[:5], ((0.0, 0.0, 0.2155), (H - 0.1, 0, 0)), JOINTS[6]]},  # oblique axes
 ])  # fmt: skip
 def test_an_arm_whose_geometry_deviates_has_no_closed_form(tmp_path, changes):

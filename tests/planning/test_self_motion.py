@@ -45,11 +45,18 @@ def test_a_curve_keeps_tip_wrist_and_limits(robot, regular_poses):
 
 def test_a_curve_is_the_same_from_any_pose(robot, odd_robot):
     motion = self_motion(robot, robot.data.q_home)
-    again, *from_ends = (self_motion(robot, q) for q in (motion.at(0.8), motion.q[0], motion.q[-1]))
-    for other in (again, *from_ends):
+    turned = np.append(robot.data.q_home[:6], robot.q_max[6])  # the idle joint is at its limit
+    again, idle, *from_ends = (self_motion(robot, q) for q in (motion.at(0.8), turned, motion.q[0], motion.q[-1]))
+    for other in (again, idle, *from_ends):
         assert np.ptp(other.s) == pytest.approx(np.ptp(motion.s), abs=1e-3)
         assert other.mu_best == pytest.approx(motion.mu_best, abs=1e-6)
     assert all(0.0 in (other.s[0], other.s[-1]) for other in from_ends)
+    assert " _" not in repr(motion), "private fields"
+    top = int(np.argmax(motion.mu))
+    for rows in (slice(top - 1, None), slice(None, top + 2)):  # one sample beside the largest mu suffices
+        cut = replace(motion, s=motion.s[rows], q=motion.q[rows], mu=motion.mu[rows])
+        assert cut.mu_best == pytest.approx(motion.mu_best, rel=1e-9)
+    assert motion.mu_best > motion.mu.max() * (1.0 + 1e-8)
     odd = self_motion(odd_robot, odd_robot.data.q_home)
     assert odd.held == (6,)
     assert len(odd.s) > 10
@@ -78,6 +85,7 @@ def test_bad_input_is_named(robot):
     for pose, told in ((np.zeros(7), "singular"), (q + 3.0 * np.eye(7)[1], r"joints \[2\] are outside")):
         with pytest.raises(RobotError, match=told):
             self_motion(robot, pose)
+    assert len(self_motion(robot, q, step=10.0).q) > 1
     for step in (0.0, 1e9, np.nan):
         with pytest.raises(MocOptError, match="step = "):
             self_motion(robot, q, step=step)
@@ -106,6 +114,9 @@ def test_arms_have_their_known_rank_and_null_space_dimension(robot, odd_robot, t
     off_the_axis = build(tmp_path, IIWA14, wrist=(0.05, 0.0, 0.0), mount=(0.05, 0.0, 0.0))
     assert best_freedoms(off_the_axis)[:3] == (5, 2, ())
     assert best_freedoms(odd_robot).rank == 5
+    first = {name: IIWA14[name][:4] for name in ("joints", "q_max", "v_max", "home")}
+    four = build(tmp_path, IIWA14, **first)
+    assert freedoms(four, four.data.q_home)[::2] == (3, (3,), 0.0), "the arm cannot place the shaft freely"
     straight = freedoms(robot, np.zeros(7))
     assert straight.rank < 5
     assert straight.both == pytest.approx(0.0, abs=1e-9)
@@ -115,12 +126,18 @@ def test_moc_refuses_an_arm_without_a_self_motion(tmp_path):
     joints, rest = IIWA14["joints"], [k for k in range(7) if k != 2]
     six = {name: IIWA14[name][rest] for name in ("q_max", "v_max")}
     six |= {"joints": [*joints[:2], ((0, 0.42, 0), (0, 0, 0)), *joints[4:]], "home": np.take(IIWA14["home"], rest)}
-    build(tmp_path, {**IIWA14, **six})
+    arm = build(tmp_path, {**IIWA14, **six})
+    alone = self_motion(arm, arm.data.q_home)
+    assert (alone.s.tolist(), alone.q.tolist()) == ([0.0], [arm.data.q_home.tolist()])
+    assert alone.mu_best == arm.state(arm.data.q_home).mu
     told = r"of 6 joints the tool's tip and shaft take 5, 1 turn nothing but the tool \(joint_6\)"
     asked = Scenario(robot={"name": str(tmp_path / "arm.toml")}, duration_s=0.1, bound_samples=0)
     with pytest.raises(RobotError, match=told):
         run(asked)
     assert run(asked.change(control={"law": "dcac"})).meta["ended"] == "completed"
+    railed = {name: [add, *six[name]] for name, add in (("q_max", 0.3), ("v_max", 1.0), ("home", 0.0))}
+    slide = build(tmp_path, {**IIWA14, **railed, "joints": [2 * ((0, 0, 0),), *six["joints"]], "slides": (0,)})
+    assert self_motion(slide, slide.data.q_home).held == (6,), "the rail is the only freedom"
 
 
 def test_limit_shares_are_zero_at_a_limit(robot):
