@@ -2,19 +2,22 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
 import moc_opt as mo
-from moc_opt.errors import MocOptError, ScenarioError
+from moc_opt.errors import MocOptError, ScenarioError, TaskError
 from moc_opt.planning import guides
-from moc_opt.planning.course import Course
+from moc_opt.planning.course import Course, Limits
 from moc_opt.planning.follow import NODES, Follower, Piece
 from moc_opt.planning.guides import FASTEST, HURRY, SPEEDS, Ways, followed_course, load_course, speed_shares
+from moc_opt.planning.plan import make_plan
 from moc_opt.planning.pose_map import largest_mu, reach
 from moc_opt.planning.program import Program
+from moc_opt.robots.model import load_robot
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.scenario.planned import followable_plan, plan, save_course, targets_of
 from moc_opt.tasks.trocar import shaft_distance
@@ -113,7 +116,7 @@ def test_a_start_inside_the_limit_margin_costs_no_mu():
     assert just_inside.mu_mean > 0.99 * deeper.mu_mean
 
 
-def test_a_faster_course_is_tried_if_it_pays():
+def test_a_faster_course_is_tried_if_it_pays(monkeypatch):
     """From the second start the elbow has far to go, so that a higher speed gains much mu."""
     q = (0.11625160465135753, -0.48236975363387774, 0.6927921516761183, -1.0529279629259627, 2.6042965767787516,
          1.9686742406249267, 1.3759513161472126)  # fmt: skip
@@ -128,6 +131,38 @@ def test_a_faster_course_is_tried_if_it_pays():
     assert shares == pytest.approx([0.952, 0.85, 0.595, 0.34])
     near_all = Ways(Setup(far.change(control={"course_speed_fraction": 0.95})).following)
     assert [near_all.at(part)[1].speed_share for part in (HURRY, 1.0)] == [FASTEST, 0.95]
+    value, limits, _ = there.at(1.0)
+    assert limits.shaft == 0.25 * there.run.settings.shaft_margin
+    assert limits.margin == there.run.settings.course_margin_rad
+    assert value._price * value._period == pytest.approx(5e-4 / 0.3**2 * there.usual)
+    for gain, first in ((1.005, ()), (1.02, (HURRY,))):
+        values = {1.0: 1.0, HURRY: gain}
+        monkeypatch.setattr(there, "at", lambda part, of=values: [SimpleNamespace(of=lambda q, mu: of[part])])
+        assert there.speeds == (*first, *SPEEDS)
+
+
+def test_easier_planners_are_tried_until_one_finds_a_course(monkeypatch):
+    """The last two need not brake, and the last need not keep the shaft margin."""
+    ways, tried = planned_ways(), []
+
+    def program(robot, nodes, period_s, limits, *, mu, smoothness, brake, horizon):
+        assert (nodes, period_s, mu, smoothness, horizon) == (NODES, 0.1, ways.usual, 5e-4, True)
+        tried.append((limits.speed_share / 1.03, brake / ways.run.brake, limits.shaft / ways.shaft))
+        return len(tried)
+
+    def planner(value, found, *_, horizon_s, rate_per_s):
+        return SimpleNamespace(plan=lambda q, t, last: found if found == count else None)
+
+    monkeypatch.setattr(guides, "Program", program)
+    monkeypatch.setattr(guides, "Planner", planner)
+    steps = [(0.85, 1.0, 1.0), (0.595, 1.0, 1.0), (0.34, 1.0, 1.0), (0.34, np.inf, 1.0), (0.34, np.inf, 0.0)]
+    for count in range(1, 6):
+        tried.clear()
+        assert guides.replanned(ways)().plan(None, 0.0, None) == count
+        np.testing.assert_allclose(tried, steps[:count])
+    count = 0
+    with pytest.raises(TaskError, match="no course"):
+        guides.replanned(ways)
 
 
 @pytest.mark.parametrize(("answers", "chosen"), [
@@ -161,6 +196,21 @@ FAST = {"task": {"v_max_m_per_s": 2.0, "a_max_m_per_s2": 20.0}, "start": {"check
 def test_settings_without_a_feasible_course_are_refused(change, message):
     with pytest.raises(MocOptError, match=message):
         Setup(FOLLOWED.change(**change)).controller()
+
+
+def test_the_refusal_of_a_path_names_the_joint_that_is_too_slow():
+    run = without_course(SCENARIO).following
+    slow = make_plan(run.robot, run.q_start, run.targets(), Limits(speed_share=0.85e-3), refined=False)
+    assert slow.blocked.reason in str(run.stuck(1e-3))
+
+
+def test_a_joint_may_be_as_fast_as_the_third_level_follows(robot):
+    idle = np.append(np.full(6, 0.85 + 5e-7), 1.0)
+    assert guides.too_fast_to_follow(FOLLOWED.control, robot, idle) is None
+    told, cure = guides.too_fast_to_follow(FOLLOWED.control, robot, idle + 1e-3 * np.eye(7)[2])
+    assert told.startswith("joint_3 moves at 0.851 of its speed limit")
+    assert cure == "plan it with --speed-share 0.85"
+    np.testing.assert_array_equal(guides.margin_of(load_robot("lwr4_rail"), 0.1, 0.2), [0.2, *7 * [0.1]])
 
 
 def test_the_receding_horizon_leaves_a_local_maximum():
@@ -260,6 +310,20 @@ def test_a_saved_course_is_followed_like_a_planned_one(course):
     np.testing.assert_allclose(read.q_rad, made.q_rad, rtol=0.0, atol=1e-2)
 
 
+@pytest.mark.parametrize("last", [1, 2, 3])
+def test_a_saved_course_that_cannot_brake_is_smoothed_without_a_brake(course, monkeypatch, last):
+    run, tried = without_course(SCENARIO).following, []
+
+    def refined(robot, targets, given, limits, *, smoothness, brake):
+        tried.append(brake / run.brake)
+        return given if len(tried) < last else "smooth"
+
+    monkeypatch.setattr(guides, "refine", refined)
+    found = followed_course(replace(run, settings=SCENARIO.change(control={"course": str(course)}).control))
+    assert tried == [0.9, np.inf][:last]
+    assert (found == "smooth") == (last < 3)
+
+
 @pytest.mark.parametrize(("change", "message"), [
     ({"duration_s": 0.8}, "it goes from 0 to 1 s, the run from 0 to 0.8"),
     ({"start": {"swivel": 0.3}}, r"begins 0\.\d+ rad from the start of the run; plan it"),
@@ -288,6 +352,8 @@ def test_a_file_that_is_no_course_is_refused(course, tmp_path):
         *((moved(slice(9, None), 6, by), {}, r"joint_7 goes 9\d\d\.?\d* rad beyond its limit") for by in (1e3, -1e3)),
         (moved(5, slice(None), 0.05), {}, "mm off path and shaft at t = 0.125 s"),
         ({"t_s": np.maximum(t, 0.01)}, {}, "it goes from 0.01 to 1 s"), ({}, {"kind": "run"}, "holds no course"),
+        ({name: rows[:1] for name, rows in trace.columns.items()}, {}, r"t_s has shape \(1,\)"),
+        ({name: rows[[0, -1]] for name, rows in trace.columns.items()}, {}, "mm off path and shaft"),
         ({"q_rad": q + 0.1}, {"from_start": False}, r"from the start of the run; begin there: \[start\] q_rad = \["),
     ):  # fmt: skip
         mo.Trace({**trace.columns, **columns}, {**trace.meta, **meta}).save(to)
@@ -296,13 +362,13 @@ def test_a_file_that_is_no_course_is_refused(course, tmp_path):
 
 
 def test_smoothing_keeps_the_limits_of_a_planned_course(tmp_path):
-    within = {"margin_rad": 0.6, "speed_share": 0.1}
+    within = {"margin_rad": 0.6, "speed_share": 0.1, "shaft_margin": 0.05}
     to = save_course(plan(SCENARIO, **within), SCENARIO, tmp_path / "slow.parquet", within)
     scenario = SCENARIO.change(control={"course": str(to)})
     setup = without_course(scenario)
     limits = loaded(scenario)[1]
     assert (limits.margin, limits.speed_share) == (pytest.approx(0.6, abs=1e-6), pytest.approx(0.1, abs=1e-6))
-    assert limits.shaft == 0.25 * scenario.control.shaft_margin
+    assert limits.shaft == 0.05
     robot, period_s = setup.robot, targets_of(setup.robot, setup.layout).period_s
     slow, fast = (followed_course(replace(setup.following, settings=each.control)) for each in (scenario, SCENARIO))
     shares = [speed_shares(robot, course.q_rad, period_s).max() for course in (slow, fast)]
