@@ -45,11 +45,12 @@ def build(folder: Path, numbers: dict[str, Any], **changes: Any) -> RobotModel:
 
 
 def turned(folder: Path) -> RobotModel:
-    """The iiwa14 on a low, tilted base. Joint zeros are shifted, limits are asymmetric, and axes 3, 5 and 7 are reversed."""
+    """The iiwa14 on a low, tilted base, with shifted joint zeros, asymmetric limits, and axes 3, 5 and 7 reversed."""
     back, joints = pin.exp3(np.array([0.2, -0.1, 0.3])), []
     for j, (xyz, rpy) in enumerate(IIWA14["joints"]):
         turn = pin.exp3(np.array([np.pi, 0.0, 0.0]) if j in (2, 4, 6) else np.array([0.0, 0.0, 0.2 * j - 0.5]))
-        joints.append((tuple(back @ xyz if j else (0.5, 0.2, -2.0)), tuple(pin.rpy.matrixToRpy(back @ pin.rpy.rpyToMatrix(*rpy) @ turn))))
+        rotation = back @ pin.rpy.rpyToMatrix(*rpy) @ turn
+        joints.append((tuple(back @ xyz if j else (0.5, 0.2, -2.0)), tuple(pin.rpy.matrixToRpy(rotation))))
         back = turn.T if j in (2, 4) else np.eye(3)
     return build(folder, IIWA14, joints=joints, q_min=0.2 - IIWA14["q_max"], wrist=(0.0, 0.0, 0.081),
                  mount=(0.0, 0.0, -0.045), rpy=(np.pi, 0.0, 0.0))  # fmt: skip
