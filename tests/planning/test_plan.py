@@ -81,6 +81,7 @@ def test_a_path_is_blocked_at_its_first_unreachable_point(robot):
 @pytest.mark.parametrize(("limits", "told"), [
     (Limits(speed_share=0.03), "joint_4 would have to turn at 1.03 times its speed limit"),
     (Limits(0.6), "within the joint limits: joint_4 is beyond its own"),
+    (Limits(1.957 * np.eye(7)[2], 0.15), "runs into its limit; only other swivels or branches"),
 ])  # fmt: skip
 def test_the_joint_that_blocks_a_path_is_named(robot, limits, told):
     q = robot.data.q_home
@@ -92,7 +93,7 @@ def test_the_joint_that_blocks_a_path_is_named(robot, limits, told):
 @pytest.mark.parametrize(("change", "name"), [
     ({"limits": Limits(3.0)}, "margin_rad"), ({"limits": Limits(np.full(6, 0.1))}, "margin_m"),
     ({"limits": Limits(speed_share=0.0)}, "speed_share"), ({"limits": Limits(speed_share=1.1)}, "speed_share"),
-    ({"limits": Limits(shaft=1.5)}, "shaft_margin"), ({"limits": Limits(-0.1)}, "margin_rad"), ({}, "q_start"),
+    ({"limits": Limits(shaft=1.05)}, "shaft_margin"), ({"limits": Limits(-0.1)}, "margin_rad"), ({}, "q_start"),
 ])  # fmt: skip
 def test_bad_arguments_are_named(robot, change, name):
     q = robot.data.q_home

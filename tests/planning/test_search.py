@@ -128,10 +128,10 @@ def test_in_an_upper_bound_a_pose_represents_its_cell():
 def test_a_quadratic_value_function_equals_its_parabola(j):
     """The poses lie on a circle of 200 samples. Six on each side are nearer than 0.2 rad."""
     at = 2.0 * np.pi * np.arange(200) / 200
-    q, z = np.transpose([np.cos(at), np.sin(at)]), np.sin(at - at[j])
+    q, z = np.transpose([0.3 + np.cos(at), np.sin(at)]), np.sin(at - at[j])
     arm: Any = SimpleNamespace(v_max=np.ones(2))
     for dead, low, high, bend in (
-        ((), -6, 6, -3.0), ((-5, -4, 5, 6), -3, 4, -3.0), ((-2, 3), -1, 2, 3.0), ((-2, 2), -1, 1, 0.0),
+        ((), -6, 6, -3.0), ((-6, -4, 3, 6), -3, 2, -3.0), ((-2, 3), -1, 2, 3.0), ((-2, 2), -1, 1, 0.0),
     ):  # fmt: skip
         room = np.ones(200)
         room[(j + np.array(dead, dtype=int)) % 200] = -1.0
@@ -140,7 +140,7 @@ def test_a_quadratic_value_function_equals_its_parabola(j):
         rows = (np.tile(each, (2, 1) + (1,) * each.ndim) for each in (q, mu, room))
         found = replace(small(np.random.default_rng(0), k=2), robot=arm, **dict(zip(PARTS, rows, strict=True)))
         end = Value(found, Limits()).near(1, (0, j))
-        told = [*q[j], -q[j, 1], q[j, 0], slope, min(bend, 0.0), *np.sin(2.0 * np.pi * np.array([low, high]) / 200)]
+        told = [*q[j], -q[j, 1], q[j, 0] - 0.3, slope, min(bend, 0.0), *z[(j + np.array([low, high])) % 200]]
         np.testing.assert_allclose(np.hstack(end), told, atol=1e-9)
     sparse = replace(found, **{part: getattr(found, part)[:, :, j % 10 :: 10] for part in PARTS})
     lone = Value(sparse, Limits()).near(1, (0, j // 10))
