@@ -11,7 +11,7 @@ import pytest
 from moc_opt.planning.course import Limits, Targets, make_course
 from moc_opt.planning.plan import best_course, climb, top_of
 from moc_opt.planning.pose_map import PoseMap, map_of
-from moc_opt.planning.search import WHOLE_CELL, Value, advance, keeping_shaft, shaft_shares
+from moc_opt.planning.search import WHOLE_CELL, Value, advance, keeping_shaft, reached, shaft_shares
 from tests.planning.arms import at_poses, task
 
 PARTS = ("q_rad", "mu", "room_rad")
@@ -68,6 +68,21 @@ def test_dynamic_programming_finds_the_best_of_all_courses(start, cell, price):
         taken = [each for each, (way, _) in zip(worths, courses, strict=True) if np.array_equal(way, q[:, 0])]
         assert taken == [pytest.approx(max(worths), abs=1e-12)]
     assert none < 15
+
+
+def test_every_pose_within_reach_of_the_start_is_flagged():
+    rng, ends = np.random.default_rng(1), set()
+    for _ in range(40):
+        found, step, before, flags = small(rng), float(rng.uniform(0.1, 0.4)), np.array([[0.5]]), []
+        for q, room in zip(found.q_rad[1:, 0], found.room_rad[1:, 0], strict=True):
+            near = (np.abs(q - before.T) <= step).any(axis=1) & (room >= 0.0)
+            if not near.any():
+                break
+            flags.append(near[None])
+            before = q[near]
+        ends.add(len(flags))
+        np.testing.assert_equal(reached(found, np.array([0.5]), Limits(speed_share=step)), flags)
+    assert ends == {0, 1, 2, 3}
 
 
 @pytest.mark.parametrize(("t_s", "first", "end", "hurry"), [
