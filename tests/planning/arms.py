@@ -25,7 +25,6 @@ IIWA14: dict[str, Any] = {
 
 
 def build(folder: Path, numbers: dict[str, Any], **changes: Any) -> RobotModel:
-    """Write the arm's URDF and robot file into the folder, and return the arm that is loaded from them."""
     arm = {"rpy": (0.0, 0.0, 0.0), "q_min": -np.asarray(numbers["q_max"]), **numbers, **changes}
     count = len(arm["joints"])
     links = [Link(f"link_{j}", 2.0, (0.02, 0.02, 0.02, 0.0, 0.0, 0.0), (0.0, 0.0, 0.05)) for j in range(count + 1)]
@@ -68,7 +67,6 @@ def sixteen_joints(folder: Path, home: Array) -> RobotModel:
 def laid(
     robot: RobotModel, q: Array, count: int, duration_s: float, start_s: float, shape: str, **size: float
 ) -> Targets:  # fmt: skip
-    """Targets along a path that starts at the tip in pose q."""
     state = robot.state(q)
     path = make_path(shape, state.tip, normal=(0.0, 0.0, 1.0), heading=(1.0, 0.0, 0.0), **size)
     trocar = Trocar(state.tip - 0.15 * state.tool_direction)
@@ -76,16 +74,13 @@ def laid(
 
 
 def task(robot: RobotModel, q: Array, count: int) -> Targets:
-    """Targets along a circle that starts at the tip in pose q and takes 5 s."""
     return laid(robot, q, count, 5.0, 0.2, "circle", radius=0.03)
 
 
 def line_from(robot: RobotModel, q: Array, count: int = 4) -> Targets:
-    """Targets along a short line that starts at the tip in pose q."""
     return laid(robot, q, count, 0.8, 0.0, "line", length=0.02)
 
 
 def at_poses(robot: RobotModel, poses: Array) -> Targets:
-    """The tip and wrist of each pose, as targets at successive times."""
     tips, wrists = robot.tool_along(poses)
     return Targets(0.025 * np.arange(len(poses)), tips, wrists, np.zeros(len(poses)))

@@ -17,10 +17,7 @@ def test_mean_mu_rises_from_climb_to_course_to_bound(robot):
     q = robot.data.q_home
     targets = task(robot, q, 60)
     plan = make_plan(robot, q, targets, swivels=360)
-    assert plan.executable
-    assert plan.blocked is None
-    assert plan.climbed_whole
-    assert plan.from_start.certified
+    assert (plan.executable, plan.blocked, plan.climbed_whole, plan.from_start.certified) == (True, None, True, True)
     assert plan.climbed.mu_mean <= plan.from_start.mu_mean <= plan.best.mu_mean
     assert plan.from_start.mu_mean <= plan.bound_from_start < 1.005 * plan.from_start.mu_mean
     assert plan.best.mu_mean <= plan.bound < 1.005 * plan.best.mu_mean
@@ -50,8 +47,7 @@ def test_a_bound_that_a_course_exceeds_is_not_given(robot, monkeypatch):
     """Scaling the bound's mu by 0.9 imitates a map that is too coarse."""
     monkeypatch.setattr("moc_opt.planning.search._highest_nearby", lambda mu: 0.9 * mu)
     plan = make_plan(robot, robot.data.q_home, task(robot, robot.data.q_home, 20), swivels=180)
-    assert np.isnan(plan.bound)
-    assert np.isnan(plan.bound_from_start)
+    assert np.isnan([plan.bound, plan.bound_from_start]).all()
 
 
 def test_a_path_is_blocked_at_its_first_unreachable_point(robot):
@@ -60,21 +56,14 @@ def test_a_path_is_blocked_at_its_first_unreachable_point(robot):
     away = np.linspace(0.0, 0.8, 81)[:, None] * np.array([0.0, 0.6, 0.8])
     targets = Targets(0.1 * np.arange(81), state.tip + away, state.wrist + away, np.linalg.norm(away, axis=1))
     plan = make_plan(robot, q, targets, swivels=360, refined=False)
-    assert not plan.executable
-    assert plan.best is None
-    assert plan.blocked.t_s > 0.0
+    assert (plan.executable, plan.best, plan.climbed_whole, plan.blocked.t_s > 0.0) == (False, None, False, True)
     assert f"blocked: at t = {plan.blocked.t_s:.3f} s, {plan.blocked.reason}" in repr(plan)
-    assert not plan.climbed_whole
     k = int(np.argmin(np.abs(targets.t_s - plan.blocked.t_s)))
     assert plan.blocked.arc_length_m == pytest.approx(0.01 * k)
     np.testing.assert_allclose(plan.blocked.tip_m, targets.tip[k])
     starts = np.random.default_rng(0).uniform(robot.q_min, robot.q_max, (100, 7))
-
-    def within_reach(i):
-        return any(solve_pose(robot, start, targets.tip[i], targets.wrist[i]).found for start in starts)
-
-    assert within_reach(k - 1)
-    assert not within_reach(k)
+    found = [[solve_pose(robot, q, targets.tip[i], targets.wrist[i]).found for q in starts] for i in (k - 1, k)]
+    assert [any(each) for each in found] == [True, False]
     assert "out of reach" in plan.blocked.reason or "no pose there" in plan.blocked.reason
 
 
@@ -102,17 +91,14 @@ def test_bad_arguments_are_named(robot, change, name):
 
 
 def test_refinement_finds_a_course_that_a_coarse_map_lacks():
-    """The joint speeds only allow swivel angles between two samples of the coarse map."""
     scenario = Scenario(seed=1).change(start={"pose": "random"})
     coarse = {"swivels": 90, "speed_share": 0.15, "times": 100}
     found, grid = planned.plan(scenario, **coarse), planned.plan(scenario, **coarse, refined=False)
-    assert found.from_start.violation < MOST_VIOLATION
-    assert grid.from_start is None
+    assert (found.from_start.violation < MOST_VIOLATION, grid.from_start) == (True, None)
     assert "between poses of the map" in grid.blocked.reason
 
 
 def test_a_course_far_below_the_bound_is_replaced(monkeypatch):
-    """The local climb replaces the first grid search. The climb ends at a low local maximum of mu."""
     best_course, asked = plan.best_course, []
 
     def poor(value, start):

@@ -14,8 +14,6 @@ from moc_opt.planning.pose_map import PoseMap, map_of
 from moc_opt.planning.search import WHOLE_CELL, Value, advance, keeping_shaft, reached, shaft_shares
 from tests.planning.arms import at_poses, task
 
-PARTS = ("q_rad", "mu", "room_rad")
-
 
 def small(rng, k=4, m=4):
     """A small map for one joint, which can turn by 1 in a period. Poses outside the map have mu = 0.4."""
@@ -32,7 +30,6 @@ def worth(mu):
 
 
 def every_course(found, step, start, cell=0.0):
-    """Poses and mu of each course that keeps the joint limits and the speed limit, by enumeration."""
     k, _, m = found.mu.shape
     courses, may = [], found.room_rad >= 0.0
     cells = 0.5 * cell * np.maximum(*(np.abs(np.roll(found.q_rad, to, axis=2) - found.q_rad) for to in (1, -1)))[..., 0]
@@ -60,8 +57,7 @@ def test_dynamic_programming_finds_the_best_of_all_courses(start, cell, price):
         q = best_course(value, None if start is None else np.array([start]))
         if not courses:
             none += 1
-            assert q is None
-            assert told == -np.inf
+            assert (q, told) == (None, -np.inf)
             continue
         worths = [worth(mu) - price * (np.diff(way / 0.5) ** 2).sum() / 3.0 for way, mu in courses]
         assert price or told == pytest.approx(max(worths), abs=1e-12)
@@ -107,7 +103,6 @@ def test_a_way_from_any_time_takes_the_best_pose_in_reach(t_s, first, end, hurry
 
 
 def test_one_step_backwards_tries_every_pose_in_reach():
-    """Rounding to eighths makes some distances equal to the step."""
     rng = np.random.default_rng(3)
     for trial in range(40):
         rounded = (lambda x: np.rint(8.0 * x) / 8.0) if trial % 4 > 1 else np.array
@@ -142,24 +137,21 @@ def test_in_an_upper_bound_a_pose_represents_its_cell():
 @pytest.mark.parametrize("j", [0, 77, 199])
 def test_a_quadratic_value_function_equals_its_parabola(j):
     """The poses lie on a circle of 200 samples. Six on each side are nearer than 0.2 rad."""
-    at = 2.0 * np.pi * np.arange(200) / 200
+    at, base = 2.0 * np.pi * np.arange(200) / 200, small(np.random.default_rng(0), 2)
+    two: Any = SimpleNamespace(v_max=np.ones(2))
     q, z = np.transpose([0.3 + np.cos(at), np.sin(at)]), np.sin(at - at[j])
-    arm: Any = SimpleNamespace(v_max=np.ones(2))
     for dead, low, high, bend in (
         ((), -6, 6, -3.0), ((-6, -4, 3, 6), -3, 2, -3.0), ((-2, 3), -1, 2, 3.0), ((-2, 2), -1, 1, 0.0),
     ):  # fmt: skip
-        room = np.ones(200)
-        room[(j + np.array(dead, dtype=int)) % 200] = -1.0
-        slope = 0.4 if bend else 0.0  # three poses are too few for a parabola
-        mu = 4.0 * (0.3 + 0.4 * z + 0.5 * bend * z**2)  # the last time has the weight 0.25 s
-        rows = (np.tile(each, (2, 1) + (1,) * each.ndim) for each in (q, mu, room))
-        found = replace(small(np.random.default_rng(0), k=2), robot=arm, **dict(zip(PARTS, rows, strict=True)))
-        end = Value(found, Limits()).near(1, (0, j))
+        slope, room = 0.4 * bool(bend), np.ones((2, 1, 200))  # three poses are too few for a parabola
+        room[..., (j + np.array(dead, dtype=int)) % 200] = -1.0
+        mu = 4.0 * np.tile(0.3 + 0.4 * z + 0.5 * bend * z**2, (2, 1, 1))  # the last time has the weight 0.25 s
+        found = replace(base, robot=two, q_rad=np.tile(q, (2, 1, 1, 1)), mu=mu, room_rad=room)
         told = [*q[j], -q[j, 1], q[j, 0] - 0.3, slope, min(bend, 0.0), *z[(j + np.array([low, high])) % 200]]
-        np.testing.assert_allclose(np.hstack(end), told, atol=1e-9)
-    sparse = replace(found, **{part: getattr(found, part)[:, :, j % 10 :: 10] for part in PARTS})
-    lone = Value(sparse, Limits()).near(1, (0, j // 10))
-    np.testing.assert_array_equal(np.hstack(lone), [*q[j], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], "no other pose is near")
+        np.testing.assert_allclose(np.hstack(Value(found, Limits()).near(1, (0, j))), told, atol=1e-9)
+    few = np.s_[:, :, j % 10 :: 10]
+    sparse = Value(replace(found, q_rad=found.q_rad[few], mu=mu[few], room_rad=room[few]), Limits())
+    np.testing.assert_array_equal(np.hstack(sparse.near(1, (0, j // 10))), [*q[j], *6 * [0.0]], "no other pose is near")
 
 
 def test_a_climb_goes_to_the_higher_neighbour():
@@ -197,7 +189,6 @@ def test_courses_keep_all_limits_and_the_bound(robot, coarse):
 
 @pytest.mark.parametrize("joint", [1, 5])
 def test_a_course_passes_a_singular_pose_to_another_branch(robot, joint):
-    """The targets belong to a motion in which one joint turns through zero."""
     way = np.tile(np.array([0.3, 0.5, -0.4, 1.2, 0.5, -0.7, 0.0]), (41, 1))
     way[:, joint] = np.linspace(0.45, -0.47, 41) * (1.0 if joint == 1 else -1.0)
     found = map_of(robot, way[0], at_poses(robot, way))

@@ -14,7 +14,6 @@ from tests.planning.arms import IIWA14, build
 
 
 def check(robot, start, motion, poses):
-    """Each pose on the curve keeps tip, wrist, joint limits and the held joints."""
     s = robot.state(start)
     for q in poses:
         there = robot.state(q)
@@ -58,8 +57,7 @@ def test_a_curve_is_the_same_from_any_pose(robot, odd_robot):
         assert cut.mu_best == pytest.approx(motion.mu_best, rel=1e-9)
     assert motion.mu_best > motion.mu.max() * (1.0 + 1e-8)
     odd = self_motion(odd_robot, odd_robot.data.q_home)
-    assert odd.held == (6,)
-    assert len(odd.s) > 10
+    assert (odd.held, len(odd.s) > 10) == ((6,), True)
     rail = load_robot("lwr4_rail")
     assert self_motion(rail, rail.data.q_home).held == (0, 7), "the rail, and the joint that turns only the tool"
     check(odd_robot, odd_robot.data.q_home, odd, odd.q)
@@ -114,12 +112,10 @@ def test_arms_have_their_known_rank_and_null_space_dimension(robot, odd_robot, t
     off_the_axis = build(tmp_path, IIWA14, wrist=(0.05, 0.0, 0.0), mount=(0.05, 0.0, 0.0))
     assert best_freedoms(off_the_axis)[:3] == (5, 2, ())
     assert best_freedoms(odd_robot).rank == 5
-    first = {name: IIWA14[name][:4] for name in ("joints", "q_max", "v_max", "home")}
-    four = build(tmp_path, IIWA14, **first)
+    four = build(tmp_path, IIWA14, **{name: IIWA14[name][:4] for name in ("joints", "q_max", "v_max", "home")})
     assert freedoms(four, four.data.q_home)[::2] == (3, (3,), 0.0), "the arm cannot place the shaft freely"
     straight = freedoms(robot, np.zeros(7))
-    assert straight.rank < 5
-    assert straight.both == pytest.approx(0.0, abs=1e-9)
+    assert (straight.rank < 5, straight.both) == (True, pytest.approx(0.0, abs=1e-9))
 
 
 def test_moc_refuses_an_arm_without_a_self_motion(tmp_path):
@@ -127,9 +123,8 @@ def test_moc_refuses_an_arm_without_a_self_motion(tmp_path):
     six = {name: IIWA14[name][rest] for name in ("q_max", "v_max")}
     six |= {"joints": [*joints[:2], ((0, 0.42, 0), (0, 0, 0)), *joints[4:]], "home": np.take(IIWA14["home"], rest)}
     arm = build(tmp_path, {**IIWA14, **six})
-    alone = self_motion(arm, arm.data.q_home)
-    assert (alone.s.tolist(), alone.q.tolist()) == ([0.0], [arm.data.q_home.tolist()])
-    assert alone.mu_best == arm.state(arm.data.q_home).mu
+    alone, home = self_motion(arm, arm.data.q_home), arm.state(arm.data.q_home)
+    assert (alone.s.tolist(), alone.q.tolist(), alone.mu_best) == ([0.0], [home.q.tolist()], home.mu)
     told = r"of 6 joints the tool's tip and shaft take 5, 1 turn nothing but the tool \(joint_6\)"
     asked = Scenario(robot={"name": str(tmp_path / "arm.toml")}, duration_s=0.1, bound_samples=0)
     with pytest.raises(RobotError, match=told):
@@ -155,7 +150,6 @@ def curve(robot):
 
 @pytest.fixture(scope="module")
 def place(curve):
-    """Return a function that gives the curve's poses at arc lengths from the pose with the largest mu."""
     top = curve.s[np.argmax(curve.mu)] - curve.s[0]
     return lambda s: np.array([curve.at((top + each) / (curve.s[-1] - curve.s[0])) for each in np.atleast_1d(s)])
 
@@ -165,8 +159,7 @@ def test_the_distance_to_go_is_an_arc_length(robot, curve, place, regular_poses)
     distance = distance_to_go(robot, [*place(offsets), curve.best, np.zeros(7)])
     np.testing.assert_allclose(distance[:6], np.abs(offsets), atol=0.02)
     np.testing.assert_allclose(distance[:3] + distance[5:2:-1], 2.0 * np.abs(offsets[:3]), atol=2e-4)
-    assert distance[6] < 1e-3
-    assert np.isnan(distance[7]), "a straight arm is singular"
+    assert (distance[6] < 1e-3, np.isnan(distance[7])) == (True, True), "a straight arm is singular"
     poses = np.array(regular_poses(6))[[0, 5]]  # from these, mu rises up to a joint limit
     ends = [self_motion(robot, poses[0]).s[-1], -self_motion(robot, poses[1]).s[0]]
     np.testing.assert_allclose(distance_to_go(robot, poses), ends, atol=1e-3)
@@ -180,7 +173,6 @@ def test_a_moving_elbow_is_in_transient(robot, place, way, speed, before, after)
 
 
 def test_a_resting_elbow_is_not_in_transient(robot, curve, place):
-    """A turn of the base moves arm and optimum together. A turn of the last joint moves only the tool."""
     far, turns = np.tile(place(-0.5), (100, 1)), np.linspace(0.0, 1.0, 100)
     base, last = (np.outer(turns, axis) for axis in np.eye(7)[[0, 6]])
     for q in (far, curve.best + base, far + last):
