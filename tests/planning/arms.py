@@ -58,19 +58,15 @@ def turned(folder: Path) -> RobotModel:
 def sixteen_joints(folder: Path, home: Array) -> RobotModel:
     """An arm of sixteen joints. Tip and shaft take five freedoms, the last joint turns only the tool, ten remain."""
     turns = [((0, 0, 0.1), (0, 0, 0)), *[((0, 0, 0.08), (sign * H, 0, 0)) for sign in 7 * (1, -1) + (1,)]]
-    return build(folder, {
-        "joints": turns, "q_max": np.full(16, 1.8), "v_max": np.full(16, 2.0), "wrist": (0, 0, 0),
-        "mount": (0, 0, 0.05), "home": home,
-    })  # fmt: skip
+    frames = {"wrist": (0, 0, 0), "mount": (0, 0, 0.05), "home": home}
+    return build(folder, {"joints": turns, "q_max": np.full(16, 1.8), "v_max": np.full(16, 2.0), **frames})
 
 
-def laid(
-    robot: RobotModel, q: Array, count: int, duration_s: float, start_s: float, shape: str, **size: float
-) -> Targets:  # fmt: skip
+def laid(robot: RobotModel, q: Array, count: int, end_s: float, start_s: float, shape: str, **size: float) -> Targets:
     state = robot.state(q)
     path = make_path(shape, state.tip, normal=(0.0, 0.0, 1.0), heading=(1.0, 0.0, 0.0), **size)
     trocar = Trocar(state.tip - 0.15 * state.tool_direction)
-    return lay_targets(Reference(path, 0.05, 0.2, t_start=start_s), trocar, state.tool_span, duration_s, count)
+    return lay_targets(Reference(path, 0.05, 0.2, t_start=start_s), trocar, state.tool_span, end_s, count)
 
 
 def task(robot: RobotModel, q: Array, count: int) -> Targets:

@@ -17,7 +17,6 @@ from moc_opt.planning.follow import NODES, Follower, Piece
 from moc_opt.planning.guides import FASTEST, HURRY, SPEEDS, Ways, followed_course, load_course, speed_shares
 from moc_opt.planning.pose_map import largest_mu, reach
 from moc_opt.planning.program import Program
-from moc_opt.robots.model import load_robot
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.scenario.planned import followable_plan, plan, save_course, targets_of
 from moc_opt.tasks.trocar import shaft_distance
@@ -91,8 +90,7 @@ def test_an_arm_off_its_course_still_reaches_the_maximum():
 def test_the_arm_follows_its_course_in_a_run():
     made = setup("planned")
     trace, guide = made.trace(), follower(made)
-    assert trace.meta["ended"] == "completed"
-    assert trace.meta["course_mu_mean"] == guide.course_mu_mean
+    assert (trace.meta["ended"], trace.meta["course_mu_mean"]) == ("completed", guide.course_mu_mean)
     assert guide.course_mu_mean == pytest.approx(made.robot.mu_along(guide._given.q_rad).mean(), rel=1e-2)
     wanted = np.array([guide._given.at(t)[0] for t in trace.t_s])
     assert np.abs(trace.q_rad - wanted)[trace.t_s > 1.0].max() < 0.05
@@ -110,13 +108,11 @@ def test_a_start_inside_the_limit_margin_costs_no_mu():
         assert 0.02 < room[made.robot.moves.any(axis=0)].min() < 0.05
         courses.append(followed_course(made.following))
     deeper, just_inside = courses
-    assert just_inside.certified
-    assert just_inside.kept
+    assert (just_inside.certified, just_inside.kept) == (True, True)
     assert just_inside.mu_mean > 0.99 * deeper.mu_mean
 
 
 def test_a_faster_course_is_tried_if_it_pays(monkeypatch):
-    """From the second start the elbow has far to go, so that a higher speed gains much mu."""
     q = (0.11625160465135753, -0.48236975363387774, 0.6927921516761183, -1.0529279629259627, 2.6042965767787516,
          1.9686742406249267, 1.3759513161472126)  # fmt: skip
     far = FOLLOWED.change(
@@ -126,17 +122,14 @@ def test_a_faster_course_is_tried_if_it_pays(monkeypatch):
     here, there = planned_ways(), Ways(Setup(far).following)
     assert (here.speeds, there.speeds) == (SPEEDS, (HURRY, *SPEEDS))
     assert here.usual == pytest.approx(largest_mu(here.run.robot, here.at(1.0)[2].q_rad[::5]).mu.mean(), rel=2e-3)
-    shares = [there.at(part)[1].speed_share for part in there.speeds]
-    assert shares == pytest.approx([0.952, 0.85, 0.595, 0.34])
+    assert [there.at(part)[1].speed_share for part in there.speeds] == pytest.approx([0.952, 0.85, 0.595, 0.34])
     near_all = Ways(Setup(far.change(control={"course_speed_fraction": 0.95})).following)
     assert [near_all.at(part)[1].speed_share for part in (HURRY, 1.0)] == [FASTEST, 0.95]
-    value, limits, _ = there.at(1.0)
-    assert limits.shaft == 0.25 * there.run.settings.shaft_margin
-    assert limits.margin == there.run.settings.course_margin_rad
+    (value, limits, _), settings = there.at(1.0), there.run.settings
+    assert (limits.shaft, limits.margin) == (0.25 * settings.shaft_margin, settings.course_margin_rad)
     assert value._price * value._period == pytest.approx(5e-4 / 0.3**2 * there.usual)
     for gain, first in ((1.005, ()), (1.02, (HURRY,))):
-        values = {1.0: 0.1, HURRY: 0.1 * gain}
-        monkeypatch.setattr(there, "at", lambda part, of=values: [SimpleNamespace(of=lambda q, mu: of[part])])
+        monkeypatch.setattr(there, "at", lambda part, up=gain: [SimpleNamespace(of=lambda *_: 0.1 * up ** (part > 1))])
         assert there.speeds == (*first, *SPEEDS)
 
 
@@ -195,9 +188,7 @@ def test_a_joint_may_be_as_fast_as_the_third_level_follows(robot):
     idle = np.append(np.full(6, 0.85 + 5e-7), 1.0)
     assert guides.too_fast_to_follow(FOLLOWED.control, robot, idle) is None
     told, cure = guides.too_fast_to_follow(FOLLOWED.control, robot, idle + 1e-3 * np.eye(7)[2])
-    assert told.startswith("joint_3 moves at 0.851 of its speed limit")
-    assert cure == "plan it with --speed-share 0.85"
-    np.testing.assert_array_equal(guides.margin_of(load_robot("lwr4_rail"), 0.1, 0.2), [0.2, *7 * [0.1]])
+    assert (told[:41], cure) == ("joint_3 moves at 0.851 of its speed limit", "plan it with --speed-share 0.85")
 
 
 def test_the_receding_horizon_leaves_a_local_maximum():
@@ -280,12 +271,9 @@ def test_a_saved_course_is_followed_like_a_planned_one(course, monkeypatch):
     read, made = (followed_course(replace(following, settings=each.control)) for each in (file, SCENARIO))
     assert read.mu_mean == pytest.approx(made.mu_mean, rel=1e-4)
     np.testing.assert_allclose(read.q_rad, made.q_rad, rtol=0.0, atol=1e-2)
-    for count in (2, 3):  # smoothing fails with a brake, and then also without one
-        tried = []
-        answer = lambda *of, brake, **_: tried.append(brake) or (made if len(tried) == count else of[2])  # noqa: B023, E731
-        monkeypatch.setattr(guides, "refine", answer)
-        assert (followed_course(replace(following, settings=file.control)) is made) == (count == 2)
-        assert tried == [0.9 * following.brake, np.inf]
+    answers = {0.9 * following.brake: None, np.inf: made}  # smoothing fails with a brake
+    monkeypatch.setattr(guides, "refine", lambda *of, brake, **_: answers[brake] or of[2])
+    assert followed_course(replace(following, settings=file.control)) is made
 
 
 @pytest.mark.parametrize(("change", "message"), [
@@ -331,11 +319,9 @@ def test_smoothing_keeps_the_limits_of_a_planned_course(tmp_path):
     scenario = SCENARIO.change(control={"course": str(to)})
     setup = without_course(scenario)
     limits = loaded(scenario)[1]
-    assert (limits.margin, limits.speed_share) == (pytest.approx(0.6, abs=1e-6), pytest.approx(0.1, abs=1e-6))
-    assert limits.shaft == 0.05
+    assert (limits.margin, limits.speed_share, limits.shaft) == pytest.approx((0.6, 0.1, 0.05), abs=1e-6)
     robot, period_s = setup.robot, targets_of(setup.robot, setup.layout).period_s
     slow, fast = (followed_course(replace(setup.following, settings=each.control)) for each in (scenario, SCENARIO))
     shares = [speed_shares(robot, course.q_rad, period_s).max() for course in (slow, fast)]
-    assert 0.05 < shares[0] < 0.1 + 1e-6
-    assert shares[1] > 0.3
+    assert 0.05 < shares[0] < 0.1 + 1e-6 < 0.3 < shares[1]
     assert np.minimum(slow.q_rad - robot.q_min, robot.q_max - slow.q_rad)[:, :6].min() > 0.6 - 1e-6

@@ -11,7 +11,7 @@ import pytest
 from moc_opt.planning.course import Limits, Targets, make_course
 from moc_opt.planning.plan import best_course, climb, top_of
 from moc_opt.planning.pose_map import PoseMap, map_of
-from moc_opt.planning.search import WHOLE_CELL, Value, advance, keeping_shaft, reached, shaft_shares
+from moc_opt.planning.search import WHOLE_CELL, Value, advance, keeping_shaft, shaft_shares
 from tests.planning.arms import at_poses, task
 
 
@@ -21,12 +21,6 @@ def small(rng, k=4, m=4):
     targets = Targets(0.5 * np.arange(k), np.zeros((k, 3)), np.zeros((k, 3)), np.zeros(k))
     q, mu = rng.uniform(0.0, 1.0, (k, 1, m, 1)), rng.uniform(0.1, 1.0, (k, 1, m))
     return PoseMap(arm, targets, q, mu, rng.uniform(-0.2, 1.0, (k, 1, m)))
-
-
-def worth(mu):
-    weight = np.ones(len(mu))
-    weight[[0, -1]] = 0.5
-    return float(weight @ mu / weight.sum())
 
 
 def every_course(found, step, start, cell=0.0):
@@ -59,26 +53,11 @@ def test_dynamic_programming_finds_the_best_of_all_courses(start, cell, price):
             none += 1
             assert (q, told) == (None, -np.inf)
             continue
-        worths = [worth(mu) - price * (np.diff(way / 0.5) ** 2).sum() / 3.0 for way, mu in courses]
+        worths = [(np.trapezoid(mu) - price * (np.diff(way / 0.5) ** 2).sum()) / 3.0 for way, mu in courses]
         assert price or told == pytest.approx(max(worths), abs=1e-12)
         taken = [each for each, (way, _) in zip(worths, courses, strict=True) if np.array_equal(way, q[:, 0])]
         assert taken == [pytest.approx(max(worths), abs=1e-12)]
     assert none < 15
-
-
-def test_every_pose_within_reach_of_the_start_is_flagged():
-    rng, ends = np.random.default_rng(1), set()
-    for _ in range(40):
-        found, step, before, flags = small(rng), float(rng.uniform(0.1, 0.4)), np.array([[0.5]]), []
-        for q, room in zip(found.q_rad[1:, 0], found.room_rad[1:, 0], strict=True):
-            near = (np.abs(q - before.T) <= step).any(axis=1) & (room >= 0.0)
-            if not near.any():
-                break
-            flags.append(near[None])
-            before = q[near]
-        ends.add(len(flags))
-        np.testing.assert_equal(reached(found, np.array([0.5]), Limits(speed_share=step)), flags)
-    assert ends == {0, 1, 2, 3}
 
 
 @pytest.mark.parametrize(("t_s", "first", "end", "hurry"), [
@@ -89,7 +68,7 @@ def test_a_way_from_any_time_takes_the_best_pose_in_reach(t_s, first, end, hurry
     for _ in range(20):
         found, q = small(rng, k=6, m=9), [np.array([0.5])]
         value = Value(found, Limits(speed_share=0.3), price=0.2)
-        times = np.array([t_s, *(0.5 * np.arange(6))[first : 6 if end < 0 else end + 1]])
+        times = np.append(t_s, 0.5 * np.arange(6)[first : 6 if end < 0 else end + 1])
         for k, dt in enumerate(np.diff(times), start=first):
             away = np.abs(found.q_rad[k, 0, :, 0] - q[-1])
             gain = np.where(away <= hurry * 0.3 * dt / 0.5, value.value[k, 0] - 0.2 * away**2 / dt, -np.inf)
@@ -97,9 +76,8 @@ def test_a_way_from_any_time_takes_the_best_pose_in_reach(t_s, first, end, hurry
         way = value.way(q[0], t_s, end, hurry)
         assert (way is None) == np.isnan(q[-1][0])
         if way is not None:
-            np.testing.assert_array_equal(way.t_s, times)
-            np.testing.assert_array_equal(way.q_rad, q)
-            np.testing.assert_array_equal(found.q_rad[first + len(times) - 2][way.last], q[-1])
+            np.testing.assert_equal((way.t_s, way.q_rad), (times, np.array(q)))
+            assert found.q_rad[first + len(times) - 2][way.last] == q[-1]
 
 
 def test_one_step_backwards_tries_every_pose_in_reach():
@@ -181,7 +159,7 @@ def test_courses_keep_all_limits_and_the_bound(robot, coarse):
             np.testing.assert_array_equal(course.q_rad[0], q)
     climbed = make_course(robot, coarse.targets, climb(coarse, q, Limits()))
     assert climbed.violation < 1e-12
-    np.testing.assert_array_equal(climbed.q_rad[0], q)
+    assert climbed.q_rad[0].tolist() == q.tolist()
     assert climbed.mu_mean <= value.of(q, robot.state(q).mu) + 1e-12
     # While the path rests (the first 0.2 s), the climb never lowers mu.
     assert (np.diff(climbed.mu[: int(0.2 / coarse.targets.period_s)]) >= -1e-12).all()
