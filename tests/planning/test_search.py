@@ -157,12 +157,12 @@ def test_courses_keep_all_limits_and_the_bound(robot, coarse):
         assert told <= most < told + 0.05 * abs(told)
         if start is not None:
             np.testing.assert_array_equal(course.q_rad[0], q)
-    climbed = make_course(robot, coarse.targets, climb(coarse, q, Limits()))
-    assert climbed.violation < 1e-12
-    assert climbed.q_rad[0].tolist() == q.tolist()
-    assert climbed.mu_mean <= value.of(q, robot.state(q).mu) + 1e-12
-    # While the path rests (the first 0.2 s), the climb never lowers mu.
-    assert (np.diff(climbed.mu[: int(0.2 / coarse.targets.period_s)]) >= -1e-12).all()
+    for share in (0.1, 0.2, 1.0):
+        limits = Limits(speed_share=share)
+        climbed = make_course(robot, coarse.targets, climb(coarse, q, limits), limits)
+        assert (climbed.violation < 1e-12, climbed.q_rad[0].tolist()) == (True, q.tolist())
+        assert climbed.mu_mean <= value.of(q, robot.state(q).mu) + 1e-12
+        assert (np.diff(climbed.mu[: int(0.2 / coarse.targets.period_s)]) >= -1e-12).all(), "the path rests for 0.2 s"
 
 
 @pytest.mark.parametrize("joint", [1, 5])
