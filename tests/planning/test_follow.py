@@ -196,7 +196,7 @@ def test_the_receding_horizon_leaves_a_local_maximum():
     assert trace.meta["ended"] == "completed"
     assert 20.0 * (setup().duration_s - 0.3) < told["solves"] < 30.0 * setup().duration_s
     assert told["refused"] <= 0.05 * told["solves"]
-    assert 0.0 < told["solve_ms_median"] <= told["solve_ms_p99"]
+    assert 0.0 < told["solve_ms_median"] <= told["solve_ms_p99"] < 1e4
     assert trace.mu.mean() > 1.15 * climbed.mu.mean()
     assert trace.columns["tip_error_model_m"].mean() < 2.0 * climbed.columns["tip_error_model_m"].mean()
 
