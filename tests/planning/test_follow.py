@@ -1,14 +1,16 @@
 """A follower turns a course (a planned joint motion) into desired velocities, which the arm follows."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
 import moc_opt as mo
-from moc_opt.errors import MocOptError, ScenarioError
+from moc_opt.errors import MocOptError, ScenarioError, TaskError
 from moc_opt.planning import guides
 from moc_opt.planning.course import Course
 from moc_opt.planning.follow import NODES, Follower, Piece
@@ -44,7 +46,7 @@ def follower(of):
 planned_ways = cache(lambda: Ways(setup("planned").following))
 
 
-def test_the_desired_velocity_is_the_courses_velocity_plus_a_gain_times_the_error(robot):
+def test_the_desired_velocity_corrects_the_position_error(robot):
     t = np.linspace(0.0, 1.0, 11)
     guide = Follower(0.002, course=Course(t, robot.data.q_home + 0.1 * t[:, None], np.ones(11), 0.0))
     for tick in range(400):
@@ -58,7 +60,7 @@ def test_the_desired_velocity_is_the_courses_velocity_plus_a_gain_times_the_erro
     np.testing.assert_allclose(last, 5.0 * (0.1 - 0.2), atol=1e-9)
 
 
-def test_a_course_is_interpolated_by_cubics_through_its_poses_and_velocities_and_rests_after_its_end():
+def test_a_course_is_interpolated_by_cubic_polynomials():
     t, (q, v) = np.linspace(0.3, 1.5, 5), np.random.default_rng(0).normal(size=(2, 5, 7))
     piece, cubic = Piece(t, q, v), CubicHermiteSpline(t, q, v)
     for at in (0.3, 0.45, 0.9, 1.37, 1.4999):
@@ -67,8 +69,7 @@ def test_a_course_is_interpolated_by_cubics_through_its_poses_and_velocities_and
     np.testing.assert_array_equal(piece.at(1.5), [q[-1], np.zeros(7)])
 
 
-def test_an_arm_that_has_left_its_course_still_reaches_the_courses_maximum_of_mu():
-    """The elbow is held for 1 s, while mu rises by 30 % on the course. Then the arm moves with the desired velocity."""
+def test_an_arm_off_its_course_still_reaches_the_maximum():
     made = Setup(TRAPPED.change(control={"third_level": "planned"}))
     robot, guide, q, held = made.robot, follower(made), np.array(made.q_start), 500
     targets = targets_of(robot, made.layout, made.ticks + 1)
@@ -86,11 +87,10 @@ def test_an_arm_that_has_left_its_course_still_reaches_the_courses_maximum_of_mu
     assert not guide.told
 
 
-def test_the_arm_follows_its_course_and_has_hardly_less_mu_than_with_the_local_climb():
+def test_the_arm_follows_its_course_in_a_run():
     made = setup("planned")
     trace, guide = made.trace(), follower(made)
-    assert trace.meta["ended"] == "completed"
-    assert trace.meta["course_mu_mean"] == guide.course_mu_mean
+    assert (trace.meta["ended"], trace.meta["course_mu_mean"]) == ("completed", guide.course_mu_mean)
     assert guide.course_mu_mean == pytest.approx(made.robot.mu_along(guide._given.q_rad).mean(), rel=1e-2)
     wanted = np.array([guide._given.at(t)[0] for t in trace.t_s])
     assert np.abs(trace.q_rad - wanted)[trace.t_s > 1.0].max() < 0.05
@@ -100,7 +100,7 @@ def test_the_arm_follows_its_course_and_has_hardly_less_mu_than_with_the_local_c
     assert Setup(FOLLOWED.change(control=FOLLOWED.control.matched_dcac())).controller()._guide is None
 
 
-def test_a_start_nearer_to_a_limit_than_the_margin_costs_no_mu():
+def test_a_start_inside_the_limit_margin_costs_no_mu():
     courses = []
     for swivel in (0.01, 0.0142):  # 0.030 and 0.043 rad from a limit
         made = Setup(FOLLOWED.change(start={"swivel": swivel}, control={"course_margin_rad": 0.05}))
@@ -108,13 +108,11 @@ def test_a_start_nearer_to_a_limit_than_the_margin_costs_no_mu():
         assert 0.02 < room[made.robot.moves.any(axis=0)].min() < 0.05
         courses.append(followed_course(made.following))
     deeper, just_inside = courses
-    assert just_inside.certified
-    assert just_inside.kept
+    assert (just_inside.certified, just_inside.kept) == (True, True)
     assert just_inside.mu_mean > 0.99 * deeper.mu_mean
 
 
-def test_a_course_is_faster_than_its_usual_speed_only_where_that_gains_much_mu():
-    """From the second start the elbow has far to go, so that a higher speed gains much mu."""
+def test_a_faster_course_is_tried_if_it_pays(monkeypatch):
     q = (0.11625160465135753, -0.48236975363387774, 0.6927921516761183, -1.0529279629259627, 2.6042965767787516,
          1.9686742406249267, 1.3759513161472126)  # fmt: skip
     far = FOLLOWED.change(
@@ -124,17 +122,40 @@ def test_a_course_is_faster_than_its_usual_speed_only_where_that_gains_much_mu()
     here, there = planned_ways(), Ways(Setup(far).following)
     assert (here.speeds, there.speeds) == (SPEEDS, (HURRY, *SPEEDS))
     assert here.usual == pytest.approx(largest_mu(here.run.robot, here.at(1.0)[2].q_rad[::5]).mu.mean(), rel=2e-3)
-    shares = [there.at(part)[1].speed_share for part in there.speeds]
-    assert shares == pytest.approx([0.952, 0.85, 0.595, 0.34])
+    assert [there.at(part)[1].speed_share for part in there.speeds] == pytest.approx([0.952, 0.85, 0.595, 0.34])
     near_all = Ways(Setup(far.change(control={"course_speed_fraction": 0.95})).following)
     assert [near_all.at(part)[1].speed_share for part in (HURRY, 1.0)] == [FASTEST, 0.95]
+    (value, limits, _), settings = there.at(1.0), there.run.settings
+    assert (limits.shaft, limits.margin) == (0.25 * settings.shaft_margin, settings.course_margin_rad)
+    assert value._price * value._period == pytest.approx(5e-4 / 0.3**2 * there.usual)
+    for gain, first in ((1.005, ()), (1.02, (HURRY,))):
+        monkeypatch.setattr(there, "at", lambda part, up=gain: [SimpleNamespace(of=lambda *_: 0.1 * up ** (part > 1))])
+        assert there.speeds == (*first, *SPEEDS)
+
+
+def test_easier_planners_are_tried_until_one_finds_a_course(monkeypatch):
+    ways, tried = planned_ways(), []
+
+    def program(*of, mu, smoothness, brake, horizon):
+        assert (*of[1:3], mu, smoothness, horizon) == (NODES, 0.1, ways.usual, 5e-4, True)
+        tried.append((of[3].speed_share / 1.03, brake / ways.run.brake, of[3].shaft / ways.shaft))
+
+    planner = SimpleNamespace(plan=lambda *_: True if len(tried) == count else None)
+    monkeypatch.setattr(guides, "Program", program)
+    monkeypatch.setattr(guides, "Planner", lambda *_, horizon_s, rate_per_s: planner)
+    steps = [(0.85, 1.0, 1.0), (0.595, 1.0, 1.0), (0.34, 1.0, 1.0), (0.34, np.inf, 1.0), (0.34, np.inf, 0.0)]
+    for count in range(1, 7):
+        tried.clear()
+        with pytest.raises(TaskError, match="no course") if count == 6 else nullcontext():
+            guides.replanned(ways)
+        np.testing.assert_allclose(tried, steps[:count])
 
 
 @pytest.mark.parametrize(("answers", "chosen"), [
     ([(1.0, False), (0.94, True), (0.96, True)], 2), ([(0.8, True), (0.9, True), (0.7, True), (0.6, True)], 1),
     ([(1.0, False), (1.0, False), (1.0, False), (0.5, True)], 3),
 ])  # fmt: skip
-def test_slower_courses_are_tried_until_a_smooth_one_keeps_nearly_all_mu(monkeypatch, answers, chosen):
+def test_slower_courses_are_tried_until_one_is_smooth(monkeypatch, answers, chosen):
     """An answer is (the smooth course's share of mu, whether it keeps all limits). The last course need not brake."""
     run, tried, made = setup("planned").following, [], []
 
@@ -158,22 +179,29 @@ FAST = {"task": {"v_max_m_per_s": 2.0, "a_max_m_per_s2": 20.0}, "start": {"check
     (FAST, r"third_level = 'planned'.*mm along the path"),
     (FAST | {"control": {"third_level": "receding"}}, r"third_level = 'receding'.*mm along the path"),
 ])  # fmt: skip
-def test_settings_under_which_no_course_can_be_followed_are_refused_before_the_run(change, message):
+def test_settings_without_a_feasible_course_are_refused(change, message):
     with pytest.raises(MocOptError, match=message):
         Setup(FOLLOWED.change(**change)).controller()
 
 
-def test_the_receding_horizon_leaves_the_local_maximum_at_which_the_local_law_ends():
+def test_a_joint_may_be_as_fast_as_the_third_level_follows(robot):
+    idle = np.append(np.full(6, 0.85 + 5e-7), 1.0)
+    assert guides.too_fast_to_follow(FOLLOWED.control, robot, idle) is None
+    told, cure = guides.too_fast_to_follow(FOLLOWED.control, robot, idle + 1e-3 * np.eye(7)[2])
+    assert (told[:41], cure) == ("joint_3 moves at 0.851 of its speed limit", "plan it with --speed-share 0.85")
+
+
+def test_the_receding_horizon_leaves_a_local_maximum():
     trace, climbed, told = ran("receding"), ran("local"), ran("receding").meta["replans"]
     assert trace.meta["ended"] == "completed"
     assert 20.0 * (setup().duration_s - 0.3) < told["solves"] < 30.0 * setup().duration_s
     assert told["refused"] <= 0.05 * told["solves"]
-    assert 0.0 < told["solve_ms_median"] <= told["solve_ms_p99"]
+    assert 0.0 < told["solve_ms_median"] <= told["solve_ms_p99"] < 1e4
     assert trace.mu.mean() > 1.15 * climbed.mu.mean()
     assert trace.columns["tip_error_model_m"].mean() < 2.0 * climbed.columns["tip_error_model_m"].mean()
 
 
-def test_the_receding_horizons_motion_is_on_the_path_and_within_the_joint_speeds():
+def test_motion_of_the_receding_horizon_stays_on_the_path():
     one, q = follower(setup()), [setup().q_start]
     for _ in range(setup().ticks):
         q.append(q[-1] + 0.002 * one.desired_velocity(setup().robot.state(q[-1])))
@@ -189,7 +217,6 @@ def test_the_receding_horizons_motion_is_on_the_path_and_within_the_joint_speeds
 
 @pytest.mark.parametrize("wrong", ["random", "nan", "fast"])
 def test_wrong_answers_of_the_program_are_refused(monkeypatch, wrong):
-    """The latest accepted course is followed to its end, and then its final pose is held."""
     one, rng = follower(setup()), np.random.default_rng(0)
     robot, q = setup().robot, setup().q_start
 
@@ -206,7 +233,7 @@ def test_wrong_answers_of_the_program_are_refused(monkeypatch, wrong):
 
 
 @pytest.mark.parametrize("level", ["planned", "receding"])
-def test_a_run_can_be_repeated_and_a_controller_has_its_own_course(level):
+def test_a_repeated_run_has_the_same_desired_velocities(level):
     one, other = follower(setup(level)), follower(setup(level))
     state = setup(level).robot.state(setup(level).q_start)
     first = [one.desired_velocity(state) for _ in range(300 if level == "planned" else 60)]
@@ -214,20 +241,6 @@ def test_a_run_can_be_repeated_and_a_controller_has_its_own_course(level):
     np.testing.assert_array_equal(first, [other.desired_velocity(state) for _ in first])
     one.start()
     np.testing.assert_array_equal(first, [one.desired_velocity(state) for _ in first])
-
-
-def test_a_parabola_approximates_the_value_function_near_a_pose():
-    value, k = follower(setup())._planner._value, 5
-    alive = np.isfinite(value.value[k])
-    b, j = (int(i) for i in np.argwhere(alive)[alive.sum() // 2])
-    end = value.near(k, (b, j))
-    assert end.low <= 0.0 <= end.high
-    assert end.bend <= 0.0
-    for i in range(j - 3, j + 4):
-        z = float((value.map.q_rad[k, b, i % 720] - end.q_rad) @ end.along)
-        if alive[b, i % 720] and end.low <= z <= end.high:
-            close = value.value[k, b, j] + end.slope * z + 0.5 * end.bend * z**2
-            assert close == pytest.approx(value.value[k, b, i % 720], abs=0.02 * abs(value.value[k, b, j]))
 
 
 SCENARIO = mo.Scenario(bound_samples=0, judge=False, duration_s=1.0).change(control={"third_level": "planned"})
@@ -253,11 +266,14 @@ def loaded(scenario):
     return load_course(scenario.control, setup.robot, setup.layout.q, targets_of(setup.robot, setup.layout))
 
 
-def test_a_saved_course_is_followed_as_if_the_run_had_planned_it(course):
+def test_a_saved_course_is_followed_like_a_planned_one(course, monkeypatch):
     following, file = without_course(SCENARIO).following, SCENARIO.change(control={"course": str(course)})
     read, made = (followed_course(replace(following, settings=each.control)) for each in (file, SCENARIO))
     assert read.mu_mean == pytest.approx(made.mu_mean, rel=1e-4)
     np.testing.assert_allclose(read.q_rad, made.q_rad, rtol=0.0, atol=1e-2)
+    answers = iter([{0.9 * following.brake: None}, {np.inf: made}])  # smoothing fails with a brake
+    monkeypatch.setattr(guides, "refine", lambda *of, brake, **_: next(answers)[brake] or of[2])
+    assert followed_course(replace(following, settings=file.control)) is made
 
 
 @pytest.mark.parametrize(("change", "message"), [
@@ -267,7 +283,7 @@ def test_a_saved_course_is_followed_as_if_the_run_had_planned_it(course):
     ({"control": {"course_speed_fraction": 0.01}}, "plan it with --speed-share 0.01"),
     ({"control": {"course": "nowhere.parquet"}}, "nowhere.*no such file.*moc-opt plan"),
 ])  # fmt: skip
-def test_a_course_of_another_run_is_refused_with_the_difference(course, change, message):
+def test_a_course_of_another_run_is_refused(course, change, message):
     with pytest.raises(ScenarioError, match=message):
         loaded(SCENARIO.change(control={"course": str(course)}).change(**change))
 
@@ -288,6 +304,8 @@ def test_a_file_that_is_no_course_is_refused(course, tmp_path):
         *((moved(slice(9, None), 6, by), {}, r"joint_7 goes 9\d\d\.?\d* rad beyond its limit") for by in (1e3, -1e3)),
         (moved(5, slice(None), 0.05), {}, "mm off path and shaft at t = 0.125 s"),
         ({"t_s": np.maximum(t, 0.01)}, {}, "it goes from 0.01 to 1 s"), ({}, {"kind": "run"}, "holds no course"),
+        ({name: rows[:1] for name, rows in trace.columns.items()}, {}, r"t_s has shape \(1,\)"),
+        ({name: rows[[0, -1]] for name, rows in trace.columns.items()}, {}, "mm off path and shaft"),
         ({"q_rad": q + 0.1}, {"from_start": False}, r"from the start of the run; begin there: \[start\] q_rad = \["),
     ):  # fmt: skip
         mo.Trace({**trace.columns, **columns}, {**trace.meta, **meta}).save(to)
@@ -295,17 +313,15 @@ def test_a_file_that_is_no_course_is_refused(course, tmp_path):
             loaded(mine)
 
 
-def test_smoothing_a_course_keeps_the_limits_that_it_was_planned_for(tmp_path):
-    within = {"margin_rad": 0.6, "speed_share": 0.1}
+def test_smoothing_keeps_the_limits_of_a_planned_course(tmp_path):
+    within = {"margin_rad": 0.6, "speed_share": 0.1, "shaft_margin": 0.05}
     to = save_course(plan(SCENARIO, **within), SCENARIO, tmp_path / "slow.parquet", within)
     scenario = SCENARIO.change(control={"course": str(to)})
     setup = without_course(scenario)
     limits = loaded(scenario)[1]
-    assert (limits.margin, limits.speed_share) == (pytest.approx(0.6, abs=1e-6), pytest.approx(0.1, abs=1e-6))
-    assert limits.shaft == 0.25 * scenario.control.shaft_margin
+    assert (limits.margin, limits.speed_share, limits.shaft) == pytest.approx((0.6, 0.1, 0.05), abs=1e-6)
     robot, period_s = setup.robot, targets_of(setup.robot, setup.layout).period_s
     slow, fast = (followed_course(replace(setup.following, settings=each.control)) for each in (scenario, SCENARIO))
     shares = [speed_shares(robot, course.q_rad, period_s).max() for course in (slow, fast)]
-    assert 0.05 < shares[0] < 0.1 + 1e-6
-    assert shares[1] > 0.3
+    assert 0.05 < shares[0] < 0.1 + 1e-6 < 0.3 < shares[1]
     assert np.minimum(slow.q_rad - robot.q_min, robot.q_max - slow.q_rad)[:, :6].min() > 0.6 - 1e-6

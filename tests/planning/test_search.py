@@ -16,21 +16,14 @@ from tests.planning.arms import at_poses, task
 
 
 def small(rng, k=4, m=4):
-    """A small map for one joint with speed limit 1. Poses outside the map have mu = 0.4."""
-    arm: Any = SimpleNamespace(v_max=np.ones(1), state=lambda q: SimpleNamespace(mu=0.4))
-    targets = Targets(np.arange(float(k)), np.zeros((k, 3)), np.zeros((k, 3)), np.zeros(k))
+    """A small map for one joint, which can turn by 1 in a period. Poses outside the map have mu = 0.4."""
+    arm: Any = SimpleNamespace(v_max=np.full(1, 2.0), state=lambda q: SimpleNamespace(mu=0.4))
+    targets = Targets(0.5 * np.arange(k), np.zeros((k, 3)), np.zeros((k, 3)), np.zeros(k))
     q, mu = rng.uniform(0.0, 1.0, (k, 1, m, 1)), rng.uniform(0.1, 1.0, (k, 1, m))
     return PoseMap(arm, targets, q, mu, rng.uniform(-0.2, 1.0, (k, 1, m)))
 
 
-def worth(mu):
-    weight = np.ones(len(mu))
-    weight[[0, -1]] = 0.5
-    return float(weight @ mu / weight.sum())
-
-
 def every_course(found, step, start, cell=0.0):
-    """Poses and mu of each course that keeps the joint limits and the speed limit, by enumeration."""
     k, _, m = found.mu.shape
     courses, may = [], found.room_rad >= 0.0
     cells = 0.5 * cell * np.maximum(*(np.abs(np.roll(found.q_rad, to, axis=2) - found.q_rad) for to in (1, -1)))[..., 0]
@@ -48,9 +41,9 @@ def every_course(found, step, start, cell=0.0):
 
 @pytest.mark.parametrize(("start", "cell", "price"), [(None, 0, 0), (0.5, 0, 0), (0.5, 0.5, 0), (0.5, 0, 1)])
 def test_dynamic_programming_finds_the_best_of_all_courses(start, cell, price):
-    """With a price on speed, each of the three steps lowers the mean mu by price |dq|^2 / 3."""
+    """With a price on speed, each of the three steps of 0.5 s lowers the mean mu by price (dq / 0.5)^2 / 3."""
     rng, none = np.random.default_rng(0), 0
-    for _ in range(15):
+    for _ in range(40):
         found, step = small(rng), float(rng.uniform(0.1, 0.8))
         courses = every_course(found, step, start, cell)
         value = Value(found, Limits(speed_share=step), cell=cell, price=price)
@@ -58,18 +51,36 @@ def test_dynamic_programming_finds_the_best_of_all_courses(start, cell, price):
         q = best_course(value, None if start is None else np.array([start]))
         if not courses:
             none += 1
-            assert q is None
-            assert told == -np.inf
+            assert (q, told) == (None, -np.inf)
             continue
-        worths = [worth(mu) - price * (np.diff(way) ** 2).sum() / 3.0 for way, mu in courses]
+        worths = [(np.trapezoid(mu) - price * (np.diff(way / 0.5) ** 2).sum()) / 3.0 for way, mu in courses]
         assert price or told == pytest.approx(max(worths), abs=1e-12)
         taken = [each for each, (way, _) in zip(worths, courses, strict=True) if np.array_equal(way, q[:, 0])]
         assert taken == [pytest.approx(max(worths), abs=1e-12)]
     assert none < 15
 
 
-def test_one_step_backwards_compares_each_pose_with_every_pose_in_reach():
-    """Rounding to eighths makes some distances equal to the step."""
+@pytest.mark.parametrize(("t_s", "first", "end", "hurry"), [
+    (0.0, 1, -1, 1.0), (0.7, 2, -1, 1.2), (0.22, 1, 4, 1.0), (1.3, 3, 3, 1.0),
+])  # fmt: skip
+def test_a_way_from_any_time_takes_the_best_pose_in_reach(t_s, first, end, hurry):
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        found, q = small(rng, k=6, m=9), [np.array([0.5])]
+        value = Value(found, Limits(speed_share=0.3), price=0.2)
+        times = np.append(t_s, 0.5 * np.arange(6)[first : 6 if end < 0 else end + 1])
+        for k, dt in enumerate(np.diff(times), start=first):
+            away = np.abs(found.q_rad[k, 0, :, 0] - q[-1])
+            gain = np.where(away <= hurry * 0.3 * dt / 0.5, value.value[k, 0] - 0.2 * away**2 / dt, -np.inf)
+            q.append(found.q_rad[k, 0, int(np.argmax(gain))] if gain.max() > -np.inf else np.full(1, np.nan))
+        way = value.way(q[0], t_s, end, hurry)
+        assert (way is None) == np.isnan(q[-1][0])
+        if way is not None:
+            np.testing.assert_equal((way.t_s, way.q_rad), (times, np.array(q)))
+            assert found.q_rad[first + len(times) - 2][way.last] == q[-1]
+
+
+def test_one_step_backwards_tries_every_pose_in_reach():
     rng = np.random.default_rng(3)
     for trial in range(40):
         rounded = (lambda x: np.rint(8.0 * x) / 8.0) if trial % 4 > 1 else np.array
@@ -88,20 +99,40 @@ def test_one_step_backwards_compares_each_pose_with_every_pose_in_reach():
         np.testing.assert_allclose(value, ways + gain, atol=1e-12)
 
 
-def test_for_an_upper_bound_a_pose_stands_for_half_a_cell_and_neighbours_of_feasible_poses_are_feasible():
+def test_in_an_upper_bound_a_pose_represents_its_cell():
     angles, mu = 2.0 * np.pi * np.arange(16) / 16, lambda angle: 1.0 + 0.5 * np.cos(angle - 0.1)
     angles[8] = np.nan  # a sample without a pose
     room = np.isin(np.arange(16), (0, 4, 9)) - 0.5
     q, mus, rooms = (np.tile(each, (2, 1, 1)) for each in (angles, mu(angles), room))
     found = replace(small(np.random.default_rng(0), k=2), q_rad=q[..., None], mu=mus, room_rad=rooms)
-    told = 2.0 * Value(found, Limits(), cell=WHOLE_CELL).value[-1, 0]  # the last time has half a period's weight
+    told = 4.0 * Value(found, Limits(), cell=1.0).value[-1, 0]  # the last time has the weight 0.25 s
     assert np.flatnonzero(np.isfinite(told)).tolist() == [0, 1, 3, 4, 5, 8, 9, 10, 15]
     most = mu(angles + np.linspace(-0.5, 0.5, 21)[:, None] * angles[1]).max(axis=0)
     assert np.abs((told - most)[[0, 1, 3, 4, 5, 10, 15]] - 0.01).max() <= 0.01, "above the truth, by little"
     assert told[8] >= mu(angles[7]) > mu(angles[9])
 
 
-def test_the_climb_to_a_top_goes_to_the_higher_neighbour():
+@pytest.mark.parametrize("j", [0, 77, 199])
+def test_a_quadratic_value_function_equals_its_parabola(j):
+    """The poses lie on a circle of 200 samples. Six on each side are nearer than 0.2 rad."""
+    at, base = 2.0 * np.pi * np.arange(200) / 200, small(np.random.default_rng(0), 2)
+    two: Any = SimpleNamespace(v_max=np.ones(2))
+    q, z = np.transpose([0.3 + np.cos(at), np.sin(at)]), np.sin(at - at[j])
+    for dead, low, high, bend in (
+        ((), -6, 6, -3.0), ((-6, -4, 3, 6), -3, 2, -3.0), ((-2, 3), -1, 2, 3.0), ((-2, 2), -1, 1, 0.0),
+    ):  # fmt: skip
+        slope, room = 0.4 * bool(bend), np.ones((2, 1, 200))  # three poses are too few for a parabola
+        room[..., (j + np.array(dead, dtype=int)) % 200] = -1.0
+        mu = 4.0 * np.tile(0.3 + 0.4 * z + 0.5 * bend * z**2, (2, 1, 1))  # the last time has the weight 0.25 s
+        found = replace(base, robot=two, q_rad=np.tile(q, (2, 1, 1, 1)), mu=mu, room_rad=room)
+        told = [*q[j], -q[j, 1], q[j, 0] - 0.3, slope, min(bend, 0.0), *z[(j + np.array([low, high])) % 200]]
+        np.testing.assert_allclose(np.hstack(Value(found, Limits()).near(1, (0, j))), told, atol=1e-9)
+    few = np.s_[:, :, j % 10 :: 10]
+    sparse = Value(replace(found, q_rad=found.q_rad[few], mu=mu[few], room_rad=room[few]), Limits())
+    np.testing.assert_array_equal(np.hstack(sparse.near(1, (0, j // 10))), [*q[j], *6 * [0.0]], "no other pose is near")
+
+
+def test_a_climb_goes_to_the_higher_neighbour():
     found = replace(small(np.random.default_rng(0), k=1, m=5), mu=np.array([[[0.2, 0.5, 0.6, 0.1, 0.3]]]))
     found = replace(found, q_rad=0.1 * np.arange(5.0).reshape(1, 1, 5, 1), room_rad=np.ones((1, 1, 5)))
     assert [top_of(found, np.array([at]))[::2] for at in (0.1, 0.2, 0.3)] == [(0.6, False)] * 3
@@ -114,7 +145,7 @@ def coarse(robot):
     return map_of(robot, robot.data.q_home, task(robot, robot.data.q_home, 60), 180)
 
 
-def test_courses_and_the_climb_keep_task_limits_and_speeds_and_stay_below_the_bound(robot, coarse):
+def test_courses_keep_all_limits_and_the_bound(robot, coarse):
     q = robot.data.q_home
     value, bound = (Value(coarse, Limits(), cell=cell) for cell in (0.0, WHOLE_CELL))
     for start in (q, None):
@@ -126,17 +157,16 @@ def test_courses_and_the_climb_keep_task_limits_and_speeds_and_stay_below_the_bo
         assert told <= most < told + 0.05 * abs(told)
         if start is not None:
             np.testing.assert_array_equal(course.q_rad[0], q)
-    climbed = make_course(robot, coarse.targets, climb(coarse, q, Limits()))
-    assert climbed.violation < 1e-12
-    np.testing.assert_array_equal(climbed.q_rad[0], q)
-    assert climbed.mu_mean <= value.of(q, robot.state(q).mu) + 1e-12
-    # While the path rests (the first 0.2 s), the climb never lowers mu.
-    assert (np.diff(climbed.mu[: int(0.2 / coarse.targets.period_s)]) >= -1e-12).all()
+    for share in (0.1, 0.2, 1.0):
+        limits = Limits(speed_share=share)
+        climbed = make_course(robot, coarse.targets, climb(coarse, q, limits), limits)
+        assert (climbed.violation < 1e-12, climbed.q_rad[0].tolist()) == (True, q.tolist())
+        assert climbed.mu_mean <= value.of(q, robot.state(q).mu) + 1e-12
+        assert (np.diff(climbed.mu[: int(0.2 / coarse.targets.period_s)]) >= -1e-12).all(), "the path rests for 0.2 s"
 
 
 @pytest.mark.parametrize("joint", [1, 5])
-def test_a_course_goes_through_a_singular_pose_into_the_next_branch(robot, joint):
-    """The targets belong to a motion in which one joint turns through zero."""
+def test_a_course_passes_a_singular_pose_to_another_branch(robot, joint):
     way = np.tile(np.array([0.3, 0.5, -0.4, 1.2, 0.5, -0.7, 0.0]), (41, 1))
     way[:, joint] = np.linspace(0.45, -0.47, 41) * (1.0 if joint == 1 else -1.0)
     found = map_of(robot, way[0], at_poses(robot, way))
@@ -150,7 +180,7 @@ def test_a_course_goes_through_a_singular_pose_into_the_next_branch(robot, joint
     assert mean <= Value(found, Limits(), cell=WHOLE_CELL).of(way[0], robot.state(way[0]).mu)
 
 
-def test_poses_below_the_shafts_margin_have_less_mu_in_the_search(robot, coarse):
+def test_poses_below_the_shaft_margin_have_less_mu(robot, coarse):
     margin = 0.5
     found = map_of(robot, robot.data.q_home, coarse.targets[:10], 90)
     kept, may = keeping_shaft(found, Limits(shaft=margin)), found.feasible()

@@ -21,7 +21,6 @@ from moc_opt.trace.trace import Trace
 
 @pytest.fixture(scope="module")
 def runs():
-    """Runs of both control laws on a circle, in a plant that equals the model."""
     moc = Scenario(plant={"preset": "nominal"}, start={"swivel": 0.2}, judge=False, bound_samples=0,
                    task={"wait_s": 0.5, "hold_s": 0.0, "v_max_m_per_s": 0.05, "a_max_m_per_s2": 0.2})  # fmt: skip
     return {"MOC": mo.run(moc), "DCAC": mo.run(moc.change(control={"law": "dcac"}))}
@@ -48,7 +47,7 @@ def test_the_grid_equals_direct_evaluation(robot, runs, found):
         beyond = np.maximum(q - robot.q_max, robot.q_min - q)
         limit = np.where(beyond.max(axis=1) > 1e-9, 1 + beyond.argmax(axis=1), FEASIBLE)
         np.testing.assert_array_equal(found.limit[k, known[k]], limit)
-    assert (found.limit == UNREACHABLE).sum() == (~known).sum()
+    np.testing.assert_array_equal(found.limit == UNREACHABLE, ~known)
     assert 0.2 < (found.limit == FEASIBLE).mean() < 0.9
     angles = Elbow(robot, np.array([robot.state(found.q_rad[4, 0]).wrist])).swivel(found.q_rad[4])
     assert np.abs(np.mod(angles - found.swivel_rad + np.pi, 2 * np.pi) - np.pi).max() < 1e-6
@@ -56,7 +55,7 @@ def test_the_grid_equals_direct_evaluation(robot, runs, found):
     assert abs(found.swivel_rad.mean()) <= np.pi
 
 
-def test_the_swivel_is_kept_by_a_turn_of_the_base_and_changes_sign_in_a_mirrored_pose(robot):
+def test_a_mirrored_pose_has_the_opposite_swivel(robot):
     q = np.array(robot.data.q_home)
     elbow = Elbow(robot, robot.state(q).wrist[None])
     assert elbow.joint == 3
@@ -68,18 +67,17 @@ def test_the_swivel_is_kept_by_a_turn_of_the_base_and_changes_sign_in_a_mirrored
     np.testing.assert_allclose(wrapped(np.pi * np.array([0.9, 1.0, -1.0, 2.5])), np.pi * np.array([0.9, -1, -1, 0.5]))
 
 
-def test_the_swivel_is_measured_from_the_vertical_unless_the_arm_is_upright_somewhere(robot):
+def test_the_swivel_is_measured_from_a_suitable_axis(robot):
     away = np.array([[0.01, 0.0, 0.5], [0.3, 0.0, 0.2]])  # from the shoulder to the wrist
     for wrists, axis in ((away[1:], 2), (away, 1), (away[:, [1, 0, 2]], 0)):
         np.testing.assert_array_equal(Elbow(robot, np.array([0.0, 0.0, 0.31]) + wrists).reference, np.eye(3)[axis])
 
 
-def test_trajectories_lie_on_the_map_and_below_its_best_mu(robot, runs, found):
+def test_trajectories_lie_on_the_map(robot, runs, found):
     assert np.all(found.best_mu >= np.where(found.limit == FEASIBLE, found.mu, -np.inf).max(axis=1))
     for name, trajectory in found.trajectories.items():
         assert trajectory.gap_rad < 0.15, "the joint angles of half a row"
-        assert len(trajectory.t_s) == swivel_map.TRAJECTORY_POINTS
-        assert trajectory.t_s[-1] == runs[name].t_s[-1]
+        assert (len(trajectory.t_s), trajectory.t_s[-1]) == (swivel_map.TRAJECTORY_POINTS, runs[name].t_s[-1])
         np.testing.assert_array_equal(
             trajectory.mu, robot.mu_along(runs[name].q_rad)[np.searchsorted(runs[name].t_s, trajectory.t_s)]
         )
@@ -95,18 +93,16 @@ def test_trajectories_lie_on_the_map_and_below_its_best_mu(robot, runs, found):
         assert np.cos(found.best_swivel_rad[k] - angle) > np.cos(1e-3)
 
 
-def test_a_run_in_another_branch_of_inverse_kinematics_has_a_large_gap(robot, runs):
+def test_a_run_on_another_branch_has_a_large_gap(robot, runs):
     flip = np.array(runs["MOC"].q_rad)
     flip[:, 4] -= np.pi * np.sign(flip[:, 4])
     flip[:, 5] *= -1.0
     flipped = runs["MOC"].with_columns(q_rad=flip).select(runs["MOC"].t_s < 7.0)  # the longest run makes the map
     both = manipulability_map(robot, {"MOC": runs["MOC"], "flipped": flipped}, times=3, swivels=24)
-    assert both.trajectories["MOC"].gap_rad < 0.3
-    assert both.trajectories["flipped"].gap_rad > 1.0
+    assert both.trajectories["MOC"].gap_rad < 0.3 < 1.0 < both.trajectories["flipped"].gap_rad
 
 
-def test_the_swivels_of_a_map_of_hanging_elbows_are_centred_within_half_a_turn(robot, runs, found):
-    """The joint limits allow only poses near a swivel of -2.3 rad."""
+def test_a_map_of_hanging_elbows_is_centred(robot, runs, found):
     q = found.q_rad[6, np.argmin(np.cos(found.swivel_rad - 0.8))]
     hanging = RobotModel(replace(robot.data, q_min=q - 0.3, q_max=q + 0.3, q_home=q))
     made = manipulability_map(hanging, {"MOC": runs["MOC"]}, times=3, swivels=72)
@@ -120,9 +116,8 @@ def test_targets_out_of_reach_are_marked_unreachable(robot, runs):
     away = np.where(np.arange(len(moc)) < len(moc) // 2, 0.0, 1.0)[:, None] * np.eye(3)[0]
     torn = moc.with_columns(tip_ref_m=moc.tip_ref_m + away, trocar_registered_m=moc.trocar_registered_m + away)
     some = manipulability_map(robot, {"MOC": torn}, times=4, swivels=12)
-    assert (some.limit[2:] == UNREACHABLE).all()
-    assert np.isnan(some.best_mu[2:]).all()
-    assert np.isfinite(some.best_mu[:2]).all()
+    assert (some.limit[2:] == -1).all()
+    np.testing.assert_array_equal(np.isnan(some.best_mu), [False, False, True, True])
 
 
 def test_wrong_input_is_refused(robot, odd_robot, runs):
@@ -152,7 +147,7 @@ def test_wrong_input_is_refused(robot, odd_robot, runs):
         manipulability_map(odd_robot, {"odd": odd}, times=2, swivels=8)
 
 
-def test_the_figure_shows_the_map_the_forbidden_poses_and_every_trajectory(found):
+def test_the_figure_shows_the_map_and_its_trajectories(found):
     drawn = map_figure(found)
     colored, grey = (trace for trace in drawn.data if trace.type == "heatmap")
     np.testing.assert_array_equal(np.isnan(grey.z.T), found.limit == FEASIBLE)
@@ -163,8 +158,7 @@ def test_the_figure_shows_the_map_the_forbidden_poses_and_every_trajectory(found
         map_figure(replace(found, limit=np.ones_like(found.limit)))
 
 
-def test_the_map_of_an_arm_on_a_rail_holds_the_rail_and_names_it(found):
-    """At each time, the map holds the rail at its position in the run."""
+def test_the_map_of_an_arm_holds_its_rail(found):
     arm = load_robot("lwr4_rail")
     run_of_it = mo.run(Scenario(robot={"name": "lwr4_rail"}, duration_s=1.0, judge=False, bound_samples=0))
     made = manipulability_map(arm, {"MOC": run_of_it}, times=2, swivels=72)
@@ -178,22 +172,16 @@ def test_the_map_of_an_arm_on_a_rail_holds_the_rail_and_names_it(found):
     assert made.best_mu[0] < 0.9 * largest_mu(arm, run_of_it.q_rad[:1]).mu[0]
 
 
-# --- readings of trajectories ---
-
 T = np.linspace(0.0, 10.0, 21)
 ROWS = np.arange(-180.0, 180.0, 3.0)
 
 
 def hill(top, height, width=60.0):
-    """A smooth hill: mu as a function of the swivel [deg]."""
     return lambda swivel: height * np.exp(-(((np.asarray(swivel) - top + 180) % 360 - 180) ** 2) / width**2)
 
 
 def read(mu, swivel, forbidden=None, gap_rad=0.01, since=0.0):
-    """Read a run with these swivels [deg] at 101 times, on a map with ``mu(swivel [deg])`` at every time.
-
-    ``forbidden``: (first swivel, last swivel [deg], their entry in `limit`), from the time ``since`` [s] on.
-    """
+    """``forbidden``: (first swivel, last swivel [deg], their entry in `limit`), from the time ``since`` [s] on."""
     limit = np.full((len(T), len(ROWS)), FEASIBLE)
     if forbidden:
         limit[np.ix_(since <= T, (forbidden[0] <= ROWS) & (forbidden[1] >= ROWS))] = forbidden[2]
@@ -212,28 +200,23 @@ def read(mu, swivel, forbidden=None, gap_rad=0.01, since=0.0):
 
 
 def ramp(start, end, until=10.0):
-    """Swivels that change at constant speed from start to end and arrive at the time `until`."""
     return start + (end - start) * np.minimum(np.linspace(0.0, 10.0, 101) / until, 1.0)
 
 
-def test_a_trajectory_that_climbs_to_the_optimum_is_said_to_end_there():
-    top = hill(60.0, 0.3)
-    found = read(top, ramp(-30.0, 60.0, until=5.0))
+def test_a_climb_to_the_optimum_ends_there():
+    top, way = hill(60.0, 0.3), ramp(-30.0, 60.0, until=5.0)
+    found = read(top, way)
     assert found.end is End.OPTIMUM
     on_from = 60.0 - 60.0 * np.sqrt(-np.log(1.0 - swivel_map.NEAR))  # where mu is 2 % below the top
     arrives = 5.0 * (on_from + 30.0) / 90.0
-    assert found.from_s == pytest.approx(arrives, abs=0.11)
-    assert found.near == pytest.approx(1.0 - arrives / 10.0, abs=0.02)
-    assert found.travel_rad == pytest.approx(np.radians(90.0))
-    assert found.mu_share == pytest.approx(top(ramp(-30.0, 60.0, until=5.0)).mean() / 0.3)
+    assert (found.from_s, 10.0 - 10.0 * found.near) == pytest.approx((arrives, arrives), abs=0.11)
+    assert (found.travel_rad, 0.3 * found.mu_share) == pytest.approx((np.radians(90.0), top(way).mean()))
     always = read(top, 60.0)
     assert (always.near, always.from_s) == (1.0, 0.0)
     assert read(top, np.append(np.full(100, 60.0), 0.0)).from_s == 10.0, "it leaves the optimum at the end"
 
 
-def test_a_trajectory_at_a_lower_maximum_is_said_to_end_at_a_local_maximum():
-    """This also holds if +-180 degrees lies between the maximum and the run."""
-
+def test_a_run_can_end_at_a_local_maximum():
     def two(swivel):
         return hill(60.0, 0.3, 30.0)(swivel) + hill(-60.0, 0.25, 30.0)(swivel)
 
@@ -248,19 +231,18 @@ def test_a_trajectory_at_a_lower_maximum_is_said_to_end_at_a_local_maximum():
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize(("top", "swivel", "end"), [
     # The best allowed pose lies at a limit, and the run stops before the limit.
-    (hill(60.0, 0.3), -4.0, End.FEASIBLE_EDGE), (hill(60.0, 0.3), -10.0, End.FEASIBLE_EDGE),
-    (hill(60.0, 0.3), -40.0, End.STILL), (hill(60.0, 0.3, 200.0), -4.0, End.OPTIMUM),
+    (hill(60.0, 0.3), -4.0, End.FEASIBLE_EDGE), (hill(60.0, 0.3), -16.0, End.FEASIBLE_EDGE),
+    (hill(60.0, 0.3), -17.0, End.STILL), (hill(60.0, 0.3, 200.0), -4.0, End.OPTIMUM),
     (hill(60.0, 0.3, 90.0), ramp(-69.5, -60.0), End.STILL), (hill(60.0, 0.3, 90.0), ramp(-120.0, -30.0), End.RISING),
     (hill(60.0, 0.3, 90.0), ramp(-20.0, -70.0), End.FALLING), (hill(60.0, 0.3, 90.0), ramp(-70.5, -60.0), End.RISING),
 ])  # fmt: skip
-def test_the_end_of_a_run_is_named_after_a_limit_that_blocks_its_climb_or_else_after_its_motion(side, top, swivel, end):
-    """Joint 4 is beyond its limit from 0 to 140 degrees, or in mirror image from -140 to 0."""
+def test_the_end_of_a_run_names_the_blocking_limit(side, top, swivel, end):
     forbidden = (0.0, 140.0, 4) if side > 0.0 else (-140.0, 0.0, 4)
     found = read(lambda given: top(side * np.asarray(given)), side * np.asarray(swivel), forbidden)
     assert (found.end, found.joint) == (end, 4 if end is End.FEASIBLE_EDGE else 0)
 
 
-def test_the_share_of_time_at_or_beside_forbidden_poses_is_counted():
+def test_time_beside_forbidden_poses_is_counted():
     found = read(hill(60.0, 0.3), ramp(-20.0, 50.0), (10.0, 20.0, 4))  # at 12, 15 and 18 degrees, and a row beside them
     assert found.at_edge == pytest.approx(np.mean(np.abs(ramp(-20.0, 50.0) - 15.0) < 7.5))
     late = read(hill(60.0, 0.3), 0.0, (-4.0, 20.0, 4), since=5.0)
@@ -269,8 +251,8 @@ def test_the_share_of_time_at_or_beside_forbidden_poses_is_counted():
     assert away.at_edge == 0.0
 
 
-def test_a_run_on_another_branch_or_on_a_map_without_feasible_poses_is_not_compared_with_the_optimum():
-    elsewhere = read(hill(60.0, 0.3), 60.0, gap_rad=2.0)
+def test_a_run_on_another_branch_is_not_compared():
+    elsewhere = read(hill(60.0, 0.3), 60.0, gap_rad=0.55)
     assert elsewhere.end is End.OTHER_BRANCH
     assert np.isnan([elsewhere.near, elsewhere.mu_share, elsewhere.from_s]).all()
     nowhere = read(hill(60.0, 0.3), 60.0, (-180.0, 180.0, 1))
