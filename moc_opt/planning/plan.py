@@ -218,9 +218,9 @@ def _blocked(found: PoseMap, start: Array, limits: Limits, bound: float) -> Bloc
     robot, targets, names = found.robot, found.targets, found.robot.data.joint_names
 
     def nearest_limit(among: NDArray[np.bool_]) -> str:
-        q = found.q_rad[k][among][int(np.argmax(found.room_rad[k][among]))]
-        beyond = np.where(robot.moves.any(axis=0), np.maximum(q - robot.q_max, robot.q_min - q), -np.inf)
-        return names[int(np.argmax(beyond))]
+        q = found.q_rad[k][among]
+        beyond = np.where(robot.moves.any(axis=0), np.maximum(q - robot.q_max, robot.q_min - q) + limits.margin, -np.inf)
+        return names[int(np.argmax(beyond[int(np.argmin(beyond.max(axis=1)))]))]
 
     each = reached(found, start, limits)
     k = min(len(each) + 1, len(targets) - 1)

@@ -229,8 +229,7 @@ def _traced(robot: RobotModel, targets: Targets, q_start: Array, step_rad: float
     columns: list[list[Array]] = []
 
     def near(curve: Array, pose: Array) -> bool:
-        apart = np.where(robot.chain.prismatic, curve - pose, wrapped(curve - pose))[:, moving]
-        return bool(np.linalg.norm(apart, axis=1).min() < SAME_CURVE * step_rad)
+        return bool(np.linalg.norm(wrapped(curve - pose)[:, moving], axis=1).min() < SAME_CURVE * step_rad)
 
     for k in range(len(targets)):
         tip, wrist = targets.tip[k], targets.wrist[k]
