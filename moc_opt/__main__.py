@@ -62,7 +62,7 @@ def _command(arguments: Sequence[str] | None) -> int:
             options = COMMANDS[given.command].options if given.command in COMMANDS else ()
             near = get_close_matches(rest[0].partition("=")[0], [name for names, _ in options for name in names], 1)
             meant = f", did you mean {near[0]}?" if near else ":"
-            parser.error(f"unrecognized arguments: {' '.join(rest)}{meant} `moc-opt {given.command} -h` lists them all")
+            parser.error(f"unrecognized arguments: {' '.join(rest)}{meant} `moc-opt {given.command} -h` lists options")
         return work_of(given.command)(given)
     except (Exception, KeyboardInterrupt) as error:
         refused = isinstance(error, MocOptError | MemoryError)

@@ -87,7 +87,7 @@ class UnknownNameError(MocOptError, LookupError):
 
 
 def is_number(value: object) -> bool:
-    """Return whether a value is a real number, but no bool, that fits a float."""
+    """Return whether a value is a real number that fits a float, and no bool."""
     fits = not isinstance(value, int) or abs(value) < 2**1023
     return isinstance(value, Real) and not isinstance(value, bool) and fits
 

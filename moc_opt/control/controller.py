@@ -31,7 +31,7 @@ class Guide(Protocol):
         """Reset to t = 0."""
 
     def desired_velocity(self, state: RobotState) -> Array:
-        """Return x_d (n,) [rad/s] of this tick. Called once per tick."""
+        """Return x_d (n,) [rad/s] for this tick. The controller calls this method once per tick."""
 
 
 class Controller:
@@ -141,7 +141,7 @@ class Controller:
         Raises:
             ControlError: the solver cannot start.
         """
-        # A copy runs one tick first, so that all libraries are initialized.
+        # A copy of the controller runs one tick first, which initializes all libraries.
         copy = Controller(self.robot, self.settings, self.solver, self._period)
         copy._begin(q, v, tip_ref, trocar)
         copy.tick(q, v, tip_ref, trocar)
@@ -194,7 +194,7 @@ class Controller:
         return read_only(tau)
 
     def set_applied_torque(self, tau: Array) -> None:
-        """Tell the observer which torque (n,) [Nm] was applied, if it is not the result of `tick`."""
+        """Tell the observer the torque (n,) [Nm] that was applied, if it differs from the result of `tick`."""
         if not np.isfinite(tau).all():
             raise ControlError(f"applied torque = {np.asarray(tau).tolist()} is not finite: the observer cannot use it")
         self._law.set_applied(np.ascontiguousarray(tau, dtype=np.float64))
@@ -206,7 +206,7 @@ class Controller:
         }  # fmt: skip
         if self.solver is not None:
             n, end = self._n, self._row_length
-            # The block has the order of the core's result.
+            # The columns of the block are in the order of the core's result.
             self._block = block = np.full((ticks, end + 2 * n + 6), np.nan)
             found |= {
                 "subproblem": block[:, :end], "x_rad_per_s": block[:, end : end + n],
@@ -217,7 +217,7 @@ class Controller:
         return found
 
     def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Write the last tick's values into one row."""
+        """Write the last tick's values into row ``row`` of ``columns``."""
         if self._ticked is not None and self._ticked[0] is Status.SOLVED:
             status, out = self._ticked
             self._block[row] = out[: -self._n]
@@ -236,7 +236,7 @@ class Controller:
 
 def _rows(name: str, given: Array, count: int) -> Array:
     if np.shape(given) != (count, 3):
-        raise ControlError(f"{name} has shape {np.shape(given)}: give ({count}, 3), one row per derivative")
+        raise ControlError(f"{name} has shape {np.shape(given)}: give ({count}, 3), the position and its derivatives")
     rows = np.ascontiguousarray(given, dtype=np.float64)
     if not np.isfinite(rows).all():
         raise ControlError(f"{name} = {rows.tolist()} is not finite: check where it comes from")
@@ -252,9 +252,9 @@ def _start_session(solver: Solver, qp: NullSpaceQP) -> Session:
             session = solver.start(qp.copy())
             if callable(getattr(session, "solve", None)):
                 return session
-            reason = f"start returned a {type(session).__name__} without solve: return a Session"
+            reason = f"start returned a {type(session).__name__} that has no method solve: return a Session"
         elif not isinstance(reason, str):
-            reason = f"supports returned a {type(reason).__name__}: return None or the reason why not"
+            reason = f"supports returned a {type(reason).__name__}: return None, or the reason as a str"
     except (KeyboardInterrupt, MocOptError):
         raise
     except BaseException as error:  # a plug-in may raise anything

@@ -14,7 +14,7 @@ from moc_opt.robots.model import RobotModel
 PROJECTORS = ("dynamic", "static", "as_published")  #: In the order of the core's enum.
 FALLBACKS = ("damping", "hold", "least-violation")  #: In the order of the core's enum.
 LATE = ("hold", "zero", "iterate")  #: In the order of the core's enum.
-COURSE_K0_PER_S = 10.0  #: Smallest k0 along a planned joint motion [1/s].
+COURSE_K0_PER_S = 10.0  #: Lower bound on k0 along a planned joint motion [1/s].
 _CHECKS = ("check", "box_limit", "primal_limit", "relative_limit", "opposite_limit", "keep_off_limits", "hold_ticks")
 
 
@@ -37,7 +37,7 @@ def numbers_of(settings: ControlSettings, robot: RobotModel, period: float) -> d
     observer = settings.observer_rate_per_s
     if observer and not observer * period < 1.0:
         name = "course_observer_gain_per_s" if follows else "observer_gain_per_s"
-        raise ControlError(f"{name} = {observer} at a period of {period} s: keep it below {1.0 / period:g}")
+        raise ControlError(f"{name} = {observer} at a period of {period} s: give a gain below {1.0 / period:g}")
     turning = settings.course_margin_rad if follows else settings.limit_margin_rad
     margin = np.where(robot.chain.prismatic, settings.limit_margin_m, turning)
     half = 0.5 * (robot.q_max - robot.q_min)

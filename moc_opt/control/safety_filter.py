@@ -41,10 +41,10 @@ class SafetyFilter:
         period: control period [s].
         carries: whether the torque carries the arm's weight.
         incision: whether the tool is in an incision. If not, RCM error and trocar force are not checked.
-        momentum: whether `limit_torque` computes a missing state. Motion is not checked without a state.
+        momentum: whether `limit_torque` computes the state if none is given. Without a state, motion is not checked.
 
     Attributes:
-        limited: number of joints whose last torque was changed.
+        limited: number of joints whose torque the last call of `limit_torque` changed.
         reason: why a stop was requested; empty if none was.
     """
 
@@ -82,7 +82,7 @@ class SafetyFilter:
     ) -> tuple[Array, Array]:  # fmt: skip
         """Return the measurement. If it is late or impossible, return the last accepted measurement, extrapolated.
 
-        A stop is requested if too many measurements are bad, or the RCM error or the trocar's force is above its limit.
+        A stop is requested if too many measurements are bad, or if RCM error or trocar force is above its limit.
 
         Args:
             q, v: (n,) measured [rad], [rad/s].
@@ -99,7 +99,7 @@ class SafetyFilter:
 
     @property
     def warnings(self) -> list[dict[str, Any]]:
-        """A dict for each exceeded level: ``of`` (quantity), ``level``, ``largest`` value, ``unit``, ``first_s``."""
+        """For each exceeded warning level: ``of`` (quantity), ``level``, ``largest`` value, ``unit``, ``first_s``."""
         _, figures = self._guard.watched()
         found = []
         for (name, warning, _, unit, scale), largest, first in zip(_WATCHED, *figures[1:].tolist(), strict=True):
@@ -112,7 +112,7 @@ class SafetyFilter:
         return found
 
     def request_stop(self, reason: str) -> None:
-        """Request a stop. The first reason is kept."""
+        """Request a stop. If one was requested before, its reason is kept."""
         self.reason = self.reason or reason
 
     def limit_torque(
@@ -126,7 +126,7 @@ class SafetyFilter:
         Args:
             tau, before: (n,) the controller's torque, and the torque that was applied last [Nm].
             q, v: (n,) as returned by `check_measurement` [rad], [rad/s].
-            tip_ref: (3, 3) rows X_d, dX_d, ddX_d [m]; None: the tip is not checked.
+            tip_ref: (3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2]; None: the tip is not checked.
             state: the robot's state at (q, v), if known.
             tip: (3,) the tip position that the controller computed [m]; None: the tip of ``state``.
         """
@@ -150,7 +150,7 @@ class SafetyFilter:
     def brake_friction(self, wrench: Array) -> Array:
         """Return the dry friction (n,) [Nm] of the brakes in a stop; zero while the brakes are open.
 
-        The brakes open at a trocar force of ``stop_yield_N``. They close at half of it or after ``stop_yield_s``.
+        The brakes open at a trocar force of ``stop_yield_N``. They close at half this force, or after ``stop_yield_s``.
 
         Args:
             wrench: (6,) force [N] and torque [Nm] of the tool on its mount, in tool axes.

@@ -22,7 +22,7 @@ def _number_or_numbers(value: Any) -> float | tuple[float, ...]:
     numbers = value if isinstance(value, list | tuple) else (value,)
     for number in numbers:
         if isinstance(number, bool) or not isinstance(number, int | float) or not 0.0 <= number <= LARGEST:
-            raise ValueError("input should be a number of 0 or more, or a list with one for each joint")
+            raise ValueError("input should be a number of 0 or more, or a list of such numbers, one per joint")
     return float(value) if numbers is not value else tuple(float(number) for number in numbers)
 
 
@@ -145,7 +145,7 @@ class ControlSettings(Settings):
         if self.course and self.third_level != "planned":
             raise ValueError(
                 f"course = {self.course!r:.100} with third_level = {self.third_level!r}: only third_level = 'planned' "
-                "follows a file; set that, or leave course out"
+                "follows a file; set this third_level, or leave course out"
             )
         if self.law == "dcac" and self.follows:
             raise ValueError(
@@ -156,7 +156,7 @@ class ControlSettings(Settings):
 
     @classmethod
     def preset(cls, name: str, **changes: Any) -> ControlSettings:
-        """Return a named set of settings, with ``changes`` to some of its fields.
+        """Return a named set of settings, in which ``changes`` replace some fields.
 
         Raises:
             UnknownNameError: there is no such preset.
@@ -170,7 +170,7 @@ class ControlSettings(Settings):
         if not min(self.regularization, self.c2) > 0.0:
             raise ControlError(
                 f"third_level = {self.third_level!r}, climb = {self.climb!r} with c2 = {self.c2:g}, regularization = "
-                f"{self.regularization:g}: set both above 0, so that the subproblem has one answer"
+                f"{self.regularization:g}: set c2 and regularization above 0, so that the subproblem has one answer"
             )
 
     def matched_dcac(self) -> dict[str, Any]:
@@ -196,7 +196,7 @@ class ControlSettings(Settings):
         """Return the gains. Gains that are not set come from the robot's ``tables`` [gains.*].
 
         Raises:
-            UnknownNameError: ``gains`` is no table of this robot.
+            UnknownNameError: ``gains`` names no table of this robot.
             ControlError: a gain is missing or does not fit the joints.
         """
         name = self.gains or self.law
@@ -218,7 +218,7 @@ class ControlSettings(Settings):
 
 
 def per_joint(name: str, value: Any, joints: int) -> Array:
-    """Return (n,) from one number for all joints, or one per joint. Raise a ControlError for any other count."""
+    """Return (n,), from one number for all joints or one for each. Raise a ControlError for any other count."""
     if not isinstance(value, int | float) and len(value) != joints:
         count = f"{len(value)} entries for {joints} joints"
         raise ControlError(f"{name} = {value!r} has {count}: give one number, or one per joint")

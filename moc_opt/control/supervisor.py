@@ -27,14 +27,14 @@ from moc_opt.solvers.isolated import Unanswered
 class Fault(Enum):
     """The faults of a solver's answer."""
 
-    NONE = "the answer was taken"
+    NONE = "no fault"
     INFEASIBLE = "the solver found the subproblem infeasible"
     FAILED = "the solver gave no answer"
     RAISED = "the solver raised an exception"
     MALFORMED = "the answer does not have the form of a Solution"
     NOT_FINITE = "the answer holds NaN or infinity"
     OUTSIDE = "the answer leaves the box or misses the references by more than the check allows"
-    FALSE_OPTIMUM = "the solver claimed an optimum and the residual check disagrees"
+    FALSE_OPTIMUM = "the solver claimed an optimum, but the residual check disagrees"
     LATE = "the solver took longer than its budget"
     LOST = "the solver's process hung or ended, and is replaced"
 
@@ -146,7 +146,7 @@ class Supervisor:
         self.faults: dict[str, dict[str, Any]] = {}
 
     def solve(self, session: Session, qp: NullSpaceQP, v: Array | None = None) -> tuple[Solution, Array, Array]:
-        """Let the session solve, check its answer, and finish the tick.
+        """Let the session solve ``qp``, check the answer, and finish the tick.
 
         Return (solution, x, tau): the solver's answer, the x (n,) [rad/s] that the arm follows, the torque (n,) [Nm].
         ``v`` (n,) [rad/s] is the measured velocity; None if the session does not use it.

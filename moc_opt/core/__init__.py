@@ -27,8 +27,8 @@ try:
     )
 except ImportError as error:
     raise ImportError(
-        f"moc_opt's compiled core cannot be loaded ({error}): install the package, `pip install .` (or -e .), which "
-        "compiles it"
+        f"moc_opt's compiled core cannot be loaded ({error}): install the package with `pip install .` (or "
+        "`pip install -e .`), which compiles the core"
     ) from error
 
 __all__ = [

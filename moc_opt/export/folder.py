@@ -106,8 +106,8 @@ def constants(
 
 #define JOINTS {robot.n}
 #define PERIOD_S {in_c(law["period"])} /* control period [s] */
-#define STOP_DAMPING {in_c(stop[0])} /* of the drives in a stop [Nm s/rad] */
-#define STOP_S {in_c(stop[1])} /* shortest duration of this damping [s] */
+#define STOP_DAMPING {in_c(stop[0])} /* damping of the drives in a stop [Nm s/rad] */
+#define STOP_S {in_c(stop[1])} /* shortest duration of a stop [s] */
 
 extern const moc_controller moc_constants;
 
@@ -159,12 +159,12 @@ def write(
         law, guard: numbers under the names in moc.h.
         recording: the ticks that ``make test`` repeats.
         tolerance: tolerance of the solver ``exact`` [rad/s].
-        stop: damping of the drives in a stop [Nm s/rad], and its shortest duration [s].
+        stop: damping of the drives in a stop [Nm s/rad], and shortest duration of a stop [s].
         extra: further files, as a mapping from name to content.
-        force: also overwrite edited and foreign files.
+        force: also overwrite files that were edited, or that export-c did not write.
 
     Raises:
-        ScenarioError: ``out`` cannot be written, or only with ``force``.
+        ScenarioError: ``out`` cannot be written, or has files that only ``force`` overwrites.
     """
     texts: dict[str, str | bytes] = {**shipped(files("moc_opt.core"), CORE), **shipped(OWN, TESTS)}
     texts |= constants(robot, law, guard, tolerance, stop) | {"recording.h": recording_in_c(recording)} | dict(extra)
@@ -175,8 +175,8 @@ def write(
     kept = [name for name in texts if (folder / name).exists() and not _is_own(folder / name)]
     if kept and not force:
         raise ScenarioError(
-            f"out = {str(folder)!r}: {', '.join(kept)} there {'is' if len(kept) == 1 else 'are'} not as export-c "
-            "wrote it: name another folder, or give --force to write over it"
+            f"out = {str(folder)!r}: {', '.join(kept)} in it {'is' if len(kept) == 1 else 'are'} edited or from "
+            "elsewhere: name another folder, or give --force to overwrite"
         )
     return [
         write_whole(folder / name, text if isinstance(text, bytes) else _marked(name, text), "out =", ScenarioError)

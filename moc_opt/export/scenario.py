@@ -32,7 +32,7 @@ def export_scenario(
         scenario: its run is simulated to record ticks.
         out: folder, created if it does not exist.
         udp: also write a program that runs this controller over UDP.
-        force: also overwrite edited and foreign files.
+        force: also overwrite files that were edited, or that export-c did not write.
 
     Raises:
         MocOptError: a setting is not supported, the scenario cannot run, or ``out`` cannot be written.
@@ -60,13 +60,13 @@ def check(scenario: Scenario) -> None:
         (control.law == "moc" and solver.name != "exact",
          f"[solver] name = {solver.name!r}: the C code contains only one solver; take 'exact'"),
         (solver.replay_us is not None,
-         f"[solver] replay_us = {solver.replay_us!r:.60}: the C code replays no recorded times; leave it out"),
+         f"[solver] replay_us = {solver.replay_us!r:.60}: the C code replays no recorded times; leave this key out"),
         (solver.isolation != "none",
-         f"[solver] isolation = {solver.isolation!r}: an exported controller contains its solver; leave it out"),
+         f"[solver] isolation = {solver.isolation!r}: the C code starts no other process; leave this key out"),
         (control.follows,
          f"[control] third_level = {control.third_level!r}: the C code follows no planned joint motion; take 'local'"),
         (control.supervisor.budget_us is not None,
-         f"[control.supervisor] budget_us = {control.supervisor.budget_us}: the C code reads no clock; leave it out"),
+         f"[control.supervisor] budget_us = {control.supervisor.budget_us}: C code reads no clock; leave this key out"),
     ):  # fmt: skip
         if wrong:
             raise ScenarioError(words)
@@ -78,7 +78,7 @@ def references(setup: Setup) -> bytes:
 
 
 def record(setup: Setup) -> Recording:
-    """Record the controller and its safety filter on measurements of the run. The last third has faults."""
+    """Record the controller and its safety filter on measurements of the run, the last third with faults."""
     scenario, trace, t = setup.scenario, setup.trace(), setup.times()
     whole = min(len(trace), len(t))
     k = min(TICKS, whole)
@@ -105,7 +105,7 @@ def _spoil(setup: Setup, q: Array, v: Array, tip_ref: Array, stamp: Array) -> No
     guard, k = setup.scenario.guard, len(q)
     bridged = min(guard.patience_ticks, k // 10)
     q[k // 5 : k // 5 + bridged] = np.nan
-    stamp[3 * k // 10] -= min(bridged, 1)  # the previous packet comes again
+    stamp[3 * k // 10] -= min(bridged, 1)  # as if the previous packet came again
     if bridged > 0:
         q[2 * k // 5, 0] += 4.0 * guard.jump_rad
     v[3 * k // 5, -1] = 2.0 * setup.robot.v_max[-1]

@@ -1,4 +1,4 @@
-"""Read files up to a largest size, and write files all or nothing.
+"""Read files up to a maximum size, and write files completely or not at all.
 
 If a file cannot be read or written, ``error`` is raised. Its message begins with ``what``, the kind of file.
 """
@@ -21,16 +21,16 @@ from typing import Any
 
 from moc_opt.errors import MocOptError, shown
 
-MOST_TEXT = 4 * 2**20  #: Largest text file [bytes].
-MOST_ARRAYS = 2**27  #: Largest file of numpy's arrays [bytes].
-MOST_DATA = 4 * 2**30  #: Largest Parquet file [bytes].
+MOST_TEXT = 4 * 2**20  #: Maximum size of a text file [bytes].
+MOST_ARRAYS = 2**27  #: Maximum size of a file of numpy's arrays [bytes].
+MOST_DATA = 4 * 2**30  #: Maximum size of a Parquet file [bytes].
 
 Path_ = str | os.PathLike[str]
 Wrong = type[MocOptError]
 
 
 def as_path(path: object, what: str, error: Wrong) -> Path:
-    """Return ``path`` as a Path. Raise ``error`` if it is none."""
+    """Return ``path`` as a Path. Raise ``error`` if it is no path."""
     if isinstance(path, str) or (isinstance(path, os.PathLike) and isinstance(os.fspath(path), str)):
         return Path(path)
     raise error(f"{what} {shown(path)} is no path: give the name of a file as text, or a pathlib.Path")
@@ -58,7 +58,7 @@ def read_text(path: Path_, what: str, error: Wrong) -> str:
     try:
         return read_bytes(path, what, error).decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError as reason:
-        raise error(f"{what} {os.fspath(path)!r} is not a text in UTF-8 ({reason}); save it as such") from reason
+        raise error(f"{what} {os.fspath(path)!r} is not a text in UTF-8 ({reason}); save it in UTF-8") from reason
 
 
 def read_toml(path: Path_, what: str, error: Wrong) -> dict[str, Any]:
@@ -66,7 +66,7 @@ def read_toml(path: Path_, what: str, error: Wrong) -> dict[str, Any]:
     text = read_text(path, what, error)
     try:
         return tomllib.loads(text)
-    except (ValueError, RecursionError) as reason:  # ValueError also for an integer of thousands of digits
+    except (ValueError, RecursionError) as reason:  # ValueError: also raised for thousands of digits
         raise error(f"{what} {os.fspath(path)!r} is not TOML: {reason}") from reason
 
 
@@ -102,12 +102,12 @@ def check_replaceable(path: Path_, what: str, error: Wrong) -> Path:
 
 
 def write_whole(path: Path_, data: bytes | str, what: str = "file", error: Wrong = MocOptError) -> Path:
-    """Write bytes, or a text in UTF-8, all or nothing. A missing folder is made.
+    """Write bytes, or a text in UTF-8, completely or not at all. A missing folder is made.
 
     A link at this path is replaced, not followed.
     """
     target = check_replaceable(path, what, error)
-    # A rename is atomic only within one file system.
+    # In the same folder, because a rename is atomic only within one file system.
     unfinished = target.with_name(f".{target.name[:40]}.{secrets.token_hex(8)}.tmp")
     with _writing(target, what, error):
         try:
@@ -131,7 +131,7 @@ def _writing(target: Path, what: str, error: Wrong) -> Iterator[None]:
         why = getattr(reason, "strerror", None) or str(reason)
         raise error(
             f"{what} {str(target)!r} cannot be written in the folder {str(target.absolute().parent)!r} ({why}): make "
-            "room on its disk, or name a file in a folder that you may write to"
+            "room on the disk, or name a file in a folder that you may write to"
         ) from reason
 
 

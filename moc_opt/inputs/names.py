@@ -6,8 +6,8 @@ import re
 
 MAX_LENGTH = 100
 RULE = (
-    f"a name has 1 to {MAX_LENGTH} characters, letters, digits, spaces and _ - . : + / of ASCII; the first and last "
-    "are a letter, digit or _, and no two points follow each other"
+    f"a name has 1 to {MAX_LENGTH} characters (ASCII letters, digits, spaces and _ - . : + /); it begins and ends with "
+    "a letter, digit or _, and has no two dots in a row"
 )
 _NAME = re.compile(r"[A-Za-z0-9_](?:[A-Za-z0-9_ .:+/-]*[A-Za-z0-9_])?")
 

@@ -15,9 +15,9 @@ from moc_opt.inputs import names
 
 _ALTERNATIVE = re.compile(r"constrained-|literal\[|tuple\[|(float|str)$")  # pydantic's names of types in a union
 LARGEST_INTEGER = 2**63 - 1
-SMALLEST, LARGEST = 1e-30, 1e30  # bounds of |x| for each number x but 0
-MOST = 10_000_000  # largest integer that is no seed
-LONGEST_S = 1e6  # longest time to run, wait or average [s]
+SMALLEST, LARGEST = 1e-30, 1e30  # bounds on |x| for each number x except 0
+MOST = 10_000_000  # bound on |k| for each integer k except seeds
+LONGEST_S = 1e6  # bound on each time to run, wait or average [s]
 
 Name = Annotated[str, pydantic.AfterValidator(names.checked)]
 """A name that follows `moc_opt.inputs.names.RULE`."""
@@ -87,7 +87,7 @@ class Settings(pydantic.BaseModel):
 
 
 def _leaves(given: Any, value: Any, where: str = "") -> Iterator[tuple[str, Any, Any]]:
-    """Yield place, value as written, and validated value of every entry."""
+    """For every entry, yield its place, its value as written, and its validated value."""
     if not isinstance(value, Mapping | list | tuple):
         yield where, given, value
         return
@@ -100,14 +100,14 @@ def _leaves(given: Any, value: Any, where: str = "") -> Iterator[tuple[str, Any,
 
 
 def _fault(written: Any, read: Any, most: int) -> str:
-    """Return the cure for a wrong value, such as "2" or "yes", which pydantic would convert."""
+    """Return the cure for a wrong value that pydantic accepts, such as "2" for a number; "" for a right value."""
     is_flag = isinstance(written, bool | np.bool_)
     if isinstance(read, bool):
         return "" if is_flag else "give true or false, without quotes"
     if is_number(read) and (is_flag or isinstance(written, str | bytes)):
         return "give a number" if is_flag else "a number has no quotes: drop them"
     if isinstance(read, int) and not -most <= read <= most:
-        return f"give an integer of at most {most}"
+        return f"give an integer of at most {most} in absolute value"
     if isinstance(read, float) and read != 0.0 and not SMALLEST <= abs(read) <= LARGEST:
         return f"give 0, or a size from {SMALLEST:g} to {LARGEST:g}"
     return ""

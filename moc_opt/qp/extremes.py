@@ -17,23 +17,23 @@ from numpy.typing import NDArray
 
 from moc_opt.arrays import Array
 
-MOST_CORNERS = 10_000  # largest number of corners that are tried
+MOST_CORNERS = 10_000  # with more corners, only a local search looks for the largest cost
 FAR = 1e3  # length of a proximal step that meets no bound [box widths]
-ROUNDS, STEPS = 200, 20  # largest numbers of proximal steps, and of steps uphill per joint
+ROUNDS, STEPS = 200, 20  # maximum numbers of proximal steps, and of uphill steps per joint
 ROUNDING = 1e-14  # rounding error of numbers of order one
 SETTLED = 1e-11  # a shorter proximal step ends the search
-FLAT = 1e-9  # a slope or multiplier below this fraction of the largest counts as zero
+FLAT = 1e-9  # a slope or multiplier below this fraction of the largest one counts as zero
 STILL = 1e-10  # a shorter row of Z does not bound the motion in ker A
 TOUCHING = 1e-8  # widening of a feasible set that is a point [box widths]
 LEVEL = 1e-12  # a scaled cost that varies by less counts as constant
 
 
 class Extremes(NamedTuple):
-    """Smallest and largest cost on the feasible set, minus the cost at w = 0.
+    """Smallest and largest cost on the feasible set. The cost at w = 0 counts as 0.
 
     Attributes:
         w: (r,) a point of smallest cost.
-        least: a lower bound on the cost, by weak duality. If w is optimal, it equals the cost of w.
+        least: a lower bound on the cost, by weak duality. If w is optimal, this bound equals the cost of w.
         most: the largest cost. With rho > 0 and many corners, it may be only a local maximum.
         pull: (n,) gradient of the Lagrangian at w = 0, with the optimum's multipliers of A x = b.
     """
@@ -113,7 +113,7 @@ def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Arr
         return None
     active = u > 0.0
     u *= size / left
-    # Solve again with the active bounds alone, exact up to rounding.
+    # Solve again with only the active bounds, as equations: exact up to rounding.
     step, *_ = np.linalg.lstsq(G[active], short[active], rcond=None)
     if (short - G @ step).max() > max((short - G @ (G.T @ u)).max(), 0.0) + ROUNDING:
         step = G.T @ u

@@ -76,7 +76,7 @@ def compute_residuals(rows: Array, x: Array, y: Array | None = None) -> Residual
 
 
 class Assembled(NamedTuple):
-    """The read-only arrays of min 1/2 x^T P x + p^T x with A x = b. lift^T y converts m duals y to six."""
+    """The read-only arrays of min 1/2 x^T P x + p^T x with A x = b. lift^T y converts the m duals y to six."""
 
     P: Array  #: (n, n)
     p: Array  #: (n,)
@@ -210,7 +210,7 @@ class NullSpaceQP:
     p = property(lambda self: self.reduced().p, doc="(n,): -c0 J_T^T v_T - c1 J_W^T v_W - c2 pull")
 
     def objective(self, x: ArrayLike) -> float:
-        """Return the cost 1/2 x^T P x + p^T x, without its constant term.
+        """Return 1/2 x^T P x + p^T x, the cost without its constant term.
 
         Raises:
             SubproblemError: x is not (n,) numbers.
@@ -219,9 +219,9 @@ class NullSpaceQP:
         return float(0.5 * x @ self.P @ x + self.p @ x)
 
     def assembled(self, rows: int = 5) -> Assembled:
-        """Compute the cost and the equality rows: six, or five that are linearly independent.
+        """Compute the cost and the equality rows: all six, or (rows = 5) five that are linearly independent.
 
-        If tip and wrist are not rigidly connected, rows = 5 also gives six.
+        If tip and wrist are not rigidly connected, rows = 5 also gives all six.
         """
         n = self.n
         P, p, spare, plain = np.empty((n, n)), np.empty(n), np.empty(n), np.ones(3)

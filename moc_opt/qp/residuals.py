@@ -18,14 +18,14 @@ from moc_opt.arrays import Array
 from moc_opt.qp.extremes import ROUNDING, STILL, extremes
 
 # The sixth singular value of A counts as zero below TIED |A|_F, any other singular value below RANK_TOLERANCE |A|_F.
-# Jacobians rounded to 7 decimals make the sixth value up to 8e-8 |A|_F.
+# If the Jacobians are rounded to 7 decimals, the sixth value can reach 8e-8 |A|_F.
 TIED = 1e-7
 RANK_TOLERANCE = 1e-12
 GRADIENT_ROUNDING = 1e-9  # a reduced gradient below this fraction of |pull|_inf counts as zero
-A_POINT = 1e-9  # a feasible interval this short counts as a point [rad/s]
-FEASIBLE = 1e-6  # widening of the bounds that may make an empty feasible set a point [rad/s]
-MOST_FACETS = 300  # largest number of facets for which the best duals are found
-TIED_BY_ROUNDING = 1e-14  # a sixth singular value below this share of |A|_F is rounding
+A_POINT = 1e-9  # a feasible interval of at most this length counts as a point [rad/s]
+FEASIBLE = 1e-6  # an empty feasible set counts as a point if it is nonempty with bounds this much wider [rad/s]
+MOST_FACETS = 300  # with more facets, the optimum's duals replace the best duals
+TIED_BY_ROUNDING = 1e-14  # a sixth singular value below this share of |A|_F is a rounding error
 NEARLY_SINGULAR = 1e-3  # a singular value below this share of |A|_F needs refinement
 REFINEMENTS = 3  # steps of iterative refinement
 
@@ -35,10 +35,10 @@ class Residuals(NamedTuple):
 
     Attributes:
         primal: max(|A x - b|_inf, violation of the bounds) [m/s or rad/s].
-        natural: natural residual with the solver's own y. If the solver gave no y, it is ``natural_best``.
-        natural_best: natural residual with the y that makes it smallest for this x. If it is far below ``natural``, x
-            is good and the duals are bad.
-        relative: ``natural_best`` after dividing the cost by the size of its reduced gradient. This size is
+        natural: natural residual with the solver's y. If the solver gave no y, it equals ``natural_best``.
+        natural_best: natural residual with the y for which this residual is smallest. If it is far below ``natural``,
+            the solver's y is worse than its x.
+        relative: ``natural_best`` after dividing the cost by the size of the cost's reduced gradient. This size is
             max(c2 |Z Z^T pull|_inf, rho times 1 rad/s), with an orthonormal basis Z of ker A.
         loss: (cost of x - smallest cost) / (largest - smallest cost) over the feasible set, in [0, 1]. It is 0 if all
             feasible points have the same cost.

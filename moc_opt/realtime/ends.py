@@ -25,20 +25,20 @@ from moc_opt.sim.protocols import Filtered, LoggedController
 from moc_opt.sim.sensors import Measurement
 
 INCOMING = (Kind.HELLO, Kind.START, Kind.COMMAND, Kind.BYE)
-_BYE_S, _BYE_TIMES = 0.1, 10  # interval [s] and largest number of ENDED packets
-_REPEAT_S = 0.1  # time after which HELLO and START are sent again
-_LINGER_S = 0.3  # time for which repeated ENDED packets are acknowledged
+_BYE_S, _BYE_TIMES = 0.1, 10  # interval between ENDED packets [s], and their maximum number
+_REPEAT_S = 0.1  # interval at which HELLO and START are repeated [s]
+_LINGER_S = 0.3  # time for which repeated ENDED packets are acknowledged [s]
 
 
 class RemoteController(Filtered):
-    """The plant's end: it sends measurements and returns the commanded torques. Without a command, its watchdog acts.
+    """The plant's end of the wire: it sends measurements, and returns the torques of commands or of its watchdog.
 
     Pass the object to `sim.loop.simulate` as the controller, and ``pace`` as ``watch``. Call ``close`` afterwards.
 
     Args:
-        safety_filter: the plant's own filter.
+        safety_filter: the filter of the watchdog. The controller has another one.
         columns: function that makes the trace columns for a number of ticks.
-        applied, tau_max: (n,) torque before the first tick, and largest torque that a command may have [Nm].
+        applied, tau_max: (n,) torque before the first tick, and limits of the torques in commands [Nm].
         clock: None for lock-step, in which the plant waits for each command.
     """
 
@@ -59,7 +59,7 @@ class RemoteController(Filtered):
     warnings = property(lambda self: [])  # the controller's end records them
 
     def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
-        """Wait until a controller starts at the first measurement. Raise a WireError if none does."""
+        """Wait until a controller starts at the first measurement. Raise a WireError if no controller does."""
         link, packet, self._sound = self.link, self._packet, seen
         self._fill(seen, wire.WAITING)
 
@@ -96,7 +96,7 @@ class RemoteController(Filtered):
         else:
             self._silent, self._applied, self._friction = 0, np.array(command["tau"]), np.array(command["friction"])
             if int(command["flags"]) & wire.STOP and not self.stop_reason:
-                self.stop_reason = _text(command["reason"]) or "the controller asked for it"
+                self.stop_reason = _text(command["reason"]) or "the controller requested a stop"
         self._tick += 1
         return self._applied
 
@@ -140,7 +140,7 @@ class RemoteController(Filtered):
         """Tell the controller that the run is over. Return the packet counts."""
 
         def acknowledges(found: Packet) -> bool:
-            self._is_due(found)  # for its counts
+            self._is_due(found)  # counts the packet
             return bool(found["kind"] == Kind.BYE)
 
         self._packet["flags"], link = wire.ENDED, self.link
@@ -185,7 +185,7 @@ def _text(field: NDArray[Any]) -> str:
 
 @dataclass(eq=False)
 class Answering:
-    """The controller's end: it answers measurements until the plant ends the run."""
+    """The controller's end of the wire: it answers measurements until the plant ends the run."""
 
     link: Link
     settings: WireSettings
@@ -193,7 +193,7 @@ class Answering:
     safety_filter: SafetyFilter | None
     tip_refs: Array  #: (N, 3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2].
     registered: Array  #: (N, 2, 3) position [m] and velocity [m/s] of the registered trocar.
-    scenario: int  #: Fingerprint that both ends must share.
+    scenario: int  #: Fingerprint of the scenario, which must be the same at both ends.
     ready: Callable[[], None] = lambda: None  #: Called once after the controller has started.
 
     def run(self) -> dict[str, Any]:
@@ -228,7 +228,7 @@ class Answering:
         return make_packet(kind, self.link.n, self.link.session, self.scenario)
 
     def _ask(self, kind: Kind, *, waits: bool) -> Packet:
-        """Send a packet until a measurement comes, which is WAITING if ``waits``."""
+        """Repeat a packet until a measurement comes: one that is WAITING if ``waits``, else one that is not."""
         link, request, until = self.link, self._packet(kind), monotonic() + self.settings.wait_s
         while (now := monotonic()) < until:
             link.send(request)

@@ -31,9 +31,9 @@ from moc_opt.qp.problem import row_length
 MAGIC, VERSION = b"MOCW", 3
 LOOPBACK_KEY = b"moc_opt: loopback, no secret"
 VARIABLE = "MOC_OPT_WIRE_KEY"
-SHORTEST, LONGEST = 16, 32  #: Smallest and largest number of bytes of a key.
+SHORTEST, LONGEST = 16, 32  #: Bounds on the number of bytes of a key.
 TAG_BYTES = 16
-BACKLOG = 256  #: Largest number of packets read after the deadline.
+BACKLOG = 256  #: Maximum number of packets that `receive` reads if its deadline has passed.
 COUNTERS = ("received", "missed", "late", "forged", "foreign")
 """The counters of each end, explained in docs/realtime.md."""
 
@@ -147,7 +147,7 @@ def c_packets(n: int, ticks: int, scenario: int, settings: WireSettings) -> str:
         "REPORTED": REPORTED, **{f"KIND_{kind.name}": int(kind) for kind in Kind},
     }  # fmt: skip
     return "\n".join([
-        "/* The packets of the wire and its numbers, written by moc_opt/realtime/wire.py; see docs/realtime.md. */",
+        "/* The packets and numbers of the wire, written by moc_opt/realtime/wire.py; see docs/realtime.md. */",
         "#include <stdint.h>",
         "#if defined(__BYTE_ORDER__) && __BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__",
         '#error "the packets are little-endian"',
@@ -189,14 +189,14 @@ def read_key(file: Path | None, host: str, option: str) -> bytes:
         if ip_address(host).is_loopback:
             return LOOPBACK_KEY
         raise WireError(
-            f"{option} {host}: other machines reach that address, and whoever can send to it moves the arm: give both "
+            f"{option} {host}: other machines reach that address, and any of them can move the arm: give both "
             f"ends the same key by --key-file or {VARIABLE}, or take 127.0.0.1"
         )
-    key = (text if file is None else text.strip()).encode(errors="surrogateescape")  # the C program does not strip it
+    key = (text if file is None else text.strip()).encode(errors="surrogateescape")  # C does not strip the variable
     if not SHORTEST <= len(key) <= LONGEST:
         raise WireError(
             f"{VARIABLE if file is None else f'--key-file {str(file)!r}'}: a key of {len(key)} bytes: give one line of "
-            f"{SHORTEST} to {LONGEST}, such as `openssl rand -hex 16` prints"
+            f"{SHORTEST} to {LONGEST}, such as the output of `openssl rand -hex 16`"
         )
     return key
 
@@ -204,7 +204,7 @@ def read_key(file: Path | None, host: str, option: str) -> bytes:
 class Link:
     """A socket that sends and receives sealed packets. Raises a WireError if the address cannot be bound.
 
-    It listens at ``address`` and sends to ``peer``, which is None until it is known. ``quality`` has the counts of
+    It listens at ``address`` and sends to ``peer``, which is None until known. ``quality`` has the counts named in
     ``COUNTERS``; ``sender`` is the address of the latest valid packet.
     """
 
@@ -240,7 +240,7 @@ class Link:
             raise WireError(f"nothing can be sent to {written(to or self.peer)}: {describe(error)}") from error
 
     def receive(self, until: float, wanted: Callable[[Packet], bool] = lambda packet: True) -> Packet | None:
-        """Return the next valid packet for which ``wanted`` is true, or None at ``until`` (`time.monotonic`) [s]."""
+        """Return the next valid packet for which ``wanted`` is true, or None if the time ``until`` [s] has come."""
         looked_at = 0
         while looked_at < BACKLOG or monotonic() < until:
             try:
@@ -261,7 +261,7 @@ class Link:
         return None
 
     def _sound(self, data: bytes, sender: Address) -> Packet | None:
-        """Return a valid packet of this run, or count it as forged or foreign."""
+        """Return the packet if it is valid and of this run. Otherwise, count it as forged or foreign."""
         form = self._incoming.get(data[5]) if len(data) > 5 else None
         if form is not None and len(data) == form.nbytes:
             if not sealed(data, self._key):

@@ -69,10 +69,10 @@ def test_numbers_are_written_to_the_last_bit():
 
 @pytest.mark.parametrize(("tables", "words"), [
     ({"solver": {"name": "rnn"}}, r"\[solver\] name = 'rnn'.*take 'exact'"),
-    ({"solver": {"replay_us": [10.0]}}, r"\[solver\] replay_us = \(10.0,\).*leave it out"),
-    ({"solver": {"isolation": "process"}}, r"\[solver\] isolation = 'process'.*leave it out"),
+    ({"solver": {"replay_us": [10.0]}}, r"\[solver\] replay_us = \(10.0,\).*leave this key out"),
+    ({"solver": {"isolation": "process"}}, r"\[solver\] isolation = 'process'.*leave this key out"),
     ({"control": {"third_level": "receding"}}, r"\[control\] third_level = 'receding'.*take 'local'"),
-    ({"control": {"supervisor": {"budget_us": 100.0}}}, r"budget_us = 100.0.*leave it out"),
+    ({"control": {"supervisor": {"budget_us": 100.0}}}, r"budget_us = 100.0.*leave this key out"),
 ])  # fmt: skip
 def test_unsupported_setting_is_refused_by_name(tmp_path, tables, words):
     with pytest.raises(ScenarioError, match=words):
@@ -94,7 +94,7 @@ def test_export_overwrites_only_its_own_files(tmp_path, capsys):
     (out / "main.c").write_text((out / "main.c").read_text().replace("ROUNDS = 500", "ROUNDS = 5"))
     changed = (out / "main.c").read_text()
     assert main(command) == 2
-    assert "main.c there is not as export-c wrote it: name another folder, or give --force" in capsys.readouterr().err
+    assert "main.c in it is edited or from elsewhere: name another folder, or give --force" in capsys.readouterr().err
     assert (out / "main.c").read_text() == changed
     assert main([*command, "--force"]) == 0
     assert (out / "main.c").read_text() != changed

@@ -63,7 +63,7 @@ def test_a_curve_closes_after_one_turn_of_a_joint(step):
         assert len(follow(low, high, start, way * TURN, step, most=most)[0]) == most
         for side, limits in ((1.0, high), (-1.0, low)):
             bounded = limits.copy()
-            bounded[4] = 2.0 + side * (2.0 * np.pi - 0.04)  # a limit ends the turn just before it closes
+            bounded[4] = 2.0 + side * (2.0 * np.pi - 0.04)  # a limit ends the curve just before it closes
             pair = (low, bounded) if side > 0.0 else (bounded, high)
             s, poses, closed = follow(*pair, start, side * TURN, step)
             assert (closed, poses[-1, 4]) == (0, bounded[4])

@@ -23,7 +23,7 @@ from moc_opt.tasks.trocar import shaft_distance
 
 BARE = Scenario(bound_samples=0, judge=False)
 FOLLOWED = BARE.change(control={"third_level": "planned"}, plant={"preset": "nominal"})
-# From this start the local law ends at a local maximum of mu that is far below the best.
+# From this start, the local law ends at a local maximum, far below the largest mu.
 TRAPPED = BARE.change(
     seed=9, duration_s=4.0, control={"third_level": "receding"}, start={"pose": "random"}, task={"path": "circle"}
 )
@@ -55,7 +55,7 @@ def test_the_desired_velocity_corrects_the_position_error(robot):
     guide.start()
     off = robot.state(robot.data.q_home + 0.01)
     np.testing.assert_allclose(guide.desired_velocity(off), 0.1 - 0.05, atol=1e-9)
-    for _ in range(600):  # after the course's end its final pose is held
+    for _ in range(600):  # after the end of the course, its final pose is held
         last = guide.desired_velocity(robot.state(robot.data.q_home + 0.2))
     np.testing.assert_allclose(last, 5.0 * (0.1 - 0.2), atol=1e-9)
 
@@ -69,7 +69,7 @@ def test_a_course_is_interpolated_by_cubic_polynomials():
     np.testing.assert_array_equal(piece.at(1.5), [q[-1], np.zeros(7)])
 
 
-def test_an_arm_off_its_course_still_reaches_the_maximum():
+def test_an_arm_that_left_its_course_reaches_the_maximum_of_mu():
     made = Setup(TRAPPED.change(control={"third_level": "planned"}))
     robot, guide, q, held = made.robot, follower(made), np.array(made.q_start), 500
     targets = targets_of(robot, made.layout, made.ticks + 1)
@@ -95,7 +95,7 @@ def test_the_arm_follows_its_course_in_a_run():
     wanted = np.array([guide._given.at(t)[0] for t in trace.t_s])
     assert np.abs(trace.q_rad - wanted)[trace.t_s > 1.0].max() < 0.05
     climbed = mo.run(FOLLOWED.change(control={"third_level": "local"}))
-    # From this pose the climb reaches the same maximum. A course gives up some mu to be smooth.
+    # From this start, the local climb reaches the same maximum. The course gives up some mu to be smooth.
     assert trace.mu.mean() > 0.995 * climbed.mu.mean()
     assert Setup(FOLLOWED.change(control=FOLLOWED.control.matched_dcac())).controller()._guide is None
 
@@ -112,7 +112,7 @@ def test_a_start_inside_the_limit_margin_costs_no_mu():
     assert just_inside.mu_mean > 0.99 * deeper.mu_mean
 
 
-def test_a_faster_course_is_tried_if_it_pays(monkeypatch):
+def test_a_faster_course_is_tried_if_it_raises_mu_enough(monkeypatch):
     q = (0.11625160465135753, -0.48236975363387774, 0.6927921516761183, -1.0529279629259627, 2.6042965767787516,
          1.9686742406249267, 1.3759513161472126)  # fmt: skip
     far = FOLLOWED.change(
@@ -133,7 +133,7 @@ def test_a_faster_course_is_tried_if_it_pays(monkeypatch):
         assert there.speeds == (*first, *SPEEDS)
 
 
-def test_easier_planners_are_tried_until_one_finds_a_course(monkeypatch):
+def test_slower_or_less_constrained_planners_are_tried_until_one_finds_a_course(monkeypatch):
     ways, tried = planned_ways(), []
 
     def program(*of, mu, smoothness, brake, horizon):
@@ -155,8 +155,8 @@ def test_easier_planners_are_tried_until_one_finds_a_course(monkeypatch):
     ([(1.0, False), (0.94, True), (0.96, True)], 2), ([(0.8, True), (0.9, True), (0.7, True), (0.6, True)], 1),
     ([(1.0, False), (1.0, False), (1.0, False), (0.5, True)], 3),
 ])  # fmt: skip
-def test_slower_courses_are_tried_until_one_is_smooth(monkeypatch, answers, chosen):
-    """An answer is (the smooth course's share of mu, whether it keeps all limits). The last course need not brake."""
+def test_slower_courses_are_tried_until_smoothing_costs_little_mu(monkeypatch, answers, chosen):
+    """An answer is (mu after smoothing / mu before, whether all limits are kept). The last course need not brake."""
     run, tried, made = setup("planned").following, [], []
 
     def refined(robot, targets, course, limits, *, smoothness, brake):
@@ -184,7 +184,7 @@ def test_settings_without_a_feasible_course_are_refused(change, message):
         Setup(FOLLOWED.change(**change)).controller()
 
 
-def test_a_joint_may_be_as_fast_as_the_third_level_follows(robot):
+def test_a_course_is_refused_if_it_is_too_fast_for_the_third_level(robot):
     idle = np.append(np.full(6, 0.85 + 5e-7), 1.0)
     assert guides.too_fast_to_follow(FOLLOWED.control, robot, idle) is None
     told, cure = guides.too_fast_to_follow(FOLLOWED.control, robot, idle + 1e-3 * np.eye(7)[2])
@@ -222,7 +222,7 @@ def test_wrong_answers_of_the_program_are_refused(monkeypatch, wrong):
 
     def nonsense(self, guess, *_):
         if wrong == "fast":
-            return guess + 2.0 * np.eye(7)[6], True  # tip and wrist stay, and the first step is too long
+            return guess + 2.0 * np.eye(7)[6], True  # tip and wrist stay in place, but the first step is too long
         return (rng.normal(size=guess.shape) if wrong == "random" else np.full_like(guess, np.nan)), True
 
     monkeypatch.setattr(Program, "solve", nonsense)

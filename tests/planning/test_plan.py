@@ -1,4 +1,4 @@
-"""A plan says whether a path can be executed, or where it is blocked. Its courses are planned joint motions."""
+"""A plan says whether a path can be executed, and if not, where it is blocked. Its courses are joint motions."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def test_mean_mu_rises_from_climb_to_course_to_bound(robot):
     assert again.from_start.mu_mean == pytest.approx(plan.best.mu_mean, rel=1e-4)
 
 
-def test_targets_have_the_shaft_in_the_trocar(robot):
+def test_at_every_target_the_shaft_passes_through_the_trocar(robot):
     state = robot.state(robot.data.q_home)
     targets = line_from(robot, robot.data.q_home, 5)
     way = state.tip - 0.15 * state.tool_direction - targets.tip
@@ -42,7 +42,7 @@ def test_targets_have_the_shaft_in_the_trocar(robot):
             lay_targets(Reference(path, 0.05, 0.2), trocar, state.tool_span, 0.8, 5, tool)
 
 
-def test_a_bound_that_a_course_exceeds_is_not_given(robot, monkeypatch):
+def test_a_bound_below_the_mu_of_a_course_is_dropped(robot, monkeypatch):
     """Scaling the bound's mu by 0.9 imitates a map that is too coarse."""
     monkeypatch.setattr("moc_opt.planning.search._highest_nearby", lambda mu: 0.9 * mu)
     plan = make_plan(robot, robot.data.q_home, task(robot, robot.data.q_home, 20), swivels=180)
@@ -84,9 +84,9 @@ def test_the_joint_that_blocks_a_path_is_named(robot, limits, told):
     ({"limits": Limits(speed_share=0.0)}, "speed_share"), ({"limits": Limits(speed_share=1.1)}, "speed_share"),
     ({"limits": Limits(shaft=1.05)}, "shaft_margin"), ({"limits": Limits(-0.1)}, "margin_rad"), ({}, "q_start"),
 ])  # fmt: skip
-def test_bad_arguments_are_named(robot, change, name):
+def test_errors_name_the_bad_argument(robot, change, name):
     q = robot.data.q_home
-    with pytest.raises(TaskError, match=name):  # without a change, the start is off the path
+    with pytest.raises(TaskError, match=name):  # if ``change`` is empty, the start is off the path
         make_plan(robot, q if change else q + 0.01, task(robot, q, 10), **change)
 
 
@@ -110,10 +110,10 @@ def test_a_course_far_below_the_bound_is_replaced(monkeypatch):
     found = planned.plan(trapped, times=60, swivels=180)
     assert found.climbed_whole
     assert 1.15 * found.climbed.mu_mean < found.from_start.mu_mean <= found.bound_from_start
-    assert [start is None for start in asked] == [False, True, False], "the best of all starts is near its bound"
+    assert [start is None for start in asked] == [False, True, False], "only the given start is searched again"
 
 
 @pytest.mark.parametrize(("name", "margin"), [("margin_rad", -1.0), ("margin_m", np.inf), ("margin_m", "x")])
-def test_a_wrong_margin_is_refused_by_its_name(name, margin):
+def test_the_error_for_a_wrong_margin_names_the_margin(name, margin):
     with pytest.raises(MocOptError, match=f"{name} = .*give zero or more"):
         planned.plan(Scenario(duration_s=0.1), times=5, **{name: margin})

@@ -1,4 +1,4 @@
-"""The pose map has every pose at each point of a path."""
+"""The pose map has every pose of the arm at each point of a path."""
 
 import itertools
 
@@ -63,7 +63,7 @@ def test_the_peaks_are_the_four_highest_local_maxima(robot):
         assert sorted(found.peaks(0).tolist()) == sorted(poses)
 
 
-def test_the_map_has_eight_branches_with_every_pose(arm):
+def test_the_eight_branches_of_a_map_contain_every_pose(arm):
     rng, branches = np.random.default_rng(1), set()
     for _ in range(40):
         q = arm.random_regular_pose(rng, margin=0.01)
@@ -97,15 +97,15 @@ def test_too_few_and_too_many_swivels_are_refused(name, swivels):
 
 @pytest.mark.parametrize("changes", [
     {"mount": (0.0, 0.0, -0.081), "rpy": (0.3, 0.0, 0.0)},  # a tool at an angle to axis 7
-    {"wrist": (0.01, 0.0, -0.081), "mount": (0.01, 0.0, 0.045)},  # a tool parallel to axis 7, not on it
+    {"wrist": (0.01, 0.0, -0.081), "mount": (0.01, 0.0, 0.045)},  # a tool parallel to axis 7, but not on this axis
     {"wrist": (0.0, 0.0, -0.07)},  # a wrist point that is not the intersection of axes 5 to 7
-    {"q_max": np.radians([170, 120, 170, 120, 200, 120, 175])},  # a joint with more than one turn
+    {"q_max": np.radians([170, 120, 170, 120, 200, 120, 175])},  # a joint with a range above one turn
     {"joints": [*JOINTS[:2], ((0, 0, 0), (H, 0, np.pi)), ((0, 0, 0), (H, 0, 0)), *JOINTS[4:]]},  # no upper arm
     {"joints": [*JOINTS[:3], ((0.02, 0.0, 0.2155), (H, 0, 0)), *JOINTS[4:]]},  # elbow offset
     {"joints": [JOINTS[0], *(((0.02, y, z), (H, 0, np.pi)) for y, z in ((0, 0.2025), (0.2045, 0))), *JOINTS[3:]]},
     {"joints": [*JOINTS[:5], ((0.0, 0.0, 0.2155), (H - 0.1, 0, 0)), JOINTS[6]]},  # oblique axes
 ])  # fmt: skip
-def test_an_arm_whose_geometry_deviates_has_no_closed_form(tmp_path, changes):
+def test_an_arm_that_breaks_one_condition_has_no_closed_form(tmp_path, changes):
     assert closed_form(build(tmp_path, IIWA14)) is not None, "the name of an arm does not count"
     whole_turn = np.radians([180, 120, 170, 120, 170, 120, 175])
     assert closed_form(build(tmp_path, IIWA14, q_max=whole_turn, q_min=-whole_turn)) is not None
@@ -135,7 +135,7 @@ def test_each_joint_keeps_its_own_margin(panda):
     np.testing.assert_array_equal(margin_of(load_robot("lwr4_rail"), 0.1, 0.2), [0.2, *7 * [0.1]])
 
 
-def test_a_traced_map_has_every_pose_of_inverse_kinematics(panda):
+def test_a_traced_map_has_every_pose_that_inverse_kinematics_finds(panda):
     robot, found = panda
     rng, seen = np.random.default_rng(5), 0
     for k in (0, 2):
@@ -150,7 +150,7 @@ def test_a_traced_map_has_every_pose_of_inverse_kinematics(panda):
     assert seen > 10
 
 
-def test_a_traced_map_has_separate_curves_at_its_targets(panda):
+def test_a_traced_map_has_several_distinct_curves_for_each_target(panda):
     robot, line = panda
     tip, wrist, turn = line.targets.tip[0], line.targets.wrist[0], pin.exp3(np.array([0.0, 0.0, 0.05]))
     aside = tip + turn @ (wrist - tip)  # the tool rests, then turns about its tip, then about its wrist
@@ -166,10 +166,10 @@ def test_a_traced_map_has_separate_curves_at_its_targets(panda):
             assert len(curves) > 1
             for one, two in itertools.permutations(curves, 2):
                 assert np.linalg.norm(wrapped(np.diff(one, axis=0)), axis=1).max() < 1.11 * 0.03
-                assert np.linalg.norm(wrapped(one - two[0]), axis=1).min() > 0.021, "a curve is there twice"
+                assert np.linalg.norm(wrapped(one - two[0]), axis=1).min() > 0.021, "the map has a curve twice"
 
 
-def test_nearest_turns_are_nearest_to_the_middle():
+def test_nearest_turns_brings_joints_near_the_middle_of_their_range():
     for robot in (load_robot("panda"), load_robot("lwr4_rail")):
         q, slides = np.random.default_rng(0).uniform(-9.0, 9.0, (50, robot.n)), robot.chain.prismatic
         turns = (pose_map.nearest_turns(robot, q) - q) / (2.0 * np.pi)
@@ -219,7 +219,7 @@ def elsewhere(robot, q, starts, seed):
     *((name, "best found of 96 starts") for name in ("panda", "gen3", "xarm7", "lwr4_rail")),
 ])  # fmt: skip
 def test_inverse_kinematics_from_random_starts_finds_no_larger_mu(name, method):
-    """`largest_mu` may miss a maximum that few starts reach. At one of the poses, the search may find 1 % more."""
+    """`largest_mu` may miss a maximum that few starts reach: inverse kinematics may find 1 % more at one pose."""
     robot, rng = load_robot(name), np.random.default_rng(21)
     poses = [robot.data.q_home, *rng.uniform(robot.q_min, robot.q_max, (2, robot.n))]
     found = [largest_mu(robot, q[None]) for q in poses]
@@ -231,7 +231,7 @@ def test_inverse_kinematics_from_random_starts_finds_no_larger_mu(name, method):
         np.testing.assert_allclose(largest_mu(robot, np.array(poses)).mu, [each.mu[0] for each in found], rtol=1e-6)
 
 
-def test_points_of_a_path_share_their_maxima(monkeypatch):
+def test_each_point_of_a_path_reuses_the_maxima_of_its_neighbours(monkeypatch):
     robot = load_robot("xarm7")
     curve = np.linspace(0.0, 0.02, 8)[:, None] + robot.data.q_home
     monkeypatch.setattr(pose_map, "STARTS", 200)
@@ -271,7 +271,7 @@ def test_an_ascent_ends_at_a_maximum_within_the_limits(name, odd_robot):
 
 
 @pytest.mark.parametrize("name", ["lwr4_rail", "odd"])
-def test_a_two_dimensional_self_motion_has_larger_mu_elsewhere(name, odd_robot):
+def test_one_curve_of_a_two_dimensional_self_motion_misses_the_largest_mu(name, odd_robot):
     robot, rng = odd_robot if name == "odd" else load_robot(name), np.random.default_rng(4)
     poses = [robot.data.q_home, *rng.uniform(0.7 * robot.q_min, 0.7 * robot.q_max, (3, robot.n))]
     shares = [self_motion(robot, q).mu_best / largest_mu(robot, q[None]).mu[0] for q in poses]

@@ -44,7 +44,7 @@ def test_refinement_raises_mu_to_a_certified_local_maximum(name, capfd, monkeypa
     assert course.mu_mean <= early.mu_mean < better.mu_mean
 
 
-def test_smoothing_a_course_keeps_its_maximum_of_mu(robot):
+def test_smoothing_a_course_costs_little_mu(robot):
     q = (0.2912492688528833, -0.9312126696305606, -0.2813874639891124, -0.9455987681077571, 0.08576585626315732,
          -1.0843382517252966, 1.987021145390591)  # fmt: skip
     circle = Scenario().change(start={"q_rad": q, "check_path": False}, task={"sizes": {"radius": 0.02}})
@@ -65,7 +65,7 @@ def test_the_two_vectors_across_a_shaft_are_orthonormal(shaft):
         np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-12)
 
 
-def test_a_course_that_breaks_a_limit_has_a_violation(robot):
+def test_the_violation_of_a_course_is_its_excess_over_a_limit(robot):
     targets = task(robot, robot.data.q_home, 20)
     course, _ = on_grid(robot, targets)
     jump, off = np.array(course.q_rad), np.array(course.q_rad)
@@ -94,10 +94,10 @@ def test_a_fast_joint_stops_before_its_limit():
         assert pose <= 0.0
     assert pose > -1e-3
     assert 1.8 < -np.diff(speeds).min() / dt <= 2.0 + 1e-6
-    assert float(excess(-100.0, -9.0)[1]) == 100.0, "at the lower limit no speed towards it is allowed"
+    assert float(excess(-100.0, -9.0)[1]) == 100.0, "at the lower limit, no speed towards it is allowed"
 
 
-def test_a_course_slows_down_before_its_limits(robot):
+def test_with_a_brake_a_course_slows_down_before_joint_limits(robot):
     brake, limits, targets, late = 0.5, Limits(margin=0.3), task(robot, robot.data.q_home, 60), []
     course, _ = on_grid(robot, targets, limits)
     for rule in (np.inf, brake):
@@ -145,7 +145,7 @@ def test_a_course_over_a_horizon_keeps_all_limits(middle, capfd):
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_a_horizon_ends_where_the_value_function_is_higher(middle, side):
+def test_the_end_of_a_horizon_moves_up_the_value_function(middle, side):
     robot, start, guess, there, made = middle
     rest = (guess[-1] - start) / (NODES * there.period_s)
     plain, _ = made.solve(guess, start, there, rest)

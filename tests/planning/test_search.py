@@ -16,7 +16,7 @@ from tests.planning.arms import at_poses, task
 
 
 def small(rng, k=4, m=4):
-    """A small map for one joint, which can turn by 1 in a period. Poses outside the map have mu = 0.4."""
+    """A small map for one joint, which can turn by 1 rad per period. Poses outside the map have mu = 0.4."""
     arm: Any = SimpleNamespace(v_max=np.full(1, 2.0), state=lambda q: SimpleNamespace(mu=0.4))
     targets = Targets(0.5 * np.arange(k), np.zeros((k, 3)), np.zeros((k, 3)), np.zeros(k))
     q, mu = rng.uniform(0.0, 1.0, (k, 1, m, 1)), rng.uniform(0.1, 1.0, (k, 1, m))
@@ -80,7 +80,7 @@ def test_a_way_from_any_time_takes_the_best_pose_in_reach(t_s, first, end, hurry
             assert found.q_rad[first + len(times) - 2][way.last] == q[-1]
 
 
-def test_one_step_backwards_tries_every_pose_in_reach():
+def test_one_step_of_dynamic_programming_tries_every_pose_in_reach():
     rng = np.random.default_rng(3)
     for trial in range(40):
         rounded = (lambda x: np.rint(8.0 * x) / 8.0) if trial % 4 > 1 else np.array
@@ -99,7 +99,7 @@ def test_one_step_backwards_tries_every_pose_in_reach():
         np.testing.assert_allclose(value, ways + gain, atol=1e-12)
 
 
-def test_in_an_upper_bound_a_pose_represents_its_cell():
+def test_an_upper_bound_uses_the_largest_mu_in_the_cell_of_a_pose():
     angles, mu = 2.0 * np.pi * np.arange(16) / 16, lambda angle: 1.0 + 0.5 * np.cos(angle - 0.1)
     angles[8] = np.nan  # a sample without a pose
     room = np.isin(np.arange(16), (0, 4, 9)) - 0.5
@@ -108,13 +108,13 @@ def test_in_an_upper_bound_a_pose_represents_its_cell():
     told = 4.0 * Value(found, Limits(), cell=1.0).value[-1, 0]  # the last time has the weight 0.25 s
     assert np.flatnonzero(np.isfinite(told)).tolist() == [0, 1, 3, 4, 5, 8, 9, 10, 15]
     most = mu(angles + np.linspace(-0.5, 0.5, 21)[:, None] * angles[1]).max(axis=0)
-    assert np.abs((told - most)[[0, 1, 3, 4, 5, 10, 15]] - 0.01).max() <= 0.01, "above the truth, by little"
+    assert np.abs((told - most)[[0, 1, 3, 4, 5, 10, 15]] - 0.01).max() <= 0.01, "at most 0.02 above the largest mu"
     assert told[8] >= mu(angles[7]) > mu(angles[9])
 
 
 @pytest.mark.parametrize("j", [0, 77, 199])
-def test_a_quadratic_value_function_equals_its_parabola(j):
-    """The poses lie on a circle of 200 samples. Six on each side are nearer than 0.2 rad."""
+def test_the_fitted_parabola_is_exact_for_a_quadratic_value_function(j):
+    """The poses lie on a circle of 200 samples. Each has six neighbours within 0.2 rad on either side."""
     at, base = 2.0 * np.pi * np.arange(200) / 200, small(np.random.default_rng(0), 2)
     two: Any = SimpleNamespace(v_max=np.ones(2))
     q, z = np.transpose([0.3 + np.cos(at), np.sin(at)]), np.sin(at - at[j])
@@ -145,7 +145,7 @@ def coarse(robot):
     return map_of(robot, robot.data.q_home, task(robot, robot.data.q_home, 60), 180)
 
 
-def test_courses_keep_all_limits_and_the_bound(robot, coarse):
+def test_courses_keep_all_limits_and_do_not_exceed_the_bound(robot, coarse):
     q = robot.data.q_home
     value, bound = (Value(coarse, Limits(), cell=cell) for cell in (0.0, WHOLE_CELL))
     for start in (q, None):
@@ -166,7 +166,7 @@ def test_courses_keep_all_limits_and_the_bound(robot, coarse):
 
 
 @pytest.mark.parametrize("joint", [1, 5])
-def test_a_course_passes_a_singular_pose_to_another_branch(robot, joint):
+def test_a_course_passes_through_a_singular_pose_to_another_branch(robot, joint):
     way = np.tile(np.array([0.3, 0.5, -0.4, 1.2, 0.5, -0.7, 0.0]), (41, 1))
     way[:, joint] = np.linspace(0.45, -0.47, 41) * (1.0 if joint == 1 else -1.0)
     found = map_of(robot, way[0], at_poses(robot, way))
@@ -180,7 +180,7 @@ def test_a_course_passes_a_singular_pose_to_another_branch(robot, joint):
     assert mean <= Value(found, Limits(), cell=WHOLE_CELL).of(way[0], robot.state(way[0]).mu)
 
 
-def test_poses_below_the_shaft_margin_have_less_mu(robot, coarse):
+def test_keeping_shaft_lowers_mu_of_poses_below_the_shaft_margin(robot, coarse):
     margin = 0.5
     found = map_of(robot, robot.data.q_home, coarse.targets[:10], 90)
     kept, may = keeping_shaft(found, Limits(shaft=margin)), found.feasible()

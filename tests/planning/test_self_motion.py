@@ -1,4 +1,4 @@
-"""Self-motions keep tip, wrist and joint limits. Known arms have the right null-space dimensions."""
+"""Self-motions leave tip and wrist in place, within joint limits. Known arms have the right null-space dimensions."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ def check(robot, start, motion, poses):
         np.testing.assert_array_equal(q[list(motion.held)], start[list(motion.held)])
 
 
-def test_a_curve_keeps_tip_wrist_and_limits(robot, regular_poses):
+def test_a_curve_leaves_tip_and_wrist_in_place_within_the_limits(robot, regular_poses):
     rng = np.random.default_rng(5)
     for start in regular_poses(10, seed=4):
         motion = self_motion(robot, start)
@@ -42,7 +42,7 @@ def test_a_curve_keeps_tip_wrist_and_limits(robot, regular_poses):
         assert motion.mu_best == pytest.approx(self_motion(robot, start, step=0.005).mu_best, abs=1e-6)
 
 
-def test_a_curve_is_the_same_from_any_pose(robot, odd_robot):
+def test_a_curve_is_the_same_from_each_of_its_poses(robot, odd_robot):
     motion = self_motion(robot, robot.data.q_home)
     turned = np.append(robot.data.q_home[:6], robot.q_max[6])  # the idle joint is at its limit
     again, idle, *from_ends = (self_motion(robot, q) for q in (motion.at(0.8), turned, motion.q[0], motion.q[-1]))
@@ -75,7 +75,7 @@ def test_a_curve_without_joint_limits_closes(robot):
     assert abs(swivel[-1] - swivel[0]) == pytest.approx(2 * np.pi, abs=1e-6)
 
 
-def test_bad_input_is_named(robot):
+def test_errors_name_the_bad_input(robot):
     q = robot.data.q_home
     for pose, told in ((np.zeros(7), "singular"), (q + 3.0 * np.eye(7)[1], r"joints \[2\] are outside")):
         with pytest.raises(RobotError, match=told):
@@ -157,7 +157,7 @@ def test_the_distance_to_go_is_an_arc_length(robot, curve, place, regular_poses)
     np.testing.assert_allclose(distance[:6], np.abs(offsets), atol=0.02)
     np.testing.assert_allclose(distance[:3] + distance[5:2:-1], 2.0 * np.abs(offsets[:3]), atol=2e-4)
     assert (distance[6] < 1e-3, np.isnan(distance[7])) == (True, True), "a straight arm is singular"
-    poses = np.array(regular_poses(6))[[0, 5]]  # from these, mu rises up to a joint limit
+    poses = np.array(regular_poses(6))[[0, 5]]  # from these poses, mu rises up to a joint limit
     ends = [self_motion(robot, poses[0]).s[-1], -self_motion(robot, poses[1]).s[0]]
     np.testing.assert_allclose(distance_to_go(robot, poses), ends, atol=1e-3)
 

@@ -1,4 +1,4 @@
-"""The map of mu over time and swivel (the elbow's angle) equals the model's mu. Invented maps test the readings."""
+"""The map of mu over time and swivel (elbow angle) equals the model's mu. Invented maps test `read_trajectory`."""
 
 from dataclasses import replace
 from types import MappingProxyType
@@ -76,7 +76,7 @@ def test_the_swivel_is_measured_from_a_suitable_axis(robot):
 def test_trajectories_lie_on_the_map(robot, runs, found):
     assert np.all(found.best_mu >= np.where(found.limit == FEASIBLE, found.mu, -np.inf).max(axis=1))
     for name, trajectory in found.trajectories.items():
-        assert trajectory.gap_rad < 0.15, "the joint angles of half a row"
+        assert trajectory.gap_rad < 0.15, "half a row of the map away at most"
         assert (len(trajectory.t_s), trajectory.t_s[-1]) == (swivel_map.TRAJECTORY_POINTS, runs[name].t_s[-1])
         np.testing.assert_array_equal(
             trajectory.mu, robot.mu_along(runs[name].q_rad)[np.searchsorted(runs[name].t_s, trajectory.t_s)]
@@ -97,7 +97,7 @@ def test_a_run_on_another_branch_has_a_large_gap(robot, runs):
     flip = np.array(runs["MOC"].q_rad)
     flip[:, 4] -= np.pi * np.sign(flip[:, 4])
     flip[:, 5] *= -1.0
-    flipped = runs["MOC"].with_columns(q_rad=flip).select(runs["MOC"].t_s < 7.0)  # the longest run makes the map
+    flipped = runs["MOC"].with_columns(q_rad=flip).select(runs["MOC"].t_s < 7.0)  # the map follows the longest run
     both = manipulability_map(robot, {"MOC": runs["MOC"], "flipped": flipped}, times=3, swivels=24)
     assert both.trajectories["MOC"].gap_rad < 0.3 < 1.0 < both.trajectories["flipped"].gap_rad
 
@@ -158,7 +158,7 @@ def test_the_figure_shows_the_map_and_its_trajectories(found):
         map_figure(replace(found, limit=np.ones_like(found.limit)))
 
 
-def test_the_map_of_an_arm_holds_its_rail(found):
+def test_on_the_map_the_rail_stays_where_the_run_has_it(found):
     arm = load_robot("lwr4_rail")
     run_of_it = mo.run(Scenario(robot={"name": "lwr4_rail"}, duration_s=1.0, judge=False, bound_samples=0))
     made = manipulability_map(arm, {"MOC": run_of_it}, times=2, swivels=72)
@@ -203,7 +203,7 @@ def ramp(start, end, until=10.0):
     return start + (end - start) * np.minimum(np.linspace(0.0, 10.0, 101) / until, 1.0)
 
 
-def test_a_climb_to_the_optimum_ends_there():
+def test_a_run_that_climbs_to_the_optimum_ends_at_the_optimum():
     top, way = hill(60.0, 0.3), ramp(-30.0, 60.0, until=5.0)
     found = read(top, way)
     assert found.end is End.OPTIMUM
@@ -213,7 +213,7 @@ def test_a_climb_to_the_optimum_ends_there():
     assert (found.travel_rad, 0.3 * found.mu_share) == pytest.approx((np.radians(90.0), top(way).mean()))
     always = read(top, 60.0)
     assert (always.near, always.from_s) == (1.0, 0.0)
-    assert read(top, np.append(np.full(100, 60.0), 0.0)).from_s == 10.0, "it leaves the optimum at the end"
+    assert read(top, np.append(np.full(100, 60.0), 0.0)).from_s == 10.0, "the run leaves the optimum at the end"
 
 
 def test_a_run_can_end_at_a_local_maximum():
@@ -243,7 +243,7 @@ def test_the_end_of_a_run_names_the_blocking_limit(side, top, swivel, end):
 
 
 def test_time_beside_forbidden_poses_is_counted():
-    found = read(hill(60.0, 0.3), ramp(-20.0, 50.0), (10.0, 20.0, 4))  # at 12, 15 and 18 degrees, and a row beside them
+    found = read(hill(60.0, 0.3), ramp(-20.0, 50.0), (10.0, 20.0, 4))  # forbidden: rows 12, 15, 18; beside them: 9, 21
     assert found.at_edge == pytest.approx(np.mean(np.abs(ramp(-20.0, 50.0) - 15.0) < 7.5))
     late = read(hill(60.0, 0.3), 0.0, (-4.0, 20.0, 4), since=5.0)
     assert late.at_edge == pytest.approx(53 / 101), "the map's times are 0.5 s apart"
