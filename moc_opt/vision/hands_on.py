@@ -141,8 +141,8 @@ def guide_to(
 ) -> HandsOn:
     """Let a hand pull the tip to the incision (3,) [m], and register the trocar.
 
-    The robot registers the tip of its own kinematics, plus a seeded error. If the incision is too far away or out of
-    reach, a TaskError is raised before anything moves. If the arm runs away, a PlantError is raised.
+    The tip's position in the robot's model, plus a seeded error, is registered as the trocar. If the incision is too
+    far away or out of reach, a TaskError is raised before anything moves. If the arm runs away, a PlantError is raised.
     """
     settings = settings or HandsOnSettings()
     goal = vector3("incision", incision)
