@@ -37,7 +37,7 @@ class Freedoms(NamedTuple):
         return (
             f"robot {robot.data.name!r}: no freedom is left for the third level: of {robot.n} joints, the tool's tip "
             f"and shaft take {self.rank}, and {len(self.idle)} turn only the tool{f' ({idle})' if idle else ''}; "
-            "take control.law = 'dcac' (needs no freedom), an arm with one joint more, or a tool off the last axis"
+            "take control.law = 'dcac' (needs no freedom), an arm with one more joint, or a tool off the last axis"
         )
 
 
