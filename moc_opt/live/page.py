@@ -27,7 +27,7 @@ from moc_opt.robots.model import link_frames
 from moc_opt.scenario import Scenario
 
 HOST, PORT = "127.0.0.1", 8642
-FRAME_S, MOST_LAG_S, PIECE_S = 0.08, 0.2, 0.02  # time between frames, largest lag, time between groups of ticks [s]
+FRAME_S, MOST_LAG_S, PIECE_S = 0.08, 0.2, 0.02  # time between frames, tolerated lag, time between groups of ticks [s]
 COLOURS = {"shell": (211, 216, 221), "tool": (95, 102, 110), "joint": (0, 114, 178)}
 TROCAR, PATH = (168, 91, 69), (31, 35, 40)
 BLUE, ORANGE, GREEN = "#0072b2", "#d55e00", "#009e73"
@@ -42,7 +42,7 @@ FIELDS = ("regularization", "K_X", "K_N", "K_N2", "D_N2", "k0_per_s")  # setting
 
 
 class LivePage:
-    """A run and its page on loopback, at ``port`` or the next free port. Leaving the context stops both.
+    """A run and its page on loopback, at ``port`` or the next free port. Leaving the context stops run and page.
 
     Only clients with the token in ``url`` get access. A LiveError is raised if viser is missing or the port is invalid.
     """
@@ -98,7 +98,7 @@ class LivePage:
 
 
 def _refuse_without(token: str, server: Any) -> None:
-    """Close each WebSocket without the token, because any web site can open one to this machine."""
+    """Close each WebSocket whose address lacks the token: any web site can open a WebSocket to this machine."""
     sockets = server._websock_server
 
     @sockets.on_client_connect
@@ -254,7 +254,7 @@ def _quaternion(rotation: Array) -> Array:
 
 
 def serve(scenario: Scenario, *, port: int = PORT, title: str = "") -> int:
-    """Open the page and keep it until Ctrl-C; return the exit code."""
+    """Serve the page until Ctrl-C; return the exit code."""
     with LivePage(scenario, port=port, title=title) as page:
         # A KeyboardInterrupt could leave a lock of the page's threads held.
         signal.signal(signal.SIGINT, lambda number, frame: page.stop())

@@ -1,4 +1,4 @@
-"""An endless run of a scenario whose solver, gains and trocar can be changed on the way."""
+"""An endless run of a scenario. Solver, gains and trocar can be changed during the run."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from moc_opt.tasks.trocar import shaft_distance
 DCAC = "none (DCAC)"
 QUANTITIES = ("t_s", "mu", "tip_error_m", "rcm_error_m", "force_N", "solve_us", "tick_us")
 HISTORY_S = 20.0  # time for which past quantities are kept [s]
-BLEND_S = 0.1  # time constant of the torque blend, and shortest time between exchanges [s]
-RAMP_S = 0.3  # shortest fade-in of a new third level [s]
-SLOWLY_M_PER_S, MOST_OFFSET_M = 0.02, 0.05  # largest speed [m/s] and offset [m] of a moved trocar
+BLEND_S = 0.1  # time constant of the torque blend, and least time between two exchanges of the controller [s]
+RAMP_S = 0.3  # lower bound on `ramp_s` of a controller that takes over [s]
+SLOWLY_M_PER_S, MOST_OFFSET_M = 0.02, 0.05  # limits on speed [m/s] and offset [m] when the user moves the trocar
 
 
 class LiveError(ScenarioError):
@@ -28,8 +28,8 @@ class LiveError(ScenarioError):
 class ExchangeableController:
     """A ``sim.protocols.TorqueController`` that passes each call to an exchangeable controller.
 
-    The controller in ``next`` takes over at the next tick, at the earliest BLEND_S after the previous exchange. The
-    torque is then tau_new + (tau_old - tau_new) exp(-t / BLEND_S).
+    The controller in ``next`` takes over at the next tick, but not sooner than BLEND_S after the previous exchange.
+    At a time t after the exchange, the torque is tau_new + d exp(-t / BLEND_S), with d = tau_old - tau_new at t = 0.
     """
 
     def __init__(self, first: Controller, period_s: float, messages: deque[str]) -> None:
@@ -57,7 +57,7 @@ class ExchangeableController:
                 tau = new.tick(q, v, tip_ref, trocar)
                 self.used, self._offset, self._wait = new, self._applied - tau, self._apart
             except MocOptError as error:
-                self._messages.append(f"{error}; {solver_of(self.used)} goes on")
+                self._messages.append(f"{error}; {solver_of(self.used)} stays in use")
         if tau is None:
             tau = self.used.tick(q, v, tip_ref, trocar)
         if self._offset.any():
@@ -79,10 +79,10 @@ def solver_of(controller: Controller) -> str:
 
 
 class LiveRun:
-    """The closed loop of a scenario, which runs to and fro along its path.
+    """The closed loop of a scenario, in which the arm moves to and fro along the path.
 
     Call it from one thread only. An unusable scenario raises a MocOptError. Errors of the running loop are put into
-    `messages`, oldest first. ``t_s`` is the latest tick's time [s]. ``stopped`` says why the arm was stopped.
+    `messages`, oldest first. ``t_s`` is the latest tick's time [s]. ``stopped`` says why the arm stopped.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -104,12 +104,12 @@ class LiveRun:
     solver = property(lambda self: solver_of(self._chosen), doc="The solver, or `DCAC`.")
 
     def choose(self, solver: str) -> None:
-        """Use another solver for level 3, or `DCAC`; a MocOptError if the solver cannot run."""
+        """Switch to another solver of level 3, or to `DCAC`; a MocOptError if the solver cannot run."""
         law = self.control.matched_dcac() if solver == DCAC else {"law": "moc"}
         self._exchange(self.control.replace(law), solver)
 
     def tune(self, **settings: Any) -> None:
-        """Change settings of `ControlSettings` by name; a MocOptError if one is wrong."""
+        """Change settings of `ControlSettings` by name; a MocOptError if a name or value is wrong."""
         if "law" in settings:
             raise LiveError("law cannot be set here: choose(solver) sets it")
         self._exchange(self.control.replace(settings), self.solver)
@@ -121,15 +121,15 @@ class LiveRun:
     def _build(self, control: ControlSettings, name: str) -> Controller:
         if control.follows:
             raise LiveError(
-                f"[control] third_level = {control.third_level!r}: a live run repeats its path to and fro, and a "
-                "course ends with the path; take third_level = 'local'"
+                f"[control] third_level = {control.third_level!r}: a course ends with the path, but a live run goes "
+                "to and fro along the path; take third_level = 'local'"
             )
         settings = self.scenario.solver.settings if name == self.scenario.solver.name else {}
         solver = None if name == DCAC else isolated(make_solver(name, self.robot, **settings), self.scenario)
         return Controller(self.robot, control, solver, self.period_s)
 
     def place_trocar(self, x_m: float, y_m: float, z_m: float = 0.0) -> None:
-        """Move the trocar slowly to an offset in world axes [m], each at most `MOST_OFFSET_M`."""
+        """Move the trocar slowly to an offset in world axes [m], each component up to `MOST_OFFSET_M`."""
         for value in (x_m, y_m, z_m):
             if not is_number(value) or not abs(value) <= MOST_OFFSET_M:
                 raise LiveError(f"trocar offset = {value!r} m: give a number from {-MOST_OFFSET_M} to {MOST_OFFSET_M}")
@@ -143,7 +143,7 @@ class LiveRun:
         return self._setup.reference.rows(self._setup.duration_s - within) * [[1.0], [-1.0], [1.0]]  # backwards
 
     def history(self, points: int = 400) -> Array:
-        """Return rows (k, 7) of `QUANTITIES`: their maxima over k <= `points` groups of past ticks."""
+        """Return the maxima (k, 7) of `QUANTITIES` over each of k <= ``points`` groups of past ticks."""
         rows = np.array(self._rows).reshape(-1, len(QUANTITIES))
         size = max(1, -(-len(rows) // points))
         stretches = rows[len(rows) % size :].reshape(-1, size, len(QUANTITIES))  # drops the incomplete oldest group
@@ -159,7 +159,7 @@ class LiveRun:
         self._rows.clear()
 
     def advance(self, ticks: int) -> None:
-        """Run this many ticks, or none if the arm is stopped."""
+        """Run up to ``ticks`` ticks; none after the arm has stopped."""
         try:
             for _ in range(ticks):
                 if not self.stopped:

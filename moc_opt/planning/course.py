@@ -14,8 +14,8 @@ from moc_opt.tasks import Reference, Trocar
 
 Margin = float | Array
 """Distance kept from the joint limits, a number or (n,) [rad, or m for a sliding joint]."""
-SHALLOWEST_M = 0.002  #: Least distance from tip to trocar [m].
-MOST_VIOLATION = 1e-8  #: Largest constraint violation of a feasible course [m] or [rad].
+SHALLOWEST_M = 0.002  #: Lower bound on the distance from tip to trocar [m].
+MOST_VIOLATION = 1e-8  #: Constraint violation up to which a course counts as feasible [m] or [rad].
 WORTH = 10.0  #: Weight of the penalty that `lowered` subtracts from mu.
 
 
@@ -37,7 +37,7 @@ class Targets:
         return Targets(self.t_s[some], self.tip[some], self.wrist[some], self.arc_length_m[some])
 
     def at(self, t: Array) -> Targets:
-        """Return the targets at other times (m,) [s], interpolated linearly."""
+        """Return the targets at times (m,) [s], interpolated linearly."""
         tip, wrist = (between(t, self.t_s, rows) for rows in (self.tip, self.wrist))
         return Targets(t, tip, wrist, np.interp(t, self.t_s, self.arc_length_m))
 
@@ -65,8 +65,8 @@ def lay_targets(
     if off.any():
         k = int(np.argmax(off))
         raise TaskError(
-            f"trocar: at t = {t[k]:.2f} s it is {1e3 * depth[k]:.0f} mm from the tip: it must lie on the shaft, "
-            f"{1e3 * SHALLOWEST_M:.0f} to {1e3 * deepest:.0f} mm from its tip; make the path smaller, or change depth_m"
+            f"trocar: at t = {t[k]:.2f} s it is {1e3 * depth[k]:.0f} mm from the tip; it must lie on the shaft, "
+            f"{1e3 * SHALLOWEST_M:.0f} to {1e3 * deepest:.0f} mm from the tip: make the path smaller, or change depth_m"
         )
     arc = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(tip, axis=0), axis=1))))
     return Targets(*map(read_only, (t, tip, desired_wrist(tip, 0.0, trocars, 0.0, span_m)[0], arc)))
@@ -80,7 +80,7 @@ class Course:
     q_rad: Array  #: (k,n)
     mu: Array  #: (k,) manipulability [m^3]
     violation: float
-    """Largest error of tip or wrist [m], or excess over joint limits or steps [rad]."""
+    """Largest error of tip or wrist [m], excess over joint limits [rad], or excess over the allowed step [rad]."""
     certified: bool = False  #: Whether a solver has converged to a local optimum.
 
     @property
@@ -100,11 +100,11 @@ class Limits:
 
     margin: Margin = 0.0  #: distance kept from the joint limits
     speed_share: float = 1.0  #: share of the joints' speed limits that may be used
-    shaft: float = 0.0  #: `shaft_shares` below which `lowered` reduces mu
+    shaft: float = 0.0  #: value of `shaft_shares` below which `lowered` reduces mu
 
 
 def lowered(mu: Array, share: Array, limits: Limits, top: float) -> Array:
-    """Return mu, reduced by the penalty `WORTH` top (1 - share/margin)^2 wherever share < margin.
+    """Return mu, reduced by the penalty `WORTH` * top * (1 - share/margin)^2 wherever share < margin.
 
     ``share`` is from `shaft_shares`, margin is ``limits.shaft``, and ``top`` is the largest mu [m^3].
     """
@@ -144,7 +144,7 @@ def between(t: Array, times: Array, rows: Array) -> Array:
 
 
 def margin_at(robot: RobotModel, poses: Array, margin: Margin) -> Margin:
-    """Reduce the margin if the poses (..., n) are nearer to a joint limit."""
+    """Return the margin, reduced to the distance of the poses (..., n) from the joint limits if that is smaller."""
     room = np.minimum(poses - robot.q_min, robot.q_max - poses).reshape(-1, robot.n).min(axis=0)
     room = np.where(robot.moves.any(axis=0), np.maximum(room, 0.0), np.inf)
     return np.minimum(margin, room) if isinstance(margin, np.ndarray) else min(margin, float(room.min()))

@@ -12,8 +12,8 @@ from moc_opt.arrays import Array
 from moc_opt.planning.self_motion import SelfMotion, curve_through, parabola_peak
 from moc_opt.robots.model import RobotModel, link_frames
 
-NEAR_RAD = 0.1  #: Distance to the optimum below which the elbow counts as there.
-STILL_RAD_PER_S = 0.05  #: Rate of the distance to the optimum below which the elbow rests.
+NEAR_RAD = 0.1  #: Distance to the optimum below which the elbow counts as arrived.
+STILL_RAD_PER_S = 0.05  #: If the distance to the optimum changes more slowly, the elbow counts as resting.
 SAMPLES_PER_S = 25.0  #: Scans of the self-motion per second of a run.
 STEP_RAD = 0.1  #: Spacing of the samples of a self-motion.
 WINDOW_S = 0.1  #: Time over which the distance's rate of change is averaged.
@@ -58,7 +58,7 @@ def wrapped(angles: Array) -> Array:
 def distance_to_go(robot: RobotModel, q: ArrayLike) -> Array:
     """Return the distance (k,) [rad] from each pose (k, n) [rad] to the local maximum of mu.
 
-    The distance runs along the self-motion (tip and wrist stay in place), and is NaN at a singular pose.
+    The distance is measured along the self-motion (tip and wrist stay in place). It is NaN at a singular pose.
     """
     poses = np.clip(np.asarray(q, dtype=np.float64), robot.q_min, robot.q_max)
     curves = (curve_through(robot, pose, STEP_RAD) for pose in poses)

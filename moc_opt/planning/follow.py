@@ -1,8 +1,8 @@
-"""Follow a course (planned joint motion) in the loop. The controller's third level then tracks a joint velocity x_d.
+"""Follow a course (planned joint motion) in the loop. The controller's third level tracks a joint velocity x_d.
 
     x_d(t) = dq_c(t) + k (q_c(t) - q)
 
-q_c is the course and k a gain.
+q_c is the course, q the measured pose and k a gain.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ GAIN_PER_S = 5.0  #: Gain k of x_d.
 NODES = 10  #: Number of time steps of the nonlinear program.
 CATCH_UP = 1.03  #: Factor by which a course may be faster than the search allows.
 ON_COURSE_RAD = 0.05
-"""Largest distance from the old course at which a new course begins on the old course. Starts from the measured pose
+"""If the arm is nearer than this to the old course, a new course begins on the old course. A start at the measured pose
 would close a second feedback loop."""
-MOST_OFF = 1e-3  #: Largest error of tip or wrist [m] and excess over limits [rad] of a usable course.
-LOST_RAD = 0.3  #: Distance of a joint above which the arm has left the course.
+MOST_OFF = 1e-3  #: Error of tip or wrist [m], or excess over limits [rad], above which a course is refused.
+LOST_RAD = 0.3  #: If a joint is farther than this from the course, the arm has left the course.
 NO_COURSE = "q_start: from this pose, no course within joint speeds and limits reaches the end of the path"
 ASKED_EACH = 25  #: Ticks between two checks of whether the arm has left its course.
 
 
 class Piece(NamedTuple):
-    """A course with cubic Hermite interpolation, which holds its last pose at the end."""
+    """A course with cubic Hermite interpolation. After its end, the last pose is held."""
 
     t_s: Array  #: (k,) times of the poses [s]
     q_rad: Array  #: (k,n) joint positions [rad]
@@ -60,25 +60,25 @@ class Planner:
     def __init__(
         self, value: Value, program: Program, targets: Targets, *, horizon_s: float, rate_per_s: float
     ) -> None:
-        """Take ``horizon_s``, the duration of a course [s], and ``rate_per_s``, the new courses per second."""
+        """Take the duration ``horizon_s`` of a course [s], and the number ``rate_per_s`` of new courses per second."""
         self._value, self._program, self._targets = value, program, targets
         self._horizon_s, self.rate_per_s = horizon_s, rate_per_s
         self._solve_s: list[float] = []
         self._refused = 0
 
     def forget(self) -> None:
-        """Rebuild the solver in 0.15 s, so that a repeated run is bitwise the same."""
+        """Rebuild the solver, so that a second run is bitwise equal to the first. This takes 0.15 s."""
         self._program.forget()
         self._solve_s, self._refused = [], 0
 
     @property
     def told(self) -> dict[str, float]:
-        """Numbers of ``solves`` and ``refused`` solves, and percentiles of their times [ms]."""
+        """Numbers of ``solves`` and ``refused`` solves, and percentiles of the solve times [ms]."""
         median, high = np.percentile(1e3 * np.array(self._solve_s or [0.0]), [50.0, 99.0]).tolist()
         return {"solves": len(self._solve_s), "refused": self._refused, "solve_ms_median": median, "solve_ms_p99": high}
 
     def plan(self, q: Array, t: float, last: Piece | None) -> Piece | None:
-        """Make a course from a pose (n,) at a time [s]; return ``last`` if there is none."""
+        """Make a course from a pose (n,) at a time [s]; return ``last`` if there is no course."""
         path, began = self._value.map.targets, time.perf_counter()
         end = min(int(np.searchsorted(path.t_s, t + self._horizon_s)), len(path) - 1)
         if path.t_s[end] - t < 0.5 * path.period_s:
@@ -124,8 +124,8 @@ class Follower:
     ) -> None:  # fmt: skip
         """Follow a given course, or a planner's courses from ``q_start`` (n,) [rad].
 
-        With both, the planner takes over once the arm has left the course. A TaskError is raised if no course begins at
-        t = 0.
+        With course and planner, the planner takes over once the arm has left the course. A TaskError is raised if no
+        course begins at t = 0.
         """
         self._period, self._planner, self._q_start = period_s, planner, q_start
         self._given: Piece | None = None
@@ -145,7 +145,7 @@ class Follower:
         self._tick, self._begun = 0, -1
         self._now: Piece | None = self._given
         if self._planner is not None:
-            self._planner.forget()  # takes 0.15 s, so not in the loop
+            self._planner.forget()  # takes 0.15 s, too long for a tick
             if self._q_start is not None:
                 self._begin(self._planner, self._q_start)
 

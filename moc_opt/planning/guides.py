@@ -30,16 +30,16 @@ V_PERIOD_S = 0.1  #: Time step of the pose map [s].
 TARGETS_PER_TIME = 20  #: Targets of tip and wrist per time step of the map.
 QUARTER = 0.5  #: ``cell`` of `Value`. With 0, the coarse map loses courses near singular poses.
 SPEEDS = (1.0, 0.7, 0.4)
-"""Shares of ``[control] course_speed_fraction``, tried until a course is smooth and can brake."""
+"""Shares of ``[control] course_speed_fraction``, tried in this order until a course is smooth and can brake."""
 HURRY, WORTH_IT = 1.12, 0.01
-"""Factor of a faster course, tried only if mean mu (manipulability) rises by the share `WORTH_IT`."""
-FASTEST = 0.97  #: Largest share of the joints' speed limits with `HURRY`.
+"""Factor of a faster course, tried only if it raises mean mu (manipulability) by more than the share `WORTH_IT`."""
+FASTEST = 0.97  #: Upper bound on the share of the joints' speed limits with `HURRY`.
 BRAKE_SHARE = 0.9  #: Share of the safety filter's deceleration that courses made before the run use.
 SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}
 """Weight w of a course's squared acceleration [s^4/rad^2]; see `program`."""
-MOST_OFF_M = 1e-3  #: Largest distance of tip or wrist from its target, for a course file.
+MOST_OFF_M = 1e-3  #: Distance of tip or wrist from its target, above which a course file is refused.
 MOST_OFF_RAD = 1e-6  #: Tolerance of first pose and joint limits, for a course file.
-ROUNDING = 1e-6  #: Tolerance of a course file's first time [s], duration and speeds (relative).
+ROUNDING = 1e-6  #: Tolerance of a course file's first time [s], relative duration and share of the speed limits.
 PLAN_IT = "plan it for this scenario: moc-opt plan SCENARIO --out FILE"
 
 
@@ -55,10 +55,10 @@ class Following:
     period_s: float  #: control period [s]
 
     def stuck(self, part: float) -> ScenarioError:
-        """Return the error of a path without a course at ``part`` times the usual speed."""
+        """Return the error that the path has no course at ``part`` times the usual speed."""
         limits = Limits(speed_share=part * self.settings.course_speed_fraction)
         stuck = make_plan(self.robot, self.q_start, self.targets(), limits, refined=False).blocked
-        where = "" if stuck is None else f"{1e3 * stuck.arc_length_m:.1f} mm along the path {stuck.reason}"
+        where = "" if stuck is None else f"{1e3 * stuck.arc_length_m:.1f} mm along the path, {stuck.reason}"
         return ScenarioError(
             f"[control] third_level = {self.settings.third_level!r}: from this start, no course reaches the end of the "
             f"path: {where}; see `moc-opt plan`, or take third_level = 'local'"
@@ -80,7 +80,7 @@ class Ways:
 
     @property
     def speeds(self) -> tuple[float, ...]:
-        """The speeds to try: `SPEEDS`, preceded by `HURRY` if mean mu rises enough."""
+        """The speeds to try: `SPEEDS`, preceded by `HURRY` if this raises mean mu by more than the share `WORTH_IT`."""
         q, mu = self.run.q_start, float(self.run.robot.state(self.run.q_start).mu)
         usual, fast = (self.at(part)[0].of(q, mu) for part in (1.0, HURRY))
         return (HURRY, *SPEEDS) if fast > (1.0 + WORTH_IT) * usual else SPEEDS
@@ -138,7 +138,7 @@ def guides(run: Following) -> Callable[[], Guide] | None:
 def replanned(ways: Ways) -> Callable[[], Planner]:
     """Return a function that makes a planner with a receding horizon."""
     run, settings, smooth = ways.run, ways.run.settings, SMOOTHNESS["receding"]
-    # The last two attempts have no braking constraint, the last also no shaft margin.
+    # The last two attempts have no braking constraint, and the last attempt has no shaft margin either.
     ladder = [(part, run.brake, True) for part in ways.speeds]
     for part, brake, kept in [*ladder, (SPEEDS[-1], np.inf, True), (SPEEDS[-1], np.inf, False)]:
         value, limits, _ = ways.at(part)
@@ -189,7 +189,7 @@ def followed_course(run: Following, ways: Ways | None = None) -> Course:
 def load_course(
     settings: ControlSettings, robot: RobotModel, q_start: Array, targets: Targets
 ) -> tuple[Course, Limits]:
-    """Read the file of ``[control] course``; return its course at the targets, and its limits.
+    """Read the file of ``[control] course``; return its course at the targets, and limits for `refine`.
 
     Raises:
         ScenarioError: the file cannot be read, or has no course that the third level can follow in this run.
@@ -201,14 +201,14 @@ def load_course(
     try:
         trace = Trace.load(settings.course)
     except TraceError as error:
-        raise refused(f"no file of a course ({error})") from error
+        raise refused(f"it is no course file ({error})") from error
     t, q = (trace.columns.get(name, np.empty(0)) for name in ("t_s", "q_rad"))
     if why := _no_course(trace, t, q, robot):
         raise refused(why)
     off, cure = float(np.abs(q[0] - q_start).max()), PLAN_IT
     if off > MOST_OFF_RAD:
         if trace.meta.get("from_start") is False:
-            cure = f"begin there: [start] q_rad = {[round(angle, 9) for angle in q[0].tolist()]}"
+            cure = f"begin the run there: [start] q_rad = {[round(angle, 9) for angle in q[0].tolist()]}"
         raise refused(f"it begins {off:.3g} rad from the start of the run", cure)
     poses, end_s = between(targets.t_s, t, q), float(targets.t_s[-1])
     if abs(t[0]) > ROUNDING or abs(t[-1] - end_s) > ROUNDING * end_s:
@@ -217,7 +217,7 @@ def load_course(
     away = np.maximum(np.linalg.norm(tips - targets.tip, axis=1), np.linalg.norm(wrists - targets.wrist, axis=1))
     k = int(np.argmax(away))
     if away[k] > MOST_OFF_M:
-        raise refused(f"tip or wrist is {1e3 * away[k]:.3g} mm off path and shaft at t = {targets.t_s[k]:.3g} s")
+        raise refused(f"tip or wrist is {1e3 * away[k]:.3g} mm from its target at t = {targets.t_s[k]:.3g} s")
     shares = speed_shares(robot, poses, targets.period_s)
     if (fast := too_fast_to_follow(settings, robot, shares)) is not None:
         raise refused(*fast)
@@ -243,11 +243,11 @@ def _no_course(trace: Trace, t: Array, q: Array, robot: RobotModel) -> str:
     if trace.meta.get("kind") != "course":
         return "the file holds no course"
     if q.shape != (len(t), robot.n) or len(t) < 2 or not t.dtype == q.dtype == np.float64:
-        return f"t_s has shape {t.shape} and q_rad {q.shape}, a course of {robot.n} joints (k,) and (k, {robot.n})"
+        return f"t_s has shape {t.shape} and q_rad {q.shape}, not floats (k,) and (k, {robot.n}) with k > 1"
     if not (np.isfinite(q).all() and (np.diff(t) > 0.0).all()):
         return "its times t_s do not rise, or a pose is not finite"
     if trace.meta.get("robot", robot.data.name) != robot.data.name:
-        return f"a course of robot {shown(trace.meta['robot'])}, this run's is {robot.data.name!r}"
+        return f"it is a course of robot {shown(trace.meta['robot'])}, but the run has {robot.data.name!r}"
     return ""
 
 

@@ -40,7 +40,7 @@ class Plan:
     targets: Targets  #: Targets of tip and wrist, (k,3) each [m].
     from_start: Course | None  #: Best course from the start, or None.
     best: Course | None  #: Best course from any start pose, or None.
-    climbed: Course  #: Course of a local climb of mu, shorter than the path if a limit ends it.
+    climbed: Course  #: Course of a local climb of mu. It ends before the path if a limit blocks the climb.
     bound_from_start: float
     """Upper bound of mean mu from the start [m^3], for courses that the map resolves; NaN if unknown."""
     bound: float  #: Upper bound of mean mu over all starts [m^3]; NaN if unknown.
@@ -66,7 +66,7 @@ class Plan:
 
     @property
     def course(self) -> Course | None:
-        """The best course from the start, or else from any start pose."""
+        """The best course from the start or, if there is none, from any start pose."""
         return self.from_start if self.from_start is not None else self.best
 
     @property
@@ -79,12 +79,12 @@ def make_plan(
     robot: RobotModel, q_start: Array, targets: Targets, limits: Limits | None = None, *, swivels: int = SWIVELS,
     refined: bool = True,
 ) -> Plan:  # fmt: skip
-    """Find the best course along a path, from one start pose and from any start pose.
+    """Find the best course along a path from the given start pose, and the best course from any start pose.
 
     Args:
         q_start: (n,) pose with tip and wrist at the first target [rad].
         targets: targets of tip and wrist at k evenly spaced times, (k,3) each [m].
-        swivels: samples in one turn of the elbow, 8 to `pose_map.MOST_SWIVELS`.
+        swivels: number of samples in one turn of the elbow, 8 to `pose_map.MOST_SWIVELS`.
         refined: whether the nonlinear program improves the courses of the search.
 
     Raises:
@@ -96,7 +96,7 @@ def make_plan(
     tips, wrists = robot.tool_along(start[None])
     off = max(np.abs(tips[0] - targets.tip[0]).max(), np.abs(wrists[0] - targets.wrist[0]).max())
     if off > 1e-6:
-        raise TaskError(f"q_start: tip or wrist is {1e3 * off:.3g} mm from its first target: begin the path there")
+        raise TaskError(f"q_start: tip or wrist is {1e3 * off:.3g} mm from its first target: begin the path at the tip")
     limits = replace(limits, margin=margin_at(robot, start, limits.margin))
     took, began = dict[str, float](), time.perf_counter()
 
@@ -149,7 +149,7 @@ def make_plan(
 def check_limits(robot: RobotModel, limits: Limits) -> None:
     """Raise a TaskError if a limit is out of range."""
     for name, value, least, most, words in (
-        ("speed_share", limits.speed_share, 1e-300, 1.0, "a share above 0 up to 1"),
+        ("speed_share", limits.speed_share, 1e-300, 1.0, "a share above 0 and up to 1"),
         ("shaft_margin", limits.shaft, 0.0, 1.0, "a share of the squared distance from wrist to tip, 0 to 1"),
     ):
         if not is_number(value) or not least <= value <= most:
@@ -163,7 +163,7 @@ def check_limits(robot: RobotModel, limits: Limits) -> None:
 
 
 def best_course(value: Value, start: Array | None) -> Array | None:
-    """Return the best course (k,n) on the map from ``start`` (n,), or from any pose."""
+    """Return the best course (k,n) on the map from ``start`` (n,) or, if this is None, from any pose."""
     start = value.best()[1] if start is None else start
     way = None if start is None else value.way(start)
     return None if way is None else way.q_rad
@@ -172,7 +172,7 @@ def best_course(value: Value, start: Array | None) -> Array | None:
 def climb(found: PoseMap, start: Array, limits: Limits) -> Array:
     """Climb mu from the start (n,) over the poses of the map; return the poses (k,n).
 
-    The poses end before the path if no pose is within reach.
+    The poses end before the path if no pose at the next time is within reach.
     """
     step, feasible = limits.speed_share * found.robot.v_max * found.targets.period_s, found.feasible(limits.margin)
     poses = [np.array(start)]
@@ -219,7 +219,9 @@ def _blocked(found: PoseMap, start: Array, limits: Limits, bound: float) -> Bloc
 
     def nearest_limit(among: NDArray[np.bool_]) -> str:
         q = found.q_rad[k][among]
-        beyond = np.where(robot.moves.any(axis=0), np.maximum(q - robot.q_max, robot.q_min - q) + limits.margin, -np.inf)
+        beyond = np.where(
+            robot.moves.any(axis=0), np.maximum(q - robot.q_max, robot.q_min - q) + limits.margin, -np.inf
+        )
         return names[int(np.argmax(beyond[int(np.argmin(beyond.max(axis=1)))]))]
 
     each = reached(found, start, limits)
@@ -228,7 +230,7 @@ def _blocked(found: PoseMap, start: Array, limits: Limits, bound: float) -> Bloc
     if not known.any():
         reason = "out of reach: no pose has tip and wrist there, even without joint limits"
     elif not feasible.any():
-        reason = f"no pose there is within the joint limits: {nearest_limit(known)} is beyond its own"
+        reason = f"no pose there is within the joint limits: {nearest_limit(known)} is beyond its limit"
     else:
         step = limits.speed_share * robot.v_max * targets.period_s
         near, least = np.zeros(known.shape, dtype=np.bool_), np.full(robot.n, np.inf)

@@ -26,21 +26,21 @@ from moc_opt.robots.model import RobotModel, link_frames
 Flags = NDArray[np.bool_]
 
 EXACT_M = 1e-7  #: Axes that pass each other within this distance count as meeting [m].
-BRANCHES = 8  #: Branches of inverse kinematics. Bits 0 to 2 of an index tell whether joints 2, 4 and 6 are negative.
+BRANCHES = 8  #: Branches of inverse kinematics. Bits 0 to 2 of their index tell whether joints 2, 4 and 6 are negative.
 STRAIGHT = 1e-9  #: Sine of joint 4 below which the arm counts as straight.
 ROUNDING_RAD = 1e-9  #: Tolerance of the joint limits.
-SWIVELS, MOST_SWIVELS = 720, 2880  #: Default and largest number of evenly spaced swivel angles.
-PEAKS = 4  #: Local maxima of the map from which mu is climbed.
+SWIVELS, MOST_SWIVELS = 720, 2880  #: Default and maximum number of evenly spaced swivel angles.
+PEAKS = 4  #: Number of local maxima of the map from which mu is climbed.
 STEP_RAD = 0.03  #: Spacing of the samples along a traced curve.
-SEEDS = 64  #: Random starts of inverse kinematics at the first time.
-MOST_CURVES = 16  #: Largest number of different curves at one time.
-SAME_CURVE = 0.7  #: Share of a step within which a pose counts as on the curve.
+SEEDS = 64  #: Number of random starts of inverse kinematics at the first time.
+MOST_CURVES = 16  #: Upper bound on the number of curves at one time.
+SAME_CURVE = 0.7  #: A pose within this share of a step from a curve counts as on the curve.
 NO_LIMIT_RAD = 20.0  #: Joint limit, to both sides, of an arm from `without_limits`.
-REACHED_M = 1e-9  #: Largest error of tip and wrist at a pose that `reach` returns.
-SCANNED, SCANS = "scanned, all branches", 360  #: Name of the method, and its number of swivels.
+REACHED_M = 1e-9  #: Error of tip and wrist below which `reach` accepts a pose.
+SCANNED, SCANS = "scanned, all branches", 360  #: Name of `largest_mu`'s closed-form method, and its number of swivels.
 STARTS, LATER = 96, 12
-"""Random starts of `largest_mu` at the first point, and at each later point."""
-KEPT = 6  #: Largest number of maxima that a point hands on to its neighbours.
+"""Numbers of random starts of `largest_mu` at the first point, and at each later point."""
+KEPT = 6  #: Upper bound on the number of maxima that a point hands on to its neighbours.
 SAME = 1e-5  #: Relative difference of mu below which two maxima count as one.
 
 
@@ -62,7 +62,7 @@ class PoseMap:
         return np.asarray(room >= -ROUNDING_RAD)
 
     def crossing(self, k: int, step_rad: Array) -> NDArray[np.int64]:
-        """Return the bits (m,) of the branch that a step (n,) [rad] can flip at time k."""
+        """Return bit masks (m,): the bits of the branch index that a step (n,) [rad] at time k can flip."""
         if self.closed is None:
             return np.zeros(self.mu.shape[2], dtype=np.int64)
         with np.errstate(invalid="ignore"):
@@ -84,7 +84,7 @@ def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = S
 
     Args:
         q_start: (n,) [rad] a pose for the first target.
-        swivels: swivel angles in one turn, 8 to `MOST_SWIVELS`.
+        swivels: number of swivel angles in one turn, 8 to `MOST_SWIVELS`.
     """
     if not isinstance(swivels, numbers.Integral) or not 8 <= int(swivels) <= MOST_SWIVELS:
         raise RobotError(f"swivels = {shown(swivels)}: give a whole number from 8 to {MOST_SWIVELS}")
@@ -206,20 +206,20 @@ def _dot(one: Array, two: Array) -> Array:
 
 
 def reach(robot: RobotModel, q: Array, tip: Array, wrist: Array) -> Array | None:
-    """Find a pose near q with this tip and wrist, without joint limits; None if there is none."""
+    """Find a pose near q with the given tip and wrist, ignoring joint limits; None if none is found."""
     placed = solve_pose(robot, q, tip, wrist, iterations=30, limited=False)
     return placed.q if placed.miss_m < REACHED_M else None
 
 
 def without_limits(robot: RobotModel) -> RobotModel:
-    """Return the same arm, with revolute joints that turn by `NO_LIMIT_RAD` to both sides."""
+    """Return a copy of the arm whose revolute joints can turn by `NO_LIMIT_RAD` to both sides."""
     slides, data = robot.chain.prismatic, robot.data
     low, high = np.where(slides, data.q_min, -NO_LIMIT_RAD), np.where(slides, data.q_max, NO_LIMIT_RAD)
     return RobotModel(replace(data, q_min=low, q_max=high))
 
 
 def nearest_turns(robot: RobotModel, q: Array) -> Array:
-    """Turn revolute joints by whole turns, as near as possible to the middle of their range."""
+    """Shift revolute joints by whole turns to the angles nearest to the middle of their range."""
     turns = np.round((q - 0.5 * (robot.q_min + robot.q_max)) / (2.0 * np.pi))
     return q - 2.0 * np.pi * np.where(robot.chain.prismatic, 0.0, turns)
 
@@ -276,7 +276,7 @@ def largest_mu(robot: RobotModel, poses: Array) -> Largest:
     targets, best = np.stack([tips, wrists], axis=1), np.empty(count)
     if closed_form(robot) is not None:
         at, zeros = np.arange(float(count + 1)), np.zeros(count + 1)
-        rows = np.minimum(at, count - 1).astype(int)  # a map has two points or more
+        rows = np.minimum(at, count - 1).astype(int)  # a map needs two points or more
         found, method = map_of(robot, inside[0], Targets(at, tips[rows], wrists[rows], zeros), SCANS), SCANNED
         for k in range(count):
             _, best[k] = _climbed(robot, targets[k], found.peaks(k))

@@ -24,7 +24,7 @@ from moc_opt.planning.course import WORTH, Course, Limits, Targets, make_course,
 from moc_opt.planning.search import End
 from moc_opt.robots.model import RobotModel
 
-# Settings of ipopt for a whole path. With a larger mu_init, ipopt often converges to a slower course.
+# Settings of ipopt for a whole path. With a larger mu_init, ipopt often leaves a fast course for a slow course.
 WHOLE: dict[str, Any] = {
     "print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.max_iter": 300, "ipopt.tol": 1e-8,
     "ipopt.constr_viol_tol": 1e-10, "ipopt.bound_relax_factor": 0.0, "ipopt.honor_original_bounds": "yes",
@@ -43,7 +43,7 @@ HORIZON: dict[str, Any] = {
 SETTLED_S = 0.3  #: Time T of the formula above [s].
 SOFT_RAD = 0.003  #: e in `too_fast`; it keeps the derivative finite at the joint limit.
 SMOOTH_LOSS = 0.05  #: Share of mean mu that smoothness and braking may cost.
-LEAST_SHARE = 1e-4  #: Smallest smoothed value of `course.shaft_shares`.
+LEAST_SHARE = 1e-4  #: Smoothing of `course.shaft_shares`, which raises 0 to this value.
 INSIDE = 1e-9  #: Narrowing of joint limits and steps, to absorb rounding [rad].
 
 
@@ -109,7 +109,7 @@ class Program:
         self.forget()
 
     def forget(self) -> None:
-        """Rebuild the solver, so that a second run is bitwise the same."""
+        """Rebuild the solver, so that a second run is bitwise equal to the first."""
         self._solver = self._make()
 
     def solve(
@@ -178,7 +178,7 @@ def too_fast(speed: Any, pose: Any, low: Any, high: Any, brake: float) -> Any:
     """Return each joint's excess over the speed from which it can stop before its limit.
 
     At a distance d from a limit, this speed is sqrt(2 b) (sqrt(d + e) - sqrt(e)), where b is the brake [rad/s^2] and e
-    is `SOFT_RAD`. The answer has 2 m entries for m joints: towards ``high``, then towards ``low``.
+    is `SOFT_RAD`. The excesses of all joints towards ``high`` come first, then those towards ``low``.
     """
     import casadi as ca
 

@@ -3,7 +3,7 @@
     V_k(p) = g_k(p) + max { V_{k+1}(p') - c |q - q'|^2 / dt : |q - q'| <= v_max dt for every joint }
 
 p is a pose at time k with joint positions q, and p' is a pose at time k + 1. mu is the manipulability, g is mu dt, and
-c is a penalty on speed. A course (joint trajectory) is then read off V forwards.
+c is a penalty on speed. A course (joint trajectory) is then read off V forwards in time.
 """
 
 from __future__ import annotations
@@ -72,13 +72,13 @@ class Value:
             )  # fmt: skip
 
     def of(self, q: Array, mu: float) -> float:
-        """Return mean mu [m^3] of the best course from a pose (n,) with this mu, or -inf."""
+        """Return mean mu [m^3] of the best course from a pose (n,), -inf if there is none. ``mu`` is the pose's mu."""
         found = self._next(1, q, np.zeros(len(q)), self._step, self._price)
         rest = -np.inf if found is None else float(self.value[1][found])
         return float(mu * self._weight[0] + rest) / self._weight.sum()
 
     def best(self) -> tuple[float, Array | None]:
-        """Return mean mu of the best course from any pose, and this pose (n,) or None."""
+        """Return mean mu of the best of all courses, and the pose (n,) at which this course begins, or None."""
         first = np.unravel_index(int(np.argmax(self.value[0])), self.value[0].shape)
         value = float(self.value[0][first]) / self._weight.sum()
         return value, self.map.q_rad[0][first] if np.isfinite(value) else None
@@ -86,7 +86,7 @@ class Value:
     def way(self, q: Array, t_s: float = 0.0, end: int = -1, hurry: float = 1.0) -> Way | None:
         """Read off the best course from a pose (n,) [rad] at a time [s]; None if there is no course.
 
-        The course ends at the time with index ``end``. It may use ``hurry`` times the joint speeds of V.
+        The course ends at the time with index ``end``. Its joint speeds may be ``hurry`` times those that V allows.
         """
         t, poses, slack, at = self.map.targets.t_s, [q], np.zeros(len(q)), (0, 0)
         end = len(t) - 1 if end < 0 else end
@@ -140,7 +140,7 @@ def keeping_shaft(found: PoseMap, limits: Limits) -> PoseMap:
     """Return the map with mu reduced by `lowered`."""
     if limits.shaft <= 0.0:
         return found
-    # On all branches, the Jacobians' columns differ only in their signs.
+    # From branch to branch, the Jacobians' columns differ only in their signs.
     may = found.feasible().any(axis=1)
     share = np.full(may.shape, np.inf)
     share[may] = shaft_shares(found.robot, found.q_rad[:, 0][may])
@@ -149,7 +149,7 @@ def keeping_shaft(found: PoseMap, limits: Limits) -> PoseMap:
 
 
 def reached(found: PoseMap, q_start: Array, limits: Limits) -> list[NDArray[np.bool_]]:
-    """Flag the poses (b,m) that can be reached at each time, until there are none."""
+    """Flag the poses (b,m) that can be reached at each time after the start, up to the last time with such a pose."""
     step, feasible = limits.speed_share * found.robot.v_max * found.targets.period_s, found.feasible(limits.margin)
     before, value = np.tile(q_start, (found.mu.shape[1], 1, 1)), np.zeros((found.mu.shape[1], 1))
     each: list[NDArray[np.bool_]] = []
@@ -183,8 +183,8 @@ def advance(
 ) -> Array:
     """Return the values (b,m) of the poses at one time, from the values at the next time.
 
-    A pose is within reach of another if no joint differs by more than its step (n,) [rad] plus both slacks. Their
-    branch numbers may differ only in the bits of ``crossing`` (m,).
+    Two poses are within reach of each other if no joint differs by more than its step (n,) [rad] plus both poses'
+    slacks, and if their branch numbers differ only in the bits of ``crossing`` (m,).
 
     Args:
         q, slack: (b,m,n) [rad], NaN if there is no pose; gain: (b,m) added to each value, -inf if forbidden.

@@ -16,9 +16,9 @@ from moc_opt.arrays import Array, read_only
 from moc_opt.errors import RobotError
 from moc_opt.robots.model import RobotModel
 
-HELD = 1e-6  #: Relative size of a singular value of A that counts as zero.
-RANK = 1e-9  #: Absolute size of a singular value of A that counts as zero on curves.
-LEAST_STEP, MOST_STEP = 1e-5, 10.0  #: Smallest and largest spacing of the samples on a curve [rad].
+HELD = 1e-6  #: Relative size below which a singular value of A counts as zero.
+RANK = 1e-9  #: Absolute size below which a singular value of A counts as zero on curves.
+LEAST_STEP, MOST_STEP = 1e-5, 10.0  #: Bounds on the spacing of the samples on a curve [rad].
 
 
 class Freedoms(NamedTuple):
@@ -27,17 +27,17 @@ class Freedoms(NamedTuple):
     rank: int  #: Rank of A, 5 if the arm can place the shaft freely.
     real: int  #: Number of independent joint motions that move links but neither tip nor wrist.
     idle: tuple[int, ...]
-    """Joints (from 0) that move neither tip nor wrist at any pose."""
-    tip: float  #: Smallest over largest singular value of the tip's Jacobian.
-    both: float  #: Fifth over largest singular value of A.
+    """Joints (counted from 0) that move neither tip nor wrist at any pose."""
+    tip: float  #: Ratio of the smallest to the largest singular value of the tip's Jacobian.
+    both: float  #: Ratio of the fifth to the largest singular value of A.
 
     def refusal(self, robot: RobotModel) -> str:
         """Return the message that no freedom is left for the third level."""
         idle = ", ".join(robot.data.joint_names[j] for j in self.idle)
         return (
-            f"robot {robot.data.name!r}: no freedom is left for the third level: of {robot.n} joints the tool's tip "
-            f"and shaft take {self.rank}, {len(self.idle)} turn nothing but the tool{f' ({idle})' if idle else ''}; "
-            "take control.law = 'dcac' (needs no freedom), an arm with one joint more, or a tool off the last axis"
+            f"robot {robot.data.name!r}: no freedom is left for the third level: of {robot.n} joints, the tool's tip "
+            f"and shaft take {self.rank}, and {len(self.idle)} turn only the tool{f' ({idle})' if idle else ''}; "
+            "take control.law = 'dcac' (needs no freedom), an arm with one more joint, or a tool off the last axis"
         )
 
 
@@ -96,7 +96,7 @@ class SelfMotion:
     q: Array  #: (k,n) [rad]
     mu: Array  #: (k,) [m^3]
     held: tuple[int, ...]
-    """Joints (from 0) that are held still."""
+    """Joints (counted from 0) that are held still."""
     _robot: RobotModel = field(repr=False)
     _task: tuple[Array, Array, Array] = field(repr=False)
     """Joint limits, and the positions of tip and wrist."""
@@ -132,8 +132,8 @@ class SelfMotion:
 def self_motion(robot: RobotModel, q: ArrayLike, step: float = 0.02) -> SelfMotion:
     """Scan the feasible self-motion through q at fixed tip and wrist.
 
-    If more than one freedom is left, further joints are held still. The largest mu on the curve is then no upper bound.
-    If no freedom is left, the curve is a single pose.
+    With more than one freedom, joints are held still until one freedom is left. The largest mu on the curve is then no
+    upper bound. Without a freedom, the curve is a single pose.
 
     Args:
         q: (n,) a pose inside the joint limits [rad].
@@ -195,5 +195,5 @@ def _active_joints(robot: RobotModel, a: Array) -> list[int]:
     active = active[: usual + 1]
     found = rank(a[:, active])
     if found < min(usual, len(active)):
-        raise RobotError(f"q is singular (tip and wrist Jacobians have rank {found}, not {usual}): move it slightly")
+        raise RobotError(f"q is singular (tip and wrist Jacobians have rank {found}, not {usual}): change q slightly")
     return active

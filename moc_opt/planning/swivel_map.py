@@ -20,20 +20,20 @@ from moc_opt.robots.model import RobotModel
 from moc_opt.trace.trace import Trace
 
 UNREACHABLE, FEASIBLE = -1, 0
-TRAJECTORY_POINTS = 500  #: Largest number of times of a `Trajectory`.
+TRAJECTORY_POINTS = 500  #: Upper bound on the number of times of a `Trajectory`.
 STEP_RAD = 0.05  #: Spacing of the samples of a self-motion.
-SAME_PATH_M = 1e-6  #: Largest difference between the tip references of runs with the same path.
-OTHER_BRANCH_RAD = 0.5  #: ``gap_rad`` above which a trajectory is on another branch of inverse kinematics.
+SAME_PATH_M = 1e-6  #: Runs have the same path if their tip references differ by at most this.
+OTHER_BRANCH_RAD = 0.5  #: ``gap_rad`` above which run and map are on different branches of inverse kinematics.
 NEEDED = ("t_s", "q_rad", "tip_m", "tip_ref_m")
-NEAR = 0.02  #: Fraction below the best mu that counts as the optimum.
-END = 0.2  #: Last fraction of the time, from which the end is judged.
-CLOSE_RAD = np.radians(12.0)  #: Largest angle of a climb that counts as short.
+NEAR = 0.02  #: A mu up to this fraction below the best mu counts as the optimum.
+END = 0.2  #: The end of a run is judged from this last fraction of its time.
+CLOSE_RAD = np.radians(12.0)  #: Angle up to which a climb of mu counts as short.
 STILL_RAD_PER_S = np.radians(1.0)  #: Speed of the swivel below which a run counts as at rest.
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """The path of a run on the map, sampled at c times; arrays (c,)."""
+    """Swivel and mu of a run, sampled at c times; arrays (c,)."""
 
     t_s: Array  #: Times of the samples [s].
     swivel_rad: Array  #: Swivel in the map's range. It may jump by a turn.
@@ -51,7 +51,7 @@ class SwivelMap:
     mu: Array  #: (k, m) [m^3], also beyond joint limits; NaN if there is no pose
     q_rad: Array  #: (k, m, n) the poses
     limit: NDArray[np.int64]
-    """(k, m) `FEASIBLE` (0), the joint (from 1) that is farthest beyond a limit, or `UNREACHABLE` (-1)"""
+    """(k, m) `FEASIBLE` (0), the joint (counted from 1) that is farthest beyond a limit, or `UNREACHABLE` (-1)"""
     best_swivel_rad: Array  #: (k,) swivel of the largest feasible mu; NaN if no pose is feasible
     best_mu: Array  #: (k,) largest feasible mu [m^3]; NaN if no pose is feasible
     trajectories: Mapping[str, Trajectory]
@@ -72,7 +72,7 @@ def manipulability_map(
         RobotError: several poses of a self-motion have the same swivel angle.
     """
     if not traces or times < 2 or swivels < 8:
-        raise ReportError(f"{len(traces)} runs, {times} times, {swivels} swivels: at least 1, 2, 8 are needed")
+        raise ReportError(f"{len(traces)} runs, {times} times, {swivels} swivels: give at least 1, 2 and 8")
     for name, trace in traces.items():
         check_showable(name, trace, robot)
     guide = max(traces.values(), key=len)
@@ -134,7 +134,7 @@ def _targets(
         shared = ticks[ticks < len(trace)]
         apart = np.abs(trace.tip_ref_m[shared] - guide.tip_ref_m[shared]).max()
         if apart > SAME_PATH_M:
-            raise ReportError(f"run {name!r} was given another path (up to {apart:.3g} m apart): map each path alone")
+            raise ReportError(f"run {name!r} follows another path than the longest run ({apart:.3g} m apart)")
     # The distance from tip to wrist must be exact within REACHED_M.
     tips, trocars = (np.asarray(guide.columns[name][ticks], dtype=np.float64) for name in ("tip_ref_m", column))
     span = robot.state(robot.data.q_home).tool_span
@@ -193,10 +193,10 @@ def check_showable(name: str, trace: Trace, robot: RobotModel) -> None:
         raise ReportError(f"run {name!r} {what}: give a trace as `run` leaves it")
     joints = trace.q_rad.shape[1]
     if joints != robot.n:
-        raise ReportError(f"run {name!r} has {joints} joints, robot {robot.data.name!r} {robot.n}: give its own arm")
+        raise ReportError(f"run {name!r} has {joints} joints, but robot {robot.data.name!r} has {robot.n}")
     wild = [column for column in NEEDED if not np.isfinite(trace.columns[column]).all()]
     if wild:
-        raise ReportError(f"run {name!r} is not finite in {wild[0]!r}: cut it off before that with `select`")
+        raise ReportError(f"run {name!r} is not finite in {wild[0]!r}: keep its finite ticks with `select`")
 
 
 class End(StrEnum):
@@ -220,14 +220,14 @@ class Reading:
     near: float  #: Share of the time at the optimum; NaN if unknown.
     mu_share: float  #: (Mean mu) / (mean of the best mu at the same times).
     travel_rad: float  #: Change of the swivel from start to end.
-    from_s: float  #: Time after which the run stays at the optimum [s], or NaN.
+    from_s: float  #: Time from which the run stays at the optimum until its end [s], or NaN.
     end: End
-    joint: int  #: Joint (from 1) whose limit keeps mu from rising further, or 0.
+    joint: int  #: Joint (counted from 1) whose limit keeps mu from rising further, or 0.
     at_edge: float  #: Share of the time at an infeasible pose or next to one.
 
 
 def read_trajectory(found: SwivelMap, name: str) -> Reading:
-    """Analyse the trajectory of the run with this name on the map."""
+    """Analyse the trajectory of the run ``name`` on the map."""
     run, known = found.trajectories[name], np.isfinite(found.best_mu)
     travel, nan = float(np.unwrap(run.swivel_rad)[-1] - run.swivel_rad[0]), np.nan
     if not known.any() or run.gap_rad > OTHER_BRANCH_RAD:
@@ -250,7 +250,7 @@ def read_trajectory(found: SwivelMap, name: str) -> Reading:
 
 
 def _what_holds(found: SwivelMap, run: Trajectory, late: NDArray[np.bool_]) -> tuple[End, int]:
-    # the last column with a feasible pose up to the run's end
+    # the map's last column before the run's end that has a feasible pose
     known = np.flatnonzero(np.isfinite(found.best_mu))
     column = int(max(known[found.t_s[known] <= run.t_s[-1] + 1e-9], default=known[0]))
     mu, limit, count = found.mu[column], found.limit[column], found.mu.shape[1]

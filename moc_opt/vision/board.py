@@ -56,7 +56,7 @@ class Pose:
         return float(np.linalg.norm(self.t - other.t)), float(np.linalg.norm(pin.log3(self.R.T @ other.R)))
 
     def towards(self, other: Pose, share: float) -> Pose:
-        """Interpolate by a ``share`` from 0 to 1."""
+        """Interpolate from this pose (``share`` 0) to the other pose (``share`` 1)."""
         turn = rotation_from(share * pin.log3(self.R.T @ other.R))
         return Pose(self.R @ turn, self.t + share * (other.t - self.t))
 
@@ -117,7 +117,7 @@ class Board(VisionSettings):
         return _rectangle(left, top, left + self.marker_m, top - self.marker_m)
 
     def outline(self) -> Array:
-        """Return the corners (4, 3) of the board in its own frame [m]."""
+        """Return the corners (4, 3) of the board in the board's frame [m]."""
         x, y = 0.5 * self.size_m[0], 0.5 * self.size_m[1]
         return _rectangle(-x, y, x, -y)
 
@@ -148,7 +148,7 @@ class BoardTask:
     depth_m: float = 0.15  #: depth of the board below the trocar [m]
 
     def on_board(self) -> Path:
-        """Return the path in the board's own frame."""
+        """Return the path in the board's frame."""
         start = (*self.start_m, self.height_m)
         return make_path(self.kind, start, normal=(0.0, 0.0, 1.0), heading=(1.0, 0.0, 0.0), **self.sizes)
 

@@ -20,9 +20,9 @@ Picture = NDArray[np.uint8]  # (H, W, 3), blue green red
 
 TISSUE, COVER, STEEL = (92, 100, 178), (70, 60, 150), (150, 148, 145)
 SHAFT_RADIUS_M = 0.004
-_MARKER_BITS = 6  # 4 bits, and a black frame around them
+_MARKER_BITS = 6  # cells along a marker's side: 4 bits between two cells of black frame
 _CELL_PX = 16  # pixels along one cell of the drawn board
-_FINER = 2  # the scene is drawn this many times finer than the picture
+_FINER = 2  # the scene is drawn this many times finer than the final picture
 
 
 class CameraSettings(VisionSettings):
@@ -153,7 +153,7 @@ def expose(picture: Picture, settings: CameraSettings, rng: np.random.Generator)
     if settings.blur_px > 0.0:
         picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), settings.blur_px), dtype=np.uint8)
     if settings.noise > 0.0:
-        # The detection uses only grey levels.
+        # The detection uses only grey levels, so all colours get the same noise.
         grain = np.rint(settings.noise * rng.standard_normal(picture.shape[:2], dtype=np.float32))
         picture = np.clip(picture.astype(np.int16) + grain.astype(np.int16)[:, :, None], 0, 255).astype(np.uint8)
     return picture

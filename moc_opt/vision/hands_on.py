@@ -64,7 +64,7 @@ class HandsOnStatus(Enum):
     REGISTERED = "the tip rested at the incision and the trocar is registered"
     SHORT = "the tip did not reach the incision: raise hand.force_max_N, tolerance_m or time_limit_s"
     RESTLESS = (
-        "the tip reached the incision and did not rest there: raise joint_damping_Nm_s_per_rad, "
+        "the tip reached the incision but did not rest at it: raise joint_damping_Nm_s_per_rad, "
         "rest_speed_m_per_s or time_limit_s"
     )
     STOPPED = "the safety filter stopped the arm: the trace's meta[\"ended\"] says why"
@@ -141,8 +141,8 @@ def guide_to(
 ) -> HandsOn:
     """Let a hand pull the tip to the incision (3,) [m], and register the trocar.
 
-    The robot registers the tip of its own kinematics, plus a seeded error. If the incision is too far away or out of
-    reach, a TaskError is raised before anything moves. If the arm runs away, a PlantError is raised.
+    The tip's position in the robot's model, plus a seeded error, is registered as the trocar. If the incision is too
+    far away or out of reach, a TaskError is raised before anything moves. If the arm runs away, a PlantError is raised.
     """
     settings = settings or HandsOnSettings()
     goal = vector3("incision", incision)

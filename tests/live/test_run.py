@@ -99,7 +99,7 @@ def test_unusable_solver_gives_a_message(run: LiveRun) -> None:
     controller.solver = Mock(supports=lambda qp: "it is not in the mood")
     run._in_use.next = controller
     run.advance(10)
-    assert "not in the mood; exact goes on" in run.messages.popleft()
+    assert "not in the mood; exact stays in use" in run.messages.popleft()
     assert solver_of(run.used) == run.solver == "exact"
     assert run.t_s == pytest.approx(0.038)
 

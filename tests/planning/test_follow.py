@@ -279,7 +279,7 @@ def test_a_saved_course_is_followed_like_a_planned_one(course, monkeypatch):
 @pytest.mark.parametrize(("change", "message"), [
     ({"duration_s": 0.8}, "it goes from 0 to 1 s, the run from 0 to 0.8"),
     ({"start": {"swivel": 0.3}}, r"begins 0\.\d+ rad from the start of the run; plan it"),
-    ({"robot": {"name": "iiwa14"}}, "a course of robot 'lwr4', this run's is 'iiwa14'"),
+    ({"robot": {"name": "iiwa14"}}, "a course of robot 'lwr4', but the run has 'iiwa14'"),
     ({"control": {"course_speed_fraction": 0.01}}, "plan it with --speed-share 0.01"),
     ({"control": {"course": "nowhere.parquet"}}, "nowhere.*no such file.*moc-opt plan"),
 ])  # fmt: skip
@@ -298,15 +298,15 @@ def test_a_file_that_is_no_course_is_refused(course, tmp_path):
         return {"q_rad": other}
 
     for columns, meta, message in (
-        ({"q_rad": q[:, :6]}, {}, r"q_rad \(\d+, 6\), a course of 7 joints"),
+        ({"q_rad": q[:, :6]}, {}, r"q_rad \(\d+, 6\), not floats \(k,\) and \(k, 7\)"),
         (moved(3, 2, np.nan), {}, "a pose is not finite"), ({"t_s": t[::-1].copy()}, {}, "times t_s do not rise"),
         ({"t_s": np.round(t).astype(np.int64)}, {}, "t_s has shape"),
         *((moved(slice(9, None), 6, by), {}, r"joint_7 goes 9\d\d\.?\d* rad beyond its limit") for by in (1e3, -1e3)),
-        (moved(5, slice(None), 0.05), {}, "mm off path and shaft at t = 0.125 s"),
+        (moved(5, slice(None), 0.05), {}, "mm from its target at t = 0.125 s"),
         ({"t_s": np.maximum(t, 0.01)}, {}, "it goes from 0.01 to 1 s"), ({}, {"kind": "run"}, "holds no course"),
         ({name: rows[:1] for name, rows in trace.columns.items()}, {}, r"t_s has shape \(1,\)"),
-        ({name: rows[[0, -1]] for name, rows in trace.columns.items()}, {}, "mm off path and shaft"),
-        ({"q_rad": q + 0.1}, {"from_start": False}, r"from the start of the run; begin there: \[start\] q_rad = \["),
+        ({name: rows[[0, -1]] for name, rows in trace.columns.items()}, {}, "mm from its target"),
+        ({"q_rad": q + 0.1}, {"from_start": False}, r"start of the run; begin the run there: \[start\] q_rad = \["),
     ):  # fmt: skip
         mo.Trace({**trace.columns, **columns}, {**trace.meta, **meta}).save(to)
         with pytest.raises(ScenarioError, match=message):

@@ -69,7 +69,7 @@ def test_a_path_is_blocked_at_its_first_unreachable_point(robot):
 
 @pytest.mark.parametrize(("limits", "told"), [
     (Limits(speed_share=0.03), "joint_4 would have to turn at 1.03 times its speed limit"),
-    (Limits(0.6), "within the joint limits: joint_4 is beyond its own"),
+    (Limits(0.6), "within the joint limits: joint_4 is beyond its limit"),
     (Limits(1.957 * np.eye(7)[2], 0.15), "runs into its limit; only other swivels or branches"),
 ])  # fmt: skip
 def test_the_joint_that_blocks_a_path_is_named(robot, limits, told):

@@ -126,7 +126,7 @@ def test_wrong_input_is_refused(robot, odd_robot, runs):
     wild = moc.with_columns(tip_m=np.where(np.arange(len(moc))[:, None] > 9, np.nan, moc.tip_m))
     bare = Trace({name: moc.columns[name] for name in ("t_s", "q_rad", "tip_m", "tip_ref_m")})
     for traces, words in (
-        ({}, "0 runs"), ({"a": moc, "b": moved}, "'b' was given another path"), ({"x": bare}, "no column 'trocar_m'"),
+        ({}, "0 runs"), ({"a": moc, "b": moved}, "'b' follows another path"), ({"x": bare}, "no column 'trocar_m'"),
         ({"x": Trace({"t_s": moc.t_s, "q_rad": moc.q_rad})}, "lacks the columns tip_m, tip_ref_m"),
         ({"x": moc.select(np.zeros(len(moc), dtype=bool))}, "has no ticks"), ({"x": wild}, "not finite in 'tip_m'"),
         ({"x": moc.with_columns(q_rad=moc.q_rad[:, :6])}, "has 6 joints"),
