@@ -28,9 +28,9 @@ PRESETS: Mapping[str, Mapping[str, Callable[..., Settings]]] = {
     "plant": {"realistic": PlantSettings, "nominal": PlantSettings.nominal},
 }
 """By table and preset: the function that makes the table."""
-_LAGS = 3.0  # smallest motion_lag_s, in time constants of the velocity filter
+_LAGS = 3.0  # lower bound of motion_lag_s, in time constants of the velocity filter
 _TORQUE, _SPEED = 500.0, 600.0
-"""Smallest repeat_torque [share of tau_max] and stuck_rad_per_s [rad/s], per rad of encoder step."""
+"""Lower bounds of repeat_torque [share of tau_max] and stuck_rad_per_s [rad/s], per rad of encoder step."""
 
 
 class Scenario(Settings):
@@ -103,7 +103,7 @@ class Scenario(Settings):
             box, wall = getattr(self.control, name), getattr(self.guard, f"position_margin_{unit}")
             if 0.0 < box < wall and self.control.law == "moc":
                 raise ValueError(
-                    f"guard.position_margin_{unit} = {wall} is larger than control.{name} = {box}, so that the third "
+                    f"guard.position_margin_{unit} = {wall} is larger than control.{name} = {box}, so the third "
                     f"level would press the arm against a wall of the safety filter: give {name} = {wall} or more, or 0"
                 )
         return self
@@ -113,14 +113,14 @@ class Scenario(Settings):
         control = self.control
         if self.solver.isolation == "process" and control.law == "moc" and control.supervisor.late == "iterate":
             raise ValueError(
-                "[control.supervisor] late = 'iterate': a solver in a process of its own gives no iterate when "
-                "its budget ends; take 'hold' or 'zero', or [solver] isolation = 'none'"
+                "[control.supervisor] late = 'iterate': a solver in its own process gives no iterate when "
+                "its time budget ends; take late = 'hold' or 'zero', or [solver] isolation = 'none'"
             )
         return self
 
     @classmethod
     def load(cls, path: Self | str | os.PathLike[str]) -> Self:
-        """Read a TOML file, whose relative paths start at its folder. A `Scenario` is returned unchanged.
+        """Read a TOML file. The relative paths in it start at its folder. A `Scenario` is returned unchanged.
 
         Raises:
             ScenarioError: the file is missing or not TOML, or a value is out of range.
@@ -165,7 +165,7 @@ class Scenario(Settings):
     __str__ = __repr__
 
     def change(self, **tables: Any) -> Self:
-        """Copy the scenario with some fields changed. A mapping for a table changes only the keys that it has.
+        """Copy the scenario with some fields changed. A mapping given for a table changes only the mapping's keys.
 
         Raises:
             ScenarioError, UnknownNameError: as for the constructor.

@@ -32,7 +32,7 @@ from moc_opt.trace.trace import Trace
 
 Columns = Mapping[str, NDArray[Any]]
 
-AT_ONCE = 5000  # answers whose residuals are computed together
+AT_ONCE = 5000  # number of answers whose residuals are computed together
 PERIOD_S = 0.05  # time step of the planning grid [s]
 PATH = {"robot", "start", "trocar", "task", "duration_s", "seed"}  # keys that determine path and start
 
@@ -40,7 +40,7 @@ PATH = {"robot", "start", "trocar", "task", "duration_s", "seed"}  # keys that d
 def model_errors(columns: Columns, robot: RobotModel, plant: Plant, offset: TaskOffset) -> dict[str, NDArray[Any]]:
     """Compute tip and RCM error [m] by the controller's kinematics.
 
-    Elastic joints with encoders on the motors give no columns.
+    Return {} if the joints are elastic and the encoders are on the motors.
     """
     if plant.settings.elastic and plant.settings.encoder_side == "motor":
         return {}
@@ -53,7 +53,7 @@ def model_errors(columns: Columns, robot: RobotModel, plant: Plant, offset: Task
 
 
 def residual_columns(columns: Columns) -> dict[str, NDArray[Any]]:
-    """Compute each answer's residuals and the flag ``verified``; {} without subproblems."""
+    """Compute each answer's residuals and the flag ``verified``; {} if there are no subproblems."""
     if "subproblem" not in columns:
         return {}
     x = columns["x_rad_per_s"]
@@ -66,9 +66,9 @@ def residual_columns(columns: Columns) -> dict[str, NDArray[Any]]:
 
 
 def largest_mu(poses: Array, robot: RobotModel, samples: int) -> tuple[Array, dict[str, str]]:
-    """Compute the largest mu [m^3] for the run's tip and wrist, at evenly spaced ticks.
+    """Compute the largest mu [m^3] for the run's tip and wrist, at ``samples`` evenly spaced ticks.
 
-    Return (bound, meta). ``bound`` (N,) is NaN at other ticks. ``meta`` names the method.
+    Return (bound, meta). ``bound`` (N,) is NaN at all other ticks. ``meta`` names the method.
     """
     bound = np.full(len(poses), np.nan)
     ticks = np.linspace(0, len(poses) - 1, min(samples, len(poses))).astype(int)
@@ -81,7 +81,7 @@ def largest_mu(poses: Array, robot: RobotModel, samples: int) -> tuple[Array, di
 
 
 class BestCourses(NamedTuple):
-    """The courses with the largest mean mu along one path, or None."""
+    """The courses with the largest mean mu along one path; None: no course was found."""
 
     robot: RobotModel
     from_start: Course | None  #: From the start pose of the run.
@@ -123,11 +123,11 @@ def against_best(scenario: Scenario, trace: Trace) -> tuple[dict[str, NDArray[An
     for name, course in (("mu_best_from_start", mine), ("mu_best", known.best)):
         if course is not None:
             columns[name] = np.interp(t, course.t_s, course.mu)
-    told: dict[str, Any] = {"absent": "" if mine else "no course was found from this start on the grid of the map"}
+    told: dict[str, Any] = {"absent": "" if mine else "no course was found from this start on the planner's grid"}
     if mine is not None:
         columns["q_best_from_start_rad"] = np.stack([np.interp(t, mine.t_s, q) for q in mine.q_rad.T], axis=1)
         top, elbow = top_of(last, trace.q_rad[-1]), Elbow(known.robot, last.targets.wrist)
-        if top is not None and abs(t[-1] - mine.t_s[-1]) < PERIOD_S:  # a stopped run ends elsewhere on the path
+        if top is not None and abs(t[-1] - mine.t_s[-1]) < PERIOD_S:  # a stopped run ends earlier on the path
             here, there = np.degrees(elbow.swivel(np.stack([top.q_rad, mine.q_rad[-1]]))).tolist()
             told["end"] = {
                 "mu": float(trace.mu[-1]), "top_mu": top.mu, "top_swivel_deg": here, "at_limit": top.at_limit,

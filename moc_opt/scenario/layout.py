@@ -1,4 +1,4 @@
-"""Lay a scenario's task out from one start pose."""
+"""Choose a scenario's start pose, and lay out the task from there."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from moc_opt.scenario.config import Scenario
 from moc_opt.tasks import Reference, Trocar, make_path
 
 MOST_TICKS = 1_000_000
-"""Largest number of ticks in a run. Its residuals take about 4 GB of memory."""
+"""Largest number of ticks in a run. The residuals of so many ticks take about 4 GB of memory."""
 
 _POSE_STREAM = (1,)  # random stream of the start pose
 
@@ -70,7 +70,7 @@ def _checked(scenario: Scenario, robot: RobotModel, q: Array, until_s: float) ->
     try:
         return found, preflight.check_reachable(robot, q, found.reference, found.registered, until_s)
     except preflight.UnreachableError as error:
-        error.args = (f"{error}; [start] check_path = false leaves this check out",)
+        error.args = (f"{error}; [start] check_path = false skips this check",)
         raise
 
 
@@ -95,7 +95,7 @@ def _task(scenario: Scenario, robot: RobotModel, q: Array) -> Layout:
     if not duration_s / scenario.plant.period_s <= MOST_TICKS:
         raise ScenarioError(
             f"the run takes {duration_s:.3g} s (duration_s, or the time of the [task]). With [plant] period_s = "
-            f"{scenario.plant.period_s:.3g} s, it has more than {MOST_TICKS} ticks: give a smaller duration_s"
+            f"{scenario.plant.period_s:.3g} s, this is more than {MOST_TICKS} ticks: give a smaller duration_s"
         )
     return Layout(q, point, registered, reference, duration_s)
 

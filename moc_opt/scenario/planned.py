@@ -27,15 +27,15 @@ def plan(
     margin_rad: float = 0.0, margin_m: float = 0.0, speed_share: float = 1.0, shaft_margin: float = 0.0,
     refined: bool = True,
 ) -> Plan:  # fmt: skip
-    """Plan a scenario's run, and find out whether it can be executed.
+    """Plan a scenario's course (joint motion), and find out whether the arm can execute the path.
 
     Args:
         scenario: a scenario, or the path of its file.
         times: number of points on the path. None: one per `PERIOD_S`, but at most `MOST_TIMES`.
-        swivels: samples per turn of the elbow.
-        margin_rad, margin_m: distance of turning and of sliding joints from their limits [rad], [m].
-        speed_share: usable share of the joints' speed limits, above 0 to 1.
-        shaft_margin: smallest (manipulability of the shaft) / (distance from wrist to tip)^2, if possible.
+        swivels: number of samples per turn of the elbow.
+        margin_rad, margin_m: required distance of turning joints [rad] and sliding joints [m] from their limits.
+        speed_share: usable share of the joints' speed limits, above 0 and at most 1.
+        shaft_margin: soft lower bound on (manipulability of the shaft) / (distance from wrist to tip)^2.
         refined: whether a nonlinear program improves the course.
 
     Raises:
@@ -54,9 +54,9 @@ def plan(
 def targets_of(
     robot: RobotModel, layout: Layout, times: int | None = None, *, period_s: float = PERIOD_S, finer: int = 1
 ) -> Targets:
-    """Return ``times`` targets of tip and wrist, evenly spaced in time over the run.
+    """Return targets of tip and wrist, evenly spaced in time over the run.
 
-    Without ``times``, there is one target per ``period_s`` / ``finer``, but at most `MOST_TIMES` * ``finer``.
+    ``times`` is the number of targets. None: one per ``period_s`` / ``finer``, but at most `MOST_TIMES` * ``finer``.
     """
     spaces = int(np.clip(np.ceil(layout.duration_s / period_s), 1, MOST_TIMES - 1))
     span, length = robot.state(layout.q).tool_span, robot.data.tool_length
@@ -70,7 +70,7 @@ def followable_plan(
 ) -> tuple[Plan, dict[str, float]]:
     """Plan a course within limits, and return the plan and the limits.
 
-    If a third level follows the course, its limits are those of [control], else the arm's own. Arguments have priority.
+    If a third level follows the course, [control] gives the limits, otherwise the arm. Arguments have priority.
     """
     settings = scenario.control
     follows = settings.follows if followed is None else followed
@@ -90,7 +90,7 @@ def followable_plan(
 
 
 def following_warnings(scenario: Scenario, found: Plan) -> list[str]:
-    """Return the reasons why the third level cannot follow the plan's course, with cures."""
+    """Return the reasons why the third level cannot follow the plan's course, and how to change this."""
     settings, course, said = scenario.control, found.course, list[str]()
     if settings.law != "moc":
         return [f"law = {settings.law!r} has no third level: nothing follows the course; take law = 'moc'"]

@@ -20,11 +20,11 @@ from moc_opt.tasks import Reference, Trocar
 
 Found = TypeVar("Found")
 
-SINGULAR = (1e-4, 1e-4)  #: Smallest `Freedoms.tip` and `Freedoms.both` of a start.
+SINGULAR = (1e-4, 1e-4)  #: Thresholds of `Freedoms.tip` and `Freedoms.both`: below either, a start is singular.
 REGULAR = (0.1, 0.05)
-"""Smallest `Freedoms.tip` and `Freedoms.both` of a random start and its path."""
-DRAWN_MARGIN = 0.1  #: Distance of drawn poses from both limits [share of the joint's range].
-DRAWS = 200  #: Poses tried for a random start.
+"""The same thresholds for a random start and the poses along its path."""
+DRAWN_MARGIN = 0.1  #: Least distance of each joint of a drawn pose from both limits [share of the joint's range].
+DRAWS = 200  #: Largest number of poses drawn for a random start.
 SPACING_M = 0.005  #: Distance between checked points of the path [m].
 _TIMES = 1500
 _SHALLOWEST_M = 0.002
@@ -35,7 +35,7 @@ class UnreachableError(TaskError):
     """The arm cannot do this task. `field` names the cause, and `arc_length_m` the place on the path."""
 
     def __init__(self, field: str, arc_length_m: float, problem: str, cure: str) -> None:
-        super().__init__(f"[task] at {1e3 * arc_length_m:.1f} mm along the path {problem}: {cure}")
+        super().__init__(f"[task] {1e3 * arc_length_m:.1f} mm along the path: {problem}; {cure}")
         self.field, self.arc_length_m = field, arc_length_m
 
 
@@ -58,7 +58,7 @@ def check_start(robot: RobotModel, q: ArrayLike) -> RobotState:
         what = "the tip cannot move in every direction" if lost else "the tool cannot be turned in every direction"
         raise ScenarioError(
             f"[start] q_rad = {np.round(pose, 4).tolist()} is singular (mu = {state.mu:.2g} m^3): {what}; bend the "
-            f"arm there, leave q_rad out for the home pose {np.round(robot.data.q_home, 4).tolist()}, or take "
+            f"arm, leave q_rad out to start at the home pose {np.round(robot.data.q_home, 4).tolist()}, or take "
             "pose = 'random'"
         )
     return state
@@ -68,12 +68,12 @@ def random_start(
     robot: RobotModel, rng: np.random.Generator, swivelled: Callable[[Array], Array],
     lay_out: Callable[[Array], tuple[Found, Array]], margins: Array,
 ) -> Found:  # fmt: skip
-    """Draw start poses until the arm can do the task, and return the task.
+    """Draw start poses until the arm can do the task from one of them, and return the task laid out from there.
 
     Args:
         swivelled: function from a drawn pose (n,) to the start pose with the scenario's elbow angle.
         lay_out: function from a start pose (n,) to the task and poses (k, n) along the path.
-        margins: (n,) smallest distance from the joint limits [rad, m].
+        margins: (n,) required distance from the joint limits [rad, m].
 
     Raises:
         ScenarioError: all `DRAWS` draws are rejected.
@@ -93,13 +93,13 @@ def random_start(
         except _UnfitError as error:
             rejected[str(error)] += 1
         except UnreachableError as error:
-            rejected[f"the task is out of reach ({error.field})"] += 1
+            rejected[f"unable to do the task because of {error.field}"] += 1
         except RobotError:
             rejected["singular"] += 1
-    counts = ", ".join(f"{reason} {count}" for reason, count in rejected.most_common())
+    counts = ", ".join(f"{count} {reason}" for reason, count in rejected.most_common())
     raise ScenarioError(
-        f"[start] pose = 'random': none of {DRAWS} poses can do the task; rejected: {counts}; make the [task] smaller "
-        "or slower, change [trocar] depth_m, lower [start] limit_margin_rad, or take pose = 'home'"
+        f"[start] pose = 'random': the arm can do the task from none of {DRAWS} poses: {counts}; make the [task] "
+        "smaller or slower, change [trocar] depth_m, lower [start] limit_margin_rad, or take pose = 'home'"
     )
 
 
@@ -112,9 +112,9 @@ def _require_fit(robot: RobotModel, q: Array, margins: Array, where: str = "") -
     if left.tip < REGULAR[0] or left.both < REGULAR[1]:
         raise _UnfitError(f"singular{where}")
     if (np.minimum(q - robot.q_min, robot.q_max - q) < margins).any():
-        raise _UnfitError(f"joint limits{where}")
+        raise _UnfitError(f"too near to a joint limit{where}")
     if min(state.tip[2], state.wrist[2]) < 0.0:
-        raise _UnfitError(f"below the arm's base{where}")
+        raise _UnfitError(f"with tip or wrist below the arm's base{where}")
 
 
 def check_reachable(
@@ -122,8 +122,8 @@ def check_reachable(
 ) -> Array:
     """Return poses (k, n) that follow the reference with the shaft through the trocar, within limits.
 
-    The reference must start at the tip of ``q_start`` (n,). The check ends at the time ``until_s`` [s]. A refused path
-    may still be possible with other poses.
+    The reference must start at the tip of ``q_start`` (n,). The check ends at the time ``until_s`` [s]. Only two elbow
+    positions at the start are tried, so a refused path may still be possible.
 
     Raises:
         UnreachableError: the arm cannot follow the path.
@@ -133,14 +133,14 @@ def check_reachable(
     away = float(np.linalg.norm(state.tip - places.tip[0]))
     if away > _START_TOLERANCE_M:
         problem = f"the reference begins {1e3 * away:.1f} mm from the tip"
-        raise UnreachableError("start", 0.0, problem, "begin the reference at the tip, or add a line to it")
+        raise UnreachableError("start", 0.0, problem, "begin it at the tip, or put a line from the tip before the path")
     _check_depth(robot, places)
     try:
         return _follow(robot, state.q, places, reference)
     except UnreachableError:
         with suppress(UnreachableError, RobotError):
             return _follow(robot, _middle(robot, state.q), places, reference)
-        raise  # says why the given start fails, not the middle
+        raise  # the error from the given start pose
 
 
 class _Places(NamedTuple):
@@ -167,11 +167,11 @@ def _check_depth(robot: RobotModel, places: _Places) -> None:
     k = int(np.argmax((depth > longest) | (depth < _SHALLOWEST_M)))
     apart = f"tip and trocar are {1e3 * depth[k]:.1f} mm apart"
     if depth[k] > longest:
-        cure = "make the path smaller, bring it nearer to the trocar ([trocar] depth_m), or lengthen the tool"
-        raise UnreachableError("trocar", places.arc[k], f"{apart}, more than the tool's {1e3 * longest:.0f} mm", cure)
+        cure = "make the path smaller, lower [trocar] depth_m, or lengthen the tool"
+        raise UnreachableError("trocar", places.arc[k], f"{apart}, but the tool is {1e3 * longest:.0f} mm long", cure)
     if depth[k] < _SHALLOWEST_M:
-        cure = f"keep the path {1e3 * _SHALLOWEST_M:.0f} mm or more away from it"
-        raise UnreachableError("path", places.arc[k], f"{apart}, where the shaft has no direction", cure)
+        cure = f"keep the path at least {1e3 * _SHALLOWEST_M:.0f} mm away from the trocar"
+        raise UnreachableError("path", places.arc[k], f"{apart}, too near to define the shaft's direction", cure)
 
 
 def _follow(robot: RobotModel, q: Array, places: _Places, reference: Reference) -> Array:
@@ -188,12 +188,12 @@ def _follow(robot: RobotModel, q: Array, places: _Places, reference: Reference) 
     k = int(np.argmax(shares))
     if shares[k] > 1.0:
         i = int(np.argmax(np.abs(rates[k] / robot.v_max)))
-        # The peak of the tip's speed may be below v_max.
+        # If a_max limits the path, the tip's largest speed is below v_max.
         slower = 0.99 * float(np.linalg.norm(places.tip_velocity, axis=1).max()) / shares[k]
         raise UnreachableError(
             "v_max", places.arc[k],
-            f"{robot.data.joint_names[i]} would have to turn at {abs(rates[k, i]):.2f} rad/s, and its limit is "
-            f"{robot.v_max[i]:.2f}",
+            f"{robot.data.joint_names[i]} would have to turn at {abs(rates[k, i]):.2f} rad/s, but its limit is "
+            f"{robot.v_max[i]:.2f} rad/s",
             f"lower v_max_m_per_s from {reference.v_max:g} to {slower:.3g} m/s, or move the path away from the trocar",
         )  # fmt: skip
     return poses
@@ -205,15 +205,15 @@ def _out_of_reach(robot: RobotModel, places: _Places, k: int, wrist: Array, plac
     stuck = f", with {', '.join(names)} at the limit" if names else ""
     tip, at = (np.round(point, 4).tolist() for point in (places.tip[k], wrist))
     problem = (
-        f"no pose has the tip at {tip} m and the wrist at {at} m, on the line through the trocar; the arm stays "
-        f"{1e3 * placed.miss_m:.1f} mm away{stuck}"
+        f"no pose was found with the tip at {tip} m and the wrist at {at} m (on the line from the tip through the "
+        f"trocar): the arm misses one of these points by {1e3 * placed.miss_m:.1f} mm{stuck}"
     )
-    cure = "make the path smaller, move it or the trocar towards the arm, or begin with another swivel"
+    cure = "make the path smaller, move path or trocar towards the arm, or begin with another [start] swivel"
     return UnreachableError(field, places.arc[k], problem, cure)
 
 
 def _least_rates(robot: RobotModel, a: Array, velocity: Array) -> Array:
-    """Return v (n,) with a v = velocity and small |v| / v_max."""
+    """Return v (n,) with a v = velocity and, if possible, |v| <= v_max in every joint."""
     left, values, right = np.linalg.svd(a)
     rank = int((values > 1e-9 * values[0]).sum())
     shortest: Array = right[:rank].T @ ((left[:, :rank].T @ velocity) / values[:rank])

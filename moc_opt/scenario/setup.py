@@ -52,7 +52,7 @@ def make_solver(name: str, robot: RobotModel, **settings: Any) -> Solver:
 
 
 def isolated(solver: Solver, scenario: Scenario, budget_us: float = math.inf, realtime: bool = False) -> Solver:
-    """Put a solver in its own process if ``[solver]`` says so. Raise a SolverError if pickle fails."""
+    """Put a solver in its own process if ``[solver] isolation`` is "process". Raise a SolverError if pickle fails."""
     if scenario.solver.isolation == "none":
         return solver
     return Isolated(solver, scenario.solver.process, budget_us, waits=not realtime)
@@ -64,12 +64,12 @@ def make_safety_filter(robot: RobotModel, scenario: Scenario) -> SafetyFilter:
 
 
 def make_stop(scenario: Scenario) -> Stop:
-    """Return damping and shortest time of a stop, from ``[guard]``."""
+    """Return damping and shortest duration of a stop, from ``[guard]``."""
     return Stop(scenario.guard.stop_damping_Nm_s_per_rad, scenario.guard.stop_s)
 
 
 def recorded_times(scenario: Scenario) -> list[float] | None:
-    """Read the solve times [us] of ``[solver] replay_us``; None: they are measured."""
+    """Read the solve times [us] of ``[solver] replay_us``; None: solve times are measured."""
     given = scenario.solver.replay_us
     if given is None:
         return None
@@ -112,7 +112,7 @@ class Setup:
     def _build_plant(self, seed: int) -> None:
         scenario, entry = self.scenario, self.layout.trocar
         self.plant = plant = Plant(self.robot.data, scenario.plant, seed=seed)
-        if scenario.faults.bump_N > 0.0:  # finds an unknown link before the run
+        if scenario.faults.bump_N > 0.0:  # raises before the run if the link is unknown
             plant.push(scenario.faults.bump_link, np.zeros(3))
         plant.reset(self.q_start)
         self.offset = TaskOffset()
@@ -149,7 +149,7 @@ class Setup:
                 wait_us = budget
             inside, solver = solver, isolated(solver, scenario, wait_us, self.realtime)
             if solver is not inside and times is None:
-                budget = None  # the isolated solver keeps the budget
+                budget = None  # the isolated solver watches the budget
         watch = settings.supervisor.model_copy(update={"budget_us": budget})
         settings = settings.model_copy(update={"supervisor": watch})
         self.guide = None if self._guides is None else self._guides()

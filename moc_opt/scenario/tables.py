@@ -16,7 +16,7 @@ from moc_opt.tasks.paths import sizes
 
 Vector = tuple[float, float, float]
 MOST_S = 100_000.0
-"""Longest time of a run or of a part of it [s]."""
+"""Upper limit of a run's duration and of other durations in these tables [s]."""
 
 
 class RobotTable(Settings):

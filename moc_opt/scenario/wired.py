@@ -20,13 +20,13 @@ from moc_opt.sim.protocols import LoggedController
 from moc_opt.trace.trace import Trace
 
 SLOWEST_S, FASTEST_S = 0.004, 0.001
-"""Longest and shortest control period in real time [s]."""
+"""Longest and shortest allowed control period in real time [s]."""
 
 
 def fingerprint(scenario: Scenario, robot: RobotModel) -> int:
-    """Return a hash (63 bits) of the task, the period and the arm without gains."""
+    """Return a hash (63 bits) of task, control period and arm; the gains do not count."""
     whole = scenario.model_dump(mode="json", include={"robot", "start", "trocar", "task", "seed", "duration_s"})
-    del whole["robot"]["name"]  # the other end may have another folder
+    del whole["robot"]["name"]  # may be a path, which may differ at the other end
     whole["arm"] = {name: value for name, value in carried(robot).items() if name != "gains"}
     text = to_json([whole, scenario.plant.period_s], sort_keys=True)
     return int.from_bytes(hashlib.blake2s(text.encode(), digest_size=8).digest(), "little") >> 1
@@ -35,7 +35,7 @@ def fingerprint(scenario: Scenario, robot: RobotModel) -> int:
 class PlantServer(Setup):
     """The plant of a scenario, for a controller in another process.
 
-    The plant listens at ``listen``, "HOST:PORT". Port 0 takes any free port, and ``address`` has its number. In
+    The plant listens at ``listen``, "HOST:PORT". Port 0 takes any free port, whose number is in ``address``. In
     lock-step, the plant waits for each command. ``system`` describes the granted scheduling.
 
     Raises:
@@ -52,7 +52,7 @@ class PlantServer(Setup):
         if not lock_step and not FASTEST_S <= period <= SLOWEST_S:
             raise WireError(
                 f"[plant] period_s = {period}: real time needs {FASTEST_S} to {SLOWEST_S} s (1 kHz to 250 Hz); "
-                "change it, or run in lock-step"
+                "change the period, or run in lock-step"
             )
         self.system: dict[str, str] = {}
         link = Link(self.robot.n, read_key(key_file, where[0], "--listen"), INCOMING, listen=where)
@@ -65,7 +65,7 @@ class PlantServer(Setup):
 
     @cached_property
     def _guides(self) -> None:
-        """Plan no joint motion, because the controller does this."""
+        """Plan no joint motion, because the controller's process plans it."""
 
     def controller(self) -> LoggedController:
         """Return the remote controller."""

@@ -98,7 +98,7 @@ class Faults:
         for name in ("frozen_joint", "lag_joint"):
             joint = getattr(s, name)
             if joint is not None and joint >= n:
-                raise PlantError(f"{name} = {joint}: the arm has {n} joints: give 0 to {n - 1}")
+                raise PlantError(f"{name} = {joint}: the arm has {n} joints; give 0 to {n - 1}")
         signs, self._noise, self._drops, directions, drifts = (
             np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(5)
         )
@@ -118,7 +118,7 @@ class Faults:
         self._tape: list[Measurement] = []
 
     def act(self, plant: Plant, tick: int) -> None:
-        """Begin or end the pushes of this tick."""
+        """Begin or end the pushes that are due at ``tick``."""
         s = self.settings
         if s.payload_kg > 0.0 and tick == 0:
             plant.push(TOOL_BODY, self._weight)

@@ -4,7 +4,7 @@ A joint with a spring has a motor angle theta, a spring deflection delta and a l
 
     q = theta + delta,   M(q) ddq + h = tau_J,   B ddtheta + friction + tau_J = tau,   tau_J = -K delta - D ddelta/dt
 
-B is the smaller rotor inertia under torque feedback (Ott et al. 2008).
+B is the rotor inertia, as reduced by the torque feedback of a real joint (Ott et al. 2008).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from moc_opt.robots import RobotData
 from moc_opt.sim.settings import Mismatch, PlantSettings
 
 _SAGGING_ROUNDS = 12  # iterations for the springs' deflection under the arm's weight
-_MOST_RAD_A_STEP = 1.0  # largest phase of a spring's oscillation per plant step [rad]
+_MOST_RAD_A_STEP = 1.0  # largest allowed phase of a spring's oscillation per plant step [rad]
 
 
 class Joints:
@@ -32,7 +32,7 @@ class Joints:
         q, v: (n,) positions and velocities of the links [rad], [rad/s].
         theta, omega: (n,) positions and velocities of the motors [rad], [rad/s].
         shown: the pair (q, v) or (theta, omega) that the encoders measure.
-        torque: (n,) torque of the drives, before ripple [Nm].
+        torque: (n,) torque of the drives, without ripple [Nm].
         motors: slice of the motors in MuJoCo's degrees of freedom.
     """
 
@@ -54,7 +54,7 @@ class Joints:
         self._delay_ticks, self._due = settings.delay_ticks, deque[Array]()
 
     def start(self, shown: Array, speed: Array) -> None:
-        """Put the arm where encoders without errors read ``shown`` (n,) [rad], at ``speed`` (n,) [rad/s]."""
+        """Put the arm where error-free encoders read ``shown`` (n,) [rad], moving at ``speed`` (n,) [rad/s]."""
         state, model = self._state, self._model
         weight = state.qfrc_bias[self.motors]
         state.qpos[self.motors] = shown

@@ -25,8 +25,8 @@ from moc_opt.trace.trace import Trace
 if TYPE_CHECKING:
     from moc_opt.control.safety_filter import SafetyFilter
 
-AT_REST = 0.005  #: Largest speed of a joint at rest [rad/s, m/s].
-LONGEST = 4  #: Longest duration of a stop, in `Stop.seconds`.
+AT_REST = 0.005  #: Below this speed, a joint counts as resting [rad/s, m/s].
+LONGEST = 4  #: Longest duration of a stop, as a multiple of `Stop.seconds`.
 
 
 class FilteredController(Filtered):
@@ -79,8 +79,8 @@ class FilteredController(Filtered):
 class ClosedLoop:
     """A plant, a controller and an optional safety filter, advanced one control period at a time.
 
-    After a step, ``seen`` is the measurement as it arrived, ``tau`` (n,) the commanded torque [Nm], ``tick_us`` the
-    computing time [us], and ``ticks`` the number of steps.
+    After a step, ``seen`` is the measurement that the controller received, ``tau`` (n,) the commanded torque [Nm],
+    ``tick_us`` the computing time [us], and ``ticks`` the number of steps.
     """
 
     def __init__(
@@ -108,7 +108,7 @@ class ClosedLoop:
             trocar: (2, 3) rows P_t, dP_t of the true trocar; None: the arm is in no incision.
 
         Raises:
-            PlantError: the plant cannot go on.
+            PlantError: an argument is wrong, or the simulation of the plant diverged.
         """
         plant, seen = self._plant, self._plant.measure()
         if self._faults is not None:
@@ -162,7 +162,7 @@ def simulate(
         offset: true minus computed position of tip and trocar; None: zero.
         watch: called with the tick's number before each tick.
         meta: further entries of the trace's meta.
-        rescue: called with the columns so far if another exception than RunAway ends the loop.
+        rescue: called with the columns so far if an exception other than RunAway ends the loop.
 
     Returns:
         The trace. A row has a tick's torque, and the state at the tick's start.

@@ -19,7 +19,7 @@ TOOL_BODY = "tool"
 MOUNT_SITE = "tool_mount_sensor"
 FORCE_SENSOR, TORQUE_SENSOR = "mount_force", "mount_torque"
 TOLERANCE = 1e-6
-"""Largest relative difference between pinocchio and MuJoCo."""
+"""Largest allowed relative difference between pinocchio and MuJoCo."""
 POSES = 3  #: Number of compared poses.
 
 
@@ -49,7 +49,7 @@ def build_spec(data: RobotData, *, substep_s: float, gravity: bool = True) -> mu
     if names != data.joint_names:
         raise PlantError(
             f"robot {data.name!r}: MuJoCo finds the joints {names}, the robot lists {data.joint_names}: "
-            "fix every joint that is not in the list, and list them from the base to the tool"
+            "set type='fixed' for joints that are not listed, and list the others from the base to the tool"
         )
     for i, joint in enumerate(spec.joints):
         joint.range = (data.q_min[i], data.q_max[i])
@@ -133,7 +133,7 @@ def check_engines(robot: RobotModel) -> None:
         mujoco.mj_fwdVelocity(model, state)
         mujoco.mj_fullM(model, state, M)
         ours = robot.state(q, state.qvel)
-        # Rotor inertia would hide errors of small links.
+        # Rotor inertia is left out of the scale of M, because it would hide errors of small links.
         heavy = max(np.abs(M - rotor).max(), 1e-8 * rotor.max())
         bias, reach = np.abs(theirs["h"]).max() - GRAVITY[2] * heavy, max(1e-3, np.linalg.norm(theirs["tip"]))
         sizes = {"M": (heavy, "kg m^2"), "h": (bias, "Nm"), "tip": (reach, "m"), "wrist": (reach, "m")}
@@ -142,6 +142,6 @@ def check_engines(robot: RobotModel) -> None:
             if not off <= TOLERANCE * size:
                 raise RobotError(
                     f"robot {data.name!r}: pinocchio and MuJoCo differ in {name} by {off:.3g} {unit}, {off / size:.2g} "
-                    f"of its size ({TOLERANCE:g} is allowed), at q = {np.round(q, 3)}: they read its URDF differently; "
-                    "load it with moc_opt.load_robot, which rewrites it; if you did so, report the file"
+                    f"of its size ({TOLERANCE:g} is allowed), at q = {np.round(q, 3)}: they read the URDF differently; "
+                    "load the robot with moc_opt.load_robot, which rewrites the URDF; if you did so, report the file"
                 )

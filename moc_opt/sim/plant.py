@@ -25,16 +25,16 @@ from moc_opt.sim.sensors import Encoders, Measurement, Noise
 from moc_opt.sim.settings import Mismatch, PlantSettings
 
 if mujoco.get_mju_user_warning() is None:
-    # MuJoCo's own handler writes a log file into the current folder.
+    # MuJoCo's default handler writes a log file into the current folder.
     mujoco.set_mju_user_warning(lambda message: None)
 
 
-_RUNAWAY_RAD_PER_S = 1e3  #: Norm of the joint velocities of a diverged simulation.
+_RUNAWAY_RAD_PER_S = 1e3  #: Above this norm of the joint velocities, the simulation has diverged.
 
 
 @dataclass(frozen=True)
 class Stop:
-    """Damping of the drives in a stop [Nm s/rad], and shortest time of the stop [s]."""
+    """Damping of the drives in a stop [Nm s/rad], and shortest duration of the stop [s]."""
 
     damping: float = 15.0
     seconds: float = 0.5
@@ -113,7 +113,7 @@ class Plant:
 
         Args:
             q: (n,) joint positions within their limits, as encoders without noise show them [rad].
-            v: (n,) joint velocities [rad/s]; None is rest.
+            v: (n,) joint velocities [rad/s]; None: the arm is at rest.
 
         Raises:
             PlantError: wrong shape, not finite, or q outside the limits.
@@ -169,7 +169,7 @@ class Plant:
             mujoco.mj_step1(model, state)
         joints.gather()
         self._ticks += 1
-        if not joints.v.dot(joints.v) < _RUNAWAY_RAD_PER_S**2:  # also for NaN
+        if not joints.v.dot(joints.v) < _RUNAWAY_RAD_PER_S**2:  # also true for NaN
             self._ran_away = True
             raise PlantError(
                 f"the arm ran away before t = {self.time:.4g} s (v = {joints.v.tolist()} rad/s): lower the "
@@ -207,7 +207,7 @@ class Plant:
         """Close the brakes until `reset`. They add damping and dry friction in every joint.
 
         Args:
-            damping_Nm_s_per_rad: damping by the drives. With damping alone, a loaded arm sinks.
+            damping_Nm_s_per_rad: damping by the drives. Without friction, a loaded arm sinks.
             friction_Nm: friction of the holding brakes, one number or one per joint (n,).
 
         Raises:

@@ -36,7 +36,7 @@ class TorqueController(Protocol):
 
 
 class LoggedController(TorqueController, Protocol):
-    """A controller with its own columns in the trace."""
+    """A controller that writes columns of the trace."""
 
     def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
         """Create the columns that ``note`` fills, with ``ticks`` rows."""
@@ -48,7 +48,7 @@ class LoggedController(TorqueController, Protocol):
 class Filtered(ABC):
     """Turns a measurement into a safe torque, in this or another process."""
 
-    stop_reason: Any  #: Why the arm has to be stopped; empty otherwise.
+    stop_reason: Any  #: Why the arm has to be stopped; empty: it need not stop.
     limited: Any  #: Number of joints whose torque was changed in the last tick.
     warnings: Any  #: Quantities that exceeded a warning level, as JSON values.
 

@@ -82,7 +82,7 @@ class Encoders:
         return reading[0], reading[1]
 
 
-_CHANCE = 1e-10  #: Largest probability of a longer repetition, at each reading.
+_CHANCE = 1e-10  #: Accepted probability that a longer repetition begins at a reading.
 _MOST_TICKS = 500  #: Largest result of `longest_repetition` [ticks].
 
 
@@ -90,7 +90,7 @@ def longest_repetition(noise_rad: float, resolution_rad: float) -> int | None:
     """Return how often in a row an encoder at rest may repeat its reading.
 
     With step s and noise sigma, a reading repeats with a probability of at most p = erf(s / (sqrt(8) sigma)). The
-    result is the first k >= 10 with p^k below 1e-10. Without noise, or above 500, the result is None.
+    result is the first k >= 10 with p^k below 1e-10. It is None without noise, or if k exceeds 500.
     """
     if noise_rad == 0.0:
         return None
@@ -104,7 +104,7 @@ _DEAD = 600.0  #: Time constants after which a decaying filter output may repeat
 
 
 def repeats_no_reading(noise_rad: float, resolution_rad: float, cutoff_Hz: float, period_s: float) -> bool:
-    """Return whether an encoder never repeats both position and velocity.
+    """Return whether an encoder never repeats its position and its velocity together.
 
     While the position repeats, the filtered velocity decays.
     """

@@ -83,7 +83,7 @@ class PlantSettings(Settings):
             need = math.ceil(self.period_s / _COARSEST_SUBSTEP_S - 1e-9)
             raise ValueError(
                 f"substeps = {self.substeps} makes plant steps of {1e3 * self.substep_s:g} ms; "
-                f"raise substeps to {need} or more (1 ms is the coarsest)"
+                f"raise substeps to {need} or more (a step may last 1 ms at most)"
             )
         return self
 
@@ -126,7 +126,7 @@ class Mismatch:
 
     @property
     def displaces(self) -> bool:
-        """Whether the model's tip and shaft are displaced."""
+        """Whether tip and shaft differ from those of the controller's model."""
         return bool(self.origin_shift.any() or self.origin_turn.any() or self.encoder_bias.any())
 
     @classmethod

@@ -35,11 +35,11 @@ COLUMNS: Mapping[str, Column] = MappingProxyType(
         "trocar_m": Column("m", "(N, 3)", "true trocar P_t"),
         "trocar_registered_m": Column("m", "(N, 3)", "the trocar as registered, in true coordinates"),
         "force_N": Column("N", "(N, 3)", "force of the tool on its mount, as measured by the wrench sensor; tool axes"),
-        "torque_Nm": Column("Nm", "(N, 3)", "moment of the same wrench; tool axes"),
+        "torque_Nm": Column("Nm", "(N, 3)", "moment of the tool on its mount, as measured; tool axes"),
         "mu": Column("m^3", "(N,)", "manipulability sqrt(det(J J^T)) of the tip Jacobian J"),
         "tip_error_m": Column("m", "(N,)", "distance of the tip from its reference, in the base frame"),
         "tip_error_registered_m": Column(
-            "m", "(N,)", "distance of the tip from its reference, minus the offset at the start",
+            "m", "(N,)", "distance of the tip from its reference, shifted so that both agree at the start",
         ),
         "tip_error_model_m": Column(
             "m", "(N,)", "distance of the tip from its reference, by the controller's model without noise",
@@ -62,7 +62,7 @@ COLUMNS: Mapping[str, Column] = MappingProxyType(
         "injected": Column("", "(N,)", "this answer was falsified on purpose, to test the supervisor", "flag"),
         "solve_us": Column("us", "(N,)", "time to solve the subproblem; NaN without a subproblem"),
         "tick_us": Column("us", "(N,)", "computation time of a control period, from state to torque"),
-        "tick": Column("1", "(N,)", "index of the tick; without this column the rows are consecutive"),
+        "tick": Column("1", "(N,)", "index of the tick; without this column, rows are consecutive ticks"),
         "travelling": Column("", "(N,)", "the elbow is still moving to its optimum", "flag"),
         "verified": Column("", "(N,)", "the answer was judged optimal", "flag"),
         "primal": Column("rad/s, m/s", "(N,)", "violation of A x = b or the bounds on x (primal residual), or NaN"),

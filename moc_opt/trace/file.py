@@ -23,7 +23,7 @@ Columns = Mapping[str, NDArray[Any]]
 
 VERSION = "2"
 VERSION_KEY, META_KEY, TYPES_KEY, SUM_KEY = "moc_opt.trace.trace", "moc_opt.meta", "moc_opt.types", "moc_opt.crc32"
-MOST_BYTES = 2**32  # largest unpacked size, because a small file could unpack to any size
+MOST_BYTES = 2**32  # largest allowed unpacked size, because a small file could unpack to any size
 _OTHER_FORMATS = frozenset({".csv", ".tsv", ".txt", ".json", ".npy", ".npz", ".mat", ".h5", ".xlsx", ".html", ".toml"})
 
 
@@ -33,7 +33,7 @@ def new_file(path: str | os.PathLike[str]) -> Path:
     if target.suffix.lower() in _OTHER_FORMATS:
         raise TraceError(
             f"trace {str(target)!r}: a trace is written as Parquet: name it {target.stem + '.parquet'!r}; in Python "
-            "load_trace(...).to_pandas().to_csv(...) makes a CSV of it"
+            "load_trace(...).to_pandas().to_csv(...) converts it to CSV"
         )
     folder = target.absolute().parent
     if not os.path.isdir(folder):
@@ -43,7 +43,7 @@ def new_file(path: str | os.PathLike[str]) -> Path:
 
 
 def check_trace(path: str | os.PathLike[str], kind: str = "run") -> None:
-    """Raise a TraceError if the path is a non-empty file of another kind."""
+    """Raise a TraceError if the path is a non-empty file, but no trace of this kind."""
     import polars as pl
 
     if os.path.isfile(path) and os.path.getsize(path):

@@ -46,8 +46,8 @@ METRICS: dict[str, Metric] = {}  #: All metrics by name.
 def metric(unit: str | Callable[..., float]) -> Any:
     """Register a function as a metric under its own name: `@metric("mm")`, or `@metric` for counts and ratios.
 
-    The function takes `(trace)` or `(trace, baseline)`. The first line of its docstring describes the metric. After a
-    MissingDataError, a summary leaves the metric out.
+    The function takes `(trace)` or `(trace, baseline)`. The first line of its docstring describes the metric. If it
+    raises a MissingDataError, a summary leaves the metric out.
 
     Raises:
         TraceError: the function has no docstring, or another metric already has its name.
@@ -63,7 +63,7 @@ def _add(name: str, unit: str, about: str, function: Callable[..., float]) -> Me
     known = METRICS[name].function if name in METRICS else function
     # A reloaded module may register its own metrics again.
     if (known.__module__, known.__qualname__) != (function.__module__, function.__qualname__):
-        raise TraceError(f"metric {name!r} is there already, from {known.__module__}: choose another name")
+        raise TraceError(f"metric {name!r} already exists in {known.__module__}: choose another name")
     METRICS[name] = Metric(name, unit, about.splitlines()[0], function)
     return METRICS[name]
 
@@ -108,7 +108,7 @@ def summarize(trace: Trace, baseline: Trace | None = None) -> dict[str, float]:
             raise TraceError(f"the {role} is empty: run the scenario for at least one tick")
     if baseline is not None and not _same_ticks(trace, baseline):
         raise TraceError(
-            f"the baseline has {_extent(baseline)} where the trace has {_extent(trace)}: they are compared tick by "
+            f"the baseline has {_extent(baseline)}, but the trace has {_extent(trace)}: both are compared tick by "
             "tick; cut the longer one with head(ticks) or between(start_s, stop_s)"
         )
     summary = {}
@@ -122,7 +122,7 @@ def summarize(trace: Trace, baseline: Trace | None = None) -> dict[str, float]:
             if function.function.__module__ != __name__:
                 warnings.warn(f"{why} by {function.function.__module__}: left out", UserWarning, stacklevel=2)
             elif isinstance(error, ArithmeticError):
-                raise TraceError(f"{why}: a column that it reads holds zeros, or numbers that no run has") from error
+                raise TraceError(f"{why}: a column that the metric reads holds zeros or impossible numbers") from error
             else:
                 raise
     return summary
@@ -204,7 +204,7 @@ _figure("mu_final", "m^3", "Last", "mu", lambda values: values[-1])
 def mu_gain_percent(trace: Trace, baseline: Trace | None) -> float:
     """Change of mean manipulability against the same run without level 3 (DCAC).
 
-    The baseline's gains depend on the settings of level 3. To compare these, use `mu_mean`.
+    The baseline's gains depend on the settings of level 3. To compare such settings, use `mu_mean`.
     """
     if baseline is None:
         raise MissingDataError("there is no baseline: give the trace of DCAC on the same trial")
@@ -219,7 +219,7 @@ def mu_fraction_of_bound(trace: Trace) -> float:
     """Mean manipulability / mean of the largest possible manipulability with the same tip and wrist."""
     bound = float(_known(trace, "mu_bound").mean())
     if bound == 0.0:
-        raise MissingDataError("the largest mu is zero throughout: a share of it has no value")
+        raise MissingDataError("the largest mu is zero throughout: a fraction of zero has no value")
     return float(_floats(trace, "mu")[~np.isnan(trace.mu_bound)].mean()) / bound
 
 

@@ -1,7 +1,7 @@
 """Find joints that oscillate faster than any task requires, in the trace of a run.
 
-A moving mean over 1/8 s is subtracted from each joint's velocity and torque. The largest root mean square of the rest
-over one second is compared with a limit.
+A moving mean over 1/8 s is subtracted from each joint's velocity and torque. The largest root mean square of the
+difference over one second is compared with a limit.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Flags = Sequence[bool] | NDArray[np.bool_]
 LIMIT_RAD_PER_S, LIMIT_NM = 0.2, 10.0
 LIMIT_M_PER_S, LIMIT_N = 0.08, 100.0  #: Limits for a sliding joint.
 PARTS, LOUDEST, KEPT_UP = 8, 2, 0.5
-"""Parts of the worst second, loudest parts left out, share of the limit for the rest."""
+"""An oscillation's rms exceeds KEPT_UP * limit even if the LOUDEST of the window's PARTS parts are left out."""
 ABOVE_HZ, WINDOW_S, START_S, SHORTEST_S = 8.0, 1.0, 0.5, 1e-6
 
 
@@ -45,7 +45,7 @@ def shaking(trace: Trace, column: str, limits: ArrayLike | None = None) -> Shaki
     Args:
         trace: a trace of consecutive ticks.
         column: ``v_rad_per_s`` or ``tau_Nm``, (N, n).
-        limits: limit of each joint (n,), by which its values are divided; None: no limits.
+        limits: (n,) limit of each joint. Joints are compared by rms / limit. None: by rms.
 
     Raises:
         MissingDataError: a column or ticks are missing, or there are fewer than four ticks.
@@ -55,7 +55,7 @@ def shaking(trace: Trace, column: str, limits: ArrayLike | None = None) -> Shaki
     if len(trace) < 4:
         raise MissingDataError(f"the trace has {len(trace)} ticks: give four or more to find an oscillation")
     if "tick" in trace.columns and (np.diff(trace.tick) != 1).any():
-        raise MissingDataError("some ticks are left out: give all of them to find an oscillation")
+        raise MissingDataError("some ticks are left out: give consecutive ticks to find an oscillation")
     period = float(time[-1] - time[0]) / (len(time) - 1)
     if not SHORTEST_S <= period < np.inf:
         raise TraceError(
@@ -100,7 +100,7 @@ def above(values: Floats, width: int) -> Floats:
 
 
 def describe(trace: Trace, joint_names: Sequence[str], slides: Flags) -> str:
-    """Return a text on the oscillating joint, its frequency and rms; empty if none."""
+    """Return a text on the oscillating joint, its frequency and rms; empty if no joint oscillates."""
     speeds = np.where(slides, LIMIT_M_PER_S, LIMIT_RAD_PER_S)
     efforts = np.where(slides, LIMIT_N, LIMIT_NM)
     v, tau = shaking(trace, "v_rad_per_s", speeds), shaking(trace, "tau_Nm", efforts)
@@ -113,7 +113,7 @@ def describe(trace: Trace, joint_names: Sequence[str], slides: Flags) -> str:
 
 
 def judged_for_oscillation(trace: Trace, joint_names: Sequence[str], slides: Flags) -> Trace:
-    """Return the trace, whose ``meta["ended"]`` names an oscillation of the run."""
+    """Return the trace, with an oscillation of the run, if any, named in ``meta["ended"]``."""
     ended, stopped_s = trace.meta.get("ended"), trace.meta.get("stopped_at_s")
     judged = trace if stopped_s is None else trace.head(int(np.searchsorted(trace.t_s, stopped_s)))
     brief = len(judged) < 4 or judged.t_s[-1] - judged.t_s[0] < START_S + 0.5 * WINDOW_S

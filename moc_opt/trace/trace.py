@@ -32,7 +32,7 @@ class MissingDataError(TraceError, AttributeError):
 class Trace:
     """A run: `columns` with one row per control tick, and `meta` with the run's settings and ending.
 
-    `trace.q_rad` is `trace.columns["q_rad"]`; `len(trace)` is the number of ticks. Other columns than those of
+    `trace.q_rad` is `trace.columns["q_rad"]`; `len(trace)` is the number of ticks. Columns other than those of
     `Trace.COLUMNS` are allowed. Arrays are read-only.
 
     Example:
@@ -71,7 +71,7 @@ class Trace:
         first = next(iter(checked), "")
         for name, array in checked.items():
             if len(array) != len(checked[first]):
-                rows = f"{len(array)} rows where {first!r} has {len(checked[first])}"
+                rows = f"{len(array)} rows, but {first!r} has {len(checked[first])}"
                 raise TraceError(f"column {name!r} has {rows}: give one row per tick")
         object.__setattr__(self, "columns", MappingProxyType(checked))
         object.__setattr__(self, "meta", MappingProxyType(plain(meta or {})))
@@ -127,8 +127,8 @@ class Trace:
         time = np.asarray(self.t_s)
         inside = (time >= start_s) & (time < stop_s)
         if not inside.any():
-            there = f"from {time[0]:g} to {time[-1]:g} s" if len(time) else "nowhere: it is empty"
-            raise TraceError(f"between({start_s!r}, {stop_s!r}): no tick lies there; the trace has its ticks {there}")
+            there = f"runs from {time[0]:g} to {time[-1]:g} s" if len(time) else "is empty"
+            raise TraceError(f"between({start_s!r}, {stop_s!r}): no tick lies there; the trace {there}")
         return self.select(inside)
 
     def plot(
@@ -159,7 +159,7 @@ class Trace:
     def to_pandas(self) -> DataFrame:
         """Return a pandas.DataFrame with one row per tick, indexed by `t_s`; its `attrs` are `meta`.
 
-        A vector becomes several columns, such as `tip_m_x` or `q_rad_0`. Raise a TraceError without pandas.
+        A vector becomes several columns, such as `tip_m_x` or `q_rad_0`. Raise a TraceError if pandas is missing.
         """
         pandas = _package("pandas")
         columns: dict[str, NDArray[Any]] = {}
@@ -175,7 +175,7 @@ class Trace:
         return made
 
     def to_xarray(self) -> Dataset:
-        """Return an xarray.Dataset over `t_s`, `joint` and `axis`. Raise a TraceError without xarray."""
+        """Return an xarray.Dataset over `t_s`, `joint` and `axis`. Raise a TraceError if xarray is missing."""
         xarray = _package("xarray")
         variables: dict[str, Any] = {}
         coordinates: dict[str, Any] = {}

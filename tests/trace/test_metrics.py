@@ -127,7 +127,7 @@ def test_metric_can_be_registered() -> None:
     with pytest.raises(TraceError, match="no docstring"):
         metric(completed)
     completed.__doc__ = "Another one."
-    with pytest.raises(TraceError, match=r"'completed' is there already, from moc_opt\.trace\.metrics"):
+    with pytest.raises(TraceError, match=r"'completed' already exists in moc_opt\.trace\.metrics"):
         metric(completed)
     # A notebook may register the same function again.
     assert metric(METRICS["completed"].function) is METRICS["completed"]

@@ -155,8 +155,8 @@ def test_unusable_columns_are_named(name, value):
     (lambda t: t.plot("mu"), "columns = 'mu'"),
     (lambda t: t.plot(beside="a.parquet"), "beside = 'a.parquet'"),
     (lambda t: mo.summarize("a.parquet"), "trace is 'a.parquet'"), (lambda t: mo.summarize(t, 3), "baseline is 3"),
-    (lambda t: mo.summarize(t, t.head(20)), "20 ticks from 0.000 to 1.900 s where the trace has 40 ticks from 0.000"),
-    (lambda t: mo.summarize(t, t.with_columns(t_s=t.t_s + 0.1)), "from 0.100 to 4.000 s where"),
+    (lambda t: mo.summarize(t, t.head(20)), "20 ticks from 0.000 to 1.900 s, but the trace has 40 ticks from 0.000"),
+    (lambda t: mo.summarize(t, t.with_columns(t_s=t.t_s + 0.1)), "from 0.100 to 4.000 s, but"),
 ])  # fmt: skip
 def test_wrong_argument_is_named(trace, call, named):
     with pytest.raises(MocOptError, match=named):
