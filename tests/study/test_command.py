@@ -30,7 +30,7 @@ class Config(StudyConfig):
 
 
 def squares(study: Study, config: Config) -> Found:
-    """Sum the first `config.count` squares. The last job fails."""
+    """Sum the first `config.count` squares. A further job fails."""
     found = study.run([Job(slow_square, (k,)) for k in range(config.count)])
     rows = Results({"trial": k, "x": x} for k, x in enumerate(found))
     rows.add({"trial": "last", "error": str(study.run([Job(refuse)])[0])})
@@ -52,7 +52,7 @@ def asked(tmp_path: Path) -> tuple[Path, Path]:
 
 def test_study_writes_and_prints_its_result(asked, capsys):
     config, out = asked
-    assert call(squares, config, "--out", out) == 3, "the status that `squares` gives"
+    assert call(squares, config, "--out", out) == 3, "the status in the result of `squares`"
     said = capsys.readouterr().out
     assert all(words in said for words in ("The sum is [14].", "Squares", "One more sentence.", "more.txt"))
     summary = json.loads((out / "summary.json").read_text())
@@ -71,7 +71,7 @@ def test_study_writes_and_prints_its_result(asked, capsys):
     capsys.readouterr()
     for spoil in (lambda file: file.write_text("mine"), Path.unlink):
         spoil(out / "environment.json")
-        assert call(lambda *_: pytest.fail("no work before that"), config, "--out", out) == 2
+        assert call(lambda *_: pytest.fail("the study ran although its folder is refused"), config, "--out", out) == 2
         assert "that no study has written" in capsys.readouterr().err
 
 
