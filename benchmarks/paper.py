@@ -432,7 +432,7 @@ def _sections(summary: Mapping[str, Any], config: Config) -> Iterable[Section]:
         f"Group {group}: {config.groups[group].about}", [
             Column("text", "claim"), Column("controller", "solver"), Column("verdict", "verdict"),
             Column("matched", "against DCAC, same gains", unit="%"),
-            Column("own", "against DCAC, own gains", unit="%"), Column("damped", "against damped DCAC", unit="%"),
+            Column("own", "against DCAC, paper's gains", unit="%"), Column("damped", "against damped DCAC", unit="%"),
         ], [{**row, **{key: spread(row, f"{key}_percent", sign="+") for key in ("matched", "own", "damped")}}
             for row in summary["claims"] if row["group"] == group])
         for group in config.groups])  # fmt: skip

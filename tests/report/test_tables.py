@@ -29,7 +29,7 @@ def best(values: list[object], **options: object) -> list[bool]:
     return [cell.best for cell in cells(values, **options)]
 
 
-def test_column_has_one_notation() -> None:
+def test_numbers_of_a_column_have_the_same_notation() -> None:
     assert texts([1.702, 2370.16, 48.04]) == ["1.70", "2370", "48.0"]
     assert texts([5.4e-16, 0.0, 0.12]) == ["5.40e-16", "0", "1.20e-1"]
     assert texts([4034.0, 0, np.int64(7)]) == ["4034", "0", "7"]

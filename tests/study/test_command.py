@@ -95,7 +95,7 @@ def test_options_change_the_configuration(asked, monkeypatch, options, seed, cou
     ("cuont = 3", r"tiny\.toml: .*did you mean 'count'"), ("seed = -1", r"tiny\.toml: .*seed = -1"),
     (None, r"tiny\.toml.*no such file"), ("", r"new"),
 ])  # fmt: skip
-def test_input_error_is_one_line(asked, capsys, content, said):
+def test_input_error_is_printed_as_one_line(asked, capsys, content, said):
     config, out = asked
     config.unlink() if content is None else config.write_text(content)
     out.parent.write_text("a file in the place of the folder")
@@ -104,7 +104,7 @@ def test_input_error_is_one_line(asked, capsys, content, said):
     assert re.search(rf"^\w+Error: .*{said}", line)
 
 
-def test_trial_without_a_start_becomes_a_row(asked):
+def test_trial_without_a_start_is_reported_in_a_row(asked):
     case = Scenario(name="circle/5", seed=5, duration_s=0.1, bound_samples=0, judge=False)
     bad = case.change(name="bad", start={"q_rad": (0.0,) * 7})
     study = Study("tiny", asked[1], command.Namespace(), 1)

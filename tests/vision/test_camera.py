@@ -230,7 +230,7 @@ def test_refused_sighting_does_not_change_the_pose(bad):
     assert tracker.pose is before
 
 
-def test_lost_board_keeps_its_pose():
+def test_pose_of_a_lost_board_is_kept():
     tracker = BoardTracker(TrackerSettings(lost_after_s=0.12))
     answers = feed(tracker, [sight()] * 5 + [None] * 6 + [sight()] * 3)
     assert [tracked.seen for tracked in answers[4:]] == [True] * 4 + [False] * 5 + [True]
