@@ -1,6 +1,6 @@
 """Studies that need a checkout: ``python -m benchmarks.NAME`` runs one.
 
-Numerical libraries are limited to one thread before they load.
+Numerical libraries use one thread. This limit has to be set before they load.
 """
 
 import os

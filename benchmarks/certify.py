@@ -1,4 +1,4 @@
-"""Find the answers of a test set, and prove them without the solvers and residuals of moc_opt.
+"""Compute the answers of a test set in exact arithmetic, without the solvers and residuals of moc_opt.
 
 `optimum` minimises rho/2 |x|^2 - c2 grad_mu^T x under five rows of A x = b, in rational numbers: the tip's three rows,
 and the wrist's two across the shaft. HiGHS has to confirm which problems are feasible.
@@ -17,7 +17,7 @@ from moc_opt.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.study.testsets import CertificateError, TestSet
 
-TIED = 1e-12  # largest relative motion of tip and wrist along the shaft, as a share of |A|
+TIED = 1e-12  # tip and wrist count as rigidly connected up to this motion along the shaft, relative to |A|
 RANK_TOLERANCE = 1e-12
 """A singular value below this share of |A| counts as zero."""
 FEASIBLE, INFEASIBLE = 0, 2  # status of scipy's linprog
@@ -28,16 +28,16 @@ Vector = list[Fraction]
 def five_rows(qp: NullSpaceQP) -> tuple[Array, Array]:
     """Return A (5, n) and b (5,): the tip's three rows and the wrist's two across the shaft.
 
-    The wrist's row along the shaft repeats the tip's up to rounding. Exact arithmetic would count it as independent.
+    The wrist's row along the shaft equals the tip's except for rounding, so in exact arithmetic they are independent.
     """
     directions, sizes, _ = np.linalg.svd(qp.J_tip - qp.J_wrist)
     if sizes[2] > TIED * np.linalg.norm(qp.A):
-        raise CertificateError(f"tip and wrist move apart by {sizes[2]:.1e} along the shaft: no rigid tool")
+        raise CertificateError(f"the tool is not rigid: along the shaft, tip and wrist move apart by {sizes[2]:.1e}")
     across = directions[:, :2].T
     A, b = np.vstack([qp.J_tip, across @ qp.J_wrist]), np.concatenate([qp.v_tip, across @ qp.v_wrist])
     smallest = np.linalg.svd(A)[1][-1]
     if smallest <= RANK_TOLERANCE * np.linalg.norm(A):
-        raise CertificateError(f"five rows that are dependent up to rounding (singular value {smallest:.1e})")
+        raise CertificateError(f"the five rows are dependent up to rounding (smallest singular value {smallest:.1e})")
     return A, b
 
 
@@ -83,7 +83,7 @@ def optimum(A: Array, b: Array, pull: Vector, rho: float, lower: Array, upper: A
 
 
 def _alone(gain: Fraction, weight: Fraction, low: Fraction, high: Fraction) -> Fraction:
-    """Minimise weight/2 x^2 - gain x on [low, high], with x nearest to zero if weight and gain are 0."""
+    """Minimise weight/2 x^2 - gain x on [low, high]. If weight and gain are 0, return the x nearest to zero."""
     if weight or not gain:
         return min(max(gain / weight if weight else NONE, low), high)
     return high if gain > 0 else low
@@ -92,7 +92,7 @@ def _alone(gain: Fraction, weight: Fraction, low: Fraction, high: Fraction) -> F
 def _stationary(
     basis: list[Vector], start: Vector, gains: Vector, weight: Fraction, active: dict[int, Fraction]
 ) -> tuple[Vector, Vector] | None:
-    """Return (stationary point, multipliers) for these active bounds, or None if it is not unique.
+    """Return (stationary point, multipliers) for these active bounds, or None if they are not unique.
 
     With basis N and active joints S, N^T (weight x - gains) = N_S^T m and x_S = bounds.
     """

@@ -87,7 +87,7 @@ def report(rows: Sequence[dict[str, object]], config: Config) -> Report:
     named = [Column("solver", "solver"), Column("change", "change of")]
     table = Table(f"Nominal 95 % intervals: {config.draws} draws from {config.trials} trials", [
         *named, Column("true_percent", "pool", unit="%", format="+.1f"),
-        Column("ratios_percent", "mean of ratios", unit="%", format="+.1f", help="mean of the trials' own changes"),
+        Column("ratios_percent", "mean of ratios", unit="%", format="+.1f", help="mean of each trial's change"),
         *(Column(f"covered_{size}", f"{size} trials", unit="%", format=".1f", section="Widths",
                  help="share of intervals that contain the pool's change") for size in SIZES),
     ], rows)  # fmt: skip

@@ -41,7 +41,7 @@ CURVES = ("t_s", "tip_error_m", "rcm_error_m", "trocar_force_N")
 SMOOTH_S, RECOVERED, RESOLUTION_M = 0.2, 1.2, 5e-5
 """A run has recovered once its mean errors over 0.2 s stay below 1.2 times the fault-free errors plus 0.05 mm."""
 COMPLAINTS = ("failed", "raised", "malformed", "not_finite", "outside", "lied", "late", "lost")
-"""Reasons to refuse an answer as faulty. "infeasible" can be the right answer."""
+"""Reasons to refuse an answer as faulty. "infeasible" is not among them, because it can be the right answer."""
 OUTCOMES = ("survived", "stopped", "oscillated", "diverged", "ran away", "refused", "failed")
 WORST = (
     "tip_error_max_mm", "rcm_error_max_mm", "trocar_force_max_N", "rcm_mean_percent", "rcm_max_percent",
@@ -58,7 +58,7 @@ CASES = [
     Column("trocar_force_max_N", "worst force", unit="N", format=".2f"),
     Column("rcm_mean_percent", "mean RCM", unit="%", format="+.1f", help="change from the same run without the fault"),
     Column("recover_s", "recovered after", unit="s", format=".2f", help="time until tip and RCM error stay below 1.2 "
-           "times the fault-free level; from the fault's end, or from its start if it lasts"),
+           "times the fault-free level; counted from the fault's end, or from its start if it does not end"),
     Column("stop_travel_mm", "stop travel", unit="mm", format=".1f", help="motion of the tip after the stop began"),
 ]  # fmt: skip
 SEEN = [
@@ -164,7 +164,7 @@ def run_block(block: Block) -> tuple[list[dict[str, Any]], dict[str, dict[str, A
     for name, case in block.cases.items():
         trace, how = run_case(case.corrupt(block.trial), case.camera_lost_s)
         waits = case.camera_lost_s is not None
-        if waits not in levels:  # a reference that may wait also starts more gently
+        if waits not in levels:  # `Waited` starts more gently, so the fault-free run has to use it, too
             levels[waits] = run_case(block.trial, (0.0, 0.0))[0] if waits else trace
         if (level := levels[waits]) is None:
             raise MocOptError(f"{block.controller}: the run without a fault did not start: {how}")
@@ -250,9 +250,9 @@ def detection(trace: Trace) -> dict[str, int]:
 
 
 def recovery(trace: Trace, free: Trace, case: Case, ended: str) -> float | None:
-    """Return the time [s] from the fault's end until the errors stay below their limits, or None.
+    """Return the time [s] from the fault's end until the errors stay below their limits. None if they never do.
 
-    If the fault lasts, the time begins with the fault.
+    For a fault that does not end, the time is counted from its start.
     """
     if ended != "completed" or len(trace) != len(free):
         return None
@@ -350,7 +350,7 @@ def report(
         for group, title in groups.items() if (mine := [row for row in rows if row["group"] == group])
     ]  # fmt: skip
     seen = [row for row in rows if row["group"] == "solver"]
-    limits = f"Survived: tip and RCM error within {config.tip_limit_mm:g} and {config.rcm_limit_mm:g} mm."
+    limits = f"Survived: tip error up to {config.tip_limit_mm:g} mm, RCM error up to {config.rcm_limit_mm:g} mm."
     sections = [
         Section(EVERY, limits, tables),
         Section(SOLVERS, "", [Table("Solver faults, injected and detected", SEEN, seen)]),

@@ -2,7 +2,8 @@
 
 python -m benchmarks.paper [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-MOC runs with Table I as printed and with tuned parameters. DCAC runs with its own gains and with MOC's.
+MOC runs with Table I as printed and with tuned parameters. DCAC runs with the paper's gains for
+DCAC, and with MOC's gains.
 """
 
 from __future__ import annotations
@@ -39,8 +40,8 @@ from moc_opt.vision.board import board_task
 
 STREAM = 0
 PRINTED, NETWORK = "paper", "rnn"
-"""group with Table I as printed, and solver of the paper's kind"""
-HOLDS, GAINS_ONLY, FAILS, UNDECIDED = "holds", "holds only against softer gains", "does not hold", "undecided"
+"""PRINTED: the group with Table I as printed; NETWORK: the solver that is a network, as in the paper"""
+HOLDS, GAINS_ONLY, FAILS, UNDECIDED = "holds", "holds only against DCAC with softer gains", "does not hold", "undecided"
 MARKS = {HOLDS: ("✔", "good", 0), GAINS_ONLY: ("≈", "fair", 1), FAILS: ("✘", "bad", 2)}
 TONES = {HOLDS: GOOD, GAINS_ONLY: list(SERIES)[4], FAILS: WORST}
 LEAST_GAIN_PERCENT, MOST_CHANGE_PERCENT = 15.0, 5.0
@@ -48,14 +49,14 @@ MOST_MM = {
     "tip_error_model_mean_mm": 0.1, "tip_error_registered_mean_mm": 0.1, "rcm_error_model_mean_mm": 0.2,
     "rcm_error_registered_mean_mm": 0.2, "rcm_error_mean_mm": 0.5,
 }  # fmt: skip
-"""largest mean errors [mm]"""
+"""upper limits of the mean errors [mm]"""
 RULES = (
     "An effect is the change of MOC against a DCAC on the same trials, 100 (mean MOC / mean DCAC - 1), with its 95 % "
-    "interval. The mean of the trials' own ratios stands beside it. A claim is confirmed against a DCAC if both "
-    "intervals lie on the claimed side. A claim holds if it is confirmed against DCAC with MOC's gains, which lacks "
-    "only the third level. It holds only against softer gains if only DCAC with the paper's gains confirms it. It is "
-    "undecided if the two means disagree. Fewer than eight trials decide nothing. The force at the trocar follows the "
-    "RCM error and is no claim of its own."
+    "interval. Beside this ratio of means stands the mean of the ratios of the single trials. A claim is confirmed "
+    "against a DCAC if the intervals of both lie on the claimed side. A claim holds if it is confirmed against DCAC "
+    "with MOC's gains, which lacks only the third level. It holds only against softer gains if it is confirmed only "
+    "against DCAC with the gains that the paper gives DCAC. It is undecided if the two means or their intervals "
+    "disagree. Fewer than eight trials decide nothing. The force at the trocar is not judged: it follows the RCM error."
 )
 
 
@@ -75,7 +76,7 @@ class Claim:
         return effect is not None and effect.side(self.bound) == (1 if self.upwards else -1)
 
     def verdict(self, own: Change | None, matched: Change | None) -> str:
-        """Judge the changes against DCAC with its `own` gains, and with `matched` ones."""
+        """Judge the changes against DCAC with the paper's gains for DCAC (`own`), and with MOC's (`matched`)."""
         few = too_few(matched.ratio.samples if matched else 0)
         if matched is None or few:
             return str(few)
@@ -90,16 +91,16 @@ CLAIMS = (
     Claim("mu_mean", "mu", "manipulability rises by more than 7 %", 7.0, upwards=True),
     Claim(ERRORS[0], TITLES[ERRORS[0]], "tip accuracy is better"),
     Claim(ERRORS[3], TITLES[ERRORS[3]], "the RCM error is smaller"),
-    Claim(ERRORS[1], TITLES[ERRORS[1]], "the tip is nearer to its path in the patient", papers=False),
+    Claim(ERRORS[1], TITLES[ERRORS[1]], "the tip is nearer to its path in the patient's frame", papers=False),
     Claim(ERRORS[2], TITLES[ERRORS[2]], "the tip is nearer to its path in the base frame", papers=False),
-    Claim(ERRORS[4], TITLES[ERRORS[4]], "the shaft is nearer to the incision in the patient", papers=False),
+    Claim(ERRORS[4], TITLES[ERRORS[4]], "the shaft is nearer to the incision in the patient's frame", papers=False),
     Claim(ERRORS[5], TITLES[ERRORS[5]], "the shaft is nearer to the true trocar", papers=False),
 )
 """the paper's three claims, and four on errors in other frames"""
 
 
 def disagree(change: Change, bound: float) -> bool:
-    """Tell whether the means or intervals lie on different sides of a bound [%]."""
+    """Tell whether the two means, or their intervals, lie on different sides of a bound [%]."""
     sides = {(one.low > bound, one.high < bound) for one in change}
     return len(sides) > 1 or (change.ratio.value > bound) != (change.ratios.value > bound)
 
@@ -232,7 +233,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def group_figures(rows: Results) -> dict[str, dict[str, Any]]:
-    """Return means and changes against DCAC with MOC's gains, for each controller."""
+    """Return for each controller its means, and its changes against DCAC with MOC's gains."""
     changed = ["mu_mean", *ERRORS, "trocar_force_mean_N"]
     phases = [f"{phase}_{name}" for phase in PHASES for name in (*ERRORS, "trocar_force_mean_N")]
     means = ["mu_mean", "mu_fraction_of_best", *ERRORS, "trocar_force_mean_N", "torque_rate_rms_Nm_per_s"]
@@ -305,7 +306,7 @@ def ablation(rows: Results, cases: Mapping[str, Case]) -> list[dict[str, Any]]:
 
 
 def _shift(rows: Results, cases: Mapping[str, Case], name: str, printed: str, claim: Claim) -> dict[str, Any]:
-    """Return the shift of the effect [percentage points] from the printed table's."""
+    """Return by how much the effect differs from that of the printed table [percentage points]."""
     four = [
         rows.where(group=case).values(claim.metric, controller)
         for case in (name, printed) for controller in (cases[case].controller, BASELINE)
@@ -338,7 +339,7 @@ def swivel_trials(config: Config) -> list[Trial]:
 
 
 def swivel(rows: Results, solver: str) -> dict[str, Any]:
-    """Return the gain of mean mu [%] at the best start and at the others."""
+    """Return the gain of mean mu [%] from the start with the largest mu, and from the other starts."""
     top, others = (rows.where(at_maximum=best) for best in (True, False))
     found: dict[str, Any] = {"starts": len(rows) // 2, "broke_off": len(rows.failed())}
     if (of_top := gains(top, solver)) and (of_others := gains(others, solver)):
@@ -370,7 +371,7 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
         [Column("name", "parameters, solver", section="Claims"),
          *(Column(claim.metric, claim.title, unit="%", section="Claims", help=claim.text) for claim in CLAIMS)],
         shown, f"✔ {HOLDS}, ≈ {GAINS_ONLY}, ✘ {FAILS}, – {too_few(count) or UNDECIDED}. mu is claimed to rise by "
-        f"more than {CLAIMS[0].bound:g} %. The paper's claims are those of mu and of the robot's own kinematics.",
+        f"more than {CLAIMS[0].bound:g} %. Only mu, tip (own) and RCM (own) are claims of the paper.",
     )  # fmt: skip
     answer = []
     for solver in (name for name in (NETWORK, "exact") if (PRINTED, name) in by):
@@ -418,7 +419,7 @@ def _swivel_picture(rows: Results, summary: Mapping[str, Any]) -> list[Picture]:
     [solver] = (name for name in mine.names() if name != BASELINE)
     each = {row["fraction"]: gains(mine.where(trial=row["trial"]), solver) for row in mine.where(controller=solver)}
     lines = {f"MOC with {solver}": [(x, *gain * 3) for x, gain in each.items() if gain]}
-    drawn = show.lines_picture(lines, "start on the feasible self-motion, end to end", "gain of mean mu [%]")
+    drawn = show.lines_picture(lines, "start on the feasible self-motion (ends: 0 and 1)", "gain of mean mu [%]")
     says = (
         f"The gain depends on where the elbow starts: {found['gain_at_maximum_percent']:.2g} % at the largest mu, and "
         f"up to {found['gain_max_percent']:.0f} % elsewhere."
@@ -431,7 +432,7 @@ def _sections(summary: Mapping[str, Any], config: Config) -> Iterable[Section]:
         f"Group {group}: {config.groups[group].about}", [
             Column("text", "claim"), Column("controller", "solver"), Column("verdict", "verdict"),
             Column("matched", "against DCAC, same gains", unit="%"),
-            Column("own", "against DCAC, own gains", unit="%"), Column("damped", "against damped DCAC", unit="%"),
+            Column("own", "against DCAC, paper's gains", unit="%"), Column("damped", "against damped DCAC", unit="%"),
         ], [{**row, **{key: spread(row, f"{key}_percent", sign="+") for key in ("matched", "own", "damped")}}
             for row in summary["claims"] if row["group"] == group])
         for group in config.groups])  # fmt: skip
@@ -461,8 +462,8 @@ def _sections(summary: Mapping[str, Any], config: Config) -> Iterable[Section]:
                 Column("about", "case"), Column("claim", "claim"), Column("effect", "effect", unit="%"),
                 Column("shift", "shift from Table I", unit="points"), Column("decides", "decides"),
             ], exchanged)])  # fmt: skip
-    yield Section("Starting swivel", "Gain over DCAC for starts along the self-motion. A start at the largest mu "
-                  "gains hardly anything.", [Table("Gain by start", columns(
+    yield Section("Starting swivel", "Gain over DCAC for starts along the self-motion. From the start with the "
+                  "largest mu, hardly any gain is possible.", [Table("Gain by start", columns(
                       "starts", "gain_at_maximum_percent", "gain_min_percent", "gain_mean_percent", "gain_max_percent"),
                       [summary["swivel"]])])  # fmt: skip
     keys = list(dict.fromkeys(key for row in summary["procedure"].values() for key in row))

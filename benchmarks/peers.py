@@ -25,7 +25,7 @@ Level = Literal["torque", "velocity"]
 
 PERIOD_S = 0.002
 TOLERANCE_MM, CLIMB_PERCENT = 0.5, 1.0
-"""largest error of tip and shaft [mm], smallest rise of mu [%]"""
+"""A peer fails if tip or shaft is off by more than TOLERANCE_MM, or if mu rises by less than CLIMB_PERCENT."""
 CLIMB = 30.0
 """joint velocity per unit of grad mu [rad^2/(m^3 s)]"""
 STIFFNESS_PER_S = 100.0
@@ -77,7 +77,7 @@ class TSID:
         rest = np.zeros(robot.n)
         self._dynamics.computeProblemData(0.0, robot.data.q_home, rest)
         self._tip = self._point("tip", robot.data.tip_frame, [1, 1, 1, 0, 0, 0])
-        # Hard rows must be independent. The row along the shaft repeats the tip's.
+        # The wrist's row along the shaft is left out: it repeats the tip's, and hard rows must be independent.
         self._wrist = self._point("wrist", robot.data.wrist_frame, [1, 1, 0, 0, 0, 0])
         self._posture = tsid.TaskJointPosture("posture", self._robot)
         self._posture.setKp(rest)
@@ -147,7 +147,7 @@ class _PinkArm:
 
 
 class Pink(_PinkArm):
-    """Differential inverse kinematics with a QP (Caron et al.), by pink's own tasks."""
+    """Differential inverse kinematics with a QP (Caron et al.). All tasks are pink's."""
 
     RISE_PER_S, RISE_COST = 0.05, 0.02  # wanted rise of mu [m^3/s], and its weight
 
@@ -253,7 +253,7 @@ class Mink:
 
 
 PEERS: dict[str, Callable[[RobotModel], Peer]] = {"tsid": TSID, "pink": Pink, "pink-trimmed": PinkTrimmed, "mink": Mink}
-INSTALL = {"tsid": "build it from source against the installed pinocchio; its wheel lacks a library that it links to"}
+INSTALL = {"tsid": "build it from source against the installed pinocchio; the wheel lacks a library that it links to"}
 
 
 def missing(name: str) -> str | None:
@@ -329,7 +329,7 @@ def verdict(poses: Array, robot: RobotModel, task: Task) -> Verdict:
 
 
 def check(name: str) -> str | None:
-    """Run a peer on the default arm and say how it fails, if it does.
+    """Run a peer on the default arm. Return how it fails, or None.
 
     Call this in a separate process, because a mismatched wheel can crash Python.
     """

@@ -38,7 +38,7 @@ LOOPS: dict[str, dict[str, Any]] = {
 }
 ERRORS = {"tip": "tip_error_model_mean_mm", "RCM": "rcm_error_model_mean_mm"}
 MOST_GAP_PERCENT = {LOCAL: 2.0, "receding": 1.0, "planned": 0.5}
-"""largest gap of mean mu from the best course [%]"""
+"""upper limits of the mean gap of mu to the best course [%]"""
 MOST_PLANNED_PERCENT, MOST_CHANGE_PERCENT, TRAPPED_PERCENT = 3.0, 5.0, 5.0
 MOST_SCRATCH_S, MOST_REPLAN_MS, MOST_HALVING_PERCENT = 3.0, 20.0, 0.5
 FIGURES = ("gap_percent", "fraction_of_best", *ERRORS.values(), "course_gap_percent", "replan_ms_p99")
@@ -97,7 +97,7 @@ def courses(case: Scenario, loops: Mapping[str, Mapping[str, Any]]) -> list[dict
 
 
 def loop(trial: Scenario, name: str, change: Mapping[str, Any], mine: float, best: float) -> dict[str, Any]:
-    """`mine` and `best` are the mean mu of the best course from this and from any start."""
+    """`mine` is the mean mu of the best course from this start, `best` that of the best course from any start."""
     case = trial.change(control=change, best_courses=False, bound_samples=0, judge=False)
     asked = Trial(case, name, case.solver.settings, {"part": "loop"}, solver=case.solver.name)
     run, trace = run_and_trace(asked)
@@ -220,7 +220,7 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
         Column("robot", "arm", section=ALONG), Column("loop", "third level"),
         Column("gap", "below best", unit="%", section=IN_THE_LOOP),
         Column("gap_percent_max", "worst", unit="%", format=".1f", section=IN_THE_LOOP),
-        Column("trapped", "trapped", format="d", help=f"number of runs more than {TRAPPED_PERCENT:g} % below"),
+        Column("trapped", "trapped", format="d", help=f"number of runs with a gap above {TRAPPED_PERCENT:g} %"),
         Column("tip", "tip", unit="%", section=IN_THE_LOOP, help="change of the tip error relative to local"),
         Column("RCM", "RCM", unit="%", section=IN_THE_LOOP, help="change of the RCM error relative to local"),
     ], first, "✔ the goal is met, ✘ missed, – open.")  # fmt: skip

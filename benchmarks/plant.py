@@ -3,7 +3,7 @@
 python -m benchmarks.plant [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
 *Registered again*: once the elbow is at rest, the arm touches path and incision a second time. The errors after this
-are recomputed from the trace, because the motion hardly changes.
+are not simulated but computed from the same trace, because the motion would hardly change.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ KINDS = {"origins": "mm", "encoders": "mrad", "both": "mm and mrad"}
 TILT_RAD_PER_M = PlantSettings().calibration_tilt_rad / PlantSettings().calibration_error_m
 DEFAULT_SIZE_MM = 0.2
 LEAST_S = 0.5
-"""shortest time after the elbow's travel over which errors are averaged [s]"""
+"""Errors after the elbow's travel are given only if the run goes on for at least this time [s]."""
 MOST_CHANGE_PERCENT, MOST_MM = 5.0, 0.1
 AFTER = {
     "tip_after_mm": "tip after travel", "tip_again_mm": "tip registered again",
@@ -48,9 +48,9 @@ SHOWN = {**TITLES, **AFTER}
 JUDGED = "tip_error_registered_mean_mm"
 DEFINED = (
     "Break-even: the calibration error above which MOC exceeds a limit, interpolated between the tried sizes. Both "
-    "limits hold in the frame registered at the start. The first is exceeded if MOC's mean tip error is more than "
-    f"{MOST_CHANGE_PERCENT:g} % above DCAC's with the same gains. The ratio of the means and the mean of the ratios "
-    f"have to confirm this, with their whole 95 % intervals. The second is a mean tip error of {MOST_MM:g} mm."
+    "limits concern MOC's mean tip error in the frame registered at the start. The relative limit is "
+    f"{MOST_CHANGE_PERCENT:g} % above DCAC's error with the same gains. It is exceeded if the whole 95 % intervals of "
+    f"the ratio of the means and of the mean of the ratios lie above it. The absolute limit is {MOST_MM:g} mm."
 )
 
 
@@ -94,7 +94,7 @@ class Config(StudyConfig):
 
 
 def plant_of(base: PlantSettings, kind: str, size: float) -> PlantSettings:
-    """Return the plant with these errors. The frames' tilt is proportional to the origins' error."""
+    """Return `base` with these calibration errors. The frames' tilt is proportional to the origins' error."""
     origins = 1e-3 * size if kind in ("origins", "both") else 0.0
     encoders = 1e-3 * size if kind in ("encoders", "both") else 0.0
     return PlantSettings(**base.model_dump() | {
@@ -166,7 +166,7 @@ def after_travel(trace: Trace, setup: Setup, tick: int) -> dict[str, float]:
 
 
 def calibration(rows: Results, solver: str) -> list[dict[str, Any]]:
-    """Return a row per preset, kind and size: both means, and changes."""
+    """Return a row per preset, kind and size: the means of both controllers, and the changes."""
     found = []
     for preset, kind in product(rows.names("preset"), KINDS):
         here = Results(row for row in rows.where(preset=preset) if row["kind"] == kind or row["size"] == 0.0)

@@ -1,6 +1,6 @@
 """The operative procedure: a hand guides the tip to the incision, the camera finds the board, the arm does the task.
 
-Reported errors are against the true incision and the true task on the phantom.
+Reported errors are relative to the true incision and the true task on the phantom.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def _run(
     settling = 2.0 * waiting.settle_s * (1 + len(scene.board.lost_s))
     seconds = reference.t_start + reference.duration + lost + settling + task.hold_s
     times = period * np.arange(round(seconds / period))
-    # The tool's later poses are not known yet.
+    # The tool is drawn in its first pose, because its later poses are not known yet.
     looked_at, seen = scene.watch(seconds, q)
     rows, played = waiting.play(flags_at(times, looked_at, seen))
     last = int(np.searchsorted(played, reference.t_start + reference.duration))

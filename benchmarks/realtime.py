@@ -159,7 +159,7 @@ def loaded(kind: str) -> Iterator[None]:
 
 
 def run_once(case: Case, scenario: Scenario, program: str | None, number: int, machine: Any) -> Run:
-    """Run a scenario with the C controller ``program``, or with Python's (None)."""
+    """Run a scenario with the C controller ``program``, or with the Python controller (None)."""
     begun = datetime.now(UTC).isoformat(timespec="seconds")
     with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder, loaded(case.load):
         file, trace = Path(folder, "run.toml"), Path(folder, "run.parquet")
@@ -225,7 +225,7 @@ def summarise(runs: Sequence[Run]) -> dict[str, Any]:
 
 
 def _share(name: str, least: int) -> Callable[[Any], Interval | None]:
-    """Return a function for a case's share of missed cycles."""
+    """Return a function that gives a case's share of missed cycles, or None if it has fewer than ``least`` cycles."""
 
     def measured(summary: Any) -> Interval | None:
         found = summary["cases"][name]

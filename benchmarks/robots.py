@@ -134,7 +134,7 @@ def report(summary: Mapping[str, Any], judged: str) -> Report:
         f"MOC with {judged} against DCAC with the same gains, on every arm",
         [Column("robot", "arm", section="All figures"),
          *(Column(key, title, unit="%", section="Findings", help=FINDINGS[key]) for key, title in headings.items())],
-        first, "Change of the mean. ✔ the finding holds in the whole interval, ✘ in no part of it, – undecided.",
+        first, "Change of the mean. ✔ the finding holds for every value in the 95 % interval, ✘ for none, – undecided.",
     )  # fmt: skip
     every = [{"robot": arm, "controller": name, **row} for arm, by in arms.items() for name, row in by.items()]
     marks = [
@@ -143,8 +143,8 @@ def report(summary: Mapping[str, Any], judged: str) -> Report:
     order = [{"robot": arm, "order": ", ".join(names)} for arm, names in summary["ranking"]["order"].items()]
     arm_column = Column("robot", "arm")
     sections = [
-        Section("All figures", "Means over whole runs. Settled: over the ticks at which no elbow moves to its "
-                f"optimum. {FRAMES}", [Table("Every arm and controller", [
+        Section("All figures", "Means over whole runs. Settled: means over the ticks at which no controller of the "
+                f"trial moves the elbow to its optimum. {FRAMES}", [Table("Every arm and controller", [
                     arm_column, Column("controller", "controller"),
                     *columns("trials", "whole", *headings, *MEANS, **headings)], every)]),
         Section("Findings", "", [Table("Which findings hold on which arm", [
@@ -159,7 +159,7 @@ def report(summary: Mapping[str, Any], judged: str) -> Report:
 def sentences(summary: Mapping[str, Any], judged: str) -> list[str]:
     mine = {arm: by[judged] for arm, by in summary["robots"].items() if "mu_gain_percent" in by.get(judged, {})}
     if not mine:
-        return [f"No trial was completed by {judged} and by DCAC."]
+        return [f"No trial was completed by both {judged} and DCAC."]
     few = [arm for arm, row in mine.items() if too_few(row["compared"])]
     known = [by for arm, by in summary["findings"].items() if arm in mine and arm not in few]
     hold = [text for key, text in FINDINGS.items() if known and all(by[key] for by in known)]
@@ -170,7 +170,7 @@ def sentences(summary: Mapping[str, Any], judged: str) -> list[str]:
     rho = summary["ranking"]["mean"]
     return [
         f"Change of mean mu with {judged} relative to DCAC with the same gains, {each} random poses per arm: {gains}.",
-        f"Hold on every arm: {'; '.join(hold) or 'none of the findings'}. Fail on at least one arm: "
+        f"Findings that hold on every arm: {'; '.join(hold) or 'none'}. Findings that fail on at least one arm: "
         f"{'; '.join(fail) or 'none'}." + (f" {', '.join(few)}: {too_few(counts[0])}." if few else ""),
         "The solvers' gains are too similar to rank them." if rho is None else
         f"The rank correlation of the solvers between two arms is {rho:.2f} on average.",

@@ -136,8 +136,9 @@ GOALS = {
     ),
     "first_run": Goal("new process: time of `moc-opt run`", "s", 10.0, lambda s: s["setup"]["first_run_s"]),
     "exact": Goal(
-        "exact from Python / daqp called directly", "", 0.12, lambda s: s["adapters"][timed.BY_HAND]["ratio_of_exact"],
-        section=SOLVERS, made_of=lambda s: f"{s['adapters']['exact']['adapter_p50_us']:.2f} / "
+        "solve time: exact from Python / daqp called directly", "", 0.12,
+        lambda s: s["adapters"][timed.BY_HAND]["ratio_of_exact"], section=SOLVERS,
+        made_of=lambda s: f"{s['adapters']['exact']['adapter_p50_us']:.2f} / "
         f"{s['adapters'][timed.BY_HAND]['adapter_p50_us']:.2f} us",
     ),
     "batch": Goal(
@@ -145,7 +146,7 @@ GOALS = {
         made_of=lambda s: f"on one thread {s['batch']['exact']['batch_one_thread_per_s'] / 1e6:.2f} million/s",
     ),
     "tick": Goal(
-        "tick of pink-trimmed / our tick with exact", "", 12.0, lambda s: s["peers"]["pink-trimmed"]["times_ours"],
+        "tick time: pink-trimmed / ours with exact", "", 12.0, lambda s: s["peers"]["pink-trimmed"]["times_ours"],
         most=False, section=PEERS, made_of=lambda s: f"{s['peers']['pink-trimmed']['tick_p50_us']:.0f} / "
         f"{s['tick']['exact']['tick_p50_us']:.1f} us",
     ),
@@ -154,7 +155,7 @@ GOALS = {
         made_of=lambda s: f"longest {s['tick']['c']['tick_max_us']:.1f} us",
     ),
     "limit": Goal(
-        "default run / its limit (MuJoCo's steps plus moc_step)", "", 3.0,
+        "time of the default run / its limit (MuJoCo's steps plus moc_step)", "", 3.0,
         lambda s: s["loop"]["limit"]["python_over_limit"], section=LOOP,
         made_of=lambda s: f"{s['loop']['python']['us_per_tick']:.1f} us per tick, of which filter and controller take "
         f"{s['loop']['python']['tick_p50_us']:.1f} us; limit: MuJoCo {s['loop']['limit']['steps_us']:.1f} us plus C "
@@ -205,7 +206,7 @@ SECTIONS = {
         ("tick", "tick_parts"),
         "The inputs of the ticks are recorded in a run with the realistic plant. They are replayed in chunks of 100, "
         "and the controllers take turns chunk by chunk. The first round is not counted. Each part is timed alone, "
-        "so their sum is not exactly the whole. `c` is `moc_step` in the exported program, with the safety filter.",
+        "so their times do not add up exactly. `c` is `moc_step` in the exported program, with the safety filter.",
     ),
     PEERS: (
         ("peers",),
@@ -220,7 +221,7 @@ SECTIONS = {
     LOOP: (
         ("loop",),
         "A run includes references, plant, controller, trace and the progress bar's callback, but not the set-up and "
-        "the judging of answers. The limit is the time of `moc_step` plus that of MuJoCo's own steps in these states.",
+        "the judging of answers. The limit is the time of `moc_step` plus that of MuJoCo's steps from the same states.",
     ),
 }  # fmt: skip
 
@@ -235,7 +236,7 @@ def report(summary: Summary, times: Mapping[str, ArrayLike], subject: str = "") 
         Section(title, text, shown) for title, (keys, text) in SECTIONS.items()
         if (shown := [tables[key] for key in keys if key in tables])
     ]  # fmt: skip
-    says = "Time of a tick. A curve further left is faster, and a steeper curve is steadier."
+    says = "Time of a tick. The further left a curve, the faster the controller; the steeper, the steadier."
     pictures = [Picture(latency_ecdf(times), says, "ticks")] if times else []
     first = goals_table(summary["goals"])
     return Report("What everything costs", sentences(summary), first, pictures, sections,

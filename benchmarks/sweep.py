@@ -112,7 +112,7 @@ class Config(StudyConfig):
             name = BASELINE if self.scenario.control.law == "dcac" else table.name
             return {name: {**table.settings, **self.settings.get(table.name, {})}}
         if table != SolverTable():
-            raise SweepError("solvers and [scenario.solver] are both given: keep solvers, set them in [settings]")
+            raise SweepError("solvers and [scenario.solver] are both given: give only solvers and [settings]")
         names = runnable(self.solvers, BASELINE)
         for name in self.settings:
             if name not in names:
@@ -147,7 +147,7 @@ def grid_axes(table: Mapping[str, Any]) -> dict[str, list[Any]]:
 def random_draws(table: Mapping[str, Any], samples: int, seed: int) -> dict[str, list[Any]]:
     """Return ``samples`` values for each dotted path.
 
-    Each field has its own random stream, so more fields or samples change no value.
+    Each field has its own random stream, so adding fields or samples leaves the other values as they are.
     """
     draws: dict[str, list[Any]] = {}
     for path, entry in flat(table):
@@ -222,7 +222,7 @@ def _check_names(runs: Sequence[Trial]) -> None:
         except MocOptError as error:
             if isinstance(error.__cause__, UnknownNameError):
                 raise
-            # Combinations with other errors get a row.
+            # After any other error the sweep goes on: the run's row reports it.
 
 
 # --- the figures ---

@@ -2,10 +2,10 @@
 
 python -m benchmarks.testsets [--check]
 
-Most sets hold random arm poses of one kind. On one machine, the same seed gives the same problems to the last bit. Six
-sets are sequences, recorded in closed loop at 500 Hz. Each starts with the elbow in the middle of its travel. Their
-problems are taken from the files, because the control law has changed since. --check compares new problems with those
-in the files, and the files' answers with newly certified answers.
+Most sets hold problems at random arm poses of one kind. On one machine, the same seed gives the same problems to the
+last bit. Six sets are sequences, recorded in closed loop at 500 Hz. Each begins with the elbow near the middle of its
+range. The control law has changed since the recording, so their problems are not made again but taken from the files.
+--check compares new problems with those in the files, and the files' answers with newly certified answers.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from moc_opt.robots.chain import desired_wrist
 from moc_opt.robots.model import RobotModel, load_robot
 from moc_opt.study.testsets import FOLDER, INCONSISTENT, NAMES, SEQUENCES, TestSet, changed
 
-CLOSE = 1e-9  # largest difference of an answer in --check [rad/s]
+CLOSE = 1e-9  # --check allows answers to differ by this much [rad/s]
 Rng = np.random.Generator
 SIZE = 128  # problems per set
 VERSION = 1  # part of the seed of the drawn sets
@@ -64,7 +64,7 @@ def near_singular(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
     for bend in np.logspace(-1, -8, SIZE):
         q = robot.random_regular_pose(rng)
         q[3] = bend
-        # Almost every tip velocity is infeasible there.
+        # The tip rests, because almost every other tip velocity is infeasible near a singularity.
         yield at_pose(robot, q, np.zeros(3))
 
 
@@ -140,12 +140,12 @@ def make_all(check: bool) -> int:
         kept = TestSet.load(name)
         again = certify(name, kept.problems())
         apart = float(np.nanmax(np.abs(again.x - kept.x), initial=0.0))
-        print(f", answers in the file within {apart:.1e} rad/s of the certificate")
+        print(f", answers in the file within {apart:.1e} rad/s of the certified ones")
         same = np.allclose(kept.rows, made.rows, rtol=1e-9, atol=1e-12, equal_nan=True)
         if not (same and np.array_equal(again.feasible, kept.feasible) and apart <= CLOSE):
             different.append(name)
     if different:
-        print(f"differ from the sets that this program makes: {', '.join(different)}")
+        print(f"these files differ from the sets that this program makes: {', '.join(different)}")
     return 1 if different else 0
 
 

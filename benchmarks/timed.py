@@ -122,7 +122,7 @@ def ticks(scenario: Scenario, solvers: Iterable[str], libraries: Iterable[str], 
         controller = Controller(robot, scenario.control, make_solver(name, robot), scenario.plant.period_s)
         try:
             controller.start(*inputs[0])
-        except Exception as error:  # noqa: BLE001 - one solver that fails must not end the others
+        except Exception as error:  # noqa: BLE001 - a failing solver must not stop the others
             part.missing[f"solver {name}"] = f"{type(error).__name__}: {error}"
             continue
         entries[name] = Timed(_spread(controller.tick), inputs)
@@ -180,7 +180,7 @@ def exported(scenario: Scenario) -> Part:
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True, timeout=120)
     said, compared = _SAID.search(done.stdout), _COMPARED.search(done.stdout)
     if said is None or compared is None:
-        raise subprocess.SubprocessError(f"the exported program said {done.stdout!r:.200}: its times are not in it")
+        raise subprocess.SubprocessError(f"the exported program printed no times, but {done.stdout!r:.200}")
     names = ("tick_mean_us", "tick_max_us")
     times = dict(zip(names, map(float, said.groups()), strict=True))
     return Part({"tick": {"c": {**times, "difference_Nm": float(compared[1])}}})
@@ -254,7 +254,7 @@ def daqp_by_hand(settings: Any, first: NullSpaceQP) -> Callable[[NullSpaceQP], t
 
 
 def disagreement(solver: Any, by_hand: Callable[[NullSpaceQP], Any], problems: list[NullSpaceQP]) -> str | None:
-    """Say by how much two answers differ, or return None within 1e-4 rad/s."""
+    """Say by how much adapter and direct call differ, or return None if by at most 1e-4 rad/s."""
     session = solver.start(problems[0])
     gap = max(float(np.abs(session.solve(qp).x - by_hand(qp)[0]).max()) for qp in problems[:200])
     return None if gap <= 1e-4 else f"the answers of adapter and direct call differ by {gap:.2g} rad/s"
@@ -266,9 +266,9 @@ def disagreement(solver: Any, by_hand: Callable[[NullSpaceQP], Any], problems: l
 def own_steps(scenario: Scenario) -> tuple[Array, Callable[[], Array]]:
     """Return MuJoCo's recorded states (k, m), and a function that steps from all of them.
 
-    The steps run without Python, trocar and sensors. Column 0 is the time.
+    The steps run without Python, trocar and sensors. Column 0 of the states is the time.
     """
-    # Other jobs must have no threads of MuJoCo.
+    # Imported only here, because other jobs must have no threads of MuJoCo.
     import mujoco
     from mujoco.rollout import rollout
 
@@ -353,7 +353,7 @@ FIRST_RUN = ("-m", "moc_opt", "run", "--json")
 
 
 def fresh(processes: int) -> Part:
-    """Return median times of new processes [s] to the first torque, and of ``moc-opt run``.
+    """Return median times of new processes [s]: until the first torque, and for a whole ``moc-opt run``.
 
     Each ``moc-opt run`` has its own home folder, so that it finds no caches.
     """

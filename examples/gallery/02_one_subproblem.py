@@ -3,7 +3,7 @@ One subproblem, one judged answer
 =================================
 
 Build the problem of one tick by hand, solve it, and judge the answer by its residuals. The loss is 0 at the smallest
-cost and 1 at the largest.
+feasible cost and 1 at the largest.
 """
 
 import numpy as np
@@ -23,7 +23,7 @@ print(f"|A x - b| {residuals.primal:.1e}, natural residual {residuals.natural:.1
 print("verified:", residuals.verified())
 
 # %%
-# A wrong answer is detected even if it satisfies every constraint. This answer gives manipulability away.
+# A wrong answer is detected even if it satisfies every constraint. This answer gains less manipulability than possible.
 kernel = np.linalg.svd(qp.A)[2][5:]
 uphill = kernel.T @ (kernel @ state.grad_mu)
 wrong = solution.x - 0.3 * uphill / np.linalg.norm(uphill)

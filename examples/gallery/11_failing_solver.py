@@ -2,8 +2,8 @@
 A bad answer does no harm
 =========================
 
-A supervisor checks every answer before the arm follows it. Here a solver claims success for the opposite of the
-optimum at one tick in five. Each such answer is refused and replaced by a safe answer.
+A supervisor checks every answer before the arm follows it. At one tick in five, the solver here lowers the
+manipulability instead of raising it, and claims success. Each such answer is refused and replaced by a safe answer.
 """
 
 import moc_opt as mo

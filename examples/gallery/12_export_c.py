@@ -2,7 +2,8 @@
 The controller as C
 ===================
 
-Write the controller of a scenario with its safety filter as C code. It has no dependencies, heap or unbounded loops.
+Write the controller and the safety filter of a scenario as C code. The code has no dependencies, allocates no memory,
+and has no unbounded loops.
 """
 
 import tempfile

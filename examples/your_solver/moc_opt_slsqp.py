@@ -13,7 +13,7 @@ class SLSQP:
     name = "slsqp"
 
     def supports(self, qp):
-        return None  # or the reason why not
+        return None  # else the reason why it cannot solve qp
 
     def start(self, qp):
         return self  # there is no state between ticks, so this object is its own session

@@ -73,7 +73,7 @@ def test_recovery_ends_when_errors_stay_below_limits():
     (1e-3, "stopped: x", "stopped"), (1e-3, "ran away at t = 1 s", "ran away"),
     (1e-3, "oscillated: joint_7", "oscillated"),
 ])  # fmt: skip
-def test_each_ending_has_its_outcome(error, ended, expected):
+def test_each_ending_gives_the_expected_outcome(error, ended, expected):
     free = run_of(np.full(10, 1e-3))
     found = measure(run_of(np.full(10, error), ended=ended), free, ended, FREE["none"], (20.0, 20.0))
     assert found["outcome"] == expected

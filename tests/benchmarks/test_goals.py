@@ -51,7 +51,7 @@ def made(controller: str, travelling: list[int] | None, trial: str = "t", **more
     return Run({"trial": trial, "controller": controller, **more}, {**columns, **flags})
 
 
-def test_controllers_of_a_trial_share_its_phases() -> None:
+def test_all_controllers_of_a_trial_have_the_same_phases() -> None:
     runs = [
         made(BASELINE, None), made("exact", [1, 0, 0, 0]), made("rnn", [0, 0, 1, 0]),
         Run({"trial": "t", "controller": "osqp", "whole": False}),

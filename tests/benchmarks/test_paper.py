@@ -46,7 +46,7 @@ ODD, FEW = change((-9, -3), (-2, 5)), change((-9, -3), (-9, -3), 7)
 def test_claim_is_judged_by_intervals_of_both_comparisons(own, matched, wanted):
     assert CLAIMS[1].verdict(own, matched) == wanted
     found = [CLAIMS[0].verdict(None, change(ends, ends)) for ends in ((7.5, 20), (6.5, 20), (-20, -8))]
-    assert found == [HOLDS, FAILS, FAILS], "mu must rise by more than 7 % with its whole interval"
+    assert found == [HOLDS, FAILS, FAILS], "the whole interval of mu must lie above 7 %"
 
 
 def row(group, controller, k, mu=1.0, tip=1.0, **more):
@@ -56,7 +56,7 @@ def row(group, controller, k, mu=1.0, tip=1.0, **more):
     return {**about, "ended": "completed", **errors, **own, **more}
 
 
-def test_claims_use_the_right_rows():
+def test_claims_compare_runs_of_one_group():
     ten = range(10)
     rows = [row("tuned", name, k, tip=2.0 if name == OWN else 1.0) for name in BASELINES for k in ten]
     rows += [row("tuned", "exact", k, mu=1.2 + 0.001 * k, tip=1.1, settled_rcm_error_mean_mm=1.2) for k in ten]
@@ -100,7 +100,7 @@ def test_shipped_configuration_is_the_papers_experiment():
         assert [case.seed for case in mine] == [case.seed for case in cases["paper"]]
 
 
-def test_stopped_procedure_gives_the_reason():
+def test_stopped_procedure_reports_the_reason():
     with pytest.raises(MocOptError, match="did not reach the incision"):
         procedure.perform(ProcedureSettings(camera=SMALL, hands_on=HandsOnSettings(time_limit_s=0.2)), QUICK, "circle")
     base = QUICK.change(guard={"rcm_error_m": 2e-4, "rcm_warning_m": 1e-4})

@@ -50,7 +50,7 @@ def test_failing_peer_is_detected(wrong, words, robot, task, monkeypatch):
     assert failure is None if words is None else re.search(words, failure)
 
 
-def test_torque_peer_moves_the_ideal_arm(robot, task):
+def test_gravity_torques_hold_the_ideal_arm(robot, task):
     class Hold:
         level = "torque"
 

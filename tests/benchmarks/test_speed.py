@@ -74,7 +74,7 @@ def test_ratio_compares_times_of_one_round():
 
 
 def test_mujoco_steps_from_the_recorded_states():
-    """The steps apply forces that are one step old, so states agree only nearly."""
+    """The steps apply forces that are one step old, so the states agree only approximately."""
     states, stepped = timed.own_steps(SHORT.change(duration_s=0.4))
     after, n = stepped(), 7
     assert len(states) == 200

@@ -55,7 +55,7 @@ def test_draws_stay_in_range_and_more_samples_keep_the_first(seed: int, samples:
     assert longer["control.regularization"][:samples] == drawn["control.regularization"]
 
 
-def test_plan_is_every_combination_in_fixed_order() -> None:
+def test_plan_lists_every_combination_in_a_fixed_order() -> None:
     runs = plan(config(solvers=["exact", "osqp"]))
     assert len(runs) == 24
     assert [run.controller for run in runs[:3]] == ["exact", "osqp", "exact"]
@@ -65,7 +65,7 @@ def test_plan_is_every_combination_in_fixed_order() -> None:
     assert (runs[-1].controller, last.duration_s) == ("osqp", 0.05)
 
 
-def test_shared_runs_are_done_once() -> None:
+def test_equal_runs_are_planned_once() -> None:
     axes = {"solver.settings.eps": [1e-6, 1e-8], "control.k0_per_s": [1.0, 2.0]}
     runs = plan(config(solvers=["dcac", "osqp"], grid=axes, seeds=1))
     assert len(runs) == 6  # not 8, because DCAC uses no solver
@@ -75,7 +75,7 @@ def test_shared_runs_are_done_once() -> None:
     assert len(plan(config(random=drawn, grid={}, seeds=1))) == 2
 
 
-def test_scenarios_own_solver_runs_by_default() -> None:
+def test_without_a_list_of_solvers_the_scenarios_solver_runs() -> None:
     own = {**TINY, "solver": {"name": "osqp", "settings": {"eps": 1e-7}}, "control": {"law": "moc"}}
     (run,) = plan(Config(scenario=own, seeds=1))
     assert (run.controller, run.settings) == ("osqp", {"eps": 1e-7})
@@ -84,7 +84,7 @@ def test_scenarios_own_solver_runs_by_default() -> None:
     assert (dcac.controller, kept.law, kept.gains) == ("dcac", "dcac", "default")
 
 
-def test_groups_hold_the_figures_of_their_rows() -> None:
+def test_means_of_a_group_use_only_completed_runs() -> None:
     rows = Results(
         {"controller": name, "ended": ended, "whole": whole, "error": None if whole else ended, "mu_mean": mu}
         for name, ended, whole, mu in [

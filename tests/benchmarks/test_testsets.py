@@ -50,7 +50,7 @@ def test_highs_finds_no_better_point(rows, rho):
 
 
 def descent(A: Array, b: Array, slope: Array, lower: Array, upper: Array, x: Array) -> float:
-    """Return how far HiGHS can lower slope^T x, divided by |slope|_inf."""
+    """Return by how much HiGHS can lower slope^T x, divided by |slope|_inf."""
     np.testing.assert_allclose(A @ x, b, atol=1e-12)
     assert (np.maximum(lower - x, x - upper) <= 1e-15).all()
     unit = slope / (np.abs(slope).max() or 1.0)

@@ -31,7 +31,7 @@ def shipped(name: str) -> list[Scenario]:
 def test_trials_share_no_seed_start_or_registration(name: str) -> None:
     found = shipped(name)
     assert len({trial.seed for trial in found}) == len(found) > 1
-    # Finding a start is slow.
+    # Only some of the trials, because finding a start is slow.
     some = [Setup(trial.change(best_courses=False)) for trial in found[:: -(-len(found) // 7)]]
     assert len({(setup.robot.data.name, *setup.q_start.round(9)) for setup in some}) == len(some)
     assert len({tuple(setup.plant.mismatch.registration_error) for setup in some}) == len(some)

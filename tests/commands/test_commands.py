@@ -119,7 +119,7 @@ def test_page_of_keys_is_up_to_date():
                 assert float(default) == value, f"{name}.{key}"
 
 
-def test_keys_prints_one_table(capsys):
+def test_keys_command_prints_one_table(capsys):
     assert main(["keys", "control.supervisor"]) == 0
     assert "hold_ticks" in capsys.readouterr().out
     assert main(["keys", "control.supervisor", "--markdown"]) == 0
@@ -131,7 +131,7 @@ def test_keys_prints_one_table(capsys):
     assert "did you mean 'control'" in capsys.readouterr().err
 
 
-def test_compare_writes_every_run(capsys, tmp_path, monkeypatch):
+def test_compare_command_writes_every_run(capsys, tmp_path, monkeypatch):
     monkeypatch.setenv("COLUMNS", "400")
     brief, rows = tmp_path / "brief.toml", tmp_path / "rows.csv"
     brief.write_text("duration_s = 0.02\nbound_samples = 0\n", encoding="utf-8")
@@ -156,7 +156,7 @@ def test_comparison_reports_stopped_runs(tmp_path, capsys):
     assert "exact: no trial was completed; the first one: stopped" in capsys.readouterr().err
 
 
-def test_solvers_passes_its_arguments_to_the_study(monkeypatch):
+def test_solvers_command_passes_its_arguments_to_the_study(monkeypatch):
     asked = []
     monkeypatch.setattr("moc_opt.study.solvers.main", lambda arguments: asked.append(arguments) or 7)
     assert main(["solvers", "--quick", "--out", "here", "--json"]) == 7

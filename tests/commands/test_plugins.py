@@ -17,7 +17,7 @@ import numpy as np
 from moc_opt.trace.metrics import metric
 
 def helix(radius, pitch=0.01):
-    """Go round once while it climbs."""
+    """Go round once while climbing."""
     w = np.linspace(0.0, 2 * np.pi, 17)
     return np.stack([radius * np.sin(w), radius * (1 - np.cos(w)), pitch * w / (2 * np.pi)], axis=1)
 

@@ -33,7 +33,7 @@ def default(exported):
 
 
 @pytest.mark.parametrize("name", RUNS)
-def test_export_repeats_python_to_the_last_bit(name, exported):
+def test_exported_code_equals_python_to_the_last_bit(name, exported):
     done = make(exported(Scenario(**{"duration_s": 1.0, **RUNS[name]})), "test", FLAGS)
     assert done.returncode == 0, done.stdout + done.stderr
     right = r"(\d+) ticks, (\d+) limited, .* \(tick (\d+), as it should.*\); largest difference .* (\S+) Nm"

@@ -45,12 +45,12 @@ def test_an_ecdf_of_few_samples_is_exact(times: np.ndarray) -> None:
     assert (line.x[-1], line.y[-1]) == (times.max(), 1.0)
 
 
-def test_long_ecdf_has_few_exact_points() -> None:
+def test_long_ecdf_is_drawn_with_few_but_exact_points() -> None:
     times = RNG.lognormal(3, 1, 50_000)
     (line,) = figures.latency_ecdf({"a": times}).data
     assert len(line.x) < 900
     assert np.max(np.abs(line.y - [np.mean(times <= x) for x in line.x])) < 1e-12
-    assert set(np.sort(times)[-20:]) <= set(line.x), "the slowest times are all kept"
+    assert set(np.sort(times)[-20:]) <= set(line.x), "all of the slowest times are kept"
 
 
 def test_box_has_tukeys_whiskers() -> None:

@@ -43,7 +43,7 @@ def until(true: Any, what: str) -> None:
         sleep(0.05)
 
 
-def test_page_listens_on_loopback_alone(live: LivePage) -> None:
+def test_page_listens_only_on_127_0_0_1(live: LivePage) -> None:
     with socket.create_connection(("127.0.0.1", live.server.get_port())):
         pass
     with pytest.raises(ConnectionRefusedError):
@@ -83,11 +83,11 @@ def knock(live: LivePage, path: str, say: bytes = b"") -> Any:
 
 
 @pytest.mark.parametrize("path", ["/", "/?token={token}", "/{token}x", "//{token}", "/%ff"])
-def test_nothing_is_sent_without_the_token(live: LivePage, path: str) -> None:
+def test_client_without_the_token_receives_nothing(live: LivePage, path: str) -> None:
     assert knock(live, path.format(token=live.url.rpartition("/")[2])) is None
 
 
-def test_order_without_the_token_is_ignored(live: LivePage) -> None:
+def test_message_without_the_token_is_ignored(live: LivePage) -> None:
     box: Any = live._panel._solver
     order = msgspec.msgpack.encode(GuiUpdateMessage(box._impl.uuid, {"value": "rnn"}).as_serializable_dict())
 
@@ -137,7 +137,7 @@ def test_plots_react_to_a_switched_solver(page: Any, live: LivePage) -> None:
     click(page.locator("[role=option]", has_text=DCAC))  # the option may not be drawn yet
     says(page, f"{DCAC} ·")
     solving = QUANTITIES.index("solve_us")
-    until(lambda: np.isnan(live.run.history(10**6)[-20:, solving]).all(), "DCAC solves nothing")
+    until(lambda: np.isnan(live.run.history(10**6)[-20:, solving]).all(), "DCAC has solve times")
     assert all(old != new for old, new in zip(before, page.evaluate(pictures), strict=True))
 
 
@@ -149,10 +149,10 @@ def test_run_goes_on_after_bad_input(page: Any, live: LivePage) -> None:
         enter(field, wrong)
         click(apply)
         says(page, told)
-        until(lambda: typed.value == good, "the field shows the value in use again")
+        until(lambda: typed.value == good, "the field does not show the value in use")
         assert live.run.control == before
     t = live.run.t_s
     until(lambda: live.run.t_s > t + 0.2, "the run stands still")
     enter(field, "2500")
     click(apply)
-    until(lambda: live.run.control.K_X == 2500.0, "a valid value is applied")
+    until(lambda: live.run.control.K_X == 2500.0, "the valid value is not applied")

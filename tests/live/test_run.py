@@ -15,7 +15,7 @@ from moc_opt.scenario import Scenario, Setup
 
 @pytest.fixture
 def run() -> LiveRun:
-    """The elbow starts away from the largest mu."""
+    """Return a run that starts with the elbow away from the largest mu."""
     return LiveRun(Scenario(start={"swivel": 0.2}, plant={"preset": "nominal"}))
 
 

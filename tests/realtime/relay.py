@@ -20,7 +20,7 @@ FAULTS = ("drop", "double", "cut", "forge")
 
 
 class Relay:
-    """Pass packets between controller and plant, with FAULTS in a random ``share`` of them.
+    """Pass packets between controller and plant. Each of FAULTS hits a random ``share`` of them.
 
     ``lost(kind, number)`` is true for packets that never arrive.
     """

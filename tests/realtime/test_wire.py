@@ -72,7 +72,7 @@ def test_only_valid_packets_pass(ends):
     foreign = (
         seal(command(sequence=3), KEY)[:-1], seal(command(sequence=3), KEY) + b"\0", b"", seal(command(n=6), KEY),
         seal(command(session=5), KEY), seal(command(magic=b"OTHR"), KEY), seal(command(version=9), KEY),
-        seal(command(joints=6), KEY), seal(command(kind=Kind.MEASUREMENT), KEY),  # the plant's own
+        seal(command(joints=6), KEY), seal(command(kind=Kind.MEASUREMENT), KEY),  # only the plant sends these
     )  # fmt: skip
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
         stranger.sendto(seal(command(sequence=1), KEY), plant.address)  # not the address that began the session
@@ -155,7 +155,7 @@ def test_faulty_commands_are_counted(peer):
     peer.say(Kind.COMMAND, 2, tau=np.nan * ones)
     np.testing.assert_array_equal(peer.tick(), ones)
     assert (quality["late"], quality["foreign"], quality["missed"]) == (1, 2, 2)
-    peer.say(Kind.COMMAND, 3, tau=2 * ones, control_us=8.0, solve_us=5.0)  # without wire.REPORTED
+    peer.say(Kind.COMMAND, 3, tau=2 * ones, control_us=8.0, solve_us=5.0)  # without wire.REPORTED, solve_us is ignored
     peer.say(Kind.COMMAND, 3, tau=3 * ones)
     np.testing.assert_array_equal(peer.tick(), 2 * ones)
     assert (peer.columns["control_us"][3], np.isnan(peer.columns["solve_us"][3])) == (8.0, True)
@@ -202,7 +202,7 @@ def test_watchdog_holds_then_damps_then_brakes(peer):
     assert peer.plant.stop_reason == "no command from the controller for 6 ticks"
 
 
-def test_controllers_stop_is_final(peer):
+def test_stop_by_the_controller_is_final(peer):
     peer.start()
     ones = np.ones(peer.n)
     peer.say(Kind.COMMAND, 0, tau=ones, flags=wire.STOP, reason=b"because\x1b", friction=2 * ones)
@@ -223,7 +223,7 @@ def measurement(flags, k=0, commanded=0.0, scenario=9):
 
 
 def answered(said):
-    """Return (ending, sent packets, corrections). In tick k, the command is k Nm."""
+    """Return (ending, sent packets, corrections). The controller's n-th command (n = 1, 2, ...) is n Nm."""
     said, sent, corrected, wait = iter(said), [], [], WireSettings(wait_s=0.05, silence_s=0.5)
     plant = Mock(n=N, peer=("plant", 1), session=0, quality=dict.fromkeys(wire.COUNTERS, 0), heard="nothing")
     plant.send.side_effect = lambda packet: sent.append((Kind(packet["kind"]), packet.copy()))

@@ -85,7 +85,7 @@ def test_page_fetches_nothing(full: Page) -> None:
     assert [address for address in found.fetched if not address.startswith("data:")] == []
     assert not {"@import", "url("} & set(re.findall(r"@import|url\(", found.styles))
     assert not re.search(r"\b(fetch|XMLHttpRequest|import|WebSocket|sendBeacon)\s*\(", "".join(found.data.values()))
-    assert "link" in {tag for tag, *_ in found.tags}, "without its own icon, a browser requests one"
+    assert "link" in {tag for tag, *_ in found.tags}, "a browser requests an icon unless the page names one"
     for name, figure in full.figures.items():
         assert json.loads(found.data[f"{name}-data"]) == json.loads(figure.to_json())
     assert "plotly.js v" in gzip.decompress(base64.b64decode(found.data["plotly-packed"])).decode()[:200]

@@ -48,7 +48,7 @@ def test_frames_agree_with_the_model(arm: str, request: pytest.FixtureRequest) -
     assert all((part.radii >= 0.0).all() and abs(np.linalg.norm(part.axis) - 1.0) < 1e-9 for part in parts)
 
 
-def test_ellipsoid_has_mu_as_its_volume(robot: RobotModel, regular_poses: Any) -> None:
+def test_product_of_the_ellipsoids_half_axes_is_mu(robot: RobotModel, regular_poses: Any) -> None:
     states = [robot.state(q) for q in regular_poses(5)]
     jacobians = np.array([state.J_tip for state in states])
     roots = velocity_ellipsoids(jacobians)
@@ -56,7 +56,7 @@ def test_ellipsoid_has_mu_as_its_volume(robot: RobotModel, regular_poses: Any) -
     np.testing.assert_allclose(np.linalg.det(roots), [state.mu for state in states], rtol=1e-9)
 
 
-def test_replay_has_the_numbers_of_its_traces(robot: RobotModel, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_replay_shows_the_values_of_its_traces(robot: RobotModel, monkeypatch: pytest.MonkeyPatch) -> None:
     runs = {"long": wave(robot, 1500), "short": wave(robot, 700, phase=1.0)}
     replay = Replay(runs, robot)
     data = replay.data()
@@ -132,7 +132,7 @@ def test_slider_moves_the_arm(page: Any) -> None:
     assert arm_of(page) == arm, "nothing moves by itself"
 
 
-def test_replay_takes_keys(page: Any) -> None:
+def test_replay_is_controlled_by_keys(page: Any) -> None:
     page.evaluate("replay.seek(0)")
     page.locator("h1").click()
     page.keyboard.press("Space")
@@ -144,5 +144,5 @@ def test_replay_takes_keys(page: Any) -> None:
             page.keyboard.press(key)
         assert page.evaluate("replay.time") == pytest.approx(time)
     page.locator("#play").click()
-    assert page.evaluate("replay.time") < 2.9, "from the end it begins again"
+    assert page.evaluate("replay.time") < 2.9, "played at the end, the replay starts again from t = 0"
     page.locator("#play").click()

@@ -101,7 +101,7 @@ def test_exit_status_is_zero_only_after_completion(tmp_path, capsys, table, stat
     assert "mu_gain_percent" in found or (ended.startswith("stopped") and "not compared with DCAC" in said.err)
 
 
-def test_only_whole_runs_share_a_table():
+def test_incomplete_run_has_a_table_of_its_own():
     late = {"late": {"count": 1, "first_at_s": 0.0, "first": "x"}}
     runs = {"a": trace(faults=late), "b": trace("oscillated: joint_7", scenario={"solver": {"name": "nlp-sqp"}})}
     metrics = {"a": {"mu_mean": 0.2, "silently_wrong": 1.0}, "b": {"mu_mean": 0.3, "silently_wrong": 1.0}}
@@ -131,7 +131,7 @@ def test_pages_name_arm_task_gains_and_solver(tmp_path, capsys, files):
     assert "is a trace, no scenario: `moc-opt report`, `replay` or `map` shows it" in capsys.readouterr().err
 
 
-def test_unmappable_run_has_curves(robot):
+def test_page_of_a_run_without_map_has_curves(robot):
     t = np.linspace(0.0, 1.0, 20)
     own = Trace({"t_s": t, "mu": 0.1 + t}, {"ended": "stopped: too far off"})
     found = run_page({"own": own}, {"own": {"mu_mean": 0.6}}, robot)
@@ -163,7 +163,7 @@ def test_page_replaces_foreign_files_only_with_force(files, tmp_path, capsys, co
     assert out.stat().st_size > 10_000
 
 
-def test_other_outputs_replace_foreign_files_only_with_force(tmp_path, capsys):
+def test_no_command_replaces_foreign_files_without_force(tmp_path, capsys):
     out = tmp_path / "rows"
     out.write_text("mine")
     for order in (["compare", "exact", "--out"], ["plan", "--out"], ["run", "--trace"], ["plant", "--trace"]):

@@ -29,7 +29,7 @@ def best(values: list[object], **options: object) -> list[bool]:
     return [cell.best for cell in cells(values, **options)]
 
 
-def test_column_has_one_notation() -> None:
+def test_numbers_of_a_column_have_the_same_notation() -> None:
     assert texts([1.702, 2370.16, 48.04]) == ["1.70", "2370", "48.0"]
     assert texts([5.4e-16, 0.0, 0.12]) == ["5.40e-16", "0", "1.20e-1"]
     assert texts([4034.0, 0, np.int64(7)]) == ["4034", "0", "7"]
@@ -47,7 +47,7 @@ def test_the_digits_asked_for_are_kept(value: float, digits: int) -> None:
     assert float(written) == pytest.approx(value, rel=0.51 * 10 ** (1 - digits))
 
 
-def test_special_values_have_their_texts() -> None:
+def test_special_values_are_written_as_symbols_or_words() -> None:
     values = [None, math.nan, Missing("not asked"), math.inf, -math.inf, 1.5]
     assert texts(values) == ["–", "–", "–", "∞", "-∞", "1.50"]
     assert texts([True, np.bool_(False)]) == ["yes", "no"]
@@ -80,8 +80,8 @@ def test_a_narrow_terminal_shows_every_number_whole(width: int, count: int, size
 
 
 @pytest.mark.parametrize(("step_s", "told"), [(10.0, [1, 2, 3, 4]), (6.0, [1, 3]), (1.0, [1])])
-def test_progress_writes_lines_without_a_terminal(step_s: float, told: list[int]) -> None:
-    """The forecast does not include the set-up."""
+def test_without_a_terminal_progress_is_written_in_lines(step_s: float, told: list[int]) -> None:
+    """The time of the set-up does not change the forecast."""
     file, now = io.StringIO(), [0.0]
     screen = console(file=file)
     screen.get_time = lambda: now[0]

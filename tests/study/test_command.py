@@ -30,7 +30,7 @@ class Config(StudyConfig):
 
 
 def squares(study: Study, config: Config) -> Found:
-    """Sum the first `config.count` squares. The last job fails."""
+    """Sum the first `config.count` squares. A further job fails."""
     found = study.run([Job(slow_square, (k,)) for k in range(config.count)])
     rows = Results({"trial": k, "x": x} for k, x in enumerate(found))
     rows.add({"trial": "last", "error": str(study.run([Job(refuse)])[0])})
@@ -52,7 +52,7 @@ def asked(tmp_path: Path) -> tuple[Path, Path]:
 
 def test_study_writes_and_prints_its_result(asked, capsys):
     config, out = asked
-    assert call(squares, config, "--out", out) == 3, "the status that `squares` gives"
+    assert call(squares, config, "--out", out) == 3, "the status in the result of `squares`"
     said = capsys.readouterr().out
     assert all(words in said for words in ("The sum is [14].", "Squares", "One more sentence.", "more.txt"))
     summary = json.loads((out / "summary.json").read_text())
@@ -71,7 +71,7 @@ def test_study_writes_and_prints_its_result(asked, capsys):
     capsys.readouterr()
     for spoil in (lambda file: file.write_text("mine"), Path.unlink):
         spoil(out / "environment.json")
-        assert call(lambda *_: pytest.fail("no work before that"), config, "--out", out) == 2
+        assert call(lambda *_: pytest.fail("the study ran although its folder is refused"), config, "--out", out) == 2
         assert "that no study has written" in capsys.readouterr().err
 
 
@@ -95,7 +95,7 @@ def test_options_change_the_configuration(asked, monkeypatch, options, seed, cou
     ("cuont = 3", r"tiny\.toml: .*did you mean 'count'"), ("seed = -1", r"tiny\.toml: .*seed = -1"),
     (None, r"tiny\.toml.*no such file"), ("", r"new"),
 ])  # fmt: skip
-def test_input_error_is_one_line(asked, capsys, content, said):
+def test_input_error_is_printed_as_one_line(asked, capsys, content, said):
     config, out = asked
     config.unlink() if content is None else config.write_text(content)
     out.parent.write_text("a file in the place of the folder")
@@ -104,7 +104,7 @@ def test_input_error_is_one_line(asked, capsys, content, said):
     assert re.search(rf"^\w+Error: .*{said}", line)
 
 
-def test_trial_without_a_start_becomes_a_row(asked):
+def test_trial_without_a_start_is_reported_in_a_row(asked):
     case = Scenario(name="circle/5", seed=5, duration_s=0.1, bound_samples=0, judge=False)
     bad = case.change(name="bad", start={"q_rad": (0.0,) * 7})
     study = Study("tiny", asked[1], command.Namespace(), 1)

@@ -15,7 +15,7 @@ from moc_opt.study.trials import placed
 
 
 def standing(name="standing", fails=None):
-    """Return a solver that always answers x = 0, or fails to start."""
+    """Return a solver that always answers x = 0, or whose start raises the error ``fails``."""
     session = SimpleNamespace(solve=lambda qp: Solution(np.zeros(len(qp.lower)), None, Status.SOLVED))
     return SimpleNamespace(name=name, supports=lambda qp: None, start=Mock(side_effect=fails, return_value=session))
 
@@ -64,7 +64,7 @@ def test_wrong_arguments_are_refused_before_any_run(solvers, more, error, messag
         mo.compare(solvers, **more)
 
 
-def test_solver_that_cannot_start_gets_failed_rows():
+def test_runs_of_a_solver_that_cannot_start_are_reported_as_failed():
     found = mo.compare([standing("broken", RuntimeError("no licence here")), "exact"], BRIEF, trials=2)
     assert {(row["ended"], row["error"]) for row in found.rows if row["solver"] == "broken"} == {
         ("failed", "ControlError: solver 'broken' cannot run in this controller: RuntimeError: no licence here")
@@ -106,7 +106,7 @@ TIP = {"dcac": (0.02, 0.3), "exact": (0.1, 0.15), "qpsolvers:quadprog": (0.05, 0
 
 
 def compared(trials):
-    """`exact` raises DCAC's small tip errors and lowers the large ones."""
+    """Relative to DCAC, `exact` raises the small tip errors and lowers the large ones."""
     rows = [
         {
             "solver": name, "seed": seed, "ended": "completed", "asked": 4 * (name != "dcac"),
@@ -120,7 +120,7 @@ def compared(trials):
     return Comparison(rows, list(TIP), SHORT)
 
 
-def test_undecided_change_gets_a_question_mark():
+def test_undecided_change_is_marked_with_a_question_mark():
     wide, name = compared(9), "tip_error_model_change_percent"
     found, row = wide.summary()["exact"], wide.table.rows[1]
     assert found[name] < 0.0 < found[f"{name}_of_ratios"]

@@ -20,7 +20,7 @@ HOME = Path(__file__).parents[2]
 ENV = os.environ | {"PYTHONPATH": str(HOME), "PYTHONDONTWRITEBYTECODE": "1"}
 
 
-def test_failing_job_harms_no_other(tmp_path):
+def test_failing_jobs_do_not_harm_other_jobs(tmp_path):
     jobs = [
         Job(work.square, (3.0,)), Job(time.sleep, (60.0,), limit_s=0.5), Job(work.die), Job(work.leave),
         Job(work.refuse), Job(work.throw, (KeyboardInterrupt,)),
@@ -63,7 +63,7 @@ def test_stored_result_is_ignored_after_a_hang(tmp_path):
 
 def test_job_may_limit_the_time_of_its_steps():
     found = run([Job(work.steps, ([0.01, 0.5, 0.01], 0.3)), Job(work.steps, ([0.01, 9.0], 0.3))], workers=2)
-    assert found[0] == 3, "the limit is on processor time, of which a short sleep uses none"
+    assert found[0] == 3, "processor time is limited, and a short sleep uses none"
     assert (found[1].kind, found[1].parts) == ("hung", (0.01,))
 
 
@@ -94,7 +94,7 @@ if __name__ == "__main__":
 """
 
 
-def test_changed_jobs_run_again(tmp_path):
+def test_job_runs_again_after_a_change_of_its_code(tmp_path):
     (tmp_path / "own_trial.py").write_text("import own_part\ndef trial(): return own_part.value()\n")
     answers = []
     for text in ("1", "1", "2"):
@@ -163,7 +163,7 @@ def test_cluster_gives_the_same_results(monkeypatch, tmp_path):
         trials = [Job(own_study.trial, ("exact", delay, 0)) for delay in (1, 3)]
         rows = run(trials, kept=Kept(tmp_path / "jobs"), dask=cluster.scheduler_address)
     assert [row["delay"] for row in rows] == [1, 3]
-    assert run(trials, kept=Kept(tmp_path / "jobs")) == rows, "the rows come from the folder, as no scheduler is left"
+    assert run(trials, kept=Kept(tmp_path / "jobs")) == rows, "the rows come from the folder: the scheduler has ended"
     with pytest.raises(StudyError, match="no Dask scheduler answers"):
         run(jobs, dask="tcp://127.0.0.1:1")
 

@@ -60,7 +60,7 @@ def test_figures_are_counts_means_and_gains() -> None:
     assert (base["mu_mean"], base["reason"], "mu_gain_percent" in base) == (1.5, "stopped: far off", False)
 
 
-def test_rows_with_different_columns_make_one_file(tmp_path: Path) -> None:
+def test_rows_with_different_columns_are_written_to_one_file(tmp_path: Path) -> None:
     rows = Results([{"x": 1, "ok": np.bool_(True)}, {"x": np.float64(2.5), "said": "ä"}, {"x": np.inf, "ok": False}])
     rows.write(tmp_path / "rows.parquet")
     assert pl.read_parquet(tmp_path / "rows.parquet").to_dicts() == [

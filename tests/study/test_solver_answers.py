@@ -34,7 +34,7 @@ def breaking(name: str, **options: Any) -> SolverSetting:
 def test_exact_is_right_on_every_set():
     for found in ask(ONE, [(EXACT, TestSet.load(name)) for name in NAMES], LIMITS):
         counts, name = found.counts(), found.problems.name
-        spared = 2 if name == "near-singular" else 0  # on two problems, rounding decides whether it is right
+        spared = 2 if name == "near-singular" else 0  # on two problems, rounding decides whether `exact` is right
         assert counts["solves"] == 128
         assert counts["verified_solved"] + counts["failed"] == counts["optima_asked"]
         assert counts["failed"] <= spared
@@ -53,7 +53,7 @@ def test_exact_is_right_on_every_set():
     (breaking("quits"), 64, ["refused", "refused"], "SystemExit: no more"),
     (breaking("no-such"), 64, ["refused", "refused"], "UnknownName"),
 ], ids=lambda value: value.solver if isinstance(value, SolverSetting) else "")  # fmt: skip
-def test_broken_solvers_answers_have_a_status(setting, every, status, said):
+def test_every_answer_of_a_broken_solver_has_a_status(setting, every, status, said):
     limits = Limits(patience_s=1.0, setup_s=4.0)
     (found,) = ask(ONE, [(setting, TestSet.load("circle").thinned(every))], limits)
     assert found.status.tolist() == status
@@ -67,7 +67,7 @@ def test_broken_solvers_answers_have_a_status(setting, every, status, said):
     assert found.summary().get("trouble", found.refused) != ""
 
 
-def test_hanging_solver_is_asked_no_further_set():
+def test_solver_that_hung_on_several_sets_is_asked_no_further_set():
     sets = [TestSet.load(name).thinned(64) for name in ("circle", "spiral", "sinusoid", "random", "jumps")]
     found = ask(ONE, [(breaking("hangs", at=0), data) for data in sets], Limits(patience_s=0.5))
     status = [one.status.tolist() for one in found]

@@ -24,7 +24,7 @@ ENDED = {"broke off": "stopped: the tip", "oscillated": "oscillated: joint_3"}
 
 
 def runs(controller: str, trials: int = 15, unlike: float = 0.0, first_ends: str = "completed", **times: float) -> Any:
-    """Return rows of trials. `times` multiplies metrics, and `unlike` is added noise."""
+    """Return rows of trials. `times` has factors of metrics, `unlike` is the standard deviation of log noise."""
     own = np.random.default_rng(5).lognormal(0.0, unlike, trials) if unlike else np.ones(trials)
     found = []
     for k in range(trials):
@@ -75,8 +75,8 @@ def test_each_rule_gives_its_verdict(asked, times, verdict, damage):
 
 
 @pytest.mark.parametrize("ended", ENDED.values())
-def test_bad_ending_without_comparison_does_not_count(ended):
-    """Even the optimum might end such a trial badly."""
+def test_bad_ending_in_a_trial_without_comparison_does_not_count(ended):
+    """If only the asked solver ran a trial, even the optimum might have ended it badly."""
     mine = runs("asked", 60)
     mine[40] |= {"ended": ended, "whole": not ended.startswith("stopped")}
     common = {row["trial"] for row in mine[:15]}

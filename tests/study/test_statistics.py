@@ -8,7 +8,7 @@ from moc_opt.study.statistics import StatisticsError, mean, relative_change, rel
 
 
 def test_difference_of_changes_resamples_all_samples_together():
-    """If both changes are constant, their difference has no width."""
+    """If both changes are the same in all samples, the interval of their difference has no width."""
     control = np.array([0.1, 1.0, 10.0, 3.0, 0.5])
     found = statistics.difference_of_changes(1.2 * control, control, 0.7 * control, 2.0 * control)
     assert (found.value, found.low, found.high) == pytest.approx((85.0, 85.0, 85.0))

@@ -35,14 +35,14 @@ def test_each_seed_has_its_own_scenario() -> None:
     assert [scene.task.path for scene in plain] == ["line", "circle", "line"]
 
 
-def test_placed_trial_starts_in_the_pose_of_the_search() -> None:
+def test_placed_trial_starts_in_the_pose_that_the_search_found() -> None:
     (drawn,) = study.trials(SHORT.change(start={"pose": "random"}), ["circle"], [9])
     found = study.placed(drawn)
     assert (found.seed, found.name, found.start.pose) == (9, drawn.name, "home")
     np.testing.assert_allclose(Setup(found).q_start, Setup(drawn).q_start, atol=1e-12)
 
 
-def test_every_controller_gets_the_same_trial(case: Scenario) -> None:
+def test_all_controllers_run_the_same_trial(case: Scenario) -> None:
     first, *others = [Setup(variant(case, name)) for name in (*BASELINES, "exact", "rnn-printed")]
     for other in others:
         np.testing.assert_array_equal(other.q_start, first.q_start)
@@ -112,7 +112,7 @@ def test_only_timed_runs_report_times(case: Scenario, ran: dict[str, Any]) -> No
     ({"start": {"q_rad": (0.0,) * 7}}, "exact", "failed", "ScenarioError: [start] q_rad"),
     ({}, "no-such-solver", "failed", "UnknownNameError: unknown solver"),
 ])  # fmt: skip
-def test_run_that_breaks_off_gives_its_reason(case, change, solver, ended, error):
+def test_row_of_a_broken_off_run_has_the_reason(case, change, solver, ended, error):
     run = run_trial(Trial(case.change(**change), solver, tags={"group": "g"}, keep="curves"))
     assert run.row["whole"] is False
     assert run.row["ended"].startswith(ended)

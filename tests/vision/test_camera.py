@@ -165,8 +165,8 @@ def test_pose_and_corners_are_found():
     np.testing.assert_allclose(np.mean(off, axis=(0, 1)), 0.0, atol=0.03)
 
 
-def test_pictures_are_accurate_with_hidden_markers():
-    """Errors of 0.07 mm and 0.03 degrees can be reached."""
+def test_pose_is_accurate_with_hidden_markers():
+    """The median errors of these poses are 0.06 mm and 0.03 degrees."""
     rng, eye = np.random.default_rng(1), Camera(CameraSettings(), EYE.camera_in_base)
     view, finder, found = View(eye, BOARD, seed=1), BoardFinder(BOARD, eye), []
     for k in range(15):
@@ -180,7 +180,7 @@ def test_pictures_are_accurate_with_hidden_markers():
     assert np.max(found, axis=0)[0] < 5e-4
 
 
-def test_one_marker_gives_a_poorer_pose():
+def test_pose_from_one_marker_is_less_accurate():
     one = FINDER.find(View(EYE, BOARD).picture(EYE.camera_in_base @ TILTED, frozenset(BOARD.ids) - {7}))
     assert one.markers == 1
     assert one.pose.distance(TILTED)[0] < 3e-3
@@ -221,7 +221,7 @@ def test_sightings_of_a_resting_board_are_averaged():
 @pytest.mark.parametrize(
     "bad", [None, sight(markers=2), sight(error_px=5.0), sight(error_px=float("nan")), sight(THERE)]
 )
-def test_outliers_change_nothing(bad):
+def test_refused_sighting_does_not_change_the_pose(bad):
     tracker = BoardTracker()
     before = feed(tracker, [sight()] * 5)[-1].pose
     tracked = tracker.update(5 * DT, bad)
@@ -230,7 +230,7 @@ def test_outliers_change_nothing(bad):
     assert tracker.pose is before
 
 
-def test_lost_board_keeps_its_pose():
+def test_pose_of_a_lost_board_is_kept():
     tracker = BoardTracker(TrackerSettings(lost_after_s=0.12))
     answers = feed(tracker, [sight()] * 5 + [None] * 6 + [sight()] * 3)
     assert [tracked.seen for tracked in answers[4:]] == [True] * 4 + [False] * 5 + [True]

@@ -109,7 +109,7 @@ def test_trocar_is_registered_on_the_realistic_arm():
     seed = 2
     found, plant = guided(seed, registration_error_m=0.0)
     assert found.status is HandsOnStatus.REGISTERED
-    # Most of the error is the distance at which the hand stopped.
+    # Most of the error is the distance from the incision at which the hand stopped.
     assert found.error_m < 0.002
     trace = found.trace
     assert trace.tip_error_m[0] > 0.05
@@ -185,7 +185,7 @@ def test_strong_hand_corrects_for_a_steady_load():
     assert np.linalg.norm(velocity) < 1e-3
     weak, _ = moved(Hand(HandSettings(force_max_N=4.0), PERIOD), start, load, seconds=2.0)
     assert np.linalg.norm(weak[-1]) > 0.05
-    # A tool that comes loose is not thrown.
+    # A blocked tool is not thrown when it comes loose.
     hand, place = Hand(HandSettings(), PERIOD), np.array([0.005, 0.0, 0.0])
     for _ in range(10_000):
         hand.pull(place, np.zeros(3), np.zeros(3))
