@@ -92,7 +92,7 @@ def test_safety_limits_follow_from_the_encoders(tables, told):
     assert scenario.guard == Scenario(guard=tables.get("guard", {})).guard
 
 
-def test_change_of_plant_keeps_its_other_settings():
+def test_change_of_one_plant_setting_keeps_the_others():
     base = Scenario(plant=PlantSettings.nominal())
     assert base.change(plant={"delay_ticks": 2}).plant == PlantSettings.nominal(delay_ticks=2)
     assert base.change(plant={"preset": "realistic"}).plant == PlantSettings()
@@ -231,7 +231,7 @@ def test_limit_that_is_off_stays_off_after_loading(tmp_path):
     assert Scenario.load(tmp_path / "lifted.toml") == scenario
 
 
-def test_solver_setting_of_none_is_not_written(tmp_path):
+def test_solver_setting_that_is_none_is_not_written(tmp_path):
     to = tmp_path / "new" / "folder" / "a.toml"
     Scenario(solver={"name": "qpsolvers:quadprog", "settings": {"cost_scale": None, "rows": 6}}).save(to)
     assert Scenario.load(to).solver.settings == {"rows": 6}
