@@ -203,7 +203,7 @@ def test_stopped_arm_carries_weight_within_torque_limits(robot, rate):
 
 @pytest.mark.parametrize("newton", [9.0, 30.0, 100.0])
 def test_trocar_force_above_stop_yield_opens_brakes(robot, newton):
-    """After k ticks of T, the mean force is (1 - (1 - T * 50 / s)^k) times the force."""
+    """After k ticks of T, the mean force is (1 - (1 - T / 0.02 s)^k) times the force."""
     q, guard = robot.data.q_home, guard_of(robot, incision=True)
     guard.check_measurement(q, REST, wrench=weight(robot, q), trocar=off_by(robot, q, 0.0))
     opened = [not guard.brake_friction(weight(robot, q, newton)).any() for _ in range(400)]

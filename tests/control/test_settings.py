@@ -204,7 +204,7 @@ def test_warning_level_above_its_limit_is_refused(wrong):
 
 
 @pytest.mark.parametrize("length", [0.15, 0.6])
-def test_shaft_margin_grows_with_squared_distance_tip_to_wrist(length):
+def test_shaft_margin_grows_with_the_squared_distance_from_tip_to_wrist(length):
     robot = load_robot("gen3", tool_length=length)
     lever = length + 0.061525 + 0.10593
     law = numbers_of(ControlSettings(shaft_margin=0.2, speed_fraction=0.4), robot, 0.002)

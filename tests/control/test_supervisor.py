@@ -254,7 +254,7 @@ def test_residuals_along_self_motion_agree_with_numerical_search(c2):
     assert (np.median(seen, axis=0)[1:] > 1e-3).all()
 
 
-def test_residuals_are_zero_without_gradient_along_self_motion(qp, Z):
+def test_without_gradient_along_self_motion_the_residuals_are_zero(qp, Z):
     x = solved(qp).x
     for pull, c2, Zs in ((1.0, 1.0, np.zeros((0, 7))), (0.0, 1.0, Z), (1.0, 0.0, Z), (1e-9, 1.0, Z)):
         row = np.array(qp.row)

@@ -117,7 +117,7 @@ def test_scaled_climb_does_not_depend_on_cost_weights(robot):
 
 
 @pytest.mark.parametrize("bend", [0.0, 1e-12])
-def test_scaled_climb_is_zero_without_gradient_along_self_motion(bend):
+def test_without_gradient_along_self_motion_the_scaled_climb_is_zero(bend):
     s = LWR4.state(np.array([0.2, 0.0, 0.0, bend, 0.0, 0.0, 0.0]))
     found = fields(subproblem(LWR4, s, *in_place(s), climbs=True, c2=1.0, rho=1.0)).pull
     np.testing.assert_array_equal(found, np.zeros(7))

@@ -115,7 +115,7 @@ def test_optimum_nearest_to_zero_is_found():
     assert (found.least, found.most) == pytest.approx((-1.0001, 1.0001))
 
 
-def test_empty_set_gives_none():
+def test_empty_feasible_set_gives_none():
     Z = np.array([[1.0], [1.0]]) / np.sqrt(2.0)
     apart = np.array([0.0, 1.0]), np.array([0.5, 2.0])
     assert nearest(Z, *apart, np.zeros(1)) is None

@@ -322,7 +322,7 @@ def test_iiwa14_has_the_mass_of_its_data_sheet() -> None:
     assert sum(masses) - robot.data.tool_mass == pytest.approx(29.9, rel=0.03)
 
 
-def test_rail_carries_the_lwr4() -> None:
+def test_lwr4_rail_equals_the_lwr4_on_a_rail() -> None:
     rail, bare = load_robot("lwr4_rail"), load_robot("lwr4")
     for q in poses(rail):
         ours, theirs = rail.state(q), bare.state(q[1:])

@@ -62,7 +62,7 @@ def test_new_robot_has_the_vendors_kinematics(panda) -> None:
     assert found["rcm_error_max_mm"] < 2.5
 
 
-def test_base_rpy_makes_the_arm_hang(tmp_path: Path) -> None:
+def test_base_rpy_of_pi_turns_the_arm_upside_down(tmp_path: Path) -> None:
     hanging = made(tmp_path, text_of("iiwa14"), base_rpy=(np.pi, 0.0, 0.0)).robot
     standing = load_robot("iiwa14")
     for q in np.random.default_rng(1).uniform(-1.0, 1.0, (3, 7)):

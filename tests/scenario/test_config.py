@@ -132,7 +132,7 @@ def test_registered_trocar_breathes_if_breathing_is_known(known):
     np.testing.assert_array_equal(told, moved if known else np.zeros_like(moved))
 
 
-def test_singular_pose_has_a_bound_of_mu(robot):
+def test_upper_bound_of_mu_exists_at_a_singular_pose(robot):
     """With a straight elbow, the self-motion curve is not unique."""
     poses = np.tile(robot.data.q_home, (3, 1))
     poses[0], poses[2] = [0.3, 0.6, -0.2, 0.0, 0.4, -0.9, 0.0], np.nan

@@ -93,7 +93,7 @@ def test_trocar_force_belongs_to_the_present_state(stiffness, damping):
     assert not plant.trocar_force.any()
 
 
-def test_moving_trocar_moves_within_the_period():
+def test_trocar_moves_also_within_a_period():
     """One period of 20 plant steps equals ten periods of 2 steps."""
     coarse = Plant(DATA, PlantSettings.nominal(period_s=0.02, substeps=20))
     fine = Plant(DATA, PlantSettings.nominal())

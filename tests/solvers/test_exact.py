@@ -111,7 +111,7 @@ def test_slow_joint_does_not_stop_the_self_motion():
 
 
 @pytest.mark.parametrize(("decimals", "answered"), [(12, True), (8, True), (7, True), (4, False)])
-def test_rounded_references_within_tolerance_are_answered(decimals, answered):
+def test_rounded_references_are_accepted_within_the_tolerance(decimals, answered):
     for seed in range(20):
         qp = random_problem(np.random.default_rng(seed), 7)
         kept = changed(qp, v_tip=qp.v_tip.round(decimals), v_wrist=qp.v_wrist.round(decimals))

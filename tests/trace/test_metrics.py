@@ -83,7 +83,7 @@ def test_metrics_whose_data_are_missing_are_left_out() -> None:
     assert "mu_gain_percent" in summarize(trace, baseline=run(t_s=None))
 
 
-def test_diverged_run_has_no_good_metrics() -> None:
+def test_metrics_of_a_diverged_run_are_nan_or_infinite() -> None:
     """NaN means "no subproblem" only in the solver's columns."""
     summary = summarize(run(mu=[0.1, NAN, 0.3, 0.4], tip_error_m=[NAN] * 4, primal=[0.0, math.inf, NAN, 0.0]))
     assert np.isnan([summary["mu_mean"], summary["tip_error_max_mm"]]).all()
