@@ -68,7 +68,7 @@ def registered_metrics() -> Iterator[None]:
 def chromium() -> Iterator[Any]:
     """One headless browser for all tests of this process."""
     from moc_opt.errors import BrowserMissingError
-    from moc_opt.report import export  # few tests need it
+    from moc_opt.report import export  # imported late, because few tests need it
 
     try:
         with export.browser() as running, pytest.MonkeyPatch.context() as patch:
@@ -82,7 +82,7 @@ def chromium() -> Iterator[Any]:
 def opened(
     chromium: Any, address: str, ready: str, own: str = "", kinds: tuple[str, ...] = (), **options: Any
 ) -> Iterator[Any]:
-    """Yield an open page, then check its log (`kinds`) and requested addresses (`own`)."""
+    """Yield an open page. Then check that it logged nothing (of `kinds`) and requested only addresses below `own`."""
     page, said, asked = chromium.new_page(**options), list[str](), list[str]()
 
     def hear(message: Any) -> None:

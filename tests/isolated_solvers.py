@@ -43,7 +43,7 @@ class MisbehavingSession:
 
 
 class GatedSession:
-    """A session that answers a problem with c0 = k once a file named k exists."""
+    """A session that answers a problem with c0 = k as soon as a file named k exists."""
 
     def __init__(self, folder):
         self.folder, self.observed = folder, np.full(7, np.nan)

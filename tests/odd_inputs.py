@@ -15,7 +15,7 @@ LONGEST_S = 600
 
 
 def many(share=1.0):
-    """Return Hypothesis settings with this share of the active profile's examples."""
+    """Return Hypothesis settings with `share` times as many examples as in the active profile."""
     slow = (HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.function_scoped_fixture)
     return settings(max_examples=max(10, round(share * settings().max_examples)), suppress_health_check=slow)
 

@@ -1,6 +1,6 @@
 """README's fenced blocks run from top to bottom in an empty folder.
 
-A block that begins with "# in a checkout" does not run, but the Makefile must have its targets.
+A block that begins with "# in a checkout" does not run, but the make targets in it must exist.
 """
 
 import os

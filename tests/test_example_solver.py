@@ -23,7 +23,7 @@ def test_installed_solver_is_found_by_its_entry_point(tmp_path):
     installed = python("-m", "pip", "install", *bare, "--target", site, source)
     if installed.returncode:
         pytest.skip(f"pip cannot install here: {installed.stderr[-300:]}")
-    assert "slsqp" not in available(), "it is not known before"
+    assert "slsqp" not in available(), "slsqp must be unknown before its installation"
     path = {"cwd": ROOT, "env": os.environ | {"PYTHONPATH": f"{site}{os.pathsep}{ROOT}"}}
     asked = "import moc_opt_slsqp as m, moc_opt as mo; print(m.__file__, mo.solvers.available()['slsqp'])"
     found = python("-c", asked, **path)

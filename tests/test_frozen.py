@@ -121,7 +121,7 @@ def test_every_scenario_has_frozen_figures() -> None:
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_run_keeps_its_figures(name: str) -> None:
+def test_run_has_its_frozen_figures(name: str) -> None:
     was, now = FROZEN[name], run(SCENARIOS[name])
     assert set(now) == set(was)
     ended = now.pop("ended")

@@ -20,7 +20,7 @@ QP = mo.NullSpaceQP(**PARTS)
 
 
 def each(call: Callable, *names: str, **usual: object) -> dict[str, Callable]:
-    """For each name, return a function of x that passes x as this argument."""
+    """Return {title: function} for the arguments `names`. Each function calls `call` with its x as this argument."""
     return {f"{call.__name__} {name}": lambda x, name=name: call(**{**usual, name: x}) for name in names}
 
 

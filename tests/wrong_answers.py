@@ -1,6 +1,6 @@
 """Feasible but not optimal answers: corners of the feasible set.
 
-The loss (cost above the optimum) comes from all active sets, without the solvers.
+The smallest and the largest cost are found by trying all active sets, without the solvers.
 """
 
 from itertools import combinations, product
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 class Wrong(NamedTuple):
-    """A subproblem, a corner x of its feasible set, and its lost share of the cost range."""
+    """A subproblem, a corner x of its feasible set, and x's cost above the optimum divided by the cost range."""
 
     qp: NullSpaceQP
     x: Array
@@ -24,17 +24,17 @@ class Wrong(NamedTuple):
 
 
 def kernel(qp: NullSpaceQP) -> Array:
-    """Return orthonormal columns (n, r) that span ker A, where A has rank five."""
+    """Return orthonormal columns (n, r) that span ker A. A must have rank five."""
     return np.linalg.svd(qp.A)[2][5:].T
 
 
 def cost(qp: NullSpaceQP, x: Array) -> Array:
-    """Return the cost without its constant part on A x = b."""
+    """Return the cost without the part that is constant on A x = b."""
     return 0.5 * qp.regularization * (x**2).sum(-1) - qp.c2 * x @ qp.grad_mu
 
 
 def candidates(qp: NullSpaceQP, Z: Array, base: Array, *, damped: bool) -> Array:
-    """Return the feasible points (k, n) of base + span Z with r joints at bounds."""
+    """Return the corners (k, n) of the feasible set in base + span Z. `damped`: also the optima on its faces."""
     n, r = Z.shape
     found, width = [], float((qp.upper - qp.lower).max())
     for k in range(r + 1) if damped and qp.regularization > 0.0 else (r,):
@@ -60,7 +60,7 @@ def wrong_corners(
     seed: int, n: int, count: int, *, tilt: float = 1.0, size: float = 1.0, regularization: float = 0.0,
     least: float = 0.05
 ) -> list[Wrong]:
-    """Return corners that lose more than `least` of the cost range, for random arms."""
+    """Return corners whose cost above the optimum is more than `least` times the cost range, for random arms."""
     rng = np.random.default_rng(seed)
     found = []
     for _ in range(count):

@@ -13,11 +13,11 @@ from tests.control.torques import in_place, subproblem
 from tests.reference.law import CLIMB_PER_S
 
 
-def test_scaled_climb_asks_for_displacement_to_maximum_of_mu(robot: RobotModel) -> None:
-    """The expected displacement is an arc length on the self-motion curve."""
+def test_scaled_climb_is_proportional_to_distance_from_maximum_of_mu(robot: RobotModel) -> None:
+    """The distance is an arc length on the self-motion curve."""
     q = np.asarray(self_motion(robot, robot.data.q_home, 0.01).q)
     top = int(np.argmax(robot.mu_along(q)))
-    assert 40 < top < len(q) - 40, "the top is within the joint limits"
+    assert 40 < top < len(q) - 40, "the maximum of mu must be away from joint limits"
     for off in (-12, -5, 5, 12):
         s = robot.state(q[top + off])
         desired = fields(subproblem(robot, s, *in_place(s), climbs=True, c2=1.0, rho=1.0)).pull
@@ -32,8 +32,8 @@ def test_scaled_climb_without_regularization_is_refused() -> None:
 
 
 @pytest.mark.parametrize(("number", "preset"), [(13, "nominal"), (25, "realistic")])
-def test_velocity_bounds_end_climb_before_joint_limit(number, preset, robot, regular_poses) -> None:
-    """From these two poses, mu grows up to a joint limit."""
+def test_velocity_bounds_stop_the_climb_before_a_joint_limit(number, preset, robot, regular_poses) -> None:
+    """From these two poses, mu increases along the self-motion until a joint reaches its limit."""
     q = regular_poses(30)[number].tolist()
     trace = mo.run(mo.Scenario(
         start={"q_rad": q, "swivel": 0.5}, plant={"preset": preset}, duration_s=4.0, task={"wait_s": 5.0},

@@ -1,4 +1,4 @@
-"""The controller of three levels: torque, fallback and state."""
+"""The controller of three levels: its torque, fallback and state."""
 
 from types import SimpleNamespace
 from unittest.mock import Mock
@@ -126,7 +126,7 @@ def watching(supports=None, error=None):
     return solver, session
 
 
-def test_session_may_observe_measured_velocity(robot):
+def test_session_observes_the_measured_velocity(robot):
     solver, session = watching()
     controller, state, tip_ref, trocar = started(robot, solver)
     for speed in (0.1, -0.2):
@@ -191,7 +191,7 @@ def test_run_does_not_depend_on_previous_run(robot):
 
 
 class AsAnyOther(Exact):
-    """`exact` in a session, because only the type `Exact` runs in the core."""
+    """`exact` in a session like any other solver, because the core runs only the type `Exact` itself."""
 
 
 @pytest.mark.parametrize("fallback", ["damping", "hold", "least-violation"])
@@ -223,13 +223,13 @@ def test_exact_agrees_bitwise_in_core_and_session(robot, speed, fallback):
     assert np.isfinite(noted[0]["dual"]).all() == (speed < 1.0)
 
 
-def test_solver_restart_has_the_time_of_its_tick(robot):
+def test_restart_of_a_solver_is_reported_with_its_time(robot):
     session = Mock(spec=IsolatedSession, restarts=[Restart(3, "it hung")], solve=lambda qp: EXACT.start(qp).solve(qp))
     controller, *_ = started(robot, watching(error=[session] * 2)[0])
     assert controller.restarts == [{"at_s": 0.006, "reason": "it hung"}]
 
 
-def test_start_uses_no_recorded_solve_times(robot):
+def test_warm_up_at_the_start_uses_no_recorded_solve_time(robot):
     settings, state = ControlSettings(supervisor={"budget_us": 20.0}), robot.state(robot.data.q_home)
     controller = Controller(robot, settings, EXACT, times_us=iter([30.0, 10.0, 30.0, 10.0]))
     controller.start(state.q, state.v, *in_place(state))

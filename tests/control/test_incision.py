@@ -57,7 +57,7 @@ def test_the_trocars_force_is_separated_from_the_tools_weight_and_a_force_at_the
     close = pose[3] - 0.5 * SHORTEST_DEPTH_M * pose[2]  # too shallow to separate the forces
     across = np.linalg.norm(pose[:2] @ (np.array(force) + np.array(touch)))
     assert seen(robot, q, close, wrench)[1] == pytest.approx(across, abs=1e-6)
-    for allowed in (1e-9, 10.0):  # largest force attributed to the tip
+    for allowed in (1e-9, 10.0):  # upper bound [N] on the force attributed to the tip
         found = seen(robot, q, point, wrench, allowed)[1]
         assert found == pytest.approx(max(expected, across - allowed), abs=1e-6)
 
@@ -79,7 +79,7 @@ def test_each_limit_and_warning_can_be_switched_off(robot, j, of, off_m, newton,
 
 
 @pytest.mark.parametrize("time_s", [0.05, 0.002, 0.0005])
-def test_warnings_and_stops_follow_low_passed_mean_squares(robot, time_s):
+def test_warnings_and_stops_depend_on_low_passed_mean_squares(robot, time_s):
     q, left = robot.data.q_home, 1.0 - min(1.0, PERIOD / time_s)
     means = [5.0, 6.0] * np.sqrt(1.0 - left ** np.arange(1, 401))[:, None]
     seen = off_by(robot, q, 0.005), weight(robot, q, 6.0)

@@ -1,4 +1,4 @@
-"""Each level (a limit of the safety filter) is the largest allowed value.
+"""A value equal to its level (a limit of the safety filter) is allowed, and any larger value is not.
 
 All numbers are short binary fractions, so that arithmetic is exact.
 """
@@ -70,7 +70,7 @@ def way(level, name="motion_rad", v=0.0):
 
 
 def told(level, name, wrench, applied, tip, **others):
-    """Whether a fourth equal reading stops the arm."""
+    """Whether a reading stops the arm if it equals the three before it."""
     guard = begun(**{name: level} | others)
     for _ in range(3):
         follow(guard, tip=0.25, tip_ref=0.25)
@@ -89,7 +89,7 @@ def not_believed(level):
 
 
 def replayed(level, name, lives):
-    """Whether the arm stops if the first eight of 20 readings come again."""
+    """Whether the arm stops if 20 readings are followed by the first eight of them."""
     guard = begun(**{name: level})
     return [read(guard, q=k % 20, other=k % 20 + lives * k, wrench=np.zeros(6)) for k in range(28)][-1] != "running"
 
@@ -134,7 +134,7 @@ def yields(level):
 
 
 def stays_open(level):
-    """Whether the brakes are still open at half of the level."""
+    """Whether open brakes stay open if the force falls to half of the level."""
     guard = begun(stop_yield=level)
     read(guard, wrench=pressed(0.0), trocar=TROCAR)
     assert guard.hold(pressed(0.5))[0] == 0.0
@@ -156,14 +156,14 @@ def stays_open(level):
     (residual, 16.0 * T, ("residual_torque",)), (residual, 16.0 * T, ("residual_whole",)),
     (residual, 16.0 * T * T, ("stuck_speed", 2)), (yields, 0.25, ()), (stays_open, 0.25, ()),
 ])  # fmt: skip
-def test_a_level_acts_only_on_larger_values(noticed, level, more):
+def test_only_a_value_above_its_level_is_noticed(noticed, level, more):
     assert not noticed(level, *more)
     assert noticed(level * (1.0 - 2.0**-40), *more)
 
 
 @pytest.mark.parametrize(("torques", "carries"), [((1.5, 1.5), 0.0), ((-0.5, -0.5), 0.0), ((1.5, 0.0), 0.5)])
-def test_drive_that_opposes_its_torque_is_no_longer_used(torques, carries):
-    """A drive at zero torque is still used."""
+def test_torque_of_the_stop_is_zero_if_a_drive_opposes_its_torque(torques, carries):
+    """If the drive's torque is zero, the stopped arm's weight is carried."""
     arm = core.Arm(LOADED, np.zeros((2, 3)), np.eye(3), np.ones((2, 2)), np.array([0.0, -1.0, 0.0]))
     guard, record = begun(arm, residual_torque=2.0**-8, carries=True, patience=1), arm.terms(ZERO, ZERO)
     read(guard)
@@ -184,15 +184,15 @@ def test_lag_is_allowed_only_shortly_after_fast_motion():
         assert reason in read(guard, q=0.25)
 
 
-def test_closed_brakes_open_again_after_rise_by_stop_yield():
-    """The rise is the difference from the lowest force since the brakes closed."""
+def test_closed_brakes_open_again_if_the_force_rises_by_stop_yield():
+    """The rise is counted from the lowest force since the brakes closed."""
     guard = begun(stop_yield=0.25, stop_yield_ticks=2)
     read(guard, wrench=pressed(0.0), trocar=TROCAR)
     opened = {0.25: 0, 1.0: 1, 1.125: 1, 0.9375: 0, 1.1875: 0, 1.25: 1, 0.875: 0, 0.5: 0, 0.75: 0, 0.8125: 1}
     assert [guard.hold(pressed(force))[0] == 0.0 for force in opened] == list(map(bool, opened.values()))
 
 
-def test_brakes_stay_closed_if_drives_cannot_carry_weight():
+def test_brakes_stay_closed_if_drives_cannot_carry_the_weight():
     arm = core.Arm(LOADED, POINTS, np.eye(3), np.ones((2, 2)), np.array([0.0, -1.0, 0.0]))
     for tau_max, opened in ((0.5, True), (0.5 - T, False)):  # the weight is 0.5 Nm
         guard = begun(arm, carries=True, tau_max=tau_max, stop_yield=0.25)

@@ -21,7 +21,7 @@ FRESH, REPEAT, OLD = range(3)
 
 
 def ages(stamps, patience=PATIENCE):
-    """Return FRESH, REPEAT or OLD for each packet, one packet a tick."""
+    """Return FRESH, REPEAT or OLD for each tick. `stamps` are the times [ticks] of the packets that arrive."""
     guard = core.Guard(ARM.arm, **numbers_of(SafetyFilterSettings(patience_ticks=patience), ARM, PERIOD))
     deaf, late, found = np.full(6, np.nan), core.REASONS.index("measurements are too late"), []
     guard.start(REST, REST, 0)
@@ -39,7 +39,7 @@ def test_a_constant_delay_is_accepted_and_the_last_packet_is_too_old_after_the_p
     found = ages([min(last, max(0, k - late)) for k in range(late + last + patience + 2)], patience)
     assert found[: late + 1] == [FRESH] + [REPEAT] * late
     assert found[late + 1 : late + last + 1] == [FRESH] * last
-    ordinary = late if last > 0 else 0  # without any new packet the delay is unknown
+    ordinary = late if last > 0 else 0  # the delay is known only after a new packet
     first = last + ordinary + patience + 1
     assert OLD not in found[:first]
     if first < len(found):
@@ -65,13 +65,13 @@ def test_a_fresh_packet_is_newer_than_all_before_it_and_never_too_old(stamps, pa
 
 
 @pytest.mark.parametrize("missed", [1, PATIENCE, PATIENCE + 1])
-def test_controller_may_miss_at_most_patience_ticks(missed):
+def test_packet_is_fresh_after_at_most_patience_missed_ticks(missed):
     found = ages([0, 1, 2, 3 + missed, 4 + missed])
     assert found == [FRESH] * 5 if missed <= PATIENCE else found[3] == REPEAT
 
 
 def looked(q, v, tau=None, reference=None, wrench=None, **levels):
-    """Return the reason of a stop and the index of its reading."""
+    """Return why the filter stopped, and the index of the reading at which it stopped."""
     guard = guard_of(ARM, q[0], v[0], carries=False, **levels)
     for k in range(len(q)):
         if reference is not None:
@@ -100,7 +100,7 @@ def test_readings_of_a_smooth_motion_with_filtered_velocity_are_accepted(seed, s
 
 @pytest.mark.parametrize("speed", [0.02, 0.1, 1.0])
 @pytest.mark.parametrize("joint", [0, 6])
-def test_position_that_stops_at_nonzero_velocity_stops_arm(speed, joint):
+def test_frozen_position_with_nonzero_velocity_stops_the_arm(speed, joint):
     v = np.zeros((400, N))
     v[:, joint] = speed
     q = np.cumsum(v, axis=0) * PERIOD
@@ -114,8 +114,8 @@ def test_position_that_stops_at_nonzero_velocity_stops_arm(speed, joint):
 @pytest.mark.parametrize(("by", "whole", "level"), [
     ("way", False, 3e-3), ("way", True, 5e-4), ("torque", False, 6.0), ("torque", True, 0.05),
 ])  # fmt: skip
-def test_repeated_reading_stops_arm_once_reference_or_torque_changes(by, whole, level):
-    """Up to `level`, static friction may hold the arm."""
+def test_repeated_reading_stops_the_arm_if_reference_or_torque_changes(by, whole, level):
+    """Below `level`, static friction may hold the arm, so no stop is expected."""
     still, reference, tau = np.tile(np.linspace(-1.0, 1.0, N), (600, 1)), np.zeros((600, 3, 3)), np.zeros((600, N))
     grown = reference[:, 0, 0] if by == "way" else tau[:, 2]
     grown[:] = (0.01 * PERIOD if by == "way" else -0.02) * np.arange(600)
@@ -123,16 +123,16 @@ def test_repeated_reading_stops_arm_once_reference_or_torque_changes(by, whole, 
     wrench = np.zeros((600, 6)) if whole else np.random.default_rng(0).normal(size=(600, 6))
     wrong, k = looked(still, 0.0 * still, tau, reference, wrench)
     assert "all encoders repeat" in wrong
-    assert abs(grown[k]) == pytest.approx(level, abs=1e-4 if by == "way" else 0.1)  # plus a few ticks
+    assert abs(grown[k]) == pytest.approx(level, abs=1e-4 if by == "way" else 0.1)  # within a few ticks
     one = still.copy()
     one[:, 6] += 1e-5 * np.arange(600)
-    assert looked(one, np.gradient(one, PERIOD, axis=0), reference=reference)[0] == ""  # one joint changes
+    assert looked(one, np.gradient(one, PERIOD, axis=0), reference=reference)[0] == ""  # one joint's reading changes
 
 
 @pytest.mark.parametrize("alone", [True, False])
 @pytest.mark.parametrize("noisy", [True, False])
-def test_noisy_sensor_that_repeats_its_reading_stops_arm(noisy, alone):
-    """With `alone`, only the wrench reading repeats."""
+def test_repeated_reading_of_a_noisy_sensor_stops_the_arm(noisy, alone):
+    """With `alone`, only the wrench repeats. Otherwise the encoders repeat too."""
     rng = np.random.default_rng(4)
     q = rng.normal(scale=1e-5, size=(600, N)) * alone
     wrench = rng.normal(size=(600, 6)) if noisy else np.ones((600, 6))
@@ -145,7 +145,7 @@ def test_noisy_sensor_that_repeats_its_reading_stops_arm(noisy, alone):
 
 
 def watched(robot, torque, ticks, momentum=True, **levels):
-    """Return reason and tick of the stop under `torque(k)` [Nm] without motion."""
+    """Return why and at which tick k the filter stopped. The arm rests under the torque gravity + `torque(k)` [Nm]."""
     rng, q, guard = np.random.default_rng(0), robot.data.q_home, guard_of(robot, momentum=momentum, **levels)
     for k in range(ticks):
         shown, tau = q + 1e-5 * rng.normal(size=N), robot.gravity(q) + torque(k)
@@ -157,8 +157,8 @@ def watched(robot, torque, ticks, momentum=True, **levels):
 
 
 @pytest.mark.parametrize(("begins", "told"), [(1, False), (120, True)])
-def test_unknown_load_stops_arm_once_residual_has_settled(robot, begins, told):
-    """The residual's mean adapts to a load in the first `_SETTLED` time constants."""
+def test_load_that_appears_after_the_residual_settled_stops_the_arm(robot, begins, told):
+    """In the first `_SETTLED` time constants, the residual's mean adapts to a load."""
     load = 0.4 * robot.tau_max
     for on, momentum in ((True, True), (False, True), (True, False)):
         reason, _ = watched(robot, lambda k: (k >= begins) * load, 200, momentum, residual_s=1e6, motion=on)
@@ -167,8 +167,8 @@ def test_unknown_load_stops_arm_once_residual_has_settled(robot, begins, told):
 
 
 @pytest.mark.parametrize(("levels", "stops"), [({}, True), ({"residual_whole_torque": 1e6}, False)])
-def test_slowly_growing_torque_without_motion_stops_arm(levels, stops, robot):
-    rate = 0.25 * robot.tau_max[1] * PERIOD * np.eye(N)[1]  # 1.25 times the largest torque after 5 s
+def test_slowly_growing_torque_without_motion_stops_the_arm(levels, stops, robot):
+    rate = 0.25 * robot.tau_max[1] * PERIOD * np.eye(N)[1]  # 1.25 times the torque limit after 5 s
     reason, k = watched(robot, lambda k: rate * k, 2500, **levels)
     assert ("does not fit the torque" in reason) == bool(reason) == stops
     if stops:

@@ -49,7 +49,7 @@ def test_the_torque_follows_the_numpy_law_and_stays_within_its_limits(robot, see
     q = np.where(rng.random(N) < 0.5, robot.q_min, robot.q_max) + near * (robot.q_max - robot.q_min) / 2.0
     v = fast * robot.v_max * rng.uniform(-1.0, 1.0, N)
     wall, at = robot.q_max - guard.settings.position_margin_rad, rng.random((2, N)) < 0.25
-    q = np.where(at[0], wall, q)  # exactly at the wall or the largest speed
+    q = np.where(at[0], wall, q)  # exactly at the wall or at the largest allowed speed
     room = np.sqrt(2.0 * guard.settings.wall_brake_rad_per_s2 * np.maximum(wall - q, 0.0))
     v = np.where(at[1], np.minimum(robot.v_max, room), v)
     before, tau = rng.uniform(-1.0, 1.0, (2, N)) * robot.tau_max * [[1.0], [asked]]
@@ -62,7 +62,7 @@ def test_the_torque_follows_the_numpy_law_and_stays_within_its_limits(robot, see
 
 
 @pytest.mark.parametrize(("j", "bad"), [(0, np.nan), (3, np.inf), (6, -np.inf)])
-def test_torque_that_is_not_finite_stops_arm(robot, j, bad):
+def test_torque_that_is_not_finite_stops_the_arm(robot, j, bad):
     guard = guard_of(robot)
     tau, before = np.ones(N), np.full(N, 2.0)
     tau[j] = bad
@@ -71,7 +71,7 @@ def test_torque_that_is_not_finite_stops_arm(robot, j, bad):
     assert guard.reason == "the controller's torque is not finite"
 
 
-def test_wall_of_sliding_joint_has_its_own_margin():
+def test_wall_of_a_sliding_joint_uses_position_margin_m():
     rail, margins = load_robot("lwr4_rail"), [0.02, *[0.3] * 7]
     given = numbers_of(SafetyFilterSettings(position_margin_rad=0.3, position_margin_m=0.02), rail, PERIOD)
     np.testing.assert_allclose(given["low"] - rail.q_min, margins)
@@ -100,7 +100,7 @@ def test_limits_for_stuck_joints_follow_from_settings(robot, ticks, replayed):
 
 
 @pytest.mark.parametrize("start", [-1.0, 1.0])
-def test_start_within_a_wall_moves_this_wall(robot, start):
+def test_start_inside_a_wall_moves_that_wall_to_the_start(robot, start):
     q, s = np.array(robot.data.q_home), SafetyFilterSettings()
     q[1] = start * (robot.q_max[1] - 0.5 * s.position_margin_rad)
     guard = guard_of(robot, q, carries=False)
@@ -110,7 +110,7 @@ def test_start_within_a_wall_moves_this_wall(robot, start):
     assert back[1] == pytest.approx(-start * s.wall_stiffness_Nm_per_rad * 1e-3)
     q[5] = robot.q_max[5] - 0.5 * s.position_margin_rad
     assert guard.limit_torque(REST, REST, q, REST)[5] < 0.0
-    guard.start(np.array(robot.data.q_home), REST)  # all walls are back
+    guard.start(np.array(robot.data.q_home), REST)  # the walls are at their usual places again
     assert guard.limit_torque(REST, REST, q, REST)[1] * start < 0.0
 
 
@@ -132,8 +132,8 @@ def test_bad_measurements_are_bridged_by_extrapolation(robot):
     assert "not believed" in guard.reason
 
 
-def test_largest_accepted_step_grows_with_the_gap(robot):
-    """After b bad measurements, the largest step is jump_rad + (1 + b) T v_max."""
+def test_largest_accepted_step_grows_with_each_bad_measurement(robot):
+    """After b bad measurements, the largest accepted step is jump_rad + (1 + b) T v_max."""
     q, v = robot.data.q_home, np.full(N, 0.2)
     for bad in range(3):
         for share, sound in ((0.999, True), (1.001, False)):
@@ -146,7 +146,7 @@ def test_largest_accepted_step_grows_with_the_gap(robot):
 
 
 @pytest.mark.parametrize(("speed", "told"), [(0.5, ""), (1.0, "do not follow their velocities")])
-def test_reading_is_compared_with_velocity_over_three_ticks(robot, speed, told):
+def test_position_change_over_three_ticks_is_compared_with_the_velocity(robot, speed, told):
     guard, v = guard_of(robot), np.full(N, 0.5)
     for stamp in np.arange(60) // 3 * 3:
         guard.check_measurement(robot.data.q_home + stamp * PERIOD * speed, v, int(stamp), REST)
@@ -156,7 +156,7 @@ def test_reading_is_compared_with_velocity_over_three_ticks(robot, speed, told):
 
 @pytest.mark.parametrize("time_s", [0.1, 0.002, 0.0005])
 @pytest.mark.parametrize("factor", [0.999, 1.1, 3.0])
-def test_mean_square_tip_error_above_limit_stops_arm(robot, time_s, factor):
+def test_mean_square_tip_error_above_its_limit_stops_the_arm(robot, time_s, factor):
     guard = guard_of(robot, tip_error_m=0.004, tip_error_s=time_s)
     share = min(1.0, PERIOD / time_s)
     for _ in range(2):  # the second start forgets the first run
@@ -170,7 +170,7 @@ def test_mean_square_tip_error_above_limit_stops_arm(robot, time_s, factor):
     assert guard.reason
 
 
-def test_start_forgets_everything(robot):
+def test_start_resets_the_filter(robot):
     guard = guard_of(robot, patience_ticks=0)
     guard.limit_torque(np.full(N, 1e3), REST, robot.data.q_home, REST)
     assert guard.limited == N
@@ -203,7 +203,7 @@ def test_stopped_arm_carries_weight_within_torque_limits(robot, rate):
 
 @pytest.mark.parametrize("newton", [9.0, 30.0, 100.0])
 def test_trocar_force_above_stop_yield_opens_brakes(robot, newton):
-    """After k ticks the mean force is (1 - (1 - 50 /s T)^k) times the force."""
+    """After k ticks of T, the mean force is (1 - (1 - T / 0.02 s)^k) times the force."""
     q, guard = robot.data.q_home, guard_of(robot, incision=True)
     guard.check_measurement(q, REST, wrench=weight(robot, q), trocar=off_by(robot, q, 0.0))
     opened = [not guard.brake_friction(weight(robot, q, newton)).any() for _ in range(400)]
@@ -213,7 +213,7 @@ def test_trocar_force_above_stop_yield_opens_brakes(robot, newton):
     assert np.flatnonzero(opened).tolist() == list(range(first - 1, first - 1 + 200))  # open once, for stop_yield_s
 
 
-def test_mean_with_short_time_constant_is_latest_value(robot):
+def test_mean_with_time_constant_below_the_period_is_the_latest_value(robot):
     short = SafetyFilterSettings(tip_error_s=0.05, incision_s=0.05, residual_s=0.05)
     found = numbers_of(short, robot, 0.1)
     assert {found[f"{name}_share"] for name in ("tip", "incision", "residual", "press")} == {1.0}

@@ -24,7 +24,7 @@ QUANTIZED = {"encoder_noise_rad": 0.0, "encoder_resolution_rad": 5e-4}
 
 
 def stopped(at, within, error, newton, reason="", **scenario):
-    """Run and check the delay [s], tip error [m] and trocar force [N] of the stop."""
+    """Run until a stop at most `within` s after `at`. Check the bounds on tip error [m] and trocar force [N]."""
     trace = run(Scenario(**{"duration_s": 2.0, **scenario, **QUICK}))
     assert trace.meta["ended"].startswith("stopped: ")
     assert reason in trace.meta["ended"]
@@ -44,16 +44,16 @@ AT_REST = {
 }  # fmt: skip
 FORGED = {"frozen_velocity": "zero", "forged_stamps": True}
 
-# name: scenario, start of the fault [s], largest delay [s], tip error [m] and force [N], and the reason of the stop
+# name: scenario, start of the fault [s], bounds on delay [s], tip error [m] and force [N], and reason of the stop
 STOPPED = {
     "all-dropped": ({"faults": {"drop_share": 1.0}}, 0.0, 0.0101, 2.5e-3, 3.0, "3 ticks late"),
     "lost": ({"faults": {"nan_at_s": 0.4, "nan_ticks": 9999}}, 0.4, 0.0061, 5e-3, INF, "not believed"),
     "frozen": ({"faults": {"frozen_at_s": 0.9}, "control": DCAC}, 0.9, 0.0101, 2.5e-3, 3.0, "3 ticks late"),
     "growing-lag": ({"faults": {"lag_at_s": 1.0, "lag_growth": 0.3}}, 1.0, 0.034, 1.0, 3.0, ""),
     "replayed": ({"faults": {"replay_at_s": 1.0, "replay_ticks": 200}}, 1.0, 0.0101, 1.0, 3.0, ""),
-    # Only the repeated noise shows a recording.
+    # At rest, only repeated noise shows that the readings are a recording.
     "a recording of the resting arm": ({**AT_REST, "seed": 8316}, 4.0, 0.08, 2e-3, 5.0, "are a recording"),
-    "the same, no noise in the wrench": (
+    "a recording without noise in the wrench": (
         {**AT_REST, "seed": 8307, "plant": {"force_noise_N": 0.0, "torque_noise_Nm": 0.0}}, 4.0, 0.08, 2e-3, 5.0,
         "are a recording"),
     "forged": (
@@ -104,14 +104,14 @@ def test_wrong_measurements_stop_the_arm(name):
         assert not (trace.fault[~after] == "stopped").any()
 
 
-# fault of the encoder, largest delay of the stop [s], largest tip error [m]
+# fault of the encoder, bound on the delay of the stop [s], bound on the tip error [m]
 @pytest.mark.parametrize(("wrong", "within", "error"), [
     ({"frozen_velocity": "repeated"}, 0.0121, 0.012), ({"frozen_velocity": "zero"}, 0.0121, 0.012),
     ({"lag_growth": 0.05}, 0.21, 0.012), ({"lag_growth": 0.5}, 0.03, 0.012),
     ({"lag_ticks": 8, "lag_growth": 1e-6}, 0.03, 0.006), ({"lag_ticks": 40, "lag_growth": 1e-6}, 0.03, 0.006),
 ], ids=str)  # fmt: skip
 @pytest.mark.parametrize("robot", ["lwr4", "panda", "xarm7", "lwr4_rail"])
-def test_encoder_that_is_stuck_or_lags_is_found(robot, wrong, within, error):
+def test_stuck_or_lagging_encoder_stops_the_arm(robot, wrong, within, error):
     rng = np.random.default_rng([2110, len(robot), round(1e4 * within)])
     kind = "frozen" if "frozen_velocity" in wrong else "lag"
     at, joint, seed = float(rng.uniform(0.3, 1.0)), int(rng.integers(7)), int(rng.integers(2000, 3000))
@@ -156,8 +156,8 @@ def test_short_gap_in_measurements_is_bridged(gap):
 @pytest.mark.parametrize("control", [
     {"preset": "tuned", "limit_margin_rad": 0.0}, {**DCAC, "K_X": 3000.0, "D_X": 80.0, "K_N": 800.0, "D_N": 60.0},
 ], ids=["moc", "dcac"])  # fmt: skip
-def test_arm_at_its_wall_is_stopped(control):
-    """The circle leads joint 4 into the wall."""
+def test_arm_that_meets_a_wall_is_stopped(control):
+    """The circle leads joint 4 into its wall (torque near the joint limit)."""
     wall = {"position_margin_rad": 0.62}
     blind = {**wall, "rcm_error_m": None, "trocar_force_N": None, "motion": False}
     free = run(Scenario(control=control, guard=blind, **QUICK))
@@ -232,7 +232,7 @@ def test_robust_gains_stay_stable_with_four_ticks_delay(plant):
 @pytest.mark.parametrize(("every", "seed"), [(1, 0), (100, 1), (10_000, 2)])
 def test_hostile_controller_moves_no_joint_past_its_limit(robot, every, seed):
     """The torque is twice the limit, in directions that change at random."""
-    # With an encoder bias of 0.1 mrad, three of 60 such runs pass a limit.
+    # With an encoder bias of 0.1 mrad, a joint passes its limit in three of 60 such runs.
     free = PlantSettings(trocar_stiffness_N_per_m=0.0, trocar_damping_Ns_per_m=0.0, encoder_bias_rad=0.0)
     plant = Plant(robot.data, free, seed=seed)
     place = 0.1 + 0.8 * np.random.default_rng(seed).uniform(size=N)
@@ -279,6 +279,6 @@ def test_command_line_reports_that_an_arm_ran_away(tmp_path, capsys):
     file, out = tmp_path / "s.toml", tmp_path / "t.parquet"
     stiff = "plant = {trocar_stiffness_N_per_m = 1e6, trocar_damping_Ns_per_m = 1e4}\n"
     file.write_text(f"duration_s = 1.2\nbound_samples = 0\njudge = false\n{stiff}", encoding="utf-8")
-    assert main(["run", str(file), "--trace", str(out)]) == 3  # the input is valid, so not 2
+    assert main(["run", str(file), "--trace", str(out)]) == 3  # not 2, because the input is valid
     assert "s: ran away" in capsys.readouterr().err, "the message begins with the file's name"
     assert Trace.load(out).meta["ended"].startswith("ran away")

@@ -121,7 +121,7 @@ BESIDE = {
 
 
 @pytest.mark.parametrize("kind", RANGES, ids=lambda kind: kind.__name__)
-def test_each_number_has_its_range(kind):
+def test_each_number_is_accepted_exactly_in_its_range(kind):
     named = {field: interval for interval, fields in RANGES[kind].items() for field in fields.split()}
     for field, model in kind.model_fields.items():
         if not (types := re.findall(r"\b(?:int|float)\b", str(model.annotation))):
@@ -158,7 +158,7 @@ def test_preset_is_found_by_its_name():
         ControlSettings.preset("tunned")
 
 
-def test_planned_motion_may_use_the_whole_speed():
+def test_planned_motion_may_use_the_full_joint_speed():
     arm, own = load_robot("lwr4_rail"), {"limit_margin_m": 0.03, "climb": "scaled"}
     given = (ControlSettings(third_level=level, **own) for level in ("local", "planned"))
     assert ControlSettings(third_level="receding").horizon_s == 1.0
@@ -179,7 +179,7 @@ def test_planned_motion_may_use_the_whole_speed():
     assert numbers_of(ControlSettings(third_level="planned", k0_per_s=12.0), arm, 0.002)["k0"] == 12.0
 
 
-def test_planned_motion_has_its_own_observer_gain():
+def test_planned_motion_uses_the_observer_gain_of_courses():
     for gain, level, rate in ((20.0, "local", 20.0), (20.0, "receding", 40.0), (0.0, "receding", 0.0)):
         assert ControlSettings(third_level=level, observer_gain_per_s=gain).observer_rate_per_s == rate
     for name in ("tuned", "robust"):
@@ -204,7 +204,7 @@ def test_warning_level_above_its_limit_is_refused(wrong):
 
 
 @pytest.mark.parametrize("length", [0.15, 0.6])
-def test_shaft_margin_grows_with_squared_distance_tip_to_wrist(length):
+def test_shaft_margin_grows_with_the_squared_distance_from_tip_to_wrist(length):
     robot = load_robot("gen3", tool_length=length)
     lever = length + 0.061525 + 0.10593
     law = numbers_of(ControlSettings(shaft_margin=0.2, speed_fraction=0.4), robot, 0.002)

@@ -28,7 +28,7 @@ ZERO, OK, LATE = np.zeros(7), Status.SOLVED, ["hold", "zero", "iterate"]
 
 
 def scripted(*answers):
-    """A session that returns these answers in turn and raises exceptions among them."""
+    """A session that returns these answers in turn. Answers that are exceptions are raised."""
     return Mock(spec=["solve"], **{"solve.side_effect": list(answers)})
 
 
@@ -105,7 +105,7 @@ def test_each_fault_is_named_and_counted(fault, qp, Z):
     ((label, found),) = mine.faults.items()
     assert (label, found["count"], found["first_at_s"]) == (fault.label, 1, 0.002)
     assert fault is not Fault.RAISED or found["first"] == "RuntimeError: from inside a solver"
-    # only an infeasible subproblem gets the fallback at once
+    # after any fault except INFEASIBLE, the last good answer is held
     np.testing.assert_array_equal(x, np.zeros(7) if fault is Fault.INFEASIBLE else good.x)
     mine.forget()
     assert mine.faults == {}
@@ -122,8 +122,8 @@ def test_last_good_answer_is_held_for_hold_ticks(hold, qp, Z):
     assert mine.solve(scripted(wrong), qp, Z)[1].any() == (hold > 0)  # a good answer restarts the count
 
 
-def test_elbow_stays_off_joint_limits_without_answers(robot):
-    """Damping alone leads joint 6 to its limit."""
+def test_without_solver_answers_the_arm_stays_off_its_joint_limits(robot):
+    """If the third level only damped, joint 6 would reach its limit."""
     base = Scenario(control={"preset": "tuned"}, start={"swivel": "random"}, judge=False, bound_samples=0,
                     faults={"solver": "nan", "solver_share": 1.0})  # fmt: skip
     kept = run(base)
@@ -189,7 +189,7 @@ def test_exceptions_of_a_session_are_counted(error, where, qp, Z):
 
 
 def test_optimum_for_negated_gradient_is_refused(recorded):
-    """It is accepted only if its residuals verify it for the true gradient."""
+    """It is accepted only if the residuals with the true gradient verify it."""
     lies = 0
     for qp in map(NullSpaceQP.from_row, recorded):
         lie = opposite(qp)
@@ -254,7 +254,7 @@ def test_residuals_along_self_motion_agree_with_numerical_search(c2):
     assert (np.median(seen, axis=0)[1:] > 1e-3).all()
 
 
-def test_residuals_are_zero_without_gradient_along_self_motion(qp, Z):
+def test_without_gradient_along_self_motion_the_residuals_are_zero(qp, Z):
     x = solved(qp).x
     for pull, c2, Zs in ((1.0, 1.0, np.zeros((0, 7))), (0.0, 1.0, Z), (1.0, 0.0, Z), (1e-9, 1.0, Z)):
         row = np.array(qp.row)
@@ -324,7 +324,7 @@ def test_speed_of_idle_joint_does_not_falsify_an_optimum(seed, idle_speed):
     assert asked(nine, null_space(nine.A), Solution(x, None, Status.SOLVED), 9)[0].fault is Fault.NONE
 
 
-def test_both_ends_of_a_short_segment_are_accepted(qp, Z):
+def test_both_ends_of_a_very_short_feasible_segment_are_accepted(qp, Z):
     x, along = solved(qp).x, 1e-4 * Z[0]
     low, high = np.minimum(x - along, x + along), np.maximum(x - along, x + along)
     narrow = NullSpaceQP(
@@ -335,7 +335,7 @@ def test_both_ends_of_a_short_segment_are_accepted(qp, Z):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_idle_joint_is_checked_without_other_self_motion(seed):
+def test_idle_joint_is_checked_if_no_other_self_motion_exists(seed):
     """Five joints satisfy five independent rows, and the sixth joint is idle."""
     qp, joints = random_problem(np.random.default_rng(seed)), [0, 1, 2, 3, 4, 6]
     A, x = qp.A[:, joints], 0.5 * (qp.lower + qp.upper)[joints]
@@ -349,7 +349,7 @@ def test_idle_joint_is_checked_without_other_self_motion(seed):
 
 
 @pytest.mark.parametrize("late", LATE)
-def test_late_answer_is_replaced_as_the_setting_says(late, qp, Z):
+def test_setting_late_decides_what_replaces_a_late_answer(late, qp, Z):
     good = solved(qp)
     other = Solution(good.x + 1e-6, None, Status.SOLVED)
     mine = supervisor(times=[10.0, 3000.0, 2000.0, 10.0], budget_us=2000.0, late=late)
@@ -375,7 +375,7 @@ def stoppable(whole, truncated):
 @pytest.mark.parametrize(("us", "iterations", "allowed"), [
     (400.0, 40, 10), (1e6, 40, 1), (100.0, 40, None), (400.0, 1, 1), (400.0, 0, None),
 ])  # fmt: skip
-def test_late_solver_gets_iterations_that_fit_the_budget(us, iterations, allowed, qp, Z):
+def test_late_solver_is_cut_to_the_iterations_that_fit_the_budget(us, iterations, allowed, qp, Z):
     whole = solved(qp)._replace(iterations=iterations)
     session = stoppable(whole, whole._replace(x=0.5 * whole.x, status=Status.MAX_ITER))
     mine = supervisor(times=[us], budget_us=100.0, late="iterate")
@@ -431,8 +431,8 @@ def test_at_most_one_percent_of_answers_are_refused(name):
     (0, 0, "primal_limit"), (0, 1, "primal_limit"), (2, 0, "box_limit"), (2, 1, "box_limit"), (0, 2, "relative_limit"),
     (0, 3, "opposite_limit"), (0, None, "budget_us"),
 ])  # fmt: skip
-def test_check_accepts_an_answer_at_a_limit(qp, Z, claim, j, limit):
-    """The solver claims an optimum (0) or an iterate (2). `j` is an index of `judged`."""
+def test_answer_with_a_residual_equal_to_its_limit_is_accepted(qp, Z, claim, j, limit):
+    """`claim`: the solver claims an optimum (0) or an iterate (2). `j`: index of the residual in `judged`."""
     x = opposite(qp).x if j in (2, 3) else np.clip(solved(qp).x, qp.lower, qp.upper)
     x = x + 0.01 * (qp.A[0] if j == 0 else np.where(x == qp.upper, 1.0, 0.0) if j == 1 else 0.0)
     figure = 50.0 if j is None else judged(qp.row, Z, x)[j]
@@ -444,8 +444,8 @@ def test_check_accepts_an_answer_at_a_limit(qp, Z, claim, j, limit):
         assert (made.finish(0, claim, x, 50.0)[0] == 0) == taken
 
 
-def test_off_needs_one_direction_and_a_clear_gradient(qp):
-    """Otherwise `off`, the distance to the optimum, stays zero."""
+def test_off_is_computed_only_for_one_self_motion_with_a_clear_gradient(qp):
+    """In all other cases `off`, the distance to the optimum, is zero."""
     faint, several = changed(qp, c2=1e-7, regularization=1e-2), random_problem(np.random.default_rng(3), 8)
     for each, searched in ((qp, True), (faint, False), (several, False)):
         Z = null_space(each.A)

@@ -43,7 +43,7 @@ def tracking(robot, state, tip_ref, trocar, gains=(0.0, 0.0, 0.0, 0.0), **parts)
 
 
 def in_place(state, speed=0.0):
-    """References at this state. The tip reference moves along x at `speed` [m/s]."""
+    """Return tip and trocar references at this state. The tip reference moves along x at `speed` [m/s]."""
     tip_ref = np.array([state.tip, [speed, 0.0, 0.0], np.zeros(3)])
     return tip_ref, np.array([state.tip - 0.15 * state.tool_direction, np.zeros(3)])
 

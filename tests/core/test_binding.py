@@ -22,7 +22,7 @@ READ_ONLY.setflags(write=False)
 def test_wrong_array_is_named_in_the_exception(name, wrong):
     sound = {"record": QP.row, "x": np.zeros(7), "y": np.zeros(6), "steps": 1, "h_x": 1.0, "h_y": 1.0, "k": 1.0,
              "scale": -1.0, "implicit": 0, "rest": 0.0}  # fmt: skip
-    core.step_network(*sound.values())  # -1 is also Python's code for a failed conversion
+    core.step_network(*sound.values())  # scale = -1 must not be taken for Python's error code -1
     with pytest.raises((TypeError, ValueError), match="real number" if name == "rest" else f"{name}: give"):
         core.step_network(*{**sound, name: wrong}.values())
 
@@ -48,7 +48,7 @@ def test_arm_with_zero_or_17_joints_is_refused(n):
 
 
 @pytest.mark.parametrize(("count", "step"), [(0, 0.02), (1, 0.02), (9, 0.0), (9, np.inf), (9, np.nan)])
-def test_curve_with_too_few_samples_is_refused(count, step):
+def test_curve_with_too_few_samples_or_wrong_step_is_refused(count, step):
     state = ROBOT.state(ROBOT.data.q_home)
     task = ROBOT.q_min, ROBOT.q_max, np.array([state.tip, state.wrist]), np.array(state.q), np.ones(7)
     with pytest.raises(ValueError, match="2 samples or more"):

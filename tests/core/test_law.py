@@ -117,7 +117,7 @@ def test_scaled_climb_does_not_depend_on_cost_weights(robot):
 
 
 @pytest.mark.parametrize("bend", [0.0, 1e-12])
-def test_scaled_climb_is_zero_without_gradient_along_self_motion(bend):
+def test_without_gradient_along_self_motion_the_scaled_climb_is_zero(bend):
     s = LWR4.state(np.array([0.2, 0.0, 0.0, bend, 0.0, 0.0, 0.0]))
     found = fields(subproblem(LWR4, s, *in_place(s), climbs=True, c2=1.0, rho=1.0)).pull
     np.testing.assert_array_equal(found, np.zeros(7))
@@ -144,7 +144,7 @@ def test_null_space_basis_changes_continuously_at_straight_elbow():
 
 
 def problem(rng, robot, tight=None):
-    """Return (row, its fields, basis of ker A) of a random subproblem."""
+    """Return a random subproblem as (row, its fields, basis of ker A). With `tight`, its bounds are near a solution."""
     s = robot.state(robot.random_regular_pose(rng))
     u, v_T, v_W = s.tool_direction, *(0.05 * rng.normal(size=(2, 3)))
     row, Z = np.full(11 * s.n + 10, np.nan), reference.null_space(s.A)
@@ -162,7 +162,7 @@ def test_least_violation_agrees_with_scipy(odd_robot):
     for k in range(30):
         row, part, Z = problem(rng, LWR4 if k % 2 else odd_robot)
         part.b[:] *= 6.0
-        if k % 3:  # joint 1 has to move back
+        if k % 3:  # the second joint must not stand still
             part.lower[1] = part.upper[1] / 2.0
         x = stand_in(row, Z, INFEASIBLE, "least-violation")
         assert (x >= part.lower).all()

@@ -62,7 +62,7 @@ def header(shape, kind):
     header((3,), "<U100000"), b"\x93NUMPY\x01\x00\x10\x00secret:x:0 hello", b"secret:x:0:0:root\n",
     header((1,), "<U6") + "secret".encode("utf-32-le"),
 ])  # fmt: skip
-def test_file_without_recorded_times_is_not_quoted(data, tmp_path):
+def test_error_for_file_without_recorded_times_does_not_quote_it(data, tmp_path):
     """A header can claim terabytes, and a scenario can name any file."""
     (tmp_path / "a.npy").write_bytes(data)
     with pytest.raises(ScenarioError, match="replay_us") as found:
@@ -94,7 +94,7 @@ def test_file_is_unchanged_if_the_disk_is_full(tmp_path, monkeypatch):
     assert os.listdir(tmp_path) == ["file.parquet"]
 
 
-def test_pipes_devices_and_folders_are_refused(tmp_path):
+def test_pipes_devices_and_folders_are_not_overwritten(tmp_path):
     other, link = tmp_path / "other", tmp_path / "link.parquet"
     other.write_bytes(b"mine")
     link.symlink_to(other)
@@ -123,7 +123,7 @@ def test_link_at_the_temporary_name_is_not_followed(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("path", ["/proc/x", "/proc/no/such/x", "/dev/null/x", "a\0b", "x" * 300])
-def test_folder_that_cannot_be_written_is_named_first(path, tmp_path, monkeypatch):
+def test_error_names_the_folder_that_cannot_be_written(path, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for work in (lambda: write_whole(path, b"new"), lambda: files.check_replaceable(path, "file", MocOptError)):
         with pytest.raises(MocOptError, match=r"cannot be written in the folder '/.*: make room") as found:

@@ -87,7 +87,7 @@ NEEDED = {"last_link": "link_7", "group": "solver", "low": 0.0, "high": 1.0}
 """Values of fields that have no default."""
 
 
-def test_no_number_may_be_extreme():
+def test_every_setting_refuses_extreme_numbers():
     tables = every_table()
     assert len(tables) > 25
     tried = 0

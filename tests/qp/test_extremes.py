@@ -71,7 +71,7 @@ def test_a_regularized_optimum_is_certified_and_the_worst_point_is_a_corner(seed
 
 
 @pytest.mark.parametrize("shape", [(7, 2), (8, 3), (9, 4)])
-def test_largest_cost_is_not_overstated_with_many_corners(shape, monkeypatch):
+def test_with_many_corners_the_largest_cost_is_not_overstated(shape, monkeypatch):
     """An underestimate is safe: the loss of an answer then comes out too large."""
     exact = []
     for seed in range(15):
@@ -115,7 +115,7 @@ def test_optimum_nearest_to_zero_is_found():
     assert (found.least, found.most) == pytest.approx((-1.0001, 1.0001))
 
 
-def test_empty_set_gives_none():
+def test_empty_feasible_set_gives_none():
     Z = np.array([[1.0], [1.0]]) / np.sqrt(2.0)
     apart = np.array([0.0, 1.0]), np.array([0.5, 2.0])
     assert nearest(Z, *apart, np.zeros(1)) is None
@@ -148,7 +148,7 @@ def test_the_nearest_point_satisfies_its_optimality_conditions(seed, shape):
     at_low, at_high = np.abs(x - low) < 1e-9, np.abs(x - high) < 1e-9
     assert (force[~at_low] <= 0.0).all()
     assert (force[~at_high] >= 0.0).all()
-    for part in nearest(np.eye(2), np.array([0.0, -1.0]), np.ones(2), np.zeros(2)):  # on its bound
+    for part in nearest(np.eye(2), np.array([0.0, -1.0]), np.ones(2), np.zeros(2)):  # the start is at a bound
         np.testing.assert_array_equal(part, np.zeros(2))
 
 
@@ -165,7 +165,7 @@ def test_joints_with_equal_rows_define_no_corner():
 
 
 @pytest.mark.parametrize("small", [1e-2, 1e-4, 1e-5, 1e-7])
-def test_distant_set_is_reached_to_rounding(small):
+def test_nearest_point_of_a_distant_set_is_exact_up_to_rounding(small):
     for seed in range(10):
         z = np.append(small, np.random.default_rng(seed).normal(size=3))
         Z = (z / np.linalg.norm(z))[:, None]
@@ -177,7 +177,7 @@ def test_distant_set_is_reached_to_rounding(small):
 
 
 @pytest.mark.parametrize("seed", [285, 568, 649, 1706, 1724, 4198, 4585])
-def test_optimum_is_verified_if_all_points_are_on_bounds(seed):
+def test_optimum_is_verified_if_all_feasible_points_are_at_bounds(seed):
     """The multipliers can be very large."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(8, 13))

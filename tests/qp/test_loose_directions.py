@@ -104,7 +104,7 @@ def test_no_answer_that_slid_is_verified(seed):
 
 @pytest.mark.parametrize("regularization", [0.0, 0.01])
 @pytest.mark.parametrize("freedoms", [1, 2])
-def test_residual_relative_is_scaled_loss_for_one_feasible_point(freedoms, regularization):
+def test_with_one_feasible_point_residual_relative_is_scaled_excess_cost(freedoms, regularization):
     qp, base, Z, direction = random_case(np.random.default_rng(0), freedoms, 1e-9)
     row, pinned = np.array(qp.row), [3, 6][:freedoms]
     fields(row).lower[pinned] = fields(row).upper[pinned] = base[pinned]
@@ -123,7 +123,7 @@ def far_ends(A, b, pull, lower, upper):
 
 
 @pytest.mark.parametrize("size", 10.0 ** np.arange(-11, -1, 2))
-def test_only_the_better_end_is_verified(size):
+def test_only_the_better_end_of_the_self_motion_is_verified(size):
     """The gradient is nearly orthogonal to the self-motion."""
     rng, seen = np.random.default_rng(int(-np.log10(size))), 0
     for slope, width in [(1e-2, 1e-4), (1e-4, 1e-2), (1e-6, 1e-4), (1e-8, 1e-2), (1e-8, 3e-6)] * 3:
@@ -148,7 +148,7 @@ def test_only_the_better_end_is_verified(size):
 
 
 def test_rounded_jacobians_do_not_limit_the_self_motion():
-    """The elbow has zero bounds, but rests in the self-motion."""
+    """The elbow's bounds are zero, but it does not move in this self-motion."""
     state = ROBOTS[0].state(np.array([-2.405, -0.753, 0.226, -0.016, 1.96, -2.009, 2.289]), np.zeros(7))
     A, bounds = np.round(state.A, 13), np.ones(7)
     z = null_space(np.delete(state.A, [3, 6], axis=1), rcond=1e-7)[:, 0]

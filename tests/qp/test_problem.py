@@ -29,7 +29,7 @@ def test_cost_matches_its_definition(qp):
         np.testing.assert_allclose(qp.P @ x + qp.p, slope, atol=1e-8)
 
 
-def test_everything_is_read_only(qp):
+def test_arrays_and_weights_are_read_only(qp):
     for name in (*PARTS[:7], "A", "b", "P", "p", "row"):
         with pytest.raises(ValueError, match="read-only"):
             getattr(qp, name)[...] = 0.0
@@ -52,7 +52,7 @@ def test_bad_input_names_the_field(qp, field, value):
         changed(qp, **{field: value})
 
 
-def test_answer_of_another_shape_is_refused_by_name(qp):
+def test_wrong_shape_of_x_or_y_is_named(qp):
     assert np.isnan(qp.objective(np.full(7, np.nan)))  # NaN is no error
     for given_x, given_y, said in ((np.zeros(6), None, "x: shape"), (np.zeros(7), np.zeros(5), "y: .*five duals")):
         with pytest.raises(SubproblemError, match=said):
@@ -71,7 +71,7 @@ def test_flat_array_gives_back_the_same_subproblem(qp):
         fields(np.zeros(83))
 
 
-def test_array_that_is_not_contiguous_doubles_is_copied(qp):
+def test_array_other_than_contiguous_doubles_is_copied(qp):
     row = np.array(qp.row)
     for held in (np.repeat(row, 2)[::2], row.astype(np.float32)):
         np.testing.assert_array_equal(NullSpaceQP.from_row(held).row, held)

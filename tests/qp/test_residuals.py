@@ -38,19 +38,19 @@ def test_optimum_is_verified_and_its_neighbours_are_not(n, structured, regulariz
         assert with_bad_duals.verified()
         broken = x + 1e-3 * rng.choice([-1.0, 1.0], size=n)
         assert not qp.residuals(broken, y).verified()
-        if n == 12:  # the optimum's duals are used
+        if n == 12:  # natural_best then uses the duals of the optimum
             wrong = optimum(changed(qp, grad_mu=-qp.grad_mu))[0]
             assert qp.residuals(wrong).natural_best == pytest.approx(qp.residuals(wrong, y).natural, rel=1e-6)
 
 
 @pytest.mark.parametrize(("n", "structured"), CASES)
-def test_natural_best_is_smallest_residual_over_all_duals(n, structured):
-    """Bisection finds t, and a linear program in y decides whether t can be reached."""
+def test_natural_best_is_the_minimum_of_natural_over_all_duals(n, structured):
+    """Bisection finds the minimum. A linear program decides whether some duals y give a residual of t or less."""
     rng = np.random.default_rng(7)
 
     def reachable(qp, x, t):
         low, high = np.where(qp.upper - x <= t, -np.inf, -t), np.where(x - qp.lower <= t, np.inf, t)
-        scale, slope = 1e4, qp.P @ x + qp.p  # keeps numbers above the program's tolerance
+        scale, slope = 1e4, qp.P @ x + qp.p  # scale keeps numbers above the program's tolerance
         rows = LinearConstraint(qp.A.T, scale * (low - slope), scale * (high - slope))
         return milp(np.zeros(6), constraints=rows, bounds=Bounds()).status == 0
 
@@ -77,7 +77,7 @@ def ends_of_the_swivel(qp):
 
 
 @pytest.mark.parametrize("regularization", [0.0, 1e-5, 1e-3])
-def test_loss_is_lost_share_of_cost_range(regularization):
+def test_loss_is_cost_above_optimum_divided_by_cost_range(regularization):
     rng = np.random.default_rng(8)
     for _ in range(5):
         qp = random_problem(rng, regularization=regularization)
@@ -114,7 +114,7 @@ def test_no_wrong_corner_is_verified(n, size, tilt, regularization):
     ({"relative": 1.0, "loss": 1.0, "distance": 1e-6}, True),
     ({"relative": 1.0, "loss": 1.0, "distance": 1.1e-6}, False), ({"primal": 2e-6, "distance": 0.0}, False),
 ])  # fmt: skip
-def test_each_limit_of_the_rule_decides_alone(gates, verified):
+def test_verified_compares_each_residual_with_its_limit(gates, verified):
     at_the_limit = {
         "primal": 1e-6, "natural": 9.0, "natural_best": 9.0, "relative": 1e-3, "loss": 1e-2, "distance": 1.0,
     }  # fmt: skip
@@ -127,7 +127,7 @@ def test_each_limit_of_the_rule_decides_alone(gates, verified):
 
 
 def sliver(width, regularization=0.0):
-    """Return (problem, optimum x, z). The self-motion along z has this `width` [rad/s]."""
+    """Return (problem, optimum x, z). The feasible segment along z is `width` [rad/s] long."""
     qp = random_problem(np.random.default_rng(21), regularization=regularization)
     x, worst = ends_of_the_swivel(qp)
     z = (x - worst) / np.abs(x - worst).max()
@@ -147,14 +147,14 @@ def test_answer_within_primal_tolerance_of_optimum_is_verified(regularization):
         assert found.distance == pytest.approx(off, abs=1e-9)
         assert found.loss == pytest.approx(off / 1e-5, abs=1e-3)
         assert found.verified() == right
-    for width, loss in ((5e-10, 0.0), (5e-9, 1.0)):  # below 1e-9 rad/s it counts as a point
+    for width, loss in ((5e-10, 0.0), (5e-9, 1.0)):  # a segment shorter than 1e-9 rad/s counts as a point
         qp, x, z = sliver(width, regularization)
         assert qp.residuals(x - width * z).loss == pytest.approx(loss, abs=1e-4)
 
 
 @pytest.mark.parametrize("regularization", [0.0, 1e-5])
 @pytest.mark.parametrize("pull", [-2.0, 0.0, 3.0])
-def test_idle_joint_is_checked_by_its_own_interval(pull, regularization):
+def test_idle_joint_is_compared_with_the_best_point_of_its_interval(pull, regularization):
     """Joint 7 moves neither tip nor wrist."""
     qp = random_problem(np.random.default_rng(14), regularization=regularization)
     grad_mu = np.array(qp.grad_mu)
@@ -181,7 +181,7 @@ def test_idle_joint_is_checked_by_its_own_interval(pull, regularization):
     assert qp.residuals(there).loss == pytest.approx(1.0, abs=1e-9)
 
 
-def test_idle_joint_with_the_largest_loss_decides():
+def test_loss_is_the_largest_loss_of_all_idle_joints():
     J, ones = np.diag([1.0, 0.0, 0.0]), np.ones(3)
     qp = NullSpaceQP(J, J, np.zeros(3), np.zeros(3), [0.0, 2.0, -1.0], -ones, ones)
     assert qp.residuals([0.0, 1.0, -1.0]).verified()
@@ -192,7 +192,7 @@ def test_idle_joint_with_the_largest_loss_decides():
 
 @pytest.mark.parametrize("unit", [1e-4, 1.0, 1e4])
 @pytest.mark.parametrize("n", [7, 8])
-def test_every_feasible_answer_is_verified_without_a_gradient(n, unit):
+def test_without_gradient_every_feasible_answer_is_verified(n, unit):
     qp = random_problem(np.random.default_rng(30), n, structured=False, regularization=0.0)
     Z = kernel(qp)
     x = optimum(qp)[0]
@@ -225,7 +225,7 @@ def test_relative_is_scaled_by_gradient_along_self_motion():
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e-8])
-def test_only_references_decide_without_a_null_space(unit):
+def test_without_null_space_an_answer_that_meets_the_references_is_verified(unit):
     rng = np.random.default_rng(4)
     J, x = unit * rng.normal(size=(6, 6)), rng.uniform(-0.5, 0.5, 6)
     b = J @ x
@@ -238,7 +238,7 @@ def test_only_references_decide_without_a_null_space(unit):
 
 
 def one_freedom(z, lower, upper):
-    """Return a problem whose six joints can move only along z, the gradient."""
+    """Return a problem whose six joints can move only along z. The gradient is z."""
     A = np.vstack([np.linalg.svd(z[None])[2][1:], np.zeros(6)])
     return NullSpaceQP(A[:3], A[3:], np.zeros(3), np.zeros(3), z, lower, upper, regularization=0.0)
 
@@ -246,7 +246,7 @@ def one_freedom(z, lower, upper):
 @pytest.mark.parametrize(("width", "loss"), [(3e-8, 0.0), (3e-7, 1.0)])
 @pytest.mark.parametrize("slow", [0, 5])
 def test_interval_shorter_than_rounding_counts_as_a_point(slow, width, loss):
-    """The rounding error of a bound is divided by the joint's speed, 1e-7."""
+    """Along z, an error in the slow joint's bound is magnified by 1 / abs(z_j) = 1e7."""
     z = np.full(6, np.sqrt(0.2))
     z[slow] = 1e-7
     lower, upper = np.full(6, -1.0), np.full(6, 1.0)
@@ -254,7 +254,7 @@ def test_interval_shorter_than_rounding_counts_as_a_point(slow, width, loss):
     assert one_freedom(z, lower, upper).residuals(np.zeros(6)).loss == pytest.approx(loss, abs=1e-6)
 
 
-def test_middle_of_contradicting_bounds_is_taken():
+def test_distance_is_measured_to_the_middle_of_contradicting_bounds():
     z = np.array([0.5, 0.5, 0.5, 0.3, 0.3, np.sqrt(0.07)])
     lower, upper = np.full(6, -1.0), np.full(6, 1.0)
     lower[0], upper[1] = 8e-7 * z[0], 4e-7 * z[1]
@@ -265,13 +265,13 @@ def test_products_that_cancel_are_accurate():
     rng = np.random.default_rng(3)
     A, x = rng.normal(size=(2, 6, 9)), rng.normal(size=(2, 9, 4))
     A[:, :, 8] = -(A[:, :, :8] @ x[:, :8])[:, :, 0]
-    x[:, 8] = 1.0  # the first column is only rounding
+    x[:, 8] = 1.0  # the product's first column is only rounding
     exact = np.vectorize(Fraction, otypes=[object])
     expected = np.array([exact(a) @ exact(b) for a, b in zip(A, x, strict=True)], dtype=float)
     np.testing.assert_allclose(optimality._product(A, x), expected, rtol=1e-15, atol=1e-30)
 
 
-def test_batch_may_mix_ranks_and_idle_joints():
+def test_mixed_batch_gives_the_residuals_of_single_problems():
     rng = np.random.default_rng(40)
     problems = [random_problem(rng, 7, structured=k % 2 == 0, regularization=1e-5 * (k % 3)) for k in range(9)]
     J = rng.normal(size=(6, 7))
@@ -301,13 +301,13 @@ def test_natural_and_primal_equal_their_definitions(regularization):
             assert found.primal == pytest.approx(max(np.abs(qp.A @ x - qp.b).max(), beyond), rel=1e-12)
             bad = np.array(y)
             bad[3] = np.nan
-            for none in (None, bad):  # the best dual is used
+            for none in (None, bad):  # the best duals are used
                 without = qp.residuals(x, none)
                 assert without.natural == without.natural_best == found.natural_best
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1e-3, 1.0, 1e3, 1e6])
-def test_idle_joints_do_not_depend_on_length_unit(scale):
+def test_which_joints_are_idle_does_not_depend_on_the_length_unit(scale):
     """A column below about 1e-12 |A| counts as zero."""
     rng = np.random.default_rng(51)
     A = rng.normal(size=(6, 8))
@@ -363,7 +363,7 @@ def test_nan_answer_has_the_worst_residuals():
     assert big == pytest.approx(small, rel=1e-9)
 
 
-def test_rank_of_each_problem_is_decided_alone():
+def test_rank_in_a_batch_does_not_depend_on_other_problems():
     s = np.array([[1.0, 1.0, 1.0, 1.0, 1.0, last] for last in (1.0, 1e-6, 1e-8, 0.0)])
     s = np.vstack([s, [1.0, 1.0, 1.0, 1.0, 1e-8, 1e-9], [1.0, 1.0, 1.0, 1.0, 1e-14, 1e-14]])
     expected = [6, 6, 5, 5, 5, 4]

@@ -105,7 +105,7 @@ def shaft_push(mu_shaft, margin):
 
 
 def slope(s, margin=0.0):
-    """Return the gradient of the null-space motion, projected onto ker A."""
+    """Return the gradient that the climb follows (mu's and the shaft's), projected onto ker A."""
     Z = null_space(s.A)
     return Z.T @ Z @ (s.grad_mu + shaft_push(s.mu_shaft, margin) * s.grad_mu_shaft)
 

@@ -68,7 +68,7 @@ def test_printed_third_level_lacks_an_inverse(states):
         Z = null_space(s.A)
         inner = Z @ s.M @ Z.T
         consistent, printed = s.M @ Z.T @ np.linalg.inv(inner) @ Z, (inner @ Z @ s.M).T
-        assert printed.shape == (7, len(Z))  # so no joint vector fits
+        assert printed.shape == (7, len(Z))  # it cannot multiply a joint vector (7,)
         assert idempotence(consistent) < 1e-9
         assert idempotence(printed @ Z) > 0.5  # the inverse is missing
         # printed torque / consistent torque [kg^2 m^4]

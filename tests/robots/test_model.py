@@ -44,7 +44,7 @@ def samples(arm: RobotModel, count: int = 8, seed: int = 1) -> Iterator[tuple[Ar
 
 
 def reference(arm: RobotModel) -> tuple[Any, Any]:
-    """Return a pinocchio model that is built separately."""
+    """Return a pinocchio model, built from the URDF without moc_opt, and its data."""
     model = pin.buildModelFromXML(arm.data.urdf)
     return model, model.createData()
 
@@ -98,8 +98,8 @@ def test_manipulability_gradients_agree_with_finite_differences(arm: RobotModel)
             np.testing.assert_allclose(getattr(s, f"grad_{name}"), slopes, atol=2e-8)
 
 
-def test_shaft_that_cannot_turn_gives_no_gradient() -> None:
-    """The wrist can move in one direction only while the tip is held."""
+def test_gradient_is_zero_if_the_shaft_cannot_turn() -> None:
+    """While the tip is held, the wrist can move in only one direction."""
     joints, n = np.tile(np.r_[np.eye(3).ravel(), np.zeros(3), 0.0, 0.0, 1.0, 0.0], (5, 1)), 5
     joints[:3, 12:15], joints[:3, 15], joints[3:, 12:15] = np.eye(3), 1.0, [0.0, 1.0, 0.0]
     points = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -0.3]])
@@ -222,7 +222,7 @@ def test_missing_gain_tables_are_derived(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["iiwa14", "panda", "gen3", "xarm7", "lwr4_rail"])
-def test_stored_gain_tables_are_derived_from_masses(name: str) -> None:
+def test_stored_gain_tables_equal_the_derived_ones(name: str) -> None:
     robot = load_robot(name)
     derived = derived_gains(robot)
     assert set(robot.data.gains) == set(derived)
@@ -322,7 +322,7 @@ def test_iiwa14_has_the_mass_of_its_data_sheet() -> None:
     assert sum(masses) - robot.data.tool_mass == pytest.approx(29.9, rel=0.03)
 
 
-def test_rail_carries_the_lwr4() -> None:
+def test_lwr4_rail_equals_the_lwr4_on_a_rail() -> None:
     rail, bare = load_robot("lwr4_rail"), load_robot("lwr4")
     for q in poses(rail):
         ours, theirs = rail.state(q), bare.state(q[1:])

@@ -62,7 +62,7 @@ def test_new_robot_has_the_vendors_kinematics(panda) -> None:
     assert found["rcm_error_max_mm"] < 2.5
 
 
-def test_base_rpy_makes_the_arm_hang(tmp_path: Path) -> None:
+def test_base_rpy_of_pi_turns_the_arm_upside_down(tmp_path: Path) -> None:
     hanging = made(tmp_path, text_of("iiwa14"), base_rpy=(np.pi, 0.0, 0.0)).robot
     standing = load_robot("iiwa14")
     for q in np.random.default_rng(1).uniform(-1.0, 1.0, (3, 7)):
@@ -138,7 +138,7 @@ def test_wrist_is_the_point_nearest_an_oblique_axis() -> None:
     assert np.abs(found.wrist).max() > 1e-3
 
 
-def test_flange_on_the_last_axis_keeps_the_wrist() -> None:
+def test_flange_on_the_last_axis_does_not_move_the_wrist() -> None:
     def with_flange(origin: str) -> str:
         return added(text_of(), link("flange") + joint("f", "fixed", "link_7", "flange", f"<origin {origin}/>"))
 
@@ -165,7 +165,7 @@ def test_found_home_pose_meets_its_requirements(name: str) -> None:
     assert state.mu == pytest.approx(home.mu)
     assert min(state.tip[2], state.wrist[2]) > new.CLEARANCE_M - 0.01
     assert home.task == ""
-    if name == "xarm7":  # the ranking decides which is tried first
+    if name == "xarm7":  # the ranking decides which pose is tried first
         np.testing.assert_array_equal(home.q, [-0.72, 0.06, -0.89, 1.37, 0.22, 1.37, 0.0])
         assert np.abs(search_home(robot, seed=2).q - home.q).max() > 0.1
 
@@ -196,7 +196,7 @@ def test_commands_accept_a_vendors_file(tmp_path: Path, monkeypatch, capsys) -> 
     line = next(line for line in text.splitlines() if line.startswith("q_rad"))
     Path("my.toml").write_text(text.replace(line, f"q_rad = {[0.0] * 7}"), encoding="utf-8")
     assert main(["robot", "check", "my.toml"]) == 3
-    Path("my.toml").unlink()  # the trace has the arm
+    Path("my.toml").unlink()  # the trace contains the arm
     assert main(["replay", "run.parquet", "--out", "run.html"]) == 0
 
 
@@ -225,7 +225,7 @@ def altered(robot: RobotModel, **fields: object) -> RobotModel:
 
 
 @pytest.mark.parametrize("name", available_robots())
-def test_robot_check_finds_no_fault_in_own_arms(name: str) -> None:
+def test_robot_check_finds_no_fault_in_built_in_arms(name: str) -> None:
     found = check_robot(load_robot(name))
     assert verdict(found) == "ok"
     assert len(found) == 11
@@ -245,7 +245,7 @@ def test_each_fault_is_reported_in_its_row(robot: RobotModel, what: str, fields:
     assert told in row.cure
 
 
-def test_home_pose_near_largest_mu_gets_care(robot: RobotModel) -> None:
+def test_home_pose_near_largest_mu_has_verdict_care(robot: RobotModel) -> None:
     curve = self_motion(robot, robot.data.q_home)
     for share, judged in ((0.98, "care"), (0.91, "ok")):
         q = curve.q[np.argmin(np.abs(curve.mu / curve.mu_best - share))]
@@ -265,7 +265,7 @@ def test_sliding_joints_distance_from_limit_is_in_mm() -> None:
     assert "keeps 50 mm free: move home.q_rad 80 mm" in row.cure
 
 
-def test_singular_home_is_refused(robot: RobotModel) -> None:
+def test_singular_home_has_verdict_cannot(robot: RobotModel) -> None:
     found = rows(altered(robot, q_home=np.zeros(7), v_max=np.full(7, 10.0), tau_max=np.full(7, 1.0)))
     assert verdict(list(found.values())) == "cannot"
     assert "singular" in found["freedoms left"].cure + found["singular values"].cure
@@ -274,7 +274,7 @@ def test_singular_home_is_refused(robot: RobotModel) -> None:
     assert all(bool(row.cure) == (row.verdict != "ok") for row in found.values())
 
 
-def test_task_out_of_reach_gets_care(robot: RobotModel) -> None:
+def test_task_out_of_reach_has_verdict_care(robot: RobotModel) -> None:
     asked = Scenario(task={"path": "circle", "sizes": {"radius": 0.5}})
     row = rows(robot, asked)["task from home"]
     assert row.verdict == "care"
@@ -282,7 +282,7 @@ def test_task_out_of_reach_gets_care(robot: RobotModel) -> None:
 
 
 @pytest.mark.parametrize("factor", [0.9, 8.0])
-def test_gains_that_cause_oscillation_are_refused(robot: RobotModel, factor: float) -> None:
+def test_gains_that_cause_oscillation_have_verdict_cannot(robot: RobotModel, factor: float) -> None:
     """The verdict agrees with a run without friction."""
     gains = [factor * gain for gain in robot.data.gains["default"]["K_N2"]]  # type: ignore[union-attr]
     asked = Scenario(control={"K_N2": gains}, plant={"friction": 0.0}, bound_samples=0, judge=False)

@@ -1,4 +1,4 @@
-"""Vendors' URDFs become one serial chain with possible numbers."""
+"""Vendors' URDFs become one serial chain with physically possible numbers."""
 
 import re
 from pathlib import Path
@@ -80,7 +80,7 @@ def test_second_arm_requires_a_named_tip(vendors) -> None:
     assert chain(vendors(added(text_of(), branch("head", 2, "link_0")))) == CHAIN
 
 
-def test_joint_locked_by_name_stays_at_its_angle(vendors) -> None:
+def test_joint_locked_by_name_stays_at_the_given_angle(vendors) -> None:
     arm = vendors(text_of(), lock={"joint_3": 0.4})
     assert chain(arm) == [name for name in CHAIN if name != "joint_3"]
     q = np.array([0.1, -0.3, -1.2, 0.5, 1.4, 0.2])

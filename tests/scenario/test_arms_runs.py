@@ -16,7 +16,7 @@ BARE = {"bound_samples": 0, "judge": False}
 
 
 @pytest.mark.parametrize("name", available_robots())
-def test_every_arm_does_the_default_task(name):
+def test_every_arm_completes_the_default_task(name):
     asked = Scenario(robot={"name": name}, bound_samples=0, task={"sizes": {"radius": 0.02}, "hold_s": 0.1})
     moc, dcac = run(asked), run(asked.change(control=asked.control.matched_dcac(), judge=False))
     assert (moc.meta["ended"], dcac.meta["ended"]) == ("completed", "completed")
@@ -57,7 +57,7 @@ def test_answers_for_sixteen_joints_are_verified(tmp_path):
     assert not compute_residuals(trace.subproblem[rows], x).verified().any()
 
 
-def test_law_written_in_python_follows_path_and_climbs():
+def test_law_written_in_python_follows_the_path_and_raises_mu():
     setup = runpy.run_path(str(Path(__file__).parents[2] / "examples" / "own_law.py"))["OwnSetup"]
     scenario = Scenario(duration_s=1.5, start={"swivel": 0.2}, **BARE)
     own, dcac = setup(scenario).trace(), run(scenario.change(control=scenario.control.matched_dcac()))

@@ -92,7 +92,7 @@ def test_safety_limits_follow_from_the_encoders(tables, told):
     assert scenario.guard == Scenario(guard=tables.get("guard", {})).guard
 
 
-def test_change_of_plant_keeps_its_other_settings():
+def test_change_of_one_plant_setting_keeps_the_others():
     base = Scenario(plant=PlantSettings.nominal())
     assert base.change(plant={"delay_ticks": 2}).plant == PlantSettings.nominal(delay_ticks=2)
     assert base.change(plant={"preset": "realistic"}).plant == PlantSettings()
@@ -132,7 +132,7 @@ def test_registered_trocar_breathes_if_breathing_is_known(known):
     np.testing.assert_array_equal(told, moved if known else np.zeros_like(moved))
 
 
-def test_singular_pose_has_a_bound_of_mu(robot):
+def test_upper_bound_of_mu_exists_at_a_singular_pose(robot):
     """With a straight elbow, the self-motion curve is not unique."""
     poses = np.tile(robot.data.q_home, (3, 1))
     poses[0], poses[2] = [0.3, 0.6, -0.2, 0.0, 0.4, -0.9, 0.0], np.nan
@@ -231,7 +231,7 @@ def test_limit_that_is_off_stays_off_after_loading(tmp_path):
     assert Scenario.load(tmp_path / "lifted.toml") == scenario
 
 
-def test_solver_setting_of_none_is_not_written(tmp_path):
+def test_solver_setting_that_is_none_is_not_written(tmp_path):
     to = tmp_path / "new" / "folder" / "a.toml"
     Scenario(solver={"name": "qpsolvers:quadprog", "settings": {"cost_scale": None, "rows": 6}}).save(to)
     assert Scenario.load(to).solver.settings == {"rows": 6}

@@ -51,14 +51,14 @@ def test_proposed_start_can_be_pasted_into_the_scenario(tmp_path, capsys):
     assert again.from_start.mu_mean > 1.02 * found.from_start.mu_mean
 
 
-def test_plan_has_the_limits_of_its_third_level(tmp_path, capsys):
+def test_plan_uses_the_third_levels_limits_unless_options_replace_them(tmp_path, capsys):
     file = scenario_file(tmp_path, 'duration_s = 0.5\n[control]\nthird_level = "planned"\n')
     for options, margin, share in (([], 0.05, 0.85), (["--speed-share", "1", "--margin", "0"], 0.0, 1.0)):
         assert main(["plan", file, "--json", *options]) == 0
         told = json.loads(capsys.readouterr().out)
         within = {"margin_rad": margin, "margin_m": 0.0, "shaft_margin": 0.04375, "speed_share": share}
         assert told["within"] == within
-        assert bool(told["warnings"]) == bool(options)  # speed share 1 is too fast
+        assert bool(told["warnings"]) == bool(options)  # a course with speed share 1 is too fast to be followed
 
 
 COMPARED = mo.Scenario(duration_s=1.5, judge=False, bound_samples=0, best_courses=True, start={"swivel": 0.2})
@@ -95,7 +95,7 @@ def test_commands_write_a_course_and_follow_it(tmp_path, capsys):
     to, ran = tmp_path / "course.parquet", tmp_path / "run.parquet"
     text = 'duration_s = 0.3\nbound_samples = 0\nbest_courses = false\n[control]\nthird_level = "local"\n'
     mine = scenario_file(tmp_path, text)
-    for out, status in ((to, 0), (to, 0), (mine, 2)):  # a course replaces only a course
+    for out, status in ((to, 0), (to, 0), (mine, 2)):  # a course file replaces only a course file
         assert main(["plan", mine, "--out", str(out)]) == status
         assert "warning" not in capsys.readouterr().err
     assert mo.Trace.load(to).meta["within"]["speed_share"] == 0.85  # the limit of 'planned'

@@ -1,4 +1,4 @@
-"""Starts and paths that the arm cannot do are refused with field and place."""
+"""Impossible starts and paths are refused. The error names the field and the place along the path."""
 
 import dataclasses
 import re
@@ -56,7 +56,7 @@ def reference(kind="circle", v_max=0.05, a_max=0.2, **sizes):
     return Reference(make_path(kind, HOME.tip, normal=(0, 0, 1), heading=(1, 0, 0), **sizes), v_max, a_max)
 
 
-def test_path_that_is_too_fast_gets_a_possible_speed():
+def test_error_for_too_fast_path_suggests_a_feasible_speed():
     with pytest.raises(UnreachableError) as told:
         check_reachable(ROBOT, ROBOT.data.q_home, reference("line", 5.0, 200.0, length=0.06), TROCAR)
     assert told.value.field == "v_max"
@@ -66,7 +66,7 @@ def test_path_that_is_too_fast_gets_a_possible_speed():
     check_reachable(ROBOT, ROBOT.data.q_home, reference("line", slower, 200.0, length=0.06), TROCAR)
 
 
-def test_path_that_leaves_the_workspace_says_where():
+def test_error_for_path_out_of_the_workspace_says_where():
     """The path pulls the tool out until the arm is stretched."""
     tip, trocar = np.array([0.74, 0.0, 0.10]), np.array([0.74, 0.0, 0.30])
     upwards = straight(tip, tip + np.array([0.0, 0.0, 0.16]))
@@ -79,8 +79,8 @@ def test_path_that_leaves_the_workspace_says_where():
     assert f"{1e3 * told.value.arc_length_m:.1f} mm along the path" in str(told.value)
 
 
-def test_joint_that_reaches_its_limit_is_named():
-    """Self-motion does not change joint 4 (the elbow)."""
+def test_joint_that_reaches_its_limit_along_the_path_is_named():
+    """No self-motion can avoid the limit, because it does not move joint 4 (the elbow)."""
     highest = np.array(ROBOT.q_max)
     highest[3] = HOME.q[3] + 0.05
     stiff = RobotModel(dataclasses.replace(ROBOT.data, q_max=highest))
@@ -92,7 +92,7 @@ def test_joint_that_reaches_its_limit_is_named():
     assert told.value.arc_length_m == pytest.approx(0.1 * np.linspace(0.0, 1.0, len(free))[over][0], abs=PLACE_M)
 
 
-def test_trocar_on_the_path_is_refused():
+def test_trocar_on_the_path_and_path_away_from_the_tip_are_refused():
     up = straight(HOME.tip, HOME.tip + np.array([0.0, 0.0, 0.06]))
     away = straight(HOME.tip + np.array([0.0, 0.01, 0.0]), HOME.tip)
     for task, through, field, place in (
@@ -104,8 +104,8 @@ def test_trocar_on_the_path_is_refused():
         assert (told.value.field, told.value.arc_length_m) == (field, pytest.approx(place, abs=PLACE_M))
 
 
-def test_another_elbow_position_is_tried(monkeypatch):
-    """The given start is made to fail."""
+def test_another_elbow_position_is_tried_if_the_first_fails(monkeypatch):
+    """Poses near the start's elbow position are made to fail."""
     task, scan, solve = reference(radius=0.03), self_motion(ROBOT, HOME.q), preflight.solve_pose
 
     def only_elsewhere(arm, q, tip, wrist):

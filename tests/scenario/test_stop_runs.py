@@ -100,7 +100,7 @@ def test_brakes_open_again_only_for_a_larger_force(robot):
 
 
 PRESSED_N = 35.0
-"""Bound [N] on the root mean square of the force in a completed run."""
+"""Bound [N] on the root mean square of the force over 0.1 s of a completed run."""
 
 at_s, some, whole, forged = st.floats(0.05, 0.6), st.floats, st.integers, st.booleans()
 
@@ -147,7 +147,7 @@ def test_under_several_faults_at_once_a_run_completes_or_the_arm_is_stopped_and_
     ended = Ending.of(trace.meta["ended"])
     assert (np.abs(trace.tau_Nm) <= setup.robot.tau_max * (1.0 + 1e-12)).all()
     if ended is Ending.STOPPED:
-        whole = trace.meta["ticks"] < trace.meta["ticks_planned"]  # else the run ended during the stop
+        whole = trace.meta["ticks"] < trace.meta["ticks_planned"]  # otherwise the planned time ended during the stop
         assert not whole or np.abs(trace.v_rad_per_s[-1]).max() <= 0.05
     else:
         assert ended in (Ending.COMPLETED, Ending.OSCILLATED)

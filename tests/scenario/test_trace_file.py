@@ -57,7 +57,7 @@ def test_trace_is_saved_whatever_ends_the_run(whole, error, place, tmp_path, mon
     (signal.SIGINT, 130, "interrupted; the first 0.296 s "), (signal.SIGTERM, 130, "interrupted; the first 0.296 s "),
     (0, 1, f"ZeroDivisionError: a defect of two lines ({Path(__file__).name}:"),
 ])  # fmt: skip
-def test_signal_and_defect_print_the_files_name(tmp_path, capsys, monkeypatch, number, status, told):
+def test_signal_or_defect_leaves_a_message_and_the_trace(tmp_path, capsys, monkeypatch, number, status, told):
     ticks, real = iter(range(10**6)), Plant.measure
 
     def breaking(self):
@@ -78,11 +78,11 @@ def test_signal_and_defect_print_the_files_name(tmp_path, capsys, monkeypatch, n
 
 
 @pytest.mark.parametrize("target", ["nowhere/t.parquet", "file/t.parquet", "t.csv", "."])
-def test_file_that_cannot_be_written_is_refused_first(target, tmp_path, capsys, monkeypatch):
+def test_file_that_cannot_be_written_is_refused_before_the_run(target, tmp_path, capsys, monkeypatch):
     (tmp_path / "file").write_text("")
     (tmp_path / "s.toml").write_text("duration_s = 0.1\n")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(Plant, "step", lambda *given: pytest.fail("it ran first"))
+    monkeypatch.setattr(Plant, "step", lambda *given: pytest.fail("the run began"))
     assert main(["run", "s.toml", "--trace", target]) == 2
     assert "folder" in capsys.readouterr().err or target == "t.csv"
     assert sorted(os.listdir(tmp_path)) == ["file", "s.toml"]

@@ -20,7 +20,7 @@ SHORT = {"duration_s": 0.6, "bound_samples": 0, "judge": False}
 
 
 def wired(scenario, relayed=None):
-    """Run in lock-step, with the controller in its own thread."""
+    """Run in lock-step, with plant and controller in two threads."""
     plant = PlantServer(scenario, "127.0.0.1:0", lock_step=True)
     with ThreadPoolExecutor(1) as pool:
         if relayed is None:
@@ -164,7 +164,7 @@ def test_both_ends_must_have_the_same_scenario():
         assert run_there.result().meta["ended"] == "completed"
 
 
-def test_printed_controller_answers_every_tick():
+def test_controller_printed_in_the_documentation_answers_every_tick():
     page = (Path(__file__).parents[2] / "docs" / "realtime.md").read_text(encoding="utf-8")
     blocks = re.findall(r"^```python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
     (shown,) = (text for text in blocks if "HEADER" in text)

@@ -30,7 +30,7 @@ def shaft_of(plant, depth=0.15, off=1e-3):
     return np.vstack([plant.tip + depth * u + off * side / np.linalg.norm(side), np.zeros(3)])
 
 
-def test_push_replaces_previous_push_on_its_link():
+def test_push_replaces_the_previous_push_on_the_same_link():
     plant = Plant(DATA, PlantSettings.nominal())
     for push, message in (
         (("lnk_1", [1, 0, 0]), "did you mean 'link_1'"), (("link_1", [1, 0]), "push force"),
@@ -93,7 +93,7 @@ def test_trocar_force_belongs_to_the_present_state(stiffness, damping):
     assert not plant.trocar_force.any()
 
 
-def test_moving_trocar_moves_within_the_period():
+def test_trocar_moves_also_within_a_period():
     """One period of 20 plant steps equals ten periods of 2 steps."""
     coarse = Plant(DATA, PlantSettings.nominal(period_s=0.02, substeps=20))
     fine = Plant(DATA, PlantSettings.nominal())
@@ -142,7 +142,7 @@ def hold(plant, periods, more=0.0):
 
 
 @pytest.mark.parametrize("stiffness", [1e3, 1e4])
-def test_joint_swings_at_frequency_of_its_two_inertias(stiffness):
+def test_elastic_joint_swings_at_the_frequency_of_rotor_and_links(stiffness):
     """The frequency is sqrt(k (1/B + 1/J)) with the inertias of rotor B and links J."""
     settings = elastic(
         joint_stiffness_Nm_per_rad=(stiffness, *[1e5] * 6), period_s=1e-3, substeps=100, gravity=False,

@@ -203,7 +203,7 @@ def test_readings_are_rounded_to_the_encoders_resolution(seed, step):
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
 
 
-def test_encoder_noise_has_its_standard_deviation():
+def test_encoder_noise_has_the_given_standard_deviation():
     sensor = encoders(3, noise_rad=1e-4)
     sensor.start(np.zeros(7), np.zeros(7))
     noise = np.array([sensor.read(np.zeros(7), np.zeros(7))[0] for _ in range(3000)])
@@ -267,7 +267,7 @@ def test_an_encoder_with_noise_and_a_velocity_filter_repeats_no_reading(steps, c
 def test_encoder_with_little_noise_may_repeat_a_reading():
     given = [(0.0, 2.4e-5), (3e-6, 2.4e-5), (1e-5, 2.4e-5), (1e-5, 0.0)]
     assert [longest_repetition(noise, step) for noise, step in given] == [None, None, 89, 10]
-    # A filter of 10 kHz hardly filters.
+    # With a cutoff of 10 kHz, the filter changes almost nothing.
     filters = [(1e-5, 50.0), (1e-5, 0.0), (1e-5, 1e4), (0.0, 50.0)]
     promised = [repeats_no_reading(noise, 2.4e-5, cutoff, PERIOD) for noise, cutoff in filters]
     assert promised == [True, False, False, False]

@@ -126,7 +126,7 @@ def test_loop_restores_the_garbage_collectors_state(robot, references):
         gc.enable()
 
 
-def test_error_of_runaway_arm_has_the_trace(robot, references):
+def test_error_for_a_runaway_arm_contains_the_trace(robot, references):
     plant = ready(robot)
 
     def push(tick):
@@ -141,7 +141,7 @@ QUICK = {"bound_samples": 0, "judge": False, "duration_s": 1.2}
 
 
 def live(scenario):
-    """Run as the live page does. Return reason, time [s] and final joint speeds (n,)."""
+    """Run as the live page does. Return reason and time [s] of the stop, and final joint velocities (n,)."""
     run = LiveRun(scenario.change(duration_s=None))
     run.advance(round(QUICK["duration_s"] / run.period_s))
     at = run.t_s
@@ -151,7 +151,7 @@ def live(scenario):
 
 
 def procedure(scenario):
-    """Guide the arm by hand. Return reason, time [s] and final speeds as `live` does."""
+    """Guide the arm by hand. Return reason and time [s] of the stop, and final joint velocities (n,)."""
     setup = Setup(scenario)
     incision = setup.plant.tip + np.array([0.05, 0.1, 0.1])
     found = guide_to(incision, setup.plant, setup.robot, HandsOnSettings(guard=scenario.guard, time_limit_s=1.2))
@@ -168,7 +168,7 @@ FORCED = {"trocar_force_N": 0.1, "trocar_force_warning_N": 0.1}
     (live, NOT_BELIEVED, {}), (procedure, NOT_BELIEVED, {}), (live, "the tip has been", {"tip_error_m": 1e-5}),
     (live, "the trocar's force has been above", FORCED),
 ])  # fmt: skip
-def test_reason_of_the_safety_filter_stops_every_loop(loop, reason, guard, monkeypatch):
+def test_safety_filter_stops_every_loop_with_its_reason(loop, reason, guard, monkeypatch):
     measure = Plant.measure
 
     def broken(plant):

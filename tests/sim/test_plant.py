@@ -209,7 +209,7 @@ def test_measurement_is_exact_in_the_nominal_plant():
         assert not array.flags.writeable
 
 
-def test_equal_seeds_give_equal_numbers_in_threads():
+def test_equal_seeds_give_equal_numbers_also_in_threads():
     one, two = Plant(DATA, seed=9), Plant(DATA, seed=9)
     first = run(one, 100)
     np.testing.assert_array_equal(first, run(two, 100))
@@ -217,7 +217,7 @@ def test_equal_seeds_give_equal_numbers_in_threads():
     one.reset(DATA.q_home)
     np.testing.assert_array_equal(first, run(one, 100))
     assert not np.array_equal(first, run(Plant(DATA, seed=10), 100))
-    without = Plant(DATA, PlantSettings(encoder_noise_rad=0), seed=9)  # the wrench's noise is the same
+    without = Plant(DATA, PlantSettings(encoder_noise_rad=0), seed=9)  # the wrench's noise stays the same
     np.testing.assert_array_equal(Plant(DATA, seed=9).measure().force, without.measure().force)
     alone = [run(Plant(DATA, seed=seed), 300, seed) for seed in (1, 2)]
     with ThreadPoolExecutor(2) as threads:
@@ -264,8 +264,8 @@ def test_refused_start_does_not_change_the_plant():
 
 
 @pytest.mark.parametrize("force", [1e5, 1e15])
-def test_arm_that_ran_away_raises_until_reset(force, tmp_path, monkeypatch):
-    """The second force exceeds MuJoCo's valid range within the period."""
+def test_plant_of_a_runaway_arm_raises_errors_until_reset(force, tmp_path, monkeypatch):
+    """The second force drives the state out of MuJoCo's valid range within one period."""
     monkeypatch.chdir(tmp_path)
     plant = Plant(replace(DATA, rotor_inertia=np.zeros(7)), NOMINAL)
     plant.push("tool", [force, 0.0, 0.0])

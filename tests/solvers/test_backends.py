@@ -121,7 +121,7 @@ def test_options_reach_the_library():
         QPSolver("daqp", options={"no_such": 1})
 
 
-def test_expired_time_limit_has_its_own_status():
+def test_expired_time_limit_gives_the_status_time_limit():
     """Without the limit, HiGHS does not terminate here."""
     assert solve(QPSolver("highs", advised=False, options={"time_limit": 0.02}), problem(3)).status is Status.TIME_LIMIT
     assert "time_limit" in ADVICE["highs"].options

@@ -1,4 +1,4 @@
-"""Tests that every solver passes with its tolerances in `EXPECT`."""
+"""Every solver passes these tests, with its tolerances in `EXPECT`."""
 
 import dataclasses
 from dataclasses import dataclass, field
@@ -25,7 +25,7 @@ every_solver = pytest.mark.parametrize("name", NAMES)
 
 @dataclass(frozen=True)
 class Expect:
-    """Tolerances of answers with the status SOLVED, and the smallest shares of such answers."""
+    """Tolerances of answers with the status SOLVED, and lower bounds on shares of statuses."""
 
     settings: dict[str, Any] = field(default_factory=dict)
     primal: float = 1e-7  # |A x - b|_inf and violation of bounds [m/s, rad/s]
@@ -34,8 +34,8 @@ class Expect:
     natural: float = 1e-5  # natural residual with the solver's own y [rad/s]
     x: float = 2e-4  # distance to exact and cold answers [rad/s]
     gap: float = 1e-6  # (f(x) - f(exact)) / (c2 |grad_mu|_inf) where regularization = 0 [rad/s]
-    solved: float = 1.0  # smallest share of feasible problems with the status SOLVED
-    certified: float = 1.0  # smallest share of infeasible problems with the status INFEASIBLE
+    solved: float = 1.0  # lower bound on the share of feasible problems with the status SOLVED
+    certified: float = 1.0  # lower bound on the share of infeasible problems with the status INFEASIBLE
     undamped: float | None = 1.0  # ``solved`` with regularization = 0 (None: not supported)
     recovers: bool = True  # the solver recovers after an infeasible problem
     arm: bool = False  # the solver needs the arm's kinematics
@@ -55,15 +55,15 @@ EXPECT = {
     "rnn-printed": Expect(solved=0.0, certified=0.0, undamped=0.0),  # its time constants exceed 50 s
     # One problem in 200 needs more than max_iter iterations.
     "osqp": Expect(solved=0.95, undamped=0.95), "qpsolvers:osqp": Expect(solved=0.95, undamped=0.95),
-    "piqp": Expect(certified=0.85),  # the others end as MAX_ITER
+    "piqp": Expect(certified=0.85),  # the other infeasible problems end as MAX_ITER
     "quadprog": Expect(undamped=None),  # needs P > 0
-    "nlp-sqp": dataclasses.replace(NLP, certified=0.0),  # it reports no reason
+    "nlp-sqp": dataclasses.replace(NLP, certified=0.0),  # it does not report why it failed
     "nlp-ipopt": NLP,
-    # Through qpsolvers, daqp and highs report no reason.
+    # Through qpsolvers, daqp and highs do not report why they failed.
     "qpsolvers:daqp": Expect(certified=0.0),
     # The default limit of 0.1 s is too short on a busy machine.
     "qpsolvers:highs": Expect({"options": {"time_limit": 30.0}}, certified=0.0),
-    "qpsolvers:piqp": Expect(certified=0.85),  # the others end as MAX_ITER
+    "qpsolvers:piqp": Expect(certified=0.85),  # the other infeasible problems end as MAX_ITER
     "qpsolvers:proxqp": Expect(solved=0.85, undamped=0.7),  # see moc_opt.solvers.qpsolvers.ADVICE
     "qpsolvers:quadprog": Expect(undamped=None),  # needs P > 0
 }
@@ -115,7 +115,7 @@ def check_claims(limits: Expect, qps: list[NullSpaceQP], found: list[Any]) -> No
         if solution.status is not Status.SOLVED:
             continue
         residuals = qp.residuals(solution.x, solution.y)
-        if limits.arm:  # x misses A x = b, so the nearest point is taken
+        if limits.arm:  # x does not satisfy A x = b, so the nearest point that does is judged
             residuals = residuals._replace(loss=qp.residuals(on_rows(qp, solution.x)).loss)
         assert residuals.verified(limits.primal, limits.relative, limits.loss), residuals
         assert np.abs(solution.x - exact.x).max() <= limits.x
@@ -224,7 +224,7 @@ def test_new_number_of_joints_starts_a_new_workspace(name):
 
 
 @pytest.mark.parametrize("name", sorted({"osqp", "proxqp", "daqp", "piqp", "quadprog", "clarabel"} & {*NAMES}))
-def test_update_alone_changes_no_answer(name):
+def test_update_with_another_problem_changes_no_answer(name):
     qps = sequence(name, seed=8)
     plain, updated = solver(name).start(qps[0]), solver(name).start(qps[0])
     for qp, other in zip(qps, reversed(qps), strict=True):
@@ -264,7 +264,7 @@ def test_inputs_and_earlier_answers_stay_untouched(name):
     session = chosen.start(qps[0])
     found = [session.solve(qp) for qp in qps]
     copies = [np.array(s.x) for s in found]
-    found[-1].x[:] = 1e9  # the caller's array
+    found[-1].x[:] = 1e9  # the caller may write into an answer
     session.solve(qps[0])
     for solution, x in zip(found[:-1], copies[:-1], strict=True):
         np.testing.assert_array_equal(solution.x, x)
@@ -284,7 +284,7 @@ def odd_problems() -> list[NullSpaceQP]:
     return [*(changed(qp, **parts) for parts in odd), *(random_problem(rng, n, structured=False) for n in (5, 9))]
 
 
-# These solvers may take minutes for one bad problem.
+# With their usual settings, these solvers may take minutes for one bad problem.
 CATCH_UP: dict[str, dict[str, Any]] = {
     "rnn": {"steps": 1000}, "qpsolvers:highs": {}, "qpsolvers:proxqp": {"options": {"max_iter": 20}},
     "qpsolvers:osqp": {"options": {"max_iter": 500}}, "qpsolvers:scs": {"options": {"max_iters": 500}},
@@ -292,7 +292,7 @@ CATCH_UP: dict[str, dict[str, Any]] = {
 
 
 @every_solver
-def test_awkward_problems_get_a_status(name):
+def test_answer_to_an_awkward_problem_has_a_valid_status(name):
     limits = expect(name)
     chosen = solver(name, settings=CATCH_UP.get(name))
     stream, taken = chosen.start(of(name)[0]), 0

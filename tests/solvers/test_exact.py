@@ -41,7 +41,7 @@ def test_answers_satisfy_the_kkt_conditions_for_any_number_of_joints(seed, n, st
 
 
 @pytest.mark.parametrize("decimals", [7, 8, 9, 10, 11, 12, 13, 14])
-def test_rounded_jacobians_agree_with_highs_on_five_rows(decimals):
+def test_answers_for_rounded_jacobians_agree_with_highs_on_five_rows(decimals):
     """The dependent sixth row must not determine the self-motion."""
     rng, refused = np.random.default_rng(decimals), 0
     for k in range(16):
@@ -57,7 +57,7 @@ def test_rounded_jacobians_agree_with_highs_on_five_rows(decimals):
 
 @pytest.mark.parametrize("regularization", [0.0, 1e-8, 1e-5, 1.0])
 @pytest.mark.parametrize(("n", "seed"), [(7, 18), (8, 18), (9, 18), (10, 74), (11, 696), (12, 1075)])
-def test_problem_through_a_corner_of_bounds_is_solved(n, seed, regularization):
+def test_problem_with_a_feasible_corner_of_bounds_is_solved(n, seed, regularization):
     # Some of these problems have only one feasible point.
     rng = np.random.default_rng(seed)
     for i in range(16):
@@ -79,7 +79,7 @@ def wedge(rng, n, narrow, size=1.0, **settings):
 
 
 @pytest.mark.parametrize(("n", "narrow"), [(8, 1e-4), (9, 1e-4), (10, 1e-4), (15, 1e-6)])
-def test_problem_that_ends_in_a_wedge_is_solved(n, narrow):
+def test_problem_with_a_wedge_in_its_feasible_set_is_solved(n, narrow):
     rng = np.random.default_rng(n)
     for _ in range(25):
         qp = wedge(rng, n, narrow)
@@ -111,7 +111,7 @@ def test_slow_joint_does_not_stop_the_self_motion():
 
 
 @pytest.mark.parametrize(("decimals", "answered"), [(12, True), (8, True), (7, True), (4, False)])
-def test_rounded_references_within_tolerance_are_answered(decimals, answered):
+def test_rounded_references_are_accepted_within_the_tolerance(decimals, answered):
     for seed in range(20):
         qp = random_problem(np.random.default_rng(seed), 7)
         kept = changed(qp, v_tip=qp.v_tip.round(decimals), v_wrist=qp.v_wrist.round(decimals))
@@ -208,7 +208,7 @@ def test_no_answer_is_wrong_near_the_rank_tolerance(decimals, singular):
 
 
 @pytest.mark.parametrize("freedoms", [0, 1])
-def test_violation_explained_by_smallest_pivot_is_rounding(freedoms):
+def test_violation_is_accepted_as_rounding_if_the_smallest_pivot_explains_it(freedoms):
     """A hundred times the error 4e-12 max(|A| |x|) / pivot [rad/s] is allowed."""
     wide = np.full(7, 10.0)
     for smallest, beyond, status in (
@@ -250,14 +250,14 @@ def test_solver_and_residuals_agree_on_slow_joints(moves, stops):
     A, x[6] = null_space(z[None]).T, 1.0
     found = check(NullSpaceQP(A[:3], A[3:], A[:3] @ x, A[3:] @ x, z, -wide, wide, regularization=1e-5)).x
     assert found[0] == pytest.approx(0.0 if stops else 1.0, abs=1e-5)
-    low, high = -wide, np.array(wide)  # this joint is far from its bounds
+    low, high = -wide, np.array(wide)  # now the slow joint is far from its bounds
     low[0], high[0] = 0.0, 1e-5
     short = NullSpaceQP(A[:3], A[3:], np.zeros(3), np.zeros(3), z, low, high, regularization=1e-5)
     assert [bool(short.residuals(end * z).verified()) for end in (0.0, 1e-5)] == [False, True]
 
 
 def test_rounding_seldom_makes_a_corner_infeasible():
-    """Rounding errors of b are divided by A's smallest column, about 1e-3."""
+    """Where a column of A is as small as 1e-3, rounding errors of b are magnified a thousandfold."""
     rng, refused = np.random.default_rng(1), 0
     for _ in range(300):
         n, u = int(rng.integers(6, 10)), unit(rng)

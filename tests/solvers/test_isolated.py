@@ -1,4 +1,4 @@
-"""Solvers in separate processes, where a failure costs only single answers."""
+"""Solvers in separate processes: a failure costs single answers, but does not end the run."""
 
 import signal
 import subprocess
@@ -138,7 +138,7 @@ def test_child_processes_end_with_the_session(qp, tmp_path):
 
 
 def test_hanging_process_ends_after_the_loop_was_killed():
-    """It ends by itself one second after twice `hang_s`."""
+    """It ends by itself after 2 `hang_s` + 1 s."""
     code = (
         "import numpy as np; from tests.problems import random_problem; from moc_opt.solvers.isolated import *; "
         "from tests.isolated_solvers import Misbehaving; qp = random_problem(np.random.default_rng(0)); "

@@ -114,7 +114,7 @@ def test_rnn_printed_applies_equation_2_to_measured_velocity():
     rng = np.random.default_rng(7)
     x, l1, l2 = np.zeros(7), np.zeros(3), np.zeros(3)
     for tick, qp in enumerate(qps):
-        if tick % 3:  # the network continues from its own x
+        if tick % 3:  # otherwise the network continues from its previous x
             x = rng.uniform(-1.0, 1.0, 7)
             session.observe(x)
         dx, d1, d2 = right_hand_side(qp, x, l1, l2, 0.1)

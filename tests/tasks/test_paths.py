@@ -169,7 +169,7 @@ MOVING: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("name", MOVING)
-def test_array_gives_bits_of_single_numbers(name: str) -> None:
+def test_values_at_an_array_equal_those_at_single_numbers_bitwise(name: str) -> None:
     one = MOVING[name]
     s = np.random.default_rng(3).uniform(0.0, getattr(one, "length", 2.0), 60)
     vector = one.at(s)

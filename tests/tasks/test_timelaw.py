@@ -136,7 +136,7 @@ def test_a_waiting_reference_stays_on_the_path_and_arrives(losses):
     np.testing.assert_array_equal(rows[-1, 1:], 0.0)
 
 
-def test_tip_never_moves_without_a_board():
+def test_reference_rests_while_no_board_is_seen():
     waiting = WaitingReference(CIRCLE, PERIOD)
     rows, times = waiting.play(np.zeros(200, dtype=bool))
     np.testing.assert_array_equal(rows[:, 0], np.broadcast_to(START, (200, 3)))

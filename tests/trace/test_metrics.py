@@ -39,7 +39,7 @@ def run(**changed: object) -> Trace:
 META = {"deadline_us": 100, "ended": "stopped: for a test", "ticks": 4, "ticks_planned": 16}
 
 
-def test_every_metric_equals_its_value_by_hand() -> None:
+def test_every_metric_equals_its_hand_computed_value() -> None:
     summary = summarize(run(), baseline=run(mu=[0.2, 0.2, 0.2, 0.2]))
     expected = {
         "completed": 0.0, "share_of_run": 0.25, "mu_mean": 0.25, "mu_final": 0.4, "mu_gain_percent": 25.0,
@@ -63,7 +63,7 @@ def test_every_metric_equals_its_value_by_hand() -> None:
     assert all(type(value) is float for value in summary.values())
 
 
-def test_metrics_without_their_data_are_left_out() -> None:
+def test_metrics_whose_data_are_missing_are_left_out() -> None:
     nothing = [NAN] * 4
     trace = run(meta={}, solve_us=nothing, primal=nothing, natural=nothing, loss=nothing, mu_bound=nothing)
     gone = {"mu_gain_percent", "deadline_misses", "solve_p50_us", "solve_p99_us", "primal_max"}
@@ -83,7 +83,7 @@ def test_metrics_without_their_data_are_left_out() -> None:
     assert "mu_gain_percent" in summarize(trace, baseline=run(t_s=None))
 
 
-def test_diverged_run_has_no_good_metrics() -> None:
+def test_metrics_of_a_diverged_run_are_nan_or_infinite() -> None:
     """NaN means "no subproblem" only in the solver's columns."""
     summary = summarize(run(mu=[0.1, NAN, 0.3, 0.4], tip_error_m=[NAN] * 4, primal=[0.0, math.inf, NAN, 0.0]))
     assert np.isnan([summary["mu_mean"], summary["tip_error_max_mm"]]).all()

@@ -44,7 +44,7 @@ def test_oscillation_figures_equal_their_definitions(ticks, period):
     rest = np.sqrt(sum(parts[:6]) / (0.75 * width))
     found = shaking(Trace({"t_s": t, "v_rad_per_s": v}), "v_rad_per_s")
     assert found[1:] == pytest.approx((np.sqrt(np.mean(worst**2)), largest, rest), abs=1e-9)
-    assert found.joint == joint or period > 1.0 / 12.0  # with so few ticks nothing is above 8 Hz
+    assert found.joint == joint or period > 1.0 / 12.0  # at such periods no frequency is above 8 Hz
     for rms, rest, counts in ((0.3, 0.11, True), (0.3, 0.1, False), (0.2, 0.15, False), (0.1, 0.15, False)):
         assert found._replace(rms=rms, rest=rest).above(0.2) == counts
 
@@ -55,7 +55,7 @@ def test_oscillation_figures_equal_their_definitions(ticks, period):
     ("v_rad_per_s", limits.LIMIT_M_PER_S, "m/s", True), ("tau_Nm", limits.LIMIT_N, "N", True),
 ])  # fmt: skip
 def test_joint_oscillates_only_above_its_limit(factor, column, limit, unit, slides):
-    """Joint 5 shakes below its own limit."""
+    """Joint 5 shakes too, but below its limit."""
     trace = made(0, factor * np.sqrt(2.0) * limit, 71.0, column)
     values = np.array(getattr(trace, column))
     values[:, 4] += 0.5 * limits.LIMIT_RAD_PER_S * np.sin(2.0 * np.pi * 31.0 * trace.t_s)
@@ -111,7 +111,7 @@ def test_stopped_or_brief_run_keeps_its_ending():
 
 
 @pytest.mark.parametrize(("begin", "amplitude", "says"), [(1.0, 2.0, True), (1.0, 0.1, False), (2.01, 9.0, False)])
-def test_stopped_run_names_only_an_oscillation_before_stop(begin, amplitude, says):
+def test_stopped_run_names_only_an_oscillation_before_the_stop(begin, amplitude, says):
     trace = made(3, amplitude, 24.0, where=(begin, 3.0)).with_meta(ended="stopped: x (t = 2.000 s)", stopped_at_s=2.0)
     said = judged_for_oscillation(trace, NAMES, TURNING).meta["ended"]
     assert said.startswith("stopped: x (t = 2.000 s)")
