@@ -101,7 +101,7 @@ class RNNPrintedSession(RNNSession):
 
 @dataclass(frozen=True)
 class RNN(Network):
-    """The network with its own state, which continues from tick to tick.
+    """The network. Its state continues from tick to tick.
 
     Args:
         steps: limit on the steps per tick.
