@@ -99,7 +99,7 @@ class Config(StudyConfig):
     open_loop: OpenLoop = OpenLoop()
     testsets: TestSets = TestSets()
     closed_loop: ClosedLoop = ClosedLoop()
-    settings: dict[str, dict[str, Any]] = Field(default_factory=dict, description="of each solver: recommended settings")
+    settings: dict[str, dict[str, Any]] = Field(default_factory=dict, description="changes of recommended settings")
     scenario: Scenario = Scenario()
 
     def quick(self) -> Self:
