@@ -14,7 +14,7 @@ from moc_opt.errors import SolverError, is_number, shown
 from moc_opt.qp.problem import NullSpaceQP
 
 Choices = Mapping[str, tuple[object, ...]]  # the valid values of each setting
-MOST = 2**31 - 1  # largest integer of a setting (32 bits)
+MOST = 2**31 - 1  # upper limit of an integer setting (32 bits)
 
 
 class Status(Enum):
@@ -25,7 +25,7 @@ class Status(Enum):
     MAX_ITER = "raise max_iter or loosen eps"
     TIME_LIMIT = "raise the time budget or take a faster solver"
     NUMERICAL = "numerical trouble: take rows = 5, regularization > 0 or a larger cost_scale"
-    UNSUPPORTED = "ask supports(qp) why this solver cannot take this problem"
+    UNSUPPORTED = "this solver does not accept this problem: supports(qp) returns the reason"
 
     label: str  #: lower-case name
 
@@ -37,7 +37,7 @@ class Solution(NamedTuple):
     """A solver's answer.
 
     Attributes:
-        x: (n,) joint velocity [rad/s]; NaN if there is none.
+        x: (n,) joint velocity [rad/s]; NaN if the solver found none.
         y: (6,) multipliers of the equality rows, or None. With multipliers z of the bounds, P x + p + A^T y + z = 0.
         status: the status that the solver reports.
         iterations: number of iterations; 0 for a direct method.
@@ -70,7 +70,7 @@ class Solver(Protocol):
         """Name in the registry."""
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None if the solver accepts the problem, else the reason."""
+        """Return None if the solver accepts the problem, else the reason why it does not."""
 
     def start(self, qp: NullSpaceQP) -> Session:
         """Return a new session for problems of the size of ``qp``."""
@@ -78,10 +78,10 @@ class Solver(Protocol):
 
 @runtime_checkable
 class TruncatingSession(Protocol):
-    """A session that can stop after a number of iterations."""
+    """A session that can be stopped after a given number of iterations."""
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Return the iterate after ``iterations`` (at least 1) from the previous solve's initial point."""
+        """Restart where the previous solve started. Return the iterate after ``iterations`` (at least 1) iterations."""
 
 
 @runtime_checkable
@@ -93,10 +93,10 @@ class ObservingSession(Protocol):
 
 
 class SolverSettings:
-    """Base of this package's solvers, which are frozen dataclasses. It checks their settings.
+    """Base class of this package's solvers (frozen dataclasses). It checks their settings.
 
     `choices` may list a field's valid values. Otherwise, an int must be at least 1 and a float above 0.
-    A default of 0.0 or None is also valid.
+    0.0 or None is also valid if it is the field's default.
     """
 
     name: ClassVar[str]
@@ -108,7 +108,7 @@ class SolverSettings:
             value = getattr(self, field.name)
             right, rule = self._rule(field, value)
             if not right:
-                quoted = "; a number has no quotes: drop them" if isinstance(value, str) and "number" in rule else ""
+                quoted = "; write a number without quotes" if isinstance(value, str) and "number" in rule else ""
                 raise SolverError(f"{self.name}: {field.name} = {shown(value)} is not {rule}{quoted}")
 
     def _rule(self, field: Field[Any], value: Any) -> tuple[bool, str]:
@@ -121,15 +121,15 @@ class SolverSettings:
             return flag, "True or False"
         if isinstance(usual, int):
             right = isinstance(value, int) and not flag and 1 <= value <= MOST
-            return right, f"a whole number from 1 to {MOST}; {usual} is usual"
+            return right, f"a whole number from 1 to {MOST}; default: {usual}"
         if usual == 0.0:
-            return number and value >= 0.0, "a number of 0 or larger; 0 is usual"
+            return number and value >= 0.0, "a number of 0 or larger; default: 0"
         if isinstance(usual, float) or field.type == "float | None":
-            return (number and value > 0.0) or (value is None and usual is None), f"a positive number; {usual} is usual"
+            return (number and value > 0.0) or (value is None and usual is None), f"a positive number; default: {usual}"
         return True, ""
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None if the solver accepts the problem, else the reason."""
+        """Return None if the solver accepts the problem, else the reason why it does not."""
         return None
 
     def start(self, qp: NullSpaceQP) -> Session:

@@ -20,7 +20,7 @@ _STATUS = {1: Status.SOLVED, 2: Status.SOLVED, -1: Status.INFEASIBLE, -4: Status
 
 
 class DAQPSession(LibrarySession):
-    """One workspace, in which the bounds come before the equality rows."""
+    """One workspace of DAQP. In its arrays, the bounds come before the equality rows."""
 
     def _allocate(self, m: int, n: int) -> dict[str, Any]:
         self._P, self._p, self._A = np.empty((n, n)), np.empty(n), np.empty((m, n))
@@ -59,9 +59,9 @@ class DAQP(Adapter):
 
     Args:
         rows: 5 or 6 equality rows. With six, about one problem in a hundred fails.
-        cost_scale: factor of P and p; the duals are scaled back.
-        primal_tol, dual_tol: tolerances.
-        max_iter: largest number of iterations.
+        cost_scale: P and p are multiplied by it, and the duals divided by it.
+        primal_tol, dual_tol: tolerances of the library.
+        max_iter: limit on the iterations of a solve.
     """
 
     rows: int = 5

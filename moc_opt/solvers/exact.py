@@ -53,7 +53,7 @@ class Exact(SolverSettings):
     def solve_batch(self, rows: Array, threads: int | None = None) -> tuple[Array, Array, list[Status]]:
         """Solve k subproblems ``rows`` (k, 11 n + 10). Return x (k, n), y (k, 6) and k statuses.
 
-        x and y are NaN if the status is not SOLVED. The default is one thread per core. A wrong shape is a SolverError.
+        x and y are NaN if the status is not SOLVED. Default: one thread per core. A wrong shape raises a SolverError.
         """
         if threads is not None and threads < 1:
             raise SolverError(f"exact: threads = {threads}: give 1 or more, or None for one per core")
@@ -63,7 +63,7 @@ class Exact(SolverSettings):
             raise SolverError(f"exact: rows has shape {rows.shape}: give (k, 11 n + 10), n at most {core.MAX_JOINTS}")
         X, Y, codes = np.empty((len(rows), n)), np.empty((len(rows), 6)), np.empty(len(rows))
         threads = threads or os.cpu_count() or 1
-        parts = [np.array_split(array, 8 * threads) for array in (rows, X, Y, codes)]  # small parts spread evenly
+        parts = [np.array_split(array, 8 * threads) for array in (rows, X, Y, codes)]  # small: all threads end together
         with ThreadPoolExecutor(threads) as pool:  # the core releases the GIL
             list(pool.map(core.solve_exact_rows, parts[0], repeat(self.tolerance), *parts[1:]))
         statuses, unsolved = [Status.SOLVED] * len(rows), np.flatnonzero(codes != _OK)

@@ -31,9 +31,9 @@ class Faulty:
     """A solver that fails at random ticks.
 
     Args:
-        inner: the solver that answers at the other ticks.
-        kind: "fail": no answer; "nan": x is NaN; "lie": the gradient is negated; "raise": an exception; "outside": x is
-            outside the bounds; "rig": the subproblem is rewritten to fit x; "malformed": complex duals.
+        inner: the wrapped solver, which answers at ticks without a fault.
+        kind: "fail": no answer; "nan": x is NaN; "lie": x for a negated gradient; "raise": an exception; "outside": x
+            is outside the bounds; "rig": the subproblem is rewritten to fit x; "malformed": complex duals.
         rate: probability of a fault at a tick, 0 to 1.
         seed: seed of the draw.
     """
@@ -53,12 +53,12 @@ class Faulty:
         return self.inner.supports(qp)
 
     def start(self, qp: NullSpaceQP) -> FaultySession:
-        """Return a session; `draw` gives its faulty ticks."""
+        """Return a session. `draw` tells at which ticks it fails."""
         return FaultySession(self, self.inner.start(qp), qp)
 
 
 class FaultySession:
-    """A session. ``faults`` counts the replaced answers."""
+    """A session. ``faults`` counts its faults so far."""
 
     def __init__(self, settings: Faulty, inner: Session, qp: NullSpaceQP) -> None:
         self._settings, self._inner = settings, inner
@@ -69,7 +69,7 @@ class FaultySession:
         self.faults = 0
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Solve one subproblem, or return or raise a fault."""
+        """Solve one subproblem. At a faulty tick, return or raise the fault instead."""
         if self._rng.uniform() >= self._settings.rate:
             return self._inner.solve(qp)
         self.faults += 1

@@ -1,6 +1,6 @@
-"""A solver in a separate process, which is replaced after a crash or a hang.
+"""A solver in a separate process. If the process crashes or hangs, it is replaced.
 
-Simulated time waits for the new process. In real time (``waits=False``), ticks until then have no answer.
+A simulation waits for the new process. In real time (``waits=False``), ticks before its start have no answer.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _LOOK_S = 0.05  # time between checks of whether the process has ended [s]
 
 
 class Unanswered(Exception):
-    """A tick has no answer: it is late, the solver raised, or its process was lost."""
+    """A tick has no answer: the answer is late, the solver raised, or the solver's process was lost."""
 
     def __init__(self, kind: Literal["late", "raised", "lost"], text: str) -> None:
         super().__init__(text)
@@ -69,7 +69,7 @@ class Isolated:
 
     inner: Solver
     process: ProcessSettings
-    budget_us: float = math.inf  #: longest wait for an answer [us]
+    budget_us: float = math.inf  #: time limit of an answer [us]
     waits: bool = True  #: whether a tick waits while a process is replaced
     _pickled: bytes = field(default=b"", init=False, repr=False, compare=False)
 
@@ -80,8 +80,8 @@ class Isolated:
             object.__setattr__(self, "_pickled", pickle.dumps(self.inner))
         except Exception as error:
             raise SolverError(
-                f"solver {self.name!r} cannot run in a process of its own: {describe(error)}: keep in its settings "
-                "only what pickle can copy and make the rest in start, or take [solver] isolation = 'none'"
+                f"solver {self.name!r} cannot run in a process of its own: {describe(error)}: let its settings hold "
+                "only what pickle can copy and create the rest in its start(), or take [solver] isolation = 'none'"
             ) from error
 
     @property
@@ -137,7 +137,7 @@ class IsolatedSession:
         return newest.value  # type: ignore[no-any-return]  # its form is checked by the controller
 
     def _answered(self, process: _Process, qp: NullSpaceQP) -> _Answer | None:
-        """Return the newest answer within the budget, or None."""
+        """Wait at most for the budget. Return the newest answer so far, or None."""
         solver = self._solver
         if not process.started(math.inf if solver.waits else 0.0):
             raise Unanswered("lost", "a new process of the solver is being started")
@@ -179,13 +179,13 @@ class _Process:
         self.ask(0, qp, None, solver.process.start_s, solver._pickled)
 
     def ask(self, tick: int, qp: NullSpaceQP, v: Array | None, most_s: float, solver: bytes | None = None) -> None:
-        """Send a subproblem, and ``solver`` to start a session."""
+        """Send a subproblem to solve. With a pickled ``solver``, start a session for the subproblem instead."""
         self._tick, self._most_s, self._hung_at, self.busy = tick, most_s, monotonic() + most_s, True
         with suppress(OSError):  # `answer` reports that the process has ended
             self._pipe.send((solver, qp.row, v, most_s))
 
     def started(self, most_s: float) -> bool:
-        """Wait at most ``most_s`` [s] for the session's start."""
+        """Wait at most ``most_s`` [s] for the session's start. Return whether it has started."""
         if not self._started and (said := self.answer(monotonic() + most_s)) is not None:
             if said.raised:
                 raise _Ended(said.value)
@@ -193,7 +193,7 @@ class _Process:
         return self._started
 
     def answer(self, until: float) -> _Answer | None:
-        """Wait for the answer until the ``monotonic`` time ``until``."""
+        """Wait for the answer until ``monotonic()`` reaches ``until``. Return None if none has come."""
         while True:
             left = max(min(until, self._hung_at) - monotonic(), 0.0)
             try:
@@ -264,7 +264,7 @@ def _start(pickled: bytes, qp: NullSpaceQP) -> Session:
     try:
         solver: Solver = pickle.loads(pickled)
     except (ImportError, AttributeError) as error:
-        raise SolverError(f"{describe(error)}: its class must lie in an importable module") from error
+        raise SolverError(f"{describe(error)}: its class must be in an importable module") from error
     if (reason := solver.supports(qp)) is not None:
-        raise SolverError(f"it does not take this subproblem: {reason}")
+        raise SolverError(f"it does not accept this subproblem: {reason}")
     return solver.start(qp)

@@ -25,8 +25,8 @@ class Adapter(SolverSettings):
 
     Attributes:
         rows: number of equality rows, 5 or 6.
-        cost_scale: factor of P and p; the duals are scaled back.
-        needs: message if the cost must be positive definite, else empty.
+        cost_scale: P and p are multiplied by it, and the duals divided by it.
+        needs: message that the cost must be positive definite; empty if the library accepts any cost.
     """
 
     rows: int = 5
@@ -35,12 +35,12 @@ class Adapter(SolverSettings):
     needs: ClassVar[str] = ""
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None if the library accepts the subproblem, else the reason."""
+        """Return None if the library accepts the subproblem, else the reason why it does not."""
         return refuse_semidefinite(qp, self.needs) if self.needs else None
 
 
 def refuse_semidefinite(qp: NullSpaceQP, needs: str) -> str | None:
-    """Return a reason if the cost is not positive definite, else None."""
+    """Return a message that begins with ``needs`` if the cost is not positive definite, else None."""
     why = f"{needs}, and regularization is {qp.regularization:g}: set regularization > 0"
     return None if qp.regularization > 1e-10 * (qp.c0 + qp.c1) else why
 
@@ -70,7 +70,7 @@ class LibrarySession(ABC):
         """Return the buffers by name, as docs/extending.md explains."""
 
     def _load(self, qp: NullSpaceQP) -> bool:
-        """Write ``qp`` into the buffers. Return False if its shape differs."""
+        """Write ``qp`` into the buffers. Return False if its shape differs from theirs."""
         return qp.n == self._n and core.load(qp.row, *self._to)
 
     def _set_up(self, m: int, n: int) -> None:  # noqa: B027
@@ -105,10 +105,10 @@ class TruncatedSession(LibrarySession):
 
     @abstractmethod
     def _limit(self, iterations: int) -> None:
-        """Set the largest number of iterations."""
+        """Set the limit on the iterations of a solve."""
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Return the iterate after ``iterations`` (at least 1) from the previous solve's initial point."""
+        """Restart where the previous solve started. Return the iterate after ``iterations`` (at least 1) iterations."""
         self._limit(iterations)
         try:
             return self.solve(qp)
@@ -117,13 +117,13 @@ class TruncatedSession(LibrarySession):
 
 
 def upper_triangle(values: Array, n: int) -> sparse.csc_matrix:
-    """Return an upper triangle (n, n) from its values (n (n + 1) / 2,) by columns. Zeros are kept."""
+    """Return a sparse upper triangle (n, n) from its values (n (n + 1) / 2,) by columns. Zeros are stored, too."""
     rows = np.concatenate([np.arange(j + 1) for j in range(n)])
     return sparse.csc_matrix((values, rows, np.cumsum(np.arange(n + 1))), shape=(n, n))
 
 
 def stacked(values: Array, boxes: int) -> sparse.csc_matrix:
-    """Return m dense rows above ``boxes`` diagonal blocks. Column j is in row j of ``values``."""
+    """Return a sparse matrix of m full rows above ``boxes`` diagonal blocks. Its column j is row j of ``values``."""
     n, m = len(values), values.shape[1] - boxes
     rows = np.concatenate([np.append(np.arange(m), m + n * np.arange(boxes) + j) for j in range(n)])
     return sparse.csc_matrix((values.ravel(), rows, (m + boxes) * np.arange(n + 1)), shape=(m + boxes * n, n))

@@ -4,7 +4,7 @@
     s.t.   tip(q + x T) = tip(q) + v_T T,   E (wrist(q + x T) - wrist(q)) = E v_W T,   lower <= x <= upper
 
 T is the control period, g is the subproblem's `pull`, and the rows of E (2, 3) span the plane perpendicular to the
-tool. The program equals the null-space subproblem only for T -> 0, so that ``residuals().verified()`` is False.
+tool. The program equals the null-space subproblem only for T -> 0, so its answers do not pass ``verified()``.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def program(settings: NLP) -> tuple[Any, Any]:
 
 
 class NLPSession:
-    """Buffers of one solver. The last optimum is the warm start."""
+    """Buffers of one solver. A solve starts from the previous optimum, or from 0 if the previous solve failed."""
 
     def __init__(self, settings: NLP, qp: NullSpaceQP) -> None:
         self._settings, n = settings, qp.n
@@ -132,9 +132,9 @@ class NLP(SolverSettings, ABC):
     Args:
         kinematics: tip, wrist and mu as CasADi functions, from ``robot.kinematics()``.
         period: T [s], the control period.
-        cost_scale: factor of the cost; the duals are scaled back.
+        cost_scale: the cost is multiplied by it, and the duals divided by it.
         eps: tolerance of the KKT conditions.
-        max_iter: largest number of iterations per tick.
+        max_iter: limit on the iterations of a solve.
         hessian: "limited-memory" (BFGS) or "exact".
     """
 
@@ -157,13 +157,13 @@ class NLP(SolverSettings, ABC):
         super().__post_init__()
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None if the program applies to the problem, else the reason."""
+        """Return None if the program applies to the problem, else the reason why it does not."""
         if qp.q is None:
-            return "the subproblem has no q; an NLP needs the position where it was linearized"
+            return "the subproblem has no q, but an NLP needs the joint positions of the linearization"
         if qp.n != self.kinematics.n:
             return f"the kinematics have {self.kinematics.n} joints, the subproblem has {qp.n}"
         if len(qp.assembled().b) != 5:
-            return "tip and wrist are not rigidly tied: the five rows of this program do not apply"
+            return "tip and wrist are not rigidly connected: the five rows of this program do not apply"
         return None
 
     @abstractmethod
@@ -175,7 +175,7 @@ class NLP(SolverSettings, ABC):
 class SQP(NLP):
     """CasADi's sqpmethod with its active-set QP solver qrqp.
 
-    With hessian = "exact" and regularization = 0, three problems in ten get no answer.
+    With hessian = "exact" and regularization = 0, three in ten problems are not solved.
     """
 
     cost_scale: float = 1e5
@@ -196,7 +196,7 @@ class SQP(NLP):
 class Ipopt(NLP):
     """The interior-point method IPOPT (Waechter & Biegler 2006).
 
-    With BFGS and regularization = 0, IPOPT runs out of iterations.
+    With BFGS and regularization = 0, IPOPT stops at ``max_iter``.
     """
 
     name = "nlp-ipopt"

@@ -16,7 +16,7 @@ from moc_opt.solvers.base import Solution, Status
 from moc_opt.solvers.library import Adapter, Outcome, TruncatedSession, stacked, upper_triangle
 
 _CODE = ext_builtin.osqp_status_type
-# An "inaccurate" answer met only a ten times looser tolerance.
+# An "inaccurate" answer meets only ten times the tolerance.
 _STATUS = {
     int(_CODE.OSQP_SOLVED): Status.SOLVED,
     int(_CODE.OSQP_PRIMAL_INFEASIBLE): Status.INFEASIBLE,
@@ -71,7 +71,7 @@ class OSQPSession(TruncatedSession):
         self._core.update_settings(self._options)
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Return the iterate after ``iterations`` from the previous solve's initial point."""
+        """Restart where the previous solve started. Return the iterate after ``iterations`` (at least 1) iterations."""
         self._core.warm_start(*self._before)
         return super().truncated(qp, iterations)
 
@@ -80,13 +80,13 @@ class OSQPSession(TruncatedSession):
 class OSQP(Adapter):
     """OSQP through its native interface.
 
-    With the library's tolerance of 1e-3, nineteen answers in twenty are not optimal.
+    With the library's default tolerance of 1e-3, nineteen in twenty answers are not optimal.
 
     Args:
         eps, eps_rel: absolute and relative tolerance on the scaled problem.
-        max_iter: largest number of iterations per tick.
+        max_iter: limit on the iterations of a solve.
         check_termination: number of iterations between checks of the residuals.
-        polishing: whether the active set's equations are solved at the end.
+        polishing: whether OSQP guesses the active set at the end and solves its equations.
     """
 
     rows: int = 5

@@ -57,7 +57,7 @@ class PIQP(Adapter):
 
     Args:
         eps: absolute tolerance on the scaled problem.
-        max_iter: largest number of iterations.
+        max_iter: limit on the iterations of a solve.
     """
 
     rows: int = 5

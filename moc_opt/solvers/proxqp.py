@@ -21,7 +21,7 @@ _STATUS = {
     _CODE.PROXQP_MAX_ITER_REACHED: Status.MAX_ITER,
 }
 _COLD = proxqp.InitialGuess.EQUALITY_CONSTRAINED_INITIAL_GUESS
-# After a jump of the data, WARM_START_WITH_PREVIOUS_RESULT can report success at the opposite bound.
+# After a jump of the data, WARM_START_WITH_PREVIOUS_RESULT can report success with x at the wrong bound.
 _WARM = proxqp.InitialGuess.COLD_START_WITH_PREVIOUS_RESULT
 
 
@@ -69,12 +69,12 @@ class ProxQPSession(LibrarySession):
 class ProxQP(Adapter):
     """ProxQP's dense back-end.
 
-    With the library's eps_primal_inf = 1e-4, a third of the feasible subproblems are called infeasible.
+    With the library's default eps_primal_inf = 1e-4, a third of the feasible subproblems are called infeasible.
 
     Args:
         eps: absolute tolerance on the scaled problem.
         eps_primal_inf: tolerance of the proof of infeasibility.
-        max_iter, max_iter_in: largest number of outer iterations, and of inner ones per outer iteration.
+        max_iter, max_iter_in: limits on the outer iterations, and on the inner iterations of each outer one.
     """
 
     rows: int = 5

@@ -1,6 +1,6 @@
 """Adapter of the solvers that the package qpsolvers finds, named ``qpsolvers:NAME``.
 
-qpsolvers converts the problem at every call. Do not use it to compare speeds.
+qpsolvers converts the problem at every call, so do not compare speeds with this adapter.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ class Advice(NamedTuple):
     options: Mapping[str, Any] = {}
 
 
-# The gradient of the subproblem is about 1e-4, so cost_scale multiplies the cost.
+# Tolerances are absolute, but the cost's gradient is only about 1e-4. So cost_scale multiplies the cost.
 ADVICE: dict[str, Advice] = {
     "clarabel": Advice(1e3),
     "daqp": Advice(1e3),
-    "highs": Advice(1e3, {"time_limit": 0.1}),  # unscaled, its QP solver cycles for ever
+    "highs": Advice(1e3, {"time_limit": 0.1}),  # with unscaled cost, its QP solver cycles for ever
     "osqp": Advice(1e2, {"eps_abs": 1e-8, "eps_rel": 0.0}),  # with eps_abs = 1e-3, nine answers in ten are wrong
     "piqp": Advice(1e3, {"eps_abs": 1e-9, "eps_rel": 0.0}),
-    # qpsolvers cannot change eps_primal_inf: 4 % of feasible problems are called infeasible.
+    # eps_primal_inf cannot be set through qpsolvers, and 4 % of feasible problems are called infeasible.
     "proxqp": Advice(1e3, {"eps_abs": 1e-9, "eps_rel": 0.0}),
     "scs": Advice(1e3, {"eps_abs": 1e-8, "eps_rel": 0.0}),  # with eps_abs = 1e-4, half of the answers are wrong
 }
@@ -92,7 +92,7 @@ _NOISY = set(qpsolvers.sparse_solvers) - set(qpsolvers.dense_solvers)
 
 
 def reasons() -> dict[str, str | None]:
-    """Return, for each library name, the reason why it cannot run here, or None."""
+    """Map each library's name to the reason why the library cannot run here, or to None."""
     known = {module.name.strip("_") for module in pkgutil.iter_modules(qpsolvers.solvers.__path__)}
     here = set(qpsolvers.available_solvers)
     return {
@@ -102,7 +102,7 @@ def reasons() -> dict[str, str | None]:
 
 
 def checked(solver: str, options: object) -> dict[str, Any]:
-    """Return a copy of a library's options. Raise if one is not allowed, or is neither flag nor number."""
+    """Return a copy of a library's options. Raise if an option is not allowed, or its value is no flag or number."""
     if not isinstance(options, Mapping):
         raise SolverError(f"{solver}: options = {options!r:.80} is not a table of keyword arguments")
     allowed = ALLOWED.get(solver, frozenset())
@@ -111,7 +111,7 @@ def checked(solver: str, options: object) -> dict[str, Any]:
             raise UnknownNameError(f"option of {solver}", str(name), allowed)
         if not isinstance(value, (bool, int, float)) or not math.isfinite(value) or abs(value) > MOST:
             raise SolverError(
-                f"{solver}: option {name} = {value!r:.80}: give true, false or a number of at most {MOST:.3g} in size"
+                f"{solver}: option {name} = {value!r:.80}: give true, false or a number of magnitude {MOST:.3g} or less"
             )
     return dict(options)
 
@@ -154,7 +154,7 @@ class QPSolverSession:
 
     def _verdict(self, found: qpsolvers.Solution) -> Status:
         """Return the status of a solve without an answer."""
-        if self._settings.library == "quadprog":  # any other failure raises an exception
+        if self._settings.library == "quadprog":  # at other failures, quadprog raises an exception
             return Status.INFEASIBLE
         limit = self._advice.options.get("time_limit")
         if limit is not None and found.solve_time is not None and found.solve_time >= limit:
@@ -174,7 +174,7 @@ class QPSolver(SolverSettings):
     Args:
         library: name of the library in qpsolvers.
         rows: 5 or 6 equality rows. With six, daqp fails on one problem in a hundred.
-        cost_scale: factor of P and p; default: that of `ADVICE`.
+        cost_scale: P and p are multiplied by it; default: the one in `ADVICE`.
         options: options in `ALLOWED`, in addition to those of `ADVICE`.
         advised: if False, `ADVICE` is ignored.
 
@@ -203,7 +203,7 @@ class QPSolver(SolverSettings):
         return Advice(scale, {**base.options, **(self.options or {})})
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None, or why quadprog refuses the problem."""
+        """Return why quadprog refuses the problem, or None. The other libraries accept every problem."""
         needs = "quadprog needs a positive definite cost"
         return refuse_semidefinite(qp, needs) if self.library == "quadprog" else None
 

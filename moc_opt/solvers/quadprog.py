@@ -13,7 +13,7 @@ from moc_opt.solvers.library import Adapter, LibrarySession, Outcome
 
 
 class QuadprogSession(LibrarySession):
-    """Constraints C^T x >= b: the equality rows, x >= lower, -x >= -upper."""
+    """Constraints C^T x >= b: the equality rows (with = for >=), x >= lower, -x >= -upper."""
 
     dual_sign = -1.0
 

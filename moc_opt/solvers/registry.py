@@ -69,13 +69,13 @@ class Entry(NamedTuple):
 
 
 def check_solver(given: object, what: str = "") -> Solver:
-    """Return the given solver. Raise a SolverError if it is no solver."""
+    """Return ``given`` if it is a solver, else raise a SolverError."""
     what = what or shown(given, 80)
     if isinstance(given, type):
         raise SolverError(f"{what} is a class, no solver: call it, as in {given.__name__}()")
     lacking = [part for part in ("supports", "start") if not callable(getattr(given, part, None))]
     if lacking:
-        cure = "add it, as docs/extending.md shows; solvers.create(name) makes a solver of the package"
+        cure = "add what is missing, as docs/extending.md shows; solvers.create(name) makes a built-in solver"
         raise SolverError(f"{what} is no solver: it has no method {' and no '.join(lacking)}: {cure}")
     name = getattr(given, "name", None)
     if not is_name(name):
@@ -84,7 +84,7 @@ def check_solver(given: object, what: str = "") -> Solver:
 
 
 def available() -> dict[str, str | None]:
-    """Return, for each solver name, the reason why it cannot run here, or None."""
+    """Map each solver's name to the reason why the solver cannot run here, or to None."""
     found: dict[str, str | None] = {name: _absent(package) for name, (_, _, package) in BUILT_IN.items()}
     absent = _absent("qpsolvers")
     libraries = {"NAME": absent} if absent else importlib.import_module("moc_opt.solvers.qpsolvers").reasons()
@@ -96,7 +96,7 @@ def available() -> dict[str, str | None]:
         try:
             entry = _of_plugin(name, points)
             required = (p for p in entry.parameters.values() if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD))
-            if all(p.default is not p.empty for p in required):  # else the plug-in is not tried
+            if all(p.default is not p.empty for p in required):  # a plug-in that needs arguments is not tried
                 entry.create()
             found[name] = None
         except MocOptError as error:
@@ -128,7 +128,7 @@ def create(name: str, **settings: Any) -> Solver:
 def find(name: str) -> Entry:
     """Import the named solver and return its `Entry`. Raise what ``create`` raises."""
     if not isinstance(name, str):
-        raise SolverError(f"solver = {shown(name)}: give the name of one, such as 'exact'")
+        raise SolverError(f"solver = {shown(name)}: give a solver's name, such as 'exact'")
     claimed = plugins.plugins(GROUP).get(name, [])
     if claimed and _ours(name):
         warnings.warn(_clash(name, claimed), UserWarning, stacklevel=3)
@@ -165,7 +165,7 @@ def _ours(name: str) -> bool:
 
 def _clash(name: str, points: list[EntryPoint]) -> str:
     claims = " and ".join(map(in_words, points))
-    return f"{claims}: the name {name!r} is that of a built-in solver: rename the entry point"
+    return f"{claims}: the name {name!r} belongs to a built-in solver: rename the entry point"
 
 
 def _of_plugin(name: str, points: list[EntryPoint]) -> Entry:

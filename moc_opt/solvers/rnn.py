@@ -6,8 +6,8 @@ With F(Y) = [dL/dx, -dL/dlambda] (the paper's equation (2)) the network is
                                  + J_T^T l1 + J_W^T l2), lower, upper)
     eps dl1/dt = k (J_T x - v_T),   eps dl2/dt = k (J_W x - v_W)
 
-integrated by Euler steps of size h = dt/eps (`moc_opt/core/rnn.c`). On infeasible problems, the multipliers grow
-without bound.
+integrated by Euler steps of size h = dt/eps (`moc_opt/core/rnn.c`). Here eps is the network's time constant, and rho is
+the regularization. On infeasible problems, the multipliers grow without bound.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from moc_opt.solvers.base import Choices, Solution, SolverSettings, Status, no_a
 
 
 def unstable(qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool, h_x: float | None = None) -> str | None:
-    """Return why Euler steps of this size diverge on ``qp``, or None. By default, h_x = h.
+    """Return why Euler steps h of the multipliers and h_x of x (default: h) diverge on ``qp``, or None.
 
-    With c = scale c0 = scale c1 and a singular value s of A, explicit steps are stable only if h k < c and
-    (2 h_x k c - h h_x k^2) s^2 < 4. Semi-implicit steps are stable only if (2 h_x k c + h h_x k^2) s^2 < 4.
+    With c = scale c0 = scale c1, explicit steps are stable only if h k < c and (2 h_x k c - h h_x k^2) s^2 < 4 for all
+    singular values s of A. Semi-implicit steps are stable only if (2 h_x k c + h h_x k^2) s^2 < 4.
     """
     c0, c1 = scale * qp.c0, scale * qp.c1
     weak, strong, hk = min(c0, c1), max(c0, c1), h * k
@@ -56,7 +56,7 @@ class Network(SolverSettings):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.h > 1.0:
-            raise SolverError(f"{self.name}: h = {self.h!r} is above 1: x would leave the box; give at most 1")
+            raise SolverError(f"{self.name}: h = {self.h!r} is above 1: x would leave its bounds; give at most 1")
 
 
 class RNNSession:
@@ -101,15 +101,15 @@ class RNNPrintedSession(RNNSession):
 
 @dataclass(frozen=True)
 class RNN(Network):
-    """The network with its own state, which continues from tick to tick.
+    """The network. Its state continues from tick to tick.
 
     Args:
-        steps: largest number of steps per tick.
+        steps: limit on the steps per tick.
         h: step size dt / (the network's time constant), in (0, 1].
         k: the paper's gain.
-        scale: factor of c0, c1, c2 and regularization. It does not change the solution.
+        scale: c0, c1, c2 and regularization are multiplied by it. This does not change the optimum.
         method: "explicit" Euler, or "semi-implicit" (the multipliers use the new x).
-        eps: largest entry of the network's right-hand side for SOLVED [rad/s, m/s].
+        eps: an answer is SOLVED if no entry of the network's right-hand side exceeds eps [rad/s, m/s].
 
     Raises:
         SolverError: a setting is out of range, or (from ``start``) the steps would diverge.
@@ -139,8 +139,8 @@ class RNNPrinted(Network):
 
     Args:
         k: the paper's gain.
-        h: step of the multipliers, dt / (the network's time constant). The steps diverge unless h k < c0.
-        eps: largest entry of the network's right-hand side for SOLVED [rad/s, m/s].
+        h: step of the multipliers, dt / (the network's time constant). The steps diverge unless h k < c0 and h k < c1.
+        eps: an answer is SOLVED if no entry of the network's right-hand side exceeds eps [rad/s, m/s].
 
     Raises:
         SolverError: a setting is out of range, or (from ``start``) the steps would diverge.

@@ -1,4 +1,4 @@
-"""A study runs independent trials in other processes, and writes a table and a page of their results.
+"""A study runs independent trials in worker processes, and writes a table and a page of their results.
 
 docs/extending.md shows a study of 20 lines.
 """

@@ -4,7 +4,7 @@
     def work(study: Study, config: Config) -> Found: ... # runs the trials
     def main(arguments=None): return command("robots", "What holds on every arm.", Config, work, arguments)
 
-After a stop of any kind, the same command continues from the finished jobs in the subfolder jobs/.
+After an interruption, the same command continues from the finished jobs in the subfolder jobs/.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class StudyConfig(Settings):
 
     KIND: ClassVar[str] = "configuration:"
     seed: int = Field(0, ge=0, le=2**62)
-    processes: int | None = Field(None, ge=1, description="number of parallel jobs without timing; None: one per core")
+    processes: int | None = Field(None, ge=1, description="number of parallel untimed jobs; None: one per core")
 
     @classmethod
     def load(cls, path: Path, seed: int | None = None) -> Self:
@@ -111,13 +111,13 @@ class Study:
     def trials(
         self, asked: Sequence[Trial], what: str = "runs", *, limit_s: float | None = None, **options: Any
     ) -> list[Run]:
-        """Run trials. Return a `Run` for each, even if it failed. ``limit_s`` replaces the time limits."""
+        """Run trials. Return one `Run` per trial, also for failed ones. ``limit_s`` replaces their time limits."""
         jobs = [one.job if limit_s is None else replace(one.job, limit_s=limit_s) for one in asked]
         results = self.run(jobs, what, **options)
         return [outcome(one, result) for one, result in zip(asked, results, strict=True)]
 
     def placed(self, cases: Sequence[Scenario]) -> tuple[list[Scenario], list[dict[str, Any]]]:
-        """Search for start poses. Return the trials with a pose, and a row for each other trial."""
+        """Search a start pose for each trial. Return the trials that have one, and a row for each of the others."""
         found = self.run([Job(placed, (case,)) for case in cases], "starts")
         lost = [
             {**Trial(case, "").failed(str(start)).row, "ended": "no start"}
@@ -137,9 +137,9 @@ def command(
     The exit status is `Found.status`, 2 after an error, or 130 after Ctrl-C or SIGTERM.
     """
     parser = ArgumentParser(prog=program or f"python -m benchmarks.{name}", description=about)
-    parser.add_argument("config", nargs="?", type=Path, help=f"settings of the study; default: its file {name}.toml")
+    parser.add_argument("config", nargs="?", type=Path, help=f"TOML file with the settings; default: {name}.toml")
     parser.add_argument("--out", type=Path, default=Path("results") / name, help="folder for the results")
-    parser.add_argument("--seed", type=int, help="seed of random numbers, instead of the one in the settings")
+    parser.add_argument("--seed", type=int, help="seed of random numbers; it replaces the settings' seed")
     parser.add_argument("--quick", action="store_true", help="run the same study on less data")
     parser.add_argument("--json", action="store_true", help="print the summary as JSON instead of text")
     parser.add_argument("--dask", metavar="ADDRESS", help="Dask scheduler for the jobs that are not timed")
@@ -163,10 +163,10 @@ def command(
 
 
 def check_folder(out: Path) -> None:
-    """Raise a StudyError if the folder holds files in `FILES` that no study has written."""
+    """Raise a StudyError if the folder has files named as in `FILES` that no study has written."""
     there = [name for name in FILES if (out / name).exists()]
     if there and not (there[0] == FILES[0] and b'"study":' in (out / FILES[0]).read_bytes()):
-        raise StudyError(f"{out} has {', '.join(there)} that no study has written: give another folder as --out")
+        raise StudyError(f"{out} has files that no study has written ({', '.join(there)}): give another --out")
 
 
 def leave(found: Found, study: Study, config: StudyConfig, argv: Sequence[str]) -> None:
@@ -187,7 +187,7 @@ def leave(found: Found, study: Study, config: StudyConfig, argv: Sequence[str]) 
     for part in found.report.screens():
         screen.print(part, markup=False)
     if study.kept.reused:
-        screen.print(f"{study.kept.reused} jobs are those of an earlier run in {out}/jobs.", soft_wrap=True)
+        screen.print(f"{study.kept.reused} jobs were not run again: {out}/jobs has their results.", soft_wrap=True)
     for sentence in found.sentences:
         screen.print(sentence, markup=False, soft_wrap=True)
     screen.print(f"written: {out}/{' '.join([*reversed(FILES), *found.files])}", markup=False, soft_wrap=True)
@@ -211,9 +211,9 @@ def environment(config: Mapping[str, Any], seed: int, argv: Sequence[str] = ()) 
 
 
 def choose(wanted: Literal["all"] | Sequence[str], *beside: str) -> tuple[list[str], dict[str, str]]:
-    """Return the names of solvers that can run here, and the reasons why others cannot.
+    """Return the names of wanted solvers that can run here, and the reasons why the others cannot.
 
-    "all" means every known solver. The names in ``beside`` can always run.
+    "all" means every known solver. The names in ``beside`` are accepted as solvers that can run.
     """
     found: dict[str, str | None] = {**dict.fromkeys(beside), **available()}
     names = list(found) if wanted == "all" else list(wanted)
@@ -225,7 +225,7 @@ def choose(wanted: Literal["all"] | Sequence[str], *beside: str) -> tuple[list[s
 
 
 def runnable(wanted: Sequence[str], *beside: str) -> list[str]:
-    """Return the solvers' names. Raise a SolverError if one cannot run here."""
+    """Return the wanted solvers' names. Raise a SolverError if one of these solvers cannot run here."""
     names, reasons = choose(wanted, *beside)
     if reasons:
         name, reason = next(iter(reasons.items()))

@@ -1,4 +1,4 @@
-"""Compare solvers in closed loop (``mo.compare``), on the same trials as DCAC."""
+"""Compare solvers and DCAC in closed loop, on the same trials (``mo.compare``)."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ COLUMNS = [
     *columns(*METRICS_SHOWN), Column("oscillated", "oscillated"), Column("solve_p99_us", "p99", "us"),
 ]  # fmt: skip
 CAPTION = (
-    f"Means are over completed trials, with 95 % intervals from {LEAST_TRIALS} trials on. Changes are relative to dcac "
-    "(the control law without level 3, with equal gains). A ? marks a change that the mean of the trials' ratios does "
-    "not confirm. Verified: answers that a check found optimal. Silently wrong: number of wrong answers reported as "
-    "optimal. p50, p99: median and 99th percentile of the solve time, as medians over the trials. The times of exact "
-    f"exclude the call from Python. {FRAMES}"
+    f"Means are over completed trials, with 95 % intervals for {LEAST_TRIALS} trials or more. Changes are relative to "
+    "dcac (the control law without level 3, with equal gains). A ? marks a change that the mean over trials of each "
+    "trial's change does not confirm. Verified: answers that a check found optimal. Silently wrong: number of wrong "
+    "answers reported as optimal. p50, p99: median and 99th percentile of the solve time, as medians over the trials. "
+    f"The times of exact exclude the call from Python. {FRAMES}"
 )
 
 
@@ -104,7 +104,7 @@ class Comparison:
             trials = f"{found['whole']}" + f" of {found['trials']}" * (found["whole"] < found["trials"])
             rows.append({**found, **_cells(found), "solver": name, "trials": trials})
             errors = [row["error"] for row in self.rows if (row["solver"], row["ended"]) == (name, Ending.FAILED.value)]
-            failures += [f"{name} failed in {len(errors)}: {errors[0]}."] if errors else []
+            failures += [f"Failed trials of {name}: {len(errors)}; error of the first: {errors[0]}."] if errors else []
         optional = {"oscillated", *CHANGES}
         known = [column for column in COLUMNS if column.key not in optional or any(row.get(column.key) for row in rows)]
         unjudged = any(row.get("asked") and "verified_solved" not in row for row in self.rows)
@@ -115,7 +115,7 @@ class Comparison:
         return Table(f"{title}: solvers on the same trials", known, rows, caption)
 
     def plot(self, metric: str = "mu_mean") -> Figure:
-        """Draw each solver's mean of a metric with its 95 % interval. Raise an UnknownNameError if it is unknown."""
+        """Draw each solver's mean of a metric with a 95 % interval. Raise an UnknownNameError for an unknown metric."""
         if metric not in METRICS and not any(metric in row for row in self.rows):
             raise UnknownNameError("metric", metric, METRICS, "moc-opt metrics")
         means = {name: mean for name in self.solvers if (mean := self._results.mean(metric, name))}
@@ -124,7 +124,7 @@ class Comparison:
         return intervals_picture({name: (one.low, one.value, one.high) for name, one in means.items()}, said, {})
 
     def to_pandas(self) -> DataFrame:
-        """Return a pandas.DataFrame with one row per run. Raise a ScenarioError without pandas."""
+        """Return a pandas.DataFrame with one row per run. Raise a ScenarioError if pandas is missing."""
         try:
             import pandas
         except ImportError as error:
@@ -159,7 +159,7 @@ def compare(
     A failed run's row holds the reason. After Ctrl-C, the finished trials are returned.
 
     Args:
-        solvers: names or solver objects. The keys of a mapping rename them.
+        solvers: names or solver objects. A mapping's keys are the solvers' names in the table.
         scenario: a scenario, or the path of its file; None: the default scenario.
         trials: number of trials. Trial k has the seed ``seed + k``.
         seed: the seed of the first trial.
@@ -174,7 +174,7 @@ def compare(
         if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= LARGEST_INTEGER // 2:
             raise ScenarioError(f"{argument} = {shown(value)}: give an integer from {least} to 2^62 - 1")
     if base.control.law != "moc":
-        raise ScenarioError("[control] law = 'dcac' has no solver: take law = 'moc', DCAC is compared in any case")
+        raise ScenarioError("[control] law = 'dcac' has no solver: take law = 'moc'; DCAC is compared in any case")
     chosen, rows, done = _named(solvers, base), list[Mapping[str, Any]](), 0
     drawn = {"pose": "random", "q_rad": None, "swivel": "random"}
     unused = "Starts are drawn at random: [start] is not used." if base.start.model_fields_set & {*drawn} else ""

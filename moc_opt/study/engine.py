@@ -2,7 +2,7 @@
 
     results = run([Job(trial, (scenario, "osqp", seed)) for seed in range(60)], kept=Kept(out / "jobs"))
 
-A job that fails loses only its own result.
+If a job fails, the results of the other jobs are not lost.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ class Job:
     work: Callable[..., Any]
     arguments: tuple[Any, ...] = ()
     limit_s: float = 600.0  #: time limit [s]
-    alone: bool = False  #: whether the job measures times, so that no other job may run
-    group: str = ""  #: group, which `run` may give up after hangs or crashes
+    alone: bool = False  #: whether the job measures times, so that no other job may run meanwhile
+    group: str = ""  #: name of a group of jobs: `run` may skip its later jobs after hangs or crashes
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ def run(
                     continue
                 same = digest_of(answer.sources) == answer.digest
                 if dask and not alone and not same:
-                    raise StudyError("a worker runs another version of the sources: install the same there")
+                    raise StudyError("a Dask worker has another version of the sources: install this one there")
                 try:
                     result = pickle.loads(answer.packed)
                 except Exception as error:  # noqa: BLE001 - a user's class may raise anything
@@ -126,7 +126,7 @@ def run(
                     kept.put(keys[k], result, answer.sources)
                 finish(k, result)
     gone, answers = Counter[str](), list[Any]()
-    for k, job in enumerate(jobs):  # groups are given up in the order of the jobs
+    for k, job in enumerate(jobs):  # which jobs are skipped depends on their order, not on timing
         answers.append(_not_begun(job.group) if job.group and gone[job.group] >= give_up else results[k])
         gone[job.group] += _broke(answers[-1])
     return answers
@@ -205,7 +205,7 @@ def _answer(future: Answer, job: Job) -> _Done | Failed:
     except BrokenProcessPool:
         raise
     except CancelledError as error:
-        raise StudyError("the connection to the scheduler is lost, and the running jobs too; start again") from error
+        raise StudyError("the connection to the scheduler and the running jobs are lost; start again") from error
     except OSError as error:
         raise StudyError(f"no worker can be reached: {describe(error)}") from error
     except Exception as error:  # noqa: BLE001 - a job that cannot be sent, or a cluster's error for a dead worker
@@ -326,7 +326,7 @@ def alarm(seconds: float) -> None:
 
 @contextmanager
 def _cluster(address: str) -> Iterator[tuple[Submit, int]]:
-    """Connect to a Dask scheduler, whose workers need the same sources."""
+    """Connect to a Dask scheduler. Its workers need the same sources as this process."""
     try:
         client_of: Any = importlib.import_module("distributed").Client
     except ImportError as error:
@@ -341,13 +341,13 @@ def _cluster(address: str) -> Iterator[tuple[Submit, int]]:
         executor = client.get_executor(pure=False)
         yield lambda job: executor.submit(_do_within, job.work, job.arguments, job.limit_s), max(1, slots)
     except TimeoutError as error:
-        raise StudyError(f"no worker came to {address}: dask worker {address} --nthreads 1 starts one") from error
+        raise StudyError(f"{address} has no worker: start one with `dask worker {address} --nthreads 1`") from error
     finally:
         client.close(timeout=CONNECT_S)
 
 
 def _do_within(work: Callable[..., Any], arguments: tuple[Any, ...], limit_s: float) -> _Done | Failed:
-    """Do one job on a cluster's worker, whose process exits after ``limit_s``."""
+    """Do one job on a cluster's worker. If the job takes longer than ``limit_s``, the worker's process exits."""
     faulthandler.dump_traceback_later(limit_s, exit=True, file=2)
     try:
         return _do(work, arguments)

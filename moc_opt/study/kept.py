@@ -56,7 +56,7 @@ class Kept:
         try:
             entry = self._cache.get(key)
         except Exception as error:  # noqa: BLE001 - the entry is damaged, or was pickled by other code
-            print(f"{self.folder}: a finished job cannot be read ({error}) and is done again", file=sys.stderr)
+            print(f"{self.folder}: a finished job cannot be read ({error}) and is run again", file=sys.stderr)
             return None
         if not isinstance(entry, _Entry) or digest_of(entry.sources) != entry.digest:
             return None
@@ -73,14 +73,14 @@ class Kept:
 
 def key_of(work: Callable[..., Any], arguments: Iterable[Any]) -> str:
     """Return the digest of a job's function, its arguments, and the libraries' versions."""
-    code = getattr(work, "__code__", None)  # a cluster's worker does not import the script
+    code = getattr(work, "__code__", None)  # `loaded_sources` on a cluster lacks the script
     own = "" if code is None else _file_digest(code.co_filename)
     asked = [work.__module__, work.__qualname__, own, _plain(list(arguments)), versions()]
     return hashlib.sha256(to_json(asked, indent=None, sort_keys=True).encode()).hexdigest()
 
 
 def loaded_sources() -> tuple[str, ...]:
-    """Return the imported files, without the standard library and installed packages."""
+    """Return the imported files, except the standard library, installed packages, and the subpackages in `SHOWS`."""
     return _sources(tuple(sys.modules))
 
 

@@ -31,8 +31,8 @@ TITLES = {
 }
 """Column headings of `ERRORS` and of their changes."""
 FRAMES = (
-    "Own: the error by the controller's model, which the controller can correct. Registered: the error relative to the "
-    "points touched at the start, which matters to the patient."
+    "Own: the error computed with the robot's kinematics; the controller can correct it. Registered: the error "
+    "relative to the points touched at the start; it matters to the patient."
 )
 BASE_FRAME = "Base: the error in the base frame (absolute accuracy)."
 
@@ -88,7 +88,7 @@ class Results:
             return None
 
     def pairs(self, metric: str, controller: str, baseline: str = BASELINE) -> tuple[list[float], list[float]]:
-        """Return both controllers' values on the trials that both completed. Phase means are multiplied by ticks."""
+        """Return both controllers' values on trials that both completed. A phase's mean is multiplied by its ticks."""
         mine, theirs = self.values(metric, controller), self.values(metric, baseline)
         both = [trial for trial in mine if trial in theirs]
         phase = next((phase for phase in PHASES if metric.startswith(f"{phase}_")), None)

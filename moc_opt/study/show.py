@@ -118,7 +118,7 @@ def _markdown(table: Table) -> str:
 def columns(*metrics: str, of: str = "", **titles: str) -> list[Column]:
     """Return one column of a table per metric, or per change of a metric, with unit and help.
 
-    Values link to section ``of``. ``titles`` sets headings.
+    Values link to section ``of``. ``titles`` gives headings by name of the metric.
     """
     found = []
     for name in metrics:
@@ -177,7 +177,7 @@ def lines_picture(
 
 
 def ends(figures: Mapping[str, Any], name: str) -> tuple[float, float, float] | None:
-    """Return (low, value, high) of a figure, or None if it is absent."""
+    """Return (low, value, high) of the number ``name`` in a summary, or None if it is absent."""
     value, low, high = (figures.get(f"{name}{end}") for end in ("", "_low", "_high"))
     if value is None:
         return None

@@ -30,11 +30,11 @@ Runner = Callable[..., list[Any]]  # `moc_opt.study.run` with some arguments bou
 
 HUNG, CRASHED, RAISED, NOT_ASKED, REFUSED = "hung", "crashed", "raised", "not asked", "refused"
 """Statuses of an answer in addition to those of `Status`."""
-BROKEN_SETS = 3  # number of sets with a hang or crash after which the others are skipped
+BROKEN_SETS = 3  # after hangs or crashes in this many sets, a solver's later sets are skipped
 HOURS = 1e5  # time limit of a whole set [s]
-WARM_UP = 16  # solves before the timed ones
-CONTRADICTION = 1e-13  # largest rounding difference of `TestSet.rows` and `TestSet.judged` [m/s]
-RIGHTLY = 0.99  # least share of right answers for a comparison of times
+WARM_UP = 16  # untimed solves at the start
+CONTRADICTION = 1e-13  # a larger difference of `TestSet.rows` and `TestSet.judged` is no rounding error [m/s]
+RIGHTLY = 0.99  # times are compared if the share of right answers is at least this
 RESIDUALS = ("primal", "natural", "natural_best", "relative", "loss")
 
 
@@ -65,7 +65,7 @@ class Answer(NamedTuple):
 class Answers:
     """One solver's answers to one set of k problems, with their residuals.
 
-    ``refused`` says why the solver does not take the problems. ``events`` lists its errors.
+    ``refused`` says why the solver does not accept the problems. ``events`` lists its errors.
     """
 
     def __init__(self, setting: SolverSetting, problems: TestSet, result: list[Any] | Failed) -> None:
@@ -253,7 +253,7 @@ class Times(NamedTuple):
     setup: Array  #: times of starting sessions
     cold: Array  #: times of the first solve of each session
     update: Array  #: times of the session's `update`; empty if it has none
-    load: Mapping[str, float]  #: the machine's load meanwhile
+    load: Mapping[str, float]  #: the machine's load during the measurement
 
     def figures(self) -> dict[str, Any]:
         """Return percentiles of the times, the number of solves, and the machine's load."""
@@ -264,7 +264,7 @@ class Times(NamedTuple):
 
 
 def time(run: Runner, answers: Sequence[Answers], limits: Limits) -> list[Times | None]:
-    """Time the solver of each `Answers` on its set, with nothing else running.
+    """Time the solver of each `Answers` on its set of problems, with nothing else running.
 
     An entry is None if a problem was not answered, or if the timing failed.
     """

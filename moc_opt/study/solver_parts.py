@@ -29,13 +29,13 @@ if TYPE_CHECKING:
     from moc_opt.study.solvers import Work
 
 MEANING = (
-    "Verified: optimal by our own residuals, whatever the solver says. Silently wrong: claimed as solved, and not "
+    "Verified: optimal by moc_opt's residuals, whatever the solver says. Silently wrong: claimed as solved, but not "
     "verified. Right: verified, or rightly called infeasible, as a share of the problems that were not refused as "
-    f"inconsistent. Times are compared among solvers that are right at {100 * RIGHTLY:g} % of the problems or more. "
-    "Update: the part of a warm solve that hands the new problem to the library. docs/solvers.md says more."
+    f"inconsistent. Times are compared among solvers with at least {100 * RIGHTLY:g} % right answers. Update: the part "
+    "of a warm solve that passes the new problem to the library. docs/solvers.md says more."
 )
 SOLVER = Column("solver", "solver")
-RANKED = "answers_rightly"  # key of the flag: whether a row's times are compared
+RANKED = "answers_rightly"  # key of a row's flag: whether its times are compared
 COUNTS = {
     "claimed_solved": "claimed", "verified_solved": "verified", "silently_wrong": "silently wrong",
     "infeasible_right": "infeas. right", "refused_inconsistent": "refused: inconsistent",
@@ -93,7 +93,7 @@ def record(case: Scenario, ticks: int) -> Array:
 
 
 def recorded_sequence(work: Work) -> None:
-    """Let each solver solve the sequence warm (in one session) and cold (in new sessions)."""
+    """Let each solver solve the sequence warm (in one session) and cold (in a new session for each problem)."""
     config = work.config.open_loop
     problems = [NullSpaceQP.from_row(np.array(row)) for row in work.sequence]
     session = Exact().start(problems[0])
@@ -206,7 +206,7 @@ def closed_loop(work: Work) -> None:
         for name in names
     }
     length = f"the first {part.duration_s:g} s of its task" if part.duration_s else "its whole task"
-    text = f"Each trial is {length}. Its own seed draws pose, mismatch and noise."
+    text = f"Each trial is {length}. Its seed determines start pose, model errors of the plant, and noise."
     work.sections.append(Section(CLOSED, text, [_controllers(work.summary["closed_loop"])]))
 
 
@@ -251,6 +251,6 @@ def _controllers(rows: Mapping[str, Mapping[str, Any]]) -> Table:
          *columns(*MEANS), *columns(*COUNTED),
          *(Column(key, title, unit="us", format=".1f") for key, title in ticks.items()),
          Column("deadline_misses", "misses", format=".0f")],
-        shown, "Changes compare the mean with DCAC's on the trials that both ran, with 95 % intervals. The ratio of mu "
-        f"to that of the best courses is from the trials that every controller runs. {FRAMES} {BASE_FRAME}",
+        shown, "Changes are relative to DCAC, over the trials that both controllers completed, with 95 % intervals. "
+        f"The fractions of the best mu are from the trials that every controller runs. {FRAMES} {BASE_FRAME}",
     )  # fmt: skip

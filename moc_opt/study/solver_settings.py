@@ -51,7 +51,7 @@ class SolverSetting:
 def solver_settings(
     names: Iterable[str], overrides: Mapping[str, Mapping[str, Any]] | None = None
 ) -> list[SolverSetting]:
-    """Return every setting of every named solver. ``overrides[solver]`` changes "recommended"."""
+    """Return every setting of every named solver. ``overrides[solver]`` changes its setting "recommended"."""
     return [
         SolverSetting(solver, name, {**options, **((overrides or {}).get(solver, {}) if name == RECOMMENDED else {})},
                       reason)
@@ -64,7 +64,7 @@ def of(name: str) -> dict[str, tuple[dict[str, Any], str]]:
     tables = SETTINGS.get(name, {})
     if not name.startswith(QPSOLVERS):
         known = {of: ({key: v for key, v in one.items() if key != "why"}, one["why"]) for of, one in tables.items()}
-        return known or {RECOMMENDED: ({}, "the solver's own settings: the study has none for this solver")}
+        return known or {RECOMMENDED: ({}, "the solver's defaults: the study has no settings for this solver")}
     found = {DEFAULT: (AS_QPSOLVERS_CALLS_IT, "the library as qpsolvers calls it, on six rows")}
     if TIGHT in tables:
         values = ", ".join(f"{key} = {value:g}" for key, value in tables[TIGHT]["options"].items())

@@ -28,14 +28,14 @@ GAPS, NEAR = Mark("◐", "gaps", "fair", 2), Mark("≈", "near", "fair", 3)
 OTHER, OPEN = Mark("≠", "other", "other", 4), Mark("–", "open", "other", 5)
 AVOID = Mark("✘", "avoid", "bad", 6)
 TONES = {TAKE: GOOD, SOUND: GOOD, GAPS: list(SERIES)[4], NEAR: list(SERIES)[4], OTHER: MUTED, OPEN: BAD, AVOID: WORST}
-TOO_MUCH = 5.0  # largest acceptable loss, in tolerances of `COSTS`
+TOO_MUCH = 5.0  # a solver with a larger loss is to be avoided [tolerances of `COSTS`]
 COSTS = {
     "mu_mean": ("mu", 0.01),
     "tip_error_model_mean_mm": ("tip", 0.05), "tip_error_registered_mean_mm": ("registered tip", 0.05),
     "rcm_error_model_mean_mm": ("RCM", 0.05), "rcm_error_registered_mean_mm": ("registered RCM", 0.05),
     "torque_rate_rms_Nm_per_s": ("chatter", 0.1),
 }  # fmt: skip
-"""Short name and tolerance of each metric. A smaller change is no loss."""
+"""Short name and tolerance of each metric. A change within the tolerance is no loss."""
 FRAMED = tuple(name for name in COSTS if "_error_" in name)
 CERTIFIED, RECORDED, CLOSED = "Certified test sets", "Recorded sequence", "Closed loop"
 NEITHER = "neither right nor wrong"
@@ -48,7 +48,7 @@ INCONSISTENT = (
 def assess(summary: Summary, runs: Results) -> list[Row]:
     """Return one row per solver under its recommended setting, the best first.
 
-    A library that also ran through its own adapter is rated by that adapter.
+    If a library ran both through qpsolvers and through its own adapter, only the adapter is rated.
     """
     sets, warm, closed = (summary.get(part, {}) for part in ("testsets", "open_loop_warm", "closed_loop"))
     certified = {n.removesuffix(f"@{RECOMMENDED}"): m for n, m in sets.items() if n.endswith(f"@{RECOMMENDED}")}
@@ -91,7 +91,7 @@ def _figures(name: str, certified: Row, warm: Row, closed: Row) -> Row:
     hidden = Missing("it answers the nonlinear problem of the tick: not comparable")
     wrong = sum(int(part.get("silently_wrong") or 0) for part in (certified, warm, closed))
     timed, suffix = (warm, "") if warm.get("solve_p50_us") is not None else (certified, "_worst_set")
-    share = math.floor(1e4 * share_right(counted)) / 100.0 if counted.get("solves") else None  # 100: all are right
+    share = math.floor(1e4 * share_right(counted)) / 100.0 if counted.get("solves") else None  # never rounded to 100
     return {
         "solver": name, "counted": counted, "closed": closed, "relative_max": counted.get("relative_max"),
         "right_percent": hidden if other else share, "silently_wrong": hidden if other else wrong,
@@ -120,7 +120,7 @@ def _damage(row: Row, reference: str | None, runs: Results) -> tuple[Any, float]
     changes = {metric: runs.change(metric, row["solver"], reference) for metric in COSTS}
     known = {metric: change for metric, change in changes.items() if change is not None}
     if not known:
-        return Missing("no trial that both ran"), 0.0
+        return Missing("no completed trial in common with the best solver"), 0.0
     if few := too_few(min(change.ratio.samples for change in known.values())):
         return Missing(few), 0.0
     sizes = {metric: _size(metric, change) for metric, change in known.items()}
@@ -147,15 +147,15 @@ def sentences(summary: Summary, rows: Sequence[Row]) -> list[str]:
     best, sound = rows[0], [row for row in rows if row["verdict"] is SOUND]
     if best["verdict"] is SOUND:
         names = ", ".join(f"`{row['solver']}`" for row in sound)
-        said = [f"Sound: {names}. Which of them is fastest cannot be told: they were not timed."]
+        said = [f"Sound: {names}. Which of these is fastest is unknown: they were not timed."]
     elif best["verdict"] is TAKE:
         known = summary.get("settings", {}).get(f"{best['solver']}@{RECOMMENDED}", {})
         reason = known.get("reason") or "its recommended setting"
         said = [f"Take `{best['solver']}` ({reason}){_why(summary, best, sound, len(rows))}"]
     elif "testsets" not in summary and "open_loop_warm" not in summary:
-        said = ["Which solver is sound was not asked: the certified sets were not run."]
+        said = ["Which solver is sound is unknown: the certified sets were not run."]
     else:
-        said = ["No solver is sound on what was run; see the table."]
+        said = ["No solver is sound in the parts that were run; see the table."]
     if best["verdict"] is TAKE and sound:
         medians = ["" if row["p50_us"] is None else f" ({row['p50_us']:.0f} us)" for row in sound[:3]]
         names = ", ".join(f"`{row['solver']}`{median}" for row, median in zip(sound[:3], medians, strict=True))
@@ -168,19 +168,19 @@ def sentences(summary: Summary, rows: Sequence[Row]) -> list[str]:
 def _why(summary: Summary, row: Row, others: Sequence[Row], asked: int) -> str:
     counted = row["counted"]
     kind = "certified" if "testsets" in summary else "recorded"
-    parts = [f"verified {counted['verified_solved']} of {counted['optima_asked']} {kind} optima"]
+    parts = [f"found {counted['verified_solved']} of {counted['optima_asked']} {kind} optima"]
     if counted["infeasible_asked"]:
         parts.append(f"recognised {counted['infeasible_right']} of {counted['infeasible_asked']} infeasible problems")
     text = "" if others or asked == 1 else f", the only sound one of {asked} solvers"
     text += f". It {listed(parts)}; none of its answers was silently wrong."
     if refused := counted["refused_inconsistent"]:
-        text += f" It refused {refused} more problems, whose six rows contradict each other. That is {NEITHER}."
+        text += f" It refused {refused} more problems, whose rows contradict each other. Such a refusal is {NEITHER}."
     if row["p50_us"] is not None:
-        text += f" Its median time is {row['p50_us']:.1f} us, p99 {row['p99_us']:.1f} us."
+        text += f" Its median solve time is {row['p50_us']:.1f} us, p99 {row['p99_us']:.1f} us."
         # Noise may change the order of these solvers.
         close = [one for one in (row, *others) if (one["p50_us"] or 0.0) <= row["p99_us"]]
         if not all(one["quiet"] for one in close):
-            text += " But others used the machine while this or an equally fast solver was timed: run again."
+            text += " But other programs used the machine while this or an equally fast solver was timed: run again."
     return text
 
 
@@ -220,7 +220,7 @@ def _avoid(summary: Summary, rows: Sequence[Row]) -> list[str]:
         listed = ", ".join(f"`{name}` {plain[name]}" for name in wrong)
         parts.append(
             "the libraries' own default settings: on the paper's six dependent rows, with the cost unscaled, "
-            f"{len(wrong)} of {len(plain)} claimed success for wrong answers ({listed})"
+            f"{len(wrong)} of {len(plain)} libraries claimed success for wrong answers (counts: {listed})"
         )
     return [f"Avoid {'; '.join(parts)}."] if parts else []
 
@@ -236,7 +236,7 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
     columns = [
         Column("solver", "solver"), Column("verdict", "verdict"),
         Column("right_percent", "right", unit="%", format=".2f", section=kind,
-               help=f"verified, or rightly called infeasible; out of {counted} problems without the refused ones"),
+               help=f"verified, or rightly called infeasible; in percent of {counted} problems less the refused ones"),
         Column("silently_wrong", "wrong", format=".0f", section=kind, help="claimed as solved, but not optimal"),
         Column("p50_us", "p50", unit="us", section=recorded, help="median time of a warm solve"),
         Column("p99_us", "p99", unit="us", section=recorded, help="one solve in a hundred is slower"),
@@ -296,7 +296,7 @@ def pictures(summary: Summary, rows: Sequence[Row], deadline_us: float) -> list[
     if points:
         where = "certified problem" if "testsets" in summary else "recorded problem"
         drawn = figures.accuracy_against_time(
-            points, x_label="median time of a warm solve [us]", y_label=f"worst relative residual, any {where}",
+            points, x_label="median time of a warm solve [us]", y_label=f"largest relative residual of any {where}",
         )  # fmt: skip
         best = listed(figures.pareto(points))
         says = f"Lower left is better. No other solver is both faster and more accurate than {best}."

@@ -58,7 +58,7 @@ class TestSets(Limits):
     timed_too: list[str] = Field(["infeasible", "joint-limits", "jumps", "near-singular", "inconsistent-1e-6"])
     """further sets, which are timed under the recommended settings only"""
     every: int = Field(1, ge=1, description="1: every problem, 2: every second one, ...")
-    every_other: int = Field(4, ge=1, description="further thinning for nlp-* and for settings not recommended")
+    every_other: int = Field(4, ge=1, description="further thinning for nlp-* and settings not recommended; 1: none")
 
     @field_validator("names", "timed", "timed_too")
     @classmethod
@@ -76,11 +76,11 @@ class ClosedLoop(Settings):
     """Settings of the trials in closed loop."""
 
     KIND: ClassVar[str] = "[closed_loop]"
-    tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1, description="tasks of the trials, in turn")
+    tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1, description="the trials take them in turn")
     trials: int = Field(60, ge=1, description="number of trials of DCAC and the cited solvers")
     cited: list[str] = Field(["exact", "rnn", "rnn-printed"], description="solvers that the report's answer cites")
     others: int = Field(15, ge=1, description="number of trials of every other solver")
-    timed: int = Field(1, ge=1, description="number of trials that run alone, for their times")
+    timed: int = Field(1, ge=1, description="number of trials that run alone and are timed")
     duration_s: Level = Field(4.0, description="length of a trial; inf: the whole task")
     slow: list[str] = Field(["nlp-ipopt", "qpsolvers:highs", "qpsolvers:scs"])
     """solvers that are left out, because they take about a millisecond per tick"""
@@ -99,7 +99,7 @@ class Config(StudyConfig):
     open_loop: OpenLoop = OpenLoop()
     testsets: TestSets = TestSets()
     closed_loop: ClosedLoop = ClosedLoop()
-    settings: dict[str, dict[str, Any]] = Field(default_factory=dict, description="settings of each solver")
+    settings: dict[str, dict[str, Any]] = Field(default_factory=dict, description="changes of recommended settings")
     scenario: Scenario = Scenario()
 
     def quick(self) -> Self:
@@ -173,7 +173,7 @@ class Work:
         said = sentences(self.summary, assess(self.summary, self.runs))[0]
         if said != self.said:
             self.said = said
-            console(stderr=True).print(f"so far: {said} (It may change.)", markup=False, soft_wrap=True)
+            console(stderr=True).print(f"so far: {said} (This may change.)", markup=False, soft_wrap=True)
 
 
 # --- the command ---
@@ -212,7 +212,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def once(names: Sequence[str]) -> tuple[list[str], dict[str, str]]:
-    """Drop `qpsolvers:NAME` if NAME is listed, too. Return the other names, and the reasons."""
+    """Drop `qpsolvers:NAME` if NAME is listed, too. Return the remaining names, and the reason for each dropped one."""
     native = {f"{QPSOLVERS}{name}": name for name in names}
     return [name for name in names if name not in native], {
         name: f"the same library as `{native[name]}`: `twice = true` in the configuration runs both"

@@ -20,7 +20,7 @@ from moc_opt.errors import MocOptError
 RESAMPLES = 4000
 CONFIDENCE = 0.95
 NOMINAL = 0.7
-"""Intervals are built for the miss rate `NOMINAL` * (1 - `CONFIDENCE`). In simulations, they miss more often."""
+"""Intervals are computed for a miss rate of `NOMINAL` * (1 - `CONFIDENCE`): in simulations, they miss more often."""
 ROUNDING = 1e-9  # smaller changes are taken as zero [percent]
 LEAST_TRIALS = 8  # with fewer trials, no change is called a gain or a loss
 
@@ -54,7 +54,7 @@ class Interval(NamedTuple):
 
 
 class Change(NamedTuple):
-    """A change against a baseline [percent]: ``ratio`` of means, and mean of the trials' ``ratios``."""
+    """A change [percent]: ``ratio`` compares the means over trials, ``ratios`` is the mean of each trial's change."""
 
     ratio: Interval
     ratios: Interval
@@ -115,7 +115,7 @@ def mean(samples: ArrayLike) -> Interval:
 
 
 def relative_change(treated: ArrayLike, control: ArrayLike) -> Interval:
-    """Compute 100 (mean(treated)/mean(control) - 1) [percent] of (k,) numbers of the same k trials.
+    """Compute 100 (mean(treated)/mean(control) - 1) [percent] from two arrays (k,) of the same k trials.
 
     Raises:
         StatisticsError: no pair, different lengths, a number that is not finite, or controls with mean 0.

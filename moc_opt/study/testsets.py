@@ -52,7 +52,7 @@ class TestSet:
     def judged(self) -> Array:
         """The problems (k, 11 n + 10) by which answers are judged.
 
-        If tip and wrist references contradict each other along the shaft, the wrist's is changed.
+        If tip and wrist references contradict each other along the shaft, the wrist's is set to the tip's.
         """
         return np.array([straightened(qp).row for qp in self.problems()])
 
@@ -101,6 +101,6 @@ def changed(qp: NullSpaceQP, **values: Any) -> NullSpaceQP:
 
 
 def five_row_gap(qp: NullSpaceQP, b: NDArray[np.floating]) -> Array:
-    """Return the tip's reference velocity minus the wrist's along the shaft (3,) [m/s]."""
+    """Return the tip's reference velocity minus the wrist's: the component along the shaft, a vector (3,) [m/s]."""
     u = np.linalg.svd(qp.J_tip - qp.J_wrist)[0][:, 2]
     return np.asarray(u * (u @ (b[:3] - b[3:])))

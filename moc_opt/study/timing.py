@@ -63,13 +63,13 @@ def load(rows: Iterable[Row]) -> str:
     if not spoilt:
         return said + "the machine was quiet."
     return said + (
-        f"others used the machine in {spoilt} of {len(timed)} measurements. Do not trust the p99 of these. On a quiet "
-        "machine, run the same command again: it repeats only these measurements."
+        f"other programs used the machine in {spoilt} of {len(timed)} measurements. Do not trust the p99 of these. On "
+        "a quiet machine, run the same command again: it repeats only these measurements."
     )
 
 
 def clock_cost_us() -> float:
-    """Return the cost of reading the clock twice [us]."""
+    """Return the time that it takes to read the clock twice [us]."""
     gaps = np.empty(2000)
     for i in range(len(gaps)):
         begin = perf_counter_ns()

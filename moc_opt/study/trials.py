@@ -138,7 +138,7 @@ def run_trial(asked: Trial) -> Run:
 
 
 def run_and_trace(asked: Trial, baseline: Trace | None = None) -> tuple[Run, Trace | None]:
-    """Return the result of `run_trial` and its trace. With a ``baseline``, metrics include the gain over it."""
+    """Run a trial. Return its `Run` and its trace. With a ``baseline``, metrics include the gain over it."""
     begun, seen, solver = dict[str, float](), dict[str, float](), asked.solver
 
     def look(tick: int) -> None:

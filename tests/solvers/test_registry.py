@@ -45,7 +45,7 @@ class Good:
     ("qpsolvers:dapq", {}, UnknownNameError, "did you mean 'daqp'"),
     ("osqp", {"max_itr": 10}, UnknownNameError, "setting of solver osqp: 'max_itr': did you mean 'max_iter'"),
     ("qpsolvers:daqp", {"eps": 1e-9}, UnknownNameError, "setting of solver qpsolvers:daqp: 'eps'"),
-    (ABSENT, {}, SolverError, "cannot run: .*pip install qpsolvers"), (3, {}, SolverError, "give the name of one"),
+    (ABSENT, {}, SolverError, "cannot run: .*pip install qpsolvers"), (3, {}, SolverError, "give a solver's name"),
     ("osqp", {"eps": 10**400}, SolverError, "osqp: eps = 1000"),
 ])  # fmt: skip
 def test_the_error_of_a_wrong_name_or_setting_gives_the_remedy(name, given, error, cure):

@@ -71,7 +71,7 @@ def test_runs_of_a_solver_that_cannot_start_are_reported_as_failed():
     }
     assert not {"mu_mean", "mu_gain_percent"} & set(found.summary()["broken"])
     assert [row["trials"] for row in found.table.rows] == ["2", "0 of 2", "2"]
-    assert "broken failed in 2: ControlError: solver 'broken'" in found.table.caption
+    assert "Failed trials of broken: 2; error of the first: ControlError: solver 'broken'" in found.table.caption
 
 
 def test_first_trial_must_have_a_start(monkeypatch):

@@ -132,7 +132,7 @@ def test_busy_machine_gives_a_remark():
         summary, results = study({"fast": certified(), "slow": certified(p99=60.0, **more)})
         text = sentences(summary, assess(summary, results))[0]
         assert text.startswith("Take `fast`")
-        assert ("others used the machine" in text) is said
+        assert ("other programs used the machine" in text) is said
 
 
 def test_first_screen_fits_a_terminal():
@@ -164,7 +164,7 @@ def test_first_screen_fits_a_terminal():
     for name in ("mu_mean", "tip_error_model_mean_mm", "tip_error_registered_mean_mm", "rcm_error_model_mean_mm"):
         assert spread(summary["closed_loop"]["exact"], change_name(name), 2, "+", " %") in sound
     assert "`qpsolvers:highs` (1 silently wrong)" in avoid
-    assert "2 of 3 claimed success for wrong answers (`osqp` 1301, `qpsolvers:scs` 432)" in avoid
+    assert "2 of 3 libraries claimed success for wrong answers (counts: `osqp` 1301, `qpsolvers:scs` 432)" in avoid
     assert "nlp" not in avoid
     assert "rnn" not in avoid, "the network is not the solver of a library"
 
