@@ -34,7 +34,7 @@ def print_list(given: argparse.Namespace) -> int:
              for name, row in rows.items() if row.get("here", "yes") == "yes"]  # fmt: skip
     keys = dict.fromkeys(key for row in rows.values() for key in row if key != "here")
     print_tables([Table(title, [Column("name", "name"), *(Column(key, TITLES.get(key, key)) for key in keys)], shown)])
-    console().print(note, markup=False)  # a caption would be as narrow as the table
+    console().print(note, markup=False)  # a caption of the table would be wrapped at the table's width
     return 0
 
 
@@ -52,7 +52,7 @@ def solvers() -> tuple[str, Rows, str]:
     rows = {}
     for name, reason in available().items():
         settings = {key: value for key, value in defaults(name).items() if key != "kinematics"} if not reason else {}
-        # A default of a plug-in may be any object.
+        # A plug-in's default may be an object that JSON cannot hold.
         rows[name] = {"here": reason or "yes", "settings": json.loads(json.dumps(settings, default=repr))}
     absent = ", ".join(name for name, row in rows.items() if row["here"] != "yes")
     note = f"Not installed: {absent}; --json says what is missing." if absent else ""
@@ -68,8 +68,8 @@ def robots() -> tuple[str, Rows, str]:
         rows[name] = {"joints": arm.n, "real": left.real, "idle": len(left.idle), "tool": arm.data.tool_length,
                       "about": about(name)}  # fmt: skip
     more = (
-        "Freedoms: dimensions of joint motion with tip and wrist at rest, apart from idle joints, which move neither. "
-        "Instead of a name, give the path of your own robot file. `moc-opt robot check NAME` checks an arm."
+        "Freedoms: independent joint motions with tip and wrist at rest. Idle joints, which never move tip or wrist, "
+        "do not count. A name can also be the path of your own robot file. `moc-opt robot check NAME` checks an arm."
     )
     return "Robots: [robot] name", rows, more
 
@@ -81,7 +81,7 @@ def tasks() -> tuple[str, Rows, str]:
         try:
             known = sizes(name)
         except MocOptError:
-            known = {}  # its description says why it does not load
+            known = {}  # a plug-in that does not load: `words` says why
         given = {key: None if value is inspect.Parameter.empty else value for key, value in known.items()}
         rows[name] = {"sizes": given, "about": words}
     return "Tasks: [task] path, [task.sizes]", rows, "Lengths in m."
@@ -91,4 +91,4 @@ def metrics() -> tuple[str, Rows, str]:
     """List the metrics; return (title, rows, note)."""
     load_plugins()
     rows = {name: {"unit": one.unit, "about": one.about} for name, one in METRICS.items()}
-    return "Metrics: metrics = [...] of a scenario, run --metric", rows, ""
+    return "Metrics: metrics = [...] in a scenario, or moc-opt run --metric", rows, ""

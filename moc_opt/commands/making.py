@@ -40,7 +40,7 @@ def serve_page(given: argparse.Namespace) -> int:
 
 
 def export_c(given: argparse.Namespace) -> int:
-    """Write the whole controller as C code; return 0."""
+    """Write controller and safety filter as C code; return 0."""
     from moc_opt.export import export_scenario
 
     out, udp = given.out, given.main == "udp"
@@ -53,7 +53,7 @@ def export_c(given: argparse.Namespace) -> int:
 
 
 def compare_solvers(given: argparse.Namespace) -> int:
-    """Compare solvers; return 0, 3 if one completed no trial, 130 after Ctrl-C."""
+    """Compare solvers; return 0, or 3 if a solver completed no trial, or 130 after Ctrl-C."""
     from moc_opt.study.compare import compare
 
     if given.out is not None:
@@ -71,7 +71,7 @@ def compare_solvers(given: argparse.Namespace) -> int:
     lost = [name for name in found.solvers if name not in completed]
     for name in lost:
         reason = next(row["error"] for row in found.rows if row["solver"] == name)
-        print(f"{name}: no trial was completed; the first one: {reason}", file=sys.stderr)
+        print(f"{name}: no trial was completed; the first trial: {reason}", file=sys.stderr)
     if not found.complete:
         return 130
     return 3 if lost else 0

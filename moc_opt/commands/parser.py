@@ -20,7 +20,7 @@ class Command(NamedTuple):
     work: str  #: "module:function" in moc_opt, called with the parsed options
     about: str
     options: tuple[Option, ...]
-    ends: str = ""
+    ends: str = ""  #: end of the help text
 
 
 def option(*names: str, **settings: Any) -> Option:
@@ -31,7 +31,7 @@ def option(*names: str, **settings: Any) -> Option:
 def path(text: str) -> Path:
     """Return the text as a path; refuse "", which would be the current folder."""
     if not text:
-        raise argparse.ArgumentTypeError("the name is empty: give one")
+        raise argparse.ArgumentTypeError("the path is empty: give one")
     return Path(text)
 
 
@@ -43,7 +43,7 @@ def flag(name: str, about: str) -> Option:
 def pages(name: str) -> tuple[Option, ...]:
     """Declare the options of a command that writes NAME.html from traces."""
     return (
-        option("traces", nargs="+", type=path, help="files of `moc-opt run --trace`, the baseline first"),
+        option("traces", nargs="+", type=path, help="files of `moc-opt run --trace`, shown in this order"),
         option("--out", type=path, default=Path(f"{name}.html"), help=f"HTML file to write; default {name}.html"),
         FORCE,
     )
@@ -52,44 +52,46 @@ def pages(name: str) -> tuple[Option, ...]:
 SCENARIO = option("scenario", nargs="?", type=path, help="TOML file; if left out, all settings have their defaults")
 FORCE = flag("--force", "overwrite a file even if moc_opt did not write it")
 JSON = flag("--json", "print JSON instead of tables")
-ALL = flag("--all", "print all metrics instead of the main ones")
+ALL = flag("--all", "print all metrics, not only the main metrics")
 KEY = option("--key-file", type=path, help="file with the shared key (16 to 32 bytes); default: $MOC_OPT_WIRE_KEY")
 WIRE = "127.0.0.1:30200"
 
 COMMANDS = {
     "run": Command("commands.running:run_scenario", "run one scenario and print its metrics", (
         SCENARIO,
-        option("--seed", type=int, help="seed of random numbers, instead of the scenario's"),
+        option("--seed", type=int, help="seed of random numbers; replaces the scenario's seed"),
         option("--solver", help="solver, with default settings: a name from `moc-opt solvers --list`"),
         option("--robot", metavar="NAME|MY.toml", help="robot: a name from `moc-opt robots`, or a robot file"),
         option("--task", metavar="NAME|POINTS.csv",
                help="path: a name from `moc-opt tasks`, or a file with one point x,y,z [m] per line"),
         option("--metric", action="append", metavar="NAME", help="print only this metric; may be repeated"),
         ALL,
-        option("--report", type=path, metavar="FILE.html", help="write metrics, curves and map to this page"),
+        option("--report", type=path, metavar="FILE.html", help="write a page with metrics, curves and map"),
         FORCE,
         option("--third-level", choices=("local", "planned", "receding"),
-               help="motion of the elbow. local: up the gradient of the manipulability; planned, receding: along a "
-                    "joint motion planned before or during the run"),
+               help="motion of the elbow. local: up the gradient of the manipulability; planned: along a joint motion "
+                    "planned before the run; receding: along a joint motion that is replanned during the run"),
         option("--course", metavar="FILE.parquet", help="follow the joint motion in this file of `moc-opt plan --out`"),
         option("--trace", type=path, metavar="X.parquet", help="write the record of the run (trace) to this file"),
         JSON,
     ), "Exit status: 0 the run completed; 2 the input is wrong; 3 the run was stopped, ran away or oscillated (the "
-       "first line says so); 130 interrupted; 1 an internal error. After 130 and 1, --trace has the run so far."),
+       "first line says which); 130 interrupted; 1 an internal error. If a run breaks off with 130 or 1, the file of "
+       "--trace contains the part of the run before the break."),
     "plan": Command("commands.running:plan_scenario",
                     "check that the arm can follow the path, and plan its joint motion", (
         SCENARIO,
         option("--margin", type=float, metavar="RAD",
-               help="distance of turning joints from their limits"),
-        option("--margin-m", type=float, metavar="M", help="distance of sliding joints from their limits"),
+               help="keep turning joints this far from their limits"),
+        option("--margin-m", type=float, metavar="M", help="keep sliding joints this far from their limits"),
         option("--speed-share", type=float, metavar="S",
-               help="largest joint speed, as a share of the joint's speed limit"),
+               help="keep the speed of each joint below this share of its speed limit"),
         option("--out", type=path, metavar="FILE.parquet", help="write the joint motion (course) to this file"),
         FORCE,
         JSON,
-    ), "The margins default to 0, and the share to 1. If a run will follow the motion (--out, or third_level planned "
-       "or receding), the defaults are course_margin_rad, limit_margin_m and course_speed_fraction of [control]. Exit "
-       "status: 0 the arm can follow the whole path from this start; 3 it cannot; 2 path or input is unusable."),
+    ), "--margin and --margin-m default to 0, and --speed-share to 1. However, with --out, or if the scenario has "
+       "third_level = 'planned' or 'receding', they default to course_margin_rad, limit_margin_m and "
+       "course_speed_fraction of [control]. Exit status: 0 the arm can follow the whole path from this start; 3 the "
+       "arm cannot; 2 the input is wrong."),
     "replay": Command("commands.making:save_page", "show one to four saved runs in 3-D, in one HTML file",
                       pages("replay")),
     "map": Command("commands.making:save_page", "show saved runs of one path on a manipulability map, in one HTML file",
@@ -103,15 +105,15 @@ COMMANDS = {
     "export-c": Command("commands.making:export_c",
                         "write the scenario's controller and safety filter as C code", (
         SCENARIO,
-        option("--out", type=path, required=True, help="folder for the C code; it is made if it does not exist"),
+        option("--out", type=path, required=True, help="folder for the C code; created if missing"),
         flag("--force", "overwrite files that export-c did not write"),
         option("--main", choices=("test", "udp"), default="test",
-               help="test: write a self-test; udp: also write a program that controls `moc-opt plant`"),
+               help="test: write a self-test; udp: write a self-test, and a program that controls `moc-opt plant`"),
     )),
     "plant": Command("commands.running:run_plant",
                      "simulate the arm in real time, for a controller over UDP", (
         SCENARIO,
-        option("--listen", metavar="HOST:PORT", default=WIRE, help=f"address of this plant; default {WIRE}"),
+        option("--listen", metavar="HOST:PORT", default=WIRE, help=f"address at which to listen; default {WIRE}"),
         flag("--lock-step", "wait for each command instead of running in real time"),
         option("--trace", type=path, metavar="FILE.parquet", help="write the record of the run (trace) to this file"),
         FORCE,
@@ -125,10 +127,10 @@ COMMANDS = {
         option("--connect", metavar="HOST:PORT", default=WIRE, help=f"address of the plant; default {WIRE}"),
         KEY,
         JSON,
-    ), "Exit status: 0 the plant ended the run; 2 the input is wrong; 3 the controller asked for a stop, or the plant "
-       "fell silent."),
+    ), "Exit status: 0 the plant ended the run after the last tick; 2 the input is wrong; 3 the controller asked for a "
+       "stop, or the plant ended the run early or fell silent."),
     "compare": Command("commands.making:compare_solvers",
-                       "compare solvers, and control without level 3, on random trials", (
+                       "compare solvers with each other and with control without level 3, on random trials", (
         option("solvers", nargs="+", metavar="SOLVER", help="names from `moc-opt solvers --list`"),
         option("--scenario", type=path, metavar="FILE.toml", help="if left out, all settings have their defaults"),
         option("--trials", type=int, default=15, help="number of random start poses; default 15"),
@@ -139,13 +141,13 @@ COMMANDS = {
     )),
     "solvers": Command("commands.making:list_or_study",
                        "compare all solvers in a study (some minutes), or list them",
-                       (flag("--list", "print the solvers that can run here, and their settings"), JSON)),
+                       (flag("--list", "print the installed solvers and their settings"), JSON)),
     "robots": Command("commands.listing:print_list", "list the arms of the package", (JSON,)),
     "tasks": Command("commands.listing:print_list", "list the paths of the tip, and their sizes", (JSON,)),
     "metrics": Command("commands.listing:print_list", "list the metrics of a run, with units and meanings", (JSON,)),
     "keys": Command("commands.reference:print_keys", "list the settings of a scenario: type, default and meaning", (
         option("table", nargs="?", help="list only this table, such as task or control.supervisor"),
-        flag("--markdown", "print the page docs/scenario.md, or its part on the table"),
+        flag("--markdown", "print Markdown: the page docs/scenario.md, or only its section on the given table"),
     )),
 }  # fmt: skip
 """All commands except `robot`, in the order of the help."""

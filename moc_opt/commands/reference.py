@@ -39,7 +39,7 @@ Key = tuple[str, str, str, str]  # name, type, default and meaning
 
 
 def print_keys(given: argparse.Namespace) -> int:
-    """Print the keys of all tables, or of one; return 0."""
+    """Print the keys of all tables, or of the given table; return 0."""
     names = [name or TOP for name, _, _ in tables()]
     if given.table is not None and given.table not in names:
         raise UnknownNameError("table of a scenario", given.table, names)
@@ -56,7 +56,7 @@ def print_keys(given: argparse.Namespace) -> int:
 
 
 def tables(kind: type[Settings] = Scenario, path: str = "") -> Iterator[tuple[str, str, list[Key]]]:
-    """Yield every table as (name, description, keys). The top of the file has no name."""
+    """Yield every table as (name, description, keys). At the top of the file, the name is empty."""
     inner: list[tuple[str, type[Settings]]] = []
     keys: list[Key] = []
     if path in PRESETS:
@@ -76,7 +76,7 @@ def tables(kind: type[Settings] = Scenario, path: str = "") -> Iterator[tuple[st
 
 
 def markdown(only: str | None = None) -> str:
-    """Return the text of docs/scenario.md, or of its part on one table."""
+    """Return the text of docs/scenario.md, or only its section on the table ``only``."""
     parts = [HEAD] if only is None else []
     for name, about, keys in tables():
         if only not in (None, name or TOP):

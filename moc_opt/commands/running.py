@@ -25,7 +25,7 @@ POINTS = "give x, y, z [m], one point per line; the first line may name the colu
 
 
 def read_scenario(path: Path | None) -> tuple[Scenario, str]:
-    """Read a scenario, or take the default scenario; return it and its title."""
+    """Return the scenario in a file, or the default scenario, with its title."""
     scenario = Scenario() if path is None else Scenario.load(path)
     return scenario, scenario.name if path is None or "name" in scenario.model_fields_set else path.stem
 
@@ -51,7 +51,7 @@ def run_scenario(given: argparse.Namespace) -> int:
     if given.trace and scenario.control.course and given.trace.resolve() == Path(scenario.control.course).resolve():
         raise TraceError(f"--trace {given.trace}: the run follows the course in that file; give another name")
     if given.trace and given.report and given.trace.resolve() == given.report.resolve():
-        raise TraceError(f"--trace {given.trace}: --report has the same name; give another one")
+        raise TraceError(f"--trace {given.trace}: --report names the same file; give another name")
     if given.report is not None:
         check_out(given.report, "report", force=given.force)
     _check_trace_out(given.trace, given.force)
@@ -120,7 +120,7 @@ def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
     if given.course == "":
         raise ScenarioError("--course '': give the file that `moc-opt plan --out` wrote")
     if given.course and given.third_level not in (None, "planned"):
-        raise ScenarioError(f"--course {given.course}: only --third-level planned follows a file; leave one out")
+        raise ScenarioError(f"--course {given.course}: only --third-level planned follows a file; leave --course out")
     changes: dict[str, Any] = {} if given.seed is None else {"seed": given.seed}
     if given.robot is not None:
         changes["robot"] = {"name": given.robot}
@@ -155,12 +155,12 @@ def read_waypoints(path: str) -> list[list[float]]:
         if len(words) != 3 or not all(map(math.isfinite, points[-1])):
             raise ScenarioError(f"waypoints {path!r}, line {number}: {shown(line, 60)}: {POINTS}")
     if not points:
-        raise ScenarioError(f"waypoints {path!r}: there is no point in it: {POINTS}")
+        raise ScenarioError(f"waypoints {path!r}: the file contains no point: {POINTS}")
     return points
 
 
 def _matched_dcac(scenario: Scenario, title: str, ticks: int) -> Trace | None:
-    """Run DCAC with equal gains; return None if it ended before ``ticks``."""
+    """Run DCAC with equal gains; return its first ``ticks`` ticks, or None if it ended earlier."""
     matched = scenario.change(control=scenario.control.matched_dcac(), bound_samples=0, best_courses=False)
     trace = _as_far_as_it_goes(lambda: run(matched))
     if len(trace) < ticks or "mu" not in trace.columns:
@@ -198,11 +198,11 @@ def run_control(given: argparse.Namespace) -> int:
     (scenario, title), granted = read_scenario(given.scenario), dict[str, str]()
     if scenario.control.third_level == "receding":
         print(
-            "control: third_level = 'receding' computes a course within a tick, in about 10 ms: in real time, such a "
-            "tick is missed; give the plant --lock-step, or take third_level = 'planned'", file=sys.stderr,
+            "control: third_level = 'receding' replans within a tick, which takes about 10 ms: in real time, this tick "
+            "is missed; start the plant with --lock-step, or take third_level = 'planned'", file=sys.stderr,
         )  # fmt: skip
-    first = "planning its course, then " if scenario.control.follows else ""
-    where = f"{given.connect}, for {scenario.wire.wait_s:g} s"
+    first = "planning the course, then " if scenario.control.follows else ""
+    where = f"{given.connect}, for up to {scenario.wire.wait_s:g} s"
     print(f"control: {first}waiting for a plant at {where}", file=sys.stderr, flush=True)
     found = answer(scenario, given.connect, given.key_file, ready=lambda: granted.update(ask_for_realtime()))
     told = found | {"system": granted}
@@ -226,13 +226,13 @@ def _words(value: Any) -> str:
 
 
 def plan_scenario(given: argparse.Namespace) -> int:
-    """Plan a scenario and print the plan; return 0, or 3 if the path cannot be executed."""
+    """Plan a scenario and print the plan; return 0, or 3 if the arm cannot follow the path."""
     from moc_opt.report.plan_table import plan_json, plan_tables, start_toml
     from moc_opt.scenario.planned import followable_plan, following_warnings, save_course
 
     scenario, title = read_scenario(given.scenario)
     _check_trace_out(given.out, given.force, "course")
-    follows = scenario.control.follows or given.out is not None  # the written plan is for a run to follow
+    follows = scenario.control.follows or given.out is not None  # a file is written for a run that follows it
     plan, within = followable_plan(scenario, given.margin, given.speed_share, given.margin_m, followed=follows)
     warned = following_warnings(scenario, plan) if follows else []
     path = save_course(plan, scenario, given.out, within) if given.out is not None and plan.course is not None else None

@@ -79,13 +79,13 @@ def _pixels(points: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float,
 
 
 def label_sides(points: Mapping[str, tuple[float, float]]) -> dict[str, str | None]:
-    """Choose the side of each label on which it covers least of other points and labels.
+    """Choose for each point the side on which its label covers the least area of other points and labels.
 
     Args:
         points: positions by name [px], y downwards.
 
     Returns:
-        Plotly's word for each side ("top center"), or None if there is no room.
+        Plotly's word for each side ("top center"), or None if the label covers more than `TOLERATED_PX2` on every side.
     """
     markers = {name: (x - MARKER_PX, y - MARKER_PX, x + MARKER_PX, y + MARKER_PX) for name, (x, y) in points.items()}
     placed: list[Box] = []
@@ -106,7 +106,7 @@ def _boxes(name: str, x: float, y: float) -> dict[str, Box]:
     left, right = (x - near - wide, x - near), (x + near, x + near + wide)
     centre, middle = (x - wide / 2, x + wide / 2), (y - LINE_PX / 2, y + LINE_PX / 2)
     above, below = (y - far, y - near), (y + near, y + far)
-    # Preferred sides come first: the front's line runs above and to the right.
+    # Sides are in order of preference: the line of the Pareto front runs above and to the right.
     spans = {
         "bottom center": (centre, below), "top center": (centre, above), "middle left": (left, middle),
         "middle right": (right, middle), "bottom left": (left, below), "bottom right": (right, below),

@@ -13,14 +13,14 @@ from moc_opt.figures.style import Styles, figure, label, legend_height, log_axis
 
 Floats = NDArray[np.float64]
 Samples = Mapping[str, ArrayLike]
-CLOCK_US = 1e-3  #: Shortest drawn time [us], the clock's resolution.
+CLOCK_US = 1e-3  #: The clock's resolution [us]. Shorter times are drawn at this time.
 ECDF_POINTS = 400
 
 
 def latency_ecdf(samples: Samples) -> go.Figure:
     """Draw the fraction of solves or ticks done within a time [us].
 
-    NaN (no solve) is left out. Infinity (never done) lowers the fraction.
+    NaN (no solve) is not counted. Infinity (never done) is counted as not done, at any time.
 
     Raises:
         ReportError: no time is finite, or a time is negative.
@@ -32,7 +32,7 @@ def latency_ecdf(samples: Samples) -> go.Figure:
         if not len(times):
             drawn.add_scatter(x=[], y=[], name=f"{label(name)} (no sample)", line_color=styles[name].color)
             continue
-        # Each of the slowest times needs its own step.
+        # The curve is thinned, but keeps a step for each of the slowest times.
         slowest = len(times) - np.geomspace(1, len(times), ECDF_POINTS)
         ranks = np.unique(np.append(np.linspace(0, len(times) - 1, ECDF_POINTS), np.ceil(slowest)).astype(np.int64))
         drawn.add_scatter(
@@ -49,7 +49,7 @@ def latency_ecdf(samples: Samples) -> go.Figure:
 def box_plots(groups: Mapping[str, Samples], value_label: str) -> go.Figure:
     """Draw box plots of ``groups[controller][task]`` on a log axis.
 
-    Whiskers reach at most 1.5 box lengths (Tukey), measured in logarithms. At most 40 samples beyond them are drawn.
+    Whiskers reach at most 1.5 box lengths (Tukey), measured in logarithms. Of the samples beyond, at most 40 are drawn.
 
     Raises:
         ReportError: a sample is infinite, or not positive.
@@ -63,7 +63,7 @@ def box_plots(groups: Mapping[str, Samples], value_label: str) -> go.Figure:
         lower, q1, median, q3, upper, beyond = zip(*boxes.values(), strict=True) if boxes else [()] * 6
         drawn.add_box(
             x=[label(task) for task in boxes], lowerfence=lower, q1=q1, median=median, q3=q3, upperfence=upper,
-            # Plotly draws no box for a name whose first list is empty.
+            # Plotly draws no box of a controller if the first list is empty.
             y=[points or [middle] for points, middle in zip(beyond, median, strict=True)],
             boxpoints="outliers", name=label(name), offsetgroup=name,
             fillcolor=f"{styles[name].color}48",  # opacity 0.28
@@ -78,10 +78,10 @@ def box_plots(groups: Mapping[str, Samples], value_label: str) -> go.Figure:
 
 
 def _box(name: str, values: Floats) -> tuple[float, float, float, float, float, list[float]]:
-    """Return lower whisker, quartiles, upper whisker, and at most 40 samples beyond."""
+    """Return lower whisker, quartiles, upper whisker, and at most 40 samples beyond the whiskers."""
     values = np.sort(values)
     if np.isinf(values).any() or values[0] <= 0.0:
-        raise ReportError(f"{name!r} reaches from {values[0]} to {values[-1]}: one axis cannot show all of this range")
+        raise ReportError(f"{name!r} reaches from {values[0]} to {values[-1]}: a log axis needs finite values above 0")
     scale = np.log10(values)
     q1, q3 = np.percentile(scale, (25, 75))
     reach = 1.5 * (q3 - q1) + 1e-12 * abs(q3)  # the second term absorbs rounding
@@ -96,5 +96,5 @@ def _known(name: str, values: ArrayLike) -> Floats:
     known = np.asarray(values, dtype=np.float64).ravel()
     known = known[~np.isnan(known)]
     if (known < 0.0).any():
-        raise ReportError(f"{name!r} has the sample {known.min()}: times and residuals are not negative")
+        raise ReportError(f"{name!r} has the sample {known.min()}: times and residuals cannot be negative")
     return known

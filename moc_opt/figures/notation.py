@@ -29,7 +29,7 @@ class Mark:
     Attributes:
         symbol: one character.
         tone: "best", "good", "fair", "bad" or "other".
-        rank: key for sorting; the best rating has the lowest.
+        rank: key for sorting; the best rating has the lowest rank.
     """
 
     symbol: str
@@ -44,7 +44,7 @@ class Notation:
 
     Attributes:
         digits: number of significant digits.
-        spec: Python's format specification (".2f"), which replaces all other attributes.
+        spec: Python's format specification (".2f"); if given, the other attributes have no effect.
         scientific: write powers of ten.
         integral: every number is an integer.
     """
@@ -59,7 +59,7 @@ class Notation:
         """Choose one notation for a column."""
         numbers = [float(value) for value in values if is_number(value)]  # type: ignore[arg-type]
         sizes = [abs(number) for number in numbers if math.isfinite(number)]
-        # Counts may be floats.
+        # Integers may be stored as floats.
         integral = bool(sizes) and all(size.is_integer() for size in sizes) and max(sizes) < 1e12
         wide = any(0.0 < size < 1e-4 or size >= 1e6 for size in sizes)
         return cls(digits, spec, scientific=wide and not integral, integral=integral)
@@ -119,5 +119,5 @@ def pretty_power(power: int) -> str:
 
 
 def printable(text: str) -> str:
-    """Replace control and direction characters, which could control a terminal or page."""
+    """Replace characters that control a terminal or the direction of text."""
     return "".join(c if c == "\n" or unicodedata.category(c) not in ("Cc", "Cf", "Cs") else "\ufffd" for c in text)

@@ -37,11 +37,11 @@ def time_series(
 ) -> go.Figure:
     """Draw runs over time, with one panel per column.
 
-    A dotted line is the largest mu of all feasible poses.
+    A dotted line is the largest mu of all feasible poses with the same tip and shaft.
 
     Args:
         runs: by name, a `Trace` or a dict of columns (N,) or (N, k) with `t_s`. A vector is drawn as its norm.
-        panels: names of columns. None means ``PANELS``, with the tip errors of ``TIPS`` that all runs have.
+        panels: names of columns. None means ``PANELS``; columns of ``TIPS`` that all runs have replace `tip_error_m`.
         styles: the style of each run; None makes new styles.
 
     Raises:
@@ -79,7 +79,7 @@ def time_series(
                     legendrank=len(data),
                 )  # fmt: skip
         drawn.update_yaxes(row=row, col=1, rangemode="normal" if column == "mu" else "tozero", nticks=5)
-        # On a narrow screen, a label above the panel is easier to read.
+        # On a narrow screen, a label above the panel is easier to read than a label beside it.
         drawn.add_annotation(
             text=words, xref="paper", x=0.0, xanchor="left", yref=f"y{row if row > 1 else ''} domain", y=1.0,
             yanchor="bottom", showarrow=False, font={"size": 12}, xshift=-2,
@@ -96,14 +96,14 @@ def time_series(
 
 
 def envelope(t: ArrayLike, y: ArrayLike, points: int = 1200) -> tuple[Floats, Floats]:
-    """Thin a series to at most `points`; keep the extremes of each stretch.
+    """Thin a series to at most `points` points: the extremes of equal stretches, the ends, and gaps.
 
     Args:
         t, y: (N,) times and values; NaN in y is a gap.
-        points: largest number of points, 4 or more.
+        points: upper bound on the number of points, 4 or more.
 
     Returns:
-        (K,) times and values that are kept.
+        (K,) times and values of the kept points.
 
     Raises:
         ReportError: t and y differ in length, or `points` is too small.

@@ -18,7 +18,7 @@ INK, MUTED, GRID, PAPER = "#1f2328", "#5f6871", "#e3e6e9", "#ffffff"
 GOOD, BAD, WORST = "#3b7fb8", "#c9ccd1", "#c4421a"
 """Colours of answers: optimal, failed, and wrong but reported as optimal."""
 
-# The palette of Okabe and Ito, light and dark, without yellow and black.
+# The palette of Okabe and Ito, without yellow and black: colour on a light page, colour on a dark page.
 SERIES = {
     "#0072b2": "#4da3dd", "#d55e00": "#f0834a", "#009e73": "#3fc39d", "#b6569a": "#dc8fc4",
     "#c98a00": "#e8b33f", "#3fa0d0": "#8accf0", "#77787b": "#a9abb0", "#6a4fb3": "#a994ea",
@@ -114,7 +114,7 @@ def log_axis(
     """
     shown = np.asarray(values, dtype=np.float64)
     if shown.size == 0 or not (shown > 0.0).all():
-        raise ReportError(f"{title}: a log axis needs values, all positive; leave the figure out and say why")
+        raise ReportError(f"{title}: a log axis needs values, and only positive ones; leave the figure out and say why")
     low, high = math.log10(shown.min()), math.log10(shown.max())
     free = margin * max(high - low, 0.5)
     low, high, step = low - free, high + free, 1

@@ -15,7 +15,7 @@ from moc_opt.figures.notation import printable
 LINE_EVERY_S = 10.0
 PIPED_WIDTH = 80
 CLOSED = 141
-"""Exit status if the reader closes the output early, as after SIGPIPE."""
+"""Exit status if a program that reads the output (`head`) ends early, as after SIGPIPE."""
 
 
 def end_output() -> int:
@@ -38,7 +38,7 @@ def console(*, stderr: bool = False, file: IO[str] | None = None) -> Console:
 
 
 class Bar(Progress):
-    """A progress bar on stderr. Without a terminal, it prints occasional lines."""
+    """A progress bar on stderr. Without a terminal, it prints a line at most every `LINE_EVERY_S`."""
 
     def __init__(
         self, description: str, total: float | None = None, *, now: str = "", on: Console | None = None
@@ -53,7 +53,7 @@ class Bar(Progress):
         self.add_task(printable(description), total=total, now=now, written=self.get_time())
 
     def step(self, now: str = "", steps: float = 1.0) -> None:
-        """Count ``steps`` as done, and show the name of the current step."""
+        """Count ``steps`` more steps as done, and show ``now``, the name of the current step."""
         (task,) = self.tasks
         self.update(task.id, advance=steps, now=printable(now))
         if self.console.is_terminal or self.get_time() - task.fields["written"] < LINE_EVERY_S:
@@ -67,7 +67,7 @@ class Bar(Progress):
         self.console.print(f"{line}  {task.fields['now']}".rstrip(), markup=False, soft_wrap=True)
 
     def of(self, total: float) -> None:
-        """Set the number of steps."""
+        """Set the total number of steps, and count from 0 again."""
         self.reset(self.task_ids[0], total=total)
 
 
@@ -76,4 +76,4 @@ def busy() -> str:
     cores, load = len(os.sched_getaffinity(0)), os.getloadavg()[0]
     if load <= cores:
         return ""
-    return f"The machine was busy (load {load:.1f} on {cores} cores): times are longer than on an idle one."
+    return f"The machine was busy (load {load:.1f} on {cores} cores): times are longer than on an idle machine."

@@ -25,7 +25,7 @@ WIDTH_PX = 680
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "microsoft-edge")
 CURE = (
     "install a browser (Debian, Ubuntu: apt-get install chromium; anywhere: python -m playwright install chromium), "
-    "or name one in the environment variable MOC_OPT_BROWSER"
+    "or set the environment variable MOC_OPT_BROWSER to a browser's name or path"
 )
 SHEET = "<!DOCTYPE html><style>@page{margin:0} body{margin:0} svg{display:block}</style><body></body>"
 
@@ -40,7 +40,7 @@ def save_figures(
     """
     for name in figures:
         if name != Path(name).name:
-            raise ReportError(f"figure {name!r}: give a name without a folder in it")
+            raise ReportError(f"figure {name!r}: give a name without a folder")
     with browser() as chromium:
         page = chromium.new_page()
         page.route("**/*", lambda route: route.abort())  # no network access
@@ -55,7 +55,7 @@ def save_figures(
 
 @contextmanager
 def browser() -> Iterator[Browser]:
-    """Start a headless Chromium, and close it at the end.
+    """Start a headless Chromium, and close it at the end of the ``with`` block.
 
     Raise a BrowserMissingError if playwright or a browser is missing, and a BrowserError if the browser fails.
     """

@@ -38,7 +38,7 @@ from moc_opt.trace.trace import Trace
 SCALE = ((0.0, "#f4f1e6"), (0.25, "#cfe0cf"), (0.5, "#8fc4bd"), (0.75, "#3f8f9c"), (1.0, "#143f5c"))
 EDGE, BEST = "#fffffe", "#17191b"
 HEIGHT_PX = 460
-LEAP_DEG = 25.0  # A larger jump of the swivel leaves a gap in its line.
+LEAP_DEG = 25.0  # Where the swivel jumps by more, its line has a gap.
 HOVER = "%{x:.2f} s, %{y:.0f}°: µ = %{customdata:.3f} m³<extra>%{fullData.name}</extra>"
 COLUMNS = (
     Column("name", "trajectory"),
@@ -46,9 +46,9 @@ COLUMNS = (
         "near", "at the optimum", unit="%", format=".0f", better="high",
         help=f"share of the time with mu at most {100 * NEAR:.0f} % below the best mu at the same time",
     ),
-    Column("from_s", "for good from", unit="s", format=".1f", better="low", help="time after which mu stays optimal"),
+    Column("from_s", "optimal from", unit="s", format=".1f", better="low", help="time after which mu stays optimal"),
     Column("mu_percent", "of the best mu", unit="%", format=".1f", better="high", help="mean mu / mean best mu"),
-    Column("travel", "elbow turns", unit="deg", format="+.0f", help="from the start of the run to its end"),
+    Column("travel", "elbow turns", unit="deg", format="+.0f", help="swivel at the end of the run minus at its start"),
     Column(
         "at_edge", "at the feasible edge", unit="%", format=".0f", better="low",
         help="share of the time at a forbidden pose or next to one on the map",
@@ -56,9 +56,9 @@ COLUMNS = (
     Column(
         "end", "in the end",
         help=f"in the last {100 * END:.0f} % of the time. Local maximum: mu falls to both sides. Edge: mu would rise "
-        f"further, but the poses there are forbidden. Both are at most {np.degrees(CLOSE_RAD):.0f} deg away. At rest: "
-        "no maximum and no edge is near. The third level may have tighter bounds than the joint limits of the map. "
-        "Other branch of the inverse kinematics: the map does not apply",
+        f"further, but only at forbidden poses. The maximum or edge is within {np.degrees(CLOSE_RAD):.0f} deg of the "
+        "elbow. At rest: neither is so near; the third level may have tighter bounds than the joint limits of the "
+        "map. Another branch of the inverse kinematics: the map does not apply",
     ),
 )  # fmt: skip
 
@@ -68,14 +68,14 @@ def add_map(page: Page, found: SwivelMap, *, styles: Styles | None = None) -> No
     drawn = map_figure(found, styles)
     if found.held:
         page.text(
-            f"With tip and trocar fixed, this arm has {len(found.held) + 1} free motions. The map shows only one. In "
-            f"it, {listed(found.held)} {'stand' if len(found.held) > 1 else 'stands'} as in the longest run. Other "
-            "poses may have a larger mu than the best shown here."
+            f"With tip and shaft fixed, this arm has {len(found.held) + 1} independent motions. The map shows only the "
+            f"motion during which {listed(found.held)} {'stand' if len(found.held) > 1 else 'stands'} as in the "
+            "longest run. Poses that are not on the map may have a larger mu than the best pose on it."
         )
     times, swivels = found.mu.shape
     page.figure(
-        drawn, f"The manipulability mu of every pose that keeps tip and trocar, over time and over the swivel angle of "
-        f"the elbow ({times} by {swivels} poses). At grey poses, a joint would be beyond its limit, or the arm does "
+        drawn, f"The manipulability mu of every pose with the run's tip and shaft, over time and over the swivel angle "
+        f"of the elbow ({times} by {swivels} poses). At grey poses, a joint would be beyond its limit, or the arm does "
         "not reach the pose. Each line that begins at a marker is a run. The dotted line joins the best poses; its "
         "jumps are not motions of the arm.", name="map",
     )  # fmt: skip
@@ -86,7 +86,7 @@ def add_map(page: Page, found: SwivelMap, *, styles: Styles | None = None) -> No
 def _row(reading: Reading) -> dict[str, Any]:
     return {
         "name": reading.name, "near": 100.0 * reading.near,
-        "from_s": reading.from_s if reading.end is End.OPTIMUM else Missing("not at the optimum in the end"),
+        "from_s": reading.from_s if reading.end is End.OPTIMUM else Missing("not at the optimum at the end of the run"),
         "mu_percent": 100.0 * reading.mu_share, "travel": np.degrees(reading.travel_rad),
         "at_edge": 100.0 * reading.at_edge,
         "end": f"{reading.end}, joint {reading.joint}" if reading.joint else str(reading.end),
@@ -150,7 +150,7 @@ def map_figure(found: SwivelMap, styles: Styles | None = None) -> go.Figure:
 
 
 def _colors(drawn: go.Figure, found: SwivelMap, allowed: NDArray[np.bool_]) -> None:
-    """Draw mu, then grey over forbidden poses; mu continues below for a smooth edge."""
+    """Draw mu, then grey over forbidden poses. Under the grey, mu is drawn too, so that the edge is smooth."""
     mu, degrees = np.where(found.limit == UNREACHABLE, np.nan, found.mu), np.degrees(found.swivel_rad)
     low, high = float(mu[allowed].min()), float(mu[allowed].max())
     drawn.add_heatmap(

@@ -55,7 +55,7 @@ class Page:
         self._add(_PARTS.headline(text))
 
     def section(self, title: str) -> None:
-        """Begin a section, which is folded after `fold`."""
+        """Begin a section, folded if `fold` was called before."""
         name = _unlike(title, [section.name for section in self._sections])
         self._sections.append(_Section(name, title, self._folding))
 
@@ -106,7 +106,7 @@ class Page:
 
 
 def _unlike(text: str, taken: Iterable[str]) -> str:
-    """Return a name for URLs and files that is not in ``taken``."""
+    """Turn a text into a name for URLs and files that is not in ``taken``."""
     words = anchor(text)
     return next(name for k in count(1) if (name := f"{words}-{k}" if k > 1 else words) not in taken)
 
@@ -140,7 +140,7 @@ def _column(
     power = max((len(text.partition("e")[2]) for text in numbers), default=0)
     for cell, row in zip(cells, rows, strict=True):
         own = fraction_length(cell.text)
-        # An integer has no point and no digits after it.
+        # The spaces replace the decimals, and the decimal point, that other numbers of the column have.
         pad = POINT_SPACE * bool(fraction and not own) + FIGURE_SPACE * (fraction - max(own, 1))
         long = not cell.numeric and len(cell.text) > LONG_TEXT
         yield {

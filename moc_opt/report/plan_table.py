@@ -15,16 +15,16 @@ from moc_opt.robots.model import RobotModel
 COURSES = [
     Column("course", "course"), Column("mu_mean", "mean mu", unit="m^3", format=".4f", better="high"),
     Column("mu_worst", "worst mu", unit="m^3", format=".4f", better="high"),
-    Column("share_percent", "of best", unit="%", format=".1f", help="mean mu / best mean mu from any start"),
+    Column("share_percent", "of best", unit="%", format=".1f", help="mean mu / mean mu of the course 'best over all'"),
     Column("certified", "optimum", help="'local': no similar course is better. 'grid': the best of sampled courses."),
     Column("violation", "violation", unit="m, rad", format=".0e"),
 ]  # fmt: skip
 STEPS = {"map": "map of poses", "search": "search on the map", "bound": "bound of mean mu", "refine": "refinement"}
 VERDICT_TERMS = "mu: manipulability. Swivel: angle of the elbow about the line from shoulder to wrist."
 COURSES_TERMS = (
-    "Course: joint motion along the path. Local climb: up the gradient of mu, with ideal tracking. A run with "
-    "third_level = 'local' may differ. Optimum 'local': no similar course is better. Optimum 'grid': the best of "
-    "sampled courses. Violation: largest distance from the path, or largest excess over a limit."
+    "Course: joint motion along the path. Local climb: up the gradient of mu, with ideal tracking; a run with "
+    "third_level = 'local' may differ from it. Optimum 'local': no similar course is better. Optimum 'grid': the best "
+    "of sampled courses. Violation: largest distance from the path, or largest excess over a limit."
 )
 
 
@@ -58,9 +58,9 @@ def plan_tables(name: str, plan: Plan, **within: float) -> list[Table]:
         said |= {"first point out of reach": where, "why": stuck.reason}
     margins = [f"{within[f'margin_{side}']:g} {side}" for side in ("rad", "m") if within.get(f"margin_{side}")]
     limits = f"{' and '.join(margins)} from the joint limits" if margins else "the joint limits"
-    said["planned within"] = f"{limits}, {100.0 * within.get('speed_share', 1.0):.3g} % of the joints' largest speeds"
+    said["planned within"] = f"{limits}, {100.0 * within.get('speed_share', 1.0):.3g} % of the joints' speed limits"
     if within.get("shaft_margin"):
-        said["shaft manipulability"] = f"{within['shaft_margin']:.3g} (wrist-tip distance)^2 or more, where possible"
+        said["shaft manipulability"] = f"at least {within['shaft_margin']:.3g} (wrist-tip distance)^2, where possible"
     for what, angle in {"at the start": plan.start_swivel_rad, "of the best start": plan.best_swivel_rad}.items():
         known = math.isfinite(angle)
         said[f"swivel {what}"] = f"{math.degrees(angle):.1f} deg" if known else "none: no course reaches the end"
@@ -98,5 +98,5 @@ def start_toml(robot: RobotModel, plan: Plan) -> str:
     inside = np.ceil(1e6 * robot.q_min) / 1e6, np.floor(1e6 * robot.q_max) / 1e6
     q = np.clip(np.round(plan.best.q_rad[0], 6), *inside)
     numbers = textwrap.fill(", ".join(f"{x:.6f}" for x in q), 76, initial_indent="  ", subsequent_indent="  ")
-    about = "# to start on the best course, replace the scenario's own [start] by:"
+    about = "# to start on the best course, replace the [start] of the scenario by:"
     return "\n".join([about, "[start]", f"q_rad = [\n{numbers},\n]"])

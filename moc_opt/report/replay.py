@@ -1,6 +1,6 @@
 """Show runs in 3-D, in one HTML file.
 
-The arm is drawn from its joint frames. Thicknesses are invented.
+The arm is drawn from its joint frames. The thickness of its links is invented.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ SERIES_POINTS = 900
 BASE = -1
 SHORTEST_M = 1e-3
 ACROSS = 0.7
-"""Largest |cos| of the angle between axis and link of an elbow."""
+"""A joint whose axis and link have a |cos| of their angle below this is drawn as an elbow."""
 
 
 class Replay:
     """One to four runs of one arm, played side by side."""
 
     def __init__(self, traces: Mapping[str, Trace], robot: RobotModel) -> None:
-        """Check the runs; a ReportError if their number or an arm is wrong."""
+        """Check the runs; a ReportError if there are too few or too many, or `check_showable` refuses a run."""
         if not 1 <= len(traces) <= MOST_RUNS:
             raise ReportError(f"{len(traces)} runs: give 1 to {MOST_RUNS}, more are too small to see")
         for name, trace in traces.items():
@@ -99,7 +99,7 @@ def load_runs(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, Trace]
     if "robot_data" in meta:  # an arm from outside the package
         return traces, restored(meta["robot_data"])
     if not arm["name"]:
-        raise ReportError("the trace does not name its robot: load the robot yourself with load_robot")
+        raise ReportError("the trace does not name its robot: load the robot with load_robot")
     tool = {"tool_length": arm.get("tool_length_m"), "tool_mass": arm.get("tool_mass_kg")}
     return traces, load_robot(arm["name"], **tool)
 
@@ -108,7 +108,7 @@ def load_runs(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, Trace]
 
 
 def _run_data(trace: Trace, robot: RobotModel, times: Array, color: str) -> dict[str, Any]:
-    """Return a run's data at these times; after its end, the arm stands still."""
+    """Return a run's data at ``times``; after the end of the run, the arm stands still."""
     t = trace.t_s
     ticks = np.clip(np.searchsorted(t, times, side="right") - 1, 0, len(t) - 1)
     origins, rotations = link_frames(robot, trace.q_rad[ticks])
@@ -175,7 +175,7 @@ def arm_parts(robot: RobotModel) -> list[Part]:
     tip, wrist = chain.offsets
     along = (tip - wrist) / np.linalg.norm(tip - wrist)
     mount = tip - robot.data.tool_length * along
-    ends = np.array([*chain.origins, mount])  # ends[k] is the end of the link that begins at frame k - 1
+    ends = np.array([*chain.origins, mount])  # ends[k], in frame k - 1: end of the link that begins at this frame
     lengths = np.linalg.norm(ends, axis=1)
     reach = lengths[:-1].sum()
     radius = np.linspace(0.058, 0.038, n + 1) * reach
@@ -189,7 +189,7 @@ def arm_parts(robot: RobotModel) -> list[Part]:
         heights = heights.clip(0.0 if k == 0 else -np.inf, lengths[k] if k == seen[-1] else np.inf)
         parts.append(Part(int(k) - 1, here, ends[k] / lengths[k], ball * np.cos(bend), heights, "shell"))
     for j, axis in enumerate(chain.axes):
-        # Links of the wrist can have zero length, so the longer link decides.
+        # Links of the wrist can have zero length, so the longer of the two links at the joint decides.
         beside = max(ends[j + 1], chain.rotations[j].T @ ends[j], key=np.linalg.norm)
         across = abs(axis @ beside) < ACROSS * np.linalg.norm(beside)
         drums = [(1.06, 1.12, "shell"), (0.78, 1.22, "joint")] if across else [(1.04, 0.10, "joint")]

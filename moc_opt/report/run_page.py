@@ -18,13 +18,13 @@ from moc_opt.trace.trace import Trace
 
 
 def load_report(files: Sequence[str | os.PathLike[str]]) -> Page:
-    """Make the page of saved traces. Raise what `load_runs` raises."""
+    """Make the page of saved runs. Raise the errors of `load_runs`."""
     traces, robot = load_runs(files)
     return run_page(traces, {name: summarize(trace) for name, trace in traces.items()}, robot)
 
 
 def run_page(traces: Mapping[str, Trace], metrics: Mapping[str, Mapping[str, float]], robot: RobotModel) -> Page:
-    """Make the page of runs of one arm; ``metrics`` names those in the title."""
+    """Make the page of runs of one arm; only the runs in ``metrics`` appear in the title."""
     judged = {name: traces[name] for name in metrics}
     styles, page = Styles(traces), Page(title_of(judged), f"runs: {'; '.join(traces)}")
     every = {**metrics, **{name: summarize(trace) for name, trace in traces.items() if name not in metrics}}
@@ -37,8 +37,8 @@ def run_page(traces: Mapping[str, Trace], metrics: Mapping[str, Mapping[str, flo
         time_series(traces, styles=styles),
         "From top to bottom: manipulability, tip error, distance of the shaft from the trocar, force on the trocar. "
         "The dotted line is the largest manipulability of all poses with the same tip and shaft. The tip error is by "
-        "the robot's own kinematics and in the patient's frame, if the runs have these errors. If runs coincide, only "
-        "the last run is visible. A click on its name in the legend hides a run.", name="curves",
+        "the robot's own kinematics and in the frame registered at the start, or in space if a run lacks these. If "
+        "runs coincide, only the last is visible. A click on a run's name in the legend hides the run.", name="curves",
     )  # fmt: skip
     page.section("Main metrics")
     for table in run_tables(traces, every, first=True):

@@ -13,7 +13,7 @@ from moc_opt.trace.trace import Trace, about, table
 
 WHOLE_RUN = ("completed", "share_of_run")
 METHOD = "mu_bound_method"  #: Entry of `Trace.meta` that says how the largest mu was found.
-NEAR = 0.02  #: A mu at most this share below the best counts as best.
+NEAR = 0.02  #: If mu is below the best mu by at most this share, it counts as best.
 
 MATTER = (
     "mu_mean", "mu_gain_percent", "mu_fraction_of_best_from_start", "tip_error_model_mean_mm",
@@ -25,13 +25,13 @@ MATTER = (
 VERDICTS = ("verified_solved", "silently_wrong")
 """Metrics that count verified and silently wrong answers."""
 ANOTHER_PROBLEM = (
-    "Solvers nlp-* solve a nonlinear problem. Its answer differs by about 1e-3 m/s from that of the linear problem by "
-    "which answers are judged, so it counts as neither verified nor wrong."
+    "Solvers nlp-* solve a nonlinear problem, but answers are judged by the linear problem. The solutions of the two "
+    "problems differ by about 1e-3 m/s, so answers of nlp-* count as neither verified nor wrong."
 )
 
 
 def answers_another_problem(trace: Trace, solver: str = "") -> bool:
-    """Return whether the solver is nonlinear; then metrics in `VERDICTS` mean nothing."""
+    """Return whether the solver solves a nonlinear problem, so that the metrics in `VERDICTS` mean nothing."""
     return (solver or about(trace).get("solver", "")).startswith("nlp-")
 
 
@@ -62,12 +62,12 @@ def replaced(trace: Trace) -> str:
     if not counts:
         return ""
     total = sum(counts.values())
-    most = "most of them; the figures are not this solver's: " if 2 * total > len(trace) else ""
-    return f"at {total} of {len(trace)} ticks: {most}{', '.join(f'{fault} {count}' for fault, count in counts.items())}"
+    most = " (more than half, so the metrics are not this solver's)" if 2 * total > len(trace) else ""
+    return f"at {total} of {len(trace)} ticks{most}: {', '.join(f'{fault} {count}' for fault, count in counts.items())}"
 
 
 def below_best(trace: Trace) -> str:
-    """Return a sentence if mean mu is below the best planned motion's, else no text."""
+    """Say how far mean mu is below that of the best planned motion; return "" if it is not."""
     found = table(trace.meta, "best_courses")
     if absent := found.get("absent"):
         return f"mean mu is not compared with the best joint motion from this start: {absent}"
@@ -101,7 +101,7 @@ def facts(trace: Trace) -> dict[str, str]:
         "gains": control.get("gains"), "controller" if law == "dcac" else "solver": law,
         "third level": None if law == "dcac" else control.get("third_level"),
         "course": control.get("course") or None, "seed": scenario.get("seed"),
-        "controller's process": "another one; its solver and gains may differ" if "wire" in trace.meta else None,
+        "controller's process": "another process, whose solver and gains may differ" if "wire" in trace.meta else None,
     }  # fmt: skip
     return {word: str(value) for word, value in known.items() if value is not None}
 
@@ -127,8 +127,8 @@ def run_tables(
 ) -> list[Table]:  # fmt: skip
     """Lay out the metrics of runs side by side.
 
-    If any run ended early, each run has a separate table. ``first`` shows only the metrics in `MATTER`. ``first`` and
-    ``explained`` add a column with meanings.
+    If any run ended early, each run has a separate table. ``first`` shows only the metrics in `MATTER`. ``first`` or
+    ``explained`` adds a column with meanings.
     """
     if len(metrics) > 1 and any(part(traces[name]) for name in metrics):
         alone = ({name: values} for name, values in metrics.items())

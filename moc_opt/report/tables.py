@@ -35,16 +35,16 @@ class Column:
     title: str
     unit: str = ""  #: such as "us" or "mm"
     format: str = ""  #: format specification (".2f"); empty: three significant digits
-    better: Literal["low", "high"] | None = None  #: which values are better
+    better: Literal["low", "high"] | None = None  #: whether low or high values are better
     help: str = ""  #: a sentence on the column's meaning
     among: str = ""  #: key of a flag: only rows with this flag can be best
     section: str = ""  #: section of the page to which the values link
-    sections: str = ""  #: key of a row's own section
+    sections: str = ""  #: key of a section in a row, which replaces `section`
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A value as text, with its key for sorting. Cells with key None come last."""
+    """A value as text, with its key ``sort`` for sorting. Cells with ``sort`` None come last."""
 
     text: str
     sort: float | str | None
@@ -81,7 +81,7 @@ class Table:
         winner = (min if column.better == "low" else max)(finite, key=lambda cell: float(cell.sort or 0.0))
         # Values with the same text are equally good.
         ahead = [cell for cell in competing if cell.text == winner.text]
-        if len(ahead) > max(1, len(competing) / 2):  # do not emphasise most of the column
+        if len(ahead) > max(1, len(competing) / 2):  # emphasise no value if most are equally good
             return cells
         return [replace(cell, best=any(cell is one for one in ahead)) for cell in cells]
 

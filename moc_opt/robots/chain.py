@@ -31,7 +31,7 @@ class Chain:
 
     @property
     def joints(self) -> Array:
-        """The chain (n,16) for the core: rotation, origin, axis, and 1 if it slides."""
+        """The chain (n,16) for the core: rotation, origin, axis, and 1 for a sliding joint, else 0."""
         parts = (self.rotations.reshape(-1, 9), self.origins, self.axes, self.prismatic[:, None])
         return np.hstack(parts).astype(np.float64)
 

@@ -21,11 +21,11 @@ from moc_opt.sim.settings import PlantSettings
 
 Verdict = Literal["ok", "care", "cannot"]
 REGULAR, SINGULAR = (0.1, 0.05), 1e-4
-"""Least `Freedoms.tip` and `.both` for verdicts "ok" and "care"."""
-LITTLE_TO_GAIN = 0.05
+"""Thresholds of `Freedoms.tip` and `.both`: below `REGULAR` the verdict is "care", below `SINGULAR` "cannot"."""
+LITTLE_TO_GAIN = 0.05  #: If mu at home can rise by less than this share, the verdict is "care".
 LEAST_M = 0.005  #: Radius of the circle that every arm must follow [m].
-MARGIN_DEG, MARGIN_MM = 15.0, 80.0
-CARE = 0.8  #: Share of the stability limit from which gains get "care".
+MARGIN_DEG, MARGIN_MM = 15.0, 80.0  #: Closer to a limit at home, the verdict is "care".
+CARE = 0.8  #: Gains get the verdict "care" from this share of the stability limit on.
 GYRATION_M = 0.6  #: Largest plausible radius of gyration of a link [m].
 
 
@@ -84,13 +84,13 @@ def _climb(robot: RobotModel) -> Iterator[Finding]:
     try:
         curve = self_motion(robot, robot.data.q_home)
     except RobotError as error:
-        yield Finding(what, f"{mu:.3g} m³", "care", f"its self-motion cannot be scanned: {error}")
+        yield Finding(what, f"{mu:.3g} m³", "care", f"the self-motion at home cannot be scanned: {error}")
     else:
         several = freedoms(robot, robot.data.q_home).real > 1
         text = f"{mu:.3g} m³, {curve.mu.min():.3g} to {curve.mu_best:.3g} on {'one' if several else 'its'} self-motion"
         little = max(curve.mu_best, largest if several else 0.0) < (1.0 + LITTLE_TO_GAIN) * mu
-        yield _judge(what, text, (little, "care", "little to gain from there: choose another home.q_rad"))
-    # This pose may lie on another self-motion curve.
+        yield _judge(what, text, (little, "care", "mu can hardly rise from home: choose another home.q_rad"))
+    # The best pose with home's tip and shaft may lie on another self-motion curve.
     yield Finding("largest mu there", f"{largest:.3g} m³, {how['mu_bound_method']}", "ok")
 
 
@@ -99,8 +99,8 @@ def _task(robot: RobotModel, asked: Scenario) -> Finding:
     if not fault:
         return Finding(what, f"{asked.task.path} can be done", "ok")
     if task_fault(robot, robot.data.q_home, asked.change(task={"path": "circle", "sizes": {"radius": LEAST_M}})):
-        return Finding(what, f"not even a circle of {1e3 * LEAST_M:g} mm", "cannot", fault)
-    return Finding(what, f"{asked.task.path} cannot be done", "care", f"make it smaller, or move home.q_rad: {fault}")
+        return Finding(what, f"a circle of radius {1e3 * LEAST_M:g} mm cannot be done", "cannot", fault)
+    return Finding(what, f"{asked.task.path} cannot be done", "care", f"shrink the path, or move home.q_rad: {fault}")
 
 
 def _limits(robot: RobotModel) -> Finding:
@@ -115,7 +115,7 @@ def _limits(robot: RobotModel) -> Finding:
             j = int(np.argmin(np.where(kind, room, np.inf)))
             texts.append(f"{robot.data.joint_names[j]} is {scale * room[j]:.0f} {unit} away")
             if scale * room[j] < margin:
-                cures.append(f"the third level keeps {kept} free: move home.q_rad {margin:.0f} {unit} or more inside")
+                cures.append(f"the third level stops {kept} before a limit: keep home.q_rad {margin:.0f} {unit} away")
     return _judge("nearest limit", ", ".join(texts), (cures, "care", "; ".join(cures)))
 
 
@@ -125,7 +125,7 @@ def _speeds(robot: RobotModel) -> Finding:
     text = f"{robot.v_max.min():.2g} to {robot.v_max.max():.2g} {' or '.join(sorted(set(units), reverse=True))}"
     wrong = np.flatnonzero(robot.v_max > most + 1e-9)
     told = ", ".join(f"{robot.data.joint_names[j]} {robot.v_max[j]:.3g} {units[j]}" for j in wrong)
-    cure = f"no arm is that fast ({told}), so these limits mean nothing: see the data sheet, limits.v_max_deg_per_s"
+    cure = f"no arm is that fast ({told}): set the limits of the data sheet, in limits.v_max_deg_per_s"
     return _judge("joint speeds", text, (told, "care", cure))
 
 
@@ -133,7 +133,7 @@ def _weight(robot: RobotModel) -> Finding:
     share = np.abs(robot.gravity(robot.data.q_home)) / robot.tau_max
     j = int(np.argmax(share))
     return _judge(
-        "gravity at home", f"{robot.data.joint_names[j]} holds {100 * share[j]:.0f} % of its limit",
+        "gravity at home", f"{robot.data.joint_names[j]} needs {100 * share[j]:.0f} % of its torque limit",
         (share[j] >= 1.0, "cannot", "the arm cannot hold itself: check masses and torque limits"),
         (share[j] > 0.7, "care", "little torque is left to move"),
     )  # fmt: skip
@@ -144,11 +144,11 @@ def _bodies(robot: RobotModel) -> Finding:
     bodies = [link for link in urdf.read(robot.data.urdf).links if not link.is_frame]
     gyrations = {body.name: math.sqrt(max(body.moments[:3]) / body.mass) for body in bodies}
     total = sum(body.mass for body in bodies)
-    far = [f"{name} ({size:.2g} m from its middle)" for name, size in gyrations.items() if size > GYRATION_M]
+    far = [f"{name} (radius of gyration {size:.2g} m)" for name, size in gyrations.items() if size > GYRATION_M]
     return _judge(
         "masses", f"{total:.3g} kg, base and tool included",
         (not 0.5 < total < 2000.0, "care", "no arm has this mass: are the masses in kg?"),
-        (far, "care", f"mass far out: {', '.join(far)}; is the inertia about the centre of mass, in kg m^2?"),
+        (far, "care", f"too much inertia: {', '.join(far)}; is it about the centre of mass, in kg m^2?"),
     )  # fmt: skip
 
 
@@ -156,13 +156,13 @@ def _gains(robot: RobotModel, asked: Scenario) -> Finding:
     limit, period = largest_rate(asked.plant), asked.plant.period_s
     gains = asked.control.resolve_gains(robot.data.gains, robot.n)
     tip, wrist = largest_inverse_masses(robot)
-    # Largest ratio of each velocity gain to its inertia [1/s].
+    # For each velocity gain, the largest ratio to the inertia that it brakes [1/s].
     null_space = largest_null_rate(robot, gains.K_N2 + gains.D_N2)
     rates = {"D_X": gains.D_X * tip, "D_N": gains.D_N * wrist, "K_N2": null_space}
     name, rate = max(rates.items(), key=lambda item: item[1])
     cure = (
-        f"beyond {limit:.0f}/s, a loop of {1e3 * period:g} ms with its delay is unstable: multiply {name} by "
-        f"{0.5 * limit / rate:.2g} in the robot file's [gains]"
+        f"if gain / inertia exceeds {limit:.0f}/s, a loop of {1e3 * period:g} ms with its delay is unstable: multiply "
+        f"{name} by {0.5 * limit / rate:.2g} in the robot file's [gains]"
     )
     text = f"{name} at {100 * rate / limit:.0f} % of the stability limit"
     return _judge("gains", text, (rate >= limit, "cannot", cure), (rate >= CARE * limit, "care", cure))

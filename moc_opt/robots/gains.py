@@ -1,6 +1,6 @@
-"""Gains for an untuned arm, with the same ratios to the inertia [1/s] as the tuned LWR4+.
+"""Gains for an untuned arm, with the ratios of gain to inertia [1/s] that the tuned LWR4+ has.
 
-The ratio times the period decides whether a sampled loop is stable.
+Such a ratio times the control period decides whether a sampled loop is stable.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ JOINTS: Mapping[str, tuple[float, float, float]] = {
     "moc": (JOINT_RATE, 1.0 / 7.0, 125.0), "default": (JOINT_RATE, 1.0 / 7.0, 125.0),
     "tuned": (26.0, 0.087, 125.0), "robust": (17.0, 0.133, 85.0),
 }  # fmt: skip
-"""By table: K_N2 / inertia [1/s], D_N2 / K_N2, and largest (K_N2 + D_N2) / inertia [1/s]."""
+"""For each table: K_N2 / inertia [1/s], D_N2 / K_N2, and upper bound on (K_N2 + D_N2) / inertia [1/s]."""
 CARTESIAN_RATE = 160.0
-"""Largest D_X or D_N divided by mass [1/s]: 0.72 of the stability limit with three ticks of delay at 500 Hz."""
+"""Upper bound on D_X / mass and D_N / mass [1/s]: 0.72 of the stability limit with three ticks of delay at 500 Hz."""
 CARTESIAN: Mapping[str, tuple[float, float, float, float]] = {
     "dcac": (2000.0, 20.0, 600.0, 10.0), "moc": (3000.0, 30.0, 800.0, 10.0), "default": (3000.0, 80.0, 800.0, 60.0),
     "tuned": (3000.0, 80.0, 1670.0, 74.2), "robust": (3000.0, 50.0, 1670.0, 74.2),
@@ -37,7 +37,7 @@ def derived_gains(robot: RobotModel) -> dict[str, Table]:
     """Derive the tables of `CARTESIAN` from the arm's inertia.
 
     K_N2 of joint i is a rate times M_ii at the home pose, and D_N2 is a share of K_N2. The other gains are those of the
-    LWR4+. Gains are lowered to the limits in `JOINTS` and `CARTESIAN_RATE`.
+    LWR4+. Gains above the bounds in `JOINTS` and `CARTESIAN_RATE` are lowered to these bounds.
     """
     inertia = np.diag(robot.state(robot.data.q_home).M)
     inverse_masses = largest_inverse_masses(robot)

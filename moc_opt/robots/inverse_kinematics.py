@@ -19,7 +19,7 @@ class Placed(NamedTuple):
     """The result of a search for a pose."""
 
     q: Array  #: (n,) inside the limits [rad]
-    miss_m: float  #: Larger distance of tip or wrist from its point [m].
+    miss_m: float  #: The larger of the distances of tip and wrist from their points [m].
     at_limit: tuple[int, ...]  #: Joints (from 0) at a limit.
 
     @property
@@ -44,7 +44,7 @@ def solve_pose(
         if value.shape not in shapes:
             raise RobotError(f"{name} has shape {value.shape}: give {' or '.join(map(str, shapes))}")
         if not np.isfinite(value).all():
-            raise RobotError(f"{name} = {value.tolist()} is not finite: check the sensor or step that gave it")
+            raise RobotError(f"{name} = {value.tolist()} is not finite: check the sensor or code that it comes from")
     miss, best = robot.arm.nearest_pose(low, high, points, begin, iterations)
     stuck = np.flatnonzero((best <= low) | (best >= high))
     return Placed(best, miss, tuple(stuck.tolist()))
@@ -55,24 +55,24 @@ def pose_with_tip(robot: RobotModel, q: ArrayLike, tip: ArrayLike) -> Array:
     placed = solve_pose(robot, q, tip, iterations=200)
     if not placed.found:
         raise TaskError(
-            f"incision = {np.round(np.asarray(tip), 4).tolist()} m is out of reach: the tip gets to "
-            f"{1e3 * placed.miss_m:.0f} mm from it; move the patient or the robot's base"
+            f"incision = {np.round(np.asarray(tip), 4).tolist()} m is out of reach: the tip comes no closer than "
+            f"{1e3 * placed.miss_m:.0f} mm; move the patient or the robot's base"
         )
     return placed.q
 
 
 def pose_through(robot: RobotModel, tip: ArrayLike, trocar: ArrayLike) -> Array:
-    """Find a pose (n,) with the tip at a point and the shaft through the trocar.
+    """Find a pose (n,) with the tip at a point (3,) [m] and the shaft through the trocar (3,) [m].
 
-    Both are (3,) [m]. A TaskError is raised if no pose is found.
+    A TaskError is raised if no pose is found.
     """
     x, p = np.asarray(tip, dtype=np.float64), np.asarray(trocar, dtype=np.float64)
     length = robot.data.tool_length
     depth = float(np.linalg.norm(p - x))
     if not 1e-3 < depth < length:
         raise TaskError(
-            f"trocar = {np.round(p, 4).tolist()} m is {1e3 * depth:.0f} mm from the tip: it must lie on the tool, "
-            f"1 to {1e3 * length:.0f} mm from its tip; move it, or lengthen the tool"
+            f"trocar = {np.round(p, 4).tolist()} m is {1e3 * depth:.0f} mm from the tip: the trocar must lie on the "
+            f"tool, 1 to {1e3 * length:.0f} mm from the tip; move the trocar, or lengthen the tool"
         )
     wrist, _ = desired_wrist(x, 0.0, p, 0.0, robot.state(robot.data.q_home).tool_span)
     tried = [solve_pose(robot, robot.data.q_home, x, wrist, iterations=100)]
@@ -85,7 +85,7 @@ def pose_through(robot: RobotModel, tip: ArrayLike, trocar: ArrayLike) -> Array:
         nearest = min(tried, key=lambda each: each.miss_m)
         raise TaskError(
             f"trocar = {np.round(p, 4).tolist()} m is out of reach with the tip at {np.round(x, 4).tolist()} m: "
-            f"tip or wrist stays {1e3 * nearest.miss_m:.0f} mm away; move the trocar or the task towards the arm, or "
-            "turn the line between them"
+            f"tip or wrist stays {1e3 * nearest.miss_m:.0f} mm off; move the trocar or the task towards the arm, or "
+            "turn the line from the trocar to the tip"
         )
     return max(good, key=lambda q: np.minimum(robot.q_max - q, q - robot.q_min).min())

@@ -52,7 +52,7 @@ class Tool(_Table):
 
 
 class Limits(_Table):
-    """Joint limits that replace those of the URDF; not for arms with sliding joints."""
+    """Joint limits that replace those of the URDF. Keys in degrees are refused if a joint slides."""
 
     KIND: ClassVar[str] = "[limits]"
     q_min_deg: Vector | None = None
@@ -78,7 +78,7 @@ class Home(_Table):
 
 
 class RobotDescription(_Table):
-    """The whole TOML file; `urdf` is relative to the file itself."""
+    """The whole TOML file; the path `urdf` is relative to the folder of the TOML."""
 
     KIND: ClassVar[str] = "robot"
     name: Name
@@ -199,7 +199,7 @@ def _find(name_or_path: str | os.PathLike[str]) -> Path:
     beside = path.with_suffix(".toml")
     if not beside.is_file():
         raise RobotError(
-            f"robot file {str(beside)!r} does not exist: a URDF needs a TOML of its name beside it; "
+            f"robot file {str(beside)!r} does not exist: a URDF needs a TOML of the same name in its folder; "
             f"`moc-opt robot new {path.name} --out my.toml` writes one from a vendor's URDF"
         )
     return beside
@@ -227,12 +227,12 @@ def _limits(given: Limits, chain: list[urdf.Joint]) -> dict[str, Array]:
         values, degrees = getattr(given, entry), field != "tau_max"
         if values is not None:
             if degrees and any(joint.kind == "prismatic" for joint in chain):
-                raise RobotError(f"limits.{entry} is in degrees, but a joint slides: put its limits into the URDF")
+                raise RobotError(f"limits.{entry} is in degrees, but a joint slides: put these limits into the URDF")
             vector = _vector(f"limits.{entry}", values, len(chain))
             found[field] = np.radians(vector) if degrees else vector
             continue
         if lost := [joint.name for joint in chain if key not in joint.limits]:
-            raise RobotError(f"{field}: joints {lost} have no {key!r} in their <limit>: add it, or limits.{entry}")
+            raise RobotError(f"{field}: joints {lost} have no {key!r} in their <limit>: add it, or give limits.{entry}")
         found[field] = np.array([joint.limits[key] for joint in chain])
     for joint, low, high, speed, torque in zip(chain, *found.values(), strict=True):
         where = f"of joint {joint.name!r}"
@@ -263,7 +263,7 @@ def _append_tool(arm: urdf.Urdf, frames: Frames, tool: Tool) -> None:
     if off > 1e-6 or along + length <= 0:
         raise RobotError(
             f"frames.wrist_xyz_m = {frames.wrist_xyz_m} is {off:.3g} m off the tool's axis or past the tip: "
-            "put it on the line of the shaft, behind the tip (the tool mount itself will do)"
+            "put the wrist on the tool's axis, behind the tip (for example at tool_mount_xyz_m)"
         )
     across, about = m * (3 * r * r + length * length) / 12, m * r * r / 2
     moments = (across, across, about, 0.0, 0.0, 0.0)

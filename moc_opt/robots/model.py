@@ -22,7 +22,7 @@ from moc_opt.robots.chain import Chain, Kinematics, build_kinematics
 from moc_opt.robots.gains import CARTESIAN, derived_gains
 from moc_opt.robots.loader import RobotData, load_data
 
-_STRUCTURAL_ZERO = 1e-12  # a Jacobian's column below this at random poses is zero everywhere
+_STRUCTURAL_ZERO = 1e-12  # a Jacobian's column with a smaller norm at random poses counts as zero everywhere
 _TIP, _WRIST = slice(0, 3), slice(3, 6)
 
 
@@ -91,7 +91,7 @@ class RobotState:
     wrist = _part("wrist", "Wrist centre N (3,) [m].")
     tool_direction = _part("u", "u = (X - N)/L (3,), the unit vector along the shaft.")
     tool_span = _scalar(1, "L = |X - N| [m], constant.")
-    A = _part("A", "[J_tip; J_wrist] (6,n), of rank 5: tip and wrist are rigidly tied.", shape=(6, 0))
+    A = _part("A", "[J_tip; J_wrist] (6,n), of rank 5 at most: |X - N| is constant.", shape=(6, 0))
     J_tip = _part("A", "Translational Jacobian of the tip (3,n), world axes [m/rad].", rows=_TIP, shape=(6, 0))
     J_wrist = _part("A", "Translational Jacobian of the wrist (3,n), world axes [m/rad].", rows=_WRIST, shape=(6, 0))
     drift_tip = _part("drift", "dJ_tip/dt v (3,) [m/s^2].", rows=_TIP)
@@ -112,10 +112,10 @@ class RobotModel:
     """The arm with its tool.
 
     Attributes:
-        data: the contents of its files, a `moc_opt.robots.RobotData`.
+        data: the contents of the robot's files, a `moc_opt.robots.RobotData`.
         n: number of joints.
         q_min, q_max: (n,) limits [rad; m where a joint slides].
-        v_max: (n,) largest speeds [rad/s or m/s]; tau_max: (n,) largest torques [Nm or N].
+        v_max: (n,) speed limits [rad/s or m/s]; tau_max: (n,) torque limits [Nm or N].
         moves: (2,n) whether each joint can move the tip (first row) and the wrist.
         arm: the arm for the compiled core.
 
@@ -179,7 +179,7 @@ class RobotModel:
         for name, value in (("q", q), ("v", v)):
             if not np.isfinite(value).all():
                 numbers = value.tolist()
-                raise RobotError(f"{name} = {numbers} is not finite: check the sensor or step that gave it")
+                raise RobotError(f"{name} = {numbers} is not finite: check the sensor or code that it comes from")
         return RobotState(self.arm.terms(q, v), self.n)
 
     def mu_along(self, poses: Array) -> Array:
@@ -218,7 +218,7 @@ class RobotModel:
         return build_kinematics(self.data.name, self.chain)
 
     def random_regular_pose(self, rng: np.random.Generator, *, margin: float = 0.1, mu_min: float = 0.05) -> Array:
-        """Draw a pose (n,) with mu > `mu_min`, `margin` times the range inside the limits."""
+        """Draw a pose (n,) with mu > `mu_min`, and each joint at least `margin` times its range from its limits."""
         room = margin * (self.q_max - self.q_min)
         for _ in range(1000):
             q = rng.uniform(self.q_min + room, self.q_max - room)
@@ -229,7 +229,7 @@ class RobotModel:
     def _numbers(self, name: str, value: ArrayLike, dimensions: int = 1) -> Array:
         shape = f"({'k, ' if dimensions > 1 else ''}{self.n},)"
         try:
-            array = np.array(value, dtype=np.float64, order="C")  # the core needs this order
+            array = np.array(value, dtype=np.float64, order="C")  # the core needs the order "C"
         except (TypeError, ValueError, OverflowError) as error:
             raise RobotError(f"{name} = {shown(value)} is not numeric: give numbers {shape}") from error
         if array.ndim != dimensions or array.shape[-1] != self.n:
@@ -250,7 +250,7 @@ def link_frames(robot: RobotModel, poses: Array) -> tuple[Array, Array]:
 def load_robot(
     name_or_path: str | os.PathLike[str] = "lwr4", *, tool_length: float | None = None, tool_mass: float | None = None
 ) -> RobotModel:
-    """Load a robot by name or path. Gains that its TOML lacks are derived from its inertia.
+    """Load a robot by name or path. Gains that its TOML lacks are derived from the arm's inertia.
 
     Args:
         name_or_path: an arm of the package, or a TOML or URDF file; a RobotError says what is wrong.

@@ -25,17 +25,17 @@ from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.layout import lay_out
 
 DRAWS = 6000  #: Number of random poses from which the home pose is chosen.
-SHORTLIST = 60  #: Number of best poses whose self-motion is scanned.
-DOWN = (0.94, 0.8, -1.0)  #: Cosines of the tool's largest angle from straight down: 20, 37, 180 deg.
-CLEARANCE_M = 0.05  #: Least distance of tip and wrist from the base's plane [m].
-MARGIN = 0.2  #: Least distance from a joint limit, divided by half the range.
-REGULAR = (0.15, 0.08)  #: Least `Freedoms.tip` and `.both` of a home pose.
+SHORTLIST = 60  #: Number of the best poses, whose self-motions are scanned.
+DOWN = (0.94, 0.8, -1.0)  #: Cosines of angles: the tool may be 20, then 37, then 180 deg away from straight down.
+CLEARANCE_M = 0.05  #: Lower bound on the distance of tip and wrist from the base's plane [m].
+MARGIN = 0.2  #: Lower bound on the distance from a joint limit, divided by half the range.
+REGULAR = (0.15, 0.08)  #: Lower bounds on `Freedoms.tip` and `.both` of a home pose.
 SHARE = (0.7, 0.9)
-"""Range of mu / (largest mu on the self-motion) at home, so that mu can rise."""
+"""Wanted range of mu / (largest mu on the self-motion) at home, which leaves mu room to rise."""
 
 
 class NewRobot(NamedTuple):
-    """The files that were written, their robot, and notes."""
+    """The files that were written, their robot, and the notes in the TOML."""
 
     toml: Path
     urdf: Path
@@ -47,21 +47,21 @@ def new_robot(
     source: Path, out: Path, *, tip: str | None = None, tool_m: float = 0.30,
     lock: Mapping[str, float] | None = None, base_rpy: tuple[float, float, float] = (0.0, 0.0, 0.0), seed: int = 0,
 ) -> NewRobot:  # fmt: skip
-    """Write ``out`` (a TOML) and a URDF beside it. Neither may exist yet.
+    """Write ``out`` (a TOML) and a URDF beside it. Neither file may exist yet.
 
     Args:
         source: the vendor's URDF.
         tip: the link that carries the tool, by default the link beyond the last moving joint.
         tool_m: length of the tool [m].
         lock: joints to be fixed, each with its position [rad, m].
-        base_rpy: roll, pitch, yaw of the base [rad]; (pi, 0, 0) hangs from the ceiling.
+        base_rpy: roll, pitch, yaw of the base [rad]; with (pi, 0, 0) the arm hangs from the ceiling.
 
     Raises:
         RobotError: the file is no serial arm, no null space is left, or an output file exists.
         UnknownNameError: ``tip`` or a joint of ``lock`` is not in the file.
     """
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}\.toml", out.name):
-        raise RobotError(f"--out {out.name!r}: the robot gets this name: give letters, digits, _ and -, then .toml")
+        raise RobotError(f"--out {out.name!r}: the file names the robot: give letters, digits, _ and -, then .toml")
     for option, value, least, most in (
         ("tool", tool_m, 1e-3, 10.0), ("seed", seed, 0, 2**63), *(("base-rpy", angle, -10, 10) for angle in base_rpy),
         *((f"lock {joint}", place, -1e3, 1e3) for joint, place in (lock or {}).items()),
@@ -71,7 +71,7 @@ def new_robot(
     beside = out.with_suffix(".urdf")
     for file in (out, beside):
         if file.exists():
-            raise RobotError(f"{str(file)!r} exists: choose another --out, or move it away")
+            raise RobotError(f"{str(file)!r} exists: choose another --out, or move this file away")
         check_replaceable(file, "robot file", RobotError)
     arm, name = read_vendor(source, tip=tip, lock=lock, base_rpy=base_rpy), out.stem
     shaft = find_shaft(arm.urdf.to_text(name), arm.last_link)
@@ -95,12 +95,12 @@ def new_robot(
             for joint, effort in zip(arm.chain, enough_efforts(robot), strict=True):
                 joint.limits["effort"] = effort if joint.name in arm.weak else joint.limits["effort"]
             weak = ", ".join(arm.weak)
-            arm.notes.append(f"{weak}: no usable torque limit: one is derived from the arm's masses")
+            arm.notes.append(f"{weak}: no usable torque limit: a limit is derived from the arm's masses")
             robot = write(draft, middle)
         home = search_home(robot, seed=seed)
         gains = derived_gains(write(draft, home.q))
     if home.task:
-        arm.notes.append(f"home pose: the default task cannot be done from it: {home.task}")
+        arm.notes.append(f"the default task cannot be done from the home pose: {home.task}")
     robot = write(out, home.q, home=home, gains=gains)
     return NewRobot(out, beside, robot, arm.notes)
 
@@ -138,7 +138,7 @@ _FORM.filters.update(numbers=_numbers, comment=_comment)
 
 
 class Shaft(NamedTuple):
-    """The tool's place in the last link's frame; rpy turns z into its direction."""
+    """The tool's place in the last link's frame; rpy turns the frame's z into the tool's direction."""
 
     wrist: Array  #: (3,) [m]
     mount: Array  #: (3,) [m]
@@ -169,19 +169,19 @@ def find_shaft(text: str, last_link: str) -> Shaft:
             b, gap = float(axis @ before), other - point
             foot = point + (gap @ axis - b * (gap @ before)) / (1.0 - b * b) * axis
         ahead = float(axis @ (origin - foot))
-        if abs(ahead) < 1e-4:  # at the crossing, the link's z axis decides
+        if abs(ahead) < 1e-4:  # the link's origin is at the wrist point, so the link's z axis decides
             ahead = float(axis @ z) if abs(float(axis @ z)) > 0.5 else 1.0
         on_axis = point + (origin - point) @ axis * axis
         direction, note = np.sign(ahead) * axis, "the tool runs along the last axis"
         if np.linalg.norm(origin - on_axis) < 1e-6:
             origin = on_axis
         else:
-            note = "the last link is off the last axis: the tool runs parallel to it, and no joint is idle"
+            note = "the last link is off the last axis: the tool runs parallel to this axis, so no joint is idle"
     behind = float((origin - foot) @ direction)
     if behind < 1e-6:
         behind, note = 0.0, f"{note}; the wrist point is the mount"
     else:
-        note = f"{note}; the wrist point, {behind:.4g} m behind the mount, is the nearest to the previous axis"
+        note = f"{note}; the wrist point, {behind:.4g} m behind the mount, is its point nearest to the previous axis"
     down = place.rotation.T @ direction
     mount = place.rotation.T @ (origin - place.translation)
     across = math.hypot(down[0], down[1])
@@ -193,13 +193,13 @@ def find_shaft(text: str, last_link: str) -> Shaft:
 
 
 class Home(NamedTuple):
-    """A home pose, and the figures that rank it."""
+    """A home pose, and the values by which it is ranked."""
 
     q: Array  #: (n,) [rad, m]
     mu: float  #: [m^3]
     mu_best: float  #: Largest mu on its self-motion curve [m^3].
     margin: float  #: Least distance to a joint limit, divided by half the range.
-    task: str  #: Why the default task fails; empty if it can be done.
+    task: str  #: Why the default task fails; empty if the task can be done.
 
     @property
     def order(self) -> tuple[bool, float]:
@@ -208,10 +208,10 @@ class Home(NamedTuple):
 
 
 def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
-    """Search the joint ranges for a home pose; a RobotError if none is fit.
+    """Search the joint ranges for a home pose; a RobotError if no pose is fit.
 
-    Poses are ranked by mu and by their distance from limits and singularities. The angle of `DOWN` grows until a pose
-    can follow the default path.
+    Poses are ranked by mu and by their distance from limits and singularities. The next angle of `DOWN` is tried only
+    if from no pose so far the arm can follow the default path.
     """
     rng, idle = np.random.default_rng(seed), ~robot.moves.any(axis=0)
     middle, half = 0.5 * (robot.q_min + robot.q_max), 0.5 * (robot.q_max - robot.q_min)
@@ -228,14 +228,14 @@ def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
             break
     if not found:
         raise RobotError(
-            f"home pose: {DRAWS} poses drawn, each with a joint near its limit, the tip below the base, or singular "
-            f"(singular values below {REGULAR} of the largest): is the last link right, and do the limits leave room?"
+            f"home pose: none of {DRAWS} random poses has tip and wrist clear of the base's plane and is regular "
+            f"(singular values above {REGULAR} of the largest): is the last link right, and are the limits wide enough?"
         )
     return min(found, key=lambda home: home.order)
 
 
 def _ranked(robot: RobotModel, poses: Array) -> list[Home]:
-    """Return home poses, the best first, up to the first fit one."""
+    """Return home poses, the best first, up to the first from which the task can be done with mu in `SHARE`."""
     moving, mu = robot.moves.any(axis=0), robot.mu_along(poses)
     scores = np.full(len(poses), -np.inf)
     for k, q in enumerate(poses):
@@ -250,7 +250,7 @@ def _ranked(robot: RobotModel, poses: Array) -> list[Home]:
         except RobotError:
             continue  # the curve meets a singularity
         here = robot.state(q).mu
-        # Following the path is slow, so only likely homes try it.
+        # `task_fault` is slow, so only the first pose and poses with mu in `SHARE` are tried.
         wanted = SHARE[0] <= here / largest <= SHARE[1]
         task = task_fault(robot, q) if wanted or not homes else "not tried"
         homes.append(Home(q, here, largest, float(limit_shares(robot, q)[moving].min()), task))

@@ -22,9 +22,9 @@ MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 SMALLEST_MASS, SMALLEST_MOMENT = 1e-6, 1e-12
 MOST_LINKS = 250  #: Physics engines crash on chains of some thousands of links.
 _TRIANGLE, _FLAT, _THIN = 1e-6, 1e-9, 1e-12  # margins for rounding, relative to the largest moment
-SMALLEST = 1e-30  #: A smaller number is read as 0, because some readers refuse it.
+SMALLEST = 1e-30  #: Numbers nearer to 0 are read as 0, because some programs refuse them.
 LARGEST, LARGEST_MASS, FARTHEST = 1e6, 1e5, 100.0
-"""Largest number in a file, mass [kg], and length or angle of an origin [m, rad]."""
+"""Upper bounds on numbers in a file, on masses [kg], and on lengths and angles of an origin [m, rad]."""
 
 Numbers = tuple[float, ...]
 _ZEROS: Numbers = (0.0, 0.0, 0.0)
@@ -160,7 +160,7 @@ def _place(element: ET.Element, where: str) -> tuple[Numbers, Numbers]:
 def _one(parent: ET.Element, tag: str, where: str) -> ET.Element | None:
     found = parent.findall(tag)
     if len(found) > 1:
-        raise RobotError(f"urdf: {where} has {len(found)} <{tag}>: leave one, readers differ in which they take")
+        raise RobotError(f"urdf: {where} has {len(found)} <{tag}>: keep only one, programs differ in which they take")
     return found[0] if found else None
 
 
@@ -202,7 +202,7 @@ def _check_body(link: Link) -> None:
     if link.mass < SMALLEST_MASS:
         fault = f"its mass is {link.mass:g} kg and must be {SMALLEST_MASS:g} or more"
     if fault:
-        cure = "correct it (about the centre of mass, in kg and kg m^2), or drop it to make the link a frame"
+        cure = "correct it (about the centre of mass, in kg and kg m^2), or remove it to make the link a frame"
         raise RobotError(f"urdf link {link.name!r} has an <inertial> that no body can have: {fault}; {cure}")
     # Rounding would otherwise decide whether MuJoCo accepts a flat body.
     least, middle, most = principal(link.moments)
@@ -214,7 +214,7 @@ def _check_joint(joint: Joint) -> None:
     if joint.kind not in MOVING | {"fixed"}:
         raise RobotError(f"urdf {where} has type {joint.kind!r}: use revolute, prismatic, continuous or fixed")
     if joint.mimics:
-        raise RobotError(f"urdf {where} mimics another: make it fixed (`robot new --lock`) or free")
+        raise RobotError(f"urdf {where} mimics another joint: fix it (`robot new --lock`), or remove its <mimic>")
     if joint.moves:
         length = math.hypot(*joint.axis)
         if length < 1e-3:
@@ -232,7 +232,7 @@ def inertia_fault(moments: Iterable[float]) -> str | None:
         return None
     return (
         f"its principal moments are {least:.4g}, {middle:.4g}, {most:.4g} kg m^2, but each must be at least "
-        f"{SMALLEST_MOMENT:g} and {_THIN:g} of the largest, and none may exceed the sum of the other two"
+        f"{SMALLEST_MOMENT:g} kg m^2 and {_THIN:g} of the largest, and none may exceed the sum of the other two"
     )
 
 
@@ -244,7 +244,7 @@ def principal(moments: Iterable[float]) -> list[float]:
 
 
 class Tree:
-    """The tree of links; a RobotError if there is none.
+    """The tree of links; a RobotError if the links form no tree.
 
     ``carrier`` maps a link to the joint on which it hangs, and ``carried`` to the joints that hang on it.
     """
@@ -255,26 +255,26 @@ class Tree:
         for kind, parts in (("link", arm.links), ("joint", arm.joints)):
             name, times = Counter(part.name for part in parts).most_common(1)[0]
             if times > 1:
-                raise RobotError(f"urdf has {times} {kind}s named {name!r}: give each a name of its own")
+                raise RobotError(f"urdf has {times} {kind}s named {name!r}: give them different names")
         self.links = [link.name for link in arm.links]
         self.carrier: dict[str, Joint] = {}
         self.carried: dict[str, list[Joint]] = defaultdict(list)
         for joint in arm.joints:
             for link in (joint.parent, joint.child):
                 if link not in self.links:
-                    raise RobotError(f"urdf joint {joint.name!r} names link {link!r:.80}: there is none, add it")
+                    raise RobotError(f"urdf joint {joint.name!r} names link {link!r:.80}, which is missing: add it")
             if joint.child in self.carrier:
                 other = self.carrier[joint.child].name
-                raise RobotError(f"urdf joints {other!r} and {joint.name!r} both carry link {joint.child!r}: leave one")
+                raise RobotError(f"urdf joints {other!r} and {joint.name!r} both carry link {joint.child!r}: keep one")
             if joint.child == "world":
-                raise RobotError(f"urdf joint {joint.name!r} carries a link 'world', MuJoCo's base: rename it")
+                raise RobotError(f"urdf joint {joint.name!r} carries a link 'world', MuJoCo's base: rename the link")
             self.carrier[joint.child] = joint
             self.carried[joint.parent].append(joint)
         bases = [link for link in self.links if link not in self.carrier]
         if len(bases) > 1:
-            raise RobotError(f"urdf links {bases[:5]} hang on no joint: one base is needed, fix the others to it")
+            raise RobotError(f"urdf links {bases[:5]} hang on no joint: only one may be the base, fix the others to it")
         if lost := sorted(set(self.links).difference(*map(self.reach, bases))):
-            raise RobotError(f"urdf joints form a loop at links {lost[:5]}: they hang on each other and not on a base")
+            raise RobotError(f"urdf joints form a loop: links {lost[:5]} hang on each other and not on a base")
         self.base = bases[0]
 
     def chain(self, last_link: str, named: str) -> list[Joint]:
@@ -295,7 +295,7 @@ class Tree:
         return found[::-1]
 
     def reach(self, link: str, *, fixed: bool = False) -> list[str]:
-        """Return a link and all links that hang on it; with ``fixed``, only by fixed joints."""
+        """Return a link and all links that hang on it; with ``fixed``, only those that hang on it by fixed joints."""
         found = [link]
         for one in found:  # grows during the iteration
             found += [joint.child for joint in self.carried[one] if not fixed or joint.kind == "fixed"]

@@ -20,14 +20,14 @@ FINGERS = 2  #: A branch with at most this many moving joints is a finger.
 FASTEST = {"turning": 2.0 * math.pi, "sliding": 2.0}
 """Largest plausible joint speeds [rad/s, m/s]."""
 CHOSEN = {"turning": 2.0, "sliding": 0.5}  #: Speed limits that replace missing or implausible ones [rad/s, m/s].
-TRAVEL_M = 0.5  #: Range of a sliding joint without limits, to either side [m].
+TRAVEL_M = 0.5  #: A sliding joint without limits gets this range to either side [m].
 _STRONGEST = {"turning": 2000.0, "sliding": 20000.0}  # largest plausible effort [Nm, N]
 _UNITS = {"turning": ("rad", "rad/s"), "sliding": ("m", "m/s")}
 
 
 @dataclass
 class VendorArm:
-    """One serial arm: other joints are fixed, and each joint has all limits."""
+    """A serial arm: joints outside its chain are fixed, and each joint of the chain has all four limits."""
 
     urdf: Urdf
     notes: list[str]  #: Assumptions and changes.
@@ -54,14 +54,14 @@ def read_vendor(
     tree = urdf.Tree(arm.urdf)
     arm.last_link = _last_link(tree) if tip is None else tip
     arm.chain = tree.chain(arm.last_link, "--tip")
-    arm.notes.append(f"the tool sits on {arm.last_link!r}, the link {'asked for' if tip else 'of the last joint'}")
+    arm.notes.append(f"the tool sits on {arm.last_link!r}, the link of {'--tip' if tip else 'the last joint'}")
     mend_bodies(arm.urdf.links, arm.notes)
-    between = tree.path(arm.last_link)[len(tree.path(arm.chain[0].parent)) :]  # not fixed; `normalize` checks them
+    between = tree.path(arm.last_link)[len(tree.path(arm.chain[0].parent)) :]  # stay as read; `normalize` checks them
     _fix([joint for joint in arm.urdf.joints if joint not in between and joint.kind != "fixed"], arm.notes)
     if any(base_rpy):
         arm.urdf.links.insert(0, Link("stand"))
         arm.urdf.joints.append(Joint("stand_joint", "fixed", "stand", tree.base, rpy=base_rpy))
-        arm.notes.append(f"the base stands turned by {', '.join(f'{a:g}' for a in base_rpy)} rad about x, y, z")
+        arm.notes.append(f"the base is turned by {', '.join(f'{a:g}' for a in base_rpy)} rad about x, y, z")
     arm.weak = _choose_limits(arm.chain, arm.notes)
     urdf.normalize(arm.urdf)
     return arm
@@ -72,7 +72,7 @@ def _rename(arm: VendorArm) -> None:
         for part in parts:
             if part.name in urdf.TOOL_NAMES[kind] | {"world"}:
                 old, part.name = part.name, f"{part.name}_{kind}"
-                arm.notes.append(f"{kind} {old!r} is called {part.name!r} here: the name is taken")
+                arm.notes.append(f"{kind} {old!r} is renamed to {part.name!r}: the old name is reserved")
                 for joint in arm.urdf.joints if kind == "link" else ():
                     joint.parent = part.name if joint.parent == old else joint.parent
                     joint.child = part.name if joint.child == old else joint.child
@@ -99,7 +99,7 @@ def _last_link(tree: urdf.Tree) -> str:
 
 
 def _depth(tree: urdf.Tree, joint: Joint) -> int:
-    """Return the largest number of moving joints on a path from here outwards."""
+    """Return the largest number of moving joints on a path outwards that begins with ``joint``."""
     return joint.moves + max((_depth(tree, other) for other in tree.carried[joint.child]), default=0)
 
 
@@ -135,7 +135,7 @@ def _shift(joint: Joint, value: float) -> None:
 def mend_bodies(links: Iterable[Link], notes: list[str]) -> None:
     """Make every body physically possible, in place, and note each change.
 
-    A link without mass becomes a frame. An impossible inertia gets the smallest isotropic addition.
+    A link without mass becomes a frame. An impossible inertia is increased equally about all axes until it is possible.
     """
     frames = []
     for link in links:
@@ -148,10 +148,10 @@ def mend_bodies(links: Iterable[Link], notes: list[str]) -> None:
             least, middle, most = urdf.principal(link.moments)
             lacking = max(most - least - middle, 1e-3 * most - least, 10.0 * urdf.SMALLEST_MOMENT - least)
             added = lacking * (1.0 + 1e-6) + 1e-12
-            notes.append(f"link {link.name!r} has an inertia that no body has, {fault}: {added:.3g} kg m^2 is added")
+            notes.append(f"link {link.name!r} has an inertia that no body has: {fault}; {added:.3g} kg m^2 is added")
             link.thicken(added)
     if frames:
-        notes.append(f"frames without mass, merged into what they are fixed to: {', '.join(frames)}")
+        notes.append(f"links without mass, which become mere frames: {', '.join(frames)}")
 
 
 def _choose_limits(joints: Iterable[Joint], notes: list[str]) -> list[str]:
@@ -174,7 +174,7 @@ def _choose_limits(joints: Iterable[Joint], notes: list[str]) -> list[str]:
 
 
 def _range(joint: Joint, kind: str) -> tuple[float, float, str]:
-    """Return a range, and why it is not the URDF's (else empty)."""
+    """Return the joint's range, and why it differs from the URDF's range ("" if it does not)."""
     lower, upper = joint.limits.get("lower", 0.0), joint.limits.get("upper", 0.0)
     if joint.kind == "continuous":
         return -math.pi, math.pi, "turns without end: +-180 deg is taken"

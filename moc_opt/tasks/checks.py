@@ -22,7 +22,7 @@ def number(name: str, value: object, above: float = -math.inf) -> float:
 
 
 def positive(name: str, value: object) -> float:
-    """Return the value as a float; a TaskError if it is not finite and above zero."""
+    """Return the value as a float; a TaskError if not finite or not above zero."""
     return number(name, value, above=0.0)
 
 
@@ -51,7 +51,7 @@ def direction3(name: str, value: ArrayLike) -> Array:
 
 
 def sampled(name: str, value: TimeLike, rows: Callable[[Array], Array]) -> Array:
-    """Evaluate `rows` at a number or a vector (k,), as (m, 3) or (m, k, 3).
+    """Evaluate `rows` at a number, with the result (m, 3), or at a vector (k,), with the result (m, k, 3).
 
     `rows` maps (k,) to (k, m, 3). Raise a TaskError if `value` is neither a number nor a vector.
     """

@@ -45,7 +45,7 @@ class ArcLength:
             coefficients = _hermite(w, lengths, *speed(w))
             if _worst(speed, w, lengths, coefficients) <= 1e-10 * min(1.0, float(s[-1])):
                 self.knots, self.length = read_only(s), float(s[-1])
-                # Indexing an array would be slower.
+                # Lists, because indexing an array would be slower.
                 self._starts: list[float] = s[:-1].tolist()
                 self._lengths: list[float] = lengths.tolist()
                 self._coefficients: list[list[float]] = coefficients.tolist()
@@ -102,7 +102,7 @@ def line(length: float = 0.04) -> PlanarCurve:
 
 
 def circle(radius: float = 0.03) -> PlanarCurve:
-    """One full turn of the given radius [m] to the left; the heading is the first tangent."""
+    """A full circle to the left with the given radius [m]; the heading is the first tangent."""
     r = positive("radius", radius)
 
     def at(s: float) -> PlanePoint:

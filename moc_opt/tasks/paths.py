@@ -25,7 +25,7 @@ GROUP = "moc_opt.tasks"
 WAYPOINTS = "waypoints"
 MOST = 1000  #: Largest number of waypoints.
 FARTHEST_M = 1000.0  #: Largest distance of a waypoint from the start along each axis [m].
-_SLOWEST = 0.05  # smallest |dp/dw| (w: chord length); below it, the path turns back on the spot
+_SLOWEST = 0.05  # threshold of |dp/dw| (w: chord length); below it, the path turns back on the spot
 
 
 class Path:
@@ -80,7 +80,7 @@ class Waypoints(Path):
     """A natural cubic spline over the chord length, from `start` through every waypoint."""
 
     def __init__(self, points: ArrayLike, start: ArrayLike, *, normal: ArrayLike, heading: ArrayLike) -> None:
-        """Lay the path through points (k, 3) [m] from the start, along heading, left and normal.
+        """Lay the path through points (k, 3) [m]: distances from the start along heading, left and normal.
 
         Raise a TaskError if points are unusable, two in a row are equal, or the path turns back on the spot.
         """
@@ -134,15 +134,15 @@ class Waypoints(Path):
         if not speed[slowest] > _SLOWEST:
             near = inside[int(np.argmin(np.abs(self._at - fine[slowest])))].tolist()
             raise TaskError(
-                f"the path turns back on the spot near waypoint {near}: add points beside it, so that it turns in a "
-                "curve"
+                f"the path turns back on the spot near waypoint {near}: add points beside this waypoint, so that the "
+                "path turns in a curve"
             )
 
 
 def _checked(points: ArrayLike) -> Array:
     found = vector3("waypoints", points, rows=True)
     for point in found[np.abs(found).max(axis=1, initial=0.0) > FARTHEST_M].tolist():
-        raise TaskError(f"waypoint {point}: give at most {FARTHEST_M:g} m from the start; the unit is m")
+        raise TaskError(f"waypoint {point}: give points at most {FARTHEST_M:g} m from the start; the unit is m")
     if not 1 <= len(found) <= MOST or not found.any():
         raise TaskError(f"{len(found)} waypoints: give 1 to {MOST}, at least one of them off the start")
     return found
@@ -171,7 +171,7 @@ def kinds() -> dict[str, str]:
 
 
 def sizes(kind: str, given: Iterable[str] = ()) -> dict[str, Any]:
-    """Return the default of every size of a path; `inspect.Parameter.empty` if there is none.
+    """Return the default of every size of a path, or `inspect.Parameter.empty` for a size without default.
 
     Raises:
         UnknownNameError: there is no such path, or no such size in ``given``.
@@ -196,7 +196,7 @@ def make_path(
         waypoints: (k, 3) [m], see `Waypoints`; only for the kind "waypoints".
 
     Raises:
-        UnknownNameError: no such kind or size.
+        UnknownNameError: there is no such kind or size.
         TaskError: a size is missing or not positive and finite, or a vector is unusable.
     """
     known = sizes(kind, given)

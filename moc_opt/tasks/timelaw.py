@@ -116,16 +116,16 @@ class Reference:
 class WaitingReference:
     """A reference that stops while a flag is False, and goes on when it is True.
 
-    It begins at rest. X_d, dX_d and ddX_d do not jump. Let tau be the time along the given reference. It advances at
-    the rate sigma in [0, 1]. Then
+    The motion begins at rest. X_d, dX_d and ddX_d do not jump. The time tau along the given reference advances at the
+    rate sigma in [0, 1]. Then
 
         X_d(t) = X(tau(t)),   dX_d = sigma X',   ddX_d = sigma^2 X'' + sigma' X'
 
-    so that |dX_d| <= v_max and |ddX_d| <= 2 a_max. The rate is the flag, filtered by two moving averages.
+    so that |dX_d| <= v_max and |ddX_d| <= 2 a_max. sigma is the flag (0 or 1), filtered by two moving averages.
     """
 
     def __init__(self, reference: Reference, period_s: float) -> None:
-        """Take a reference and the ticks' period [s]; a TaskError if it is not positive."""
+        """Take a reference and the ticks' period [s]; a TaskError if the period is not positive."""
         self.reference, self.period_s = reference, positive("period_s", period_s)
         # Rounded up, so that the rate changes no faster than a_max / v_max.
         long = max(1, math.ceil(reference.v_max / reference.a_max / self.period_s - 1e-9))
@@ -134,7 +134,7 @@ class WaitingReference:
         """Time from the last change of the flag until the rate is 0 or 1 [s]."""
 
     def play(self, go_on: ArrayLike) -> tuple[Array, Array]:
-        """Play the reference with one flag per tick, go_on (N,); a TaskError if not boolean.
+        """Play the reference with one flag per tick, go_on (N,); a TaskError if the flags are not boolean.
 
         Returns:
             X_d [m], dX_d [m/s], ddX_d [m/s^2] as rows (N, 3, 3), and tau (N,) [s].
@@ -162,11 +162,11 @@ def flags_at(times: ArrayLike, seen_times: ArrayLike, seen: ArrayLike) -> NDArra
         seen: (k,) flags of the pictures.
 
     Returns:
-        (N,) flags of the latest pictures; False before the first.
+        (N,) at each tick, the flag of the latest picture; False before the first picture.
     """
     pictures, answers = np.asarray(seen_times, dtype=np.float64), np.asarray(seen, dtype=np.bool_)
     if pictures.ndim != 1 or pictures.shape != answers.shape or (np.diff(pictures) <= 0.0).any():
-        raise TaskError("seen_times: give one rising time [s] for each entry of seen")
+        raise TaskError("seen_times: give one time [s] for each entry of seen, in rising order")
     # Rounding may make a picture's time slightly later than its tick.
     last = np.searchsorted(pictures, np.asarray(times, dtype=np.float64) + 1e-9, side="right")
     return np.concatenate(([False], answers))[last]

@@ -153,7 +153,7 @@ def test_comparison_reports_stopped_runs(tmp_path, capsys):
     file = tmp_path / "far.toml"
     file.write_text("bound_samples = 0\n[guard]\ntip_error_m = 1e-6\ntip_error_s = 0.004\n", encoding="utf-8")
     assert main(["compare", "exact", "--trials", "1", "--scenario", str(file)]) == 3
-    assert "exact: no trial was completed; the first one: stopped" in capsys.readouterr().err
+    assert "exact: no trial was completed; the first trial: stopped" in capsys.readouterr().err
 
 
 def test_solvers_command_passes_its_arguments_to_the_study(monkeypatch):

@@ -94,7 +94,7 @@ def test_wrong_file_of_points_is_refused(text, line, cure, tmp_path):
 
 
 @pytest.mark.parametrize(("arguments", "cure"), [
-    (["--task", "bad.csv"], "bad.csv': there is no point in it"), (["--task", "spirla"], "did you mean 'spiral'"),
+    (["--task", "bad.csv"], "bad.csv': the file contains no point"), (["--task", "spirla"], "did you mean 'spiral'"),
 ])  # fmt: skip
 def test_wrong_task_is_refused_with_a_remedy(arguments, cure, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)

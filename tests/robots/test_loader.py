@@ -126,7 +126,7 @@ def test_mistake_in_a_robot_file_is_named(case: str, tmp_path: Path) -> None:
 
 def test_only_the_base_may_be_called_world(tmp_path: Path) -> None:
     assert load_data(write(tmp_path, urdf=URDF.replace('"link_0"', '"world"'))).n == 7
-    with pytest.raises(RobotError, match=r"joint_3.*a link 'world'.*rename it"):
+    with pytest.raises(RobotError, match=r"joint_3.*a link 'world'.*rename the link"):
         load_data(write(tmp_path, urdf=URDF.replace('"link_3"', '"world"')))
 
 

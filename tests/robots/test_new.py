@@ -43,7 +43,7 @@ def test_every_assumption_is_noted_in_the_robot_file(panda) -> None:
     plain = " ".join(line.lstrip("# -") for line in text.splitlines())
     assert len(panda.notes) >= 6
     assert all(note in plain for note in panda.notes)
-    for word in ("finger_1", "joint_1 turns without end", "10 rad/s", "no usable torque limit", "the link asked for"):
+    for word in ("finger_1", "joint_1 turns without end", "10 rad/s", "no usable torque limit", "the link of --tip"):
         assert word in text
     assert "mesh" not in panda.urdf.read_text(encoding="utf-8")
 
@@ -175,7 +175,7 @@ def test_arm_that_is_singular_everywhere_has_no_home(robot: RobotModel) -> None:
     q_min, q_max = robot.data.q_min.copy(), robot.data.q_max.copy()
     q_min[[1, 3, 5]], q_max[[1, 3, 5]] = -1e-3, 1e-3
     stiff = RobotModel(dataclasses.replace(robot.data, q_min=q_min, q_max=q_max, q_home=np.zeros(7)))
-    with pytest.raises(RobotError, match="home pose: 6000 poses drawn"):
+    with pytest.raises(RobotError, match="home pose: none of 6000 random poses"):
         search_home(stiff)
 
 
@@ -262,7 +262,7 @@ def test_sliding_joints_distance_from_limit_is_in_mm() -> None:
     near[0] = rail.q_max[0] - 0.04
     row = rows(altered(rail, q_home=near))["nearest limit"]
     assert row.verdict == "care"
-    assert "keeps 50 mm free: move home.q_rad 80 mm" in row.cure
+    assert "stops 50 mm before a limit: keep home.q_rad 80 mm away" in row.cure
 
 
 def test_singular_home_has_verdict_cannot(robot: RobotModel) -> None:
@@ -278,7 +278,7 @@ def test_task_out_of_reach_has_verdict_care(robot: RobotModel) -> None:
     asked = Scenario(task={"path": "circle", "sizes": {"radius": 0.5}})
     row = rows(robot, asked)["task from home"]
     assert row.verdict == "care"
-    assert row.cure.startswith("make it smaller, or move home.q_rad: ")
+    assert row.cure.startswith("shrink the path, or move home.q_rad: ")
 
 
 @pytest.mark.parametrize("factor", [0.9, 8.0])
