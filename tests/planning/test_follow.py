@@ -325,3 +325,6 @@ def test_smoothing_keeps_the_limits_of_a_planned_course(tmp_path):
     shares = [speed_shares(robot, course.q_rad, period_s).max() for course in (slow, fast)]
     assert 0.05 < shares[0] < 0.1 + 1e-6 < 0.3 < shares[1]
     assert np.minimum(slow.q_rad - robot.q_min, robot.q_max - slow.q_rad)[:, :6].min() > 0.6 - 1e-6
+    trace = mo.Trace.load(to)
+    mo.Trace(trace.columns, {**trace.meta, "within": {"speed_share": 0.01}}).save(to)
+    assert 0.05 < loaded(scenario)[1].speed_share < 0.1 + 1e-6, "never below the speed of the file's course"

@@ -56,6 +56,8 @@ def test_smoothing_a_course_costs_little_mu(robot):
     gentle = refine(robot, found.targets, found.from_start, limits, smoothness=1e-3)
     turns = [np.abs(np.diff(each.q_rad, 2, axis=0)).max() for each in (gentle, smooth, found.from_start)]
     assert turns[0] < turns[1] < turns[2]
+    steps = np.abs(np.diff(gentle.q_rad, axis=0)).max(axis=1)
+    assert steps[-1] < 0.7 * steps[-2], "the course comes to rest at its end"
 
 
 @given(arrays(float, 3, elements=st.floats(-1.0, 1.0)).filter(lambda shaft: np.linalg.norm(shaft) > 1e-3))
