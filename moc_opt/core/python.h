@@ -44,7 +44,7 @@ typedef struct {
     PyArrayObject *as[MOST_ARGUMENTS];
 } call;
 
-/* Take a call's arguments. If n is 0, an array sets n. On failure, sets an exception and returns false. */
+/* Take a call's arguments. If n is 0, the first array sets n. On failure, sets an exception and returns false. */
 bool moc_take(call *c, int n, const char *name, PyObject *const *args, Py_ssize_t count, const parameter *table,
              int size);
 
