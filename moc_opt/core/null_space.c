@@ -2,7 +2,7 @@
 #include "vec.h"
 
 #define RATE 5.0     /* x_d / (Newton step to the maximum of mu) [1/s] */
-#define LONGEST 1.0  /* longest Newton step [rad] */
+#define LONGEST 1.0  /* a longer Newton step is shortened to this length [rad] */
 #define PROBE 1e-3   /* step of the finite difference [rad] */
 
 bool moc_orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least)

@@ -33,7 +33,7 @@ static double distance(int n, const double *p, const double *q)
 
 /* --- one pose --- */
 
-#define LONGEST 0.25    /* longest step in joint space [rad] */
+#define LONGEST 0.25    /* limit of a step in joint space [rad] */
 #define AT_REST 1e-9    /* a joint is at rest if its entry in the unit tangent is not larger */
 #define DAMPING 4e-12   /* added to the diagonal of A A^T [m^2], because A has only rank 5 */
 
@@ -228,7 +228,7 @@ int plan_follow(const plan_task *task, const double *start, const double *tangen
 
 /* --- climbs --- */
 
-#define SHORTEST 1e-6  /* shortest step of a climb [rad] */
+#define SHORTEST 1e-6  /* a climb ends when its step is shorter [rad] */
 
 double plan_ascend(const plan_task *task, double *q)
 {

@@ -8,8 +8,8 @@
 #include "vec.h"
 
 #define FAR 1e3          /* proximal steps are used if |c2 Pi g| / rho is at least FAR * (largest upper - lower) */
-#define UNMOVED 1e-20    /* largest Pi_jj of a joint that cannot move in ker A */
-#define DEPENDENT 1e-12  /* largest (Pi_jj after sweeps) / (before) of a joint that the active bounds fix */
+#define UNMOVED 1e-20    /* joint j cannot move in ker A if Pi_jj is not larger */
+#define DEPENDENT 1e-12  /* the active bounds fix joint j up to this (Pi_jj after sweeps) / (before) */
 
 typedef struct {
     int n, r;                                  /* joints, dimension of ker A */

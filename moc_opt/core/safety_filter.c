@@ -13,7 +13,7 @@
  *   RAN_AWAY          |q - integral of v over motion_s| > motion_rad + motion_lag_s * (largest recent |v|)
  *   ONE_REPEATED      one q is unchanged for more than repeat_joint_ticks ticks in a row, or one q and its v for
  *                     more than repeat_reading_ticks ticks in total
- *   WRENCH_REPEATED   the wrench has noise, but is unchanged for more than repeat_whole_ticks ticks
+ *   WRENCH_REPEATED   the wrench has noise, but is unchanged for more than repeat_whole_ticks ticks (with all q: REPEATED)
  *   LAGGING           one encoder equals earlier readings at a constant lag, more than repeat_reading_ticks times
  *   WRENCH *          the wrench is not finite
  *   RCM, FORCE        rms distance of the shaft from the trocar, or rms trocar force, is above its limit
@@ -367,7 +367,7 @@ static moc_stop weigh(const moc_guard *g, int n, const moc_terms *t, const doubl
 /* Return the limit of (torque - gravity torque) towards a wall. It is infinite if neither spring nor brake acts. */
 static double left_by_wall(const moc_guard *g, int i, double distance, double speed)
 {
-    /* a joint at this speed can stop at the wall */
+    /* a joint that is not faster can still stop at the wall */
     double allowed = smaller(sqrt(2.0 * g->wall_brake * larger(distance, 0.0)), g->v_max[i]);
     if (!(distance < 0.0 || speed > allowed))
         return HUGE_VAL;

@@ -84,7 +84,7 @@ void moc_observe(int n, const moc_terms *t, int i, double tau, double gain, doub
 /* Return the factor of grad mu_shaft in moc_problem.pull [m]. */
 double moc_shaft_push(double mu_shaft, double margin);
 
-/* Compute the joint velocity x_d that climbs mu in ker A. Its length is RATE * (Newton step's length) [rad/s]. */
+/* Compute the joint velocity x_d that climbs mu in ker A by scaled Newton steps [rad/s] (formula in null_space.c). */
 void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_memory *memory, double *x_d);
 
 /* Replace Z (rows, n) by an orthonormal basis of ker A, close to Z if possible. Returns the new number of rows. */

@@ -7,7 +7,7 @@
 /* --- rnn.c --- */
 
 typedef struct {
-    int steps;       /* largest number of steps */
+    int steps;       /* limit of the number of steps */
     double h_x, h_y; /* step sizes dt/eps of x and y */
     double k;        /* gain k of Su et al. 2019 */
     double scale;    /* multiplies c0, c1, c2 and rho */

@@ -105,12 +105,14 @@ static double *alone(const double *x, int count)
     return own;
 }
 
+/* Set each row's entries after the first n to NaN. */
 static void behind(double *x, int rows, int n)
 {
     for (int i = 0; i < rows; i++)
         fill(x + i * MOC_MAX_JOINTS + n, MOC_MAX_JOINTS - n, (double)NAN);
 }
 
+/* Replace each entry by an extreme number with probability 1 / one_in. */
 static void spoil(double *x, int count, unsigned one_in)
 {
     for (int i = 0; i < count; i++)

@@ -1,6 +1,6 @@
 /* The controller over UDP (docs/realtime.md).
  *
- * Usage: moc_udp HOST PORT reference.bin, with the key in MOC_OPT_WIRE_KEY. The loop uses no heap. */
+ * Usage: moc_udp HOST PORT reference.bin, with the key in MOC_OPT_WIRE_KEY. The control loop uses no heap. */
 #define _POSIX_C_SOURCE 200809L
 #include <arpa/inet.h>
 #include <math.h>
