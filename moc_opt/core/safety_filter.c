@@ -13,7 +13,7 @@
  *   RAN_AWAY          |q - integral of v over motion_s| > motion_rad + motion_lag_s * (largest recent |v|)
  *   ONE_REPEATED      one q is unchanged for more than repeat_joint_ticks ticks in a row, or one q and its v for
  *                     more than repeat_reading_ticks ticks in total
- *   WRENCH_REPEATED   the wrench has noise, but is unchanged for more than repeat_whole_ticks ticks (with all q: REPEATED)
+ *   WRENCH_REPEATED   the wrench has noise, but is unchanged for more than repeat_whole_ticks ticks
  *   LAGGING           one encoder equals earlier readings at a constant lag, more than repeat_reading_ticks times
  *   WRENCH *          the wrench is not finite
  *   RCM, FORCE        rms distance of the shaft from the trocar, or rms trocar force, is above its limit
