@@ -326,7 +326,7 @@ static void plan(moc_arm *arm, const moc_law *law, const double *from)
         free(own[k]);
 }
 
-/* Run moc_step or, if `own` is set, a tick with another solver, which gives spoilt answers and random claims. */
+/* Run moc_step or, if `own` is set, the same tick with a randomly spoilt answer and a random claim. */
 static moc_stop tick(const moc_controller *c, const moc_input *in, int own, moc_state *state, double *tau)
 {
     double x[MOC_MAX_JOINTS] = {0.0}, y[6];
