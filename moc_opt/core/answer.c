@@ -2,12 +2,12 @@
 #include "vec.h"
 
 #define AT_BOUND 1e-4          /* largest distance from a bound that counts as zero [rad/s] */
-#define PASSES 2e-3            /* natural residual up to which `off` and `opposite` may stay zero [rad/s] */
+#define PASSES 2e-3            /* see moc_judge: up to this `natural`, `off` and `opposite` may stay zero [rad/s] */
 #define NO_GRADIENT 1e-12      /* largest |part of pull in ker A| / (largest entry of pull) that counts as zero */
-#define IMMOBILE 1e-12         /* smallest divisor in least_violation [m^2] */
+#define IMMOBILE 1e-12         /* lower bound on the divisors in least_violation [m^2] */
 #define GRADIENT_ROUNDING 1e-9 /* largest length of a descent direction that counts as zero */
 #define DESCENTS 50            /* sweeps in least_violation */
-#define OUTSIDE 1e-6           /* largest bound violation [rad/s] and |A x - b| [m/s] in `retreat` */
+#define OUTSIDE 1e-6           /* largest allowed bound violation [rad/s] and |A x - b| [m/s] in `retreat` */
 
 /* Whether joint j moves neither tip nor wrist. */
 static bool is_idle(int rows, double Z[][MOC_MAX_JOINTS], int j)
@@ -18,8 +18,8 @@ static bool is_idle(int rows, double Z[][MOC_MAX_JOINTS], int j)
     return own > 1.0 - 1e-12;
 }
 
-/* Compute the direction d (n,) of steepest feasible descent from x, the negative gradient projected on the tangent cone
- * of the feasible set. Returns the scale of the cost. */
+/* Compute the direction d (n,) of steepest feasible descent from x: the negative gradient, projected on the tangent
+ * cone of the feasible set. Returns the number by which moc_judge divides the gradient. */
 static double steepest_descent(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS], const double *x, double *d)
 {
     moc_problem cone = {.n = p->n, .rho = 1.0};
@@ -41,11 +41,10 @@ static double steepest_descent(const moc_problem *p, int rows, double Z[][MOC_MA
     return scale;
 }
 
-/* The residuals natural, off and opposite are measured along a line of self-motion. If ker A has several dimensions,
- * this line has the direction of steepest feasible descent.
- *
- * Along the line, let s be the coordinate of x and g the component of pull. The cost is rho s^2 / 2 - c2 g s. The
- * optimum is clip(c2 g / rho). The optimum of the opposite gradient is clip(-c2 g / rho). */
+/* `natural`, `off` and `opposite` are measured along a line of self-motion. If several joints are free, this line has
+ * the direction of steepest feasible descent. Then, or with a faint gradient (c2 max |pull_j| <= rho), `off` and
+ * `opposite` stay zero if natural <= PASSES. Along the line, let s be the coordinate of x and g the component of pull.
+ * The cost is rho s^2 / 2 - c2 g s. The optimum is clip(c2 g / rho); for the negated gradient, clip(-c2 g / rho). */
 moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS], const double *x)
 {
     moc_residuals found = {0.0, 0.0, 0.0, 0.0, 0.0};
@@ -65,7 +64,7 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
     moc_onto(n, rows, Z, p->pull, line);
     if (sqrt(dot(n, line, line)) <= NO_GRADIENT * steepest || !(p->c2 > 0.0))
         return found;
-    /* pull = (rho/c2) x_d may be almost zero */
+    /* if the cost follows x_d (moc_fill_problem), pull may be almost zero: rho bounds the scale from below */
     double scale = larger(p->c2 * steepest, p->rho);
     int several = freedoms > 1, faint = p->rho >= p->c2 * steepest;
     if (several) {
@@ -104,8 +103,8 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
     return found;
 }
 
-/* Compute the smallest self-motion within the bounds, as the part in ker A of the shortest x with A x = b. If there is
- * none, `motion` is unchanged. */
+/* Find the shortest x with A x = b within the bounds, and write its part in ker A to `motion`. If there is no such x,
+ * `motion` is unchanged. */
 static void retreat(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOINTS], double *motion)
 {
     moc_problem p = *problem;

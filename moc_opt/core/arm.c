@@ -86,7 +86,7 @@ static moc_twist momentum(const body *b, const moc_twist *twist)
     return H;
 }
 
-/* Rate of change of a twist that moves with V: [w x lin + v x ang, w x ang]. */
+/* Rate of change of a twist S = [lin, ang] that moves with a body of twist V = [v, w]: [w x lin + v x ang, w x ang]. */
 static moc_twist carried(const moc_twist *V, const moc_twist *S)
 {
     moc_twist rate = {{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}};
@@ -131,7 +131,7 @@ static void dynamics(const moc_arm *arm, const moc_frame *frame, const moc_twist
         add_cross(1.0, V->ang, H[k].ang, force[k].ang);
         add_cross(1.0, V->lin, H[k].lin, force[k].ang);
     }
-    for (int k = n - 1; k >= 0; k--) { /* from the tip inwards: sums over all links beyond joint k */
+    for (int k = n - 1; k >= 0; k--) { /* from the tip inwards: link, H and force become sums over links k to n - 1 */
         if (k + 1 < n) {
             link[k].mass += link[k + 1].mass;
             for (int i = 0; i < 3; i++) {

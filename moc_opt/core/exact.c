@@ -7,17 +7,17 @@
 #include "vec.h"
 
 #define RANK_TOLERANCE 1e-12 /* largest (singular value of A) / |A|_F that counts as zero */
-#define TIED 1e-7            /* largest (sixth singular value) / |A|_F of a rigid tool */
+#define TIED 1e-7            /* up to this (sixth singular value) / |A|_F, tip and wrist count as rigidly tied */
 #define LOOK_CLOSER 1e3      /* own_part checks pivots below LOOK_CLOSER * tolerance * first pivot */
-#define LEFT 1e-6            /* largest |A x - b| of an accepted answer [m/s] */
-#define SOUND 1e-6           /* a smaller last pivot makes a check of the answer necessary [m] */
-#define UNBALANCED 1e-4      /* largest |A^T y - force| / max(c2 |pull|, rho) of an accepted answer */
-#define IDLE 1e-12           /* largest column entry of an idle joint, which moves neither tip nor wrist */
+#define LEFT 1e-6            /* largest allowed |A x - b| of the result [m/s] */
+#define SOUND 1e-6           /* if the last pivot is smaller, the result is checked [m] */
+#define UNBALANCED 1e-4      /* largest allowed |A^T y - force| / max(c2 |pull|, rho) of the result */
+#define IDLE 1e-12           /* if no entry of its column is larger, a joint is idle: it moves neither tip nor wrist */
 #define ROUNDING 1e-9        /* an idle joint's pull counts as zero below this share of the largest pull */
-#define GROWTH 4e-12         /* largest relative rounding error of the elimination */
-#define WIDEST 1e-5          /* largest bound violation that may come from rounding [rad/s] */
-#define UNCLEAR 1e-3         /* largest widening of the bounds in the last solve [rad/s] */
-#define SLIVER 2e-9          /* smallest assumed rounding error with several free joints [rad/s] */
+#define GROWTH 4e-12         /* assumed bound on the relative rounding error of the elimination */
+#define WIDEST 1e-5          /* upper bound on the tolerance of a second solve [rad/s] */
+#define UNCLEAR 1e-3         /* upper bound on the tolerance of a third solve [rad/s] */
+#define SLIVER 2e-9          /* lower bound on the assumed rounding error with several free joints [rad/s] */
 
 /* Turn multipliers g (6,) of eliminated rows into multipliers of A. */
 static inline void weigh_back(const moc_plane *plane, int steps, double g[6])
@@ -30,7 +30,7 @@ static inline void weigh_back(const moc_plane *plane, int steps, double g[6])
 }
 
 /* Estimate singular value k + 1 of A, divided by |A|_F: the largest |e^T A| / (|e| |A|_F) over the rows e^T A that are
- * left at step k. It is at most 4 * (pivot of step k) / (first pivot). */
+ * left at step k. The estimate is at most 4 * (pivot of step k) / (first pivot). */
 static double own_part(const moc_plane *plane, int n, double A[][MOC_MAX_JOINTS], int k)
 {
     double most = 0.0, size = 0.0;
@@ -45,7 +45,7 @@ static double own_part(const moc_plane *plane, int n, double A[][MOC_MAX_JOINTS]
     return sqrt(most);
 }
 
-/* Returns the rank of A, or -1 - k if rounding hides whether the rank is k. */
+/* Returns the rank of A, or -1 - k if rounding leaves open whether the rank is k or higher. */
 static inline int eliminate(moc_plane *plane, int n, double A[][MOC_MAX_JOINTS], int m)
 {
     double first = plane->pivot = HUGE_VAL;
@@ -113,7 +113,7 @@ void moc_eliminate(int n, double A[][MOC_MAX_JOINTS], moc_plane *plane)
     }
 }
 
-/* Eliminate b. */
+/* Apply the steps of the elimination to b. */
 static void carry_over(const moc_plane *plane, const double b[6], double right[6])
 {
     memcpy(right, b, 6 * sizeof *right);
@@ -268,7 +268,7 @@ static moc_status solve(const moc_plane *plane, const moc_problem *p, double tol
     return beyond > tolerance ? MOC_INFEASIBLE : check_dropped(plane, p, right, x);
 }
 
-/* Largest bound violation from rounding [rad/s]: the rounding error of |A| |x|, divided by the last pivot. */
+/* Estimate the bound violation that rounding can cause [rad/s]: the rounding error of |A| |x| / (last pivot). */
 static double explained_by_rounding(const moc_plane *plane, const moc_problem *p)
 {
     double sum[6] = {0.0};
@@ -286,7 +286,7 @@ moc_status moc_solve_eliminated(const moc_plane *plane, const moc_problem *p, do
     double explained = status == MOC_OK ? 0.0 : explained_by_rounding(plane, p);
     if (explained <= tolerance)
         return status;
-    double unclear = smaller((plane->freedoms > 1 ? 1e5 : 100.0) * explained, UNCLEAR); /* 1e5 for parallel columns */
+    double unclear = smaller((plane->freedoms > 1 ? 1e5 : 100.0) * explained, UNCLEAR); /* 1e5: parallel columns */
     if (solve(plane, p, smaller(100.0 * explained, WIDEST), x, y) == MOC_OK && off_plane(p, x) <= LEFT)
         return MOC_OK;
     return solve(plane, p, unclear, x, y) == MOC_INFEASIBLE ? status : MOC_DOUBTFUL;

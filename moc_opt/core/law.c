@@ -4,7 +4,7 @@
  *   tau_0 = K_N2 (x - v) - D_N2 v, feed-forward tau_ff, observer's estimate r, share rising from 0 to 1. */
 #include "vec.h"
 
-#define STRAIGHT 1e-3  /* smallest sqrt(smaller / larger wrist mobility) for feed-forward in both directions */
+#define STRAIGHT 1e-3  /* up to this sqrt(smaller / larger wrist mobility), the elbow counts as straight */
 
 #define SHAFT_PULL 0.1 /* weight of log mu_shaft relative to mu [m^3] */
 #define SHAFT_LOST 0.1 /* mu_shaft / shaft_margin below which moc_shaft_push falls to zero */
@@ -66,14 +66,14 @@ static void desired_wrist_acceleration(const line *s, double span, const double 
         out[i] = ddX_d[i] + span * ((bend[i] - along * s->e[i]) / s->distance - square * s->e[i]);
 }
 
-/* Add level 2 in its dynamic form, and the feed-forward (Khatib 1987, eq. 51, for the tip):
+/* Add level 2, if its projector is MOC_DYNAMIC, and the feed-forward (Khatib 1987, eq. 51, for the tip):
  *
  *   tau += (I - J_T^T Jbar_T^T) tau_W + A5^T (A5 M^-1 A5^T)^-1 a,  Jbar_T = M^-1 J_T^T (J_T M^-1 J_T^T)^-1,
  *   a = [ddX_d - dJ_T v; b^T (ddN_d - dJ_W v)], or 0 without a feed-forward.
  *
  * A5 is J_T over b^T J_W. The columns of b (3, 2) are perpendicular to the shaft. With M = H H^T (Cholesky), the last
- * three of the rows A5 H^-T and (H^-1 tau_W)^T are made orthogonal to the tip's three. A squared matrix would have half
- * the digits at a nearly straight elbow. A straight elbow cannot accelerate the wrist in one direction. The
+ * three of the rows A5 H^-T and (H^-1 tau_W)^T are made orthogonal to the tip's three. At a nearly straight elbow,
+ * A5 M^-1 A5^T would have only half the digits. A straight elbow cannot accelerate the wrist in one direction. The
  * feed-forward leaves this direction out. */
 static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *ddX_d, const double *ddN_d,
                         const double *tau_W, double *tau)
@@ -174,7 +174,7 @@ void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, cons
     add_force(n, J_T, 1.0, F, tau);
 
     /* RCM: F_W = K_N (N_d - N) + D_N (dN_d - dN), N_d = X + L e. With the angle theta between e and -u,
-     * lambda = (RCM error) / |N_d - N| = |P_t - X| / L cos(theta/2). Su et al. use a constant lambda for the spring. */
+     * lambda = (RCM error) / |N_d - N| = cos(theta/2) |P_t - X| / L. Su et al. use a constant lambda for the spring. */
     line s = shaft_line(t->tip, dX, trocar);
     if (law->rcm_lambda > 0.0)
         share = s.distance / t->span * sqrt(larger(0.5 * (1.0 - dot3(s.e, t->u)), 0.0)) / law->rcm_lambda;
@@ -220,7 +220,7 @@ void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_r
         double v_max = law->v_max[j] * wider;
         p->grad_mu[j] = t->grad_mu[j];
         p->pull[j] = x_d ? law->rho / law->c2 * x_d[j] : t->grad_mu[j] + push * t->grad_mu_shaft[j];
-        /* velocity damper; lower <= upper also beyond a limit */
+        /* velocity damper, with lower <= upper even if q is beyond a joint limit */
         p->lower[j] = smaller(larger(-law->k0 * (t->q[j] - law->q_min[j]), -v_max), v_max);
         p->upper[j] = larger(smaller(-law->k0 * (t->q[j] - law->q_max[j]), v_max), -v_max);
     }

@@ -1,7 +1,7 @@
 /* Manipulability of the tip (Yoshikawa 1985) and of the shaft, and their gradients. */
 #include "vec.h"
 
-/* mu counts as zero below this det(S) / (mean of S_ii)^3, S = J J^T */
+/* S = J J^T counts as singular up to this det(S) / (mean of S_ii)^3 */
 #define SINGULAR 1e-14
 
 moc_gram moc_gram_of(int n, double J[][MOC_MAX_JOINTS])

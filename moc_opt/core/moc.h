@@ -52,7 +52,7 @@ typedef struct {
     double M[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
     double h[MOC_MAX_JOINTS];
     double energy_slope[MOC_MAX_JOINTS];     /* C^T v [Nm] */
-    double gravity[MOC_MAX_JOINTS];          /* torque of the arm's weight [Nm] */
+    double gravity[MOC_MAX_JOINTS];          /* g, the torque that carries the arm's weight [Nm] */
     double mu;                               /* [m^3] */
     double span;                             /* L [m] */
     double mu_shaft;                         /* manipulability of the shaft at a resting tip [m^2] */
@@ -77,9 +77,9 @@ typedef struct {
     double inverse[6];         /* 1 / (pivot of step k) */
     double scale[6][6];        /* step k subtracted scale[k][i] * (row k) from row i; scale[k][k] is -1 */
     int from[6];               /* row swapped with row k before step k */
-    int joint[MOC_MAX_JOINTS]; /* pivot joints, free joints that move tip or wrist, idle joints */
+    int joint[MOC_MAX_JOINTS]; /* in this order: pivot joints, free joints that move tip or wrist, idle joints */
     int rank, freedoms;        /* freedoms: null-space dimension without idle joints */
-    int doubtful;              /* 1: rounding hides the rank, and `rank` is the lower of two ranks */
+    int doubtful;              /* 1: rounding leaves two ranks possible, and `rank` is the lower one */
 } moc_plane;
 
 /* Compute the optimum x (n,) and the multipliers y (6,) of A x = b. They are valid only with MOC_OK. The problem counts
@@ -105,17 +105,17 @@ typedef struct {
     moc_projector projector;
     int feedforward;                             /* 1: desired accelerations are fed forward */
     double K_N2[MOC_MAX_JOINTS], D_N2[MOC_MAX_JOINTS]; /* gains of the third level [N m s/rad] */
-    double tau_max[MOC_MAX_JOINTS];              /* largest torques [Nm], may be infinite */
-    double k0;                                   /* velocity damper at joint limits [1/s] */
+    double tau_max[MOC_MAX_JOINTS];              /* torque limits [Nm], may be infinite */
+    double k0;                                   /* velocity damper: speed limit / distance from a joint limit [1/s] */
     double c0, c1, c2, rho;
     double q_min[MOC_MAX_JOINTS], q_max[MOC_MAX_JOINTS], v_max[MOC_MAX_JOINTS];
     double shaft_margin;                         /* below this mu_shaft, level 3 also raises mu_shaft [m^2] */
-    double spare_speed;                          /* largest relative growth of v_max below shaft_margin */
+    double spare_speed;                          /* upper bound on the relative growth of v_max below shaft_margin */
     double observer_gain;                        /* disturbance observer K_o [1/s]; 0: none */
     double period;                               /* [s] */
-    double fade;                                 /* growth of the third level's share per tick */
+    double fade;                                 /* growth of moc_memory.share per tick */
     int third_level;                             /* 1: level 3 follows the subproblem's x; 0: no subproblem */
-    int damped;                                  /* 1: if third_level is 0, D_N2 damps the self-motion */
+    int damped;                                  /* 1: D_N2 damps the self-motion if third_level is 0 */
     int climbs;                                  /* 1: level 3 climbs mu by Newton steps (moc_climb) */
 } moc_law;
 
@@ -166,15 +166,15 @@ typedef enum { MOC_LATE_HOLD = 0, MOC_LATE_ZERO, MOC_LATE_ITERATE } moc_late;
 
 typedef struct {
     int check;              /* 0: residuals are not checked */
-    double box_limit;       /* largest |A x - b| and bound violation with MOC_CLAIMS_NOTHING */
-    double primal_limit;    /* largest |A x - b| and bound violation of a claimed optimum */
-    double relative_limit;  /* largest natural residual of a claimed optimum */
+    double box_limit;       /* largest allowed |A x - b| and bound violation with MOC_CLAIMS_NOTHING */
+    double primal_limit;    /* largest allowed |A x - b| and bound violation of a claimed optimum */
+    double relative_limit;  /* largest allowed natural residual of a claimed optimum */
     double opposite_limit;  /* refuse a claimed optimum if opposite < off and off exceeds this [rad/s] */
     int hold_ticks;         /* ticks for which the last accepted answer replaces refused answers */
-    int keep_off_limits;    /* x after hold_ticks. 1: smallest self-motion within the bounds, 0: zero */
+    int keep_off_limits;    /* after hold_ticks, 1: a self-motion keeps joints off their limits (retreat), 0: x = 0 */
     moc_fallback fallback;  /* for an infeasible subproblem */
     moc_late late;          /* for a late answer */
-    double budget_us;       /* longest solve time [us] */
+    double budget_us;       /* an answer is late if its solve took longer [us] */
 } moc_supervision;
 
 /* --- the safety filter (safety_filter.c) --- */
@@ -203,27 +203,27 @@ typedef struct {
 #define MOC_NAME(name, words) name,
 typedef enum { MOC_REASONS(MOC_NAME) MOC_STOPS } moc_stop;
 
-/* Settings of the safety filter. An infinite limit turns its check off. Names in capitals are reasons to stop. Their
- * formulas are at the top of safety_filter.c. */
+/* Settings of the safety filter. An infinite limit turns its check off. Names in capitals are reasons to stop. The
+ * table at the top of safety_filter.c says when each reason applies. */
 typedef struct {
     double period;                                      /* [s] */
     int patience;                                       /* ticks in a row that a check may fail */
-    int carries;                                        /* 0: the drives compensate the arm's weight */
+    int carries;                                        /* 1: tau carries the arm's weight; 0: the drives do it */
     double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS];   /* virtual walls [rad, m] */
     double v_max[MOC_MAX_JOINTS], tau_max[MOC_MAX_JOINTS];
     double wall_stiffness, wall_damping, wall_brake;    /* [Nm/rad], [Nm s/rad], [rad/s^2] */
-    double torque_step;                                 /* [Nm per tick] */
-    double jump, speed_factor;                          /* MEASUREMENT: largest jump [rad], largest |v| / v_max */
-    double tip_error, tip_share;                        /* TIP: largest rms [m], weight of a tick */
+    double torque_step;                                 /* largest allowed change of a torque [Nm per tick] */
+    double jump, speed_factor;                          /* MEASUREMENT: limits of jump [rad] and |v| / v_max */
+    double tip_error, tip_share;                        /* TIP: limit of the rms [m], share of the new tick in it */
     int in_incision;                                    /* 0: RCM and FORCE are off */
     double warning[2], limit[2];                        /* rms RCM error [m], rms trocar force [N] */
-    double incision_share;                              /* RCM, FORCE: weight of a tick */
+    double incision_share;                              /* RCM, FORCE: share of the new tick in the rms */
     double tool_mass, tool_length;                      /* the tool is a rod [kg], [m] */
-    double tip_force;                                   /* largest contact force at the tip [N] */
+    double tip_force;                                   /* largest force that counts as contact at the tip [N] */
     double stop_holding;                                /* dry friction of closed brakes / tau_max */
     double stop_yield;                                  /* trocar force that opens the brakes in a stop [N] */
-    int stop_yield_ticks;                               /* largest number of ticks with open brakes */
-    double press_share;                                 /* weight of a tick in the mean force */
+    int stop_yield_ticks;                               /* open brakes close after this number of ticks */
+    double press_share;                                 /* share of the new tick in the mean trocar force */
     int motion;                                         /* 0: LATE and the checks below are off */
     double motion_s, motion_rad, motion_lag_s;          /* RAN_AWAY: memory [s], gap [rad], lag [s] */
     double repeat_m, repeat_torque;                     /* REPEATED: reference motion [m], share of tau_max */
@@ -231,11 +231,11 @@ typedef struct {
     double repeat_whole_ticks;                          /* WRENCH_REPEATED, REPLAYED: ticks if the wrench has noise */
     double repeat_joint_ticks, repeat_reading_ticks;    /* ONE_REPEATED: ticks in a row, ticks in total */
     double replayed_ticks;                              /* REPLAYED: ticks if the wrench has no noise */
-    double stuck_speed;                                 /* STUCK: largest |integral| [rad/s] */
+    double stuck_speed;                                 /* STUCK: limit of |integral| [rad/s] */
     double held[MOC_MAX_JOINTS];                        /* STUCK: static friction [Nm] */
-    double residual_torque, residual_whole;             /* UNEXPLAINED: largest residuals / tau_max */
-    double residual_rate, residual_share;               /* observer gain [1/s], weight of a tick in mean r */
-    int settling_ticks;                                 /* of the residual */
+    double residual_torque, residual_whole;             /* UNEXPLAINED: limits of residuals / tau_max */
+    double residual_rate, residual_share;               /* observer gain [1/s], share of the new tick in mean r */
+    int settling_ticks;                                 /* ticks after the start until the residual has settled */
 } moc_guard;
 
 enum { MOC_RCM = 0, MOC_FORCE = 1 };
@@ -253,7 +253,7 @@ typedef struct {
     double repeats, whole;                   /* ticks: unchanged q, in a row; unchanged q and v, in total */
     double torque;                           /* torque when the encoders stopped changing [Nm] */
     double integral, residual, mean;         /* momentum observer */
-    double at_repeat, unseen, exceeded;      /* mean when q last changed; STUCK: speed; UNEXPLAINED: ticks in a row */
+    double at_repeat, unseen, exceeded;      /* mean when q last changed; integral of STUCK; ticks of UNEXPLAINED */
 } moc_joint_watch;
 
 typedef struct {
@@ -267,12 +267,12 @@ typedef struct {
     int unread;                                  /* wrenches in a row that were not finite */
     double press, borne;                         /* in a stop: mean trocar force, reference force [N] */
     int yields, open;                            /* 1: the brakes are open; ticks since then */
-    int cut;                                     /* 1: a drive is at fault; the torque of the stop goes to zero */
+    int cut;                                     /* 1: a drive is at fault, so the torque in the stop goes to zero */
     int limited;                                 /* number of joints with limited torque */
     long long now, newest, delay, elapsed, taken; /* in control periods: see `age` in safety_filter.c */
     moc_joint_watch joint[MOC_MAX_JOINTS];
     double told[3], still[3];                    /* tip reference, now and when the encoders stopped changing [m] */
-    double wrench[6], wrench_repeats;            /* latest wrench; number of repetitions */
+    double wrench[6], wrench_repeats;            /* latest wrench; repetitions in a row */
     int looked, wrench_is_still;                 /* wrenches read, up to FIRST_READINGS; 1: two in a row were equal */
     int weighed;                                 /* readings compared with the torque */
     double number[MOC_SLOTS], at[MOC_SLOTS];     /* table of take_in: readings and their indices (0: empty) */
@@ -290,7 +290,7 @@ typedef struct {
 
 const char *moc_reason(moc_stop reason);
 
-/* Compute the dry friction (n,) of the brakes [Nm]. Call once per period of a stop. */
+/* Compute the dry friction (n,) that the brakes have to apply [Nm]. Call it once in every period of a stop. */
 void moc_guard_hold(const moc_guard *g, const moc_arm *arm, const double *wrench, moc_watch *w, double *friction);
 
 /* --- the whole controller (step.c) --- */
@@ -320,7 +320,7 @@ typedef struct {
     double tau[MOC_MAX_JOINTS];     /* levels 1 and 2 minus r; after moc_finish, the torque to send */
     moc_fault fault;
     double x[MOC_MAX_JOINTS];       /* followed by the third level [rad/s] */
-    double answer[MOC_MAX_JOINTS];  /* x, y and status of moc_solve_exact in moc_step */
+    double answer[MOC_MAX_JOINTS];  /* answer, y, status: results of the exact solver in moc_step */
     double y[6];
     moc_status status;
     double sent[MOC_MAX_JOINTS];    /* torque of the latest moc_finish [Nm] */
@@ -335,7 +335,7 @@ typedef struct {
 moc_stop moc_start(const moc_controller *c, const moc_measurement *m, moc_state *state);
 
 /* First half of a tick: check the measurement, compute levels 1 and 2, and fill state->problem. Returns MOC_RUNNING or
- * the reason to stop. measured.applied is the torque that acted in the last period. NULL means the torque sent. */
+ * the reason to stop. in->measured.applied is the torque that acted in the last period, or NULL for the torque sent. */
 moc_stop moc_begin(const moc_controller *c, const moc_input *in, moc_state *state);
 
 /* Second half of a tick: check the answer, add level 3, apply the safety filter. Returns MOC_RUNNING or the reason to

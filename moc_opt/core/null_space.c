@@ -1,8 +1,8 @@
-/* A smooth basis Z of ker A, and the climb of mu in ker A. */
+/* A basis Z of ker A that varies smoothly in time, and the climb of mu in ker A. */
 #include "vec.h"
 
 #define RATE 5.0     /* x_d / (Newton step to the maximum of mu) [1/s] */
-#define LONGEST 1.0  /* longest Newton step [rad] */
+#define LONGEST 1.0  /* a longer Newton step is shortened to this length [rad] */
 #define PROBE 1e-3   /* step of the finite difference [rad] */
 
 bool moc_orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least)
@@ -33,7 +33,7 @@ void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, doub
     memcpy(part, sum, (unsigned)n * sizeof *part);
 }
 
-/* If possible, the previous basis is projected on the new kernel. */
+/* If possible, the given basis is projected on the new kernel. */
 int moc_null_space(const moc_plane *plane, int n, int rows, double Z[][MOC_MAX_JOINTS])
 {
     double fresh[MOC_MAX_JOINTS][MOC_MAX_JOINTS], turned[MOC_MAX_JOINTS][MOC_MAX_JOINTS];

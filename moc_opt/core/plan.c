@@ -2,7 +2,7 @@
 #include "tools.h"
 #include "vec.h"
 
-#define TOLERANCE 1e-10 /* largest position error of tip and wrist [m] */
+#define TOLERANCE 1e-10 /* largest allowed position error of tip and wrist [m] */
 #define PI 3.14159265358979323846
 
 /* Compute the position error (6,) of tip and wrist, A (6,n) and, if grad is not NULL, grad mu (n,). Returns mu. */
@@ -33,8 +33,8 @@ static double distance(int n, const double *p, const double *q)
 
 /* --- one pose --- */
 
-#define LONGEST 0.25    /* longest step in joint space [rad] */
-#define AT_REST 1e-9    /* largest entry of the unit tangent for a joint at rest */
+#define LONGEST 0.25    /* limit of a step in joint space [rad] */
+#define AT_REST 1e-9    /* a joint is at rest if its entry in the unit tangent is not larger */
 #define DAMPING 4e-12   /* added to the diagonal of A A^T [m^2], because A has only rank 5 */
 
 /* Compute the step (n,) nearest to `desired` with A step = error (`rows` rows) by an active-set method. No joint moves
@@ -149,8 +149,8 @@ static double turn_tangent(const plan_task *task, const double *q, const double 
     return length;
 }
 
-/* Whether the curve's start (n,) lies ahead of q within one step. `pose` is the start plus whole turns of joints, and
- * *gap its distance from q. */
+/* Whether the curve's start (n,) lies ahead of q within one step. `pose` is the start plus whole turns of joints.
+ * *gap is the distance from q to `pose`. */
 static bool closes(const plan_task *task, const double *start, const double *q, const double *tangent, double step,
                   double *pose, double *gap)
 {
@@ -214,7 +214,7 @@ int plan_follow(const plan_task *task, const double *start, const double *tangen
         s[count] = s[count - 1] + way;
         count++;
         if (count < most && closes(task, start, next, tangent, step, closing, &gap)) {
-            count += gap > 0.1 * step; /* a start that is nearer replaces `next` */
+            count += gap > 0.1 * step; /* within 0.1 step, the start replaces `next` */
             double *end = poses + (count - 1) * n;
             memcpy(end, closing, bytes);
             s[count - 1] = s[count - 2] + distance(n, end, end - n);
@@ -228,7 +228,7 @@ int plan_follow(const plan_task *task, const double *start, const double *tangen
 
 /* --- climbs --- */
 
-#define SHORTEST 1e-6  /* shortest step of a climb [rad] */
+#define SHORTEST 1e-6  /* a climb ends when its step is shorter [rad] */
 
 double plan_ascend(const plan_task *task, double *q)
 {

@@ -8,8 +8,8 @@
 #include "vec.h"
 
 #define FAR 1e3          /* proximal steps are used if |c2 Pi g| / rho is at least FAR * (largest upper - lower) */
-#define UNMOVED 1e-20    /* largest Pi_jj of a joint that cannot move in ker A */
-#define DEPENDENT 1e-12  /* largest (Pi_jj after sweeps) / (before) of a joint that the active bounds fix */
+#define UNMOVED 1e-20    /* joint j cannot move in ker A if Pi_jj is not larger */
+#define DEPENDENT 1e-12  /* the active bounds fix joint j up to this (Pi_jj after sweeps) / (before) */
 
 typedef struct {
     int n, r;                                  /* joints, dimension of ker A */
@@ -49,7 +49,7 @@ static void sweep(polytope *t, int p, double sign)
         t->Pi[p][j] = sign * inverse * row[j];
 }
 
-/* Remove rounding from s: project s on ker A and set active joints to their bounds. */
+/* Remove rounding errors from s: project s on ker A and set active joints to their bounds. */
 static void settle(polytope *t)
 {
     moc_onto(t->n, t->r, t->Z, t->s, t->s);
@@ -155,8 +155,8 @@ static moc_status project(polytope *t, double slack, double most)
     return MOC_DOUBTFUL;
 }
 
-/* Run the proximal point iteration. The multipliers are then (rho + 1 / base) t->force. Short steps at the end remove
- * the rounding of long steps. */
+/* Run the proximal point iteration. At its end, the multipliers are (rho + 1 / base) t->force. The last, short steps
+ * remove the rounding errors of the long ones. */
 static moc_status approach(polytope *t, double rho, double slack, double most, double base)
 {
     static const double scales[] = {1e8, 1e4, 1.0};

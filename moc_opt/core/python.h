@@ -19,8 +19,8 @@
 
 #include "tools.h"
 
-/* READ is a C-contiguous float64 array, MAYBE an array or None. The call fills WRITE arrays and STRIDED arrays (of any
- * strides). WHOLE is an integer. The call creates MADE arrays, which come last in a table. */
+/* READ is a C-contiguous float64 array, MAYBE such an array or None, NUMBER a float, WHOLE an integer. The function
+ * fills WRITE arrays and STRIDED arrays (of any strides). MADE arrays are created for it and come last in a table. */
 typedef enum { READ, WRITE, STRIDED, MAYBE, NUMBER, WHOLE, MADE } kind;
 
 /* Symbolic lengths: N = n joints, ROW = 11 n + 10 (subproblem), TERMS = n n + 13 n + 18, TICKED = 14 n + 16 (results of
@@ -44,7 +44,7 @@ typedef struct {
     PyArrayObject *as[MOST_ARGUMENTS];
 } call;
 
-/* Take a call's arguments. If n is 0, an array sets n. On failure, sets an exception and returns false. */
+/* Take a call's arguments. If n is 0, the first array sets n. On failure, sets an exception and returns false. */
 bool moc_take(call *c, int n, const char *name, PyObject *const *args, Py_ssize_t count, const parameter *table,
              int size);
 

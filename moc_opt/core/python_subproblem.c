@@ -43,7 +43,7 @@ FUNCTION(step_network, {"record", READ, ROW}, {"x", WRITE, N}, {"y", WRITE, 6}, 
  * The five rows are the tip's three and the wrist's two perpendicular to the tool's direction u: A5 = lift A. The
  * multipliers of A are lift^T y5. */
 
-#define TIED 1e-7 /* largest (sixth singular value) / |A|_F of rigidly tied tip and wrist */
+#define TIED 1e-7 /* up to this (sixth singular value) / |A|_F, tip and wrist count as rigidly tied */
 
 /* Compute the unit vector u with u^T (J_T - J_W) = 0, a multiple of each nonzero column of the adjugate of
  * (J_T - J_W)(J_T - J_W)^T. Returns false if tip and wrist are not rigidly tied. */
@@ -127,7 +127,7 @@ static void put(const call *c, int argument, double scale, const double *from)
                 scale * from[matrix ? i * MOC_MAX_JOINTS + j : i];
 }
 
-/* signs multiply p, lower and upper. packed is the upper triangle of P by columns, or empty. */
+/* The three signs multiply p, lower and upper. packed gets the upper triangle of P by columns, or is empty. */
 FUNCTION(load, {"record", READ, ROW}, {"five", WHOLE}, {"scale", NUMBER}, {"signs", READ, 3}, {"P", STRIDED, N, N},
          {"p", STRIDED, N}, {"A", STRIDED, K, N}, {"low", STRIDED, K}, {"high", STRIDED, K}, {"lower", STRIDED, N},
          {"upper", STRIDED, N}, {"packed", STRIDED, ANY}, {"lift", WRITE, K, 6})

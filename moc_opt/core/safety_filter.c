@@ -28,10 +28,10 @@
 
 #include "vec.h"
 
-#define SHORTEST_DEPTH 0.05 /* smallest tip depth that tells trocar and tip forces apart [m] */
+#define SHORTEST_DEPTH 0.05 /* at a smaller tip depth, trocar and tip forces cannot be told apart [m] */
 #define GRAVITY 9.81        /* [m/s^2] */
 #define FIRST_READINGS 100  /* readings that decide whether the wrench has noise */
-#define LARGEST_STAMP (LLONG_MAX / 4) /* largest possible stamp */
+#define LARGEST_STAMP (LLONG_MAX / 4) /* stamps from here on are impossible */
 #define SHRINK 0.61803398875 /* ratio of successive weights in as_number */
 #define FINE 1e9             /* take_in stores x in slot floor(FINE |x|) mod slots */
 #define LARGEST_NUMBER 1e6   /* largest |x| that take_in stores */
@@ -79,7 +79,7 @@ static int age(const moc_guard *g, long long stamp, moc_watch *w)
     return newer ? FRESH : REPEAT;
 }
 
-/* The check MEASUREMENT. False for NaN. */
+/* Whether a measurement passes the check MEASUREMENT. False for NaN. */
 static bool believable(const moc_guard *g, int n, const double *q, const double *v, const moc_watch *w)
 {
     double ticks = 1.0 + (double)w->bad;
@@ -97,7 +97,7 @@ static bool same(double a, double b)
     return a <= b && a >= b;
 }
 
-/* Whether no two successive wrenches of FIRST_READINGS were equal. */
+/* Whether no two successive ones of the first FIRST_READINGS wrenches were equal. */
 static bool wrench_has_noise(const moc_watch *w)
 {
     return w->looked >= FIRST_READINGS && !w->wrench_is_still;
@@ -135,7 +135,7 @@ static bool compare_joint(const moc_guard *g, double q, double v, double elapsed
         j->repeats += 1.0;
     } else {
         j->repeats = 0.0;
-        j->at_repeat = j->mean; /* a coarse encoder step disturbs the residual itself */
+        j->at_repeat = j->mean; /* the step of a coarse encoder itself disturbs the residual */
         j->unseen = 0.0;
     }
     j->shown = q;
@@ -364,17 +364,17 @@ static moc_stop weigh(const moc_guard *g, int n, const moc_terms *t, const doubl
 
 /* --- limits of the torque --- */
 
-/* Largest torque towards a wall beyond the weight's torque. Infinite if neither spring nor brake acts. */
+/* Return the limit of (torque - gravity torque) towards a wall. It is infinite if neither spring nor brake acts. */
 static double left_by_wall(const moc_guard *g, int i, double distance, double speed)
 {
-    /* a joint at this speed can stop at the wall */
+    /* a joint that is not faster can still stop at the wall */
     double allowed = smaller(sqrt(2.0 * g->wall_brake * larger(distance, 0.0)), g->v_max[i]);
     if (!(distance < 0.0 || speed > allowed))
         return HUGE_VAL;
     return -g->wall_stiffness * larger(-distance, 0.0) - g->wall_damping * larger(speed - allowed, 0.0);
 }
 
-/* Compute the torque of the arm's weight at q. Returns false if it is not finite. */
+/* Compute the gravity torque at q, or 0 if the drives carry the weight. Returns false if it is not finite. */
 static bool weight_of(const moc_guard *g, const moc_arm *arm, const double *q, double *weight)
 {
     memset(weight, 0, (unsigned)arm->n * sizeof *weight);

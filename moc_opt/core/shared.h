@@ -16,12 +16,12 @@ typedef struct {
     double p[3];    /* [m] */
 } moc_frame;
 
-/* Linear velocity (at the world's origin) and angular velocity at unit joint speed. */
+/* Linear velocity (at the world's origin) and angular velocity. twist[j] is that of joint j at unit speed. */
 typedef struct {
     double lin[3], ang[3];
 } moc_twist;
 
-/* Returns MOC_OK or MOC_NOT_FINITE. */
+/* Compute all terms. Returns MOC_NOT_FINITE if q or v is not finite, else MOC_OK. */
 moc_status moc_compute_terms(const moc_arm *arm, const double *q, const double *v, moc_terms *terms);
 
 /* Compute frame[n] and twist[n] at a finite q. moc_kinematics also fills the kinematic terms. */
@@ -31,10 +31,10 @@ void moc_kinematics(const moc_arm *arm, const double *q, moc_frame *frame, moc_t
 /* Compute the tool's axes x, y, z and the tip in the world. */
 void moc_tool_pose(const moc_arm *arm, const double *q, double pose[4][3]);
 
-/* Compute the torque of the arm's weight [Nm]. */
+/* Compute the gravity torque g, which carries the arm's weight [Nm]. */
 void moc_gravity(const moc_arm *arm, const double *q, double *torque);
 
-/* Compute tip or wrist in the world [m] and its Jacobian (3,n). */
+/* Compute the position [m] and the Jacobian (3,n) of a point in the world. `which` is MOC_TIP or MOC_WRIST. */
 void moc_point(const moc_arm *arm, const moc_frame *frame, const moc_twist *twist, int which, double point[3],
                double J[][MOC_MAX_JOINTS]);
 
@@ -47,68 +47,69 @@ typedef struct {
 moc_gram moc_gram_of(int n, double J[][MOC_MAX_JOINTS]);
 
 /* Return mu of J (3,n) or mu_shaft of A (6,n), and write its gradient (n,). Only in moc_manipulability, `gradient` may
- * be NULL. `gram` belongs to J, or to the first three rows of A. */
+ * be NULL. Input `gram`: moc_gram_of(J), or of the first three rows of A. */
 double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOINTS], moc_gram *gram, double *gradient);
 double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], moc_gram *gram,
                                 const double u[3], double *gradient);
 
 /* --- record.c --- */
 
-/* Copy a struct to or from its record, which moc_opt/qp/problem.py and moc_opt/robots/model.py read. */
+/* Copy a struct to (PACK) or from its record, which moc_opt/qp/problem.py and moc_opt/robots/model.py read. */
 typedef enum { UNPACK, PACK } direction;
 void moc_copy_problem(moc_problem *problem, int n, double *record, direction way);
 void moc_copy_terms(moc_terms *terms, int n, double *record, direction way);
 
 /* --- law.c, null_space.c --- */
 
-/* Compute the torque of levels 1 and 2 [Nm]. */
+/* Compute the torque of levels 1 and 2, including h [Nm]. */
 void moc_tracking_torque(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
                          const moc_trocar *trocar, double *tau);
 
-/* If x_d [rad/s] is not NULL, x follows x_d instead of climbing mu. */
+/* Fill the subproblem. Its cost makes the joint velocity climb mu or, if x_d is not NULL, follow x_d [rad/s]. */
 void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
                       const moc_trocar *trocar, const double *x_d, moc_problem *problem);
 
-/* tau += share M Z^T (Z M Z^T)^-1 Z (K_N2 (x - v) - D_N2 v), clipped to +-tau_max. */
+/* Add the third level's torque to tau, then clip tau to +-tau_max:
+ * tau += share M Z^T (Z M Z^T)^-1 Z (K_N2 (x - v) - D_N2 v), with share = memory.share in [0, 1]. */
 void moc_add_third_level(const moc_law *law, int n, const moc_terms *t, const moc_memory *memory, const double *x,
                          double *tau);
 
-/* Compute N_d = X + span e and dN_d, with the unit vector e from X to the trocar. */
+/* Compute N_d = X + span * e and its velocity dN_d. e is the unit vector from X to the trocar. */
 void moc_desired_wrist(const double X[3], const double dX[3], const moc_trocar *trocar, double span, double N_d[3],
                        double dN_d[3]);
 
 /* Advance the momentum observer of joint i by one period: r = gain (M v - integral(tau + C^T v - g + r)). */
 void moc_observe(int n, const moc_terms *t, int i, double tau, double gain, double period, double *integral, double *r);
 
-/* Return the weight [m] of grad mu_shaft in moc_problem.pull. */
+/* Return the factor of grad mu_shaft in moc_problem.pull [m]. */
 double moc_shaft_push(double mu_shaft, double margin);
 
-/* Compute the joint velocity x_d of the scaled climb of mu [rad/s]. */
+/* Compute the joint velocity x_d that climbs mu in ker A by scaled Newton steps [rad/s] (formula in null_space.c). */
 void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_memory *memory, double *x_d);
 
-/* Replace the basis Z (rows, n) by a close orthonormal basis of ker A. Returns the new number of rows. */
+/* Replace Z (rows, n) by an orthonormal basis of ker A, close to Z if possible. Returns the new number of rows. */
 int moc_null_space(const moc_plane *plane, int n, int rows, double Z[][MOC_MAX_JOINTS]);
 
-/* Make row k of Z orthonormal to the rows before it. Returns false if its orthogonal part is at most `least` long. */
+/* Make row k of Z orthonormal to the rows before. Returns false if the orthogonal part is not longer than `least`. */
 bool moc_orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least);
 
-/* part = Z^T Z x, with an orthonormal basis Z (rows, n). `part` and `x` may be the same array. */
+/* Project x: part = Z^T Z x. Z (rows, n) has orthonormal rows. `part` and `x` may be the same array. */
 void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, double *part);
 
 /* --- exact.c, polytope.c --- */
 
-#define STILL 1e-10 /* joint j does not move along a unit direction z if |z_j| is smaller */
+#define STILL 1e-10 /* |z_j| below which a motion along the unit direction z does not move joint j */
 
 void moc_eliminate(int n, double A[][MOC_MAX_JOINTS], moc_plane *plane);
 
-/* moc_solve_exact with an A that was eliminated before. */
+/* Like moc_solve_exact, with A already reduced by moc_eliminate. */
 moc_status moc_solve_eliminated(const moc_plane *plane, const moc_problem *problem, double tolerance, double *x,
                                 double y[6]);
 
-/* Compute the z (n,) in ker A with 1 for free joint number k and 0 for the other free joints. */
+/* Compute the vector z (n,) in ker A that is 1 at free joint number k (from 0) and 0 at the other free joints. */
 void moc_direction(const moc_plane *plane, int n, int k, double *z);
 
-/* Move a solution x of A x = b to the optimum if several joints are free. Adds the bounds' multipliers to force. */
+/* With several free joints, move a solution x of A x = b to the optimum, and add the bounds' multipliers to force. */
 moc_status moc_solve_several(const moc_plane *plane, const moc_problem *problem, double tolerance, double *x,
                              double *force);
 
@@ -119,13 +120,13 @@ typedef struct {
     double outside;  /* largest bound violation [rad/s] */
     double natural;  /* natural residual along the self-motion, for a gradient of size 1 [rad/s] */
     double off;      /* distance from the optimum [rad/s] */
-    double opposite; /* distance from the optimum of the opposite gradient [rad/s] */
+    double opposite; /* distance from the point that is optimal for the negated gradient [rad/s] */
 } moc_residuals;
 
-/* Z is an orthonormal basis of ker A. */
+/* Compute the residuals of x. Z (rows, n) is an orthonormal basis of ker A. */
 moc_residuals moc_judge(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOINTS], const double *x);
 
-/* Check an answer and write the x for the third level. */
+/* Check an answer. x (n,) becomes what the third level follows: the answer or its replacement. */
 moc_fault moc_supervise(const moc_supervision *s, const moc_problem *problem, const moc_answer *answer,
                         moc_memory *memory, double *x);
 
@@ -134,24 +135,24 @@ moc_fault moc_supervise(const moc_supervision *s, const moc_problem *problem, co
 /* Start at a finite q and v, measured in control period number `stamp`. */
 void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v, long long stamp, moc_watch *w);
 
-/* Check a measurement, and set watch->q and watch->v to the believed state. */
+/* Check a measurement. watch->q and watch->v become the measured state or, if it is refused, an extrapolated one. */
 moc_stop moc_guard_believe(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w);
 
 /* Check RCM error and trocar force. */
 moc_stop moc_guard_incision(const moc_guard *g, double pose[4][3], const moc_trocar *trocar, const double *wrench,
                             moc_watch *w);
 
-/* Check tip and motion, then limit a finite tau in place. t are the terms at watch->q and watch->v. `before` is the
- * torque of the previous tick. If tip or t is NULL, its check is left out. */
+/* Check tip and motion. Then limit tau in place, if it is finite. t are the terms at watch->q and watch->v. `before` is
+ * the torque of the previous tick. If tip is NULL, the tip is not checked. If t is NULL, the motion is not checked. */
 moc_stop moc_guard_follow(const moc_guard *g, const moc_arm *arm, const moc_terms *t, const double *tip,
                           const double *tip_ref, const double *before, double *tau, moc_watch *w);
 
-/* Compute the torque of a stop, which approaches the weight's torque by up to torque_step per tick. */
+/* Compute the torque in a stop: `before`, moved by at most torque_step towards the gravity torque (w->cut: zero). */
 void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before, const moc_watch *w, double *tau);
 
 /* --- step.c --- */
 
-/* Solve state->problem with moc_solve_exact. */
+/* Solve state->problem exactly, with A already reduced in state->plane. */
 moc_answer moc_ask_exact(const moc_controller *c, moc_state *state);
 
 #endif

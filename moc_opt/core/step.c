@@ -72,7 +72,7 @@ moc_stop moc_start(const moc_controller *c, const moc_measurement *m, moc_state 
     return s->reason;
 }
 
-/* Store the torque that acted. Stop if a torque is beyond its limit or the memory is damaged. */
+/* Store the torque that acted. Stop if a torque is beyond its limit or memory.rows is impossible. */
 static void take_applied(const moc_controller *c, const double *applied, moc_state *s)
 {
     int n = c->arm->n;

@@ -7,12 +7,12 @@
 /* --- rnn.c --- */
 
 typedef struct {
-    int steps;       /* largest number of steps */
+    int steps;       /* limit of the number of steps */
     double h_x, h_y; /* step sizes dt/eps of x and y */
     double k;        /* gain k of Su et al. 2019 */
     double scale;    /* multiplies c0, c1, c2 and rho */
     int implicit;    /* 1: y is updated with the new x */
-    double rest;     /* largest right-hand side of a network at rest [rad/s, m/s] */
+    double rest;     /* the network is at rest if no right-hand side is larger than this [rad/s, m/s] */
 } moc_network;
 
 /* Advance x (n,) and y (6,) in place. *made is the number of steps. Returns MOC_OK at rest, MOC_UNFINISHED if x or y
@@ -33,7 +33,7 @@ typedef struct {
 double plan_place(const plan_task *task, int points, int iterations, const double *q, double *best);
 
 /* Sample the curve of self-motion from q along the unit tangent (n,): arc length s, poses (most, n) and mu. ker A must
- * have one dimension. The curve ends at a joint limit, or (*closed = 1) at its start. Returns the number of samples. */
+ * have one dimension. Stops at a joint limit, or (*closed = 1) back at the start. Returns the number of samples. */
 int plan_follow(const plan_task *task, const double *q, const double *tangent, double step, int most, double *s,
                 double *poses, double *mus, int *closed);
 

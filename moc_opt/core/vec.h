@@ -81,7 +81,7 @@ static inline double clip(double x, double low, double high)
     return smaller(high, larger(low, x));
 }
 
-/* S = L L^T with L (m,m), and 1 / L_ii in inverse (m,). Not finite if S is not positive definite. */
+/* Compute L (m,m) with S = L L^T, and inverse_i = 1 / L_ii. They are not finite if S is not positive definite. */
 static inline void cholesky(int m, double S[][MOC_MAX_JOINTS], double L[][MOC_MAX_JOINTS], double *inverse)
 {
     for (int j = 0; j < m; j++) {
@@ -140,7 +140,7 @@ static inline double off_plane(const moc_problem *p, const double *x)
     return largest_of(6, gap);
 }
 
-/* Five independent rows of A: three of the tip, two of the wrist along b (see `across`). */
+/* Compute five independent rows of A: the tip's three, and b^T J_W for the wrist (b: see `across`). */
 static inline void five_rows(int n, double A[][MOC_MAX_JOINTS], double b[2][3], double A5[5][MOC_MAX_JOINTS])
 {
     memcpy(A5, A, 3 * sizeof *A5);

@@ -18,7 +18,7 @@ static uint64_t seed = 1, digest = 14695981039346656037u;
 static long reasons[MOC_STOPS], faults[MOC_FAULTS], statuses[4];
 static double grain; /* if above 0, random numbers are multiples of grain */
 
-/* Sine: k = 2, term = x. Cosine: k = 1, term = 1. */
+/* Power series: of the sine with k = 2, term = x, of the cosine with k = 1, term = 1. */
 static double series(double x, int k, double term)
 {
     double sum = term;
@@ -27,7 +27,7 @@ static double series(double x, int k, double term)
     return sum;
 }
 
-/* The last bits of the C library's sin and cos depend on the processor. */
+/* Replace the C library's sin and cos, because their last bits depend on the processor. */
 double sin(double x)
 {
     double turned = remainder(x, 6.283185307179586);
@@ -105,12 +105,14 @@ static double *alone(const double *x, int count)
     return own;
 }
 
+/* Set each row's entries after the first n to NaN. */
 static void behind(double *x, int rows, int n)
 {
     for (int i = 0; i < rows; i++)
         fill(x + i * MOC_MAX_JOINTS + n, MOC_MAX_JOINTS - n, (double)NAN);
 }
 
+/* Replace each entry by an extreme number with probability 1 / one_in. */
 static void spoil(double *x, int count, unsigned one_in)
 {
     for (int i = 0; i < count; i++)
@@ -120,7 +122,7 @@ static void spoil(double *x, int count, unsigned one_in)
 
 static void draw_arm(moc_arm *arm)
 {
-    unsigned idle = chance(3) ? 2 : 10; /* one joint in `idle` does not move the tool */
+    unsigned idle = chance(3) ? 2 : 10; /* each joint has a chance of 1 / idle not to move the tool */
     memset(arm, 0, sizeof *arm);
     fill(&arm->joint[0].rotation[0][0], MOC_MAX_JOINTS * (int)(sizeof *arm->joint / sizeof(double)), (double)NAN);
     arm->n = chance(3) ? MOC_MAX_JOINTS : 1 + (int)(bits() % MOC_MAX_JOINTS);
@@ -324,7 +326,7 @@ static void plan(moc_arm *arm, const moc_law *law, const double *from)
         free(own[k]);
 }
 
-/* Run moc_step, or, if `own` is set, a solver with spoilt answers and random claims. */
+/* Run moc_step or, if `own` is set, the same tick with a randomly spoilt answer and a random claim. */
 static moc_stop tick(const moc_controller *c, const moc_input *in, int own, moc_state *state, double *tau)
 {
     double x[MOC_MAX_JOINTS] = {0.0}, y[6];
@@ -662,7 +664,7 @@ static int algebra(void)
     return sound;
 }
 
-/* Check moc_start and moc_begin at limits, with NaN readings, and without a start. */
+/* Check moc_start and moc_begin at torque limits, with NaN readings, and moc_begin and moc_step without a start. */
 static int contract(void)
 {
     static moc_state state;

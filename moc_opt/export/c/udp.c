@@ -1,6 +1,6 @@
 /* The controller over UDP (docs/realtime.md).
  *
- * Usage: moc_udp HOST PORT reference.bin, with the key in MOC_OPT_WIRE_KEY. The loop uses no heap. */
+ * Usage: moc_udp HOST PORT reference.bin, with the key in MOC_OPT_WIRE_KEY. The control loop uses no heap. */
 #define _POSIX_C_SOURCE 200809L
 #include <arpa/inet.h>
 #include <math.h>
@@ -49,7 +49,7 @@ static struct {
     int socket;
     struct sockaddr_in plant;
     uint64_t session; /* 0: unknown */
-    unsigned ignored; /* number of rejected packets */
+    unsigned ignored; /* number of received packets that were ignored */
 } wire;
 
 static int64_t now_ns(void)
@@ -89,7 +89,7 @@ static void send_packet(wire_header *packet, size_t size, uint8_t kind, int64_t 
     uint8_t *bytes = (uint8_t *)packet;
 
     *packet = (wire_header){"", WIRE_VERSION, kind, WIRE_JOINTS, packet->flags, wire.session, WIRE_SCENARIO, number};
-    memcpy(packet->magic, WIRE_MAGIC, sizeof packet->magic); /* without the final 0 */
+    memcpy(packet->magic, WIRE_MAGIC, sizeof packet->magic); /* without the string's final 0 */
     if (sign(bytes, size - TAG, bytes + size - TAG))
         (void)!sendto(wire.socket, packet, size, 0, (const struct sockaddr *)&wire.plant, sizeof wire.plant);
 }
@@ -120,7 +120,7 @@ static int receive(int64_t until, wire_measurement *found)
         } scratch;
         ssize_t size = recvfrom(wire.socket, &scratch, sizeof scratch, 0, (struct sockaddr *)&sender, &length);
         if (size < 0)
-            continue; /* timeout, or the last packet was rejected */
+            continue; /* timeout, or the plant's system rejected the packet that was sent last */
         if (is_sound(scratch.bytes, (size_t)size, &sender)) {
             *found = scratch.packet;
             return 1;
