@@ -1,4 +1,4 @@
-"""The live run without its page."""
+"""Tests of LiveRun without its web page."""
 
 from collections.abc import Callable
 from typing import Any
@@ -9,7 +9,7 @@ import pytest
 
 from moc_opt.errors import ControlError, UnknownNameError
 from moc_opt.live import LiveError, LiveRun
-from moc_opt.live.run import DCAC, QUANTITIES, SLOWLY_M_PER_S, solver_of
+from moc_opt.live.run import DCAC, QUANTITIES, TROCAR_SPEED_M_PER_S, solver_of
 from moc_opt.scenario import Scenario, Setup
 
 
@@ -43,7 +43,7 @@ def test_solver_is_exchanged_at_the_next_tick(run: LiveRun) -> None:
     assert solver_of(run.used) == run.solver != "exact"
     run.choose(DCAC)
     run.advance(1)
-    assert solver_of(run.used) != DCAC, "not while the torques of the previous exchange blend"
+    assert solver_of(run.used) != DCAC, "not within BLEND_S after the previous exchange"
     run.advance(79)
     assert run.used.solution is None
     assert np.isnan(column(run, "solve_us", 30)).all()
@@ -131,7 +131,7 @@ def test_trocar_moves_slowly(run: LiveRun) -> None:
         run.advance(1)
         places.append(run.trocar)
     speeds = np.diff(places, axis=0) / run.period_s
-    np.testing.assert_allclose(speeds[1:100], np.tile(SLOWLY_M_PER_S * asked / np.linalg.norm(asked), (99, 1)))
+    np.testing.assert_allclose(speeds[1:100], np.tile(TROCAR_SPEED_M_PER_S * asked / np.linalg.norm(asked), (99, 1)))
     np.testing.assert_allclose(places[-1] - start, asked, atol=1e-9)
     assert column(run, "rcm_error_m", 100).max() < 3e-3, "the controller knows where the trocar is"
     run.reset()
