@@ -22,7 +22,7 @@ TROCAR_SPEED_M_PER_S, MOST_OFFSET_M = 0.02, 0.05  # limits on speed [m/s] and of
 
 
 class LiveError(ScenarioError):
-    """A live run cannot carry out a request. The run goes on unchanged."""
+    """A live run cannot carry out an order. The run goes on unchanged."""
 
 
 class ExchangeableController:

@@ -159,7 +159,7 @@ def test_answers_do_not_depend_on_units():
     assert np.mean(same) > 0.97
 
 
-def test_answer_contains_no_useless_motion():
+def test_motion_that_does_not_lower_the_cost_is_left_out():
     qp = random_problem(np.random.default_rng(14), regularization=0.0)
     assert solve(qp).x[6] == 0.0
     assert solve(changed(qp, c2=0.0, grad_mu=np.ones(7))).x[6] == 0.0
