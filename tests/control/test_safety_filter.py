@@ -159,7 +159,7 @@ def test_position_change_over_three_ticks_is_compared_with_the_velocity(robot, s
 def test_mean_square_tip_error_above_its_limit_stops_the_arm(robot, time_s, factor):
     guard = guard_of(robot, tip_error_m=0.004, tip_error_s=time_s)
     share = min(1.0, PERIOD / time_s)
-    for _ in range(2):  # the second start forgets the first run
+    for _ in range(2):  # the second start clears the first run's mean
         guard.start(robot.data.q_home, REST)
         for k in range(1, 400):
             guard.limit_torque(REST, REST, REST, REST, np.zeros((3, 3)), tip=np.array([0.0, 0.004 * factor, 0.0]))

@@ -122,7 +122,7 @@ def test_runaway_arm_is_stopped(run: LiveRun) -> None:
     assert column(run, "tip_error_m", 50).max() < 1e-3
 
 
-def test_trocar_moves_slowly(run: LiveRun) -> None:
+def test_trocar_moves_at_the_speed_limit(run: LiveRun) -> None:
     run.advance(10)
     start, asked = run.trocar, np.array([0.005, -0.0025, 0.001])
     run.place_trocar(*asked)
@@ -140,7 +140,7 @@ def test_trocar_moves_slowly(run: LiveRun) -> None:
 
 
 def test_arm_survives_requests_at_every_tick(run: LiveRun) -> None:
-    """A request waits until 0.1 s after the previous exchange."""
+    """Between two exchanges of the controller, at least 0.1 s pass."""
     rng = np.random.default_rng(0)
     for _ in range(400):
         run.choose(str(rng.choice([DCAC, "exact", "rnn"])))

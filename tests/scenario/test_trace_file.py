@@ -1,4 +1,4 @@
-"""However a run ends, its trace is written."""
+"""The trace of a run is written, whatever ends the run."""
 
 import os
 import signal
