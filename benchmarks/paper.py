@@ -40,7 +40,7 @@ from moc_opt.vision.board import board_task
 
 STREAM = 0
 PRINTED, NETWORK = "paper", "rnn"
-"""PRINTED: the group with Table I as printed; NETWORK: the solver that is a network, as in the paper"""
+"""PRINTED: the group with Table I as printed; NETWORK: the paper's solver, a recurrent neural network"""
 HOLDS, GAINS_ONLY, FAILS, UNDECIDED = "holds", "holds only against DCAC with softer gains", "does not hold", "undecided"
 MARKS = {HOLDS: ("✔", "good", 0), GAINS_ONLY: ("≈", "fair", 1), FAILS: ("✘", "bad", 2)}
 TONES = {HOLDS: GOOD, GAINS_ONLY: list(SERIES)[4], FAILS: WORST}
@@ -52,17 +52,17 @@ MOST_MM = {
 """upper limits of the mean errors [mm]"""
 RULES = (
     "An effect is the change of MOC against a DCAC on the same trials, 100 (mean MOC / mean DCAC - 1), with its 95 % "
-    "interval. Beside this ratio of means stands the mean of the ratios of the single trials. A claim is confirmed "
-    "against a DCAC if the intervals of both lie on the claimed side. A claim holds if it is confirmed against DCAC "
-    "with MOC's gains, which lacks only the third level. It holds only against softer gains if it is confirmed only "
-    "against DCAC with the gains that the paper gives DCAC. It is undecided if the two means or their intervals "
+    "interval. Beside it stands the mean of the single trials' ratios. A claim is confirmed against a DCAC if the "
+    "intervals of both numbers lie on the claimed side. A claim holds if it is confirmed against DCAC with MOC's "
+    "gains, which lacks only the third level. If it is confirmed only against DCAC with the paper's (softer) gains for "
+    "DCAC, it is said to hold only against softer gains. It is undecided if the two numbers, or their intervals, "
     "disagree. Fewer than eight trials decide nothing. The force at the trocar is not judged: it follows the RCM error."
 )
 
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim that a metric changes by more (`upwards`) or less than a bound [%]."""
+    """A claim that a metric's change is above (``upwards``) or below ``bound`` [%]. ``papers``: the paper claims it."""
 
     metric: str
     title: str
@@ -76,7 +76,7 @@ class Claim:
         return effect is not None and effect.side(self.bound) == (1 if self.upwards else -1)
 
     def verdict(self, own: Change | None, matched: Change | None) -> str:
-        """Judge the changes against DCAC with the paper's gains for DCAC (`own`), and with MOC's (`matched`)."""
+        """Judge by the changes against DCAC with the paper's gains for DCAC (``own``), and with MOC's (``matched``)."""
         few = too_few(matched.ratio.samples if matched else 0)
         if matched is None or few:
             return str(few)
@@ -114,17 +114,17 @@ class Group(Settings):
 
 
 class Case(Settings):
-    """Table I with some entries exchanged, for MOC and for DCAC."""
+    """Table I with some entries replaced, for MOC and for DCAC."""
 
     KIND: ClassVar[str] = "[ablation.cases.*]"
     about: str = ""
-    control: dict[str, Any] = Field(default_factory=dict, description="the exchanged settings")
+    control: dict[str, Any] = Field(default_factory=dict, description="the settings that replace entries")
     without: list[str] = Field(default_factory=list, description="settings put back to the package's default")
     controller: str = Field("exact", description="a solver of the third level, or 'dcac-damped'")
 
 
 class Ablation(Settings):
-    """Table I with entries exchanged. The first case is the table as printed."""
+    """Table I with entries replaced. The first case is the table as printed."""
 
     KIND: ClassVar[str] = "[ablation]"
     group: str = Field(PRINTED, description="the group whose parameters and trials are used")
@@ -146,7 +146,7 @@ class Config(StudyConfig):
     solvers: list[str] = Field(["exact", "rnn", "rnn-printed"], min_length=1)
     best: str = "tuned"
     best_solver: str = "exact"
-    elsewhere: str | None = Field(None, description="another group for which the goals are judged, with other starts")
+    elsewhere: str | None = Field(None, description="a second group (with other starts) to judge the goals")
     groups: dict[Name, Group] = Field(default_factory=dict, min_length=1)
     ablation: Ablation = Ablation()
     swivel: Swivel = Swivel()
@@ -287,7 +287,8 @@ def goals(rows: Results, group: str | None, solver: str) -> dict[str, dict[str, 
 
 
 def ablation(rows: Results, cases: Mapping[str, Case]) -> list[dict[str, Any]]:
-    """Return one row per case and claim of the paper: effect (change against DCAC), shift from case 1, and `decides`.
+    """Return one row per case and claim of the paper: the effect (change against DCAC), the effect minus that of case 1
+    (the shift), and whether the case decides the claim.
 
     A case decides a claim if its effect and that of Table I as printed lie on opposite sides of the claim's bound, the
     95 % interval of the difference of the two effects excludes zero, and there are at least eight trials.
@@ -339,7 +340,7 @@ def swivel_trials(config: Config) -> list[Trial]:
 
 
 def swivel(rows: Results, solver: str) -> dict[str, Any]:
-    """Return the gain of mean mu [%] from the start with the largest mu, and from the other starts."""
+    """Return gains of mean mu [%]: at the start with the largest mu, and least, mean and largest elsewhere."""
     top, others = (rows.where(at_maximum=best) for best in (True, False))
     found: dict[str, Any] = {"starts": len(rows) // 2, "broke_off": len(rows.failed())}
     if (of_top := gains(top, solver)) and (of_others := gains(others, solver)):
@@ -458,7 +459,7 @@ def _sections(summary: Mapping[str, Any], config: Config) -> Iterable[Section]:
         ]
         rule = str(ablation.__doc__).split("\n\n")[1]
         yield Section("Which entry of Table I decides", rule, [Table(
-            "Table I with entries exchanged, against DCAC with the same gains", [
+            "Table I with entries replaced, against DCAC with the same gains", [
                 Column("about", "case"), Column("claim", "claim"), Column("effect", "effect", unit="%"),
                 Column("shift", "shift from Table I", unit="points"), Column("decides", "decides"),
             ], exchanged)])  # fmt: skip

@@ -18,11 +18,11 @@ QUANTITIES = ("t_s", "mu", "tip_error_m", "rcm_error_m", "force_N", "solve_us", 
 HISTORY_S = 20.0  # time for which past quantities are kept [s]
 BLEND_S = 0.1  # time constant of the torque blend, and least time between two exchanges of the controller [s]
 RAMP_S = 0.3  # lower bound on `ramp_s` of a controller that takes over [s]
-SLOWLY_M_PER_S, MOST_OFFSET_M = 0.02, 0.05  # limits on speed [m/s] and offset [m] when the user moves the trocar
+TROCAR_SPEED_M_PER_S, MOST_OFFSET_M = 0.02, 0.05  # limits on speed [m/s] and offset [m] when the user moves the trocar
 
 
 class LiveError(ScenarioError):
-    """A live run cannot carry out an order; the run goes on unchanged."""
+    """A live run cannot carry out an order. The run goes on unchanged."""
 
 
 class ExchangeableController:
@@ -104,12 +104,12 @@ class LiveRun:
     solver = property(lambda self: solver_of(self._chosen), doc="The solver, or `DCAC`.")
 
     def choose(self, solver: str) -> None:
-        """Switch to another solver of level 3, or to `DCAC`; a MocOptError if the solver cannot run."""
+        """Switch to another solver of level 3, or to `DCAC`. Raises a MocOptError if the solver cannot run."""
         law = self.control.matched_dcac() if solver == DCAC else {"law": "moc"}
         self._exchange(self.control.replace(law), solver)
 
     def tune(self, **settings: Any) -> None:
-        """Change settings of `ControlSettings` by name; a MocOptError if a name or value is wrong."""
+        """Change settings of `ControlSettings` by name. Raises a MocOptError if a name or value is wrong."""
         if "law" in settings:
             raise LiveError("law cannot be set here: choose(solver) sets it")
         self._exchange(self.control.replace(settings), self.solver)
@@ -121,8 +121,8 @@ class LiveRun:
     def _build(self, control: ControlSettings, name: str) -> Controller:
         if control.follows:
             raise LiveError(
-                f"[control] third_level = {control.third_level!r}: a course ends with the path, but a live run goes "
-                "to and fro along the path; take third_level = 'local'"
+                f"[control] third_level = {control.third_level!r}: a planned joint motion ends where the path ends, "
+                "but a live run goes to and fro along the path; take third_level = 'local'"
             )
         settings = self.scenario.solver.settings if name == self.scenario.solver.name else {}
         solver = None if name == DCAC else isolated(make_solver(name, self.robot, **settings), self.scenario)
@@ -143,14 +143,14 @@ class LiveRun:
         return self._setup.reference.rows(self._setup.duration_s - within) * [[1.0], [-1.0], [1.0]]  # backwards
 
     def history(self, points: int = 400) -> Array:
-        """Return the maxima (k, 7) of `QUANTITIES` over each of k <= ``points`` groups of past ticks."""
+        """Divide the past ticks into k <= ``points`` groups. Return each group's maxima (k, 7) of `QUANTITIES`."""
         rows = np.array(self._rows).reshape(-1, len(QUANTITIES))
         size = max(1, -(-len(rows) // points))
         stretches = rows[len(rows) % size :].reshape(-1, size, len(QUANTITIES))  # drops the incomplete oldest group
         return np.fmax.reduce(stretches, axis=1)
 
     def reset(self) -> None:
-        """Go back to the start, and keep solver, gains and trocar."""
+        """Go back to the start. Solver, gains and the trocar's requested offset stay as they are."""
         self.t_s, self.stopped, self._offset = 0.0, "", np.zeros(3)
         self._setup.plant.reset(self._setup.q_start)
         self._loop = self._setup.closed_loop(self._in_use)
@@ -159,7 +159,7 @@ class LiveRun:
         self._rows.clear()
 
     def advance(self, ticks: int) -> None:
-        """Run up to ``ticks`` ticks; none after the arm has stopped."""
+        """Run ``ticks`` ticks, or fewer if the arm stops or has stopped."""
         try:
             for _ in range(ticks):
                 if not self.stopped:
@@ -181,7 +181,7 @@ class LiveRun:
 
     def _move_trocars(self) -> None:
         t = self._loop.ticks * self.period_s
-        away, most = self._asked - self._offset, SLOWLY_M_PER_S * self.period_s
+        away, most = self._asked - self._offset, TROCAR_SPEED_M_PER_S * self.period_s
         shift = away * min(1.0, most / max(float(np.linalg.norm(away)), 1e-12))
         moved = np.array([self._offset, shift / self.period_s])
         self._now = tuple(trocar.rows(t) + moved for trocar in (self._setup.trocar, self._setup.registered))

@@ -75,7 +75,7 @@ class Joints:
         """Queue a torque (n,) [Nm], and apply the torque that is due. Raise a PlantError for a wrong torque."""
         wanted = np.asarray(tau, dtype=np.float64)
         if wanted.shape != self._high.shape:
-            raise PlantError(f"tau has shape {wanted.shape}: give {self._high.shape}, one torque a joint [Nm]")
+            raise PlantError(f"tau has shape {wanted.shape}: give {self._high.shape}, one torque per joint [Nm]")
         if not math.isfinite(wanted.dot(wanted)):
             raise PlantError(
                 f"tau = {wanted.tolist()} Nm is not finite: the arm has not moved; mend the controller, "

@@ -53,7 +53,7 @@ class Exact(SolverSettings):
     def solve_batch(self, rows: Array, threads: int | None = None) -> tuple[Array, Array, list[Status]]:
         """Solve k subproblems ``rows`` (k, 11 n + 10). Return x (k, n), y (k, 6) and k statuses.
 
-        x and y are NaN if the status is not SOLVED. Default: one thread per core. A wrong shape raises a SolverError.
+        x and y are NaN if the status is not SOLVED. ``threads`` None: one per core. A wrong shape raises a SolverError.
         """
         if threads is not None and threads < 1:
             raise SolverError(f"exact: threads = {threads}: give 1 or more, or None for one per core")

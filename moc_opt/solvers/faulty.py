@@ -31,7 +31,7 @@ class Faulty:
     """A solver that fails at random ticks.
 
     Args:
-        inner: the wrapped solver, which answers at ticks without a fault.
+        inner: the wrapped solver. Its answers are used at ticks without a fault.
         kind: "fail": no answer; "nan": x is NaN; "lie": x for a negated gradient; "raise": an exception; "outside": x
             is outside the bounds; "rig": the subproblem is rewritten to fit x; "malformed": complex duals.
         rate: probability of a fault at a tick, 0 to 1.
@@ -53,7 +53,7 @@ class Faulty:
         return self.inner.supports(qp)
 
     def start(self, qp: NullSpaceQP) -> FaultySession:
-        """Return a session. `draw` tells at which ticks it fails."""
+        """Return a session. `draw` computes in advance at which ticks the session fails."""
         return FaultySession(self, self.inner.start(qp), qp)
 
 

@@ -1,6 +1,6 @@
 """A solver in a separate process. If the process crashes or hangs, it is replaced.
 
-A simulation waits for the new process. In real time (``waits=False``), ticks before its start have no answer.
+A simulation waits for the new process. In real time (``waits=False``), ticks have no answer until it has started.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class ProcessSettings(Settings):
 
     KIND: ClassVar[str] = "[solver.process]"
     answer_age_ticks: int = Field(0, ge=0)
-    """largest age of an earlier answer that may replace a late answer. 0: no earlier answer may"""
+    """largest age of an earlier answer that may replace a late answer. 0: none may"""
     hang_s: float = Field(1.0, gt=0.0)
     """time without an answer after which the solver's process is killed and replaced"""
     memory_MB: float = Field(4096.0, gt=0.0)
@@ -75,13 +75,13 @@ class Isolated:
 
     def __post_init__(self) -> None:
         if os.name != "posix":
-            raise SolverError("[solver] isolation = 'process' needs Linux or macOS; take 'none'")
+            raise SolverError("[solver] isolation = 'process' needs Linux or macOS; set 'none'")
         try:
             object.__setattr__(self, "_pickled", pickle.dumps(self.inner))
         except Exception as error:
             raise SolverError(
-                f"solver {self.name!r} cannot run in a process of its own: {describe(error)}: let its settings hold "
-                "only what pickle can copy and create the rest in its start(), or take [solver] isolation = 'none'"
+                f"solver {self.name!r} cannot run in a process of its own: {describe(error)}: keep only "
+                "picklable values in its settings and create the rest in start(), or set [solver] isolation = 'none'"
             ) from error
 
     @property
@@ -90,7 +90,7 @@ class Isolated:
         return self.inner.name
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None. Only ``start`` asks the wrapped solver."""
+        """Return None. The wrapped solver's ``supports`` is called by ``start``, in the new process."""
         return None
 
     def start(self, qp: NullSpaceQP) -> Session:
@@ -137,7 +137,7 @@ class IsolatedSession:
         return newest.value  # type: ignore[no-any-return]  # its form is checked by the controller
 
     def _answered(self, process: _Process, qp: NullSpaceQP) -> _Answer | None:
-        """Wait at most for the budget. Return the newest answer so far, or None."""
+        """Wait no longer than the time budget. Return the newest answer so far, or None."""
         solver = self._solver
         if not process.started(math.inf if solver.waits else 0.0):
             raise Unanswered("lost", "a new process of the solver is being started")
@@ -241,7 +241,7 @@ def serve(fd: int, memory_MB: float) -> None:
             solver, row, v, most_s = pipe.recv()
         except (EOFError, OSError):
             return
-        # This timer ends a process that hangs after its parent has ended.
+        # If this process hangs after its parent has ended, nobody kills it. This timer then does.
         signal.setitimer(signal.ITIMER_REAL, 2.0 * most_s + 1.0)
         try:
             qp = NullSpaceQP.from_row(row)
@@ -264,7 +264,7 @@ def _start(pickled: bytes, qp: NullSpaceQP) -> Session:
     try:
         solver: Solver = pickle.loads(pickled)
     except (ImportError, AttributeError) as error:
-        raise SolverError(f"{describe(error)}: its class must be in an importable module") from error
+        raise SolverError(f"{describe(error)}: the solver's class must be in an importable module") from error
     if (reason := solver.supports(qp)) is not None:
         raise SolverError(f"it does not accept this subproblem: {reason}")
     return solver.start(qp)

@@ -70,7 +70,7 @@ class LibrarySession(ABC):
         """Return the buffers by name, as docs/extending.md explains."""
 
     def _load(self, qp: NullSpaceQP) -> bool:
-        """Write ``qp`` into the buffers. Return False if its shape differs from theirs."""
+        """Write ``qp`` into the buffers. Return False if the buffers do not fit its size."""
         return qp.n == self._n and core.load(qp.row, *self._to)
 
     def _set_up(self, m: int, n: int) -> None:  # noqa: B027

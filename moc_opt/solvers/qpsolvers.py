@@ -153,7 +153,7 @@ class QPSolverSession:
         return Solution(x, np.dot(found.y, lift) / scale, Status.SOLVED, iterations)
 
     def _verdict(self, found: qpsolvers.Solution) -> Status:
-        """Return the status of a solve without an answer."""
+        """Return the status of a solve that found no answer."""
         if self._settings.library == "quadprog":  # at other failures, quadprog raises an exception
             return Status.INFEASIBLE
         limit = self._advice.options.get("time_limit")
@@ -215,7 +215,7 @@ class QPSolver(SolverSettings):
                 session.attempt(qp)  # type: ignore[attr-defined]
             except (QPError, FloatingPointError, ZeroDivisionError):
                 pass  # the problem failed, not the options
-            except Exception as error:  # each library has its own errors
+            except Exception as error:  # each library raises its own types of exceptions
                 refused = f"options = {self.options} are refused ({describe(error)}); see the library's manual"
                 raise SolverError(f"{self.name}: {refused}") from error
         return session

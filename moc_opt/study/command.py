@@ -111,7 +111,7 @@ class Study:
     def trials(
         self, asked: Sequence[Trial], what: str = "runs", *, limit_s: float | None = None, **options: Any
     ) -> list[Run]:
-        """Run trials. Return one `Run` per trial, also for failed ones. ``limit_s`` replaces their time limits."""
+        """Run trials. Return one `Run` per trial, even if it failed. ``limit_s`` replaces the trials' time limits."""
         jobs = [one.job if limit_s is None else replace(one.job, limit_s=limit_s) for one in asked]
         results = self.run(jobs, what, **options)
         return [outcome(one, result) for one, result in zip(asked, results, strict=True)]
@@ -139,7 +139,7 @@ def command(
     parser = ArgumentParser(prog=program or f"python -m benchmarks.{name}", description=about)
     parser.add_argument("config", nargs="?", type=Path, help=f"TOML file with the settings; default: {name}.toml")
     parser.add_argument("--out", type=Path, default=Path("results") / name, help="folder for the results")
-    parser.add_argument("--seed", type=int, help="seed of random numbers; it replaces the settings' seed")
+    parser.add_argument("--seed", type=int, help="seed of random numbers; it replaces the file's seed")
     parser.add_argument("--quick", action="store_true", help="run the same study on less data")
     parser.add_argument("--json", action="store_true", help="print the summary as JSON instead of text")
     parser.add_argument("--dask", metavar="ADDRESS", help="Dask scheduler for the jobs that are not timed")

@@ -44,8 +44,8 @@ COLUMNS = [
 ]  # fmt: skip
 CAPTION = (
     f"Means are over completed trials, with 95 % intervals for {LEAST_TRIALS} trials or more. Changes are relative to "
-    "dcac (the control law without level 3, with equal gains). A ? marks a change that the mean over trials of each "
-    "trial's change does not confirm. Verified: answers that a check found optimal. Silently wrong: number of wrong "
+    "dcac (the control law without level 3, with equal gains). ?: not confirmed by the mean over trials of each "
+    "trial's change. Verified: answers that a check found optimal. Silently wrong: number of wrong "
     "answers reported as optimal. p50, p99: median and 99th percentile of the solve time, as medians over the trials. "
     f"The times of exact exclude the call from Python. {FRAMES}"
 )
@@ -163,7 +163,7 @@ def compare(
         scenario: a scenario, or the path of its file; None: the default scenario.
         trials: number of trials. Trial k has the seed ``seed + k``.
         seed: the seed of the first trial.
-        watch: called with a few words before each run.
+        watch: called with the trial's number and the solver's name, as text, before each run.
 
     Raises:
         UnknownNameError, SolverError: a solver is unknown, none is given, or two share a name.

@@ -78,7 +78,7 @@ def run(
     done: Callable[[Job, Any], None] = lambda job, result: None, keep: Callable[[Any], bool] = lambda result: True,
     give_up: int = 1,
 ) -> list[Any]:  # fmt: skip
-    """Run all jobs, and return their results in order. A failed job gives a `Failed`.
+    """Run all jobs, and return their results in order. The result of a failed job is a `Failed`.
 
     Args:
         kept: store of results. A stored job is not run again.
@@ -298,7 +298,7 @@ def _begin(folder: str, memory: int) -> None:
 
 
 def report(part: Any) -> None:
-    """Save a part of this job's result. If the job fails later, the part is in `Failed.parts`."""
+    """Save a part of the running job's result. If the job fails later, `Failed.parts` has the part."""
     if _parts is not None:
         _parts.write(pickle.dumps(part))
 

@@ -30,7 +30,7 @@ PACKAGES = (
     "moc-opt", "numpy", "scipy", "pin", "mujoco", "casadi", "osqp", "proxsuite", "qpsolvers", "daqp", "piqp",
     "quadprog", "clarabel", "scs", "highspy", "polars", "pydantic", "tsid", "pin-pink", "mink",
 )  # fmt: skip
-SHOWS = ("report", "figures", "commands", "live")  # subpackages that cannot change a result
+SHOWS = ("report", "figures", "commands", "live")  # subpackages without influence on results
 HOME = Path(core.__file__).parents[1]
 
 

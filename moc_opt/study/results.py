@@ -22,9 +22,9 @@ ERRORS = (
     "tip_error_model_mean_mm", "tip_error_registered_mean_mm", "tip_error_mean_mm",
     "rcm_error_model_mean_mm", "rcm_error_registered_mean_mm", "rcm_error_mean_mm",
 )  # fmt: skip
-"""Mean errors [mm] by the robot's own kinematics, in the registered frame and in the base frame."""
+"""Mean errors [mm]: computed with the robot's kinematics, in the registered frame, and in the base frame."""
 PHASES = ("settled", "travelling")
-"""Prefixes of metrics. While "travelling", the elbow moves to its optimum."""
+"""Prefixes of metrics. "travelling": while the elbow moves to its optimum; "settled": after its arrival."""
 TITLES = {
     name: f"{part}, {frame}"
     for name, (part, frame) in zip(ERRORS, product(("tip", "RCM"), ("own", "registered", "base")), strict=True)
@@ -81,14 +81,14 @@ class Results:
         return {row["trial"]: float(row[metric]) for row in mine if row.get(metric) is not None}
 
     def mean(self, metric: str, controller: str) -> Interval | None:
-        """Return the mean over the controller's whole runs, or None if there are none."""
+        """Return the mean over the controller's whole runs, or None if the controller has no whole run."""
         try:
             return mean(list(self.values(metric, controller).values()))
         except StatisticsError:
             return None
 
     def pairs(self, metric: str, controller: str, baseline: str = BASELINE) -> tuple[list[float], list[float]]:
-        """Return both controllers' values on trials that both completed. A phase's mean is multiplied by its ticks."""
+        """Return both controllers' values on trials that both completed. A phase's mean is weighted by its ticks."""
         mine, theirs = self.values(metric, controller), self.values(metric, baseline)
         both = [trial for trial in mine if trial in theirs]
         phase = next((phase for phase in PHASES if metric.startswith(f"{phase}_")), None)

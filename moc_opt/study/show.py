@@ -26,7 +26,7 @@ FORMATS = {"%": "+.1f", "mm": ".3f", "us": ".1f", "m^3": ".4f", "N": ".2f"}
 
 
 def mark(verdict: bool | str | None, text: str) -> Mark:
-    """Return the `Mark` of a verdict, with ``text`` as its word."""
+    """Return the `Mark` of a verdict, with ``text`` beside its symbol."""
     known = MARKS.get(verdict, OPEN)
     return Mark(known.symbol, text, known.tone, known.rank)
 
@@ -57,7 +57,7 @@ class Report:
     table: Table  #: table on the first screen
     pictures: Sequence[Picture] = ()  #: up to three pictures
     sections: Sequence[Section] = ()  #: in reading order
-    load: str = ""  #: the machine's load while times were taken
+    load: str = ""  #: the machine's load while times were measured
     subtitle: str = ""
 
     def page(self, environment: Mapping[str, Any], failed: Sequence[Mapping[str, Any]] = ()) -> Page:

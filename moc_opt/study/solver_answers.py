@@ -34,7 +34,7 @@ BROKEN_SETS = 3  # after hangs or crashes in this many sets, a solver's later se
 HOURS = 1e5  # time limit of a whole set [s]
 WARM_UP = 16  # untimed solves at the start
 CONTRADICTION = 1e-13  # a larger difference of `TestSet.rows` and `TestSet.judged` is no rounding error [m/s]
-RIGHTLY = 0.99  # times are compared if the share of right answers is at least this
+RIGHTLY = 0.99  # a solver's times are compared only if at least this share of its answers is right
 RESIDUALS = ("primal", "natural", "natural_best", "relative", "loss")
 
 
@@ -147,7 +147,7 @@ def share_right(counts: Mapping[str, Any]) -> float:
 
 
 def totals(answers: Sequence[Answers], times: Sequence[Times]) -> dict[str, Any]:
-    """Return one solver's total counts, largest residuals, and times of its slowest set."""
+    """Return one solver's total counts, largest residuals, and times of the set on which it is slowest."""
     rows, figures = [one.summary() for one in answers], [one.figures() for one in times]
     found: dict[str, Any] = {name: sum(row[name] for row in rows) for name in answers[0].counts()}
     for name in (f"{residual}_max" for residual in RESIDUALS):

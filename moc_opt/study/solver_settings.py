@@ -51,7 +51,7 @@ class SolverSetting:
 def solver_settings(
     names: Iterable[str], overrides: Mapping[str, Mapping[str, Any]] | None = None
 ) -> list[SolverSetting]:
-    """Return every setting of every named solver. ``overrides[solver]`` changes its setting "recommended"."""
+    """Return every setting of every named solver. ``overrides[solver]`` replaces options of its "recommended" one."""
     return [
         SolverSetting(solver, name, {**options, **((overrides or {}).get(solver, {}) if name == RECOMMENDED else {})},
                       reason)
@@ -60,7 +60,7 @@ def solver_settings(
 
 
 def of(name: str) -> dict[str, tuple[dict[str, Any], str]]:
-    """Return one solver's (options, reason) by name of the setting."""
+    """Return a dict from a setting's name to (options, reason), for one solver."""
     tables = SETTINGS.get(name, {})
     if not name.startswith(QPSOLVERS):
         known = {of: ({key: v for key, v in one.items() if key != "why"}, one["why"]) for of, one in tables.items()}
@@ -69,7 +69,7 @@ def of(name: str) -> dict[str, tuple[dict[str, Any], str]]:
     if TIGHT in tables:
         values = ", ".join(f"{key} = {value:g}" for key, value in tables[TIGHT]["options"].items())
         found[TIGHT] = ({**AS_QPSOLVERS_CALLS_IT, **tables[TIGHT]}, values)
-    found[RECOMMENDED] = ({}, "five rows, and the cost scale and tolerances of our adapter's table of advice")
+    found[RECOMMENDED] = ({}, "five rows, and the cost scale and tolerances that our adapter recommends")
     return found
 
 

@@ -68,7 +68,7 @@ class TestSets(Limits):
         return value
 
     def chosen(self) -> list[str]:
-        """Return the names of the sets in order."""
+        """Return the names of the chosen sets, in the order of `testsets.NAMES`."""
         return [name for name in testsets.NAMES if self.names == "all" or name in self.names]
 
 

@@ -20,9 +20,10 @@ from moc_opt.errors import MocOptError
 RESAMPLES = 4000
 CONFIDENCE = 0.95
 NOMINAL = 0.7
-"""Intervals are computed for a miss rate of `NOMINAL` * (1 - `CONFIDENCE`): in simulations, they miss more often."""
+"""In simulations, bootstrap intervals miss the true value more often than they claim. So they are computed for
+`NOMINAL` times the allowed miss rate, 1 - `CONFIDENCE`."""
 ROUNDING = 1e-9  # smaller changes are taken as zero [percent]
-LEAST_TRIALS = 8  # with fewer trials, no change is called a gain or a loss
+LEAST_TRIALS = 8  # with fewer trials, a change is called neither a gain nor a loss
 
 
 def too_few(trials: int) -> str | None:
@@ -54,7 +55,7 @@ class Interval(NamedTuple):
 
 
 class Change(NamedTuple):
-    """A change [percent]: ``ratio`` compares the means over trials, ``ratios`` is the mean of each trial's change."""
+    """A change [percent]: ``ratio``: of the mean over trials; ``ratios``: mean over trials of each trial's change."""
 
     ratio: Interval
     ratios: Interval
@@ -66,7 +67,7 @@ class Change(NamedTuple):
 
     @property
     def undecided(self) -> bool:
-        """Whether the two values differ in sign, or only one of the two intervals contains 0."""
+        """Whether the two values differ in sign, or the two intervals lie differently with respect to 0."""
         sides = [(one.low > ROUNDING, one.high < -ROUNDING) for one in self]
         values = self.ratio.value, self.ratios.value
         opposed = min(values) < -ROUNDING and max(values) > ROUNDING
@@ -118,7 +119,7 @@ def relative_change(treated: ArrayLike, control: ArrayLike) -> Interval:
     """Compute 100 (mean(treated)/mean(control) - 1) [percent] from two arrays (k,) of the same k trials.
 
     Raises:
-        StatisticsError: no pair, different lengths, a number that is not finite, or controls with mean 0.
+        StatisticsError: empty arrays, different lengths, a number that is not finite, or ``control`` has mean 0.
     """
     return _interval(_change, treated=treated, control=control)
 

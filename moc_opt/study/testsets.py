@@ -57,7 +57,7 @@ class TestSet:
         return np.array([straightened(qp).row for qp in self.problems()])
 
     def thinned(self, every: int) -> TestSet:
-        """Keep every ``every``-th problem."""
+        """Return a set of every ``every``-th problem."""
         found = TestSet(self.name, self.rows[::every], self.x[::every], self.feasible[::every])
         vars(found)["judged"] = self.judged[::every]  # fills the cached property
         return found
@@ -96,7 +96,7 @@ def straightened(qp: NullSpaceQP) -> NullSpaceQP:
 
 
 def changed(qp: NullSpaceQP, **values: Any) -> NullSpaceQP:
-    """Return the subproblem with some arguments changed."""
+    """Return the subproblem with some constructor arguments replaced."""
     return NullSpaceQP(**{name: getattr(qp, name) for name in ARGUMENTS} | values)
 
 

@@ -23,13 +23,13 @@ threads [s], and wall time [s]."""
 
 
 def used() -> dict[str, float]:
-    """Return the `COUNTED` entries since this process started, with 0 calls."""
+    """Read the counters now, as `COUNTED` entries with 0 calls. `since` computes differences."""
     switches = resource.getrusage(resource.RUSAGE_SELF).ru_nivcsw
     return dict(zip(COUNTED, (0, switches, process_time(), perf_counter()), strict=True))
 
 
 def since(before: Row, calls: int) -> dict[str, float]:
-    """Return the `COUNTED` entries since ``before``."""
+    """Return the `COUNTED` entries of ``calls`` calls: differences from the earlier readings ``before``."""
     return {name: value - before[name] for name, value in used().items()} | {"times_calls": calls}
 
 
@@ -51,14 +51,14 @@ def quiet(row: Row) -> bool:
 
 
 def load(rows: Iterable[Row]) -> str:
-    """Describe the machine's load while times were taken. Return "" without times."""
+    """Describe the machine's load while times were measured. Return "" if no row has times."""
     timed = [row for row in rows if row.get("times_calls")]
     if not timed:
         return ""
     whole, spoilt = total(timed), sum(not quiet(row) for row in timed)
     said = (
-        f"Times were taken with {100.0 * cpu_share(whole):.1f} % of a core and {whole['times_switches']:,.0f} "
-        f"involuntary context switches in {whole['times_wall_s']:.2g} s: "
+        f"While times were measured, the measuring process had {100.0 * cpu_share(whole):.1f} % of a core and was "
+        f"interrupted {whole['times_switches']:,.0f} times in {whole['times_wall_s']:.2g} s: "
     )
     if not spoilt:
         return said + "the machine was quiet."

@@ -94,12 +94,12 @@ def test_settings_reach_the_core(setting, core_s, robot):
 
 
 @pytest.mark.parametrize("fallback", ["damping", "hold", "least-violation"])
-def test_arm_follows_fallback_if_subproblem_is_infeasible(fallback, robot):
+def test_x_follows_setting_fallback_if_the_subproblem_is_infeasible(fallback, robot):
     """With k0 = 1e-3 /s, a reference at 0.3 m/s makes the subproblem infeasible."""
     state = robot.state(robot.data.q_home, np.linspace(-0.2, 0.2, 7))
     (fast, trocar), (slow, _) = in_place(state, 0.3), in_place(state)
     controller = Controller(robot, ControlSettings(fallback=fallback, k0_per_s=1e-3, **QUIET), EXACT)
-    for _ in range(2):  # the second start forgets the first run
+    for _ in range(2):  # a new start clears the earlier answers
         controller.start(state.q, state.v, fast, trocar)
         good = np.zeros(7)
         for tip_ref in (fast, slow, fast, fast, fast):
@@ -191,12 +191,12 @@ def test_run_does_not_depend_on_previous_run(robot):
 
 
 class AsAnyOther(Exact):
-    """`exact` in a session like any other solver, because the core runs only the type `Exact` itself."""
+    """`exact`, called through a session as other solvers are: only the type `Exact` itself runs inside the core."""
 
 
 @pytest.mark.parametrize("fallback", ["damping", "hold", "least-violation"])
 @pytest.mark.parametrize("speed", [0.02, 3.0], ids=["feasible", "infeasible"])
-def test_exact_agrees_bitwise_in_core_and_session(robot, speed, fallback):
+def test_exact_gives_the_same_bits_inside_the_core_and_through_a_session(robot, speed, fallback):
     rng, settings = np.random.default_rng(3), ControlSettings(fallback=fallback)
     pair = [Controller(robot, settings, solver) for solver in (Exact(), AsAnyOther())]
     for k in range(20):
@@ -223,7 +223,7 @@ def test_exact_agrees_bitwise_in_core_and_session(robot, speed, fallback):
     assert np.isfinite(noted[0]["dual"]).all() == (speed < 1.0)
 
 
-def test_restart_of_a_solver_is_reported_with_its_time(robot):
+def test_replacement_of_a_solver_process_is_reported_with_its_time(robot):
     session = Mock(spec=IsolatedSession, restarts=[Restart(3, "it hung")], solve=lambda qp: EXACT.start(qp).solve(qp))
     controller, *_ = started(robot, watching(error=[session] * 2)[0])
     assert controller.restarts == [{"at_s": 0.006, "reason": "it hung"}]

@@ -1,4 +1,4 @@
-"""A value equal to its level (a limit of the safety filter) is allowed, and any larger value is not.
+"""The safety filter has limits (levels). It allows a value equal to the level and rejects any larger one.
 
 All numbers are short binary fractions, so that arithmetic is exact.
 """
@@ -8,7 +8,7 @@ import pytest
 
 from moc_opt import core
 
-T, OFF, ZERO, DEAF = 2.0**-9, np.inf, np.zeros(2), np.full(6, np.nan)
+T, OFF, ZERO, NO_WRENCH = 2.0**-9, np.inf, np.zeros(2), np.full(6, np.nan)
 JOINT = np.concatenate([np.eye(3).ravel(), np.zeros(3), [0.0, 0.0, 1.0], np.zeros(11), [1.0]])[None]
 POINTS = np.array([[0.0] * 3, [0.0, 0.0, -0.25]])
 ARM = core.Arm(np.vstack([JOINT, JOINT]), POINTS, np.eye(3), np.ones((2, 2)), np.zeros(3))
@@ -17,7 +17,7 @@ TROCAR = np.array([[0.0, 0.0, -0.125], [0.0] * 3])
 
 
 def begun(arm=ARM, **levels):
-    """A safety filter at rest with only the given levels on."""
+    """A safety filter of an arm at rest. Only the given levels are switched on."""
     given = {
         "period": T, "patience": 0, "carries": False, "low": -1e9, "high": 1e9, "v_max": 1.0, "tau_max": 1.0,
         "wall_stiffness": 0.0, "wall_damping": 0.0, "wall_brake": 1.0, "torque_step": OFF, "jump": OFF,
@@ -36,7 +36,7 @@ def begun(arm=ARM, **levels):
     return made
 
 
-def read(guard, q=0.0, v=0.0, applied=0.0, wrench=DEAF, trocar=None, other=0.0):
+def read(guard, q=0.0, v=0.0, applied=0.0, wrench=NO_WRENCH, trocar=None, other=0.0):
     """Return the reason to stop after one reading."""
     tau = np.array([applied, 0.0])
     return core.REASONS[guard.believe(np.array([q, other]), np.array([v, 0.0]), np.nan, tau, wrench, trocar)[0]]
@@ -63,14 +63,14 @@ def tip_error(level, tip):
     return "tip" in follow(begun(tip_error=level), tip=tip, tip_ref=0.25, record=ARM.terms(ZERO, ZERO))
 
 
-def way(level, name="motion_rad", v=0.0):
+def moved_too_far(level, name="motion_rad", v=0.0):
     guard = begun(**{name: level}, **{"motion_rad": 0.0} if v else {})
     read(guard, v=v)
     return "velocities" in read(guard, q=0.25 + T * v, v=v)
 
 
-def told(level, name, wrench, applied, tip, **others):
-    """Whether a reading stops the arm if it equals the three before it."""
+def frozen(level, name, wrench, applied, tip, **others):
+    """Whether a fourth equal reading stops the arm although a torque or the tip's reference has changed."""
     guard = begun(**{name: level} | others)
     for _ in range(3):
         follow(guard, tip=0.25, tip_ref=0.25)
@@ -80,7 +80,7 @@ def told(level, name, wrench, applied, tip, **others):
 
 
 def waits(level):
-    return told(level, "patience", DEAF, 0.5, 0.25, repeat_torque=0.0)
+    return frozen(level, "patience", NO_WRENCH, 0.5, 0.25, repeat_torque=0.0)
 
 
 def not_believed(level):
@@ -88,18 +88,18 @@ def not_believed(level):
     return [read(guard, q=1.0) for _ in range(3)][-1] == "measurements not believed"
 
 
-def replayed(level, name, lives):
-    """Whether the arm stops if 20 readings are followed by the first eight of them."""
+def replayed(level, name, drift):
+    """Whether the arm stops if 20 readings are followed by their first eight. The other joint drifts, too."""
     guard = begun(**{name: level})
-    return [read(guard, q=k % 20, other=k % 20 + lives * k, wrench=np.zeros(6)) for k in range(28)][-1] != "running"
+    return [read(guard, q=k % 20, other=k % 20 + drift * k, wrench=np.zeros(6)) for k in range(28)][-1] != "running"
 
 
-def repeated(level, name, v=0.0, wrench=lambda k: DEAF, lives=0.0):
-    """Whether nine equal readings after 99 different ones stop the arm."""
+def repeated(level, name, v=0.0, wrench=lambda k: NO_WRENCH, drift=0.0):
+    """Whether nine equal readings of a joint, after 99 different ones, stop the arm while the other joint drifts."""
     guard = begun(**{name: level})
     for k in range(99):
         read(guard, q=k * T, v=v * k, wrench=wrench(k), other=k * T)
-    return [read(guard, q=9.0, v=v, wrench=wrench(101), other=9.0 + lives * k) for k in range(9)][-1] != "running"
+    return [read(guard, q=9.0, v=v, wrench=wrench(101), other=9.0 + drift * k) for k in range(9)][-1] != "running"
 
 
 def incision(level, j, name, shown):
@@ -143,14 +143,14 @@ def stays_open(level):
 
 @pytest.mark.parametrize(("noticed", "level", "more"), [
     (unbelieved, 0.25, ("jump", 0.25 + T, 0.0)), (unbelieved, 0.25, ("speed_factor", 0.0, 0.25)),
-    (tip_error, 0.25, (None,)), (tip_error, 0.125, (0.125,)), (way, 0.25, ()), (way, 0.25, ("motion_lag_s", 1.0)),
-    (told, 0.25, ("repeat_m", DEAF, 0.25, 0.5)), (told, 0.25, ("repeat_torque", DEAF, 0.5, 0.25)),
-    (told, 0.25, ("repeat_whole_m", np.zeros(6), 0.25, 0.5)), (waits, 3, ()), (not_believed, 3, ()),
-    (told, 0.25, ("repeat_whole_torque", np.zeros(6), 0.5, 0.25)), (touched, 0.25, ()),
+    (tip_error, 0.25, (None,)), (tip_error, 0.125, (0.125,)), (waits, 3, ()), (not_believed, 3, ()),
+    (moved_too_far, 0.25, ()), (moved_too_far, 0.25, ("motion_lag_s", 1.0)), (touched, 0.25, ()),
+    (frozen, 0.25, ("repeat_m", NO_WRENCH, 0.25, 0.5)), (frozen, 0.25, ("repeat_torque", NO_WRENCH, 0.5, 0.25)),
+    (frozen, 0.25, ("repeat_whole_m", np.zeros(6), 0.25, 0.5)), (settles, 2, ("settling_ticks",)),
+    (frozen, 0.25, ("repeat_whole_torque", np.zeros(6), 0.5, 0.25)), (settles, 1, ("patience",)),
     (replayed, 8, ("replayed_ticks", 0.0)), (replayed, 8, ("repeat_reading_ticks", T)),
-    (settles, 2, ("settling_ticks",)), (settles, 1, ("patience",)),
-    *((repeated, 8, (*name, lives)) for lives in (0.0, T) for name in (
-        ("repeat_joint_ticks", 0.0, lambda k: DEAF), ("repeat_reading_ticks", 1.0, lambda k: DEAF),
+    *((repeated, 8, (*name, drift)) for drift in (0.0, T) for name in (
+        ("repeat_joint_ticks", 0.0, lambda k: NO_WRENCH), ("repeat_reading_ticks", 1.0, lambda k: NO_WRENCH),
         ("repeat_whole_ticks", 0.0, lambda k: np.full(6, k + 1.0)))),
     *((incision, 0.25, (j, *name)) for j in range(2) for name in (("limit", "stop"), ("warning", "warns"))),
     (residual, 16.0 * T, ("residual_torque",)), (residual, 16.0 * T, ("residual_whole",)),
@@ -162,8 +162,8 @@ def test_only_a_value_above_its_level_is_noticed(noticed, level, more):
 
 
 @pytest.mark.parametrize(("torques", "carries"), [((1.5, 1.5), 0.0), ((-0.5, -0.5), 0.0), ((1.5, 0.0), 0.5)])
-def test_torque_of_the_stop_is_zero_if_a_drive_opposes_its_torque(torques, carries):
-    """If the drive's torque is zero, the stopped arm's weight is carried."""
+def test_torque_in_a_stop_is_zero_if_the_residual_opposes_the_commanded_torque(torques, carries):
+    """No residual opposes a zero torque. So in the third case, the stopped arm's weight is carried (0.5 Nm)."""
     arm = core.Arm(LOADED, np.zeros((2, 3)), np.eye(3), np.ones((2, 2)), np.array([0.0, -1.0, 0.0]))
     guard, record = begun(arm, residual_torque=2.0**-8, carries=True, patience=1), arm.terms(ZERO, ZERO)
     read(guard)

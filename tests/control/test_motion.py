@@ -158,7 +158,7 @@ def watched(robot, torque, ticks, momentum=True, **levels):
 
 @pytest.mark.parametrize(("begins", "told"), [(1, False), (120, True)])
 def test_load_that_appears_after_the_residual_settled_stops_the_arm(robot, begins, told):
-    """In the first `_SETTLED` time constants, the residual's mean adapts to a load."""
+    """In the first `_SETTLED` time constants, the residual's mean adapts to a load, so no stop is expected."""
     load = 0.4 * robot.tau_max
     for on, momentum in ((True, True), (False, True), (True, False)):
         reason, _ = watched(robot, lambda k: (k >= begins) * load, 200, momentum, residual_s=1e6, motion=on)

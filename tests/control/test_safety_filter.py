@@ -159,7 +159,7 @@ def test_position_change_over_three_ticks_is_compared_with_the_velocity(robot, s
 def test_mean_square_tip_error_above_its_limit_stops_the_arm(robot, time_s, factor):
     guard = guard_of(robot, tip_error_m=0.004, tip_error_s=time_s)
     share = min(1.0, PERIOD / time_s)
-    for _ in range(2):  # the second start forgets the first run
+    for _ in range(2):  # the second start clears the first run's mean
         guard.start(robot.data.q_home, REST)
         for k in range(1, 400):
             guard.limit_torque(REST, REST, REST, REST, np.zeros((3, 3)), tip=np.array([0.0, 0.004 * factor, 0.0]))
@@ -203,7 +203,7 @@ def test_stopped_arm_carries_weight_within_torque_limits(robot, rate):
 
 @pytest.mark.parametrize("newton", [9.0, 30.0, 100.0])
 def test_trocar_force_above_stop_yield_opens_brakes(robot, newton):
-    """After k ticks of T, the mean force is (1 - (1 - T / 0.02 s)^k) times the force."""
+    """After k ticks of length T, the low-passed force is (1 - (1 - T / 0.02 s)^k) times the force."""
     q, guard = robot.data.q_home, guard_of(robot, incision=True)
     guard.check_measurement(q, REST, wrench=weight(robot, q), trocar=off_by(robot, q, 0.0))
     opened = [not guard.brake_friction(weight(robot, q, newton)).any() for _ in range(400)]
@@ -213,7 +213,7 @@ def test_trocar_force_above_stop_yield_opens_brakes(robot, newton):
     assert np.flatnonzero(opened).tolist() == list(range(first - 1, first - 1 + 200))  # open once, for stop_yield_s
 
 
-def test_mean_with_time_constant_below_the_period_is_the_latest_value(robot):
+def test_low_passed_value_is_the_latest_one_if_the_time_constant_is_below_the_period(robot):
     short = SafetyFilterSettings(tip_error_s=0.05, incision_s=0.05, residual_s=0.05)
     found = numbers_of(short, robot, 0.1)
     assert {found[f"{name}_share"] for name in ("tip", "incision", "residual", "press")} == {1.0}

@@ -51,7 +51,7 @@ def test_matched_dcac_baseline_has_same_gains_and_observer(settings, robot):
     assert changed.observer_rate_per_s == settings.observer_rate_per_s
 
 
-def test_gain_is_one_number_or_one_per_joint():
+def test_gain_may_be_one_number_or_one_number_per_joint():
     given = ControlSettings(gains="moc", K_N2=[3, 2, 1.5], dcac_damping=(0.0, 1.0, 0.0))
     assert ControlSettings(**json.loads(given.model_dump_json())) == given
     assert ControlSettings(dcac_damping=LARGEST).dcac_damping == LARGEST
@@ -179,7 +179,7 @@ def test_planned_motion_may_use_the_full_joint_speed():
     assert numbers_of(ControlSettings(third_level="planned", k0_per_s=12.0), arm, 0.002)["k0"] == 12.0
 
 
-def test_planned_motion_uses_the_observer_gain_of_courses():
+def test_third_level_that_follows_a_course_uses_the_course_observer_gain():
     for gain, level, rate in ((20.0, "local", 20.0), (20.0, "receding", 40.0), (0.0, "receding", 0.0)):
         assert ControlSettings(third_level=level, observer_gain_per_s=gain).observer_rate_per_s == rate
     for name in ("tuned", "robust"):

@@ -189,7 +189,7 @@ def test_exceptions_of_a_session_are_counted(error, where, qp, Z):
 
 
 def test_optimum_for_negated_gradient_is_refused(recorded):
-    """It is accepted only if the residuals with the true gradient verify it."""
+    """Exception: it is accepted if the true gradient's residuals verify it, too."""
     lies = 0
     for qp in map(NullSpaceQP.from_row, recorded):
         lie = opposite(qp)
@@ -310,7 +310,7 @@ def test_every_verified_answer_is_accepted(seed, n, rho, off, rest):
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("idle_speed", [0.0, 0.5])
-def test_speed_of_idle_joint_does_not_falsify_an_optimum(seed, idle_speed):
+def test_optimum_is_accepted_at_any_speed_of_an_idle_joint(seed, idle_speed):
     eight = random_problem(np.random.default_rng(seed), 8, structured=False, regularization=1e-3)
     still = np.zeros((3, 1))
     nine = NullSpaceQP(
@@ -349,7 +349,7 @@ def test_idle_joint_is_checked_if_no_other_self_motion_exists(seed):
 
 
 @pytest.mark.parametrize("late", LATE)
-def test_setting_late_decides_what_replaces_a_late_answer(late, qp, Z):
+def test_late_answer_is_replaced_as_the_setting_late_says(late, qp, Z):
     good = solved(qp)
     other = Solution(good.x + 1e-6, None, Status.SOLVED)
     mine = supervisor(times=[10.0, 3000.0, 2000.0, 10.0], budget_us=2000.0, late=late)

@@ -74,7 +74,7 @@ def test_numbers_are_written_to_the_last_bit():
     ({"control": {"third_level": "receding"}}, r"\[control\] third_level = 'receding'.*take 'local'"),
     ({"control": {"supervisor": {"budget_us": 100.0}}}, r"budget_us = 100.0.*leave this key out"),
 ])  # fmt: skip
-def test_unsupported_setting_is_refused_by_name(tmp_path, tables, words):
+def test_error_names_the_unsupported_setting(tmp_path, tables, words):
     with pytest.raises(ScenarioError, match=words):
         export_scenario(Scenario(**tables), tmp_path / "out")
     assert not (tmp_path / "out").exists()

@@ -1,4 +1,4 @@
-"""The live run without its page."""
+"""Tests of LiveRun without its web page."""
 
 from collections.abc import Callable
 from typing import Any
@@ -9,7 +9,7 @@ import pytest
 
 from moc_opt.errors import ControlError, UnknownNameError
 from moc_opt.live import LiveError, LiveRun
-from moc_opt.live.run import DCAC, QUANTITIES, SLOWLY_M_PER_S, solver_of
+from moc_opt.live.run import DCAC, QUANTITIES, TROCAR_SPEED_M_PER_S, solver_of
 from moc_opt.scenario import Scenario, Setup
 
 
@@ -43,7 +43,7 @@ def test_solver_is_exchanged_at_the_next_tick(run: LiveRun) -> None:
     assert solver_of(run.used) == run.solver != "exact"
     run.choose(DCAC)
     run.advance(1)
-    assert solver_of(run.used) != DCAC, "not while the torques of the previous exchange blend"
+    assert solver_of(run.used) != DCAC, "not within BLEND_S after the previous exchange"
     run.advance(79)
     assert run.used.solution is None
     assert np.isnan(column(run, "solve_us", 30)).all()
@@ -122,7 +122,7 @@ def test_runaway_arm_is_stopped(run: LiveRun) -> None:
     assert column(run, "tip_error_m", 50).max() < 1e-3
 
 
-def test_trocar_moves_slowly(run: LiveRun) -> None:
+def test_trocar_moves_at_the_speed_limit(run: LiveRun) -> None:
     run.advance(10)
     start, asked = run.trocar, np.array([0.005, -0.0025, 0.001])
     run.place_trocar(*asked)
@@ -131,7 +131,7 @@ def test_trocar_moves_slowly(run: LiveRun) -> None:
         run.advance(1)
         places.append(run.trocar)
     speeds = np.diff(places, axis=0) / run.period_s
-    np.testing.assert_allclose(speeds[1:100], np.tile(SLOWLY_M_PER_S * asked / np.linalg.norm(asked), (99, 1)))
+    np.testing.assert_allclose(speeds[1:100], np.tile(TROCAR_SPEED_M_PER_S * asked / np.linalg.norm(asked), (99, 1)))
     np.testing.assert_allclose(places[-1] - start, asked, atol=1e-9)
     assert column(run, "rcm_error_m", 100).max() < 3e-3, "the controller knows where the trocar is"
     run.reset()
@@ -140,7 +140,7 @@ def test_trocar_moves_slowly(run: LiveRun) -> None:
 
 
 def test_arm_survives_requests_at_every_tick(run: LiveRun) -> None:
-    """A request waits until 0.1 s after the previous exchange."""
+    """Between two exchanges of the controller, at least 0.1 s pass."""
     rng = np.random.default_rng(0)
     for _ in range(400):
         run.choose(str(rng.choice([DCAC, "exact", "rnn"])))

@@ -42,9 +42,9 @@ def test_limits_of_toml_replace_those_of_urdf(tmp_path: Path) -> None:
     data = load_data(write(tmp_path, changed(TOML, ("q_max_deg = [170, 120", "q_max_deg = [150, 120"))))
     first = read(data.urdf).joints[0]
     assert first.limits["upper"] == data.q_max[0] == pytest.approx(np.radians(150))
-    bare, own = load_data(write(tmp_path, UNLIMITED)), load_data()
+    urdf_only, original = load_data(write(tmp_path, UNLIMITED)), load_data()
     for name in ("q_min", "q_max", "v_max", "tau_max"):
-        np.testing.assert_allclose(getattr(bare, name), getattr(own, name), rtol=1e-12)  # from the URDF alone
+        np.testing.assert_allclose(getattr(urdf_only, name), getattr(original, name), rtol=1e-12)
     urdf = URDF.replace(' velocity="1.9198621771937625"', "")
     with pytest.raises(RobotError, match=r"v_max: joints \['joint_1', 'joint_2'\].*limits\.v_max_deg_per_s"):
         load_data(write(tmp_path, UNLIMITED, urdf))
@@ -109,7 +109,7 @@ BAD_URDF = {
     "no such parent": ('<parent link="link_3"/>', '<parent link="link_33"/>', "joint_4.*names link 'link_33'"),
     "no direction": ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 0"/>', "joint_1.*give a direction"),
     "degrees for metres": ('"joint_1" type="revolute"', '"joint_1" type="prismatic"', r"limits\.q_min_deg is in deg"),
-    "endless": ('lower="-', 'lower="-inf" x="-', r"<limit> of joint 'joint_1', lower is -inf"),
+    "infinite limit": ('lower="-', 'lower="-inf" x="-', r"<limit> of joint 'joint_1', lower is -inf"),
     "two limits": ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 1"/><limit effort="1"/>', "joint_1.*2 <limit>"),
     "too long": ("</robot>", "".join(f'<link name="l{k}"/>' for k in range(250)) + "</robot>", "250 at most"),
     "name taken": ('<link name="link_0">', '<link name="tip"/><link name="link_0">', "has links.*tip"),
@@ -164,7 +164,7 @@ def test_a_urdf_that_was_written_is_read_back_to_the_last_bit(xyz, rpy, axis, li
 
 
 @given(st.lists(st.floats(1e-6, 1.0), min_size=3, max_size=3), st.integers(0, 2**32 - 1))
-@settings(max_examples=100)
+@settings(max_examples=100)  # the inertia's check is invariant to a rotation of the axes
 def test_the_verdict_on_an_inertia_does_not_depend_on_its_axes(moments, seed):
     a, b, c = sorted(moments)
     assume(abs(a + b - c) > 1e-4 * c)
@@ -175,7 +175,7 @@ def test_the_verdict_on_an_inertia_does_not_depend_on_its_axes(moments, seed):
         assert (fault is not None) == wrong
 
 
-def test_unread_parts_of_a_urdf_are_not_written():
+def test_urdf_parts_that_moc_opt_does_not_read_are_dropped():
     text = load_data().urdf
     more = text.replace("<link", '<gazebo secret="1"/><link', 1).replace(
         "</inertial>", "<density/></inertial><visual><geometry><mesh filename='/etc/passwd'/></geometry></visual>"

@@ -59,7 +59,7 @@ def test_values_that_do_not_fit_together_are_refused(tables, words):
     assert moved == []
 
 
-def test_trace_remembers_its_scenario():
+def test_trace_stores_its_scenario():
     scenario = Scenario(
         name="all of it", seed=7, duration_s=0.02, deadline_us=1500.0, judge=False, start={"swivel": 0.3},
         trocar={"breathing_direction": [0.0, 1.0, 0.0]}, task={"path": "sinusoid", "sizes": {"amplitude": 0.01}},

@@ -14,7 +14,7 @@ from moc_opt.tasks.trocar import shaft_distance
 
 
 @pytest.mark.parametrize("start", [{"pose": "random"}, {"swivel": "random"}, {}])
-def test_plan_has_start_and_path_of_the_run(start):
+def test_plan_begins_at_the_start_of_the_run_and_follows_its_path(start):
     scenario = mo.Scenario(seed=3).change(start=start, plant={"preset": "nominal"})
     found, setup = mo.plan(scenario, swivels=180, times=60, refined=False), Setup(scenario)
     np.testing.assert_allclose(found.from_start.q_rad[0], setup.q_start, atol=1e-12)
@@ -64,7 +64,7 @@ def test_plan_uses_the_third_levels_limits_unless_options_replace_them(tmp_path,
 COMPARED = mo.Scenario(duration_s=1.5, judge=False, bound_samples=0, best_courses=True, start={"swivel": 0.2})
 
 
-def test_run_is_compared_with_courses_of_its_path():
+def test_run_is_compared_with_the_best_courses_along_its_path():
     trace, robot, found = mo.run(COMPARED), COMPARED.robot.arm(), plan(COMPARED)
     q = trace.columns["q_best_from_start_rad"]
     np.testing.assert_allclose(q[0], found.climbed.q_rad[0], atol=1e-12)

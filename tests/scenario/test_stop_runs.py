@@ -23,7 +23,7 @@ QUICK = {"bound_samples": 0, "judge": False}
 
 
 def after(trace):
-    """Return the largest tip displacement [m], largest and last trocar force [N] after a stop."""
+    """Return what happened after a stop: largest tip displacement [m], largest and last trocar force [N]."""
     stop = trace.t_s >= trace.meta["stopped_at_s"]
     force = np.linalg.norm(trace.trocar_force_N[stop], axis=1)
     return np.linalg.norm(trace.tip_m[stop] - trace.tip_m[stop][0], axis=1).max(), force.max(), force[-1]

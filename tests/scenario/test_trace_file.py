@@ -1,4 +1,4 @@
-"""However a run ends, its trace is written."""
+"""The trace of a run is written, whatever ends the run."""
 
 import os
 import signal
@@ -88,7 +88,7 @@ def test_file_that_cannot_be_written_is_refused_before_the_run(target, tmp_path,
     assert sorted(os.listdir(tmp_path)) == ["file", "s.toml"]
 
 
-def test_traces_and_courses_do_not_replace_each_other(tmp_path):
+def test_trace_does_not_overwrite_a_course_file_and_vice_versa(tmp_path):
     for kind, other in (("run", "course"), ("course", "run")):
         Trace({"t_s": np.zeros(2)}, {"kind": kind} if kind == "course" else {}).save(tmp_path / "t.parquet")
         check_trace(tmp_path / "t.parquet", kind)

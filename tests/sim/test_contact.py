@@ -75,7 +75,7 @@ def test_trocar_and_pushes_act_at_their_points():
 
 
 @pytest.mark.parametrize(("stiffness", "damping"), [(800.0, 10.0), (800.0, 0.0), (0.0, 10.0)])
-def test_trocar_force_belongs_to_the_present_state(stiffness, damping):
+def test_trocar_force_is_computed_from_the_present_state(stiffness, damping):
     wall = PlantSettings.nominal(trocar_stiffness_N_per_m=stiffness, trocar_damping_Ns_per_m=damping)
     plant = Plant(DATA, wall)
     state = MODEL.state(DATA.q_home)
@@ -165,7 +165,7 @@ def test_elastic_joint_swings_at_the_frequency_of_rotor_and_links(stiffness):
 
 
 @pytest.mark.parametrize("side", ["link", "motor"])
-def test_weight_bends_the_joints(side):
+def test_weight_deflects_elastic_joints(side):
     plant = Plant(DATA, elastic(joint_stiffness_Nm_per_rad=tuple(STIFF), encoder_side=side))
     sag = plant.mj_data.qpos[1::2]
     np.testing.assert_allclose(sag, -MODEL.state(plant.q).h / STIFF, atol=1e-12)

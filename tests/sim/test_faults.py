@@ -43,7 +43,7 @@ def test_no_fault_disturbs_the_arm_by_default():
 
 @pytest.mark.parametrize("field", ["drop_share", "lag_growth", "drift_rad_per_s", "solver_share", "frozen_ticks",
                                    "replay_ticks", "nan_ticks"])  # fmt: skip
-def test_fault_beyond_its_range_is_refused(field):
+def test_fault_setting_outside_its_range_is_refused(field):
     FaultSettings(**{field: 1})
     for beyond in [0] if field.endswith("ticks") else [1.05, -1.05]:
         with pytest.raises(PlantError, match=field):
@@ -176,7 +176,7 @@ def test_faulty_measurements_arrive_at_their_times(changes, stamps, first, third
         np.testing.assert_allclose(v[:, j], np.where(rests, 0.0, 0.1 * old))
 
 
-def test_drift_is_in_position_and_velocity():
+def test_drift_appears_in_position_and_velocity():
     clean, drifting = arrived(), arrived(drift_rad_per_s=0.5, drift_at_s=0.02, seed=3)
     moved, faster = drifting[1] - clean[1], drifting[2] - clean[2]
     assert not moved[:11].any()

@@ -168,7 +168,7 @@ FORCED = {"trocar_force_N": 0.1, "trocar_force_warning_N": 0.1}
     (live, NOT_BELIEVED, {}), (procedure, NOT_BELIEVED, {}), (live, "the tip has been", {"tip_error_m": 1e-5}),
     (live, "the trocar's force has been above", FORCED),
 ])  # fmt: skip
-def test_safety_filter_stops_every_loop_with_its_reason(loop, reason, guard, monkeypatch):
+def test_safety_filter_stops_live_run_and_hand_guiding_with_its_reason(loop, reason, guard, monkeypatch):
     measure = Plant.measure
 
     def broken(plant):
@@ -187,7 +187,7 @@ def test_stop_is_simulated_for_stop_s(robot):
     """The time stop_s begins after the step that requests the stop."""
     setup = Setup(Scenario(**QUICK))
     loop = setup.closed_loop(setup.controller())
-    loop.filtered._filter.request_stop("for a test")  # the start forgets this request
+    loop.filtered._filter.request_stop("for a test")  # the loop's start clears this request
     references = setup.reference.rows(0.0), np.stack(setup.registered.at(0.0)), np.stack(setup.trocar.at(0.0))
     loop.start(*references[:2])
     for _ in range(5):

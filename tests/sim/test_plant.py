@@ -1,4 +1,4 @@
-"""The plant equals the controller's model except for the errors in its settings."""
+"""The plant equals the controller's model except for the errors that its settings add."""
 
 import re
 from concurrent.futures import ThreadPoolExecutor
@@ -64,7 +64,7 @@ def test_free_fall_follows_pinocchios_dynamics():
 
 
 @given(st.integers(0, 1000), st.just(0.0) | st.floats(0.1, 5.0), st.sampled_from([2, 5, 20]))
-@settings(max_examples=15)
+@settings(max_examples=15)  # friction never adds energy; without friction, energy is constant
 def test_friction_only_removes_energy_and_without_it_energy_is_kept(seed, scale, substeps):
     plant = nominal(friction=scale, friction_error=0.2, gravity=False, substeps=substeps if scale else 20)
     plant.reset(DATA.q_home, np.random.default_rng(seed).uniform(-0.5, 0.5, 7))
@@ -130,7 +130,7 @@ def test_torque_acts_after_the_delay(delay):
 
 
 def chain_tip(model, mismatch, q):
-    """The tip by forward kinematics with the drawn errors of the joint frames."""
+    """The tip by forward kinematics with the random errors of the joint frames."""
     chain = model.chain
     place, turn = np.zeros(3), np.eye(3)
     for i in range(model.n):
@@ -236,13 +236,13 @@ def test_wrench_noise_reaches_the_measurement():
 def test_refused_step_does_not_change_the_arm():
     one, other = Plant(DATA, seed=1), Plant(DATA, seed=1)
     torque, trocar = one.applied_torque, np.stack([one.tip, np.zeros(3)])
-    for k in range(260):  # beyond one block of noise
+    for k in range(260):  # more steps than one block of precomputed noise
         one.step(torque, trocar)
         other.step(torque, trocar)
         wrong = trocar.copy()
         wrong.flat[k % 6] = [np.nan, np.inf][k % 2]
         for bad in ((torque * np.nan, trocar), (torque, wrong), (torque[:3], trocar), (torque, trocar[:1])):
-            with pytest.raises(PlantError, match=r"the arm has not moved|one torque a joint"):
+            with pytest.raises(PlantError, match=r"the arm has not moved|one torque per joint"):
                 other.step(*bad)
     for found, wanted in zip(other.measure(), one.measure(), strict=True):
         np.testing.assert_array_equal(found, wanted)
@@ -298,7 +298,7 @@ def test_invalid_models_are_refused():
 
 
 def test_shapes_in_the_urdf_change_nothing():
-    """The shapes are a mesh without a file and a box."""
+    """The tip gets a visual mesh, whose file does not exist, and a collision box."""
     shapes = (
         '<link name="tip"><visual><geometry><mesh filename="package://no/where.stl"/></geometry></visual>'
         '<collision><geometry><box size="1 1 1"/></geometry></collision></link>'

@@ -147,7 +147,7 @@ def test_nonlinear_step_ends_exactly_at_the_references(kind):
 
 
 def test_nonlinear_solvers_use_the_given_gradient(robot, regular_poses):
-    """The gradient may differ from that of mu."""
+    """The subproblem's gradient may differ from the gradient of mu."""
     rng = np.random.default_rng(11)
     chosen = create("nlp-sqp", kinematics=robot.kinematics())
     for q in regular_poses(4):

@@ -115,7 +115,7 @@ def check_claims(limits: Expect, qps: list[NullSpaceQP], found: list[Any]) -> No
         if solution.status is not Status.SOLVED:
             continue
         residuals = qp.residuals(solution.x, solution.y)
-        if limits.arm:  # x does not satisfy A x = b, so the nearest point that does is judged
+        if limits.arm:  # x does not satisfy A x = b, so the nearest point with A x = b is judged
             residuals = residuals._replace(loss=qp.residuals(on_rows(qp, solution.x)).loss)
         assert residuals.verified(limits.primal, limits.relative, limits.loss), residuals
         assert np.abs(solution.x - exact.x).max() <= limits.x
@@ -158,8 +158,8 @@ def test_duals_follow_the_sign_convention(name):
 
 
 @every_solver
-def test_costs_without_regularization_are_optimal(name):
-    """The optimum need not be unique."""
+def test_answers_without_regularization_have_the_optimal_cost(name):
+    """The optimal x need not be unique, so costs are compared."""
     limits, qps = expect(name), of(name, regularization=0.0)
     if limits.undamped is None:
         assert all(solver(name).supports(qp) for qp in qps)

@@ -96,7 +96,7 @@ def test_rounding_seldom_leaves_a_wedge_without_answer():
     assert Status.INFEASIBLE not in found
 
 
-def test_slow_joint_does_not_stop_the_self_motion():
+def test_bound_of_a_joint_that_hardly_moves_does_not_stop_the_self_motion():
     rng, ends = np.random.default_rng(3), np.ones(8)
     for regularization in (0.0, 1e-5, 1.0):
         for _ in range(20):
@@ -159,7 +159,7 @@ def test_answers_do_not_depend_on_units():
     assert np.mean(same) > 0.97
 
 
-def test_answer_contains_no_useless_motion():
+def test_motion_that_does_not_lower_the_cost_is_left_out():
     qp = random_problem(np.random.default_rng(14), regularization=0.0)
     assert solve(qp).x[6] == 0.0
     assert solve(changed(qp, c2=0.0, grad_mu=np.ones(7))).x[6] == 0.0
@@ -245,7 +245,7 @@ def test_answers_near_a_straight_elbow_are_feasible_and_mostly_verified(robot):
 
 @pytest.mark.parametrize(("moves", "stops"), [(1.6e-10, True), (1.2e-10, False)])
 def test_solver_and_residuals_agree_on_slow_joints(moves, stops):
-    """A joint at its bound moves by about 1e-10 per unit step."""
+    """Per unit step of the self-motion, the joint at its bound moves by about 1e-10."""
     z, x, wide = np.array([1.0, -0.5, 0.3, 0.2, -0.4, 0.6, moves]), np.zeros(7), np.ones(7)
     A, x[6] = null_space(z[None]).T, 1.0
     found = check(NullSpaceQP(A[:3], A[3:], A[:3] @ x, A[3:] @ x, z, -wide, wide, regularization=1e-5)).x
@@ -256,7 +256,7 @@ def test_solver_and_residuals_agree_on_slow_joints(moves, stops):
     assert [bool(short.residuals(end * z).verified()) for end in (0.0, 1e-5)] == [False, True]
 
 
-def test_rounding_seldom_makes_a_corner_infeasible():
+def test_reference_attained_at_a_corner_of_the_bounds_is_seldom_called_infeasible():
     """Where a column of A is as small as 1e-3, rounding errors of b are magnified a thousandfold."""
     rng, refused = np.random.default_rng(1), 0
     for _ in range(300):

@@ -1,4 +1,4 @@
-"""A solver that fails on purpose fails at the drawn ticks."""
+"""`Faulty` fails on purpose, at exactly the ticks that its seed determines."""
 
 import numpy as np
 import pytest

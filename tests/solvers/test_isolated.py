@@ -1,4 +1,4 @@
-"""Solvers in separate processes: a failure costs single answers, but does not end the run."""
+"""Solvers in separate processes: a failure costs some ticks their answers, but does not end the run."""
 
 import signal
 import subprocess
@@ -57,7 +57,7 @@ def is_gone(number):
 
 
 @pytest.mark.parametrize("solver", ["exact", "rnn-printed"])  # rnn-printed observes the velocity
-def test_separate_process_gives_the_same_trace(solver):
+def test_trace_does_not_depend_on_isolation(solver):
     inside, isolated = (
         run(Scenario(solver={"name": solver, "isolation": way, "process": {"hang_s": 60.0}}, **QUICK))
         for way in ("none", "process")
@@ -88,7 +88,7 @@ def test_failure_costs_one_answer(qp, act, kind, reason):
     assert [(tick, why in text) for tick, why in session.restarts] == ([(1, True)] if kind == "lost" else [])
 
 
-def test_solver_that_is_lost_too_often_is_given_up(qp):
+def test_solver_is_given_up_if_its_process_is_lost_too_often(qp):
     session = started(qp, "exit", at=1, most_restarts=1)
     texts = [fault_of(session, qp)[1] for _ in range(4)]
     assert ["status 3" in text for text in texts] == [True, True, False, False]
@@ -119,7 +119,7 @@ def test_late_answer_is_used_for_answer_age_ticks(qp, tmp_path):
     assert own.restarts == old.restarts == []
 
 
-def test_no_tick_waits_for_the_new_process(qp):
+def test_in_real_time_no_tick_waits_for_the_new_process(qp):
     session = started(qp, "exit", waits=False)
     session.solve(qp)
     assert "status 3" in fault_of(session, qp)[1]
@@ -137,7 +137,7 @@ def test_child_processes_end_with_the_session(qp, tmp_path):
     until(lambda: all(map(is_gone, numbers)))
 
 
-def test_hanging_process_ends_after_the_loop_was_killed():
+def test_hanging_solver_process_ends_after_its_parent_was_killed():
     """It ends by itself after 2 `hang_s` + 1 s."""
     code = (
         "import numpy as np; from tests.problems import random_problem; from moc_opt.solvers.isolated import *; "

@@ -30,7 +30,7 @@ def install(tmp_path, monkeypatch):
     return made
 
 
-WHOLE = """
+GOOD_PLUGIN = """
 from moc_opt.solvers.base import Solution, Status
 class Good:
     name = "good"
@@ -60,7 +60,7 @@ def test_the_error_of_a_wrong_name_or_setting_gives_the_remedy(name, given, erro
     ("rnn", "h", 1.5), ("rnn", "scale", float("nan")), ("rnn", "scale", float("inf")), ("rnn", "method", "implicit"),
     ("rnn-printed", "h", 1.5), ("nlp-sqp", "kinematics", None), ("nlp-sqp", "hessian", "bfgs"),
 ])  # fmt: skip
-def test_bad_setting_is_refused_by_name(name, field, value):
+def test_error_names_the_bad_setting(name, field, value):
     arm = {"kinematics": SimpleNamespace(n=7, tip=None, wrist=None, mu=None)} if name.startswith("nlp") else {}
     with pytest.raises(SolverError, match=re.escape(f"{name}: {field} = {value!r} ")):
         create(name, **{**arm, field: value})
@@ -83,18 +83,18 @@ BROKEN = {
     "no such module": ("import no_such_module", "ModuleNotFoundError: No module named 'no_such_module'"),
     "exits when imported": ("raise SystemExit(3)", "SystemExit: 3"),
     "no class": ("C = [1, 2]", "'list' object is not callable"),
-    "no supports": (WHOLE + "class C(Good):\n supports = None", "has no method supports: add it"),
-    "no name": (WHOLE + "class C(Good):\n name = None", "has the name None"),
+    "no supports": (GOOD_PLUGIN + "class C(Good):\n supports = None", "has no method supports: add what is missing"),
+    "no name": (GOOD_PLUGIN + "class C(Good):\n name = None", "has the name None"),
     "makes nothing": ("def C(): return None", "has no method supports and no start"),
-    "raises when made": (WHOLE + "class C(Good):\n def __init__(self): raise ValueError('boom')", "Error: boom"),
+    "raises when made": (GOOD_PLUGIN + "class C(Good):\n def __init__(self): raise ValueError('boom')", "Error: boom"),
 }
 
 
 @pytest.mark.parametrize("case", BROKEN)
-def test_broken_plug_in_hides_no_other_solver(case, install):
+def test_broken_plug_in_does_not_hide_other_solvers(case, install):
     source, message = BROKEN[case]
     install("bad_plugin", source, broken="C")
-    install("good_plugin", WHOLE, good="Good")
+    install("good_plugin", GOOD_PLUGIN, good="Good")
     reasons = available()
     assert message in reasons["broken"]
     assert "entry point 'bad_plugin:C' of package 'bad_plugin'" in reasons["broken"]
@@ -107,7 +107,7 @@ def test_broken_plug_in_hides_no_other_solver(case, install):
 
 @pytest.mark.parametrize("name", ["osqp", "qpsolvers:daqp"])
 def test_plug_in_with_built_in_name_is_not_used(name, install):
-    install("impostor", WHOLE, **{name.replace(":", "__"): "Good"})
+    install("impostor", GOOD_PLUGIN, **{name.replace(":", "__"): "Good"})
     reasons = available()
     assert reasons[name] is None
     assert "rename the entry point" in reasons[f"{name} (entry point 'impostor:Good' of package 'impostor')"]
@@ -121,7 +121,7 @@ def test_plug_in_with_built_in_name_is_not_used(name, install):
     ("clarabel", "direct_solve_method pardiso_verbose"), ("daqp", "initvals is_avi break_points"),
     ("quadprog", "factorized verbose"), ("gurobi", "LogFile ResultFile NodefileDir"), ("cvxopt", "mosek solver"),
 ])  # fmt: skip
-def test_dangerous_option_is_refused_by_name(solver, options):
+def test_error_names_the_dangerous_option(solver, options):
     for option in options.split():
         with pytest.raises(UnknownNameError, match=f"option of qpsolvers:{solver} '{option}'"):
             checked(f"qpsolvers:{solver}", {option: 1})
@@ -146,7 +146,7 @@ def test_library_accepts_every_option_on_its_list(solver):
 
 
 def test_ipopt_reads_no_options_from_current_folder(tmp_path):
-    """Such a file could name a library to load."""
+    """An ipopt.opt in the current folder could make IPOPT load any library."""
     (tmp_path / "ipopt.opt").write_text("output_file written.txt\nfile_print_level 5\n")
     program = (
         "from moc_opt.scenario import Scenario, run\n"

@@ -52,7 +52,7 @@ def spectral_radius(qp, c, h, k, implicit, h_x):
     seen = onto_x if implicit else np.eye(n, n + m)
     step = np.vstack([onto_x, np.hstack([np.zeros((m, n)), np.eye(m)]) + hk * A @ seen])
     U, _, Vt = np.linalg.svd(A)
-    basis = block_diag(Vt[:5].T, U[:, :5])  # the other modes are constant
+    basis = block_diag(Vt[:5].T, U[:, :5])  # the remaining modes do not change in a step
     return np.abs(np.linalg.eigvals(basis.T @ step @ basis)).max()
 
 
@@ -68,7 +68,7 @@ def test_settings_are_called_unstable_exactly_where_a_step_diverges(seed, c, k, 
         assert (unstable(qp, h, k, 1.0, implicit, h_x) is None) == (radius < 1.0)
 
 
-def test_unstable_settings_are_refused_with_the_cure():
+def test_error_for_unstable_settings_names_the_remedy():
     qp = random_problem(np.random.default_rng(1))
     for chosen in (RNN(scale=1.0), RNN(k=0.9, scale=89.0), RNNPrinted(h=0.11)):
         reason = chosen.supports(qp)

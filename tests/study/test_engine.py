@@ -54,7 +54,7 @@ def test_dying_processes_are_reported_as_crashed(workers):
 
 
 def test_stored_result_is_ignored_after_a_hang(tmp_path):
-    """A continued study must give the results of an uninterrupted study."""
+    """A study that is continued must give the same results as an uninterrupted one."""
     good = Job(work.square, (3.0,), group="slow")
     assert run([good], kept=Kept(tmp_path)) == [9.0]
     found = run([Job(time.sleep, (60.0,), limit_s=0.3, group="slow"), good], kept=Kept(tmp_path))

@@ -87,7 +87,7 @@ def made(setting: SolverSetting, problems: TestSet, status: list[str], x: Any) -
 ])  # fmt: skip
 def test_reported_status_is_checked(feasible, status, expected):
     rows, x = (array[::32].copy() for array in (TestSet.load("circle").rows, TestSet.load("circle").x))
-    x[1] = 0.0  # reported as solved, but wrong
+    x[1] = 0.0  # this x is wrong, but reported as solved
     counts = made(EXACT, TestSet("made", rows, x, np.full(4, feasible)), status, x).counts()
     assert {name: counts[name] for name in expected} == expected
     assert counts["right"] == counts["verified_solved"] + counts["infeasible_right"]

@@ -1,4 +1,4 @@
-"""Stated rules give the verdict on each solver."""
+"""The verdict on each solver follows from the rules in docs/solvers.md."""
 
 import io
 import re
@@ -76,7 +76,7 @@ def test_each_rule_gives_its_verdict(asked, times, verdict, damage):
 
 @pytest.mark.parametrize("ended", ENDED.values())
 def test_bad_ending_in_a_trial_without_comparison_does_not_count(ended):
-    """If only the asked solver ran a trial, even the optimum might have ended it badly."""
+    """If no other solver ran a trial, even the optimum might have ended it badly."""
     mine = runs("asked", 60)
     mine[40] |= {"ended": ended, "whole": not ended.startswith("stopped")}
     common = {row["trial"] for row in mine[:15]}

@@ -211,7 +211,7 @@ REFUSED: dict[str, tuple[str, Callable[[Any], Any], list[Any]]] = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_unusable_argument_is_refused_by_name(name: str) -> None:
+def test_error_names_the_unusable_argument(name: str) -> None:
     told, make, values = REFUSED[name]
     for value in values:
         with pytest.raises(TaskError, match=told):

@@ -51,7 +51,8 @@ def test_every_metric_equals_its_hand_computed_value() -> None:
         "trocar_force_mean_N": 2.0, "trocar_force_max_N": 5.0,
         # Steps of 5, 0 and 10 Nm in 2 ms.
         "torque_rate_rms_Nm_per_s": math.sqrt((2500.0**2 + 5000.0**2) / 3.0),
-        # Ticks 3 and 4 deviate from the mean by -1 and 1 rad/s, and by -1.5 and 8.5 Nm.
+        # Only the second half of so short a run counts: ticks 3 and 4. In these, joint 2 deviates from its mean over
+        # the run by -1 and 1 rad/s, and by -1.5 and 8.5 Nm.
         "oscillation_rad_per_s": 1.0, "oscillation_Nm": math.sqrt((1.5**2 + 8.5**2) / 2.0),
         "solve_p50_us": 20.0, "solve_p99_us": 29.8, "tick_p50_us": 100.25,
         "tick_p99_us": float(np.percentile([50.0, 100.0, 150.0, 100.5], 99)), "deadline_misses": 2.0,
@@ -84,7 +85,7 @@ def test_metrics_whose_data_are_missing_are_left_out() -> None:
 
 
 def test_metrics_of_a_diverged_run_are_nan_or_infinite() -> None:
-    """NaN means "no subproblem" only in the solver's columns."""
+    """NaN in a solver's column means that the tick had no subproblem. NaN in any other column means divergence."""
     summary = summarize(run(mu=[0.1, NAN, 0.3, 0.4], tip_error_m=[NAN] * 4, primal=[0.0, math.inf, NAN, 0.0]))
     assert np.isnan([summary["mu_mean"], summary["tip_error_max_mm"]]).all()
     assert summary["primal_max"] == math.inf
@@ -133,7 +134,7 @@ def test_metric_can_be_registered() -> None:
     assert metric(METRICS["completed"].function) is METRICS["completed"]
 
 
-def test_broken_metric_hides_no_other(monkeypatch):
+def test_broken_metric_does_not_hide_the_others(monkeypatch):
     values = {"len": "builtins:len", "number": "math:pi", "gone": "no_such:f", "abs": "builtins:abs"}
     found = {name: [EntryPoint(name, value, metrics.GROUP)] for name, value in values.items()}
     monkeypatch.setattr(metrics.plugins, "plugins", lambda group: found)
