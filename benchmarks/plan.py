@@ -223,7 +223,7 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
         Column("trapped", "trapped", format="d", help=f"number of runs with a gap above {TRAPPED_PERCENT:g} %"),
         Column("tip", "tip", unit="%", section=IN_THE_LOOP, help="change of the tip error relative to local"),
         Column("RCM", "RCM", unit="%", section=IN_THE_LOOP, help="change of the RCM error relative to local"),
-    ], first, "✔ the goal is met, ✘ missed, – open.")  # fmt: skip
+    ], first, "✔ the goal is met, ✘ missed, – undecided or without a goal.")  # fmt: skip
     changes = [change_name(error) for error in ERRORS.values()]
     by_robot = [{"robot": robot, **figures} for robot, figures in summary["courses"].items()]
     arm = Column("robot", "arm")
