@@ -257,10 +257,10 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
                    help="change of the mean tip error relative to DCAC: own kinematics / registered frame"),
         ]  # fmt: skip
         caption += (
-            f" {_trials_told(rows)} Worst damage: the worst change of mu, errors or chatter in closed loop relative to the "
-            f"solver marked ★; none: within tolerance. The last two columns use only the {_trials(rows)[0]} trials that "
-            "every solver ran. Tip: change of the error relative to DCAC, computed with the robot's kinematic model / "
-            "in the registered frame; ?: undecided."
+            f" {_trials_told(rows)} Worst damage: worst change of mu, errors or chatter in closed loop, relative to the "
+            f"★ solver; none: within tolerance. The last two columns use only the {_trials(rows)[0]} trials that every "
+            "solver ran. Tip: change of the error relative to DCAC, computed with the robot's kinematic model / in the "
+            "registered frame; ?: undecided."
         )
     return Table("Solvers under the settings we recommend, best first", columns, rows, caption)
 
