@@ -88,7 +88,7 @@ def verdict(row: Row, damage: float = 0.0) -> Mark:
 def _figures(name: str, certified: Row, warm: Row, closed: Row) -> Row:
     counted = certified or warm
     other = name.startswith(NONLINEAR)
-    hidden = Missing("it answers the nonlinear problem of the tick: not comparable")
+    hidden = Missing("it solves a nonlinear version of the problem: not comparable")
     wrong = sum(int(part.get("silently_wrong") or 0) for part in (certified, warm, closed))
     timed, suffix = (warm, "") if warm.get("solve_p50_us") is not None else (certified, "_worst_set")
     share = math.floor(1e4 * share_right(counted)) / 100.0 if counted.get("solves") else None  # never rounded to 100
@@ -257,10 +257,10 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
                    help="change of the mean tip error relative to DCAC: own kinematics / registered frame"),
         ]  # fmt: skip
         caption += (
-            f" {_trials_told(rows)} Worst damage: worst change of mu, errors or chatter in closed loop, relative to the "
-            f"★ solver; none: within tolerance. The last two columns use only the {_trials(rows)[0]} trials that every "
-            "solver ran. Tip: change of the error relative to DCAC, computed with the robot's kinematic model / in the "
-            "registered frame; ?: undecided."
+            f" {_trials_told(rows)} Worst damage: worst change of mu, errors or chatter in closed loop, relative to "
+            f"the ★ solver; none: within tolerance. The last two columns use only the {_trials(rows)[0]} trials that "
+            "every solver ran. Tip: change of the error relative to DCAC, computed with the robot's kinematic model / in "
+            "the registered frame; ?: undecided."
         )
     return Table("Solvers under the settings we recommend, best first", columns, rows, caption)
 
