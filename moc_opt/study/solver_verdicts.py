@@ -259,8 +259,8 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
         caption += (
             f" {_trials_told(rows)} Worst damage: worst change of mu, errors or chatter in closed loop, relative to "
             f"the ★ solver; none: within tolerance. The last two columns use only the {_trials(rows)[0]} trials that "
-            "every solver ran. Tip: change of the error relative to DCAC, computed with the robot's kinematic model / in "
-            "the registered frame; ?: undecided."
+            "every solver ran. Tip: change of the error relative to DCAC, computed with the robot's kinematic model / "
+            "in the registered frame; ?: undecided."
         )
     return Table("Solvers under the settings we recommend, best first", columns, rows, caption)
 
