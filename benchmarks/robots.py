@@ -143,8 +143,8 @@ def report(summary: Mapping[str, Any], judged: str) -> Report:
     order = [{"robot": arm, "order": ", ".join(names)} for arm, names in summary["ranking"]["order"].items()]
     arm_column = Column("robot", "arm")
     sections = [
-        Section("All figures", "Whole: number of completed runs. Means are over these runs. Settled: while no controller "
-                f"of the trial moves the elbow to its optimum. {FRAMES}", [Table("Every arm and controller", [
+        Section("All figures", "Whole: number of completed runs. Means are over these runs. Settled: while no "
+                f"controller of a trial moves the elbow to its optimum. {FRAMES}", [Table("Every arm and controller", [
                     arm_column, Column("controller", "controller"),
                     *columns("trials", "whole", *headings, *MEANS, **headings)], every)]),
         Section("Findings", "", [Table("Which findings hold on which arm", [
