@@ -254,7 +254,7 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
             Column("damage", "worst damage", section=CLOSED,
                    help="worst change in closed loop relative to the best solver, if it exceeds the tolerance"),
             Column("tip_change", "tip own/ registered", unit="%", section=CLOSED,
-                   help="change of the mean tip error relative to DCAC: own kinematics / registered frame"),
+                   help="change of the mean tip error relative to DCAC: kinematic model / registered frame"),
         ]  # fmt: skip
         caption += (
             f" {_trials_told(rows)} Worst damage: worst change of mu, errors or chatter in closed loop, relative to "
