@@ -338,7 +338,7 @@ def report(
         f"Of {runs} runs {survived} survived within the limits, {stopped} were stopped, and "
         f"{runs - survived - stopped} ended in another way.",
         f"Of {injected} injected solver faults {detected} were detected"
-        + (f"; the answers of {harmless} more were optimal." if harmless else "."),
+        + (f"; {harmless} other answers were optimal in spite of the fault." if harmless else "."),
         goals_sentence(goals),
     ]
     says = "MOC with exact, first trial: after a fault, errors and trocar force recover, or the arm stops."

@@ -223,14 +223,14 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
         Column("trapped", "trapped", format="d", help=f"number of runs with a gap above {TRAPPED_PERCENT:g} %"),
         Column("tip", "tip", unit="%", section=IN_THE_LOOP, help="change of the tip error relative to local"),
         Column("RCM", "RCM", unit="%", section=IN_THE_LOOP, help="change of the RCM error relative to local"),
-    ], first, "✔ the goal is met, ✘ missed, – open.")  # fmt: skip
+    ], first, "✔ the goal is met, ✘ missed, – undecided or without a goal.")  # fmt: skip
     changes = [change_name(error) for error in ERRORS.values()]
     by_robot = [{"robot": robot, **figures} for robot, figures in summary["courses"].items()]
     arm = Column("robot", "arm")
     by_arm = [goals_table(judged, f"Goals, {robot}") for robot, judged in summary["goals"].items()]
     sections = [
         Section("Goals", "", by_arm),
-        Section(IN_THE_LOOP, "Means over the whole runs, with 95 % intervals.", [Table("Closed loops", [
+        Section(IN_THE_LOOP, "Whole: completed runs. Means over these, with 95 % intervals.", [Table("Closed loops", [
             arm, Column("loop", "third level"), *columns("whole", "trials"),
             Column("gap_percent with interval", "below best from start", unit="%"),
             Column("gap_percent_median", "median", unit="%", format=".2f"),
@@ -249,8 +249,8 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
                 arm, Column("certified", "local optima", format="d"),
                 Column("violation_max", "largest violation", unit="m, rad", format=".0e"),
                 Column("bound_gap_percent", "bound above course", unit="%", format=".3f"),
-                Column("unbounded", "best above its bound", format="d"),
-                Column("refined_percent", "refinement gains", unit="%", format=".3f"),
+                Column("unbounded", "courses above bound", format="d"),
+                Column("refined_percent", "gain by refinement", unit="%", format=".3f"),
                 Column("halving_percent_abs_max", "halving the grid", unit="%", format=".3f"),
                 Column("map_s", "map", unit="s", format=".2f"), Column("search_s", "search", unit="s", format=".2f"),
                 Column("scratch_s_max", "map and search, slowest", unit="s", format=".2f"),

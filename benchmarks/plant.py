@@ -248,7 +248,7 @@ def report(summary: Mapping[str, Any], config: Config) -> Report:
                 Column("change", "tip, registered, change", unit="%"),
             ], rows),
         ]),
-        *(Section(f"Defects, preset {preset}", "Means over the runs that completed the task.", [Table(
+        *(Section(f"Defects, preset {preset}", "Whole: number of completed runs. Means are over these runs.", [Table(
             f"Each defect alone and together, preset {preset}", [
                 Column("group", "effect, controller"),
                 *columns("whole", "mu_gain_percent", *ERRORS, "trocar_force_mean_N", "torque_rate_rms_Nm_per_s"),

@@ -143,8 +143,8 @@ def report(summary: Mapping[str, Any], judged: str) -> Report:
     order = [{"robot": arm, "order": ", ".join(names)} for arm, names in summary["ranking"]["order"].items()]
     arm_column = Column("robot", "arm")
     sections = [
-        Section("All figures", "Means over whole runs. Settled: means over the ticks at which no controller of the "
-                f"trial moves the elbow to its optimum. {FRAMES}", [Table("Every arm and controller", [
+        Section("All figures", "Whole: number of completed runs. Means are over these runs. Settled: while no "
+                f"controller of a trial moves the elbow to its optimum. {FRAMES}", [Table("Every arm and controller", [
                     arm_column, Column("controller", "controller"),
                     *columns("trials", "whole", *headings, *MEANS, **headings)], every)]),
         Section("Findings", "", [Table("Which findings hold on which arm", [
@@ -173,7 +173,7 @@ def sentences(summary: Mapping[str, Any], judged: str) -> list[str]:
         f"Findings that hold on every arm: {'; '.join(hold) or 'none'}. Findings that fail on at least one arm: "
         f"{'; '.join(fail) or 'none'}." + (f" {', '.join(few)}: {too_few(counts[0])}." if few else ""),
         "The solvers' gains are too similar to rank them." if rho is None else
-        f"The rank correlation of the solvers between two arms is {rho:.2f} on average.",
+        f"If solvers are ranked by mean mu, the ranks on two arms have a correlation of {rho:.2f} on average.",
     ]
 
 

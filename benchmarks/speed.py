@@ -206,12 +206,12 @@ SECTIONS = {
         ("tick", "tick_parts"),
         "The inputs of the ticks are recorded in a run with the realistic plant. They are replayed in chunks of 100, "
         "and the controllers take turns chunk by chunk. The first round is not counted. Each part is timed alone, "
-        "so their times do not add up exactly. `c` is `moc_step` in the exported program, with the safety filter.",
+        "so the parts' times do not add up exactly. `c` is `moc_step` in the exported program, with the safety filter.",
     ),
     PEERS: (
         ("peers",),
         "Each library is timed on the states of its own run on an ideal arm. It controls tip and shaft, limits the "
-        "joint speeds, and follows the gradient of mu. Our tick is timed on its own run with the realistic plant.",
+        "joint speeds, and follows the gradient of mu. Our tick is timed on states of a run with the realistic plant.",
     ),
     SOLVERS: (
         ("adapters",),
@@ -236,7 +236,7 @@ def report(summary: Summary, times: Mapping[str, ArrayLike], subject: str = "") 
         Section(title, text, shown) for title, (keys, text) in SECTIONS.items()
         if (shown := [tables[key] for key in keys if key in tables])
     ]  # fmt: skip
-    says = "Time of a tick. The further left a curve, the faster the controller; the steeper, the steadier."
+    says = "Time of a tick. A curve further left: a faster controller. A steeper curve: times that vary less."
     pictures = [Picture(latency_ecdf(times), says, "ticks")] if times else []
     first = goals_table(summary["goals"])
     return Report("What everything costs", sentences(summary), first, pictures, sections,

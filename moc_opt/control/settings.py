@@ -125,7 +125,7 @@ class ControlSettings(Settings):
     limit_margin_m: NotNegative = 0.05
     """distance from a sliding joint's limit at which level 3 stops the approach"""
     shaft_margin: float = Field(default=0.175, ge=0.0, le=1.0)
-    """smallest desired manipulability of the shaft about the tip, divided by the squared wrist-tip distance. Below it,
+    """threshold of the shaft's manipulability about the tip, divided by the squared wrist-tip distance. Below it,
     `third_level` 'local' also raises this manipulability. 0 switches this off"""
     ramp_s: NotNegative = 0.3
     """time in which the torque of level 3 rises to full size at the start"""

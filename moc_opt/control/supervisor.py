@@ -76,11 +76,11 @@ class SupervisorSettings(Settings):
     hold_ticks: int = Field(10, ge=0)
     """largest number of consecutive control periods with the last good answer. After them, elbow motion is damped"""
     keep_off_limits: bool = True
-    """whether the elbow still keeps off joint limits when `hold_ticks` is exceeded"""
+    """whether the elbow still moves after `hold_ticks` if the bounds on x require it, as near a joint limit"""
     budget_us: float | None = Field(None, gt=0.0, description="longest time of a solve. By default, there is no limit")
     late: Literal["hold", "zero", "iterate"] = "hold"
     """replacement for an answer later than `budget_us`. 'hold': the last good answer; 'zero': no elbow motion;
-    'iterate': the solver's iterate at that time, or else the late answer"""
+    'iterate': the solver's iterate at that time, or the late answer if the solver gives no iterate"""
 
 
 _FAULTS = tuple(Fault)  # in the order of the core's enum

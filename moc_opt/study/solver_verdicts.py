@@ -88,7 +88,7 @@ def verdict(row: Row, damage: float = 0.0) -> Mark:
 def _figures(name: str, certified: Row, warm: Row, closed: Row) -> Row:
     counted = certified or warm
     other = name.startswith(NONLINEAR)
-    hidden = Missing("it answers the nonlinear problem of the tick: not comparable")
+    hidden = Missing("it solves a nonlinear version of the problem: not comparable")
     wrong = sum(int(part.get("silently_wrong") or 0) for part in (certified, warm, closed))
     timed, suffix = (warm, "") if warm.get("solve_p50_us") is not None else (certified, "_worst_set")
     share = math.floor(1e4 * share_right(counted)) / 100.0 if counted.get("solves") else None  # never rounded to 100
@@ -192,10 +192,10 @@ def _in_closed_loop(row: Row, shared: int) -> str:
     mu, tip, registered_tip, rcm, registered_rcm = changes
     shaken = f"; {count} of them oscillated" if (count := closed.get("oscillated", 0)) else ""
     both = f" The table below uses the {shared} trials that every solver ran. In these, the tip error (own/registered) "
-    both += f"changes by {row['tip_change']} %; {closed.get('oscillated_in_common', 0)} of them oscillated."
+    both += f"changes by {row['tip_change']} %; {closed.get('oscillated_in_common', 0)} of the runs oscillated."
     return (
-        f"In closed loop, `{row['solver']}` ran {trials} independent trials{shaken}. Its sound answers change mean mu "
-        f"by {mu} relative to `{BASELINE}`. By the robot's own kinematics, the tip error changes by {tip} and the RCM "
+        f"In closed loop, `{row['solver']}` ran {trials} independent trials{shaken}. Relative to `{BASELINE}`, mean mu "
+        f"changes by {mu}. Computed with the robot's kinematic model, the tip error changes by {tip} and the RCM "
         f"error by {rcm}. In the frame registered at the start (the patient's), the tip error changes by "
         f"{registered_tip} and the RCM error by {registered_rcm}."
         + (both if row["tip_change"] and shared < trials else "")
@@ -248,19 +248,19 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
         "whose rows contradict each other do not count. Wrong: claimed as solved, but not optimal. –: not run."
     )
     if any(row["verdict"] is OTHER for row in rows):
-        caption += " ≠ other: it answers the nonlinear problem of the tick, not the linear one that is judged."
+        caption += " ≠ other: it solves a nonlinear version of the problem, so its answers are not judged."
     if any(row["trials"] for row in rows):
         columns += [
             Column("damage", "worst damage", section=CLOSED,
-                   help="largest loss in closed loop relative to the solver to take, if it exceeds the tolerance"),
+                   help="worst change in closed loop relative to the best solver, if it exceeds the tolerance"),
             Column("tip_change", "tip own/ registered", unit="%", section=CLOSED,
-                   help="change of the mean tip error relative to DCAC: own kinematics / registered frame"),
+                   help="change of the mean tip error relative to DCAC: kinematic model / registered frame"),
         ]  # fmt: skip
         caption += (
-            f" {_trials_told(rows)} Worst damage: largest loss in closed loop relative to the solver to take; none: "
-            f"within tolerance. The last two columns use only the {_trials(rows)[0]} trials that every solver ran. "
-            "Tip: change of the error relative to DCAC, by the robot's own kinematics / in the registered frame; "
-            "?: undecided."
+            f" {_trials_told(rows)} Worst damage: worst change of mu, errors or chatter in closed loop, relative to "
+            f"the ★ solver; none: within tolerance. The last two columns use only the {_trials(rows)[0]} trials that "
+            "every solver ran. Tip: change of the error relative to DCAC, computed with the robot's kinematic model / "
+            "in the registered frame; ?: undecided."
         )
     return Table("Solvers under the settings we recommend, best first", columns, rows, caption)
 
