@@ -63,7 +63,8 @@ class Exact(SolverSettings):
             raise SolverError(f"exact: rows has shape {rows.shape}: give (k, 11 n + 10), n at most {core.MAX_JOINTS}")
         X, Y, codes = np.empty((len(rows), n)), np.empty((len(rows), 6)), np.empty(len(rows))
         threads = threads or os.cpu_count() or 1
-        parts = [np.array_split(array, 8 * threads) for array in (rows, X, Y, codes)]  # small: all threads end together
+        pieces = min(8 * threads, 1 + len(rows) // 1000)  # several per thread, so that all threads end together
+        parts = [np.array_split(array, pieces) for array in (rows, X, Y, codes)]
         with ThreadPoolExecutor(threads) as pool:  # the core releases the GIL
             list(pool.map(core.solve_exact_rows, parts[0], repeat(self.tolerance), *parts[1:]))
         statuses, unsolved = [Status.SOLVED] * len(rows), np.flatnonzero(codes != _OK)
