@@ -84,5 +84,5 @@ def goals_sentence(found: Mapping[str, Mapping[str, Any]]) -> str:
     words = [row["reached"] for row in found.values()]
     text = f"{words.count('yes')} of {len(words)} goals are reached"
     text += "".join(f", {words.count(word)} {word}" for word in ("open", "not measured") if word in words)
-    missed = [f"{row['what']} ({value_text(row)})" for row in found.values() if row["reached"] == "no"]
-    return text + (f"; missed: {'; '.join(missed)}." if missed else ".")
+    missed = [f"{row['what']} = {value_text(row)}" for row in found.values() if row["reached"] == "no"]
+    return text + (f". Missed: {'; '.join(missed)}." if missed else ".")

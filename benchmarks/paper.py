@@ -280,9 +280,9 @@ def goals(rows: Results, group: str | None, solver: str) -> dict[str, dict[str, 
     return judge({}, {
         "mu_gain": Goal("gain in mean mu", "%", LEAST_GAIN_PERCENT, change("mu_mean"), most=False),
         "mu_worst": Goal(f"smallest gain in mean mu of {len(each)} trials", "%", 0.0, lambda _: worst, most=False),
-        **{f"settled_{name}": Goal(f"{title}: change of the settled error", "%", MOST_CHANGE_PERCENT,
+        **{f"settled_{name}": Goal(f"change of the settled error ({title})", "%", MOST_CHANGE_PERCENT,
                                    change(f"settled_{name}")) for name, title in TITLES.items()},
-        **{name: Goal(f"{TITLES[name]}: mean error", "mm", limit, mean(name)) for name, limit in MOST_MM.items()},
+        **{name: Goal(f"mean error ({TITLES[name]})", "mm", limit, mean(name)) for name, limit in MOST_MM.items()},
     })  # fmt: skip
 
 
@@ -380,12 +380,12 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
         held = sum(row["verdict"] == HOLDS for row in claimed.values())
         effects = [f"{title} {spread(row, 'matched_percent', sign='+') or '?'}" for title, row in claimed.items()]
         answer.append(
-            f"Table I as printed with {solver}: {too_few(count) or f'{held} of {len(claimed)} claims hold'}; change "
-            f"against DCAC with the same gains [%]: {'; '.join(effects)}; {shook[PRINTED, solver]} of {count} runs "
-            "oscillate."
+            f"Table I as printed with {solver}: {too_few(count) or f'{held} of {len(claimed)} claims hold'}, and "
+            f"{shook[PRINTED, solver]} of {count} runs oscillate. Changes against DCAC with the same gains [%]: "
+            f"{'; '.join(effects)}."
         )
-    answer.append(f"Our goals, group {config.best}: {goals_sentence(summary['goals'])}" + (
-        f" Group {config.elsewhere}: {goals_sentence(summary['goals_elsewhere'])}" if config.elsewhere else ""
+    answer.append(f"Our goals in group {config.best}: {goals_sentence(summary['goals'])}" + (
+        f" In group {config.elsewhere}: {goals_sentence(summary['goals_elsewhere'])}" if config.elsewhere else ""
     ))  # fmt: skip
     return Report(
         f"LWR4+, three tasks: the paper's claims with {', '.join(config.solvers)}", answer, table,

@@ -183,18 +183,18 @@ def goals(loops: Mapping[str, Any]) -> dict[str, Goal]:
         return measured
 
     found = {
-        f"gap {name}": Goal(f"{name}: mean gap of mu to the best course", "%", most, interval(name, "gap_percent"),
+        f"gap {name}": Goal(f"mean gap of mu to the best course ({name})", "%", most, interval(name, "gap_percent"),
                             section=IN_THE_LOOP)
         for name, most in MOST_GAP_PERCENT.items() if name in loops
     }  # fmt: skip
-    found["planned worst"] = Goal("planned: largest gap of mu", "%", MOST_PLANNED_PERCENT,
+    found["planned worst"] = Goal("largest gap of mu (planned)", "%", MOST_PLANNED_PERCENT,
                                   lambda s: s["loops"]["planned"]["gap_percent_max"], section=IN_THE_LOOP)  # fmt: skip
     for name in ("planned", "receding"):
         for words, error in ERRORS.items():
-            found[f"{name} {words}"] = Goal(f"{name}: change of {words} error from local", "%", MOST_CHANGE_PERCENT,
+            found[f"{name} {words}"] = Goal(f"change of {words} error from local ({name})", "%", MOST_CHANGE_PERCENT,
                                             interval(name, change_name(error)), section=IN_THE_LOOP)  # fmt: skip
     return found | {
-        "replan": Goal("receding: p99 of the solve time in the worst run", "ms", MOST_REPLAN_MS,
+        "replan": Goal("p99 of the solve time in the worst run (receding)", "ms", MOST_REPLAN_MS,
                        lambda s: s["loops"]["receding"]["replan_ms_p99_max"], section=IN_THE_LOOP),
         "scratch": Goal("time of map and search at the slowest start", "s", MOST_SCRATCH_S,
                         lambda s: s["courses"]["scratch_s_max"], section=ALONG),
@@ -278,7 +278,7 @@ def sentences(summary: Mapping[str, Any], rows: Results, config: Config) -> list
         f"Gap of mean mu to the best course from the same start: {'; '.join(said)}.",
         f"From {trapped} of {len(local)} starts, mean mu of `local` is more than {TRAPPED_PERCENT:g} % below that of "
         "the best course.",
-        " ".join(f"{robot}: {goals_sentence(judged)}" for robot, judged in summary["goals"].items()),
+        " ".join(f"On {robot}, {goals_sentence(judged)}" for robot, judged in summary["goals"].items()),
     ]
 
 

@@ -141,7 +141,7 @@ def _size(metric: str, change: Change) -> tuple[float, float]:
 
 
 def sentences(summary: Summary, rows: Sequence[Row]) -> list[str]:
-    """Say which solver to take and why, which others are sound, and which to avoid."""
+    """Say which solver to use and why, which others are sound, and which to avoid."""
     if not rows:
         return ["Nothing was run."]
     best, sound = rows[0], [row for row in rows if row["verdict"] is SOUND]
@@ -151,7 +151,7 @@ def sentences(summary: Summary, rows: Sequence[Row]) -> list[str]:
     elif best["verdict"] is TAKE:
         known = summary.get("settings", {}).get(f"{best['solver']}@{RECOMMENDED}", {})
         reason = known.get("reason") or "its recommended setting"
-        said = [f"Take `{best['solver']}` ({reason}){_why(summary, best, sound, len(rows))}"]
+        said = [f"Use `{best['solver']}` ({reason}){_why(summary, best, sound, len(rows))}"]
     elif "testsets" not in summary and "open_loop_warm" not in summary:
         said = ["Which solver is sound is unknown: the certified sets were not run."]
     else:
@@ -191,14 +191,17 @@ def _in_closed_loop(row: Row, shared: int) -> str:
     changes = (spread(closed, change_name(name), 2, "+", " %") for name in ("mu_mean", *FRAMED))
     mu, tip, registered_tip, rcm, registered_rcm = changes
     shaken = f"; {count} of them oscillated" if (count := closed.get("oscillated", 0)) else ""
-    both = f" The table below uses the {shared} trials that every solver ran. In these, the tip error (own/registered) "
-    both += f"changes by {row['tip_change']} %; {closed.get('oscillated_in_common', 0)} of the runs oscillated."
+    common = ""
+    if row["tip_change"] and shared < trials:
+        own, touched = (f"{one} %".replace("? %", " % (undecided)") for one in row["tip_change"].split("/"))
+        common = f" The table below uses the {shared} trials that every solver ran. In these, the tip error changes by "
+        common += f"{own} with the kinematic model and by {touched} in the registered frame; "
+        common += f"{closed.get('oscillated_in_common', 0)} of the runs oscillated."
     return (
         f"In closed loop, `{row['solver']}` ran {trials} independent trials{shaken}. Relative to `{BASELINE}`, mean mu "
         f"changes by {mu}. Computed with the robot's kinematic model, the tip error changes by {tip} and the RCM "
         f"error by {rcm}. In the frame registered at the start (the patient's), the tip error changes by "
-        f"{registered_tip} and the RCM error by {registered_rcm}."
-        + (both if row["tip_change"] and shared < trials else "")
+        f"{registered_tip} and the RCM error by {registered_rcm}.{common}"
     )
 
 
@@ -215,14 +218,15 @@ def _avoid(summary: Summary, rows: Sequence[Row]) -> list[str]:
         name.removesuffix(ending): m["silently_wrong"] for name, m in summary.get("testsets", {}).items()
         if name.endswith(ending) and of(name.removesuffix(ending))[DEFAULT][0].get("rows") == 6
     }  # fmt: skip
-    wrong = sorted((name for name in plain if plain[name]), key=lambda name: -plain[name])
-    if wrong:
+    said = [f"Avoid {'; '.join(parts)}."] if parts else []
+    if wrong := sorted((name for name in plain if plain[name]), key=lambda name: -plain[name]):
         listed = ", ".join(f"`{name}` {plain[name]}" for name in wrong)
-        parts.append(
-            "the libraries' own default settings: on the paper's six dependent rows, with the cost unscaled, "
-            f"{len(wrong)} of {len(plain)} libraries claimed success for wrong answers (counts: {listed})"
+        said.append(
+            f"{'Also avoid' if parts else 'Avoid'} the libraries' default settings: on the paper's six dependent rows, "
+            f"with the cost unscaled, {len(wrong)} of {len(plain)} libraries claimed success for wrong answers "
+            f"(counts: {listed})."
         )
-    return [f"Avoid {'; '.join(parts)}."] if parts else []
+    return [" ".join(said)] if said else []
 
 
 # --- the first screen ---
@@ -243,9 +247,9 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
     ]  # fmt: skip
     caption = (
         f"Verdicts: ★ take: the sound solver with the smallest p99. ✔ sound. ◐ gaps: less than {100 * RIGHTLY:g} % "
-        "right, but it reports its failures. ≈ near: close to the optimum without claiming it, or worse in closed "
-        "loop. ✘ avoid. docs/solvers.md has the rules. Right: verified, or rightly called infeasible; refused problems "
-        "whose rows contradict each other do not count. Wrong: claimed as solved, but not optimal. –: not run."
+        "right, but it reports its failures. ≈ near: close to the optimum without claiming it, or worse than ★ in "
+        "closed loop. ✘ avoid. docs/solvers.md has the rules. Right: verified, or rightly called infeasible; refused "
+        "problems whose rows contradict each other do not count. Wrong: claimed as solved, but not optimal. –: not run."
     )
     if any(row["verdict"] is OTHER for row in rows):
         caption += " ≠ other: it solves a nonlinear version of the problem, so its answers are not judged."

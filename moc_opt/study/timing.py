@@ -63,8 +63,8 @@ def load(rows: Iterable[Row]) -> str:
     if not spoilt:
         return said + "the machine was quiet."
     return said + (
-        f"other programs used the machine in {spoilt} of {len(timed)} measurements. Do not trust the p99 of these. On "
-        "a quiet machine, run the same command again: it repeats only these measurements."
+        f"other programs used the machine in {spoilt} of {len(timed)} measurements. The p99 of these measurements is "
+        "not reliable. On a quiet machine, run the same command again: it repeats only these measurements."
     )
 
 

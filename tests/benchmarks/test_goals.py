@@ -39,7 +39,7 @@ def test_missed_goals_are_shown_first() -> None:
     found = goals.judge(values, asked)
     rows = [(row["what"][-1], row["reached"].symbol, row["measured"]) for row in goals.goals_table(found).rows]
     assert rows == [("b", "✘", "7 [6, 8] us"), ("c", "–", "5 [4, 6] us"), ("d", "–", None), ("a", "✔", "1 us")]
-    assert "missed: goal b (7 [6, 8] us)" in goals.goals_sentence(found)
+    assert "Missed: goal b = 7 [6, 8] us" in goals.goals_sentence(found)
 
 
 def made(controller: str, travelling: list[int] | None, trial: str = "t", **more: Any) -> Run:

@@ -64,7 +64,7 @@ def test_second_run_reuses_all_results(tmp_path, capsys):
     assert again | {"clock": None} == summary | {"clock": None}
     said, told = capsys.readouterr()
     so_far = [line for line in told.splitlines() if line.startswith("so far: ")]
-    assert so_far[0].startswith("so far: Take `exact`")
+    assert so_far[0].startswith("so far: Use `exact`")
     assert len(set(so_far)) == len(so_far), "no sentence is said twice"
     assert max(len(line) for line in said.splitlines() if str(tmp_path) not in line) <= 80, "except lines with paths"
 
