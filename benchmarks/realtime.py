@@ -292,7 +292,8 @@ def report(summary: Mapping[str, Any], subject: str = "") -> Report:
         "period late. Round trip: from the departure of a measurement to the arrival of its torque, over the loopback. "
         "A cycle is missed if its round trip takes longer than the period. Controller: the time of safety filter and "
         "control law alone. environment.json has the priority, memory locking and timers that both processes were "
-        "granted. Python's garbage collector is off in both loops. Not clean: with a large RCM error or moving joints."
+        "granted. Python's garbage collector is off in both loops. Not clean: neither completed, nor stopped at rest "
+        "with a small RCM error."
     )
     title, first = "Plant and controller against the clock", goals_table(summary["goals"])
     return Report(title, sentences(summary), first, (), [Section(DETAILS, how, [table])], subtitle=subject)

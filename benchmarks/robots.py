@@ -170,7 +170,7 @@ def sentences(summary: Mapping[str, Any], judged: str) -> list[str]:
     rho = summary["ranking"]["mean"]
     return [
         f"Change of mean mu with {judged} relative to DCAC with the same gains, {each} random poses per arm: {gains}.",
-        f"Findings that hold on every arm: {'; '.join(hold) or 'none'}. Findings that fail on at least one arm: "
+        f"True on every arm: {'; '.join(hold) or 'none'}. False on at least one arm: "
         f"{'; '.join(fail) or 'none'}." + (f" {', '.join(few)}: {too_few(counts[0])}." if few else ""),
         "The solvers' gains are too similar to rank them." if rho is None else
         f"If solvers are ranked by mean mu, the ranks on two arms have a correlation of {rho:.2f} on average.",
