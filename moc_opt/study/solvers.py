@@ -103,7 +103,7 @@ class Config(StudyConfig):
     scenario: Scenario = Scenario()
 
     def quick(self) -> Self:
-        """Return the same study on less data."""
+        """Return the configuration of a quicker study."""
         sets = ["circle", "infeasible", "jumps"]
         return self.but(
             open_loop={"ticks": 200, "cold": 10},
