@@ -199,7 +199,7 @@ def run_control(given: argparse.Namespace) -> int:
     if scenario.control.third_level == "receding":
         print(
             "control: third_level = 'receding' replans within a tick, which takes about 10 ms: in real time, this tick "
-            "is missed; start the plant with --lock-step, or take third_level = 'planned'", file=sys.stderr,
+            "is missed; start the plant with --lock-step, or use third_level = 'planned'", file=sys.stderr,
         )  # fmt: skip
     first = "planning the course, then " if scenario.control.follows else ""
     where = f"{given.connect}, for up to {scenario.wire.wait_s:g} s"

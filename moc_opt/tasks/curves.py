@@ -52,7 +52,7 @@ class ArcLength:
                 return
             panels *= 2
         raise TaskError(
-            "the arc length of this curve cannot be tabulated to 1e-10: take fewer periods or turns, or less "
+            "the arc length of this curve cannot be tabulated to 1e-10: use fewer periods or turns, or less "
             "extreme proportions"
         )
 

@@ -22,7 +22,7 @@ def check(robot, start, motion, poses):
         np.testing.assert_array_equal(q[list(motion.held)], start[list(motion.held)])
 
 
-def test_a_curve_leaves_tip_and_wrist_in_place_within_the_limits(robot, regular_poses):
+def test_tip_and_wrist_stay_in_place_along_a_curve_within_the_limits(robot, regular_poses):
     rng = np.random.default_rng(5)
     for start in regular_poses(10, seed=4):
         motion = self_motion(robot, start)

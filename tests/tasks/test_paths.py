@@ -79,7 +79,7 @@ def test_circle_turns_left() -> None:
 
 
 def helix(radius: float, pitch: float = 0.01):
-    """Go round once while it climbs."""
+    """One turn of a helix."""
     angle = np.linspace(0.0, 2 * np.pi, 25)
     return np.stack([radius * np.sin(angle), radius * (1 - np.cos(angle)), pitch * angle / (2 * np.pi)], axis=1)
 
