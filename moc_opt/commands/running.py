@@ -120,7 +120,7 @@ def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
     if given.course == "":
         raise ScenarioError("--course '': give the file that `moc-opt plan --out` wrote")
     if given.course and given.third_level not in (None, "planned"):
-        raise ScenarioError(f"--course {given.course}: only --third-level planned follows a file; leave --course out")
+        raise ScenarioError(f"--course {given.course}: only --third-level planned follows a file; omit --course")
     changes: dict[str, Any] = {} if given.seed is None else {"seed": given.seed}
     if given.robot is not None:
         changes["robot"] = {"name": given.robot}

@@ -189,4 +189,4 @@ class LiveRun:
 
     def _halt(self, reason: str) -> None:
         self.stopped = f"stopped at {self._loop.ticks * self.period_s:.2f} s: {reason}"
-        self.messages.append(f"{self.stopped}; change what caused it and reset")
+        self.messages.append(f"{self.stopped}; remove the cause, then reset")

@@ -58,7 +58,7 @@ def best_freedoms(robot: RobotModel, poses: int = 8) -> Freedoms:
 
 
 def require_freedom(robot: RobotModel) -> None:
-    """Raise a RobotError if tip and shaft leave the arm no freedom."""
+    """Raise a RobotError if no freedom is left with fixed tip and shaft."""
     found = best_freedoms(robot)
     if found.real < 1:
         raise RobotError(found.refusal(robot))
