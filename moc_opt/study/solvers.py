@@ -76,7 +76,7 @@ class ClosedLoop(Settings):
     """Settings of the trials in closed loop."""
 
     KIND: ClassVar[str] = "[closed_loop]"
-    tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1, description="the trials take them in turn")
+    tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1, description="the trials use them in turn")
     trials: int = Field(60, ge=1, description="number of trials of DCAC and the cited solvers")
     cited: list[str] = Field(["exact", "rnn", "rnn-printed"], description="solvers that the report's answer cites")
     others: int = Field(15, ge=1, description="number of trials of every other solver")
