@@ -1,6 +1,6 @@
 """Compute the answers of a test set in exact arithmetic, without the solvers and residuals of moc_opt.
 
-`optimum` minimises rho/2 |x|^2 - c2 grad_mu^T x under five rows of A x = b, in rational numbers: the tip's three rows,
+`optimum` minimises rho/2 |x|^2 - c2 grad_mu^T x in rational numbers, under five rows of A x = b: the tip's three rows,
 and the wrist's two across the shaft. HiGHS has to confirm which problems are feasible.
 """
 
@@ -17,18 +17,19 @@ from moc_opt.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.study.testsets import CertificateError, TestSet
 
-TIED = 1e-12  # tip and wrist count as rigidly connected up to this motion along the shaft, relative to |A|
+TIED = 1e-12  # largest difference of tip and wrist velocity along a rigid shaft, relative to |A|
 RANK_TOLERANCE = 1e-12
 """A singular value below this share of |A| counts as zero."""
 FEASIBLE, INFEASIBLE = 0, 2  # status of scipy's linprog
-NONE = Fraction(0)
+ZERO = Fraction(0)
 Vector = list[Fraction]
 
 
 def five_rows(qp: NullSpaceQP) -> tuple[Array, Array]:
     """Return A (5, n) and b (5,): the tip's three rows and the wrist's two across the shaft.
 
-    The wrist's row along the shaft equals the tip's except for rounding, so in exact arithmetic they are independent.
+    Along the shaft, the wrist's row equals the tip's up to rounding. Exact arithmetic would see two different rows, so
+    the wrist's row is left out.
     """
     directions, sizes, _ = np.linalg.svd(qp.J_tip - qp.J_wrist)
     if sizes[2] > TIED * np.linalg.norm(qp.A):
@@ -66,7 +67,7 @@ def optimum(A: Array, b: Array, pull: Vector, rho: float, lower: Array, upper: A
     if not moving:
         return x
     free = [j for j in range(count) if j not in pivots]
-    start, basis = [NONE] * count, [[Fraction(j == k) for k in free] for j in range(count)]
+    start, basis = [ZERO] * count, [[Fraction(j == k) for k in free] for j in range(count)]
     for row, pivot in zip(rows, pivots, strict=False):
         start[pivot], basis[pivot] = row[count], [-row[k] for k in free]
     gains, boxes = [pull[j] for j in moving], [ends[j] for j in moving]
@@ -85,14 +86,14 @@ def optimum(A: Array, b: Array, pull: Vector, rho: float, lower: Array, upper: A
 def _alone(gain: Fraction, weight: Fraction, low: Fraction, high: Fraction) -> Fraction:
     """Minimise weight/2 x^2 - gain x on [low, high]. If weight and gain are 0, return the x nearest to zero."""
     if weight or not gain:
-        return min(max(gain / weight if weight else NONE, low), high)
+        return min(max(gain / weight if weight else ZERO, low), high)
     return high if gain > 0 else low
 
 
 def _stationary(
     basis: list[Vector], start: Vector, gains: Vector, weight: Fraction, active: dict[int, Fraction]
 ) -> tuple[Vector, Vector] | None:
-    """Return (stationary point, multipliers) for these active bounds, or None if they are not unique.
+    """Return (stationary point, multipliers) for these active bounds. Return None if they are not unique.
 
     With basis N and active joints S, N^T (weight x - gains) = N_S^T m and x_S = bounds.
     """
@@ -102,7 +103,7 @@ def _stationary(
         [*(weight * dot(one, other) for other in columns), *(-one[j] for j in active), dot(one, left)]
         for one in columns
     ]
-    system += [[*basis[j], *[NONE] * len(active), bound - start[j]] for j, bound in active.items()]
+    system += [[*basis[j], *[ZERO] * len(active), bound - start[j]] for j, bound in active.items()]
     rows, pivots = eliminated(system)
     if pivots != list(range(len(system))):
         return None
@@ -111,7 +112,7 @@ def _stationary(
 
 
 def dot(one: Iterable[Fraction], other: Iterable[Fraction]) -> Fraction:
-    return sum((a * b for a, b in zip(one, other, strict=True)), NONE)
+    return sum((a * b for a, b in zip(one, other, strict=True)), ZERO)
 
 
 def eliminated(matrix: list[Vector]) -> tuple[list[Vector], list[int]]:

@@ -66,7 +66,7 @@ def write_qpbenchmark(folder: Path, names: Sequence[str] = SETS, every: int = 1,
     """Write the module and its Parquet file in the format of qpbenchmark's ``ProblemList``."""
     chosen = problems(names, every)
     if not chosen:
-        raise StudyError(f"sets = {', '.join(names)}: no problem in them is feasible; take other sets")
+        raise StudyError(f"sets = {', '.join(names)}: no problem in them is feasible; use other sets")
     table: dict[str, list[Any]] = {key: [] for key in ("P", "q", "G", "h", "A", "b", "lb", "ub", "name")}
     for name, qp in chosen.items():
         P, p, A, b, _ = qp.assembled(rows)

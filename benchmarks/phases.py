@@ -16,7 +16,7 @@ from moc_opt.study.trials import Run
 def with_phases(runs: Iterable[Run]) -> list[Run]:
     """Add mean errors while an elbow travels (``travelling_NAME``), and afterwards (``settled_NAME``).
 
-    All controllers of a trial have the same phases: travelling are the ticks at which the elbow of any of them travels.
+    All controllers of a trial have the same phases: a tick counts as travelling if the elbow travels in any run.
     """
     runs = list(runs)
     groups: dict[tuple[Any, ...], list[Run]] = {}

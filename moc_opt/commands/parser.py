@@ -100,7 +100,7 @@ COMMANDS = {
                       "show metrics, curves and map of saved runs, in one HTML file", pages("report")),
     "live": Command("commands.making:serve_page", "run a scenario in real time, on a local web page", (
         SCENARIO,
-        option("--port", type=int, default=8642, help="port of the web page; default 8642; 0 takes any free port"),
+        option("--port", type=int, default=8642, help="port of the web page; default 8642; 0 means any free port"),
     )),
     "export-c": Command("commands.making:export_c",
                         "write the scenario's controller and safety filter as C code", (

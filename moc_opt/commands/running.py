@@ -120,7 +120,7 @@ def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
     if given.course == "":
         raise ScenarioError("--course '': give the file that `moc-opt plan --out` wrote")
     if given.course and given.third_level not in (None, "planned"):
-        raise ScenarioError(f"--course {given.course}: only --third-level planned follows a file; leave --course out")
+        raise ScenarioError(f"--course {given.course}: only --third-level planned follows a file; omit --course")
     changes: dict[str, Any] = {} if given.seed is None else {"seed": given.seed}
     if given.robot is not None:
         changes["robot"] = {"name": given.robot}
@@ -199,7 +199,7 @@ def run_control(given: argparse.Namespace) -> int:
     if scenario.control.third_level == "receding":
         print(
             "control: third_level = 'receding' replans within a tick, which takes about 10 ms: in real time, this tick "
-            "is missed; start the plant with --lock-step, or take third_level = 'planned'", file=sys.stderr,
+            "is missed; start the plant with --lock-step, or use third_level = 'planned'", file=sys.stderr,
         )  # fmt: skip
     first = "planning the course, then " if scenario.control.follows else ""
     where = f"{given.connect}, for up to {scenario.wire.wait_s:g} s"

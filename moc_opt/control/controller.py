@@ -115,7 +115,7 @@ class Controller:
     )
     faults = property(
         lambda self: self._supervisor.faults,
-        doc="Faults since the start: by label, a dict of ``count``, ``first_at_s`` and ``first`` (the first message).",
+        doc="Faults since the start: label -> dict with ``count``, ``first_at_s`` and ``first`` (the first message).",
     )
 
     @property

@@ -145,12 +145,12 @@ class ControlSettings(Settings):
         if self.course and self.third_level != "planned":
             raise ValueError(
                 f"course = {self.course!r:.100} with third_level = {self.third_level!r}: only third_level = 'planned' "
-                "follows a file; set this third_level, or leave course out"
+                "follows a file; set this third_level, or omit course"
             )
         if self.law == "dcac" and self.follows:
             raise ValueError(
                 f"law = 'dcac' with third_level = {self.third_level!r}: dcac has no third level; "
-                "take law = 'moc', or leave third_level out"
+                "use law = 'moc', or omit third_level"
             )
         return self
 

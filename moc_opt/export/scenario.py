@@ -58,15 +58,15 @@ def check(scenario: Scenario) -> None:
     solver, control = scenario.solver, scenario.control
     for wrong, words in (
         (control.law == "moc" and solver.name != "exact",
-         f"[solver] name = {solver.name!r}: the C code contains only one solver; take 'exact'"),
+         f"[solver] name = {solver.name!r}: the C code contains only one solver; use 'exact'"),
         (solver.replay_us is not None,
-         f"[solver] replay_us = {solver.replay_us!r:.60}: the C code replays no recorded times; leave this key out"),
+         f"[solver] replay_us = {solver.replay_us!r:.60}: the C code replays no recorded times; remove this key"),
         (solver.isolation != "none",
-         f"[solver] isolation = {solver.isolation!r}: the C code starts no other process; leave this key out"),
+         f"[solver] isolation = {solver.isolation!r}: the C code starts no other process; remove this key"),
         (control.follows,
-         f"[control] third_level = {control.third_level!r}: the C code follows no planned joint motion; take 'local'"),
+         f"[control] third_level = {control.third_level!r}: the C code follows no planned joint motion; use 'local'"),
         (control.supervisor.budget_us is not None,
-         f"[control.supervisor] budget_us = {control.supervisor.budget_us}: C code reads no clock; leave this key out"),
+         f"[control.supervisor] budget_us = {control.supervisor.budget_us}: C code reads no clock; remove this key"),
     ):  # fmt: skip
         if wrong:
             raise ScenarioError(words)

@@ -114,7 +114,7 @@ def log_axis(
     """
     shown = np.asarray(values, dtype=np.float64)
     if shown.size == 0 or not (shown > 0.0).all():
-        raise ReportError(f"{title}: a log axis needs values, and only positive ones; leave the figure out and say why")
+        raise ReportError(f"{title}: a log axis needs values, and only positive ones; omit the figure and say why")
     low, high = math.log10(shown.min()), math.log10(shown.max())
     free = margin * max(high - low, 0.5)
     low, high, step = low - free, high + free, 1

@@ -112,7 +112,7 @@ def _refuse_without(token: str, server: Any) -> None:
                 while True:  # discard messages that viser would obey
                     await connection.recv()
 
-    sockets.disconnect_all_clients()  # they may have connected before the hook was set
+    sockets.disconnect_all_clients()  # clients may have connected before the hook was set
 
 
 class Panel:

@@ -122,7 +122,7 @@ class LiveRun:
         if control.follows:
             raise LiveError(
                 f"[control] third_level = {control.third_level!r}: a planned joint motion ends where the path ends, "
-                "but a live run goes to and fro along the path; take third_level = 'local'"
+                "but a live run goes to and fro along the path; use third_level = 'local'"
             )
         settings = self.scenario.solver.settings if name == self.scenario.solver.name else {}
         solver = None if name == DCAC else isolated(make_solver(name, self.robot, **settings), self.scenario)
@@ -189,4 +189,4 @@ class LiveRun:
 
     def _halt(self, reason: str) -> None:
         self.stopped = f"stopped at {self._loop.ticks * self.period_s:.2f} s: {reason}"
-        self.messages.append(f"{self.stopped}; change what caused it and reset")
+        self.messages.append(f"{self.stopped}; remove the cause, then reset")

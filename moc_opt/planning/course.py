@@ -144,7 +144,7 @@ def between(t: Array, times: Array, rows: Array) -> Array:
 
 
 def margin_at(robot: RobotModel, poses: Array, margin: Margin) -> Margin:
-    """Return the margin, reduced to the distance of the poses (..., n) from the joint limits if that is smaller."""
+    """Return the margin, but at most the distance of the poses (..., n) from the joint limits."""
     room = np.minimum(poses - robot.q_min, robot.q_max - poses).reshape(-1, robot.n).min(axis=0)
     room = np.where(robot.moves.any(axis=0), np.maximum(room, 0.0), np.inf)
     return np.minimum(margin, room) if isinstance(margin, np.ndarray) else min(margin, float(room.min()))

@@ -60,7 +60,7 @@ class Planner:
     def __init__(
         self, value: Value, program: Program, targets: Targets, *, horizon_s: float, rate_per_s: float
     ) -> None:
-        """Take the duration ``horizon_s`` of a course [s], and the number ``rate_per_s`` of new courses per second."""
+        """``horizon_s`` is the duration of a course [s], and ``rate_per_s`` the number of new courses per second."""
         self._value, self._program, self._targets = value, program, targets
         self._horizon_s, self.rate_per_s = horizon_s, rate_per_s
         self._solve_s: list[float] = []

@@ -61,7 +61,7 @@ class Following:
         where = "" if stuck is None else f"{1e3 * stuck.arc_length_m:.1f} mm along the path, {stuck.reason}"
         return ScenarioError(
             f"[control] third_level = {self.settings.third_level!r}: from this start, no course reaches the end of the "
-            f"path: {where}; see `moc-opt plan`, or take third_level = 'local'"
+            f"path: {where}; see `moc-opt plan`, or use third_level = 'local'"
         )
 
 

@@ -40,7 +40,7 @@ class Plan:
     targets: Targets  #: Targets of tip and wrist, (k,3) each [m].
     from_start: Course | None  #: Best course from the start, or None.
     best: Course | None  #: Best course from any start pose, or None.
-    climbed: Course  #: Course of a local climb of mu. It ends before the path if a limit blocks the climb.
+    climbed: Course  #: Course of a local climb of mu. It stops before the path's end if a limit blocks it.
     bound_from_start: float
     """Upper bound of mean mu from the start [m^3], for courses that the map resolves; NaN if unknown."""
     bound: float  #: Upper bound of mean mu over all starts [m^3]; NaN if unknown.
@@ -172,7 +172,7 @@ def best_course(value: Value, start: Array | None) -> Array | None:
 def climb(found: PoseMap, start: Array, limits: Limits) -> Array:
     """Climb mu from the start (n,) over the poses of the map; return the poses (k,n).
 
-    The poses end before the path if no pose at the next time is within reach.
+    The poses stop before the path's end if no pose at the next time is within reach.
     """
     step, feasible = limits.speed_share * found.robot.v_max * found.targets.period_s, found.feasible(limits.margin)
     poses = [np.array(start)]

@@ -1,7 +1,7 @@
 """Self-motion: the poses that an arm can take while tip and wrist stay in place.
 
-The curve of poses is followed along the null vector of A = [J_tip; J_wrist]. A freedom is a dimension of the null space
-of A that moves links.
+The curve of poses is followed along the null vector of A = [J_tip; J_wrist]. The number of freedoms is the dimension of
+the part of ker A that moves links.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from moc_opt.errors import RobotError
 from moc_opt.robots.model import RobotModel
 
 HELD = 1e-6  #: Relative size below which a singular value of A counts as zero.
-RANK = 1e-9  #: Absolute size below which a singular value of A counts as zero on curves.
+RANK = 1e-9  #: Absolute size below which `self_motion` counts a singular value of A as zero.
 LEAST_STEP, MOST_STEP = 1e-5, 10.0  #: Bounds on the spacing of the samples on a curve [rad].
 
 
@@ -36,8 +36,8 @@ class Freedoms(NamedTuple):
         idle = ", ".join(robot.data.joint_names[j] for j in self.idle)
         return (
             f"robot {robot.data.name!r}: no freedom is left for the third level: of {robot.n} joints, the tool's tip "
-            f"and shaft take {self.rank}, and {len(self.idle)} turn only the tool{f' ({idle})' if idle else ''}; "
-            "take control.law = 'dcac' (needs no freedom), an arm with one more joint, or a tool off the last axis"
+            f"and shaft need {self.rank}, and {len(self.idle)} turn only the tool{f' ({idle})' if idle else ''}; "
+            "use control.law = 'dcac' (needs no freedom), an arm with one more joint, or a tool off the last axis"
         )
 
 
@@ -58,7 +58,7 @@ def best_freedoms(robot: RobotModel, poses: int = 8) -> Freedoms:
 
 
 def require_freedom(robot: RobotModel) -> None:
-    """Raise a RobotError if tip and shaft leave the arm no freedom."""
+    """Raise a RobotError if no freedom is left with fixed tip and shaft."""
     found = best_freedoms(robot)
     if found.real < 1:
         raise RobotError(found.refusal(robot))
@@ -92,7 +92,7 @@ def parabola_peak(x: Array, y: Array) -> tuple[float, float]:
 class SelfMotion:
     """Samples along the feasible self-motion, in the order of the curve."""
 
-    s: Array  #: (k,) arc length in joint space [rad], 0 at the scanned pose
+    s: Array  #: (k,) arc length in joint space [rad], 0 at the given pose q
     q: Array  #: (k,n) [rad]
     mu: Array  #: (k,) [m^3]
     held: tuple[int, ...]

@@ -130,7 +130,7 @@ def _targets(
         if trace.meta.get("kind") == "course":
             raise ReportError(f"{name!r} is a course, not a run: `moc-opt run SCENARIO --course FILE` follows it")
         if column not in trace.columns:
-            raise ReportError(f"run {name!r} has no column {column!r}: give a trace as `run` leaves it")
+            raise ReportError(f"run {name!r} has no column {column!r}: give a trace that `run` returned")
         shared = ticks[ticks < len(trace)]
         apart = np.abs(trace.tip_ref_m[shared] - guide.tip_ref_m[shared]).max()
         if apart > SAME_PATH_M:
@@ -190,7 +190,7 @@ def check_showable(name: str, trace: Trace, robot: RobotModel) -> None:
     missing = [column for column in NEEDED if column not in trace.columns]
     if missing or not len(trace):
         what = f"lacks the columns {', '.join(missing)}" if missing else "has no ticks"
-        raise ReportError(f"run {name!r} {what}: give a trace as `run` leaves it")
+        raise ReportError(f"run {name!r} {what}: give a trace that `run` returned")
     joints = trace.q_rad.shape[1]
     if joints != robot.n:
         raise ReportError(f"run {name!r} has {joints} joints, but robot {robot.data.name!r} has {robot.n}")

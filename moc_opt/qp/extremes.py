@@ -71,7 +71,7 @@ def extremes(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> Ext
 def optimum(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> tuple[Array, Array] | None:
     """Return (w, f): the w (r,) of smallest cost, and the multipliers f (n,) of its bounds; None if no w is feasible.
 
-    The method takes proximal steps (Ferris 1991, Finite termination of the proximal point algorithm).
+    The method uses proximal steps (Ferris 1991, Finite termination of the proximal point algorithm).
     """
     w = np.zeros(len(slope))
     if rho * FAR >= np.linalg.norm(slope):

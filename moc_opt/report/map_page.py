@@ -57,7 +57,7 @@ COLUMNS = (
         "end", "in the end",
         help=f"in the last {100 * END:.0f} % of the time. Local maximum: mu falls to both sides. Edge: mu would rise "
         f"further, but only at forbidden poses. The maximum or edge is within {np.degrees(CLOSE_RAD):.0f} deg of the "
-        "elbow. At rest: neither is so near; the third level may have tighter bounds than the joint limits of the "
+        "elbow. At rest: none is so near; the third level may have tighter bounds than the joint limits of the "
         "map. Another branch of the inverse kinematics: the map does not apply",
     ),
 )  # fmt: skip

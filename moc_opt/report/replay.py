@@ -36,7 +36,7 @@ SERIES_POINTS = 900
 BASE = -1
 SHORTEST_M = 1e-3
 ACROSS = 0.7
-"""A joint whose axis and link have a |cos| of their angle below this is drawn as an elbow."""
+"""A joint is drawn as an elbow if |cos(angle between its axis and its link)| is below this."""
 
 
 class Replay:

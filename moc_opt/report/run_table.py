@@ -85,7 +85,7 @@ def below_best(trace: Trace) -> str:
     if left > NEAR:
         return f"{said}; at the end mu is still {100.0 * left:.1f} % below the nearest local maximum"
     if end["top_mu"] >= (1.0 - NEAR) * end["best_mu"]:
-        return f"{said}; the run ends at the best pose and lost mu on the way there"
+        return f"{said}; the run ends at the best pose, but had less mu before"
     top = f"at swivel {end['top_swivel_deg']:.0f} deg ({end['top_mu']:.3f} m³)"
     best = f"at {end['best_swivel_deg']:.0f} deg ({end['best_mu']:.3f} m³)"
     where = "before a joint limit" if end["at_limit"] else "at a local maximum"

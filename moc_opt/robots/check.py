@@ -24,8 +24,8 @@ REGULAR, SINGULAR = (0.1, 0.05), 1e-4
 """Thresholds of `Freedoms.tip` and `.both`: below `REGULAR` the verdict is "care", below `SINGULAR` "cannot"."""
 LITTLE_TO_GAIN = 0.05  #: If mu at home can rise by less than this share, the verdict is "care".
 LEAST_M = 0.005  #: Radius of the circle that every arm must follow [m].
-MARGIN_DEG, MARGIN_MM = 15.0, 80.0  #: Closer to a limit at home, the verdict is "care".
-CARE = 0.8  #: Gains get the verdict "care" from this share of the stability limit on.
+MARGIN_DEG, MARGIN_MM = 15.0, 80.0  #: If a joint at home is closer to a limit, the verdict is "care".
+CARE = 0.8  #: At or above this share of the stability limit, gains get the verdict "care".
 GYRATION_M = 0.6  #: Largest plausible radius of gyration of a link [m].
 
 
@@ -70,7 +70,7 @@ def _freedom(robot: RobotModel) -> Iterator[Finding]:
         (built.real < 1, "cannot", built.refusal(robot)),
         (here.rank < built.rank, "cannot", rank), (built.rank < 5, "cannot", lacking),
     )  # fmt: skip
-    cure = "singular: bend the arm at home (home.q_rad), or let `robot new` search a pose"
+    cure = "singular: bend the arm at home (home.q_rad), or let `robot new` search for a pose"
     yield _judge(
         "singular values", f"tip {here.tip:.2f}, tip and shaft {here.both:.2f}",
         (here.tip < SINGULAR or here.both < SINGULAR, "cannot", f"the home pose is {cure}"),
@@ -134,7 +134,7 @@ def _weight(robot: RobotModel) -> Finding:
     j = int(np.argmax(share))
     return _judge(
         "gravity at home", f"{robot.data.joint_names[j]} needs {100 * share[j]:.0f} % of its torque limit",
-        (share[j] >= 1.0, "cannot", "the arm cannot hold itself: check masses and torque limits"),
+        (share[j] >= 1.0, "cannot", "the arm cannot carry its own weight: check masses and torque limits"),
         (share[j] > 0.7, "care", "little torque is left to move"),
     )  # fmt: skip
 

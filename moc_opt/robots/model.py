@@ -170,7 +170,7 @@ class RobotModel:
         return RobotModel, (self.data,)  # views into pinocchio's memory do not survive copying
 
     def state(self, q: ArrayLike, v: ArrayLike | None = None) -> RobotState:
-        """Compute all terms at q (n,) [rad] and v (n,) [rad/s], by default 0; a RobotError if unusable."""
+        """Compute all terms at q (n,) [rad] and v (n,) [rad/s], by default 0; a RobotError if q or v is unusable."""
         v = self._rest if v is None else v
         try:  # the core checks arrays by itself
             return RobotState(self.arm.terms(q, v), self.n)  # type: ignore[arg-type]
@@ -218,7 +218,7 @@ class RobotModel:
         return build_kinematics(self.data.name, self.chain)
 
     def random_regular_pose(self, rng: np.random.Generator, *, margin: float = 0.1, mu_min: float = 0.05) -> Array:
-        """Draw a pose (n,) with mu > `mu_min`, and each joint at least `margin` times its range from its limits."""
+        """Draw a pose (n,) with mu > `mu_min` and every joint at least `margin` times its range from its limits."""
         room = margin * (self.q_max - self.q_min)
         for _ in range(1000):
             q = rng.uniform(self.q_min + room, self.q_max - room)

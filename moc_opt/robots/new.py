@@ -25,13 +25,13 @@ from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.layout import lay_out
 
 DRAWS = 6000  #: Number of random poses from which the home pose is chosen.
-SHORTLIST = 60  #: Number of the best poses, whose self-motions are scanned.
+SHORTLIST = 60  #: Number of best poses whose self-motions are scanned.
 DOWN = (0.94, 0.8, -1.0)  #: Cosines of angles: the tool may be 20, then 37, then 180 deg away from straight down.
 CLEARANCE_M = 0.05  #: Lower bound on the distance of tip and wrist from the base's plane [m].
 MARGIN = 0.2  #: Lower bound on the distance from a joint limit, divided by half the range.
 REGULAR = (0.15, 0.08)  #: Lower bounds on `Freedoms.tip` and `.both` of a home pose.
 SHARE = (0.7, 0.9)
-"""Wanted range of mu / (largest mu on the self-motion) at home, which leaves mu room to rise."""
+"""Wanted range of mu / (largest mu on the self-motion) at home; below 1, so that mu can rise."""
 
 
 class NewRobot(NamedTuple):
@@ -198,7 +198,7 @@ class Home(NamedTuple):
     q: Array  #: (n,) [rad, m]
     mu: float  #: [m^3]
     mu_best: float  #: Largest mu on its self-motion curve [m^3].
-    margin: float  #: Least distance to a joint limit, divided by half the range.
+    margin: float  #: Distance to the nearest joint limit, divided by half the range.
     task: str  #: Why the default task fails; empty if the task can be done.
 
     @property
@@ -208,10 +208,10 @@ class Home(NamedTuple):
 
 
 def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
-    """Search the joint ranges for a home pose; a RobotError if no pose is fit.
+    """Search the joint ranges for a home pose. Raise a RobotError if no pose is suitable.
 
     Poses are ranked by mu and by their distance from limits and singularities. The next angle of `DOWN` is tried only
-    if from no pose so far the arm can follow the default path.
+    if the arm cannot follow the default path from any pose so far.
     """
     rng, idle = np.random.default_rng(seed), ~robot.moves.any(axis=0)
     middle, half = 0.5 * (robot.q_min + robot.q_max), 0.5 * (robot.q_max - robot.q_min)

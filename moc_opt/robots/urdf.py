@@ -17,7 +17,7 @@ from moc_opt.inputs.files import decimal
 MOVING = frozenset({"revolute", "continuous", "prismatic"})
 TOOL_LINK, TIP_LINK, WRIST_LINK = "tool", "tip", "wrist"
 TOOL_NAMES = {"link": {TOOL_LINK, TIP_LINK, WRIST_LINK}, "joint": {"tool_mount", "tip_frame", "wrist_frame"}}
-"""Names that a URDF must not have, because the tool has them."""
+"""Names that a URDF must not contain, because the tool's links and joints have them."""
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 SMALLEST_MASS, SMALLEST_MOMENT = 1e-6, 1e-12
 MOST_LINKS = 250  #: Physics engines crash on chains of some thousands of links.
@@ -160,7 +160,7 @@ def _place(element: ET.Element, where: str) -> tuple[Numbers, Numbers]:
 def _one(parent: ET.Element, tag: str, where: str) -> ET.Element | None:
     found = parent.findall(tag)
     if len(found) > 1:
-        raise RobotError(f"urdf: {where} has {len(found)} <{tag}>: keep only one, programs differ in which they take")
+        raise RobotError(f"urdf: {where} has {len(found)} <{tag}>: keep one, since programs differ in which they read")
     return found[0] if found else None
 
 

@@ -151,7 +151,7 @@ def mend_bodies(links: Iterable[Link], notes: list[str]) -> None:
             notes.append(f"link {link.name!r} has an inertia that no body has: {fault}; {added:.3g} kg m^2 is added")
             link.thicken(added)
     if frames:
-        notes.append(f"links without mass, which become mere frames: {', '.join(frames)}")
+        notes.append(f"links without mass become mere frames: {', '.join(frames)}")
 
 
 def _choose_limits(joints: Iterable[Joint], notes: list[str]) -> list[str]:
@@ -164,7 +164,7 @@ def _choose_limits(joints: Iterable[Joint], notes: list[str]) -> list[str]:
         speed, effort, unit = joint.limits.get("velocity", 0.0), joint.limits.get("effort", 0.0), _UNITS[kind][1]
         if not 0.0 < speed <= FASTEST[kind]:
             why = f"{speed:g} {unit} is no speed of an arm" if speed else "no speed limit"
-            notes.append(f"{joint.name}: {why}: {CHOSEN[kind]:g} {unit} is taken; see the data sheet")
+            notes.append(f"{joint.name}: {why}: {CHOSEN[kind]:g} {unit} is used; see the data sheet")
             speed = CHOSEN[kind]
         if not 0.0 < effort <= _STRONGEST[kind]:
             weak.append(joint.name)
@@ -177,7 +177,7 @@ def _range(joint: Joint, kind: str) -> tuple[float, float, str]:
     """Return the joint's range, and why it differs from the URDF's range ("" if it does not)."""
     lower, upper = joint.limits.get("lower", 0.0), joint.limits.get("upper", 0.0)
     if joint.kind == "continuous":
-        return -math.pi, math.pi, "turns without end: +-180 deg is taken"
+        return -math.pi, math.pi, "turns without end: +-180 deg is used"
     if lower > upper:
         raise RobotError(
             f"urdf joint {joint.name!r}: lower = {lower:g} lies above upper = {upper:g}: are they exchanged? Give the "
@@ -185,13 +185,13 @@ def _range(joint: Joint, kind: str) -> tuple[float, float, str]:
         )
     if kind == "sliding":
         good = -100.0 <= lower < upper <= 100.0
-        return (lower, upper, "") if good else (-TRAVEL_M, TRAVEL_M, f"has no range: +-{TRAVEL_M} m is taken")
+        return (lower, upper, "") if good else (-TRAVEL_M, TRAVEL_M, f"has no range: +-{TRAVEL_M} m is used")
     if 0.0 < upper - lower <= 2.0 * math.pi + 1e-6:
         return lower, upper, ""
     middle = 0.5 * (lower + upper)
     middle = middle if abs(middle) < 2.0 * math.pi else 0.0
     told = f"goes from {lower:g} to {upper:g} rad, no range of a joint (are they degrees? see the data sheet)"
-    return middle - math.pi, middle + math.pi, f"{told}: one turn is taken"
+    return middle - math.pi, middle + math.pi, f"{told}: one turn is used"
 
 
 def enough_efforts(robot: RobotModel) -> list[float]:

@@ -114,7 +114,7 @@ class Scenario(Settings):
         if self.solver.isolation == "process" and control.law == "moc" and control.supervisor.late == "iterate":
             raise ValueError(
                 "[control.supervisor] late = 'iterate': a solver in its own process gives no iterate when "
-                "its time budget ends; take late = 'hold' or 'zero', or [solver] isolation = 'none'"
+                "its time budget ends; use late = 'hold' or 'zero', or [solver] isolation = 'none'"
             )
         return self
 

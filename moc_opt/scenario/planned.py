@@ -93,7 +93,7 @@ def following_warnings(scenario: Scenario, found: Plan) -> list[str]:
     """Return the reasons why the third level cannot follow the plan's course, and how to change this."""
     settings, course, said = scenario.control, found.course, list[str]()
     if settings.law != "moc":
-        return [f"law = {settings.law!r} has no third level: nothing follows the course; take law = 'moc'"]
+        return [f"law = {settings.law!r} has no third level: nothing follows the course; use law = 'moc'"]
     try:
         settings.check_guided()
     except ControlError as error:

@@ -23,7 +23,7 @@ Found = TypeVar("Found")
 SINGULAR = (1e-4, 1e-4)  #: Thresholds of `Freedoms.tip` and `Freedoms.both`: below either, a start is singular.
 REGULAR = (0.1, 0.05)
 """The same thresholds for a random start and the poses along its path."""
-DRAWN_MARGIN = 0.1  #: Least distance of each joint of a drawn pose from both limits [share of the joint's range].
+DRAWN_MARGIN = 0.1  #: Lower bound on each joint's distance from its limits in a drawn pose [share of its range].
 DRAWS = 200  #: Largest number of poses drawn for a random start.
 SPACING_M = 0.005  #: Distance between checked points of the path [m].
 _TIMES = 1500
@@ -58,7 +58,7 @@ def check_start(robot: RobotModel, q: ArrayLike) -> RobotState:
         what = "the tip cannot move in every direction" if lost else "the tool cannot be turned in every direction"
         raise ScenarioError(
             f"[start] q_rad = {np.round(pose, 4).tolist()} is singular (mu = {state.mu:.2g} m^3): {what}; bend the "
-            f"arm, leave q_rad out to start at the home pose {np.round(robot.data.q_home, 4).tolist()}, or take "
+            f"arm, omit q_rad to start at the home pose {np.round(robot.data.q_home, 4).tolist()}, or use "
             "pose = 'random'"
         )
     return state
@@ -99,7 +99,7 @@ def random_start(
     counts = ", ".join(f"{count} {reason}" for reason, count in rejected.most_common())
     raise ScenarioError(
         f"[start] pose = 'random': the arm can do the task from none of {DRAWS} poses: {counts}; make the [task] "
-        "smaller or slower, change [trocar] depth_m, lower [start] limit_margin_rad, or take pose = 'home'"
+        "smaller or slower, change [trocar] depth_m, lower [start] limit_margin_rad, or use pose = 'home'"
     )
 
 

@@ -56,7 +56,7 @@ class StartTable(Settings):
     @model_validator(mode="after")
     def _one_pose(self) -> Self:
         if self.pose == "random" and self.q_rad is not None:
-            raise ValueError("pose = 'random' and q_rad exclude each other: leave one of them out")
+            raise ValueError("pose = 'random' and q_rad exclude each other: remove one of them")
         return self
 
 
@@ -109,7 +109,7 @@ class TaskTable(Settings):
         if self.path == "waypoints" and self.waypoints_m is None:
             raise ValueError("path = 'waypoints': give waypoints_m")
         if self.path != "waypoints" and self.waypoints_m is not None:
-            raise ValueError(f"path = {self.path!r}: leave waypoints_m out, or set path = 'waypoints'")
+            raise ValueError(f"path = {self.path!r}: remove waypoints_m, or set path = 'waypoints'")
         sizes(self.path, self.sizes)
         return self
 

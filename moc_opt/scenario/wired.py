@@ -35,7 +35,7 @@ def fingerprint(scenario: Scenario, robot: RobotModel) -> int:
 class PlantServer(Setup):
     """The plant of a scenario, for a controller in another process.
 
-    The plant listens at ``listen``, "HOST:PORT". Port 0 takes any free port, whose number is in ``address``. In
+    The plant listens at ``listen``, "HOST:PORT". Port 0 means any free port; ``address`` has its number. In
     lock-step, the plant waits for each command. ``system`` describes the granted scheduling.
 
     Raises:

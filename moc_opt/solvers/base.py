@@ -23,8 +23,8 @@ class Status(Enum):
     SOLVED = "the solver claims an optimum"
     INFEASIBLE = "no velocity within the bounds meets the references: slow the path down or raise k0"
     MAX_ITER = "raise max_iter or loosen eps"
-    TIME_LIMIT = "raise the time budget or take a faster solver"
-    NUMERICAL = "numerical trouble: take rows = 5, regularization > 0 or a larger cost_scale"
+    TIME_LIMIT = "raise the time budget or use a faster solver"
+    NUMERICAL = "numerical trouble: use rows = 5, regularization > 0 or a larger cost_scale"
     UNSUPPORTED = "this solver does not accept this problem: supports(qp) returns the reason"
 
     label: str  #: lower-case name

@@ -75,7 +75,7 @@ class RNNSession:
         return self._advance(qp, s.steps, s.h, s.h, s.scale, s.method == "semi-implicit")
 
     def _advance(self, qp: NullSpaceQP, most: int, h_x: float, h_y: float, scale: float, implicit: bool) -> Solution:
-        """Take at most ``most`` steps. Reset a state that is not finite."""
+        """Do at most ``most`` steps. Reset a state that is not finite."""
         if qp.n != len(self._x):
             self._rest(qp.n)
         s, x, y = self._settings, self._x, self._y

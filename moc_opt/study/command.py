@@ -60,7 +60,7 @@ class StudyConfig(Settings):
             raise
 
     def quick(self) -> Self:
-        """Return the same study on less data."""
+        """Return the configuration of a quicker study (here the same)."""
         return self
 
 
@@ -117,7 +117,7 @@ class Study:
         return [outcome(one, result) for one, result in zip(asked, results, strict=True)]
 
     def placed(self, cases: Sequence[Scenario]) -> tuple[list[Scenario], list[dict[str, Any]]]:
-        """Search a start pose for each trial. Return the trials that have one, and a row for each of the others."""
+        """Search for a start pose for each trial. Return the trials that have one, and a row for each of the others."""
         found = self.run([Job(placed, (case,)) for case in cases], "starts")
         lost = [
             {**Trial(case, "").failed(str(start)).row, "ended": "no start"}
@@ -163,7 +163,7 @@ def command(
 
 
 def check_folder(out: Path) -> None:
-    """Raise a StudyError if the folder has files named as in `FILES` that no study has written."""
+    """Raise a StudyError if files named in `FILES` exist but were not written by a study."""
     there = [name for name in FILES if (out / name).exists()]
     if there and not (there[0] == FILES[0] and b'"study":' in (out / FILES[0]).read_bytes()):
         raise StudyError(f"{out} has files that no study has written ({', '.join(there)}): give another --out")

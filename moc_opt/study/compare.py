@@ -174,7 +174,7 @@ def compare(
         if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= LARGEST_INTEGER // 2:
             raise ScenarioError(f"{argument} = {shown(value)}: give an integer from {least} to 2^62 - 1")
     if base.control.law != "moc":
-        raise ScenarioError("[control] law = 'dcac' has no solver: take law = 'moc'; DCAC is compared in any case")
+        raise ScenarioError("[control] law = 'dcac' has no solver: use law = 'moc'; DCAC is compared in any case")
     chosen, rows, done = _named(solvers, base), list[Mapping[str, Any]](), 0
     drawn = {"pose": "random", "q_rad": None, "swivel": "random"}
     unused = "Starts are drawn at random: [start] is not used." if base.start.model_fields_set & {*drawn} else ""

@@ -116,7 +116,7 @@ def run(
                     continue
                 same = digest_of(answer.sources) == answer.digest
                 if dask and not alone and not same:
-                    raise StudyError("a Dask worker has another version of the sources: install this one there")
+                    raise StudyError("a Dask worker has another version of the sources: install this version there")
                 try:
                     result = pickle.loads(answer.packed)
                 except Exception as error:  # noqa: BLE001 - a user's class may raise anything
@@ -241,7 +241,7 @@ def _processes(count: int) -> Iterator[tuple[Submit, int]]:
     """Start ``count`` workers. Leaving the context ends them and their children."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([*PRELOAD, "__main__"])
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // (count + 1)  # this process also needs a share
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // (count + 1)  # this process needs memory, too
     with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder:
         for name in ("groups", "parts"):
             Path(folder, name).mkdir()

@@ -76,7 +76,7 @@ class ClosedLoop(Settings):
     """Settings of the trials in closed loop."""
 
     KIND: ClassVar[str] = "[closed_loop]"
-    tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1, description="the trials take them in turn")
+    tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1, description="the trials use them in turn")
     trials: int = Field(60, ge=1, description="number of trials of DCAC and the cited solvers")
     cited: list[str] = Field(["exact", "rnn", "rnn-printed"], description="solvers that the report's answer cites")
     others: int = Field(15, ge=1, description="number of trials of every other solver")
@@ -103,7 +103,7 @@ class Config(StudyConfig):
     scenario: Scenario = Scenario()
 
     def quick(self) -> Self:
-        """Return the same study on less data."""
+        """Return the configuration of a quicker study."""
         sets = ["circle", "infeasible", "jumps"]
         return self.but(
             open_loop={"ticks": 200, "cold": 10},

@@ -22,7 +22,7 @@ CONFIDENCE = 0.95
 NOMINAL = 0.7
 """In simulations, bootstrap intervals miss the true value more often than they claim. So they are computed for
 `NOMINAL` times the allowed miss rate, 1 - `CONFIDENCE`."""
-ROUNDING = 1e-9  # smaller changes are taken as zero [percent]
+ROUNDING = 1e-9  # smaller changes count as zero [percent]
 LEAST_TRIALS = 8  # with fewer trials, a change is called neither a gain nor a loss
 
 

@@ -52,7 +52,7 @@ class ArcLength:
                 return
             panels *= 2
         raise TaskError(
-            "the arc length of this curve cannot be tabulated to 1e-10: take fewer periods or turns, or less "
+            "the arc length of this curve cannot be tabulated to 1e-10: use fewer periods or turns, or less "
             "extreme proportions"
         )
 
@@ -83,7 +83,7 @@ def _hermite(w: Array, lengths: Array, speed: Array, slope: Array) -> Array:
 def _worst(speed: Speed, w: Array, lengths: Array, coefficients: Array) -> float:
     ends = ((coefficients @ (t ** np.arange(6)), t) for t in _PROBES)
     worst = max(float(np.abs(_quadrature(speed, w[:-1], end) - t * lengths).max()) for end, t in ends)
-    return worst if math.isfinite(worst) else math.inf  # NaN would pass the comparison
+    return worst if math.isfinite(worst) else math.inf
 
 
 class PlanarCurve(NamedTuple):
@@ -135,7 +135,7 @@ def sinusoid(amplitude: float = 0.01, wavelength: float = 0.02, periods: float =
 
 
 def spiral(turns: float = 2.0, radius: float = 0.03) -> PlanarCurve:
-    """Archimedean spiral to the left, r = radius angle / (2 pi turns), which leaves its centre along the heading.
+    """Archimedean spiral r = radius angle / (2 pi turns) to the left. It leaves its centre along the heading.
 
     `turns` need not be whole; `radius` [m] is the final radius.
     """
@@ -157,4 +157,4 @@ def spiral(turns: float = 2.0, radius: float = 0.03) -> PlanarCurve:
 
 
 CURVES: dict[str, Callable[..., Any]] = {"line": line, "circle": circle, "sinusoid": sinusoid, "spiral": spiral}
-"""Functions of a path's sizes, which return a `PlanarCurve` or waypoints (k, 3) [m]."""
+"""Functions that take the sizes of a path and return a `PlanarCurve` or waypoints (k, 3) [m]."""

@@ -89,7 +89,7 @@ class Waypoints(Path):
         inside = given if not given[0].any() else np.vstack([np.zeros(3), given])
         chords = np.sqrt((np.diff(inside, axis=0) ** 2).sum(axis=1))
         for k in np.flatnonzero(chords < 1e-9).tolist():
-            raise TaskError(f"waypoint {inside[k + 1].tolist()} stands twice in a row: leave one out")
+            raise TaskError(f"waypoint {inside[k + 1].tolist()} appears twice in a row: remove one")
         self._at = np.concatenate([[0.0], np.cumsum(chords)])
         self._pieces = _spline(self._at, self.start + inside @ np.stack([self.heading, self.left, self.normal]))
         self._check_turns(inside)
@@ -144,7 +144,7 @@ def _checked(points: ArrayLike) -> Array:
     for point in found[np.abs(found).max(axis=1, initial=0.0) > FARTHEST_M].tolist():
         raise TaskError(f"waypoint {point}: give points at most {FARTHEST_M:g} m from the start; the unit is m")
     if not 1 <= len(found) <= MOST or not found.any():
-        raise TaskError(f"{len(found)} waypoints: give 1 to {MOST}, at least one of them off the start")
+        raise TaskError(f"{len(found)} waypoints: give 1 to {MOST}, at least one of them away from the start")
     return found
 
 

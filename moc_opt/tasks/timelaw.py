@@ -125,7 +125,7 @@ class WaitingReference:
     """
 
     def __init__(self, reference: Reference, period_s: float) -> None:
-        """Take a reference and the ticks' period [s]; a TaskError if the period is not positive."""
+        """``period_s`` is the period of the ticks [s]. Raise a TaskError if it is not positive."""
         self.reference, self.period_s = reference, positive("period_s", period_s)
         # Rounded up, so that the rate changes no faster than a_max / v_max.
         long = max(1, math.ceil(reference.v_max / reference.a_max / self.period_s - 1e-9))

@@ -26,7 +26,7 @@ if TYPE_CHECKING:  # for code completion
 
 
 class MissingDataError(TraceError, AttributeError):
-    """A trace lacks a column, an entry of meta or ticks."""
+    """A trace has no ticks, or lacks a column or an entry of meta."""
 
 
 class Trace:

@@ -63,7 +63,7 @@ class BoardFinder:
     def find(self, picture: Picture) -> Sighting | None:
         """Find the board's pose in the camera's frame; None if no marker is seen or no pose fits.
 
-        The corners of a distant plane fit two poses. Both are refined, and the better fit is taken.
+        The corners of a distant plane fit two poses. Both are refined, and the better one is returned.
         """
         seen = self.corners(picture)
         if not seen:

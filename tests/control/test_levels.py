@@ -89,7 +89,7 @@ def not_believed(level):
 
 
 def replayed(level, name, drift):
-    """Whether the arm stops if 20 readings are followed by their first eight. The other joint drifts, too."""
+    """Whether the arm stops if the first eight of 20 readings come again. The second joint also drifts."""
     guard = begun(**{name: level})
     return [read(guard, q=k % 20, other=k % 20 + drift * k, wrench=np.zeros(6)) for k in range(28)][-1] != "running"
 

@@ -81,7 +81,7 @@ def test_gains_that_do_not_fit_the_arm_are_refused(settings, joints, words):
     ({"observer_gain_per_s": 500.0}, "observer_gain_per_s = 500.0 .* below 500"),
     ({"third_level": "planned", "course_observer_gain_per_s": 600.0}, "course_observer_gain_per_s = 600.0"),
 ])  # fmt: skip
-def test_settings_that_do_not_fit_are_refused(settings, words):
+def test_settings_that_do_not_fit_the_arm_or_the_period_are_refused(settings, words):
     solver = None if settings.get("law") == "dcac" else create("exact")
     with pytest.raises(ControlError, match=words):
         Controller(load_robot("lwr4_rail"), ControlSettings(**settings), solver, period=0.002)
@@ -114,14 +114,14 @@ RANGES = {
         "[0, 100]": "delay_ticks", "[0, 1e6]": "trocar_stiffness_N_per_m"},
     WireSettings: {"(0, 1e3]": "damping_Nm_s_per_rad", "(0, inf)": "wait_s silence_s resend_s"},
 }  # fmt: skip
-BESIDE = {
+OTHER_FIELDS = {
     SafetyFilterSettings: dict.fromkeys(("rcm_error_m", "rcm_warning_m", "trocar_force_N", "trocar_force_warning_N")),
     PlantSettings: {"period_s": 1e-3, "substeps": 100},
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("kind", RANGES, ids=lambda kind: kind.__name__)
-def test_each_number_is_accepted_exactly_in_its_range(kind):
+def test_each_number_is_accepted_only_inside_its_range(kind):
     named = {field: interval for interval, fields in RANGES[kind].items() for field in fields.split()}
     for field, model in kind.model_fields.items():
         if not (types := re.findall(r"\b(?:int|float)\b", str(model.annotation))):
@@ -132,11 +132,11 @@ def test_each_number_is_accepted_exactly_in_its_range(kind):
             if np.isfinite(end):
                 step = outwards if whole else 1e-9 * outwards * max(1.0, abs(end))
                 last, beyond = (end, end + step) if closed else (end - step, end)
-                assert getattr(kind(**{**BESIDE.get(kind, {}), field: last}), field) == last
+                assert getattr(kind(**{**OTHER_FIELDS.get(kind, {}), field: last}), field) == last
                 wrong.append(beyond)
         for value in wrong:
             with pytest.raises(MocOptError, match=rf"\b{field}\b"):
-                kind(**{**BESIDE.get(kind, {}), field: value})
+                kind(**{**OTHER_FIELDS.get(kind, {}), field: value})
     assert not named
 
 
@@ -187,7 +187,7 @@ def test_third_level_that_follows_a_course_uses_the_course_observer_gain():
         assert planned.observer_rate_per_s <= ControlSettings.preset(name).observer_gain_per_s
 
 
-def test_wall_inside_controllers_joint_range_is_refused():
+def test_safety_margin_larger_than_controller_margin_is_refused():
     for unit, box in (("rad", 0.15), ("m", 0.05)):
         with pytest.raises(ScenarioError, match=f"position_margin_{unit} = 0.2 .*_{unit} = {box}"):
             Scenario(guard={f"position_margin_{unit}": 0.2})

@@ -189,7 +189,7 @@ def test_exceptions_of_a_session_are_counted(error, where, qp, Z):
 
 
 def test_optimum_for_negated_gradient_is_refused(recorded):
-    """Exception: it is accepted if the true gradient's residuals verify it, too."""
+    """It is accepted only if the residuals for the true gradient verify it."""
     lies = 0
     for qp in map(NullSpaceQP.from_row, recorded):
         lie = opposite(qp)

@@ -68,11 +68,11 @@ def test_numbers_are_written_to_the_last_bit():
 
 
 @pytest.mark.parametrize(("tables", "words"), [
-    ({"solver": {"name": "rnn"}}, r"\[solver\] name = 'rnn'.*take 'exact'"),
-    ({"solver": {"replay_us": [10.0]}}, r"\[solver\] replay_us = \(10.0,\).*leave this key out"),
-    ({"solver": {"isolation": "process"}}, r"\[solver\] isolation = 'process'.*leave this key out"),
-    ({"control": {"third_level": "receding"}}, r"\[control\] third_level = 'receding'.*take 'local'"),
-    ({"control": {"supervisor": {"budget_us": 100.0}}}, r"budget_us = 100.0.*leave this key out"),
+    ({"solver": {"name": "rnn"}}, r"\[solver\] name = 'rnn'.*use 'exact'"),
+    ({"solver": {"replay_us": [10.0]}}, r"\[solver\] replay_us = \(10.0,\).*remove this key"),
+    ({"solver": {"isolation": "process"}}, r"\[solver\] isolation = 'process'.*remove this key"),
+    ({"control": {"third_level": "receding"}}, r"\[control\] third_level = 'receding'.*use 'local'"),
+    ({"control": {"supervisor": {"budget_us": 100.0}}}, r"budget_us = 100.0.*remove this key"),
 ])  # fmt: skip
 def test_error_names_the_unsupported_setting(tmp_path, tables, words):
     with pytest.raises(ScenarioError, match=words):

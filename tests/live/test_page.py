@@ -61,7 +61,7 @@ def test_run_advances_in_real_time(live: LivePage) -> None:
     until(in_step, "the run is always too fast or too slow")
 
 
-def test_last_chosen_solver_runs(live: LivePage) -> None:
+def test_of_several_quick_choices_the_last_solver_runs(live: LivePage) -> None:
     for name in ("rnn", "exact", "rnn", "osqp"):
         live._panel._solver.value = name
     until(lambda: solver_of(live.run.used) == "osqp", "another solver runs")
@@ -127,7 +127,7 @@ def says(page: Any, text: str) -> None:
     page.wait_for_function(f"document.body.innerText.includes('{text}')", polling=100, timeout=60_000)
 
 
-def test_plots_react_to_a_switched_solver(page: Any, live: LivePage) -> None:
+def test_plots_change_with_the_solver(page: Any, live: LivePage) -> None:
     pictures = "[...document.querySelectorAll('.uplot canvas')].map(c => c.toDataURL())"
     live._panel._solver.value = "exact"
     says(page, "exact ·")

@@ -208,7 +208,7 @@ def test_motion_of_the_receding_horizon_stays_on_the_path():
     assert one.told["refused"] <= 0.05 * one.told["solves"]
     t = 0.002 * np.arange(len(q))
     tips, wrists = setup().robot.tool_along(np.array(q))
-    # Between the program's nodes the motion is a cubic, which leaves the path slightly.
+    # Between the program's nodes the motion is a cubic, so it deviates slightly from the path.
     assert np.linalg.norm(tips - setup().reference.at(t)[0], axis=1).max() < 2e-3
     assert shaft_distance(tips, wrists, setup().registered.at(t)[0]).max() < 2e-3
     # The program limits only mean speeds between its nodes, so the cubic is faster in places.

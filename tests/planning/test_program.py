@@ -147,7 +147,7 @@ def test_a_course_over_a_horizon_keeps_all_limits(middle, capfd):
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_the_end_of_a_horizon_moves_up_the_value_function(middle, side):
+def test_final_pose_of_a_horizon_moves_towards_larger_values(middle, side):
     robot, start, guess, there, made = middle
     rest = (guess[-1] - start) / (NODES * there.period_s)
     plain, _ = made.solve(guess, start, there, rest)

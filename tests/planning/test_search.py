@@ -63,7 +63,7 @@ def test_dynamic_programming_finds_the_best_of_all_courses(start, cell, price):
 @pytest.mark.parametrize(("t_s", "first", "end", "hurry"), [
     (0.0, 1, -1, 1.0), (0.7, 2, -1, 1.2), (0.22, 1, 4, 1.0), (1.3, 3, 3, 1.0),
 ])  # fmt: skip
-def test_a_way_from_any_time_takes_the_best_pose_in_reach(t_s, first, end, hurry):
+def test_a_way_from_any_time_goes_to_the_best_pose_in_reach(t_s, first, end, hurry):
     rng = np.random.default_rng(2)
     for _ in range(20):
         found, q = small(rng, k=6, m=9), [np.array([0.5])]
@@ -180,7 +180,7 @@ def test_a_course_passes_through_a_singular_pose_to_another_branch(robot, joint)
     assert mean <= Value(found, Limits(), cell=WHOLE_CELL).of(way[0], robot.state(way[0]).mu)
 
 
-def test_keeping_shaft_lowers_mu_of_poses_below_the_shaft_margin(robot, coarse):
+def test_mu_of_poses_below_the_shaft_margin_is_lowered(robot, coarse):
     margin = 0.5
     found = map_of(robot, robot.data.q_home, coarse.targets[:10], 90)
     kept, may = keeping_shaft(found, Limits(shaft=margin)), found.feasible()

@@ -22,7 +22,7 @@ def check(robot, start, motion, poses):
         np.testing.assert_array_equal(q[list(motion.held)], start[list(motion.held)])
 
 
-def test_a_curve_leaves_tip_and_wrist_in_place_within_the_limits(robot, regular_poses):
+def test_tip_and_wrist_stay_in_place_along_a_curve_within_the_limits(robot, regular_poses):
     rng = np.random.default_rng(5)
     for start in regular_poses(10, seed=4):
         motion = self_motion(robot, start)
@@ -122,7 +122,7 @@ def test_moc_refuses_an_arm_without_a_self_motion(tmp_path):
     arm = build(tmp_path, {**IIWA14, **six})
     alone, home = self_motion(arm, arm.data.q_home), arm.state(arm.data.q_home)
     assert (alone.s.tolist(), alone.q.tolist(), alone.mu_best) == ([0.0], [home.q.tolist()], home.mu)
-    told = r"of 6 joints, the tool's tip and shaft take 5, and 1 turn only the tool \(joint_6\)"
+    told = r"of 6 joints, the tool's tip and shaft need 5, and 1 turn only the tool \(joint_6\)"
     asked = Scenario(robot={"name": str(tmp_path / "arm.toml")}, duration_s=0.1, bound_samples=0)
     with pytest.raises(RobotError, match=told):
         run(asked)

@@ -1,4 +1,4 @@
-"""The map of mu over time and swivel (elbow angle) equals the model's mu. Invented maps test `read_trajectory`."""
+"""The map of mu over time and swivel (elbow angle) equals the model's mu. Synthetic maps test `read_trajectory`."""
 
 from dataclasses import replace
 from types import MappingProxyType
@@ -76,7 +76,7 @@ def test_the_swivel_is_measured_from_a_suitable_axis(robot):
 def test_trajectories_lie_on_the_map(robot, runs, found):
     assert np.all(found.best_mu >= np.where(found.limit == FEASIBLE, found.mu, -np.inf).max(axis=1))
     for name, trajectory in found.trajectories.items():
-        assert trajectory.gap_rad < 0.15, "half a row of the map away at most"
+        assert trajectory.gap_rad < 0.15, "the nearest row of the map is at most half a row spacing away"
         assert (len(trajectory.t_s), trajectory.t_s[-1]) == (swivel_map.TRAJECTORY_POINTS, runs[name].t_s[-1])
         np.testing.assert_array_equal(
             trajectory.mu, robot.mu_along(runs[name].q_rad)[np.searchsorted(runs[name].t_s, trajectory.t_s)]
@@ -102,7 +102,7 @@ def test_a_run_on_another_branch_has_a_large_gap(robot, runs):
     assert both.trajectories["MOC"].gap_rad < 0.3 < 1.0 < both.trajectories["flipped"].gap_rad
 
 
-def test_a_map_of_hanging_elbows_is_centred(robot, runs, found):
+def test_map_is_centred_on_the_allowed_poses(robot, runs, found):
     q = found.q_rad[6, np.argmin(np.cos(found.swivel_rad - 0.8))]
     hanging = RobotModel(replace(robot.data, q_min=q - 0.3, q_max=q + 0.3, q_home=q))
     made = manipulability_map(hanging, {"MOC": runs["MOC"]}, times=3, swivels=72)
@@ -158,7 +158,7 @@ def test_the_figure_shows_the_map_and_its_trajectories(found):
         map_figure(replace(found, limit=np.ones_like(found.limit)))
 
 
-def test_on_the_map_the_rail_stays_where_the_run_has_it(found):
+def test_map_keeps_the_rail_position_of_the_run(found):
     arm = load_robot("lwr4_rail")
     run_of_it = mo.run(Scenario(robot={"name": "lwr4_rail"}, duration_s=1.0, judge=False, bound_samples=0))
     made = manipulability_map(arm, {"MOC": run_of_it}, times=2, swivels=72)
@@ -181,7 +181,7 @@ def hill(top, height, width=60.0):
 
 
 def read(mu, swivel, forbidden=None, gap_rad=0.01, since=0.0):
-    """``forbidden``: (first swivel, last swivel [deg], their entry in `limit`), from the time ``since`` [s] on."""
+    """``forbidden``: (a, b, entry): from the time ``since`` [s], `limit` is ``entry`` at swivels from a to b [deg]."""
     limit = np.full((len(T), len(ROWS)), FEASIBLE)
     if forbidden:
         limit[np.ix_(since <= T, (forbidden[0] <= ROWS) & (forbidden[1] >= ROWS))] = forbidden[2]
@@ -207,8 +207,8 @@ def test_a_run_that_climbs_to_the_optimum_ends_at_the_optimum():
     top, way = hill(60.0, 0.3), ramp(-30.0, 60.0, until=5.0)
     found = read(top, way)
     assert found.end is End.OPTIMUM
-    on_from = 60.0 - 60.0 * np.sqrt(-np.log(1.0 - swivel_map.NEAR))  # where mu is 2 % below the top
-    arrives = 5.0 * (on_from + 30.0) / 90.0
+    near_from = 60.0 - 60.0 * np.sqrt(-np.log(1.0 - swivel_map.NEAR))  # where mu is 2 % below the top
+    arrives = 5.0 * (near_from + 30.0) / 90.0
     assert (found.from_s, 10.0 - 10.0 * found.near) == pytest.approx((arrives, arrives), abs=0.11)
     assert (found.travel_rad, 0.3 * found.mu_share) == pytest.approx((np.radians(90.0), top(way).mean()))
     always = read(top, 60.0)
@@ -222,7 +222,7 @@ def test_a_run_can_end_at_a_local_maximum():
 
     assert read(two, ramp(-100.0, -60.0, 6.0)).end is End.LOCAL_MAXIMUM
     assert read(two, -60.0 - 0.7 * np.degrees(swivel_map.CLOSE_RAD)).end is End.LOCAL_MAXIMUM
-    assert read(two, -60.0 - 2.0 * np.degrees(swivel_map.CLOSE_RAD)).end is End.STILL, "the run could still climb"
+    assert read(two, -60.0 - 2.0 * np.degrees(swivel_map.CLOSE_RAD)).end is End.STILL, "the run could climb further"
     assert read(two, 60.0 - 0.7 * np.degrees(swivel_map.CLOSE_RAD)).end is End.STILL, "no maximum is higher"
     # The shifted lower hill has its top at 178 degrees, and the run is at -176.
     assert read(lambda swivel: two(np.asarray(swivel) - 238.0), -176.0).end is End.LOCAL_MAXIMUM

@@ -93,7 +93,7 @@ def attempts(rng, count):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_no_answer_that_slid_is_verified(seed):
+def test_wrong_answer_within_primal_tolerance_is_not_verified(seed):
     rng = np.random.default_rng(seed)
     tried = [(qp, x, qp.residuals(x)) for qp, x in attempts(rng, 80)]
     assert len(tried) > 10

@@ -80,7 +80,7 @@ def full(robot: RobotModel) -> Page:
     return page
 
 
-def test_page_fetches_nothing(full: Page) -> None:
+def test_page_loads_nothing_from_elsewhere(full: Page) -> None:
     found = Resources(full.html())
     assert [address for address in found.fetched if not address.startswith("data:")] == []
     assert not {"@import", "url("} & set(re.findall(r"@import|url\(", found.styles))

@@ -82,7 +82,7 @@ def test_unusable_urdf_leaves_no_file(tmp_path: Path) -> None:
     massless = re.sub(r"<inertial>.*?</inertial>", "", text_of(), flags=re.DOTALL)
     with pytest.raises(RobotError, match="joint 'joint_1' moves no mass"):
         made(tmp_path, massless)
-    with pytest.raises(RobotError, match="of 4 joints, the tool's tip and shaft take 3"):
+    with pytest.raises(RobotError, match="of 4 joints, the tool's tip and shaft need 3"):
         made(tmp_path, text_of(), lock={"joint_1": 0.0, "joint_3": 0.0, "joint_5": 0.0})
     assert not (tmp_path / "out").exists()
 

@@ -148,13 +148,13 @@ FAST = {"velocity": CHOSEN["turning"]}
     ("panda", 'lower="-2.8973" upper="2.8973" effort="87"', FAST, ["no speed limit"]),
     ("panda", 'lower="-6.2832" upper="6.2832" velocity="2" effort="87"', ONE_TURN, ["-6.2832 to 6.2832 rad, no range"]),
     ("panda", 'lower="1" upper="9" velocity="2" effort="87"', {"lower": 5.0 - np.pi, "upper": 5.0 + np.pi},
-     ["no range .*: one turn is taken"]),
+     ["no range .*: one turn is used"]),
     ("panda", 'velocity="2" effort="87"', ONE_TURN, ["no range"]),
     ("panda", 'lower="-166" upper="166" velocity="2" effort="87"', ONE_TURN, ["are they degrees"]),
     *(("panda", f'lower="-{size}" upper="1.5" velocity="{size}" effort="{size}"', {**ONE_TURN, **FAST},
        ["to 1.5 rad, no range", "is no speed"]) for size in ("inf", "1e16")),
     ("lwr4_rail", "", {"lower": -TRAVEL_M, "upper": TRAVEL_M, "velocity": CHOSEN["sliding"]},
-     ["has no range: .* m is taken", "no speed limit: .* m/s is taken"]),
+     ["has no range: .* m is used", "no speed limit: .* m/s is used"]),
 ])  # fmt: skip
 def test_impossible_limits_are_replaced_and_noted(name: str, limit: str, expected: dict, told: list, vendors) -> None:
     arm = vendors(re.sub("<limit .*?/>", f"<limit {limit}/>", text_of(name), count=1))

@@ -104,7 +104,7 @@ def test_trocar_on_the_path_and_path_away_from_the_tip_are_refused():
         assert (told.value.field, told.value.arc_length_m) == (field, pytest.approx(place, abs=PLACE_M))
 
 
-def test_other_elbow_positions_are_tried_if_the_starts_own_fails(monkeypatch):
+def test_other_elbow_positions_are_tried_if_that_of_the_start_fails(monkeypatch):
     """Poses near the start's elbow position are made to fail."""
     task, scan, solve = reference(radius=0.03), self_motion(ROBOT, HOME.q), preflight.solve_pose
 

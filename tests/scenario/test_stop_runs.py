@@ -50,7 +50,7 @@ def test_arm_with_weak_drives_is_held(monkeypatch, share, swivel):
 @pytest.mark.parametrize("load", [{"payload_kg": 0.3}, {"payload_kg": 0.7}, {}], ids=str)
 @pytest.mark.parametrize("seed", [41, 42])
 def test_unknown_load_does_not_sink(load, seed):
-    """A load above stop_yield_N would be taken for a pressing trocar."""
+    """A load above stop_yield_N would be mistaken for a pressing trocar."""
     scenario = Scenario(
         seed=seed, start={"pose": "random"}, faults={"nan_at_s": 0.4, "nan_ticks": 10**6, **load},
         plant={"mass_error": 0.3}, duration_s=1.2, **QUICK,

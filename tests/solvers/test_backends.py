@@ -34,7 +34,7 @@ def problems(seed, count, **options):
     return [random_problem(rng, **options) for _ in range(count)]
 
 
-def test_no_library_gets_numbers_that_are_not_finite():
+def test_problem_with_nan_is_not_passed_to_a_library():
     damaged = NullSpaceQP.from_row(np.full(87, np.nan))
     with pytest.raises(ValueError, match="not finite"):
         OSQP().start(problem()).solve(damaged)

@@ -87,7 +87,7 @@ def test_problem_with_a_wedge_in_its_feasible_set_is_solved(n, narrow):
             check(qp, primal=1e-17 / narrow)
 
 
-def test_rounding_seldom_leaves_a_wedge_without_answer():
+def test_problem_with_a_wedge_is_seldom_unsolved_because_of_rounding():
     rng, found = np.random.default_rng(0), []
     for k in range(1000):
         n, narrow, size = rng.choice([8, 8, 9, 12, 16]), 10.0 ** rng.uniform(-7.0, -2.0), 10.0 ** rng.uniform(-3.0, 3.0)

@@ -138,7 +138,7 @@ def test_child_processes_end_with_the_session(qp, tmp_path):
 
 
 def test_hanging_solver_process_ends_after_its_parent_was_killed():
-    """It ends by itself after 2 `hang_s` + 1 s."""
+    """The process ends by itself after 2 `hang_s` + 1 s."""
     code = (
         "import numpy as np; from tests.problems import random_problem; from moc_opt.solvers.isolated import *; "
         "from tests.isolated_solvers import Misbehaving; qp = random_problem(np.random.default_rng(0)); "

@@ -61,7 +61,7 @@ def test_stored_result_is_ignored_after_a_hang(tmp_path):
     assert [result.kind for result in found] == ["hung", "not run"]
 
 
-def test_job_may_limit_the_time_of_its_steps():
+def test_each_step_of_a_job_may_have_a_time_limit():
     found = run([Job(work.steps, ([0.01, 0.5, 0.01], 0.3)), Job(work.steps, ([0.01, 9.0], 0.3))], workers=2)
     assert found[0] == 3, "processor time is limited, and a short sleep uses none"
     assert (found[1].kind, found[1].parts) == ("hung", (0.01,))

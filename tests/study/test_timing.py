@@ -40,7 +40,7 @@ def test_percentiles_ignore_non_finite_times():
     [((), True), ((4000, 10, 1.0, 1.0), True), ((4000, 11, 1.0, 1.0), False), ((4000, 0, 0.9, 1.0), True),
      ((4000, 0, 0.89, 1.0), False)],
 )  # fmt: skip
-def test_machine_is_quiet_if_calls_keep_the_core(seen, quiet):
+def test_machine_is_quiet_if_other_processes_seldom_interrupt_calls(seen, quiet):
     row = dict(zip(COUNTED, seen, strict=False))
     assert timing.quiet(row) is quiet
     said = timing.load([{"solves": 3}, row, dict(zip(COUNTED, (1000, 2, 0.998, 1.0), strict=True))])

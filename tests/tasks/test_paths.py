@@ -79,7 +79,7 @@ def test_circle_turns_left() -> None:
 
 
 def helix(radius: float, pitch: float = 0.01):
-    """Go round once while it climbs."""
+    """One turn of a helix."""
     angle = np.linspace(0.0, 2 * np.pi, 25)
     return np.stack([radius * np.sin(angle), radius * (1 - np.cos(angle)), pitch * angle / (2 * np.pi)], axis=1)
 
@@ -99,7 +99,7 @@ def added(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("kind", ["screw", "helix"])  # a kind of moc_opt, a kind of another package
 def test_function_defines_a_kind_of_path(kind: str, added: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(CURVES, "screw", helix)
-    assert paths.kinds()["screw"] == "Go round once while it climbs."
+    assert paths.kinds()["screw"] == "One turn of a helix."
     path = make_path(kind, np.zeros(3), radius=0.02, **AXES)
     assert isinstance(path, Waypoints)
     assert path.at(path.length)[0][2] == pytest.approx(0.01)
@@ -122,7 +122,7 @@ def test_wrong_kind_or_size_is_named(added: None, kind: str, sizes: dict, error:
 
 def test_every_path_is_listed_if_one_does_not_load(added: None) -> None:
     found = paths.kinds()
-    assert found["helix"] == "Go round once while it climbs."
+    assert found["helix"] == "One turn of a helix."
     assert "does not load" in found["gone"]
     assert {*CURVES, "waypoints", "ring"} <= set(found)
     taken = make_path("circle", np.zeros(3), radius=0.02, **AXES)  # the built-in path
@@ -202,9 +202,9 @@ REFUSED: dict[str, tuple[str, Callable[[Any], Any], list[Any]]] = {
     "heading": ("heading", lambda x: make_path("line", START, normal=NORMAL, heading=x, length=0.1), [-2.0 * NORMAL]),
     "periods": ("cannot be tabulated", lambda x: build("sinusoid", periods=x), [1e9]),
     **{f"waypoints {told}": (told, lambda x: Waypoints(x, START, **AXES), [points]) for told, points in (
-        ("off the start", [[0.0, 0.0, 0.0]]), (r"shape \(0,\)", []), (r"shape \(1, 2\)", [[0.1, 0.0]]),
+        ("away from the start", [[0.0, 0.0, 0.0]]), (r"shape \(0,\)", []), (r"shape \(1, 2\)", [[0.1, 0.0]]),
         ("finite", [[0.1, 0.0, np.nan]]), ("numbers", [[0.1, "a", 0.0]]), ("1001 waypoints", np.ones((1001, 3))),
-        (r"\[0.01, 0.0, 0.0\] stands twice", [[0.01, 0, 0], [0.01, 0, 0], [0.02, 0, 0]]), ("1000 m", FAR),
+        (r"\[0.01, 0.0, 0.0\] appears twice", [[0.01, 0, 0], [0.01, 0, 0], [0.02, 0, 0]]), ("1000 m", FAR),
         (r"turns back on the spot near waypoint \[0.02, 0.0, 0.0\]", [[0.02, 0, 0], [0, 0, 0]]),
     )},
 }  # fmt: skip

@@ -157,7 +157,7 @@ POINT = (0.5, 0.1, 0.2)
 points = arrays(np.float64, 3, elements=st.floats(-1.0, 1.0))
 
 
-def test_breathing_moves_the_trocar_there_and_back() -> None:
+def test_breathing_moves_the_trocar_back_and_forth() -> None:
     given = np.array(POINT)
     trocar = Trocar(given, breathing_amplitude_m=0.01, breathing_period_s=5.0, direction=(0.0, 3.0, 4.0))
     given[:] = 0.0  # the trocar has a copy

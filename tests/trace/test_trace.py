@@ -221,7 +221,7 @@ def test_meta_entry_of_wrong_type_is_named(name, sound, wrong):
             give({name: wrong})
 
 
-def test_meta_is_kept_as_json_returns_it():
+def test_meta_is_converted_as_by_json():
     assert Trace({}, {"a": (1, 2), "b": {3: "x"}}).meta == {"a": [1, 2], "b": {"3": "x"}}
     for value in (np.nan, np.inf, {1, 2}, np.zeros(2), {"deep": [np.nan]}):
         with pytest.raises(TraceError, match=r"meta\['seed'\]"):
@@ -230,7 +230,7 @@ def test_meta_is_kept_as_json_returns_it():
         Trace({}, {1: "a"})
 
 
-def test_pandas_gets_every_number(trace, monkeypatch):
+def test_pandas_table_has_every_number(trace, monkeypatch):
     frame = trace.to_pandas()
     assert (frame.index.name, frame.shape) == ("t_s", (N, 7 + 3 + 3 + 5))
     assert np.array_equal(frame.index, trace.t_s)
