@@ -82,7 +82,7 @@ def _hermite(w: Array, lengths: Array, speed: Array, slope: Array) -> Array:
 
 def _worst(speed: Speed, w: Array, lengths: Array, coefficients: Array) -> float:
     ends = ((coefficients @ (t ** np.arange(6)), t) for t in _PROBES)
-    worst = max(float(np.abs(_quadrature(speed, w[:-1], end) - t * lengths).max()) for end, t in ends)
+    worst = float(np.max([np.abs(_quadrature(speed, w[:-1], end) - t * lengths).max() for end, t in ends]))
     return worst if math.isfinite(worst) else math.inf
 
 
