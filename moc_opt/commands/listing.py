@@ -43,8 +43,8 @@ def _shown(key: str, value: Any) -> Any:
         return pretty_unit(value)
     if not isinstance(value, dict):
         return value
-    words = {key: f"{of:g}" if isinstance(of, float) else f"{of}" for key, of in value.items()}
-    return ", ".join(key if words[key] == "None" else f"{key} = {words[key]}" for key in value) or None
+    words = {key: f"{of:g}" if isinstance(of, float) else json.dumps(of) for key, of in value.items()}  # as in TOML
+    return ", ".join(key if of is None else f"{key} = {words[key]}" for key, of in value.items()) or None
 
 
 def solvers() -> tuple[str, Rows, str]:

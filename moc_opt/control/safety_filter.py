@@ -1,6 +1,6 @@
 """The safety filter: it checks every measurement, limits the torque, and requests a stop.
 
-The formulas are in `moc_opt/core/safety_filter.c`.
+The checks are in `moc_opt/core/safety_filter.c`. docs/extending.md says how to add one.
 """
 
 from __future__ import annotations

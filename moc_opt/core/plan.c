@@ -287,7 +287,7 @@ void plan_advance(const plan_stage *t, double *value)
     for (int pose = 0; pose < t->branches * t->m; pose++) {
         double best = -HUGE_VAL;
         int bits = (int)t->crossing[pose % t->m], flips = bits + 1;
-        while (flips > 0 && t->gain[pose] > -HUGE_VAL) { /* all subsets of the bits */
+        while (flips > 0 && t->gain[pose] > -HUGE_VAL) { /* any of the joints may change its branch */
             flips = (flips - 1) & bits;
             best = best_in(t, pose, pose / t->m ^ flips, best);
         }

@@ -105,6 +105,8 @@ class Comparison:
             rows.append({**found, **_cells(found), "solver": name, "trials": trials})
             errors = [row["error"] for row in self.rows if (row["solver"], row["ended"]) == (name, Ending.FAILED.value)]
             failures += [f"Failed trials of {name}: {len(errors)}; error of the first: {errors[0]}."] if errors else []
+            raised = [row["raised"] for row in self.rows if row["solver"] == name and row.get("raised")]
+            failures += [f"Trials in which {name} raised: {len(raised)}; the first: {raised[0]}."] if raised else []
         optional = {"oscillated", *CHANGES}
         known = [column for column in COLUMNS if column.key not in optional or any(row.get(column.key) for row in rows)]
         unjudged = any(row.get("asked") and "verified_solved" not in row for row in self.rows)

@@ -1,6 +1,6 @@
 """Paths of the tool tip in space, as functions of arc length.
 
-To add a path, add a function to `CURVES`, or an entry point of the group `moc_opt.tasks`.
+To add a path, add a function to `CURVES` of curves.py, or an entry point of the group `moc_opt.tasks`.
 """
 
 from __future__ import annotations

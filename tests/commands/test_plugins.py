@@ -101,6 +101,6 @@ def test_wrong_task_is_refused_with_a_remedy(arguments, cure, tmp_path, monkeypa
     (tmp_path / "bad.csv").write_text("# nothing\n", encoding="utf-8")
     assert main(["run", *arguments]) == 2
     assert cure in capsys.readouterr().err
-    for task, said in ({"path": "spiral", "waypoints_m": POINTS}, "leave"), ({"path": "waypoints"}, "give"):
+    for task, said in ({"path": "spiral", "waypoints_m": POINTS}, "remove"), ({"path": "waypoints"}, "give"):
         with pytest.raises(ScenarioError, match=said):
             mo.Scenario(task=task)

@@ -54,7 +54,7 @@ def test_every_reader_of_a_name_checks_it(bad):
 @given(st.one_of(hostile_names, st.text(st.characters(codec="utf-8", exclude_categories=["Cc"]))))
 @settings(max_examples=100)
 def test_markdown_shows_any_text_as_it_is(text):
-    """The live page's Markdown renders HTML."""
+    """Markdown on the live page would interpret HTML, so special characters must be escaped."""
     shown = names.in_markdown(text)
     assert not set(shown) & set("<>*_`[]{}\\!|~$\"'\n")
     if text.isprintable():

@@ -74,6 +74,13 @@ def test_runs_of_a_solver_that_cannot_start_are_reported_as_failed():
     assert "Failed trials of broken: 2; error of the first: ControlError: solver 'broken'" in found.table.caption
 
 
+def test_exceptions_of_a_solver_are_reported_below_the_table():
+    bad = standing("bad")
+    bad.start.return_value.solve = Mock(side_effect=ValueError("oops"))
+    caption = mo.compare([bad], BRIEF, trials=2).table.caption
+    assert "Trials in which bad raised: 2; the first: 10 ticks, first at 0.000 s: ValueError: oops." in caption
+
+
 def test_first_trial_must_have_a_start(monkeypatch):
     def only_even(trial):
         if trial.seed % 2:
