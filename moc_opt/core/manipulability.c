@@ -63,11 +63,12 @@ double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MA
                                 const double u[3], double *gradient)
 {
     double(*T)[MOC_MAX_JOINTS] = A, (*W)[MOC_MAX_JOINTS] = A + 3;
-    double adj[3][3], mixed[3], K[3][3], C[3][3], inverse = 1.0 / gram->det;
+    double adj[3][3], mixed[3], K[3][3], C[3][3];
 
     memset(gradient, 0, (unsigned)n * sizeof *gradient);
     if (!gram->regular)
         return 0.0;
+    double inverse = 1.0 / gram->det;
     for (int a = 0; a < 3; a++) {
         for (int b = 0; b < 3; b++)
             mixed[b] = dot(n, W[a], T[b]) * inverse;

@@ -193,9 +193,8 @@ def _in_closed_loop(row: Row, shared: int) -> str:
     shaken = f"; {count} of them oscillated" if (count := closed.get("oscillated", 0)) else ""
     common = ""
     if row["tip_change"] and shared < trials:
-        own, touched = (f"{one} %".replace("? %", " % (undecided)") for one in row["tip_change"].split("/"))
         common = f" The table below uses the {shared} trials that every solver ran. In these, the tip error changes by "
-        common += f"{own} with the kinematic model and by {touched} in the registered frame; "
+        common += f"{row['tip_change']} % (kinematic model/registered frame; ?: undecided), and "
         common += f"{closed.get('oscillated_in_common', 0)} of the runs oscillated."
     return (
         f"In closed loop, `{row['solver']}` ran {trials} independent trials{shaken}. Relative to `{BASELINE}`, mean mu "

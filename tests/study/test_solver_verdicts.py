@@ -160,8 +160,7 @@ def test_first_screen_fits_a_terminal():
         assert counted in take
     assert "`exact` ran 60 independent trials" in sound
     assert "the 15 trials that every solver ran" in sound
-    said = re.search(r"In these, the tip error changes by (.*) with the .* and by (.*) in the registered frame;", sound)
-    assert "/".join(said.groups()).replace(" % (undecided)", "?").replace(" %", "") == rows[0]["tip_change"]
+    assert f"In these, the tip error changes by {rows[0]['tip_change']} % (kinematic model/registered frame" in sound
     for name in ("mu_mean", "tip_error_model_mean_mm", "tip_error_registered_mean_mm", "rcm_error_model_mean_mm"):
         assert spread(summary["closed_loop"]["exact"], change_name(name), 2, "+", " %") in sound
     assert "`qpsolvers:highs` (1 silently wrong)" in avoid
