@@ -53,18 +53,23 @@ static inline int eliminate(moc_plane *plane, int n, double A[][MOC_MAX_JOINTS],
         for (int c = 0; c < m; c++)
             plane->row[i][c] = c < n ? A[i][c] : 0.0;
     for (int k = 0; k < 6; k++) {
-        double largest[MOC_MAX_JOINTS], pivot_row[MOC_MAX_JOINTS], size = 0.0;
-        int column = 0, pivot = k;
+        double largest[MOC_MAX_JOINTS], pivot_row[MOC_MAX_JOINTS];
+        int best[MOC_MAX_JOINTS], pivot = k;
 
-        for (int c = 0; c < m; c++)
+        for (int c = 0; c < m; c++) {
+            best[c] = c;
             largest[c] = fabs(plane->row[k][c]);
+        }
         for (int i = k + 1; i < 6; i++)
             for (int c = 0; c < m; c++)
-                largest[c] = larger(fabs(plane->row[i][c]), largest[c]);
-        for (int c = 0; c < m; c++) {
-            column = largest[c] > size ? c : column;
-            size = larger(largest[c], size);
-        }
+                largest[c] = larger(largest[c], fabs(plane->row[i][c]));
+        for (int half = m / 2; half > 0; half /= 2) /* comparing in pairs is faster than in sequence */
+            for (int c = 0; c < half; c++) {
+                best[c] = largest[c + half] > largest[c] ? best[c + half] : best[c];
+                largest[c] = larger(largest[c + half], largest[c]);
+            }
+        double size = largest[0];
+        int column = best[0];
         first = k == 0 ? size : first;
         double tolerance = k < 5 ? RANK_TOLERANCE : TIED;
         if (!(size > LOOK_CLOSER * tolerance * first)) {
@@ -73,17 +78,20 @@ static inline int eliminate(moc_plane *plane, int n, double A[][MOC_MAX_JOINTS],
                 return !(own > 1.0) ? k : -1 - k;
         }
         for (int i = k; i < 6; i++)
-            pivot = fabs(plane->row[i][column]) == size ? i : pivot;
+            pivot = fabs(plane->row[i][column]) >= size ? i : pivot;
         plane->pivot = size;
         plane->joint[k] = column;
         plane->from[k] = pivot;
-        double inverse = plane->inverse[k] = 1.0 / plane->row[pivot][column];
+        /* 1 / pivot; 1 / size can start before the search for the pivot's row ends */
+        double inverse = plane->inverse[k] = copysign(1.0 / size, plane->row[pivot][column]);
         for (int c = 0; c < m; c++) {
             pivot_row[c] = plane->row[pivot][c] * inverse;
             plane->row[pivot][c] = plane->row[k][c];
         }
         for (int i = 0; i < 6; i++) {
             double scale = plane->scale[k][i] = plane->row[i][column];
+            if (i == k)
+                continue;
             for (int c = 0; c < m; c++)
                 plane->row[i][c] -= scale * pivot_row[c];
         }
@@ -245,7 +253,7 @@ static bool balanced(const moc_plane *plane, const moc_problem *p, const double 
 
 static moc_status solve(const moc_plane *plane, const moc_problem *p, double tolerance, double *x, double y[6])
 {
-    double point[MOC_MAX_JOINTS], force[MOC_MAX_JOINTS] = {0.0}, right[6];
+    double point[MOC_MAX_JOINTS], force[MOC_MAX_JOINTS], right[6];
     moc_status status = MOC_OK;
 
     if (plane->doubtful)
@@ -254,6 +262,7 @@ static moc_status solve(const moc_plane *plane, const moc_problem *p, double tol
     for (int k = 0; k < p->n; k++) { /* a particular solution */
         int j = plane->joint[k];
         point[j] = k < plane->rank ? right[k] : k < plane->rank + plane->freedoms ? 0.0 : idle_speed(p, j);
+        force[j] = 0.0;
     }
     if (plane->freedoms == 1)
         solve_one(plane, p, tolerance, point, force);
