@@ -372,7 +372,7 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
         [Column("name", "parameters, solver", section="Claims"),
          *(Column(claim.metric, claim.title, unit="%", section="Claims", help=claim.text) for claim in CLAIMS)],
         shown, f"✔ {HOLDS}, ≈ {GAINS_ONLY}, ✘ {FAILS}, – {too_few(count) or UNDECIDED}. mu is claimed to rise by "
-        f"more than {CLAIMS[0].bound:g} %. Only mu, tip (own) and RCM (own) are claims of the paper.",
+        f"more than {CLAIMS[0].bound:g} %. Only mu, tip (model) and RCM (model) are claims of the paper.",
     )  # fmt: skip
     answer = []
     for solver in (name for name in (NETWORK, "exact") if (PRINTED, name) in by):

@@ -26,6 +26,8 @@ POINTS = "give x, y, z [m], one point per line; the first line may name the colu
 
 def read_scenario(path: Path | None) -> tuple[Scenario, str]:
     """Return the scenario in a file, or the default scenario, with its title."""
+    if path is not None and path.suffix.lower() in (".urdf", ".xml"):
+        raise ScenarioError(f"{path} is a robot, not a scenario: give a TOML file with [robot] name = {str(path)!r}")
     scenario = Scenario() if path is None else Scenario.load(path)
     return scenario, scenario.name if path is None or "name" in scenario.model_fields_set else path.stem
 
@@ -48,6 +50,7 @@ def run_scenario(given: argparse.Namespace) -> int:
     if "best_courses" not in scenario.model_fields_set:
         scenario = scenario.change(best_courses=True)
     scenario = changed(scenario, given)
+    title = scenario.task.path if given.scenario is None else title
     if given.trace and scenario.control.course and given.trace.resolve() == Path(scenario.control.course).resolve():
         raise TraceError(f"--trace {given.trace}: the run follows the course in that file; give another name")
     if given.trace and given.report and given.trace.resolve() == given.report.resolve():

@@ -24,7 +24,7 @@ PANELS = {
 }
 """For each column: its panel's label, and the factor to the label's unit."""
 TIPS = {
-    "tip_error_model_m": ("tip error, own kinematics [mm]", 1e3),
+    "tip_error_model_m": ("tip error, kinematic model [mm]", 1e3),
     "tip_error_registered_m": ("tip error, frame registered at the start [mm]", 1e3),
 }
 LABELS = {**PANELS, **TIPS}

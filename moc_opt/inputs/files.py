@@ -6,6 +6,7 @@ If a file cannot be read or written, ``error`` is raised. Its message begins wit
 from __future__ import annotations
 
 import contextlib
+import errno
 import io
 import json
 import math
@@ -129,9 +130,10 @@ def _writing(target: Path, what: str, error: Wrong) -> Iterator[None]:
         yield
     except (OSError, ValueError) as reason:  # ValueError: the name has a NUL
         why = getattr(reason, "strerror", None) or str(reason)
+        full = getattr(reason, "errno", None) in (errno.ENOSPC, errno.EDQUOT)
+        cure = "make room on the disk" if full else "name a file in a folder that you may write to"
         raise error(
-            f"{what} {str(target)!r} cannot be written in the folder {str(target.absolute().parent)!r} ({why}): make "
-            "room on the disk, or name a file in a folder that you may write to"
+            f"{what} {str(target)!r} cannot be written in the folder {str(target.absolute().parent)!r} ({why}): {cure}"
         ) from reason
 
 

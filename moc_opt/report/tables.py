@@ -85,21 +85,25 @@ class Table:
             return cells
         return [replace(cell, best=any(cell is one for one in ahead)) for cell in cells]
 
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[RichTable]:
-        shown, wide = list(self.columns), options.update(width=10_000)
-        # A table that is too wide loses its last columns.
-        while len(shown) > 1 and Measurement.get(console, wide, self._drawn(shown)).minimum > options.max_width:
-            shown.pop()
-        yield self._drawn(shown)
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[RichTable | Text]:
+        wide, rest, parts = options.update(width=10_000), list(self.columns[1:]), list[list[Column]]()
+        while rest or not parts:  # a table that is too wide is split; each part begins with the first column
+            part = [*self.columns[:1], *rest]
+            while len(part) > 2 and Measurement.get(console, wide, self._drawn(part)).minimum > options.max_width:
+                part.pop()
+            parts.append(part)
+            rest = rest[len(part) - 1 :]
+        for place, part in enumerate(parts):
+            yield self._drawn(part, "" if place else self.title, "" if parts[1:] else self.caption)
+        if parts[1:] and self.caption:
+            yield Text(printable(self.caption), style="table.caption")
 
-    def _drawn(self, shown: Sequence[Column]) -> RichTable:
+    def _drawn(self, shown: Sequence[Column], title: str = "", caption: str = "") -> RichTable:
         drawn = RichTable(
             box=box.SIMPLE_HEAD, pad_edge=False, title_justify="left", caption_justify="left", padding=(0, 1, 0, 0)
         )
-        hidden = "; ".join(column.title for column in self.columns[len(shown) :])
-        caption = f"{self.caption} Columns left out in this narrow terminal: {hidden}." if hidden else self.caption
-        drawn.title = Text(printable(self.title), style="bold")
-        drawn.caption = Text(printable(caption.strip())) if caption else None
+        drawn.title = Text(printable(title), style="bold") if title else None
+        drawn.caption = Text(printable(caption)) if caption else None
         columns = []
         for column in shown:
             cells = self.cells(column)

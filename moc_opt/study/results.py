@@ -27,11 +27,11 @@ PHASES = ("settled", "travelling")
 """Prefixes of metrics. "travelling": while the elbow moves to its optimum; "settled": after its arrival."""
 TITLES = {
     name: f"{part}, {frame}"
-    for name, (part, frame) in zip(ERRORS, product(("tip", "RCM"), ("own", "registered", "base")), strict=True)
+    for name, (part, frame) in zip(ERRORS, product(("tip", "RCM"), ("model", "registered", "base")), strict=True)
 }
 """Column headings of `ERRORS` and of their changes."""
 FRAMES = (
-    "Own: the error computed with the robot's kinematics; the controller can correct it. Registered: the error "
+    "Model: the error by the robot's kinematic model; the controller can correct it. Registered: the error "
     "relative to the points touched at the start; it matters to the patient."
 )
 BASE_FRAME = "Base: the error in the base frame (absolute accuracy)."

@@ -256,7 +256,7 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
         columns += [
             Column("damage", "worst damage", section=CLOSED,
                    help="worst change in closed loop relative to the best solver, if it exceeds the tolerance"),
-            Column("tip_change", "tip own/ registered", unit="%", section=CLOSED,
+            Column("tip_change", "tip model/ registered", unit="%", section=CLOSED,
                    help="change of the mean tip error relative to DCAC: kinematic model / registered frame"),
         ]  # fmt: skip
         caption += (

@@ -84,10 +84,10 @@ def test_ablation_case_decides_a_claim_if_it_reverses_the_claim():
     lost = next(entry for entry in rows if entry["group"] == "turns" and entry["controller"] == "exact")
     lost |= {"whole": False, "tip_error_model_mean_mm": 99.0}
     found = {(entry["case"], entry["claim"]): entry for entry in paper.ablation(Results(rows), cases)}
-    assert {name: found[name, "tip, own"].get("decides") for name in cases} == {
+    assert {name: found[name, "tip, model"].get("decides") for name in cases} == {
         "printed": None, "turns": True, "same": False, "noisy": False,
     }  # fmt: skip
-    assert found["turns", "tip, own"]["shift_percent"] == pytest.approx(30.0, abs=2.0)
+    assert found["turns", "tip, model"]["shift_percent"] == pytest.approx(30.0, abs=2.0)
 
 
 def test_shipped_configuration_is_the_papers_experiment():

@@ -73,8 +73,7 @@ def test_a_narrow_terminal_shows_every_number_whole(width: int, count: int, size
     screen = Console(file=io.StringIO(), width=width, color_system=None, highlight=False)
     screen.print(table)
     text = screen.file.getvalue()  # type: ignore[attr-defined]
-    assert "exact" in text
-    assert "rnn-printed" in text
+    assert all(cell.text in text for column in columns for cell in table.cells(column))
     assert "…" not in text
     assert sorted(set(re.findall(r"\bc\d+\b", text))) == sorted(c.key for c in columns[1:]), "a column is missing"
 
