@@ -106,7 +106,9 @@ class Comparison:
             errors = [row["error"] for row in self.rows if (row["solver"], row["ended"]) == (name, Ending.FAILED.value)]
             failures += [f"Failed trials of {name}: {len(errors)}; error of the first: {errors[0]}."] if errors else []
             raised = [row["raised"] for row in self.rows if row["solver"] == name and row.get("raised")]
-            failures += [f"Trials in which {name} raised: {len(raised)}; the first: {raised[0]}."] if raised else []
+            if raised:
+                bad = f"Trials with exceptions or malformed answers of {name}: {len(raised)}"
+                failures.append(f"{bad}; the first: {raised[0]}.")
         optional = {"oscillated", *CHANGES}
         known = [column for column in COLUMNS if column.key not in optional or any(row.get(column.key) for row in rows)]
         unjudged = any(row.get("asked") and "verified_solved" not in row for row in self.rows)

@@ -163,7 +163,8 @@ def run_and_trace(asked: Trial, baseline: Trace | None = None) -> tuple[Run, Tra
     metrics = summarize(trace, baseline if baseline is not None and len(baseline) == len(trace) else None)
     if not asked.timed:
         metrics = {name: value for name, value in metrics.items() if not name.startswith(CLOCKS)}
-    raised = trace.meta.get("faults", {}).get(Fault.RAISED.label)
+    faults = trace.meta.get("faults", {})
+    raised = faults.get(Fault.RAISED.label) or faults.get(Fault.MALFORMED.label)
     row = {
         **asked.about, "ended": ended, "whole": whole, "error": None if whole else ended,
         "raised": raised and f"{raised['count']} ticks, first at {raised['first_at_s']:.3f} s: {raised['first']}",

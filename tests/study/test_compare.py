@@ -74,11 +74,15 @@ def test_runs_of_a_solver_that_cannot_start_are_reported_as_failed():
     assert "Failed trials of broken: 2; error of the first: ControlError: solver 'broken'" in found.table.caption
 
 
-def test_exceptions_of_a_solver_are_reported_below_the_table():
+@pytest.mark.parametrize(("answers", "told"), [
+    ({"side_effect": ValueError("oops")}, "ValueError: oops"),
+    ({"return_value": [0.0]}, "solve returned a list: return a Solution"),
+])  # fmt: skip
+def test_exceptions_and_malformed_answers_are_reported_below_the_table(answers, told):
     bad = standing("bad")
-    bad.start.return_value.solve = Mock(side_effect=ValueError("oops"))
+    bad.start.return_value.solve = Mock(**answers)
     caption = mo.compare([bad], BRIEF, trials=2).table.caption
-    assert "Trials in which bad raised: 2; the first: 10 ticks, first at 0.000 s: ValueError: oops." in caption
+    assert f"malformed answers of bad: 2; the first: 10 ticks, first at 0.000 s: {told}." in caption
 
 
 def test_first_trial_must_have_a_start(monkeypatch):
