@@ -7,18 +7,17 @@
 
 bool moc_orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least)
 {
-    for (int twice = 0; twice < 2; twice++) { /* twice because of rounding */
+    for (int twice = 0; twice < 2; twice++) /* twice because of rounding */
         for (int i = 0; i < k; i++) {
             double along = dot(n, Z[i], Z[k]);
             for (int j = 0; j < n; j++)
                 Z[k][j] -= along * Z[i][j];
         }
-        double length = sqrt(dot(n, Z[k], Z[k]));
-        if (!(length > least)) /* also catches NaN */
-            return false;
-        for (int j = 0; j < n; j++)
-            Z[k][j] /= length;
-    }
+    double length = sqrt(dot(n, Z[k], Z[k]));
+    if (!(length > least)) /* also catches NaN */
+        return false;
+    for (int j = 0; j < n; j++)
+        Z[k][j] /= length;
     return true;
 }
 
