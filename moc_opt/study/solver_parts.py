@@ -154,13 +154,12 @@ def certified_sets(work: Work) -> None:
             work.answers.add(*one.rows("testset"))
     totalled = answers_table("All sets: sum of counts, largest residual, times of the slowest set", whole, "_worst_set")
     by_set = _set_by_set(work.summary, [data.name for data in chosen], work.recommended)
-    settings = Table(
-        "Every setting of every solver",
-        [SOLVER, Column("setting", "setting"), Column("options", "options"), Column("reason", "reason")],
-        [{"solver": one.solver, "setting": one.name, **work.summary["settings"][one.label]} for one in work.settings],
-    )
     work.sections.append(Section(CERTIFIED, f"{MEANING}\n\n{INCONSISTENT}", [totalled, by_set]))
-    work.sections.append(Section("Settings", "", [settings]))
+    named = [Column(name, name) for name in ("solver", "setting", "options", "reason")]
+    for title, shown, ours in (("Settings", [named[0], *named[2:]], True), ("Other settings", named, False)):
+        rows = [{"solver": one.solver, "setting": one.name, **work.summary["settings"][one.label]}
+                for one in work.settings if one.recommended is ours]  # fmt: skip
+        work.sections.append(Section(title, "", [Table(title, shown, rows)]))
 
 
 def _set_by_set(summary: Mapping[str, Any], names: Sequence[str], recommended: Sequence[SolverSetting]) -> Table:
