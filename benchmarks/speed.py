@@ -155,10 +155,10 @@ GOALS = {
         made_of=lambda s: f"longest {s['tick']['c']['tick_max_us']:.1f} us",
     ),
     "limit": Goal(
-        "time of the default run / its limit (MuJoCo's steps plus moc_step)", "", 3.0,
+        "time of the default run / shortest possible time (MuJoCo's steps plus moc_step)", "", 3.0,
         lambda s: s["loop"]["limit"]["python_over_limit"], section=LOOP,
         made_of=lambda s: f"{s['loop']['python']['us_per_tick']:.1f} us per tick, of which filter and controller take "
-        f"{s['loop']['python']['tick_p50_us']:.1f} us; limit: MuJoCo {s['loop']['limit']['steps_us']:.1f} us plus C "
+        f"{s['loop']['python']['tick_p50_us']:.1f} us; shortest: MuJoCo {s['loop']['limit']['steps_us']:.1f} us plus C "
         f"{s['tick']['c']['tick_mean_us']:.1f} us",
     ),
 }  # fmt: skip
@@ -221,7 +221,7 @@ SECTIONS = {
     LOOP: (
         ("loop",),
         "A run includes references, plant, controller, trace and the progress bar's callback, but not the set-up and "
-        "the judging of answers. The limit is the time of `moc_step` plus that of MuJoCo's steps from the same states.",
+        "the judging of answers. The shortest possible time is `moc_step` plus MuJoCo's steps from the same states.",
     ),
 }  # fmt: skip
 

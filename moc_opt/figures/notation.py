@@ -27,7 +27,7 @@ class Mark:
     """A rating in a table, as a coloured symbol and a word.
 
     Attributes:
-        symbol: one character.
+        symbol: one character, or none.
         tone: "best", "good", "fair", "bad" or "other".
         rank: key for sorting; the best rating has the lowest rank.
     """

@@ -155,7 +155,7 @@ def _cell(value: Any, written: Notation) -> Cell:
     if why is not None:
         return Cell(notation.DASH, None, why=why)
     if isinstance(value, Mark):
-        return Cell(printable(f"{value.symbol} {value.word}"), float(value.rank), tone=value.tone)
+        return Cell(printable(f"{value.symbol} {value.word}".strip()), float(value.rank), tone=value.tone)
     if is_number(value):
         return Cell(written(value), float(value), numeric=True)
     if type(value).__name__ in ("bool", "bool_"):

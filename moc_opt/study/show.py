@@ -26,9 +26,10 @@ FORMATS = {"%": "+.1f", "mm": ".3f", "us": ".1f", "m^3": ".4f", "N": ".2f"}
 
 
 def mark(verdict: bool | str | None, text: str) -> Mark:
-    """Return the `Mark` of a verdict, with ``text`` beside its symbol."""
+    """Return the `Mark` of a verdict, with ``text`` beside its symbol; if the verdict is open, as "text?"."""
     known = MARKS.get(verdict, OPEN)
-    return Mark(known.symbol, text, known.tone, known.rank)
+    symbol, word = ("", f"{text}?") if known is OPEN else (known.symbol, text)
+    return Mark(symbol, word, known.tone, known.rank)
 
 
 class Picture(NamedTuple):
