@@ -287,13 +287,13 @@ def report(summary: Mapping[str, Any], subject: str = "") -> Report:
         Column("rcm_max_mm", "RCM error, worst", unit="mm", format=".2f"),
     ], rows)  # fmt: skip
     how = (
-        "Each time is written as median / 99th percentile / 99.99th percentile / longest. Brackets: 95 % interval. "
-        "Wake-up latency: how late a tick of the plant begins. Plant stalled: number of ticks that began more than a "
-        "period late. Round trip: from the departure of a measurement to the arrival of its torque, over the loopback. "
-        "A cycle is missed if its round trip takes longer than the period. Controller: the time of safety filter and "
-        "control law alone. environment.json has the priority, memory locking and timers that both processes were "
-        "granted. Python's garbage collector is off in both loops. Not clean: neither completed, nor stopped at rest "
-        "with a small RCM error."
+        "Quiet: the study starts nothing else. Loaded: one process per core only computes. The machine's load was "
+        "measured after the last case. Times are median / 99th percentile / 99.99th percentile / longest. Brackets: "
+        "95 % interval.\n\nMissed: cycles whose round trip took longer than the period. Plant stalled: ticks of the "
+        "plant that began more than a period late. Wake-up latency: how late a tick of the plant begins. Round "
+        "trip: from the departure of a measurement to the arrival of its torque, over the loopback. Controller: the "
+        "time of safety filter and control law. Not clean: runs that neither completed, nor stopped at rest with an "
+        "RCM error below 2 mm."
     )
     title, first = "Plant and controller against the clock", goals_table(summary["goals"])
     return Report(title, sentences(summary), first, (), [Section(DETAILS, how, [table])], subtitle=subject)
