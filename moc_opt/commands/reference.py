@@ -20,17 +20,22 @@ from moc_opt.scenario.config import PRESETS, Scenario
 TOP, ABSENT = "scenario", "left out"
 HEAD = """# The keys of a scenario
 
-`moc-opt keys --markdown` makes this page from the schema that checks every file: edit the schema, not this page. A key
-that is left out takes its default. A number has the unit at the end of its name or in brackets. For example, `_m_per_s`
-is m/s, and `_ticks` is a number of control periods. In `[guard]`, `inf` switches off a limit of RCM error or force.
-`[control] preset = "paper"` has the values of Su et al. (2019).
+A scenario is a TOML file. A key that is left out takes its default. The following is a whole scenario:
 
-The control law has three levels, which docs/method.md explains:
+    [task]
+    path = "spiral"
 
-1. Level 1 moves the tip along the path.
-2. Level 2 keeps the shaft in the trocar, which is the remote centre of motion (RCM).
-3. Level 3 moves the elbow to raise the manipulability. Its solver computes a joint velocity x. The equation A x = b
-   keeps tip and wrist on their references.
+    [control]
+    preset = "tuned"
+
+A number has the unit at the end of its name or in brackets. For example, `_m_per_s` is m/s, and `_ticks` is a number of
+control periods. If a number is out of range, the error message gives the range. In `[guard]`, `inf` switches off a
+limit of RCM error or force. Relative paths start at the file's folder. `moc-opt keys --markdown` writes this page.
+
+The control law has three levels, which docs/method.md explains. Level 1 moves the tip along the path. Level 2 keeps the
+shaft in the trocar, which is the remote centre of motion (RCM). For this it places the wrist, a point of the shaft at
+the arm's end. Level 3 moves the elbow to raise the manipulability. Its solver computes a joint velocity x with
+A x = b, so that x gives tip and wrist their reference velocities.
 """
 WORDS = {int: "integer", float: "number", str: "text", bool: "flag", type(None): "", Any: "value"}
 
@@ -60,7 +65,10 @@ def tables(kind: type[Settings] = Scenario, path: str = "") -> Iterator[tuple[st
     inner: list[tuple[str, type[Settings]]] = []
     keys: list[Key] = []
     if path in PRESETS:
-        meaning = "named set of values for this table. Keys that you also give override it"
+        sets = {name: json.dumps(make().model_dump(exclude_defaults=True)) for name, make in PRESETS[path].items()}
+        told = "; ".join(f"{name!r}: {text[1:-1] or 'the defaults'}" for name, text in sets.items())
+        told = re.sub(r'"(\w+)": ', r"\1 = ", told).replace("null", "''")
+        meaning = f"set of values, which keys in the file override. {told}"
         keys.append(("preset", " | ".join(map(repr, PRESETS[path])), ABSENT, meaning))
     for name, field in kind.model_fields.items():
         hint = field.annotation

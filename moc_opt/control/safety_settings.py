@@ -23,64 +23,61 @@ class SafetyFilterSettings(Settings):
     motion_rad: float = Field(0.001, gt=0.0)
     """largest difference between a joint's position and its integrated velocity at rest"""
     motion_lag_s: float = Field(0.012, ge=0.0)
-    """lag of measured velocities. At the speed v, the lag times v is added to `motion_rad`. At least three time
-    constants of the velocity filter are used"""
+    """lag of measured velocities. At the speed v, the lag times v is added to `motion_rad`. A value below three time
+    constants of the velocity filter is raised to them"""
     repeat_m: float = Field(0.003, gt=0.0)
     """largest travel of the tip's reference at unchanged encoder readings"""
     repeat_torque: float = Field(0.06, gt=0.0)
-    """largest torque change at unchanged encoder readings, as a share of the largest torque. At least 500 times
-    `encoder_resolution_rad` is used"""
+    """largest torque change at unchanged encoder readings, as a share of the largest torque. A value below 500 times
+    `encoder_resolution_rad` is raised to it"""
     repeat_whole_torque: float = Field(0.0005, gt=0.0)
     """largest torque change at unchanged encoder and wrench readings, as a share of the largest torque"""
     repeat_whole_m: float = Field(0.0005, gt=0.0)
     """largest travel of the tip's reference at unchanged encoder and wrench readings"""
     repeat_whole_ticks: int = Field(25, ge=1)
-    """largest number of consecutive control periods at which a noisy wrench sensor repeats its reading. It also limits
-    how often whole measurements repeat earlier measurements"""
+    """largest number of consecutive control periods in which a noisy wrench sensor repeats its reading, and largest
+    number of whole measurements that equal measurements a fixed time earlier"""
     stuck_torque: float = Field(0.06, ge=0.0)
-    """torque change that static friction can hold, as a share of the joint's largest torque. It is used while an
-    encoder repeats its reading"""
+    """largest torque change that static friction may explain while an encoder repeats its reading, as a share of the
+    joint's largest torque"""
     stuck_friction: float = Field(6.0, gt=0.0)
-    """torque change that static friction can hold, divided by the Coulomb friction. The smaller of this torque and
-    `stuck_torque` is used"""
+    """the same torque change, divided by the joint's Coulomb friction. The smaller of the two torques is used"""
     repeat_joint_ticks: int | None = Field(None, ge=1)
-    """largest number of consecutive control periods at which one encoder repeats its reading. By default, it is
+    """largest number of consecutive control periods in which one encoder repeats its position. By default, it is
     computed from the encoders' noise and step"""
     repeat_reading_ticks: int | None = Field(None, ge=0)
-    """largest number of times in a run that one encoder repeats both position and velocity. By default, it is
-    `patience_ticks` for noisy encoders with filtered velocities, and unlimited for others"""
+    """largest total number of control periods of a run in which one encoder repeats both position and velocity. By
+    default, it is `patience_ticks` for noisy encoders with filtered velocities, and unlimited for others"""
     stuck_rad_per_s: float = Field(0.2, gt=0.0)
-    """largest speed that unexplained torque may give a joint while its encoder repeats its reading. At least 600 times
-    `encoder_resolution_rad` is used"""
+    """largest speed that unexplained torque may give a joint while its encoder repeats its reading. A value below 600
+    times `encoder_resolution_rad` is raised to it"""
     residual_torque: float = Field(0.2, gt=0.0)
     """largest change of a joint's momentum residual (unexplained torque), as a share of its largest torque. If it is
     exceeded for more than `patience_ticks` control periods, the arm is stopped"""
     residual_whole_torque: float = Field(0.5, gt=0.0)
-    """largest momentum residual (unexplained torque) of a joint, as a share of its largest torque. If it is exceeded
-    for more than `patience_ticks` control periods, the arm is stopped"""
+    """like `residual_torque`, but for the momentum residual itself instead of its change"""
     residual_rate_per_s: float = Field(40.0, gt=0.0, lt=500.0)
     """gain of the observer that estimates the momentum residuals"""
     residual_s: float = Field(0.25, gt=0.0)
     """time constant of the running mean from which `residual_torque` measures changes"""
     torque_rate_Nm_per_s: float = Field(20000.0, gt=0.0, description="largest rate of change of a joint's torque")
     position_margin_rad: float = Field(0.045, ge=0.0)
-    """distance from a turning joint's limit at which a virtual wall (spring and damper) begins"""
+    """distance of the virtual wall (a spring) from a revolute joint's limit"""
     position_margin_m: float = Field(0.045, ge=0.0)
-    """distance from a sliding joint's limit at which a virtual wall (spring and damper) begins"""
+    """distance of the virtual wall (a spring) from a prismatic joint's limit"""
     wall_stiffness_Nm_per_rad: float = Field(2000.0, ge=0.0)
-    """stiffness of the virtual wall before a joint limit (sliding joints: N/m)"""
+    """stiffness of the virtual wall (prismatic joints: N/m)"""
     wall_damping_Nm_s_per_rad: float = Field(20.0, ge=0.0)
-    """damping of joint speed above the limit that `wall_brake_rad_per_s2` sets (sliding joints: N s/m)"""
+    """damping of joint speed above the limit that `wall_brake_rad_per_s2` sets (prismatic joints: N s/m)"""
     wall_brake_rad_per_s2: float = Field(2.0, gt=0.0)
-    """deceleration a before a virtual wall. At the distance d, the largest speed is sqrt(2 a d)"""
+    """deceleration a before the virtual wall. At the distance d from the wall, the largest speed is sqrt(2 a d)"""
     jump_rad: float = Field(0.05, gt=0.0)
-    """largest jump of a measured joint position, beyond travel at the joint's speed limit. A larger jump counts as a
-    bad measurement (see `patience_ticks`)"""
+    """largest jump of a measured joint position, in addition to the travel at its speed limit (see `patience_ticks`)"""
     speed_factor: float = Field(5.0, gt=1.0)
-    """largest measured speed, divided by the joint's speed limit. A larger speed counts as a bad measurement (see
-    `patience_ticks`)"""
+    """largest measured speed, divided by the joint's speed limit (see `patience_ticks`)"""
     patience_ticks: int = Field(3, ge=0)
-    """number of bad or missing measurements in a row that are replaced by extrapolation. One more stops the arm"""
+    """number of measurements in a row that may be missing or exceed `jump_rad` or `speed_factor`. They are replaced by
+    extrapolation. One more stops the arm"""
     tip_error_m: float = Field(0.01, gt=0.0)
     """rms distance of the tip from its reference above which the arm is stopped"""
     tip_error_s: float = Field(0.1, gt=0.0, description="time constant of the mean square of the tip error")

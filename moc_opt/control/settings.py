@@ -57,25 +57,21 @@ class ControlSettings(Settings):
     law: Literal["dcac", "moc"] = "moc"
     """control law. 'dcac': control of tip and RCM; 'moc': also level 3, which raises the manipulability"""
     gains: str | None = "default"
-    """name of a table of gains in the robot's file. '' takes the table with the name of `law`"""
-    K_X: Positive | None = None
-    """tip stiffness [N/m]. The default is in the table that `gains` names"""
-    D_X: NotNegative | None = None
-    """tip damping [N s/m]. The default is in the table that `gains` names"""
-    K_N: Positive | None = None
-    """wrist stiffness [N/m]. The default is in the table that `gains` names"""
-    D_N: NotNegative | None = None
-    """wrist damping [N s/m]. The default is in the table that `gains` names"""
+    """name of a table of gains in the robot's file, with defaults of the six gains below. '' is the table with the name
+    of `law`"""
+    K_X: Positive | None = Field(None, description="tip stiffness [N/m]")
+    D_X: NotNegative | None = Field(None, description="tip damping [N s/m]")
+    K_N: Positive | None = Field(None, description="wrist stiffness [N/m]")
+    D_N: NotNegative | None = Field(None, description="wrist damping [N s/m]")
     K_N2: PerJoint | None = None
-    """level 3: gain on the difference between the solver's and the measured joint velocity [N m s/rad]. The default is
-    in the table that `gains` names"""
+    """level 3: gain on the difference between the solver's and the measured joint velocity [N m s/rad]"""
     D_N2: PerJoint | None = None
-    """level 3: damping gain on the measured joint velocity [N m s/rad]. The default is in the table that `gains`
-    names"""
+    """level 3: damping gain on the measured joint velocity [N m s/rad]"""
     dcac_damping: PerJoint = 0.0
     """damping of elbow motion under `law` = 'dcac' [N m s/rad]"""
     rcm_lambda: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
-    """assumed constant ratio of RCM error to wrist error. By default, the true wrist error is used"""
+    """assumed ratio of RCM error to wrist error. If given, the stiffness K_N acts on the RCM error divided by this
+    ratio, as in the paper. By default, it acts on the wrist error"""
     projector: Literal["dynamic", "static", "as_published"] = "dynamic"
     """null-space projector of level 2. 'dynamic': dynamically consistent; 'static': consistent only at rest;
     'as_published': as printed in Su et al. (2019)"""
@@ -87,24 +83,22 @@ class ControlSettings(Settings):
     limit_torque: bool = True
     """whether the controller limits each torque to the joint's largest torque"""
     k0_per_s: Positive = 2.0
-    """largest speed towards a joint limit, divided by the distance left before the limit's margin. With `third_level`
-    'planned' or 'receding', it is at least 10"""
+    """k0 in the bound v <= k0 d on level 3. v is a joint's speed towards a limit, and d its distance from the limit
+    minus the margin (see `limit_margin_rad`). With `third_level` 'planned' or 'receding', k0 is at least 10"""
     third_level: Literal["local", "planned", "receding"] = "local"
     """motion of the elbow under `law` = 'moc'. 'local': up the gradient of the manipulability; 'planned': along a joint
     motion that is planned before the run; 'receding': along a joint motion that is replanned during the run"""
     course: str = ""
-    """file of the planned joint motion, from `moc-opt plan --out`, relative to the scenario's folder. If empty, the
-    motion is planned before the run"""
+    """file of the planned joint motion, from `moc-opt plan --out`. If empty, the motion is planned before the run"""
     horizon_s: Annotated[float, Field(ge=0.2, le=2.0)] = 1.0
     """planning horizon of `third_level` 'receding'"""
     replan_per_s: Annotated[float, Field(ge=20.0, le=50.0)] = 20.0
     """planning rate of `third_level` 'receding'"""
     course_speed_fraction: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.85
-    """largest joint speed of a planned motion, as a share of the joint's speed limit. With the rest, a lagging arm can
-    catch up"""
+    """largest joint speed of a planned motion, as a share of the joint's speed limit. Below 1, a lagging arm can catch
+    up"""
     course_margin_rad: NotNegative = 0.05
-    """distance of turning joints from their limits in a planned motion. If no motion keeps it, a motion without this
-    distance is used"""
+    """distance of revolute joints from their limits in a planned motion, if any motion can keep it"""
     course_observer_gain_per_s: NotNegative = 40.0
     """gain of the momentum observer with `third_level` 'planned' or 'receding'"""
     climb: Literal["gradient", "scaled"] = "gradient"
@@ -121,12 +115,13 @@ class ControlSettings(Settings):
     speed_fraction: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5
     """largest joint speed with `third_level` 'local', as a share of the joint's speed limit"""
     limit_margin_rad: NotNegative = 0.15
-    """distance from a turning joint's limit at which `third_level` 'local' stops the approach"""
+    """distance from a revolute joint's limit at which `third_level` 'local' stops the approach. With 'planned' and
+    'receding', `course_margin_rad` replaces it"""
     limit_margin_m: NotNegative = 0.05
-    """distance from a sliding joint's limit at which level 3 stops the approach"""
+    """distance from a prismatic joint's limit at which level 3 stops the approach, with every `third_level`"""
     shaft_margin: float = Field(default=0.175, ge=0.0, le=1.0)
-    """threshold of the shaft's manipulability about the tip, divided by the squared wrist-tip distance. Below it,
-    `third_level` 'local' also raises this manipulability. 0 switches this off"""
+    """threshold of m / L^2, where m is the manipulability of the shaft about the tip [m^2] and L is the distance from
+    wrist to tip. Below it, `third_level` 'local' also raises m. 0 switches this off"""
     ramp_s: NotNegative = 0.3
     """time in which the torque of level 3 rises to full size at the start"""
     supervisor: SupervisorSettings = SupervisorSettings()

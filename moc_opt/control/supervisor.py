@@ -68,15 +68,16 @@ class SupervisorSettings(Settings):
     box_limit: float = Field(0.1, gt=0.0)
     """largest constraint violation of an answer not reported as optimal [A x = b: m/s; bounds on x: rad/s]"""
     relative_limit: float = Field(0.05, gt=0.0)
-    """largest natural residual (0 at an optimum) of an answer reported as optimal [rad/s]. The largest entry of the
-    cost gradient is scaled to 1"""
+    """largest natural residual of an answer reported as optimal [rad/s], for a cost scaled so that the largest entry of
+    its gradient is 1. At an optimum the residual is 0"""
     opposite_limit: float = Field(1e-3, gt=0.0)
-    """distance from the optimum above which an answer with the wrong sign is refused [rad/s]. Such an answer is nearer
-    to the optimum for the negated gradient"""
+    """limit for answers with the wrong sign [rad/s]. An answer is refused if it is farther than this from the optimum,
+    and nearer to the optimum for the negated gradient"""
     hold_ticks: int = Field(10, ge=0)
-    """largest number of consecutive control periods with the last good answer. After them, elbow motion is damped"""
+    """number of control periods in a row in which the last good answer replaces refused ones. Then elbow motion is
+    damped"""
     keep_off_limits: bool = True
-    """whether the elbow still moves after `hold_ticks` if the bounds on x require it, as near a joint limit"""
+    """whether the elbow still moves after `hold_ticks` if the bounds on x require it, near a joint limit"""
     budget_us: float | None = Field(None, gt=0.0, description="longest time of a solve. By default, there is no limit")
     late: Literal["hold", "zero", "iterate"] = "hold"
     """replacement for an answer later than `budget_us`. 'hold': the last good answer; 'zero': no elbow motion;

@@ -57,7 +57,7 @@ class Scenario(Settings):
     duration_s: float | None = Field(None, gt=0.0, le=MOST_S)
     """duration of the run. By default, the run lasts for the path plus `wait_s` and `hold_s` of [task]"""
     deadline_us: float = Field(2000.0, gt=0.0, le=1e9)
-    """longest allowed computation time in a control period. A missed deadline is counted, and the run goes on"""
+    """computation time above which a control period counts as missed, without further effect (see `budget_us`)"""
     guard: SafetyFilterSettings = SafetyFilterSettings()
     faults: FaultSettings = FaultSettings()
     wire: WireSettings = WireSettings()
@@ -68,8 +68,8 @@ class Scenario(Settings):
     bound_samples: int = Field(25, ge=0, le=100_000)
     """number of control periods at which the largest possible manipulability is computed, for comparison"""
     best_courses: bool = False
-    """whether the joint motions of largest mean manipulability are planned after the run, for comparison. If left out,
-    `moc-opt run` plans them, and `moc_opt.run` in Python does not"""
+    """whether the joint motions of largest mean manipulability are planned after the run, for comparison. In `moc-opt
+    run` the default is true"""
 
     def __init__(self, **values: Any) -> None:
         try:

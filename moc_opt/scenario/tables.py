@@ -46,9 +46,9 @@ class StartTable(Settings):
     """elbow angle at the start, from 0 to 1 of its range. 'given': as in the start pose; 'random': drawn from 0.05 to
     0.95"""
     limit_margin_rad: float = Field(0.05, ge=0.0, le=3.0)
-    """smallest distance of turning joints from their limits along the path. Only `pose` = 'random' uses it"""
+    """smallest distance of revolute joints from their limits along the path, for `pose` = 'random'"""
     limit_margin_m: float = Field(0.05, ge=0.0, le=3.0)
-    """smallest distance of sliding joints from their limits along the path. Only `pose` = 'random' uses it"""
+    """smallest distance of prismatic joints from their limits along the path, for `pose` = 'random'"""
     check_path: bool = True
     """whether a path that the arm cannot follow is refused before the run. With `pose` = 'random', it is always
     refused"""

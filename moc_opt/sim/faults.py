@@ -27,7 +27,7 @@ class FaultSettings(Settings):
     drop_share: float = Field(0.0, ge=0.0, le=1.0, description="share of the measurements that never arrive")
     late_ticks: int = Field(0, ge=0, le=50, description="delay of every measurement")
     frozen_at_s: float | None = Field(None, ge=0.0)
-    """time at which readings freeze. By default, this never happens"""
+    """time at which readings freeze. By default, they never freeze"""
     frozen_ticks: int = Field(1_000_000, ge=1, description="number of control periods for which readings stay frozen")
     frozen_joint: int | None = Field(None, ge=0)
     """index (from 0) of the only encoder that freezes. If left out, all sensors freeze"""
@@ -35,14 +35,14 @@ class FaultSettings(Settings):
     frozen_velocity: Literal["repeated", "zero"] = "repeated"
     """velocity in a frozen reading. 'repeated': the last velocity; 'zero': 0"""
     lag_at_s: float | None = Field(None, ge=0.0)
-    """time from which measurements lag. By default, this never happens"""
+    """time from which measurements lag. By default, they never lag"""
     lag_joint: int | None = Field(None, ge=0)
     """index (from 0) of the only encoder that lags. If left out, all sensors lag"""
     lag_ticks: int = Field(0, ge=0, le=1000, description="lag of measurements at the time `lag_at_s`")
     lag_growth: float = Field(0.1, gt=0.0, le=1.0)
     """growth of the lag after `lag_at_s`, in control periods per control period"""
     replay_at_s: float | None = Field(None, ge=0.0)
-    """time from which old measurements arrive again in a loop. By default, this never happens"""
+    """time from which old measurements arrive again in a loop. By default, none arrives again"""
     replay_ticks: int = Field(100, ge=1, le=5000)
     """number of measurements before `replay_at_s` that arrive again"""
     drift_at_s: float = Field(0.0, ge=0.0, description="time at which the encoders begin to drift")
@@ -56,10 +56,10 @@ class FaultSettings(Settings):
     """constant error of the encoders, each with a random sign"""
     encoder_noise_rad: float = Field(0.0, ge=0.0, le=0.01, description="standard deviation of additional encoder noise")
     nan_at_s: float | None = Field(None, ge=0.0)
-    """time from which encoders give NaN. By default, this never happens"""
+    """time from which encoders give NaN. By default, they never do"""
     nan_ticks: int = Field(1, ge=1, description="number of control periods for which encoders give NaN")
     jump_at_s: float | None = Field(None, ge=0.0)
-    """time at which all encoders jump and stay displaced. By default, this never happens"""
+    """time at which all encoders jump and stay displaced. By default, they never jump"""
     jump_rad: float = Field(0.2, description="size of the encoders' jump at the time `jump_at_s`")
 
     bump_N: float = Field(0.0, ge=0.0, le=200.0, description="force of a horizontal push on the link `bump_link`")

@@ -46,18 +46,17 @@ class PlantSettings(Settings):
     friction_error: float = Field(0.20, ge=0, lt=1)
     """largest relative error of each joint's friction. The errors are drawn uniformly"""
     calibration_error_m: float = Field(0.0002, ge=0, le=0.05)
-    """position error of each joint's frame and of the tool's mount in the controller's model"""
+    """size of the position errors of joint frames and tool mount in the controller's model, in random directions"""
     calibration_tilt_rad: float = Field(0.0001, ge=0, le=0.1)
-    """orientation error of each joint's frame in the controller's model"""
+    """angle of the orientation errors of joint frames in the controller's model, about random axes"""
     encoder_bias_rad: float = Field(0.0001, ge=0, le=0.1)
-    """standard deviation of the encoders' constant errors"""
+    """standard deviation of the encoders' constant errors, one per joint"""
     encoder_noise_rad: float = Field(1e-5, ge=0, le=0.1, description="standard deviation of the encoders' noise")
     encoder_resolution_rad: float = Field(2.4e-5, ge=0, le=0.1)
     """step of the encoders, by default 18 bits per turn"""
     velocity_cutoff_Hz: float = Field(50.0, ge=0)
     """cut-off frequency of the low-pass filter on differentiated positions. 0: no filter"""
-    encoder_side: Literal["link", "motor"] = "link"
-    """side of the joint's spring on which the encoder sits. Arms with torque sensors have 'link'"""
+    encoder_side: Literal["link", "motor"] = Field("link", description="side of the joint's spring with the encoder")
     joint_stiffness_Nm_per_rad: Annotated[float, Field(ge=0, le=1e9)] | tuple[_Stiffness, ...] = 0.0
     """stiffness of the spring between motor and link, for all joints or per joint. 0: rigid joints"""
     joint_spring_damping_Nm_s_per_rad: float = Field(30.0, ge=0, le=1e4)
