@@ -81,8 +81,8 @@ COMMANDS = {
                     "check that the arm can follow the path, and plan its joint motion", (
         SCENARIO,
         option("--margin", type=float, metavar="RAD",
-               help="keep turning joints this far from their limits"),
-        option("--margin-m", type=float, metavar="M", help="keep sliding joints this far from their limits"),
+               help="keep revolute joints this far from their limits"),
+        option("--margin-m", type=float, metavar="M", help="keep prismatic joints this far from their limits"),
         option("--speed-share", type=float, metavar="S",
                help="keep the speed of each joint below this share of its speed limit"),
         option("--out", type=path, metavar="FILE.parquet", help="write the joint motion (course) to this file"),

@@ -13,7 +13,7 @@ from moc_opt.robots.model import RobotModel
 from moc_opt.tasks import Reference, Trocar
 
 Margin = float | Array
-"""Distance kept from the joint limits, a number or (n,) [rad, or m for a sliding joint]."""
+"""Distance kept from the joint limits, a number or (n,) [rad, or m for a prismatic joint]."""
 SHALLOWEST_M = 0.002  #: Lower bound on the distance from tip to trocar [m].
 MOST_VIOLATION = 1e-8  #: Constraint violation up to which a course counts as feasible [m] or [rad].
 WORTH = 10.0  #: Weight of the penalty that `lowered` subtracts from mu.

@@ -41,7 +41,7 @@ class Finding(NamedTuple):
 def check_robot(robot: RobotModel, scenario: Scenario | None = None) -> list[Finding]:
     """Check an arm for a scenario, and return one row per check."""
     asked, sliding = scenario or Scenario(robot={"name": robot.data.name}), int(robot.chain.prismatic.sum())
-    kinds = f"{robot.n} joints" + (f", {sliding} of them sliding" if sliding else "")
+    kinds = f"{robot.n} joints" + (f", {sliding} of them prismatic" if sliding else "")
     found = [Finding("arm", f"{kinds}, tool {1e3 * robot.data.tool_length:.0f} mm", "ok"), *_freedom(robot)]
     if verdict(found) != "cannot":
         found += [*_climb(robot), _task(robot, asked)]

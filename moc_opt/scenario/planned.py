@@ -33,7 +33,7 @@ def plan(
         scenario: a scenario, or the path of its file.
         times: number of points on the path. None: one per `PERIOD_S`, but at most `MOST_TIMES`.
         swivels: number of samples per turn of the elbow.
-        margin_rad, margin_m: required distance of turning joints [rad] and sliding joints [m] from their limits.
+        margin_rad, margin_m: required distance of revolute joints [rad] and prismatic joints [m] from their limits.
         speed_share: usable share of the joints' speed limits, above 0 and at most 1.
         shaft_margin: soft lower bound on (manipulability of the shaft) / (distance from wrist to tip)^2.
         refined: whether a nonlinear program improves the course.

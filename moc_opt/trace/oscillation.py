@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 Flags = Sequence[bool] | NDArray[np.bool_]
 
 LIMIT_RAD_PER_S, LIMIT_NM = 0.2, 10.0
-LIMIT_M_PER_S, LIMIT_N = 0.08, 100.0  #: Limits for a sliding joint.
+LIMIT_M_PER_S, LIMIT_N = 0.08, 100.0  #: Limits for a prismatic joint.
 PARTS, LOUDEST, KEPT_UP = 8, 2, 0.5
 """An oscillation's rms exceeds KEPT_UP * limit even if the LOUDEST of the window's PARTS parts are left out."""
 ABOVE_HZ, WINDOW_S, START_S, SHORTEST_S = 8.0, 1.0, 0.5, 1e-6
