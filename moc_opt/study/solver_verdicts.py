@@ -38,10 +38,9 @@ COSTS = {
 """Short name and tolerance of each metric. A change within the tolerance is no loss."""
 FRAMED = tuple(name for name in COSTS if "_error_" in name)
 CERTIFIED, RECORDED, CLOSED = "Certified test sets", "Recorded sequence", "Closed loop"
-NEITHER = "neither right nor wrong"
 INCONSISTENT = (
     "Inconsistent: the six rows contradict each other along the shaft, by 1e-12 to 1e-4 m/s, while five of them have a "
-    f"certified optimum. 'Infeasible' is true of the six rows, but useless for the robot: {NEITHER}."
+    "certified optimum. 'Infeasible' is true of the six rows, but useless for the robot: neither right nor wrong."
 )
 
 
@@ -174,7 +173,8 @@ def _why(summary: Summary, row: Row, others: Sequence[Row], asked: int) -> str:
     text = "" if others or asked == 1 else f", the only sound one of {asked} solvers"
     text += f". It {listed(parts)}; none of its answers was silently wrong."
     if refused := counted["refused_inconsistent"]:
-        text += f" It refused {refused} more problems, whose rows contradict each other. Such a refusal is {NEITHER}."
+        text += f" It refused {refused} more problems as infeasible. Their six rows contradict each other, but five of "
+        text += "the rows have an optimum. These refusals count neither as right nor as wrong."
     if row["p50_us"] is not None:
         text += f" Its median solve time is {row['p50_us']:.1f} us, p99 {row['p99_us']:.1f} us."
         # Noise may change the order of these solvers.
@@ -188,29 +188,30 @@ def _in_closed_loop(row: Row, shared: int) -> str:
     closed, trials = row["closed"], row["trials"]
     if few := too_few(trials):
         return f"The effect of sound answers in closed loop is open: {few}."
-    changes = (spread(closed, change_name(name), 2, "+", " %") for name in ("mu_mean", *FRAMED))
-    mu, tip, registered_tip, rcm, registered_rcm = changes
+    names = ("mu_mean", *(name for name in FRAMED if "registered" in name))
+    mu, tip, rcm = (spread(closed, change_name(name), 2, "+", " %") for name in names)
     shaken = f"; {count} of them oscillated" if (count := closed.get("oscillated", 0)) else ""
     common = ""
     if row["tip_change"] and shared < trials:
-        common = f" The table below uses the {shared} trials that every solver ran. In these, the tip error changes by "
-        common += f"{row['tip_change']} % (kinematic model/registered frame; ?: undecided), and "
-        common += f"{closed.get('oscillated_in_common', 0)} of the runs oscillated."
+        common = f" In the first {shared} trials, which the other solvers ran too, the tip error changes by "
+        common += f"{row['tip_change']} % (kinematic model/registered frame), and "
+        common += f"{closed.get('oscillated_in_common', 0) or 'none'} of the runs oscillated."
     return (
         f"In closed loop, `{row['solver']}` ran {trials} independent trials{shaken}. Relative to `{BASELINE}`, mean mu "
-        f"changes by {mu}. Computed with the robot's kinematic model, the tip error changes by {tip} and the RCM "
-        f"error by {rcm}. In the frame registered at the start (the patient's), the tip error changes by "
-        f"{registered_tip} and the RCM error by {registered_rcm}.{common}"
+        f"changes by {mu}. In the frame registered at the start (the patient's), the tip error changes by {tip} and "
+        f"the RCM error by {rcm}.{common}"
     )
 
 
 def _avoid(summary: Summary, rows: Sequence[Row]) -> list[str]:
-    parts = []
+    parts, shared = [], min(_trials(rows), default=0)
     for row in rows:
         if row["verdict"] is AVOID:
             wrong = row["silently_wrong"]
             gone = row["counted"].get("hung", 0) + row["counted"].get("crashed", 0)
-            why = f"{wrong} silently wrong" if wrong else f"{gone} hung or crashed" if gone else str(row["damage"])
+            badly = [f"{n} of {shared} runs {word}" for word, n in _ended(row["closed"]).items() if n]
+            loss = badly[0] if badly else str(row["damage"])
+            why = f"{wrong} silently wrong" if wrong else f"{gone} hung or crashed" if gone else loss
             parts.append(f"`{row['solver']}` ({why})")
     ending = f"@{DEFAULT}"
     plain = {
@@ -218,8 +219,8 @@ def _avoid(summary: Summary, rows: Sequence[Row]) -> list[str]:
         if name.endswith(ending) and of(name.removesuffix(ending))[DEFAULT][0].get("rows") == 6
     }  # fmt: skip
     said = [f"Avoid {'; '.join(parts)}."] if parts else []
-    if wrong := sorted((name for name in plain if plain[name]), key=lambda name: -plain[name]):
-        listed = ", ".join(f"`{name}` {plain[name]}" for name in wrong)
+    if wrong := [name for name in plain if plain[name]]:
+        listed = ", ".join(f"`{name}` {plain[name]}" for name in sorted(plain, key=lambda name: -plain[name]))
         said.append(
             f"{'Also avoid' if parts else 'Avoid'} the libraries' default settings: on the paper's six dependent rows, "
             f"with the cost unscaled, {len(wrong)} of {len(plain)} libraries claimed success for wrong answers "
@@ -246,24 +247,24 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
     ]  # fmt: skip
     caption = (
         f"Verdicts: ★ take: the sound solver with the smallest p99. ✔ sound. ◐ gaps: less than {100 * RIGHTLY:g} % "
-        "right, but it reports its failures. ≈ near: close to the optimum without claiming it, or worse than ★ in "
-        "closed loop. ✘ avoid. docs/solvers.md has the rules. Right: verified, or rightly called infeasible; refused "
-        "problems whose rows contradict each other do not count. Wrong: claimed as solved, but not optimal. –: not run."
+        "right, but it reports its failures. ≈ near: it claims no optimum, or it is worse than ★ in closed loop. "
+        "✘ avoid. docs/solvers.md has the rules. Right: verified, or rightly called infeasible, in percent of all "
+        "problems but the refused ones. Wrong: claimed as solved, but not verified. –: not run."
     )
     if any(row["verdict"] is OTHER for row in rows):
-        caption += " ≠ other: it solves a nonlinear version of the problem, so its answers are not judged."
+        caption += " ≠ other: it solves a nonlinear version of the problem; its answers are not judged."
     if any(row["trials"] for row in rows):
         columns += [
-            Column("damage", "worst damage", section=CLOSED,
+            Column("damage", "worst loss", section=CLOSED,
                    help="worst change in closed loop relative to the best solver, if it exceeds the tolerance"),
             Column("tip_change", "tip model/ registered", unit="%", section=CLOSED,
                    help="change of the mean tip error relative to DCAC: kinematic model / registered frame"),
         ]  # fmt: skip
         caption += (
-            f" {_trials_told(rows)} Worst damage: worst change of mu, errors or chatter in closed loop, relative to "
-            f"the ★ solver; none: within tolerance. The last two columns use only the {_trials(rows)[0]} trials that "
-            "every solver ran. Tip: change of the error relative to DCAC, computed with the robot's kinematic model / "
-            "in the registered frame; ?: undecided."
+            f" {_trials_told(rows)} Worst loss: the metric (mu, error or chatter) that is worst relative to the ★ "
+            "solver, over the trials that both ran; none: within tolerance. Oscillations and tip errors are those of "
+            f"the {_trials(rows)[0]} trials that all ran. Tip: change of the error relative to DCAC, by the robot's "
+            "kinematic model / in the registered frame; ?: undecided."
         )
     return Table("Solvers under the settings we recommend, best first", columns, rows, caption)
 

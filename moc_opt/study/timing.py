@@ -56,15 +56,14 @@ def load(rows: Iterable[Row]) -> str:
     if not timed:
         return ""
     whole, spoilt = total(timed), sum(not quiet(row) for row in timed)
-    said = (
+    if spoilt:
+        return (
+            f"Other programs used the machine in {spoilt} of {len(timed)} measurements of time, whose p99 is not "
+            f"reliable. On a quiet machine, run the same command again: it repeats only these {spoilt}."
+        )
+    return (
         f"While times were measured, the measuring process had {100.0 * cpu_share(whole):.1f} % of a core and was "
-        f"interrupted {whole['times_switches']:,.0f} times in {whole['times_wall_s']:.2g} s: "
-    )
-    if not spoilt:
-        return said + "the machine was quiet."
-    return said + (
-        f"other programs used the machine in {spoilt} of {len(timed)} measurements. The p99 of these measurements is "
-        "not reliable. On a quiet machine, run the same command again: it repeats only these measurements."
+        f"interrupted {whole['times_switches']:,.0f} times in {whole['times_wall_s']:.2g} s: the machine was quiet."
     )
 
 
