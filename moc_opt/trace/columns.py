@@ -42,12 +42,12 @@ COLUMNS: Mapping[str, Column] = MappingProxyType(
             "m", "(N,)", "distance of the tip from its reference, shifted so that both agree at the start",
         ),
         "tip_error_model_m": Column(
-            "m", "(N,)", "distance of the tip from its reference, by the controller's model without noise",
+            "m", "(N,)", "distance of the tip from its reference, by the robot's kinematic model",
         ),
         "rcm_error_m": Column("m", "(N,)", "distance of the shaft from the true trocar"),
         "rcm_error_registered_m": Column("m", "(N,)", "distance of the true shaft from the registered trocar"),
         "rcm_error_model_m": Column(
-            "m", "(N,)", "distance of the shaft from the registered trocar, by the controller's model",
+            "m", "(N,)", "distance of the shaft from the registered trocar, by the robot's kinematic model",
         ),
         "trocar_force_N": Column("N", "(N, 3)", "true force of the trocar on the shaft; world axes"),
         "x_rad_per_s": Column("rad/s", "(N, n)", "the solver's answer x to the subproblem; NaN without an answer"),
