@@ -15,7 +15,7 @@ from typing import Any, Self, get_args
 import numpy as np
 from pydantic import Field
 
-from benchmarks.goals import Goal, goals_sentence, goals_table, judge
+from benchmarks.goals import Goal, goals_table, judge
 from benchmarks.robots import on_each_arm
 from moc_opt.control import ControlSettings
 from moc_opt.figures.notation import Mark
@@ -223,7 +223,7 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
         Column("trapped", "trapped", format="d", help=f"number of runs with a gap above {TRAPPED_PERCENT:g} %"),
         Column("tip", "tip", unit="%", section=IN_THE_LOOP, help="change of the tip error relative to local"),
         Column("RCM", "RCM", unit="%", section=IN_THE_LOOP, help="change of the RCM error relative to local"),
-    ], first, "✔ the goal is met, ✘ missed, – undecided or without a goal.")  # fmt: skip
+    ], first, "✔ the goal is met, ✘ missed, ? undecided. Without a sign: there is no goal.")  # fmt: skip
     changes = [change_name(error) for error in ERRORS.values()]
     by_robot = [{"robot": robot, **figures} for robot, figures in summary["courses"].items()]
     arm = Column("robot", "arm")
@@ -257,14 +257,16 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
                 Column("refine_s", "refinement", unit="s", format=".2f")], by_robot)]),
     ]  # fmt: skip
     title = f"{', '.join(config.robots)}: manipulability of planned and climbed courses"
-    return Report(title, sentences(summary, rows, config), table, sections=sections)
+    return Report(title, sentences(rows, config), table, sections=sections)
 
 
-def _mark(goal: Mapping[str, Any] | None, value: float | None, form: str) -> Mark | None:
-    return None if value is None else show.mark(goal["reached"] if goal else None, format(value, form))
+def _mark(goal: Mapping[str, Any] | None, value: float | None, form: str) -> Mark | str | None:
+    if value is None or goal is None:
+        return None if value is None else format(value, form)
+    return format(value, form) + "?" if goal["reached"] == "open" else show.mark(goal["reached"], format(value, form))
 
 
-def sentences(summary: Mapping[str, Any], rows: Results, config: Config) -> list[str]:
+def sentences(rows: Results, config: Config) -> list[str]:
     every = {name: list(rows.values("gap_percent", name).values()) for name in config.loops}
     said = [
         f"{name} {mean(gaps):.2f} % (largest {max(gaps):.1f}, {too_few(len(gaps)) or f'{len(gaps)} runs'})"
@@ -278,7 +280,6 @@ def sentences(summary: Mapping[str, Any], rows: Results, config: Config) -> list
         f"Gap of mean mu to the best course from the same start: {'; '.join(said)}.",
         f"From {trapped} of {len(local)} starts, mean mu of `local` is more than {TRAPPED_PERCENT:g} % below that of "
         "the best course.",
-        " ".join(f"On {robot}, {goals_sentence(judged)}" for robot, judged in summary["goals"].items()),
     ]
 
 
