@@ -47,10 +47,9 @@ AFTER = {
 SHOWN = {**TITLES, **AFTER}
 JUDGED = "tip_error_registered_mean_mm"
 DEFINED = (
-    "Break-even: the calibration error above which MOC exceeds a limit, interpolated between the tried sizes. Both "
-    "limits concern MOC's mean tip error in the frame registered at the start. The relative limit is "
-    f"{MOST_CHANGE_PERCENT:g} % above DCAC's error with the same gains. It is exceeded if the whole 95 % intervals of "
-    f"the ratio of the means and of the mean of the ratios lie above it. The absolute limit is {MOST_MM:g} mm."
+    "Break-even: the calibration error at which MOC's mean tip error in the frame registered at the start reaches a "
+    f"limit, interpolated between the tried sizes. The limits are {MOST_MM:g} mm and {MOST_CHANGE_PERCENT:g} % above "
+    "DCAC's error with the same gains. The 95 % intervals of the change must lie above the second limit."
 )
 
 
@@ -230,7 +229,8 @@ def report(summary: Mapping[str, Any], config: Config) -> Report:
         "Mean tip error under DCAC/MOC, with errors of the joints' origins", [
             Column("off", "preset, error [mm]"),
             *(Column(key, title, unit="mm", section="Calibration errors") for key, title in tip.items()),
-        ], first, f"{DEFINED} After travel: mean over the ticks after the elbow's arrival.",
+        ], first, "After travel: mean after the elbow's arrival. Registered again: the same mean, of errors "
+        "relative to the error vector at the arrival.",
     )  # fmt: skip
     evens = [
         {**row, **{key: _at(row[key], KINDS[row["kind"]]) for key in ("relative", "absolute", "absolute_dcac")}}
@@ -248,10 +248,10 @@ def report(summary: Mapping[str, Any], config: Config) -> Report:
                 Column("change", "tip, registered, change", unit="%"),
             ], rows),
         ]),
-        *(Section(f"Defects, preset {preset}", "Whole: number of completed runs. Means are over these runs.", [Table(
+        *(Section(f"Defects, preset {preset}", "Means over the completed runs.", [Table(
             f"Each defect alone and together, preset {preset}", [
                 Column("group", "effect, controller"),
-                *columns("whole", "mu_gain_percent", *ERRORS, "trocar_force_mean_N", "torque_rate_rms_Nm_per_s"),
+                *columns(*["whole"][all(row["whole"] == row["trials"] for row in groups.values()):], *ERRORS),
             ], [{"group": name, **row} for name, row in groups.items()])])
           for preset, groups in summary["effects"].items()),
     ]  # fmt: skip
@@ -271,16 +271,16 @@ def sentences(summary: Mapping[str, Any]) -> list[str]:
             for key in ("relative", "absolute")
         )
         text = (
-            f"Preset {preset}, {origins['trials']} trials: from a calibration error of {relative} on, moving the elbow "
-            f"raises the mean tip error in the patient's frame by more than {MOST_CHANGE_PERCENT:g} %. From {absolute} "
-            f"on, this tip error exceeds {MOST_MM:g} mm."
+            f"Preset {preset}, {origins['trials']} trials: the calibration error at which a moving elbow raises the "
+            f"mean tip error in the patient's frame by {MOST_CHANGE_PERCENT:g} % is {relative}. The calibration error "
+            f"at which MOC's tip error reaches {MOST_MM:g} mm is {absolute}."
         )
         here = (preset, "origins", DEFAULT_SIZE_MM)
         for row in (row for row in summary["calibration"] if (row["preset"], row["kind"], row["size"]) == here):
             if "moc_tip_again_mm" in row:
                 text += (
-                    f" With joints' origins off by {DEFAULT_SIZE_MM:g} mm, this tip error is "
-                    f"{row['moc_tip_after_mm']:.3f} mm after the elbow's travel. Registering again reduces it to "
+                    f" With joints' origins off by {DEFAULT_SIZE_MM:g} mm, MOC's tip error is "
+                    f"{row['moc_tip_after_mm']:.3f} mm after the elbow's arrival. Registering again reduces it to "
                     f"{row['moc_tip_again_mm']:.3f} mm (DCAC: {row['dcac_tip_again_mm']:.3f} mm)."
                 )
         said.append(text)
