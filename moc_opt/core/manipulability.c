@@ -1,7 +1,7 @@
 /* Manipulability of the tip (Yoshikawa 1985) and of the shaft, and their gradients. */
 #include "vec.h"
 
-/* S = J J^T counts as singular up to this det(S) / (mean of S_ii)^3 */
+/* threshold of det(S) / (mean of S_ii)^3: up to it, S = J J^T counts as singular */
 #define SINGULAR 1e-14
 
 moc_gram moc_gram_of(int n, double J[][MOC_MAX_JOINTS])
@@ -24,9 +24,9 @@ static void column(double J[][MOC_MAX_JOINTS], int k, double out[3])
 }
 
 /* mu = sqrt(det(J J^T)); dmu/dq_k = mu trace(dJ/dq_k pinv(J)).
- *
- * In a serial chain, dJ_j/dq_k = ang_min(j,k) x J_max(j,k). With the pseudo-inverse's columns P_j = (J J^T)^-1 J_j,
- * dmu/dq_k = mu (ang_k . sum_{j>=k} J_j x P_j + J_k . sum_{j<k} P_j x ang_j). It is set to zero at a singularity. */
+ * J_k is column k of J, and ang_k is the angular velocity of joint k at unit speed. In a serial chain,
+ * dJ_j/dq_k = ang_min(j,k) x J_max(j,k). With the rows P_j = (J J^T)^-1 J_j of pinv(J), dmu/dq_k =
+ * mu (ang_k . sum_{j>=k} J_j x P_j + J_k . sum_{j<k} P_j x ang_j). At a singularity, the gradient is set to zero. */
 double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOINTS], moc_gram *gram, double *gradient)
 {
     double P[MOC_MAX_JOINTS][3], Jk[3], sum[3] = {0.0, 0.0, 0.0}, mu = sqrt(larger(gram->det, 0.0));
@@ -53,12 +53,11 @@ double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOIN
 
 /* mu_s = sqrt(pdet(C)), C = J_W (I - pinv(J_T) J_T) J_W^T, the mobility of the wrist while the tip is held.
  *
- * pdet(C) is the product of the two eigenvalues of C across the shaft u. Along u, C is zero. In the tool's axes, which
- * joint k turns with ang_k, dJ_j/dq_k is ang_j x J_k - ang_k x J_j for k > j, and zero else. With
- * N = I - pinv(J_T) J_T and K = J_W pinv(J_T), let P_j be C^+ (J_W N)_j for the wrist's columns and
- * -K^T C^+ (J_W N)_j for the tip's. Then
+ * C u = 0 for the shaft's axis u. pdet(C) is the product of the other two eigenvalues. In axes that turn with the tool,
+ * dJ_j/dq_k = ang_j x J_k - ang_k x J_j for j < k, and zero for j >= k. With N = I - pinv(J_T) J_T and
+ * K = J_W pinv(J_T), let P_j = C^+ (J_W N)_j for the wrist, and P_j = -K^T C^+ (J_W N)_j for the tip. Then
  * dmu_s/dq_k = mu_s sum_{wrist, tip} (J_k . sum_{j<k} P_j x ang_j - ang_k . sum_{j<k} J_j x P_j).
- * It is set to zero at a singularity. */
+ * At a singularity, the gradient is set to zero. */
 double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], moc_gram *gram,
                                 const double u[3], double *gradient)
 {

@@ -1,8 +1,8 @@
-/* A basis Z of ker A that varies smoothly in time, and the climb of mu in ker A. */
+/* A basis Z of ker A that varies smoothly in time, and a joint velocity x_d in ker A along which mu rises. */
 #include "vec.h"
 
-#define RATE 5.0     /* x_d / (Newton step to the maximum of mu) [1/s] */
-#define LONGEST 1.0  /* a longer Newton step is shortened to this length [rad] */
+#define RATE 5.0     /* x_d / (Newton step towards the maximum of mu) [1/s] */
+#define LONGEST 1.0  /* upper bound on the length of the Newton step [rad] */
 #define PROBE 1e-3   /* step of the finite difference [rad] */
 
 bool moc_orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least)
@@ -32,7 +32,7 @@ void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, doub
     memcpy(part, sum, (unsigned)n * sizeof *part);
 }
 
-/* If possible, the given basis is projected on the new kernel. */
+/* Z is projected on the new kernel, or replaced if the dimension changed or a projected row would be too short. */
 int moc_null_space(const moc_plane *plane, int n, int rows, double Z[][MOC_MAX_JOINTS])
 {
     double fresh[MOC_MAX_JOINTS][MOC_MAX_JOINTS], turned[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
@@ -58,8 +58,8 @@ static void slope_of(int n, const moc_law *law, const moc_terms *t, int rows, do
     moc_onto(n, rows, Z, slope, slope);
 }
 
-/* x_d = RATE z |d| / max(-h, |d| / LONGEST) with d = (I - A^+ A)(grad mu + push grad mu_shaft), z = d / |d|, and h the
- * slope of |d| along z. */
+/* Let d = (I - A^+ A)(grad mu + moc_shaft_push() grad mu_shaft), z = d / |d|, and h the derivative of z^T d along z.
+ * If h < 0, |d| / -h is the Newton step along z, and x_d = RATE min(|d| / -h, LONGEST) z. Else x_d = RATE LONGEST z. */
 void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_memory *memory, double *x_d)
 {
     double slope[MOC_MAX_JOINTS] = {0.0}, there[MOC_MAX_JOINTS] = {0.0};

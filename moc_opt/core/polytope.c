@@ -1,15 +1,15 @@
-/* The optimum with several free joints, as a projection on the feasible set.
+/* The optimum if ker A has two or more dimensions, as a projection on the feasible set.
  *
- * Let Pi be the orthogonal projector on ker A, x_p the shortest solution of A x = b, and s = x - x_p. The optimum of
- * rho/2 |x|^2 - c2 g^T x is the feasible point nearest to s = c2 Pi g / rho. The dual active-set method of Goldfarb and
- * Idnani (Math. Programming 27, 1983, algorithm 1) starts at this s and adds violated bounds one by one. Pi is swept on
- * the joints at active bounds (Goodnight, The American Statistician 33, 1979). If rho is almost zero, a proximal point
- * iteration repeats the projection (Ferris 1991). */
+ * Let Pi be the orthogonal projector on ker A, g the problem's pull, x_p the shortest solution of A x = b, s = x - x_p.
+ * The optimum of rho/2 |x|^2 - c2 g^T x is the feasible point nearest to s = c2 Pi g / rho. The dual active-set method
+ * of Goldfarb and Idnani (Math. Programming 27, 1983, algorithm 1) starts there and adds violated bounds one by one. To
+ * keep a joint at its bound, Pi is swept on it (Goodnight, The American Statistician 33, 1979). If rho is almost zero,
+ * this start is too far away, and a proximal point iteration approaches the optimum in steps (Ferris 1991). */
 #include "vec.h"
 
 #define FAR 1e3          /* proximal steps are used if |c2 Pi g| / rho is at least FAR * (largest upper - lower) */
-#define UNMOVED 1e-20    /* joint j cannot move in ker A if Pi_jj is not larger */
-#define DEPENDENT 1e-12  /* the active bounds fix joint j up to this (Pi_jj after sweeps) / (before) */
+#define UNMOVED 1e-20    /* threshold of Pi_jj: up to it, joint j cannot move in ker A */
+#define DEPENDENT 1e-12  /* threshold of (Pi_jj after sweeps) / (Pi_jj before): up to it, joint j cannot move */
 
 typedef struct {
     int n, r;                                  /* joints, dimension of ker A */
@@ -76,7 +76,7 @@ static int furthest_out(const polytope *t, double slack)
     return joint;
 }
 
-/* Find the multiplier that reaches zero first when joint p is pushed. *step is the push until then. */
+/* Find the joint whose multiplier is the first to reach zero when p's multiplier grows. *step is this growth. */
 static int first_to_let_go(const polytope *t, int p, double side, double *step)
 {
     int joint = NONE;
@@ -122,8 +122,8 @@ static bool push(polytope *t, int p, int *active)
     }
 }
 
-/* Move s within ker A to the nearest point within the bounds: s - s_start = Pi force. Pi has to be unswept. If no point
- * is found, the bounds are widened, because rounding may hide a feasible set that is a single point. */
+/* Move s within ker A to the nearest point within the bounds: s - s_start = Pi force. Pi must not be swept on entry. If
+ * no point is found, the bounds are widened, because rounding errors can empty a feasible set of a single point. */
 static moc_status project(polytope *t, double slack, double most)
 {
     double start[MOC_MAX_JOINTS];
@@ -172,7 +172,7 @@ static moc_status approach(polytope *t, double rho, double slack, double most, d
             status = project(t, slack, most);
             moved = 0.0;
             for (int j = 0; j < t->n; j++) {
-                if (status != MOC_OK) /* rounding spoils such a long step */
+                if (status != MOC_OK) /* undo a step that failed through rounding errors */
                     t->s[j] = before[j];
                 moved = fmax(moved, fabs(t->s[j] - before[j]));
             }

@@ -64,7 +64,7 @@ static inline bool all_finite(int n, const double *x)
     return sum == 0.0;
 }
 
-/* Faster than fmax and fmin. Both return b if a is NaN. */
+/* `larger` and `smaller` are faster than fmax and fmin, and return b if a is NaN. */
 static inline double larger(double a, double b)
 {
     return a > b ? a : b;
@@ -81,7 +81,7 @@ static inline double clip(double x, double low, double high)
     return smaller(high, larger(low, x));
 }
 
-/* Compute L (m,m) with S = L L^T, and inverse_i = 1 / L_ii. They are not finite if S is not positive definite. */
+/* Compute L (m,m) with S = L L^T, inverse_i = 1 / L_ii. If S is not positive definite, an inverse_i is not finite. */
 static inline void cholesky(int m, double S[][MOC_MAX_JOINTS], double L[][MOC_MAX_JOINTS], double *inverse)
 {
     for (int j = 0; j < m; j++) {
@@ -97,7 +97,7 @@ static inline moc_stop first_of(moc_stop reason, moc_stop other)
     return reason == MOC_RUNNING ? other : reason;
 }
 
-/* x (m,) becomes S^-1 x. */
+/* Replace x (m,) by S^-1 x, with L and inverse from `cholesky`. */
 static inline void solve_factored(int m, double L[][MOC_MAX_JOINTS], const double *inverse, double *x)
 {
     for (int i = 0; i < m; i++)
