@@ -1,4 +1,4 @@
-"""Solvers that misbehave, in a module that worker processes import quickly."""
+"""Misbehaving solvers, in a module of their own so that worker processes import them quickly."""
 
 import os
 import signal
@@ -15,7 +15,7 @@ from moc_opt.solvers.base import Solution, Status
 
 @dataclass(frozen=True)
 class Misbehaving:
-    """A solver that answers x = 0 and misbehaves (`act`) from call `at` on."""
+    """A solver that answers x = 0. From its call number `at` on, it misbehaves in the way that `act` names."""
 
     act: str = ""
     at: int = 2

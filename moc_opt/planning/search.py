@@ -20,7 +20,7 @@ from moc_opt.planning.course import Limits, lowered, shaft_shares, weights
 from moc_opt.planning.elbow import wrapped
 from moc_opt.planning.pose_map import PoseMap
 
-WHOLE_CELL = 1.1  #: ``cell`` of `Value` for an upper bound, above 1 because curves bend.
+WHOLE_CELL = 1.1  #: ``cell`` of an upper bound (see `Value`). It exceeds 1 because the poses lie on bent curves.
 NEARBY_RAD = 0.2  #: Radius around a pose within which V is approximated by a parabola.
 
 
@@ -50,7 +50,7 @@ class Value:
         """Compute V backwards in time.
 
         A pose stands for its surroundings, up to ``cell`` times half the distance to its neighbours. If ``cell`` is 1
-        or more, V is an upper bound. ``price`` is c, the penalty on speed [m^3 s^2/rad^2].
+        or more, V is an upper bound for courses between the map's poses, too. ``price`` is c [m^3 s^2/rad^2].
         """
         self.map = found
         self._period = found.targets.period_s
@@ -86,7 +86,7 @@ class Value:
     def way(self, q: Array, t_s: float = 0.0, end: int = -1, hurry: float = 1.0) -> Way | None:
         """Read off the best course from a pose (n,) [rad] at a time [s]; None if there is no course.
 
-        The course ends at the time with index ``end``. Its joint speeds may be ``hurry`` times those that V allows.
+        The course ends at the time with index ``end``. ``hurry`` is a factor on the joint speed limits.
         """
         t, poses, slack, at = self.map.targets.t_s, [q], np.zeros(len(q)), (0, 0)
         end = len(t) - 1 if end < 0 else end
@@ -137,10 +137,10 @@ class Value:
 
 
 def keeping_shaft(found: PoseMap, limits: Limits) -> PoseMap:
-    """Return the map with mu reduced by `lowered`."""
+    """Return the map with a lower mu at poses whose `shaft_shares` are below ``limits.shaft`` (see `lowered`)."""
     if limits.shaft <= 0.0:
         return found
-    # From branch to branch, the Jacobians' columns differ only in their signs.
+    # All branches have the same share, because the columns of their Jacobians differ only in sign.
     may = found.feasible().any(axis=1)
     share = np.full(may.shape, np.inf)
     share[may] = shaft_shares(found.robot, found.q_rad[:, 0][may])
@@ -149,7 +149,7 @@ def keeping_shaft(found: PoseMap, limits: Limits) -> PoseMap:
 
 
 def reached(found: PoseMap, q_start: Array, limits: Limits) -> list[NDArray[np.bool_]]:
-    """Flag the poses (b,m) that can be reached at each time after the start, up to the last time with such a pose."""
+    """Flag the poses (b,m) that can be reached at each time after the start. Stop when no pose can be reached."""
     step, feasible = limits.speed_share * found.robot.v_max * found.targets.period_s, found.feasible(limits.margin)
     before, value = np.tile(q_start, (found.mu.shape[1], 1, 1)), np.zeros((found.mu.shape[1], 1))
     each: list[NDArray[np.bool_]] = []
@@ -184,7 +184,7 @@ def advance(
     """Return the values (b,m) of the poses at one time, from the values at the next time.
 
     Two poses are within reach of each other if no joint differs by more than its step (n,) [rad] plus both poses'
-    slacks, and if their branch numbers differ only in the bits of ``crossing`` (m,).
+    slacks, and if their branch numbers differ only in bits that are set in ``crossing`` (m,).
 
     Args:
         q, slack: (b,m,n) [rad], NaN if there is no pose; gain: (b,m) added to each value, -inf if forbidden.
@@ -192,7 +192,7 @@ def advance(
         price: penalty on the squared step [unit of the values / rad^2].
     """  # fmt: skip
     branches, _, n = q.shape
-    # Sorted by the joint that spans the most steps, the poses within reach form a short interval.
+    # Sort by the joint whose range is the most steps wide, so that the poses within reach lie in a short interval.
     spread = np.nan_to_num(np.fmax.reduce(q_next, 1) - np.fmin.reduce(q_next, 1)).sum(axis=0)
     by = int(np.argmax(spread / step))
     order = np.argsort(q_next[:, :, by])

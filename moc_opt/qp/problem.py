@@ -41,7 +41,7 @@ def joints_of(length: int) -> int:
 
 
 class Fields(NamedTuple):
-    """Views of the parts of subproblems stored as arrays (..., 11 n + 10)."""
+    """Views of the parts of a flat array (..., 11 n + 10)."""
 
     A: Array  # (..., 6, n) = [J_tip; J_wrist]
     b: Array  # (..., 6) = [v_tip; v_wrist]
@@ -76,7 +76,7 @@ def compute_residuals(rows: Array, x: Array, y: Array | None = None) -> Residual
 
 
 class Assembled(NamedTuple):
-    """The read-only arrays of min 1/2 x^T P x + p^T x with A x = b. lift^T y converts the m duals y to six."""
+    """Read-only arrays of min 1/2 x^T P x + p^T x s.t. A x = b. For m duals y, lift^T y are those of all six rows."""
 
     P: Array  #: (n, n)
     p: Array  #: (n,)
@@ -124,7 +124,7 @@ class NullSpaceQP:
     ) -> None:  # fmt: skip
         jacobian = _array("J_tip", J_tip)
         if jacobian.ndim != 2 or jacobian.shape[0] != 3 or jacobian.shape[1] < 1:
-            raise SubproblemError(f"J_tip: shape {jacobian.shape} is not (3, n); pass world-axes rows x, y, z")
+            raise SubproblemError(f"J_tip: shape {jacobian.shape} is not (3, n); pass the rows x, y, z in world axes")
         n = jacobian.shape[1]
         low, high = _array("lower", lower, (n,)), _array("upper", upper, (n,))
         gradient, weights = _array("grad_mu", grad_mu, (n,)), []
@@ -191,7 +191,7 @@ class NullSpaceQP:
     v_tip = property(lambda self: self.fields.b[:3], doc="(3,) [m/s]")
     v_wrist = property(lambda self: self.fields.b[3:], doc="(3,) [m/s]")
     grad_mu = property(lambda self: self.fields.grad_mu, doc="(n,) gradient of mu")
-    pull = property(lambda self: self.fields.pull, doc="(n,) vector in the cost: grad_mu, or (rho/c2) x_d")
+    pull = property(lambda self: self.fields.pull, doc="(n,) vector in the cost, by default grad_mu")
     lower = property(lambda self: self.fields.lower, doc="(n,) [rad/s]")
     upper = property(lambda self: self.fields.upper, doc="(n,) [rad/s]")
     c0 = property(lambda self: float(self.fields.weights[0]), doc="weight of the tip rows")

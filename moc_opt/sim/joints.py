@@ -4,7 +4,7 @@ A joint with a spring has a motor angle theta, a spring deflection delta and a l
 
     q = theta + delta,   M(q) ddq + h = tau_J,   B ddtheta + friction + tau_J = tau,   tau_J = -K delta - D ddelta/dt
 
-B is the rotor inertia, as reduced by the torque feedback of a real joint (Ott et al. 2008).
+B is the effective rotor inertia. In a real joint, torque feedback reduces it (Ott et al. 2008).
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Joints:
         self._model, self._state, self._high, self._low = model, state, data.tau_max.copy(), -data.tau_max
         self._elastic, self._on_links = settings.elastic, settings.encoder_side == "link"
         self._stiffness = _stiffnesses(data, settings)
-        self.motors = slice(None, None, 2 if settings.elastic else 1)  # elastic: motor, spring
+        self.motors = slice(None, None, 2 if settings.elastic else 1)  # with springs: motor 1, spring 1, motor 2, ...
         self.q, self.v = self.theta, self.omega = state.qpos, state.qvel
         if settings.elastic:
             self.q, self.v, self.theta, self.omega = np.zeros((4, data.n))
@@ -78,8 +78,8 @@ class Joints:
             raise PlantError(f"tau has shape {wanted.shape}: give {self._high.shape}, one torque per joint [Nm]")
         if not math.isfinite(wanted.dot(wanted)):
             raise PlantError(
-                f"tau = {wanted.tolist()} Nm is not finite: the arm has not moved; mend the controller, "
-                "or stop it when its solver fails"
+                f"tau = {wanted.tolist()} Nm is not finite: the arm has not moved; correct the controller, "
+                "or stop the arm when the solver fails"
             )
         self._due.append(np.minimum(np.maximum(wanted, self._low), self._high))
         self.torque[:] = self._due.popleft()

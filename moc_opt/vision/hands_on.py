@@ -24,7 +24,7 @@ from moc_opt.trace.trace import Trace
 from moc_opt.vision.board import VisionSettings
 
 _NO_REFERENCE, _NO_TROCAR = np.zeros((3, 3)), np.zeros((2, 3))
-_SPEED_FILTER_Hz = 5.0  # of the tip's speed
+_SPEED_FILTER_Hz = 5.0  # cutoff frequency of the tip velocity's low-pass filter
 
 
 class HandSettings(VisionSettings):
@@ -97,7 +97,7 @@ class Hand:
         self.settings, self._period, self._extra = settings, period_s, np.zeros(3)
 
     def pull(self, place: Array, velocity: Array, goal: Array) -> Array:
-        """Compute the hand's force (3,) [N], once a period; a PlantError if the arm ran away."""
+        """Compute the hand's force (3,) [N]. Call once per period. Raise a PlantError if the arm ran away."""
         hand, way = self.settings, goal - place
         distance = math.sqrt(float(way @ way))
         if not math.isfinite(distance + float(velocity @ velocity)):
@@ -167,7 +167,7 @@ def guide_to(
     resting: list[Array] = []  # tip positions since the tip came to rest
     needed, ticks = max(1, round(settings.rest_s / period)), math.ceil(settings.time_limit_s / period)
     while len(resting) < needed and loop.ticks < ticks and not loop.finished:
-        # The model's J_tip is accurate enough here.
+        # The model's J_tip is accurate enough for the tip's velocity.
         force = hand.pull(plant.tip, robot.state(plant.q, plant.v).J_tip @ plant.v, goal)
         plant.push("tool", force, point)
         off = float(np.linalg.norm(plant.tip - goal))

@@ -1,4 +1,4 @@
-"""The safety filter: walls (torque near joint limits), brakes and measurements."""
+"""The safety filter: walls (torques that hold joints off their limits), brakes, and its checks of measurements."""
 
 import dataclasses
 from unittest.mock import patch
@@ -45,7 +45,7 @@ def test_the_torque_follows_the_numpy_law_and_stays_within_its_limits(robot, see
         robot, carries=carries, torque_rate_Nm_per_s=rate, position_margin_rad=0.05 * rng.uniform(0.5, 2.0),
         wall_stiffness_Nm_per_rad=2000.0 * rng.uniform(0.5, 2.0), wall_brake_rad_per_s2=rng.uniform(1.0, 4.0),
     )  # fmt: skip
-    near = rng.choice([0.02, 0.3, 0.7], N) * rng.choice([-1.0, 1.0], N)  # shares of half the range
+    near = rng.choice([0.02, 0.3, 0.7], N) * rng.choice([-1.0, 1.0], N)  # offset / (half the range)
     q = np.where(rng.random(N) < 0.5, robot.q_min, robot.q_max) + near * (robot.q_max - robot.q_min) / 2.0
     v = fast * robot.v_max * rng.uniform(-1.0, 1.0, N)
     wall, at = robot.q_max - guard.settings.position_margin_rad, rng.random((2, N)) < 0.25
@@ -202,7 +202,7 @@ def test_stopped_arm_carries_weight_within_torque_limits(robot, rate):
 
 
 @pytest.mark.parametrize("newton", [9.0, 30.0, 100.0])
-def test_trocar_force_above_stop_yield_opens_brakes(robot, newton):
+def test_brakes_open_if_the_low_passed_trocar_force_exceeds_stop_yield_N(robot, newton):
     """After k ticks of length T, the low-passed force is (1 - (1 - T / 0.02 s)^k) times the force."""
     q, guard = robot.data.q_home, guard_of(robot, incision=True)
     guard.check_measurement(q, REST, wrench=weight(robot, q), trocar=off_by(robot, q, 0.0))

@@ -61,7 +61,7 @@ def test_run_advances_in_real_time(live: LivePage) -> None:
     until(in_step, "the run is always too fast or too slow")
 
 
-def test_of_several_quick_choices_the_last_solver_runs(live: LivePage) -> None:
+def test_last_of_several_quickly_chosen_solvers_runs(live: LivePage) -> None:
     for name in ("rnn", "exact", "rnn", "osqp"):
         live._panel._solver.value = name
     until(lambda: solver_of(live.run.used) == "osqp", "another solver runs")
@@ -134,7 +134,7 @@ def test_plots_change_with_the_solver(page: Any, live: LivePage) -> None:
     before = page.evaluate(pictures)
     assert len(before) == 4
     click(page.get_by_label("Solver"))
-    click(page.locator("[role=option]", has_text=DCAC))  # the option may not be drawn yet
+    click(page.locator("[role=option]", has_text=DCAC))  # also works before the option is drawn
     says(page, f"{DCAC} ·")
     solving = QUANTITIES.index("solve_us")
     until(lambda: np.isnan(live.run.history(10**6)[-20:, solving]).all(), "DCAC has solve times")

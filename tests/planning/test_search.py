@@ -63,7 +63,7 @@ def test_dynamic_programming_finds_the_best_of_all_courses(start, cell, price):
 @pytest.mark.parametrize(("t_s", "first", "end", "hurry"), [
     (0.0, 1, -1, 1.0), (0.7, 2, -1, 1.2), (0.22, 1, 4, 1.0), (1.3, 3, 3, 1.0),
 ])  # fmt: skip
-def test_a_way_from_any_time_goes_to_the_best_pose_in_reach(t_s, first, end, hurry):
+def test_course_from_any_time_goes_to_the_best_pose_in_reach(t_s, first, end, hurry):
     rng = np.random.default_rng(2)
     for _ in range(20):
         found, q = small(rng, k=6, m=9), [np.array([0.5])]
@@ -99,13 +99,13 @@ def test_one_step_of_dynamic_programming_tries_every_pose_in_reach():
         np.testing.assert_allclose(value, ways + gain, atol=1e-12)
 
 
-def test_an_upper_bound_uses_the_largest_mu_in_the_cell_of_a_pose():
+def test_upper_bound_uses_the_largest_mu_up_to_halfway_to_the_neighbouring_poses():
     angles, mu = 2.0 * np.pi * np.arange(16) / 16, lambda angle: 1.0 + 0.5 * np.cos(angle - 0.1)
     angles[8] = np.nan  # a sample without a pose
     room = np.isin(np.arange(16), (0, 4, 9)) - 0.5
     q, mus, rooms = (np.tile(each, (2, 1, 1)) for each in (angles, mu(angles), room))
     found = replace(small(np.random.default_rng(0), k=2), q_rad=q[..., None], mu=mus, room_rad=rooms)
-    told = 4.0 * Value(found, Limits(), cell=1.0).value[-1, 0]  # the last time has the weight 0.25 s
+    told = 4.0 * Value(found, Limits(), cell=1.0).value[-1, 0]  # trapezoidal rule: the last weight is 0.25 s
     assert np.flatnonzero(np.isfinite(told)).tolist() == [0, 1, 3, 4, 5, 8, 9, 10, 15]
     most = mu(angles + np.linspace(-0.5, 0.5, 21)[:, None] * angles[1]).max(axis=0)
     assert np.abs((told - most)[[0, 1, 3, 4, 5, 10, 15]] - 0.01).max() <= 0.01, "at most 0.02 above the largest mu"
@@ -123,7 +123,7 @@ def test_the_fitted_parabola_is_exact_for_a_quadratic_value_function(j):
     ):  # fmt: skip
         slope, room = 0.4 * bool(bend), np.ones((2, 1, 200))  # three poses are too few for a parabola
         room[..., (j + np.array(dead, dtype=int)) % 200] = -1.0
-        mu = 4.0 * np.tile(0.3 + 0.4 * z + 0.5 * bend * z**2, (2, 1, 1))  # the last time has the weight 0.25 s
+        mu = 4.0 * np.tile(0.3 + 0.4 * z + 0.5 * bend * z**2, (2, 1, 1))  # the last weight is 0.25 s
         found = replace(base, robot=two, q_rad=np.tile(q, (2, 1, 1, 1)), mu=mu, room_rad=room)
         told = [*q[j], -q[j, 1], q[j, 0] - 0.3, slope, min(bend, 0.0), *z[(j + np.array([low, high])) % 200]]
         np.testing.assert_allclose(np.hstack(Value(found, Limits()).near(1, (0, j))), told, atol=1e-9)
@@ -132,11 +132,11 @@ def test_the_fitted_parabola_is_exact_for_a_quadratic_value_function(j):
     np.testing.assert_array_equal(np.hstack(sparse.near(1, (0, j // 10))), [*q[j], *6 * [0.0]], "no other pose is near")
 
 
-def test_a_climb_goes_to_the_higher_neighbour():
+def test_climb_of_mu_starts_towards_the_higher_neighbour():
     found = replace(small(np.random.default_rng(0), k=1, m=5), mu=np.array([[[0.2, 0.5, 0.6, 0.1, 0.3]]]))
     found = replace(found, q_rad=0.1 * np.arange(5.0).reshape(1, 1, 5, 1), room_rad=np.ones((1, 1, 5)))
     assert [top_of(found, np.array([at]))[::2] for at in (0.1, 0.2, 0.3)] == [(0.6, False)] * 3
-    walled = replace(found, room_rad=np.array([[[1.0, 1.0, -1.0, 1.0, 1.0]]]))  # a joint limit hides the best pose
+    walled = replace(found, room_rad=np.array([[[1.0, 1.0, -1.0, 1.0, 1.0]]]))  # the best pose is beyond a joint limit
     assert [top_of(walled, np.array([at]))[::2] for at in (0.0, 0.3)] == [(0.5, True), (0.3, False)]
 
 
@@ -162,11 +162,11 @@ def test_courses_keep_all_limits_and_do_not_exceed_the_bound(robot, coarse):
         climbed = make_course(robot, coarse.targets, climb(coarse, q, limits), limits)
         assert (climbed.violation < 1e-12, climbed.q_rad[0].tolist()) == (True, q.tolist())
         assert climbed.mu_mean <= value.of(q, robot.state(q).mu) + 1e-12
-        assert (np.diff(climbed.mu[: int(0.2 / coarse.targets.period_s)]) >= -1e-12).all(), "the path rests for 0.2 s"
+        assert (np.diff(climbed.mu[: int(0.2 / coarse.targets.period_s)]) >= -1e-12).all(), "mu falls as the path rests"
 
 
 @pytest.mark.parametrize("joint", [1, 5])
-def test_a_course_passes_through_a_singular_pose_to_another_branch(robot, joint):
+def test_search_finds_a_course_as_good_as_one_through_a_singular_pose(robot, joint):
     way = np.tile(np.array([0.3, 0.5, -0.4, 1.2, 0.5, -0.7, 0.0]), (41, 1))
     way[:, joint] = np.linspace(0.45, -0.47, 41) * (1.0 if joint == 1 else -1.0)
     found = map_of(robot, way[0], at_poses(robot, way))
