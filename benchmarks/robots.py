@@ -1,4 +1,4 @@
-"""Do the findings on one arm hold on the others? The study runs every arm of the package under every controller.
+"""Which of FINDINGS hold on which arm? The study runs each arm under DCAC and under MOC with each solver.
 
 python -m benchmarks.robots [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 """
@@ -86,7 +86,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def verdicts(rows: Results, judged: str) -> dict[str, bool | None]:
-    """Return True or False for each finding, or None if its interval is undecided."""
+    """Return True or False for each finding, or None if it is undecided."""
     own, base = rows.pairs("tip_error_mean_mm", judged)
 
     def change(metric: str, _: Any) -> Change | None:
@@ -108,7 +108,7 @@ def verdicts(rows: Results, judged: str) -> dict[str, bool | None]:
 
 
 def ranking(robots: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Rank the solvers on each arm by mean mu, and correlate the ranks."""
+    """Rank the solvers on each arm by mean mu, and correlate the ranks of every two arms."""
     scores, between = {}, {}
     for robot, figures in robots.items():
         found = {name: row["mu_mean"] for name, row in figures.items() if name != BASELINE and "mu_mean" in row}
@@ -134,8 +134,8 @@ def report(summary: Mapping[str, Any], judged: str) -> Report:
         f"MOC with {judged} against DCAC with the same gains, on every arm",
         [Column("robot", "arm", section="All figures"),
          *(Column(key, title, unit="%", section="Findings", help=FINDINGS[key]) for key, title in headings.items())],
-        first, f"✔ mu rises by at least {LEAST_GAIN_PERCENT:g} %, or the settled error rises by at most "
-        f"{MOST_CHANGE_PERCENT:g} %, at every value in the 95 % interval; ✘ at no value; ?: undecided.",
+        first, f"Goals: mu rises by at least {LEAST_GAIN_PERCENT:g} %, settled errors by at most "
+        f"{MOST_CHANGE_PERCENT:g} %. ✔: met at every value in the 95 % interval; ✘: at no value; ?: undecided.",
     )  # fmt: skip
     every = [{"robot": arm, "controller": name, **row} for arm, by in arms.items() for name, row in by.items()]
     marks = [
@@ -144,8 +144,8 @@ def report(summary: Mapping[str, Any], judged: str) -> Report:
     order = [{"robot": arm, "order": ", ".join(names)} for arm, names in summary["ranking"]["order"].items()]
     arm_column = Column("robot", "arm")
     sections = [
-        Section("All figures", "Whole: number of completed runs. Means are over these runs. Settled: while no "
-                f"controller of a trial moves the elbow to its optimum. {FRAMES}", [Table("Every arm and controller", [
+        Section("All figures", "Whole: number of completed runs. Means are over these runs. Settled errors: "
+                f"means while no elbow of a trial moves to its optimum. {FRAMES}", [Table("Every arm and controller", [
                     arm_column, Column("controller", "controller"),
                     *columns("trials", "whole", *headings, *MEANS, **headings)], every)]),
         Section("Findings", "", [Table("Which findings hold on which arm", [

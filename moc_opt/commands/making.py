@@ -48,7 +48,7 @@ def export_c(given: argparse.Namespace) -> int:
         print(file)
     print(f"next: make -C {out} test")
     if udp:
-        print(f"then: make -C {out} moc_udp, {out}/moc_udp 127.0.0.1 30200 {out}/reference.bin")
+        print(f"then: make -C {out} moc_udp && {out}/moc_udp 127.0.0.1 30200 {out}/reference.bin")
     return 0
 
 

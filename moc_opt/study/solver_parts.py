@@ -30,12 +30,12 @@ if TYPE_CHECKING:
 
 MEANING = (
     "Verified: optimal by moc_opt's residuals, whatever the solver says. Silently wrong: claimed as solved, but not "
-    "verified. Right: verified, or rightly called infeasible, as a share of the problems that were not refused as "
-    f"inconsistent. Times are compared among solvers with at least {100 * RIGHTLY:g} % right answers. Update: the part "
-    "of a warm solve that passes the new problem to the library. docs/solvers.md says more."
+    "verified. Right: verified, or rightly called infeasible. Problems that were refused as inconsistent do not count. "
+    f"Times are compared among solvers with at least {100 * RIGHTLY:g} % right answers. Update: the part of a warm "
+    "solve that passes the new problem to the library. docs/solvers.md says more."
 )
 SOLVER = Column("solver", "solver")
-RANKED = "answers_rightly"  # key of a row's flag: whether its times are compared
+RANKED = "answers_rightly"  # key of the flag that a row's times are compared
 COUNTS = {
     "claimed_solved": "claimed", "verified_solved": "verified", "silently_wrong": "silently wrong",
     "infeasible_right": "infeas. right", "refused_inconsistent": "refused: inconsistent",
@@ -45,7 +45,7 @@ COUNTS = {
 FAULTS = ("silently_wrong", "infeasible_wrong", "failed", "hung", "crashed")
 RESIDUALS = {
     "primal": "largest constraint violation of all answers", "natural": "largest residual with the solver's own duals",
-    "relative": "largest residual with the best duals, cost scaled to one", "loss": "0: smallest cost, 1: largest cost",
+    "relative": "largest residual with the best duals, gradient of size 1", "loss": "0: smallest cost, 1: largest cost",
 }  # fmt: skip
 TIMES = {
     "solve_p50_us": "p50", "solve_p99_us": "p99", "solve_p99_9_us": "p99.9", "update_p50_us": "update p50",
@@ -128,7 +128,7 @@ def recorded_sequence(work: Work) -> None:
 
 
 def certified_sets(work: Work) -> None:
-    """Let every solver solve every set under each of its settings, then take times."""
+    """Let every solver solve every set under each of the solver's settings, then take times."""
     config = work.config.testsets
     chosen = [TestSet.load(name).thinned(config.every) for name in config.chosen()]
     thinned = [data.thinned(config.every_other) for data in chosen]
@@ -172,7 +172,7 @@ def _set_by_set(summary: Mapping[str, Any], names: Sequence[str], recommended: S
             row[name] = f"{counts['right']} of {counts['solves'] - declined}" + f", {wrong} wrong" * bool(wrong)
         rows.append(row)
     return Table(
-        "Right answers, set by set, under our settings", [SOLVER, *(Column(name, name) for name in names)], rows,
+        "Right answers per set, with recommended settings", [SOLVER, *(Column(name, name) for name in names)], rows,
         "Wrong: claimed as solved, and not verified. Problems that were refused as inconsistent are not counted.",
     )  # fmt: skip
 
@@ -214,7 +214,7 @@ def figures(
 ) -> dict[str, Any]:
     """Return a controller's means and changes over its completed runs, its sums and its largest values.
 
-    Times are pooled over the timed ``runs``. "_in_common" marks counts over the trials in ``common`` (None: all).
+    Times are pooled over the timed ``runs``. Counts named "_in_common" are over the trials in ``common`` (None: all).
     """
     found = rows.figures(controller, MEANS, CHANGES)
     mine = [row for row in rows if row["controller"] == controller]
