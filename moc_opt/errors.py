@@ -87,7 +87,7 @@ class UnknownNameError(MocOptError, LookupError):
 
 
 def is_number(value: object) -> bool:
-    """Return whether a value is a real number that fits a float, and no bool."""
+    """Return whether a value is a real number, not a bool, and not too large for a float."""
     fits = not isinstance(value, int) or abs(value) < 2**1023
     return isinstance(value, Real) and not isinstance(value, bool) and fits
 

@@ -1,16 +1,16 @@
 /* The safety filter checks every measurement, limits every torque, and decides when the arm has to stop.
  *
  * The table gives the condition of each reason to stop. r is the momentum residual. A condition marked with * has to
- * hold on more than `patience` ticks in a row. The first reason whose condition holds is reported.
+ * hold on more than `patience` ticks in a row. If several hold on a tick, the first in the table is reported.
  *
- *   LATE              now - newest stamp > usual delay + patience
+ *   LATE              now - newest stamp > delay of the run's first new measurement + patience [ticks]
  *   MEASUREMENT *     |q - q_believed| > jump + v_max (time since the last believed q), or |v| > speed_factor v_max
- *   REPLAYED          all encoders and the wrench equal earlier readings at a constant lag, more than R times. R is
- *                     min(repeat_reading_ticks, W). W is repeat_whole_ticks, or replayed_ticks without wrench noise.
+ *   REPLAYED          all encoders and the wrench equal earlier readings at a constant lag on more than
+ *                     repeat_reading_ticks ticks, or repeat_whole_ticks ticks (replayed_ticks without wrench noise)
  *   REPEATED *        all q are unchanged, but the reference moved by repeat_m or a torque changed by repeat_torque
  *                     tau_max. If the wrench is unchanged as well, repeat_whole_m and repeat_whole_torque apply.
  *   REPEATED          all q and v are unchanged on more than repeat_reading_ticks ticks in total
- *   RAN_AWAY          |q - integral of v over motion_s| > motion_rad + motion_lag_s * (largest recent |v|)
+ *   RAN_AWAY          |change of q - integral of v| over motion_s > motion_rad + motion_lag_s * (largest recent |v|)
  *   ONE_REPEATED      one q is unchanged for more than repeat_joint_ticks ticks in a row, or one q and its v for
  *                     more than repeat_reading_ticks ticks in total
  *   WRENCH_REPEATED   the wrench has noise, but is unchanged for more than repeat_whole_ticks ticks
@@ -19,7 +19,7 @@
  *   RCM, FORCE        rms distance of the shaft from the trocar, or rms trocar force, is above its limit
  *   TIP               rms |X - X_d| > tip_error
  *   UNEXPLAINED *     |r_i - mean of r_i| > residual_torque tau_max, or |r_i| > residual_whole tau_max
- *   STUCK             while q_i is unchanged, |integral of (change of r_i beyond held_i) / M_ii| > stuck_speed
+ *   STUCK             since q_i last changed, |integral of (change of r_i beyond held_i) / M_ii| > stuck_speed
  *   TORQUE            the controller's torque is not finite
  *
  * Each joint's torque is limited by its virtual wall (left_by_wall), then by torque_step, then by tau_max.
@@ -45,7 +45,7 @@ void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v
         w->low[i] = smaller(q[i], g->low[i]);
         w->high[i] = larger(q[i], g->high[i]);
         w->joint[i].peak = fabs(v[i]);
-        w->joint[i].repeats = -1.0; /* the first reading may equal the start */
+        w->joint[i].repeats = -1.0; /* the first reading does not count as a repeat */
     }
     for (int i = 0; i < 3; i++)
         w->point[i] = (double)NAN;
@@ -57,7 +57,7 @@ void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v
 
 enum { FRESH, REPEAT, OLD };
 
-/* OLD: the newest stamp's delay exceeds the delay of the run's first new measurement by more than `patience`. */
+/* OLD: the reason LATE applies. */
 static int age(const moc_guard *g, long long stamp, moc_watch *w)
 {
     bool possible = stamp > -LARGEST_STAMP && stamp < LARGEST_STAMP;
@@ -71,7 +71,7 @@ static int age(const moc_guard *g, long long stamp, moc_watch *w)
     if (newer) {
         w->elapsed += stamp - w->newest;
         w->newest = stamp;
-        if (++w->taken == 2) /* the first measurement is from before the run */
+        if (++w->taken == 2) /* the measurement with taken = 1 is from before the run */
             w->delay = late;
     }
     if (w->now - w->newest > w->delay + g->patience)
@@ -97,7 +97,7 @@ static bool same(double a, double b)
     return a <= b && a >= b;
 }
 
-/* Whether no two successive ones of the first FIRST_READINGS wrenches were equal. */
+/* Whether the first FIRST_READINGS wrenches are known and none of them equals the one before. */
 static bool wrench_has_noise(const moc_watch *w)
 {
     return w->looked >= FIRST_READINGS && !w->wrench_is_still;
@@ -135,7 +135,7 @@ static bool compare_joint(const moc_guard *g, double q, double v, double elapsed
         j->repeats += 1.0;
     } else {
         j->repeats = 0.0;
-        j->at_repeat = j->mean; /* the step of a coarse encoder itself disturbs the residual */
+        j->at_repeat = j->mean; /* not the residual: the step of a coarse encoder disturbs it */
         j->unseen = 0.0;
     }
     j->shown = q;
@@ -171,7 +171,7 @@ static moc_stop compare_readings(const moc_guard *g, int n, const moc_measuremen
         fewest_whole = smaller(w->joint[i].whole, fewest_whole);
         most_whole = larger(w->joint[i].whole, most_whole);
     }
-    if (fewest <= g->patience) { /* for told_to_move */
+    if (fewest <= g->patience) { /* told_to_move compares with these values */
         for (int i = 0; i < n; i++)
             w->joint[i].torque = m->applied[i];
         memcpy(w->still, w->told, sizeof w->still);
@@ -185,7 +185,7 @@ static moc_stop compare_readings(const moc_guard *g, int n, const moc_measuremen
                                                                                   : MOC_RUNNING;
 }
 
-/* Store a reading in a table. Returns how many readings equalled an earlier reading at the same lag. */
+/* Store a reading in a table. Returns the number of repetitions at the latest lag [readings]. */
 static inline double take_in(double number, int slots, double *numbers, double *at, moc_came_before *before)
 {
     if (!(fabs(number) < LARGEST_NUMBER))
@@ -202,7 +202,7 @@ static inline double take_in(double number, int slots, double *numbers, double *
     return before->hits;
 }
 
-/* A weighted sum of the values, equal for equal readings. */
+/* Add the values to the weighted sum `number`. Equal readings give equal sums. */
 static double as_number(int count, const double *values, double number)
 {
     for (int i = 0; i < count; i++)
@@ -260,8 +260,8 @@ static double rcm_error(double pose[4][3], const double P[3])
 /* Compute the trocar's force across the shaft [N] from the wrench at the tool's mount.
  * Let z be the tool's axis, L its length and d the depth of the tip beyond the trocar. Without the tool's weight, the
  * trocar's force f and a contact force g at the tip give force = f + g and torque = (L - d) z x f + L z x g. Hence
- * f = (L force - torque x z) / d. With a wrong d, f may look like a contact force. At most tip_force therefore counts
- * as contact. An unknown load may hide a part of f. The warning therefore also uses |force|, returned in *all. */
+ * f = (L force - torque x z) / d. An error of d moves a part of f to g. The result is therefore at least
+ * |force| - tip_force. An unknown load may reduce the computed f. The warning therefore also uses |force| (*all). */
 static double trocar_force(const moc_guard *g, double pose[4][3], const double P[3], const double *wrench, double *all)
 {
     double depth = 0.0, L = g->tool_length, weight[2], force[2];
@@ -367,7 +367,7 @@ static moc_stop weigh(const moc_guard *g, int n, const moc_terms *t, const doubl
 /* Return the limit of (torque - gravity torque) towards a wall. It is infinite if neither spring nor brake acts. */
 static double left_by_wall(const moc_guard *g, int i, double distance, double speed)
 {
-    /* a joint that is not faster can still stop at the wall */
+    /* up to this speed, the joint can still stop at the wall */
     double allowed = smaller(sqrt(2.0 * g->wall_brake * larger(distance, 0.0)), g->v_max[i]);
     if (!(distance < 0.0 || speed > allowed))
         return HUGE_VAL;

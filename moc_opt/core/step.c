@@ -11,7 +11,7 @@ static void start_law(const moc_controller *c, moc_state *s)
 
     memset(memory, 0, sizeof *memory);
     for (int i = 0; i < n; i++) {
-        memory->integral[i] = dot(n, s->terms.M[i], s->terms.v); /* r starts at zero */
+        memory->integral[i] = dot(n, s->terms.M[i], s->terms.v); /* so that external starts at zero */
         memory->tau[i] = s->terms.h[i];
     }
     s->reason = MOC_RUNNING;
@@ -160,7 +160,7 @@ moc_stop moc_finish(const moc_controller *c, const moc_answer *answer, moc_state
 
 moc_answer moc_ask_exact(const moc_controller *c, moc_state *s)
 {
-    static const moc_claim claims[] = {MOC_CLAIMS_OPTIMUM, MOC_CLAIMS_INFEASIBLE, MOC_GIVES_NONE}; /* by moc_status */
+    static const moc_claim claims[] = {MOC_CLAIMS_OPTIMUM, MOC_CLAIMS_INFEASIBLE, MOC_GIVES_NONE}; /* [moc_status] */
     if (!c->law->third_level)
         return (moc_answer){s->answer, MOC_GIVES_NONE, MOC_TAKEN, 0.0};
     s->status = moc_solve_eliminated(&s->plane, &s->problem, c->tolerance, s->answer, s->y);

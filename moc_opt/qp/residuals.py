@@ -1,7 +1,8 @@
 """Residuals of an answer to the null-space subproblem: one definition for every solver.
 
-The stationarity measure is the natural residual ``x - clip(x - (P x + p + A^T y), lower, upper)`` (Facchinei & Pang
-2003, section 1.5.2). It is zero exactly at a KKT point. An idle joint is a joint with a zero column of A.
+With the cost 1/2 x^T P x + p^T x (see problem.py), the natural residual is ``x - clip(x - (P x + p + A^T y), lower,
+upper)`` (Facchinei & Pang 2003, section 1.5.2). If A x = b, it is zero exactly at a KKT point. A joint is idle if
+its column of A is zero.
 """
 
 from __future__ import annotations
@@ -23,11 +24,11 @@ TIED = 1e-7
 RANK_TOLERANCE = 1e-12
 GRADIENT_ROUNDING = 1e-9  # a reduced gradient below this fraction of |pull|_inf counts as zero
 A_POINT = 1e-9  # a feasible interval of at most this length counts as a point [rad/s]
-FEASIBLE = 1e-6  # an empty feasible set counts as a point if it is nonempty with bounds this much wider [rad/s]
-MOST_FACETS = 300  # with more facets, the optimum's duals replace the best duals
+FEASIBLE = 1e-6  # an empty feasible set counts as a point if bounds this much wider make it nonempty [rad/s]
+MOST_FACETS = 300  # with more facets, natural_best and relative use the optimum's duals
 TIED_BY_ROUNDING = 1e-14  # a sixth singular value below this share of |A|_F is a rounding error
-NEARLY_SINGULAR = 1e-3  # a singular value below this share of |A|_F needs refinement
-REFINEMENTS = 3  # steps of iterative refinement
+NEARLY_SINGULAR = 1e-3  # with a singular value below this share of |A|_F, solutions are refined
+REFINEMENTS = 3  # steps of this refinement
 EPSILON = 2.0**-52  # relative rounding error of A and b
 
 
@@ -37,8 +38,7 @@ class Residuals(NamedTuple):
     Attributes:
         primal: max(|A x - b|_inf, violation of the bounds) [m/s or rad/s].
         natural: natural residual with the solver's y. If the solver gave no y, it equals ``natural_best``.
-        natural_best: natural residual with the y for which this residual is smallest. If it is far below ``natural``,
-            the solver's y is worse than its x.
+        natural_best: smallest natural residual over all y. If it is far below ``natural``, y is worse than x.
         relative: ``natural_best`` after dividing the cost by the size of the cost's reduced gradient. This size is
             max(c2 |Z Z^T pull|_inf, rho times 1 rad/s), with an orthonormal basis Z of ker A.
         loss: (cost of x - smallest cost) / (largest - smallest cost) over the feasible set, in [0, 1]. It is 0 if all
@@ -251,7 +251,7 @@ def _moving_joints(problem: Problem, x: Array, factors: _Factors, size: Array) -
 
 
 def _unsure(problem: Problem, factors: _Factors) -> Array:
-    """Return how far rounding of A and b can move a solution (k, n) [rad/s]. Up to FEASIBLE, this counts as 0."""
+    """Return how far rounding of A and b can move each x_i (k, n) [rad/s], or 0 if none moves more than FEASIBLE."""
     if not factors.exactly:
         return np.zeros(problem.pull.shape)
     reach = np.maximum(np.abs(problem.lower), np.abs(problem.upper))
