@@ -34,7 +34,7 @@ _RUNAWAY_RAD_PER_S = 1e3  #: Above this norm of the joint velocities, the simula
 
 @dataclass(frozen=True)
 class Stop:
-    """Damping of the drives in a stop [Nm s/rad], and shortest duration of the stop [s]."""
+    """A stop: the damping by the drives [Nm s/rad] and the shortest duration [s]."""
 
     damping: float = 15.0
     seconds: float = 0.5
@@ -112,7 +112,7 @@ class Plant:
         """Restart at time 0 without pushes. The drives carry the arm's weight until the first command.
 
         Args:
-            q: (n,) joint positions within their limits, as encoders without noise show them [rad].
+            q: (n,) joint positions within their limits, with the encoders' bias and without noise [rad].
             v: (n,) joint velocities [rad/s]; None: the arm is at rest.
 
         Raises:
@@ -150,7 +150,7 @@ class Plant:
             trocar: (2, 3) rows: trocar point [m] and its velocity [m/s]; None: no trocar.
 
         Raises:
-            PlantError: wrong shape or not finite, or the arm ran away.
+            PlantError: an argument has a wrong shape or is not finite, or the arm ran away.
         """
         rows = ", point [m] over velocity [m/s], or None for no trocar; the arm has not moved"
         place = None if trocar is None else _finite("trocar", trocar, (2, 3), rows)
@@ -204,11 +204,11 @@ class Plant:
         return self._measurement
 
     def brake(self, damping_Nm_s_per_rad: float, friction_Nm: ArrayLike = 0.0) -> None:
-        """Close the brakes until `reset`. They add damping and dry friction in every joint.
+        """Add damping and dry friction in every joint until `reset`.
 
         Args:
-            damping_Nm_s_per_rad: damping by the drives. Without friction, a loaded arm sinks.
-            friction_Nm: friction of the holding brakes, one number or one per joint (n,).
+            damping_Nm_s_per_rad: damping by the drives.
+            friction_Nm: friction of the brakes, one number or one per joint (n,). At 0, a loaded arm sinks.
 
         Raises:
             PlantError: a friction is negative or not finite.
@@ -255,7 +255,7 @@ class Plant:
     q = _truth(lambda plant: plant._joints.q, "(n,) joint positions [rad].")
     v = _truth(lambda plant: plant._joints.v, "(n,) joint velocities [rad/s].")
     applied_torque = _truth(
-        lambda plant: plant._joints.torque, "(n,) clipped torque of the drives in the last period, without ripple [Nm]."
+        lambda plant: plant._joints.torque, "(n,) drive torque in the last period, clipped at tau_max, no ripple [Nm]."
     )
     tip = _truth(lambda plant: plant._tip, "(3,) tip [m].")
     wrist = _truth(lambda plant: plant._wrist, "(3,) wrist centre [m].")

@@ -33,10 +33,10 @@ class RunAway(PlantError):
 
 
 class TaskOffset(NamedTuple):
-    """True minus computed position of the two points that the arm registers with its tip, (3,) each [m]."""
+    """True position minus position by the controller's kinematics of two registered points, (3,) each [m]."""
 
-    tip: Array = np.zeros(3)  #: At the start of the path.
-    trocar: Array = np.zeros(3)  #: At the trocar, without the registration error.
+    tip: Array = np.zeros(3)  #: The start of the path.
+    trocar: Array = np.zeros(3)  #: The trocar, without the registration error.
 
 
 class Record:
@@ -59,7 +59,7 @@ class Record:
         self._ending: dict[str, Any] = {"ended": "completed"}
 
     def note_truth(self) -> None:
-        """Write the true state at the start of the next tick."""
+        """Write the true state into the row of the next tick."""
         self._plant.write_truth(self._truth[self.done])
 
     def note(self, seen: Measurement, tau: Array, tick_us: float, filtered: Filtered) -> None:
