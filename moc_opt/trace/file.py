@@ -1,4 +1,4 @@
-"""The Parquet file of a trace (record of a run), with meta and a checksum."""
+"""The Parquet file of a trace (record of a run), with metadata and a checksum."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def new_file(path: str | os.PathLike[str]) -> Path:
     target = as_path(path, "trace", TraceError)
     if target.suffix.lower() in _OTHER_FORMATS:
         raise TraceError(
-            f"trace {str(target)!r}: a trace is written as Parquet: name it {target.stem + '.parquet'!r}; in Python "
+            f"trace {str(target)!r} has to be a Parquet file: name it {target.stem + '.parquet'!r}; in Python "
             "load_trace(...).to_pandas().to_csv(...) converts it to CSV"
         )
     folder = target.absolute().parent
@@ -53,7 +53,7 @@ def check_trace(path: str | os.PathLike[str], kind: str = "run") -> None:
         except (OSError, ValueError, LookupError, pl.exceptions.PolarsError):
             is_kind = False
         if not is_kind:
-            raise TraceError(f"{os.fspath(path)!r} is no {kind} and would be lost: give another name, or --force")
+            raise TraceError(f"{os.fspath(path)!r} holds no {kind} and would be replaced: give another name or --force")
 
 
 def write(path: str | os.PathLike[str], columns: Columns, meta: Mapping[str, Any]) -> None:
@@ -106,7 +106,7 @@ def read(path: str | os.PathLike[str]) -> tuple[dict[str, NDArray[Any]], dict[st
 
 def _array(column: pl.Series, dtype: np.dtype[Any]) -> NDArray[Any]:
     if dtype.kind not in "fiubU":
-        raise ValueError(f"column {column.name!r} of type {dtype}")
+        raise ValueError(f"column {column.name!r} has the wrong type {dtype}")
     return np.array(column.to_list() if dtype.kind == "U" else column.to_numpy(), dtype=dtype)
 
 

@@ -22,7 +22,7 @@ def run(ticks: int, **columns: object) -> dict[str, object]:
     }  # fmt: skip
 
 
-def test_names_are_never_markup() -> None:
+def test_markup_in_names_is_escaped() -> None:
     name = '<a href="x">bad</a>'
     made = [
         figures.latency_ecdf({name: [1.0, 2.0]}), figures.box_plots({name: {name: [1.0, 2.0]}}, "y"),
@@ -45,12 +45,12 @@ def test_an_ecdf_of_few_samples_is_exact(times: np.ndarray) -> None:
     assert (line.x[-1], line.y[-1]) == (times.max(), 1.0)
 
 
-def test_long_ecdf_is_drawn_with_few_but_exact_points() -> None:
+def test_points_of_a_long_ecdf_are_exact() -> None:
     times = RNG.lognormal(3, 1, 50_000)
     (line,) = figures.latency_ecdf({"a": times}).data
     assert len(line.x) < 900
     assert np.max(np.abs(line.y - [np.mean(times <= x) for x in line.x])) < 1e-12
-    assert set(np.sort(times)[-20:]) <= set(line.x), "all of the slowest times are kept"
+    assert set(np.sort(times)[-20:]) <= set(line.x), "the 20 slowest times are kept"
 
 
 def test_box_has_tukeys_whiskers() -> None:

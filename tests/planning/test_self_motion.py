@@ -1,4 +1,4 @@
-"""Self-motions leave tip and wrist in place, within joint limits. Known arms have the right null-space dimensions."""
+"""Self-motions keep tip and wrist in place, within the joint limits."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ def check(robot, start, motion, poses):
         np.testing.assert_array_equal(q[list(motion.held)], start[list(motion.held)])
 
 
-def test_tip_and_wrist_stay_in_place_along_a_curve_within_the_limits(robot, regular_poses):
+def test_a_self_motion_keeps_tip_and_wrist_in_place(robot, regular_poses):
     rng = np.random.default_rng(5)
     for start in regular_poses(10, seed=4):
         motion = self_motion(robot, start)
@@ -42,15 +42,15 @@ def test_tip_and_wrist_stay_in_place_along_a_curve_within_the_limits(robot, regu
         assert motion.mu_best == pytest.approx(self_motion(robot, start, step=0.005).mu_best, abs=1e-6)
 
 
-def test_a_curve_is_the_same_from_each_of_its_poses(robot, odd_robot):
+def test_a_self_motion_is_the_same_from_each_of_its_poses(robot, odd_robot):
     motion = self_motion(robot, robot.data.q_home)
     turned = np.append(robot.data.q_home[:6], robot.q_max[6])  # the idle joint is at its limit
     again, idle, *from_ends = (self_motion(robot, q) for q in (motion.at(0.8), turned, motion.q[0], motion.q[-1]))
     for other in (again, idle, *from_ends):
         assert (np.ptp(other.s), other.mu_best) == pytest.approx((np.ptp(motion.s), motion.mu_best), abs=1e-6)
     assert all(0.0 in (other.s[0], other.s[-1]) for other in from_ends)
-    assert " _" not in repr(motion), "private fields"
-    last = int(np.argmax(motion.mu)) + 2  # one sample after the largest mu suffices
+    assert " _" not in repr(motion), "private fields are hidden"
+    last = int(np.argmax(motion.mu)) + 2  # one sample after the largest mu suffices for the parabola
     cut = replace(motion, s=motion.s[:last], q=motion.q[:last], mu=motion.mu[:last])
     assert pytest.approx(motion.mu_best, rel=1e-9) == cut.mu_best > motion.mu.max() * (1.0 + 1e-8)
     odd = self_motion(odd_robot, odd_robot.data.q_home)
@@ -60,7 +60,7 @@ def test_a_curve_is_the_same_from_each_of_its_poses(robot, odd_robot):
     check(odd_robot, odd_robot.data.q_home, odd, odd.q)
 
 
-def test_a_curve_without_joint_limits_closes(robot):
+def test_a_self_motion_without_joint_limits_is_a_closed_curve(robot):
     free = RobotModel(replace(robot.data, q_min=np.full(7, -17.0), q_max=np.full(7, 17.0)))
     q = np.array([0.2, -1.0, 0.3, 1.5, -0.4, -0.6, 0.1])
     motion = self_motion(free, q)
@@ -151,7 +151,7 @@ def place(curve):
     return lambda s: np.array([curve.at((top + each) / (curve.s[-1] - curve.s[0])) for each in np.atleast_1d(s)])
 
 
-def test_the_distance_to_go_is_an_arc_length(robot, curve, place, regular_poses):
+def test_the_distance_to_the_largest_mu_is_an_arc_length(robot, curve, place, regular_poses):
     offsets = np.array([-0.6, -0.3, -0.1, 0.1, 0.3, 0.6])
     distance = distance_to_go(robot, [*place(offsets), curve.best, np.zeros(7)])
     np.testing.assert_allclose(distance[:6], np.abs(offsets), atol=0.02)

@@ -114,7 +114,7 @@ def test_no_name_makes_a_tag_an_attribute_or_a_script(text: str) -> None:
     assert sum(tag == "script" for tag, *_ in found) == sum(tag == "script" for tag, *_ in plain()[0])
 
 
-def test_saving_twice_gives_the_same_small_file(full: Page, tmp_path: Path) -> None:
+def test_saving_twice_gives_the_same_bytes(full: Page, tmp_path: Path) -> None:
     first, second = full.save(tmp_path / "a" / "report.html"), full.save(tmp_path / "b.html")
     old = first.read_bytes()
     assert old == second.read_bytes()
@@ -174,7 +174,7 @@ def test_nothing_is_wider_than_the_screen(page: Any) -> None:
         assert inner > outer, "the table scrolls in its own box"
 
 
-def test_figures_are_saved_as_vectors(chromium: Any, tmp_path: Path) -> None:
+def test_figures_are_saved_as_vector_graphics(chromium: Any, tmp_path: Path) -> None:
     made = figures.box_plots({"DCAC": {"circle": [1.0, 2.0, 3.0]}}, "error [mm]")
     files = save_figures({"one": made, "two": made}, tmp_path / "new")
     assert [file.name for file in files] == ["one.svg", "one.pdf", "two.svg", "two.pdf"]

@@ -57,7 +57,7 @@ def test_trace_is_saved_whatever_ends_the_run(whole, error, place, tmp_path, mon
     (signal.SIGINT, 130, "interrupted; the first 0.296 s "), (signal.SIGTERM, 130, "interrupted; the first 0.296 s "),
     (0, 1, f"ZeroDivisionError: a defect of two lines ({Path(__file__).name}:"),
 ])  # fmt: skip
-def test_signal_or_defect_leaves_a_message_and_the_trace(tmp_path, capsys, monkeypatch, number, status, told):
+def test_a_signal_or_defect_leaves_the_trace(tmp_path, capsys, monkeypatch, number, status, told):
     ticks, real = iter(range(10**6)), Plant.measure
 
     def breaking(self):
@@ -88,9 +88,9 @@ def test_file_that_cannot_be_written_is_refused_before_the_run(target, tmp_path,
     assert sorted(os.listdir(tmp_path)) == ["file", "s.toml"]
 
 
-def test_trace_does_not_overwrite_a_course_file_and_vice_versa(tmp_path):
+def test_a_file_of_another_kind_is_not_replaced(tmp_path):
     for kind, other in (("run", "course"), ("course", "run")):
         Trace({"t_s": np.zeros(2)}, {"kind": kind} if kind == "course" else {}).save(tmp_path / "t.parquet")
         check_trace(tmp_path / "t.parquet", kind)
-        with pytest.raises(TraceError, match=f"is no {other} and would be lost"):
+        with pytest.raises(TraceError, match=f"holds no {other} and would be replaced"):
             check_trace(tmp_path / "t.parquet", other)

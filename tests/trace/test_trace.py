@@ -202,7 +202,7 @@ def test_only_a_trace_of_same_kind_is_replaced(tmp_path):
     text.write_text("t_s,mu")
     for kind, path in itertools.product(("run", "plan"), files):
         allowed = path in (gone, empty, run if kind == "run" else plan)
-        with contextlib.nullcontext() if allowed else pytest.raises(TraceError, match=f"is no {kind}"):
+        with contextlib.nullcontext() if allowed else pytest.raises(TraceError, match=f"holds no {kind}"):
             check_trace(path, kind)
 
 
