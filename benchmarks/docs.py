@@ -1,7 +1,7 @@
 """Put the figures of finished studies into README.md and docs: python -m benchmarks.docs [RESULTS]
 
 The text between ``<!-- NAME -->`` and ``<!-- /NAME -->`` in a page becomes the answer and the first table of
-RESULTS/NAME/report.md. Between ``<!-- NAME: TITLE -->`` and ``<!-- /NAME: TITLE -->``, it becomes section TITLE.
+RESULTS/NAME/report.md. Text between ``<!-- NAME: TITLE -->`` and ``<!-- /NAME: TITLE -->`` becomes section TITLE.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ BLOCK = re.compile(
 
 
 def block(folder: Path, title: str | None) -> str | None:
-    """Return section ``title`` of a study's report (None: answer and first table), if there is a report."""
+    """Return a report's section ``title`` (None: answer and first table) below the command, None without a report."""
     if not (folder / "report.md").exists():
         return None
     parts = re.split(r"^## (.+)\n", (folder / "report.md").read_text(encoding="utf-8"), flags=re.MULTILINE)

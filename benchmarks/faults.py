@@ -39,7 +39,7 @@ PICTURED = ("none", "bump-30N", "trocar-slips", "nan-lasting")
 """cases whose runs are drawn"""
 CURVES = ("t_s", "tip_error_m", "rcm_error_m", "trocar_force_N")
 SMOOTH_S, RECOVERED, RESOLUTION_M = 0.2, 1.2, 5e-5
-"""A run has recovered once its mean errors over 0.2 s stay below 1.2 times the fault-free errors plus 0.05 mm."""
+"""A run has recovered once its errors (means over 0.2 s) stay below 1.2 e + 0.05 mm; e is the fault-free error."""
 COMPLAINTS = ("failed", "raised", "malformed", "not_finite", "outside", "lied", "late", "lost")
 """Reasons to refuse an answer as faulty. "infeasible" is not among them, because it can be the right answer."""
 OUTCOMES = ("survived", "stopped", "oscillated", "diverged", "ran away", "refused", "failed")
@@ -58,7 +58,7 @@ CASES = [
     Column("trocar_force_max_N", "worst force", unit="N", format=".2f"),
     Column("rcm_mean_percent", "mean RCM", unit="%", format="+.1f", help="change from the same run without the fault"),
     Column("recover_s", "recovered after", unit="s", format=".2f", help="time until tip and RCM error stay below 1.2 "
-           "times the fault-free level; counted from the fault's end, or from its start if it does not end"),
+           "e + 0.05 mm (e: error without the fault); counted from the fault's end, or its start if it does not end"),
     Column("stop_travel_mm", "stop travel", unit="mm", format=".1f", help="motion of the tip after the stop began"),
 ]  # fmt: skip
 SEEN = [
@@ -77,7 +77,7 @@ class Case(Settings):
     plant: dict[str, Any] = Field(default_factory=dict)
     trocar: dict[str, Any] = Field(default_factory=dict)
     camera_lost_s: tuple[float, float] | None = None
-    """interval [s] in which the board is out of sight and the tip waits"""
+    """interval [s] in which the camera does not see the board on the phantom, so that the tip waits"""
     from_s: float = Field(0.0, ge=0.0)
     until_s: float | None = Field(None, ge=0.0, description="None if the fault acts until the end")
 
@@ -109,7 +109,7 @@ class Config(StudyConfig):
         for case in cases.values():
             case.corrupt(Scenario())
         if FREE.keys() & cases.keys():
-            raise ValueError("'none' is the name of the run without a fault: choose another one")
+            raise ValueError("'none' is the name of the run without a fault: choose another name")
         return cases
 
     def quick(self) -> Self:
@@ -164,7 +164,7 @@ def run_block(block: Block) -> tuple[list[dict[str, Any]], dict[str, dict[str, A
     for name, case in block.cases.items():
         trace, how = run_case(case.corrupt(block.trial), case.camera_lost_s)
         waits = case.camera_lost_s is not None
-        if waits not in levels:  # `Waited` starts more gently, so the fault-free run has to use it, too
+        if waits not in levels:  # `Waited` starts more slowly, so the run without a fault has to use `Waited`, too
             levels[waits] = run_case(block.trial, (0.0, 0.0))[0] if waits else trace
         if (level := levels[waits]) is None:
             raise MocOptError(f"{block.controller}: the run without a fault did not start: {how}")
@@ -250,7 +250,7 @@ def detection(trace: Trace) -> dict[str, int]:
 
 
 def recovery(trace: Trace, free: Trace, case: Case, ended: str) -> float | None:
-    """Return the time [s] from the fault's end until the errors stay below their limits. None if they never do.
+    """Return the time [s] from the fault's end until the errors stay below their thresholds, or None if they never do.
 
     For a fault that does not end, the time is counted from its start.
     """
@@ -335,13 +335,13 @@ def report(
     keys = ("runs", "survived", "stopped", "injected", "detected", "harmless")
     runs, survived, stopped, injected, detected, harmless = (sum(row.get(key, 0) for row in rows) for key in keys)
     answer = [
-        f"Of {runs} runs {survived} survived within the limits, {stopped} were stopped, and "
+        f"Of {runs} runs, {survived} survived within the limits, {stopped} were stopped, and "
         f"{runs - survived - stopped} ended in another way.",
-        f"Of {injected} injected solver faults {detected} were detected"
-        + (f"; {harmless} other answers were optimal in spite of the fault." if harmless else "."),
+        f"Of {injected} injected solver faults, {detected} were detected"
+        + (f"; {harmless} others left the answer optimal." if harmless else "."),
         goals_sentence(goals),
     ]
-    says = "MOC with exact, first trial: after a fault, errors and trocar force recover, or the arm stops."
+    says = "First trial of MOC with exact: after a fault, the errors and the trocar force fall again, or the arm stops."
     pictures = [Picture(figures.time_series(traces, CURVES[1:]), says, "faults")] if traces else []
     groups = {"none": "no fault", "sensors": "sensors and packets", "plant": "plant and delay",
               "contact": "bumps and trocar", "camera": "camera", "solver": "solvers"}  # fmt: skip
@@ -359,7 +359,7 @@ def report(
     return Report(f"Every fault: {about(config.scenario)}", answer, first, pictures, sections)
 
 
-main = partial(command, "faults", "Every fault under every controller.", Config, work)
+main = partial(command, "faults", "MOC and DCAC under faults.", Config, work)
 
 if __name__ == "__main__":
     sys.exit(main())

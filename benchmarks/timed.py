@@ -1,4 +1,4 @@
-"""Measure times for ``python -m benchmarks.speed``. Each function from `ticks` to `fresh` is a job that runs alone.
+"""Measure times for ``python -m benchmarks.speed``. Each function that returns a `Part` is a job that runs alone.
 
 The compared calls take turns in chunks, so that a slow moment affects all of them.
 """
@@ -33,7 +33,7 @@ from moc_opt.solvers.exact import Exact
 from moc_opt.study.timing import each_us, percentiles, since, total, used
 
 ROOT, CHUNK = Path(__file__).resolve().parents[1], 100
-COLD = 5  # number of first calls of a chunk that count as cold
+COLD = 5  # number of calls at the start of each chunk that count as cold
 
 
 class Timed(NamedTuple):
@@ -46,7 +46,7 @@ class Part:
     """The measurements of one job.
 
     Attributes:
-        found: metrics, by part of the summary and then by name.
+        found: figures by section of the summary, then by name.
         rows: rows for rows.parquet, one per chunk or round.
         missing: reason for each entry that could not run.
         times: times (chunks, CHUNK) [us] of each entry.
@@ -115,7 +115,7 @@ def record(scenario: Scenario) -> tuple[list[peers.Inputs], list[NullSpaceQP]]:
 
 
 def ticks(scenario: Scenario, solvers: Iterable[str], libraries: Iterable[str], rounds: int) -> Part:
-    """Time one tick with every solver, and with other libraries on their own runs."""
+    """Time one tick with every solver, and one tick of each other library on the inputs of its own run."""
     part, entries, (inputs, _) = Part(), dict[str, Timed](), record(scenario)
     robot = load_robot(scenario.robot.name)
     for name in solvers:
@@ -254,21 +254,21 @@ def daqp_by_hand(settings: Any, first: NullSpaceQP) -> Callable[[NullSpaceQP], t
 
 
 def disagreement(solver: Any, by_hand: Callable[[NullSpaceQP], Any], problems: list[NullSpaceQP]) -> str | None:
-    """Say by how much adapter and direct call differ, or return None if by at most 1e-4 rad/s."""
+    """Say by how much the answers of adapter and direct call differ. Return None for at most 1e-4 rad/s."""
     session = solver.start(problems[0])
     gap = max(float(np.abs(session.solve(qp).x - by_hand(qp)[0]).max()) for qp in problems[:200])
     return None if gap <= 1e-4 else f"the answers of adapter and direct call differ by {gap:.2g} rad/s"
 
 
-# --- the closed loop and its limit ---
+# --- the closed loop and its shortest possible tick ---
 
 
 def own_steps(scenario: Scenario) -> tuple[Array, Callable[[], Array]]:
-    """Return MuJoCo's recorded states (k, m), and a function that steps from all of them.
+    """Return MuJoCo's state at each tick as a row, and a function that simulates one control period from each state.
 
-    The steps run without Python, trocar and sensors. Column 0 of the states is the time.
+    The function runs without Python, trocar and sensors. Column 0 of the states is the time.
     """
-    # Imported only here, because other jobs must have no threads of MuJoCo.
+    # Imported only here, because the other jobs must run without MuJoCo's threads.
     import mujoco
     from mujoco.rollout import rollout
 
@@ -319,7 +319,7 @@ def loop(scenario: Scenario, runs: int) -> Part:
 
 
 def limit(rows: Iterable[Mapping[str, Any]], c_tick_us: float | None) -> dict[str, float]:
-    """Return median times of MuJoCo's steps and of the limit (steps plus C tick)."""
+    """Return medians of MuJoCo's steps, the shortest possible tick (steps plus C tick), and Python's ratio to it."""
     us, steps = np.array([(row["us_per_tick"], row["steps_us"]) for row in rows]).T
     found = {"steps_us": float(np.median(steps))}
     if c_tick_us is not None:
@@ -353,7 +353,7 @@ FIRST_RUN = ("-m", "moc_opt", "run", "--json")
 
 
 def fresh(processes: int) -> Part:
-    """Return median times of new processes [s]: until the first torque, and for a whole ``moc-opt run``.
+    """Return median times [s] from the start of a process to its first torque, and of a whole ``moc-opt run``.
 
     Each ``moc-opt run`` has its own home folder, so that it finds no caches.
     """

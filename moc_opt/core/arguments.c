@@ -1,11 +1,11 @@
-/* Arguments of the binding. */
+/* Checks and converts the arguments of calls from Python. */
 #include "python.h"
 
-/* Symbolic lengths of python.h: coefficients of n^2, n and 1, words in messages. */
+/* The symbolic lengths of python.h, from N = -1 to ANY = -6: factors of n^2, n and 1, and the text in messages. */
 static const struct {
     int nn, n, one;
     const char *words;
-} lengths[] = {{0, 1, 0, "n"},          {0, 11, 10, "11 n + 10"}, {1, 13, 18, "n n + 13 n + 18"},
+} lengths[] = {{0, 1, 0, "n"},          {0, 11, 10, "11 n + 10"}, {1, 13, 18, "n^2 + 13 n + 18"},
                {0, 14, 16, "14 n + 16"}, {0, 0, 0, "k"},           {0, 0, 0, "any"}};
 
 static npy_intp length_of(const call *c, int wanted)
@@ -15,7 +15,7 @@ static npy_intp length_of(const call *c, int wanted)
     return (lengths[-1 - wanted].nn * c->n + lengths[-1 - wanted].n) * c->n + lengths[-1 - wanted].one;
 }
 
-/* Whether an array has the wanted length. The first array of a call sets n and k. */
+/* Whether an array has the wanted length. If n (or k) is not set yet, a length that depends on it sets it. */
 static bool fits(call *c, int wanted, npy_intp length)
 {
     if (wanted == K && c->k < 0)
@@ -118,7 +118,7 @@ bool moc_fill(PyObject *keywords, const field *fields, int count, Arm *self)
 {
     Py_ssize_t size = keywords ? PyDict_Size(keywords) : 0;
     if (size != count) {
-        PyErr_Format(PyExc_TypeError, "%d keywords are taken, %zd were given", count, size);
+        PyErr_Format(PyExc_TypeError, "the object takes %d keywords, %zd were given", count, size);
         return false;
     }
     for (const field *f = fields; f < fields + count; f++) {

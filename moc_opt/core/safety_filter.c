@@ -9,6 +9,7 @@
  *                     repeat_reading_ticks ticks, or repeat_whole_ticks ticks (replayed_ticks without wrench noise)
  *   REPEATED *        all q are unchanged, but the reference moved by repeat_m or a torque changed by repeat_torque
  *                     tau_max. If the wrench is unchanged as well, repeat_whole_m and repeat_whole_torque apply.
+ *                     It also applies if all q are unchanged under WRENCH_REPEATED.
  *   REPEATED          all q and v are unchanged on more than repeat_reading_ticks ticks in total
  *   RAN_AWAY          |change of q - integral of v| over motion_s > motion_rad + motion_lag_s * (largest recent |v|)
  *   ONE_REPEATED      one q is unchanged for more than repeat_joint_ticks ticks in a row, or one q and its v for
@@ -19,7 +20,8 @@
  *   RCM, FORCE        rms distance of the shaft from the trocar, or rms trocar force, is above its limit
  *   TIP               rms |X - X_d| > tip_error
  *   UNEXPLAINED *     |r_i - mean of r_i| > residual_torque tau_max, or |r_i| > residual_whole tau_max
- *   STUCK             since q_i last changed, |integral of (change of r_i beyond held_i) / M_ii| > stuck_speed
+ *   STUCK             q_i is unchanged on more than `patience` ticks in a row, and |integral since then of (change of
+ *                     r_i beyond held_i) / M_ii| > stuck_speed
  *   TORQUE            the controller's torque is not finite
  *
  * Each joint's torque is limited by its virtual wall (left_by_wall), then by torque_step, then by tau_max.

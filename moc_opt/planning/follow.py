@@ -2,7 +2,7 @@
 
     x_d(t) = dq_c(t) + k (q_c(t) - q)
 
-q_c is the course, q the measured pose and k a gain.
+q_c is the course, dq_c its velocity, q the measured pose (joint positions) and k a gain.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from moc_opt.robots.model import RobotState
 
 GAIN_PER_S = 5.0  #: Gain k of x_d.
 NODES = 10  #: Number of time steps of the nonlinear program.
-CATCH_UP = 1.03  #: Factor by which a course may be faster than the search allows.
+CATCH_UP = 1.03  #: Factor on the joint speeds that the search allows.
 ON_COURSE_RAD = 0.05
 """If the arm is nearer than this to the old course, a new course begins on the old course. A start at the measured pose
 would close a second feedback loop."""
-MOST_OFF = 1e-3  #: Error of tip or wrist [m], or excess over limits [rad], above which a course is refused.
+MOST_OFF = 1e-3  #: Threshold on error of tip and wrist [m] and on excess over limits [rad] for refusing a course.
 LOST_RAD = 0.3  #: If a joint is farther than this from the course, the arm has left the course.
-NO_COURSE = "q_start: from this pose, no course within joint speeds and limits reaches the end of the path"
+NO_COURSE = "q_start: no course within the joint limits and speeds leads from this pose to the end of the path"
 ASKED_EACH = 25  #: Ticks between two checks of whether the arm has left its course.
 
 
@@ -52,7 +52,7 @@ class Piece(NamedTuple):
 
 
 class Planner:
-    """Makes courses from any pose over a fixed time, the horizon.
+    """Makes courses of a fixed duration, the horizon, from any pose.
 
     The value function V of `search` gives a coarse course, and `Program` smooths it.
     """
@@ -73,12 +73,12 @@ class Planner:
 
     @property
     def told(self) -> dict[str, float]:
-        """Numbers of ``solves`` and ``refused`` solves, and percentiles of the solve times [ms]."""
+        """The number of ``solves`` and of ``refused`` answers, and percentiles of the solve times [ms]."""
         median, high = np.percentile(1e3 * np.array(self._solve_s or [0.0]), [50.0, 99.0]).tolist()
         return {"solves": len(self._solve_s), "refused": self._refused, "solve_ms_median": median, "solve_ms_p99": high}
 
     def plan(self, q: Array, t: float, last: Piece | None) -> Piece | None:
-        """Make a course from a pose (n,) at a time [s]; return ``last`` if there is no course."""
+        """Plan a course from a pose (n,) [rad] at a time [s]. Return ``last``, the previous course, if none exists."""
         path, began = self._value.map.targets, time.perf_counter()
         end = min(int(np.searchsorted(path.t_s, t + self._horizon_s)), len(path) - 1)
         if path.t_s[end] - t < 0.5 * path.period_s:
@@ -124,8 +124,8 @@ class Follower:
     ) -> None:  # fmt: skip
         """Follow a given course, or a planner's courses from ``q_start`` (n,) [rad].
 
-        With course and planner, the planner takes over once the arm has left the course. A TaskError is raised if no
-        course begins at t = 0.
+        With course and planner, the planner takes over once the arm has left the course. Raise a TaskError if there is
+        no course at t = 0.
         """
         self._period, self._planner, self._q_start = period_s, planner, q_start
         self._given: Piece | None = None
@@ -157,7 +157,7 @@ class Follower:
 
     @property
     def told(self) -> dict[str, float]:
-        """`Planner.told`, and the time when the arm left a given course [s]; empty if no planner was used."""
+        """`Planner.told`, and the time [s] at which the arm left a given course; empty if no planner was used."""
         if self._planner is None or self._begun < 0:
             return {}
         left = {} if self._given is None else {"left_course_s": self._begun * self._period}
@@ -171,7 +171,7 @@ class Follower:
             if np.abs(self._now.at(t)[0] - state.q).max() > LOST_RAD:
                 self._begin(planner, state.q)
         elif planner is not None and 0 <= self._begun < self._tick and self._tick % self._every == 0:
-            # A new course takes effect at the next solve, as if computed in parallel with the loop.
+            # The course of the previous solve takes effect now, as if a solve took the whole time between two solves.
             now, self._next = self._next, planner.plan(state.q, t, self._now) or self._next
             self._before, self._now = self._now, now
         q, v = self._now.at(t)

@@ -32,7 +32,7 @@ class TorqueController(Protocol):
         """
 
     def set_applied_torque(self, tau: Array) -> None:
-        """Store an applied torque (n,) [Nm] that differs from the result of ``tick``."""
+        """Receive the torque (n,) [Nm] that was applied instead of the result of ``tick``."""
 
 
 class LoggedController(TorqueController, Protocol):
@@ -46,9 +46,9 @@ class LoggedController(TorqueController, Protocol):
 
 
 class Filtered(ABC):
-    """Turns a measurement into a safe torque, in this or another process."""
+    """A controller together with its safety filter, in this process or in another."""
 
-    stop_reason: Any  #: Why the arm has to be stopped; empty: it need not stop.
+    stop_reason: Any  #: Why the arm has to be stopped; empty if no stop is needed.
     limited: Any  #: Number of joints whose torque was changed in the last tick.
     warnings: Any  #: Quantities that exceeded a warning level, as JSON values.
 

@@ -35,7 +35,7 @@ Solvers = Sequence[str | Solver] | Mapping[str, str | Solver]
 
 METRICS_SHOWN = ("mu_mean", *(name for frame in ("registered", "model") for name in ERRORS if frame in name))
 CHANGES = {change_name(metric): f"{TITLES.get(metric, 'mu')}: change" for metric in METRICS_SHOWN}
-"""Headings of the columns of changes against DCAC, by name."""
+"""Column headings of the changes against DCAC, by the key of the column."""
 COLUMNS = [
     Column("solver", "solver"), Column("trials", "trials"), Column("verified", "verified", "%", ".4g"),
     Column("silently_wrong", "silently wrong"), Column("solve_p50_us", "p50", "us"),
@@ -44,9 +44,9 @@ COLUMNS = [
 ]  # fmt: skip
 CAPTION = (
     f"Means are over completed trials, with 95 % intervals for {LEAST_TRIALS} trials or more. Changes are relative to "
-    "dcac (the control law without level 3, with equal gains). ?: not confirmed by the mean over trials of each "
-    "trial's change. Verified: answers that a check found optimal. Silently wrong: number of wrong "
-    "answers reported as optimal. p50, p99: median and 99th percentile of the solve time, as medians over the trials. "
+    "dcac (the control law without level 3, with equal gains). ?: undecided; the mean of the trials' own changes "
+    "disagrees on the sign. Verified: answers that a check found optimal. Silently wrong: number of wrong answers "
+    "reported as optimal. p50, p99: medians over the trials of the solve time's median and 99th percentile. "
     f"The times of exact exclude the call from Python. {FRAMES}"
 )
 
@@ -59,7 +59,7 @@ class Comparison:
         rows: one mapping per run: solver, seed, ended, error, asked (number of subproblems) and every metric.
         solvers: the names in the table; the first is the baseline, "dcac".
         scenario: the scenario of the trials.
-        note: remarks, such as that the machine was busy.
+        note: remarks, for example on a busy machine.
         complete: False if Ctrl-C ended the comparison.
     """
 
@@ -160,7 +160,7 @@ def compare(
 ) -> Comparison:  # fmt: skip
     """Run every solver, and DCAC with the same gains, on the same trials.
 
-    A failed run's row holds the reason. After Ctrl-C, the finished trials are returned.
+    The row of a failed run holds the reason of the failure. After Ctrl-C, the finished trials are returned.
 
     Args:
         solvers: names or solver objects. A mapping's keys are the solvers' names in the table.
@@ -213,7 +213,7 @@ def _trial(
             run, trace = run_and_trace(asked, baseline)
         except Exception as error:
             if name == BASELINE or isinstance(error, MemoryError):
-                raise  # no solver's fault
+                raise  # the solver did not cause this error
             run = asked.failed(describe(error))
         unjudged = trace is not None and answers_another_problem(
             trace, solver if isinstance(solver, str) else solver.name

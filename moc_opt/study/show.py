@@ -26,14 +26,14 @@ FORMATS = {"%": "+.1f", "mm": ".3f", "us": ".1f", "m^3": ".4f", "N": ".2f"}
 
 
 def mark(verdict: bool | str | None, text: str) -> Mark:
-    """Return the `Mark` of a verdict, with ``text`` beside its symbol; if the verdict is open, as "text?"."""
+    """Return a `Mark` of the verdict's symbol and ``text``. An open verdict shows "text?" without a symbol."""
     known = MARKS.get(verdict, OPEN)
     symbol, word = ("", f"{text}?") if known is OPEN else (known.symbol, text)
     return Mark(symbol, word, known.tone, known.rank)
 
 
 class Picture(NamedTuple):
-    """A figure, a sentence about it, and its file name."""
+    """A figure with a sentence about the figure and a file name."""
 
     figure: go.Figure
     says: str
@@ -101,7 +101,7 @@ class Report:
 
 
 def about(scenario: Scenario, *, solver: bool = False) -> str:
-    """Return the arm, task and preset of a scenario, and with ``solver`` the solver, for a title."""
+    """Return arm, task and preset of a scenario for a title, and also the solver if ``solver`` is true."""
     control = scenario.control
     preset = next((name for name in PRESETS if control == ControlSettings.preset(name)), None)
     named = "default" if control == ControlSettings() else preset or "own settings"
@@ -117,9 +117,9 @@ def _markdown(table: Table) -> str:
 
 
 def columns(*metrics: str, of: str = "", **titles: str) -> list[Column]:
-    """Return one column of a table per metric, or per change of a metric, with unit and help.
+    """Return one table column, with unit and help, for each metric or change of a metric.
 
-    Values link to section ``of``. ``titles`` gives headings by name of the metric.
+    Values link to section ``of``. ``titles`` gives headings by metric.
     """
     found = []
     for name in metrics:
@@ -178,7 +178,7 @@ def lines_picture(
 
 
 def ends(figures: Mapping[str, Any], name: str) -> tuple[float, float, float] | None:
-    """Return (low, value, high) of the number ``name`` in a summary, or None if it is absent."""
+    """Return (low, value, high) of a summary's ``name``, or None if absent. Without an interval, all are the value."""
     value, low, high = (figures.get(f"{name}{end}") for end in ("", "_low", "_high"))
     if value is None:
         return None

@@ -22,14 +22,14 @@ from moc_opt.trace.trace import MissingDataError, Trace
 
 Floats = NDArray[np.float64]
 GROUP = "moc_opt.metrics"
-_LOADED: dict[EntryPoint, str] = {}  # by entry point: reason of a failure, or ""
+_LOADED: dict[EntryPoint, str] = {}  # why loading the entry point failed, or ""
 
 
 @dataclass(frozen=True)
 class Metric:
     """A registered metric."""
 
-    name: str  #: key in every summary; includes the unit
+    name: str  #: key in every summary
     unit: str  #: such as "mm"; "1" for counts and ratios
     about: str  #: one line on what the metric measures
     function: Callable[..., float] = field(repr=False)  #: function of (trace) or (trace, baseline)
@@ -69,7 +69,7 @@ def _add(name: str, unit: str, about: str, function: Callable[..., float]) -> Me
 
 
 def load_plugins() -> dict[str, str]:
-    """Register the metrics of other packages. Return the reasons of failures by name."""
+    """Register the metrics of other packages. Return, by name, why metrics could not be loaded."""
     for name, points in plugins.plugins(GROUP).items():
         if points[0] in _LOADED:
             continue
@@ -98,7 +98,7 @@ def summarize(trace: Trace, baseline: Trace | None = None) -> dict[str, float]:
         The values by name.
 
     Raises:
-        TraceError: the trace or the baseline is wrong or empty, or their ticks differ.
+        TraceError: an argument is not a Trace or is empty, the ticks differ, or a column holds impossible numbers.
     """
     load_plugins()
     for role, run in (("trace", trace), ("baseline", baseline)):
@@ -186,14 +186,14 @@ def completed(trace: Trace) -> float:
 
 @metric
 def share_of_run(trace: Trace) -> float:
-    """Completed share of the planned run. Below 1, the other metrics describe only this part."""
+    """Completed share of the planned run. If it is below 1, the other metrics describe only this part."""
     ticks, planned = trace.meta.get("ticks"), trace.meta.get("ticks_planned")
     if not isinstance(ticks, int) or not isinstance(planned, int) or planned < 1:
         raise MissingDataError("meta has no 'ticks' and 'ticks_planned': give both as numbers of ticks")
     return ticks / planned
 
 
-# --- manipulability; a course is a planned joint motion ---
+# --- manipulability ---
 
 
 _figure("mu_mean", "m^3", "Mean", "mu", np.mean)
@@ -204,19 +204,19 @@ _figure("mu_final", "m^3", "Last", "mu", lambda values: values[-1])
 def mu_gain_percent(trace: Trace, baseline: Trace | None) -> float:
     """Change of mean manipulability against the same run without level 3 (DCAC).
 
-    The baseline's gains depend on the settings of level 3. To compare such settings, use `mu_mean`.
+    The observer gain of DCAC depends on `third_level`. To compare settings of level 3, use `mu_mean`.
     """
     if baseline is None:
         raise MissingDataError("there is no baseline: give the trace of DCAC on the same trial")
     reference = METRICS["mu_mean"](baseline)
     if reference == 0.0:
-        raise MissingDataError("the baseline is singular throughout: a gain over zero has no value")
+        raise MissingDataError("mu of the baseline is zero throughout: a change relative to zero has no value")
     return 100.0 * (METRICS["mu_mean"](trace) / reference - 1.0)
 
 
 @metric
 def mu_fraction_of_bound(trace: Trace) -> float:
-    """Mean manipulability / mean of the largest possible manipulability with the same tip and wrist."""
+    """Mean manipulability divided by the mean of the largest possible manipulability with the same tip and wrist."""
     bound = float(_known(trace, "mu_bound").mean())
     if bound == 0.0:
         raise MissingDataError("the largest mu is zero throughout: a fraction of zero has no value")
@@ -225,13 +225,13 @@ def mu_fraction_of_bound(trace: Trace) -> float:
 
 @metric
 def mu_fraction_of_best_from_start(trace: Trace) -> float:
-    """Mean manipulability / mean along the best joint motion from the same start."""
+    """Mean manipulability divided by its mean along the best joint motion from the same start."""
     return METRICS["mu_mean"](trace) / _known(trace, "mu_best_from_start").mean()
 
 
 @metric
 def mu_fraction_of_best(trace: Trace) -> float:
-    """Mean manipulability / mean along the best joint motion from any start with the same tip and wrist."""
+    """Mean manipulability divided by its mean along the best joint motion with this tip and wrist, from any start."""
     return METRICS["mu_mean"](trace) / _known(trace, "mu_best").mean()
 
 

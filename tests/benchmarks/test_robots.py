@@ -44,7 +44,7 @@ def test_findings_are_judged_by_interval_ends() -> None:
     def found(count: int = 40) -> dict[str, bool | None]:
         return robots.verdicts(Results(base[:count] + mine[:count]), "exact")
 
-    assert found() == dict.fromkeys(robots.FINDINGS, True) | {"tails": None}, "40 trials are too few to show 1 in 10"
+    assert found() == dict.fromkeys(robots.FINDINGS, True) | {"tails": None}, "40 trials cannot show a share below 10 %"
     mine[:20] = [row(k, "exact", mu=1.2, tip=1.0 + 0.012 * k) for k in range(20)]
     undecided, wrong = "settled_tip_error_change_percent", "tails"
     assert [key for key, holds in found().items() if holds is not True] == [undecided, wrong]
@@ -58,7 +58,7 @@ def test_findings_are_judged_by_interval_ends() -> None:
     assert found()["all_end"] is False
 
 
-def test_equal_solvers_have_no_rank_correlation() -> None:
+def test_arm_with_equal_solvers_has_no_rank_correlation() -> None:
     means = {"a": (1.1, 1.2, 1.3), "b": (2.1, 2.2, 2.3), "c": (3.3, 3.2, 3.1), "d": (1.0, 1.0 + 1e-6, 1.0)}
     figures = {arm: {s: {"mu_mean": m} for s, m in zip("xyz", of, strict=True)} for arm, of in means.items()}
     ranking = robots.ranking(figures)

@@ -50,12 +50,12 @@ def test_more_trials_give_shorter_intervals() -> None:
     (few, wide), (many, narrow) = (coverage.covered(*POOL, size, 60) for size in (15, 60))
     assert 0.4 < narrow / wide < 0.6  # about sqrt(15/60)
     assert min(few, many) > 85.0
-    # Few trials miss rare large values.
+    # A sample of 15 trials often lacks the rare large values.
     rng = np.random.default_rng(1)
     assert coverage.covered(POOL[0] * np.where(rng.random(240) < 0.01, 1e3, 1.0), POOL[1], 15, 30)[0] < 50.0
 
 
-def test_command_writes_a_row_for_every_metric(tiny: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_coverage_study_has_a_row_for_every_metric(tiny: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     cases = coverage.Config.cases
     monkeypatch.setattr(coverage.Config, "cases", lambda config: cases(config)[:3])
     monkeypatch.setattr(coverage, "SOLVERS", ("rnn-printed",))

@@ -33,7 +33,7 @@ def default(exported):
 
 
 @pytest.mark.parametrize("name", RUNS)
-def test_exported_code_equals_python_to_the_last_bit(name, exported):
+def test_exported_code_computes_exactly_the_torque_of_python(name, exported):
     done = make(exported(Scenario(**{"duration_s": 1.0, **RUNS[name]})), "test", FLAGS)
     assert done.returncode == 0, done.stdout + done.stderr
     right = r"(\d+) ticks, (\d+) limited, .* \(tick (\d+), as it should.*\); largest difference .* (\S+) Nm"
@@ -61,7 +61,7 @@ def test_self_test_fails_for_wrong_code(default, tmp_path, file, old, new):
     assert "largest difference" in done.stdout, done.stderr
 
 
-def test_numbers_are_written_to_the_last_bit():
+def test_numbers_are_written_exactly():
     assert folder.in_c([0.1, -math.inf, math.inf, math.nan, True, 3, np.float64(1e-300)]) == (
         "{0.1, -INFINITY, INFINITY, NAN, 1, 3, 1e-300}"
     )

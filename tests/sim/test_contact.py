@@ -53,7 +53,7 @@ def test_push_replaces_the_previous_push_on_the_same_link():
     assert not plant._pushes
 
 
-def test_trocar_and_pushes_act_at_their_points():
+def test_trocar_and_pushes_act_at_their_points_of_application():
     """One plant step from rest with gravity compensated: v = step * M^-1 J^T F."""
     plant, state = Plant(DATA, PlantSettings.nominal(period_s=1e-3, substeps=1)), MODEL.state(DATA.q_home)
     trocar, lever = shaft_of(plant, depth=0.1, off=2e-3), np.array([0.01, 0.02, 0.03])
@@ -93,7 +93,7 @@ def test_trocar_force_is_computed_from_the_present_state(stiffness, damping):
     assert not plant.trocar_force.any()
 
 
-def test_trocar_moves_also_within_a_period():
+def test_trocar_moves_within_a_period():
     """One period of 20 plant steps equals ten periods of 2 steps."""
     coarse = Plant(DATA, PlantSettings.nominal(period_s=0.02, substeps=20))
     fine = Plant(DATA, PlantSettings.nominal())
@@ -110,7 +110,7 @@ def test_trocar_moves_also_within_a_period():
 @pytest.mark.parametrize(
     ("stiffness", "damping"), [(800.0, 10.0), (800.0, 100.0), (20e3, 10.0), (20e3, 100.0), (20e3, 0.0)]
 )
-def test_incision_gives_the_arm_no_energy(stiffness, damping):
+def test_trocar_gives_the_arm_no_energy(stiffness, damping):
     """The trocar is 1 mm beside the shaft and gravity is compensated."""
     wall = PlantSettings.nominal(trocar_stiffness_N_per_m=stiffness, trocar_damping_Ns_per_m=damping)
     plant = Plant(DATA, wall)
@@ -143,7 +143,7 @@ def hold(plant, periods, more=0.0):
 
 @pytest.mark.parametrize("stiffness", [1e3, 1e4])
 def test_elastic_joint_swings_at_the_frequency_of_rotor_and_links(stiffness):
-    """The frequency is sqrt(k (1/B + 1/J)) with the inertias of rotor B and links J."""
+    """The frequency is sqrt(k (1/B + 1/J)) with the rotor's inertia B and the links' inertia J."""
     settings = elastic(
         joint_stiffness_Nm_per_rad=(stiffness, *[1e5] * 6), period_s=1e-3, substeps=100, gravity=False,
         joint_spring_damping_Nm_s_per_rad=0.0,

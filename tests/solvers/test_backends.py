@@ -46,7 +46,7 @@ def test_problem_with_nan_is_not_passed_to_a_library():
     (OSQP(rows=5), OSQP(rows=6), 1e-4), (ProxQP(rows=5), ProxQP(rows=6), 1e-6),
     *((QPSolver(name, rows=5), QPSolver(name, rows=6, cost_scale=3e3), 2e-3) for name in HERE),
 ], ids=repr)  # fmt: skip
-def test_five_and_six_rows_give_the_same_answer(one, other, within):
+def test_five_and_six_constraint_rows_give_the_same_answer(one, other, within):
     for qp in problems(0, 5):
         a, b = solve(one, qp), solve(other, qp)
         assert a.status is b.status is Status.SOLVED
@@ -55,7 +55,7 @@ def test_five_and_six_rows_give_the_same_answer(one, other, within):
 
 
 class Buffers(LibrarySession):
-    """A session with the stacked, padded and transposed arrays of the libraries."""
+    """A session whose arrays are stacked, padded and transposed, as some libraries need them."""
 
     def _allocate(self, m, n):
         sides = self.sides = np.full((2, m + n + 1), np.nan)
@@ -128,8 +128,8 @@ def test_expired_time_limit_gives_the_status_time_limit():
 
 
 @pytest.mark.parametrize("kind", [SQP, Ipopt])
-def test_nonlinear_step_ends_exactly_at_the_references(kind):
-    """tip(q + x T) equals tip(q) + v_T T."""
+def test_nonlinear_step_moves_tip_and_wrist_exactly(kind):
+    """tip(q + x T) equals tip(q) + v_T T. The same holds for the wrist's motion across the shaft."""
     arm = random_arm(np.random.default_rng(3))
     kinematics = arm.kinematics()
     chosen = kind(kinematics)
@@ -143,7 +143,7 @@ def test_nonlinear_step_ends_exactly_at_the_references(kind):
         np.testing.assert_allclose(tip, qp.v_tip, atol=1e-6)
         across = qp.reduced().lift[3:, 3:]
         np.testing.assert_allclose(across @ wrist, across @ qp.v_wrist, atol=1e-6)
-        assert np.abs(qp.A @ x - qp.b).max() > 1e-6  # x does not satisfy A x = b
+        assert np.abs(qp.A @ x - qp.b).max() > 1e-6  # x does not solve the linear A x = b
 
 
 def test_nonlinear_solvers_use_the_given_gradient(robot, regular_poses):
