@@ -127,15 +127,15 @@ def report(summary: Mapping[str, Any], judged: str) -> Report:
     first = []
     for arm, by in arms.items():
         percents = {key: by.get(judged, {}).get(key) for key in FINDINGS}
-        texts = {key: "" if value is None else f"{value:+.0f}" for key, value in percents.items()}
+        texts = {key: "" if value is None else f"{round(value):+d}" for key, value in percents.items()}
         first.append({"robot": arm, **{key: mark(findings[arm][key], text) for key, text in texts.items()}})
     headings = {"mu_gain_percent": "mu", **{change_name(name): title for name, title in SETTLED.items()}}
     table = Table(
         f"MOC with {judged} against DCAC with the same gains, on every arm",
         [Column("robot", "arm", section="All figures"),
          *(Column(key, title, unit="%", section="Findings", help=FINDINGS[key]) for key, title in headings.items())],
-        first, f"Goals: mu rises by at least {LEAST_GAIN_PERCENT:g} %, settled errors by at most "
-        f"{MOST_CHANGE_PERCENT:g} %. ✔: met at every value in the 95 % interval; ✘: at no value; ?: undecided.",
+        first, f"✔: the whole 95 % interval meets the criterion (mu: at least +{LEAST_GAIN_PERCENT:g} %; "
+        f"settled errors: at most +{MOST_CHANGE_PERCENT:g} %); ✘: none of it does; ?: undecided.",
     )  # fmt: skip
     every = [{"robot": arm, "controller": name, **row} for arm, by in arms.items() for name, row in by.items()]
     marks = [
