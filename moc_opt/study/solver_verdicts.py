@@ -173,8 +173,8 @@ def _why(summary: Summary, row: Row, others: Sequence[Row], asked: int) -> str:
     text = "" if others or asked == 1 else f", the only sound one of {asked} solvers"
     text += f". It {listed(parts)}; none of its answers was silently wrong."
     if refused := counted["refused_inconsistent"]:
-        text += f" It refused {refused} more problems as infeasible. Their six rows contradict each other, but five of "
-        text += "the rows have an optimum. These refusals count neither as right nor as wrong."
+        text += f" It refused {refused} more problems as infeasible. Their six rows are inconsistent, but the problem "
+        text += "with five independent rows has a solution. These refusals count neither as right nor as wrong."
     if row["p50_us"] is not None:
         text += f" Its median solve time is {row['p50_us']:.1f} us, p99 {row['p99_us']:.1f} us."
         # Noise may change the order of these solvers.
@@ -198,8 +198,8 @@ def _in_closed_loop(row: Row, shared: int) -> str:
         common += f"{closed.get('oscillated_in_common', 0) or 'none'} of the runs oscillated."
     return (
         f"In closed loop, `{row['solver']}` ran {trials} independent trials{shaken}. Relative to `{BASELINE}`, mean mu "
-        f"changes by {mu}. In the frame registered at the start (the patient's), the tip error changes by {tip} and "
-        f"the RCM error by {rcm}.{common}"
+        f"changes by {mu}. In the frame registered at the start, the tip error changes by {tip} and the RCM error by "
+        f"{rcm}.{common}"
     )
 
 
@@ -222,9 +222,9 @@ def _avoid(summary: Summary, rows: Sequence[Row]) -> list[str]:
     if wrong := [name for name in plain if plain[name]]:
         listed = ", ".join(f"`{name}` {plain[name]}" for name in sorted(plain, key=lambda name: -plain[name]))
         said.append(
-            f"{'Also avoid' if parts else 'Avoid'} the libraries' default settings: on the paper's six dependent rows, "
-            f"with the cost unscaled, {len(wrong)} of {len(plain)} libraries claimed success for wrong answers "
-            f"(counts: {listed})."
+            f"{'Also avoid' if parts else 'Avoid'} a library's default settings with the paper's six dependent rows "
+            f"and an unscaled cost. With these, {len(wrong)} of {len(plain)} libraries claimed success for wrong "
+            f"answers (counts: {listed})."
         )
     return [" ".join(said)] if said else []
 
@@ -234,38 +234,38 @@ def _avoid(summary: Summary, rows: Sequence[Row]) -> list[str]:
 
 def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
     """Return the table of the first screen: every solver, the best first."""
-    counted = max((row["counted"].get("solves", 0) for row in rows), default=0)
     kind = CERTIFIED if "testsets" in summary else RECORDED
     recorded = RECORDED if "open_loop_warm" in summary else CERTIFIED
     columns = [
         Column("solver", "solver"), Column("verdict", "verdict"),
         Column("right_percent", "right", unit="%", format=".2f", section=kind,
-               help=f"verified, or rightly called infeasible; in percent of {counted} problems less the refused ones"),
+               help="verified, or rightly called infeasible; refused problems do not count"),
         Column("silently_wrong", "wrong", format=".0f", section=kind, help="claimed as solved, but not optimal"),
         Column("p50_us", "p50", unit="us", section=recorded, help="median time of a warm solve"),
         Column("p99_us", "p99", unit="us", section=recorded, help="one solve in a hundred is slower"),
     ]  # fmt: skip
-    caption = (
-        f"Verdicts: ★ take: the sound solver with the smallest p99. ✔ sound. ◐ gaps: less than {100 * RIGHTLY:g} % "
-        "right, but it reports its failures. ≈ near: it claims no optimum, or it is worse than ★ in closed loop. "
-        "✘ avoid. docs/solvers.md has the rules. Right: verified, or rightly called infeasible, in percent of all "
-        "problems but the refused ones. Wrong: claimed as solved, but not verified. –: not run."
-    )
-    if any(row["verdict"] is OTHER for row in rows):
-        caption += " ≠ other: it solves a nonlinear version of the problem; its answers are not judged."
+    said = [
+        "★ take: the sound solver with the smallest p99. ✔ sound: no other verdict applies. ◐ gaps: less than "
+        f"{100 * RIGHTLY:g} % right, but never silently wrong. ≠ other: it solves a nonlinear version of the problem, "
+        "so its answers are not judged.",
+        "≈ near: it never calls an answer optimal, or its loss surely (both 95 % intervals) exceeds the tolerance.",
+        "✘ avoid: it was silently wrong, hung or crashed; or one of the trials that all solvers ran broke off or "
+        f"oscillated; or its loss surely exceeds {TOO_MUCH:g} tolerances. docs/solvers.md has the exact rules.",
+        'Right: share of answers that are verified or rightly "infeasible". Refused problems do not count. Wrong: '
+        "number of silently wrong answers. A dash (–) means not run or not judged.",
+    ]
     if any(row["trials"] for row in rows):
         columns += [
-            Column("damage", "worst loss", section=CLOSED,
-                   help="worst change in closed loop relative to the best solver, if it exceeds the tolerance"),
-            Column("tip_change", "tip model/ registered", unit="%", section=CLOSED,
-                   help="change of the mean tip error relative to DCAC: kinematic model / registered frame"),
+            Column("damage", "worst loss", section=CLOSED, help="worst change beyond tolerance, relative to the best"),
+            Column("tip_change", "tip model/ registered", unit="%", section=CLOSED, help="change relative to DCAC"),
         ]  # fmt: skip
-        caption += (
-            f" {_trials_told(rows)} Worst loss: the metric (mu, error or chatter) that is worst relative to the ★ "
-            "solver, over the trials that both ran; none: within tolerance. Oscillations and tip errors are those of "
-            f"the {_trials(rows)[0]} trials that all ran. Tip: change of the error relative to DCAC, by the robot's "
-            "kinematic model / in the registered frame; ?: undecided."
-        )
+        said += [
+            "Worst loss: how much worse than with ★ the worst mean is in closed loop. Tolerances: mean mu 1 %, tip and "
+            "RCM errors 5 %, chatter (rms of the torque's rate of change) 10 %. None: all means are within tolerance.",
+            "Tip: change of the tip error relative to DCAC, by the robot's kinematic model / in the registered frame, "
+            f"over the {_trials(rows)[0]} trials that all ran (?: undecided). {_trials_told(rows)}",
+        ]
+    caption = "\n".join(f"- {line}" for line in said)
     return Table("Solvers under the settings we recommend, best first", columns, rows, caption)
 
 

@@ -58,8 +58,8 @@ def load(rows: Iterable[Row]) -> str:
     whole, spoilt = total(timed), sum(not quiet(row) for row in timed)
     if spoilt:
         return (
-            f"Other programs used the machine in {spoilt} of {len(timed)} measurements of time, whose p99 is not "
-            f"reliable. On a quiet machine, run the same command again: it repeats only these {spoilt}."
+            f"In {spoilt} of {len(timed)} measurements of time, other programs used the machine. The p99 of these "
+            f"{spoilt} is not reliable. On a quiet machine, run the same command again: it repeats only these {spoilt}."
         )
     return (
         f"While times were measured, the measuring process had {100.0 * cpu_share(whole):.1f} % of a core and was "
