@@ -211,6 +211,7 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
             first.append({
                 "robot": robot, "loop": name, **found,
                 "gap": _mark(judged.get(f"gap {name}"), found.get("gap_percent"), ".2f"),
+                "worst": _mark(judged.get(f"{name} worst"), found.get("gap_percent_max"), ".1f"),
                 **{words: _mark(judged.get(f"{name} {words}"), found.get(change_name(error)), "+.0f")
                    for words, error in ERRORS.items()},
             })  # fmt: skip
@@ -219,12 +220,11 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
     table = Table("Gap of mean mu to the best course from the same start", [
         Column("robot", "arm", section=ALONG), Column("loop", "third level"),
         Column("gap", "below best", unit="%", section=IN_THE_LOOP),
-        Column("gap_percent_max", "worst", unit="%", format=".1f", section=IN_THE_LOOP),
+        Column("worst", "worst", unit="%", section=IN_THE_LOOP),
         Column("trapped", "trapped", format="d", help=f"number of runs with a gap above {TRAPPED_PERCENT:g} %"),
         Column("tip", "tip", unit="%", section=IN_THE_LOOP, help="change of the tip error relative to local"),
         Column("RCM", "RCM", unit="%", section=IN_THE_LOOP, help="change of the RCM error relative to local"),
     ], first, "✔ the goal is met, ✘ missed, ? undecided. Without a sign: there is no goal.")  # fmt: skip
-    changes = [change_name(error) for error in ERRORS.values()]
     by_robot = [{"robot": robot, **figures} for robot, figures in summary["courses"].items()]
     arm = Column("robot", "arm")
     by_arm = [goals_table(judged, f"Goals, {robot}") for robot, judged in summary["goals"].items()]
@@ -235,7 +235,7 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
             Column("gap_percent with interval", "below best from start", unit="%"),
             Column("gap_percent_median", "median", unit="%", format=".2f"),
             Column("course_gap_percent with interval", "planned course below best", unit="%"),
-            *columns("left_course", "fraction_of_best", *ERRORS.values(), *changes)], wide)]),
+            *columns("left_course", "fraction_of_best", *ERRORS.values(), *map(change_name, ERRORS.values()))], wide)]),
         Section(ALONG, "", [
             Table("Courses along the path, means over the trials", [
                 arm, *columns("trials", "executable", "climbed_whole"),

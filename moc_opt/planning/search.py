@@ -50,7 +50,7 @@ class Value:
         """Compute V backwards in time.
 
         A pose stands for its surroundings, up to ``cell`` times half the distance to its neighbours. If ``cell`` is 1
-        or more, V is an upper bound for courses between the map's poses, too. ``price`` is c [m^3 s^2/rad^2].
+        or more, V estimates an upper bound for courses between the map's poses, too. ``price`` is c [m^3 s^2/rad^2].
         """
         self.map = found
         self._period = found.targets.period_s

@@ -65,7 +65,7 @@ def plan_tables(name: str, plan: Plan, **within: float) -> list[Table]:
         known = math.isfinite(angle)
         said[f"swivel {what}"] = f"{math.degrees(angle):.1f} deg" if known else "none: no course reaches the end"
     bounds = {"from this start": plan.bound_from_start, "from any start": plan.bound}
-    said |= {f"largest mean mu {of}": f"at most {bound:.5f}" for of, bound in bounds.items() if math.isfinite(bound)}
+    said |= {f"largest mean mu {of}": f"{bound:.5f} (estimate)" for of, bound in bounds.items() if math.isfinite(bound)}
     took = {STEPS.get(part, part): seconds for part, seconds in plan.took_s.items()}
     said["computation time"] = ", ".join(f"{part} {seconds:.2f} s" for part, seconds in took.items())
     rows = [{"what": what, "value": value} for what, value in said.items()]
