@@ -49,7 +49,7 @@ JUDGED = "tip_error_registered_mean_mm"
 DEFINED = (
     "Break-even: the calibration error at which MOC's mean tip error in the frame registered at the start reaches a "
     f"limit, interpolated between the tried sizes. The limits are {MOST_MM:g} mm and {MOST_CHANGE_PERCENT:g} % above "
-    "DCAC's error with the same gains. The 95 % intervals of the change must lie above the second limit."
+    "DCAC's error with the same gains. At the second limit, both 95 % intervals of the change lie above it."
 )
 
 
@@ -226,11 +226,11 @@ def report(summary: Mapping[str, Any], config: Config) -> Report:
     first = [{**row, "off": f"{row['preset']}, {row['size'] or 'nothing'}"} for row in rows if row["kind"] == "origins"]
     tip = {key: title.removeprefix("tip, ") for key, title in SHOWN.items() if title.startswith("tip")}
     table = Table(
-        "Mean tip error under DCAC/MOC, with errors of the joints' origins", [
+        "Mean tip error under DCAC/MOC, with errors of the joint origins", [
             Column("off", "preset, error [mm]"),
             *(Column(key, title, unit="mm", section="Calibration errors") for key, title in tip.items()),
-        ], first, "After travel: mean after the elbow's arrival. Registered again: the same mean, of errors "
-        "relative to the error vector at the arrival.",
+        ], first, "After travel: mean after the elbow's arrival. Registered again: the same mean, if the robot "
+        "registers again at the arrival (computed from the same run).",
     )  # fmt: skip
     evens = [
         {**row, **{key: _at(row[key], KINDS[row["kind"]]) for key in ("relative", "absolute", "absolute_dcac")}}
@@ -267,20 +267,20 @@ def sentences(summary: Mapping[str, Any]) -> list[str]:
             said.append(f"Preset {preset}: {few}.")
             continue
         relative, absolute = (
-            f"{_at(origins[key], 'mm')} (joints' origins) or {_at(encoders[key], 'mrad')} (encoders)"
+            f"{_at(origins[key], 'mm')} (joint origins) or {_at(encoders[key], 'mrad')} (encoders)"
             for key in ("relative", "absolute")
         )
         text = (
-            f"Preset {preset}, {origins['trials']} trials: the calibration error at which a moving elbow raises the "
-            f"mean tip error in the patient's frame by {MOST_CHANGE_PERCENT:g} % is {relative}. The calibration error "
-            f"at which MOC's tip error reaches {MOST_MM:g} mm is {absolute}."
+            f"Preset {preset}, {origins['trials']} trials: the calibration error at which the change of the mean "
+            f"registered tip error, from DCAC to MOC, surely exceeds {MOST_CHANGE_PERCENT:g} % (both 95 % intervals) "
+            f"is {relative}. The calibration error at which MOC's mean exceeds {MOST_MM:g} mm is {absolute}."
         )
         here = (preset, "origins", DEFAULT_SIZE_MM)
         for row in (row for row in summary["calibration"] if (row["preset"], row["kind"], row["size"]) == here):
             if "moc_tip_again_mm" in row:
                 text += (
-                    f" With joints' origins off by {DEFAULT_SIZE_MM:g} mm, MOC's tip error is "
-                    f"{row['moc_tip_after_mm']:.3f} mm after the elbow's arrival. Registering again reduces it to "
+                    f" With joint origins off by {DEFAULT_SIZE_MM:g} mm, MOC's tip error is "
+                    f"{row['moc_tip_after_mm']:.3f} mm after the elbow's arrival. If the robot registers again, it is "
                     f"{row['moc_tip_again_mm']:.3f} mm (DCAC: {row['dcac_tip_again_mm']:.3f} mm)."
                 )
         said.append(text)
@@ -301,7 +301,7 @@ def pictures(rows: Sequence[Mapping[str, Any]], config: Config) -> list[Picture]
             name: [(row["size"], *at) for row in mine if (at := ends(row, key)) is not None]
             for name, key in keys.items()
         }
-        drawn = lines_picture(lines, "error of the joints' origins [mm]", "mean tip error, registered frame [mm]")
+        drawn = lines_picture(lines, "error of the joint origins [mm]", "mean tip error, registered frame [mm]")
         rule(drawn, "y", MOST_MM, f"{MOST_MM:g} mm")
         says = f"Preset {preset}: tip error in the frame registered at the start, with 95 % intervals over the trials."
         found.append(Picture(drawn, says, f"calibration-{preset}"))
