@@ -271,16 +271,16 @@ def sentences(summary: Mapping[str, Any]) -> list[str]:
             for key in ("relative", "absolute")
         )
         text = (
-            f"Preset {preset}, {origins['trials']} trials: the calibration error at which the change of the mean "
-            f"registered tip error, from DCAC to MOC, surely exceeds {MOST_CHANGE_PERCENT:g} % (both 95 % intervals) "
-            f"is {relative}. The calibration error at which MOC's mean exceeds {MOST_MM:g} mm is {absolute}."
+            f"Preset {preset}, {origins['trials']} trials: the calibration error at which MOC's mean registered "
+            f"tip error surely (by 95 % intervals) exceeds DCAC's by {MOST_CHANGE_PERCENT:g} % is {relative}. The "
+            f"calibration error at which MOC's mean exceeds {MOST_MM:g} mm is {absolute}."
         )
         here = (preset, "origins", DEFAULT_SIZE_MM)
         for row in (row for row in summary["calibration"] if (row["preset"], row["kind"], row["size"]) == here):
             if "moc_tip_again_mm" in row:
                 text += (
                     f" With joint origins off by {DEFAULT_SIZE_MM:g} mm, MOC's tip error is "
-                    f"{row['moc_tip_after_mm']:.3f} mm after the elbow's arrival. If the robot registers again, it is "
+                    f"{row['moc_tip_after_mm']:.3f} mm after the elbow's arrival. After a new registration it is "
                     f"{row['moc_tip_again_mm']:.3f} mm (DCAC: {row['dcac_tip_again_mm']:.3f} mm)."
                 )
         said.append(text)

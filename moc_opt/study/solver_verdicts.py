@@ -174,7 +174,7 @@ def _why(summary: Summary, row: Row, others: Sequence[Row], asked: int) -> str:
     text += f". It {listed(parts)}; none of its answers was silently wrong."
     if refused := counted["refused_inconsistent"]:
         text += f" It refused {refused} more problems as infeasible. Their six rows are inconsistent, but the problem "
-        text += "with five independent rows has a solution. These refusals count neither as right nor as wrong."
+        text += "with five independent rows has a solution."
     if row["p50_us"] is not None:
         text += f" Its median solve time is {row['p50_us']:.1f} us, p99 {row['p99_us']:.1f} us."
         # Noise may change the order of these solvers.
