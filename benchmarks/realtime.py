@@ -279,7 +279,7 @@ def report(summary: Mapping[str, Any], subject: str = "") -> Report:
         rows.append({**found, **times, "name": name, "in_100000": f"{value:.2g} [{low:.2g}, {high:.2g}]"})
     table = Table("Every case", [
         Column("name", "case"), Column("cycles", "cycles", format=",d"),
-        Column("missed", "missed", format="d", help="round trips that took longer than the period"),
+        Column("missed", "missed", format="d", help="cycles without a command in time"),
         Column("in_100000", "per 100,000", help="missed cycles, with the 95 % interval"),
         Column("overruns", "plant stalled", format="d", help="number of ticks that began more than a period late"),
         *(Column(time, title, unit="us") for time, title in TIMES.items()), Column("stopped", "stops", format="d"),
@@ -287,13 +287,13 @@ def report(summary: Mapping[str, Any], subject: str = "") -> Report:
         Column("rcm_max_mm", "RCM error, worst", unit="mm", format=".2f"),
     ], rows)  # fmt: skip
     how = (
-        "Quiet: the study starts nothing else. Loaded: one process per core only computes. The machine's load was "
-        "measured after the last case. Times are median / 99th percentile / 99.99th percentile / longest. Brackets: "
-        "95 % interval.\n\nMissed: cycles whose round trip took longer than the period. Plant stalled: ticks of the "
-        "plant that began more than a period late. Wake-up latency: how late a tick of the plant begins. Round "
-        "trip: from the departure of a measurement to the arrival of its torque, over the loopback. Controller: the "
-        "time of safety filter and control law. Not clean: runs that neither completed, nor stopped at rest with an "
-        "RCM error below 2 mm."
+        "Quiet: the study starts nothing else. Loaded: one more process per core computes without a pause. The "
+        "machine's load is its one-minute average after the last case. Times are median / 99th percentile / 99.99th "
+        "percentile / longest. Brackets: 95 % interval.\n\nMissed: cycles without a command in time. Plant stalled: "
+        "ticks of the plant that began more than a period late. Wake-up latency: how late a tick of the plant begins. "
+        "Round trip: from the departure of a measurement to the arrival of its torque, over the loopback. Controller: "
+        "the time of safety filter and control law. Not clean: runs that neither completed, nor stopped at rest with "
+        "an RCM error below 2 mm."
     )
     title, first = "Plant and controller against the clock", goals_table(summary["goals"])
     return Report(title, sentences(summary), first, (), [Section(DETAILS, how, [table])], subtitle=subject)
