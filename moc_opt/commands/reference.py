@@ -28,17 +28,17 @@ A scenario is a TOML file. A key that is left out takes its default. The followi
     [control]
     preset = "tuned"
 
-A number has the unit at the end of its name or in brackets. For example, `_m_per_s` is m/s, and `_ticks` is a number of
-control periods. If a number is out of range, the error message gives the range. In `[guard]`, `inf` switches off a
+A number has the unit at the end of its name or in brackets. For example, `_m_per_s` is m/s, and `_ticks` is in control
+periods. If a number is out of range, the error message gives the range. In `[guard]`, `inf` switches off a
 limit of RCM error or force. Relative paths start at the file's folder. `moc-opt keys --markdown` writes this page.
 
-The control law has three levels, which docs/method.md explains. Level 1 moves the tip along the path. Level 2 keeps the
-shaft in the trocar, which is the remote centre of motion (RCM). For this it places the wrist, a point of the shaft at
-the arm's end. Level 3 moves the elbow to raise the manipulability. Its solver computes a joint velocity x with
-A x = b, so that x gives tip and wrist their reference velocities.
+The control law has three [levels](method.md#three-levels-of-torque). Level 1 moves the tip along the path. Level 2
+keeps the shaft in the trocar (remote centre of motion, RCM). For this it places the wrist, a point of the shaft at the
+arm's end. Level 3 moves the elbow to raise the manipulability. Its solver computes a joint velocity x with A x = b, so
+that x gives tip and wrist their reference velocities.
 """
 WORDS = {int: "integer", float: "number", str: "text", bool: "flag", type(None): "", Any: "value"}
-
+PAGE = re.compile(r"docs/(\w+\.md)")
 
 Key = tuple[str, str, str, str]  # name, type, default and meaning
 
@@ -93,7 +93,7 @@ def markdown(only: str | None = None) -> str:
         parts.append("\n| key | type | default | meaning |\n|---|---|---|---|\n")
         for key, kind_of, default, meaning in keys:
             cells = (f"`{key}`", kind_of, default if default == ABSENT else f"`{default}`", meaning)
-            parts.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n")
+            parts.append("| " + " | ".join(PAGE.sub(r"[\1](\1)", cell).replace("|", "\\|") for cell in cells) + " |\n")
     return "".join(parts).lstrip("\n")
 
 

@@ -26,22 +26,22 @@ class SafetyFilterSettings(Settings):
     """lag of measured velocities. At the speed v, the lag times v is added to `motion_rad`. A value below three time
     constants of the velocity filter is raised to them"""
     repeat_m: float = Field(0.003, gt=0.0)
-    """largest travel of the tip's reference at unchanged encoder readings"""
+    """largest travel of the tip's reference while all encoders repeat their readings"""
     repeat_torque: float = Field(0.06, gt=0.0)
-    """largest torque change at unchanged encoder readings, as a share of the largest torque. A value below 500 times
-    `encoder_resolution_rad` is raised to it"""
+    """largest torque change while all encoders repeat their readings, as a share of the largest torque. A value below
+    500 times `encoder_resolution_rad` is raised to it"""
     repeat_whole_torque: float = Field(0.0005, gt=0.0)
-    """largest torque change at unchanged encoder and wrench readings, as a share of the largest torque"""
+    """largest torque change while encoders and wrench sensor repeat their readings, as a share of the largest torque"""
     repeat_whole_m: float = Field(0.0005, gt=0.0)
-    """largest travel of the tip's reference at unchanged encoder and wrench readings"""
+    """largest travel of the tip's reference while encoders and wrench sensor repeat their readings"""
     repeat_whole_ticks: int = Field(25, ge=1)
-    """largest number of consecutive control periods in which a noisy wrench sensor repeats its reading, and largest
-    number of whole measurements that equal measurements a fixed time earlier"""
+    """largest number of consecutive control periods in which a noisy wrench sensor repeats its reading. It also limits
+    the number of whole measurements that equal those of a fixed time before"""
     stuck_torque: float = Field(0.06, ge=0.0)
-    """largest torque change that static friction may explain while an encoder repeats its reading, as a share of the
+    """largest torque change that static friction may explain while one encoder repeats its reading, as a share of its
     joint's largest torque"""
     stuck_friction: float = Field(6.0, gt=0.0)
-    """the same torque change, divided by the joint's Coulomb friction. The smaller of the two torques is used"""
+    """like `stuck_torque`, but as a multiple of the joint's Coulomb friction. The smaller of both torques is used"""
     repeat_joint_ticks: int | None = Field(None, ge=1)
     """largest number of consecutive control periods in which one encoder repeats its position. By default, it is
     computed from the encoders' noise and step"""
@@ -49,11 +49,11 @@ class SafetyFilterSettings(Settings):
     """largest total number of control periods of a run in which one encoder repeats both position and velocity. By
     default, it is `patience_ticks` for noisy encoders with filtered velocities, and unlimited for others"""
     stuck_rad_per_s: float = Field(0.2, gt=0.0)
-    """largest speed that unexplained torque may give a joint while its encoder repeats its reading. A value below 600
-    times `encoder_resolution_rad` is raised to it"""
+    """largest speed that torque beyond `stuck_torque` may give a joint while its encoder repeats its reading. A value
+    below 600 times `encoder_resolution_rad` is raised to it"""
     residual_torque: float = Field(0.2, gt=0.0)
-    """largest change of a joint's momentum residual (unexplained torque), as a share of its largest torque. If it is
-    exceeded for more than `patience_ticks` control periods, the arm is stopped"""
+    """largest change of a joint's momentum residual (torque that its motion implies, less the command), as a share of
+    its largest torque. If exceeded for more than `patience_ticks` control periods, the arm is stopped"""
     residual_whole_torque: float = Field(0.5, gt=0.0)
     """like `residual_torque`, but for the momentum residual itself instead of its change"""
     residual_rate_per_s: float = Field(40.0, gt=0.0, lt=500.0)
@@ -68,11 +68,11 @@ class SafetyFilterSettings(Settings):
     wall_stiffness_Nm_per_rad: float = Field(2000.0, ge=0.0)
     """stiffness of the virtual wall (prismatic joints: N/m)"""
     wall_damping_Nm_s_per_rad: float = Field(20.0, ge=0.0)
-    """damping of joint speed above the limit that `wall_brake_rad_per_s2` sets (prismatic joints: N s/m)"""
+    """damping of the part of a joint's speed above the `wall_brake_rad_per_s2` limit (prismatic joints: N s/m)"""
     wall_brake_rad_per_s2: float = Field(2.0, gt=0.0)
     """deceleration a before the virtual wall. At the distance d from the wall, the largest speed is sqrt(2 a d)"""
     jump_rad: float = Field(0.05, gt=0.0)
-    """largest jump of a measured joint position, in addition to the travel at its speed limit (see `patience_ticks`)"""
+    """largest change of a measured joint position beyond the travel at its speed limit (see `patience_ticks`)"""
     speed_factor: float = Field(5.0, gt=1.0)
     """largest measured speed, divided by the joint's speed limit (see `patience_ticks`)"""
     patience_ticks: int = Field(3, ge=0)

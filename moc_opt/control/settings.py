@@ -57,8 +57,7 @@ class ControlSettings(Settings):
     law: Literal["dcac", "moc"] = "moc"
     """control law. 'dcac': control of tip and RCM; 'moc': also level 3, which raises the manipulability"""
     gains: str | None = "default"
-    """name of a table of gains in the robot's file, with defaults of the six gains below. '' is the table with the name
-    of `law`"""
+    """table of the robot's file, used for those of the six gains below that are left out. '': table named as `law`"""
     K_X: Positive | None = Field(None, description="tip stiffness [N/m]")
     D_X: NotNegative | None = Field(None, description="tip damping [N s/m]")
     K_N: Positive | None = Field(None, description="wrist stiffness [N/m]")
@@ -70,8 +69,8 @@ class ControlSettings(Settings):
     dcac_damping: PerJoint = 0.0
     """damping of elbow motion under `law` = 'dcac' [N m s/rad]"""
     rcm_lambda: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
-    """assumed ratio of RCM error to wrist error. If given, the stiffness K_N acts on the RCM error divided by this
-    ratio, as in the paper. By default, it acts on the wrist error"""
+    """assumed ratio of RCM error to wrist error, as in the paper. If given, K_N acts on RCM error / `rcm_lambda` in
+    the direction of the wrist error, else on the wrist error"""
     projector: Literal["dynamic", "static", "as_published"] = "dynamic"
     """null-space projector of level 2. 'dynamic': dynamically consistent; 'static': consistent only at rest;
     'as_published': as printed in Su et al. (2019)"""
@@ -83,8 +82,8 @@ class ControlSettings(Settings):
     limit_torque: bool = True
     """whether the controller limits each torque to the joint's largest torque"""
     k0_per_s: Positive = 2.0
-    """k0 in the bound v <= k0 d on level 3. v is a joint's speed towards a limit, and d its distance from the limit
-    minus the margin (see `limit_margin_rad`). With `third_level` 'planned' or 'receding', k0 is at least 10"""
+    """k0 in the bound v <= k0 d on level 3. v is a joint's speed towards a limit, and d its distance from this limit,
+    less the margin `limit_margin_rad`. With `third_level` 'planned' or 'receding', k0 is at least 10"""
     third_level: Literal["local", "planned", "receding"] = "local"
     """motion of the elbow under `law` = 'moc'. 'local': up the gradient of the manipulability; 'planned': along a joint
     motion that is planned before the run; 'receding': along a joint motion that is replanned during the run"""
@@ -120,8 +119,8 @@ class ControlSettings(Settings):
     limit_margin_m: NotNegative = 0.05
     """distance from a prismatic joint's limit at which level 3 stops the approach, with every `third_level`"""
     shaft_margin: float = Field(default=0.175, ge=0.0, le=1.0)
-    """threshold of m / L^2, where m is the manipulability of the shaft about the tip [m^2] and L is the distance from
-    wrist to tip. Below it, `third_level` 'local' also raises m. 0 switches this off"""
+    """threshold of m / L^2, where m is the manipulability of the shaft about the tip (docs/method.md) and L the
+    distance from wrist to tip. Below it, `third_level` 'local' also raises m. 0 switches this off"""
     ramp_s: NotNegative = 0.3
     """time in which the torque of level 3 rises to full size at the start"""
     supervisor: SupervisorSettings = SupervisorSettings()

@@ -64,15 +64,15 @@ class SupervisorSettings(Settings):
     check: bool = True
     """whether answers are checked against `primal_limit`, `box_limit`, `relative_limit` and `opposite_limit`"""
     primal_limit: float = Field(1e-2, gt=0.0)
-    """largest constraint violation of an answer reported as optimal [A x = b: m/s; bounds on x: rad/s]"""
+    """largest violation of A x = b [m/s] or of the bounds on x [rad/s] by an answer reported as optimal"""
     box_limit: float = Field(0.1, gt=0.0)
-    """largest constraint violation of an answer not reported as optimal [A x = b: m/s; bounds on x: rad/s]"""
+    """like `primal_limit` (A x = b and bounds), for answers not reported as optimal"""
     relative_limit: float = Field(0.05, gt=0.0)
     """largest natural residual of an answer reported as optimal [rad/s], for a cost scaled so that the largest entry of
     its gradient is 1. At an optimum the residual is 0"""
     opposite_limit: float = Field(1e-3, gt=0.0)
-    """limit for answers with the wrong sign [rad/s]. An answer is refused if it is farther than this from the optimum,
-    and nearer to the optimum for the negated gradient"""
+    """limit for answers with the wrong sign of `c2` [rad/s]. An answer is refused if it is farther than this from the
+    optimum, and nearer to the optimum for the negated `c2`"""
     hold_ticks: int = Field(10, ge=0)
     """number of control periods in a row in which the last good answer replaces refused ones. Then elbow motion is
     damped"""

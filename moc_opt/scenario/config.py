@@ -68,8 +68,8 @@ class Scenario(Settings):
     bound_samples: int = Field(25, ge=0, le=100_000)
     """number of control periods at which the largest possible manipulability is computed, for comparison"""
     best_courses: bool = False
-    """whether the joint motions of largest mean manipulability are planned after the run, for comparison. In `moc-opt
-    run` the default is true"""
+    """whether the courses (joint motions) of largest mean manipulability are planned after the run, for comparison.
+    With `moc-opt run`, the default is true"""
 
     def __init__(self, **values: Any) -> None:
         try:
