@@ -56,7 +56,7 @@ class PlantSettings(Settings):
     """step of the encoders, by default 18 bits per turn"""
     velocity_cutoff_Hz: float = Field(50.0, ge=0)
     """cut-off frequency of the low-pass filter on differentiated positions. 0: no filter"""
-    encoder_side: Literal["link", "motor"] = Field("link", description="part whose position the encoder measures")
+    encoder_side: Literal["link", "motor"] = Field("link", description="part that the encoder measures")
     joint_stiffness_Nm_per_rad: Annotated[float, Field(ge=0, le=1e9)] | tuple[_Stiffness, ...] = 0.0
     """stiffness of the spring between motor and link, for all joints or per joint. 0: rigid joints"""
     joint_spring_damping_Nm_s_per_rad: float = Field(30.0, ge=0, le=1e4)
