@@ -39,7 +39,7 @@ class Column:
     help: str = ""  #: a sentence on the column's meaning
     among: str = ""  #: key of a flag: only rows with this flag can be best
     section: str = ""  #: section of the page to which the values link
-    sections: str = ""  #: key of a section in a row, which replaces `section`
+    sections: str = ""  #: key under which a row names its own section, used instead of `section`
 
 
 @dataclass(frozen=True)

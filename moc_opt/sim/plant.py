@@ -112,7 +112,7 @@ class Plant:
         """Restart at time 0 without pushes. The drives carry the arm's weight until the first command.
 
         Args:
-            q: (n,) joint positions within their limits, with the encoders' bias and without noise [rad].
+            q: (n,) joint positions within their limits, as the encoders show them without noise [rad].
             v: (n,) joint velocities [rad/s]; None: the arm is at rest.
 
         Raises:

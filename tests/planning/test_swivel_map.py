@@ -223,7 +223,7 @@ def test_a_run_can_end_at_a_local_maximum():
     assert read(two, ramp(-100.0, -60.0, 6.0)).end is End.LOCAL_MAXIMUM
     assert read(two, -60.0 - 0.7 * np.degrees(swivel_map.CLOSE_RAD)).end is End.LOCAL_MAXIMUM
     assert read(two, -60.0 - 2.0 * np.degrees(swivel_map.CLOSE_RAD)).end is End.STILL, "the run could climb further"
-    assert read(two, 60.0 - 0.7 * np.degrees(swivel_map.CLOSE_RAD)).end is End.STILL, "no maximum is higher"
+    assert read(two, 60.0 - 0.7 * np.degrees(swivel_map.CLOSE_RAD)).end is End.STILL, "the highest maximum is not local"
     # The shifted lower hill has its top at 178 degrees, and the run is at -176.
     assert read(lambda swivel: two(np.asarray(swivel) - 238.0), -176.0).end is End.LOCAL_MAXIMUM
 
@@ -246,7 +246,7 @@ def test_time_beside_forbidden_poses_is_counted():
     found = read(hill(60.0, 0.3), ramp(-20.0, 50.0), (10.0, 20.0, 4))  # forbidden: rows 12, 15, 18; beside them: 9, 21
     assert found.at_edge == pytest.approx(np.mean(np.abs(ramp(-20.0, 50.0) - 15.0) < 7.5))
     late = read(hill(60.0, 0.3), 0.0, (-4.0, 20.0, 4), since=5.0)
-    assert late.at_edge == pytest.approx(53 / 101), "the map's times are 0.5 s apart"
+    assert late.at_edge == pytest.approx(53 / 101), "the nearest time of the map counts: 5 s from 4.75 s on"
     away = read(hill(60.0, 0.3), -40.0, (-4.0, 20.0, 4))
     assert away.at_edge == 0.0
 

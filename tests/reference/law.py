@@ -59,7 +59,7 @@ def rcm_torque(s, K_N, D_N, trocar, projector_name="dynamic", rcm_lambda=None):
     P, dP = trocar
     N_d, dN_d = desired_wrist(s.tip, s.J_tip @ s.v, P, dP, s.tool_span)
     error = N_d - s.wrist
-    if rcm_lambda:  # scale the error to d / lambda. d = |(P - X) x u| is the RCM error
+    if rcm_lambda:  # keep the error's direction, and set its length to (RCM error |(P - X) x u|) / lambda
         error *= np.linalg.norm(np.cross(P - s.tip, s.tool_direction)) / rcm_lambda / np.linalg.norm(error)
     F = K_N * error + D_N * (dN_d - s.J_wrist @ s.v)
     return projector(projector_name, s) @ s.J_wrist.T @ F
@@ -98,7 +98,7 @@ def references(s, tip_ref, trocar):
 
 
 def shaft_push(mu_shaft, margin):
-    """Return the factor of grad mu_shaft, zero above the margin."""
+    """Return the weight of grad mu_shaft in the climb. It is zero if mu_shaft is above the margin."""
     if mu_shaft >= margin:
         return 0.0
     return SHAFT_PULL * (1.0 - mu_shaft / margin) * mu_shaft / (mu_shaft**2 + (SHAFT_LOST * margin) ** 2)
