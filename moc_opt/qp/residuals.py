@@ -29,7 +29,6 @@ MOST_FACETS = 300  # with more facets, natural_best and relative use the optimum
 TIED_BY_ROUNDING = 1e-14  # a sixth singular value below this share of |A|_F is a rounding error
 NEARLY_SINGULAR = 1e-3  # with a singular value below this share of |A|_F, solutions are refined
 REFINEMENTS = 3  # steps of this refinement
-EPSILON = 2.0**-52  # relative rounding error of A and b
 
 
 class Residuals(NamedTuple):
@@ -238,7 +237,7 @@ def _moving_joints(problem: Problem, x: Array, factors: _Factors, size: Array) -
     else:
         slope = np.einsum("kni,kn->ki", Z, rho[:, None] * exact - c2[:, None] * along)
         if r == 1:
-            moved, loss, gap = _along_a_line(Z[:, :, 0], slope[:, 0], rho, low, high, above, _unsure(problem, factors))
+            moved, loss, gap = _along_a_line(Z[:, :, 0], slope[:, 0], rho, low, high, above)
         else:
             moved, loss, gap, pull = _in_a_polytope(Z, slope, rho, low, high, above)
         both = np.array([np.ones(len(x)), 1.0 / _or_one(scale)])[:, :, None]
@@ -248,16 +247,6 @@ def _moving_joints(problem: Problem, x: Array, factors: _Factors, size: Array) -
             natural = np.abs(x - np.clip(x - both * pull, problem.lower, problem.upper)).max(-1)
     distance = np.abs(exact + moved - x).max(-1, initial=0.0)
     return np.stack([natural[0], np.maximum(natural[1], gap / _or_one(scale)), loss, distance])
-
-
-def _unsure(problem: Problem, factors: _Factors) -> Array:
-    """Return how far rounding of A and b can move each x_i (k, n) [rad/s], or 0 if none moves more than FEASIBLE."""
-    if not factors.exactly:
-        return np.zeros(problem.pull.shape)
-    reach = np.maximum(np.abs(problem.lower), np.abs(problem.upper))
-    errors = EPSILON * (np.abs(problem.b) + np.einsum("kij,kj->ki", np.abs(problem.A), reach))
-    moved = np.einsum("kji,ki->kj", np.abs(factors.inverse), errors)
-    return np.where(moved.max(-1, keepdims=True) > FEASIBLE, moved, 0.0)
 
 
 def _or_one(scale: Array) -> Array:
@@ -277,24 +266,20 @@ def _on_an_interval(
 
 
 def _along_a_line(
-    z: Array, slope: Array, rho: Array, low: Array, high: Array, above: Array, unsure: Array
+    z: Array, slope: Array, rho: Array, low: Array, high: Array, above: Array
 ) -> tuple[Array, Array, Array]:
     moving = np.abs(z) > STILL
     per_step = np.where(moving, z, 1.0)
 
-    def interval(beyond: Array | float) -> tuple[Array, Array, Array]:
+    def interval(beyond: float) -> tuple[Array, Array, Array]:
         ends = np.stack([(low - beyond) / per_step, (high + beyond) / per_step])
         first, last = np.where(moving, ends.min(0), -np.inf), np.where(moving, ends.max(0), np.inf)
         stops = np.stack([first.argmax(-1), last.argmin(-1)], axis=-1)
         return first.max(-1), last.min(-1), np.take_along_axis(np.abs(per_step), stops, axis=-1).min(-1)
 
     (first, last, slowest), (wide_first, wide_last, _) = interval(0.0), interval(FEASIBLE)
-    far_first, far_last, _ = interval(np.maximum(unsure, FEASIBLE))
-    empty, middle = far_first > far_last, np.clip(0.5 * (first + last), wide_first, wide_last)
-    point, by_rounding = first > last, wide_first > wide_last
-    low, high = (
-        np.where(by_rounding, far, np.where(point, middle, end)) for end, far in ((first, far_first), (last, far_last))
-    )
+    empty, middle = wide_first > wide_last, np.clip(0.5 * (first + last), wide_first, wide_last)
+    low, high = (np.where(first > last, middle, end) for end in (first, last))
     step, loss, gap = _on_an_interval(slope, rho, low, high, above, A_POINT + ROUNDING / slowest)
     return np.where(empty[:, None], np.inf, step[:, None] * z), np.where(empty, 1.0, loss), np.where(empty, np.inf, gap)
 
