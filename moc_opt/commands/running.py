@@ -26,8 +26,6 @@ POINTS = "give x, y, z [m], one point per line; the first line may name the colu
 
 def read_scenario(path: Path | None) -> tuple[Scenario, str]:
     """Return the scenario in a file, or the default scenario, with its title."""
-    if path is not None and path.suffix.lower() in (".urdf", ".xml"):
-        raise ScenarioError(f"{path} is a robot, not a scenario: give a TOML file with [robot] name = {str(path)!r}")
     scenario = Scenario() if path is None else Scenario.load(path)
     return scenario, scenario.name if path is None or "name" in scenario.model_fields_set else path.stem
 

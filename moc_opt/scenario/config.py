@@ -131,6 +131,9 @@ class Scenario(Settings):
         file = as_path(path, "scenario", ScenarioError)  # type: ignore[arg-type]
         if file.suffix == ".parquet":
             raise ScenarioError(f"{file} is a trace, no scenario: `moc-opt report`, `replay` or `map` shows it")
+        if file.suffix.lower() == ".urdf":
+            made = f"`moc-opt robot new {file} --out arm.toml`, then [robot] name = 'arm.toml' in a scenario"
+            raise ScenarioError(f"{file} is a robot, not a scenario: {made}")
         table = read_toml(file, "scenario", ScenarioError)
         try:
             return cls(**_with_files_in(file.parent, table))

@@ -202,7 +202,7 @@ class Setup:
             self.plant.reset(self.q_start)
         meta = {
             **described(self.scenario, self.robot), "deadline_us": self.scenario.deadline_us,
-            "start_q_rad": self.q_start.tolist(),
+            "start_q_rad": self.q_start.tolist(), **({"solver": self._given.name} if self._given else {}),
         }  # fmt: skip
         rows, broken = dict[str, NDArray[Any]](), None
         try:

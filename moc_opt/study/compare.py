@@ -45,8 +45,9 @@ COLUMNS = [
 CAPTION = (
     f"Means are over completed trials, with 95 % intervals for {LEAST_TRIALS} trials or more. Changes are relative to "
     "dcac (the control law without level 3, with equal gains). ?: undecided; the mean of the trials' own changes "
-    "disagrees on the sign. Verified: answers that a check found optimal. Silently wrong: number of wrong answers "
-    "reported as optimal. p50, p99: medians over the trials of the solve time's median and 99th percentile. "
+    "has another sign, or only one of the two intervals contains 0. Verified: answers that a check found optimal. "
+    "Silently wrong: number of wrong answers reported as optimal. p50, p99: medians over the trials of "
+    "the solve time's median and 99th percentile. "
     f"The times of exact exclude the call from Python. {FRAMES}"
 )
 

@@ -256,7 +256,8 @@ def table(of: Mapping[str, Any], name: str) -> dict[str, Any]:
 def about(trace: Trace) -> dict[str, str]:
     """Return a dict of a run's main facts as texts. With the law "dcac", ``solver`` is "dcac"."""
     meta, scenario = trace.meta, table(trace.meta, "scenario")
-    law = "dcac" if table(scenario, "control").get("law") == "dcac" else table(scenario, "solver").get("name")
+    name = meta.get("solver", table(scenario, "solver").get("name"))  # `run` may have been given a solver of one's own
+    law = "dcac" if table(scenario, "control").get("law") == "dcac" else name
     known = {"scenario": scenario.get("name"), "robot": meta.get("robot"), "solver": law, "ended": meta.get("ended")}
     length = {"ticks": str(len(trace))}
     if isinstance(period := meta.get("period_s"), float):

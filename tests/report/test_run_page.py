@@ -129,6 +129,8 @@ def test_pages_name_arm_task_gains_and_solver(tmp_path, capsys, files):
     assert title_of({"a": trace(), "b": trace()}) == "a and b"
     assert main(["run", str(tmp_path / "a.parquet")]) == 2
     assert "is a trace, no scenario: `moc-opt report`, `replay` or `map` shows it" in capsys.readouterr().err
+    assert main(["run", str(tmp_path / "arm.urdf")]) == 2
+    assert "arm.urdf is a robot, not a scenario: `moc-opt robot new" in capsys.readouterr().err
 
 
 def test_page_of_a_run_without_map_has_curves(robot):

@@ -12,6 +12,7 @@ from moc_opt.errors import ScenarioError, SolverError, UnknownNameError
 from moc_opt.solvers.base import Solution, Status
 from moc_opt.study.compare import Comparison
 from moc_opt.study.trials import placed
+from moc_opt.trace.trace import about
 
 
 def standing(name="standing", fails=None):
@@ -83,6 +84,7 @@ def test_exceptions_and_malformed_answers_are_reported_below_the_table(answers, 
     bad.start.return_value.solve = Mock(**answers)
     caption = mo.compare([bad], BRIEF, trials=2).table.caption
     assert f"malformed answers of bad: 2; the first: 10 ticks, first at 0.000 s: {told}." in caption
+    assert about(mo.run(BRIEF, solver=bad))["solver"] == "bad", "the scenario's solver did not run"
 
 
 def test_first_trial_must_have_a_start(monkeypatch):
