@@ -261,9 +261,9 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
 
 
 def _mark(goal: Mapping[str, Any] | None, value: float | None, form: str) -> Mark | str | None:
-    if value is None or goal is None:
-        return None if value is None else format(value, form)
-    return format(value, form) + "?" if goal["reached"] == "open" else show.mark(goal["reached"], format(value, form))
+    if value is None:
+        return None
+    return show.mark(goal["reached"], format(value, form)) if goal else format(value, form)
 
 
 def sentences(rows: Results, config: Config) -> list[str]:

@@ -251,7 +251,7 @@ def report(summary: Mapping[str, Any], config: Config) -> Report:
         *(Section(f"Defects, preset {preset}", "Means over the completed runs.", [Table(
             f"Each defect alone and together, preset {preset}", [
                 Column("group", "effect, controller"),
-                *columns(*["whole"][all(row["whole"] == row["trials"] for row in groups.values()):], *ERRORS),
+                *columns(*(["whole"] if any(row["whole"] < row["trials"] for row in groups.values()) else []), *ERRORS),
             ], [{"group": name, **row} for name, row in groups.items()])])
           for preset, groups in summary["effects"].items()),
     ]  # fmt: skip

@@ -13,9 +13,10 @@ from typing import Any, Literal, get_args, get_origin
 from rich.padding import Padding
 
 from moc_opt.errors import UnknownNameError
+from moc_opt.inputs.files import to_toml
 from moc_opt.inputs.settings import Settings
 from moc_opt.report.console import console
-from moc_opt.scenario.config import PRESETS, Scenario
+from moc_opt.scenario.config import PRESETS, Scenario, without_none
 
 TOP, ABSENT = "scenario", "left out"
 HEAD = """# The keys of a scenario
@@ -65,9 +66,9 @@ def tables(kind: type[Settings] = Scenario, path: str = "") -> Iterator[tuple[st
     inner: list[tuple[str, type[Settings]]] = []
     keys: list[Key] = []
     if path in PRESETS:
-        sets = {name: json.dumps(make().model_dump(exclude_defaults=True)) for name, make in PRESETS[path].items()}
-        told = "; ".join(f"{name!r}: {text[1:-1] or 'the defaults'}" for name, text in sets.items())
-        told = re.sub(r'"(\w+)": ', r"\1 = ", told).replace("null", "''")
+        sets = {name: without_none(make().model_dump(exclude_defaults=True)) for name, make in PRESETS[path].items()}
+        lines = {name: ", ".join(to_toml(values).splitlines()) for name, values in sets.items()}
+        told = "; ".join(f"{name!r}: {text or 'the defaults'}" for name, text in lines.items())
         meaning = f"set of values, which keys in the file override. {told}"
         keys.append(("preset", " | ".join(map(repr, PRESETS[path])), ABSENT, meaning))
     for name, field in kind.model_fields.items():

@@ -30,9 +30,9 @@ ANOTHER_PROBLEM = (
 )
 
 
-def answers_another_problem(trace: Trace, solver: str = "") -> bool:
+def answers_another_problem(trace: Trace) -> bool:
     """Return whether the solver solves a nonlinear problem, so that the metrics in `VERDICTS` mean nothing."""
-    return (solver or about(trace).get("solver", "")).startswith("nlp-")
+    return about(trace).get("solver", "").startswith("nlp-")
 
 
 def part(trace: Trace) -> str:

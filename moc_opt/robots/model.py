@@ -22,6 +22,7 @@ from moc_opt.robots.chain import Chain, Kinematics, build_kinematics
 from moc_opt.robots.gains import CARTESIAN, derived_gains
 from moc_opt.robots.loader import RobotData, load_data
 
+LEAST_JOINTS = 4  # with fewer, tip and shaft cannot be controlled
 _STRUCTURAL_ZERO = 1e-12  # a Jacobian's column with a smaller norm at random poses counts as zero everywhere
 _TIP, _WRIST = slice(0, 3), slice(3, 6)
 
@@ -139,8 +140,8 @@ class RobotModel:
         self.data = data
         self.n = n = data.n
         self.q_min, self.q_max, self.v_max, self.tau_max = data.q_min, data.q_max, data.v_max, data.tau_max
-        if n > core.MAX_JOINTS:
-            raise RobotError(f"{data.name!r} has {n} joints: at most {core.MAX_JOINTS} can be controlled")
+        if not LEAST_JOINTS <= n <= core.MAX_JOINTS:
+            raise RobotError(f"{data.name!r} has {n} joints: {LEAST_JOINTS} to {core.MAX_JOINTS} can be controlled")
         self._pin = _build(data)
         tip, wrist = (self._pin.getFrameId(name, pin.FrameType.BODY) for name in (data.tip_frame, data.wrist_frame))
         frames = [self._pin.frames[tip], self._pin.frames[wrist]]

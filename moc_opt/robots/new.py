@@ -74,8 +74,6 @@ def new_robot(
             raise RobotError(f"{str(file)!r} exists: choose another --out, or move this file away")
         check_replaceable(file, "robot file", RobotError)
     arm, name = read_vendor(source, tip=tip, lock=lock, base_rpy=base_rpy), out.stem
-    if len(arm.chain) < 4:
-        raise RobotError(f"{source}: {len(arm.chain)} moving joints: tip and shaft need at least 4; give another file")
     shaft = find_shaft(arm.urdf.to_text(name), arm.last_link)
     arm.notes.append(shaft.note)
 

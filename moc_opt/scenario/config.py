@@ -148,7 +148,7 @@ class Scenario(Settings):
             ScenarioError: a setting or the file cannot be written.
         """
         try:
-            text = to_toml(_without_none(_with_files_in(Path.cwd(), self.changes())))
+            text = to_toml(without_none(_with_files_in(Path.cwd(), self.changes())))
         except TypeError as error:
             raise ScenarioError(f"the scenario cannot be written as TOML: {error}") from error
         write_whole(path, text, "scenario", ScenarioError)
@@ -218,13 +218,14 @@ def _tables(value: Settings, name: str) -> Iterator[dict[str, Any]]:
             yield {"preset": preset, **table}
 
 
-def _without_none(table: Mapping[str, Any]) -> dict[str, Any]:
+def without_none(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a table of settings in which TOML's values stand for None: "" for `gains`, else infinity."""
     plain: dict[str, Any] = {}
     for key, value in table.items():
         if key == "settings":
             plain[key] = {name: setting for name, setting in value.items() if setting is not None}
         elif isinstance(value, Mapping):
-            plain[key] = _without_none(value)
+            plain[key] = without_none(value)
         else:
             plain[key] = ("" if key == "gains" else float("inf")) if value is None else value
     return plain

@@ -216,9 +216,7 @@ def _trial(
             if name == BASELINE or isinstance(error, MemoryError):
                 raise  # the solver did not cause this error
             run = asked.failed(describe(error))
-        unjudged = trace is not None and answers_another_problem(
-            trace, solver if isinstance(solver, str) else solver.name
-        )
+        unjudged = trace is not None and answers_another_problem(trace)
         rows.append({key: value for key, value in run.row.items() if not unjudged or key not in VERDICTS})
         if name == BASELINE and run.row["whole"]:
             baseline = trace

@@ -260,8 +260,10 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
             Column("tip_change", "tip model/ registered", unit="%", section=CLOSED, help="change relative to DCAC"),
         ]  # fmt: skip
         said += [
-            "Worst loss: how much worse than with ★ the worst mean is in closed loop. Tolerances: mean mu 1 %, tip and "
-            "RCM errors 5 %, chatter (rms of the torque's rate of change) 10 %. None: all means are within tolerance.",
+            "Worst loss: how much worse than with ★ the worst mean is in closed loop. Tolerances: mean mu "
+            f"{100 * COSTS['mu_mean'][1]:g} %, tip and RCM errors {100 * COSTS[FRAMED[0]][1]:g} %, chatter (rms of the "
+            f"torque's rate of change) {100 * COSTS['torque_rate_rms_Nm_per_s'][1]:g} %. None: all means are within "
+            "tolerance.",
             "Tip: change of the tip error relative to DCAC, by the robot's kinematic model / in the registered frame, "
             f"over the {_trials(rows)[0]} trials that all ran (?: undecided). {_trials_told(rows)}",
         ]
