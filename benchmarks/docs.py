@@ -34,7 +34,7 @@ def block(folder: Path, title: str | None) -> str | None:
     machine = made["machine"]
     command = " ".join(["python -m benchmarks." + made["study"], *made["arguments"]])
     return (
-        f"`{command}` (seed {made['seed']}, {machine['cores']} cores, {machine['processor']}, load "
+        f"Measured with `{command}` (seed {made['seed']}, {machine['cores']} cores, {machine['processor']}, load "
         f"{machine['load_1min']:.1f}, Python {machine['python']}):\n\n{text.strip()}\n"
     )
 

@@ -289,7 +289,7 @@ class Verdict(NamedTuple):
 
 
 def circle(robot: RobotModel, duration_s: float = 1.0, offset_m: float = 2e-4) -> Task:
-    """Return a circle above the home pose's tip, with the trocar 0.15 m up the shaft."""
+    """Return a horizontal circle that starts ``offset_m`` above the home pose's tip, the trocar 0.15 m up the shaft."""
     state = robot.state(robot.data.q_home)
     start = state.tip + np.array([0.0, 0.0, offset_m])
     path = make_path("circle", start, normal=(0.0, 0.0, 1.0), heading=(1.0, 0.0, 0.0), radius=0.03)

@@ -223,7 +223,7 @@ def report(summary: Mapping[str, Any], config: Config) -> Report:
         }
         for row in summary["calibration"] if row["size"] or row["kind"] == "origins"
     ]  # fmt: skip
-    first = [{**row, "off": f"{row['preset']}, {row['size'] or 'nothing'}"} for row in rows if row["kind"] == "origins"]
+    first = [{**row, "off": f"{row['preset']}, {row['size']:g}"} for row in rows if row["kind"] == "origins"]
     tip = {key: title.removeprefix("tip, ") for key, title in SHOWN.items() if title.startswith("tip")}
     table = Table(
         "Mean tip error under DCAC/MOC, with errors of the joint origins", [

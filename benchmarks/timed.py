@@ -319,7 +319,7 @@ def loop(scenario: Scenario, runs: int) -> Part:
 
 
 def limit(rows: Iterable[Mapping[str, Any]], c_tick_us: float | None) -> dict[str, float]:
-    """Return medians of MuJoCo's steps, the shortest possible tick (steps plus C tick), and Python's ratio to it."""
+    """Return medians: MuJoCo's steps, the limit (these steps and the tick in C), and tick in Python / limit."""
     us, steps = np.array([(row["us_per_tick"], row["steps_us"]) for row in rows]).T
     found = {"steps_us": float(np.median(steps))}
     if c_tick_us is not None:
@@ -353,7 +353,7 @@ FIRST_RUN = ("-m", "moc_opt", "run", "--json")
 
 
 def fresh(processes: int) -> Part:
-    """Return median times [s] from the start of a process to its first torque, and of a whole ``moc-opt run``.
+    """Return medians in new processes [s]: from the first import to the first torque, and of a whole ``moc-opt run``.
 
     Each ``moc-opt run`` has its own home folder, so that it finds no caches.
     """

@@ -132,7 +132,7 @@ edited_file = st.sampled_from(sorted(SOUND)).flatmap(
 @example(("arm.urdf", b'<!DOCTYPE r [<!ENTITY a SYSTEM "file:///etc/passwd">]>' + ARM_URDF))
 @example(("arm.urdf", b"<!ENTITY a 'b'>" + ARM_URDF))
 @example(("arm.urdf", b"<robot>" + b"<link>" * 20_000 + b"</link>" * 20_000 + b"</robot>"))
-def test_a_file_makes_something_that_works_or_is_refused(tmp_path, file):
+def test_a_file_is_refused_or_what_it_describes_works(tmp_path, file):
     name, data = file
     (tmp_path / "arm.toml").write_bytes(ARM_TOML)
     (tmp_path / "arm.urdf").write_bytes(ARM_URDF)

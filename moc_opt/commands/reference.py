@@ -34,9 +34,9 @@ periods. If a number is out of range, the error message gives the range. In `[gu
 limit of RCM error or force. Relative paths start at the file's folder. `moc-opt keys --markdown` writes this page.
 
 The control law has three [levels](method.md#three-levels-of-torque). Level 1 moves the tip along the path. Level 2
-keeps the shaft in the trocar (remote centre of motion, RCM). For this it places the wrist, a point of the shaft at the
-arm's end. Level 3 moves the elbow to raise the manipulability. Its solver computes a joint velocity x with A x = b, so
-that x gives tip and wrist their reference velocities.
+keeps the shaft in the trocar (remote centre of motion, RCM). To do so, it controls the wrist, a point of the shaft at
+the arm's end. Level 3 moves the elbow to raise the manipulability. Its solver computes a joint velocity x with A x = b,
+so that x gives tip and wrist their reference velocities.
 """
 WORDS = {int: "integer", float: "number", str: "text", bool: "flag", type(None): "", Any: "value"}
 PAGE = re.compile(r"docs/(\w+\.md)")

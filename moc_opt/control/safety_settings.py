@@ -24,7 +24,7 @@ class SafetyFilterSettings(Settings):
     """largest difference between a joint's position and its integrated velocity at rest"""
     motion_lag_s: float = Field(0.012, ge=0.0)
     """lag of measured velocities. At the speed v, the lag times v is added to `motion_rad`. A value below three time
-    constants of the velocity filter is raised to them"""
+    constants of the velocity filter is raised to that"""
     repeat_m: float = Field(0.003, gt=0.0)
     """largest travel of the tip's reference while all encoders repeat their readings"""
     repeat_torque: float = Field(0.06, gt=0.0)
@@ -36,7 +36,7 @@ class SafetyFilterSettings(Settings):
     """largest travel of the tip's reference while encoders and wrench sensor repeat their readings"""
     repeat_whole_ticks: int = Field(25, ge=1)
     """largest number of consecutive control periods in which a noisy wrench sensor repeats its reading. It also limits
-    the number of whole measurements that equal those of a fixed time before"""
+    the number of consecutive measurements that equal those of a fixed time before (a replay)"""
     stuck_torque: float = Field(0.06, ge=0.0)
     """largest torque change that static friction may explain while one encoder repeats its reading, as a share of its
     joint's largest torque"""
@@ -68,7 +68,7 @@ class SafetyFilterSettings(Settings):
     wall_stiffness_Nm_per_rad: float = Field(2000.0, ge=0.0)
     """stiffness of the virtual wall (prismatic joints: N/m)"""
     wall_damping_Nm_s_per_rad: float = Field(20.0, ge=0.0)
-    """damping of the part of a joint's speed above the `wall_brake_rad_per_s2` limit (prismatic joints: N s/m)"""
+    """damping of a joint's speed in excess of the limit in `wall_brake_rad_per_s2` (prismatic joints: N s/m)"""
     wall_brake_rad_per_s2: float = Field(2.0, gt=0.0)
     """deceleration a before the virtual wall. At the distance d from the wall, the largest speed is sqrt(2 a d)"""
     jump_rad: float = Field(0.05, gt=0.0)

@@ -57,7 +57,8 @@ class ControlSettings(Settings):
     law: Literal["dcac", "moc"] = "moc"
     """control law. 'dcac': control of tip and RCM; 'moc': also level 3, which raises the manipulability"""
     gains: str | None = "default"
-    """table of the robot's file, used for those of the six gains below that are left out. '': table named as `law`"""
+    """table of gains in the robot's file. It gives the values of those gains below that are left out. '': the table
+    `moc` or `dcac`, according to `law`"""
     K_X: Positive | None = Field(None, description="tip stiffness [N/m]")
     D_X: NotNegative | None = Field(None, description="tip damping [N s/m]")
     K_N: Positive | None = Field(None, description="wrist stiffness [N/m]")
@@ -103,8 +104,8 @@ class ControlSettings(Settings):
     climb: Literal["gradient", "scaled"] = "gradient"
     """elbow speed with `third_level` 'local'. 'gradient': proportional to the gradient of the manipulability; 'scaled':
     Newton step to the nearest maximum, divided by 0.2 s"""
-    c0: NotNegative = Field(0.01, description="weight of the tip velocity in the solver's cost")
-    c1: NotNegative = Field(0.01, description="weight of the wrist velocity in the solver's cost")
+    c0: NotNegative = Field(0.01, description="weight of the tip velocity's error in the solver's cost")
+    c1: NotNegative = Field(0.01, description="weight of the wrist velocity's error in the solver's cost")
     c2: NotNegative = Field(0.001, description="weight of the manipulability gradient in the solver's cost")
     regularization: NotNegative = 1e-5
     """weight of |x|^2 / 2 in the solver's cost, for the joint velocity x. With 0, x can jump between bounds"""
@@ -119,7 +120,7 @@ class ControlSettings(Settings):
     limit_margin_m: NotNegative = 0.05
     """distance from a prismatic joint's limit at which level 3 stops the approach, with every `third_level`"""
     shaft_margin: float = Field(default=0.175, ge=0.0, le=1.0)
-    """threshold of m / L^2, where m is the manipulability of the shaft about the tip (docs/method.md) and L the
+    """threshold of m / L^2, where m is the wrist's manipulability while the tip is held (docs/method.md) and L the
     distance from wrist to tip. Below it, `third_level` 'local' also raises m. 0 switches this off"""
     ramp_s: NotNegative = 0.3
     """time in which the torque of level 3 rises to full size at the start"""

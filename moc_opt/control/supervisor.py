@@ -71,7 +71,7 @@ class SupervisorSettings(Settings):
     """largest natural residual of an answer reported as optimal [rad/s], for a cost scaled so that the largest entry of
     its gradient is 1. At an optimum the residual is 0"""
     opposite_limit: float = Field(1e-3, gt=0.0)
-    """limit for answers with the wrong sign of `c2` [rad/s]. An answer is refused if it is farther than this from the
+    """limit for answers that lower the manipulability [rad/s]. An answer is refused if it is farther than this from the
     optimum, and nearer to the optimum for the negated `c2`"""
     hold_ticks: int = Field(10, ge=0)
     """number of control periods in a row in which the last good answer replaces refused ones. Then elbow motion is

@@ -4,10 +4,10 @@
  *   tau_0 = K_N2 (x - v) - D_N2 v, feed-forward tau_ff, observer's estimate r, share rising from 0 to 1. */
 #include "vec.h"
 
-#define STRAIGHT 1e-3  /* up to this sqrt(smaller / larger wrist mobility), the elbow counts as straight */
+#define STRAIGHT 1e-3  /* in add_dynamic, rows 3 and 4: a row this much shorter than the other counts as zero */
 
 #define SHAFT_PULL 0.1 /* weight of log mu_shaft relative to mu [m^3] */
-#define SHAFT_LOST 0.1 /* mu_shaft / shaft_margin below which moc_shaft_push falls to zero */
+#define SHAFT_LOST 0.1 /* near this mu_shaft / shaft_margin, moc_shaft_push is largest */
 #define BOX_OPENS 3.0  /* the bounds are widest for mu_shaft <= (1 - 1/BOX_OPENS) shaft_margin */
 
 typedef struct {
@@ -66,15 +66,15 @@ static void desired_wrist_acceleration(const line *s, double span, const double 
         out[i] = ddX_d[i] + span * ((bend[i] - along * s->e[i]) / s->distance - square * s->e[i]);
 }
 
-/* Add level 2, if its projector is MOC_DYNAMIC, and the feed-forward (Khatib 1987, eq. 51, for the tip):
+/* Add the wrist's torque tau_W (if the projector is MOC_DYNAMIC) and the feed-forward (Khatib 1987, eq. 51):
  *
  *   tau += (I - J_T^T Jbar_T^T) tau_W + A5^T (A5 M^-1 A5^T)^-1 a,  Jbar_T = M^-1 J_T^T (J_T M^-1 J_T^T)^-1,
  *   a = [ddX_d - dJ_T v; b^T (ddN_d - dJ_W v)], or 0 without a feed-forward.
  *
- * A5 is J_T over b^T J_W. The columns of b (3, 2) are perpendicular to the shaft. With M = H H^T (Cholesky), the last
- * three of the rows A5 H^-T and (H^-1 tau_W)^T are made orthogonal to the tip's three. At a nearly straight elbow,
- * A5 M^-1 A5^T would have only half the digits. A straight elbow cannot accelerate the wrist in one direction. The
- * feed-forward leaves this direction out. */
+ * A5 = [J_T; b^T J_W]. The columns of b (3, 2) are perpendicular to the shaft. M = H H^T (Cholesky). `rows` has the
+ * three rows J_T H^-T of the tip, the two rows b^T J_W H^-T of the wrist, and (H^-1 tau_W)^T. The tip's rows are made
+ * orthonormal, and the others orthogonal to them. This avoids the product A5 M^-1 A5^T, which has twice as many digits
+ * of rounding error. A straight elbow cannot accelerate the wrist in one direction: the feed-forward leaves it out. */
 static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *ddX_d, const double *ddN_d,
                         const double *tau_W, double *tau)
 {
@@ -173,8 +173,9 @@ void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, cons
     memcpy(tau, t->h, (unsigned)n * sizeof *tau);
     add_force(n, J_T, 1.0, F, tau);
 
-    /* RCM: F_W = K_N (N_d - N) + D_N (dN_d - dN), N_d = X + L e. With the angle theta between e and -u,
-     * lambda = (RCM error) / |N_d - N| = cos(theta/2) |P_t - X| / L. Su et al. use a constant lambda for the spring. */
+    /* RCM: F_W = share K_N (N_d - N) + D_N (dN_d - dN), N_d = X + L e. The spring of Su et al. pulls in proportion to
+     * the RCM error: share = (RCM error) / (rcm_lambda |N_d - N|). With the angle theta between e and -u, the RCM error
+     * is cos(theta/2) |P_t - X| / L times |N_d - N|. If rcm_lambda = 0, share is 1. */
     line s = shaft_line(t->tip, dX, trocar);
     if (law->rcm_lambda > 0.0)
         share = s.distance / t->span * sqrt(larger(0.5 * (1.0 - dot3(s.e, t->u)), 0.0)) / law->rcm_lambda;

@@ -24,7 +24,7 @@
 typedef enum { READ, WRITE, STRIDED, MAYBE, NUMBER, WHOLE, MADE } kind;
 
 /* Symbolic lengths: N = n joints, ROW = 11 n + 10 (subproblem), TERMS = n n + 13 n + 18, TICKED = 14 n + 16 (results of
- * a tick). The first array with K rows sets k. ANY allows any length. An array with one axis has 0 columns. */
+ * a tick). The first array with K rows sets k. ANY allows any length. columns = 0: an array with one axis. */
 enum { N = -1, ROW = -2, TERMS = -3, TICKED = -4, K = -5, ANY = -6 };
 
 typedef struct {
@@ -38,7 +38,7 @@ enum { MOST_ARGUMENTS = 14 };
 typedef struct {
     int n;                                /* joints; 0 until an array sets it */
     npy_intp k;                           /* rows; -1 until an array sets it */
-    int made, end;                        /* MADE arrays: made to end - 1 */
+    int made, end;                        /* the MADE arrays are the arguments made to end - 1 */
     double *array[MOST_ARGUMENTS];        /* NULL for None */
     double number[MOST_ARGUMENTS];
     PyArrayObject *as[MOST_ARGUMENTS];

@@ -100,7 +100,7 @@ def _leaves(given: Any, value: Any, where: str = "") -> Iterator[tuple[str, Any,
 
 
 def _fault(written: Any, read: Any, most: int) -> str:
-    """Return the cure for a wrong value that pydantic accepts, such as "2" for a number; "" for a right value."""
+    """Return the cure if a value is wrong although pydantic accepts it, for example a number in quotes; else ""."""
     is_flag = isinstance(written, bool | np.bool_)
     if isinstance(read, bool):
         return "" if is_flag else "give true or false, without quotes"

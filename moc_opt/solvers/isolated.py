@@ -51,7 +51,7 @@ class ProcessSettings(Settings):
 
     KIND: ClassVar[str] = "[solver.process]"
     answer_age_ticks: int = Field(0, ge=0)
-    """largest age of the newest answer that is used while the present one is late. 0: none is used"""
+    """largest age of an earlier answer that is used if the answer of this tick is late. 0: none is used"""
     hang_s: float = Field(1.0, gt=0.0)
     """time without an answer after which the solver's process is killed and replaced"""
     memory_MB: float = Field(4096.0, gt=0.0)

@@ -173,8 +173,8 @@ def _why(summary: Summary, row: Row, others: Sequence[Row], asked: int) -> str:
     text = "" if others or asked == 1 else f", the only sound one of {asked} solvers"
     text += f". It {listed(parts)}; none of its answers was silently wrong."
     if refused := counted["refused_inconsistent"]:
-        text += f" It refused {refused} more problems as infeasible. Their six rows are inconsistent, but the problem "
-        text += "with five independent rows has a solution."
+        text += f" It refused {refused} more problems as infeasible: their velocities of tip and wrist contradict each "
+        text += "other along the rigid tool. These count neither as right nor as wrong."
     if row["p50_us"] is not None:
         text += f" Its median solve time is {row['p50_us']:.1f} us, p99 {row['p99_us']:.1f} us."
         # Noise may change the order of these solvers.
@@ -193,9 +193,9 @@ def _in_closed_loop(row: Row, shared: int) -> str:
     shaken = f"; {count} of them oscillated" if (count := closed.get("oscillated", 0)) else ""
     common = ""
     if row["tip_change"] and shared < trials:
+        shaken += f" ({closed.get('oscillated_in_common', 0) or 'none'} of the first {shared})" if shaken else ""
         common = f" In the first {shared} trials, which the other solvers ran too, the tip error changes by "
-        common += f"{row['tip_change']} % (kinematic model/registered frame), and "
-        common += f"{closed.get('oscillated_in_common', 0) or 'none'} of the runs oscillated."
+        common += f"{row['tip_change']} % (kinematic model/registered frame)."
     return (
         f"In closed loop, `{row['solver']}` ran {trials} independent trials{shaken}. Relative to `{BASELINE}`, mean mu "
         f"changes by {mu}. In the frame registered at the start, the tip error changes by {tip} and the RCM error by "
@@ -251,8 +251,8 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
         "≈ near: it never calls an answer optimal, or its loss surely (both 95 % intervals) exceeds the tolerance.",
         "✘ avoid: it was silently wrong, hung or crashed; or one of the trials that all solvers ran broke off or "
         f"oscillated; or its loss surely exceeds {TOO_MUCH:g} tolerances. docs/solvers.md has the exact rules.",
-        'Right: share of answers that are verified or rightly "infeasible". Refused problems do not count. Wrong: '
-        "number of silently wrong answers. A dash (–) means not run or not judged.",
+        'Right: share of answers that are claimed and verified, or rightly "infeasible"; refused problems do not '
+        "count. Wrong: number of silently wrong answers. A dash (–) means not run or not judged.",
     ]
     if any(row["trials"] for row in rows):
         columns += [
@@ -260,7 +260,7 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
             Column("tip_change", "tip model/ registered", unit="%", section=CLOSED, help="change relative to DCAC"),
         ]  # fmt: skip
         said += [
-            "Worst loss: how much worse than with ★ the worst mean is in closed loop. Tolerances: mean mu "
+            "Worst loss: of all means in closed loop, the one that is worst relative to ★. Tolerances: mean mu "
             f"{100 * COSTS['mu_mean'][1]:g} %, tip and RCM errors {100 * COSTS[FRAMED[0]][1]:g} %, chatter (rms of the "
             f"torque's rate of change) {100 * COSTS['torque_rate_rms_Nm_per_s'][1]:g} %. None: all means are within "
             "tolerance.",
