@@ -62,7 +62,7 @@ def serve(line, place):
 
 def test_readme_and_start_page_run(place):
     found = blocks("README.md")
-    assert [language for language, _ in found] == ["sh", "sh", "python", "python", "python"]
+    assert [language for language, _ in found] == ["sh", "sh", "python", "python"]
     for text in (text for language, text in found if language == "sh" and not text.startswith(CHECKOUT)):
         lines = text.splitlines()
         served = [line for line in lines if line.startswith("moc-opt live")]
