@@ -72,8 +72,7 @@ class Settings(pydantic.BaseModel):
 
     def replace(self, changes: Mapping[str, Any]) -> Self:
         """Copy with some fields changed, and check all fields."""
-        values = {name: getattr(self, name) for name in type(self).model_fields}
-        return type(self)(**{**values, **changes})
+        return type(self)(**{**{name: getattr(self, name) for name in self.model_fields_set}, **changes})
 
     @classmethod
     def keys(cls, values: Mapping[str, Any]) -> list[str]:

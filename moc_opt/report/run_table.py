@@ -151,7 +151,8 @@ def _entries(trace: Trace, metrics: Mapping[str, float], first: bool) -> dict[st
     of, other, count = part(trace), answers_another_problem(trace), replaced(trace)
     ended = str(trace.meta.get("ended", "unknown"))
     word, _, reason = ended.partition(": ") if first else (ended, "", "")
-    entries: dict[str, tuple[Any, str]] = {"ended": (word, reason or f"after {len(trace)} ticks")}
+    ticks = f"{len(trace)} tick{'s' * (len(trace) != 1)}"
+    entries: dict[str, tuple[Any, str]] = {"ended": (word, reason or f"after {ticks}")}
     entries |= {"solver replaced": (count, "")} if count else {}
     for metric, value in metrics.items():
         if first and metric not in MATTER:

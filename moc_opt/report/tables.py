@@ -86,19 +86,20 @@ class Table:
         return [replace(cell, best=any(cell is one for one in ahead)) for cell in cells]
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[RichTable | Text]:
-        wide, rest, parts = options.update(width=10_000), list(self.columns[1:]), list[list[Column]]()
+        width, wide = options.max_width, options.update(width=10_000)
+        rest, parts = list(self.columns[1:]), list[list[Column]]()
         while rest or not parts:  # a table that is too wide is split; each part begins with the first column
             part = [*self.columns[:1], *rest]
-            while len(part) > 2 and Measurement.get(console, wide, self._drawn(part)).minimum > options.max_width:
+            while len(part) > 2 and Measurement.get(console, wide, self._drawn(part, width)).minimum > width:
                 part.pop()
             parts.append(part)
             rest = rest[len(part) - 1 :]
         for place, part in enumerate(parts):
-            yield self._drawn(part, "" if place else self.title, "" if parts[1:] else self.caption)
+            yield self._drawn(part, width, "" if place else self.title, "" if parts[1:] else self.caption)
         if parts[1:] and self.caption:
             yield Text(printable(self.caption), style="table.caption")
 
-    def _drawn(self, shown: Sequence[Column], title: str = "", caption: str = "") -> RichTable:
+    def _drawn(self, shown: Sequence[Column], width: int, title: str = "", caption: str = "") -> RichTable:
         drawn = RichTable(
             box=box.SIMPLE_HEAD, pad_edge=False, title_justify="left", caption_justify="left", padding=(0, 1, 0, 0)
         )
@@ -113,9 +114,9 @@ class Table:
             if column.unit:
                 heading.append(f"\n{notation.pretty_unit(column.unit)}", style="dim")
             justify, widest = alignment(cells), max((cell_len(cell.text) for cell in cells), default=0)
-            numbers = justify == "right"
+            numbers, name = justify == "right", not columns[1:] and 2 * widest < width
             least = max(widest if numbers else min(widest, SHORT_TEXT), *map(cell_len, heading.plain.splitlines()), 0)
-            drawn.add_column(heading, justify=justify, overflow="fold", no_wrap=numbers, min_width=least)
+            drawn.add_column(heading, justify=justify, overflow="fold", no_wrap=numbers or name, min_width=least)
         for row in zip(*columns, strict=True):
             drawn.add_row(*row)
         return drawn

@@ -94,8 +94,9 @@ def _task(scenario: Scenario, robot: RobotModel, q: Array) -> Layout:
     duration_s = scenario.duration_s or task.wait_s + reference.duration + task.hold_s
     if not duration_s / scenario.plant.period_s <= MOST_TICKS:
         raise ScenarioError(
-            f"the run takes {duration_s:.3g} s (duration_s, or the time of the [task]). With [plant] period_s = "
-            f"{scenario.plant.period_s:.3g} s, this is more than {MOST_TICKS} ticks: give a smaller duration_s"
+            f"the run takes {duration_s:.3g} s (duration_s, or the time for the path of {path.length:.3g} m). With "
+            f"[plant] period_s = {scenario.plant.period_s:.3g} s, this is more than {MOST_TICKS} ticks: give a smaller "
+            "duration_s, or smaller [task] sizes [m]"
         )
     return Layout(q, point, registered, reference, duration_s)
 
