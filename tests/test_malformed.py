@@ -1,7 +1,4 @@
-"""Any input either works or raises a MocOptError. Nothing else happens.
-
-`HYPOTHESIS_PROFILE=long` draws thousands of inputs.
-"""
+"""Any input works or raises a MocOptError (`HYPOTHESIS_PROFILE=long`: thousands of inputs)."""
 
 import contextlib
 

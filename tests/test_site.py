@@ -1,7 +1,4 @@
-"""The sources of the documentation site are consistent.
-
-Every public name of the reference is used in an example, a page or a doctest.
-"""
+"""The sources of the documentation site are consistent, and every public name is used in an example."""
 
 import doctest
 import importlib

@@ -1,7 +1,4 @@
-"""The source archive and the wheel are complete.
-
-The system's compiler stands in for the `ziglang` wheel. Nothing is downloaded.
-"""
+"""Source archive and wheel are complete. The system's compiler stands in for the `ziglang` wheel."""
 
 import contextlib
 import importlib.util

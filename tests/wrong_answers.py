@@ -1,7 +1,4 @@
-"""Feasible but not optimal answers: corners of the feasible set.
-
-The smallest and the largest cost are found by trying all active sets, without the solvers.
-"""
+"""Feasible corners that are not optimal, found by trying all active sets, without the solvers."""
 
 from itertools import combinations, product
 from typing import NamedTuple

@@ -218,11 +218,12 @@ def test_motion_of_the_receding_horizon_stays_on_the_path():
 @pytest.mark.parametrize("wrong", ["random", "nan", "fast"])
 def test_wrong_answers_of_the_program_are_refused(monkeypatch, wrong):
     one, rng = follower(setup()), np.random.default_rng(0)
-    robot, q = setup().robot, setup().q_start
+    robot, q, solve = setup().robot, setup().q_start, Program.solve
 
-    def nonsense(self, guess, *_):
-        if wrong == "fast":
-            return guess + 2.0 * np.eye(7)[6], True  # tip and wrist stay in place, but the first step is too long
+    def nonsense(self, guess, *given):
+        if wrong == "fast":  # joint 7, which moves neither tip nor wrist, makes a first step that is too long
+            right, _ = solve(self, guess, *given)
+            return right - np.copysign(2.0, right[0, 6]) * np.eye(7)[6], True
         return (rng.normal(size=guess.shape) if wrong == "random" else np.full_like(guess, np.nan)), True
 
     monkeypatch.setattr(Program, "solve", nonsense)
@@ -230,6 +231,14 @@ def test_wrong_answers_of_the_program_are_refused(monkeypatch, wrong):
         desired = one.desired_velocity(robot.state(q))
     assert one.told["refused"] == one.told["solves"] - 1 > NODES
     np.testing.assert_allclose(desired, 5.0 * (one._now.q_rad[-1] - q), atol=1e-12)
+
+
+def test_a_new_course_begins_on_the_old_one_only_if_the_arm_is_near():
+    planner, last = follower(setup())._planner, follower(setup())._now
+    on_course, off = last.at(0.1)[0], np.eye(7)[6]  # joint 7 moves neither tip nor wrist
+    near, far = (planner.plan(on_course + angle * off, 0.1, last).q_rad[0] for angle in (0.01, 0.1))
+    np.testing.assert_array_equal(near, on_course)
+    np.testing.assert_array_equal(far, on_course + 0.1 * off)
 
 
 @pytest.mark.parametrize("level", ["planned", "receding"])

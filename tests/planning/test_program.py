@@ -130,6 +130,10 @@ def middle(robot):
     return robot, q[29], q[30 : 30 + NODES], targets[30 : 30 + NODES], horizon(robot)
 
 
+def self_motion(robot, q):
+    return np.append(np.linalg.svd(robot.state(q).A[:, :6])[2][-1], 0.0)
+
+
 def horizon(robot, smoothness=0.001, margin=0.0):
     return Program(robot, NODES, 0.05, Limits(margin), mu=0.1, smoothness=smoothness, horizon=True)
 
@@ -151,8 +155,7 @@ def test_final_pose_of_a_horizon_moves_towards_larger_values(middle, side):
     robot, start, guess, there, made = middle
     rest = (guess[-1] - start) / (NODES * there.period_s)
     plain, _ = made.solve(guess, start, there, rest)
-    along = np.linalg.svd(robot.state(plain[-1]).A[:, :6])[2][-1]
-    along = np.append(along / np.linalg.norm(along), 0.0)
+    along = self_motion(robot, plain[-1])
     far, near = (End(plain[-1], along, 0.05 * side, -0.5, -most, most) for most in (1.0, 1e-4))
     pulled, _ = made.solve(guess, start, there, rest, far)
     assert side * (along @ (pulled[-1] - plain[-1])) > 1e-3
@@ -160,11 +163,19 @@ def test_final_pose_of_a_horizon_moves_towards_larger_values(middle, side):
     assert abs(along @ (kept[-1] - plain[-1])) < 1e-3
 
 
+def test_last_pose_balances_v_with_half_a_time_step_of_mu(middle):
+    robot, start, guess, there, _ = middle
+    v, dt = End(guess[-1], self_motion(robot, guess[-1]), slope=0.003, low=-1.0, high=1.0), 0.5
+    q = Program(robot, NODES, dt, Limits(), mu=0.1).solve(guess, start, there, end=v)[0][-1]
+    along = self_motion(robot, q)
+    assert 0.5 * dt * robot.state(q).grad_mu @ along == pytest.approx(-v.slope * v.along @ along, rel=1e-4)
+
+
 def test_a_horizon_begins_at_the_arms_speed(middle):
     robot, start, guess, there, made = middle
     steps = [made.solve(guess, start, there, speed * np.ones(robot.n))[0][0] - start for speed in (-0.5, 0.5)]
-    along = np.linalg.svd(robot.state(start).A[:, :6])[2][-1]
-    assert along @ (steps[1] - steps[0])[:6] * np.sign(along.sum()) > 1e-4
+    along = self_motion(robot, start)
+    assert along @ (steps[1] - steps[0]) * np.sign(along.sum()) > 1e-4
 
 
 def test_the_shaft_margin_moves_the_elbow(robot):

@@ -1,7 +1,4 @@
-"""After a stop, the arm is held and gives way to a trocar that presses.
-
-docs/reliability.md states the bounds.
-"""
+"""After a stop, the arm is held and gives way to a trocar that presses (bounds: docs/reliability.md)."""
 
 import dataclasses
 from collections import ChainMap
