@@ -78,15 +78,15 @@ class Planner:
         return {"solves": len(self._solve_s), "refused": self._refused, "solve_ms_median": median, "solve_ms_p99": high}
 
     def plan(self, q: Array, t: float, last: Piece | None) -> Piece | None:
-        """Plan a course from a pose (n,) [rad] at a time [s]. Return ``last``, the previous course, if none exists."""
+        """Plan a course from a pose (n,) [rad] at a time [s], or return None. ``last`` is the previous course."""
         path, began = self._value.map.targets, time.perf_counter()
         end = min(int(np.searchsorted(path.t_s, t + self._horizon_s)), len(path) - 1)
         if path.t_s[end] - t < 0.5 * path.period_s:
-            return last
+            return None
         found = self._found(q, t, end, last)
         self._solve_s.append(time.perf_counter() - began)
         self._refused += found is None
-        return last if found is None else found
+        return found
 
     def _found(self, q: Array, t: float, end: int, last: Piece | None) -> Piece | None:
         way = self._value.way(q, t, end, CATCH_UP)
@@ -172,7 +172,7 @@ class Follower:
                 self._begin(planner, state.q)
         elif planner is not None and 0 <= self._begun < self._tick and self._tick % self._every == 0:
             # The course of the previous solve takes effect now, as if a solve took the whole time between two solves.
-            now, self._next = self._next, planner.plan(state.q, t, self._now) or self._next
+            now, self._next = self._next, planner.plan(state.q, t, self._now) or self._now
             self._before, self._now = self._now, now
         q, v = self._now.at(t)
         if self._begun >= 0:  # blend from the previous course to the current course
