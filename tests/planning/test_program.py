@@ -1,4 +1,4 @@
-"""Courses (planned joint motions) of the nonlinear program keep all limits, on a whole path or a short horizon."""
+"""The nonlinear program plans courses (joint motions) that keep all limits, for a whole path or a short horizon."""
 
 import casadi
 import numpy as np
@@ -71,7 +71,7 @@ def test_the_violation_of_a_course_is_its_excess_over_a_limit(robot):
     targets = task(robot, robot.data.q_home, 20)
     course, _ = on_grid(robot, targets)
     jump, off = np.array(course.q_rad), np.array(course.q_rad)
-    jump[10, 6] += 3.5  # the idle joint: only its speed is wrong
+    jump[10, 6] += 3.5  # joint 7 moves neither tip nor wrist
     off[3, 1] += 1e-3
     for share in (1.0, 0.5):
         beyond = abs(jump[10, 6] - jump[9, 6]) - share * robot.v_max[6] * targets.period_s
@@ -86,7 +86,7 @@ def test_the_violation_of_a_course_is_its_excess_over_a_limit(robot):
     assert not refine(robot, targets, make_course(robot, targets, course.q_rad, slow), slow).kept
 
 
-def test_a_fast_joint_stops_before_its_limit():
+def test_a_fast_joint_stops_before_its_position_limit():
     v, q, zero = casadi.MX.sym("v"), casadi.MX.sym("q"), casadi.DM(0.0)
     excess = casadi.Function("excess", [v, q], [too_fast(v, q, casadi.DM(-9.0), zero, 2.0)])
     pose, dt, speeds = -1.5, 1e-3, []
@@ -111,7 +111,7 @@ def test_with_a_brake_a_course_slows_down_before_joint_limits(robot):
     assert late[1] < 1e-6 < 0.05 < late[0]
 
 
-def test_the_shaft_margin_costs_some_mu(robot):
+def test_a_shaft_margin_lowers_mean_mu(robot):
     targets = task(robot, robot.data.q_home, 40)
     course, _ = on_grid(robot, targets)
     margin = 1.2 * float(shaft_shares(robot, course.q_rad).min())
@@ -151,7 +151,7 @@ def test_a_course_over_a_horizon_keeps_all_limits(middle, capfd):
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_final_pose_of_a_horizon_moves_towards_larger_values(middle, side):
+def test_last_pose_of_a_horizon_climbs_the_value_function(middle, side):
     robot, start, guess, there, made = middle
     rest = (guess[-1] - start) / (NODES * there.period_s)
     plain, _ = made.solve(guess, start, there, rest)
@@ -163,7 +163,7 @@ def test_final_pose_of_a_horizon_moves_towards_larger_values(middle, side):
     assert abs(along @ (kept[-1] - plain[-1])) < 1e-3
 
 
-def test_last_pose_balances_v_with_half_a_time_step_of_mu(middle):
+def test_at_the_last_pose_half_a_time_step_of_mu_balances_the_value_function(middle):
     robot, start, guess, there, _ = middle
     v, dt = End(guess[-1], self_motion(robot, guess[-1]), slope=0.003, low=-1.0, high=1.0), 0.5
     q = Program(robot, NODES, dt, Limits(), mu=0.1).solve(guess, start, there, end=v)[0][-1]
@@ -171,7 +171,7 @@ def test_last_pose_balances_v_with_half_a_time_step_of_mu(middle):
     assert 0.5 * dt * robot.state(q).grad_mu @ along == pytest.approx(-v.slope * v.along @ along, rel=1e-4)
 
 
-def test_a_horizon_begins_at_the_arms_speed(middle):
+def test_a_horizon_begins_at_the_given_joint_velocity(middle):
     robot, start, guess, there, made = middle
     steps = [made.solve(guess, start, there, speed * np.ones(robot.n))[0][0] - start for speed in (-0.5, 0.5)]
     along = self_motion(robot, start)

@@ -1,4 +1,4 @@
-"""The map of mu over time and swivel (elbow angle) equals the model's mu. Synthetic maps test `read_trajectory`."""
+"""The map over time and swivel (elbow angle) has the model's mu. `read_trajectory` is tested on synthetic maps."""
 
 from dataclasses import replace
 from types import MappingProxyType
@@ -76,7 +76,7 @@ def test_the_swivel_is_measured_from_a_suitable_axis(robot):
 def test_trajectories_lie_on_the_map(robot, runs, found):
     assert np.all(found.best_mu >= np.where(found.limit == FEASIBLE, found.mu, -np.inf).max(axis=1))
     for name, trajectory in found.trajectories.items():
-        assert trajectory.gap_rad < 0.15, "the nearest row of the map is at most half a row spacing away"
+        assert trajectory.gap_rad < 0.15, "the run is at most half a row spacing away from a row of the map"
         assert (len(trajectory.t_s), trajectory.t_s[-1]) == (swivel_map.TRAJECTORY_POINTS, runs[name].t_s[-1])
         np.testing.assert_array_equal(
             trajectory.mu, robot.mu_along(runs[name].q_rad)[np.searchsorted(runs[name].t_s, trajectory.t_s)]
@@ -167,7 +167,7 @@ def test_map_keeps_the_rail_position_of_the_run(found):
     for k, tick in enumerate(ticks):
         known = np.isfinite(made.q_rad[k, :, 0])
         np.testing.assert_allclose(made.q_rad[k, known, 0], run_of_it.q_rad[tick, 0], atol=1e-2)
-    assert found.held == (), "this arm has no joint to hold"
+    assert found.held == (), "the map of the lwr4 holds no joint"
     # The run starts at a poor position of the rail.
     assert made.best_mu[0] < 0.9 * largest_mu(arm, run_of_it.q_rad[:1]).mu[0]
 
@@ -207,7 +207,7 @@ def test_a_run_that_climbs_to_the_optimum_ends_at_the_optimum():
     top, way = hill(60.0, 0.3), ramp(-30.0, 60.0, until=5.0)
     found = read(top, way)
     assert found.end is End.OPTIMUM
-    near_from = 60.0 - 60.0 * np.sqrt(-np.log(1.0 - swivel_map.NEAR))  # where mu is 2 % below the top
+    near_from = 60.0 - 60.0 * np.sqrt(-np.log(1.0 - swivel_map.NEAR))  # [deg]; there, mu is NEAR = 2 % below the top
     arrives = 5.0 * (near_from + 30.0) / 90.0
     assert (found.from_s, 10.0 - 10.0 * found.near) == pytest.approx((arrives, arrives), abs=0.11)
     assert (found.travel_rad, 0.3 * found.mu_share) == pytest.approx((np.radians(90.0), top(way).mean()))
@@ -230,7 +230,7 @@ def test_a_run_can_end_at_a_local_maximum():
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize(("top", "swivel", "end"), [
-    # The best allowed pose lies at a limit, and the run stops before the limit.
+    # Joint 4 is beyond its limit at swivels from 0 to 140 deg. Without this limit, mu would be largest at 60 deg.
     (hill(60.0, 0.3), -4.0, End.FEASIBLE_EDGE), (hill(60.0, 0.3), -16.0, End.FEASIBLE_EDGE),
     (hill(60.0, 0.3), -17.0, End.STILL), (hill(60.0, 0.3, 200.0), -4.0, End.OPTIMUM),
     (hill(60.0, 0.3, 90.0), ramp(-69.5, -60.0), End.STILL), (hill(60.0, 0.3, 90.0), ramp(-120.0, -30.0), End.RISING),
@@ -243,7 +243,7 @@ def test_the_end_of_a_run_names_the_blocking_limit(side, top, swivel, end):
 
 
 def test_time_beside_forbidden_poses_is_counted():
-    found = read(hill(60.0, 0.3), ramp(-20.0, 50.0), (10.0, 20.0, 4))  # forbidden: rows 12, 15, 18; beside them: 9, 21
+    found = read(hill(60.0, 0.3), ramp(-20.0, 50.0), (10.0, 20.0, 4))  # forbidden: 12, 15, 18 deg; beside: 9, 21 deg
     assert found.at_edge == pytest.approx(np.mean(np.abs(ramp(-20.0, 50.0) - 15.0) < 7.5))
     late = read(hill(60.0, 0.3), 0.0, (-4.0, 20.0, 4), since=5.0)
     assert late.at_edge == pytest.approx(53 / 101), "the nearest time of the map counts: 5 s from 4.75 s on"
