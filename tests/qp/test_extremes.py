@@ -72,7 +72,7 @@ def test_a_regularized_optimum_is_certified_and_the_worst_point_is_a_corner(seed
 
 @pytest.mark.parametrize("shape", [(7, 2), (8, 3), (9, 4)])
 def test_with_many_corners_the_largest_cost_is_not_overstated(shape, monkeypatch):
-    """An underestimate is safe: the loss of an answer then comes out too large."""
+    """If the largest cost is underestimated, an answer's loss comes out too large, which is safe."""
     exact = []
     for seed in range(15):
         Z, low, high, slope = cut_box(seed, shape)
@@ -131,7 +131,7 @@ def test_cost_range_below_rounding_counts_as_zero():
     assert found.least == found.most == 0.0
     shifted = extremes(Z, np.array([-3.0, -3.0]), np.array([1e-13 - 3.0, -2.0]), np.array([1.0, 0.0]), 0.0)
     assert shifted.least == shifted.most == pytest.approx(-3.0)
-    for short in (1e-8, 1e-11):  # a short interval in a wide box
+    for short in (1e-8, 1e-11):  # short, but above rounding
         found = extremes(Z, np.array([0.0, 0.0]), np.array([short, 1.0]), np.array([-1.0, 0.0]), 0.0)
         assert found.least == pytest.approx(-short)
 
@@ -152,9 +152,9 @@ def test_the_nearest_point_satisfies_its_optimality_conditions(seed, shape):
         np.testing.assert_array_equal(part, np.zeros(2))
 
 
-def test_joints_with_equal_rows_define_no_corner():
+def test_two_joints_with_equal_rows_of_the_basis_define_no_corner():
     Z = np.linalg.qr(np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.5, -0.7]]))[0]
-    Z[1] = Z[0]  # to the last bit
+    Z[1] = Z[0]  # bitwise equal
     low, high, slope, regularization = -np.ones(4), np.ones(4), np.array([0.3, -0.2]), 0.5
     found = extremes(Z, low, high, slope, regularization)
     ring = np.linspace(0.0, 2.0 * np.pi, 20001)
@@ -178,7 +178,7 @@ def test_nearest_point_of_a_distant_set_is_exact_up_to_rounding(small):
 
 @pytest.mark.parametrize("seed", [285, 568, 649, 1706, 1724, 4198, 4585])
 def test_optimum_is_verified_if_all_feasible_points_are_at_bounds(seed):
-    """The multipliers can be very large."""
+    """The duals can then be very large."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(8, 13))
     A = rng.normal(size=(6, n))

@@ -1,6 +1,6 @@
-"""Answers that slid to a worse cost near a straight elbow are not verified.
+"""Near a straight elbow, an answer with a loss above 1 % is not verified, although it is within the primal tolerance.
 
-Each attempt slides an optimum along the nearly singular direction of A within the primal tolerance.
+Each attempt moves an optimum along the nearly singular direction of A.
 """
 
 from fractions import Fraction
@@ -60,7 +60,7 @@ def rank(A):
 
 
 def attack(rng, qp, base, Z, direction):
-    """Slide an optimum within the primal tolerance. Return pairs (x, loss of x)."""
+    """Move the optimum along `direction`, with |A x - b| at most 1e-6. Return pairs (x, loss of x)."""
     best = extremes(Z, base, qp)
     if best is None:
         return []
@@ -104,7 +104,7 @@ def test_wrong_answer_within_primal_tolerance_is_not_verified(seed):
 
 @pytest.mark.parametrize("regularization", [0.0, 0.01])
 @pytest.mark.parametrize("freedoms", [1, 2])
-def test_with_one_feasible_point_residual_relative_is_scaled_excess_cost(freedoms, regularization):
+def test_relative_is_the_scaled_excess_cost_if_only_one_point_is_feasible(freedoms, regularization):
     qp, base, Z, direction = random_case(np.random.default_rng(0), freedoms, 1e-9)
     row, pinned = np.array(qp.row), [3, 6][:freedoms]
     fields(row).lower[pinned] = fields(row).upper[pinned] = base[pinned]
@@ -123,7 +123,7 @@ def far_ends(A, b, pull, lower, upper):
 
 
 @pytest.mark.parametrize("size", 10.0 ** np.arange(-11, -1, 2))
-def test_only_the_better_end_of_the_self_motion_is_verified(size):
+def test_only_the_better_end_of_the_feasible_segment_is_verified(size):
     """The gradient is nearly orthogonal to the self-motion."""
     rng, seen = np.random.default_rng(int(-np.log10(size))), 0
     for slope, width in [(1e-2, 1e-4), (1e-4, 1e-2), (1e-6, 1e-4), (1e-8, 1e-2), (1e-8, 3e-6)] * 3:
@@ -147,8 +147,8 @@ def test_only_the_better_end_of_the_self_motion_is_verified(size):
     assert seen > 9
 
 
-def test_rounded_jacobians_do_not_limit_the_self_motion():
-    """The elbow's bounds are zero, but it does not move in this self-motion."""
+def test_rounding_of_the_jacobians_does_not_limit_the_self_motion():
+    """In this self-motion, the elbow does not move, so its bounds of 0 rad/s do not matter."""
     state = ROBOTS[0].state(np.array([-2.405, -0.753, 0.226, -0.016, 1.96, -2.009, 2.289]), np.zeros(7))
     A, bounds = np.round(state.A, 13), np.ones(7)
     z = null_space(np.delete(state.A, [3, 6], axis=1), rcond=1e-7)[:, 0]

@@ -59,7 +59,7 @@ def test_wrong_shape_of_x_or_y_is_named(qp):
             qp.residuals(given_x, given_y)
 
 
-def test_flat_array_gives_back_the_same_subproblem(qp):
+def test_subproblem_made_from_its_flat_array_is_equal(qp):
     plain = changed(qp, q=None, c2=1e12)
     assert plain.q is None
     assert changed(qp, q=np.arange(7.0)).q.tolist() == list(range(7))
@@ -71,7 +71,7 @@ def test_flat_array_gives_back_the_same_subproblem(qp):
         fields(np.zeros(83))
 
 
-def test_array_other_than_contiguous_doubles_is_copied(qp):
+def test_only_contiguous_doubles_are_used_without_a_copy(qp):
     row = np.array(qp.row)
     for held in (np.repeat(row, 2)[::2], row.astype(np.float32)):
         np.testing.assert_array_equal(NullSpaceQP.from_row(held).row, held)
@@ -123,7 +123,7 @@ def test_the_sixth_row_is_left_out_only_where_the_tool_is_rigid(seed, n, rank, a
         assert np.linalg.norm(lost) <= 1.001 * tied
 
 
-def test_all_six_rows_are_given_on_request(qp):
+def test_assembled_with_argument_six_has_all_rows(qp):
     check_assembled(qp, 5)
     found = qp.assembled(6)
     np.testing.assert_array_equal(found.lift, np.eye(6))

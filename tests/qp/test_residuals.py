@@ -22,7 +22,7 @@ def optimum(qp):
 
 
 @pytest.mark.parametrize("regularization", [0.0, 1e-5])
-@pytest.mark.parametrize(("n", "structured"), [*CASES, (12, False)])  # with 12 joints, not all facets are tried
+@pytest.mark.parametrize(("n", "structured"), [*CASES, (12, False)])
 def test_optimum_is_verified_and_its_neighbours_are_not(n, structured, regularization):
     rng = np.random.default_rng(5)
     for _ in range(8):
@@ -38,7 +38,7 @@ def test_optimum_is_verified_and_its_neighbours_are_not(n, structured, regulariz
         assert with_bad_duals.verified()
         broken = x + 1e-3 * rng.choice([-1.0, 1.0], size=n)
         assert not qp.residuals(broken, y).verified()
-        if n == 12:  # natural_best then uses the duals of the optimum
+        if n == 12:  # above MOST_FACETS, natural_best uses the optimum's duals
             wrong = optimum(changed(qp, grad_mu=-qp.grad_mu))[0]
             assert qp.residuals(wrong).natural_best == pytest.approx(qp.residuals(wrong, y).natural, rel=1e-6)
 
@@ -50,7 +50,7 @@ def test_natural_best_is_the_minimum_of_natural_over_all_duals(n, structured):
 
     def reachable(qp, x, t):
         low, high = np.where(qp.upper - x <= t, -np.inf, -t), np.where(x - qp.lower <= t, np.inf, t)
-        scale, slope = 1e4, qp.P @ x + qp.p  # scale keeps numbers above the program's tolerance
+        scale, slope = 1e4, qp.P @ x + qp.p  # scale keeps numbers above milp's tolerance
         rows = LinearConstraint(qp.A.T, scale * (low - slope), scale * (high - slope))
         return milp(np.zeros(6), constraints=rows, bounds=Bounds()).status == 0
 
@@ -114,7 +114,7 @@ def test_no_wrong_corner_is_verified(n, size, tilt, regularization):
     ({"relative": 1.0, "loss": 1.0, "distance": 1e-6}, True),
     ({"relative": 1.0, "loss": 1.0, "distance": 1.1e-6}, False), ({"primal": 2e-6, "distance": 0.0}, False),
 ])  # fmt: skip
-def test_verified_compares_each_residual_with_its_limit(gates, verified):
+def test_verified_compares_each_residual_with_its_threshold(gates, verified):
     at_the_limit = {
         "primal": 1e-6, "natural": 9.0, "natural_best": 9.0, "relative": 1e-3, "loss": 1e-2, "distance": 1.0,
     }  # fmt: skip
@@ -192,7 +192,7 @@ def test_loss_is_the_largest_loss_of_all_idle_joints():
 
 @pytest.mark.parametrize("unit", [1e-4, 1.0, 1e4])
 @pytest.mark.parametrize("n", [7, 8])
-def test_without_gradient_every_feasible_answer_is_verified(n, unit):
+def test_if_the_cost_is_constant_every_feasible_answer_is_verified(n, unit):
     qp = random_problem(np.random.default_rng(30), n, structured=False, regularization=0.0)
     Z = kernel(qp)
     x = optimum(qp)[0]
@@ -213,7 +213,7 @@ def test_relative_is_scaled_by_gradient_along_self_motion():
     rooms = []
     for w in wrong_corners(5, 6, 8, tilt=1e-3):
         z = kernel(w.qp)[:, 0]
-        for regularization in (0.0, 1.0):  # 1.0: rho sets the scale
+        for regularization in (0.0, 1.0):  # at 1.0, the regularization sets the scale
             slope = z @ (regularization * w.x - w.qp.c2 * w.qp.grad_mu)
             scale = max(w.qp.c2 * abs(z @ w.qp.grad_mu) * np.abs(z).max(), regularization)
             room = np.where(z * slope > 0.0, w.x - w.qp.lower, w.qp.upper - w.x)[np.abs(z) > 1e-9].min()
@@ -301,7 +301,7 @@ def test_natural_and_primal_equal_their_definitions(regularization):
             assert found.primal == pytest.approx(max(np.abs(qp.A @ x - qp.b).max(), beyond), rel=1e-12)
             bad = np.array(y)
             bad[3] = np.nan
-            for none in (None, bad):  # the best duals are used
+            for none in (None, bad):  # without finite duals, the best duals are used
                 without = qp.residuals(x, none)
                 assert without.natural == without.natural_best == found.natural_best
 
