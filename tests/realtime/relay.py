@@ -20,7 +20,7 @@ FAULTS = ("drop", "double", "cut", "forge")
 
 
 class Relay:
-    """Pass packets between controller and plant. Each of FAULTS hits a random ``share`` of them.
+    """Pass packets between controller and plant. Each fault of FAULTS hits a packet with probability ``share``.
 
     ``lost(kind, number)`` is true for packets that never arrive.
     """
@@ -34,8 +34,8 @@ class Relay:
         self._controller: tuple[str, int] | None = None
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run)
-        self.done: list[Counter[str]] = [Counter(), Counter()]  # per direction
-        self.whole: list[Counter[tuple[Kind, int]]] = [Counter(), Counter()]  # per direction
+        self.done: list[Counter[str]] = [Counter(), Counter()]  # counts of faults, per direction
+        self.whole: list[Counter[tuple[Kind, int]]] = [Counter(), Counter()]  # counts of whole packets, per direction
 
     @property
     def address(self) -> str:
@@ -72,7 +72,7 @@ class Relay:
             self._send(data[: len(data) // 2], way)
         elif name == "forge":
             at = int(self._rng.integers(0, len(data)))
-            at += at == 5  # byte 5 is the kind
+            at += at == 5  # byte 5, the packet's kind, stays
             self._send(data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :], way)
         for _ in range(0 if name in ("drop", "cut", "forge") else 2 if name == "double" else 1):
             if not self._ended(way):
@@ -92,7 +92,7 @@ KEY, SCENARIO = b"k" * 16, 9
 SETTINGS = WireSettings(hold_ticks=2, damp_ticks=3, wait_s=0.1)
 NOTHING = np.zeros((3, 3)), np.zeros((2, 3))
 NO_TIME: Any = SimpleNamespace(late_us=0.0, overruns=0, wait_for=lambda tick: 0.0)
-"""A clock whose ticks end as soon as they begin."""
+"""A clock that never waits; the deadline of every tick has passed."""
 
 
 class Peer:

@@ -72,7 +72,7 @@ def test_only_valid_packets_pass(ends):
     foreign = (
         seal(command(sequence=3), KEY)[:-1], seal(command(sequence=3), KEY) + b"\0", b"", seal(command(n=6), KEY),
         seal(command(session=5), KEY), seal(command(magic=b"OTHR"), KEY), seal(command(version=9), KEY),
-        seal(command(joints=6), KEY), seal(command(kind=Kind.MEASUREMENT), KEY),  # only the plant sends these
+        seal(command(joints=6), KEY), seal(command(kind=Kind.MEASUREMENT), KEY),  # only the plant sends measurements
     )  # fmt: skip
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
         stranger.sendto(seal(command(sequence=1), KEY), plant.address)  # not the address that began the session
@@ -89,7 +89,7 @@ def test_flood_of_packets_is_not_read_completely(ends):
     plant, controller = ends
     controller.sendto(seal(command(sequence=1), KEY), plant.address)
     assert plant.receive(monotonic() - 1.0) is not None
-    for flood in (b"x", seal(command(sequence=2), KEY)):  # first invalid packets, then packets of an unwanted tick
+    for flood in (b"x", seal(command(sequence=2), KEY)):  # invalid packets, then packets of another tick
         for _ in range(wire.BACKLOG):  # the system's buffer may hold fewer
             controller.sendto(flood, plant.address)
         controller.sendto(seal(command(sequence=3), KEY), plant.address)
@@ -272,13 +272,13 @@ def test_measurement_with_impossible_stamp_is_not_answered():
     assert (ending["quality"]["foreign"], ending["quality"]["received"]) == (1, 1)
 
 
-def test_late_tick_does_not_delay_the_next(monkeypatch):
+def test_only_a_tick_more_than_a_period_late_delays_the_next(monkeypatch):
     T = 0.002
     now = {"s": 100.0, "oversleep": 0.5 * T}
     monkeypatch.setattr(clock, "monotonic", lambda: now["s"])
     monkeypatch.setattr(clock, "sleep", lambda seconds: now.update(s=now["s"] + seconds + now["oversleep"]))
     time = clock.WallClock(T)
-    assert time.wait_for(0) == pytest.approx(100.0 + 2.5 * T)  # the controller has its whole period
+    assert time.wait_for(0) == pytest.approx(100.0 + 2.5 * T)  # half a period late, tick 0 still gets a whole period
     assert time.late_us == pytest.approx(1e6 * 0.5 * T)
     now["oversleep"] = 0.0
     for tick in range(1, 20):

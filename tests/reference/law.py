@@ -37,7 +37,7 @@ def null_space(A):
 
 
 def projector(name, s):
-    """Return the second level's projector (n, n)."""
+    """Return the projector (n, n) of the wrist's torque (level 2)."""
     J, eye = s.J_tip, np.eye(s.n)
     if name == "as_published":
         return eye - J.T @ J
@@ -98,22 +98,22 @@ def references(s, tip_ref, trocar):
 
 
 def shaft_push(mu_shaft, margin):
-    """Return the weight of grad mu_shaft in the climb. It is zero if mu_shaft is above the margin."""
+    """Return the weight of grad mu_shaft in `slope`: zero if mu_shaft is at least ``margin``."""
     if mu_shaft >= margin:
         return 0.0
     return SHAFT_PULL * (1.0 - mu_shaft / margin) * mu_shaft / (mu_shaft**2 + (SHAFT_LOST * margin) ** 2)
 
 
 def slope(s, margin=0.0):
-    """Return the gradient that the climb follows (mu's and the shaft's), projected onto ker A."""
+    """Return the gradient of mu, plus the weighted gradient of mu_shaft, projected onto ker A."""
     Z = null_space(s.A)
     return Z.T @ Z @ (s.grad_mu + shaft_push(s.mu_shaft, margin) * s.grad_mu_shaft)
 
 
 def scaled_climb(robot, s, margin=0.0):
-    """x_d = k t |d| / max(-h, |d| / r), a Newton step to the maximum of mu along t = d / |d|.
+    """x_d = k t |d| / max(-b, |d| / r), a Newton step to the maximum of mu along t = d / |d|.
 
-    h is the slope of |d| along t, k is CLIMB_PER_S, and r is LONGEST_RAD.
+    b is the derivative of d^T t along t, k is CLIMB_PER_S, and r is LONGEST_RAD.
     """
     d = slope(s, margin)
     steep = np.linalg.norm(d)

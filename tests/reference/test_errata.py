@@ -71,11 +71,11 @@ def test_printed_third_level_lacks_an_inverse(states):
         assert printed.shape == (7, len(Z))  # it cannot multiply a joint vector (7,)
         assert idempotence(consistent) < 1e-9
         assert idempotence(printed @ Z) > 0.5  # the inverse is missing
-        # printed torque / consistent torque [kg^2 m^4]
+        # These eigenvalues of inner^2 [kg^2 m^4] are ratios of the printed to the consistent torque.
         assert (np.linalg.eigvalsh(inner) ** 2).max() < 0.5
 
 
-# Printed: grad F + grad F^T <= 0, with blocks J J^T (3x3). Right: 2 diag(c0 J_T^T J_T + c1 J_W^T J_W, 0, 0) >= 0 (7x7).
+# Printed: grad F + grad F^T <= 0, with 3x3 blocks J J^T. Right: 2 diag(c0 J_T^T J_T + c1 J_W^T J_W, 0, 0) >= 0 (7x7).
 def test_gradient_of_f_is_positive_semidefinite(robot, states):
     for s in states:
         G, wanted = saddle(subproblem(robot, s)), np.zeros((13, 13))
@@ -85,8 +85,8 @@ def test_gradient_of_f_is_positive_semidefinite(robot, states):
         assert np.linalg.eigvalsh(G + G.T)[-1] > 1e-3
 
 
-# Printed: F(Y) = [-dL/dqd, dL/dl], without a time constant. Right: [dL/dqd, -dL/dl], with eps, or m steps per tick.
-def test_modes_grow_with_the_printed_sign(robot, states):
+# Printed: F(Y) = [-dL/dqd, dL/dl], without a time constant. Right: [dL/dqd, -dL/dl], with a time constant.
+def test_deviations_grow_with_the_printed_sign(robot, states):
     """With dY/dt = -k F(Y), the real part of an eigenvalue is -k c0 s^2 / 2 for a singular value s of A."""
     for s in states:
         qp = subproblem(robot, s)
@@ -98,9 +98,9 @@ def test_modes_grow_with_the_printed_sign(robot, states):
         assert 1e-4 < -growth.min() < 1.0 / 50.0
 
 
-# Printed: e_N1 = d / lambda with lambda = 0.5. Right: |N_d - N|. The setting rcm_lambda keeps the printed form.
+# Printed: |e_N1| = d / lambda, with the RCM error d and lambda = 0.5 (setting rcm_lambda). Right: |N_d - N|.
 def test_true_lambda_is_not_constant(states):
-    """For a shaft off the trocar, d / |N_d - N| equals |P - X| / L."""
+    """For a shaft off the trocar, the true lambda d / |N_d - N| equals |P - X| / L."""
     depths, found = np.array([task.depth_m for task in BOARD_TASKS.values()]), []
     for s in states:
         across = np.cross(s.tool_direction, np.eye(3)[np.argmin(np.abs(s.tool_direction))])
@@ -113,8 +113,8 @@ def test_true_lambda_is_not_constant(states):
     assert PAPER.rcm_lambda == 0.5
 
 
-# Printed: K_N2 = [80, ...] acts on qdd_d, at c2 = 0.001 and k = 0.1. The solver rnn-printed uses this form.
-def test_torque_of_mu_in_printed_network_is_tiny(robot, states):
+# Printed: K_N2 = [80, ...], c2 = 0.001 and k = 0.1. With them, mu adds less than 2 mNm to each torque of rnn-printed.
+def test_mu_hardly_changes_the_torques_of_the_printed_network(robot, states):
     rng, printed, share, free = np.random.default_rng(0), solvers.create("rnn-printed"), 0.0, 0.0
     for rest in states:
         for v in (np.zeros(7), rng.uniform(-0.01, 0.01, 7)):
