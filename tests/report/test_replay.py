@@ -76,7 +76,7 @@ def test_replay_shows_the_values_of_its_traces(robot: RobotModel, monkeypatch: p
     assert short["end"] == pytest.approx(runs["short"].t_s[-1])
     np.testing.assert_array_equal(short["poses"][-1], short["poses"][-2])
     monkeypatch.setattr("moc_opt.report.replay.FRAMES_IN_ALL", 100)
-    assert len(Replay(runs, robot).data()["times"]) == 50, "a long run has fewer frames a second"
+    assert len(Replay(runs, robot).data()["times"]) == 50, "two runs share FRAMES_IN_ALL frames"
     monkeypatch.undo()
     packed = re.search(r'id="replay-data">([^<]+)<', replay.html())
     written = json.loads(gzip.decompress(base64.b64decode(packed[1])))
@@ -144,5 +144,5 @@ def test_replay_is_controlled_by_keys(page: Any) -> None:
             page.keyboard.press(key)
         assert page.evaluate("replay.time") == pytest.approx(time)
     page.locator("#play").click()
-    assert page.evaluate("replay.time") < 2.9, "played at the end, the replay starts again from t = 0"
+    assert page.evaluate("replay.time") < 2.9, "at its end, the play button starts the replay from t = 0"
     page.locator("#play").click()

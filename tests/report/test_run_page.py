@@ -51,7 +51,7 @@ def test_ending_is_the_first_row():
 
 
 @pytest.mark.parametrize(("raised", "most"), [(2, False), (3, True)])
-def test_replaced_answers_are_reported_first(raised, most):
+def test_replaced_answers_are_reported_above_the_metrics(raised, most):
     faults = {"raised": {"count": raised, "first_at_s": 0.0, "first": "ZeroDivisionError"}}
     (table,) = run_tables({"slip": trace(faults=faults)}, {"slip": {"mu_mean": 0.25}}, first=True)
     assert [row["metric"] for row in table.rows] == ["ended", "solver replaced", "mu_mean"]
@@ -156,7 +156,7 @@ def test_page_replaces_foreign_files_only_with_force(files, tmp_path, capsys, co
     for place, said in (
         (tmp_path, "a folder, pipe or device is there"), (out, "--force"), (out / "x.html", "cannot be written"),
     ):  # fmt: skip
-        assert main([command, str(tmp_path / "no.parquet"), "--out", str(place)]) == 2, "before any work"
+        assert main([command, str(tmp_path / "no.parquet"), "--out", str(place)]) == 2, "before the trace is read"
         assert said in capsys.readouterr().err
     assert out.read_text() == "mine"
     order = [command, str(files[0]), "--out", str(out)]

@@ -56,7 +56,7 @@ def test_special_values_are_written_as_symbols_or_words() -> None:
 def test_best_values_are_marked() -> None:
     assert best([2.0, 1.0, None, math.inf, 1.0004], better="low") == [False, True, False, False, True]
     assert best([2.5, 1.0, -math.inf, math.inf], better="high") == [True, False, False, False]
-    assert best([1.0, 1.0, 1.0, 2.0], better="low") == [False] * 4, "no emphasis if most are best"
+    assert best([1.0, 1.0, 1.0, 2.0], better="low") == [False] * 4, "no value is marked if most are best"
     assert best([1.0, 1.0, 2.0], better="low") == [False] * 3
     assert best([1.0, 1.0, 3.0, 2.0], better="low") == [True, True, False, False]
     assert (best([2.0, 1.0]), best([2.0, None], better="low")) == ([False, False], [False, False])
@@ -80,7 +80,7 @@ def test_a_narrow_terminal_shows_every_number_whole(width: int, count: int, size
 
 @pytest.mark.parametrize(("step_s", "told"), [(10.0, [1, 2, 3, 4]), (6.0, [1, 3]), (1.0, [1])])
 def test_without_a_terminal_progress_is_written_in_lines(step_s: float, told: list[int]) -> None:
-    """The time of the set-up does not change the forecast."""
+    """The set-up takes time, but does not change the predicted time left."""
     file, now = io.StringIO(), [0.0]
     screen = console(file=file)
     screen.get_time = lambda: now[0]

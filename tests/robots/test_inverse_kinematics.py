@@ -42,8 +42,8 @@ def test_nearest_pose_is_returned_for_target_out_of_reach(robot):
     (np.full(7, np.nan), np.zeros(3), "q = .* is not finite"), (np.zeros((7, 1)), np.zeros(3), "q has shape"),
     (np.zeros(7), np.array([0.5, 0.0, np.nan]), "tip or wrist = .* is not finite"),
 ])  # fmt: skip
-def test_poses_that_are_not_finite_are_refused(robot, q, tip, message):
-    """Without this check, a NaN point would count as reached."""
+def test_invalid_pose_or_target_is_refused(robot, q, tip, message):
+    """Without this check, a NaN target would count as reached."""
     with pytest.raises(RobotError, match=message):
         solve_pose(robot, q, tip)
 

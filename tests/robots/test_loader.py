@@ -1,4 +1,4 @@
-"""Robot files: published numbers are read, and bad files are refused."""
+"""Robot files: the lwr4 has its published numbers, and bad files are refused."""
 
 from pathlib import Path
 
@@ -164,7 +164,7 @@ def test_a_urdf_that_was_written_is_read_back_to_the_last_bit(xyz, rpy, axis, li
 
 
 @given(st.lists(st.floats(1e-6, 1.0), min_size=3, max_size=3), st.integers(0, 2**32 - 1))
-@settings(max_examples=100)  # the inertia's check is invariant to a rotation of the axes
+@settings(max_examples=100)
 def test_the_verdict_on_an_inertia_does_not_depend_on_its_axes(moments, seed):
     a, b, c = sorted(moments)
     assume(abs(a + b - c) > 1e-4 * c)

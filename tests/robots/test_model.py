@@ -130,7 +130,7 @@ def test_dynamic_terms_equal_pinocchios(arm: RobotModel) -> None:
         np.testing.assert_allclose([s.gravity, arm.gravity(q), arm.state(q).h], [g, g, g], atol=1e-12)
 
 
-def test_structural_zeros_are_exact(robot: RobotModel, odd_robot: RobotModel, regular_poses: Draw) -> None:
+def test_entries_that_must_be_zero_are_exact(robot: RobotModel, odd_robot: RobotModel, regular_poses: Draw) -> None:
     np.testing.assert_array_equal(robot.moves, [[1, 1, 1, 1, 1, 1, 0], [1, 1, 1, 1, 0, 0, 0]])
     assert odd_robot.moves.all()
     for q in regular_poses(5):
@@ -196,7 +196,7 @@ def test_the_desired_wrists_velocity_is_its_derivative(kernel, seed):
     start, rate, distance = rng.normal(size=3), rng.uniform(0.5, 3.0), rng.uniform(0.1, 0.3)
     aside, breath, way = (v / np.linalg.norm(v) for v in rng.normal(size=(3, 3)))
     trocar = Trocar(start + distance * aside, 0.02, 3.0, breath)
-    sway = 0.3 * distance * way  # smaller than the distance to the trocar
+    sway = 0.3 * distance * way  # so the tip stays away from the trocar
     span, t, step = 0.378, rng.uniform(0.0, 3.0), 1e-5
 
     def desired(time):
@@ -229,7 +229,7 @@ def test_stored_gain_tables_equal_the_derived_ones(name: str) -> None:
     for key, table in derived.items():
         for gain, value in table.items():
             if (name, key) == ("gen3", "default") and gain in ("K_X", "D_X", "K_N", "D_N"):
-                # Only softer gains are stable at three ticks of delay.
+                # With three ticks of delay, the gen3 is stable only with softer gains.
                 assert robot.data.gains[key][gain] < value
                 continue
             np.testing.assert_array_equal(robot.data.gains[key][gain], value, err_msg=f"{key}, {gain}")
@@ -268,7 +268,7 @@ Rows = list[tuple[float, float, float, float]]
 
 
 def upright(signs: tuple[float, ...], lengths: tuple[float, ...]) -> Rows:
-    """Return the rows of an arm whose neighbouring axes intersect."""
+    """Return the rows of an arm whose neighbouring axes intersect (a = 0)."""
     return [(0, sign * RIGHT, d, 0) for sign, d in zip(signs, lengths, strict=True)]
 
 
@@ -294,7 +294,7 @@ DH: dict[str, tuple[str, Rows, float]] = {
 
 
 def by_dh(name: str, q: Array) -> Array:
-    """Return the tip of a 0.3 m tool by the maker's table. The Gen3's first axis points down from its base."""
+    """Return the tip (3,) of a 0.3 m tool, from the maker's table. The Gen3's table begins with z downwards."""
     kind, rows, flange = DH[name]
     T = pin.SE3(np.diag([1.0, -1.0, -1.0] if name == "gen3" else np.ones(3)), np.zeros(3))
     for (a, alpha, d, offset), angle in zip(rows, q, strict=True):

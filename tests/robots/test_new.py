@@ -38,7 +38,7 @@ def panda(tmp_path_factory: pytest.TempPathFactory) -> NewRobot:
     return made(tmp_path_factory.mktemp("panda"), text, tip="hand")
 
 
-def test_every_assumption_is_noted_in_the_robot_file(panda) -> None:
+def test_robot_file_contains_every_note(panda) -> None:
     text = panda.toml.read_text(encoding="utf-8")
     plain = " ".join(line.lstrip("# -") for line in text.splitlines())
     assert len(panda.notes) >= 6
@@ -127,7 +127,7 @@ def test_wrist_of_a_known_arm_is_found(name: str, height: float, up: int) -> Non
         np.testing.assert_allclose(point, expected, rtol=0, atol=1e-12)
 
 
-def test_wrist_is_the_point_nearest_an_oblique_axis() -> None:
+def test_wrist_is_the_point_of_the_last_axis_nearest_to_an_oblique_sixth_axis() -> None:
     text = re.sub(r'(name="joint_6".*?<axis xyz=")0 0 1', r"\g<1>0 0.5 1", text_of("xarm7"), flags=re.DOTALL)
     model = pin.buildModelFromXML(text)
     data = model.createData()
@@ -140,7 +140,7 @@ def test_wrist_is_the_point_nearest_an_oblique_axis() -> None:
     assert np.abs(found.wrist).max() > 1e-3
 
 
-def test_flange_on_the_last_axis_does_not_move_the_wrist() -> None:
+def test_wrist_is_found_from_any_flange_on_the_last_axis() -> None:
     def with_flange(origin: str) -> str:
         return added(text_of(), link("flange") + joint("f", "fixed", "link_7", "flange", f"<origin {origin}/>"))
 
@@ -167,7 +167,7 @@ def test_found_home_pose_meets_its_requirements(name: str) -> None:
     assert state.mu == pytest.approx(home.mu)
     assert min(state.tip[2], state.wrist[2]) > new.CLEARANCE_M - 0.01
     assert home.task == ""
-    if name == "xarm7":  # the ranking decides which pose is tried first
+    if name == "xarm7":  # another ranking would find another pose
         np.testing.assert_array_equal(home.q, [-0.72, 0.06, -0.89, 1.37, 0.22, 1.37, 0.0])
         assert np.abs(search_home(robot, seed=2).q - home.q).max() > 0.1
 
@@ -247,7 +247,7 @@ def test_each_fault_is_reported_in_its_row(robot: RobotModel, what: str, fields:
     assert told in row.cure
 
 
-def test_home_pose_near_largest_mu_has_verdict_care(robot: RobotModel) -> None:
+def test_home_at_98_percent_of_the_largest_mu_has_verdict_care(robot: RobotModel) -> None:
     curve = self_motion(robot, robot.data.q_home)
     for share, judged in ((0.98, "care"), (0.91, "ok")):
         q = curve.q[np.argmin(np.abs(curve.mu / curve.mu_best - share))]

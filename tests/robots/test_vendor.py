@@ -58,7 +58,7 @@ def test_fingers_are_locked(vendors) -> None:
     assert list(model.names)[1:] == CHAIN
     assert model.inertias[7].mass - bare.inertias[7].mass == pytest.approx(0.7 + 2 * 0.015)  # fingers keep their mass
     left = model.frames[model.getFrameId("left")].placement.translation
-    turn = np.array([0.01 * np.sin(0.785), 0.01 * np.cos(0.785), 0.107])  # at the limit nearest to 0
+    turn = np.array([0.01 * np.sin(0.785), 0.01 * np.cos(0.785), 0.107])  # locked at the finger's limit nearest to 0
     np.testing.assert_allclose(left, turn, rtol=0, atol=1e-12)
     told = " ".join(arm.notes)
     assert all(word in told for word in ("finger_1 (at 0.01 m)", "finger_2", "'link_7', the link of the last"))
@@ -120,7 +120,7 @@ def mended(*links: Link) -> list[str]:
     return notes
 
 
-def test_body_without_mass_becomes_a_frame() -> None:
+def test_body_with_almost_no_mass_becomes_a_frame() -> None:
     ours, again = (read(text_of()).links for _ in range(2))
     assert (mended(*ours), ours) == ([], again)
     frame, weightless, heavy = Link("f", 1e-7, (0.1,) * 6), Link("n", 0.0, (1e-9,) * 6), Link("h", 1.0)
@@ -175,7 +175,7 @@ def test_limits_in_wrong_order_are_named(name: str, reach: str, unit: str, vendo
         assert vendors(endless).chain[0].limits.items() >= ONE_TURN.items()
 
 
-def test_replacement_torque_limits_can_carry_the_arm(vendors) -> None:
+def test_gravity_needs_less_than_half_of_the_replacement_torque_limits(vendors) -> None:
     assert vendors(re.sub(r'effort="\d+"', 'effort="0"', text_of())).weak == CHAIN
     robot = load_robot("panda")
     efforts = enough_efforts(robot)
