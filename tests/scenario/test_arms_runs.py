@@ -43,7 +43,7 @@ def test_every_preset_works_on_every_arm(name, preset, more):
 
 
 def test_answers_for_sixteen_joints_are_verified(tmp_path):
-    """If x is shifted along the self-motion, it is no longer verified."""
+    """An answer shifted along the self-motion is not verified."""
     robot = sixteen_joints(tmp_path, np.random.default_rng(2).uniform(-0.7, 0.7, 16))
     trace = run(Scenario(robot={"name": str(tmp_path / "arm.toml")}, duration_s=0.3, bound_samples=1))
     assert trace.meta["ended"] == "completed"

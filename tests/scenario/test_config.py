@@ -20,7 +20,7 @@ from tests.robots.arms import FOLDER
 
 BARE = {"judge": False, "bound_samples": 0}
 
-WRONG = [  # tables and words of the error message
+WRONG = [  # (tables, words of the error message)
     ({"task": {"radius": 0.01}}, "mean 'sizes.radius'"), ({"solver": {"name": "osqp", "eps": 1}}, "'settings.eps'"),
     ({"sede": 1}, "did you mean 'seed'"), ({"control": {"preste": "tuned"}}, "did you mean 'preset'"),
     ({"plant": {"prest": "x"}}, "mean 'preset'"), ({"control": {"preset": "papre"}}, "did you mean 'paper'"),
@@ -81,12 +81,12 @@ def test_trace_stores_its_scenario():
     ({"plant": {"velocity_cutoff_Hz": 0.0}}, {"repeat_reading_ticks": None, "motion_lag_s": 0.012}),
     # A slow filter lags.
     ({"plant": {"velocity_cutoff_Hz": 15.0}}, {"motion_lag_s": 3.0 / (2.0 * np.pi * 15.0)}),
-    # A coarse encoder hides motion within one step.
+    # A coarse encoder does not show a motion smaller than its resolution.
     ({"plant": {"encoder_resolution_rad": 1e-4}}, {"repeat_torque": 0.06, "stuck_rad_per_s": 0.2}),
     ({"plant": {"encoder_resolution_rad": 5e-4}}, {"repeat_torque": 0.25, "stuck_rad_per_s": 0.3}),
     ({"plant": {"encoder_resolution_rad": 5e-4}, "guard": {"repeat_torque": 0.4}}, {"repeat_torque": 0.4}),
 ])  # fmt: skip
-def test_safety_limits_follow_from_the_encoders(tables, told):
+def test_safety_thresholds_follow_from_the_encoders(tables, told):
     scenario = Scenario(**tables)
     assert {name: getattr(scenario.told_guard, name) for name in told} == pytest.approx(told)
     assert scenario.guard == Scenario(guard=tables.get("guard", {})).guard
@@ -222,7 +222,7 @@ def test_only_values_that_differ_from_defaults_are_written(tmp_path):
     assert repr(Scenario()) == "Scenario()"
 
 
-def test_limit_that_is_off_stays_off_after_loading(tmp_path):
+def test_threshold_that_is_off_stays_off_after_loading(tmp_path):
     optional = {key: type(None) in get_args(kind.annotation) for key, kind in SafetyFilterSettings.model_fields.items()}
     lifted = [key for key, value in Scenario().guard if optional[key] and value is not None]
     assert "stop_yield_N" in lifted

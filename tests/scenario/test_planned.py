@@ -43,7 +43,7 @@ def test_proposed_start_can_be_pasted_into_the_scenario(tmp_path, capsys):
     found = plan(mo.Scenario.load(file))
     assert main(["plan", file]) == 0
     said = capsys.readouterr()
-    assert said.err == ""  # 'local' follows no course
+    assert said.err == ""  # no warnings, because third_level = 'local' follows no course
     assert "can be executed from this start yes" in " ".join(said.out.split())
     assert max(len(line.rstrip()) for line in said.out.splitlines()) <= 80
     again = plan(mo.Scenario.load(scenario_file(tmp_path, text + said.out[said.out.index("\n[start]\n") :])))
@@ -51,7 +51,7 @@ def test_proposed_start_can_be_pasted_into_the_scenario(tmp_path, capsys):
     assert again.from_start.mu_mean > 1.02 * found.from_start.mu_mean
 
 
-def test_plan_uses_the_third_levels_limits_unless_options_replace_them(tmp_path, capsys):
+def test_options_of_plan_replace_the_third_levels_limits(tmp_path, capsys):
     file = scenario_file(tmp_path, 'duration_s = 0.5\n[control]\nthird_level = "planned"\n')
     for options, margin, share in (([], 0.05, 0.85), (["--speed-share", "1", "--margin", "0"], 0.0, 1.0)):
         assert main(["plan", file, "--json", *options]) == 0
@@ -85,7 +85,7 @@ def test_command_run_compares_with_best_courses_by_default(tmp_path, capsys, lin
     assert ("mu_fraction_of_best" in json.loads(capsys.readouterr().out)) == there
 
 
-def test_trace_says_why_a_rail_has_no_courses():
+def test_trace_says_why_an_arm_on_a_rail_has_no_courses():
     run = mo.run(COMPARED.change(robot={"name": "lwr4_rail"}, start={"swivel": "given"}, duration_s=0.1))
     assert "mu_best" not in run.columns
     assert "degrees of freedom" in run.meta["best_courses"]["absent"]
@@ -98,7 +98,7 @@ def test_commands_write_a_course_and_follow_it(tmp_path, capsys):
     for out, status in ((to, 0), (to, 0), (mine, 2)):  # a course file replaces only a course file
         assert main(["plan", mine, "--out", str(out)]) == status
         assert "warning" not in capsys.readouterr().err
-    assert mo.Trace.load(to).meta["within"]["speed_share"] == 0.85  # the limit of 'planned'
+    assert mo.Trace.load(to).meta["within"]["speed_share"] == 0.85  # as for third_level = 'planned'
     assert (tmp_path / "mine.toml").read_text(encoding="utf-8") == text
     assert main(["run", mine, "--course", str(to), "--trace", str(ran)]) == 0
     assert mo.Trace.load(ran).meta["scenario"]["control"]["course"] == str(to)

@@ -105,7 +105,7 @@ def test_trocar_on_the_path_and_path_away_from_the_tip_are_refused():
 
 
 def test_other_elbow_positions_are_tried_if_that_of_the_start_fails(monkeypatch):
-    """Poses near the start's elbow position are made to fail."""
+    """`solve_pose` is made to fail near the start's elbow position."""
     task, scan, solve = reference(radius=0.03), self_motion(ROBOT, HOME.q), preflight.solve_pose
 
     def only_elsewhere(arm, q, tip, wrist):
@@ -144,7 +144,7 @@ def test_a_random_start_is_regular_and_away_from_joint_limits(seed, swivel):
 
 @pytest.mark.parametrize(("name", "margins"), [("lwr4", (0.15, 0.0)), ("lwr4_rail", (0.05, 0.2))])
 def test_random_start_keeps_the_given_margins(name, margins):
-    """Without these keys, some joint has a smaller margin."""
+    """Without limit_margin_rad and limit_margin_m, some joint comes nearer to its limit."""
     asking = {"limit_margin_rad": margins[0], "limit_margin_m": margins[1]}
     for keys, kept in ((asking, True), ({}, False)):
         made = setup(0, robot={"name": name}, start={"pose": "random", "swivel": "random", **keys})

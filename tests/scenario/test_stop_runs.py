@@ -60,7 +60,7 @@ def test_unknown_load_does_not_sink(load, seed):
 
 @pytest.mark.parametrize(("seed", "slip_m"), [(50, 0.03), (51, 0.1), (52, 0.03), (53, 0.1)])
 def test_arm_gives_way_to_a_pressing_trocar(seed, slip_m):
-    """The tissue may keep moving after the stop."""
+    """The trocar may still slip after the stop."""
     at = float(np.random.default_rng(seed).uniform(0.2, 1.8))
     scenario = Scenario(
         seed=seed, start={"swivel": "random"}, faults={"slip_m": slip_m, "slip_at_s": at}, control={"preset": "tuned"},
@@ -72,7 +72,7 @@ def test_arm_gives_way_to_a_pressing_trocar(seed, slip_m):
     assert most < 80.0
     assert last < 16.0
     held = run(scenario.change(guard={"stop_yield_N": None}))
-    assert after(held)[2] > 1.5 * last  # closed brakes keep the force up
+    assert after(held)[2] > 1.5 * last  # with closed brakes, the force remains
 
 
 def test_brakes_open_again_only_for_a_larger_force(robot):
@@ -90,14 +90,14 @@ def test_brakes_open_again_only_for_a_larger_force(robot):
     for force, last in ((0.0, False), (7.0, False), (20.0, True), (6.0, True), (3.0, False), (np.nan, False)):
         assert is_open(force, 100)[-1] == last, force
     most = round(SafetyFilterSettings().stop_yield_s / 0.002)
-    # After a fall to 0 N, 20 N opens the brakes again.
+    # Once the force has been 0 N, 20 N opens the brakes again.
     for force, ticks in ((0.0, 0), (20.0, most), (26.0, 0), (40.0, most), (0.0, 0), (20.0, most)):
         found = is_open(force, 1000)
         assert (sum(found), any(found[-500:])) == (ticks, False), force
 
 
 PRESSED_N = 35.0
-"""Bound [N] on the root mean square of the force over 0.1 s of a completed run."""
+"""Largest allowed trocar force [N] of a completed run (root mean square over 0.1 s)."""
 
 at_s, some, whole, forged = st.floats(0.05, 0.6), st.floats, st.integers, st.booleans()
 

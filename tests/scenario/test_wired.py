@@ -32,7 +32,7 @@ def wired(scenario, relayed=None):
 
 
 def assert_same(found, expected):
-    """Compare all columns except measured times."""
+    """Assert equal columns, except those of measured times."""
     assert set(found.columns) == set(expected.columns) | {"wake_us", "control_us", "missed"}
     assert found.meta["ended"] == expected.meta["ended"]
     for name in expected.columns.keys() - {"tick_us", "solve_us"}:
@@ -79,7 +79,7 @@ def test_faults_of_the_wire_do_not_change_a_run_in_lock_step():
         done, whole = relay.done[way], relay.whole[way]
         assert all(done[fault] for fault in FAULTS)
         assert end["forged"] == done["forge"]
-        assert 0 <= end["foreign"] - done["cut"] <= 10  # repeated handshakes count as foreign
+        assert 0 <= end["foreign"] - done["cut"] <= 10  # repeated handshake packets count as foreign
         of_ticks = sum(count for (kind, flags), count in whole.items() if kind is Kind.COMMAND or flags == RUNNING)
         assert end["received"] + end["late"] == of_ticks
         assert end["late"] > 5
@@ -88,7 +88,7 @@ def test_faults_of_the_wire_do_not_change_a_run_in_lock_step():
     assert ending["ended"] == found.meta["ended"] == "completed"
 
 
-# 0.33 s is long enough for a busy machine.
+# The plant waits 0.33 s for each command, which is enough on a busy machine.
 BLIND = {"resend_s": 0.33, "resends": 0, "hold_ticks": 3, "damp_ticks": 5}
 
 

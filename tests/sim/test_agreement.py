@@ -22,7 +22,7 @@ def edited(text, link, attribute, value):
     return text[:place] + re.sub(rf'{attribute}="[^"]*"', f'{attribute}="{value}"', text[place:], count=1)
 
 
-# Pinocchio drops these values, and MuJoCo keeps them.
+# With these values, pinocchio drops the link's inertia, and MuJoCo keeps it.
 @pytest.mark.parametrize(("attribute", "value"), [("rpy", ""), ("rpy", "0x0 0 0"), ("xyz", ""), ("xyz", "0 0 0x1p-3")])
 def test_inertia_that_one_engine_drops_is_refused(robot, attribute, value):
     other = RobotModel(replace(robot.data, urdf=edited(robot.data.urdf, "link_3", attribute, value)))

@@ -84,7 +84,7 @@ def test_bias_noise_and_jump_have_the_given_size():
 @pytest.mark.parametrize(("at", "long"), [(0.02, 0.01), (0.021, 0.01), (0.0199, 0.0003), (0.0, 0.01)])
 @pytest.mark.parametrize("link", ["link_4", "tool"])
 def test_push_begins_and_ends_at_its_times(link, at, long):
-    """Times between two ticks are rounded."""
+    """Times are rounded to the nearest tick."""
     held, mine = {}, faults(bump_N=30.0, bump_at_s=at, bump_s=long, bump_link=link, payload_kg=2.0)
     plant = SimpleNamespace(push=held.__setitem__)
     weight = np.array([0.0, 0.0, -2.0 * GRAVITY])
@@ -109,7 +109,7 @@ def test_trocar_slips_smoothly():
     np.testing.assert_allclose(moved[1:-1, 1], rate[1:-1], atol=4e-3)  # rates reach 0.15 m/s
     assert faults().slip(still, t) is still
     ways = np.array([faults(seed, slip_m=0.01, slip_at_s=0.0).slip(still, t)[-1, 0] for seed in range(40)])
-    assert (ways[:, :2].min(axis=0) < -0.008).all()  # slips go to every side
+    assert (ways[:, :2].min(axis=0) < -0.008).all()  # some slips go each way along x and y
     assert (ways[:, :2].max(axis=0) > 0.008).all()
 
 
@@ -253,7 +253,7 @@ def test_an_encoder_at_rest_repeats_a_reading_no_longer_than_its_noise_allows(no
 @given(st.floats(0.3, 10.0), st.floats(5.0, 400.0), st.integers(0, 2**32 - 1))
 @settings(max_examples=20, deadline=None)
 def test_an_encoder_with_noise_and_a_velocity_filter_repeats_no_reading(steps, cutoff, seed):
-    """The velocity has been nonzero before."""
+    """The arm moved before, so the filtered velocity begins above zero."""
     noise, step = 1e-5, steps * 1e-5
     sensor = encoders(seed, N := 16, noise_rad=noise, resolution_rad=step, cutoff_Hz=cutoff)
     q = np.full(N, 1000.0 * step)

@@ -56,7 +56,7 @@ def ready(robot, settings=None):
 
 
 def test_each_tick_records_the_state_at_its_start(robot, references):
-    """Only the plant gets the true trocar."""
+    """The controller gets the registered trocar, and the plant the true one."""
     tip_refs, trocars, registered = references
     brain, plant = Holding(robot), ready(robot, PlantSettings())
     offset = TaskOffset(np.array([1e-3, 2e-3, 0.0]), np.array([0.0, 1e-3, 3e-3]))
@@ -97,7 +97,7 @@ def test_no_garbage_is_collected_during_the_loop(robot, references):
         watched.append((tick, len(brain.seen), gc.isenabled()))
 
     trace = simulate(ready(robot), brain, *references, watch=watch)
-    assert watched == [(k, k, False) for k in range(TICKS)]  # before each tick
+    assert watched == [(k, k, False) for k in range(TICKS)]  # watch is called before each tick
     assert gc.isenabled()
     assert brain.order == ["tick", "note"] * TICKS
     assert 0.0 < trace.tick_us.min() <= np.median(trace.tick_us) < 1e5
@@ -168,7 +168,7 @@ FORCED = {"trocar_force_N": 0.1, "trocar_force_warning_N": 0.1}
     (live, NOT_BELIEVED, {}), (procedure, NOT_BELIEVED, {}), (live, "the tip has been", {"tip_error_m": 1e-5}),
     (live, "the trocar's force has been above", FORCED),
 ])  # fmt: skip
-def test_safety_filter_stops_live_run_and_hand_guiding_with_its_reason(loop, reason, guard, monkeypatch):
+def test_live_run_and_hand_guiding_end_with_the_safety_filters_reason(loop, reason, guard, monkeypatch):
     measure = Plant.measure
 
     def broken(plant):
