@@ -1,4 +1,4 @@
-"""Solvers that misbehave, written to disk as a plug-in for worker processes."""
+"""A plug-in with solvers that misbehave. Worker processes import it from the disk."""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -82,11 +82,11 @@ def chromium() -> Iterator[Any]:
 def opened(
     chromium: Any, address: str, ready: str, own: str = "", kinds: tuple[str, ...] = (), **options: Any
 ) -> Iterator[Any]:
-    """Yield an open page. Then check that it logged nothing (of `kinds`) and requested only addresses below `own`."""
+    """Yield an open page. Fail if it logs a message (of `kinds`, if given) or requests an address not below `own`."""
     page, said, asked = chromium.new_page(**options), list[str](), list[str]()
 
     def hear(message: Any) -> None:
-        # The driver warns that reading pixels back is slow.
+        # The graphics driver warns that reading pixels back is slow.
         if (not kinds or message.type in kinds) and "GPU stall due to ReadPixels" not in message.text:
             said.append(f"{message.type}: {message.text}")
 

@@ -84,7 +84,7 @@ def test_without_a_list_of_solvers_the_scenarios_solver_runs() -> None:
     assert (dcac.controller, kept.law, kept.gains) == ("dcac", "dcac", "default")
 
 
-def test_means_of_a_group_use_only_completed_runs() -> None:
+def test_means_of_a_group_leave_out_stopped_and_failed_runs() -> None:
     rows = Results(
         {"controller": name, "ended": ended, "whole": whole, "error": None if whole else ended, "mu_mean": mu}
         for name, ended, whole, mu in [

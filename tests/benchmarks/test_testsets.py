@@ -34,7 +34,7 @@ ALONE, LONG = [[1.0, 0.0]], ([0.0, -1.0], [1.0, 2.0])
     (ALONE, [0.5], [0.0, 1.0], 0.0, LONG, [0.5, 2.0]), (ALONE, [0.5], [0.0, -1.0], 0.0, LONG, [0.5, -1.0]),
     (ALONE, [0.5], [0.0, 3.0], 2.0, LONG, [0.5, 1.5]), (ALONE, [0.5], [0.0, -3.0], 2.0, LONG, [0.5, -1.0]),
 ])  # fmt: skip
-def test_enumeration_finds_known_optima(A, b, pull, rho, box, expected):
+def test_enumeration_of_active_bounds_finds_known_optima(A, b, pull, rho, box, expected):
     assert found(A, b, pull, rho, *box) == expected
 
 
@@ -50,7 +50,7 @@ def test_highs_finds_no_better_point(rows, rho):
 
 
 def descent(A: Array, b: Array, slope: Array, lower: Array, upper: Array, x: Array) -> float:
-    """Return by how much HiGHS can lower slope^T x, divided by |slope|_inf."""
+    """Return the decrease of slope^T x that HiGHS finds, divided by |slope|_inf."""
     np.testing.assert_allclose(A @ x, b, atol=1e-12)
     assert (np.maximum(lower - x, x - upper) <= 1e-15).all()
     unit = slope / (np.abs(slope).max() or 1.0)
@@ -78,14 +78,14 @@ def test_shipped_answers_are_certified_optima(name):
             assert descent(A, b, slope, qp.lower, qp.upper, x) < 1e-6
 
 
-def test_certificate_that_highs_contradicts_is_refused(monkeypatch):
+def test_problem_that_cannot_be_certified_is_refused(monkeypatch):
     infeasible = TestSet.load("infeasible")
     unsolved = infeasible.problems()[int(np.argmin(infeasible.feasible))]
     for qp, answer in ((TestSet.load("circle").problems()[0], None), (unsolved, [Fraction(0)] * 7)):
         monkeypatch.setattr(certify, "certified", lambda _, answer=answer: answer)
-        with pytest.raises(CertificateError):
+        with pytest.raises(CertificateError):  # HiGHS contradicts the answer
             certify.certify("wrong", [qp])
-    with pytest.raises(CertificateError):  # tip and wrist must be rigidly connected
+    with pytest.raises(CertificateError):  # tip and wrist are not rigidly connected
         certified(changed(unsolved, J_wrist=2.0 * unsolved.J_wrist))
 
 
@@ -96,7 +96,7 @@ def test_sets_are_reproducible(name, robot):
     np.testing.assert_array_equal(made.feasible, kept.feasible)
 
 
-def test_inconsistent_references_differ_along_the_shaft():
+def test_inconsistent_velocities_of_tip_and_wrist_differ_along_the_shaft():
     for power in (-12, -8, -4):
         for qp in TestSet.load(f"inconsistent-1e{power}").problems()[:8]:
             assert np.linalg.norm(five_row_gap(qp, qp.b)) == pytest.approx(10.0**power, rel=1e-2)

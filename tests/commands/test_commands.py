@@ -24,7 +24,7 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "scenario.md"
 @pytest.mark.parametrize("command", [*COMMANDS, "robot"])
 def test_every_command_has_help(command, capsys):
     assert callable(work_of(command))
-    if command != "solvers":  # `solvers` leaves its options to the study
+    if command != "solvers":  # the study of solvers parses the options of `solvers`
         with pytest.raises(SystemExit) as ended:
             main([command, "--help"])
         assert ended.value.code == 0
@@ -79,7 +79,7 @@ def test_unknown_option_is_refused(arguments, capsys):
     assert ("did you mean --seed?" in shown) == ("--sede=3" in arguments)
 
 
-def test_closed_output_gives_no_traceback():
+def test_unwritable_output_gives_no_traceback():
     reader, writer = os.pipe()
     os.close(reader)  # as `| head` does once it has its lines
     with os.fdopen(writer, "wb") as closed, open("/dev/full", "wb") as full:

@@ -1,4 +1,4 @@
-"""Waypoints, and plugins of other packages."""
+"""Waypoints from a file, and plug-ins from other packages."""
 
 import json
 import sys
@@ -36,7 +36,7 @@ def printed(capsys, *arguments):
     return json.loads(found.out)
 
 
-def test_installed_path_can_be_used_by_name(tmp_path, monkeypatch, capsys):
+def test_plugin_of_another_package_can_be_used_by_name(tmp_path, monkeypatch, capsys):
     info = tmp_path / "own_things-1.0.dist-info"
     info.mkdir()
     (tmp_path / "own_things.py").write_text(PACKAGE, encoding="utf-8")
