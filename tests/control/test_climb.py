@@ -1,4 +1,4 @@
-"""The scaled climb of the manipulability mu."""
+"""The third level climbs to larger mu. With `climb = "scaled"`, it takes Newton steps to the nearest maximum."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def test_scaled_climb_is_proportional_to_distance_from_maximum_of_mu(robot: Robo
     """The distance is an arc length on the self-motion curve."""
     q = np.asarray(self_motion(robot, robot.data.q_home, 0.01).q)
     top = int(np.argmax(robot.mu_along(q)))
-    assert 40 < top < len(q) - 40, "the maximum of mu must be away from joint limits"
+    assert 40 < top < len(q) - 40, "the maximum of mu must be away from both ends of the curve"
     for off in (-12, -5, 5, 12):
         s = robot.state(q[top + off])
         desired = fields(subproblem(robot, s, *in_place(s), climbs=True, c2=1.0, rho=1.0)).pull
@@ -48,7 +48,7 @@ def test_velocity_bounds_stop_the_climb_before_a_joint_limit(number, preset, rob
     assert trace.tip_error_m.max() < 2e-3
 
 
-def test_shaft_margin_prevents_jerks_near_a_straight_wrist() -> None:
+def test_shaft_margin_prevents_shaking_near_a_straight_wrist() -> None:
     trial = mo.Scenario(seed=707, start={"pose": "random"}, judge=False, bound_samples=0)
     lost, kept = mo.run(trial.change(control={"shaft_margin": 0.0})), mo.run(trial)
     assert lost.meta["ended"] == kept.meta["ended"] == "completed"

@@ -31,7 +31,7 @@ def started(robot, solver=EXACT, state=None, **settings):
     return controller, state, tip_ref, trocar
 
 
-def test_finite_references_with_any_memory_layout_are_accepted(robot):
+def test_references_in_any_array_format_are_accepted_if_finite(robot):
     controller, state, tip_ref, trocar = started(robot, None, **QUIET)
     expected = controller.tick(state.q, state.v, tip_ref, trocar)
     for kind in (np.asfortranarray, lambda a: np.repeat(a, 2, axis=1)[:, ::2], lambda a: a.astype(">f8")):
@@ -63,7 +63,7 @@ def test_torque_is_the_sum_of_the_levels(law, robot, regular_poses):
 
 
 def test_third_level_fades_in(robot):
-    """With a ramp of ten periods, the first tick gives a tenth of the torque."""
+    """With a ramp of ten periods, the first tick gives a tenth of the third level's torque."""
     state = robot.state(robot.data.q_home)
     whole, _, tip_ref, trocar = started(robot, state=state, **QUIET)
     faded, *_ = started(robot, state=state, **{**QUIET, "ramp_s": 0.02})
@@ -94,7 +94,7 @@ def test_settings_reach_the_core(setting, core_s, robot):
 
 
 @pytest.mark.parametrize("fallback", ["damping", "hold", "least-violation"])
-def test_x_follows_setting_fallback_if_the_subproblem_is_infeasible(fallback, robot):
+def test_setting_fallback_chooses_x_if_the_subproblem_is_infeasible(fallback, robot):
     """With k0 = 1e-3 /s, a reference at 0.3 m/s makes the subproblem infeasible."""
     state = robot.state(robot.data.q_home, np.linspace(-0.2, 0.2, 7))
     (fast, trocar), (slow, _) = in_place(state, 0.3), in_place(state)
@@ -191,7 +191,7 @@ def test_run_does_not_depend_on_previous_run(robot):
 
 
 class AsAnyOther(Exact):
-    """`exact`, called through a session as other solvers are: only the type `Exact` itself runs inside the core."""
+    """Like `exact`, but called through a session, because only the type `Exact` itself runs inside the core."""
 
 
 @pytest.mark.parametrize("fallback", ["damping", "hold", "least-violation"])

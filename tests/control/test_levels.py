@@ -1,4 +1,4 @@
-"""The safety filter has limits (levels). It allows a value equal to the level and rejects any larger one.
+"""The safety filter allows a value equal to a threshold (`level`) and rejects any larger value.
 
 All numbers are short binary fractions, so that arithmetic is exact.
 """
@@ -17,7 +17,7 @@ TROCAR = np.array([[0.0, 0.0, -0.125], [0.0] * 3])
 
 
 def begun(arm=ARM, **levels):
-    """A safety filter of an arm at rest. Only the given levels are switched on."""
+    """A safety filter of an arm at rest. Only the given thresholds are switched on."""
     given = {
         "period": T, "patience": 0, "carries": False, "low": -1e9, "high": 1e9, "v_max": 1.0, "tau_max": 1.0,
         "wall_stiffness": 0.0, "wall_damping": 0.0, "wall_brake": 1.0, "torque_step": OFF, "jump": OFF,
@@ -70,7 +70,7 @@ def moved_too_far(level, name="motion_rad", v=0.0):
 
 
 def frozen(level, name, wrench, applied, tip, **others):
-    """Whether a fourth equal reading stops the arm although a torque or the tip's reference has changed."""
+    """Whether the arm stops at a fourth equal reading, after a torque or the tip's reference has changed."""
     guard = begun(**{name: level} | others)
     for _ in range(3):
         follow(guard, tip=0.25, tip_ref=0.25)
@@ -89,13 +89,13 @@ def not_believed(level):
 
 
 def replayed(level, name, drift):
-    """Whether the arm stops if the first eight of 20 readings come again. The second joint also drifts."""
+    """Whether the arm stops if the first eight of 20 readings come again. With `drift`, those of joint 2 do not."""
     guard = begun(**{name: level})
     return [read(guard, q=k % 20, other=k % 20 + drift * k, wrench=np.zeros(6)) for k in range(28)][-1] != "running"
 
 
 def repeated(level, name, v=0.0, wrench=lambda k: NO_WRENCH, drift=0.0):
-    """Whether nine equal readings of a joint, after 99 different ones, stop the arm while the other joint drifts."""
+    """Whether the arm stops at nine equal readings after 99 different ones. With `drift`, those of joint 2 differ."""
     guard = begun(**{name: level})
     for k in range(99):
         read(guard, q=k * T, v=v * k, wrench=wrench(k), other=k * T)
@@ -134,7 +134,7 @@ def yields(level):
 
 
 def stays_open(level):
-    """Whether open brakes stay open if the force falls to half of the level."""
+    """Whether open brakes stay open if the force falls to half of the threshold."""
     guard = begun(stop_yield=level)
     read(guard, wrench=pressed(0.0), trocar=TROCAR)
     assert guard.hold(pressed(0.5))[0] == 0.0
@@ -156,14 +156,14 @@ def stays_open(level):
     (residual, 16.0 * T, ("residual_torque",)), (residual, 16.0 * T, ("residual_whole",)),
     (residual, 16.0 * T * T, ("stuck_speed", 2)), (yields, 0.25, ()), (stays_open, 0.25, ()),
 ])  # fmt: skip
-def test_only_a_value_above_its_level_is_noticed(noticed, level, more):
+def test_only_a_value_above_its_threshold_is_noticed(noticed, level, more):
     assert not noticed(level, *more)
     assert noticed(level * (1.0 - 2.0**-40), *more)
 
 
 @pytest.mark.parametrize(("torques", "carries"), [((1.5, 1.5), 0.0), ((-0.5, -0.5), 0.0), ((1.5, 0.0), 0.5)])
 def test_torque_in_a_stop_is_zero_if_the_residual_opposes_the_commanded_torque(torques, carries):
-    """No residual opposes a zero torque. So in the third case, the stopped arm's weight is carried (0.5 Nm)."""
+    """In the third case, the last torque is zero. No residual opposes it, so the weight (0.5 Nm) is carried."""
     arm = core.Arm(LOADED, np.zeros((2, 3)), np.eye(3), np.ones((2, 2)), np.array([0.0, -1.0, 0.0]))
     guard, record = begun(arm, residual_torque=2.0**-8, carries=True, patience=1), arm.terms(ZERO, ZERO)
     read(guard)
@@ -185,7 +185,7 @@ def test_lag_is_allowed_only_shortly_after_fast_motion():
 
 
 def test_closed_brakes_open_again_if_the_force_rises_by_stop_yield():
-    """The rise is counted from the lowest force since the brakes closed."""
+    """The rise is measured from the lowest force after the brakes closed."""
     guard = begun(stop_yield=0.25, stop_yield_ticks=2)
     read(guard, wrench=pressed(0.0), trocar=TROCAR)
     opened = {0.25: 0, 1.0: 1, 1.125: 1, 0.9375: 0, 1.1875: 0, 1.25: 1, 0.875: 0, 0.5: 0, 0.75: 0, 0.8125: 1}

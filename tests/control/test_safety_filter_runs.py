@@ -157,7 +157,7 @@ def test_short_gap_in_measurements_is_bridged(gap):
     {"preset": "tuned", "limit_margin_rad": 0.0}, {**DCAC, "K_X": 3000.0, "D_X": 80.0, "K_N": 800.0, "D_N": 60.0},
 ], ids=["moc", "dcac"])  # fmt: skip
 def test_arm_that_meets_a_wall_is_stopped(control):
-    """The circle leads joint 4 into its wall (torque near the joint limit)."""
+    """The circle leads joint 4 into its virtual wall, a spring before the joint limit."""
     wall = {"position_margin_rad": 0.62}
     blind = {**wall, "rcm_error_m": None, "trocar_force_N": None, "motion": False}
     free = run(Scenario(control=control, guard=blind, **QUICK))
@@ -219,7 +219,7 @@ def test_runs_without_faults_are_not_stopped(preset, law):
 
 
 @pytest.mark.parametrize("plant", [{}, {"friction": 0.0}, {"trocar_stiffness_N_per_m": 3000.0}], ids=str)
-def test_robust_gains_stay_stable_with_four_ticks_delay(plant):
+def test_robust_gains_stay_stable_with_a_delay_of_four_ticks(plant):
     base = Scenario(control={"preset": "robust"}, seed=3, duration_s=2.0, **SWIVEL, **QUICK)
     one, four = (run(base.change(plant={"delay_ticks": ticks, **plant})) for ticks in (1, 4))
     assert four.meta["ended"] == "completed"
@@ -258,7 +258,7 @@ def test_hostile_controller_moves_no_joint_past_its_limit(robot, every, seed):
     (ControlError("no idea"), "no idea"), (ZeroDivisionError("no idea"), "no idea"),
     (float("nan"), "torque is not finite"), (INF, "torque is not finite"),
 ])  # fmt: skip
-def test_controller_that_breaks_down_stops_the_arm(how, told, monkeypatch):
+def test_arm_is_stopped_if_the_controller_breaks_down(how, told, monkeypatch):
     sound, calls = Controller.tick, iter(range(1000))
 
     def tick(controller, *given):
@@ -280,5 +280,5 @@ def test_command_line_reports_that_an_arm_ran_away(tmp_path, capsys):
     stiff = "plant = {trocar_stiffness_N_per_m = 1e6, trocar_damping_Ns_per_m = 1e4}\n"
     file.write_text(f"duration_s = 1.2\nbound_samples = 0\njudge = false\n{stiff}", encoding="utf-8")
     assert main(["run", str(file), "--trace", str(out)]) == 3  # not 2, because the input is valid
-    assert "s: ran away" in capsys.readouterr().err, "the message begins with the file's name"
+    assert "s: ran away" in capsys.readouterr().err, "the message begins with the file's name, s"
     assert Trace.load(out).meta["ended"].startswith("ran away")

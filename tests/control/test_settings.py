@@ -158,7 +158,7 @@ def test_preset_is_found_by_its_name():
         ControlSettings.preset("tunned")
 
 
-def test_planned_motion_may_use_the_full_joint_speed():
+def test_planned_third_level_has_its_own_law_numbers():
     arm, own = load_robot("lwr4_rail"), {"limit_margin_m": 0.03, "climb": "scaled"}
     given = (ControlSettings(third_level=level, **own) for level in ("local", "planned"))
     assert ControlSettings(third_level="receding").horizon_s == 1.0
@@ -172,7 +172,7 @@ def test_planned_motion_may_use_the_full_joint_speed():
         np.testing.assert_array_equal(given["tau_max"], arm.tau_max)
         assert given["feedforward"]
     assert (local["climbs"], planned["climbs"]) == (True, False)
-    # The desired speed v = x is not damped.
+    # The planned third level damps v - x instead of v.
     np.testing.assert_array_equal(planned["D_N2"], 0.0)
     np.testing.assert_allclose(planned["K_N2"], local["K_N2"] + local["D_N2"])
     assert local["D_N2"].max() > 0.0
@@ -191,12 +191,12 @@ def test_safety_margin_larger_than_controller_margin_is_refused():
     for unit, box in (("rad", 0.15), ("m", 0.05)):
         with pytest.raises(ScenarioError, match=f"position_margin_{unit} = 0.2 .*_{unit} = {box}"):
             Scenario(guard={f"position_margin_{unit}": 0.2})
-    for control in ({"limit_margin_rad": 0.2}, {"law": "dcac"}, {"preset": "paper"}):  # equal margins, or none
+    for control in ({"limit_margin_rad": 0.2}, {"law": "dcac"}, {"preset": "paper"}):  # a margin of 0.2 rad, or none
         Scenario(guard={"position_margin_rad": 0.2}, control=control)
 
 
 @pytest.mark.parametrize("wrong", [{"rcm_warning_m": 0.0101}, {"trocar_force_warning_N": 15.1}])
-def test_warning_level_above_its_limit_is_refused(wrong):
+def test_warning_threshold_above_its_limit_is_refused(wrong):
     with pytest.raises(ControlError, match=next(iter(wrong))):
         SafetyFilterSettings(**wrong)
     SafetyFilterSettings(rcm_warning_m=0.010, trocar_force_warning_N=15.0)
@@ -217,7 +217,7 @@ def test_shaft_margin_grows_with_the_squared_distance_from_tip_to_wrist(length):
 TABLE_I = {
     "dcac": {
         "K_X": 2000.0, "D_X": 20.0, "K_N": 600.0, "D_N": 10.0, "rcm_lambda": 0.5, "feedforward": False, "damped": False,
-        "K_N2": np.zeros(7), "D_N2": np.zeros(7), "observer_gain": 0.0,  # tau_d = tau_T + tau_N1
+        "K_N2": np.zeros(7), "D_N2": np.zeros(7), "observer_gain": 0.0,  # the torque is tau_T + tau_N1 only
     },
     "moc": {
         "K_X": 3000.0, "D_X": 30.0, "K_N": 800.0, "D_N": 10.0, "rcm_lambda": 0.5, "feedforward": False, "k0": 0.1,

@@ -72,7 +72,7 @@ def asked(qp, Z, answer, n=7, v=None, **changes):
 
 
 def judged(row, Z, x):
-    """The core's residuals of an answer: primal, outside, natural, off, opposite."""
+    """Return (primal, outside, natural, off, opposite), the struct moc_residuals in shared.h, of an answer."""
     made = law(len(x))
     made.load(row, np.ascontiguousarray(Z))
     return made.judge(np.ascontiguousarray(x))
@@ -202,7 +202,7 @@ def test_optimum_for_negated_gradient_is_refused(recorded):
 
 
 def along_the_line(qp, Z, x):
-    """Compute `natural`, `off` and `opposite` of x by numerical search."""
+    """Compute the residuals `natural`, `off` and `opposite` of x by numerical search."""
     d = Z.T @ (Z @ qp.pull)
     d /= np.linalg.norm(d)
     moving = np.abs(d) > 1e-9
@@ -260,7 +260,7 @@ def test_without_gradient_along_self_motion_the_residuals_are_zero(qp, Z):
         row = np.array(qp.row)
         fields(row).pull[:] *= pull
         fields(row).weights[2] *= c2
-        if pull == 1e-9:  # the threshold is relative to the gradient
+        if pull == 1e-9:  # a small gradient counts like a large one
             assert judged(row, Zs, x + 0.1 * Z[0] + 0.1 * Z[1])[2] > 0.0
         else:
             assert judged(row, Zs, x)[2:] == (0.0, 0.0, 0.0)
@@ -277,7 +277,7 @@ def test_solve_time_in_microseconds_is_compared_with_budget(qp, Z, monkeypatch):
 @pytest.mark.parametrize("rho", [0.0, 0.3])
 @pytest.mark.parametrize("tilt", [1.0, 1e-3])
 @pytest.mark.parametrize("n", [7, 8, 9])
-def test_wrong_vertices_of_larger_null_spaces_are_refused(n, tilt, rho):
+def test_wrong_vertices_of_the_feasible_set_are_refused(n, tilt, rho):
     """With a small `tilt`, most of the gradient is perpendicular to the null space."""
     wrong = wrong_corners(n, n, 10, tilt=tilt, regularization=rho)
     faults = [asked(w.qp, null_space(w.qp.A), Solution(w.x, None, Status.SOLVED), n)[0].fault for w in wrong]
@@ -293,7 +293,7 @@ def test_every_verified_answer_is_accepted(seed, n, rho, off, rest):
     """With `rest`, (rho / c2) x_d replaces the gradient."""
     rng = np.random.default_rng(seed)
     problem = random_problem(rng, n, structured=n == 7, regularization=rho)
-    if rest is not None and rho > 0.0:
+    if rest is not None and rho > 0.0:  # as if a desired velocity x_d were followed
         row = np.array(problem.row)
         fields(row).pull[:] = rho / problem.c2 * 10.0 ** (rest + 1.0) * rng.normal(size=n)
         problem = NullSpaceQP.from_row(row)
@@ -349,7 +349,7 @@ def test_idle_joint_is_checked_if_no_other_self_motion_exists(seed):
 
 
 @pytest.mark.parametrize("late", LATE)
-def test_late_answer_is_replaced_as_the_setting_late_says(late, qp, Z):
+def test_setting_late_chooses_what_the_arm_follows_after_a_late_answer(late, qp, Z):
     good = solved(qp)
     other = Solution(good.x + 1e-6, None, Status.SOLVED)
     mine = supervisor(times=[10.0, 3000.0, 2000.0, 10.0], budget_us=2000.0, late=late)
@@ -375,7 +375,7 @@ def stoppable(whole, truncated):
 @pytest.mark.parametrize(("us", "iterations", "allowed"), [
     (400.0, 40, 10), (1e6, 40, 1), (100.0, 40, None), (400.0, 1, 1), (400.0, 0, None),
 ])  # fmt: skip
-def test_late_solver_is_cut_to_the_iterations_that_fit_the_budget(us, iterations, allowed, qp, Z):
+def test_late_solve_is_repeated_with_the_iterations_that_fit_the_budget(us, iterations, allowed, qp, Z):
     whole = solved(qp)._replace(iterations=iterations)
     session = stoppable(whole, whole._replace(x=0.5 * whole.x, status=Status.MAX_ITER))
     mine = supervisor(times=[us], budget_us=100.0, late="iterate")
@@ -444,8 +444,8 @@ def test_answer_with_a_residual_equal_to_its_limit_is_accepted(qp, Z, claim, j, 
         assert (made.finish(0, claim, x, 50.0)[0] == 0) == taken
 
 
-def test_off_is_computed_only_for_one_self_motion_with_a_clear_gradient(qp):
-    """In all other cases `off`, the distance to the optimum, is zero."""
+def test_off_is_zero_with_several_self_motions_or_a_faint_gradient(qp):
+    """In these two cases `off`, the distance to the optimum, stays zero if the natural residual is small."""
     faint, several = changed(qp, c2=1e-7, regularization=1e-2), random_problem(np.random.default_rng(3), 8)
     for each, searched in ((qp, True), (faint, False), (several, False)):
         Z = null_space(each.A)

@@ -9,7 +9,7 @@ from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings
 
 
 def law(n, arm=None, supervision=None, fallback="damping", **changes):
-    """A core.Law for n joints with only the given parts and gains."""
+    """Return a core.Law for n joints. The gains of tip, RCM, third level and observer are zero if not given."""
     s = supervisor.SupervisorSettings() if supervision is None else supervision
     wide = np.full(n, 1e3)
     blank = core.Arm(np.zeros((n, 27)), np.zeros((2, 3)), np.eye(3), np.ones((2, n)), np.zeros(3))
@@ -62,7 +62,7 @@ def stand_in(row, Z, fault, fallback="damping"):
 
 
 class Supervisor(supervisor.Supervisor):
-    """A supervisor with subproblem and null space from the test."""
+    """A supervisor that gets the subproblem and the null space from the test."""
 
     def __init__(self, settings, fallback, n, times_us=None):
         super().__init__(settings, law(n, supervision=settings, fallback=fallback), n, 0.002, times_us)
