@@ -32,7 +32,7 @@ def nearly_singular(qp: NullSpaceQP, size: float) -> NullSpaceQP:
 
 
 def hard_problems(arm: Arm | None = None, n: int = 7, seed: int = 0) -> list[NullSpaceQP]:
-    """Return hard problems: of each kind, two without and two with regularization."""
+    """Return four hard problems of each kind, two of them with regularization."""
     rng = np.random.default_rng(seed)
     found = []
     for regularization in (0.0, 1e-5):

@@ -22,7 +22,7 @@ def many(share=1.0):
 
 @contextlib.contextmanager
 def ends_well(*named):
-    """Allow no exception but a MocOptError that contains one of `named`."""
+    """Allow only exceptions of type MocOptError. The message must contain one of `named`, if any are given."""
 
     def ring(number, frame):
         pytest.fail(f"no end after {LONGEST_S} s")

@@ -1,7 +1,7 @@
 /* Runs the core with sanitizers on random, extreme and damaged states (`make sanitize`).
  *
  * It checks that the torque of the safety filter is finite and within its limits, and prints a digest of all results.
- * Array entries after the first n are NaN, so that the digest changes if the core uses such an entry.
+ * Array entries beyond the arm's n joints are NaN, so that the digest changes if the core uses such an entry.
  *
  * Usage: extremes [courses] [seed]. A course is a run with random settings. The exit status is 0 if all checks pass. */
 #include <limits.h>
@@ -18,7 +18,7 @@ static uint64_t seed = 1, digest = 14695981039346656037u;
 static long reasons[MOC_STOPS], faults[MOC_FAULTS], statuses[4];
 static double grain; /* if above 0, random numbers are multiples of grain */
 
-/* Power series: of the sine with k = 2, term = x, of the cosine with k = 1, term = 1. */
+/* Power series of the sine (k = 2, term = x) and of the cosine (k = 1, term = 1). */
 static double series(double x, int k, double term)
 {
     double sum = term;
@@ -326,7 +326,7 @@ static void plan(moc_arm *arm, const moc_law *law, const double *from)
         free(own[k]);
 }
 
-/* Run moc_step or, if `own` is set, the same tick with a randomly spoilt answer and a random claim. */
+/* Run moc_step. If `own` is set, run the tick in two halves with a randomly spoilt answer and a random claim. */
 static moc_stop tick(const moc_controller *c, const moc_input *in, int own, moc_state *state, double *tau)
 {
     double x[MOC_MAX_JOINTS] = {0.0}, y[6];
@@ -664,7 +664,7 @@ static int algebra(void)
     return sound;
 }
 
-/* Check moc_start and moc_begin at torque limits, with NaN readings, and moc_begin and moc_step without a start. */
+/* Check how runs and ticks begin: at and above torque limits, with a damaged state, NaN readings, and no start. */
 static int contract(void)
 {
     static moc_state state;
@@ -711,7 +711,7 @@ static int contract(void)
             return 0;
     }
     fill(tau, MOC_MAX_JOINTS, (double)NAN);
-    guard.patience = 3; /* a NaN reading leaves the believed position unchanged */
+    guard.patience = 3; /* with patience, a NaN reading leaves the believed position or velocity unchanged */
     in.measured.q = tau;
     moc_start(&controller, &(moc_measurement){q, v, 0, 0, most, none}, &state);
     if (moc_begin(&controller, &in, &state) != MOC_RUNNING ||
@@ -748,7 +748,7 @@ int main(int count, char **words)
         filter();
         grain = 0.0;
         if (!sound || !algebra() || !contract() || !course()) {
-            printf("a check failed in course %ld: run %ld courses of the same seed to see it again\n", k + 1, k + 1);
+            printf("a check failed in course %ld: run %ld courses with the same seed to see it again\n", k + 1, k + 1);
             return 1;
         }
     }

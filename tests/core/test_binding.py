@@ -27,7 +27,7 @@ def test_wrong_array_is_named_in_the_exception(name, wrong):
         core.step_network(*{**sound, name: wrong}.values())
 
 
-def test_wrong_numbers_of_rows_and_columns_are_refused():
+def test_wrong_number_of_arguments_rows_or_columns_is_refused():
     for count in (1, 3):
         with pytest.raises(TypeError, match="takes 2 arguments"):
             core.solve_exact(*[QP.row] * count)
@@ -68,7 +68,7 @@ def test_arrays_have_their_documented_shapes():
 
 
 @pytest.mark.parametrize("k", range(4))
-def test_tick_with_nan_is_refused(k):
+def test_law_refuses_wrong_arrays(k):
     made, given = law(7), [np.zeros(7), np.zeros(7), np.zeros((3, 3)), np.ones((2, 3))]
     made.start(*given)
     given[k].flat[-1] = np.nan

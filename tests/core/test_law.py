@@ -113,7 +113,7 @@ def test_scaled_climb_does_not_depend_on_cost_weights(robot):
         found = c2 / rho * fields(subproblem(robot, s, tip_ref, trocar, **parts)).pull
         np.testing.assert_allclose(found, reference.scaled_climb(robot, s, margin), rtol=1e-4, atol=1e-4)
         lost += s.mu_shaft < margin
-    assert lost > 0  # some poses are below the shaft margin
+    assert lost > 0  # some poses have mu_shaft below the margin
 
 
 @pytest.mark.parametrize("bend", [0.0, 1e-12])
@@ -192,6 +192,6 @@ def test_no_unnecessary_self_motion_is_added():
     for lower, upper in ((-wide, wide), (wide - 1.0, wide), (-wide, 1.0 - wide)):
         part.lower[:], part.upper[:] = lower, upper
         np.testing.assert_allclose(stand_in(row, Z, FAILED), np.zeros(7), atol=1e-14)
-    for damaged in ((4, 2), ...):
+    for damaged in ((4, 2), ...):  # with NaN in A, no self-motion can be computed
         part.A[damaged] = np.nan
         np.testing.assert_array_equal(stand_in(row, Z, FAILED), np.zeros(7))

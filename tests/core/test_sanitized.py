@@ -1,4 +1,4 @@
-"""The core under sanitizers: random chains, extreme inputs and damaged memory."""
+"""The core under sanitizers: random arms, extreme inputs and damaged memory."""
 
 import os
 import re

@@ -103,7 +103,7 @@ def test_network_faults_do_not_change_the_run(built: Built, name: str) -> None:
 
 
 def test_with_lost_commands_c_and_python_give_the_same_run(built: Built) -> None:
-    """From tick 100 on, all commands are lost and the plant brakes."""
+    """Commands 50 and 51 are lost, and all commands from 100 on, so that the plant brakes."""
     scenario, folder = built("default")
     blind = scenario.change(wire={"resend_s": 0.33, "resends": 0, "hold_ticks": 2, "damp_ticks": 0})
 

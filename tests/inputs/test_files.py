@@ -62,8 +62,8 @@ def header(shape, kind):
     header((3,), "<U100000"), b"\x93NUMPY\x01\x00\x10\x00secret:x:0 hello", b"secret:x:0:0:root\n",
     header((1,), "<U6") + "secret".encode("utf-32-le"),
 ])  # fmt: skip
-def test_error_for_file_without_recorded_times_does_not_quote_it(data, tmp_path):
-    """A header can claim terabytes, and a scenario can name any file."""
+def test_error_for_a_file_without_recorded_times_does_not_quote_the_file(data, tmp_path):
+    """The scenario may name a secret file, and the header of an array may claim terabytes."""
     (tmp_path / "a.npy").write_bytes(data)
     with pytest.raises(ScenarioError, match="replay_us") as found:
         recorded_times(Scenario(solver={"replay_us": str(tmp_path / "a.npy")}))
@@ -146,7 +146,7 @@ def test_a_written_table_reads_back_the_same_from_toml_and_is_valid_json(table):
     assert json.loads(text, parse_constant=pytest.fail)["numpy"] == [None, None, 1.0]
 
 
-def test_numpy_values_become_toml_numbers():
+def test_toml_is_written_for_numpy_values_but_not_for_none():
     assert tomllib.loads(to_toml({"a": np.float64(0.1), "b": np.arange(3)})) == {"a": 0.1, "b": [0, 1, 2]}
     with pytest.raises(TypeError, match=r"a\.b = None has no form in TOML"):
         to_toml({"a": {"b": None}})

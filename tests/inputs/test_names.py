@@ -1,4 +1,4 @@
-"""Names in input: which are valid, where they are checked, how Markdown shows texts."""
+"""Every reader of a name refuses characters that are not allowed, and Markdown shows any text as it is."""
 
 import html
 from dataclasses import replace
