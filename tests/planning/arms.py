@@ -1,4 +1,4 @@
-"""Arms built from joint frames and limits with made-up masses, and short tasks for any arm."""
+"""Arms with given joint frames and limits and made-up masses. Short tasks for any arm."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""Curves of poses with the same tip and wrist: straight for a gantry of sliding joints, sharply bent for real arms."""
+"""Curves of poses with the same tip and wrist. Those of a gantry are straight, those of real arms may bend sharply."""
 
 import numpy as np
 import pytest

@@ -156,7 +156,7 @@ def test_slower_or_less_constrained_planners_are_tried_until_one_finds_a_course(
     ([(1.0, False), (1.0, False), (1.0, False), (0.5, True)], 3),
 ])  # fmt: skip
 def test_slower_courses_are_tried_until_smoothing_costs_little_mu(monkeypatch, answers, chosen):
-    """An answer is (mu after smoothing / mu before, whether all limits are kept). The last course need not brake."""
+    """An answer is (mu after smoothing / mu before, whether all limits are kept). The last try has no brake limit."""
     run, tried, made = setup("planned").following, [], []
 
     def refined(robot, targets, course, limits, *, smoothness, brake):
@@ -179,7 +179,7 @@ FAST = {"task": {"v_max_m_per_s": 2.0, "a_max_m_per_s2": 20.0}, "start": {"check
     (FAST, r"third_level = 'planned'.*mm along the path"),
     (FAST | {"control": {"third_level": "receding"}}, r"third_level = 'receding'.*mm along the path"),
 ])  # fmt: skip
-def test_settings_without_a_feasible_course_are_refused(change, message):
+def test_settings_with_which_no_course_can_be_followed_are_refused(change, message):
     with pytest.raises(MocOptError, match=message):
         Setup(FOLLOWED.change(**change)).controller()
 
@@ -216,12 +216,12 @@ def test_motion_of_the_receding_horizon_stays_on_the_path():
 
 
 @pytest.mark.parametrize("wrong", ["random", "nan", "fast"])
-def test_wrong_answers_of_the_program_are_refused(monkeypatch, wrong):
+def test_wrong_answers_of_the_nonlinear_program_are_refused(monkeypatch, wrong):
     one, rng = follower(setup()), np.random.default_rng(0)
     robot, q, solve = setup().robot, setup().q_start, Program.solve
 
     def nonsense(self, guess, *given):
-        if wrong == "fast":  # joint 7, which moves neither tip nor wrist, makes a first step that is too long
+        if wrong == "fast":  # the first step of joint 7, which moves neither tip nor wrist, is too long
             right, _ = solve(self, guess, *given)
             return right - np.copysign(2.0, right[0, 6]) * np.eye(7)[6], True
         return (rng.normal(size=guess.shape) if wrong == "random" else np.full_like(guess, np.nan)), True
@@ -280,7 +280,7 @@ def test_a_saved_course_is_followed_like_a_planned_one(course, monkeypatch):
     read, made = (followed_course(replace(following, settings=each.control)) for each in (file, SCENARIO))
     assert read.mu_mean == pytest.approx(made.mu_mean, rel=1e-4)
     np.testing.assert_allclose(read.q_rad, made.q_rad, rtol=0.0, atol=1e-2)
-    answers = iter([{0.9 * following.brake: None}, {np.inf: made}])  # smoothing fails with a brake
+    answers = iter([{0.9 * following.brake: None}, {np.inf: made}])  # smoothing fails with a brake limit
     monkeypatch.setattr(guides, "refine", lambda *of, brake, **_: next(answers)[brake] or of[2])
     assert followed_course(replace(following, settings=file.control)) is made
 

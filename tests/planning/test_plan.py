@@ -76,7 +76,7 @@ def test_the_joint_that_blocks_a_path_is_named(robot, limits, told):
     q = robot.data.q_home
     plan = make_plan(robot, q, task(robot, q, 60), limits, swivels=180, refined=False)
     assert told in plan.blocked.reason
-    assert plan.blocked.t_s > 0.2, "while the path rests, no speed is needed"
+    assert plan.blocked.t_s > 0.2, "while the tip rests, no speed is needed"
 
 
 @pytest.mark.parametrize(("change", "name"), [

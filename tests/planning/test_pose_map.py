@@ -43,7 +43,7 @@ def test_every_pose_of_the_map_agrees_with_the_model(arm):
     room = np.minimum(q - arm.q_min, arm.q_max - q)[:, :6].min(axis=1)
     np.testing.assert_allclose(room, found.room_rad.ravel(), atol=1e-12)
     axes = np.einsum("kjab,jb->kja", link_frames(arm, found.q_rad[3, 0])[1], arm.chain.axes)
-    sines = np.linalg.norm(np.cross(axes[:, :5:2], axes[:, 2::2]), axis=2)  # of joints 2, 4 and 6
+    sines = np.linalg.norm(np.cross(axes[:, :5:2], axes[:, 2::2]), axis=2)  # of the angles of joints 2, 4 and 6
     for step in (0.1, 0.9):
         steps = step * np.array([9.0, 1.0, 9.0, 1.2, 9.0, 1.4, 9.0])
         near = sines <= np.sin(np.minimum(2.0 * steps[1:6:2], np.pi / 2))
@@ -106,7 +106,7 @@ def test_too_few_and_too_many_swivels_are_refused(name, swivels):
     {"joints": [*JOINTS[:5], ((0.0, 0.0, 0.2155), (H - 0.1, 0, 0)), JOINTS[6]]},  # oblique axes
 ])  # fmt: skip
 def test_an_arm_that_breaks_one_condition_has_no_closed_form(tmp_path, changes):
-    assert closed_form(build(tmp_path, IIWA14)) is not None, "the name of an arm does not count"
+    assert closed_form(build(tmp_path, IIWA14)) is not None, "an iiwa14 with another name has a closed form too"
     whole_turn = np.radians([180, 120, 170, 120, 170, 120, 175])
     assert closed_form(build(tmp_path, IIWA14, q_max=whole_turn, q_min=-whole_turn)) is not None
     assert closed_form(build(tmp_path, IIWA14, **changes)) is None
@@ -219,7 +219,7 @@ def elsewhere(robot, q, starts, seed):
     *((name, "best found of 96 starts") for name in ("panda", "gen3", "xarm7", "lwr4_rail")),
 ])  # fmt: skip
 def test_inverse_kinematics_from_random_starts_finds_no_larger_mu(name, method):
-    """`largest_mu` may miss a maximum that few starts reach: inverse kinematics may find 1 % more at one pose."""
+    """At one pose, `largest_mu` may be up to 1 % too small, because few starts reach the maximum."""
     robot, rng = load_robot(name), np.random.default_rng(21)
     poses = [robot.data.q_home, *rng.uniform(robot.q_min, robot.q_max, (2, robot.n))]
     found = [largest_mu(robot, q[None]) for q in poses]
@@ -280,7 +280,7 @@ def test_one_curve_of_a_two_dimensional_self_motion_misses_the_largest_mu(name, 
     assert max(shares) < 1.0 + 1e-6
 
 
-def test_a_stretched_arm_approaches_a_target_out_of_reach(robot):
+def test_inverse_kinematics_approaches_a_target_out_of_reach(robot):
     free, rng, shoulder = without_limits(robot), np.random.default_rng(2), np.array([0.0, 0.0, 0.31])
     there = robot.state(beyond := robot.q_max + 0.1)
     np.testing.assert_allclose(pose_map.reach(robot, beyond - 0.01, there.tip, there.wrist)[:6], beyond[:6], atol=0.03)
