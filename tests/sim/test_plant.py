@@ -1,4 +1,4 @@
-"""The plant equals the controller's model except for the errors that its settings add."""
+"""The plant differs from the controller's model only by the errors in the plant's settings."""
 
 import re
 from concurrent.futures import ThreadPoolExecutor
@@ -77,8 +77,8 @@ def test_friction_only_removes_energy_and_without_it_energy_is_kept(seed, scale,
         assert course[-1] == pytest.approx(first, rel=1e-3)
 
 
-def test_friction_has_the_robot_files_coefficients():
-    """A steady turn about the vertical first axis needs a torque of d v + c."""
+def test_friction_has_the_coefficients_of_the_robot_file():
+    """The first axis is vertical, so only friction resists its steady turn."""
     plant, turning = nominal(friction=2.0, substeps=20), np.eye(7)[0]
     plant.reset(np.zeros(7), 0.4 * turning)
     needed = 2.0 * (DATA.viscous_friction[0] * 0.4 + DATA.coulomb_friction[0])
@@ -96,7 +96,7 @@ def test_mass_error_changes_only_masses_and_inertias():
         np.testing.assert_array_equal(getattr(wrong, name), getattr(exact, name), err_msg=name)
 
 
-def test_mass_and_friction_factors_follow_the_seed():
+def test_mass_and_friction_factors_fill_their_ranges():
     def drawn(error, seed):
         settings = PlantSettings(mass_error=error, friction_error=2.0 * error, friction=3.0)
         one = Mismatch.draw(DATA, settings, DATA.joint_names, np.random.SeedSequence(seed))
@@ -236,7 +236,7 @@ def test_wrench_noise_reaches_the_measurement():
 def test_refused_step_does_not_change_the_arm():
     one, other = Plant(DATA, seed=1), Plant(DATA, seed=1)
     torque, trocar = one.applied_torque, np.stack([one.tip, np.zeros(3)])
-    for k in range(260):  # more steps than one block of precomputed noise
+    for k in range(260):  # longer than one block of precomputed noise
         one.step(torque, trocar)
         other.step(torque, trocar)
         wrong = trocar.copy()
@@ -264,7 +264,7 @@ def test_refused_start_does_not_change_the_plant():
 
 
 @pytest.mark.parametrize("force", [1e5, 1e15])
-def test_plant_of_a_runaway_arm_raises_errors_until_reset(force, tmp_path, monkeypatch):
+def test_after_a_runaway_the_plant_raises_errors_until_reset(force, tmp_path, monkeypatch):
     """The second force drives the state out of MuJoCo's valid range within one period."""
     monkeypatch.chdir(tmp_path)
     plant = Plant(replace(DATA, rotor_inertia=np.zeros(7)), NOMINAL)
@@ -277,7 +277,7 @@ def test_plant_of_a_runaway_arm_raises_errors_until_reset(force, tmp_path, monke
     assert np.abs(drive(plant, plant.applied_torque, 1).v).max() < 1e-6
 
 
-def test_nominal_preset_switches_every_difference_off():
+def test_nominal_preset_sets_every_error_to_zero():
     realistic, none = PlantSettings().model_dump(), NOMINAL.model_dump()
     for name, value in realistic.items():
         off = re.search("error|tilt|bias|noise|friction|delay|cutoff|resolution", name)

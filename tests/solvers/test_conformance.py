@@ -25,18 +25,18 @@ every_solver = pytest.mark.parametrize("name", NAMES)
 
 @dataclass(frozen=True)
 class Expect:
-    """Tolerances of answers with the status SOLVED, and lower bounds on shares of statuses."""
+    """Tolerances of SOLVED answers, and lower bounds on the shares of SOLVED and INFEASIBLE answers."""
 
     settings: dict[str, Any] = field(default_factory=dict)
     primal: float = 1e-7  # |A x - b|_inf and violation of bounds [m/s, rad/s]
     relative: float = 1e-4  # natural residual with the best y, divided by the size of the reduced gradient
     loss: float = 1e-4  # (cost of x - smallest) / (largest - smallest cost)
     natural: float = 1e-5  # natural residual with the solver's own y [rad/s]
-    x: float = 2e-4  # distance to exact and cold answers [rad/s]
+    x: float = 2e-4  # distance to the answers of `exact` and of a cold start [rad/s]
     gap: float = 1e-6  # (f(x) - f(exact)) / (c2 |grad_mu|_inf) where regularization = 0 [rad/s]
     solved: float = 1.0  # lower bound on the share of feasible problems with the status SOLVED
     certified: float = 1.0  # lower bound on the share of infeasible problems with the status INFEASIBLE
-    undamped: float | None = 1.0  # ``solved`` with regularization = 0 (None: not supported)
+    undamped: float | None = 1.0  # like ``solved``, for problems with regularization = 0 (None: not supported)
     recovers: bool = True  # the solver recovers after an infeasible problem
     arm: bool = False  # the solver needs the arm's kinematics
 
@@ -55,17 +55,16 @@ EXPECT = {
     "rnn-printed": Expect(solved=0.0, certified=0.0, undamped=0.0),  # its time constants exceed 50 s
     # One problem in 200 needs more than max_iter iterations.
     "osqp": Expect(solved=0.95, undamped=0.95), "qpsolvers:osqp": Expect(solved=0.95, undamped=0.95),
-    "piqp": Expect(certified=0.85),  # the other infeasible problems end as MAX_ITER
-    "quadprog": Expect(undamped=None),  # needs P > 0
+    "piqp": Expect(certified=0.85),  # some infeasible problems end as MAX_ITER
+    "quadprog": Expect(undamped=None),  # needs a positive definite P
     "nlp-sqp": dataclasses.replace(NLP, certified=0.0),  # it does not report why it failed
     "nlp-ipopt": NLP,
-    # Through qpsolvers, daqp and highs do not report why they failed.
-    "qpsolvers:daqp": Expect(certified=0.0),
-    # The default limit of 0.1 s is too short on a busy machine.
+    "qpsolvers:daqp": Expect(certified=0.0),  # qpsolvers does not pass on why daqp failed
+    # The same holds for highs. Its default time limit of 0.1 s is too short on a busy machine.
     "qpsolvers:highs": Expect({"options": {"time_limit": 30.0}}, certified=0.0),
-    "qpsolvers:piqp": Expect(certified=0.85),  # the other infeasible problems end as MAX_ITER
+    "qpsolvers:piqp": Expect(certified=0.85),  # some infeasible problems end as MAX_ITER
     "qpsolvers:proxqp": Expect(solved=0.85, undamped=0.7),  # see moc_opt.solvers.qpsolvers.ADVICE
-    "qpsolvers:quadprog": Expect(undamped=None),  # needs P > 0
+    "qpsolvers:quadprog": Expect(undamped=None),  # needs a positive definite P
 }
 
 
@@ -181,7 +180,7 @@ def test_infeasible_problem_is_never_called_solved(name):
 
 
 @every_solver
-def test_infeasible_tick_does_not_spoil_the_next_answers(name):
+def test_answers_after_an_infeasible_problem_are_optimal(name):
     limits = expect(name)
     good, bad = of(name)[:6], of(name, feasible=False)[:6]
     session = solver(name).start(good[0])
@@ -212,7 +211,7 @@ def test_warm_answers_equal_cold_answers(name):
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if not expect(name).arm])  # ARM has a fixed number of joints
-def test_new_number_of_joints_starts_a_new_workspace(name):
+def test_session_solves_problems_with_another_number_of_joints(name):
     rng, limits, chosen = np.random.default_rng(6), expect(name), solver(name)
     session = chosen.start(random_problem(rng))
     for n in (9, 6, 7):

@@ -34,15 +34,15 @@ def check(qp, primal=np.inf):
        regularization=st.sampled_from([0.0, 1e-8, 1e-6, 1e-5, 1e-3, 1.0]))  # fmt: skip
 def test_answers_satisfy_the_kkt_conditions_for_any_number_of_joints(seed, n, structured, regularization):
     qp = random_problem(np.random.default_rng(seed), n, structured=structured, regularization=regularization)
-    # The condition number of A amplifies rounding.
+    # The primal residual grows with the condition number of A.
     s = np.linalg.svd(qp.A, compute_uv=False)
     solution = check(qp, 1e-14 * s[0] / s[s > 1e-9 * s[0]][-1] * 10 + 1e-13)
     assert qp.residuals(solution.x, solution.y).natural < 1e-11
 
 
 @pytest.mark.parametrize("decimals", [7, 8, 9, 10, 11, 12, 13, 14])
-def test_answers_for_rounded_jacobians_agree_with_highs_on_five_rows(decimals):
-    """The dependent sixth row must not determine the self-motion."""
+def test_answers_for_rounded_jacobians_agree_with_linprog(decimals):
+    """Rounding makes the sixth row slightly independent of the other five. linprog gets only five rows."""
     rng, refused = np.random.default_rng(decimals), 0
     for k in range(16):
         qp = rounded(random_problem(rng, 6 + k % 4, structured=k % 8 < 4, regularization=0.0), decimals)
@@ -87,7 +87,7 @@ def test_problem_with_a_wedge_in_its_feasible_set_is_solved(n, narrow):
             check(qp, primal=1e-17 / narrow)
 
 
-def test_problem_with_a_wedge_is_seldom_unsolved_because_of_rounding():
+def test_rounding_seldom_prevents_the_solution_of_a_problem_with_a_wedge():
     rng, found = np.random.default_rng(0), []
     for k in range(1000):
         n, narrow, size = rng.choice([8, 8, 9, 12, 16]), 10.0 ** rng.uniform(-7.0, -2.0), 10.0 ** rng.uniform(-3.0, 3.0)
@@ -111,7 +111,7 @@ def test_bound_of_a_joint_that_hardly_moves_does_not_stop_the_self_motion():
 
 
 @pytest.mark.parametrize(("decimals", "answered"), [(12, True), (8, True), (7, True), (4, False)])
-def test_rounded_references_are_accepted_within_the_tolerance(decimals, answered):
+def test_rounded_velocities_of_tip_and_wrist_are_accepted_within_the_tolerance(decimals, answered):
     for seed in range(20):
         qp = random_problem(np.random.default_rng(seed), 7)
         kept = changed(qp, v_tip=qp.v_tip.round(decimals), v_wrist=qp.v_wrist.round(decimals))
@@ -137,7 +137,7 @@ def test_violation_equal_to_the_tolerance_is_allowed():
 
 
 def test_answers_do_not_depend_on_units():
-    """Only the absolute tolerance on A x = b may change the status."""
+    """The tolerance on A x = b is absolute, so the unit of length may change the status."""
     rng = np.random.default_rng(0)
     plain = [random_problem(rng, 7 + k % 3, structured=False, regularization=1e-5 * (k % 2)) for k in range(120)]
     problems = [nearly_singular(qp, 10.0 ** -rng.uniform(2, 15)) for qp in plain[:60]]
@@ -159,7 +159,7 @@ def test_answers_do_not_depend_on_units():
     assert np.mean(same) > 0.97
 
 
-def test_motion_that_does_not_lower_the_cost_is_left_out():
+def test_self_motion_that_does_not_lower_the_cost_is_zero():
     qp = random_problem(np.random.default_rng(14), regularization=0.0)
     assert solve(qp).x[6] == 0.0
     assert solve(changed(qp, c2=0.0, grad_mu=np.ones(7))).x[6] == 0.0
@@ -209,7 +209,7 @@ def test_no_answer_is_wrong_near_the_rank_tolerance(decimals, singular):
 
 @pytest.mark.parametrize("freedoms", [0, 1])
 def test_violation_is_accepted_as_rounding_if_the_smallest_pivot_explains_it(freedoms):
-    """A hundred times the error 4e-12 max(|A| |x|) / pivot [rad/s] is allowed."""
+    """A violation of up to 100 times the estimated error 4e-12 max(|A| |x|) / pivot [rad/s] is accepted."""
     wide = np.full(7, 10.0)
     for smallest, beyond, status in (
         (1e-3, 2e-6, Status.SOLVED), (1e-3, 2e-5, Status.INFEASIBLE), (1.0, 1e-7, Status.INFEASIBLE)
@@ -221,16 +221,16 @@ def test_violation_is_accepted_as_rounding_if_the_smallest_pivot_explains_it(fre
         assert solve(qp).status is status
 
 
-def test_answers_near_a_straight_elbow_are_feasible_and_mostly_verified(robot):
+def test_answers_near_a_straight_elbow_are_feasible(robot):
     rng, one = np.random.default_rng(10248), np.ones(16)
     A = rng.integers(-1, 2, (6, int(rng.integers(9, 17)))).astype(float)
     A[:, 8:] = A[:, :8]
     b = A @ (np.where(rng.random(16) < 0.5, -1.0, 1.0) + rng.normal(size=16) * 10 ** rng.uniform(-4, 1))
     assert solve(NullSpaceQP(A[:3], A[3:], b[:3], b[3:], rng.normal(size=16), -one, one)).status is not Status.SOLVED
     unverified = np.zeros(3)
-    for k in range(600):
+    for k in range(600):  # by turns: elbow near 0, wrist at 1e-9 rad (slow self-motion), elbow at 1e-10 rad
         q, v = rng.uniform(robot.q_min, robot.q_max), robot.v_max
-        q[3], q[5] = [(rng.uniform(-0.01, 0.01), q[5]), (q[3], 1e-9), (1e-10, q[5])][k % 3]  # 1e-9: a slow joint
+        q[3], q[5] = [(rng.uniform(-0.01, 0.01), q[5]), (q[3], 1e-9), (1e-10, q[5])][k % 3]
         s, x = robot.state(q), np.where(rng.random(7) < 0.5, rng.choice([-1.0, 1.0], 7) * v, rng.uniform(-v, v))
         qp = NullSpaceQP(s.J_tip, s.J_wrist, s.J_tip @ x, s.J_wrist @ x, s.grad_mu, -v, v)
         solution = solve(qp)
@@ -240,7 +240,7 @@ def test_answers_near_a_straight_elbow_are_feasible_and_mostly_verified(robot):
         assert solution.status is Status.SOLVED
         assert found.primal <= 1e-6
         unverified[k % 3] += not found.verified()
-    assert (unverified <= [0, 0, 5]).all(), "at 1e-10 rad, rounding of b can make a problem infeasible"
+    assert (unverified <= [0, 0, 5]).all(), "at 1e-10 rad, rounding errors of b can make a problem infeasible"
 
 
 @pytest.mark.parametrize(("moves", "stops"), [(1.6e-10, True), (1.2e-10, False)])
@@ -257,7 +257,7 @@ def test_solver_and_residuals_agree_on_slow_joints(moves, stops):
 
 
 def test_reference_attained_at_a_corner_of_the_bounds_is_seldom_called_infeasible():
-    """Where a column of A is as small as 1e-3, rounding errors of b are magnified a thousandfold."""
+    """Where a column of A is as small as 1e-3, a rounding error of b is a thousand times as large in x."""
     rng, refused = np.random.default_rng(1), 0
     for _ in range(300):
         n, u = int(rng.integers(6, 10)), unit(rng)

@@ -1,4 +1,4 @@
-"""Solvers in separate processes: a failure costs some ticks their answers, but does not end the run."""
+"""Solvers in separate processes: if one fails, some ticks get no answer, but the run goes on."""
 
 import signal
 import subprocess
@@ -25,7 +25,7 @@ def qp():
 
 
 def started(qp, act="", at=2, folder="", budget_us=np.inf, waits=True, **settings):
-    """Start a session whose process counts as hung after a minute."""
+    """Start a session whose process counts as hung after a minute without an answer."""
     process = ProcessSettings(**{"hang_s": 60.0, **settings})
     return Isolated(Misbehaving(act, at, str(folder)), process, budget_us, waits).start(qp)
 
@@ -35,7 +35,7 @@ def fault_of(session, qp):
         session.solve(qp)
     except Unanswered as missing:
         return missing.kind, missing.text
-    raise AssertionError("it answered")
+    raise AssertionError("the solver answered")
 
 
 def pid(session):
@@ -96,7 +96,7 @@ def test_solver_is_given_up_if_its_process_is_lost_too_often(qp):
     assert len(session.restarts) == 2
 
 
-def test_late_answer_is_used_for_answer_age_ticks(qp, tmp_path):
+def test_late_answer_is_used_until_it_is_too_old(qp, tmp_path):
     def numbered(number):
         row = np.array(qp.row)
         fields(row).weights[0] = number
@@ -107,7 +107,7 @@ def test_late_answer_is_used_for_answer_age_ticks(qp, tmp_path):
         session.observe(np.arange(7.0))
         assert fault_of(session, numbered(1))[0] == "late"
     (tmp_path / "1").touch()
-    answer = old.solve(numbered(2))  # problem 2 has no answer yet
+    answer = old.solve(numbered(2))  # the answer to problem 1, because problem 2 has none yet
     assert answer.iterations == 1
     np.testing.assert_array_equal(answer.x, np.arange(7.0))
     np.testing.assert_array_equal(answer.y, qp.b)

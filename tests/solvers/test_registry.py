@@ -66,7 +66,7 @@ def test_error_names_the_bad_setting(name, field, value):
         create(name, **{**arm, field: value})
 
 
-def test_missing_package_is_reported_as_the_reason(monkeypatch):
+def test_solver_without_its_package_is_unavailable(monkeypatch):
     assert set(registry.BUILT_IN) <= set(HERE)
     monkeypatch.setattr(registry, "find_spec", lambda package: None)
     reasons = available()

@@ -45,14 +45,14 @@ def test_steps_integrate_the_networks_equation(method, h):
 
 
 def spectral_radius(qp, c, h, k, implicit, h_x):
-    """Return the spectral radius of one step without active bounds or regularization."""
+    """Return the spectral radius of the matrix of one step, without active bounds and without regularization."""
     A, hk, hk_x = qp.A, h * k, h_x * k
     m, n = A.shape
     onto_x = np.hstack([np.eye(n) - hk_x * c * A.T @ A, -hk_x * A.T])
     seen = onto_x if implicit else np.eye(n, n + m)
     step = np.vstack([onto_x, np.hstack([np.zeros((m, n)), np.eye(m)]) + hk * A @ seen])
     U, _, Vt = np.linalg.svd(A)
-    basis = block_diag(Vt[:5].T, U[:, :5])  # the remaining modes do not change in a step
+    basis = block_diag(Vt[:5].T, U[:, :5])  # components in the null spaces of A and A^T stay constant
     return np.abs(np.linalg.eigvals(basis.T @ step @ basis)).max()
 
 
@@ -64,7 +64,7 @@ def spectral_radius(qp, c, h, k, implicit, h_x):
 def test_settings_are_called_unstable_exactly_where_a_step_diverges(seed, c, k, h, implicit, h_x):
     qp = random_problem(np.random.default_rng(seed), c0=c, c1=c, regularization=0.0)
     radius = spectral_radius(qp, c, h, k, implicit, h if h_x is None else h_x)
-    if abs(radius - 1.0) > 1e-9:  # slow modes have a radius near 1
+    if abs(radius - 1.0) > 1e-9:  # nearer to 1, rounding decides
         assert (unstable(qp, h, k, 1.0, implicit, h_x) is None) == (radius < 1.0)
 
 
@@ -86,7 +86,7 @@ def test_a_claimed_answer_is_verified_and_x_stays_in_the_box(seed, steps, infeas
     make = infeasible_problem if infeasible else random_problem
     qp = make(np.random.default_rng(seed))
     chosen = RNN(steps=steps, k=0.2)
-    assume(chosen.supports(qp) is None)  # the steps diverge for very large arms
+    assume(chosen.supports(qp) is None)  # the network refuses very large arms, because its steps would diverge
     found = chosen.start(qp).solve(qp)
     assert np.all(found.x >= qp.lower - 1e-15)
     assert np.all(found.x <= qp.upper + 1e-15)
