@@ -1,4 +1,4 @@
-"""The command of a study."""
+"""The command line of a study: its options, output, files and exit status."""
 
 import json
 import os
@@ -52,7 +52,7 @@ def asked(tmp_path: Path) -> tuple[Path, Path]:
 
 def test_study_writes_and_prints_its_result(asked, capsys):
     config, out = asked
-    assert call(squares, config, "--out", out) == 3, "the status in the result of `squares`"
+    assert call(squares, config, "--out", out) == 3, "`squares` returns the exit status 3"
     said = capsys.readouterr().out
     assert all(words in said for words in ("The sum is [14].", "Squares", "One more sentence.", "more.txt"))
     summary = json.loads((out / "summary.json").read_text())
@@ -67,11 +67,11 @@ def test_study_writes_and_prints_its_result(asked, capsys):
     assert (out / "report.md").read_text().startswith("# Sums\n\nThe sum is [14].\n")
     assert call(squares, config, "--out", out, "--json") == 3
     assert capsys.readouterr().out == (out / "summary.json").read_text()
-    assert json.loads((out / "environment.json").read_text())["jobs_of_an_earlier_run"] == 4, "all but the failed one"
+    assert json.loads((out / "environment.json").read_text())["jobs_of_an_earlier_run"] == 4, "no failed job is kept"
     capsys.readouterr()
     for spoil in (lambda file: file.write_text("mine"), Path.unlink):
         spoil(out / "environment.json")
-        assert call(lambda *_: pytest.fail("the study ran although its folder is refused"), config, "--out", out) == 2
+        assert call(lambda *_: pytest.fail("the study ran in a folder that must be refused"), config, "--out", out) == 2
         assert "that no study has written" in capsys.readouterr().err
 
 

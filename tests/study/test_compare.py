@@ -32,7 +32,7 @@ def test_every_solver_runs_the_same_trials():
     assert found.solvers == ["dcac", "exact", "standing"]
     assert [(row["seed"], row["solver"]) for row in found.rows] == [*product((4, 5), found.solvers)]
     starts = [[row["mu_mean"] for row in found.rows if row["seed"] == seed] for seed in (4, 5)]
-    for values in starts:  # all start in the same pose
+    for values in starts:  # in one trial all solvers start in the same pose, so mu differs little
         assert np.ptp(values) < 0.05 * np.mean(values)
     assert abs(np.mean(starts[0]) - np.mean(starts[1])) > 1e-3
     mine, base = ([row["mu_mean"] for row in found.rows if row["solver"] == name] for name in ("exact", "dcac"))
@@ -84,7 +84,7 @@ def test_exceptions_and_malformed_answers_are_reported_below_the_table(answers, 
     bad.start.return_value.solve = Mock(**answers)
     caption = mo.compare([bad], BRIEF, trials=2).table.caption
     assert f"malformed answers of bad: 2; the first: 10 ticks, first at 0.000 s: {told}." in caption
-    assert about(mo.run(BRIEF, solver=bad))["solver"] == "bad", "the scenario's solver did not run"
+    assert about(mo.run(BRIEF, solver=bad))["solver"] == "bad", "the trace names the solver that ran"
 
 
 def test_first_trial_must_have_a_start(monkeypatch):
@@ -119,7 +119,7 @@ TIP = {"dcac": (0.02, 0.3), "exact": (0.1, 0.15), "qpsolvers:quadprog": (0.05, 0
 
 
 def compared(trials):
-    """Relative to DCAC, `exact` raises the small tip errors and lowers the large ones."""
+    """Return a comparison in which `exact` raises the small tip errors of DCAC and lowers the large ones."""
     rows = [
         {
             "solver": name, "seed": seed, "ended": "completed", "asked": 4 * (name != "dcac"),

@@ -53,17 +53,17 @@ def test_dying_processes_are_reported_as_crashed(workers):
     assert [getattr(result, "kind", result) for result in found] == ["crashed", "crashed", 4.0] * 6
 
 
-def test_stored_result_is_ignored_after_a_hang(tmp_path):
-    """A study that is continued must give the same results as an uninterrupted one."""
+def test_stored_result_is_ignored_after_a_hang_in_its_group(tmp_path):
+    """An uninterrupted study would skip the second job, because the first job of the group hung."""
     good = Job(work.square, (3.0,), group="slow")
     assert run([good], kept=Kept(tmp_path)) == [9.0]
     found = run([Job(time.sleep, (60.0,), limit_s=0.3, group="slow"), good], kept=Kept(tmp_path))
     assert [result.kind for result in found] == ["hung", "not run"]
 
 
-def test_each_step_of_a_job_may_have_a_time_limit():
+def test_time_limit_applies_to_each_step_of_a_job():
     found = run([Job(work.steps, ([0.01, 0.5, 0.01], 0.3)), Job(work.steps, ([0.01, 9.0], 0.3))], workers=2)
-    assert found[0] == 3, "processor time is limited, and a short sleep uses none"
+    assert found[0] == 3, "the limit is processor time: a sleep may take five times as long"
     assert (found[1].kind, found[1].parts) == ("hung", (0.01,))
 
 
@@ -168,7 +168,7 @@ def test_cluster_gives_the_same_results(monkeypatch, tmp_path):
         run(jobs, dask="tcp://127.0.0.1:1")
 
 
-def test_cluster_without_dask_is_refused(monkeypatch):
+def test_unusable_workers_and_clusters_are_refused(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     for more, said in (({"workers": -3}, "workers = -3: give 1"), ({"dask": "tcp://x:1"}, r".\[cluster\]")):
         with pytest.raises(StudyError, match=said):

@@ -36,7 +36,7 @@ def test_means_use_only_completed_runs() -> None:
     assert rows.mean("mu_mean", "rnn") is rows.change("mu_mean", "rnn") is rows.change("tip", "exact") is None
 
 
-def test_changes_in_a_phase_are_weighted_by_ticks() -> None:
+def test_change_of_a_settled_metric_is_weighted_by_settled_ticks() -> None:
     both = {"a": (0.9, 1000), "b": (2.0, 10)}
     rows = Results()
     for trial, (value, ticks) in both.items():
@@ -49,7 +49,7 @@ def test_changes_in_a_phase_are_weighted_by_ticks() -> None:
     assert rows.figures("exact", (), ["settled_mu_mean"])["settled_mu_change_percent_undecided"] == 1.0
 
 
-def test_figures_are_counts_means_and_gains() -> None:
+def test_figures_contain_counts_means_and_gains() -> None:
     found = Results(ROWS).figures("exact", ["mu_mean", "unknown"], ["mu_mean", "unknown"])
     counts = {"trials": 5, "whole": 4, "compared": 2, "reason": "ran away", "trouble": "e, 2 ticks"}
     assert found.items() >= {**counts, "mu_mean": 3.5, "mu_gain_percent_undecided": 0.0}.items()

@@ -67,7 +67,7 @@ def test_every_answer_of_a_broken_solver_has_a_status(setting, every, status, sa
     assert found.summary().get("trouble", found.refused) != ""
 
 
-def test_solver_that_hung_on_several_sets_is_asked_no_further_set():
+def test_solver_is_not_asked_again_after_it_hung_on_several_sets():
     sets = [TestSet.load(name).thinned(64) for name in ("circle", "spiral", "sinusoid", "random", "jumps")]
     found = ask(ONE, [(breaking("hangs", at=0), data) for data in sets], Limits(patience_s=0.5))
     status = [one.status.tolist() for one in found]

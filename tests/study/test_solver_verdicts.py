@@ -24,7 +24,7 @@ ENDED = {"broke off": "stopped: the tip", "oscillated": "oscillated: joint_3"}
 
 
 def runs(controller: str, trials: int = 15, unlike: float = 0.0, first_ends: str = "completed", **times: float) -> Any:
-    """Return rows of trials. `times` has factors of metrics, `unlike` is the standard deviation of log noise."""
+    """Return the rows of trials. `times`: factors of metrics. `unlike`: sigma of the controller's log-normal noise."""
     own = np.random.default_rng(5).lognormal(0.0, unlike, trials) if unlike else np.ones(trials)
     found = []
     for k in range(trials):
@@ -75,8 +75,8 @@ def test_each_rule_gives_its_verdict(asked, times, verdict, damage):
 
 
 @pytest.mark.parametrize("ended", ENDED.values())
-def test_bad_ending_in_a_trial_without_comparison_does_not_count(ended):
-    """If no other solver ran a trial, even the optimum might have ended it badly."""
+def test_bad_ending_does_not_count_if_no_other_solver_ran_the_trial(ended):
+    """If no other solver ran a trial, it might have ended badly with every solver."""
     mine = runs("asked", 60)
     mine[40] |= {"ended": ended, "whole": not ended.startswith("stopped")}
     common = {row["trial"] for row in mine[:15]}
@@ -88,7 +88,7 @@ def test_bad_ending_in_a_trial_without_comparison_does_not_count(ended):
     assert found["closed"]["oscillated"] + found["closed"]["trials"] - found["closed"]["whole"] == 1
 
 
-def test_wrong_answers_in_closed_loop_count():
+def test_solver_with_wrong_answers_in_closed_loop_is_to_be_avoided():
     lying = [{**row, "silently_wrong": 1} for row in runs("asked")]
     assert assessed({"best": certified(), "asked": certified()}, [*runs("best"), *lying])["asked"]["verdict"] is AVOID
     row = assessed({"best": certified(), "nlp-sqp": certified(50, silently_wrong=900)}, runs("best"))["nlp-sqp"]
@@ -105,19 +105,19 @@ def test_one_solver_is_recommended():
     assert [row["verdict"] for row in found.values()].count(TAKE) == 1
     assert assess({}, Results()) == []
     rows = assess(*study({name: certified() for name in ("daqp", "qpsolvers:daqp", "qpsolvers:scs")}))
-    assert [row["solver"] for row in rows] == ["daqp", "qpsolvers:scs"], "a library is judged once"
+    assert [row["solver"] for row in rows] == ["daqp", "qpsolvers:scs"], "qpsolvers:daqp is the same library"
     assert "not run" in rows[0]["damage"].reason
 
 
 @pytest.mark.parametrize(("cost", "unlike", "trials", "verdict", "damage"), [
     (1.07, 0.0, 15, NEAR, "+7% tip"),
-    (1.07, 0.3, 15, SOUND, "undecided: "),  # the same mean, but too uncertain
+    (1.07, 0.3, 15, SOUND, "undecided: "),  # the same mean loss, but a wider interval
     (1.01, 0.02, 15, SOUND, "none"), (2.5, 0.3, 15, AVOID, "% tip"),
     (1.6, 0.0, 7, SOUND, "too few trials to decide (7 of at least 8)"), (1.6, 0.0, 8, AVOID, "+60% tip"),
 ])  # fmt: skip
 def test_uncertain_loss_does_not_count(cost, unlike, trials, verdict, damage):
     rows = [*runs("best", 60), *runs("asked", trials, unlike, tip_error_model_mean_mm=cost)]
-    if unlike:  # equal in all other metrics
+    if unlike:  # the runs differ only in the tip error
         for row, mine in zip(rows, rows[60:], strict=False):
             mine |= {name: row[name] for name in MEANS if name != "tip_error_model_mean_mm"}
     row = assessed({"best": certified(p99=1.0), "asked": certified()}, rows)["asked"]
@@ -180,5 +180,5 @@ def test_first_screen_fits_a_terminal():
     few = Results(row for row in results if row["trial"] in results.values("mu_mean", "clarabel"))
     for row in rows[:2]:
         own, registered = (few.change(f"tip_error_{by}_mean_mm", row["solver"]).ratio for by in ("model", "registered"))
-        assert row["tip_change"].replace("?", "") == f"{own.value:+.0f}/{registered.value:+.0f}", "on the common trials"
+        assert row["tip_change"].replace("?", "") == f"{own.value:+.0f}/{registered.value:+.0f}", "the first 15 trials"
         assert row["tip_change"] in re.sub(r"\s", "", text)

@@ -54,7 +54,7 @@ def test_second_run_reuses_all_results(tmp_path, capsys):
     assert counts == {BASELINE: (3, 3), "exact": (3, 3), "osqp": (2, 2), "rnn": (2, 2), "quadprog": (2, 2)}
     rows = pl.read_parquet(out / "rows.parquet")
     mine = rows.filter((pl.col("part") == "testset") & (pl.col("set") == "circle") & (pl.col("solver") == "osqp"))
-    assert len(mine) == 8 + 2 + 2, "every problem with recommended settings, every fourth with default and tight ones"
+    assert len(mine) == 8 + 2 + 2, "all 8 problems with recommended settings, 2 with default and 2 with tight settings"
     loop = rows.filter(pl.col("controller").is_not_null())
     assert (len(loop), loop["seed"].n_unique()) == (3 + 3 + 2 + 2 + 2, 3)
 
@@ -66,7 +66,7 @@ def test_second_run_reuses_all_results(tmp_path, capsys):
     so_far = [line for line in told.splitlines() if line.startswith("so far: ")]
     assert so_far[0].startswith("so far: Use `exact`")
     assert len(set(so_far)) == len(so_far), "no sentence is said twice"
-    assert max(len(line) for line in said.splitlines() if str(tmp_path) not in line) <= 80, "except lines with paths"
+    assert max(len(line) for line in said.splitlines() if str(tmp_path) not in line) <= 80
 
 
 def test_broken_solvers_do_not_disturb_the_others(tmp_path, monkeypatch, capsys):

@@ -52,7 +52,7 @@ def test_all_controllers_run_the_same_trial(case: Scenario) -> None:
 
 
 @pytest.mark.parametrize("preset", ["paper", "tuned"])
-def test_baselines_differ_only_in_the_stated_settings(case: Scenario, preset: str) -> None:
+def test_baselines_differ_from_moc_only_in_law_and_gains(case: Scenario, preset: str) -> None:
     given = case.change(control={"preset": preset})
     tables = load_data("lwr4").gains
     moc = variant(given, "rnn", {"steps": 5})
@@ -88,7 +88,7 @@ def test_run_keeps_the_requested_columns(case: Scenario, ran: dict[str, Any]) ->
     assert run.row["asked"] == 150
     np.testing.assert_array_equal(run.columns["travelling"], in_transient(case.robot.arm(), trace.t_s, trace.q_rad))
     np.testing.assert_array_equal(run.columns["trocar_force_N"], trace.trocar_force_N)
-    assert "travelling" not in ran[BASELINE][0].columns, "DCAC does not travel to an optimum"
+    assert "travelling" not in ran[BASELINE][0].columns, "DCAC does not move the elbow to an optimum"
 
 
 def test_only_timed_runs_report_times(case: Scenario, ran: dict[str, Any]) -> None:
