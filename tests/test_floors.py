@@ -1,4 +1,4 @@
-"""A module imports only from its own floor (a layer of the package) and from lower floors."""
+"""The package has layers, called floors. A module imports only from its own floor and from lower floors."""
 
 import ast
 import subprocess

@@ -116,7 +116,7 @@ def tolerance(metric: str, figure: float, ticks: int) -> float:
 FROZEN: dict[str, Any] = json.loads(FIGURES.read_text(encoding="utf-8"))["runs"]
 
 
-def test_every_scenario_has_frozen_figures() -> None:
+def test_every_scenario_has_a_frozen_run() -> None:
     assert set(FROZEN) == set(SCENARIOS)
 
 

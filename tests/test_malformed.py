@@ -147,7 +147,7 @@ DISTORTIONS = {
 }  # fmt: skip
 
 
-@many()  # it is answered without falsely claiming an optimum, or its error names the field
+@many()
 @given(
     st.sampled_from([7, 7, 6, 3, 1]), st.integers(0, 2**32 - 1), st.dictionaries(
         st.sampled_from(PARTS), st.sampled_from(sorted(DISTORTIONS)) | numbers | junk | odd_arrays, max_size=3,

@@ -1,4 +1,4 @@
-"""Public names keep their signatures, and error messages stay short."""
+"""The signature of `NullSpaceQP` is fixed, and error messages are short and suggest the nearest names."""
 
 import inspect
 

@@ -1,4 +1,4 @@
-"""Source archive and wheel are complete. The system's compiler stands in for the `ziglang` wheel."""
+"""The source archive and the wheel are complete. The system's compiler is used instead of `ziglang`."""
 
 import contextlib
 import importlib.util
@@ -87,7 +87,7 @@ def run(wheel, tmp_path_factory):
     return lambda *words, cwd: call(tools / "moc-opt", *words, cwd=cwd, env=bare)
 
 
-def test_one_wheel_runs_on_all_pythons(wheel, run, tmp_path):
+def test_installed_wheel_runs(wheel, run, tmp_path):
     assert "-cp311-abi3-" in wheel.name
     tops = {name.partition("/")[0] for name in ZipFile(wheel).namelist()}
     assert {name for name in tops if not name.endswith(".dist-info")} == {"moc_opt"}

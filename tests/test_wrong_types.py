@@ -1,4 +1,4 @@
-"""Every argument of a public name gives a result or an error of the package."""
+"""With any value of an argument, a public name gives a result or raises a MocOptError."""
 
 from collections.abc import Callable
 
@@ -20,7 +20,7 @@ QP = mo.NullSpaceQP(**PARTS)
 
 
 def each(call: Callable, *names: str, **usual: object) -> dict[str, Callable]:
-    """Return {title: function} for the arguments `names`. Each function calls `call` with its x as this argument."""
+    """Return {title: function}, one function(x) for each of `names`. It calls `call` with x as the argument of this name."""
     return {f"{call.__name__} {name}": lambda x, name=name: call(**{**usual, name: x}) for name in names}
 
 
@@ -47,7 +47,7 @@ TAKES_SECONDS = {
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_wrong_argument_is_an_error_of_the_package(name, tmp_path, monkeypatch):
+def test_wrong_argument_raises_only_errors_of_the_package(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # some calls write a file
     said = []
     for value in WRONG:

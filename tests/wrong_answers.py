@@ -1,4 +1,4 @@
-"""Feasible corners that are not optimal, found by trying all active sets, without the solvers."""
+"""Corners of feasible sets that are not optimal. No solver is used: the optimum is found by trying all active sets."""
 
 from itertools import combinations, product
 from typing import NamedTuple
@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 class Wrong(NamedTuple):
-    """A subproblem, a corner x of its feasible set, and x's cost above the optimum divided by the cost range."""
+    """A subproblem, a corner x of its feasible set, and (cost of x - optimum) / (largest cost - optimum)."""
 
     qp: NullSpaceQP
     x: Array
@@ -31,7 +31,7 @@ def cost(qp: NullSpaceQP, x: Array) -> Array:
 
 
 def candidates(qp: NullSpaceQP, Z: Array, base: Array, *, damped: bool) -> Array:
-    """Return the corners (k, n) of the feasible set in base + span Z. `damped`: also the optima on its faces."""
+    """Return the feasible corners (k, n) in base + span Z. `damped`: if rho > 0, also the optima on the set's faces."""
     n, r = Z.shape
     found, width = [], float((qp.upper - qp.lower).max())
     for k in range(r + 1) if damped and qp.regularization > 0.0 else (r,):
@@ -57,7 +57,7 @@ def wrong_corners(
     seed: int, n: int, count: int, *, tilt: float = 1.0, size: float = 1.0, regularization: float = 0.0,
     least: float = 0.05
 ) -> list[Wrong]:
-    """Return corners whose cost above the optimum is more than `least` times the cost range, for random arms."""
+    """Return corners whose `share` exceeds `least`, for subproblems of random arms."""
     rng = np.random.default_rng(seed)
     found = []
     for _ in range(count):

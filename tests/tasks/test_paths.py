@@ -40,7 +40,7 @@ any_path = st.one_of(
 @given(any_path, st.floats(0.0, 1.0))
 def test_a_curve_lies_in_its_plane_and_its_derivatives_are_finite_differences(path: Path, place: float) -> None:
     bends = max(1.0 / path.length, *(abs(path.curve.at(s)[4]) for s in path.curve.knots.tolist()))
-    # The step is small against the tightest bend.
+    # The step h [m] is at most a thousandth of the smallest radius of curvature.
     h = 1e-3 / bends
     s = h + place * (path.length - 2.0 * h)
     np.testing.assert_allclose(path.at(0.0)[0], START, atol=1e-15)
@@ -96,7 +96,7 @@ def added(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(paths.plugins, "plugins", lambda group: found if group == paths.GROUP else {})
 
 
-@pytest.mark.parametrize("kind", ["screw", "helix"])  # a kind of moc_opt, a kind of another package
+@pytest.mark.parametrize("kind", ["screw", "helix"])  # built into moc_opt, from another package
 def test_function_defines_a_kind_of_path(kind: str, added: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(CURVES, "screw", helix)
     assert paths.kinds()["screw"] == "One turn of a helix."
@@ -115,12 +115,12 @@ def test_function_defines_a_kind_of_path(kind: str, added: None, monkeypatch: py
     ("number", {}, TaskError, "class or function"), ("crash", {}, TaskError, "ZeroDivisionError"),
     ("gone", {}, TaskError, "ModuleNotFoundError"), ("waypoints", {}, TaskError, "waypoints"),
 ])  # fmt: skip
-def test_wrong_kind_or_size_is_named(added: None, kind: str, sizes: dict, error: type, told: str) -> None:
+def test_error_explains_a_wrong_kind_or_size(added: None, kind: str, sizes: dict, error: type, told: str) -> None:
     with pytest.raises(error, match=told):
         make_path(kind, np.zeros(3), **AXES, **sizes)
 
 
-def test_every_path_is_listed_if_one_does_not_load(added: None) -> None:
+def test_path_that_does_not_load_does_not_hide_the_others(added: None) -> None:
     found = paths.kinds()
     assert found["helix"] == "One turn of a helix."
     assert "does not load" in found["gone"]
@@ -135,7 +135,7 @@ STEPS = st.lists(st.tuples(*[st.floats(-0.01, 0.01)] * 3), min_size=1, max_size=
 @settings(max_examples=20)
 @given(STEPS)
 def test_a_path_through_waypoints_has_unit_speed_and_smooth_curvature(steps: list) -> None:
-    points = np.cumsum(np.add(steps, (0.02, 0.0, 0.0)), axis=0)  # 1 to 3 cm ahead, without cusps
+    points = np.cumsum(np.add(steps, (0.02, 0.0, 0.0)), axis=0)  # every step goes 1 to 3 cm ahead: no cusps
     path = Waypoints(points, START, **AXES)
     s = np.linspace(0.0, path.length, 1001)
     p, tangent, bend = path.at(s)
@@ -148,7 +148,7 @@ def test_a_path_through_waypoints_has_unit_speed_and_smooth_curvature(steps: lis
     np.testing.assert_allclose((p[2:] - p[:-2]) / (2 * step), tangent[1:-1], atol=1e-3)
     np.testing.assert_allclose((tangent[2:] - tangent[:-2]) / (2 * step), bend[1:-1], atol=5e-2 * (1 + abs(bend).max()))
     np.testing.assert_allclose(np.sum(tangent * bend, axis=1), 0.0, atol=1e-9 * (1 + abs(bend).max()))
-    assert abs(np.diff(bend, axis=0)).max() < 0.2 * (1 + abs(bend).max())  # no corner in the curvature
+    assert abs(np.diff(bend, axis=0)).max() < 0.2 * (1 + abs(bend).max())  # the curvature does not jump
     assert path.curvature(s[400]) == pytest.approx(np.linalg.norm(bend[400]))
 
 
@@ -169,7 +169,7 @@ MOVING: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("name", MOVING)
-def test_values_at_an_array_equal_those_at_single_numbers_bitwise(name: str) -> None:
+def test_array_and_single_numbers_give_the_same_bits(name: str) -> None:
     one = MOVING[name]
     s = np.random.default_rng(3).uniform(0.0, getattr(one, "length", 2.0), 60)
     vector = one.at(s)

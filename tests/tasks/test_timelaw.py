@@ -12,7 +12,7 @@ from moc_opt.tasks import CURVES, Path, Reference, Trocar, duration, quintic, sh
 from moc_opt.tasks.timelaw import WaitingReference, flags_at
 from tests.tasks.test_paths import START, build, size
 
-# With gentle bends, samples come close to the sharpest point.
+# The curvature changes slowly, so that dense samples come close to its maximum.
 curved = st.one_of(
     st.builds(lambda r: build("circle", radius=r), size),
     st.builds(
@@ -91,7 +91,7 @@ BRAKE_S = 0.05 / 0.2  # shortest braking time
 
 
 def flags(seconds, losses):
-    """Return whether the board is seen at each tick, with losses (start, length) [s]."""
+    """Return whether the board is seen at each tick. Each of `losses` has a start and a length [s]."""
     t = PERIOD * np.arange(round(seconds / PERIOD))
     seen = np.ones(len(t), dtype=bool)
     for start, length in losses:
@@ -115,7 +115,7 @@ def test_position_speed_and_acceleration_are_continuous_and_bounded(kind, losses
     assert np.linalg.norm(np.diff(x, axis=0), axis=1).max() <= v_bound * PERIOD * slack
     second = np.diff(x, 2, axis=0) / PERIOD**2
     assert np.linalg.norm(second, axis=1).max() <= a_bound * (1 + 1e-4)
-    # Until the next tick, `ddx` changes by up to about `steps`.
+    # `steps` is about the largest change of `ddx` from one tick to the next [m/s^2].
     steps = v_bound * PERIOD / (0.5 * BRAKE_S**2)
     assert np.abs(second - ddx[1:-1]).max() < 0.01 + 1.2 * steps
     middle = np.diff(x, axis=0) / PERIOD - 0.5 * (dx[1:] + dx[:-1])
@@ -147,7 +147,7 @@ def test_reference_rests_while_no_board_is_seen():
     assert 0.45 < rate.min() <= rate.max() < 0.55
 
 
-def test_camera_answers_hold_until_the_next_picture():
+def test_tick_has_the_flag_of_the_latest_picture():
     found = flags_at([0.0, 0.05, 0.1, 0.15, 0.2, 0.3], [0.1, 0.2], [True, False])
     np.testing.assert_array_equal(found, [False, False, True, True, False, False])
     np.testing.assert_array_equal(flags_at([0.0, 1.0], [], []), [False, False])

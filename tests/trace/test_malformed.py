@@ -1,4 +1,4 @@
-"""Malformed traces are read or refused, without running code or controlling a terminal."""
+"""A malformed trace is read or refused. It neither runs code nor controls the terminal."""
 
 import contextlib
 import copy
@@ -51,7 +51,7 @@ def changed(data, changes):
 @many(2.0)
 @given(st.booleans(), changes)
 def test_a_damaged_trace_is_read_or_refused(tmp_path, good_file, footer_only, changes):
-    """If only the footer is damaged, its length is corrected."""
+    """With `footer_only`, only the footer is damaged, and the file states the new length of the footer."""
     path, length = tmp_path / "trace.parquet", int.from_bytes(good_file[-8:-4], "little")
     if footer_only:
         footer = changed(good_file[-8 - length : -8], changes)

@@ -72,35 +72,35 @@ def test_joint_oscillates_only_above_its_limit(factor, column, limit, unit, slid
 @pytest.mark.parametrize(("amplitude", "where", "at", "size"), [
     (0.5, (1.7, 9.0), 0.8, 3.0), (0.283, (1.7, 9.0), 0.8, 1.13), (0.5, (0.0, 2.0), 3.6, 3.0),
 ])  # fmt: skip
-def test_jerk_does_not_hide_an_oscillation(joint, amplitude, where, at, size):
-    """The jerk of joint 3 is stronger than the oscillation."""
+def test_short_burst_does_not_hide_an_oscillation(joint, amplitude, where, at, size):
+    """The burst of joint 3, `jerk`, is stronger than the oscillation."""
     values = np.array(made(joint, amplitude, 40.0, where=where, ticks=2000).v_rad_per_s)
     jerk = made(2, size, 16.0, where=(at, at + 0.0625), ticks=2000)
     values[:, 2] += jerk.v_rad_per_s[:, 2]
     assert describe(jerk, NAMES, TURNING) == ""
     both = jerk.with_columns(v_rad_per_s=values)
-    assert shaking(both, "v_rad_per_s").joint == 2  # the jerk is the strongest
+    assert shaking(both, "v_rad_per_s").joint == 2  # the burst has the largest rms
     assert describe(both, NAMES, TURNING).startswith(f"joint_{joint + 1} at 40 Hz")
 
 
 @pytest.mark.parametrize(("amplitude", "hertz", "where", "says"), [
     # Task motions of any amplitude.
     (1.0, 0.2, None, False), (1.0, 1.0, None, False), (1.0, limits.ABOVE_HZ / 4.0, None, False),
-    # Jerks during and after the start.
+    # A burst during the start, which is not judged, and shaking for 0.5 s after the start.
     (3.0, 40.0, (0.0, 0.9 * limits.START_S), False), (3.0, 40.0, (limits.START_S, 2.0 * limits.START_S), True),
-    # A shaking of one second.
+    # Shaking for one second.
     (1.0, 47.0, (0.5, 1.5), True), (1.0, 47.0, (2.0, 3.0), True), (1.0, 47.0, (7.0, 8.0), True),
-    # A jerk of 0.1 s and a shaking of 0.5 s.
+    # A burst of 0.1 s, and shaking for 0.5 s.
     *((2.0, 30.0, (begin, begin + 0.1), False) for begin in (1.0, 1.07, 1.9)),
     *((2.0, 30.0, (begin, begin + 0.5), True) for begin in (1.0, 1.07, 1.9)),
 ])  # fmt: skip
-def test_lasting_shake_is_an_oscillation(amplitude, hertz, where, says):
+def test_only_lasting_shaking_is_an_oscillation(amplitude, hertz, where, says):
     trace = made(6, amplitude, hertz, ticks=4000, where=where)
     assert (describe(trace, NAMES, TURNING).startswith(f"joint_7 at {hertz:.0f} Hz")) == says
     assert says or describe(trace, NAMES, TURNING) == ""
 
 
-def test_stopped_or_brief_run_keeps_its_ending():
+def test_stopped_or_brief_run_is_not_judged():
     shaken = made(0, 2.0)
     stopped = Trace(shaken.columns, {**shaken.meta, "ended": "stopped: x"})
     assert judged_for_oscillation(stopped, NAMES, TURNING).meta == stopped.meta
@@ -138,7 +138,7 @@ def test_trace_that_cannot_be_judged_is_refused():
     ({"control": {**STIFF, "regularization": 0.0}}, "joint_5"),
 ], ids=["delay", "no friction", "rho = 0"])  # fmt: skip
 def test_unstable_loop_is_found_to_oscillate(changes, joint):
-    """Limits that would stop these runs are off."""
+    """The guard's thresholds are off, because they would stop these runs."""
     free = {"rcm_error_m": None, "trocar_force_N": None, "motion": False}
     trace = run(Scenario(seed=1, duration_s=4.0, guard=free, **changes, **QUICK))
     assert trace.meta["ended"].startswith(f"oscillated: {joint} at "), trace.meta["ended"]

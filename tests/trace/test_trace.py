@@ -82,7 +82,7 @@ def test_columns_are_attributes_and_length_is_ticks(trace):
     assert trace.q_rad is trace.columns["q_rad"]
     assert (len(trace), len(trace.head(0)), len(Trace({}))) == (N, 0, 0)
     assert Trace({"text": np.array(["a", "bc"], dtype=object)}).text.dtype == "<U2"
-    assert not hasattr(object.__new__(Trace), "meta")  # as during a copy
+    assert not hasattr(object.__new__(Trace), "meta")  # a copy has no attributes at first
     assert {"q_rad", "own", "between", "plot"} <= set(dir(trace))
     with pytest.raises(MissingDataError, match=r"no column 'q_rads'; it has q_rad"):
         _ = trace.q_rads
@@ -140,7 +140,7 @@ def test_part_of_a_run_is_marked_as_part(trace):
     ("other", np.zeros(N, dtype=np.float16)), ("other", np.zeros(N, dtype="M8[s]")), ("other", [None] * N),
     ("other", [[1.0], [1.0, 2.0]]), ("not a name", np.zeros(N)), ("save", np.zeros(N)), ("_private", np.zeros(N)),
 ])  # fmt: skip
-def test_unusable_columns_are_named(name, value):
+def test_error_names_the_unusable_column(name, value):
     with pytest.raises(TraceError, match=f"column {name!r}"):
         Trace({name: value})
 
@@ -158,7 +158,7 @@ def test_unusable_columns_are_named(name, value):
     (lambda t: mo.summarize(t, t.head(20)), "20 ticks from 0.000 to 1.900 s, but the trace has 40 ticks from 0.000"),
     (lambda t: mo.summarize(t, t.with_columns(t_s=t.t_s + 0.1)), "from 0.100 to 4.000 s, but"),
 ])  # fmt: skip
-def test_wrong_argument_is_named(trace, call, named):
+def test_error_names_the_wrong_argument(trace, call, named):
     with pytest.raises(MocOptError, match=named):
         call(trace)
 
@@ -214,7 +214,7 @@ WARNING = {"of": "the RCM error", "unit": "m", "level": 6e-3, "first_s": 0.1, "l
     ("warnings", [WARNING], [{**WARNING, "level": None}]),
     ("scenario", {"robot": {"name": "lwr4", "tool_length_m": None}, "seed": 1}, {"robot": ["lwr4"]}),
 ])  # fmt: skip
-def test_meta_entry_of_wrong_type_is_named(name, sound, wrong):
+def test_error_names_the_meta_entry_of_wrong_type(name, sound, wrong):
     Trace({"mu": np.ones(2)}, {name: sound, "my_own": [{"a": None}]})
     for give in (lambda meta: Trace({}, meta), lambda meta: Trace({}).with_meta(**meta)):
         with pytest.raises(TraceError, match=name):

@@ -34,7 +34,7 @@ def test_projection_is_that_of_a_pinhole_camera(direction, depth):
     assert np.isnan(CAMERA.project(CAMERA.camera_in_base.apply([0.0, 0.0, -depth]))).all()
 
 
-def test_calibration_error_has_the_set_size():
+def test_calibration_error_has_the_size_in_the_settings():
     camera = Camera.above(CameraSettings(calibration_error_m=0.002, calibration_error_deg=0.5), PHANTOM)
     one, other = (camera.miscalibrated(seed).camera_in_base for seed in (3, 4))
     assert camera.camera_in_base.distance(one) == pytest.approx((0.002, np.radians(0.5)))
@@ -65,7 +65,7 @@ def test_tool_hides_what_is_behind_it():
     assert 12 <= len(finder.corners(picture)) < len(finder.corners(view.picture(FLAT))) == 20
 
 
-def test_board_is_lost_at_the_set_times():
+def test_board_is_lost_at_the_times_in_its_settings():
     lost = Board(lost_s=((1.0, 2.0), (3.0, 4.0)))
     assert [lost.is_lost(t) for t in (0.5, 1.0, 1.99, 2.0, 3.5)] == [False, True, True, False, True]
     view, finder = View(CLEAN, BOARD), BoardFinder(BOARD, CLEAN)

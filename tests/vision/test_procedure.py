@@ -109,7 +109,7 @@ def test_trocar_is_registered_on_the_realistic_arm():
     seed = 2
     found, plant = guided(seed, registration_error_m=0.0)
     assert found.status is HandsOnStatus.REGISTERED
-    # Most of the error is the distance from the incision at which the hand stopped.
+    # The hand stops at a small distance from the incision. Most of the error is this distance.
     assert found.error_m < 0.002
     trace = found.trace
     assert trace.tip_error_m[0] > 0.05
@@ -126,10 +126,10 @@ def test_trocar_is_registered_on_the_realistic_arm():
 
 @pytest.mark.parametrize(("settings", "status"), [
     ({"hand": HandSettings(force_max_N=0.5), "time_limit_s": 2.0}, HandsOnStatus.SHORT),
-    # The encoders' noise alone exceeds this speed.
+    # With encoder noise, the measured speed of a resting tip exceeds this threshold.
     ({"rest_speed_m_per_s": 3e-4, "time_limit_s": 4.0}, HandsOnStatus.RESTLESS),
 ])  # fmt: skip
-def test_trocar_needs_a_tip_resting_at_the_incision(settings, status):
+def test_trocar_is_registered_only_if_the_tip_rests_at_the_incision(settings, status):
     found, _ = guided(0, **settings)
     assert found.status is status
     assert found.registered is None
