@@ -29,8 +29,8 @@ static inline void weigh_back(const moc_plane *plane, int steps, double g[6])
     }
 }
 
-/* Estimate singular value k + 1 of A, divided by |A|_F: the largest |e^T A| / (|e| |A|_F) over the rows e^T A that are
- * left at step k. The estimate is at most 4 * (pivot of step k) / (first pivot). */
+/* Estimate singular value k + 1 of A, divided by |A|_F. Each row without a pivot before step k is e^T A for an e. The
+ * estimate is the largest |e^T A| / (|e| |A|_F). It is at most 4 * (pivot of step k) / (first pivot). */
 static double own_part(const moc_plane *plane, int n, double A[][MOC_MAX_JOINTS], int k)
 {
     double most = 0.0, size = 0.0;
@@ -82,7 +82,7 @@ static inline int eliminate(moc_plane *plane, int n, double A[][MOC_MAX_JOINTS],
         plane->pivot = size;
         plane->joint[k] = column;
         plane->from[k] = pivot;
-        /* 1 / pivot; 1 / size can start before the search for the pivot's row ends */
+        /* 1 / pivot, computed from size, which is known before the pivot's row */
         double inverse = plane->inverse[k] = copysign(1.0 / size, plane->row[pivot][column]);
         for (int c = 0; c < m; c++) {
             pivot_row[c] = plane->row[pivot][c] * inverse;
@@ -277,7 +277,7 @@ static moc_status solve(const moc_plane *plane, const moc_problem *p, double tol
     return beyond > tolerance ? MOC_INFEASIBLE : check_dropped(plane, p, right, x);
 }
 
-/* Estimate the bound violation that rounding can cause [rad/s]: the rounding error of |A| |x| / (last pivot). */
+/* Estimate the bound violation that rounding can cause [rad/s]: GROWTH |A| |x| / (last pivot) for the largest |x|. */
 static double explained_by_rounding(const moc_plane *plane, const moc_problem *p)
 {
     double sum[6] = {0.0};
@@ -290,12 +290,12 @@ static double explained_by_rounding(const moc_plane *plane, const moc_problem *p
 moc_status moc_solve_eliminated(const moc_plane *plane, const moc_problem *p, double tolerance, double *x, double y[6])
 {
     moc_status status = solve(plane, p, tolerance, x, y);
-
-    /* If rounding may have decided the status, solve again with a larger tolerance. */
+    /* If rounding may have decided the status, solve again with a larger tolerance, and accept a solution. Else, the
+     * status is kept only if no x is feasible even with the tolerance `unclear`. */
     double explained = status == MOC_OK ? 0.0 : explained_by_rounding(plane, p);
     if (explained <= tolerance)
         return status;
-    double unclear = smaller((plane->freedoms > 1 ? 1e5 : 100.0) * explained, UNCLEAR); /* 1e5: parallel columns */
+    double unclear = smaller((plane->freedoms > 1 ? 1e5 : 100.0) * explained, UNCLEAR); /* columns may be parallel */
     if (solve(plane, p, smaller(100.0 * explained, WIDEST), x, y) == MOC_OK && off_plane(p, x) <= LEFT)
         return MOC_OK;
     return solve(plane, p, unclear, x, y) == MOC_INFEASIBLE ? status : MOC_DOUBTFUL;

@@ -73,8 +73,8 @@ static void desired_wrist_acceleration(const line *s, double span, const double 
  *
  * A5 = [J_T; b^T J_W]. The columns of b (3, 2) are perpendicular to the shaft. M = H H^T (Cholesky). `rows` has the
  * three rows J_T H^-T of the tip, the two rows b^T J_W H^-T of the wrist, and (H^-1 tau_W)^T. The tip's rows are made
- * orthonormal, and the others orthogonal to them. This avoids the product A5 M^-1 A5^T, which has twice as many digits
- * of rounding error. A straight elbow cannot accelerate the wrist in one direction: the feed-forward leaves it out. */
+ * orthonormal, and the others orthogonal to them. This avoids A5 M^-1 A5^T, which has the square of the rows' condition
+ * number. With a straight elbow, the wrist cannot accelerate in one direction, which the feed-forward leaves out. */
 static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *ddX_d, const double *ddN_d,
                         const double *tau_W, double *tau)
 {
@@ -254,7 +254,7 @@ void moc_add_third_level(const moc_law *law, int n, const moc_terms *terms, cons
     for (int j = 0; j < n; j++) {
         for (int i = 0; i < r; i++)
             tau[j] += MZ[i][j] * along[i];
-        tau[j] = clip(tau[j], -law->tau_max[j], law->tau_max[j]); /* NaN stays NaN for the safety filter */
+        tau[j] = clip(tau[j], -law->tau_max[j], law->tau_max[j]); /* NaN stays NaN: the safety filter checks tau */
     }
 }
 

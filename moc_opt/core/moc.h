@@ -11,7 +11,7 @@
 typedef enum {
     MOC_OK = 0,
     MOC_INFEASIBLE, /* no x within the bounds solves A x = b */
-    MOC_DOUBTFUL,   /* rounding hides the result */
+    MOC_DOUBTFUL,   /* rounding errors are too large for a result */
     MOC_UNFINISHED, /* the network (rnn.c) has not converged */
     MOC_NOT_FINITE  /* q or v is not finite */
 } moc_status;
@@ -68,10 +68,10 @@ typedef struct {
     double pull[MOC_MAX_JOINTS];           /* grad_mu + moc_shaft_push() grad_mu_shaft, or rho/c2 x_d */
     double lower[MOC_MAX_JOINTS], upper[MOC_MAX_JOINTS]; /* [rad/s] */
     double c0, c1, c2, rho;
-    double q[MOC_MAX_JOINTS];              /* the pose of A; only nonlinear solvers use it */
+    double q[MOC_MAX_JOINTS];              /* A = A(q); only nonlinear solvers use q */
 } moc_problem;
 
-/* Eliminated A x = b: for k < rank, x[joint[k]] + (sum of row[k][j] x[j] over free joints j) = eliminated b_k. */
+/* Eliminated A x = b. For k < rank: x[joint[k]] + (sum of row[k][j] x[j] over joints j without a pivot) = new b_k. */
 typedef struct {
     double row[6][MOC_MAX_JOINTS], pivot; /* pivot of the last step [m] */
     double inverse[6];         /* 1 / (pivot of step k) */
@@ -110,7 +110,7 @@ typedef struct {
     double c0, c1, c2, rho;
     double q_min[MOC_MAX_JOINTS], q_max[MOC_MAX_JOINTS], v_max[MOC_MAX_JOINTS];
     double shaft_margin;                         /* below this mu_shaft, level 3 also raises mu_shaft [m^2] */
-    double spare_speed;                          /* upper bound on the relative growth of v_max below shaft_margin */
+    double spare_speed;                          /* largest relative growth of v_max if mu_shaft < shaft_margin */
     double observer_gain;                        /* disturbance observer K_o [1/s]; 0: none */
     double period;                               /* [s] */
     double fade;                                 /* growth of moc_memory.share per tick */
@@ -169,7 +169,7 @@ typedef struct {
     double box_limit;       /* largest allowed |A x - b| and bound violation with MOC_CLAIMS_NOTHING */
     double primal_limit;    /* largest allowed |A x - b| and bound violation of a claimed optimum */
     double relative_limit;  /* largest allowed natural residual of a claimed optimum */
-    double opposite_limit;  /* refuse a claimed optimum if opposite < off and off exceeds this [rad/s] */
+    double opposite_limit;  /* limit of `off` (moc_residuals) of a claimed optimum if `opposite` is smaller [rad/s] */
     int hold_ticks;         /* ticks for which the last accepted answer replaces refused answers */
     int keep_off_limits;    /* after hold_ticks, 1: a self-motion keeps joints off their limits (retreat), 0: x = 0 */
     moc_fallback fallback;  /* for an infeasible subproblem */
@@ -211,10 +211,10 @@ typedef struct {
     int carries;                                        /* 1: tau carries the arm's weight; 0: the drives do it */
     double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS];   /* virtual walls [rad, m] */
     double v_max[MOC_MAX_JOINTS], tau_max[MOC_MAX_JOINTS];
-    double wall_stiffness, wall_damping, wall_brake;    /* [Nm/rad], [Nm s/rad], [rad/s^2] */
+    double wall_stiffness, wall_damping, wall_brake;    /* [Nm/rad], [Nm s/rad], deceleration [rad/s^2] */
     double torque_step;                                 /* largest allowed change of a torque [Nm per tick] */
     double jump, speed_factor;                          /* MEASUREMENT: limits of jump [rad] and |v| / v_max */
-    double tip_error, tip_share;                        /* TIP: limit of the rms [m], share of the new tick in it */
+    double tip_error, tip_share;                        /* TIP: limit of the rms [m], share of the new tick in rms */
     int in_incision;                                    /* 0: RCM and FORCE are off */
     double warning[2], limit[2];                        /* rms RCM error [m], rms trocar force [N] */
     double incision_share;                              /* RCM, FORCE: share of the new tick in the rms */
@@ -227,13 +227,13 @@ typedef struct {
     int motion;                                         /* 0: LATE and the checks below are off */
     double motion_s, motion_rad, motion_lag_s;          /* RAN_AWAY: memory [s], gap [rad], lag [s] */
     double repeat_m, repeat_torque;                     /* REPEATED: reference motion [m], share of tau_max */
-    double repeat_whole_m, repeat_whole_torque;         /* REPEATED with an unchanged wrench: motion [m], share */
-    double repeat_whole_ticks;                          /* WRENCH_REPEATED, REPLAYED: ticks if the wrench has noise */
-    double repeat_joint_ticks, repeat_reading_ticks;    /* ONE_REPEATED: ticks in a row, ticks in total */
-    double replayed_ticks;                              /* REPLAYED: ticks if the wrench has no noise */
-    double stuck_speed;                                 /* STUCK: limit of |integral| [rad/s] */
+    double repeat_whole_m, repeat_whole_torque;         /* the same if the wrench is unchanged as well */
+    double repeat_whole_ticks;                          /* WRENCH_REPEATED, REPLAYED: threshold [ticks] */
+    double repeat_joint_ticks, repeat_reading_ticks;    /* ONE_REPEATED: thresholds in a row, in total [ticks] */
+    double replayed_ticks;                              /* REPLAYED: threshold without wrench noise [ticks] */
+    double stuck_speed;                                 /* STUCK: threshold of |integral in the table| [rad/s] */
     double held[MOC_MAX_JOINTS];                        /* STUCK: static friction [Nm] */
-    double residual_torque, residual_whole;             /* UNEXPLAINED: limits of residuals / tau_max */
+    double residual_torque, residual_whole;             /* UNEXPLAINED: limits of |r - mean r|, |r| (/ tau_max) */
     double residual_rate, residual_share;               /* observer gain [1/s], share of the new tick in mean r */
     int settling_ticks;                                 /* ticks after the start until the residual has settled */
 } moc_guard;
@@ -243,17 +243,17 @@ enum { MOC_RCM = 0, MOC_FORCE = 1 };
 #define MOC_SLOTS 4096      /* table of earlier readings */
 #define MOC_JOINT_SLOTS 256 /* table of each encoder */
 
-/* Number of readings, lag between the latest two equal readings, repetitions with this lag. */
+/* Number of readings, lag of the latest repetition [readings], number of repetitions with this lag in a row. */
 typedef struct {
     double readings, lag, hits;
 } moc_came_before;
 
 typedef struct {
     double gap, peak, shown, speed;          /* q - integral of v; largest recent |v|; last q; last v */
-    double repeats, whole;                   /* ticks: unchanged q, in a row; unchanged q and v, in total */
+    double repeats, whole;                   /* ticks in a row with unchanged q; all ticks with unchanged q and v */
     double torque;                           /* torque when the encoders stopped changing [Nm] */
-    double integral, residual, mean;         /* momentum observer */
-    double at_repeat, unseen, exceeded;      /* mean when q last changed; integral of STUCK; ticks of UNEXPLAINED */
+    double integral, residual, mean;         /* of the momentum observer: its integral; r; mean of r */
+    double at_repeat, unseen, exceeded;      /* `mean` when q last changed; STUCK's integral; UNEXPLAINED's ticks */
 } moc_joint_watch;
 
 typedef struct {
@@ -265,7 +265,7 @@ typedef struct {
     double mean_square[2], largest[2], first_tick[2]; /* [RCM, force]: mean square; largest rms, first warning */
     double whole_square, ticks;                  /* mean square of the force across the shaft [N^2]; tick number */
     int unread;                                  /* wrenches in a row that were not finite */
-    double press, borne;                         /* in a stop: mean trocar force, reference force [N] */
+    double press, borne;                         /* in a stop: mean trocar force; its part that opens no brake [N] */
     int yields, open;                            /* 1: the brakes are open; ticks since then */
     int cut;                                     /* 1: a drive is at fault, so the torque in the stop goes to zero */
     int limited;                                 /* number of joints with limited torque */
@@ -275,7 +275,7 @@ typedef struct {
     double wrench[6], wrench_repeats;            /* latest wrench; repetitions in a row */
     int looked, wrench_is_still;                 /* wrenches read, up to FIRST_READINGS; 1: two in a row were equal */
     int weighed;                                 /* readings compared with the torque */
-    double number[MOC_SLOTS], at[MOC_SLOTS];     /* table of take_in: readings and their indices (0: empty) */
+    double number[MOC_SLOTS], at[MOC_SLOTS];     /* earlier readings; their indices from 1 (0: empty slot) */
     double joint_number[MOC_MAX_JOINTS][MOC_JOINT_SLOTS], joint_at[MOC_MAX_JOINTS][MOC_JOINT_SLOTS];
     moc_came_before whole, lagging[MOC_MAX_JOINTS];
 } moc_watch;

@@ -37,8 +37,8 @@ static double distance(int n, const double *p, const double *q)
 #define AT_REST 1e-9    /* a joint is at rest if its entry in the unit tangent is not larger */
 #define DAMPING 4e-12   /* added to the diagonal of A A^T [m^2], because A has only rank 5 */
 
-/* Compute the step (n,) nearest to `desired` with A step = error (`rows` rows) by an active-set method. No joint moves
- * towards a limit that is nearer than `near`. */
+/* Compute the step (n,) nearest to `desired` with A step = error, by an active-set method. A has `rows` rows. No joint
+ * moves towards a limit that is nearer than `near`. */
 static void allowed_step(const plan_task *task, int rows, const double *q, double A[6][MOC_MAX_JOINTS],
                          const double *error, const double *desired, double damping, double near, double *step)
 {
@@ -113,7 +113,7 @@ double plan_place(const plan_task *task, int points, int rounds, const double *s
 
 /* --- along a curve --- */
 
-#define STRAIGHT 0.8 /* cosine of the largest turn of the tangent in a step */
+#define STRAIGHT 0.8 /* cosine of the largest allowed angle between the tangents before and after a step */
 
 /* Return the longest step along the tangent, up to h, within the joint limits. *hit is the limiting joint, or NONE. */
 static double room_ahead(const plan_task *task, const double *q, const double *tangent, double h, int *hit)
@@ -240,7 +240,7 @@ double plan_ascend(const plan_task *task, double *q)
         return -1.0;
     while (h >= SHORTEST) {
         double mu = look(task, q, error, A, grad);
-        /* clipping would spoil a step towards a limit within 0.01 h */
+        /* a joint within 0.01 h of a limit does not move towards it, because clipping would spoil the step */
         allowed_step(task, 6, q, A, nothing, grad, 0.0, 0.01 * h, way);
         double length = sqrt(dot(n, way, way));
         for (int j = 0; j < n; j++)
@@ -287,7 +287,7 @@ void plan_advance(const plan_stage *t, double *value)
     for (int pose = 0; pose < t->branches * t->m; pose++) {
         double best = -HUGE_VAL;
         int bits = (int)t->crossing[pose % t->m], flips = bits + 1;
-        while (flips > 0 && t->gain[pose] > -HUGE_VAL) { /* any of the joints may change its branch */
+        while (flips > 0 && t->gain[pose] > -HUGE_VAL) { /* every branch that differs only in these bits */
             flips = (flips - 1) & bits;
             best = best_in(t, pose, pose / t->m ^ flips, best);
         }

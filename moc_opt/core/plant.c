@@ -2,8 +2,8 @@
 #include "python.h"
 #include "vec.h"
 
-/* Compute the wrench of the trocar on the tool in world axes: force, then moment about com. With the shaft's point c
- * nearest to the trocar P, and the tool's velocity w at c,
+/* Compute the wrench of the trocar on the tool in world axes: force, then moment about the tool's centre of mass com.
+ * With the shaft's direction u, its point c nearest to the trocar P, and the tool's velocity w at this point,
  * force = (I - u u^T)(stiffness (P - c) + damping (dP - w)).
  * twist is the angular velocity, then the velocity at origin. trocar has P and dP as they were `elapsed` s ago. */
 FUNCTION(shaft_wrench, {"tip", READ, 3}, {"wrist", READ, 3}, {"twist", READ, 6}, {"origin", READ, 3}, {"com", READ, 3},

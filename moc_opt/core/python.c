@@ -60,7 +60,7 @@ static PyObject *law_new(PyTypeObject *type, PyObject *given, PyObject *keywords
 /* Arguments 0 to 3 of start, begin and step; tip_ref is X_d, dX_d, ddX_d. */
 #define TICK {"q", READ, N}, {"v", READ, N}, {"tip_ref", READ, 3, 3}, {"trocar", READ, 2, 3}
 
-/* Begin a tick, or start the law if not `begins`. Array i receives the terms. Returns false after an exception. */
+/* Begin a tick if `begins`, else start the law. Array i receives the terms. Returns false after an exception. */
 static bool take_tick(Law *self, const call *c, bool begins, const double *x_d, int i)
 {
     static const double none[MOC_MAX_JOINTS];
@@ -143,7 +143,7 @@ METHOD(Law, step, TICK, {"x_d", MAYBE, N}, {"tolerance", NUMBER}, {"solve_us", N
         return NULL;
     self->controller.tolerance = c->number[5];
     double from = now_us();
-    moc_eliminate(s->problem.n, s->problem.A, &s->plane); /* again, because answer.us includes the elimination */
+    moc_eliminate(s->problem.n, s->problem.A, &s->plane); /* again: answer.us is to include the elimination */
     moc_answer answer = moc_ask_exact(&self->controller, s);
     answer.us = isnan(c->number[6]) ? now_us() - from : c->number[6];
     moc_finish(&self->controller, &answer, s, found + 2 * c->n + 6);
@@ -283,7 +283,7 @@ static int fill(PyObject *module)
 
     bool done = PyArray_ImportNumPyAPI() == 0;
     for (int k = 0; done && k < COUNT(specs); k++) {
-        arm_type = (PyTypeObject *)PyType_FromSpec(specs[k]); /* moc_Arm must stay last */
+        arm_type = (PyTypeObject *)PyType_FromSpec(specs[k]); /* moc_Arm is last, so that arm_type becomes its type */
         done = arm_type != NULL && PyModule_AddType(module, arm_type) == 0;
     }
     PyObject *reasons = done ? PyTuple_New(MOC_STOPS) : NULL;

@@ -1,4 +1,4 @@
-/* Functions of the module. */
+/* The module's functions for subproblem, desired wrist and dynamic programming. */
 #include "python.h"
 #include "vec.h"
 
@@ -38,15 +38,15 @@ FUNCTION(step_network, {"record", READ, ROW}, {"x", WRITE, N}, {"y", WRITE, 6}, 
     return Py_BuildValue("ii", (int)status, made);
 }
 
-/* --- a QP library's buffers: 1/2 x^T P x + p^T x, and five independent equality rows ---
+/* --- `load` fills a QP library's buffers: 1/2 x^T P x + p^T x, and five independent equality rows ---
  *
- * The five rows are the tip's three and the wrist's two perpendicular to the tool's direction u: A5 = lift A. The
- * multipliers of A are lift^T y5. */
+ * The five rows are the tip's three and the wrist's two perpendicular to the tool's direction u: A5 = lift A. With the
+ * multipliers y5 of A5, those of A are lift^T y5. */
 
 #define TIED 1e-7 /* up to this (sixth singular value) / |A|_F, tip and wrist count as rigidly tied */
 
-/* Compute the unit vector u with u^T (J_T - J_W) = 0, a multiple of each nonzero column of the adjugate of
- * (J_T - J_W)(J_T - J_W)^T. Returns false if tip and wrist are not rigidly tied. */
+/* Compute the unit vector u with u^T D = 0, D = J_T - J_W. Every nonzero column of the adjugate of D D^T is parallel to
+ * u. Returns false if tip and wrist are not rigidly tied. */
 static bool tool_direction(const moc_problem *p, double u[3])
 {
     double D[3][MOC_MAX_JOINTS], G[3][3], adj[3][3], size = 0.0, apart = 0.0;

@@ -1,4 +1,4 @@
-/* Copies between a struct and its record, in which a row of joints has n numbers. */
+/* Copies between a struct, whose rows have MOC_MAX_JOINTS numbers, and its record, whose rows have n. */
 #include <stddef.h>
 
 #include "shared.h"

@@ -16,7 +16,7 @@ typedef struct {
     double p[3];    /* [m] */
 } moc_frame;
 
-/* Linear velocity (at the world's origin) and angular velocity. twist[j] is that of joint j at unit speed. */
+/* Linear velocity (at the world's origin) and angular velocity. An array `twist` has one per joint, at unit speed. */
 typedef struct {
     double lin[3], ang[3];
 } moc_twist;
@@ -24,7 +24,7 @@ typedef struct {
 /* Compute all terms. Returns MOC_NOT_FINITE if q or v is not finite, else MOC_OK. */
 moc_status moc_compute_terms(const moc_arm *arm, const double *q, const double *v, moc_terms *terms);
 
-/* Compute frame[n] and twist[n] at a finite q. moc_kinematics also fills the kinematic terms. */
+/* Compute the arrays frame and twist (n,) at a finite q. moc_kinematics also fills the kinematic terms. */
 void moc_place(const moc_arm *arm, const double *q, moc_frame *frame, moc_twist *twist);
 void moc_kinematics(const moc_arm *arm, const double *q, moc_frame *frame, moc_twist *twist, moc_terms *terms);
 
@@ -46,15 +46,15 @@ typedef struct {
 
 moc_gram moc_gram_of(int n, double J[][MOC_MAX_JOINTS]);
 
-/* Return mu of J (3,n) or mu_shaft of A (6,n), and write its gradient (n,). Only in moc_manipulability, `gradient` may
- * be NULL. Input `gram`: moc_gram_of(J), or of the first three rows of A. */
+/* Return mu of J (3,n) or mu_shaft of A (6,n), and write its gradient (n,). Only moc_manipulability accepts NULL as
+ * `gradient`. `gram` is the result of moc_gram_of for J, or for the first three rows of A. */
 double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOINTS], moc_gram *gram, double *gradient);
 double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], moc_gram *gram,
                                 const double u[3], double *gradient);
 
 /* --- record.c --- */
 
-/* Copy a struct to (PACK) or from its record, which moc_opt/qp/problem.py and moc_opt/robots/model.py read. */
+/* Copy a struct to its record (PACK) or from it (UNPACK). qp/problem.py and robots/model.py read records. */
 typedef enum { UNPACK, PACK } direction;
 void moc_copy_problem(moc_problem *problem, int n, double *record, direction way);
 void moc_copy_terms(moc_terms *terms, int n, double *record, direction way);
@@ -142,7 +142,7 @@ moc_stop moc_guard_believe(const moc_guard *g, int n, const moc_measurement *m, 
 moc_stop moc_guard_incision(const moc_guard *g, double pose[4][3], const moc_trocar *trocar, const double *wrench,
                             moc_watch *w);
 
-/* Check tip and motion. Then limit tau in place, if it is finite. t are the terms at watch->q and watch->v. `before` is
+/* Check tip and motion, then limit tau in place if tau is finite. t are the terms at watch->q and watch->v. `before` is
  * the torque of the previous tick. If tip is NULL, the tip is not checked. If t is NULL, the motion is not checked. */
 moc_stop moc_guard_follow(const moc_guard *g, const moc_arm *arm, const moc_terms *t, const double *tip,
                           const double *tip_ref, const double *before, double *tau, moc_watch *w);

@@ -12,7 +12,7 @@ typedef struct {
     double k;        /* gain k of Su et al. 2019 */
     double scale;    /* multiplies c0, c1, c2 and rho */
     int implicit;    /* 1: y is updated with the new x */
-    double rest;     /* the network is at rest if no right-hand side is larger than this [rad/s, m/s] */
+    double rest;     /* largest eps |dx/dt| and eps |dy/dt| at rest [rad/s, m/s] */
 } moc_network;
 
 /* Advance x (n,) and y (6,) in place. *made is the number of steps. Returns MOC_OK at rest, MOC_UNFINISHED if x or y
@@ -28,12 +28,12 @@ typedef struct {
     double target[2][3];      /* tip and wrist [m] */
 } plan_task;
 
-/* Search from q (n,) for a pose with tip (points = 1), or tip and wrist (points = 2), at the target. Returns the error
- * of `best` [m]. `best` may be `q`. */
+/* Search from q (n,) for a pose with tip (points = 1), or tip and wrist (points = 2), at the target. Returns the
+ * largest component of the position errors at `best` [m]. `best` may be `q`. */
 double plan_place(const plan_task *task, int points, int iterations, const double *q, double *best);
 
 /* Sample the curve of self-motion from q along the unit tangent (n,): arc length s, poses (most, n) and mu. ker A must
- * have one dimension. Stops at a joint limit, or (*closed = 1) back at the start. Returns the number of samples. */
+ * have one dimension. Stops at a joint limit, or back at the start (*closed = 1). Returns the number of samples. */
 int plan_follow(const plan_task *task, const double *q, const double *tangent, double step, int most, double *s,
                 double *poses, double *mus, int *closed);
 
@@ -42,16 +42,16 @@ double plan_ascend(const plan_task *task, double *q);
 
 /* One step of dynamic programming: compute the value (branches, m) of each pose from the values at the next time.
  *
- * q (branches, m, n) has the poses, or NaN. gain (branches, m) is a pose's reward, or -inf. Each branch of q_next is
- * sorted by joint `sorted`, with NaN last. In a step, no joint moves by more than its step (n,) plus the slack of both
- * poses, and the branch number changes only in bits of crossing[m]. price is the cost of squared motion [1/rad^2]. */
+ * q (branches, m, n) has the poses, or NaN. q_next (branches, next, n) has the next poses, sorted in each branch by
+ * joint `sorted`, with NaN last. gain (branches, m) is a pose's reward, or -inf. In a step, no joint moves by more than
+ * step (n,) plus the slack of both poses. The branch number changes only in bits of crossing (m,). */
 typedef struct {
     int branches, m, next, n, sorted;
     const double *q, *slack, *gain;
     const double *q_next, *slack_next, *value_next;
     const double *step;
     const double *crossing; /* integers */
-    double price, reach;    /* reach: step of joint `sorted` plus its largest entry in slack_next */
+    double price, reach;    /* cost of squared motion [1/rad^2]; step plus largest slack_next of joint `sorted` */
 } plan_stage;
 
 void plan_advance(const plan_stage *stage, double *value);
