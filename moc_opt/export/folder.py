@@ -175,8 +175,8 @@ def write(
     kept = [name for name in texts if (folder / name).exists() and not _is_own(folder / name)]
     if kept and not force:
         raise ScenarioError(
-            f"out = {str(folder)!r}: {', '.join(kept)} in it {'is' if len(kept) == 1 else 'are'} edited or from "
-            "elsewhere: name another folder, or give --force to overwrite"
+            f"out = {str(folder)!r}: {', '.join(kept)} in it {'is' if len(kept) == 1 else 'are'} edited, or "
+            "not from export-c: name another folder, or give --force to overwrite"
         )
     return [
         write_whole(folder / name, text if isinstance(text, bytes) else _marked(name, text), "out =", ScenarioError)

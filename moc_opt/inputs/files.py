@@ -44,7 +44,7 @@ def read_bytes(path: Path_, what: str, error: Wrong, most: int = MOST_TEXT) -> b
         if not stat.S_ISREG(found.st_mode):
             why = " is no regular file (a folder, pipe or device): give a file"
         elif found.st_size > most:
-            why = f" has {found.st_size} bytes: {most} at most are read"
+            why = f" has {found.st_size} bytes: give a file of at most {most} bytes"
         else:
             return Path(path).read_bytes()
     except FileNotFoundError:
@@ -72,7 +72,7 @@ def read_toml(path: Path_, what: str, error: Wrong) -> dict[str, Any]:
 
 
 def read_arrays(path: Path_, what: str, error: Wrong) -> dict[str, Any]:
-    """Read the arrays of a .npz file by name, or the array of a .npy file as ""."""
+    """Read the arrays of a .npz file by name. The array of a .npy file has the name ""."""
     import numpy as np
 
     data = read_bytes(path, what, error, MOST_ARRAYS)
@@ -80,7 +80,7 @@ def read_arrays(path: Path_, what: str, error: Wrong) -> dict[str, Any]:
         found = np.load(io.BytesIO(data), allow_pickle=False)
         return {"": found} if isinstance(found, np.ndarray) else dict(found)
     except Exception as reason:  # a damaged file may raise anything
-        why = f"{what} {os.fspath(path)!r} is damaged or no file of arrays ({type(reason).__name__})"
+        why = f"{what} {os.fspath(path)!r} is damaged, or is not a file of arrays ({type(reason).__name__})"
         raise error(f"{why}: write it with numpy.save") from reason
 
 

@@ -33,7 +33,7 @@ class Settings(pydantic.BaseModel):
 
     Raises:
         UnknownNameError: a field does not exist.
-        MocOptError: a value is wrong; the class is ``ERROR``.
+        MocOptError: a value is wrong. The subclass ``ERROR`` is raised.
     """
 
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)

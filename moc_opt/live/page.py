@@ -33,9 +33,9 @@ TROCAR, PATH = (168, 91, 69), (31, 35, 40)
 BLUE, ORANGE, GREEN = "#0072b2", "#d55e00", "#009e73"
 PLOTS: dict[str, list[tuple[str, str, float, str]]] = {
     "µ [m³]": [("mu", "µ", 1.0, BLUE)],
-    "RCM error, tip error, base frame [mm]": [("rcm_error_m", "RCM", 1e3, BLUE), ("tip_error_m", "tip", 1e3, ORANGE)],
+    "RCM error, tip error (base frame) [mm]": [("rcm_error_m", "RCM", 1e3, BLUE), ("tip_error_m", "tip", 1e3, ORANGE)],
     "force of the trocar [N]": [("force_N", "force", 1.0, BLUE)],
-    "whole tick, solver [µs]": [("tick_us", "tick", 1.0, BLUE), ("solve_us", "solver", 1.0, GREEN)],
+    "time of a tick and of its solver [µs]": [("tick_us", "tick", 1.0, BLUE), ("solve_us", "solver", 1.0, GREEN)],
 }
 """Curves of each plot: quantity, name, factor to the unit shown, colour."""
 FIELDS = ("regularization", "K_X", "K_N", "K_N2", "D_N2", "k0_per_s")  # settings that the page can change

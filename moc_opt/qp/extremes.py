@@ -35,7 +35,7 @@ class Extremes(NamedTuple):
         w: (r,) a point of smallest cost.
         least: a lower bound on the cost, by weak duality. If w is optimal, this bound equals the cost of w.
         most: the largest cost. With rho > 0 and many corners, it may be only a local maximum.
-        pull: (n,) gradient of the Lagrangian at w = 0, with the optimum's multipliers of A x = b.
+        pull: (n,) gradient at w = 0 of the Lagrangian cost + y^T (A x - b), with the optimum's multipliers y.
     """
 
     w: Array
@@ -130,7 +130,7 @@ def _largest(Z: Array, low: Array, high: Array, slope: Array, rho: float, w: Arr
     if rho == 0.0:
         found = optimum(Z, low, high, -slope, 0.0)
         return float(slope @ (w if found is None else found[0]))
-    if comb(n, r) << r <= MOST_CORNERS:  # rounding may leave no corner
+    if comb(n, r) << r <= MOST_CORNERS:  # with w, because rounding may leave no corner
         return max(float(slope @ w + 0.5 * rho * w @ w), _largest_corner(Z, low, high, slope, rho))
     axis = np.eye(r)[0]
     return max(_uphill(Z, low, high, slope, rho, w, way=way) for way in (slope, -slope, axis, -axis))

@@ -41,7 +41,7 @@ def ask_for_realtime() -> dict[str, str]:
     """Request real-time priority, locked memory and exact timers. Return what was granted."""
     found, libc = {"scheduling": f"SCHED_FIFO {PRIORITY}"}, ctypes.CDLL(None, use_errno=True)
     try:
-        # A new solver process must not slow the loop down.
+        # RESET_ON_FORK: a new solver process has ordinary priority, and does not slow the loop down.
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(PRIORITY))
     except OSError as error:
         found["scheduling"] = f"as other processes (SCHED_FIFO: {error.strerror})"

@@ -73,7 +73,7 @@ class RemoteController(Filtered):
 
         if link.receive(monotonic() + self._settings.wait_s, starts) is None:
             raise WireError(
-                f"no controller came to {written(link.address)} within {self._settings.wait_s:g} s ({link.heard}): "
+                f"no controller contacted {written(link.address)} within {self._settings.wait_s:g} s ({link.heard}): "
                 "start `moc-opt control` on the same scenario with the same key, or raise [wire] wait_s"
             )
         link.peer, link.session = link.sender, int(packet["session"])

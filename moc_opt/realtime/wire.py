@@ -33,7 +33,7 @@ LOOPBACK_KEY = b"moc_opt: loopback, no secret"
 VARIABLE = "MOC_OPT_WIRE_KEY"
 SHORTEST, LONGEST = 16, 32  #: Bounds on the number of bytes of a key.
 TAG_BYTES = 16
-BACKLOG = 256  #: Maximum number of packets that `receive` reads if its deadline has passed.
+BACKLOG = 256  #: After its deadline, `receive` stops when it has read this number of packets.
 COUNTERS = ("received", "missed", "late", "forged", "foreign")
 """The counters of each end, explained in docs/realtime.md."""
 
@@ -196,7 +196,7 @@ def read_key(file: Path | None, host: str, option: str) -> bytes:
     if not SHORTEST <= len(key) <= LONGEST:
         raise WireError(
             f"{VARIABLE if file is None else f'--key-file {str(file)!r}'}: a key of {len(key)} bytes: give one line of "
-            f"{SHORTEST} to {LONGEST}, such as the output of `openssl rand -hex 16`"
+            f"{SHORTEST} to {LONGEST} bytes, such as the output of `openssl rand -hex 16`"
         )
     return key
 

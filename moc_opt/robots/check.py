@@ -21,7 +21,7 @@ from moc_opt.sim.settings import PlantSettings
 
 Verdict = Literal["ok", "care", "cannot"]
 REGULAR, SINGULAR = (0.1, 0.05), 1e-4
-"""Thresholds of `Freedoms.tip` and `.both`: below `REGULAR` the verdict is "care", below `SINGULAR` "cannot"."""
+"""If `Freedoms.tip` or `.both` is below its `REGULAR` value, the verdict is "care"; below `SINGULAR`, "cannot"."""
 LITTLE_TO_GAIN = 0.05  #: If mu at home can rise by less than this share, the verdict is "care".
 LEAST_M = 0.005  #: Radius of the circle that every arm must follow [m].
 MARGIN_DEG, MARGIN_MM = 15.0, 80.0  #: If a joint at home is closer to a limit, the verdict is "care".
@@ -63,8 +63,8 @@ def _judge(what: str, found: str, *faults: tuple[object, Verdict, str]) -> Findi
 def _freedom(robot: RobotModel) -> Iterator[Finding]:
     built, here = best_freedoms(robot), freedoms(robot, robot.data.q_home)
     idle = ", ".join(robot.data.joint_names[j] for j in built.idle) or "none"
-    rank = f"tip and shaft have rank {here.rank} at home, {built.rank} elsewhere: choose another home.q_rad"
-    lacking = f"tip and shaft have rank {built.rank}, and 5 is needed to place and turn a shaft: the arm lacks a joint"
+    rank = f"the Jacobian of tip and shaft has rank {here.rank} at home, {built.rank} elsewhere: change home.q_rad"
+    lacking = f"the Jacobian of tip and shaft has rank {built.rank}, but a shaft needs rank 5: the arm lacks a joint"
     yield _judge(
         "freedoms left", f"{built.real} real, {len(built.idle)} idle ({idle})",
         (built.real < 1, "cannot", built.refusal(robot)),
@@ -91,7 +91,7 @@ def _climb(robot: RobotModel) -> Iterator[Finding]:
         little = max(curve.mu_best, largest if several else 0.0) < (1.0 + LITTLE_TO_GAIN) * mu
         yield _judge(what, text, (little, "care", "mu can hardly rise from home: choose another home.q_rad"))
     # The best pose with home's tip and shaft may lie on another self-motion curve.
-    yield Finding("largest mu there", f"{largest:.3g} m³, {how['mu_bound_method']}", "ok")
+    yield Finding("largest mu", f"{largest:.3g} m³ for home's shaft, {how['mu_bound_method']}", "ok")
 
 
 def _task(robot: RobotModel, asked: Scenario) -> Finding:
@@ -156,7 +156,7 @@ def _gains(robot: RobotModel, asked: Scenario) -> Finding:
     limit, period = largest_rate(asked.plant), asked.plant.period_s
     gains = asked.control.resolve_gains(robot.data.gains, robot.n)
     tip, wrist = largest_inverse_masses(robot)
-    # For each velocity gain, the largest ratio to the inertia that it brakes [1/s].
+    # The largest gain / inertia of each velocity gain [1/s].
     null_space = largest_null_rate(robot, gains.K_N2 + gains.D_N2)
     rates = {"D_X": gains.D_X * tip, "D_N": gains.D_N * wrist, "K_N2": null_space}
     name, rate = max(rates.items(), key=lambda item: item[1])

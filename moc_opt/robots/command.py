@@ -53,7 +53,7 @@ def run_command(given: argparse.Namespace) -> int:
             base_rpy=tuple(given.base_rpy), seed=given.seed,
         )  # fmt: skip
         print(made.toml, made.urdf, sep="\n")
-        out.print("Assumed or changed, and noted in the TOML file:")
+        out.print("Assumptions and changes, also noted in the TOML file:")
         for note in made.notes:
             out.print(Text(f"- {note}"))
         robot = made.robot

@@ -37,7 +37,7 @@ def derived_gains(robot: RobotModel) -> dict[str, Table]:
     """Derive the tables of `CARTESIAN` from the arm's inertia.
 
     K_N2 of joint i is a rate times M_ii at the home pose, and D_N2 is a share of K_N2. The other gains are those of the
-    LWR4+. Gains above the bounds in `JOINTS` and `CARTESIAN_RATE` are lowered to these bounds.
+    LWR4+. If a ratio exceeds its bound in `JOINTS` or `CARTESIAN_RATE`, stiffness and damping are scaled down together.
     """
     inertia = np.diag(robot.state(robot.data.q_home).M)
     inverse_masses = largest_inverse_masses(robot)

@@ -19,12 +19,12 @@ class Placed(NamedTuple):
     """The result of a search for a pose."""
 
     q: Array  #: (n,) inside the limits [rad]
-    miss_m: float  #: The larger of the distances of tip and wrist from their points [m].
+    miss_m: float  #: Largest component of the position errors of tip and wrist [m].
     at_limit: tuple[int, ...]  #: Joints (from 0) at a limit.
 
     @property
     def found(self) -> bool:
-        """Whether tip and wrist are within 1e-6 m of their points."""
+        """Whether `miss_m` is below 1e-6 m."""
         return self.miss_m < 1e-6
 
 

@@ -36,7 +36,7 @@ def default(exported):
 def test_exported_code_computes_exactly_the_torque_of_python(name, exported):
     done = make(exported(Scenario(**{"duration_s": 1.0, **RUNS[name]})), "test", FLAGS)
     assert done.returncode == 0, done.stdout + done.stderr
-    right = r"(\d+) ticks, (\d+) limited, .* \(tick (\d+), as it should.*\); largest difference .* (\S+) Nm"
+    right = r"(\d+) ticks, (\d+) limited, .* \(tick (\d+), as expected.*\); largest difference .* (\S+) Nm"
     *counts, difference = re.search(right, done.stdout).groups()
     ticks, limited, stopped_at = map(int, counts)
     assert (ticks, difference) == (TICKS, "0.0e+00")
@@ -94,7 +94,7 @@ def test_export_overwrites_only_its_own_files(tmp_path, capsys):
     (out / "main.c").write_text((out / "main.c").read_text().replace("ROUNDS = 500", "ROUNDS = 5"))
     changed = (out / "main.c").read_text()
     assert main(command) == 2
-    assert "main.c in it is edited or from elsewhere: name another folder, or give --force" in capsys.readouterr().err
+    assert "main.c in it is edited, or not from export-c: name another folder, or" in capsys.readouterr().err
     assert (out / "main.c").read_text() == changed
     assert main([*command, "--force"]) == 0
     assert (out / "main.c").read_text() != changed

@@ -40,7 +40,7 @@ def test_file_size_is_checked_before_reading(tmp_path):
     (tmp_path / "whole").write_bytes(b"x" * 100)
     assert read_bytes(tmp_path / "whole", "scenario", MocOptError, 100) == b"x" * 100
     for name, size, most in (("large", 10 * 2**40, 4 * 2**20), ("whole", 100, 99)):
-        with pytest.raises(MocOptError, match=f"{name}.*{size} bytes: {most} at most"):
+        with pytest.raises(MocOptError, match=f"{name}.*{size} bytes: give a file of at most {most} bytes"):
             read_bytes(tmp_path / name, "scenario", MocOptError, most)
 
 

@@ -134,7 +134,7 @@ def test_start_packet_of_another_session_is_ignored(peer):
     peer.say(Kind.HELLO)
     peer.say(Kind.START, session=peer.session ^ 1)
     peer.say(Kind.COMMAND)
-    with pytest.raises(WireError, match="no controller came"):
+    with pytest.raises(WireError, match="no controller contacted"):
         peer.plant.start(peer.seen, *NOTHING)
     assert peer.link.quality["foreign"] == 2
 

@@ -55,7 +55,7 @@ int main(void)
     printf("%d ticks, %d limited, %s", TICKS, limited, moc_reason(state.reason));
     if (stopped_at >= 0)
         printf(" (tick %d%s)", stopped_at,
-               stopped_at == STOPPED_AT ? ", as it should: the last ticks have faults" : "");
+               stopped_at == STOPPED_AT ? ", as expected: the last ticks have faults" : "");
     printf("; largest difference from the recorded torque %.1e Nm\n", worst);
 
     for (int round = 0; round < ROUNDS; round++) {

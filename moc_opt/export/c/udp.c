@@ -69,7 +69,7 @@ static const char *open_link(const char *host, const char *port)
 
     wire.plant = (struct sockaddr_in){.sin_family = AF_INET, .sin_port = htons((uint16_t)number)};
     if (*end || number < 1 || number > 65535 || inet_pton(AF_INET, host, &wire.plant.sin_addr) != 1)
-        return "give HOST PORT as numbers: 127.0.0.1 30200";
+        return "give HOST and PORT as numbers, such as 127.0.0.1 30200";
     if ((!key || !*key) && strncmp(host, "127.", 4) != 0)
         return "other machines reach that address: put the key into MOC_OPT_WIRE_KEY";
     key = key && *key ? key : WIRE_LOOPBACK_KEY;
