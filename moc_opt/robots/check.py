@@ -91,7 +91,7 @@ def _climb(robot: RobotModel) -> Iterator[Finding]:
         little = max(curve.mu_best, largest if several else 0.0) < (1.0 + LITTLE_TO_GAIN) * mu
         yield _judge(what, text, (little, "care", "mu can hardly rise from home: choose another home.q_rad"))
     # The best pose with home's tip and shaft may lie on another self-motion curve.
-    yield Finding("largest mu", f"{largest:.3g} m³ for home's shaft, {how['mu_bound_method']}", "ok")
+    yield Finding("largest mu there", f"{largest:.3g} m³, {how['mu_bound_method']}", "ok")
 
 
 def _task(robot: RobotModel, asked: Scenario) -> Finding:
