@@ -106,7 +106,7 @@ class RobotData:
     q_max: Array
     v_max: Array
     tau_max: Array
-    rotor_inertia: Array  #: Rotor inertia on the diagonal of M [kg m^2], not in the URDF.
+    rotor_inertia: Array  #: [kg m^2], added to the diagonal of M; the URDF does not have it.
     viscous_friction: Array  #: [Nm s/rad]
     coulomb_friction: Array  #: [Nm]
     q_home: Array
@@ -114,7 +114,7 @@ class RobotData:
     tip_frame: str
     tool_length: float  #: Distance from mount to tip [m].
     tool_mass: float  #: [kg]
-    gains: Mapping[str, Gains]  #: Tables [gains.NAME] by NAME.
+    gains: Mapping[str, Gains]  #: The table [gains.NAME] for each NAME.
 
     def __post_init__(self) -> None:
         for name in (self.name, *self.joint_names):  # names are written into source code and pages
@@ -123,7 +123,7 @@ class RobotData:
         for name in _ARRAYS:
             value = np.array(getattr(self, name), dtype=np.float64)
             if value.shape != (self.n,) or not np.isfinite(value).all():
-                raise RobotError(f"robot {self.name!r}: {name} has shape {value.shape}, or is not finite")
+                raise RobotError(f"robot {self.name!r}: {name} has shape {value.shape}: give finite (n,) numbers")
             object.__setattr__(self, name, read_only(value))
         object.__setattr__(self, "gains", {name: dict(table) for name, table in self.gains.items()})
 
@@ -200,7 +200,7 @@ def _find(name_or_path: str | os.PathLike[str]) -> Path:
     if not beside.is_file():
         raise RobotError(
             f"robot file {str(beside)!r} does not exist: a URDF needs a TOML of the same name in its folder; "
-            f"`moc-opt robot new {path.name} --out my.toml` writes one from a vendor's URDF"
+            f"`moc-opt robot new {path.name} --out my.toml` writes my.toml and my.urdf from a vendor's URDF"
         )
     return beside
 

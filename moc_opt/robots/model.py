@@ -23,7 +23,7 @@ from moc_opt.robots.gains import CARTESIAN, derived_gains
 from moc_opt.robots.loader import RobotData, load_data
 
 LEAST_JOINTS = 4  # with fewer, tip and shaft cannot be controlled
-_STRUCTURAL_ZERO = 1e-12  # a Jacobian's column with a smaller norm at random poses counts as zero everywhere
+_STRUCTURAL_ZERO = 1e-12  # a column of a Jacobian is zero at all poses if its norm at random poses is no larger
 _TIP, _WRIST = slice(0, 3), slice(3, 6)
 
 
@@ -118,7 +118,7 @@ class RobotModel:
         q_min, q_max: (n,) limits [rad; m where a joint slides].
         v_max: (n,) speed limits [rad/s or m/s]; tau_max: (n,) torque limits [Nm or N].
         moves: (2,n) whether each joint can move the tip (first row) and the wrist.
-        arm: the arm for the compiled core.
+        arm: the same arm, as the compiled core's `Arm`.
 
     Example:
         >>> robot = mo.load_robot("lwr4")
@@ -136,7 +136,7 @@ class RobotModel:
     """
 
     def __init__(self, data: RobotData) -> None:
-        """Build the model; a RobotError if pinocchio does not find the joints of ``data``."""
+        """Build the model. Raise a RobotError if the number of joints or the URDF of ``data`` is not usable."""
         self.data = data
         self.n = n = data.n
         self.q_min, self.q_max, self.v_max, self.tau_max = data.q_min, data.q_max, data.v_max, data.tau_max
@@ -171,9 +171,9 @@ class RobotModel:
         return RobotModel, (self.data,)  # views into pinocchio's memory do not survive copying
 
     def state(self, q: ArrayLike, v: ArrayLike | None = None) -> RobotState:
-        """Compute all terms at q (n,) [rad] and v (n,) [rad/s], by default 0; a RobotError if q or v is unusable."""
+        """Compute all terms at q (n,) [rad] and v (n,) [rad/s], by default 0. Raise a RobotError for a wrong q or v."""
         v = self._rest if v is None else v
-        try:  # the core checks arrays by itself
+        try:  # the core refuses wrong arrays; the messages are made below
             return RobotState(self.arm.terms(q, v), self.n)  # type: ignore[arg-type]
         except ValueError:
             q, v = self._numbers("q", q), self._numbers("v", v)
@@ -198,7 +198,7 @@ class RobotModel:
     def tool_pose(self, q: ArrayLike) -> Array:
         """Compute the tool's pose (4,3) in world axes: x, y and z axis, then tip [m].
 
-        z points from wrist to tip; the wrench sensor measures in these axes.
+        z points from wrist to tip. The wrench sensor measures in the axes of the tool.
         """
         return self.arm.tool_pose(self._numbers("q", q))
 
@@ -219,7 +219,7 @@ class RobotModel:
         return build_kinematics(self.data.name, self.chain)
 
     def random_regular_pose(self, rng: np.random.Generator, *, margin: float = 0.1, mu_min: float = 0.05) -> Array:
-        """Draw a pose (n,) with mu > `mu_min` and every joint at least `margin` times its range from its limits."""
+        """Draw a pose (n,) with mu > `mu_min`. Its joints stay `margin` times their range away from their limits."""
         room = margin * (self.q_max - self.q_min)
         for _ in range(1000):
             q = rng.uniform(self.q_min + room, self.q_max - room)
@@ -254,8 +254,8 @@ def load_robot(
     """Load a robot by name or path. Gains that its TOML lacks are derived from the arm's inertia.
 
     Args:
-        name_or_path: an arm of the package, or a TOML or URDF file; a RobotError says what is wrong.
-        tool_length, tool_mass: length from flange to tip [m] and mass [kg] of the tool, by default as in the file.
+        name_or_path: an arm of the package, or a TOML or URDF file. A RobotError is raised if it is wrong.
+        tool_length, tool_mass: length from mount to tip [m] and mass [kg] of the tool, by default as in the file.
     """
     robot = RobotModel(load_data(name_or_path, tool_length=tool_length, tool_mass=tool_mass))
     if not CARTESIAN.keys() <= robot.data.gains.keys():
@@ -270,7 +270,7 @@ def _build(data: RobotData) -> Any:
         raise RobotError(f"urdf of {data.name!r} cannot be read by pinocchio: {error}") from error
     names = tuple(model.names)[1:]
     if names != data.joint_names or model.nq != data.n:
-        raise RobotError(f"urdf of {data.name!r}: {names} and {data.joint_names} must be the same serial chain")
+        raise RobotError(f"urdf of {data.name!r}: pinocchio finds joints {names}, the robot lists {data.joint_names}")
     return model
 
 

@@ -26,12 +26,12 @@ from moc_opt.scenario.layout import lay_out
 
 DRAWS = 6000  #: Number of random poses from which the home pose is chosen.
 SHORTLIST = 60  #: Number of best poses whose self-motions are scanned.
-DOWN = (0.94, 0.8, -1.0)  #: Cosines of angles: the tool may be 20, then 37, then 180 deg away from straight down.
+DOWN = (0.94, 0.8, -1.0)  #: Cosine of the tool's largest angle from straight down: 20 deg, then 37 deg, then 180 deg.
 CLEARANCE_M = 0.05  #: Lower bound on the distance of tip and wrist from the base's plane [m].
 MARGIN = 0.2  #: Lower bound on the distance from a joint limit, divided by half the range.
-REGULAR = (0.15, 0.08)  #: Lower bounds on `Freedoms.tip` and `.both` of a home pose.
+REGULAR = (0.15, 0.08)  #: Lower bounds on two ratios of singular values at home, `Freedoms.tip` and `Freedoms.both`.
 SHARE = (0.7, 0.9)
-"""Wanted range of mu / (largest mu on the self-motion) at home; below 1, so that mu can rise."""
+"""Wanted range of mu / (largest mu on the self-motion) at home. It is below 1, so that mu can rise."""
 
 
 class NewRobot(NamedTuple):
@@ -61,7 +61,7 @@ def new_robot(
         UnknownNameError: ``tip`` or a joint of ``lock`` is not in the file.
     """
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}\.toml", out.name):
-        raise RobotError(f"--out {out.name!r}: the file names the robot: give letters, digits, _ and -, then .toml")
+        raise RobotError(f"--out {out.name!r}: this names the robot: give letters, digits, _ and -, then .toml")
     for option, value, least, most in (
         ("tool", tool_m, 1e-3, 10.0), ("seed", seed, 0, 2**63), *(("base-rpy", angle, -10, 10) for angle in base_rpy),
         *((f"lock {joint}", place, -1e3, 1e3) for joint, place in (lock or {}).items()),
@@ -149,8 +149,8 @@ class Shaft(NamedTuple):
 def find_shaft(text: str, last_link: str) -> Shaft:
     """Lay the tool along the last turning axis, away from the arm.
 
-    The wrist point is the shaft's point nearest to the previous axis. If the last joint slides, the tool runs along the
-    last link's z.
+    The wrist point is the shaft's point nearest to the previous axis that is not parallel to the shaft. If the last
+    joint slides, the tool runs along the last link's z.
     """
     model = pin.buildModelFromXML(text)
     data = model.createData()
@@ -176,12 +176,12 @@ def find_shaft(text: str, last_link: str) -> Shaft:
         if np.linalg.norm(origin - on_axis) < 1e-6:
             origin = on_axis
         else:
-            note = "the last link is off the last axis: the tool runs parallel to this axis, so no joint is idle"
+            note = "the last link is off the last axis: the tool runs parallel to this axis, so all joints move the tip"
     behind = float((origin - foot) @ direction)
     if behind < 1e-6:
         behind, note = 0.0, f"{note}; the wrist point is the mount"
     else:
-        note = f"{note}; the wrist point, {behind:.4g} m behind the mount, is its point nearest to the previous axis"
+        note = f"{note}; the wrist, {behind:.4g} m behind the mount, is the shaft's point nearest to the previous axis"
     down = place.rotation.T @ direction
     mount = place.rotation.T @ (origin - place.translation)
     across = math.hypot(down[0], down[1])
@@ -229,13 +229,13 @@ def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
     if not found:
         raise RobotError(
             f"home pose: none of {DRAWS} random poses has tip and wrist clear of the base's plane and is regular "
-            f"(singular values above {REGULAR} of the largest): is the last link right, and are the limits wide enough?"
+            f"(ratios of singular values above {REGULAR}): is the last link right, and are the limits wide enough?"
         )
     return min(found, key=lambda home: home.order)
 
 
 def _ranked(robot: RobotModel, poses: Array) -> list[Home]:
-    """Return home poses, the best first, up to the first from which the task can be done with mu in `SHARE`."""
+    """Return home poses, the best first. The list ends at the first that can do the task with mu in `SHARE`, if any."""
     moving, mu = robot.moves.any(axis=0), robot.mu_along(poses)
     scores = np.full(len(poses), -np.inf)
     for k, q in enumerate(poses):

@@ -38,7 +38,7 @@ class Link:
     mass: float = 0.0  #: [kg]
     moments: Numbers = 2 * _ZEROS  #: `MOMENTS` about the centre of mass [kg m^2]
     xyz: Numbers = _ZEROS  #: centre of mass [m]
-    rpy: Numbers = _ZEROS  #: axes of the moments [rad]
+    rpy: Numbers = _ZEROS  #: orientation of the moments' axes [rad]
 
     @property
     def is_frame(self) -> bool:
@@ -110,7 +110,7 @@ class Urdf:
 
 
 def read(text: str) -> Urdf:
-    """Read links and joints; a RobotError if a number is wrong."""
+    """Read links and joints. Raise a RobotError if the text is no URDF or a number is wrong."""
     try:
         root = ET.fromstring(text)
     except ET.ParseError as error:
@@ -160,12 +160,12 @@ def _place(element: ET.Element, where: str) -> tuple[Numbers, Numbers]:
 def _one(parent: ET.Element, tag: str, where: str) -> ET.Element | None:
     found = parent.findall(tag)
     if len(found) > 1:
-        raise RobotError(f"urdf: {where} has {len(found)} <{tag}>: keep one, since programs differ in which they read")
+        raise RobotError(f"urdf: {where} has {len(found)} <{tag}>: keep one, since not all programs read the same one")
     return found[0] if found else None
 
 
 def _numbers(element: ET.Element | None, key: str, what: str, count: int = 3, most: float = LARGEST) -> Numbers:
-    """Read an attribute's numbers; zeros if it is missing."""
+    """Read an attribute's numbers. A missing attribute gives zeros."""
     text = None if element is None else element.get(key)
     if text is None:
         return (0.0,) * count
@@ -187,7 +187,7 @@ def normalize(arm: Urdf) -> Tree:
     """
     for name in [link.name for link in arm.links] + [joint.name for joint in arm.joints]:
         if not names.is_name(name):
-            raise RobotError(f"urdf: the name of a link or joint, {name!r:.80}, is no name: {names.RULE}")
+            raise RobotError(f"urdf: {name!r:.80} is no name for a link or joint: {names.RULE}")
     for link in arm.links:
         _check_body(link)
     for joint in arm.joints:
@@ -244,7 +244,7 @@ def principal(moments: Iterable[float]) -> list[float]:
 
 
 class Tree:
-    """The tree of links; a RobotError if the links form no tree.
+    """The tree of links. Raise a RobotError if the links form no tree.
 
     ``carrier`` maps a link to the joint on which it hangs, and ``carried`` to the joints that hang on it.
     """

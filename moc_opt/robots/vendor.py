@@ -56,7 +56,7 @@ def read_vendor(
     arm.chain = tree.chain(arm.last_link, "--tip")
     arm.notes.append(f"the tool sits on {arm.last_link!r}, the link of {'--tip' if tip else 'the last joint'}")
     mend_bodies(arm.urdf.links, arm.notes)
-    between = tree.path(arm.last_link)[len(tree.path(arm.chain[0].parent)) :]  # stay as read; `normalize` checks them
+    between = tree.path(arm.last_link)[len(tree.path(arm.chain[0].parent)) :]  # `normalize` checks these joints
     _fix([joint for joint in arm.urdf.joints if joint not in between and joint.kind != "fixed"], arm.notes)
     if any(base_rpy):
         arm.urdf.links.insert(0, Link("stand"))
@@ -104,7 +104,7 @@ def _depth(tree: urdf.Tree, joint: Joint) -> int:
 
 
 def _fix(joints: Iterable[Joint], notes: list[str], at: float | None = None) -> None:
-    """Fix joints, by default at the position nearest to 0."""
+    """Fix joints, by default at the position within their limits that is nearest to 0."""
     fixed = []
     for joint in joints:
         told = joint.kind
@@ -129,7 +129,7 @@ def _shift(joint: Joint, value: float) -> None:
         joint.rpy = tuple(pin.rpy.matrixToRpy(R @ pin.exp3(motion)).tolist())
 
 
-# --- numbers that no arm has ---
+# --- implausible numbers ---
 
 
 def mend_bodies(links: Iterable[Link], notes: list[str]) -> None:
@@ -190,12 +190,12 @@ def _range(joint: Joint, kind: str) -> tuple[float, float, str]:
         return lower, upper, ""
     middle = 0.5 * (lower + upper)
     middle = middle if abs(middle) < 2.0 * math.pi else 0.0
-    told = f"goes from {lower:g} to {upper:g} rad, no range of a joint (are they degrees? see the data sheet)"
+    told = f"goes from {lower:g} to {upper:g} rad, no range of a joint (are these degrees? see the data sheet)"
     return middle - math.pi, middle + math.pi, f"{told}: one turn is used"
 
 
 def enough_efforts(robot: RobotModel) -> list[float]:
-    """Return effort limits [Nm, N] from the gravity load and the inertia."""
+    """Return effort limits [Nm, N]: three times the larger of gravity load and inertia (at 1 rad/s^2 or 1 m/s^2)."""
     poses = np.random.default_rng(0).uniform(robot.q_min, robot.q_max, (200, robot.n))
     most = np.max([np.abs(robot.gravity(q)) for q in poses], axis=0)
     needed = 3.0 * np.maximum(most, np.diag(robot.state(robot.data.q_home).M))

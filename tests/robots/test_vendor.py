@@ -150,7 +150,7 @@ FAST = {"velocity": CHOSEN["turning"]}
     ("panda", 'lower="1" upper="9" velocity="2" effort="87"', {"lower": 5.0 - np.pi, "upper": 5.0 + np.pi},
      ["no range .*: one turn is used"]),
     ("panda", 'velocity="2" effort="87"', ONE_TURN, ["no range"]),
-    ("panda", 'lower="-166" upper="166" velocity="2" effort="87"', ONE_TURN, ["are they degrees"]),
+    ("panda", 'lower="-166" upper="166" velocity="2" effort="87"', ONE_TURN, ["are these degrees"]),
     *(("panda", f'lower="-{size}" upper="1.5" velocity="{size}" effort="{size}"', {**ONE_TURN, **FAST},
        ["to 1.5 rad, no range", "is no speed"]) for size in ("inf", "1e16")),
     ("lwr4_rail", "", {"lower": -TRAVEL_M, "upper": TRAVEL_M, "velocity": CHOSEN["sliding"]},
