@@ -27,10 +27,10 @@ PRESETS: Mapping[str, Mapping[str, Callable[..., Settings]]] = {
     "control": {name: partial(ControlSettings.preset, name) for name in CONTROL_PRESETS},
     "plant": {"realistic": PlantSettings, "nominal": PlantSettings.nominal},
 }
-"""By table and preset: the function that makes the table."""
+"""The function that makes the settings, by names of table and preset."""
 _LAGS = 3.0  # lower bound of motion_lag_s, in time constants of the velocity filter
 _TORQUE, _SPEED = 500.0, 600.0
-"""Lower bounds of repeat_torque [share of tau_max] and stuck_rad_per_s [rad/s], per rad of encoder step."""
+"""Lower bounds of repeat_torque [share of tau_max] and stuck_rad_per_s [rad/s] for an encoder step of 1 rad."""
 
 
 class Scenario(Settings):
@@ -130,9 +130,9 @@ class Scenario(Settings):
             return path
         file = as_path(path, "scenario", ScenarioError)  # type: ignore[arg-type]
         if file.suffix == ".parquet":
-            raise ScenarioError(f"{file} is a trace, no scenario: `moc-opt report`, `replay` or `map` shows it")
+            raise ScenarioError(f"{file} is a trace, not a scenario: `moc-opt report`, `replay` or `map` shows it")
         if file.suffix.lower() == ".urdf":
-            made = f"`moc-opt robot new {file} --out arm.toml`, then [robot] name = 'arm.toml' in a scenario"
+            made = f"`moc-opt robot new {file} --out arm.toml` makes a file for [robot] name = 'arm.toml' in a scenario"
             raise ScenarioError(f"{file} is a robot, not a scenario: {made}")
         table = read_toml(file, "scenario", ScenarioError)
         try:
@@ -219,7 +219,7 @@ def _tables(value: Settings, name: str) -> Iterator[dict[str, Any]]:
 
 
 def without_none(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a table of settings in which TOML's values stand for None: "" for `gains`, else infinity."""
+    """Copy a table. None, which TOML lacks, becomes "" in `gains`, infinity elsewhere, and is omitted in `settings`."""
     plain: dict[str, Any] = {}
     for key, value in table.items():
         if key == "settings":

@@ -38,9 +38,9 @@ PATH = {"robot", "start", "trocar", "task", "duration_s", "seed"}  # keys that d
 
 
 def model_errors(columns: Columns, robot: RobotModel, plant: Plant, offset: TaskOffset) -> dict[str, NDArray[Any]]:
-    """Compute tip and RCM error [m] by the controller's kinematics.
+    """Compute tip and RCM error [m] by the controller's kinematics, from joint positions with the encoders' bias.
 
-    Return {} if the joints are elastic and the encoders are on the motors.
+    Return {} if the encoders measure the motors of elastic joints: the controller then sees other positions.
     """
     if plant.settings.elastic and plant.settings.encoder_side == "motor":
         return {}
@@ -53,7 +53,7 @@ def model_errors(columns: Columns, robot: RobotModel, plant: Plant, offset: Task
 
 
 def residual_columns(columns: Columns) -> dict[str, NDArray[Any]]:
-    """Compute each answer's residuals and the flag ``verified``; {} if there are no subproblems."""
+    """Compute each answer's residuals and the flag ``verified``. Without subproblems, return {}."""
     if "subproblem" not in columns:
         return {}
     x = columns["x_rad_per_s"]
@@ -112,7 +112,7 @@ def _planned(path: str) -> BestCourses:
 def against_best(scenario: Scenario, trace: Trace) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     """Return the columns of the best courses, and the entry ``best_courses`` of the trace's meta.
 
-    The entry compares the last poses of run and course by mu [m^3] and swivel (elbow angle) [deg].
+    The entry has mu [m^3] at the run's end, and mu and swivel [deg] of the next top of mu and of the course's end.
     """
     try:
         known = best_courses(scenario)

@@ -27,8 +27,8 @@ class Layout:
     """A start pose, and the task laid out from it."""
 
     q: Array  #: (n,) joint positions at the start [rad]
-    trocar: Array  #: (3,) registered trocar at rest [m]
-    registered: Trocar  #: Motion of the registered trocar, known to the controller.
+    trocar: Array  #: (3,) registered trocar (the controller's trocar) at rest [m]
+    registered: Trocar  #: Registered trocar as a function of time.
     reference: Reference  #: Path of the tip as a function of time.
     duration_s: float  #: Duration of the run [s].
 
@@ -43,7 +43,7 @@ def lay_out(scenario: Scenario, robot: RobotModel, *, checked: bool = True) -> L
     """Choose the start, lay out the task, and check that the arm can do it.
 
     Raises:
-        ScenarioError: start, trocar or duration are not usable, or no random start can do the task.
+        ScenarioError: start, trocar or duration are not usable, or every random start is refused.
         UnreachableError: the arm cannot do the task from this start.
     """
     start = scenario.start
@@ -96,12 +96,12 @@ def _task(scenario: Scenario, robot: RobotModel, q: Array) -> Layout:
         raise ScenarioError(
             f"the run takes {duration_s:.3g} s (duration_s, or the time for the path of {path.length:.3g} m). With "
             f"[plant] period_s = {scenario.plant.period_s:.3g} s, this is more than {MOST_TICKS} ticks: give a smaller "
-            "duration_s, or smaller [task] sizes [m]"
+            "duration_s, or smaller sizes in [task]"
         )
     return Layout(q, point, registered, reference, duration_s)
 
 
 def described(scenario: Scenario, robot: RobotModel) -> dict[str, Any]:
-    """Return scenario and robot for a trace's `meta`, and the data of an arm outside the package."""
+    """Return the entries `scenario` and `robot` of a trace's meta, and `robot_data` for an arm outside the package."""
     found = {"scenario": scenario.model_dump(mode="json"), "robot": robot.data.name}
     return found if scenario.robot.name in available_robots() else {**found, "robot_data": carried(robot)}

@@ -56,7 +56,7 @@ def targets_of(
 ) -> Targets:
     """Return targets of tip and wrist, evenly spaced in time over the run.
 
-    ``times`` is the number of targets. None: one per ``period_s`` / ``finer``, but at most `MOST_TIMES` * ``finer``.
+    ``times`` is the number of targets. None: one per ``period_s`` / ``finer`` [s], at most `MOST_TIMES` * ``finer``.
     """
     spaces = int(np.clip(np.ceil(layout.duration_s / period_s), 1, MOST_TIMES - 1))
     span, length = robot.state(layout.q).tool_span, robot.data.tool_length
@@ -70,7 +70,7 @@ def followable_plan(
 ) -> tuple[Plan, dict[str, float]]:
     """Plan a course within limits, and return the plan and the limits.
 
-    If a third level follows the course, [control] gives the limits, otherwise the arm. Arguments have priority.
+    Limits not given are the arm's, or [control]'s if level 3 follows the course (margins 0 if no plan keeps them).
     """
     settings = scenario.control
     follows = settings.follows if followed is None else followed
@@ -109,10 +109,10 @@ def save_course(found: Plan, scenario: Scenario, to: str | os.PathLike[str], wit
     """Write the plan's course as a Parquet file for ``[control] course``.
 
     Columns: t_s (k,) [s], q_rad (k,n), mu (k,) [m^3], swivel_rad (k,), tip_m, tip_ref_m and wrist_m (k,3).
-    ``within`` has the limits of the plan, by `plan`'s argument names.
+    ``within`` has the plan's limits, under the names of the arguments of `plan`.
 
     Raises:
-        ScenarioError: the plan has no course from any start.
+        ScenarioError: no course reaches the end of the path, whatever its start pose.
         TraceError: the file cannot be written.
     """
     course = found.course

@@ -20,9 +20,9 @@ from moc_opt.tasks import Reference, Trocar
 
 Found = TypeVar("Found")
 
-SINGULAR = (1e-4, 1e-4)  #: Thresholds of `Freedoms.tip` and `Freedoms.both`: below either, a start is singular.
+SINGULAR = (1e-4, 1e-4)  #: Thresholds of two ratios of singular values, `Freedoms.tip` and `Freedoms.both`.
 REGULAR = (0.1, 0.05)
-"""The same thresholds for a random start and the poses along its path."""
+"""Thresholds of the same ratios, for a random start and the poses along its path."""
 DRAWN_MARGIN = 0.1  #: Lower bound on each joint's distance from its limits in a drawn pose [share of its range].
 DRAWS = 200  #: Largest number of poses drawn for a random start.
 SPACING_M = 0.005  #: Distance between checked points of the path [m].
@@ -133,7 +133,7 @@ def check_reachable(
     away = float(np.linalg.norm(state.tip - places.tip[0]))
     if away > _START_TOLERANCE_M:
         problem = f"the reference begins {1e3 * away:.1f} mm from the tip"
-        raise UnreachableError("start", 0.0, problem, "begin it at the tip, or put a line from the tip before the path")
+        raise UnreachableError("start", 0.0, problem, "begin the reference at the tip, or prepend a line from the tip")
     _check_depth(robot, places)
     try:
         return _follow(robot, state.q, places, reference)
@@ -188,7 +188,7 @@ def _follow(robot: RobotModel, q: Array, places: _Places, reference: Reference) 
     k = int(np.argmax(shares))
     if shares[k] > 1.0:
         i = int(np.argmax(np.abs(rates[k] / robot.v_max)))
-        # If a_max limits the path, the tip's largest speed is below v_max.
+        # The path may be so short that the tip does not reach v_max, so the tip's real speed is scaled.
         slower = 0.99 * float(np.linalg.norm(places.tip_velocity, axis=1).max()) / shares[k]
         raise UnreachableError(
             "v_max", places.arc[k],
@@ -213,7 +213,7 @@ def _out_of_reach(robot: RobotModel, places: _Places, k: int, wrist: Array, plac
 
 
 def _least_rates(robot: RobotModel, a: Array, velocity: Array) -> Array:
-    """Return v (n,) with a v = velocity and, if possible, |v| <= v_max in every joint."""
+    """Solve ``a`` v = ``velocity`` for joint velocities v (n,), if possible with |v| <= v_max in every joint."""
     left, values, right = np.linalg.svd(a)
     rank = int((values > 1e-9 * values[0]).sum())
     shortest: Array = right[:rank].T @ ((left[:, :rank].T @ velocity) / values[:rank])

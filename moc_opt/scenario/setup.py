@@ -69,7 +69,7 @@ def make_stop(scenario: Scenario) -> Stop:
 
 
 def recorded_times(scenario: Scenario) -> list[float] | None:
-    """Read the solve times [us] of ``[solver] replay_us``; None: solve times are measured."""
+    """Read the solve times [us] of ``[solver] replay_us``. Return None if solve times are measured."""
     given = scenario.solver.replay_us
     if given is None:
         return None
@@ -77,7 +77,7 @@ def recorded_times(scenario: Scenario) -> list[float] | None:
     read = read_arrays(given, what, ScenarioError) if isinstance(given, str) else {"": np.asarray(given)}
     times = read.get("", np.empty(0))
     if times.dtype.kind not in "fiu" or times.ndim != 1 or not len(times) or not (times >= 0.0).all():
-        raise ScenarioError(f"{what}: {times.dtype} of shape {times.shape}: give a list of times of 0 us or more")
+        raise ScenarioError(f"{what} has type {times.dtype} and shape {times.shape}: give a list of times >= 0 us")
     return [float(time) for time in times]
 
 
@@ -124,7 +124,7 @@ class Setup:
         self.trocar = Trocar(true, *scenario.trocar.breathing)
 
     def solver(self) -> Solver | None:
-        """Make the solver of the scenario; None under DCAC."""
+        """Make the solver of the scenario. Return None if ``[control] law`` is not "moc"."""
         if self.scenario.control.law != "moc":
             return None
         asked, faults = self.scenario.solver, self.scenario.faults
@@ -141,7 +141,7 @@ class Setup:
         times: Iterator[float] | None = None if self._replayed_us is None else itertools.cycle(self._replayed_us)
         if solver is not None:
             if scenario.faults.solver == "hang":
-                # Replayed times make the late ticks depend on the seed only.
+                # With replayed times, the seed alone decides which ticks are late.
                 budget = budget or scenario.deadline_us
                 times = iter(np.where(self.fault_mask(), 10.0 * budget, 0.0))
             wait_us = 0.5e6 * period_s if self.realtime else math.inf
@@ -190,7 +190,7 @@ class Setup:
         return self.scenario.plant.period_s * np.arange(self.ticks, dtype=np.float64)
 
     def inputs(self) -> tuple[Array, Array]:
-        """Return the rows X_d, dX_d, ddX_d (N, 3, 3) and P_t, dP_t (N, 2, 3) of all ticks."""
+        """Return X_d, dX_d, ddX_d (N, 3, 3) of the tip and P_t, dP_t (N, 2, 3) of the registered trocar by tick."""
         tip_refs, registered = (np.stack(of.at(self.times()), axis=1) for of in (self.reference, self.registered))
         return tip_refs, registered
 

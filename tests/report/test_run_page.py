@@ -128,7 +128,7 @@ def test_pages_name_arm_task_gains_and_solver(tmp_path, capsys, files):
     assert "<title>lwr4, circle, default gains: exact and dcac</title>" in both.read_text(encoding="utf-8")
     assert title_of({"a": trace(), "b": trace()}) == "a and b"
     assert main(["run", str(tmp_path / "a.parquet")]) == 2
-    assert "is a trace, no scenario: `moc-opt report`, `replay` or `map` shows it" in capsys.readouterr().err
+    assert "is a trace, not a scenario: `moc-opt report`, `replay` or `map` shows it" in capsys.readouterr().err
     assert main(["run", str(tmp_path / "arm.urdf")]) == 2
     assert "arm.urdf is a robot, not a scenario: `moc-opt robot new" in capsys.readouterr().err
 
