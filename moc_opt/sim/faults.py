@@ -80,13 +80,13 @@ class FaultSettings(Settings):
 
     @property
     def around_the_arm(self) -> bool:
-        """Whether sensors, trocar or arm have a fault."""
+        """Whether any setting other than those of the solver's faults is changed."""
         solver = {"solver", "solver_share"}
         return any(getattr(self, k) != f.default for k, f in type(self).model_fields.items() if k not in solver)
 
 
 class Faults:
-    """The faults of a run of an arm with n joints. ``period`` is the control period [s].
+    """The faults of one run. ``n`` is the number of the arm's joints, and ``period`` the control period [s].
 
     Raises:
         PlantError: ``frozen_joint`` or ``lag_joint`` is no joint of the arm.

@@ -63,7 +63,7 @@ class FilteredController(Filtered):
         return tau
 
     def set_applied_torque(self, tau: Array) -> None:
-        """Store an applied torque (n,) [Nm] that differs from the result of ``tick``."""
+        """Store the torque (n,) [Nm] that was applied instead of the result of ``tick``."""
         self._applied = tau
         self._controller.set_applied_torque(tau)
 
@@ -105,7 +105,7 @@ class ClosedLoop:
         Args:
             tip_ref: (3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2].
             registered: (2, 3) rows P_t [m], dP_t [m/s] of the registered trocar.
-            trocar: (2, 3) rows P_t, dP_t of the true trocar; None: the arm is in no incision.
+            trocar: (2, 3) rows P_t, dP_t of the true trocar; None: the tool is in no incision.
 
         Raises:
             PlantError: an argument is wrong, or the simulation of the plant diverged.
@@ -127,7 +127,7 @@ class ClosedLoop:
 
     @property
     def finished(self) -> bool:
-        """Whether a stop is over."""
+        """Whether a stop is over: after `Stop.seconds`, the arm rests, or `LONGEST` times this duration has passed."""
         since = self.ticks - self._stopped_at if self._stopped_at >= 0 else 0
         return since > self._watched and bool(since > LONGEST * self._watched or np.abs(self._plant.v).max() < AT_REST)
 
@@ -158,8 +158,8 @@ def simulate(
     Args:
         tip_refs: (N, 3, 3) rows X_d, dX_d, ddX_d of every tick.
         trocars, registered: (N, 2, 3) rows P_t, dP_t of the true and of the registered trocar.
-        safety_filter: None: no checks and no limits.
-        offset: true minus computed position of tip and trocar; None: zero.
+        safety_filter: checks the measurements and limits the torques; None: nothing is checked or limited.
+        offset: true positions minus those by the controller's kinematics; None: zero.
         watch: called with the tick's number before each tick.
         meta: further entries of the trace's meta.
         rescue: called with the columns so far if an exception other than RunAway ends the loop.

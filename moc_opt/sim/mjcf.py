@@ -97,7 +97,7 @@ def compile_model(name: str, spec: mujoco.MjSpec) -> mujoco.MjModel:
     try:
         return spec.compile()
     except ValueError as error:
-        raise PlantError(f"robot {name!r}: MuJoCo refuses it ({error}): correct the link's <inertial>") from error
+        raise PlantError(f"robot {name!r}: MuJoCo refuses its URDF ({error}): correct the <inertial>") from error
 
 
 def _bare(urdf: str) -> str:

@@ -17,7 +17,7 @@ class Measurement(NamedTuple):
 
     q: Array  #: (n,) joint positions [rad].
     v: Array  #: (n,) joint velocities [rad/s].
-    force: Array  #: (6,) force [N] and torque [Nm] of the tool on its mount, tool axes, one plant step old.
+    force: Array  #: (6,) force [N] and torque [Nm] of the tool on its mount, in tool axes; one plant step old.
     stamp: int = 0
     """Number of the control period in which the reading was taken."""
 
@@ -31,7 +31,7 @@ class Noise:
     def __init__(self, rng: np.random.Generator, deviation: Array) -> None:
         self._rng, self._deviation, self._quiet = rng, deviation, not deviation.any()
         self._block, self._next = np.zeros((_NOISE_ROWS, deviation.size)), _NOISE_ROWS
-        self._rows = list(self._block)  # a view costs more than a look-up
+        self._rows = list(self._block)  # an entry of a list is found faster than a row of an array
 
     def take(self) -> Array:
         """Return the next row (m,), valid until the next call."""
@@ -82,7 +82,7 @@ class Encoders:
         return reading[0], reading[1]
 
 
-_CHANCE = 1e-10  #: Accepted probability that a longer repetition begins at a reading.
+_CHANCE = 1e-10  #: Accepted probability p^k in `longest_repetition`.
 _MOST_TICKS = 500  #: Largest result of `longest_repetition` [ticks].
 
 
@@ -100,13 +100,13 @@ def longest_repetition(noise_rad: float, resolution_rad: float) -> int | None:
     return max(10, math.ceil(math.log(_CHANCE) / math.log(max(same, _CHANCE))))
 
 
-_DEAD = 600.0  #: Time constants after which a decaying filter output may repeat.
+_DEAD = 600.0  #: Time for which a decaying filter output cannot underflow [time constants].
 
 
 def repeats_no_reading(noise_rad: float, resolution_rad: float, cutoff_Hz: float, period_s: float) -> bool:
     """Return whether an encoder never repeats its position and its velocity together.
 
-    While the position repeats, the filtered velocity decays.
+    While the position repeats, the filtered velocity decays, and so does not repeat.
     """
     longest = longest_repetition(noise_rad, resolution_rad)
     return longest is not None and 0.0 < 2.0 * math.pi * cutoff_Hz * period_s * longest < _DEAD

@@ -117,9 +117,9 @@ class Mismatch:
     coulomb_friction: Array  #: (n,) [Nm]
     registration_error: Array  #: (3,) true minus registered trocar, world axes [m].
     origin_shift: Array
-    """(n + 1, 3) true minus modelled origin of joints and tool mount, preceding link's axes [m]."""
+    """(n + 1, 3) true minus modelled origin of joints and tool mount, in the preceding link's axes [m]."""
     origin_turn: Array
-    """(n, 3) rotation vector from modelled to true joint frame, preceding link's axes [rad]."""
+    """(n, 3) rotation vector from modelled to true joint frame, in the preceding link's axes [rad]."""
     encoder_bias: Array  #: (n,) reading minus true position [rad, m].
     ripple_phase: Array  #: (n,) phase of the ripple at joint position 0 [rad].
 

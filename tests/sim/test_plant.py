@@ -290,7 +290,7 @@ def test_invalid_models_are_refused():
     for data, words in (
         (replace(DATA, urdf="<robot"), "MuJoCo cannot read"),
         (replace(DATA, joint_names=(*DATA.joint_names[:6], "joint_9")), r"lists .*'joint_9'"),
-        (replace(DATA, urdf=bad), "MuJoCo refuses it"), (replace(DATA, tip_frame="nib"), r"no links .*'nib'"),
+        (replace(DATA, urdf=bad), "MuJoCo refuses its URDF"), (replace(DATA, tip_frame="nib"), r"no links .*'nib'"),
     ):  # fmt: skip
         with pytest.raises(PlantError, match=words):
             Plant(data, NOMINAL)
