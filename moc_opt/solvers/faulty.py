@@ -32,8 +32,8 @@ class Faulty:
 
     Args:
         inner: the wrapped solver. Its answers are used at ticks without a fault.
-        kind: "fail": no answer; "nan": x is NaN; "lie": x for a negated gradient; "raise": an exception; "outside": x
-            is outside the bounds; "rig": the subproblem is rewritten to fit x; "malformed": complex duals.
+        kind: "fail": no answer; "nan": x is NaN; "lie": optimum for the negated gradient; "raise": an exception;
+            "outside": x outside the bounds; "rig": the subproblem is rewritten to fit x; "malformed": complex duals.
         rate: probability of a fault at a tick, 0 to 1.
         seed: seed of the draw.
     """
@@ -58,7 +58,7 @@ class Faulty:
 
 
 class FaultySession:
-    """A session. ``faults`` counts its faults so far."""
+    """A session. ``faults`` is the number of faulty ticks so far."""
 
     def __init__(self, settings: Faulty, inner: Session, qp: NullSpaceQP) -> None:
         self._settings, self._inner = settings, inner

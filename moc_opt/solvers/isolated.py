@@ -121,7 +121,7 @@ class IsolatedSession:
         solver = self._solver
         if self._process is None:
             if len(self.restarts) > solver.process.most_restarts:
-                raise Unanswered("lost", f"given up: the solver's process was lost {len(self.restarts)} times")
+                raise Unanswered("lost", f"the solver is given up: its process was lost {len(self.restarts)} times")
             self._process = _Process(solver, qp)
         try:
             newest = self._answered(self._process, qp)
@@ -241,7 +241,7 @@ def serve(fd: int, memory_MB: float) -> None:
             solver, row, v, most_s = pipe.recv()
         except (EOFError, OSError):
             return
-        # If this process hangs after its parent has ended, nobody kills it. This timer then does.
+        # If the parent has ended, nobody kills this process when it hangs. The timer then ends it.
         signal.setitimer(signal.ITIMER_REAL, 2.0 * most_s + 1.0)
         try:
             qp = NullSpaceQP.from_row(row)

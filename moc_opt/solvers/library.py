@@ -108,7 +108,7 @@ class TruncatedSession(LibrarySession):
         """Set the limit on the iterations of a solve."""
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Restart where the previous solve started. Return the iterate after ``iterations`` (at least 1) iterations."""
+        """Restart where the previous solve started, stop after ``iterations`` (at least 1), and return the iterate."""
         self._limit(iterations)
         try:
             return self.solve(qp)
@@ -123,7 +123,7 @@ def upper_triangle(values: Array, n: int) -> sparse.csc_matrix:
 
 
 def stacked(values: Array, boxes: int) -> sparse.csc_matrix:
-    """Return a sparse matrix of m full rows above ``boxes`` diagonal blocks. Its column j is row j of ``values``."""
+    """Return a sparse matrix of m full rows above ``boxes`` diagonal (n, n) blocks, from its columns (n, m + boxes)."""
     n, m = len(values), values.shape[1] - boxes
     rows = np.concatenate([np.append(np.arange(m), m + n * np.arange(boxes) + j) for j in range(n)])
     return sparse.csc_matrix((values.ravel(), rows, (m + boxes) * np.arange(n + 1)), shape=(m + boxes * n, n))

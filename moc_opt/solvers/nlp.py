@@ -3,8 +3,8 @@
     max_x  c2 (mu(q + x T)/T + d^T x) - regularization/2 |x|^2,   d = g - grad mu(q)
     s.t.   tip(q + x T) = tip(q) + v_T T,   E (wrist(q + x T) - wrist(q)) = E v_W T,   lower <= x <= upper
 
-T is the control period, g is the subproblem's `pull`, and the rows of E (2, 3) span the plane perpendicular to the
-tool. The program equals the null-space subproblem only for T -> 0, so its answers do not pass ``verified()``.
+T is the control period. g, v_T and v_W are the subproblem's `pull`, `v_tip` and `v_wrist`. The rows of E (2, 3) span
+the plane perpendicular to the tool. The program equals the subproblem only for T -> 0: answers fail ``verified()``.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def program(settings: NLP) -> tuple[Any, Any]:
 
 
 class NLPSession:
-    """Buffers of one solver. A solve starts from the previous optimum, or from 0 if the previous solve failed."""
+    """Buffers of a session. A solve starts from the previous optimum, or from 0 if the previous solve failed."""
 
     def __init__(self, settings: NLP, qp: NullSpaceQP) -> None:
         self._settings, n = settings, qp.n

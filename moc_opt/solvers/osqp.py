@@ -16,7 +16,7 @@ from moc_opt.solvers.base import Solution, Status
 from moc_opt.solvers.library import Adapter, Outcome, TruncatedSession, stacked, upper_triangle
 
 _CODE = ext_builtin.osqp_status_type
-# An "inaccurate" answer meets only ten times the tolerance.
+# An "inaccurate" answer meets only a tolerance that is ten times as large.
 _STATUS = {
     int(_CODE.OSQP_SOLVED): Status.SOLVED,
     int(_CODE.OSQP_PRIMAL_INFEASIBLE): Status.INFEASIBLE,
@@ -71,7 +71,7 @@ class OSQPSession(TruncatedSession):
         self._core.update_settings(self._options)
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Restart where the previous solve started. Return the iterate after ``iterations`` (at least 1) iterations."""
+        """Restart where the previous solve started, stop after ``iterations`` (at least 1), and return the iterate."""
         self._core.warm_start(*self._before)
         return super().truncated(qp, iterations)
 
@@ -86,7 +86,7 @@ class OSQP(Adapter):
         eps, eps_rel: absolute and relative tolerance on the scaled problem.
         max_iter: limit on the iterations of a solve.
         check_termination: number of iterations between checks of the residuals.
-        polishing: whether OSQP guesses the active set at the end and solves its equations.
+        polishing: whether OSQP guesses the active constraints at the end and solves the equations that they give.
     """
 
     rows: int = 5

@@ -1,6 +1,6 @@
-"""Adapter of the solvers that the package qpsolvers finds, named ``qpsolvers:NAME``.
+"""Adapter of the package qpsolvers. Its solvers are named ``qpsolvers:NAME``.
 
-qpsolvers converts the problem at every call, so do not compare speeds with this adapter.
+qpsolvers converts the problem at every call, so solve times with this adapter do not show the libraries' speeds.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def reasons() -> dict[str, str | None]:
 
 
 def checked(solver: str, options: object) -> dict[str, Any]:
-    """Return a copy of a library's options. Raise if an option is not allowed, or its value is no flag or number."""
+    """Return a copy of a library's options. Raise an error if one is not allowed, or neither flag nor number."""
     if not isinstance(options, Mapping):
         raise SolverError(f"{solver}: options = {options!r:.80} is not a table of keyword arguments")
     allowed = ALLOWED.get(solver, frozenset())

@@ -39,7 +39,7 @@ QPSOLVERS = "qpsolvers:"  #: prefix of the solvers of qpsolvers
 
 
 class Entry(NamedTuple):
-    """A solver's name, the callable that makes it, and its entry point if it is a plug-in."""
+    """A solver's name and the callable that makes it. A plug-in also has an entry point."""
 
     name: str
     make: Callable[..., Solver]

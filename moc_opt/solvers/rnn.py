@@ -1,13 +1,13 @@
-"""The recurrent neural network of Su et al. 2019, with consistent signs.
+"""The recurrent neural network of Su et al. 2019.
 
-With F(Y) = [dL/dx, -dL/dlambda] (the paper's equation (2)) the network is
+With consistent signs, x descends the Lagrangian L within the bounds, and the multipliers l1 and l2 ascend it:
 
     eps dx/dt = -x + clip(x - k (c0 J_T^T (J_T x - v_T) + c1 J_W^T (J_W x - v_W) + rho x - c2 grad_mu
                                  + J_T^T l1 + J_W^T l2), lower, upper)
     eps dl1/dt = k (J_T x - v_T),   eps dl2/dt = k (J_W x - v_W)
 
-integrated by Euler steps of size h = dt/eps (`moc_opt/core/rnn.c`). Here eps is the network's time constant, and rho is
-the regularization. On infeasible problems, the multipliers grow without bound.
+`moc_opt/core/rnn.c` makes Euler steps of size h = dt/eps. Here eps is the network's time constant, not the setting
+`eps`, and rho is the regularization. On infeasible problems, the multipliers grow without bound.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from moc_opt.solvers.base import Choices, Solution, SolverSettings, Status, no_a
 def unstable(qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool, h_x: float | None = None) -> str | None:
     """Return why Euler steps h of the multipliers and h_x of x (default: h) diverge on ``qp``, or None.
 
-    With c = scale c0 = scale c1, explicit steps are stable only if h k < c and (2 h_x k c - h h_x k^2) s^2 < 4 for all
-    singular values s of A. Semi-implicit steps are stable only if (2 h_x k c + h h_x k^2) s^2 < 4.
+    Let c = scale c0 = scale c1. Explicit steps have the stiffness (2 h_x k c - h h_x k^2) |A|^2, and semi-implicit steps
+    have (2 h_x k c + h h_x k^2) |A|^2. They are stable only below 4, and explicit steps only if h k < c, too.
     """
     c0, c1 = scale * qp.c0, scale * qp.c1
     weak, strong, hk = min(c0, c1), max(c0, c1), h * k
@@ -44,7 +44,7 @@ def unstable(qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool, 
     hk_x = hk if h_x is None else h_x * k
     stiff = (2.0 * hk_x * strong + (hk * hk_x if implicit else -hk * hk_x)) * largest * largest
     if not stiff < 4.0:
-        return f"h k max(c0, c1) |A|^2 is too large ({stiff:.2f}, the limit is 4): the steps diverge; lower h or k"
+        return f"c0, c1 and |A| are too large (stiffness {stiff:.2f}, limit 4): the steps diverge; lower h or k"
     return None
 
 
