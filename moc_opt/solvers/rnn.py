@@ -27,8 +27,8 @@ from moc_opt.solvers.base import Choices, Solution, SolverSettings, Status, no_a
 def unstable(qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool, h_x: float | None = None) -> str | None:
     """Return why Euler steps h of the multipliers and h_x of x (default: h) diverge on ``qp``, or None.
 
-    Let c = scale c0 = scale c1. Explicit steps have the stiffness (2 h_x k c - h h_x k^2) |A|^2, and semi-implicit steps
-    have (2 h_x k c + h h_x k^2) |A|^2. They are stable only below 4, and explicit steps only if h k < c, too.
+    With c = scale c0 = scale c1, explicit steps have a stiffness of (2 h_x k c - h h_x k^2) |A|^2, and semi-implicit
+    ones of (2 h_x k c + h h_x k^2) |A|^2. They are stable only below 4, and explicit steps only if h k < c, too.
     """
     c0, c1 = scale * qp.c0, scale * qp.c1
     weak, strong, hk = min(c0, c1), max(c0, c1), h * k
