@@ -27,8 +27,8 @@ from moc_opt.solvers.base import Choices, Solution, SolverSettings, Status, no_a
 def unstable(qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool, h_x: float | None = None) -> str | None:
     """Return why Euler steps h of the multipliers and h_x of x (default: h) diverge on ``qp``, or None.
 
-    With c = scale c0 = scale c1, explicit steps have a stiffness of (2 h_x k c - h h_x k^2) |A|^2, and semi-implicit
-    ones of (2 h_x k c + h h_x k^2) |A|^2. They are stable only below 4, and explicit steps only if h k < c, too.
+    With c = scale c0 = scale c1, explicit steps are stable only if h k < c and (2 h_x k c - h h_x k^2) |A|^2 < 4, with
+    the largest singular value |A|. Semi-implicit steps are stable only if (2 h_x k c + h h_x k^2) |A|^2 < 4.
     """
     c0, c1 = scale * qp.c0, scale * qp.c1
     weak, strong, hk = min(c0, c1), max(c0, c1), h * k
@@ -44,7 +44,7 @@ def unstable(qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool, 
     hk_x = hk if h_x is None else h_x * k
     stiff = (2.0 * hk_x * strong + (hk * hk_x if implicit else -hk * hk_x)) * largest * largest
     if not stiff < 4.0:
-        return f"c0, c1 and |A| are too large (stiffness {stiff:.2f}, limit 4): the steps diverge; lower h or k"
+        return f"the steps diverge: c0, c1 and |A| give {stiff:.2f} in place of less than 4; lower h or k"
     return None
 
 
