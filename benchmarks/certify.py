@@ -1,7 +1,7 @@
 """Compute the answers of a test set in exact arithmetic, without the solvers and residuals of moc_opt.
 
-`optimum` minimises rho/2 |x|^2 - c2 grad_mu^T x in rational numbers, under five rows of A x = b: the tip's three rows,
-and the wrist's two across the shaft. HiGHS has to confirm which problems are feasible.
+`optimum` minimises the subproblem's cost in rational numbers, subject to five equality rows (see `five_rows`). HiGHS
+has to confirm which problems are feasible.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ Vector = list[Fraction]
 def five_rows(qp: NullSpaceQP) -> tuple[Array, Array]:
     """Return A (5, n) and b (5,): the tip's three rows and the wrist's two across the shaft.
 
-    Along the shaft, the wrist's row equals the tip's up to rounding. Exact arithmetic would see two different rows, so
-    the wrist's row is left out.
+    Along the shaft, the wrist's row equals the tip's up to rounding. In exact arithmetic, such rows may contradict each
+    other, so the wrist's row is left out.
     """
     directions, sizes, _ = np.linalg.svd(qp.J_tip - qp.J_wrist)
     if sizes[2] > TIED * np.linalg.norm(qp.A):
@@ -47,7 +47,7 @@ def optimum(A: Array, b: Array, pull: Vector, rho: float, lower: Array, upper: A
 
     Joints whose column of A is zero are solved one by one. For the others, all sets of active bounds are tried. The
     first point within the bounds whose multipliers have the right signs is an optimum, because the problem is convex.
-    Return None if there is no such point: the problem is infeasible.
+    Return None if the problem is infeasible.
 
     Args:
         A: (m, n) rows.
@@ -93,9 +93,9 @@ def _alone(gain: Fraction, weight: Fraction, low: Fraction, high: Fraction) -> F
 def _stationary(
     basis: list[Vector], start: Vector, gains: Vector, weight: Fraction, active: dict[int, Fraction]
 ) -> tuple[Vector, Vector] | None:
-    """Return (stationary point, multipliers) for these active bounds. Return None if they are not unique.
+    """Return (stationary point x, multipliers m) for these active bounds. Return None if x or m is not unique.
 
-    With basis N and active joints S, N^T (weight x - gains) = N_S^T m and x_S = bounds.
+    N^T (weight x - gains) = N_S^T m, where N is the basis of ker A, and N_S its rows of the joints in ``active``.
     """
     r, columns = len(basis[0]), list(zip(*basis, strict=True))
     left = [gain - weight * value for gain, value in zip(gains, start, strict=True)]

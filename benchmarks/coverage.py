@@ -2,7 +2,7 @@
 
 python -m benchmarks.coverage [CONFIG.toml] [--out DIR] [--quick] [--json]
 
-The true value is the change from DCAC to MOC over a pool of new trials. Intervals come from random draws of the pool.
+A true value is a metric's change from DCAC to MOC over a pool of new trials. Intervals come from draws of the pool.
 """
 
 from __future__ import annotations
@@ -86,15 +86,15 @@ def work(study: Study, config: Config) -> Found:
 def report(rows: Sequence[dict[str, object]], config: Config) -> Report:
     named = [Column("solver", "solver"), Column("change", "change of")]
     table = Table(f"Nominal 95 % intervals: {config.draws} draws from {config.trials} trials", [
-        *named, Column("true_percent", "pool", unit="%", format="+.1f"),
-        Column("ratios_percent", "mean of ratios", unit="%", format="+.1f", help="mean of each trial's change"),
+        *named, Column("true_percent", "true change", unit="%", format="+.1f"),
+        Column("ratios_percent", "mean of ratios", unit="%", format="+.1f", help="mean of the trials' changes"),
         *(Column(f"covered_{size}", f"{size} trials", unit="%", format=".1f", section="Widths",
-                 help="share of intervals that contain the pool's change") for size in SIZES),
+                 help="share of intervals that contain the true change") for size in SIZES),
     ], rows)  # fmt: skip
     widths = [Column(f"width_{size}", f"{size} trials", unit="%", format=".3g") for size in SIZES]
     shares = [float(str(row[f"covered_{size}"])) for row in rows for size in SIZES]
-    answer = f"Nominal 95 % intervals contain the pool's change in {min(shares):.1f} to {max(shares):.1f} % of draws."
-    folded = Section("Widths", "Medians over the draws.", [Table("Widths of the intervals", [*named, *widths], rows)])
+    answer = f"Nominal 95 % intervals contain the true change in {min(shares):.1f} to {max(shares):.1f} % of draws."
+    folded = Section("Widths", "Medians over draws.", [Table("Widths of the intervals", [*named, *widths], rows)])
     return Report("How often the intervals contain the true change", [answer], table, sections=[folded])
 
 

@@ -38,7 +38,7 @@ from qpbenchmark import ParquetTestSet
 class NullSpace(ParquetTestSet):
     """Subproblems of {joints} joints and {rows} equality rows, from the test sets {sets}."""
 
-    description = "The null-space subproblem of a surgical arm at one control tick: small, with costs of 1e-4."
+    description = "The null-space subproblem of a surgical arm at one control tick. Its costs are below 1e-3."
     title = "{title}"
     sparse_only = False
 
@@ -51,7 +51,7 @@ class NullSpace(ParquetTestSet):
 
 
 def problems(names: Sequence[str], every: int = 1) -> dict[str, NullSpaceQP]:
-    """Return a dict from name to problem: every ``every``-th problem that is feasible."""
+    """Take every ``every``-th problem of each set. Return the feasible ones by name."""
     found = {}
     for name in names:
         check_name(name)

@@ -1,4 +1,4 @@
-"""Goals of the studies: limits for measured figures, and whether the figures meet them."""
+"""Goals of the studies: limits for measured values, and whether the values meet them."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from moc_opt.study.statistics import Change, Interval, spread, too_few
 
 
 class Goal(NamedTuple):
-    """A limit for the value of ``measured``, an `Interval` or a `Change`. The whole interval has to meet it."""
+    """A limit for the value of ``measured`` (number, `Interval` or `Change`). Whole intervals have to meet it."""
 
     what: str
     unit: str  #: unit of the value and the limit
     limit: float
     measured: Callable[[Any], Any]
-    most: bool = True  #: False: the value has to be at least the limit
-    made_of: Callable[[Any], str] = lambda summary: ""  #: describes the parts of the value
-    section: str = ""  #: section of the report with the related figures
+    most: bool = True  #: whether the value has to be at most the limit (True) or at least (False)
+    made_of: Callable[[Any], str] = lambda summary: ""  #: the parts of the value, in words
+    section: str = ""  #: section of the report to which the value is a link
 
 
 def judge(summary: Mapping[str, Any], goals: Mapping[str, Goal]) -> dict[str, dict[str, Any]]:

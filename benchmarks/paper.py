@@ -2,8 +2,7 @@
 
 python -m benchmarks.paper [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-MOC runs with Table I as printed and with tuned parameters. DCAC runs with the paper's gains for
-DCAC, and with MOC's gains.
+MOC runs with the paper's Table I as printed, and tuned. DCAC runs with the paper's gains for DCAC, and with MOC's.
 """
 
 from __future__ import annotations
@@ -52,17 +51,18 @@ MOST_MM = {
 """upper limits of the mean errors [mm]"""
 RULES = (
     "An effect is the change of MOC against a DCAC on the same trials, 100 (mean MOC / mean DCAC - 1), with its 95 % "
-    "interval. Beside it stands the mean of the single trials' ratios. A claim is confirmed against a DCAC if the "
-    "intervals of both numbers lie on the claimed side. A claim holds if it is confirmed against DCAC with MOC's "
-    "gains, which lacks only the third level. If it is confirmed only against DCAC with the paper's (softer) gains for "
-    "DCAC, it is said to hold only against softer gains. It is undecided if the two numbers, or their intervals, "
-    "disagree. Fewer than eight trials decide nothing. The force at the trocar is not judged: it follows the RCM error."
+    "interval. Its second number is the mean of the trials' changes. A claim is confirmed against a DCAC if the "
+    "intervals of both numbers lie on the claimed side. A claim holds if it is confirmed against DCAC with MOC's gains "
+    "(MOC without its third level). If it is confirmed only against DCAC with the paper's (softer) gains for DCAC, it "
+    "is said to hold only against softer gains. It is undecided if the two numbers, or their intervals, lie on "
+    "different sides of the claim's bound. Fewer than eight trials decide nothing. The force at the trocar is not "
+    "judged: it follows the RCM error."
 )
 
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim that a metric's change is above (``upwards``) or below ``bound`` [%]. ``papers``: the paper claims it."""
+    """A claim that a metric's change is above (``upwards``) or below ``bound`` [%]. ``papers``: it is the paper's."""
 
     metric: str
     title: str
@@ -114,7 +114,7 @@ class Group(Settings):
 
 
 class Case(Settings):
-    """Table I with some entries replaced, for MOC and for DCAC."""
+    """Table I with some entries replaced. MOC and DCAC both use it."""
 
     KIND: ClassVar[str] = "[ablation.cases.*]"
     about: str = ""
@@ -146,7 +146,7 @@ class Config(StudyConfig):
     solvers: list[str] = Field(["exact", "rnn", "rnn-printed"], min_length=1)
     best: str = "tuned"
     best_solver: str = "exact"
-    elsewhere: str | None = Field(None, description="a second group (with other starts) to judge the goals")
+    elsewhere: str | None = Field(None, description="a group with other starts, on which the goals are judged too")
     groups: dict[Name, Group] = Field(default_factory=dict, min_length=1)
     ablation: Ablation = Ablation()
     swivel: Swivel = Swivel()
@@ -287,8 +287,8 @@ def goals(rows: Results, group: str | None, solver: str) -> dict[str, dict[str, 
 
 
 def ablation(rows: Results, cases: Mapping[str, Case]) -> list[dict[str, Any]]:
-    """Return one row per case and claim of the paper: the effect (change against DCAC), the effect minus that of case 1
-    (the shift), and whether the case decides the claim.
+    """Return one row per case and claim of the paper: the effect (change against DCAC), the shift (effect minus that of
+    Table I as printed), and whether the case decides the claim.
 
     A case decides a claim if its effect and that of Table I as printed lie on opposite sides of the claim's bound, the
     95 % interval of the difference of the two effects excludes zero, and there are at least eight trials.
@@ -340,7 +340,7 @@ def swivel_trials(config: Config) -> list[Trial]:
 
 
 def swivel(rows: Results, solver: str) -> dict[str, Any]:
-    """Return gains of mean mu [%]: at the start with the largest mu, and least, mean and largest elsewhere."""
+    """Return gains of mean mu [%]: that of the start with the largest mu, and least, mean and largest of the others."""
     top, others = (rows.where(at_maximum=best) for best in (True, False))
     found: dict[str, Any] = {"starts": len(rows) // 2, "broke_off": len(rows.failed())}
     if (of_top := gains(top, solver)) and (of_others := gains(others, solver)):
@@ -371,8 +371,8 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
         f"Do the paper's claims hold? Change against DCAC with the same gains, {count} trials",
         [Column("name", "parameters, solver", section="Claims"),
          *(Column(claim.metric, claim.title, unit="%", section="Claims", help=claim.text) for claim in CLAIMS)],
-        shown, f"✔ the claim {HOLDS}; ≈ not against DCAC with the same gains (the number), but against DCAC with the "
-        f"paper's softer gains; ✘ {FAILS}; ? {too_few(count) or UNDECIDED}. The claims: mu rises by more than "
+        shown, f"✔ the claim {HOLDS}; ≈ it holds only against DCAC with the paper's softer "
+        f"gains; ✘ {FAILS}; ? {too_few(count) or UNDECIDED}. The claims: mu rises by more than "
         f"{CLAIMS[0].bound:g} %, errors fall. Only mu, tip (model) and RCM (model) are claims of the paper.",
     )  # fmt: skip
     answer = []
@@ -421,10 +421,10 @@ def _swivel_picture(rows: Results, summary: Mapping[str, Any]) -> list[Picture]:
     [solver] = (name for name in mine.names() if name != BASELINE)
     each = {row["fraction"]: gains(mine.where(trial=row["trial"]), solver) for row in mine.where(controller=solver)}
     lines = {f"MOC with {solver}": [(x, *gain * 3) for x, gain in each.items() if gain]}
-    drawn = show.lines_picture(lines, "start on the feasible self-motion (ends: 0 and 1)", "gain of mean mu [%]")
+    drawn = show.lines_picture(lines, "start, as a share of the feasible self-motion", "gain of mean mu [%]")
     says = (
-        f"The gain depends on where the elbow starts: {found['gain_at_maximum_percent']:.2g} % at the largest mu, and "
-        f"up to {found['gain_max_percent']:.0f} % elsewhere."
+        f"The gain depends on the start of the elbow: {found['gain_at_maximum_percent']:.2g} % from the start with the "
+        f"largest mu, and up to {found['gain_max_percent']:.0f} % from the others."
     )
     return [Picture(drawn, says, "swivel")]
 

@@ -40,7 +40,7 @@ class Peer(Protocol):
         """Whether `tick` returns torques or velocities."""
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """Return torques [Nm] or velocities [rad/s] (n,). tip_ref has rows X_d, dX_d, ddX_d, and trocar P_t, dP_t."""
+        """Return torques [Nm] or velocities [rad/s] (n,). Rows of tip_ref: X_d, dX_d, ddX_d; of trocar: P_t, dP_t."""
 
 
 def tip_gradient(robot: RobotModel) -> Callable[[Array], Array]:
@@ -55,7 +55,7 @@ def ahead(point: Array, rate: Array) -> Array:
 
 
 def wrist_reference(tip_ref: Array, trocar: Array, span: float) -> Array:
-    """Return wrist position [m] and velocity [m/s] (2, 3) with the shaft through the trocar."""
+    """Return the wrist's position [m] and velocity [m/s] (2, 3) for which the shaft passes through the trocar."""
     return core.desired_wrist(tip_ref[0], tip_ref[1], trocar, span)
 
 
@@ -147,7 +147,7 @@ class _PinkArm:
 
 
 class Pink(_PinkArm):
-    """Differential inverse kinematics with a QP (Caron et al.). All tasks are pink's."""
+    """Differential inverse kinematics with a QP (Caron et al.). It uses only tasks of pink."""
 
     RISE_PER_S, RISE_COST = 0.05, 0.02  # wanted rise of mu [m^3/s], and its weight
 
@@ -173,7 +173,7 @@ class Pink(_PinkArm):
 
 
 class _Rows:
-    """Five hard rows for pink, which `PinkTrimmed` fills in each tick."""
+    """Five hard rows for pink. `PinkTrimmed` sets their values in each tick."""
 
     def __init__(self, n: int, gain: float) -> None:
         self.jacobian, self.error, self.gain = np.zeros((5, n)), np.zeros(5), gain
@@ -193,7 +193,7 @@ class _Climb:
         self._zero, self._gradient = np.zeros((robot.n, robot.n)), tip_gradient(robot)
 
     def compute_qp_residual(self, configuration: Any) -> None:
-        """Return nothing."""
+        """Return nothing, so that mink calls `compute_qp_objective`."""
 
     def compute_qp_objective(self, configuration: Any) -> Any:
         return self._objective(self._zero, -CLIMB * PERIOD_S * self._gradient(self._q_of(configuration)))
@@ -289,7 +289,7 @@ class Verdict(NamedTuple):
 
 
 def circle(robot: RobotModel, duration_s: float = 1.0, offset_m: float = 2e-4) -> Task:
-    """Return a horizontal circle that starts ``offset_m`` above the home pose's tip, the trocar 0.15 m up the shaft."""
+    """Return a horizontal circle that starts ``offset_m`` above the tip's home, and a trocar 0.15 m up the shaft."""
     state = robot.state(robot.data.q_home)
     start = state.tip + np.array([0.0, 0.0, offset_m])
     path = make_path("circle", start, normal=(0.0, 0.0, 1.0), heading=(1.0, 0.0, 0.0), radius=0.03)

@@ -1,8 +1,8 @@
-"""How much mean manipulability is possible along a path, and how much of it does each third level of MOC reach?
+"""How much mean manipulability is possible along a path, and how much of it does MOC reach with each third level?
 
 python -m benchmarks.plan [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-A course is a planned joint motion along a path.
+A course is a joint motion along a path. The third level of MOC moves the elbow up grad mu, or along a planned course.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ STREAM, LOCAL = 7, "local"
 CONTROL = ControlSettings.model_fields
 LOOPS: dict[str, dict[str, Any]] = {
     **{level: {"third_level": level} for level in get_args(CONTROL["third_level"].annotation)},
-    # "receding" and "planned" have a faster observer.
+    # "local" with the faster observer that "receding" and "planned" have
     "local, observer of the courses": {"observer_gain_per_s": CONTROL["course_observer_gain_per_s"].default},
 }
 ERRORS = {"tip": "tip_error_model_mean_mm", "RCM": "rcm_error_model_mean_mm"}
@@ -54,8 +54,8 @@ class Config(StudyConfig):
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
     seed: int = Field(4000, ge=0, description="the limits of courses were chosen on other seeds")
     poses: int = Field(20, ge=1, description="random starts per task and robot")
-    loops: dict[str, dict[str, Any]] = Field(LOOPS, description="a table [control] for each name of a closed loop")
-    halvings: int = Field(3, ge=0, description="starts per robot with a second plan at half the grid spacing")
+    loops: dict[str, dict[str, Any]] = Field(LOOPS, description="changes of [control] for each closed loop, by name")
+    halvings: int = Field(3, ge=0, description="starts per robot that are planned again at half the grid spacing")
     scenario: Scenario = Scenario(start={"pose": "random"})
 
     def quick(self) -> Self:
@@ -194,7 +194,7 @@ def goals(loops: Mapping[str, Any]) -> dict[str, Goal]:
             found[f"{name} {words}"] = Goal(f"change of {words} error from local ({name})", "%", MOST_CHANGE_PERCENT,
                                             interval(name, change_name(error)), section=IN_THE_LOOP)  # fmt: skip
     return found | {
-        "replan": Goal("p99 of the solve time in the worst run (receding)", "ms", MOST_REPLAN_MS,
+        "replan": Goal("p99 of the replanning time in the worst run (receding)", "ms", MOST_REPLAN_MS,
                        lambda s: s["loops"]["receding"]["replan_ms_p99_max"], section=IN_THE_LOOP),
         "scratch": Goal("time of map and search at the slowest start", "s", MOST_SCRATCH_S,
                         lambda s: s["courses"]["scratch_s_max"], section=ALONG),
@@ -224,13 +224,13 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
         Column("trapped", "trapped", format="d", help=f"number of runs with a gap above {TRAPPED_PERCENT:g} %"),
         Column("tip", "tip", unit="%", section=IN_THE_LOOP, help="change of the tip error relative to local"),
         Column("RCM", "RCM", unit="%", section=IN_THE_LOOP, help="change of the RCM error relative to local"),
-    ], first, "✔ the goal is met, ✘ missed, ? undecided. Without a sign: there is no goal.")  # fmt: skip
+    ], first, "✔ the goal is met, ✘ missed, ? undecided. A value without a sign has no goal.")  # fmt: skip
     by_robot = [{"robot": robot, **figures} for robot, figures in summary["courses"].items()]
     arm = Column("robot", "arm")
     by_arm = [goals_table(judged, f"Goals, {robot}") for robot, judged in summary["goals"].items()]
     sections = [
         Section("Goals", "", by_arm),
-        Section(IN_THE_LOOP, "Whole: completed runs. Means over these, with 95 % intervals.", [Table("Closed loops", [
+        Section(IN_THE_LOOP, "Means over the completed runs, with 95 % intervals.", [Table("Closed loops", [
             arm, Column("loop", "third level"), *columns("whole", "trials"),
             Column("gap_percent with interval", "below best from start", unit="%"),
             Column("gap_percent_median", "median", unit="%", format=".2f"),
@@ -243,13 +243,13 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
                 Column("best", "mu, best over all", unit="m^3", format=".4f"),
                 Column("climb_gap_percent", "ideal climb below best from start", unit="%", format=".2f"),
                 Column("climb_gap_percent_max", "largest", unit="%", format=".1f"),
-                Column("start_loss_percent", "start below best", unit="%", format=".2f"),
+                Column("start_loss_percent", "best from start below best over all", unit="%", format=".2f"),
                 Column("start_loss_percent_max", "largest", unit="%", format=".1f")], by_robot),
             Table("Checks of the courses", [
                 arm, Column("certified", "local optima", format="d"),
                 Column("violation_max", "largest violation", unit="m, rad", format=".0e"),
                 Column("bound_gap_percent", "bound above course", unit="%", format=".3f"),
-                Column("unbounded", "courses above bound", format="d"),
+                Column("unbounded", "starts with a course above the bound", format="d"),
                 Column("refined_percent", "gain by refinement", unit="%", format=".3f"),
                 Column("halving_percent_abs_max", "halving the grid", unit="%", format=".3f"),
                 Column("map_s", "map", unit="s", format=".2f"), Column("search_s", "search", unit="s", format=".2f"),

@@ -2,8 +2,8 @@
 
 python -m benchmarks.plant [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-*Registered again*: once the elbow is at rest, the arm touches path and incision a second time. The errors after this
-are not simulated but computed from the same trace, because the motion would hardly change.
+*Registered again*: once the elbow is at rest, the arm touches path and incision a second time. The errors from
+then on are computed from the trace of the same run, because the motion would hardly change.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ SHOWN = {**TITLES, **AFTER}
 JUDGED = "tip_error_registered_mean_mm"
 DEFINED = (
     "Break-even: the calibration error at which MOC's mean tip error in the frame registered at the start reaches a "
-    f"limit, interpolated between the tried sizes. The limits are {MOST_MM:g} mm and {MOST_CHANGE_PERCENT:g} % above "
-    "DCAC's error with the same gains. At the second limit, both 95 % intervals of the change lie above it."
+    f"limit, interpolated between the tried sizes. The limits are {MOST_MM:g} mm and, by both 95 % intervals of the "
+    f"change (see docs/method.md), {MOST_CHANGE_PERCENT:g} % above DCAC's error with the same gains."
 )
 
 
@@ -93,7 +93,7 @@ class Config(StudyConfig):
 
 
 def plant_of(base: PlantSettings, kind: str, size: float) -> PlantSettings:
-    """Return `base` with these calibration errors. The frames' tilt is proportional to the origins' error."""
+    """Return `base` with these calibration errors. The joint frames' tilt is proportional to the origins' error."""
     origins = 1e-3 * size if kind in ("origins", "both") else 0.0
     encoders = 1e-3 * size if kind in ("encoders", "both") else 0.0
     return PlantSettings(**base.model_dump() | {
@@ -239,17 +239,17 @@ def report(summary: Mapping[str, Any], config: Config) -> Report:
     sections = [
         Section("Calibration errors", f"{DEFINED} {FRAMES} {BASE_FRAME}", [
             Table("Break-even", [
-                Column("preset", "preset"), Column("kind", "errors of"), Column("relative", "MOC above DCAC + 5 %"),
+                Column("preset", "preset"), Column("kind", "kind of error"), Column("relative", "MOC above DCAC + 5 %"),
                 Column("absolute", "MOC above 0.1 mm"), Column("absolute_dcac", "DCAC above 0.1 mm"),
             ], evens),
             Table("Mean errors under DCAC/MOC in every frame", [
                 Column("preset", "preset"), Column("off", "error [mm, mrad]"),
                 *(Column(key, title, unit="mm") for key, title in SHOWN.items()),
-                Column("change", "tip, registered, change", unit="%"),
+                Column("change", "change of tip, registered", unit="%"),
             ], rows),
         ]),
         *(Section(f"Defects, preset {preset}", "Means over the completed runs.", [Table(
-            f"Each defect alone and together, preset {preset}", [
+            f"The defects alone and together, preset {preset}", [
                 Column("group", "effect, controller"),
                 *columns(*(["whole"] if any(row["whole"] < row["trials"] for row in groups.values()) else []), *ERRORS),
             ], [{"group": name, **row} for name, row in groups.items()])])
@@ -272,7 +272,7 @@ def sentences(summary: Mapping[str, Any]) -> list[str]:
         )
         text = (
             f"Preset {preset}, {origins['trials']} trials: the calibration error at which MOC's mean registered "
-            f"tip error surely (by 95 % intervals) exceeds DCAC's by {MOST_CHANGE_PERCENT:g} % is {relative}. The "
+            f"tip error exceeds DCAC's by {MOST_CHANGE_PERCENT:g} %, by both 95 % intervals, is {relative}. The "
             f"calibration error at which MOC's mean exceeds {MOST_MM:g} mm is {absolute}."
         )
         here = (preset, "origins", DEFAULT_SIZE_MM)

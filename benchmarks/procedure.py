@@ -47,7 +47,7 @@ class ProcedureSettings(Settings):
 
 
 def perform(parts: ProcedureSettings, scenario: Scenario, name: str, film: Path | None = None) -> dict[str, Any]:
-    """Perform the procedure once on the named task, and return its row of rows.parquet."""
+    """Perform the procedure once on the named task, and return a row for rows.parquet."""
     task = board_task(name)
     robot = scenario.robot.arm()
     home = robot.state(robot.data.q_home)

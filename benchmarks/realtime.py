@@ -242,7 +242,7 @@ GOALS = {key: Goal(*given, section=DETAILS) for key, given in {
     "c": ("share of missed cycles (C, 500 Hz, no load)", "", 1e-5, _share("C, 500 Hz, quiet", 100_000)),
     "python": ("share of missed cycles (Python, 500 Hz, no load)", "", 1e-3, _share("Python, 500 Hz, quiet", 1_000)),
     "quiet stops": ("largest number of stopped runs in a case without load", "", 0.0, _largest("quiet", "stopped")),
-    "rcm": ("largest RCM error from the registered trocar, under load", "mm", 1e3 * SAFE_RCM_M,
+    "rcm": ("largest RCM error (registered trocar) under load", "mm", 1e3 * SAFE_RCM_M,
             _largest("loaded", "rcm_max_mm")),
     "stops": ("largest number of unclean stops in a case under load", "", 0.0,
               lambda s: _largest("loaded", "unclean")(s) if _largest("loaded", "stopped")(s) else None),
@@ -258,7 +258,7 @@ def sentences(summary: Mapping[str, Any]) -> list[str]:
     if quiet:
         each = [f"{name.rpartition(', ')[0]} {found['missed']} of {found['cycles']:,}" for name, found in quiet.items()]
         stalled = sum(found["overruns"] for found in quiet.values())
-        said.append(f"Cycles missed on a quiet machine: {'; '.join(each)}. {stalled} ticks began over a period late.")
+        said.append(f"Cycles missed on a quiet machine: {'; '.join(each)}. {stalled} ticks began over one period late.")
     loaded = [found for name, found in cases.items() if name.endswith("loaded")]
     if loaded:
         keys = ("missed", "cycles", "stopped", "unclean")
@@ -281,16 +281,16 @@ def report(summary: Mapping[str, Any], subject: str = "") -> Report:
         Column("name", "case"), Column("cycles", "cycles", format=",d"),
         Column("missed", "missed", format="d", help="cycles without a command in time"),
         Column("in_100000", "per 100,000", help="missed cycles, with the 95 % interval"),
-        Column("overruns", "plant stalled", format="d", help="number of ticks that began more than a period late"),
+        Column("overruns", "plant stalls", format="d", help="number of ticks that began more than a period late"),
         *(Column(time, title, unit="us") for time, title in TIMES.items()), Column("stopped", "stops", format="d"),
         Column("unclean", "not clean", format="d", help="stops with a large RCM error, or with moving joints"),
         Column("rcm_max_mm", "RCM error, worst", unit="mm", format=".2f"),
     ], rows)  # fmt: skip
     how = (
         "Quiet: the study starts nothing else. Loaded: one more process per core computes without a pause. The "
-        "machine's load is its one-minute average after the last case. Times are median / 99th percentile / 99.99th "
-        "percentile / longest. Brackets: 95 % interval.\n\nMissed: cycles without a command in time. Plant stalled: "
-        "ticks of the plant that began more than a period late. Wake-up latency: how late a tick of the plant begins. "
+        "machine's load is read after the last case, as its one-minute average. Times are median / 99th percentile / "
+        "99.99th percentile / longest. Brackets: 95 % interval.\n\nMissed: cycles without a command in time. Plant "
+        "stalls: plant ticks that began more than a period late. Wake-up latency: how late a tick of the plant begins. "
         "Round trip: from the departure of a measurement to the arrival of its torque, over the loopback. Controller: "
         "the time of safety filter and control law. Not clean: runs that neither completed, nor stopped at rest with "
         "an RCM error below 2 mm."

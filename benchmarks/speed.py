@@ -32,7 +32,7 @@ Names = Literal["all"] | list[str]
 Summary = Mapping[str, Any]
 TICKS, PEERS, SOLVERS, LOOP = "Ticks", "Other libraries", "Solvers", "Loop"
 TIMED = ("tick", "tick_parts", "peers", "adapters", "loop")
-"""parts with counters of the machine's load"""
+"""parts whose rows have the entries `moc_opt.study.timing.COUNTED`"""
 
 
 class Config(StudyConfig):
@@ -42,7 +42,7 @@ class Config(StudyConfig):
     batch: Count = 1_000_000
     adapters: Names = "all"
     runs: Count = 5
-    starts: Count = Field(5, description="new processes to time the first torque, and again for `moc-opt run`")
+    starts: Count = Field(5, description="new processes that time the first torque, and as many for `moc-opt run`")
     peers: Names = "all"
     scenario: Scenario = Scenario()
 
@@ -177,7 +177,7 @@ COLUMNS = {
         Column("tick_cold_p50_us", "cold", unit="us", format=".1f", better="low",
                help="median over the first five calls of each chunk"),
         Column("tick_mean_us", "mean", unit="us", format=".1f",
-               help="mean time of a tick; the exported program (`c`) prints it instead of percentiles"),
+               help="mean time of a tick; for `c`, there are no percentiles"),
         Column("tick_max_us", "longest", unit="us", format=".1f", better="low"),
     ]),
     "tick_parts": ("Parts of a tick with exact", [
@@ -216,7 +216,7 @@ SECTIONS = {
     SOLVERS: (
         ("adapters",),
         "`daqp by hand` is daqp without its adapter, but with the adapter's settings. It is set up once. Each "
-        "solve loads the numbers from the same arrays, and reads x and the multipliers.",
+        "solve fills the adapter's arrays with a problem, and reads x and the multipliers.",
     ),
     LOOP: (
         ("loop",),
@@ -236,7 +236,7 @@ def report(summary: Summary, times: Mapping[str, ArrayLike], subject: str = "") 
         Section(title, text, shown) for title, (keys, text) in SECTIONS.items()
         if (shown := [tables[key] for key in keys if key in tables])
     ]  # fmt: skip
-    says = "Time of a tick. A curve further left: a faster controller. A steeper curve: times that vary less."
+    says = "Time of a tick. The further left a curve, the faster the controller. Steep curve: the times vary little."
     pictures = [Picture(latency_ecdf(times), says, "ticks")] if times else []
     first = goals_table(summary["goals"])
     return Report("What everything costs", sentences(summary), first, pictures, sections,

@@ -79,15 +79,15 @@ class Draw(Settings):
 class RandomSample(Settings):
     KIND: ClassVar[str] = "[random]"
     samples: int = Field(1, ge=1, le=MOST_RUNS)
-    fields: dict[str, Any] = Field(default_factory=dict, description="a range or a choice for each path")
+    fields: dict[str, Any] = Field(default_factory=dict, description="a range or a choice, by dotted path of the field")
 
 
 class Config(StudyConfig):
     seeds: int | list[int] = Field(1, description="number of seeds, or a list of seeds")
-    solvers: list[str] | None = Field(None, description="None: the scenario's solver; dcac has no solver")
+    solvers: list[str] | None = Field(None, description="solvers; 'dcac' needs none. None: the scenario's solver")
     timed: bool = Field(False, description="make one run at a time and keep its times")
     run_limit_s: float = Field(600.0, gt=0.0, le=MOST_S, description="a run that takes longer is stopped")
-    grid: dict[str, Any] = Field(default_factory=dict, description="a list of values for each path")
+    grid: dict[str, Any] = Field(default_factory=dict, description="a list of values, by dotted path of the field")
     random: RandomSample = RandomSample()
     settings: dict[str, dict[str, Any]] = Field(default_factory=dict, description="settings of each solver")
     scenario: Scenario = Scenario()
@@ -124,7 +124,7 @@ class Config(StudyConfig):
 
 
 def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield (dotted path, value). A table with low, high or choice is a value."""
+    """Yield (dotted path, value). A table that has a key low, high or choice counts as a value."""
     for name, value in table.items():
         path = f"{prefix}{name}"
         if path in ELSEWHERE:
@@ -268,7 +268,7 @@ def report(summary: Mapping[str, Any], rows: Results, axes: Mapping[str, list[An
                      "Means over the runs that completed their task.")  # fmt: skip
 
     mu = {name: row["mu_mean"] for name, row in summary["all"].items() if "mu_mean" in row}
-    answer = [f"{len(rows.failed())} of {len(rows)} runs have no complete result."]
+    answer = [f"{len(rows.failed())} of {len(rows)} runs did not complete their task."]
     if len(mu) > 1:
         best, worst = max(mu, key=mu.__getitem__), min(mu, key=mu.__getitem__)
         answer.append(f"Mean manipulability is between {mu[worst]:.4f} ({worst}) and {mu[best]:.4f} ({best}) m^3.")

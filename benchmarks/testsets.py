@@ -2,7 +2,7 @@
 
 python -m benchmarks.testsets [--check]
 
-Most sets hold problems at random arm poses of one kind. On one machine, the same seed gives the same problems to the
+Most sets hold problems of one kind, at random arm poses. On one machine, the same seed gives the same problems to the
 last bit. Six sets are sequences, recorded in closed loop at 500 Hz. Each begins with the elbow near the middle of its
 range. The control law has changed since the recording, so their problems are not made again but taken from the files.
 --check compares new problems with those in the files, and the files' answers with newly certified answers.
