@@ -17,7 +17,7 @@ SOURCES = "_modules"  # not checked: viewcode's links back to the documentation 
 
 
 def broken(site: Path) -> list[tuple[str, str]]:
-    """Return (page, link) of every broken local link of the pages below a folder."""
+    """Return (page, link) for each broken local link in the pages below a folder."""
     found = []
     for page in sorted(site.rglob("*.html")):
         if page.relative_to(site).parts[0] in (REPORTS, SOURCES):
