@@ -56,7 +56,7 @@ def solvers() -> tuple[str, Rows, str]:
         rows[name] = {"here": reason or "yes", "settings": json.loads(json.dumps(settings, default=repr))}
     absent = ", ".join(name for name, row in rows.items() if row["here"] != "yes")
     note = f"Not installed: {absent}; --json says what is missing." if absent else ""
-    return "Solvers: [solver] name, [solver.settings]", rows, note
+    return "Solvers, for the keys name and settings of [solver]", rows, note
 
 
 def robots() -> tuple[str, Rows, str]:
@@ -71,7 +71,7 @@ def robots() -> tuple[str, Rows, str]:
         "Freedoms: independent joint motions with tip and wrist at rest. Idle joints, which never move tip or wrist, "
         "do not count. A name can also be the path of your own robot file. `moc-opt robot check NAME` checks an arm."
     )
-    return "Robots: [robot] name", rows, more
+    return "Robots, for the key name of [robot]", rows, more
 
 
 def tasks() -> tuple[str, Rows, str]:
@@ -84,11 +84,11 @@ def tasks() -> tuple[str, Rows, str]:
             known = {}  # a plug-in that does not load: `words` says why
         given = {key: None if value is inspect.Parameter.empty else value for key, value in known.items()}
         rows[name] = {"sizes": given, "about": words}
-    return "Tasks: [task] path, [task.sizes]", rows, "Lengths in m."
+    return "Tasks, for the keys path and sizes of [task]", rows, "Lengths in m."
 
 
 def metrics() -> tuple[str, Rows, str]:
     """List the metrics; return (title, rows, note)."""
     load_plugins()
     rows = {name: {"unit": one.unit, "about": one.about} for name, one in METRICS.items()}
-    return "Metrics: metrics = [...] in a scenario, or moc-opt run --metric", rows, ""
+    return "Metrics, for the key metrics of a scenario, or for moc-opt run --metric", rows, ""

@@ -31,7 +31,7 @@ def option(*names: str, **settings: Any) -> Option:
 def path(text: str) -> Path:
     """Return the text as a path; refuse "", which would be the current folder."""
     if not text:
-        raise argparse.ArgumentTypeError("the path is empty: give one")
+        raise argparse.ArgumentTypeError("the path is empty: give a path")
     return Path(text)
 
 
@@ -130,7 +130,7 @@ COMMANDS = {
     ), "Exit status: 0 the plant ended the run after the last tick; 2 the input is wrong; 3 the controller asked for a "
        "stop, or the plant ended the run early or fell silent."),
     "compare": Command("commands.making:compare_solvers",
-                       "compare solvers with each other and with control without level 3, on random trials", (
+                       "compare solvers with each other, and with control without level 3, on random trials", (
         option("solvers", nargs="+", metavar="SOLVER", help="names from `moc-opt solvers --list`"),
         option("--scenario", type=path, metavar="FILE.toml", help="if left out, all settings have their defaults"),
         option("--trials", type=int, default=15, help="number of random start poses; default 15"),

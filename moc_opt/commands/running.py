@@ -165,7 +165,7 @@ def _matched_dcac(scenario: Scenario, title: str, ticks: int) -> Trace | None:
     matched = scenario.change(control=scenario.control.matched_dcac(), bound_samples=0, best_courses=False)
     trace = _as_far_as_it_goes(lambda: run(matched))
     if len(trace) < ticks or "mu" not in trace.columns:
-        print(f"{title}: not compared with DCAC, whose run ended: {trace.meta['ended']}", file=sys.stderr)
+        print(f"{title}: not compared with DCAC, because its run ended: {trace.meta['ended']}", file=sys.stderr)
         return None
     return trace.head(ticks)
 
@@ -174,7 +174,7 @@ def _matched_dcac(scenario: Scenario, title: str, ticks: int) -> Trace | None:
 
 
 def run_plant(given: argparse.Namespace) -> int:
-    """Run the plant for a controller in another process; return the exit status."""
+    """Run the plant in this process, for a controller in another one; return the exit status."""
     from moc_opt.realtime.clock import ask_for_realtime
     from moc_opt.realtime.wire import written
     from moc_opt.scenario.wired import PlantServer
@@ -192,15 +192,15 @@ def run_plant(given: argparse.Namespace) -> int:
 
 
 def run_control(given: argparse.Namespace) -> int:
-    """Run the controller for a plant in another process; return the exit status."""
+    """Run the controller in this process, for a plant in another one; return the exit status."""
     from moc_opt.realtime.clock import ask_for_realtime
     from moc_opt.scenario.wired import answer
 
     (scenario, title), granted = read_scenario(given.scenario), dict[str, str]()
     if scenario.control.third_level == "receding":
         print(
-            "control: third_level = 'receding' replans within a tick, which takes about 10 ms: in real time, this tick "
-            "is missed; start the plant with --lock-step, or use third_level = 'planned'", file=sys.stderr,
+            "control: third_level = 'receding' replans within a tick. This takes about 10 ms, so that in real time the "
+            "tick is missed; start the plant with --lock-step, or use third_level = 'planned'", file=sys.stderr,
         )  # fmt: skip
     first = "planning the course, then " if scenario.control.follows else ""
     where = f"{given.connect}, for up to {scenario.wire.wait_s:g} s"

@@ -55,7 +55,7 @@ class Controller:
     ) -> None:  # fmt: skip
         if (settings.law == "moc") != (solver is not None):
             name = getattr(solver, "name", None)
-            raise ControlError(f"law = {settings.law!r} with solver {name!r}: 'moc' needs a solver, 'dcac' none")
+            raise ControlError(f"law = {settings.law!r} with solver {name!r}: 'moc' needs a solver, 'dcac' takes none")
         self.robot, self.settings, self.solver, self._period = robot, settings, solver, period
         self._law = core.Law(robot.arm, **numbers_of(settings, robot, period))
         if guide is not None or (settings.climb == "scaled" and settings.law == "moc"):
@@ -115,7 +115,7 @@ class Controller:
     )
     faults = property(
         lambda self: self._supervisor.faults,
-        doc="Faults since the start: label -> dict with ``count``, ``first_at_s`` and ``first`` (the first message).",
+        doc="Faults since the start, by label: dicts of ``count``, ``first_at_s`` and ``first`` (the first message).",
     )
 
     @property

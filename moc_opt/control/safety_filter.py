@@ -39,9 +39,9 @@ class SafetyFilter:
         robot: the model of the arm.
         settings: see SafetyFilterSettings.
         period: control period [s].
-        carries: whether the torque carries the arm's weight.
+        carries: whether the torque carries the arm's weight. If not, the drives do.
         incision: whether the tool is in an incision. If not, RCM error and trocar force are not checked.
-        momentum: whether `limit_torque` computes the state if none is given. Without a state, motion is not checked.
+        momentum: whether the momentum residuals are checked even if `limit_torque` is called without a state.
 
     Attributes:
         limited: number of joints whose torque the last call of `limit_torque` changed.

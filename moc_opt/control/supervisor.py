@@ -33,15 +33,15 @@ class Fault(Enum):
     RAISED = "the solver raised an exception"
     MALFORMED = "the answer does not have the form of a Solution"
     NOT_FINITE = "the answer holds NaN or infinity"
-    OUTSIDE = "the answer leaves the box or misses the references by more than the check allows"
-    FALSE_OPTIMUM = "the solver claimed an optimum, but the residual check disagrees"
+    OUTSIDE = "the answer violates A x = b or the bounds by more than the check allows"
+    FALSE_OPTIMUM = "the solver claimed an optimum, but the residuals refute it"
     LATE = "the solver took longer than its budget"
-    LOST = "the solver's process hung or ended, and is replaced"
+    LOST = "the solver's process hung or ended; a new process replaces it"
 
     label: str  #: Name in traces and reports.
 
     def __init__(self, meaning: str) -> None:
-        # Older traces have the label "lied".
+        # The label "lied" is kept from older versions.
         self.label = "lied" if self.name == "FALSE_OPTIMUM" else self.name.lower()
 
 

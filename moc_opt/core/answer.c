@@ -2,7 +2,7 @@
 #include "vec.h"
 
 #define AT_BOUND 1e-4          /* largest distance from a bound that counts as zero [rad/s] */
-#define PASSES 2e-3            /* see moc_judge: up to this `natural`, `off` and `opposite` may stay zero [rad/s] */
+#define PASSES 2e-3            /* largest `natural` with which moc_judge may leave `off` and `opposite` zero [rad/s] */
 #define NO_GRADIENT 1e-12      /* largest |part of pull in ker A| / (largest entry of pull) that counts as zero */
 #define IMMOBILE 1e-12         /* lower bound on the divisors in least_violation [m^2] */
 #define GRADIENT_ROUNDING 1e-9 /* largest length of a descent direction that counts as zero */
@@ -41,10 +41,10 @@ static double steepest_descent(const moc_problem *p, int rows, double Z[][MOC_MA
     return scale;
 }
 
-/* `natural`, `off` and `opposite` are measured along a line of self-motion. If several joints are free, this line has
- * the direction of steepest feasible descent. Then, or with a faint gradient (c2 max |pull_j| <= rho), `off` and
- * `opposite` stay zero if natural <= PASSES. Along the line, let s be the coordinate of x and g the component of pull.
- * The cost is rho s^2 / 2 - c2 g s. The optimum is clip(c2 g / rho); for the negated gradient, clip(-c2 g / rho). */
+/* `natural`, `off` and `opposite` (see moc_residuals) are measured along a line of self-motion through x. If there are
+ * several freedoms, it is the line of steepest feasible descent. Then, and also if c2 max |pull_j| <= rho, `off` and
+ * `opposite` stay zero if natural <= PASSES. With the coordinate s along the line and pull's component g, the cost is
+ * rho s^2 / 2 - c2 g s. Its optimum is c2 g / rho (-c2 g / rho for the negated gradient), clipped to the bounds. */
 moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS], const double *x)
 {
     moc_residuals found = {0.0, 0.0, 0.0, 0.0, 0.0};
@@ -64,7 +64,7 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
     moc_onto(n, rows, Z, p->pull, line);
     if (sqrt(dot(n, line, line)) <= NO_GRADIENT * steepest || !(p->c2 > 0.0))
         return found;
-    /* if the cost follows x_d (moc_fill_problem), pull may be almost zero: rho bounds the scale from below */
+    /* pull may be almost zero if it is (rho / c2) x_d (see moc_fill_problem), so the scale is at least rho */
     double scale = larger(p->c2 * steepest, p->rho);
     int several = freedoms > 1, faint = p->rho >= p->c2 * steepest;
     if (several) {
