@@ -60,7 +60,7 @@ class StudyConfig(Settings):
             raise
 
     def quick(self) -> Self:
-        """Return the configuration of a quicker study (here the same)."""
+        """Return the configuration for ``--quick``. The base class changes nothing."""
         return self
 
 
@@ -170,7 +170,7 @@ def check_folder(out: Path) -> None:
 
 
 def leave(found: Found, study: Study, config: StudyConfig, argv: Sequence[str]) -> None:
-    """Write the files of a study and print its answer."""
+    """Write the files of a study. Print its report, or its summary with ``--json``."""
     out = study.out
     out.mkdir(parents=True, exist_ok=True)
     surroundings = environment(config.model_dump(mode="json"), config.seed, argv)

@@ -126,7 +126,7 @@ def run(
                     kept.put(keys[k], result, answer.sources)
                 finish(k, result)
     gone, answers = Counter[str](), list[Any]()
-    for k, job in enumerate(jobs):  # which jobs are skipped depends on their order, not on timing
+    for k, job in enumerate(jobs):  # the returned list depends on the order of the jobs, not on timing
         answers.append(_not_begun(job.group) if job.group and gone[job.group] >= give_up else results[k])
         gone[job.group] += _broke(answers[-1])
     return answers
@@ -199,7 +199,7 @@ def _answer(future: Answer, job: Job) -> _Done | Failed:
     except ProcessExpired as error:
         code = error.exitcode or 0
         if -code in (signal.SIGALRM, signal.SIGPROF):
-            return Failed("hung", "no answer within the limit that the job set itself")
+            return Failed("hung", "no answer within the limit of the alarm that the job set")
         how = signal.Signals(-code).name if code < 0 else f"exit code {code}"
         return Failed("crashed", f"the process died ({how})")
     except BrokenProcessPool:
@@ -272,7 +272,7 @@ def _processes(count: int) -> Iterator[tuple[Submit, int]]:
         def submit(job: Job) -> Answer:
             nonlocal pool
             parts = str(Path(folder, "parts", str(next(numbers))))
-            if not pool.active:  # pebble stops a pool whose only worker dies at its start
+            if not pool.active:  # pebble stops a pool if the only worker dies at start-up
                 ended()
                 pool = started()
             future: Any = pool.schedule(_do, args=[job.work, job.arguments, parts], timeout=job.limit_s)

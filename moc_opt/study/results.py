@@ -31,7 +31,7 @@ TITLES = {
 }
 """Column headings of `ERRORS` and of their changes."""
 FRAMES = (
-    "Model: the error by the robot's kinematic model; the controller can correct it. Registered: the error "
+    "Model: the error computed with the robot's kinematic model; the controller can correct it. Registered: the error "
     "relative to the points touched at the start; it matters to the patient."
 )
 BASE_FRAME = "Base: the error in the base frame (absolute accuracy)."
@@ -88,7 +88,7 @@ class Results:
             return None
 
     def pairs(self, metric: str, controller: str, baseline: str = BASELINE) -> tuple[list[float], list[float]]:
-        """Return both controllers' values on trials that both completed. A phase's mean is weighted by its ticks."""
+        """Return both controllers' values on trials that both completed. A phase's mean is multiplied by its ticks."""
         mine, theirs = self.values(metric, controller), self.values(metric, baseline)
         both = [trial for trial in mine if trial in theirs]
         phase = next((phase for phase in PHASES if metric.startswith(f"{phase}_")), None)

@@ -33,7 +33,7 @@ HUNG, CRASHED, RAISED, NOT_ASKED, REFUSED = "hung", "crashed", "raised", "not as
 BROKEN_SETS = 3  # after hangs or crashes in this many sets, a solver's later sets are skipped
 HOURS = 1e5  # time limit of a whole set [s]
 WARM_UP = 16  # untimed solves at the start
-CONTRADICTION = 1e-13  # a larger difference of `TestSet.rows` and `TestSet.judged` is no rounding error [m/s]
+CONTRADICTION = 1e-13  # threshold: a larger change of b by `TestSet.judged` is no rounding error [m/s]
 RIGHTLY = 0.99  # a solver's times are compared only if at least this share of its answers is right
 RESIDUALS = ("primal", "natural", "natural_best", "relative", "loss")
 
@@ -53,7 +53,7 @@ Question = tuple[SolverSetting, TestSet]
 
 
 class Answer(NamedTuple):
-    """A solver's answer: status, iterations, x (n,), y (6,), and a description of any defect."""
+    """A solver's answer: status, iterations, x (n,), y (6,), and ``trouble`` (an exception or defect, or "")."""
 
     status: str
     iterations: int
@@ -65,7 +65,7 @@ class Answer(NamedTuple):
 class Answers:
     """One solver's answers to one set of k problems, with their residuals.
 
-    ``refused`` says why the solver does not accept the problems. ``events`` lists its errors.
+    ``refused`` says why the solver does not accept the problems. ``events`` lists exceptions, hangs and crashes.
     """
 
     def __init__(self, setting: SolverSetting, problems: TestSet, result: list[Any] | Failed) -> None:
@@ -94,8 +94,8 @@ class Answers:
     def counts(self) -> dict[str, int]:
         """Count the answers by outcome (see docs/solvers.md).
 
-        If the six rows of a feasible problem contradict each other, "infeasible" is neither right nor wrong.
-        `refused_inconsistent` counts these answers.
+        If the six equality rows contradict each other, but five independent ones are feasible, "infeasible" is
+        neither right nor wrong. `refused_inconsistent` counts these answers.
         """
         status, feasible = self.status, self.problems.feasible
         claimed, infeasible = status == "solved", status == "infeasible"

@@ -13,7 +13,7 @@ from moc_opt.solvers.registry import defaults
 
 DEFAULT, TIGHT, RECOMMENDED = "default", "tight", "recommended"
 QPSOLVERS, NONLINEAR = "qpsolvers:", "nlp-"
-"""Prefixes of solvers that are called through qpsolvers, and of nonlinear solvers."""
+"""Prefixes of the names of solvers that are called through qpsolvers, and of nonlinear solvers."""
 SETTINGS = tomllib.loads(Path(__file__).with_name("solver-settings.toml").read_text(encoding="utf-8"))
 AS_QPSOLVERS_CALLS_IT = {"rows": 6, "cost_scale": 1.0, "advised": False}
 
@@ -39,7 +39,7 @@ class SolverSetting:
 
     @property
     def nonlinear(self) -> bool:
-        """Whether the solver answers the nonlinear problem of the tick."""
+        """Whether the solver solves a nonlinear version of the subproblem."""
         return self.solver.startswith(NONLINEAR)
 
     @property
@@ -69,7 +69,7 @@ def of(name: str) -> dict[str, tuple[dict[str, Any], str]]:
     if TIGHT in tables:
         values = ", ".join(f"{key} = {value:g}" for key, value in tables[TIGHT]["options"].items())
         found[TIGHT] = ({**AS_QPSOLVERS_CALLS_IT, **tables[TIGHT]}, values)
-    found[RECOMMENDED] = ({}, "five rows and a scaled cost; options not in this row keep the library's defaults")
+    found[RECOMMENDED] = ({}, "five rows and a scaled cost; options not named here keep the library's defaults")
     return found
 
 

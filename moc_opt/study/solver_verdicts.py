@@ -28,7 +28,7 @@ GAPS, NEAR = Mark("◐", "gaps", "fair", 2), Mark("≈", "near", "fair", 3)
 OTHER, OPEN = Mark("≠", "other", "other", 4), Mark("–", "open", "other", 5)
 AVOID = Mark("✘", "avoid", "bad", 6)
 TONES = {TAKE: GOOD, SOUND: GOOD, GAPS: list(SERIES)[4], NEAR: list(SERIES)[4], OTHER: MUTED, OPEN: BAD, AVOID: WORST}
-TOO_MUCH = 5.0  # a solver with a larger loss / tolerance (see `COSTS`) is to be avoided
+TOO_MUCH = 5.0  # threshold of a loss divided by its tolerance (see `COSTS`)
 COSTS = {
     "mu_mean": ("mu", 0.01),
     "tip_error_model_mean_mm": ("tip", 0.05), "tip_error_registered_mean_mm": ("registered tip", 0.05),
@@ -39,8 +39,8 @@ COSTS = {
 FRAMED = tuple(name for name in COSTS if "_error_" in name)
 CERTIFIED, RECORDED, CLOSED = "Certified test sets", "Recorded sequence", "Closed loop"
 INCONSISTENT = (
-    "Inconsistent: the six rows contradict each other along the shaft, by 1e-12 to 1e-4 m/s, while five of them have a "
-    "certified optimum. 'Infeasible' is true of the six rows, but useless for the robot: neither right nor wrong."
+    "Inconsistent: the six rows contradict each other along the shaft, by 1e-12 to 1e-4 m/s, while five independent "
+    "rows have a certified optimum. 'Infeasible' is true, but useless for the robot: neither right nor wrong."
 )
 
 
@@ -110,7 +110,7 @@ def _order(row: Row) -> tuple[float, float, float]:
 
 
 def _damage(row: Row, reference: str | None, runs: Results) -> tuple[Any, float]:
-    """Return (text, size) of the worst loss. The size of an uncertain loss is 0."""
+    """Return the worst loss as text, and the loss divided by its tolerance (0 if the loss is uncertain)."""
     for word, count in _ended(row["closed"]).items():
         if count:
             return f"{count} {word}", TOO_MUCH
@@ -187,7 +187,7 @@ def _why(summary: Summary, row: Row, others: Sequence[Row], asked: int) -> str:
 def _in_closed_loop(row: Row, shared: int) -> str:
     closed, trials = row["closed"], row["trials"]
     if few := too_few(trials):
-        return f"The effect of sound answers in closed loop is open: {few}."
+        return f"The effect of sound answers in closed loop is unknown: {few}."
     names = ("mu_mean", *(name for name in FRAMED if "registered" in name))
     mu, tip, rcm = (spread(closed, change_name(name), 2, "+", " %") for name in names)
     shaken = f"; {count} of them oscillated" if (count := closed.get("oscillated", 0)) else ""
@@ -239,7 +239,7 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
     columns = [
         Column("solver", "solver"), Column("verdict", "verdict"),
         Column("right_percent", "right", unit="%", format=".2f", section=kind,
-               help="verified, or rightly called infeasible; refused problems do not count"),
+               help="verified, or rightly called infeasible; without refused inconsistent problems"),
         Column("silently_wrong", "wrong", format=".0f", section=kind, help="claimed as solved, but not optimal"),
         Column("p50_us", "p50", unit="us", section=recorded, help="median time of a warm solve"),
         Column("p99_us", "p99", unit="us", section=recorded, help="one solve in a hundred is slower"),
@@ -248,19 +248,19 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
         "★ take: the sound solver with the smallest p99. ✔ sound: no other verdict applies. ◐ gaps: less than "
         f"{100 * RIGHTLY:g} % right, but never silently wrong. ≠ other: it solves a nonlinear version of the problem, "
         "so its answers are not judged.",
-        "≈ near: it never calls an answer optimal, or its loss surely (both 95 % intervals) exceeds the tolerance.",
+        "≈ near: it never calls an answer optimal, or both 95 % intervals of a loss lie beyond its tolerance.",
         "✘ avoid: it was silently wrong, hung or crashed; or one of the trials that all solvers ran broke off or "
-        f"oscillated; or its loss surely exceeds {TOO_MUCH:g} tolerances. docs/solvers.md has the exact rules.",
-        'Right: share of answers that are claimed and verified, or rightly "infeasible"; refused problems do not '
-        "count. Wrong: number of silently wrong answers. A dash (–) means not run or not judged.",
+        f"oscillated; or both intervals of a loss lie beyond {TOO_MUCH:g} tolerances. docs/solvers.md gives the rules.",
+        'Right: share of answers that are claimed and verified, or rightly "infeasible"; problems refused as '
+        "inconsistent do not count. Wrong: number of silently wrong answers. A dash (–) means not run or not judged.",
     ]
     if any(row["trials"] for row in rows):
         columns += [
-            Column("damage", "worst loss", section=CLOSED, help="worst change beyond tolerance, relative to the best"),
+            Column("damage", "worst loss", section=CLOSED, help="the mean that exceeds its tolerance most"),
             Column("tip_change", "tip model/ registered", unit="%", section=CLOSED, help="change relative to DCAC"),
         ]  # fmt: skip
         said += [
-            "Worst loss: of all means in closed loop, the one that is worst relative to ★. Tolerances: mean mu "
+            "Worst loss: the mean in closed loop that is worse than ★'s by the most tolerances. Tolerances: mean mu "
             f"{100 * COSTS['mu_mean'][1]:g} %, tip and RCM errors {100 * COSTS[FRAMED[0]][1]:g} %, chatter (rms of the "
             f"torque's rate of change) {100 * COSTS['torque_rate_rms_Nm_per_s'][1]:g} %. None: all means are within "
             "tolerance.",

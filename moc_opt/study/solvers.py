@@ -119,7 +119,7 @@ class Config(StudyConfig):
         return trials(base, part.tasks, seeds(self.seed, STREAM, part.trials))
 
     def but(self, **changes: Any) -> Self:
-        """Return a validated copy with these entries changed. A dict changes entries of a table."""
+        """Return a validated copy with these entries changed. For a table, give a dict of the changed entries."""
         tables = {name: getattr(self, name).replace(of) for name, of in changes.items() if isinstance(of, dict)}
         return self.replace(changes | tables)
 
@@ -231,11 +231,11 @@ def report(found: Work) -> Report:
     ]  # fmt: skip
     sections = found.sections
     if troubles:
-        shown = [SOLVER, Column("part", "part"), Column("trouble", "first trouble, or reason")]
+        shown = [SOLVER, Column("part", "part"), Column("trouble", "first error, or why it did not run")]
         went_wrong = Table("What went wrong, and what did not run", shown, troubles)
         sections = [*sections, Section("Exceptions, hangs and crashes", "", [went_wrong])]
     title = f"Solvers of the null-space subproblem on the {scenario.robot.name}"
-    about = f"{', '.join(found.config.closed_loop.tasks)}; gains {scenario.control.gains}; all judged alike"
+    about = f"{', '.join(found.config.closed_loop.tasks)}; gains {scenario.control.gains}"
     return Report(
         title, sentences(summary, rows), first_table(summary, rows), pictures(summary, rows, scenario.deadline_us),
         sections, load(found.timed), about,
@@ -255,7 +255,7 @@ def main(arguments: Sequence[str] | None = None, *, program: str = "moc-opt solv
         parser.add_argument("--parts", nargs="+", metavar="PART", choices=PARTS, help=f"run only {', '.join(PARTS)}")
 
     return command(
-        "solvers", "Compare the solvers, open loop and in closed loop.", Config, work, arguments,
+        "solvers", "Compare the solvers in open loop and in closed loop.", Config, work, arguments,
         options=options, folder=Path(__file__).parent, program=program,
     )  # fmt: skip
 

@@ -55,7 +55,7 @@ class Interval(NamedTuple):
 
 
 class Change(NamedTuple):
-    """A change [percent]: ``ratio``: of the mean over trials; ``ratios``: mean over trials of each trial's change."""
+    """Changes [percent]: ``ratio`` is the change of the mean over trials, ``ratios`` the mean of their changes."""
 
     ratio: Interval
     ratios: Interval
@@ -85,7 +85,7 @@ class Change(NamedTuple):
 
 
 def spread(entries: Mapping[str, Any], name: str, digits: int = 3, sign: str = "", unit: str = "") -> str | None:
-    """Return a summary's number and its interval as text, or None if it is absent."""
+    """Return a summary's number and its interval as text, or None if the number is absent."""
     value, low, high = (entries.get(key) for key in (name, f"{name}_low", f"{name}_high"))
     if value is None:
         return None

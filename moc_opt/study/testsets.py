@@ -1,4 +1,4 @@
-"""Test sets of the subproblem with certified answers, which ``benchmarks/testsets.py`` makes.
+"""Test sets of the subproblem with certified answers. ``benchmarks/testsets.py`` makes these sets.
 
 A set is an .npz with ``rows`` (k, 11 n + 10), ``x`` (k, n) (NaN if infeasible), and ``feasible`` (k,).
 """
@@ -52,7 +52,7 @@ class TestSet:
     def judged(self) -> Array:
         """The problems (k, 11 n + 10) by which answers are judged.
 
-        If tip and wrist references contradict each other along the shaft, the wrist's is set to the tip's.
+        If the reference velocities of tip and wrist differ along the shaft, the wrist gets the tip's component.
         """
         return np.array([straightened(qp).row for qp in self.problems()])
 
@@ -88,7 +88,7 @@ def check_name(name: str) -> None:
 
 
 def straightened(qp: NullSpaceQP) -> NullSpaceQP:
-    """Return the subproblem with the wrist's reference along the shaft set to the tip's."""
+    """Return the subproblem with the tip's reference velocity along the shaft given to the wrist."""
     five = qp.reduced()
     b = np.linalg.lstsq(five.lift, five.b, rcond=None)[0] if len(five.b) == 5 else np.array(qp.b)
     b[3:] += five_row_gap(qp, b)

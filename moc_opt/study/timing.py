@@ -23,7 +23,7 @@ threads [s], and wall time [s]."""
 
 
 def used() -> dict[str, float]:
-    """Read the counters now, as `COUNTED` entries with 0 calls. `since` computes differences."""
+    """Return the present readings of the counters as `COUNTED` entries, for a later `since`."""
     switches = resource.getrusage(resource.RUSAGE_SELF).ru_nivcsw
     return dict(zip(COUNTED, (0, switches, process_time(), perf_counter()), strict=True))
 
