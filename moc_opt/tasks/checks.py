@@ -51,9 +51,9 @@ def direction3(name: str, value: ArrayLike) -> Array:
 
 
 def sampled(name: str, value: TimeLike, rows: Callable[[Array], Array]) -> Array:
-    """Evaluate `rows` at a number, with the result (m, 3), or at a vector (k,), with the result (m, k, 3).
+    """Evaluate the function `rows`, which maps (k,) to (k, m, 3), at a number or a vector (k,).
 
-    `rows` maps (k,) to (k, m, 3). Raise a TaskError if `value` is neither a number nor a vector.
+    Return (m, 3) or (m, k, 3). Raise a TaskError if `value` is neither a number nor a vector.
     """
     try:
         array = np.asarray(value, dtype=np.float64)

@@ -28,7 +28,7 @@ class Trocar:
     def __post_init__(self) -> None:
         amplitude = number("breathing_amplitude_m", self.breathing_amplitude_m)
         if amplitude < 0.0:
-            raise TaskError(f"breathing_amplitude_m = {amplitude!r} is negative: give zero or more (or turn direction)")
+            raise TaskError(f"breathing_amplitude_m = {amplitude!r} is negative: give zero or more")
         point, direction = vector3("point", self.point), direction3("direction", self.direction)
         period = positive("breathing_period_s", self.breathing_period_s)
         for name, value in (

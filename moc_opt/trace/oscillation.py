@@ -22,7 +22,7 @@ Flags = Sequence[bool] | NDArray[np.bool_]
 LIMIT_RAD_PER_S, LIMIT_NM = 0.2, 10.0
 LIMIT_M_PER_S, LIMIT_N = 0.08, 100.0  #: Limits for a prismatic joint.
 PARTS, LOUDEST, KEPT_UP = 8, 2, 0.5
-"""An oscillation's rms exceeds KEPT_UP * limit even if the LOUDEST of the window's PARTS parts are left out."""
+"""The window has 8 parts. Even without the 2 loudest parts, the rms of an oscillation exceeds half the limit."""
 ABOVE_HZ, WINDOW_S, START_S, SHORTEST_S = 8.0, 1.0, 0.5, 1e-6
 
 
@@ -40,7 +40,7 @@ class Shaking(NamedTuple):
 
 
 def shaking(trace: Trace, column: str, limits: ArrayLike | None = None) -> Shaking:
-    """Find the largest root mean square above ``ABOVE_HZ`` of any joint over ``WINDOW_S``.
+    """Find the joint with the largest root mean square over ``WINDOW_S`` of the part above ``ABOVE_HZ``.
 
     Args:
         trace: a trace of consecutive ticks.

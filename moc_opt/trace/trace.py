@@ -238,7 +238,7 @@ class Trace:
 
 def _name(name: str) -> str:
     if not isinstance(name, str) or not name.isidentifier() or name[0] == "_" or hasattr(Trace, name):
-        raise TraceError(f"column {name!r}: give a Python name that no attribute of a Trace has")
+        raise TraceError(f"column {name!r}: give a Python identifier that is no attribute of Trace")
     return name
 
 

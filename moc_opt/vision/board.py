@@ -91,7 +91,7 @@ class Board(VisionSettings):
             if not 0.0 <= start < end:
                 raise ValueError(f"lost_s = {[start, end]}: give [from, until] with 0 <= from < until")
         if self.columns * self.rows > 250:
-            raise ValueError(f"columns x rows = {self.columns * self.rows}: give at most 250 (no more exist)")
+            raise ValueError(f"columns x rows = {self.columns * self.rows}: give at most 250 markers")
         return self
 
     def is_lost(self, t: float) -> bool:

@@ -26,7 +26,7 @@ _FINER = 2  # the scene is drawn this many times finer than the final picture
 
 
 class CameraSettings(VisionSettings):
-    """An endoscope that looks at the phantom through its own port, without lens distortion."""
+    """An endoscope without lens distortion. It looks at the phantom through its own port."""
 
     KIND: ClassVar[str] = "[camera]"
 
@@ -83,7 +83,7 @@ class Camera:
 
 
 def hide(ids: range, fraction: float, seed: int) -> frozenset[int]:
-    """Draw at random which markers are covered, a share ``fraction`` (0 to 1) of all."""
+    """Return randomly chosen markers to cover, a share ``fraction`` (0 to 1) of all."""
     order = np.random.default_rng(seed).permutation(np.array(ids))
     return frozenset(order[: round(fraction * len(ids))].tolist())
 
