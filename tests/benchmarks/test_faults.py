@@ -59,7 +59,7 @@ def test_recovery_ends_when_errors_stay_below_limits():
     error = np.full(300, 1e-3)
     error[100:150] = 5e-3
     case = Case(group="contact", from_s=1.0, until_s=1.4)
-    # The mean of 20 rows is below the limit if only one of them is 5 mm.
+    # From t = 1.68 s, at most one of the last 20 rows is 5 mm, and their mean (1.2 mm) is below the threshold.
     assert recovery(run_of(error), free, case, "completed") == pytest.approx(1.69 - 1.4, abs=0.02)
     assert recovery(run_of(error), free, Case(group="plant"), "completed") == pytest.approx(1.69, abs=0.02)
     assert recovery(free, free, case, "completed") == 0.0
@@ -80,7 +80,7 @@ def test_each_ending_gives_the_expected_outcome(error, ended, expected):
     assert measure(None, free, "refused: x", FREE["none"], (20.0, 20.0)) == {"outcome": "refused"}
 
 
-def test_fault_outcomes_are_counted_separately():
+def test_detected_harmless_and_missed_faults_are_counted():
     trace = run_of(np.zeros(6)).with_columns(
         injected=[True, True, True, False, False, True],
         fault=["lied", "none", "none", "lied", "infeasible", "stopped"],

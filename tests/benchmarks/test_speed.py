@@ -38,7 +38,7 @@ def test_entries_take_turns_by_chunk(monkeypatch):
         "b": timed.Timed(lambda item: log.append(("b", item)), range(100, 112)),
     }
     part.time("tick", entries, rounds=2)
-    assert {name: found.shape for name, found in part.times.items()} == {"a": (4, 5), "b": (4, 5)}, "one per timed call"
+    assert {name: found.shape for name, found in part.times.items()} == {"a": (4, 5), "b": (4, 5)}, "one time per call"
     assert {name: found["times_calls"] for name, found in part.seen.items()} == {"a": 20, "b": 20}
     chunks = [log[i : i + 5] for i in range(0, len(log), 5)]
     assert all(len({name for name, _ in chunk}) == 1 for chunk in chunks)
