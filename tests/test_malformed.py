@@ -28,7 +28,7 @@ ARM_TOML = (FOLDER / "lwr4.toml").read_bytes().replace(b'"lwr4.urdf"', b'"arm.ur
 
 
 def fields(table=Scenario):
-    """Yield the path of every field, tables first."""
+    """Yield the path of every field. A table comes before its fields."""
     for name, field in table.model_fields.items():
         yield (name,)
         if hasattr(field.annotation, "model_fields"):
@@ -53,7 +53,7 @@ def run_two_ticks(scenario):
 @example([(("control", "K_X"), None, 1e30)])
 @example([(("seed",), None, 10**5000)])
 @example([(("faults", "bump_N"), None, 1e300), (("faults", "bump_at_s"), None, 0.0)])
-def test_a_scenario_runs_or_names_the_field(changes):
+def test_a_scenario_runs_or_its_error_names_the_field(changes):
     table = {}
     for path, other, value in changes:
         inner = table
@@ -154,7 +154,7 @@ DISTORTIONS = {
     ), numbers | st.sampled_from([1e-12, 1e12, 1e200]),
 )  # fmt: skip
 @example(7, 0, {}, 0)
-def test_a_subproblem_is_answered_without_a_false_claim_or_names_the_field(n, seed, changes, number):
+def test_an_optimum_is_claimed_only_if_true_and_a_wrong_field_is_named(n, seed, changes, number):
     rng = np.random.default_rng(seed)
     u, J_tip, x = rng.normal(size=3), rng.normal(size=(3, n)), rng.uniform(-1.0, 1.0, n)
     J_wrist = J_tip + 0.4 * np.cross(rng.normal(size=(n, 3)), u / np.linalg.norm(u)).T  # the tool is rigid

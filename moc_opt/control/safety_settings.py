@@ -49,10 +49,11 @@ class SafetyFilterSettings(Settings):
     """largest total number of control periods of a run in which one encoder repeats both position and velocity. By
     default, it is `patience_ticks` for noisy encoders with filtered velocities, and unlimited for others"""
     stuck_rad_per_s: float = Field(0.2, gt=0.0)
-    """largest speed that torque beyond `stuck_torque` may give a joint while its encoder repeats its reading. A value
-    below 600 times `encoder_resolution_rad` is raised to it"""
+    """speed above which an encoder counts as stuck. While it repeats its reading, the speed that its joint must have
+    gained is computed from the torque beyond `stuck_torque`. A value below 600 times `encoder_resolution_rad` is raised
+    to that"""
     residual_torque: float = Field(0.2, gt=0.0)
-    """largest change of a joint's momentum residual (torque that its motion implies, less the command), as a share of
+    """largest change of a joint's momentum residual (torque implied by its motion, minus the command), as a share of
     its largest torque. If exceeded for more than `patience_ticks` control periods, the arm is stopped"""
     residual_whole_torque: float = Field(0.5, gt=0.0)
     """like `residual_torque`, but for the momentum residual itself instead of its change"""
@@ -68,7 +69,7 @@ class SafetyFilterSettings(Settings):
     wall_stiffness_Nm_per_rad: float = Field(2000.0, ge=0.0)
     """stiffness of the virtual wall (prismatic joints: N/m)"""
     wall_damping_Nm_s_per_rad: float = Field(20.0, ge=0.0)
-    """damping of a joint's speed in excess of the limit in `wall_brake_rad_per_s2` (prismatic joints: N s/m)"""
+    """damping of the part of a joint's speed above the largest speed of the next row (prismatic joints: N s/m)"""
     wall_brake_rad_per_s2: float = Field(2.0, gt=0.0)
     """deceleration a before the virtual wall. At the distance d from the wall, the largest speed is sqrt(2 a d)"""
     jump_rad: float = Field(0.05, gt=0.0)

@@ -72,7 +72,7 @@ class SupervisorSettings(Settings):
     its gradient is 1. At an optimum the residual is 0"""
     opposite_limit: float = Field(1e-3, gt=0.0)
     """limit for answers that lower the manipulability [rad/s]. An answer is refused if it is farther than this from the
-    optimum, and nearer to the optimum for the negated `c2`"""
+    optimum, and nearer to the optimum for the negated `c2` than to the optimum"""
     hold_ticks: int = Field(10, ge=0)
     """number of control periods in a row in which the last good answer replaces refused ones. Then elbow motion is
     damped"""

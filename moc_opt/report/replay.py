@@ -99,7 +99,7 @@ def load_runs(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, Trace]
     if "robot_data" in meta:  # an arm from outside the package
         return traces, restored(meta["robot_data"])
     if not arm["name"]:
-        raise ReportError("the trace does not name its robot: load the robot with load_robot")
+        raise ReportError("the trace does not name its robot: in Python, give Replay a robot from mo.load_robot")
     tool = {"tool_length": arm.get("tool_length_m"), "tool_mass": arm.get("tool_mass_kg")}
     return traces, load_robot(arm["name"], **tool)
 
@@ -175,7 +175,7 @@ def arm_parts(robot: RobotModel) -> list[Part]:
     tip, wrist = chain.offsets
     along = (tip - wrist) / np.linalg.norm(tip - wrist)
     mount = tip - robot.data.tool_length * along
-    ends = np.array([*chain.origins, mount])  # ends[k], in frame k - 1: end of the link that begins at this frame
+    ends = np.array([*chain.origins, mount])  # ends[k]: end of the link that begins at frame k - 1, in its axes
     lengths = np.linalg.norm(ends, axis=1)
     reach = lengths[:-1].sum()
     radius = np.linspace(0.058, 0.038, n + 1) * reach

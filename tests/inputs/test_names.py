@@ -1,4 +1,4 @@
-"""Every reader of a name refuses characters that are not allowed, and Markdown shows any text as it is."""
+"""Every reader of a name refuses characters that are not allowed, and text is escaped for Markdown."""
 
 import html
 from dataclasses import replace
