@@ -70,8 +70,8 @@ class ControlSettings(Settings):
     dcac_damping: PerJoint = 0.0
     """damping of elbow motion under `law` = 'dcac' [N m s/rad]"""
     rcm_lambda: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
-    """assumed ratio of RCM error to wrist error, as in the paper. K_N acts on the wrist error. If `rcm_lambda` is given,
-    the length of the wrist error is replaced by RCM error / `rcm_lambda`"""
+    """assumed ratio of RCM error to wrist error, as in the paper. K_N acts on the wrist error. If `rcm_lambda` is
+    given, the length of the wrist error is replaced by RCM error / `rcm_lambda`"""
     projector: Literal["dynamic", "static", "as_published"] = "dynamic"
     """null-space projector of level 2. 'dynamic': dynamically consistent; 'static': consistent only at rest;
     'as_published': as printed in Su et al. (2019)"""

@@ -60,7 +60,7 @@ def plan_tables(name: str, plan: Plan, **within: float) -> list[Table]:
     limits = f"{' and '.join(margins)} from the joint limits" if margins else "the joint limits"
     said["planned within"] = f"{limits}, {100.0 * within.get('speed_share', 1.0):.3g} % of the joints' speed limits"
     if within.get("shaft_margin"):
-        said["shaft manipulability"] = f"at least {within['shaft_margin']:.3g} L^2 where possible (L: from wrist to tip)"
+        said["shaft manipulability"] = f"at least {within['shaft_margin']:.3g} L^2 if possible (L: from wrist to tip)"
     for what, angle in {"at the start": plan.start_swivel_rad, "of the best start": plan.best_swivel_rad}.items():
         known = math.isfinite(angle)
         said[f"swivel {what}"] = f"{math.degrees(angle):.1f} deg" if known else "none: no course reaches the end"
