@@ -101,7 +101,10 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
         raise
     for name in scenario.metrics:
         if name not in metrics:
-            print(f"{title}: this run has no metric {name}", file=sys.stderr)
+            try:
+                METRICS[name](trace, baseline)
+            except Exception as why:  # noqa: BLE001 - a plug-in may raise anything
+                print(f"{title}: this run has no metric {name}: {why}", file=sys.stderr)
     wanted = {name: metrics[name] for name in scenario.metrics if name in metrics} if scenario.metrics else metrics
     if given.json:
         print(to_json(run_json(trace, wanted)))
@@ -132,7 +135,10 @@ def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
         course = given.course or (scenario.control.course if level == "planned" else "")
         changes["control"] = {"third_level": level, "course": course}
     if given.task is not None:
-        points = read_waypoints(given.task) if Path(given.task).suffix.lower() in (".csv", ".txt") else None
+        kind = Path(given.task).suffix.lower()
+        if kind not in ("", ".csv", ".txt"):
+            raise ScenarioError(f"--task {given.task}: give the name of a path, or a file of points (.csv or .txt)")
+        points = read_waypoints(given.task) if kind else None
         path = given.task if points is None else "waypoints"
         changes["task"] = {"path": path, "sizes": {}, "waypoints_m": points}
     if given.metric:

@@ -117,6 +117,9 @@ def _explained(items: Sequence[Mapping[str, Any]], kind: str) -> str:
     field = repr(".".join(f"{key!s:.80}" for key in item["loc"]))[1:-1]  # with escapes
     message = ", or ".join(one["msg"].removeprefix("Value error, ") for one in items)
     message = message.replace(", or Input should be", ", or")
+    message = message.replace("a valid tuple", "a list").replace("a valid dictionary", "a table")
+    if "_than" in item["type"] and (unit := re.search(r"(?<!_per)_(m|s|rad|N|kg|us|Hz)$", field)):
+        message += f" [{unit[1]}]"
     if isinstance(item.get("ctx", {}).get("error"), MocOptError):  # from an inner table
         return message if not field or message.startswith(f"[{field}]") else f"{kind} {field}: {message}"
     if item["type"] == "missing":

@@ -111,6 +111,12 @@ class Comparison:
             if raised:
                 bad = f"Trials with exceptions or malformed answers of {name}: {len(raised)}"
                 failures.append(f"{bad}; the first: {raised[0]}.")
+            asked, refused = (
+                sum(row.get(key) or 0 for row in self.rows if row["solver"] == name) for key in ("asked", "faults")
+            )
+            if refused > 0.01 * asked:
+                most = ", so its means are not those of the solver" if 2 * refused > asked else ""
+                failures.append(f"Answers of {name} that the controller replaced: {100 * refused / asked:.0f} %{most}.")
         optional = {"oscillated", *CHANGES}
         known = [column for column in COLUMNS if column.key not in optional or any(row.get(column.key) for row in rows)]
         unjudged = any(row.get("asked") and "verified_solved" not in row for row in self.rows)
