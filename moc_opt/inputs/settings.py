@@ -71,8 +71,16 @@ class Settings(pydantic.BaseModel):
             raise self.ERROR("; ".join(_explained(items, self.KIND) for items in faults.values())) from error
 
     def replace(self, changes: Mapping[str, Any]) -> Self:
-        """Copy with some fields changed, and check all fields."""
-        return type(self)(**{**{name: getattr(self, name) for name in self.model_fields_set}, **changes})
+        """Copy with some fields changed, and check all fields. A mapping given for a table changes only its keys."""
+        values = {
+            name: getattr(self, name) for name, field in type(self).model_fields.items()
+            if name in self.model_fields_set or getattr(self, name) != field.default
+        }  # fmt: skip
+        for name, new in changes.items():
+            old, values[name] = getattr(self, name, None), new
+            if isinstance(old, Settings) and isinstance(new, Mapping) and "preset" not in new:
+                values[name] = old.replace(new)
+        return type(self)(**values)
 
     @classmethod
     def keys(cls, values: Mapping[str, Any]) -> list[str]:

@@ -8,12 +8,11 @@ import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from textwrap import wrap
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from rich import box
 from rich.cells import cell_len
 from rich.console import Console, ConsoleOptions
-from rich.measure import Measurement
 from rich.table import Table as RichTable
 from rich.text import Text
 
@@ -22,6 +21,7 @@ from moc_opt.figures import notation
 from moc_opt.figures.notation import Mark, Missing, Notation, printable
 
 SHORT_TEXT, HEADING = 14, 10  # longest unbroken text, and longest line of a heading [characters]
+GAP = 2  # characters between two columns, and at both edges of a table together
 
 TONES = {"best": "bold green", "good": "green", "fair": "yellow", "bad": "red", "other": "cyan"}
 """Colours in a terminal of a `Mark`'s tones."""
@@ -86,40 +86,32 @@ class Table:
         return [replace(cell, best=any(cell is one for one in ahead)) for cell in cells]
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[RichTable | Text]:
-        width, wide = options.max_width, options.update(width=10_000)
-        rest, parts = list(self.columns[1:]), list[list[Column]]()
+        width, parts = options.max_width, list[list[_Column]]()
+        made = [self._column(column, max(SHORT_TEXT, 0 if k else width // 2)) for k, column in enumerate(self.columns)]
+        rest = made[1:]
         while rest or not parts:  # a table that is too wide is split; each part begins with the first column
-            part = [*self.columns[:1], *rest]
-            while len(part) > 2 and Measurement.get(console, wide, self._drawn(part, width)).minimum > width:
+            part = [*made[:1], *rest]
+            while len(part) > 2 and sum(column.least + GAP for column in part) > width:
                 part.pop()
             parts.append(part)
             rest = rest[len(part) - 1 :]
         for place, part in enumerate(parts):
-            yield self._drawn(part, width, "" if place else self.title, "" if parts[1:] else self.caption)
+            yield _drawn(part, width, "" if place else self.title, "" if parts[1:] else self.caption)
         if parts[1:] and self.caption:
             yield Text(printable(self.caption), style="table.caption")
 
-    def _drawn(self, shown: Sequence[Column], width: int, title: str = "", caption: str = "") -> RichTable:
-        drawn = RichTable(
-            box=box.SIMPLE_HEAD, pad_edge=False, title_justify="left", caption_justify="left", padding=(0, 1, 0, 0)
-        )
-        drawn.title = Text(printable(title), style="bold") if title else None
-        drawn.caption = Text(printable(caption)) if caption else None
-        columns = []
-        for column in shown:
-            cells = self.cells(column)
-            looks = ("bold" if cell.best else "dim" if cell.why else TONES.get(cell.tone, "") for cell in cells)
-            columns.append([Text(cell.text, style=look) for cell, look in zip(cells, looks, strict=True)])
-            heading = Text("\n".join(heading_lines(column.title)))
-            if column.unit:
-                heading.append(f"\n{notation.pretty_unit(column.unit)}", style="dim")
-            justify, widest = alignment(cells), max((cell_len(cell.text) for cell in cells), default=0)
-            numbers, name = justify == "right", not columns[1:] and 2 * widest < width
-            least = max(widest if numbers else min(widest, SHORT_TEXT), *map(cell_len, heading.plain.splitlines()), 0)
-            drawn.add_column(heading, justify=justify, overflow="fold", no_wrap=numbers or name, min_width=least)
-        for row in zip(*columns, strict=True):
-            drawn.add_row(*row)
-        return drawn
+    def _column(self, column: Column, unbroken: int) -> _Column:
+        """Prepare a column for the terminal. Texts up to the length ``unbroken`` stay on one line."""
+        cells = self.cells(column)
+        looks = ("bold" if cell.best else "dim" if cell.why else TONES.get(cell.tone, "") for cell in cells)
+        heading = Text("\n".join(heading_lines(column.title)))
+        if column.unit:
+            heading.append(f"\n{notation.pretty_unit(column.unit)}", style="dim")
+        title = max(map(cell_len, heading.plain.splitlines()), default=0)
+        justify, widest = alignment(cells), max((cell_len(cell.text) for cell in cells), default=0)
+        least = widest if justify == "right" or widest < unbroken else min(widest, SHORT_TEXT)
+        texts = [Text(cell.text, style=look) for cell, look in zip(cells, looks, strict=True)]
+        return _Column(heading, texts, justify, max(least, title), max(widest, title))
 
     def __repr__(self) -> str:
         return self.to_text(shutil.get_terminal_size((200, 24)).columns)
@@ -138,6 +130,37 @@ class Table:
         )  # fmt: skip
         screen.print(self)
         return "\n".join(line.rstrip() for line in file.getvalue().splitlines()) + "\n"
+
+
+class _Column(NamedTuple):
+    heading: Text
+    cells: list[Text]
+    justify: Literal["left", "right"]
+    least: int  #: width without broken numbers, names and headings
+    most: int  #: width without any line break
+
+
+def _drawn(shown: Sequence[_Column], width: int, title: str, caption: str) -> RichTable:
+    drawn = RichTable(
+        box=box.SIMPLE_HEAD, pad_edge=False, title_justify="left", caption_justify="left", padding=(0, 1, 0, 0)
+    )
+    drawn.title = Text(printable(title), style="bold") if title else None
+    drawn.caption = Text(printable(caption)) if caption else None
+    # Rich would cut off columns whose minimum widths do not fit.
+    widths = [column.least for column in shown]
+    for _ in range(abs(spare := width - sum(widths) - GAP * len(shown))):
+        lacking = [column.most - given for column, given in zip(shown, widths, strict=True)]
+        if spare < 0:
+            widths[widths.index(max(widths))] -= max(widths) > 1
+        elif max(lacking, default=0) == 0:
+            break
+        else:
+            widths[lacking.index(max(lacking))] += 1
+    for column, given in zip(shown, widths, strict=True):
+        drawn.add_column(column.heading, justify=column.justify, overflow="fold", width=given)
+    for row in zip(*(column.cells for column in shown), strict=True):
+        drawn.add_row(*row)
+    return drawn
 
 
 def heading_lines(title: str) -> list[str]:

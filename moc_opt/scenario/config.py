@@ -173,10 +173,6 @@ class Scenario(Settings):
         Raises:
             ScenarioError, UnknownNameError: as for the constructor.
         """
-        for name, new in tables.items():
-            old = getattr(self, name, None)
-            if isinstance(old, Settings) and isinstance(new, Mapping) and "preset" not in new:
-                tables[name] = old.replace(new)
         return self.replace(tables)
 
     @property

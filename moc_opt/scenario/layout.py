@@ -93,11 +93,10 @@ def _task(scenario: Scenario, robot: RobotModel, q: Array) -> Layout:
     reference = Reference(path, task.v_max_m_per_s, task.a_max_m_per_s2, t_start=task.wait_s)
     duration_s = scenario.duration_s or task.wait_s + reference.duration + task.hold_s
     if not duration_s / scenario.plant.period_s <= MOST_TICKS:
-        given = scenario.duration_s is not None
+        parts = f"[task] wait_s, hold_s, and a path of {path.length:.3g} m at {task.v_max_m_per_s:g} m/s"
         raise ScenarioError(
-            f"{'duration_s' if given else f'the time for the path of {path.length:.3g} m'} is {duration_s:.4g} s: with "
-            f"[plant] period_s = {scenario.plant.period_s:.3g} s, this is more than {MOST_TICKS} ticks; give a smaller "
-            f"{'value' if given else 'path (lengths in [task] are in m), or duration_s'}"
+            f"the run takes {duration_s:.4g} s ({parts if scenario.duration_s is None else 'duration_s'}), more than "
+            f"{MOST_TICKS} ticks of [plant] period_s = {scenario.plant.period_s:.3g} s: give a shorter time"
         )
     return Layout(q, point, registered, reference, duration_s)
 
