@@ -92,8 +92,9 @@ def test_safety_thresholds_follow_from_the_encoders(tables, told):
     assert scenario.guard == Scenario(guard=tables.get("guard", {})).guard
 
 
-def test_change_of_one_plant_setting_keeps_the_others():
-    base = Scenario(plant=PlantSettings.nominal())
+def test_change_of_one_setting_keeps_the_others():
+    base = Scenario(plant=PlantSettings.nominal(), control={"supervisor": {"hold_ticks": 3}})
+    assert base.change(control={"supervisor": {"check": False}}).control.supervisor.hold_ticks == 3
     assert base.change(plant={"delay_ticks": 2}).plant == PlantSettings.nominal(delay_ticks=2)
     assert base.change(plant={"preset": "realistic"}).plant == PlantSettings()
     assert base.change(control={"preset": "paper"}).control == ControlSettings.preset("paper")
