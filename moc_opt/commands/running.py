@@ -10,13 +10,14 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from moc_opt.errors import ScenarioError, TraceError, UnknownNameError, shown
+from moc_opt.errors import ScenarioError, TraceError, UnknownNameError, describe, shown
 from moc_opt.inputs.files import decimal, read_text, to_json
 from moc_opt.report.console import Bar, busy, console
 from moc_opt.report.document import check_out
 from moc_opt.report.run_table import MATTER, part, remarks, run_json, run_tables
 from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import RunAway, Scenario, Setup, run
+from moc_opt.tasks.paths import kinds
 from moc_opt.trace.file import check_trace, new_file
 from moc_opt.trace.metrics import METRICS, load_plugins, summarize
 from moc_opt.trace.trace import Trace, about
@@ -104,7 +105,7 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
             try:
                 METRICS[name](trace, baseline)
             except Exception as why:  # noqa: BLE001 - a plug-in may raise anything
-                print(f"{title}: this run has no metric {name}: {why}", file=sys.stderr)
+                print(f"{title}: this run has no metric {name}: {describe(why)}", file=sys.stderr)
     wanted = {name: metrics[name] for name in scenario.metrics if name in metrics} if scenario.metrics else metrics
     if given.json:
         print(to_json(run_json(trace, wanted)))
@@ -136,9 +137,9 @@ def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
         changes["control"] = {"third_level": level, "course": course}
     if given.task is not None:
         kind = Path(given.task).suffix.lower()
-        if kind not in ("", ".csv", ".txt"):
+        if kind not in ("", ".csv", ".txt") and given.task not in kinds():
             raise ScenarioError(f"--task {given.task}: give the name of a path, or a file of points (.csv or .txt)")
-        points = read_waypoints(given.task) if kind else None
+        points = read_waypoints(given.task) if kind in (".csv", ".txt") else None
         path = given.task if points is None else "waypoints"
         changes["task"] = {"path": path, "sizes": {}, "waypoints_m": points}
     if given.metric:

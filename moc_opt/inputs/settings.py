@@ -70,8 +70,12 @@ class Settings(pydantic.BaseModel):
                 faults.setdefault(where, []).append({**item, "loc": where})
             raise self.ERROR("; ".join(_explained(items, self.KIND) for items in faults.values())) from error
 
-    def replace(self, changes: Mapping[str, Any]) -> Self:
-        """Copy with some fields changed, and check all fields. A mapping given for a table changes only its keys."""
+    def change(self, **changes: Any) -> Self:
+        """Copy with some fields changed. A mapping given for a table changes only the mapping's keys.
+
+        Raises:
+            UnknownNameError, MocOptError: as for the constructor.
+        """
         values = {
             name: getattr(self, name) for name, field in type(self).model_fields.items()
             if name in self.model_fields_set or getattr(self, name) != field.default
@@ -79,7 +83,7 @@ class Settings(pydantic.BaseModel):
         for name, new in changes.items():
             old, values[name] = getattr(self, name, None), new
             if isinstance(old, Settings) and isinstance(new, Mapping) and "preset" not in new:
-                values[name] = old.replace(new)
+                values[name] = old.change(**new)
         return type(self)(**values)
 
     @classmethod

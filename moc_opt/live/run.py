@@ -106,13 +106,13 @@ class LiveRun:
     def choose(self, solver: str) -> None:
         """Switch to another solver of level 3, or to `DCAC`. Raises a MocOptError if the solver cannot run."""
         law = self.control.matched_dcac() if solver == DCAC else {"law": "moc"}
-        self._exchange(self.control.replace(law), solver)
+        self._exchange(self.control.change(**law), solver)
 
     def tune(self, **settings: Any) -> None:
         """Change settings of `ControlSettings` by name. Raises a MocOptError if a name or value is wrong."""
         if "law" in settings:
             raise LiveError("law cannot be set here: choose(solver) sets it")
-        self._exchange(self.control.replace(settings), self.solver)
+        self._exchange(self.control.change(**settings), self.solver)
 
     def _exchange(self, control: ControlSettings, name: str) -> None:
         gently = control.model_copy(update={"ramp_s": max(control.ramp_s, RAMP_S)})

@@ -101,7 +101,7 @@ class Table:
             yield Text(printable(self.caption), style="table.caption")
 
     def _column(self, column: Column, unbroken: int) -> _Column:
-        """Prepare a column for the terminal. Texts up to the length ``unbroken`` stay on one line."""
+        """Prepare a column for the terminal. Texts shorter than ``unbroken`` stay on one line."""
         cells = self.cells(column)
         looks = ("bold" if cell.best else "dim" if cell.why else TONES.get(cell.tone, "") for cell in cells)
         heading = Text("\n".join(heading_lines(column.title)))
@@ -109,7 +109,7 @@ class Table:
             heading.append(f"\n{notation.pretty_unit(column.unit)}", style="dim")
         title = max(map(cell_len, heading.plain.splitlines()), default=0)
         justify, widest = alignment(cells), max((cell_len(cell.text) for cell in cells), default=0)
-        least = widest if justify == "right" or widest < unbroken else min(widest, SHORT_TEXT)
+        least = widest if justify == "right" or widest < unbroken else SHORT_TEXT
         texts = [Text(cell.text, style=look) for cell, look in zip(cells, looks, strict=True)]
         return _Column(heading, texts, justify, max(least, title), max(widest, title))
 
@@ -148,14 +148,15 @@ def _drawn(shown: Sequence[_Column], width: int, title: str, caption: str) -> Ri
     drawn.caption = Text(printable(caption)) if caption else None
     # Rich would cut off columns whose minimum widths do not fit.
     widths = [column.least for column in shown]
-    for _ in range(abs(spare := width - sum(widths) - GAP * len(shown))):
-        lacking = [column.most - given for column, given in zip(shown, widths, strict=True)]
-        if spare < 0:
-            widths[widths.index(max(widths))] -= max(widths) > 1
-        elif max(lacking, default=0) == 0:
-            break
-        else:
-            widths[lacking.index(max(lacking))] += 1
+    spare = width - sum(widths) - GAP * len(shown)
+    for _ in range(-spare):
+        widest = max(widths)
+        widths[widths.index(widest)] = max(1, widest - 1)
+    lacking = [column.most - column.least for column in shown]
+    for _ in range(min(spare, sum(lacking))):
+        widest = lacking.index(max(lacking))
+        widths[widest] += 1
+        lacking[widest] -= 1
     for column, given in zip(shown, widths, strict=True):
         drawn.add_column(column.heading, justify=column.justify, overflow="fold", width=given)
     for row in zip(*(column.cells for column in shown), strict=True):

@@ -153,7 +153,7 @@ def load_data(
     path = _find(name_or_path)
     description = _described(path)
     changes = {"length_m": tool_length, "mass_kg": tool_mass}
-    tool = description.tool.replace({key: value for key, value in changes.items() if value is not None})
+    tool = description.tool.change(**{key: value for key, value in changes.items() if value is not None})
     arm = urdf.read(read_text(path.parent / description.urdf, "urdf", RobotError))
     for kind, parts in (("link", arm.links), ("joint", arm.joints)):
         if taken := sorted({part.name for part in parts} & urdf.TOOL_NAMES[kind]):

@@ -167,14 +167,6 @@ class Scenario(Settings):
 
     __str__ = __repr__
 
-    def change(self, **tables: Any) -> Self:
-        """Copy the scenario with some fields changed. A mapping given for a table changes only the mapping's keys.
-
-        Raises:
-            ScenarioError, UnknownNameError: as for the constructor.
-        """
-        return self.replace(tables)
-
     @property
     def told_guard(self) -> SafetyFilterSettings:
         """The settings ``[guard]``, with limits that suit the plant's encoders."""

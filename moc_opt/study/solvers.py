@@ -105,7 +105,7 @@ class Config(StudyConfig):
     def quick(self) -> Self:
         """Return the configuration of a quicker study."""
         sets = ["circle", "infeasible", "jumps"]
-        return self.but(
+        return self.change(
             open_loop={"ticks": 200, "cold": 10},
             testsets={"names": sets, "timed": [], "timed_too": sets, "every": 8, "every_other": 1, "rounds": 2,
                       "cold": 4, "seconds": 0.02, "setup_s": 6.0},
@@ -117,11 +117,6 @@ class Config(StudyConfig):
         part = self.closed_loop
         base = self.scenario.change(duration_s=part.duration_s, start={"pose": "random"})
         return trials(base, part.tasks, seeds(self.seed, STREAM, part.trials))
-
-    def but(self, **changes: Any) -> Self:
-        """Return a validated copy with these entries changed. For a table, give a dict of the changed entries."""
-        tables = {name: getattr(self, name).replace(of) for name, of in changes.items() if isinstance(of, dict)}
-        return self.replace(changes | tables)
 
 
 @dataclass
@@ -187,9 +182,9 @@ def work(study: Study, config: Config) -> Found:
     if given.full and not given.quick:
         config = Config.load(FULL, config.seed)
     if given.parts:
-        config = config.but(parts=given.parts)
+        config = config.change(parts=given.parts)
     if given.sets:
-        config = config.but(testsets={"names": given.sets, "timed_too": given.sets})
+        config = config.change(testsets={"names": given.sets, "timed_too": given.sets})
     names, missing = choose(given.only or config.solvers)
     if not (config.twice or given.only):
         names, again = once(names)
