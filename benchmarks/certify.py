@@ -95,7 +95,7 @@ def _stationary(
 ) -> tuple[Vector, Vector] | None:
     """Return (stationary point x, multipliers m) for these active bounds. Return None if x or m is not unique.
 
-    N^T (weight x - gains) = N_S^T m, where N is the basis of ker A, and N_S its rows of the joints in ``active``.
+    They satisfy N^T (weight x - gains) = N_S^T m. N is the basis of ker A, and N_S has its rows in ``active``.
     """
     r, columns = len(basis[0]), list(zip(*basis, strict=True))
     left = [gain - weight * value for gain, value in zip(gains, start, strict=True)]

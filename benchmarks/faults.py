@@ -36,7 +36,6 @@ from moc_opt.trace.meta import Ending
 from moc_opt.trace.trace import Trace
 
 PICTURED = ("none", "bump-30N", "trocar-slips", "nan-lasting")
-"""cases whose runs are drawn"""
 CURVES = ("t_s", "tip_error_m", "rcm_error_m", "trocar_force_N")
 SMOOTH_S, RECOVERED, RESOLUTION_M = 0.2, 1.2, 5e-5
 """A run has recovered once its errors (means over 0.2 s) stay below 1.2 e + 0.05 mm; e is the fault-free error."""
@@ -57,8 +56,8 @@ CASES = [
     Column("rcm_error_max_mm", "worst RCM", unit="mm", format=".2f", help="largest RCM error, including the stop"),
     Column("trocar_force_max_N", "worst force", unit="N", format=".2f"),
     Column("rcm_mean_percent", "mean RCM", unit="%", format="+.1f", help="change from the same run without the fault"),
-    Column("recover_s", "recovered after", unit="s", format=".2f", help="time until tip and RCM error stay below 1.2 "
-           "e + 0.05 mm (e: error without the fault); counted from the fault's end, or its start if it does not end"),
+    Column("recover_s", "recovered after", unit="s", format=".2f", help="time from the fault's end until tip and RCM "
+           "error stay below 1.2 e + 0.05 mm (e: error without the fault). A lasting fault counts from its start"),
     Column("stop_travel_mm", "stop travel", unit="mm", format=".1f", help="motion of the tip after the stop began"),
 ]  # fmt: skip
 SEEN = [
@@ -164,7 +163,7 @@ def run_block(block: Block) -> tuple[list[dict[str, Any]], dict[str, dict[str, A
     for name, case in block.cases.items():
         trace, how = run_case(case.corrupt(block.trial), case.camera_lost_s)
         waits = case.camera_lost_s is not None
-        if waits not in levels:  # `Waited` starts more slowly, so the run without a fault has to use `Waited`, too
+        if waits not in levels:  # the run without a fault also uses `Waited`, because `Waited` starts more slowly
             levels[waits] = run_case(block.trial, (0.0, 0.0))[0] if waits else trace
         if (level := levels[waits]) is None:
             raise MocOptError(f"{block.controller}: the run without a fault did not start: {how}")

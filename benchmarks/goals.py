@@ -13,15 +13,15 @@ from moc_opt.study.statistics import Change, Interval, spread, too_few
 
 
 class Goal(NamedTuple):
-    """A limit for the value of ``measured`` (number, `Interval` or `Change`). Whole intervals have to meet it."""
+    """A limit for the value of ``measured`` (number, `Interval` or `Change`). An interval meets it with both ends."""
 
     what: str
     unit: str  #: unit of the value and the limit
     limit: float
     measured: Callable[[Any], Any]
-    most: bool = True  #: whether the value has to be at most the limit (True) or at least (False)
+    most: bool = True  #: True: the limit is the largest allowed value; False: the smallest
     made_of: Callable[[Any], str] = lambda summary: ""  #: the parts of the value, in words
-    section: str = ""  #: section of the report to which the value is a link
+    section: str = ""  #: section of the report that the value links to
 
 
 def judge(summary: Mapping[str, Any], goals: Mapping[str, Goal]) -> dict[str, dict[str, Any]]:

@@ -2,7 +2,8 @@
 
 python -m benchmarks.paper [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-MOC runs with the paper's Table I as printed, and tuned. DCAC runs with the paper's gains for DCAC, and with MOC's.
+MOC runs with Table I of the paper as printed, and with tuned values. DCAC runs with the paper's gains for DCAC, and
+with the gains of MOC.
 """
 
 from __future__ import annotations
@@ -48,21 +49,20 @@ MOST_MM = {
     "tip_error_model_mean_mm": 0.1, "tip_error_registered_mean_mm": 0.1, "rcm_error_model_mean_mm": 0.2,
     "rcm_error_registered_mean_mm": 0.2, "rcm_error_mean_mm": 0.5,
 }  # fmt: skip
-"""upper limits of the mean errors [mm]"""
 RULES = (
-    "An effect is the change of MOC against a DCAC on the same trials, 100 (mean MOC / mean DCAC - 1), with its 95 % "
-    "interval. Its second number is the mean of the trials' changes. A claim is confirmed against a DCAC if the "
-    "intervals of both numbers lie on the claimed side. A claim holds if it is confirmed against DCAC with MOC's gains "
-    "(MOC without its third level). If it is confirmed only against DCAC with the paper's (softer) gains for DCAC, it "
-    "is said to hold only against softer gains. It is undecided if the two numbers, or their intervals, lie on "
-    "different sides of the claim's bound. Fewer than eight trials decide nothing. The force at the trocar is not "
-    "judged: it follows the RCM error."
+    "An effect compares MOC with a DCAC on the same trials. It has two numbers, each with a 95 % interval: the change "
+    "of the mean, 100 (mean MOC / mean DCAC - 1), and the mean of the trials' changes. A claim is confirmed against a "
+    "DCAC if both intervals lie on the claimed side of its bound. It holds if it is confirmed against DCAC with MOC's "
+    "gains (MOC without its third level). If it is confirmed only against DCAC with the paper's (softer) gains for "
+    "DCAC, it is said to hold only against softer gains. It is undecided if the two numbers, or their intervals, lie "
+    "on different sides of the bound. Fewer than eight trials decide nothing. The force at the trocar is not judged: "
+    "it follows the RCM error."
 )
 
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim that a metric's change is above (``upwards``) or below ``bound`` [%]. ``papers``: it is the paper's."""
+    """A metric's change is above (``upwards``) or below ``bound`` [%]. ``papers``: the paper makes this claim."""
 
     metric: str
     title: str
@@ -124,7 +124,7 @@ class Case(Settings):
 
 
 class Ablation(Settings):
-    """Table I with entries replaced. The first case is the table as printed."""
+    """Cases of Table I. The first case is the table as printed."""
 
     KIND: ClassVar[str] = "[ablation]"
     group: str = Field(PRINTED, description="the group whose parameters and trials are used")
@@ -287,8 +287,8 @@ def goals(rows: Results, group: str | None, solver: str) -> dict[str, dict[str, 
 
 
 def ablation(rows: Results, cases: Mapping[str, Case]) -> list[dict[str, Any]]:
-    """Return one row per case and claim of the paper: the effect (change against DCAC), the shift (effect minus that of
-    Table I as printed), and whether the case decides the claim.
+    """Return one row per case and claim of the paper. The effect is the change against DCAC. The shift is the effect
+    minus the effect of Table I as printed. Each row also says whether the case decides the claim.
 
     A case decides a claim if its effect and that of Table I as printed lie on opposite sides of the claim's bound, the
     95 % interval of the difference of the two effects excludes zero, and there are at least eight trials.
@@ -340,7 +340,7 @@ def swivel_trials(config: Config) -> list[Trial]:
 
 
 def swivel(rows: Results, solver: str) -> dict[str, Any]:
-    """Return gains of mean mu [%]: that of the start with the largest mu, and least, mean and largest of the others."""
+    """Return the gain of mean mu [%] from the start with the largest mu, and the range of gains from the others."""
     top, others = (rows.where(at_maximum=best) for best in (True, False))
     found: dict[str, Any] = {"starts": len(rows) // 2, "broke_off": len(rows.failed())}
     if (of_top := gains(top, solver)) and (of_others := gains(others, solver)):
@@ -371,9 +371,9 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
         f"Do the paper's claims hold? Change against DCAC with the same gains, {count} trials",
         [Column("name", "parameters, solver", section="Claims"),
          *(Column(claim.metric, claim.title, unit="%", section="Claims", help=claim.text) for claim in CLAIMS)],
-        shown, f"✔ the claim {HOLDS}; ≈ it does not hold against DCAC with the same gains (the number), only against "
-        f"DCAC with the paper's softer gains; ✘ {FAILS}; ? {too_few(count) or UNDECIDED}. The claims: mu rises by more "
-        f"than {CLAIMS[0].bound:g} %, errors fall. Only mu, tip (model) and RCM (model) are claims of the paper.",
+        shown, f"✔ the claim {HOLDS}; ≈ it holds only against DCAC with the paper's softer gains; ✘ it {FAILS}; "
+        f"? {too_few(count) or UNDECIDED}. The claims: mu rises by more than {CLAIMS[0].bound:g} %, errors fall. Only "
+        "mu, tip (model) and RCM (model) are claims of the paper.",
     )  # fmt: skip
     answer = []
     for solver in (name for name in (NETWORK, "exact") if (PRINTED, name) in by):

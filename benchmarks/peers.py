@@ -40,7 +40,7 @@ class Peer(Protocol):
         """Whether `tick` returns torques or velocities."""
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """Return torques [Nm] or velocities [rad/s] (n,). Rows of tip_ref: X_d, dX_d, ddX_d; of trocar: P_t, dP_t."""
+        """Return torques [Nm] or velocities [rad/s] (n,). tip_ref has rows X_d, dX_d, ddX_d, trocar has P_t, dP_t."""
 
 
 def tip_gradient(robot: RobotModel) -> Callable[[Array], Array]:

@@ -97,7 +97,7 @@ def courses(case: Scenario, loops: Mapping[str, Mapping[str, Any]]) -> list[dict
 
 
 def loop(trial: Scenario, name: str, change: Mapping[str, Any], mine: float, best: float) -> dict[str, Any]:
-    """`mine` is the mean mu of the best course from this start, `best` that of the best course from any start."""
+    """Run a closed loop. ``mine``, ``best``: mean mu of the best course from this start, and from any start."""
     case = trial.change(control=change, best_courses=False, bound_samples=0, judge=False)
     asked = Trial(case, name, case.solver.settings, {"part": "loop"}, solver=case.solver.name)
     run, trace = run_and_trace(asked)

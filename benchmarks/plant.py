@@ -2,8 +2,8 @@
 
 python -m benchmarks.plant [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-*Registered again*: once the elbow is at rest, the arm touches path and incision a second time. The errors from
-then on are computed from the trace of the same run, because the motion would hardly change.
+*Registered again*: once the elbow is at rest, the arm touches path and incision a second time. This is not simulated,
+because it hardly changes the motion. The errors after it are computed from the trace of the same run.
 """
 
 from __future__ import annotations
@@ -47,9 +47,10 @@ AFTER = {
 SHOWN = {**TITLES, **AFTER}
 JUDGED = "tip_error_registered_mean_mm"
 DEFINED = (
-    "Break-even: the calibration error at which MOC's mean tip error in the frame registered at the start reaches a "
-    f"limit, interpolated between the tried sizes. The limits are {MOST_MM:g} mm and, by both 95 % intervals of the "
-    f"change (see docs/method.md), {MOST_CHANGE_PERCENT:g} % above DCAC's error with the same gains."
+    "Break-even: the calibration error, interpolated between the tried sizes, at which MOC's mean tip error reaches a "
+    f"limit. The tip error is measured in the frame registered at the start. One limit is {MOST_MM:g} mm. The other is "
+    f"{MOST_CHANGE_PERCENT:g} % above DCAC's error with the same gains. It is reached when both 95 % intervals of the "
+    "change (see docs/method.md) lie above it."
 )
 
 
@@ -184,8 +185,7 @@ def calibration(rows: Results, solver: str) -> list[dict[str, Any]]:
 def break_evens(found: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return, for every preset and kind, the sizes at which the registered tip error crosses each limit.
 
-    At ``relative`` the change from DCAC crosses `MOST_CHANGE_PERCENT`, and at ``absolute`` MOC's error crosses
-    `MOST_MM`.
+    At ``relative``, the change from DCAC crosses `MOST_CHANGE_PERCENT`. At ``absolute``, MOC's error crosses `MOST_MM`.
     """
     evens = []
     for preset, kind in dict.fromkeys((row["preset"], row["kind"]) for row in found):
@@ -271,9 +271,9 @@ def sentences(summary: Mapping[str, Any]) -> list[str]:
             for key in ("relative", "absolute")
         )
         text = (
-            f"Preset {preset}, {origins['trials']} trials: the calibration error at which MOC's mean registered "
-            f"tip error exceeds DCAC's by {MOST_CHANGE_PERCENT:g} %, by both 95 % intervals, is {relative}. The "
-            f"calibration error at which MOC's mean exceeds {MOST_MM:g} mm is {absolute}."
+            f"Preset {preset}, {origins['trials']} trials: at a calibration error of {relative}, both 95 % intervals "
+            f"of the change of the registered tip error from DCAC to MOC exceed {MOST_CHANGE_PERCENT:g} %. At "
+            f"{absolute}, MOC's mean error exceeds {MOST_MM:g} mm."
         )
         here = (preset, "origins", DEFAULT_SIZE_MM)
         for row in (row for row in summary["calibration"] if (row["preset"], row["kind"], row["size"]) == here):

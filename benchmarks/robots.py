@@ -145,7 +145,7 @@ def report(summary: Mapping[str, Any], judged: str) -> Report:
     arm_column = Column("robot", "arm")
     sections = [
         Section("All figures", "Whole: number of completed runs. Means are over these runs. Settled errors: "
-                f"means while no elbow of a trial moves to its optimum. {FRAMES}", [Table("Every arm and controller", [
+                f"means while the elbow travels in no run of the trial. {FRAMES}", [Table("Every arm and controller", [
                     arm_column, Column("controller", "controller"),
                     *columns("trials", "whole", *headings, *MEANS, **headings)], every)]),
         Section("Findings", "", [Table("Which findings hold on which arm", [

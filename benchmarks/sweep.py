@@ -84,7 +84,7 @@ class RandomSample(Settings):
 
 class Config(StudyConfig):
     seeds: int | list[int] = Field(1, description="number of seeds, or a list of seeds")
-    solvers: list[str] | None = Field(None, description="solvers; 'dcac' needs none. None: the scenario's solver")
+    solvers: list[str] | None = Field(None, description="names, or 'dcac'; by default, the scenario's solver")
     timed: bool = Field(False, description="make one run at a time and keep its times")
     run_limit_s: float = Field(600.0, gt=0.0, le=MOST_S, description="a run that takes longer is stopped")
     grid: dict[str, Any] = Field(default_factory=dict, description="a list of values, by dotted path of the field")

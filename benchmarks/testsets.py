@@ -4,8 +4,8 @@ python -m benchmarks.testsets [--check]
 
 Most sets hold problems of one kind, at random arm poses. On one machine, the same seed gives the same problems to the
 last bit. Six sets are sequences, recorded in closed loop at 500 Hz. Each begins with the elbow near the middle of its
-range. The control law has changed since the recording, so their problems are not made again but taken from the files.
---check compares new problems with those in the files, and the files' answers with newly certified answers.
+range. Problems of sequences are taken from the files, because today's control law would give others. --check compares
+new problems with those in the files, and the files' answers with newly certified answers.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def infeasible(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
 
 
 def inconsistent(size: float) -> Callable[[RobotModel, Rng], Iterator[NullSpaceQP]]:
-    """Return a maker of problems whose references differ by ``size`` [m/s] along the shaft."""
+    """Return a maker of problems in which v_wrist exceeds v_tip by ``size`` [m/s] along the shaft."""
 
     def make(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
         while True:

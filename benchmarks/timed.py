@@ -319,7 +319,7 @@ def loop(scenario: Scenario, runs: int) -> Part:
 
 
 def limit(rows: Iterable[Mapping[str, Any]], c_tick_us: float | None) -> dict[str, float]:
-    """Return medians: MuJoCo's steps, the limit (these steps and the tick in C), and tick in Python / limit."""
+    """Return medians: MuJoCo's steps [us], the limit (steps plus the tick in C) [us], and (run per tick) / limit."""
     us, steps = np.array([(row["us_per_tick"], row["steps_us"]) for row in rows]).T
     found = {"steps_us": float(np.median(steps))}
     if c_tick_us is not None:
@@ -353,7 +353,7 @@ FIRST_RUN = ("-m", "moc_opt", "run", "--json")
 
 
 def fresh(processes: int) -> Part:
-    """Return medians in new processes [s]: from the first import to the first torque, and of a whole ``moc-opt run``.
+    """Return median times of new processes [s]: from the import to the first torque, and for a whole ``moc-opt run``.
 
     Each ``moc-opt run`` has its own home folder, so that it finds no caches.
     """

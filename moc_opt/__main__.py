@@ -47,7 +47,7 @@ def _command(arguments: Sequence[str] | None) -> int:
     try:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         warnings.formatwarning = lambda text, *_, **__: f"{text}\n"
-        from moc_opt.commands.parser import COMMANDS, make_parser, work_of  # slow: Ctrl-C may come in between
+        from moc_opt.commands.parser import COMMANDS, make_parser, work_of  # slow: Ctrl-C may interrupt it
 
         parser = make_parser()
         if "_ARGCOMPLETE" in os.environ:  # a shell asks for completions

@@ -94,7 +94,7 @@ MOST_ITERATIONS = 2**31 - 1  #: The largest number of iterations that a trace ca
 
 
 def received(given: object, n: int) -> tuple[Solution, str]:
-    """Return a copy of a solver's answer, and a message, which is empty if the answer is well-formed.
+    """Return (copy of a solver's answer, message). The message is empty if the answer is well-formed.
 
     If any part is malformed, x (n,) is NaN.
     """

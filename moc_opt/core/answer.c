@@ -41,10 +41,10 @@ static double steepest_descent(const moc_problem *p, int rows, double Z[][MOC_MA
     return scale;
 }
 
-/* `natural`, `off` and `opposite` (see moc_residuals) are measured along a line of self-motion through x. If there are
- * several freedoms, it is the line of steepest feasible descent. Then, and also if c2 max |pull_j| <= rho, `off` and
- * `opposite` stay zero if natural <= PASSES. With the coordinate s along the line and pull's component g, the cost is
- * rho s^2 / 2 - c2 g s. Its optimum is c2 g / rho (-c2 g / rho for the negated gradient), clipped to the bounds. */
+/* `natural`, `off` and `opposite` (see moc_residuals) are measured along a line of self-motion through x. With several
+ * freedoms, this is the line of steepest feasible descent. With the coordinate s along the line and pull's component g,
+ * the cost is rho s^2 / 2 - c2 g s. The optimum is s = c2 g / rho (for the negated gradient -c2 g / rho), clipped to
+ * the bounds. With several freedoms or c2 max |pull_j| <= rho, `off` and `opposite` stay zero if natural <= PASSES. */
 moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS], const double *x)
 {
     moc_residuals found = {0.0, 0.0, 0.0, 0.0, 0.0};

@@ -15,7 +15,7 @@ static npy_intp length_of(const call *c, int wanted)
     return (lengths[-1 - wanted].nn * c->n + lengths[-1 - wanted].n) * c->n + lengths[-1 - wanted].one;
 }
 
-/* Whether an array has the wanted length. If n (or k) is not set yet, a length that depends on it sets it. */
+/* Whether an array has the wanted length. The first length that depends on n (or k) sets n (or k). */
 static bool fits(call *c, int wanted, npy_intp length)
 {
     if (wanted == K && c->k < 0)

@@ -109,7 +109,7 @@ static void add(double s, const moc_twist *what, moc_twist *to)
     }
 }
 
-/* Compute t's M, h, gravity and energy_slope, and the last link's twist V and its acceleration at ddq = 0. */
+/* Compute M, h, gravity and energy_slope of t, the last link's twist V, and the acceleration dV/dt at ddq = 0. */
 static void dynamics(const moc_arm *arm, const moc_frame *frame, const moc_twist *S, moc_terms *t, moc_twist *V,
                      moc_twist *acceleration)
 {

@@ -7,12 +7,12 @@
 #include "vec.h"
 
 #define RANK_TOLERANCE 1e-12 /* largest (singular value of A) / |A|_F that counts as zero */
-#define TIED 1e-7            /* up to this (sixth singular value) / |A|_F, tip and wrist count as rigidly tied */
+#define TIED 1e-7            /* largest (sixth singular value) / |A|_F at which tip and wrist count as rigidly tied */
 #define LOOK_CLOSER 1e3      /* own_part checks pivots below LOOK_CLOSER * tolerance * first pivot */
 #define LEFT 1e-6            /* largest allowed |A x - b| of the result [m/s] */
 #define SOUND 1e-6           /* if the last pivot is smaller, the result is checked [m] */
 #define UNBALANCED 1e-4      /* largest allowed |A^T y - force| / max(c2 |pull|, rho) of the result */
-#define IDLE 1e-12           /* if no entry of its column is larger, a joint is idle: it moves neither tip nor wrist */
+#define IDLE 1e-12           /* a joint is idle (moves neither tip nor wrist) if no entry of its column is larger */
 #define ROUNDING 1e-9        /* an idle joint's pull counts as zero below this share of the largest pull */
 #define GROWTH 4e-12         /* assumed bound on the relative rounding error of the elimination */
 #define WIDEST 1e-5          /* upper bound on the tolerance of a second solve [rad/s] */
@@ -29,8 +29,8 @@ static inline void weigh_back(const moc_plane *plane, int steps, double g[6])
     }
 }
 
-/* Estimate singular value k + 1 of A, divided by |A|_F. Each row without a pivot before step k is e^T A for an e. The
- * estimate is the largest |e^T A| / (|e| |A|_F). It is at most 4 * (pivot of step k) / (first pivot). */
+/* Estimate singular value k + 1 of A, divided by |A|_F. Before step k, each row without a pivot is a combination e^T A
+ * of A's rows. The estimate is the largest |e^T A| / (|e| |A|_F), at most 4 * (pivot of step k) / (first pivot). */
 static double own_part(const moc_plane *plane, int n, double A[][MOC_MAX_JOINTS], int k)
 {
     double most = 0.0, size = 0.0;
@@ -82,7 +82,7 @@ static inline int eliminate(moc_plane *plane, int n, double A[][MOC_MAX_JOINTS],
         plane->pivot = size;
         plane->joint[k] = column;
         plane->from[k] = pivot;
-        /* 1 / pivot, computed from size, which is known before the pivot's row */
+        /* 1 / pivot; size is known before the pivot's row is found */
         double inverse = plane->inverse[k] = copysign(1.0 / size, plane->row[pivot][column]);
         for (int c = 0; c < m; c++) {
             pivot_row[c] = plane->row[pivot][c] * inverse;
@@ -290,12 +290,12 @@ static double explained_by_rounding(const moc_plane *plane, const moc_problem *p
 moc_status moc_solve_eliminated(const moc_plane *plane, const moc_problem *p, double tolerance, double *x, double y[6])
 {
     moc_status status = solve(plane, p, tolerance, x, y);
-    /* If rounding may have decided the status, solve again with a larger tolerance, and accept a solution. Else, the
-     * status is kept only if no x is feasible even with the tolerance `unclear`. */
+    /* If rounding may have decided the status, solve again with a larger tolerance. If this gives no solution, keep the
+     * status only if no x is feasible within the still larger tolerance `unclear` (1e5: almost parallel columns). */
     double explained = status == MOC_OK ? 0.0 : explained_by_rounding(plane, p);
     if (explained <= tolerance)
         return status;
-    double unclear = smaller((plane->freedoms > 1 ? 1e5 : 100.0) * explained, UNCLEAR); /* columns may be parallel */
+    double unclear = smaller((plane->freedoms > 1 ? 1e5 : 100.0) * explained, UNCLEAR);
     if (solve(plane, p, smaller(100.0 * explained, WIDEST), x, y) == MOC_OK && off_plane(p, x) <= LEFT)
         return MOC_OK;
     return solve(plane, p, unclear, x, y) == MOC_INFEASIBLE ? status : MOC_DOUBTFUL;

@@ -4,7 +4,7 @@
  *   tau_0 = K_N2 (x - v) - D_N2 v, feed-forward tau_ff, observer's estimate r, share rising from 0 to 1. */
 #include "vec.h"
 
-#define STRAIGHT 1e-3  /* in add_dynamic, rows 3 and 4: a row this much shorter than the other counts as zero */
+#define STRAIGHT 1e-3  /* in add_dynamic, row 3 or 4 counts as zero below this share of the other row's length */
 
 #define SHAFT_PULL 0.1 /* weight of log mu_shaft relative to mu [m^3] */
 #define SHAFT_LOST 0.1 /* near this mu_shaft / shaft_margin, moc_shaft_push is largest */
@@ -74,7 +74,7 @@ static void desired_wrist_acceleration(const line *s, double span, const double 
  * A5 = [J_T; b^T J_W]. The columns of b (3, 2) are perpendicular to the shaft. M = H H^T (Cholesky). `rows` has the
  * three rows J_T H^-T of the tip, the two rows b^T J_W H^-T of the wrist, and (H^-1 tau_W)^T. The tip's rows are made
  * orthonormal, and the others orthogonal to them. This avoids A5 M^-1 A5^T, which has the square of the rows' condition
- * number. With a straight elbow, the wrist cannot accelerate in one direction, which the feed-forward leaves out. */
+ * number. With a straight elbow, the feed-forward leaves out the direction in which the wrist cannot accelerate. */
 static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *ddX_d, const double *ddN_d,
                         const double *tau_W, double *tau)
 {

@@ -1,7 +1,7 @@
 /* Manipulability of the tip (Yoshikawa 1985) and of the shaft, and their gradients. */
 #include "vec.h"
 
-/* threshold of det(S) / (mean of S_ii)^3: up to it, S = J J^T counts as singular */
+/* largest det(S) / (mean of S_ii)^3 at which S = J J^T counts as singular */
 #define SINGULAR 1e-14
 
 moc_gram moc_gram_of(int n, double J[][MOC_MAX_JOINTS])

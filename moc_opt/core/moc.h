@@ -171,7 +171,7 @@ typedef struct {
     double relative_limit;  /* largest allowed natural residual of a claimed optimum */
     double opposite_limit;  /* limit of `off` (moc_residuals) of a claimed optimum if `opposite` is smaller [rad/s] */
     int hold_ticks;         /* ticks for which the last accepted answer replaces refused answers */
-    int keep_off_limits;    /* after hold_ticks, 1: a self-motion keeps joints off their limits (retreat), 0: x = 0 */
+    int keep_off_limits;    /* after hold_ticks. 1: a self-motion keeps joints off their limits (retreat); 0: x = 0 */
     moc_fallback fallback;  /* for an infeasible subproblem */
     moc_late late;          /* for a late answer */
     double budget_us;       /* an answer is late if its solve took longer [us] */

@@ -59,8 +59,8 @@ static void slope_of(int n, const moc_law *law, const moc_terms *t, int rows, do
 }
 
 /* Let d(q) = (I - A^+ A)(grad mu + moc_shaft_push() grad mu_shaft), z = d / |d| at the present q, and h the derivative
- * of z^T d(q + s z) by s at s = 0. If h < 0, the Newton step along z is |d| / -h, and the result is
- * x_d = RATE min(|d| / -h, LONGEST) z. Else it is x_d = RATE LONGEST z. */
+ * of z^T d(q + s z) by s at s = 0. If h < 0, the Newton step along z is |d| / |h|, and the result is
+ * x_d = RATE min(|d| / |h|, LONGEST) z. Else it is x_d = RATE LONGEST z. */
 void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_memory *memory, double *x_d)
 {
     double slope[MOC_MAX_JOINTS] = {0.0}, there[MOC_MAX_JOINTS] = {0.0};
