@@ -205,8 +205,8 @@ SECTIONS = {
     TICKS: (
         ("tick", "tick_parts"),
         "The inputs of the ticks are recorded in a run with the realistic plant. They are replayed in chunks of 100, "
-        "and the controllers take turns chunk by chunk. The first round is not counted. Each part is timed alone, "
-        "so the parts' times do not add up exactly. `c` is `moc_step` in the exported program, with the safety filter.",
+        "and the controllers take turns chunk by chunk. The first round is not counted. Each part of a tick is timed "
+        "alone, so the times do not add up exactly. `c` is `moc_step` in the exported program, with the safety filter.",
     ),
     PEERS: (
         ("peers",),

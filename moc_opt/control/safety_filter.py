@@ -41,7 +41,7 @@ class SafetyFilter:
         period: control period [s].
         carries: whether the torque carries the arm's weight. If not, the drives do.
         incision: whether the tool is in an incision. If not, RCM error and trocar force are not checked.
-        momentum: whether the momentum residuals are checked even if `limit_torque` is called without a state.
+        momentum: whether `limit_torque` computes a missing state, in order to check the momentum residuals.
 
     Attributes:
         limited: number of joints whose torque the last call of `limit_torque` changed.

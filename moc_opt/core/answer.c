@@ -2,7 +2,7 @@
 #include "vec.h"
 
 #define AT_BOUND 1e-4          /* largest distance from a bound that counts as zero [rad/s] */
-#define PASSES 2e-3            /* largest `natural` with which moc_judge may leave `off` and `opposite` zero [rad/s] */
+#define PASSES 2e-3            /* largest `natural` at which moc_judge may leave `off` and `opposite` zero [rad/s] */
 #define NO_GRADIENT 1e-12      /* largest |part of pull in ker A| / (largest entry of pull) that counts as zero */
 #define IMMOBILE 1e-12         /* lower bound on the divisors in least_violation [m^2] */
 #define GRADIENT_ROUNDING 1e-9 /* largest length of a descent direction that counts as zero */

@@ -1,7 +1,7 @@
 /* The law (Su et al. 2019, in the form of docs/method.md) and the subproblem.
  *
  *   tau = h + J_T^T F_T + (I - J_T^T Jbar_T^T) J_W^T F_W + tau_ff - r + share M Z^T (Z M Z^T)^-1 Z tau_0,
- *   tau_0 = K_N2 (x - v) - D_N2 v, feed-forward tau_ff, observer's estimate r, share rising from 0 to 1. */
+ *   tau_0 = K_N2 (x - v) - D_N2 v. tau_ff is the feed-forward, r the observer's estimate. share rises from 0 to 1. */
 #include "vec.h"
 
 #define STRAIGHT 1e-3  /* in add_dynamic, row 3 or 4 counts as zero below this share of the other row's length */

@@ -252,7 +252,7 @@ typedef struct {
     double gap, peak, shown, speed;          /* q - integral of v; largest recent |v|; last q; last v */
     double repeats, whole;                   /* ticks in a row with unchanged q; all ticks with unchanged q and v */
     double torque;                           /* torque when the encoders stopped changing [Nm] */
-    double integral, residual, mean;         /* of the momentum observer: its integral; r; mean of r */
+    double integral, residual, mean;         /* momentum observer: integral; residual r; mean of r */
     double at_repeat, unseen, exceeded;      /* `mean` when q last changed; STUCK's integral; UNEXPLAINED's ticks */
 } moc_joint_watch;
 
