@@ -3,9 +3,9 @@
 #include "vec.h"
 
 /* Compute the wrench of the trocar on the tool in world axes: force, then moment about the tool's centre of mass com.
- * With the shaft's direction u, its point c nearest to the trocar P, and the tool's velocity w at this point,
- * force = (I - u u^T)(stiffness (P - c) + damping (dP - w)).
- * twist is the angular velocity, then the velocity at origin. trocar has P and dP as they were `elapsed` s ago. */
+ * force = (I - u u^T)(stiffness (P - p) + damping (dP - w)). P is the trocar, u the shaft's direction, p the shaft's
+ * point nearest to P, and w the tool's velocity at p. twist is the angular velocity, then the velocity at origin.
+ * trocar has the P and dP of `elapsed` seconds ago. */
 FUNCTION(shaft_wrench, {"tip", READ, 3}, {"wrist", READ, 3}, {"twist", READ, 6}, {"origin", READ, 3}, {"com", READ, 3},
          {"trocar", READ, 2, 3}, {"elapsed", NUMBER}, {"stiffness", NUMBER}, {"damping", NUMBER}, {"wrench", WRITE, 6})
 {

@@ -1,15 +1,15 @@
-/* The optimum if ker A has two or more dimensions, as a projection on the feasible set.
+/* The optimum by projection on the feasible set, if ker A has two or more dimensions.
  *
- * Let Pi be the orthogonal projector on ker A, g the problem's pull, x_p the shortest solution of A x = b, s = x - x_p.
- * The optimum of rho/2 |x|^2 - c2 g^T x is the feasible point nearest to s = c2 Pi g / rho. The dual active-set method
- * of Goldfarb and Idnani (Math. Programming 27, 1983, algorithm 1) starts there and adds violated bounds one by one. To
- * keep a joint at its bound, Pi is swept on it (Goodnight, The American Statistician 33, 1979). If rho is almost zero,
- * this start is too far away, and a proximal point iteration approaches the optimum in steps (Ferris 1991). */
+ * Let Pi be the orthogonal projector on ker A, g the problem's pull, and x_p the shortest solution of A x = b. The
+ * optimum of rho/2 |x|^2 - c2 g^T x is the feasible point nearest to x_p + c2 Pi g / rho. The dual active-set method of
+ * Goldfarb and Idnani (Math. Programming 27, 1983, algorithm 1) starts at this point and adds violated bounds one by
+ * one. A sweep of Pi on a joint keeps the joint at its bound (Goodnight, The American Statistician 33, 1979). If rho is
+ * almost zero, the start is too far away. A proximal point iteration then approaches the optimum (Ferris 1991). */
 #include "vec.h"
 
 #define FAR 1e3          /* proximal steps are used if |c2 Pi g| / rho is at least FAR * (largest upper - lower) */
-#define UNMOVED 1e-20    /* threshold of Pi_jj: up to it, joint j cannot move in ker A */
-#define DEPENDENT 1e-12  /* threshold of (Pi_jj after sweeps) / (Pi_jj before): up to it, joint j cannot move */
+#define UNMOVED 1e-20    /* joint j cannot move in ker A if Pi_jj is at most this */
+#define DEPENDENT 1e-12  /* after sweeps, joint j cannot move if Pi_jj / (Pi_jj before) is at most this */
 
 typedef struct {
     int n, r;                                  /* joints, dimension of ker A */
@@ -76,7 +76,7 @@ static int furthest_out(const polytope *t, double slack)
     return joint;
 }
 
-/* Find the joint whose multiplier is the first to reach zero when p's multiplier grows. *step is this growth. */
+/* Find the joint whose multiplier reaches zero first while p's multiplier grows. *step is the growth until then. */
 static int first_to_let_go(const polytope *t, int p, double side, double *step)
 {
     int joint = NONE;
@@ -123,7 +123,7 @@ static bool push(polytope *t, int p, int *active)
 }
 
 /* Move s within ker A to the nearest point within the bounds: s - s_start = Pi force. Pi must not be swept on entry. If
- * no point is found, the bounds are widened, because rounding errors can empty a feasible set of a single point. */
+ * no point is found, the bounds are widened, because a feasible set of one point can be lost by rounding. */
 static moc_status project(polytope *t, double slack, double most)
 {
     double start[MOC_MAX_JOINTS];

@@ -143,7 +143,7 @@ METHOD(Law, step, TICK, {"x_d", MAYBE, N}, {"tolerance", NUMBER}, {"solve_us", N
         return NULL;
     self->controller.tolerance = c->number[5];
     double from = now_us();
-    moc_eliminate(s->problem.n, s->problem.A, &s->plane); /* again: answer.us is to include the elimination */
+    moc_eliminate(s->problem.n, s->problem.A, &s->plane); /* repeated, so that answer.us includes it */
     moc_answer answer = moc_ask_exact(&self->controller, s);
     answer.us = isnan(c->number[6]) ? now_us() - from : c->number[6];
     moc_finish(&self->controller, &answer, s, found + 2 * c->n + 6);

@@ -19,8 +19,8 @@
 
 #include "tools.h"
 
-/* READ is a C-contiguous float64 array, MAYBE such an array or None, NUMBER a float, WHOLE an integer. WRITE arrays and
- * STRIDED arrays (of any strides) are filled. MADE arrays are created by the call, and come last in a table. */
+/* READ: a C-contiguous float64 array. MAYBE: such an array or None. NUMBER: a float. WHOLE: an integer. WRITE: an array
+ * to fill. STRIDED: the same, with any strides. MADE: an array that the call creates, last in a table. */
 typedef enum { READ, WRITE, STRIDED, MAYBE, NUMBER, WHOLE, MADE } kind;
 
 /* Symbolic lengths: N = n joints, ROW = 11 n + 10 (subproblem), TERMS = n n + 13 n + 18, TICKED = 14 n + 16 (results of
@@ -38,7 +38,7 @@ enum { MOST_ARGUMENTS = 14 };
 typedef struct {
     int n;                                /* joints; 0 until an array sets it */
     npy_intp k;                           /* rows; -1 until an array sets it */
-    int made, end;                        /* arguments number made to number end - 1 are MADE */
+    int made, end;                        /* the arguments [made, end) are of kind MADE */
     double *array[MOST_ARGUMENTS];        /* NULL for None */
     double number[MOST_ARGUMENTS];
     PyArrayObject *as[MOST_ARGUMENTS];

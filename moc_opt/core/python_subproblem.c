@@ -38,12 +38,12 @@ FUNCTION(step_network, {"record", READ, ROW}, {"x", WRITE, N}, {"y", WRITE, 6}, 
     return Py_BuildValue("ii", (int)status, made);
 }
 
-/* --- `load` fills a QP library's buffers: 1/2 x^T P x + p^T x, and five independent equality rows ---
+/* --- `load` fills a QP library's buffers: cost 1/2 x^T P x + p^T x, and five independent equality rows ---
  *
- * The five rows are the tip's three and the wrist's two perpendicular to the tool's direction u: A5 = lift A. With the
- * multipliers y5 of A5, those of A are lift^T y5. */
+ * The five rows are A5 = lift A: the three rows of the tip, and two rows of the wrist across the tool's direction u. If
+ * y5 are the multipliers of A5, lift^T y5 are the multipliers of A. */
 
-#define TIED 1e-7 /* up to this (sixth singular value) / |A|_F, tip and wrist count as rigidly tied */
+#define TIED 1e-7 /* tip and wrist are rigidly tied if (sixth singular value of A) / |A|_F is at most this */
 
 /* Compute the unit vector u with u^T D = 0, D = J_T - J_W. Every nonzero column of the adjugate of D D^T is parallel to
  * u. Returns false if tip and wrist are not rigidly tied. */

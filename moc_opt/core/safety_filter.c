@@ -5,11 +5,11 @@
  *
  *   LATE              now - newest stamp > delay of the run's first new measurement + patience [ticks]
  *   MEASUREMENT *     |q - q_believed| > jump + v_max (time since the last believed q), or |v| > speed_factor v_max
- *   REPLAYED          all encoders and the wrench equal earlier readings at a constant lag on more than
- *                     repeat_reading_ticks ticks, or repeat_whole_ticks ticks (replayed_ticks without wrench noise)
+ *   REPLAYED          all encoders and the wrench equal earlier readings at a constant lag on more than n ticks. n is
+ *                     the smaller of repeat_reading_ticks and repeat_whole_ticks (without wrench noise: replayed_ticks)
  *   REPEATED *        all q are unchanged, but the reference moved by repeat_m or a torque changed by repeat_torque
  *                     tau_max. If the wrench is unchanged as well, repeat_whole_m and repeat_whole_torque apply.
- *                     It also applies if all q are unchanged under WRENCH_REPEATED.
+ *                     Or: all q are unchanged, and the condition of WRENCH_REPEATED holds
  *   REPEATED          all q and v are unchanged on more than repeat_reading_ticks ticks in total
  *   RAN_AWAY          |change of q - integral of v| over motion_s > motion_rad + motion_lag_s * (largest recent |v|)
  *   ONE_REPEATED      one q is unchanged for more than repeat_joint_ticks ticks in a row, or one q and its v for
@@ -20,8 +20,8 @@
  *   RCM, FORCE        rms distance of the shaft from the trocar, or rms trocar force, is above its limit
  *   TIP               rms |X - X_d| > tip_error
  *   UNEXPLAINED *     |r_i - mean of r_i| > residual_torque tau_max, or |r_i| > residual_whole tau_max
- *   STUCK             q_i is unchanged on more than `patience` ticks in a row, and |integral since then of (change of
- *                     r_i beyond held_i) / M_ii| > stuck_speed
+ *   STUCK             q_i is unchanged on more than `patience` ticks in a row, and |integral of d_i / M_ii| >
+ *                     stuck_speed since q_i last changed. d_i is the change of r_i in this time, beyond +-held_i
  *   TORQUE            the controller's torque is not finite
  *
  * Each joint's torque is limited by its virtual wall (left_by_wall), then by torque_step, then by tau_max.
@@ -137,7 +137,7 @@ static bool compare_joint(const moc_guard *g, double q, double v, double elapsed
         j->repeats += 1.0;
     } else {
         j->repeats = 0.0;
-        j->at_repeat = j->mean; /* not the residual: the step of a coarse encoder disturbs it */
+        j->at_repeat = j->mean; /* the mean, as the step of a coarse encoder disturbs the residual */
         j->unseen = 0.0;
     }
     j->shown = q;
@@ -260,10 +260,10 @@ static double rcm_error(double pose[4][3], const double P[3])
 }
 
 /* Compute the trocar's force across the shaft [N] from the wrench at the tool's mount.
- * Let z be the tool's axis, L its length and d the depth of the tip beyond the trocar. Without the tool's weight, the
- * trocar's force f and a contact force g at the tip give force = f + g and torque = (L - d) z x f + L z x g. Hence
- * f = (L force - torque x z) / d. An error of d moves a part of f to g. The result is therefore at least
- * |force| - tip_force. An unknown load may reduce the computed f. The warning therefore also uses |force| (*all). */
+ * Let z be the tool's axis, L its length, d the depth of the tip beyond the trocar, f the trocar's force, and g a
+ * contact force at the tip. Without the tool's weight, force = f + g and torque = (L - d) z x f + L z x g. Hence
+ * f = (L force - torque x z) / d. An error of d moves a part of f to g. As |g| is at most tip_force, the result is at
+ * least |force| - tip_force. An unknown load may reduce the computed f, so the warning also uses |force| (*all). */
 static double trocar_force(const moc_guard *g, double pose[4][3], const double P[3], const double *wrench, double *all)
 {
     double depth = 0.0, L = g->tool_length, weight[2], force[2];

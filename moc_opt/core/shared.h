@@ -16,7 +16,7 @@ typedef struct {
     double p[3];    /* [m] */
 } moc_frame;
 
-/* Linear velocity (at the world's origin) and angular velocity. An array `twist` has one per joint, at unit speed. */
+/* Linear velocity (at the world's origin) and angular velocity. twist[j] is caused by joint j at unit speed. */
 typedef struct {
     double lin[3], ang[3];
 } moc_twist;
@@ -46,8 +46,8 @@ typedef struct {
 
 moc_gram moc_gram_of(int n, double J[][MOC_MAX_JOINTS]);
 
-/* Return mu of J (3,n) or mu_shaft of A (6,n), and write its gradient (n,). Only moc_manipulability accepts NULL as
- * `gradient`. `gram` is the result of moc_gram_of for J, or for the first three rows of A. */
+/* Return mu of J (3,n), or mu_shaft of A (6,n), and write its gradient (n,). `gram` is from moc_gram_of, for J or for
+ * the first three rows of A. Only moc_manipulability accepts NULL as `gradient`. */
 double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOINTS], moc_gram *gram, double *gradient);
 double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], moc_gram *gram,
                                 const double u[3], double *gradient);
@@ -65,7 +65,7 @@ void moc_copy_terms(moc_terms *terms, int n, double *record, direction way);
 void moc_tracking_torque(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
                          const moc_trocar *trocar, double *tau);
 
-/* Fill the subproblem. Its cost makes the joint velocity climb mu or, if x_d is not NULL, follow x_d [rad/s]. */
+/* Fill the subproblem. If x_d is NULL, its optimum x climbs mu. Otherwise, x follows x_d [rad/s]. */
 void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
                       const moc_trocar *trocar, const double *x_d, moc_problem *problem);
 
@@ -98,7 +98,7 @@ void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, doub
 
 /* --- exact.c, polytope.c --- */
 
-#define STILL 1e-10 /* |z_j| below which a motion along the unit direction z does not move joint j */
+#define STILL 1e-10 /* a motion along the unit vector z does not move joint j if |z_j| is below this */
 
 void moc_eliminate(int n, double A[][MOC_MAX_JOINTS], moc_plane *plane);
 
@@ -147,7 +147,7 @@ moc_stop moc_guard_incision(const moc_guard *g, double pose[4][3], const moc_tro
 moc_stop moc_guard_follow(const moc_guard *g, const moc_arm *arm, const moc_terms *t, const double *tip,
                           const double *tip_ref, const double *before, double *tau, moc_watch *w);
 
-/* Compute the torque in a stop: `before`, moved by at most torque_step towards the gravity torque (w->cut: zero). */
+/* Compute the torque in a stop: `before`, moved by at most torque_step towards the gravity torque or (w->cut) zero. */
 void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before, const moc_watch *w, double *tau);
 
 /* --- step.c --- */

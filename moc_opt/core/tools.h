@@ -7,7 +7,7 @@
 /* --- rnn.c --- */
 
 typedef struct {
-    int steps;       /* limit of the number of steps */
+    int steps;       /* largest number of steps */
     double h_x, h_y; /* step sizes dt/eps of x and y */
     double k;        /* gain k of Su et al. 2019 */
     double scale;    /* multiplies c0, c1, c2 and rho */
@@ -43,15 +43,15 @@ double plan_ascend(const plan_task *task, double *q);
 /* One step of dynamic programming: compute the value (branches, m) of each pose from the values at the next time.
  *
  * q (branches, m, n) has the poses, or NaN. q_next (branches, next, n) has the next poses, sorted in each branch by
- * joint `sorted`, with NaN last. gain (branches, m) is a pose's reward, or -inf. In a step, no joint moves by more than
- * step (n,) plus the slack of both poses. The branch number changes only in bits of crossing (m,). */
+ * joint `sorted`, with NaN last. gain (branches, m) is a pose's reward, or -inf. Between two times, joint j moves by at
+ * most step[j] plus the slacks of both poses. Only the bits set in crossing (m,) of the branch number may change. */
 typedef struct {
     int branches, m, next, n, sorted;
     const double *q, *slack, *gain;
     const double *q_next, *slack_next, *value_next;
     const double *step;
     const double *crossing; /* integers */
-    double price, reach;    /* cost of squared motion [1/rad^2]; step plus largest slack_next of joint `sorted` */
+    double price, reach;    /* cost of squared motion [1/rad^2]; for joint `sorted`: step plus largest slack_next */
 } plan_stage;
 
 void plan_advance(const plan_stage *stage, double *value);

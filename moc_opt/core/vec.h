@@ -140,7 +140,7 @@ static inline double off_plane(const moc_problem *p, const double *x)
     return largest_of(6, gap);
 }
 
-/* Compute five independent rows of A: the tip's three, and b^T J_W for the wrist (b: see `across`). */
+/* Compute five independent rows of A: the tip's three, then the wrist's along b[0] and b[1] from `across`. */
 static inline void five_rows(int n, double A[][MOC_MAX_JOINTS], double b[2][3], double A5[5][MOC_MAX_JOINTS])
 {
     memcpy(A5, A, 3 * sizeof *A5);

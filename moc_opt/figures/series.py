@@ -40,8 +40,8 @@ def time_series(
     A dotted line is the largest mu of all feasible poses with the same tip and shaft.
 
     Args:
-        runs: by name, a `Trace` or a dict of columns (N,) or (N, k) with `t_s`. A vector is drawn as its norm.
-        panels: names of columns. None means ``PANELS``; columns of ``TIPS`` that all runs have replace `tip_error_m`.
+        runs: for each name, a `Trace` or a dict of columns. `t_s` is (N,). Of a column (N, k), the norms are drawn.
+        panels: columns. None means ``PANELS``, with `tip_error_m` replaced by the columns of ``TIPS`` in all runs.
         styles: the style of each run; None makes new styles.
 
     Raises:

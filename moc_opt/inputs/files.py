@@ -156,7 +156,7 @@ def to_json(value: Any, *, indent: int | None = 2, sort_keys: bool = False) -> s
 
 
 def to_toml(table: Mapping[str, Any]) -> str:
-    """Return a table as TOML, from which `read_toml` makes equal values.
+    """Return a table as TOML. `read_toml` reads equal values from it.
 
     Raises:
         TypeError: TOML cannot hold a value, such as None.

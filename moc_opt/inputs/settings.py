@@ -111,7 +111,7 @@ def _leaves(given: Any, value: Any, where: str = "") -> Iterator[tuple[str, Any,
 
 
 def _fault(written: Any, read: Any, most: int) -> str:
-    """Return the cure if a value is wrong although pydantic accepts it, for example a number in quotes; else ""."""
+    """Return the cure, or "" if the value is right. Some wrong values pass pydantic, such as a number in quotes."""
     is_flag = isinstance(written, bool | np.bool_)
     if isinstance(read, bool):
         return "" if is_flag else "give true or false, without quotes"

@@ -98,7 +98,7 @@ class LivePage:
 
 
 def _refuse_without(token: str, server: Any) -> None:
-    """Close each WebSocket whose address lacks the token: any web site can open a WebSocket to this machine."""
+    """Close each WebSocket whose address lacks the token, because any web site can open one to this machine."""
     sockets = server._websock_server
 
     @sockets.on_client_connect
@@ -256,7 +256,7 @@ def _quaternion(rotation: Array) -> Array:
 def serve(scenario: Scenario, *, port: int = PORT, title: str = "") -> int:
     """Serve the page until Ctrl-C; return the exit code."""
     with LivePage(scenario, port=port, title=title) as page:
-        # A KeyboardInterrupt could leave a lock of the page's threads held.
+        # With a KeyboardInterrupt, a lock of the page's threads could stay locked.
         signal.signal(signal.SIGINT, lambda number, frame: page.stop())
         print(f"live at {page.url} - Ctrl-C ends it", file=sys.stderr, flush=True)
         page.wait()

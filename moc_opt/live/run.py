@@ -81,7 +81,7 @@ def solver_of(controller: Controller) -> str:
 class LiveRun:
     """The closed loop of a scenario, in which the arm moves to and fro along the path.
 
-    Call it from one thread only. An unusable scenario raises a MocOptError. Errors of the running loop are put into
+    Use it from one thread only. An unusable scenario raises a MocOptError. Errors of the running loop are put into
     `messages`, oldest first. ``t_s`` is the latest tick's time [s]. ``stopped`` says why the arm stopped.
     """
 

@@ -80,7 +80,7 @@ class Course:
     q_rad: Array  #: (k,n)
     mu: Array  #: (k,) manipulability [m^3]
     violation: float
-    """Largest error of tip or wrist [m], excess over joint limits [rad], or excess over the allowed step [rad]."""
+    """Largest of: tip or wrist error [m], excess over joint limits [rad], excess over the allowed step [rad]."""
     certified: bool = False  #: Whether a solver has converged to a local optimum.
 
     @property
@@ -100,7 +100,7 @@ class Limits:
 
     margin: Margin = 0.0  #: distance kept from the joint limits
     speed_share: float = 1.0  #: share of the joints' speed limits that may be used
-    shaft: float = 0.0  #: value of `shaft_shares` below which `lowered` reduces mu
+    shaft: float = 0.0  #: threshold of `shaft_shares`: below it, `lowered` reduces mu
 
 
 def lowered(mu: Array, share: Array, limits: Limits, top: float) -> Array:
@@ -144,7 +144,7 @@ def between(t: Array, times: Array, rows: Array) -> Array:
 
 
 def margin_at(robot: RobotModel, poses: Array, margin: Margin) -> Margin:
-    """Return the margin, but at most the distance of the poses (..., n) from the joint limits."""
+    """Return the margin or, if smaller, the least distance of the poses (..., n) from the joint limits."""
     room = np.minimum(poses - robot.q_min, robot.q_max - poses).reshape(-1, robot.n).min(axis=0)
     room = np.where(robot.moves.any(axis=0), np.maximum(room, 0.0), np.inf)
     return np.minimum(margin, room) if isinstance(margin, np.ndarray) else min(margin, float(room.min()))

@@ -25,7 +25,7 @@ CATCH_UP = 1.03  #: Factor on the joint speeds that the search allows.
 ON_COURSE_RAD = 0.05
 """If the arm is nearer than this to the old course, a new course begins on the old course. A start at the measured pose
 would close a second feedback loop."""
-MOST_OFF = 1e-3  #: Threshold on error of tip and wrist [m] and on excess over limits [rad] for refusing a course.
+MOST_OFF = 1e-3  #: A course is refused if its tip or wrist error [m] or its excess over limits [rad] is above this.
 LOST_RAD = 0.3  #: If a joint is farther than this from the course, the arm has left the course.
 NO_COURSE = "q_start: no course within the joint limits and speeds leads from this pose to the end of the path"
 ASKED_EACH = 25  #: Ticks between two checks of whether the arm has left its course.
@@ -172,7 +172,7 @@ class Follower:
                 self._begin(planner, state.q)
         elif planner is not None and 0 <= self._begun < self._tick and self._tick % self._every == 0:
             # The course of the previous solve takes effect now, as if a solve took the whole time between two solves.
-            # After a refused solve, the course before it follows. Keeping the newest was less accurate on a rail.
+            # A refused solve is replaced by the course followed until now. On a rail, the newest was less accurate.
             now, self._next = self._next, planner.plan(state.q, t, self._now) or self._now
             self._before, self._now = self._now, now
         q, v = self._now.at(t)

@@ -32,14 +32,14 @@ QUARTER = 0.5  #: ``cell`` of `Value`. With 0, the coarse map loses courses near
 SPEEDS = (1.0, 0.7, 0.4)
 """Shares of ``[control] course_speed_fraction``, tried in this order until a course is smooth and can brake."""
 HURRY, WORTH_IT = 1.12, 0.01
-"""Factor of a faster course, tried only if it raises mean mu (manipulability) by more than the share `WORTH_IT`."""
+"""Speed factor of a faster course, tried if this raises mean mu (manipulability) by more than the share `WORTH_IT`."""
 FASTEST = 0.97  #: Upper bound on the share of the joints' speed limits with `HURRY`.
 BRAKE_SHARE = 0.9  #: Share of the safety filter's deceleration that courses made before the run use.
 SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}
 """Weight w of a course's squared acceleration [s^4/rad^2]; see `program`."""
 MOST_OFF_M = 1e-3  #: Distance of tip or wrist from its target, above which a course file is refused.
 MOST_OFF_RAD = 1e-6  #: Tolerance of first pose and joint limits, for a course file.
-ROUNDING = 1e-6  #: Tolerance of a course file's first time [s], relative duration and share of the speed limits.
+ROUNDING = 1e-6  #: Tolerance for a course file: first time [s], relative duration, share of the speed limits.
 PLAN_IT = "plan it for this scenario: moc-opt plan SCENARIO --out FILE"
 
 
@@ -55,7 +55,7 @@ class Following:
     period_s: float  #: control period [s]
 
     def stuck(self, part: float) -> ScenarioError:
-        """Return the error that the path has no course at ``part`` times the usual speed."""
+        """Return the error for a path without a course at ``part`` times the usual speed."""
         limits = Limits(speed_share=part * self.settings.course_speed_fraction)
         stuck = make_plan(self.robot, self.q_start, self.targets(), limits, refined=False).blocked
         where = "" if stuck is None else f"{1e3 * stuck.arc_length_m:.1f} mm along the path, {stuck.reason}"
@@ -80,7 +80,7 @@ class Ways:
 
     @property
     def speeds(self) -> tuple[float, ...]:
-        """The speeds to try: `SPEEDS`, preceded by `HURRY` if this raises mean mu by more than the share `WORTH_IT`."""
+        """The speeds to try: `SPEEDS`, preceded by `HURRY` if this raises mean mu enough."""
         q, mu = self.run.q_start, float(self.run.robot.state(self.run.q_start).mu)
         usual, fast = (self.at(part)[0].of(q, mu) for part in (1.0, HURRY))
         return (HURRY, *SPEEDS) if fast > (1.0 + WORTH_IT) * usual else SPEEDS
@@ -272,7 +272,7 @@ def too_fast_to_follow(settings: ControlSettings, robot: RobotModel, shares: Arr
 
 
 def margin_of(robot: RobotModel, margin_rad: float, margin_m: float) -> Margin:
-    """Return the margin from joint limits, (n,) if a joint slides; a TaskError if it is negative."""
+    """Return the margin from joint limits, (n,) if a joint slides. Raise a TaskError if it is negative."""
     for name, value in (("margin_rad", margin_rad), ("margin_m", margin_m)):
         if not (is_number(value) and 0.0 <= value < np.inf):
             raise TaskError(f"{name} = {value!r}: give zero or more, and less than half of every joint's range")

@@ -42,7 +42,7 @@ class Plan:
     best: Course | None  #: Best course from any start pose, or None.
     climbed: Course  #: Course of a local climb of mu. It stops before the path's end if a limit blocks it.
     bound_from_start: float
-    """Estimated upper bound of mean mu from the start [m^3]; NaN without a course, or if a course exceeds it."""
+    """Estimated upper bound of mean mu from the start [m^3]; NaN if there is no course, or the course exceeds it."""
     bound: float  #: Estimated upper bound of mean mu over all starts [m^3]; NaN as above.
     blocked: Blocked | None  #: Where and why the path cannot be executed from the start, or None.
     start_swivel_rad: float  #: Swivel (elbow angle) at the start [rad]; see `elbow`.

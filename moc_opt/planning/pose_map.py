@@ -1,4 +1,4 @@
-"""Map every pose of an arm at each point of a path, with its manipulability mu and distance to joint limits.
+"""Map the poses of an arm at each point of a path, with their manipulability mu and distance to joint limits.
 
 For arms whose axes meet in a shoulder, an elbow and a wrist, the poses have a closed form in the elbow's swivel angle
 (Kreutz-Delgado, Long and Seraji 1992). For any other arm, curves of poses are traced numerically. With a null space of

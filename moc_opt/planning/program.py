@@ -43,7 +43,7 @@ HORIZON: dict[str, Any] = {
 SETTLED_S = 0.3  #: Time T of the formula above [s].
 SOFT_RAD = 0.003  #: e in `too_fast`; it keeps the derivative finite at the joint limit.
 SMOOTH_LOSS = 0.05  #: Share of mean mu that smoothness and braking may cost.
-LEAST_SHARE = 1e-4  #: Smoothing of `course.shaft_shares`, which raises 0 to this value.
+LEAST_SHARE = 1e-4  #: Smoothing of `course.shaft_shares`: a share of 0 becomes this value.
 INSIDE = 1e-9  #: Narrowing of joint limits and steps, to absorb rounding [rad].
 
 
@@ -149,7 +149,7 @@ def refine(
     The given course is returned unchanged if the answer is infeasible or worse. With ``smoothness`` or ``brake``, the
     answer may lose the share `SMOOTH_LOSS` of mean mu.
     """
-    if limits.shaft > 0.0 and _above(robot, course, limits):  # first without the shaft's margin, which is faster
+    if limits.shaft > 0.0 and _above(robot, course, limits):  # first without the shaft's margin: this is faster
         bare = replace(limits, shaft=0.0)
         free = refine(robot, targets, course, bare, smoothness=smoothness, brake=brake)
         if _above(robot, free, limits):

@@ -49,8 +49,8 @@ class Value:
     def __init__(self, found: PoseMap, limits: Limits, *, cell: float = 0.0, price: float = 0.0) -> None:
         """Compute V backwards in time.
 
-        A pose stands for its surroundings, up to ``cell`` times half the distance to its neighbours. If ``cell`` is 1
-        or more, V estimates an upper bound for courses between the map's poses, too. ``price`` is c [m^3 s^2/rad^2].
+        To the allowed step, each pose adds ``cell`` times half the distance to its neighbours. If ``cell`` is 1 or
+        more, V estimates an upper bound that includes courses between the map's poses. ``price`` is c [m^3 s^2/rad^2].
         """
         self.map = found
         self._period = found.targets.period_s
@@ -149,7 +149,7 @@ def keeping_shaft(found: PoseMap, limits: Limits) -> PoseMap:
 
 
 def reached(found: PoseMap, q_start: Array, limits: Limits) -> list[NDArray[np.bool_]]:
-    """Flag the poses (b,m) that can be reached at each time after the start. Stop when no pose can be reached."""
+    """Flag the poses (b,m) that can be reached at each time after the start. The list ends where there are none."""
     step, feasible = limits.speed_share * found.robot.v_max * found.targets.period_s, found.feasible(limits.margin)
     before, value = np.tile(q_start, (found.mu.shape[1], 1, 1)), np.zeros((found.mu.shape[1], 1))
     each: list[NDArray[np.bool_]] = []
@@ -183,8 +183,8 @@ def advance(
 ) -> Array:
     """Return the values (b,m) of the poses at one time, from the values at the next time.
 
-    Two poses are within reach of each other if no joint differs by more than its step (n,) [rad] plus both poses'
-    slacks, and if their branch numbers differ only in bits that are set in ``crossing`` (m,).
+    Two poses are within reach of each other if no joint differs by more than its step (n,) [rad] plus both slacks.
+    Their branch numbers may differ only in the bits that are set in ``crossing`` (m,).
 
     Args:
         q, slack: (b,m,n) [rad], NaN if there is no pose; gain: (b,m) added to each value, -inf if forbidden.

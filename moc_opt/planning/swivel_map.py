@@ -25,7 +25,7 @@ STEP_RAD = 0.05  #: Spacing of the samples of a self-motion.
 SAME_PATH_M = 1e-6  #: Runs have the same path if their tip references differ by at most this.
 OTHER_BRANCH_RAD = 0.5  #: ``gap_rad`` above which run and map are on different branches of inverse kinematics.
 NEEDED = ("t_s", "q_rad", "tip_m", "tip_ref_m")
-NEAR = 0.02  #: A mu up to this fraction below the best mu counts as the optimum.
+NEAR = 0.02  #: mu counts as optimal if it is below the best mu by at most this fraction.
 END = 0.2  #: The end of a run is judged from this last fraction of its time.
 CLOSE_RAD = np.radians(12.0)  #: Angle up to which a climb of mu counts as short.
 STILL_RAD_PER_S = np.radians(1.0)  #: Speed of the swivel below which a run counts as at rest.
@@ -250,7 +250,7 @@ def read_trajectory(found: SwivelMap, name: str) -> Reading:
 
 
 def _what_holds(found: SwivelMap, run: Trajectory, late: NDArray[np.bool_]) -> tuple[End, int]:
-    # the map's last column before the run's end that has a feasible pose
+    # of the map's columns with a feasible pose, the last one before the run's end
     known = np.flatnonzero(np.isfinite(found.best_mu))
     column = int(max(known[found.t_s[known] <= run.t_s[-1] + 1e-9], default=known[0]))
     mu, limit, count = found.mu[column], found.limit[column], found.mu.shape[1]

@@ -76,7 +76,7 @@ def compute_residuals(rows: Array, x: Array, y: Array | None = None) -> Residual
 
 
 class Assembled(NamedTuple):
-    """Read-only arrays of min 1/2 x^T P x + p^T x s.t. A x = b. For m duals y, lift^T y are those of all six rows."""
+    """Read-only arrays of min 1/2 x^T P x + p^T x s.t. A x = b. From the m duals y, lift^T y gives all six."""
 
     P: Array  #: (n, n)
     p: Array  #: (n,)

@@ -228,7 +228,7 @@ class Answering:
         return make_packet(kind, self.link.n, self.link.session, self.scenario)
 
     def _ask(self, kind: Kind, *, waits: bool) -> Packet:
-        """Repeat a packet until a measurement comes with the flag WAITING (if ``waits``) or without it (if not)."""
+        """Repeat a packet until a measurement comes that has (``waits``) or lacks (not ``waits``) the flag WAITING."""
         link, request, until = self.link, self._packet(kind), monotonic() + self.settings.wait_s
         while (now := monotonic()) < until:
             link.send(request)

@@ -120,7 +120,7 @@ static int receive(int64_t until, wire_measurement *found)
         } scratch;
         ssize_t size = recvfrom(wire.socket, &scratch, sizeof scratch, 0, (struct sockaddr *)&sender, &length);
         if (size < 0)
-            continue; /* timeout, or the plant's system rejected the packet that was sent last */
+            continue; /* timeout, or the plant's machine rejected the previous packet */
         if (is_sound(scratch.bytes, (size_t)size, &sender)) {
             *found = scratch.packet;
             return 1;
@@ -130,7 +130,7 @@ static int receive(int64_t until, wire_measurement *found)
     return 0;
 }
 
-/* Repeat a packet until a measurement with (waiting = 1) or without (waiting = 0) WIRE_WAITING arrives. */
+/* Repeat a packet until a measurement arrives that has (waiting = 1) or lacks (waiting = 0) the flag WIRE_WAITING. */
 static int ask(uint8_t kind, int waiting, wire_measurement *found)
 {
     int64_t until = now_ns() + (int64_t)(1e9 * WIRE_WAIT_S);
