@@ -55,10 +55,10 @@ COLUMNS = (
     ),
     Column(
         "end", "in the end",
-        help=f"in the last {100 * END:.0f} % of the time. Local maximum: mu falls to both sides. Edge: mu would rise "
-        f"further, but only at forbidden poses. The maximum or edge is within {np.degrees(CLOSE_RAD):.0f} deg of the "
-        "elbow. At rest: none is so near; the third level may have tighter bounds than the joint limits of the "
-        "map. Another branch of the inverse kinematics: the map does not apply",
+        help=f"state in the last {100 * END:.0f} % of the time. Local maximum: mu falls to both sides. Edge: mu rises "
+        "further only at forbidden poses. At rest: no maximum or edge is within "
+        f"{np.degrees(CLOSE_RAD):.0f} deg; the third level may have tighter bounds than the map. "
+        "Another branch of the inverse kinematics: the map does not apply",
     ),
 )  # fmt: skip
 
@@ -69,13 +69,13 @@ def add_map(page: Page, found: SwivelMap, *, styles: Styles | None = None) -> No
     if found.held:
         page.text(
             f"With tip and shaft fixed, this arm has {len(found.held) + 1} independent motions. The map shows only the "
-            f"motion during which {listed(found.held)} {'stand' if len(found.held) > 1 else 'stands'} as in the "
-            "longest run. Poses that are not on the map may have a larger mu than the best pose on it."
+            f"motion with {listed(found.held)} at {'their positions' if len(found.held) > 1 else 'its position'} in "
+            "the longest run. Other poses may have a larger mu."
         )
     times, swivels = found.mu.shape
     page.figure(
-        drawn, f"The manipulability mu of every pose with the run's tip and shaft, over time and over the swivel angle "
-        f"of the elbow ({times} by {swivels} poses). At grey poses, a joint would be beyond its limit, or the arm does "
+        drawn, "The manipulability mu over time and over the swivel angle of the elbow, at poses with the run's tip "
+        f"and shaft ({times} by {swivels} poses). At grey poses, a joint would be beyond its limit, or the arm does "
         "not reach the pose. Each line that begins at a marker is a run. The dotted line joins the best poses; its "
         "jumps are not motions of the arm.", name="map",
     )  # fmt: skip
@@ -128,7 +128,7 @@ def map_figure(found: SwivelMap, styles: Styles | None = None) -> go.Figure:
         line = {"color": styles[name].color, "width": 2.4, "dash": dash}
         drawn.add_scatter(**_edged(drawn, name, run.t_s, run.swivel_rad, run.mu), name=label(name), line=line)
     # The best poses are drawn last, because runs at the optimum coincide with them.
-    # On a dark page, the legend turns dark and the map does not.
+    # The legend entry is a line of its own: a dark page changes the colours of the legend, but not of the map.
     dotted = {"width": 2.0, "dash": "dot"}
     drawn.add_scatter(**best, name="best", showlegend=False, line={"color": BEST, **dotted})
     drawn.add_scatter(x=[None], y=[None], mode="lines", legendgroup="best", name="best", line={"color": INK, **dotted})
@@ -150,7 +150,7 @@ def map_figure(found: SwivelMap, styles: Styles | None = None) -> go.Figure:
 
 
 def _colors(drawn: go.Figure, found: SwivelMap, allowed: NDArray[np.bool_]) -> None:
-    """Draw mu, then grey over forbidden poses. Under the grey, mu is drawn too, so that the edge is smooth."""
+    """Draw mu at all reachable poses, so that its edge is smooth, then grey over the forbidden poses."""
     mu, degrees = np.where(found.limit == UNREACHABLE, np.nan, found.mu), np.degrees(found.swivel_rad)
     low, high = float(mu[allowed].min()), float(mu[allowed].max())
     drawn.add_heatmap(

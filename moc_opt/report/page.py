@@ -106,7 +106,7 @@ class Page:
 
 
 def _unlike(text: str, taken: Iterable[str]) -> str:
-    """Turn a text into a name for URLs and files that is not in ``taken``."""
+    """Turn a text into a name for URLs and files. The name is not in ``taken``."""
     words = anchor(text)
     return next(name for k in count(1) if (name := f"{words}-{k}" if k > 1 else words) not in taken)
 
@@ -140,7 +140,7 @@ def _column(
     power = max((len(text.partition("e")[2]) for text in numbers), default=0)
     for cell, row in zip(cells, rows, strict=True):
         own = fraction_length(cell.text)
-        # The spaces replace the decimals, and the decimal point, that other numbers of the column have.
+        # Spaces stand in for the decimal point and the decimals that this number lacks.
         pad = POINT_SPACE * bool(fraction and not own) + FIGURE_SPACE * (fraction - max(own, 1))
         long = not cell.numeric and len(cell.text) > LONG_TEXT
         yield {

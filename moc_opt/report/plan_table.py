@@ -22,8 +22,8 @@ COURSES = [
 STEPS = {"map": "map of poses", "search": "search on the map", "bound": "bound of mean mu", "refine": "refinement"}
 VERDICT_TERMS = "mu: manipulability. Swivel: angle of the elbow about the line from shoulder to wrist."
 COURSES_TERMS = (
-    "Course: joint motion along the path. Local climb: up the gradient of mu, with ideal tracking; a run with "
-    "third_level = 'local' may differ from it. Optimum 'local': no similar course is better. Optimum 'grid': the best "
+    "Course: joint motion along the path. Local climb: course up the gradient of mu, with ideal tracking. A run with "
+    "third_level = 'local' may differ. Optimum 'local': no similar course is better. Optimum 'grid': the best "
     "of sampled courses. Violation: largest distance from the path, or largest excess over a limit."
 )
 
@@ -92,7 +92,7 @@ def _courses(plan: Plan) -> list[dict[str, Any]]:
 
 
 def start_toml(robot: RobotModel, plan: Plan) -> str:
-    """Return a [start] table with the first pose of the best course, else an empty text."""
+    """Return a [start] table with the first pose of the best course, or "" if there is no course."""
     if plan.best is None:
         return ""
     inside = np.ceil(1e6 * robot.q_min) / 1e6, np.floor(1e6 * robot.q_max) / 1e6

@@ -43,9 +43,9 @@ class Replay:
     """One to four runs of one arm, played side by side."""
 
     def __init__(self, traces: Mapping[str, Trace], robot: RobotModel) -> None:
-        """Check the runs; a ReportError if there are too few or too many, or `check_showable` refuses a run."""
+        """Check the runs. Raise a ReportError if their number is wrong, or `check_showable` refuses a run."""
         if not 1 <= len(traces) <= MOST_RUNS:
-            raise ReportError(f"{len(traces)} runs: give 1 to {MOST_RUNS}, more are too small to see")
+            raise ReportError(f"{len(traces)} runs: give 1 to {MOST_RUNS}; more are too small to see")
         for name, trace in traces.items():
             check_showable(name, trace, robot)
         self.traces, self.robot = dict(traces), robot
@@ -85,7 +85,7 @@ class Replay:
 
 
 def load_runs(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, Trace], RobotModel]:
-    """Load traces and their arm; a ReportError if arms or tools differ."""
+    """Load traces and their arm. Raise a ReportError if arms or tools differ."""
     traces: dict[str, Trace] = {}
     for file in map(Path, files):
         traces[file.stem if file.stem not in traces else str(file)] = Trace.load(file)
@@ -175,7 +175,7 @@ def arm_parts(robot: RobotModel) -> list[Part]:
     tip, wrist = chain.offsets
     along = (tip - wrist) / np.linalg.norm(tip - wrist)
     mount = tip - robot.data.tool_length * along
-    ends = np.array([*chain.origins, mount])  # ends[k]: end of the link that begins at frame k - 1, in its axes
+    ends = np.array([*chain.origins, mount])  # ends[k]: end of the link from frame k - 1, in this frame
     lengths = np.linalg.norm(ends, axis=1)
     reach = lengths[:-1].sum()
     radius = np.linspace(0.058, 0.038, n + 1) * reach
@@ -189,7 +189,7 @@ def arm_parts(robot: RobotModel) -> list[Part]:
         heights = heights.clip(0.0 if k == 0 else -np.inf, lengths[k] if k == seen[-1] else np.inf)
         parts.append(Part(int(k) - 1, here, ends[k] / lengths[k], ball * np.cos(bend), heights, "shell"))
     for j, axis in enumerate(chain.axes):
-        # Links of the wrist can have zero length, so the longer of the two links at the joint decides.
+        # Links of the wrist can have zero length, so the longer link at the joint decides whether it is an elbow.
         beside = max(ends[j + 1], chain.rotations[j].T @ ends[j], key=np.linalg.norm)
         across = abs(axis @ beside) < ACROSS * np.linalg.norm(beside)
         drums = [(1.06, 1.12, "shell"), (0.78, 1.22, "joint")] if across else [(1.04, 0.10, "joint")]

@@ -36,9 +36,8 @@ def run_page(traces: Mapping[str, Trace], metrics: Mapping[str, Mapping[str, flo
     page.figure(
         time_series(traces, styles=styles),
         "From top to bottom: manipulability, tip error, distance of the shaft from the trocar, force on the trocar. "
-        "The dotted line is the largest manipulability of all poses with the same tip and shaft. The tip error is by "
-        "the robot's kinematic model and in the frame registered at the start, or in space if a run lacks these. If "
-        "runs coincide, only the last is visible. A click on a run's name in the legend hides the run.", name="curves",
+        "The dotted line is the largest manipulability of all poses with the same tip and shaft. If runs coincide, "
+        "only the last is visible. A click on a run's name in the legend hides the run.", name="curves",
     )  # fmt: skip
     page.section("Main metrics")
     for table in run_tables(traces, every, first=True):

@@ -31,12 +31,12 @@ ANOTHER_PROBLEM = (
 
 
 def answers_another_problem(trace: Trace) -> bool:
-    """Return whether the solver solves a nonlinear problem, so that the metrics in `VERDICTS` mean nothing."""
+    """Return whether the solver solves a nonlinear problem. The metrics in `VERDICTS` then mean nothing."""
     return about(trace).get("solver", "").startswith("nlp-")
 
 
 def part(trace: Trace) -> str:
-    """Return the completed part of a run, as " (first 0.6 s of 8.0 s)", or ""."""
+    """Return the completed part of a run, as " (first 0.6 s of 8.0 s)". Return "" for a whole run."""
     ending = Ending.of(str(trace.meta.get("ended")))
     if ending is Ending.PART:
         return " (a part)"
@@ -67,7 +67,7 @@ def replaced(trace: Trace) -> str:
 
 
 def below_best(trace: Trace) -> str:
-    """Say how far mean mu is below that of the best planned motion; return "" if it is not."""
+    """Say how far mean mu is below that of the best planned motion. Return "" if the share is at most `NEAR`."""
     found = table(trace.meta, "best_courses")
     if absent := found.get("absent"):
         return f"mean mu is not compared with the best joint motion from this start: {absent}"

@@ -21,10 +21,10 @@ from moc_opt.figures import notation
 from moc_opt.figures.notation import Mark, Missing, Notation, printable
 
 SHORT_TEXT, HEADING = 14, 10  # longest unbroken text, and longest line of a heading [characters]
-GAP = 2  # characters between two columns, and at both edges of a table together
+GAP = 2  # characters that a column needs beside its text
 
 TONES = {"best": "bold green", "good": "green", "fair": "yellow", "bad": "red", "other": "cyan"}
-"""Colours in a terminal of a `Mark`'s tones."""
+"""Terminal colours for the tones of `Mark`."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Column:
     help: str = ""  #: a sentence on the column's meaning
     among: str = ""  #: key of a flag: only rows with this flag can be best
     section: str = ""  #: section of the page to which the values link
-    sections: str = ""  #: key under which a row names its own section, used instead of `section`
+    sections: str = ""  #: key of a row's own section, which replaces `section`
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ class _Column(NamedTuple):
     heading: Text
     cells: list[Text]
     justify: Literal["left", "right"]
-    least: int  #: width without broken numbers, names and headings
+    least: int  #: width at which no number, name or heading is broken
     most: int  #: width without any line break
 
 

@@ -171,7 +171,7 @@ def _gains(robot: RobotModel, asked: Scenario) -> Finding:
 def largest_rate(plant: PlantSettings) -> float:
     """Return the largest stable ratio of a velocity gain to an inertia [1/s].
 
-    With a period T and d ticks of delay, v[k+1] = v[k] - T rate v[k-d] decays while T rate < 2 sin(pi / (2 (2 d + 1)))
+    With a period T and d ticks of delay, v[k+1] = v[k] - T rate v[k-d] decays if T rate < 2 sin(pi / (2 (2 d + 1)))
     (Levin and May, 1976). The velocity filter counts as delay.
     """
     cutoff, period = plant.velocity_cutoff_Hz, plant.period_s

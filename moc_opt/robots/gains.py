@@ -1,4 +1,4 @@
-"""Gains for an untuned arm, with the ratios of gain to inertia [1/s] that the tuned LWR4+ has.
+"""Gains for an untuned arm. Their ratios to its inertia [1/s] are those of the tuned LWR4+.
 
 Such a ratio times the control period decides whether a sampled loop is stable.
 """

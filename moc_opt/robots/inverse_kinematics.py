@@ -51,7 +51,7 @@ def solve_pose(
 
 
 def pose_with_tip(robot: RobotModel, q: ArrayLike, tip: ArrayLike) -> Array:
-    """Find a pose (n,) near q with the tip at a point (3,) [m]; a TaskError if none is found."""
+    """Find a pose (n,) near q with the tip at a point (3,) [m]. Raise a TaskError if none is found."""
     placed = solve_pose(robot, q, tip, iterations=200)
     if not placed.found:
         raise TaskError(
@@ -64,7 +64,7 @@ def pose_with_tip(robot: RobotModel, q: ArrayLike, tip: ArrayLike) -> Array:
 def pose_through(robot: RobotModel, tip: ArrayLike, trocar: ArrayLike) -> Array:
     """Find a pose (n,) with the tip at a point (3,) [m] and the shaft through the trocar (3,) [m].
 
-    A TaskError is raised if no pose is found.
+    Raise a TaskError if none is found.
     """
     x, p = np.asarray(tip, dtype=np.float64), np.asarray(trocar, dtype=np.float64)
     length = robot.data.tool_length

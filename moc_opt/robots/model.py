@@ -23,7 +23,7 @@ from moc_opt.robots.gains import CARTESIAN, derived_gains
 from moc_opt.robots.loader import RobotData, load_data
 
 LEAST_JOINTS = 4  # with fewer, tip and shaft cannot be controlled
-_STRUCTURAL_ZERO = 1e-12  # a column of a Jacobian is zero at all poses if its norm at random poses is no larger
+_STRUCTURAL_ZERO = 1e-12  # a Jacobian's column is zero at all poses if its norm at random poses is at most this
 _TIP, _WRIST = slice(0, 3), slice(3, 6)
 
 
@@ -105,7 +105,7 @@ class RobotState:
     grad_mu_shaft = _part("grad_mu_shaft", "dmu_shaft/dq (n,) [m^2/rad]; zero where mu_shaft is 0 and has a kink.")
     M = _part("M", "Joint-space inertia (n,n), rotor inertia included [kg m^2].", shape=(0, 0))
     h = _part("h", "C v + g (n,) [Nm].")
-    energy_slope = _part("energy_slope", "dT/dq = C^T v (n,) [Nm]: T the kinetic energy, C Christoffel's matrix.")
+    energy_slope = _part("energy_slope", "dT/dq = C^T v (n,) [Nm], with kinetic energy T and Christoffel's matrix C.")
     gravity = _part("gravity", "g (n,) [Nm], the torque that carries the arm's weight.")
 
 
@@ -117,7 +117,7 @@ class RobotModel:
         n: number of joints.
         q_min, q_max: (n,) limits [rad; m where a joint slides].
         v_max: (n,) speed limits [rad/s or m/s]; tau_max: (n,) torque limits [Nm or N].
-        moves: (2,n) whether each joint can move the tip (first row) and the wrist.
+        moves: (2,n) whether each joint can move the tip (first row) and the wrist (second row).
         arm: the same arm, as the compiled core's `Arm`.
 
     Example:
@@ -280,7 +280,7 @@ def carried(robot: RobotModel) -> dict[str, Any]:
 
 
 def restored(values: Mapping[str, Any]) -> RobotModel:
-    """Rebuild a robot from the values of `carried`; a RobotError if they are damaged."""
+    """Rebuild a robot from the values of `carried`. Raise a RobotError if they are damaged."""
     try:
         arm = urdf.read(values["urdf"])
         urdf.normalize(arm)

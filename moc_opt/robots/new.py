@@ -29,7 +29,7 @@ SHORTLIST = 60  #: Number of best poses whose self-motions are scanned.
 DOWN = (0.94, 0.8, -1.0)  #: Cosine of the tool's largest angle from straight down: 20 deg, then 37 deg, then 180 deg.
 CLEARANCE_M = 0.05  #: Lower bound on the distance of tip and wrist from the base's plane [m].
 MARGIN = 0.2  #: Lower bound on the distance from a joint limit, divided by half the range.
-REGULAR = (0.15, 0.08)  #: Lower bounds on two ratios of singular values at home, `Freedoms.tip` and `Freedoms.both`.
+REGULAR = (0.15, 0.08)  #: Lower bounds on `Freedoms.tip` and `Freedoms.both` at home.
 SHARE = (0.7, 0.9)
 """Wanted range of mu / (largest mu on the self-motion) at home. It is below 1, so that mu can rise."""
 
@@ -149,7 +149,7 @@ class Shaft(NamedTuple):
 def find_shaft(text: str, last_link: str) -> Shaft:
     """Lay the tool along the last turning axis, away from the arm.
 
-    The wrist point is the shaft's point nearest to the previous axis that is not parallel to the shaft. If the last
+    The wrist is the point of the shaft nearest to axis k, the last turning axis not parallel to the shaft. If the last
     joint slides, the tool runs along the last link's z.
     """
     model = pin.buildModelFromXML(text)
@@ -203,7 +203,7 @@ class Home(NamedTuple):
 
     @property
     def order(self) -> tuple[bool, float]:
-        """Sort key: whether the task fails, then the distance from the middle of `SHARE`."""
+        """Sort key: whether the task fails, then the distance of mu / mu_best from the middle of `SHARE`."""
         return bool(self.task), abs(self.mu / self.mu_best - 0.5 * (SHARE[0] + SHARE[1]))
 
 
@@ -235,7 +235,7 @@ def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
 
 
 def _ranked(robot: RobotModel, poses: Array) -> list[Home]:
-    """Return home poses, the best first. The list ends at the first that can do the task with mu in `SHARE`, if any."""
+    """Return home poses, the best first. End with the first that can do the task and has mu / mu_best in `SHARE`."""
     moving, mu = robot.moves.any(axis=0), robot.mu_along(poses)
     scores = np.full(len(poses), -np.inf)
     for k, q in enumerate(poses):
@@ -250,7 +250,7 @@ def _ranked(robot: RobotModel, poses: Array) -> list[Home]:
         except RobotError:
             continue  # the curve meets a singularity
         here = robot.state(q).mu
-        # `task_fault` is slow, so only the first pose and poses with mu in `SHARE` are tried.
+        # `task_fault` is slow, so only the first pose and wanted poses are tried.
         wanted = SHARE[0] <= here / largest <= SHARE[1]
         task = task_fault(robot, q) if wanted or not homes else "not tried"
         homes.append(Home(q, here, largest, float(limit_shares(robot, q)[moving].min()), task))

@@ -99,12 +99,12 @@ def _last_link(tree: urdf.Tree) -> str:
 
 
 def _depth(tree: urdf.Tree, joint: Joint) -> int:
-    """Return the largest number of moving joints on a path outwards that begins with ``joint``."""
+    """Return the largest number of moving joints on a path from ``joint`` outwards, itself included."""
     return joint.moves + max((_depth(tree, other) for other in tree.carried[joint.child]), default=0)
 
 
 def _fix(joints: Iterable[Joint], notes: list[str], at: float | None = None) -> None:
-    """Fix joints, by default at the position within their limits that is nearest to 0."""
+    """Fix joints, by default at the allowed position nearest to 0."""
     fixed = []
     for joint in joints:
         told = joint.kind
@@ -195,7 +195,7 @@ def _range(joint: Joint, kind: str) -> tuple[float, float, str]:
 
 
 def enough_efforts(robot: RobotModel) -> list[float]:
-    """Return effort limits [Nm, N]: three times the larger of gravity load and inertia (at 1 rad/s^2 or 1 m/s^2)."""
+    """Return effort limits [Nm, N]: three times the larger of gravity load and effort for 1 rad/s^2 (or 1 m/s^2)."""
     poses = np.random.default_rng(0).uniform(robot.q_min, robot.q_max, (200, robot.n))
     most = np.max([np.abs(robot.gravity(q)) for q in poses], axis=0)
     needed = 3.0 * np.maximum(most, np.diag(robot.state(robot.data.q_home).M))

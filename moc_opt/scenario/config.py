@@ -27,10 +27,10 @@ PRESETS: Mapping[str, Mapping[str, Callable[..., Settings]]] = {
     "control": {name: partial(ControlSettings.preset, name) for name in CONTROL_PRESETS},
     "plant": {"realistic": PlantSettings, "nominal": PlantSettings.nominal},
 }
-"""The function that makes the settings, by names of table and preset."""
+"""``PRESETS[table][preset]`` makes the settings."""
 _LAGS = 3.0  # lower bound of motion_lag_s, in time constants of the velocity filter
 _TORQUE, _SPEED = 500.0, 600.0
-"""Lower bounds of repeat_torque [share of tau_max] and stuck_rad_per_s [rad/s] for an encoder step of 1 rad."""
+"""Lower bounds of repeat_torque [share of tau_max] and stuck_rad_per_s [rad/s], per radian of encoder step."""
 
 
 class Scenario(Settings):
@@ -207,7 +207,7 @@ def _tables(value: Settings, name: str) -> Iterator[dict[str, Any]]:
 
 
 def without_none(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Copy a table. None, which TOML lacks, becomes "" in `gains`, infinity elsewhere, and is omitted in `settings`."""
+    """Copy a table. None, which TOML lacks, is omitted in `settings`, "" in `gains`, and infinity elsewhere."""
     plain: dict[str, Any] = {}
     for key, value in table.items():
         if key == "settings":

@@ -70,7 +70,7 @@ def followable_plan(
 ) -> tuple[Plan, dict[str, float]]:
     """Plan a course within limits, and return the plan and the limits.
 
-    Limits not given are the arm's, or [control]'s if level 3 follows the course (margins 0 if no plan keeps them).
+    A limit of None is [control]'s if level 3 follows the course, else the arm's. Margins that no plan keeps become 0.
     """
     settings = scenario.control
     follows = settings.follows if followed is None else followed

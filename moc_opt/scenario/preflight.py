@@ -20,9 +20,9 @@ from moc_opt.tasks import Reference, Trocar
 
 Found = TypeVar("Found")
 
-SINGULAR = (1e-4, 1e-4)  #: Thresholds of two ratios of singular values, `Freedoms.tip` and `Freedoms.both`.
+SINGULAR = (1e-4, 1e-4)  #: Lower bounds on `Freedoms.tip` and `Freedoms.both` for every start.
 REGULAR = (0.1, 0.05)
-"""Thresholds of the same ratios, for a random start and the poses along its path."""
+"""Lower bounds on the same ratios for a random start and the poses along its path."""
 DRAWN_MARGIN = 0.1  #: Lower bound on each joint's distance from its limits in a drawn pose [share of its range].
 DRAWS = 200  #: Largest number of poses drawn for a random start.
 SPACING_M = 0.005  #: Distance between checked points of the path [m].

@@ -190,7 +190,7 @@ class Setup:
         return self.scenario.plant.period_s * np.arange(self.ticks, dtype=np.float64)
 
     def inputs(self) -> tuple[Array, Array]:
-        """Return X_d, dX_d, ddX_d (N, 3, 3) of the tip and P_t, dP_t (N, 2, 3) of the registered trocar by tick."""
+        """Return rows X_d, dX_d, ddX_d (N, 3, 3) of the tip and P_t, dP_t (N, 2, 3) of the registered trocar."""
         tip_refs, registered = (np.stack(of.at(self.times()), axis=1) for of in (self.reference, self.registered))
         return tip_refs, registered
 

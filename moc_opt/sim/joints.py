@@ -54,7 +54,7 @@ class Joints:
         self._delay_ticks, self._due = settings.delay_ticks, deque[Array]()
 
     def start(self, shown: Array, speed: Array) -> None:
-        """Put the arm where error-free encoders read ``shown`` (n,) [rad], moving at ``speed`` (n,) [rad/s]."""
+        """Put the arm where error-free encoders read ``shown`` (n,) [rad], with the speeds ``speed`` (n,) [rad/s]."""
         state, model = self._state, self._model
         weight = state.qfrc_bias[self.motors]
         state.qpos[self.motors] = shown

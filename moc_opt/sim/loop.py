@@ -127,7 +127,7 @@ class ClosedLoop:
 
     @property
     def finished(self) -> bool:
-        """Whether a stop is over: after `Stop.seconds`, the arm rests, or `LONGEST` times this duration has passed."""
+        """Whether a stop is over: the arm rests after `Stop.seconds`, or `LONGEST` times this duration has passed."""
         since = self.ticks - self._stopped_at if self._stopped_at >= 0 else 0
         return since > self._watched and bool(since > LONGEST * self._watched or np.abs(self._plant.v).max() < AT_REST)
 

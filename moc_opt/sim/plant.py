@@ -255,7 +255,7 @@ class Plant:
     q = _truth(lambda plant: plant._joints.q, "(n,) joint positions [rad].")
     v = _truth(lambda plant: plant._joints.v, "(n,) joint velocities [rad/s].")
     applied_torque = _truth(
-        lambda plant: plant._joints.torque, "(n,) drive torque in the last period, clipped at tau_max, no ripple [Nm]."
+        lambda plant: plant._joints.torque, "(n,) last torque of the drives, clipped at tau_max, without ripple [Nm]."
     )
     tip = _truth(lambda plant: plant._tip, "(3,) tip [m].")
     wrist = _truth(lambda plant: plant._wrist, "(3,) wrist centre [m].")

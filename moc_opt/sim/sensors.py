@@ -106,7 +106,7 @@ _DEAD = 600.0  #: Time for which a decaying filter output cannot underflow [time
 def repeats_no_reading(noise_rad: float, resolution_rad: float, cutoff_Hz: float, period_s: float) -> bool:
     """Return whether an encoder never repeats its position and its velocity together.
 
-    While the position repeats, the filtered velocity decays, and so does not repeat.
+    While the position repeats, the filtered velocity decays.
     """
     longest = longest_repetition(noise_rad, resolution_rad)
     return longest is not None and 0.0 < 2.0 * math.pi * cutoff_Hz * period_s * longest < _DEAD

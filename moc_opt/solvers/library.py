@@ -123,7 +123,7 @@ def upper_triangle(values: Array, n: int) -> sparse.csc_matrix:
 
 
 def stacked(values: Array, boxes: int) -> sparse.csc_matrix:
-    """Return a sparse matrix of m full rows above ``boxes`` diagonal (n, n) blocks, from its columns (n, m + boxes)."""
+    """Return a sparse matrix of m full rows above ``boxes`` diagonal (n, n) blocks. ``values[j]`` is column j."""
     n, m = len(values), values.shape[1] - boxes
     rows = np.concatenate([np.append(np.arange(m), m + n * np.arange(boxes) + j) for j in range(n)])
     return sparse.csc_matrix((values.ravel(), rows, (m + boxes) * np.arange(n + 1)), shape=(m + boxes * n, n))

@@ -4,7 +4,7 @@
     s.t.   tip(q + x T) = tip(q) + v_T T,   E (wrist(q + x T) - wrist(q)) = E v_W T,   lower <= x <= upper
 
 T is the control period. g, v_T and v_W are the subproblem's `pull`, `v_tip` and `v_wrist`. The rows of E (2, 3) span
-the plane perpendicular to the tool. The program equals the subproblem only for T -> 0: answers fail ``verified()``.
+the plane perpendicular to the tool. The program equals the subproblem only for T -> 0, so answers fail ``verified()``.
 """
 
 from __future__ import annotations

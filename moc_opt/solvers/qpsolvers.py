@@ -37,7 +37,7 @@ ADVICE: dict[str, Advice] = {
     "highs": Advice(1e3, {"time_limit": 0.1}),  # with unscaled cost, its QP solver cycles for ever
     "osqp": Advice(1e2, {"eps_abs": 1e-8, "eps_rel": 0.0}),  # with eps_abs = 1e-3, nine answers in ten are wrong
     "piqp": Advice(1e3, {"eps_abs": 1e-9, "eps_rel": 0.0}),
-    # eps_primal_inf cannot be set through qpsolvers, and 4 % of feasible problems are called infeasible.
+    # eps_primal_inf cannot be set through qpsolvers, so 4 % of feasible problems are called infeasible.
     "proxqp": Advice(1e3, {"eps_abs": 1e-9, "eps_rel": 0.0}),
     "scs": Advice(1e3, {"eps_abs": 1e-8, "eps_rel": 0.0}),  # with eps_abs = 1e-4, half of the answers are wrong
 }
@@ -102,7 +102,7 @@ def reasons() -> dict[str, str | None]:
 
 
 def checked(solver: str, options: object) -> dict[str, Any]:
-    """Return a copy of a library's options. Raise an error if one is not allowed, or neither flag nor number."""
+    """Return a copy of a library's options. Raise an error if one is not allowed, or is neither flag nor number."""
     if not isinstance(options, Mapping):
         raise SolverError(f"{solver}: options = {options!r:.80} is not a table of keyword arguments")
     allowed = ALLOWED.get(solver, frozenset())

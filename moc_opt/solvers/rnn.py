@@ -1,6 +1,6 @@
 """The recurrent neural network of Su et al. 2019.
 
-With consistent signs, x descends the Lagrangian L within the bounds, and the multipliers l1 and l2 ascend it:
+With the paper's sign corrected, x descends the Lagrangian L within the bounds, and its multipliers l1 and l2 ascend it:
 
     eps dx/dt = -x + clip(x - k (c0 J_T^T (J_T x - v_T) + c1 J_W^T (J_W x - v_W) + rho x - c2 grad_mu
                                  + J_T^T l1 + J_W^T l2), lower, upper)
@@ -25,10 +25,10 @@ from moc_opt.solvers.base import Choices, Solution, SolverSettings, Status, no_a
 
 
 def unstable(qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool, h_x: float | None = None) -> str | None:
-    """Return why Euler steps h of the multipliers and h_x of x (default: h) diverge on ``qp``, or None.
+    """Return why Euler steps diverge on ``qp``, or None. Steps are h for the multipliers, h_x (default: h) for x.
 
-    With c = scale c0 = scale c1, explicit steps are stable only if h k < c and (2 h_x k c - h h_x k^2) |A|^2 < 4, with
-    the largest singular value |A|. Semi-implicit steps are stable only if (2 h_x k c + h h_x k^2) |A|^2 < 4.
+    With c = scale c0 = scale c1, explicit steps are stable only if h k < c and (2 h_x k c - h h_x k^2) |A|^2 < 4.
+    Semi-implicit steps are stable only if (2 h_x k c + h h_x k^2) |A|^2 < 4. |A| is the largest singular value.
     """
     c0, c1 = scale * qp.c0, scale * qp.c1
     weak, strong, hk = min(c0, c1), max(c0, c1), h * k
@@ -44,7 +44,7 @@ def unstable(qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool, 
     hk_x = hk if h_x is None else h_x * k
     stiff = (2.0 * hk_x * strong + (hk * hk_x if implicit else -hk * hk_x)) * largest * largest
     if not stiff < 4.0:
-        return f"the steps diverge: c0, c1 and |A| give {stiff:.2f} in place of less than 4; lower h or k"
+        return f"the steps diverge: h, k, c0, c1 and |A| give {stiff:.2f} instead of less than 4; lower h or k"
     return None
 
 

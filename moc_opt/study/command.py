@@ -111,7 +111,7 @@ class Study:
     def trials(
         self, asked: Sequence[Trial], what: str = "runs", *, limit_s: float | None = None, **options: Any
     ) -> list[Run]:
-        """Run trials. Return one `Run` per trial, even if it failed. ``limit_s`` replaces the trials' time limits."""
+        """Run trials, and return one `Run` per trial, failed or not. ``limit_s`` replaces the trials' time limits."""
         jobs = [one.job if limit_s is None else replace(one.job, limit_s=limit_s) for one in asked]
         results = self.run(jobs, what, **options)
         return [outcome(one, result) for one, result in zip(asked, results, strict=True)]
@@ -213,7 +213,7 @@ def environment(config: Mapping[str, Any], seed: int, argv: Sequence[str] = ()) 
 def choose(wanted: Literal["all"] | Sequence[str], *beside: str) -> tuple[list[str], dict[str, str]]:
     """Return the names of wanted solvers that can run here, and the reasons why the others cannot.
 
-    "all" means every known solver. The names in ``beside`` are accepted as solvers that can run.
+    "all" means every known solver. Names in ``beside`` count as solvers that can run.
     """
     found: dict[str, str | None] = {**dict.fromkeys(beside), **available()}
     names = list(found) if wanted == "all" else list(wanted)

@@ -44,12 +44,11 @@ COLUMNS = [
     *columns(*METRICS_SHOWN), Column("oscillated", "oscillated"),
 ]  # fmt: skip
 CAPTION = (
-    f"Means are over completed trials, with 95 % intervals for {LEAST_TRIALS} trials or more. Changes are relative to "
-    "dcac (the control law without level 3, with equal gains). ?: undecided; the mean of the trials' own changes "
-    "has another sign, or only one of the two intervals contains 0. Verified: answers that a check found optimal. "
-    "Silently wrong: number of wrong answers reported as optimal. p50, p99: medians over the trials of "
-    "the solve time's median and 99th percentile. "
-    f"The times of exact exclude the call from Python. {FRAMES}"
+    f"Means are over completed trials. {LEAST_TRIALS} trials or more give 95 % intervals. Changes are relative to "
+    "dcac (the control law without level 3, with equal gains). ?: undecided, because the mean of the trials' changes "
+    "has another sign, or only one of the two figures' intervals contains 0. Verified: answers that a check found "
+    "optimal. Silently wrong: number of wrong answers reported as optimal. p50, p99: median and 99th percentile of the "
+    f"solve time, each a median over the trials. The times of exact exclude the call from Python. {FRAMES}"
 )
 
 
@@ -175,7 +174,7 @@ def compare(
         scenario: a scenario, or the path of its file; None: the default scenario.
         trials: number of trials. Trial k has the seed ``seed + k``.
         seed: the seed of the first trial.
-        watch: called with the trial's number and the solver's name, as text, before each run.
+        watch: called before each run with a text, the trial's number and the solver's name.
 
     Raises:
         UnknownNameError, SolverError: a solver is unknown, none is given, or two share a name.
