@@ -89,13 +89,13 @@ def not_believed(level):
 
 
 def replayed(level, name, drift):
-    """Whether the arm stops if the first eight of 20 readings come again. With `drift`, those of joint 2 do not."""
+    """Whether the arm stops if the first eight of 20 readings are repeated. With `drift`, joint 2 does not repeat."""
     guard = begun(**{name: level})
     return [read(guard, q=k % 20, other=k % 20 + drift * k, wrench=np.zeros(6)) for k in range(28)][-1] != "running"
 
 
 def repeated(level, name, v=0.0, wrench=lambda k: NO_WRENCH, drift=0.0):
-    """Whether the arm stops at nine equal readings after 99 different ones. With `drift`, those of joint 2 differ."""
+    """Whether the arm stops at nine equal readings after 99 different ones. With `drift`, joint 2 does not repeat."""
     guard = begun(**{name: level})
     for k in range(99):
         read(guard, q=k * T, v=v * k, wrench=wrench(k), other=k * T)

@@ -157,7 +157,7 @@ def watched(robot, torque, ticks, momentum=True, **levels):
 
 
 @pytest.mark.parametrize(("begins", "told"), [(1, False), (120, True)])
-def test_load_that_appears_after_the_residual_settled_stops_the_arm(robot, begins, told):
+def test_arm_stops_if_a_load_appears_after_the_residual_settled(robot, begins, told):
     """Until the residual has settled, its mean adapts to a load, so no stop is expected."""
     load = 0.4 * robot.tau_max
     for on, momentum in ((True, True), (False, True), (True, False)):
