@@ -82,7 +82,7 @@ def chromium() -> Iterator[Any]:
 def opened(
     chromium: Any, address: str, ready: str, own: str = "", kinds: tuple[str, ...] = (), **options: Any
 ) -> Iterator[Any]:
-    """Yield an open page. Fail if it logs a message (of `kinds`, if given) or requests an address not below `own`."""
+    """Yield an open page. Fail if it logs a message of `kinds` (default: any), or requests a URL not below `own`."""
     page, said, asked = chromium.new_page(**options), list[str](), list[str]()
 
     def hear(message: Any) -> None:

@@ -1,4 +1,4 @@
-"""Run jobs in other processes: in a pool of the library pebble, or on a Dask scheduler's workers.
+"""Run jobs in other processes, on this machine (library pebble) or on a Dask scheduler's workers.
 
     results = run([Job(trial, (scenario, "osqp", seed)) for seed in range(60)], kept=Kept(out / "jobs"))
 
@@ -48,8 +48,8 @@ class Job:
     work: Callable[..., Any]
     arguments: tuple[Any, ...] = ()
     limit_s: float = 600.0  #: time limit [s]
-    alone: bool = False  #: whether the job measures times, so that no other job may run meanwhile
-    group: str = ""  #: name of a group of jobs: `run` may skip its later jobs after hangs or crashes
+    alone: bool = False  #: whether no other job may run meanwhile, because this one measures times
+    group: str = ""  #: name of a group of jobs; after `give_up` hangs or crashes, `run` skips the rest of it
 
 
 @dataclass(frozen=True)
@@ -199,7 +199,7 @@ def _answer(future: Answer, job: Job) -> _Done | Failed:
     except ProcessExpired as error:
         code = error.exitcode or 0
         if -code in (signal.SIGALRM, signal.SIGPROF):
-            return Failed("hung", "no answer within the limit of the alarm that the job set")
+            return Failed("hung", "no answer within the time limit that the job set")
         how = signal.Signals(-code).name if code < 0 else f"exit code {code}"
         return Failed("crashed", f"the process died ({how})")
     except BrokenProcessPool:

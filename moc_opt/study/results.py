@@ -1,6 +1,6 @@
 """The rows of a study, and means and changes over its runs.
 
-Means are over whole runs (completed tasks). A change compares trials that both controllers completed.
+Means are over whole runs (completed tasks). A change compares two controllers on trials that both completed.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class Results:
             return None
 
     def pairs(self, metric: str, controller: str, baseline: str = BASELINE) -> tuple[list[float], list[float]]:
-        """Return both controllers' values on trials that both completed. A phase's mean is multiplied by its ticks."""
+        """Return the values on trials that both completed. Values of a phase are weighted by ``controller``'s ticks."""
         mine, theirs = self.values(metric, controller), self.values(metric, baseline)
         both = [trial for trial in mine if trial in theirs]
         phase = next((phase for phase in PHASES if metric.startswith(f"{phase}_")), None)

@@ -33,7 +33,7 @@ def mark(verdict: bool | str | None, text: str) -> Mark:
 
 
 class Picture(NamedTuple):
-    """A figure with a sentence about the figure and a file name."""
+    """A figure, a sentence about it, and a file name."""
 
     figure: go.Figure
     says: str
@@ -51,7 +51,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Report:
-    """What a study found, for a reader."""
+    """What a study found."""
 
     title: str  #: the question and the fixed conditions
     answer: Sequence[str]  #: up to three sentences, the most important one first
@@ -101,7 +101,7 @@ class Report:
 
 
 def about(scenario: Scenario, *, solver: bool = False) -> str:
-    """Return arm, task and preset of a scenario for a title, and also the solver if ``solver`` is true."""
+    """Return the text of a title: a scenario's arm, task, preset and, if ``solver``, solver."""
     control = scenario.control
     preset = next((name for name in PRESETS if control == ControlSettings.preset(name)), None)
     named = "default" if control == ControlSettings() else preset or "own settings"
@@ -178,7 +178,7 @@ def lines_picture(
 
 
 def ends(figures: Mapping[str, Any], name: str) -> tuple[float, float, float] | None:
-    """Return (low, value, high) of a summary's ``name``, or None if absent. Without an interval, all are the value."""
+    """Return (low, value, high) of a summary's ``name``, or None if absent. Without interval, low = high = value."""
     value, low, high = (figures.get(f"{name}{end}") for end in ("", "_low", "_high"))
     if value is None:
         return None

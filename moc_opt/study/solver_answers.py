@@ -33,7 +33,7 @@ HUNG, CRASHED, RAISED, NOT_ASKED, REFUSED = "hung", "crashed", "raised", "not as
 BROKEN_SETS = 3  # after hangs or crashes in this many sets, a solver's later sets are skipped
 HOURS = 1e5  # time limit of a whole set [s]
 WARM_UP = 16  # untimed solves at the start
-CONTRADICTION = 1e-13  # threshold: a larger change of b by `TestSet.judged` is no rounding error [m/s]
+CONTRADICTION = 1e-13  # threshold [m/s]: if `TestSet.judged` changes b by more, rounding is not the cause
 RIGHTLY = 0.99  # a solver's times are compared only if at least this share of its answers is right
 RESIDUALS = ("primal", "natural", "natural_best", "relative", "loss")
 
@@ -94,8 +94,8 @@ class Answers:
     def counts(self) -> dict[str, int]:
         """Count the answers by outcome (see docs/solvers.md).
 
-        If the six equality rows contradict each other, but five independent ones are feasible, "infeasible" is
-        neither right nor wrong. `refused_inconsistent` counts these answers.
+        The six equality rows may contradict each other while five independent rows are feasible. The answer
+        "infeasible" is then neither right nor wrong. It counts as `refused_inconsistent`.
         """
         status, feasible = self.status, self.problems.feasible
         claimed, infeasible = status == "solved", status == "infeasible"
@@ -165,7 +165,7 @@ def totals(answers: Sequence[Answers], times: Sequence[Times]) -> dict[str, Any]
 def ask(run: Runner, questions: Sequence[Question], limits: Limits, *, warm: bool = True) -> list[Answers]:
     """Collect the answers to each question (a solver's setting and a set of problems).
 
-    If ``warm``, one session solves the set, else each problem has a new session.
+    If ``warm``, one session solves the whole set. Otherwise each problem has a new session.
     """
     jobs = [
         Job(answer, (setting, problems.rows, warm, limits.patience_s, limits.setup_s), HOURS, group=setting.label)

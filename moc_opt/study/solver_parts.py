@@ -35,7 +35,7 @@ MEANING = (
     "solve that passes the new problem to the library. docs/solvers.md says more."
 )
 SOLVER = Column("solver", "solver")
-RANKED = "answers_rightly"  # key of the flag that a row's times are compared
+RANKED = "answers_rightly"  # key of a flag: the row's times are compared
 COUNTS = {
     "claimed_solved": "claimed", "verified_solved": "verified", "silently_wrong": "silently wrong",
     "infeasible_right": "infeas. right", "refused_inconsistent": "refused: inconsistent",
@@ -212,7 +212,7 @@ def closed_loop(work: Work) -> None:
 def figures(
     rows: Results, controller: str, runs: Sequence[Run] = (), common: Container[str] | None = None
 ) -> dict[str, Any]:
-    """Return a controller's means and changes over its completed runs, its sums and its largest values.
+    """Return a controller's means and changes over its completed runs, and sums and maxima over all its runs.
 
     Times are pooled over the timed ``runs``. Counts named "_in_common" are over the trials in ``common`` (None: all).
     """

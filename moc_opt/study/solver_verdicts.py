@@ -40,7 +40,7 @@ FRAMED = tuple(name for name in COSTS if "_error_" in name)
 CERTIFIED, RECORDED, CLOSED = "Certified test sets", "Recorded sequence", "Closed loop"
 INCONSISTENT = (
     "Inconsistent: the six rows contradict each other along the shaft, by 1e-12 to 1e-4 m/s, while five independent "
-    "rows have a certified optimum. 'Infeasible' is true, but useless for the robot: neither right nor wrong."
+    "rows have a certified optimum. 'Infeasible' is then true but useless: it counts neither as right nor as wrong."
 )
 
 
@@ -256,11 +256,11 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
     ]
     if any(row["trials"] for row in rows):
         columns += [
-            Column("damage", "worst loss", section=CLOSED, help="the mean that exceeds its tolerance most"),
+            Column("damage", "worst loss", section=CLOSED, help="the mean with the largest loss / tolerance"),
             Column("tip_change", "tip model/ registered", unit="%", section=CLOSED, help="change relative to DCAC"),
         ]  # fmt: skip
         said += [
-            "Worst loss: the mean in closed loop that is worse than ★'s by the most tolerances. Tolerances: mean mu "
+            "Worst loss: the mean in closed loop with the largest loss (against ★) / tolerance. Tolerances: mean mu "
             f"{100 * COSTS['mu_mean'][1]:g} %, tip and RCM errors {100 * COSTS[FRAMED[0]][1]:g} %, chatter (rms of the "
             f"torque's rate of change) {100 * COSTS['torque_rate_rms_Nm_per_s'][1]:g} %. None: all means are within "
             "tolerance.",

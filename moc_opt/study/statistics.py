@@ -20,8 +20,8 @@ from moc_opt.errors import MocOptError
 RESAMPLES = 4000
 CONFIDENCE = 0.95
 NOMINAL = 0.7
-"""In simulations, bootstrap intervals miss the true value more often than they claim. So they are computed for
-`NOMINAL` times the allowed miss rate, 1 - `CONFIDENCE`."""
+"""In simulations, bootstrap intervals miss the true value more often than the allowed rate, 1 - `CONFIDENCE`. So they
+are computed for `NOMINAL` times this rate."""
 ROUNDING = 1e-9  # smaller changes count as zero [percent]
 LEAST_TRIALS = 8  # with fewer trials, a change is called neither a gain nor a loss
 
@@ -55,7 +55,7 @@ class Interval(NamedTuple):
 
 
 class Change(NamedTuple):
-    """Changes [percent]: ``ratio`` is the change of the mean over trials, ``ratios`` the mean of their changes."""
+    """Changes [percent]: ``ratio`` is the change of the mean over trials, ``ratios`` the mean change of the trials."""
 
     ratio: Interval
     ratios: Interval
@@ -67,7 +67,7 @@ class Change(NamedTuple):
 
     @property
     def undecided(self) -> bool:
-        """Whether the two values differ in sign, or the two intervals lie differently with respect to 0."""
+        """Whether the two values differ in sign, or only one of the two intervals contains 0."""
         sides = [(one.low > ROUNDING, one.high < -ROUNDING) for one in self]
         values = self.ratio.value, self.ratios.value
         opposed = min(values) < -ROUNDING and max(values) > ROUNDING

@@ -88,7 +88,7 @@ def check_name(name: str) -> None:
 
 
 def straightened(qp: NullSpaceQP) -> NullSpaceQP:
-    """Return the subproblem with the tip's reference velocity along the shaft given to the wrist."""
+    """Return the subproblem with the wrist's reference velocity along the shaft set to the tip's."""
     five = qp.reduced()
     b = np.linalg.lstsq(five.lift, five.b, rcond=None)[0] if len(five.b) == 5 else np.array(qp.b)
     b[3:] += five_row_gap(qp, b)
@@ -101,6 +101,6 @@ def changed(qp: NullSpaceQP, **values: Any) -> NullSpaceQP:
 
 
 def five_row_gap(qp: NullSpaceQP, b: NDArray[np.floating]) -> Array:
-    """Return the tip's reference velocity minus the wrist's: the component along the shaft, a vector (3,) [m/s]."""
+    """Return the tip's minus the wrist's reference velocity, projected on the shaft, a vector (3,) [m/s]."""
     u = np.linalg.svd(qp.J_tip - qp.J_wrist)[0][:, 2]
     return np.asarray(u * (u @ (b[:3] - b[3:])))

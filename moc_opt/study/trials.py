@@ -40,7 +40,7 @@ CURVES = (
 CLOCKS = ("solve_", "tick_", "deadline_")
 LOOK_TICKS = 100  # ticks between two readings of the machine's load
 PATIENCE_S, PER_S, LONGEST_S = 30.0, 30.0, 60.0
-"""Time limit of a run: 30 s, plus 30 s per simulated second, of which at most 60 count."""
+"""Time limit of a run: 30 s, plus 30 s for each of the first 60 simulated seconds."""
 
 
 def seeds(seed: int, stream: int, count: int) -> list[int]:

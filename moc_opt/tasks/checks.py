@@ -15,19 +15,19 @@ TimeLike = float | ArrayLike
 
 
 def number(name: str, value: object, above: float = -math.inf) -> float:
-    """Return the value as a float; a TaskError if not finite or not greater than ``above``."""
+    """Return the value as a float. Raise a TaskError if it is not finite or not greater than ``above``."""
     if not (is_number(value) and max(above, -1e300) < value < 1e300):  # type: ignore[operator]
         raise TaskError(f"{name} = {value!r}: give one finite number" + (" above zero" if above == 0.0 else ""))
     return float(value)  # type: ignore[arg-type]
 
 
 def positive(name: str, value: object) -> float:
-    """Return the value as a float; a TaskError if not finite or not above zero."""
+    """Return the value as a float. Raise a TaskError if it is not finite or not above zero."""
     return number(name, value, above=0.0)
 
 
 def vector3(name: str, value: ArrayLike, *, rows: bool = False) -> Array:
-    """Return a read-only array (3,), or (k, 3) with ``rows``; a TaskError if not finite."""
+    """Return a read-only array (3,), or (k, 3) with ``rows``. Raise a TaskError if it is not finite."""
     wanted = "give finite numbers (k, 3)" if rows else "give three finite numbers"
     try:
         result = np.array(value, dtype=np.float64)

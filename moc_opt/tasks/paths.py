@@ -29,7 +29,7 @@ _SLOWEST = 0.05  # threshold of |dp/dw| (w: chord length); below it, the path tu
 
 
 class Path:
-    """A planar curve in space, from `start`, along `heading` and `left`."""
+    """A planar curve in space, with the origin `start` and the axes `heading` and `left`."""
 
     length: float  #: [m]
     knots: Array  #: Arc lengths (k,) [m], from 0 to `length`, that resolve every bend.

@@ -116,12 +116,12 @@ class Reference:
 class WaitingReference:
     """A reference that stops while a flag is False, and goes on when it is True.
 
-    The motion begins at rest. X_d, dX_d and ddX_d do not jump. The time tau along the given reference advances at the
-    rate sigma in [0, 1]. Then
+    The motion begins at rest. X_d, dX_d and ddX_d do not jump. The rate sigma is the flag (0 or 1), filtered by two
+    moving averages. The time tau along the given reference advances at this rate. Then
 
         X_d(t) = X(tau(t)),   dX_d = sigma X',   ddX_d = sigma^2 X'' + sigma' X'
 
-    so that |dX_d| <= v_max and |ddX_d| <= 2 a_max. sigma is the flag (0 or 1), filtered by two moving averages.
+    so that |dX_d| <= v_max and |ddX_d| <= 2 a_max.
     """
 
     def __init__(self, reference: Reference, period_s: float) -> None:

@@ -186,7 +186,7 @@ def completed(trace: Trace) -> float:
 
 @metric
 def share_of_run(trace: Trace) -> float:
-    """Completed share of the planned run. If it is below 1, the other metrics describe only this part."""
+    """Completed share of the planned run. If it is below 1, the other metrics describe only the completed part."""
     ticks, planned = trace.meta.get("ticks"), trace.meta.get("ticks_planned")
     if not isinstance(ticks, int) or not isinstance(planned, int) or planned < 1:
         raise MissingDataError("meta has no 'ticks' and 'ticks_planned': give both as numbers of ticks")
@@ -204,7 +204,7 @@ _figure("mu_final", "m^3", "Last", "mu", lambda values: values[-1])
 def mu_gain_percent(trace: Trace, baseline: Trace | None) -> float:
     """Change of mean manipulability against the same run without level 3 (DCAC).
 
-    The observer gain of DCAC depends on `third_level`. To compare settings of level 3, use `mu_mean`.
+    The baseline's observer gain depends on `third_level`. So compare settings of level 3 by `mu_mean`.
     """
     if baseline is None:
         raise MissingDataError("there is no baseline: give the trace of DCAC on the same trial")

@@ -1,7 +1,7 @@
 """Find joints that oscillate faster than any task requires, in the trace of a run.
 
-A moving mean over 1/8 s is subtracted from each joint's velocity and torque. The largest root mean square of the
-difference over one second is compared with a limit.
+A moving mean over 1/8 s is subtracted from each joint's velocity and torque. For each second, the root mean square of
+the difference is computed. The largest is compared with a limit.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Shaking(NamedTuple):
 
 
 def shaking(trace: Trace, column: str, limits: ArrayLike | None = None) -> Shaking:
-    """Find the joint with the largest root mean square over ``WINDOW_S`` of the part above ``ABOVE_HZ``.
+    """Find the joint with the largest oscillation: root mean square above ``ABOVE_HZ`` within ``WINDOW_S``.
 
     Args:
         trace: a trace of consecutive ticks.
@@ -113,7 +113,7 @@ def describe(trace: Trace, joint_names: Sequence[str], slides: Flags) -> str:
 
 
 def judged_for_oscillation(trace: Trace, joint_names: Sequence[str], slides: Flags) -> Trace:
-    """Return the trace, with an oscillation of the run, if any, named in ``meta["ended"]``."""
+    """Return the trace. If the run oscillated, ``meta["ended"]`` of the result says so."""
     ended, stopped_s = trace.meta.get("ended"), trace.meta.get("stopped_at_s")
     judged = trace if stopped_s is None else trace.head(int(np.searchsorted(trace.t_s, stopped_s)))
     brief = len(judged) < 4 or judged.t_s[-1] - judged.t_s[0] < START_S + 0.5 * WINDOW_S

@@ -109,7 +109,7 @@ class Trace:
     def select(self, ticks: ArrayLike) -> Trace:
         """Return the trace of the ticks whose flag in ``ticks`` (N,) is True.
 
-        The column `tick` has the indices in the run, and ``meta["run_ended"]`` the ending of the run. Raise a
+        The column `tick` has the ticks' indices in the run. ``meta["run_ended"]`` has the run's ending. Raise a
         TraceError if ``ticks`` has another shape or type.
         """
         mask = np.asarray(ticks)
@@ -256,7 +256,7 @@ def table(of: Mapping[str, Any], name: str) -> dict[str, Any]:
 def about(trace: Trace) -> dict[str, str]:
     """Return a dict of a run's main facts as texts. With the law "dcac", ``solver`` is "dcac"."""
     meta, scenario = trace.meta, table(trace.meta, "scenario")
-    name = meta.get("solver", table(scenario, "solver").get("name"))  # `run` may have been given a solver of one's own
+    name = meta.get("solver", table(scenario, "solver").get("name"))  # meta has it if `run` got a user's solver
     law = "dcac" if table(scenario, "control").get("law") == "dcac" else name
     known = {"scenario": scenario.get("name"), "robot": meta.get("robot"), "solver": law, "ended": meta.get("ended")}
     length = {"ticks": str(len(trace))}

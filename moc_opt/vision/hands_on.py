@@ -89,8 +89,8 @@ class HandsOn:
 class Hand:
     """A hand that pulls the tool to the goal like a spring and a damper.
 
-    force = D (desired - velocity) + f, |force| <= force_max, with the damping D and an integral part f. `desired` is a
-    velocity to the goal: stiffness/D * distance, at most speed_max. f grows by correction * stiffness * distance per s.
+    force = D (desired - velocity) + f, at most force_max. D is the damping. `desired` is a velocity towards the goal:
+    stiffness/D * distance, at most speed_max. The integral f grows by correction * stiffness * distance per s.
     """
 
     def __init__(self, settings: HandSettings, period_s: float) -> None:

@@ -74,7 +74,7 @@ def test_claims_compare_runs_of_one_group():
     assert {few[key]["reached"] for key in ("mu_gain", "settled_rcm_error_mean_mm", "mu_worst")} == {"open"}
 
 
-def test_ablation_case_that_reverses_a_claim_is_marked_as_deciding():
+def test_ablation_marks_cases_that_reverse_a_claim():
     cases = {name: Case(about=name) for name in ("printed", "turns", "same", "noisy")}
     rng, rows = np.random.default_rng(3), []
     for name, tip, spread in (("printed", 0.9, 0.0), ("turns", 1.2, 0.0), ("same", 0.9, 0.0), ("noisy", 1.01, 0.5)):

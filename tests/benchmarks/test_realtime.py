@@ -84,5 +84,5 @@ def test_failing_process_raises_a_study_error():
     with pytest.raises(StudyError, match="did not start"):
         realtime.run_once(Case("python", 500, "quiet"), Scenario(robot={"name": "none"}), None, 0, ())
     short = Scenario(duration_s=0.1, bound_samples=0, wire={"wait_s": 1.0})
-    with pytest.raises(StudyError, match="no controller contacted"):  # sys.executable as the C controller exits at once
+    with pytest.raises(StudyError, match="no controller contacted"):  # the "C controller" is Python, and exits at once
         realtime.run_once(Case("c", 500, "quiet"), short, sys.executable, 0, ())

@@ -24,7 +24,7 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "scenario.md"
 @pytest.mark.parametrize("command", [*COMMANDS, "robot"])
 def test_every_command_has_help(command, capsys):
     assert callable(work_of(command))
-    if command != "solvers":  # the study of solvers parses the options of `solvers`
+    if command != "solvers":  # the study parses the options of `solvers`
         with pytest.raises(SystemExit) as ended:
             main([command, "--help"])
         assert ended.value.code == 0

@@ -94,7 +94,7 @@ def test_settings_reach_the_core(setting, core_s, robot):
 
 
 @pytest.mark.parametrize("fallback", ["damping", "hold", "least-violation"])
-def test_setting_fallback_chooses_x_if_the_subproblem_is_infeasible(fallback, robot):
+def test_fallback_setting_chooses_x_if_the_subproblem_is_infeasible(fallback, robot):
     """With k0 = 1e-3 /s, a reference at 0.3 m/s makes the subproblem infeasible."""
     state = robot.state(robot.data.q_home, np.linspace(-0.2, 0.2, 7))
     (fast, trocar), (slow, _) = in_place(state, 0.3), in_place(state)

@@ -89,13 +89,13 @@ def not_believed(level):
 
 
 def replayed(level, name, drift):
-    """Whether the arm stops if the first eight of 20 readings come again. With `drift`, those of joint 2 do not."""
+    """Whether the arm stops if the first eight of 20 readings are repeated. With `drift`, joint 2 does not repeat."""
     guard = begun(**{name: level})
     return [read(guard, q=k % 20, other=k % 20 + drift * k, wrench=np.zeros(6)) for k in range(28)][-1] != "running"
 
 
 def repeated(level, name, v=0.0, wrench=lambda k: NO_WRENCH, drift=0.0):
-    """Whether the arm stops at nine equal readings after 99 different ones. With `drift`, those of joint 2 differ."""
+    """Whether the arm stops at nine equal readings after 99 different ones. With `drift`, joint 2 does not repeat."""
     guard = begun(**{name: level})
     for k in range(99):
         read(guard, q=k * T, v=v * k, wrench=wrench(k), other=k * T)
@@ -163,7 +163,7 @@ def test_only_a_value_above_its_threshold_is_noticed(noticed, level, more):
 
 @pytest.mark.parametrize(("torques", "carries"), [((1.5, 1.5), 0.0), ((-0.5, -0.5), 0.0), ((1.5, 0.0), 0.5)])
 def test_torque_in_a_stop_is_zero_if_the_residual_opposes_the_commanded_torque(torques, carries):
-    """In the third case, the last commanded torque is zero, so no residual opposes it, and the drives carry the arm."""
+    """In the third case, the last commanded torque is zero. No residual opposes it, so the drives carry the arm."""
     arm = core.Arm(LOADED, np.zeros((2, 3)), np.eye(3), np.ones((2, 2)), np.array([0.0, -1.0, 0.0]))
     guard, record = begun(arm, residual_torque=2.0**-8, carries=True, patience=1), arm.terms(ZERO, ZERO)
     read(guard)

@@ -145,7 +145,7 @@ def test_repeated_reading_of_a_noisy_sensor_stops_the_arm(noisy, alone):
 
 
 def watched(robot, torque, ticks, momentum=True, **levels):
-    """Return the reason and the tick k of the stop. The arm rests under its weight's torque plus `torque(k)` [Nm]."""
+    """Return the reason and the tick k of the stop. The arm rests under the gravity torque plus `torque(k)` [Nm]."""
     rng, q, guard = np.random.default_rng(0), robot.data.q_home, guard_of(robot, momentum=momentum, **levels)
     for k in range(ticks):
         shown, tau = q + 1e-5 * rng.normal(size=N), robot.gravity(q) + torque(k)
@@ -157,7 +157,7 @@ def watched(robot, torque, ticks, momentum=True, **levels):
 
 
 @pytest.mark.parametrize(("begins", "told"), [(1, False), (120, True)])
-def test_load_that_appears_after_the_residual_settled_stops_the_arm(robot, begins, told):
+def test_arm_stops_if_a_load_appears_after_the_residual_settled(robot, begins, told):
     """Until the residual has settled, its mean adapts to a load, so no stop is expected."""
     load = 0.4 * robot.tau_max
     for on, momentum in ((True, True), (False, True), (True, False)):

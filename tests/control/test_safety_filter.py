@@ -30,7 +30,7 @@ def by_the_law(s, robot, tau, before, q, v, carries):
         push = s.wall_stiffness_Nm_per_rad * depth + s.wall_damping_Nm_s_per_rad * np.maximum(speed - allowed, 0.0)
         ends.append(np.where(acts, -push, np.inf))
     most, least = ends[0], -ends[1]
-    both = least > most  # out of one wall, but too fast for the other: the two contradict
+    both = least > most  # beyond one wall and too fast towards the other: their torques contradict
     most, least = np.where(both, 0.0, most), np.where(both, 0.0, least)
     sent = np.clip(np.clip(tau, hold + least, hold + most), before - step, before + step)
     return np.clip(sent, -robot.tau_max, robot.tau_max)
