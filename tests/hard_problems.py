@@ -7,7 +7,7 @@ from tests.problems import Arm, changed, random_problem
 
 
 def rounded(qp: NullSpaceQP, decimals: int) -> NullSpaceQP:
-    """Round the Jacobians to `decimals` and adapt the references."""
+    """Round A to `decimals` decimal places, and recompute b so that the same x solves A x = b."""
     x = np.linalg.lstsq(qp.A, qp.b, rcond=1e-9)[0]
     A = np.round(qp.A, decimals)
     return remade(qp, A, A @ x)

@@ -66,7 +66,7 @@ def random_arm(rng: np.random.Generator, n: int = 7, structured: bool = True) ->
 
 
 def problem_of(arm: Arm, q: Array, x_inside: Array, lower: Array, upper: Array, **weights: float) -> NullSpaceQP:
-    """Return the subproblem of `arm` at q whose references the joint velocity `x_inside` attains."""
+    """Return the subproblem of `arm` at q. Its references are the velocities of tip and wrist for `x_inside`."""
     J_tip, J_wrist, grad_mu = arm.terms(q)
     return NullSpaceQP(
         J_tip, J_wrist, J_tip @ x_inside, J_wrist @ x_inside, grad_mu, lower=lower, upper=upper, q=q, **weights

@@ -24,7 +24,7 @@ QUANTIZED = {"encoder_noise_rad": 0.0, "encoder_resolution_rad": 5e-4}
 
 
 def stopped(at, within, error, newton, reason="", **scenario):
-    """Run until a stop at most `within` s after `at`. Check the bounds on tip error [m] and trocar force [N]."""
+    """Check that a run stops at most `within` s after `at`, with bounds on tip error [m] and trocar force [N]."""
     trace = run(Scenario(**{"duration_s": 2.0, **scenario, **QUICK}))
     assert trace.meta["ended"].startswith("stopped: ")
     assert reason in trace.meta["ended"]
@@ -44,7 +44,7 @@ AT_REST = {
 }  # fmt: skip
 FORGED = {"frozen_velocity": "zero", "forged_stamps": True}
 
-# name: scenario, start of the fault [s], bounds on delay [s], tip error [m] and force [N], and reason of the stop
+# name: scenario, start of the fault [s], bounds on delay [s], tip error [m] and force [N], text of the stop's reason
 STOPPED = {
     "all-dropped": ({"faults": {"drop_share": 1.0}}, 0.0, 0.0101, 2.5e-3, 3.0, "3 ticks late"),
     "lost": ({"faults": {"nan_at_s": 0.4, "nan_ticks": 9999}}, 0.4, 0.0061, 5e-3, INF, "not believed"),
@@ -157,7 +157,7 @@ def test_short_gap_in_measurements_is_bridged(gap):
     {"preset": "tuned", "limit_margin_rad": 0.0}, {**DCAC, "K_X": 3000.0, "D_X": 80.0, "K_N": 800.0, "D_N": 60.0},
 ], ids=["moc", "dcac"])  # fmt: skip
 def test_arm_that_meets_a_wall_is_stopped(control):
-    """The circle leads joint 4 into its virtual wall, a spring before the joint limit."""
+    """The circle leads joint 4 into its virtual wall (a spring near the joint limit)."""
     wall = {"position_margin_rad": 0.62}
     blind = {**wall, "rcm_error_m": None, "trocar_force_N": None, "motion": False}
     free = run(Scenario(control=control, guard=blind, **QUICK))
@@ -262,7 +262,7 @@ def test_arm_is_stopped_if_the_controller_breaks_down(how, told, monkeypatch):
     sound, calls = Controller.tick, iter(range(1000))
 
     def tick(controller, *given):
-        if next(calls) <= 100:  # the first call warms up a copy
+        if next(calls) <= 100:  # the first call only initializes libraries
             return sound(controller, *given)
         if isinstance(how, Exception):
             raise how

@@ -72,7 +72,7 @@ def asked(qp, Z, answer, n=7, v=None, **changes):
 
 
 def judged(row, Z, x):
-    """Return (primal, outside, natural, off, opposite), the struct moc_residuals in shared.h, of an answer."""
+    """Return the residuals (primal, outside, natural, off, opposite) of x. shared.h defines them (moc_residuals)."""
     made = law(len(x))
     made.load(row, np.ascontiguousarray(Z))
     return made.judge(np.ascontiguousarray(x))
@@ -189,7 +189,7 @@ def test_exceptions_of_a_session_are_counted(error, where, qp, Z):
 
 
 def test_optimum_for_negated_gradient_is_refused(recorded):
-    """It is accepted only if the residuals for the true gradient verify it."""
+    """The exceptions are answers that the residuals for the true gradient verify."""
     lies = 0
     for qp in map(NullSpaceQP.from_row, recorded):
         lie = opposite(qp)
@@ -336,7 +336,7 @@ def test_both_ends_of_a_very_short_feasible_segment_are_accepted(qp, Z):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_idle_joint_is_checked_if_no_other_self_motion_exists(seed):
-    """Five joints satisfy five independent rows, and the sixth joint is idle."""
+    """Five independent rows fix five joints. The sixth joint is idle."""
     qp, joints = random_problem(np.random.default_rng(seed)), [0, 1, 2, 3, 4, 6]
     A, x = qp.A[:, joints], 0.5 * (qp.lower + qp.upper)[joints]
     one = NullSpaceQP(*np.split(A, 2), *np.split(A @ x, 2), np.r_[qp.pull[:5], 0.2],
@@ -349,7 +349,7 @@ def test_idle_joint_is_checked_if_no_other_self_motion_exists(seed):
 
 
 @pytest.mark.parametrize("late", LATE)
-def test_setting_late_chooses_what_the_arm_follows_after_a_late_answer(late, qp, Z):
+def test_setting_late_selects_the_replacement_of_a_late_answer(late, qp, Z):
     good = solved(qp)
     other = Solution(good.x + 1e-6, None, Status.SOLVED)
     mine = supervisor(times=[10.0, 3000.0, 2000.0, 10.0], budget_us=2000.0, late=late)
@@ -417,7 +417,7 @@ def test_tip_and_rcm_do_not_depend_on_third_level(kind, robot):
         # both observers get the same torque
         for mine in (good, bad):
             mine.set_applied_torque(torques[0])
-    assert np.abs(torques[1] - torques[0]).max() > 1e-3  # the torques differ
+    assert np.abs(torques[1] - torques[0]).max() > 1e-3
 
 
 @pytest.mark.parametrize("name", [name for name, reason in available().items() if reason is None])
@@ -432,7 +432,7 @@ def test_at_most_one_percent_of_answers_are_refused(name):
     (0, 3, "opposite_limit"), (0, None, "budget_us"),
 ])  # fmt: skip
 def test_answer_with_a_residual_equal_to_its_limit_is_accepted(qp, Z, claim, j, limit):
-    """`claim`: the solver claims an optimum (0) or an iterate (2). `j`: index of the residual in `judged`."""
+    """`claim`: 0 for an optimum, 2 for an iterate. `j`: index of the residual in `judged`, None for the solve time."""
     x = opposite(qp).x if j in (2, 3) else np.clip(solved(qp).x, qp.lower, qp.upper)
     x = x + 0.01 * (qp.A[0] if j == 0 else np.where(x == qp.upper, 1.0, 0.0) if j == 1 else 0.0)
     figure = 50.0 if j is None else judged(qp.row, Z, x)[j]
@@ -445,7 +445,7 @@ def test_answer_with_a_residual_equal_to_its_limit_is_accepted(qp, Z, claim, j, 
 
 
 def test_off_is_zero_with_several_self_motions_or_a_faint_gradient(qp):
-    """In these two cases `off`, the distance to the optimum, stays zero if the natural residual is small."""
+    """In these cases, `off` (the distance to the optimum) is computed only if the natural residual is large."""
     faint, several = changed(qp, c2=1e-7, regularization=1e-2), random_problem(np.random.default_rng(3), 8)
     for each, searched in ((qp, True), (faint, False), (several, False)):
         Z = null_space(each.A)

@@ -122,7 +122,7 @@ static void spoil(double *x, int count, unsigned one_in)
 
 static void draw_arm(moc_arm *arm)
 {
-    unsigned idle = chance(3) ? 2 : 10; /* each joint has a chance of 1 / idle not to move the tool */
+    unsigned idle = chance(3) ? 2 : 10; /* a joint does not move the tool with probability 1 / idle */
     memset(arm, 0, sizeof *arm);
     fill(&arm->joint[0].rotation[0][0], MOC_MAX_JOINTS * (int)(sizeof *arm->joint / sizeof(double)), (double)NAN);
     arm->n = chance(3) ? MOC_MAX_JOINTS : 1 + (int)(bits() % MOC_MAX_JOINTS);
@@ -326,7 +326,7 @@ static void plan(moc_arm *arm, const moc_law *law, const double *from)
         free(own[k]);
 }
 
-/* Run moc_step. If `own` is set, run the tick in two halves with a randomly spoilt answer and a random claim. */
+/* Run moc_step. If `own` is set, run moc_begin and moc_finish, with a randomly spoilt answer and a random claim. */
 static moc_stop tick(const moc_controller *c, const moc_input *in, int own, moc_state *state, double *tau)
 {
     double x[MOC_MAX_JOINTS] = {0.0}, y[6];
@@ -360,7 +360,7 @@ static void repeat(moc_problem *p, int i, const double *x)
     p->b[i] = dot(p->n, p->A[i], x) + beside * uniform(-1.0, 1.0);
 }
 
-/* Solve a random subproblem, run the network, and supervise answers. Returns 0 if MOC_OK comes with A x != b. */
+/* Solve a random subproblem, run the network, and supervise answers. Returns 0 if a solution violates A x = b. */
 static int subproblem(void)
 {
     static const double weights[] = {0x1p-10, 0x1p-17, 0.0, 1e-3};
@@ -439,7 +439,7 @@ static double level(double most)
     return chance(2) ? HUGE_VAL : uniform(0.0, most);
 }
 
-/* Run the safety filter alone, on numbers so coarse that readings repeat and values equal their limits. */
+/* Run only the safety filter. Most inputs are multiples of 0.25, so readings repeat and values equal limits. */
 static void filter(void)
 {
     static const double none[MOC_MAX_JOINTS];
@@ -606,7 +606,7 @@ static int course(void)
             note(record, arm.n * (arm.n + 13) + 18);
             moc_copy_problem(&state->problem, arm.n, record, PACK);
             note(record, law.third_level ? 11 * arm.n + 10 : 0);
-            note(state->watch.mean_square, 6); /* with `largest` and `first_tick` */
+            note(state->watch.mean_square, 6); /* and `largest` and `first_tick` */
             if (!bounded(&guard, arm.n, tau))
                 return 0;
             if (reason == MOC_RUNNING)
@@ -664,7 +664,7 @@ static int algebra(void)
     return sound;
 }
 
-/* Check how runs and ticks begin: at and above torque limits, with a damaged state, NaN readings, and no start. */
+/* Check moc_start and moc_begin with torques at and above their limits, damaged states, NaN, and without a start. */
 static int contract(void)
 {
     static moc_state state;

@@ -162,7 +162,7 @@ def test_least_violation_agrees_with_scipy(odd_robot):
     for k in range(30):
         row, part, Z = problem(rng, LWR4 if k % 2 else odd_robot)
         part.b[:] *= 6.0
-        if k % 3:  # the second joint must not stand still
+        if k % 3:  # the second joint has to move
             part.lower[1] = part.upper[1] / 2.0
         x = stand_in(row, Z, INFEASIBLE, "least-violation")
         assert (x >= part.lower).all()

@@ -35,7 +35,7 @@ Built = Callable[[str], tuple[Scenario, Path]]
 
 @pytest.fixture(scope="module")
 def built(exported: Export) -> Built:
-    """Return a function that maps the name of a run to its scenario and its program's folder."""
+    """Return a function that maps the name of a run to (scenario, folder of the program)."""
 
     @cache
     def build(name: str) -> tuple[Scenario, Path]:
@@ -102,8 +102,8 @@ def test_network_faults_do_not_change_the_run(built: Built, name: str) -> None:
     assert said["ticks"] == len(expected)
 
 
-def test_with_lost_commands_c_and_python_give_the_same_run(built: Built) -> None:
-    """Commands 50 and 51 are lost, and all commands from 100 on, so that the plant brakes."""
+def test_c_and_python_give_the_same_run_if_commands_are_lost(built: Built) -> None:
+    """Commands 50 and 51 are lost. From 100 on, all commands are lost, and the plant brakes."""
     scenario, folder = built("default")
     blind = scenario.change(wire={"resend_s": 0.33, "resends": 0, "hold_ticks": 2, "damp_ticks": 0})
 

@@ -62,8 +62,8 @@ def header(shape, kind):
     header((3,), "<U100000"), b"\x93NUMPY\x01\x00\x10\x00secret:x:0 hello", b"secret:x:0:0:root\n",
     header((1,), "<U6") + "secret".encode("utf-32-le"),
 ])  # fmt: skip
-def test_error_for_a_file_without_recorded_times_does_not_quote_the_file(data, tmp_path):
-    """The scenario may name a secret file, and the header of an array may claim terabytes."""
+def test_error_does_not_quote_a_file_without_recorded_times(data, tmp_path):
+    """A scenario may name a secret file. The header of an array may claim terabytes."""
     (tmp_path / "a.npy").write_bytes(data)
     with pytest.raises(ScenarioError, match="replay_us") as found:
         recorded_times(Scenario(solver={"replay_us": str(tmp_path / "a.npy")}))
@@ -113,7 +113,7 @@ def test_pipes_devices_and_folders_are_not_overwritten(tmp_path):
 
 
 def test_link_at_the_temporary_name_is_not_followed(tmp_path, monkeypatch):
-    monkeypatch.setattr(secrets, "token_hex", lambda count: "0")  # an attacker's guess
+    monkeypatch.setattr(secrets, "token_hex", lambda count: "0")  # as an attacker may guess
     victim = tmp_path / "victim"
     victim.write_bytes(b"mine")
     (tmp_path / ".a.0.tmp").symlink_to(victim)

@@ -61,7 +61,7 @@ def test_run_advances_in_real_time(live: LivePage) -> None:
     until(in_step, "the run is always too fast or too slow")
 
 
-def test_last_of_several_quickly_chosen_solvers_runs(live: LivePage) -> None:
+def test_last_chosen_solver_runs_after_quick_changes(live: LivePage) -> None:
     for name in ("rnn", "exact", "rnn", "osqp"):
         live._panel._solver.value = name
     until(lambda: solver_of(live.run.used) == "osqp", "another solver runs")

@@ -15,7 +15,7 @@ from moc_opt.scenario import Scenario, Setup
 
 @pytest.fixture
 def run() -> LiveRun:
-    """Return a run that starts at an elbow angle away from that of the largest mu."""
+    """Return a run that starts far from the largest mu."""
     return LiveRun(Scenario(start={"swivel": 0.2}, plant={"preset": "nominal"}))
 
 
@@ -140,7 +140,7 @@ def test_trocar_moves_at_the_speed_limit(run: LiveRun) -> None:
 
 
 def test_errors_stay_small_with_requests_at_every_tick(run: LiveRun) -> None:
-    """Between two exchanges of the controller, at least 0.1 s pass."""
+    """The controller is exchanged at most once in 0.1 s."""
     rng = np.random.default_rng(0)
     for _ in range(400):
         run.choose(str(rng.choice([DCAC, "exact", "rnn"])))

@@ -1,4 +1,4 @@
-"""Arms with given joint frames and limits and made-up masses. Short tasks for any arm."""
+"""Arms with given joint frames, given limits and made-up masses. Short tasks for any arm."""
 
 from pathlib import Path
 from typing import Any
@@ -56,7 +56,7 @@ def turned(folder: Path) -> RobotModel:
 
 
 def sixteen_joints(folder: Path, home: Array) -> RobotModel:
-    """Of its 16 degrees of freedom, tip and shaft need five, and the last joint only turns the tool. Ten are left."""
+    """An arm with ten freedoms of self-motion. Tip and shaft need five of 16, and joint 16 turns only the tool."""
     turns = [((0, 0, 0.1), (0, 0, 0)), *[((0, 0, 0.08), (sign * H, 0, 0)) for sign in 7 * (1, -1) + (1,)]]
     frames = {"wrist": (0, 0, 0), "mount": (0, 0, 0.05), "home": home}
     return build(folder, {"joints": turns, "q_max": np.full(16, 1.8), "v_max": np.full(16, 2.0), **frames})

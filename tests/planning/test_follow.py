@@ -221,7 +221,7 @@ def test_wrong_answers_of_the_nonlinear_program_are_refused(monkeypatch, wrong):
     robot, q, solve = setup().robot, setup().q_start, Program.solve
 
     def nonsense(self, guess, *given):
-        if wrong == "fast":  # the first step of joint 7, which moves neither tip nor wrist, is too long
+        if wrong == "fast":  # the first step of joint 7 is too long; this joint moves neither tip nor wrist
             right, _ = solve(self, guess, *given)
             return right - np.copysign(2.0, right[0, 6]) * np.eye(7)[6], True
         return (rng.normal(size=guess.shape) if wrong == "random" else np.full_like(guess, np.nan)), True

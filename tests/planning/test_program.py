@@ -163,7 +163,7 @@ def test_last_pose_of_a_horizon_climbs_the_value_function(middle, side):
     assert abs(along @ (kept[-1] - plain[-1])) < 1e-3
 
 
-def test_at_the_last_pose_half_a_time_step_of_mu_balances_the_value_function(middle):
+def test_slopes_of_mu_and_value_function_balance_at_the_last_pose(middle):
     robot, start, guess, there, _ = middle
     v, dt = End(guess[-1], self_motion(robot, guess[-1]), slope=0.003, low=-1.0, high=1.0), 0.5
     q = Program(robot, NODES, dt, Limits(), mu=0.1).solve(guess, start, there, end=v)[0][-1]

@@ -16,7 +16,7 @@ from tests.planning.arms import at_poses, task
 
 
 def small(rng, k=4, m=4):
-    """A small map for one joint, which can turn by 1 rad per period. Poses outside the map have mu = 0.4."""
+    """A small map for one joint with a speed limit of 1 rad per period. Poses outside the map have mu = 0.4."""
     arm: Any = SimpleNamespace(v_max=np.full(1, 2.0), state=lambda q: SimpleNamespace(mu=0.4))
     targets = Targets(0.5 * np.arange(k), np.zeros((k, 3)), np.zeros((k, 3)), np.zeros(k))
     q, mu = rng.uniform(0.0, 1.0, (k, 1, m, 1)), rng.uniform(0.1, 1.0, (k, 1, m))
@@ -121,7 +121,7 @@ def test_the_fitted_parabola_is_exact_for_a_quadratic_value_function(j):
     for dead, low, high, bend in (
         ((), -6, 6, -3.0), ((-6, -4, 3, 6), -3, 2, -3.0), ((-2, 3), -1, 2, 3.0), ((-2, 2), -1, 1, 0.0),
     ):  # fmt: skip
-        slope, room = 0.4 * bool(bend), np.ones((2, 1, 200))  # three poses are too few for a parabola
+        slope, room = 0.4 * bool(bend), np.ones((2, 1, 200))  # with three poses, no parabola is fitted
         room[..., (j + np.array(dead, dtype=int)) % 200] = -1.0
         mu = 4.0 * np.tile(0.3 + 0.4 * z + 0.5 * bend * z**2, (2, 1, 1))  # the last weight is 0.25 s
         found = replace(base, robot=two, q_rad=np.tile(q, (2, 1, 1, 1)), mu=mu, room_rad=room)
@@ -162,7 +162,7 @@ def test_courses_keep_all_limits_and_do_not_exceed_the_bound(robot, coarse):
         climbed = make_course(robot, coarse.targets, climb(coarse, q, limits), limits)
         assert (climbed.violation < 1e-12, climbed.q_rad[0].tolist()) == (True, q.tolist())
         assert climbed.mu_mean <= value.of(q, robot.state(q).mu) + 1e-12
-        assert (np.diff(climbed.mu[: int(0.2 / coarse.targets.period_s)]) >= -1e-12).all(), "mu falls as the path rests"
+        assert (np.diff(climbed.mu[: int(0.2 / coarse.targets.period_s)]) >= -1e-12).all(), "mu falls at rest"
 
 
 @pytest.mark.parametrize("joint", [1, 5])

@@ -181,7 +181,7 @@ def hill(top, height, width=60.0):
 
 
 def read(mu, swivel, forbidden=None, gap_rad=0.01, since=0.0):
-    """``forbidden``: (a, b, entry): from the time ``since`` [s], `limit` is ``entry`` at swivels from a to b [deg]."""
+    """``forbidden`` = (a, b, entry) sets `limit` to ``entry`` at swivels in [a, b] [deg], from ``since`` [s] on."""
     limit = np.full((len(T), len(ROWS)), FEASIBLE)
     if forbidden:
         limit[np.ix_(since <= T, (forbidden[0] <= ROWS) & (forbidden[1] >= ROWS))] = forbidden[2]
@@ -207,7 +207,7 @@ def test_a_run_that_climbs_to_the_optimum_ends_at_the_optimum():
     top, way = hill(60.0, 0.3), ramp(-30.0, 60.0, until=5.0)
     found = read(top, way)
     assert found.end is End.OPTIMUM
-    near_from = 60.0 - 60.0 * np.sqrt(-np.log(1.0 - swivel_map.NEAR))  # [deg]; there, mu is NEAR = 2 % below the top
+    near_from = 60.0 - 60.0 * np.sqrt(-np.log(1.0 - swivel_map.NEAR))  # swivel [deg] at which mu is 2 % below the top
     arrives = 5.0 * (near_from + 30.0) / 90.0
     assert (found.from_s, 10.0 - 10.0 * found.near) == pytest.approx((arrives, arrives), abs=0.11)
     assert (found.travel_rad, 0.3 * found.mu_share) == pytest.approx((np.radians(90.0), top(way).mean()))
@@ -246,7 +246,7 @@ def test_time_beside_forbidden_poses_is_counted():
     found = read(hill(60.0, 0.3), ramp(-20.0, 50.0), (10.0, 20.0, 4))  # forbidden: 12, 15, 18 deg; beside: 9, 21 deg
     assert found.at_edge == pytest.approx(np.mean(np.abs(ramp(-20.0, 50.0) - 15.0) < 7.5))
     late = read(hill(60.0, 0.3), 0.0, (-4.0, 20.0, 4), since=5.0)
-    assert late.at_edge == pytest.approx(53 / 101), "the nearest time of the map counts: 5 s from 4.75 s on"
+    assert late.at_edge == pytest.approx(53 / 101), "from 4.75 s on, 5 s is the nearest time of the map"
     away = read(hill(60.0, 0.3), -40.0, (-4.0, 20.0, 4))
     assert away.at_edge == 0.0
 

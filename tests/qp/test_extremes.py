@@ -72,7 +72,7 @@ def test_a_regularized_optimum_is_certified_and_the_worst_point_is_a_corner(seed
 
 @pytest.mark.parametrize("shape", [(7, 2), (8, 3), (9, 4)])
 def test_with_many_corners_the_largest_cost_is_not_overstated(shape, monkeypatch):
-    """If the largest cost is underestimated, an answer's loss comes out too large, which is safe."""
+    """An underestimate is safe, because the loss of an answer comes out too large."""
     exact = []
     for seed in range(15):
         Z, low, high, slope = cut_box(seed, shape)
@@ -178,7 +178,7 @@ def test_nearest_point_of_a_distant_set_is_exact_up_to_rounding(small):
 
 @pytest.mark.parametrize("seed", [285, 568, 649, 1706, 1724, 4198, 4585])
 def test_optimum_is_verified_if_all_feasible_points_are_at_bounds(seed):
-    """The duals can then be very large."""
+    """The duals of such an optimum can be very large."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(8, 13))
     A = rng.normal(size=(6, n))

@@ -1,4 +1,4 @@
-"""Near a straight elbow, an answer with a loss above 1 % is not verified, although it is within the primal tolerance.
+"""Near a straight elbow, no answer with a loss above 1 % is verified, even if it is within the primal tolerance.
 
 Each attempt moves an optimum along the nearly singular direction of A.
 """

@@ -307,7 +307,7 @@ def test_natural_and_primal_equal_their_definitions(regularization):
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1e-3, 1.0, 1e3, 1e6])
-def test_which_joints_are_idle_does_not_depend_on_the_length_unit(scale):
+def test_set_of_idle_joints_does_not_depend_on_the_length_unit(scale):
     """A column below about 1e-12 |A| counts as zero."""
     rng = np.random.default_rng(51)
     A = rng.normal(size=(6, 8))

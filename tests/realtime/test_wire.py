@@ -272,7 +272,7 @@ def test_measurement_with_impossible_stamp_is_not_answered():
     assert (ending["quality"]["foreign"], ending["quality"]["received"]) == (1, 1)
 
 
-def test_only_a_tick_more_than_a_period_late_delays_the_next(monkeypatch):
+def test_clock_is_shifted_only_after_a_delay_above_one_period(monkeypatch):
     T = 0.002
     now = {"s": 100.0, "oversleep": 0.5 * T}
     monkeypatch.setattr(clock, "monotonic", lambda: now["s"])

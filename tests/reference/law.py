@@ -59,7 +59,7 @@ def rcm_torque(s, K_N, D_N, trocar, projector_name="dynamic", rcm_lambda=None):
     P, dP = trocar
     N_d, dN_d = desired_wrist(s.tip, s.J_tip @ s.v, P, dP, s.tool_span)
     error = N_d - s.wrist
-    if rcm_lambda:  # keep the error's direction, and set its length to (RCM error |(P - X) x u|) / lambda
+    if rcm_lambda:  # scale the error to the length d / lambda, with the RCM error d = |(P - X) x u|
         error *= np.linalg.norm(np.cross(P - s.tip, s.tool_direction)) / rcm_lambda / np.linalg.norm(error)
     F = K_N * error + D_N * (dN_d - s.J_wrist @ s.v)
     return projector(projector_name, s) @ s.J_wrist.T @ F
@@ -113,7 +113,7 @@ def slope(s, margin=0.0):
 def scaled_climb(robot, s, margin=0.0):
     """x_d = k t |d| / max(-b, |d| / r), a Newton step to the maximum of mu along t = d / |d|.
 
-    b is the derivative of d^T t along t, k is CLIMB_PER_S, and r is LONGEST_RAD.
+    d is `slope`, b is the derivative of d^T t along t, k is CLIMB_PER_S, and r is LONGEST_RAD.
     """
     d = slope(s, margin)
     steep = np.linalg.norm(d)

@@ -71,7 +71,7 @@ def test_printed_third_level_lacks_an_inverse(states):
         assert printed.shape == (7, len(Z))  # it cannot multiply a joint vector (7,)
         assert idempotence(consistent) < 1e-9
         assert idempotence(printed @ Z) > 0.5  # the inverse is missing
-        # These eigenvalues of inner^2 [kg^2 m^4] are ratios of the printed to the consistent torque.
+        # Along an eigenvector of inner, printed torque = squared eigenvalue [kg^2 m^4] * consistent torque.
         assert (np.linalg.eigvalsh(inner) ** 2).max() < 0.5
 
 
@@ -113,7 +113,7 @@ def test_true_lambda_is_not_constant(states):
     assert PAPER.rcm_lambda == 0.5
 
 
-# Printed: K_N2 = [80, ...], c2 = 0.001 and k = 0.1. With them, mu adds less than 2 mNm to each torque of rnn-printed.
+# Printed: K_N2 = [80, ...], c2 = 0.001 and k = 0.1. With them, mu adds less than 2 mNm to each joint torque.
 def test_mu_hardly_changes_the_torques_of_the_printed_network(robot, states):
     rng, printed, share, free = np.random.default_rng(0), solvers.create("rnn-printed"), 0.0, 0.0
     for rest in states:

@@ -61,7 +61,7 @@ def test_gradients_scale_with_the_unit_of_length(robot: RobotModel, scale: float
         np.testing.assert_allclose(record[parts["scalars"]] / scale ** np.array([3, 1, 2]), s.record[parts["scalars"]])
 
 
-def test_positions_jacobians_and_drifts_equal_pinocchios(arm: RobotModel) -> None:
+def test_positions_jacobians_and_drifts_agree_with_pinocchio(arm: RobotModel) -> None:
     model, data = reference(arm)
     world = pin.LOCAL_WORLD_ALIGNED
     for q, v, s in samples(arm):
@@ -118,7 +118,7 @@ def test_singular_arm_gives_no_nan(robot: RobotModel, bend: float) -> None:
     assert np.isfinite(s.record).all()
 
 
-def test_dynamic_terms_equal_pinocchios(arm: RobotModel) -> None:
+def test_dynamic_terms_agree_with_pinocchio(arm: RobotModel) -> None:
     model, data = reference(arm)
     for q, v, s in samples(arm):
         bare = pin.crba(model, data, q)
