@@ -73,7 +73,7 @@ def test_code_blocks_of_readme_and_start_page_run(place):
     pages = {"report.html", "both.html", "replay.html", "map.html"}
     written = {"scenario.toml", "clarabel.parquet", "network.parquet", "c", *pages}
     assert {file.name for file in folder.iterdir()} == written
-    # `clarabel` moves the elbow and raises mu, and the network as published does not.
+    # `clarabel` moves the elbow and raises mu. The published network does not.
     mu = {name: mo.load_trace(folder / f"{name}.parquet").mu for name in ("clarabel", "network")}
     assert mu["clarabel"].mean() > 1.2 * mu["network"].mean()
     tour = [text for language, text in blocks("docs/start.md") if language == "python" and "elbow.html" in text]

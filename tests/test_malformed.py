@@ -1,4 +1,4 @@
-"""Any input works or raises a MocOptError (`HYPOTHESIS_PROFILE=long`: thousands of inputs)."""
+"""Any input works or raises a MocOptError. `HYPOTHESIS_PROFILE=long` tries thousands of inputs."""
 
 import contextlib
 
@@ -47,7 +47,7 @@ def run_two_ticks(scenario):
     summarize(trace)
 
 
-@many(0.5)  # the scenario runs, or its error names the field
+@many(0.5)
 @given(st.lists(st.tuples(st.sampled_from(list(fields())), st.none() | strange, values), min_size=1, max_size=3))
 @example([(("task", "path"), None, "circle")])
 @example([(("control", "K_X"), None, 1e30)])

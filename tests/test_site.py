@@ -72,7 +72,7 @@ def found(name):
 
 
 def methods(name):
-    """Return {name: method} for the methods of a class that the reference lists."""
+    """Return {name: method} for the methods that the reference lists for this class."""
     kind, options = ENTRIES[name]
     if kind != "class" or ":members:" not in options or ":undoc-members:" in options:
         return {}

@@ -20,7 +20,7 @@ QP = mo.NullSpaceQP(**PARTS)
 
 
 def each(call: Callable, *names: str, **usual: object) -> dict[str, Callable]:
-    """Return {title: function}. For each of `names`, function(x) calls `call` with x as the argument of this name."""
+    """Return {title: function} for `names`. Each function passes its argument to `call` under one of the names."""
     return {f"{call.__name__} {name}": lambda x, name=name: call(**{**usual, name: x}) for name in names}
 
 

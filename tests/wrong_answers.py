@@ -1,4 +1,4 @@
-"""Corners of feasible sets that are not optimal. No solver is used: the optimum is found by trying all active sets."""
+"""Non-optimal corners of feasible sets. The optimum is found without a solver, by trying all active sets."""
 
 from itertools import combinations, product
 from typing import NamedTuple
@@ -31,7 +31,7 @@ def cost(qp: NullSpaceQP, x: Array) -> Array:
 
 
 def candidates(qp: NullSpaceQP, Z: Array, base: Array, *, damped: bool) -> Array:
-    """Return the feasible corners (k, n) in base + span Z. `damped`: if rho > 0, also the optima on the set's faces."""
+    """Return the feasible corners (k, n) in base + span Z. With `damped` and rho > 0, add the optima on faces."""
     n, r = Z.shape
     found, width = [], float((qp.upper - qp.lower).max())
     for k in range(r + 1) if damped and qp.regularization > 0.0 else (r,):

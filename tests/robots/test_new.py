@@ -127,7 +127,7 @@ def test_wrist_of_a_known_arm_is_found(name: str, height: float, up: int) -> Non
         np.testing.assert_allclose(point, expected, rtol=0, atol=1e-12)
 
 
-def test_wrist_is_the_point_of_the_last_axis_nearest_to_an_oblique_sixth_axis() -> None:
+def test_wrist_is_the_point_on_the_last_axis_nearest_to_the_sixth_axis() -> None:
     text = re.sub(r'(name="joint_6".*?<axis xyz=")0 0 1', r"\g<1>0 0.5 1", text_of("xarm7"), flags=re.DOTALL)
     model = pin.buildModelFromXML(text)
     data = model.createData()
@@ -167,13 +167,13 @@ def test_found_home_pose_meets_its_requirements(name: str) -> None:
     assert state.mu == pytest.approx(home.mu)
     assert min(state.tip[2], state.wrist[2]) > new.CLEARANCE_M - 0.01
     assert home.task == ""
-    if name == "xarm7":  # another ranking would find another pose
+    if name == "xarm7":  # fails if the ranking of poses changes
         np.testing.assert_array_equal(home.q, [-0.72, 0.06, -0.89, 1.37, 0.22, 1.37, 0.0])
         assert np.abs(search_home(robot, seed=2).q - home.q).max() > 0.1
 
 
 def test_arm_that_is_singular_everywhere_has_no_home(robot: RobotModel) -> None:
-    """These limits keep elbow and wrist straight."""
+    """The limits keep joints 2, 4 and 6 straight."""
     q_min, q_max = robot.data.q_min.copy(), robot.data.q_max.copy()
     q_min[[1, 3, 5]], q_max[[1, 3, 5]] = -1e-3, 1e-3
     stiff = RobotModel(dataclasses.replace(robot.data, q_min=q_min, q_max=q_max, q_home=np.zeros(7)))
@@ -285,7 +285,7 @@ def test_task_out_of_reach_has_verdict_care(robot: RobotModel) -> None:
 
 @pytest.mark.parametrize("factor", [0.9, 8.0])
 def test_gains_that_cause_oscillation_have_verdict_cannot(robot: RobotModel, factor: float) -> None:
-    """The verdict agrees with a run without friction."""
+    """A run without friction completes unless the verdict is "cannot"."""
     gains = [factor * gain for gain in robot.data.gains["default"]["K_N2"]]  # type: ignore[union-attr]
     asked = Scenario(control={"K_N2": gains}, plant={"friction": 0.0}, bound_samples=0, judge=False)
     asked = asked.change(task={"path": "line", "sizes": {"length": 0.005}})

@@ -80,7 +80,7 @@ def test_error_for_path_out_of_the_workspace_says_where():
 
 
 def test_joint_that_reaches_its_limit_along_the_path_is_named():
-    """No self-motion can avoid the limit, because it does not move joint 4 (the elbow)."""
+    """Self-motion cannot avoid the limit, because it does not move joint 4 (the elbow)."""
     highest = np.array(ROBOT.q_max)
     highest[3] = HOME.q[3] + 0.05
     stiff = RobotModel(dataclasses.replace(ROBOT.data, q_max=highest))
@@ -92,7 +92,7 @@ def test_joint_that_reaches_its_limit_along_the_path_is_named():
     assert told.value.arc_length_m == pytest.approx(0.1 * np.linspace(0.0, 1.0, len(free))[over][0], abs=PLACE_M)
 
 
-def test_trocar_on_the_path_and_path_away_from_the_tip_are_refused():
+def test_error_names_trocar_path_or_start():
     up = straight(HOME.tip, HOME.tip + np.array([0.0, 0.0, 0.06]))
     away = straight(HOME.tip + np.array([0.0, 0.01, 0.0]), HOME.tip)
     for task, through, field, place in (
@@ -104,7 +104,7 @@ def test_trocar_on_the_path_and_path_away_from_the_tip_are_refused():
         assert (told.value.field, told.value.arc_length_m) == (field, pytest.approx(place, abs=PLACE_M))
 
 
-def test_other_elbow_positions_are_tried_if_that_of_the_start_fails(monkeypatch):
+def test_another_elbow_position_is_tried_if_the_first_fails(monkeypatch):
     """`solve_pose` is made to fail near the start's elbow position."""
     task, scan, solve = reference(radius=0.03), self_motion(ROBOT, HOME.q), preflight.solve_pose
 

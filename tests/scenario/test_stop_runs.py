@@ -1,4 +1,4 @@
-"""After a stop, the arm is held and gives way to a trocar that presses (bounds: docs/reliability.md)."""
+"""After a stop, the arm is held, but gives way to a trocar that presses. docs/reliability.md has the bounds."""
 
 import dataclasses
 from collections import ChainMap

@@ -31,7 +31,7 @@ def test_inertia_that_one_engine_drops_is_refused(robot, attribute, value):
 
 
 @pytest.mark.parametrize("change", ["M", "h", "tip", "wrist"])
-def test_mass_matrix_bias_torque_tip_and_wrist_are_compared(robot, change):
+def test_engines_must_agree_on_dynamics_and_kinematics(robot, change):
 
     def shifted(scale):
         def state(q, v):

@@ -109,7 +109,7 @@ def test_trocar_slips_smoothly():
     np.testing.assert_allclose(moved[1:-1, 1], rate[1:-1], atol=4e-3)  # rates reach 0.15 m/s
     assert faults().slip(still, t) is still
     ways = np.array([faults(seed, slip_m=0.01, slip_at_s=0.0).slip(still, t)[-1, 0] for seed in range(40)])
-    assert (ways[:, :2].min(axis=0) < -0.008).all()  # some slips go each way along x and y
+    assert (ways[:, :2].min(axis=0) < -0.008).all()  # slips in both directions of x and y occur
     assert (ways[:, :2].max(axis=0) > 0.008).all()
 
 

@@ -40,7 +40,7 @@ class Holding:
 
 @pytest.fixture(scope="module")
 def references(robot):
-    """Tip references, and true and registered trocars, of every tick."""
+    """Return tip references, true trocars and registered trocars of every tick."""
     s, k = robot.state(robot.data.q_home), np.arange(TICKS, dtype=float)
     tip_refs, trocars = np.zeros((TICKS, 3, 3)), np.zeros((TICKS, 2, 3))
     tip_refs[:, 0] = s.tip + 1e-4 * k[:, None]

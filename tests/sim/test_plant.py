@@ -130,7 +130,7 @@ def test_torque_acts_after_the_delay(delay):
 
 
 def chain_tip(model, mismatch, q):
-    """The tip by forward kinematics with the random errors of the joint frames."""
+    """Return the tip by forward kinematics with the errors of the joint frames."""
     chain = model.chain
     place, turn = np.zeros(3), np.eye(3)
     for i in range(model.n):
@@ -298,7 +298,7 @@ def test_invalid_models_are_refused():
 
 
 def test_shapes_in_the_urdf_change_nothing():
-    """The tip gets a visual mesh, whose file does not exist, and a collision box."""
+    """The tip gets a collision box and a visual mesh whose file does not exist."""
     shapes = (
         '<link name="tip"><visual><geometry><mesh filename="package://no/where.stl"/></geometry></visual>'
         '<collision><geometry><box size="1 1 1"/></geometry></collision></link>'

@@ -129,7 +129,7 @@ def test_expired_time_limit_gives_the_status_time_limit():
 
 @pytest.mark.parametrize("kind", [SQP, Ipopt])
 def test_nonlinear_step_moves_tip_and_wrist_exactly(kind):
-    """tip(q + x T) equals tip(q) + v_T T. The same holds for the wrist's motion across the shaft."""
+    """In a period T, the tip moves by v_tip T. The same holds for the wrist's motion across the shaft."""
     arm = random_arm(np.random.default_rng(3))
     kinematics = arm.kinematics()
     chosen = kind(kinematics)

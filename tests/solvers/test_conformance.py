@@ -30,10 +30,10 @@ class Expect:
     settings: dict[str, Any] = field(default_factory=dict)
     primal: float = 1e-7  # |A x - b|_inf and violation of bounds [m/s, rad/s]
     relative: float = 1e-4  # natural residual with the best y, divided by the size of the reduced gradient
-    loss: float = 1e-4  # (cost of x - smallest) / (largest - smallest cost)
+    loss: float = 1e-4  # (cost of x - optimum) / (largest cost - optimum)
     natural: float = 1e-5  # natural residual with the solver's own y [rad/s]
     x: float = 2e-4  # distance to the answers of `exact` and of a cold start [rad/s]
-    gap: float = 1e-6  # (f(x) - f(exact)) / (c2 |grad_mu|_inf) where regularization = 0 [rad/s]
+    gap: float = 1e-6  # with regularization = 0: (f(x) - f(exact)) / (c2 |grad_mu|_inf) [rad/s]
     solved: float = 1.0  # lower bound on the share of feasible problems with the status SOLVED
     certified: float = 1.0  # lower bound on the share of infeasible problems with the status INFEASIBLE
     undamped: float | None = 1.0  # like ``solved``, for problems with regularization = 0 (None: not supported)
@@ -47,7 +47,7 @@ NLP = Expect(
 )
 EXPECT = {
     "exact": Expect(primal=1e-12, relative=1e-8, loss=1e-9, natural=1e-12, x=1e-9, gap=1e-9),
-    # The network cannot prove a problem infeasible, and may keep oscillating with regularization = 0.
+    # The network cannot prove a problem infeasible. With regularization = 0, it may keep oscillating.
     "rnn": Expect(
         {"steps": 300_000, "k": 0.2}, primal=1e-6, relative=1e-3, loss=5e-3, x=5e-3, gap=1e-4, certified=0.0,
         undamped=0.75, recovers=False,
@@ -134,7 +134,7 @@ def recorded(arm: str) -> tuple[list[NullSpaceQP], Any]:
 
 @pytest.mark.parametrize("arm", available_robots())
 @every_solver
-def test_solved_subproblems_of_every_arm_are_optimal(name, arm):
+def test_solved_answers_are_optimal_for_every_arm(name, arm):
     qps, moving = recorded(arm)
     session = solver(name, moving).start(qps[0])
     check_claims(expect(name), qps, [session.solve(qp) for qp in qps])

@@ -1,4 +1,4 @@
-"""Solvers in separate processes: if one fails, some ticks get no answer, but the run goes on."""
+"""Solvers in separate processes. If a solver fails, some ticks get no answer, but the run goes on."""
 
 import signal
 import subprocess

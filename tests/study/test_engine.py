@@ -54,7 +54,7 @@ def test_dying_processes_are_reported_as_crashed(workers):
 
 
 def test_stored_result_is_ignored_after_a_hang_in_its_group(tmp_path):
-    """An uninterrupted study would skip the second job, because the first job of the group hung."""
+    """After a hang, the later jobs of the group count as not run, even if their results are stored."""
     good = Job(work.square, (3.0,), group="slow")
     assert run([good], kept=Kept(tmp_path)) == [9.0]
     found = run([Job(time.sleep, (60.0,), limit_s=0.3, group="slow"), good], kept=Kept(tmp_path))

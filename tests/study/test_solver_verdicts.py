@@ -24,7 +24,7 @@ ENDED = {"broke off": "stopped: the tip", "oscillated": "oscillated: joint_3"}
 
 
 def runs(controller: str, trials: int = 15, unlike: float = 0.0, first_ends: str = "completed", **times: float) -> Any:
-    """Return the rows of trials. `times`: factors of metrics. `unlike`: sigma of the controller's log-normal noise."""
+    """Return the rows of trials. `times` multiplies metrics. `unlike` is the sigma of the controller's noise."""
     own = np.random.default_rng(5).lognormal(0.0, unlike, trials) if unlike else np.ones(trials)
     found = []
     for k in range(trials):
@@ -76,7 +76,7 @@ def test_each_rule_gives_its_verdict(asked, times, verdict, damage):
 
 @pytest.mark.parametrize("ended", ENDED.values())
 def test_bad_ending_does_not_count_if_no_other_solver_ran_the_trial(ended):
-    """If no other solver ran a trial, it might have ended badly with every solver."""
+    """The trial might end badly with every solver."""
     mine = runs("asked", 60)
     mine[40] |= {"ended": ended, "whole": not ended.startswith("stopped")}
     common = {row["trial"] for row in mine[:15]}

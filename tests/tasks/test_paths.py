@@ -96,7 +96,7 @@ def added(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(paths.plugins, "plugins", lambda group: found if group == paths.GROUP else {})
 
 
-@pytest.mark.parametrize("kind", ["screw", "helix"])  # built into moc_opt, from another package
+@pytest.mark.parametrize("kind", ["screw", "helix"])  # "screw" is built in, "helix" comes from another package
 def test_function_defines_a_kind_of_path(kind: str, added: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(CURVES, "screw", helix)
     assert paths.kinds()["screw"] == "One turn of a helix."

@@ -167,7 +167,7 @@ def test_hand_is_a_spring_near_the_goal():
 
 
 def moved(hand, place, load=(0.0, 0.0, 0.0), seconds=6.0):
-    """Return (places, final velocity) of a mass of 4 kg under a steady load."""
+    """Return (places, final velocity) of a mass of 4 kg that the hand pulls under a steady load."""
     place, velocity, places = np.array(place), np.zeros(3), []
     for _ in range(round(seconds / PERIOD)):
         velocity = velocity + PERIOD * (hand.pull(place, velocity, np.zeros(3)) + load) / 4.0
