@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable
 from numbers import Real
 from typing import ClassVar
@@ -76,8 +77,8 @@ class UnknownNameError(MocOptError, LookupError):
         """``listed_by`` is a command that lists the ``valid`` names."""
         names = sorted(valid)
         short = bool(listed_by) and len(names) > self.FEW
-        # A name without a dot is compared with the last parts of dotted names.
-        ends = {one: (one if "." in name else one.rpartition(".")[2]).lower() for one in names}
+        # A name of one part is compared with the last part of each name, such as `osqp` of `qpsolvers:osqp`.
+        ends = {one: (one if {".", ":"} & set(name) else re.split("[.:]", one)[-1]).lower() for one in names}
         close = difflib.get_close_matches(name[:100].lower(), set(ends.values()), n=3, cutoff=0.55)
         near = [one for end in close for one in names if ends[one] == end][:3]
         hint = f"did you mean {' or '.join(map(repr, near))}? " if near else ""

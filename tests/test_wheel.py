@@ -22,7 +22,7 @@ STAND_IN = """import os, sys
 open({log!r}, "a").write(" ".join(sys.argv[1:]) + "\\n")
 at = sys.argv.index("-target")
 os.environ["PATH"] = {path!r}
-os.execv({compiler!r}, ["cc", *sys.argv[2:at], *sys.argv[at + 2:]])
+os.execv({compiler!r}, ["cc", *sys.argv[2:at], *sys.argv[at + 2:], "-O0"])
 """
 
 

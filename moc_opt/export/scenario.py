@@ -41,7 +41,7 @@ def export_scenario(
     setup = Setup(scenario.change(judge=False, bound_samples=0, faults={"solver": "none"}))
     robot, period, solver = setup.robot, scenario.plant.period_s, setup.solver()
     numbers = law_numbers.numbers_of(scenario.control, robot, period)
-    limits = safety_filter.numbers_of(scenario.told_guard, robot, period)
+    limits = safety_filter.numbers_of(scenario.safety_settings, robot, period)
     extra: dict[str, str | bytes] = {}
     if udp:
         packets = c_packets(robot.n, setup.ticks, fingerprint(scenario, robot), scenario.wire)

@@ -134,6 +134,8 @@ def _explained(items: Sequence[Mapping[str, Any]], kind: str) -> str:
         message += f" [{unit[1]}]"
     if isinstance(item.get("ctx", {}).get("error"), MocOptError):  # from an inner table
         return message if not field or message.startswith(f"[{field}]") else f"{kind} {field}: {message}"
+    if item["type"] == "missing" and isinstance(item["loc"][-1], int):
+        return f"{kind} {field.rpartition('.')[0]} has too few entries: {shown(item['input'])}"
     if item["type"] == "missing":
         return f"{kind} {field} is missing: add it"
     if item["type"] == "model_type":

@@ -28,7 +28,7 @@ from moc_opt.trace.trace import Trace
 COURSE_SHARE = 0.25  #: Share of ``[control] shaft_margin`` that courses keep.
 V_PERIOD_S = 0.1  #: Time step of the pose map [s].
 TARGETS_PER_TIME = 20  #: Targets of tip and wrist per time step of the map.
-QUARTER = 0.5  #: ``cell`` of `Value`. With 0, the coarse map loses courses near singular poses.
+HALF_CELL = 0.5  #: ``cell`` of `Value`. With 0, the coarse map loses courses near singular poses.
 SPEEDS = (1.0, 0.7, 0.4)
 """Shares of ``[control] course_speed_fraction``, tried in this order until a course is smooth and can brake."""
 HURRY, WORTH_IT = 1.12, 0.01
@@ -97,7 +97,7 @@ class Ways:
             share = share if part <= 1.0 else max(min(share, FASTEST), settings.course_speed_fraction)
             price = SMOOTHNESS["receding"] / SETTLED_S**2 * self.usual
             margins = margin_at(run.robot, run.q_start, margin), 0.0
-            for cell, kept in itertools.product((QUARTER, WHOLE_CELL), margins):
+            for cell, kept in itertools.product((HALF_CELL, WHOLE_CELL), margins):
                 limits = Limits(kept, share, shaft=self.shaft)
                 value = Value(self._map, limits, cell=cell, price=price)
                 way = value.way(run.q_start)

@@ -97,7 +97,7 @@ class Scenario(Settings):
         return presets[name](**table)
 
     @model_validator(mode="after")
-    def _box_before_the_wall(self) -> Self:
+    def _check_third_level_box(self) -> Self:
         for unit in ("rad", "m"):
             name = "course_margin_rad" if unit == "rad" and self.control.follows else f"limit_margin_{unit}"
             box, wall = getattr(self.control, name), getattr(self.guard, f"position_margin_{unit}")
@@ -109,7 +109,7 @@ class Scenario(Settings):
         return self
 
     @model_validator(mode="after")
-    def _isolated_by_what_can(self) -> Self:
+    def _check_isolation(self) -> Self:
         control = self.control
         if self.solver.isolation == "process" and control.law == "moc" and control.supervisor.late == "iterate":
             raise ValueError(
@@ -168,7 +168,7 @@ class Scenario(Settings):
     __str__ = __repr__
 
     @property
-    def told_guard(self) -> SafetyFilterSettings:
+    def safety_settings(self) -> SafetyFilterSettings:
         """The settings ``[guard]``, with limits that suit the plant's encoders."""
         guard, plant, told = self.guard, self.plant, dict[str, float | None]()
         encoder = plant.encoder_noise_rad, plant.encoder_resolution_rad

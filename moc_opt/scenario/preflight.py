@@ -66,13 +66,13 @@ def check_start(robot: RobotModel, q: ArrayLike) -> RobotState:
 
 def random_start(
     robot: RobotModel, rng: np.random.Generator, swivelled: Callable[[Array], Array],
-    lay_out: Callable[[Array], tuple[Found, Array]], margins: Array,
+    attempt: Callable[[Array], tuple[Found, Array]], margins: Array,
 ) -> Found:  # fmt: skip
     """Draw start poses until the arm can do the task from one of them, and return the task laid out from there.
 
     Args:
         swivelled: function from a drawn pose (n,) to the start pose with the scenario's elbow angle.
-        lay_out: function from a start pose (n,) to the task and poses (k, n) along the path.
+        attempt: function from a start pose (n,) to the task and poses (k, n) along the path.
         margins: (n,) required distance from the joint limits [rad, m].
 
     Raises:
@@ -86,7 +86,7 @@ def random_start(
             _require_fit(robot, drawn, margins)
             q = swivelled(drawn)
             _require_fit(robot, q, margins)
-            found, poses = lay_out(q)
+            found, poses = attempt(q)
             for pose in poses:
                 _require_fit(robot, pose, margins, " along the path")
             return found

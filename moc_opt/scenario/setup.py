@@ -60,7 +60,7 @@ def isolated(solver: Solver, scenario: Scenario, budget_us: float = math.inf, re
 
 def make_safety_filter(robot: RobotModel, scenario: Scenario) -> SafetyFilter:
     """Make the scenario's safety filter."""
-    return SafetyFilter(robot, scenario.told_guard, scenario.plant.period_s)
+    return SafetyFilter(robot, scenario.safety_settings, scenario.plant.period_s)
 
 
 def make_stop(scenario: Scenario) -> Stop:
@@ -152,7 +152,7 @@ class Setup:
                 budget = None  # the isolated solver watches the budget
         watch = settings.supervisor.model_copy(update={"budget_us": budget})
         settings = settings.model_copy(update={"supervisor": watch})
-        self.guide = None if self._guides is None else self._guides()
+        self.guide = None if self._new_guide is None else self._new_guide()
         return Controller(self.robot, settings, solver, period_s, times, self.guide)
 
     @property
@@ -165,7 +165,7 @@ class Setup:
         )  # fmt: skip
 
     @cached_property
-    def _guides(self) -> Callable[[], Guide] | None:
+    def _new_guide(self) -> Callable[[], Guide] | None:
         """A function that makes a `Guide`; None: level 3 raises mu."""
         return guides(self.following)
 

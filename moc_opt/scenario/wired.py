@@ -64,7 +64,7 @@ class PlantServer(Setup):
         )  # fmt: skip
 
     @cached_property
-    def _guides(self) -> None:
+    def _new_guide(self) -> None:
         """Plan no joint motion, because the controller's process plans it."""
 
     def controller(self) -> LoggedController:

@@ -33,8 +33,8 @@ from moc_opt.study.kept import Kept, digest_of, key_of, loaded_sources
 
 CONNECT_S = 30.0
 LOOK_S, ATTEMPTS = 1.0, 3  # time between checks of the processes [s]; attempts at a job
-BEGUN = ".pid"
-WAITS = 5.0
+PID_FILE = ".pid"
+WAIT_FACTOR = 5.0
 PR_SET_PDEATHSIG = 1
 PRELOAD = ("moc_opt.scenario", "moc_opt.study.trials", "moc_opt.study.solver_answers")
 
@@ -181,7 +181,7 @@ def _answers(
 
 
 def _process_is_gone(future: Answer) -> bool:
-    begun = Path(f"{getattr(future, 'parts', '')}{BEGUN}")
+    begun = Path(f"{getattr(future, 'parts', '')}{PID_FILE}")
     if not begun.exists() or not (pid := begun.read_text()):
         return False
     try:
@@ -217,7 +217,7 @@ def _answer(future: Answer, job: Job) -> _Done | Failed:
 def _do(work: Callable[..., Any], arguments: tuple[Any, ...], parts: str | None = None) -> _Done | Failed:
     global _parts
     if parts is not None:
-        Path(f"{parts}{BEGUN}").write_text(str(os.getpid()))
+        Path(f"{parts}{PID_FILE}").write_text(str(os.getpid()))
         _parts = open(parts, "wb", buffering=0)  # noqa: SIM115 - the file stays open while the job runs
     try:
         result = pickle.dumps(work(*arguments))
@@ -315,10 +315,10 @@ def _reported(file: str | None) -> tuple[Any, ...]:
 def alarm(seconds: float) -> None:
     """Let the kernel end this job's process after ``seconds`` of processor time. With 0, cancel the alarm.
 
-    A process that only waits is ended after `WAITS` times ``seconds`` of wall time.
+    A process that only waits is ended after `WAIT_FACTOR` times ``seconds`` of wall time.
     """
     signal.setitimer(signal.ITIMER_PROF, seconds)
-    signal.setitimer(signal.ITIMER_REAL, WAITS * seconds)
+    signal.setitimer(signal.ITIMER_REAL, WAIT_FACTOR * seconds)
 
 
 # --- workers of a cluster ---

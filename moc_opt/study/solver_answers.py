@@ -31,7 +31,7 @@ Runner = Callable[..., list[Any]]  # `moc_opt.study.run` with some arguments bou
 HUNG, CRASHED, RAISED, NOT_ASKED, REFUSED = "hung", "crashed", "raised", "not asked", "refused"
 """Statuses of an answer in addition to those of `Status`."""
 BROKEN_SETS = 3  # after hangs or crashes in this many sets, a solver's later sets are skipped
-HOURS = 1e5  # time limit of a whole set [s]
+WHOLE_SET_S = 1e5  # time limit of a whole set [s]
 WARM_UP = 16  # untimed solves at the start
 CONTRADICTION = 1e-13  # threshold [m/s]: if `TestSet.judged` changes b by more, rounding is not the cause
 RIGHTLY = 0.99  # a solver's times are compared only if at least this share of its answers is right
@@ -168,7 +168,7 @@ def ask(run: Runner, questions: Sequence[Question], limits: Limits, *, warm: boo
     If ``warm``, one session solves the whole set. Otherwise each problem has a new session.
     """
     jobs = [
-        Job(answer, (setting, problems.rows, warm, limits.patience_s, limits.setup_s), HOURS, group=setting.label)
+        Job(answer, (setting, problems.rows, warm, limits.patience_s, limits.setup_s), WHOLE_SET_S, group=setting.label)
         for setting, problems in questions
     ]
     results = run(jobs, give_up=BROKEN_SETS)

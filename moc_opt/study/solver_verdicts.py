@@ -265,7 +265,7 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
             f"torque's rate of change) {100 * COSTS['torque_rate_rms_Nm_per_s'][1]:g} %. None: all means are within "
             "tolerance.",
             "Tip: change of the tip error relative to DCAC, by the robot's kinematic model / in the registered frame, "
-            f"over the {_trials(rows)[0]} trials that all ran (?: undecided). {_trials_told(rows)}",
+            f"over the trials that all ran (?: undecided). {_trials_told(rows)}",
         ]
     caption = "\n".join(f"- {line}" for line in said)
     return Table("Solvers under the settings we recommend, best first", columns, rows, caption)
@@ -279,7 +279,7 @@ def _trials(rows: Sequence[Row]) -> list[int]:
 def _trials_told(rows: Sequence[Row]) -> str:
     fewest, *more = _trials(rows)
     if not more:
-        return f"Every solver ran {fewest} trials."
+        return f"Every solver ran {fewest} trial{'s' * (fewest > 1)}."
     all_of = [row["solver"] for row in rows if row["closed"].get("trials") == more[-1]]
     return f"{listed(all_of)} ran {more[-1]} trials, the others {'at least ' if more[1:] else ''}the first {fewest}."
 

@@ -168,7 +168,7 @@ class Work:
         said = sentences(self.summary, assess(self.summary, self.runs))[0]
         if said != self.said:
             self.said = said
-            console(stderr=True).print(f"so far: {said} (This may change.)", markup=False, soft_wrap=True)
+            console(stderr=True).print(f"so far: {said} (This may change.)", markup=False)
 
 
 # --- the command ---

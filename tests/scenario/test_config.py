@@ -88,7 +88,7 @@ def test_trace_stores_its_scenario():
 ])  # fmt: skip
 def test_safety_thresholds_follow_from_the_encoders(tables, told):
     scenario = Scenario(**tables)
-    assert {name: getattr(scenario.told_guard, name) for name in told} == pytest.approx(told)
+    assert {name: getattr(scenario.safety_settings, name) for name in told} == pytest.approx(told)
     assert scenario.guard == Scenario(guard=tables.get("guard", {})).guard
 
 
