@@ -36,12 +36,12 @@ class SafetyFilterSettings(Settings):
     """largest travel of the tip's reference while encoders and wrench sensor repeat their readings"""
     repeat_whole_ticks: int = Field(25, ge=1)
     """largest number of consecutive control periods in which a noisy wrench sensor repeats its reading. It also limits
-    the number of consecutive measurements that equal those of a fixed time before (a replay)"""
+    the number of consecutive measurements that equal those a fixed time earlier (a replay)"""
     stuck_torque: float = Field(0.06, ge=0.0)
     """largest torque change that static friction may explain while one encoder repeats its reading, as a share of its
     joint's largest torque"""
     stuck_friction: float = Field(6.0, gt=0.0)
-    """like `stuck_torque`, but as a multiple of the joint's Coulomb friction. The smaller of both torques is used"""
+    """like `stuck_torque`, but as a multiple of the joint's Coulomb friction. The smaller of the two torques is used"""
     repeat_joint_ticks: int | None = Field(None, ge=1)
     """largest number of consecutive control periods in which one encoder repeats its position. By default, it is
     computed from the encoders' noise and step"""
@@ -53,8 +53,8 @@ class SafetyFilterSettings(Settings):
     counts as stuck. The torque beyond `stuck_torque` gives this speed. The threshold is at least 600 times
     `encoder_resolution_rad`"""
     residual_torque: float = Field(0.2, gt=0.0)
-    """largest change of a joint's momentum residual (torque implied by the joint's motion, minus the command), as a share
-    of the joint's largest torque. Above it for more than `patience_ticks` control periods, the arm is stopped"""
+    """largest change of a joint's momentum residual (torque implied by the joint's motion, minus the command), as a
+    share of the joint's largest torque. Above it for more than `patience_ticks` control periods, the arm is stopped"""
     residual_whole_torque: float = Field(0.5, gt=0.0)
     """like `residual_torque`, but for the momentum residual itself instead of its change"""
     residual_rate_per_s: float = Field(40.0, gt=0.0, lt=500.0)
