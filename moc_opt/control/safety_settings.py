@@ -19,29 +19,29 @@ class SafetyFilterSettings(Settings):
     motion: bool = True
     """whether measurements are checked for age, repetition, and agreement of positions, velocities and torques"""
     motion_s: float = Field(0.1, gt=0.0)
-    """memory (time constant) of the comparison of a joint's position with its integrated velocity"""
+    """time constant of the comparison of a joint's position with its integrated velocity"""
     motion_rad: float = Field(0.001, gt=0.0)
-    """largest difference between a joint's position and its integrated velocity at rest"""
+    """largest difference between the position of a resting joint and its integrated velocity"""
     motion_lag_s: float = Field(0.012, ge=0.0)
-    """lag of measured velocities. At the speed v, the lag times v is added to `motion_rad`. A value below three time
-    constants of the velocity filter is raised to that"""
+    """lag of measured velocities. At the speed v, the lag times v is added to `motion_rad`. The lag is at least three
+    time constants of the velocity filter"""
     repeat_m: float = Field(0.003, gt=0.0)
     """largest travel of the tip's reference while all encoders repeat their readings"""
     repeat_torque: float = Field(0.06, gt=0.0)
-    """largest torque change while all encoders repeat their readings, as a share of the largest torque. A value below
-    500 times `encoder_resolution_rad` is raised to it"""
+    """largest torque change while all encoders repeat their readings, as a share of the largest torque. The share is
+    at least 500 times `encoder_resolution_rad`"""
     repeat_whole_torque: float = Field(0.0005, gt=0.0)
     """largest torque change while encoders and wrench sensor repeat their readings, as a share of the largest torque"""
     repeat_whole_m: float = Field(0.0005, gt=0.0)
     """largest travel of the tip's reference while encoders and wrench sensor repeat their readings"""
     repeat_whole_ticks: int = Field(25, ge=1)
     """largest number of consecutive control periods in which a noisy wrench sensor repeats its reading. It also limits
-    the number of consecutive measurements that equal those of a fixed time before (a replay)"""
+    the number of consecutive measurements that equal those a fixed time earlier (a replay)"""
     stuck_torque: float = Field(0.06, ge=0.0)
     """largest torque change that static friction may explain while one encoder repeats its reading, as a share of its
     joint's largest torque"""
     stuck_friction: float = Field(6.0, gt=0.0)
-    """like `stuck_torque`, but as a multiple of the joint's Coulomb friction. The smaller of both torques is used"""
+    """like `stuck_torque`, but as a multiple of the joint's Coulomb friction. The smaller of the two torques is used"""
     repeat_joint_ticks: int | None = Field(None, ge=1)
     """largest number of consecutive control periods in which one encoder repeats its position. By default, it is
     computed from the encoders' noise and step"""
@@ -49,12 +49,12 @@ class SafetyFilterSettings(Settings):
     """largest total number of control periods of a run in which one encoder repeats both position and velocity. By
     default, it is `patience_ticks` for noisy encoders with filtered velocities, and unlimited for others"""
     stuck_rad_per_s: float = Field(0.2, gt=0.0)
-    """speed above which an encoder counts as stuck. While it repeats its reading, the speed that its joint must have
-    gained is computed from the torque beyond `stuck_torque`. A value below 600 times `encoder_resolution_rad` is raised
-    to that"""
+    """threshold of the speed that a joint must have gained while its encoder repeats its reading. Above it, the encoder
+    counts as stuck. The torque beyond `stuck_torque` gives this speed. The threshold is at least 600 times
+    `encoder_resolution_rad`"""
     residual_torque: float = Field(0.2, gt=0.0)
-    """largest change of a joint's momentum residual (torque implied by its motion, minus the command), as a share of
-    its largest torque. If exceeded for more than `patience_ticks` control periods, the arm is stopped"""
+    """largest change of a joint's momentum residual (torque implied by the joint's motion, minus the command), as a
+    share of the joint's largest torque. Above it for more than `patience_ticks` control periods, the arm is stopped"""
     residual_whole_torque: float = Field(0.5, gt=0.0)
     """like `residual_torque`, but for the momentum residual itself instead of its change"""
     residual_rate_per_s: float = Field(40.0, gt=0.0, lt=500.0)
@@ -69,7 +69,7 @@ class SafetyFilterSettings(Settings):
     wall_stiffness_Nm_per_rad: float = Field(2000.0, ge=0.0)
     """stiffness of the virtual wall (prismatic joints: N/m)"""
     wall_damping_Nm_s_per_rad: float = Field(20.0, ge=0.0)
-    """damping of the part of a joint's speed above the largest speed of the next row (prismatic joints: N s/m)"""
+    """damping of a joint's speed beyond the largest speed, see `wall_brake_rad_per_s2` (prismatic joints: N s/m)"""
     wall_brake_rad_per_s2: float = Field(2.0, gt=0.0)
     """deceleration a before the virtual wall. At the distance d from the wall, the largest speed is sqrt(2 a d)"""
     jump_rad: float = Field(0.05, gt=0.0)

@@ -71,7 +71,7 @@ class ControlSettings(Settings):
     """damping of elbow motion under `law` = 'dcac' [N m s/rad]"""
     rcm_lambda: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
     """assumed ratio of RCM error to wrist error, as in the paper. K_N acts on the wrist error. If `rcm_lambda` is
-    given, the length of the wrist error is replaced by RCM error / `rcm_lambda`"""
+    given, RCM error / `rcm_lambda` replaces the length of the wrist error"""
     projector: Literal["dynamic", "static", "as_published"] = "dynamic"
     """null-space projector of level 2. 'dynamic': dynamically consistent; 'static': consistent only at rest;
     'as_published': as printed in Su et al. (2019)"""
@@ -98,7 +98,7 @@ class ControlSettings(Settings):
     """largest joint speed of a planned motion, as a share of the joint's speed limit. Below 1, a lagging arm can catch
     up"""
     course_margin_rad: NotNegative = 0.05
-    """distance of revolute joints from their limits in a planned motion, if any motion can keep it"""
+    """distance that a planned motion keeps from the limits of revolute joints, if possible"""
     course_observer_gain_per_s: NotNegative = 40.0
     """gain of the momentum observer with `third_level` 'planned' or 'receding'"""
     climb: Literal["gradient", "scaled"] = "gradient"

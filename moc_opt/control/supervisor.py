@@ -71,13 +71,13 @@ class SupervisorSettings(Settings):
     """largest natural residual of an answer reported as optimal [rad/s], for a cost scaled so that the largest entry of
     its gradient is 1. At an optimum the residual is 0"""
     opposite_limit: float = Field(1e-3, gt=0.0)
-    """limit for answers that lower the manipulability [rad/s]. An answer is refused if it is farther than this from the
-    optimum, and nearer to the optimum for the negated `c2` than to the optimum"""
+    """limit for an answer reported as optimal [rad/s]. The answer is refused if its distance from the optimum exceeds
+    both this limit and its distance from the optimum for the negated `c2`"""
     hold_ticks: int = Field(10, ge=0)
-    """number of control periods in a row in which the last good answer replaces refused ones. Then elbow motion is
-    damped"""
+    """number of consecutive control periods in which the last good answer replaces refused answers. After them, elbow
+    motion is damped"""
     keep_off_limits: bool = True
-    """whether the elbow still moves after `hold_ticks` if the bounds on x require it, near a joint limit"""
+    """whether the elbow moves after `hold_ticks` if the bounds on x require it (near a joint limit)"""
     budget_us: float | None = Field(None, gt=0.0, description="longest time of a solve. By default, there is no limit")
     late: Literal["hold", "zero", "iterate"] = "hold"
     """replacement for an answer later than `budget_us`. 'hold': the last good answer; 'zero': no elbow motion;

@@ -57,7 +57,7 @@ class Scenario(Settings):
     duration_s: float | None = Field(None, gt=0.0, le=MOST_S)
     """duration of the run. By default, the run lasts for the path plus `wait_s` and `hold_s` of [task]"""
     deadline_us: float = Field(2000.0, gt=0.0, le=1e9)
-    """computation time above which a control period counts as a deadline miss, nothing more (see `budget_us`)"""
+    """computation time above which a control period counts as a deadline miss. `budget_us` limits a solve"""
     guard: SafetyFilterSettings = SafetyFilterSettings()
     faults: FaultSettings = FaultSettings()
     wire: WireSettings = WireSettings()
