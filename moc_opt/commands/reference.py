@@ -34,9 +34,9 @@ periods. If a number is out of range, the error message gives the range. In `[gu
 limit of RCM error or force. Relative paths start at the file's folder. `moc-opt keys --markdown` writes this page.
 
 The control law has three [levels](method.md#three-levels-of-torque). Level 1 moves the tip along the path. Level 2
-keeps the shaft in the trocar (remote centre of motion, RCM). To do so, it controls the wrist, a point of the shaft at
-the arm's end. Level 3 moves the elbow to raise the manipulability. Its solver computes a joint velocity x with A x = b,
-so that x gives tip and wrist their reference velocities.
+keeps the shaft in the trocar (remote centre of motion, RCM). To do so, it moves the wrist, the point where the arm
+holds the shaft. Level 3 moves the elbow to raise the manipulability. Its solver computes a joint velocity x that gives
+tip and wrist their reference velocities (A x = b).
 """
 WORDS = {int: "integer", float: "number", str: "text", bool: "flag", type(None): "", Any: "value"}
 PAGE = re.compile(r"docs/(\w+\.md)")
@@ -69,7 +69,7 @@ def tables(kind: type[Settings] = Scenario, path: str = "") -> Iterator[tuple[st
         sets = {name: without_none(make().model_dump(exclude_defaults=True)) for name, make in PRESETS[path].items()}
         lines = {name: ", ".join(to_toml(values).splitlines()) for name, values in sets.items()}
         told = "; ".join(f"{name!r}: {text or 'the defaults'}" for name, text in lines.items())
-        meaning = f"set of values, which keys in the file override. {told}"
+        meaning = f"set of values. Keys in the file override it. {told}"
         keys.append(("preset", " | ".join(map(repr, PRESETS[path])), ABSENT, meaning))
     for name, field in kind.model_fields.items():
         hint = field.annotation

@@ -81,7 +81,7 @@ class TruncatingSession(Protocol):
     """A session that can be stopped after a given number of iterations."""
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Restart where the previous solve started, stop after ``iterations`` (at least 1), and return the iterate."""
+        """Repeat the previous solve, stop after ``iterations`` (at least 1), and return the iterate."""
 
 
 @runtime_checkable

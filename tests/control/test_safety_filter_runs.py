@@ -65,7 +65,7 @@ STOPPED = {
     "forged-lag-in-motion": (
         {"faults": {"lag_at_s": 0.6, "lag_growth": 0.3, "forged_stamps": True}, "seed": 2345, "control": DCAC,
          "robot": {"name": "gen3"}, "duration_s": 1.5, **ANYWHERE}, 0.6, 0.14, 4e-3, 5.0, ""),
-    "one-frozen-found-by-its-noise": (
+    "one-frozen-without-the-check-of-repeats": (
         {"faults": {"frozen_at_s": 0.8, "frozen_joint": 1, "frozen_velocity": "zero"}, "seed": 2100, "duration_s": 3.0,
          "guard": {"repeat_reading_ticks": 10**6}, **SWIVEL}, 0.8, 0.183, 0.045, 25.0, ""),
     "slip": ({"faults": {"slip_m": 0.1, "slip_at_s": 1.5}}, 1.5, 0.1, 1.0, 75.0, "force has been above 15 N"),
@@ -232,7 +232,7 @@ def test_robust_gains_stay_stable_with_a_delay_of_four_ticks(plant):
 @pytest.mark.parametrize(("every", "seed"), [(1, 0), (100, 1), (10_000, 2)])
 def test_hostile_controller_moves_no_joint_past_its_limit(robot, every, seed):
     """The torque is twice the limit, in directions that change at random."""
-    # With an encoder bias of 0.1 mrad, a joint passes its limit in three of 60 such runs.
+    # The encoder bias is zero here. With 0.1 mrad, a joint would pass its limit in three of 60 runs.
     free = PlantSettings(trocar_stiffness_N_per_m=0.0, trocar_damping_Ns_per_m=0.0, encoder_bias_rad=0.0)
     plant = Plant(robot.data, free, seed=seed)
     place = 0.1 + 0.8 * np.random.default_rng(seed).uniform(size=N)

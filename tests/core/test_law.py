@@ -105,7 +105,7 @@ def test_observer_agrees_with_the_equations(robot):
             np.testing.assert_allclose(made.memory()[2], wanted, rtol=1e-8, atol=1e-8)
 
 
-def test_scaled_climb_does_not_depend_on_cost_weights(robot):
+def test_pull_times_c2_over_rho_does_not_depend_on_c2_and_rho(robot):
     margin, lost = 0.175 * robot.state(robot.data.q_home).tool_span ** 2, 0
     for (s, tip_ref, trocar), rng in trials(robot, 20):
         c2, rho = 10.0 ** rng.uniform(-5.0, 0.0, 2)
@@ -117,7 +117,7 @@ def test_scaled_climb_does_not_depend_on_cost_weights(robot):
 
 
 @pytest.mark.parametrize("bend", [0.0, 1e-12])
-def test_without_gradient_along_self_motion_the_scaled_climb_is_zero(bend):
+def test_without_gradient_along_self_motion_the_pull_is_zero(bend):
     s = LWR4.state(np.array([0.2, 0.0, 0.0, bend, 0.0, 0.0, 0.0]))
     found = fields(subproblem(LWR4, s, *in_place(s), climbs=True, c2=1.0, rho=1.0)).pull
     np.testing.assert_array_equal(found, np.zeros(7))
@@ -144,7 +144,7 @@ def test_null_space_basis_changes_continuously_at_straight_elbow():
 
 
 def problem(rng, robot, tight=None):
-    """Return a random subproblem as (row, its fields, basis of ker A). With `tight`, its bounds are near a solution."""
+    """Return the row of a random subproblem, views of its parts, a basis of ker A. `tight`: bounds near a solution."""
     s = robot.state(robot.random_regular_pose(rng))
     u, v_T, v_W = s.tool_direction, *(0.05 * rng.normal(size=(2, 3)))
     row, Z = np.full(11 * s.n + 10, np.nan), reference.null_space(s.A)

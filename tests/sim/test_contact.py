@@ -216,7 +216,7 @@ def test_error_for_few_substeps_names_a_sufficient_number():
     with pytest.raises(PlantError, match="substeps = 2 makes plant steps of 1 ms") as said:
         Plant(DATA, elastic(substeps=2))
     fastest, need = map(int, re.search(r"up to (\d+) rad/s: raise substeps to (\d+)", str(said.value)).groups())
-    assert need == np.ceil(0.002 * fastest)  # the fastest spring swings at most one radian per plant step
+    assert need == np.ceil(0.002 * fastest)  # the phase of the fastest spring advances by at most 1 rad per step
     Plant(DATA, elastic(substeps=need))
     with pytest.raises(PlantError, match=r"has 2 entries.*7 joints"):
         Plant(DATA, elastic(joint_stiffness_Nm_per_rad=(1e4, 1e4)))

@@ -237,7 +237,7 @@ def test_velocity_starts_at_its_true_value():
 
 @given(st.floats(2e-6, 1e-4), st.just(0.0) | st.floats(1e-9, 3.0), st.floats(-0.5, 0.5), st.integers(0, 2**32 - 1))
 @settings(max_examples=25, deadline=None)
-def test_an_encoder_at_rest_repeats_a_reading_no_longer_than_its_noise_allows(noise, steps, phase, seed):
+def test_longest_repetition_bounds_the_equal_readings_of_an_encoder_at_rest(noise, steps, phase, seed):
     step = steps * noise
     longest = longest_repetition(noise, step)
     assert longest is not None
