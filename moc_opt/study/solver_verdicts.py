@@ -251,7 +251,7 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
         "≈ near: it never calls an answer optimal, or both 95 % intervals of a loss lie beyond its tolerance.",
         "✘ avoid: it was silently wrong, hung or crashed; or one of the trials that all solvers ran broke off or "
         f"oscillated; or both intervals of a loss lie beyond {TOO_MUCH:g} tolerances. docs/solvers.md gives the rules.",
-        'Right: share of answers that are claimed and verified, or rightly "infeasible"; problems refused as '
+        "Right: share of problems with a verified answer, or rightly reported as infeasible. Problems refused as "
         "inconsistent do not count. Wrong: number of silently wrong answers. A dash (–) means not run or not judged.",
     ]
     if any(row["trials"] for row in rows):
@@ -260,10 +260,10 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
             Column("tip_change", "tip model/ registered", unit="%", section=CLOSED, help="change relative to DCAC"),
         ]  # fmt: skip
         said += [
-            "Worst loss: the mean in closed loop with the largest loss (against ★) / tolerance. Tolerances: mean mu "
-            f"{100 * COSTS['mu_mean'][1]:g} %, tip and RCM errors {100 * COSTS[FRAMED[0]][1]:g} %, chatter (rms of the "
-            f"torque's rate of change) {100 * COSTS['torque_rate_rms_Nm_per_s'][1]:g} %. None: all means are within "
-            "tolerance.",
+            "Worst loss: of the means in closed loop, the one whose loss relative to ★ is the largest multiple of its "
+            f"tolerance. Tolerances: mean mu {100 * COSTS['mu_mean'][1]:g} %, tip and RCM errors "
+            f"{100 * COSTS[FRAMED[0]][1]:g} %, chatter (rms of the torque's rate of change) "
+            f"{100 * COSTS['torque_rate_rms_Nm_per_s'][1]:g} %. None: no loss exceeds its tolerance.",
             "Tip: change of the tip error relative to DCAC, by the robot's kinematic model / in the registered frame, "
             f"over the trials that all ran (?: undecided). {_trials_told(rows)}",
         ]
