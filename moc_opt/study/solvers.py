@@ -189,6 +189,8 @@ def work(study: Study, config: Config) -> Found:
     if not (config.twice or given.only):
         names, again = once(names)
         missing |= again
+    begins = f"solvers to compare: {len(names)} (`moc-opt solvers --list` only lists them)"
+    console(stderr=True).print(begins, markup=False)
     found = Work(study, config, names, {"not_run": {name: {"reason": reason} for name, reason in missing.items()}})
     for name, part in PARTS.items():
         if name in config.parts:
