@@ -237,7 +237,7 @@ def _limits(given: Limits, chain: list[urdf.Joint]) -> dict[str, Array]:
     for joint, low, high, speed, torque in zip(chain, *found.values(), strict=True):
         where = f"of joint {joint.name!r}"
         if low >= high:
-            raise RobotError(f"limits {where}: q_min = {low:.6g} is not below q_max = {high:.6g} rad: exchange them")
+            raise RobotError(f"limits {where}: q_min = {low:.6g} is not below q_max = {high:.6g}: give q_min < q_max")
         for field, value in (("v_max", speed), ("tau_max", torque)):
             if value <= 0.0:
                 raise RobotError(f"{field} {where} = {value:.6g}: give a positive number, in [limits] or the <limit>")
