@@ -163,7 +163,7 @@ def test_error_names_the_wrong_argument(trace, call, named):
         call(trace)
 
 
-def test_file_is_replaced_under_an_open_reader(tmp_path):
+def test_open_file_can_be_replaced(tmp_path):
     path = tmp_path / "t.parquet"
     example().save(path)
     parquet = pytest.importorskip("pyarrow.parquet")
@@ -221,7 +221,7 @@ def test_error_names_the_meta_entry_of_wrong_type(name, sound, wrong):
             give({name: wrong})
 
 
-def test_meta_is_converted_as_by_json():
+def test_meta_is_converted_to_json_types():
     assert Trace({}, {"a": (1, 2), "b": {3: "x"}}).meta == {"a": [1, 2], "b": {"3": "x"}}
     for value in (np.nan, np.inf, {1, 2}, np.zeros(2), {"deep": [np.nan]}):
         with pytest.raises(TraceError, match=r"meta\['seed'\]"):
