@@ -223,7 +223,7 @@ def measurement(flags, k=0, commanded=0.0, scenario=9):
 
 
 def answered(said):
-    """Return (ending, sent packets, corrections). The controller's n-th command (n = 1, 2, ...) is n Nm."""
+    """Answer the plant's packets `said`; return (ending, sent packets, corrections). The n-th command is n Nm."""
     said, sent, corrected, wait = iter(said), [], [], WireSettings(wait_s=0.05, silence_s=0.5)
     plant = Mock(n=N, peer=("plant", 1), session=0, quality=dict.fromkeys(wire.COUNTERS, 0), heard="nothing")
     plant.send.side_effect = lambda packet: sent.append((Kind(packet["kind"]), packet.copy()))
