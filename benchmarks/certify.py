@@ -52,7 +52,7 @@ def optimum(A: Array, b: Array, pull: Vector, rho: float, lower: Array, upper: A
     Args:
         A: (m, n) rows.
         b: (m,) right-hand sides.
-        pull: (n,) vector c2 grad_mu.
+        pull: (n,) vector, by default c2 grad_mu.
         rho: weight of |x|^2, 0 or larger.
         lower, upper: (n,) bounds.
     """
@@ -95,7 +95,7 @@ def _stationary(
 ) -> tuple[Vector, Vector] | None:
     """Return (stationary point x, multipliers m) for these active bounds. Return None if x or m is not unique.
 
-    They satisfy N^T (weight x - gains) = N_S^T m. N is the basis of ker A, and N_S has its rows in ``active``.
+    They satisfy N^T (weight x - gains) = N_S^T m. N is the basis of ker A, N_S its rows for the joints in ``active``.
     """
     r, columns = len(basis[0]), list(zip(*basis, strict=True))
     left = [gain - weight * value for gain, value in zip(gains, start, strict=True)]

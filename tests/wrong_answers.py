@@ -57,7 +57,7 @@ def wrong_corners(
     seed: int, n: int, count: int, *, tilt: float = 1.0, size: float = 1.0, regularization: float = 0.0,
     least: float = 0.05
 ) -> list[Wrong]:
-    """Return corners whose `share` exceeds `least`, for subproblems of random arms."""
+    """Return corners with `share` > `least`. `size` scales speeds, and `tilt` < 1 the part of grad_mu in ker A."""
     rng = np.random.default_rng(seed)
     found = []
     for _ in range(count):

@@ -1,8 +1,8 @@
 /* The optimum by projection on the feasible set, if ker A has two or more dimensions.
  *
- * Let Pi be the orthogonal projector on ker A, g the problem's pull, and x_p the shortest solution of A x = b. The
- * optimum of rho/2 |x|^2 - c2 g^T x is the feasible point nearest to x_p + c2 Pi g / rho. The dual active-set method of
- * Goldfarb and Idnani (Math. Programming 27, 1983, algorithm 1) starts at this point and adds violated bounds one by
+ * Let Pi be the orthogonal projector on ker A, g the vector moc_problem.pull, and x_p the shortest solution of A x = b.
+ * The optimum of rho/2 |x|^2 - c2 g^T x is the feasible point nearest to x_p + c2 Pi g / rho. The dual active-set method
+ * of Goldfarb and Idnani (Math. Programming 27, 1983, algorithm 1) starts at this point and adds violated bounds one by
  * one. A sweep of Pi on a joint keeps the joint at its bound (Goodnight, The American Statistician 33, 1979). If rho is
  * almost zero, the start is too far away. A proximal point iteration then approaches the optimum (Ferris 1991). */
 #include "vec.h"
@@ -14,7 +14,7 @@
 typedef struct {
     int n, r;                                  /* joints, dimension of ker A */
     double s[MOC_MAX_JOINTS];                  /* x - x_p [rad/s] */
-    double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS];
+    double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS]; /* bounds on s [rad/s] */
     double pull[MOC_MAX_JOINTS];               /* c2 Pi g */
     double side[MOC_MAX_JOINTS];               /* +1 at an active lower bound, -1 at an upper one, 0 elsewhere */
     double force[MOC_MAX_JOINTS];              /* multiplier, positive at a lower bound */

@@ -65,7 +65,7 @@ void moc_copy_terms(moc_terms *terms, int n, double *record, direction way);
 void moc_tracking_torque(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
                          const moc_trocar *trocar, double *tau);
 
-/* Fill the subproblem. If x_d is NULL, its optimum x climbs mu. Otherwise, x follows x_d [rad/s]. */
+/* Fill the subproblem. If x_d is NULL, its optimum x increases mu. Otherwise, x follows x_d [rad/s]. */
 void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
                       const moc_trocar *trocar, const double *x_d, moc_problem *problem);
 
@@ -84,7 +84,7 @@ void moc_observe(int n, const moc_terms *t, int i, double tau, double gain, doub
 /* Return the factor of grad mu_shaft in moc_problem.pull [m]. */
 double moc_shaft_push(double mu_shaft, double margin);
 
-/* Compute the joint velocity x_d that climbs mu in ker A by scaled Newton steps [rad/s] (formula in null_space.c). */
+/* Compute the joint velocity x_d in ker A that increases mu by scaled Newton steps [rad/s] (see null_space.c). */
 void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_memory *memory, double *x_d);
 
 /* Replace Z (rows, n) by an orthonormal basis of ker A, close to Z if possible. Returns the new number of rows. */

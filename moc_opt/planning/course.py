@@ -74,7 +74,7 @@ def lay_targets(
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """A joint trajectory with k times and n joints, which may end before the path."""
+    """A joint trajectory with k times and n joints. It may end before the path does."""
 
     t_s: Array  #: (k,) [s]
     q_rad: Array  #: (k,n)

@@ -1,6 +1,6 @@
 """Optimize a course (a joint trajectory) by direct transcription.
 
-The variables are the joints q that move tip or wrist, at K evenly spaced times after a fixed start:
+The variables q are the positions of the joints that move tip or wrist, at K evenly spaced times after a fixed start:
 
     max  mean of mu / mu_0 - w (|ddq|^2 + |dq|^2 / T^2) + V(q_K) / mu_0
     s.t. X(q_k) = X_d,  B_k^T (N(q_k) - X_d) = 0,  q_min <= q_k <= q_max,  |q_k - q_k-1| <= v_max dt,
@@ -24,7 +24,7 @@ from moc_opt.planning.course import WORTH, Course, Limits, Targets, make_course,
 from moc_opt.planning.search import End
 from moc_opt.robots.model import RobotModel
 
-# Settings of ipopt for a whole path. With a larger mu_init, ipopt often leaves a fast course for a slow course.
+# Settings of ipopt for a whole path. With a larger mu_init, ipopt often slows a fast course down.
 WHOLE: dict[str, Any] = {
     "print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.max_iter": 300, "ipopt.tol": 1e-8,
     "ipopt.constr_viol_tol": 1e-10, "ipopt.bound_relax_factor": 0.0, "ipopt.honor_original_bounds": "yes",

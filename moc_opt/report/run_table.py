@@ -107,7 +107,7 @@ def facts(trace: Trace) -> dict[str, str]:
 
 
 def title_of(traces: Mapping[str, Trace]) -> str:
-    """Return "lwr4, circle, default gains: dcac and exact"."""
+    """Return a title such as "lwr4, circle, default gains: dcac and exact"."""
     runs = [facts(trace) for trace in traces.values()]
     each = {word: listed([run[word] for run in runs if word in run]) for word in ("arm", "path", "gains")}
     laws = listed([run.get("controller") or run.get("solver") or name for name, run in zip(traces, runs, strict=True)])

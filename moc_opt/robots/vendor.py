@@ -27,7 +27,7 @@ _UNITS = {"turning": ("rad", "rad/s"), "sliding": ("m", "m/s")}
 
 @dataclass
 class VendorArm:
-    """A serial arm: joints outside its chain are fixed, and each joint of the chain has all four limits."""
+    """A serial arm. Joints outside its chain are fixed. Those of the chain have position, speed and effort limits."""
 
     urdf: Urdf
     notes: list[str]  #: Assumptions and changes.
@@ -42,7 +42,7 @@ def read_vendor(
 ) -> VendorArm:  # fmt: skip
     """Read a URDF as a serial arm; arguments and errors are those of `new.new_robot`.
 
-    Side joints and the joints of ``lock`` are fixed. Implausible masses and limits are replaced.
+    Joints outside the chain and those in ``lock`` are fixed. Implausible masses and limits are replaced.
     """
     arm = VendorArm(urdf.read(read_text(path, "urdf", RobotError)), [])
     joints = {joint.name: joint for joint in arm.urdf.joints}

@@ -52,7 +52,7 @@ class Path:
         self.left = direction3("left", np.cross(self.normal, self.heading))
 
     def curvature(self, s: float) -> float:
-        """Return the curvature [1/m] at s [m]; positive to the left if the path is planar."""
+        """Return the curvature [1/m] at s [m]; positive to the left, but never negative for `Waypoints`."""
         return self.curve.at(s)[4]
 
     def at(self, s: TimeLike) -> tuple[Array, Array, Array]:

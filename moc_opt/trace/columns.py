@@ -39,7 +39,7 @@ COLUMNS: Mapping[str, Column] = MappingProxyType(
         "mu": Column("m^3", "(N,)", "manipulability sqrt(det(J J^T)) of the tip Jacobian J"),
         "tip_error_m": Column("m", "(N,)", "distance of the tip from its reference, in the base frame"),
         "tip_error_registered_m": Column(
-            "m", "(N,)", "size of (tip - reference) minus the same difference at the start",
+            "m", "(N,)", "size of the change of (tip - reference) since the start",
         ),
         "tip_error_model_m": Column(
             "m", "(N,)", "distance of the tip from its reference, by the robot's kinematic model",

@@ -42,12 +42,12 @@ def test_every_configured_fault_changes_the_scenario():
 
 
 def test_summary_counts_every_run(tiny):
-    left = tiny(faults, TINY)
-    assert [(row["controller"], row["case"]) for row in left.rows] == [
+    study = tiny(faults, TINY)
+    assert [(row["controller"], row["case"]) for row in study.rows] == [
         ("dcac", "none"), ("dcac", "gone"), ("dcac", "camera"),
         ("exact", "none"), ("exact", "lies"), ("exact", "gone"), ("exact", "camera"),
     ]  # fmt: skip
-    summary = left.summary
+    summary = study.summary
     gone, lies = summary["cases"]["gone"]["exact"], summary["cases"]["lies"]["exact"]
     assert (gone["stopped"], lies["survived"]) == (1, 1)
     assert lies["injected"] == lies["detected"] > 10
@@ -99,7 +99,7 @@ def test_each_bad_row_makes_one_goal_fail():
     good = {"injected": 5, "detected": 5, "missed": 0, "rcm_mean_percent": 1.0, "rcm_max_percent": 2.0,
             "false_alarms": 0}  # fmt: skip
 
-    def lost(*rows):
+    def missed_goals(*rows):
         found = judge({"rows": worst(Results(rows))}, faults.goals_of(SHIPPED.cases))
         return [key for key, goal in found.items() if goal["reached"] != "yes"]
 
@@ -107,7 +107,7 @@ def test_each_bad_row_makes_one_goal_fail():
         row("solver-lies", "exact", **good), row("solver-nan-always", "exact", **{**good, "rcm_mean_percent": 4.0}),
         row("nan-lasting", "exact", "stopped", last_speed_rad_per_s=0.01, recover_s=None),
     ]
-    assert lost(*fine) == []
+    assert missed_goals(*fine) == []
     assert "recover_s" not in worst(Results(fine))[-1]
     bad = [row("delay-5", "rnn", kind) for kind in ("diverged", "ran away", "refused")]
     bad += [row("solver-lies", "rnn", **{**good, name: value}) for name, value in (
@@ -115,7 +115,7 @@ def test_each_bad_row_makes_one_goal_fail():
     )]  # fmt: skip
     bad.append(row("solver-nan-always", "rnn", **{**good, "rcm_mean_percent": 6.0}))
     bad.append(row("nan-lasting", "rnn", "stopped", last_speed_rad_per_s=0.2))
-    assert [len(lost(*fine, one)) for one in bad] == [1] * 9, "each bad row makes one goal fail"
+    assert [len(missed_goals(*fine, one)) for one in bad] == [1] * 9, "each bad row makes one goal fail"
     [mixed] = worst(Results([row("a", "exact"), row("a", "exact", "stopped")]))
     assert mixed["outcome"] == "1 survived, 1 stopped"
 

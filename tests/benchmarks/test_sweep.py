@@ -108,9 +108,9 @@ scenario = { duration_s = 0.05, judge = false, bound_samples = 0 }
 
 
 def test_times_are_reported_only_if_runs_are_timed(tiny: Any) -> None:
-    timed, shared = (tiny(sweep, SMALL.replace("timed = true", asked)) for asked in ("timed = true", ""))
+    timed, untimed = (tiny(sweep, SMALL.replace("timed = true", asked)) for asked in ("timed = true", ""))
     assert min(row["tick_p50_us"] for row in timed.rows) > 0.0
-    assert [row["mu_mean"] for row in shared.rows] == [row["mu_mean"] for row in timed.rows]
-    assert not [name for name in shared.rows[0] if name.endswith("_us")]
-    assert (shared.summary["all"]["exact"]["runs"], shared.summary["all"]["exact"]["failed"]) == (2, 0)
-    assert shared.summary["by control.regularization"]["exact, 0.0001"]["runs"] == 1
+    assert [row["mu_mean"] for row in untimed.rows] == [row["mu_mean"] for row in timed.rows]
+    assert not [name for name in untimed.rows[0] if name.endswith("_us")]
+    assert (untimed.summary["all"]["exact"]["runs"], untimed.summary["all"]["exact"]["failed"]) == (2, 0)
+    assert untimed.summary["by control.regularization"]["exact, 0.0001"]["runs"] == 1

@@ -29,7 +29,7 @@ def law(n, arm=None, supervision=None, fallback="damping", **changes):
 
 
 def ticked(robot, state, tip_ref, trocar, x=None, x_d=None, **parts):
-    """Return (tau, row): torque (n,) [Nm] and subproblem of the first tick."""
+    """Return (tau, row): torque (n,) [Nm] and packed subproblem of the first tick."""
     made = law(robot.n, robot.arm, check=False, **parts)
     made.start(state.q, state.v, tip_ref, trocar)
     row = made.begin(state.q, state.v, tip_ref, trocar, x_d)[1]

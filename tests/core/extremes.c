@@ -246,7 +246,7 @@ static void damage(moc_memory *memory, moc_watch *watch)
     spoil(&watch->joint[0].gap, (int)(sizeof watch->joint / (sizeof(double))), 20);
 }
 
-static void poison(moc_state *s, int n)
+static void poison(moc_state *s, int n) /* set all entries after the first n to NaN */
 {
     moc_terms *t = &s->terms;
     moc_problem *p = &s->problem;
@@ -346,7 +346,7 @@ static moc_stop tick(const moc_controller *c, const moc_input *in, int own, moc_
     return reason;
 }
 
-static double tiny(void)
+static double tiny(void) /* 1, or a power of two from 2^-59 to 1 */
 {
     return chance(2) ? 1.0 : ldexp(1.0, -(int)(bits() % 60));
 }
@@ -360,7 +360,7 @@ static void repeat(moc_problem *p, int i, const double *x)
     p->b[i] = dot(p->n, p->A[i], x) + beside * uniform(-1.0, 1.0);
 }
 
-/* Solve a random subproblem, run the network, and supervise answers. Returns 0 if a solution violates A x = b. */
+/* Solve a random subproblem, run moc_step_network, and supervise answers. Returns 0 if a solution violates A x = b. */
 static int subproblem(void)
 {
     static const double weights[] = {0x1p-10, 0x1p-17, 0.0, 1e-3};
@@ -606,7 +606,7 @@ static int course(void)
             note(record, arm.n * (arm.n + 13) + 18);
             moc_copy_problem(&state->problem, arm.n, record, PACK);
             note(record, law.third_level ? 11 * arm.n + 10 : 0);
-            note(state->watch.mean_square, 6); /* and `largest` and `first_tick` */
+            note(state->watch.mean_square, 6); /* mean_square, largest and first_tick */
             if (!bounded(&guard, arm.n, tau))
                 return 0;
             if (reason == MOC_RUNNING)

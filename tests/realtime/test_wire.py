@@ -223,7 +223,7 @@ def measurement(flags, k=0, commanded=0.0, scenario=9):
 
 
 def answered(said):
-    """Return (ending, sent packets, corrections). The controller's n-th command (n = 1, 2, ...) is n Nm."""
+    """Answer the plant's packets `said`; return (ending, sent packets, corrections). The n-th command is n Nm."""
     said, sent, corrected, wait = iter(said), [], [], WireSettings(wait_s=0.05, silence_s=0.5)
     plant = Mock(n=N, peer=("plant", 1), session=0, quality=dict.fromkeys(wire.COUNTERS, 0), heard="nothing")
     plant.send.side_effect = lambda packet: sent.append((Kind(packet["kind"]), packet.copy()))
@@ -244,23 +244,23 @@ def answered(said):
     ([(0, 0), (1, 1), (1, 1)], [(0, 1), (1, 2), (1, 2)], [], (2, 0, 1), "the plant ended the run at tick 2 of 4"),
     ([(0, 0), (3, 1), (1, 1)], [(0, 1), (3, 2)], [], (2, 2, 1), "completed"),
 ])  # fmt: skip
-def test_every_tick_is_answered(ticks, commands, corrected, counts, ended):
+def test_measurements_are_answered_and_counted(ticks, commands, corrected, counts, ended):
     """``ticks`` has the sequence number and the previous torque of each measurement."""
     last = measurement(wire.ENDED, max(ticks)[0])
-    ending, told, seen = answered(
+    ending, packets, corrections = answered(
         [measurement(wire.WAITING), *(measurement(wire.RUNNING, k, tau) for k, tau in ticks), last]
     )
-    sent = [said for kind, said in told if kind is Kind.COMMAND]
-    assert [(int(said["sequence"]), said["tau"].tolist()) for said in sent] == [(k, [tau] * N) for k, tau in commands]
-    assert seen == [(k, [tau] * N) for k, tau in corrected]
+    sent = [packet for kind, packet in packets if kind is Kind.COMMAND]
+    assert [(int(one["sequence"]), one["tau"].tolist()) for one in sent] == [(k, [tau] * N) for k, tau in commands]
+    assert corrections == [(k, [tau] * N) for k, tau in corrected]
     assert tuple(ending["quality"][name] for name in ("received", "missed", "late")) == counts
     assert (ending["ended"], ending["ticks"]) == (ended, counts[0])
-    assert told[-1][0] is Kind.BYE
-    assert {int(said["flags"]) for said in sent} == {wire.REPORTED}
+    assert packets[-1][0] is Kind.BYE
+    assert {int(one["flags"]) for one in sent} == {wire.REPORTED}
 
 
 @pytest.mark.parametrize("said", [[measurement(wire.WAITING, scenario=8)], [], [measurement(wire.RUNNING)] * 100])
-def test_unready_plant_is_refused(said):
+def test_plant_not_ready_for_this_scenario_is_refused(said):
     with pytest.raises(WireError):
         answered(said)
 

@@ -48,7 +48,7 @@ def test_robot_file_contains_every_note(panda) -> None:
     assert "mesh" not in panda.urdf.read_text(encoding="utf-8")
 
 
-def test_new_robot_has_the_vendors_kinematics(panda) -> None:
+def test_panda_made_from_a_urdf_works_like_the_built_in_panda(panda) -> None:
     ours, theirs = panda.robot, load_robot("panda")
     assert ours.data.name == "my"
     for q in np.random.default_rng(1).uniform(-1.0, 1.0, (5, 7)):
@@ -140,7 +140,7 @@ def test_wrist_is_the_point_on_the_last_axis_nearest_to_the_sixth_axis() -> None
     assert np.abs(found.wrist).max() > 1e-3
 
 
-def test_wrist_is_found_from_any_flange_on_the_last_axis() -> None:
+def test_shaft_is_found_for_a_turned_an_offset_and_a_sliding_last_link() -> None:
     def with_flange(origin: str) -> str:
         return added(text_of(), link("flange") + joint("f", "fixed", "link_7", "flange", f"<origin {origin}/>"))
 

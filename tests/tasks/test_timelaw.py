@@ -142,7 +142,7 @@ def test_reference_rests_while_no_board_is_seen():
     np.testing.assert_array_equal(rows[:, 0], np.broadcast_to(START, (200, 3)))
     np.testing.assert_array_equal(rows[:, 1:], 0.0)
     np.testing.assert_array_equal(times, 0.0)
-    _, times = waiting.play(np.arange(600) % 2 == 0)
+    _, times = waiting.play(np.arange(600) % 2 == 0)  # seen at every second tick: half the speed
     rate = np.diff(times[100:]) / PERIOD
     assert 0.45 < rate.min() <= rate.max() < 0.55
 

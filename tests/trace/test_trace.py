@@ -82,7 +82,7 @@ def test_columns_are_attributes_and_length_is_ticks(trace):
     assert trace.q_rad is trace.columns["q_rad"]
     assert (len(trace), len(trace.head(0)), len(Trace({}))) == (N, 0, 0)
     assert Trace({"text": np.array(["a", "bc"], dtype=object)}).text.dtype == "<U2"
-    assert not hasattr(object.__new__(Trace), "meta")  # a copy has no attributes at first
+    assert not hasattr(object.__new__(Trace), "meta")  # pickle and copy begin with such an object
     assert {"q_rad", "own", "between", "plot"} <= set(dir(trace))
     with pytest.raises(MissingDataError, match=r"no column 'q_rads'; it has q_rad"):
         _ = trace.q_rads
@@ -163,7 +163,7 @@ def test_error_names_the_wrong_argument(trace, call, named):
         call(trace)
 
 
-def test_file_is_replaced_under_an_open_reader(tmp_path):
+def test_open_file_can_be_replaced(tmp_path):
     path = tmp_path / "t.parquet"
     example().save(path)
     parquet = pytest.importorskip("pyarrow.parquet")
@@ -221,7 +221,7 @@ def test_error_names_the_meta_entry_of_wrong_type(name, sound, wrong):
             give({name: wrong})
 
 
-def test_meta_is_converted_as_by_json():
+def test_meta_is_converted_to_json_types():
     assert Trace({}, {"a": (1, 2), "b": {3: "x"}}).meta == {"a": [1, 2], "b": {"3": "x"}}
     for value in (np.nan, np.inf, {1, 2}, np.zeros(2), {"deep": [np.nan]}):
         with pytest.raises(TraceError, match=r"meta\['seed'\]"):
