@@ -100,7 +100,7 @@ CLAIMS = (
 
 
 def disagree(change: Change, bound: float) -> bool:
-    """Tell whether the two means, or their intervals, lie on different sides of a bound [%]."""
+    """Tell whether the change's two numbers, or their intervals, lie on different sides of a bound [%]."""
     sides = {(one.low > bound, one.high < bound) for one in change}
     return len(sides) > 1 or (change.ratio.value > bound) != (change.ratios.value > bound)
 

@@ -238,7 +238,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def grouped(rows: Results, field: str = "") -> dict[str, dict[str, Any]]:
-    """Return counts, means and percentiles over completed runs for each solver and value of ``field``."""
+    """Count the runs of each solver and value of ``field``. Add means and percentiles over completed runs."""
     found = {}
     for controller in rows.names():
         for value in rows.names(field) if field else [None]:

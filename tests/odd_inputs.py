@@ -88,7 +88,7 @@ ODD = st.one_of(
 
 @st.composite
 def edited(draw: st.DrawFn, text: str) -> bytes:
-    """Return the text with a few lines, words or values changed."""
+    """Return the text with a few lines, words or values changed, or random bytes instead."""
     kind = draw(st.integers(0, 9))
     if kind == 0:
         return draw(st.binary(max_size=200))

@@ -204,7 +204,7 @@ static PyObject *guard_new(PyTypeObject *type, PyObject *given, PyObject *keywor
     return with_arm(type, given, keywords, guard_fields, COUNT(guard_fields));
 }
 
-/* Clip a stamp to +-4e18, which the filter refuses. */
+/* Clip a stamp to +-4e18. The filter refuses stamps of this size. */
 static long long stamp_of(double number)
 {
     return (long long)fmin(fmax(number, -4e18), 4e18);

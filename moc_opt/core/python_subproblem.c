@@ -38,7 +38,7 @@ FUNCTION(step_network, {"record", READ, ROW}, {"x", WRITE, N}, {"y", WRITE, 6}, 
     return Py_BuildValue("ii", (int)status, made);
 }
 
-/* --- `load` fills a QP library's buffers: cost 1/2 x^T P x + p^T x, and five independent equality rows ---
+/* --- `load` fills a QP library's buffers: cost 1/2 x^T P x + p^T x, and five or six equality rows ---
  *
  * The five rows are A5 = lift A: the three rows of the tip, and two rows of the wrist across the tool's direction u. If
  * y5 are the multipliers of A5, lift^T y5 are the multipliers of A. */

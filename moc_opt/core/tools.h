@@ -44,7 +44,7 @@ double plan_ascend(const plan_task *task, double *q);
  *
  * q (branches, m, n) has the poses, or NaN. q_next (branches, next, n) has the next poses, sorted in each branch by
  * joint `sorted`, with NaN last. gain (branches, m) is a pose's reward, or -inf. Between two times, joint j moves by at
- * most step[j] plus the slacks of both poses. Only the bits set in crossing (m,) of the branch number may change. */
+ * most step[j] plus the slacks of both poses. Only the bits of the branch number that crossing (m,) sets may change. */
 typedef struct {
     int branches, m, next, n, sorted;
     const double *q, *slack, *gain;

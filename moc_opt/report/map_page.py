@@ -150,7 +150,7 @@ def map_figure(found: SwivelMap, styles: Styles | None = None) -> go.Figure:
 
 
 def _colors(drawn: go.Figure, found: SwivelMap, allowed: NDArray[np.bool_]) -> None:
-    """Draw mu at all reachable poses, so that its edge is smooth, then grey over the forbidden poses."""
+    """Draw mu at all reachable poses, then grey over the forbidden ones. This makes the edge between them smooth."""
     mu, degrees = np.where(found.limit == UNREACHABLE, np.nan, found.mu), np.degrees(found.swivel_rad)
     low, high = float(mu[allowed].min()), float(mu[allowed].max())
     drawn.add_heatmap(

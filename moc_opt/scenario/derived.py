@@ -112,7 +112,7 @@ def _planned(path: str) -> BestCourses:
 def against_best(scenario: Scenario, trace: Trace) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     """Return the columns of the best courses, and the entry ``best_courses`` of the trace's meta.
 
-    The entry's part ``end`` has mu [m^3] at the run's end, at the nearest top of mu, and at the course's end.
+    The part ``end`` has mu [m^3] at the run's end, at the maximum or limit uphill of it, and at the course's end.
     """
     try:
         known = best_courses(scenario)

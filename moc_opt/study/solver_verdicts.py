@@ -110,7 +110,7 @@ def _order(row: Row) -> tuple[float, float, float]:
 
 
 def _damage(row: Row, reference: str | None, runs: Results) -> tuple[Any, float]:
-    """Return the worst loss as text, and the loss divided by its tolerance (0 if the loss is uncertain)."""
+    """Return the worst loss as text, and the loss divided by its tolerance (0 if no loss is certain)."""
     for word, count in _ended(row["closed"]).items():
         if count:
             return f"{count} {word}", TOO_MUCH

@@ -46,7 +46,7 @@ class Trocar:
         return p, dp
 
     def rows(self, t: float) -> Array:
-        """Return position and velocity (2, 3) at a time [s]; a TaskError if not finite."""
+        """Return position and velocity (2, 3) at a time [s]. Raise a TaskError if it is not finite."""
         return np.asarray(self._rows(np.array([t]))[0])
 
     def _rows(self, t: Array) -> Array:

@@ -65,7 +65,7 @@ def test_a_fresh_packet_is_newer_than_all_before_it_and_never_too_old(stamps, pa
 
 
 @pytest.mark.parametrize("missed", [1, PATIENCE, PATIENCE + 1])
-def test_packet_is_fresh_after_at_most_patience_missed_ticks(missed):
+def test_packet_after_a_gap_is_fresh_only_if_the_gap_is_within_the_patience(missed):
     found = ages([0, 1, 2, 3 + missed, 4 + missed])
     assert found == [FRESH] * 5 if missed <= PATIENCE else found[3] == REPEAT
 
@@ -111,19 +111,19 @@ def test_frozen_position_with_nonzero_velocity_stops_the_arm(speed, joint):
     assert 0 < (k - 100) * PERIOD * speed < 2.0 * (0.001 + 0.012 * speed)  # undetected motion [rad]
 
 
-@pytest.mark.parametrize(("by", "whole", "level"), [
-    ("way", False, 3e-3), ("way", True, 5e-4), ("torque", False, 6.0), ("torque", True, 0.05),
+@pytest.mark.parametrize(("by", "wrench_repeats", "level"), [
+    ("reference", False, 3e-3), ("reference", True, 5e-4), ("torque", False, 6.0), ("torque", True, 0.05),
 ])  # fmt: skip
-def test_repeated_reading_stops_the_arm_if_reference_or_torque_changes(by, whole, level):
+def test_repeated_reading_stops_the_arm_if_reference_or_torque_changes(by, wrench_repeats, level):
     """Below `level`, static friction may hold the arm, so no stop is expected."""
     still, reference, tau = np.tile(np.linspace(-1.0, 1.0, N), (600, 1)), np.zeros((600, 3, 3)), np.zeros((600, N))
-    grown = reference[:, 0, 0] if by == "way" else tau[:, 2]
-    grown[:] = (0.01 * PERIOD if by == "way" else -0.02) * np.arange(600)
+    grown = reference[:, 0, 0] if by == "reference" else tau[:, 2]
+    grown[:] = (0.01 * PERIOD if by == "reference" else -0.02) * np.arange(600)
     assert looked(still, 0.0 * still)[0] == ""  # the reference is at rest
-    wrench = np.zeros((600, 6)) if whole else np.random.default_rng(0).normal(size=(600, 6))
+    wrench = np.zeros((600, 6)) if wrench_repeats else np.random.default_rng(0).normal(size=(600, 6))
     wrong, k = looked(still, 0.0 * still, tau, reference, wrench)
     assert "all encoders repeat" in wrong
-    assert abs(grown[k]) == pytest.approx(level, abs=1e-4 if by == "way" else 0.1)  # within a few ticks
+    assert abs(grown[k]) == pytest.approx(level, abs=1e-4 if by == "reference" else 0.1)  # within a few ticks
     one = still.copy()
     one[:, 6] += 1e-5 * np.arange(600)
     assert looked(one, np.gradient(one, PERIOD, axis=0), reference=reference)[0] == ""  # one joint's reading changes
@@ -156,14 +156,14 @@ def watched(robot, torque, ticks, momentum=True, **levels):
     return "", ticks
 
 
-@pytest.mark.parametrize(("begins", "told"), [(1, False), (120, True)])
-def test_arm_stops_if_a_load_appears_after_the_residual_settled(robot, begins, told):
+@pytest.mark.parametrize(("begins", "stops"), [(1, False), (120, True)])
+def test_arm_stops_if_a_load_appears_after_the_residual_settled(robot, begins, stops):
     """Until the residual has settled, its mean adapts to a load, so no stop is expected."""
     load = 0.4 * robot.tau_max
     for on, momentum in ((True, True), (False, True), (True, False)):
         reason, _ = watched(robot, lambda k: (k >= begins) * load, 200, momentum, residual_s=1e6, motion=on)
         found = "the measured motion does not fit the torque" in reason
-        assert found == bool(reason) == (told and on and momentum)
+        assert found == bool(reason) == (stops and on and momentum)
 
 
 @pytest.mark.parametrize(("levels", "stops"), [({}, True), ({"residual_whole_torque": 1e6}, False)])

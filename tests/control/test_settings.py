@@ -159,8 +159,8 @@ def test_preset_is_found_by_its_name():
 
 
 def test_planned_third_level_has_its_own_law_numbers():
-    arm, own = load_robot("lwr4_rail"), {"limit_margin_m": 0.03, "climb": "scaled"}
-    given = (ControlSettings(third_level=level, **own) for level in ("local", "planned"))
+    arm, common = load_robot("lwr4_rail"), {"limit_margin_m": 0.03, "climb": "scaled"}
+    given = (ControlSettings(third_level=level, **common) for level in ("local", "planned"))
     assert ControlSettings(third_level="receding").horizon_s == 1.0
     local, planned = (numbers_of(settings, arm, 0.002) for settings in given)
     for given, share, margin, k0 in ((local, 0.5, 0.15, 2.0), (planned, 1.0, 0.05, 10.0)):

@@ -27,8 +27,8 @@ def every_course(found, step, start, cell=0.0):
     k, _, m = found.mu.shape
     courses, may = [], found.room_rad >= 0.0
     cells = 0.5 * cell * np.maximum(*(np.abs(np.roll(found.q_rad, to, axis=2) - found.q_rad) for to in (1, -1)))[..., 0]
-    for way in itertools.product(range(m), repeat=k if start is None else k - 1):
-        at = [(i + k - len(way), 0, j) for i, j in enumerate(way)]
+    for indices in itertools.product(range(m), repeat=k if start is None else k - 1):
+        at = [(i + k - len(indices), 0, j) for i, j in enumerate(indices)]
         if not all(may[place] for place in at):
             continue
         q, mu, slack = (np.array([of[place] for place in at]) for of in (found.q_rad[..., 0], found.mu, cells))
@@ -47,15 +47,15 @@ def test_dynamic_programming_finds_the_best_of_all_courses(start, cell, price):
         found, step = small(rng), float(rng.uniform(0.1, 0.8))
         courses = every_course(found, step, start, cell)
         value = Value(found, Limits(speed_share=step), cell=cell, price=price)
-        told = value.best()[0] if start is None else value.of(np.array([start]), 0.4)
+        claimed = value.best()[0] if start is None else value.of(np.array([start]), 0.4)
         q = best_course(value, None if start is None else np.array([start]))
         if not courses:
             none += 1
-            assert (q, told) == (None, -np.inf)
+            assert (q, claimed) == (None, -np.inf)
             continue
-        worths = [(np.trapezoid(mu) - price * (np.diff(way / 0.5) ** 2).sum()) / 3.0 for way, mu in courses]
-        assert price or told == pytest.approx(max(worths), abs=1e-12)
-        taken = [each for each, (way, _) in zip(worths, courses, strict=True) if np.array_equal(way, q[:, 0])]
+        worths = [(np.trapezoid(mu) - price * (np.diff(poses / 0.5) ** 2).sum()) / 3.0 for poses, mu in courses]
+        assert price or claimed == pytest.approx(max(worths), abs=1e-12)
+        taken = [each for each, (poses, _) in zip(worths, courses, strict=True) if np.array_equal(poses, q[:, 0])]
         assert taken == [pytest.approx(max(worths), abs=1e-12)]
     assert none < 15
 
@@ -94,9 +94,9 @@ def test_one_step_of_dynamic_programming_tries_every_pose_in_reach():
         bits = np.bitwise_xor.outer(np.arange(8), np.arange(8))
         allowed = (bits[:, None] & ~crossing[None, :, None]) == 0
         near = (away <= step + slack[:, :, None, None] + slack_after[None, None]).all(axis=-1) & allowed[..., None]
-        ways = np.where(near, rest - price * (away**2).sum(axis=-1), -np.inf).reshape(8, m, -1).max(axis=2)
+        best = np.where(near, rest - price * (away**2).sum(axis=-1), -np.inf).reshape(8, m, -1).max(axis=2)
         value = advance(q, slack, gain, after, slack_after, rest, step, crossing, price)
-        np.testing.assert_allclose(value, ways + gain, atol=1e-12)
+        np.testing.assert_allclose(value, best + gain, atol=1e-12)
 
 
 def test_upper_bound_uses_the_largest_mu_up_to_halfway_to_the_neighbouring_poses():
@@ -105,11 +105,11 @@ def test_upper_bound_uses_the_largest_mu_up_to_halfway_to_the_neighbouring_poses
     room = np.isin(np.arange(16), (0, 4, 9)) - 0.5
     q, mus, rooms = (np.tile(each, (2, 1, 1)) for each in (angles, mu(angles), room))
     found = replace(small(np.random.default_rng(0), k=2), q_rad=q[..., None], mu=mus, room_rad=rooms)
-    told = 4.0 * Value(found, Limits(), cell=1.0).value[-1, 0]  # trapezoidal rule: the last weight is 0.25 s
-    assert np.flatnonzero(np.isfinite(told)).tolist() == [0, 1, 3, 4, 5, 8, 9, 10, 15]
+    bound = 4.0 * Value(found, Limits(), cell=1.0).value[-1, 0]  # trapezoidal rule: the last weight is 0.25 s
+    assert np.flatnonzero(np.isfinite(bound)).tolist() == [0, 1, 3, 4, 5, 8, 9, 10, 15]
     most = mu(angles + np.linspace(-0.5, 0.5, 21)[:, None] * angles[1]).max(axis=0)
-    assert np.abs((told - most)[[0, 1, 3, 4, 5, 10, 15]] - 0.01).max() <= 0.01, "at most 0.02 above the largest mu"
-    assert told[8] >= mu(angles[7]) > mu(angles[9])
+    assert np.abs((bound - most)[[0, 1, 3, 4, 5, 10, 15]] - 0.01).max() <= 0.01, "at most 0.02 above the largest mu"
+    assert bound[8] >= mu(angles[7]) > mu(angles[9])
 
 
 @pytest.mark.parametrize("j", [0, 77, 199])
@@ -125,8 +125,8 @@ def test_the_fitted_parabola_is_exact_for_a_quadratic_value_function(j):
         room[..., (j + np.array(dead, dtype=int)) % 200] = -1.0
         mu = 4.0 * np.tile(0.3 + 0.4 * z + 0.5 * bend * z**2, (2, 1, 1))  # the last weight is 0.25 s
         found = replace(base, robot=two, q_rad=np.tile(q, (2, 1, 1, 1)), mu=mu, room_rad=room)
-        told = [*q[j], -q[j, 1], q[j, 0] - 0.3, slope, min(bend, 0.0), *z[(j + np.array([low, high])) % 200]]
-        np.testing.assert_allclose(np.hstack(Value(found, Limits()).near(1, (0, j))), told, atol=1e-9)
+        expected = [*q[j], -q[j, 1], q[j, 0] - 0.3, slope, min(bend, 0.0), *z[(j + np.array([low, high])) % 200]]
+        np.testing.assert_allclose(np.hstack(Value(found, Limits()).near(1, (0, j))), expected, atol=1e-9)
     few = np.s_[:, :, j % 10 :: 10]
     sparse = Value(replace(found, q_rad=found.q_rad[few], mu=mu[few], room_rad=room[few]), Limits())
     np.testing.assert_array_equal(np.hstack(sparse.near(1, (0, j // 10))), [*q[j], *6 * [0.0]], "no other pose is near")
@@ -152,9 +152,9 @@ def test_courses_keep_all_limits_and_do_not_exceed_the_bound(robot, coarse):
         poses = best_course(value, start)
         course = make_course(robot, coarse.targets, poses)
         assert course.violation < 1e-12
-        told, most = (v.best()[0] if start is None else v.of(q, robot.state(q).mu) for v in (value, bound))
-        assert course.mu_mean == pytest.approx(told, abs=1e-12)
-        assert told <= most < told + 0.05 * abs(told)
+        claimed, most = (v.best()[0] if start is None else v.of(q, robot.state(q).mu) for v in (value, bound))
+        assert course.mu_mean == pytest.approx(claimed, abs=1e-12)
+        assert claimed <= most < claimed + 0.05 * abs(claimed)
         if start is not None:
             np.testing.assert_array_equal(course.q_rad[0], q)
     for share in (0.1, 0.2, 1.0):
@@ -162,22 +162,22 @@ def test_courses_keep_all_limits_and_do_not_exceed_the_bound(robot, coarse):
         climbed = make_course(robot, coarse.targets, climb(coarse, q, limits), limits)
         assert (climbed.violation < 1e-12, climbed.q_rad[0].tolist()) == (True, q.tolist())
         assert climbed.mu_mean <= value.of(q, robot.state(q).mu) + 1e-12
-        assert (np.diff(climbed.mu[: int(0.2 / coarse.targets.period_s)]) >= -1e-12).all(), "mu falls at rest"
+        assert (np.diff(climbed.mu[: int(0.2 / coarse.targets.period_s)]) >= -1e-12).all(), "mu falls at the start"
 
 
 @pytest.mark.parametrize("joint", [1, 5])
 def test_search_finds_a_course_as_good_as_one_through_a_singular_pose(robot, joint):
-    way = np.tile(np.array([0.3, 0.5, -0.4, 1.2, 0.5, -0.7, 0.0]), (41, 1))
-    way[:, joint] = np.linspace(0.45, -0.47, 41) * (1.0 if joint == 1 else -1.0)
-    found = map_of(robot, way[0], at_poses(robot, way))
-    mean = make_course(robot, found.targets, way).mu_mean
-    poses = best_course(Value(found, Limits()), way[0])
+    given = np.tile(np.array([0.3, 0.5, -0.4, 1.2, 0.5, -0.7, 0.0]), (41, 1))
+    given[:, joint] = np.linspace(0.45, -0.47, 41) * (1.0 if joint == 1 else -1.0)
+    found = map_of(robot, given[0], at_poses(robot, given))
+    mean = make_course(robot, found.targets, given).mu_mean
+    poses = best_course(Value(found, Limits()), given[0])
     course = make_course(robot, found.targets, poses)
     assert course.violation < 1e-12
     if joint == 1:  # with joint 5, a course around the singular pose is better
         assert np.sign(course.q_rad[0, 1]) != np.sign(course.q_rad[-1, 1])
     assert course.mu_mean > 0.995 * mean
-    assert mean <= Value(found, Limits(), cell=WHOLE_CELL).of(way[0], robot.state(way[0]).mu)
+    assert mean <= Value(found, Limits(), cell=WHOLE_CELL).of(given[0], robot.state(given[0]).mu)
 
 
 def test_mu_of_poses_below_the_shaft_margin_is_lowered(robot, coarse):

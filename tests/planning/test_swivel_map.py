@@ -67,7 +67,7 @@ def test_a_mirrored_pose_has_the_opposite_swivel(robot):
     np.testing.assert_allclose(wrapped(np.pi * np.array([0.9, 1.0, -1.0, 2.5])), np.pi * np.array([0.9, -1, -1, 0.5]))
 
 
-def test_the_swivel_is_measured_from_a_suitable_axis(robot):
+def test_swivel_reference_is_not_nearly_parallel_to_the_line_to_the_wrist(robot):
     away = np.array([[0.01, 0.0, 0.5], [0.3, 0.0, 0.2]])  # from the shoulder to the wrist
     for wrists, axis in ((away[1:], 2), (away, 1), (away[:, [1, 0, 2]], 0)):
         np.testing.assert_array_equal(Elbow(robot, np.array([0.0, 0.0, 0.31]) + wrists).reference, np.eye(3)[axis])
@@ -104,8 +104,8 @@ def test_a_run_on_another_branch_has_a_large_gap(robot, runs):
 
 def test_map_is_centred_on_the_allowed_poses(robot, runs, found):
     q = found.q_rad[6, np.argmin(np.cos(found.swivel_rad - 0.8))]
-    hanging = RobotModel(replace(robot.data, q_min=q - 0.3, q_max=q + 0.3, q_home=q))
-    made = manipulability_map(hanging, {"MOC": runs["MOC"]}, times=3, swivels=72)
+    narrow = RobotModel(replace(robot.data, q_min=q - 0.3, q_max=q + 0.3, q_home=q))
+    made = manipulability_map(narrow, {"MOC": runs["MOC"]}, times=3, swivels=72)
     rows = np.flatnonzero((made.limit == FEASIBLE).any(axis=0))
     assert min(rows[0], 72 - rows[-1]) >= 33, "the allowed poses are in the middle of the map"
     assert abs(made.swivel_rad.mean()) <= np.pi
@@ -204,16 +204,16 @@ def ramp(start, end, until=10.0):
 
 
 def test_a_run_that_climbs_to_the_optimum_ends_at_the_optimum():
-    top, way = hill(60.0, 0.3), ramp(-30.0, 60.0, until=5.0)
-    found = read(top, way)
+    mu, swivels = hill(60.0, 0.3), ramp(-30.0, 60.0, until=5.0)
+    found = read(mu, swivels)
     assert found.end is End.OPTIMUM
     near_from = 60.0 - 60.0 * np.sqrt(-np.log(1.0 - swivel_map.NEAR))  # swivel [deg] at which mu is 2 % below the top
     arrives = 5.0 * (near_from + 30.0) / 90.0
     assert (found.from_s, 10.0 - 10.0 * found.near) == pytest.approx((arrives, arrives), abs=0.11)
-    assert (found.travel_rad, 0.3 * found.mu_share) == pytest.approx((np.radians(90.0), top(way).mean()))
-    always = read(top, 60.0)
+    assert (found.travel_rad, 0.3 * found.mu_share) == pytest.approx((np.radians(90.0), mu(swivels).mean()))
+    always = read(mu, 60.0)
     assert (always.near, always.from_s) == (1.0, 0.0)
-    assert read(top, np.append(np.full(100, 60.0), 0.0)).from_s == 10.0, "the run leaves the optimum at the end"
+    assert read(mu, np.append(np.full(100, 60.0), 0.0)).from_s == 10.0, "the run leaves the optimum at the end"
 
 
 def test_a_run_can_end_at_a_local_maximum():
@@ -223,22 +223,22 @@ def test_a_run_can_end_at_a_local_maximum():
     assert read(two, ramp(-100.0, -60.0, 6.0)).end is End.LOCAL_MAXIMUM
     assert read(two, -60.0 - 0.7 * np.degrees(swivel_map.CLOSE_RAD)).end is End.LOCAL_MAXIMUM
     assert read(two, -60.0 - 2.0 * np.degrees(swivel_map.CLOSE_RAD)).end is End.STILL, "the run could climb further"
-    assert read(two, 60.0 - 0.7 * np.degrees(swivel_map.CLOSE_RAD)).end is End.STILL, "the highest maximum is not local"
+    assert read(two, 60.0 - 0.7 * np.degrees(swivel_map.CLOSE_RAD)).end is End.STILL, "the maximum at 60 deg is global"
     # The shifted lower hill has its top at 178 degrees, and the run is at -176.
     assert read(lambda swivel: two(np.asarray(swivel) - 238.0), -176.0).end is End.LOCAL_MAXIMUM
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-@pytest.mark.parametrize(("top", "swivel", "end"), [
+@pytest.mark.parametrize(("mu", "swivel", "end"), [
     # Joint 4 is beyond its limit at swivels from 0 to 140 deg. Without this limit, mu would be largest at 60 deg.
     (hill(60.0, 0.3), -4.0, End.FEASIBLE_EDGE), (hill(60.0, 0.3), -16.0, End.FEASIBLE_EDGE),
     (hill(60.0, 0.3), -17.0, End.STILL), (hill(60.0, 0.3, 200.0), -4.0, End.OPTIMUM),
     (hill(60.0, 0.3, 90.0), ramp(-69.5, -60.0), End.STILL), (hill(60.0, 0.3, 90.0), ramp(-120.0, -30.0), End.RISING),
     (hill(60.0, 0.3, 90.0), ramp(-20.0, -70.0), End.FALLING), (hill(60.0, 0.3, 90.0), ramp(-70.5, -60.0), End.RISING),
 ])  # fmt: skip
-def test_the_end_of_a_run_names_the_blocking_limit(side, top, swivel, end):
+def test_only_an_end_at_the_feasible_edge_names_a_joint(side, mu, swivel, end):
     forbidden = (0.0, 140.0, 4) if side > 0.0 else (-140.0, 0.0, 4)
-    found = read(lambda given: top(side * np.asarray(given)), side * np.asarray(swivel), forbidden)
+    found = read(lambda given: mu(side * np.asarray(given)), side * np.asarray(swivel), forbidden)
     assert (found.end, found.joint) == (end, 4 if end is End.FEASIBLE_EDGE else 0)
 
 

@@ -58,10 +58,10 @@ def test_fingers_are_locked(vendors) -> None:
     assert list(model.names)[1:] == CHAIN
     assert model.inertias[7].mass - bare.inertias[7].mass == pytest.approx(0.7 + 2 * 0.015)  # fingers keep their mass
     left = model.frames[model.getFrameId("left")].placement.translation
-    turn = np.array([0.01 * np.sin(0.785), 0.01 * np.cos(0.785), 0.107])  # locked at the finger's limit nearest to 0
-    np.testing.assert_allclose(left, turn, rtol=0, atol=1e-12)
-    told = " ".join(arm.notes)
-    assert all(word in told for word in ("finger_1 (at 0.01 m)", "finger_2", "'link_7', the link of the last"))
+    expected = np.array([0.01 * np.sin(0.785), 0.01 * np.cos(0.785), 0.107])  # locked at the finger's limit nearest 0
+    np.testing.assert_allclose(left, expected, rtol=0, atol=1e-12)
+    notes = " ".join(arm.notes)
+    assert all(word in notes for word in ("finger_1 (at 0.01 m)", "finger_2", "'link_7', the link of the last"))
     for q in np.random.default_rng(0).uniform(-1.0, 1.0, (5, 7)):
         np.testing.assert_allclose(last_frame(model, q), last_frame(bare, q), rtol=0, atol=1e-12)
     assert vendors(with_hand(text_of()), tip="hand").last_link == "hand"
@@ -90,12 +90,12 @@ def test_joint_locked_by_name_stays_at_the_given_angle(vendors) -> None:
         vendors(text_of(), lock={"joint_9": 0.0})
 
 
-@pytest.mark.parametrize(("old", "new", "told"), [
+@pytest.mark.parametrize(("old", "new", "words"), [
     ('name="joint_4" type="revolute"', 'name="joint_4" type="floating"', "has type 'floating'"),
     ('<child link="link_4"/>', '<child link="link_4"/><mimic joint="joint_3"/>', "mimics"),
 ])  # fmt: skip
-def test_floating_or_mimic_joint_is_refused_within_the_arm(old, new, told, vendors) -> None:
-    with pytest.raises(RobotError, match=f"'joint_4' {told}"):
+def test_floating_or_mimic_joint_is_refused_within_the_arm(old, new, words, vendors) -> None:
+    with pytest.raises(RobotError, match=f"'joint_4' {words}"):
         vendors(changed(text_of(), (old, new)))
     arm = vendors(added(text_of(), link("ship") + joint("sea", "floating", "ship", "link_0")))
     assert chain(arm) == CHAIN
@@ -141,7 +141,7 @@ ONE_TURN = {"lower": -np.pi, "upper": np.pi}
 FAST = {"velocity": CHOSEN["turning"]}
 
 
-@pytest.mark.parametrize(("name", "limit", "expected", "told"), [
+@pytest.mark.parametrize(("name", "limit", "expected", "noted"), [
     ("panda", 'lower="-2.8973" upper="2.8973" velocity="2.175" effort="87"',
      {"lower": -2.8973, "upper": 2.8973, "velocity": 2.175}, []),
     ("panda", 'lower="-2.8973" upper="2.8973" velocity="10" effort="87"', FAST, ["10 rad/s is no speed"]),
@@ -156,17 +156,17 @@ FAST = {"velocity": CHOSEN["turning"]}
     ("lwr4_rail", "", {"lower": -TRAVEL_M, "upper": TRAVEL_M, "velocity": CHOSEN["sliding"]},
      ["has no range: .* m is used", "no speed limit: .* m/s is used"]),
 ])  # fmt: skip
-def test_impossible_limits_are_replaced_and_noted(name: str, limit: str, expected: dict, told: list, vendors) -> None:
+def test_impossible_limits_are_replaced_and_noted(name: str, limit: str, expected: dict, noted: list, vendors) -> None:
     arm = vendors(re.sub("<limit .*?/>", f"<limit {limit}/>", text_of(name), count=1))
     first, notes = arm.chain[0].limits, [note for note in arm.notes if "joint_1" in note]
     assert {key: first[key] for key in expected} == pytest.approx(expected)
     assert arm.weak == ([] if 'effort="87"' in limit else ["joint_1"])
-    assert len(notes) == len(told)
-    assert all(re.search(words, note) for words, note in zip(told, notes, strict=True))
+    assert len(notes) == len(noted)
+    assert all(re.search(words, note) for words, note in zip(noted, notes, strict=True))
 
 
 @pytest.mark.parametrize(("name", "reach", "unit"), [("panda", "2.8973", "rad"), ("lwr4_rail", "0.5", "m")])
-def test_limits_in_wrong_order_are_named(name: str, reach: str, unit: str, vendors) -> None:
+def test_error_names_the_joint_with_limits_in_wrong_order(name: str, reach: str, unit: str, vendors) -> None:
     text = changed(text_of(name), (f'lower="-{reach}" upper="{reach}"', f'lower="{reach}" upper="-{reach}"'))
     with pytest.raises(RobotError, match=rf"'joint_1': .* in {unit}, "):
         vendors(text)

@@ -33,8 +33,8 @@ def scenario_file(folder, text):
 def test_command_plan_exits_with_3_for_impossible_path(tmp_path, capsys):
     file = scenario_file(tmp_path, '[task]\npath = "circle"\nv_max_m_per_s = 3.0\na_max_m_per_s2 = 50.0\n')
     assert main(["plan", file, "--json"]) == 3
-    told = json.loads(capsys.readouterr().out)
-    assert (told["executable"], bool(told["blocked"]["reason"]), told["blocked"]["t_s"] > 0.0) == (False, True, True)
+    found = json.loads(capsys.readouterr().out)
+    assert (found["executable"], bool(found["blocked"]["reason"]), found["blocked"]["t_s"] > 0.0) == (False, True, True)
 
 
 def test_proposed_start_can_be_pasted_into_the_scenario(tmp_path, capsys):
@@ -51,14 +51,14 @@ def test_proposed_start_can_be_pasted_into_the_scenario(tmp_path, capsys):
     assert again.from_start.mu_mean > 1.02 * found.from_start.mu_mean
 
 
-def test_options_of_plan_replace_the_third_levels_limits(tmp_path, capsys):
+def test_options_of_plan_replace_the_limits_of_the_third_level(tmp_path, capsys):
     file = scenario_file(tmp_path, 'duration_s = 0.5\n[control]\nthird_level = "planned"\n')
     for options, margin, share in (([], 0.05, 0.85), (["--speed-share", "1", "--margin", "0"], 0.0, 1.0)):
         assert main(["plan", file, "--json", *options]) == 0
-        told = json.loads(capsys.readouterr().out)
+        found = json.loads(capsys.readouterr().out)
         within = {"margin_rad": margin, "margin_m": 0.0, "shaft_margin": 0.04375, "speed_share": share}
-        assert told["within"] == within
-        assert bool(told["warnings"]) == bool(options)  # a course with speed share 1 is too fast to be followed
+        assert found["within"] == within
+        assert bool(found["warnings"]) == bool(options)  # a course with speed share 1 is too fast to be followed
 
 
 COMPARED = mo.Scenario(duration_s=1.5, judge=False, bound_samples=0, best_courses=True, start={"swivel": 0.2})

@@ -79,7 +79,7 @@ def wedge(rng, n, narrow, size=1.0, **settings):
 
 
 @pytest.mark.parametrize(("n", "narrow"), [(8, 1e-4), (9, 1e-4), (10, 1e-4), (15, 1e-6)])
-def test_problem_with_a_wedge_in_its_feasible_set_is_solved(n, narrow):
+def test_answer_is_accurate_if_the_feasible_set_ends_in_a_wedge(n, narrow):
     rng = np.random.default_rng(n)
     for _ in range(25):
         qp = wedge(rng, n, narrow)
@@ -222,7 +222,7 @@ def test_violation_that_rounding_explains_is_accepted(freedoms):
 
 
 def test_answers_near_a_straight_elbow_are_feasible(robot):
-    rng, one = np.random.default_rng(10248), np.ones(16)
+    rng, one = np.random.default_rng(10248), np.ones(16)  # first an infeasible problem with equal columns
     A = rng.integers(-1, 2, (6, int(rng.integers(9, 17)))).astype(float)
     A[:, 8:] = A[:, :8]
     b = A @ (np.where(rng.random(16) < 0.5, -1.0, 1.0) + rng.normal(size=16) * 10 ** rng.uniform(-4, 1))
@@ -256,7 +256,7 @@ def test_solver_and_residuals_agree_on_slow_joints(moves, stops):
     assert [bool(short.residuals(end * z).verified()) for end in (0.0, 1e-5)] == [False, True]
 
 
-def test_problem_with_a_feasible_corner_is_seldom_called_infeasible():
+def test_problem_with_a_feasible_corner_is_seldom_refused():
     """Where a column of A is as small as 1e-3, a rounding error of b is a thousand times as large in x."""
     rng, refused = np.random.default_rng(1), 0
     for _ in range(300):

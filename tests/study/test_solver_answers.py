@@ -118,7 +118,7 @@ def test_cold_sessions_are_independent():
 
 
 @pytest.mark.parametrize("quiet", [True, False])
-def test_only_times_of_quiet_machines_are_reused(quiet, tmp_path, monkeypatch):
+def test_times_are_reused_only_if_the_machine_was_quiet(quiet, tmp_path, monkeypatch):
     monkeypatch.setattr("moc_opt.study.timing.quiet", lambda row: quiet)
     (asked,) = ask(ONE, [(EXACT, TestSet.load("circle").thinned(16))], LIMITS)
     (first,), (again,) = (time(partial(ONE, kept=Kept(tmp_path / "jobs")), [asked], LIMITS) for _ in range(2))
