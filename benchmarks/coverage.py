@@ -2,7 +2,7 @@
 
 python -m benchmarks.coverage [CONFIG.toml] [--out DIR] [--quick] [--json]
 
-A true value is a metric's change from DCAC to MOC over a pool of new trials. Intervals use trials drawn from it.
+A true value is a metric's change from DCAC to MOC over a pool of new trials. Each interval uses trials drawn from it.
 """
 
 from __future__ import annotations

@@ -173,7 +173,7 @@ class Pink(_PinkArm):
 
 
 class _Rows:
-    """Five hard rows for pink. `PinkTrimmed` sets their values in each tick."""
+    """Five equality constraints for pink. `PinkTrimmed` sets their values in each tick."""
 
     def __init__(self, n: int, gain: float) -> None:
         self.jacobian, self.error, self.gain = np.zeros((5, n)), np.zeros(5), gain
@@ -200,7 +200,7 @@ class _Climb:
 
 
 class PinkTrimmed(_PinkArm):
-    """pink with five hard equality rows and our compiled gradient."""
+    """pink with five equality constraints and moc_opt's compiled gradient."""
 
     def __init__(self, robot: RobotModel) -> None:
         super().__init__(robot)

@@ -1,4 +1,4 @@
-"""The package has layers, called floors. A module imports only from its own floor and from lower floors."""
+"""The rooms (folders and modules) of the package lie on floors. A module imports only from its own floor or below."""
 
 import ast
 import subprocess
@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "moc_opt"
-FLOORS = (
+FLOORS = (  # from the lowest to the highest
     ("errors", "arrays", "core"),
     ("inputs", "figures"),
     ("robots", "qp", "tasks"),

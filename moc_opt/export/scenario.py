@@ -78,7 +78,7 @@ def references(setup: Setup) -> bytes:
 
 
 def record(setup: Setup) -> Recording:
-    """Record the controller and its safety filter on measurements of the run. The last third has faults."""
+    """Record the controller and its safety filter on measurements of the run. The last third of these has faults."""
     scenario, trace, t = setup.scenario, setup.trace(), setup.times()
     whole = min(len(trace), len(t))
     k = min(TICKS, whole)

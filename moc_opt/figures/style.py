@@ -18,7 +18,7 @@ INK, MUTED, GRID, PAPER = "#1f2328", "#5f6871", "#e3e6e9", "#ffffff"
 GOOD, BAD, WORST = "#3b7fb8", "#c9ccd1", "#c4421a"
 """Colours of answers: optimal, failed, and wrong but reported as optimal."""
 
-# The palette of Okabe and Ito, without yellow and black. Each colour of a light page has one for a dark page.
+# The palette of Okabe and Ito, without yellow and black. Keys are for a light page, values for a dark page.
 SERIES = {
     "#0072b2": "#4da3dd", "#d55e00": "#f0834a", "#009e73": "#3fc39d", "#b6569a": "#dc8fc4",
     "#c98a00": "#e8b33f", "#3fa0d0": "#8accf0", "#77787b": "#a9abb0", "#6a4fb3": "#a994ea",

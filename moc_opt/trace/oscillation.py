@@ -1,7 +1,7 @@
 """Find joints that oscillate faster than any task requires, in the trace of a run.
 
-A moving mean over 1/8 s is subtracted from each joint's velocity and torque. For each second, the root mean square of
-the difference is computed. The largest is compared with a limit.
+A moving mean over 1/8 s is subtracted from each joint's velocity and torque. The root mean square of the difference is
+computed in every window of 1 s. The largest is compared with a limit.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Shaking(NamedTuple):
 
 
 def shaking(trace: Trace, column: str, limits: ArrayLike | None = None) -> Shaking:
-    """Find the joint with the largest oscillation: root mean square above ``ABOVE_HZ`` within ``WINDOW_S``.
+    """Find the joint that oscillates most: root mean square of its part above ``ABOVE_HZ`` in a window of ``WINDOW_S``.
 
     Args:
         trace: a trace of consecutive ticks.

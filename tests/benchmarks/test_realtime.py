@@ -34,7 +34,7 @@ def test_case_counts_cycles_of_all_runs():
     ("missed", "cycles", "reached"),
     [(3, 1_000_000, "yes"), (4, 1_000_000, "open"), (18, 1_000_000, "no"), (0, 99_999, "not measured")],
 )
-def test_goal_of_the_c_controller_needs_enough_cycles(missed, cycles, reached):
+def test_goal_of_the_c_controller_is_judged_by_its_missed_cycles(missed, cycles, reached):
     case, other = {"cycles": cycles, "missed": missed}, {"cycles": 9, "missed": 9}
     found = judge({"cases": {"C, 500 Hz, quiet": case, "C, 1000 Hz, quiet": other}}, realtime.GOALS)
     assert found["c"]["reached"] == reached

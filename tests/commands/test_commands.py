@@ -70,7 +70,7 @@ def test_impossible_file_name_is_refused(command, name, tmp_path, monkeypatch, c
 
 
 @pytest.mark.parametrize("arguments", [["run", "--sede=3"], ["solvers", "--list", "--quick"], []])
-def test_unknown_option_is_refused(arguments, capsys):
+def test_unknown_option_or_missing_command_is_refused(arguments, capsys):
     with pytest.raises(SystemExit) as ended:
         main(arguments)
     assert ended.value.code == 2

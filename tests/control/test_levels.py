@@ -1,4 +1,4 @@
-"""The safety filter allows a value equal to a threshold (`level`) and rejects any larger value.
+"""The safety filter reacts to a value above a threshold (`level`), but not to a value equal to it.
 
 All numbers are short binary fractions, so that arithmetic is exact.
 """

@@ -349,7 +349,7 @@ def test_idle_joint_is_checked_if_no_other_self_motion_exists(seed):
 
 
 @pytest.mark.parametrize("late", LATE)
-def test_setting_late_selects_the_replacement_of_a_late_answer(late, qp, Z):
+def test_late_answer_is_replaced_as_the_settings_say(late, qp, Z):
     good = solved(qp)
     other = Solution(good.x + 1e-6, None, Status.SOLVED)
     mine = supervisor(times=[10.0, 3000.0, 2000.0, 10.0], budget_us=2000.0, late=late)
@@ -444,7 +444,7 @@ def test_answer_with_a_residual_equal_to_its_limit_is_accepted(qp, Z, claim, j, 
         assert (made.finish(0, claim, x, 50.0)[0] == 0) == taken
 
 
-def test_off_is_zero_with_several_self_motions_or_a_faint_gradient(qp):
+def test_residual_off_is_zero_with_several_self_motions_or_a_faint_gradient(qp):
     """In these cases, `off` (the distance to the optimum) is computed only if the natural residual is large."""
     faint, several = changed(qp, c2=1e-7, regularization=1e-2), random_problem(np.random.default_rng(3), 8)
     for each, searched in ((qp, True), (faint, False), (several, False)):

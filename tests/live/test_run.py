@@ -56,7 +56,7 @@ def test_solver_is_exchanged_at_the_next_tick(run: LiveRun) -> None:
 @pytest.mark.parametrize("change", [
     lambda run: run.choose(DCAC), lambda run: run.tune(K_X=1500.0, K_N=300.0, observer_gain_per_s=0.0),
 ])  # fmt: skip
-def test_exchange_does_not_jerk_the_arm(change: Callable[[LiveRun], None]) -> None:
+def test_change_of_law_or_gains_does_not_jerk_the_arm(change: Callable[[LiveRun], None]) -> None:
     run = LiveRun(Scenario(start={"swivel": 0.9}))
     run.advance(400)
     sent: list[Any] = []

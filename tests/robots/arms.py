@@ -1,4 +1,4 @@
-"""URDFs as vendors write them."""
+"""Helpers that make and edit the text of a URDF."""
 
 from pathlib import Path
 

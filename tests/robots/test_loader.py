@@ -86,9 +86,9 @@ BAD_TOML = {
     "wrist off the shaft": ("[0.0, 0.0, -0.078]", "[0.0, 0.01, -0.078]", r"wrist_xyz_m.*0\.01 m off"),
     "link name with a backslash": ('"link_7"', '"a\\\\"', r"\[frames\] last_link = .*is no name"),
     "short vector": ("tau_max_Nm = [176, ", "tau_max_Nm = [", r"limits\.tau_max_Nm has 6 entries.*give 7"),
-    "reversed": ("q_min_deg = [-170", "q_min_deg = [171", "joint_1.*is not below"),
+    "limits reversed": ("q_min_deg = [-170", "q_min_deg = [171", "joint_1.*is not below"),
     "zero speed": ("v_max_deg_per_s = [110", "v_max_deg_per_s = [0", "v_max of joint 'joint_1' = 0"),
-    "home outside": ("q_rad = [0.595", "q_rad = [3.5", r"home\.q_rad.*\[1\]"),
+    "home outside its limits": ("q_rad = [0.595", "q_rad = [3.5", r"home\.q_rad.*\[1\]"),
 }
 
 
@@ -111,7 +111,7 @@ BAD_URDF = {
     "degrees for metres": ('"joint_1" type="revolute"', '"joint_1" type="prismatic"', r"limits\.q_min_deg is in deg"),
     "infinite limit": ('lower="-', 'lower="-inf" x="-', r"<limit> of joint 'joint_1', lower is -inf"),
     "two limits": ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 1"/><limit effort="1"/>', "joint_1.*2 <limit>"),
-    "too long": ("</robot>", "".join(f'<link name="l{k}"/>' for k in range(250)) + "</robot>", "250 at most"),
+    "too many links": ("</robot>", "".join(f'<link name="l{k}"/>' for k in range(250)) + "</robot>", "250 at most"),
     "name taken": ('<link name="link_0">', '<link name="tip"/><link name="link_0">', "has links.*tip"),
 }
 
@@ -142,7 +142,7 @@ def test_bad_tool_arguments_are_named(bad: float) -> None:
     "", "0 0", "0 0 0 0", "0,0,0",
     *(f"0 0 {bad}" for bad in ("0x10", "nan", "inf", "1,5", "1e", "-101", "1e999", "1_0", "\u0663.0")),
 ])  # fmt: skip
-def test_texts_other_than_three_numbers_are_refused(text):
+def test_bad_xyz_text_of_an_origin_is_refused(text):
     origin = '<joint name="j"><parent link="a"/><child link="b"/><origin xyz="{}"/></joint>'
     assert read(f'<robot name="x">{origin.format(f"{FARTHEST} 0 -1e-31")}</robot>').joints[0].xyz == (100.0, 0.0, 0.0)
     with pytest.raises(RobotError, match=r"<origin> of joint 'j', xyz is '.*give three decimal numbers"):

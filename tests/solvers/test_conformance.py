@@ -234,7 +234,7 @@ def test_update_with_another_problem_changes_no_answer(name):
 
 
 @pytest.mark.parametrize("name", sorted({"osqp", "piqp", "clarabel"} & {*NAMES}))
-def test_truncated_solve_repeats_previous_solve_with_fewer_iterations(name):
+def test_truncated_repeats_the_previous_solve_up_to_an_iteration_limit(name):
     qps = sequence(name, seed=9)
     whole, cut = solver(name).start(qps[0]), solver(name).start(qps[0])
     far = 0
@@ -284,7 +284,7 @@ def odd_problems() -> list[NullSpaceQP]:
 
 
 # With their usual settings, these solvers may take minutes for one bad problem.
-CATCH_UP: dict[str, dict[str, Any]] = {
+QUICK_SETTINGS: dict[str, dict[str, Any]] = {
     "rnn": {"steps": 1000}, "qpsolvers:highs": {}, "qpsolvers:proxqp": {"options": {"max_iter": 20}},
     "qpsolvers:osqp": {"options": {"max_iter": 500}}, "qpsolvers:scs": {"options": {"max_iters": 500}},
 }  # fmt: skip
@@ -293,7 +293,7 @@ CATCH_UP: dict[str, dict[str, Any]] = {
 @every_solver
 def test_answer_to_an_awkward_problem_has_a_valid_status(name):
     limits = expect(name)
-    chosen = solver(name, settings=CATCH_UP.get(name))
+    chosen = solver(name, settings=QUICK_SETTINGS.get(name))
     stream, taken = chosen.start(of(name)[0]), 0
     for qp in [*odd_problems(), *hard_problems(ARM if limits.arm else None)[::2]]:
         found = [stream.solve(qp)]

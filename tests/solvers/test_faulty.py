@@ -47,7 +47,7 @@ def test_exactly_the_drawn_ticks_are_wrong(kind):
     assert session.faults == corrupted.sum()
 
 
-def test_drawn_ticks_follow_their_seed():
+def test_a_seed_always_draws_the_same_ticks():
     long = draw(3, 0.2, 1000)
     np.testing.assert_array_equal(long[:400], draw(3, 0.2, 400))
     assert (draw(4, 0.2, 1000) != long).any()

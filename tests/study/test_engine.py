@@ -67,7 +67,7 @@ def test_time_limit_applies_to_each_step_of_a_job():
     assert (found[1].kind, found[1].parts) == ("hung", (0.01,))
 
 
-def test_timed_jobs_run_alone():
+def test_jobs_marked_alone_share_one_process():
     found = run([Job(os.getpid, alone=True) for _ in range(4)] + [Job(os.getpid)], workers=2)
     assert len(set(found[:4])) == 1
     assert found[4] != found[0]
