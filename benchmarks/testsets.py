@@ -28,7 +28,7 @@ from moc_opt.study.testsets import FOLDER, INCONSISTENT, NAMES, SEQUENCES, TestS
 CLOSE = 1e-9  # --check allows answers to differ by this much [rad/s]
 Rng = np.random.Generator
 SIZE = 128  # problems per set
-VERSION = 1  # part of the seed of the drawn sets
+VERSION = 1  # part of the random generator's seed
 
 
 def at_pose(

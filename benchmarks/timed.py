@@ -268,7 +268,6 @@ def own_steps(scenario: Scenario) -> tuple[Array, Callable[[], Array]]:
 
     The function runs without Python, trocar and sensors. Column 0 of the states is the time.
     """
-    # Imported only here, because the other jobs must run without MuJoCo's threads.
     import mujoco
     from mujoco.rollout import rollout
 

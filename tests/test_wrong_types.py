@@ -1,4 +1,4 @@
-"""With any value of an argument, a public name gives a result or raises a MocOptError."""
+"""With any value of an argument, a public function returns a result or raises a MocOptError."""
 
 from collections.abc import Callable
 

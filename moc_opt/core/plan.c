@@ -1,4 +1,4 @@
-/* Planning: inverse kinematics, curves of self-motion, climbs of mu, dynamic programming. */
+/* Planning: inverse kinematics, curves of self-motion, gradient ascent of mu, dynamic programming. */
 #include "tools.h"
 #include "vec.h"
 
@@ -226,9 +226,9 @@ int plan_follow(const plan_task *task, const double *start, const double *tangen
     return count;
 }
 
-/* --- climbs --- */
+/* --- gradient ascent of mu --- */
 
-#define SHORTEST 1e-6  /* a climb ends when its step is shorter [rad] */
+#define SHORTEST 1e-6  /* the ascent ends when its step is shorter [rad] */
 
 double plan_ascend(const plan_task *task, double *q)
 {
@@ -287,7 +287,7 @@ void plan_advance(const plan_stage *t, double *value)
     for (int pose = 0; pose < t->branches * t->m; pose++) {
         double best = -HUGE_VAL;
         int bits = (int)t->crossing[pose % t->m], flips = bits + 1;
-        while (flips > 0 && t->gain[pose] > -HUGE_VAL) { /* every branch that differs only in these bits */
+        while (flips > 0 && t->gain[pose] > -HUGE_VAL) { /* branches equal to this pose's in all other bits */
             flips = (flips - 1) & bits;
             best = best_in(t, pose, pose / t->m ^ flips, best);
         }

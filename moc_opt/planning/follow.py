@@ -172,7 +172,7 @@ class Follower:
                 self._begin(planner, state.q)
         elif planner is not None and 0 <= self._begun < self._tick and self._tick % self._every == 0:
             # The course of the previous solve takes effect now, as if a solve took the whole time between two solves.
-            # A refused solve is replaced by the course followed until now. On a rail, the newest was less accurate.
+            # A refused course is replaced by the one followed until now. On a rail, the newest one was less accurate.
             now, self._next = self._next, planner.plan(state.q, t, self._now) or self._now
             self._before, self._now = self._now, now
         q, v = self._now.at(t)

@@ -85,7 +85,7 @@ class Setup:
     """Objects built from a scenario, and checked before anything moves.
 
     Args:
-        solver: used instead of the scenario's solver. The trace's `meta` still names the scenario's solver.
+        solver: used instead of the scenario's solver. The scenario in the trace's `meta` keeps its own solver.
         realtime: build only the controller, because the plant runs in another process.
 
     Raises:

@@ -42,7 +42,7 @@ class FilteredController(Filtered):
             self._filter.start(seen.q, seen.v, seen.stamp)
 
     def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
-        """Return this period's torque (n,) [Nm], within limits. In a stop, the torque damps the arm."""
+        """Return this period's torque (n,) [Nm]. In a stop, the torque damps the arm."""
         safety, controller, applied = self._filter, self._controller, self._applied
         if safety is None:
             return controller.tick(seen.q, seen.v, tip_ref, trocar)

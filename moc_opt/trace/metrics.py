@@ -204,7 +204,7 @@ _figure("mu_final", "m^3", "Last", "mu", lambda values: values[-1])
 def mu_gain_percent(trace: Trace, baseline: Trace | None) -> float:
     """Change of mean manipulability against the same run without level 3 (DCAC).
 
-    The baseline's observer gain depends on `third_level`. So compare settings of level 3 by `mu_mean`.
+    The baseline's observer gain depends on the run's `third_level`. So compare different third levels by `mu_mean`.
     """
     if baseline is None:
         raise MissingDataError("there is no baseline: give the trace of DCAC on the same trial")

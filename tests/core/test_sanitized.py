@@ -30,7 +30,7 @@ def extremes(program, sanitizers=None):
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler on the path")
-def test_torque_is_finite_for_extreme_inputs(tmp_path):
+def test_torque_of_the_safety_filter_is_finite_for_extreme_inputs(tmp_path):
     shown = extremes(tmp_path / "extremes")
     counted = {name: int(count) for name, count in re.findall(r"^  (.+): (\d+)$", shown, re.MULTILINE)}
     for reason in ("running", "not started", "the controller's state is damaged", "measurements not believed",

@@ -35,8 +35,8 @@ def test_a_straight_curve_ends_at_the_first_joint_limit():
     for least, end in ((-0.19, 0.39), (-0.21, 0.4), (-0.3, 0.4)):  # joint 2 ends the curve at 0.39, joint 1 at 0.4
         low = np.array([-1.0, least, 0.2, 0.0, 0.0])
         s, poses, closed = follow(low, high, start, 0.5 * ALONG + np.eye(5)[2], 0.11)
-        whole = np.sqrt(2.0) * end
-        np.testing.assert_allclose(s, [*np.arange(0.0, whole - 1e-3, 0.11), whole], atol=1e-9)
+        length = np.sqrt(2.0) * end
+        np.testing.assert_allclose(s, [*np.arange(0.0, length - 1e-3, 0.11), length], atol=1e-9)
         np.testing.assert_allclose(poses, start + s[:, None] * ALONG, atol=1e-9)
         assert poses[-1, 1 if end < 0.4 else 0] == (least if end < 0.4 else 0.5), "the curve ends exactly at the limit"
         assert not closed

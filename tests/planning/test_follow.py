@@ -185,9 +185,9 @@ def test_settings_with_which_no_course_can_be_followed_are_refused(change, messa
 
 
 def test_a_course_is_refused_if_it_is_too_fast_for_the_third_level(robot):
-    idle = np.append(np.full(6, 0.85 + 5e-7), 1.0)
-    assert guides.too_fast_to_follow(FOLLOWED.control, robot, idle) is None
-    told, cure = guides.too_fast_to_follow(FOLLOWED.control, robot, idle + 1e-3 * np.eye(7)[2])
+    shares = np.append(np.full(6, 0.85 + 5e-7), 1.0)
+    assert guides.too_fast_to_follow(FOLLOWED.control, robot, shares) is None
+    told, cure = guides.too_fast_to_follow(FOLLOWED.control, robot, shares + 1e-3 * np.eye(7)[2])
     assert (told[:41], cure) == ("joint_3 moves at 0.851 of its speed limit", "plan it with --speed-share 0.85")
 
 

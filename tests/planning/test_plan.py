@@ -13,7 +13,7 @@ from moc_opt.tasks import Reference, Trocar, make_path
 from tests.planning.arms import line_from, task
 
 
-def test_mean_mu_rises_from_climb_to_course_to_bound(robot):
+def test_mean_mu_of_a_course_lies_between_local_climb_and_bound(robot):
     q = robot.data.q_home
     targets = task(robot, q, 60)
     plan = make_plan(robot, q, targets, swivels=360)

@@ -52,7 +52,7 @@ def test_wrong_key_or_value_is_named(tables, words):
 
 
 @pytest.mark.parametrize(("tables", "words"), WRONG_AT_THE_RUN)
-def test_values_that_do_not_fit_together_are_refused(tables, words):
+def test_scenario_that_cannot_run_is_refused_before_the_first_tick(tables, words):
     moved = []
     with pytest.raises(MocOptError, match=re.escape(words)):
         run(Scenario(**{"duration_s": 0.01, **tables}), watch=moved.append)

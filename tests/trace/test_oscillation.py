@@ -11,7 +11,7 @@ from moc_opt.trace.trace import MissingDataError, Trace
 
 PERIOD = 0.002
 NAMES = tuple(f"joint_{i}" for i in range(1, 8))
-TURNING = (False,) * 7
+SLIDES = (False,) * 7
 QUICK = {"bound_samples": 0, "judge": False, "start": {"swivel": "random"}}
 STIFF = {"K_X": 3000.0, "D_X": 80.0, "K_N": 800.0, "D_N": 60.0, "K_N2": 80.0, "D_N2": 1.0}
 
@@ -44,7 +44,7 @@ def test_oscillation_figures_equal_their_definitions(ticks, period):
     rest = np.sqrt(sum(parts[:6]) / (0.75 * width))
     found = shaking(Trace({"t_s": t, "v_rad_per_s": v}), "v_rad_per_s")
     assert found[1:] == pytest.approx((np.sqrt(np.mean(worst**2)), largest, rest), abs=1e-9)
-    assert found.joint == joint or period > 1.0 / 12.0  # at such periods no frequency is above 8 Hz
+    assert found.joint == joint or period > 1.0 / 12.0  # at such periods the mean is over one tick, and nothing is left
     for rms, rest, counts in ((0.3, 0.11, True), (0.3, 0.1, False), (0.2, 0.15, False), (0.1, 0.15, False)):
         assert found._replace(rms=rms, rest=rest).above(0.2) == counts
 
@@ -59,7 +59,7 @@ def test_joint_oscillates_only_above_its_limit(factor, column, limit, unit, slid
     trace = made(0, factor * np.sqrt(2.0) * limit, 71.0, column)
     values = np.array(getattr(trace, column))
     values[:, 4] += 0.5 * limits.LIMIT_RAD_PER_S * np.sin(2.0 * np.pi * 31.0 * trace.t_s)
-    found = judged_for_oscillation(trace.with_columns(**{column: values}), NAMES, (slides, *TURNING[1:])).meta
+    found = judged_for_oscillation(trace.with_columns(**{column: values}), NAMES, (slides, *SLIDES[1:])).meta
     assert found["period_s"] == PERIOD
     if factor < 1.0:
         assert found["ended"] == "completed"
@@ -77,14 +77,14 @@ def test_short_burst_does_not_hide_an_oscillation(joint, amplitude, where, at, s
     values = np.array(made(joint, amplitude, 40.0, where=where, ticks=2000).v_rad_per_s)
     jerk = made(2, size, 16.0, where=(at, at + 0.0625), ticks=2000)
     values[:, 2] += jerk.v_rad_per_s[:, 2]
-    assert describe(jerk, NAMES, TURNING) == ""
+    assert describe(jerk, NAMES, SLIDES) == ""
     both = jerk.with_columns(v_rad_per_s=values)
     assert shaking(both, "v_rad_per_s").joint == 2  # the burst has the largest rms
-    assert describe(both, NAMES, TURNING).startswith(f"joint_{joint + 1} at 40 Hz")
+    assert describe(both, NAMES, SLIDES).startswith(f"joint_{joint + 1} at 40 Hz")
 
 
 @pytest.mark.parametrize(("amplitude", "hertz", "where", "says"), [
-    # Task motions of any amplitude.
+    # Slow motions, as in tasks.
     (1.0, 0.2, None, False), (1.0, 1.0, None, False), (1.0, limits.ABOVE_HZ / 4.0, None, False),
     # A burst during the start, and shaking for 0.5 s after the start. The start is not judged.
     (3.0, 40.0, (0.0, 0.9 * limits.START_S), False), (3.0, 40.0, (limits.START_S, 2.0 * limits.START_S), True),
@@ -96,24 +96,24 @@ def test_short_burst_does_not_hide_an_oscillation(joint, amplitude, where, at, s
 ])  # fmt: skip
 def test_only_lasting_shaking_is_an_oscillation(amplitude, hertz, where, says):
     trace = made(6, amplitude, hertz, ticks=4000, where=where)
-    assert (describe(trace, NAMES, TURNING).startswith(f"joint_7 at {hertz:.0f} Hz")) == says
-    assert says or describe(trace, NAMES, TURNING) == ""
+    assert (describe(trace, NAMES, SLIDES).startswith(f"joint_7 at {hertz:.0f} Hz")) == says
+    assert says or describe(trace, NAMES, SLIDES) == ""
 
 
-def test_stopped_or_brief_run_is_not_judged():
+def test_brief_run_or_stop_at_an_unknown_time_is_not_judged():
     shaken = made(0, 2.0)
     stopped = Trace(shaken.columns, {**shaken.meta, "ended": "stopped: x"})
-    assert judged_for_oscillation(stopped, NAMES, TURNING).meta == stopped.meta
+    assert judged_for_oscillation(stopped, NAMES, SLIDES).meta == stopped.meta
     for ticks, says in ((450, "completed"), (500, "completed"), (501, "oscillated")):  # 501 ticks last 1 s
         for since in (0.0, 0.5):
             brief = Trace({**shaken.head(ticks).columns, "t_s": since + shaken.t_s[:ticks]}, shaken.meta)
-            assert judged_for_oscillation(brief, NAMES, TURNING).meta["ended"].startswith(says)
+            assert judged_for_oscillation(brief, NAMES, SLIDES).meta["ended"].startswith(says)
 
 
 @pytest.mark.parametrize(("begin", "amplitude", "says"), [(1.0, 2.0, True), (1.0, 0.1, False), (2.01, 9.0, False)])
 def test_stopped_run_names_only_an_oscillation_before_the_stop(begin, amplitude, says):
     trace = made(3, amplitude, 24.0, where=(begin, 3.0)).with_meta(ended="stopped: x (t = 2.000 s)", stopped_at_s=2.0)
-    said = judged_for_oscillation(trace, NAMES, TURNING).meta["ended"]
+    said = judged_for_oscillation(trace, NAMES, SLIDES).meta["ended"]
     assert said.startswith("stopped: x (t = 2.000 s)")
     assert ("; oscillated before: joint_4 at 24 Hz, " in said) == says
     assert said == trace.meta["ended"] or says
