@@ -84,7 +84,7 @@ def perform(parts: ProcedureSettings, scenario: Scenario, name: str, film: Path 
 def _run(
     scenario: Scenario, plant: Plant, scene: Augmented, path: TipPath, q: Array, trocars: tuple[Array, Array]
 ) -> tuple[Trace, float, float]:
-    """Run the task under MOC. Return (trace, waiting time [s], time without the board [s])."""
+    """Run the task under MOC. Return (trace, waiting time [s], time in which the board is not seen [s])."""
     period, (true, registered) = scenario.plant.period_s, trocars
     robot, task = scenario.robot.arm(), scenario.task
     reference = Reference(path, task.v_max_m_per_s, task.a_max_m_per_s2, t_start=task.wait_s)

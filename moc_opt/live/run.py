@@ -100,8 +100,8 @@ class LiveRun:
     used = property(lambda self: self._in_use.used, doc="The controller in use.")
     trocar = property(lambda self: self._now[0][0], doc="Position of the true trocar (3,) [m] in the next tick.")
     _chosen = property(lambda self: self._in_use.next or self._in_use.used)
-    control = property(lambda self: self._chosen.settings, doc="The settings of the control law.")
-    solver = property(lambda self: solver_of(self._chosen), doc="The solver, or `DCAC`.")
+    control = property(lambda self: self._chosen.settings, doc="Settings of the next controller, else of `used`.")
+    solver = property(lambda self: solver_of(self._chosen), doc="Solver of this controller, or `DCAC`.")
 
     def choose(self, solver: str) -> None:
         """Switch to another solver of level 3, or to `DCAC`. Raises a MocOptError if the solver cannot run."""
@@ -136,7 +136,7 @@ class LiveRun:
         self._asked = np.array([x_m, y_m, z_m])
 
     def rows(self, t: float) -> Array:
-        """Return X_d, dX_d, ddX_d (3, 3) at a time [s]."""
+        """Return the tip's desired position, velocity and acceleration, rows (3, 3), at a time [s]."""
         lap, within = divmod(t, self._setup.duration_s)
         if int(lap) % 2 == 0:
             return self._setup.reference.rows(within)

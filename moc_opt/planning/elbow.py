@@ -75,7 +75,7 @@ def _uphill(curve: SelfMotion) -> float:
 
 
 def in_transient(robot: RobotModel, t_s: ArrayLike, q_rad: ArrayLike) -> NDArray[np.bool_]:
-    """Return for each tick (N,) whether the elbow still moves towards the local maximum of mu.
+    """Return for each tick (N,) whether the elbow moves and is away from the local maximum of mu.
 
     Args:
         t_s, q_rad: (N,) times [s], (N, n) true joint positions [rad].

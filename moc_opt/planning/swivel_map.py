@@ -27,7 +27,7 @@ OTHER_BRANCH_RAD = 0.5  #: ``gap_rad`` above which run and map are on different 
 NEEDED = ("t_s", "q_rad", "tip_m", "tip_ref_m")
 NEAR = 0.02  #: mu counts as optimal if it is below the best mu by at most this fraction.
 END = 0.2  #: The end of a run is judged from this last fraction of its time.
-CLOSE_RAD = np.radians(12.0)  #: Angle up to which a climb of mu counts as short.
+CLOSE_RAD = np.radians(12.0)  #: A run counts as at a local maximum of mu, or at an edge, within this swivel angle.
 STILL_RAD_PER_S = np.radians(1.0)  #: Speed of the swivel below which a run counts as at rest.
 
 
@@ -135,7 +135,7 @@ def _targets(
         apart = np.abs(trace.tip_ref_m[shared] - guide.tip_ref_m[shared]).max()
         if apart > SAME_PATH_M:
             raise ReportError(f"run {name!r} follows another path than the longest run ({apart:.3g} m apart)")
-    # The distance from tip to wrist must be exact within REACHED_M.
+    # The distance from tip to wrist must be exact within `pose_map.REACHED_M`.
     tips, trocars = (np.asarray(guide.columns[name][ticks], dtype=np.float64) for name in ("tip_ref_m", column))
     span = robot.state(robot.data.q_home).tool_span
     return tips, desired_wrist(tips, 0.0, trocars, 0.0, span)[0]
@@ -161,7 +161,7 @@ def _best(swivel: Array, mu: Array, limit: NDArray[np.int64]) -> tuple[float, fl
 
 
 def _cut(feasible: NDArray[np.bool_]) -> int:
-    # Cut the circle of swivels at the row farthest from feasible poses.
+    # Cut the circle of swivels at the swivel that is farthest from feasible poses.
     allowed, count = np.flatnonzero(feasible.any(axis=0)), feasible.shape[1]
     apart = np.abs(np.arange(count)[:, None] - allowed)
     return int(np.argmax(np.minimum(apart, count - apart).min(axis=1, initial=count)))

@@ -25,7 +25,7 @@ RANK_TOLERANCE = 1e-12
 GRADIENT_ROUNDING = 1e-9  # a reduced gradient below this fraction of |pull|_inf counts as zero
 A_POINT = 1e-9  # a feasible interval of at most this length counts as a point [rad/s]
 FEASIBLE = 1e-6  # an empty feasible set counts as a point if it is nonempty with bounds this much wider [rad/s]
-MOST_FACETS = 300  # with more facets, natural_best and relative use the optimum's duals
+MOST_FACETS = 300  # with more directions in `_facets`, natural_best and relative use the optimum's duals
 TIED_BY_ROUNDING = 1e-14  # a sixth singular value below this share of |A|_F is a rounding error
 NEARLY_SINGULAR = 1e-3  # with a singular value below this share of |A|_F, solutions are refined
 REFINEMENTS = 3  # steps of this refinement
@@ -74,7 +74,7 @@ class Problem(NamedTuple):
 
     A: Array  # (..., 6, n)
     b: Array  # (..., 6)
-    pull: Array  # (..., n)
+    pull: Array  # (..., n), by default the gradient of mu
     lower: Array  # (..., n)
     upper: Array  # (..., n)
     weights: Array  # (..., 4): c0, c1, c2, rho

@@ -35,7 +35,7 @@ def plan(
         swivels: number of samples per turn of the elbow.
         margin_rad, margin_m: required distance of revolute joints [rad] and prismatic joints [m] from their limits.
         speed_share: usable share of the joints' speed limits, above 0 and at most 1.
-        shaft_margin: soft lower bound on (manipulability of the shaft) / (distance from wrist to tip)^2.
+        shaft_margin: soft lower bound on (wrist's manipulability at a fixed tip) / (distance from wrist to tip)^2.
         refined: whether a nonlinear program improves the course.
 
     Raises:

@@ -58,7 +58,7 @@ class Filtered(ABC):
 
     @abstractmethod
     def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
-        """Return this period's torque (n,) [Nm], within limits. In a stop, the torque damps the arm."""
+        """Return this period's torque (n,) [Nm], within limits. In a stop, the controller's torque is not used."""
 
     @abstractmethod
     def brake_friction(self, seen: Measurement) -> Array | float:

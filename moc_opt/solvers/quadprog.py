@@ -38,7 +38,7 @@ class QuadprogSession(LibrarySession):
 
 @dataclass(frozen=True)
 class Quadprog(Adapter):
-    """quadprog with five equality rows. It needs regularization > 0."""
+    """The settings of quadprog. It needs regularization > 0."""
 
     cost_scale: float = 1.0
     name = "quadprog"

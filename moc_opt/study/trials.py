@@ -82,7 +82,7 @@ def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None
     if controller == OWN:
         return trial.change(control={"law": "dcac", "gains": "dcac", **dict.fromkeys(GAINS)})
     table = control.matched_dcac()
-    if controller == DAMPED:  # the damping of MOC's third level if x* = 0
+    if controller == DAMPED:  # the damping of MOC's third level if the solver's x is 0
         data = load_data(trial.robot.name)
         moc = control.resolve_gains(data.gains, data.n)
         table = {**table, "dcac_damping": (moc.K_N2 + moc.D_N2).tolist()}

@@ -1,4 +1,4 @@
-"""The third level climbs to larger mu. With `climb = "scaled"`, it takes Newton steps to the nearest maximum."""
+"""The third level moves the elbow to larger mu, with `climb = "scaled"` by Newton steps to the nearest maximum."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from tests.control.torques import in_place, subproblem
 from tests.reference.law import CLIMB_PER_S
 
 
-def test_scaled_climb_is_proportional_to_distance_from_maximum_of_mu(robot: RobotModel) -> None:
+def test_desired_speed_with_climb_scaled_is_proportional_to_distance_from_maximum_of_mu(robot: RobotModel) -> None:
     """The distance is an arc length on the self-motion curve."""
     q = np.asarray(self_motion(robot, robot.data.q_home, 0.01).q)
     top = int(np.argmax(robot.mu_along(q)))
@@ -21,18 +21,18 @@ def test_scaled_climb_is_proportional_to_distance_from_maximum_of_mu(robot: Robo
     for off in (-12, -5, 5, 12):
         s = robot.state(q[top + off])
         desired = fields(subproblem(robot, s, *in_place(s), climbs=True, c2=1.0, rho=1.0)).pull
-        way = np.linalg.norm(np.diff(q[min(top, top + off) : max(top, top + off) + 1], axis=0), axis=1).sum()
-        assert np.linalg.norm(desired) / CLIMB_PER_S == pytest.approx(way, rel=0.2, abs=0.01)
+        arc = np.linalg.norm(np.diff(q[min(top, top + off) : max(top, top + off) + 1], axis=0), axis=1).sum()
+        assert np.linalg.norm(desired) / CLIMB_PER_S == pytest.approx(arc, rel=0.2, abs=0.01)
         assert desired @ (q[top] - q[top + off]) > 0.0
 
 
-def test_scaled_climb_without_regularization_is_refused() -> None:
+def test_climb_scaled_without_regularization_is_refused() -> None:
     with pytest.raises(ControlError, match=r"climb = 'scaled' with c2 = 0\.001, regularization = 0"):
         mo.run(mo.Scenario(control={"climb": "scaled", "regularization": 0.0}))
 
 
 @pytest.mark.parametrize(("number", "preset"), [(13, "nominal"), (25, "realistic")])
-def test_velocity_bounds_stop_the_climb_before_a_joint_limit(number, preset, robot, regular_poses) -> None:
+def test_velocity_bounds_stop_the_elbow_before_a_joint_limit(number, preset, robot, regular_poses) -> None:
     """From these two poses, mu increases along the self-motion until a joint reaches its limit."""
     q = regular_poses(30)[number].tolist()
     trace = mo.run(mo.Scenario(
@@ -52,8 +52,8 @@ def test_shaft_margin_prevents_shaking_near_a_straight_wrist() -> None:
     trial = mo.Scenario(seed=707, start={"pose": "random"}, judge=False, bound_samples=0)
     lost, kept = mo.run(trial.change(control={"shaft_margin": 0.0})), mo.run(trial)
     assert lost.meta["ended"] == kept.meta["ended"] == "completed"
-    jerk = shaking(lost, "v_rad_per_s")
-    assert jerk.joint == 4
-    assert jerk.rms > 2.0 * LIMIT_RAD_PER_S
+    worst = shaking(lost, "v_rad_per_s")
+    assert worst.joint == 4
+    assert worst.rms > 2.0 * LIMIT_RAD_PER_S
     assert shaking(kept, "v_rad_per_s").rms < 0.5 * LIMIT_RAD_PER_S
     assert kept.rcm_error_m.max() < 0.6 * lost.rcm_error_m.max()

@@ -145,13 +145,13 @@ def test_largest_accepted_step_grows_with_each_bad_measurement(robot):
             assert bad_ticks(guard) == (0 if sound else bad + 1)
 
 
-@pytest.mark.parametrize(("speed", "told"), [(0.5, ""), (1.0, "do not follow their velocities")])
-def test_position_change_over_three_ticks_is_compared_with_the_velocity(robot, speed, told):
+@pytest.mark.parametrize(("speed", "reason"), [(0.5, ""), (1.0, "do not follow their velocities")])
+def test_position_change_over_three_ticks_is_compared_with_the_velocity(robot, speed, reason):
     guard, v = guard_of(robot), np.full(N, 0.5)
     for stamp in np.arange(60) // 3 * 3:
         guard.check_measurement(robot.data.q_home + stamp * PERIOD * speed, v, int(stamp), REST)
-    assert told in guard.reason
-    assert bool(guard.reason) == bool(told)
+    assert reason in guard.reason
+    assert bool(guard.reason) == bool(reason)
 
 
 @pytest.mark.parametrize("time_s", [0.1, 0.002, 0.0005])

@@ -56,7 +56,7 @@ STOPPED = {
     "a recording without noise in the wrench": (
         {**AT_REST, "seed": 8307, "plant": {"force_noise_N": 0.0, "torque_noise_Nm": 0.0}}, 4.0, 0.08, 2e-3, 5.0,
         "are a recording"),
-    "forged": (
+    "frozen-with-forged-stamps": (
         {"faults": {"frozen_at_s": 1.7, **FORGED}, "seed": 501, "duration_s": 2.4,
          "start": {"pose": "random", "swivel": "random"}}, 1.7, 0.1, 4e-3, 5.0, ""),
     "forged-lag-at-rest": (
@@ -68,14 +68,14 @@ STOPPED = {
     "one-frozen-without-the-check-of-repeats": (
         {"faults": {"frozen_at_s": 0.8, "frozen_joint": 1, "frozen_velocity": "zero"}, "seed": 2100, "duration_s": 3.0,
          "guard": {"repeat_reading_ticks": 10**6}, **SWIVEL}, 0.8, 0.183, 0.045, 25.0, ""),
-    "slip": ({"faults": {"slip_m": 0.1, "slip_at_s": 1.5}}, 1.5, 0.1, 1.0, 75.0, "force has been above 15 N"),
-    "slip-under-a-frozen-wrench": (
+    "trocar-slips": ({"faults": {"slip_m": 0.1, "slip_at_s": 1.5}}, 1.5, 0.1, 1.0, 75.0, "force has been above 15 N"),
+    "trocar-slips-while-the-wrench-is-frozen": (
         {"faults": {"frozen_at_s": 0.4, "frozen_wrench": True, "slip_m": 0.1, "slip_at_s": 0.8}, "seed": 2140},
         0.4, 0.056, 1.0, INF, "the wrench sensor repeats its reading"),
-    "drift-apart-from-the-velocity": (
+    "drift-of-positions-only": (
         {"faults": {"drift_rad_per_s": 0.05, "drift_at_s": 0.5, "drift_velocity": "apart"}, "seed": 2210, **SWIVEL},
         0.5, 0.1, 5e-3, 5.0, "do not follow their velocities"),
-    "drift-with-the-velocity": (
+    "drift-of-positions-and-velocities": (
         {"faults": {"drift_at_s": 2.02, "drift_rad_per_s": 0.05}, "seed": 7033, "control": {"preset": "robust"},
          "task": {"v_max_m_per_s": 0.07730648346067734}, "duration_s": 6.0, **SWIVEL},
         2.02, 4.0, 0.13, 32.0, "the trocar's force"),
@@ -92,7 +92,7 @@ STOPPED = {
 
 
 @pytest.mark.parametrize("name", STOPPED)
-def test_wrong_measurements_stop_the_arm(name):
+def test_wrong_measurements_or_a_slipping_trocar_stop_the_arm(name):
     scenario, *limits = STOPPED[name]
     trace = stopped(*limits, **scenario)
     assert np.abs(trace.v_rad_per_s[-1]).max() < 0.03
@@ -164,8 +164,8 @@ def test_arm_that_meets_a_wall_is_stopped(control):
     assert free.meta["ended"] == "completed"
     assert free.rcm_error_m.max() > 0.014
     assert {w["of"] for w in free.meta["warnings"]} == {"the RCM error", "the trocar's force"}
-    told = "the RCM error has been above 10 mm"
-    trace = stopped(0.0, 20.0, 0.03, 11.0, told, control=control, guard=wall, duration_s=None)
+    reason = "the RCM error has been above 10 mm"
+    trace = stopped(0.0, 20.0, 0.03, 11.0, reason, control=control, guard=wall, duration_s=None)
     assert trace.rcm_error_m.max() < 0.0145
     # the tissue pushes the arm back until the brakes close
     assert np.linalg.norm(trace.trocar_force_N[-1]) < 0.5 * SafetyFilterSettings().stop_yield_N + 0.5
@@ -254,11 +254,11 @@ def test_hostile_controller_moves_no_joint_past_its_limit(robot, every, seed):
     assert np.median(speed.max(axis=1)) < 2.0
 
 
-@pytest.mark.parametrize(("how", "told"), [
+@pytest.mark.parametrize(("how", "reason"), [
     (ControlError("no idea"), "no idea"), (ZeroDivisionError("no idea"), "no idea"),
     (float("nan"), "torque is not finite"), (INF, "torque is not finite"),
 ])  # fmt: skip
-def test_arm_is_stopped_if_the_controller_breaks_down(how, told, monkeypatch):
+def test_arm_is_stopped_if_the_controller_breaks_down(how, reason, monkeypatch):
     sound, calls = Controller.tick, iter(range(1000))
 
     def tick(controller, *given):
@@ -269,7 +269,7 @@ def test_arm_is_stopped_if_the_controller_breaks_down(how, told, monkeypatch):
         return np.full(N, how)
 
     monkeypatch.setattr(Controller, "tick", tick)
-    trace = stopped(0.2, 1e-9, 2e-3, 3.0, told)
+    trace = stopped(0.2, 1e-9, 2e-3, 3.0, reason)
     assert trace.t_s[-1] - trace.meta["stopped_at_s"] == pytest.approx(0.5, abs=0.01)
     assert np.isfinite(trace.tau_Nm).all()
     assert np.abs(trace.v_rad_per_s[-1]).max() < 0.02

@@ -45,7 +45,7 @@ def test_file_size_is_checked_before_reading(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["a = " + "[" * 100_000, "seed = " + "9" * 5000, "x = \ud800", "x"])
-def test_file_that_is_no_toml_is_named(text, tmp_path):
+def test_error_names_the_file_that_is_no_toml(text, tmp_path):
     (tmp_path / "s.toml").write_bytes(text.encode("utf-8", "surrogatepass"))
     with pytest.raises(ScenarioError, match=r"s\.toml.*(TOML|UTF-8)"):
         read_toml(tmp_path / "s.toml", "scenario", ScenarioError)

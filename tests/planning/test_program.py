@@ -34,7 +34,7 @@ def test_refinement_raises_mu_to_a_certified_local_maximum(name, capfd, monkeypa
     targets = task(robot, robot.data.q_home, 60) if name == "lwr4" else line_from(robot, robot.data.q_home, 20)
     course, bound = on_grid(robot, targets, swivels=90)
     better = refine(robot, targets, course, Limits())
-    assert capfd.readouterr().out == "", "the solver prints"
+    assert capfd.readouterr().out == "", "the solver must print nothing"
     assert (better.certified, better.kept) == (True, True)
     assert course.mu_mean < better.mu_mean <= bound + 1e-12
     np.testing.assert_array_equal(better.q_rad[0], robot.data.q_home)
@@ -99,7 +99,7 @@ def test_a_fast_joint_stops_before_its_position_limit():
     assert float(excess(-100.0, -9.0)[1]) == 100.0, "at the lower limit, no speed towards it is allowed"
 
 
-def test_with_a_brake_a_course_slows_down_before_joint_limits(robot):
+def test_with_limited_deceleration_a_course_slows_down_before_joint_limits(robot):
     brake, limits, targets, late = 0.5, Limits(margin=0.3), task(robot, robot.data.q_home, 60), []
     course, _ = on_grid(robot, targets, limits)
     for rule in (np.inf, brake):
@@ -146,12 +146,12 @@ def test_a_course_over_a_horizon_keeps_all_limits(middle, capfd):
         assert make_course(robot, there, answer).violation < 1e-4
         assert (np.abs(answer[0] - start) / there.period_s <= robot.v_max + 1e-3).all()
         rough.append(float((np.diff(np.concatenate([start[None], answer]), axis=0) ** 2).sum()))
-    assert capfd.readouterr().out == "", "the solver prints"
+    assert capfd.readouterr().out == "", "the solver must print nothing"
     assert rough[2] < rough[1] <= rough[0] * (1.0 + 1e-6)
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_last_pose_of_a_horizon_climbs_the_value_function(middle, side):
+def test_last_pose_of_a_horizon_moves_to_a_larger_value_function(middle, side):
     robot, start, guess, there, made = middle
     rest = (guess[-1] - start) / (NODES * there.period_s)
     plain, _ = made.solve(guess, start, there, rest)

@@ -80,8 +80,8 @@ def test_a_narrow_terminal_shows_every_word_and_number_whole(width: int, count: 
     assert set(re.findall(r"\bc\d+\b", text)) == {f"c{k}" for k in range(count)}, "a column is missing"
 
 
-@pytest.mark.parametrize(("step_s", "told"), [(10.0, [1, 2, 3, 4]), (6.0, [1, 3]), (1.0, [1])])
-def test_without_a_terminal_progress_is_written_in_lines(step_s: float, told: list[int]) -> None:
+@pytest.mark.parametrize(("step_s", "written"), [(10.0, [1, 2, 3, 4]), (6.0, [1, 3]), (1.0, [1])])
+def test_without_a_terminal_progress_is_written_in_lines(step_s: float, written: list[int]) -> None:
     """The set-up takes time, but does not change the predicted time left."""
     file, now = io.StringIO(), [0.0]
     screen = console(file=file)
@@ -92,7 +92,7 @@ def test_without_a_terminal_progress_is_written_in_lines(step_s: float, told: li
         for k in range(1, 5):
             now[0] += step_s
             bar.step(f"step {k}")
-    after = {k: (timedelta(seconds=k * step_s), timedelta(seconds=(4 - k) * step_s)) for k in told}
+    after = {k: (timedelta(seconds=k * step_s), timedelta(seconds=(4 - k) * step_s)) for k in written}
     assert file.getvalue().splitlines() == [
         f"trials: {25 * k} % after {spent}, about {left} left  step {k}" for k, (spent, left) in after.items()
     ]

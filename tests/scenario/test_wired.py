@@ -75,8 +75,8 @@ def test_faults_of_the_wire_do_not_change_a_run_in_lock_step():
     expected = run(scenario)
     assert_same(found, expected)
     counts = found.meta["wire"]
-    for end, way in ((counts, TO_PLANT), (ending["quality"], TO_CONTROLLER)):
-        done, whole = relay.done[way], relay.whole[way]
+    for end, direction in ((counts, TO_PLANT), (ending["quality"], TO_CONTROLLER)):
+        done, whole = relay.done[direction], relay.whole[direction]
         assert all(done[fault] for fault in FAULTS)
         assert end["forged"] == done["forge"]
         assert 0 <= end["foreign"] - done["cut"] <= 10  # repeated handshake packets count as foreign
@@ -119,7 +119,7 @@ def test_controller_stops_the_arm_if_several_measurements_are_missing():
     assert np.abs(found.v_rad_per_s[-1]).max() < 1e-3
 
 
-def test_run_against_the_clock_completes_or_stops_cleanly(tmp_path):
+def test_run_in_real_time_completes_or_stops_cleanly(tmp_path):
     """How many ticks are missed depends on the machine, so both endings are allowed."""
     file, trace = tmp_path / "run.toml", tmp_path / "run.parquet"
     file.write_text("duration_s = 0.4\nbound_samples = 0\n[plant]\nperiod_s = 0.004\nsubsteps = 4\n")
@@ -143,18 +143,18 @@ def test_run_against_the_clock_completes_or_stops_cleanly(tmp_path):
     assert saved.rcm_error_registered_m.max() < 2e-3
 
 
-def test_both_ends_must_have_the_same_scenario():
+def test_both_ends_need_the_same_scenario_except_for_control_and_guard():
     base = Scenario(**SHORT)
 
-    def told(scenario):
+    def sent(scenario):
         return fingerprint(scenario, scenario.robot.arm())
 
-    assert told(base) == told(base.change(control={"law": "dcac"}, guard={"patience_ticks": 5}))
+    assert sent(base) == sent(base.change(control={"law": "dcac"}, guard={"patience_ticks": 5}))
     others = (
         {"seed": 1}, {"task": {"path": "line"}}, {"trocar": {"depth_m": 0.14}}, {"plant": {"period_s": 0.001}},
         {"robot": {"name": "lwr4", "tool_mass_kg": 0.31}},
     )  # fmt: skip
-    assert len({told(base), *(told(base.change(**other)) for other in others)}) == 6
+    assert len({sent(base), *(sent(base.change(**other)) for other in others)}) == 6
     plant = PlantServer(base.change(wire={"wait_s": 20.0}), "127.0.0.1:0", lock_step=True)
     with ThreadPoolExecutor(1) as pool:
         run_there = pool.submit(plant.trace)

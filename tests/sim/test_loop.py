@@ -83,9 +83,9 @@ def test_each_tick_records_the_state_at_its_start(robot, references):
     u = (trace.tip_m - trace.wrist_m) / np.linalg.norm(trace.tip_m - trace.wrist_m, axis=1)[:, None]
     away = np.linalg.norm(tip_refs[:, 0] + offset.tip - trace.tip_m, axis=1)
     np.testing.assert_allclose(trace.tip_error_registered_m, away, atol=1e-15)
-    for told, which in ((trocars, ""), (registered + offset.trocar, "_registered")):
-        np.testing.assert_array_equal(trace.columns[f"trocar{which}_m"], told[:, 0])
-        away = np.linalg.norm(np.cross(told[:, 0] - trace.tip_m, u), axis=1)
+    for place, which in ((trocars, ""), (registered + offset.trocar, "_registered")):
+        np.testing.assert_array_equal(trace.columns[f"trocar{which}_m"], place[:, 0])
+        away = np.linalg.norm(np.cross(place[:, 0] - trace.tip_m, u), axis=1)
         np.testing.assert_allclose(trace.columns[f"rcm_error{which}_m"], away, rtol=1e-9, atol=1e-12)
     assert np.abs(trace.rcm_error_m - trace.rcm_error_registered_m).max() > 1e-4
 

@@ -49,7 +49,7 @@ def run(plant, periods, seed=0, trocar=TROCAR):
     return np.array(rows)
 
 
-def test_free_fall_follows_pinocchios_dynamics():
+def test_motion_under_a_constant_torque_follows_pinocchios_dynamics():
     plant, rng = nominal(period_s=1e-3), np.random.default_rng(1)
     q, v = DATA.q_home.copy(), rng.uniform(-0.5, 0.5, 7)
     tau = rng.uniform(-5, 5, 7)

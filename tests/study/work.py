@@ -70,7 +70,7 @@ def refuse_name() -> None:
     raise UnknownNameError("solver", "osqq", ["osqp"])
 
 
-class NoWayBack:
+class NoWayBack:  # can be pickled, but not unpickled
     def __reduce__(self) -> Any:
         return os.path.join, (1, 2)
 
