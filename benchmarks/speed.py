@@ -215,8 +215,8 @@ SECTIONS = {
     ),
     SOLVERS: (
         ("adapters",),
-        "`daqp by hand` is daqp without its adapter, but with the adapter's settings. It is set up once. Each "
-        "solve fills the adapter's arrays with a problem, and reads x and the multipliers.",
+        "`daqp by hand` calls daqp directly, with the adapter's settings and arrays. It is set up once. Each solve "
+        "fills the arrays with a problem, and reads x and the multipliers.",
     ),
     LOOP: (
         ("loop",),

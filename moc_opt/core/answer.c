@@ -43,7 +43,7 @@ static double steepest_descent(const moc_problem *p, int rows, double Z[][MOC_MA
 
 /* `natural`, `off` and `opposite` (see moc_residuals) are measured along a line of self-motion through x. With several
  * freedoms, this is the line of steepest feasible descent. With the coordinate s along the line and pull's component g,
- * the cost is rho s^2 / 2 - c2 g s. The optimum is s = c2 g / rho (for the negated gradient -c2 g / rho), clipped to
+ * the cost is rho s^2 / 2 - c2 g s. The optimum is s = c2 g / rho (for the negated gradient: -c2 g / rho), clipped to
  * the bounds. With several freedoms or c2 max |pull_j| <= rho, `off` and `opposite` stay zero if natural <= PASSES. */
 moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS], const double *x)
 {

@@ -5,8 +5,8 @@
  *
  *   LATE              now - newest stamp > delay of the run's first new measurement + patience [ticks]
  *   MEASUREMENT *     |q - q_believed| > jump + v_max (time since the last believed q), or |v| > speed_factor v_max
- *   REPLAYED          all encoders and the wrench equal earlier readings at a constant lag on more than n ticks. n is
- *                     the smaller of repeat_reading_ticks and repeat_whole_ticks (without wrench noise: replayed_ticks)
+ *   REPLAYED          all encoders and the wrench equal earlier readings at a constant lag on more than n ticks.
+ *                     n = min(repeat_reading_ticks, m). m = repeat_whole_ticks (without wrench noise: replayed_ticks)
  *   REPEATED *        all q are unchanged, but the reference moved by repeat_m or a torque changed by repeat_torque
  *                     tau_max. If the wrench is unchanged as well, repeat_whole_m and repeat_whole_torque apply.
  *                     Or: all q are unchanged, and the condition of WRENCH_REPEATED holds
@@ -59,7 +59,7 @@ void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v
 
 enum { FRESH, REPEAT, OLD };
 
-/* OLD: the reason LATE applies. */
+/* OLD: the condition of LATE holds. */
 static int age(const moc_guard *g, long long stamp, moc_watch *w)
 {
     bool possible = stamp > -LARGEST_STAMP && stamp < LARGEST_STAMP;
@@ -137,7 +137,7 @@ static bool compare_joint(const moc_guard *g, double q, double v, double elapsed
         j->repeats += 1.0;
     } else {
         j->repeats = 0.0;
-        j->at_repeat = j->mean; /* the mean, as the step of a coarse encoder disturbs the residual */
+        j->at_repeat = j->mean; /* the mean, because the step of a coarse encoder disturbs the residual */
         j->unseen = 0.0;
     }
     j->shown = q;
@@ -187,7 +187,7 @@ static moc_stop compare_readings(const moc_guard *g, int n, const moc_measuremen
                                                                                   : MOC_RUNNING;
 }
 
-/* Store a reading in a table. Returns the number of repetitions at the latest lag [readings]. */
+/* Store a reading in a table. Returns the number of successive repetitions at the same lag [readings]. */
 static inline double take_in(double number, int slots, double *numbers, double *at, moc_came_before *before)
 {
     if (!(fabs(number) < LARGEST_NUMBER))

@@ -18,8 +18,8 @@ Floats = NDArray[np.float64]
 Columns = Mapping[str, NDArray[Any]]
 PANELS = {
     "mu": ("µ [m³]", 1.0),
-    "tip_error_m": ("tip error in space [mm]", 1e3),
-    "rcm_error_m": ("RCM error in space [mm]", 1e3),
+    "tip_error_m": ("tip error, base frame [mm]", 1e3),
+    "rcm_error_m": ("RCM error, base frame [mm]", 1e3),
     "trocar_force_N": ("|force| [N]", 1.0),
 }
 """For each column: its panel's label, and the factor to the label's unit."""
@@ -28,7 +28,7 @@ TIPS = {
     "tip_error_registered_m": ("tip error, frame registered at the start [mm]", 1e3),
 }
 LABELS = {**PANELS, **TIPS}
-LARGEST = "largest µ of all poses"
+LARGEST = "largest feasible µ"
 HOVER = "%{y:.4g}<extra>%{fullData.name}</extra>"
 
 

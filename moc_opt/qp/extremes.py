@@ -35,7 +35,7 @@ class Extremes(NamedTuple):
         w: (r,) a point of smallest cost.
         least: a lower bound on the cost, by weak duality. If w is optimal, this bound equals the cost of w.
         most: the largest cost. With rho > 0 and many corners, it may be only a local maximum.
-        pull: (n,) gradient at w = 0 of the Lagrangian cost + y^T (A x - b), with the optimum's multipliers y.
+        pull: (n,) gradient of cost + y^T (A x - b) at w = 0, with the optimum's multipliers y.
     """
 
     w: Array

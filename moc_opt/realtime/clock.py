@@ -14,7 +14,7 @@ PRIORITY = 50  #: Priority under SCHED_FIFO.
 class WallClock:
     """A clock for periods that begin at fixed times. A tick that is more than a period late delays all later ticks.
 
-    ``late_us`` is the delay of the latest tick [us]; ``overruns`` counts the ticks that were more than a period late.
+    ``late_us`` is the last tick's delay [us]; ``overruns`` counts the ticks that were more than a period late.
     """
 
     def __init__(self, period_s: float) -> None:

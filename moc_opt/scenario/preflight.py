@@ -20,7 +20,7 @@ from moc_opt.tasks import Reference, Trocar
 
 Found = TypeVar("Found")
 
-SINGULAR = (1e-4, 1e-4)  #: Lower bounds on `Freedoms.tip` and `Freedoms.both` for every start.
+SINGULAR = (1e-4, 1e-4)  #: Lower bounds on the ratios `Freedoms.tip` and `Freedoms.both` for every start.
 REGULAR = (0.1, 0.05)
 """Lower bounds on the same ratios for a random start and the poses along its path."""
 DRAWN_MARGIN = 0.1  #: Lower bound on each joint's distance from its limits in a drawn pose [share of its range].

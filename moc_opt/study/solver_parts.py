@@ -45,7 +45,7 @@ COUNTS = {
 FAULTS = ("silently_wrong", "infeasible_wrong", "failed", "hung", "crashed")
 RESIDUALS = {
     "primal": "largest constraint violation of all answers", "natural": "largest residual with the solver's own duals",
-    "relative": "largest residual with the best duals, gradient of size 1", "loss": "0: smallest cost, 1: largest cost",
+    "relative": "largest residual with the best duals and a scaled cost", "loss": "0: smallest cost, 1: largest cost",
 }  # fmt: skip
 TIMES = {
     "solve_p50_us": "p50", "solve_p99_us": "p99", "solve_p99_9_us": "p99.9", "update_p50_us": "update p50",
@@ -250,6 +250,6 @@ def _controllers(rows: Mapping[str, Mapping[str, Any]]) -> Table:
          *columns(*MEANS), *columns(*COUNTED),
          *(Column(key, title, unit="us", format=".1f") for key, title in ticks.items()),
          Column("deadline_misses", "misses", format=".0f")],
-        shown, "Changes are relative to DCAC, over the trials that both controllers completed, with 95 % intervals. "
-        f"The fractions of the best mu are from the trials that every controller runs. {FRAMES} {BASE_FRAME}",
+        shown, "Whole: completed trials. Changes: relative to DCAC, over the trials that both completed, with 95 % "
+        f"intervals. The fractions of the best mu are from trials that every controller runs. {FRAMES} {BASE_FRAME}",
     )  # fmt: skip

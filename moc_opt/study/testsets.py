@@ -1,6 +1,6 @@
 """Test sets of the subproblem with certified answers. ``benchmarks/testsets.py`` makes these sets.
 
-A set is an .npz with ``rows`` (k, 11 n + 10), ``x`` (k, n) (NaN if infeasible), and ``feasible`` (k,).
+A set is an .npz: ``rows`` (k, 11 n + 10; see `NullSpaceQP.row`), ``x`` (k, n; NaN if infeasible), ``feasible`` (k,).
 """
 
 from __future__ import annotations

@@ -44,13 +44,13 @@ def test_findings_are_judged_by_interval_ends() -> None:
     def found(count: int = 40) -> dict[str, bool | None]:
         return robots.verdicts(Results(base[:count] + mine[:count]), "exact")
 
-    assert found() == dict.fromkeys(robots.FINDINGS, True) | {"tails": None}, "40 trials cannot show a share below 10 %"
+    assert found() == dict.fromkeys(robots.FINDINGS, True) | {"tails": None}, "1 in 40 does not prove 10 % or less"
     mine[:20] = [row(k, "exact", mu=1.2, tip=1.0 + 0.012 * k) for k in range(20)]
-    undecided, wrong = "settled_tip_error_change_percent", "tails"
-    assert [key for key, holds in found().items() if holds is not True] == [undecided, wrong]
-    assert (found()[undecided], found()[wrong]) == (None, False)
+    tip, tails = "settled_tip_error_change_percent", "tails"
+    assert [key for key, holds in found().items() if holds is not True] == [tip, tails]
+    assert (found()[tip], found()[tails]) == (None, False)
     mine[:20] = [row(k, "exact", mu=0.9 + 0.04 * k, tip=2.0) for k in range(20)]
-    assert (found()[undecided], found()["mu_gain_percent"]) == (False, True)
+    assert (found()[tip], found()["mu_gain_percent"]) == (False, True)
     mine[20:] = [row(k, "exact", mu=0.9) for k in range(20, 40)]
     assert found()["mu_gain_percent"] is None
     assert set(found(7).values()) == {None}, "seven trials decide nothing"

@@ -68,12 +68,12 @@ def test_the_trocars_force_is_separated_from_the_tools_weight_and_a_force_at_the
 @pytest.mark.parametrize("off", [None, math.inf])
 def test_each_limit_and_warning_can_be_switched_off(robot, j, of, off_m, newton, off):
     q = robot.data.q_home
-    for changes, told in (({LIMITS[j]: off, WARNINGS[j]: off}, 0), ({LIMITS[j]: off}, 1)):
+    for changes, count in (({LIMITS[j]: off, WARNINGS[j]: off}, 0), ({LIMITS[j]: off}, 1)):
         mine = guard_of(robot, incision=True, **changes)
         for _ in range(400):
             look(mine, q, off_by(robot, q, off_m), weight(robot, q, newton))
         assert not mine.reason
-        assert [each["of"] for each in mine.warnings] == [of] * told
+        assert [each["of"] for each in mine.warnings] == [of] * count
         mine.start(q, np.zeros(7))
         assert mine.warnings == []
 
@@ -94,11 +94,11 @@ def test_warnings_and_stops_depend_on_low_passed_mean_squares(robot, time_s):
             np.testing.assert_allclose(np.reshape(found, (-1, 3)), due, rtol=1e-9)
         look(guard, q, off_by(robot, q, 0.0), weight(robot, q))  # the warning keeps the largest value
         assert [(w["unit"], round(w["largest"], 2)) for w in guard.warnings] == [("mm", 5.0), ("N", 6.0)]
-    for j, (limit, level, told) in enumerate(zip(LIMITS, (4e-3, 4.0), ("4 mm", "4 N"), strict=True)):
+    for j, (limit, level, words) in enumerate(zip(LIMITS, (4e-3, 4.0), ("4 mm", "4 N"), strict=True)):
         guard = guard_of(robot, **quiet | {limit: level})
         for mean in means[:, j]:
             look(guard, q, *seen)
-            assert guard.reason.endswith(f"has been above {told}") == (mean > 4.0)
+            assert guard.reason.endswith(f"has been above {words}") == (mean > 4.0)
 
 
 def test_long_gap_in_wrench_readings_stops_the_arm(robot):

@@ -86,9 +86,9 @@ def attempts(rng, count):
         size = rng.choice(SIZES) * rng.uniform(0.5, 2.0)
         kind = rng.integers(9)
         made = random_case(rng, 1 + kind, size) if kind < 3 else arm_case(rng, ROBOTS[kind - 3], size)
-        for x, share in attack(rng, *made):
+        for x, loss in attack(rng, *made):
             count -= 1
-            if share > 0.01:
+            if loss > 0.01:
                 yield made[0], x
 
 
@@ -104,7 +104,7 @@ def test_wrong_answer_within_primal_tolerance_is_not_verified(seed):
 
 @pytest.mark.parametrize("regularization", [0.0, 0.01])
 @pytest.mark.parametrize("freedoms", [1, 2])
-def test_relative_is_the_scaled_excess_cost_if_only_one_point_is_feasible(freedoms, regularization):
+def test_relative_residual_is_the_scaled_excess_cost_if_only_one_point_is_feasible(freedoms, regularization):
     qp, base, Z, direction = random_case(np.random.default_rng(0), freedoms, 1e-9)
     row, pinned = np.array(qp.row), [3, 6][:freedoms]
     fields(row).lower[pinned] = fields(row).upper[pinned] = base[pinned]

@@ -115,7 +115,7 @@ def test_true_lambda_is_not_constant(states):
 
 # Printed: K_N2 = [80, ...], c2 = 0.001 and k = 0.1. With them, mu adds less than 2 mNm to each joint torque.
 def test_mu_hardly_changes_the_torques_of_the_printed_network(robot, states):
-    rng, printed, share, free = np.random.default_rng(0), solvers.create("rnn-printed"), 0.0, 0.0
+    rng, printed, added, expected = np.random.default_rng(0), solvers.create("rnn-printed"), 0.0, 0.0
     for rest in states:
         for v in (np.zeros(7), rng.uniform(-0.01, 0.01, 7)):
             s, torques = robot.state(rest.q, v), []
@@ -124,8 +124,8 @@ def test_mu_hardly_changes_the_torques_of_the_printed_network(robot, states):
                 session = printed.start(qp)
                 session.observe(v)
                 torques.append(third_level(s, session.solve(qp).x, K_N2, np.zeros(7)))
-            share = max(share, np.abs(torques[0] - torques[1]).max())
+            added = max(added, np.abs(torques[0] - torques[1]).max())
         wish = K_N2 * K * PAPER.c2 * rest.grad_mu
-        free = max(free, np.abs(third_level(rest, wish, np.ones(7), np.zeros(7))).max())
-    assert share == pytest.approx(free, rel=1e-6)
-    assert 0.0 < share < 2e-3
+        expected = max(expected, np.abs(third_level(rest, wish, np.ones(7), np.zeros(7))).max())
+    assert added == pytest.approx(expected, rel=1e-6)
+    assert 0.0 < added < 2e-3

@@ -162,7 +162,7 @@ def test_states_share_no_memory(robot: RobotModel) -> None:
     ([0, 0, 0, np.nan, 0, 0, 0], None, "q = "), (np.zeros(7), [0, 0, 0, 0, 0, 0, -np.inf], "v = "),
     (["a"] * 7, None, "q = "),
 ])  # fmt: skip
-def test_bad_vectors_are_named(robot: RobotModel, q: Any, v: Any, message: str):
+def test_error_names_the_bad_vector(robot: RobotModel, q: Any, v: Any, message: str):
     with pytest.raises(RobotError, match=message):
         robot.state(q, v)
     good = np.linspace(-0.5, 0.7, 7)
@@ -268,7 +268,7 @@ Rows = list[tuple[float, float, float, float]]
 
 
 def upright(signs: tuple[float, ...], lengths: tuple[float, ...]) -> Rows:
-    """Return the rows of an arm whose neighbouring axes intersect (a = 0)."""
+    """Return the DH rows of an arm whose neighbouring axes intersect (a = 0)."""
     return [(0, sign * RIGHT, d, 0) for sign, d in zip(signs, lengths, strict=True)]
 
 

@@ -53,11 +53,11 @@ def test_trace_is_saved_whatever_ends_the_run(whole, error, place, tmp_path, mon
     assert 0.0 < summarize(found)["share_of_run"] < 1.0
 
 
-@pytest.mark.parametrize(("number", "status", "told"), [
+@pytest.mark.parametrize(("number", "status", "message"), [
     (signal.SIGINT, 130, "interrupted; the first 0.296 s "), (signal.SIGTERM, 130, "interrupted; the first 0.296 s "),
     (0, 1, f"ZeroDivisionError: a defect of two lines ({Path(__file__).name}:"),
 ])  # fmt: skip
-def test_a_signal_or_defect_leaves_the_trace(tmp_path, capsys, monkeypatch, number, status, told):
+def test_run_saves_the_trace_at_a_signal_or_defect(tmp_path, capsys, monkeypatch, number, status, message):
     ticks, real = iter(range(10**6)), Plant.measure
 
     def breaking(self):
@@ -72,7 +72,7 @@ def test_a_signal_or_defect_leaves_the_trace(tmp_path, capsys, monkeypatch, numb
     file.write_text("duration_s = 1.0\n")
     assert main(["run", str(file), "--trace", str(target)]) == status
     said = capsys.readouterr()
-    assert (said.out, said.err[: len(told)]) == ("", told)
+    assert (said.out, said.err[: len(message)]) == ("", message)
     assert len(Trace.load(target)) == 148  # two measurements come before the loop
     assert sorted(os.listdir(tmp_path)) == ["s.toml", "t.parquet"]
 

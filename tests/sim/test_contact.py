@@ -84,8 +84,8 @@ def test_trocar_force_is_computed_from_the_present_state(stiffness, damping):
     for _ in range(5):
         plant.step(state.h, trocar)
     now = MODEL.state(plant.q, plant.v)
-    span, way = now.wrist - now.tip, (now.J_wrist - now.J_tip) @ plant.v
-    twist = np.r_[np.cross(span, way) / (span @ span), now.J_tip @ plant.v]
+    span, velocity = now.wrist - now.tip, (now.J_wrist - now.J_tip) @ plant.v
+    twist = np.r_[np.cross(span, velocity) / (span @ span), now.J_tip @ plant.v]
     want, _ = numpy_shaft_force(now.tip, now.wrist, twist, now.tip, trocar, 0.002, stiffness, damping)
     np.testing.assert_allclose(plant.trocar_force, want, atol=1e-9)
     assert np.linalg.norm(want) > 0.1
@@ -114,9 +114,9 @@ def test_trocar_gives_the_arm_no_energy(stiffness, damping):
     """The trocar is 1 mm beside the shaft and gravity is compensated."""
     wall = PlantSettings.nominal(trocar_stiffness_N_per_m=stiffness, trocar_damping_Ns_per_m=damping)
     plant = Plant(DATA, wall)
-    trocar, springs, energies, joints = shaft_of(plant), [], [], 2.0 if damping else 0.0
+    trocar, springs, energies, damper = shaft_of(plant), [], [], 2.0 if damping else 0.0
     for _ in range(1000):
-        plant.step(MODEL.state(plant.q, plant.v).h - joints * plant.v, trocar)
+        plant.step(MODEL.state(plant.q, plant.v).h - damper * plant.v, trocar)
         springs.append(0.5 * np.sum(plant.trocar_force**2) / stiffness)
         energies.append(0.5 * plant.v @ MODEL.state(plant.q).M @ plant.v + springs[-1])
     first = 0.5 * stiffness * 1e-6

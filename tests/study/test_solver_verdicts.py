@@ -23,13 +23,13 @@ MEANS = {
 ENDED = {"broke off": "stopped: the tip", "oscillated": "oscillated: joint_3"}
 
 
-def runs(controller: str, trials: int = 15, unlike: float = 0.0, first_ends: str = "completed", **times: float) -> Any:
-    """Return the rows of trials. `times` multiplies metrics. `unlike` is the sigma of the controller's noise."""
+def runs(controller: str, trials: int = 15, unlike: float = 0.0, first_ends: str = "completed", **scale: float) -> Any:
+    """Return the rows of trials. `scale` multiplies metrics. `unlike` is the sigma of the controller's noise."""
     own = np.random.default_rng(5).lognormal(0.0, unlike, trials) if unlike else np.ones(trials)
     found = []
     for k in range(trials):
         ended = first_ends if k == 0 else "completed"
-        values = {name: value * times.get(name, 1.0) * NOISE[k] * own[k] for name, value in MEANS.items()}
+        values = {name: value * scale.get(name, 1.0) * NOISE[k] * own[k] for name, value in MEANS.items()}
         found.append({"trial": f"circle/{k}", "controller": controller, "ended": ended, "error": None,
                       "whole": not ended.startswith("stopped"), "silently_wrong": 0, **values})  # fmt: skip
     return found
@@ -55,7 +55,7 @@ def assessed(sets: dict[str, Any], rows: list[Any] = ()) -> dict[str, Any]:  # t
     return {row["solver"]: row for row in assess(*study(sets, rows))}
 
 
-@pytest.mark.parametrize(("asked", "times", "verdict", "damage"), [
+@pytest.mark.parametrize(("asked", "changes", "verdict", "damage"), [
     (certified(), {}, SOUND, "none"), (certified(990), {}, SOUND, "none"),
     (certified(989), {}, solver_verdicts.GAPS, "none"), (certified(silently_wrong=1), {}, AVOID, "none"),
     (certified(hung=1), {}, AVOID, "none"), (certified(0), {}, NEAR, "none"),
@@ -67,9 +67,9 @@ def assessed(sets: dict[str, Any], rows: list[Any] = ()) -> dict[str, Any]:  # t
     (certified(), {"first_ends": ENDED["broke off"]}, AVOID, "1 broke off"),
     (certified(), {"first_ends": ENDED["oscillated"]}, AVOID, "1 oscillated"), (None, {}, solver_verdicts.OPEN, "none"),
 ])  # fmt: skip
-def test_each_rule_gives_its_verdict(asked, times, verdict, damage):
+def test_each_rule_gives_its_verdict(asked, changes, verdict, damage):
     sets = {"best": certified(p99=1.0), **({} if asked is None else {"asked": asked})}
-    found = assessed(sets, [*runs("dcac"), *runs("best"), *runs("asked", **times)])
+    found = assessed(sets, [*runs("dcac"), *runs("best"), *runs("asked", **changes)])
     assert (found["asked"]["verdict"], found["asked"]["damage"]) == (verdict, damage)
     assert found["best"]["verdict"] is TAKE
 

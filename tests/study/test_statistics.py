@@ -7,7 +7,7 @@ from moc_opt.study import statistics
 from moc_opt.study.statistics import StatisticsError, mean, relative_change, relative_changes, share
 
 
-def test_difference_of_changes_resamples_whole_trials():
+def test_difference_of_changes_keeps_the_values_of_a_trial_together():
     """If each change is the same in all trials, the interval of their difference has no width."""
     control = np.array([0.1, 1.0, 10.0, 3.0, 0.5])
     found = statistics.difference_of_changes(1.2 * control, control, 0.7 * control, 2.0 * control)
