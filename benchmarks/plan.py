@@ -1,8 +1,8 @@
-"""How much mean manipulability is possible along a path, and how much of it does MOC reach with each third level?
+"""How much mean manipulability is possible along a path, and how much of it does MOC reach with each kind of level 3?
 
 python -m benchmarks.plan [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-A course is a joint motion along a path. The third level of MOC moves the elbow up grad mu, or along a planned course.
+A course is a joint motion along a path. Level 3 of MOC moves the elbow up grad mu, or along a planned course.
 """
 
 from __future__ import annotations
@@ -256,7 +256,7 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
                 Column("scratch_s_max", "map and search, slowest", unit="s", format=".2f"),
                 Column("refine_s", "refinement", unit="s", format=".2f")], by_robot)]),
     ]  # fmt: skip
-    title = f"{', '.join(config.robots)}: manipulability of planned and climbed courses"
+    title = f"{', '.join(config.robots)}: manipulability of planned courses and of MOC"
     return Report(title, sentences(rows, config), table, sections=sections)
 
 

@@ -29,15 +29,15 @@ KEYS = ["replay_us", "name", "settings.eps", "settings.eps_rel", "settings.name"
 MANY = [*(f"name_{i}" for i in range(500)), "osqp", "proxqp", "nlp-ipopt"]
 
 
-@pytest.mark.parametrize(("name", "valid", "told"), [
+@pytest.mark.parametrize(("name", "valid", "words"), [
     ("eps", KEYS, "did you mean 'settings.eps' or 'settings.eps_rel'"),  # a key without its table
     ("nam", KEYS, "did you mean 'name' or 'settings.name'?"), ("setings.eps", KEYS, "did you mean 'settings.eps'"),
     ("name_7x", MANY, "did you mean 'name_7'"), ("proxpq", MANY, "did you mean 'proxqp'? `"),
     ("a", MANY[:3], "valid names: name_0, name_1, name_2"),
 ])  # fmt: skip
-def test_error_lists_the_nearest_names(name, valid, told):
+def test_error_lists_the_nearest_names(name, valid, words):
     text = str(UnknownNameError("metric", name, valid, "moc-opt metrics"))
-    assert told in text
+    assert words in text
     assert text.endswith("`moc-opt metrics` lists all 503") == (valid is MANY)
     assert text.count("name_") <= 4  # the wrong name and three near ones
 

@@ -62,7 +62,7 @@ def print_keys(given: argparse.Namespace) -> int:
 
 
 def tables(kind: type[Settings] = Scenario, path: str = "") -> Iterator[tuple[str, str, list[Key]]]:
-    """Yield every table as (name, description, keys). At the top of the file, the name is empty."""
+    """Yield every table as (name, description, keys). The keys at the top of the file come first, without a name."""
     inner: list[tuple[str, type[Settings]]] = []
     keys: list[Key] = []
     if path in PRESETS:

@@ -291,7 +291,7 @@ moc_status moc_solve_eliminated(const moc_plane *plane, const moc_problem *p, do
 {
     moc_status status = solve(plane, p, tolerance, x, y);
     /* If rounding may have decided the status, solve again with a larger tolerance. If this gives no solution, keep the
-     * status only if no x is feasible within the still larger tolerance `unclear` (1e5: almost parallel columns). */
+     * status only if no x is feasible within the larger tolerance `unclear` (1e5 if columns can be almost parallel). */
     double explained = status == MOC_OK ? 0.0 : explained_by_rounding(plane, p);
     if (explained <= tolerance)
         return status;

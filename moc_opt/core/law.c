@@ -1,7 +1,7 @@
 /* The law (Su et al. 2019, in the form of docs/method.md) and the subproblem.
  *
- *   tau = h + J_T^T F_T + (I - J_T^T Jbar_T^T) J_W^T F_W + tau_ff - r + share M Z^T (Z M Z^T)^-1 Z tau_0,
- *   tau_0 = K_N2 (x - v) - D_N2 v. tau_ff is the feed-forward, r the observer's estimate. share rises from 0 to 1. */
+ *   tau = h + J_T^T F_T + (I - J_T^T Jbar_T^T) J_W^T F_W + tau_ff - r + s M Z^T (Z M Z^T)^-1 Z tau_0,
+ *   tau_0 = K_N2 (x - v) - D_N2 v. tau_ff: feed-forward; r: the observer's estimate; s: memory.share, from 0 to 1. */
 #include "vec.h"
 
 #define STRAIGHT 1e-3  /* in add_dynamic, row 3 or 4 counts as zero below this share of the other row's length */
@@ -203,7 +203,7 @@ void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_r
                       const moc_trocar *trocar, const double *x_d, moc_problem *p)
 {
     double N_d[3], gap = 0.0, push = moc_shaft_push(t->mu_shaft, law->shaft_margin);
-    /* near a singularity of the shaft, the bounds widen */
+    /* the bounds widen if mu_shaft is below its margin */
     double nearness = larger(BOX_OPENS * (1.0 - t->mu_shaft / law->shaft_margin), 0.0);
     double wider = 1.0 + law->spare_speed * smaller(nearness, 1.0);
 

@@ -116,7 +116,7 @@ typedef struct {
     double fade;                                 /* growth of moc_memory.share per tick */
     int third_level;                             /* 1: level 3 follows the subproblem's x; 0: no subproblem */
     int damped;                                  /* 1: D_N2 damps the self-motion if third_level is 0 */
-    int climbs;                                  /* 1: level 3 climbs mu by Newton steps (moc_climb) */
+    int climbs;                                  /* 1: level 3 raises mu by Newton steps (moc_climb) */
 } moc_law;
 
 typedef struct {
@@ -169,7 +169,7 @@ typedef struct {
     double box_limit;       /* largest allowed |A x - b| and bound violation with MOC_CLAIMS_NOTHING */
     double primal_limit;    /* largest allowed |A x - b| and bound violation of a claimed optimum */
     double relative_limit;  /* largest allowed natural residual of a claimed optimum */
-    double opposite_limit;  /* limit of `off` (moc_residuals) of a claimed optimum if `opposite` is smaller [rad/s] */
+    double opposite_limit;  /* largest `off` of a claimed optimum if `opposite` < `off` (see shared.h) [rad/s] */
     int hold_ticks;         /* ticks for which the last accepted answer replaces refused answers */
     int keep_off_limits;    /* after hold_ticks. 1: a self-motion keeps joints off their limits (retreat); 0: x = 0 */
     moc_fallback fallback;  /* for an infeasible subproblem */
@@ -214,16 +214,16 @@ typedef struct {
     double wall_stiffness, wall_damping, wall_brake;    /* [Nm/rad], [Nm s/rad], deceleration [rad/s^2] */
     double torque_step;                                 /* largest allowed change of a torque [Nm per tick] */
     double jump, speed_factor;                          /* MEASUREMENT: limits of jump [rad] and |v| / v_max */
-    double tip_error, tip_share;                        /* TIP: limit of the rms [m], share of the new tick in rms */
+    double tip_error, tip_share;                        /* TIP: limit of the rms [m], weight of a new tick in it */
     int in_incision;                                    /* 0: RCM and FORCE are off */
     double warning[2], limit[2];                        /* rms RCM error [m], rms trocar force [N] */
-    double incision_share;                              /* RCM, FORCE: share of the new tick in the rms */
+    double incision_share;                              /* RCM, FORCE: weight of a new tick in the rms */
     double tool_mass, tool_length;                      /* the tool is a rod [kg], [m] */
     double tip_force;                                   /* largest force that counts as contact at the tip [N] */
     double stop_holding;                                /* dry friction of closed brakes / tau_max */
     double stop_yield;                                  /* trocar force that opens the brakes in a stop [N] */
     int stop_yield_ticks;                               /* open brakes close after this number of ticks */
-    double press_share;                                 /* share of the new tick in the mean trocar force */
+    double press_share;                                 /* weight of a new tick in the mean trocar force */
     int motion;                                         /* 0: LATE and the checks below are off */
     double motion_s, motion_rad, motion_lag_s;          /* RAN_AWAY: memory [s], gap [rad], lag [s] */
     double repeat_m, repeat_torque;                     /* REPEATED: reference motion [m], share of tau_max */
@@ -234,7 +234,7 @@ typedef struct {
     double stuck_speed;                                 /* STUCK: threshold of |integral in the table| [rad/s] */
     double held[MOC_MAX_JOINTS];                        /* STUCK: static friction [Nm] */
     double residual_torque, residual_whole;             /* UNEXPLAINED: limits of |r - mean r|, |r| (/ tau_max) */
-    double residual_rate, residual_share;               /* observer gain [1/s], share of the new tick in mean r */
+    double residual_rate, residual_share;               /* observer gain [1/s], weight of a new tick in mean r */
     int settling_ticks;                                 /* ticks after the start until the residual has settled */
 } moc_guard;
 
@@ -265,7 +265,7 @@ typedef struct {
     double mean_square[2], largest[2], first_tick[2]; /* [RCM, force]: mean square; largest rms, first warning */
     double whole_square, ticks;                  /* mean square of the force across the shaft [N^2]; tick number */
     int unread;                                  /* wrenches in a row that were not finite */
-    double press, borne;                         /* in a stop: mean trocar force; its part that opens no brake [N] */
+    double press, borne;                         /* in a stop: mean trocar force; brakes open at borne + stop_yield */
     int yields, open;                            /* 1: the brakes are open; ticks since then */
     int cut;                                     /* 1: a drive is at fault, so the torque in the stop goes to zero */
     int limited;                                 /* number of joints with limited torque */
@@ -274,7 +274,7 @@ typedef struct {
     double told[3], still[3];                    /* tip reference, now and when the encoders stopped changing [m] */
     double wrench[6], wrench_repeats;            /* latest wrench; repetitions in a row */
     int looked, wrench_is_still;                 /* wrenches read, up to FIRST_READINGS; 1: two in a row were equal */
-    int weighed;                                 /* readings compared with the torque */
+    int weighed;                                 /* number of readings compared with the torque */
     double number[MOC_SLOTS], at[MOC_SLOTS];     /* earlier readings; their indices from 1 (0: empty slot) */
     double joint_number[MOC_MAX_JOINTS][MOC_JOINT_SLOTS], joint_at[MOC_MAX_JOINTS][MOC_JOINT_SLOTS];
     moc_came_before whole, lagging[MOC_MAX_JOINTS];
@@ -307,7 +307,7 @@ typedef struct {
     moc_measurement measured;
     moc_reference ref;
     moc_trocar trocar;
-    const double *x_d; /* (n,) for level 3 to follow [rad/s]; NULL: climb mu */
+    const double *x_d; /* (n,) joint velocities for level 3 [rad/s]; NULL: it raises mu */
 } moc_input;
 
 typedef struct {

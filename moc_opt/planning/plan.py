@@ -238,7 +238,7 @@ def _blocked(found: PoseMap, start: Array, limits: Limits, bound: float) -> Bloc
             shares = np.abs(found.q_rad[k] - pose) / step
             near |= known & (shares.max(axis=-1) <= 1.0)
             least = min(least, shares[feasible][int(np.argmin(shares[feasible].max(axis=1)))], key=np.max)
-        doubt = " between poses of the map, but the bound does not exclude a course" if np.isfinite(bound) else ""
+        doubt = " between poses of the map; on a finer map there may be a course" if np.isfinite(bound) else ""
         fast = names[int(np.argmax(least))]
         reason = f"{fast} would have to turn at {least.max():.3g} times its speed limit{doubt}"
         if near.any() and least.max() > 1.0:  # poses within reach are beyond a limit

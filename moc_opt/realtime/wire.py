@@ -79,7 +79,7 @@ class Kind(IntEnum):
 
 
 WAITING, RUNNING, ENDED = 0, 1, 2  #: ``flags`` of a measurement: before, during and after the run.
-STOP, REPORTED = 1, 2  #: Bits in ``flags`` of a command.
+STOP, REPORTED = 1, 2  #: Bits in ``flags`` of a command: stop the arm; record all fields, not only control_us.
 
 # Every field's offset is a multiple of its size, as in a C struct.
 HEADER: list[tuple[Any, ...]] = [
@@ -192,7 +192,7 @@ def read_key(file: Path | None, host: str, option: str) -> bytes:
             f"{option} {host}: other machines reach that address, and any of them can move the arm: give both "
             f"ends the same key by --key-file or {VARIABLE}, or use 127.0.0.1"
         )
-    key = (text if file is None else text.strip()).encode(errors="surrogateescape")  # C does not strip the variable
+    key = (text if file is None else text.strip()).encode(errors="surrogateescape")  # the C program strips nothing
     if not SHORTEST <= len(key) <= LONGEST:
         raise WireError(
             f"{VARIABLE if file is None else f'--key-file {str(file)!r}'}: a key of {len(key)} bytes: give one line of "

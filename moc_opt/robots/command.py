@@ -21,7 +21,7 @@ def add_commands(commands: Any) -> None:
     new.add_argument("--tool", type=float, default=0.30, metavar="M", help="length of the tool [m]; default 0.3")
     new.add_argument(
         "--lock", action="append", default=[], type=_lock, metavar="JOINT[=VALUE]",
-        help="fix this joint at a value [rad, m]; may be repeated",
+        help="fix this joint at VALUE [rad, m], by default at 0; may be repeated",
     )
     new.add_argument(
         "--base-rpy", nargs=3, type=float, default=(0.0, 0.0, 0.0), metavar=("R", "P", "Y"),
@@ -33,7 +33,7 @@ def add_commands(commands: Any) -> None:
         "check", help="check null space, reach, limits, gains and masses of a robot",
         epilog="Exit status: 0 the arm can be used; 3 it cannot; 2 the input is wrong.",
     )  # fmt: skip
-    check.add_argument("robot", metavar="MY.toml|NAME", help="robot file, or an arm of `moc-opt robots`")
+    check.add_argument("robot", metavar="MY.toml|NAME", help="robot file, or a name from `moc-opt robots`")
 
 
 def run_command(given: argparse.Namespace) -> int:

@@ -34,7 +34,7 @@ _POSES = 16
 
 
 def derived_gains(robot: RobotModel) -> dict[str, Table]:
-    """Derive the tables of `CARTESIAN` from the arm's inertia.
+    """Derive one table of gains for each name in `CARTESIAN`, from the arm's inertia.
 
     K_N2 of joint i is a rate times M_ii at the home pose, and D_N2 is a share of K_N2. The other gains are those of the
     LWR4+. If a ratio exceeds its bound in `JOINTS` or `CARTESIAN_RATE`, stiffness and damping are scaled down together.

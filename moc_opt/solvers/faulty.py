@@ -53,12 +53,12 @@ class Faulty:
         return self.inner.supports(qp)
 
     def start(self, qp: NullSpaceQP) -> FaultySession:
-        """Return a session. `draw` computes in advance at which ticks the session fails."""
+        """Return a session. It fails at the ticks that `draw` flags."""
         return FaultySession(self, self.inner.start(qp), qp)
 
 
 class FaultySession:
-    """A session. ``faults`` is the number of faulty ticks so far."""
+    """A session of a `Faulty` solver. ``faults`` is the number of faulty ticks so far."""
 
     def __init__(self, settings: Faulty, inner: Session, qp: NullSpaceQP) -> None:
         self._settings, self._inner = settings, inner

@@ -46,9 +46,9 @@ COLUMNS = [
 CAPTION = (
     f"Means are over completed trials. {LEAST_TRIALS} trials or more give 95 % intervals. Changes are relative to "
     "dcac (the control law without level 3, with equal gains). ?: undecided, because the mean of the trials' changes "
-    "has another sign, or only one of the two figures' intervals contains 0. Verified: answers that a check found "
-    "optimal. Silently wrong: number of wrong answers reported as optimal. p50, p99: median and 99th percentile of the "
-    f"solve time, each a median over the trials. The times of exact exclude the call from Python. {FRAMES}"
+    "differs in sign from the change shown, or only one of their intervals contains 0. Verified: answers that a check "
+    "found optimal. Silently wrong: number of wrong answers reported as optimal. p50, p99: median and 99th percentile "
+    f"of the solve time, each a median over the trials. The times of exact exclude the call from Python. {FRAMES}"
 )
 
 
@@ -174,7 +174,7 @@ def compare(
         scenario: a scenario, or the path of its file; None: the default scenario.
         trials: number of trials. Trial k has the seed ``seed + k``.
         seed: the seed of the first trial.
-        watch: called before each run with a text, the trial's number and the solver's name.
+        watch: called before each run with a text such as "trial 1 of 15, osqp".
 
     Raises:
         UnknownNameError, SolverError: a solver is unknown, none is given, or two share a name.

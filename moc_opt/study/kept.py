@@ -73,7 +73,7 @@ class Kept:
 
 def key_of(work: Callable[..., Any], arguments: Iterable[Any]) -> str:
     """Return the digest of a job's function, its arguments, and the libraries' versions."""
-    code = getattr(work, "__code__", None)  # a cluster's `loaded_sources` can lack the file that defines `work`
+    code = getattr(work, "__code__", None)  # on a cluster, `loaded_sources` can lack the file that defines `work`
     own = "" if code is None else _file_digest(code.co_filename)
     asked = [work.__module__, work.__qualname__, own, _plain(list(arguments)), versions()]
     return hashlib.sha256(to_json(asked, indent=None, sort_keys=True).encode()).hexdigest()

@@ -33,7 +33,7 @@ HUNG, CRASHED, RAISED, NOT_ASKED, REFUSED = "hung", "crashed", "raised", "not as
 BROKEN_SETS = 3  # after hangs or crashes in this many sets, a solver's later sets are skipped
 WHOLE_SET_S = 1e5  # time limit of a whole set [s]
 WARM_UP = 16  # untimed solves at the start
-CONTRADICTION = 1e-13  # threshold [m/s]: if `TestSet.judged` changes b by more, rounding is not the cause
+CONTRADICTION = 1e-13  # if b differs by more [m/s] in `TestSet.judged`, the six rows contradict each other
 RIGHTLY = 0.99  # a solver's times are compared only if at least this share of its answers is right
 RESIDUALS = ("primal", "natural", "natural_best", "relative", "loss")
 
@@ -147,7 +147,7 @@ def share_right(counts: Mapping[str, Any]) -> float:
 
 
 def totals(answers: Sequence[Answers], times: Sequence[Times]) -> dict[str, Any]:
-    """Return one solver's total counts, largest residuals, and times of the set on which it is slowest."""
+    """Return one solver's total counts, and its largest residuals and times over the sets."""
     rows, figures = [one.summary() for one in answers], [one.figures() for one in times]
     found: dict[str, Any] = {name: sum(row[name] for row in rows) for name in answers[0].counts()}
     for name in (f"{residual}_max" for residual in RESIDUALS):

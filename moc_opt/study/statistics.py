@@ -55,13 +55,13 @@ class Interval(NamedTuple):
 
 
 class Change(NamedTuple):
-    """Changes [percent]: ``ratio`` is the change of the mean over trials, ``ratios`` the mean change of the trials."""
+    """Changes [percent]: ``ratio`` compares the means over trials, ``ratios`` is the mean of each trial's change."""
 
     ratio: Interval
     ratios: Interval
 
     def side(self, bound: float = 0.0) -> int:
-        """Return 1 if both intervals lie above the bound [percent], -1 if below, else 0."""
+        """Return 1 if both intervals lie above the bound [percent], -1 if below; else, or with too few trials, 0."""
         both = {int(one.low > bound + ROUNDING) - int(one.high < bound - ROUNDING) for one in self}
         return both.pop() if len(both) == 1 and self.ratio.samples >= LEAST_TRIALS else 0
 

@@ -29,7 +29,7 @@ _NEAR_M = 0.01
 
 
 class Augmented:
-    """An endoscope above a phantom's board: `camera` at its true pose, and `believed` at its calibrated pose."""
+    """An endoscope above a phantom's board: `camera` has its true pose, `believed` its calibrated pose."""
 
     def __init__(
         self, robot: RobotModel, phantom_in_base: Pose, *, camera: CameraSettings | None = None,
@@ -170,7 +170,7 @@ def _whole(pixel: Array) -> tuple[int, int]:
 
 
 def save_film(path: str | os.PathLike[str], pictures: Iterable[Picture], rate_Hz: float) -> int:
-    """Write pictures (H, W, 3) to a film (.webm), and return their count; a PlantError if this fails."""
+    """Write pictures (H, W, 3) to a film (.webm), and return their count. Raise a PlantError if this fails."""
     writer, count = cv2.VideoWriter(), 0
     for picture in pictures:
         if not count:

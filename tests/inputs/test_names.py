@@ -1,4 +1,4 @@
-"""Every reader of a name refuses characters that are not allowed, and text is escaped for Markdown."""
+"""Names with characters that are not allowed are refused, and text is escaped for Markdown."""
 
 import html
 from dataclasses import replace
@@ -37,7 +37,7 @@ def test_name_has_only_allowed_characters():
 
 
 @pytest.mark.parametrize("bad", ["a\\", "*/", "a\nb", "<b>", "../x", ""])
-def test_every_reader_of_a_name_checks_it(bad):
+def test_bad_name_in_a_scenario_robot_or_plugin_is_refused(bad):
     for table in (
         {"name": bad}, {"solver": {"name": bad}}, {"task": {"path": bad}}, {"faults": {"bump_link": bad}},
         {"task": {"sizes": {bad: 1.0}}}, {"solver": {"settings": {bad: 1.0}}},

@@ -73,12 +73,12 @@ def knock(live: LivePage, path: str, say: bytes = b"") -> Any:
     uri, protocol = f"ws://127.0.0.1:{live.server.get_port()}{path}", f"viser-v{viser.__version__}"
     with (
         suppress(ConnectionClosed),
-        connect(uri, origin="http://evil.example", subprotocols=[protocol]) as told,  # type: ignore[arg-type, list-item]
+        connect(uri, origin="http://evil.example", subprotocols=[protocol]) as link,  # type: ignore[arg-type, list-item]
     ):
         if say:
-            told.send(say)
+            link.send(say)
             sleep(0.5)
-        return told.recv(timeout=10.0)
+        return link.recv(timeout=10.0)
     return None
 
 
@@ -145,10 +145,10 @@ def test_run_goes_on_after_bad_input(page: Any, live: LivePage) -> None:
     field = page.locator("xpath=//label[starts-with(., 'K_X')]/following::input[1]")
     apply, typed, before = page.get_by_role("button", name="Apply"), live._panel._fields["K_X"], live.run.control
     good = typed.value
-    for wrong, told in (("-5", "greater than 0"), ("a lot", "give a number")):
+    for wrong, message in (("-5", "greater than 0"), ("a lot", "give a number")):
         enter(field, wrong)
         click(apply)
-        says(page, told)
+        says(page, message)
         until(lambda: typed.value == good, "the field does not show the value in use")
         assert live.run.control == before
     t = live.run.t_s

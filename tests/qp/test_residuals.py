@@ -332,9 +332,9 @@ def test_distance_is_measured_to_the_only_feasible_point(n, regularization):
     empty = changed(qp, lower=lower, upper=upper).residuals(x)
     assert (empty.loss, empty.distance) == (1.0, np.inf)
     assert shut.residuals(x).verified()
-    for way in (0.1, -0.3):
-        found = shut.residuals(x + way * z)
-        assert found.distance == pytest.approx(abs(way) * np.abs(z).max(), abs=3e-6)
+    for step in (0.1, -0.3):
+        found = shut.residuals(x + step * z)
+        assert found.distance == pytest.approx(abs(step) * np.abs(z).max(), abs=3e-6)
         assert found.loss == 0.0
         assert not found.verified()
 
@@ -354,7 +354,7 @@ def test_rest_is_not_optimal_if_bounds_exclude_it(n):
     assert still.residuals(optimum(still)[0]).verified()
 
 
-def test_nan_answer_has_the_worst_residuals():
+def test_nan_answer_has_the_worst_residuals_and_relative_does_not_depend_on_c2():
     qp = random_problem(np.random.default_rng(10), regularization=0.0)
     found = qp.residuals(np.full(7, np.nan))
     assert (found.primal, found.loss, found.verified()) == (np.inf, 1.0, False)

@@ -1,4 +1,4 @@
-"""Runs of every arm in the realistic plant."""
+"""Runs of every arm, of an arm with sixteen joints, and of a law written in Python."""
 
 import runpy
 from pathlib import Path
@@ -49,7 +49,7 @@ def test_answers_for_sixteen_joints_are_verified(tmp_path):
     assert trace.meta["ended"] == "completed"
     assert trace.verified.all()
     assert trace.meta["mu_bound_method"].startswith("best found of ")
-    rows = slice(50, None, 25)  # after the ramp
+    rows = slice(50, None, 25)
     rng, x = np.random.default_rng(0), np.array(trace.x_rad_per_s[rows])
     for k, q in enumerate(trace.q_rad[rows]):
         Z = np.linalg.svd(robot.state(q).A)[2][5:]

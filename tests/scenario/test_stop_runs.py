@@ -52,10 +52,10 @@ def test_unknown_load_does_not_sink(load, seed):
         seed=seed, start={"pose": "random"}, faults={"nan_at_s": 0.4, "nan_ticks": 10**6, **load},
         plant={"mass_error": 0.3}, duration_s=1.2, **QUICK,
     )  # fmt: skip
-    way, _, _ = after(run(scenario))
-    assert way < 0.003
+    moved, _, _ = after(run(scenario))
+    assert moved < 0.003
     sinking, _, _ = after(run(scenario.change(guard={"stop_holding": 0.0})))
-    assert sinking > 2.0 * way
+    assert sinking > 2.0 * moved
 
 
 @pytest.mark.parametrize(("seed", "slip_m"), [(50, 0.03), (51, 0.1), (52, 0.03), (53, 0.1)])

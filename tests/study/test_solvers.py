@@ -62,11 +62,11 @@ def test_second_run_reuses_all_results(tmp_path, capsys):
     assert run(tmp_path, "--parts", *PARTS) == 0
     again = json.loads((out / "summary.json").read_text())
     assert again | {"clock": None} == summary | {"clock": None}
-    said, told = capsys.readouterr()
-    _, *so_far = told.split("so far: ")
+    shown, progress = capsys.readouterr()
+    _, *so_far = progress.split("so far: ")
     assert so_far[0].startswith("Use `exact`")
     assert len(set(so_far)) == len(so_far), "no sentence is said twice"
-    assert max(len(line) for line in said.splitlines() if str(tmp_path) not in line) <= 80
+    assert max(len(line) for line in shown.splitlines() if str(tmp_path) not in line) <= 80
 
 
 def test_broken_solvers_do_not_disturb_the_others(tmp_path, monkeypatch, capsys):

@@ -112,7 +112,7 @@ def test_only_timed_runs_report_times(case: Scenario, ran: dict[str, Any]) -> No
     ({"start": {"q_rad": (0.0,) * 7}}, "exact", "failed", "ScenarioError: [start] q_rad"),
     ({}, "no-such-solver", "failed", "UnknownNameError: unknown solver"),
 ])  # fmt: skip
-def test_row_of_a_broken_off_run_has_the_reason(case, change, solver, ended, error):
+def test_row_of_an_incomplete_run_has_the_reason(case, change, solver, ended, error):
     run = run_trial(Trial(case.change(**change), solver, tags={"group": "g"}, keep="curves"))
     assert run.row["whole"] is False
     assert run.row["ended"].startswith(ended)

@@ -66,7 +66,7 @@ def test_spiral_arc_length_is_the_closed_form(turns: float, radius: float, place
     assert path.at(0.0)[1] @ path.heading == pytest.approx(1.0)
 
 
-def test_circle_turns_left() -> None:
+def test_circle_turns_left_and_line_is_straight() -> None:
     path, center = make_path("circle", START, radius=0.03, **AXES), START + np.array([0.0, 0.03, 0.0])
     p, _, ddp = path.at(np.linspace(0.0, path.length, 97))
     np.testing.assert_allclose(ddp, (center - p) / 0.03**2, atol=1e-10)
@@ -96,7 +96,7 @@ def added(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(paths.plugins, "plugins", lambda group: found if group == paths.GROUP else {})
 
 
-@pytest.mark.parametrize("kind", ["screw", "helix"])  # "screw" is built in, "helix" comes from another package
+@pytest.mark.parametrize("kind", ["screw", "helix"])  # "screw" is added to CURVES, "helix" comes from another package
 def test_function_defines_a_kind_of_path(kind: str, added: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(CURVES, "screw", helix)
     assert paths.kinds()["screw"] == "One turn of a helix."
@@ -107,7 +107,7 @@ def test_function_defines_a_kind_of_path(kind: str, added: None, monkeypatch: py
     assert make_path("ring", np.zeros(3), radius=0.02, **AXES).length == pytest.approx(2 * np.pi * 0.02)
 
 
-@pytest.mark.parametrize(("kind", "sizes", "error", "told"), [
+@pytest.mark.parametrize(("kind", "sizes", "error", "words"), [
     ("sinus", {}, UnknownNameError, "'sinusoid'"), ("circle", {"radus": 0.1}, UnknownNameError, "'radius'"),
     ("circle", {"radius": 0.1, "length": 0.3}, UnknownNameError, "valid names: radius$"),  # a circle's only size
     ("helix", {}, TaskError, "radius"),
@@ -115,8 +115,8 @@ def test_function_defines_a_kind_of_path(kind: str, added: None, monkeypatch: py
     ("number", {}, TaskError, "class or function"), ("crash", {}, TaskError, "ZeroDivisionError"),
     ("gone", {}, TaskError, "ModuleNotFoundError"), ("waypoints", {}, TaskError, "waypoints"),
 ])  # fmt: skip
-def test_error_explains_a_wrong_kind_or_size(added: None, kind: str, sizes: dict, error: type, told: str) -> None:
-    with pytest.raises(error, match=told):
+def test_error_explains_a_wrong_kind_or_size(added: None, kind: str, sizes: dict, error: type, words: str) -> None:
+    with pytest.raises(error, match=words):
         make_path(kind, np.zeros(3), **AXES, **sizes)
 
 
@@ -196,12 +196,12 @@ REFUSED: dict[str, tuple[str, Callable[[Any], Any], list[Any]]] = {
     "flags": ("flags", WaitingReference(Reference(LINE, 0.1, 0.3), 0.002).play, [np.ones(5), [[True]]]),
     "pictures": ("rising", lambda x: flags_at([0.0], x, [True, True]), [[0.2, 0.1], [0.1]]),
     "point": ("point", Trocar, [(0.0, 1.0), (0.0, math.nan, 0.0)]),
-    "breathing": ("breathing_amplitude_m", lambda x: Trocar(START, x), [-0.01, math.inf]),
-    "breath": ("breathing_period_s", lambda x: Trocar(START, 0.01, x), NUMBERS),
+    "breathing amplitude": ("breathing_amplitude_m", lambda x: Trocar(START, x), [-0.01, math.inf]),
+    "breathing period": ("breathing_period_s", lambda x: Trocar(START, 0.01, x), NUMBERS),
     "direction": ("direction", lambda x: Trocar(START, direction=x), [ZERO, "up"]),
     "heading": ("heading", lambda x: make_path("line", START, normal=NORMAL, heading=x, length=0.1), [-2.0 * NORMAL]),
     "periods": ("cannot be tabulated", lambda x: build("sinusoid", periods=x), [1e9]),
-    **{f"waypoints {told}": (told, lambda x: Waypoints(x, START, **AXES), [points]) for told, points in (
+    **{f"waypoints {words}": (words, lambda x: Waypoints(x, START, **AXES), [points]) for words, points in (
         ("away from the start", [[0.0, 0.0, 0.0]]), (r"shape \(0,\)", []), (r"shape \(1, 2\)", [[0.1, 0.0]]),
         ("finite", [[0.1, 0.0, np.nan]]), ("numbers", [[0.1, "a", 0.0]]), ("1001 waypoints", np.ones((1001, 3))),
         (r"\[0.01, 0.0, 0.0\] appears twice", [[0.01, 0, 0], [0.01, 0, 0], [0.02, 0, 0]]), ("1000 m", FAR),
@@ -212,7 +212,7 @@ REFUSED: dict[str, tuple[str, Callable[[Any], Any], list[Any]]] = {
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_error_names_the_unusable_argument(name: str) -> None:
-    told, make, values = REFUSED[name]
+    words, make, values = REFUSED[name]
     for value in values:
-        with pytest.raises(TaskError, match=told):
+        with pytest.raises(TaskError, match=words):
             make(value)
