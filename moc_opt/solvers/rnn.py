@@ -1,7 +1,7 @@
 """The recurrent neural network of Su et al. 2019.
 
-The paper prints the right-hand side with the wrong sign (tests/reference/test_errata.py). With the right one, x descends
-the Lagrangian L within the bounds, and the multipliers l1 and l2 ascend it:
+The paper prints the right-hand side with the wrong sign (tests/reference/test_errata.py). With the right sign, x
+descends the Lagrangian L within the bounds, and the multipliers l1 and l2 ascend it:
 
     eps dx/dt = -x + clip(x - k (c0 J_T^T (J_T x - v_T) + c1 J_W^T (J_W x - v_W) + rho x - c2 grad_mu
                                  + J_T^T l1 + J_W^T l2), lower, upper)
