@@ -41,7 +41,7 @@ class SafetyFilter:
         period: control period [s].
         carries: whether the torque carries the arm's weight. If not, the drives add the gravity torque.
         incision: whether the tool is in an incision. If not, RCM error and trocar force are not checked.
-        momentum: whether `limit_torque` computes a state that is not given, to check the momentum residuals.
+        momentum: whether `limit_torque`, called without a state, computes it to check the momentum residuals.
 
     Attributes:
         limited: number of joints whose torque the last call of `limit_torque` changed.

@@ -62,7 +62,7 @@ class PoseMap:
         return np.asarray(room >= -ROUNDING_RAD)
 
     def crossing(self, k: int, step_rad: Array) -> NDArray[np.int64]:
-        """Return bit masks (m,): the bits of the branch index that a step (n,) [rad] at time k can flip."""
+        """Return masks (m,) of the bits of the branch index that a step (n,) [rad] can flip at time k (`BRANCHES`)."""
         if self.closed is None:
             return np.zeros(self.mu.shape[2], dtype=np.int64)
         with np.errstate(invalid="ignore"):

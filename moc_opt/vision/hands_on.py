@@ -37,8 +37,9 @@ class HandSettings(VisionSettings):
     force_max_N: float = Field(15.0, gt=0.0, le=200.0, description="largest force")
     speed_max_m_per_s: float = Field(0.15, gt=0.0, le=1.0, description="largest desired speed")
     correction_per_s: float = Field(2.0, ge=0.0, le=20.0)
-    """rate of the integral part: the force grows until the tip is at the goal"""
-    content_m: float = Field(0.0005, ge=0.0, le=0.05, description="distance at which the force stops growing")
+    """gain of the integral part of the force"""
+    content_m: float = Field(0.0005, ge=0.0, le=0.05)
+    """distance of the tip from the goal below which the integral part stays constant"""
 
 
 class HandsOnSettings(VisionSettings):
@@ -105,7 +106,7 @@ class Hand:
         desired = _cut(hand.stiffness_N_per_m / hand.damping_Ns_per_m * way, hand.speed_max_m_per_s)
         pull = hand.damping_Ns_per_m * (desired - velocity) + self._extra
         force = _cut(pull, hand.force_max_N)
-        # f grows only near the goal and below the force limit. Otherwise the tip would overshoot.
+        # The integral part grows only near the goal and below the force limit. Otherwise the tip would overshoot.
         near = distance * hand.stiffness_N_per_m < hand.damping_Ns_per_m * hand.speed_max_m_per_s
         less = float(way @ self._extra) < 0.0
         if distance > hand.content_m and (less or (near and force is pull)):
