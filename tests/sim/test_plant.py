@@ -176,6 +176,7 @@ def test_each_error_has_its_own_random_stream(name):
     alone = nominal(**{name: 0.01}).mismatch
     assert alone.displaces == (STREAMS[name] in ("origin_shift", "origin_turn", "encoder_bias"))
     assert changed == ({STREAMS[name]} - {""})
+    assert "world" not in full["mass_scale"]  # it has no mass
 
 
 def test_torque_ripple_is_a_sine_of_joint_angle():
