@@ -1,4 +1,4 @@
-"""The source archive and the wheel are complete. The system's compiler is used instead of `ziglang`."""
+"""The source archive and the wheel are complete. A stand-in for `ziglang` calls the system's compiler."""
 
 import contextlib
 import importlib.util
@@ -47,7 +47,7 @@ def closure(lines):
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
-    """Build the wheel with no compiler on the path."""
+    """Build the wheel without a compiler on the path, so that the build uses `ziglang`."""
     if COMPILER is None:
         pytest.skip("no C compiler on the path")
     source, built, tools, path = (tmp_path_factory.mktemp(name) for name in ("source", "built", "tools", "path"))

@@ -53,10 +53,11 @@ double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOIN
 
 /* mu_s = sqrt(pdet(C)), C = J_W (I - pinv(J_T) J_T) J_W^T, the mobility of the wrist while the tip is held.
  *
- * C u = 0 for the shaft's axis u. pdet(C) is the product of the other two eigenvalues. In axes that turn with the tool,
- * dJ_j/dq_k = ang_j x J_k - ang_k x J_j for j < k, and zero for j >= k. With N = I - pinv(J_T) J_T and
- * K = J_W pinv(J_T), let P_j = C^+ (J_W N)_j for the wrist, and P_j = -K^T C^+ (J_W N)_j for the tip. Then
- * dmu_s/dq_k = mu_s sum_{wrist, tip} (J_k . sum_{j<k} P_j x ang_j - ang_k . sum_{j<k} J_j x P_j).
+ * C u = 0 for the shaft's axis u. pdet(C) is the product of the other two eigenvalues. It does not depend on the axes.
+ * In axes that turn with the tool, dJ_j/dq_k = ang_j x J_k - ang_k x J_j for j < k, and zero for j >= k.
+ * Let N = I - pinv(J_T) J_T and K = J_W pinv(J_T). dmu_s/dq_k is the sum of two terms
+ * mu_s (J_k . sum_{j<k} P_j x ang_j - ang_k . sum_{j<k} J_j x P_j), where the subscript j means column j:
+ * one with J = J_W and P = C^+ J_W N, the other with J = J_T and P = -K^T C^+ J_W N.
  * At a singularity, the gradient is set to zero. */
 double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], moc_gram *gram,
                                 const double u[3], double *gradient)

@@ -65,7 +65,8 @@ typedef struct {
     int n;
     double A[6][MOC_MAX_JOINTS], b[6];     /* [J_T; J_W], [v_T; v_W] */
     double grad_mu[MOC_MAX_JOINTS];
-    double pull[MOC_MAX_JOINTS];           /* grad_mu + moc_shaft_push() grad_mu_shaft, or rho/c2 x_d */
+    double pull[MOC_MAX_JOINTS];           /* to raise mu: grad_mu plus a multiple of grad_mu_shaft, which is above 0 if
+                                            * mu_shaft < shaft_margin. To follow a given x_d: rho/c2 x_d */
     double lower[MOC_MAX_JOINTS], upper[MOC_MAX_JOINTS]; /* [rad/s] */
     double c0, c1, c2, rho;
     double q[MOC_MAX_JOINTS];              /* A = A(q); only nonlinear solvers use q */
@@ -110,7 +111,7 @@ typedef struct {
     double c0, c1, c2, rho;
     double q_min[MOC_MAX_JOINTS], q_max[MOC_MAX_JOINTS], v_max[MOC_MAX_JOINTS];
     double shaft_margin;                         /* below this mu_shaft, level 3 also raises mu_shaft [m^2] */
-    double spare_speed;                          /* largest relative growth of v_max if mu_shaft < shaft_margin */
+    double spare_speed;                          /* below it, the bounds on x widen by up to this share of v_max */
     double observer_gain;                        /* disturbance observer K_o [1/s]; 0: none */
     double period;                               /* [s] */
     double fade;                                 /* growth of moc_memory.share per tick */
@@ -169,9 +170,10 @@ typedef struct {
     double box_limit;       /* largest allowed |A x - b| and bound violation with MOC_CLAIMS_NOTHING */
     double primal_limit;    /* largest allowed |A x - b| and bound violation of a claimed optimum */
     double relative_limit;  /* largest allowed natural residual of a claimed optimum */
-    double opposite_limit;  /* largest `off` of a claimed optimum if `opposite` < `off` (see shared.h) [rad/s] */
+    double opposite_limit;  /* largest allowed distance of a claimed optimum from the true one, if the answer is nearer
+                             * to the optimum for -pull [rad/s] */
     int hold_ticks;         /* ticks for which the last accepted answer replaces refused answers */
-    int keep_off_limits;    /* after hold_ticks. 1: a self-motion keeps joints off their limits (retreat); 0: x = 0 */
+    int keep_off_limits;    /* after these ticks: 1: a self-motion keeps joints off their limits; 0: x = 0 */
     moc_fallback fallback;  /* for an infeasible subproblem */
     moc_late late;          /* for a late answer */
     double budget_us;       /* an answer is late if its solve took longer [us] */
@@ -213,47 +215,62 @@ typedef struct {
     double v_max[MOC_MAX_JOINTS], tau_max[MOC_MAX_JOINTS];
     double wall_stiffness, wall_damping, wall_brake;    /* [Nm/rad], [Nm s/rad], deceleration [rad/s^2] */
     double torque_step;                                 /* largest allowed change of a torque [Nm per tick] */
-    double jump, speed_factor;                          /* MEASUREMENT: limits of jump [rad] and |v| / v_max */
-    double tip_error, tip_share;                        /* TIP: limit of the rms [m], weight of a new tick in it */
+    double jump;                                        /* MEASUREMENT: largest change of q beyond v_max t [rad] */
+    double speed_factor;                                /* MEASUREMENT: largest |v| / v_max */
+    double tip_error;                                   /* TIP: largest rms error of the tip [m] */
+    double tip_share;                                   /* TIP: weight of a new tick in the mean square */
     int in_incision;                                    /* 0: RCM and FORCE are off */
-    double warning[2], limit[2];                        /* rms RCM error [m], rms trocar force [N] */
-    double incision_share;                              /* RCM, FORCE: weight of a new tick in the rms */
-    double tool_mass, tool_length;                      /* the tool is a rod [kg], [m] */
+    double warning[2], limit[2];                        /* of the rms RCM error [m] and the rms trocar force [N] */
+    double incision_share;                              /* RCM, FORCE: weight of a new tick in the mean squares */
+    double tool_mass, tool_length;                      /* the tool counts as a rod [kg], [m] */
     double tip_force;                                   /* largest force that counts as contact at the tip [N] */
     double stop_holding;                                /* dry friction of closed brakes / tau_max */
-    double stop_yield;                                  /* trocar force that opens the brakes in a stop [N] */
+    double stop_yield;                                  /* rise of the trocar force that opens the brakes [N] */
     int stop_yield_ticks;                               /* open brakes close after this number of ticks */
-    double press_share;                                 /* weight of a new tick in the mean trocar force */
-    int motion;                                         /* 0: LATE and the checks below are off */
-    double motion_s, motion_rad, motion_lag_s;          /* RAN_AWAY: memory [s], gap [rad], lag [s] */
-    double repeat_m, repeat_torque;                     /* REPEATED: reference motion [m], share of tau_max */
-    double repeat_whole_m, repeat_whole_torque;         /* the same if the wrench is unchanged as well */
-    double repeat_whole_ticks;                          /* WRENCH_REPEATED, REPLAYED: threshold [ticks] */
-    double repeat_joint_ticks, repeat_reading_ticks;    /* ONE_REPEATED: thresholds in a row, in total [ticks] */
-    double replayed_ticks;                              /* REPLAYED: threshold without wrench noise [ticks] */
-    double stuck_speed;                                 /* STUCK: threshold of |integral in the table| [rad/s] */
+    double press_share;                                 /* weight of a new tick in the mean trocar force of a stop */
+    int motion;                                         /* 0: LATE and all checks below are off */
+    double motion_s;                                    /* RAN_AWAY: time over which q and v are compared [s] */
+    double motion_rad;                                  /* RAN_AWAY: largest difference of a resting joint [rad] */
+    double motion_lag_s;                                /* RAN_AWAY: lag of measured velocities [s] */
+    double repeat_m;                                    /* REPEATED: largest motion of the tip's reference [m] */
+    double repeat_torque;                               /* REPEATED: largest change of a torque / tau_max */
+    double repeat_whole_m, repeat_whole_torque;         /* the same two, if the wrench is unchanged as well */
+    double repeat_whole_ticks;                          /* WRENCH_REPEATED, REPLAYED: largest number of ticks */
+    double repeat_joint_ticks;                          /* ONE_REPEATED: most ticks in a row with an unchanged q */
+    double repeat_reading_ticks;                        /* REPEATED, ONE_REPEATED: most ticks with unchanged q, v */
+    double replayed_ticks;                              /* REPLAYED: like repeat_whole_ticks, without wrench noise */
+    double stuck_speed;                                 /* STUCK: largest unseen_speed (moc_joint_watch) [rad/s] */
     double held[MOC_MAX_JOINTS];                        /* STUCK: static friction [Nm] */
-    double residual_torque, residual_whole;             /* UNEXPLAINED: limits of |r - mean r|, |r| (/ tau_max) */
-    double residual_rate, residual_share;               /* observer gain [1/s], weight of a new tick in mean r */
-    int settling_ticks;                                 /* ticks after the start until the residual has settled */
+    double residual_torque;                             /* UNEXPLAINED: largest |r - mean of r| / tau_max */
+    double residual_whole;                              /* UNEXPLAINED: largest |r| / tau_max */
+    double residual_rate;                               /* gain of the observer that computes r [1/s] */
+    double residual_share;                              /* weight of a new tick in the mean of r */
+    int settling_ticks;                                 /* ticks after the start until r has settled */
 } moc_guard;
 
 enum { MOC_RCM = 0, MOC_FORCE = 1 };
 
-#define MOC_SLOTS 4096      /* table of earlier readings */
-#define MOC_JOINT_SLOTS 256 /* table of each encoder */
+#define MOC_SLOTS 4096      /* size of the table of earlier readings of all sensors */
+#define MOC_JOINT_SLOTS 256 /* size of the table of one encoder's earlier readings */
 
-/* Number of readings, lag of the latest repetition [readings], number of repetitions with this lag in a row. */
+/* Repetitions in one of these tables. */
 typedef struct {
-    double readings, lag, hits;
+    double readings;     /* number of readings */
+    double lag, hits;    /* lag of the latest repetition [readings]; repetitions in a row with this lag */
 } moc_came_before;
 
 typedef struct {
-    double gap, peak, shown, speed;          /* q - integral of v; largest recent |v|; last q; last v */
-    double repeats, whole;                   /* ticks in a row with unchanged q; all ticks with unchanged q and v */
-    double torque;                           /* torque when the encoders stopped changing [Nm] */
-    double integral, residual, mean;         /* momentum observer: integral; residual r; mean of r */
-    double at_repeat, unseen, exceeded;      /* `mean` when q last changed; STUCK's integral; UNEXPLAINED's ticks */
+    double drift;            /* change of q minus integral of v, over about motion_s [rad] */
+    double peak_speed;       /* largest recent |v| [rad/s] */
+    double shown, speed;     /* latest q and v */
+    double repeats;          /* ticks in a row with an unchanged q */
+    double repeats_both;     /* number of all ticks with unchanged q and v */
+    double torque;           /* applied torque when the encoders stopped changing [Nm] */
+    double integral;         /* of the momentum observer [Nm s] */
+    double residual, mean;   /* momentum residual r and its mean [Nm] */
+    double at_repeat;        /* mean of r when q last changed [Nm] */
+    double unseen_speed;     /* speed that torque beyond friction has given the joint since q last changed [rad/s] */
+    double exceeded;         /* ticks in a row in which r was above a limit of UNEXPLAINED */
 } moc_joint_watch;
 
 typedef struct {
@@ -262,22 +279,29 @@ typedef struct {
     int bad;                                     /* refused measurements in a row */
     double tip_square;                           /* mean square of the tip's error [m^2] */
     double point[3];                             /* trocar [m] */
-    double mean_square[2], largest[2], first_tick[2]; /* [RCM, force]: mean square; largest rms, first warning */
-    double whole_square, ticks;                  /* mean square of the force across the shaft [N^2]; tick number */
+    double mean_square[2];                       /* of the RCM error [m^2] and the trocar force [N^2] */
+    double largest[2], first_tick[2];            /* largest rms above its warning; tick of the first warning, or -1 */
+    double whole_square;                         /* mean square of the whole force across the shaft [N^2] */
+    double ticks;                                /* number of the tick, from 0 */
     int unread;                                  /* wrenches in a row that were not finite */
-    double press, borne;                         /* in a stop: mean trocar force; brakes open at borne + stop_yield */
-    int yields, open;                            /* 1: the brakes are open; ticks since then */
+    double mean_force;                           /* mean trocar force during a stop [N] */
+    double base_force;                           /* the brakes open if mean_force > base_force + stop_yield [N] */
+    int brakes_open, open_ticks;                 /* 1: the brakes are open in a stop; number of ticks since then */
     int cut;                                     /* 1: a drive is at fault, so the torque in the stop goes to zero */
-    int limited;                                 /* number of joints with limited torque */
-    long long now, newest, delay, elapsed, taken; /* in control periods: see `age` in safety_filter.c */
+    int limited;                                 /* number of joints whose torque was limited in this tick */
+    long long now, newest;                       /* number of this control period; stamp of the newest measurement */
+    long long delay;                             /* age of the run's first new measurement [periods] */
+    long long elapsed;                           /* periods since readings were last compared */
+    long long taken;                             /* number of new measurements */
     moc_joint_watch joint[MOC_MAX_JOINTS];
-    double told[3], still[3];                    /* tip reference, now and when the encoders stopped changing [m] */
-    double wrench[6], wrench_repeats;            /* latest wrench; repetitions in a row */
-    int looked, wrench_is_still;                 /* wrenches read, up to FIRST_READINGS; 1: two in a row were equal */
-    int weighed;                                 /* number of readings compared with the torque */
-    double number[MOC_SLOTS], at[MOC_SLOTS];     /* earlier readings; their indices from 1 (0: empty slot) */
+    double tip_ref[3], tip_ref_before[3];        /* tip reference, now and when the encoders stopped changing [m] */
+    double wrench[6], wrench_repeats;            /* latest wrench; number of its repetitions in a row */
+    int looked;                                  /* number of wrenches read, at most FIRST_READINGS */
+    int wrench_is_still;                         /* 1: two of these in a row were equal */
+    int weighed;                                 /* number of measurements compared with the torque */
+    double number[MOC_SLOTS], at[MOC_SLOTS];     /* table of readings, and their indices from 1 (0: empty slot) */
     double joint_number[MOC_MAX_JOINTS][MOC_JOINT_SLOTS], joint_at[MOC_MAX_JOINTS][MOC_JOINT_SLOTS];
-    moc_came_before whole, lagging[MOC_MAX_JOINTS];
+    moc_came_before whole, lagging[MOC_MAX_JOINTS]; /* repetitions of all sensors, and of each encoder */
 } moc_watch;
 
 typedef struct {
@@ -307,7 +331,7 @@ typedef struct {
     moc_measurement measured;
     moc_reference ref;
     moc_trocar trocar;
-    const double *x_d; /* (n,) joint velocities for level 3 [rad/s]; NULL: it raises mu */
+    const double *x_d; /* (n,) joint velocities that level 3 follows [rad/s]; NULL: level 3 raises mu */
 } moc_input;
 
 typedef struct {
@@ -316,7 +340,7 @@ typedef struct {
     moc_terms terms;                /* the fields from here to `status` belong to the latest tick */
     moc_problem problem;            /* filled if the law has a third level */
     moc_plane plane;                /* problem.A after elimination */
-    double told[3];                 /* tip reference [m] */
+    double tip_ref[3];              /* tip reference [m] */
     double tau[MOC_MAX_JOINTS];     /* levels 1 and 2 minus r; after moc_finish, the torque to send */
     moc_fault fault;
     double x[MOC_MAX_JOINTS];       /* followed by the third level [rad/s] */

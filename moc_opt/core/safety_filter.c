@@ -46,7 +46,7 @@ void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v
         w->v[i] = v[i];
         w->low[i] = smaller(q[i], g->low[i]);
         w->high[i] = larger(q[i], g->high[i]);
-        w->joint[i].peak = fabs(v[i]);
+        w->joint[i].peak_speed = fabs(v[i]);
         w->joint[i].repeats = -1.0; /* the first reading does not count as a repeat */
     }
     for (int i = 0; i < 3; i++)
@@ -127,31 +127,31 @@ static bool compare_joint(const moc_guard *g, double q, double v, double elapsed
 
     if (first) /* start with gap = 0 */
         j->shown = q - elapsed * v;
-    j->gap = keep * j->gap + (q - j->shown) - elapsed * v;
-    j->peak = larger(fabs(v), keep * j->peak);
+    j->drift = keep * j->drift + (q - j->shown) - elapsed * v;
+    j->peak_speed = larger(fabs(v), keep * j->peak_speed);
     bool repeats = same(q, j->shown);
     /* an unchanged q and v prove nothing before the joint has moved */
-    j->whole += !first && repeats && same(v, j->speed) && j->peak > 0.0;
+    j->repeats_both += !first && repeats && same(v, j->speed) && j->peak_speed > 0.0;
     j->speed = v;
     if (first || repeats) {
         j->repeats += 1.0;
     } else {
         j->repeats = 0.0;
         j->at_repeat = j->mean; /* the mean, because the step of a coarse encoder disturbs the residual */
-        j->unseen = 0.0;
+        j->unseen_speed = 0.0;
     }
     j->shown = q;
-    return fabs(j->gap) > g->motion_rad + g->motion_lag_s * j->peak;
+    return fabs(j->drift) > g->motion_rad + g->motion_lag_s * j->peak_speed;
 }
 
 /* Whether the reference or a torque has changed since the encoders stopped changing. */
-static bool told_to_move(const moc_guard *g, int n, const double *tau, const moc_watch *w)
+static bool asked_to_move(const moc_guard *g, int n, const double *tau, const moc_watch *w)
 {
     bool whole = w->wrench_repeats > g->patience, moved = false;
     double share = whole ? g->repeat_whole_torque : g->repeat_torque, way = whole ? g->repeat_whole_m : g->repeat_m;
 
     for (int i = 0; i < 3; i++)
-        moved |= fabs(w->told[i] - w->still[i]) > way;
+        moved |= fabs(w->tip_ref[i] - w->tip_ref_before[i]) > way;
     for (int i = 0; i < n; i++)
         moved |= fabs(tau[i] - w->joint[i].torque) > share * g->tau_max[i];
     return moved;
@@ -170,16 +170,16 @@ static moc_stop compare_readings(const moc_guard *g, int n, const moc_measuremen
         ran_away |= compare_joint(g, m->q[i], m->v[i], elapsed, &w->joint[i]);
         fewest = smaller(w->joint[i].repeats, fewest);
         most = larger(w->joint[i].repeats, most);
-        fewest_whole = smaller(w->joint[i].whole, fewest_whole);
-        most_whole = larger(w->joint[i].whole, most_whole);
+        fewest_whole = smaller(w->joint[i].repeats_both, fewest_whole);
+        most_whole = larger(w->joint[i].repeats_both, most_whole);
     }
-    if (fewest <= g->patience) { /* told_to_move compares with these values */
+    if (fewest <= g->patience) { /* asked_to_move compares with these values */
         for (int i = 0; i < n; i++)
             w->joint[i].torque = m->applied[i];
-        memcpy(w->still, w->told, sizeof w->still);
+        memcpy(w->tip_ref_before, w->tip_ref, sizeof w->tip_ref_before);
     }
     bool deaf = wrench_has_noise(w) && w->wrench_repeats > g->repeat_whole_ticks;
-    bool repeated = fewest > g->patience && (deaf || told_to_move(g, n, m->applied, w));
+    bool repeated = fewest > g->patience && (deaf || asked_to_move(g, n, m->applied, w));
     return repeated || fewest_whole > g->repeat_reading_ticks                     ? MOC_STOP_REPEATED
            : ran_away                                                             ? MOC_STOP_RAN_AWAY
            : most > g->repeat_joint_ticks || most_whole > g->repeat_reading_ticks ? MOC_STOP_ONE_REPEATED
@@ -350,8 +350,8 @@ static moc_stop weigh(const moc_guard *g, int n, const moc_terms *t, const doubl
         j->mean += g->residual_share * (j->residual - j->mean);
         double beyond = j->residual - j->at_repeat;
         beyond -= clip(beyond, -g->held[i], g->held[i]);
-        j->unseen += g->period * beyond / t->M[i][i];
-        if (j->repeats > g->patience && fabs(j->unseen) > g->stuck_speed)
+        j->unseen_speed += g->period * beyond / t->M[i][i];
+        if (j->repeats > g->patience && fabs(j->unseen_speed) > g->stuck_speed)
             found = MOC_STOP_STUCK;
         bool far = fabs(j->residual - j->mean) > g->residual_torque * g->tau_max[i] ||
                   fabs(j->residual) > g->residual_whole * g->tau_max[i];
@@ -419,7 +419,7 @@ moc_stop moc_guard_follow(const moc_guard *g, const moc_arm *arm, const moc_term
 
     if (tip_ref && tip) {
         double off[3] = {tip[0] - tip_ref[0], tip[1] - tip_ref[1], tip[2] - tip_ref[2]};
-        memcpy(w->told, tip_ref, sizeof w->told);
+        memcpy(w->tip_ref, tip_ref, sizeof w->tip_ref);
         w->tip_square += g->tip_share * (dot3(off, off) - w->tip_square);
         if (!(w->tip_square <= g->tip_error * g->tip_error))
             reason = MOC_STOP_TIP;
@@ -463,19 +463,19 @@ void moc_guard_hold(const moc_guard *g, const moc_arm *arm, const double *wrench
         moc_tool_pose(arm, w->q, pose);
         double force = trocar_force(g, pose, w->point, wrench, &all);
         /* a mean, because the tool's inertia adds to the force when the stop begins */
-        w->press = all_finite(1, &force) ? w->press + g->press_share * (force - w->press) : 0.0;
-        w->yields = w->press - w->borne > (w->yields ? 0.5 * g->stop_yield : g->stop_yield);
-        w->open = w->yields ? w->open + 1 : 0;
-        if (w->open > g->stop_yield_ticks) {
-            w->yields = 0;
-            w->borne = w->press;
-        } else if (!w->yields) {
-            w->borne = smaller(w->press, w->borne);
+        w->mean_force = all_finite(1, &force) ? w->mean_force + g->press_share * (force - w->mean_force) : 0.0;
+        w->brakes_open = w->mean_force - w->base_force > (w->brakes_open ? 0.5 * g->stop_yield : g->stop_yield);
+        w->open_ticks = w->brakes_open ? w->open_ticks + 1 : 0;
+        if (w->open_ticks > g->stop_yield_ticks) {
+            w->brakes_open = 0;
+            w->base_force = w->mean_force;
+        } else if (!w->brakes_open) {
+            w->base_force = smaller(w->mean_force, w->base_force);
         }
     }
     for (int i = 0; i < arm->n; i++) {
         double beyond = w->cut ? weight[i] : larger(weight[i] - g->tau_max[i], 0.0);
-        friction[i] = w->yields ? 0.0 : g->stop_holding * g->tau_max[i] + 1.5 * beyond;
+        friction[i] = w->brakes_open ? 0.0 : g->stop_holding * g->tau_max[i] + 1.5 * beyond;
     }
 }
 

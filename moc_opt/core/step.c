@@ -110,7 +110,7 @@ moc_stop moc_begin(const moc_controller *c, const moc_input *in, moc_state *s)
 {
     if (s->begun != MOC_BEGUN)
         return MOC_STOP_NOT_STARTED;
-    memcpy(s->told, in->ref.X, sizeof s->told);
+    memcpy(s->tip_ref, in->ref.X, sizeof s->tip_ref);
     take_applied(c, in->measured.applied, s);
     if (s->reason == MOC_RUNNING)
         s->reason = believe(c, in, s);
@@ -133,7 +133,8 @@ static moc_stop complete(const moc_controller *c, const moc_answer *answer, moc_
     memcpy(memory->tau, s->tau, bytes);
     if (!c->guard)
         return MOC_RUNNING;
-    moc_stop reason = moc_guard_follow(c->guard, c->arm, &s->terms, s->terms.tip, s->told, s->sent, s->tau, &s->watch);
+    const moc_terms *t = &s->terms;
+    moc_stop reason = moc_guard_follow(c->guard, c->arm, t, t->tip, s->tip_ref, s->sent, s->tau, &s->watch);
     if (s->watch.limited) /* the observer needs the torque that acts */
         memcpy(memory->tau, s->tau, bytes);
     return reason;

@@ -243,7 +243,7 @@ static void damage(moc_memory *memory, moc_watch *watch)
     spoil(watch->v, MOC_MAX_JOINTS, 10);
     spoil(watch->number, MOC_SLOTS, 1000);
     spoil(watch->at, MOC_SLOTS, 1000);
-    spoil(&watch->joint[0].gap, (int)(sizeof watch->joint / (sizeof(double))), 20);
+    spoil(&watch->joint[0].drift, (int)(sizeof watch->joint / (sizeof(double))), 20);
 }
 
 static void poison(moc_state *s, int n) /* set all entries after the first n to NaN */

@@ -137,7 +137,7 @@ def test_violation_equal_to_the_tolerance_is_allowed():
 
 
 def test_answers_do_not_depend_on_units():
-    """The tolerance on A x = b is absolute, so the unit of length may change the status."""
+    """Answers do not depend on the units of length and cost. Only the status may, since the tolerance is absolute."""
     rng = np.random.default_rng(0)
     plain = [random_problem(rng, 7 + k % 3, structured=False, regularization=1e-5 * (k % 2)) for k in range(120)]
     problems = [nearly_singular(qp, 10.0 ** -rng.uniform(2, 15)) for qp in plain[:60]]
@@ -163,7 +163,7 @@ def test_self_motion_that_does_not_lower_the_cost_is_zero():
     qp = random_problem(np.random.default_rng(14), regularization=0.0)
     assert solve(qp).x[6] == 0.0
     assert solve(changed(qp, c2=0.0, grad_mu=np.ones(7))).x[6] == 0.0
-    for size in (1e-3, 1e3):  # a gradient below 1e-9 of the largest entry counts as zero
+    for size in (1e-3, 1e3):  # a slope along the self-motion below 1e-9 of the largest entry of grad_mu counts as zero
         grads = [size * (qp.grad_mu + share * np.eye(7)[6] * np.abs(qp.grad_mu[:6]).max()) for share in (5e-10, 2e-9)]
         assert [abs(solve(changed(qp, grad_mu=grad)).x[6]) > 0.1 for grad in grads] == [False, True]
     none = remade(changed(qp, regularization=1.0), np.zeros((6, 7)), np.zeros(6))
@@ -209,7 +209,7 @@ def test_no_answer_is_wrong_near_the_rank_tolerance(decimals, singular):
 
 @pytest.mark.parametrize("freedoms", [0, 1])
 def test_violation_that_rounding_explains_is_accepted(freedoms):
-    """The largest accepted violation is 100 times the estimated error 4e-12 max(|A| |x|) / pivot [rad/s]."""
+    """Bounds may be violated by 100 e, where e = 4e-12 max(|A| |x|) / (smallest pivot) [rad/s] estimates rounding."""
     wide = np.full(7, 10.0)
     for smallest, beyond, status in (
         (1e-3, 2e-6, Status.SOLVED), (1e-3, 2e-5, Status.INFEASIBLE), (1.0, 1e-7, Status.INFEASIBLE)
@@ -222,7 +222,7 @@ def test_violation_that_rounding_explains_is_accepted(freedoms):
 
 
 def test_answers_near_a_straight_elbow_are_feasible(robot):
-    rng, one = np.random.default_rng(10248), np.ones(16)  # first an infeasible problem with equal columns
+    rng, one = np.random.default_rng(10248), np.ones(16)  # besides, an infeasible problem whose A has equal columns
     A = rng.integers(-1, 2, (6, int(rng.integers(9, 17)))).astype(float)
     A[:, 8:] = A[:, :8]
     b = A @ (np.where(rng.random(16) < 0.5, -1.0, 1.0) + rng.normal(size=16) * 10 ** rng.uniform(-4, 1))

@@ -105,7 +105,7 @@ def test_network_restarts_from_zero_after_overflow():
 
 
 def test_rnn_printed_applies_equation_2_to_measured_velocity():
-    """Equation (2) of Su et al. 2019 is qdd_d = -v + P(v - k dL/dqd). The answer is v + qdd_d."""
+    """With equation (2) of Su et al. 2019, the answer is v + (-v + P(v - k dL/dv)), where P clips to the bounds."""
     qps = smooth_sequence(np.random.default_rng(6), 40, regularization=0.0)
     chosen = RNNPrinted()
     assert chosen.h == 0.002  # dt/eps for eps = 1 s at 500 Hz
