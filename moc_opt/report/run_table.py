@@ -101,7 +101,7 @@ def facts(trace: Trace) -> dict[str, str]:
         "gains": control.get("gains"), "controller" if law == "dcac" else "solver": law,
         "third level": None if law == "dcac" else control.get("third_level"),
         "course": control.get("course") or None, "seed": scenario.get("seed"),
-        "controller's process": "another process, whose solver and gains may differ" if "wire" in trace.meta else None,
+        "controller's process": "runs apart, perhaps with another solver or gains" if "wire" in trace.meta else None,
     }  # fmt: skip
     return {word: str(value) for word, value in known.items() if value is not None}
 

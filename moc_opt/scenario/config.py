@@ -76,7 +76,8 @@ class Scenario(Settings):
             super().__init__(**values)
         except UnknownNameError as error:
             if error.kind.endswith(" key") and (places := self._places(error.name)):
-                error.args = (f"{error}; a key of that name belongs {' or '.join(places)}",)
+                wrong = f"unknown {error.kind} {error.name!r:.100}"
+                error.args = (f"{wrong}: a key of that name belongs {' or '.join(places)}",)
             raise
 
     @classmethod

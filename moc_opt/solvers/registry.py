@@ -73,13 +73,16 @@ def check_solver(given: object, what: str = "") -> Solver:
     what = what or shown(given, 80)
     if isinstance(given, type):
         raise SolverError(f"{what} is a class, no solver: call it, as in {given.__name__}()")
+    if isinstance(given, str):
+        raise SolverError(f"{what} is a name, no solver: give moc_opt.solvers.create({what})")
     lacking = [part for part in ("supports", "start") if not callable(getattr(given, part, None))]
     if lacking:
         cure = "add what is missing, as docs/extending.md shows; solvers.create(name) makes a built-in solver"
         raise SolverError(f"{what} is no solver: it has no method {' and no '.join(lacking)}: {cure}")
     name = getattr(given, "name", None)
     if not is_name(name):
-        raise SolverError(f"{what} has the name {shown(name, 80)}: {RULE}")
+        has = "has no name: set its attribute `name`" if name is None else f"has the name {shown(name, 80)}"
+        raise SolverError(f"{what} {has}: {RULE}")
     return given  # type: ignore[return-value]
 
 

@@ -48,7 +48,7 @@ class Kept:
         try:
             self._cache: Any = diskcache.Cache(folder, eviction_policy="none")
         except (OSError, sqlite3.Error) as error:
-            cure = "remove it, or give another --out"
+            cure = "remove it, or give another --out" if folder.exists() else "give another --out"
             raise StudyError(f"{folder} cannot keep finished jobs ({error}): {cure}") from error
 
     def get(self, key: str) -> tuple[Any] | None:
