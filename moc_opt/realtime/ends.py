@@ -25,19 +25,20 @@ from moc_opt.sim.protocols import Filtered, LoggedController
 from moc_opt.sim.sensors import Measurement
 
 INCOMING = (Kind.HELLO, Kind.START, Kind.COMMAND, Kind.BYE)
-_BYE_S, _BYE_TIMES = 0.1, 10  # interval between ENDED packets [s], and their maximum number
+_ENDED_S, _ENDED_TIMES = 0.1, 10  # until BYE comes, ENDED is sent at this interval [s], at most this number of times
 _REPEAT_S = 0.1  # interval at which HELLO and START are repeated [s]
-_LINGER_S = 0.3  # time for which repeated ENDED packets are acknowledged [s]
+_LINGER_S = 0.3  # time for which the controller answers repeated ENDED packets with BYE [s]
 
 
 class RemoteController(Filtered):
-    """The plant's end of the wire: it sends measurements, and returns the torques of commands or of its watchdog.
+    """The plant's end of the wire. It sends measurements, and returns the torques of the commands that come back.
 
-    Pass the object to `sim.loop.simulate` as the controller, and ``pace`` as ``watch``. Call ``close`` afterwards.
+    Without a command in time, its watchdog holds the last torque, then damps the arm, and at last stops it. Pass the
+    object to `sim.loop.simulate` as the controller, and ``pace`` as ``watch``. Call ``close`` afterwards.
 
     Args:
-        safety_filter: the filter of the watchdog. The controller has another one.
-        columns: function that makes the trace columns for a number of ticks.
+        safety_filter: computes only the watchdog's torques and brakes. The controller's end checks measurements.
+        columns: function that makes the controller's trace columns, with a row for each of a number of ticks.
         applied, tau_max: (n,) torque before the first tick, and limits of the torques in commands [Nm].
         clock: None for lock-step, in which the plant waits for each command.
     """
@@ -59,7 +60,7 @@ class RemoteController(Filtered):
     warnings = property(lambda self: [])  # the controller's end records them
 
     def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
-        """Wait until a controller starts at the first measurement. Raise a WireError if no controller does."""
+        """Answer each HELLO with the first measurement, until a START comes. Raise a WireError if none comes."""
         link, packet, self._sound = self.link, self._packet, seen
         self._fill(seen, wire.WAITING)
 
@@ -79,7 +80,7 @@ class RemoteController(Filtered):
         link.peer, link.session = link.sender, int(packet["session"])
 
     def pace(self, tick: int) -> None:
-        """Wait until a tick begins; in lock-step, return at once."""
+        """In real time, wait until a tick begins. In lock-step, return at once."""
         if self.clock is not None:
             self._until = self.clock.wait_for(tick)
 
@@ -119,7 +120,7 @@ class RemoteController(Filtered):
         return self._friction
 
     def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
-        """Create the controller's columns, and columns for delays and missed commands."""
+        """Create the controller's columns, and columns for times [us] and missed commands."""
         return {
             **self._make_columns(ticks), "wake_us": np.full(ticks, np.nan), "control_us": np.full(ticks, np.nan),
             "missed": np.zeros(ticks, dtype=np.bool_),
@@ -140,13 +141,13 @@ class RemoteController(Filtered):
         """Tell the controller that the run is over. Return the packet counts."""
 
         def acknowledges(found: Packet) -> bool:
-            self._is_due(found)  # counts the packet
+            self._is_due(found)  # only to count a command that came too late
             return bool(found["kind"] == Kind.BYE)
 
         self._packet["flags"], link = wire.ENDED, self.link
-        for _ in range(_BYE_TIMES if link.session else 0):
+        for _ in range(_ENDED_TIMES if link.session else 0):
             link.send(self._packet)
-            if link.receive(monotonic() + _BYE_S, acknowledges) is not None:
+            if link.receive(monotonic() + _ENDED_S, acknowledges) is not None:
                 break
         link.session = 0
         link.close()
@@ -159,7 +160,7 @@ class RemoteController(Filtered):
 
     def _exchange(self, seen: Measurement) -> Packet | None:
         self._fill(seen, wire.RUNNING)
-        # After a missed tick, send only once, so that the run ends soon if the controller died.
+        # Lock-step sends a measurement again, but not after a missed tick: the controller may have died.
         for _ in range(1 if self.clock is not None or self._silent else 1 + self._settings.resends):
             self.link.send(self._packet)
             until = monotonic() + self._settings.resend_s if self.clock is None else self._until
@@ -190,17 +191,18 @@ class Answering:
     link: Link
     settings: WireSettings
     controller: LoggedController
-    safety_filter: SafetyFilter | None
+    safety_filter: SafetyFilter | None  #: None: measurements and torques are not checked.
     tip_refs: Array  #: (N, 3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2].
     registered: Array  #: (N, 2, 3) position [m] and velocity [m/s] of the registered trocar.
-    scenario: int  #: Fingerprint of the scenario, which must be the same at both ends.
-    ready: Callable[[], None] = lambda: None  #: Called once after the controller has started.
+    scenario: int  #: Fingerprint (hash) of the scenario. Both ends must have the same fingerprint.
+    ready: Callable[[], None] = lambda: None  #: Called once, before START is sent.
 
     def run(self) -> dict[str, Any]:
-        """Find the plant, start at its first measurement, and answer until the run ends.
+        """Find the plant, start the controller at its first measurement, and answer until the run ends.
 
-        Return a dict of ``ended`` (how the run ended), ``ticks`` (number of answers), ``quality`` (packet counts),
-        ``warnings`` and ``faults``. Raise a WireError if no plant answers, or the plant runs another scenario.
+        Return a dict of ``ended`` (how the run ended), ``ticks`` (number of answered ticks), ``quality`` (counts of
+        packets), ``warnings`` of the safety filter and ``faults`` of the solver. Raise a WireError if no plant answers,
+        or the plant runs another scenario.
         """
         link = self.link
         first = self._ask(Kind.HELLO, waits=True)
@@ -228,7 +230,7 @@ class Answering:
         return make_packet(kind, self.link.n, self.link.session, self.scenario)
 
     def _ask(self, kind: Kind, *, waits: bool) -> Packet:
-        """Repeat a packet until a measurement comes that has (``waits``) or lacks (not ``waits``) the flag WAITING."""
+        """Repeat a packet until a measurement comes: with the flag WAITING if ``waits``, else with another flag."""
         link, request, until = self.link, self._packet(kind), monotonic() + self.settings.wait_s
         while (now := monotonic()) < until:
             link.send(request)
@@ -257,14 +259,14 @@ class Answering:
                 self._answer(found, filtered)
             else:
                 quality["late"] += 1
-                if number == newest:  # the plant did not get the answer
+                if number == newest:  # the command was probably lost, so the plant asks again
                     link.send(self._command)
             found = link.receive(monotonic() + self.settings.silence_s)
         return f"the plant has been silent for {self.settings.silence_s:g} s"
 
     def _answer(self, found: Packet, filtered: FilteredController) -> None:
         begin, number, command, seen = perf_counter_ns(), int(found["sequence"]), self._command, _measurement(found)
-        if not np.array_equal(found["commanded"], command["tau"]):  # the watchdog acted
+        if not np.array_equal(found["commanded"], command["tau"]):  # the watchdog's torque acted in the tick before
             filtered.set_applied_torque(np.array(found["commanded"]))
         command["tau"] = filtered.tick(seen, self.tip_refs[number], self.registered[number])
         command["sequence"], command["limited"], command["flags"] = number, filtered.limited, wire.REPORTED

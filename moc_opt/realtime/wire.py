@@ -1,7 +1,7 @@
-"""The wire (UDP): packets for Python and C, and a socket that drops invalid packets.
+"""The wire: UDP packets between plant and controller (in Python or C), and a socket that drops invalid packets.
 
-A packet ends with the keyed BLAKE2s checksum (RFC 7693) of all preceding bytes. Without a key, any process of this
-machine can take part, but no other machine. Nothing is encrypted.
+A packet ends with the keyed BLAKE2s checksum (RFC 7693) of all preceding bytes. Without a key of the user, the wire
+runs only on loopback, where any process of this machine can take part. Nothing is encrypted.
 """
 
 from __future__ import annotations
@@ -30,12 +30,13 @@ from moc_opt.qp.problem import row_length
 
 MAGIC, VERSION = b"MOCW", 3
 LOOPBACK_KEY = b"moc_opt: loopback, no secret"
-VARIABLE = "MOC_OPT_WIRE_KEY"
+VARIABLE = "MOC_OPT_WIRE_KEY"  #: Environment variable that may hold the key.
 SHORTEST, LONGEST = 16, 32  #: Bounds on the number of bytes of a key.
 TAG_BYTES = 16
-BACKLOG = 256  #: After its deadline, `receive` stops when it has read this number of packets.
+BACKLOG = 256  #: Largest number of packets that a call of `receive` reads, if its time limit has passed.
 COUNTERS = ("received", "missed", "late", "forged", "foreign")
-"""The counters of each end, explained in docs/realtime.md."""
+"""What an end counts: packets used (received), ticks without a packet in time (missed), packets that came too late or
+twice (late), packets with a wrong checksum (forged), and all other ignored packets (foreign)."""
 
 Packet = NDArray[np.void]  #: A record of shape ().
 Address = tuple[str, int]  #: Host and port.
@@ -69,7 +70,7 @@ class WireSettings(Settings):
 
 
 class Kind(IntEnum):
-    """The kinds of packets. All except MEASUREMENT go to the plant."""
+    """The kinds of packets. A MEASUREMENT goes to the controller, all others to the plant."""
 
     HELLO = 1  #: The controller looks for a plant.
     START = 2  #: The plant may begin.
@@ -79,7 +80,8 @@ class Kind(IntEnum):
 
 
 WAITING, RUNNING, ENDED = 0, 1, 2  #: ``flags`` of a measurement: before, during and after the run.
-STOP, REPORTED = 1, 2  #: Bits in ``flags`` of a command: stop the arm; record all fields, not only control_us.
+STOP, REPORTED = 1, 2
+"""Bits in ``flags`` of a command. STOP: stop the arm. REPORTED: "iterations" and all fields after "reason" are set."""
 
 # Every field's offset is a multiple of its size, as in a C struct.
 HEADER: list[tuple[Any, ...]] = [
@@ -90,7 +92,7 @@ HEADER: list[tuple[Any, ...]] = [
 
 @cache
 def layout(kind: Kind, n: int) -> np.dtype[Any]:
-    """Return the byte layout of a packet for n joints."""
+    """Return the byte layout of a packet for n joints. The tables in docs/realtime.md explain the fields."""
     bodies: dict[Kind, list[tuple[Any, ...]]] = {
         Kind.MEASUREMENT: [
             ("stamp", "<i8"), ("q", "<f8", (n,)), ("v", "<f8", (n,)), ("wrench", "<f8", (6,)),
@@ -107,7 +109,7 @@ def layout(kind: Kind, n: int) -> np.dtype[Any]:
 
 
 def make_packet(kind: Kind, n: int, session: int = 0, scenario: int = 0) -> Packet:
-    """Make a packet of zeros with a header."""
+    """Make a packet in which only header fields are set; flags, sequence and all later fields are 0."""
     packet = np.zeros((), layout(kind, n))
     packet["magic"], packet["version"], packet["kind"], packet["joints"] = MAGIC, VERSION, kind, n
     packet["session"], packet["scenario"] = session, scenario
@@ -115,13 +117,13 @@ def make_packet(kind: Kind, n: int, session: int = 0, scenario: int = 0) -> Pack
 
 
 def seal(packet: Packet, key: bytes) -> bytes:
-    """Return the bytes of a packet with their checksum."""
+    """Compute a packet's checksum, and return the packet as bytes that end with it."""
     data = packet.tobytes()[:-TAG_BYTES]
     return data + hashlib.blake2s(data, key=key, digest_size=TAG_BYTES).digest()
 
 
 def sealed(data: bytes, key: bytes) -> bool:
-    """Return whether a packet ends with its checksum."""
+    """Return whether a packet's last bytes are the right checksum of the others."""
     wanted = hashlib.blake2s(data[:-TAG_BYTES], key=key, digest_size=TAG_BYTES).digest()
     return hmac.compare_digest(wanted, data[-TAG_BYTES:])
 
@@ -167,7 +169,7 @@ def written(address: Address | None) -> str:
 
 
 def parse_address(text: str, option: str) -> Address:
-    """Return numeric host and port of "HOST:PORT". Raise a WireError if form or host is wrong."""
+    """Return IPv4 address and port of "HOST:PORT". Raise a WireError about ``option`` if form or host is wrong."""
     host, _, port = text.rpartition(":")
     if not host or not port.isdecimal() or int(port) > 65535:
         raise WireError(f"{option} {text!r}: give HOST:PORT, as 127.0.0.1:30200")
@@ -179,10 +181,10 @@ def parse_address(text: str, option: str) -> Address:
 
 
 def read_key(file: Path | None, host: str, option: str) -> bytes:
-    """Return the key from the file, else from the environment variable. On loopback, `LOOPBACK_KEY` is the default.
+    """Return the first key that exists: the file's, the environment variable's, or on loopback `LOOPBACK_KEY`.
 
     Raises:
-        WireError: the key has a wrong length, or there is no key and other machines can reach the host.
+        WireError: the key has a wrong length, or there is no key and the host is no loopback address.
     """
     text = os.environ.get(VARIABLE, "") if file is None else read_text(file, "--key-file", WireError)
     if file is None and not text:
@@ -192,7 +194,7 @@ def read_key(file: Path | None, host: str, option: str) -> bytes:
             f"{option} {host}: other machines reach that address, and any of them can move the arm: give both "
             f"ends the same key by --key-file or {VARIABLE}, or use 127.0.0.1"
         )
-    key = (text if file is None else text.strip()).encode(errors="surrogateescape")  # the C program strips nothing
+    key = (text if file is None else text.strip()).encode(errors="surrogateescape")  # C does not strip the variable
     if not SHORTEST <= len(key) <= LONGEST:
         raise WireError(
             f"{VARIABLE if file is None else f'--key-file {str(file)!r}'}: a key of {len(key)} bytes: give one line of "
@@ -204,8 +206,9 @@ def read_key(file: Path | None, host: str, option: str) -> bytes:
 class Link:
     """A socket that sends and receives sealed packets. Raises a WireError if the address cannot be bound.
 
-    It listens at ``address`` and sends to ``peer``, which is None until known. ``quality`` has the counts named in
-    ``COUNTERS``; ``sender`` is the address of the latest valid packet.
+    It listens at ``address`` and sends to ``peer``, which is None until known. If ``session`` is not 0, only packets of
+    this session from ``peer`` are valid. ``sender`` is the address of the latest valid packet. ``quality`` has the
+    counts named in ``COUNTERS``, and ``expected`` the kinds of packets that this end may receive.
     """
 
     def __init__(
@@ -240,7 +243,7 @@ class Link:
             raise WireError(f"nothing can be sent to {written(to or self.peer)}: {describe(error)}") from error
 
     def receive(self, until: float, wanted: Callable[[Packet], bool] = lambda packet: True) -> Packet | None:
-        """Return the next valid packet for which ``wanted`` is true, or None if the time ``until`` [s] has come."""
+        """Return the next valid packet for which ``wanted`` is true, or None if `monotonic` reaches ``until`` [s]."""
         looked_at = 0
         while looked_at < BACKLOG or monotonic() < until:
             try:
@@ -261,7 +264,7 @@ class Link:
         return None
 
     def _sound(self, data: bytes, sender: Address) -> Packet | None:
-        """Return the packet if it is valid and of this run. Otherwise, count it as forged or foreign."""
+        """Return the packet if it is valid. Otherwise, count it as forged or foreign, and return None."""
         form = self._incoming.get(data[5]) if len(data) > 5 else None
         if form is not None and len(data) == form.nbytes:
             if not sealed(data, self._key):
