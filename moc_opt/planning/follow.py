@@ -21,10 +21,10 @@ from moc_opt.robots.model import RobotState
 
 GAIN_PER_S = 5.0  #: Gain k of x_d.
 NODES = 10  #: Number of time steps of the nonlinear program.
-CATCH_UP = 1.03  #: Factor on the joint speeds that the search allows.
+CATCH_UP = 1.03  #: Courses made during the run may be faster than those of the value function by this factor.
 ON_COURSE_RAD = 0.05
-"""If the arm is nearer than this to the old course, a new course begins on the old course. A start at the measured pose
-would close a second feedback loop."""
+"""If every joint is nearer than this to the old course, a new course begins on the old course. A course that begins at
+the measured pose would close a second feedback loop."""
 MOST_OFF = 1e-3  #: A course is refused if its tip or wrist error [m] or its excess over limits [rad] is above this.
 LOST_RAD = 0.3  #: If a joint is farther than this from the course, the arm has left the course.
 NO_COURSE = "q_start: no course within the joint limits and speeds leads from this pose to the end of the path"
@@ -34,7 +34,7 @@ ASKED_EACH = 25  #: Ticks between two checks of whether the arm has left its cou
 class Piece(NamedTuple):
     """A course with cubic Hermite interpolation. After its end, the last pose is held."""
 
-    t_s: Array  #: (k,) times of the poses [s]
+    t_s: Array  #: (k,) times of the poses [s], evenly spaced
     q_rad: Array  #: (k,n) joint positions [rad]
     v_rad_per_s: Array  #: (k,n) joint velocities [rad/s]
 
@@ -73,12 +73,12 @@ class Planner:
 
     @property
     def told(self) -> dict[str, float]:
-        """The number of ``solves`` and of ``refused`` answers, and percentiles of the solve times [ms]."""
+        """The number of ``solves``, the number of ``refused`` answers, and two percentiles of the solve times [ms]."""
         median, high = np.percentile(1e3 * np.array(self._solve_s or [0.0]), [50.0, 99.0]).tolist()
         return {"solves": len(self._solve_s), "refused": self._refused, "solve_ms_median": median, "solve_ms_p99": high}
 
     def plan(self, q: Array, t: float, last: Piece | None) -> Piece | None:
-        """Plan a course from a pose (n,) [rad] at a time [s], or return None. ``last`` is the previous course."""
+        """Plan a course from a pose (n,) [rad] at a time [s], after the course ``last``; None if none is usable."""
         path, began = self._value.map.targets, time.perf_counter()
         end = min(int(np.searchsorted(path.t_s, t + self._horizon_s)), len(path) - 1)
         if path.t_s[end] - t < 0.5 * path.period_s:
@@ -172,7 +172,8 @@ class Follower:
                 self._begin(planner, state.q)
         elif planner is not None and 0 <= self._begun < self._tick and self._tick % self._every == 0:
             # The course of the previous solve takes effect now, as if a solve took the whole time between two solves.
-            # A refused course is replaced by the one followed until now. On a rail, the newest one was less accurate.
+            # If the new solve gives no course, the course followed until now is kept for the next period. For an arm on
+            # a rail, keeping it was more accurate than keeping the previous solve's course.
             now, self._next = self._next, planner.plan(state.q, t, self._now) or self._now
             self._before, self._now = self._now, now
         q, v = self._now.at(t)
