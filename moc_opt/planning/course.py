@@ -96,11 +96,11 @@ class Course:
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """Limits for a course. The first two are kept; violations of the third are only penalized."""
+    """Limits for a course."""
 
     margin: Margin = 0.0  #: distance kept from the joint limits
     speed_share: float = 1.0  #: share of the joints' speed limits that may be used
-    shaft: float = 0.0  #: lower bound on `shaft_shares`; `lowered` reduces mu below it
+    shaft: float = 0.0  #: soft lower bound on `shaft_shares`: at poses below it, `lowered` reduces mu
 
 
 def lowered(mu: Array, share: Array, limits: Limits, top: float) -> Array:

@@ -21,7 +21,7 @@ from moc_opt.robots.model import RobotState
 
 GAIN_PER_S = 5.0  #: Gain k of x_d.
 NODES = 10  #: Number of time steps of the nonlinear program.
-CATCH_UP = 1.03  #: Courses made during the run may be faster than those of the value function by this factor.
+CATCH_UP = 1.03  #: Courses made during the run may exceed the joint speeds of the value function by this factor.
 ON_COURSE_RAD = 0.05
 """If every joint is nearer than this to the old course, a new course begins on the old course. A course that begins at
 the measured pose would close a second feedback loop."""
@@ -52,7 +52,7 @@ class Piece(NamedTuple):
 
 
 class Planner:
-    """Makes courses of a fixed duration, the horizon, from any pose.
+    """Makes courses from any pose. They last for a fixed time, the horizon, or until the end of the path.
 
     The value function V of `search` gives a coarse course, and `Program` smooths it.
     """
@@ -78,7 +78,7 @@ class Planner:
         return {"solves": len(self._solve_s), "refused": self._refused, "solve_ms_median": median, "solve_ms_p99": high}
 
     def plan(self, q: Array, t: float, last: Piece | None) -> Piece | None:
-        """Plan a course from a pose (n,) [rad] at a time [s], after the course ``last``; None if none is usable."""
+        """Plan a course from a pose (n,) [rad] at a time [s]. None: no usable course. ``last``: course until now."""
         path, began = self._value.map.targets, time.perf_counter()
         end = min(int(np.searchsorted(path.t_s, t + self._horizon_s)), len(path) - 1)
         if path.t_s[end] - t < 0.5 * path.period_s:
@@ -116,7 +116,7 @@ class Planner:
 
 
 class Follower:
-    """The desired velocities of one run, tick by tick."""
+    """The desired joint velocities of one run, one per control period (tick)."""
 
     def __init__(
         self, period_s: float, *, course: Course | None = None, planner: Planner | None = None,

@@ -39,7 +39,7 @@ BRAKE_SHARE = 0.9  #: Share of the safety filter's deceleration that courses mad
 SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}
 """Weight of the squared acceleration [s^4/rad^2] of courses made before the run (planned) or during it (receding)."""
 MOST_OFF_M = 1e-3  #: Distance of tip or wrist from its target, above which a course file is refused.
-MOST_OFF_RAD = 1e-6  #: A course file is refused if its first pose or a joint limit is violated by more.
+MOST_OFF_RAD = 1e-6  #: Tolerance of a course file's first pose, and of its excess over joint limits.
 ROUNDING = 1e-6  #: Tolerance for a course file's first time [s], duration (relative) and speeds (share of the limits).
 PLAN_IT = "plan it for this scenario: moc-opt plan SCENARIO --out FILE"
 
@@ -56,7 +56,7 @@ class Following:
     period_s: float  #: control period [s]
 
     def stuck(self, part: float) -> ScenarioError:
-        """Return the error for a path without a course at ``part`` times the usual speed."""
+        """Return the error for a path without a course at speeds up to ``part`` times ``course_speed_fraction``."""
         limits = Limits(speed_share=part * self.settings.course_speed_fraction)
         stuck = make_plan(self.robot, self.q_start, self.targets(), limits, refined=False).blocked
         where = "" if stuck is None else f"{1e3 * stuck.arc_length_m:.1f} mm along the path, {stuck.reason}"
@@ -81,13 +81,13 @@ class Ways:
 
     @property
     def speeds(self) -> tuple[float, ...]:
-        """The speeds to try: `SPEEDS`, preceded by `HURRY` if this raises mean mu enough."""
+        """The speed factors to try: `SPEEDS`, preceded by `HURRY` if mean mu with `HURRY` is enough larger."""
         q, mu = self.run.q_start, float(self.run.robot.state(self.run.q_start).mu)
         usual, fast = (self.at(part)[0].of(q, mu) for part in (1.0, HURRY))
         return (HURRY, *SPEEDS) if fast > (1.0 + WORTH_IT) * usual else SPEEDS
 
     def at(self, part: float) -> tuple[Value, Limits, Way]:
-        """Return (value function V, limits, best coarse course) for ``part`` times the usual speed.
+        """Return (value function V, limits, best coarse course) at ``part`` times the ``course_speed_fraction``.
 
         A ScenarioError is raised if there is no course.
         """
@@ -273,7 +273,7 @@ def too_fast_to_follow(settings: ControlSettings, robot: RobotModel, shares: Arr
 
 
 def margin_of(robot: RobotModel, margin_rad: float, margin_m: float) -> Margin:
-    """Return ``margin_rad`` or, if a joint slides, (n,) with ``margin_m`` for such joints; a TaskError if negative."""
+    """Return ``margin_rad`` or, if a joint slides, the margins of all joints (n,); a TaskError if one is negative."""
     for name, value in (("margin_rad", margin_rad), ("margin_m", margin_m)):
         if not (is_number(value) and 0.0 <= value < np.inf):
             raise TaskError(f"{name} = {value!r}: give zero or more, and less than half of every joint's range")

@@ -40,7 +40,7 @@ class Plan:
     targets: Targets  #: Targets of tip and wrist, (k,3) each [m].
     from_start: Course | None  #: Best course from the start, or None.
     best: Course | None  #: Best course from any start pose, or None.
-    climbed: Course  #: Course that climbs mu locally. The course ends before the path does if a limit blocks it.
+    climbed: Course  #: Course that climbs mu locally. It ends before the path's end if a limit blocks the way.
     bound_from_start: float
     """Estimated upper bound of mean mu from the start [m^3]; NaN if ``from_start`` is None or exceeds it."""
     bound: float  #: Estimated upper bound of mean mu over all starts [m^3]; NaN if ``best`` is None or exceeds it.
@@ -124,7 +124,7 @@ def make_plan(
         if course is not None and refined:
             course = refine(robot, targets, course, limits)
         if refined and (course is None or course.mu_mean < (1.0 - ROOM) * bound):
-            q = best_course(relaxed, begin)  # on a coarse map, the other search may have missed courses
+            q = best_course(relaxed, begin)  # unlike `value`, `relaxed` allows courses between the map's poses
             if q is not None:
                 other = refine(robot, targets, make_course(robot, targets, q, limits), limits)
                 course = better(course, other if other.kept else None)

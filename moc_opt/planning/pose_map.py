@@ -26,13 +26,13 @@ from moc_opt.robots.model import RobotModel, link_frames
 Flags = NDArray[np.bool_]
 
 EXACT_M = 1e-7  #: Axes that pass each other within this distance count as meeting [m].
-BRANCHES = 8  #: Branches of inverse kinematics. Bits 0 to 2 of a branch's index: whether t2, t4, t6 are negative.
+BRANCHES = 8  #: Branches of inverse kinematics. Bits 0 to 2 of an index: signs of t2, t4, t6 of `ClosedForm`, 1 if < 0.
 STRAIGHT = 1e-9  #: Sine of the angle between forearm and line shoulder-wrist. Below it, the map has no pose.
 ROUNDING_RAD = 1e-9  #: Tolerance of the joint limits.
 SWIVELS, MOST_SWIVELS = 720, 2880  #: Default and maximum number of evenly spaced swivel angles.
 PEAKS = 4  #: Upper bound on the number of local maxima of the map at which ascents of mu start.
 STEP_RAD = 0.03  #: Spacing of the samples along a traced curve.
-SEEDS = 64  #: Number of random starts of inverse kinematics at the first time. Later times have a sixteenth of it.
+SEEDS = 64  #: Number of random starts of inverse kinematics at the first time. Each later time has a sixteenth as many.
 MOST_CURVES = 16  #: Upper bound on the number of curves at one time.
 SAME_CURVE = 0.7  #: A pose is on a known curve if it is nearer to a sample than this share of the samples' spacing.
 NO_LIMIT_RAD = 20.0  #: Joint limit, to both sides, of an arm from `without_limits`.

@@ -6,9 +6,9 @@ The variables q are the positions of the joints that move tip or wrist, at K eve
     s.t. X(q_k) = X_d,  B_k^T (N(q_k) - X_d) = 0,  q_min <= q_k <= q_max,  |q_k - q_k-1| <= v_max dt,
          and no joint is `too_fast` towards its limit
 
-mu is the manipulability, reduced as in `course.lowered`. mu_0 is a typical mu, w a weight, T a time, and dt the step
-between two times. X(q) is the tip, X_d its target, and N(q) the wrist. The columns of B_k (3,2) are orthogonal to the
-desired shaft, so N lies on this shaft. With three equations for N instead of two, the multipliers would not be unique.
+mu is the manipulability, reduced as in `course.lowered`. mu_0 is a typical mu, w a weight, T is `SETTLED_S`, and dt is
+the time step. X(q) is the tip, X_d its target, and N(q) the wrist. The columns of B_k (3,2) are orthogonal to the
+desired shaft, so that N lies on it. |X - N| is constant, so a third equation for N would make multipliers ambiguous.
 V is the value function of `search`: the largest integral of mu from the last pose to the path's end.
 """
 
@@ -61,7 +61,7 @@ class Program:
             mu: mu_0, a typical mu, which scales the objective [m^3].
             top: largest mu, which scales the penalty of `lowered` [m^3]. If 0, mu_0 is used.
             smoothness: w [s^4/rad^2].
-            brake: deceleration with which joints must be able to stop before their limits [rad/s^2]. If inf, any.
+            brake: deceleration with which joints must be able to stop before their limits [rad/s^2]; inf: no such rule.
             horizon: use three SQP steps instead of ipopt, and do not penalize the stop after the last time.
         """
         import casadi as ca  # imported late: it takes half a second

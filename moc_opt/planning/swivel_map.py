@@ -27,7 +27,7 @@ OTHER_BRANCH_RAD = 0.5  #: ``gap_rad`` above which run and map are on different 
 NEEDED = ("t_s", "q_rad", "tip_m", "tip_ref_m")
 NEAR = 0.02  #: mu counts as optimal if it is below the best mu by at most this fraction.
 END = 0.2  #: The end of a run is judged from this last fraction of its time.
-CLOSE_RAD = np.radians(12.0)  #: A run is at a local maximum of mu, or at an edge, if it is no farther than this swivel.
+CLOSE_RAD = np.radians(12.0)  #: A run is at a local maximum of mu, or at an edge, if its swivel is this close.
 STILL_RAD_PER_S = np.radians(1.0)  #: Speed of the swivel below which a run counts as at rest.
 
 
@@ -40,7 +40,7 @@ class Trajectory:
     mu: Array  #: Manipulability of the run's poses [m^3].
     gap_rad: float
     """Median over the samples of the largest angle between a joint of the run and the map's pose at the same time and
-    swivel. Above `OTHER_BRANCH_RAD`, mu and best mu of run and map are not compared."""
+    swivel. Above `OTHER_BRANCH_RAD`, the run's mu is not compared with the map's."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -77,7 +77,7 @@ def compute_residuals(rows: Array, x: Array, y: Array | None = None) -> Residual
 
 
 class Assembled(NamedTuple):
-    """Read-only arrays of min 1/2 x^T P x + p^T x s.t. A x = b. lift^T turns its m duals into duals of all six rows."""
+    """Read-only arrays of min 1/2 x^T P x + p^T x s.t. A x = b. lift^T turns the m duals into duals of all six rows."""
 
     P: Array  #: (n, n)
     p: Array  #: (n,)

@@ -193,7 +193,7 @@ def ranks(s: Array) -> NDArray[np.intp]:
 
 def _idle_patterns(A: Array) -> list[tuple[NDArray[np.intp], NDArray[np.bool_]]]:
     moves = np.linalg.norm(A, axis=1) > RANK_TOLERANCE * np.linalg.norm(A, axis=(1, 2))[:, None]
-    if (moves == moves[:1]).all():  # true for most batches, and faster than `unique`
+    if (moves == moves[:1]).all():  # usually all matrices have the same idle joints; then the slow `unique` is avoided
         return [(np.arange(len(A)), pattern) for pattern in moves[:1]]
     patterns, which = np.unique(moves, axis=0, return_inverse=True)
     return [(np.flatnonzero(which.ravel() == i), pattern) for i, pattern in enumerate(patterns)]

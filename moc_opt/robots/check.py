@@ -24,7 +24,7 @@ REGULAR, SINGULAR = (0.1, 0.05), 1e-4
 """Bounds on two ratios of singular values at home, `Freedoms.tip` and `Freedoms.both`. If a ratio is below its value in
 `REGULAR`, the verdict is "care". If it is below `SINGULAR`, the verdict is "cannot"."""
 LITTLE_TO_GAIN = 0.05  #: If mu at home can rise by less than this share, the verdict is "care".
-LEAST_M = 0.005  #: Radius of a circle [m]. If neither the scenario's path nor this circle can be done: "cannot".
+LEAST_M = 0.005  #: If the arm cannot even follow a circle of this radius [m], the verdict is "cannot".
 MARGIN_DEG, MARGIN_MM = 15.0, 80.0
 """If a joint that turns (deg) or slides (mm) is closer to a limit at home, the verdict is "care"."""
 CARE = 0.8  #: If gains reach this share of the stability limit, the verdict is "care".

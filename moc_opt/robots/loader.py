@@ -106,7 +106,7 @@ class RobotData:
     q_max: Array
     v_max: Array
     tau_max: Array
-    rotor_inertia: Array  #: [kg m^2], added to the diagonal of the inertia matrix. It is not in the URDF.
+    rotor_inertia: Array  #: [kg m^2], not part of the URDF. It is added to the diagonal of the inertia matrix.
     viscous_friction: Array  #: [Nm s/rad]
     coulomb_friction: Array  #: [Nm]
     q_home: Array

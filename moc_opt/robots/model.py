@@ -105,8 +105,8 @@ class RobotState:
     ))  # fmt: skip
     grad_mu_shaft = _part("grad_mu_shaft", "dmu_shaft/dq (n,) [m^2/rad]; zero where mu_shaft is 0 and has a kink.")
     M = _part("M", "Joint-space inertia (n,n), rotor inertia included [kg m^2].", shape=(0, 0))
-    h = _part("h", "C v + g (n,) [Nm]: Coriolis, centrifugal and gravity torque.")
-    energy_slope = _part("energy_slope", "dT/dq = C^T v (n,) [Nm]: T kinetic energy, C as in h (Christoffel's form).")
+    h = _part("h", "Coriolis and centrifugal torque C v plus gravity torque g (n,) [Nm].")
+    energy_slope = _part("energy_slope", "dT/dq = C^T v (n,) [Nm]. T: kinetic energy, C: from Christoffel symbols.")
     gravity = _part("gravity", "g (n,) [Nm], the torque that carries the arm's weight.")
 
 

@@ -62,7 +62,7 @@ def new_robot(
         UnknownNameError: ``tip`` or a joint of ``lock`` is not in the file.
     """
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}\.toml", out.name):
-        raise RobotError(f"--out {out.name!r}: this names the robot: give letters, digits, _ and -, then .toml")
+        raise RobotError(f"--out {out.name!r}: the robot gets this name: give letters, digits, _ and -, then .toml")
     for option, value, least, most in (
         ("tool", tool_m, 1e-3, 10.0), ("seed", seed, 0, 2**63), *(("base-rpy", angle, -10, 10) for angle in base_rpy),
         *((f"lock {joint}", place, -1e3, 1e3) for joint, place in (lock or {}).items()),

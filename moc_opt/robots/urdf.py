@@ -280,7 +280,7 @@ class Tree:
         self.base = bases[0]
 
     def chain(self, last_link: str, named: str) -> list[Joint]:
-        """Return the moving joints from base to a link. Errors call the link by ``named``, the option that chose it."""
+        """Return the moving joints from base to a link. ``named`` is the option or key that chose it, for errors."""
         if last_link not in self.links:
             raise UnknownNameError(f"link ({named})", last_link, self.links)
         chain = [joint for joint in self.path(last_link) if joint.moves]

@@ -56,7 +56,7 @@ def read_vendor(
     arm.chain = tree.chain(arm.last_link, "--tip")
     arm.notes.append(f"the tool sits on {arm.last_link!r}, the link of {'--tip' if tip else 'the last joint'}")
     mend_bodies(arm.urdf.links, arm.notes)
-    # The joints from the first moving joint to the last link are not fixed. `normalize` refuses unknown kinds of them.
+    # Joints from the first moving joint to the last link are not fixed. `normalize` refuses unknown kinds of joints.
     between = tree.path(arm.last_link)[len(tree.path(arm.chain[0].parent)) :]
     _fix([joint for joint in arm.urdf.joints if joint not in between and joint.kind != "fixed"], arm.notes)
     if any(base_rpy):
