@@ -172,7 +172,7 @@ def followed_course(run: Following, ways: Ways | None = None) -> Course:
             found = refine(robot, targets, course, limits, smoothness=smooth, brake=rule)
             if found is not course:
                 return found
-        return course  # no smooth course with nearly the same mu was found
+        return course  # the file's course, because no smooth course with nearly the same mu was found
     ways, other = ways or Ways(run), []
     for part, rule in [*((part, brake) for part in ways.speeds), (SPEEDS[-1], np.inf)]:
         _, limits, way = ways.at(part)

@@ -150,7 +150,7 @@ def refine(
     The given course is returned unchanged if the answer is infeasible or worse. With ``smoothness`` or ``brake``, the
     answer may lose the share `SMOOTH_LOSS` of mean mu.
     """
-    if limits.shaft > 0.0 and _above(robot, course, limits):  # first without the shaft's margin: this is faster
+    if limits.shaft > 0.0 and _above(robot, course, limits):  # faster, and enough if the answer keeps the margin anyway
         bare = replace(limits, shaft=0.0)
         free = refine(robot, targets, course, bare, smoothness=smoothness, brake=brake)
         if _above(robot, free, limits):

@@ -154,7 +154,7 @@ def self_motion(robot: RobotModel, q: ArrayLike, step: float = 0.02) -> SelfMoti
     task = low, high, np.array([state.tip, state.wrist])
     s, poses, mu = np.zeros(1), state.q[None], np.array([state.mu])
     if len(active) > np.linalg.matrix_rank(state.A[:, active], tol=RANK):
-        # This bounds the memory if a curve never ends.
+        # The number of samples is bounded, in case a curve never ends.
         most = int(np.ceil(4 * np.sum(robot.q_max - robot.q_min) / step)) + 2
 
         def follow(tangent: Array) -> tuple[Array, Array, Array, bool]:

@@ -28,7 +28,7 @@ LARGEST_WEIGHT = 1e12
 REGULARIZATION = 1e-5
 WEIGHTS = ("c0", "c1", "c2", "regularization")
 ROWS = (5, 6)  #: Numbers of equality rows that a solver may ask for.
-_DOUBLE, _CLOSE = np.dtype(np.float64), (8,)
+_DOUBLE, _CONTIGUOUS = np.dtype(np.float64), (8,)
 
 
 def row_length(n: int) -> int:
@@ -161,7 +161,7 @@ class NullSpaceQP:
         return NullSpaceQP.from_row(self.row.copy())
 
     def _adopt(self, row: Array, n: int) -> None:
-        if row.strides != _CLOSE or row.dtype is not _DOUBLE:  # the compiled core needs contiguous doubles
+        if row.strides != _CONTIGUOUS or row.dtype is not _DOUBLE:  # the compiled core needs contiguous doubles
             row = np.array(row, dtype=np.float64).ravel()
         row.setflags(write=False)
         own = self.__dict__  # bypasses __setattr__
