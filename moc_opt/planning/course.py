@@ -54,7 +54,7 @@ def lay_targets(
     ``span_m`` is the distance from wrist to tip, and ``tool_m`` the length of the tool [m].
 
     Raises:
-        TaskError: the trocar is not on the shaft, or is too near to the tip.
+        TaskError: the trocar is farther from the tip than ``span_m`` or ``tool_m``, or nearer than `SHALLOWEST_M`.
     """
     t = np.linspace(0.0, duration_s, count)
     tip = np.ascontiguousarray(reference.at(t)[0])
@@ -96,11 +96,11 @@ class Course:
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """Limits that a course keeps."""
+    """Limits for a course."""
 
     margin: Margin = 0.0  #: distance kept from the joint limits
     speed_share: float = 1.0  #: share of the joints' speed limits that may be used
-    shaft: float = 0.0  #: threshold of `shaft_shares`: below it, `lowered` reduces mu
+    shaft: float = 0.0  #: soft lower bound on `shaft_shares`: at poses below it, `lowered` reduces mu
 
 
 def lowered(mu: Array, share: Array, limits: Limits, top: float) -> Array:
@@ -144,7 +144,10 @@ def between(t: Array, times: Array, rows: Array) -> Array:
 
 
 def margin_at(robot: RobotModel, poses: Array, margin: Margin) -> Margin:
-    """Return the margin or, if smaller, the least distance of the poses (..., n) from the joint limits."""
+    """Return the margin or, if smaller, the least distance of the poses (..., n) from the joint limits (0 beyond them).
+
+    A margin (n,) is compared joint by joint.
+    """
     room = np.minimum(poses - robot.q_min, robot.q_max - poses).reshape(-1, robot.n).min(axis=0)
     room = np.where(robot.moves.any(axis=0), np.maximum(room, 0.0), np.inf)
     return np.minimum(margin, room) if isinstance(margin, np.ndarray) else min(margin, float(room.min()))

@@ -21,10 +21,10 @@ from moc_opt.robots.model import RobotState
 
 GAIN_PER_S = 5.0  #: Gain k of x_d.
 NODES = 10  #: Number of time steps of the nonlinear program.
-CATCH_UP = 1.03  #: Factor on the joint speeds that the search allows.
+CATCH_UP = 1.03  #: Courses made during the run may exceed the joint speeds of the value function by this factor.
 ON_COURSE_RAD = 0.05
-"""If the arm is nearer than this to the old course, a new course begins on the old course. A start at the measured pose
-would close a second feedback loop."""
+"""If every joint is nearer than this to the old course, a new course begins on the old course. A course that begins at
+the measured pose would close a second feedback loop."""
 MOST_OFF = 1e-3  #: A course is refused if its tip or wrist error [m] or its excess over limits [rad] is above this.
 LOST_RAD = 0.3  #: If a joint is farther than this from the course, the arm has left the course.
 NO_COURSE = "q_start: no course within the joint limits and speeds leads from this pose to the end of the path"
@@ -34,7 +34,7 @@ ASKED_EACH = 25  #: Ticks between two checks of whether the arm has left its cou
 class Piece(NamedTuple):
     """A course with cubic Hermite interpolation. After its end, the last pose is held."""
 
-    t_s: Array  #: (k,) times of the poses [s]
+    t_s: Array  #: (k,) times of the poses [s], evenly spaced
     q_rad: Array  #: (k,n) joint positions [rad]
     v_rad_per_s: Array  #: (k,n) joint velocities [rad/s]
 
@@ -52,7 +52,7 @@ class Piece(NamedTuple):
 
 
 class Planner:
-    """Makes courses of a fixed duration, the horizon, from any pose.
+    """Makes courses from any pose. They last for a fixed time, the horizon, or until the end of the path.
 
     The value function V of `search` gives a coarse course, and `Program` smooths it.
     """
@@ -73,12 +73,12 @@ class Planner:
 
     @property
     def told(self) -> dict[str, float]:
-        """The number of ``solves`` and of ``refused`` answers, and percentiles of the solve times [ms]."""
+        """The number of ``solves``, the number of ``refused`` answers, and two percentiles of the solve times [ms]."""
         median, high = np.percentile(1e3 * np.array(self._solve_s or [0.0]), [50.0, 99.0]).tolist()
         return {"solves": len(self._solve_s), "refused": self._refused, "solve_ms_median": median, "solve_ms_p99": high}
 
     def plan(self, q: Array, t: float, last: Piece | None) -> Piece | None:
-        """Plan a course from a pose (n,) [rad] at a time [s], or return None. ``last`` is the previous course."""
+        """Plan a course from a pose (n,) [rad] at a time [s]. None: no usable course. ``last``: course until now."""
         path, began = self._value.map.targets, time.perf_counter()
         end = min(int(np.searchsorted(path.t_s, t + self._horizon_s)), len(path) - 1)
         if path.t_s[end] - t < 0.5 * path.period_s:
@@ -116,7 +116,7 @@ class Planner:
 
 
 class Follower:
-    """The desired velocities of one run, tick by tick."""
+    """The desired joint velocities of one run, one per control period (tick)."""
 
     def __init__(
         self, period_s: float, *, course: Course | None = None, planner: Planner | None = None,
@@ -172,7 +172,8 @@ class Follower:
                 self._begin(planner, state.q)
         elif planner is not None and 0 <= self._begun < self._tick and self._tick % self._every == 0:
             # The course of the previous solve takes effect now, as if a solve took the whole time between two solves.
-            # A refused course is replaced by the one followed until now. On a rail, the newest one was less accurate.
+            # If the new solve gives no course, the course followed until now is kept for the next period. For an arm on
+            # a rail, keeping it was more accurate than keeping the previous solve's course.
             now, self._next = self._next, planner.plan(state.q, t, self._now) or self._now
             self._before, self._now = self._now, now
         q, v = self._now.at(t)

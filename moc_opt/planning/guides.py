@@ -1,6 +1,7 @@
 """Make the guides of a run. A guide tells the controller's third level which joint velocity to follow.
 
-The velocity comes from a course (planned joint motion), made before the run or during the run.
+The third level moves the arm around a fixed tool tip and shaft. The velocity comes from a course (planned joint motion)
+that is made before or during the run.
 """
 
 from __future__ import annotations
@@ -25,21 +26,21 @@ from moc_opt.planning.search import WHOLE_CELL, Value, Way, keeping_shaft
 from moc_opt.robots.model import RobotModel
 from moc_opt.trace.trace import Trace
 
-COURSE_SHARE = 0.25  #: Share of ``[control] shaft_margin`` that courses keep.
+COURSE_SHARE = 0.25  #: Factor on ``[control] shaft_margin``. The product is the `Limits.shaft` of courses.
 V_PERIOD_S = 0.1  #: Time step of the pose map [s].
 TARGETS_PER_TIME = 20  #: Targets of tip and wrist per time step of the map.
-HALF_CELL = 0.5  #: ``cell`` of `Value`. With 0, the coarse map loses courses near singular poses.
+HALF_CELL = 0.5  #: First ``cell`` of `Value` to be tried. With 0, courses near singular poses would not be found.
 SPEEDS = (1.0, 0.7, 0.4)
 """Shares of ``[control] course_speed_fraction``, tried in this order until a course is smooth and can brake."""
 HURRY, WORTH_IT = 1.12, 0.01
-"""Speed factor of a faster course, tried if this raises mean mu (manipulability) by more than the share `WORTH_IT`."""
-FASTEST = 0.97  #: Upper bound on the share of the joints' speed limits with `HURRY`.
+"""The speed factor `HURRY` is tried before `SPEEDS` if it raises mean mu (manipulability) by more than `WORTH_IT`."""
+FASTEST = 0.97  #: With `HURRY`, largest share of the speed limits, unless ``course_speed_fraction`` is even larger.
 BRAKE_SHARE = 0.9  #: Share of the safety filter's deceleration that courses made before the run use.
 SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}
-"""Weight w of a course's squared acceleration [s^4/rad^2]; see `program`."""
+"""Weight of the squared acceleration [s^4/rad^2] of courses made before the run (planned) or during it (receding)."""
 MOST_OFF_M = 1e-3  #: Distance of tip or wrist from its target, above which a course file is refused.
-MOST_OFF_RAD = 1e-6  #: Tolerance of first pose and joint limits, for a course file.
-ROUNDING = 1e-6  #: Tolerance for a course file: first time [s], relative duration, share of the speed limits.
+MOST_OFF_RAD = 1e-6  #: Tolerance of a course file's first pose, and of its excess over joint limits.
+ROUNDING = 1e-6  #: Tolerance for a course file's first time [s], duration (relative) and speeds (share of the limits).
 PLAN_IT = "plan it for this scenario: moc-opt plan SCENARIO --out FILE"
 
 
@@ -55,7 +56,7 @@ class Following:
     period_s: float  #: control period [s]
 
     def stuck(self, part: float) -> ScenarioError:
-        """Return the error for a path without a course at ``part`` times the usual speed."""
+        """Return the error for a path without a course at speeds up to ``part`` times ``course_speed_fraction``."""
         limits = Limits(speed_share=part * self.settings.course_speed_fraction)
         stuck = make_plan(self.robot, self.q_start, self.targets(), limits, refined=False).blocked
         where = "" if stuck is None else f"{1e3 * stuck.arc_length_m:.1f} mm along the path, {stuck.reason}"
@@ -80,13 +81,13 @@ class Ways:
 
     @property
     def speeds(self) -> tuple[float, ...]:
-        """The speeds to try: `SPEEDS`, preceded by `HURRY` if this raises mean mu enough."""
+        """The speed factors to try: `SPEEDS`, preceded by `HURRY` if mean mu with `HURRY` is enough larger."""
         q, mu = self.run.q_start, float(self.run.robot.state(self.run.q_start).mu)
         usual, fast = (self.at(part)[0].of(q, mu) for part in (1.0, HURRY))
         return (HURRY, *SPEEDS) if fast > (1.0 + WORTH_IT) * usual else SPEEDS
 
     def at(self, part: float) -> tuple[Value, Limits, Way]:
-        """Return (value function V, limits, best coarse course) for ``part`` times the usual speed.
+        """Return (value function V, limits, best coarse course) at ``part`` times the ``course_speed_fraction``.
 
         A ScenarioError is raised if there is no course.
         """
@@ -171,7 +172,7 @@ def followed_course(run: Following, ways: Ways | None = None) -> Course:
             found = refine(robot, targets, course, limits, smoothness=smooth, brake=rule)
             if found is not course:
                 return found
-        return course  # no smooth course with nearly the same mu was found
+        return course  # the file's course, because no smooth course with nearly the same mu was found
     ways, other = ways or Ways(run), []
     for part, rule in [*((part, brake) for part in ways.speeds), (SPEEDS[-1], np.inf)]:
         _, limits, way = ways.at(part)
@@ -272,7 +273,7 @@ def too_fast_to_follow(settings: ControlSettings, robot: RobotModel, shares: Arr
 
 
 def margin_of(robot: RobotModel, margin_rad: float, margin_m: float) -> Margin:
-    """Return the margin from joint limits, (n,) if a joint slides. Raise a TaskError if it is negative."""
+    """Return ``margin_rad`` or, if a joint slides, the margins of all joints (n,); a TaskError if one is negative."""
     for name, value in (("margin_rad", margin_rad), ("margin_m", margin_m)):
         if not (is_number(value) and 0.0 <= value < np.inf):
             raise TaskError(f"{name} = {value!r}: give zero or more, and less than half of every joint's range")

@@ -40,10 +40,10 @@ class Plan:
     targets: Targets  #: Targets of tip and wrist, (k,3) each [m].
     from_start: Course | None  #: Best course from the start, or None.
     best: Course | None  #: Best course from any start pose, or None.
-    climbed: Course  #: Course of a local climb of mu. It stops before the path's end if a limit blocks it.
+    climbed: Course  #: Course that climbs mu locally. It ends before the path's end if a limit blocks the way.
     bound_from_start: float
-    """Estimated upper bound of mean mu from the start [m^3]; NaN if there is no course, or the course exceeds it."""
-    bound: float  #: Estimated upper bound of mean mu over all starts [m^3]; NaN as above.
+    """Estimated upper bound of mean mu from the start [m^3]; NaN if ``from_start`` is None or exceeds it."""
+    bound: float  #: Estimated upper bound of mean mu over all starts [m^3]; NaN if ``best`` is None or exceeds it.
     blocked: Blocked | None  #: Where and why the path cannot be executed from the start, or None.
     start_swivel_rad: float  #: Swivel (elbow angle) at the start [rad]; see `elbow`.
     best_swivel_rad: float  #: Swivel at the start of ``best`` [rad].
@@ -84,6 +84,7 @@ def make_plan(
     Args:
         q_start: (n,) pose with tip and wrist at the first target [rad].
         targets: targets of tip and wrist at k evenly spaced times, (k,3) each [m].
+        limits: by default the joints' own limits and speeds, without margin.
         swivels: number of samples in one turn of the elbow, 8 to `pose_map.MOST_SWIVELS`.
         refined: whether the nonlinear program improves the courses of the search.
 
@@ -123,12 +124,12 @@ def make_plan(
         if course is not None and refined:
             course = refine(robot, targets, course, limits)
         if refined and (course is None or course.mu_mean < (1.0 - ROOM) * bound):
-            q = best_course(relaxed, begin)  # the grid may be too coarse to have a course
+            q = best_course(relaxed, begin)  # unlike `value`, `relaxed` allows courses between the map's poses
             if q is not None:
                 other = refine(robot, targets, make_course(robot, targets, q, limits), limits)
                 course = better(course, other if other.kept else None)
         courses.append(course)
-    mine, best = courses[0], better(courses[1], courses[0])  # "all starts" include the given start
+    mine, best = courses[0], better(courses[1], courses[0])  # the given start is also a start pose
     done("refine")
     elbow, shown = Elbow(robot, targets.wrist), mine if mine is not None else best
     mine_most, most = (

@@ -26,15 +26,15 @@ from moc_opt.robots.model import RobotModel, link_frames
 Flags = NDArray[np.bool_]
 
 EXACT_M = 1e-7  #: Axes that pass each other within this distance count as meeting [m].
-BRANCHES = 8  #: Branches of inverse kinematics. Bits 0 to 2 of their index tell whether joints 2, 4 and 6 are negative.
-STRAIGHT = 1e-9  #: Sine of joint 4 below which the arm counts as straight.
+BRANCHES = 8  #: Branches of inverse kinematics. Bits 0 to 2 of an index: signs of t2, t4, t6 of `ClosedForm`, 1 if < 0.
+STRAIGHT = 1e-9  #: Sine of the angle between forearm and line shoulder-wrist. Below it, the map has no pose.
 ROUNDING_RAD = 1e-9  #: Tolerance of the joint limits.
 SWIVELS, MOST_SWIVELS = 720, 2880  #: Default and maximum number of evenly spaced swivel angles.
-PEAKS = 4  #: Number of local maxima of the map at which ascents of mu start.
+PEAKS = 4  #: Upper bound on the number of local maxima of the map at which ascents of mu start.
 STEP_RAD = 0.03  #: Spacing of the samples along a traced curve.
-SEEDS = 64  #: Number of random starts of inverse kinematics at the first time.
+SEEDS = 64  #: Number of random starts of inverse kinematics at the first time. Each later time has a sixteenth as many.
 MOST_CURVES = 16  #: Upper bound on the number of curves at one time.
-SAME_CURVE = 0.7  #: A pose counts as on a curve if its distance is below this share of a step.
+SAME_CURVE = 0.7  #: A pose is on a known curve if it is nearer to a sample than this share of the samples' spacing.
 NO_LIMIT_RAD = 20.0  #: Joint limit, to both sides, of an arm from `without_limits`.
 REACHED_M = 1e-9  #: Error of tip and wrist below which `reach` accepts a pose.
 SCANNED, SCANS = "scanned, all branches", 360  #: Name of `largest_mu`'s closed-form method, and its number of swivels.
@@ -46,7 +46,10 @@ SAME = 1e-5  #: Relative difference of mu below which two maxima count as one.
 
 @dataclass(frozen=True, eq=False)
 class PoseMap:
-    """Poses at k times on b branches, with m swivels (or samples along curves); NaN means no pose."""
+    """Poses at k times on b branches, with m swivels each; NaN means no pose.
+
+    If the poses lie on traced curves, b is 1 and m counts the samples along the curves.
+    """
 
     robot: RobotModel
     targets: Targets
@@ -54,7 +57,7 @@ class PoseMap:
     mu: Array  #: (k,b,m) [m^3], also beyond joint limits
     room_rad: Array
     """(k,b,m) smallest distance of a joint from its limits; negative beyond a limit"""
-    closed: ClosedForm | None = None
+    closed: ClosedForm | None = None  #: normal form of the arm; None if the curves are traced
 
     def feasible(self, margin: Margin = 0.0) -> Flags:
         """Return flags (k,b,m): whether every joint keeps the margin from its limits."""
@@ -62,7 +65,7 @@ class PoseMap:
         return np.asarray(room >= -ROUNDING_RAD)
 
     def crossing(self, k: int, step_rad: Array) -> NDArray[np.int64]:
-        """Return masks (m,) of the bits of the branch index that a step (n,) [rad] can flip at time k (`BRANCHES`)."""
+        """Return a mask per sample (m,): the bits of the branch index that a step (n,) [rad] can flip at time k."""
         if self.closed is None:
             return np.zeros(self.mu.shape[2], dtype=np.int64)
         with np.errstate(invalid="ignore"):
@@ -84,7 +87,7 @@ def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = S
 
     Args:
         q_start: (n,) [rad] a pose for the first target.
-        swivels: number of swivel angles in one turn, 8 to `MOST_SWIVELS`.
+        swivels: number of swivel angles in one turn, 8 to `MOST_SWIVELS`. Above `SWIVELS`, traced curves become finer.
     """
     if not isinstance(swivels, numbers.Integral) or not 8 <= int(swivels) <= MOST_SWIVELS:
         raise RobotError(f"swivels = {shown(swivels)}: give a whole number from 8 to {MOST_SWIVELS}")
@@ -105,7 +108,7 @@ class ClosedForm(NamedTuple):
     upper: float  #: Shoulder to elbow along axis 3, signed [m].
     fore: float  #: Elbow to wrist along axis 5, signed [m].
     tool: float  #: Wrist to tip along axis 7, signed [m].
-    offset: Array  #: (6,) [rad]
+    offset: Array  #: (6,) [rad] for the first six joints
     swivel_rad: Array = np.empty(0)  #: (m,) evenly over one turn
     reference: Array = np.array([0.0, 0.0, 1.0])  #: (3,) direction of the elbow at swivel zero
 
@@ -123,7 +126,7 @@ def closed_form(robot: RobotModel) -> ClosedForm | None:
     if np.abs((axes[:-1] * axes[1:]).sum(axis=1)).max() > EXACT_M:
         return None
     tip, wrist = (origins[6] + rotations[6] @ offset for offset in chain.offsets)
-    # On each axis, find the point nearest to the next axis.
+    # On axes 1, 3 and 5, find the point nearest to the next axis.
     shoulder, elbow, center = (origins[j] + axes[j] * ((origins[j + 1] - origins[j]) @ axes[j]) for j in (0, 2, 4))
     through = [(shoulder, 1), (shoulder, 2), (elbow, 3), (elbow, 4), (center, 5), (center, 6), (tip, 6)]
     off = [np.linalg.norm(np.cross(point - origins[j], axes[j])) for point, j in through]
@@ -142,7 +145,7 @@ def closed_form(robot: RobotModel) -> ClosedForm | None:
 
 def _closed(robot: RobotModel, arm: ClosedForm, targets: Targets, idle_rad: float) -> PoseMap:
     angles = np.moveaxis(_angles(arm, targets), -1, 0)
-    s, e, w = (np.arange(BRANCHES) >> bit & 1 for bit in range(3))  # whether joint 2, 4, 6 is negative
+    s, e, w = (np.arange(BRANCHES) >> bit & 1 for bit in range(3))  # whether t2, t4, t6 of `ClosedForm` is negative
     flips = np.stack([s, s, s ^ e, e, e ^ w, w], axis=1)
     other = np.stack([-angle if j % 2 else angle + np.pi for j, angle in enumerate(angles)])
     column = np.s_[:6, None, None]

@@ -2,13 +2,14 @@
 
 The variables q are the positions of the joints that move tip or wrist, at K evenly spaced times after a fixed start:
 
-    max  mean of mu / mu_0 - w (|ddq|^2 + |dq|^2 / T^2) + V(q_K) / mu_0
+    max  mean of {mu / mu_0 - w (|ddq|^2 + |dq|^2 / T^2)} + V(q_K) / (K dt mu_0)
     s.t. X(q_k) = X_d,  B_k^T (N(q_k) - X_d) = 0,  q_min <= q_k <= q_max,  |q_k - q_k-1| <= v_max dt,
          and no joint is `too_fast` towards its limit
 
-mu is the manipulability, reduced as in `course.lowered`. X(q) is the tip, and N(q) is the wrist. The columns of B_k
-(3,2) are orthogonal to the shaft. With six equations instead of these five, the multipliers would not be unique. V is
-the value function of `search`.
+mu is the manipulability, reduced as in `course.lowered`. mu_0 is a typical mu, w a weight, T is `SETTLED_S`, and dt is
+the time step. X(q) is the tip, X_d its target, and N(q) the wrist. The columns of B_k (3,2) are orthogonal to the
+desired shaft, so that N lies on it. |X - N| is constant, so a third equation for N would make multipliers ambiguous.
+V is the value function of `search`: the largest integral of mu from the last pose to the path's end.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from moc_opt.planning.course import WORTH, Course, Limits, Targets, make_course,
 from moc_opt.planning.search import End
 from moc_opt.robots.model import RobotModel
 
-# Settings of ipopt for a whole path. With a larger mu_init, ipopt often slows a fast course down.
+# Settings of ipopt for a whole path. With a larger mu_init (ipopt's barrier), a fast guess often becomes a slow course.
 WHOLE: dict[str, Any] = {
     "print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.max_iter": 300, "ipopt.tol": 1e-8,
     "ipopt.constr_viol_tol": 1e-10, "ipopt.bound_relax_factor": 0.0, "ipopt.honor_original_bounds": "yes",
@@ -40,11 +41,11 @@ HORIZON: dict[str, Any] = {
         "osqp": {"verbose": False, "max_iter": 1000, "eps_abs": 1e-5, "eps_rel": 1e-5, "adaptive_rho_interval": 25},
     },
 }  # fmt: skip
-SETTLED_S = 0.3  #: Time T of the formula above [s].
+SETTLED_S = 0.3  #: Time T in the objective above [s].
 SOFT_RAD = 0.003  #: e in `too_fast`; it keeps the derivative finite at the joint limit.
 SMOOTH_LOSS = 0.05  #: Share of mean mu that smoothness and braking may cost.
-LEAST_SHARE = 1e-4  #: Smoothing of `course.shaft_shares`: a share of 0 becomes this value.
-INSIDE = 1e-9  #: Narrowing of joint limits and steps, to absorb rounding [rad].
+LEAST_SHARE = 1e-4  #: `course.shaft_shares` s is replaced by sqrt(s^2 + `LEAST_SHARE`^2), which is smooth at s = 0.
+INSIDE = 1e-9  #: Joint limits and the largest step are narrowed by this, to absorb rounding [rad].
 
 
 class Program:
@@ -58,10 +59,10 @@ class Program:
 
         Args:
             mu: mu_0, a typical mu, which scales the objective [m^3].
-            top: largest mu, which scales the penalty of `lowered` [m^3]; 0 stands for mu_0.
+            top: largest mu, which scales the penalty of `lowered` [m^3]. If 0, mu_0 is used.
             smoothness: w [s^4/rad^2].
-            brake: deceleration with which joints can stop before their limits [rad/s^2], or inf.
-            horizon: use three SQP steps instead of ipopt, and let the arm move at the end.
+            brake: deceleration with which joints must be able to stop before their limits [rad/s^2]; inf: no such rule.
+            horizon: use three SQP steps instead of ipopt, and do not penalize the stop after the last time.
         """
         import casadi as ca  # imported late: it takes half a second
 
@@ -149,7 +150,7 @@ def refine(
     The given course is returned unchanged if the answer is infeasible or worse. With ``smoothness`` or ``brake``, the
     answer may lose the share `SMOOTH_LOSS` of mean mu.
     """
-    if limits.shaft > 0.0 and _above(robot, course, limits):  # first without the shaft's margin: this is faster
+    if limits.shaft > 0.0 and _above(robot, course, limits):  # faster, and enough if the answer keeps the margin anyway
         bare = replace(limits, shaft=0.0)
         free = refine(robot, targets, course, bare, smoothness=smoothness, brake=brake)
         if _above(robot, free, limits):
@@ -189,6 +190,6 @@ def too_fast(speed: Any, pose: Any, low: Any, high: Any, brake: float) -> Any:
 
 
 def across(shafts: Array) -> Array:
-    """Return two orthogonal unit vectors (K,2,3) across each shaft (K,3)."""
+    """Return two unit vectors (K,2,3) for each shaft (K,3), orthogonal to the shaft and to each other."""
     vectors: Array = np.linalg.svd(shafts[:, None])[2][:, 1:]
     return vectors

@@ -1,9 +1,10 @@
-"""The value function V: the largest integral of mu from a pose to the path's end. It is computed backwards in time.
+"""The value function V: the largest integral of mu, less a penalty on speed, from a pose to the path's end.
 
     V_k(p) = g_k(p) + max { V_{k+1}(p') - c |q - q'|^2 / dt : |q - q'| <= v_max dt for every joint }
 
-p is a pose at time k with joint positions q, and p' is a pose at time k + 1. mu is the manipulability, g is mu dt, and
-c is a penalty on speed. A course (joint trajectory) is then read off V forwards in time.
+p is a pose at time k with joint positions q, and p' is a pose one time step dt later with joint positions q'. v_max are
+the allowed joint speeds. mu is the manipulability, and g is mu dt. c is the weight of the penalty. V is computed
+backwards in time. Then a course (joint trajectory) is read off V forwards in time.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ class End(NamedTuple):
     along: Array  #: (n,) unit vector of the self-motion
     slope: float = 0.0  #: [m^3 s / rad]
     bend: float = 0.0  #: [m^3 s / rad^2], never above 0
-    low: float = 0.0  #: range of z [rad] from which the path's end can be reached
-    high: float = 0.0
+    low: float = 0.0  #: lower end of the range of z from which the path's end can be reached [rad]
+    high: float = 0.0  #: upper end of this range [rad]
 
 
 class Way(NamedTuple):
@@ -49,8 +50,9 @@ class Value:
     def __init__(self, found: PoseMap, limits: Limits, *, cell: float = 0.0, price: float = 0.0) -> None:
         """Compute V backwards in time.
 
-        To the allowed step, each pose adds ``cell`` times half the distance to its neighbours. If ``cell`` is 1 or
-        more, V estimates an upper bound that includes courses between the map's poses. ``price`` is c [m^3 s^2/rad^2].
+        Each of the two poses of a step extends the allowed step by ``cell`` times half the distance to its neighbours.
+        If ``cell`` is 1 or more, V estimates an upper bound for all courses, also for those between the map's poses.
+        ``price`` is c [m^3 s^2/rad^2].
         """
         self.map = found
         self._period = found.targets.period_s
@@ -187,12 +189,12 @@ def advance(
     Their branch numbers may differ only in the bits that are set in ``crossing`` (m,).
 
     Args:
-        q, slack: (b,m,n) [rad], NaN if there is no pose; gain: (b,m) added to each value, -inf if forbidden.
-        q_next, slack_next: (b,m1,n); value_next: (b,m1).
+        q, slack: (b,m,n) [rad], NaN if there is no pose. gain: (b,m) added to the value, -inf at a forbidden pose.
+        q_next, slack_next: (b,m1,n) [rad] at the next time. value_next: (b,m1).
         price: penalty on the squared step [unit of the values / rad^2].
     """  # fmt: skip
     branches, _, n = q.shape
-    # Sort by the joint whose range is the most steps wide, so that the poses within reach lie in a short interval.
+    # Sort by the joint with the largest (range of positions) / (step). The poses within reach lie in a short interval.
     spread = np.nan_to_num(np.fmax.reduce(q_next, 1) - np.fmin.reduce(q_next, 1)).sum(axis=0)
     by = int(np.argmax(spread / step))
     order = np.argsort(q_next[:, :, by])

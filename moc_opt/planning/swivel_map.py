@@ -27,7 +27,7 @@ OTHER_BRANCH_RAD = 0.5  #: ``gap_rad`` above which run and map are on different 
 NEEDED = ("t_s", "q_rad", "tip_m", "tip_ref_m")
 NEAR = 0.02  #: mu counts as optimal if it is below the best mu by at most this fraction.
 END = 0.2  #: The end of a run is judged from this last fraction of its time.
-CLOSE_RAD = np.radians(12.0)  #: A run counts as at a local maximum of mu, or at an edge, within this swivel angle.
+CLOSE_RAD = np.radians(12.0)  #: A run is at a local maximum of mu, or at an edge, if its swivel is this close.
 STILL_RAD_PER_S = np.radians(1.0)  #: Speed of the swivel below which a run counts as at rest.
 
 
@@ -39,7 +39,8 @@ class Trajectory:
     swivel_rad: Array  #: Swivel in the map's range. It may jump by a turn.
     mu: Array  #: Manipulability of the run's poses [m^3].
     gap_rad: float
-    """Median distance of the run's joints from the map. If it is large, the map does not apply."""
+    """Median over the samples of the largest angle between a joint of the run and the map's pose at the same time and
+    swivel. Above `OTHER_BRANCH_RAD`, the run's mu is not compared with the map's."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -56,7 +57,7 @@ class SwivelMap:
     best_mu: Array  #: (k,) largest feasible mu [m^3]; NaN if no pose is feasible
     trajectories: Mapping[str, Trajectory]
     held: tuple[str, ...] = ()
-    """Names of joints that the map holds still, although they could move."""
+    """Names of joints that the map holds still, because the arm has more than one freedom."""
 
     def __repr__(self) -> str:
         return f"SwivelMap({len(self.t_s)} times, {len(self.swivel_rad)} swivels, runs: {', '.join(self.trajectories)})"
@@ -135,7 +136,7 @@ def _targets(
         apart = np.abs(trace.tip_ref_m[shared] - guide.tip_ref_m[shared]).max()
         if apart > SAME_PATH_M:
             raise ReportError(f"run {name!r} follows another path than the longest run ({apart:.3g} m apart)")
-    # The distance from tip to wrist must be exact within `pose_map.REACHED_M`.
+    # `reach` needs a distance from tip to wrist that is exact within 1e-9 m, but a trace may hold 4-byte floats.
     tips, trocars = (np.asarray(guide.columns[name][ticks], dtype=np.float64) for name in ("tip_ref_m", column))
     span = robot.state(robot.data.q_home).tool_span
     return tips, desired_wrist(tips, 0.0, trocars, 0.0, span)[0]
@@ -217,13 +218,13 @@ class Reading:
     """The analysis of one trajectory."""
 
     name: str
-    near: float  #: Share of the time at the optimum; NaN if unknown.
+    near: float  #: Share of the time at which mu is optimal within `NEAR`; NaN if unknown.
     mu_share: float  #: (Mean mu) / (mean of the best mu at the same times).
     travel_rad: float  #: Change of the swivel from start to end.
-    from_s: float  #: Time from which the run stays at the optimum until its end [s], or NaN.
+    from_s: float  #: Time from which mu is optimal until the end of the run [s]; NaN if it is not optimal at the end.
     end: End
     joint: int  #: Joint (counted from 1) whose limit keeps mu from rising further, or 0.
-    at_edge: float  #: Share of the time at an infeasible pose or next to one.
+    at_edge: float  #: Share of the time at which the run's sample of the map, or a neighbour of it, is infeasible.
 
 
 def read_trajectory(found: SwivelMap, name: str) -> Reading:

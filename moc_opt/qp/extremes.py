@@ -1,8 +1,9 @@
 """The smallest and the largest cost over all x that satisfy A x = b and the bounds.
 
 Let x = x0 + Z w, where A x0 = b and Z is an orthonormal basis of ker A. The cost is slope^T w + rho/2 |w|^2, and the
-bounds are low <= Z w <= high. Each projection onto this set is a non-negative least-squares problem (Lawson, Hanson,
-Solving Least Squares Problems, 1974, chapter 23).
+bounds are low <= Z w <= high. The smallest cost is found by projecting points onto the set of feasible w. Each
+projection is a non-negative least-squares problem (Lawson, Hanson, Solving Least Squares Problems, 1974, chapter 23).
+A box width is the largest entry of high - low.
 """
 
 from __future__ import annotations
@@ -17,24 +18,24 @@ from numpy.typing import NDArray
 
 from moc_opt.arrays import Array
 
-MOST_CORNERS = 10_000  # with more corners, only a local search looks for the largest cost
+MOST_CORNERS = 10_000  # if more choices of r active bounds are possible, the largest cost is only searched locally
 FAR = 1e3  # length of a proximal step that meets no bound [box widths]
-ROUNDS, STEPS = 200, 20  # maximum numbers of proximal steps, and of uphill steps per joint
+ROUNDS, STEPS = 200, 20  # at most 200 proximal steps seek the smallest cost; at most 20 n steps seek the largest cost
 ROUNDING = 1e-14  # rounding error of numbers of order one
 SETTLED = 1e-11  # a shorter proximal step ends the search
 FLAT = 1e-9  # a slope or multiplier below this fraction of the largest one counts as zero
-STILL = 1e-10  # a shorter row of Z does not bound the motion in ker A
-TOUCHING = 1e-8  # widening of a feasible set that is a point [box widths]
+STILL = 1e-10  # if a joint's row of Z is shorter, the joint does not move in ker A, and its bounds are ignored
+TOUCHING = 1e-8  # if the feasible set is a single point, the bounds are widened by this [box widths]
 LEVEL = 1e-12  # a scaled cost that varies by less counts as constant
 
 
 class Extremes(NamedTuple):
-    """Smallest and largest cost on the feasible set. The cost at w = 0 counts as 0.
+    """Smallest and largest cost on the feasible set, relative to the cost at w = 0.
 
     Attributes:
         w: (r,) a point of smallest cost.
         least: a lower bound on the cost, by weak duality. If w is optimal, this bound equals the cost of w.
-        most: the largest cost. With rho > 0 and many corners, it may be only a local maximum.
+        most: the largest cost. With rho > 0 and more than `MOST_CORNERS` corners, it may be only a local maximum.
         pull: (n,) gradient of cost + y^T (A x - b) at w = 0, with the optimum's multipliers y.
     """
 
@@ -51,7 +52,7 @@ def extremes(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> Ext
         Z: (n, r) orthonormal columns.
         low, high: (n,) bounds on Z w, finite [rad/s].
         slope: (r,) gradient of the cost at w = 0.
-        rho: zero or more; above zero if the slope is zero.
+        rho: zero or more. If the slope is zero, rho must be positive.
     """
     width = max(float((high - low).max()), 1e-12)
     steep = max(float(np.linalg.norm(slope)), rho * width)
@@ -94,7 +95,7 @@ def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Arr
 
     f is positive at active lower bounds, negative at active upper bounds, 0 elsewhere. Return None if no w is feasible.
     """
-    # Scale each row of Z to length 1, so that all joints count alike.
+    # Each row of Z is scaled to length 1, so that an error means the same distance in w for every joint.
     moves = np.linalg.norm(Z, axis=1)
     moves = np.where(moves > STILL, moves, np.inf)
     G, away = Z / moves[:, None], Z @ start
@@ -113,7 +114,7 @@ def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Arr
         return None
     active = u > 0.0
     u *= size / left
-    # Solve again with only the active bounds, as equations: exact up to rounding.
+    # With the active bounds as equations, the step is exact up to rounding. It is used unless it violates a bound more.
     step, *_ = np.linalg.lstsq(G[active], short[active], rcond=None)
     if (short - G @ step).max() > max((short - G @ (G.T @ u)).max(), 0.0) + ROUNDING:
         step = G.T @ u

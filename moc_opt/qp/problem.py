@@ -3,9 +3,10 @@
     min_x  c0/2 |J_T x - v_T|^2 + c1/2 |J_W x - v_W|^2 - c2 x^T pull + regularization/2 |x|^2
     s.t.   J_T x = v_T,   J_W x = v_W,   lower <= x <= upper
 
-x is a joint velocity [rad/s]. J_T and J_W are the Jacobians of tip and wrist. By default, pull is the gradient of the
-manipulability mu. regularization = 0 gives the problem of Su et al. (2019). The six equality rows have rank five if a
-rigid tool connects tip and wrist.
+x is a joint velocity [rad/s]. J_T and J_W are the Jacobians of tip and wrist, v_T and v_W their reference velocities.
+The terms with c0 and c1 are zero at every feasible x. By default, pull is the gradient of the manipulability mu.
+regularization = 0 gives the problem of Su et al. (2019). The six equality rows have rank five if a rigid tool connects
+tip and wrist.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ LARGEST_WEIGHT = 1e12
 REGULARIZATION = 1e-5
 WEIGHTS = ("c0", "c1", "c2", "regularization")
 ROWS = (5, 6)  #: Numbers of equality rows that a solver may ask for.
-_DOUBLE, _CLOSE = np.dtype(np.float64), (8,)
+_DOUBLE, _CONTIGUOUS = np.dtype(np.float64), (8,)
 
 
 def row_length(n: int) -> int:
@@ -76,7 +77,7 @@ def compute_residuals(rows: Array, x: Array, y: Array | None = None) -> Residual
 
 
 class Assembled(NamedTuple):
-    """Read-only arrays of min 1/2 x^T P x + p^T x s.t. A x = b. From the m duals y, lift^T y gives all six."""
+    """Read-only arrays of min 1/2 x^T P x + p^T x s.t. A x = b. lift^T turns the m duals into duals of all six rows."""
 
     P: Array  #: (n, n)
     p: Array  #: (n,)
@@ -90,11 +91,11 @@ class NullSpaceQP:
 
     Args:
         J_tip, J_wrist: (3, n) translational Jacobians in world axes [m/rad].
-        v_tip, v_wrist: (3,) reference velocities [m/s], equal along the shaft's axis u: u^T (v_tip - v_wrist) = 0.
+        v_tip, v_wrist: (3,) reference velocities [m/s], equal along the shaft's axis u: u^T v_tip = u^T v_wrist.
         grad_mu: (n,) gradient of the manipulability.
         lower, upper: (n,) bounds on the joint velocity [rad/s].
         c0, c1, c2, regularization: the weights in the cost.
-        q: (n,) joint position of the Jacobians [rad]; only the nonlinear solvers need it.
+        q: (n,) joint position at which the Jacobians hold [rad]; only the nonlinear solvers need it.
         pull: (n,) the vector `pull` in the cost, by default grad_mu.
 
     Raises:
@@ -160,7 +161,7 @@ class NullSpaceQP:
         return NullSpaceQP.from_row(self.row.copy())
 
     def _adopt(self, row: Array, n: int) -> None:
-        if row.strides != _CLOSE or row.dtype is not _DOUBLE:  # the compiled core needs contiguous doubles
+        if row.strides != _CONTIGUOUS or row.dtype is not _DOUBLE:  # the compiled core needs contiguous doubles
             row = np.array(row, dtype=np.float64).ravel()
         row.setflags(write=False)
         own = self.__dict__  # bypasses __setattr__
@@ -221,7 +222,7 @@ class NullSpaceQP:
     def assembled(self, rows: int = 5) -> Assembled:
         """Compute the cost and the equality rows: all six, or (rows = 5) five that are linearly independent.
 
-        If tip and wrist are not rigidly connected, rows = 5 also gives all six.
+        If the six rows are linearly independent (tip and wrist not rigidly connected), rows = 5 also gives all six.
         """
         n = self.n
         P, p, spare, plain = np.empty((n, n)), np.empty(n), np.empty(n), np.ones(3)

@@ -1,8 +1,8 @@
 """Residuals of an answer to the null-space subproblem: one definition for every solver.
 
-With the cost 1/2 x^T P x + p^T x (see problem.py), the natural residual is ``x - clip(x - (P x + p + A^T y), lower,
-upper)`` (Facchinei & Pang 2003, section 1.5.2). If A x = b, it is zero exactly at a KKT point. A joint is idle if
-its column of A is zero.
+The subproblem is min 1/2 x^T P x + p^T x s.t. A x = b, lower <= x <= upper (see problem.py). y are the duals of
+A x = b. The natural residual is the largest entry of ``|x - clip(x - (P x + p + A^T y), lower, upper)|`` (Facchinei &
+Pang 2003, section 1.5.2). If A x = b, it is zero exactly at a KKT point. A joint is idle if its column of A is zero.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from moc_opt.qp.extremes import ROUNDING, STILL, extremes
 # If the Jacobians are rounded to 7 decimals, the sixth value can reach 8e-8 |A|_F.
 TIED = 1e-7
 RANK_TOLERANCE = 1e-12
-GRADIENT_ROUNDING = 1e-9  # a reduced gradient below this fraction of |pull|_inf counts as zero
+GRADIENT_ROUNDING = 1e-9  # the part of pull in ker A is set to zero if it is below this fraction of |pull|_inf
 A_POINT = 1e-9  # a feasible interval of at most this length counts as a point [rad/s]
-FEASIBLE = 1e-6  # an empty feasible set counts as a point if it is nonempty with bounds this much wider [rad/s]
-MOST_FACETS = 300  # with more directions in `_facets`, natural_best and relative use the optimum's duals
+FEASIBLE = 1e-6  # if no x is feasible, the bounds are widened by up to this [rad/s], and the set is treated as a point
+MOST_FACETS = 300  # with more directions in `_facets`, the optimum's y replaces the best y in natural_best and relative
 TIED_BY_ROUNDING = 1e-14  # a sixth singular value below this share of |A|_F is a rounding error
-NEARLY_SINGULAR = 1e-3  # with a singular value below this share of |A|_F, solutions are refined
+NEARLY_SINGULAR = 1e-3  # with a smaller singular value (share of |A|_F), A d = r is solved by iterative refinement
 REFINEMENTS = 3  # steps of this refinement
 
 
@@ -127,7 +127,7 @@ class _Factors(NamedTuple):
 
     inverse: Array  # (k, n, 6)
     Z: Array  # (k, n, n - rank), orthonormal
-    exactly: bool  # whether products need twice the precision
+    exactly: bool  # whether A is nearly singular, so that `slid` computes products in twice the precision
 
     def slid(self, A: Array, x: Array, b: Array) -> Array:
         """Return the shortest d (k, n, m) with A (x - d) = b."""
@@ -178,7 +178,7 @@ def _rank_five(A: Array) -> tuple[NDArray[np.intp], _Factors]:
     diagonal = np.abs(np.diagonal(R, axis1=1, axis2=2))
     tied = diagonal[:, 5:].max(1, initial=np.inf if A.shape[2] < 6 else 0.0) < TIED_BY_ROUNDING
     rows = np.flatnonzero(tied & (diagonal[:, :5].min(1, initial=np.inf) > NEARLY_SINGULAR))
-    top = R[rows, :5]  # regular, because of the diagonal
+    top = R[rows, :5]  # rank 5, because its diagonal has no small entry
     inverse = np.linalg.inv(top @ np.swapaxes(top, 1, 2))
     good = np.linalg.norm(inverse, axis=(1, 2)) < NEARLY_SINGULAR**-2
     rows, Q = rows[good], Q[rows[good]]
@@ -193,7 +193,7 @@ def ranks(s: Array) -> NDArray[np.intp]:
 
 def _idle_patterns(A: Array) -> list[tuple[NDArray[np.intp], NDArray[np.bool_]]]:
     moves = np.linalg.norm(A, axis=1) > RANK_TOLERANCE * np.linalg.norm(A, axis=(1, 2))[:, None]
-    if (moves == moves[:1]).all():  # as in most batches; `unique` is slow
+    if (moves == moves[:1]).all():  # usually all matrices have the same idle joints; then the slow `unique` is avoided
         return [(np.arange(len(A)), pattern) for pattern in moves[:1]]
     patterns, which = np.unique(moves, axis=0, return_inverse=True)
     return [(np.flatnonzero(which.ravel() == i), pattern) for i, pattern in enumerate(patterns)]

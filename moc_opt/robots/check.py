@@ -21,21 +21,23 @@ from moc_opt.sim.settings import PlantSettings
 
 Verdict = Literal["ok", "care", "cannot"]
 REGULAR, SINGULAR = (0.1, 0.05), 1e-4
-"""If `Freedoms.tip` or `.both` is below its `REGULAR` value, the verdict is "care"; below `SINGULAR`, "cannot"."""
+"""Bounds on two ratios of singular values at home, `Freedoms.tip` and `Freedoms.both`. If a ratio is below its value in
+`REGULAR`, the verdict is "care". If it is below `SINGULAR`, the verdict is "cannot"."""
 LITTLE_TO_GAIN = 0.05  #: If mu at home can rise by less than this share, the verdict is "care".
-LEAST_M = 0.005  #: Radius of the circle that every arm must follow [m].
-MARGIN_DEG, MARGIN_MM = 15.0, 80.0  #: If a joint at home is closer to a limit, the verdict is "care".
-CARE = 0.8  #: At or above this share of the stability limit, gains get the verdict "care".
+LEAST_M = 0.005  #: If the arm cannot even follow a circle of this radius [m], the verdict is "cannot".
+MARGIN_DEG, MARGIN_MM = 15.0, 80.0
+"""If a joint that turns (deg) or slides (mm) is closer to a limit at home, the verdict is "care"."""
+CARE = 0.8  #: If gains reach this share of the stability limit, the verdict is "care".
 GYRATION_M = 0.6  #: Largest plausible radius of gyration of a link [m].
 
 
 class Finding(NamedTuple):
     """One row of the table of a check."""
 
-    what: str
-    found: str
+    what: str  #: What was checked.
+    found: str  #: What was found, with its numbers.
     verdict: Verdict
-    cure: str = ""
+    cure: str = ""  #: What to change; empty if the verdict is "ok".
 
 
 def check_robot(robot: RobotModel, scenario: Scenario | None = None) -> list[Finding]:
@@ -55,7 +57,7 @@ def verdict(findings: list[Finding]) -> Verdict:
 
 
 def _judge(what: str, found: str, *faults: tuple[object, Verdict, str]) -> Finding:
-    """Make a row from the first fault that holds, else an "ok" row."""
+    """Make a row from the first of the ``faults`` (condition, verdict, cure) that is true; "ok" if none is true."""
     rows = (Finding(what, found, judged, cure) for fault, judged, cure in faults if fault)
     return next(rows, Finding(what, found, "ok"))
 
@@ -140,7 +142,7 @@ def _weight(robot: RobotModel) -> Finding:
 
 
 def _bodies(robot: RobotModel) -> Finding:
-    # The loader refuses impossible inertias, but not implausible ones.
+    # The loader has refused impossible inertias. Here, implausible ones are found.
     bodies = [link for link in urdf.read(robot.data.urdf).links if not link.is_frame]
     gyrations = {body.name: math.sqrt(max(body.moments[:3]) / body.mass) for body in bodies}
     total = sum(body.mass for body in bodies)
@@ -156,7 +158,7 @@ def _gains(robot: RobotModel, asked: Scenario) -> Finding:
     limit, period = largest_rate(asked.plant), asked.plant.period_s
     gains = asked.control.resolve_gains(robot.data.gains, robot.n)
     tip, wrist = largest_inverse_masses(robot)
-    # The largest gain / inertia of each velocity gain [1/s].
+    # For each velocity gain, the largest ratio of gain to inertia [1/s]. K_N2 and D_N2 act together.
     null_space = largest_null_rate(robot, gains.K_N2 + gains.D_N2)
     rates = {"D_X": gains.D_X * tip, "D_N": gains.D_N * wrist, "K_N2": null_space}
     name, rate = max(rates.items(), key=lambda item: item[1])
@@ -172,7 +174,7 @@ def largest_rate(plant: PlantSettings) -> float:
     """Return the largest stable ratio of a velocity gain to an inertia [1/s].
 
     With a period T and d ticks of delay, v[k+1] = v[k] - T rate v[k-d] decays if T rate < 2 sin(pi / (2 (2 d + 1)))
-    (Levin and May, 1976). The velocity filter counts as delay.
+    (Levin and May, 1976). d includes the delay of the velocity filter.
     """
     cutoff, period = plant.velocity_cutoff_Hz, plant.period_s
     filter_ticks = math.ceil(1.0 / (2.0 * math.pi * cutoff * period)) if cutoff > 0.0 else 0

@@ -33,7 +33,7 @@ class _Table(Settings):
 
 
 class Frames(_Table):
-    """Wrist and tool on the last link; xyz in m, rpy in rad (URDF's fixed-axis order)."""
+    """Wrist and tool mount in the last link's frame. rpy are turns about its fixed axes x, y, z, as in URDF."""
 
     KIND: ClassVar[str] = "[frames]"
     last_link: Name
@@ -52,7 +52,7 @@ class Tool(_Table):
 
 
 class Limits(_Table):
-    """Joint limits that replace those of the URDF. Keys in degrees are refused if a joint slides."""
+    """Limits of all joints that replace those of the URDF. Keys in degrees are refused if any joint slides."""
 
     KIND: ClassVar[str] = "[limits]"
     q_min_deg: Vector | None = None
@@ -94,9 +94,9 @@ class RobotDescription(_Table):
 
 @dataclass(frozen=True, eq=False)
 class RobotData:
-    """A robot with its tool, as plain data; every array is (n,) and read-only.
+    """A robot with its tool, as plain data. Every array is (n,) and read-only.
 
-    Joint quantities are in rad, rad/s and Nm (m, m/s and N for a prismatic joint).
+    Positions are in rad, speeds in rad/s and torques in Nm. For a prismatic joint, they are in m, m/s and N.
     """
 
     name: str
@@ -106,7 +106,7 @@ class RobotData:
     q_max: Array
     v_max: Array
     tau_max: Array
-    rotor_inertia: Array  #: [kg m^2], added to the diagonal of M; the URDF does not have it.
+    rotor_inertia: Array  #: [kg m^2], not part of the URDF. It is added to the diagonal of the inertia matrix.
     viscous_friction: Array  #: [Nm s/rad]
     coulomb_friction: Array  #: [Nm]
     q_home: Array
@@ -114,7 +114,7 @@ class RobotData:
     tip_frame: str
     tool_length: float  #: Distance from mount to tip [m].
     tool_mass: float  #: [kg]
-    gains: Mapping[str, Gains]  #: The table [gains.NAME] for each NAME.
+    gains: Mapping[str, Gains]  #: For each NAME, the table [gains.NAME] of the robot's TOML.
 
     def __post_init__(self) -> None:
         for name in (self.name, *self.joint_names):  # names are written into source code and pages
@@ -218,7 +218,7 @@ def _chain(arm: urdf.Urdf, last_link: str) -> list[urdf.Joint]:
 
 
 def _limits(given: Limits, chain: list[urdf.Joint]) -> dict[str, Array]:
-    """Return the joint limits by name, and set them in the chain."""
+    """Return q_min, q_max, v_max and tau_max by name, and write them into the joints of the chain."""
     found: dict[str, Array] = {}
     for field, key, entry in (
         ("q_min", "lower", "q_min_deg"), ("q_max", "upper", "q_max_deg"), ("v_max", "velocity", "v_max_deg_per_s"),

@@ -1,4 +1,4 @@
-"""`RobotModel` computes the terms of the control laws at one (q, v), as a `RobotState`."""
+"""`RobotModel` computes the terms of the control laws at joint positions q and velocities v, as a `RobotState`."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def _scalar(index: int, doc: str) -> float:
 
 
 class RobotState:
-    """The model's terms of an arm at one (q, v): read-only views of one flat array, `record`.
+    """Jacobians, dynamics and manipulability of an arm at one (q, v): read-only views of one flat array, `record`.
 
     Example:
         >>> robot = mo.load_robot("lwr4")
@@ -99,13 +99,14 @@ class RobotState:
     drift_wrist = _part("drift", "dJ_wrist/dt v (3,) [m/s^2].", rows=_WRIST)
     mu = _scalar(0, "Manipulability sqrt(det(J_tip J_tip^T)) [m^3].")
     grad_mu = _part("grad_mu", "dmu/dq (n,) [m^3/rad]; zero at a singularity, where mu has a kink.")
-    mu_shaft = _scalar(
-        2, "Manipulability of the shaft while the tip rests [m^2]; see `moc_opt/core/manipulability.c`."
-    )
+    mu_shaft = _scalar(2, (
+        "Manipulability of the shaft while the tip rests [m^2]: product of the two largest singular values of "
+        "J_wrist (I - pinv(J_tip) J_tip)."
+    ))  # fmt: skip
     grad_mu_shaft = _part("grad_mu_shaft", "dmu_shaft/dq (n,) [m^2/rad]; zero where mu_shaft is 0 and has a kink.")
     M = _part("M", "Joint-space inertia (n,n), rotor inertia included [kg m^2].", shape=(0, 0))
-    h = _part("h", "C v + g (n,) [Nm].")
-    energy_slope = _part("energy_slope", "dT/dq = C^T v (n,) [Nm], with kinetic energy T and Christoffel's matrix C.")
+    h = _part("h", "Coriolis and centrifugal torque C v plus gravity torque g (n,) [Nm].")
+    energy_slope = _part("energy_slope", "dT/dq = C^T v (n,) [Nm]. T: kinetic energy, C: from Christoffel symbols.")
     gravity = _part("gravity", "g (n,) [Nm], the torque that carries the arm's weight.")
 
 
@@ -116,8 +117,9 @@ class RobotModel:
         data: the contents of the robot's files, a `moc_opt.robots.RobotData`.
         n: number of joints.
         q_min, q_max: (n,) limits [rad; m where a joint slides].
-        v_max: (n,) speed limits [rad/s or m/s]; tau_max: (n,) torque limits [Nm or N].
-        moves: (2,n) whether each joint can move the tip (first row) and the wrist (second row).
+        v_max: (n,) speed limits [rad/s or m/s].
+        tau_max: (n,) torque limits [Nm or N].
+        moves: (2,n) flags: whether each joint can move the tip (first row), and the wrist (second row).
         arm: the same arm, as the compiled core's `Arm`.
 
     Example:
@@ -219,7 +221,7 @@ class RobotModel:
         return build_kinematics(self.data.name, self.chain)
 
     def random_regular_pose(self, rng: np.random.Generator, *, margin: float = 0.1, mu_min: float = 0.05) -> Array:
-        """Draw a pose (n,) with mu > `mu_min`. Its joints stay `margin` times their range away from their limits."""
+        """Draw a pose (n,) with mu > `mu_min` [m^3]. Each joint keeps `margin` times its range from both limits."""
         room = margin * (self.q_max - self.q_min)
         for _ in range(1000):
             q = rng.uniform(self.q_min + room, self.q_max - room)
@@ -254,8 +256,9 @@ def load_robot(
     """Load a robot by name or path. Gains that its TOML lacks are derived from the arm's inertia.
 
     Args:
-        name_or_path: an arm of the package, or a TOML or URDF file. A RobotError is raised if it is wrong.
-        tool_length, tool_mass: length from mount to tip [m] and mass [kg] of the tool, by default as in the file.
+        name_or_path: an arm of the package, or a TOML or URDF file. A RobotError is raised for a wrong name or file.
+        tool_length: length of the tool from mount to tip [m], by default as in the file.
+        tool_mass: mass of the tool [kg], by default as in the file.
     """
     robot = RobotModel(load_data(name_or_path, tool_length=tool_length, tool_mass=tool_mass))
     if not CARTESIAN.keys() <= robot.data.gains.keys():

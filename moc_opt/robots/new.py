@@ -25,11 +25,11 @@ from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.layout import lay_out
 
 DRAWS = 6000  #: Number of random poses from which the home pose is chosen.
-SHORTLIST = 60  #: Number of best poses whose self-motions are scanned.
-DOWN = (0.94, 0.8, -1.0)  #: Cosine of the tool's largest angle from straight down: 20 deg, then 37 deg, then 180 deg.
+SHORTLIST = 60  #: Upper bound on the number of poses whose self-motions are scanned: those with the best scores.
+DOWN = (0.94, 0.8, -1.0)  #: Cosines of the largest allowed angle between tool and straight down: 20, 37 and 180 deg.
 CLEARANCE_M = 0.05  #: Lower bound on the distance of tip and wrist from the base's plane [m].
 MARGIN = 0.2  #: Lower bound on the distance from a joint limit, divided by half the range.
-REGULAR = (0.15, 0.08)  #: Lower bounds on `Freedoms.tip` and `Freedoms.both` at home.
+REGULAR = (0.15, 0.08)  #: Lower bounds at home on `Freedoms.tip` and `Freedoms.both` (ratios of singular values).
 SHARE = (0.7, 0.9)
 """Wanted range of mu / (largest mu on the self-motion) at home. It is below 1, so that mu can rise."""
 
@@ -55,13 +55,14 @@ def new_robot(
         tool_m: length of the tool [m].
         lock: joints to be fixed, each with its position [rad, m].
         base_rpy: roll, pitch, yaw of the base [rad]; with (pi, 0, 0) the arm hangs from the ceiling.
+        seed: seed of the random poses from which the home pose is chosen.
 
     Raises:
         RobotError: the file is no serial arm, no null space is left, or an output file exists.
         UnknownNameError: ``tip`` or a joint of ``lock`` is not in the file.
     """
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}\.toml", out.name):
-        raise RobotError(f"--out {out.name!r}: this names the robot: give letters, digits, _ and -, then .toml")
+        raise RobotError(f"--out {out.name!r}: the robot gets this name: give letters, digits, _ and -, then .toml")
     for option, value, least, most in (
         ("tool", tool_m, 1e-3, 10.0), ("seed", seed, 0, 2**63), *(("base-rpy", angle, -10, 10) for angle in base_rpy),
         *((f"lock {joint}", place, -1e3, 1e3) for joint, place in (lock or {}).items()),
@@ -106,7 +107,7 @@ def new_robot(
 
 
 def _drives(arm: VendorArm) -> dict[str, list[float]]:
-    # Vendors do not publish these values; they are guessed.
+    # Vendors do not publish rotor inertia and friction. Both are guessed from the torque limit (`effort`).
     rotors, friction = [], []
     for joint in arm.chain:
         effort, sliding = joint.limits["effort"], joint.kind == "prismatic"
@@ -149,8 +150,8 @@ class Shaft(NamedTuple):
 def find_shaft(text: str, last_link: str) -> Shaft:
     """Lay the tool along the last turning axis, away from the arm.
 
-    The wrist is the point of the shaft nearest to axis k, the last turning axis not parallel to the shaft. If the last
-    joint slides, the tool runs along the last link's z.
+    The wrist is the point of the shaft nearest to the last turning axis that is not parallel to the shaft, or the mount
+    if this point lies beyond the mount. If the last joint slides, the tool runs along the last link's z.
     """
     model = pin.buildModelFromXML(text)
     data = model.createData()
@@ -210,8 +211,8 @@ class Home(NamedTuple):
 def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
     """Search the joint ranges for a home pose. Raise a RobotError if no pose is suitable.
 
-    Poses are ranked by mu and by their distance from limits and singularities. The next angle of `DOWN` is tried only
-    if the arm cannot follow the default path from any pose so far.
+    Random poses are scored by mu and by their distance from limits and singularities. Among the best scores, the first
+    pose by `Home.order` is chosen. The next angle of `DOWN` is tried only if no pose so far can do the default task.
     """
     rng, idle = np.random.default_rng(seed), ~robot.moves.any(axis=0)
     middle, half = 0.5 * (robot.q_min + robot.q_max), 0.5 * (robot.q_max - robot.q_min)
@@ -235,7 +236,7 @@ def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
 
 
 def _ranked(robot: RobotModel, poses: Array) -> list[Home]:
-    """Return home poses, the best first. End with the first that can do the task and has mu / mu_best in `SHARE`."""
+    """Return home poses by descending score, up to the first that can do the task and has mu / mu_best in `SHARE`."""
     moving, mu = robot.moves.any(axis=0), robot.mu_along(poses)
     scores = np.full(len(poses), -np.inf)
     for k, q in enumerate(poses):
@@ -250,7 +251,7 @@ def _ranked(robot: RobotModel, poses: Array) -> list[Home]:
         except RobotError:
             continue  # the curve meets a singularity
         here = robot.state(q).mu
-        # `task_fault` is slow, so only the first pose and wanted poses are tried.
+        # `task_fault` is slow, so only the first pose and poses with mu / mu_best in `SHARE` are tried.
         wanted = SHARE[0] <= here / largest <= SHARE[1]
         task = task_fault(robot, q) if wanted or not homes else "not tried"
         homes.append(Home(q, here, largest, float(limit_shares(robot, q)[moving].min()), task))

@@ -21,7 +21,9 @@ TOOL_NAMES = {"link": {TOOL_LINK, TIP_LINK, WRIST_LINK}, "joint": {"tool_mount",
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 SMALLEST_MASS, SMALLEST_MOMENT = 1e-6, 1e-12
 MOST_LINKS = 250  #: Physics engines crash on chains of some thousands of links.
-_TRIANGLE, _FLAT, _THIN = 1e-6, 1e-9, 1e-12  # margins for rounding, relative to the largest moment
+# Relative to the largest principal moment: how far it may exceed the sum of the other two, by how much this sum exceeds
+# it after `normalize`, and how small the smallest moment may be.
+_TRIANGLE, _FLAT, _THIN = 1e-6, 1e-9, 1e-12
 SMALLEST = 1e-30  #: Numbers nearer to 0 are read as 0, because some programs refuse them.
 LARGEST, LARGEST_MASS, FARTHEST = 1e6, 1e5, 100.0
 """Upper bounds on numbers in a file, on masses [kg], and on lengths and angles of an origin [m, rad]."""
@@ -32,11 +34,11 @@ _ZEROS: Numbers = (0.0, 0.0, 0.0)
 
 @dataclass
 class Link:
-    """A link and its body. Without mass and moments, it is only a frame."""
+    """A link and its body. A link without mass and moments is only a frame."""
 
     name: str
     mass: float = 0.0  #: [kg]
-    moments: Numbers = 2 * _ZEROS  #: `MOMENTS` about the centre of mass [kg m^2]
+    moments: Numbers = 2 * _ZEROS  #: about the centre of mass, in the order of `MOMENTS` [kg m^2]
     xyz: Numbers = _ZEROS  #: centre of mass [m]
     rpy: Numbers = _ZEROS  #: orientation of the moments' axes [rad]
 
@@ -58,12 +60,12 @@ class Joint:
     kind: str
     parent: str
     child: str
-    xyz: Numbers = _ZEROS  #: [m]
-    rpy: Numbers = _ZEROS  #: [rad]
-    axis: Numbers = (1.0, 0.0, 0.0)
+    xyz: Numbers = _ZEROS  #: origin of the joint in the parent's frame [m]
+    rpy: Numbers = _ZEROS  #: orientation of the joint in the parent's frame: roll, pitch, yaw [rad]
+    axis: Numbers = (1.0, 0.0, 0.0)  #: in the joint's own frame
     limits: dict[str, float] = field(default_factory=dict)
-    """The URDF's lower, upper, velocity and effort [rad, rad/s, Nm, or m, m/s, N]."""
-    mimics: bool = False
+    """The URDF's "lower" and "upper" [rad or m], "velocity" [rad/s or m/s] and "effort" [Nm or N]."""
+    mimics: bool = False  #: whether the joint's position is tied to another joint's
 
     @property
     def moves(self) -> bool:
@@ -181,7 +183,7 @@ def _numbers(element: ET.Element | None, key: str, what: str, count: int = 3, mo
 
 
 def normalize(arm: Urdf) -> Tree:
-    """Check a URDF; scale axes to length one and thicken flat bodies, in place.
+    """Check a URDF and return its tree. In place, axes are scaled to length 1, and flat bodies become slightly thick.
 
     A RobotError is raised if a name or number is wrong, a body is impossible, or the links form no tree.
     """
@@ -246,7 +248,7 @@ def principal(moments: Iterable[float]) -> list[float]:
 class Tree:
     """The tree of links. Raise a RobotError if the links form no tree.
 
-    ``carrier`` maps a link to the joint on which it hangs, and ``carried`` to the joints that hang on it.
+    ``carrier`` maps a link to the joint whose child it is. ``carried`` maps a link to the joints whose parent it is.
     """
 
     def __init__(self, arm: Urdf) -> None:
@@ -278,7 +280,7 @@ class Tree:
         self.base = bases[0]
 
     def chain(self, last_link: str, named: str) -> list[Joint]:
-        """Return the moving joints from base to a link; ``named`` appears in errors."""
+        """Return the moving joints from base to a link. ``named`` is the option or key that chose it, for errors."""
         if last_link not in self.links:
             raise UnknownNameError(f"link ({named})", last_link, self.links)
         chain = [joint for joint in self.path(last_link) if joint.moves]
@@ -295,7 +297,7 @@ class Tree:
         return found[::-1]
 
     def reach(self, link: str, *, fixed: bool = False) -> list[str]:
-        """Return a link and all links that hang on it; with ``fixed``, only those that hang on it by fixed joints."""
+        """Return a link and all links that it carries; with ``fixed``, only those reached through fixed joints."""
         found = [link]
         for one in found:  # grows during the iteration
             found += [joint.child for joint in self.carried[one] if not fixed or joint.kind == "fixed"]

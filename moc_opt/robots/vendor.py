@@ -16,7 +16,7 @@ from moc_opt.robots import urdf
 from moc_opt.robots.model import RobotModel
 from moc_opt.robots.urdf import Joint, Link, Urdf
 
-FINGERS = 2  #: A branch with at most this many moving joints is a finger.
+FINGERS = 2  #: A branch with at most this many moving joints is a finger, not the arm.
 FASTEST = {"turning": 2.0 * math.pi, "sliding": 2.0}
 """Largest plausible joint speeds [rad/s, m/s]."""
 CHOSEN = {"turning": 2.0, "sliding": 0.5}  #: Speed limits that replace missing or implausible ones [rad/s, m/s].
@@ -27,13 +27,13 @@ _UNITS = {"turning": ("rad", "rad/s"), "sliding": ("m", "m/s")}
 
 @dataclass
 class VendorArm:
-    """A serial arm. Joints outside its chain are fixed. Those of the chain have position, speed and effort limits."""
+    """A serial arm. Joints outside its chain are fixed. Joints of the chain have position, speed and effort limits."""
 
     urdf: Urdf
     notes: list[str]  #: Assumptions and changes.
     last_link: str = ""
     chain: list[Joint] = field(default_factory=list)  #: Moving joints from base to last link.
-    weak: list[str] = field(default_factory=list)  #: Joints without a usable effort limit.
+    weak: list[str] = field(default_factory=list)  #: Joints of the chain whose URDF has no usable effort limit.
 
 
 def read_vendor(
@@ -56,7 +56,8 @@ def read_vendor(
     arm.chain = tree.chain(arm.last_link, "--tip")
     arm.notes.append(f"the tool sits on {arm.last_link!r}, the link of {'--tip' if tip else 'the last joint'}")
     mend_bodies(arm.urdf.links, arm.notes)
-    between = tree.path(arm.last_link)[len(tree.path(arm.chain[0].parent)) :]  # `normalize` checks these joints
+    # Joints from the first moving joint to the last link are not fixed. `normalize` refuses unknown kinds of joints.
+    between = tree.path(arm.last_link)[len(tree.path(arm.chain[0].parent)) :]
     _fix([joint for joint in arm.urdf.joints if joint not in between and joint.kind != "fixed"], arm.notes)
     if any(base_rpy):
         arm.urdf.links.insert(0, Link("stand"))
@@ -104,7 +105,7 @@ def _depth(tree: urdf.Tree, joint: Joint) -> int:
 
 
 def _fix(joints: Iterable[Joint], notes: list[str], at: float | None = None) -> None:
-    """Fix joints, by default at the allowed position nearest to 0."""
+    """Fix joints at the position ``at``, by default at the allowed position nearest to 0."""
     fixed = []
     for joint in joints:
         told = joint.kind
@@ -135,7 +136,7 @@ def _shift(joint: Joint, value: float) -> None:
 def mend_bodies(links: Iterable[Link], notes: list[str]) -> None:
     """Make every body physically possible, in place, and note each change.
 
-    A link without mass becomes a frame. An impossible inertia is increased equally about all axes until it is possible.
+    A link without mass becomes a frame. An impossible inertia becomes possible by an equal increase about all axes.
     """
     frames = []
     for link in links:
@@ -195,7 +196,7 @@ def _range(joint: Joint, kind: str) -> tuple[float, float, str]:
 
 
 def enough_efforts(robot: RobotModel) -> list[float]:
-    """Return effort limits [Nm, N]: three times the larger of gravity load and effort for 1 rad/s^2 (or 1 m/s^2)."""
+    """Return effort limits [Nm, N]: 3 max(gravity load, effort for 1 rad/s^2 or 1 m/s^2), but at least 5."""
     poses = np.random.default_rng(0).uniform(robot.q_min, robot.q_max, (200, robot.n))
     most = np.max([np.abs(robot.gravity(q)) for q in poses], axis=0)
     needed = 3.0 * np.maximum(most, np.diag(robot.state(robot.data.q_home).M))

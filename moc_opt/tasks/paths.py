@@ -25,7 +25,7 @@ GROUP = "moc_opt.tasks"
 WAYPOINTS = "waypoints"
 MOST = 1000  #: Largest number of waypoints.
 FARTHEST_M = 1000.0  #: Largest distance of a waypoint from the start along each axis [m].
-_SLOWEST = 0.05  # threshold of |dp/dw| (w: chord length); below it, the path turns back on the spot
+_SLOWEST = 0.05  # lower bound on |dp/dw|, where p is the point at chord length w; below it, the path is refused
 
 
 class Path:
@@ -52,7 +52,7 @@ class Path:
         self.left = direction3("left", np.cross(self.normal, self.heading))
 
     def curvature(self, s: float) -> float:
-        """Return the curvature [1/m] at s [m]; positive to the left, but never negative for `Waypoints`."""
+        """Return the curvature [1/m] at s [m]: positive if the path bends to the left, negative to the right."""
         return self.curve.at(s)[4]
 
     def at(self, s: TimeLike) -> tuple[Array, Array, Array]:
@@ -70,7 +70,7 @@ class Path:
         return self.points(np.clip(s, 0.0, self.length))
 
     def points(self, s: Array) -> Array:
-        """Return p [m], dp/ds and d2p/ds2 [1/m] as (k, 3, 3) at s (k,) [m], unchecked."""
+        """Return the rows p [m], dp/ds and d2p/ds2 [1/m] as (k, 3, 3) at s (k,) [m]. The range of s is not checked."""
         x, y, tx, ty, k = np.array([self.curve.at(one) for one in s.tolist()]).reshape(-1, 5).T[:, :, None]
         a, b = self.heading, self.left
         return np.stack([self.start + a * x + b * y, a * tx + b * ty, a * (-k * ty) + b * (k * tx)], axis=1)
@@ -99,7 +99,7 @@ class Waypoints(Path):
         self._rows_of: list[list[list[float]]] = self._pieces.tolist()
 
     def curvature(self, s: float) -> float:
-        """See `Path.curvature`."""
+        """Return the absolute curvature [1/m] at s [m], because a path in three dimensions has no left and right."""
         return math.hypot(*self._point(s)[6:])
 
     def points(self, s: Array) -> Array:
@@ -213,7 +213,7 @@ def make_path(
         if kind in CURVES:
             raise
         raise TaskError(f"path {kind!r}: {plugins.in_words(_plugins()[kind][0])} raised {describe(error)}") from error
-    shape = Path if hasattr(made, "at") else Waypoints
+    shape = Path if hasattr(made, "at") else Waypoints  # a plug-in may also return waypoints
     return shape(made, start, normal=normal, heading=heading)
 
 

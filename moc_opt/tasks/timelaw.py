@@ -16,7 +16,7 @@ from moc_opt.tasks.checks import TimeLike, number, positive, sampled
 from moc_opt.tasks.paths import Path
 
 Number = TypeVar("Number", float, Array)
-_PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)
+_PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)  # largest |d2s/du2| of the quintic law
 
 
 def quintic(u: Number) -> tuple[Number, Number, Number]:
@@ -28,10 +28,10 @@ def quintic(u: Number) -> tuple[Number, Number, Number]:
 def duration(path: Path, v_max: float, a_max: float) -> float:
     """Compute the shortest duration T [s] of the quintic law within the limits.
 
-    With D the length of the path, kappa its curvature, s = s(u) and u = t/T:
+    D is the length of the path, kappa its curvature, u = t/T, s = s(u) the `quintic`, s' = ds/du and s'' = d2s/du2:
         |velocity| = D s'/T                   at most 15 D / (8 T),
         |acceleration| = D g(u) / T^2         with g(u)^2 = s''^2 + (D kappa(D s) s'^2)^2,
-    so that T = max(15 D / (8 v_max), sqrt(D max g / a_max)). On a straight path, max g = 10/sqrt(3).
+    so that T = max(15 D / (8 v_max), sqrt(D max_u g(u) / a_max)). On a straight path, max_u g(u) = 10/sqrt(3).
 
     Args:
         v_max: largest speed [m/s].
@@ -48,7 +48,7 @@ def _largest_acceleration(path: Path) -> float:
         s, ds, dds = quintic(u)
         return math.hypot(dds, length * path.curvature(min(s * length, length)) * ds * ds)
 
-    # Equal steps resolve the time law, and the knots resolve the bends.
+    # g is evaluated at equal steps, which resolve the time law, and at the path's knots, which resolve the bends.
     even = np.linspace(0.0, 1.0, 513)
     progress = [quintic(u)[0] for u in even.tolist()]
     u = np.unique(np.concatenate((even, np.interp(path.knots / length, progress, even))))
@@ -117,11 +117,11 @@ class WaitingReference:
     """A reference that stops while a flag is False, and goes on when it is True.
 
     The motion begins at rest. X_d, dX_d and ddX_d do not jump. The rate sigma is the flag (0 or 1), filtered by two
-    moving averages. The time tau along the given reference advances at this rate. Then
+    moving averages. The time tau along the given reference X(tau) advances at this rate: dtau/dt = sigma. Then
 
-        X_d(t) = X(tau(t)),   dX_d = sigma X',   ddX_d = sigma^2 X'' + sigma' X'
+        X_d(t) = X(tau(t)),   dX_d = sigma dX/dtau,   ddX_d = sigma^2 d2X/dtau2 + dsigma/dt dX/dtau
 
-    so that |dX_d| <= v_max and |ddX_d| <= 2 a_max.
+    so that |dX_d| <= v_max and |ddX_d| <= 2 a_max, with the limits of the given reference.
     """
 
     def __init__(self, reference: Reference, period_s: float) -> None:
@@ -146,7 +146,7 @@ class WaitingReference:
         for length in self._lengths:
             later = np.convolve(later, np.ones(length))[: len(flags)] / length
         rate = np.concatenate([[0.0], later])[: len(flags)]
-        # The trapezoidal rule is exact: the rate is linear over a tick.
+        # The trapezoidal rule is exact, because the rate is linear within a tick.
         times = np.concatenate([[0.0], np.cumsum(0.5 * self.period_s * (rate + later))])[: len(flags)]
         x, v, a = self.reference.at(times)
         slope = (later - rate) / self.period_s

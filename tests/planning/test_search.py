@@ -16,7 +16,7 @@ from tests.planning.arms import at_poses, task
 
 
 def small(rng, k=4, m=4):
-    """A small map for one joint with a speed limit of 1 rad per period. Poses outside the map have mu = 0.4."""
+    """A random map for one joint, with k times 0.5 s apart. The speed limit is 2 rad/s. The start pose has mu = 0.4."""
     arm: Any = SimpleNamespace(v_max=np.full(1, 2.0), state=lambda q: SimpleNamespace(mu=0.4))
     targets = Targets(0.5 * np.arange(k), np.zeros((k, 3)), np.zeros((k, 3)), np.zeros(k))
     q, mu = rng.uniform(0.0, 1.0, (k, 1, m, 1)), rng.uniform(0.1, 1.0, (k, 1, m))
@@ -41,7 +41,7 @@ def every_course(found, step, start, cell=0.0):
 
 @pytest.mark.parametrize(("start", "cell", "price"), [(None, 0, 0), (0.5, 0, 0), (0.5, 0.5, 0), (0.5, 0, 1)])
 def test_dynamic_programming_finds_the_best_of_all_courses(start, cell, price):
-    """With a price on speed, each of the three steps of 0.5 s lowers the mean mu by price (dq / 0.5)^2 / 3."""
+    """With a price on speed, each of the three steps dq [rad] of 0.5 s lowers the mean mu by price (dq / 0.5)^2 / 3."""
     rng, none = np.random.default_rng(0), 0
     for _ in range(40):
         found, step = small(rng), float(rng.uniform(0.1, 0.8))
@@ -114,14 +114,14 @@ def test_upper_bound_uses_the_largest_mu_up_to_halfway_to_the_neighbouring_poses
 
 @pytest.mark.parametrize("j", [0, 77, 199])
 def test_the_fitted_parabola_is_exact_for_a_quadratic_value_function(j):
-    """The poses lie on a circle of 200 samples. Each has six neighbours within 0.2 rad on either side."""
+    """200 poses lie on a circle of radius 1 rad. Each has six neighbours within 0.2 rad on either side."""
     at, base = 2.0 * np.pi * np.arange(200) / 200, small(np.random.default_rng(0), 2)
     two: Any = SimpleNamespace(v_max=np.ones(2))
     q, z = np.transpose([0.3 + np.cos(at), np.sin(at)]), np.sin(at - at[j])
     for dead, low, high, bend in (
         ((), -6, 6, -3.0), ((-6, -4, 3, 6), -3, 2, -3.0), ((-2, 3), -1, 2, 3.0), ((-2, 2), -1, 1, 0.0),
     ):  # fmt: skip
-        slope, room = 0.4 * bool(bend), np.ones((2, 1, 200))  # with three poses, no parabola is fitted
+        slope, room = 0.4 * bool(bend), np.ones((2, 1, 200))  # bend = 0: only three poses, so no parabola is fitted
         room[..., (j + np.array(dead, dtype=int)) % 200] = -1.0
         mu = 4.0 * np.tile(0.3 + 0.4 * z + 0.5 * bend * z**2, (2, 1, 1))  # the last weight is 0.25 s
         found = replace(base, robot=two, q_rad=np.tile(q, (2, 1, 1, 1)), mu=mu, room_rad=room)
@@ -136,7 +136,7 @@ def test_climb_of_mu_starts_towards_the_higher_neighbour():
     found = replace(small(np.random.default_rng(0), k=1, m=5), mu=np.array([[[0.2, 0.5, 0.6, 0.1, 0.3]]]))
     found = replace(found, q_rad=0.1 * np.arange(5.0).reshape(1, 1, 5, 1), room_rad=np.ones((1, 1, 5)))
     assert [top_of(found, np.array([at]))[::2] for at in (0.1, 0.2, 0.3)] == [(0.6, False)] * 3
-    walled = replace(found, room_rad=np.array([[[1.0, 1.0, -1.0, 1.0, 1.0]]]))  # the best pose is beyond a joint limit
+    walled = replace(found, room_rad=np.array([[[1.0, 1.0, -1.0, 1.0, 1.0]]]))  # the pose of largest mu is infeasible
     assert [top_of(walled, np.array([at]))[::2] for at in (0.0, 0.3)] == [(0.5, True), (0.3, False)]
 
 
@@ -174,7 +174,7 @@ def test_search_finds_a_course_as_good_as_one_through_a_singular_pose(robot, joi
     poses = best_course(Value(found, Limits()), given[0])
     course = make_course(robot, found.targets, poses)
     assert course.violation < 1e-12
-    if joint == 1:  # with joint 5, a course around the singular pose is better
+    if joint == 1:  # through the singular pose; if joint 5 is singular, a course around this pose is better
         assert np.sign(course.q_rad[0, 1]) != np.sign(course.q_rad[-1, 1])
     assert course.mu_mean > 0.995 * mean
     assert mean <= Value(found, Limits(), cell=WHOLE_CELL).of(given[0], robot.state(given[0]).mu)
