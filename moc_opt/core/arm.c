@@ -1,5 +1,5 @@
 /* Kinematics and dynamics of a serial chain (Featherstone 2008, chapter 5). Twists [lin, ang] and momenta are in world
- * axes, at the world's origin. */
+ * axes, at the world's origin: lin is the velocity of the body's point that is there. */
 #include "vec.h"
 
 void moc_place(const moc_arm *arm, const double *q, moc_frame *frame, moc_twist *twist)
@@ -63,7 +63,7 @@ static body link_in_world(const moc_joint *joint, const moc_frame *frame)
 
     for (int i = 0; i < 3; i++)
         link.moment[i] = joint->mass * frame->p[i] + dot3(frame->R[i], joint->moment);
-    /* parallel axes: add m (|c|^2 I - c c^T), with the centre of mass c */
+    /* parallel axes: add m (|c|^2 1 - c c^T), with the centre of mass c in the world and the unit matrix 1 */
     double square = share * dot3(link.moment, link.moment);
     for (int i = 0; i < 3; i++) {
         double turned[3] = {dot3(frame->R[i], local[0]), dot3(frame->R[i], local[1]), dot3(frame->R[i], local[2])};
@@ -125,7 +125,7 @@ static void dynamics(const moc_arm *arm, const moc_frame *frame, const moc_twist
         add(t->v[k], &S[k], V);
         add(t->v[k], &rate[k], acceleration);
         H[k] = momentum(&link[k], V);
-        /* dH/dt = I A + V x* H */
+        /* dH/dt = I dV/dt + V x* H: inertia I, Featherstone's cross product x* of twist and momentum */
         force[k] = momentum(&link[k], acceleration);
         add_cross(1.0, V->ang, H[k].lin, force[k].lin);
         add_cross(1.0, V->ang, H[k].ang, force[k].ang);
@@ -155,7 +155,7 @@ static void dynamics(const moc_arm *arm, const moc_frame *frame, const moc_twist
     }
 }
 
-/* Compute dJ/dt v of a point of the last link. */
+/* Compute dJ/dt v, the acceleration of a point of the last link at ddq = 0. */
 static void point_drift(const moc_twist *V, const moc_twist *acceleration, const double point[3], double out[3])
 {
     double velocity[3];

@@ -1,4 +1,4 @@
-/* The optimum of the subproblem by elimination.
+/* The optimum of the subproblem (moc_problem in moc.h) by elimination: least cost for A x = b and lower <= x <= upper.
  *
  * If A x = b, the cost is rho/2 |x|^2 - c2 pull^T x + constant. Gauss-Jordan elimination with complete pivoting (Golub
  * and Van Loan, Matrix Computations, 3.4.8) writes x as a particular solution plus one self-motion per free joint (a
@@ -7,19 +7,19 @@
 #include "vec.h"
 
 #define RANK_TOLERANCE 1e-12 /* largest (singular value of A) / |A|_F that counts as zero */
-#define TIED 1e-7            /* largest (sixth singular value) / |A|_F at which tip and wrist count as rigidly tied */
-#define LOOK_CLOSER 1e3      /* own_part checks pivots below LOOK_CLOSER * tolerance * first pivot */
+#define TIED 1e-7            /* the same limit for the sixth singular value, which is zero for a rigid tool */
+#define LOOK_CLOSER 1e3      /* own_part decides if pivot <= LOOK_CLOSER * (limit above) * (first pivot) */
 #define LEFT 1e-6            /* largest allowed |A x - b| of the result [m/s] */
 #define SOUND 1e-6           /* if the last pivot is smaller, the result is checked [m] */
-#define UNBALANCED 1e-4      /* largest allowed |A^T y - force| / max(c2 |pull|, rho) of the result */
-#define IDLE 1e-12           /* a joint is idle (moves neither tip nor wrist) if no entry of its column is larger */
+#define UNBALANCED 1e-4      /* largest allowed |A^T y - force| / max(c2 |pull|, rho) of the result (see finish) */
+#define IDLE 1e-12           /* a joint is idle (moves neither tip nor wrist) if no eliminated entry is larger */
 #define ROUNDING 1e-9        /* an idle joint's pull counts as zero below this share of the largest pull */
 #define GROWTH 4e-12         /* assumed bound on the relative rounding error of the elimination */
 #define WIDEST 1e-5          /* upper bound on the tolerance of a second solve [rad/s] */
 #define UNCLEAR 1e-3         /* upper bound on the tolerance of a third solve [rad/s] */
 #define SLIVER 2e-9          /* lower bound on the assumed rounding error with several free joints [rad/s] */
 
-/* Turn multipliers g (6,) of eliminated rows into multipliers of A. */
+/* Turn multipliers g (6,) of the rows after `steps` steps of the elimination into multipliers of A's rows. */
 static inline void weigh_back(const moc_plane *plane, int steps, double g[6])
 {
     for (int k = steps - 1; k >= 0; k--) {
@@ -29,8 +29,8 @@ static inline void weigh_back(const moc_plane *plane, int steps, double g[6])
     }
 }
 
-/* Estimate singular value k + 1 of A, divided by |A|_F. Before step k, each row without a pivot is a combination e^T A
- * of A's rows. The estimate is the largest |e^T A| / (|e| |A|_F), at most 4 * (pivot of step k) / (first pivot). */
+/* Estimate the (k + 1)-th largest singular value of A, over |A|_F: the largest |e^T A| / (|e| |A|_F) of rows e^T A
+ * without a pivot before step k (from 0). It is never above 4 * (pivot of step k) / (first pivot). */
 static double own_part(const moc_plane *plane, int n, double A[][MOC_MAX_JOINTS], int k)
 {
     double most = 0.0, size = 0.0;
@@ -45,7 +45,7 @@ static double own_part(const moc_plane *plane, int n, double A[][MOC_MAX_JOINTS]
     return sqrt(most);
 }
 
-/* Returns the rank of A, or -1 - k if rounding leaves open whether the rank is k or higher. */
+/* Returns the rank of A, or -1 - k if rounding leaves open whether the rank is k or higher. m: padded row length. */
 static inline int eliminate(moc_plane *plane, int n, double A[][MOC_MAX_JOINTS], int m)
 {
     double first = plane->pivot = HUGE_VAL;
@@ -82,7 +82,7 @@ static inline int eliminate(moc_plane *plane, int n, double A[][MOC_MAX_JOINTS],
         plane->pivot = size;
         plane->joint[k] = column;
         plane->from[k] = pivot;
-        /* 1 / pivot; size is known before the pivot's row is found */
+        /* 1 / pivot, from size = |pivot|, which is known earlier than the pivot's sign */
         double inverse = plane->inverse[k] = copysign(1.0 / size, plane->row[pivot][column]);
         for (int c = 0; c < m; c++) {
             pivot_row[c] = plane->row[pivot][c] * inverse;
@@ -134,7 +134,7 @@ static void carry_over(const moc_plane *plane, const double b[6], double right[6
     }
 }
 
-/* Check x against the rows that elimination dropped. */
+/* Check x in the rows without a pivot. MOC_INFEASIBLE: no x within the bounds meets such a row. */
 static moc_status check_dropped(const moc_plane *plane, const moc_problem *p, const double right[6], const double *x)
 {
     moc_status status = MOC_OK;
@@ -169,7 +169,7 @@ static double idle_speed(const moc_problem *p, int j)
     return clip(pull == 0.0 ? 0.0 : pull / p->rho, p->lower[j], p->upper[j]); /* rho = 0: at a bound */
 }
 
-/* The interval of s in which x + s z is within the bounds, and the joints that limit it. */
+/* The interval of s in which x + s z is within the bounds. joint[0] limits low, and joint[1] limits high. */
 typedef struct {
     double low, high;
     int joint[2];
@@ -204,14 +204,14 @@ static void solve_one(const moc_plane *plane, const moc_problem *p, double toler
     }
     double still = STILL * sqrt(zz);
     segment s = ratio_test(p, x, z, still, 0.0);
-    /* rounding may make an interval of one point empty */
+    /* rounding may make an interval of one point empty: widen the bounds */
     for (double slack = 1e-17; s.low > s.high && slack < tolerance;) {
         slack = smaller(100.0 * slack, tolerance);
         s = ratio_test(p, x, z, still, slack);
     }
     double best = (p->c2 * zg - p->rho * zx) / (p->rho * zz); /* infinite if rho = 0 */
     if (p->c2 * zg == 0.0 && p->rho == 0.0)
-        best = -zx / zz; /* every point is optimal: take the shortest */
+        best = -zx / zz; /* every s is optimal: take the shortest x */
     int at_bound = best > s.high ? s.joint[1] : best < s.low ? s.joint[0] : NONE;
     best = clip(best, s.low, s.high);
     for (int j = 0; j < n; j++) {
@@ -222,8 +222,8 @@ static void solve_one(const moc_plane *plane, const moc_problem *p, double toler
         force[at_bound] = slope / z[at_bound];
 }
 
-/* Clip the point to the bounds, and compute y from A^T y = force - (rho x - c2 pull). Returns the point's largest bound
- * violation [rad/s]. */
+/* Clip the point to the bounds: x. Add c2 pull - rho x to `force`, the bounds' multipliers. Then compute y from
+ * A^T y = force. Returns the point's largest bound violation [rad/s]. */
 static double finish(const moc_plane *plane, const moc_problem *p, const double *point, double *force, double *x,
                      double y[6])
 {
@@ -277,7 +277,7 @@ static moc_status solve(const moc_plane *plane, const moc_problem *p, double tol
     return beyond > tolerance ? MOC_INFEASIBLE : check_dropped(plane, p, right, x);
 }
 
-/* Estimate the bound violation that rounding can cause [rad/s]: GROWTH |A| |x| / (last pivot) for the largest |x|. */
+/* Estimate the bound violation that rounding can cause [rad/s]: GROWTH |A| |x| / (last pivot) for the largest x. */
 static double explained_by_rounding(const moc_plane *plane, const moc_problem *p)
 {
     double sum[6] = {0.0};
@@ -290,8 +290,9 @@ static double explained_by_rounding(const moc_plane *plane, const moc_problem *p
 moc_status moc_solve_eliminated(const moc_plane *plane, const moc_problem *p, double tolerance, double *x, double y[6])
 {
     moc_status status = solve(plane, p, tolerance, x, y);
-    /* If rounding may have decided the status, solve again with a larger tolerance. If this gives no solution, keep the
-     * status only if no x is feasible within the larger tolerance `unclear` (1e5 if columns can be almost parallel). */
+    /* If rounding may have decided the status, solve again with a larger tolerance. If this gives no solution, solve
+     * with the still larger tolerance `unclear`. If this finds the subproblem infeasible, the status is kept. Else, it
+     * becomes MOC_DOUBTFUL. With several free joints, columns may be almost parallel: the factor is then 1e5. */
     double explained = status == MOC_OK ? 0.0 : explained_by_rounding(plane, p);
     if (explained <= tolerance)
         return status;
@@ -304,6 +305,6 @@ moc_status moc_solve_eliminated(const moc_plane *plane, const moc_problem *p, do
 moc_status moc_solve_exact(const moc_problem *p, double tolerance, double *x, double y[6])
 {
     moc_plane plane;
-    moc_eliminate(p->n, ((moc_problem *)p)->A, &plane); /* only read */
+    moc_eliminate(p->n, ((moc_problem *)p)->A, &plane); /* moc_eliminate only reads A */
     return moc_solve_eliminated(&plane, p, tolerance, x, y);
 }

@@ -1,14 +1,16 @@
 /* The law (Su et al. 2019, in the form of docs/method.md) and the subproblem.
  *
  *   tau = h + J_T^T F_T + (I - J_T^T Jbar_T^T) J_W^T F_W + tau_ff - r + s M Z^T (Z M Z^T)^-1 Z tau_0,
- *   tau_0 = K_N2 (x - v) - D_N2 v. tau_ff: feed-forward; r: the observer's estimate; s: memory.share, from 0 to 1. */
+ *   tau_0 = K_N2 (x - v) - D_N2 v.
+ * r: the observer's estimate. s: memory.share, from 0 to 1. F_T, F_W: forces at the tip X and the wrist centre N (see
+ * moc_tracking_torque). Jbar_T, tau_ff: see add_dynamic. P_t: trocar. moc.h explains the other symbols. */
 #include "vec.h"
 
-#define STRAIGHT 1e-3  /* in add_dynamic, row 3 or 4 counts as zero below this share of the other row's length */
+#define STRAIGHT 1e-3  /* add_dynamic drops a row of the wrist if it is shorter than STRAIGHT * (its other row) */
 
-#define SHAFT_PULL 0.1 /* weight of log mu_shaft relative to mu [m^3] */
-#define SHAFT_LOST 0.1 /* near this mu_shaft / shaft_margin, moc_shaft_push is largest */
-#define BOX_OPENS 3.0  /* the bounds are widest for mu_shaft <= (1 - 1/BOX_OPENS) shaft_margin */
+#define SHAFT_PULL 0.1 /* factor of moc_shaft_push [m^3]: about the weight of log mu_shaft beside mu */
+#define SHAFT_LOST 0.1 /* moc_shaft_push is largest near mu_shaft = SHAFT_LOST shaft_margin */
+#define BOX_OPENS 3.0  /* the bounds on x are widest for mu_shaft <= (1 - 1/BOX_OPENS) shaft_margin */
 
 typedef struct {
     double distance; /* |P_t - X| [m] */
@@ -54,8 +56,8 @@ static void times(int n, double J[][MOC_MAX_JOINTS], const double *v, double out
         out[i] = dot(n, J[i], v);
 }
 
-/* Compute ddN_d of N_d = X + L e for a trocar without acceleration. L is the distance from wrist to tip. With
- * r = P_t - X = |r| e: e'' = (I - e e^T)(r'' - 2 |r|' e') / |r| - |e'|^2 e. */
+/* Compute ddN_d of N_d = X + L e for a trocar without acceleration. L is the distance from wrist to tip. ' is d/dt.
+ * With r = P_t - X = |r| e: e'' = (I - e e^T)(r'' - 2 |r|' e') / |r| - |e'|^2 e. */
 static void desired_wrist_acceleration(const line *s, double span, const double ddX_d[3], double out[3])
 {
     double bend[3], square = dot3(s->turn, s->turn); /* r'' - 2 |r|' e' */
@@ -71,16 +73,16 @@ static void desired_wrist_acceleration(const line *s, double span, const double 
  *   tau += (I - J_T^T Jbar_T^T) tau_W + A5^T (A5 M^-1 A5^T)^-1 a,  Jbar_T = M^-1 J_T^T (J_T M^-1 J_T^T)^-1,
  *   a = [ddX_d - dJ_T v; b^T (ddN_d - dJ_W v)], or 0 without a feed-forward.
  *
- * A5 = [J_T; b^T J_W]. The columns of b (3, 2) are perpendicular to the shaft. M = H H^T (Cholesky). `rows` has the
- * three rows J_T H^-T of the tip, the two rows b^T J_W H^-T of the wrist, and (H^-1 tau_W)^T. The tip's rows are made
- * orthonormal, and the others orthogonal to them. This avoids A5 M^-1 A5^T, which has the square of the rows' condition
- * number. With a straight elbow, the feed-forward leaves out the direction in which the wrist cannot accelerate. */
+ * A5 = [J_T; b^T J_W]. The columns of b (3, 2), rows in the code, are perpendicular to the shaft. M = H H^T (Cholesky).
+ * `rows` has the three rows J_T H^-T of the tip, the two rows b^T J_W H^-T of the wrist, and (H^-1 tau_W)^T. The tip's
+ * rows are made orthonormal, and the others orthogonal to them. This avoids A5 M^-1 A5^T, which has the square of the
+ * rows' condition number. A straight elbow cannot accelerate the wrist in one direction, which tau_ff leaves out. */
 static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *ddX_d, const double *ddN_d,
                         const double *tau_W, double *tau)
 {
     enum { TAU_W = 5 };
     double H[MOC_MAX_JOINTS][MOC_MAX_JOINTS], inverse[MOC_MAX_JOINTS], rows[6][MOC_MAX_JOINTS], b[2][3];
-    double column[MOC_MAX_JOINTS][6], a[6] = {0.0}, c[6]; /* c: weights of the rows */
+    double column[MOC_MAX_JOINTS][6], a[6] = {0.0}, c[6]; /* tau += H sum(c_i rows_i) */
 
     cholesky(n, t->M, H, inverse);
     across(t->u, b);
@@ -140,7 +142,7 @@ static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *d
     }
 }
 
-/* tau += (I - J^T G) tau_W. With MOC_STATIC, G is pinv(J)^T. With MOC_AS_PUBLISHED, G is J (not idempotent). */
+/* tau += (I - J^T G) tau_W. With MOC_STATIC, G is pinv(J)^T. With MOC_AS_PUBLISHED, G is J: no projector. */
 static void add_at_rest(moc_projector projector, int n, double J[][MOC_MAX_JOINTS], const double *tau_W, double *tau)
 {
     double at_tip[3], gram[3][MOC_MAX_JOINTS], factor[3][MOC_MAX_JOINTS], diagonal[3];
@@ -162,7 +164,7 @@ void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, cons
 {
     moc_terms *t = (moc_terms *)terms; /* only read */
     double(*J_T)[MOC_MAX_JOINTS] = t->A, (*J_W)[MOC_MAX_JOINTS] = t->A + 3;
-    double dX[3], dN[3], F[3], ddN_d[3], tau_W[MOC_MAX_JOINTS] = {0.0}, share = 1.0;
+    double dX[3], dN[3], F[3], ddN_d[3], tau_W[MOC_MAX_JOINTS] = {0.0}, factor = 1.0;
 
     times(n, J_T, t->v, dX);
     times(n, J_W, t->v, dN);
@@ -173,14 +175,14 @@ void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, cons
     memcpy(tau, t->h, (unsigned)n * sizeof *tau);
     add_force(n, J_T, 1.0, F, tau);
 
-    /* RCM: F_W = share K_N (N_d - N) + D_N (dN_d - dN), N_d = X + L e. The spring of Su et al. pulls in proportion to
-     * the RCM error: share = (RCM error) / (rcm_lambda |N_d - N|). With the angle theta between e and -u, the RCM error
-     * is cos(theta/2) |P_t - X| / L times |N_d - N|. If rcm_lambda = 0, share is 1. */
+    /* Shaft: F_W = factor K_N (N_d - N) + D_N (dN_d - dN), N_d = X + L e. If rcm_lambda = 0, factor is 1. Otherwise, as
+     * in Su et al., it is d / (rcm_lambda |N_d - N|), where d is the distance of the trocar from the shaft. With the
+     * angle theta between e and -u, d / |N_d - N| is cos(theta/2) |P_t - X| / L. */
     line s = shaft_line(t->tip, dX, trocar);
     if (law->rcm_lambda > 0.0)
-        share = s.distance / t->span * sqrt(larger(0.5 * (1.0 - dot3(s.e, t->u)), 0.0)) / law->rcm_lambda;
+        factor = s.distance / t->span * sqrt(larger(0.5 * (1.0 - dot3(s.e, t->u)), 0.0)) / law->rcm_lambda;
     for (int i = 0; i < 3; i++)
-        F[i] = law->K_N * share * (t->tip[i] + t->span * s.e[i] - t->wrist[i]) +
+        F[i] = law->K_N * factor * (t->tip[i] + t->span * s.e[i] - t->wrist[i]) +
                law->D_N * (dX[i] + t->span * s.turn[i] - dN[i]);
     add_force(n, J_W, 1.0, F, tau_W);
 
@@ -191,7 +193,7 @@ void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, cons
         add_at_rest(law->projector, n, J_T, tau_W, tau);
 }
 
-/* With m = mu_shaft, the push is SHAFT_PULL (1 - m/margin) m / (m^2 + lost^2) [m] below the margin, and zero above. */
+/* SHAFT_PULL (1 - m/margin) m / (m^2 + lost^2) [m] if m = mu_shaft is below the margin, else zero. */
 double moc_shaft_push(double mu_shaft, double margin)
 {
     double lost = SHAFT_LOST * margin;
@@ -215,13 +217,13 @@ void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_r
         p->b[i] = ref->dX[i];
         gap += t->u[i] * (p->b[i] - p->b[3 + i]);
     }
-    for (int i = 0; i < 3; i++) /* u^T (v_T - v_W) = 0: the tool is rigid */
+    for (int i = 0; i < 3; i++) /* change v_W so that u^T (v_T - v_W) = 0, because the tool is rigid */
         p->b[3 + i] += gap * t->u[i];
     for (int j = 0; j < n; j++) {
         double v_max = law->v_max[j] * wider;
         p->grad_mu[j] = t->grad_mu[j];
         p->pull[j] = x_d ? law->rho / law->c2 * x_d[j] : t->grad_mu[j] + push * t->grad_mu_shaft[j];
-        /* velocity damper, with lower <= upper even if q is beyond a joint limit */
+        /* near a joint limit, the bound is k0 * (distance); lower <= upper even if q is beyond the limit */
         p->lower[j] = smaller(larger(-law->k0 * (t->q[j] - law->q_min[j]), -v_max), v_max);
         p->upper[j] = larger(smaller(-law->k0 * (t->q[j] - law->q_max[j]), v_max), -v_max);
     }

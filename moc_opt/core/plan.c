@@ -33,12 +33,12 @@ static double distance(int n, const double *p, const double *q)
 
 /* --- one pose --- */
 
-#define LONGEST 0.25    /* limit of a step in joint space [rad] */
+#define LONGEST 0.25    /* upper limit of a step in joint space [rad] */
 #define AT_REST 1e-9    /* a joint is at rest if its entry in the unit tangent is not larger */
 #define DAMPING 4e-12   /* added to the diagonal of A A^T [m^2], because A has only rank 5 */
 
-/* Compute the step (n,) nearest to `desired` with A step = error, by an active-set method. A has `rows` rows. No joint
- * moves towards a limit that is nearer than `near`. */
+/* Compute the step (n,) nearest to `desired` with A step = error, by an active-set method. A has `rows` rows. With
+ * damping > 0, A step = error holds only approximately. No joint moves towards a limit that is nearer than `near`. */
 static void allowed_step(const plan_task *task, int rows, const double *q, double A[6][MOC_MAX_JOINTS],
                          const double *error, const double *desired, double damping, double near, double *step)
 {
@@ -85,7 +85,7 @@ static void allowed_step(const plan_task *task, int rows, const double *q, doubl
     }
 }
 
-/* Gauss-Newton with a damping proportional to the squared error (Sugihara, IEEE Trans. Robotics 27, 2011). */
+/* Gauss-Newton steps with a damping proportional to the squared error (Sugihara, IEEE Trans. Robotics 27, 2011). */
 double plan_place(const plan_task *task, int points, int rounds, const double *start, double *best)
 {
     static const double nowhere[MOC_MAX_JOINTS];
@@ -149,8 +149,8 @@ static double turn_tangent(const plan_task *task, const double *q, const double 
     return length;
 }
 
-/* Whether the curve's start (n,) lies ahead of q within one step. `pose` is the start plus whole turns of joints.
- * *gap is the distance from q to `pose`. */
+/* Whether the curve's start (n,) lies ahead of q within one step. `pose` is the start after those whole turns of its
+ * revolute joints that bring it nearest to q. *gap is the distance from q to `pose`. */
 static bool closes(const plan_task *task, const double *start, const double *q, const double *tangent, double step,
                   double *pose, double *gap)
 {
@@ -166,8 +166,8 @@ static bool closes(const plan_task *task, const double *start, const double *q, 
     return inside && *gap <= 1.01 * step && ahead > 0.0;
 }
 
-/* Compute the curve's next pose (n,), mu and tangent. *hit is the joint at its limit, or NONE. Returns the distance
- * from q, or 0 if the curve is singular. */
+/* Compute the curve's next pose (n,), mu and tangent. *hit is the joint that has reached its limit, or NONE. `step` is
+ * halved until this succeeds. Returns the distance from q, or 0 if no step succeeds because the curve is singular. */
 static double next_sample(const plan_task *task, const double *q, double step, double *tangent, double *next,
                           double *mu, int *hit)
 {
@@ -214,7 +214,7 @@ int plan_follow(const plan_task *task, const double *start, const double *tangen
         s[count] = s[count - 1] + way;
         count++;
         if (count < most && closes(task, start, next, tangent, step, closing, &gap)) {
-            count += gap > 0.1 * step; /* within 0.1 step, the start replaces `next` */
+            count += gap > 0.1 * step; /* if gap <= 0.1 step, the start replaces `next` */
             double *end = poses + (count - 1) * n;
             memcpy(end, closing, bytes);
             s[count - 1] = s[count - 2] + distance(n, end, end - n);
@@ -228,7 +228,7 @@ int plan_follow(const plan_task *task, const double *start, const double *tangen
 
 /* --- gradient ascent of mu --- */
 
-#define SHORTEST 1e-6  /* the ascent ends when its step is shorter [rad] */
+#define SHORTEST 1e-6  /* the ascent ends when its step is below this length [rad] */
 
 double plan_ascend(const plan_task *task, double *q)
 {
@@ -255,7 +255,7 @@ double plan_ascend(const plan_task *task, double *q)
 
 /* --- one step of dynamic programming --- */
 
-/* Return the largest (value - cost of the motion) over a branch's next poses within reach, but at least `best`. */
+/* Return the largest (next value - cost of the motion) over the branch's next poses within reach, at least `best`. */
 static double best_in(const plan_stage *t, int pose, int branch, double best)
 {
     const double *q = t->q + pose * t->n, *slack = t->slack + pose * t->n;
@@ -287,7 +287,7 @@ void plan_advance(const plan_stage *t, double *value)
     for (int pose = 0; pose < t->branches * t->m; pose++) {
         double best = -HUGE_VAL;
         int bits = (int)t->crossing[pose % t->m], flips = bits + 1;
-        while (flips > 0 && t->gain[pose] > -HUGE_VAL) { /* branches equal to this pose's in all other bits */
+        while (flips > 0 && t->gain[pose] > -HUGE_VAL) { /* all branches whose number differs only in `bits` */
             flips = (flips - 1) & bits;
             best = best_in(t, pose, pose / t->m ^ flips, best);
         }

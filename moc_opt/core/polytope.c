@@ -1,13 +1,14 @@
 /* The optimum by projection on the feasible set, if ker A has two or more dimensions.
  *
- * Let Pi be the orthogonal projector on ker A, g the vector moc_problem.pull, and x_p the shortest solution of A x = b.
- * The optimum of rho/2 |x|^2 - c2 g^T x is the feasible point nearest to x_p + c2 Pi g / rho. The dual active-set method
- * of Goldfarb and Idnani (Math. Programming 27, 1983, algorithm 1) starts at this point and adds violated bounds one by
- * one. A sweep of Pi on a joint keeps the joint at its bound (Goodnight, The American Statistician 33, 1979). If rho is
- * almost zero, the start is too far away. A proximal point iteration then approaches the optimum (Ferris 1991). */
+ * Let Pi be the orthogonal projector on ker A, g the vector moc_problem.pull, and x_p the solution of A x = b with
+ * Pi x_p = 0. The optimum of rho/2 |x|^2 - c2 g^T x is the feasible point nearest to x_p + c2 Pi g / rho. The dual
+ * active-set method of Goldfarb and Idnani (Math. Programming 27, 1983, algorithm 1) starts at this point and adds
+ * violated bounds one by one. A sweep of Pi on a joint keeps the joint at its bound (Goodnight, The American
+ * Statistician 33, 1979). If rho is almost zero, this start is too far away. A proximal point iteration then approaches
+ * the optimum (Ferris 1991). */
 #include "vec.h"
 
-#define FAR 1e3          /* proximal steps are used if |c2 Pi g| / rho is at least FAR * (largest upper - lower) */
+#define FAR 1e3          /* the start is too far away if |c2 Pi g| / rho >= FAR * (largest upper - lower) */
 #define UNMOVED 1e-20    /* joint j cannot move in ker A if Pi_jj is at most this */
 #define DEPENDENT 1e-12  /* after sweeps, joint j cannot move if Pi_jj / (Pi_jj before) is at most this */
 
@@ -17,9 +18,9 @@ typedef struct {
     double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS]; /* bounds on s [rad/s] */
     double pull[MOC_MAX_JOINTS];               /* c2 Pi g */
     double side[MOC_MAX_JOINTS];               /* +1 at an active lower bound, -1 at an upper one, 0 elsewhere */
-    double force[MOC_MAX_JOINTS];              /* multiplier, positive at a lower bound */
+    double force[MOC_MAX_JOINTS];              /* multipliers of the projection [rad/s], positive at a lower bound */
     double room[MOC_MAX_JOINTS];               /* Pi_jj before any sweep */
-    double Pi[MOC_MAX_JOINTS][MOC_MAX_JOINTS]; /* swept on the active joints */
+    double Pi[MOC_MAX_JOINTS][MOC_MAX_JOINTS]; /* swept on the joints with an active bound */
     double Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];  /* rows: orthonormal basis of ker A */
 } polytope;
 
@@ -76,7 +77,7 @@ static int furthest_out(const polytope *t, double slack)
     return joint;
 }
 
-/* Find the joint whose multiplier reaches zero first while p's multiplier grows. *step is the growth until then. */
+/* Find the joint (or NONE) whose multiplier is first at zero while p's multiplier grows. *step is the growth of p's. */
 static int first_to_let_go(const polytope *t, int p, double side, double *step)
 {
     int joint = NONE;
@@ -91,7 +92,7 @@ static int first_to_let_go(const polytope *t, int p, double side, double *step)
     return joint;
 }
 
-/* Push joint p onto the bound that it violates. Returns false on failure. */
+/* Push joint p onto the bound that it violates. Returns false if the active bounds do not permit this. */
 static bool push(polytope *t, int p, int *active)
 {
     double side = t->s[p] < t->low[p] ? 1.0 : -1.0, bound = signbit(side) ? t->high[p] : t->low[p];
@@ -123,7 +124,7 @@ static bool push(polytope *t, int p, int *active)
 }
 
 /* Move s within ker A to the nearest point within the bounds: s - s_start = Pi force. Pi must not be swept on entry. If
- * no point is found, the bounds are widened, because a feasible set of one point can be lost by rounding. */
+ * no point is found, the bounds are widened by `slack`, step by step up to `most`: rounding may have lost the point. */
 static moc_status project(polytope *t, double slack, double most)
 {
     double start[MOC_MAX_JOINTS];
@@ -184,7 +185,7 @@ static moc_status approach(polytope *t, double rho, double slack, double most, d
 moc_status moc_solve_several(const moc_plane *plane, const moc_problem *p, double tolerance, double *x, double *force)
 {
     polytope t = {.n = p->n, .r = plane->freedoms};
-    double back[MOC_MAX_JOINTS], room = 1e-6, weight = p->rho;
+    double back[MOC_MAX_JOINTS], widest = 1e-6, weight = p->rho;
 
     for (int k = 0; k < t.r; k++) {
         moc_direction(plane, t.n, k, t.Z[k]);
@@ -202,16 +203,16 @@ moc_status moc_solve_several(const moc_plane *plane, const moc_problem *p, doubl
         if (t.room[j] > UNMOVED) {
             t.low[j] = p->lower[j] - x[j];
             t.high[j] = p->upper[j] - x[j];
-            room = fmax(room, p->upper[j] - p->lower[j]);
+            widest = fmax(widest, p->upper[j] - p->lower[j]);
         }
     }
-    double pull = sqrt(dot(t.n, t.pull, t.pull)), slack = 1e-14 * room;
-    bool direct = pull < FAR * room * p->rho;
+    double pull = sqrt(dot(t.n, t.pull, t.pull)), slack = 1e-14 * widest;
+    bool direct = pull < FAR * widest * p->rho;
     for (int j = 0; j < t.n; j++)
         t.s[j] = direct ? t.pull[j] / p->rho : 0.0;
     moc_status status = project(&t, slack, 0.1 * tolerance);
     if (!direct && pull > 0.0 && status == MOC_OK) {
-        double base = 10.0 * room / pull;
+        double base = 10.0 * widest / pull;
         weight = p->rho + 1.0 / base;
         status = approach(&t, p->rho, slack, 0.1 * tolerance, base);
     }

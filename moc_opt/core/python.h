@@ -19,12 +19,12 @@
 
 #include "tools.h"
 
-/* READ: a C-contiguous float64 array. MAYBE: such an array or None. NUMBER: a float. WHOLE: an integer. WRITE: an array
- * to fill. STRIDED: the same, with any strides. MADE: an array that the call creates, last in a table. */
+/* READ: a C-contiguous float64 array. WRITE: such an array, to fill. STRIDED: an array with any strides, to fill.
+ * MAYBE: READ or None. NUMBER: a float. WHOLE: an integer. MADE: an array that the call creates, last in a table. */
 typedef enum { READ, WRITE, STRIDED, MAYBE, NUMBER, WHOLE, MADE } kind;
 
 /* Symbolic lengths: N = n joints, ROW = 11 n + 10 (subproblem), TERMS = n n + 13 n + 18, TICKED = 14 n + 16 (results of
- * a tick). The first array with K rows sets k. ANY allows any length. columns = 0: an array with one axis. */
+ * a tick). K = k: the first length K of a call sets k. ANY: any length. columns = 0: an array with one axis. */
 enum { N = -1, ROW = -2, TERMS = -3, TICKED = -4, K = -5, ANY = -6 };
 
 typedef struct {
@@ -37,18 +37,18 @@ enum { MOST_ARGUMENTS = 14 };
 
 typedef struct {
     int n;                                /* joints; 0 until an array sets it */
-    npy_intp k;                           /* rows; -1 until an array sets it */
-    int made, end;                        /* the arguments [made, end) are of kind MADE */
+    npy_intp k;                           /* length K; -1 until an array sets it */
+    int made, end;                        /* the arguments made, ..., end - 1 are arrays of kind MADE */
     double *array[MOST_ARGUMENTS];        /* NULL for None */
     double number[MOST_ARGUMENTS];
     PyArrayObject *as[MOST_ARGUMENTS];
 } call;
 
-/* Take a call's arguments. If n is 0, the first array sets n. On failure, sets an exception and returns false. */
+/* Take the arguments of the call. n = 0: the first array sets n. On failure, sets an exception and returns false. */
 bool moc_take(call *c, int n, const char *name, PyObject *const *args, Py_ssize_t count, const parameter *table,
              int size);
 
-/* Release the MADE arrays. Returns the result. */
+/* Release the call's references to MADE arrays. Returns `result`. */
 PyObject *moc_done(call *c, PyObject *result);
 
 static inline int rows_of(const call *c, int i)

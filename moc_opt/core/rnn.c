@@ -1,7 +1,8 @@
 /* The recurrent neural network of Su et al. 2019, integrated by Euler steps of h = dt/eps:
  *
  *   eps dx/dt = -x + clip(x - k (c0 J_T^T (J_T x - v_T) + c1 J_W^T (J_W x - v_W) + rho x - c2 pull + A^T y))
- *   eps dy/dt = k (A x - b) */
+ *   eps dy/dt = k (A x - b)
+ * clip: to the bounds lower and upper. y: multipliers of A x = b. c0, c1, c2, rho: of the subproblem, times `scale`. */
 #include "tools.h"
 #include "vec.h"
 

@@ -1,27 +1,28 @@
 /* The safety filter checks every measurement, limits every torque, and decides when the arm has to stop.
  *
- * The table gives the condition of each reason to stop. r is the momentum residual. A condition marked with * has to
- * hold on more than `patience` ticks in a row. If several hold on a tick, the first in the table is reported.
+ * The table gives the condition of each reason to stop. A condition marked with * has to hold on more than `patience`
+ * ticks in a row. If several conditions hold on a tick, the first in the table is reported. The limits are fields of
+ * moc_guard. r_i is joint i's momentum residual [Nm]: the torque that its motion implies, minus the applied torque.
  *
  *   LATE              now - newest stamp > delay of the run's first new measurement + patience [ticks]
- *   MEASUREMENT *     |q - q_believed| > jump + v_max (time since the last believed q), or |v| > speed_factor v_max
- *   REPLAYED          all encoders and the wrench equal earlier readings at a constant lag on more than n ticks.
- *                     n = min(repeat_reading_ticks, m). m = repeat_whole_ticks (without wrench noise: replayed_ticks)
- *   REPEATED *        all q are unchanged, but the reference moved by repeat_m or a torque changed by repeat_torque
- *                     tau_max. If the wrench is unchanged as well, repeat_whole_m and repeat_whole_torque apply.
- *                     Or: all q are unchanged, and the condition of WRENCH_REPEATED holds
- *   REPEATED          all q and v are unchanged on more than repeat_reading_ticks ticks in total
+ *   MEASUREMENT *     no new measurement, |v| > speed_factor v_max, or |q - believed q| > jump + v_max (time between)
+ *   REPLAYED          all encoders and the wrench sensor repeat earlier readings, more than n times at the same lag.
+ *                     n = min(repeat_reading_ticks, m). m is repeat_whole_ticks with wrench noise, else replayed_ticks
+ *   REPEATED          all q are unchanged on more than `patience` ticks in a row. In this time, the tip's reference
+ *                     moved by more than repeat_m, a torque changed by more than repeat_torque tau_max (if the
+ *                     wrench is unchanged, too: repeat_whole_m, repeat_whole_torque), or WRENCH_REPEATED holds.
+ *                     Or: each joint had q and v unchanged on more than repeat_reading_ticks ticks in total
  *   RAN_AWAY          |change of q - integral of v| over motion_s > motion_rad + motion_lag_s * (largest recent |v|)
  *   ONE_REPEATED      one q is unchanged for more than repeat_joint_ticks ticks in a row, or one q and its v for
  *                     more than repeat_reading_ticks ticks in total
- *   WRENCH_REPEATED   the wrench has noise, but is unchanged for more than repeat_whole_ticks ticks
- *   LAGGING           one encoder equals earlier readings at a constant lag, more than repeat_reading_ticks times
+ *   WRENCH_REPEATED   the wrench has noise, but is unchanged for more than repeat_whole_ticks ticks in a row
+ *   LAGGING           one encoder repeats its earlier readings, more than repeat_reading_ticks times at the same lag
  *   WRENCH *          the wrench is not finite
  *   RCM, FORCE        rms distance of the shaft from the trocar, or rms trocar force, is above its limit
- *   TIP               rms |X - X_d| > tip_error
- *   UNEXPLAINED *     |r_i - mean of r_i| > residual_torque tau_max, or |r_i| > residual_whole tau_max
- *   STUCK             q_i is unchanged on more than `patience` ticks in a row, and |integral of d_i / M_ii| >
- *                     stuck_speed since q_i last changed. d_i is the change of r_i in this time, beyond +-held_i
+ *   TIP               rms distance of the tip from its reference > tip_error
+ *   UNEXPLAINED *     |r_i - running mean of r_i| > residual_torque tau_max, or |r_i| > residual_whole tau_max
+ *   STUCK             q_i is unchanged on more than `patience` ticks in a row, and the integral of d_i / M_ii in this
+ *                     time exceeds stuck_speed. d_i is the change of r_i beyond the static friction held_i
  *   TORQUE            the controller's torque is not finite
  *
  * Each joint's torque is limited by its virtual wall (left_by_wall), then by torque_step, then by tau_max.
@@ -30,10 +31,10 @@
 
 #include "vec.h"
 
-#define SHORTEST_DEPTH 0.05 /* at a smaller tip depth, trocar and tip forces cannot be told apart [m] */
+#define SHORTEST_DEPTH 0.05 /* below this depth of the tip, all force counts as the trocar's [m] */
 #define GRAVITY 9.81        /* [m/s^2] */
 #define FIRST_READINGS 100  /* readings that decide whether the wrench has noise */
-#define LARGEST_STAMP (LLONG_MAX / 4) /* stamps from here on are impossible */
+#define LARGEST_STAMP (LLONG_MAX / 4) /* a stamp is possible if its magnitude is smaller */
 #define SHRINK 0.61803398875 /* ratio of successive weights in as_number */
 #define FINE 1e9             /* take_in stores x in slot floor(FINE |x|) mod slots */
 #define LARGEST_NUMBER 1e6   /* largest |x| that take_in stores */
@@ -57,15 +58,15 @@ void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v
 
 /* --- the age of a measurement --- */
 
+/* FRESH: a new measurement. REPEAT: no new measurement, but not too late. OLD: the condition of LATE holds. */
 enum { FRESH, REPEAT, OLD };
 
-/* OLD: the condition of LATE holds. */
 static int age(const moc_guard *g, long long stamp, moc_watch *w)
 {
     bool possible = stamp > -LARGEST_STAMP && stamp < LARGEST_STAMP;
     w->now++;
     long long late = possible ? w->now - stamp : LLONG_MAX;
-    if (late < 0 && late >= -g->patience) { /* the controller missed ticks */
+    if (late < 0 && late >= -g->patience) { /* stamp > now: the controller missed ticks */
         w->now = stamp;
         late = 0;
     }
@@ -73,7 +74,7 @@ static int age(const moc_guard *g, long long stamp, moc_watch *w)
     if (newer) {
         w->elapsed += stamp - w->newest;
         w->newest = stamp;
-        if (++w->taken == 2) /* the measurement with taken = 1 is from before the run */
+        if (++w->taken == 2) /* the first, from before the run, does not show the delay */
             w->delay = late;
     }
     if (w->now - w->newest > w->delay + g->patience)
@@ -125,12 +126,12 @@ static bool compare_joint(const moc_guard *g, double q, double v, double elapsed
     double keep = 1.0 - smaller(elapsed / g->motion_s, 1.0);
     bool first = j->repeats < 0.0;
 
-    if (first) /* start with gap = 0 */
+    if (first) /* so that drift starts at 0 */
         j->shown = q - elapsed * v;
     j->drift = keep * j->drift + (q - j->shown) - elapsed * v;
     j->peak_speed = larger(fabs(v), keep * j->peak_speed);
     bool repeats = same(q, j->shown);
-    /* an unchanged q and v prove nothing before the joint has moved */
+    /* a joint at rest (peak_speed = 0) may repeat q and v: this does not count */
     j->repeats_both += !first && repeats && same(v, j->speed) && j->peak_speed > 0.0;
     j->speed = v;
     if (first || repeats) {
@@ -144,7 +145,7 @@ static bool compare_joint(const moc_guard *g, double q, double v, double elapsed
     return fabs(j->drift) > g->motion_rad + g->motion_lag_s * j->peak_speed;
 }
 
-/* Whether the reference or a torque has changed since the encoders stopped changing. */
+/* Whether the tip's reference or a torque has changed too much since the encoders stopped changing (REPEATED). */
 static bool asked_to_move(const moc_guard *g, int n, const double *tau, const moc_watch *w)
 {
     bool whole = w->wrench_repeats > g->patience, moved = false;
@@ -178,16 +179,16 @@ static moc_stop compare_readings(const moc_guard *g, int n, const moc_measuremen
             w->joint[i].torque = m->applied[i];
         memcpy(w->tip_ref_before, w->tip_ref, sizeof w->tip_ref_before);
     }
-    bool deaf = wrench_has_noise(w) && w->wrench_repeats > g->repeat_whole_ticks;
-    bool repeated = fewest > g->patience && (deaf || asked_to_move(g, n, m->applied, w));
+    bool wrench_fails = wrench_has_noise(w) && w->wrench_repeats > g->repeat_whole_ticks;
+    bool repeated = fewest > g->patience && (wrench_fails || asked_to_move(g, n, m->applied, w));
     return repeated || fewest_whole > g->repeat_reading_ticks                     ? MOC_STOP_REPEATED
            : ran_away                                                             ? MOC_STOP_RAN_AWAY
            : most > g->repeat_joint_ticks || most_whole > g->repeat_reading_ticks ? MOC_STOP_ONE_REPEATED
-           : deaf                                                                 ? MOC_STOP_WRENCH_REPEATED
+           : wrench_fails                                                         ? MOC_STOP_WRENCH_REPEATED
                                                                                   : MOC_RUNNING;
 }
 
-/* Store a reading in a table. Returns the number of successive repetitions at the same lag [readings]. */
+/* Store a reading in a table. Returns how many repetitions, up to the latest one, had the same lag (in readings). */
 static inline double take_in(double number, int slots, double *numbers, double *at, moc_came_before *before)
 {
     if (!(fabs(number) < LARGEST_NUMBER))
@@ -262,8 +263,8 @@ static double rcm_error(double pose[4][3], const double P[3])
 /* Compute the trocar's force across the shaft [N] from the wrench at the tool's mount.
  * Let z be the tool's axis, L its length, d the depth of the tip beyond the trocar, f the trocar's force, and g a
  * contact force at the tip. Without the tool's weight, force = f + g and torque = (L - d) z x f + L z x g. Hence
- * f = (L force - torque x z) / d. An error of d moves a part of f to g. As |g| is at most tip_force, the result is at
- * least |force| - tip_force. An unknown load may reduce the computed f, so the warning also uses |force| (*all). */
+ * f = (L force - torque x z) / d. If d is too large, f is too small. |g| is assumed to be at most tip_force, so the
+ * result is never below |force| - tip_force. *all is |force|. The warning uses it, because a load may reduce f. */
 static double trocar_force(const moc_guard *g, double pose[4][3], const double P[3], const double *wrench, double *all)
 {
     double depth = 0.0, L = g->tool_length, weight[2], force[2];
@@ -319,8 +320,8 @@ moc_stop moc_guard_incision(const moc_guard *g, double pose[4][3], const moc_tro
 
 /* --- torque and motion --- */
 
-/* Whether joint i has by far the largest residual. Its drive is then at fault, because other causes would disturb
- * several joints. */
+/* Whether |r - mean of r| / tau_max in each other joint is at most 0.7 times that in joint i. Drive i then is at fault,
+ * because other causes would disturb several joints. */
 static bool alone(const moc_guard *g, int n, int i, const moc_watch *w)
 {
     double mine = fabs(w->joint[i].residual - w->joint[i].mean) / g->tau_max[i];
@@ -366,7 +367,7 @@ static moc_stop weigh(const moc_guard *g, int n, const moc_terms *t, const doubl
 
 /* --- limits of the torque --- */
 
-/* Return the limit of (torque - gravity torque) towards a wall. It is infinite if neither spring nor brake acts. */
+/* Return the largest (torque - gravity torque) towards a wall at this distance, infinite if the wall does not act. */
 static double left_by_wall(const moc_guard *g, int i, double distance, double speed)
 {
     /* up to this speed, the joint can still stop at the wall */
@@ -376,7 +377,7 @@ static double left_by_wall(const moc_guard *g, int i, double distance, double sp
     return -g->wall_stiffness * larger(-distance, 0.0) - g->wall_damping * larger(speed - allowed, 0.0);
 }
 
-/* Compute the gravity torque at q, or 0 if the drives carry the weight. Returns false if it is not finite. */
+/* Compute the gravity torque at q, or 0 if the drives add it themselves. Returns false if it is not finite. */
 static bool weight_of(const moc_guard *g, const moc_arm *arm, const double *q, double *weight)
 {
     memset(weight, 0, (unsigned)arm->n * sizeof *weight);
@@ -385,7 +386,7 @@ static bool weight_of(const moc_guard *g, const moc_arm *arm, const double *q, d
     return all_finite(arm->n, weight);
 }
 
-/* Returns the number of changed torques. */
+/* Limit tau in place. Returns the number of changed torques. */
 static int limit_torque(const moc_guard *g, const moc_arm *arm, const double *before, const moc_watch *w, double *tau)
 {
     double least[MOC_MAX_JOINTS], most[MOC_MAX_JOINTS], weight[MOC_MAX_JOINTS];
@@ -396,7 +397,7 @@ static int limit_torque(const moc_guard *g, const moc_arm *arm, const double *be
         most[i] = left_by_wall(g, i, w->high[i] - w->q[i], w->v[i]);
         least[i] = -left_by_wall(g, i, w->q[i] - w->low[i], -w->v[i]);
         braked |= isfinite(most[i]) || isfinite(least[i]);
-        if (least[i] > most[i]) /* spring and brake contradict each other */
+        if (least[i] > most[i]) /* the limits of both walls contradict each other */
             least[i] = most[i] = 0.0;
     }
     if (braked)
@@ -445,10 +446,10 @@ void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before
     }
 }
 
-/* Closed brakes keep the tool pressed on the tissue. With open brakes, the arm sinks under an unknown load. The brakes
- * thus open when the trocar's force exceeds stop_yield. They close at half of stop_yield, or after stop_yield_ticks.
- * They open again when the force has risen by another stop_yield. They stay closed if the drives cannot carry the arm's
- * weight, or if a drive is at fault (w->cut). */
+/* Closed brakes keep the tool pressed on the tissue, and open brakes let the arm sink under an unknown load. The brakes
+ * thus open when the mean trocar force exceeds stop_yield. They close when it has fallen to half of stop_yield, at the
+ * latest after stop_yield_ticks. In the latter case, they open again when it has risen by another stop_yield. They stay
+ * closed if the drives cannot carry the arm's weight, or if a drive is at fault (w->cut). */
 void moc_guard_hold(const moc_guard *g, const moc_arm *arm, const double *wrench, moc_watch *w, double *friction)
 {
     double weight[MOC_MAX_JOINTS], pose[4][3];

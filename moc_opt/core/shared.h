@@ -12,11 +12,11 @@
 
 /* A joint's axes in the world. */
 typedef struct {
-    double R[3][3];
-    double p[3];    /* [m] */
+    double R[3][3]; /* rotation from the joint's axes to the world's */
+    double p[3];    /* origin [m] */
 } moc_frame;
 
-/* Linear velocity (at the world's origin) and angular velocity. twist[j] is caused by joint j at unit speed. */
+/* A body's linear velocity (at the world's origin) and angular velocity. twist[j]: joint j moves alone, at speed 1. */
 typedef struct {
     double lin[3], ang[3];
 } moc_twist;
@@ -24,11 +24,11 @@ typedef struct {
 /* Compute all terms. Returns MOC_NOT_FINITE if q or v is not finite, else MOC_OK. */
 moc_status moc_compute_terms(const moc_arm *arm, const double *q, const double *v, moc_terms *terms);
 
-/* Compute the arrays frame and twist (n,) at a finite q. moc_kinematics also fills the kinematic terms. */
+/* Compute the arrays frame and twist (n,) at a finite q. moc_kinematics also fills the terms that need no v and M. */
 void moc_place(const moc_arm *arm, const double *q, moc_frame *frame, moc_twist *twist);
 void moc_kinematics(const moc_arm *arm, const double *q, moc_frame *frame, moc_twist *twist, moc_terms *terms);
 
-/* Compute the tool's axes x, y, z and the tip in the world. */
+/* Compute the rows of pose in the world: the tool's axes x, y, z, and the tip [m]. */
 void moc_tool_pose(const moc_arm *arm, const double *q, double pose[4][3]);
 
 /* Compute the gravity torque g, which carries the arm's weight [Nm]. */
@@ -41,20 +41,21 @@ void moc_point(const moc_arm *arm, const moc_frame *frame, const moc_twist *twis
 /* Determinant and adjugate of J J^T. */
 typedef struct {
     double det, adj[3][3];
-    bool regular; /* false: det is rounding error */
+    bool regular; /* false: J is singular up to rounding errors */
 } moc_gram;
 
 moc_gram moc_gram_of(int n, double J[][MOC_MAX_JOINTS]);
 
-/* Return mu of J (3,n), or mu_shaft of A (6,n), and write its gradient (n,). `gram` is from moc_gram_of, for J or for
- * the first three rows of A. Only moc_manipulability accepts NULL as `gradient`. */
+/* Return mu of the tip's Jacobian J (3,n), or mu_shaft of A (6,n), and write its gradient (n,). `gram` is the result of
+ * moc_gram_of for J, which is the first three rows of A. Only moc_manipulability accepts NULL as `gradient`. */
 double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOINTS], moc_gram *gram, double *gradient);
 double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], moc_gram *gram,
                                 const double u[3], double *gradient);
 
 /* --- record.c --- */
 
-/* Copy a struct to its record (PACK) or from it (UNPACK). qp/problem.py and robots/model.py read records. */
+/* Copy a struct to its record (PACK) or from it (UNPACK). A record is an array of its numbers, without unused joints.
+ * qp/problem.py and robots/model.py read records. */
 typedef enum { UNPACK, PACK } direction;
 void moc_copy_problem(moc_problem *problem, int n, double *record, direction way);
 void moc_copy_terms(moc_terms *terms, int n, double *record, direction way);
@@ -65,29 +66,29 @@ void moc_copy_terms(moc_terms *terms, int n, double *record, direction way);
 void moc_tracking_torque(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
                          const moc_trocar *trocar, double *tau);
 
-/* Fill the subproblem. If x_d is NULL, its optimum x increases mu. Otherwise, x follows x_d [rad/s]. */
+/* Fill the subproblem. Its optimum raises mu if x_d is NULL. Otherwise, it is the feasible x nearest to x_d [rad/s]. */
 void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
                       const moc_trocar *trocar, const double *x_d, moc_problem *problem);
 
 /* Add the third level's torque to tau, then clip tau to +-tau_max:
- * tau += share M Z^T (Z M Z^T)^-1 Z (K_N2 (x - v) - D_N2 v), with share = memory.share in [0, 1]. */
+ * tau += share M Z^T (Z M Z^T)^-1 Z (K_N2 (x - v) - D_N2 v). `share` and Z are fields of `memory`. */
 void moc_add_third_level(const moc_law *law, int n, const moc_terms *t, const moc_memory *memory, const double *x,
                          double *tau);
 
-/* Compute N_d = X + span * e and its velocity dN_d. e is the unit vector from X to the trocar. */
+/* Compute the wrist's desired position N_d = X + span * e and velocity dN_d. e: unit vector from X to the trocar. */
 void moc_desired_wrist(const double X[3], const double dX[3], const moc_trocar *trocar, double span, double N_d[3],
                        double dN_d[3]);
 
-/* Advance the momentum observer of joint i by one period: r = gain (M v - integral(tau + C^T v - g + r)). */
+/* Advance the momentum observer of joint i by one period: r = gain ((M v)_i - integral(tau + (C^T v)_i - g_i + r)). */
 void moc_observe(int n, const moc_terms *t, int i, double tau, double gain, double period, double *integral, double *r);
 
-/* Return the factor of grad mu_shaft in moc_problem.pull [m]. */
+/* Return the factor of grad mu_shaft in moc_problem.pull [m], 0 if mu_shaft >= margin. */
 double moc_shaft_push(double mu_shaft, double margin);
 
 /* Compute the joint velocity x_d in ker A that increases mu by scaled Newton steps [rad/s] (see null_space.c). */
 void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_memory *memory, double *x_d);
 
-/* Replace Z (rows, n) by an orthonormal basis of ker A, close to Z if possible. Returns the new number of rows. */
+/* Replace the earlier basis Z (rows, n) by an orthonormal basis of ker A near it. Returns the new number of rows. */
 int moc_null_space(const moc_plane *plane, int n, int rows, double Z[][MOC_MAX_JOINTS]);
 
 /* Make row k of Z orthonormal to the rows before. Returns false if the orthogonal part is not longer than `least`. */
@@ -106,7 +107,7 @@ void moc_eliminate(int n, double A[][MOC_MAX_JOINTS], moc_plane *plane);
 moc_status moc_solve_eliminated(const moc_plane *plane, const moc_problem *problem, double tolerance, double *x,
                                 double y[6]);
 
-/* Compute the vector z (n,) in ker A that is 1 at free joint number k (from 0) and 0 at the other free joints. */
+/* Compute the vector z (n,) in ker A that is 1 at the k-th free joint (from 0; without pivot), 0 at the others. */
 void moc_direction(const moc_plane *plane, int n, int k, double *z);
 
 /* With several free joints, move a solution x of A x = b to the optimum, and add the bounds' multipliers to force. */
@@ -118,9 +119,9 @@ moc_status moc_solve_several(const moc_plane *plane, const moc_problem *problem,
 typedef struct {
     double primal;   /* |A x - b|_inf [m/s]; NaN if x is not finite */
     double outside;  /* largest bound violation [rad/s] */
-    double natural;  /* natural residual along the self-motion, for a gradient of size 1 [rad/s] */
-    double off;      /* distance from the optimum [rad/s] */
-    double opposite; /* distance from the point that is optimal for the negated gradient [rad/s] */
+    double natural;  /* 0 at an optimum: scaled slope along the self-motion, at most the distance to a bound */
+    double off;      /* distance from the optimum along the self-motion [rad/s] */
+    double opposite; /* the same from the optimum for -pull [rad/s] */
 } moc_residuals;
 
 /* Compute the residuals of x. Z (rows, n) is an orthonormal basis of ker A. */
@@ -138,16 +139,16 @@ void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v
 /* Check a measurement. watch->q and watch->v become the measured state or, if it is refused, an extrapolated one. */
 moc_stop moc_guard_believe(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w);
 
-/* Check RCM error and trocar force. */
+/* Check the RCM error (distance of the shaft from the trocar) and the trocar's force on the shaft. */
 moc_stop moc_guard_incision(const moc_guard *g, double pose[4][3], const moc_trocar *trocar, const double *wrench,
                             moc_watch *w);
 
-/* Check tip and motion, then limit tau in place if tau is finite. t are the terms at watch->q and watch->v. `before` is
+/* Check tip and motion. If tau is finite, limit it in place. t are the terms at watch->q and watch->v. `before` is
  * the torque of the previous tick. If tip is NULL, the tip is not checked. If t is NULL, the motion is not checked. */
 moc_stop moc_guard_follow(const moc_guard *g, const moc_arm *arm, const moc_terms *t, const double *tip,
                           const double *tip_ref, const double *before, double *tau, moc_watch *w);
 
-/* Compute the torque in a stop: `before`, moved by at most torque_step towards the gravity torque or (w->cut) zero. */
+/* Compute the torque in a stop: `before`, moved by at most torque_step towards the gravity torque (w->cut: zero). */
 void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before, const moc_watch *w, double *tau);
 
 /* --- step.c --- */

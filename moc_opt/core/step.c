@@ -11,13 +11,14 @@ static void start_law(const moc_controller *c, moc_state *s)
 
     memset(memory, 0, sizeof *memory);
     for (int i = 0; i < n; i++) {
-        memory->integral[i] = dot(n, s->terms.M[i], s->terms.v); /* so that external starts at zero */
+        memory->integral[i] = dot(n, s->terms.M[i], s->terms.v); /* so that `external` starts at zero */
         memory->tau[i] = s->terms.h[i];
     }
     s->reason = MOC_RUNNING;
     s->begun = MOC_BEGUN;
 }
 
+/* Update the observer, compute levels 1 and 2 minus its estimate, and fill the subproblem. */
 static void levels(const moc_controller *c, const moc_input *in, moc_state *s)
 {
     const moc_law *law = c->law;
@@ -72,7 +73,7 @@ moc_stop moc_start(const moc_controller *c, const moc_measurement *m, moc_state 
     return s->reason;
 }
 
-/* Store the torque that acted. Stop if a torque is beyond its limit or memory.rows is impossible. */
+/* Store the torque that acted in the last period. Stop if a torque exceeds its limit or memory.rows is impossible. */
 static void take_applied(const moc_controller *c, const double *applied, moc_state *s)
 {
     int n = c->arm->n;
@@ -135,7 +136,7 @@ static moc_stop complete(const moc_controller *c, const moc_answer *answer, moc_
         return MOC_RUNNING;
     const moc_terms *t = &s->terms;
     moc_stop reason = moc_guard_follow(c->guard, c->arm, t, t->tip, s->tip_ref, s->sent, s->tau, &s->watch);
-    if (s->watch.limited) /* the observer needs the torque that acts */
+    if (s->watch.limited) /* the observer needs the torque that acts, not the one before the limits */
         memcpy(memory->tau, s->tau, bytes);
     return reason;
 }
@@ -161,7 +162,7 @@ moc_stop moc_finish(const moc_controller *c, const moc_answer *answer, moc_state
 
 moc_answer moc_ask_exact(const moc_controller *c, moc_state *s)
 {
-    static const moc_claim claims[] = {MOC_CLAIMS_OPTIMUM, MOC_CLAIMS_INFEASIBLE, MOC_GIVES_NONE}; /* [moc_status] */
+    static const moc_claim claims[] = {MOC_CLAIMS_OPTIMUM, MOC_CLAIMS_INFEASIBLE, MOC_GIVES_NONE}; /* by moc_status */
     if (!c->law->third_level)
         return (moc_answer){s->answer, MOC_GIVES_NONE, MOC_TAKEN, 0.0};
     s->status = moc_solve_eliminated(&s->plane, &s->problem, c->tolerance, s->answer, s->y);

@@ -35,7 +35,7 @@ static inline void times3(double S[3][3], const double x[3], double out[3])
         out[i] = dot3(S[i], x);
 }
 
-/* Compute the adjugate of a symmetric matrix. Returns the determinant. */
+/* Compute the adjugate of a symmetric matrix S. Returns the determinant. */
 static inline double adjugate3(double S[3][3], double adj[3][3])
 {
     for (int i = 0; i < 3; i++) {
@@ -45,7 +45,7 @@ static inline double adjugate3(double S[3][3], double adj[3][3])
     return dot3(S[0], adj[0]);
 }
 
-/* Two partial sums are faster than one. */
+/* a^T b. Two partial sums are faster than one. */
 static inline double dot(int n, const double *a, const double *b)
 {
     double even = n % 2 ? a[n - 1] * b[n - 1] : 0.0, odd = 0.0;
@@ -64,7 +64,7 @@ static inline bool all_finite(int n, const double *x)
     return sum == 0.0;
 }
 
-/* `larger` and `smaller` are faster than fmax and fmin, and return b if a is NaN. */
+/* `larger` and `smaller` are faster than fmax and fmin. If a or b is NaN, they return b. */
 static inline double larger(double a, double b)
 {
     return a > b ? a : b;
@@ -75,13 +75,13 @@ static inline double smaller(double a, double b)
     return a < b ? a : b;
 }
 
-/* If low > high, the result is high. */
+/* If low > high, the result is high. If x is NaN, the result is NaN. */
 static inline double clip(double x, double low, double high)
 {
     return smaller(high, larger(low, x));
 }
 
-/* Compute L (m,m) with S = L L^T, inverse_i = 1 / L_ii. If S is not positive definite, an inverse_i is not finite. */
+/* Compute lower triangular L (m,m), S = L L^T, and inverse_i = 1 / L_ii, not finite if S is not positive definite. */
 static inline void cholesky(int m, double S[][MOC_MAX_JOINTS], double L[][MOC_MAX_JOINTS], double *inverse)
 {
     for (int j = 0; j < m; j++) {

@@ -1,4 +1,5 @@
-/* Self-test: repeat recorded ticks, compare the torques with those of Python, time the ticks. */
+/* Self-test: repeat recorded ticks, compare the torques with those of Python, time the ticks. The recording has TICKS
+ * ticks, of which the first SOUND have no faults. STOPPED_AT is the tick at which Python's controller stopped. */
 #define _POSIX_C_SOURCE 199309L
 
 #include <stdio.h>

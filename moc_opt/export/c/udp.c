@@ -1,6 +1,7 @@
 /* The controller over UDP (docs/realtime.md).
  *
- * Usage: moc_udp HOST PORT reference.bin, with the key in MOC_OPT_WIRE_KEY. The control loop uses no heap. */
+ * Usage: moc_udp HOST PORT reference.bin, with the key in MOC_OPT_WIRE_KEY. HOST and PORT are those of the simulated
+ * plant. reference.bin has the references of tip and trocar for all ticks. The control loop uses no heap. */
 #define _POSIX_C_SOURCE 200809L
 #include <arpa/inet.h>
 #include <math.h>
@@ -21,7 +22,7 @@
 #include "shared.h"
 #include "wire_packets.h"
 
-enum { TAG = 16, KEY = 32, SHORTEST_KEY = 16, TURN_US = 50000, REPEAT_NS = 100000000, PRIORITY = 50 };
+enum { TAG = 16, LONGEST_KEY = 32, SHORTEST_KEY = 16, TURN_US = 50000, REPEAT_NS = 100000000, PRIORITY = 50 };
 
 /* --- the signature at the end of every packet: BLAKE2s (RFC 7693) with a key --- */
 
@@ -71,10 +72,10 @@ static const char *open_link(const char *host, const char *port)
     if (*end || number < 1 || number > 65535 || inet_pton(AF_INET, host, &wire.plant.sin_addr) != 1)
         return "give HOST and PORT as numbers, such as 127.0.0.1 30200";
     if ((!key || !*key) && strncmp(host, "127.", 4) != 0)
-        return "other machines reach that address: put the key into MOC_OPT_WIRE_KEY";
+        return "other machines can reach that address: set a secret key in MOC_OPT_WIRE_KEY";
     key = key && *key ? key : WIRE_LOOPBACK_KEY;
-    if (strlen(key) < SHORTEST_KEY || strlen(key) > KEY)
-        return "the key in MOC_OPT_WIRE_KEY has 16 to 32 bytes";
+    if (strlen(key) < SHORTEST_KEY || strlen(key) > LONGEST_KEY)
+        return "the key in MOC_OPT_WIRE_KEY must have 16 to 32 bytes";
     if (!take_key(key, strlen(key)))
         return "OpenSSL gives no BLAKE2s";
     wire.socket = socket(AF_INET, SOCK_DGRAM, 0);
@@ -94,7 +95,7 @@ static void send_packet(wire_header *packet, size_t size, uint8_t kind, int64_t 
         (void)!sendto(wire.socket, packet, size, 0, (const struct sockaddr *)&wire.plant, sizeof wire.plant);
 }
 
-/* Whether a datagram is a measurement of this run. */
+/* Whether a datagram is a correctly signed measurement from the plant, and of this session if it is known. */
 static int is_sound(const uint8_t *bytes, size_t size, const struct sockaddr_in *sender)
 {
     const wire_header *head = (const wire_header *)bytes;
@@ -108,7 +109,7 @@ static int is_sound(const uint8_t *bytes, size_t size, const struct sockaddr_in 
            sender->sin_addr.s_addr == wire.plant.sin_addr.s_addr && sender->sin_port == wire.plant.sin_port;
 }
 
-/* Wait for a valid measurement until `until` [ns]. Returns 0 if none has arrived. */
+/* Wait for a valid measurement until `until` [ns], or TURN_US longer. Returns 0 if none has arrived. */
 static int receive(int64_t until, wire_measurement *found)
 {
     do {
@@ -130,7 +131,7 @@ static int receive(int64_t until, wire_measurement *found)
     return 0;
 }
 
-/* Repeat a packet until a measurement arrives that has (waiting = 1) or lacks (waiting = 0) the flag WIRE_WAITING. */
+/* Repeat a packet, for at most WIRE_WAIT_S, until a measurement has (waiting = 1) or lacks (0) flag WIRE_WAITING. */
 static int ask(uint8_t kind, int waiting, wire_measurement *found)
 {
     int64_t until = now_ns() + (int64_t)(1e9 * WIRE_WAIT_S);
@@ -169,7 +170,7 @@ static void report(void)
     }
     for (int i = 0; i < 6; i++)
         command.dual[i] = solved ? state.y[i] : (double)NAN;
-    if (asked) /* else keep the previous subproblem */
+    if (asked) /* otherwise, `command` keeps the previous subproblem */
         moc_copy_problem(&state.problem, JOINTS, command.subproblem, PACK);
     strncpy(command.status, asked ? statuses[state.status] : "none", sizeof command.status - 1);
     strncpy(command.fault, asked ? faults[state.fault] : state.reason ? "stopped" : "none", sizeof command.fault - 1);
