@@ -18,9 +18,9 @@ class Command(NamedTuple):
     """A command with its options and help texts."""
 
     work: str  #: "module:function" in moc_opt, called with the parsed options
-    about: str
+    about: str  #: short description in the help
     options: tuple[Option, ...]
-    ends: str = ""  #: end of the help text
+    ends: str = ""  #: last paragraph of the help
 
 
 def option(*names: str, **settings: Any) -> Option:
@@ -71,12 +71,13 @@ COMMANDS = {
         option("--third-level", choices=("local", "planned", "receding"),
                help="motion of the elbow. local: up the gradient of the manipulability; planned: along a joint motion "
                     "planned before the run; receding: along a joint motion that is replanned during the run"),
-        option("--course", metavar="FILE.parquet", help="follow the joint motion in this file of `moc-opt plan --out`"),
+        option("--course", metavar="FILE.parquet",
+               help="follow the joint motion in this file of `moc-opt plan --out` (implies --third-level planned)"),
         option("--trace", type=path, metavar="X.parquet", help="write the record of the run (trace) to this file"),
         JSON,
-    ), "Exit status: 0 the run completed; 2 the input is wrong; 3 the run was stopped, ran away or oscillated (the "
-       "first line says which); 130 interrupted; 1 an internal error. If a run breaks off with 130 or 1, the file of "
-       "--trace contains the part of the run before the break."),
+    ), "Exit status: 0 the run completed; 1 an internal error; 2 the input is wrong; 3 the run was stopped, ran away "
+       "or oscillated (the first line of the output says which); 130 interrupted. After 1 or 130, the file of --trace "
+       "contains the part of the run before the break."),
     "plan": Command("commands.running:plan_scenario",
                     "check that the arm can follow the path, and plan its joint motion", (
         SCENARIO,
@@ -88,10 +89,10 @@ COMMANDS = {
         option("--out", type=path, metavar="FILE.parquet", help="write the joint motion (course) to this file"),
         FORCE,
         JSON,
-    ), "--margin and --margin-m default to 0, and --speed-share to 1. However, with --out, or if the scenario has "
-       "third_level = 'planned' or 'receding', they default to course_margin_rad, limit_margin_m and "
-       "course_speed_fraction of [control]. Exit status: 0 the arm can follow the whole path from this start; 3 the "
-       "arm cannot; 2 the input is wrong."),
+    ), "With --out, or if the scenario has third_level = 'planned' or 'receding', the defaults are those of [control]: "
+       "course_margin_rad for --margin, limit_margin_m for --margin-m, and course_speed_fraction for --speed-share. In "
+       "all other cases, the margins default to 0, and --speed-share to 1. If one margin is given, the other is 0. "
+       "Exit status: 0 the arm can follow the whole path from this start; 2 the input is wrong; 3 the arm cannot."),
     "replay": Command("commands.making:save_page", "show one to four saved runs in 3-D, in one HTML file",
                       pages("replay")),
     "map": Command("commands.making:save_page", "show saved runs of one path on a manipulability map, in one HTML file",
@@ -113,8 +114,8 @@ COMMANDS = {
     "plant": Command("commands.running:run_plant",
                      "simulate the arm in real time, for a controller over UDP", (
         SCENARIO,
-        option("--listen", metavar="HOST:PORT", default=WIRE, help=f"address at which to listen; default {WIRE}"),
-        flag("--lock-step", "wait for each command instead of running in real time"),
+        option("--listen", metavar="HOST:PORT", default=WIRE, help=f"address of this plant; default {WIRE}"),
+        flag("--lock-step", "wait for each command of the controller instead of running in real time"),
         option("--trace", type=path, metavar="FILE.parquet", help="write the record of the run (trace) to this file"),
         FORCE,
         ALL,
@@ -132,7 +133,7 @@ COMMANDS = {
     "compare": Command("commands.making:compare_solvers",
                        "compare solvers with each other, and with control without level 3, on random trials", (
         option("solvers", nargs="+", metavar="SOLVER", help="names from `moc-opt solvers --list`"),
-        option("--scenario", type=path, metavar="FILE.toml", help="if left out, all settings have their defaults"),
+        option("--scenario", type=path, metavar="FILE.toml", help="scenario of all trials; default: that of `run`"),
         option("--trials", type=int, default=15, help="number of random start poses; default 15"),
         option("--seed", type=int, default=0, help="seed of the first trial; default 0"),
         option("--out", type=path, metavar="FILE.csv", help="write one row per run to this file"),

@@ -26,7 +26,7 @@ POINTS = "give x, y, z [m], one point per line; the first line may name the colu
 
 
 def read_scenario(path: Path | None) -> tuple[Scenario, str]:
-    """Return the scenario in a file, or the default scenario, with its title."""
+    """Return (scenario, title). The scenario is the file's or, without a ``path``, the default scenario."""
     scenario = Scenario() if path is None else Scenario.load(path)
     return scenario, scenario.name if path is None or "name" in scenario.model_fields_set else path.stem
 
@@ -80,7 +80,7 @@ def _as_far_as_it_goes(make: Callable[[], Trace]) -> Trace:
 
 
 def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace) -> int:
-    """Print a run's end and metrics; return the exit status."""
+    """Print how a run ended and its metrics, and write its report; return the exit status."""
     ended = str(trace.meta["ended"])
     for line in [*([] if ended == "completed" else [f"{ended}{part(trace)}"]), *remarks(trace)]:
         print(f"{title}: {line}", file=sys.stderr)
@@ -121,7 +121,7 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
 
 
 def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
-    """Apply the options of ``run`` to a scenario."""
+    """Return a copy of the scenario, changed by the options of `moc-opt run`."""
     if given.course == "":
         raise ScenarioError("--course '': give the file that `moc-opt plan --out` wrote")
     if given.course and given.third_level not in (None, "planned"):
@@ -153,7 +153,7 @@ def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
 
 
 def read_waypoints(path: str) -> list[list[float]]:
-    """Read points x, y, z [m], one per line; a ScenarioError names a wrong line."""
+    """Read points x, y, z [m], one per line. The ScenarioError for a wrong line names this line."""
     points: list[list[float]] = []
     for number, line in enumerate(read_text(path, "waypoints", ScenarioError).splitlines(), start=1):
         words = re.sub("[,\"']", " ", line.partition("#")[0]).split()
@@ -168,11 +168,11 @@ def read_waypoints(path: str) -> list[list[float]]:
 
 
 def _matched_dcac(scenario: Scenario, title: str, ticks: int) -> Trace | None:
-    """Run DCAC with equal gains; return its first ``ticks`` ticks, or None if it ended earlier."""
+    """Run DCAC (no level 3) with equal gains; return its first ``ticks`` ticks, or None if this run ended earlier."""
     matched = scenario.change(control=scenario.control.matched_dcac(), bound_samples=0, best_courses=False)
     trace = _as_far_as_it_goes(lambda: run(matched))
     if len(trace) < ticks or "mu" not in trace.columns:
-        print(f"{title}: not compared with DCAC, because its run ended: {trace.meta['ended']}", file=sys.stderr)
+        print(f"{title}: not compared with DCAC, because the run of DCAC ended: {trace.meta['ended']}", file=sys.stderr)
         return None
     return trace.head(ticks)
 
@@ -206,8 +206,8 @@ def run_control(given: argparse.Namespace) -> int:
     (scenario, title), granted = read_scenario(given.scenario), dict[str, str]()
     if scenario.control.third_level == "receding":
         print(
-            "control: third_level = 'receding' replans within a tick. This takes about 10 ms, so that in real time the "
-            "tick is missed; start the plant with --lock-step, or use third_level = 'planned'", file=sys.stderr,
+            "control: third_level = 'receding' replans within a tick. This takes about 10 ms, so in real time the "
+            "tick's command is late; start the plant with --lock-step, or use third_level = 'planned'", file=sys.stderr,
         )  # fmt: skip
     first = "planning the course, then " if scenario.control.follows else ""
     where = f"{given.connect}, for up to {scenario.wire.wait_s:g} s"

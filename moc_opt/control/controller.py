@@ -24,7 +24,8 @@ from moc_opt.solvers.isolated import IsolatedSession
 class Guide(Protocol):
     """A source of joint velocities x_d that the elbow follows instead of the gradient of mu.
 
-    The vector `pull` in the subproblem's cost is then (rho / c2) x_d instead of grad mu.
+    The subproblem's cost has the terms rho/2 |x|^2 - c2 x^T pull, where rho is ``settings.regularization``. Without a
+    guide, pull is grad mu. With a guide, pull is (rho / c2) x_d, so that the two terms are smallest at x = x_d.
     """
 
     def start(self) -> None:
@@ -42,8 +43,8 @@ class Controller:
         settings: see ControlSettings.
         solver: solver of level 3 for law "moc"; None for "dcac", which has no level 3.
         period: control period [s].
-        times_us: recorded solve times [us], used instead of the clock.
-        guide: a `Guide`, whose velocity replaces the gradient of mu. regularization and c2 must then be above 0.
+        times_us: recorded solve times [us], used instead of the clock while they last; None: the clock.
+        guide: gives the elbow's velocity, and needs regularization and c2 above 0. None: the elbow raises mu.
 
     Raises:
         ControlError: the solver or a setting does not fit the law or the robot.
@@ -87,7 +88,7 @@ class Controller:
 
     @property
     def state(self) -> RobotState:
-        """The state of the robot's model at the last tick's q and v."""
+        """The state that the robot's model has at the last tick's q and v."""
         return RobotState(self._record, self._n)
 
     @property
@@ -126,7 +127,7 @@ class Controller:
 
     @property
     def null_space(self) -> Array:
-        """The last tick's Z (r, n), whose rows are an orthonormal basis of ker A."""
+        """The last tick's Z (r, n), whose rows are an orthonormal basis of ker A, with A = [J_tip; J_wrist]."""
         rows, Z, _ = self._law.memory()
         return Z[:rows]
 
@@ -136,7 +137,7 @@ class Controller:
         return self._law.memory()[2]
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
-        """Reset the controller, and start its solver. The arguments are those of `tick`.
+        """Reset the controller, and start its solver. The arguments are those of the first `tick`.
 
         Raises:
             ControlError: the solver cannot start.
@@ -206,7 +207,7 @@ class Controller:
         }  # fmt: skip
         if self.solver is not None:
             n, end = self._n, self._row_length
-            # The columns of the block are in the order of the core's result.
+            # The columns of the block are in the order of ``out`` of `Supervisor.step`.
             self._block = block = np.full((ticks, end + 2 * n + 6), np.nan)
             found |= {
                 "subproblem": block[:, :end], "x_rad_per_s": block[:, end : end + n],

@@ -1,4 +1,4 @@
-"""The safety filter: it checks every measurement, limits the torque, and requests a stop.
+"""The safety filter checks every measurement, limits the torque, and requests a stop if a check fails.
 
 The checks are in `moc_opt/core/safety_filter.c`. docs/extending.md says how to add one.
 """
@@ -16,15 +16,15 @@ from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.errors import ControlError
 from moc_opt.robots.model import RobotModel, RobotState
 
-PRESS_PER_S = 50.0  # cut-off of the low-pass filter on the trocar's force in a stop [1/s]
+PRESS_PER_S = 50.0  # inverse time constant of the low-pass filter on the trocar's force in a stop [1/s]
 MOST_TICKS = 2**31 - 1  # the largest int of C
-_SETTLED = 6.0  # settling time of the momentum residual [time constants]
+_SETTLED = 6.0  # settling time of the momentum residual [time constants of its observer]
 _NO_WRENCH = np.full(6, np.nan)
 _LATE, _TIP = core.REASONS.index("measurements are too late"), core.REASONS.index("the tip has been off its reference")
 _WATCHED = (
     ("the RCM error", "rcm_warning_m", "rcm_error_m", "mm", 1e3),
     ("the trocar's force", "trocar_force_warning_N", "trocar_force_N", "N", 1.0),
-)  # quantity, settings, unit, factor from SI
+)  # quantity, setting of the warning, setting of the limit, unit, factor from SI to this unit
 _AS_SET = (  # settings with the same name in the core
     "speed_factor", "stop_holding", "motion", "motion_s", "motion_rad", "motion_lag_s", "repeat_m", "repeat_torque",
     "repeat_whole_m", "repeat_whole_torque", "repeat_whole_ticks", "repeat_joint_ticks", "repeat_reading_ticks",
@@ -39,9 +39,10 @@ class SafetyFilter:
         robot: the model of the arm.
         settings: see SafetyFilterSettings.
         period: control period [s].
-        carries: whether the torque carries the arm's weight. If not, the drives add the gravity torque.
+        carries: whether the commanded torque carries the arm's weight. If not, the drives add the gravity torque.
         incision: whether the tool is in an incision. If not, RCM error and trocar force are not checked.
-        momentum: whether `limit_torque`, called without a state, computes it to check the momentum residuals.
+        momentum: whether `limit_torque` computes the robot's state if the state is not given. Without a state, the
+            momentum residuals are not checked.
 
     Attributes:
         limited: number of joints whose torque the last call of `limit_torque` changed.
@@ -66,7 +67,7 @@ class SafetyFilter:
         self.start(np.clip(robot.data.q_home, robot.q_min, robot.q_max), self._rest)
 
     def start(self, q: Array, v: Array, stamp: int = 0) -> None:
-        """Begin at the first measurement, taken in period ``stamp``.
+        """Begin at the first measurement (q, v), which was taken in control period number ``stamp``.
 
         Raises:
             ControlError: the measurement is not finite.
@@ -82,13 +83,13 @@ class SafetyFilter:
     ) -> tuple[Array, Array]:  # fmt: skip
         """Return the measurement. If it is late or impossible, return the last accepted measurement, extrapolated.
 
-        A stop is requested if too many measurements are bad, or if RCM error or trocar force is above its limit.
+        A stop is requested after more than ``patience_ticks`` such measurements in a row, or if another check fails.
 
         Args:
             q, v: (n,) measured [rad], [rad/s].
-            stamp: number of the control period in which q and v were measured; None: not known.
-            applied: (n,) torque that was applied last [Nm]; None: not known.
-            wrench: (6,) force [N] and torque [Nm] of the tool on its mount, in tool axes; None: not known.
+            stamp: number of the control period in which q and v were measured; None: the age is not checked.
+            applied: (n,) torque that was applied last [Nm]; None: repeated readings are not detected.
+            wrench: (6,) force [N] and torque [Nm] of the tool on its mount, in tool axes; needed with a trocar.
             trocar: (2, 3) rows P_t, dP_t of the registered trocar; None: RCM error and trocar force are not checked.
         """
         number, seen = math.nan if stamp is None else stamp, _NO_WRENCH if wrench is None else wrench
@@ -99,7 +100,7 @@ class SafetyFilter:
 
     @property
     def warnings(self) -> list[dict[str, Any]]:
-        """For each exceeded warning level: ``of`` (quantity), ``level``, ``largest`` value, ``unit``, ``first_s``."""
+        """Exceeded warning levels: ``of`` (quantity), ``level``, ``largest`` value, ``unit``, ``first_s`` (time)."""
         _, figures = self._guard.watched()
         found = []
         for (name, warning, _, unit, scale), largest, first in zip(_WATCHED, *figures[1:].tolist(), strict=True):
@@ -121,14 +122,16 @@ class SafetyFilter:
     ) -> Array:  # fmt: skip
         """Return the torque (n,) [Nm] within its limits.
 
-        If the torque is not finite, a stop is requested and ``before`` is returned.
+        A stop is requested if the tip error or a momentum residual exceeds its limit, or if the torque is not finite. A
+        torque that is not finite is replaced by ``before``.
 
         Args:
-            tau, before: (n,) the controller's torque, and the torque that was applied last [Nm].
+            tau: (n,) torque of the controller [Nm].
+            before: (n,) torque that was applied last [Nm].
             q, v: (n,) as returned by `check_measurement` [rad], [rad/s].
             tip_ref: (3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2]; None: the tip is not checked.
             state: the robot's state at (q, v), if known.
-            tip: (3,) the tip position that the controller computed [m]; None: the tip of ``state``.
+            tip: (3,) tip position that the controller computed [m]; None: the tip of ``state``, if that is given.
         """
         shown = state is not None or tip is not None
         if state is None and self._computes:
@@ -143,7 +146,7 @@ class SafetyFilter:
         return tau if math.isfinite(tau.dot(tau)) else before
 
     def stop_torque(self, before: Array) -> Array:
-        """Return the torque (n,) [Nm] in a stop. It approaches the gravity torque of the last accepted pose."""
+        """Return the torque (n,) [Nm] in a stop: ``before``, moved towards the gravity torque of the last good pose."""
         self.limited = 0
         return self._guard.rest(np.ascontiguousarray(before, dtype=np.float64))
 

@@ -11,57 +11,59 @@ from moc_opt.inputs.settings import Level, Settings
 
 
 class SafetyFilterSettings(Settings):
-    """Limits of the safety filter, and its actions when it stops the arm."""
+    """Limits of the safety filter, and its actions in a stop. Unless stated otherwise, exceeded limits stop the arm."""
 
     KIND: ClassVar[str] = "[guard]"
     ERROR: ClassVar[type[MocOptError]] = ControlError
 
     motion: bool = True
-    """whether measurements are checked for age, repetition, and agreement of positions, velocities and torques"""
+    """whether measurements are checked: their age, repetitions, and whether positions, velocities and torques agree"""
     motion_s: float = Field(0.1, gt=0.0)
-    """time constant of the comparison of a joint's position with its integrated velocity"""
+    """time over which the change of a joint's position is compared with the integral of its velocity"""
     motion_rad: float = Field(0.001, gt=0.0)
-    """largest difference between the position of a resting joint and its integrated velocity"""
+    """largest difference between a joint's change of position and the integral of its velocity, if the joint rests"""
     motion_lag_s: float = Field(0.012, ge=0.0)
-    """lag of measured velocities. At the speed v, the lag times v is added to `motion_rad`. The lag is at least three
-    time constants of the velocity filter"""
+    """assumed lag of measured velocities. If a joint's largest recent speed is v, v times the lag is added to
+    `motion_rad`. A scenario raises the lag to at least three time constants of its velocity filter"""
     repeat_m: float = Field(0.003, gt=0.0)
     """largest travel of the tip's reference while all encoders repeat their readings"""
     repeat_torque: float = Field(0.06, gt=0.0)
-    """largest torque change while all encoders repeat their readings, as a share of the largest torque. The share is
-    at least 500 times `encoder_resolution_rad`"""
+    """largest change of a joint's torque while all encoders repeat their readings, as a share of the joint's torque
+    limit. A scenario raises the share to at least 500 times `encoder_resolution_rad`"""
     repeat_whole_torque: float = Field(0.0005, gt=0.0)
-    """largest torque change while encoders and wrench sensor repeat their readings, as a share of the largest torque"""
+    """replaces `repeat_torque` while the wrench sensor repeats its readings as well"""
     repeat_whole_m: float = Field(0.0005, gt=0.0)
-    """largest travel of the tip's reference while encoders and wrench sensor repeat their readings"""
+    """replaces `repeat_m` while the wrench sensor repeats its readings as well"""
     repeat_whole_ticks: int = Field(25, ge=1)
-    """largest number of consecutive control periods in which a noisy wrench sensor repeats its reading. It also limits
-    the number of consecutive measurements that equal those a fixed time earlier (a replay)"""
+    """largest number of consecutive control periods in which a noisy wrench sensor repeats its reading. It is also the
+    largest number of consecutive measurements that equal the measurements a fixed time earlier (a replay)"""
     stuck_torque: float = Field(0.06, ge=0.0)
-    """largest torque change that static friction may explain while one encoder repeats its reading, as a share of its
-    joint's largest torque"""
+    """assumed static friction of a joint, as a share of its torque limit. Only a torque change beyond the static
+    friction contributes to the speed of `stuck_rad_per_s`"""
     stuck_friction: float = Field(6.0, gt=0.0)
-    """like `stuck_torque`, but as a multiple of the joint's Coulomb friction. The smaller of the two torques is used"""
+    """assumed static friction of a joint, as a multiple of its Coulomb friction in the robot's file, if this is not 0.
+    The smaller one of this friction and that of `stuck_torque` is used"""
     repeat_joint_ticks: int | None = Field(None, ge=1)
-    """largest number of consecutive control periods in which one encoder repeats its position. By default, it is
-    computed from the encoders' noise and step"""
+    """largest number of consecutive control periods in which one encoder repeats its position. By default, the
+    scenario computes it from the encoders' noise and step"""
     repeat_reading_ticks: int | None = Field(None, ge=0)
-    """largest total number of control periods of a run in which one encoder repeats both position and velocity. By
-    default, it is `patience_ticks` for noisy encoders with filtered velocities, and unlimited for others"""
+    """largest number of control periods in a run (in a row or not) in which one encoder repeats position and velocity.
+    By default, it is `patience_ticks` if encoders have noise and a velocity filter, and unlimited without these"""
     stuck_rad_per_s: float = Field(0.2, gt=0.0)
-    """threshold of the speed that a joint must have gained while its encoder repeats its reading. Above it, the encoder
-    counts as stuck. The torque beyond `stuck_torque` gives this speed. The threshold is at least 600 times
-    `encoder_resolution_rad`"""
+    """largest computed speed that a joint gains while its encoder repeats its reading. The computation uses the joint's
+    inertia and the torque change beyond static friction (`stuck_torque`). A scenario raises the limit to at least
+    600 times `encoder_resolution_rad`"""
     residual_torque: float = Field(0.2, gt=0.0)
-    """largest change of a joint's momentum residual (torque implied by the joint's motion, minus the command), as a
-    share of the joint's largest torque. Above it for more than `patience_ticks` control periods, the arm is stopped"""
+    """largest difference of a joint's momentum residual from the residual's running mean, as a share of the torque
+    limit. The residual is the torque implied by the joint's motion, minus the command. More than `patience_ticks`
+    control periods in a row above the limit stop the arm"""
     residual_whole_torque: float = Field(0.5, gt=0.0)
-    """like `residual_torque`, but for the momentum residual itself instead of its change"""
+    """like `residual_torque`, but for the momentum residual itself, from which no mean is subtracted"""
     residual_rate_per_s: float = Field(40.0, gt=0.0, lt=500.0)
     """gain of the observer that estimates the momentum residuals"""
     residual_s: float = Field(0.25, gt=0.0)
-    """time constant of the running mean from which `residual_torque` measures changes"""
-    torque_rate_Nm_per_s: float = Field(20000.0, gt=0.0, description="largest rate of change of a joint's torque")
+    """time constant of the running mean in `residual_torque`"""
+    torque_rate_Nm_per_s: float = Field(20000.0, gt=0.0, description="rate of change to which a torque is limited")
     position_margin_rad: float = Field(0.045, ge=0.0)
     """distance of the virtual wall (a spring) from a revolute joint's limit"""
     position_margin_m: float = Field(0.045, ge=0.0)
@@ -69,16 +71,17 @@ class SafetyFilterSettings(Settings):
     wall_stiffness_Nm_per_rad: float = Field(2000.0, ge=0.0)
     """stiffness of the virtual wall (prismatic joints: N/m)"""
     wall_damping_Nm_s_per_rad: float = Field(20.0, ge=0.0)
-    """damping of a joint's speed beyond the largest speed, see `wall_brake_rad_per_s2` (prismatic joints: N s/m)"""
+    """damping of the part of a joint's speed beyond sqrt(2 a d), see `wall_brake_rad_per_s2` (prismatic: N s/m)"""
     wall_brake_rad_per_s2: float = Field(2.0, gt=0.0)
-    """deceleration a before the virtual wall. At the distance d from the wall, the largest speed is sqrt(2 a d)"""
+    """deceleration a before the virtual wall. A joint at the distance d from the wall is damped if it moves towards the
+    wall faster than sqrt(2 a d) or its speed limit"""
     jump_rad: float = Field(0.05, gt=0.0)
-    """largest change of a measured joint position beyond the travel at its speed limit (see `patience_ticks`)"""
+    """largest change of a measured position, less the travel at the joint's speed limit; see `patience_ticks`"""
     speed_factor: float = Field(5.0, gt=1.0)
-    """largest measured speed, divided by the joint's speed limit (see `patience_ticks`)"""
+    """largest measured speed, divided by the joint's speed limit; see `patience_ticks`"""
     patience_ticks: int = Field(3, ge=0)
-    """number of measurements in a row that may be missing or exceed `jump_rad` or `speed_factor`. They are replaced by
-    extrapolation. One more stops the arm"""
+    """number of measurements in a row that may be missing or exceed `jump_rad` or `speed_factor`. Their
+    positions are replaced by extrapolation. One more stops the arm"""
     tip_error_m: float = Field(0.01, gt=0.0)
     """rms distance of the tip from its reference above which the arm is stopped"""
     tip_error_s: float = Field(0.1, gt=0.0, description="time constant of the mean square of the tip error")
@@ -96,14 +99,14 @@ class SafetyFilterSettings(Settings):
     """time constant of the mean squares of RCM error and trocar force"""
     stop_damping_Nm_s_per_rad: float = Field(20.0, gt=0.0, description="damping of the drives in a stop")
     stop_holding: float = Field(0.25, ge=0.0, le=1.0)
-    """dry friction of the brakes in a stop, as a share of the largest torque. With 0, a load sinks"""
+    """dry friction of the brakes in a stop, as a share of each joint's torque limit. With 0, a load sinks"""
     stop_yield_N: Level = 8.0
-    """trocar force above which the brakes open in a stop. They close at half of it"""
+    """trocar force above which the brakes open in a stop. They close again at half of this force"""
     stop_yield_s: float = Field(0.4, ge=0.0, le=60.0)
-    """longest time for which the brakes stay open in a stop. They open again if the trocar force rises by
-    `stop_yield_N`"""
+    """longest time for which the brakes stay open in a stop. After this time they close, and open again only if the
+    trocar force rises by another `stop_yield_N`"""
     stop_s: float = Field(0.5, gt=0.0)
-    """shortest time of a stop. The stop ends when the arm rests, at the latest after 4 times `stop_s`"""
+    """shortest time of a stop. After it, the stop ends when the arm rests, at the latest after 4 times `stop_s`"""
 
     @model_validator(mode="after")
     def _warned_before_it_stops(self) -> Self:

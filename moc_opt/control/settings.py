@@ -33,19 +33,19 @@ PerJoint = Annotated[float | tuple[float, ...], BeforeValidator(_number_or_numbe
 class Gains(NamedTuple):
     """The gains of the three levels."""
 
-    K_X: float  #: [N/m]
-    D_X: float  #: [N s/m]
-    K_N: float  #: [N/m]
-    D_N: float  #: [N s/m]
-    K_N2: Array  #: (n,) [N m s/rad]; zero under law ``dcac``.
-    D_N2: Array  #: (n,) [N m s/rad]; zero under law ``dcac``.
+    K_X: float  #: Level 1: tip stiffness [N/m].
+    D_X: float  #: Level 1: tip damping [N s/m].
+    K_N: float  #: Level 2: wrist stiffness [N/m].
+    D_N: float  #: Level 2: wrist damping [N s/m].
+    K_N2: Array  #: (n,) level 3: gain on solver's minus measured joint velocity [N m s/rad]. Law ``dcac``: 0.
+    D_N2: Array  #: (n,) level 3: damping gain on the measured joint velocity [N m s/rad]. Law ``dcac``: 0.
 
 
 GAINS = Gains._fields
 
 
 class ControlSettings(Settings):
-    """The control law. At level 3, the joints follow the velocity x that the solver computes.
+    """The control law. Level 1 moves the tip, level 2 the wrist, and level 3 the elbow. x is level 3's joint velocity.
 
     The tables [gains.dcac] and [gains.moc] in the robots' files are from Table I of Su et al. (2019).
     """
@@ -55,10 +55,10 @@ class ControlSettings(Settings):
     ERROR: ClassVar[type[MocOptError]] = ControlError
 
     law: Literal["dcac", "moc"] = "moc"
-    """control law. 'dcac': control of tip and RCM; 'moc': also level 3, which raises the manipulability"""
+    """control law. 'dcac': levels 1 and 2 (tip and RCM); 'moc': also level 3, which raises the manipulability"""
     gains: str | None = "default"
-    """table of gains in the robot's file. It gives the values of those gains below that are left out. '': the table
-    `moc` or `dcac`, according to `law`"""
+    """name of a table [gains.NAME] in the robot's file. A gain from `K_X` to `D_N2` that is left out is read from this
+    table. '': the table with the name of `law`"""
     K_X: Positive | None = Field(None, description="tip stiffness [N/m]")
     D_X: NotNegative | None = Field(None, description="tip damping [N s/m]")
     K_N: Positive | None = Field(None, description="wrist stiffness [N/m]")
@@ -73,55 +73,56 @@ class ControlSettings(Settings):
     """assumed ratio of RCM error to wrist error, as in the paper. K_N acts on the wrist error. If `rcm_lambda` is
     given, RCM error / `rcm_lambda` replaces the length of the wrist error"""
     projector: Literal["dynamic", "static", "as_published"] = "dynamic"
-    """null-space projector of level 2. 'dynamic': dynamically consistent; 'static': consistent only at rest;
+    """null-space projector of level 2. 'dynamic': dynamically consistent; 'static': statically consistent;
     'as_published': as printed in Su et al. (2019)"""
     feedforward: bool = True
     """whether the desired accelerations of tip and wrist are fed forward"""
     observer_gain_per_s: NotNegative = 20.0
-    """gain of the momentum observer, which estimates external torques. 0 switches it off. With `third_level` 'planned'
-    or 'receding', `course_observer_gain_per_s` replaces it"""
+    """gain of the momentum observer, which estimates external torques. 0: no observer. With `third_level` 'planned' or
+    'receding', a gain above 0 is replaced by `course_observer_gain_per_s`"""
     limit_torque: bool = True
     """whether the controller limits each torque to the joint's largest torque"""
     k0_per_s: Positive = 2.0
-    """k0 in the bound v <= k0 d on level 3. v is a joint's speed towards a limit, and d its distance from this limit,
-    less the margin `limit_margin_rad`. With `third_level` 'planned' or 'receding', k0 is at least 10"""
+    """k0 in the bound v <= k0 d on level 3. v is a joint's speed towards a joint limit. d is the joint's distance from
+    this limit, minus its margin (`limit_margin_rad`, `limit_margin_m` or `course_margin_rad`). With `third_level`
+    'planned' or 'receding', 10 replaces a smaller `k0_per_s`"""
     third_level: Literal["local", "planned", "receding"] = "local"
     """motion of the elbow under `law` = 'moc'. 'local': up the gradient of the manipulability; 'planned': along a joint
     motion that is planned before the run; 'receding': along a joint motion that is replanned during the run"""
     course: str = ""
-    """file of the planned joint motion, from `moc-opt plan --out`. If empty, the motion is planned before the run"""
+    """file of `moc-opt plan --out`, for `third_level` 'planned'. If empty, the motion is planned before the run"""
     horizon_s: Annotated[float, Field(ge=0.2, le=2.0)] = 1.0
     """planning horizon of `third_level` 'receding'"""
     replan_per_s: Annotated[float, Field(ge=20.0, le=50.0)] = 20.0
     """planning rate of `third_level` 'receding'"""
     course_speed_fraction: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.85
-    """largest joint speed of a planned motion, as a share of the joint's speed limit. Below 1, a lagging arm can catch
-    up"""
+    """largest joint speed of a planned motion, as a share of the joint's speed limit. The rest of the joint's speed
+    lets a lagging arm catch up"""
     course_margin_rad: NotNegative = 0.05
-    """distance that a planned motion keeps from the limits of revolute joints, if possible"""
+    """distance that a planned motion keeps from the limits of revolute joints. If no motion keeps it, 0 replaces it"""
     course_observer_gain_per_s: NotNegative = 40.0
     """gain of the momentum observer with `third_level` 'planned' or 'receding'"""
     climb: Literal["gradient", "scaled"] = "gradient"
     """elbow speed with `third_level` 'local'. 'gradient': proportional to the gradient of the manipulability; 'scaled':
-    Newton step to the nearest maximum, divided by 0.2 s"""
+    Newton step towards a maximum of the manipulability, divided by 0.2 s"""
     c0: NotNegative = Field(0.01, description="weight of the tip velocity's error in the solver's cost")
     c1: NotNegative = Field(0.01, description="weight of the wrist velocity's error in the solver's cost")
     c2: NotNegative = Field(0.001, description="weight of the manipulability gradient in the solver's cost")
     regularization: NotNegative = 1e-5
     """weight of |x|^2 / 2 in the solver's cost, for the joint velocity x. With 0, x can jump between bounds"""
     fallback: Literal["damping", "hold", "least-violation"] = "least-violation"
-    """joint velocity x if the subproblem is infeasible. 'damping': no elbow motion; 'hold': the last good answer;
-    'least-violation': the smallest |A x - b| within the bounds on x"""
+    """joint velocity x if no x within its bounds gives tip and wrist their reference velocities (A x = b). 'damping':
+    x = 0; 'hold': the last good answer; 'least-violation': an x within the bounds with the smallest |A x - b|"""
     speed_fraction: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5
     """largest joint speed with `third_level` 'local', as a share of the joint's speed limit"""
     limit_margin_rad: NotNegative = 0.15
-    """distance from a revolute joint's limit at which `third_level` 'local' stops the approach. With 'planned' and
-    'receding', `course_margin_rad` replaces it"""
+    """distance from a revolute joint's limit at which `third_level` 'local' stops moving the joint towards this limit.
+    With 'planned' and 'receding', `course_margin_rad` replaces it"""
     limit_margin_m: NotNegative = 0.05
-    """distance from a prismatic joint's limit at which level 3 stops the approach, with every `third_level`"""
+    """like `limit_margin_rad`, for prismatic joints and with every `third_level`"""
     shaft_margin: float = Field(default=0.175, ge=0.0, le=1.0)
     """threshold of m / L^2, where m is the wrist's manipulability while the tip is held (docs/method.md) and L the
-    distance from wrist to tip. Below it, `third_level` 'local' also raises m. 0 switches this off"""
+    distance from wrist to tip. Below the threshold, `third_level` 'local' also raises m. 0 switches this off"""
     ramp_s: NotNegative = 0.3
     """time in which the torque of level 3 rises to full size at the start"""
     supervisor: SupervisorSettings = SupervisorSettings()
@@ -169,7 +170,7 @@ class ControlSettings(Settings):
             )
 
     def matched_dcac(self) -> dict[str, Any]:
-        """Return the changes that turn these settings into DCAC with the same gains."""
+        """Return the changes that give these settings the law ``dcac``, with the same gains and observer."""
         return {
             "law": "dcac", "gains": self.gains or self.law, "third_level": "local", "course": "",
             "observer_gain_per_s": self.observer_rate_per_s,
@@ -182,13 +183,13 @@ class ControlSettings(Settings):
 
     @property
     def observer_rate_per_s(self) -> float:
-        """Gain of the momentum observer in use; 0: no observer."""
+        """Gain of the momentum observer under this ``third_level`` [1/s]; 0: no observer."""
         if self.follows and self.observer_gain_per_s > 0.0:
             return self.course_observer_gain_per_s
         return self.observer_gain_per_s
 
     def resolve_gains(self, tables: Mapping[str, Mapping[str, Any]], joints: int) -> Gains:
-        """Return the gains. Gains that are not set come from the robot's ``tables`` [gains.*].
+        """Return the gains for n = ``joints``. A gain that is not set comes from one of the robot's ``tables``.
 
         Raises:
             UnknownNameError: ``gains`` names no table of this robot.

@@ -1,7 +1,7 @@
-"""The supervisor of the third level: every answer is checked before the arm follows it.
+"""The supervisor of the third level checks every answer of the solver before the arm follows the answer.
 
-Tip and RCM control never depend on a solver. A faulty answer is replaced by the last good answer for a few ticks, then
-by damping.
+Tip and RCM control never depend on a solver. For a few ticks, the last good answer replaces faulty answers. After these
+ticks, elbow motion is damped.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def _raise_interrupt(error: BaseException) -> None:
 
 
 class SupervisorSettings(Settings):
-    """Checks of the solver's answers, and replacements of refused answers."""
+    """Checks and replacements of the solver's answers x. If A x = b, tip and wrist have their reference velocities."""
 
     KIND: ClassVar[str] = "[control.supervisor]"
     ERROR: ClassVar[type[MocOptError]] = ControlError
@@ -68,16 +68,16 @@ class SupervisorSettings(Settings):
     box_limit: float = Field(0.1, gt=0.0)
     """like `primal_limit` (A x = b and bounds), for answers not reported as optimal"""
     relative_limit: float = Field(0.05, gt=0.0)
-    """largest natural residual of an answer reported as optimal [rad/s], for a cost scaled so that the largest entry of
-    its gradient is 1. At an optimum the residual is 0"""
+    """largest natural residual of an answer reported as optimal [rad/s]. At an optimum the residual is 0. The cost is
+    scaled so that the largest entry of its gradient at x = 0 is 1"""
     opposite_limit: float = Field(1e-3, gt=0.0)
-    """limit for an answer reported as optimal [rad/s]. The answer is refused if its distance from the optimum exceeds
-    both this limit and its distance from the optimum for the negated `c2`"""
+    """largest distance of an answer reported as optimal from the optimum [rad/s]. A more distant answer is refused if
+    it is nearer to the optimum for the negated `c2`"""
     hold_ticks: int = Field(10, ge=0)
-    """number of consecutive control periods in which the last good answer replaces refused answers. After them, elbow
-    motion is damped"""
+    """number of consecutive control periods in which the last good answer replaces refused answers. After these,
+    x = 0 damps the elbow motion, except near joint limits (`keep_off_limits`)"""
     keep_off_limits: bool = True
-    """whether the elbow moves after `hold_ticks` if the bounds on x require it (near a joint limit)"""
+    """whether the elbow moves away from a joint limit after `hold_ticks`, if the bounds on x exclude x = 0"""
     budget_us: float | None = Field(None, gt=0.0, description="longest time of a solve. By default, there is no limit")
     late: Literal["hold", "zero", "iterate"] = "hold"
     """replacement for an answer later than `budget_us`. 'hold': the last good answer; 'zero': no elbow motion;
@@ -147,7 +147,7 @@ class Supervisor:
         self.faults: dict[str, dict[str, Any]] = {}
 
     def solve(self, session: Session, qp: NullSpaceQP, v: Array | None = None) -> tuple[Solution, Array, Array]:
-        """Let the session solve ``qp``, check the answer, and finish the tick.
+        """Let the session solve ``qp``, check the answer, and compute the torque.
 
         Return (solution, x, tau): the solver's answer, the x (n,) [rad/s] that the arm follows, the torque (n,) [Nm].
         ``v`` (n,) [rad/s] is the measured velocity; None if the session does not use it.
@@ -163,10 +163,12 @@ class Supervisor:
     def step(
         self, q: Array, v: Array, tip_ref: Array, trocar: Array, x_d: Array | None, tolerance: float
     ) -> tuple[Status, Array, Array]:
-        """Do the whole tick in the core, with the core's solver `exact`.
+        """Do the whole tick in the core, with the core's solver `exact`. `Controller.tick` explains the arguments.
 
+        ``x_d`` (n,) is the velocity of a `Guide` [rad/s], and ``tolerance`` that of `exact` [rad/s].
         Return (status, record, out). ``record`` has the numbers of a `RobotState`. ``out`` (14 n + 16,) has, in this
-        order, `NullSpaceQP.row`, the solver's x and y, the x that the arm follows, and the law's torque (n,) [Nm].
+        order, `NullSpaceQP.row` (11 n + 10,), the solver's x (n,) and y (6,), the x (n,) that the arm follows, and the
+        torque (n,) [Nm].
         """
         given_us = _NAN if self._times is None else next(self._times, _NAN)
         code, number, self.solve_us, record, out = self._law.step(q, v, tip_ref, trocar, x_d, tolerance, given_us)
@@ -204,7 +206,7 @@ class Supervisor:
             solution, wrong = received(given, qp.n)
             if self._stop_late and self.solve_us > self._budget_us and not wrong:
                 solution, wrong = received(self._stopped(session, shown, solution), qp.n)
-        except BaseException as error:  # noqa: BLE001 - as above
+        except BaseException as error:  # noqa: BLE001 - the run goes on
             _raise_interrupt(error)
             return no_answer(qp.n, Status.NUMERICAL), Fault.RAISED, describe(error)
         return solution, Fault.MALFORMED if wrong else None, wrong

@@ -27,10 +27,10 @@ PRESETS: Mapping[str, Mapping[str, Callable[..., Settings]]] = {
     "control": {name: partial(ControlSettings.preset, name) for name in CONTROL_PRESETS},
     "plant": {"realistic": PlantSettings, "nominal": PlantSettings.nominal},
 }
-"""``PRESETS[table][preset]`` makes the settings."""
-_LAGS = 3.0  # lower bound of motion_lag_s, in time constants of the velocity filter
+"""``PRESETS[table][preset](**changes)`` makes the settings of the table."""
+_LAGS = 3.0  # lower bound on motion_lag_s [time constants of the velocity filter]
 _TORQUE, _SPEED = 500.0, 600.0
-"""Lower bounds of repeat_torque [share of tau_max] and stuck_rad_per_s [rad/s], per radian of encoder step."""
+"""Lower bounds, for an encoder step s [rad]: repeat_torque >= _TORQUE s, and stuck_rad_per_s >= _SPEED s."""
 
 
 class Scenario(Settings):
@@ -57,16 +57,17 @@ class Scenario(Settings):
     duration_s: float | None = Field(None, gt=0.0, le=MOST_S)
     """duration of the run. By default, the run lasts for the path plus `wait_s` and `hold_s` of [task]"""
     deadline_us: float = Field(2000.0, gt=0.0, le=1e9)
-    """computation time above which a control period counts as a deadline miss. `budget_us` limits a solve"""
+    """computation time of a control period, above which a deadline miss is counted. The run continues. `budget_us` of
+    [control.supervisor] limits the time of one solve"""
     guard: SafetyFilterSettings = SafetyFilterSettings()
     faults: FaultSettings = FaultSettings()
     wire: WireSettings = WireSettings()
     judge: bool = True
     """whether the optimality residuals of every solver answer are computed after the run"""
     metrics: tuple[Name, ...] = ()
-    """names of the metrics that `moc-opt run` prints, from `moc-opt metrics`. If empty, it prints the main metrics"""
+    """names of the metrics that `moc-opt run` prints, from `moc-opt metrics`. If empty, the main metrics are printed"""
     bound_samples: int = Field(25, ge=0, le=100_000)
-    """number of control periods at which the largest possible manipulability is computed, for comparison"""
+    """number of control periods at which the largest manipulability for fixed tip and wrist is computed"""
     best_courses: bool = False
     """whether the courses (joint motions) of largest mean manipulability are planned after the run, for comparison.
     With `moc-opt run`, the default is true"""
@@ -121,7 +122,7 @@ class Scenario(Settings):
 
     @classmethod
     def load(cls, path: Self | str | os.PathLike[str]) -> Self:
-        """Read a TOML file. The relative paths in it start at its folder. A `Scenario` is returned unchanged.
+        """Read a TOML file. Relative paths in the file start at the file's folder. Return a given `Scenario` unchanged.
 
         Raises:
             ScenarioError: the file is missing or not TOML, or a value is out of range.
@@ -170,7 +171,7 @@ class Scenario(Settings):
 
     @property
     def safety_settings(self) -> SafetyFilterSettings:
-        """The settings ``[guard]``, with limits that suit the plant's encoders."""
+        """The settings ``[guard]``. Limits that are left out or too low for the plant's encoders are replaced."""
         guard, plant, told = self.guard, self.plant, dict[str, float | None]()
         encoder = plant.encoder_noise_rad, plant.encoder_resolution_rad
         if guard.repeat_joint_ticks is None:
@@ -208,7 +209,7 @@ def _tables(value: Settings, name: str) -> Iterator[dict[str, Any]]:
 
 
 def without_none(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Copy a table. None, which TOML lacks, is omitted in `settings`, "" in `gains`, and infinity elsewhere."""
+    """Copy a table without None, which TOML lacks. Infinity replaces it, except in ``settings`` and ``gains``."""
     plain: dict[str, Any] = {}
     for key, value in table.items():
         if key == "settings":

@@ -1,4 +1,4 @@
-"""Columns computed after a run: model errors, residuals, largest mu, and courses (planned joint motions)."""
+"""Columns computed after a run: model errors, residuals, largest mu (manipulability), and courses (joint motions)."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ PATH = {"robot", "start", "trocar", "task", "duration_s", "seed"}  # keys that d
 def model_errors(columns: Columns, robot: RobotModel, plant: Plant, offset: TaskOffset) -> dict[str, NDArray[Any]]:
     """Compute tip and RCM error [m] by the controller's kinematics, from joint positions with the encoders' bias.
 
-    Return {} if the encoders measure the motors of elastic joints: the controller then sees other positions.
+    Return {} if the encoders measure the motors of elastic joints, because the controller then sees motor positions.
     """
     if plant.settings.elastic and plant.settings.encoder_side == "motor":
         return {}
@@ -53,7 +53,7 @@ def model_errors(columns: Columns, robot: RobotModel, plant: Plant, offset: Task
 
 
 def residual_columns(columns: Columns) -> dict[str, NDArray[Any]]:
-    """Compute each answer's residuals and the flag ``verified``. Without subproblems, return {}."""
+    """Compute each answer's residuals (NaN without an answer) and the flag ``verified``; {} without subproblems."""
     if "subproblem" not in columns:
         return {}
     x = columns["x_rad_per_s"]
@@ -66,9 +66,10 @@ def residual_columns(columns: Columns) -> dict[str, NDArray[Any]]:
 
 
 def largest_mu(poses: Array, robot: RobotModel, samples: int) -> tuple[Array, dict[str, str]]:
-    """Compute the largest mu [m^3] for the run's tip and wrist, at ``samples`` evenly spaced ticks.
+    """Compute the largest mu [m^3] that poses with the tip and wrist of ``poses`` (N, n) have.
 
-    Return (bound, meta). ``bound`` (N,) is NaN at all other ticks. ``meta`` names the method.
+    Return (bound, meta). ``bound`` (N,) has the largest mu at ``samples`` evenly spaced ticks, and NaN at all others.
+    ``meta["mu_bound_method"]`` names the method.
     """
     bound = np.full(len(poses), np.nan)
     ticks = np.linspace(0, len(poses) - 1, min(samples, len(poses))).astype(int)
@@ -81,7 +82,7 @@ def largest_mu(poses: Array, robot: RobotModel, samples: int) -> tuple[Array, di
 
 
 class BestCourses(NamedTuple):
-    """The courses with the largest mean mu along one path; None: no course was found."""
+    """The courses (joint motions) with the largest mean mu along one path; None: no course was found."""
 
     robot: RobotModel
     from_start: Course | None  #: From the start pose of the run.
@@ -112,7 +113,8 @@ def _planned(path: str) -> BestCourses:
 def against_best(scenario: Scenario, trace: Trace) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     """Return the columns of the best courses, and the entry ``best_courses`` of the trace's meta.
 
-    The part ``end`` has mu [m^3] at the run's end, at the maximum or limit uphill of it, and at the course's end.
+    The part ``end`` has three values of mu [m^3]: ``mu`` at the end of the run; ``top_mu`` where a climb of mu from
+    there ends, at a maximum or a joint limit; and ``best_mu`` at the end of the best course from the start.
     """
     try:
         known = best_courses(scenario)

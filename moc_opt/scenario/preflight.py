@@ -20,15 +20,17 @@ from moc_opt.tasks import Reference, Trocar
 
 Found = TypeVar("Found")
 
-SINGULAR = (1e-4, 1e-4)  #: Lower bounds on the ratios `Freedoms.tip` and `Freedoms.both` for every start.
+SINGULAR = (1e-4, 1e-4)
+"""Lower bounds on two ratios of singular values, for every start: smallest to largest of J_tip (`Freedoms.tip`), and
+fifth to largest of [J_tip; J_wrist] (`Freedoms.both`). A pose below a bound is refused as singular."""
 REGULAR = (0.1, 0.05)
-"""Lower bounds on the same ratios for a random start and the poses along its path."""
-DRAWN_MARGIN = 0.1  #: Lower bound on each joint's distance from its limits in a drawn pose [share of its range].
+"""Like `SINGULAR`, but for a random start and for the poses along its path."""
+DRAWN_MARGIN = 0.1  #: Smallest distance of a joint from its limits in a drawn pose [share of the joint's range].
 DRAWS = 200  #: Largest number of poses drawn for a random start.
 SPACING_M = 0.005  #: Distance between checked points of the path [m].
-_TIMES = 1500
-_SHALLOWEST_M = 0.002
-_START_TOLERANCE_M = 0.002
+_TIMES = 1500  # number of times at which the path is sampled before points are chosen
+_SHALLOWEST_M = 0.002  # smallest distance from tip to trocar [m]
+_START_TOLERANCE_M = 0.002  # largest distance from the start pose's tip to the start of the reference [m]
 
 
 class UnreachableError(TaskError):
@@ -71,9 +73,9 @@ def random_start(
     """Draw start poses until the arm can do the task from one of them, and return the task laid out from there.
 
     Args:
-        swivelled: function from a drawn pose (n,) to the start pose with the scenario's elbow angle.
+        swivelled: function from a drawn pose (n,) to the start pose with [start] swivel.
         attempt: function from a start pose (n,) to the task and poses (k, n) along the path.
-        margins: (n,) required distance from the joint limits [rad, m].
+        margins: (n,) required distance from the joint limits, at the start and along the path [rad, m].
 
     Raises:
         ScenarioError: all `DRAWS` draws are rejected.
@@ -120,10 +122,11 @@ def _require_fit(robot: RobotModel, q: Array, margins: Array, where: str = "") -
 def check_reachable(
     robot: RobotModel, q_start: ArrayLike, reference: Reference, trocar: Trocar, until_s: float = np.inf
 ) -> Array:
-    """Return poses (k, n) that follow the reference with the shaft through the trocar, within limits.
+    """Return poses (k, n) that follow the reference with the shaft through the trocar, within the joint limits.
 
-    The reference must start at the tip of ``q_start`` (n,). The check ends at the time ``until_s`` [s]. Only two elbow
-    positions at the start are tried, so a refused path may still be possible.
+    The reference must start at the tip of ``q_start`` (n,). The part of the path up to the time ``until_s`` [s] is
+    checked. Only two starts are tried: ``q_start``, and the pose of its self-motion (elbow motion) that is farthest
+    from the joint limits. A refused path may thus be possible from another start.
 
     Raises:
         UnreachableError: the arm cannot follow the path.
@@ -213,7 +216,7 @@ def _out_of_reach(robot: RobotModel, places: _Places, k: int, wrist: Array, plac
 
 
 def _least_rates(robot: RobotModel, a: Array, velocity: Array) -> Array:
-    """Solve ``a`` v = ``velocity`` for joint velocities v (n,), if possible with |v| <= v_max in every joint."""
+    """Solve ``a`` v = ``velocity`` for the shortest v (n,). If it exceeds v_max, minimize max |v| / v_max instead."""
     left, values, right = np.linalg.svd(a)
     rank = int((values > 1e-9 * values[0]).sum())
     shortest: Array = right[:rank].T @ ((left[:, :rank].T @ velocity) / values[:rank])

@@ -39,16 +39,16 @@ class StartTable(Settings):
 
     KIND: ClassVar[str] = "[start]"
     pose: Literal["home", "random"] = "home"
-    """start pose. 'home': `q_rad`; 'random': a random pose from which the arm can do the whole task"""
+    """start pose. 'home': given by `q_rad`; 'random': a random pose from which the arm can do the whole task"""
     q_rad: tuple[float, ...] | None = None
-    """joint positions at the start. By default, they are the robot's home pose"""
+    """joint positions at the start, for `pose` = 'home'. By default, they are the robot's home pose"""
     swivel: Annotated[float, Field(ge=0.0, le=1.0)] | Literal["given", "random"] = "given"
-    """elbow angle at the start, from 0 to 1 of its range. 'given': as in the start pose; 'random': drawn from 0.05 to
-    0.95"""
+    """place of the elbow at the start, from 0 to 1 of the way that it can move while tip and wrist rest. 'given': as in
+    the start pose; 'random': drawn from 0.05 to 0.95"""
     limit_margin_rad: float = Field(0.05, ge=0.0, le=3.0)
-    """smallest distance of revolute joints from their limits along the path, for `pose` = 'random'"""
+    """smallest allowed distance of revolute joints from their limits along the path, for `pose` = 'random'"""
     limit_margin_m: float = Field(0.05, ge=0.0, le=3.0)
-    """smallest distance of prismatic joints from their limits along the path, for `pose` = 'random'"""
+    """smallest allowed distance of prismatic joints from their limits along the path, for `pose` = 'random'"""
     check_path: bool = True
     """whether a path that the arm cannot follow is refused before the run. With `pose` = 'random', it is always
     refused"""
@@ -64,9 +64,9 @@ class TrocarTable(Settings):
     """The trocar (incision point). It lies on the tool's shaft at the start, and can move with the breathing."""
 
     KIND: ClassVar[str] = "[trocar]"
-    depth_m: float = Field(0.15, gt=0.0, le=10.0, description="depth of the tip below the trocar at the start")
+    depth_m: float = Field(0.15, gt=0.0, le=10.0, description="distance from the trocar to the tip at the start")
     breathing_amplitude_m: float = Field(0.0, ge=0.0, le=0.5)
-    """largest displacement of the trocar by the breathing, from its place at the start"""
+    """largest distance by which the breathing moves the trocar from its place at the start"""
     breathing_period_s: float = Field(4.0, gt=0.0, le=MOST_S, description="duration of one breath")
     breathing_direction: Vector = (0.0, 0.0, 1.0)
     """direction of the breathing motion in base axes. The vector's length has no effect"""
@@ -88,12 +88,13 @@ class TaskTable(Settings):
     sizes: dict[Name, Annotated[float, Field(ge=-1e3, le=1e3)]] = Field(default_factory=dict)
     """sizes of the path, with lengths in m. `moc-opt tasks` lists their names and defaults"""
     waypoints_m: tuple[Vector, ...] | None = None
-    """waypoints relative to the tip at the start. Their axes are `heading`, left (`normal` x `heading`) and `normal`"""
+    """waypoints relative to the tip at the start. Their coordinates are along `heading`, left (`normal` x `heading`),
+    and `normal`"""
     normal: Vector = Field((0.0, 0.0, 1.0), description="vector perpendicular to the plane of the path, in base axes")
     heading: Vector = (1.0, 0.0, 0.0)
     """direction in which the path begins, in base axes. It is projected onto the path's plane"""
     v_max_m_per_s: float = Field(0.05, gt=0.0, le=10.0, description="largest speed of the tip")
-    a_max_m_per_s2: float = Field(0.2, gt=0.0, le=1e6, description="largest acceleration of the tip, even in curves")
+    a_max_m_per_s2: float = Field(0.2, gt=0.0, le=1e6, description="largest acceleration of the tip, including curves")
     wait_s: float = Field(0.5, ge=0.0, le=MOST_S, description="time at rest before the path")
     hold_s: float = Field(0.5, ge=0.0, le=MOST_S, description="time at rest after the path")
 
@@ -120,15 +121,15 @@ class TaskTable(Settings):
 
 
 class SolverTable(Settings):
-    """The solver of the subproblem at level 3."""
+    """The solver that computes the joint velocity x of level 3."""
 
     KIND: ClassVar[str] = "[solver]"
     name: Name = Field("exact", description="name of the solver, from `moc-opt solvers --list`")
     settings: dict[Name, Any] = Field(default_factory=dict)
     """settings of the solver. docs/solvers.md explains them"""
     replay_us: str | tuple[Annotated[float, Field(ge=0.0, le=1e9)], ...] | None = None
-    """recorded solve times, or a .npy file of solve times, that replace the measured times. A run with a time budget
-    can then be repeated exactly"""
+    """recorded solve times, or name of a .npy file with solve times. These times replace the measured times, so that a
+    run with a time budget can be repeated exactly"""
     isolation: Literal["none", "process"] = "none"
     """where the solver runs. 'none': in the controller's process; 'process': in its own process, which is replaced if
     it hangs or ends"""

@@ -31,16 +31,16 @@ class FaultSettings(Settings):
     frozen_ticks: int = Field(1_000_000, ge=1, description="number of control periods for which readings stay frozen")
     frozen_joint: int | None = Field(None, ge=0)
     """index (from 0) of the only encoder that freezes. If left out, all sensors freeze"""
-    frozen_wrench: bool = Field(False, description="whether only the wrench sensor freezes")
+    frozen_wrench: bool = Field(False, description="whether only the wrench sensor freezes, and no encoder")
     frozen_velocity: Literal["repeated", "zero"] = "repeated"
     """velocity in a frozen reading. 'repeated': the last velocity; 'zero': 0"""
     lag_at_s: float | None = Field(None, ge=0.0)
     """time from which measurements lag. By default, they never lag"""
     lag_joint: int | None = Field(None, ge=0)
     """index (from 0) of the only encoder that lags. If left out, all sensors lag"""
-    lag_ticks: int = Field(0, ge=0, le=1000, description="lag of measurements at the time `lag_at_s`")
+    lag_ticks: int = Field(0, ge=0, le=1000, description="lag at the time `lag_at_s`, added to `late_ticks`")
     lag_growth: float = Field(0.1, gt=0.0, le=1.0)
-    """growth of the lag after `lag_at_s`, in control periods per control period"""
+    """number of control periods by which the lag grows in each control period after `lag_at_s`"""
     replay_at_s: float | None = Field(None, ge=0.0)
     """time from which old measurements arrive again in a loop. By default, none arrives again"""
     replay_ticks: int = Field(100, ge=1, le=5000)
@@ -49,7 +49,7 @@ class FaultSettings(Settings):
     drift_rad_per_s: float = Field(0.0, ge=-1.0, le=1.0)
     """speed at which the encoders drift, each with a random sign"""
     drift_velocity: Literal["included", "apart"] = "included"
-    """whether measured velocities contain the drift of the encoders ('included') or not ('apart')"""
+    """measured velocities while the positions drift. 'included': with the speed of the drift; 'apart': without it"""
     forged_stamps: bool = False
     """whether frozen, replayed and lagging measurements carry the time stamps of new ones"""
     encoder_bias_rad: float = Field(0.0, ge=-0.1, le=0.1)
@@ -74,13 +74,13 @@ class FaultSettings(Settings):
     solver: Literal["none", "fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang"] = "none"
     """fault of the solver's answers. 'fail': no answer; 'nan': NaN; 'lie': optimum for the negated gradient; 'raise':
     exception; 'outside': outside the bounds; 'rig': wrong answer, and the solver changes the problem to fit it;
-    'malformed': wrong data type; 'hang': solve time of ten times `budget_us` (or `deadline_us`)"""
+    'malformed': wrong data type; 'hang': solve time of ten times `budget_us` (without it: `deadline_us`)"""
     solver_share: float = Field(0.05, ge=0.0, le=1.0)
     """share of the solver's answers that have the fault `solver`"""
 
     @property
     def around_the_arm(self) -> bool:
-        """Whether any setting other than those of the solver's faults is changed."""
+        """Whether any setting except ``solver`` and ``solver_share`` differs from its default."""
         solver = {"solver", "solver_share"}
         return any(getattr(self, k) != f.default for k, f in type(self).model_fields.items() if k not in solver)
 
@@ -127,7 +127,7 @@ class Faults:
             plant.push(s.bump_link, held + self._bump * (tick == self._bump_on))
 
     def slip(self, trocars: Array, times: Array) -> Array:
-        """Return position and velocity (N, 2, 3) of the slipping trocar."""
+        """Add the slip to ``trocars`` (N, 2, 3), rows position [m] and velocity [m/s], at ``times`` (N,) [s]."""
         if self.settings.slip_m == 0.0:
             return trocars
         u = np.clip((times - self.settings.slip_at_s) / 0.1, 0.0, 1.0)
@@ -137,7 +137,7 @@ class Faults:
         return moved
 
     def sense(self, seen: Measurement, tick: int) -> Measurement:
-        """Return the measurement with its faults."""
+        """Return what arrives at ``tick`` instead of the plant's measurement ``seen``. Call once per tick, in order."""
         s, taken = self.settings, self._taken(seen, tick)
         self._past.append(taken)
         lagging = self._after(s.lag_at_s, tick)
@@ -168,6 +168,7 @@ class Faults:
         return seen._replace(q=q, v=v)
 
     def _after(self, at_s: float | None, tick: int) -> int:
+        """Return the number of ticks since ``at_s``, 1 at the first of them; 0 before or without ``at_s``."""
         return 0 if at_s is None else max(0, tick - round(at_s / self._period) + 1)
 
     def _forged(self, arrived: Measurement, taken: Measurement) -> Measurement:

@@ -34,10 +34,10 @@ _RUNAWAY_RAD_PER_S = 1e3  #: Above this norm of the joint velocities, the simula
 
 @dataclass(frozen=True)
 class Stop:
-    """A stop: the damping by the drives [Nm s/rad] and the shortest duration [s]."""
+    """How the arm is stopped."""
 
-    damping: float = 15.0
-    seconds: float = 0.5
+    damping: float = 15.0  #: Damping of each joint by its drive [Nm s/rad].
+    seconds: float = 0.5  #: Shortest duration of the stop [s].
 
 
 DEFAULT_STOP = Stop()
@@ -61,7 +61,7 @@ class Plant:
     `mj_data` are for drawing and checks only.
 
     Args:
-        data: the robot, as in the controller's model.
+        data: the robot's data, as used for the controller's model.
         settings: how the plant differs from the controller's model; None: `PlantSettings()`.
         seed: seed of the mismatch and of the noise, 0 or more.
 
@@ -109,10 +109,10 @@ class Plant:
         self._substeps_s = [k * settings.substep_s for k in range(settings.substeps)]
 
     def reset(self, q: ArrayLike, v: ArrayLike | None = None) -> None:
-        """Restart at time 0 without pushes. The drives carry the arm's weight until the first command.
+        """Restart at time 0 without pushes. The drives carry the arm's weight until the first command acts.
 
         Args:
-            q: (n,) joint positions within their limits, as the encoders show them without noise [rad].
+            q: (n,) joint positions that encoders without noise would show, within the limits [rad].
             v: (n,) joint velocities [rad/s]; None: the arm is at rest.
 
         Raises:
@@ -146,7 +146,7 @@ class Plant:
         """Advance one control period.
 
         Args:
-            tau: (n,) commanded joint torques [Nm]. They act `delay_ticks` periods later, clipped at tau_max.
+            tau: (n,) commanded joint torques [Nm]. They act `delay_ticks` periods later, clipped to +-tau_max.
             trocar: (2, 3) rows: trocar point [m] and its velocity [m/s]; None: no trocar.
 
         Raises:
@@ -204,11 +204,11 @@ class Plant:
         return self._measurement
 
     def brake(self, damping_Nm_s_per_rad: float, friction_Nm: ArrayLike = 0.0) -> None:
-        """Add damping and dry friction in every joint until `reset`.
+        """Set the braking that is added to every joint's own damping and friction, until `reset`.
 
         Args:
             damping_Nm_s_per_rad: damping by the drives.
-            friction_Nm: friction of the brakes, one number or one per joint (n,). At 0, a loaded arm sinks.
+            friction_Nm: dry friction of the brakes, one number or one per joint (n,). With 0, a loaded arm sinks.
 
         Raises:
             PlantError: a friction is negative or not finite.
@@ -221,7 +221,7 @@ class Plant:
         self.mj_model.dof_frictionloss[drives] = self._drive_friction[drives] + friction
 
     def push(self, body: str, force: ArrayLike, point: ArrayLike | None = None) -> None:
-        """Apply a constant force to a link from the next period on.
+        """Apply a constant force to a link from the next period on, instead of an earlier force on this link.
 
         Args:
             body: the link's name.
@@ -255,7 +255,7 @@ class Plant:
     q = _truth(lambda plant: plant._joints.q, "(n,) joint positions [rad].")
     v = _truth(lambda plant: plant._joints.v, "(n,) joint velocities [rad/s].")
     applied_torque = _truth(
-        lambda plant: plant._joints.torque, "(n,) last torque of the drives, clipped at tau_max, without ripple [Nm]."
+        lambda plant: plant._joints.torque, "(n,) last torque of the drives, clipped to +-tau_max, without ripple [Nm]."
     )
     tip = _truth(lambda plant: plant._tip, "(3,) tip [m].")
     wrist = _truth(lambda plant: plant._wrist, "(3,) wrist centre [m].")

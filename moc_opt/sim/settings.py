@@ -53,10 +53,10 @@ class PlantSettings(Settings):
     """standard deviation of the encoders' constant errors, one per joint"""
     encoder_noise_rad: float = Field(1e-5, ge=0, le=0.1, description="standard deviation of the encoders' noise")
     encoder_resolution_rad: float = Field(2.4e-5, ge=0, le=0.1)
-    """step of the encoders, by default 18 bits per turn"""
+    """difference between two neighbouring readings of an encoder. The default is a turn / 2^18"""
     velocity_cutoff_Hz: float = Field(50.0, ge=0)
     """cut-off frequency of the low-pass filter on differentiated positions. 0: no filter"""
-    encoder_side: Literal["link", "motor"] = Field("link", description="part that the encoder measures")
+    encoder_side: Literal["link", "motor"] = Field("link", description="side of an elastic joint that encoders measure")
     joint_stiffness_Nm_per_rad: Annotated[float, Field(ge=0, le=1e9)] | tuple[_Stiffness, ...] = 0.0
     """stiffness of the spring between motor and link, for all joints or per joint. 0: rigid joints"""
     joint_spring_damping_Nm_s_per_rad: float = Field(30.0, ge=0, le=1e4)
@@ -64,7 +64,7 @@ class PlantSettings(Settings):
     torque_ripple: float = Field(0.0, ge=0, le=0.5)
     """amplitude of the torque ripple, as a share of the joint's largest torque"""
     torque_ripple_per_turn: float = Field(200.0, gt=0, le=1e5)
-    """periods of the torque ripple in one turn of the joint"""
+    """number of periods of the torque ripple in one turn of the joint"""
     force_noise_N: float = Field(0.05, ge=0, description="standard deviation of the wrench sensor's force, per axis")
     torque_noise_Nm: float = Field(0.002, ge=0)
     """standard deviation of the wrench sensor's torque, per axis"""
@@ -93,12 +93,12 @@ class PlantSettings(Settings):
 
     @property
     def substep_s(self) -> float:
-        """Plant step [s]."""
+        """Duration of a simulation step [s]."""
         return self.period_s / self.substeps
 
     @classmethod
     def nominal(cls, **changes: Any) -> PlantSettings:
-        """Make settings of a plant that equals the controller's model, except for `changes`."""
+        """Make settings of a plant that equals the controller's model. ``changes`` replace some of these settings."""
         zero = (
             "mass_error", "friction", "friction_error", "calibration_error_m", "calibration_tilt_rad",
             "encoder_bias_rad", "encoder_noise_rad", "encoder_resolution_rad", "velocity_cutoff_Hz",
@@ -110,11 +110,11 @@ class PlantSettings(Settings):
 
 @dataclass(frozen=True, eq=False)
 class Mismatch:
-    """Differences between plant and controller's model."""
+    """Drawn parameters in which the plant differs from the controller's model."""
 
-    mass_scale: Mapping[str, float]  #: Factor on mass and inertia of each link.
-    viscous_friction: Array  #: (n,) [Nm s/rad]
-    coulomb_friction: Array  #: (n,) [Nm]
+    mass_scale: Mapping[str, float]  #: Factor on mass and inertia, by name of the link.
+    viscous_friction: Array  #: (n,) friction of the plant's joints [Nm s/rad].
+    coulomb_friction: Array  #: (n,) friction of the plant's joints [Nm].
     registration_error: Array  #: (3,) true minus registered trocar, world axes [m].
     origin_shift: Array
     """(n + 1, 3) true minus modelled origin of joints and tool mount, in the preceding link's axes [m]."""
@@ -132,7 +132,10 @@ class Mismatch:
     def draw(
         cls, data: RobotData, settings: PlantSettings, links: Sequence[str], seed: np.random.SeedSequence
     ) -> Mismatch:
-        """Draw uniform factors from 1 +- error, and uniform directions of the offsets."""
+        """Draw the differences for ``links`` with mass.
+
+        Factors are uniform in 1 +- error. Offsets have fixed size and random direction. Encoder biases are Gaussian.
+        """
         of_links, of_joints, of_trocar, of_origins, of_axes, of_encoders, of_ripple = (
             np.random.default_rng(child) for child in seed.spawn(7)
         )

@@ -1,6 +1,7 @@
 """Poses of frames, a marker board, and virtual tasks.
 
-The board's origin is its middle. x points to the right, y upwards, and z out of the printed side.
+The origin of a board's frame is the middle of the board. Seen from the printed side, x points to the right, y upwards,
+and z towards the viewer.
 """
 
 from __future__ import annotations
@@ -67,13 +68,13 @@ def rotation_from(vector: ArrayLike) -> Array:
 
 
 class VisionSettings(Settings):
-    """Base class of the settings in this package; a PlantError if a value is out of range."""
+    """Base class of the settings in this package. A value out of range raises a PlantError."""
 
     ERROR: ClassVar[type[MocOptError]] = PlantError
 
 
 class Board(VisionSettings):
-    """A grid of square markers on the phantom, numbered row by row from the top left. Markers may be hidden."""
+    """A grid of square markers on the phantom (the patient's dummy). They are numbered row by row from the top left."""
 
     KIND: ClassVar[str] = "[board]"
 
@@ -83,7 +84,7 @@ class Board(VisionSettings):
     gap_m: float = Field(0.005, gt=0.0, le=0.5, description="white space between markers, and around them")
     hidden_fraction: float = Field(0.0, ge=0.0, le=1.0, description="share of the markers that are covered")
     lost_s: tuple[tuple[float, float], ...] = ()
-    """times [from, until] in seconds at which nothing of the board can be seen"""
+    """intervals [from, until] of time in seconds in which nothing of the board can be seen"""
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
@@ -117,12 +118,12 @@ class Board(VisionSettings):
         return _rectangle(left, top, left + self.marker_m, top - self.marker_m)
 
     def outline(self) -> Array:
-        """Return the corners (4, 3) of the board in the board's frame [m]."""
+        """Return the corners (4, 3) of the board in the board's frame [m], clockwise from the top left."""
         x, y = 0.5 * self.size_m[0], 0.5 * self.size_m[1]
         return _rectangle(-x, y, x, -y)
 
     def task_in_base(self, task: BoardTask, board_in_base: Pose) -> Path:
-        """Transform a virtual task into the base frame; a TaskError if it reaches beyond the board."""
+        """Transform a virtual task into the base frame. Raise a TaskError if the task reaches beyond the board."""
         own = task.on_board()
         places = own.at(np.linspace(0.0, own.length, 65))[0]
         beyond = float((np.abs(places[:, :2]) - 0.5 * np.array(self.size_m)).max())
@@ -143,7 +144,7 @@ class BoardTask:
 
     kind: str  #: kind of path; see `make_path`
     sizes: Mapping[str, float]  #: sizes of the path, lengths in m
-    start_m: tuple[float, float] = (0.0, 0.0)  #: start of the path, x and y [m]
+    start_m: tuple[float, float] = (0.0, 0.0)  #: start of the path, x and y in the board's frame [m]
     height_m: float = 0.005  #: height of the path above the board [m]
     depth_m: float = 0.15  #: depth of the board below the trocar [m]
 
@@ -176,7 +177,8 @@ def board_task(name: str) -> BoardTask:
 def board_below(trocar: ArrayLike, shaft: ArrayLike, depth_m: float) -> Pose:
     """Return the pose of a board that faces the trocar, `depth_m` [m] below the trocar.
 
-    The board's z points against the shaft (3,). A TaskError is raised if the shaft is parallel to the base's x.
+    ``shaft`` (3,) is the direction from the trocar into the body. The board's z is the opposite direction. Its x is the
+    base's x, projected on the board. A TaskError is raised if the shaft is parallel to the base's x.
     """
     into = direction3("shaft", shaft)
     x = direction3("shaft", np.array([1.0, 0.0, 0.0]) - into[0] * into)

@@ -33,13 +33,15 @@ class HandSettings(VisionSettings):
     KIND: ClassVar[str] = "[hand]"
 
     stiffness_N_per_m: float = Field(600.0, gt=0.0, le=1e4)
+    """force per distance from the goal, for a slow tip near the goal"""
     damping_Ns_per_m: float = Field(60.0, gt=0.0, le=1e3)
+    """force per difference between desired and real velocity of the tip"""
     force_max_N: float = Field(15.0, gt=0.0, le=200.0, description="largest force")
-    speed_max_m_per_s: float = Field(0.15, gt=0.0, le=1.0, description="largest desired speed")
+    speed_max_m_per_s: float = Field(0.15, gt=0.0, le=1.0, description="largest desired speed of the tip")
     correction_per_s: float = Field(2.0, ge=0.0, le=20.0)
-    """gain of the integral part of the force"""
+    """growth rate of the integral part of the force, divided by stiffness * distance"""
     content_m: float = Field(0.0005, ge=0.0, le=0.05)
-    """distance of the tip from the goal below which the integral part stays constant"""
+    """distance of the tip from the goal below which the integral part of the force stays constant"""
 
 
 class HandsOnSettings(VisionSettings):
@@ -51,10 +53,10 @@ class HandsOnSettings(VisionSettings):
     registration_error_m: float = Field(0.001, ge=0.0, le=0.005)
     """size of the error that is added to the registered trocar, in a seeded direction"""
     tolerance_m: float = Field(0.002, gt=0.0, le=0.05, description="the tip is at the incision within this distance")
-    rest_speed_m_per_s: float = Field(0.003, gt=0.0, le=0.1, description="a slower tip counts as resting")
-    rest_s: float = Field(0.4, gt=0.0, le=10.0, description="time for which the tip has to rest")
+    rest_speed_m_per_s: float = Field(0.003, gt=0.0, le=0.1, description="a tip rests if it is at most this fast")
+    rest_s: float = Field(0.4, gt=0.0, le=10.0, description="time for which the tip must rest at the incision")
     time_limit_s: float = Field(20.0, gt=0.0, le=600.0)
-    distance_max_m: float = Field(0.6, gt=0.0, le=3.0, description="a farther incision is refused")
+    distance_max_m: float = Field(0.6, gt=0.0, le=3.0, description="largest distance from tip to incision at the start")
     hand: HandSettings = HandSettings()
     guard: SafetyFilterSettings = SafetyFilterSettings()
 
@@ -77,13 +79,13 @@ class HandsOn:
 
     status: HandsOnStatus
     trocar: Array  #: (3,) true position of the incision [m]
-    registered: Array | None  #: (3,) registered trocar [m], or None
+    registered: Array | None  #: (3,) registered trocar [m]; None unless the status is REGISTERED
     q: Array  #: (n,) measured pose at the end [rad]
     trace: Trace  #: one row per tick
 
     @property
     def error_m(self) -> float:
-        """Distance of the registered trocar from the true trocar [m], or NaN."""
+        """Distance of the registered trocar from the true trocar [m]; NaN if none was registered."""
         return math.nan if self.registered is None else float(np.linalg.norm(self.registered - self.trocar))
 
 
@@ -98,7 +100,7 @@ class Hand:
         self.settings, self._period, self._extra = settings, period_s, np.zeros(3)
 
     def pull(self, place: Array, velocity: Array, goal: Array) -> Array:
-        """Compute the hand's force (3,) [N]. Call once per period. Raise a PlantError if the arm ran away."""
+        """Compute the hand's force (3,) [N] on a tip at ``place``, once per period. PlantError: the arm ran away."""
         hand, way = self.settings, goal - place
         distance = math.sqrt(float(way @ way))
         if not math.isfinite(distance + float(velocity @ velocity)):
@@ -106,7 +108,7 @@ class Hand:
         desired = _cut(hand.stiffness_N_per_m / hand.damping_Ns_per_m * way, hand.speed_max_m_per_s)
         pull = hand.damping_Ns_per_m * (desired - velocity) + self._extra
         force = _cut(pull, hand.force_max_N)
-        # The integral part grows only near the goal and below the force limit. Otherwise the tip would overshoot.
+        # Far from the goal or at the force limit, the integral part only shrinks, so that the tip does not overshoot.
         near = distance * hand.stiffness_N_per_m < hand.damping_Ns_per_m * hand.speed_max_m_per_s
         less = float(way @ self._extra) < 0.0
         if distance > hand.content_m and (less or (near and force is pull)):
@@ -120,7 +122,7 @@ def _cut(vector: Array, most: float) -> Array:
 
 
 class _Guiding:
-    """Hand guiding with the interface of a controller: tau = g(q) - D v."""
+    """A controller for hand guiding: gravity torque g(q) and joint damping D, tau = g(q) - D v."""
 
     def __init__(self, robot: RobotModel, damping_Nm_s_per_rad: float) -> None:
         self._robot, self._damping = robot, damping_Nm_s_per_rad
@@ -142,8 +144,9 @@ def guide_to(
 ) -> HandsOn:
     """Let a hand pull the tip to the incision (3,) [m], and register the trocar.
 
-    The tip's position in the robot's model, plus a seeded error, is registered as the trocar. If the incision is too
-    far away or out of reach, a TaskError is raised before anything moves. If the arm runs away, a PlantError is raised.
+    The mean position of the resting tip in the robot's model, plus a seeded error, is registered as the trocar. If the
+    incision is too far away or out of reach, a TaskError is raised before the arm moves. If the arm runs away, a
+    PlantError is raised.
     """
     settings = settings or HandsOnSettings()
     goal = vector3("incision", incision)
@@ -163,7 +166,7 @@ def guide_to(
     hand, tool, tip = Hand(settings.hand, period), plant.mj_data.body("tool"), plant.mj_data.body(robot.data.tip_frame)
     point = tool.xmat.reshape(3, 3).T @ (tip.xpos - tool.xpos)  # in the tool's frame [m]
     gain = -math.expm1(-2.0 * math.pi * _SPEED_FILTER_Hz * period)
-    slow, reached = np.zeros(3), False
+    smoothed, reached = np.zeros(3), False
     rows: list[dict[str, Array | float]] = []
     resting: list[Array] = []  # tip positions since the tip came to rest
     needed, ticks = max(1, round(settings.rest_s / period)), math.ceil(settings.time_limit_s / period)
@@ -179,9 +182,9 @@ def guide_to(
         there = off <= settings.tolerance_m
         loop.step(_NO_REFERENCE, _NO_TROCAR)
         rows[-1]["tau_Nm"] = loop.tau
-        slow += gain * (law.seen.J_tip @ law.seen.v - slow)
+        smoothed += gain * (law.seen.J_tip @ law.seen.v - smoothed)
         reached = reached or there
-        if there and not loop.stop_reason and float(np.linalg.norm(slow)) <= settings.rest_speed_m_per_s:
+        if there and not loop.stop_reason and float(np.linalg.norm(smoothed)) <= settings.rest_speed_m_per_s:
             resting.append(law.seen.tip)
         else:
             resting.clear()

@@ -1,4 +1,4 @@
-"""Detect the board's pose in pictures (OpenCV's ArUco markers), reject outliers, and average."""
+"""Detect a board's pose in pictures (OpenCV's ArUco markers), reject outliers, and average the pose over time."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from moc_opt.arrays import Array
 from moc_opt.vision.board import Board, Pose, VisionSettings, rotation_from
 from moc_opt.vision.camera import Camera, Picture, dictionary
 
-_OUTLIER, _CLEAN_PX = 4.0, 0.6  # a corner is left out if its error exceeds 0.6 px and 4 times the median
+_OUTLIER, _CLEAN_PX = 4.0, 0.6  # a corner is left out if its error exceeds 0.6 px and 4 times the median error
 
 
 class TrackerSettings(VisionSettings):
-    """Conditions under which a sighting of the board is accepted."""
+    """Conditions under which a sighting (the board's pose in one picture) changes the estimated pose."""
 
     KIND: ClassVar[str] = "[tracker]"
 
-    min_markers: int = Field(3, ge=1, description="smallest number of markers of a sighting")
-    error_max_px: float = Field(1.0, gt=0.0, description="largest root mean square error of a sighting")
+    min_markers: int = Field(3, ge=1, description="a sighting of fewer markers is refused")
+    error_max_px: float = Field(1.0, gt=0.0, description="a sighting with a larger rms corner error is refused")
     jump_m: float = Field(0.004, gt=0.0, description="a sighting farther than this from the estimate is an outlier")
-    jump_rad: float = Field(0.05, gt=0.0, description="a sighting turned by more than this is an outlier too")
-    found_after: int = Field(3, ge=1, description="a new pose needs this many agreeing sightings in a row")
-    lost_after_s: float = Field(0.12, gt=0.0, description="time without a sighting after which the board is lost")
+    jump_rad: float = Field(0.05, gt=0.0, description="a sighting turned from the estimate by more than this is, too")
+    found_after: int = Field(3, ge=1, description="so many agreeing outliers in a row replace the estimate")
+    lost_after_s: float = Field(0.12, gt=0.0, description="the board is lost if none is accepted for this time")
     smoothing_s: float = Field(0.3, ge=0.0, description="time constant of the average; 0: no averaging")
 
 
@@ -36,8 +36,8 @@ class TrackerSettings(VisionSettings):
 class Sighting:
     """The board's pose measured in one picture."""
 
-    pose: Pose
-    markers: int
+    pose: Pose  #: Of the board in the camera's frame.
+    markers: int  #: Number of markers with at least two used corners.
     error_px: float  #: Root mean square error of the corners [px].
 
 
@@ -99,9 +99,9 @@ class BoardFinder:
 
 @dataclass(frozen=True, eq=False)
 class Tracked:
-    """The tracker's result for a picture."""
+    """The tracker's result after one picture."""
 
-    seen: bool  #: Whether the board is being tracked.
+    seen: bool  #: Whether the board has been found and is not lost.
     pose: Pose | None  #: Averaged pose, kept while the board is lost; None before it is found.
     refused: str | None  #: Why the sighting was not used, or None.
 
@@ -109,8 +109,8 @@ class Tracked:
 class BoardTracker:
     """Tracks a board from picture to picture, and averages its pose over `smoothing_s`.
 
-    If `found_after` sightings far from the estimate agree, the estimate jumps to them. The tip's reference must not
-    follow this jump.
+    If `found_after` sightings far from the estimate agree, the estimate jumps to them. The caller must keep this jump
+    from the tip's reference.
     """
 
     def __init__(self, limits: TrackerSettings | None = None) -> None:
