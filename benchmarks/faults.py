@@ -56,7 +56,7 @@ CASES = [
     Column("tip_error_max_mm", "worst tip", unit="mm", format=".2f", help="largest tip error up to the stop or end"),
     Column("rcm_error_max_mm", "worst RCM", unit="mm", format=".2f", help="largest RCM error, including the stop"),
     Column("trocar_force_max_N", "worst force", unit="N", format=".2f"),
-    Column("rcm_mean_percent", "mean RCM", unit="%", format="+.1f", help="change of the mean from the run without fault"),
+    Column("rcm_mean_percent", "mean RCM", unit="%", format="+.1f", help="its change from the run without the fault"),
     Column("recover_s", "recovered after", unit="s", format=".2f", help="time from the fault's end until tip and RCM "
            "error stay below 1.2 e + 0.05 mm (e: error without the fault). If it lasts: from its start"),
     Column("stop_travel_mm", "stop travel", unit="mm", format=".1f", help="motion of the tip after the stop began"),
