@@ -351,7 +351,8 @@ def report(
         for group, title in groups.items() if (mine := [row for row in rows if row["group"] == group])
     ]  # fmt: skip
     seen = [row for row in rows if row["group"] == "solver"]
-    limits = f"Survived: tip error up to {config.tip_limit_mm:g} mm, RCM error up to {config.rcm_limit_mm:g} mm."
+    limits = f"Survived: the run was completed with tip errors up to {config.tip_limit_mm:g} mm and RCM errors up to "
+    limits += f"{config.rcm_limit_mm:g} mm. Diverged: it was completed with larger errors."
     sections = [
         Section(EVERY, limits, tables),
         Section(SOLVERS, "", [Table("Solver faults, injected and detected", SEEN, seen)]),

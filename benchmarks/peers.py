@@ -29,7 +29,7 @@ TOLERANCE_MM, CLIMB_PERCENT = 0.5, 1.0
 CLIMB = 30.0
 """wanted null-space velocity of the joints / grad mu [rad^2/(m^3 s)]"""
 STIFFNESS_PER_S = 100.0
-"""decay rate of tip and shaft errors [1/s]"""
+"""decay rate of tip and shaft errors under pink and mink [1/s]"""
 
 
 class Peer(Protocol):
@@ -50,7 +50,7 @@ def tip_gradient(robot: RobotModel) -> Callable[[Array], Array]:
 
 
 def ahead(point: Array, rate: Array) -> Array:
-    """Return the reference extrapolated by one time constant, to cancel the lag."""
+    """Return the reference extrapolated by the time constant 1 / STIFFNESS_PER_S, to cancel the lag."""
     return point + rate / STIFFNESS_PER_S
 
 

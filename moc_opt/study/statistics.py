@@ -57,8 +57,8 @@ class Interval(NamedTuple):
 class Change(NamedTuple):
     """A change computed in two ways [percent]."""
 
-    ratio: Interval  #: 100 (mean of one controller / mean of the other - 1)
-    ratios: Interval  #: mean over the trials of 100 (value of one controller / value of the other - 1)
+    ratio: Interval  #: 100 (mean of the treated / mean of the control - 1)
+    ratios: Interval  #: mean over the trials of 100 (treated / control - 1)
 
     def side(self, bound: float = 0.0) -> int:
         """Return 1 if both intervals lie above the bound [percent], -1 if both lie below it, and 0 in all other cases.
