@@ -11,7 +11,7 @@ from moc_opt import core
 T, OFF, ZERO, NO_WRENCH = 2.0**-9, np.inf, np.zeros(2), np.full(6, np.nan)
 JOINT = np.concatenate([np.eye(3).ravel(), np.zeros(3), [0.0, 0.0, 1.0], np.zeros(11), [1.0]])[None]
 POINTS = np.array([[0.0] * 3, [0.0, 0.0, -0.25]])
-ARM = core.Arm(np.vstack([JOINT, JOINT]), POINTS, np.eye(3), np.ones((2, 2)), np.zeros(3))  # two joints about z, no mass
+ARM = core.Arm(np.vstack([JOINT, JOINT]), POINTS, np.eye(3), np.ones((2, 2)), np.zeros(3))  # two massless joints
 LOADED = np.vstack([JOINT, np.concatenate([JOINT[0, :16], [1.0, 0.5, 0.0, 0.0], JOINT[0, 20:]])])  # second link: 1 kg
 TROCAR = np.array([[0.0, 0.0, -0.125], [0.0] * 3])
 
