@@ -38,7 +38,8 @@ from moc_opt.trace.trace import Trace
 PICTURED = ("none", "bump-30N", "trocar-slips", "nan-lasting")
 CURVES = ("t_s", "tip_error_m", "rcm_error_m", "trocar_force_N")
 SMOOTH_S, RECOVERED, RESOLUTION_M = 0.2, 1.2, 5e-5
-"""A run has recovered once its errors (means over 0.2 s) stay below 1.2 e + 0.05 mm; e is the fault-free error."""
+"""A run has recovered once its errors (means over 0.2 s) stay below 1.2 e + 0.05 mm. Here e is the error, at the same
+time, of the run without the fault."""
 COMPLAINTS = ("failed", "raised", "malformed", "not_finite", "outside", "lied", "late", "lost")
 """Reasons to refuse an answer as faulty. "infeasible" is not among them, because it can be the right answer."""
 OUTCOMES = ("survived", "stopped", "oscillated", "diverged", "ran away", "refused", "failed")
@@ -55,9 +56,9 @@ CASES = [
     Column("tip_error_max_mm", "worst tip", unit="mm", format=".2f", help="largest tip error up to the stop or end"),
     Column("rcm_error_max_mm", "worst RCM", unit="mm", format=".2f", help="largest RCM error, including the stop"),
     Column("trocar_force_max_N", "worst force", unit="N", format=".2f"),
-    Column("rcm_mean_percent", "mean RCM", unit="%", format="+.1f", help="change from the same run without the fault"),
+    Column("rcm_mean_percent", "mean RCM", unit="%", format="+.1f", help="its change from the run without the fault"),
     Column("recover_s", "recovered after", unit="s", format=".2f", help="time from the fault's end until tip and RCM "
-           "error stay below 1.2 e + 0.05 mm (e: error without the fault). A lasting fault counts from its start"),
+           "error stay below 1.2 e + 0.05 mm (e: error without the fault). If it lasts: from its start"),
     Column("stop_travel_mm", "stop travel", unit="mm", format=".1f", help="motion of the tip after the stop began"),
 ]  # fmt: skip
 SEEN = [
@@ -91,7 +92,7 @@ class Case(Settings):
 
 
 FREE = {"none": Case(group="none")}
-"""The case without a fault has to run first."""
+"""The case without a fault. It runs first, because the other cases are compared with it."""
 
 
 class Config(StudyConfig):
@@ -163,7 +164,8 @@ def run_block(block: Block) -> tuple[list[dict[str, Any]], dict[str, dict[str, A
     for name, case in block.cases.items():
         trace, how = run_case(case.corrupt(block.trial), case.camera_lost_s)
         waits = case.camera_lost_s is not None
-        if waits not in levels:  # the run without a fault also uses `Waited`, because `Waited` starts more slowly
+        # `Waited` starts more slowly. So a run with `Waited` is compared with a run in which the camera is never lost.
+        if waits not in levels:
             levels[waits] = run_case(block.trial, (0.0, 0.0))[0] if waits else trace
         if (level := levels[waits]) is None:
             raise MocOptError(f"{block.controller}: the run without a fault did not start: {how}")
@@ -206,7 +208,7 @@ def measure(
 ) -> dict[str, Any]:
     if trace is None:
         return {"outcome": "refused"}
-    # After a stop, tip errors do not count.
+    # Tip errors after a stop are left out, because the stopped tip does not follow its reference.
     whole, stopped_at = trace, trace.meta.get("stopped_at_s")
     trace = trace if stopped_at is None else trace.select(trace.t_s <= stopped_at)
     tip, rcm = 1e3 * trace.tip_error_m, 1e3 * whole.rcm_error_m
@@ -233,7 +235,7 @@ def measure(
 def detection(trace: Trace) -> dict[str, int]:
     """Count injected solver faults (detected, harmless, missed), and false alarms.
 
-    A corrupted answer that was used counts as harmless if it is optimal.
+    A corrupted answer that was used is harmless if it is optimal, else missed. Answers during a stop are not counted.
     """
     never: NDArray[np.bool_] = np.zeros(len(trace), dtype=np.bool_)
     injected = trace.columns.get("injected", never) & (trace.fault != "stopped")
@@ -274,7 +276,7 @@ def smooth(values: Array, width: int) -> Array:
 
 
 def worst(rows: Results) -> list[dict[str, Any]]:
-    """Return one row per case and controller."""
+    """Return one row per case and controller: over the trials, the sum of each count and the worst of each figure."""
     found = []
     for case, name in product(rows.names("case"), rows.names()):
         if not (mine := list(rows.where(case=case, controller=name))):
@@ -349,7 +351,8 @@ def report(
         for group, title in groups.items() if (mine := [row for row in rows if row["group"] == group])
     ]  # fmt: skip
     seen = [row for row in rows if row["group"] == "solver"]
-    limits = f"Survived: tip error up to {config.tip_limit_mm:g} mm, RCM error up to {config.rcm_limit_mm:g} mm."
+    limits = f"Survived: the run was completed with tip errors up to {config.tip_limit_mm:g} mm and RCM errors up to "
+    limits += f"{config.rcm_limit_mm:g} mm. Diverged: it was completed with larger errors."
     sections = [
         Section(EVERY, limits, tables),
         Section(SOLVERS, "", [Table("Solver faults, injected and detected", SEEN, seen)]),

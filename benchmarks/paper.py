@@ -44,7 +44,7 @@ PRINTED, NETWORK = "paper", "rnn"
 HOLDS, GAINS_ONLY, FAILS, UNDECIDED = "holds", "holds only against DCAC with softer gains", "does not hold", "undecided"
 MARKS = {HOLDS: ("✔", "good", 0), GAINS_ONLY: ("≈", "fair", 1), FAILS: ("✘", "bad", 2)}
 TONES = {HOLDS: GOOD, GAINS_ONLY: list(SERIES)[4], FAILS: WORST}
-LEAST_GAIN_PERCENT, MOST_CHANGE_PERCENT = 15.0, 5.0
+LEAST_GAIN_PERCENT, MOST_CHANGE_PERCENT = 15.0, 5.0  # goals: least gain of mean mu, largest rise of a settled error
 MOST_MM = {
     "tip_error_model_mean_mm": 0.1, "tip_error_registered_mean_mm": 0.1, "rcm_error_model_mean_mm": 0.2,
     "rcm_error_registered_mean_mm": 0.2, "rcm_error_mean_mm": 0.5,
@@ -56,13 +56,16 @@ RULES = (
     "gains (MOC without its third level). If it is confirmed only against DCAC with the paper's (softer) gains for "
     "DCAC, it is said to hold only against softer gains. It is undecided if the two numbers, or their intervals, lie "
     "on different sides of the bound. Fewer than eight trials decide nothing. The force at the trocar is not judged: "
-    "it follows the RCM error."
+    "it follows the RCM error. Damped DCAC has MOC's gains, and its self-motion is damped."
 )
 
 
 @dataclass(frozen=True)
 class Claim:
-    """A metric's change is above (``upwards``) or below ``bound`` [%]. ``papers``: the paper makes this claim."""
+    """The claim that a metric's change is above ``bound`` [%] (``upwards``) or below it (not ``upwards``).
+
+    ``papers``: whether the paper makes this claim.
+    """
 
     metric: str
     title: str
@@ -132,7 +135,7 @@ class Ablation(Settings):
 
 
 class Swivel(Settings):
-    """The study of the starting swivel (elbow angle)."""
+    """Settings of the runs that start at different elbow angles, with the same tip and wrist."""
 
     KIND: ClassVar[str] = "[swivel]"
     group: str = "tuned"
@@ -307,7 +310,7 @@ def ablation(rows: Results, cases: Mapping[str, Case]) -> list[dict[str, Any]]:
 
 
 def _shift(rows: Results, cases: Mapping[str, Case], name: str, printed: str, claim: Claim) -> dict[str, Any]:
-    """Return by how much the effect differs from that of the printed table [percentage points]."""
+    """Return the case's effect minus that of Table I as printed [percentage points], and whether the case decides."""
     four = [
         rows.where(group=case).values(claim.metric, controller)
         for case in (name, printed) for controller in (cases[case].controller, BASELINE)
@@ -323,7 +326,7 @@ def _shift(rows: Results, cases: Mapping[str, Case], name: str, printed: str, cl
 
 
 def swivel_trials(config: Config) -> list[Trial]:
-    """Return trials under DCAC and MOC, with starts along the self-motion."""
+    """Return trials under DCAC and MOC, with starts along the self-motion. One start has the largest mu on it."""
     base = config.base(config.swivel.group)
     [trial] = trials(base, [config.swivel.task], seeds(config.seed, STREAM, 1), virtual=True)
     robot = trial.robot.arm()
@@ -421,7 +424,7 @@ def _swivel_picture(rows: Results, summary: Mapping[str, Any]) -> list[Picture]:
     [solver] = (name for name in mine.names() if name != BASELINE)
     each = {row["fraction"]: gains(mine.where(trial=row["trial"]), solver) for row in mine.where(controller=solver)}
     lines = {f"MOC with {solver}": [(x, *gain * 3) for x, gain in each.items() if gain]}
-    drawn = show.lines_picture(lines, "start, as a share of the feasible self-motion", "gain of mean mu [%]")
+    drawn = show.lines_picture(lines, "start: 0 and 1 are the ends of the feasible self-motion", "gain of mean mu [%]")
     says = (
         f"The gain depends on the start of the elbow: {found['gain_at_maximum_percent']:.2g} % from the start with the "
         f"largest mu, and up to {found['gain_max_percent']:.0f} % from the others."

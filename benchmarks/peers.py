@@ -27,9 +27,9 @@ PERIOD_S = 0.002
 TOLERANCE_MM, CLIMB_PERCENT = 0.5, 1.0
 """A peer fails if tip or shaft is off by more than TOLERANCE_MM, or if mu rises by less than CLIMB_PERCENT."""
 CLIMB = 30.0
-"""joint velocity per unit of grad mu [rad^2/(m^3 s)]"""
+"""wanted null-space velocity of the joints / grad mu [rad^2/(m^3 s)]"""
 STIFFNESS_PER_S = 100.0
-"""decay rate of tip and shaft errors [1/s]"""
+"""decay rate of tip and shaft errors under pink and mink [1/s]"""
 
 
 class Peer(Protocol):
@@ -50,12 +50,15 @@ def tip_gradient(robot: RobotModel) -> Callable[[Array], Array]:
 
 
 def ahead(point: Array, rate: Array) -> Array:
-    """Return the reference extrapolated by one time constant, to cancel the lag."""
+    """Return the reference extrapolated by the time constant 1 / STIFFNESS_PER_S, to cancel the lag."""
     return point + rate / STIFFNESS_PER_S
 
 
 def wrist_reference(tip_ref: Array, trocar: Array, span: float) -> Array:
-    """Return the wrist's position [m] and velocity [m/s] (2, 3) for which the shaft passes through the trocar."""
+    """Return the wrist's position [m] and velocity [m/s] (2, 3) for which the shaft passes through the trocar.
+
+    ``span`` is the distance from wrist to tip [m].
+    """
     return core.desired_wrist(tip_ref[0], tip_ref[1], trocar, span)
 
 
@@ -63,8 +66,8 @@ class TSID:
     """Task-space inverse dynamics (Del Prete et al. 2016): a QP finds accelerations."""
 
     level: Level = "torque"
-    STIFFNESS, DAMPING = 2500.0, 100.0  # [1/s^2], [1/s]
-    CLIMB_DAMPING = 20.0  # [1/s]
+    STIFFNESS, DAMPING = 2500.0, 100.0  # acceleration per error of tip and wrist [1/s^2], and per error's rate [1/s]
+    CLIMB_DAMPING = 20.0  # acceleration per difference between the wanted and the actual joint velocity [1/s]
 
     def __init__(self, robot: RobotModel) -> None:
         with warnings.catch_warnings():  # tsid registers two types twice
@@ -147,7 +150,7 @@ class _PinkArm:
 
 
 class Pink(_PinkArm):
-    """Differential inverse kinematics with a QP (Caron et al.). It uses only tasks of pink."""
+    """Differential inverse kinematics with a QP (Caron et al.), with pink's own tasks only."""
 
     RISE_PER_S, RISE_COST = 0.05, 0.02  # wanted rise of mu [m^3/s], and its weight
 
@@ -299,7 +302,7 @@ def circle(robot: RobotModel, duration_s: float = 1.0, offset_m: float = 2e-4) -
 
 
 def perform(peer: Peer, robot: RobotModel, task: Task) -> tuple[Array, list[Inputs]]:
-    """Return the poses (N, n) after each tick on an ideal arm, and the inputs."""
+    """Return the poses (N, n) after each tick, and the ticks' inputs. The arm does exactly what the peer asks for."""
     q, v = task.q_start.copy(), np.zeros(robot.n)
     poses, given = np.empty((len(task.tip_refs), robot.n)), []
     for k in range(len(poses)):
@@ -318,10 +321,10 @@ def perform(peer: Peer, robot: RobotModel, task: Task) -> tuple[Array, list[Inpu
 def verdict(poses: Array, robot: RobotModel, task: Task) -> Verdict:
     if not np.isfinite(poses).all():
         return Verdict(np.inf, np.inf, -100.0)
-    late = slice(len(poses) // 2, None)
+    late = slice(len(poses) // 2, None)  # errors are judged in the second half
     states = [robot.state(q) for q in poses[late]]
     tips, wrists = (np.array([getattr(state, name) for state in states]) for name in ("tip", "wrist"))
-    wanted = np.roll(task.tip_refs[:, 0], -1, axis=0)[late]
+    wanted = np.roll(task.tip_refs[:, 0], -1, axis=0)[late]  # a pose is reached at the start of the next tick
     off = np.linalg.norm(tips - wanted, axis=1)[:-1]
     aside = shaft_distance(tips, wrists, task.trocars[late, 0])
     before = robot.state(task.q_start).mu

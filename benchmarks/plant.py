@@ -3,7 +3,7 @@
 python -m benchmarks.plant [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
 *Registered again*: once the elbow is at rest, the arm touches path and incision a second time. This is not simulated,
-because it hardly changes the motion. The errors after it are computed from the trace of the same run.
+because it hardly changes the motion. The errors after the second touch are computed from the trace of the same run.
 """
 
 from __future__ import annotations
@@ -35,8 +35,9 @@ from moc_opt.trace.trace import Trace
 EFFECTS_STREAM, CALIBRATION_STREAM = 10, 9
 KINDS = {"origins": "mm", "encoders": "mrad", "both": "mm and mrad"}
 """kinds of calibration error, and units of their sizes"""
+# tilt of the joint frames per error of the joint origins, as in the default plant
 TILT_RAD_PER_M = PlantSettings().calibration_tilt_rad / PlantSettings().calibration_error_m
-DEFAULT_SIZE_MM = 0.2
+DEFAULT_SIZE_MM = 0.2  # error of the joint origins for which the report's answer gives MOC's tip errors
 LEAST_S = 0.5
 """Errors after the elbow's travel are given only if the run goes on for at least this time [s]."""
 MOST_CHANGE_PERCENT, MOST_MM = 5.0, 0.1
@@ -47,10 +48,11 @@ AFTER = {
 SHOWN = {**TITLES, **AFTER}
 JUDGED = "tip_error_registered_mean_mm"
 DEFINED = (
-    "Break-even: the calibration error, interpolated between the tried sizes, at which MOC's mean tip error reaches a "
-    f"limit. The tip error is measured in the frame registered at the start. One limit is {MOST_MM:g} mm. The other is "
-    f"{MOST_CHANGE_PERCENT:g} % above DCAC's error with the same gains. It is reached when both 95 % intervals of the "
-    "change (see docs/method.md) lie above it."
+    "Break-even: the calibration error at which MOC's mean tip error reaches a limit. It is interpolated between the "
+    "tried sizes. The tip error is measured in the frame registered at the start. The absolute limit is "
+    f"{MOST_MM:g} mm. The relative limit is {MOST_CHANGE_PERCENT:g} % above DCAC's error with the same gains. The "
+    "relative limit is reached when both 95 % intervals of the change (see docs/method.md) lie above "
+    f"{MOST_CHANGE_PERCENT:g} %."
 )
 
 
@@ -133,7 +135,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def registered_again(dcac: Trial, moc: Trial) -> list[Run]:
-    """Run both controllers, and add the errors after registering again."""
+    """Run both controllers. Add the errors after the elbow's travel, unless a run broke off or ended too early."""
     both = [run_and_trace(dcac), run_and_trace(moc)]
     found = [run for run, _ in both]
     whole = [trace for run, trace in both if trace is not None and run.row["whole"]]
@@ -151,8 +153,8 @@ def registered_again(dcac: Trial, moc: Trial) -> list[Run]:
 
 
 def after_travel(trace: Trace, setup: Setup, tick: int) -> dict[str, float]:
-    """Return mean errors [mm] from `tick` on, with the old and a new registration."""
-    # Touching measures the error (true minus believed) of tip and shaft.
+    """Return mean errors [mm] from `tick` on, with the registration at the start and with a new one at `tick`."""
+    # Touching tells the true minus the believed position of the tip, and of the shaft's point at the trocar.
     tips, wrists = setup.robot.tool_along(trace.q_rad + setup.plant.mismatch.encoder_bias)
     told = trace.trocar_registered_m - setup.offset.trocar  # the trocar in the controller's own frame
     depth = np.linalg.norm(told - tips, axis=1, keepdims=True)
@@ -203,7 +205,7 @@ def break_evens(found: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 def crossing(sizes: Sequence[float], values: Sequence[float], limit: float) -> float | None:
-    """Return the interpolated size above which all values exceed a limit, if any."""
+    """Return the interpolated size above which all values exceed a limit, or None if the last value does not."""
     last = max((k for k, value in enumerate(values) if not value > limit), default=-1)
     if last == len(values) - 1:
         return None

@@ -32,7 +32,7 @@ Names = Literal["all"] | list[str]
 Summary = Mapping[str, Any]
 TICKS, PEERS, SOLVERS, LOOP = "Ticks", "Other libraries", "Solvers", "Loop"
 TIMED = ("tick", "tick_parts", "peers", "adapters", "loop")
-"""parts whose rows have the entries `moc_opt.study.timing.COUNTED`"""
+"""parts of the summary whose entries also tell the machine's load during their measurement"""
 
 
 class Config(StudyConfig):
@@ -124,7 +124,7 @@ def summed_up(whole: timed.Part, failed: Mapping[str, str]) -> dict[str, Any]:
 
 def _batch(s: Any) -> float | None:
     found = s["batch"]["exact"]
-    # In smaller batches, starting the threads dominates the time.
+    # The goal needs a large batch: in a smaller one, starting the threads takes most of the time.
     return found["batch_two_threads_per_s"] / 1e6 if found["batch"] >= 1_000_000 else None
 
 
@@ -197,7 +197,7 @@ COLUMNS = {
     ]),
     "loop": ("The closed loop", [
         Column("name", "loop"), Column("factor", "real time", unit="times", format=".1f", better="high"),
-        Column("us_per_tick", "run per tick", unit="us", format=".1f", help="with plant, trace and references"),
+        Column("us_per_tick", "run per tick", unit="us", format=".1f", help="time of the run / number of its ticks"),
         *_times("tick", "p50", "p99", "p99_9"),
     ]),
 }  # fmt: skip
@@ -211,7 +211,8 @@ SECTIONS = {
     PEERS: (
         ("peers",),
         "Each library is timed on the states of its own run on an ideal arm. It controls tip and shaft, limits the "
-        "joint speeds, and follows the gradient of mu. Our tick is timed on states of a run with the realistic plant.",
+        "joint speeds, and follows the gradient of mu. A tick of moc_opt is timed on states of a run with the "
+        "realistic plant.",
     ),
     SOLVERS: (
         ("adapters",),
@@ -221,7 +222,8 @@ SECTIONS = {
     LOOP: (
         ("loop",),
         "A run includes references, plant, controller, trace and the progress bar's callback, but not the set-up and "
-        "the judging of answers. The shortest possible time is `moc_step` plus MuJoCo's steps from the same states.",
+        "the judging of answers. The shortest possible time is `moc_step` plus MuJoCo's steps from the same states. "
+        "Real time: simulated time / time of the run.",
     ),
 }  # fmt: skip
 
@@ -236,7 +238,7 @@ def report(summary: Summary, times: Mapping[str, ArrayLike], subject: str = "") 
         Section(title, text, shown) for title, (keys, text) in SECTIONS.items()
         if (shown := [tables[key] for key in keys if key in tables])
     ]  # fmt: skip
-    says = "Time of a tick. The further left a curve, the faster the controller. Steep curve: the times vary little."
+    says = "Time of a tick. The further left a curve, the faster the controller; the steeper, the less it varies."
     pictures = [Picture(latency_ecdf(times), says, "ticks")] if times else []
     first = goals_table(summary["goals"])
     return Report("What everything costs", sentences(summary), first, pictures, sections,

@@ -33,7 +33,7 @@ from moc_opt.solvers.exact import Exact
 from moc_opt.study.timing import each_us, percentiles, since, total, used
 
 ROOT, CHUNK = Path(__file__).resolve().parents[1], 100
-COLD = 5  # number of calls at the start of each chunk that count as cold
+COLD = 5  # "cold" times are those of this many calls at the start of each chunk
 
 
 class Timed(NamedTuple):
@@ -47,7 +47,7 @@ class Part:
 
     Attributes:
         found: figures by section of the summary, then by name.
-        rows: rows for rows.parquet, one per chunk or round.
+        rows: rows for rows.parquet, one per timed chunk, run or process.
         missing: reason for each entry that could not run.
         times: times (chunks, CHUNK) [us] of each entry.
         seen: context switches and processor time of each entry.
@@ -212,7 +212,7 @@ BY_HAND = "daqp by hand"
 
 
 def adapters(scenario: Scenario, names: Iterable[str], rounds: int) -> Part:
-    """Time the adapters, and daqp also without its adapter."""
+    """Time `exact`, the adapters, and daqp also without its adapter."""
     part, (_, problems), robot = Part(), record(scenario), load_robot(scenario.robot.name)
     entries = {"exact": Timed(Exact().start(problems[0]).solve, problems)}
     for name in names:
@@ -266,7 +266,7 @@ def disagreement(solver: Any, by_hand: Callable[[NullSpaceQP], Any], problems: l
 def own_steps(scenario: Scenario) -> tuple[Array, Callable[[], Array]]:
     """Return MuJoCo's state at each tick as a row, and a function that simulates one control period from each state.
 
-    The function runs without Python, trocar and sensors. Column 0 of the states is the time.
+    The function applies the recorded forces, without Python code and sensors. Column 0 of the states is the time.
     """
     import mujoco
     from mujoco.rollout import rollout
@@ -295,7 +295,7 @@ def own_steps(scenario: Scenario) -> tuple[Array, Callable[[], Array]]:
 
 
 def loop(scenario: Scenario, runs: int) -> Part:
-    """Time whole runs, and MuJoCo's steps over the same states."""
+    """Time whole runs and, after each of them, MuJoCo's steps alone from the same states."""
     part, (states, stepped), times = Part(), own_steps(scenario), list[Array]()
     seen, bar = list[dict[str, float]](), list[int]()
     for turn in range(1 + runs):
@@ -318,7 +318,10 @@ def loop(scenario: Scenario, runs: int) -> Part:
 
 
 def limit(rows: Iterable[Mapping[str, Any]], c_tick_us: float | None) -> dict[str, float]:
-    """Return medians: MuJoCo's steps [us], the limit (steps plus the tick in C) [us], and (run per tick) / limit."""
+    """Return medians over the runs: MuJoCo's steps per tick [us], the limit [us], and time per tick / limit.
+
+    The limit is MuJoCo's steps plus `moc_step` in C.
+    """
     us, steps = np.array([(row["us_per_tick"], row["steps_us"]) for row in rows]).T
     found = {"steps_us": float(np.median(steps))}
     if c_tick_us is not None:

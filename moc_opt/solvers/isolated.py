@@ -1,6 +1,6 @@
 """A solver in a separate process. If the process crashes or hangs, it is replaced.
 
-A simulation waits for the new process. In real time (``waits=False``), ticks have no answer until it has started.
+A simulation waits until the new process has started. In real time (``waits=False``), ticks until then have no answer.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from moc_opt.inputs.settings import Settings
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import ObservingSession, Session, Solution, Solver
 
-_LOOK_S = 0.05  # time between checks of whether the process has ended [s]
+_LOOK_S = 0.05  # during a wait, time between checks of whether the process has ended [s]
 
 
 class Unanswered(Exception):
@@ -69,7 +69,7 @@ class Isolated:
 
     inner: Solver
     process: ProcessSettings
-    budget_us: float = math.inf  #: time limit of an answer [us]
+    budget_us: float = math.inf  #: longest time that a tick waits for an answer [us]
     waits: bool = True  #: whether a tick waits while a process is replaced
     _pickled: bytes = field(default=b"", init=False, repr=False, compare=False)
 
@@ -137,7 +137,7 @@ class IsolatedSession:
         return newest.value  # type: ignore[no-any-return]  # its form is checked by the controller
 
     def _answered(self, process: _Process, qp: NullSpaceQP) -> _Answer | None:
-        """Wait no longer than the time budget. Return the newest answer so far, or None."""
+        """Wait for at most ``budget_us``. Return the newest answer, even of an earlier tick, or None if none came."""
         solver = self._solver
         if not process.started(math.inf if solver.waits else 0.0):
             raise Unanswered("lost", "a new process of the solver is being started")
@@ -151,7 +151,7 @@ class IsolatedSession:
 
 
 class _Answer(NamedTuple):
-    tick: int  # 0: start of the session
+    tick: int  # number of the subproblem's tick, from 1; 0: reply to the request to start a session
     raised: bool
     value: Any  # the solver's answer or the exception's message
 
@@ -179,7 +179,10 @@ class _Process:
         self.ask(0, qp, None, solver.process.start_s, solver._pickled)
 
     def ask(self, tick: int, qp: NullSpaceQP, v: Array | None, most_s: float, solver: bytes | None = None) -> None:
-        """Send a subproblem to solve. With a pickled ``solver``, start a session for the subproblem instead."""
+        """Send a subproblem to solve. With a pickled ``solver``, start a session for the subproblem instead.
+
+        If no answer comes within ``most_s`` [s], `answer` raises _Ended.
+        """
         self._tick, self._most_s, self._hung_at, self.busy = tick, most_s, monotonic() + most_s, True
         with suppress(OSError):  # `answer` reports that the process has ended
             self._pipe.send((solver, qp.row, v, most_s))

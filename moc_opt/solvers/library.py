@@ -25,8 +25,8 @@ class Adapter(SolverSettings):
 
     Attributes:
         rows: number of equality rows, 5 or 6.
-        cost_scale: P and p are multiplied by it, and the duals divided by it.
-        needs: message that the cost must be positive definite; empty if the library accepts any cost.
+        cost_scale: factor of P and p. The library's duals are divided by this factor.
+        needs: text that the library needs a positive definite cost; empty if the library accepts any cost.
     """
 
     rows: int = 5
@@ -40,7 +40,7 @@ class Adapter(SolverSettings):
 
 
 def refuse_semidefinite(qp: NullSpaceQP, needs: str) -> str | None:
-    """Return a message that begins with ``needs`` if the cost is not positive definite, else None."""
+    """Return None if the cost is clearly positive definite, else a message that begins with ``needs``."""
     why = f"{needs}, and regularization is {qp.regularization:g}: set regularization > 0"
     return None if qp.regularization > 1e-10 * (qp.c0 + qp.c1) else why
 
@@ -108,7 +108,7 @@ class TruncatedSession(LibrarySession):
         """Set the limit on the iterations of a solve."""
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Restart where the previous solve started, stop after ``iterations`` (at least 1), and return the iterate."""
+        """Repeat the previous solve from its starting point. Return x after ``iterations`` (at least 1) iterations."""
         self._limit(iterations)
         try:
             return self.solve(qp)
@@ -123,7 +123,10 @@ def upper_triangle(values: Array, n: int) -> sparse.csc_matrix:
 
 
 def stacked(values: Array, boxes: int) -> sparse.csc_matrix:
-    """Return a sparse matrix of m full rows above ``boxes`` diagonal (n, n) blocks. ``values[j]`` is column j."""
+    """Return a sparse matrix: m full rows above ``boxes`` diagonal (n, n) blocks.
+
+    ``values[j]`` (m + boxes,) has the stored entries of column j.
+    """
     n, m = len(values), values.shape[1] - boxes
     rows = np.concatenate([np.append(np.arange(m), m + n * np.arange(boxes) + j) for j in range(n)])
     return sparse.csc_matrix((values.ravel(), rows, (m + boxes) * np.arange(n + 1)), shape=(m + boxes * n, n))

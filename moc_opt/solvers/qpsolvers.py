@@ -26,18 +26,18 @@ from moc_opt.solvers.library import refuse_semidefinite
 class Advice(NamedTuple):
     """Settings under which a library's reported status can be trusted."""
 
-    cost_scale: float = 1.0
-    options: Mapping[str, Any] = {}
+    cost_scale: float = 1.0  #: P and p are multiplied by this factor
+    options: Mapping[str, Any] = {}  #: keyword arguments of the library
 
 
-# Tolerances are absolute, but the cost's gradient is only about 1e-4. So cost_scale multiplies the cost.
+# The libraries' tolerances are absolute. The cost's gradient is only about 1e-4, so the cost is scaled up.
 ADVICE: dict[str, Advice] = {
     "clarabel": Advice(1e3),
     "daqp": Advice(1e3),
     "highs": Advice(1e3, {"time_limit": 0.1}),  # with unscaled cost, its QP solver cycles for ever
     "osqp": Advice(1e2, {"eps_abs": 1e-8, "eps_rel": 0.0}),  # with eps_abs = 1e-3, nine answers in ten are wrong
     "piqp": Advice(1e3, {"eps_abs": 1e-9, "eps_rel": 0.0}),
-    # eps_primal_inf cannot be set through qpsolvers, so 4 % of feasible problems are called infeasible.
+    # proxqp's eps_primal_inf cannot be set through qpsolvers, so proxqp calls 4 % of feasible problems infeasible.
     "proxqp": Advice(1e3, {"eps_abs": 1e-9, "eps_rel": 0.0}),
     "scs": Advice(1e3, {"eps_abs": 1e-8, "eps_rel": 0.0}),  # with eps_abs = 1e-4, half of the answers are wrong
 }
@@ -174,8 +174,8 @@ class QPSolver(SolverSettings):
     Args:
         library: name of the library in qpsolvers.
         rows: 5 or 6 equality rows. With six, daqp fails on one problem in a hundred.
-        cost_scale: P and p are multiplied by it; default: the one in `ADVICE`.
-        options: options in `ALLOWED`, in addition to those of `ADVICE`.
+        cost_scale: factor of P and p; None: the one in `ADVICE`.
+        options: options of the library, of those in `ALLOWED`. They take precedence over those of `ADVICE`.
         advised: if False, `ADVICE` is ignored.
 
     Raises:
@@ -197,7 +197,7 @@ class QPSolver(SolverSettings):
 
     @property
     def advice(self) -> Advice:
-        """The scale of the cost, and the keyword arguments of the library."""
+        """The factor of the cost and the library's keyword arguments: those of `ADVICE`, then those that were given."""
         base = ADVICE.get(self.library, Advice()) if self.advised else Advice()
         scale = base.cost_scale if self.cost_scale is None else self.cost_scale
         return Advice(scale, {**base.options, **(self.options or {})})

@@ -8,7 +8,9 @@ descends the Lagrangian L within the bounds, and the multipliers l1 and l2 ascen
     eps dl1/dt = k (J_T x - v_T),   eps dl2/dt = k (J_W x - v_W)
 
 `moc_opt/core/rnn.c` makes Euler steps of size h = dt/eps. Here eps is the network's time constant, not the setting
-`eps`, and rho is the regularization. On infeasible problems, the multipliers grow without bound.
+`eps`. J_T and J_W are the Jacobians of tip and wrist, and v_T and v_W the velocities that tip and wrist must have. c0,
+c1, c2 and rho (the regularization) are weights of the cost, and k is a gain. On infeasible problems, the multipliers
+grow without bound.
 """
 
 from __future__ import annotations
@@ -29,7 +31,8 @@ def unstable(qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool, 
     """Return why Euler steps diverge on ``qp``, or None. Steps are h for the multipliers, h_x (default: h) for x.
 
     With c = scale c0 = scale c1, explicit steps are stable only if h k < c and (2 h_x k c - h h_x k^2) |A|^2 < 4.
-    Semi-implicit steps are stable only if (2 h_x k c + h h_x k^2) |A|^2 < 4. |A| is the largest singular value.
+    Semi-implicit steps are stable only if (2 h_x k c + h h_x k^2) |A|^2 < 4. |A| is A's largest singular value. If c0
+    and c1 differ, h k is compared with the smaller one, and the larger one is c in the other conditions.
     """
     c0, c1 = scale * qp.c0, scale * qp.c1
     weak, strong, hk = min(c0, c1), max(c0, c1), h * k
@@ -76,7 +79,7 @@ class RNNSession:
         return self._advance(qp, s.steps, s.h, s.h, s.scale, s.method == "semi-implicit")
 
     def _advance(self, qp: NullSpaceQP, most: int, h_x: float, h_y: float, scale: float, implicit: bool) -> Solution:
-        """Do at most ``most`` steps. Reset a state that is not finite."""
+        """Do at most ``most`` steps. If x or a multiplier is no longer finite, set all of them to zero."""
         if qp.n != len(self._x):
             self._rest(qp.n)
         s, x, y = self._settings, self._x, self._y
@@ -108,7 +111,7 @@ class RNN(Network):
         steps: limit on the steps per tick.
         h: step size dt / (the network's time constant), in (0, 1].
         k: the paper's gain.
-        scale: c0, c1, c2 and regularization are multiplied by it. This does not change the optimum.
+        scale: factor of c0, c1, c2 and the regularization. It does not change the optimum.
         method: "explicit" Euler, or "semi-implicit" (the multipliers use the new x).
         eps: an answer is SOLVED if no entry of the network's right-hand side exceeds eps [rad/s, m/s].
 
@@ -135,7 +138,7 @@ class RNN(Network):
 class RNNPrinted(Network):
     """Equation (2) of the paper as printed, with the measured joint velocity v as the paper's qd.
 
-    The answer is x = P(v - k dL/dqd), where P clips to the bounds. ``session.observe(v)`` passes v before a tick.
+    The answer is x = P(v - k dL/dqd), where P clips to the bounds. Each tick needs ``session.observe(v)`` first.
     With the paper's weights, the network acts only as damping.
 
     Args:

@@ -82,7 +82,7 @@ class Found:
 
 @dataclass(frozen=True)
 class Study:
-    """A study's name, result folder and parsed options. Its methods run jobs."""
+    """A study's name, its result folder and the parsed command line (``given``). Its methods run jobs."""
 
     name: str
     out: Path
@@ -133,7 +133,7 @@ def command(
 ) -> int:  # fmt: skip
     """Parse the command line, run the study, write and print its results, and return the exit status.
 
-    ``config`` is read from NAME.toml in ``folder`` (default: benchmarks/configs). ``options`` adds options.
+    ``config`` is read from NAME.toml in ``folder`` (default: benchmarks/configs). ``options`` can extend the parser.
     The exit status is `Found.status`, 2 after an error, or 130 after Ctrl-C or SIGTERM.
     """
     parser = ArgumentParser(prog=program or f"python -m benchmarks.{name}", description=about)
@@ -163,7 +163,7 @@ def command(
 
 
 def check_folder(out: Path) -> None:
-    """Raise a StudyError if files named in `FILES` exist but were not written by a study."""
+    """Raise a StudyError if the folder has files named as in `FILES`, but no environment.json written by a study."""
     there = [name for name in FILES if (out / name).exists()]
     if there and not (there[0] == FILES[0] and b'"study":' in (out / FILES[0]).read_bytes()):
         raise StudyError(f"{out} has files that no study has written ({', '.join(there)}): give another --out")
@@ -205,7 +205,7 @@ def environment(config: Mapping[str, Any], seed: int, argv: Sequence[str] = ()) 
             "python": platform.python_version(), "load_1min": os.getloadavg()[0],
         },
         "threads": os.environ.get("OMP_NUM_THREADS"),
-        "openblas_coretype": os.environ.get("OPENBLAS_CORETYPE"),  # the rounding depends on it
+        "openblas_coretype": os.environ.get("OPENBLAS_CORETYPE"),  # rounding errors depend on it
         "versions": versions(), "commit": _commit(), "seed": seed, "arguments": list(argv), "config": dict(config),
     }  # fmt: skip
 
@@ -213,7 +213,7 @@ def environment(config: Mapping[str, Any], seed: int, argv: Sequence[str] = ()) 
 def choose(wanted: Literal["all"] | Sequence[str], *beside: str) -> tuple[list[str], dict[str, str]]:
     """Return the names of wanted solvers that can run here, and the reasons why the others cannot.
 
-    "all" means every known solver. Names in ``beside`` count as solvers that can run.
+    "all" means every known solver. ``beside``: further accepted names, such as those of controllers without a solver.
     """
     found: dict[str, str | None] = {**dict.fromkeys(beside), **available()}
     names = list(found) if wanted == "all" else list(wanted)

@@ -45,10 +45,11 @@ COLUMNS = [
 ]  # fmt: skip
 CAPTION = (
     f"Means are over completed trials. {LEAST_TRIALS} trials or more give 95 % intervals. Changes are relative to "
-    "dcac (the control law without level 3, with equal gains). ?: undecided, because the mean of the trials' changes "
-    "differs in sign from the change shown, or only one of their intervals contains 0. Verified: answers that a check "
-    "found optimal. Silently wrong: number of wrong answers reported as optimal. p50, p99: median and 99th percentile "
-    f"of the solve time, each a median over the trials. The times of exact exclude the call from Python. {FRAMES}"
+    "dcac (the control law without level 3, with equal gains). A change is the ratio of the means, minus 1. "
+    "?: undecided, because the mean of the trials' changes has another sign, or because only one of these two figures "
+    "has an interval that contains 0. Verified: share of answers that a check found optimal. Silently wrong: number of "
+    "wrong answers reported as optimal. p50, p99: median and 99th percentile of a trial's solve times, then the median "
+    f"of these over the trials. The times of exact exclude the call from Python. {FRAMES}"
 )
 
 
@@ -57,10 +58,10 @@ class Comparison:
     """What `compare` found.
 
     Attributes:
-        rows: one mapping per run: solver, seed, ended, error, asked (number of subproblems) and every metric.
+        rows: one mapping per run, with solver, seed, ended, error, asked (number of subproblems) and every metric.
         solvers: the names in the table; the first is the baseline, "dcac".
         scenario: the scenario of the trials.
-        note: remarks, for example on a busy machine.
+        note: remarks that the table's caption repeats, for example on a busy machine.
         complete: False if Ctrl-C ended the comparison.
     """
 
@@ -151,7 +152,7 @@ class Comparison:
 
 
 def _cells(found: Mapping[str, Any]) -> dict[str, str | None]:
-    """Write means and changes with their intervals."""
+    """Return means and changes as texts, with their intervals if there are enough trials."""
     cells = dict[str, str | None]()
     for name in (name for name in (*METRICS_SHOWN, *CHANGES) if name in found):
         few, sign = too_few(found["compared" if name in CHANGES else "whole"]), "+" * (name in CHANGES)
@@ -167,7 +168,7 @@ def compare(
 ) -> Comparison:  # fmt: skip
     """Run every solver, and DCAC with the same gains, on the same trials.
 
-    The row of a failed run holds the reason of the failure. After Ctrl-C, the finished trials are returned.
+    The row of a failed run holds the reason of the failure. After Ctrl-C, only finished trials are returned.
 
     Args:
         solvers: names or solver objects. A mapping's keys are the solvers' names in the table.

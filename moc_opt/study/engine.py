@@ -32,7 +32,8 @@ from moc_opt.errors import MocOptError, StudyError, describe
 from moc_opt.study.kept import Kept, digest_of, key_of, loaded_sources
 
 CONNECT_S = 30.0
-LOOK_S, ATTEMPTS = 1.0, 3  # time between checks of the processes [s]; attempts at a job
+LOOK_S = 1.0  # time between two checks of whether processes have died [s]
+ATTEMPTS = 3  # a job is submitted at most this often if the pool of workers breaks
 PID_FILE = ".pid"
 WAIT_FACTOR = 5.0
 PR_SET_PDEATHSIG = 1
@@ -48,8 +49,8 @@ class Job:
     work: Callable[..., Any]
     arguments: tuple[Any, ...] = ()
     limit_s: float = 600.0  #: time limit [s]
-    alone: bool = False  #: whether no other job may run meanwhile, because this one measures times
-    group: str = ""  #: name of a group of jobs; after `give_up` hangs or crashes, `run` skips the rest of it
+    alone: bool = False  #: True for a job that measures times: no other job runs at the same time
+    group: str = ""  #: after `give_up` hangs or crashes in a group, `run` skips its later jobs; "": no group
 
 
 @dataclass(frozen=True)
@@ -126,7 +127,8 @@ def run(
                     kept.put(keys[k], result, answer.sources)
                 finish(k, result)
     gone, answers = Counter[str](), list[Any]()
-    for k, job in enumerate(jobs):  # the returned list depends on the order of the jobs, not on timing
+    # Later jobs of a given-up group may have run. Their results are dropped, so that the list is always the same.
+    for k, job in enumerate(jobs):
         answers.append(_not_begun(job.group) if job.group and gone[job.group] >= give_up else results[k])
         gone[job.group] += _broke(answers[-1])
     return answers
@@ -147,7 +149,7 @@ Submit = Callable[[Job], Answer]
 def _answers(
     jobs: Sequence[Job], waiting: Sequence[int], submit: Submit, slots: int, broken: Counter[str], give_up: int
 ) -> Iterator[tuple[int, _Done | Failed]]:
-    """Yield (index, answer) as answers come, with two submitted jobs per worker."""
+    """Yield (index, answer) as answers come. At most two jobs per worker are submitted at a time."""
     left, flying = list(reversed(waiting)), dict[Answer, int]()
     gone, again = set[Answer](), Counter[int]()
     while left or flying:
@@ -315,7 +317,7 @@ def _reported(file: str | None) -> tuple[Any, ...]:
 def alarm(seconds: float) -> None:
     """Let the kernel end this job's process after ``seconds`` of processor time. With 0, cancel the alarm.
 
-    A process that only waits is ended after `WAIT_FACTOR` times ``seconds`` of wall time.
+    A process that waits uses no processor time. So it is ended after `WAIT_FACTOR` times ``seconds`` of wall time, too.
     """
     signal.setitimer(signal.ITIMER_PROF, seconds)
     signal.setitimer(signal.ITIMER_REAL, WAIT_FACTOR * seconds)

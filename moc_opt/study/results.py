@@ -22,7 +22,7 @@ ERRORS = (
     "tip_error_model_mean_mm", "tip_error_registered_mean_mm", "tip_error_mean_mm",
     "rcm_error_model_mean_mm", "rcm_error_registered_mean_mm", "rcm_error_mean_mm",
 )  # fmt: skip
-"""Mean errors [mm]: computed with the robot's kinematics, in the registered frame, and in the base frame."""
+"""Mean errors [mm] of the tip, then of the RCM. Each is given in three frames; see `FRAMES` and `BASE_FRAME`."""
 PHASES = ("settled", "travelling")
 """Prefixes of metrics. "travelling": while the elbow moves to its optimum; "settled": after its arrival."""
 TITLES = {
@@ -31,8 +31,8 @@ TITLES = {
 }
 """Column headings of `ERRORS` and of their changes."""
 FRAMES = (
-    "Model: the error computed with the robot's kinematic model; the controller can correct it. Registered: the error "
-    "relative to the points touched at the start; it matters to the patient."
+    "Model: the error computed with the robot's kinematic model. The controller can correct only this error. "
+    "Registered: the error relative to the points touched at the start. This error matters to the patient."
 )
 BASE_FRAME = "Base: the error in the base frame (absolute accuracy)."
 
@@ -88,7 +88,10 @@ class Results:
             return None
 
     def pairs(self, metric: str, controller: str, baseline: str = BASELINE) -> tuple[list[float], list[float]]:
-        """Return the values on trials that both completed. Values of a phase are weighted by ``controller``'s ticks."""
+        """Return the values of both controllers, on the trials that both completed.
+
+        If the metric belongs to a phase, both values of a trial are multiplied by ``controller``'s ticks in the phase.
+        """
         mine, theirs = self.values(metric, controller), self.values(metric, baseline)
         both = [trial for trial in mine if trial in theirs]
         phase = next((phase for phase in PHASES if metric.startswith(f"{phase}_")), None)
@@ -96,7 +99,7 @@ class Results:
         return [mine[trial] * ticks[trial] for trial in both], [theirs[trial] * ticks[trial] for trial in both]
 
     def change(self, metric: str, controller: str, baseline: str = BASELINE) -> Change | None:
-        """Return the change against the baseline [percent], or None if it is undefined."""
+        """Return the change against the baseline [percent], or None without common trials or with a baseline of 0."""
         try:
             return relative_changes(*self.pairs(metric, controller, baseline))
         except StatisticsError:

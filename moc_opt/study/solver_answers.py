@@ -33,7 +33,7 @@ HUNG, CRASHED, RAISED, NOT_ASKED, REFUSED = "hung", "crashed", "raised", "not as
 BROKEN_SETS = 3  # after hangs or crashes in this many sets, a solver's later sets are skipped
 WHOLE_SET_S = 1e5  # time limit of a whole set [s]
 WARM_UP = 16  # untimed solves at the start
-CONTRADICTION = 1e-13  # if b differs by more [m/s] in `TestSet.judged`, the six rows contradict each other
+CONTRADICTION = 1e-13  # if `TestSet.judged` changes b by more than this [m/s], the six rows contradict each other
 RIGHTLY = 0.99  # a solver's times are compared only if at least this share of its answers is right
 RESIDUALS = ("primal", "natural", "natural_best", "relative", "loss")
 
@@ -178,7 +178,7 @@ def ask(run: Runner, questions: Sequence[Question], limits: Limits, *, warm: boo
 def answer(setting: SolverSetting, rows: Array, warm: bool, patience_s: float, setup_s: float) -> list[Any]:
     """Return the reason for a refusal ("" if none), then an `Answer` per problem.
 
-    ``patience_s`` and ``setup_s`` limit the processor time of an answer and of the setup.
+    ``setup_s`` limits the processor time of the setup, and ``patience_s`` that of each answer.
     """
     found: list[Any] = []
     alarm(setup_s)
@@ -252,8 +252,8 @@ class Times(NamedTuple):
     solve: Array  #: (rounds, k) times of warm solves in one session
     setup: Array  #: times of starting sessions
     cold: Array  #: times of the first solve of each session
-    update: Array  #: times of the session's `update`; empty if it has none
-    load: Mapping[str, float]  #: the machine's load during the measurement
+    update: Array  #: times of the session's `update`; empty if the session has no `update`
+    load: Mapping[str, float]  #: the machine's load during the measurement (see `timing.COUNTED`)
 
     def figures(self) -> dict[str, Any]:
         """Return percentiles of the times, the number of solves, and the machine's load."""
@@ -280,7 +280,10 @@ def time(run: Runner, answers: Sequence[Answers], limits: Limits) -> list[Times 
 
 
 def measure(setting: SolverSetting, rows: Array, every: int, rounds: int, seconds: float) -> Times:
-    """Time one session on all problems, and new sessions on every ``every``-th problem."""
+    """Time one session on all problems, and new sessions on every ``every``-th problem.
+
+    The session does at most ``rounds`` passes through the problems. After ``seconds``, no new pass begins.
+    """
     solver, problems = _made(setting), _problems(rows)
     session = solver.start(problems[0])
     each_us(session.solve, problems[:WARM_UP])

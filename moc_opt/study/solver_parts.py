@@ -35,7 +35,7 @@ MEANING = (
     "solve that passes the new problem to the library. docs/solvers.md says more."
 )
 SOLVER = Column("solver", "solver")
-RANKED = "answers_rightly"  # key of a flag: the row's times are compared
+RANKED = "answers_rightly"  # key of the flag that says whether a row's times are compared
 COUNTS = {
     "claimed_solved": "claimed", "verified_solved": "verified", "silently_wrong": "silently wrong",
     "infeasible_right": "infeas. right", "refused_inconsistent": "refused: inconsistent",
@@ -44,8 +44,10 @@ COUNTS = {
 }  # fmt: skip
 FAULTS = ("silently_wrong", "infeasible_wrong", "failed", "hung", "crashed")
 RESIDUALS = {
-    "primal": "largest constraint violation of all answers", "natural": "largest residual with the solver's own duals",
-    "relative": "largest residual with the best duals and a scaled cost", "loss": "0: smallest cost, 1: largest cost",
+    "primal": "largest constraint violation of all answers",
+    "natural": "largest natural residual with the solver's own duals",
+    "relative": "largest natural residual with the best duals, after dividing the cost by its size",
+    "loss": "(cost of the worst answer - smallest cost) / (largest - smallest cost)",
 }  # fmt: skip
 TIMES = {
     "solve_p50_us": "p50", "solve_p99_us": "p99", "solve_p99_9_us": "p99.9", "update_p50_us": "update p50",
@@ -66,7 +68,7 @@ COUNTED = (
 
 
 def answers_table(title: str, part: Mapping[str, Mapping[str, Any]], suffix: str = "", *more: Column) -> Table:
-    """Make the table of an open-loop part. The keys of times end with ``suffix``."""
+    """Make the table of an open-loop part. ``suffix`` is appended to the keys of `TIMES`. ``more``: further columns."""
     rows = []
     for name, row in part.items():
         share = share_right(row) if "right" in row else None
@@ -97,7 +99,7 @@ def recorded_sequence(work: Work) -> None:
     config = work.config.open_loop
     problems = [NullSpaceQP.from_row(np.array(row)) for row in work.sequence]
     session = Exact().start(problems[0])
-    optima = [session.solve(qp) for qp in problems]  # the reference
+    optima = [session.solve(qp) for qp in problems]  # exact decides which problems are feasible
     feasible = np.array([one.status is Status.SOLVED for one in optima])
     data = TestSet("recorded", work.sequence, np.array([one.x for one in optima]), feasible)
     limits = Limits(patience_s=2.0, setup_s=40.0, rounds=2, seconds=1.0, cold=config.cold)
@@ -250,6 +252,7 @@ def _controllers(rows: Mapping[str, Mapping[str, Any]]) -> Table:
          *columns(*MEANS), *columns(*COUNTED),
          *(Column(key, title, unit="us", format=".1f") for key, title in ticks.items()),
          Column("deadline_misses", "misses", format=".0f")],
-        shown, "Whole: completed trials. Changes: relative to DCAC, over the trials that both completed, with 95 % "
-        f"intervals. The fractions of the best mu are from trials that every controller runs. {FRAMES} {BASE_FRAME}",
+        shown, "Whole: completed trials. Changes: relative to DCAC, over the trials that the controller and "
+        "DCAC completed, with 95 % intervals. The fractions of the best mu are from trials that every controller runs. "
+        f"{FRAMES} {BASE_FRAME}",
     )  # fmt: skip

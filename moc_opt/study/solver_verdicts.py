@@ -28,19 +28,20 @@ GAPS, NEAR = Mark("◐", "gaps", "fair", 2), Mark("≈", "near", "fair", 3)
 OTHER, OPEN = Mark("≠", "other", "other", 4), Mark("–", "open", "other", 5)
 AVOID = Mark("✘", "avoid", "bad", 6)
 TONES = {TAKE: GOOD, SOUND: GOOD, GAPS: list(SERIES)[4], NEAR: list(SERIES)[4], OTHER: MUTED, OPEN: BAD, AVOID: WORST}
-TOO_MUCH = 5.0  # threshold of a loss divided by its tolerance (see `COSTS`)
+TOO_MUCH = 5.0  # a solver with a sure loss of more than this many tolerances (see `COSTS`) gets the verdict AVOID
 COSTS = {
     "mu_mean": ("mu", 0.01),
     "tip_error_model_mean_mm": ("tip", 0.05), "tip_error_registered_mean_mm": ("registered tip", 0.05),
     "rcm_error_model_mean_mm": ("RCM", 0.05), "rcm_error_registered_mean_mm": ("registered RCM", 0.05),
     "torque_rate_rms_Nm_per_s": ("chatter", 0.1),
 }  # fmt: skip
-"""Short name and tolerance of each metric. A change within the tolerance is no loss."""
+"""Short name and tolerance of each mean. The tolerance is the share by which a mean may be worse without a loss."""
 FRAMED = tuple(name for name in COSTS if "_error_" in name)
 CERTIFIED, RECORDED, CLOSED = "Certified test sets", "Recorded sequence", "Closed loop"
 INCONSISTENT = (
-    "Inconsistent: the six rows contradict each other along the shaft, by 1e-12 to 1e-4 m/s, while five independent "
-    "rows have a certified optimum. 'Infeasible' is then true but useless: it counts neither as right nor as wrong."
+    "Inconsistent: the six equality rows contradict each other along the shaft, by 1e-12 to 1e-4 m/s. With only five "
+    "independent rows, the problem has a certified optimum. The answer 'infeasible' is then true but useless. It is "
+    "counted neither as right nor as wrong."
 )
 
 
@@ -71,7 +72,7 @@ def assess(summary: Summary, runs: Results) -> list[Row]:
 
 
 def verdict(row: Row, damage: float = 0.0) -> Mark:
-    """Return the first verdict whose rule holds. ``damage``: worst loss in closed loop / its tolerance."""
+    """Return the first verdict whose rule holds. ``damage``: worst sure loss in closed loop / its tolerance."""
     counted = row["counted"]
     broken = counted.get("hung", 0) + counted.get("crashed", 0) + sum(_ended(row["closed"]).values())
     rules = {
@@ -100,7 +101,7 @@ def _figures(name: str, certified: Row, warm: Row, closed: Row) -> Row:
 
 
 def _ended(closed: Row) -> dict[str, int]:
-    """Count the runs that broke off or oscillated."""
+    """Of the trials that every solver ran, count those that broke off and those that oscillated."""
     return {word: closed.get(f"{word.replace(' ', '_')}_in_common", 0) for word in ("broke off", "oscillated")}
 
 
@@ -110,7 +111,7 @@ def _order(row: Row) -> tuple[float, float, float]:
 
 
 def _damage(row: Row, reference: str | None, runs: Results) -> tuple[Any, float]:
-    """Return the worst loss as text, and the loss divided by its tolerance (0 if no loss is certain)."""
+    """Return the worst loss as text, and its sure part in tolerances (0 unless both intervals exceed the tolerance)."""
     for word, count in _ended(row["closed"]).items():
         if count:
             return f"{count} {word}", TOO_MUCH
@@ -130,7 +131,7 @@ def _damage(row: Row, reference: str | None, runs: Results) -> tuple[Any, float]
 
 
 def _size(metric: str, change: Change) -> tuple[float, float]:
-    """Return the smallest and largest loss in a change's intervals, divided by the metric's tolerance."""
+    """Return the smallest and the largest end of a change's two intervals as a loss, divided by the tolerance."""
     sides = [(-one.high, -one.low) if metric == "mu_mean" else (one.low, one.high) for one in change]
     equal = 100.0 * COSTS[metric][1]
     return min(low for low, _ in sides) / equal, max(high for _, high in sides) / equal
@@ -177,7 +178,7 @@ def _why(summary: Summary, row: Row, others: Sequence[Row], asked: int) -> str:
         text += "other along the rigid tool. These count neither as right nor as wrong."
     if row["p50_us"] is not None:
         text += f" Its median solve time is {row['p50_us']:.1f} us, p99 {row['p99_us']:.1f} us."
-        # Noise may change the order of these solvers.
+        # Solvers with a median below this p99: noise may exchange their order.
         close = [one for one in (row, *others) if (one["p50_us"] or 0.0) <= row["p99_us"]]
         if not all(one["quiet"] for one in close):
             text += " But other programs used the machine while this or an equally fast solver was timed: run again."
@@ -248,11 +249,12 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
         "★ take: the sound solver with the smallest p99. ✔ sound: no other verdict applies. ◐ gaps: less than "
         f"{100 * RIGHTLY:g} % right, but never silently wrong. ≠ other: it solves a nonlinear version of the problem, "
         "so its answers are not judged.",
-        "≈ near: it never calls an answer optimal, or both 95 % intervals of a loss lie beyond its tolerance.",
+        "≈ near: it never calls an answer optimal, or a mean in closed loop is surely worse than with ★ by more than "
+        "its tolerance. Surely: both 95 % intervals of the change lie beyond the tolerance.",
         "✘ avoid: it was silently wrong, hung or crashed; or one of the trials that all solvers ran broke off or "
-        f"oscillated; or both intervals of a loss lie beyond {TOO_MUCH:g} tolerances. docs/solvers.md gives the rules.",
-        "Right: share of problems with a verified answer, or rightly reported as infeasible. Problems refused as "
-        "inconsistent do not count. Wrong: number of silently wrong answers. A dash (–) means not run or not judged.",
+        f"oscillated; or a mean is surely worse by more than {TOO_MUCH:g} tolerances. docs/solvers.md gives the rules.",
+        "Right: share of problems that got a verified answer or were rightly reported as infeasible. Problems refused "
+        "as inconsistent do not count. Wrong: number of silently wrong answers. Dash (–): not run or not judged.",
     ]
     if any(row["trials"] for row in rows):
         columns += [
@@ -260,12 +262,13 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
             Column("tip_change", "tip model/ registered", unit="%", section=CLOSED, help="change relative to DCAC"),
         ]  # fmt: skip
         said += [
-            "Worst loss: of the means in closed loop, the one whose loss relative to ★ is the largest multiple of its "
-            f"tolerance. Tolerances: mean mu {100 * COSTS['mu_mean'][1]:g} %, tip and RCM errors "
+            "Worst loss: the mean in closed loop that is worse than with ★ by the largest multiple of its tolerance. "
+            f"Tolerances: mean mu {100 * COSTS['mu_mean'][1]:g} %, tip and RCM errors "
             f"{100 * COSTS[FRAMED[0]][1]:g} %, chatter (rms of the torque's rate of change) "
-            f"{100 * COSTS['torque_rate_rms_Nm_per_s'][1]:g} %. None: no loss exceeds its tolerance.",
+            f"{100 * COSTS['torque_rate_rms_Nm_per_s'][1]:g} %. None: no mean is worse by more than its "
+            "tolerance. Undecided: one may be.",
             "Tip: change of the tip error relative to DCAC, by the robot's kinematic model / in the registered frame, "
-            f"over the trials that all ran (?: undecided). {_trials_told(rows)}",
+            f"over the trials that all solvers ran (?: undecided). {_trials_told(rows)}",
         ]
     caption = "\n".join(f"- {line}" for line in said)
     return Table("Solvers under the settings we recommend, best first", columns, rows, caption)

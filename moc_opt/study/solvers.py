@@ -36,7 +36,7 @@ from moc_opt.study.trials import BASELINE, seeds, trials
 STREAM = 3
 FULL = Path(__file__).parent / "solvers-full.toml"
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-TIMED = ("open_loop_warm", "testsets", "closed_loop")  # parts of the summary with measured times
+TIMED = ("open_loop_warm", "testsets", "closed_loop")  # sections of the summary that have measured times
 
 
 class OpenLoop(Settings):
@@ -121,7 +121,7 @@ class Config(StudyConfig):
 
 @dataclass
 class Work:
-    """Shared data of the study's parts, and their results so far."""
+    """Data that all parts of the study use, and the results of the parts that have run."""
 
     study: Study
     config: Config
@@ -130,7 +130,7 @@ class Work:
     runs: Results = field(default_factory=Results)  #: one row per run in closed loop
     answers: Results = field(default_factory=Results)  #: one row per answer in open loop
     sections: list[Section] = field(default_factory=list)  #: sections of the report
-    said: str = ""
+    said: str = ""  #: the sentence that `say` printed last
 
     @cached_property
     def settings(self) -> list[SolverSetting]:
@@ -164,7 +164,7 @@ class Work:
         return partial(self.study.run, what=what)
 
     def say(self) -> None:
-        """Print the report's first sentence, if it has changed."""
+        """Print the first sentence of the report so far, unless the previous call printed the same."""
         said = sentences(self.summary, assess(self.summary, self.runs))[0]
         if said != self.said:
             self.said = said

@@ -1,7 +1,7 @@
 """Means and changes over independent trials, with bootstrap confidence intervals.
 
-Intervals are scipy's BCa bootstrap (Efron 1987), expanded for few samples (Hesterberg 2015; see docs/method.md).
-A change is the ratio of two means, minus 1.
+Intervals are scipy's BCa bootstrap (Efron 1987), expanded for few samples (Hesterberg 2015; see docs/method.md). They
+are widened until they contain Student's t interval with the jackknife's standard error.
 """
 
 from __future__ import annotations
@@ -55,13 +55,16 @@ class Interval(NamedTuple):
 
 
 class Change(NamedTuple):
-    """Changes [percent]: ``ratio`` compares the means over trials, ``ratios`` is the mean of each trial's change."""
+    """A change computed in two ways [percent]."""
 
-    ratio: Interval
-    ratios: Interval
+    ratio: Interval  #: 100 (mean of the treated / mean of the control - 1)
+    ratios: Interval  #: mean over the trials of 100 (treated / control - 1)
 
     def side(self, bound: float = 0.0) -> int:
-        """Return 1 if both intervals lie above the bound [percent], -1 if below; else, or with too few trials, 0."""
+        """Return 1 if both intervals lie above the bound [percent], -1 if both lie below it, and 0 in all other cases.
+
+        With fewer than `LEAST_TRIALS` trials, return 0.
+        """
         both = {int(one.low > bound + ROUNDING) - int(one.high < bound - ROUNDING) for one in self}
         return both.pop() if len(both) == 1 and self.ratio.samples >= LEAST_TRIALS else 0
 
@@ -125,7 +128,7 @@ def relative_change(treated: ArrayLike, control: ArrayLike) -> Interval:
 
 
 def relative_changes(treated: ArrayLike, control: ArrayLike) -> Change:
-    """Return `relative_change`, and the mean over trials of 100 (treated/control - 1) [percent]."""
+    """Return the change in both ways: `relative_change`, and the mean over trials of 100 (treated/control - 1)."""
     ratio = relative_change(treated, control)
     with np.errstate(divide="ignore", invalid="ignore"):
         each = 100.0 * (np.asarray(treated, float) / np.asarray(control, float) - 1.0)
@@ -169,7 +172,7 @@ def _interval(statistic: Callable[..., Any], **given: ArrayLike) -> Interval:
     expanded = float(2.0 * stats.norm.cdf(np.sqrt(count / (count - 1)) * quantile) - 1.0)
     half = quantile * _standard_error(statistic, samples)
     for method in ("BCa", "percentile"):
-        # BCa has no value if all resamples agree.
+        # If all resamples agree, BCa has no value, and the percentile method is used.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # degenerate samples
             found = stats.bootstrap(

@@ -22,7 +22,7 @@ from moc_opt.trace.trace import MissingDataError, Trace
 
 Floats = NDArray[np.float64]
 GROUP = "moc_opt.metrics"
-_LOADED: dict[EntryPoint, str] = {}  # why loading the entry point failed, or ""
+_LOADED: dict[EntryPoint, str] = {}  # for each entry point tried so far: why loading failed, or ""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def _add(name: str, unit: str, about: str, function: Callable[..., float]) -> Me
 
 
 def load_plugins() -> dict[str, str]:
-    """Register the metrics of other packages. Return, by name, why metrics could not be loaded."""
+    """Register the metrics of other packages. Return the names of those that cannot be loaded, with the reasons."""
     for name, points in plugins.plugins(GROUP).items():
         if points[0] in _LOADED:
             continue
@@ -204,7 +204,8 @@ _figure("mu_final", "m^3", "Last", "mu", lambda values: values[-1])
 def mu_gain_percent(trace: Trace, baseline: Trace | None) -> float:
     """Change of mean manipulability against the same run without level 3 (DCAC).
 
-    The baseline's observer gain depends on the run's `third_level`. So compare different third levels by `mu_mean`.
+    With `third_level` 'planned' or 'receding', both runs have another observer gain than with 'local'. So compare runs
+    with different third levels by `mu_mean`.
     """
     if baseline is None:
         raise MissingDataError("there is no baseline: give the trace of DCAC on the same trial")
@@ -216,7 +217,7 @@ def mu_gain_percent(trace: Trace, baseline: Trace | None) -> float:
 
 @metric
 def mu_fraction_of_bound(trace: Trace) -> float:
-    """Mean manipulability divided by the mean of the largest possible manipulability with the same tip and wrist."""
+    """Mean manipulability divided by the mean of the largest manipulability that the same tip and wrist allow."""
     bound = float(_known(trace, "mu_bound").mean())
     if bound == 0.0:
         raise MissingDataError("the largest mu is zero throughout: a fraction of zero has no value")
@@ -231,7 +232,7 @@ def mu_fraction_of_best_from_start(trace: Trace) -> float:
 
 @metric
 def mu_fraction_of_best(trace: Trace) -> float:
-    """Mean manipulability divided by its mean along the best joint motion with this tip and wrist, from any start."""
+    """Mean manipulability divided by its mean along the best joint motion for the same tip and wrist from any start."""
     return METRICS["mu_mean"](trace) / _known(trace, "mu_best").mean()
 
 
@@ -265,13 +266,13 @@ def torque_rate_rms_Nm_per_s(trace: Trace) -> float:
 
 @metric("rad/s")
 def oscillation_rad_per_s(trace: Trace) -> float:
-    """Largest oscillation of a joint velocity: root mean square above 8 Hz, over one second."""
+    """Largest oscillation of a joint velocity: root mean square, over one second, of its part above 8 Hz."""
     return shaking(trace, "v_rad_per_s").rms
 
 
 @metric("Nm")
 def oscillation_Nm(trace: Trace) -> float:
-    """Largest oscillation of a joint torque: root mean square above 8 Hz, over one second."""
+    """Largest oscillation of a joint torque: root mean square, over one second, of its part above 8 Hz."""
     return shaking(trace, "tau_Nm").rms
 
 

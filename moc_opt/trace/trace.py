@@ -109,8 +109,8 @@ class Trace:
     def select(self, ticks: ArrayLike) -> Trace:
         """Return the trace of the ticks whose flag in ``ticks`` (N,) is True.
 
-        The column `tick` has the ticks' indices in the run. ``meta["run_ended"]`` has the run's ending. Raise a
-        TraceError if ``ticks`` has another shape or type.
+        Its column `tick` has the ticks' indices in the run. If a tick is left out, ``meta["run_ended"]`` has the run's
+        ending. Raise a TraceError if ``ticks`` has another shape or type.
         """
         mask = np.asarray(ticks)
         if mask.dtype != np.bool_ or mask.shape != (len(self),):
@@ -137,7 +137,7 @@ class Trace:
         """Draw columns of the run over time in a plotly figure.
 
         Args:
-            columns: one panel each. By default mu, tip error, RCM error and force.
+            columns: each gets its own panel. By default mu, tip error, RCM error and force.
             name: this run's name in the legend. By default the name of its solver.
             beside: a second run to draw.
 
@@ -157,7 +157,7 @@ class Trace:
         return time_series({"baseline" if other == own else other: beside, own: self}, columns)
 
     def to_pandas(self) -> DataFrame:
-        """Return a pandas.DataFrame with one row per tick, indexed by `t_s`; its `attrs` are `meta`.
+        """Return a pandas.DataFrame with one row per tick, indexed by `t_s`. The frame's `attrs` are `meta`.
 
         A vector becomes several columns, such as `tip_m_x` or `q_rad_0`. Raise a TraceError if pandas is missing.
         """
@@ -254,9 +254,9 @@ def table(of: Mapping[str, Any], name: str) -> dict[str, Any]:
 
 
 def about(trace: Trace) -> dict[str, str]:
-    """Return a dict of a run's main facts as texts. With the law "dcac", ``solver`` is "dcac"."""
+    """Return a run's main facts as texts, by name. If the control law is "dcac", the solver's name is "dcac", too."""
     meta, scenario = trace.meta, table(trace.meta, "scenario")
-    name = meta.get("solver", table(scenario, "solver").get("name"))  # meta has it if `run` got a user's solver
+    name = meta.get("solver", table(scenario, "solver").get("name"))  # meta has "solver" if `run` got a solver object
     law = "dcac" if table(scenario, "control").get("law") == "dcac" else name
     known = {"scenario": scenario.get("name"), "robot": meta.get("robot"), "solver": law, "ended": meta.get("ended")}
     length = {"ticks": str(len(trace))}

@@ -11,13 +11,13 @@ from moc_opt import core
 T, OFF, ZERO, NO_WRENCH = 2.0**-9, np.inf, np.zeros(2), np.full(6, np.nan)
 JOINT = np.concatenate([np.eye(3).ravel(), np.zeros(3), [0.0, 0.0, 1.0], np.zeros(11), [1.0]])[None]
 POINTS = np.array([[0.0] * 3, [0.0, 0.0, -0.25]])
-ARM = core.Arm(np.vstack([JOINT, JOINT]), POINTS, np.eye(3), np.ones((2, 2)), np.zeros(3))
-LOADED = np.vstack([JOINT, np.concatenate([JOINT[0, :16], [1.0, 0.5, 0.0, 0.0], JOINT[0, 20:]])])
+ARM = core.Arm(np.vstack([JOINT, JOINT]), POINTS, np.eye(3), np.ones((2, 2)), np.zeros(3))  # two massless joints
+LOADED = np.vstack([JOINT, np.concatenate([JOINT[0, :16], [1.0, 0.5, 0.0, 0.0], JOINT[0, 20:]])])  # second link: 1 kg
 TROCAR = np.array([[0.0, 0.0, -0.125], [0.0] * 3])
 
 
 def begun(arm=ARM, **levels):
-    """A safety filter of an arm at rest. Only the given thresholds are switched on."""
+    """A safety filter of an arm at rest. Of its thresholds, only those given in ``levels`` are switched on."""
     given = {
         "period": T, "patience": 0, "carries": False, "low": -1e9, "high": 1e9, "v_max": 1.0, "tau_max": 1.0,
         "wall_stiffness": 0.0, "wall_damping": 0.0, "wall_brake": 1.0, "torque_step": OFF, "jump": OFF,
@@ -49,7 +49,7 @@ def follow(guard, before=0.0, tip=None, tip_ref=None, record=None, other=0.0):
 
 
 def pressed(force):
-    """The wrench reading while the trocar presses on the shaft along x."""
+    """Return the wrench while the trocar presses on the shaft along x, and an equal force at the tip opposes it."""
     return np.array([0.0, 0.0, 0.0, 0.0, -0.125 * force, 0.0])
 
 
@@ -70,7 +70,7 @@ def moved_too_far(level, name="motion_rad", v=0.0):
 
 
 def frozen(level, name, wrench, applied, tip, **others):
-    """Whether the arm stops at a fourth equal reading, after a torque or the tip's reference has changed."""
+    """Whether the arm stops at the fourth equal reading, if a torque or the tip's reference changed before it."""
     guard = begun(**{name: level} | others)
     for _ in range(3):
         follow(guard, tip=0.25, tip_ref=0.25)
@@ -116,7 +116,7 @@ def touched(level):
 
 
 def residual(level, name, repeats=0, **others):
-    """Whether a torque of 1 Nm without motion stops the arm."""
+    """Whether the arm stops if joint 1 gets a torque of 1 Nm in two ticks and does not move."""
     guard, record = begun(**{name: level} | others), ARM.terms(ZERO, ZERO)
     for _ in range(2 + repeats):
         read(guard)
@@ -134,7 +134,7 @@ def yields(level):
 
 
 def stays_open(level):
-    """Whether open brakes stay open if the force falls to half of the threshold."""
+    """Whether open brakes stay open if the force falls to 0.125 N, half of stop_yield = 0.25 N."""
     guard = begun(stop_yield=level)
     read(guard, wrench=pressed(0.0), trocar=TROCAR)
     assert guard.hold(pressed(0.5))[0] == 0.0
@@ -163,7 +163,7 @@ def test_only_a_value_above_its_threshold_is_noticed(noticed, level, more):
 
 @pytest.mark.parametrize(("torques", "carries"), [((1.5, 1.5), 0.0), ((-0.5, -0.5), 0.0), ((1.5, 0.0), 0.5)])
 def test_torque_in_a_stop_is_zero_if_the_residual_opposes_the_commanded_torque(torques, carries):
-    """In the third case, the last commanded torque is zero. No residual opposes it, so the drives carry the arm."""
+    """In the third case, the commanded torque is zero. No residual opposes a zero torque: the drives carry the arm."""
     arm = core.Arm(LOADED, np.zeros((2, 3)), np.eye(3), np.ones((2, 2)), np.array([0.0, -1.0, 0.0]))
     guard, record = begun(arm, residual_torque=2.0**-8, carries=True, patience=1), arm.terms(ZERO, ZERO)
     read(guard)

@@ -38,7 +38,7 @@ def test_optimum_is_verified_and_its_neighbours_are_not(n, structured, regulariz
         assert with_bad_duals.verified()
         broken = x + 1e-3 * rng.choice([-1.0, 1.0], size=n)
         assert not qp.residuals(broken, y).verified()
-        if n == 12:  # above MOST_FACETS, natural_best uses the optimum's duals
+        if n == 12:  # too many joints to search for the best duals: natural_best uses the optimum's duals
             wrong = optimum(changed(qp, grad_mu=-qp.grad_mu))[0]
             assert qp.residuals(wrong).natural_best == pytest.approx(qp.residuals(wrong, y).natural, rel=1e-6)
 
@@ -65,7 +65,7 @@ def test_natural_best_is_the_minimum_of_natural_over_all_duals(n, structured):
 
 
 def ends_of_the_swivel(qp):
-    """Return the best and worst point of a problem with one self-motion."""
+    """Return the optimum and the feasible point with the largest cost, for a problem with one self-motion."""
     x, _ = optimum(qp)
     moving = np.abs(qp.A).max(0) > 1e-12
     z = np.zeros(qp.n)
@@ -147,7 +147,7 @@ def test_answer_within_primal_tolerance_of_optimum_is_verified(regularization):
         assert found.distance == pytest.approx(off, abs=1e-9)
         assert found.loss == pytest.approx(off / 1e-5, abs=1e-3)
         assert found.verified() == right
-    for width, loss in ((5e-10, 0.0), (5e-9, 1.0)):  # a segment shorter than 1e-9 rad/s counts as a point
+    for width, loss in ((5e-10, 0.0), (5e-9, 1.0)):  # a segment below 1e-9 rad/s is taken as a point: loss 0
         qp, x, z = sliver(width, regularization)
         assert qp.residuals(x - width * z).loss == pytest.approx(loss, abs=1e-4)
 
@@ -155,7 +155,7 @@ def test_answer_within_primal_tolerance_of_optimum_is_verified(regularization):
 @pytest.mark.parametrize("regularization", [0.0, 1e-5])
 @pytest.mark.parametrize("pull", [-2.0, 0.0, 3.0])
 def test_idle_joint_is_compared_with_the_best_point_of_its_interval(pull, regularization):
-    """Joint 7 moves neither tip nor wrist."""
+    """The idle joint is the last one, which moves neither tip nor wrist."""
     qp = random_problem(np.random.default_rng(14), regularization=regularization)
     grad_mu = np.array(qp.grad_mu)
     grad_mu[6] = pull
@@ -209,7 +209,7 @@ def test_if_the_cost_is_constant_every_feasible_answer_is_verified(n, unit):
 
 
 def test_relative_is_scaled_by_gradient_along_self_motion():
-    """Almost all of grad_mu is orthogonal to ker A."""
+    """Here almost all of grad_mu is orthogonal to ker A, and only the small rest sets the scale."""
     rooms = []
     for w in wrong_corners(5, 6, 8, tilt=1e-3):
         z = kernel(w.qp)[:, 0]
@@ -238,7 +238,7 @@ def test_without_null_space_an_answer_that_meets_the_references_is_verified(unit
 
 
 def one_freedom(z, lower, upper):
-    """Return a problem whose six joints can move only along z. The gradient is z."""
+    """Return a problem of six joints that can move only along z. The gradient of mu is z as well."""
     A = np.vstack([np.linalg.svd(z[None])[2][1:], np.zeros(6)])
     return NullSpaceQP(A[:3], A[3:], np.zeros(3), np.zeros(3), z, lower, upper, regularization=0.0)
 
@@ -246,7 +246,7 @@ def one_freedom(z, lower, upper):
 @pytest.mark.parametrize(("width", "loss"), [(3e-8, 0.0), (3e-7, 1.0)])
 @pytest.mark.parametrize("slow", [0, 5])
 def test_interval_shorter_than_rounding_counts_as_a_point(slow, width, loss):
-    """Along z, an error in the slow joint's bound is magnified by 1 / abs(z_j) = 1e7."""
+    """An error in the slow joint's bound changes the interval along z by 1 / abs(z_j) = 1e7 times the error."""
     z = np.full(6, np.sqrt(0.2))
     z[slow] = 1e-7
     lower, upper = np.full(6, -1.0), np.full(6, 1.0)
@@ -308,7 +308,7 @@ def test_natural_and_primal_equal_their_definitions(regularization):
 
 @pytest.mark.parametrize("scale", [1e-6, 1e-3, 1.0, 1e3, 1e6])
 def test_set_of_idle_joints_does_not_depend_on_the_length_unit(scale):
-    """A column below about 1e-12 |A| counts as zero."""
+    """A joint is idle if its column's length is below about 1e-12 |A|, whatever the scale of A."""
     rng = np.random.default_rng(51)
     A = rng.normal(size=(6, 8))
     A /= np.linalg.norm(A)
@@ -321,7 +321,7 @@ def test_set_of_idle_joints_does_not_depend_on_the_length_unit(scale):
 @pytest.mark.parametrize("regularization", [0.0, 1e-5])
 @pytest.mark.parametrize("n", [7, 8])
 def test_distance_is_measured_to_the_only_feasible_point(n, regularization):
-    """If no point is feasible, the loss is 1 and the distance infinite."""
+    """Beside the case of one feasible point, that of none: the loss is 1 and the distance infinite."""
     qp = random_problem(np.random.default_rng(17), n, structured=False, regularization=regularization)
     x, z = optimum(qp)[0], kernel(qp)[:, 0]
     lower, upper = np.array(x), np.array(x)
@@ -341,7 +341,7 @@ def test_distance_is_measured_to_the_only_feasible_point(n, regularization):
 
 @pytest.mark.parametrize("n", [7, 8])
 def test_rest_is_not_optimal_if_bounds_exclude_it(n):
-    """Without a gradient, the cost is smallest at rest."""
+    """With grad_mu = 0, the cost is smallest at rest, but one lower bound is 0.1."""
     qp = random_problem(np.random.default_rng(60), n, structured=False, regularization=1.0)
     z = kernel(qp)[:, 0]
     j = int(np.argmax(np.abs(z)))

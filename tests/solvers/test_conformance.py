@@ -1,4 +1,4 @@
-"""Every solver passes these tests, with its tolerances in `EXPECT`."""
+"""Tests that every solver has to pass. `EXPECT` has each solver's tolerances."""
 
 import dataclasses
 from dataclasses import dataclass, field
@@ -25,19 +25,19 @@ every_solver = pytest.mark.parametrize("name", NAMES)
 
 @dataclass(frozen=True)
 class Expect:
-    """Tolerances of SOLVED answers, and lower bounds on the shares of SOLVED and INFEASIBLE answers."""
+    """A solver's settings in the tests, and the requirements on its answers. Tolerances are for SOLVED answers only."""
 
     settings: dict[str, Any] = field(default_factory=dict)
     primal: float = 1e-7  # |A x - b|_inf and violation of bounds [m/s, rad/s]
-    relative: float = 1e-4  # natural residual with the best y, divided by the size of the reduced gradient
+    relative: float = 1e-4  # natural residual with the best y, for the cost divided by its size (`Residuals.relative`)
     loss: float = 1e-4  # (cost of x - optimum) / (largest cost - optimum)
     natural: float = 1e-5  # natural residual with the solver's own y [rad/s]
-    x: float = 2e-4  # distance to the answers of `exact` and of a cold start [rad/s]
+    x: float = 2e-4  # largest difference from the answer of `exact`, and from a cold start [rad/s]
     gap: float = 1e-6  # with regularization = 0: (f(x) - f(exact)) / (c2 |grad_mu|_inf) [rad/s]
     solved: float = 1.0  # lower bound on the share of feasible problems with the status SOLVED
     certified: float = 1.0  # lower bound on the share of infeasible problems with the status INFEASIBLE
-    undamped: float | None = 1.0  # like ``solved``, for problems with regularization = 0 (None: not supported)
-    recovers: bool = True  # the solver recovers after an infeasible problem
+    undamped: float | None = 1.0  # ``solved`` for problems with regularization = 0; None: it refuses these
+    recovers: bool = True  # False: after an infeasible problem, answers need not be SOLVED
     arm: bool = False  # the solver needs the arm's kinematics
 
 
@@ -60,7 +60,7 @@ EXPECT = {
     "nlp-sqp": dataclasses.replace(NLP, certified=0.0),  # it does not report why it failed
     "nlp-ipopt": NLP,
     "qpsolvers:daqp": Expect(certified=0.0),  # qpsolvers does not pass on why daqp failed
-    # The same holds for highs. Its default time limit of 0.1 s is too short on a busy machine.
+    # Nor does it for highs, whose usual time limit of 0.1 s is too short on a busy machine.
     "qpsolvers:highs": Expect({"options": {"time_limit": 30.0}}, certified=0.0),
     "qpsolvers:piqp": Expect(certified=0.85),  # some infeasible problems end as MAX_ITER
     "qpsolvers:proxqp": Expect(solved=0.85, undamped=0.7),  # see moc_opt.solvers.qpsolvers.ADVICE
@@ -127,7 +127,7 @@ def test_answers_reported_as_solved_are_optimal(name):
 
 @cache
 def recorded(arm: str) -> tuple[list[NullSpaceQP], Any]:
-    """Return twelve subproblems of a default run, and the arm's kinematics."""
+    """Return twelve subproblems of a run with this arm, and the arm's kinematics."""
     trace = run(Scenario(robot={"name": arm}, duration_s=0.6, bound_samples=0, judge=False))
     return [NullSpaceQP.from_row(row) for row in trace.columns["subproblem"][::25]], load_robot(arm).kinematics()
 

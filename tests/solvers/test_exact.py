@@ -1,4 +1,4 @@
-"""The solver `exact` is the reference for all others."""
+"""Answers of the solver `exact`, which is the reference for all other solvers."""
 
 import numpy as np
 import pytest
@@ -67,7 +67,7 @@ def test_problem_with_a_feasible_corner_of_bounds_is_solved(n, seed, regularizat
 
 
 def wedge(rng, n, narrow, size=1.0, **settings):
-    """Return a problem whose feasible set ends in a thin wedge."""
+    """Return a problem whose feasible set ends in a wedge with an angle of about ``narrow``."""
     Z = rng.normal(size=(n - 6, n))
     Z[:, 1] = 1.3 * Z[:, 0] + narrow * rng.normal(size=n - 6)
     Z[:, 3] = -0.8 * Z[:, 2] + narrow * rng.normal(size=n - 6)
@@ -163,7 +163,7 @@ def test_self_motion_that_does_not_lower_the_cost_is_zero():
     qp = random_problem(np.random.default_rng(14), regularization=0.0)
     assert solve(qp).x[6] == 0.0
     assert solve(changed(qp, c2=0.0, grad_mu=np.ones(7))).x[6] == 0.0
-    for size in (1e-3, 1e3):  # a slope along the self-motion below 1e-9 of the largest entry of grad_mu counts as zero
+    for size in (1e-3, 1e3):  # a slope along the self-motion below 1e-9 max |grad_mu| is taken as zero
         grads = [size * (qp.grad_mu + share * np.eye(7)[6] * np.abs(qp.grad_mu[:6]).max()) for share in (5e-10, 2e-9)]
         assert [abs(solve(changed(qp, grad_mu=grad)).x[6]) > 0.1 for grad in grads] == [False, True]
     none = remade(changed(qp, regularization=1.0), np.zeros((6, 7)), np.zeros(6))
@@ -209,7 +209,7 @@ def test_no_answer_is_wrong_near_the_rank_tolerance(decimals, singular):
 
 @pytest.mark.parametrize("freedoms", [0, 1])
 def test_violation_that_rounding_explains_is_accepted(freedoms):
-    """Bounds may be violated by 100 e, where e = 4e-12 max(|A| |x|) / (smallest pivot) [rad/s] estimates rounding."""
+    """x may exceed its bounds by 100 e. Here e = 4e-12 max(|A| |x|) / (smallest pivot) [rad/s] estimates rounding."""
     wide = np.full(7, 10.0)
     for smallest, beyond, status in (
         (1e-3, 2e-6, Status.SOLVED), (1e-3, 2e-5, Status.INFEASIBLE), (1.0, 1e-7, Status.INFEASIBLE)
@@ -222,9 +222,9 @@ def test_violation_that_rounding_explains_is_accepted(freedoms):
 
 
 def test_answers_near_a_straight_elbow_are_feasible(robot):
-    rng, one = np.random.default_rng(10248), np.ones(16)  # besides, an infeasible problem whose A has equal columns
+    rng, one = np.random.default_rng(10248), np.ones(16)
     A = rng.integers(-1, 2, (6, int(rng.integers(9, 17)))).astype(float)
-    A[:, 8:] = A[:, :8]
+    A[:, 8:] = A[:, :8]  # an infeasible problem of another kind: A has equal columns
     b = A @ (np.where(rng.random(16) < 0.5, -1.0, 1.0) + rng.normal(size=16) * 10 ** rng.uniform(-4, 1))
     assert solve(NullSpaceQP(A[:3], A[3:], b[:3], b[3:], rng.normal(size=16), -one, one)).status is not Status.SOLVED
     unverified = np.zeros(3)
@@ -245,7 +245,7 @@ def test_answers_near_a_straight_elbow_are_feasible(robot):
 
 @pytest.mark.parametrize(("moves", "stops"), [(1.6e-10, True), (1.2e-10, False)])
 def test_solver_and_residuals_agree_on_slow_joints(moves, stops):
-    """Per unit step of the self-motion, the joint at its bound moves by about 1e-10."""
+    """A joint at its bound stops the self-motion z only if its entry of z is above 1e-10 |z| = 1.38e-10."""
     z, x, wide = np.array([1.0, -0.5, 0.3, 0.2, -0.4, 0.6, moves]), np.zeros(7), np.ones(7)
     A, x[6] = null_space(z[None]).T, 1.0
     found = check(NullSpaceQP(A[:3], A[3:], A[:3] @ x, A[3:] @ x, z, -wide, wide, regularization=1e-5)).x
