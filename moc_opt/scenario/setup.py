@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 import os
@@ -196,7 +197,6 @@ class Setup:
 
     def trace(self, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None) -> Trace:
         """Run, check the answers, and return the trace; see `run`."""
-        # A solver may change the working directory.
         file = None if to is None else new_file(to).absolute()
         if self.plant.time > 0.0:
             self.plant.reset(self.q_start)
@@ -207,7 +207,8 @@ class Setup:
         rows, broken = dict[str, NDArray[Any]](), None
         try:
             try:
-                found = self._simulate(watch, meta, rows.update)
+                with contextlib.chdir("."):  # a solver may change the working directory
+                    found = self._simulate(watch, meta, rows.update)
             except RunAway as error:
                 found, broken = error.trace, error
             rows.update(found.columns)

@@ -70,8 +70,7 @@ TESTS = ("core/test_binding.py", "core/test_law.py", "control/test_levels.py", "
 
 
 def test_binding_makes_no_access_outside_an_array(sanitized):
-    module, _, libraries = sanitized
-    command = [sys.executable, "-c", UNDER_THE_SANITIZER, module, *(f"tests/{name}" for name in TESTS)]
-    options = {"LD_PRELOAD": ":".join(libraries), "ASAN_OPTIONS": "detect_leaks=0"}
+    command = [sys.executable, "-c", UNDER_THE_SANITIZER, sanitized[0], *(f"tests/{name}" for name in TESTS)]
+    options = {"LD_PRELOAD": ":".join(sanitized[2]), "ASAN_OPTIONS": "detect_leaks=0"}
     ran = subprocess.run(command, cwd=ROOT, env=os.environ | options, capture_output=True, text=True, check=False)
     assert ran.returncode == 0, ran.stdout[-2000:] + ran.stderr[-4000:]

@@ -62,19 +62,20 @@ def test_run_saves_the_trace_at_a_signal_or_defect(tmp_path, capsys, monkeypatch
 
     def breaking(self):
         if next(ticks) == 150:
+            os.chdir("/")
             if not number:
                 raise ZeroDivisionError("a defect\nof two lines")
             signal.raise_signal(number)
         return real(self)
 
     monkeypatch.setattr(Plant, "measure", breaking)
+    monkeypatch.chdir(tmp_path)
     file, target = tmp_path / "s.toml", tmp_path / "t.parquet"
     file.write_text("duration_s = 1.0\n")
     assert main(["run", str(file), "--trace", str(target)]) == status
     said = capsys.readouterr()
     assert (said.out, said.err[: len(message)]) == ("", message)
-    assert len(Trace.load(target)) == 148  # two measurements come before the loop
-    assert sorted(os.listdir(tmp_path)) == ["s.toml", "t.parquet"]
+    assert (len(Trace.load(target)), sorted(os.listdir())) == (148, ["s.toml", "t.parquet"]), "2 ticks precede the loop"
 
 
 @pytest.mark.parametrize("target", ["nowhere/t.parquet", "file/t.parquet", "t.csv", "."])
