@@ -439,7 +439,7 @@ static double level(double most)
     return chance(2) ? HUGE_VAL : uniform(0.0, most);
 }
 
-/* Run only the safety filter. Most inputs are multiples of 0.25, so many readings repeat and many values equal limits. */
+/* Run only the safety filter. Most inputs are multiples of 0.25, so that readings repeat and values equal limits. */
 static void filter(void)
 {
     static const double none[MOC_MAX_JOINTS];
