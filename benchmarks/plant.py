@@ -37,7 +37,7 @@ KINDS = {"origins": "mm", "encoders": "mrad", "both": "mm and mrad"}
 """kinds of calibration error, and units of their sizes"""
 # tilt of the joint frames per error of the joint origins, as in the default plant
 TILT_RAD_PER_M = PlantSettings().calibration_tilt_rad / PlantSettings().calibration_error_m
-DEFAULT_SIZE_MM = 0.2  # error of the joint origins for which the report's answer gives MOC's tip errors
+DEFAULT_SIZE_MM = 0.2  # the report's first sentences state MOC's tip errors for this error of the joint origins
 LEAST_S = 0.5
 """Errors after the elbow's travel are given only if the run goes on for at least this time [s]."""
 MOST_CHANGE_PERCENT, MOST_MM = 5.0, 0.1
@@ -154,7 +154,7 @@ def registered_again(dcac: Trial, moc: Trial) -> list[Run]:
 
 def after_travel(trace: Trace, setup: Setup, tick: int) -> dict[str, float]:
     """Return mean errors [mm] from `tick` on, with the registration at the start and with a new one at `tick`."""
-    # Touching tells the true minus the believed position of the tip, and of the shaft's point at the trocar.
+    # A touch measures true minus computed position: of the tip, and of the shaft's point in the trocar.
     tips, wrists = setup.robot.tool_along(trace.q_rad + setup.plant.mismatch.encoder_bias)
     told = trace.trocar_registered_m - setup.offset.trocar  # the trocar in the controller's own frame
     depth = np.linalg.norm(told - tips, axis=1, keepdims=True)
@@ -187,7 +187,8 @@ def calibration(rows: Results, solver: str) -> list[dict[str, Any]]:
 def break_evens(found: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return, for every preset and kind, the sizes at which the registered tip error crosses each limit.
 
-    At ``relative``, the change from DCAC crosses `MOST_CHANGE_PERCENT`. At ``absolute``, MOC's error crosses `MOST_MM`.
+    ``relative``: the size at which MOC's error surely exceeds DCAC's by `MOST_CHANGE_PERCENT`. ``absolute`` and
+    ``absolute_dcac``: the sizes at which the error of MOC and of DCAC exceeds `MOST_MM`.
     """
     evens = []
     for preset, kind in dict.fromkeys((row["preset"], row["kind"]) for row in found):
@@ -273,9 +274,9 @@ def sentences(summary: Mapping[str, Any]) -> list[str]:
             for key in ("relative", "absolute")
         )
         text = (
-            f"Preset {preset}, {origins['trials']} trials: at a calibration error of {relative}, both 95 % intervals "
-            f"of the change of the registered tip error from DCAC to MOC exceed {MOST_CHANGE_PERCENT:g} %. At "
-            f"{absolute}, MOC's mean error exceeds {MOST_MM:g} mm."
+            f"Preset {preset}, {origins['trials']} trials: the calibration error above which MOC's registered tip "
+            f"error is surely more than {MOST_CHANGE_PERCENT:g} % above DCAC's is {relative}. The calibration error "
+            f"above which MOC's mean error exceeds {MOST_MM:g} mm is {absolute}."
         )
         here = (preset, "origins", DEFAULT_SIZE_MM)
         for row in (row for row in summary["calibration"] if (row["preset"], row["kind"], row["size"]) == here):

@@ -1,4 +1,7 @@
-"""The controller: tau = tau_tip + tau_rcm + tau_mu, the torques of level 1 (tip), 2 (RCM) and 3 (manipulability mu)."""
+"""The controller: tau = tau_tip + tau_rcm + tau_mu, the torques of level 1 (tip), 2 (RCM) and 3 (manipulability mu).
+
+The formulas of the three torques are in core/law.c.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +44,7 @@ class Controller:
     Args:
         robot: the model that the control law uses.
         settings: see ControlSettings.
-        solver: solver of level 3 for law "moc"; None for "dcac", which has no level 3.
+        solver: solver of level 3 for law "moc". None for law "dcac", which has only levels 1 and 2.
         period: control period [s].
         times_us: recorded solve times [us], used instead of the clock while they last; None: the clock.
         guide: gives the elbow's velocity, and needs regularization and c2 above 0. None: the elbow raises mu.
@@ -88,7 +91,7 @@ class Controller:
 
     @property
     def state(self) -> RobotState:
-        """The state that the robot's model has at the last tick's q and v."""
+        """The robot's state, by its model, at the q and v of the last tick."""
         return RobotState(self._record, self._n)
 
     @property

@@ -22,7 +22,7 @@ Flags = Sequence[bool] | NDArray[np.bool_]
 LIMIT_RAD_PER_S, LIMIT_NM = 0.2, 10.0
 LIMIT_M_PER_S, LIMIT_N = 0.08, 100.0  #: Limits for a prismatic joint.
 PARTS, LOUDEST, KEPT_UP = 8, 2, 0.5
-"""The window has 8 parts. Even without the 2 loudest parts, the rms of an oscillation exceeds half the limit."""
+"""The window has 8 parts. Unlike a jerk, an oscillation exceeds half the limit even without its 2 loudest parts."""
 ABOVE_HZ, WINDOW_S, START_S, SHORTEST_S = 8.0, 1.0, 0.5, 1e-6
 
 

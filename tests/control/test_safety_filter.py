@@ -133,7 +133,7 @@ def test_bad_measurements_are_bridged_by_extrapolation(robot):
 
 
 def test_largest_accepted_step_grows_with_each_bad_measurement(robot):
-    """After b bad measurements, the largest accepted step is jump_rad + (1 + b) T v_max."""
+    """After b bad measurements, the largest accepted distance from q + b T v is jump_rad + (1 + b) T v_max."""
     q, v = robot.data.q_home, np.full(N, 0.2)
     for bad in range(3):
         for share, sound in ((0.999, True), (1.001, False)):

@@ -60,7 +60,7 @@ def test_unknown_load_does_not_sink(load, seed):
 
 @pytest.mark.parametrize(("seed", "slip_m"), [(50, 0.03), (51, 0.1), (52, 0.03), (53, 0.1)])
 def test_arm_gives_way_to_a_pressing_trocar(seed, slip_m):
-    """The trocar may still slip after the stop."""
+    """A slip takes 0.1 s. It may go on after the stop."""
     at = float(np.random.default_rng(seed).uniform(0.2, 1.8))
     scenario = Scenario(
         seed=seed, start={"swivel": "random"}, faults={"slip_m": slip_m, "slip_at_s": at}, control={"preset": "tuned"},
