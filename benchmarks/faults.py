@@ -58,7 +58,7 @@ CASES = [
     Column("trocar_force_max_N", "worst force", unit="N", format=".2f"),
     Column("rcm_mean_percent", "mean RCM", unit="%", format="+.1f", help="its change from the run without the fault"),
     Column("recover_s", "recovered after", unit="s", format=".2f", help="time from the fault's end until tip and RCM "
-           "error stay below 1.2 e + 0.05 mm (e: error without the fault). If it lasts: from its start"),
+           "error stay below 1.2 e + 0.05 mm (e: error without the fault). For a lasting fault: from its start"),
     Column("stop_travel_mm", "stop travel", unit="mm", format=".1f", help="motion of the tip after the stop began"),
 ]  # fmt: skip
 SEEN = [
@@ -164,7 +164,7 @@ def run_block(block: Block) -> tuple[list[dict[str, Any]], dict[str, dict[str, A
     for name, case in block.cases.items():
         trace, how = run_case(case.corrupt(block.trial), case.camera_lost_s)
         waits = case.camera_lost_s is not None
-        # `Waited` starts more slowly. So a run with `Waited` is compared with a run in which the camera is never lost.
+        # `Waited` starts more slowly. So it is compared with a run that has `Waited` too, but never loses the camera.
         if waits not in levels:
             levels[waits] = run_case(block.trial, (0.0, 0.0))[0] if waits else trace
         if (level := levels[waits]) is None:

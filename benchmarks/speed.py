@@ -42,7 +42,7 @@ class Config(StudyConfig):
     batch: Count = 1_000_000
     adapters: Names = "all"
     runs: Count = 5
-    starts: Count = Field(5, description="new processes that time the first torque, and as many for `moc-opt run`")
+    starts: Count = Field(5, description="measurements of the first torque and of `moc-opt run`, each in a new process")
     peers: Names = "all"
     scenario: Scenario = Scenario()
 

@@ -44,8 +44,8 @@ static double steepest_descent(const moc_problem *p, int rows, double Z[][MOC_MA
 /* `natural`, `off` and `opposite` (moc_residuals) are measured along a line through x in ker A. If ker A has several
  * dimensions without idle joints, this is the line of steepest feasible descent. Let z be its unit vector, s = z^T x
  * and g = z^T pull. On the line, the cost is rho s^2 / 2 - c2 g s + constant. Its optimum is s = c2 g / rho, clipped to
- * the bounds. For -pull, the optimum is s = -c2 g / rho, clipped to the bounds. If natural <= PASSES, `off` and
- * `opposite` stay zero with several dimensions, and with c2 max |pull_j| <= rho. */
+ * the bounds. For -pull, the optimum is s = -c2 g / rho, clipped to the bounds. `off` and `opposite` stay
+ * zero if natural <= PASSES and either ker A has several such dimensions or c2 max |pull_j| <= rho. */
 moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS], const double *x)
 {
     moc_residuals found = {0.0, 0.0, 0.0, 0.0, 0.0};

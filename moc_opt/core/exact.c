@@ -8,7 +8,7 @@
 
 #define RANK_TOLERANCE 1e-12 /* largest (singular value of A) / |A|_F that counts as zero */
 #define TIED 1e-7            /* the same limit for the sixth singular value, which is zero for a rigid tool */
-#define LOOK_CLOSER 1e3      /* own_part decides if pivot <= LOOK_CLOSER * (limit above) * (first pivot) */
+#define LOOK_CLOSER 1e3      /* own_part decides on the rank if pivot <= LOOK_CLOSER * (limit above) * (first pivot) */
 #define LEFT 1e-6            /* largest allowed |A x - b| of the result [m/s] */
 #define SOUND 1e-6           /* if the last pivot is smaller, the result is checked [m] */
 #define UNBALANCED 1e-4      /* largest allowed |A^T y - force| / max(c2 |pull|, rho) of the result (see finish) */
@@ -29,8 +29,8 @@ static inline void weigh_back(const moc_plane *plane, int steps, double g[6])
     }
 }
 
-/* Estimate the (k + 1)-th largest singular value of A, over |A|_F: the largest |e^T A| / (|e| |A|_F) of rows e^T A
- * without a pivot before step k (from 0). It is never above 4 * (pivot of step k) / (first pivot). */
+/* Estimate the (k + 1)-th largest singular value of A, divided by |A|_F. After k steps, each row without a pivot is
+ * e^T A for some e. Returns the largest |e^T A| / (|e| |A|_F), at most 4 (pivot of step k, from 0) / (first pivot). */
 static double own_part(const moc_plane *plane, int n, double A[][MOC_MAX_JOINTS], int k)
 {
     double most = 0.0, size = 0.0;

@@ -8,7 +8,7 @@
 
 #define STRAIGHT 1e-3  /* add_dynamic drops a row of the wrist if it is shorter than STRAIGHT * (its other row) */
 
-#define SHAFT_PULL 0.1 /* factor of moc_shaft_push [m^3]: about the weight of log mu_shaft beside mu */
+#define SHAFT_PULL 0.1 /* factor of moc_shaft_push [m^3]: pull is about the gradient of mu + SHAFT_PULL log mu_shaft */
 #define SHAFT_LOST 0.1 /* moc_shaft_push is largest near mu_shaft = SHAFT_LOST shaft_margin */
 #define BOX_OPENS 3.0  /* the bounds on x are widest for mu_shaft <= (1 - 1/BOX_OPENS) shaft_margin */
 

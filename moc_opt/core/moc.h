@@ -111,7 +111,7 @@ typedef struct {
     double c0, c1, c2, rho;
     double q_min[MOC_MAX_JOINTS], q_max[MOC_MAX_JOINTS], v_max[MOC_MAX_JOINTS];
     double shaft_margin;                         /* below this mu_shaft, level 3 also raises mu_shaft [m^2] */
-    double spare_speed;                          /* below it, the bounds on x widen by up to this share of v_max */
+    double spare_speed;                          /* below shaft_margin, v_max grows by up to this share */
     double observer_gain;                        /* disturbance observer K_o [1/s]; 0: none */
     double period;                               /* [s] */
     double fade;                                 /* growth of moc_memory.share per tick */
@@ -170,8 +170,8 @@ typedef struct {
     double box_limit;       /* largest allowed |A x - b| and bound violation with MOC_CLAIMS_NOTHING */
     double primal_limit;    /* largest allowed |A x - b| and bound violation of a claimed optimum */
     double relative_limit;  /* largest allowed natural residual of a claimed optimum */
-    double opposite_limit;  /* largest allowed distance of a claimed optimum from the true one, if the answer is nearer
-                             * to the optimum for -pull [rad/s] */
+    double opposite_limit;  /* largest allowed distance of a claimed optimum from the true optimum [rad/s]; applies
+                             * only if the optimum for -pull is nearer to the answer than the true optimum */
     int hold_ticks;         /* ticks for which the last accepted answer replaces refused answers */
     int keep_off_limits;    /* after these ticks: 1: a self-motion keeps joints off their limits; 0: x = 0 */
     moc_fallback fallback;  /* for an infeasible subproblem */
@@ -238,7 +238,7 @@ typedef struct {
     double repeat_whole_ticks;                          /* WRENCH_REPEATED, REPLAYED: largest number of ticks */
     double repeat_joint_ticks;                          /* ONE_REPEATED: most ticks in a row with an unchanged q */
     double repeat_reading_ticks;                        /* REPEATED, ONE_REPEATED: most ticks with unchanged q, v */
-    double replayed_ticks;                              /* REPLAYED: like repeat_whole_ticks, without wrench noise */
+    double replayed_ticks;                              /* REPLAYED: largest number if the wrench has no noise */
     double stuck_speed;                                 /* STUCK: largest unseen_speed (moc_joint_watch) [rad/s] */
     double held[MOC_MAX_JOINTS];                        /* STUCK: static friction [Nm] */
     double residual_torque;                             /* UNEXPLAINED: largest |r - mean of r| / tau_max */

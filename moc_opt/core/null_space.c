@@ -32,7 +32,7 @@ void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, doub
     memcpy(part, sum, (unsigned)n * sizeof *part);
 }
 
-/* Z is projected on the new ker A. It is replaced if the dimension changed, or a projected row is not above 0.5. */
+/* Project Z on the new ker A. If the dimension has changed or a row becomes shorter than 0.5, take a new basis. */
 int moc_null_space(const moc_plane *plane, int n, int rows, double Z[][MOC_MAX_JOINTS])
 {
     double fresh[MOC_MAX_JOINTS][MOC_MAX_JOINTS], turned[MOC_MAX_JOINTS][MOC_MAX_JOINTS];

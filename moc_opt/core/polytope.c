@@ -77,7 +77,7 @@ static int furthest_out(const polytope *t, double slack)
     return joint;
 }
 
-/* Find the joint (or NONE) whose multiplier is first at zero while p's multiplier grows. *step is the growth of p's. */
+/* Find the multiplier that is zero first while that of joint p grows by *step. Returns its joint, or NONE. */
 static int first_to_let_go(const polytope *t, int p, double side, double *step)
 {
     int joint = NONE;

@@ -9,8 +9,8 @@
  *   REPLAYED          all encoders and the wrench sensor repeat earlier readings, more than n times at the same lag.
  *                     n = min(repeat_reading_ticks, m). m is repeat_whole_ticks with wrench noise, else replayed_ticks
  *   REPEATED          all q are unchanged on more than `patience` ticks in a row. In this time, the tip's reference
- *                     moved by more than repeat_m, a torque changed by more than repeat_torque tau_max (if the
- *                     wrench is unchanged, too: repeat_whole_m, repeat_whole_torque), or WRENCH_REPEATED holds.
+ *                     moved by more than a, a torque changed by more than b tau_max, or WRENCH_REPEATED holds. a, b are
+ *                     repeat_m, repeat_torque or, if the wrench is unchanged too, repeat_whole_m, repeat_whole_torque.
  *                     Or: each joint had q and v unchanged on more than repeat_reading_ticks ticks in total
  *   RAN_AWAY          |change of q - integral of v| over motion_s > motion_rad + motion_lag_s * (largest recent |v|)
  *   ONE_REPEATED      one q is unchanged for more than repeat_joint_ticks ticks in a row, or one q and its v for

@@ -24,7 +24,7 @@ typedef struct {
 /* Compute all terms. Returns MOC_NOT_FINITE if q or v is not finite, else MOC_OK. */
 moc_status moc_compute_terms(const moc_arm *arm, const double *q, const double *v, moc_terms *terms);
 
-/* Compute the arrays frame and twist (n,) at a finite q. moc_kinematics also fills the terms that need no v and M. */
+/* Compute frame and twist (n,) at a finite q. moc_kinematics also fills the kinematic terms that do not depend on v. */
 void moc_place(const moc_arm *arm, const double *q, moc_frame *frame, moc_twist *twist);
 void moc_kinematics(const moc_arm *arm, const double *q, moc_frame *frame, moc_twist *twist, moc_terms *terms);
 
@@ -107,7 +107,7 @@ void moc_eliminate(int n, double A[][MOC_MAX_JOINTS], moc_plane *plane);
 moc_status moc_solve_eliminated(const moc_plane *plane, const moc_problem *problem, double tolerance, double *x,
                                 double y[6]);
 
-/* Compute the vector z (n,) in ker A that is 1 at the k-th free joint (from 0; without pivot), 0 at the others. */
+/* Number the joints without a pivot from 0. Compute the z (n,) in ker A that is 1 at joint k of these, else 0. */
 void moc_direction(const moc_plane *plane, int n, int k, double *z);
 
 /* With several free joints, move a solution x of A x = b to the optimum, and add the bounds' multipliers to force. */
@@ -119,7 +119,7 @@ moc_status moc_solve_several(const moc_plane *plane, const moc_problem *problem,
 typedef struct {
     double primal;   /* |A x - b|_inf [m/s]; NaN if x is not finite */
     double outside;  /* largest bound violation [rad/s] */
-    double natural;  /* 0 at an optimum: scaled slope along the self-motion, at most the distance to a bound */
+    double natural;  /* min(scaled slope along the self-motion, distance downhill to a bound), 0 at an optimum */
     double off;      /* distance from the optimum along the self-motion [rad/s] */
     double opposite; /* the same from the optimum for -pull [rad/s] */
 } moc_residuals;

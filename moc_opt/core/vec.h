@@ -81,7 +81,7 @@ static inline double clip(double x, double low, double high)
     return smaller(high, larger(low, x));
 }
 
-/* Compute lower triangular L (m,m), S = L L^T, and inverse_i = 1 / L_ii, not finite if S is not positive definite. */
+/* Factor S (m,m) = L L^T. inverse_i is 1 / L_ii. If S is not positive definite, some inverse_i is not finite. */
 static inline void cholesky(int m, double S[][MOC_MAX_JOINTS], double L[][MOC_MAX_JOINTS], double *inverse)
 {
     for (int j = 0; j < m; j++) {
@@ -140,7 +140,7 @@ static inline double off_plane(const moc_problem *p, const double *x)
     return largest_of(6, gap);
 }
 
-/* Compute five independent rows of A: the tip's three, then the wrist's along b[0] and b[1] from `across`. */
+/* Compute five independent rows of A = [J_T; J_W]: the three of J_T, and the two of b J_W, with b from `across`. */
 static inline void five_rows(int n, double A[][MOC_MAX_JOINTS], double b[2][3], double A5[5][MOC_MAX_JOINTS])
 {
     memcpy(A5, A, 3 * sizeof *A5);
