@@ -44,7 +44,7 @@ def test_findings_are_judged_by_interval_ends() -> None:
     def found(count: int = 40) -> dict[str, bool | None]:
         return robots.verdicts(Results(base[:count] + mine[:count]), "exact")
 
-    assert found() == dict.fromkeys(robots.FINDINGS, True) | {"tails": None}, "1 in 40 does not prove 10 % or less"
+    assert found() == dict.fromkeys(robots.FINDINGS, True) | {"tails": None}, "with 1 of 40, the share may exceed 10 %"
     mine[:20] = [row(k, "exact", mu=1.2, tip=1.0 + 0.012 * k) for k in range(20)]
     tip, tails = "settled_tip_error_change_percent", "tails"
     assert [key for key, holds in found().items() if holds is not True] == [tip, tails]
@@ -89,7 +89,7 @@ def test_no_motion_exceeds_the_bound_on_mu(tiny: Any) -> None:
     for row in (row for row in rows if row["part"] == "loop" and row["whole"]):
         gap = 100.0 * (1.0 - row["mu_mean"] / course[row["trial"]]["from_start"])
         assert row["gap_percent"] == pytest.approx(gap)
-        assert -0.5 < gap < 50.0
+        assert -0.5 < gap < 50.0  # [%]: mu of a run may exceed that of its course by 0.5 %
     [halved] = [row for row in rows if row["part"] == "halving"]
     assert abs(halved["halving_percent"]) < 0.5
     planned = [row["gap_percent"] for row in rows if row["controller"] == "planned" and row["whole"]]

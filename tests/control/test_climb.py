@@ -1,4 +1,4 @@
-"""The third level moves the elbow to larger mu, with `climb = "scaled"` by Newton steps to the nearest maximum."""
+"""The third level moves the elbow to larger mu. With `climb = "scaled"`, Newton steps lead to the nearest maximum."""
 
 import numpy as np
 import pytest

@@ -189,7 +189,7 @@ def test_exceptions_of_a_session_are_counted(error, where, qp, Z):
 
 
 def test_optimum_for_negated_gradient_is_refused(recorded):
-    """The exceptions are answers that the residuals for the true gradient verify."""
+    """Only an answer that is also optimal for the true gradient, within the tolerances, is accepted."""
     lies = 0
     for qp in map(NullSpaceQP.from_row, recorded):
         lie = opposite(qp)

@@ -534,7 +534,7 @@ static void filter(void)
 }
 
 /* Run a random controller. Returns 0 if a torque is beyond its limits, if a friction is negative, or if one is NaN. */
-static int course(void)
+static int run_controller(void)
 {
     static moc_state states[2];
     moc_arm arm;
@@ -747,7 +747,7 @@ int main(int count, char **words)
             sound &= subproblem();
         filter();
         grain = 0.0;
-        if (!sound || !algebra() || !contract() || !course()) {
+        if (!sound || !algebra() || !contract() || !run_controller()) {
             printf("a check failed in course %ld: run %ld courses with the same seed to see it again\n", k + 1, k + 1);
             return 1;
         }

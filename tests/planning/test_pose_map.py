@@ -267,7 +267,7 @@ def test_an_ascent_ends_at_a_maximum_within_the_limits(name, odd_robot):
         found += robot.arm.nearest_pose(low, high, np.array([goal.tip, goal.wrist]), start, 60)[0] < 1e-9
         robot.arm.ascend(low, high, target + 10.0, q, mu)
         assert mu[0] == -1.0, "out of reach"
-    assert at_limits > 20, "few maxima are at a limit"
+    assert at_limits > 20, "too few maxima are at a limit"
     assert found >= 58
 
 

@@ -174,7 +174,7 @@ def test_search_finds_a_course_as_good_as_one_through_a_singular_pose(robot, joi
     poses = best_course(Value(found, Limits()), given[0])
     course = make_course(robot, found.targets, poses)
     assert course.violation < 1e-12
-    if joint == 1:  # through the singular pose; if joint 5 is singular, a course around this pose is better
+    if joint == 1:  # this course passes the singular pose; with joint = 5, a course around that pose is better
         assert np.sign(course.q_rad[0, 1]) != np.sign(course.q_rad[-1, 1])
     assert course.mu_mean > 0.995 * mean
     assert mean <= Value(found, Limits(), cell=WHOLE_CELL).of(given[0], robot.state(given[0]).mu)

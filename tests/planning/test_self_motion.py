@@ -132,7 +132,7 @@ def test_moc_refuses_an_arm_without_a_self_motion(tmp_path):
     assert self_motion(slide, slide.data.q_home).held == (6,), "the rail is the only freedom"
 
 
-def test_limit_shares_are_zero_at_a_limit(robot):
+def test_limit_shares_are_zero_at_a_limit_and_one_midway_between_limits(robot):
     np.testing.assert_allclose(limit_shares(robot, 0.5 * (robot.q_min + robot.q_max)), 1.0)
     np.testing.assert_allclose(limit_shares(robot, robot.q_max), 0.0, atol=1e-12)
 

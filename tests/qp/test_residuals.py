@@ -209,7 +209,7 @@ def test_if_the_cost_is_constant_every_feasible_answer_is_verified(n, unit):
 
 
 def test_relative_is_scaled_by_gradient_along_self_motion():
-    """Here almost all of grad_mu is orthogonal to ker A, and only the small rest sets the scale."""
+    """Almost all of grad_mu is orthogonal to ker A. The small rest is the scale if the regularization is smaller."""
     rooms = []
     for w in wrong_corners(5, 6, 8, tilt=1e-3):
         z = kernel(w.qp)[:, 0]
@@ -321,7 +321,7 @@ def test_set_of_idle_joints_does_not_depend_on_the_length_unit(scale):
 @pytest.mark.parametrize("regularization", [0.0, 1e-5])
 @pytest.mark.parametrize("n", [7, 8])
 def test_distance_is_measured_to_the_only_feasible_point(n, regularization):
-    """Beside the case of one feasible point, that of none: the loss is 1 and the distance infinite."""
+    """If no point is feasible, the loss is 1 and the distance is infinite."""
     qp = random_problem(np.random.default_rng(17), n, structured=False, regularization=regularization)
     x, z = optimum(qp)[0], kernel(qp)[:, 0]
     lower, upper = np.array(x), np.array(x)
