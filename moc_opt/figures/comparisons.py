@@ -106,7 +106,8 @@ def _boxes(name: str, x: float, y: float) -> dict[str, Box]:
     left, right = (x - near - wide, x - near), (x + near, x + near + wide)
     centre, middle = (x - wide / 2, x + wide / 2), (y - LINE_PX / 2, y + LINE_PX / 2)
     above, below = (y - far, y - near), (y + near, y + far)
-    # In order of preference. From a point, the line of the Pareto front runs upwards and to the right.
+    # In order of preference: below before above, and left before right. The line of the Pareto front needs the space
+    # above and to the right of a point.
     spans = {
         "bottom center": (centre, below), "top center": (centre, above), "middle left": (left, middle),
         "middle right": (right, middle), "bottom left": (left, below), "bottom right": (right, below),

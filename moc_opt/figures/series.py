@@ -41,7 +41,7 @@ def time_series(
 
     Args:
         runs: for each name, a `Trace` or a dict of columns. `t_s` is (N,). Of a column (N, k), the norms are drawn.
-        panels: columns. None means ``PANELS``, with `tip_error_m` replaced by the columns of ``TIPS`` in all runs.
+        panels: columns. None means ``PANELS``, but the columns of ``TIPS`` that every run has replace `tip_error_m`.
         styles: the style of each run; None makes new styles.
 
     Raises:

@@ -100,8 +100,8 @@ class LiveRun:
     used = property(lambda self: self._in_use.used, doc="The controller in use.")
     trocar = property(lambda self: self._now[0][0], doc="Position of the true trocar (3,) [m] in the next tick.")
     _chosen = property(lambda self: self._in_use.next or self._in_use.used)
-    control = property(lambda self: self._chosen.settings, doc="Settings of the next controller, else of `used`.")
-    solver = property(lambda self: solver_of(self._chosen), doc="Solver of this controller, or `DCAC`.")
+    control = property(lambda self: self._chosen.settings, doc="Settings of `used` or, if one waits, of its successor.")
+    solver = property(lambda self: solver_of(self._chosen), doc="Solver of the controller of `control`, or `DCAC`.")
 
     def choose(self, solver: str) -> None:
         """Switch to another solver of level 3, or to `DCAC`. Raises a MocOptError if the solver cannot run."""

@@ -144,9 +144,9 @@ def between(t: Array, times: Array, rows: Array) -> Array:
 
 
 def margin_at(robot: RobotModel, poses: Array, margin: Margin) -> Margin:
-    """Return the margin or, if smaller, the least distance of the poses (..., n) from the joint limits (0 beyond them).
+    """Return the smaller of the margin and the least distance of the poses (..., n) from the joint limits.
 
-    A margin (n,) is compared joint by joint.
+    The distance is 0 beyond a limit. A margin (n,) is compared joint by joint.
     """
     room = np.minimum(poses - robot.q_min, robot.q_max - poses).reshape(-1, robot.n).min(axis=0)
     room = np.where(robot.moves.any(axis=0), np.maximum(room, 0.0), np.inf)

@@ -21,7 +21,7 @@ from moc_opt.robots.model import RobotState
 
 GAIN_PER_S = 5.0  #: Gain k of x_d.
 NODES = 10  #: Number of time steps of the nonlinear program.
-CATCH_UP = 1.03  #: Courses made during the run may exceed the joint speeds of the value function by this factor.
+CATCH_UP = 1.03  #: Ratio of the joint speed limits of courses made during the run to those of the value function.
 ON_COURSE_RAD = 0.05
 """If every joint is nearer than this to the old course, a new course begins on the old course. A course that begins at
 the measured pose would close a second feedback loop."""
@@ -78,7 +78,7 @@ class Planner:
         return {"solves": len(self._solve_s), "refused": self._refused, "solve_ms_median": median, "solve_ms_p99": high}
 
     def plan(self, q: Array, t: float, last: Piece | None) -> Piece | None:
-        """Plan a course from a pose (n,) [rad] at a time [s]. None: no usable course. ``last``: course until now."""
+        """Plan a course from a pose (n,) [rad] at a time [s]; None if none is usable. ``last``: the course so far."""
         path, began = self._value.map.targets, time.perf_counter()
         end = min(int(np.searchsorted(path.t_s, t + self._horizon_s)), len(path) - 1)
         if path.t_s[end] - t < 0.5 * path.period_s:
@@ -172,8 +172,8 @@ class Follower:
                 self._begin(planner, state.q)
         elif planner is not None and 0 <= self._begun < self._tick and self._tick % self._every == 0:
             # The course of the previous solve takes effect now, as if a solve took the whole time between two solves.
-            # If the new solve gives no course, the course followed until now is kept for the next period. For an arm on
-            # a rail, keeping it was more accurate than keeping the previous solve's course.
+            # If the new solve gives no course, the course followed until now takes effect again at the next solve. For
+            # an arm on a rail, this was more accurate than following the previous solve's course further.
             now, self._next = self._next, planner.plan(state.q, t, self._now) or self._now
             self._before, self._now = self._now, now
         q, v = self._now.at(t)

@@ -51,7 +51,7 @@ class Following:
     robot: RobotModel
     q_start: Array  #: (n,) [rad]
     settings: ControlSettings
-    targets: Callable[..., Targets]  #: makes targets at most ``period_s`` apart; ``finer`` multiplies their number
+    targets: Callable[..., Targets]  #: its arguments: wanted time between targets [s], factor on their number
     brake: float  #: safety filter's deceleration before a joint limit [rad/s^2]
     period_s: float  #: control period [s]
 
@@ -81,7 +81,7 @@ class Ways:
 
     @property
     def speeds(self) -> tuple[float, ...]:
-        """The speed factors to try: `SPEEDS`, preceded by `HURRY` if mean mu with `HURRY` is enough larger."""
+        """The speed factors to try: `SPEEDS`, preceded by `HURRY` if `HURRY` raises mean mu enough (`WORTH_IT`)."""
         q, mu = self.run.q_start, float(self.run.robot.state(self.run.q_start).mu)
         usual, fast = (self.at(part)[0].of(q, mu) for part in (1.0, HURRY))
         return (HURRY, *SPEEDS) if fast > (1.0 + WORTH_IT) * usual else SPEEDS

@@ -26,7 +26,7 @@ from moc_opt.robots.model import RobotModel, link_frames
 Flags = NDArray[np.bool_]
 
 EXACT_M = 1e-7  #: Axes that pass each other within this distance count as meeting [m].
-BRANCHES = 8  #: Branches of inverse kinematics. Bits 0 to 2 of an index: signs of t2, t4, t6 of `ClosedForm`, 1 if < 0.
+BRANCHES = 8  #: Branches of inverse kinematics. Bits 0, 1, 2 of an index are 1 if t2, t4, t6 of `ClosedForm` are < 0.
 STRAIGHT = 1e-9  #: Sine of the angle between forearm and line shoulder-wrist. Below it, the map has no pose.
 ROUNDING_RAD = 1e-9  #: Tolerance of the joint limits.
 SWIVELS, MOST_SWIVELS = 720, 2880  #: Default and maximum number of evenly spaced swivel angles.

@@ -44,7 +44,7 @@ HORIZON: dict[str, Any] = {
 SETTLED_S = 0.3  #: Time T in the objective above [s].
 SOFT_RAD = 0.003  #: e in `too_fast`; it keeps the derivative finite at the joint limit.
 SMOOTH_LOSS = 0.05  #: Share of mean mu that smoothness and braking may cost.
-LEAST_SHARE = 1e-4  #: `course.shaft_shares` s is replaced by sqrt(s^2 + `LEAST_SHARE`^2), which is smooth at s = 0.
+LEAST_SHARE = 1e-4  #: The value s of `course.shaft_shares` is replaced by sqrt(s^2 + `LEAST_SHARE`^2), smooth at s = 0.
 INSIDE = 1e-9  #: Joint limits and the largest step are narrowed by this, to absorb rounding [rad].
 
 
@@ -150,7 +150,8 @@ def refine(
     The given course is returned unchanged if the answer is infeasible or worse. With ``smoothness`` or ``brake``, the
     answer may lose the share `SMOOTH_LOSS` of mean mu.
     """
-    if limits.shaft > 0.0 and _above(robot, course, limits):  # faster, and enough if the answer keeps the margin anyway
+    # Without the shaft margin, the program is faster. Its answer is used if all poses keep the margin anyway.
+    if limits.shaft > 0.0 and _above(robot, course, limits):
         bare = replace(limits, shaft=0.0)
         free = refine(robot, targets, course, bare, smoothness=smoothness, brake=brake)
         if _above(robot, free, limits):

@@ -50,7 +50,8 @@ class Value:
     def __init__(self, found: PoseMap, limits: Limits, *, cell: float = 0.0, price: float = 0.0) -> None:
         """Compute V backwards in time.
 
-        Each of the two poses of a step extends the allowed step by ``cell`` times half the distance to its neighbours.
+        The difference of two poses may exceed the allowed step by the slacks of both. The slack of a pose is ``cell``
+        times half the distance to its farther neighbour.
         If ``cell`` is 1 or more, V estimates an upper bound for all courses, also for those between the map's poses.
         ``price`` is c [m^3 s^2/rad^2].
         """

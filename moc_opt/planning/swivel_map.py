@@ -39,8 +39,8 @@ class Trajectory:
     swivel_rad: Array  #: Swivel in the map's range. It may jump by a turn.
     mu: Array  #: Manipulability of the run's poses [m^3].
     gap_rad: float
-    """Median over the samples of the largest angle between a joint of the run and the map's pose at the same time and
-    swivel. Above `OTHER_BRANCH_RAD`, the run's mu is not compared with the map's."""
+    """Median of the samples' gaps. A gap is the largest joint angle between the run's pose and the map's pose at
+    the same time and swivel. Above `OTHER_BRANCH_RAD`, the run's mu is not compared with the map's."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

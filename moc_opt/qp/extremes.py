@@ -114,7 +114,8 @@ def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Arr
         return None
     active = u > 0.0
     u *= size / left
-    # With the active bounds as equations, the step is exact up to rounding. It is used unless it violates a bound more.
+    # With the active bounds as equations, the step is exact up to rounding. It replaces the step G^T u, unless it
+    # violates the bounds more than G^T u.
     step, *_ = np.linalg.lstsq(G[active], short[active], rcond=None)
     if (short - G @ step).max() > max((short - G @ (G.T @ u)).max(), 0.0) + ROUNDING:
         step = G.T @ u

@@ -25,7 +25,7 @@ RANK_TOLERANCE = 1e-12
 GRADIENT_ROUNDING = 1e-9  # the part of pull in ker A is set to zero if it is below this fraction of |pull|_inf
 A_POINT = 1e-9  # a feasible interval of at most this length counts as a point [rad/s]
 FEASIBLE = 1e-6  # if no x is feasible, the bounds are widened by up to this [rad/s], and the set is treated as a point
-MOST_FACETS = 300  # with more directions in `_facets`, the optimum's y replaces the best y in natural_best and relative
+MOST_FACETS = 300  # with more directions in `_facets`, natural_best and relative use the optimum's y, not the best y
 TIED_BY_ROUNDING = 1e-14  # a sixth singular value below this share of |A|_F is a rounding error
 NEARLY_SINGULAR = 1e-3  # with a smaller singular value (share of |A|_F), A d = r is solved by iterative refinement
 REFINEMENTS = 3  # steps of this refinement

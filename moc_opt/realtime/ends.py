@@ -38,7 +38,7 @@ class RemoteController(Filtered):
 
     Args:
         safety_filter: computes only the watchdog's torques and brakes. The controller's end checks measurements.
-        columns: function that makes the controller's trace columns, with a row for each of a number of ticks.
+        columns: function that makes the controller's trace columns for a given number of ticks, one row per tick.
         applied, tau_max: (n,) torque before the first tick, and limits of the torques in commands [Nm].
         clock: None for lock-step, in which the plant waits for each command.
     """
@@ -230,7 +230,7 @@ class Answering:
         return make_packet(kind, self.link.n, self.link.session, self.scenario)
 
     def _ask(self, kind: Kind, *, waits: bool) -> Packet:
-        """Repeat a packet until a measurement comes: with the flag WAITING if ``waits``, else with another flag."""
+        """Repeat a packet until a measurement comes. Its flag must be WAITING if ``waits``, else any other flag."""
         link, request, until = self.link, self._packet(kind), monotonic() + self.settings.wait_s
         while (now := monotonic()) < until:
             link.send(request)

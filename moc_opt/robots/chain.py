@@ -61,7 +61,8 @@ class Kinematics:
     mu: casadi.Function = field(compare=False, repr=False)  #: Manipulability sqrt(det(J_tip J_tip^T)).
     grad_mu: casadi.Function = field(compare=False, repr=False)  #: Gradient of mu (n,).
     shaft: casadi.Function = field(compare=False, repr=False)
-    """(mu_shaft / |tip - wrist|^2)^2, smooth at 0; see `moc_opt/core/manipulability.c`."""
+    """(mu_shaft / |tip - wrist|^2)^2, smooth at 0. mu_shaft is the manipulability of the shaft while the tip rests; see
+    `moc_opt/core/manipulability.c`."""
 
 
 @lru_cache(maxsize=64)

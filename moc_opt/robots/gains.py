@@ -1,6 +1,6 @@
-"""Gains for an untuned arm. Their ratios to its inertia [1/s] are those of the tuned LWR4+.
+"""Gains for an untuned arm, derived from its inertia and from the gains of the tuned LWR4+.
 
-Such a ratio times the control period decides whether a sampled loop is stable.
+The ratio of a velocity gain to an inertia [1/s], times the control period, decides whether a sampled loop is stable.
 """
 
 from __future__ import annotations

@@ -150,8 +150,9 @@ class Shaft(NamedTuple):
 def find_shaft(text: str, last_link: str) -> Shaft:
     """Lay the tool along the last turning axis, away from the arm.
 
-    The wrist is the point of the shaft nearest to the last turning axis that is not parallel to the shaft, or the mount
-    if this point lies beyond the mount. If the last joint slides, the tool runs along the last link's z.
+    The previous axis is the last turning axis that is not parallel to the shaft. The wrist is the shaft's point nearest
+    to this axis or, if that point lies ahead of the mount, the mount. If the last joint slides, the tool runs along the
+    last link's z.
     """
     model = pin.buildModelFromXML(text)
     data = model.createData()

@@ -21,8 +21,8 @@ TOOL_NAMES = {"link": {TOOL_LINK, TIP_LINK, WRIST_LINK}, "joint": {"tool_mount",
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 SMALLEST_MASS, SMALLEST_MOMENT = 1e-6, 1e-12
 MOST_LINKS = 250  #: Physics engines crash on chains of some thousands of links.
-# Relative to the largest principal moment: how far it may exceed the sum of the other two, by how much this sum exceeds
-# it after `normalize`, and how small the smallest moment may be.
+# Let L be the largest principal moment, and S the sum of the other two. L - S may be at most _TRIANGLE L. `normalize`
+# makes S - L at least _FLAT L. The smallest moment must be at least _THIN L.
 _TRIANGLE, _FLAT, _THIN = 1e-6, 1e-9, 1e-12
 SMALLEST = 1e-30  #: Numbers nearer to 0 are read as 0, because some programs refuse them.
 LARGEST, LARGEST_MASS, FARTHEST = 1e6, 1e5, 100.0

@@ -74,7 +74,7 @@ class VisionSettings(Settings):
 
 
 class Board(VisionSettings):
-    """A grid of square markers on the phantom (the patient's dummy). They are numbered row by row from the top left."""
+    """A grid of square markers on the phantom (a dummy patient). They are numbered row by row from the top left."""
 
     KIND: ClassVar[str] = "[board]"
 
