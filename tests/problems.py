@@ -66,7 +66,7 @@ def random_arm(rng: np.random.Generator, n: int = 7, structured: bool = True) ->
 
 
 def problem_of(arm: Arm, q: Array, x_inside: Array, lower: Array, upper: Array, **weights: float) -> NullSpaceQP:
-    """Return the subproblem of `arm` at q. Its references are the velocities of tip and wrist for `x_inside`."""
+    """Return the subproblem of `arm` at q. The joint velocities `x_inside` satisfy its equality constraints."""
     J_tip, J_wrist, grad_mu = arm.terms(q)
     return NullSpaceQP(
         J_tip, J_wrist, J_tip @ x_inside, J_wrist @ x_inside, grad_mu, lower=lower, upper=upper, q=q, **weights
@@ -123,7 +123,7 @@ def out_of_reach(rng: np.random.Generator, qp: NullSpaceQP) -> NullSpaceQP:
 
 
 def on_rows(qp: NullSpaceQP, x: Array) -> Array:
-    """Return the point of A x = b nearest to x."""
+    """Return the solution of the constraints A y = b that is nearest to x."""
     return np.asarray(x - np.linalg.pinv(qp.A, rcond=1e-6) @ (qp.A @ x - qp.b))
 
 

@@ -18,7 +18,7 @@ import moc_opt as mo
 
 ROOT = Path(__file__).resolve().parent.parent
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-CHECKOUT = "make "
+CHECKOUT = "make "  # blocks that begin with this word need a checkout, and do not run here
 PATIENCE_S = 1200  # time limit for one block
 
 

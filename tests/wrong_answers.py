@@ -57,7 +57,7 @@ def wrong_corners(
     seed: int, n: int, count: int, *, tilt: float = 1.0, size: float = 1.0, regularization: float = 0.0,
     least: float = 0.05
 ) -> list[Wrong]:
-    """Return corners with `share` > `least`. `size` scales speeds, and `tilt` < 1 the part of grad_mu in ker A."""
+    """Return corners with `share` > `least`. All speeds are scaled by `size`."""
     rng = np.random.default_rng(seed)
     found = []
     for _ in range(count):
@@ -65,7 +65,7 @@ def wrong_corners(
         x, Z, g = size * np.linalg.lstsq(qp.A, qp.b, rcond=1e-9)[0], kernel(qp), qp.grad_mu
         along = Z @ (Z.T @ g)
         across = g - along
-        if tilt < 1.0:
+        if tilt < 1.0:  # `tilt` is the length of g's part in ker A, divided by that of the other part
             g = across / np.linalg.norm(across) + tilt * along / np.linalg.norm(along)
         rho = regularization * qp.c2 * np.linalg.norm(Z.T @ g) / size
         parts = {name: size * getattr(qp, name) for name in ("v_tip", "v_wrist", "lower", "upper")}

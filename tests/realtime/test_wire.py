@@ -90,7 +90,7 @@ def test_flood_of_packets_is_not_read_completely(ends):
     controller.sendto(seal(command(sequence=1), KEY), plant.address)
     assert plant.receive(monotonic() - 1.0) is not None
     for flood in (b"x", seal(command(sequence=2), KEY)):  # invalid packets, then packets of another tick
-        for _ in range(wire.BACKLOG):  # the system's buffer may hold fewer
+        for _ in range(wire.BACKLOG):  # the system may drop packets of the second flood
             controller.sendto(flood, plant.address)
         controller.sendto(seal(command(sequence=3), KEY), plant.address)
         assert plant.receive(monotonic() - 1.0, lambda packet: packet["sequence"] == 3) is None
@@ -278,7 +278,7 @@ def test_clock_is_shifted_only_after_a_delay_above_one_period(monkeypatch):
     monkeypatch.setattr(clock, "monotonic", lambda: now["s"])
     monkeypatch.setattr(clock, "sleep", lambda seconds: now.update(s=now["s"] + seconds + now["oversleep"]))
     time = clock.WallClock(T)
-    assert time.wait_for(0) == pytest.approx(100.0 + 2.5 * T)  # half a period late, tick 0 still gets a whole period
+    assert time.wait_for(0) == pytest.approx(100.0 + 2.5 * T)  # tick 0 is half a period late
     assert time.late_us == pytest.approx(1e6 * 0.5 * T)
     now["oversleep"] = 0.0
     for tick in range(1, 20):

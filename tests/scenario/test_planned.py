@@ -95,7 +95,7 @@ def test_commands_write_a_course_and_follow_it(tmp_path, capsys):
     to, ran = tmp_path / "course.parquet", tmp_path / "run.parquet"
     text = 'duration_s = 0.3\nbound_samples = 0\nbest_courses = false\n[control]\nthird_level = "local"\n'
     mine = scenario_file(tmp_path, text)
-    for out, status in ((to, 0), (to, 0), (mine, 2)):  # a course file replaces only a course file
+    for out, status in ((to, 0), (to, 0), (mine, 2)):  # --out may replace only a course file
         assert main(["plan", mine, "--out", str(out)]) == status
         assert "warning" not in capsys.readouterr().err
     assert mo.Trace.load(to).meta["within"]["speed_share"] == 0.85  # as for third_level = 'planned'

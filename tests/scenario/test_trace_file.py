@@ -58,10 +58,10 @@ def test_trace_is_saved_whatever_ends_the_run(whole, error, place, tmp_path, mon
     (0, 1, f"ZeroDivisionError: a defect of two lines ({Path(__file__).name}:"),
 ])  # fmt: skip
 def test_run_saves_the_trace_at_a_signal_or_defect(tmp_path, capsys, monkeypatch, number, status, message):
-    ticks, real = iter(range(10**6)), Plant.measure
+    calls, real = iter(range(10**6)), Plant.measure
 
     def breaking(self):
-        if next(ticks) == 150:
+        if next(calls) == 150:
             os.chdir("/")
             if not number:
                 raise ZeroDivisionError("a defect\nof two lines")
@@ -75,7 +75,7 @@ def test_run_saves_the_trace_at_a_signal_or_defect(tmp_path, capsys, monkeypatch
     assert main(["run", str(file), "--trace", str(target)]) == status
     said = capsys.readouterr()
     assert (said.out, said.err[: len(message)]) == ("", message)
-    assert (len(Trace.load(target)), sorted(os.listdir())) == (148, ["s.toml", "t.parquet"]), "2 ticks precede the loop"
+    assert (len(Trace.load(target)), sorted(os.listdir())) == (148, ["s.toml", "t.parquet"]), "2 calls precede the loop"
 
 
 @pytest.mark.parametrize("target", ["nowhere/t.parquet", "file/t.parquet", "t.csv", "."])

@@ -128,7 +128,7 @@ def test_uncertain_loss_does_not_count(cost, unlike, trials, verdict, damage):
 def test_busy_machine_gives_a_remark():
     busy = {"times_calls": 1000, "times_switches": 9, "times_cpu_s": 1.0, "times_wall_s": 1.0}
     rivals = (({}, False), (busy, True), ({**busy, "times_switches": 2}, False), ({**busy, "p50": 59.0}, False))
-    for more, said in rivals:
+    for more, said in rivals:  # the last rival is far slower, so noise cannot exchange the order
         summary, results = study({"fast": certified(), "slow": certified(p99=60.0, **more)})
         text = sentences(summary, assess(summary, results))[0]
         assert text.startswith("Use `fast`")

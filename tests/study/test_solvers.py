@@ -107,6 +107,6 @@ def test_shipped_configuration_is_the_default():
     assert len({case.seed for case in config.cases()}) == 60
     full = Config.load(solvers.FULL)
     assert {*full.testsets.timed, *full.testsets.timed_too} == set(testsets.NAMES)
-    names, left_out = solvers.once(["exact", "daqp", "qpsolvers:daqp", "qpsolvers:scs"])
+    names, left_out = solvers.once(["exact", "daqp", "qpsolvers:daqp", "qpsolvers:scs"])  # no library runs twice
     assert names == ["exact", "daqp", "qpsolvers:scs"]
     assert "`daqp`" in left_out["qpsolvers:daqp"]
