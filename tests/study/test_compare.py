@@ -76,14 +76,14 @@ def test_runs_of_a_solver_that_cannot_start_are_reported_as_failed():
 
 
 @pytest.mark.parametrize(("answers", "message"), [
-    ({"side_effect": ValueError("oops")}, "ValueError: oops"),
-    ({"return_value": [0.0]}, "solve returned a list: return a Solution"),
+    ({"side_effect": ValueError("oops")}, "ValueError: oops (mock.py, line "),
+    ({"return_value": [0.0]}, "solve returned a list: return a Solution."),
 ])  # fmt: skip
 def test_exceptions_and_malformed_answers_are_reported_below_the_table(answers, message):
     bad = standing("bad")
     bad.start.return_value.solve = Mock(**answers)
     caption = mo.compare([bad], BRIEF, trials=2).table.caption
-    assert f"malformed answers of bad: 2; the first: 10 ticks, first at 0.000 s: {message}." in caption
+    assert f"malformed answers of bad: 2; the first: 10 ticks, first at 0.000 s: {message}" in caption
     assert "Answers of bad that the controller replaced: 100 %, so its means are not those of the solver." in caption
     assert about(mo.run(BRIEF, solver=bad))["solver"] == "bad", "the trace names the solver that ran"
 
