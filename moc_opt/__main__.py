@@ -63,7 +63,10 @@ def _command(arguments: Sequence[str] | None) -> int:
             near = get_close_matches(rest[0].partition("=")[0], [name for names, _ in options for name in names], 1)
             meant = f", did you mean {near[0]}?" if near else ":"
             parser.error(f"unrecognized arguments: {' '.join(rest)}{meant} `moc-opt {given.command} -h` lists options")
-        return work_of(given.command)(given)
+        from moc_opt.report.console import divert_output
+
+        with divert_output(getattr(given, "json", False)):
+            return work_of(given.command)(given)
     except (Exception, KeyboardInterrupt) as error:
         refused = isinstance(error, MocOptError | MemoryError)
         status = 130 if isinstance(error, KeyboardInterrupt) else 2 if refused else 1

@@ -10,9 +10,8 @@ from typing import Any
 from moc_opt.commands.running import print_tables
 from moc_opt.errors import MocOptError
 from moc_opt.figures.notation import pretty_unit
-from moc_opt.inputs.files import to_json
 from moc_opt.planning.self_motion import best_freedoms
-from moc_opt.report.console import console
+from moc_opt.report.console import console, print_json
 from moc_opt.report.tables import Column, Table
 from moc_opt.robots import about, available_robots
 from moc_opt.robots.model import load_robot
@@ -28,7 +27,7 @@ def print_list(given: argparse.Namespace) -> int:
     """Print the list of a command; return 0."""
     title, rows, note = {"robots": robots, "tasks": tasks, "metrics": metrics, "solvers": solvers}[given.command]()
     if given.json:
-        print(to_json(rows))
+        print_json(rows)
         return 0
     shown = [{"name": name, **{key: _shown(key, value) for key, value in row.items()}}
              for name, row in rows.items() if row.get("here", "yes") == "yes"]  # fmt: skip

@@ -8,8 +8,7 @@ from collections.abc import Callable
 
 from moc_opt.commands.listing import print_list
 from moc_opt.commands.running import read_scenario
-from moc_opt.inputs.files import to_json
-from moc_opt.report.console import Bar, console
+from moc_opt.report.console import Bar, console, print_json
 from moc_opt.report.document import check_out
 from moc_opt.trace.meta import Ending
 
@@ -62,7 +61,7 @@ def compare_solvers(given: argparse.Namespace) -> int:
     with Bar("compare", given.trials * (len(given.solvers) + 1)) as bar:
         found = compare(given.solvers, scenario, given.trials, seed=given.seed, watch=bar.step)
     if given.json:
-        print(to_json(found.summary()))
+        print_json(found.summary())
     else:
         console().print(found.table)
     if given.out is not None:

@@ -12,7 +12,7 @@ from typing import Any
 
 from moc_opt.errors import ScenarioError, TraceError, UnknownNameError, describe, shown
 from moc_opt.inputs.files import decimal, read_text, to_json
-from moc_opt.report.console import Bar, busy, console
+from moc_opt.report.console import Bar, busy, console, print_json
 from moc_opt.report.document import check_out
 from moc_opt.report.run_table import MATTER, part, remarks, run_json, run_tables
 from moc_opt.report.tables import Column, Table
@@ -108,7 +108,7 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
                 print(f"{title}: this run has no metric {name}: {describe(why)}", file=sys.stderr)
     wanted = {name: metrics[name] for name in scenario.metrics if name in metrics} if scenario.metrics else metrics
     if given.json:
-        print(to_json(run_json(trace, wanted)))
+        print_json(run_json(trace, wanted))
     else:
         short = not scenario.metrics and not given.all
         print_tables(run_tables({title: trace}, {title: wanted}, first=short))
@@ -215,7 +215,7 @@ def run_control(given: argparse.Namespace) -> int:
     found = answer(scenario, given.connect, given.key_file, ready=lambda: granted.update(ask_for_realtime()))
     told = found | {"system": granted}
     if given.json:
-        print(to_json(told))
+        print_json(told)
     else:
         flat = {name: value for name, value in told.items() if not isinstance(value, dict)}
         flat |= {f"{name}: {key}": v for name, of in told.items() if isinstance(of, dict) for key, v in of.items()}
@@ -245,7 +245,7 @@ def plan_scenario(given: argparse.Namespace) -> int:
     warned = following_warnings(scenario, plan) if follows else []
     path = save_course(plan, scenario, given.out, within) if given.out is not None and plan.course is not None else None
     if given.json:
-        print(to_json(plan_json(plan) | {"within": within, "warnings": warned}))
+        print_json(plan_json(plan) | {"within": within, "warnings": warned})
     else:
         print_tables(plan_tables(title, plan, **within))
         if start := start_toml(scenario.robot.arm(), plan):

@@ -16,7 +16,7 @@ from moc_opt.arrays import Array, read_only
 from moc_opt.control.law_numbers import numbers_of
 from moc_opt.control.settings import ControlSettings
 from moc_opt.control.supervisor import Fault, Supervisor
-from moc_opt.errors import ControlError, MocOptError, describe
+from moc_opt.errors import ControlError, MocOptError, located
 from moc_opt.qp.problem import NullSpaceQP, row_length
 from moc_opt.robots.model import RobotModel, RobotState
 from moc_opt.solvers.base import ObservingSession, Session, Solution, Solver, Status, no_answer
@@ -262,5 +262,5 @@ def _start_session(solver: Solver, qp: NullSpaceQP) -> Session:
     except (KeyboardInterrupt, MocOptError):
         raise
     except BaseException as error:  # a plug-in may raise anything
-        raise ControlError(f"solver {name} cannot run in this controller: {describe(error)}") from error
+        raise ControlError(f"solver {name} cannot run in this controller: {located(error)}") from error
     raise ControlError(f"solver {name} cannot run in this controller: {reason}")

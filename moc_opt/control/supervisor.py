@@ -16,7 +16,7 @@ from pydantic import Field
 
 from moc_opt import core
 from moc_opt.arrays import Array
-from moc_opt.errors import ControlError, MocOptError, describe
+from moc_opt.errors import ControlError, MocOptError, located
 from moc_opt.inputs.settings import Settings
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import Session, Solution, Status, TruncatingSession, no_answer
@@ -196,7 +196,7 @@ class Supervisor:
             fault, text = Fault[error.kind.upper()], error.text
         except BaseException as error:  # noqa: BLE001 - the run goes on whatever a solver raises
             _raise_interrupt(error)
-            fault, text = Fault.RAISED, describe(error)
+            fault, text = Fault.RAISED, located(error)
         self.solve_us = (perf_counter_ns() - begin) * 1e-3
         if self._times is not None:
             self.solve_us = next(self._times, self.solve_us)
@@ -208,7 +208,7 @@ class Supervisor:
                 solution, wrong = received(self._stopped(session, shown, solution), qp.n)
         except BaseException as error:  # noqa: BLE001 - the run goes on
             _raise_interrupt(error)
-            return no_answer(qp.n, Status.NUMERICAL), Fault.RAISED, describe(error)
+            return no_answer(qp.n, Status.NUMERICAL), Fault.RAISED, located(error)
         return solution, Fault.MALFORMED if wrong else None, wrong
 
     def _stopped(self, session: Session, qp: NullSpaceQP, solution: Solution) -> Solution:

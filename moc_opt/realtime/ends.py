@@ -25,6 +25,7 @@ from moc_opt.sim.protocols import Filtered, LoggedController
 from moc_opt.sim.sensors import Measurement
 
 INCOMING = (Kind.HELLO, Kind.START, Kind.COMMAND, Kind.BYE)
+SAME = "give both ends the same file, or the same robot, start, trocar, task, seed, period and duration"
 _ENDED_S, _ENDED_TIMES = 0.1, 10  # until BYE comes, ENDED is sent at this interval [s], at most this number of times
 _REPEAT_S = 0.1  # interval at which HELLO and START are repeated [s]
 _LINGER_S = 0.3  # time for which the controller answers repeated ENDED packets with BYE [s]
@@ -61,11 +62,13 @@ class RemoteController(Filtered):
 
     def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
         """Answer each HELLO with the first measurement, until a START comes. Raise a WireError if none comes."""
-        link, packet, self._sound = self.link, self._packet, seen
+        link, packet, self._sound, others = self.link, self._packet, seen, set[str]()
         self._fill(seen, wire.WAITING)
 
         def starts(found: Packet) -> bool:
             if found["kind"] == Kind.HELLO:
+                if found["scenario"] not in (0, packet["scenario"]):  # 0: not told
+                    others.add(written(link.sender))
                 link.send(packet, link.sender)
                 return False
             begins = found["kind"] == Kind.START and found["session"] == packet["session"]
@@ -73,6 +76,8 @@ class RemoteController(Filtered):
             return bool(begins)
 
         if link.receive(monotonic() + self._settings.wait_s, starts) is None:
+            if others:
+                raise WireError(f"the controller at {', '.join(others)} runs another scenario: {SAME}")
             raise WireError(
                 f"no controller contacted {written(link.address)} within {self._settings.wait_s:g} s ({link.heard}): "
                 "start `moc-opt control` on the same scenario with the same key, or raise [wire] wait_s"
@@ -208,10 +213,7 @@ class Answering:
         first = self._ask(Kind.HELLO, waits=True)
         link.session = int(first["session"])
         if int(first["scenario"]) != self.scenario:
-            raise WireError(
-                f"the plant at {written(link.peer)} runs another scenario: give both ends the same robot, start, "
-                "trocar, task, seed, period and duration"
-            )
+            raise WireError(f"the plant at {written(link.peer)} runs another scenario: {SAME}")
         self._command = self._packet(Kind.COMMAND)
         self._command["tau"] = first["commanded"]
         filtered = FilteredController(self.controller, self.safety_filter, np.array(first["commanded"]))

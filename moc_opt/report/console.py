@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import sys
+from contextlib import ExitStack, redirect_stdout
 from datetime import timedelta
 from typing import IO
 
@@ -11,11 +13,33 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from moc_opt.figures.notation import printable
+from moc_opt.inputs.files import to_json
 
 LINE_EVERY_S = 10.0
 PIPED_WIDTH = 80
 CLOSED = 141
 """Exit status if a program that reads the output (`head`) ends early, as after SIGPIPE."""
+
+
+_diverted = ExitStack()
+
+
+def divert_output(wanted: bool) -> ExitStack:
+    """If ``wanted``, send stdout to stderr, also that of C code and new processes, until `print_json` or the end."""
+    if wanted and sys.stdout is not None and sys.stderr is not None:
+        sys.stdout.flush()
+        kept = os.dup(1)
+        os.dup2(2, 1)
+        for undo in ((os.close, kept), (os.dup2, kept, 1), (ctypes.CDLL(None).fflush, None)):  # the last one first
+            _diverted.callback(*undo)
+        _diverted.enter_context(redirect_stdout(sys.stderr))
+    return _diverted
+
+
+def print_json(value: object, *, sort_keys: bool = False) -> None:
+    """Print a result as JSON to stdout, and end `divert_output`."""
+    _diverted.close()
+    print(to_json(value, sort_keys=sort_keys))
 
 
 def end_output() -> int:

@@ -23,7 +23,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 from pydantic import Field
 
 from moc_opt.arrays import Array
-from moc_opt.errors import MocOptError, SolverError, describe
+from moc_opt.errors import MocOptError, SolverError, describe, located
 from moc_opt.inputs.settings import Settings
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import ObservingSession, Session, Solution, Solver
@@ -258,7 +258,7 @@ def serve(fd: int, memory_MB: float) -> None:
         except MemoryError:
             os._exit(errno.ENOMEM)
         except BaseException as error:  # noqa: BLE001 - a plug-in may raise anything, and this process must go on
-            answer = pickle.dumps((True, str(error) if isinstance(error, MocOptError) else describe(error)))
+            answer = pickle.dumps((True, str(error) if isinstance(error, MocOptError) else located(error)))
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         pipe.send_bytes(answer)
 

@@ -14,7 +14,7 @@ from importlib.metadata import EntryPoint
 from importlib.util import find_spec
 from typing import Any, NamedTuple
 
-from moc_opt.errors import MocOptError, SolverError, UnknownNameError, describe, shown
+from moc_opt.errors import MocOptError, SolverError, UnknownNameError, describe, located, shown
 from moc_opt.inputs import plugins
 from moc_opt.inputs.names import RULE, is_name
 from moc_opt.inputs.plugins import in_words
@@ -64,7 +64,7 @@ class Entry(NamedTuple):
             unknown = sorted(settings.keys() - self.parameters.keys())
             if isinstance(error, TypeError) and unknown:
                 raise UnknownNameError(f"setting of solver {self.name}:", unknown[0], self.parameters) from error
-            raise SolverError(f"solver {self.name!r}: {made_by} cannot be made: {describe(error)}") from error
+            raise SolverError(f"solver {self.name!r}: {made_by} cannot be made: {located(error)}") from error
         return solver if self.plugin is None else check_solver(solver, f"solver {self.name!r}: {made_by}")
 
 

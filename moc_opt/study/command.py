@@ -28,7 +28,7 @@ from pydantic import Field
 from moc_opt.errors import MocOptError, ScenarioError, SolverError, StudyError, UnknownNameError
 from moc_opt.inputs.files import read_toml, to_json, write_whole
 from moc_opt.inputs.settings import Settings
-from moc_opt.report.console import Bar, console
+from moc_opt.report.console import Bar, console, print_json
 from moc_opt.scenario import Scenario
 from moc_opt.solvers import available
 from moc_opt.study.engine import Failed, Job, run
@@ -181,7 +181,7 @@ def leave(found: Found, study: Study, config: StudyConfig, argv: Sequence[str]) 
     found.report.page(surroundings, found.rows.failed()).save(out / "report.html")
     write_whole(out / "report.md", found.report.markdown(), "report", StudyError)
     if study.given.json:
-        print((out / "summary.json").read_text(encoding="utf-8"), end="")
+        print_json(found.summary, sort_keys=True)
         return
     screen = console()
     for part in found.report.screens():

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from moc_opt.arrays import Array
 from moc_opt.control.supervisor import received
-from moc_opt.errors import describe
+from moc_opt.errors import located
 from moc_opt.inputs.settings import Settings
 from moc_opt.qp.problem import NullSpaceQP, compute_residuals, fields, joints_of
 from moc_opt.robots.model import load_robot
@@ -232,7 +232,7 @@ def _session(solver: Solver, qp: NullSpaceQP) -> tuple[Session | None, str]:
             return (session, "") if session is not None else (None, "start returned None: return a Session")
         return None, reason if isinstance(reason, str) and reason else f"supports returned {reason!r:.100}"
     except (Exception, SystemExit) as error:  # noqa: BLE001 - a user's solver may raise anything
-        return None, describe(error)
+        return None, located(error)
 
 
 def _asked(session: Session, qp: NullSpaceQP) -> tuple[Solution, str]:
@@ -240,7 +240,7 @@ def _asked(session: Session, qp: NullSpaceQP) -> tuple[Solution, str]:
     try:
         return received(session.solve(qp), qp.n)
     except (Exception, SystemExit) as error:  # noqa: BLE001 - as above
-        return no_answer(qp.n, Status.NUMERICAL), describe(error)
+        return no_answer(qp.n, Status.NUMERICAL), located(error)
 
 
 # --- times ---

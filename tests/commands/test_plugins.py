@@ -13,7 +13,7 @@ from moc_opt.errors import ScenarioError
 from moc_opt.trace import metrics
 
 PACKAGE = '''
-import numpy as np
+import os, numpy as np
 from moc_opt.trace.metrics import metric
 
 def helix(radius, pitch=0.01):
@@ -24,19 +24,19 @@ def helix(radius, pitch=0.01):
 @metric("rad")
 def own_travel_rad(trace):
     """Sum of all joint motion."""
+    print(os.system("echo --json prints this to stderr, also from another process"))
     return float(abs(trace.q_rad[1:] - trace.q_rad[:-1]).sum())
 '''
 POINTS = [[0.01, 0.0, 0.0], [0.02, 0.01, -0.005], [0.03, 0.0, 0.0]]
 
 
-def printed(capsys, *arguments):
-    status = main(["run", *map(str, arguments), "--json"])
-    found = capsys.readouterr()
+def printed(capfd, *arguments):
+    status, found = main(["run", *map(str, arguments), "--json"]), capfd.readouterr()
     assert status == 0, found.err
     return json.loads(found.out)
 
 
-def test_plugin_of_another_package_can_be_used_by_name(tmp_path, monkeypatch, capsys):
+def test_plugin_of_another_package_can_be_used_by_name(tmp_path, monkeypatch, capfd):
     info = tmp_path / "own_things-1.0.dist-info"
     info.mkdir()
     (tmp_path / "own_things.py").write_text(PACKAGE, encoding="utf-8")
@@ -51,22 +51,22 @@ def test_plugin_of_another_package_can_be_used_by_name(tmp_path, monkeypatch, ca
         'bound_samples = 0\njudge = false\nbest_courses = false\nmetrics = ["own_travel_rad", "mu_mean"]\n'
         '[task]\npath = "helix"\nwait_s = 0.0\nhold_s = 0.0\n[task.sizes]\nradius = 0.004\n'
     )
-    found = printed(capsys, file, "--trace", trace)
+    found = printed(capfd, file, "--trace", trace)
     assert {"own_travel_rad", "mu_mean"} <= set(found) <= {"own_travel_rad", "mu_mean", "ended", "warnings", "faults"}
     assert found["own_travel_rad"] > 0.0
     ends = mo.load_trace(trace).tip_ref_m[[0, -1]]
     np.testing.assert_allclose(ends[1] - ends[0], [0.0, 0.0, 0.01], atol=1e-4)
     short.write_text("duration_s = 0.02\nbound_samples = 0\n[task.sizes]\nradius = 0.01\n")
-    assert "own_travel_rad" in printed(capsys, short, "--metric", "own_travel_rad")
+    assert "own_travel_rad" in printed(capfd, short, "--metric", "own_travel_rad")
     for arguments, said in (
         (["run", str(short), "--task", "helix"], "[task] a helix needs its radius"),
         (["run", str(short), "--metric", "own_travel"], "did you mean 'own_travel_rad'"),
     ):
         assert main(arguments) == 2
-        assert said in capsys.readouterr().err
+        assert said in capfd.readouterr().err
     for listed in (["tasks"], ["metrics"]):
         assert main([*listed, "--json"]) == 0
-        assert {"helix", "own_travel_rad"} & set(json.loads(capsys.readouterr().out))
+        assert {"helix", "own_travel_rad"} & set(json.loads(capfd.readouterr().out))
 
 
 def test_waypoints_can_be_read_from_a_file(tmp_path, capsys):

@@ -53,8 +53,7 @@ def test_the_desired_velocity_corrects_the_position_error(robot):
         desired = guide.desired_velocity(robot.state(robot.data.q_home + 0.1 * 0.002 * tick))
         np.testing.assert_allclose(desired, 0.1, atol=1e-9)
     guide.start()
-    off = robot.state(robot.data.q_home + 0.01)
-    np.testing.assert_allclose(guide.desired_velocity(off), 0.1 - 0.05, atol=1e-9)
+    np.testing.assert_allclose(guide.desired_velocity(robot.state(robot.data.q_home + 0.01)), 0.1 - 0.05, atol=1e-9)
     for _ in range(600):  # after the end of the course, its final pose is held
         last = guide.desired_velocity(robot.state(robot.data.q_home + 0.2))
     np.testing.assert_allclose(last, 5.0 * (0.1 - 0.2), atol=1e-9)
@@ -65,8 +64,7 @@ def test_a_course_is_interpolated_by_cubic_polynomials():
     piece, cubic = Piece(t, q, v), CubicHermiteSpline(t, q, v)
     for at in (0.3, 0.45, 0.9, 1.37, 1.4999):
         np.testing.assert_allclose(piece.at(at), [cubic(at), cubic(at, 1)], atol=1e-12)
-    np.testing.assert_array_equal(piece.at(0.1), [q[0], v[0]])
-    np.testing.assert_array_equal(piece.at(1.5), [q[-1], np.zeros(7)])
+    np.testing.assert_array_equal([piece.at(0.1), piece.at(1.5)], [[q[0], v[0]], [q[-1], np.zeros(7)]])
 
 
 def test_an_arm_that_left_its_course_reaches_the_maximum_of_mu():
@@ -233,16 +231,19 @@ def test_wrong_answers_of_the_nonlinear_program_are_refused(monkeypatch, wrong):
     np.testing.assert_allclose(desired, 5.0 * (one._now.q_rad[-1] - q), atol=1e-12)
 
 
-def test_a_new_course_begins_on_the_old_one_only_if_the_arm_is_near():
-    planner, last = follower(setup())._planner, follower(setup())._now
+def test_a_new_course_begins_on_the_old_one_only_if_the_arm_is_near(monkeypatch):
+    planner, last, guesses = follower(setup())._planner, follower(setup())._now, []
     on_course, off = last.at(0.1)[0], np.eye(7)[6]  # joint 7 moves neither tip nor wrist
     near, far = (planner.plan(on_course + angle * off, 0.1, last).q_rad[0] for angle in (0.01, 0.1))
-    np.testing.assert_array_equal(near, on_course)
-    np.testing.assert_array_equal(far, on_course + 0.1 * off)
+    np.testing.assert_array_equal([near, far], [on_course, on_course + 0.1 * off])
     path, solves = planner._value.map.targets, planner.told["solves"]
     for share, more in ((0.49, 0), (0.51, 1)):  # in the path's last half period, the program is not solved
         planner.plan(on_course, path.t_s[-1] - share * path.period_s, last)
         assert planner.told["solves"] == solves + more
+    monkeypatch.setattr(Program, "solve", lambda self, guess, *_: guesses.append(guess) or (guess, True))
+    for before in (None, last, last._replace(q_rad=last.q_rad + 3.0 * off)):  # the third is far in one joint only
+        planner.plan(on_course, 0.1, before)
+    assert [np.array_equal(guesses[0], guess) for guess in guesses] == [True, False, True], "only the near one is used"
 
 
 @pytest.mark.parametrize("level", ["planned", "receding"])
@@ -331,8 +332,7 @@ def test_smoothing_keeps_the_limits_of_a_planned_course(tmp_path):
     within = {"margin_rad": 0.6, "speed_share": 0.1, "shaft_margin": 0.05}
     to = save_course(plan(SCENARIO, **within), SCENARIO, tmp_path / "slow.parquet", within)
     scenario = SCENARIO.change(control={"course": str(to)})
-    setup = without_course(scenario)
-    limits = loaded(scenario)[1]
+    setup, limits = without_course(scenario), loaded(scenario)[1]
     assert (limits.margin, limits.speed_share, limits.shaft) == pytest.approx((0.6, 0.1, 0.05), abs=1e-6)
     robot, period_s = setup.robot, targets_of(setup.robot, setup.layout).period_s
     slow, fast = (followed_course(replace(setup.following, settings=each.control)) for each in (scenario, SCENARIO))

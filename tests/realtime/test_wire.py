@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from moc_opt.realtime import clock, wire
 from moc_opt.realtime.ends import Answering
 from moc_opt.realtime.wire import Kind, Link, WireError, WireSettings, layout, make_packet, seal, sealed
-from tests.realtime.relay import NOTHING, SETTINGS, Peer
+from tests.realtime.relay import NOTHING, SCENARIO, SETTINGS, Peer
 
 PAGE = (Path(__file__).parents[2] / "docs" / "realtime.md").read_text(encoding="utf-8")
 KINDS = (Kind.MEASUREMENT, Kind.COMMAND)
@@ -130,11 +130,12 @@ def peer(robot):
         yield made
 
 
-def test_start_packet_of_another_session_is_ignored(peer):
-    peer.say(Kind.HELLO)
+@pytest.mark.parametrize(("scenario", "said"), [(SCENARIO, "no controller"), (0, "no controller"), (8, "another scen")])
+def test_start_packet_of_another_session_is_ignored(peer, scenario, said):
+    peer.say(Kind.HELLO, scenario=scenario)
     peer.say(Kind.START, session=peer.session ^ 1)
     peer.say(Kind.COMMAND)
-    with pytest.raises(WireError, match="no controller contacted"):
+    with pytest.raises(WireError, match=said):
         peer.plant.start(peer.seen, *NOTHING)
     assert peer.link.quality["foreign"] == 2
 
@@ -144,8 +145,7 @@ def test_faulty_commands_are_counted(peer):
     ones, quality = np.ones(peer.n), peer.link.quality
     peer.say(Kind.COMMAND, 0, tau=ones, limited=3, control_us=12.0, flags=wire.REPORTED, solve_us=2.0)
     np.testing.assert_array_equal(peer.tick(), ones)
-    assert peer.plant.limited == 3
-    assert (peer.columns["control_us"][0], peer.columns["solve_us"][0]) == (12.0, 2.0)
+    assert (peer.plant.limited, peer.columns["control_us"][0], peer.columns["solve_us"][0]) == (3, 12.0, 2.0)
     assert (quality["received"], quality["missed"]) == (1, 0)
     np.testing.assert_array_equal(peer.tick(), ones)  # no command: the previous torque is held
     assert (quality["missed"], peer.plant.limited) == (1, 0)

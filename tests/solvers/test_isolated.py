@@ -73,7 +73,7 @@ def test_trace_does_not_depend_on_isolation(solver):
     ("hang", "lost", "no answer for 0.5 s"), ("exit", "lost", "ended with status 3"),
     ("fork and exit", "lost", "ended with status 3"), ("crash", "lost", "killed by SIGSEGV"),
     ("close everything", "lost", "closed its end"), ("eat", "lost", "its memory was full: raise [solver.process]"),
-    ("raise", "raised", "ZeroDivisionError"), ("quit", "raised", "SystemExit: enough"),
+    ("raise", "raised", "by zero (isolated_solvers.py, line "), ("quit", "raised", "SystemExit: enough"),
 ])  # fmt: skip
 def test_failure_costs_one_answer(qp, act, kind, reason):
     limits = {"hang": {"hang_s": 0.5}, "eat": {"memory_MB": 500.0}}
