@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from moc_opt.errors import ScenarioError, TraceError, UnknownNameError, describe, shown
+from moc_opt.errors import ScenarioError, TraceError, UnknownNameError, shown
 from moc_opt.inputs.files import decimal, read_text, to_json
 from moc_opt.report.console import Bar, busy, console, print_json
 from moc_opt.report.document import check_out
@@ -19,7 +19,7 @@ from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import RunAway, Scenario, Setup, run
 from moc_opt.tasks.paths import kinds
 from moc_opt.trace.file import check_trace, new_file
-from moc_opt.trace.metrics import METRICS, load_plugins, summarize
+from moc_opt.trace.metrics import METRICS, evaluate, load_plugins
 from moc_opt.trace.trace import Trace, about
 
 POINTS = "give x, y, z [m], one point per line; the first line may name the columns (x_m,y_m,z_m), # begins a comment"
@@ -88,7 +88,7 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
         print(given.trace, file=sys.stderr)
     try:
         baseline = _matched_dcac(scenario, title, len(trace)) if scenario.control.law == "moc" else None
-        metrics = summarize(trace, baseline)
+        metrics, lacking = evaluate(trace, baseline)
         if getattr(given, "report", None) is not None:  # `plant` has no --report
             from moc_opt.report.run_page import run_page  # imported here, since plotly loads slowly
 
@@ -100,12 +100,9 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
         if given.trace is not None:
             stop.add_note(f"the whole run is in {given.trace}")
         raise
-    for name in scenario.metrics:
-        if name not in metrics:
-            try:
-                METRICS[name](trace, baseline)
-            except Exception as why:  # noqa: BLE001 - a plug-in may raise anything
-                print(f"{title}: this run has no metric {name}: {describe(why)}", file=sys.stderr)
+    for name in dict.fromkeys(scenario.metrics):
+        if name in lacking:
+            print(f"{title}: this run has no metric {name}: {lacking[name]}", file=sys.stderr)
     wanted = {name: metrics[name] for name in scenario.metrics if name in metrics} if scenario.metrics else metrics
     if given.json:
         print_json(run_json(trace, wanted))

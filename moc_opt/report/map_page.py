@@ -120,7 +120,7 @@ def map_figure(found: SwivelMap, styles: Styles | None = None) -> go.Figure:
     if not allowed.any():
         raise ReportError("no pose on the map is within the joint limits: check trocar and path")
     runs = found.trajectories
-    drawn = figure(height=HEIGHT_PX + legend_height([*runs, "best", "not allowed"]), margin_t=24)
+    drawn = figure(height=HEIGHT_PX + legend_height([*runs, "best", "not allowed"]), margin_t=64)
     _colors(drawn, found, allowed)
     best = _edged(drawn, "best", found.t_s, found.best_swivel_rad, found.best_mu)
     for name, run in runs.items():

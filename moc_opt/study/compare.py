@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from moc_opt.errors import MocOptError, ScenarioError, SolverError, UnknownNameError, describe, shown
+from moc_opt.figures.notation import Mark
 from moc_opt.inputs.files import write_whole
 from moc_opt.inputs.names import RULE, is_name
 from moc_opt.inputs.settings import LARGEST_INTEGER
@@ -43,14 +44,6 @@ COLUMNS = [
     *(Column(name, heading, "%") for name, heading in CHANGES.items()),
     *columns(*METRICS_SHOWN), Column("oscillated", "oscillated"),
 ]  # fmt: skip
-CAPTION = (
-    f"Means are over completed trials. {LEAST_TRIALS} trials or more give 95 % intervals. Changes are relative to "
-    "dcac (the control law without level 3, with equal gains). A change is the ratio of the means, minus 1. "
-    "?: undecided, because the mean of the trials' changes has another sign, or because only one of these two figures "
-    "has an interval that contains 0. Verified: share of answers that a check found optimal. Silently wrong: number of "
-    "wrong answers reported as optimal. p50, p99: median and 99th percentile of a trial's solve times, then the median "
-    f"of these over the trials. The times of exact exclude the call from Python. {FRAMES}"
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,30 +94,54 @@ class Comparison:
     @property
     def table(self) -> Table:
         """One row per solver: trials, answers, times, and the arm's mu and errors."""
-        rows, failures = [], []
+        rows, failures = [], list[str]()
         for name, found in self.summary().items():
             trials = f"{found['whole']}" + f" of {found['trials']}" * (found["whole"] < found["trials"])
-            rows.append({**found, **_cells(found), "solver": name, "trials": trials})
             errors = [row["error"] for row in self.rows if (row["solver"], row["ended"]) == (name, Ending.FAILED.value)]
-            failures += [f"Failed trials of {name}: {len(errors)}; error of the first: {errors[0]}."] if errors else []
+            bad = [f"Failed trials of {name}: {len(errors)}; error of the first: {errors[0]}."] if errors else []
             raised = [row["raised"] for row in self.rows if row["solver"] == name and row.get("raised")]
             if raised:
-                bad = f"Trials with exceptions or malformed answers of {name}: {len(raised)}"
-                failures.append(f"{bad}; the first: {raised[0]}.")
+                count = f"Trials with exceptions or malformed answers of {name}: {len(raised)}"
+                bad.append(f"{count}; the first: {raised[0]}.")
             asked, refused = (
                 sum(row.get(key) or 0 for row in self.rows if row["solver"] == name) for key in ("asked", "faults")
             )
             if refused > 0.01 * asked:
                 most = ", so its means are not those of the solver" if 2 * refused > asked else ""
-                failures.append(f"Answers of {name} that the controller replaced: {100 * refused / asked:.0f} %{most}.")
+                bad.append(f"Answers of {name} that the controller replaced: {100 * refused / asked:.0f} %{most}.")
+            failures += bad
+            marked = Mark("!", name, "bad") if bad else name
+            rows.append({**found, **_cells(found), "solver": marked, "trials": trials})
         optional = {"oscillated", *CHANGES}
         known = [column for column in COLUMNS if column.key not in optional or any(row.get(column.key) for row in rows)]
         unjudged = any(row.get("asked") and "verified_solved" not in row for row in self.rows)
         other = ANOTHER_PROBLEM if unjudged and self.scenario.judge else ""
         named = "name" in self.scenario.model_fields_set
         title = self.scenario.name if named else self.scenario.task.path
-        caption = " ".join(filter(None, [CAPTION, other, self.note, *failures]))
-        return Table(f"{title}: solvers on the same trials", known, rows, caption)
+        said = ["!:" if failures else "", *failures, *self._legend(rows), other]
+        said.insert(len(said) if self.complete else 0, self.note)
+        return Table(f"{title}: solvers on the same trials", known, rows, " ".join(filter(None, said)))
+
+    def _legend(self, rows: Sequence[Mapping[str, Any]]) -> list[str]:
+        """Return the sentences that explain what these rows of a table show."""
+        keys = {key for row in rows for key, value in row.items() if value is not None}
+        means, changes = (" ".join(str(row.get(key)) for row in rows for key in of) for of in (METRICS_SHOWN, CHANGES))
+        sentences = {
+            "Means are over completed trials.": any(" of " in row["trials"] for row in rows),
+            f"{LEAST_TRIALS} trials or more give 95 % intervals, and changes relative to dcac.": "[" not in means,
+            "In brackets: 95 % intervals.": "[" in means,
+            "Changes are relative to dcac (the control law without level 3, with equal gains). A change is the ratio "
+            "of the means, minus 1.": "[" in changes,
+            "?: undecided, because the mean of the trials' changes has another sign, or because only one of these two "
+            "figures has an interval that contains 0.": "?" in changes,
+            "Verified: share of answers that a check found optimal. Silently wrong: number of wrong answers reported "
+            "as optimal.": "verified" in keys,
+            "p50, p99: median and 99th percentile of a trial's solve times, then the median of these over the trials.":
+                "solve_p50_us" in keys,
+            "The times of exact exclude the call from Python.": "exact" in self.solvers,
+            FRAMES: bool(keys & {*ERRORS}),
+        }  # fmt: skip
+        return [sentence for sentence, applies in sentences.items() if applies]
 
     def plot(self, metric: str = "mu_mean") -> Figure:
         """Draw each solver's mean of a metric with a 95 % interval. Raise an UnknownNameError for an unknown metric."""

@@ -34,7 +34,9 @@ BROKEN_SETS = 3  # after hangs or crashes in this many sets, a solver's later se
 WHOLE_SET_S = 1e5  # time limit of a whole set [s]
 WARM_UP = 16  # untimed solves at the start
 CONTRADICTION = 1e-13  # if `TestSet.judged` changes b by more than this [m/s], the six rows contradict each other
-RIGHTLY = 0.99  # a solver's times are compared only if at least this share of its answers is right
+RIGHTLY = 0.99
+"""Least share of right answers among the problems asked (`share_right`). If a solver has less, its times cannot be the
+best of a table, and its verdict is at best "gaps"."""
 RESIDUALS = ("primal", "natural", "natural_best", "relative", "loss")
 
 

@@ -100,6 +100,11 @@ def summarize(trace: Trace, baseline: Trace | None = None) -> dict[str, float]:
     Raises:
         TraceError: an argument is not a Trace or is empty, the ticks differ, or a column holds impossible numbers.
     """
+    return evaluate(trace, baseline)[0]
+
+
+def evaluate(trace: Trace, baseline: Trace | None = None) -> tuple[dict[str, float], dict[str, str]]:
+    """Return what `summarize` returns, and by name why the trace has no data for the other metrics."""
     load_plugins()
     for role, run in (("trace", trace), ("baseline", baseline)):
         if not isinstance(run, Trace) and (run is not None or role == "trace"):
@@ -111,21 +116,21 @@ def summarize(trace: Trace, baseline: Trace | None = None) -> dict[str, float]:
             f"the baseline has {_extent(baseline)}, but the trace has {_extent(trace)}: both are compared tick by "
             "tick; cut the longer one with head(ticks) or between(start_s, stop_s)"
         )
-    summary = {}
+    summary, lacking = {}, {}
     for name, function in METRICS.items():
         try:
             summary[name] = function(trace, baseline)
-        except MissingDataError:
-            continue
+        except MissingDataError as error:
+            lacking[name] = describe(error)
         except Exception as error:
             why = f"metric {name!r} cannot be computed ({describe(error)})"
             if function.function.__module__ != __name__:
-                warnings.warn(f"{why} by {function.function.__module__}: left out", UserWarning, stacklevel=2)
+                warnings.warn(f"{why} by {function.function.__module__}: left out", UserWarning, stacklevel=3)
             elif isinstance(error, ArithmeticError):
                 raise TraceError(f"{why}: a column that the metric reads holds zeros or impossible numbers") from error
             else:
                 raise
-    return summary
+    return summary, lacking
 
 
 def _same_ticks(trace: Trace, baseline: Trace) -> bool:

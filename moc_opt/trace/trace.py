@@ -96,7 +96,9 @@ class Trace:
 
     def __repr__(self) -> str:
         known = about(self)
-        facts = [f"{known.pop('ticks')} ticks", *known.values()]
+        facts, faults = [f"{known.pop('ticks')} ticks", *known.values()], table(self.meta, "faults")
+        if faults:
+            facts.append(f"{sum(of['count'] for of in faults.values())} answers replaced ({', '.join(faults)})")
         return f"Trace({', '.join(facts)}: {', '.join(self.columns)})"
 
     def __dir__(self) -> Iterable[str]:

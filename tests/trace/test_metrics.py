@@ -141,8 +141,8 @@ def test_broken_metric_does_not_hide_the_others(monkeypatch):
     monkeypatch.setattr(metrics, "_LOADED", {})
     trace = Trace({"t_s": [0.0, 0.1], "mu": [0.1, 0.2]})
     with pytest.warns(UserWarning, match="metric 'gone': .* does not load") as said:
-        summary = summarize(trace)
+        summary, lacking = metrics.evaluate(trace)
     assert any("is no function" in str(one.message) for one in said)
     assert any("'abs' cannot be computed (TypeError" in str(one.message) for one in said)
-    assert (summary["len"], summary["mu_mean"]) == (2.0, pytest.approx(0.15))
-    assert set(metrics.load_plugins()) == {"number", "gone"}
+    assert (summary["len"], summary["mu_mean"], lacking.get("abs")) == (2.0, pytest.approx(0.15), None)
+    assert (set(metrics.load_plugins()), lacking["faults"][:16]) == ({"number", "gone"}, "MissingDataError")

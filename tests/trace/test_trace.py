@@ -79,14 +79,14 @@ def test_file_pickle_and_copy_give_back_every_bit(tmp_path, trace):
 
 def test_columns_are_attributes_and_length_is_ticks(trace):
     assert repr(trace).startswith("Trace(40 ticks, 4.000 s, spiral, lwr4, osqp, completed: t_s, q_rad")
+    assert "3 answers replaced (a)" in repr(trace.with_meta(faults={"a": {"count": 3, "first_at_s": 0.1, "first": ""}}))
     assert trace.q_rad is trace.columns["q_rad"]
     assert (len(trace), len(trace.head(0)), len(Trace({}))) == (N, 0, 0)
     assert Trace({"text": np.array(["a", "bc"], dtype=object)}).text.dtype == "<U2"
-    assert not hasattr(object.__new__(Trace), "meta")  # pickle and copy begin with such an object
+    assert not any(map(hasattr, (object.__new__(Trace), trace), ("meta", "limited")))  # a copy begins as such an object
     assert {"q_rad", "own", "between", "plot"} <= set(dir(trace))
     with pytest.raises(MissingDataError, match=r"no column 'q_rads'; it has q_rad"):
         _ = trace.q_rads
-    assert not hasattr(trace, "limited")
 
 
 def test_trace_owns_its_arrays():
