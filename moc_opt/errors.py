@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from numbers import Real
 from pathlib import Path
 from traceback import walk_tb
@@ -87,6 +88,16 @@ class UnknownNameError(MocOptError, LookupError):
         every = f"`{listed_by}` lists all {len(names)}" if short else f"valid names: {', '.join(names)}"
         super().__init__(f"unknown {kind} {shown(name)}: {hint}{every}")
         self.kind, self.name, self.valid = kind, name, names
+
+
+@contextlib.contextmanager
+def named(where: object) -> Iterator[None]:
+    """Put ``where``, such as a file or table, before the message of a MocOptError raised inside."""
+    try:
+        yield
+    except MocOptError as error:
+        error.args = (f"{where} {error}",)  # keeps the class of the error
+        raise
 
 
 def is_number(value: object) -> bool:

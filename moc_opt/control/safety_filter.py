@@ -35,6 +35,9 @@ _AS_SET = (  # settings with the same name in the core
 class SafetyFilter:
     """Check measurements and limit torques of one arm.
 
+    With a ``trocar``, `check_measurement` needs a finite ``wrench``: it requests a stop after ``patience_ticks`` calls
+    without one.
+
     Args:
         robot: the model of the arm.
         settings: see SafetyFilterSettings.

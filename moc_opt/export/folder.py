@@ -171,7 +171,7 @@ def write(
     parts = [name for name in (*CORE, "constants.c") if name.endswith(".c")]
     texts["Makefile"] = str(texts["Makefile"]).replace("@parts@", " ".join(parts))
     folder = as_path(out, "out =", ScenarioError)
-    check_replaceable(folder / "Makefile", "out =", ScenarioError)
+    check_replaceable(folder / "Makefile", f"out = {str(folder)!r}: file", ScenarioError)
     kept = [name for name in texts if (folder / name).exists() and not _is_own(folder / name)]
     if kept and not force:
         raise ScenarioError(

@@ -131,7 +131,7 @@ def _writing(target: Path, what: str, error: Wrong) -> Iterator[None]:
     except (OSError, ValueError) as reason:  # ValueError: the name has a NUL
         why = getattr(reason, "strerror", None) or str(reason)
         full = getattr(reason, "errno", None) in (errno.ENOSPC, errno.EDQUOT)
-        cure = "make room on the disk" if full else "name a file in a folder that you may write to"
+        cure = "make room on the disk" if full else "choose a folder that you may write to"
         raise error(
             f"{what} {str(target)!r} cannot be written in the folder {str(target.absolute().parent)!r} ({why}): {cure}"
         ) from reason

@@ -115,6 +115,8 @@ def _fault(written: Any, read: Any, most: int) -> str:
     is_flag = isinstance(written, bool | np.bool_)
     if isinstance(read, bool):
         return "" if is_flag else "give true or false, without quotes"
+    if isinstance(read, str) and not isinstance(written, str):
+        return "give a text"
     if is_number(read) and (is_flag or isinstance(written, str | bytes)):
         return "give a number" if is_flag else "a number has no quotes: drop them"
     if isinstance(read, int) and not -most <= read <= most:
@@ -140,6 +142,6 @@ def _explained(items: Sequence[Mapping[str, Any]], kind: str) -> str:
         return f"{kind} {field} is missing: add it"
     if item["type"] == "model_type":
         table = f"{kind[:-1]}.{field}]" if kind.startswith("[") else f"[{field}]"
-        message = f"must be a table; write {table} with its keys below it"
+        message = f"must be a table: in a file write {table} with its keys below it, in Python give a dict"
     shown_field = f"{field} = {shown(item['input'])}: {message[0].lower()}" if field else message[0]
     return f"{kind} {shown_field}{message[1:]}"

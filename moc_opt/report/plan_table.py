@@ -20,7 +20,10 @@ COURSES = [
     Column("violation", "violation", unit="m, rad", format=".0e"),
 ]  # fmt: skip
 STEPS = {"map": "map of poses", "search": "search on the map", "bound": "bound of mean mu", "refine": "refinement"}
-VERDICT_TERMS = "mu: manipulability. Swivel: angle of the elbow about the line from shoulder to wrist."
+VERDICT_TERMS = (
+    "mu: manipulability. Swivel: angle of the elbow about the line from shoulder to wrist. The key swivel of [start] "
+    "is no angle, but a share (0 to 1): to start at a swivel of this plan, use q_rad."
+)
 COURSES_TERMS = (
     "Course: joint motion along the path. Local climb: course up the gradient of mu, with ideal tracking. A run with "
     "third_level = 'local' may differ. Optimum 'local': no similar course is better. Optimum 'grid': the best "

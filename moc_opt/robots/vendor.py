@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from moc_opt.errors import RobotError, UnknownNameError
+from moc_opt.errors import RobotError, UnknownNameError, named
 from moc_opt.inputs.files import read_text
 from moc_opt.robots import urdf
 from moc_opt.robots.model import RobotModel
@@ -44,10 +44,16 @@ def read_vendor(
 
     Joints outside the chain and those in ``lock`` are fixed. Implausible masses and limits are replaced.
     """
-    arm = VendorArm(urdf.read(read_text(path, "urdf", RobotError)), [])
+    text = read_text(path, "urdf", RobotError)
+    with named(f"{path}:"):
+        return _serial_arm(text, tip, lock or {}, base_rpy)
+
+
+def _serial_arm(text: str, tip: str | None, lock: Mapping[str, float], base_rpy: urdf.Numbers) -> VendorArm:
+    arm = VendorArm(urdf.read(text), [])
     joints = {joint.name: joint for joint in arm.urdf.joints}
     _rename(arm)
-    for name, value in (lock or {}).items():
+    for name, value in lock.items():
         if name not in joints or not joints[name].moves:
             raise UnknownNameError("joint (--lock)", name, [name for name, joint in joints.items() if joint.moves])
         _fix([joints[name]], arm.notes, at=value)

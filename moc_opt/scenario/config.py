@@ -14,7 +14,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from moc_opt.control import ControlSettings
 from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.control.settings import PRESETS as CONTROL_PRESETS
-from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
+from moc_opt.errors import ScenarioError, UnknownNameError, named
 from moc_opt.inputs.files import as_path, read_toml, to_toml, write_whole
 from moc_opt.inputs.settings import LARGEST_INTEGER, Name, Settings
 from moc_opt.realtime.wire import WireSettings
@@ -137,11 +137,8 @@ class Scenario(Settings):
             made = f"`moc-opt robot new {file} --out arm.toml` makes a file for [robot] name = 'arm.toml' in a scenario"
             raise ScenarioError(f"{file} is a robot, not a scenario: {made}")
         table = read_toml(file, "scenario", ScenarioError)
-        try:
+        with named(f"{file}:"):
             return cls(**_with_files_in(file.parent, table))
-        except MocOptError as error:
-            error.args = (f"{file}: {error}",)  # keeps the class of the error
-            raise
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a TOML file that `load` reads. Defaults are omitted, and paths become absolute.
@@ -209,7 +206,7 @@ def _tables(value: Settings, name: str) -> Iterator[dict[str, Any]]:
 
 
 def without_none(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Copy a table without None, which TOML lacks. Infinity replaces it, except in ``settings`` and ``gains``."""
+    """Copy a table without None, which TOML lacks: ``settings`` loses the key, ``gains`` is "", all else infinity."""
     plain: dict[str, Any] = {}
     for key, value in table.items():
         if key == "settings":

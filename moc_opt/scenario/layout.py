@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from moc_opt.arrays import Array
-from moc_opt.errors import MocOptError, ScenarioError
+from moc_opt.errors import ScenarioError, named
 from moc_opt.planning.self_motion import self_motion
 from moc_opt.robots import available_robots
 from moc_opt.robots.model import RobotModel, carried
@@ -70,7 +70,8 @@ def _checked(scenario: Scenario, robot: RobotModel, q: Array, until_s: float) ->
     try:
         return found, preflight.check_reachable(robot, q, found.reference, found.registered, until_s)
     except preflight.UnreachableError as error:
-        error.args = (f"{error}; [start] check_path = false skips this check",)
+        place = str(error).removeprefix("[task] ")
+        error.args = (f"{scenario.task.in_words}, {place}; [start] check_path = false skips this check",)
         raise
 
 
@@ -83,20 +84,17 @@ def _task(scenario: Scenario, robot: RobotModel, q: Array) -> Layout:
         )
     point = state.tip - trocar.depth_m * state.tool_direction
     registered = Trocar(point, *(trocar.breathing if trocar.breathing_known else (0.0,)))
-    try:
+    with named("[task]"):
         path = make_path(
             task.path, state.tip, normal=task.normal, heading=task.heading, waypoints=task.waypoints_m, **task.sizes
         )
-    except MocOptError as error:
-        error.args = (f"[task] {error}",)  # keeps the class of the error
-        raise
     reference = Reference(path, task.v_max_m_per_s, task.a_max_m_per_s2, t_start=task.wait_s)
     duration_s = scenario.duration_s or task.wait_s + reference.duration + task.hold_s
     if not duration_s / scenario.plant.period_s <= MOST_TICKS:
-        parts = f"[task] wait_s, hold_s, and a path of {path.length:.3g} m at {task.v_max_m_per_s:g} m/s"
+        parts = f"{task.in_words}: {path.length:.3g} m at {task.v_max_m_per_s:g} m/s, plus wait_s and hold_s"
         raise ScenarioError(
             f"the run takes {duration_s:.4g} s ({parts if scenario.duration_s is None else 'duration_s'}), more than "
-            f"{MOST_TICKS} ticks of [plant] period_s = {scenario.plant.period_s:.3g} s: give a shorter time"
+            f"{MOST_TICKS} ticks of [plant] period_s = {scenario.plant.period_s:.3g} s: give a shorter path or time"
         )
     return Layout(q, point, registered, reference, duration_s)
 

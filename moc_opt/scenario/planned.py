@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from moc_opt.errors import ControlError, ScenarioError, shown
+from moc_opt.errors import ControlError, ScenarioError, named, shown
 from moc_opt.planning.course import Limits, Targets, lay_targets
 from moc_opt.planning.guides import COURSE_SHARE, margin_of, speed_shares, too_fast_to_follow
 from moc_opt.planning.plan import Plan, make_plan
@@ -47,7 +47,8 @@ def plan(
     robot = scenario.robot.arm()
     layout = lay_out(scenario, robot, checked=False)
     limits = Limits(margin_of(robot, margin_rad, margin_m), speed_share, shaft_margin)
-    targets = targets_of(robot, layout, times)
+    with named(f"{scenario.task.in_words}:"):
+        targets = targets_of(robot, layout, times)
     return make_plan(robot, layout.q, targets, limits, swivels=swivels, refined=refined)
 
 

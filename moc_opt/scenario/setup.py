@@ -18,7 +18,7 @@ from moc_opt.arrays import Array
 from moc_opt.control import Controller
 from moc_opt.control.controller import Guide
 from moc_opt.control.safety_filter import SafetyFilter
-from moc_opt.errors import ScenarioError, describe
+from moc_opt.errors import ScenarioError, describe, named
 from moc_opt.inputs.files import read_arrays
 from moc_opt.planning.follow import Follower
 from moc_opt.planning.guides import Following, guides
@@ -129,7 +129,8 @@ class Setup:
         if self.scenario.control.law != "moc":
             return None
         asked, faults = self.scenario.solver, self.scenario.faults
-        solver = self._given or make_solver(asked.name, self.robot, **asked.settings)
+        with named("[solver]"):
+            solver = self._given or make_solver(asked.name, self.robot, **asked.settings)
         if faults.solver == "none" or faults.solver == "hang":
             return solver
         return Faulty(solver, faults.solver, faults.solver_share, self._fault_seed)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from moc_opt.inputs.settings import Name, Settings
 from moc_opt.robots.model import RobotModel, load_robot
@@ -15,6 +15,15 @@ from moc_opt.tasks.curves import CURVES
 from moc_opt.tasks.paths import sizes
 
 Vector = tuple[float, float, float]
+
+
+def _not_zero(vector: Vector) -> Vector:
+    if not any(vector):
+        raise ValueError("give a vector of non-zero length")
+    return vector
+
+
+Direction = Annotated[Vector, AfterValidator(_not_zero)]
 MOST_S = 100_000.0
 """Upper limit of a run's duration and of other durations in these tables [s]."""
 
@@ -43,8 +52,9 @@ class StartTable(Settings):
     q_rad: tuple[float, ...] | None = None
     """joint positions at the start, for `pose` = 'home'. By default, they are the robot's home pose"""
     swivel: Annotated[float, Field(ge=0.0, le=1.0)] | Literal["given", "random"] = "given"
-    """place of the elbow at the start, from 0 to 1 of the way that it can move while tip and wrist rest. 'given': as in
-    the start pose; 'random': drawn from 0.05 to 0.95"""
+    """place of the elbow at the start, from 0 to 1 of the way that it can move while tip and wrist rest. It is no
+    angle: `moc-opt plan` prints angles, and `q_rad` for the best one. 'given': as in the start pose; 'random': drawn
+    from 0.05 to 0.95"""
     limit_margin_rad: float = Field(0.05, ge=0.0, le=3.0)
     """smallest allowed distance of revolute joints from their limits along the path, for `pose` = 'random'"""
     limit_margin_m: float = Field(0.05, ge=0.0, le=3.0)
@@ -68,7 +78,7 @@ class TrocarTable(Settings):
     breathing_amplitude_m: float = Field(0.0, ge=0.0, le=0.5)
     """largest distance by which the breathing moves the trocar from its place at the start"""
     breathing_period_s: float = Field(4.0, gt=0.0, le=MOST_S, description="duration of one breath")
-    breathing_direction: Vector = (0.0, 0.0, 1.0)
+    breathing_direction: Direction = (0.0, 0.0, 1.0)
     """direction of the breathing motion in base axes. The vector's length has no effect"""
     breathing_known: bool = True
     """whether the controller knows the breathing motion. If not, it assumes a trocar at rest"""
@@ -90,8 +100,9 @@ class TaskTable(Settings):
     waypoints_m: tuple[Vector, ...] | None = None
     """waypoints relative to the tip at the start. Their coordinates are along `heading`, left (`normal` x `heading`),
     and `normal`"""
-    normal: Vector = Field((0.0, 0.0, 1.0), description="vector perpendicular to the plane of the path, in base axes")
-    heading: Vector = (1.0, 0.0, 0.0)
+    normal: Direction = (0.0, 0.0, 1.0)
+    """vector perpendicular to the plane of the path, in base axes"""
+    heading: Direction = (1.0, 0.0, 0.0)
     """direction in which the path begins, in base axes. It is projected onto the path's plane"""
     v_max_m_per_s: float = Field(0.05, gt=0.0, le=10.0, description="largest speed of the tip")
     a_max_m_per_s2: float = Field(0.2, gt=0.0, le=1e6, description="largest acceleration of the tip, including curves")
@@ -113,6 +124,12 @@ class TaskTable(Settings):
             raise ValueError(f"path = {self.path!r}: remove waypoints_m, or set path = 'waypoints'")
         sizes(self.path, self.sizes)
         return self
+
+    @property
+    def in_words(self) -> str:
+        """The path and its given sizes, for messages."""
+        given = "".join(f", {name} = {size:g}" for name, size in self.sizes.items())
+        return f"[task] path = {self.path!r}{given}{' (lengths in m)' if given else ''}"
 
     @classmethod
     def keys(cls, values: Mapping[str, Any]) -> list[str]:

@@ -19,7 +19,7 @@ GRAVITY = 9.81
 
 
 class FaultSettings(Settings):
-    """Faults that are put into the run. All are off by default."""
+    """Faults that are put into the run. All are off by default. A fault at a time after the run has no effect."""
 
     KIND: ClassVar[str] = "[faults]"
     ERROR: ClassVar[type[MocOptError]] = PlantError
@@ -72,9 +72,10 @@ class FaultSettings(Settings):
     slip_m: float = Field(0.0, ge=0.0, le=0.1, description="distance by which the trocar slips horizontally")
     slip_at_s: float = Field(2.0, ge=0.0, description="time at which the trocar slips")
     solver: Literal["none", "fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang"] = "none"
-    """fault of the solver's answers. 'fail': no answer; 'nan': NaN; 'lie': optimum for the negated gradient; 'raise':
-    exception; 'outside': outside the bounds; 'rig': wrong answer, and the solver changes the problem to fit it;
-    'malformed': wrong data type; 'hang': solve time of ten times `budget_us` (without it: `deadline_us`)"""
+    """fault of the solver's answers, without effect if `law` = 'dcac'. 'fail': no answer; 'nan': NaN; 'lie': optimum
+    for the negated gradient; 'raise': exception; 'outside': outside the bounds; 'rig': wrong answer, and the solver
+    changes the problem to fit it; 'malformed': wrong data type; 'hang': solve time of ten times `budget_us` (without
+    it: `deadline_us`)"""
     solver_share: float = Field(0.05, ge=0.0, le=1.0)
     """share of the solver's answers that have the fault `solver`"""
 

@@ -126,7 +126,7 @@ def test_link_at_the_temporary_name_is_not_followed(tmp_path, monkeypatch):
 def test_error_names_the_folder_that_cannot_be_written(path, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for work in (lambda: write_whole(path, b"new"), lambda: files.check_replaceable(path, "file", MocOptError)):
-        with pytest.raises(MocOptError, match=r"cannot be written in the folder '/.*: name a file") as found:
+        with pytest.raises(MocOptError, match=r"cannot be written in the folder '/.*: choose a folder") as found:
             work()
         assert "Errno" not in str(found.value)
 

@@ -66,7 +66,7 @@ def test_errors_name_table_field_value_and_range():
     for wrong, said in (
         ({"inner": {"gain": -3.0}}, r"^\[inner\] gain = -3\.0: input should be greater than 0"),
         ({"name": 5}, "name = 5"),
-        ({"inner": 3}, r"inner = 3: must be a table; write \[inner\] with its keys below it$"),
+        ({"inner": 3}, r"inner = 3: must be a table: in a file write \[inner\] .*, in Python give a dict$"),
     ):  # fmt: skip
         with pytest.raises(ControlError, match=said):
             Outer(**wrong)
