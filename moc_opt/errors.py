@@ -71,7 +71,7 @@ class BrowserMissingError(BrowserError):
 
 
 class UnknownNameError(MocOptError, LookupError):
-    """A name is not known. The message lists the nearest valid names."""
+    """A name is not known. The message suggests similar names. It lists all valid names, or refers to a command."""
 
     MOST = 10_000  # the message may list many names
     FEW: ClassVar[int] = 12  #: With more names, the message refers to the command ``listed_by``.

@@ -90,4 +90,4 @@ def metrics() -> tuple[str, Rows, str]:
     """List the metrics; return (title, rows, note)."""
     load_plugins()
     rows = {name: {"unit": one.unit, "about": one.about} for name, one in METRICS.items()}
-    return "Metrics, for the key metrics of a scenario, or for moc-opt run --metric", rows, ""
+    return "Metrics, for the key `metrics` of a scenario, or for `moc-opt run --metric`", rows, ""

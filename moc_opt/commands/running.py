@@ -169,7 +169,7 @@ def _matched_dcac(scenario: Scenario, title: str, ticks: int) -> Trace | None:
     matched = scenario.change(control=scenario.control.matched_dcac(), bound_samples=0, best_courses=False)
     trace = _as_far_as_it_goes(lambda: run(matched))
     if len(trace) < ticks or "mu" not in trace.columns:
-        print(f"{title}: not compared with DCAC, because the run of DCAC ended: {trace.meta['ended']}", file=sys.stderr)
+        print(f"{title}: not compared with DCAC, whose run ended earlier: {trace.meta['ended']}", file=sys.stderr)
         return None
     return trace.head(ticks)
 
@@ -237,7 +237,7 @@ def plan_scenario(given: argparse.Namespace) -> int:
 
     scenario, title = read_scenario(given.scenario)
     _check_trace_out(given.out, given.force, "course")
-    follows = scenario.control.follows or given.out is not None  # a file is written for a run that follows it
+    follows = scenario.control.follows or given.out is not None  # a course of --out must suit a run that follows it
     plan, within = followable_plan(scenario, given.margin, given.speed_share, given.margin_m, followed=follows)
     warned = following_warnings(scenario, plan) if follows else []
     path = save_course(plan, scenario, given.out, within) if given.out is not None and plan.course is not None else None

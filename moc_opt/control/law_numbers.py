@@ -30,7 +30,7 @@ def numbers_of(settings: ControlSettings, robot: RobotModel, period: float) -> d
     n, moc, follows, supervisor = robot.n, settings.law == "moc", settings.follows, settings.supervisor
     gains = settings.resolve_gains(robot.data.gains, n)
     gain, damping = gains.K_N2, gains.D_N2
-    if follows:  # the damping acts on v - x instead of v, because x is the desired velocity
+    if follows:  # D_N2 then acts on x - v, as K_N2 does, because x is the desired velocity
         gain, damping = gain + damping, np.zeros(n)
     if not moc:
         damping = per_joint("[control] dcac_damping", settings.dcac_damping, n)

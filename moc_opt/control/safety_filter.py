@@ -44,8 +44,8 @@ class SafetyFilter:
         period: control period [s].
         carries: whether the commanded torque carries the arm's weight. If not, the drives add the gravity torque.
         incision: whether the tool is in an incision. If not, RCM error and trocar force are not checked.
-        momentum: whether `limit_torque` computes the robot's state if the state is not given. Without a state, the
-            momentum residuals are not checked.
+        momentum: whether the momentum residuals are also checked if `limit_torque` is called without a state. In this
+            case, `limit_torque` computes the state.
 
     Attributes:
         limited: number of joints whose torque the last call of `limit_torque` changed.

@@ -48,7 +48,7 @@ class SafetyFilterSettings(Settings):
     scenario computes it from the encoders' noise and step"""
     repeat_reading_ticks: int | None = Field(None, ge=0)
     """largest number of control periods in a run (in a row or not) in which one encoder repeats position and velocity.
-    By default, it is `patience_ticks` if encoders have noise and a velocity filter, and unlimited without these"""
+    By default, it is `patience_ticks` if noise and a velocity filter rule out such repetitions, else unlimited"""
     stuck_rad_per_s: float = Field(0.2, gt=0.0)
     """largest computed speed that a joint gains while its encoder repeats its reading. The computation uses the joint's
     inertia and the torque change beyond static friction (`stuck_torque`). A scenario raises the limit to at least
@@ -71,12 +71,12 @@ class SafetyFilterSettings(Settings):
     wall_stiffness_Nm_per_rad: float = Field(2000.0, ge=0.0)
     """stiffness of the virtual wall (prismatic joints: N/m)"""
     wall_damping_Nm_s_per_rad: float = Field(20.0, ge=0.0)
-    """damping of the part of a joint's speed beyond sqrt(2 a d), see `wall_brake_rad_per_s2` (prismatic: N s/m)"""
+    """damping of a joint's speed above the allowed speed, see `wall_brake_rad_per_s2` (prismatic joints: N s/m)"""
     wall_brake_rad_per_s2: float = Field(2.0, gt=0.0)
-    """deceleration a before the virtual wall. A joint at the distance d from the wall is damped if it moves towards the
-    wall faster than sqrt(2 a d) or its speed limit"""
+    """deceleration a before the virtual wall. At the distance d from the wall, the allowed speed towards the
+    wall is the smaller one of sqrt(2 a d) and the joint's speed limit. A faster joint is damped"""
     jump_rad: float = Field(0.05, gt=0.0)
-    """largest change of a measured position, less the travel at the joint's speed limit; see `patience_ticks`"""
+    """most that a measured position may change beyond the travel at the joint's speed limit; see `patience_ticks`"""
     speed_factor: float = Field(5.0, gt=1.0)
     """largest measured speed, divided by the joint's speed limit; see `patience_ticks`"""
     patience_ticks: int = Field(3, ge=0)

@@ -71,8 +71,8 @@ class SupervisorSettings(Settings):
     """largest natural residual of an answer reported as optimal [rad/s]. At an optimum the residual is 0. The cost is
     scaled so that the largest entry of its gradient at x = 0 is 1"""
     opposite_limit: float = Field(1e-3, gt=0.0)
-    """largest distance of an answer reported as optimal from the optimum [rad/s]. A more distant answer is refused if
-    it is nearer to the optimum for the negated `c2`"""
+    """distance from the optimum [rad/s] above which an answer reported as optimal is compared with the optimum for the
+    negated `c2`. The answer is refused if it is nearer to that optimum"""
     hold_ticks: int = Field(10, ge=0)
     """number of consecutive control periods in which the last good answer replaces refused answers. After these,
     x = 0 damps the elbow motion, except near joint limits (`keep_off_limits`)"""
