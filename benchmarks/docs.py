@@ -22,7 +22,7 @@ BLOCK = re.compile(
 
 
 def block(folder: Path, title: str | None) -> str | None:
-    """Return the command and the report's section ``title``, or its answer and first table if there is no title."""
+    """Return the command that made a report, and the report's section ``title`` (None: its answer and first table)."""
     if not (folder / "report.md").exists():
         return None
     parts = re.split(r"^## (.+)\n", (folder / "report.md").read_text(encoding="utf-8"), flags=re.MULTILINE)

@@ -20,12 +20,14 @@ PIPED_WIDTH = 80
 CLOSED = 141
 """Exit status if a program that reads the output (`head`) ends early, as after SIGPIPE."""
 
-
 _diverted = ExitStack()
 
 
 def divert_output(wanted: bool) -> ExitStack:
-    """If ``wanted``, send stdout to stderr, also that of C code and new processes, until `print_json` or the end."""
+    """If ``wanted``, send stdout to stderr, until `print_json` is called or the returned context ends.
+
+    The output of C code and of new processes is sent there, too.
+    """
     if wanted and sys.stdout is not None and sys.stderr is not None:
         sys.stdout.flush()
         kept = os.dup(1)
@@ -57,7 +59,7 @@ def console(*, stderr: bool = False, file: IO[str] | None = None) -> Console:
     """Make a console. Without a terminal, it writes 80 columns of plain text."""
     made = _Console(stderr=stderr, file=file, highlight=False, soft_wrap=False)
     if not made.is_terminal and not os.environ.get("COLUMNS", "").isdigit():
-        made.width = PIPED_WIDTH  # rich would take the width of another terminal
+        made.width = PIPED_WIDTH  # rich would take the width of the terminal at stdin or stderr
     return made
 
 

@@ -56,8 +56,8 @@ COLUMNS = (
     Column(
         "end", "in the end",
         help=f"state in the last {100 * END:.0f} % of the time. Local maximum: mu falls to both sides. Edge: mu rises "
-        "further only at forbidden poses. At rest: no maximum or edge is within "
-        f"{np.degrees(CLOSE_RAD):.0f} deg; the third level may have tighter bounds than the map. "
+        "further only at forbidden poses. At rest: the elbow rests, though no maximum or edge is within "
+        f"{np.degrees(CLOSE_RAD):.0f} deg. A reason can be that the third level has tighter bounds than the map. "
         "Another branch of the inverse kinematics: the map does not apply",
     ),
 )  # fmt: skip
@@ -76,8 +76,8 @@ def add_map(page: Page, found: SwivelMap, *, styles: Styles | None = None) -> No
     page.figure(
         drawn, "The manipulability mu over time and over the swivel angle of the elbow, at poses with the run's tip "
         f"and shaft ({times} by {swivels} poses). At grey poses, a joint would be beyond its limit, or the arm does "
-        "not reach the pose. Each line that begins at a marker is a run. The dotted line joins the best poses; its "
-        "jumps are not motions of the arm.", name="map",
+        "not reach the pose. Each line that begins at a marker is a run. The dotted line without a marker joins the "
+        "best poses; its jumps are not motions of the arm.", name="map",
     )  # fmt: skip
     rows = [_row(read_trajectory(found, trajectory)) for trajectory in found.trajectories]
     page.table(Table("Trajectories on the map", COLUMNS, rows))
@@ -114,7 +114,8 @@ def load_map(files: Sequence[str | os.PathLike[str]]) -> Page:
 def map_figure(found: SwivelMap, styles: Styles | None = None) -> go.Figure:
     """Draw mu as colour over time and swivel, with a line for every run.
 
-    Runs on another branch of the inverse kinematics are dotted. Raise a ReportError if no pose is allowed.
+    The best poses, and runs on another branch of the inverse kinematics, are dotted. Raise a ReportError if no pose is
+    allowed.
     """
     styles, allowed = styles or Styles(found.trajectories), found.limit == FEASIBLE
     if not allowed.any():

@@ -21,8 +21,8 @@ COURSES = [
 ]  # fmt: skip
 STEPS = {"map": "map of poses", "search": "search on the map", "bound": "bound of mean mu", "refine": "refinement"}
 VERDICT_TERMS = (
-    "mu: manipulability. Swivel: angle of the elbow about the line from shoulder to wrist. The key swivel of [start] "
-    "is no angle, but a share (0 to 1): to start at a swivel of this plan, use q_rad."
+    "mu: manipulability. Swivel: angle of the elbow about the line from shoulder to wrist. In [start], swivel is "
+    "no angle, but a share (0 to 1) of the elbow's range. To start at the swivel of the best start, use q_rad instead."
 )
 COURSES_TERMS = (
     "Course: joint motion along the path. Local climb: course up the gradient of mu, with ideal tracking. A run with "

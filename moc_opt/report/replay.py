@@ -175,7 +175,7 @@ def arm_parts(robot: RobotModel) -> list[Part]:
     tip, wrist = chain.offsets
     along = (tip - wrist) / np.linalg.norm(tip - wrist)
     mount = tip - robot.data.tool_length * along
-    ends = np.array([*chain.origins, mount])  # ends[k]: end of the link from frame k - 1, in this frame
+    ends = np.array([*chain.origins, mount])  # ends[k]: end of the link from frame k - 1, in frame k - 1
     lengths = np.linalg.norm(ends, axis=1)
     reach = lengths[:-1].sum()
     radius = np.linspace(0.058, 0.038, n + 1) * reach

@@ -67,7 +67,7 @@ def replaced(trace: Trace) -> str:
 
 
 def below_best(trace: Trace) -> str:
-    """Say how far mean mu is below that of the best planned motion. Return "" if the share is at most `NEAR`."""
+    """Say how far mean mu is below the best motion's ("" if by at most `NEAR`), or why this is unknown."""
     found = table(trace.meta, "best_courses")
     if absent := found.get("absent"):
         return f"mean mu is not compared with the best joint motion from this start: {absent}"

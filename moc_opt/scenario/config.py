@@ -206,7 +206,7 @@ def _tables(value: Settings, name: str) -> Iterator[dict[str, Any]]:
 
 
 def without_none(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Copy a table without None, which TOML lacks: ``settings`` loses the key, ``gains`` is "", all else infinity."""
+    """Copy a table, but omit None in ``settings``. Elsewhere replace None, by "" in ``gains`` and else by infinity."""
     plain: dict[str, Any] = {}
     for key, value in table.items():
         if key == "settings":

@@ -66,7 +66,7 @@ def residual_columns(columns: Columns) -> dict[str, NDArray[Any]]:
 
 
 def largest_mu(poses: Array, robot: RobotModel, samples: int) -> tuple[Array, dict[str, str]]:
-    """Compute the largest mu [m^3] that poses with the tip and wrist of ``poses`` (N, n) have.
+    """For ``poses`` (N, n), compute the largest mu [m^3] that is possible with the same tip and wrist.
 
     Return (bound, meta). ``bound`` (N,) has the largest mu at ``samples`` evenly spaced ticks, and NaN at all others.
     ``meta["mu_bound_method"]`` names the method.
@@ -113,8 +113,9 @@ def _planned(path: str) -> BestCourses:
 def against_best(scenario: Scenario, trace: Trace) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     """Return the columns of the best courses, and the entry ``best_courses`` of the trace's meta.
 
-    The part ``end`` has three values of mu [m^3]: ``mu`` at the end of the run; ``top_mu`` where a climb of mu from
-    there ends, at a maximum or a joint limit; and ``best_mu`` at the end of the best course from the start.
+    The part ``end`` has three values of mu [m^3]. ``mu`` is the value at the end of the run, and ``best_mu`` at the end
+    of the best course from the start. A climb of mu from the end of the run leads to ``top_mu``, at a maximum or a
+    joint limit.
     """
     try:
         known = best_courses(scenario)

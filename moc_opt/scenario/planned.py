@@ -71,7 +71,9 @@ def followable_plan(
 ) -> tuple[Plan, dict[str, float]]:
     """Plan a course within limits, and return the plan and the limits.
 
-    A limit of None is [control]'s if level 3 follows the course, else the arm's. Margins that no plan keeps become 0.
+    ``followed`` says whether level 3 follows the course (None: as in [control]). If it does, [control] gives a speed
+    share of None, and the margins if both are None. If no plan keeps these margins, they become 0. Any other limit of
+    None is the arm's own.
     """
     settings = scenario.control
     follows = settings.follows if followed is None else followed

@@ -21,8 +21,9 @@ from moc_opt.tasks import Reference, Trocar
 Found = TypeVar("Found")
 
 SINGULAR = (1e-4, 1e-4)
-"""Lower bounds on two ratios of singular values, for every start: smallest to largest of J_tip (`Freedoms.tip`), and
-fifth to largest of [J_tip; J_wrist] (`Freedoms.both`). A pose below a bound is refused as singular."""
+"""Lower bounds on `Freedoms.tip` and `Freedoms.both`, for every start. The first is the ratio of the smallest to the
+largest singular value of J_tip. The second is the ratio of the fifth to the largest singular value of
+[J_tip; J_wrist]. A pose below a bound is refused as singular."""
 REGULAR = (0.1, 0.05)
 """Like `SINGULAR`, but for a random start and for the poses along its path."""
 DRAWN_MARGIN = 0.1  #: Smallest distance of a joint from its limits in a drawn pose [share of the joint's range].

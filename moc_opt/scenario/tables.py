@@ -52,9 +52,9 @@ class StartTable(Settings):
     q_rad: tuple[float, ...] | None = None
     """joint positions at the start, for `pose` = 'home'. By default, they are the robot's home pose"""
     swivel: Annotated[float, Field(ge=0.0, le=1.0)] | Literal["given", "random"] = "given"
-    """place of the elbow at the start, from 0 to 1 of the way that it can move while tip and wrist rest. It is no
-    angle: `moc-opt plan` prints angles, and `q_rad` for the best one. 'given': as in the start pose; 'random': drawn
-    from 0.05 to 0.95"""
+    """place of the elbow at the start, from 0 to 1 of the way that it can move while tip and wrist rest. This
+    number is no angle. `moc-opt plan` prints angles, and the `q_rad` of the best start. 'given': as in the start pose;
+    'random': drawn from 0.05 to 0.95"""
     limit_margin_rad: float = Field(0.05, ge=0.0, le=3.0)
     """smallest allowed distance of revolute joints from their limits along the path, for `pose` = 'random'"""
     limit_margin_m: float = Field(0.05, ge=0.0, le=3.0)

@@ -36,7 +36,8 @@ class PlantServer(Setup):
     """The plant of a scenario, for a controller in another process.
 
     The plant listens at ``listen``, "HOST:PORT". Port 0 means any free port; ``address`` has its number. In
-    lock-step, the plant waits for each command. ``system`` is the result of `ask_for_realtime`.
+    lock-step, the plant waits for each command. In real time, the caller sets ``system`` to what `ask_for_realtime`
+    returns.
 
     Raises:
         MocOptError: the scenario or the address is not usable.

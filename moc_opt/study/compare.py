@@ -132,8 +132,8 @@ class Comparison:
             "In brackets: 95 % intervals.": "[" in means,
             "Changes are relative to dcac (the control law without level 3, with equal gains). A change is the ratio "
             "of the means, minus 1.": "[" in changes,
-            "?: undecided, because the mean of the trials' changes has another sign, or because only one of these two "
-            "figures has an interval that contains 0.": "?" in changes,
+            "?: undecided, because the change and the mean of the trials' changes differ in sign, or because only one "
+            "of their two intervals contains 0.": "?" in changes,
             "Verified: share of answers that a check found optimal. Silently wrong: number of wrong answers reported "
             "as optimal.": "verified" in keys,
             "p50, p99: median and 99th percentile of a trial's solve times, then the median of these over the trials.":

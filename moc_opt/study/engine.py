@@ -50,7 +50,7 @@ class Job:
     arguments: tuple[Any, ...] = ()
     limit_s: float = 600.0  #: time limit [s]
     alone: bool = False  #: True for a job that measures times: no other job runs at the same time
-    group: str = ""  #: after `give_up` hangs or crashes in a group, `run` skips its later jobs; "": no group
+    group: str = ""  #: `run` skips a group's later jobs after ``give_up`` hangs or crashes in the group; "": no group
 
 
 @dataclass(frozen=True)

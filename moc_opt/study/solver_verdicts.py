@@ -28,7 +28,8 @@ GAPS, NEAR = Mark("◐", "gaps", "fair", 2), Mark("≈", "near", "fair", 3)
 OTHER, OPEN = Mark("≠", "other", "other", 4), Mark("–", "open", "other", 5)
 AVOID = Mark("✘", "avoid", "bad", 6)
 TONES = {TAKE: GOOD, SOUND: GOOD, GAPS: list(SERIES)[4], NEAR: list(SERIES)[4], OTHER: MUTED, OPEN: BAD, AVOID: WORST}
-TOO_MUCH = 5.0  # a solver with a sure loss of more than this many tolerances (see `COSTS`) gets the verdict AVOID
+# A loss is sure if both intervals of the `Change` lie beyond the tolerance (see `COSTS`).
+TOO_MUCH = 5.0  # a solver with a sure loss of more than this many tolerances gets the verdict AVOID
 COSTS = {
     "mu_mean": ("mu", 0.01),
     "tip_error_model_mean_mm": ("tip", 0.05), "tip_error_registered_mean_mm": ("registered tip", 0.05),
@@ -111,7 +112,7 @@ def _order(row: Row) -> tuple[float, float, float]:
 
 
 def _damage(row: Row, reference: str | None, runs: Results) -> tuple[Any, float]:
-    """Return the worst loss as text, and its sure part in tolerances (0 unless both intervals exceed the tolerance)."""
+    """Return the worst loss as text, and its size in tolerances if it is sure, else 0."""
     for word, count in _ended(row["closed"]).items():
         if count:
             return f"{count} {word}", TOO_MUCH
@@ -131,7 +132,7 @@ def _damage(row: Row, reference: str | None, runs: Results) -> tuple[Any, float]
 
 
 def _size(metric: str, change: Change) -> tuple[float, float]:
-    """Return the smallest and the largest end of a change's two intervals as a loss, divided by the tolerance."""
+    """Return the smallest and the largest loss in the two intervals of a change, divided by the tolerance."""
     sides = [(-one.high, -one.low) if metric == "mu_mean" else (one.low, one.high) for one in change]
     equal = 100.0 * COSTS[metric][1]
     return min(low for low, _ in sides) / equal, max(high for _, high in sides) / equal

@@ -249,7 +249,7 @@ def main(arguments: Sequence[str] | None = None, *, program: str = "moc-opt solv
         parser.add_argument("--full", action="store_true", help=f"run the larger study of {FULL.name} in the package")
         parser.add_argument("--only", nargs="+", metavar="SOLVER", help="run only these solvers")
         parser.add_argument("--sets", nargs="+", metavar="NAME", help="use only these test sets")
-        parser.add_argument("--parts", nargs="+", metavar="PART", choices=PARTS, help=f"run only {', '.join(PARTS)}")
+        parser.add_argument("--parts", nargs="+", metavar="PART", choices=PARTS, help=f"run some of {', '.join(PARTS)}")
 
     return command(
         "solvers", "Compare the solvers in open loop and in closed loop.", Config, work, arguments,

@@ -101,6 +101,6 @@ def changed(qp: NullSpaceQP, **values: Any) -> NullSpaceQP:
 
 
 def five_row_gap(qp: NullSpaceQP, b: NDArray[np.floating]) -> Array:
-    """Return the tip's minus the wrist's reference velocity, projected on the shaft, a vector (3,) [m/s]."""
+    """Return the difference of the reference velocities, tip minus wrist, projected on the shaft (3,) [m/s]."""
     u = np.linalg.svd(qp.J_tip - qp.J_wrist)[0][:, 2]
     return np.asarray(u * (u @ (b[:3] - b[3:])))

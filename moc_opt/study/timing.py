@@ -68,7 +68,7 @@ def load(rows: Iterable[Row]) -> str:
 
 
 def clock_cost_us() -> float:
-    """Return the time that it takes to read the clock twice [us]."""
+    """Return the median time between two successive readings of the clock [us]."""
     gaps = np.empty(2000)
     for i in range(len(gaps)):
         begin = perf_counter_ns()
@@ -91,7 +91,7 @@ def each_us(
             begin = perf_counter_ns()
             result = call(item)
             times.append(perf_counter_ns() - begin)
-            if results is not None:  # keeping results lengthens the slowest calls
+            if results is not None:  # only on request, because keeping results lengthens the slowest calls
                 results.append(result)
         if seen is not None:
             seen.append(since(before, len(times)))

@@ -123,8 +123,9 @@ class Trial:
 class Run:
     """The result of a trial.
 
-    Its row has the columns of `Trial.about`, ``ended``, ``whole`` (completed), ``error``, ``raised`` (the solver's
-    first exception) and every metric.
+    Its row has the columns of `Trial.about`, ``ended``, ``whole`` (completed), ``error``, ``raised`` and every metric.
+    ``raised`` gives the number of the solver's exceptions, and the first of them. If there are none, it gives the same
+    for malformed answers.
     """
 
     row: Mapping[str, Any]
