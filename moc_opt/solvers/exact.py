@@ -51,7 +51,7 @@ class Exact(SolverSettings):
         return None if qp.n <= core.MAX_JOINTS else f"{qp.n} joints: `exact` takes at most {core.MAX_JOINTS}"
 
     def solve_batch(self, rows: Array, threads: int | None = None) -> tuple[Array, Array, list[Status]]:
-        """Solve k subproblems with the flat arrays ``rows`` (k, 11 n + 10). Return x (k, n), y (k, 6) and k statuses.
+        """Solve k subproblems. Each row of ``rows`` (k, 11 n + 10) is one. Return x (k, n), y (k, 6) and k statuses.
 
         x and y are NaN if the status is not SOLVED. ``threads`` None: one per core. A wrong shape raises a SolverError.
         """

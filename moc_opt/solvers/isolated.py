@@ -40,7 +40,7 @@ class Unanswered(Exception):
 
 
 class Restart(NamedTuple):
-    """The replacement of a process."""
+    """The loss of a process. A new one replaces it, unless ``most_restarts`` is exceeded."""
 
     tick: int  #: number of solves before the failed one
     reason: str
@@ -99,7 +99,7 @@ class Isolated:
 
 
 class IsolatedSession:
-    """A session. ``restarts`` lists the replacements of its process."""
+    """A session. ``restarts`` lists the losses of its process."""
 
     def __init__(self, solver: Isolated, qp: NullSpaceQP) -> None:
         self._solver, self._tick, self.restarts = solver, 0, list[Restart]()

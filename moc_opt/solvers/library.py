@@ -26,7 +26,7 @@ class Adapter(SolverSettings):
     Attributes:
         rows: number of equality rows, 5 or 6.
         cost_scale: factor of P and p. The library's duals are divided by this factor.
-        needs: text that the library needs a positive definite cost; empty if the library accepts any cost.
+        needs: message for a library that needs a positive definite cost; empty if the library accepts any cost.
     """
 
     rows: int = 5

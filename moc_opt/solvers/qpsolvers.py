@@ -175,7 +175,7 @@ class QPSolver(SolverSettings):
         library: name of the library in qpsolvers.
         rows: 5 or 6 equality rows. With six, daqp fails on one problem in a hundred.
         cost_scale: factor of P and p; None: the one in `ADVICE`.
-        options: options of the library, of those in `ALLOWED`. They take precedence over those of `ADVICE`.
+        options: options of the library, with names from `ALLOWED`. They take precedence over those of `ADVICE`.
         advised: if False, `ADVICE` is ignored.
 
     Raises:
@@ -197,7 +197,7 @@ class QPSolver(SolverSettings):
 
     @property
     def advice(self) -> Advice:
-        """The factor of the cost and the library's keyword arguments: those of `ADVICE`, then those that were given."""
+        """The cost's factor and the library's keyword arguments. Given values replace those of `ADVICE`."""
         base = ADVICE.get(self.library, Advice()) if self.advised else Advice()
         scale = base.cost_scale if self.cost_scale is None else self.cost_scale
         return Advice(scale, {**base.options, **(self.options or {})})

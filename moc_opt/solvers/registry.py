@@ -98,8 +98,8 @@ def available() -> dict[str, str | None]:
             continue
         try:
             entry = _of_plugin(name, points)
-            required = (p for p in entry.parameters.values() if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD))
-            if all(p.default is not p.empty for p in required):  # a plug-in that needs arguments is not tried
+            named = (p for p in entry.parameters.values() if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD))
+            if all(p.default is not p.empty for p in named):  # a plug-in that needs arguments is not tried
                 entry.create()
             found[name] = None
         except MocOptError as error:

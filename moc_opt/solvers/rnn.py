@@ -136,10 +136,11 @@ class RNN(Network):
 
 @dataclass(frozen=True)
 class RNNPrinted(Network):
-    """Equation (2) of the paper as printed, with the measured joint velocity v as the paper's qd.
+    """Equation (2) of the paper as printed. The paper's qd is the measured joint velocity v.
 
-    The answer is x = P(v - k dL/dqd), where P clips to the bounds. Each tick needs ``session.observe(v)`` first.
-    With the paper's weights, the network acts only as damping.
+    The answer is x = P(v - k dL/dqd), where P clips to the bounds. This sign of dL/dqd is the right one. Each tick
+    needs ``session.observe(v)`` first. With the paper's weights, the gradient of mu hardly changes the torques, so the
+    network acts only as damping.
 
     Args:
         k: the paper's gain.

@@ -104,7 +104,7 @@ def summarize(trace: Trace, baseline: Trace | None = None) -> dict[str, float]:
 
 
 def evaluate(trace: Trace, baseline: Trace | None = None) -> tuple[dict[str, float], dict[str, str]]:
-    """Return what `summarize` returns, and by name why the trace has no data for the other metrics."""
+    """Return what `summarize` returns, and a dict from the name of each metric without data to the reason."""
     load_plugins()
     for role, run in (("trace", trace), ("baseline", baseline)):
         if not isinstance(run, Trace) and (run is not None or role == "trace"):
