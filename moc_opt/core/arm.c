@@ -109,7 +109,7 @@ static void add(double s, const moc_twist *what, moc_twist *to)
     }
 }
 
-/* Compute M, h, gravity and energy_slope of t, the last link's twist V, and the acceleration dV/dt at ddq = 0. */
+/* Fill M, h, gravity and energy_slope (C^T v) of the struct t. *V is the last link's twist, *acceleration its dV/dt. */
 static void dynamics(const moc_arm *arm, const moc_frame *frame, const moc_twist *S, moc_terms *t, moc_twist *V,
                      moc_twist *acceleration)
 {

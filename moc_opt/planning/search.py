@@ -21,7 +21,7 @@ from moc_opt.planning.course import Limits, lowered, shaft_shares, weights
 from moc_opt.planning.elbow import wrapped
 from moc_opt.planning.pose_map import PoseMap
 
-WHOLE_CELL = 1.1  #: ``cell`` of an upper bound (see `Value`). It exceeds 1 because the poses lie on bent curves.
+WHOLE_CELL = 1.1  #: If this is the argument ``cell`` of `Value`, V is an upper bound. On straight curves 1 would do.
 NEARBY_RAD = 0.2  #: Radius around a pose within which V is approximated by a parabola.
 
 
@@ -45,7 +45,7 @@ class Way(NamedTuple):
 
 
 class Value:
-    """V over a map of k times, b branches, m samples."""
+    """V over a map of k times, b branches of the inverse kinematics, and m elbow angles (samples)."""
 
     def __init__(self, found: PoseMap, limits: Limits, *, cell: float = 0.0, price: float = 0.0) -> None:
         """Compute V backwards in time.
@@ -140,7 +140,10 @@ class Value:
 
 
 def keeping_shaft(found: PoseMap, limits: Limits) -> PoseMap:
-    """Return the map with a lower mu at poses whose `shaft_shares` are below ``limits.shaft`` (see `lowered`)."""
+    """Lower the map's mu at poses where the shaft can hardly turn while the tip rests, so that courses avoid them.
+
+    These are the poses whose `shaft_shares` are below ``limits.shaft``. `lowered` has the formula.
+    """
     if limits.shaft <= 0.0:
         return found
     # All branches have the same share, because the columns of their Jacobians differ only in sign.

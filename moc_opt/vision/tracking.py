@@ -109,8 +109,8 @@ class Tracked:
 class BoardTracker:
     """Tracks a board from picture to picture, and averages its pose over `smoothing_s`.
 
-    If `found_after` sightings far from the estimate agree, the estimate jumps to them. The caller must keep this jump
-    from the tip's reference.
+    If `found_after` sightings far from the estimate agree, the estimate jumps to them. The caller must make sure that
+    the tip's reference does not jump with it.
     """
 
     def __init__(self, limits: TrackerSettings | None = None) -> None:
