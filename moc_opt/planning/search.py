@@ -75,13 +75,16 @@ class Value:
             )  # fmt: skip
 
     def of(self, q: Array, mu: float) -> float:
-        """Return mean mu [m^3] of the best course from a pose (n,), -inf if there is none. ``mu`` is the pose's mu."""
+        """Return mean mu, less the mean penalty [m^3], of the best course from a pose (n,); -inf if there is no course.
+
+        ``mu`` is the mu of the pose. The penalty on the first step is left out.
+        """
         found = self._next(1, q, np.zeros(len(q)), self._step, self._price)
         rest = -np.inf if found is None else float(self.value[1][found])
         return float(mu * self._weight[0] + rest) / self._weight.sum()
 
     def best(self) -> tuple[float, Array | None]:
-        """Return mean mu of the best of all courses, and the pose (n,) at which this course begins, or None."""
+        """Return mean mu, less the mean penalty [m^3], of the best of all courses, and its first pose (n,) or None."""
         first = np.unravel_index(int(np.argmax(self.value[0])), self.value[0].shape)
         value = float(self.value[0][first]) / self._weight.sum()
         return value, self.map.q_rad[0][first] if np.isfinite(value) else None

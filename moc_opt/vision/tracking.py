@@ -27,7 +27,7 @@ class TrackerSettings(VisionSettings):
     error_max_px: float = Field(1.0, gt=0.0, description="a sighting with a larger rms corner error is refused")
     jump_m: float = Field(0.004, gt=0.0, description="a sighting farther than this from the estimate is an outlier")
     jump_rad: float = Field(0.05, gt=0.0, description="a sighting at a larger angle to the estimate is an outlier")
-    found_after: int = Field(3, ge=1, description="so many agreeing outliers in a row replace the estimate")
+    found_after: int = Field(3, ge=1, description="number of agreeing outliers in a row that replace the estimate")
     lost_after_s: float = Field(0.12, gt=0.0, description="the board is lost if no sighting is accepted for this time")
     smoothing_s: float = Field(0.3, ge=0.0, description="time constant of the average; 0: no averaging")
 

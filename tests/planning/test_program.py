@@ -151,7 +151,7 @@ def test_a_course_over_a_horizon_keeps_all_limits(middle, capfd):
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_last_pose_of_a_horizon_moves_to_a_larger_value_function(middle, side):
+def test_last_pose_of_a_horizon_moves_to_where_the_value_function_is_larger(middle, side):
     robot, start, guess, there, made = middle
     rest = (guess[-1] - start) / (NODES * there.period_s)
     plain, _ = made.solve(guess, start, there, rest)
