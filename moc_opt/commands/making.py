@@ -66,6 +66,7 @@ def compare_solvers(given: argparse.Namespace) -> int:
         console().print(found.table)
     if given.out is not None:
         found.save_rows(given.out)
+        print(given.out, file=sys.stderr if given.json else sys.stdout)
     completed = {row["solver"] for row in found.rows if Ending.of(row["ended"]).whole}
     lost = [name for name in found.solvers if name not in completed]
     for name in lost:

@@ -127,6 +127,8 @@ def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
     if given.robot is not None:
         changes["robot"] = {"name": given.robot}
     if given.solver is not None:
+        if scenario.control.law == "dcac":
+            raise ScenarioError(f"--solver {given.solver}: [control] law = 'dcac' has no solver: use law = 'moc'")
         changes["solver"] = {"name": given.solver, "settings": {}}
     level = "planned" if given.course is not None else given.third_level
     if level is not None:

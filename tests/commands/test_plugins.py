@@ -95,10 +95,12 @@ def test_wrong_file_of_points_is_refused(text, line, cure, tmp_path):
 
 @pytest.mark.parametrize(("arguments", "cure"), [
     (["--task", "bad.csv"], "bad.csv': the file contains no point"), (["--task", "spirla"], "did you mean 'spiral'"),
+    (["dcac.toml", "--solver", "osqp"], "law = 'dcac' has no solver"),
 ])  # fmt: skip
-def test_wrong_task_is_refused_with_a_remedy(arguments, cure, tmp_path, monkeypatch, capsys):
+def test_wrong_option_of_run_is_refused_with_a_remedy(arguments, cure, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "bad.csv").write_text("# nothing\n", encoding="utf-8")
+    (tmp_path / "dcac.toml").write_text("control.law = 'dcac'\n", encoding="utf-8")
     assert main(["run", *arguments]) == 2
     assert cure in capsys.readouterr().err
     for task, said in ({"path": "spiral", "waypoints_m": POINTS}, "remove"), ({"path": "waypoints"}, "give"):
