@@ -165,7 +165,7 @@ class Supervisor:
     ) -> tuple[Status, Array, Array]:
         """Do the whole tick in the core (C), with the core's solver `exact`. `Controller.tick` explains the arguments.
 
-        The elbow follows ``x_d`` (n,) [rad/s], or if None, the gradient of mu. ``tolerance`` [rad/s] is for `exact`.
+        The elbow follows ``x_d`` (n,) [rad/s]; None: it raises manipulability. ``tolerance`` [rad/s] is for `exact`.
         Return (status, record, out). ``record`` has the numbers of a `RobotState`. ``out`` (14 n + 16,) has, in this
         order, `NullSpaceQP.row` (11 n + 10,), the solver's x (n,) and y (6,), the x (n,) that the arm follows, and the
         torque (n,) [Nm].
