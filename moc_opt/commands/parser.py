@@ -91,8 +91,9 @@ COMMANDS = {
         JSON,
     ), "With --out, or if the scenario has third_level = 'planned' or 'receding', the defaults are those of [control]: "
        "course_margin_rad for --margin, limit_margin_m for --margin-m, and course_speed_fraction for --speed-share. In "
-       "all other cases, the margins default to 0, and --speed-share to 1. If only one margin is given, the other is "
-       "0. Exit status: 0 the arm can follow the whole path from this start; 2 the input is wrong; 3 the arm cannot."),
+       "all other cases, the margins default to 0, and --speed-share to 1. If you give one of the two margins, the "
+       "default of the other is always 0. Exit status: 0 the arm can follow the whole path from this start; 2 the "
+       "input is wrong; 3 the arm cannot."),
     "replay": Command("commands.making:save_page", "show one to four saved runs in 3-D, in one HTML file",
                       pages("replay")),
     "map": Command("commands.making:save_page", "show saved runs of one path on a manipulability map, in one HTML file",
@@ -131,7 +132,7 @@ COMMANDS = {
     ), "Exit status: 0 the plant ended the run after the last tick; 2 the input is wrong; 3 the controller asked for a "
        "stop, or the plant ended the run early or fell silent."),
     "compare": Command("commands.making:compare_solvers",
-                       "compare solvers with each other, and with control without level 3, on random trials", (
+                       "compare solvers with each other, and with control of tip and shaft alone, on random trials", (
         option("solvers", nargs="+", metavar="SOLVER", help="names from `moc-opt solvers --list`"),
         option("--scenario", type=path, metavar="FILE.toml",
                help="scenario of all trials; if left out, all settings have their defaults"),

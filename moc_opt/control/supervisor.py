@@ -1,4 +1,4 @@
-"""The supervisor of the third level checks every answer of the solver before the arm follows the answer.
+"""The supervisor of the third level (elbow motion) checks every answer of the solver before the arm follows it.
 
 Tip and RCM control never depend on a solver. For a few ticks, the last good answer replaces faulty answers. After these
 ticks, elbow motion is damped.
@@ -71,8 +71,8 @@ class SupervisorSettings(Settings):
     """largest natural residual of an answer reported as optimal [rad/s]. At an optimum the residual is 0. The cost is
     scaled so that the largest entry of its gradient at x = 0 is 1"""
     opposite_limit: float = Field(1e-3, gt=0.0)
-    """distance from the optimum [rad/s] above which an answer reported as optimal is compared with the optimum for the
-    negated `c2`. The answer is refused if it is nearer to that optimum"""
+    """distance [rad/s]. An answer reported as optimal is refused if it is farther than this from the optimum, and
+    nearer to the optimum for the negated `c2`"""
     hold_ticks: int = Field(10, ge=0)
     """number of consecutive control periods in which the last good answer replaces refused answers. After these,
     x = 0 damps the elbow motion, except near joint limits (`keep_off_limits`)"""
@@ -163,9 +163,9 @@ class Supervisor:
     def step(
         self, q: Array, v: Array, tip_ref: Array, trocar: Array, x_d: Array | None, tolerance: float
     ) -> tuple[Status, Array, Array]:
-        """Do the whole tick in the core, with the core's solver `exact`. `Controller.tick` explains the arguments.
+        """Do the whole tick in the core (C), with the core's solver `exact`. `Controller.tick` explains the arguments.
 
-        ``x_d`` (n,) is the velocity of a `Guide` [rad/s], and ``tolerance`` that of `exact` [rad/s].
+        The elbow follows ``x_d`` (n,) [rad/s]; None: it raises manipulability. ``tolerance`` [rad/s] is for `exact`.
         Return (status, record, out). ``record`` has the numbers of a `RobotState`. ``out`` (14 n + 16,) has, in this
         order, `NullSpaceQP.row` (11 n + 10,), the solver's x (n,) and y (6,), the x (n,) that the arm follows, and the
         torque (n,) [Nm].

@@ -8,7 +8,7 @@
 
 #define RANK_TOLERANCE 1e-12 /* largest (singular value of A) / |A|_F that counts as zero */
 #define TIED 1e-7            /* the same limit for the sixth singular value, which is zero for a rigid tool */
-#define LOOK_CLOSER 1e3      /* own_part decides on the rank if pivot <= LOOK_CLOSER * (limit above) * (first pivot) */
+#define LOOK_CLOSER 1e3      /* own_part finds the rank if pivot / (first pivot) <= this * RANK_TOLERANCE (or TIED) */
 #define LEFT 1e-6            /* largest allowed |A x - b| of the result [m/s] */
 #define SOUND 1e-6           /* if the last pivot is smaller, the result is checked [m] */
 #define UNBALANCED 1e-4      /* largest allowed |A^T y - force| / max(c2 |pull|, rho) of the result (see finish) */
@@ -30,7 +30,7 @@ static inline void weigh_back(const moc_plane *plane, int steps, double g[6])
 }
 
 /* Estimate the (k + 1)-th largest singular value of A, divided by |A|_F. After k steps, each row without a pivot is
- * e^T A for some e. Returns the largest |e^T A| / (|e| |A|_F), at most 4 (pivot of step k, from 0) / (first pivot). */
+ * e^T A for some e. Returns the largest |e^T A| / (|e| |A|_F), which is at most 4 * (next pivot) / (first pivot). */
 static double own_part(const moc_plane *plane, int n, double A[][MOC_MAX_JOINTS], int k)
 {
     double most = 0.0, size = 0.0;
@@ -222,8 +222,8 @@ static void solve_one(const moc_plane *plane, const moc_problem *p, double toler
         force[at_bound] = slope / z[at_bound];
 }
 
-/* Clip the point to the bounds: x. Add c2 pull - rho x to `force`, the bounds' multipliers. Then compute y from
- * A^T y = force. Returns the point's largest bound violation [rad/s]. */
+/* Clip the point to the bounds: the result is x. On entry, `force` has the multipliers of the bounds. Add
+ * c2 pull - rho x to it, and compute y from A^T y = force. Returns the point's largest bound violation [rad/s]. */
 static double finish(const moc_plane *plane, const moc_problem *p, const double *point, double *force, double *x,
                      double y[6])
 {
@@ -290,9 +290,9 @@ static double explained_by_rounding(const moc_plane *plane, const moc_problem *p
 moc_status moc_solve_eliminated(const moc_plane *plane, const moc_problem *p, double tolerance, double *x, double y[6])
 {
     moc_status status = solve(plane, p, tolerance, x, y);
-    /* If rounding may have decided the status, solve again with a larger tolerance. If this gives no solution, solve
-     * with the still larger tolerance `unclear`. If this finds the subproblem infeasible, the status is kept. Else, it
-     * becomes MOC_DOUBTFUL. With several free joints, columns may be almost parallel: the factor is then 1e5. */
+    /* If rounding may have decided the status, solve again with a larger tolerance. If no x is found, solve with the
+     * tolerance `unclear`. If the subproblem is infeasible even then, keep the first status. If not, the status is
+     * MOC_DOUBTFUL. `unclear` is larger with several free joints, because columns may be almost parallel. */
     double explained = status == MOC_OK ? 0.0 : explained_by_rounding(plane, p);
     if (explained <= tolerance)
         return status;

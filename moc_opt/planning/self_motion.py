@@ -32,7 +32,7 @@ class Freedoms(NamedTuple):
     both: float  #: Ratio of the fifth to the largest singular value of A.
 
     def refusal(self, robot: RobotModel) -> str:
-        """Return the message that no freedom is left for the third level."""
+        """Return the message that no freedom is left for the third level (the motion of the elbow)."""
         idle = ", ".join(robot.data.joint_names[j] for j in self.idle)
         return (
             f"robot {robot.data.name!r}: no freedom is left for the third level: of {robot.n} joints, the tool's tip "
@@ -94,7 +94,7 @@ class SelfMotion:
 
     s: Array  #: (k,) arc length in joint space [rad], 0 at the pose from which the curve was followed
     q: Array  #: (k,n) [rad]
-    mu: Array  #: (k,) [m^3]
+    mu: Array  #: (k,) manipulability of the tip [m^3]
     held: tuple[int, ...]
     """Joints (counted from 0) that are held still: idle joints, and those held to leave a single freedom."""
     _robot: RobotModel = field(repr=False)

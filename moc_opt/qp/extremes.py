@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from moc_opt.arrays import Array
 
-MOST_CORNERS = 10_000  # if more choices of r active bounds are possible, the largest cost is only searched locally
+MOST_CORNERS = 10_000  # with more choices of dim(ker A) active bounds, the largest cost is only searched locally
 FAR = 1e3  # length of a proximal step that meets no bound [box widths]
 ROUNDS, STEPS = 200, 20  # at most 200 proximal steps seek the smallest cost; at most 20 n steps seek the largest cost
 ROUNDING = 1e-14  # rounding error of numbers of order one
@@ -114,8 +114,8 @@ def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Arr
         return None
     active = u > 0.0
     u *= size / left
-    # With the active bounds as equations, the step is exact up to rounding. It replaces the step G^T u, unless it
-    # violates the bounds more than G^T u.
+    # The active bounds, solved as equations, give the step up to rounding. If this step violates the bounds by more
+    # than the step G^T u, G^T u is used.
     step, *_ = np.linalg.lstsq(G[active], short[active], rcond=None)
     if (short - G @ step).max() > max((short - G @ (G.T @ u)).max(), 0.0) + ROUNDING:
         step = G.T @ u
@@ -132,7 +132,7 @@ def _largest(Z: Array, low: Array, high: Array, slope: Array, rho: float, w: Arr
     if rho == 0.0:
         found = optimum(Z, low, high, -slope, 0.0)
         return float(slope @ (w if found is None else found[0]))
-    if comb(n, r) << r <= MOST_CORNERS:  # with w, because rounding may leave no corner
+    if comb(n, r) << r <= MOST_CORNERS:  # w counts too: rounding may leave no feasible corner
         return max(float(slope @ w + 0.5 * rho * w @ w), _largest_corner(Z, low, high, slope, rho))
     axis = np.eye(r)[0]
     return max(_uphill(Z, low, high, slope, rho, w, way=way) for way in (slope, -slope, axis, -axis))

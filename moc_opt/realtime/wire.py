@@ -33,7 +33,7 @@ LOOPBACK_KEY = b"moc_opt: loopback, no secret"
 VARIABLE = "MOC_OPT_WIRE_KEY"  #: Environment variable that may hold the key.
 SHORTEST, LONGEST = 16, 32  #: Bounds on the number of bytes of a key.
 TAG_BYTES = 16
-BACKLOG = 256  #: Largest number of packets that a call of `receive` reads, if its time limit has passed.
+BACKLOG = 256  #: After its time limit, `receive` reads waiting packets until it has read this many in all.
 COUNTERS = ("received", "missed", "late", "forged", "foreign")
 """What an end counts: packets used (received), ticks without a packet in time (missed), packets that came too late or
 twice (late), packets with a wrong checksum (forged), and all other ignored packets (foreign)."""
@@ -83,7 +83,7 @@ WAITING, RUNNING, ENDED = 0, 1, 2  #: ``flags`` of a measurement: before, during
 STOP, REPORTED = 1, 2
 """Bits in ``flags`` of a command. STOP: stop the arm. REPORTED: "iterations" and all fields after "reason" are set."""
 
-# Every field's offset is a multiple of its size, as in a C struct.
+# Every field's offset is a multiple of its size, as in a C struct. "scenario" is a hash of the scenario.
 HEADER: list[tuple[Any, ...]] = [
     ("magic", "S4"), ("version", "u1"), ("kind", "u1"), ("joints", "u1"), ("flags", "u1"), ("session", "<u8"),
     ("scenario", "<u8"), ("sequence", "<i8"),
@@ -141,7 +141,7 @@ def _c_struct(name: str, whole: np.dtype[Any], head: str) -> str:
 
 
 def c_packets(n: int, ticks: int, scenario: int, settings: WireSettings) -> str:
-    """Return the text of ``wire_packets.h``."""
+    """Return the text of ``wire_packets.h``, which declares the packets for the controller in C."""
     defines = {
         "JOINTS": n, "TICKS": ticks, "SCENARIO": f"UINT64_C({scenario})", "VERSION": VERSION,
         "MAGIC": f'"{MAGIC.decode()}"', "LOOPBACK_KEY": f'"{LOOPBACK_KEY.decode()}"', "WAIT_S": settings.wait_s,

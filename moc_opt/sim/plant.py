@@ -63,10 +63,10 @@ class Plant:
     Args:
         data: the robot's data, as used for the controller's model.
         settings: how the plant differs from the controller's model; None: `PlantSettings()`.
-        seed: seed of the mismatch and of the noise, 0 or more.
+        seed: seed of the mismatch (errors of the controller's model) and of the noise, 0 or more.
 
     Raises:
-        PlantError: MuJoCo cannot load the robot, or its URDF lacks a frame.
+        PlantError: MuJoCo cannot load the robot, or the robot's URDF lacks a frame.
     """
 
     def __init__(self, data: RobotData, settings: PlantSettings | None = None, seed: int = 0) -> None:

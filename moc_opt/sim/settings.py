@@ -68,7 +68,7 @@ class PlantSettings(Settings):
     force_noise_N: float = Field(0.05, ge=0, description="standard deviation of the wrench sensor's force, per axis")
     torque_noise_Nm: float = Field(0.002, ge=0)
     """standard deviation of the wrench sensor's torque, per axis"""
-    delay_ticks: int = Field(1, ge=0, le=100, description="delay from a torque command to its effect")
+    delay_ticks: int = Field(1, ge=0, le=100, description="number of periods from a torque command to its effect")
     trocar_stiffness_N_per_m: float = Field(800.0, ge=0, le=1e6)
     """stiffness of the abdominal wall at the trocar. 500 to 3000 is realistic"""
     trocar_damping_Ns_per_m: float = Field(10.0, ge=0, le=1e4)
@@ -132,7 +132,7 @@ class Mismatch:
     def draw(
         cls, data: RobotData, settings: PlantSettings, links: Sequence[str], seed: np.random.SeedSequence
     ) -> Mismatch:
-        """Draw the differences for ``links`` with mass.
+        """Draw the differences. ``links`` are the names of all links with mass.
 
         Factors are uniform in 1 +- error. Offsets have fixed size and random direction. Encoder biases are Gaussian.
         """

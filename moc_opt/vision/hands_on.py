@@ -39,7 +39,7 @@ class HandSettings(VisionSettings):
     force_max_N: float = Field(15.0, gt=0.0, le=200.0, description="largest force")
     speed_max_m_per_s: float = Field(0.15, gt=0.0, le=1.0, description="largest desired speed of the tip")
     correction_per_s: float = Field(2.0, ge=0.0, le=20.0)
-    """growth rate of the integral part of the force, divided by stiffness * distance"""
+    """the integral part of the force grows by this number times stiffness times distance, per second"""
     content_m: float = Field(0.0005, ge=0.0, le=0.05)
     """distance of the tip from the goal below which the integral part of the force stays constant"""
 
@@ -159,7 +159,7 @@ def guide_to(
     pose_with_tip(robot, plant.measure().q, goal)
     period, guard = plant.settings.period_s, settings.guard
     law = _Guiding(robot, settings.joint_damping_Nm_s_per_rad)
-    # The arm is in no incision yet, and the hand pulls it with an unknown force.
+    # The tool is in no incision yet. Momentum residuals are not checked, because the hand's force is part of them.
     safety_filter = SafetyFilter(robot, guard, period, incision=False, momentum=False)
     loop = ClosedLoop(plant, law, safety_filter, Stop(guard.stop_damping_Nm_s_per_rad, guard.stop_s))
     loop.start(_NO_REFERENCE, _NO_TROCAR)
