@@ -2,8 +2,9 @@
 
 python -m benchmarks.plant [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-*Registered again*: once the elbow is at rest, the arm touches path and incision a second time. This is not simulated,
-because it hardly changes the motion. The errors after the second touch are computed from the trace of the same run.
+DCAC controls tip and shaft only. MOC also moves the elbow to raise the manipulability. *Registration*: at the start,
+the arm touches path and incision. *Registered again*: it touches both a second time when the elbow is at rest. The
+second touch is not simulated, because it hardly changes the motion. The errors after it are computed from the trace.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ KINDS = {"origins": "mm", "encoders": "mrad", "both": "mm and mrad"}
 TILT_RAD_PER_M = PlantSettings().calibration_tilt_rad / PlantSettings().calibration_error_m
 DEFAULT_SIZE_MM = 0.2  # the report's first sentences state MOC's tip errors for this error of the joint origins
 LEAST_S = 0.5
-"""Errors after the elbow's travel are given only if the run goes on for at least this time [s]."""
+"""Errors after the elbow's travel are given only if the run goes on for at least this time after the travel [s]."""
 MOST_CHANGE_PERCENT, MOST_MM = 5.0, 0.1
 AFTER = {
     "tip_after_mm": "tip after travel", "tip_again_mm": "tip registered again",
@@ -51,8 +52,8 @@ DEFINED = (
     "Break-even: the calibration error at which MOC's mean tip error reaches a limit. It is interpolated between the "
     "tried sizes. The tip error is measured in the frame registered at the start. The absolute limit is "
     f"{MOST_MM:g} mm. The relative limit is {MOST_CHANGE_PERCENT:g} % above DCAC's error with the same gains. The "
-    "relative limit is reached when both 95 % intervals of the change (see docs/method.md) lie above "
-    f"{MOST_CHANGE_PERCENT:g} %."
+    "change from DCAC to MOC is estimated from the means and from the single trials. The relative limit is reached "
+    f"when the 95 % intervals of both estimates lie above {MOST_CHANGE_PERCENT:g} % (see docs/method.md)."
 )
 
 
@@ -154,7 +155,7 @@ def registered_again(dcac: Trial, moc: Trial) -> list[Run]:
 
 def after_travel(trace: Trace, setup: Setup, tick: int) -> dict[str, float]:
     """Return mean errors [mm] from `tick` on, with the registration at the start and with a new one at `tick`."""
-    # A touch measures true minus computed position: of the tip, and of the shaft's point in the trocar.
+    # A touch shows how far the computed position is off, for the tip and for the shaft's point in the trocar.
     tips, wrists = setup.robot.tool_along(trace.q_rad + setup.plant.mismatch.encoder_bias)
     told = trace.trocar_registered_m - setup.offset.trocar  # the trocar in the controller's own frame
     depth = np.linalg.norm(told - tips, axis=1, keepdims=True)
@@ -187,8 +188,8 @@ def calibration(rows: Results, solver: str) -> list[dict[str, Any]]:
 def break_evens(found: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return, for every preset and kind, the sizes at which the registered tip error crosses each limit.
 
-    ``relative``: the size at which MOC's error surely exceeds DCAC's by `MOST_CHANGE_PERCENT`. ``absolute`` and
-    ``absolute_dcac``: the sizes at which the error of MOC and of DCAC exceeds `MOST_MM`.
+    ``relative``: the size at which MOC's error surely exceeds DCAC's by `MOST_CHANGE_PERCENT`. ``absolute``: the size
+    at which MOC's error exceeds `MOST_MM`. ``absolute_dcac``: the size at which DCAC's error exceeds `MOST_MM`.
     """
     evens = []
     for preset, kind in dict.fromkeys((row["preset"], row["kind"]) for row in found):

@@ -2,7 +2,9 @@
 
 python -m benchmarks.speed [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-Times of different runs cannot be compared.
+Times of different runs cannot be compared. A *tick* is the computation of one control period. `exact` is moc_opt's own
+solver. An *adapter* passes our problems to the library of another solver. A *peer* is a controller made with another
+robotics library.
 """
 
 from __future__ import annotations
@@ -42,7 +44,7 @@ class Config(StudyConfig):
     batch: Count = 1_000_000
     adapters: Names = "all"
     runs: Count = 5
-    starts: Count = Field(5, description="measurements of the first torque and of `moc-opt run`, each in a new process")
+    starts: Count = Field(5, description="how often the first torque and `moc-opt run` are timed, in new processes")
     peers: Names = "all"
     scenario: Scenario = Scenario()
 
@@ -211,8 +213,8 @@ SECTIONS = {
     PEERS: (
         ("peers",),
         "Each library is timed on the states of its own run on an ideal arm. It controls tip and shaft, limits the "
-        "joint speeds, and follows the gradient of mu. A tick of moc_opt is timed on states of a run with the "
-        "realistic plant.",
+        "joint speeds, and follows the gradient of mu. `pink-trimmed` is pink with our compiled gradient and five "
+        "equality constraints. A tick of moc_opt is timed on states of a run with the realistic plant.",
     ),
     SOLVERS: (
         ("adapters",),

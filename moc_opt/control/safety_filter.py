@@ -18,7 +18,7 @@ from moc_opt.robots.model import RobotModel, RobotState
 
 PRESS_PER_S = 50.0  # inverse time constant of the low-pass filter on the trocar's force in a stop [1/s]
 MOST_TICKS = 2**31 - 1  # the largest int of C
-_SETTLED = 6.0  # settling time of the momentum residual [time constants of its observer]
+_SETTLED = 6.0  # settling time of the momentum residuals (see `SafetyFilter`) [time constants of their observer]
 _NO_WRENCH = np.full(6, np.nan)
 _LATE, _TIP = core.REASONS.index("measurements are too late"), core.REASONS.index("the tip has been off its reference")
 _WATCHED = (
@@ -35,8 +35,8 @@ _AS_SET = (  # settings with the same name in the core
 class SafetyFilter:
     """Check measurements and limit torques of one arm.
 
-    With a ``trocar``, `check_measurement` needs a finite ``wrench``: it requests a stop after ``patience_ticks`` calls
-    without one.
+    A joint's momentum residual is the torque that its motion implies, minus the applied torque. If the trocar's force
+    is checked, a stop is requested after more than ``patience_ticks`` measurements in a row without a finite wrench.
 
     Args:
         robot: the model of the arm.
@@ -44,8 +44,8 @@ class SafetyFilter:
         period: control period [s].
         carries: whether the commanded torque carries the arm's weight. If not, the drives add the gravity torque.
         incision: whether the tool is in an incision. If not, RCM error and trocar force are not checked.
-        momentum: whether the momentum residuals are also checked if `limit_torque` is called without a state. In this
-            case, `limit_torque` computes the state.
+        momentum: whether `limit_torque` computes the robot's state if it is called without one. The check of the
+            momentum residuals needs the state.
 
     Attributes:
         limited: number of joints whose torque the last call of `limit_torque` changed.
@@ -103,7 +103,7 @@ class SafetyFilter:
 
     @property
     def warnings(self) -> list[dict[str, Any]]:
-        """Exceeded warning levels: ``of`` (quantity), ``level``, ``largest`` value, ``unit``, ``first_s`` (time)."""
+        """One dict per exceeded warning level: of (quantity), level, largest (value), unit, first_s (first time)."""
         _, figures = self._guard.watched()
         found = []
         for (name, warning, _, unit, scale), largest, first in zip(_WATCHED, *figures[1:].tolist(), strict=True):
@@ -156,7 +156,8 @@ class SafetyFilter:
     def brake_friction(self, wrench: Array) -> Array:
         """Return the dry friction (n,) [Nm] of the brakes in a stop; zero while the brakes are open.
 
-        The brakes open at a trocar force of ``stop_yield_N``. They close at half this force, or after ``stop_yield_s``.
+        The brakes open when the mean trocar force exceeds ``stop_yield_N``. They close when this force has fallen to
+        half of ``stop_yield_N``, or when they have been open for ``stop_yield_s``.
 
         Args:
             wrench: (6,) force [N] and torque [Nm] of the tool on its mount, in tool axes.

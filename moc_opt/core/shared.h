@@ -16,12 +16,12 @@ typedef struct {
     double p[3];    /* origin [m] */
 } moc_frame;
 
-/* A body's linear velocity (at the world's origin) and angular velocity. twist[j]: joint j moves alone, at speed 1. */
+/* A body's velocity: linear (at the world's origin) and angular. In `twist` arrays, joint j alone moves, at speed 1. */
 typedef struct {
     double lin[3], ang[3];
 } moc_twist;
 
-/* Compute all terms. Returns MOC_NOT_FINITE if q or v is not finite, else MOC_OK. */
+/* Compute all kinematics and dynamics at (q, v). Returns MOC_NOT_FINITE if q or v is not finite, else MOC_OK. */
 moc_status moc_compute_terms(const moc_arm *arm, const double *q, const double *v, moc_terms *terms);
 
 /* Compute frame and twist (n,) at a finite q. moc_kinematics also fills the kinematic terms that do not depend on v. */
@@ -46,8 +46,8 @@ typedef struct {
 
 moc_gram moc_gram_of(int n, double J[][MOC_MAX_JOINTS]);
 
-/* Return mu of the tip's Jacobian J (3,n), or mu_shaft of A (6,n), and write its gradient (n,). `gram` is the result of
- * moc_gram_of for J, which is the first three rows of A. Only moc_manipulability accepts NULL as `gradient`. */
+/* Return the manipulability mu of the tip, or that of the shaft at a resting tip, mu_shaft. Write its gradient (n,).
+ * J: rows of the tip in A (6,n). `gram` is moc_gram_of for J. Only moc_manipulability accepts NULL as `gradient`. */
 double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOINTS], moc_gram *gram, double *gradient);
 double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], moc_gram *gram,
                                 const double u[3], double *gradient);
@@ -62,11 +62,11 @@ void moc_copy_terms(moc_terms *terms, int n, double *record, direction way);
 
 /* --- law.c, null_space.c --- */
 
-/* Compute the torque of levels 1 and 2, including h [Nm]. */
+/* Compute the torque of levels 1 (tip) and 2 (shaft), including the Coriolis and gravity torque h [Nm]. */
 void moc_tracking_torque(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
                          const moc_trocar *trocar, double *tau);
 
-/* Fill the subproblem. Its optimum raises mu if x_d is NULL. Otherwise, it is the feasible x nearest to x_d [rad/s]. */
+/* Fill the subproblem. If x_d is NULL, the optimum raises mu. Else the optimum is the feasible x nearest to x_d. */
 void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
                       const moc_trocar *trocar, const double *x_d, moc_problem *problem);
 
@@ -88,7 +88,8 @@ double moc_shaft_push(double mu_shaft, double margin);
 /* Compute the joint velocity x_d in ker A that increases mu by scaled Newton steps [rad/s] (see null_space.c). */
 void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_memory *memory, double *x_d);
 
-/* Replace the earlier basis Z (rows, n) by an orthonormal basis of ker A near it. Returns the new number of rows. */
+/* Replace Z (rows, n) by an orthonormal basis of the present ker A near Z. `plane` is from moc_eliminate. Returns the
+ * new number of rows. */
 int moc_null_space(const moc_plane *plane, int n, int rows, double Z[][MOC_MAX_JOINTS]);
 
 /* Make row k of Z orthonormal to the rows before. Returns false if the orthogonal part is not longer than `least`. */
@@ -101,13 +102,12 @@ void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, doub
 
 #define STILL 1e-10 /* a motion along the unit vector z does not move joint j if |z_j| is below this */
 
+/* Eliminate A into `plane`. Then moc_solve_eliminated does the rest of moc_solve_exact. */
 void moc_eliminate(int n, double A[][MOC_MAX_JOINTS], moc_plane *plane);
-
-/* Like moc_solve_exact, with A already reduced by moc_eliminate. */
 moc_status moc_solve_eliminated(const moc_plane *plane, const moc_problem *problem, double tolerance, double *x,
                                 double y[6]);
 
-/* Number the joints without a pivot from 0. Compute the z (n,) in ker A that is 1 at joint k of these, else 0. */
+/* Compute the z (n,) in ker A that is 1 at the k-th joint without a pivot (k from 0) and 0 at all others of these. */
 void moc_direction(const moc_plane *plane, int n, int k, double *z);
 
 /* With several free joints, move a solution x of A x = b to the optimum, and add the bounds' multipliers to force. */
@@ -119,9 +119,9 @@ moc_status moc_solve_several(const moc_plane *plane, const moc_problem *problem,
 typedef struct {
     double primal;   /* |A x - b|_inf [m/s]; NaN if x is not finite */
     double outside;  /* largest bound violation [rad/s] */
-    double natural;  /* min(scaled slope along the self-motion, distance downhill to a bound), 0 at an optimum */
-    double off;      /* distance from the optimum along the self-motion [rad/s] */
-    double opposite; /* the same from the optimum for -pull [rad/s] */
+    double natural;  /* the smaller of: scaled slope of the cost in ker A, distance downhill to a bound; 0 at optimum */
+    double off;      /* distance in ker A from the optimum [rad/s] */
+    double opposite; /* distance in ker A from the optimum for -pull [rad/s] */
 } moc_residuals;
 
 /* Compute the residuals of x. Z (rows, n) is an orthonormal basis of ker A. */
@@ -143,12 +143,12 @@ moc_stop moc_guard_believe(const moc_guard *g, int n, const moc_measurement *m, 
 moc_stop moc_guard_incision(const moc_guard *g, double pose[4][3], const moc_trocar *trocar, const double *wrench,
                             moc_watch *w);
 
-/* Check tip and motion. If tau is finite, limit it in place. t are the terms at watch->q and watch->v. `before` is
- * the torque of the previous tick. If tip is NULL, the tip is not checked. If t is NULL, the motion is not checked. */
+/* Check the tip's distance from tip_ref, and whether the previous torque `before` explains the motion. If tau is
+ * finite, limit it in place. t: terms at watch->q, watch->v. With tip (or t) NULL, tip (or motion) is not checked. */
 moc_stop moc_guard_follow(const moc_guard *g, const moc_arm *arm, const moc_terms *t, const double *tip,
                           const double *tip_ref, const double *before, double *tau, moc_watch *w);
 
-/* Compute the torque in a stop: `before`, moved by at most torque_step towards the gravity torque (w->cut: zero). */
+/* Compute the torque in a stop: `before`, moved by at most torque_step towards the gravity torque, or 0 if w->cut. */
 void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before, const moc_watch *w, double *tau);
 
 /* --- step.c --- */

@@ -1,6 +1,8 @@
 """The two ends of the wire (UDP): `RemoteController` in the plant's process, and `Answering` in the controller's.
 
-In every period, the plant sends a measurement and expects a command in reply.
+The controller sends HELLO to find the plant (the arm or its simulation), and START to let the run begin. In every
+period, the plant then sends a measurement and expects a command in reply. A measurement with the flag ENDED ends the
+run. The controller confirms it with BYE.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ from moc_opt.sim.sensors import Measurement
 
 INCOMING = (Kind.HELLO, Kind.START, Kind.COMMAND, Kind.BYE)
 SAME = "give both ends the same file, or the same robot, start, trocar, task, seed, period and duration"
-_ENDED_S, _ENDED_TIMES = 0.1, 10  # until BYE comes, ENDED is sent at this interval [s], at most this number of times
+_ENDED_S, _ENDED_TIMES = 0.1, 10  # interval [s] at which ENDED is sent until BYE comes, and most packets with ENDED
 _REPEAT_S = 0.1  # interval at which HELLO and START are repeated [s]
 _LINGER_S = 0.3  # time for which the controller answers repeated ENDED packets with BYE [s]
 
@@ -34,14 +36,14 @@ _LINGER_S = 0.3  # time for which the controller answers repeated ENDED packets 
 class RemoteController(Filtered):
     """The plant's end of the wire. It sends measurements, and returns the torques of the commands that come back.
 
-    Without a command in time, its watchdog holds the last torque, then damps the arm, and at last stops it. Pass the
+    If no command comes in time, a watchdog holds the last torque, then damps the arm, and at last stops it. Pass the
     object to `sim.loop.simulate` as the controller, and ``pace`` as ``watch``. Call ``close`` afterwards.
 
     Args:
         safety_filter: computes only the watchdog's torques and brakes. The controller's end checks measurements.
         columns: function that makes the controller's trace columns for a given number of ticks, one row per tick.
-        applied, tau_max: (n,) torque before the first tick, and limits of the torques in commands [Nm].
-        clock: None for lock-step, in which the plant waits for each command.
+        applied: (n,) torque before the first tick [Nm]. tau_max: (n,) largest torques allowed in a command [Nm].
+        clock: begins the ticks in real time. None: lock-step, in which the plant waits for each command.
     """
 
     stop_reason = ""
@@ -165,7 +167,7 @@ class RemoteController(Filtered):
 
     def _exchange(self, seen: Measurement) -> Packet | None:
         self._fill(seen, wire.RUNNING)
-        # Lock-step sends a measurement again, but not after a missed tick: the controller may have died.
+        # In lock-step, an unanswered measurement is sent again, unless the tick before was missed.
         for _ in range(1 if self.clock is not None or self._silent else 1 + self._settings.resends):
             self.link.send(self._packet)
             until = monotonic() + self._settings.resend_s if self.clock is None else self._until
@@ -232,7 +234,7 @@ class Answering:
         return make_packet(kind, self.link.n, self.link.session, self.scenario)
 
     def _ask(self, kind: Kind, *, waits: bool) -> Packet:
-        """Repeat a packet until a measurement comes. Its flag must be WAITING if ``waits``, else any other flag."""
+        """Repeat a packet until a measurement comes: with the flag WAITING if ``waits``, else with another flag."""
         link, request, until = self.link, self._packet(kind), monotonic() + self.settings.wait_s
         while (now := monotonic()) < until:
             link.send(request)

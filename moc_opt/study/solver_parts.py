@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 MEANING = (
     "Verified: optimal by moc_opt's residuals, whatever the solver says. Silently wrong: claimed as solved, but not "
     "verified. Right: verified, or rightly called infeasible. Problems that were refused as inconsistent do not count. "
-    f"Times are compared among solvers with at least {100 * RIGHTLY:g} % right answers. Update: the part of a warm "
-    "solve that passes the new problem to the library. docs/solvers.md says more."
+    f"Times are compared among solvers with at least {100 * RIGHTLY:g} % right answers. Cold: the first solve of a "
+    "session. Update: the part of a later solve that passes the new problem to the library. docs/solvers.md says more."
 )
 SOLVER = Column("solver", "solver")
 RANKED = "answers_rightly"  # key of the flag that says whether a row's times are compared
@@ -45,9 +45,9 @@ COUNTS = {
 FAULTS = ("silently_wrong", "infeasible_wrong", "failed", "hung", "crashed")
 RESIDUALS = {
     "primal": "largest constraint violation of all answers",
-    "natural": "largest natural residual with the solver's own duals",
-    "relative": "largest natural residual with the best duals, after dividing the cost by its size",
-    "loss": "(cost of the worst answer - smallest cost) / (largest - smallest cost)",
+    "natural": "largest natural residual (0 at an optimum) with the solver's own duals",
+    "relative": "largest natural residual with the best duals, after dividing the cost by the size of its gradient",
+    "loss": "(cost of the worst answer - smallest cost) / (largest - smallest cost) over the feasible x",
 }  # fmt: skip
 TIMES = {
     "solve_p50_us": "p50", "solve_p99_us": "p99", "solve_p99_9_us": "p99.9", "update_p50_us": "update p50",
@@ -193,7 +193,8 @@ def closed_loop(work: Work) -> None:
     asked = []
     for case in starts:
         k = number[case.name]
-        case = case.change(best_courses=k < part.others)  # planning the best joint motions takes as long as a run
+        # The best joint motions are planned in the first trials only, because planning takes as long as a run.
+        case = case.change(best_courses=k < part.others)
         timed = k < part.timed
         asked += [
             Trial(case, name, work.config.settings.get(name, {}), timed=timed, keep="curves" if timed else "row")

@@ -28,7 +28,8 @@ GAPS, NEAR = Mark("◐", "gaps", "fair", 2), Mark("≈", "near", "fair", 3)
 OTHER, OPEN = Mark("≠", "other", "other", 4), Mark("–", "open", "other", 5)
 AVOID = Mark("✘", "avoid", "bad", 6)
 TONES = {TAKE: GOOD, SOUND: GOOD, GAPS: list(SERIES)[4], NEAR: list(SERIES)[4], OTHER: MUTED, OPEN: BAD, AVOID: WORST}
-# A loss is sure if both intervals of the `Change` lie beyond the tolerance (see `COSTS`).
+# Loss: a mean in closed loop is worse than with the best solver. A `Change` has two estimates of this, each with a 95 %
+# interval. A loss is sure if both intervals lie beyond the tolerance of this mean (see `COSTS`).
 TOO_MUCH = 5.0  # a solver with a sure loss of more than this many tolerances gets the verdict AVOID
 COSTS = {
     "mu_mean": ("mu", 0.01),
@@ -36,7 +37,8 @@ COSTS = {
     "rcm_error_model_mean_mm": ("RCM", 0.05), "rcm_error_registered_mean_mm": ("registered RCM", 0.05),
     "torque_rate_rms_Nm_per_s": ("chatter", 0.1),
 }  # fmt: skip
-"""Short name and tolerance of each mean. The tolerance is the share by which a mean may be worse without a loss."""
+"""Short name and tolerance of each mean. The tolerance is the share by which a mean may be worse at no cost. Errors are
+computed by the kinematic model, or in the *registered frame*: relative to the points touched at the start."""
 FRAMED = tuple(name for name in COSTS if "_error_" in name)
 CERTIFIED, RECORDED, CLOSED = "Certified test sets", "Recorded sequence", "Closed loop"
 INCONSISTENT = (
@@ -73,7 +75,7 @@ def assess(summary: Summary, runs: Results) -> list[Row]:
 
 
 def verdict(row: Row, damage: float = 0.0) -> Mark:
-    """Return the first verdict whose rule holds. ``damage``: worst sure loss in closed loop / its tolerance."""
+    """Return the first verdict whose rule holds. ``damage`` is the worst sure loss in closed loop, in tolerances."""
     counted = row["counted"]
     broken = counted.get("hung", 0) + counted.get("crashed", 0) + sum(_ended(row["closed"]).values())
     rules = {
@@ -179,7 +181,7 @@ def _why(summary: Summary, row: Row, others: Sequence[Row], asked: int) -> str:
         text += "other along the rigid tool. These count neither as right nor as wrong."
     if row["p50_us"] is not None:
         text += f" Its median solve time is {row['p50_us']:.1f} us, p99 {row['p99_us']:.1f} us."
-        # Solvers with a median below this p99: noise may exchange their order.
+        # Noise may exchange the order of this solver and of those whose median is at most its p99.
         close = [one for one in (row, *others) if (one["p50_us"] or 0.0) <= row["p99_us"]]
         if not all(one["quiet"] for one in close):
             text += " But other programs used the machine while this or an equally fast solver was timed: run again."
@@ -289,7 +291,7 @@ def _trials_told(rows: Sequence[Row]) -> str:
 
 
 def _tip_in_both_frames(runs: Results, solver: str) -> str | None:
-    """Return the tip error's changes in both frames as text, or None."""
+    """Return the tip error's changes by model and in the registered frame as text, or None with too few trials."""
     changes = [runs.change(name, solver) for name in FRAMED if name.startswith("tip")]
     if any(change is None or change.ratio.samples < LEAST_TRIALS for change in changes):
         return None
@@ -297,7 +299,7 @@ def _tip_in_both_frames(runs: Results, solver: str) -> str | None:
 
 
 def pictures(summary: Summary, rows: Sequence[Row], deadline_us: float) -> list[Picture]:
-    """Draw accuracy against time, the effect in closed loop, and the times of ticks."""
+    """Draw accuracy against time, the effect in closed loop, and the times of ticks (control periods)."""
     found = list[Picture]()
     points = {
         row["solver"]: (row["p50_us"], max(row["relative_max"], FLOOR)) for row in rows

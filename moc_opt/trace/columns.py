@@ -24,7 +24,7 @@ class Column(NamedTuple):
 
 COLUMNS: Mapping[str, Column] = MappingProxyType(
     {
-        "t_s": Column("s", "(N,)", "time at the start of the tick"),
+        "t_s": Column("s", "(N,)", "time at the start of the tick (control period)"),
         "q_rad": Column("rad", "(N, n)", "true joint positions"),
         "v_rad_per_s": Column("rad/s", "(N, n)", "true joint velocities"),
         "tau_Nm": Column("Nm", "(N, n)", "joint torques sent to the arm, within the safety filter's limits"),
@@ -50,12 +50,14 @@ COLUMNS: Mapping[str, Column] = MappingProxyType(
             "m", "(N,)", "distance of the shaft from the registered trocar, by the robot's kinematic model",
         ),
         "trocar_force_N": Column("N", "(N, 3)", "true force of the trocar on the shaft; world axes"),
-        "x_rad_per_s": Column("rad/s", "(N, n)", "the solver's answer x to the subproblem; NaN without an answer"),
+        "x_rad_per_s": Column("rad/s", "(N, n)", "the solver's answer x to the subproblem (a QP); NaN: no answer"),
         "dual": Column("", "(N, k)", "multipliers y of the six equality rows; NaN if the solver gives none"),
         "subproblem": Column("", "(N, k)", "the subproblem's packed numbers; see `NullSpaceQP.from_row`"),
         "iterations": Column("1", "(N,)", "number of iterations of the solver; 0 if it does not iterate"),
         "status": Column("", "(N,)", "status claimed by the solver; 'none' without a third level", "text"),
-        "applied_x_rad_per_s": Column("rad/s", "(N, n)", "the x that the third level used: answer or substitute"),
+        "applied_x_rad_per_s": Column(
+            "rad/s", "(N, n)", "the x that the third level (elbow motion) followed: the answer or its substitute",
+        ),
         "fault": Column(
             "", "(N,)", "why the answer was refused (control.supervisor.Fault); 'stopped' during a stop", "text",
         ),
@@ -66,8 +68,8 @@ COLUMNS: Mapping[str, Column] = MappingProxyType(
         "travelling": Column("", "(N,)", "the elbow is still moving to its optimum", "flag"),
         "verified": Column("", "(N,)", "the answer was judged optimal", "flag"),
         "primal": Column("rad/s, m/s", "(N,)", "violation of A x = b or of a bound on x; NaN without a subproblem"),
-        "natural": Column("rad/s", "(N,)", "natural residual, 0 at an optimum; NaN without a subproblem"),
-        "natural_best": Column("rad/s", "(N,)", "natural residual with the best multipliers for the answer"),
+        "natural": Column("rad/s", "(N,)", "KKT residual (natural map) of x and `dual`; NaN without a subproblem"),
+        "natural_best": Column("rad/s", "(N,)", "the same residual with the best multipliers for x instead of `dual`"),
         "relative": Column("rad/s", "(N,)", "natural_best after dividing the cost by its gradient's size along ker A"),
         "distance": Column("rad/s", "(N,)", "largest difference of an entry of x from the nearest optimum"),
         "loss": Column("1", "(N,)", "(cost - smallest cost) / (largest - smallest cost) of the feasible x"),
