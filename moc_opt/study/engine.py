@@ -319,7 +319,7 @@ def _reported(file: str | None) -> tuple[Any, ...]:
 def alarm(seconds: float) -> None:
     """Let the kernel end this job's process after ``seconds`` of processor time. With 0, cancel the alarm.
 
-    A process that waits uses no processor time. The process ends also after `WAIT_FACTOR` * ``seconds`` of wall time.
+    A waiting process uses no processor time. So it is also ended after `WAIT_FACTOR` * ``seconds`` of wall time.
     """
     signal.setitimer(signal.ITIMER_PROF, seconds)
     signal.setitimer(signal.ITIMER_REAL, WAIT_FACTOR * seconds)
