@@ -1,5 +1,7 @@
 """What happens when something breaks? Every run is compared with the same run without a fault.
 
+MOC is the controller whose solver moves the elbow. DCAC has none. RCM error: distance of the shaft from the trocar.
+
 python -m benchmarks.faults [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 """
 
@@ -54,9 +56,9 @@ CASES = [
     Column("case", "fault"), Column("controller", "controller"),
     Column("outcome", "outcome", help="how the runs ended, counted over the trials"),
     Column("tip_error_max_mm", "worst tip", unit="mm", format=".2f", help="largest tip error up to the stop or end"),
-    Column("rcm_error_max_mm", "worst RCM", unit="mm", format=".2f", help="largest RCM error, including the stop"),
+    Column("rcm_error_max_mm", "worst RCM", unit="mm", format=".2f", help="largest RCM error, also during a stop"),
     Column("trocar_force_max_N", "worst force", unit="N", format=".2f"),
-    Column("rcm_mean_percent", "mean RCM", unit="%", format="+.1f", help="its change from the run without the fault"),
+    Column("rcm_mean_percent", "mean RCM", unit="%", format="+.1f", help="change of the mean RCM error by the fault"),
     Column("recover_s", "recovered after", unit="s", format=".2f", help="time from the fault's end until tip and RCM "
            "error stay below 1.2 e + 0.05 mm (e: error without the fault). For a lasting fault: from its start"),
     Column("stop_travel_mm", "stop travel", unit="mm", format=".1f", help="motion of the tip after the stop began"),
@@ -160,23 +162,23 @@ def work(study: Study, config: Config) -> Found:
 def run_block(block: Block) -> tuple[list[dict[str, Any]], dict[str, dict[str, Array]]]:
     """Return one row per case, and the curves to draw."""
     rows, curves = [], {}
-    levels: dict[bool, Trace | None] = {}
+    faultless: dict[bool, Trace | None] = {}
     for name, case in block.cases.items():
         trace, how = run_case(case.corrupt(block.trial), case.camera_lost_s)
         waits = case.camera_lost_s is not None
-        # `Waited` starts more slowly. So it is compared with a run that has `Waited` too, but never loses the camera.
-        if waits not in levels:
-            levels[waits] = run_case(block.trial, (0.0, 0.0))[0] if waits else trace
-        if (level := levels[waits]) is None:
+        # A `Waited` reference starts more slowly. So the run to compare with also has one, which never waits.
+        if waits not in faultless:
+            faultless[waits] = run_case(block.trial, (0.0, 0.0))[0] if waits else trace
+        if (free := faultless[waits]) is None:
             raise MocOptError(f"{block.controller}: the run without a fault did not start: {how}")
-        rows.append(block.row(name, how) | measure(trace, level, how, case, block.limits_mm))
+        rows.append(block.row(name, how) | measure(trace, free, how, case, block.limits_mm))
         if name in PICTURED and block.pictured and trace is not None:
             curves[name] = {column: trace.columns[column] for column in CURVES}
     return rows, curves
 
 
 class Waited(Reference):
-    rows_played: Array
+    rows_played: Array  # X_d, dX_d, ddX_d at each time, of a tip that waits while the camera is lost
 
     def __init__(self, reference: Reference, times: Array, lost_s: tuple[float, float]) -> None:
         super().__init__(reference.path, reference.v_max, reference.a_max, reference.t_start)
@@ -352,7 +354,7 @@ def report(
     ]  # fmt: skip
     seen = [row for row in rows if row["group"] == "solver"]
     limits = f"Survived: the run was completed with tip errors up to {config.tip_limit_mm:g} mm and RCM errors up to "
-    limits += f"{config.rcm_limit_mm:g} mm. Diverged: it was completed with larger errors."
+    limits += f"{config.rcm_limit_mm:g} mm. Diverged: the run was completed with larger errors."
     sections = [
         Section(EVERY, limits, tables),
         Section(SOLVERS, "", [Table("Solver faults, injected and detected", SEEN, seen)]),

@@ -27,8 +27,9 @@ from moc_opt.solvers.isolated import IsolatedSession
 class Guide(Protocol):
     """A source of joint velocities x_d that the elbow follows instead of the gradient of mu.
 
-    The subproblem's cost has the terms rho/2 |x|^2 - c2 x^T pull, where rho is ``settings.regularization``. Without a
-    guide, pull is grad mu. With a guide, pull is (rho / c2) x_d, so that the two terms are smallest at x = x_d.
+    In each tick, level 3 solves a quadratic program (the subproblem) for the joint velocity x. Its cost has the terms
+    rho/2 |x|^2 - c2 x^T pull. rho is ``settings.regularization``, c2 is ``settings.c2``, and pull (n,) is grad mu
+    without a guide. With a guide, pull is (rho / c2) x_d, so that the two terms are smallest at x = x_d.
     """
 
     def start(self) -> None:
@@ -136,7 +137,7 @@ class Controller:
 
     @property
     def external_torque(self) -> Array:
-        """The observer's estimate of the external torque (n,) [Nm]; zero without an observer."""
+        """The momentum observer's estimate of the external torque (n,) [Nm]; zero without an observer."""
         return self._law.memory()[2]
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
@@ -145,7 +146,7 @@ class Controller:
         Raises:
             ControlError: the solver cannot start.
         """
-        # A copy of the controller runs one tick first, which initializes all libraries.
+        # First, a copy of the controller runs one tick. This tick initializes all libraries.
         copy = Controller(self.robot, self.settings, self.solver, self._period)
         copy._begin(q, v, tip_ref, trocar)
         copy.tick(q, v, tip_ref, trocar)
@@ -169,7 +170,7 @@ class Controller:
         Args:
             q, v: (n,) measured joint positions [rad] and velocities [rad/s].
             tip_ref: (3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2].
-            trocar: (2, 3) rows P_t [m], dP_t [m/s] of the registered trocar.
+            trocar: (2, 3) rows P_t [m], dP_t [m/s] of the trocar as registered (touched with the tip) before the run.
 
         Raises:
             ControlError: `start` was not called, or a reference is malformed.

@@ -1,4 +1,4 @@
-"""The manipulability map: mu over time and elbow angle (swivel)."""
+"""The manipulability map: the manipulability mu as colour over time and elbow angle (swivel)."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ COLUMNS = (
         "end", "in the end",
         help=f"state in the last {100 * END:.0f} % of the time. Local maximum: mu falls to both sides. Edge: mu rises "
         "further only at forbidden poses. At rest: the elbow rests, though no maximum or edge is within "
-        f"{np.degrees(CLOSE_RAD):.0f} deg. A reason can be that the third level has tighter bounds than the map. "
-        "Another branch of the inverse kinematics: the map does not apply",
+        f"{np.degrees(CLOSE_RAD):.0f} deg. A reason can be that the controller's bounds on elbow motion are tighter "
+        "than the map's. Another branch of the inverse kinematics: the map does not apply to this run",
     ),
 )  # fmt: skip
 
@@ -94,7 +94,7 @@ def _row(reading: Reading) -> dict[str, Any]:
 
 
 def load_map(files: Sequence[str | os.PathLike[str]]) -> Page:
-    """Make a page with the map of saved runs and their best planned motions."""
+    """Make a page with the map of saved runs, and of the best joint motion from each run's start if it was saved."""
     traces, robot = load_runs(files)
     page = Page(f"Manipulability map of {title_of(traces)}", f"runs: {'; '.join(traces)}")
     courses: dict[str, Trace] = {}

@@ -21,12 +21,13 @@ from moc_opt.sim.settings import PlantSettings
 
 Verdict = Literal["ok", "care", "cannot"]
 REGULAR, SINGULAR = (0.1, 0.05), 1e-4
-"""Bounds on two ratios of singular values at home, `Freedoms.tip` and `Freedoms.both`. If a ratio is below its value in
-`REGULAR`, the verdict is "care". If it is below `SINGULAR`, the verdict is "cannot"."""
+"""Bounds on two ratios of singular values at home: smallest / largest of the tip's Jacobian (`Freedoms.tip`), and fifth
+/ largest of the Jacobian of tip and wrist (`Freedoms.both`). If a ratio is below its value in `REGULAR`, the verdict is
+"care". If it is below `SINGULAR`, the verdict is "cannot"."""
 LITTLE_TO_GAIN = 0.05  #: If mu at home can rise by less than this share, the verdict is "care".
 LEAST_M = 0.005  #: If the arm cannot even follow a circle of this radius [m], the verdict is "cannot".
 MARGIN_DEG, MARGIN_MM = 15.0, 80.0
-"""If a joint that turns (deg) or slides (mm) is closer to a limit at home, the verdict is "care"."""
+"""If home is nearer than this to a limit of a joint that turns (deg) or slides (mm), the verdict is "care"."""
 CARE = 0.8  #: If gains reach this share of the stability limit, the verdict is "care".
 GYRATION_M = 0.6  #: Largest plausible radius of gyration of a link [m].
 
@@ -57,12 +58,13 @@ def verdict(findings: list[Finding]) -> Verdict:
 
 
 def _judge(what: str, found: str, *faults: tuple[object, Verdict, str]) -> Finding:
-    """Make a row from the first of the ``faults`` (condition, verdict, cure) that is true; "ok" if none is true."""
+    """Make a row from the first of the ``faults`` (condition, verdict, cure) whose condition is true; if none, "ok"."""
     rows = (Finding(what, found, judged, cure) for fault, judged, cure in faults if fault)
     return next(rows, Finding(what, found, "ok"))
 
 
 def _freedom(robot: RobotModel) -> Iterator[Finding]:
+    # Freedoms are the dimensions of the joint motion with fixed tip and shaft. An idle one never moves tip or shaft.
     built, here = best_freedoms(robot), freedoms(robot, robot.data.q_home)
     idle = ", ".join(robot.data.joint_names[j] for j in built.idle) or "none"
     rank = f"the Jacobian of tip and shaft has rank {here.rank} at home, {built.rank} elsewhere: change home.q_rad"
@@ -117,7 +119,7 @@ def _limits(robot: RobotModel) -> Finding:
             j = int(np.argmin(np.where(kind, room, np.inf)))
             texts.append(f"{robot.data.joint_names[j]} is {scale * room[j]:.0f} {unit} away")
             if scale * room[j] < margin:
-                cures.append(f"the third level stops {kept} before a limit: keep home.q_rad {margin:.0f} {unit} away")
+                cures.append(f"level 3 (elbow) stops {kept} before a limit: keep home.q_rad {margin:.0f} {unit} away")
     return _judge("nearest limit", ", ".join(texts), (cures, "care", "; ".join(cures)))
 
 
@@ -158,7 +160,7 @@ def _gains(robot: RobotModel, asked: Scenario) -> Finding:
     limit, period = largest_rate(asked.plant), asked.plant.period_s
     gains = asked.control.resolve_gains(robot.data.gains, robot.n)
     tip, wrist = largest_inverse_masses(robot)
-    # For each velocity gain, the largest ratio of gain to inertia [1/s]. K_N2 and D_N2 act together.
+    # For each velocity gain (D_X: tip, D_N: wrist, K_N2 + D_N2: elbow), the largest ratio of gain to inertia [1/s].
     null_space = largest_null_rate(robot, gains.K_N2 + gains.D_N2)
     rates = {"D_X": gains.D_X * tip, "D_N": gains.D_N * wrist, "K_N2": null_space}
     name, rate = max(rates.items(), key=lambda item: item[1])
@@ -171,9 +173,9 @@ def _gains(robot: RobotModel, asked: Scenario) -> Finding:
 
 
 def largest_rate(plant: PlantSettings) -> float:
-    """Return the largest stable ratio of a velocity gain to an inertia [1/s].
+    """Return the largest stable ratio r of a velocity gain to an inertia [1/s].
 
-    With a period T and d ticks of delay, v[k+1] = v[k] - T rate v[k-d] decays if T rate < 2 sin(pi / (2 (2 d + 1)))
+    With a period T and d ticks of delay, v[k+1] = v[k] - T r v[k-d] decays if T r < 2 sin(pi / (2 (2 d + 1)))
     (Levin and May, 1976). d includes the delay of the velocity filter.
     """
     cutoff, period = plant.velocity_cutoff_Hz, plant.period_s

@@ -21,12 +21,12 @@ TOOL_NAMES = {"link": {TOOL_LINK, TIP_LINK, WRIST_LINK}, "joint": {"tool_mount",
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 SMALLEST_MASS, SMALLEST_MOMENT = 1e-6, 1e-12
 MOST_LINKS = 250  #: Physics engines crash on chains of some thousands of links.
-# Let L be the largest principal moment, and S the sum of the other two. L - S may be at most _TRIANGLE L. `normalize`
-# makes S - L at least _FLAT L. The smallest moment must be at least _THIN L.
+# Let L be the largest principal moment, and S the sum of the other two. L - S may be at most _TRIANGLE * L. `normalize`
+# makes S - L at least _FLAT * L. The smallest moment must be at least _THIN * L.
 _TRIANGLE, _FLAT, _THIN = 1e-6, 1e-9, 1e-12
 SMALLEST = 1e-30  #: Numbers nearer to 0 are read as 0, because some programs refuse them.
 LARGEST, LARGEST_MASS, FARTHEST = 1e6, 1e5, 100.0
-"""Upper bounds on numbers in a file, on masses [kg], and on lengths and angles of an origin [m, rad]."""
+"""`LARGEST` bounds every number in a file, `LARGEST_MASS` masses [kg], `FARTHEST` an origin's numbers [m, rad]."""
 
 Numbers = tuple[float, ...]
 _ZEROS: Numbers = (0.0, 0.0, 0.0)
@@ -206,7 +206,7 @@ def _check_body(link: Link) -> None:
     if fault:
         cure = "correct it (about the centre of mass, in kg and kg m^2), or remove it to make the link a frame"
         raise RobotError(f"urdf link {link.name!r} has an <inertial> that no body can have: {fault}; {cure}")
-    # Rounding would otherwise decide whether MuJoCo accepts a flat body.
+    # Without this, rounding would decide whether MuJoCo accepts a flat body (largest moment = sum of the other two).
     least, middle, most = principal(link.moments)
     link.thicken(max(_FLAT * most - (least + middle - most), 0.0))
 
@@ -280,7 +280,7 @@ class Tree:
         self.base = bases[0]
 
     def chain(self, last_link: str, named: str) -> list[Joint]:
-        """Return the moving joints from base to a link. ``named`` is the option or key that chose it, for errors."""
+        """Return the moving joints from base to link. ``named``, in errors, is the option or key that gave the link."""
         if last_link not in self.links:
             raise UnknownNameError(f"link ({named})", last_link, self.links)
         chain = [joint for joint in self.path(last_link) if joint.moves]

@@ -21,15 +21,15 @@ from moc_opt.tasks import Reference, Trocar
 Found = TypeVar("Found")
 
 SINGULAR = (1e-4, 1e-4)
-"""Lower bounds on `Freedoms.tip` and `Freedoms.both`, for every start. The first is the ratio of the smallest to the
-largest singular value of J_tip. The second is the ratio of the fifth to the largest singular value of
-[J_tip; J_wrist]. A pose below a bound is refused as singular."""
+"""Lower bounds on two ratios, for every start. `Freedoms.tip` is the ratio of the smallest to the largest singular
+value of J_tip. `Freedoms.both` is the ratio of the fifth to the largest singular value of [J_tip; J_wrist]. A pose
+below a bound is refused as singular."""
 REGULAR = (0.1, 0.05)
 """Like `SINGULAR`, but for a random start and for the poses along its path."""
 DRAWN_MARGIN = 0.1  #: Smallest distance of a joint from its limits in a drawn pose [share of the joint's range].
 DRAWS = 200  #: Largest number of poses drawn for a random start.
 SPACING_M = 0.005  #: Distance between checked points of the path [m].
-_TIMES = 1500  # number of times at which the path is sampled before points are chosen
+_TIMES = 1500  # number of samples of the path in time; the points to be checked are chosen among them
 _SHALLOWEST_M = 0.002  # smallest distance from tip to trocar [m]
 _START_TOLERANCE_M = 0.002  # largest distance from the start pose's tip to the start of the reference [m]
 
@@ -74,7 +74,7 @@ def random_start(
     """Draw start poses until the arm can do the task from one of them, and return the task laid out from there.
 
     Args:
-        swivelled: function from a drawn pose (n,) to the start pose with [start] swivel.
+        swivelled: function that turns the elbow of a drawn pose (n,) to [start] swivel, and returns the start pose.
         attempt: function from a start pose (n,) to the task and poses (k, n) along the path.
         margins: (n,) required distance from the joint limits, at the start and along the path [rad, m].
 

@@ -73,9 +73,9 @@ class FaultSettings(Settings):
     slip_at_s: float = Field(2.0, ge=0.0, description="time at which the trocar slips")
     solver: Literal["none", "fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang"] = "none"
     """fault of the solver's answers, without effect if `law` = 'dcac'. 'fail': no answer; 'nan': NaN; 'lie': optimum
-    for the negated gradient; 'raise': exception; 'outside': outside the bounds; 'rig': wrong answer, and the solver
-    changes the problem to fit it; 'malformed': wrong data type; 'hang': solve time of ten times `budget_us` (without
-    it: `deadline_us`)"""
+    for the negated manipulability gradient; 'raise': exception; 'outside': outside the bounds; 'rig': wrong answer, and
+    the solver changes the problem to fit it; 'malformed': wrong data type; 'hang': solve time of ten times `budget_us`
+    (without it: `deadline_us`)"""
     solver_share: float = Field(0.05, ge=0.0, le=1.0)
     """share of the solver's answers that have the fault `solver`"""
 
@@ -119,7 +119,7 @@ class Faults:
         self._tape: list[Measurement] = []
 
     def act(self, plant: Plant, tick: int) -> None:
-        """Begin or end the pushes that are due at ``tick``."""
+        """Begin or end the pushes (bump, weight of the payload) that are due at ``tick``."""
         s = self.settings
         if s.payload_kg > 0.0 and tick == 0:
             plant.push(TOOL_BODY, self._weight)

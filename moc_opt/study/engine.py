@@ -31,12 +31,12 @@ from pebble import ProcessExpired, ProcessPool
 from moc_opt.errors import MocOptError, StudyError, describe
 from moc_opt.study.kept import Kept, digest_of, key_of, loaded_sources
 
-CONNECT_S = 30.0
+CONNECT_S = 30.0  # largest time to connect to the Dask scheduler, and to find a worker there [s]
 LOOK_S = 1.0  # time between two checks of whether processes have died [s]
 ATTEMPTS = 3  # a job is submitted at most this often if the pool of workers breaks
-PID_FILE = ".pid"
+PID_FILE = ".pid"  # ending of the file with the process id of the worker that does a job
 WAIT_FACTOR = 5.0
-PR_SET_PDEATHSIG = 1
+PR_SET_PDEATHSIG = 1  # option of Linux's prctl: the signal that a process gets when its parent dies
 PRELOAD = ("moc_opt.scenario", "moc_opt.study.trials", "moc_opt.study.solver_answers")
 
 _parts: IO[bytes] | None = None  # in a worker: the file that `report` writes to
@@ -50,7 +50,9 @@ class Job:
     arguments: tuple[Any, ...] = ()
     limit_s: float = 600.0  #: time limit [s]
     alone: bool = False  #: True for a job that measures times: no other job runs at the same time
-    group: str = ""  #: `run` skips a group's later jobs after ``give_up`` hangs or crashes in the group; "": no group
+    group: str = ""
+    """Jobs with the same ``group`` belong together. After ``give_up`` (argument of `run`) hangs or crashes among them,
+    `run` skips the later ones. "": the job is never skipped."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +129,7 @@ def run(
                     kept.put(keys[k], result, answer.sources)
                 finish(k, result)
     gone, answers = Counter[str](), list[Any]()
-    # Later jobs of a given-up group may have run. Their results are dropped, so that the list is always the same.
+    # Later jobs of a given-up group may have run. These results are dropped: the list must not depend on timing.
     for k, job in enumerate(jobs):
         answers.append(_not_begun(job.group) if job.group and gone[job.group] >= give_up else results[k])
         gone[job.group] += _broke(answers[-1])
@@ -317,7 +319,7 @@ def _reported(file: str | None) -> tuple[Any, ...]:
 def alarm(seconds: float) -> None:
     """Let the kernel end this job's process after ``seconds`` of processor time. With 0, cancel the alarm.
 
-    A process that waits uses no processor time. So it is ended after `WAIT_FACTOR` times ``seconds`` of wall time, too.
+    A waiting process uses no processor time. So it is also ended after `WAIT_FACTOR` * ``seconds`` of wall time.
     """
     signal.setitimer(signal.ITIMER_PROF, seconds)
     signal.setitimer(signal.ITIMER_REAL, WAIT_FACTOR * seconds)
