@@ -2,8 +2,9 @@
 
 python -m benchmarks.paper [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-MOC runs with Table I of the paper as printed, and with tuned values. DCAC runs with the paper's gains for DCAC, and
-with the gains of MOC.
+MOC is the paper's controller with three levels of torque. DCAC is MOC without the third level, the self-motion that
+raises manipulability. MOC runs with Table I of the paper (its parameters) as printed, and with tuned values. DCAC runs
+with the paper's gains for DCAC, and with the gains of MOC.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ PRINTED, NETWORK = "paper", "rnn"
 HOLDS, GAINS_ONLY, FAILS, UNDECIDED = "holds", "holds only against DCAC with softer gains", "does not hold", "undecided"
 MARKS = {HOLDS: ("✔", "good", 0), GAINS_ONLY: ("≈", "fair", 1), FAILS: ("✘", "bad", 2)}
 TONES = {HOLDS: GOOD, GAINS_ONLY: list(SERIES)[4], FAILS: WORST}
-LEAST_GAIN_PERCENT, MOST_CHANGE_PERCENT = 15.0, 5.0  # goals: least gain of mean mu, largest rise of a settled error
+LEAST_GAIN_PERCENT, MOST_CHANGE_PERCENT = 15.0, 5.0  # goals: gain of mean mu, rise of errors after the elbow's travel
 MOST_MM = {
     "tip_error_model_mean_mm": 0.1, "tip_error_registered_mean_mm": 0.1, "rcm_error_model_mean_mm": 0.2,
     "rcm_error_registered_mean_mm": 0.2, "rcm_error_mean_mm": 0.5,
@@ -310,7 +311,7 @@ def ablation(rows: Results, cases: Mapping[str, Case]) -> list[dict[str, Any]]:
 
 
 def _shift(rows: Results, cases: Mapping[str, Case], name: str, printed: str, claim: Claim) -> dict[str, Any]:
-    """Return the case's effect minus that of Table I as printed [percentage points], and whether the case decides."""
+    """Return the case's effect minus the printed table's effect [percentage points], and whether the case decides."""
     four = [
         rows.where(group=case).values(claim.metric, controller)
         for case in (name, printed) for controller in (cases[case].controller, BASELINE)

@@ -115,7 +115,7 @@ def record(scenario: Scenario) -> tuple[list[peers.Inputs], list[NullSpaceQP]]:
 
 
 def ticks(scenario: Scenario, solvers: Iterable[str], libraries: Iterable[str], rounds: int) -> Part:
-    """Time one tick with every solver, and one tick of each other library on the inputs of its own run."""
+    """Time one tick with every solver, and one tick of each other control library on the inputs of its own run."""
     part, entries, (inputs, _) = Part(), dict[str, Timed](), record(scenario)
     robot = load_robot(scenario.robot.name)
     for name in solvers:
@@ -212,7 +212,7 @@ BY_HAND = "daqp by hand"
 
 
 def adapters(scenario: Scenario, names: Iterable[str], rounds: int) -> Part:
-    """Time `exact`, the adapters, and daqp also without its adapter."""
+    """Time `exact`, our adapters to other QP solvers, and daqp also without its adapter."""
     part, (_, problems), robot = Part(), record(scenario), load_robot(scenario.robot.name)
     entries = {"exact": Timed(Exact().start(problems[0]).solve, problems)}
     for name in names:
@@ -318,9 +318,9 @@ def loop(scenario: Scenario, runs: int) -> Part:
 
 
 def limit(rows: Iterable[Mapping[str, Any]], c_tick_us: float | None) -> dict[str, float]:
-    """Return medians over the runs: MuJoCo's steps per tick [us], the limit [us], and time per tick / limit.
+    """Return medians over the runs: time of MuJoCo's steps per tick [us], limit [us], and whole time per tick / limit.
 
-    The limit is MuJoCo's steps plus `moc_step` in C.
+    The limit is the time of MuJoCo's steps plus that of `moc_step` in C, both per tick.
     """
     us, steps = np.array([(row["us_per_tick"], row["steps_us"]) for row in rows]).T
     found = {"steps_us": float(np.median(steps))}

@@ -65,8 +65,8 @@ typedef struct {
     int n;
     double A[6][MOC_MAX_JOINTS], b[6];     /* [J_T; J_W], [v_T; v_W] */
     double grad_mu[MOC_MAX_JOINTS];
-    double pull[MOC_MAX_JOINTS];           /* to raise mu: grad_mu plus a multiple of grad_mu_shaft, which is above 0 if
-                                            * mu_shaft < shaft_margin. To follow a given x_d: rho/c2 x_d */
+    double pull[MOC_MAX_JOINTS];           /* to raise mu: grad_mu; if mu_shaft < moc_law.shaft_margin, a positive
+                                            * multiple of grad_mu_shaft is added. To follow a given x_d: rho/c2 x_d */
     double lower[MOC_MAX_JOINTS], upper[MOC_MAX_JOINTS]; /* [rad/s] */
     double c0, c1, c2, rho;
     double q[MOC_MAX_JOINTS];              /* A = A(q); only nonlinear solvers use q */
@@ -102,7 +102,7 @@ typedef enum { MOC_DYNAMIC = 0, MOC_STATIC, MOC_AS_PUBLISHED } moc_projector;
 
 typedef struct {
     double K_X, D_X, K_N, D_N;                   /* at tip and wrist [N/m], [N s/m] */
-    double rcm_lambda;                           /* lambda of Su et al. (law.c); 0: not used */
+    double rcm_lambda;                           /* assumed (RCM error) / (wrist error) of Su et al.; 0: not used */
     moc_projector projector;
     int feedforward;                             /* 1: desired accelerations are fed forward */
     double K_N2[MOC_MAX_JOINTS], D_N2[MOC_MAX_JOINTS]; /* gains of the third level [N m s/rad] */
@@ -111,7 +111,7 @@ typedef struct {
     double c0, c1, c2, rho;
     double q_min[MOC_MAX_JOINTS], q_max[MOC_MAX_JOINTS], v_max[MOC_MAX_JOINTS];
     double shaft_margin;                         /* below this mu_shaft, level 3 also raises mu_shaft [m^2] */
-    double spare_speed;                          /* below shaft_margin, v_max grows by up to this share */
+    double spare_speed;                          /* if mu_shaft < shaft_margin, v_max grows by up to this share */
     double observer_gain;                        /* disturbance observer K_o [1/s]; 0: none */
     double period;                               /* [s] */
     double fade;                                 /* growth of moc_memory.share per tick */
@@ -125,7 +125,7 @@ typedef struct {
     double Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];    /* rows: orthonormal basis of ker A */
     double share;                                /* factor of level 3, rises from 0 to 1 */
     double integral[MOC_MAX_JOINTS];             /* of the observer [Nm s] */
-    double external[MOC_MAX_JOINTS];             /* observer's estimate r [Nm] */
+    double external[MOC_MAX_JOINTS];             /* observer's estimate r of the external torque [Nm] */
     double tau[MOC_MAX_JOINTS];                  /* torque in this period, for the observer [Nm] */
     double good[MOC_MAX_JOINTS];                 /* last accepted answer [rad/s] */
     int age;                                     /* ticks since the last accepted answer, up to hold_ticks + 1 */
@@ -148,10 +148,10 @@ typedef enum {
     MOC_FAULT_RAISED,
     MOC_FAULT_MALFORMED,
     MOC_FAULT_NOT_FINITE,
-    MOC_FAULT_OUTSIDE,
+    MOC_FAULT_OUTSIDE, /* A x = b or a bound is violated */
     MOC_FAULT_FALSE_OPTIMUM,
     MOC_FAULT_LATE,
-    MOC_FAULT_LOST,
+    MOC_FAULT_LOST, /* the solver's process hung or ended */
     MOC_FAULTS
 } moc_fault;
 
@@ -171,9 +171,9 @@ typedef struct {
     double primal_limit;    /* largest allowed |A x - b| and bound violation of a claimed optimum */
     double relative_limit;  /* largest allowed natural residual of a claimed optimum */
     double opposite_limit;  /* largest allowed distance of a claimed optimum from the true optimum [rad/s]; applies
-                             * only if the optimum for -pull is nearer to the answer than the true optimum */
+                             * only if the claimed optimum is nearer to the optimum for -pull (wrong sign) */
     int hold_ticks;         /* ticks for which the last accepted answer replaces refused answers */
-    int keep_off_limits;    /* after these ticks: 1: a self-motion keeps joints off their limits; 0: x = 0 */
+    int keep_off_limits;    /* after hold_ticks: a self-motion that keeps joints off their limits (1), or x = 0 (0) */
     moc_fallback fallback;  /* for an infeasible subproblem */
     moc_late late;          /* for a late answer */
     double budget_us;       /* an answer is late if its solve took longer [us] */
@@ -206,7 +206,7 @@ typedef struct {
 typedef enum { MOC_REASONS(MOC_NAME) MOC_STOPS } moc_stop;
 
 /* Settings of the safety filter. An infinite limit turns its check off. Names in capitals are reasons to stop. The
- * table at the top of safety_filter.c says when each reason applies. */
+ * table at the top of safety_filter.c defines them. r: torque that a joint's motion implies minus applied torque. */
 typedef struct {
     double period;                                      /* [s] */
     int patience;                                       /* ticks in a row that a check may fail */
@@ -235,10 +235,10 @@ typedef struct {
     double repeat_m;                                    /* REPEATED: largest motion of the tip's reference [m] */
     double repeat_torque;                               /* REPEATED: largest change of a torque / tau_max */
     double repeat_whole_m, repeat_whole_torque;         /* the same two, if the wrench is unchanged as well */
-    double repeat_whole_ticks;                          /* WRENCH_REPEATED, REPLAYED: largest number of ticks */
+    double repeat_whole_ticks;                          /* WRENCH_REPEATED, REPLAYED: most repeats, noisy wrench */
     double repeat_joint_ticks;                          /* ONE_REPEATED: most ticks in a row with an unchanged q */
     double repeat_reading_ticks;                        /* REPEATED, ONE_REPEATED: most ticks with unchanged q, v */
-    double replayed_ticks;                              /* REPLAYED: largest number if the wrench has no noise */
+    double replayed_ticks;                              /* REPLAYED: most repeats, wrench without noise */
     double stuck_speed;                                 /* STUCK: largest unseen_speed (moc_joint_watch) [rad/s] */
     double held[MOC_MAX_JOINTS];                        /* STUCK: static friction [Nm] */
     double residual_torque;                             /* UNEXPLAINED: largest |r - mean of r| / tau_max */
@@ -267,7 +267,7 @@ typedef struct {
     double repeats_both;     /* number of all ticks with unchanged q and v */
     double torque;           /* applied torque when the encoders stopped changing [Nm] */
     double integral;         /* of the momentum observer [Nm s] */
-    double residual, mean;   /* momentum residual r and its mean [Nm] */
+    double residual, mean;   /* r (see moc_guard) and its mean [Nm] */
     double at_repeat;        /* mean of r when q last changed [Nm] */
     double unseen_speed;     /* speed that torque beyond friction has given the joint since q last changed [rad/s] */
     double exceeded;         /* ticks in a row in which r was above a limit of UNEXPLAINED */
@@ -285,7 +285,7 @@ typedef struct {
     double ticks;                                /* number of the tick, from 0 */
     int unread;                                  /* wrenches in a row that were not finite */
     double mean_force;                           /* mean trocar force during a stop [N] */
-    double base_force;                           /* the brakes open if mean_force > base_force + stop_yield [N] */
+    double base_force;                           /* closed brakes open if mean_force > base_force + stop_yield [N] */
     int brakes_open, open_ticks;                 /* 1: the brakes are open in a stop; number of ticks since then */
     int cut;                                     /* 1: a drive is at fault, so the torque in the stop goes to zero */
     int limited;                                 /* number of joints whose torque was limited in this tick */
@@ -296,10 +296,10 @@ typedef struct {
     moc_joint_watch joint[MOC_MAX_JOINTS];
     double tip_ref[3], tip_ref_before[3];        /* tip reference, now and when the encoders stopped changing [m] */
     double wrench[6], wrench_repeats;            /* latest wrench; number of its repetitions in a row */
-    int looked;                                  /* number of wrenches read, at most FIRST_READINGS */
-    int wrench_is_still;                         /* 1: two of these in a row were equal */
+    int looked;                                  /* number of wrenches read, counted up to FIRST_READINGS (100) */
+    int wrench_is_still;                         /* 1: among these, a wrench equalled the one before it */
     int weighed;                                 /* number of measurements compared with the torque */
-    double number[MOC_SLOTS], at[MOC_SLOTS];     /* table of readings, and their indices from 1 (0: empty slot) */
+    double number[MOC_SLOTS], at[MOC_SLOTS];     /* readings, one number each; their indices from 1 (0: empty) */
     double joint_number[MOC_MAX_JOINTS][MOC_JOINT_SLOTS], joint_at[MOC_MAX_JOINTS][MOC_JOINT_SLOTS];
     moc_came_before whole, lagging[MOC_MAX_JOINTS]; /* repetitions of all sensors, and of each encoder */
 } moc_watch;
@@ -341,9 +341,9 @@ typedef struct {
     moc_problem problem;            /* filled if the law has a third level */
     moc_plane plane;                /* problem.A after elimination */
     double tip_ref[3];              /* tip reference [m] */
-    double tau[MOC_MAX_JOINTS];     /* levels 1 and 2 minus r; after moc_finish, the torque to send */
+    double tau[MOC_MAX_JOINTS];     /* levels 1 and 2 minus memory.external; after moc_finish, to send */
     moc_fault fault;
-    double x[MOC_MAX_JOINTS];       /* followed by the third level [rad/s] */
+    double x[MOC_MAX_JOINTS];       /* joint velocity that level 3 follows [rad/s] */
     double answer[MOC_MAX_JOINTS];  /* answer, y, status: results of the exact solver in moc_step */
     double y[6];
     moc_status status;

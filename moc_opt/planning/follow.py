@@ -20,8 +20,8 @@ from moc_opt.planning.search import NEARBY_RAD, Value
 from moc_opt.robots.model import RobotState
 
 GAIN_PER_S = 5.0  #: Gain k of x_d.
-NODES = 10  #: Number of time steps of the nonlinear program.
-CATCH_UP = 1.03  #: Ratio of the joint speed limits of courses made during the run to those of the value function.
+NODES = 10  #: Number of time steps of the nonlinear program that smooths a course.
+CATCH_UP = 1.03  #: Factor on the joint speed limits for courses made during the run.
 ON_COURSE_RAD = 0.05
 """If every joint is nearer than this to the old course, a new course begins on the old course. A course that begins at
 the measured pose would close a second feedback loop."""
@@ -54,7 +54,8 @@ class Piece(NamedTuple):
 class Planner:
     """Makes courses from any pose. They last for a fixed time, the horizon, or until the end of the path.
 
-    The value function V of `search` gives a coarse course, and `Program` smooths it.
+    A coarse course is read off the value function V, the best integral of manipulability from a pose to the end of the
+    path. `Program` smooths this course.
     """
 
     def __init__(
@@ -171,9 +172,10 @@ class Follower:
             if np.abs(self._now.at(t)[0] - state.q).max() > LOST_RAD:
                 self._begin(planner, state.q)
         elif planner is not None and 0 <= self._begun < self._tick and self._tick % self._every == 0:
-            # The course of the previous solve takes effect now, as if a solve took the whole time between two solves.
-            # If the new solve gives no course, the course followed until now takes effect again at the next solve. For
-            # an arm on a rail, this was more accurate than following the previous solve's course further.
+            # The new course takes effect at the next solve, as if a solve took the whole time until then. Now the
+            # course of the previous solve takes effect. If the new solve gives no course, the course followed so far
+            # returns at the next solve. For an arm on a rail, this was more accurate than to keep the course of the
+            # previous solve.
             now, self._next = self._next, planner.plan(state.q, t, self._now) or self._now
             self._before, self._now = self._now, now
         q, v = self._now.at(t)

@@ -26,15 +26,15 @@ from moc_opt.planning.search import WHOLE_CELL, Value, Way, keeping_shaft
 from moc_opt.robots.model import RobotModel
 from moc_opt.trace.trace import Trace
 
-COURSE_SHARE = 0.25  #: Factor on ``[control] shaft_margin``. The product is the `Limits.shaft` of courses.
-V_PERIOD_S = 0.1  #: Time step of the pose map [s].
+COURSE_SHARE = 0.25  #: Courses try to keep this share of ``shaft_margin``, the least manipulability of the shaft.
+V_PERIOD_S = 0.1  #: Time step of the pose map (samples of the arm's poses along the path) [s].
 TARGETS_PER_TIME = 20  #: Targets of tip and wrist per time step of the map.
-HALF_CELL = 0.5  #: First ``cell`` of `Value` to be tried. With 0, courses near singular poses would not be found.
+HALF_CELL = 0.5  #: First tolerance for the map's spacing [half spacings]. With 0, courses near singular poses are lost.
 SPEEDS = (1.0, 0.7, 0.4)
 """Shares of ``[control] course_speed_fraction``, tried in this order until a course is smooth and can brake."""
 HURRY, WORTH_IT = 1.12, 0.01
 """The speed factor `HURRY` is tried before `SPEEDS` if it raises mean mu (manipulability) by more than `WORTH_IT`."""
-FASTEST = 0.97  #: With `HURRY`, largest share of the speed limits, unless ``course_speed_fraction`` is even larger.
+FASTEST = 0.97  #: Largest speed share that `HURRY` gives. A larger ``course_speed_fraction`` stays as it is.
 BRAKE_SHARE = 0.9  #: Share of the safety filter's deceleration that courses made before the run use.
 SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}
 """Weight of the squared acceleration [s^4/rad^2] of courses made before the run (planned) or during it (receding)."""
@@ -67,7 +67,7 @@ class Following:
 
 
 class Ways:
-    """A coarse pose map of a path, with the best course for each speed."""
+    """A coarse pose map of a path, and the best course on the map for each speed."""
 
     def __init__(self, run: Following) -> None:
         self.run, settings = run, run.settings
@@ -89,7 +89,7 @@ class Ways:
     def at(self, part: float) -> tuple[Value, Limits, Way]:
         """Return (value function V, limits, best coarse course) at ``part`` times the ``course_speed_fraction``.
 
-        A ScenarioError is raised if there is no course.
+        V is the best integral of mu from a pose to the path's end. A ScenarioError is raised if there is no course.
         """
         if part not in self._known:
             run, settings = self.run, self.run.settings
@@ -113,7 +113,7 @@ class Ways:
 def guides(run: Following) -> Callable[[], Guide] | None:
     """Plan the run once, and return a function that makes a guide for each controller.
 
-    With ``third_level = "local"``, return None.
+    With ``third_level = "local"``, no course is needed: return None.
 
     Raises:
         ControlError: the third level cannot follow a course under these settings.
@@ -273,7 +273,7 @@ def too_fast_to_follow(settings: ControlSettings, robot: RobotModel, shares: Arr
 
 
 def margin_of(robot: RobotModel, margin_rad: float, margin_m: float) -> Margin:
-    """Return ``margin_rad`` or, if a joint slides, the margins of all joints (n,); a TaskError if one is negative."""
+    """Return ``margin_rad`` or, if a joint slides, the margins of all joints (n,). A negative one raises TaskError."""
     for name, value in (("margin_rad", margin_rad), ("margin_m", margin_m)):
         if not (is_number(value) and 0.0 <= value < np.inf):
             raise TaskError(f"{name} = {value!r}: give zero or more, and less than half of every joint's range")

@@ -42,8 +42,8 @@ class Plan:
     best: Course | None  #: Best course from any start pose, or None.
     climbed: Course  #: Course that climbs mu locally. It ends before the path's end if a limit blocks the way.
     bound_from_start: float
-    """Estimated upper bound of mean mu from the start [m^3]; NaN if ``from_start`` is None or exceeds it."""
-    bound: float  #: Estimated upper bound of mean mu over all starts [m^3]; NaN if ``best`` is None or exceeds it.
+    """Estimated upper bound of mean mu from the start [m^3]; NaN if ``from_start`` is None or has a larger mean mu."""
+    bound: float  #: The same bound over all starts [m^3]; NaN if ``best`` is None or has a larger mean mu.
     blocked: Blocked | None  #: Where and why the path cannot be executed from the start, or None.
     start_swivel_rad: float  #: Swivel (elbow angle) at the start [rad]; see `elbow`.
     best_swivel_rad: float  #: Swivel at the start of ``best`` [rad].
@@ -80,6 +80,8 @@ def make_plan(
     refined: bool = True,
 ) -> Plan:  # fmt: skip
     """Find the best course along a path from the given start pose, and the best course from any start pose.
+
+    The search uses a map: samples of the arm's poses at each time, with tip and wrist at their targets.
 
     Args:
         q_start: (n,) pose with tip and wrist at the first target [rad].
@@ -164,7 +166,7 @@ def check_limits(robot: RobotModel, limits: Limits) -> None:
 
 
 def best_course(value: Value, start: Array | None) -> Array | None:
-    """Return the best course (k,n) on the map from ``start`` (n,) or, if this is None, from any pose."""
+    """Return the best course (k,n) on the map from ``start`` (n,) or, if it is None, from any pose of the map."""
     start = value.best()[1] if start is None else start
     way = None if start is None else value.way(start)
     return None if way is None else way.q_rad

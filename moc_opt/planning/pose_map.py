@@ -65,7 +65,7 @@ class PoseMap:
         return np.asarray(room >= -ROUNDING_RAD)
 
     def crossing(self, k: int, step_rad: Array) -> NDArray[np.int64]:
-        """Return a mask per sample (m,): the bits of the branch index that a step (n,) [rad] can flip at time k."""
+        """Return a mask per sample (m,): bits of the index of `BRANCHES` that a step (n,) [rad] can flip at time k."""
         if self.closed is None:
             return np.zeros(self.mu.shape[2], dtype=np.int64)
         with np.errstate(invalid="ignore"):

@@ -52,9 +52,9 @@ class StartTable(Settings):
     q_rad: tuple[float, ...] | None = None
     """joint positions at the start, for `pose` = 'home'. By default, they are the robot's home pose"""
     swivel: Annotated[float, Field(ge=0.0, le=1.0)] | Literal["given", "random"] = "given"
-    """place of the elbow at the start, from 0 to 1 of the way that it can move while tip and wrist rest. This
-    number is no angle. `moc-opt plan` prints angles, and the `q_rad` of the best start. 'given': as in the start pose;
-    'random': drawn from 0.05 to 0.95"""
+    """place of the elbow at the start. 'given': as in the start pose; a number: share (0 to 1) of the range in which
+    the elbow can move while tip and wrist rest; 'random': a share drawn from 0.05 to 0.95. The angles that `moc-opt
+    plan` prints are no shares: to start at its best start, set `q_rad`"""
     limit_margin_rad: float = Field(0.05, ge=0.0, le=3.0)
     """smallest allowed distance of revolute joints from their limits along the path, for `pose` = 'random'"""
     limit_margin_m: float = Field(0.05, ge=0.0, le=3.0)
@@ -138,7 +138,7 @@ class TaskTable(Settings):
 
 
 class SolverTable(Settings):
-    """The solver that computes the joint velocity x of level 3."""
+    """The solver of level 3, which moves the elbow. It computes the joint velocity x that level 3 follows."""
 
     KIND: ClassVar[str] = "[solver]"
     name: Name = Field("exact", description="name of the solver, from `moc-opt solvers --list`")

@@ -1,6 +1,7 @@
 """A solver in a separate process. If the process crashes or hangs, it is replaced.
 
-A simulation waits until the new process has started. In real time (``waits=False``), ticks until then have no answer.
+The solver answers one subproblem (a QP) per tick of the controller. A simulation waits until the new process has
+started. In real time (``waits=False``), ticks until then have no answer.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Compare solvers and DCAC in closed loop, on the same trials (``mo.compare``)."""
+"""Compare solvers and DCAC (the control law without level 3) in closed loop, on the same trials (``mo.compare``)."""
 
 from __future__ import annotations
 
