@@ -100,7 +100,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 class Run(NamedTuple):
-    """Times [us] and counts of the cycles before the end or a stop. ``overruns``: ticks that began a period late."""
+    """Times [us] and counts of the cycles before the end or a stop. ``overruns``: ticks begun over a period late."""
 
     wake_us: Array
     round_us: Array
