@@ -39,7 +39,7 @@ from moc_opt.trace.trace import Trace
 SPARE_S = 300.0
 """time [s] allowed for starting and saving"""
 SAFE_RCM_M, AT_REST_RAD_PER_S = 2e-3, 1e-2
-"""limits of RCM error and final joint speed for a clean stop"""
+"""A stop is clean if the RCM error (from trocar to shaft) and the final joint speed are below these limits."""
 BURN = "import os\nstudy = os.getppid()\nwhile os.getppid() == study:\n    sum(i * i for i in range(100000))"
 PERCENTILES = {"p50": 50.0, "p99": 99.0, "p99_99": 99.99, "worst": 100.0}
 TIMES = {"wake": "wake-up latency", "round": "round trip", "control": "controller"}
@@ -100,7 +100,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 class Run(NamedTuple):
-    """Times [us] and counts of the cycles before the end or a stop."""
+    """Times [us] and counts of the cycles before the end or a stop. ``overruns``: ticks begun over a period late."""
 
     wake_us: Array
     round_us: Array

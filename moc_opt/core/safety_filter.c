@@ -5,28 +5,28 @@
  * moc_guard. r_i is joint i's momentum residual [Nm]: the torque that its motion implies, minus the applied torque.
  *
  *   LATE              now - newest stamp > delay of the run's first new measurement + patience [ticks]
- *   MEASUREMENT *     no new measurement, |v| > speed_factor v_max, or |q - believed q| > jump + v_max (time between)
- *   REPLAYED          all encoders and the wrench sensor repeat earlier readings, more than n times at the same lag.
+ *   MEASUREMENT *     no new measurement, |v| > speed_factor v_max, or |q - q_b| > jump + v_max t. q_b is the last
+ *                     accepted q, moved on with its v at every refusal since. t is the time since it was accepted
+ *   REPLAYED          all sensors read the same as k readings ago, k > 1, more than n times with the same k.
  *                     n = min(repeat_reading_ticks, m). m is repeat_whole_ticks with wrench noise, else replayed_ticks
  *   REPEATED          all q are unchanged on more than `patience` ticks in a row. In this time, the tip's reference
- *                     moved by more than a, a torque changed by more than b tau_max, or WRENCH_REPEATED holds. a, b are
- *                     repeat_m, repeat_torque or, if the wrench is unchanged too, repeat_whole_m, repeat_whole_torque.
- *                     Or: each joint had q and v unchanged on more than repeat_reading_ticks ticks in total
+ *                     moved by more than a, a torque changed by more than b tau_max, or WRENCH_REPEATED holds. If the
+ *                     wrench is unchanged too, a is repeat_whole_m and b repeat_whole_torque, else repeat_m and
+ *                     repeat_torque. Or: each joint's q, v were unchanged on over repeat_reading_ticks ticks in all
  *   RAN_AWAY          |change of q - integral of v| over motion_s > motion_rad + motion_lag_s * (largest recent |v|)
  *   ONE_REPEATED      one q is unchanged for more than repeat_joint_ticks ticks in a row, or one q and its v for
  *                     more than repeat_reading_ticks ticks in total
  *   WRENCH_REPEATED   the wrench has noise, but is unchanged for more than repeat_whole_ticks ticks in a row
- *   LAGGING           one encoder repeats its earlier readings, more than repeat_reading_ticks times at the same lag
+ *   LAGGING           one encoder reads the same as k readings ago, more than repeat_reading_ticks times with one k > 1
  *   WRENCH *          the wrench is not finite
  *   RCM, FORCE        rms distance of the shaft from the trocar, or rms trocar force, is above its limit
  *   TIP               rms distance of the tip from its reference > tip_error
  *   UNEXPLAINED *     |r_i - running mean of r_i| > residual_torque tau_max, or |r_i| > residual_whole tau_max
  *   STUCK             q_i is unchanged on more than `patience` ticks in a row, and the integral of d_i / M_ii in this
- *                     time exceeds stuck_speed. d_i is the change of r_i beyond the static friction held_i
+ *                     time exceeds stuck_speed. d_i is the change of r_i, less the static friction held_i
  *   TORQUE            the controller's torque is not finite
  *
- * Each joint's torque is limited by its virtual wall (left_by_wall), then by torque_step, then by tau_max.
- * docs/reliability.md explains the limits. */
+ * Each torque is limited by its virtual wall, then to a step per tick, then to tau_max (docs/reliability.md). */
 #include <limits.h>
 
 #include "vec.h"
@@ -188,7 +188,7 @@ static moc_stop compare_readings(const moc_guard *g, int n, const moc_measuremen
                                                                                   : MOC_RUNNING;
 }
 
-/* Store a reading in a table. Returns how many repetitions, up to the latest one, had the same lag (in readings). */
+/* Store a reading in a table. Returns the number of repetitions in a row with the same lag (distance in readings). */
 static inline double take_in(double number, int slots, double *numbers, double *at, moc_came_before *before)
 {
     if (!(fabs(number) < LARGEST_NUMBER))
@@ -263,8 +263,8 @@ static double rcm_error(double pose[4][3], const double P[3])
 /* Compute the trocar's force across the shaft [N] from the wrench at the tool's mount.
  * Let z be the tool's axis, L its length, d the depth of the tip beyond the trocar, f the trocar's force, and g a
  * contact force at the tip. Without the tool's weight, force = f + g and torque = (L - d) z x f + L z x g. Hence
- * f = (L force - torque x z) / d. If d is too large, f is too small. |g| is assumed to be at most tip_force, so the
- * result is never below |force| - tip_force. *all is |force|. The warning uses it, because a load may reduce f. */
+ * f = (L force - torque x z) / d. An overestimated d makes f too small. |g| is at most tip_force by assumption, so the
+ * result is never below |force| - tip_force. *all is |force|, for the warning: a load on the tool may reduce f. */
 static double trocar_force(const moc_guard *g, double pose[4][3], const double P[3], const double *wrench, double *all)
 {
     double depth = 0.0, L = g->tool_length, weight[2], force[2];
@@ -446,10 +446,10 @@ void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before
     }
 }
 
-/* Closed brakes keep the tool pressed on the tissue, and open brakes let the arm sink under an unknown load. The brakes
- * thus open when the mean trocar force exceeds stop_yield. They close when it has fallen to half of stop_yield, at the
- * latest after stop_yield_ticks. In the latter case, they open again when it has risen by another stop_yield. They stay
- * closed if the drives cannot carry the arm's weight, or if a drive is at fault (w->cut). */
+/* Closed brakes keep the tool pressed on the tissue, and open brakes let the arm sink under an unknown load. Let F be
+ * the mean trocar force, and F0 = 0 at first. They open if F > F0 + stop_yield, and close if F <= F0 + stop_yield/2. If
+ * they are still open after stop_yield_ticks, they close, and F0 becomes the present F. While they are closed, F0 falls
+ * with F. They never open if the drives cannot carry the arm's weight, or if a drive is at fault (w->cut). */
 void moc_guard_hold(const moc_guard *g, const moc_arm *arm, const double *wrench, moc_watch *w, double *friction)
 {
     double weight[MOC_MAX_JOINTS], pose[4][3];

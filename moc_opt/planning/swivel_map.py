@@ -1,4 +1,4 @@
-"""The map of the manipulability mu over time and the elbow's swivel angle, with the trajectories of runs."""
+"""The map of the manipulability mu over time and swivel (angle of the elbow about the line from shoulder to wrist)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ UNREACHABLE, FEASIBLE = -1, 0
 TRAJECTORY_POINTS = 500  #: Upper bound on the number of times of a `Trajectory`.
 STEP_RAD = 0.05  #: Spacing of the samples of a self-motion.
 SAME_PATH_M = 1e-6  #: Runs have the same path if their tip references differ by at most this.
-OTHER_BRANCH_RAD = 0.5  #: ``gap_rad`` above which run and map are on different branches of inverse kinematics.
+OTHER_BRANCH_RAD = 0.5  #: `Trajectory.gap_rad` above which the run is on another branch of inverse kinematics.
 NEEDED = ("t_s", "q_rad", "tip_m", "tip_ref_m")
 NEAR = 0.02  #: mu counts as optimal if it is below the best mu by at most this fraction.
 END = 0.2  #: The end of a run is judged from this last fraction of its time.
@@ -39,8 +39,8 @@ class Trajectory:
     swivel_rad: Array  #: Swivel in the map's range. It may jump by a turn.
     mu: Array  #: Manipulability of the run's poses [m^3].
     gap_rad: float
-    """Median of the samples' gaps. A gap is the largest joint angle between the run's pose and the map's pose at
-    the same time and swivel. Above `OTHER_BRANCH_RAD`, the run's mu is not compared with the map's."""
+    """Median over the samples of the largest difference of a joint angle between the run's pose and the map's pose at
+    the same time and swivel. Above `OTHER_BRANCH_RAD`, run and map are not compared."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -57,7 +57,7 @@ class SwivelMap:
     best_mu: Array  #: (k,) largest feasible mu [m^3]; NaN if no pose is feasible
     trajectories: Mapping[str, Trajectory]
     held: tuple[str, ...] = ()
-    """Names of joints that the map holds still, because the arm has more than one freedom."""
+    """Names of joints that the map holds still, because tip and wrist leave the arm more than one freedom."""
 
     def __repr__(self) -> str:
         return f"SwivelMap({len(self.t_s)} times, {len(self.swivel_rad)} swivels, runs: {', '.join(self.trajectories)})"

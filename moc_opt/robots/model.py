@@ -106,7 +106,9 @@ class RobotState:
     grad_mu_shaft = _part("grad_mu_shaft", "dmu_shaft/dq (n,) [m^2/rad]; zero where mu_shaft is 0 and has a kink.")
     M = _part("M", "Joint-space inertia (n,n), rotor inertia included [kg m^2].", shape=(0, 0))
     h = _part("h", "Coriolis and centrifugal torque C v plus gravity torque g (n,) [Nm].")
-    energy_slope = _part("energy_slope", "dT/dq = C^T v (n,) [Nm]. T: kinetic energy, C: from Christoffel symbols.")
+    energy_slope = _part("energy_slope", (
+        "dT/dq (n,) [Nm] of the kinetic energy T = v^T M v / 2. It equals C^T v if C is built from Christoffel symbols."
+    ))  # fmt: skip
     gravity = _part("gravity", "g (n,) [Nm], the torque that carries the arm's weight.")
 
 

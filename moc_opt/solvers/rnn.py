@@ -9,8 +9,8 @@ descends the Lagrangian L within the bounds, and the multipliers l1 and l2 ascen
 
 `moc_opt/core/rnn.c` makes Euler steps of size h = dt/eps. Here eps is the network's time constant, not the setting
 `eps`. J_T and J_W are the Jacobians of tip and wrist, and v_T and v_W the velocities that tip and wrist must have. c0,
-c1, c2 and rho (the regularization) are weights of the cost, and k is a gain. On infeasible problems, the multipliers
-grow without bound.
+c1, c2 and rho (the regularization) are weights of the cost, grad_mu is the gradient of the manipulability, and k is a
+gain. On infeasible problems, the multipliers grow without bound.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ def unstable(qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool, 
     """Return why Euler steps diverge on ``qp``, or None. Steps are h for the multipliers, h_x (default: h) for x.
 
     With c = scale c0 = scale c1, explicit steps are stable only if h k < c and (2 h_x k c - h h_x k^2) |A|^2 < 4.
-    Semi-implicit steps are stable only if (2 h_x k c + h h_x k^2) |A|^2 < 4. |A| is A's largest singular value. If c0
-    and c1 differ, h k is compared with the smaller one, and the larger one is c in the other conditions.
+    Semi-implicit steps are stable only if (2 h_x k c + h h_x k^2) |A|^2 < 4. |A| is the largest singular value of
+    A = [J_T; J_W]. If c0 and c1 differ, the first condition uses the smaller one, and the others the larger one.
     """
     c0, c1 = scale * qp.c0, scale * qp.c1
     weak, strong, hk = min(c0, c1), max(c0, c1), h * k
@@ -138,9 +138,9 @@ class RNN(Network):
 class RNNPrinted(Network):
     """Equation (2) of the paper as printed. The paper's qd is the measured joint velocity v.
 
-    The answer is x = P(v - k dL/dqd), where P clips to the bounds. This sign of dL/dqd is the right one. Each tick
-    needs ``session.observe(v)`` first. With the paper's weights, the gradient of mu hardly changes the torques, so the
-    network acts only as damping.
+    The answer is x = P(v - k dL/dqd), where P clips to the bounds. Equation (2) has the right sign, unlike the paper's
+    network. Each tick needs ``session.observe(v)`` first. With the paper's weights, the gradient of mu hardly changes
+    the torques, so the network acts only as damping.
 
     Args:
         k: the paper's gain.

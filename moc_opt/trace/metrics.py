@@ -69,7 +69,7 @@ def _add(name: str, unit: str, about: str, function: Callable[..., float]) -> Me
 
 
 def load_plugins() -> dict[str, str]:
-    """Register the metrics of other packages. Return the names of those that cannot be loaded, with the reasons."""
+    """Register the metrics of other packages. Return the names of metrics that cannot be loaded, with the reasons."""
     for name, points in plugins.plugins(GROUP).items():
         if points[0] in _LOADED:
             continue
@@ -92,7 +92,7 @@ def summarize(trace: Trace, baseline: Trace | None = None) -> dict[str, float]:
     """Compute every metric for which the trace has the data.
 
     Args:
-        baseline: a run of DCAC for comparison, with the same gains, trial and ticks.
+        baseline: a run of DCAC (the law that does not raise mu), with the same gains, trial and ticks.
 
     Returns:
         The values by name.

@@ -139,7 +139,8 @@ class Trace:
         """Draw columns of the run over time in a plotly figure.
 
         Args:
-            columns: each gets its own panel. By default mu, tip error, RCM error and force.
+            columns: each gets its own panel. By default the manipulability mu, the tip's error, the error of the
+                remote centre of motion (RCM), and the trocar's force.
             name: this run's name in the legend. By default the name of its solver.
             beside: a second run to draw.
 
@@ -256,7 +257,7 @@ def table(of: Mapping[str, Any], name: str) -> dict[str, Any]:
 
 
 def about(trace: Trace) -> dict[str, str]:
-    """Return a run's main facts as texts, by name. If the control law is "dcac", the solver's name is "dcac", too."""
+    """Return a run's main facts as texts, by name. The law "dcac" has no solver: "dcac" then stands for its name."""
     meta, scenario = trace.meta, table(trace.meta, "scenario")
     name = meta.get("solver", table(scenario, "solver").get("name"))  # meta has "solver" if `run` got a solver object
     law = "dcac" if table(scenario, "control").get("law") == "dcac" else name
