@@ -1,7 +1,7 @@
 """The recurrent neural network of Su et al. 2019.
 
-The paper prints the right-hand side with the wrong sign (tests/reference/test_errata.py). With the right sign, x
-descends the Lagrangian L within the bounds, and the multipliers l1 and l2 ascend it:
+x descends the Lagrangian L within the bounds, and the multipliers l1 and l2 ascend it, as in the paper's equation (2).
+(In its proof of convergence, the paper prints L with the wrong sign: tests/reference/test_errata.py.)
 
     eps dx/dt = -x + clip(x - k (c0 J_T^T (J_T x - v_T) + c1 J_W^T (J_W x - v_W) + rho x - c2 grad_mu
                                  + J_T^T l1 + J_W^T l2), lower, upper)
@@ -138,9 +138,8 @@ class RNN(Network):
 class RNNPrinted(Network):
     """Equation (2) of the paper as printed. The paper's qd is the measured joint velocity v.
 
-    The answer is x = P(v - k dL/dqd), where P clips to the bounds. Equation (2) has the right sign, unlike the paper's
-    network. Each tick needs ``session.observe(v)`` first. With the paper's weights, the gradient of mu hardly changes
-    the torques, so the network acts only as damping.
+    The answer is x = P(v - k dL/dqd), where P clips to the bounds. Each tick needs ``session.observe(v)`` first. With
+    the paper's weights, the gradient of mu hardly changes the torques, so the network acts only as damping.
 
     Args:
         k: the paper's gain.
