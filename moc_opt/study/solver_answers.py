@@ -33,7 +33,7 @@ HUNG, CRASHED, RAISED, NOT_ASKED, REFUSED = "hung", "crashed", "raised", "not as
 BROKEN_SETS = 3  # after hangs or crashes in this many sets, a solver's later sets are skipped
 WHOLE_SET_S = 1e5  # time limit of a whole set [s]
 WARM_UP = 16  # untimed solves at the start
-CONTRADICTION = 1e-13  # six rows A x = b contradict each other if `TestSet.judged` changes b by more than this [m/s]
+CONTRADICTION = 1e-13  # six rows A x = b contradict each other if a consistent b differs by more than this [m/s]
 RIGHTLY = 0.99
 """Least share of right answers among the problems asked (`share_right`). If a solver has less, its times cannot be the
 best of a table, and its verdict is at best "gaps"."""
