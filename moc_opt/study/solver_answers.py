@@ -254,7 +254,7 @@ class Times(NamedTuple):
     solve: Array  #: (rounds, k) times of warm solves in one session
     setup: Array  #: times of starting sessions
     cold: Array  #: times of the first solve of each session
-    update: Array  #: times of the session's `update`; empty if the session has no `update`
+    update: Array  #: times of `update`, which only loads a problem into the library; empty if the session has none
     load: Mapping[str, float]  #: the machine's load during the measurement (see `timing.COUNTED`)
 
     def figures(self) -> dict[str, Any]:
