@@ -2,13 +2,13 @@
  *
  *   tau = h + J_T^T F_T + (I - J_T^T Jbar_T^T) J_W^T F_W + tau_ff - r + s M Z^T (Z M Z^T)^-1 Z tau_0,
  *   tau_0 = K_N2 (x - v) - D_N2 v.
- * r: the observer's estimate. s: memory.share, from 0 to 1. F_T, F_W: forces at the tip X and the wrist centre N (see
- * moc_tracking_torque). Jbar_T, tau_ff: see add_dynamic. P_t: trocar. moc.h explains the other symbols. */
+ * r: the observer's estimate of the external torque. s: memory.share, from 0 to 1. F_T, F_W: forces at the tip X and
+ * the wrist centre N (see moc_tracking_torque). Jbar_T, tau_ff: see add_dynamic. P_t: trocar. Other symbols: moc.h. */
 #include "vec.h"
 
-#define STRAIGHT 1e-3  /* add_dynamic drops a row of the wrist if it is shorter than STRAIGHT * (its other row) */
-
-#define SHAFT_PULL 0.1 /* factor of moc_shaft_push [m^3]: pull is about the gradient of mu + SHAFT_PULL log mu_shaft */
+#define STRAIGHT 1e-3  /* add_dynamic drops one of the wrist's two rows if it is shorter than STRAIGHT * (the other) */
+/* mu_shaft: the shaft's manipulability while the tip rests, near 0 if the joints can hardly turn the shaft */
+#define SHAFT_PULL 0.1 /* moc_shaft_push is at most SHAFT_PULL / mu_shaft, the slope of SHAFT_PULL log mu_shaft [m^3] */
 #define SHAFT_LOST 0.1 /* moc_shaft_push is largest near mu_shaft = SHAFT_LOST shaft_margin */
 #define BOX_OPENS 3.0  /* the bounds on x are widest for mu_shaft <= (1 - 1/BOX_OPENS) shaft_margin */
 
@@ -142,7 +142,7 @@ static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *d
     }
 }
 
-/* tau += (I - J^T G) tau_W. With MOC_STATIC, G is pinv(J)^T. With MOC_AS_PUBLISHED, G is J: no projector. */
+/* tau += (I - J^T G) tau_W. MOC_STATIC: G is pinv(J)^T. MOC_AS_PUBLISHED: G is J, and I - J^T J is no projector. */
 static void add_at_rest(moc_projector projector, int n, double J[][MOC_MAX_JOINTS], const double *tau_W, double *tau)
 {
     double at_tip[3], gram[3][MOC_MAX_JOINTS], factor[3][MOC_MAX_JOINTS], diagonal[3];
@@ -175,9 +175,9 @@ void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, cons
     memcpy(tau, t->h, (unsigned)n * sizeof *tau);
     add_force(n, J_T, 1.0, F, tau);
 
-    /* Shaft: F_W = factor K_N (N_d - N) + D_N (dN_d - dN), N_d = X + L e. If rcm_lambda = 0, factor is 1. Otherwise, as
-     * in Su et al., it is d / (rcm_lambda |N_d - N|), where d is the distance of the trocar from the shaft. With the
-     * angle theta between e and -u, d / |N_d - N| is cos(theta/2) |P_t - X| / L. */
+    /* Shaft: F_W = factor K_N (N_d - N) + D_N (dN_d - dN), N_d = X + L e. If rcm_lambda = 0, factor is 1. If it is
+     * above 0, factor is d / (rcm_lambda |N_d - N|), as in Su et al. d is the distance of the trocar from the shaft.
+     * With the angle theta between e and -u, d / |N_d - N| is cos(theta/2) |P_t - X| / L. */
     line s = shaft_line(t->tip, dX, trocar);
     if (law->rcm_lambda > 0.0)
         factor = s.distance / t->span * sqrt(larger(0.5 * (1.0 - dot3(s.e, t->u)), 0.0)) / law->rcm_lambda;

@@ -6,10 +6,11 @@ The variables q are the positions of the joints that move tip or wrist, at K eve
     s.t. X(q_k) = X_d,  B_k^T (N(q_k) - X_d) = 0,  q_min <= q_k <= q_max,  |q_k - q_k-1| <= v_max dt,
          and no joint is `too_fast` towards its limit
 
-mu is the manipulability, reduced as in `course.lowered`. mu_0 is a typical mu, w a weight, T is `SETTLED_S`, and dt is
-the time step. X(q) is the tip, X_d its target, and N(q) the wrist. The columns of B_k (3,2) are orthogonal to the
-desired shaft, so that N lies on it. |X - N| is constant, so a third equation for N would make multipliers ambiguous.
-V is the value function of `search`: the largest integral of mu from the last pose to the path's end.
+mu is the manipulability, reduced by a penalty where the shaft share is below `Limits.shaft`, the shaft margin. The
+shaft share is near 0 if the joints can hardly turn the shaft while the tip rests. mu_0 is a typical mu, w a weight, T
+is `SETTLED_S`, and dt is the time step. X(q) is the tip, X_d its target, and N(q) the wrist. The columns of B_k (3,2)
+are orthogonal to the desired shaft, so that N lies on it. |X - N| is constant, so a third equation for N would make
+multipliers ambiguous. V is the value function of `search`: the largest integral of mu from the last pose to the end.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ from moc_opt.planning.course import WORTH, Course, Limits, Targets, make_course,
 from moc_opt.planning.search import End
 from moc_opt.robots.model import RobotModel
 
-# Settings of ipopt for a whole path. With a larger mu_init (ipopt's barrier), a fast guess often becomes a slow course.
+# Settings of ipopt for a whole path. With a larger mu_init (barrier parameter), ipopt often turns a guess
+# with fast joint motions into a course with slow ones.
 WHOLE: dict[str, Any] = {
     "print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.max_iter": 300, "ipopt.tol": 1e-8,
     "ipopt.constr_viol_tol": 1e-10, "ipopt.bound_relax_factor": 0.0, "ipopt.honor_original_bounds": "yes",
@@ -44,7 +46,7 @@ HORIZON: dict[str, Any] = {
 SETTLED_S = 0.3  #: Time T in the objective above [s].
 SOFT_RAD = 0.003  #: e in `too_fast`; it keeps the derivative finite at the joint limit.
 SMOOTH_LOSS = 0.05  #: Share of mean mu that smoothness and braking may cost.
-LEAST_SHARE = 1e-4  #: The value s of `course.shaft_shares` is replaced by sqrt(s^2 + `LEAST_SHARE`^2), smooth at s = 0.
+LEAST_SHARE = 1e-4  #: The shaft share s is replaced by sqrt(s^2 + `LEAST_SHARE`^2), which is smooth at s = 0.
 INSIDE = 1e-9  #: Joint limits and the largest step are narrowed by this, to absorb rounding [rad].
 
 
@@ -59,10 +61,10 @@ class Program:
 
         Args:
             mu: mu_0, a typical mu, which scales the objective [m^3].
-            top: largest mu, which scales the penalty of `lowered` [m^3]. If 0, mu_0 is used.
+            top: largest mu, which scales the penalty on the shaft share [m^3]. If 0, mu_0 is used.
             smoothness: w [s^4/rad^2].
             brake: deceleration with which joints must be able to stop before their limits [rad/s^2]; inf: no such rule.
-            horizon: use three SQP steps instead of ipopt, and do not penalize the stop after the last time.
+            horizon: use three SQP steps instead of ipopt, and leave out the penalty on stopping after the last time.
         """
         import casadi as ca  # imported late: it takes half a second
 
@@ -150,7 +152,7 @@ def refine(
     The given course is returned unchanged if the answer is infeasible or worse. With ``smoothness`` or ``brake``, the
     answer may lose the share `SMOOTH_LOSS` of mean mu.
     """
-    # Without the shaft margin, the program is faster. Its answer is used if all poses keep the margin anyway.
+    # The program without the shaft margin is faster. Its answer is used if all poses keep the margin anyway.
     if limits.shaft > 0.0 and _above(robot, course, limits):
         bare = replace(limits, shaft=0.0)
         free = refine(robot, targets, course, bare, smoothness=smoothness, brake=brake)

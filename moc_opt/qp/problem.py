@@ -32,7 +32,7 @@ _DOUBLE, _CONTIGUOUS = np.dtype(np.float64), (8,)
 
 
 def row_length(n: int) -> int:
-    """Return the length of the flat array of a subproblem with n joints."""
+    """Return the length of the flat array (see `Fields`) that holds a subproblem with n joints."""
     return 11 * n + 10
 
 
@@ -77,7 +77,7 @@ def compute_residuals(rows: Array, x: Array, y: Array | None = None) -> Residual
 
 
 class Assembled(NamedTuple):
-    """Read-only arrays of min 1/2 x^T P x + p^T x s.t. A x = b. lift^T turns the m duals into duals of all six rows."""
+    """Read-only arrays of min 1/2 x^T P x + p^T x s.t. A x = b, with m = 5 or 6 rows. lift^T maps m duals to six."""
 
     P: Array  #: (n, n)
     p: Array  #: (n,)

@@ -26,12 +26,13 @@ from moc_opt.scenario.layout import lay_out
 
 DRAWS = 6000  #: Number of random poses from which the home pose is chosen.
 SHORTLIST = 60  #: Upper bound on the number of poses whose self-motions are scanned: those with the best scores.
-DOWN = (0.94, 0.8, -1.0)  #: Cosines of the largest allowed angle between tool and straight down: 20, 37 and 180 deg.
+DOWN = (0.94, 0.8, -1.0)  #: Cosines of the tool's largest angle from straight down, tried in turn: 20, 37 and 180 deg.
 CLEARANCE_M = 0.05  #: Lower bound on the distance of tip and wrist from the base's plane [m].
 MARGIN = 0.2  #: Lower bound on the distance from a joint limit, divided by half the range.
-REGULAR = (0.15, 0.08)  #: Lower bounds at home on `Freedoms.tip` and `Freedoms.both` (ratios of singular values).
+REGULAR = (0.15, 0.08)
+"""Lower bounds at home on smallest / largest singular value of J_tip, and on fifth / largest of [J_tip; J_wrist]."""
 SHARE = (0.7, 0.9)
-"""Wanted range of mu / (largest mu on the self-motion) at home. It is below 1, so that mu can rise."""
+"""Wanted range of manipulability mu / (largest mu on the self-motion) at home. Below 1, so that mu can rise."""
 
 
 class NewRobot(NamedTuple):
@@ -141,8 +142,8 @@ _FORM.filters.update(numbers=_numbers, comment=_comment)
 class Shaft(NamedTuple):
     """The tool's place in the last link's frame; rpy turns the frame's z into the tool's direction."""
 
-    wrist: Array  #: (3,) [m]
-    mount: Array  #: (3,) [m]
+    wrist: Array  #: The point of the shaft that the controller takes as the wrist, (3,) [m].
+    mount: Array  #: The point where the tool begins, (3,) [m].
     rpy: tuple[float, float, float]  #: [rad]
     note: str
 

@@ -33,7 +33,7 @@ HUNG, CRASHED, RAISED, NOT_ASKED, REFUSED = "hung", "crashed", "raised", "not as
 BROKEN_SETS = 3  # after hangs or crashes in this many sets, a solver's later sets are skipped
 WHOLE_SET_S = 1e5  # time limit of a whole set [s]
 WARM_UP = 16  # untimed solves at the start
-CONTRADICTION = 1e-13  # six rows A x = b contradict each other if `TestSet.judged` changes b by more than this [m/s]
+CONTRADICTION = 1e-13  # six rows A x = b contradict each other if a consistent b differs by more than this [m/s]
 RIGHTLY = 0.99
 """Least share of right answers among the problems asked (`share_right`). If a solver has less, its times cannot be the
 best of a table, and its verdict is at best "gaps"."""
@@ -254,7 +254,7 @@ class Times(NamedTuple):
     solve: Array  #: (rounds, k) times of warm solves in one session
     setup: Array  #: times of starting sessions
     cold: Array  #: times of the first solve of each session
-    update: Array  #: times of the session's `update`; empty if the session has no `update`
+    update: Array  #: times of `update`, which only loads a problem into the library; empty if the session has none
     load: Mapping[str, float]  #: the machine's load during the measurement (see `timing.COUNTED`)
 
     def figures(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The main study: each solver solves recorded and certified problems, and runs in closed loop."""
+"""The main study: each solver solves recorded problems and problems with certified optima, and runs in closed loop."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class OpenLoop(Settings):
 
 
 class TestSets(Limits):
-    """Settings of the certified test sets."""
+    """Settings of the test sets, whose true answers are certified."""
 
     __test__: ClassVar[bool] = False  # tells pytest that this is no test class
 
@@ -77,7 +77,7 @@ class ClosedLoop(Settings):
 
     KIND: ClassVar[str] = "[closed_loop]"
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1, description="the trials use them in turn")
-    trials: int = Field(60, ge=1, description="number of trials of DCAC and the cited solvers")
+    trials: int = Field(60, ge=1, description="trials of each cited solver, and of DCAC, which uses no solver")
     cited: list[str] = Field(["exact", "rnn", "rnn-printed"], description="solvers that the report's answer cites")
     others: int = Field(15, ge=1, description="number of trials of every other solver")
     timed: int = Field(1, ge=1, description="number of trials that run alone and are timed")

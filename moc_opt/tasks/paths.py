@@ -35,7 +35,7 @@ class Path:
     knots: Array  #: Arc lengths (k,) [m], from 0 to `length`, that resolve every bend.
 
     def __init__(self, curve: PlanarCurve, start: ArrayLike, *, normal: ArrayLike, heading: ArrayLike) -> None:
-        """Place the curve at start (3,) [m]; a TaskError if a vector is unusable.
+        """Place the curve at start (3,) [m]. Raise a TaskError if a vector is unusable.
 
         The plane is perpendicular to the normal (3,). The heading (3,) is projected into it. `left` = normal x heading.
         """
@@ -171,7 +171,7 @@ def kinds() -> dict[str, str]:
 
 
 def sizes(kind: str, given: Iterable[str] = ()) -> dict[str, Any]:
-    """Return the default of every size of a path, or `inspect.Parameter.empty` for a size without default.
+    """Return the default of every size (e.g. radius) of a path; `inspect.Parameter.empty` if it has no default.
 
     Raises:
         UnknownNameError: there is no such path, or no such size in ``given``.
