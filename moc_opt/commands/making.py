@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable
+from itertools import chain
 
 from moc_opt.commands.listing import print_list
 from moc_opt.commands.running import read_scenario
@@ -62,6 +63,8 @@ def compare_solvers(given: argparse.Namespace) -> int:
         found = compare(given.solvers, scenario, given.trials, seed=given.seed, watch=bar.step)
     if given.json:
         print_json(found.summary())
+        for sentence in chain.from_iterable(found.failures.values()):
+            print(sentence, file=sys.stderr)
     else:
         console().print(found.table)
     if given.out is not None:

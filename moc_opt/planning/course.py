@@ -104,9 +104,9 @@ class Limits:
 
 
 def lowered(mu: Array, share: Array, limits: Limits, top: float) -> Array:
-    """Return mu, reduced by the penalty `WORTH` * top * (1 - share/margin)^2 wherever share < margin.
+    """Return mu - `WORTH` * top * (1 - s/s_0)^2 where s < s_0, and mu elsewhere.
 
-    ``share`` is from `shaft_shares`, margin is ``limits.shaft``, and ``top`` is the largest mu [m^3].
+    s is the ``share`` that `shaft_shares` returns, s_0 is ``limits.shaft``, and ``top`` is the largest mu [m^3].
     """
     if limits.shaft <= 0.0:
         return mu
@@ -118,7 +118,8 @@ def lowered(mu: Array, share: Array, limits: Limits, top: float) -> Array:
 def shaft_shares(robot: RobotModel, poses: Array) -> Array:
     """Compute mu_shaft / (distance from wrist to tip)^2, (k,), at the poses (k,n) [rad].
 
-    mu_shaft is the manipulability of the shaft while the tip stays in place.
+    mu_shaft is the manipulability of the wrist for joint velocities that keep the tip in place. It is near 0 if the
+    joints can hardly turn the shaft about the tip.
     """
     squares = np.array(robot.kinematics().shaft(np.ascontiguousarray(poses).T)).ravel()
     return np.sqrt(np.maximum(squares, 0.0))

@@ -45,7 +45,7 @@ def derived_gains(robot: RobotModel) -> dict[str, Table]:
     for name, cartesian in CARTESIAN.items():
         tables[name] = {}
         for letter, inverse, (K, D) in zip("XN", inverse_masses, (cartesian[:2], cartesian[2:]), strict=True):
-            share = min(1.0, CARTESIAN_RATE / (D * inverse))
+            share = CARTESIAN_RATE / max(CARTESIAN_RATE, D * inverse)
             tables[name] |= {f"K_{letter}": _rounded(share * K), f"D_{letter}": _rounded(share * D)}
         if name in JOINTS:
             rate, share, most = JOINTS[name]

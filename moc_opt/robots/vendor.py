@@ -62,7 +62,7 @@ def _serial_arm(text: str, tip: str | None, lock: Mapping[str, float], base_rpy:
     arm.chain = tree.chain(arm.last_link, "--tip")
     arm.notes.append(f"the tool sits on {arm.last_link!r}, the link of {'--tip' if tip else 'the last joint'}")
     mend_bodies(arm.urdf.links, arm.notes)
-    # Joints from the first moving joint to the last link are not fixed. `normalize` refuses unknown kinds of joints.
+    # Only joints outside the chain are fixed. In the chain, `normalize` refuses unknown kinds of joints.
     between = tree.path(arm.last_link)[len(tree.path(arm.chain[0].parent)) :]
     _fix([joint for joint in arm.urdf.joints if joint not in between and joint.kind != "fixed"], arm.notes)
     if any(base_rpy):

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -94,9 +95,27 @@ class Comparison:
     @property
     def table(self) -> Table:
         """One row per solver: trials, answers, times, and the arm's mu and errors."""
-        rows, failures = [], list[str]()
+        rows, failures = [], self.failures
         for name, found in self.summary().items():
             trials = f"{found['whole']}" + f" of {found['trials']}" * (found["whole"] < found["trials"])
+            marked = Mark("!", name, "bad") if failures.get(name) else name
+            rows.append({**found, **_cells(found), "solver": marked, "trials": trials})
+        optional = {"oscillated", *CHANGES}
+        known = [column for column in COLUMNS if column.key not in optional or any(row.get(column.key) for row in rows)]
+        unjudged = any(row.get("asked") and "verified_solved" not in row for row in self.rows)
+        other = ANOTHER_PROBLEM if unjudged and self.scenario.judge else ""
+        named = "name" in self.scenario.model_fields_set
+        title = self.scenario.name if named else self.scenario.task.path
+        failed = [*chain.from_iterable(failures.values())]
+        said = ["!:" if failed else "", *failed, *self._legend(rows), other]
+        said.insert(len(said) if self.complete else 0, self.note)
+        return Table(f"{title}: solvers on the same trials", known, rows, " ".join(filter(None, said)))
+
+    @property
+    def failures(self) -> dict[str, list[str]]:
+        """For each solver, sentences on failed trials and on answers that the controller replaced."""
+        found = dict[str, list[str]]()
+        for name in self.solvers:
             errors = [row["error"] for row in self.rows if (row["solver"], row["ended"]) == (name, Ending.FAILED.value)]
             bad = [f"Failed trials of {name}: {len(errors)}; error of the first: {errors[0]}."] if errors else []
             raised = [row["raised"] for row in self.rows if row["solver"] == name and row.get("raised")]
@@ -109,18 +128,8 @@ class Comparison:
             if refused > 0.01 * asked:
                 most = ", so its means are not those of the solver" if 2 * refused > asked else ""
                 bad.append(f"Answers of {name} that the controller replaced: {100 * refused / asked:.0f} %{most}.")
-            failures += bad
-            marked = Mark("!", name, "bad") if bad else name
-            rows.append({**found, **_cells(found), "solver": marked, "trials": trials})
-        optional = {"oscillated", *CHANGES}
-        known = [column for column in COLUMNS if column.key not in optional or any(row.get(column.key) for row in rows)]
-        unjudged = any(row.get("asked") and "verified_solved" not in row for row in self.rows)
-        other = ANOTHER_PROBLEM if unjudged and self.scenario.judge else ""
-        named = "name" in self.scenario.model_fields_set
-        title = self.scenario.name if named else self.scenario.task.path
-        said = ["!:" if failures else "", *failures, *self._legend(rows), other]
-        said.insert(len(said) if self.complete else 0, self.note)
-        return Table(f"{title}: solvers on the same trials", known, rows, " ".join(filter(None, said)))
+            found[name] = bad
+        return found
 
     def _legend(self, rows: Sequence[Mapping[str, Any]]) -> list[str]:
         """Return the sentences that explain what these rows of a table show."""

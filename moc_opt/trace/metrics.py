@@ -209,8 +209,8 @@ _figure("mu_final", "m^3", "Last", "mu", lambda values: values[-1])
 def mu_gain_percent(trace: Trace, baseline: Trace | None) -> float:
     """Change of mean manipulability against the same run without level 3 (DCAC).
 
-    With `third_level` 'planned' or 'receding', both runs have another observer gain than with 'local'. So compare runs
-    with different third levels by `mu_mean`.
+    The run of DCAC has the observer gain of this run, and this gain depends on `third_level`. So gains of runs with
+    different third levels refer to different runs of DCAC. Compare such runs by `mu_mean`.
     """
     if baseline is None:
         raise MissingDataError("there is no baseline: give the trace of DCAC on the same trial")
