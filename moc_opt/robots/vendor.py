@@ -40,9 +40,10 @@ def read_vendor(
     path: Path, *, tip: str | None = None, lock: Mapping[str, float] | None = None,
     base_rpy: urdf.Numbers = (0.0, 0.0, 0.0),
 ) -> VendorArm:  # fmt: skip
-    """Read a URDF as a serial arm; arguments and errors are those of `new.new_robot`.
+    """Read a URDF as a serial arm. Implausible masses and limits are replaced.
 
-    Joints outside the chain and those in ``lock`` are fixed. Implausible masses and limits are replaced.
+    ``tip`` is the link that carries the tool (None: the last moving link). ``base_rpy`` turns the base [rad]. Joints
+    outside the chain, and those in ``lock`` (name: position [rad, m]), are fixed. Errors are those of `new.new_robot`.
     """
     text = read_text(path, "urdf", RobotError)
     with named(f"{path}:"):

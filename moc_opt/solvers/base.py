@@ -81,7 +81,7 @@ class TruncatingSession(Protocol):
     """A session that can be stopped after a given number of iterations."""
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Repeat the previous solve, stop after ``iterations`` (at least 1), and return the iterate."""
+        """Repeat the last `solve`, of the same ``qp``. Return the iterate after ``iterations`` (at least 1)."""
 
 
 @runtime_checkable

@@ -58,7 +58,7 @@ class DAQP(Adapter):
     """DAQP with a persistent workspace.
 
     Args:
-        rows: 5 or 6 equality rows. With six, about one problem in a hundred fails.
+        rows: 6 equality rows (tip and wrist), or 5 independent ones. With 6, daqp fails on 1 % of the problems.
         cost_scale: P and p are multiplied by it, and the duals divided by it.
         primal_tol, dual_tol: tolerances of the library.
         max_iter: limit on the iterations of a solve.

@@ -243,7 +243,7 @@ def test_a_new_course_begins_on_the_old_one_only_if_the_arm_is_near(monkeypatch)
     monkeypatch.setattr(Program, "solve", lambda self, guess, *_: guesses.append(guess) or (guess, True))
     for before in (None, last, last._replace(q_rad=last.q_rad + 3.0 * off)):  # the third is far in one joint only
         planner.plan(on_course, 0.1, before)
-    assert [np.array_equal(guesses[0], guess) for guess in guesses] == [True, False, True], "only the near one is used"
+    assert [np.array_equal(guesses[0], guess) for guess in guesses] == [True, False, True], "only a near course matters"
 
 
 @pytest.mark.parametrize("level", ["planned", "receding"])
@@ -341,4 +341,4 @@ def test_smoothing_keeps_the_limits_of_a_planned_course(tmp_path):
     assert np.minimum(slow.q_rad - robot.q_min, robot.q_max - slow.q_rad)[:, :6].min() > 0.6 - 1e-6
     trace = mo.Trace.load(to)
     mo.Trace(trace.columns, {**trace.meta, "within": {"speed_share": 0.01}}).save(to)
-    assert 0.05 < loaded(scenario)[1].speed_share < 0.1 + 1e-6, "never below the speed of the file's course"
+    assert 0.05 < loaded(scenario)[1].speed_share < 0.1 + 1e-6, "the limit is at least the speed of the file's course"

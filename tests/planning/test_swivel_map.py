@@ -76,7 +76,7 @@ def test_swivel_reference_is_not_nearly_parallel_to_the_line_to_the_wrist(robot)
 def test_trajectories_lie_on_the_map(robot, runs, found):
     assert np.all(found.best_mu >= np.where(found.limit == FEASIBLE, found.mu, -np.inf).max(axis=1))
     for name, trajectory in found.trajectories.items():
-        assert trajectory.gap_rad < 0.15, "the run is at most half a row spacing away from a row of the map"
+        assert trajectory.gap_rad < 0.15, "the run's pose is not that of the nearest row of the map"
         assert (len(trajectory.t_s), trajectory.t_s[-1]) == (swivel_map.TRAJECTORY_POINTS, runs[name].t_s[-1])
         np.testing.assert_array_equal(
             trajectory.mu, robot.mu_along(runs[name].q_rad)[np.searchsorted(runs[name].t_s, trajectory.t_s)]
