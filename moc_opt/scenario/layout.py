@@ -70,8 +70,7 @@ def _checked(scenario: Scenario, robot: RobotModel, q: Array, until_s: float) ->
     try:
         return found, preflight.check_reachable(robot, q, found.reference, found.registered, until_s)
     except preflight.UnreachableError as error:
-        place = str(error).removeprefix("[task] ")
-        error.args = (f"{scenario.task.in_words}, {place}; [start] check_path = false skips this check",)
+        error.args = (f"{scenario.task.in_words}, {error}; [start] check_path = false skips this check",)
         raise
 
 

@@ -38,7 +38,7 @@ class UnreachableError(TaskError):
     """The arm cannot do this task. `field` names the cause, and `arc_length_m` the place on the path."""
 
     def __init__(self, field: str, arc_length_m: float, problem: str, cure: str) -> None:
-        super().__init__(f"[task] {1e3 * arc_length_m:.1f} mm along the path: {problem}; {cure}")
+        super().__init__(f"{1e3 * arc_length_m:.1f} mm along the path: {problem}; {cure}")
         self.field, self.arc_length_m = field, arc_length_m
 
 

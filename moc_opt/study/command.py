@@ -25,10 +25,10 @@ from typing import Any, ClassVar, Literal, Self, TypeVar
 
 from pydantic import Field
 
-from moc_opt.errors import MocOptError, ScenarioError, SolverError, StudyError, UnknownNameError
+from moc_opt.errors import MocOptError, ScenarioError, SolverError, StudyError, UnknownNameError, named
 from moc_opt.inputs.files import read_toml, to_json, write_whole
 from moc_opt.inputs.settings import Settings
-from moc_opt.report.console import Bar, console, print_json
+from moc_opt.report.console import Bar, console, divert_output, print_json
 from moc_opt.scenario import Scenario
 from moc_opt.solvers import available
 from moc_opt.study.engine import Failed, Job, run
@@ -53,11 +53,8 @@ class StudyConfig(Settings):
     def load(cls, path: Path, seed: int | None = None) -> Self:
         """Read a TOML file. A given ``seed`` replaces the file's seed."""
         table = read_toml(path, "configuration", ScenarioError)
-        try:
+        with named(f"{path}:"):
             return cls(**table if seed is None else {**table, "seed": seed})
-        except MocOptError as error:
-            error.args = (f"{path}: {error}",)
-            raise
 
     def quick(self) -> Self:
         """Return the configuration for ``--quick``. The base class changes nothing."""
@@ -151,8 +148,9 @@ def command(
         asked = asked.quick() if given.quick else asked
         study = Study(name, given.out, given, asked.processes)
         check_folder(given.out)
-        found = work(study, asked)
-        leave(found, study, asked, sys.argv[1:] if arguments is None else arguments)
+        with divert_output(given.json):
+            found = work(study, asked)
+            leave(found, study, asked, sys.argv[1:] if arguments is None else arguments)
         return found.status
     except (MocOptError, OSError) as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)

@@ -98,7 +98,7 @@ class Comparison:
         rows, failures = [], self.failures
         for name, found in self.summary().items():
             trials = f"{found['whole']}" + f" of {found['trials']}" * (found["whole"] < found["trials"])
-            marked = Mark("!", name, "bad") if failures.get(name) else name
+            marked = Mark("!", name, "bad") if failures[name] else name
             rows.append({**found, **_cells(found), "solver": marked, "trials": trials})
         optional = {"oscillated", *CHANGES}
         known = [column for column in COLUMNS if column.key not in optional or any(row.get(column.key) for row in rows)]
