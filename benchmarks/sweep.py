@@ -12,13 +12,14 @@ import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
-from itertools import product
+from itertools import chain, product
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from moc_opt.errors import MocOptError, UnknownNameError
+from moc_opt.figures.notation import Mark
 from moc_opt.inputs.files import to_json
 from moc_opt.inputs.settings import Settings
 from moc_opt.report.tables import Column, Table
@@ -259,13 +260,15 @@ def grouped(rows: Results, field: str = "") -> dict[str, dict[str, Any]]:
 
 def report(summary: Mapping[str, Any], rows: Results, axes: Mapping[str, list[Any]], config: Config) -> Report:
     metrics = [*SHOWN, *(TIMES if config.timed else ())]
+    failures = {name: bad for name, bad in rows.failures().items() if bad}
+    marks = {name: Mark("!", name, "bad") for name in failures}
+    said = " ".join([*(["!:"] if failures else []), *chain(*failures.values()), "Means are over completed runs."])
 
     def table(title: str, part: str, metrics: Sequence[str] = metrics) -> Table:
-        shown = [{"group": name, **row} for name, row in summary[part].items()]
+        shown = [{"group": marks.get(name, name), **row} for name, row in summary[part].items()]
         link = EVERY if part == "all" else ""
         heads = columns("runs", "failed", *metrics, of=link, torque_rate_rms_Nm_per_s="chatter")
-        return Table(title, [Column("group", "solver" if part == "all" else "solver, value"), *heads], shown,
-                     "Means over the runs that completed their task.")  # fmt: skip
+        return Table(title, [Column("group", "solver" if part == "all" else "solver, value"), *heads], shown, said)
 
     mu = {name: row["mu_mean"] for name, row in summary["all"].items() if "mu_mean" in row}
     answer = [f"{len(rows.failed())} of {len(rows)} runs did not complete their task."]

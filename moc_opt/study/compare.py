@@ -113,23 +113,8 @@ class Comparison:
 
     @property
     def failures(self) -> dict[str, list[str]]:
-        """For each solver, sentences on failed trials and on answers that the controller replaced."""
-        found = dict[str, list[str]]()
-        for name in self.solvers:
-            errors = [row["error"] for row in self.rows if (row["solver"], row["ended"]) == (name, Ending.FAILED.value)]
-            bad = [f"Failed trials of {name}: {len(errors)}; error of the first: {errors[0]}."] if errors else []
-            raised = [row["raised"] for row in self.rows if row["solver"] == name and row.get("raised")]
-            if raised:
-                count = f"Trials with exceptions or malformed answers of {name}: {len(raised)}"
-                bad.append(f"{count}; the first: {raised[0]}.")
-            asked, refused = (
-                sum(row.get(key) or 0 for row in self.rows if row["solver"] == name) for key in ("asked", "faults")
-            )
-            if refused > 0.01 * asked:
-                most = ", so its means are not those of the solver" if 2 * refused > asked else ""
-                bad.append(f"Answers of {name} that the controller replaced: {100 * refused / asked:.0f} %{most}.")
-            found[name] = bad
-        return found
+        """See `Results.failures`."""
+        return self._results.failures(self.solvers)
 
     def _legend(self, rows: Sequence[Mapping[str, Any]]) -> list[str]:
         """Return the sentences that explain what these rows of a table show."""

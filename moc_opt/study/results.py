@@ -17,6 +17,7 @@ from moc_opt.errors import StudyError
 from moc_opt.inputs.files import plain, write_whole
 from moc_opt.study.statistics import Change, Interval, StatisticsError, mean, relative_changes
 from moc_opt.study.trials import BASELINE
+from moc_opt.trace.meta import Ending
 
 ERRORS = (
     "tip_error_model_mean_mm", "tip_error_registered_mean_mm", "tip_error_mean_mm",
@@ -127,6 +128,23 @@ class Results:
     def failed(self) -> list[Mapping[str, Any]]:
         """Return the rows that have an error."""
         return [row for row in self._rows if row.get("error")]
+
+    def failures(self, names: Iterable[str] | None = None) -> dict[str, list[str]]:
+        """For each controller, return sentences on failed trials and on answers that the controller replaced."""
+        found = dict[str, list[str]]()
+        for name in self.names() if names is None else names:
+            mine, bad = list(self.where(controller=name)), list[str]()
+            if errors := [row["error"] for row in mine if row["ended"] == Ending.FAILED.value]:
+                bad.append(f"Failed trials of {name}: {len(errors)}; error of the first: {errors[0]}.")
+            if raised := [row["raised"] for row in mine if row.get("raised")]:
+                count = f"Trials with exceptions or malformed answers of {name}: {len(raised)}"
+                bad.append(f"{count}; the first: {raised[0]}.")
+            asked, refused = (sum(row.get(key) or 0 for row in mine) for key in ("asked", "faults"))
+            if refused > 0.01 * asked:
+                most = ", so its means are not those of the solver" if 2 * refused > asked else ""
+                bad.append(f"Answers of {name} that the controller replaced: {100 * refused / asked:.0f} %{most}.")
+            found[name] = bad
+        return found
 
     @property
     def frame(self) -> pl.DataFrame:

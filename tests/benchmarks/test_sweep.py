@@ -114,3 +114,11 @@ def test_times_are_reported_only_if_runs_are_timed(tiny: Any) -> None:
     assert not [name for name in untimed.rows[0] if name.endswith("_us")]
     assert (untimed.summary["all"]["exact"]["runs"], untimed.summary["all"]["exact"]["failed"]) == (2, 0)
     assert untimed.summary["by control.regularization"]["exact, 0.0001"]["runs"] == 1
+
+
+def test_a_solver_whose_answers_were_replaced_is_marked_and_explained() -> None:
+    row = {"controller": "a", "ended": "completed", "error": None, "whole": True, "asked": 9, "faults": 9}
+    rows = Results([row, {**row, "controller": "b", "faults": 0}])
+    table = sweep.report({"all": sweep.grouped(rows)}, rows, {}, config()).table
+    assert [getattr(shown["group"], "symbol", "") for shown in table.rows] == ["!", ""]
+    assert table.caption.startswith("!: Answers of a that the controller replaced: 100 %, so its means are not those")
