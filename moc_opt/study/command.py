@@ -147,7 +147,7 @@ def command(
         asked = config.load(given.config or (folder or CONFIGS) / f"{name}.toml", given.seed)
         asked = asked.quick() if given.quick else asked
         study = Study(name, given.out, given, asked.processes)
-        check_folder(given.out)
+        check_folder(given.out, name)
         with divert_output(given.json):
             found = work(study, asked)
             leave(found, study, asked, sys.argv[1:] if arguments is None else arguments)
@@ -160,11 +160,12 @@ def command(
         return INTERRUPTED
 
 
-def check_folder(out: Path) -> None:
-    """Raise a StudyError if the folder has files named as in `FILES`, but no environment.json written by a study."""
-    there = [name for name in FILES if (out / name).exists()]
-    if there and not (there[0] == FILES[0] and b'"study":' in (out / FILES[0]).read_bytes()):
-        raise StudyError(f"{out} has files that no study has written ({', '.join(there)}): give another --out")
+def check_folder(out: Path, name: str) -> None:
+    """Raise a StudyError if the folder has files named as in `FILES` that another study or program has written."""
+    there = [file for file in FILES if (out / file).exists()]
+    mine = f'"study": "{name}"'.encode()
+    if there and not (there[0] == FILES[0] and mine in (out / FILES[0]).read_bytes()):
+        raise StudyError(f"{out} has files that this study has not written ({', '.join(there)}): give another --out")
 
 
 def leave(found: Found, study: Study, config: StudyConfig, argv: Sequence[str]) -> None:

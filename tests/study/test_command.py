@@ -69,10 +69,11 @@ def test_study_writes_and_prints_its_result(asked, capsys):
     assert capsys.readouterr().out == (out / "summary.json").read_text()
     assert json.loads((out / "environment.json").read_text())["jobs_of_an_earlier_run"] == 4, "no failed job is kept"
     capsys.readouterr()
-    for spoil in (lambda file: file.write_text("mine"), Path.unlink):
+    other = (out / "environment.json").read_text().replace('"study": "tiny"', '"study": "cubes"')
+    for spoil in (lambda file: file.write_text(other), lambda file: file.write_text("mine"), Path.unlink):
         spoil(out / "environment.json")
         assert call(lambda *_: pytest.fail("the study ran in a folder that must be refused"), config, "--out", out) == 2
-        assert "that no study has written" in capsys.readouterr().err
+        assert "that this study has not written" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
