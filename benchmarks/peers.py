@@ -1,6 +1,6 @@
-"""The work of one control tick, done by controllers of other libraries (peers): TSID, pink, mink.
+"""The work of one control tick, done by other libraries (peers).
 
-Tip and shaft follow their references within speed limits, and the null-space motion climbs the manipulability mu.
+Tip and shaft follow their references within speed limits, and the null-space motion climbs mu.
 """
 
 from __future__ import annotations
@@ -25,15 +25,14 @@ Level = Literal["torque", "velocity"]
 
 PERIOD_S = 0.002
 TOLERANCE_MM, CLIMB_PERCENT = 0.5, 1.0
-"""A peer fails if tip or shaft is off by more than TOLERANCE_MM, or if mu rises by less than CLIMB_PERCENT."""
 CLIMB = 30.0
 """wanted null-space velocity of the joints / grad mu [rad^2/(m^3 s)]"""
 STIFFNESS_PER_S = 100.0
-"""decay rate of tip and shaft errors under pink and mink [1/s]"""
+"""decay rate of errors under pink and mink"""
 
 
 class Peer(Protocol):
-    """A controller of another library, with the control period ``PERIOD_S``."""
+    """A controller with the period ``PERIOD_S``."""
 
     @property
     def level(self) -> Level:
@@ -44,7 +43,6 @@ class Peer(Protocol):
 
 
 def tip_gradient(robot: RobotModel) -> Callable[[Array], Array]:
-    """Return a function that computes grad mu (n,) from q."""
     rest = np.zeros(robot.n)
     return lambda q: robot.state(np.ascontiguousarray(q), rest).grad_mu
 
@@ -55,10 +53,7 @@ def ahead(point: Array, rate: Array) -> Array:
 
 
 def wrist_reference(tip_ref: Array, trocar: Array, span: float) -> Array:
-    """Return the wrist's position [m] and velocity [m/s] (2, 3) for which the shaft passes through the trocar.
-
-    ``span`` is the distance from wrist to tip [m].
-    """
+    """Return the wrist's position and velocity (2, 3) for which the shaft passes through the trocar."""
     return core.desired_wrist(tip_ref[0], tip_ref[1], trocar, span)
 
 
@@ -66,8 +61,8 @@ class TSID:
     """Task-space inverse dynamics (Del Prete et al. 2016): a QP finds accelerations."""
 
     level: Level = "torque"
-    STIFFNESS, DAMPING = 2500.0, 100.0  # acceleration per error of tip and wrist [1/s^2], and per error's rate [1/s]
-    CLIMB_DAMPING = 20.0  # acceleration per difference between the wanted and the actual joint velocity [1/s]
+    STIFFNESS, DAMPING = 2500.0, 100.0  # of tip and wrist [1/s^2, 1/s]
+    CLIMB_DAMPING = 20.0  # acceleration per error of the joint velocity [1/s]
 
     def __init__(self, robot: RobotModel) -> None:
         with warnings.catch_warnings():  # tsid registers two types twice
@@ -80,7 +75,7 @@ class TSID:
         rest = np.zeros(robot.n)
         self._dynamics.computeProblemData(0.0, robot.data.q_home, rest)
         self._tip = self._point("tip", robot.data.tip_frame, [1, 1, 1, 0, 0, 0])
-        # The wrist's row along the shaft is left out: it repeats the tip's, and hard rows must be independent.
+        # The wrist's row along the shaft repeats the tip's, but hard rows must be independent.
         self._wrist = self._point("wrist", robot.data.wrist_frame, [1, 1, 0, 0, 0, 0])
         self._posture = tsid.TaskJointPosture("posture", self._robot)
         self._posture.setKp(rest)
@@ -150,7 +145,7 @@ class _PinkArm:
 
 
 class Pink(_PinkArm):
-    """Differential inverse kinematics with a QP (Caron et al.), with pink's own tasks only."""
+    """Differential inverse kinematics (Caron et al.), with pink's own tasks only."""
 
     RISE_PER_S, RISE_COST = 0.05, 0.02  # wanted rise of mu [m^3/s], and its weight
 
@@ -176,7 +171,7 @@ class Pink(_PinkArm):
 
 
 class _Rows:
-    """Five equality constraints for pink. `PinkTrimmed` sets their values in each tick."""
+    """Five equality constraints for pink, set in each tick."""
 
     def __init__(self, n: int, gain: float) -> None:
         self.jacobian, self.error, self.gain = np.zeros((5, n)), np.zeros(5), gain
@@ -228,7 +223,7 @@ class Mink:
     """Differential inverse kinematics on MuJoCo (Zakka et al.)."""
 
     level: Level = "velocity"
-    COST = 1e3  # weight of the tip and shaft tasks
+    COST = 1e3
 
     def __init__(self, robot: RobotModel) -> None:
         import mink
@@ -269,7 +264,7 @@ def missing(name: str) -> str | None:
 
 
 class Task(NamedTuple):
-    """Start pose (n,) [rad], tip references (N, 3, 3) and trocar (N, 2, 3) of N ticks."""
+    """Start pose (n,), tip references (N, 3, 3) and trocar (N, 2, 3)."""
 
     q_start: Array
     tip_refs: Array
@@ -292,7 +287,7 @@ class Verdict(NamedTuple):
 
 
 def circle(robot: RobotModel, duration_s: float = 1.0, offset_m: float = 2e-4) -> Task:
-    """Return a horizontal circle that starts ``offset_m`` above the tip's home, and a trocar 0.15 m up the shaft."""
+    """Return a horizontal circle that starts ``offset_m`` above the tip's home."""
     state = robot.state(robot.data.q_home)
     start = state.tip + np.array([0.0, 0.0, offset_m])
     path = make_path("circle", start, normal=(0.0, 0.0, 1.0), heading=(1.0, 0.0, 0.0), radius=0.03)
@@ -302,7 +297,7 @@ def circle(robot: RobotModel, duration_s: float = 1.0, offset_m: float = 2e-4) -
 
 
 def perform(peer: Peer, robot: RobotModel, task: Task) -> tuple[Array, list[Inputs]]:
-    """Return the poses (N, n) after each tick, and the ticks' inputs. The arm does exactly what the peer asks for."""
+    """Return the poses (N, n) after each tick, and its inputs. The arm does exactly what the peer asks for."""
     q, v = task.q_start.copy(), np.zeros(robot.n)
     poses, given = np.empty((len(task.tip_refs), robot.n)), []
     for k in range(len(poses)):
@@ -321,7 +316,7 @@ def perform(peer: Peer, robot: RobotModel, task: Task) -> tuple[Array, list[Inpu
 def verdict(poses: Array, robot: RobotModel, task: Task) -> Verdict:
     if not np.isfinite(poses).all():
         return Verdict(np.inf, np.inf, -100.0)
-    late = slice(len(poses) // 2, None)  # errors are judged in the second half
+    late = slice(len(poses) // 2, None)
     states = [robot.state(q) for q in poses[late]]
     tips, wrists = (np.array([getattr(state, name) for state in states]) for name in ("tip", "wrist"))
     wanted = np.roll(task.tip_refs[:, 0], -1, axis=0)[late]  # a pose is reached at the start of the next tick
