@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Page as BrowserPage
 
 WIDTH_PX = 680
-"""Default width of a figure [px], printed as 180 mm (two columns)."""
+"""Default width of a figure [px], printed as 180 mm."""
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "microsoft-edge")
 CURE = (
     "install a browser (Debian, Ubuntu: apt-get install chromium; anywhere: python -m playwright install chromium), "
@@ -34,16 +34,13 @@ def save_figures(
     figures: Mapping[str, go.Figure], directory: str | os.PathLike[str],
     formats: Sequence[Literal["svg", "pdf"]] = ("svg", "pdf"),
 ) -> list[Path]:  # fmt: skip
-    """Write each figure as DIRECTORY/NAME.FORMAT; return the files.
-
-    Raise the errors of `browser`, or a ReportError if a file cannot be written.
-    """
+    """Write each figure as DIRECTORY/NAME.FORMAT. Raise the errors of `browser`, or a ReportError."""
     for name in figures:
         if name != Path(name).name:
             raise ReportError(f"figure {name!r}: give a name without a folder")
     with browser() as chromium:
         page = chromium.new_page()
-        page.route("**/*", lambda route: route.abort())  # no network access
+        page.route("**/*", lambda route: route.abort())
         page.set_content(SHEET)
         page.add_script_tag(content=get_plotlyjs())
         drawn = {name: _drawn(page, figure) for name, figure in figures.items()}
@@ -55,7 +52,7 @@ def save_figures(
 
 @contextmanager
 def browser() -> Iterator[Browser]:
-    """Start a headless Chromium, and close it at the end of the ``with`` block.
+    """Run a headless Chromium during the ``with`` block.
 
     Raise a BrowserMissingError if playwright or a browser is missing, and a BrowserError if the browser fails.
     """
