@@ -72,7 +72,6 @@ class Claim:
     papers: bool = True
 
     def confirmed(self, effect: Change | None) -> bool:
-        """Tell whether both intervals lie beyond the bound."""
         return effect is not None and effect.side(self.bound) == (1 if self.upwards else -1)
 
     def verdict(self, own: Change | None, matched: Change | None) -> str:
@@ -305,7 +304,6 @@ def ablation(rows: Results, cases: Mapping[str, Case]) -> list[dict[str, Any]]:
 
 
 def _shift(rows: Results, cases: Mapping[str, Case], name: str, printed: str, claim: Claim) -> dict[str, Any]:
-    """Return the shift [percentage points], and whether the case decides."""
     four = [
         rows.where(group=case).values(claim.metric, controller)
         for case in (name, printed) for controller in (cases[case].controller, BASELINE)

@@ -70,7 +70,6 @@ def about(case: Scenario, part: str) -> dict[str, Any]:
 
 
 def courses(case: Scenario, loops: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return a row on the courses, and one for each closed loop."""
     trial = placed(case)
     found = plan(trial)
     row = about(case, "courses") | {

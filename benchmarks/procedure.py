@@ -44,7 +44,6 @@ class ProcedureSettings(Settings):
 
 
 def perform(parts: ProcedureSettings, scenario: Scenario, name: str, film: Path | None = None) -> dict[str, Any]:
-    """Perform the procedure once; return a row for rows.parquet."""
     task = board_task(name)
     robot = scenario.robot.arm()
     home = robot.state(robot.data.q_home)

@@ -26,7 +26,7 @@ from moc_opt.study.testsets import FOLDER, INCONSISTENT, NAMES, SEQUENCES, TestS
 
 CLOSE = 1e-9  # allowed difference of answers [rad/s]
 Rng = np.random.Generator
-SIZE = 128  # problems per set
+SIZE = 128
 VERSION = 1  # part of the random generator's seed
 
 

@@ -15,7 +15,7 @@ from moc_opt.solvers.base import Solution, Status
 
 @dataclass(frozen=True)
 class Misbehaving:
-    """A solver that answers x = 0. From call number `at` on, it does `act`, if this is in ACTS."""
+    """A solver that answers x = 0. From call number `at` on, it does `act`."""
 
     act: str = ""
     at: int = 2
@@ -80,6 +80,6 @@ ACTS = {
     "hang": hang, "exit": lambda session: os._exit(3), "fork and exit": fork_and_exit, "child and hang": child_and_hang,
     "crash": lambda session: os.kill(os.getpid(), signal.SIGSEGV),
     "close everything": lambda session: (os.closerange(3, 256), hang(session)),
-    "eat": lambda session: np.empty(200_000_000),  # 1.6 GB
+    "eat": lambda session: np.empty(200_000_000),
     "raise": lambda session: 1 / 0, "quit": lambda session: sys.exit("enough"),
 }  # fmt: skip

@@ -22,7 +22,7 @@ def many(share=1.0):
 
 @contextlib.contextmanager
 def ends_well(*named):
-    """Allow only exceptions of type MocOptError. The message must contain one of `named`, if any are given."""
+    """Allow only a MocOptError whose message contains one of `named`, if any are given."""
 
     def ring(number, frame):
         pytest.fail(f"no end after {LONGEST_S} s")
@@ -99,7 +99,7 @@ def edited(draw: st.DrawFn, text: str) -> bytes:
         place = draw(st.integers(0, len(lines) - 1))
         line, other, more, odd = lines[place], draw(LINES), draw(st.text(max_size=5)), draw(ODD)
         cut, quoted, valued = draw(st.integers(0, len(line))), line.split('"'), f"{line.partition('=')[0]}= {odd}"
-        if len(quoted) >= 3 and "<" in line:  # an attribute of XML
+        if len(quoted) >= 3 and "<" in line:
             quoted[2 * draw(st.integers(0, (len(quoted) - 3) // 2)) + 1] = odd
             valued = '"'.join(quoted)
         new = [], [line, line], [line[:cut] + more + line[cut:]], [valued], [valued], [other]

@@ -1,4 +1,4 @@
-"""The source archive and the wheel are complete. A stand-in for `ziglang` calls the system's compiler."""
+"""The source archive and the wheel are complete. A stand-in for `ziglang` calls the compiler."""
 
 import contextlib
 import importlib.util
@@ -33,7 +33,6 @@ def call(*command, **options):
 
 
 def closure(lines):
-    """Return every installed distribution that these requirements need."""
     found, waiting = {}, list(lines or ())
     while waiting:
         line = waiting.pop()
@@ -71,7 +70,6 @@ def wheel(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def run(wheel, tmp_path_factory):
-    """Return a function that calls `moc-opt` in a new environment."""
     home = tmp_path_factory.mktemp("home")
     call(sys.executable, "-m", "venv", "--without-pip", home / "env")
     tools = home / "env" / "bin"

@@ -1,4 +1,4 @@
-"""Non-optimal corners of feasible sets. The optimum is found without a solver, by trying all active sets."""
+"""Non-optimal corners of feasible sets. The optimum is found by trying all active sets."""
 
 from itertools import combinations, product
 from typing import NamedTuple
@@ -57,7 +57,7 @@ def wrong_corners(
     seed: int, n: int, count: int, *, tilt: float = 1.0, size: float = 1.0, regularization: float = 0.0,
     least: float = 0.05
 ) -> list[Wrong]:
-    """Return corners with `share` > `least`. All speeds are scaled by `size`."""
+    """Return corners with `share` > `least`."""
     rng = np.random.default_rng(seed)
     found = []
     for _ in range(count):

@@ -1,4 +1,4 @@
-"""A follower turns a course (a planned joint motion) into desired velocities, which the arm follows."""
+"""A follower turns a course into desired velocities, which the arm follows."""
 
 from contextlib import nullcontext
 from dataclasses import replace
@@ -54,7 +54,7 @@ def test_the_desired_velocity_corrects_the_position_error(robot):
         np.testing.assert_allclose(desired, 0.1, atol=1e-9)
     guide.start()
     np.testing.assert_allclose(guide.desired_velocity(robot.state(robot.data.q_home + 0.01)), 0.1 - 0.05, atol=1e-9)
-    for _ in range(600):  # after the end of the course, its final pose is held
+    for _ in range(600):
         last = guide.desired_velocity(robot.state(robot.data.q_home + 0.2))
     np.testing.assert_allclose(last, 5.0 * (0.1 - 0.2), atol=1e-9)
 
@@ -219,7 +219,7 @@ def test_wrong_answers_of_the_nonlinear_program_are_refused(monkeypatch, wrong):
     robot, q, solve = setup().robot, setup().q_start, Program.solve
 
     def nonsense(self, guess, *given):
-        if wrong == "fast":  # the first step of joint 7 is too long; this joint moves neither tip nor wrist
+        if wrong == "fast":  # the first step of joint 7 is too long
             right, _ = solve(self, guess, *given)
             return right - np.copysign(2.0, right[0, 6]) * np.eye(7)[6], True
         return (rng.normal(size=guess.shape) if wrong == "random" else np.full_like(guess, np.nan)), True
@@ -241,7 +241,7 @@ def test_a_new_course_begins_on_the_old_one_only_if_the_arm_is_near(monkeypatch)
         planner.plan(on_course, path.t_s[-1] - share * path.period_s, last)
         assert planner.told["solves"] == solves + more
     monkeypatch.setattr(Program, "solve", lambda self, guess, *_: guesses.append(guess) or (guess, True))
-    for before in (None, last, last._replace(q_rad=last.q_rad + 3.0 * off)):  # the third is far in one joint only
+    for before in (None, last, last._replace(q_rad=last.q_rad + 3.0 * off)):
         planner.plan(on_course, 0.1, before)
     assert [np.array_equal(guesses[0], guess) for guess in guesses] == [True, False, True], "only a near course matters"
 
@@ -315,7 +315,7 @@ def test_a_file_that_is_no_course_is_refused(course, tmp_path):
         ({"q_rad": q[:, :6]}, {}, r"q_rad \(\d+, 6\), not floats \(k,\) and \(k, 7\)"),
         (moved(3, 2, np.nan), {}, "a pose is not finite"), ({"t_s": t[::-1].copy()}, {}, "times t_s do not rise"),
         ({"t_s": np.round(t).astype(np.int64)}, {}, "t_s has shape"),
-        ({"t_s": np.where(t == t[3], t[2], t)}, {}, "times t_s do not rise"),  # two equal times
+        ({"t_s": np.where(t == t[3], t[2], t)}, {}, "times t_s do not rise"),
         *((moved(slice(9, None), 6, by), {}, r"joint_7 goes 9\d\d\.?\d* rad beyond its limit") for by in (1e3, -1e3)),
         (moved(5, slice(None), 0.05), {}, "mm from its target at t = 0.125 s"),
         ({"t_s": np.maximum(t, 0.01)}, {}, "it goes from 0.01 to 1 s"), ({}, {"kind": "run"}, "holds no course"),

@@ -1,4 +1,4 @@
-"""The search finds the course (planned joint motion) with the largest mean mu. All its courses keep the limits."""
+"""The search finds the course with the largest mean mu within the limits."""
 
 import itertools
 from dataclasses import replace
@@ -16,7 +16,7 @@ from tests.planning.arms import at_poses, task
 
 
 def small(rng, k=4, m=4):
-    """A random map for one joint, with k times 0.5 s apart. The speed limit is 2 rad/s. The start pose has mu = 0.4."""
+    """A random map for one joint, with k times 0.5 s apart."""
     arm: Any = SimpleNamespace(v_max=np.full(1, 2.0), state=lambda q: SimpleNamespace(mu=0.4))
     targets = Targets(0.5 * np.arange(k), np.zeros((k, 3)), np.zeros((k, 3)), np.zeros(k))
     q, mu = rng.uniform(0.0, 1.0, (k, 1, m, 1)), rng.uniform(0.1, 1.0, (k, 1, m))
@@ -123,7 +123,7 @@ def test_the_fitted_parabola_is_exact_for_a_quadratic_value_function(j):
     ):  # fmt: skip
         slope, room = 0.4 * bool(bend), np.ones((2, 1, 200))  # bend = 0: only three poses, so no parabola is fitted
         room[..., (j + np.array(dead, dtype=int)) % 200] = -1.0
-        mu = 4.0 * np.tile(0.3 + 0.4 * z + 0.5 * bend * z**2, (2, 1, 1))  # the last weight is 0.25 s
+        mu = 4.0 * np.tile(0.3 + 0.4 * z + 0.5 * bend * z**2, (2, 1, 1))
         found = replace(base, robot=two, q_rad=np.tile(q, (2, 1, 1, 1)), mu=mu, room_rad=room)
         expected = [*q[j], -q[j, 1], q[j, 0] - 0.3, slope, min(bend, 0.0), *z[(j + np.array([low, high])) % 200]]
         np.testing.assert_allclose(np.hstack(Value(found, Limits()).near(1, (0, j))), expected, atol=1e-9)

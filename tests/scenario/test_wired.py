@@ -32,7 +32,6 @@ def wired(scenario, relayed=None):
 
 
 def assert_same(found, expected):
-    """Assert equal columns, except those of measured times."""
     assert set(found.columns) == set(expected.columns) | {"wake_us", "control_us", "missed"}
     assert found.meta["ended"] == expected.meta["ended"]
     for name in expected.columns.keys() - {"tick_us", "solve_us"}:
@@ -160,7 +159,7 @@ def test_both_ends_need_the_same_scenario_except_for_control_and_guard():
         run_there = pool.submit(plant.trace)
         with pytest.raises(WireError, match="another scenario"):
             answer(base.change(seed=1), written(plant.address))
-        answer(base, written(plant.address))  # the plant still waits for its controller
+        answer(base, written(plant.address))
         assert run_there.result().meta["ended"] == "completed"
 
 

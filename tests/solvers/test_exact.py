@@ -118,7 +118,7 @@ def test_rounded_velocities_of_tip_and_wrist_are_accepted_within_the_tolerance(d
         gap = np.abs(kept.A @ np.linalg.lstsq(kept.A, kept.b, rcond=1e-9)[0] - kept.b).max()
         if answered:
             check(kept)
-        elif gap > 1e-6:  # beyond the tolerance
+        elif gap > 1e-6:
             assert solve(kept).status is Status.INFEASIBLE
 
 
@@ -137,7 +137,7 @@ def test_violation_equal_to_the_tolerance_is_allowed():
 
 
 def test_answers_do_not_depend_on_units():
-    """Answers do not depend on the units of length and cost. Only the status may, since the tolerance is absolute."""
+    """Only the status may depend on the units, since the tolerance is absolute."""
     rng = np.random.default_rng(0)
     plain = [random_problem(rng, 7 + k % 3, structured=False, regularization=1e-5 * (k % 2)) for k in range(120)]
     problems = [nearly_singular(qp, 10.0 ** -rng.uniform(2, 15)) for qp in plain[:60]]
@@ -250,7 +250,7 @@ def test_solver_and_residuals_agree_on_slow_joints(moves, stops):
     A, x[6] = null_space(z[None]).T, 1.0
     found = check(NullSpaceQP(A[:3], A[3:], A[:3] @ x, A[3:] @ x, z, -wide, wide, regularization=1e-5)).x
     assert found[0] == pytest.approx(0.0 if stops else 1.0, abs=1e-5)
-    low, high = -wide, np.array(wide)  # now the slow joint is far from its bounds
+    low, high = -wide, np.array(wide)
     low[0], high[0] = 0.0, 1e-5
     short = NullSpaceQP(A[:3], A[3:], np.zeros(3), np.zeros(3), z, low, high, regularization=1e-5)
     assert [bool(short.residuals(end * z).verified()) for end in (0.0, 1e-5)] == [False, True]
