@@ -14,7 +14,7 @@ from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.study.testsets import CertificateError, TestSet
 
 TIED = 1e-12  # largest difference of tip and wrist velocity along a rigid shaft, relative to |A|
-RANK_TOLERANCE = 1e-12
+RANK_TOLERANCE = 1e-12  # A singular value up to this share of |A| counts as zero.
 FEASIBLE, INFEASIBLE = 0, 2  # status of scipy's linprog
 ZERO = Fraction(0)
 Vector = list[Fraction]
@@ -23,7 +23,8 @@ Vector = list[Fraction]
 def five_rows(qp: NullSpaceQP) -> tuple[Array, Array]:
     """Return A (5, n) and b (5,): the tip's three rows and the wrist's two across the shaft.
 
-    Along the shaft, the wrist's row equals the tip's up to rounding. Exact arithmetic could find them contradictory.
+    Along the shaft, the wrist's row equals the tip's up to rounding. It is left out, because exact arithmetic could
+    find the two rows contradictory.
     """
     directions, sizes, _ = np.linalg.svd(qp.J_tip - qp.J_wrist)
     if sizes[2] > TIED * np.linalg.norm(qp.A):
@@ -39,8 +40,9 @@ def five_rows(qp: NullSpaceQP) -> tuple[Array, Array]:
 def optimum(A: Array, b: Array, pull: Vector, rho: float, lower: Array, upper: Array) -> Vector | None:
     """Minimise rho/2 |x|^2 - pull^T x subject to A x = b, lower <= x <= upper, without rounding.
 
-    All sets of active bounds are tried. The first point within the bounds whose multipliers have the right signs is an
-    optimum, because the problem is convex. Return None if the problem is infeasible.
+    Joints whose column of A is zero are solved one by one. For the others, all sets of active bounds are tried (only
+    vertices if rho is 0). The first point within the bounds whose multipliers have the right signs is an optimum,
+    because the problem is convex. Return None if the problem is infeasible.
     """
     weight, ends = Fraction(rho), [(Fraction(low), Fraction(high)) for low, high in zip(lower, upper, strict=True)]
     moving = [j for j in range(len(ends)) if A[:, j].any()]
@@ -81,7 +83,7 @@ def _stationary(
 ) -> tuple[Vector, Vector] | None:
     """Return (stationary point x, multipliers m) for these active bounds, or None if x or m is not unique.
 
-    N^T (weight x - gains) = N_S^T m. N is the basis of ker A, N_S its rows for the joints in ``active``.
+    They satisfy N^T (weight x - gains) = N_S^T m. N is the basis of ker A, N_S its rows for the joints in ``active``.
     """
     r, columns = len(basis[0]), list(zip(*basis, strict=True))
     left = [gain - weight * value for gain, value in zip(gains, start, strict=True)]
@@ -120,14 +122,14 @@ def eliminated(matrix: list[Vector]) -> tuple[list[Vector], list[int]]:
 
 
 def certified(qp: NullSpaceQP) -> Vector | None:
-    """Return an exact optimum (n,) under the five rows, or None."""
+    """Return an exact optimum (n,) under the five rows, or None if the problem is infeasible."""
     A, b = five_rows(qp)
     pull = [Fraction(qp.c2) * Fraction(g) for g in qp.pull]
     return optimum(A, b, pull, qp.regularization, qp.lower, qp.upper)
 
 
 def certify(name: str, problems: Sequence[NullSpaceQP]) -> TestSet:
-    """Raise a CertificateError if HiGHS disagrees on feasibility."""
+    """Certify the answers of a set. Raise a CertificateError if HiGHS disagrees on feasibility."""
     X = np.full((len(problems), problems[0].n), np.nan)
     for i, qp in enumerate(problems):
         found = certified(qp)

@@ -2,7 +2,7 @@
 
 python -m benchmarks.coverage [CONFIG.toml] [--out DIR] [--quick] [--json]
 
-The true value is a metric's change over a pool of trials. Each interval uses trials drawn from it.
+The true value is a metric's change from DCAC to MOC over a pool of trials. Each interval uses trials drawn from it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from moc_opt.study.statistics import LEAST_TRIALS, relative_change
 from moc_opt.study.trials import BASELINE, Trial, trials
 
 SEED = 1_000_000
-"""far from the seeds of every study"""
+"""first seed of the pool, far from the seeds of every study"""
 SOLVERS = ("exact", "rnn", "rnn-printed")
 METRICS = ("mu_mean", *(ERRORS[k] for k in (3, 4, 0, 1)))
 SIZES = (60, 15, LEAST_TRIALS)

@@ -38,9 +38,10 @@ from moc_opt.trace.trace import Trace
 PICTURED = ("none", "bump-30N", "trocar-slips", "nan-lasting")
 CURVES = ("t_s", "tip_error_m", "rcm_error_m", "trocar_force_N")
 SMOOTH_S, RECOVERED, RESOLUTION_M = 0.2, 1.2, 5e-5
-"""A run has recovered once its errors (means over 0.2 s) stay below 1.2 e + 0.05 mm (e: error without the fault)."""
+"""A run has recovered once its errors (means over 0.2 s) stay below 1.2 e + 0.05 mm. Here e is the error, at the same
+time, of the run without the fault."""
 COMPLAINTS = ("failed", "raised", "malformed", "not_finite", "outside", "lied", "late", "lost")
-"""An "infeasible" answer is not among them, because it can be right."""
+"""Reasons to refuse an answer as faulty. "infeasible" is not among them, because it can be the right answer."""
 OUTCOMES = ("survived", "stopped", "oscillated", "diverged", "ran away", "refused", "failed")
 WORST = (
     "tip_error_max_mm", "rcm_error_max_mm", "trocar_force_max_N", "rcm_mean_percent", "rcm_max_percent",
@@ -91,7 +92,7 @@ class Case(Settings):
 
 
 FREE = {"none": Case(group="none")}
-"""It runs first, because the other cases are compared with it."""
+"""The case without a fault. It runs first, because the other cases are compared with it."""
 
 
 class Config(StudyConfig):
@@ -162,7 +163,7 @@ def run_block(block: Block) -> tuple[list[dict[str, Any]], dict[str, dict[str, A
     for name, case in block.cases.items():
         trace, how = run_case(case.corrupt(block.trial), case.camera_lost_s)
         waits = case.camera_lost_s is not None
-        # A `Waited` reference starts more slowly, so the run to compare with also has one.
+        # A `Waited` reference starts more slowly, so the run to compare with also has one, which never waits.
         if waits not in faultless:
             faultless[waits] = run_case(block.trial, (0.0, 0.0))[0] if waits else trace
         if (free := faultless[waits]) is None:
@@ -174,7 +175,7 @@ def run_block(block: Block) -> tuple[list[dict[str, Any]], dict[str, dict[str, A
 
 
 class Waited(Reference):
-    rows_played: Array  # X_d, dX_d, ddX_d at each time
+    rows_played: Array  # X_d, dX_d, ddX_d at each time, of a tip that waits while the camera is lost
 
     def __init__(self, reference: Reference, times: Array, lost_s: tuple[float, float]) -> None:
         super().__init__(reference.path, reference.v_max, reference.a_max, reference.t_start)
@@ -188,7 +189,7 @@ class Waited(Reference):
 
 
 def run_case(scenario: Scenario, camera_lost_s: tuple[float, float] | None) -> tuple[Trace | None, str]:
-    """Return the trace (None if the scenario is refused) and its end."""
+    """Return the trace (None if the scenario is refused) and how the run ended."""
     try:
         setup = Setup(scenario)
         if camera_lost_s is not None:
@@ -231,7 +232,10 @@ def measure(
 
 
 def detection(trace: Trace) -> dict[str, int]:
-    """Count solver faults: an injected answer that was used is harmless if it is optimal, else missed."""
+    """Count injected solver faults and false alarms.
+
+    A falsified answer that was used is harmless if it is optimal, else missed.
+    """
     never: NDArray[np.bool_] = np.zeros(len(trace), dtype=np.bool_)
     injected = trace.columns.get("injected", never) & (trace.fault != "stopped")
     refused = ~np.isin(trace.fault, ("none", "stopped"))
@@ -246,7 +250,7 @@ def detection(trace: Trace) -> dict[str, int]:
 
 
 def recovery(trace: Trace, free: Trace, case: Case, ended: str) -> float | None:
-    """Return the time [s] from the fault's end (or its start, if it does not end) to the recovery, or None."""
+    """Return the time [s] from the fault's end (from its start, if the fault lasts) to the recovery, or None."""
     if ended != "completed" or len(trace) != len(free):
         return None
     period = float(trace.t_s[1] - trace.t_s[0])
@@ -268,7 +272,7 @@ def smooth(values: Array, width: int) -> Array:
 
 
 def worst(rows: Results) -> list[dict[str, Any]]:
-    """Return one row per case and controller: the sum of each count, and the worst of each figure."""
+    """Return one row per case and controller: over the trials, the sum of each count and the worst of each figure."""
     found = []
     for case, name in product(rows.names("case"), rows.names()):
         if not (mine := list(rows.where(case=case, controller=name))):

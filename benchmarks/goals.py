@@ -21,11 +21,11 @@ class Goal(NamedTuple):
     measured: Callable[[Any], Any]
     most: bool = True  #: True: the limit is the largest allowed value; False: the smallest
     made_of: Callable[[Any], str] = lambda summary: ""  #: the parts of the value, in words
-    section: str = ""
+    section: str = ""  #: section of the report that the value links to
 
 
 def judge(summary: Mapping[str, Any], goals: Mapping[str, Goal]) -> dict[str, dict[str, Any]]:
-    """Judge every goal. It is open if the value's interval contains the limit, or if there are too few trials."""
+    """Judge every goal. A goal is open if the value's interval contains the limit, or if there are too few trials."""
     found: dict[str, dict[str, Any]] = {}
     for key, goal in goals.items():
         row: dict[str, Any] = {

@@ -2,8 +2,8 @@
 
 python -m benchmarks.paper [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-MOC runs with Table I of the paper as printed, and with tuned values. DCAC runs with the paper's gains for DCAC, and
-with the gains of MOC.
+MOC runs with Table I of the paper (its parameters) as printed, and with tuned values. DCAC runs with the paper's gains
+for DCAC, and with the gains of MOC.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from moc_opt.vision.board import board_task
 
 STREAM = 0
 PRINTED, NETWORK = "paper", "rnn"
-"""PRINTED: the group with Table I as printed; NETWORK: the paper's solver"""
+"""PRINTED: the group with Table I as printed; NETWORK: the paper's solver, a recurrent neural network"""
 HOLDS, GAINS_ONLY, FAILS, UNDECIDED = "holds", "holds only against DCAC with softer gains", "does not hold", "undecided"
 MARKS = {HOLDS: ("✔", "good", 0), GAINS_ONLY: ("≈", "fair", 1), FAILS: ("✘", "bad", 2)}
 TONES = {HOLDS: GOOD, GAINS_ONLY: list(SERIES)[4], FAILS: WORST}
@@ -69,7 +69,7 @@ class Claim:
     text: str
     bound: float = 0.0
     upwards: bool = False
-    papers: bool = True
+    papers: bool = True  # whether the paper makes this claim
 
     def confirmed(self, effect: Change | None) -> bool:
         return effect is not None and effect.side(self.bound) == (1 if self.upwards else -1)
@@ -98,7 +98,7 @@ CLAIMS = (
 
 
 def disagree(change: Change, bound: float) -> bool:
-    """Tell whether the two numbers, or their intervals, lie on different sides of a bound [%]."""
+    """Tell whether the change's two numbers, or their intervals, lie on different sides of a bound [%]."""
     sides = {(one.low > bound, one.high < bound) for one in change}
     return len(sides) > 1 or (change.ratio.value > bound) != (change.ratios.value > bound)
 
@@ -304,6 +304,7 @@ def ablation(rows: Results, cases: Mapping[str, Case]) -> list[dict[str, Any]]:
 
 
 def _shift(rows: Results, cases: Mapping[str, Case], name: str, printed: str, claim: Claim) -> dict[str, Any]:
+    """Return the case's shift [percentage points], and whether the case decides the claim."""
     four = [
         rows.where(group=case).values(claim.metric, controller)
         for case in (name, printed) for controller in (cases[case].controller, BASELINE)

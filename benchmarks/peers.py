@@ -24,15 +24,15 @@ Inputs = tuple[Array, Array, Array, Array]
 Level = Literal["torque", "velocity"]
 
 PERIOD_S = 0.002
-TOLERANCE_MM, CLIMB_PERCENT = 0.5, 1.0
+TOLERANCE_MM, CLIMB_PERCENT = 0.5, 1.0  # largest error of tip and shaft, and least rise of mu, of a sound peer
 CLIMB = 30.0
 """wanted null-space velocity of the joints / grad mu [rad^2/(m^3 s)]"""
 STIFFNESS_PER_S = 100.0
-"""decay rate of errors under pink and mink"""
+"""decay rate of tip and shaft errors under pink and mink"""
 
 
 class Peer(Protocol):
-    """A controller with the period ``PERIOD_S``."""
+    """A controller of another library, with the period ``PERIOD_S``."""
 
     @property
     def level(self) -> Level:
@@ -53,7 +53,10 @@ def ahead(point: Array, rate: Array) -> Array:
 
 
 def wrist_reference(tip_ref: Array, trocar: Array, span: float) -> Array:
-    """Return the wrist's position and velocity (2, 3) for which the shaft passes through the trocar."""
+    """Return the wrist's position [m] and velocity [m/s] (2, 3) for which the shaft passes through the trocar.
+
+    ``span`` is the distance from wrist to tip [m].
+    """
     return core.desired_wrist(tip_ref[0], tip_ref[1], trocar, span)
 
 
@@ -61,7 +64,7 @@ class TSID:
     """Task-space inverse dynamics (Del Prete et al. 2016): a QP finds accelerations."""
 
     level: Level = "torque"
-    STIFFNESS, DAMPING = 2500.0, 100.0  # of tip and wrist [1/s^2, 1/s]
+    STIFFNESS, DAMPING = 2500.0, 100.0  # gains on errors of tip and wrist [1/s^2] and on their rates [1/s]
     CLIMB_DAMPING = 20.0  # acceleration per error of the joint velocity [1/s]
 
     def __init__(self, robot: RobotModel) -> None:
@@ -75,7 +78,7 @@ class TSID:
         rest = np.zeros(robot.n)
         self._dynamics.computeProblemData(0.0, robot.data.q_home, rest)
         self._tip = self._point("tip", robot.data.tip_frame, [1, 1, 1, 0, 0, 0])
-        # The wrist's row along the shaft repeats the tip's, but hard rows must be independent.
+        # The wrist's row along the shaft is left out: it repeats the tip's, and hard rows must be independent.
         self._wrist = self._point("wrist", robot.data.wrist_frame, [1, 1, 0, 0, 0, 0])
         self._posture = tsid.TaskJointPosture("posture", self._robot)
         self._posture.setKp(rest)
@@ -223,7 +226,7 @@ class Mink:
     """Differential inverse kinematics on MuJoCo (Zakka et al.)."""
 
     level: Level = "velocity"
-    COST = 1e3
+    COST = 1e3  # weight of the tip and shaft tasks
 
     def __init__(self, robot: RobotModel) -> None:
         import mink
@@ -264,7 +267,7 @@ def missing(name: str) -> str | None:
 
 
 class Task(NamedTuple):
-    """Start pose (n,), tip references (N, 3, 3) and trocar (N, 2, 3)."""
+    """Start pose (n,) [rad], tip references (N, 3, 3) and trocar (N, 2, 3) of N ticks."""
 
     q_start: Array
     tip_refs: Array
@@ -287,7 +290,7 @@ class Verdict(NamedTuple):
 
 
 def circle(robot: RobotModel, duration_s: float = 1.0, offset_m: float = 2e-4) -> Task:
-    """Return a horizontal circle that starts ``offset_m`` above the tip's home."""
+    """Return the task of a horizontal circle that starts ``offset_m`` above the tip's home."""
     state = robot.state(robot.data.q_home)
     start = state.tip + np.array([0.0, 0.0, offset_m])
     path = make_path("circle", start, normal=(0.0, 0.0, 1.0), heading=(1.0, 0.0, 0.0), radius=0.03)
@@ -297,7 +300,7 @@ def circle(robot: RobotModel, duration_s: float = 1.0, offset_m: float = 2e-4) -
 
 
 def perform(peer: Peer, robot: RobotModel, task: Task) -> tuple[Array, list[Inputs]]:
-    """Return the poses (N, n) after each tick, and its inputs. The arm does exactly what the peer asks for."""
+    """Return the poses (N, n) after each tick, and the ticks' inputs. The arm does exactly what the peer asks for."""
     q, v = task.q_start.copy(), np.zeros(robot.n)
     poses, given = np.empty((len(task.tip_refs), robot.n)), []
     for k in range(len(poses)):
@@ -316,7 +319,7 @@ def perform(peer: Peer, robot: RobotModel, task: Task) -> tuple[Array, list[Inpu
 def verdict(poses: Array, robot: RobotModel, task: Task) -> Verdict:
     if not np.isfinite(poses).all():
         return Verdict(np.inf, np.inf, -100.0)
-    late = slice(len(poses) // 2, None)
+    late = slice(len(poses) // 2, None)  # errors are judged in the second half
     states = [robot.state(q) for q in poses[late]]
     tips, wrists = (np.array([getattr(state, name) for state in states]) for name in ("tip", "wrist"))
     wanted = np.roll(task.tip_refs[:, 0], -1, axis=0)[late]  # a pose is reached at the start of the next tick

@@ -14,7 +14,7 @@ from moc_opt.study.trials import Run
 
 
 def with_phases(runs: Iterable[Run]) -> list[Run]:
-    """Add mean errors ``travelling_NAME`` and ``settled_NAME``.
+    """Add to each run its mean errors while the elbow travels (``travelling_NAME``) and afterwards (``settled_NAME``).
 
     All controllers of a trial have the same phases: a tick counts as travelling if the elbow travels in any run.
     """

@@ -111,6 +111,7 @@ def loop(trial: Scenario, name: str, change: Mapping[str, Any], mine: float, bes
 
 
 def halving(case: Scenario) -> list[dict[str, Any]]:
+    """Return the rise of mean mu by refinement, and by halving the grid spacing."""
     found, coarse = plan(case), plan(case, refined=False)
     finer = plan(case, refined=False, times=2 * len(found.targets) - 1, swivels=1440).from_start
     row = about(case, "halving")

@@ -3,7 +3,7 @@
 python -m benchmarks.plant [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
 *Registered again*: the arm touches path and incision a second time when the elbow is at rest. This touch is not
-simulated. The errors after it are computed from the trace.
+simulated, because it hardly changes the motion. The errors after it are computed from the trace.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from moc_opt.tasks.trocar import shaft_distance
 from moc_opt.trace.trace import Trace
 
 EFFECTS_STREAM, CALIBRATION_STREAM = 10, 9
-KINDS = {"origins": "mm", "encoders": "mrad", "both": "mm and mrad"}
+KINDS = {"origins": "mm", "encoders": "mrad", "both": "mm and mrad"}  # calibration errors, and units of their sizes
 TILT_RAD_PER_M = PlantSettings().calibration_tilt_rad / PlantSettings().calibration_error_m
-DEFAULT_SIZE_MM = 0.2  # the report's first sentences state MOC's tip errors for this size
+DEFAULT_SIZE_MM = 0.2  # the report's first sentences state MOC's tip errors for this error of the joint origins
 LEAST_S = 0.5
 """Errors after the elbow's travel are means over at least this time."""
 MOST_CHANGE_PERCENT, MOST_MM = 5.0, 0.1
@@ -94,6 +94,7 @@ class Config(StudyConfig):
 
 
 def plant_of(base: PlantSettings, kind: str, size: float) -> PlantSettings:
+    """Return `base` with these calibration errors. The joint frames' tilt is proportional to the origins' error."""
     origins = 1e-3 * size if kind in ("origins", "both") else 0.0
     encoders = 1e-3 * size if kind in ("encoders", "both") else 0.0
     return PlantSettings(**base.model_dump() | {
@@ -132,7 +133,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def registered_again(dcac: Trial, moc: Trial) -> list[Run]:
-    """Run both controllers. Add the errors after the elbow's travel, if the runs are long enough."""
+    """Run both controllers. Add the errors after the elbow's travel, if both runs are whole and long enough."""
     both = [run_and_trace(dcac), run_and_trace(moc)]
     found = [run for run, _ in both]
     whole = [trace for run, trace in both if trace is not None and run.row["whole"]]
@@ -150,7 +151,7 @@ def registered_again(dcac: Trial, moc: Trial) -> list[Run]:
 
 
 def after_travel(trace: Trace, setup: Setup, tick: int) -> dict[str, float]:
-    """Return mean errors [mm] from `tick` on, registered at the start and again at `tick`."""
+    """Return mean errors [mm] from `tick` on, with the registration at the start and with a new one at `tick`."""
     # A touch shows how far the computed position is off, for the tip and for the shaft's point in the trocar.
     tips, wrists = setup.robot.tool_along(trace.q_rad + setup.plant.mismatch.encoder_bias)
     told = trace.trocar_registered_m - setup.offset.trocar  # the trocar in the controller's own frame

@@ -63,7 +63,7 @@ def perform(parts: ProcedureSettings, scenario: Scenario, name: str, film: Path 
     q = self_motion(robot, q).at(np.random.default_rng(swivel_seed).uniform(0.05, 0.95))
     trace, waited, lost = _run(scenario, plant, scene, path, q, (guided.trocar, guided.registered))
     count = scene.film(film, trace, path, guided.registered) if film is not None else 0
-    deviation = 1e3 * from_path(trace.tip_m, scene.board.task_in_base(task, phantom))
+    deviation = 1e3 * from_path(trace.tip_m, scene.board.task_in_base(task, phantom))  # from the true task
     metrics = summarize(trace)
     return {
         "ended": trace.meta["ended"], "share_of_run": metrics["share_of_run"],
@@ -110,7 +110,7 @@ def _run(
 
 
 def from_path(points: Array, path: TipPath, samples: int = 4000) -> Array:
-    """Return the distance (k,) of each point (k, 3) from the path."""
+    """Return the distance (k,) [m] of each point (k, 3) from the path."""
     line = path.at(np.linspace(0.0, path.length, samples))[0]
     found: Array = cKDTree(line).query(points)[0]
     return found

@@ -37,7 +37,7 @@ from moc_opt.study.statistics import Interval, share
 from moc_opt.trace.trace import Trace
 
 SPARE_S = 300.0
-"""time for starting and saving"""
+"""time allowed for starting and saving"""
 SAFE_RCM_M, AT_REST_RAD_PER_S = 2e-3, 1e-2
 """A stop is clean if the RCM error and the final joint speed are below these limits."""
 BURN = "import os\nstudy = os.getppid()\nwhile os.getppid() == study:\n    sum(i * i for i in range(100000))"
@@ -121,7 +121,7 @@ def runs_of(study: Study, config: Config) -> dict[Case, list[Run]]:
         for rate, scenario in scenarios.items() if "c" in config.controllers
     }  # fmt: skip
     machine = environment({}, 0)["machine"]
-    here = (machine["processor"], machine["cores"])
+    here = (machine["processor"], machine["cores"])  # like a run's number, it only distinguishes saved results
     each = min(config.cycles, config.run_cycles)
     asked = [(case, number) for case in config.measured() for number in range(-(-config.cycles // each))]
     jobs = []
@@ -158,7 +158,7 @@ def loaded(kind: str) -> Iterator[None]:
 
 
 def run_once(case: Case, scenario: Scenario, program: str | None, number: int, machine: Any) -> Run:
-    """Run a scenario with the C controller ``program`` (None: in Python)."""
+    """Run a scenario with the C controller ``program`` (None: the Python controller)."""
     begun = datetime.now(UTC).isoformat(timespec="seconds")
     with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder, loaded(case.load):
         file, trace = Path(folder, "run.toml"), Path(folder, "run.parquet")
@@ -223,6 +223,7 @@ def summarise(runs: Sequence[Run]) -> dict[str, Any]:
 
 
 def _share(name: str, least: int) -> Callable[[Any], Interval | None]:
+    """Return a function that gives a case's share of missed cycles, or None if it has fewer than ``least`` cycles."""
 
     def measured(summary: Any) -> Interval | None:
         found = summary["cases"][name]

@@ -85,7 +85,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def verdicts(rows: Results, judged: str) -> dict[str, bool | None]:
-    """Judge each finding (None: undecided)."""
+    """Return whether each finding holds, or None if it is undecided."""
     own, base = rows.pairs("tip_error_mean_mm", judged)
 
     def change(metric: str, _: Any) -> Change | None:

@@ -33,7 +33,7 @@ Names = Literal["all"] | list[str]
 Summary = Mapping[str, Any]
 TICKS, PEERS, SOLVERS, LOOP = "Ticks", "Other libraries", "Solvers", "Loop"
 TIMED = ("tick", "tick_parts", "peers", "adapters", "loop")
-"""parts of the summary that also tell the machine's load"""
+"""parts of the summary whose entries also tell the machine's load"""
 
 
 class Config(StudyConfig):

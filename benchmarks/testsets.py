@@ -26,14 +26,14 @@ from moc_opt.study.testsets import FOLDER, INCONSISTENT, NAMES, SEQUENCES, TestS
 
 CLOSE = 1e-9  # allowed difference of answers [rad/s]
 Rng = np.random.Generator
-SIZE = 128
+SIZE = 128  # problems per set
 VERSION = 1  # part of the random generator's seed
 
 
 def at_pose(
     robot: RobotModel, q: Array, v_tip: Array, *, regularization: float = 1e-5, k0: float = 2.0, depth: float = 0.15
 ) -> NullSpaceQP:
-    """Build the subproblem with the trocar ``depth`` [m] above the tip."""
+    """Build the subproblem with the trocar on the shaft, ``depth`` [m] above the tip."""
     state = robot.state(q)
     trocar = state.tip - depth * state.tool_direction
     _, v_wrist = desired_wrist(state.tip, v_tip, trocar, np.zeros(3), state.tool_span)
@@ -47,6 +47,7 @@ def at_pose(
 
 
 def tip_velocity(rng: Rng, speed: float) -> Array:
+    """Return a random velocity (3,) [m/s], not faster than ``speed``."""
     v = rng.normal(size=3)
     return np.asarray(v * speed * rng.uniform() / np.linalg.norm(v))
 
@@ -57,6 +58,7 @@ def random_poses(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
 
 
 def near_singular(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
+    """Yield problems with an almost straight elbow."""
     for bend in np.logspace(-1, -8, SIZE):
         q = robot.random_regular_pose(rng)
         q[3] = bend
@@ -81,7 +83,7 @@ def infeasible(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
 
 
 def inconsistent(size: float) -> Callable[[RobotModel, Rng], Iterator[NullSpaceQP]]:
-    """Make problems in which v_wrist exceeds v_tip by ``size`` [m/s] along the shaft."""
+    """Return a maker of problems in which v_wrist exceeds v_tip by ``size`` [m/s] along the shaft."""
 
     def make(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
         while True:

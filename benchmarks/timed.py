@@ -30,7 +30,7 @@ from moc_opt.solvers.exact import Exact
 from moc_opt.study.timing import each_us, percentiles, since, total, used
 
 ROOT, CHUNK = Path(__file__).resolve().parents[1], 100
-COLD = 5  # calls at the start of each chunk whose times are "cold"
+COLD = 5  # The times of this many calls at the start of each chunk are "cold".
 
 
 class Timed(NamedTuple):
@@ -45,9 +45,9 @@ class Part:
     Attributes:
         found: figures by section of the summary, then by name.
         rows: rows for rows.parquet.
-        missing: reasons why entries could not run.
-        times: (chunks, CHUNK) [us].
-        seen: context switches and processor time.
+        missing: reason for each entry that could not run.
+        times: (chunks, CHUNK) [us] of each entry.
+        seen: context switches and processor time of each entry.
     """
 
     found: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -57,7 +57,10 @@ class Part:
     seen: dict[str, dict[str, float]] = field(default_factory=dict)
 
     def time(self, part: str, entries: Mapping[str, Timed], rounds: int) -> None:
-        """Time the entries in turn, chunk by chunk, so that a slow moment affects all of them."""
+        """Time the entries in turn, chunk by chunk, so that a slow moment affects all of them.
+
+        The first round is not timed.
+        """
         names, starts = list(entries), range(0, min(len(entry.items) for entry in entries.values()) - CHUNK + 1, CHUNK)
         chunks: dict[str, list[Array]] = {name: [] for name in names}
         seen: dict[str, list[dict[str, float]]] = {name: [] for name in names}
@@ -89,7 +92,7 @@ class Part:
 
 
 def record(scenario: Scenario) -> tuple[list[peers.Inputs], list[NullSpaceQP]]:
-    """Return the inputs and the subproblem of every tick."""
+    """Run a scenario. Return the inputs and the subproblem of every tick."""
     heard: list[peers.Inputs] = []
 
     class Ear(Controller):
@@ -104,7 +107,7 @@ def record(scenario: Scenario) -> tuple[list[peers.Inputs], list[NullSpaceQP]]:
     trace = Heard(scenario).trace()
     problems = [NullSpaceQP.from_row(np.array(row)) for row in trace.subproblem]
     for qp in problems:
-        _ = qp.q, qp.reduced()
+        _ = qp.q, qp.reduced()  # fills the caches, so that this work is not timed
     return heard, problems
 
 
@@ -112,7 +115,7 @@ def record(scenario: Scenario) -> tuple[list[peers.Inputs], list[NullSpaceQP]]:
 
 
 def ticks(scenario: Scenario, solvers: Iterable[str], libraries: Iterable[str], rounds: int) -> Part:
-    """Time a tick of every solver, and of each other library on the inputs of its own run."""
+    """Time a tick with every solver, and a tick of each other library on the inputs of its own run."""
     part, entries, (inputs, _) = Part(), dict[str, Timed](), record(scenario)
     robot = load_robot(scenario.robot.name)
     for name in solvers:
@@ -129,6 +132,7 @@ def ticks(scenario: Scenario, solvers: Iterable[str], libraries: Iterable[str], 
         poses, given = peers.perform(peer, robot, task)
         entries[name] = Timed(_spread(peer.tick), given)
         theirs[name] = {"level": peer.level, **peers.verdict(poses, robot, task)._asdict()}
+    # The runs of other libraries are shorter, so their inputs are timed in more rounds.
     shortest = min(len(entry.items) for entry in entries.values())
     part.time("tick", entries, max(rounds, round(rounds * len(inputs) / shortest)))
     for name, row in theirs.items():
@@ -228,6 +232,7 @@ def adapters(scenario: Scenario, names: Iterable[str], rounds: int) -> Part:
 
 
 def daqp_by_hand(settings: Any, first: NullSpaceQP) -> Callable[[NullSpaceQP], tuple[Array, Array]]:
+    """Return a call that uses daqp without its adapter."""
     at, scale, n = settings.start(first), settings.cost_scale, first.n
     core = at._core
 
@@ -255,7 +260,10 @@ def disagreement(solver: Any, by_hand: Callable[[NullSpaceQP], Any], problems: l
 
 
 def own_steps(scenario: Scenario) -> tuple[Array, Callable[[], Array]]:
-    """Return MuJoCo's state at each tick, and a function that simulates a period from each with the recorded forces."""
+    """Return MuJoCo's state at each tick as a row, and a function that simulates one period from each state.
+
+    The function applies the recorded forces.
+    """
     import mujoco
     from mujoco.rollout import rollout
 
@@ -306,7 +314,7 @@ def loop(scenario: Scenario, runs: int) -> Part:
 
 
 def limit(rows: Iterable[Mapping[str, Any]], c_tick_us: float | None) -> dict[str, float]:
-    """Return medians over the runs. The limit is the time of MuJoCo's steps plus that of `moc_step`."""
+    """Return medians over the runs, per tick. The limit is the time of MuJoCo's steps plus that of `moc_step` in C."""
     us, steps = np.array([(row["us_per_tick"], row["steps_us"]) for row in rows]).T
     found = {"steps_us": float(np.median(steps))}
     if c_tick_us is not None:

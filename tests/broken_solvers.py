@@ -69,7 +69,7 @@ POINTS = {name: name.capitalize() for name in NAMES}
 def install(
     folder: Path, package: str = "broken_solvers_plugin", source: str = MODULE, points: Mapping[str, str] = POINTS
 ) -> Path:
-    """Write a plug-in as pip would install it."""
+    """Write a plug-in as pip would install it. `points` maps the name of each solver to its class."""
     info = folder / f"{package}-1.0.dist-info"
     info.mkdir(parents=True)
     (folder / f"{package}.py").write_text(source)

@@ -34,6 +34,7 @@ SLOW = (
     "tests/test_wheel.py", "tests/solvers/test_isolated.py", "tests/planning/test_follow.py",
     "tests/export/test_folder.py",
 )  # fmt: skip
+"""The slowest files, slowest first."""
 
 
 @pytest.hookimpl(optionalhook=True)

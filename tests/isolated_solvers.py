@@ -80,6 +80,6 @@ ACTS = {
     "hang": hang, "exit": lambda session: os._exit(3), "fork and exit": fork_and_exit, "child and hang": child_and_hang,
     "crash": lambda session: os.kill(os.getpid(), signal.SIGSEGV),
     "close everything": lambda session: (os.closerange(3, 256), hang(session)),
-    "eat": lambda session: np.empty(200_000_000),
+    "eat": lambda session: np.empty(200_000_000),  # 1.6 GB
     "raise": lambda session: 1 / 0, "quit": lambda session: sys.exit("enough"),
 }  # fmt: skip

@@ -99,7 +99,7 @@ def edited(draw: st.DrawFn, text: str) -> bytes:
         place = draw(st.integers(0, len(lines) - 1))
         line, other, more, odd = lines[place], draw(LINES), draw(st.text(max_size=5)), draw(ODD)
         cut, quoted, valued = draw(st.integers(0, len(line))), line.split('"'), f"{line.partition('=')[0]}= {odd}"
-        if len(quoted) >= 3 and "<" in line:
+        if len(quoted) >= 3 and "<" in line:  # an attribute of XML
             quoted[2 * draw(st.integers(0, (len(quoted) - 3) // 2)) + 1] = odd
             valued = '"'.join(quoted)
         new = [], [line, line], [line[:cut] + more + line[cut:]], [valued], [valued], [other]

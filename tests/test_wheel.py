@@ -1,4 +1,4 @@
-"""The source archive and the wheel are complete. A stand-in for `ziglang` calls the compiler."""
+"""The source archive and the wheel are complete. A stand-in for `ziglang` calls the system's compiler."""
 
 import contextlib
 import importlib.util
@@ -33,6 +33,7 @@ def call(*command, **options):
 
 
 def closure(lines):
+    """Return every installed distribution that these requirements need."""
     found, waiting = {}, list(lines or ())
     while waiting:
         line = waiting.pop()

@@ -57,7 +57,7 @@ def wrong_corners(
     seed: int, n: int, count: int, *, tilt: float = 1.0, size: float = 1.0, regularization: float = 0.0,
     least: float = 0.05
 ) -> list[Wrong]:
-    """Return corners with `share` > `least`."""
+    """Return corners with `share` > `least`. All speeds are scaled by `size`."""
     rng = np.random.default_rng(seed)
     found = []
     for _ in range(count):

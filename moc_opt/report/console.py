@@ -64,11 +64,12 @@ def console(*, stderr: bool = False, file: IO[str] | None = None) -> Console:
 
 
 class Bar(Progress):
-    """A progress bar on stderr; without a terminal, a line at most every `LINE_EVERY_S`."""
+    """A progress bar on stderr. Without a terminal, it prints a line at most every `LINE_EVERY_S`."""
 
     def __init__(
         self, description: str, total: float | None = None, *, now: str = "", on: Console | None = None
     ) -> None:
+        """Make the bar for ``total`` steps (None: not known yet)."""
         where = on or console(stderr=True)
         super().__init__(
             TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),

@@ -34,13 +34,16 @@ def save_figures(
     figures: Mapping[str, go.Figure], directory: str | os.PathLike[str],
     formats: Sequence[Literal["svg", "pdf"]] = ("svg", "pdf"),
 ) -> list[Path]:  # fmt: skip
-    """Write each figure as DIRECTORY/NAME.FORMAT. Raise the errors of `browser`, or a ReportError."""
+    """Write each figure as DIRECTORY/NAME.FORMAT; return the files.
+
+    Raise the errors of `browser`, or a ReportError if a file cannot be written.
+    """
     for name in figures:
         if name != Path(name).name:
             raise ReportError(f"figure {name!r}: give a name without a folder")
     with browser() as chromium:
         page = chromium.new_page()
-        page.route("**/*", lambda route: route.abort())
+        page.route("**/*", lambda route: route.abort())  # no network access
         page.set_content(SHEET)
         page.add_script_tag(content=get_plotlyjs())
         drawn = {name: _drawn(page, figure) for name, figure in figures.items()}

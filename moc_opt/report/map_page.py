@@ -93,7 +93,7 @@ def _row(reading: Reading) -> dict[str, Any]:
 
 
 def load_map(files: Sequence[str | os.PathLike[str]]) -> Page:
-    """Make a page with the map of saved runs and of their best courses, if saved."""
+    """Make a page with the map of saved runs, and of the best course from each run's start if it was saved."""
     traces, robot = load_runs(files)
     page = Page(f"Manipulability map of {title_of(traces)}", f"runs: {'; '.join(traces)}")
     courses: dict[str, Trace] = {}
@@ -111,7 +111,10 @@ def load_map(files: Sequence[str | os.PathLike[str]]) -> Page:
 
 
 def map_figure(found: SwivelMap, styles: Styles | None = None) -> go.Figure:
-    """Draw mu as colour, with a line for every run. Raise a ReportError if no pose is allowed."""
+    """Draw mu as colour, with a line for every run, dotted for a run on another branch.
+
+    Raise a ReportError if no pose is allowed.
+    """
     styles, allowed = styles or Styles(found.trajectories), found.limit == FEASIBLE
     if not allowed.any():
         raise ReportError("no pose on the map is within the joint limits: check trocar and path")
@@ -168,7 +171,7 @@ def _colors(drawn: go.Figure, found: SwivelMap, allowed: NDArray[np.bool_]) -> N
 
 
 def _edged(drawn: go.Figure, group: str, t: Array, swivel_rad: Array, mu: Array) -> dict[str, Any]:
-    """Draw a line's edge; return plotly's arguments for the line."""
+    """Draw a line's white edge; return plotly's arguments for the line."""
     leaps = np.flatnonzero(np.abs(np.diff(swivel_rad)) > np.radians(LEAP_DEG)) + 1
     x, y, values = (np.insert(of, leaps, np.nan) for of in (t, np.degrees(swivel_rad), mu))
     line = {"x": x, "y": y, "mode": "lines", "connectgaps": False, "legendgroup": group}

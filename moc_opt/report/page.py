@@ -106,7 +106,7 @@ class Page:
 
 
 def _unlike(text: str, taken: Iterable[str]) -> str:
-    """Turn a text into a name for URLs and files that is not taken."""
+    """Turn a text into an unused name for URLs and files."""
     words = anchor(text)
     return next(name for k in count(1) if (name := f"{words}-{k}" if k > 1 else words) not in taken)
 

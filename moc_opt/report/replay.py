@@ -159,7 +159,7 @@ class Part(NamedTuple):
 
     link: int  #: joint frame (from 0) that carries the part, or `BASE`
     origin: Array  #: (3,) point at height 0, in the link's frame [m]
-    axis: Array  #: (3,) unit vector
+    axis: Array  #: (3,) unit vector in the link's frame
     radii: Array  #: (k,) radii of the profile [m]
     heights: Array  #: (k,) heights of the profile [m]
     role: str  #: "shell", "joint" or "tool"

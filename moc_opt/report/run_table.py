@@ -12,8 +12,8 @@ from moc_opt.trace.metrics import METRICS, Metric
 from moc_opt.trace.trace import Trace, about, table
 
 WHOLE_RUN = ("completed", "share_of_run")
-METHOD = "mu_bound_method"  #: Entry of `Trace.meta`.
-NEAR = 0.02  #: Largest share below the best mu that counts as best.
+METHOD = "mu_bound_method"  #: Entry of `Trace.meta` that says how the largest mu was found.
+NEAR = 0.02  #: If mu is below the best mu by at most this share, it counts as best.
 
 MATTER = (
     "mu_mean", "mu_gain_percent", "mu_fraction_of_best_from_start", "tip_error_model_mean_mm",
@@ -30,12 +30,12 @@ ANOTHER_PROBLEM = (
 
 
 def answers_another_problem(trace: Trace) -> bool:
-    """Return whether the solver is nonlinear. The metrics in `VERDICTS` then mean nothing."""
+    """Return whether the solver solves a nonlinear problem. The metrics in `VERDICTS` then mean nothing."""
     return about(trace).get("solver", "").startswith("nlp-")
 
 
 def part(trace: Trace) -> str:
-    """Return the completed part of a run, such as " (first 0.6 s of 8.0 s)", or ""."""
+    """Return the completed part of a run, such as " (first 0.6 s of 8.0 s)" ("" for a whole run)."""
     ending = Ending.of(str(trace.meta.get("ended")))
     if ending is Ending.PART:
         return " (a part)"
@@ -66,7 +66,7 @@ def replaced(trace: Trace) -> str:
 
 
 def below_best(trace: Trace) -> str:
-    """Say how far mean mu is below the best course's ("" if at most `NEAR`), or why this is unknown."""
+    """Say how far mean mu is below the best course's ("" if by at most `NEAR`), or why this is unknown."""
     found = table(trace.meta, "best_courses")
     if absent := found.get("absent"):
         return f"mean mu is not compared with the best joint motion from this start: {absent}"
@@ -92,7 +92,7 @@ def below_best(trace: Trace) -> str:
 
 
 def facts(trace: Trace) -> dict[str, str]:
-    """Return arm, path, solver and so on."""
+    """Return arm, path, solver and other facts of the scenario, by name."""
     scenario = table(trace.meta, "scenario")
     law, control = about(trace).get("solver"), table(scenario, "control")
     known = {
@@ -176,7 +176,7 @@ def description(trace: Trace) -> str:
 
 
 def remarks(trace: Trace) -> list[str]:
-    """Return sentences on faults, warnings and a low mean mu."""
+    """Return sentences on refused answers, warnings and a low mean mu."""
     refused = [
         f"answer refused, {fault}: {of['count']} of {len(trace)} ticks, first at {of['first_at_s']:.3f} s: "
         f"{of['first']}"
@@ -186,7 +186,7 @@ def remarks(trace: Trace) -> list[str]:
 
 
 def run_json(trace: Trace, metrics: Mapping[str, float]) -> dict[str, Any]:
-    """Return a run as data for JSON."""
+    """Return a run's end, metrics, warnings and faults for JSON."""
     hidden = set(VERDICTS) & set(metrics) if answers_another_problem(trace) else set()
     first = {"part": part(trace).strip(" ()"), "solver_replaced": replaced(trace)}
     return {

@@ -38,7 +38,7 @@ class Column:
     help: str = ""
     among: str = ""  #: key of a flag: only rows with this flag can be best
     section: str = ""  #: section of the page to which the values link
-    sections: str = ""  #: key of a row's own section
+    sections: str = ""  #: key of a row's own section, which replaces `section`
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ class _Column(NamedTuple):
     heading: Text
     cells: list[Text]
     justify: Literal["left", "right"]
-    least: int  #: width that breaks no number, name or heading
+    least: int  #: width at which no number, name or heading is broken
     most: int  #: width without any line break
 
 

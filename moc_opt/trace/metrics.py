@@ -31,7 +31,7 @@ class Metric:
 
     name: str
     unit: str  #: such as "mm"; "1" for counts and ratios
-    about: str
+    about: str  #: one line on what the metric measures
     function: Callable[..., float] = field(repr=False)  #: function of (trace) or (trace, baseline)
 
     def __call__(self, trace: Trace, baseline: Trace | None = None) -> float:
@@ -40,14 +40,14 @@ class Metric:
         return float(self.function(trace, baseline) if compares else self.function(trace))
 
 
-METRICS: dict[str, Metric] = {}
+METRICS: dict[str, Metric] = {}  #: All metrics by name.
 
 
 def metric(unit: str | Callable[..., float]) -> Any:
-    """Register a function as a metric: `@metric("mm")`, or `@metric` for counts and ratios.
+    """Register a function as a metric under its own name: `@metric("mm")`, or `@metric` for counts and ratios.
 
     The function takes `(trace)` or `(trace, baseline)`. The first line of its docstring describes the metric. If it
-    raises a MissingDataError, a summary leaves it out.
+    raises a MissingDataError, a summary leaves the metric out.
 
     Raises:
         TraceError: the function has no docstring, or another metric already has its name.
@@ -69,7 +69,7 @@ def _add(name: str, unit: str, about: str, function: Callable[..., float]) -> Me
 
 
 def load_plugins() -> dict[str, str]:
-    """Register the metrics of other packages. Return why some cannot be loaded, by name."""
+    """Register the metrics of other packages. Return the reasons of those that cannot be loaded, by name."""
     for name, points in plugins.plugins(GROUP).items():
         if points[0] in _LOADED:
             continue

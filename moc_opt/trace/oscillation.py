@@ -16,17 +16,18 @@ Floats = NDArray[np.float64]
 Flags = Sequence[bool] | NDArray[np.bool_]
 
 LIMIT_RAD_PER_S, LIMIT_NM = 0.2, 10.0
-LIMIT_M_PER_S, LIMIT_N = 0.08, 100.0
+LIMIT_M_PER_S, LIMIT_N = 0.08, 100.0  #: Limits for a prismatic joint.
 PARTS, LOUDEST, KEPT_UP = 8, 2, 0.5
 """The window has 8 parts. Unlike a jerk, an oscillation exceeds half the limit even without its 2 loudest parts."""
 ABOVE_HZ, WINDOW_S, START_S, SHORTEST_S = 8.0, 1.0, 0.5, 1e-6
+"""START_S: time at the start that is left out. SHORTEST_S: shortest allowed time between ticks."""
 
 
 class Shaking(NamedTuple):
     """The largest oscillation in a run."""
 
-    joint: int  #: from 0
-    rms: float  #: root mean square in the worst window
+    joint: int  #: index, from 0
+    rms: float  #: root mean square in the worst window, in the column's unit
     frequency_Hz: float
     rest: float  #: like rms, without the loudest quarter of the window
 
@@ -95,7 +96,7 @@ def above(values: Floats, width: int) -> Floats:
 
 
 def describe(trace: Trace, joint_names: Sequence[str], slides: Flags) -> str:
-    """Return the oscillating joint, its frequency and rms as text, or ""."""
+    """Say which joint oscillates, its frequency and rms ("" if none does). ``slides`` marks the prismatic joints."""
     speeds = np.where(slides, LIMIT_M_PER_S, LIMIT_RAD_PER_S)
     efforts = np.where(slides, LIMIT_N, LIMIT_NM)
     v, tau = shaking(trace, "v_rad_per_s", speeds), shaking(trace, "tau_Nm", efforts)
@@ -108,7 +109,7 @@ def describe(trace: Trace, joint_names: Sequence[str], slides: Flags) -> str:
 
 
 def judged_for_oscillation(trace: Trace, joint_names: Sequence[str], slides: Flags) -> Trace:
-    """Return the trace. If the run oscillated, its ``meta["ended"]`` says so."""
+    """Return the trace. If the run oscillated, the result's ``meta["ended"]`` says so."""
     ended, stopped_s = trace.meta.get("ended"), trace.meta.get("stopped_at_s")
     judged = trace if stopped_s is None else trace.head(int(np.searchsorted(trace.t_s, stopped_s)))
     brief = len(judged) < 4 or judged.t_s[-1] - judged.t_s[0] < START_S + 0.5 * WINDOW_S

@@ -42,7 +42,7 @@ def test_entries_take_turns_by_chunk(monkeypatch):
     assert {name: found["times_calls"] for name, found in part.seen.items()} == {"a": 20, "b": 20}
     chunks = [log[i : i + 5] for i in range(0, len(log), 5)]
     assert all(len({name for name, _ in chunk}) == 1 for chunk in chunks)
-    # The entries alternate in going first.
+    # The first round is untimed. The entries alternate in going first.
     assert [chunk[0][0] for chunk in chunks] == ["a", "b", "b", "a"] * 3
     assert [item for name, item in log if name == "a"] == [*range(10)] * 3
     assert [item for name, item in log if name == "b"] == [*range(100, 110)] * 3

@@ -41,6 +41,7 @@ def test_enumeration_of_active_bounds_finds_known_optima(A, b, pull, rho, box, e
 @pytest.mark.parametrize("rho", [0.0, 0.3])
 @pytest.mark.parametrize("rows", [5, 4, 3, 2])
 def test_highs_finds_no_better_point(rows, rho):
+    """A point is optimal if HiGHS cannot lower the linearized cost."""
     rng = np.random.default_rng([rows, int(10 * rho)])
     A, pull, upper = rng.normal(size=(rows, 6)), rng.normal(size=6), rng.uniform(0.1, 1.0, 6)
     b = A @ rng.uniform(-upper, upper)

@@ -94,7 +94,7 @@ def test_unwritable_output_gives_no_traceback():
     (["solvers", "--list"], mo.solvers.available),
 ])  # fmt: skip
 def test_lists_of_names_are_complete(capsys, monkeypatch, command, expected):
-    monkeypatch.setenv("COLUMNS", "400")
+    monkeypatch.setenv("COLUMNS", "400")  # so that no name is wrapped
     assert main([*command, "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)
     assert set(expected()) <= set(rows)

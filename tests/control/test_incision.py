@@ -19,6 +19,7 @@ def look(guard, q, trocar, wrench):
 
 
 def seen(robot, q, point, wrench=None, tip_force=None):
+    """RCM error [m] and trocar force [N] from one reading."""
     guard = guard_of(robot, q, incision=True, incision_s=PERIOD, tip_force_N=tip_force)
     look(guard, q, np.array([point, np.zeros(3)]), wrench)
     _, figures = guard._guard.watched()
@@ -91,7 +92,7 @@ def test_warnings_and_stops_depend_on_low_passed_mean_squares(robot, time_s):
             due = np.transpose([first * PERIOD, now, levels])[first <= k]
             found = [[w["first_s"], w["largest"], w["level"]] for w in guard.warnings]
             np.testing.assert_allclose(np.reshape(found, (-1, 3)), due, rtol=1e-9)
-        look(guard, q, off_by(robot, q, 0.0), weight(robot, q))
+        look(guard, q, off_by(robot, q, 0.0), weight(robot, q))  # the warning keeps the largest value
         assert [(w["unit"], round(w["largest"], 2)) for w in guard.warnings] == [("mm", 5.0), ("N", 6.0)]
     for j, (limit, level, words) in enumerate(zip(LIMITS, (4e-3, 4.0), ("4 mm", "4 N"), strict=True)):
         guard = guard_of(robot, **quiet | {limit: level})

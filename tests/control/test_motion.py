@@ -108,7 +108,7 @@ def test_frozen_position_with_nonzero_velocity_stops_the_arm(speed, joint):
     q[100:, joint] = q[100, joint]
     wrong, k = looked(q, v)
     assert "do not follow their velocities" in wrong
-    assert 0 < (k - 100) * PERIOD * speed < 2.0 * (0.001 + 0.012 * speed)
+    assert 0 < (k - 100) * PERIOD * speed < 2.0 * (0.001 + 0.012 * speed)  # undetected motion [rad]
 
 
 @pytest.mark.parametrize(("by", "wrench_repeats", "level"), [
@@ -119,7 +119,7 @@ def test_repeated_reading_stops_the_arm_if_reference_or_torque_changes(by, wrenc
     still, reference, tau = np.tile(np.linspace(-1.0, 1.0, N), (600, 1)), np.zeros((600, 3, 3)), np.zeros((600, N))
     grown = reference[:, 0, 0] if by == "reference" else tau[:, 2]
     grown[:] = (0.01 * PERIOD if by == "reference" else -0.02) * np.arange(600)
-    assert looked(still, 0.0 * still)[0] == ""
+    assert looked(still, 0.0 * still)[0] == ""  # the reference is at rest
     wrench = np.zeros((600, 6)) if wrench_repeats else np.random.default_rng(0).normal(size=(600, 6))
     wrong, k = looked(still, 0.0 * still, tau, reference, wrench)
     assert "all encoders repeat" in wrong
@@ -140,7 +140,7 @@ def test_repeated_reading_of_a_noisy_sensor_stops_the_arm(noisy, alone):
     wrong, k = looked(q, 0.0 * q, wrench=wrench)
     assert (("wrench sensor repeats" if alone else "all encoders repeat") in wrong) == noisy
     assert k == (326 if noisy else 600)
-    wrench[325] += 1.0
+    wrench[325] += 1.0  # the count restarts
     assert looked(q[:340], 0.0 * q[:340], wrench=wrench[:340]) == ("", 340)
 
 

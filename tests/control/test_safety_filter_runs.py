@@ -24,7 +24,7 @@ QUANTIZED = {"encoder_noise_rad": 0.0, "encoder_resolution_rad": 5e-4}
 
 
 def stopped(at, within, error, newton, reason="", **scenario):
-    """Check that a run stops at most `within` s after `at`."""
+    """Check that a run stops at most `within` s after `at`, with bounds on tip error [m] and trocar force [N]."""
     trace = run(Scenario(**{"duration_s": 2.0, **scenario, **QUICK}))
     assert trace.meta["ended"].startswith("stopped: ")
     assert reason in trace.meta["ended"]

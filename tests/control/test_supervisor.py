@@ -71,7 +71,7 @@ def asked(qp, Z, answer, n=7, v=None, **changes):
 
 
 def judged(row, Z, x):
-    """Return the residuals (primal, outside, natural, off, opposite) of x (moc_residuals)."""
+    """Return the residuals (primal, outside, natural, off, opposite) of x. shared.h defines them (moc_residuals)."""
     made = law(len(x))
     made.load(row, np.ascontiguousarray(Z))
     return made.judge(np.ascontiguousarray(x))
@@ -201,6 +201,7 @@ def test_optimum_for_negated_gradient_is_refused(recorded):
 
 
 def along_the_line(qp, Z, x):
+    """Compute the residuals `natural`, `off` and `opposite` of x by numerical search."""
     d = Z.T @ (Z @ qp.pull)
     d /= np.linalg.norm(d)
     moving = np.abs(d) > 1e-9
@@ -410,6 +411,7 @@ def test_tip_and_rcm_do_not_depend_on_third_level(kind, robot):
         assert bad.fault is not Fault.NONE
         change = state.A @ np.linalg.solve(state.M, torques[1] - torques[0])
         assert np.abs(change).max() < 1e-8
+        # both observers get the same torque
         for mine in (good, bad):
             mine.set_applied_torque(torques[0])
     assert np.abs(torques[1] - torques[0]).max() > 1e-3

@@ -54,7 +54,7 @@ def test_the_desired_velocity_corrects_the_position_error(robot):
         np.testing.assert_allclose(desired, 0.1, atol=1e-9)
     guide.start()
     np.testing.assert_allclose(guide.desired_velocity(robot.state(robot.data.q_home + 0.01)), 0.1 - 0.05, atol=1e-9)
-    for _ in range(600):
+    for _ in range(600):  # after the end of the course, its final pose is held
         last = guide.desired_velocity(robot.state(robot.data.q_home + 0.2))
     np.testing.assert_allclose(last, 5.0 * (0.1 - 0.2), atol=1e-9)
 
@@ -219,7 +219,7 @@ def test_wrong_answers_of_the_nonlinear_program_are_refused(monkeypatch, wrong):
     robot, q, solve = setup().robot, setup().q_start, Program.solve
 
     def nonsense(self, guess, *given):
-        if wrong == "fast":  # the first step of joint 7 is too long
+        if wrong == "fast":  # the first step of joint 7 is too long; this joint moves neither tip nor wrist
             right, _ = solve(self, guess, *given)
             return right - np.copysign(2.0, right[0, 6]) * np.eye(7)[6], True
         return (rng.normal(size=guess.shape) if wrong == "random" else np.full_like(guess, np.nan)), True
@@ -241,7 +241,7 @@ def test_a_new_course_begins_on_the_old_one_only_if_the_arm_is_near(monkeypatch)
         planner.plan(on_course, path.t_s[-1] - share * path.period_s, last)
         assert planner.told["solves"] == solves + more
     monkeypatch.setattr(Program, "solve", lambda self, guess, *_: guesses.append(guess) or (guess, True))
-    for before in (None, last, last._replace(q_rad=last.q_rad + 3.0 * off)):
+    for before in (None, last, last._replace(q_rad=last.q_rad + 3.0 * off)):  # the third is far in one joint only
         planner.plan(on_course, 0.1, before)
     assert [np.array_equal(guesses[0], guess) for guess in guesses] == [True, False, True], "only a near course matters"
 

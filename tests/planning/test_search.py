@@ -123,7 +123,7 @@ def test_the_fitted_parabola_is_exact_for_a_quadratic_value_function(j):
     ):  # fmt: skip
         slope, room = 0.4 * bool(bend), np.ones((2, 1, 200))  # bend = 0: only three poses, so no parabola is fitted
         room[..., (j + np.array(dead, dtype=int)) % 200] = -1.0
-        mu = 4.0 * np.tile(0.3 + 0.4 * z + 0.5 * bend * z**2, (2, 1, 1))
+        mu = 4.0 * np.tile(0.3 + 0.4 * z + 0.5 * bend * z**2, (2, 1, 1))  # the last weight is 0.25 s
         found = replace(base, robot=two, q_rad=np.tile(q, (2, 1, 1, 1)), mu=mu, room_rad=room)
         expected = [*q[j], -q[j, 1], q[j, 0] - 0.3, slope, min(bend, 0.0), *z[(j + np.array([low, high])) % 200]]
         np.testing.assert_allclose(np.hstack(Value(found, Limits()).near(1, (0, j))), expected, atol=1e-9)

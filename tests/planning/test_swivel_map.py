@@ -68,7 +68,7 @@ def test_a_mirrored_pose_has_the_opposite_swivel(robot):
 
 
 def test_swivel_reference_is_not_nearly_parallel_to_the_line_to_the_wrist(robot):
-    away = np.array([[0.01, 0.0, 0.5], [0.3, 0.0, 0.2]])
+    away = np.array([[0.01, 0.0, 0.5], [0.3, 0.0, 0.2]])  # from the shoulder to the wrist
     for wrists, axis in ((away[1:], 2), (away, 1), (away[:, [1, 0, 2]], 0)):
         np.testing.assert_array_equal(Elbow(robot, np.array([0.0, 0.0, 0.31]) + wrists).reference, np.eye(3)[axis])
 

@@ -1,4 +1,6 @@
 """Near a straight elbow, no answer with a loss above 1 % is verified, even if it is within the primal tolerance.
+
+Each attempt moves an optimum along the nearly singular direction of A.
 """
 
 from fractions import Fraction
@@ -17,6 +19,7 @@ SIZES = 10.0 ** np.arange(-13, -3)
 
 
 def extremes(Z, base, qp):
+    """Return the optimum (n,), and the least and largest feasible cost."""
     points = candidates(qp, Z, base, damped=True)
     if not len(points):
         return None
@@ -64,7 +67,7 @@ def attack(rng, qp, base, Z, direction):
     assert qp.residuals(x).verified()
     scale = qp.c2 * np.abs(qp.grad_mu).max() * (qp.upper - qp.lower).max()
     if most - least < 1e-6 * scale:
-        return []
+        return []  # the cost is constant
     length = min(1.0, 0.9e-6 / max(np.abs(qp.A @ direction).max(), 1e-30)) * rng.uniform(0.2, 1.0)
     found = []
     for sign in (-1.0, 1.0):
@@ -77,6 +80,7 @@ def attack(rng, qp, base, Z, direction):
 
 
 def attempts(rng, count):
+    """Yield pairs (subproblem, wrong answer) with a loss above 1 %."""
     while count > 0:
         size = rng.choice(SIZES) * rng.uniform(0.5, 2.0)
         kind = rng.integers(9)
@@ -122,7 +126,7 @@ def test_only_the_better_end_of_the_feasible_segment_is_verified(size):
     """The gradient is nearly orthogonal to the self-motion."""
     rng, seen = np.random.default_rng(int(-np.log10(size))), 0
     for slope, width in [(1e-2, 1e-4), (1e-4, 1e-2), (1e-6, 1e-4), (1e-8, 1e-2), (1e-8, 3e-6)] * 3:
-        unit = rng.choice([1.0, 1e3])
+        unit = rng.choice([1.0, 1e3])  # of length
         U, V = (np.linalg.qr(rng.normal(size=(k, k)))[0] for k in (5, 6))
         A, x = unit * U * [1.0, 0.8, 0.6, 0.4, size] @ V[:, :5].T, rng.uniform(-0.4, 0.4, 6)
         b, lower, upper = A @ x, x - rng.uniform(0.5, 1.0, 6), x + rng.uniform(0.5, 1.0, 6)

@@ -268,6 +268,7 @@ Rows = list[tuple[float, float, float, float]]
 
 
 def upright(signs: tuple[float, ...], lengths: tuple[float, ...]) -> Rows:
+    """Return the DH rows of an arm whose neighbouring axes intersect (a = 0)."""
     return [(0, sign * RIGHT, d, 0) for sign, d in zip(signs, lengths, strict=True)]
 
 

@@ -73,7 +73,7 @@ def test_run_is_compared_with_the_best_courses_along_its_path():
     for name, course in (("mu_fraction_of_best_from_start", found.from_start), ("mu_fraction_of_best", found.best)):
         assert metrics[name] == pytest.approx(metrics["mu_mean"] / course.mu_mean, rel=0.01)
     assert metrics["mu_fraction_of_best"] <= metrics["mu_fraction_of_best_from_start"] <= 1.005
-    known = best_courses(COMPARED)
+    known = best_courses(COMPARED)  # planned once for all controllers
     assert known is best_courses(COMPARED.change(control={"preset": "tuned"}, solver={"name": "osqp"}))
     assert known is not best_courses(COMPARED.change(start={"swivel": 0.3}))
 

@@ -144,7 +144,7 @@ def test_under_several_faults_at_once_a_run_completes_or_the_arm_is_stopped_and_
     ended = Ending.of(trace.meta["ended"])
     assert (np.abs(trace.tau_Nm) <= setup.robot.tau_max * (1.0 + 1e-12)).all()
     if ended is Ending.STOPPED:
-        whole = trace.meta["ticks"] < trace.meta["ticks_planned"]
+        whole = trace.meta["ticks"] < trace.meta["ticks_planned"]  # whether the stop ended before the planned time
         assert not whole or np.abs(trace.v_rad_per_s[-1]).max() <= 0.05
     else:
         assert ended in (Ending.COMPLETED, Ending.OSCILLATED)

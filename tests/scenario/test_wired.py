@@ -159,7 +159,7 @@ def test_both_ends_need_the_same_scenario_except_for_control_and_guard():
         run_there = pool.submit(plant.trace)
         with pytest.raises(WireError, match="another scenario"):
             answer(base.change(seed=1), written(plant.address))
-        answer(base, written(plant.address))
+        answer(base, written(plant.address))  # the plant still waits for its controller
         assert run_there.result().meta["ended"] == "completed"
 
 

@@ -261,7 +261,7 @@ def test_refused_start_does_not_change_the_plant():
     np.testing.assert_array_equal(plant.q, before)
     assert plant.time == pytest.approx(3 * 0.002)
     plant.reset(DATA.q_min)
-    plant.reset(DATA.q_max)
+    plant.reset(DATA.q_max)  # the limits are allowed
 
 
 @pytest.mark.parametrize("force", [1e5, 1e15])

@@ -90,7 +90,7 @@ BRAKE_S = 0.05 / 0.2  # shortest braking time
 
 
 def flags(seconds, losses):
-    """Return whether the board is seen at each tick. `losses`: (start, length) [s]."""
+    """Return whether the board is seen at each tick. Each of `losses` has a start and a length [s]."""
     t = PERIOD * np.arange(round(seconds / PERIOD))
     seen = np.ones(len(t), dtype=bool)
     for start, length in losses:
@@ -159,7 +159,7 @@ points = arrays(np.float64, 3, elements=st.floats(-1.0, 1.0))
 def test_breathing_moves_the_trocar_back_and_forth() -> None:
     given = np.array(POINT)
     trocar = Trocar(given, breathing_amplitude_m=0.01, breathing_period_s=5.0, direction=(0.0, 3.0, 4.0))
-    given[:] = 0.0
+    given[:] = 0.0  # the trocar has a copy
     away = 0.01 * np.array([0.0, 0.6, 0.8])
     for t, part in ((0.0, 0.0), (1.25, 0.5), (2.5, 1.0), (5.0, 0.0), (7.5, 1.0)):
         np.testing.assert_allclose(trocar.at(t)[0], POINT + part * away, atol=1e-15)
