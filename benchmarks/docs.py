@@ -1,7 +1,7 @@
 """Put the figures of finished studies into README.md and docs: python -m benchmarks.docs [RESULTS]
 
 The text between ``<!-- NAME -->`` and ``<!-- /NAME -->`` becomes the answer and the first table of
-RESULTS/NAME/report.md. The text between ``<!-- NAME: TITLE -->`` and its end becomes section TITLE.
+RESULTS/NAME/report.md. The text between ``<!-- NAME: TITLE -->`` and its closing comment becomes section TITLE.
 """
 
 from __future__ import annotations
