@@ -1,6 +1,6 @@
 """Studies that need a checkout: ``python -m benchmarks.NAME`` runs one.
 
-Numerical libraries use one thread. This limit has to be set before they load.
+The limit of one thread is set here, because numerical libraries read it when they load.
 """
 
 import os

@@ -1,8 +1,4 @@
-"""Compute the answers of a test set in exact arithmetic, without the solvers and residuals of moc_opt.
-
-`optimum` minimises the subproblem's cost in rational numbers, subject to five equality rows (see `five_rows`). HiGHS
-has to confirm which problems are feasible.
-"""
+"""Compute the answers of a test set in rational numbers, without the solvers and residuals of moc_opt."""
 
 from __future__ import annotations
 
@@ -18,8 +14,7 @@ from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.study.testsets import CertificateError, TestSet
 
 TIED = 1e-12  # largest difference of tip and wrist velocity along a rigid shaft, relative to |A|
-RANK_TOLERANCE = 1e-12
-"""A singular value below this share of |A| counts as zero."""
+RANK_TOLERANCE = 1e-12  # A singular value up to this share of |A| counts as zero.
 FEASIBLE, INFEASIBLE = 0, 2  # status of scipy's linprog
 ZERO = Fraction(0)
 Vector = list[Fraction]
@@ -28,8 +23,8 @@ Vector = list[Fraction]
 def five_rows(qp: NullSpaceQP) -> tuple[Array, Array]:
     """Return A (5, n) and b (5,): the tip's three rows and the wrist's two across the shaft.
 
-    Along the shaft, the wrist's row equals the tip's up to rounding. In exact arithmetic, such rows may contradict each
-    other, so the wrist's row is left out.
+    Along the shaft, the wrist's row equals the tip's up to rounding. It is left out, because exact arithmetic could
+    find the two rows contradictory.
     """
     directions, sizes, _ = np.linalg.svd(qp.J_tip - qp.J_wrist)
     if sizes[2] > TIED * np.linalg.norm(qp.A):
@@ -45,16 +40,9 @@ def five_rows(qp: NullSpaceQP) -> tuple[Array, Array]:
 def optimum(A: Array, b: Array, pull: Vector, rho: float, lower: Array, upper: Array) -> Vector | None:
     """Minimise rho/2 |x|^2 - pull^T x subject to A x = b, lower <= x <= upper, without rounding.
 
-    Joints whose column of A is zero are solved one by one. For the others, all sets of active bounds are tried. The
-    first point within the bounds whose multipliers have the right signs is an optimum, because the problem is convex.
-    Return None if the problem is infeasible.
-
-    Args:
-        A: (m, n) rows.
-        b: (m,) right-hand sides.
-        pull: (n,) vector, by default c2 grad_mu.
-        rho: weight of |x|^2, 0 or larger.
-        lower, upper: (n,) bounds.
+    Joints whose column of A is zero are solved one by one. For the others, all sets of active bounds are tried (only
+    vertices if rho is 0). The first point within the bounds whose multipliers have the right signs is an optimum,
+    because the problem is convex. Return None if the problem is infeasible.
     """
     weight, ends = Fraction(rho), [(Fraction(low), Fraction(high)) for low, high in zip(lower, upper, strict=True)]
     moving = [j for j in range(len(ends)) if A[:, j].any()]
@@ -93,7 +81,7 @@ def _alone(gain: Fraction, weight: Fraction, low: Fraction, high: Fraction) -> F
 def _stationary(
     basis: list[Vector], start: Vector, gains: Vector, weight: Fraction, active: dict[int, Fraction]
 ) -> tuple[Vector, Vector] | None:
-    """Return (stationary point x, multipliers m) for these active bounds. Return None if x or m is not unique.
+    """Return (stationary point x, multipliers m) for these active bounds, or None if x or m is not unique.
 
     They satisfy N^T (weight x - gains) = N_S^T m. N is the basis of ker A, N_S its rows for the joints in ``active``.
     """

@@ -2,7 +2,7 @@
 
 python -m benchmarks.coverage [CONFIG.toml] [--out DIR] [--quick] [--json]
 
-A true value is a metric's change from DCAC to MOC over a pool of new trials. Each interval uses trials drawn from it.
+The true value is a metric's change from DCAC to MOC over a pool of trials. Each interval uses trials drawn from it.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Config(StudyConfig):
 
 
 def covered(treated: ArrayLike, control: ArrayLike, size: int, draws: int) -> tuple[float, float]:
-    """Return (share [%] of the intervals that contain the true change, median width of the intervals [%])."""
+    """Return (share of intervals that contain the true change [%], median width [%])."""
     treated, control = np.asarray(treated), np.asarray(control)
     rng, held, widths = np.random.default_rng(size), 0, []
     true = 100.0 * (treated.mean() / control.mean() - 1.0)

@@ -1,7 +1,7 @@
 """Put the figures of finished studies into README.md and docs: python -m benchmarks.docs [RESULTS]
 
-The text between ``<!-- NAME -->`` and ``<!-- /NAME -->`` in a page becomes the answer and the first table of
-RESULTS/NAME/report.md. Text between ``<!-- NAME: TITLE -->`` and ``<!-- /NAME: TITLE -->`` becomes section TITLE.
+The text between ``<!-- NAME -->`` and ``<!-- /NAME -->`` becomes the answer and the first table of
+RESULTS/NAME/report.md. The text between ``<!-- NAME: TITLE -->`` and its closing comment becomes section TITLE.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ BLOCK = re.compile(
 
 
 def block(folder: Path, title: str | None) -> str | None:
-    """Return the command that made a report, and the report's section ``title`` (None: its answer and first table)."""
+    """Return how a report was measured, and its section ``title`` (None: answer and first table)."""
     if not (folder / "report.md").exists():
         return None
     parts = re.split(r"^## (.+)\n", (folder / "report.md").read_text(encoding="utf-8"), flags=re.MULTILINE)

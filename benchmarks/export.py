@@ -51,7 +51,6 @@ class NullSpace(ParquetTestSet):
 
 
 def problems(names: Sequence[str], every: int = 1) -> dict[str, NullSpaceQP]:
-    """Take every ``every``-th problem of each set. Return the feasible ones by name."""
     found = {}
     for name in names:
         check_name(name)
@@ -63,7 +62,7 @@ def problems(names: Sequence[str], every: int = 1) -> dict[str, NullSpaceQP]:
 
 
 def write_qpbenchmark(folder: Path, names: Sequence[str] = SETS, every: int = 1, rows: int = 5) -> Path:
-    """Write the module and its Parquet file in the format of qpbenchmark's ``ProblemList``."""
+    """Write a Parquet file in the format of qpbenchmark's ``ProblemList``, and a module that loads it."""
     chosen = problems(names, every)
     if not chosen:
         raise StudyError(f"sets = {', '.join(names)}: no problem in them is feasible; use other sets")

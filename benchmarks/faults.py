@@ -1,7 +1,5 @@
 """What happens when something breaks? Every run is compared with the same run without a fault.
 
-MOC is the controller whose solver moves the elbow. DCAC has none. RCM error: distance of the shaft from the trocar.
-
 python -m benchmarks.faults [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 """
 
@@ -79,7 +77,7 @@ class Case(Settings):
     plant: dict[str, Any] = Field(default_factory=dict)
     trocar: dict[str, Any] = Field(default_factory=dict)
     camera_lost_s: tuple[float, float] | None = None
-    """interval [s] in which the camera does not see the board on the phantom, so that the tip waits"""
+    """interval [s] in which the camera does not see the board, so that the tip waits"""
     from_s: float = Field(0.0, ge=0.0)
     until_s: float | None = Field(None, ge=0.0, description="None if the fault acts until the end")
 
@@ -160,13 +158,12 @@ def work(study: Study, config: Config) -> Found:
 
 
 def run_block(block: Block) -> tuple[list[dict[str, Any]], dict[str, dict[str, Array]]]:
-    """Return one row per case, and the curves to draw."""
     rows, curves = [], {}
     faultless: dict[bool, Trace | None] = {}
     for name, case in block.cases.items():
         trace, how = run_case(case.corrupt(block.trial), case.camera_lost_s)
         waits = case.camera_lost_s is not None
-        # A `Waited` reference starts more slowly. So the run to compare with also has one, which never waits.
+        # A `Waited` reference starts more slowly, so the run to compare with also has one, which never waits.
         if waits not in faultless:
             faultless[waits] = run_case(block.trial, (0.0, 0.0))[0] if waits else trace
         if (free := faultless[waits]) is None:
@@ -235,9 +232,9 @@ def measure(
 
 
 def detection(trace: Trace) -> dict[str, int]:
-    """Count injected solver faults (detected, harmless, missed), and false alarms.
+    """Count injected solver faults and false alarms.
 
-    A corrupted answer that was used is harmless if it is optimal, else missed. Answers during a stop are not counted.
+    A falsified answer that was used is harmless if it is optimal, else missed.
     """
     never: NDArray[np.bool_] = np.zeros(len(trace), dtype=np.bool_)
     injected = trace.columns.get("injected", never) & (trace.fault != "stopped")
@@ -253,10 +250,7 @@ def detection(trace: Trace) -> dict[str, int]:
 
 
 def recovery(trace: Trace, free: Trace, case: Case, ended: str) -> float | None:
-    """Return the time [s] from the fault's end until the errors stay below their thresholds, or None if they never do.
-
-    For a fault that does not end, the time is counted from its start.
-    """
+    """Return the time [s] from the fault's end (from its start, if the fault lasts) to the recovery, or None."""
     if ended != "completed" or len(trace) != len(free):
         return None
     period = float(trace.t_s[1] - trace.t_s[0])

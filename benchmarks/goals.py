@@ -1,4 +1,4 @@
-"""Goals of the studies: limits for measured values, and whether the values meet them."""
+"""Goals of the studies: limits for measured values."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Goal(NamedTuple):
     """A limit for the value of ``measured`` (number, `Interval` or `Change`). An interval meets it with both ends."""
 
     what: str
-    unit: str  #: unit of the value and the limit
+    unit: str
     limit: float
     measured: Callable[[Any], Any]
     most: bool = True  #: True: the limit is the largest allowed value; False: the smallest
@@ -25,10 +25,7 @@ class Goal(NamedTuple):
 
 
 def judge(summary: Mapping[str, Any], goals: Mapping[str, Goal]) -> dict[str, dict[str, Any]]:
-    """Return a dict for each goal: its name, limit, unit, kind, value and whether it is reached.
-
-    A goal is open if the value's interval contains the limit, or if there are too few trials.
-    """
+    """Judge every goal. A goal is open if the value's interval contains the limit, or if there are too few trials."""
     found: dict[str, dict[str, Any]] = {}
     for key, goal in goals.items():
         row: dict[str, Any] = {
@@ -56,7 +53,7 @@ def _reached(goal: Goal, measured: Any) -> dict[str, Any]:
 
 
 def goals_table(found: Mapping[str, Mapping[str, Any]], title: str = "Goals") -> Table:
-    """Make a table of the result of `judge`, missed goals first."""
+    """Make a table of `judge`'s result, missed goals first."""
     rows = [
         {
             "what": row["what"], "wanted": f"{row['kind']} {row['goal']:.3g} {row['unit']}".strip(),

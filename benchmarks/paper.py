@@ -1,10 +1,9 @@
-"""Do the paper's claims hold in simulation? The study compares MOC with DCAC on the paper's three virtual tasks.
+"""Do the paper's claims hold in simulation? MOC is compared with DCAC on the paper's three virtual tasks.
 
 python -m benchmarks.paper [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-MOC is the paper's controller with three levels of torque. DCAC is MOC without the third level, the self-motion that
-raises manipulability. MOC runs with Table I of the paper (its parameters) as printed, and with tuned values. DCAC runs
-with the paper's gains for DCAC, and with the gains of MOC.
+MOC runs with Table I of the paper (its parameters) as printed, and with tuned values. DCAC runs with the paper's gains
+for DCAC, and with the gains of MOC.
 """
 
 from __future__ import annotations
@@ -63,20 +62,16 @@ RULES = (
 
 @dataclass(frozen=True)
 class Claim:
-    """The claim that a metric's change is above ``bound`` [%] (``upwards``) or below it (not ``upwards``).
-
-    ``papers``: whether the paper makes this claim.
-    """
+    """The claim that a metric's change is above (``upwards``) or below ``bound`` [%]."""
 
     metric: str
     title: str
     text: str
     bound: float = 0.0
     upwards: bool = False
-    papers: bool = True
+    papers: bool = True  # whether the paper makes this claim
 
     def confirmed(self, effect: Change | None) -> bool:
-        """Tell whether both intervals of the effect lie beyond the bound."""
         return effect is not None and effect.side(self.bound) == (1 if self.upwards else -1)
 
     def verdict(self, own: Change | None, matched: Change | None) -> str:
@@ -100,7 +95,6 @@ CLAIMS = (
     Claim(ERRORS[4], TITLES[ERRORS[4]], "the shaft is nearer to the incision in the patient's frame", papers=False),
     Claim(ERRORS[5], TITLES[ERRORS[5]], "the shaft is nearer to the true trocar", papers=False),
 )
-"""the paper's three claims, and four on errors in other frames"""
 
 
 def disagree(change: Change, bound: float) -> bool:
@@ -118,7 +112,7 @@ class Group(Settings):
 
 
 class Case(Settings):
-    """Table I with some entries replaced. MOC and DCAC both use it."""
+    """Table I with some entries replaced."""
 
     KIND: ClassVar[str] = "[ablation.cases.*]"
     about: str = ""
@@ -128,7 +122,7 @@ class Case(Settings):
 
 
 class Ablation(Settings):
-    """Cases of Table I. The first case is the table as printed."""
+    """The first case is Table I as printed."""
 
     KIND: ClassVar[str] = "[ablation]"
     group: str = Field(PRINTED, description="the group whose parameters and trials are used")
@@ -136,7 +130,7 @@ class Ablation(Settings):
 
 
 class Swivel(Settings):
-    """Settings of the runs that start at different elbow angles, with the same tip and wrist."""
+    """Runs that start at different swivels."""
 
     KIND: ClassVar[str] = "[swivel]"
     group: str = "tuned"
@@ -237,7 +231,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def group_figures(rows: Results) -> dict[str, dict[str, Any]]:
-    """Return for each controller its means, and its changes against DCAC with MOC's gains."""
+    """Return each controller's means, and its changes against DCAC with MOC's gains."""
     changed = ["mu_mean", *ERRORS, "trocar_force_mean_N"]
     phases = [f"{phase}_{name}" for phase in PHASES for name in (*ERRORS, "trocar_force_mean_N")]
     means = ["mu_mean", "mu_fraction_of_best", *ERRORS, "trocar_force_mean_N", "torque_rate_rms_Nm_per_s"]
@@ -249,7 +243,6 @@ def group_figures(rows: Results) -> dict[str, dict[str, Any]]:
 
 
 def claims(rows: Results, group: str, solver: str) -> list[dict[str, Any]]:
-    """Return one row per claim, with the changes against each kind of DCAC."""
     found = []
     for claim in CLAIMS:
         effects = {name: rows.change(claim.metric, solver, name) for name in BASELINES}
@@ -292,7 +285,7 @@ def goals(rows: Results, group: str | None, solver: str) -> dict[str, dict[str, 
 
 def ablation(rows: Results, cases: Mapping[str, Case]) -> list[dict[str, Any]]:
     """Return one row per case and claim of the paper. The effect is the change against DCAC. The shift is the effect
-    minus the effect of Table I as printed. Each row also says whether the case decides the claim.
+    minus that of Table I as printed.
 
     A case decides a claim if its effect and that of Table I as printed lie on opposite sides of the claim's bound, the
     95 % interval of the difference of the two effects excludes zero, and there are at least eight trials.
@@ -311,7 +304,7 @@ def ablation(rows: Results, cases: Mapping[str, Case]) -> list[dict[str, Any]]:
 
 
 def _shift(rows: Results, cases: Mapping[str, Case], name: str, printed: str, claim: Claim) -> dict[str, Any]:
-    """Return the case's effect minus the printed table's effect [percentage points], and whether the case decides."""
+    """Return the case's shift [percentage points], and whether the case decides the claim."""
     four = [
         rows.where(group=case).values(claim.metric, controller)
         for case in (name, printed) for controller in (cases[case].controller, BASELINE)
@@ -327,7 +320,7 @@ def _shift(rows: Results, cases: Mapping[str, Case], name: str, printed: str, cl
 
 
 def swivel_trials(config: Config) -> list[Trial]:
-    """Return trials under DCAC and MOC, with starts along the self-motion. One start has the largest mu on it."""
+    """Return trials with starts along the self-motion. One start has the largest mu on it."""
     base = config.base(config.swivel.group)
     [trial] = trials(base, [config.swivel.task], seeds(config.seed, STREAM, 1), virtual=True)
     robot = trial.robot.arm()

@@ -1,6 +1,6 @@
-"""The work of one control tick, done by controllers of other libraries (peers): TSID, pink, mink.
+"""The work of one control tick, done by other libraries (peers).
 
-Tip and shaft follow their references within speed limits, and the null-space motion climbs the manipulability mu.
+Tip and shaft follow their references within speed limits, and the null-space motion climbs mu.
 """
 
 from __future__ import annotations
@@ -24,16 +24,15 @@ Inputs = tuple[Array, Array, Array, Array]
 Level = Literal["torque", "velocity"]
 
 PERIOD_S = 0.002
-TOLERANCE_MM, CLIMB_PERCENT = 0.5, 1.0
-"""A peer fails if tip or shaft is off by more than TOLERANCE_MM, or if mu rises by less than CLIMB_PERCENT."""
+TOLERANCE_MM, CLIMB_PERCENT = 0.5, 1.0  # largest error of tip and shaft, and least rise of mu, of a sound peer
 CLIMB = 30.0
 """wanted null-space velocity of the joints / grad mu [rad^2/(m^3 s)]"""
 STIFFNESS_PER_S = 100.0
-"""decay rate of tip and shaft errors under pink and mink [1/s]"""
+"""decay rate of tip and shaft errors under pink and mink"""
 
 
 class Peer(Protocol):
-    """A controller of another library, with the control period ``PERIOD_S``."""
+    """A controller of another library, with the period ``PERIOD_S``."""
 
     @property
     def level(self) -> Level:
@@ -44,7 +43,6 @@ class Peer(Protocol):
 
 
 def tip_gradient(robot: RobotModel) -> Callable[[Array], Array]:
-    """Return a function that computes grad mu (n,) from q."""
     rest = np.zeros(robot.n)
     return lambda q: robot.state(np.ascontiguousarray(q), rest).grad_mu
 
@@ -66,8 +64,8 @@ class TSID:
     """Task-space inverse dynamics (Del Prete et al. 2016): a QP finds accelerations."""
 
     level: Level = "torque"
-    STIFFNESS, DAMPING = 2500.0, 100.0  # acceleration per error of tip and wrist [1/s^2], and per error's rate [1/s]
-    CLIMB_DAMPING = 20.0  # acceleration per difference between the wanted and the actual joint velocity [1/s]
+    STIFFNESS, DAMPING = 2500.0, 100.0  # gains on errors of tip and wrist [1/s^2] and on their rates [1/s]
+    CLIMB_DAMPING = 20.0  # acceleration per error of the joint velocity [1/s]
 
     def __init__(self, robot: RobotModel) -> None:
         with warnings.catch_warnings():  # tsid registers two types twice
@@ -150,7 +148,7 @@ class _PinkArm:
 
 
 class Pink(_PinkArm):
-    """Differential inverse kinematics with a QP (Caron et al.), with pink's own tasks only."""
+    """Differential inverse kinematics (Caron et al.), with pink's own tasks only."""
 
     RISE_PER_S, RISE_COST = 0.05, 0.02  # wanted rise of mu [m^3/s], and its weight
 
@@ -176,7 +174,7 @@ class Pink(_PinkArm):
 
 
 class _Rows:
-    """Five equality constraints for pink. `PinkTrimmed` sets their values in each tick."""
+    """Five equality constraints for pink, set in each tick."""
 
     def __init__(self, n: int, gain: float) -> None:
         self.jacobian, self.error, self.gain = np.zeros((5, n)), np.zeros(5), gain
@@ -292,7 +290,7 @@ class Verdict(NamedTuple):
 
 
 def circle(robot: RobotModel, duration_s: float = 1.0, offset_m: float = 2e-4) -> Task:
-    """Return a horizontal circle that starts ``offset_m`` above the tip's home, and a trocar 0.15 m up the shaft."""
+    """Return the task of a horizontal circle that starts ``offset_m`` above the tip's home."""
     state = robot.state(robot.data.q_home)
     start = state.tip + np.array([0.0, 0.0, offset_m])
     path = make_path("circle", start, normal=(0.0, 0.0, 1.0), heading=(1.0, 0.0, 0.0), radius=0.03)

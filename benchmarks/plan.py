@@ -1,8 +1,6 @@
 """How much mean manipulability is possible along a path, and how much of it does MOC reach with each kind of level 3?
 
 python -m benchmarks.plan [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
-
-A course is a joint motion along a path. Level 3 of MOC moves the elbow up grad mu, or along a planned course.
 """
 
 from __future__ import annotations
@@ -38,7 +36,6 @@ LOOPS: dict[str, dict[str, Any]] = {
 }
 ERRORS = {"tip": "tip_error_model_mean_mm", "RCM": "rcm_error_model_mean_mm"}
 MOST_GAP_PERCENT = {LOCAL: 2.0, "receding": 1.0, "planned": 0.5}
-"""upper limits of the mean gap of mu to the best course [%]"""
 MOST_PLANNED_PERCENT, MOST_CHANGE_PERCENT, TRAPPED_PERCENT = 3.0, 5.0, 5.0
 MOST_SCRATCH_S, MOST_REPLAN_MS, MOST_HALVING_PERCENT = 3.0, 20.0, 0.5
 FIGURES = ("gap_percent", "fraction_of_best", *ERRORS.values(), "course_gap_percent", "replan_ms_p99")
@@ -73,7 +70,6 @@ def about(case: Scenario, part: str) -> dict[str, Any]:
 
 
 def courses(case: Scenario, loops: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return a row on the courses of one start, and a row for each closed loop."""
     trial = placed(case)
     found = plan(trial)
     row = about(case, "courses") | {
@@ -97,7 +93,7 @@ def courses(case: Scenario, loops: Mapping[str, Mapping[str, Any]]) -> list[dict
 
 
 def loop(trial: Scenario, name: str, change: Mapping[str, Any], mine: float, best: float) -> dict[str, Any]:
-    """Run a closed loop. ``mine``, ``best``: mean mu of the best course from this start, and from any start."""
+    """Run a closed loop. ``mine``, ``best``: mean mu of the best course from this and from any start."""
     case = trial.change(control=change, best_courses=False, bound_samples=0, judge=False)
     asked = Trial(case, name, case.solver.settings, {"part": "loop"}, solver=case.solver.name)
     run, trace = run_and_trace(asked)
@@ -149,7 +145,6 @@ def work(study: Study, config: Config) -> Found:
 
 
 def loop_figures(rows: Results, name: str) -> dict[str, Any]:
-    """Return means of one third level, and changes against "local"."""
     found = rows.figures(name, FIGURES, tuple(ERRORS.values()), LOCAL)
     found["left_course"] = len(rows.values("left_course_s", name))
     for metric in FIGURES:

@@ -2,9 +2,8 @@
 
 python -m benchmarks.plant [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-DCAC controls tip and shaft only. MOC also moves the elbow to raise the manipulability. *Registration*: at the start,
-the arm touches path and incision. *Registered again*: it touches both a second time when the elbow is at rest. The
-second touch is not simulated, because it hardly changes the motion. The errors after it are computed from the trace.
+*Registered again*: the arm touches path and incision a second time when the elbow is at rest. This touch is not
+simulated, because it hardly changes the motion. The errors after it are computed from the trace.
 """
 
 from __future__ import annotations
@@ -34,13 +33,11 @@ from moc_opt.tasks.trocar import shaft_distance
 from moc_opt.trace.trace import Trace
 
 EFFECTS_STREAM, CALIBRATION_STREAM = 10, 9
-KINDS = {"origins": "mm", "encoders": "mrad", "both": "mm and mrad"}
-"""kinds of calibration error, and units of their sizes"""
-# tilt of the joint frames per error of the joint origins, as in the default plant
+KINDS = {"origins": "mm", "encoders": "mrad", "both": "mm and mrad"}  # calibration errors, and units of their sizes
 TILT_RAD_PER_M = PlantSettings().calibration_tilt_rad / PlantSettings().calibration_error_m
 DEFAULT_SIZE_MM = 0.2  # the report's first sentences state MOC's tip errors for this error of the joint origins
 LEAST_S = 0.5
-"""Errors after the elbow's travel are given only if the run goes on for at least this time after the travel [s]."""
+"""Errors after the elbow's travel are means over at least this time."""
 MOST_CHANGE_PERCENT, MOST_MM = 5.0, 0.1
 AFTER = {
     "tip_after_mm": "tip after travel", "tip_again_mm": "tip registered again",
@@ -136,7 +133,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def registered_again(dcac: Trial, moc: Trial) -> list[Run]:
-    """Run both controllers. Add the errors after the elbow's travel, unless a run broke off or ended too early."""
+    """Run both controllers. Add the errors after the elbow's travel, if both runs are whole and long enough."""
     both = [run_and_trace(dcac), run_and_trace(moc)]
     found = [run for run, _ in both]
     whole = [trace for run, trace in both if trace is not None and run.row["whole"]]
@@ -169,7 +166,6 @@ def after_travel(trace: Trace, setup: Setup, tick: int) -> dict[str, float]:
 
 
 def calibration(rows: Results, solver: str) -> list[dict[str, Any]]:
-    """Return a row per preset, kind and size: the means of both controllers, and the changes."""
     found = []
     for preset, kind in product(rows.names("preset"), KINDS):
         here = Results(row for row in rows.where(preset=preset) if row["kind"] == kind or row["size"] == 0.0)
@@ -186,11 +182,7 @@ def calibration(rows: Results, solver: str) -> list[dict[str, Any]]:
 
 
 def break_evens(found: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return, for every preset and kind, the sizes at which the registered tip error crosses each limit.
-
-    ``relative``: the size at which MOC's error surely exceeds DCAC's by `MOST_CHANGE_PERCENT`. ``absolute``: the size
-    at which MOC's error exceeds `MOST_MM`. ``absolute_dcac``: the size at which DCAC's error exceeds `MOST_MM`.
-    """
+    """Return, for every preset and kind, the sizes at which the registered tip error crosses each limit."""
     evens = []
     for preset, kind in dict.fromkeys((row["preset"], row["kind"]) for row in found):
         mine = [row for row in found if (row["preset"], row["kind"]) == (preset, kind) and f"moc_{JUDGED}" in row]

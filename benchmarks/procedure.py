@@ -1,7 +1,4 @@
-"""The operative procedure: a hand guides the tip to the incision, the camera finds the board, the arm does the task.
-
-Reported errors are relative to the true incision and the true task on the phantom.
-"""
+"""The operative procedure: a hand guides the tip to the incision, the camera finds the board, the arm does the task."""
 
 from __future__ import annotations
 
@@ -47,7 +44,6 @@ class ProcedureSettings(Settings):
 
 
 def perform(parts: ProcedureSettings, scenario: Scenario, name: str, film: Path | None = None) -> dict[str, Any]:
-    """Perform the procedure once on the named task, and return a row for rows.parquet."""
     task = board_task(name)
     robot = scenario.robot.arm()
     home = robot.state(robot.data.q_home)
@@ -67,7 +63,7 @@ def perform(parts: ProcedureSettings, scenario: Scenario, name: str, film: Path 
     q = self_motion(robot, q).at(np.random.default_rng(swivel_seed).uniform(0.05, 0.95))
     trace, waited, lost = _run(scenario, plant, scene, path, q, (guided.trocar, guided.registered))
     count = scene.film(film, trace, path, guided.registered) if film is not None else 0
-    deviation = 1e3 * from_path(trace.tip_m, scene.board.task_in_base(task, phantom))
+    deviation = 1e3 * from_path(trace.tip_m, scene.board.task_in_base(task, phantom))  # from the true task
     metrics = summarize(trace)
     return {
         "ended": trace.meta["ended"], "share_of_run": metrics["share_of_run"],
@@ -84,7 +80,7 @@ def perform(parts: ProcedureSettings, scenario: Scenario, name: str, film: Path 
 def _run(
     scenario: Scenario, plant: Plant, scene: Augmented, path: TipPath, q: Array, trocars: tuple[Array, Array]
 ) -> tuple[Trace, float, float]:
-    """Run the task under MOC. Return (trace, waiting time [s], time in which the board is not seen [s])."""
+    """Return (trace, waiting time [s], time in which the board is not seen [s])."""
     period, (true, registered) = scenario.plant.period_s, trocars
     robot, task = scenario.robot.arm(), scenario.task
     reference = Reference(path, task.v_max_m_per_s, task.a_max_m_per_s2, t_start=task.wait_s)
@@ -94,7 +90,7 @@ def _run(
     settling = 2.0 * waiting.settle_s * (1 + len(scene.board.lost_s))
     seconds = reference.t_start + reference.duration + lost + settling + task.hold_s
     times = period * np.arange(round(seconds / period))
-    # The tool is drawn in its first pose, because its later poses are not known yet.
+    # The tool is drawn in its first pose, because later poses are not known yet.
     looked_at, seen = scene.watch(seconds, q)
     rows, played = waiting.play(flags_at(times, looked_at, seen))
     last = int(np.searchsorted(played, reference.t_start + reference.duration))

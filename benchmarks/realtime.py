@@ -1,4 +1,4 @@
-"""Measure plant and controller as two real-time processes: wake-up latency, round-trip time and missed cycles.
+"""Measure plant and controller as two real-time processes.
 
 python -m benchmarks.realtime [CONFIG.toml] [--cycles N] [--out DIR] [--seed N] [--quick] [--json]
 
@@ -37,9 +37,9 @@ from moc_opt.study.statistics import Interval, share
 from moc_opt.trace.trace import Trace
 
 SPARE_S = 300.0
-"""time [s] allowed for starting and saving"""
+"""time allowed for starting and saving"""
 SAFE_RCM_M, AT_REST_RAD_PER_S = 2e-3, 1e-2
-"""A stop is clean if the RCM error (from trocar to shaft) and the final joint speed are below these limits."""
+"""A stop is clean if the RCM error and the final joint speed are below these limits."""
 BURN = "import os\nstudy = os.getppid()\nwhile os.getppid() == study:\n    sum(i * i for i in range(100000))"
 PERCENTILES = {"p50": 50.0, "p99": 99.0, "p99_99": 99.99, "worst": 100.0}
 TIMES = {"wake": "wake-up latency", "round": "round trip", "control": "controller"}
@@ -115,14 +115,13 @@ class Run(NamedTuple):
 
 
 def runs_of(study: Study, config: Config) -> dict[Case, list[Run]]:
-    """Split each case's cycles into runs, and run them."""
     scenarios = {rate: config.run_at(rate) for rate in config.rates_Hz}
     programs = {
         ("c", rate): str(build(scenario, study.out / "programs" / str(rate)))
         for rate, scenario in scenarios.items() if "c" in config.controllers
     }  # fmt: skip
     machine = environment({}, 0)["machine"]
-    here = (machine["processor"], machine["cores"])
+    here = (machine["processor"], machine["cores"])  # like a run's number, it only distinguishes saved results
     each = min(config.cycles, config.run_cycles)
     asked = [(case, number) for case in config.measured() for number in range(-(-config.cycles // each))]
     jobs = []
@@ -159,7 +158,7 @@ def loaded(kind: str) -> Iterator[None]:
 
 
 def run_once(case: Case, scenario: Scenario, program: str | None, number: int, machine: Any) -> Run:
-    """Run a scenario with the C controller ``program``, or with the Python controller (None)."""
+    """Run a scenario with the C controller ``program`` (None: the Python controller)."""
     begun = datetime.now(UTC).isoformat(timespec="seconds")
     with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder, loaded(case.load):
         file, trace = Path(folder, "run.toml"), Path(folder, "run.parquet")
@@ -192,7 +191,6 @@ def _started(*words: str, program: Sequence[str] = (sys.executable, "-m", "moc_o
 
 
 def read(trace: Trace, said: dict[str, Any], begun: str) -> Run:
-    """Make the `Run` from a trace and the controller's JSON."""
     columns, wire, ended = trace.columns, trace.meta["wire"], str(trace.meta["ended"])
     rcm = float(np.max(trace.rcm_error_registered_m))
     rest = bool(np.abs(trace.v_rad_per_s[-1]).max() < AT_REST_RAD_PER_S)

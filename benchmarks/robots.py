@@ -1,4 +1,4 @@
-"""Which of FINDINGS hold on which arm? The study runs each arm under DCAC and under MOC with each solver.
+"""Which of FINDINGS hold on which arm?
 
 python -m benchmarks.robots [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 """
@@ -61,7 +61,6 @@ class Config(StudyConfig):
 def on_each_arm(
     base: Scenario, robots: Sequence[str], tasks: Sequence[str], own_seeds: Sequence[int]
 ) -> list[Scenario]:
-    """Make the same number of trials on each arm."""
     count = len(own_seeds) // len(robots)
     arms = [base.change(robot={"name": name}) for name in robots]
     return [
@@ -86,7 +85,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def verdicts(rows: Results, judged: str) -> dict[str, bool | None]:
-    """Return True or False for each finding, or None if it is undecided."""
+    """Return whether each finding holds, or None if it is undecided."""
     own, base = rows.pairs("tip_error_mean_mm", judged)
 
     def change(metric: str, _: Any) -> Change | None:

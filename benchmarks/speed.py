@@ -1,10 +1,9 @@
-"""How long does everything take? Control ticks, solvers, the closed loop and other libraries are timed in one run.
+"""How long do ticks, solvers, the closed loop and other libraries take?
 
 python -m benchmarks.speed [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-Times of different runs cannot be compared. A *tick* is the computation of one control period. `exact` is moc_opt's own
-solver. An *adapter* passes our problems to the library of another solver. A *peer* is a controller made with another
-robotics library.
+Times of different runs cannot be compared. An *adapter* passes our problems to another library's solver. A *peer* is a
+controller made with another robotics library.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ Names = Literal["all"] | list[str]
 Summary = Mapping[str, Any]
 TICKS, PEERS, SOLVERS, LOOP = "Ticks", "Other libraries", "Solvers", "Loop"
 TIMED = ("tick", "tick_parts", "peers", "adapters", "loop")
-"""parts of the summary whose entries also tell the machine's load during their measurement"""
+"""parts of the summary whose entries also tell the machine's load"""
 
 
 class Config(StudyConfig):
@@ -77,7 +76,7 @@ def work(study: Study, config: Config) -> Found:
             no_peer[name] = str(failure)
     able = [name for name in tried if name not in no_peer]
 
-    # Judging the answers and bounding mu are not part of the loop's time.
+    # Judging answers and bounding mu are not part of the loop's time.
     scenario, rounds = config.scenario.change(seed=config.seed, judge=False, bound_samples=0), config.rounds
     long = scenario.change(duration_s=config.ticks * scenario.plant.period_s)
     asked: dict[str, tuple[Callable[..., timed.Part], tuple[Any, ...]]] = {
@@ -126,7 +125,7 @@ def summed_up(whole: timed.Part, failed: Mapping[str, str]) -> dict[str, Any]:
 
 def _batch(s: Any) -> float | None:
     found = s["batch"]["exact"]
-    # The goal needs a large batch: in a smaller one, starting the threads takes most of the time.
+    # In a smaller batch, starting the threads takes most of the time.
     return found["batch_two_threads_per_s"] / 1e6 if found["batch"] >= 1_000_000 else None
 
 

@@ -2,10 +2,9 @@
 
 python -m benchmarks.testsets [--check]
 
-Most sets hold problems of one kind, at random arm poses. On one machine, the same seed gives the same problems to the
-last bit. Six sets are sequences, recorded in closed loop at 500 Hz. Each begins with the elbow near the middle of its
-range. Problems of sequences are taken from the files, because today's control law would give others. --check compares
-new problems with those in the files, and the files' answers with newly certified answers.
+Six sets are sequences, recorded in closed loop. Their problems are taken from the files, because today's control law
+would give others. --check compares new problems with those in the files, and the files' answers with newly certified
+answers.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from moc_opt.robots.chain import desired_wrist
 from moc_opt.robots.model import RobotModel, load_robot
 from moc_opt.study.testsets import FOLDER, INCONSISTENT, NAMES, SEQUENCES, TestSet, changed
 
-CLOSE = 1e-9  # --check allows answers to differ by this much [rad/s]
+CLOSE = 1e-9  # allowed difference of answers [rad/s]
 Rng = np.random.Generator
 SIZE = 128  # problems per set
 VERSION = 1  # part of the random generator's seed
@@ -54,17 +53,16 @@ def tip_velocity(rng: Rng, speed: float) -> Array:
 
 
 def random_poses(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
-    """Yield problems at regular poses all over the workspace."""
     while True:
         yield at_pose(robot, robot.random_regular_pose(rng), tip_velocity(rng, 0.05))
 
 
 def near_singular(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
-    """Yield problems with the elbow 0.1 to 1e-8 rad from straight."""
+    """Yield problems with an almost straight elbow."""
     for bend in np.logspace(-1, -8, SIZE):
         q = robot.random_regular_pose(rng)
         q[3] = bend
-        # The tip rests, because almost every other tip velocity is infeasible near a singularity.
+        # Near a singularity, almost every tip velocity but zero is infeasible.
         yield at_pose(robot, q, np.zeros(3))
 
 
@@ -79,7 +77,7 @@ def joint_limits(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
 
 
 def infeasible(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
-    """Yield problems of which some are infeasible."""
+    """Yield problems, some of them infeasible."""
     while True:
         yield at_pose(robot, robot.random_regular_pose(rng), tip_velocity(rng, 0.1), k0=0.1)
 
@@ -115,7 +113,6 @@ RECIPES: dict[str, Callable[[RobotModel, Rng], Iterator[NullSpaceQP]]] = {
 
 
 def make(name: str, robot: RobotModel, seed: int = 0) -> TestSet:
-    """Make and certify one set."""
     if name in SEQUENCES:
         return certify(name, TestSet.load(name).problems())
     rng = np.random.default_rng([seed, VERSION, *name.encode()])

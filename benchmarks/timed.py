@@ -1,7 +1,4 @@
-"""Measure times for ``python -m benchmarks.speed``. Each function that returns a `Part` is a job that runs alone.
-
-The compared calls take turns in chunks, so that a slow moment affects all of them.
-"""
+"""Measure times for ``python -m benchmarks.speed``. Each function that returns a `Part` is a job."""
 
 from __future__ import annotations
 
@@ -33,7 +30,7 @@ from moc_opt.solvers.exact import Exact
 from moc_opt.study.timing import each_us, percentiles, since, total, used
 
 ROOT, CHUNK = Path(__file__).resolve().parents[1], 100
-COLD = 5  # "cold" times are those of this many calls at the start of each chunk
+COLD = 5  # The times of this many calls at the start of each chunk are "cold".
 
 
 class Timed(NamedTuple):
@@ -47,9 +44,9 @@ class Part:
 
     Attributes:
         found: figures by section of the summary, then by name.
-        rows: rows for rows.parquet, one per timed chunk, run or process.
+        rows: rows for rows.parquet.
         missing: reason for each entry that could not run.
-        times: times (chunks, CHUNK) [us] of each entry.
+        times: (chunks, CHUNK) [us] of each entry.
         seen: context switches and processor time of each entry.
     """
 
@@ -60,7 +57,10 @@ class Part:
     seen: dict[str, dict[str, float]] = field(default_factory=dict)
 
     def time(self, part: str, entries: Mapping[str, Timed], rounds: int) -> None:
-        """Time the entries in turn, a chunk at a time. The first round is not timed."""
+        """Time the entries in turn, chunk by chunk, so that a slow moment affects all of them.
+
+        The first round is not timed.
+        """
         names, starts = list(entries), range(0, min(len(entry.items) for entry in entries.values()) - CHUNK + 1, CHUNK)
         chunks: dict[str, list[Array]] = {name: [] for name in names}
         seen: dict[str, list[dict[str, float]]] = {name: [] for name in names}
@@ -107,7 +107,7 @@ def record(scenario: Scenario) -> tuple[list[peers.Inputs], list[NullSpaceQP]]:
     trace = Heard(scenario).trace()
     problems = [NullSpaceQP.from_row(np.array(row)) for row in trace.subproblem]
     for qp in problems:
-        _ = qp.q, qp.reduced()
+        _ = qp.q, qp.reduced()  # fills the caches, so that this work is not timed
     return heard, problems
 
 
@@ -115,7 +115,7 @@ def record(scenario: Scenario) -> tuple[list[peers.Inputs], list[NullSpaceQP]]:
 
 
 def ticks(scenario: Scenario, solvers: Iterable[str], libraries: Iterable[str], rounds: int) -> Part:
-    """Time one tick with every solver, and one tick of each other control library on the inputs of its own run."""
+    """Time a tick with every solver, and a tick of each other library on the inputs of its own run."""
     part, entries, (inputs, _) = Part(), dict[str, Timed](), record(scenario)
     robot = load_robot(scenario.robot.name)
     for name in solvers:
@@ -132,6 +132,7 @@ def ticks(scenario: Scenario, solvers: Iterable[str], libraries: Iterable[str], 
         poses, given = peers.perform(peer, robot, task)
         entries[name] = Timed(_spread(peer.tick), given)
         theirs[name] = {"level": peer.level, **peers.verdict(poses, robot, task)._asdict()}
+    # The runs of other libraries are shorter, so their inputs are timed in more rounds.
     shortest = min(len(entry.items) for entry in entries.values())
     part.time("tick", entries, max(rounds, round(rounds * len(inputs) / shortest)))
     for name, row in theirs.items():
@@ -145,7 +146,6 @@ def _spread(call: Callable[..., Any]) -> Callable[[tuple[Any, ...]], Any]:
 
 
 def tick_parts(scenario: Scenario, rounds: int) -> Part:
-    """Time each call of one tick separately, on the same states."""
     part, (inputs, _), robot = Part(), record(scenario), load_robot(scenario.robot.name)
     law = core.Law(robot.arm, **numbers_of(scenario.control, robot, scenario.plant.period_s))
     law.start(*inputs[0])
@@ -173,7 +173,6 @@ _COMPARED = re.compile(r"largest difference from the recorded torque ([\d.e+-]+)
 
 
 def exported(scenario: Scenario) -> Part:
-    """Build and run the C test program, and return its times."""
     with tempfile.TemporaryDirectory() as folder:
         export_scenario(scenario, folder)
         command = ["make", "--silent", "test"]
@@ -190,7 +189,6 @@ def exported(scenario: Scenario) -> Part:
 
 
 def batch(scenario: Scenario, count: int) -> Part:
-    """Time ``Exact.solve_batch`` on ``count`` subproblems, on one and two threads."""
     rows = np.array([qp.row for qp in record(scenario)[1]])
     many, solver = np.ascontiguousarray(np.resize(rows, (count, rows.shape[1]))), Exact()
     found = {"batch": float(count)}
@@ -212,7 +210,6 @@ BY_HAND = "daqp by hand"
 
 
 def adapters(scenario: Scenario, names: Iterable[str], rounds: int) -> Part:
-    """Time `exact`, our adapters to other QP solvers, and daqp also without its adapter."""
     part, (_, problems), robot = Part(), record(scenario), load_robot(scenario.robot.name)
     entries = {"exact": Timed(Exact().start(problems[0]).solve, problems)}
     for name in names:
@@ -254,7 +251,6 @@ def daqp_by_hand(settings: Any, first: NullSpaceQP) -> Callable[[NullSpaceQP], t
 
 
 def disagreement(solver: Any, by_hand: Callable[[NullSpaceQP], Any], problems: list[NullSpaceQP]) -> str | None:
-    """Say by how much the answers of adapter and direct call differ. Return None for at most 1e-4 rad/s."""
     session = solver.start(problems[0])
     gap = max(float(np.abs(session.solve(qp).x - by_hand(qp)[0]).max()) for qp in problems[:200])
     return None if gap <= 1e-4 else f"the answers of adapter and direct call differ by {gap:.2g} rad/s"
@@ -264,9 +260,9 @@ def disagreement(solver: Any, by_hand: Callable[[NullSpaceQP], Any], problems: l
 
 
 def own_steps(scenario: Scenario) -> tuple[Array, Callable[[], Array]]:
-    """Return MuJoCo's state at each tick as a row, and a function that simulates one control period from each state.
+    """Return MuJoCo's state at each tick as a row, and a function that simulates one period from each state.
 
-    The function applies the recorded forces, without Python code and sensors. Column 0 of the states is the time.
+    The function applies the recorded forces.
     """
     import mujoco
     from mujoco.rollout import rollout
@@ -295,7 +291,7 @@ def own_steps(scenario: Scenario) -> tuple[Array, Callable[[], Array]]:
 
 
 def loop(scenario: Scenario, runs: int) -> Part:
-    """Time whole runs and, after each of them, MuJoCo's steps alone from the same states."""
+    """Time whole runs and, after each, MuJoCo's steps alone from the same states."""
     part, (states, stepped), times = Part(), own_steps(scenario), list[Array]()
     seen, bar = list[dict[str, float]](), list[int]()
     for turn in range(1 + runs):
@@ -318,10 +314,7 @@ def loop(scenario: Scenario, runs: int) -> Part:
 
 
 def limit(rows: Iterable[Mapping[str, Any]], c_tick_us: float | None) -> dict[str, float]:
-    """Return medians over the runs: time of MuJoCo's steps per tick [us], limit [us], and whole time per tick / limit.
-
-    The limit is the time of MuJoCo's steps plus that of `moc_step` in C, both per tick.
-    """
+    """Return medians over the runs, per tick. The limit is the time of MuJoCo's steps plus that of `moc_step` in C."""
     us, steps = np.array([(row["us_per_tick"], row["steps_us"]) for row in rows]).T
     found = {"steps_us": float(np.median(steps))}
     if c_tick_us is not None:
@@ -355,10 +348,7 @@ FIRST_RUN = ("-m", "moc_opt", "run", "--json")
 
 
 def fresh(processes: int) -> Part:
-    """Return median times of new processes [s]: from the import to the first torque, and for a whole ``moc-opt run``.
-
-    Each ``moc-opt run`` has its own home folder, so that it finds no caches.
-    """
+    """Time new processes. Each ``moc-opt run`` has its own home folder, so that it finds no caches."""
     part = Part()
     for turn in range(processes):
         told = json.loads(_process("-c", FIRST_TICK).stdout)

@@ -57,7 +57,6 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.fixture(autouse=True)
 def registered_metrics() -> Iterator[None]:
-    """Unregister the metrics that a test has registered."""
     before = dict(METRICS)
     yield
     METRICS.clear()
@@ -66,9 +65,8 @@ def registered_metrics() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def chromium() -> Iterator[Any]:
-    """One headless browser for all tests of this process."""
     from moc_opt.errors import BrowserMissingError
-    from moc_opt.report import export  # imported late, because few tests need it
+    from moc_opt.report import export
 
     try:
         with export.browser() as running, pytest.MonkeyPatch.context() as patch:
@@ -108,7 +106,6 @@ def robot() -> RobotModel:
 
 @pytest.fixture(scope="session")
 def regular_poses(robot: RobotModel) -> Draw:
-    """Return a function that draws random poses with mu > 0.05."""
 
     def draw(count: int = 20, seed: int = 0) -> list[Array]:
         rng = np.random.default_rng(seed)

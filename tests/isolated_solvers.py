@@ -15,7 +15,7 @@ from moc_opt.solvers.base import Solution, Status
 
 @dataclass(frozen=True)
 class Misbehaving:
-    """A solver that answers x = 0. From call number `at` on, it does `act`, if this is in ACTS."""
+    """A solver that answers x = 0. From call number `at` on, it does `act`."""
 
     act: str = ""
     at: int = 2

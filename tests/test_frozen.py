@@ -71,7 +71,6 @@ for fallback in ("hold", "damping", "least-violation"):
 
 
 def scenarios() -> dict[str, mo.Scenario]:
-    """Return {name: scenario} for every arm with every solver, and all `VARIANTS`."""
     tables: dict[str, dict[str, Any]] = {}
     for a, arm in enumerate(ARMS):
         for s, solver in enumerate(SOLVERS):

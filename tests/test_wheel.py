@@ -71,7 +71,6 @@ def wheel(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def run(wheel, tmp_path_factory):
-    """Return a function that calls `moc-opt` in a new environment."""
     home = tmp_path_factory.mktemp("home")
     call(sys.executable, "-m", "venv", "--without-pip", home / "env")
     tools = home / "env" / "bin"

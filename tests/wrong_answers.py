@@ -1,4 +1,4 @@
-"""Non-optimal corners of feasible sets. The optimum is found without a solver, by trying all active sets."""
+"""Non-optimal corners of feasible sets. The optimum is found by trying all active sets."""
 
 from itertools import combinations, product
 from typing import NamedTuple

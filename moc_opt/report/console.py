@@ -18,7 +18,7 @@ from moc_opt.inputs.files import to_json
 LINE_EVERY_S = 10.0
 PIPED_WIDTH = 80
 CLOSED = 141
-"""Exit status if a program that reads the output (`head`) ends early, as after SIGPIPE."""
+"""Exit status, as after SIGPIPE, if the reader of the output (such as `head`) ends early."""
 
 _diverted = ExitStack()
 
@@ -26,7 +26,7 @@ _diverted = ExitStack()
 def divert_output(wanted: bool) -> ExitStack:
     """If ``wanted``, send stdout to stderr, until `print_json` is called or the returned context ends.
 
-    The output of C code and of new processes is sent there, too.
+    This includes the output of C code and new processes.
     """
     if wanted and sys.stdout is not None and sys.stderr is not None:
         sys.stdout.flush()
@@ -45,7 +45,7 @@ def print_json(value: object, *, sort_keys: bool = False) -> None:
 
 
 def end_output() -> int:
-    """Discard the rest of the output; return the exit status."""
+    """Discard the rest of the output; return `CLOSED`."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return CLOSED
 
@@ -79,7 +79,7 @@ class Bar(Progress):
         self.add_task(printable(description), total=total, now=now, written=self.get_time())
 
     def step(self, now: str = "", steps: float = 1.0) -> None:
-        """Count ``steps`` more steps as done, and show ``now``, the name of the current step."""
+        """Count steps as done, and show ``now``, the name of the current step."""
         (task,) = self.tasks
         self.update(task.id, advance=steps, now=printable(now))
         if self.console.is_terminal or self.get_time() - task.fields["written"] < LINE_EVERY_S:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Page as BrowserPage
 
 WIDTH_PX = 680
-"""Default width of a figure [px], printed as 180 mm (two columns)."""
+"""Default width of a figure [px], printed as 180 mm."""
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "microsoft-edge")
 CURE = (
     "install a browser (Debian, Ubuntu: apt-get install chromium; anywhere: python -m playwright install chromium), "
@@ -55,7 +55,7 @@ def save_figures(
 
 @contextmanager
 def browser() -> Iterator[Browser]:
-    """Start a headless Chromium, and close it at the end of the ``with`` block.
+    """Run a headless Chromium during the ``with`` block.
 
     Raise a BrowserMissingError if playwright or a browser is missing, and a BrowserError if the browser fails.
     """

@@ -1,4 +1,4 @@
-"""The manipulability map: the manipulability mu as colour over time and elbow angle (swivel)."""
+"""The manipulability map: mu as colour over time and swivel."""
 
 from __future__ import annotations
 
@@ -34,7 +34,6 @@ from moc_opt.report.run_table import below_best, listed, title_of
 from moc_opt.report.tables import Column, Table
 from moc_opt.trace.trace import Trace
 
-# Small mu is light, large mu is dark.
 SCALE = ((0.0, "#f4f1e6"), (0.25, "#cfe0cf"), (0.5, "#8fc4bd"), (0.75, "#3f8f9c"), (1.0, "#143f5c"))
 EDGE, BEST = "#fffffe", "#17191b"
 HEIGHT_PX = 460
@@ -94,7 +93,7 @@ def _row(reading: Reading) -> dict[str, Any]:
 
 
 def load_map(files: Sequence[str | os.PathLike[str]]) -> Page:
-    """Make a page with the map of saved runs, and of the best joint motion from each run's start if it was saved."""
+    """Make a page with the map of saved runs, and of the best course from each run's start if it was saved."""
     traces, robot = load_runs(files)
     page = Page(f"Manipulability map of {title_of(traces)}", f"runs: {'; '.join(traces)}")
     courses: dict[str, Trace] = {}
@@ -112,10 +111,9 @@ def load_map(files: Sequence[str | os.PathLike[str]]) -> Page:
 
 
 def map_figure(found: SwivelMap, styles: Styles | None = None) -> go.Figure:
-    """Draw mu as colour over time and swivel, with a line for every run.
+    """Draw mu as colour, with a line for every run, dotted for a run on another branch.
 
-    The best poses, and runs on another branch of the inverse kinematics, are dotted. Raise a ReportError if no pose is
-    allowed.
+    Raise a ReportError if no pose is allowed.
     """
     styles, allowed = styles or Styles(found.trajectories), found.limit == FEASIBLE
     if not allowed.any():
@@ -129,7 +127,7 @@ def map_figure(found: SwivelMap, styles: Styles | None = None) -> go.Figure:
         line = {"color": styles[name].color, "width": 2.4, "dash": dash}
         drawn.add_scatter(**_edged(drawn, name, run.t_s, run.swivel_rad, run.mu), name=label(name), line=line)
     # The best poses are drawn last, because runs at the optimum coincide with them.
-    # The legend entry is a line of its own: a dark page changes the colours of the legend, but not of the map.
+    # The legend has a separate line, because a dark page recolours the legend, but not the map.
     dotted = {"width": 2.0, "dash": "dot"}
     drawn.add_scatter(**best, name="best", showlegend=False, line={"color": BEST, **dotted})
     drawn.add_scatter(x=[None], y=[None], mode="lines", legendgroup="best", name="best", line={"color": INK, **dotted})
@@ -151,7 +149,7 @@ def map_figure(found: SwivelMap, styles: Styles | None = None) -> go.Figure:
 
 
 def _colors(drawn: go.Figure, found: SwivelMap, allowed: NDArray[np.bool_]) -> None:
-    """Draw mu at all reachable poses, then grey over the forbidden ones. This makes the edge between them smooth."""
+    """Draw mu at all reachable poses, then grey over the forbidden ones, so that their edge is smooth."""
     mu, degrees = np.where(found.limit == UNREACHABLE, np.nan, found.mu), np.degrees(found.swivel_rad)
     low, high = float(mu[allowed].min()), float(mu[allowed].max())
     drawn.add_heatmap(

@@ -23,7 +23,7 @@ from moc_opt.inputs.files import to_json
 from moc_opt.report.document import anchor, macros, render, save_document
 from moc_opt.report.tables import Cell, Column, Table, alignment
 
-# Spaces as wide as a digit and as a decimal point, to align numbers.
+# Spaces as wide as a digit and as a decimal point, to align numbers at the point.
 FIGURE_SPACE, POINT_SPACE = "\u2007", "\u2008"
 LONG_TEXT = 40
 _PARTS, _TABLE = macros("parts.html"), macros("table.html")
@@ -82,7 +82,7 @@ class Page:
         self._add(_PARTS.figure(name, len(self.figures), caption, height))
 
     def environment(self, values: Mapping[str, Any]) -> None:
-        """Append a section "Environment" with nested plain values."""
+        """Append a section of nested plain values."""
         self.section("Environment")
         self._add(_PARTS.environment(values))
 
@@ -106,7 +106,7 @@ class Page:
 
 
 def _unlike(text: str, taken: Iterable[str]) -> str:
-    """Turn a text into a name for URLs and files. The name is not in ``taken``."""
+    """Turn a text into an unused name for URLs and files."""
     words = anchor(text)
     return next(name for k in count(1) if (name := f"{words}-{k}" if k > 1 else words) not in taken)
 
@@ -140,7 +140,6 @@ def _column(
     power = max((len(text.partition("e")[2]) for text in numbers), default=0)
     for cell, row in zip(cells, rows, strict=True):
         own = fraction_length(cell.text)
-        # Spaces stand in for the decimal point and the decimals that this number lacks.
         pad = POINT_SPACE * bool(fraction and not own) + FIGURE_SPACE * (fraction - max(own, 1))
         long = not cell.numeric and len(cell.text) > LONG_TEXT
         yield {

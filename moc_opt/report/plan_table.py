@@ -49,7 +49,7 @@ def plan_json(plan: Plan) -> dict[str, Any]:
 
 
 def plan_tables(name: str, plan: Plan, **within: float) -> list[Table]:
-    """Make two tables of a plan: its verdict, and its courses (joint trajectories).
+    """Make two tables of a plan: its verdict, and its courses.
 
     Args:
         within: margin_rad, margin_m, speed_share and shaft_margin, as in `moc_opt.scenario.planned.plan`.

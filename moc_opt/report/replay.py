@@ -1,7 +1,4 @@
-"""Show runs in 3-D, in one HTML file.
-
-The arm is drawn from its joint frames. The thickness of its links is invented.
-"""
+"""Show runs in 3-D, in one HTML file."""
 
 from __future__ import annotations
 
@@ -29,7 +26,6 @@ from moc_opt.trace.trace import Trace, table
 MOST_RUNS = 4
 FRAMES_PER_S = 30.0
 FRAMES_IN_ALL = 9000
-"""Largest total number of frames of all runs."""
 PATH_POINTS = 1500
 SERIES_POINTS = 900
 
@@ -43,7 +39,7 @@ class Replay:
     """One to four runs of one arm, played side by side."""
 
     def __init__(self, traces: Mapping[str, Trace], robot: RobotModel) -> None:
-        """Check the runs. Raise a ReportError if their number is wrong, or `check_showable` refuses a run."""
+        """Raise a ReportError if the number of runs is wrong, or `check_showable` refuses one."""
         if not 1 <= len(traces) <= MOST_RUNS:
             raise ReportError(f"{len(traces)} runs: give 1 to {MOST_RUNS}; more are too small to see")
         for name, trace in traces.items():
@@ -108,7 +104,7 @@ def load_runs(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, Trace]
 
 
 def _run_data(trace: Trace, robot: RobotModel, times: Array, color: str) -> dict[str, Any]:
-    """Return a run's data at ``times``; after the end of the run, the arm stands still."""
+    """Return a run's data at ``times``. After its end, the arm stands still."""
     t = trace.t_s
     ticks = np.clip(np.searchsorted(t, times, side="right") - 1, 0, len(t) - 1)
     origins, rotations = link_frames(robot, trace.q_rad[ticks])
@@ -148,7 +144,7 @@ def _rounded(value: Any) -> Any:
 def velocity_ellipsoids(jacobians: Array) -> Array:
     """Return S = (J J^T)^(1/2) (k, 3, 3) of J (k, 3, n).
 
-    S maps the unit sphere to the ellipsoid of tip velocities. Its determinant is mu (Yoshikawa 1985).
+    S maps the unit sphere to the ellipsoid of tip velocities (Yoshikawa 1985).
     """
     axes, lengths, _ = np.linalg.svd(jacobians, full_matrices=False)
     roots: Array = (axes * lengths[:, None, :]) @ np.swapaxes(axes, 1, 2)
@@ -170,7 +166,7 @@ class Part(NamedTuple):
 
 
 def arm_parts(robot: RobotModel) -> list[Part]:
-    """Build the parts of an arm and its tool."""
+    """Build the parts of arm and tool. The links' thickness is invented."""
     chain, n, here = robot.chain, robot.n, np.zeros(3)
     tip, wrist = chain.offsets
     along = (tip - wrist) / np.linalg.norm(tip - wrist)
@@ -189,7 +185,7 @@ def arm_parts(robot: RobotModel) -> list[Part]:
         heights = heights.clip(0.0 if k == 0 else -np.inf, lengths[k] if k == seen[-1] else np.inf)
         parts.append(Part(int(k) - 1, here, ends[k] / lengths[k], ball * np.cos(bend), heights, "shell"))
     for j, axis in enumerate(chain.axes):
-        # Links of the wrist can have zero length, so the longer link at the joint decides whether it is an elbow.
+        # Links can have zero length, so the longer link at the joint decides whether it is an elbow.
         beside = max(ends[j + 1], chain.rotations[j].T @ ends[j], key=np.linalg.norm)
         across = abs(axis @ beside) < ACROSS * np.linalg.norm(beside)
         drums = [(1.06, 1.12, "shell"), (0.78, 1.22, "joint")] if across else [(1.04, 0.10, "joint")]
@@ -202,7 +198,6 @@ def arm_parts(robot: RobotModel) -> list[Part]:
 
 
 def _drum(radius: float, half: float) -> tuple[Array, Array]:
-    """Return the profile of a cylinder with bevelled edges."""
     edge = 0.15 * min(radius, half)
     heights = np.array([-half, -half, edge - half, half - edge, half, half])
     return np.array([0.0, radius - edge, radius, radius, radius - edge, 0.0]), heights

@@ -21,9 +21,8 @@ MATTER = (
     "rcm_error_mean_mm", "rcm_error_max_mm", "trocar_force_max_N", "torque_rate_rms_Nm_per_s", "verified_solved",
     "silently_wrong", "solve_p50_us", "solve_p99_us", "deadline_misses",
 )  # fmt: skip
-"""The main metrics, for the first table."""
+"""The main metrics."""
 VERDICTS = ("verified_solved", "silently_wrong")
-"""Metrics that count verified and silently wrong answers."""
 ANOTHER_PROBLEM = (
     "Solvers nlp-* solve a nonlinear problem, but answers are judged by the linear problem. The solutions of the two "
     "problems differ by about 1e-3 m/s, so answers of nlp-* count as neither verified nor wrong."
@@ -36,7 +35,7 @@ def answers_another_problem(trace: Trace) -> bool:
 
 
 def part(trace: Trace) -> str:
-    """Return the completed part of a run, as " (first 0.6 s of 8.0 s)". Return "" for a whole run."""
+    """Return the completed part of a run, such as " (first 0.6 s of 8.0 s)" ("" for a whole run)."""
     ending = Ending.of(str(trace.meta.get("ended")))
     if ending is Ending.PART:
         return " (a part)"
@@ -67,7 +66,7 @@ def replaced(trace: Trace) -> str:
 
 
 def below_best(trace: Trace) -> str:
-    """Say how far mean mu is below the best motion's ("" if by at most `NEAR`), or why this is unknown."""
+    """Say how far mean mu is below the best course's ("" if by at most `NEAR`), or why this is unknown."""
     found = table(trace.meta, "best_courses")
     if absent := found.get("absent"):
         return f"mean mu is not compared with the best joint motion from this start: {absent}"
@@ -93,7 +92,7 @@ def below_best(trace: Trace) -> str:
 
 
 def facts(trace: Trace) -> dict[str, str]:
-    """Return arm, path, gains, solver and so on from the scenario."""
+    """Return arm, path, solver and other facts of the scenario, by name."""
     scenario = table(trace.meta, "scenario")
     law, control = about(trace).get("solver"), table(scenario, "control")
     known = {
@@ -127,8 +126,8 @@ def run_tables(
 ) -> list[Table]:  # fmt: skip
     """Lay out the metrics of runs side by side.
 
-    If any run ended early, each run has a separate table. ``first`` shows only the metrics in `MATTER`. ``first`` or
-    ``explained`` adds a column with meanings.
+    If any run ended early, each has its own table. ``first`` shows only the metrics in `MATTER`. ``first`` or
+    ``explained`` adds their meanings.
     """
     if len(metrics) > 1 and any(part(traces[name]) for name in metrics):
         alone = ({name: values} for name, values in metrics.items())
@@ -147,7 +146,6 @@ def run_tables(
 
 
 def _entries(trace: Trace, metrics: Mapping[str, float], first: bool) -> dict[str, tuple[Any, str]]:
-    """Return (value, meaning) of each row."""
     of, other, count = part(trace), answers_another_problem(trace), replaced(trace)
     ended = str(trace.meta.get("ended", "unknown"))
     word, _, reason = ended.partition(": ") if first else (ended, "", "")
@@ -158,7 +156,6 @@ def _entries(trace: Trace, metrics: Mapping[str, float], first: bool) -> dict[st
         if first and metric not in MATTER:
             continue
         marked = f"{metric} (part)" if of and metric not in WHOLE_RUN else metric
-        # Each metric has its own notation.
         shown = missing(value) or Notation.of([value], digits=4)(value)
         shown = Missing(ANOTHER_PROBLEM) if other and metric in VERDICTS else shown
         entries[marked] = shown, "" if metric not in METRICS else _with_unit(METRICS[metric])

@@ -24,7 +24,6 @@ SHORT_TEXT, HEADING = 14, 10  # longest unbroken text, and longest line of a hea
 GAP = 2  # characters that a column needs beside its text
 
 TONES = {"best": "bold green", "good": "green", "fair": "yellow", "bad": "red", "other": "cyan"}
-"""Terminal colours for the tones of `Mark`."""
 
 
 @dataclass(frozen=True)
@@ -33,10 +32,10 @@ class Column:
 
     key: str  #: key of the value in a row
     title: str
-    unit: str = ""  #: such as "us" or "mm"
+    unit: str = ""
     format: str = ""  #: format specification (".2f"); empty: three significant digits
-    better: Literal["low", "high"] | None = None  #: whether low or high values are better
-    help: str = ""  #: a sentence on the column's meaning
+    better: Literal["low", "high"] | None = None
+    help: str = ""
     among: str = ""  #: key of a flag: only rows with this flag can be best
     section: str = ""  #: section of the page to which the values link
     sections: str = ""  #: key of a row's own section, which replaces `section`
@@ -44,7 +43,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Cell:
-    """A value as text, with its key ``sort`` for sorting. Cells with ``sort`` None come last."""
+    """A value as text, with a key for sorting (None: last)."""
 
     text: str
     sort: float | str | None
@@ -79,9 +78,9 @@ class Table:
         if column.better is None or len(finite) < 2:
             return cells
         winner = (min if column.better == "low" else max)(finite, key=lambda cell: float(cell.sort or 0.0))
-        # Values with the same text are equally good.
+        # Values with the same text are equally good. If most are, none is marked.
         ahead = [cell for cell in competing if cell.text == winner.text]
-        if len(ahead) > max(1, len(competing) / 2):  # emphasise no value if most are equally good
+        if len(ahead) > max(1, len(competing) / 2):
             return cells
         return [replace(cell, best=any(cell is one for one in ahead)) for cell in cells]
 
@@ -89,7 +88,7 @@ class Table:
         width, parts = options.max_width, list[list[_Column]]()
         made = [self._column(column, max(SHORT_TEXT, 0 if k else width // 2)) for k, column in enumerate(self.columns)]
         rest = made[1:]
-        while rest or not parts:  # a table that is too wide is split; each part begins with the first column
+        while rest or not parts:  # split a wide table; each part begins with the first column
             part = [*made[:1], *rest]
             while len(part) > 2 and sum(column.least + GAP for column in part) > width:
                 part.pop()
@@ -101,7 +100,7 @@ class Table:
             yield Text(printable(self.caption), style="table.caption")
 
     def _column(self, column: Column, unbroken: int) -> _Column:
-        """Prepare a column for the terminal. Texts shorter than ``unbroken`` stay on one line."""
+        """Prepare a column. Texts shorter than ``unbroken`` stay on one line."""
         cells = self.cells(column)
         looks = ("bold" if cell.best else "dim" if cell.why else TONES.get(cell.tone, "") for cell in cells)
         heading = Text("\n".join(heading_lines(column.title)))

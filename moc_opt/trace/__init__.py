@@ -1,1 +1,1 @@
-"""The trace (record) of a run, its file, its metrics and its oscillations."""
+"""The trace of a run: its file, metrics and oscillations."""

@@ -1,4 +1,4 @@
-"""The columns of a trace (record of a run), and checks of the arrays."""
+"""The columns of a trace, and checks of the arrays."""
 
 from __future__ import annotations
 
@@ -79,7 +79,6 @@ COLUMNS: Mapping[str, Column] = MappingProxyType(
         "q_best_from_start_rad": Column("rad", "(N, n)", "best planned joint motion from the run's start"),
     }
 )  # fmt: skip
-"""Every column that the package writes or reads, by name."""
 
 
 def column(name: str, value: ArrayLike) -> NDArray[Any]:

@@ -1,4 +1,4 @@
-"""The Parquet file of a trace (record of a run), with metadata and a checksum."""
+"""The Parquet file of a trace."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Columns = Mapping[str, NDArray[Any]]
 
 VERSION = "2"
 VERSION_KEY, META_KEY, TYPES_KEY, SUM_KEY = "moc_opt.trace.trace", "moc_opt.meta", "moc_opt.types", "moc_opt.crc32"
-MOST_BYTES = 2**32  # largest allowed unpacked size, because a small file could unpack to any size
+MOST_BYTES = 2**32  # largest unpacked size, because a small file could unpack to any size
 _OTHER_FORMATS = frozenset({".csv", ".tsv", ".txt", ".json", ".npy", ".npz", ".mat", ".h5", ".xlsx", ".html", ".toml"})
 
 

@@ -1,10 +1,10 @@
-"""The meta of a trace (record of a run): entries and their types.
+"""The meta of a trace: entries and their types.
 
 - ``ended``: the ending and its reason
-- ``warnings``: quantities that exceeded a warning level of the safety filter
-- ``faults``: count, first time and first message of each fault of the solver
-- ``restarts``: time and reason of each restart of an isolated solver's process
-- ``robot_data``: data of an arm that is not in the package
+- ``warnings``: quantities above a warning level of the safety filter
+- ``faults``: refused or missing answers of the solver
+- ``restarts``: restarts of an isolated solver's process
+- ``robot_data``: an arm that is not in the package
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Ending(StrEnum):
 
     @property
     def whole(self) -> bool:
-        """Whether the whole task was done."""
+        """Whether the task was done."""
         return self in (Ending.COMPLETED, Ending.OSCILLATED)
 
 
@@ -65,7 +65,6 @@ FORMS: Mapping[str, TypeAdapter[Any]] = {
         "restarts": list[_RESTART], "warnings": list[_WARNING], "scenario": _SCENARIO, "best_courses": _COURSES,
     }.items()
 }  # fmt: skip
-"""The types of entries of meta."""
 ANYTHING = TypeAdapter(Any)
 
 

@@ -29,7 +29,7 @@ _LOADED: dict[EntryPoint, str] = {}  # for each entry point tried so far: why lo
 class Metric:
     """A registered metric."""
 
-    name: str  #: key in every summary
+    name: str
     unit: str  #: such as "mm"; "1" for counts and ratios
     about: str  #: one line on what the metric measures
     function: Callable[..., float] = field(repr=False)  #: function of (trace) or (trace, baseline)
@@ -69,7 +69,7 @@ def _add(name: str, unit: str, about: str, function: Callable[..., float]) -> Me
 
 
 def load_plugins() -> dict[str, str]:
-    """Register the metrics of other packages. Return the names of metrics that cannot be loaded, with the reasons."""
+    """Register the metrics of other packages. Return the reasons of those that cannot be loaded, by name."""
     for name, points in plugins.plugins(GROUP).items():
         if points[0] in _LOADED:
             continue
@@ -92,10 +92,7 @@ def summarize(trace: Trace, baseline: Trace | None = None) -> dict[str, float]:
     """Compute every metric for which the trace has the data.
 
     Args:
-        baseline: a run of DCAC (the law that does not raise mu), with the same gains, trial and ticks.
-
-    Returns:
-        The values by name.
+        baseline: a run of DCAC with the same gains, trial and ticks.
 
     Raises:
         TraceError: an argument is not a Trace or is empty, the ticks differ, or a column holds impossible numbers.
@@ -104,7 +101,7 @@ def summarize(trace: Trace, baseline: Trace | None = None) -> dict[str, float]:
 
 
 def evaluate(trace: Trace, baseline: Trace | None = None) -> tuple[dict[str, float], dict[str, str]]:
-    """Return what `summarize` returns, and a dict from the name of each metric without data to the reason."""
+    """Return the summary, and the reason for each metric without data."""
     load_plugins()
     for role, run in (("trace", trace), ("baseline", baseline)):
         if not isinstance(run, Trace) and (run is not None or role == "trace"):
@@ -209,8 +206,8 @@ _figure("mu_final", "m^3", "Last", "mu", lambda values: values[-1])
 def mu_gain_percent(trace: Trace, baseline: Trace | None) -> float:
     """Change of mean manipulability against the same run without level 3 (DCAC).
 
-    The run of DCAC has the observer gain of this run, and this gain depends on `third_level`. So gains of runs with
-    different third levels refer to different runs of DCAC. Compare such runs by `mu_mean`.
+    The run of DCAC has this run's observer gain, which depends on `third_level`. So compare runs with different third
+    levels by `mu_mean`.
     """
     if baseline is None:
         raise MissingDataError("there is no baseline: give the trace of DCAC on the same trial")
@@ -241,7 +238,7 @@ def mu_fraction_of_best(trace: Trace) -> float:
     return METRICS["mu_mean"](trace) / _known(trace, "mu_best").mean()
 
 
-# --- errors of the tip and of the remote centre of motion (RCM); force of the trocar ---
+# --- errors of tip and RCM; force of the trocar ---
 
 
 for _column, _unit in (
@@ -281,7 +278,7 @@ def oscillation_Nm(trace: Trace) -> float:
     return shaking(trace, "tau_Nm").rms
 
 
-# --- the solver: times, reported status, optimality of the answers, and residuals ---
+# --- the solver ---
 
 
 for _column in ("solve_us", "tick_us"):

@@ -1,8 +1,4 @@
-"""Find joints that oscillate faster than any task requires, in the trace of a run.
-
-A moving mean over 1/8 s is subtracted from each joint's velocity and torque. The root mean square of the difference is
-computed in every window of 1 s. The largest is compared with a limit.
-"""
+"""Find joints that oscillate faster than any task requires."""
 
 from __future__ import annotations
 
@@ -24,18 +20,19 @@ LIMIT_M_PER_S, LIMIT_N = 0.08, 100.0  #: Limits for a prismatic joint.
 PARTS, LOUDEST, KEPT_UP = 8, 2, 0.5
 """The window has 8 parts. Unlike a jerk, an oscillation exceeds half the limit even without its 2 loudest parts."""
 ABOVE_HZ, WINDOW_S, START_S, SHORTEST_S = 8.0, 1.0, 0.5, 1e-6
+"""START_S: time at the start that is left out. SHORTEST_S: shortest allowed time between ticks."""
 
 
 class Shaking(NamedTuple):
     """The largest oscillation in a run."""
 
-    joint: int  #: index of the joint, from 0
+    joint: int  #: index, from 0
     rms: float  #: root mean square in the worst window, in the column's unit
-    frequency_Hz: float  #: frequency of the spectrum's largest entry
+    frequency_Hz: float
     rest: float  #: like rms, without the loudest quarter of the window
 
     def above(self, limit: float) -> bool:
-        """Return whether the oscillation exceeds the limit and is not a single jerk."""
+        """Return whether it exceeds the limit and is not a single jerk."""
         return self.rms > limit and self.rest > KEPT_UP * limit
 
 
@@ -43,7 +40,6 @@ def shaking(trace: Trace, column: str, limits: ArrayLike | None = None) -> Shaki
     """Find the joint that oscillates most: root mean square of its part above ``ABOVE_HZ`` in a window of ``WINDOW_S``.
 
     Args:
-        trace: a trace of consecutive ticks.
         column: ``v_rad_per_s`` or ``tau_Nm``, (N, n).
         limits: (n,) limit of each joint. Joints are compared by rms / limit. None: by rms.
 
@@ -72,7 +68,7 @@ def shaking(trace: Trace, column: str, limits: ArrayLike | None = None) -> Shaki
     shares = squares / np.square(bounds)
     loudest = found = _at(fast, squares, shares, period)
     while not found.above(bounds[found.joint]) and shares.max() > 1.0:
-        # Remove this jerk, and look for an oscillation elsewhere.
+        # Remove this jerk, and look elsewhere.
         away = np.arange(len(shares)) - np.argmax(shares[:, found.joint])
         shares[np.abs(away) <= window // PARTS, found.joint] = 0.0
         found = _at(fast, squares, shares, period)
@@ -100,7 +96,7 @@ def above(values: Floats, width: int) -> Floats:
 
 
 def describe(trace: Trace, joint_names: Sequence[str], slides: Flags) -> str:
-    """Return a text on the oscillating joint, its frequency and rms; empty if no joint oscillates."""
+    """Say which joint oscillates, its frequency and rms ("" if none does). ``slides`` marks the prismatic joints."""
     speeds = np.where(slides, LIMIT_M_PER_S, LIMIT_RAD_PER_S)
     efforts = np.where(slides, LIMIT_N, LIMIT_NM)
     v, tau = shaking(trace, "v_rad_per_s", speeds), shaking(trace, "tau_Nm", efforts)
@@ -113,7 +109,7 @@ def describe(trace: Trace, joint_names: Sequence[str], slides: Flags) -> str:
 
 
 def judged_for_oscillation(trace: Trace, joint_names: Sequence[str], slides: Flags) -> Trace:
-    """Return the trace. If the run oscillated, ``meta["ended"]`` of the result says so."""
+    """Return the trace. If the run oscillated, the result's ``meta["ended"]`` says so."""
     ended, stopped_s = trace.meta.get("ended"), trace.meta.get("stopped_at_s")
     judged = trace if stopped_s is None else trace.head(int(np.searchsorted(trace.t_s, stopped_s)))
     brief = len(judged) < 4 or judged.t_s[-1] - judged.t_s[0] < START_S + 0.5 * WINDOW_S

@@ -61,8 +61,8 @@ def test_all_controllers_of_a_trial_have_the_same_phases() -> None:
     base, exact, rnn, broken, still, grouped, alone = (run.row for run in with_phases(runs))
     for row, scale in ((base, 2.0), (exact, 1.0), (rnn, 1.0)):
         assert (row["travelling_ticks"], row["settled_ticks"]) == (2, 2)
-        assert row["travelling_mu_mean"] == pytest.approx(scale * 2.5e-6)  # mean of 1 and 4 um
-        assert row["settled_tip_error_mean_mm"] == pytest.approx(scale * 5e-3)  # mean of 2 and 8 um
+        assert row["travelling_mu_mean"] == pytest.approx(scale * 2.5e-6)
+        assert row["settled_tip_error_mean_mm"] == pytest.approx(scale * 5e-3)
         assert row["settled_rcm_error_model_mean_mm"] == row["settled_tip_error_mean_mm"]
         assert row["settled_trocar_force_mean_N"] == pytest.approx(scale * 5e-6)
     means = ("mu_mean", "tip_error_mean_mm", "rcm_error_model_mean_mm", "trocar_force_mean_N", "ticks")

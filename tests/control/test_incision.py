@@ -51,7 +51,7 @@ def test_the_trocars_force_is_separated_from_the_tools_weight_and_a_force_at_the
     loads = np.array([force, touch, [0.0, 0.0, -9.81 * mass]])
     moments = np.cross(np.outer([length - depth, length, length / 2], pose[2]), loads)
     wrench = np.concatenate([pose[:3] @ loads.sum(axis=0), pose[:3] @ moments.sum(axis=0)])
-    expected = np.linalg.norm(pose[:2] @ np.array(force))  # the component perpendicular to the shaft
+    expected = np.linalg.norm(pose[:2] @ np.array(force))
     point = pose[3] - depth * pose[2]
     assert seen(robot, q, point, wrench)[1] == pytest.approx(expected, abs=1e-6)
     close = pose[3] - 0.5 * SHORTEST_DEPTH_M * pose[2]  # too shallow to separate the forces

@@ -123,10 +123,10 @@ def test_repeated_reading_stops_the_arm_if_reference_or_torque_changes(by, wrenc
     wrench = np.zeros((600, 6)) if wrench_repeats else np.random.default_rng(0).normal(size=(600, 6))
     wrong, k = looked(still, 0.0 * still, tau, reference, wrench)
     assert "all encoders repeat" in wrong
-    assert abs(grown[k]) == pytest.approx(level, abs=1e-4 if by == "reference" else 0.1)  # within a few ticks
+    assert abs(grown[k]) == pytest.approx(level, abs=1e-4 if by == "reference" else 0.1)
     one = still.copy()
     one[:, 6] += 1e-5 * np.arange(600)
-    assert looked(one, np.gradient(one, PERIOD, axis=0), reference=reference)[0] == ""  # one joint's reading changes
+    assert looked(one, np.gradient(one, PERIOD, axis=0), reference=reference)[0] == ""
 
 
 @pytest.mark.parametrize("alone", [True, False])

@@ -124,7 +124,6 @@ def test_stuck_or_lagging_encoder_stops_the_arm(robot, wrong, within, error):
     ("lwr4", 4, 3), ("iiwa14", 4, 4), ("panda", 4, 3), ("gen3", 2, 0), ("xarm7", 2, 0), ("lwr4_rail", 3, 4),
 ])  # fmt: skip
 def test_broken_drive_stops_the_arm(arm, joint, seed, gain, monkeypatch):
-    """The drive gives zero or the opposite torque."""
     sound = Plant.step
 
     def step(plant, tau, trocar=None):
@@ -157,7 +156,7 @@ def test_short_gap_in_measurements_is_bridged(gap):
     {"preset": "tuned", "limit_margin_rad": 0.0}, {**DCAC, "K_X": 3000.0, "D_X": 80.0, "K_N": 800.0, "D_N": 60.0},
 ], ids=["moc", "dcac"])  # fmt: skip
 def test_arm_that_meets_a_wall_is_stopped(control):
-    """The circle leads joint 4 into its virtual wall (a spring near the joint limit)."""
+    """The circle leads joint 4 into its virtual wall."""
     wall = {"position_margin_rad": 0.62}
     blind = {**wall, "rcm_error_m": None, "trocar_force_N": None, "motion": False}
     free = run(Scenario(control=control, guard=blind, **QUICK))

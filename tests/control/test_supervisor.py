@@ -28,13 +28,12 @@ ZERO, OK, LATE = np.zeros(7), Status.SOLVED, ["hold", "zero", "iterate"]
 
 
 def scripted(*answers):
-    """A session that returns these answers in turn. Answers that are exceptions are raised."""
+    """A session that returns or raises these answers in turn."""
     return Mock(spec=["solve"], **{"solve.side_effect": list(answers)})
 
 
 @pytest.fixture(scope="module")
 def recorded():
-    """Subproblems of closed-loop runs."""
     traces = (run(Scenario(control=control, **{**QUICK, "duration_s": 1.5}))
               for control in ({"preset": "tuned"}, {}, {"preset": "paper"}))  # fmt: skip
     return np.concatenate([trace.subproblem[::12] for trace in traces])
@@ -293,7 +292,7 @@ def test_every_verified_answer_is_accepted(seed, n, rho, off, rest):
     """With `rest`, (rho / c2) x_d replaces the gradient."""
     rng = np.random.default_rng(seed)
     problem = random_problem(rng, n, structured=n == 7, regularization=rho)
-    if rest is not None and rho > 0.0:  # as if a desired velocity x_d were followed
+    if rest is not None and rho > 0.0:
         row = np.array(problem.row)
         fields(row).pull[:] = rho / problem.c2 * 10.0 ** (rest + 1.0) * rng.normal(size=n)
         problem = NullSpaceQP.from_row(row)
@@ -368,7 +367,6 @@ def test_late_answer_is_replaced_as_the_settings_say(late, qp, Z):
 
 
 def stoppable(whole, truncated):
-    """A session with a whole and a truncated answer."""
     return SimpleNamespace(solve=Mock(return_value=whole), truncated=Mock(side_effect=[truncated]))
 
 
@@ -401,7 +399,6 @@ def test_truncated_answer_is_checked_like_any_other(cut, fault, qp, Z):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_tip_and_rcm_do_not_depend_on_third_level(kind, robot):
-    """Right and wrong answers give the same acceleration of tip and wrist."""
     rng, q, settings = np.random.default_rng(5), robot.data.q_home, ControlSettings.preset("tuned")
     good, bad = (Controller(robot, settings, one) for one in (Exact(), Faulty(Exact(), kind, rate=1.0)))
     references = in_place(robot.state(q), 0.02)

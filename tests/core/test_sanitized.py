@@ -16,7 +16,7 @@ FILL = "-ftrivial-auto-var-init="  # compiler flag that initializes unset variab
 
 @pytest.fixture(scope="module")
 def sanitized(tmp_path_factory):
-    """Build the extension module with sanitizers. Return it, its object files, and the sanitizers' libraries."""
+    """Return a module built with sanitizers, its object files, and the sanitizers' libraries."""
     if shutil.which("gcc") is None:
         pytest.skip("no GCC on the path")
     libraries = [subprocess.run(["gcc", f"-print-file-name=lib{name}.so"], capture_output=True, text=True,
@@ -36,7 +36,6 @@ def sanitized(tmp_path_factory):
 
 
 def extremes(program, *options):
-    """Return the output of 300 random runs."""
     built = subprocess.run(["make", "-C", ROOT, "--no-print-directory", f"EXTREMES={program}", *options, program],
                            capture_output=True, text=True, check=False)  # fmt: skip
     assert built.returncode == 0, built.stdout + built.stderr

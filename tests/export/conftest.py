@@ -23,7 +23,7 @@ def make(place: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="session")
 def exported(tmp_path_factory: pytest.TempPathFactory) -> Export:
-    """Return a function that exports a scenario. The core is compiled once."""
+    """Export scenarios. The core is compiled once."""
     if shutil.which("make") is None or shutil.which("cc") is None:
         pytest.skip("no make or cc")
     core: list[Path] = []

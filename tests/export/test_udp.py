@@ -35,7 +35,7 @@ Built = Callable[[str], tuple[Scenario, Path]]
 
 @pytest.fixture(scope="module")
 def built(exported: Export) -> Built:
-    """Return a function that maps the name of a run to (scenario, folder of the program)."""
+    """Map the name of a run to (scenario, folder of the program)."""
 
     @cache
     def build(name: str) -> tuple[Scenario, Path]:
@@ -64,7 +64,6 @@ def ran(folder: Path, *arguments: str, **options: Any) -> subprocess.CompletedPr
 
 
 def program(folder: Path, address: str) -> tuple[dict[str, Any], int]:
-    """Return (printed result, exit status)."""
     done = ran(folder, *address.split(":"), str(folder / "reference.bin"))
     assert done.returncode in (0, 3), done.stderr
     return json.loads(done.stdout), done.returncode

@@ -1,4 +1,4 @@
-"""Arms for tests, with given joint frames, given limits and made-up masses. Short paths for any arm."""
+"""Arms and short paths for tests."""
 
 from pathlib import Path
 from typing import Any
@@ -44,7 +44,7 @@ def build(folder: Path, numbers: dict[str, Any], **changes: Any) -> RobotModel:
 
 
 def turned(folder: Path) -> RobotModel:
-    """The iiwa14 on a low, tilted base. Joint zeros are shifted, limits asymmetric, and axes 3, 5 and 7 reversed."""
+    """The iiwa14 on a low, tilted base, with other joint zeros, limits and axis directions."""
     back, joints = pin.exp3(np.array([0.2, -0.1, 0.3])), []
     for j, (xyz, rpy) in enumerate(IIWA14["joints"]):
         turn = pin.exp3(np.array([np.pi, 0.0, 0.0]) if j in (2, 4, 6) else np.array([0.0, 0.0, 0.2 * j - 0.5]))
@@ -56,7 +56,7 @@ def turned(folder: Path) -> RobotModel:
 
 
 def sixteen_joints(folder: Path, home: Array) -> RobotModel:
-    """An arm with ten freedoms of self-motion: tip and shaft need 5 of 16 joints, and joint 16 turns only the tool."""
+    """An arm with ten freedoms of self-motion besides joint 16, which turns only the tool."""
     turns = [((0, 0, 0.1), (0, 0, 0)), *[((0, 0, 0.08), (sign * H, 0, 0)) for sign in 7 * (1, -1) + (1,)]]
     frames = {"wrist": (0, 0, 0), "mount": (0, 0, 0.05), "home": home}
     return build(folder, {"joints": turns, "q_max": np.full(16, 1.8), "v_max": np.full(16, 2.0), **frames})

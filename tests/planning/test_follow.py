@@ -1,4 +1,4 @@
-"""A follower turns a course (a planned joint motion) into desired velocities, which the arm follows."""
+"""A follower turns a course into desired velocities, which the arm follows."""
 
 from contextlib import nullcontext
 from dataclasses import replace
@@ -315,7 +315,7 @@ def test_a_file_that_is_no_course_is_refused(course, tmp_path):
         ({"q_rad": q[:, :6]}, {}, r"q_rad \(\d+, 6\), not floats \(k,\) and \(k, 7\)"),
         (moved(3, 2, np.nan), {}, "a pose is not finite"), ({"t_s": t[::-1].copy()}, {}, "times t_s do not rise"),
         ({"t_s": np.round(t).astype(np.int64)}, {}, "t_s has shape"),
-        ({"t_s": np.where(t == t[3], t[2], t)}, {}, "times t_s do not rise"),  # two equal times
+        ({"t_s": np.where(t == t[3], t[2], t)}, {}, "times t_s do not rise"),
         *((moved(slice(9, None), 6, by), {}, r"joint_7 goes 9\d\d\.?\d* rad beyond its limit") for by in (1e3, -1e3)),
         (moved(5, slice(None), 0.05), {}, "mm from its target at t = 0.125 s"),
         ({"t_s": np.maximum(t, 0.01)}, {}, "it goes from 0.01 to 1 s"), ({}, {"kind": "run"}, "holds no course"),

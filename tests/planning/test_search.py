@@ -1,4 +1,4 @@
-"""The search finds the course (planned joint motion) with the largest mean mu. All its courses keep the limits."""
+"""The search finds the course with the largest mean mu within the limits."""
 
 import itertools
 from dataclasses import replace
@@ -16,7 +16,7 @@ from tests.planning.arms import at_poses, task
 
 
 def small(rng, k=4, m=4):
-    """A random map for one joint, with k times 0.5 s apart. The speed limit is 2 rad/s. The start pose has mu = 0.4."""
+    """A random map for one joint, with k times 0.5 s apart."""
     arm: Any = SimpleNamespace(v_max=np.full(1, 2.0), state=lambda q: SimpleNamespace(mu=0.4))
     targets = Targets(0.5 * np.arange(k), np.zeros((k, 3)), np.zeros((k, 3)), np.zeros(k))
     q, mu = rng.uniform(0.0, 1.0, (k, 1, m, 1)), rng.uniform(0.1, 1.0, (k, 1, m))

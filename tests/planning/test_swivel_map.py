@@ -1,4 +1,4 @@
-"""The map over time and swivel (elbow angle) has the model's mu. `read_trajectory` is tested on synthetic maps."""
+"""The map over time and swivel has the model's mu. `read_trajectory` is tested on synthetic maps."""
 
 from dataclasses import replace
 from types import MappingProxyType

@@ -90,7 +90,7 @@ def test_loss_is_cost_above_optimum_divided_by_cost_range(regularization):
             found = qp.residuals(between)
             assert found.loss == pytest.approx(expected, abs=1e-9)
             assert found.distance == pytest.approx(share * np.abs(worst - x).max(), rel=1e-6)
-        assert qp.residuals(worst + 0.1 * (worst - x)).loss == 1.0  # beyond the worst point
+        assert qp.residuals(worst + 0.1 * (worst - x)).loss == 1.0
         assert 0.0 <= qp.residuals(x - 0.1 * (worst - x)).loss <= 1.0
 
 
@@ -213,7 +213,7 @@ def test_relative_is_scaled_by_gradient_along_self_motion():
     rooms = []
     for w in wrong_corners(5, 6, 8, tilt=1e-3):
         z = kernel(w.qp)[:, 0]
-        for regularization in (0.0, 1.0):  # at 1.0, the regularization sets the scale
+        for regularization in (0.0, 1.0):
             slope = z @ (regularization * w.x - w.qp.c2 * w.qp.grad_mu)
             scale = max(w.qp.c2 * abs(z @ w.qp.grad_mu) * np.abs(z).max(), regularization)
             room = np.where(z * slope > 0.0, w.x - w.qp.lower, w.qp.upper - w.x)[np.abs(z) > 1e-9].min()

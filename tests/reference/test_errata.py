@@ -22,7 +22,6 @@ def states(robot, regular_poses):
 
 
 def subproblem(robot, state, c2=PAPER.c2):
-    """The paper's subproblem of an arm at rest."""
     lower, upper = velocity_damper(state.q, robot.q_min, robot.q_max, robot.v_max, PAPER.k0_per_s)
     return NullSpaceQP(
         state.J_tip, state.J_wrist, np.zeros(3), np.zeros(3), state.grad_mu, lower=lower, upper=upper,
@@ -70,7 +69,7 @@ def test_printed_third_level_lacks_an_inverse(states):
         consistent, printed = s.M @ Z.T @ np.linalg.inv(inner) @ Z, (inner @ Z @ s.M).T
         assert printed.shape == (7, len(Z))  # it cannot multiply a joint vector (7,)
         assert idempotence(consistent) < 1e-9
-        assert idempotence(printed @ Z) > 0.5  # the inverse is missing
+        assert idempotence(printed @ Z) > 0.5
         # Along an eigenvector of inner, printed torque = squared eigenvalue [kg^2 m^4] * consistent torque.
         assert (np.linalg.eigvalsh(inner) ** 2).max() < 0.5
 

@@ -1,4 +1,4 @@
-"""Commands plan a course (planned joint motion), follow it and compare runs with it."""
+"""Commands plan a course, follow it and compare runs with it."""
 
 import json
 

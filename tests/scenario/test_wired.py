@@ -32,7 +32,6 @@ def wired(scenario, relayed=None):
 
 
 def assert_same(found, expected):
-    """Assert equal columns, except those of measured times."""
     assert set(found.columns) == set(expected.columns) | {"wake_us", "control_us", "missed"}
     assert found.meta["ended"] == expected.meta["ended"]
     for name in expected.columns.keys() - {"tick_us", "solve_us"}:

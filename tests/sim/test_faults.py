@@ -109,7 +109,7 @@ def test_trocar_slips_smoothly():
     np.testing.assert_allclose(moved[1:-1, 1], rate[1:-1], atol=4e-3)  # rates reach 0.15 m/s
     assert faults().slip(still, t) is still
     ways = np.array([faults(seed, slip_m=0.01, slip_at_s=0.0).slip(still, t)[-1, 0] for seed in range(40)])
-    assert (ways[:, :2].min(axis=0) < -0.008).all()  # slips in both directions of x and y occur
+    assert (ways[:, :2].min(axis=0) < -0.008).all()
     assert (ways[:, :2].max(axis=0) > 0.008).all()
 
 
@@ -135,7 +135,7 @@ def test_every_solver_fault_is_named_in_the_trace(kind, named):
     np.testing.assert_array_equal(trace.fault, np.where(trace.injected, named, "none"))
     assert {name: found["count"] for name, found in trace.meta["faults"].items()} == {named: trace.injected.sum()}
     if kind == "hang":
-        np.testing.assert_array_equal(trace.tau_Nm, run(scenario).tau_Nm)  # repeatable
+        np.testing.assert_array_equal(trace.tau_Nm, run(scenario).tau_Nm)
     assert trace.meta["ended"] == "completed"
 
 

@@ -143,7 +143,7 @@ def test_nonlinear_step_moves_tip_and_wrist_exactly(kind):
         np.testing.assert_allclose(tip, qp.v_tip, atol=1e-6)
         across = qp.reduced().lift[3:, 3:]
         np.testing.assert_allclose(across @ wrist, across @ qp.v_wrist, atol=1e-6)
-        assert np.abs(qp.A @ x - qp.b).max() > 1e-6  # x does not solve the linear A x = b
+        assert np.abs(qp.A @ x - qp.b).max() > 1e-6
 
 
 def test_nonlinear_solvers_use_the_given_gradient(robot, regular_poses):

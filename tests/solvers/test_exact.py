@@ -118,7 +118,7 @@ def test_rounded_velocities_of_tip_and_wrist_are_accepted_within_the_tolerance(d
         gap = np.abs(kept.A @ np.linalg.lstsq(kept.A, kept.b, rcond=1e-9)[0] - kept.b).max()
         if answered:
             check(kept)
-        elif gap > 1e-6:  # beyond the tolerance
+        elif gap > 1e-6:
             assert solve(kept).status is Status.INFEASIBLE
 
 
@@ -137,7 +137,7 @@ def test_violation_equal_to_the_tolerance_is_allowed():
 
 
 def test_answers_do_not_depend_on_units():
-    """Answers do not depend on the units of length and cost. Only the status may, since the tolerance is absolute."""
+    """Only the status may depend on the units, since the tolerance is absolute."""
     rng = np.random.default_rng(0)
     plain = [random_problem(rng, 7 + k % 3, structured=False, regularization=1e-5 * (k % 2)) for k in range(120)]
     problems = [nearly_singular(qp, 10.0 ** -rng.uniform(2, 15)) for qp in plain[:60]]

@@ -1,4 +1,4 @@
-"""Solvers in separate processes. If a solver fails, some ticks get no answer, but the run goes on."""
+"""If a solver fails in its own process, the run goes on."""
 
 import signal
 import subprocess

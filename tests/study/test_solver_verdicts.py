@@ -117,7 +117,7 @@ def test_one_solver_is_recommended():
 ])  # fmt: skip
 def test_uncertain_loss_does_not_count(cost, unlike, trials, verdict, damage):
     rows = [*runs("best", 60), *runs("asked", trials, unlike, tip_error_model_mean_mm=cost)]
-    if unlike:  # the runs differ only in the tip error
+    if unlike:
         for row, mine in zip(rows, rows[60:], strict=False):
             mine |= {name: row[name] for name in MEANS if name != "tip_error_model_mean_mm"}
     row = assessed({"best": certified(p99=1.0), "asked": certified()}, rows)["asked"]

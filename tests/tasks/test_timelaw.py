@@ -44,7 +44,6 @@ def test_the_duration_of_a_line_is_the_closed_form(length: float, v_max: float, 
 
 
 def extremes(reference: Reference, count: int) -> tuple[float, float]:
-    """Return the largest speed and acceleration, as fractions of their limits."""
     t = reference.t_start + np.linspace(0.0, reference.duration, count)
     _, dx, ddx = reference.at(t)
     speed, acceleration = np.linalg.norm(dx, axis=1).max(), np.linalg.norm(ddx, axis=1).max()

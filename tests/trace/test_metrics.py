@@ -17,7 +17,6 @@ NAN = math.nan
 
 
 def run(**changed: object) -> Trace:
-    """Return a run of four ticks with round numbers."""
     columns: dict[str, object] = {
         "t_s": [0.0, 0.002, 0.004, 0.006], "tau_Nm": [[0.0, 0.0], [3.0, 4.0], [3.0, 4.0], [3.0, 14.0]],
         "v_rad_per_s": [[0.0, 0.0], [0.0, 2.0], [0.0, 0.0], [0.0, 2.0]], "mu": [0.1, 0.2, 0.3, 0.4],

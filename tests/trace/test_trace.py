@@ -24,7 +24,6 @@ N = 40
 
 
 def example(rows=N):
-    """A trace with columns of every type."""
     rng = np.random.default_rng(2)
     loss = rng.uniform(size=rows)
     loss[::3] = np.nan
