@@ -1,8 +1,4 @@
-"""The hierarchical torque controller (tip, remote centre of motion, manipulability) and its checks.
-
-Read ``controller`` first. The law's equations are in core/law.c. ``supervisor`` refuses wrong answers of a solver, and
-``safety_filter`` checks measurements and limits torques.
-"""
+"""The hierarchical torque controller, and its checks of answers and measurements. Read ``controller`` first."""
 
 from moc_opt.control.controller import Controller
 from moc_opt.control.settings import ControlSettings

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-# The settings of Su et al. (2019), with the gains of Table I.
+# The settings of Su et al. (2019).
 PAPER: dict[str, Any] = {
     "gains": None, "feedforward": False, "rcm_lambda": 0.5, "k0_per_s": 0.1, "regularization": 0.0,
     "observer_gain_per_s": 0.0, "speed_fraction": 1.0, "limit_margin_rad": 0.0, "limit_margin_m": 0.0,
@@ -20,7 +20,7 @@ TUNED: dict[str, Any] = {
     "course_observer_gain_per_s": 28.0,  # at 33 or 40 /s, an arm without friction is unstable with a delay of 3 ticks
 }  # fmt: skip
 
-# Softened by hand until the loop tolerates a delay of four ticks. The tip error is 1.5 times that of `tuned`.
+# Softened by hand until the loop tolerates a delay of four ticks.
 ROBUST: dict[str, Any] = {
     **TUNED, "gains": "robust", "observer_gain_per_s": 22.0, "course_observer_gain_per_s": 22.0
 }  # fmt: skip

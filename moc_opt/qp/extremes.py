@@ -1,9 +1,7 @@
 """The smallest and the largest cost over all x that satisfy A x = b and the bounds.
 
 Let x = x0 + Z w, where A x0 = b and Z is an orthonormal basis of ker A. The cost is slope^T w + rho/2 |w|^2, and the
-bounds are low <= Z w <= high. The smallest cost is found by projecting points onto the set of feasible w. Each
-projection is a non-negative least-squares problem (Lawson, Hanson, Solving Least Squares Problems, 1974, chapter 23).
-A box width is the largest entry of high - low.
+bounds are low <= Z w <= high. A box width is the largest entry of high - low.
 """
 
 from __future__ import annotations
@@ -18,14 +16,14 @@ from numpy.typing import NDArray
 
 from moc_opt.arrays import Array
 
-MOST_CORNERS = 10_000  # with more choices of dim(ker A) active bounds, the largest cost is only searched locally
+MOST_CORNERS = 10_000  # with more corners, the largest cost is only searched locally
 FAR = 1e3  # length of a proximal step that meets no bound [box widths]
-ROUNDS, STEPS = 200, 20  # at most 200 proximal steps seek the smallest cost; at most 20 n steps seek the largest cost
+ROUNDS, STEPS = 200, 20  # most proximal steps to the smallest cost; most steps per joint to the largest cost
 ROUNDING = 1e-14  # rounding error of numbers of order one
 SETTLED = 1e-11  # a shorter proximal step ends the search
 FLAT = 1e-9  # a slope or multiplier below this fraction of the largest one counts as zero
-STILL = 1e-10  # if a joint's row of Z is shorter, the joint does not move in ker A, and its bounds are ignored
-TOUCHING = 1e-8  # if the feasible set is a single point, the bounds are widened by this [box widths]
+STILL = 1e-10  # a joint with a shorter row of Z does not move in ker A, and its bounds are ignored
+TOUCHING = 1e-8  # if the feasible set is a point, the bounds are widened by this [box widths]
 LEVEL = 1e-12  # a scaled cost that varies by less counts as constant
 
 
@@ -34,8 +32,8 @@ class Extremes(NamedTuple):
 
     Attributes:
         w: (r,) a point of smallest cost.
-        least: a lower bound on the cost, by weak duality. If w is optimal, this bound equals the cost of w.
-        most: the largest cost. With rho > 0 and more than `MOST_CORNERS` corners, it may be only a local maximum.
+        least: a lower bound on the cost, by weak duality.
+        most: the largest cost. With more than `MOST_CORNERS` corners, it may be only a local maximum.
         pull: (n,) gradient of cost + y^T (A x - b) at w = 0, with the optimum's multipliers y.
     """
 
@@ -50,8 +48,8 @@ def extremes(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> Ext
 
     Args:
         Z: (n, r) orthonormal columns.
-        low, high: (n,) bounds on Z w, finite [rad/s].
-        slope: (r,) gradient of the cost at w = 0.
+        low, high: (n,) finite bounds [rad/s].
+        slope: (r,)
         rho: zero or more. If the slope is zero, rho must be positive.
     """
     width = max(float((high - low).max()), 1e-12)
@@ -72,7 +70,7 @@ def extremes(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> Ext
 def optimum(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> tuple[Array, Array] | None:
     """Return (w, f): the w (r,) of smallest cost, and the multipliers f (n,) of its bounds; None if no w is feasible.
 
-    The method uses proximal steps (Ferris 1991, Finite termination of the proximal point algorithm).
+    The steps are proximal (Ferris 1991, Finite termination of the proximal point algorithm).
     """
     w = np.zeros(len(slope))
     if rho * FAR >= np.linalg.norm(slope):
@@ -94,8 +92,9 @@ def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Arr
     """Return (w, f): the w (r,) nearest to ``start`` with low <= Z w <= high, and f (n,) with w - start = Z^T f.
 
     f is positive at active lower bounds, negative at active upper bounds, 0 elsewhere. Return None if no w is feasible.
+    The method is non-negative least squares (Lawson, Hanson, Solving Least Squares Problems, 1974, chapter 23).
     """
-    # Each row of Z is scaled to length 1, so that an error means the same distance in w for every joint.
+    # With rows of length 1, an error means the same distance in w for every joint.
     moves = np.linalg.norm(Z, axis=1)
     moves = np.where(moves > STILL, moves, np.inf)
     G, away = Z / moves[:, None], Z @ start
@@ -105,7 +104,7 @@ def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Arr
         return start, np.zeros(len(low))
     from scipy.optimize import nnls  # a slow import
 
-    for loose in (0.0, TOUCHING):  # if the feasible set is a point, widen it
+    for loose in (0.0, TOUCHING):
         u, _ = nnls(np.vstack([G.T, (short - loose) / size]), np.append(np.zeros(len(start)), 1.0))
         left = 1.0 - float((short - loose) @ u) / size
         if u.max() * size <= left / TOUCHING:
@@ -114,8 +113,7 @@ def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Arr
         return None
     active = u > 0.0
     u *= size / left
-    # The active bounds, solved as equations, give the step up to rounding. If this step violates the bounds by more
-    # than the step G^T u, G^T u is used.
+    # Usually, the active bounds, solved as equations, give a more exact step than G^T u.
     step, *_ = np.linalg.lstsq(G[active], short[active], rcond=None)
     if (short - G @ step).max() > max((short - G @ (G.T @ u)).max(), 0.0) + ROUNDING:
         step = G.T @ u

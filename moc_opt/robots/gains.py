@@ -1,7 +1,4 @@
-"""Gains for an untuned arm, derived from its inertia and from the gains of the tuned LWR4+.
-
-The ratio of a velocity gain to an inertia [1/s], times the control period, decides whether a sampled loop is stable.
-"""
+"""Gains for an untuned arm, derived from its inertia and from the gains of the tuned LWR4+."""
 
 from __future__ import annotations
 
@@ -24,7 +21,7 @@ JOINTS: Mapping[str, tuple[float, float, float]] = {
 }  # fmt: skip
 """For each table: K_N2 / inertia [1/s], D_N2 / K_N2, and upper bound on (K_N2 + D_N2) / inertia [1/s]."""
 CARTESIAN_RATE = 160.0
-"""Upper bound on D_X / mass and D_N / mass [1/s]: 0.72 of the stability limit with three ticks of delay at 500 Hz."""
+"""Upper bound on D_X / mass and D_N / mass: 0.72 of the stability limit with three ticks of delay at 500 Hz."""
 CARTESIAN: Mapping[str, tuple[float, float, float, float]] = {
     "dcac": (2000.0, 20.0, 600.0, 10.0), "moc": (3000.0, 30.0, 800.0, 10.0), "default": (3000.0, 80.0, 800.0, 60.0),
     "tuned": (3000.0, 80.0, 1670.0, 74.2), "robust": (3000.0, 50.0, 1670.0, 74.2),
@@ -34,10 +31,10 @@ _POSES = 16
 
 
 def derived_gains(robot: RobotModel) -> dict[str, Table]:
-    """Derive one table of gains for each name in `CARTESIAN`, from the arm's inertia.
+    """Derive one table of gains for each name in `CARTESIAN`.
 
-    K_N2 of joint i is a rate times M_ii at the home pose, and D_N2 is a share of K_N2. The other gains are those of the
-    LWR4+. If a ratio exceeds its bound in `JOINTS` or `CARTESIAN_RATE`, stiffness and damping are scaled down together.
+    K_N2 is proportional to the inertia at home. The other gains are those of the LWR4+. If a rate exceeds its bound,
+    stiffness and damping are scaled down together.
     """
     inertia = np.diag(robot.state(robot.data.q_home).M)
     inverse_masses = largest_inverse_masses(robot)
@@ -66,7 +63,7 @@ def largest_inverse_masses(robot: RobotModel) -> tuple[float, float]:
 
 
 def largest_null_rate(robot: RobotModel, gains: Array) -> float:
-    """Return the largest eigenvalue of (Z M Z^T)^-1 Z diag(gains) Z^T [1/s]; Z's rows span ker A."""
+    """Return the largest eigenvalue of (Z M Z^T)^-1 Z diag(gains) Z^T [1/s]."""
     found = 0.0
     for state in surveyed(robot):
         _, values, rows = np.linalg.svd(state.A)

@@ -19,7 +19,7 @@ class Placed(NamedTuple):
     """The result of a search for a pose."""
 
     q: Array  #: (n,) inside the limits [rad]
-    miss_m: float  #: Largest component of the position errors of tip and wrist [m].
+    miss_m: float  #: Largest component of the position errors of tip and wrist.
     at_limit: tuple[int, ...]  #: Joints (from 0) at a limit.
 
     @property
@@ -34,8 +34,7 @@ def solve_pose(
 ) -> Placed:  # fmt: skip
     """Find a pose near q (n,) with the tip, and the wrist if given, at points (3,) [m].
 
-    The search is local and may miss a pose. If ``limited`` is False, joint limits are ignored. Raise a RobotError if an
-    argument has a wrong shape or is not finite.
+    The search is local. Raise a RobotError if an argument has a wrong shape or is not finite.
     """
     points = np.array([tip] if wrist is None else [tip, wrist], dtype=np.float64)
     low, high = (robot.q_min, robot.q_max) if limited else (np.full(robot.n, -np.inf), np.full(robot.n, np.inf))
@@ -62,10 +61,7 @@ def pose_with_tip(robot: RobotModel, q: ArrayLike, tip: ArrayLike) -> Array:
 
 
 def pose_through(robot: RobotModel, tip: ArrayLike, trocar: ArrayLike) -> Array:
-    """Find a pose (n,) with the tip at a point (3,) [m] and the shaft through the trocar (3,) [m].
-
-    Raise a TaskError if none is found.
-    """
+    """Find a pose (n,) with the tip at a point and the shaft through the trocar. Raise a TaskError if none is found."""
     x, p = np.asarray(tip, dtype=np.float64), np.asarray(trocar, dtype=np.float64)
     length = robot.data.tool_length
     depth = float(np.linalg.norm(p - x))

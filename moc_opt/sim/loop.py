@@ -1,7 +1,4 @@
-"""The closed loop of plant, sensors, safety filter and controller.
-
-`ClosedLoop.step` advances the loop, and `simulate` records a whole run.
-"""
+"""The closed loop of plant, sensors, safety filter and controller."""
 
 from __future__ import annotations
 
@@ -26,7 +23,7 @@ if TYPE_CHECKING:
     from moc_opt.control.safety_filter import SafetyFilter
 
 AT_REST = 0.005  #: Below this speed, a joint counts as resting [rad/s, m/s].
-LONGEST = 4  #: Longest duration of a stop, as a multiple of `Stop.seconds`.
+LONGEST = 4  #: Longest duration of a stop [`Stop.seconds`].
 
 
 class FilteredController(Filtered):
@@ -42,7 +39,7 @@ class FilteredController(Filtered):
             self._filter.start(seen.q, seen.v, seen.stamp)
 
     def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
-        """Return this period's torque (n,) [Nm]. In a stop, the torque damps the arm."""
+        """Return this period's torque (n,) [Nm]."""
         safety, controller, applied = self._filter, self._controller, self._applied
         if safety is None:
             return controller.tick(seen.q, seen.v, tip_ref, trocar)
@@ -63,7 +60,7 @@ class FilteredController(Filtered):
         return tau
 
     def set_applied_torque(self, tau: Array) -> None:
-        """Store the torque (n,) [Nm] that was applied instead of the result of ``tick``."""
+        """Take the torque (n,) [Nm] that was applied instead of the result of ``tick``."""
         self._applied = tau
         self._controller.set_applied_torque(tau)
 
@@ -79,8 +76,7 @@ class FilteredController(Filtered):
 class ClosedLoop:
     """A plant, a controller and an optional safety filter, advanced one control period at a time.
 
-    After a step, ``seen`` is the measurement that the controller received, ``tau`` (n,) the commanded torque [Nm],
-    ``tick_us`` the computing time [us], and ``ticks`` the number of steps.
+    After a step, ``seen`` is the measurement that the controller received, and ``tau`` (n,) the commanded torque [Nm].
     """
 
     def __init__(
@@ -95,7 +91,7 @@ class ClosedLoop:
         self.filtered: Filtered = controller
 
     def start(self, tip_ref: Array, registered: Array) -> None:
-        """Start at the plant's present measurement; arguments as for ``step``."""
+        """Start at the present measurement; arguments as for ``step``."""
         self.seen = self._plant.measure()
         self.filtered.start(self.seen, tip_ref, registered)
 
@@ -104,8 +100,7 @@ class ClosedLoop:
 
         Args:
             tip_ref: (3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2].
-            registered: (2, 3) rows P_t [m], dP_t [m/s] of the registered trocar.
-            trocar: (2, 3) rows P_t, dP_t of the true trocar; None: the tool is in no incision.
+            registered, trocar: (2, 3) rows P_t [m], dP_t [m/s] of the registered and of the true trocar.
 
         Raises:
             PlantError: an argument is wrong, or the simulation of the plant diverged.
@@ -127,7 +122,7 @@ class ClosedLoop:
 
     @property
     def finished(self) -> bool:
-        """Whether a stop is over: the arm rests after `Stop.seconds`, or `LONGEST` times this duration has passed."""
+        """Whether a stop is over: the arm rests after `Stop.seconds`, or `LONGEST` times that long."""
         since = self.ticks - self._stopped_at if self._stopped_at >= 0 else 0
         return since > self._watched and bool(since > LONGEST * self._watched or np.abs(self._plant.v).max() < AT_REST)
 
@@ -158,14 +153,9 @@ def simulate(
     Args:
         tip_refs: (N, 3, 3) rows X_d, dX_d, ddX_d of every tick.
         trocars, registered: (N, 2, 3) rows P_t, dP_t of the true and of the registered trocar.
-        safety_filter: checks the measurements and limits the torques; None: nothing is checked or limited.
-        offset: true positions minus those by the controller's kinematics; None: zero.
         watch: called with the tick's number before each tick.
         meta: further entries of the trace's meta.
         rescue: called with the columns so far if an exception other than RunAway ends the loop.
-
-    Returns:
-        The trace. A row has a tick's torque, and the state at the tick's start.
 
     Raises:
         RunAway: the simulation of the plant diverged. The error has the trace.

@@ -26,11 +26,6 @@ POSES = 3  #: Number of compared poses.
 def build_spec(data: RobotData, *, substep_s: float, gravity: bool = True) -> mujoco.MjSpec:
     """Build the editable MuJoCo model of the arm, without shapes and friction. Joint limits are soft stops.
 
-    Args:
-        data: the robot with its tool.
-        substep_s: plant step [s].
-        gravity: whether gravity acts, 9.81 m/s^2 along -z.
-
     Raises:
         PlantError: MuJoCo cannot read the URDF, or finds joints that the robot does not list.
     """
@@ -86,7 +81,6 @@ def add_mismatch(data: RobotData, spec: mujoco.MjSpec, mismatch: Mismatch) -> No
             mujoco.mju_axisAngle2Quat(by, vector / angle, angle)
             mujoco.mju_mulQuat(turned, by, link.quat)
             link.quat = turned
-    # Wrist and tip shift with the tool.
     for name in (TOOL_BODY, data.tip_frame, data.wrist_frame):
         if (body := spec.body(name)) is not None:
             body.pos = body.pos + mismatch.origin_shift[-1]
@@ -133,7 +127,7 @@ def check_engines(robot: RobotModel) -> None:
         mujoco.mj_fwdVelocity(model, state)
         mujoco.mj_fullM(model, state, M)
         ours = robot.state(q, state.qvel)
-        # Rotor inertia is left out of the scale of M, because it would hide errors of small links.
+        # Rotor inertia in the scale of M would hide errors of small links.
         heavy = max(np.abs(M - rotor).max(), 1e-8 * rotor.max())
         bias, reach = np.abs(theirs["h"]).max() - GRAVITY[2] * heavy, max(1e-3, np.linalg.norm(theirs["tip"]))
         sizes = {"M": (heavy, "kg m^2"), "h": (bias, "Nm"), "tip": (reach, "m"), "wrist": (reach, "m")}

@@ -15,12 +15,11 @@ from moc_opt.sim.sensors import Measurement
 class TorqueController(Protocol):
     """Computes a torque from a measurement.
 
-    If the controller has an attribute ``tip`` (3,) [m] or ``state`` (`RobotState`), the safety filter checks the tip
-    error.
+    The safety filter checks the tip error if there is an attribute ``tip`` (3,) [m] or ``state`` (`RobotState`).
     """
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
-        """Prepare for a run that begins at this measurement; arguments as for ``tick``."""
+        """Prepare for a run; arguments as for ``tick``."""
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
         """Compute the torque (n,) [Nm] of this period.
@@ -46,19 +45,19 @@ class LoggedController(TorqueController, Protocol):
 
 
 class Filtered(ABC):
-    """A controller together with its safety filter, in this process or in another."""
+    """A controller with its safety filter, in this process or in another."""
 
-    stop_reason: Any  #: Why the arm has to be stopped; empty if no stop is needed.
+    stop_reason: Any  #: Why the arm has to be stopped, or empty.
     limited: Any  #: Number of joints whose torque was changed in the last tick.
     warnings: Any  #: Quantities that exceeded a warning level, as JSON values.
 
     @abstractmethod
     def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
-        """Prepare for a run that begins at this measurement."""
+        """Prepare for a run."""
 
     @abstractmethod
     def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
-        """Return this period's torque (n,) [Nm], within limits. In a stop, the controller's torque is not used."""
+        """Return this period's torque (n,) [Nm], within limits."""
 
     @abstractmethod
     def brake_friction(self, seen: Measurement) -> Array | float:
