@@ -81,7 +81,7 @@ class SafetyFilter:
             q, v: (n,) measured [rad], [rad/s].
             stamp: number of the control period of the measurement; None: the age is not checked.
             applied: (n,) torque that was applied last [Nm]; None: repeated readings are not detected.
-            wrench: (6,) of `Measurement.force`; needed with a trocar.
+            wrench: (6,) as in `Measurement.force`; needed with a trocar.
             trocar: (2, 3) rows P_t, dP_t of the registered trocar; None: RCM error and trocar force are not checked.
         """
         number, seen = math.nan if stamp is None else stamp, _NO_WRENCH if wrench is None else wrench

@@ -114,8 +114,8 @@ def _unlike(name: str, value: object, shape: tuple[int, ...]) -> str:
 class Supervisor:
     """Check the answers of a solver's session, replace refused answers, and count the faults.
 
-    The arguments are those of `Controller`. ``faults`` maps the label of a fault to a dict of ``count``, ``first_at_s``
-    and ``first`` (the first message).
+    ``period`` and ``times_us`` are those of `Controller`. ``faults`` maps the label of a fault to a dict of ``count``,
+    ``first_at_s`` and ``first`` (the first message).
     """
 
     def __init__(
@@ -149,7 +149,7 @@ class Supervisor:
     def step(
         self, q: Array, v: Array, tip_ref: Array, trocar: Array, x_d: Array | None, tolerance: float
     ) -> tuple[Status, Array, Array]:
-        """Do the whole tick in the core, with `exact`. The arguments are those of `Controller.tick`.
+        """Do the whole tick in the core, with `exact` at ``tolerance`` [rad/s]. ``x_d`` is from a `Guide`.
 
         Return (status, record of a `RobotState`, out). ``out`` (14 n + 16,) has, in this order, `NullSpaceQP.row`
         (11 n + 10,), the solver's x (n,) and y (6,), the x (n,) that the arm follows, and the torque (n,) [Nm].

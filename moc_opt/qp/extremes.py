@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from moc_opt.arrays import Array
 
-MOST_CORNERS = 10_000  # with more corners, the largest cost is only searched locally
+MOST_CORNERS = 10_000
 FAR = 1e3  # length of a proximal step that meets no bound [box widths]
 ROUNDS, STEPS = 200, 20  # most proximal steps to the smallest cost; most steps per joint to the largest cost
 ROUNDING = 1e-14  # rounding error of numbers of order one
@@ -91,8 +91,8 @@ def optimum(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> tupl
 def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Array] | None:
     """Return (w, f): the w (r,) nearest to ``start`` with low <= Z w <= high, and f (n,) with w - start = Z^T f.
 
-    f is positive at active lower bounds, negative at active upper bounds, 0 elsewhere. Return None if no w is feasible.
-    The method is non-negative least squares (Lawson, Hanson, Solving Least Squares Problems, 1974, chapter 23).
+    Return None if no w is feasible. The method is non-negative least squares (Lawson, Hanson, Solving Least Squares
+    Problems, 1974, chapter 23).
     """
     # With rows of length 1, an error means the same distance in w for every joint.
     moves = np.linalg.norm(Z, axis=1)

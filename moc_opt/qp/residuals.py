@@ -37,8 +37,7 @@ class Residuals(NamedTuple):
         primal: max(|A x - b|_inf, violation of the bounds) [m/s or rad/s].
         natural: natural residual with the solver's y. If the solver gave no y, it equals ``natural_best``.
         natural_best: smallest natural residual over all y.
-        relative: ``natural_best`` after dividing the cost by max(c2 |Z Z^T pull|_inf, rho times 1 rad/s), with an
-            orthonormal basis Z of ker A.
+        relative: ``natural_best`` after dividing the cost by max(c2 |Z Z^T pull|_inf, rho times 1 rad/s).
         loss: (cost of x - smallest cost) / (largest - smallest cost) over the feasible set, in [0, 1].
         distance: |x - x*|_inf to the nearest optimum x* [rad/s]. If no point is feasible, the distance is infinite.
 

@@ -23,7 +23,7 @@ from moc_opt.robots.gains import CARTESIAN, derived_gains
 from moc_opt.robots.loader import RobotData, load_data
 
 LEAST_JOINTS = 4  # with fewer, tip and shaft cannot be controlled
-_STRUCTURAL_ZERO = 1e-12  # an idle joint's column of the Jacobian is at most this
+_STRUCTURAL_ZERO = 1e-12  # a column of a Jacobian with a smaller norm counts as zero
 _TIP, _WRIST = slice(0, 3), slice(3, 6)
 
 

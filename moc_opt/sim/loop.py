@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from moc_opt.control.safety_filter import SafetyFilter
 
 AT_REST = 0.005  #: Below this speed, a joint counts as resting [rad/s, m/s].
-LONGEST = 4  #: Longest duration of a stop [`Stop.seconds`].
+LONGEST = 4  #: Longest duration of a stop, in `Stop.seconds`.
 
 
 class FilteredController(Filtered):
