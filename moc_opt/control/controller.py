@@ -39,9 +39,6 @@ class Controller:
         period: control period [s].
         times_us: recorded solve times [us], used instead of the clock while they last.
         guide: gives the elbow's velocity, and needs regularization and c2 above 0.
-
-    Raises:
-        ControlError: the solver or a setting does not fit the law or the robot.
     """
 
     def __init__(
@@ -131,11 +128,7 @@ class Controller:
         return self._law.memory()[2]
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
-        """Reset the controller, and start its solver; arguments as for `tick`.
-
-        Raises:
-            ControlError: the solver cannot start.
-        """
+        """Reset the controller, and start its solver; arguments as for `tick`."""
         # The tick of a copy initializes all libraries.
         copy = Controller(self.robot, self.settings, self.solver, self._period)
         copy._begin(q, v, tip_ref, trocar)

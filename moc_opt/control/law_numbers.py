@@ -20,11 +20,7 @@ _CHECKS = ("check", "box_limit", "primal_limit", "relative_limit", "opposite_lim
 
 
 def numbers_of(settings: ControlSettings, robot: RobotModel, period: float) -> dict[str, Any]:
-    """Return the fields of the core's structs moc_law and moc_supervision, by name, for a period [s].
-
-    Raises:
-        ControlError, UnknownNameError: a gain or margin does not fit the robot or the period.
-    """
+    """Return the fields of the core's structs moc_law and moc_supervision, by name, for a period [s]."""
     n, moc, follows, supervisor = robot.n, settings.law == "moc", settings.follows, settings.supervisor
     gains = settings.resolve_gains(robot.data.gains, n)
     gain, damping = gains.K_N2, gains.D_N2

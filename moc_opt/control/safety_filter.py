@@ -1,4 +1,4 @@
-"""The safety filter. Its checks are in core/safety_filter.c, and docs/extending.md says how to add one."""
+"""The safety filter. docs/extending.md says how to add a check."""
 
 from __future__ import annotations
 
@@ -61,11 +61,7 @@ class SafetyFilter:
         self.start(np.clip(robot.data.q_home, robot.q_min, robot.q_max), self._rest)
 
     def start(self, q: Array, v: Array, stamp: int = 0) -> None:
-        """Begin at the first measurement, taken in control period number ``stamp``.
-
-        Raises:
-            ControlError: the measurement is not finite.
-        """
+        """Begin at the first measurement, taken in control period number ``stamp``."""
         if not (np.isfinite(q).all() and np.isfinite(v).all()):
             raise ControlError(f"measured q = {q.tolist()}, v = {v.tolist()}: not finite; check the sensors")
         self._guard.start(np.ascontiguousarray(q), np.ascontiguousarray(v), stamp)
@@ -119,7 +115,7 @@ class SafetyFilter:
         Args:
             tau, before: (n,) torque of the controller, and torque that was applied last [Nm].
             q, v: (n,) as returned by `check_measurement`.
-            tip_ref: (3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2]; None: the tip is not checked.
+            tip_ref: (3, 3) as in `Controller.tick`; None: the tip is not checked.
             state: the robot's state at (q, v), if known.
             tip: (3,) tip that the controller computed [m]; None: the tip of ``state``.
         """

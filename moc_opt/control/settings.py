@@ -162,7 +162,7 @@ class ControlSettings(Settings):
         return cls(**{**PRESETS[name], **changes})
 
     def check_guided(self) -> None:
-        """Raise a ControlError unless regularization and c2 are above 0, as a given elbow velocity needs."""
+        """Raise a ControlError unless regularization and c2 are above 0."""
         if not min(self.regularization, self.c2) > 0.0:
             raise ControlError(
                 f"third_level = {self.third_level!r}, climb = {self.climb!r} with c2 = {self.c2:g}, regularization = "
@@ -189,12 +189,7 @@ class ControlSettings(Settings):
         return self.observer_gain_per_s
 
     def resolve_gains(self, tables: Mapping[str, Mapping[str, Any]], joints: int) -> Gains:
-        """Return the gains for n = ``joints``. A gain that is not set comes from one of the robot's ``tables``.
-
-        Raises:
-            UnknownNameError: ``gains`` names no table of this robot.
-            ControlError: a gain is missing or does not fit the joints.
-        """
+        """Return the gains for n = ``joints``. A gain that is not set comes from one of the robot's ``tables``."""
         name = self.gains or self.law
         if name not in tables:
             raise UnknownNameError("table of gains", name, tables)

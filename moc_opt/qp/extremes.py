@@ -33,7 +33,7 @@ class Extremes(NamedTuple):
     Attributes:
         w: (r,) a point of smallest cost.
         least: a lower bound on the cost, by weak duality.
-        most: the largest cost. With more than `MOST_CORNERS` corners, it may be only a local maximum.
+        most: the largest cost, or with more than `MOST_CORNERS` corners a local maximum.
         pull: (n,) gradient of cost + y^T (A x - b) at w = 0, with the optimum's multipliers y.
     """
 
@@ -46,11 +46,7 @@ class Extremes(NamedTuple):
 def extremes(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> Extremes | None:
     """Find the smallest and largest slope^T w + rho/2 |w|^2 over low <= Z w <= high; None if no w is feasible.
 
-    Args:
-        Z: (n, r) orthonormal columns.
-        low, high: (n,) finite bounds [rad/s].
-        slope: (r,)
-        rho: zero or more. If the slope is zero, rho must be positive.
+    Z (n, r) has orthonormal columns. If ``slope`` (r,) is zero, rho must be positive.
     """
     width = max(float((high - low).max()), 1e-12)
     steep = max(float(np.linalg.norm(slope)), rho * width)

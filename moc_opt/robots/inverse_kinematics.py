@@ -32,10 +32,7 @@ def solve_pose(
     robot: RobotModel, q: ArrayLike, tip: ArrayLike, wrist: ArrayLike | None = None, *, iterations: int = 40,
     limited: bool = True,
 ) -> Placed:  # fmt: skip
-    """Find a pose near q (n,) with the tip, and the wrist if given, at points (3,) [m].
-
-    The search is local. Raise a RobotError if an argument has a wrong shape or is not finite.
-    """
+    """Search locally for a pose near q (n,) with the tip, and the wrist if given, at points (3,) [m]."""
     points = np.array([tip] if wrist is None else [tip, wrist], dtype=np.float64)
     low, high = (robot.q_min, robot.q_max) if limited else (np.full(robot.n, -np.inf), np.full(robot.n, np.inf))
     begin = np.clip(np.asarray(q, dtype=np.float64), low, high)

@@ -52,7 +52,7 @@ class Tool(_Table):
 
 
 class Limits(_Table):
-    """Limits that replace those of the URDF. Limits in degrees are refused if any joint slides."""
+    """Limits that replace those of the URDF."""
 
     KIND: ClassVar[str] = "[limits]"
     q_min_deg: Vector | None = None

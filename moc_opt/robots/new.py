@@ -32,7 +32,7 @@ MARGIN = 0.2  #: Smallest distance from a joint limit, divided by half the range
 REGULAR = (0.15, 0.08)
 """Smallest `Freedoms.tip` and `Freedoms.both` at home."""
 SHARE = (0.7, 0.9)
-"""Wanted range of mu / (largest mu on the self-motion) at home. Below 1, so that mu can rise."""
+"""Wanted range of mu / (largest mu on the self-motion) at home."""
 
 
 class NewRobot(NamedTuple):
@@ -58,7 +58,6 @@ def new_robot(
 
     Raises:
         RobotError: the file is no serial arm, no null space is left, or an output file exists.
-        UnknownNameError: ``tip`` or a joint of ``lock`` is not in the file.
     """
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}\.toml", out.name):
         raise RobotError(f"--out {out.name!r}: the robot gets this name: give letters, digits, _ and -, then .toml")
@@ -233,7 +232,7 @@ def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
 
 
 def _ranked(robot: RobotModel, poses: Array) -> list[Home]:
-    """Return home poses by descending score, up to the first that can do the task and is in `SHARE`."""
+    """Return home poses by descending score, up to the first good one."""
     moving, mu = robot.moves.any(axis=0), robot.mu_along(poses)
     scores = np.full(len(poses), -np.inf)
     for k, q in enumerate(poses):

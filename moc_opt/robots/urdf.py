@@ -181,10 +181,7 @@ def _numbers(element: ET.Element | None, key: str, what: str, count: int = 3, mo
 
 
 def normalize(arm: Urdf) -> Tree:
-    """Check a URDF and return its tree. In place, axes get length 1, and flat bodies become slightly thick.
-
-    A RobotError is raised if a name or number is wrong, a body is impossible, or the links form no tree.
-    """
+    """Check a URDF and return its tree. In place, axes get length 1, and flat bodies become slightly thick."""
     for name in [link.name for link in arm.links] + [joint.name for joint in arm.joints]:
         if not names.is_name(name):
             raise RobotError(f"urdf: {name!r:.80} is no name for a link or joint: {names.RULE}")

@@ -72,7 +72,7 @@ class Joints:
         self.gather()
 
     def command(self, tau: ArrayLike) -> None:
-        """Queue a torque (n,) [Nm], and apply the torque that is due. Raise a PlantError for a wrong torque."""
+        """Queue a torque (n,) [Nm], and apply the torque that is due."""
         wanted = np.asarray(tau, dtype=np.float64)
         if wanted.shape != self._high.shape:
             raise PlantError(f"tau has shape {wanted.shape}: give {self._high.shape}, one torque per joint [Nm]")
@@ -99,7 +99,7 @@ class Joints:
 
 
 def add_springs(data: RobotData, spec: mujoco.MjSpec, settings: PlantSettings) -> None:
-    """Put a spring in each joint. Raise a PlantError if the number of stiffnesses is wrong."""
+    """Put a spring in each joint."""
     for joint, value in zip(list(spec.joints), _stiffnesses(data, settings), strict=True):
         spring = joint.parent.add_joint(name=f"{joint.name}_spring", type=joint.type, axis=joint.axis, pos=joint.pos)
         spring.limited = mujoco.mjtLimited.mjLIMITED_FALSE

@@ -27,7 +27,7 @@ LONGEST = 4  #: Longest duration of a stop, in `Stop.seconds`.
 
 
 class FilteredController(Filtered):
-    """A controller with an optional safety filter. ``applied`` (n,) is the latest torque [Nm]."""
+    """A controller with an optional safety filter."""
 
     def __init__(self, controller: TorqueController, safety_filter: SafetyFilter | None, applied: Array) -> None:
         self._controller, self._filter, self._applied = controller, safety_filter, applied
@@ -98,9 +98,7 @@ class ClosedLoop:
     def step(self, tip_ref: Array, registered: Array, trocar: Array | None = None) -> None:
         """Measure, compute the torque, and move the arm by one control period.
 
-        Args:
-            tip_ref: (3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2].
-            registered, trocar: (2, 3) rows P_t [m], dP_t [m/s] of the registered and of the true trocar.
+        ``tip_ref`` and ``registered`` are those of `Controller.tick`. ``trocar`` (2, 3) is the true trocar.
 
         Raises:
             PlantError: an argument is wrong, or the simulation of the plant diverged.

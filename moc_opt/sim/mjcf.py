@@ -24,11 +24,7 @@ POSES = 3  #: Number of compared poses.
 
 
 def build_spec(data: RobotData, *, substep_s: float, gravity: bool = True) -> mujoco.MjSpec:
-    """Build the editable MuJoCo model of the arm, without shapes and friction. Joint limits are soft stops.
-
-    Raises:
-        PlantError: MuJoCo cannot read the URDF, or finds joints that the robot does not list.
-    """
+    """Build the editable MuJoCo model of the arm, without shapes and friction. Joint limits are soft stops."""
     try:
         spec = mujoco.MjSpec.from_string(_bare(data.urdf))
     except (ValueError, ET.ParseError) as error:
@@ -107,12 +103,7 @@ def _bare(urdf: str) -> str:
 
 
 def check_engines(robot: RobotModel) -> None:
-    """Compare inertia M, bias h, tip and wrist of pinocchio and MuJoCo at random states.
-
-    Raises:
-        RobotError: the engines differ by more than `TOLERANCE`.
-        PlantError: MuJoCo cannot load the robot.
-    """
+    """Raise a RobotError if pinocchio and MuJoCo differ in M, h, tip or wrist at random states."""
     data, rng = robot.data, np.random.default_rng(0)
     model = compile_model(data.name, build_spec(data, substep_s=0.001))
     state, M = mujoco.MjData(model), np.zeros((data.n, data.n))

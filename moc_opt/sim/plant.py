@@ -64,9 +64,6 @@ class Plant:
         data: the robot's data, as used for the controller's model.
         settings: how the plant differs from that model.
         seed: seed of mismatch and noise, 0 or more.
-
-    Raises:
-        PlantError: MuJoCo cannot load the robot, or the robot's URDF lacks a frame.
     """
 
     def __init__(self, data: RobotData, settings: PlantSettings | None = None, seed: int = 0) -> None:
@@ -116,7 +113,7 @@ class Plant:
             v: (n,) joint velocities [rad/s], by default 0.
 
         Raises:
-            PlantError: wrong shape, not finite, or q outside the limits.
+            PlantError: a position is outside its limits.
         """
         start = _finite("q", q, (self.data.n,))
         speed = np.zeros(self.data.n) if v is None else _finite("v", v, (self.data.n,))
@@ -150,7 +147,7 @@ class Plant:
             trocar: (2, 3) rows P_t [m], dP_t [m/s]; None: no trocar.
 
         Raises:
-            PlantError: an argument has a wrong shape or is not finite, or the arm ran away.
+            PlantError: the arm ran away.
         """
         rows = ", point [m] and velocity [m/s], or None for no trocar; the arm has not moved"
         place = None if trocar is None else _finite("trocar", trocar, (2, 3), rows)
@@ -204,11 +201,7 @@ class Plant:
         return self._measurement
 
     def brake(self, damping_Nm_s_per_rad: float, friction_Nm: ArrayLike = 0.0) -> None:
-        """Set the drives' damping and the brakes' dry friction, besides the joints' own, until `reset`.
-
-        Raises:
-            PlantError: a friction is negative or not finite.
-        """
+        """Set the drives' damping and the brakes' dry friction, besides the joints' own, until `reset`."""
         friction = np.broadcast_to(np.asarray(friction_Nm, dtype=np.float64), self.data.n)
         if not ((friction >= 0.0) & np.isfinite(friction)).all():
             raise PlantError(f"friction_Nm = {friction.tolist()}: give 0 or more")
@@ -223,10 +216,6 @@ class Plant:
             body: the link's name.
             force: (3,) in world axes [N].
             point: (3,) where the force acts, in the link's frame [m]; None: centre of mass.
-
-        Raises:
-            UnknownNameError: no such link.
-            PlantError: wrong shape or not finite.
         """
         number = self._number(body)
         where = self.mj_model.body_ipos[number].copy() if point is None else _finite("push point", point, (3,)).copy()

@@ -22,13 +22,7 @@ class TorqueController(Protocol):
         """Prepare for a run; arguments as for ``tick``."""
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """Compute the torque (n,) [Nm] of this period.
-
-        Args:
-            q, v: (n,) measured positions [rad] and velocities [rad/s].
-            tip_ref: (3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2].
-            trocar: (2, 3) rows P_t [m], dP_t [m/s] of the registered trocar.
-        """
+        """Compute the torque (n,) [Nm] of this period; arguments as for `Controller.tick`."""
 
     def set_applied_torque(self, tau: Array) -> None:
         """Receive the torque (n,) [Nm] that was applied instead of the result of ``tick``."""

@@ -22,12 +22,7 @@ _Stiffness = Annotated[float, Field(gt=0, le=1e9)]
 
 
 class PlantSettings(Settings):
-    """The simulated arm, its trocar and its sensors. The value 0 switches an error, noise, ripple or delay off.
-
-    Raises:
-        PlantError: a value is out of range.
-        UnknownNameError: a field does not exist.
-    """
+    """The simulated arm, its trocar and its sensors. The value 0 switches an error, noise, ripple or delay off."""
 
     KIND: ClassVar[str] = "[plant]"
     MORE_KEYS: ClassVar[tuple[str, ...]] = ("preset",)
@@ -130,10 +125,7 @@ class Mismatch:
     def draw(
         cls, data: RobotData, settings: PlantSettings, links: Sequence[str], seed: np.random.SeedSequence
     ) -> Mismatch:
-        """Draw the differences. ``links`` are the names of all links with mass.
-
-        Factors are uniform in 1 +- error. Offsets have fixed size and random direction. Encoder biases are Gaussian.
-        """
+        """Draw the differences. ``links`` are the names of all links with mass."""
         of_links, of_joints, of_trocar, of_origins, of_axes, of_encoders, of_ripple = (
             np.random.default_rng(child) for child in seed.spawn(7)
         )
