@@ -1,4 +1,7 @@
-"""The hierarchical torque controller, and its checks of answers and measurements. Read ``controller`` first."""
+"""The hierarchical torque controller. Read ``controller`` first.
+
+``supervisor`` refuses wrong answers of a solver, and ``safety_filter`` checks measurements and limits torques.
+"""
 
 from moc_opt.control.controller import Controller
 from moc_opt.control.settings import ControlSettings

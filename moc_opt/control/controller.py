@@ -1,4 +1,4 @@
-"""The controller: tau = tau_tip + tau_rcm + tau_mu, the torques of levels 1 to 3. Their code is core/law.c."""
+"""The controller: tau = tau_tip + tau_rcm + tau_mu, the torques of levels 1 to 3, computed in core/law.c."""
 
 from __future__ import annotations
 
@@ -22,23 +22,31 @@ from moc_opt.solvers.isolated import IsolatedSession
 
 
 class Guide(Protocol):
-    """A source of joint velocities x_d that the elbow follows instead of the gradient of mu."""
+    """A source of joint velocities x_d that the elbow follows instead of the gradient of mu.
+
+    In the cost of the subproblem, pull is then (rho / c2) x_d, so that the optimum is the feasible x nearest to x_d.
+    """
 
     def start(self) -> None:
         """Reset to t = 0."""
 
     def desired_velocity(self, state: RobotState) -> Array:
-        """Return x_d (n,) [rad/s]. Called once per tick."""
+        """Return x_d (n,) [rad/s] for this tick. The controller calls this method once per tick."""
 
 
 class Controller:
     """Compute the torques of one arm. Call ``start`` once, then ``tick`` every period.
 
     Args:
+        robot: the model that the control law uses.
+        settings: see ControlSettings.
         solver: solver of level 3 for law "moc"; None for law "dcac".
         period: control period [s].
-        times_us: recorded solve times [us], used instead of the clock while they last.
-        guide: gives the elbow's velocity, and needs regularization and c2 above 0.
+        times_us: recorded solve times [us], used instead of the clock while they last; None: the clock.
+        guide: gives the elbow's velocity, and needs regularization and c2 above 0. None: the elbow raises mu.
+
+    Raises:
+        ControlError: the solver or a setting does not fit the law or the robot.
     """
 
     def __init__(
@@ -79,7 +87,7 @@ class Controller:
 
     @property
     def state(self) -> RobotState:
-        """The robot's state in the last tick, by its model."""
+        """The state of the robot's model at the q and v of the last tick."""
         return RobotState(self._record, self._n)
 
     @property
@@ -96,7 +104,7 @@ class Controller:
 
     @property
     def answer(self) -> Array:
-        """The x (n,) [rad/s] that level 3 followed: the solver's answer or its replacement."""
+        """The x (n,) [rad/s] that level 3 followed: the solver's answer or its replacement. NaN under DCAC."""
         self._take_apart()
         return self._answer
 
@@ -128,8 +136,12 @@ class Controller:
         return self._law.memory()[2]
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
-        """Reset the controller, and start its solver; arguments as for `tick`."""
-        # The tick of a copy initializes all libraries.
+        """Reset the controller, and start its solver; arguments as for `tick`.
+
+        Raises:
+            ControlError: the solver cannot start.
+        """
+        # First, a copy of the controller runs one tick, which initializes all libraries.
         copy = Controller(self.robot, self.settings, self.solver, self._period)
         copy._begin(q, v, tip_ref, trocar)
         copy.tick(q, v, tip_ref, trocar)
@@ -188,13 +200,13 @@ class Controller:
         self._law.set_applied(np.ascontiguousarray(tau, dtype=np.float64))
 
     def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
-        """Create trace columns of level 3."""
+        """Create the trace columns of level 3, with one row per tick."""
         found: dict[str, NDArray[Any]] = {
             "status": np.full(ticks, "none", dtype="<U12"), "solve_us": np.full(ticks, np.nan)
         }  # fmt: skip
         if self.solver is not None:
             n, end = self._n, self._row_length
-            # The block has the order of ``out`` of `Supervisor.step`.
+            # The block's columns are in the order of ``out`` of `Supervisor.step`.
             self._block = block = np.full((ticks, end + 2 * n + 6), np.nan)
             found |= {
                 "subproblem": block[:, :end], "x_rad_per_s": block[:, end : end + n],

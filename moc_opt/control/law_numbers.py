@@ -11,7 +11,7 @@ from moc_opt.control.settings import ControlSettings, per_joint
 from moc_opt.errors import ControlError
 from moc_opt.robots.model import RobotModel
 
-# In the order of the core's enums.
+# The next three are in the order of the core's enums.
 PROJECTORS = ("dynamic", "static", "as_published")
 FALLBACKS = ("damping", "hold", "least-violation")
 LATE = ("hold", "zero", "iterate")
@@ -20,11 +20,11 @@ _CHECKS = ("check", "box_limit", "primal_limit", "relative_limit", "opposite_lim
 
 
 def numbers_of(settings: ControlSettings, robot: RobotModel, period: float) -> dict[str, Any]:
-    """Return the fields of the core's structs moc_law and moc_supervision, by name, for a period [s]."""
+    """Return the fields of the core's structs moc_law and moc_supervision, by name, for a control period [s]."""
     n, moc, follows, supervisor = robot.n, settings.law == "moc", settings.follows, settings.supervisor
     gains = settings.resolve_gains(robot.data.gains, n)
     gain, damping = gains.K_N2, gains.D_N2
-    if follows:  # D_N2 then acts on x - v, as K_N2 does
+    if follows:  # x is then the desired velocity, so D_N2 acts on x - v, as K_N2 does
         gain, damping = gain + damping, np.zeros(n)
     if not moc:
         damping = per_joint("[control] dcac_damping", settings.dcac_damping, n)

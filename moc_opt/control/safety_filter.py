@@ -1,4 +1,4 @@
-"""The safety filter. docs/extending.md says how to add a check."""
+"""The safety filter. Its checks are in core/safety_filter.c, and docs/extending.md says how to add one."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.errors import ControlError
 from moc_opt.robots.model import RobotModel, RobotState
 
-PRESS_PER_S = 50.0  # rate of the low-pass filter on the trocar's force in a stop
+PRESS_PER_S = 50.0  # inverse time constant of the low-pass filter on the trocar's force in a stop
 MOST_TICKS = 2**31 - 1  # the largest int of C
-_SETTLED = 6.0  # settling time of the momentum residuals [time constants of their observer]
+_SETTLED = 6.0  # settling time of the momentum residuals (see `SafetyFilter`) [time constants of their observer]
 _NO_WRENCH = np.full(6, np.nan)
 _LATE, _TIP = core.REASONS.index("measurements are too late"), core.REASONS.index("the tip has been off its reference")
 _WATCHED = (
@@ -32,11 +32,16 @@ _AS_SET = (  # settings with the same name in the core
 class SafetyFilter:
     """Check measurements, limit torques, and request a stop if a check fails.
 
+    A joint's momentum residual is the torque that its motion implies, minus the applied torque.
+
     Args:
+        robot: the model of the arm.
+        settings: see SafetyFilterSettings.
         period: control period [s].
-        carries: whether the commanded torque carries the arm's weight.
-        incision: whether RCM error and trocar force are checked.
-        momentum: whether `limit_torque` computes a missing state, which the momentum residuals need.
+        carries: whether the commanded torque carries the arm's weight. If not, the drives add the gravity torque.
+        incision: whether the tool is in an incision. If not, RCM error and trocar force are not checked.
+        momentum: whether `limit_torque` computes the robot's state if it is called without one. The momentum residuals
+            need the state.
 
     Attributes:
         limited: number of joints whose torque the last call of `limit_torque` changed.
@@ -61,7 +66,11 @@ class SafetyFilter:
         self.start(np.clip(robot.data.q_home, robot.q_min, robot.q_max), self._rest)
 
     def start(self, q: Array, v: Array, stamp: int = 0) -> None:
-        """Begin at the first measurement, taken in control period number ``stamp``."""
+        """Begin at the first measurement (q, v), which was taken in control period number ``stamp``.
+
+        Raises:
+            ControlError: the measurement is not finite.
+        """
         if not (np.isfinite(q).all() and np.isfinite(v).all()):
             raise ControlError(f"measured q = {q.tolist()}, v = {v.tolist()}: not finite; check the sensors")
         self._guard.start(np.ascontiguousarray(q), np.ascontiguousarray(v), stamp)
@@ -73,11 +82,13 @@ class SafetyFilter:
     ) -> tuple[Array, Array]:  # fmt: skip
         """Return the measurement. If it is late or impossible, return the last accepted measurement, extrapolated.
 
+        A stop is requested after more than ``patience_ticks`` such measurements in a row, or if another check fails.
+
         Args:
             q, v: (n,) measured [rad], [rad/s].
             stamp: number of the control period of the measurement; None: the age is not checked.
             applied: (n,) torque that was applied last [Nm]; None: repeated readings are not detected.
-            wrench: (6,) as in `Measurement.force`; needed with a trocar.
+            wrench: (6,) force [N] and torque [Nm] of the tool on its mount, in tool axes; needed with a trocar.
             trocar: (2, 3) rows P_t, dP_t of the registered trocar; None: RCM error and trocar force are not checked.
         """
         number, seen = math.nan if stamp is None else stamp, _NO_WRENCH if wrench is None else wrench
@@ -110,14 +121,16 @@ class SafetyFilter:
     ) -> Array:  # fmt: skip
         """Return the torque (n,) [Nm] within its limits.
 
-        A torque that is not finite is replaced by ``before``.
+        A stop is requested if the tip error or a momentum residual exceeds its limit, or if the torque is not finite. A
+        torque that is not finite is replaced by ``before``.
 
         Args:
-            tau, before: (n,) torque of the controller, and torque that was applied last [Nm].
+            tau: (n,) torque of the controller [Nm].
+            before: (n,) torque that was applied last [Nm].
             q, v: (n,) as returned by `check_measurement`.
-            tip_ref: (3, 3) as in `Controller.tick`; None: the tip is not checked.
+            tip_ref: (3, 3) rows X_d, dX_d, ddX_d, as in `Controller.tick`; None: the tip is not checked.
             state: the robot's state at (q, v), if known.
-            tip: (3,) tip that the controller computed [m]; None: the tip of ``state``.
+            tip: (3,) tip that the controller computed [m]; None: the tip of ``state``, if that is given.
         """
         shown = state is not None or tip is not None
         if state is None and self._computes:
@@ -137,7 +150,11 @@ class SafetyFilter:
         return self._guard.rest(np.ascontiguousarray(before, dtype=np.float64))
 
     def brake_friction(self, wrench: Array) -> Array:
-        """Return the dry friction (n,) [Nm] of the brakes in a stop; zero while ``stop_yield_N`` opens them."""
+        """Return the dry friction (n,) [Nm] of the brakes in a stop; zero while they are open (see ``stop_yield_N``).
+
+        Args:
+            wrench: (6,) as for `check_measurement`.
+        """
         return self._guard.hold(np.ascontiguousarray(wrench, dtype=np.float64))
 
 

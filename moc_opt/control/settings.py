@@ -47,7 +47,7 @@ GAINS = Gains._fields
 class ControlSettings(Settings):
     """The control law. Level 1 moves the tip, level 2 the wrist, and level 3 the elbow. x is level 3's joint velocity.
 
-    The gains in the robots' tables ``dcac`` and ``moc`` are from Table I of Su et al. (2019).
+    The tables [gains.dcac] and [gains.moc] in the robots' files are from Table I of Su et al. (2019).
     """
 
     KIND: ClassVar[str] = "[control]"
@@ -189,7 +189,12 @@ class ControlSettings(Settings):
         return self.observer_gain_per_s
 
     def resolve_gains(self, tables: Mapping[str, Mapping[str, Any]], joints: int) -> Gains:
-        """Return the gains for n = ``joints``. A gain that is not set comes from one of the robot's ``tables``."""
+        """Return the gains for n = ``joints``. A gain that is not set comes from one of the robot's ``tables``.
+
+        Raises:
+            UnknownNameError: ``gains`` names no table of this robot.
+            ControlError: a gain is missing or does not fit the joints.
+        """
         name = self.gains or self.law
         if name not in tables:
             raise UnknownNameError("table of gains", name, tables)
@@ -209,7 +214,7 @@ class ControlSettings(Settings):
 
 
 def per_joint(name: str, value: Any, joints: int) -> Array:
-    """Return one number per joint. Raise a ControlError if ``value`` has another length."""
+    """Return one number per joint. Raise a ControlError if ``value`` is a sequence of another length."""
     if not isinstance(value, int | float) and len(value) != joints:
         count = f"{len(value)} entries for {joints} joints"
         raise ControlError(f"{name} = {value!r} has {count}: give one number, or one per joint")

@@ -37,6 +37,7 @@ class Fault(Enum):
     label: str  #: Name in traces and reports.
 
     def __init__(self, meaning: str) -> None:
+        # The label "lied" is kept from older versions.
         self.label = "lied" if self.name == "FALSE_OPTIMUM" else self.name.lower()
 
 
@@ -85,11 +86,14 @@ _NO_ANSWER = 3
 _NAN = float("nan")
 
 
-MOST_ITERATIONS = 2**31 - 1  #: The largest number that a trace can hold.
+MOST_ITERATIONS = 2**31 - 1  #: The largest number of iterations that a trace can hold.
 
 
 def received(given: object, n: int) -> tuple[Solution, str]:
-    """Return (copy of a solver's answer, ""). If any part is malformed, x (n,) is NaN, and the text says why."""
+    """Return (copy of a solver's answer, message). The message is empty if the answer is well-formed.
+
+    If any part is malformed, x (n,) is NaN.
+    """
     if not isinstance(given, Solution):
         return no_answer(n, Status.NUMERICAL), f"solve returned a {type(given).__name__}: return a Solution"
     x, y, status, iterations = given
@@ -136,7 +140,7 @@ class Supervisor:
         """Let the session solve ``qp``, check the answer, and compute the torque.
 
         Return (solution, x, tau): the solver's answer, the x (n,) [rad/s] that the arm follows, the torque (n,) [Nm].
-        An `ObservingSession` gets the measured velocity ``v`` (n,).
+        ``v`` (n,) [rad/s] is the measured velocity, which an `ObservingSession` needs.
         """
         solution, known, text = self._ask(session, qp, v)
         number, x, tau = self._law.finish(
@@ -149,8 +153,9 @@ class Supervisor:
     def step(
         self, q: Array, v: Array, tip_ref: Array, trocar: Array, x_d: Array | None, tolerance: float
     ) -> tuple[Status, Array, Array]:
-        """Do the whole tick in the core, with `exact` at ``tolerance`` [rad/s]. ``x_d`` is from a `Guide`.
+        """Do the whole tick in the core, with the core's solver `exact` at this ``tolerance`` [rad/s].
 
+        ``x_d`` (n,) [rad/s] is from a `Guide`, or None. The other arguments are those of `Controller.tick`.
         Return (status, record of a `RobotState`, out). ``out`` (14 n + 16,) has, in this order, `NullSpaceQP.row`
         (11 n + 10,), the solver's x (n,) and y (6,), the x (n,) that the arm follows, and the torque (n,) [Nm].
         """

@@ -1,1 +1,1 @@
-"""The null-space subproblem. Read ``problem`` first, then ``residuals``."""
+"""The null-space subproblem and the check of its answers. Read ``problem`` first, then ``residuals``."""

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from moc_opt.arrays import Array
 
-MOST_CORNERS = 10_000
+MOST_CORNERS = 10_000  # with more choices of dim(ker A) active bounds, the largest cost is only searched locally
 FAR = 1e3  # length of a proximal step that meets no bound [box widths]
-ROUNDS, STEPS = 200, 20  # most proximal steps to the smallest cost; most steps per joint to the largest cost
+ROUNDS, STEPS = 200, 20  # at most: proximal steps towards the smallest cost; steps per joint towards the largest cost
 ROUNDING = 1e-14  # rounding error of numbers of order one
 SETTLED = 1e-11  # a shorter proximal step ends the search
 FLAT = 1e-9  # a slope or multiplier below this fraction of the largest one counts as zero
@@ -32,8 +32,8 @@ class Extremes(NamedTuple):
 
     Attributes:
         w: (r,) a point of smallest cost.
-        least: a lower bound on the cost, by weak duality.
-        most: the largest cost, or with more than `MOST_CORNERS` corners a local maximum.
+        least: a lower bound on the cost, by weak duality. If w is optimal, this bound equals the cost of w.
+        most: the largest cost. With rho > 0 and more than `MOST_CORNERS` corners, it may be only a local maximum.
         pull: (n,) gradient of cost + y^T (A x - b) at w = 0, with the optimum's multipliers y.
     """
 
@@ -46,7 +46,8 @@ class Extremes(NamedTuple):
 def extremes(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> Extremes | None:
     """Find the smallest and largest slope^T w + rho/2 |w|^2 over low <= Z w <= high; None if no w is feasible.
 
-    Z (n, r) has orthonormal columns. If ``slope`` (r,) is zero, rho must be positive.
+    Z (n, r) has orthonormal columns. ``low`` and ``high`` (n,) [rad/s] are finite. If ``slope`` (r,) is zero, rho
+    must be positive.
     """
     width = max(float((high - low).max()), 1e-12)
     steep = max(float(np.linalg.norm(slope)), rho * width)
@@ -66,7 +67,7 @@ def extremes(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> Ext
 def optimum(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> tuple[Array, Array] | None:
     """Return (w, f): the w (r,) of smallest cost, and the multipliers f (n,) of its bounds; None if no w is feasible.
 
-    The steps are proximal (Ferris 1991, Finite termination of the proximal point algorithm).
+    The method uses proximal steps (Ferris 1991, Finite termination of the proximal point algorithm).
     """
     w = np.zeros(len(slope))
     if rho * FAR >= np.linalg.norm(slope):
@@ -87,10 +88,10 @@ def optimum(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> tupl
 def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Array] | None:
     """Return (w, f): the w (r,) nearest to ``start`` with low <= Z w <= high, and f (n,) with w - start = Z^T f.
 
-    Return None if no w is feasible. The method is non-negative least squares (Lawson, Hanson, Solving Least Squares
-    Problems, 1974, chapter 23).
+    f is positive at active lower bounds, negative at active upper ones. Return None if no w is feasible. The method is
+    non-negative least squares (Lawson, Hanson, Solving Least Squares Problems, 1974, chapter 23).
     """
-    # With rows of length 1, an error means the same distance in w for every joint.
+    # Each row of G has length 1, so that an error means the same distance in w for every joint.
     moves = np.linalg.norm(Z, axis=1)
     moves = np.where(moves > STILL, moves, np.inf)
     G, away = Z / moves[:, None], Z @ start

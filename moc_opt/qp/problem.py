@@ -3,8 +3,9 @@
     min_x  c0/2 |J_T x - v_T|^2 + c1/2 |J_W x - v_W|^2 - c2 x^T pull + regularization/2 |x|^2
     s.t.   J_T x = v_T,   J_W x = v_W,   lower <= x <= upper
 
-regularization = 0 gives the problem of Su et al. (2019). The six equality rows have rank five, because a rigid tool
-connects tip and wrist.
+x is a joint velocity [rad/s]. By default, pull is the gradient of mu. The terms with c0 and c1 are zero at every
+feasible x. regularization = 0 gives the problem of Su et al. (2019). The six equality rows have rank five if a rigid
+tool connects tip and wrist.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ _DOUBLE, _CONTIGUOUS = np.dtype(np.float64), (8,)
 
 
 def row_length(n: int) -> int:
-    """Return the length of the flat array of a subproblem with n joints."""
+    """Return the length of the flat array (see `Fields`) of a subproblem with n joints."""
     return 11 * n + 10
 
 
@@ -49,7 +50,7 @@ class Fields(NamedTuple):
     lower: Array  # (..., n)
     upper: Array  # (..., n)
     weights: Array  # (..., 4) = c0, c1, c2, regularization
-    q: Array  # (..., n), NaN if it was not given
+    q: Array  # (..., n), the joint position; NaN if it was not given
 
 
 def fields(rows: Array) -> Fields:
@@ -89,7 +90,7 @@ class NullSpaceQP:
 
     Args:
         J_tip, J_wrist: (3, n) translational Jacobians in world axes [m/rad].
-        v_tip, v_wrist: (3,) reference velocities [m/s], equal along the shaft's axis.
+        v_tip, v_wrist: (3,) reference velocities [m/s], with equal components along the shaft.
         grad_mu: (n,) gradient of the manipulability.
         lower, upper: (n,) bounds on the joint velocity [rad/s].
         c0, c1, c2, regularization: weights in the cost.
@@ -218,7 +219,7 @@ class NullSpaceQP:
         return float(0.5 * x @ self.P @ x + self.p @ x)
 
     def assembled(self, rows: int = 5) -> Assembled:
-        """Compute the cost and the equality rows. With ``rows`` = 5, a linearly dependent row is left out."""
+        """Compute the cost and the equality rows. With ``rows`` = 5, a row that depends on the others is omitted."""
         n = self.n
         P, p, spare, plain = np.empty((n, n)), np.empty(n), np.empty(n), np.ones(3)
         for m in (rows, 6):

@@ -1,7 +1,9 @@
 """Residuals of an answer to the null-space subproblem: one definition for every solver.
 
-y are the duals of A x = b. The natural residual is the largest entry of
-``|x - clip(x - (P x + p + A^T y), lower, upper)|`` (Facchinei & Pang 2003, section 1.5.2). It is zero at a KKT point.
+The subproblem (problem.py) is min 1/2 x^T P x + p^T x s.t. A x = b, lower <= x <= upper. Its cost has the terms
+-c2 x^T pull and rho/2 |x|^2. y are the duals of A x = b. The natural residual is the largest entry of
+``|x - clip(x - (P x + p + A^T y), lower, upper)|`` (Facchinei & Pang 2003, section 1.5.2). If A x = b, it is zero
+exactly at a KKT point. A joint is idle if its column of A is zero.
 """
 
 from __future__ import annotations
@@ -18,16 +20,16 @@ from moc_opt.arrays import Array
 from moc_opt.qp.extremes import ROUNDING, STILL, extremes
 
 # The sixth singular value of A counts as zero below TIED |A|_F, any other singular value below RANK_TOLERANCE |A|_F.
-# Jacobians with 7 decimals have a sixth value of up to 8e-8 |A|_F.
+# If the Jacobians are rounded to 7 decimals, the sixth value can reach 8e-8 |A|_F.
 TIED = 1e-7
 RANK_TOLERANCE = 1e-12
-GRADIENT_ROUNDING = 1e-9  # a part of pull in ker A below this fraction of |pull|_inf counts as zero
+GRADIENT_ROUNDING = 1e-9  # the part of pull in ker A counts as zero below this fraction of |pull|_inf
 A_POINT = 1e-9  # a shorter feasible interval counts as a point [rad/s]
-FEASIBLE = 1e-6  # if no x is feasible, the bounds are widened by up to this [rad/s]
-MOST_FACETS = 300  # with more directions of `_facets`, the optimum's y replaces the best y
+FEASIBLE = 1e-6  # if no x is feasible, the bounds are widened by up to this [rad/s], and the set is treated as a point
+MOST_FACETS = 300  # if `_facets` gives more directions, the optimum's y replaces the best y
 TIED_BY_ROUNDING = 1e-14  # a sixth singular value below this share of |A|_F is a rounding error
 NEARLY_SINGULAR = 1e-3  # with a smaller singular value (share of |A|_F), A d = r is solved by iterative refinement
-REFINEMENTS = 3
+REFINEMENTS = 3  # steps of this refinement
 
 
 class Residuals(NamedTuple):
@@ -37,8 +39,10 @@ class Residuals(NamedTuple):
         primal: max(|A x - b|_inf, violation of the bounds) [m/s or rad/s].
         natural: natural residual with the solver's y. If the solver gave no y, it equals ``natural_best``.
         natural_best: smallest natural residual over all y.
-        relative: ``natural_best`` after dividing the cost by max(c2 |Z Z^T pull|_inf, rho times 1 rad/s).
-        loss: (cost of x - smallest cost) / (largest - smallest cost) over the feasible set, in [0, 1].
+        relative: ``natural_best`` after dividing the cost by max(c2 |Z Z^T pull|_inf, rho times 1 rad/s). The
+            columns of Z are an orthonormal basis of ker A.
+        loss: (cost of x - smallest cost) / (largest - smallest cost) over the feasible set, in [0, 1]. It is 0 if all
+            feasible points have the same cost.
         distance: |x - x*|_inf to the nearest optimum x* [rad/s]. If no point is feasible, the distance is infinite.
 
     Example:
@@ -58,7 +62,8 @@ class Residuals(NamedTuple):
     def verified(self, primal: float = 1e-6, relative: float = 1e-3, loss: float = 1e-2) -> NDArray[np.bool_]:
         """Return whether the answer is optimal within these tolerances (bool, batch shape).
 
-        A ``distance`` of at most ``primal`` makes up for ``relative`` and ``loss``.
+        The answer has to be feasible within ``primal``. In addition, either ``distance`` is at most ``primal``, or
+        ``relative`` and ``loss`` are at most their tolerances.
         """
         near = np.less_equal(self.distance, primal)
         good = np.less_equal(self.relative, relative) & np.less_equal(self.loss, loss)
@@ -123,7 +128,7 @@ class _Factors(NamedTuple):
 
     inverse: Array  # (k, n, 6)
     Z: Array  # (k, n, n - rank), orthonormal
-    exactly: bool  # whether `slid` computes products in twice the precision
+    exactly: bool  # whether A is nearly singular, so that `slid` computes products in twice the precision
 
     def slid(self, A: Array, x: Array, b: Array) -> Array:
         """Return the shortest d (k, n, m) with A (x - d) = b."""
@@ -189,7 +194,7 @@ def ranks(s: Array) -> NDArray[np.intp]:
 
 def _idle_patterns(A: Array) -> list[tuple[NDArray[np.intp], NDArray[np.bool_]]]:
     moves = np.linalg.norm(A, axis=1) > RANK_TOLERANCE * np.linalg.norm(A, axis=(1, 2))[:, None]
-    if (moves == moves[:1]).all():  # usual, and faster than `unique`
+    if (moves == moves[:1]).all():  # the usual case, in which the slow `unique` is avoided
         return [(np.arange(len(A)), pattern) for pattern in moves[:1]]
     patterns, which = np.unique(moves, axis=0, return_inverse=True)
     return [(np.flatnonzero(which.ravel() == i), pattern) for i, pattern in enumerate(patterns)]

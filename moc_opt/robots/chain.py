@@ -22,7 +22,7 @@ class Chain:
 
     rotations: Array  #: (n,3,3)
     origins: Array  #: (n,3) [m]
-    axes: Array  #: (n,3)
+    axes: Array  #: (n,3) unit vectors in the joints' own frames
     prismatic: NDArray[np.bool_]  #: (n,)
     offsets: Array  #: (2,3) tip and wrist in the last joint's frame [m]
 

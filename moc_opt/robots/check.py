@@ -21,10 +21,11 @@ from moc_opt.sim.settings import PlantSettings
 
 Verdict = Literal["ok", "care", "cannot"]
 REGULAR, SINGULAR = (0.1, 0.05), 1e-4
-"""Below these values of `Freedoms.tip` and `Freedoms.both` at home, the verdict is "care" or "cannot"."""
+"""If `Freedoms.tip` or `Freedoms.both` at home is below its value in `REGULAR`, the verdict is "care". If one is below
+`SINGULAR`, the verdict is "cannot"."""
 LITTLE_TO_GAIN = 0.05  #: If mu at home can rise by less than this share, the verdict is "care".
 LEAST_M = 0.005  #: If the arm cannot even follow a circle of this radius, the verdict is "cannot".
-MARGIN_DEG, MARGIN_MM = 15.0, 80.0  #: If home is nearer to a limit, the verdict is "care".
+MARGIN_DEG, MARGIN_MM = 15.0, 80.0  #: If home is nearer than this to a limit, the verdict is "care".
 CARE = 0.8  #: If gains reach this share of the stability limit, the verdict is "care".
 GYRATION_M = 0.6  #: Largest plausible radius of gyration of a link [m].
 
@@ -55,7 +56,7 @@ def verdict(findings: list[Finding]) -> Verdict:
 
 
 def _judge(what: str, found: str, *faults: tuple[object, Verdict, str]) -> Finding:
-    """Make a row from the first of the ``faults`` (condition, verdict, cure) that is true; if none, "ok"."""
+    """Make a row from the first of the ``faults`` (condition, verdict, cure) whose condition is true; if none, "ok"."""
     rows = (Finding(what, found, judged, cure) for fault, judged, cure in faults if fault)
     return next(rows, Finding(what, found, "ok"))
 

@@ -21,7 +21,7 @@ JOINTS: Mapping[str, tuple[float, float, float]] = {
 }  # fmt: skip
 """For each table: K_N2 / inertia [1/s], D_N2 / K_N2, and upper bound on (K_N2 + D_N2) / inertia [1/s]."""
 CARTESIAN_RATE = 160.0
-"""Upper bound on D_X / mass and D_N / mass: 0.72 of the stability limit with three ticks of delay at 500 Hz."""
+"""Upper bound on D_X / mass and D_N / mass [1/s]: 0.72 of the stability limit with three ticks of delay at 500 Hz."""
 CARTESIAN: Mapping[str, tuple[float, float, float, float]] = {
     "dcac": (2000.0, 20.0, 600.0, 10.0), "moc": (3000.0, 30.0, 800.0, 10.0), "default": (3000.0, 80.0, 800.0, 60.0),
     "tuned": (3000.0, 80.0, 1670.0, 74.2), "robust": (3000.0, 50.0, 1670.0, 74.2),
@@ -33,8 +33,9 @@ _POSES = 16
 def derived_gains(robot: RobotModel) -> dict[str, Table]:
     """Derive one table of gains for each name in `CARTESIAN`.
 
-    K_N2 is proportional to the inertia at home. The other gains are those of the LWR4+. If a rate exceeds its bound,
-    stiffness and damping are scaled down together.
+    K_N2 of joint i is proportional to M_ii at home, and D_N2 to K_N2. The other gains are those of the LWR4+. If a
+    ratio of gain to inertia exceeds its bound, which keeps the sampled loop stable, the gains of this level are scaled
+    down together.
     """
     inertia = np.diag(robot.state(robot.data.q_home).M)
     inverse_masses = largest_inverse_masses(robot)

@@ -18,7 +18,7 @@ _RESTARTS = 60
 class Placed(NamedTuple):
     """The result of a search for a pose."""
 
-    q: Array  #: (n,) inside the limits [rad]
+    q: Array  #: (n,) [rad], inside the limits unless they are ignored.
     miss_m: float  #: Largest component of the position errors of tip and wrist.
     at_limit: tuple[int, ...]  #: Joints (from 0) at a limit.
 
@@ -32,7 +32,10 @@ def solve_pose(
     robot: RobotModel, q: ArrayLike, tip: ArrayLike, wrist: ArrayLike | None = None, *, iterations: int = 40,
     limited: bool = True,
 ) -> Placed:  # fmt: skip
-    """Search locally for a pose near q (n,) with the tip, and the wrist if given, at points (3,) [m]."""
+    """Search locally for a pose near q (n,) with the tip, and the wrist if given, at points (3,) [m].
+
+    If ``limited`` is False, joint limits are ignored. Raise a RobotError if an argument is not usable.
+    """
     points = np.array([tip] if wrist is None else [tip, wrist], dtype=np.float64)
     low, high = (robot.q_min, robot.q_max) if limited else (np.full(robot.n, -np.inf), np.full(robot.n, np.inf))
     begin = np.clip(np.asarray(q, dtype=np.float64), low, high)
@@ -58,7 +61,10 @@ def pose_with_tip(robot: RobotModel, q: ArrayLike, tip: ArrayLike) -> Array:
 
 
 def pose_through(robot: RobotModel, tip: ArrayLike, trocar: ArrayLike) -> Array:
-    """Find a pose (n,) with the tip at a point and the shaft through the trocar. Raise a TaskError if none is found."""
+    """Find a pose (n,) with the tip at a point (3,) [m] and the shaft through the trocar (3,) [m].
+
+    Raise a TaskError if none is found.
+    """
     x, p = np.asarray(tip, dtype=np.float64), np.asarray(trocar, dtype=np.float64)
     length = robot.data.tool_length
     depth = float(np.linalg.norm(p - x))

@@ -71,7 +71,7 @@ class Joints(_Table):
 
 
 class Home(_Table):
-    """The pose at or near which a run begins."""
+    """The pose at or near which a run begins [rad, or m for a prismatic joint]."""
 
     KIND: ClassVar[str] = "[home]"
     q_rad: Vector
@@ -142,14 +142,14 @@ def available_robots() -> list[str]:
 
 
 def about(name_or_path: str | os.PathLike[str]) -> str:
-    """Return the description in a robot's TOML."""
+    """Return the description in a robot's TOML. Raises what `load_data` raises."""
     return _described(_find(name_or_path)).about
 
 
 def load_data(
     name_or_path: str | os.PathLike[str] = "lwr4", *, tool_length: float | None = None, tool_mass: float | None = None
 ) -> RobotData:
-    """Load a robot's data; arguments as for `moc_opt.load_robot`."""
+    """Load a robot's data; arguments and errors are those of `moc_opt.load_robot`."""
     path = _find(name_or_path)
     description = _described(path)
     changes = {"length_m": tool_length, "mass_kg": tool_mass}

@@ -255,8 +255,8 @@ def load_robot(
 
     Args:
         name_or_path: an arm of the package, or a TOML or URDF file. A RobotError is raised for a wrong name or file.
-        tool_length: from mount to tip [m], by default as in the file.
-        tool_mass: [kg], by default as in the file.
+        tool_length: length of the tool from mount to tip [m], by default as in the file.
+        tool_mass: mass of the tool [kg], by default as in the file.
     """
     robot = RobotModel(load_data(name_or_path, tool_length=tool_length, tool_mass=tool_mass))
     if not CARTESIAN.keys() <= robot.data.gains.keys():

@@ -24,7 +24,7 @@ from moc_opt.robots.vendor import VendorArm, enough_efforts, read_vendor
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.layout import lay_out
 
-DRAWS = 6000  #: Number of random poses.
+DRAWS = 6000  #: Number of random poses from which the home pose is chosen.
 SHORTLIST = 60  #: Largest number of poses whose self-motions are scanned.
 DOWN = (0.94, 0.8, -1.0)  #: Cosines of the tool's largest angle from straight down, tried in turn: 20, 37 and 180 deg.
 CLEARANCE_M = 0.05  #: Smallest distance of tip and wrist from the base's plane.
@@ -32,7 +32,7 @@ MARGIN = 0.2  #: Smallest distance from a joint limit, divided by half the range
 REGULAR = (0.15, 0.08)
 """Smallest `Freedoms.tip` and `Freedoms.both` at home."""
 SHARE = (0.7, 0.9)
-"""Wanted range of mu / (largest mu on the self-motion) at home."""
+"""Wanted range of mu / (largest mu on the self-motion) at home. Below 1, so that mu can rise."""
 
 
 class NewRobot(NamedTuple):
@@ -52,12 +52,14 @@ def new_robot(
 
     Args:
         tip: the link that carries the tool, by default the link beyond the last moving joint.
+        tool_m: length of the tool [m].
         lock: joints to be fixed, each with its position [rad, m].
-        base_rpy: roll, pitch, yaw of the base [rad].
+        base_rpy: roll, pitch, yaw of the base [rad]; with (pi, 0, 0) the arm hangs from the ceiling.
         seed: seed of the search for a home pose.
 
     Raises:
         RobotError: the file is no serial arm, no null space is left, or an output file exists.
+        UnknownNameError: ``tip`` or a joint of ``lock`` is not in the file.
     """
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}\.toml", out.name):
         raise RobotError(f"--out {out.name!r}: the robot gets this name: give letters, digits, _ and -, then .toml")
@@ -105,7 +107,7 @@ def new_robot(
 
 
 def _drives(arm: VendorArm) -> dict[str, list[float]]:
-    # Vendors do not publish these values. They are guessed from the torque limit.
+    # Vendors do not publish rotor inertia and friction. Both are guessed from the torque limit.
     rotors, friction = [], []
     for joint in arm.chain:
         effort, sliding = joint.limits["effort"], joint.kind == "prismatic"
@@ -139,8 +141,8 @@ _FORM.filters.update(numbers=_numbers, comment=_comment)
 class Shaft(NamedTuple):
     """The tool's place in the last link's frame; rpy turns the frame's z into the tool's direction."""
 
-    wrist: Array  #: (3,) [m]
-    mount: Array  #: (3,) [m]
+    wrist: Array  #: (3,) wrist centre, a point of the shaft [m]
+    mount: Array  #: (3,) where the tool begins [m]
     rpy: tuple[float, float, float]  #: [rad]
     note: str
 
@@ -148,7 +150,8 @@ class Shaft(NamedTuple):
 def find_shaft(text: str, last_link: str) -> Shaft:
     """Lay the tool along the last turning axis, away from the arm.
 
-    The wrist is the shaft's point nearest to the previous turning axis, but not ahead of the mount.
+    The wrist is the shaft's point nearest to the last turning axis that is not parallel to the shaft. If that point is
+    ahead of the mount, the mount is the wrist. If the last joint slides, the tool runs along the last link's z.
     """
     model = pin.buildModelFromXML(text)
     data = model.createData()
@@ -167,7 +170,7 @@ def find_shaft(text: str, last_link: str) -> Shaft:
             b, gap = float(axis @ before), other - point
             foot = point + (gap @ axis - b * (gap @ before)) / (1.0 - b * b) * axis
         ahead = float(axis @ (origin - foot))
-        if abs(ahead) < 1e-4:  # the link's origin is the wrist, so its z axis decides
+        if abs(ahead) < 1e-4:  # the link's origin is at the wrist, so the link's z axis decides
             ahead = float(axis @ z) if abs(float(axis @ z)) > 0.5 else 1.0
         on_axis = point + (origin - point) @ axis * axis
         direction, note = np.sign(ahead) * axis, "the tool runs along the last axis"
@@ -197,7 +200,7 @@ class Home(NamedTuple):
     mu: float  #: [m^3]
     mu_best: float  #: Largest mu on its self-motion [m^3].
     margin: float  #: Distance to the nearest joint limit, divided by half the range.
-    task: str  #: Why the default task fails, or empty.
+    task: str  #: Why the default task fails, or "not tried"; empty if the task can be done.
 
     @property
     def order(self) -> tuple[bool, float]:
@@ -208,7 +211,8 @@ class Home(NamedTuple):
 def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
     """Search for a home pose. Raise a RobotError if no pose is suitable.
 
-    Among the random poses with the best scores, the first one by `Home.order` is chosen.
+    Random poses are scored by mu and by their distance from limits and singularities. Among the best scores, the first
+    pose by `Home.order` is chosen.
     """
     rng, idle = np.random.default_rng(seed), ~robot.moves.any(axis=0)
     middle, half = 0.5 * (robot.q_min + robot.q_max), 0.5 * (robot.q_max - robot.q_min)
@@ -232,7 +236,7 @@ def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
 
 
 def _ranked(robot: RobotModel, poses: Array) -> list[Home]:
-    """Return home poses by descending score, up to the first good one."""
+    """Return home poses by descending score, up to the first that can do the task and has mu / mu_best in `SHARE`."""
     moving, mu = robot.moves.any(axis=0), robot.mu_along(poses)
     scores = np.full(len(poses), -np.inf)
     for k, q in enumerate(poses):

@@ -21,7 +21,8 @@ TOOL_NAMES = {"link": {TOOL_LINK, TIP_LINK, WRIST_LINK}, "joint": {"tool_mount",
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 SMALLEST_MASS, SMALLEST_MOMENT = 1e-6, 1e-12
 MOST_LINKS = 250  #: Physics engines crash on chains of some thousands of links.
-# Tolerances of principal moments, as shares of the largest one.
+# Let L be the largest principal moment, and S the sum of the other two. L - S may be at most _TRIANGLE * L. `normalize`
+# makes S - L at least _FLAT * L. The smallest moment must be at least _THIN * L.
 _TRIANGLE, _FLAT, _THIN = 1e-6, 1e-9, 1e-12
 SMALLEST = 1e-30  #: Numbers nearer to 0 are read as 0, because some programs refuse them.
 LARGEST, LARGEST_MASS, FARTHEST = 1e6, 1e5, 100.0
@@ -181,7 +182,10 @@ def _numbers(element: ET.Element | None, key: str, what: str, count: int = 3, mo
 
 
 def normalize(arm: Urdf) -> Tree:
-    """Check a URDF and return its tree. In place, axes get length 1, and flat bodies become slightly thick."""
+    """Check a URDF, and return its tree. Raise a RobotError if something is wrong.
+
+    In place, axes are scaled to length 1, and flat bodies become slightly thick.
+    """
     for name in [link.name for link in arm.links] + [joint.name for joint in arm.joints]:
         if not names.is_name(name):
             raise RobotError(f"urdf: {name!r:.80} is no name for a link or joint: {names.RULE}")
@@ -275,7 +279,7 @@ class Tree:
         self.base = bases[0]
 
     def chain(self, last_link: str, named: str) -> list[Joint]:
-        """Return the moving joints from base to link. Errors say that ``named`` gave the link."""
+        """Return the moving joints from base to link. ``named``, in errors, is the option or key that gave the link."""
         if last_link not in self.links:
             raise UnknownNameError(f"link ({named})", last_link, self.links)
         chain = [joint for joint in self.path(last_link) if joint.moves]
@@ -292,7 +296,7 @@ class Tree:
         return found[::-1]
 
     def reach(self, link: str, *, fixed: bool = False) -> list[str]:
-        """Return a link and all links that it carries; with ``fixed``, only through fixed joints."""
+        """Return a link and all links that it carries; with ``fixed``, only those reached through fixed joints."""
         found = [link]
         for one in found:  # grows during the iteration
             found += [joint.child for joint in self.carried[one] if not fixed or joint.kind == "fixed"]

@@ -19,7 +19,7 @@ from moc_opt.robots.urdf import Joint, Link, Urdf
 FINGERS = 2  #: A branch with at most this many moving joints is a finger, not the arm.
 FASTEST = {"turning": 2.0 * math.pi, "sliding": 2.0}
 """Largest plausible joint speeds [rad/s, m/s]."""
-CHOSEN = {"turning": 2.0, "sliding": 0.5}  #: Speed limits that replace missing or implausible ones.
+CHOSEN = {"turning": 2.0, "sliding": 0.5}  #: Speed limits that replace missing or implausible ones [rad/s, m/s].
 TRAVEL_M = 0.5  #: A sliding joint without limits gets this range to either side.
 _STRONGEST = {"turning": 2000.0, "sliding": 20000.0}  # largest plausible effort [Nm, N]
 _UNITS = {"turning": ("rad", "rad/s"), "sliding": ("m", "m/s")}
@@ -62,7 +62,7 @@ def _serial_arm(text: str, tip: str | None, lock: Mapping[str, float], base_rpy:
     arm.chain = tree.chain(arm.last_link, "--tip")
     arm.notes.append(f"the tool sits on {arm.last_link!r}, the link of {'--tip' if tip else 'the last joint'}")
     mend_bodies(arm.urdf.links, arm.notes)
-    # In the chain, `normalize` refuses unknown kinds of joints.
+    # Only joints outside the chain are fixed. In the chain, `normalize` refuses unknown kinds of joints.
     between = tree.path(arm.last_link)[len(tree.path(arm.chain[0].parent)) :]
     _fix([joint for joint in arm.urdf.joints if joint not in between and joint.kind != "fixed"], arm.notes)
     if any(base_rpy):
@@ -106,7 +106,7 @@ def _last_link(tree: urdf.Tree) -> str:
 
 
 def _depth(tree: urdf.Tree, joint: Joint) -> int:
-    """Return the largest number of moving joints from ``joint`` outwards."""
+    """Return the largest number of moving joints on a path from ``joint`` outwards, itself included."""
     return joint.moves + max((_depth(tree, other) for other in tree.carried[joint.child]), default=0)
 
 

@@ -87,7 +87,11 @@ class FaultSettings(Settings):
 
 
 class Faults:
-    """The faults of one run, for an arm of ``n`` joints and a control ``period`` [s]."""
+    """The faults of one run, for an arm of ``n`` joints and a control ``period`` [s].
+
+    Raises:
+        PlantError: ``frozen_joint`` or ``lag_joint`` is no joint of the arm.
+    """
 
     def __init__(self, settings: FaultSettings, n: int, period: float, seed: int) -> None:
         self.settings = s = settings

@@ -91,7 +91,7 @@ class Joints:
             self._state.qfrc_applied[self.motors] = self.torque + ripple
 
     def gather(self) -> None:
-        """Update the angles of elastic joints."""
+        """Update the positions and velocities of elastic joints."""
         if self._elastic:
             place, speed = self._state.qpos, self._state.qvel
             self.theta[:], self.omega[:] = place[::2], speed[::2]

@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from moc_opt.control.safety_filter import SafetyFilter
 
 AT_REST = 0.005  #: Below this speed, a joint counts as resting [rad/s, m/s].
-LONGEST = 4  #: Longest duration of a stop, in `Stop.seconds`.
+LONGEST = 4  #: Longest duration of a stop, as a multiple of `Stop.seconds`.
 
 
 class FilteredController(Filtered):
-    """A controller with an optional safety filter."""
+    """A controller with an optional safety filter. ``applied`` (n,) is the latest torque [Nm]."""
 
     def __init__(self, controller: TorqueController, safety_filter: SafetyFilter | None, applied: Array) -> None:
         self._controller, self._filter, self._applied = controller, safety_filter, applied
@@ -76,7 +76,8 @@ class FilteredController(Filtered):
 class ClosedLoop:
     """A plant, a controller and an optional safety filter, advanced one control period at a time.
 
-    After a step, ``seen`` is the measurement that the controller received, and ``tau`` (n,) the commanded torque [Nm].
+    After a step, ``seen`` is the measurement that the controller received, ``tau`` (n,) the commanded torque [Nm],
+    ``tick_us`` the computing time [us], and ``ticks`` the number of steps.
     """
 
     def __init__(
@@ -98,7 +99,10 @@ class ClosedLoop:
     def step(self, tip_ref: Array, registered: Array, trocar: Array | None = None) -> None:
         """Measure, compute the torque, and move the arm by one control period.
 
-        ``tip_ref`` and ``registered`` are those of `Controller.tick`. ``trocar`` (2, 3) is the true trocar.
+        Args:
+            tip_ref: (3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2].
+            registered: (2, 3) rows P_t [m], dP_t [m/s] of the registered trocar.
+            trocar: (2, 3) rows P_t, dP_t of the true trocar; None: the tool is in no incision.
 
         Raises:
             PlantError: an argument is wrong, or the simulation of the plant diverged.
@@ -120,7 +124,7 @@ class ClosedLoop:
 
     @property
     def finished(self) -> bool:
-        """Whether a stop is over: the arm rests after `Stop.seconds`, or `LONGEST` times that long."""
+        """Whether a stop is over: the arm rests after `Stop.seconds`, or `LONGEST` times this duration has passed."""
         since = self.ticks - self._stopped_at if self._stopped_at >= 0 else 0
         return since > self._watched and bool(since > LONGEST * self._watched or np.abs(self._plant.v).max() < AT_REST)
 
@@ -151,9 +155,14 @@ def simulate(
     Args:
         tip_refs: (N, 3, 3) rows X_d, dX_d, ddX_d of every tick.
         trocars, registered: (N, 2, 3) rows P_t, dP_t of the true and of the registered trocar.
+        safety_filter: checks the measurements and limits the torques; None: nothing is checked or limited.
+        offset: see `TaskOffset`; None: zero.
         watch: called with the tick's number before each tick.
         meta: further entries of the trace's meta.
         rescue: called with the columns so far if an exception other than RunAway ends the loop.
+
+    Returns:
+        The trace. A row has a tick's torque, and the state at the tick's start.
 
     Raises:
         RunAway: the simulation of the plant diverged. The error has the trace.

@@ -77,6 +77,7 @@ def add_mismatch(data: RobotData, spec: mujoco.MjSpec, mismatch: Mismatch) -> No
             mujoco.mju_axisAngle2Quat(by, vector / angle, angle)
             mujoco.mju_mulQuat(turned, by, link.quat)
             link.quat = turned
+    # Wrist and tip shift with the tool.
     for name in (TOOL_BODY, data.tip_frame, data.wrist_frame):
         if (body := spec.body(name)) is not None:
             body.pos = body.pos + mismatch.origin_shift[-1]
@@ -103,7 +104,7 @@ def _bare(urdf: str) -> str:
 
 
 def check_engines(robot: RobotModel) -> None:
-    """Raise a RobotError if pinocchio and MuJoCo differ in M, h, tip or wrist at random states."""
+    """Raise a RobotError if pinocchio and MuJoCo differ in M, h, tip or wrist by over `TOLERANCE` at random states."""
     data, rng = robot.data, np.random.default_rng(0)
     model = compile_model(data.name, build_spec(data, substep_s=0.001))
     state, M = mujoco.MjData(model), np.zeros((data.n, data.n))

@@ -57,13 +57,16 @@ def _truth(of: Callable[[Any], Array], about: str) -> Any:
 class Plant:
     """An arm in MuJoCo with trocar, sensors and delay, advanced one control period at a time.
 
-    Equal arguments and torques give equal results to the last bit. `mj_model` and `mj_data` are for drawing and checks
-    only.
+    The arm begins at `data.q_home`. Equal arguments and torques give equal results to the last bit. `mj_model` and
+    `mj_data` are for drawing and checks only.
 
     Args:
         data: the robot's data, as used for the controller's model.
-        settings: how the plant differs from that model.
+        settings: how the plant differs from that model; None: `PlantSettings()`.
         seed: seed of mismatch and noise, 0 or more.
+
+    Raises:
+        PlantError: MuJoCo cannot load the robot, its URDF lacks a frame, or the joints' stiffness does not fit.
     """
 
     def __init__(self, data: RobotData, settings: PlantSettings | None = None, seed: int = 0) -> None:
@@ -110,10 +113,10 @@ class Plant:
 
         Args:
             q: (n,) joint positions that encoders without noise would show [rad].
-            v: (n,) joint velocities [rad/s], by default 0.
+            v: (n,) joint velocities [rad/s]; None: the arm is at rest.
 
         Raises:
-            PlantError: a position is outside its limits.
+            PlantError: wrong shape, not finite, or q outside the limits.
         """
         start = _finite("q", q, (self.data.n,))
         speed = np.zeros(self.data.n) if v is None else _finite("v", v, (self.data.n,))
@@ -147,7 +150,7 @@ class Plant:
             trocar: (2, 3) rows P_t [m], dP_t [m/s]; None: no trocar.
 
         Raises:
-            PlantError: the arm ran away.
+            PlantError: an argument has a wrong shape or is not finite, or the arm ran away.
         """
         rows = ", point [m] and velocity [m/s], or None for no trocar; the arm has not moved"
         place = None if trocar is None else _finite("trocar", trocar, (2, 3), rows)
@@ -201,7 +204,15 @@ class Plant:
         return self._measurement
 
     def brake(self, damping_Nm_s_per_rad: float, friction_Nm: ArrayLike = 0.0) -> None:
-        """Set the drives' damping and the brakes' dry friction, besides the joints' own, until `reset`."""
+        """Set the braking that is added to every joint's own damping and friction, until `reset`.
+
+        Args:
+            damping_Nm_s_per_rad: damping by the drives.
+            friction_Nm: dry friction of the brakes, one number or one per joint (n,). With 0, a loaded arm sinks.
+
+        Raises:
+            PlantError: a friction is negative or not finite.
+        """
         friction = np.broadcast_to(np.asarray(friction_Nm, dtype=np.float64), self.data.n)
         if not ((friction >= 0.0) & np.isfinite(friction)).all():
             raise PlantError(f"friction_Nm = {friction.tolist()}: give 0 or more")
@@ -210,12 +221,16 @@ class Plant:
         self.mj_model.dof_frictionloss[drives] = self._drive_friction[drives] + friction
 
     def push(self, body: str, force: ArrayLike, point: ArrayLike | None = None) -> None:
-        """Apply a constant force to a link, instead of an earlier force on it.
+        """Apply a constant force to a link from the next period on, instead of an earlier force on it.
 
         Args:
             body: the link's name.
-            force: (3,) in world axes [N].
-            point: (3,) where the force acts, in the link's frame [m]; None: centre of mass.
+            force: (3,) force in world axes [N].
+            point: (3,) point at which the force acts, in the link's frame [m]; None: centre of mass.
+
+        Raises:
+            UnknownNameError: no such link.
+            PlantError: wrong shape or not finite.
         """
         number = self._number(body)
         where = self.mj_model.body_ipos[number].copy() if point is None else _finite("push point", point, (3,)).copy()

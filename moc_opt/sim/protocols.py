@@ -15,7 +15,8 @@ from moc_opt.sim.sensors import Measurement
 class TorqueController(Protocol):
     """Computes a torque from a measurement.
 
-    The safety filter checks the tip error if there is an attribute ``tip`` (3,) [m] or ``state`` (`RobotState`).
+    If the controller has an attribute ``tip`` (3,) [m] or ``state`` (`RobotState`), the safety filter checks the tip
+    error.
     """
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
@@ -41,7 +42,7 @@ class LoggedController(TorqueController, Protocol):
 class Filtered(ABC):
     """A controller with its safety filter, in this process or in another."""
 
-    stop_reason: Any  #: Why the arm has to be stopped, or empty.
+    stop_reason: Any  #: Why the arm has to be stopped; empty if no stop is needed.
     limited: Any  #: Number of joints whose torque was changed in the last tick.
     warnings: Any  #: Quantities that exceeded a warning level, as JSON values.
 

@@ -18,7 +18,7 @@ class Measurement(NamedTuple):
     q: Array  #: (n,) joint positions [rad].
     v: Array  #: (n,) joint velocities [rad/s].
     force: Array  #: (6,) force [N] and torque [Nm] of the tool on its mount, in tool axes; one plant step old.
-    stamp: int = 0  #: Number of the control period of the reading.
+    stamp: int = 0  #: Number of the control period in which the reading was taken.
 
 
 _NOISE_ROWS = 256
@@ -30,7 +30,7 @@ class Noise:
     def __init__(self, rng: np.random.Generator, deviation: Array) -> None:
         self._rng, self._deviation, self._quiet = rng, deviation, not deviation.any()
         self._block, self._next = np.zeros((_NOISE_ROWS, deviation.size)), _NOISE_ROWS
-        self._rows = list(self._block)  # faster than rows of an array
+        self._rows = list(self._block)  # indexing a list is faster than indexing an array
 
     def take(self) -> Array:
         """Return the next row (m,), valid until the next call."""
@@ -76,14 +76,15 @@ class Encoders:
         return reading[0], reading[1]
 
 
-_CHANCE = 1e-10  #: Accepted probability of a longer repetition.
+_CHANCE = 1e-10  #: Accepted probability p^k in `longest_repetition`.
 _MOST_TICKS = 500  #: Largest result of `longest_repetition`.
 
 
 def longest_repetition(noise_rad: float, resolution_rad: float) -> int | None:
-    """Return how often in a row an encoder at rest may repeat its reading; None if there is no limit.
+    """Return how often in a row an encoder at rest may repeat its reading.
 
-    With step s and noise sigma, a reading repeats with a probability of at most erf(s / (sqrt(8) sigma)).
+    With step s and noise sigma, a reading repeats with a probability of at most p = erf(s / (sqrt(8) sigma)). The
+    result is the first k >= 10 with p^k below `_CHANCE`. It is None without noise, or if k exceeds `_MOST_TICKS`.
     """
     if noise_rad == 0.0:
         return None
@@ -97,6 +98,9 @@ _DEAD = 600.0  #: A decaying filter output cannot underflow for this many time c
 
 
 def repeats_no_reading(noise_rad: float, resolution_rad: float, cutoff_Hz: float, period_s: float) -> bool:
-    """Return whether an encoder never repeats its position and its velocity together."""
+    """Return whether an encoder never repeats its position and its velocity together.
+
+    While the position repeats, the filtered velocity decays.
+    """
     longest = longest_repetition(noise_rad, resolution_rad)
     return longest is not None and 0.0 < 2.0 * math.pi * cutoff_Hz * period_s * longest < _DEAD

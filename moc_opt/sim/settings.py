@@ -22,7 +22,12 @@ _Stiffness = Annotated[float, Field(gt=0, le=1e9)]
 
 
 class PlantSettings(Settings):
-    """The simulated arm, its trocar and its sensors. The value 0 switches an error, noise, ripple or delay off."""
+    """The simulated arm, its trocar and its sensors. The value 0 switches an error, noise, ripple or delay off.
+
+    Raises:
+        PlantError: a value is out of range.
+        UnknownNameError: a field does not exist.
+    """
 
     KIND: ClassVar[str] = "[plant]"
     MORE_KEYS: ClassVar[tuple[str, ...]] = ("preset",)
@@ -118,7 +123,7 @@ class Mismatch:
 
     @property
     def displaces(self) -> bool:
-        """Whether tip and shaft differ from the controller's model."""
+        """Whether tip and shaft differ from those of the controller's model."""
         return bool(self.origin_shift.any() or self.origin_turn.any() or self.encoder_bias.any())
 
     @classmethod
