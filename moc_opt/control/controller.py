@@ -1,7 +1,4 @@
-"""The controller: tau = tau_tip + tau_rcm + tau_mu, the torques of level 1 (tip), 2 (RCM) and 3 (manipulability mu).
-
-The formulas of the three torques are in core/law.c.
-"""
+"""The controller: tau = tau_tip + tau_rcm + tau_mu, the torques of levels 1 to 3, computed in core/law.c."""
 
 from __future__ import annotations
 
@@ -27,9 +24,7 @@ from moc_opt.solvers.isolated import IsolatedSession
 class Guide(Protocol):
     """A source of joint velocities x_d that the elbow follows instead of the gradient of mu.
 
-    In each tick, level 3 solves a quadratic program (the subproblem) for the joint velocity x. Its cost has the terms
-    rho/2 |x|^2 - c2 x^T pull. rho is ``settings.regularization``, c2 is ``settings.c2``, and pull (n,) is grad mu
-    without a guide. With a guide, pull is (rho / c2) x_d, so that the two terms are smallest at x = x_d.
+    In the cost of the subproblem, pull is then (rho / c2) x_d, so that the optimum is the feasible x nearest to x_d.
     """
 
     def start(self) -> None:
@@ -45,7 +40,7 @@ class Controller:
     Args:
         robot: the model that the control law uses.
         settings: see ControlSettings.
-        solver: solver of level 3 for law "moc". None for law "dcac", which has only levels 1 and 2.
+        solver: solver of level 3 for law "moc"; None for law "dcac".
         period: control period [s].
         times_us: recorded solve times [us], used instead of the clock while they last; None: the clock.
         guide: gives the elbow's velocity, and needs regularization and c2 above 0. None: the elbow raises mu.
@@ -92,7 +87,7 @@ class Controller:
 
     @property
     def state(self) -> RobotState:
-        """The robot's state, by its model, at the q and v of the last tick."""
+        """The state of the robot's model at the q and v of the last tick."""
         return RobotState(self._record, self._n)
 
     @property
@@ -131,22 +126,22 @@ class Controller:
 
     @property
     def null_space(self) -> Array:
-        """The last tick's Z (r, n), whose rows are an orthonormal basis of ker A, with A = [J_tip; J_wrist]."""
+        """The last tick's Z (r, n). Its rows are an orthonormal basis of ker A."""
         rows, Z, _ = self._law.memory()
         return Z[:rows]
 
     @property
     def external_torque(self) -> Array:
-        """The momentum observer's estimate of the external torque (n,) [Nm]; zero without an observer."""
+        """The observer's estimate of the external torque (n,) [Nm]; zero without an observer."""
         return self._law.memory()[2]
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
-        """Reset the controller, and start its solver. The arguments are those of the first `tick`.
+        """Reset the controller, and start its solver; arguments as for `tick`.
 
         Raises:
             ControlError: the solver cannot start.
         """
-        # First, a copy of the controller runs one tick. This tick initializes all libraries.
+        # First, a copy of the controller runs one tick, which initializes all libraries.
         copy = Controller(self.robot, self.settings, self.solver, self._period)
         copy._begin(q, v, tip_ref, trocar)
         copy.tick(q, v, tip_ref, trocar)
@@ -170,7 +165,7 @@ class Controller:
         Args:
             q, v: (n,) measured joint positions [rad] and velocities [rad/s].
             tip_ref: (3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2].
-            trocar: (2, 3) rows P_t [m], dP_t [m/s] of the trocar as registered (touched with the tip) before the run.
+            trocar: (2, 3) rows P_t [m], dP_t [m/s] of the registered trocar.
 
         Raises:
             ControlError: `start` was not called, or a reference is malformed.
@@ -199,19 +194,19 @@ class Controller:
         return read_only(tau)
 
     def set_applied_torque(self, tau: Array) -> None:
-        """Tell the observer the torque (n,) [Nm] that was applied, if it differs from the result of `tick`."""
+        """Tell the observer which torque (n,) [Nm] was applied instead of the result of `tick`."""
         if not np.isfinite(tau).all():
             raise ControlError(f"applied torque = {np.asarray(tau).tolist()} is not finite: the observer cannot use it")
         self._law.set_applied(np.ascontiguousarray(tau, dtype=np.float64))
 
     def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
-        """Create trace columns of level 3 with one row per tick."""
+        """Create the trace columns of level 3, with one row per tick."""
         found: dict[str, NDArray[Any]] = {
             "status": np.full(ticks, "none", dtype="<U12"), "solve_us": np.full(ticks, np.nan)
         }  # fmt: skip
         if self.solver is not None:
             n, end = self._n, self._row_length
-            # The columns of the block are in the order of ``out`` of `Supervisor.step`.
+            # The block's columns are in the order of ``out`` of `Supervisor.step`.
             self._block = block = np.full((ticks, end + 2 * n + 6), np.nan)
             found |= {
                 "subproblem": block[:, :end], "x_rad_per_s": block[:, end : end + n],

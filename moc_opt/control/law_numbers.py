@@ -11,26 +11,20 @@ from moc_opt.control.settings import ControlSettings, per_joint
 from moc_opt.errors import ControlError
 from moc_opt.robots.model import RobotModel
 
-PROJECTORS = ("dynamic", "static", "as_published")  #: In the order of the core's enum.
-FALLBACKS = ("damping", "hold", "least-violation")  #: In the order of the core's enum.
-LATE = ("hold", "zero", "iterate")  #: In the order of the core's enum.
-COURSE_K0_PER_S = 10.0  #: Lower bound on k0 along a planned joint motion [1/s].
+# The next three are in the order of the core's enums.
+PROJECTORS = ("dynamic", "static", "as_published")
+FALLBACKS = ("damping", "hold", "least-violation")
+LATE = ("hold", "zero", "iterate")
+COURSE_K0_PER_S = 10.0  #: Lower bound on k0 along a course.
 _CHECKS = ("check", "box_limit", "primal_limit", "relative_limit", "opposite_limit", "keep_off_limits", "hold_ticks")
 
 
 def numbers_of(settings: ControlSettings, robot: RobotModel, period: float) -> dict[str, Any]:
-    """Return the fields of the core's structs moc_law and moc_supervision, by name.
-
-    Args:
-        period: control period [s].
-
-    Raises:
-        ControlError, UnknownNameError: a gain or margin does not fit the robot or the period.
-    """
+    """Return the fields of the core's structs moc_law and moc_supervision, by name, for a control period [s]."""
     n, moc, follows, supervisor = robot.n, settings.law == "moc", settings.follows, settings.supervisor
     gains = settings.resolve_gains(robot.data.gains, n)
     gain, damping = gains.K_N2, gains.D_N2
-    if follows:  # D_N2 then acts on x - v, as K_N2 does, because x is the desired velocity
+    if follows:  # x is then the desired velocity, so D_N2 acts on x - v, as K_N2 does
         gain, damping = gain + damping, np.zeros(n)
     if not moc:
         damping = per_joint("[control] dcac_damping", settings.dcac_damping, n)

@@ -20,7 +20,7 @@ TUNED: dict[str, Any] = {
     "course_observer_gain_per_s": 28.0,  # at 33 or 40 /s, an arm without friction is unstable with a delay of 3 ticks
 }  # fmt: skip
 
-# Softened by hand until the loop tolerates a delay of four ticks. The tip error is 1.5 times that of `tuned`.
+# Softened by hand until the loop tolerates a delay of four ticks.
 ROBUST: dict[str, Any] = {
     **TUNED, "gains": "robust", "observer_gain_per_s": 22.0, "course_observer_gain_per_s": 22.0
 }  # fmt: skip

@@ -1,7 +1,4 @@
-"""The safety filter checks every measurement, limits the torque, and requests a stop if a check fails.
-
-The checks are in `moc_opt/core/safety_filter.c`. docs/extending.md says how to add one.
-"""
+"""The safety filter. Its checks are in core/safety_filter.c, and docs/extending.md says how to add one."""
 
 from __future__ import annotations
 
@@ -16,7 +13,7 @@ from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.errors import ControlError
 from moc_opt.robots.model import RobotModel, RobotState
 
-PRESS_PER_S = 50.0  # inverse time constant of the low-pass filter on the trocar's force in a stop [1/s]
+PRESS_PER_S = 50.0  # inverse time constant of the low-pass filter on the trocar's force in a stop
 MOST_TICKS = 2**31 - 1  # the largest int of C
 _SETTLED = 6.0  # settling time of the momentum residuals (see `SafetyFilter`) [time constants of their observer]
 _NO_WRENCH = np.full(6, np.nan)
@@ -33,10 +30,9 @@ _AS_SET = (  # settings with the same name in the core
 
 
 class SafetyFilter:
-    """Check measurements and limit torques of one arm.
+    """Check measurements, limit torques, and request a stop if a check fails.
 
-    A joint's momentum residual is the torque that its motion implies, minus the applied torque. If the trocar's force
-    is checked, a stop is requested after more than ``patience_ticks`` measurements in a row without a finite wrench.
+    A joint's momentum residual is the torque that its motion implies, minus the applied torque.
 
     Args:
         robot: the model of the arm.
@@ -44,8 +40,8 @@ class SafetyFilter:
         period: control period [s].
         carries: whether the commanded torque carries the arm's weight. If not, the drives add the gravity torque.
         incision: whether the tool is in an incision. If not, RCM error and trocar force are not checked.
-        momentum: whether `limit_torque` computes the robot's state if it is called without one. The check of the
-            momentum residuals needs the state.
+        momentum: whether `limit_torque` computes the robot's state if it is called without one. The momentum residuals
+            need the state.
 
     Attributes:
         limited: number of joints whose torque the last call of `limit_torque` changed.
@@ -90,7 +86,7 @@ class SafetyFilter:
 
         Args:
             q, v: (n,) measured [rad], [rad/s].
-            stamp: number of the control period in which q and v were measured; None: the age is not checked.
+            stamp: number of the control period of the measurement; None: the age is not checked.
             applied: (n,) torque that was applied last [Nm]; None: repeated readings are not detected.
             wrench: (6,) force [N] and torque [Nm] of the tool on its mount, in tool axes; needed with a trocar.
             trocar: (2, 3) rows P_t, dP_t of the registered trocar; None: RCM error and trocar force are not checked.
@@ -116,7 +112,7 @@ class SafetyFilter:
         return found
 
     def request_stop(self, reason: str) -> None:
-        """Request a stop. If one was requested before, its reason is kept."""
+        """Request a stop. The first reason is kept."""
         self.reason = self.reason or reason
 
     def limit_torque(
@@ -131,10 +127,10 @@ class SafetyFilter:
         Args:
             tau: (n,) torque of the controller [Nm].
             before: (n,) torque that was applied last [Nm].
-            q, v: (n,) as returned by `check_measurement` [rad], [rad/s].
-            tip_ref: (3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2]; None: the tip is not checked.
+            q, v: (n,) as returned by `check_measurement`.
+            tip_ref: (3, 3) rows X_d, dX_d, ddX_d, as in `Controller.tick`; None: the tip is not checked.
             state: the robot's state at (q, v), if known.
-            tip: (3,) tip position that the controller computed [m]; None: the tip of ``state``, if that is given.
+            tip: (3,) tip that the controller computed [m]; None: the tip of ``state``, if that is given.
         """
         shown = state is not None or tip is not None
         if state is None and self._computes:
@@ -154,13 +150,10 @@ class SafetyFilter:
         return self._guard.rest(np.ascontiguousarray(before, dtype=np.float64))
 
     def brake_friction(self, wrench: Array) -> Array:
-        """Return the dry friction (n,) [Nm] of the brakes in a stop; zero while the brakes are open.
-
-        The brakes open when the mean trocar force exceeds ``stop_yield_N``. They close when this force has fallen to
-        half of ``stop_yield_N``, or when they have been open for ``stop_yield_s``.
+        """Return the dry friction (n,) [Nm] of the brakes in a stop; zero while they are open (see ``stop_yield_N``).
 
         Args:
-            wrench: (6,) force [N] and torque [Nm] of the tool on its mount, in tool axes.
+            wrench: (6,) as for `check_measurement`.
         """
         return self._guard.hold(np.ascontiguousarray(wrench, dtype=np.float64))
 
@@ -168,11 +161,7 @@ class SafetyFilter:
 def numbers_of(
     settings: SafetyFilterSettings, robot: RobotModel, period: float, carries: bool = True, incision: bool = True
 ) -> dict[str, Any]:
-    """Return the fields of the core's struct moc_guard, by name.
-
-    Args:
-        period: control period [s]; the other arguments are those of `SafetyFilter`.
-    """
+    """Return the fields of the core's struct moc_guard, by name. The arguments are those of `SafetyFilter`."""
     data, s = robot.data, settings
     margins = np.where(robot.chain.prismatic, s.position_margin_m, s.position_margin_rad)
     coulomb = np.where(data.coulomb_friction > 0.0, s.stuck_friction * data.coulomb_friction, np.inf)  # 0: unknown

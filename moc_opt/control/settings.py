@@ -37,8 +37,8 @@ class Gains(NamedTuple):
     D_X: float  #: Level 1: tip damping [N s/m].
     K_N: float  #: Level 2: wrist stiffness [N/m].
     D_N: float  #: Level 2: wrist damping [N s/m].
-    K_N2: Array  #: (n,) level 3: gain on (solver's - measured) joint velocity [N m s/rad]. Law ``dcac``: 0.
-    D_N2: Array  #: (n,) level 3: damping gain on the measured joint velocity [N m s/rad]. Law ``dcac``: 0.
+    K_N2: Array  #: (n,) level 3: gain on x - v [N m s/rad]; 0 under law ``dcac``.
+    D_N2: Array  #: (n,) level 3: damping gain on v [N m s/rad]; 0 under law ``dcac``.
 
 
 GAINS = Gains._fields
@@ -47,7 +47,6 @@ GAINS = Gains._fields
 class ControlSettings(Settings):
     """The control law. Level 1 moves the tip, level 2 the wrist, and level 3 the elbow. x is level 3's joint velocity.
 
-    The wrist is the point where the arm holds the shaft. It is moved so that the shaft passes through the trocar (RCM).
     The tables [gains.dcac] and [gains.moc] in the robots' files are from Table I of Su et al. (2019).
     """
 
@@ -163,7 +162,7 @@ class ControlSettings(Settings):
         return cls(**{**PRESETS[name], **changes})
 
     def check_guided(self) -> None:
-        """Raise a ControlError unless regularization and c2 are above 0, as a given elbow velocity needs."""
+        """Raise a ControlError unless regularization and c2 are above 0."""
         if not min(self.regularization, self.c2) > 0.0:
             raise ControlError(
                 f"third_level = {self.third_level!r}, climb = {self.climb!r} with c2 = {self.c2:g}, regularization = "
@@ -179,7 +178,7 @@ class ControlSettings(Settings):
 
     @property
     def follows(self) -> bool:
-        """Whether the third level follows a course (planned joint motion)."""
+        """Whether level 3 follows a course."""
         return self.third_level != "local"
 
     @property
@@ -215,7 +214,7 @@ class ControlSettings(Settings):
 
 
 def per_joint(name: str, value: Any, joints: int) -> Array:
-    """Return one number per joint from ``value``, one for all joints or one for each; else raise a ControlError."""
+    """Return one number per joint. Raise a ControlError if ``value`` is a sequence of another length."""
     if not isinstance(value, int | float) and len(value) != joints:
         count = f"{len(value)} entries for {joints} joints"
         raise ControlError(f"{name} = {value!r} has {count}: give one number, or one per joint")

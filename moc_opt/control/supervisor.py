@@ -1,8 +1,4 @@
-"""The supervisor of the third level (elbow motion) checks every answer of the solver before the arm follows it.
-
-Tip and RCM control never depend on a solver. For a few ticks, the last good answer replaces faulty answers. After these
-ticks, elbow motion is damped.
-"""
+"""The supervisor checks every answer of level 3's solver before the arm follows it."""
 
 from __future__ import annotations
 
@@ -122,14 +118,8 @@ def _unlike(name: str, value: object, shape: tuple[int, ...]) -> str:
 class Supervisor:
     """Check the answers of a solver's session, replace refused answers, and count the faults.
 
-    Args:
-        settings: see SupervisorSettings.
-        law: the core's control law.
-        n: number of joints.
-        period: control period [s].
-        times_us: recorded solve times [us], used instead of the clock while they last.
-
-    ``faults`` maps the label of a fault to a dict of ``count``, ``first_at_s`` and ``first`` (the first message).
+    ``period`` and ``times_us`` are those of `Controller`. ``faults`` maps the label of a fault to a dict of ``count``,
+    ``first_at_s`` and ``first`` (the first message).
     """
 
     def __init__(
@@ -150,7 +140,7 @@ class Supervisor:
         """Let the session solve ``qp``, check the answer, and compute the torque.
 
         Return (solution, x, tau): the solver's answer, the x (n,) [rad/s] that the arm follows, the torque (n,) [Nm].
-        ``v`` (n,) [rad/s] is the measured velocity; None if the session does not use it.
+        ``v`` (n,) [rad/s] is the measured velocity, which an `ObservingSession` needs.
         """
         solution, known, text = self._ask(session, qp, v)
         number, x, tau = self._law.finish(
@@ -163,12 +153,11 @@ class Supervisor:
     def step(
         self, q: Array, v: Array, tip_ref: Array, trocar: Array, x_d: Array | None, tolerance: float
     ) -> tuple[Status, Array, Array]:
-        """Do the whole tick in the core (C), with the core's solver `exact`. `Controller.tick` explains the arguments.
+        """Do the whole tick in the core, with the core's solver `exact` at this ``tolerance`` [rad/s].
 
-        The elbow follows ``x_d`` (n,) [rad/s]; None: it raises manipulability. ``tolerance`` [rad/s] is for `exact`.
-        Return (status, record, out). ``record`` has the numbers of a `RobotState`. ``out`` (14 n + 16,) has, in this
-        order, `NullSpaceQP.row` (11 n + 10,), the solver's x (n,) and y (6,), the x (n,) that the arm follows, and the
-        torque (n,) [Nm].
+        ``x_d`` (n,) [rad/s] is from a `Guide`, or None. The other arguments are those of `Controller.tick`.
+        Return (status, record of a `RobotState`, out). ``out`` (14 n + 16,) has, in this order, `NullSpaceQP.row`
+        (11 n + 10,), the solver's x (n,) and y (6,), the x (n,) that the arm follows, and the torque (n,) [Nm].
         """
         given_us = _NAN if self._times is None else next(self._times, _NAN)
         code, number, self.solve_us, record, out = self._law.step(q, v, tip_ref, trocar, x_d, tolerance, given_us)

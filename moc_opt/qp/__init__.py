@@ -1,4 +1,1 @@
-"""The null-space subproblem, which chooses the joint velocity at a given tip and wrist velocity.
-
-Read ``problem`` first, then ``residuals``, which measure how far an answer is from the optimum.
-"""
+"""The null-space subproblem and the check of its answers. Read ``problem`` first, then ``residuals``."""

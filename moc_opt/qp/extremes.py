@@ -1,9 +1,7 @@
 """The smallest and the largest cost over all x that satisfy A x = b and the bounds.
 
 Let x = x0 + Z w, where A x0 = b and Z is an orthonormal basis of ker A. The cost is slope^T w + rho/2 |w|^2, and the
-bounds are low <= Z w <= high. The smallest cost is found by projecting points onto the set of feasible w. Each
-projection is a non-negative least-squares problem (Lawson, Hanson, Solving Least Squares Problems, 1974, chapter 23).
-A box width is the largest entry of high - low.
+bounds are low <= Z w <= high. A box width is the largest entry of high - low.
 """
 
 from __future__ import annotations
@@ -20,12 +18,12 @@ from moc_opt.arrays import Array
 
 MOST_CORNERS = 10_000  # with more choices of dim(ker A) active bounds, the largest cost is only searched locally
 FAR = 1e3  # length of a proximal step that meets no bound [box widths]
-ROUNDS, STEPS = 200, 20  # at most 200 proximal steps seek the smallest cost; at most 20 n steps seek the largest cost
+ROUNDS, STEPS = 200, 20  # at most: proximal steps towards the smallest cost; steps per joint towards the largest cost
 ROUNDING = 1e-14  # rounding error of numbers of order one
 SETTLED = 1e-11  # a shorter proximal step ends the search
 FLAT = 1e-9  # a slope or multiplier below this fraction of the largest one counts as zero
-STILL = 1e-10  # if a joint's row of Z is shorter, the joint does not move in ker A, and its bounds are ignored
-TOUCHING = 1e-8  # if the feasible set is a single point, the bounds are widened by this [box widths]
+STILL = 1e-10  # a joint with a shorter row of Z does not move in ker A, and its bounds are ignored
+TOUCHING = 1e-8  # if the feasible set is a point, the bounds are widened by this [box widths]
 LEVEL = 1e-12  # a scaled cost that varies by less counts as constant
 
 
@@ -48,11 +46,8 @@ class Extremes(NamedTuple):
 def extremes(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> Extremes | None:
     """Find the smallest and largest slope^T w + rho/2 |w|^2 over low <= Z w <= high; None if no w is feasible.
 
-    Args:
-        Z: (n, r) orthonormal columns.
-        low, high: (n,) bounds on Z w, finite [rad/s].
-        slope: (r,) gradient of the cost at w = 0.
-        rho: zero or more. If the slope is zero, rho must be positive.
+    Z (n, r) has orthonormal columns. ``low`` and ``high`` (n,) [rad/s] are finite. If ``slope`` (r,) is zero, rho
+    must be positive.
     """
     width = max(float((high - low).max()), 1e-12)
     steep = max(float(np.linalg.norm(slope)), rho * width)
@@ -93,9 +88,10 @@ def optimum(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> tupl
 def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Array] | None:
     """Return (w, f): the w (r,) nearest to ``start`` with low <= Z w <= high, and f (n,) with w - start = Z^T f.
 
-    f is positive at active lower bounds, negative at active upper bounds, 0 elsewhere. Return None if no w is feasible.
+    f is positive at active lower bounds, negative at active upper ones. Return None if no w is feasible. The method is
+    non-negative least squares (Lawson, Hanson, Solving Least Squares Problems, 1974, chapter 23).
     """
-    # Each row of Z is scaled to length 1, so that an error means the same distance in w for every joint.
+    # Each row of G has length 1, so that an error means the same distance in w for every joint.
     moves = np.linalg.norm(Z, axis=1)
     moves = np.where(moves > STILL, moves, np.inf)
     G, away = Z / moves[:, None], Z @ start
@@ -105,7 +101,7 @@ def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Arr
         return start, np.zeros(len(low))
     from scipy.optimize import nnls  # a slow import
 
-    for loose in (0.0, TOUCHING):  # if the feasible set is a point, widen it
+    for loose in (0.0, TOUCHING):
         u, _ = nnls(np.vstack([G.T, (short - loose) / size]), np.append(np.zeros(len(start)), 1.0))
         left = 1.0 - float((short - loose) @ u) / size
         if u.max() * size <= left / TOUCHING:
@@ -114,8 +110,7 @@ def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Arr
         return None
     active = u > 0.0
     u *= size / left
-    # The active bounds, solved as equations, give the step up to rounding. If this step violates the bounds by more
-    # than the step G^T u, G^T u is used.
+    # Usually, the active bounds, solved as equations, give a more exact step than G^T u.
     step, *_ = np.linalg.lstsq(G[active], short[active], rcond=None)
     if (short - G @ step).max() > max((short - G @ (G.T @ u)).max(), 0.0) + ROUNDING:
         step = G.T @ u

@@ -3,10 +3,9 @@
     min_x  c0/2 |J_T x - v_T|^2 + c1/2 |J_W x - v_W|^2 - c2 x^T pull + regularization/2 |x|^2
     s.t.   J_T x = v_T,   J_W x = v_W,   lower <= x <= upper
 
-x is a joint velocity [rad/s]. J_T and J_W are the Jacobians of tip and wrist, v_T and v_W their reference velocities.
-The terms with c0 and c1 are zero at every feasible x. By default, pull is the gradient of the manipulability mu.
-regularization = 0 gives the problem of Su et al. (2019). The six equality rows have rank five if a rigid tool connects
-tip and wrist.
+x is a joint velocity [rad/s]. By default, pull is the gradient of mu. The terms with c0 and c1 are zero at every
+feasible x. regularization = 0 gives the problem of Su et al. (2019). The six equality rows have rank five if a rigid
+tool connects tip and wrist.
 """
 
 from __future__ import annotations
@@ -32,12 +31,12 @@ _DOUBLE, _CONTIGUOUS = np.dtype(np.float64), (8,)
 
 
 def row_length(n: int) -> int:
-    """Return the length of the flat array (see `Fields`) that holds a subproblem with n joints."""
+    """Return the length of the flat array (see `Fields`) of a subproblem with n joints."""
     return 11 * n + 10
 
 
 def joints_of(length: int) -> int:
-    """Return the number of joints of a subproblem from the length of its flat array."""
+    """Return the number of joints from the length of the flat array."""
     return (length - 10) // 11
 
 
@@ -91,12 +90,12 @@ class NullSpaceQP:
 
     Args:
         J_tip, J_wrist: (3, n) translational Jacobians in world axes [m/rad].
-        v_tip, v_wrist: (3,) reference velocities [m/s], equal along the shaft's axis u: u^T v_tip = u^T v_wrist.
+        v_tip, v_wrist: (3,) reference velocities [m/s], with equal components along the shaft.
         grad_mu: (n,) gradient of the manipulability.
         lower, upper: (n,) bounds on the joint velocity [rad/s].
-        c0, c1, c2, regularization: the weights in the cost.
-        q: (n,) joint position at which the Jacobians hold [rad]; only the nonlinear solvers need it.
-        pull: (n,) the vector `pull` in the cost, by default grad_mu.
+        c0, c1, c2, regularization: weights in the cost.
+        q: (n,) joint position [rad]; only the nonlinear solvers need it.
+        pull: (n,) vector in the cost, by default grad_mu.
 
     Raises:
         SubproblemError: an argument is invalid.
@@ -157,7 +156,7 @@ class NullSpaceQP:
         return self
 
     def copy(self) -> NullSpaceQP:
-        """Return a copy of the subproblem."""
+        """Return a copy."""
         return NullSpaceQP.from_row(self.row.copy())
 
     def _adopt(self, row: Array, n: int) -> None:
@@ -220,10 +219,7 @@ class NullSpaceQP:
         return float(0.5 * x @ self.P @ x + self.p @ x)
 
     def assembled(self, rows: int = 5) -> Assembled:
-        """Compute the cost and the equality rows: all six, or (rows = 5) five that are linearly independent.
-
-        If the six rows are linearly independent (tip and wrist not rigidly connected), rows = 5 also gives all six.
-        """
+        """Compute the cost and the equality rows. With ``rows`` = 5, a row that depends on the others is omitted."""
         n = self.n
         P, p, spare, plain = np.empty((n, n)), np.empty(n), np.empty(n), np.ones(3)
         for m in (rows, 6):

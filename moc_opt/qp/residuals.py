@@ -1,9 +1,9 @@
 """Residuals of an answer to the null-space subproblem: one definition for every solver.
 
-The subproblem is min 1/2 x^T P x + p^T x s.t. A x = b, lower <= x <= upper (see problem.py). Its cost has the terms
--c2 x^T pull, where pull is a given vector, and rho/2 |x|^2. y are the duals of A x = b. The natural residual is the
-largest entry of ``|x - clip(x - (P x + p + A^T y), lower, upper)|`` (Facchinei & Pang 2003, section 1.5.2). If
-A x = b, it is zero exactly at a KKT point. A joint is idle if its column of A is zero.
+The subproblem (problem.py) is min 1/2 x^T P x + p^T x s.t. A x = b, lower <= x <= upper. Its cost has the terms
+-c2 x^T pull and rho/2 |x|^2. y are the duals of A x = b. The natural residual is the largest entry of
+``|x - clip(x - (P x + p + A^T y), lower, upper)|`` (Facchinei & Pang 2003, section 1.5.2). If A x = b, it is zero
+exactly at a KKT point. A joint is idle if its column of A is zero.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from moc_opt.qp.extremes import ROUNDING, STILL, extremes
 # If the Jacobians are rounded to 7 decimals, the sixth value can reach 8e-8 |A|_F.
 TIED = 1e-7
 RANK_TOLERANCE = 1e-12
-GRADIENT_ROUNDING = 1e-9  # the part of pull in ker A is set to zero if it is below this fraction of |pull|_inf
-A_POINT = 1e-9  # a feasible interval of at most this length counts as a point [rad/s]
+GRADIENT_ROUNDING = 1e-9  # the part of pull in ker A counts as zero below this fraction of |pull|_inf
+A_POINT = 1e-9  # a shorter feasible interval counts as a point [rad/s]
 FEASIBLE = 1e-6  # if no x is feasible, the bounds are widened by up to this [rad/s], and the set is treated as a point
-MOST_FACETS = 300  # if `_facets` gives more directions, the search for the best y is replaced by the optimum's y
+MOST_FACETS = 300  # if `_facets` gives more directions, the optimum's y replaces the best y
 TIED_BY_ROUNDING = 1e-14  # a sixth singular value below this share of |A|_F is a rounding error
 NEARLY_SINGULAR = 1e-3  # with a smaller singular value (share of |A|_F), A d = r is solved by iterative refinement
 REFINEMENTS = 3  # steps of this refinement
@@ -38,9 +38,9 @@ class Residuals(NamedTuple):
     Attributes:
         primal: max(|A x - b|_inf, violation of the bounds) [m/s or rad/s].
         natural: natural residual with the solver's y. If the solver gave no y, it equals ``natural_best``.
-        natural_best: smallest natural residual over all y. If it is far below ``natural``, y is worse than x.
-        relative: ``natural_best`` after dividing the cost by the size of the cost's reduced gradient. This size is
-            max(c2 |Z Z^T pull|_inf, rho times 1 rad/s), with an orthonormal basis Z of ker A.
+        natural_best: smallest natural residual over all y.
+        relative: ``natural_best`` after dividing the cost by max(c2 |Z Z^T pull|_inf, rho times 1 rad/s). The
+            columns of Z are an orthonormal basis of ker A.
         loss: (cost of x - smallest cost) / (largest - smallest cost) over the feasible set, in [0, 1]. It is 0 if all
             feasible points have the same cost.
         distance: |x - x*|_inf to the nearest optimum x* [rad/s]. If no point is feasible, the distance is infinite.
@@ -75,14 +75,14 @@ class Problem(NamedTuple):
 
     A: Array  # (..., 6, n)
     b: Array  # (..., 6)
-    pull: Array  # (..., n), by default the gradient of mu
+    pull: Array  # (..., n)
     lower: Array  # (..., n)
     upper: Array  # (..., n)
     weights: Array  # (..., 4): c0, c1, c2, rho
 
 
 def residuals(problem: Problem, x: Array, y: Array | None = None) -> Residuals:
-    """Compute the residuals of answers ``x`` (..., n), and of their duals ``y`` (..., 6) if the solver gives any.
+    """Compute the residuals of answers ``x`` (..., n) and their duals ``y`` (..., 6).
 
     If a row of ``x`` is not finite, its residuals are infinite and its loss is 1. A row of ``y`` that is not finite
     counts as not given.
@@ -179,7 +179,7 @@ def _rank_five(A: Array) -> tuple[NDArray[np.intp], _Factors]:
     diagonal = np.abs(np.diagonal(R, axis1=1, axis2=2))
     tied = diagonal[:, 5:].max(1, initial=np.inf if A.shape[2] < 6 else 0.0) < TIED_BY_ROUNDING
     rows = np.flatnonzero(tied & (diagonal[:, :5].min(1, initial=np.inf) > NEARLY_SINGULAR))
-    top = R[rows, :5]  # rank 5, because its diagonal has no small entry
+    top = R[rows, :5]
     inverse = np.linalg.inv(top @ np.swapaxes(top, 1, 2))
     good = np.linalg.norm(inverse, axis=(1, 2)) < NEARLY_SINGULAR**-2
     rows, Q = rows[good], Q[rows[good]]
@@ -194,7 +194,7 @@ def ranks(s: Array) -> NDArray[np.intp]:
 
 def _idle_patterns(A: Array) -> list[tuple[NDArray[np.intp], NDArray[np.bool_]]]:
     moves = np.linalg.norm(A, axis=1) > RANK_TOLERANCE * np.linalg.norm(A, axis=(1, 2))[:, None]
-    if (moves == moves[:1]).all():  # usually all matrices have the same idle joints; then the slow `unique` is avoided
+    if (moves == moves[:1]).all():  # the usual case, in which the slow `unique` is avoided
         return [(np.arange(len(A)), pattern) for pattern in moves[:1]]
     patterns, which = np.unique(moves, axis=0, return_inverse=True)
     return [(np.flatnonzero(which.ravel() == i), pattern) for i, pattern in enumerate(patterns)]

@@ -1,7 +1,4 @@
-"""Robots: arms as data, models of arms, and inverse kinematics.
-
-To add an arm, see docs/extending.md.
-"""
+"""Robots: arms as data, models of arms, and inverse kinematics."""
 
 from moc_opt.robots.loader import RobotData, about, available_robots, load_data
 

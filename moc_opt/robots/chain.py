@@ -18,20 +18,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """A serial chain. Joint j's pose is given in the frame of joint j - 1.
-
-    Joint 0 is placed in the world frame. Each joint turns about, or slides along, its own unit axis.
-    """
+    """A serial chain. Each joint is placed in the previous joint's frame, the first one in the world frame."""
 
     rotations: Array  #: (n,3,3)
     origins: Array  #: (n,3) [m]
-    axes: Array  #: (n,3)
+    axes: Array  #: (n,3) unit vectors in the joints' own frames
     prismatic: NDArray[np.bool_]  #: (n,)
     offsets: Array  #: (2,3) tip and wrist in the last joint's frame [m]
 
     @property
     def joints(self) -> Array:
-        """The chain (n,16) for the core: rotation, origin, axis, and 1 for a sliding joint, else 0."""
+        """The chain (n,16) for the core: rotation, origin, axis, and 1 for a prismatic joint, else 0."""
         parts = (self.rotations.reshape(-1, 9), self.origins, self.axes, self.prismatic[:, None])
         return np.hstack(parts).astype(np.float64)
 
@@ -58,17 +55,16 @@ class Kinematics:
     n: int
     tip: casadi.Function = field(compare=False, repr=False)  #: Tip (3,) [m].
     wrist: casadi.Function = field(compare=False, repr=False)  #: Wrist (3,) [m].
-    mu: casadi.Function = field(compare=False, repr=False)  #: Manipulability sqrt(det(J_tip J_tip^T)).
+    mu: casadi.Function = field(compare=False, repr=False)  #: Manipulability.
     grad_mu: casadi.Function = field(compare=False, repr=False)  #: Gradient of mu (n,).
     shaft: casadi.Function = field(compare=False, repr=False)
-    """(mu_shaft / |tip - wrist|^2)^2, smooth at 0. mu_shaft is the manipulability of the shaft while the tip rests; see
-    `moc_opt/core/manipulability.c`."""
+    """(mu_shaft / |tip - wrist|^2)^2, smooth at 0, with `RobotState.mu_shaft`."""
 
 
 @lru_cache(maxsize=64)
 def build_kinematics(name: str, chain: Chain) -> Kinematics:
     """Write the chain's kinematics in CasADi."""
-    import casadi as ca  # slow to import, and rarely needed
+    import casadi as ca  # a slow import
 
     q = ca.SX.sym("q", len(chain.axes))
     rotation, origin = ca.SX.eye(3), ca.SX.zeros(3)

@@ -21,13 +21,11 @@ from moc_opt.sim.settings import PlantSettings
 
 Verdict = Literal["ok", "care", "cannot"]
 REGULAR, SINGULAR = (0.1, 0.05), 1e-4
-"""Bounds on two ratios of singular values at home: smallest / largest of the tip's Jacobian (`Freedoms.tip`), and fifth
-/ largest of the Jacobian of tip and wrist (`Freedoms.both`). If a ratio is below its value in `REGULAR`, the verdict is
-"care". If it is below `SINGULAR`, the verdict is "cannot"."""
+"""If `Freedoms.tip` or `Freedoms.both` at home is below its value in `REGULAR`, the verdict is "care". If one is below
+`SINGULAR`, the verdict is "cannot"."""
 LITTLE_TO_GAIN = 0.05  #: If mu at home can rise by less than this share, the verdict is "care".
-LEAST_M = 0.005  #: If the arm cannot even follow a circle of this radius [m], the verdict is "cannot".
-MARGIN_DEG, MARGIN_MM = 15.0, 80.0
-"""If home is nearer than this to a limit of a joint that turns (deg) or slides (mm), the verdict is "care"."""
+LEAST_M = 0.005  #: If the arm cannot even follow a circle of this radius, the verdict is "cannot".
+MARGIN_DEG, MARGIN_MM = 15.0, 80.0  #: If home is nearer than this to a limit, the verdict is "care".
 CARE = 0.8  #: If gains reach this share of the stability limit, the verdict is "care".
 GYRATION_M = 0.6  #: Largest plausible radius of gyration of a link [m].
 
@@ -35,8 +33,8 @@ GYRATION_M = 0.6  #: Largest plausible radius of gyration of a link [m].
 class Finding(NamedTuple):
     """One row of the table of a check."""
 
-    what: str  #: What was checked.
-    found: str  #: What was found, with its numbers.
+    what: str
+    found: str
     verdict: Verdict
     cure: str = ""  #: What to change; empty if the verdict is "ok".
 
@@ -64,7 +62,6 @@ def _judge(what: str, found: str, *faults: tuple[object, Verdict, str]) -> Findi
 
 
 def _freedom(robot: RobotModel) -> Iterator[Finding]:
-    # Freedoms are the dimensions of the joint motion with fixed tip and shaft. An idle one never moves tip or shaft.
     built, here = best_freedoms(robot), freedoms(robot, robot.data.q_home)
     idle = ", ".join(robot.data.joint_names[j] for j in built.idle) or "none"
     rank = f"the Jacobian of tip and shaft has rank {here.rank} at home, {built.rank} elsewhere: change home.q_rad"
@@ -144,7 +141,7 @@ def _weight(robot: RobotModel) -> Finding:
 
 
 def _bodies(robot: RobotModel) -> Finding:
-    # The loader has refused impossible inertias. Here, implausible ones are found.
+    # The loader has already refused impossible inertias.
     bodies = [link for link in urdf.read(robot.data.urdf).links if not link.is_frame]
     gyrations = {body.name: math.sqrt(max(body.moments[:3]) / body.mass) for body in bodies}
     total = sum(body.mass for body in bodies)
@@ -160,7 +157,6 @@ def _gains(robot: RobotModel, asked: Scenario) -> Finding:
     limit, period = largest_rate(asked.plant), asked.plant.period_s
     gains = asked.control.resolve_gains(robot.data.gains, robot.n)
     tip, wrist = largest_inverse_masses(robot)
-    # For each velocity gain (D_X: tip, D_N: wrist, K_N2 + D_N2: elbow), the largest ratio of gain to inertia [1/s].
     null_space = largest_null_rate(robot, gains.K_N2 + gains.D_N2)
     rates = {"D_X": gains.D_X * tip, "D_N": gains.D_N * wrist, "K_N2": null_space}
     name, rate = max(rates.items(), key=lambda item: item[1])

@@ -1,7 +1,4 @@
-"""Gains for an untuned arm, derived from its inertia and from the gains of the tuned LWR4+.
-
-The ratio of a velocity gain to an inertia [1/s], times the control period, decides whether a sampled loop is stable.
-"""
+"""Gains for an untuned arm, derived from its inertia and from the gains of the tuned LWR4+."""
 
 from __future__ import annotations
 
@@ -34,10 +31,11 @@ _POSES = 16
 
 
 def derived_gains(robot: RobotModel) -> dict[str, Table]:
-    """Derive one table of gains for each name in `CARTESIAN`, from the arm's inertia.
+    """Derive one table of gains for each name in `CARTESIAN`.
 
-    K_N2 of joint i is a rate times M_ii at the home pose, and D_N2 is a share of K_N2. The other gains are those of the
-    LWR4+. If a ratio exceeds its bound in `JOINTS` or `CARTESIAN_RATE`, stiffness and damping are scaled down together.
+    K_N2 of joint i is proportional to M_ii at home, and D_N2 to K_N2. The other gains are those of the LWR4+. If a
+    ratio of gain to inertia exceeds its bound, which keeps the sampled loop stable, the gains of this level are scaled
+    down together.
     """
     inertia = np.diag(robot.state(robot.data.q_home).M)
     inverse_masses = largest_inverse_masses(robot)
@@ -66,7 +64,7 @@ def largest_inverse_masses(robot: RobotModel) -> tuple[float, float]:
 
 
 def largest_null_rate(robot: RobotModel, gains: Array) -> float:
-    """Return the largest eigenvalue of (Z M Z^T)^-1 Z diag(gains) Z^T [1/s]; Z's rows span ker A."""
+    """Return the largest eigenvalue of (Z M Z^T)^-1 Z diag(gains) Z^T [1/s]."""
     found = 0.0
     for state in surveyed(robot):
         _, values, rows = np.linalg.svd(state.A)

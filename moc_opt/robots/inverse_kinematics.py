@@ -18,8 +18,8 @@ _RESTARTS = 60
 class Placed(NamedTuple):
     """The result of a search for a pose."""
 
-    q: Array  #: (n,) inside the limits [rad]
-    miss_m: float  #: Largest component of the position errors of tip and wrist [m].
+    q: Array  #: (n,) [rad], inside the limits unless they are ignored.
+    miss_m: float  #: Largest component of the position errors of tip and wrist.
     at_limit: tuple[int, ...]  #: Joints (from 0) at a limit.
 
     @property
@@ -32,10 +32,9 @@ def solve_pose(
     robot: RobotModel, q: ArrayLike, tip: ArrayLike, wrist: ArrayLike | None = None, *, iterations: int = 40,
     limited: bool = True,
 ) -> Placed:  # fmt: skip
-    """Find a pose near q (n,) with the tip, and the wrist if given, at points (3,) [m].
+    """Search locally for a pose near q (n,) with the tip, and the wrist if given, at points (3,) [m].
 
-    The search is local and may miss a pose. If ``limited`` is False, joint limits are ignored. Raise a RobotError if an
-    argument has a wrong shape or is not finite.
+    If ``limited`` is False, joint limits are ignored. Raise a RobotError if an argument is not usable.
     """
     points = np.array([tip] if wrist is None else [tip, wrist], dtype=np.float64)
     low, high = (robot.q_min, robot.q_max) if limited else (np.full(robot.n, -np.inf), np.full(robot.n, np.inf))

@@ -33,7 +33,7 @@ class _Table(Settings):
 
 
 class Frames(_Table):
-    """Wrist and tool mount in the last link's frame. rpy are turns about its fixed axes x, y, z, as in URDF."""
+    """Wrist and tool mount in the last link's frame; rpy as in a URDF."""
 
     KIND: ClassVar[str] = "[frames]"
     last_link: Name
@@ -43,7 +43,7 @@ class Frames(_Table):
 
 
 class Tool(_Table):
-    """A straight round rod from the mount to the tip, along z of the mount."""
+    """A round rod from the mount to the tip, along z of the mount."""
 
     KIND: ClassVar[str] = "[tool]"
     length_m: float = Field(0.30, ge=0.01, le=10)
@@ -52,7 +52,7 @@ class Tool(_Table):
 
 
 class Limits(_Table):
-    """Limits of all joints that replace those of the URDF. Keys in degrees are refused if any joint slides."""
+    """Limits that replace those of the URDF."""
 
     KIND: ClassVar[str] = "[limits]"
     q_min_deg: Vector | None = None
@@ -78,7 +78,7 @@ class Home(_Table):
 
 
 class RobotDescription(_Table):
-    """The whole TOML file; the path `urdf` is relative to the folder of the TOML."""
+    """The TOML file; the path `urdf` is relative to its folder."""
 
     KIND: ClassVar[str] = "robot"
     name: Name
@@ -94,9 +94,9 @@ class RobotDescription(_Table):
 
 @dataclass(frozen=True, eq=False)
 class RobotData:
-    """A robot with its tool, as plain data. Every array is (n,) and read-only.
+    """A robot with its tool, as plain data in rad, rad/s and Nm (prismatic joints: m, m/s, N).
 
-    Positions are in rad, speeds in rad/s and torques in Nm. For a prismatic joint, they are in m, m/s and N.
+    Every array is (n,) and read-only.
     """
 
     name: str
@@ -106,7 +106,7 @@ class RobotData:
     q_max: Array
     v_max: Array
     tau_max: Array
-    rotor_inertia: Array  #: [kg m^2], not part of the URDF. It is added to the diagonal of the inertia matrix.
+    rotor_inertia: Array  #: [kg m^2], added to the diagonal of the inertia matrix.
     viscous_friction: Array  #: [Nm s/rad]
     coulomb_friction: Array  #: [Nm]
     q_home: Array
@@ -114,7 +114,7 @@ class RobotData:
     tip_frame: str
     tool_length: float  #: Distance from mount to tip [m].
     tool_mass: float  #: [kg]
-    gains: Mapping[str, Gains]  #: For each NAME, the table [gains.NAME] of the robot's TOML.
+    gains: Mapping[str, Gains]  #: The tables [gains.NAME] of the TOML.
 
     def __post_init__(self) -> None:
         for name in (self.name, *self.joint_names):  # names are written into source code and pages
@@ -218,7 +218,6 @@ def _chain(arm: urdf.Urdf, last_link: str) -> list[urdf.Joint]:
 
 
 def _limits(given: Limits, chain: list[urdf.Joint]) -> dict[str, Array]:
-    """Return q_min, q_max, v_max and tau_max by name, and write them into the joints of the chain."""
     found: dict[str, Array] = {}
     for field, key, entry in (
         ("q_min", "lower", "q_min_deg"), ("q_max", "upper", "q_max_deg"), ("v_max", "velocity", "v_max_deg_per_s"),

@@ -1,4 +1,4 @@
-"""`RobotModel` computes the terms of the control laws at joint positions q and velocities v, as a `RobotState`."""
+"""`RobotModel` computes the terms of the control laws at (q, v), as a `RobotState`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from moc_opt.robots.gains import CARTESIAN, derived_gains
 from moc_opt.robots.loader import RobotData, load_data
 
 LEAST_JOINTS = 4  # with fewer, tip and shaft cannot be controlled
-_STRUCTURAL_ZERO = 1e-12  # a Jacobian's column is zero at all poses if its norm at random poses is at most this
+_STRUCTURAL_ZERO = 1e-12  # a column of a Jacobian with a smaller norm counts as zero
 _TIP, _WRIST = slice(0, 3), slice(3, 6)
 
 
@@ -116,13 +116,13 @@ class RobotModel:
     """The arm with its tool.
 
     Attributes:
-        data: the contents of the robot's files, a `moc_opt.robots.RobotData`.
+        data: the robot's files, as `moc_opt.robots.RobotData`.
         n: number of joints.
-        q_min, q_max: (n,) limits [rad; m where a joint slides].
+        q_min, q_max: (n,) limits [rad or m].
         v_max: (n,) speed limits [rad/s or m/s].
         tau_max: (n,) torque limits [Nm or N].
-        moves: (2,n) flags: whether each joint can move the tip (first row), and the wrist (second row).
-        arm: the same arm, as the compiled core's `Arm`.
+        moves: (2,n) whether each joint can move the tip (first row), and the wrist (second row).
+        arm: the compiled core's `Arm`.
 
     Example:
         >>> robot = mo.load_robot("lwr4")
@@ -140,7 +140,7 @@ class RobotModel:
     """
 
     def __init__(self, data: RobotData) -> None:
-        """Build the model. Raise a RobotError if the number of joints or the URDF of ``data`` is not usable."""
+        """Build the model. Raise a RobotError if the number of joints or the URDF is not usable."""
         self.data = data
         self.n = n = data.n
         self.q_min, self.q_max, self.v_max, self.tau_max = data.q_min, data.q_max, data.v_max, data.tau_max
@@ -154,7 +154,6 @@ class RobotModel:
         self._rest = np.zeros(n)
         self.moves = read_only(np.ones((2, n), dtype=np.bool_))
         self.arm = core.Arm(*self.arm_arrays)
-        # A last joint about the tool's axis moves neither tip nor wrist.
         drawn = np.random.default_rng(0).uniform(self.q_min, self.q_max, (4, n))
         columns = [np.linalg.norm(self.state(q).A.reshape(2, 3, n), axis=1) for q in drawn]
         self.moves = read_only(np.max(columns, axis=0) > _STRUCTURAL_ZERO)
@@ -200,15 +199,12 @@ class RobotModel:
         return self.state(q).gravity.copy()
 
     def tool_pose(self, q: ArrayLike) -> Array:
-        """Compute the tool's pose (4,3) in world axes: x, y and z axis, then tip [m].
-
-        z points from wrist to tip. The wrench sensor measures in the axes of the tool.
-        """
+        """Compute the tool's pose (4,3): its axes x, y and z (from wrist to tip) in world axes, then the tip [m]."""
         return self.arm.tool_pose(self._numbers("q", q))
 
     @cached_property
     def chain(self) -> Chain:
-        """Joint placements and axes as plain numbers."""
+        """The joints' placements and axes."""
         neutral = self._pin.createData()
         pin.computeJointJacobians(self._pin, neutral, np.zeros(self.n))
         prismatic = np.linalg.norm(neutral.J[3:], axis=0) < 0.5

@@ -25,18 +25,18 @@ from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.layout import lay_out
 
 DRAWS = 6000  #: Number of random poses from which the home pose is chosen.
-SHORTLIST = 60  #: Upper bound on the number of poses whose self-motions are scanned: those with the best scores.
+SHORTLIST = 60  #: Largest number of poses whose self-motions are scanned.
 DOWN = (0.94, 0.8, -1.0)  #: Cosines of the tool's largest angle from straight down, tried in turn: 20, 37 and 180 deg.
-CLEARANCE_M = 0.05  #: Lower bound on the distance of tip and wrist from the base's plane [m].
-MARGIN = 0.2  #: Lower bound on the distance from a joint limit, divided by half the range.
+CLEARANCE_M = 0.05  #: Smallest distance of tip and wrist from the base's plane.
+MARGIN = 0.2  #: Smallest distance from a joint limit, divided by half the range.
 REGULAR = (0.15, 0.08)
-"""Lower bounds at home on smallest / largest singular value of J_tip, and on fifth / largest of [J_tip; J_wrist]."""
+"""Smallest `Freedoms.tip` and `Freedoms.both` at home."""
 SHARE = (0.7, 0.9)
-"""Wanted range of manipulability mu / (largest mu on the self-motion) at home. Below 1, so that mu can rise."""
+"""Wanted range of mu / (largest mu on the self-motion) at home. Below 1, so that mu can rise."""
 
 
 class NewRobot(NamedTuple):
-    """The files that were written, their robot, and the notes in the TOML."""
+    """The written files, their robot, and the notes in the TOML."""
 
     toml: Path
     urdf: Path
@@ -48,15 +48,14 @@ def new_robot(
     source: Path, out: Path, *, tip: str | None = None, tool_m: float = 0.30,
     lock: Mapping[str, float] | None = None, base_rpy: tuple[float, float, float] = (0.0, 0.0, 0.0), seed: int = 0,
 ) -> NewRobot:  # fmt: skip
-    """Write ``out`` (a TOML) and a URDF beside it. Neither file may exist yet.
+    """Write ``out`` (a TOML) and a URDF beside it, from the vendor's URDF ``source``.
 
     Args:
-        source: the vendor's URDF.
         tip: the link that carries the tool, by default the link beyond the last moving joint.
         tool_m: length of the tool [m].
         lock: joints to be fixed, each with its position [rad, m].
         base_rpy: roll, pitch, yaw of the base [rad]; with (pi, 0, 0) the arm hangs from the ceiling.
-        seed: seed of the random poses from which the home pose is chosen.
+        seed: seed of the search for a home pose.
 
     Raises:
         RobotError: the file is no serial arm, no null space is left, or an output file exists.
@@ -108,7 +107,7 @@ def new_robot(
 
 
 def _drives(arm: VendorArm) -> dict[str, list[float]]:
-    # Vendors do not publish rotor inertia and friction. Both are guessed from the torque limit (`effort`).
+    # Vendors do not publish rotor inertia and friction. Both are guessed from the torque limit.
     rotors, friction = [], []
     for joint in arm.chain:
         effort, sliding = joint.limits["effort"], joint.kind == "prismatic"
@@ -142,8 +141,8 @@ _FORM.filters.update(numbers=_numbers, comment=_comment)
 class Shaft(NamedTuple):
     """The tool's place in the last link's frame; rpy turns the frame's z into the tool's direction."""
 
-    wrist: Array  #: The point of the shaft that the controller takes as the wrist, (3,) [m].
-    mount: Array  #: The point where the tool begins, (3,) [m].
+    wrist: Array  #: (3,) wrist centre, a point of the shaft [m]
+    mount: Array  #: (3,) where the tool begins [m]
     rpy: tuple[float, float, float]  #: [rad]
     note: str
 
@@ -151,9 +150,8 @@ class Shaft(NamedTuple):
 def find_shaft(text: str, last_link: str) -> Shaft:
     """Lay the tool along the last turning axis, away from the arm.
 
-    The previous axis is the last turning axis that is not parallel to the shaft. The wrist is the shaft's point nearest
-    to this axis or, if that point lies ahead of the mount, the mount. If the last joint slides, the tool runs along the
-    last link's z.
+    The wrist is the shaft's point nearest to the last turning axis that is not parallel to the shaft. If that point is
+    ahead of the mount, the mount is the wrist. If the last joint slides, the tool runs along the last link's z.
     """
     model = pin.buildModelFromXML(text)
     data = model.createData()
@@ -172,7 +170,7 @@ def find_shaft(text: str, last_link: str) -> Shaft:
             b, gap = float(axis @ before), other - point
             foot = point + (gap @ axis - b * (gap @ before)) / (1.0 - b * b) * axis
         ahead = float(axis @ (origin - foot))
-        if abs(ahead) < 1e-4:  # the link's origin is at the wrist point, so the link's z axis decides
+        if abs(ahead) < 1e-4:  # the link's origin is at the wrist, so the link's z axis decides
             ahead = float(axis @ z) if abs(float(axis @ z)) > 0.5 else 1.0
         on_axis = point + (origin - point) @ axis * axis
         direction, note = np.sign(ahead) * axis, "the tool runs along the last axis"
@@ -196,13 +194,13 @@ def find_shaft(text: str, last_link: str) -> Shaft:
 
 
 class Home(NamedTuple):
-    """A home pose, and the values by which it is ranked."""
+    """A home pose and its rating."""
 
     q: Array  #: (n,) [rad, m]
     mu: float  #: [m^3]
-    mu_best: float  #: Largest mu on its self-motion curve [m^3].
+    mu_best: float  #: Largest mu on its self-motion [m^3].
     margin: float  #: Distance to the nearest joint limit, divided by half the range.
-    task: str  #: Why the default task fails; empty if the task can be done.
+    task: str  #: Why the default task fails, or "not tried"; empty if the task can be done.
 
     @property
     def order(self) -> tuple[bool, float]:
@@ -211,10 +209,10 @@ class Home(NamedTuple):
 
 
 def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
-    """Search the joint ranges for a home pose. Raise a RobotError if no pose is suitable.
+    """Search for a home pose. Raise a RobotError if no pose is suitable.
 
     Random poses are scored by mu and by their distance from limits and singularities. Among the best scores, the first
-    pose by `Home.order` is chosen. The next angle of `DOWN` is tried only if no pose so far can do the default task.
+    pose by `Home.order` is chosen.
     """
     rng, idle = np.random.default_rng(seed), ~robot.moves.any(axis=0)
     middle, half = 0.5 * (robot.q_min + robot.q_max), 0.5 * (robot.q_max - robot.q_min)
@@ -253,7 +251,7 @@ def _ranked(robot: RobotModel, poses: Array) -> list[Home]:
         except RobotError:
             continue  # the curve meets a singularity
         here = robot.state(q).mu
-        # `task_fault` is slow, so only the first pose and poses with mu / mu_best in `SHARE` are tried.
+        # `task_fault` is slow, so not all poses are tried.
         wanted = SHARE[0] <= here / largest <= SHARE[1]
         task = task_fault(robot, q) if wanted or not homes else "not tried"
         homes.append(Home(q, here, largest, float(limit_shares(robot, q)[moving].min()), task))

@@ -17,7 +17,7 @@ from moc_opt.inputs.files import decimal
 MOVING = frozenset({"revolute", "continuous", "prismatic"})
 TOOL_LINK, TIP_LINK, WRIST_LINK = "tool", "tip", "wrist"
 TOOL_NAMES = {"link": {TOOL_LINK, TIP_LINK, WRIST_LINK}, "joint": {"tool_mount", "tip_frame", "wrist_frame"}}
-"""Names that a URDF must not contain, because the tool's links and joints have them."""
+"""Names of the tool's links and joints. A URDF must not contain them."""
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 SMALLEST_MASS, SMALLEST_MOMENT = 1e-6, 1e-12
 MOST_LINKS = 250  #: Physics engines crash on chains of some thousands of links.
@@ -26,7 +26,7 @@ MOST_LINKS = 250  #: Physics engines crash on chains of some thousands of links.
 _TRIANGLE, _FLAT, _THIN = 1e-6, 1e-9, 1e-12
 SMALLEST = 1e-30  #: Numbers nearer to 0 are read as 0, because some programs refuse them.
 LARGEST, LARGEST_MASS, FARTHEST = 1e6, 1e5, 100.0
-"""`LARGEST` bounds every number in a file, `LARGEST_MASS` masses [kg], `FARTHEST` an origin's numbers [m, rad]."""
+"""Upper bounds on any number in a file, on a mass [kg], and on an origin's numbers [m, rad]."""
 
 Numbers = tuple[float, ...]
 _ZEROS: Numbers = (0.0, 0.0, 0.0)
@@ -34,7 +34,7 @@ _ZEROS: Numbers = (0.0, 0.0, 0.0)
 
 @dataclass
 class Link:
-    """A link and its body. A link without mass and moments is only a frame."""
+    """A link and its body."""
 
     name: str
     mass: float = 0.0  #: [kg]
@@ -44,7 +44,7 @@ class Link:
 
     @property
     def is_frame(self) -> bool:
-        """Whether the link has no body."""
+        """Whether the link has no mass and no moments."""
         return self.mass == 0.0 and not any(self.moments)
 
     def thicken(self, added: float) -> None:
@@ -60,12 +60,12 @@ class Joint:
     kind: str
     parent: str
     child: str
-    xyz: Numbers = _ZEROS  #: origin of the joint in the parent's frame [m]
-    rpy: Numbers = _ZEROS  #: orientation of the joint in the parent's frame: roll, pitch, yaw [rad]
+    xyz: Numbers = _ZEROS  #: origin in the parent's frame [m]
+    rpy: Numbers = _ZEROS  #: orientation in the parent's frame [rad]
     axis: Numbers = (1.0, 0.0, 0.0)  #: in the joint's own frame
     limits: dict[str, float] = field(default_factory=dict)
     """The URDF's "lower" and "upper" [rad or m], "velocity" [rad/s or m/s] and "effort" [Nm or N]."""
-    mimics: bool = False  #: whether the joint's position is tied to another joint's
+    mimics: bool = False
 
     @property
     def moves(self) -> bool:
@@ -167,7 +167,6 @@ def _one(parent: ET.Element, tag: str, where: str) -> ET.Element | None:
 
 
 def _numbers(element: ET.Element | None, key: str, what: str, count: int = 3, most: float = LARGEST) -> Numbers:
-    """Read an attribute's numbers. A missing attribute gives zeros."""
     text = None if element is None else element.get(key)
     if text is None:
         return (0.0,) * count
@@ -183,9 +182,9 @@ def _numbers(element: ET.Element | None, key: str, what: str, count: int = 3, mo
 
 
 def normalize(arm: Urdf) -> Tree:
-    """Check a URDF and return its tree. In place, axes are scaled to length 1, and flat bodies become slightly thick.
+    """Check a URDF, and return its tree. Raise a RobotError if something is wrong.
 
-    A RobotError is raised if a name or number is wrong, a body is impossible, or the links form no tree.
+    In place, axes are scaled to length 1, and flat bodies become slightly thick.
     """
     for name in [link.name for link in arm.links] + [joint.name for joint in arm.joints]:
         if not names.is_name(name):

@@ -20,20 +20,20 @@ FINGERS = 2  #: A branch with at most this many moving joints is a finger, not t
 FASTEST = {"turning": 2.0 * math.pi, "sliding": 2.0}
 """Largest plausible joint speeds [rad/s, m/s]."""
 CHOSEN = {"turning": 2.0, "sliding": 0.5}  #: Speed limits that replace missing or implausible ones [rad/s, m/s].
-TRAVEL_M = 0.5  #: A sliding joint without limits gets this range to either side [m].
+TRAVEL_M = 0.5  #: A sliding joint without limits gets this range to either side.
 _STRONGEST = {"turning": 2000.0, "sliding": 20000.0}  # largest plausible effort [Nm, N]
 _UNITS = {"turning": ("rad", "rad/s"), "sliding": ("m", "m/s")}
 
 
 @dataclass
 class VendorArm:
-    """A serial arm. Joints outside its chain are fixed. Joints of the chain have position, speed and effort limits."""
+    """A serial arm, in which joints outside its chain are fixed."""
 
     urdf: Urdf
     notes: list[str]  #: Assumptions and changes.
     last_link: str = ""
     chain: list[Joint] = field(default_factory=list)  #: Moving joints from base to last link.
-    weak: list[str] = field(default_factory=list)  #: Joints of the chain whose URDF has no usable effort limit.
+    weak: list[str] = field(default_factory=list)  #: Joints of the chain without a usable effort limit.
 
 
 def read_vendor(
@@ -42,8 +42,7 @@ def read_vendor(
 ) -> VendorArm:  # fmt: skip
     """Read a URDF as a serial arm. Implausible masses and limits are replaced.
 
-    ``tip`` is the link that carries the tool (None: the last moving link). ``base_rpy`` turns the base [rad]. Joints
-    outside the chain, and those in ``lock`` (name: position [rad, m]), are fixed. Errors are those of `new.new_robot`.
+    Arguments and errors are those of `new.new_robot`.
     """
     text = read_text(path, "urdf", RobotError)
     with named(f"{path}:"):
@@ -112,7 +111,6 @@ def _depth(tree: urdf.Tree, joint: Joint) -> int:
 
 
 def _fix(joints: Iterable[Joint], notes: list[str], at: float | None = None) -> None:
-    """Fix joints at the position ``at``, by default at the allowed position nearest to 0."""
     fixed = []
     for joint in joints:
         told = joint.kind
@@ -141,10 +139,7 @@ def _shift(joint: Joint, value: float) -> None:
 
 
 def mend_bodies(links: Iterable[Link], notes: list[str]) -> None:
-    """Make every body physically possible, in place, and note each change.
-
-    A link without mass becomes a frame. An impossible inertia becomes possible by an equal increase about all axes.
-    """
+    """Make every body physically possible, in place, and note each change."""
     frames = []
     for link in links:
         if link.is_frame:
@@ -182,7 +177,7 @@ def _choose_limits(joints: Iterable[Joint], notes: list[str]) -> list[str]:
 
 
 def _range(joint: Joint, kind: str) -> tuple[float, float, str]:
-    """Return the joint's range, and why it differs from the URDF's range ("" if it does not)."""
+    """Return the joint's range, and why it differs from the URDF's range, or ""."""
     lower, upper = joint.limits.get("lower", 0.0), joint.limits.get("upper", 0.0)
     if joint.kind == "continuous":
         return -math.pi, math.pi, "turns without end: +-180 deg is used"

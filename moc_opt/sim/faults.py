@@ -87,7 +87,7 @@ class FaultSettings(Settings):
 
 
 class Faults:
-    """The faults of one run. ``n`` is the number of the arm's joints, and ``period`` the control period [s].
+    """The faults of one run, for an arm of ``n`` joints and a control ``period`` [s].
 
     Raises:
         PlantError: ``frozen_joint`` or ``lag_joint`` is no joint of the arm.
@@ -119,7 +119,7 @@ class Faults:
         self._tape: list[Measurement] = []
 
     def act(self, plant: Plant, tick: int) -> None:
-        """Begin or end the pushes (bump, weight of the payload) that are due at ``tick``."""
+        """Begin or end the pushes that are due at ``tick``."""
         s = self.settings
         if s.payload_kg > 0.0 and tick == 0:
             plant.push(TOOL_BODY, self._weight)
@@ -128,7 +128,7 @@ class Faults:
             plant.push(s.bump_link, held + self._bump * (tick == self._bump_on))
 
     def slip(self, trocars: Array, times: Array) -> Array:
-        """Add the slip to ``trocars`` (N, 2, 3), rows position [m] and velocity [m/s], at ``times`` (N,) [s]."""
+        """Add the slip to ``trocars`` (N, 2, 3), rows P_t and dP_t, at ``times`` (N,) [s]."""
         if self.settings.slip_m == 0.0:
             return trocars
         u = np.clip((times - self.settings.slip_at_s) / 0.1, 0.0, 1.0)
@@ -169,7 +169,7 @@ class Faults:
         return seen._replace(q=q, v=v)
 
     def _after(self, at_s: float | None, tick: int) -> int:
-        """Return the number of ticks since ``at_s``, 1 at the first of them; 0 before or without ``at_s``."""
+        """Return the number of ticks since ``at_s``, 1 at the first of them; 0 before."""
         return 0 if at_s is None else max(0, tick - round(at_s / self._period) + 1)
 
     def _forged(self, arrived: Measurement, taken: Measurement) -> Measurement:

@@ -1,10 +1,10 @@
-"""The arm's joints in MuJoCo's state, and their drives.
+"""The arm's joints and their drives.
 
 A joint with a spring has a motor angle theta, a spring deflection delta and a link angle q (Spong 1987):
 
     q = theta + delta,   M(q) ddq + h = tau_J,   B ddtheta + friction + tau_J = tau,   tau_J = -K delta - D ddelta/dt
 
-B is the effective rotor inertia. In a real joint, torque feedback reduces it (Ott et al. 2008).
+B is the rotor inertia, as reduced by torque feedback (Ott et al. 2008).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from moc_opt.robots import RobotData
 from moc_opt.sim.settings import Mismatch, PlantSettings
 
 _SAGGING_ROUNDS = 12  # iterations for the springs' deflection under the arm's weight
-_MOST_RAD_A_STEP = 1.0  # largest allowed phase of a spring's oscillation per plant step [rad]
+_MOST_RAD_A_STEP = 1.0  # largest allowed phase of a spring's oscillation per plant step
 
 
 class Joints:
@@ -31,7 +31,7 @@ class Joints:
     Attributes:
         q, v: (n,) positions and velocities of the links [rad], [rad/s].
         theta, omega: (n,) positions and velocities of the motors [rad], [rad/s].
-        shown: the pair (q, v) or (theta, omega) that the encoders measure.
+        shown: what the encoders measure: (q, v) or (theta, omega).
         torque: (n,) torque of the drives, without ripple [Nm].
         motors: slice of the motors in MuJoCo's degrees of freedom.
     """
@@ -54,7 +54,7 @@ class Joints:
         self._delay_ticks, self._due = settings.delay_ticks, deque[Array]()
 
     def start(self, shown: Array, speed: Array) -> None:
-        """Put the arm where error-free encoders read ``shown`` (n,) [rad], with the speeds ``speed`` (n,) [rad/s]."""
+        """Put the arm where error-free encoders read ``shown`` (n,) [rad], with ``speed`` (n,) [rad/s]."""
         state, model = self._state, self._model
         weight = state.qfrc_bias[self.motors]
         state.qpos[self.motors] = shown
@@ -72,7 +72,7 @@ class Joints:
         self.gather()
 
     def command(self, tau: ArrayLike) -> None:
-        """Queue a torque (n,) [Nm], and apply the torque that is due. Raise a PlantError for a wrong torque."""
+        """Queue a torque (n,) [Nm], and apply the torque that is due."""
         wanted = np.asarray(tau, dtype=np.float64)
         if wanted.shape != self._high.shape:
             raise PlantError(f"tau has shape {wanted.shape}: give {self._high.shape}, one torque per joint [Nm]")
@@ -91,7 +91,7 @@ class Joints:
             self._state.qfrc_applied[self.motors] = self.torque + ripple
 
     def gather(self) -> None:
-        """Compute the angles of elastic joints."""
+        """Update the positions and velocities of elastic joints."""
         if self._elastic:
             place, speed = self._state.qpos, self._state.qvel
             self.theta[:], self.omega[:] = place[::2], speed[::2]
@@ -99,7 +99,7 @@ class Joints:
 
 
 def add_springs(data: RobotData, spec: mujoco.MjSpec, settings: PlantSettings) -> None:
-    """Put a spring in each joint. Raise a PlantError if the number of stiffnesses is wrong."""
+    """Put a spring in each joint."""
     for joint, value in zip(list(spec.joints), _stiffnesses(data, settings), strict=True):
         spring = joint.parent.add_joint(name=f"{joint.name}_spring", type=joint.type, axis=joint.axis, pos=joint.pos)
         spring.limited = mujoco.mjtLimited.mjLIMITED_FALSE

@@ -1,7 +1,4 @@
-"""The closed loop of plant, sensors, safety filter and controller.
-
-`ClosedLoop.step` advances the loop, and `simulate` records a whole run.
-"""
+"""The closed loop of plant, sensors, safety filter and controller."""
 
 from __future__ import annotations
 
@@ -42,7 +39,7 @@ class FilteredController(Filtered):
             self._filter.start(seen.q, seen.v, seen.stamp)
 
     def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
-        """Return this period's torque (n,) [Nm]. In a stop, the torque damps the arm."""
+        """Return this period's torque (n,) [Nm]."""
         safety, controller, applied = self._filter, self._controller, self._applied
         if safety is None:
             return controller.tick(seen.q, seen.v, tip_ref, trocar)
@@ -63,7 +60,7 @@ class FilteredController(Filtered):
         return tau
 
     def set_applied_torque(self, tau: Array) -> None:
-        """Store the torque (n,) [Nm] that was applied instead of the result of ``tick``."""
+        """Take the torque (n,) [Nm] that was applied instead of the result of ``tick``."""
         self._applied = tau
         self._controller.set_applied_torque(tau)
 
@@ -95,7 +92,7 @@ class ClosedLoop:
         self.filtered: Filtered = controller
 
     def start(self, tip_ref: Array, registered: Array) -> None:
-        """Start at the plant's present measurement; arguments as for ``step``."""
+        """Start at the present measurement; arguments as for ``step``."""
         self.seen = self._plant.measure()
         self.filtered.start(self.seen, tip_ref, registered)
 
@@ -159,7 +156,7 @@ def simulate(
         tip_refs: (N, 3, 3) rows X_d, dX_d, ddX_d of every tick.
         trocars, registered: (N, 2, 3) rows P_t, dP_t of the true and of the registered trocar.
         safety_filter: checks the measurements and limits the torques; None: nothing is checked or limited.
-        offset: true positions minus those by the controller's kinematics; None: zero.
+        offset: see `TaskOffset`; None: zero.
         watch: called with the tick's number before each tick.
         meta: further entries of the trace's meta.
         rescue: called with the columns so far if an exception other than RunAway ends the loop.

@@ -24,16 +24,7 @@ POSES = 3  #: Number of compared poses.
 
 
 def build_spec(data: RobotData, *, substep_s: float, gravity: bool = True) -> mujoco.MjSpec:
-    """Build the editable MuJoCo model of the arm, without shapes and friction. Joint limits are soft stops.
-
-    Args:
-        data: the robot with its tool.
-        substep_s: plant step [s].
-        gravity: whether gravity acts, 9.81 m/s^2 along -z.
-
-    Raises:
-        PlantError: MuJoCo cannot read the URDF, or finds joints that the robot does not list.
-    """
+    """Build the editable MuJoCo model of the arm, without shapes and friction. Joint limits are soft stops."""
     try:
         spec = mujoco.MjSpec.from_string(_bare(data.urdf))
     except (ValueError, ET.ParseError) as error:
@@ -113,12 +104,7 @@ def _bare(urdf: str) -> str:
 
 
 def check_engines(robot: RobotModel) -> None:
-    """Compare inertia M, bias h, tip and wrist of pinocchio and MuJoCo at random states.
-
-    Raises:
-        RobotError: the engines differ by more than `TOLERANCE`.
-        PlantError: MuJoCo cannot load the robot.
-    """
+    """Raise a RobotError if pinocchio and MuJoCo differ in M, h, tip or wrist by over `TOLERANCE` at random states."""
     data, rng = robot.data, np.random.default_rng(0)
     model = compile_model(data.name, build_spec(data, substep_s=0.001))
     state, M = mujoco.MjData(model), np.zeros((data.n, data.n))
@@ -133,7 +119,7 @@ def check_engines(robot: RobotModel) -> None:
         mujoco.mj_fwdVelocity(model, state)
         mujoco.mj_fullM(model, state, M)
         ours = robot.state(q, state.qvel)
-        # Rotor inertia is left out of the scale of M, because it would hide errors of small links.
+        # Rotor inertia in the scale of M would hide errors of small links.
         heavy = max(np.abs(M - rotor).max(), 1e-8 * rotor.max())
         bias, reach = np.abs(theirs["h"]).max() - GRAVITY[2] * heavy, max(1e-3, np.linalg.norm(theirs["tip"]))
         sizes = {"M": (heavy, "kg m^2"), "h": (bias, "Nm"), "tip": (reach, "m"), "wrist": (reach, "m")}

@@ -1,7 +1,7 @@
 """The simulated arm and its compliant trocar.
 
-The trocar's force on the tool is (I - u u^T) (stiffness (P - c) + damping (dP - w)). Here u is the tool direction, P
-the trocar point, dP its velocity, c the shaft point nearest to P, and w the tool's velocity at c.
+The trocar's force on the tool is (I - u u^T) (stiffness (P_t - c) + damping (dP_t - w)). Here c is the shaft point
+nearest to P_t, and w is the tool's velocity at c.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ _RUNAWAY_RAD_PER_S = 1e3  #: Above this norm of the joint velocities, the simula
 class Stop:
     """How the arm is stopped."""
 
-    damping: float = 15.0  #: Damping of each joint by its drive [Nm s/rad].
-    seconds: float = 0.5  #: Shortest duration of the stop [s].
+    damping: float = 15.0  #: Damping by the drives [Nm s/rad].
+    seconds: float = 0.5  #: Shortest duration of the stop.
 
 
 DEFAULT_STOP = Stop()
@@ -62,17 +62,17 @@ class Plant:
 
     Args:
         data: the robot's data, as used for the controller's model.
-        settings: how the plant differs from the controller's model; None: `PlantSettings()`.
-        seed: seed of the mismatch (errors of the controller's model) and of the noise, 0 or more.
+        settings: how the plant differs from that model; None: `PlantSettings()`.
+        seed: seed of mismatch and noise, 0 or more.
 
     Raises:
-        PlantError: MuJoCo cannot load the robot, or the robot's URDF lacks a frame.
+        PlantError: MuJoCo cannot load the robot, its URDF lacks a frame, or the joints' stiffness does not fit.
     """
 
     def __init__(self, data: RobotData, settings: PlantSettings | None = None, seed: int = 0) -> None:
         self.data = data
         self.settings = settings = PlantSettings() if settings is None else settings
-        # Separate random streams keep each error independent of the others.
+        # Separate random streams keep the errors independent.
         mismatch, *self._noise_seeds = np.random.SeedSequence(seed).spawn(3)
         spec = build_spec(data, substep_s=settings.substep_s, gravity=settings.gravity)
         heavy = [body.name for body in spec.bodies if body.mass > 0.0]
@@ -112,7 +112,7 @@ class Plant:
         """Restart at time 0 without pushes. The drives carry the arm's weight until the first command acts.
 
         Args:
-            q: (n,) joint positions that encoders without noise would show, within the limits [rad].
+            q: (n,) joint positions that encoders without noise would show [rad].
             v: (n,) joint velocities [rad/s]; None: the arm is at rest.
 
         Raises:
@@ -147,7 +147,7 @@ class Plant:
 
         Args:
             tau: (n,) commanded joint torques [Nm]. They act `delay_ticks` periods later, clipped to +-tau_max.
-            trocar: (2, 3) rows: trocar point [m] and its velocity [m/s]; None: no trocar.
+            trocar: (2, 3) rows P_t [m], dP_t [m/s]; None: no trocar.
 
         Raises:
             PlantError: an argument has a wrong shape or is not finite, or the arm ran away.
@@ -221,7 +221,7 @@ class Plant:
         self.mj_model.dof_frictionloss[drives] = self._drive_friction[drives] + friction
 
     def push(self, body: str, force: ArrayLike, point: ArrayLike | None = None) -> None:
-        """Apply a constant force to a link from the next period on, instead of an earlier force on this link.
+        """Apply a constant force to a link from the next period on, instead of an earlier force on it.
 
         Args:
             body: the link's name.

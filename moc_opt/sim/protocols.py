@@ -20,16 +20,10 @@ class TorqueController(Protocol):
     """
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
-        """Prepare for a run that begins at this measurement; arguments as for ``tick``."""
+        """Prepare for a run; arguments as for ``tick``."""
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """Compute the torque (n,) [Nm] of this period.
-
-        Args:
-            q, v: (n,) measured positions [rad] and velocities [rad/s].
-            tip_ref: (3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2].
-            trocar: (2, 3) rows P_t [m], dP_t [m/s] of the registered trocar.
-        """
+        """Compute the torque (n,) [Nm] of this period; arguments as for `Controller.tick`."""
 
     def set_applied_torque(self, tau: Array) -> None:
         """Receive the torque (n,) [Nm] that was applied instead of the result of ``tick``."""
@@ -46,7 +40,7 @@ class LoggedController(TorqueController, Protocol):
 
 
 class Filtered(ABC):
-    """A controller together with its safety filter, in this process or in another."""
+    """A controller with its safety filter, in this process or in another."""
 
     stop_reason: Any  #: Why the arm has to be stopped; empty if no stop is needed.
     limited: Any  #: Number of joints whose torque was changed in the last tick.
@@ -54,11 +48,11 @@ class Filtered(ABC):
 
     @abstractmethod
     def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
-        """Prepare for a run that begins at this measurement."""
+        """Prepare for a run."""
 
     @abstractmethod
     def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
-        """Return this period's torque (n,) [Nm], within limits. In a stop, the controller's torque is not used."""
+        """Return this period's torque (n,) [Nm], within limits."""
 
     @abstractmethod
     def brake_friction(self, seen: Measurement) -> Array | float:

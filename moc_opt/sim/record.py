@@ -33,7 +33,7 @@ class RunAway(PlantError):
 
 
 class TaskOffset(NamedTuple):
-    """For two registered points, true position minus position by the controller's kinematics, (3,) each [m]."""
+    """True minus model position of the two registered points, (3,) each [m]."""
 
     tip: Array = np.zeros(3)  #: The start of the path.
     trocar: Array = np.zeros(3)  #: The trocar, without the registration error.

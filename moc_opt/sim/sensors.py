@@ -18,8 +18,7 @@ class Measurement(NamedTuple):
     q: Array  #: (n,) joint positions [rad].
     v: Array  #: (n,) joint velocities [rad/s].
     force: Array  #: (6,) force [N] and torque [Nm] of the tool on its mount, in tool axes; one plant step old.
-    stamp: int = 0
-    """Number of the control period in which the reading was taken."""
+    stamp: int = 0  #: Number of the control period in which the reading was taken.
 
 
 _NOISE_ROWS = 256
@@ -31,7 +30,7 @@ class Noise:
     def __init__(self, rng: np.random.Generator, deviation: Array) -> None:
         self._rng, self._deviation, self._quiet = rng, deviation, not deviation.any()
         self._block, self._next = np.zeros((_NOISE_ROWS, deviation.size)), _NOISE_ROWS
-        self._rows = list(self._block)  # an entry of a list is found faster than a row of an array
+        self._rows = list(self._block)  # indexing a list is faster than indexing an array
 
     def take(self) -> Array:
         """Return the next row (m,), valid until the next call."""
@@ -46,15 +45,10 @@ class Noise:
 
 
 class Encoders:
-    """Joint positions with bias, noise and a finite step, and velocities from filtered differences.
+    """Joint positions with ``bias`` (n,) [rad], noise and a finite step, and velocities from filtered differences.
 
     velocity += (1 - exp(-2 pi cutoff period)) (difference quotient - velocity), once a control period.
     If noise, step and cutoff are all 0, the velocity is exact.
-
-    Args:
-        settings: settings of the plant.
-        bias: (n,) constant error [rad].
-        rng: generator of the noise.
     """
 
     def __init__(self, settings: PlantSettings, bias: Array, rng: np.random.Generator) -> None:
@@ -83,14 +77,14 @@ class Encoders:
 
 
 _CHANCE = 1e-10  #: Accepted probability p^k in `longest_repetition`.
-_MOST_TICKS = 500  #: Largest result of `longest_repetition` [ticks].
+_MOST_TICKS = 500  #: Largest result of `longest_repetition`.
 
 
 def longest_repetition(noise_rad: float, resolution_rad: float) -> int | None:
     """Return how often in a row an encoder at rest may repeat its reading.
 
     With step s and noise sigma, a reading repeats with a probability of at most p = erf(s / (sqrt(8) sigma)). The
-    result is the first k >= 10 with p^k below 1e-10. It is None without noise, or if k exceeds 500.
+    result is the first k >= 10 with p^k below `_CHANCE`. It is None without noise, or if k exceeds `_MOST_TICKS`.
     """
     if noise_rad == 0.0:
         return None
@@ -100,7 +94,7 @@ def longest_repetition(noise_rad: float, resolution_rad: float) -> int | None:
     return max(10, math.ceil(math.log(_CHANCE) / math.log(max(same, _CHANCE))))
 
 
-_DEAD = 600.0  #: Time for which a decaying filter output cannot underflow [time constants].
+_DEAD = 600.0  #: A decaying filter output cannot underflow for this many time constants.
 
 
 def repeats_no_reading(noise_rad: float, resolution_rad: float, cutoff_Hz: float, period_s: float) -> bool:

@@ -24,8 +24,6 @@ _Stiffness = Annotated[float, Field(gt=0, le=1e9)]
 class PlantSettings(Settings):
     """The simulated arm, its trocar and its sensors. The value 0 switches an error, noise, ripple or delay off.
 
-    The defaults are realistic, but joints are rigid and torques smooth (docs/plant.md).
-
     Raises:
         PlantError: a value is out of range.
         UnknownNameError: a field does not exist.
@@ -93,12 +91,12 @@ class PlantSettings(Settings):
 
     @property
     def substep_s(self) -> float:
-        """Duration of a simulation step [s]."""
+        """Duration of a simulation step."""
         return self.period_s / self.substeps
 
     @classmethod
     def nominal(cls, **changes: Any) -> PlantSettings:
-        """Make settings of a plant that equals the controller's model. ``changes`` replace some of these settings."""
+        """Make settings of a plant that equals the controller's model, except for ``changes``."""
         zero = (
             "mass_error", "friction", "friction_error", "calibration_error_m", "calibration_tilt_rad",
             "encoder_bias_rad", "encoder_noise_rad", "encoder_resolution_rad", "velocity_cutoff_Hz",
@@ -110,11 +108,11 @@ class PlantSettings(Settings):
 
 @dataclass(frozen=True, eq=False)
 class Mismatch:
-    """Drawn parameters in which the plant differs from the controller's model."""
+    """Random parameters in which the plant differs from the controller's model."""
 
     mass_scale: Mapping[str, float]  #: Factor on mass and inertia, by name of the link.
-    viscous_friction: Array  #: (n,) friction of the plant's joints [Nm s/rad].
-    coulomb_friction: Array  #: (n,) friction of the plant's joints [Nm].
+    viscous_friction: Array  #: (n,) [Nm s/rad].
+    coulomb_friction: Array  #: (n,) [Nm].
     registration_error: Array  #: (3,) true minus registered trocar, world axes [m].
     origin_shift: Array
     """(n + 1, 3) true minus modelled origin of joints and tool mount, in the preceding link's axes [m]."""
@@ -132,10 +130,7 @@ class Mismatch:
     def draw(
         cls, data: RobotData, settings: PlantSettings, links: Sequence[str], seed: np.random.SeedSequence
     ) -> Mismatch:
-        """Draw the differences. ``links`` are the names of all links with mass.
-
-        Factors are uniform in 1 +- error. Offsets have fixed size and random direction. Encoder biases are Gaussian.
-        """
+        """Draw the differences. ``links`` are the names of all links with mass."""
         of_links, of_joints, of_trocar, of_origins, of_axes, of_encoders, of_ripple = (
             np.random.default_rng(child) for child in seed.spawn(7)
         )
