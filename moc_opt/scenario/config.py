@@ -1,4 +1,4 @@
-"""The validated settings of a run, with every key of a scenario's TOML file."""
+"""The validated settings of a run."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ class Scenario(Settings):
         write_whole(path, text, "scenario", ScenarioError)
 
     def changes(self) -> dict[str, Any]:
-        """Return all non-default values by name."""
+        """Return the non-default values by name."""
         found: dict[str, Any] = {}
         for name, field in type(self).model_fields.items():
             value = getattr(self, name)
@@ -168,7 +168,7 @@ class Scenario(Settings):
 
     @property
     def safety_settings(self) -> SafetyFilterSettings:
-        """The settings ``[guard]``. Limits that are left out or too low for the plant's encoders are replaced."""
+        """The settings ``[guard]``, with limits that suit the plant's encoders."""
         guard, plant, told = self.guard, self.plant, dict[str, float | None]()
         encoder = plant.encoder_noise_rad, plant.encoder_resolution_rad
         if guard.repeat_joint_ticks is None:
@@ -206,7 +206,7 @@ def _tables(value: Settings, name: str) -> Iterator[dict[str, Any]]:
 
 
 def without_none(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Copy a table, but omit None in ``settings``. Elsewhere replace None, by "" in ``gains`` and else by infinity."""
+    """Copy a table without None, which TOML lacks."""
     plain: dict[str, Any] = {}
     for key, value in table.items():
         if key == "settings":

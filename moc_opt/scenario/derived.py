@@ -1,4 +1,4 @@
-"""Columns computed after a run: model errors, residuals, largest mu (manipulability), and courses (joint motions)."""
+"""Columns computed after a run: model errors, residuals, largest mu, and best courses."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from moc_opt.trace.trace import Trace
 
 Columns = Mapping[str, NDArray[Any]]
 
-AT_ONCE = 5000  # number of answers whose residuals are computed together
+AT_ONCE = 5000  # residuals computed together
 PERIOD_S = 0.05  # time step of the planning grid [s]
 PATH = {"robot", "start", "trocar", "task", "duration_s", "seed"}  # keys that determine path and start
 
@@ -40,7 +40,7 @@ PATH = {"robot", "start", "trocar", "task", "duration_s", "seed"}  # keys that d
 def model_errors(columns: Columns, robot: RobotModel, plant: Plant, offset: TaskOffset) -> dict[str, NDArray[Any]]:
     """Compute tip and RCM error [m] by the controller's kinematics, from joint positions with the encoders' bias.
 
-    Return {} if the encoders measure the motors of elastic joints, because the controller then sees motor positions.
+    Return {} if the encoders measure the motors of elastic joints.
     """
     if plant.settings.elastic and plant.settings.encoder_side == "motor":
         return {}
@@ -68,8 +68,7 @@ def residual_columns(columns: Columns) -> dict[str, NDArray[Any]]:
 def largest_mu(poses: Array, robot: RobotModel, samples: int) -> tuple[Array, dict[str, str]]:
     """For ``poses`` (N, n), compute the largest mu [m^3] that is possible with the same tip and wrist.
 
-    Return (bound, meta). ``bound`` (N,) has the largest mu at ``samples`` evenly spaced ticks, and NaN at all others.
-    ``meta["mu_bound_method"]`` names the method.
+    Return (bound, meta). ``bound`` (N,) is NaN except at ``samples`` evenly spaced ticks.
     """
     bound = np.full(len(poses), np.nan)
     ticks = np.linspace(0, len(poses) - 1, min(samples, len(poses))).astype(int)
@@ -82,16 +81,16 @@ def largest_mu(poses: Array, robot: RobotModel, samples: int) -> tuple[Array, di
 
 
 class BestCourses(NamedTuple):
-    """The courses (joint motions) with the largest mean mu along one path; None: no course was found."""
+    """The courses with the largest mean mu along one path."""
 
     robot: RobotModel
-    from_start: Course | None  #: From the start pose of the run.
+    from_start: Course | None
     best: Course | None  #: From any start pose.
-    last: pose_map.PoseMap  #: Poses that reach the last two points of the path.
+    last: pose_map.PoseMap  #: Of the last two points of the path.
 
 
 def best_courses(scenario: Scenario) -> BestCourses:
-    """Plan the best courses of a scenario. Raise a MocOptError if the scenario is not usable."""
+    """Plan the best courses. Raise a MocOptError if the scenario is not usable."""
     return _planned(scenario.model_dump_json(include=PATH))
 
 
@@ -113,9 +112,8 @@ def _planned(path: str) -> BestCourses:
 def against_best(scenario: Scenario, trace: Trace) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     """Return the columns of the best courses, and the entry ``best_courses`` of the trace's meta.
 
-    The part ``end`` has three values of mu [m^3]. ``mu`` is the value at the end of the run, and ``best_mu`` at the end
-    of the best course from the start. A climb of mu from the end of the run leads to ``top_mu``, at a maximum or a
-    joint limit.
+    Its part ``end`` has three values of mu [m^3]: ``mu`` at the end of the run, ``best_mu`` at the end of the best
+    course from the start, and ``top_mu``, to which a climb of mu leads from the end of the run.
     """
     try:
         known = best_courses(scenario)

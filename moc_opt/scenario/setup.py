@@ -1,4 +1,4 @@
-"""Build the objects of a scenario, run it, and collect the columns of its trace."""
+"""Build the objects of a scenario, and run it."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def make_safety_filter(robot: RobotModel, scenario: Scenario) -> SafetyFilter:
 
 
 def make_stop(scenario: Scenario) -> Stop:
-    """Return damping and shortest duration of a stop, from ``[guard]``."""
+    """Make the scenario's `Stop`."""
     return Stop(scenario.guard.stop_damping_Nm_s_per_rad, scenario.guard.stop_s)
 
 
@@ -86,7 +86,7 @@ class Setup:
     """Objects built from a scenario, and checked before anything moves.
 
     Args:
-        solver: used instead of the scenario's solver. The scenario in the trace's `meta` keeps its own solver.
+        solver: used instead of the scenario's solver.
         realtime: build only the controller, because the plant runs in another process.
 
     Raises:
@@ -105,7 +105,7 @@ class Setup:
         self.layout = layout = lay_out(scenario, self.robot)
         self.q_start, self.registered, self.reference = layout.q, layout.registered, layout.reference
         self.duration_s = layout.duration_s
-        self.guide: Guide | None = None  #: Motion that the controller follows; None: level 3 raises mu.
+        self.guide: Guide | None = None  #: None: level 3 raises mu.
         self._replayed_us = recorded_times(scenario)
         if not realtime:
             self._build_plant(plant_seed)
@@ -125,7 +125,7 @@ class Setup:
         self.trocar = Trocar(true, *scenario.trocar.breathing)
 
     def solver(self) -> Solver | None:
-        """Make the solver of the scenario. Return None if ``[control] law`` is not "moc"."""
+        """Make the scenario's solver. Return None if ``[control] law`` is not "moc"."""
         if self.scenario.control.law != "moc":
             return None
         asked, faults = self.scenario.solver, self.scenario.faults
@@ -136,7 +136,7 @@ class Setup:
         return Faulty(solver, faults.solver, faults.solver_share, self._fault_seed)
 
     def controller(self) -> LoggedController:
-        """Make the controller of the scenario."""
+        """Make the scenario's controller."""
         scenario, solver = self.scenario, self.solver()
         settings, period_s = scenario.control, scenario.plant.period_s
         budget = settings.supervisor.budget_us
@@ -159,7 +159,7 @@ class Setup:
 
     @property
     def following(self) -> Following:
-        """The data of this run for planning a course (joint motion)."""
+        """The data for planning a course."""
         scenario = self.scenario
         return Following(
             self.robot, self.q_start, scenario.control, partial(targets_of, self.robot, self.layout),
@@ -168,7 +168,6 @@ class Setup:
 
     @cached_property
     def _new_guide(self) -> Callable[[], Guide] | None:
-        """A function that makes a `Guide`; None: level 3 raises mu."""
         return guides(self.following)
 
     def fault_mask(self) -> NDArray[np.bool_]:
@@ -178,7 +177,7 @@ class Setup:
         return draw(self._fault_seed, 0.0 if never else faults.solver_share, self.ticks)
 
     def closed_loop(self, controller: TorqueController) -> ClosedLoop:
-        """Make the closed loop of plant, controller and safety filter, without faults."""
+        """Make the closed loop, without faults."""
         scenario = self.scenario
         return ClosedLoop(self.plant, controller, make_safety_filter(self.robot, scenario), make_stop(scenario))
 

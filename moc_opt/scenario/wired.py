@@ -19,12 +19,11 @@ from moc_opt.scenario.setup import Setup, make_safety_filter
 from moc_opt.sim.protocols import LoggedController
 from moc_opt.trace.trace import Trace
 
-SLOWEST_S, FASTEST_S = 0.004, 0.001
-"""Longest and shortest allowed control period in real time [s]."""
+SLOWEST_S, FASTEST_S = 0.004, 0.001  # limits of the control period in real time [s]
 
 
 def fingerprint(scenario: Scenario, robot: RobotModel) -> int:
-    """Return a hash (63 bits) of task, control period and arm; the gains do not count."""
+    """Return a hash (63 bits) of task, control period and arm without gains."""
     whole = scenario.model_dump(mode="json", include={"robot", "start", "trocar", "task", "seed", "duration_s"})
     del whole["robot"]["name"]  # may be a path, which may differ at the other end
     whole["arm"] = {name: value for name, value in carried(robot).items() if name != "gains"}
@@ -35,9 +34,8 @@ def fingerprint(scenario: Scenario, robot: RobotModel) -> int:
 class PlantServer(Setup):
     """The plant of a scenario, for a controller in another process.
 
-    The plant listens at ``listen``, "HOST:PORT". Port 0 means any free port; ``address`` has its number. In
-    lock-step, the plant waits for each command. In real time, the caller sets ``system`` to what `ask_for_realtime`
-    returns.
+    The plant listens at ``listen``, "HOST:PORT". Port 0 means any free port, see ``address``. In lock-step, the plant
+    waits for each command. In real time, the caller sets ``system`` to what `ask_for_realtime` returns.
 
     Raises:
         MocOptError: the scenario or the address is not usable.
@@ -80,7 +78,7 @@ class PlantServer(Setup):
         return super()._judged(found.with_meta(wire=counts))
 
     def trace(self, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None) -> Trace:
-        """Wait for the controller, run, and return the trace. ``watch`` is not called."""
+        """Wait for the controller, and run. ``watch`` is not called."""
         try:
             return super().trace(self._remote.pace, to)
         finally:
@@ -92,10 +90,10 @@ def answer(
 ) -> dict[str, Any]:
     """Act as the controller of the plant at ``connect`` ("HOST:PORT") until the run ends.
 
-    Both ends must have the same `fingerprint`. ``ready`` is called when the controller has started.
+    ``ready`` is called when the controller has started.
 
     Raises:
-        MocOptError: the scenario is not usable, no plant answers, or the plant runs another scenario.
+        MocOptError: the scenario is not usable, no plant answers, or the plant has another `fingerprint`.
     """
     where = parse_address(connect, "--connect")
     key = read_key(key_file, where[0], "--connect")

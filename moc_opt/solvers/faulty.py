@@ -1,4 +1,4 @@
-"""A wrapper that makes a solver fail at random ticks, for tests of the controller."""
+"""A wrapper that makes a solver fail, for tests of the controller."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 
 
 class InjectedFault(SolverError):
-    """Raised on purpose by a `Faulty` solver."""
+    """Raised on purpose."""
 
 
 def draw(seed: int, rate: float, ticks: int) -> NDArray[np.bool_]:
@@ -31,11 +31,9 @@ class Faulty:
     """A solver that fails at random ticks.
 
     Args:
-        inner: the wrapped solver. Its answers are used at ticks without a fault.
         kind: "fail": no answer; "nan": x is NaN; "lie": optimum for the negated gradient; "raise": an exception;
             "outside": x outside the bounds; "rig": the subproblem is rewritten to fit x; "malformed": complex duals.
-        rate: probability of a fault at a tick, 0 to 1.
-        seed: seed of the draw.
+        rate: probability of a fault at a tick.
     """
 
     inner: Solver
@@ -49,27 +47,27 @@ class Faulty:
         return f"{self.inner.name}+{self.kind}"
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return what the wrapped solver's `supports` returns."""
+        """Ask the wrapped solver."""
         return self.inner.supports(qp)
 
     def start(self, qp: NullSpaceQP) -> FaultySession:
-        """Return a session. It fails at the ticks that `draw` flags."""
+        """Return a session, which fails at the ticks that `draw` flags."""
         return FaultySession(self, self.inner.start(qp), qp)
 
 
 class FaultySession:
-    """A session of a `Faulty` solver. ``faults`` is the number of faulty ticks so far."""
+    """A session. ``faults`` counts the faulty ticks."""
 
     def __init__(self, settings: Faulty, inner: Session, qp: NullSpaceQP) -> None:
         self._settings, self._inner = settings, inner
         self._rng = np.random.default_rng(settings.seed)
         self._liar = Exact().start(qp)
         if hasattr(inner, "observe"):
-            self.observe = inner.observe  # the controller calls ``observe`` if it exists
+            self.observe = inner.observe
         self.faults = 0
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Solve one subproblem. At a faulty tick, return or raise the fault instead."""
+        """Solve one subproblem, or fail."""
         if self._rng.uniform() >= self._settings.rate:
             return self._inner.solve(qp)
         self.faults += 1

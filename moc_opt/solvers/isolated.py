@@ -1,8 +1,4 @@
-"""A solver in a separate process. If the process crashes or hangs, it is replaced.
-
-The solver answers one subproblem (a QP) per tick of the controller. A simulation waits until the new process has
-started. In real time (``waits=False``), ticks until then have no answer.
-"""
+"""A solver in a separate process, which is replaced if it crashes or hangs."""
 
 from __future__ import annotations
 
@@ -33,7 +29,7 @@ _LOOK_S = 0.05  # during a wait, time between checks of whether the process has 
 
 
 class Unanswered(Exception):
-    """A tick has no answer: the answer is late, the solver raised, or the solver's process was lost."""
+    """A tick has no answer."""
 
     def __init__(self, kind: Literal["late", "raised", "lost"], text: str) -> None:
         super().__init__(text)
@@ -41,7 +37,7 @@ class Unanswered(Exception):
 
 
 class Restart(NamedTuple):
-    """The loss of a process. A new one replaces it, unless ``most_restarts`` is exceeded."""
+    """The loss of a process."""
 
     tick: int  #: number of solves before the failed one
     reason: str
@@ -71,7 +67,7 @@ class Isolated:
     inner: Solver
     process: ProcessSettings
     budget_us: float = math.inf  #: longest time that a tick waits for an answer [us]
-    waits: bool = True  #: whether a tick waits while a process is replaced
+    waits: bool = True  #: whether a tick waits while a process is replaced; False in real time
     _pickled: bytes = field(default=b"", init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -95,7 +91,7 @@ class Isolated:
         return None
 
     def start(self, qp: NullSpaceQP) -> Session:
-        """Start a session. Raise a SolverError if its process does not start or the solver refuses the problem."""
+        """Start a session. Raise a SolverError if this fails or the solver refuses the problem."""
         return IsolatedSession(self, qp)
 
 
@@ -138,7 +134,7 @@ class IsolatedSession:
         return newest.value  # type: ignore[no-any-return]  # its form is checked by the controller
 
     def _answered(self, process: _Process, qp: NullSpaceQP) -> _Answer | None:
-        """Wait for at most ``budget_us``. Return the newest answer, even of an earlier tick, or None if none came."""
+        """Return the newest answer, which may be of an earlier tick."""
         solver = self._solver
         if not process.started(math.inf if solver.waits else 0.0):
             raise Unanswered("lost", "a new process of the solver is being started")
@@ -152,7 +148,7 @@ class IsolatedSession:
 
 
 class _Answer(NamedTuple):
-    tick: int  # number of the subproblem's tick, from 1; 0: reply to the request to start a session
+    tick: int  # from 1; 0: reply to the request to start a session
     raised: bool
     value: Any  # the solver's answer or the exception's message
 
@@ -180,16 +176,13 @@ class _Process:
         self.ask(0, qp, None, solver.process.start_s, solver._pickled)
 
     def ask(self, tick: int, qp: NullSpaceQP, v: Array | None, most_s: float, solver: bytes | None = None) -> None:
-        """Send a subproblem to solve. With a pickled ``solver``, start a session for the subproblem instead.
-
-        If no answer comes within ``most_s`` [s], `answer` raises _Ended.
-        """
+        """Send a subproblem to solve. With a pickled ``solver``, start a session for the subproblem instead."""
         self._tick, self._most_s, self._hung_at, self.busy = tick, most_s, monotonic() + most_s, True
         with suppress(OSError):  # `answer` reports that the process has ended
             self._pipe.send((solver, qp.row, v, most_s))
 
     def started(self, most_s: float) -> bool:
-        """Wait at most ``most_s`` [s] for the session's start. Return whether it has started."""
+        """Wait at most ``most_s`` [s] for the session's start."""
         if not self._started and (said := self.answer(monotonic() + most_s)) is not None:
             if said.raised:
                 raise _Ended(said.value)
@@ -197,7 +190,6 @@ class _Process:
         return self._started
 
     def answer(self, until: float) -> _Answer | None:
-        """Wait for the answer until ``monotonic()`` reaches ``until``. Return None if none has come."""
         while True:
             left = max(min(until, self._hung_at) - monotonic(), 0.0)
             try:
@@ -245,7 +237,7 @@ def serve(fd: int, memory_MB: float) -> None:
             solver, row, v, most_s = pipe.recv()
         except (EOFError, OSError):
             return
-        # If the parent has ended, nobody kills this process when it hangs. The timer then ends it.
+        # The timer ends this process if it hangs after its parent has ended.
         signal.setitimer(signal.ITIMER_REAL, 2.0 * most_s + 1.0)
         try:
             qp = NullSpaceQP.from_row(row)
@@ -258,7 +250,7 @@ def serve(fd: int, memory_MB: float) -> None:
             answer = pickle.dumps((False, found))
         except MemoryError:
             os._exit(errno.ENOMEM)
-        except BaseException as error:  # noqa: BLE001 - a plug-in may raise anything, and this process must go on
+        except BaseException as error:  # noqa: BLE001 - a plug-in may raise anything
             answer = pickle.dumps((True, str(error) if isinstance(error, MocOptError) else located(error)))
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         pipe.send_bytes(answer)

@@ -1,7 +1,4 @@
-"""Base of the adapters of QP libraries: settings, buffers, and the scaling of cost and duals.
-
-docs/extending.md explains adapters, and ``piqp`` is a short example.
-"""
+"""Base of the adapters of QP libraries. docs/extending.md explains adapters, and ``piqp`` is a short example."""
 
 from __future__ import annotations
 
@@ -25,8 +22,8 @@ class Adapter(SolverSettings):
 
     Attributes:
         rows: number of equality rows, 5 or 6.
-        cost_scale: factor of P and p. The library's duals are divided by this factor.
-        needs: message for a library that needs a positive definite cost; empty if the library accepts any cost.
+        cost_scale: factor of P and p. The library's duals are divided by it.
+        needs: message of a library that needs a positive definite cost.
     """
 
     rows: int = 5
@@ -35,18 +32,18 @@ class Adapter(SolverSettings):
     needs: ClassVar[str] = ""
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None if the library accepts the subproblem, else the reason why it does not."""
+        """Return why the library refuses the subproblem, or None."""
         return refuse_semidefinite(qp, self.needs) if self.needs else None
 
 
 def refuse_semidefinite(qp: NullSpaceQP, needs: str) -> str | None:
-    """Return None if the cost is clearly positive definite, else a message that begins with ``needs``."""
+    """Return a message that begins with ``needs``, or None if the cost is clearly positive definite."""
     why = f"{needs}, and regularization is {qp.regularization:g}: set regularization > 0"
     return None if qp.regularization > 1e-10 * (qp.c0 + qp.c1) else why
 
 
 class LibrarySession(ABC):
-    """One workspace of a library, and its buffers."""
+    """One workspace of a library."""
 
     dual_sign: ClassVar[float] = 1.0  #: sign of the library's multipliers relative to `Solution.y`
 
@@ -67,10 +64,9 @@ class LibrarySession(ABC):
 
     @abstractmethod
     def _allocate(self, m: int, n: int) -> dict[str, Any]:
-        """Return the buffers by name, as docs/extending.md explains."""
+        """Return the buffers by name."""
 
     def _load(self, qp: NullSpaceQP) -> bool:
-        """Write ``qp`` into the buffers. Return False if the buffers do not fit its size."""
         return qp.n == self._n and core.load(qp.row, *self._to)
 
     def _set_up(self, m: int, n: int) -> None:  # noqa: B027
@@ -105,10 +101,10 @@ class TruncatedSession(LibrarySession):
 
     @abstractmethod
     def _limit(self, iterations: int) -> None:
-        """Set the limit on the iterations of a solve."""
+        """Limit the iterations of a solve."""
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Repeat the previous solve from its starting point. Return x after ``iterations`` (at least 1) iterations."""
+        """Repeat the previous solve from its starting point, with at most ``iterations``."""
         self._limit(iterations)
         try:
             return self.solve(qp)
@@ -117,7 +113,7 @@ class TruncatedSession(LibrarySession):
 
 
 def upper_triangle(values: Array, n: int) -> sparse.csc_matrix:
-    """Return a sparse upper triangle (n, n) from its values (n (n + 1) / 2,) by columns. Zeros are stored, too."""
+    """Return a sparse upper triangle from its values (n (n + 1) / 2,) by columns. Zeros are stored, too."""
     rows = np.concatenate([np.arange(j + 1) for j in range(n)])
     return sparse.csc_matrix((values, rows, np.cumsum(np.arange(n + 1))), shape=(n, n))
 

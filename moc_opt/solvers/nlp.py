@@ -33,7 +33,6 @@ class Kinematics(Protocol):
     mu: Any
 
 
-# All other statuses become NUMERICAL.
 _STATUS = {
     "Solve_Succeeded": Status.SOLVED,
     "Maximum_Iterations_Exceeded": Status.MAX_ITER,
@@ -75,7 +74,7 @@ def program(settings: NLP) -> tuple[Any, Any]:
 
 
 class NLPSession:
-    """Buffers of a session. A solve starts from the previous optimum, or from 0 if the previous solve failed."""
+    """A session. A solve starts from the previous optimum, or from 0 if the previous solve failed."""
 
     def __init__(self, settings: NLP, qp: NullSpaceQP) -> None:
         self._settings, n = settings, qp.n
@@ -130,11 +129,10 @@ class NLP(SolverSettings, ABC):
     """Base of ``SQP`` and ``Ipopt``.
 
     Args:
-        kinematics: tip, wrist and mu as CasADi functions, from ``robot.kinematics()``.
+        kinematics: from ``robot.kinematics()``.
         period: T [s], the control period.
-        cost_scale: the cost is multiplied by it, and the duals divided by it.
+        cost_scale: factor of the cost.
         eps: tolerance of the KKT conditions.
-        max_iter: limit on the iterations of a solve.
         hessian: "limited-memory" (BFGS) or "exact".
     """
 
@@ -157,7 +155,7 @@ class NLP(SolverSettings, ABC):
         super().__post_init__()
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None if the program applies to the problem, else the reason why it does not."""
+        """Return why the program does not apply, or None."""
         if qp.q is None:
             return "the subproblem has no q, but an NLP needs the joint positions of the linearization"
         if qp.n != self.kinematics.n:
@@ -206,7 +204,7 @@ class Ipopt(NLP):
         options = {
             "print_level": 0, "sb": "yes", "hessian_approximation": self.hessian, "max_iter": self.max_iter,
             "tol": self.eps, "acceptable_iter": 0, "bound_relax_factor": 0.0, "nlp_scaling_method": "none",
-            # Otherwise IPOPT reads ipopt.opt in the current folder, which may load libraries.
+            # Otherwise IPOPT reads ipopt.opt, which may load libraries.
             "option_file_name": "",
         }  # fmt: skip
         return {f"ipopt.{key}": value for key, value in options.items()}

@@ -71,7 +71,7 @@ class OSQPSession(TruncatedSession):
         self._core.update_settings(self._options)
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Restart where the previous solve started, stop after ``iterations`` (at least 1), and return the iterate."""
+        """Repeat the previous solve from its starting point, with at most ``iterations``."""
         self._core.warm_start(*self._before)
         return super().truncated(qp, iterations)
 
@@ -80,13 +80,10 @@ class OSQPSession(TruncatedSession):
 class OSQP(Adapter):
     """OSQP through its native interface.
 
-    With the library's default tolerance of 1e-3, nineteen in twenty answers are not optimal.
-
     Args:
-        eps, eps_rel: absolute and relative tolerance on the scaled problem.
-        max_iter: limit on the iterations of a solve.
+        eps, eps_rel: tolerances on the scaled problem. With the library's 1e-3, nearly all answers are wrong.
         check_termination: number of iterations between checks of the residuals.
-        polishing: whether OSQP guesses the active constraints at the end and solves the equations that they give.
+        polishing: whether OSQP solves the equations of the active constraints at the end.
     """
 
     rows: int = 5

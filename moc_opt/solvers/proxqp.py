@@ -69,12 +69,11 @@ class ProxQPSession(LibrarySession):
 class ProxQP(Adapter):
     """ProxQP's dense back-end.
 
-    With the library's default eps_primal_inf = 1e-4, a third of the feasible subproblems are called infeasible.
-
     Args:
         eps: absolute tolerance on the scaled problem.
-        eps_primal_inf: tolerance of the proof of infeasibility.
-        max_iter, max_iter_in: limits on the outer iterations, and on the inner iterations of each outer one.
+        eps_primal_inf: tolerance of the proof of infeasibility. With the library's 1e-4, a third of the feasible
+            subproblems are called infeasible.
+        max_iter_in: limit on the inner iterations of each outer one.
     """
 
     rows: int = 5

@@ -1,6 +1,6 @@
 """Adapter of the package qpsolvers. Its solvers are named ``qpsolvers:NAME``.
 
-qpsolvers converts the problem at every call, so solve times with this adapter do not show the libraries' speeds.
+qpsolvers converts the problem at every call, so its solve times do not show the libraries' speeds.
 """
 
 from __future__ import annotations
@@ -35,11 +35,10 @@ ADVICE: dict[str, Advice] = {
     "clarabel": Advice(1e3),
     "daqp": Advice(1e3),
     "highs": Advice(1e3, {"time_limit": 0.1}),  # with unscaled cost, its QP solver cycles for ever
-    "osqp": Advice(1e2, {"eps_abs": 1e-8, "eps_rel": 0.0}),  # with eps_abs = 1e-3, nine answers in ten are wrong
+    "osqp": Advice(1e2, {"eps_abs": 1e-8, "eps_rel": 0.0}),
     "piqp": Advice(1e3, {"eps_abs": 1e-9, "eps_rel": 0.0}),
-    # proxqp's eps_primal_inf cannot be set through qpsolvers, so proxqp calls 4 % of feasible problems infeasible.
-    "proxqp": Advice(1e3, {"eps_abs": 1e-9, "eps_rel": 0.0}),
-    "scs": Advice(1e3, {"eps_abs": 1e-8, "eps_rel": 0.0}),  # with eps_abs = 1e-4, half of the answers are wrong
+    "proxqp": Advice(1e3, {"eps_abs": 1e-9, "eps_rel": 0.0}),  # qpsolvers cannot set eps_primal_inf
+    "scs": Advice(1e3, {"eps_abs": 1e-8, "eps_rel": 0.0}),
 }
 
 ALLOWED = {
@@ -85,7 +84,7 @@ ALLOWED = {
             alpha acceleration_lookback acceleration_interval""",
     }.items()
 }  # fmt: skip
-"""The options that may be set, by library. All others are refused, because they might do harm."""
+"""The options that may be set, by library. None reads or writes a file, loads or compiles code, or prints."""
 
 # With sparse libraries, qpsolvers warns at each call.
 _NOISY = set(qpsolvers.sparse_solvers) - set(qpsolvers.dense_solvers)
@@ -102,12 +101,12 @@ def reasons() -> dict[str, str | None]:
 
 
 def checked(solver: str, options: object) -> dict[str, Any]:
-    """Return a copy of a library's options. Raise an error if one is not allowed, or is neither flag nor number."""
+    """Return a copy of a library's options. Raise an error if one is not allowed."""
     if not isinstance(options, Mapping):
         raise SolverError(f"{solver}: options = {options!r:.80} is not a table of keyword arguments")
     allowed = ALLOWED.get(solver, frozenset())
     for name, value in options.items():
-        if name not in allowed:  # no allowed option reads or writes a file, loads or compiles code, or prints
+        if name not in allowed:
             raise UnknownNameError(f"option of {solver}", str(name), allowed)
         if not isinstance(value, (bool, int, float)) or not math.isfinite(value) or abs(value) > MOST:
             raise SolverError(
@@ -153,7 +152,6 @@ class QPSolverSession:
         return Solution(x, np.dot(found.y, lift) / scale, Status.SOLVED, iterations)
 
     def _verdict(self, found: qpsolvers.Solution) -> Status:
-        """Return the status of a solve that found no answer."""
         if self._settings.library == "quadprog":  # at other failures, quadprog raises an exception
             return Status.INFEASIBLE
         limit = self._advice.options.get("time_limit")
@@ -173,7 +171,7 @@ class QPSolver(SolverSettings):
 
     Args:
         library: name of the library in qpsolvers.
-        rows: 6 equality rows (tip and wrist), or 5 independent ones. With 6, daqp fails on 1 % of the problems.
+        rows: 6 equality rows (tip and wrist), or 5 independent ones.
         cost_scale: factor of P and p; None: the one in `ADVICE`.
         options: options of the library, with names from `ALLOWED`. They take precedence over those of `ADVICE`.
         advised: if False, `ADVICE` is ignored.
@@ -197,13 +195,13 @@ class QPSolver(SolverSettings):
 
     @property
     def advice(self) -> Advice:
-        """The cost's factor and the library's keyword arguments. Given values replace those of `ADVICE`."""
+        """The advice with the given values."""
         base = ADVICE.get(self.library, Advice()) if self.advised else Advice()
         scale = base.cost_scale if self.cost_scale is None else self.cost_scale
         return Advice(scale, {**base.options, **(self.options or {})})
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return why quadprog refuses the problem, or None. The other libraries accept every problem."""
+        """Return why quadprog refuses the problem, or None."""
         needs = "quadprog needs a positive definite cost"
         return refuse_semidefinite(qp, needs) if self.library == "quadprog" else None
 

@@ -21,7 +21,7 @@ from moc_opt.inputs.plugins import in_words
 from moc_opt.solvers.base import Solver
 
 GROUP = "moc_opt.solvers"
-# By name: module, class, and required package ("" if none).
+# Module, class, required package.
 BUILT_IN: dict[str, tuple[str, str, str]] = {
     "exact": ("exact", "Exact", ""),
     "rnn": ("rnn", "RNN", ""),
@@ -39,7 +39,7 @@ QPSOLVERS = "qpsolvers:"  #: prefix of the solvers of qpsolvers
 
 
 class Entry(NamedTuple):
-    """A solver's name and the callable that makes it. A plug-in also has an entry point."""
+    """A solver's name and the callable that makes it."""
 
     name: str
     make: Callable[..., Solver]
@@ -47,7 +47,7 @@ class Entry(NamedTuple):
 
     @property
     def parameters(self) -> dict[str, inspect.Parameter]:
-        """The callable's parameters by name; empty if unknown."""
+        """The callable's parameters; empty if unknown."""
         try:
             return dict(inspect.signature(self.make).parameters)
         except (TypeError, ValueError):
@@ -99,7 +99,7 @@ def available() -> dict[str, str | None]:
         try:
             entry = _of_plugin(name, points)
             named = (p for p in entry.parameters.values() if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD))
-            if all(p.default is not p.empty for p in named):  # a plug-in that needs arguments is not tried
+            if all(p.default is not p.empty for p in named):
                 entry.create()
             found[name] = None
         except MocOptError as error:
@@ -114,7 +114,7 @@ def check_name(name: str) -> None:
 
 
 def defaults(name: str) -> dict[str, Any]:
-    """Return the default settings of the named solver. Raise what ``create`` raises."""
+    """Return a solver's default settings. Raise what ``create`` raises."""
     return {p.name: p.default for p in find(name).parameters.values() if p.default is not p.empty}
 
 
@@ -129,7 +129,7 @@ def create(name: str, **settings: Any) -> Solver:
 
 
 def find(name: str) -> Entry:
-    """Import the named solver and return its `Entry`. Raise what ``create`` raises."""
+    """Return a solver's `Entry`. Raise what ``create`` raises."""
     if not isinstance(name, str):
         raise SolverError(f"solver = {shown(name)}: give a solver's name, such as 'exact'")
     claimed = plugins.plugins(GROUP).get(name, [])

@@ -1,16 +1,13 @@
-"""The recurrent neural network of Su et al. 2019.
+"""The recurrent neural network of Su et al. 2019, equation (2).
 
-x descends the Lagrangian L within the bounds, and the multipliers l1 and l2 ascend it, as in the paper's equation (2).
-(In its proof of convergence, the paper prints L with the wrong sign: tests/reference/test_errata.py.)
+x descends the Lagrangian L within the bounds, and the multipliers l1 and l2 ascend it.
 
     eps dx/dt = -x + clip(x - k (c0 J_T^T (J_T x - v_T) + c1 J_W^T (J_W x - v_W) + rho x - c2 grad_mu
                                  + J_T^T l1 + J_W^T l2), lower, upper)
     eps dl1/dt = k (J_T x - v_T),   eps dl2/dt = k (J_W x - v_W)
 
 `moc_opt/core/rnn.c` makes Euler steps of size h = dt/eps. Here eps is the network's time constant, not the setting
-`eps`. J_T and J_W are the Jacobians of tip and wrist, and v_T and v_W the velocities that tip and wrist must have. c0,
-c1, c2 and rho (the regularization) are weights of the cost, grad_mu is the gradient of the manipulability, and k is a
-gain. On infeasible problems, the multipliers grow without bound.
+`eps`. On infeasible problems, the multipliers grow without bound.
 """
 
 from __future__ import annotations
@@ -31,8 +28,7 @@ def unstable(qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool, 
     """Return why Euler steps diverge on ``qp``, or None. Steps are h for the multipliers, h_x (default: h) for x.
 
     With c = scale c0 = scale c1, explicit steps are stable only if h k < c and (2 h_x k c - h h_x k^2) |A|^2 < 4.
-    Semi-implicit steps are stable only if (2 h_x k c + h h_x k^2) |A|^2 < 4. |A| is the largest singular value of
-    A = [J_T; J_W]. If c0 and c1 differ, the first condition uses the smaller one, and the others the larger one.
+    Semi-implicit steps are stable only if (2 h_x k c + h h_x k^2) |A|^2 < 4. |A| is the largest singular value.
     """
     c0, c1 = scale * qp.c0, scale * qp.c1
     weak, strong, hk = min(c0, c1), max(c0, c1), h * k
@@ -53,7 +49,7 @@ def unstable(qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool, 
 
 
 class Network(SolverSettings):
-    """Base of `RNN` and `RNNPrinted`, with a step size h in (0, 1]."""
+    """Base of `RNN` and `RNNPrinted`."""
 
     h: float
 
@@ -74,12 +70,11 @@ class RNNSession:
         self._x, self._y = np.zeros(n), np.zeros(6)
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Solve one subproblem from the state after the last tick."""
+        """Solve one subproblem."""
         s = self._settings
         return self._advance(qp, s.steps, s.h, s.h, s.scale, s.method == "semi-implicit")
 
     def _advance(self, qp: NullSpaceQP, most: int, h_x: float, h_y: float, scale: float, implicit: bool) -> Solution:
-        """Do at most ``most`` steps. If x or a multiplier is no longer finite, set all of them to zero."""
         if qp.n != len(self._x):
             self._rest(qp.n)
         s, x, y = self._settings, self._x, self._y
@@ -138,13 +133,12 @@ class RNN(Network):
 class RNNPrinted(Network):
     """Equation (2) of the paper as printed. The paper's qd is the measured joint velocity v.
 
-    The answer is x = P(v - k dL/dqd), where P clips to the bounds. Each tick needs ``session.observe(v)`` first. With
-    the paper's weights, the gradient of mu hardly changes the torques, so the network acts only as damping.
+    Each tick needs ``session.observe(v)`` first.
 
     Args:
         k: the paper's gain.
-        h: step of the multipliers, dt / (the network's time constant). The steps diverge unless h k < c0 and h k < c1.
-        eps: an answer is SOLVED if no entry of the network's right-hand side exceeds eps [rad/s, m/s].
+        h: step of the multipliers, dt / (the network's time constant).
+        eps: as in `RNN`.
 
     Raises:
         SolverError: a setting is out of range, or (from ``start``) the steps would diverge.

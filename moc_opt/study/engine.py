@@ -2,7 +2,7 @@
 
     results = run([Job(trial, (scenario, "osqp", seed)) for seed in range(60)], kept=Kept(out / "jobs"))
 
-If a job fails, the results of the other jobs are not lost.
+A failed job does not stop the others.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from pebble import ProcessExpired, ProcessPool
 from moc_opt.errors import MocOptError, StudyError, describe
 from moc_opt.study.kept import Kept, digest_of, key_of, loaded_sources
 
-CONNECT_S = 30.0  # largest time to connect to the Dask scheduler, and to find a worker there [s]
+CONNECT_S = 30.0  # largest time to find the Dask scheduler or a worker [s]
 LOOK_S = 1.0  # time between two checks of whether processes have died [s]
 ATTEMPTS = 3  # a job is submitted at most this often if the pool of workers breaks
-PID_FILE = ".pid"  # ending of the file with the process id of the worker that does a job
+PID_FILE = ".pid"  # ending of the file with a worker's process id
 WAIT_FACTOR = 5.0
-PR_SET_PDEATHSIG = 1  # option of Linux's prctl: the signal that a process gets when its parent dies
+PR_SET_PDEATHSIG = 1  # option of Linux's prctl: signal at the death of the parent
 PRELOAD = ("moc_opt.scenario", "moc_opt.study.trials", "moc_opt.study.solver_answers")
 
 _parts: IO[bytes] | None = None  # in a worker: the file that `report` writes to
@@ -48,11 +48,9 @@ class Job:
 
     work: Callable[..., Any]
     arguments: tuple[Any, ...] = ()
-    limit_s: float = 600.0  #: time limit [s]
-    alone: bool = False  #: True for a job that measures times: no other job runs at the same time
-    group: str = ""
-    """Jobs with the same ``group`` belong together. After ``give_up`` (argument of `run`) hangs or crashes among them,
-    `run` skips the later ones. "": the job is never skipped."""
+    limit_s: float = 600.0
+    alone: bool = False  #: no other job runs at the same time
+    group: str = ""  #: after ``give_up`` hangs or crashes in a group, `run` skips its later jobs. "": none is skipped
 
 
 @dataclass(frozen=True)
@@ -61,7 +59,7 @@ class Failed:
 
     kind: Literal["hung", "crashed", "raised", "not run"]
     reason: str
-    parts: tuple[Any, ...] = ()  #: the parts that the job saved by `report`
+    parts: tuple[Any, ...] = ()  #: what the job saved by `report`
 
     def __str__(self) -> str:
         return self.reason if self.kind in ("raised", "not run") else f"{self.kind}: {self.reason}"
@@ -69,8 +67,6 @@ class Failed:
 
 @dataclass(frozen=True)
 class _Done:
-    """A pickled result, the worker's imported source files, and their digest."""
-
     packed: bytes
     sources: tuple[str, ...]
     digest: str
@@ -89,7 +85,7 @@ def run(
         dask: address of a Dask scheduler, such as "tcp://host:8786", for the jobs without ``alone``.
         done: called with each job and its result.
         keep: called with a result; returns whether to store it.
-        give_up: number of hangs or crashes after which a group's later jobs are skipped.
+        give_up: number of hangs or crashes after which the rest of a group is skipped.
 
     Raises:
         StudyError: ``workers`` is below 1, no worker stays alive, no scheduler answers, or results cannot be stored.
@@ -129,7 +125,7 @@ def run(
                     kept.put(keys[k], result, answer.sources)
                 finish(k, result)
     gone, answers = Counter[str](), list[Any]()
-    # Later jobs of a given-up group may have run. These results are dropped: the list must not depend on timing.
+    # Later jobs of a given-up group may have run. They are dropped: the list must not depend on timing.
     for k, job in enumerate(jobs):
         answers.append(_not_begun(job.group) if job.group and gone[job.group] >= give_up else results[k])
         gone[job.group] += _broke(answers[-1])
@@ -151,7 +147,6 @@ Submit = Callable[[Job], Answer]
 def _answers(
     jobs: Sequence[Job], waiting: Sequence[int], submit: Submit, slots: int, broken: Counter[str], give_up: int
 ) -> Iterator[tuple[int, _Done | Failed]]:
-    """Yield (index, answer) as answers come. At most two jobs per worker are submitted at a time."""
     left, flying = list(reversed(waiting)), dict[Answer, int]()
     gone, again = set[Answer](), Counter[int]()
     while left or flying:
@@ -245,7 +240,7 @@ def _processes(count: int) -> Iterator[tuple[Submit, int]]:
     """Start ``count`` workers. Leaving the context ends them and their children."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([*PRELOAD, "__main__"])
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // (count + 1)  # this process needs memory, too
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // (count + 1)
     with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder:
         for name in ("groups", "parts"):
             Path(folder, name).mkdir()
@@ -295,14 +290,14 @@ def _begin(folder: str, memory: int) -> None:
     for number in (signal.SIGALRM, signal.SIGPROF):
         signal.signal(number, signal.SIG_DFL)
     os.setpgrp()
-    with suppress(FileNotFoundError):  # the study may have ended and removed the folder
+    with suppress(FileNotFoundError):  # the study may have ended
         Path(folder, "groups", str(os.getpid())).touch()
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
 
 
 def report(part: Any) -> None:
-    """Save a part of the running job's result. If the job fails later, `Failed.parts` has the part."""
+    """Save a part of the running job's result, for `Failed.parts`."""
     if _parts is not None:
         _parts.write(pickle.dumps(part))
 
@@ -319,7 +314,7 @@ def _reported(file: str | None) -> tuple[Any, ...]:
 def alarm(seconds: float) -> None:
     """Let the kernel end this job's process after ``seconds`` of processor time. With 0, cancel the alarm.
 
-    A waiting process uses no processor time. So it is also ended after `WAIT_FACTOR` * ``seconds`` of wall time.
+    A waiting process is ended after `WAIT_FACTOR` * ``seconds`` of wall time.
     """
     signal.setitimer(signal.ITIMER_PROF, seconds)
     signal.setitimer(signal.ITIMER_REAL, WAIT_FACTOR * seconds)
@@ -330,7 +325,6 @@ def alarm(seconds: float) -> None:
 
 @contextmanager
 def _cluster(address: str) -> Iterator[tuple[Submit, int]]:
-    """Connect to a Dask scheduler. Its workers need the same sources as this process."""
     try:
         client_of: Any = importlib.import_module("distributed").Client
     except ImportError as error:
@@ -351,7 +345,6 @@ def _cluster(address: str) -> Iterator[tuple[Submit, int]]:
 
 
 def _do_within(work: Callable[..., Any], arguments: tuple[Any, ...], limit_s: float) -> _Done | Failed:
-    """Do one job on a cluster's worker. If the job takes longer than ``limit_s``, the worker's process exits."""
     faulthandler.dump_traceback_later(limit_s, exit=True, file=2)
     try:
         return _do(work, arguments)

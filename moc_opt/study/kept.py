@@ -30,7 +30,7 @@ PACKAGES = (
     "moc-opt", "numpy", "scipy", "pin", "mujoco", "casadi", "osqp", "proxsuite", "qpsolvers", "daqp", "piqp",
     "quadprog", "clarabel", "scs", "highspy", "polars", "pydantic", "tsid", "pin-pink", "mink",
 )  # fmt: skip
-SHOWS = ("report", "figures", "commands", "live")  # subpackages without influence on results
+SHOWS = ("report", "figures", "commands", "live")  # without influence on results
 HOME = Path(core.__file__).parents[1]
 
 
@@ -64,7 +64,7 @@ class Kept:
         return (entry.result,)
 
     def put(self, key: str, result: Any, sources: tuple[str, ...]) -> None:
-        """Store a result with the names of its source files. Raise a StudyError if this fails."""
+        """Store a result. Raise a StudyError if this fails."""
         try:
             self._cache[key] = _Entry(result, sources, digest_of(sources))
         except (OSError, sqlite3.Error) as error:
@@ -72,7 +72,7 @@ class Kept:
 
 
 def key_of(work: Callable[..., Any], arguments: Iterable[Any]) -> str:
-    """Return the digest of a job's function, its arguments, and the libraries' versions."""
+    """Return the digest of a job."""
     code = getattr(work, "__code__", None)  # on a cluster, `loaded_sources` can lack the file that defines `work`
     own = "" if code is None else _file_digest(code.co_filename)
     asked = [work.__module__, work.__qualname__, own, _plain(list(arguments)), versions()]
@@ -80,7 +80,7 @@ def key_of(work: Callable[..., Any], arguments: Iterable[Any]) -> str:
 
 
 def loaded_sources() -> tuple[str, ...]:
-    """Return the imported files, except the standard library, installed packages, and the subpackages in `SHOWS`."""
+    """Return the imported files, except installed packages and `SHOWS`."""
     return _sources(tuple(sys.modules))
 
 
@@ -114,7 +114,7 @@ def robot_files() -> tuple[str, ...]:
 
 @cache
 def versions() -> dict[str, str | None]:
-    """Return the version of each package, or None if it is not installed."""
+    """Return the packages' versions; None: not installed."""
     found: dict[str, str | None] = dict.fromkeys(PACKAGES)
     for name in PACKAGES:
         with suppress(importlib.metadata.PackageNotFoundError):
@@ -131,7 +131,6 @@ def _file_digest(file: str) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return a job's argument as JSON data."""
     if value is None or isinstance(value, bool | int | float | str | Path):
         return repr(value)
     if isinstance(value, BaseModel):

@@ -1,7 +1,4 @@
-"""The rows of a study, and means and changes over its runs.
-
-Means are over whole runs (completed tasks). A change compares two controllers on trials that both completed.
-"""
+"""The rows of a study, and means and changes over its runs."""
 
 from __future__ import annotations
 
@@ -22,14 +19,12 @@ ERRORS = (
     "tip_error_model_mean_mm", "tip_error_registered_mean_mm", "tip_error_mean_mm",
     "rcm_error_model_mean_mm", "rcm_error_registered_mean_mm", "rcm_error_mean_mm",
 )  # fmt: skip
-"""Mean errors [mm] of the tip, then of the RCM. Each is given in three frames; see `FRAMES` and `BASE_FRAME`."""
 PHASES = ("settled", "travelling")
 """Prefixes of metrics. "travelling": while the elbow moves to its optimum; "settled": after its arrival."""
 TITLES = {
     name: f"{part}, {frame}"
     for name, (part, frame) in zip(ERRORS, product(("tip", "RCM"), ("model", "registered", "base")), strict=True)
 }
-"""Column headings of `ERRORS` and of their changes."""
 FRAMES = (
     "Model: the error computed with the robot's kinematic model. The controller can correct only this error. "
     "Registered: the error relative to the points touched at the start. This error matters to the patient."
@@ -38,7 +33,7 @@ BASE_FRAME = "Base: the error in the base frame (absolute accuracy)."
 
 
 def change_name(metric: str) -> str:
-    """Return the name of a metric's change against the baseline, such as mu_gain_percent."""
+    """Return the name of a metric's change, such as mu_gain_percent."""
     if metric == "mu_mean":
         return "mu_gain_percent"
     return metric.removesuffix("_Nm_per_s").removesuffix("_mm").removesuffix("_N").removesuffix("_mean") + (
@@ -67,7 +62,7 @@ class Results:
         return Results(row for row in self._rows if all(row.get(name) == value for name, value in keys.items()))
 
     def shared(self) -> Results:
-        """Return the rows of the trials that every controller ran."""
+        """Return the rows of trials that every controller ran."""
         ran = [{row["trial"] for row in self.where(controller=name)} for name in self.names()]
         return Results(row for row in self._rows if all(row["trial"] in trials for trials in ran))
 
@@ -76,12 +71,12 @@ class Results:
         return [name for name in dict.fromkeys(row.get(column) for row in self._rows) if name is not None]
 
     def values(self, metric: str, controller: str) -> dict[Any, float]:
-        """Return the metric's value per trial, for the controller's whole runs."""
+        """Return the metric's value per trial, for the controller's completed runs."""
         mine = (row for row in self._rows if row.get("controller") == controller and row.get("whole"))
         return {row["trial"]: float(row[metric]) for row in mine if row.get(metric) is not None}
 
     def mean(self, metric: str, controller: str) -> Interval | None:
-        """Return the mean over the controller's whole runs, or None if the controller has no whole run."""
+        """Return the mean over the controller's completed runs, or None without any."""
         try:
             return mean(list(self.values(metric, controller).values()))
         except StatisticsError:
@@ -90,7 +85,7 @@ class Results:
     def pairs(self, metric: str, controller: str, baseline: str = BASELINE) -> tuple[list[float], list[float]]:
         """Return the values of both controllers, on the trials that both completed.
 
-        If the metric belongs to a phase, both values of a trial are multiplied by ``controller``'s ticks in the phase.
+        Metrics of a phase are multiplied by ``controller``'s ticks in the phase.
         """
         mine, theirs = self.values(metric, controller), self.values(metric, baseline)
         both = [trial for trial in mine if trial in theirs]
@@ -99,7 +94,7 @@ class Results:
         return [mine[trial] * ticks[trial] for trial in both], [theirs[trial] * ticks[trial] for trial in both]
 
     def change(self, metric: str, controller: str, baseline: str = BASELINE) -> Change | None:
-        """Return the change against the baseline [percent], or None without common trials or with a baseline of 0."""
+        """Return the change against the baseline [percent], or None if there is none."""
         try:
             return relative_changes(*self.pairs(metric, controller, baseline))
         except StatisticsError:
@@ -108,7 +103,7 @@ class Results:
     def figures(
         self, controller: str, means: Sequence[str] = (), changes: Sequence[str] = (), baseline: str = BASELINE
     ) -> dict[str, Any]:
-        """Return a controller's counts, means and changes against a baseline, for a summary."""
+        """Return a controller's counts, means and changes, for a summary."""
         mine = [row for row in self._rows if row.get("controller") == controller]
         found: dict[str, Any] = {
             "trials": len(mine), "whole": sum(bool(row.get("whole")) for row in mine),
@@ -130,7 +125,7 @@ class Results:
 
     @property
     def frame(self) -> pl.DataFrame:
-        """The rows as a polars table, with null for numbers that are not finite."""
+        """The rows as a table, with null for numbers that are not finite."""
         rows = [plain(row) for row in self._rows]
         names = list(dict.fromkeys(name for row in rows for name in row))
         return pl.DataFrame([pl.Series(name, [row.get(name) for row in rows], strict=False) for name in names])

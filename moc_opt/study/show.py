@@ -26,7 +26,7 @@ FORMATS = {"%": "+.1f", "mm": ".3f", "us": ".1f", "m^3": ".4f", "N": ".2f"}
 
 
 def mark(verdict: bool | str | None, text: str) -> Mark:
-    """Return a `Mark` of the verdict's symbol and ``text``. An open verdict shows "text?" without a symbol."""
+    """Return the verdict's `Mark` with ``text``. An open verdict shows "text?"."""
     known = MARKS.get(verdict, OPEN)
     symbol, word = ("", f"{text}?") if known is OPEN else (known.symbol, text)
     return Mark(symbol, word, known.tone, known.rank)
@@ -42,7 +42,7 @@ class Picture(NamedTuple):
 
 @dataclass(frozen=True)
 class Section:
-    """Text, tables and pictures under a title."""
+    """A section of a report."""
 
     title: str
     text: str = ""
@@ -54,15 +54,15 @@ class Report:
     """What a study found."""
 
     title: str  #: the question and the fixed conditions
-    answer: Sequence[str]  #: up to three sentences, the most important one first
-    table: Table  #: table on the first screen
-    pictures: Sequence[Picture] = ()  #: up to three pictures
-    sections: Sequence[Section] = ()  #: in reading order
-    load: str = ""  #: the machine's load while times were measured
+    answer: Sequence[str]  #: up to three sentences
+    table: Table  #: on the first screen
+    pictures: Sequence[Picture] = ()
+    sections: Sequence[Section] = ()
+    load: str = ""  #: the machine's load
     subtitle: str = ""
 
     def page(self, environment: Mapping[str, Any], failed: Sequence[Mapping[str, Any]] = ()) -> Page:
-        """Return the report as a page, with failed runs and the environment at its end."""
+        """Return the report as a page."""
         page = Page(self.title, self.subtitle)
         for sentence in self.answer:
             page.headline(sentence)
@@ -101,7 +101,7 @@ class Report:
 
 
 def about(scenario: Scenario, *, solver: bool = False) -> str:
-    """Return the text of a title: a scenario's arm, task, preset and, if ``solver``, solver."""
+    """Name a scenario's arm, task, preset and, if ``solver``, solver."""
     control = scenario.control
     preset = next((name for name in PRESETS if control == ControlSettings.preset(name)), None)
     named = "default" if control == ControlSettings() else preset or "own settings"
@@ -117,7 +117,7 @@ def _markdown(table: Table) -> str:
 
 
 def columns(*metrics: str, of: str = "", **titles: str) -> list[Column]:
-    """Return one table column, with unit and help, for each metric or change of a metric.
+    """Return a table column for each metric or change of a metric.
 
     Values link to section ``of``. ``titles`` gives headings by metric.
     """
@@ -139,7 +139,7 @@ def intervals_picture(
     found: Mapping[str, tuple[float, float, float]], x_label: str, limits: Mapping[str, float],
     tones: Mapping[str, str] | None = None, *, log: bool = False,
 ) -> go.Figure:  # fmt: skip
-    """Draw each name's value with a bar from low to high, and a line per limit."""
+    """Draw each name's (low, value, high), and a line per limit."""
     drawn = figure(showlegend=False, height=90 + 24 * max(len(found), 4))
     for name, (low, value, high) in reversed(list(found.items())):
         tone = (tones or {}).get(name)
@@ -163,7 +163,7 @@ def intervals_picture(
 def lines_picture(
     lines: Mapping[str, Sequence[tuple[float, float, float, float]]], x_title: str, y_title: str, *, log: bool = False
 ) -> go.Figure:
-    """Draw a line for each name through its points (x, low, value, high), with error bars."""
+    """Draw a line for each name through its points (x, low, value, high)."""
     drawn, styles = figure(), Styles(lines)
     for name, points in lines.items():
         drawn.add_scatter(
@@ -178,7 +178,7 @@ def lines_picture(
 
 
 def ends(figures: Mapping[str, Any], name: str) -> tuple[float, float, float] | None:
-    """Return (low, value, high) of a summary's ``name``, or None if absent. Without interval, low = high = value."""
+    """Return (low, value, high) of a summary's ``name``, or None if absent."""
     value, low, high = (figures.get(f"{name}{end}") for end in ("", "_low", "_high"))
     if value is None:
         return None

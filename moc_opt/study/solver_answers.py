@@ -1,6 +1,6 @@
 """Collect solvers' answers to sets of problems, check and count them, and measure times.
 
-The residuals of an answer (`moc_opt.qp.residuals`) decide whether it is right, whatever the solver reports.
+The residuals of an answer decide whether it is right, whatever the solver reports.
 """
 
 from __future__ import annotations
@@ -34,9 +34,7 @@ BROKEN_SETS = 3  # after hangs or crashes in this many sets, a solver's later se
 WHOLE_SET_S = 1e5  # time limit of a whole set [s]
 WARM_UP = 16  # untimed solves at the start
 CONTRADICTION = 1e-13  # six rows A x = b contradict each other if a consistent b differs by more than this [m/s]
-RIGHTLY = 0.99
-"""Least share of right answers among the problems asked (`share_right`). If a solver has less, its times cannot be the
-best of a table, and its verdict is at best "gaps"."""
+RIGHTLY = 0.99  # least `share_right` for a best time in a table, and for a better verdict than "gaps"
 RESIDUALS = ("primal", "natural", "natural_best", "relative", "loss")
 
 
@@ -55,7 +53,7 @@ Question = tuple[SolverSetting, TestSet]
 
 
 class Answer(NamedTuple):
-    """A solver's answer: status, iterations, x (n,), y (6,), and ``trouble`` (an exception or defect, or "")."""
+    """A solver's answer: x (n,) and y (6,). ``trouble`` is an exception or a defect, or ""."""
 
     status: str
     iterations: int
@@ -65,7 +63,7 @@ class Answer(NamedTuple):
 
 
 class Answers:
-    """One solver's answers to one set of k problems, with their residuals.
+    """One solver's answers to one set of problems, with their residuals.
 
     ``refused`` says why the solver does not accept the problems. ``events`` lists exceptions, hangs and crashes.
     """
@@ -94,11 +92,7 @@ class Answers:
         return not np.isin(self.status, (HUNG, CRASHED, NOT_ASKED, REFUSED)).any()
 
     def counts(self) -> dict[str, int]:
-        """Count the answers by outcome (see docs/solvers.md).
-
-        The six equality rows may contradict each other while five independent rows are feasible. The answer
-        "infeasible" is then neither right nor wrong. It counts as `refused_inconsistent`.
-        """
+        """Count the answers by outcome (see docs/solvers.md)."""
         status, feasible = self.status, self.problems.feasible
         claimed, infeasible = status == "solved", status == "infeasible"
         moved = np.abs(fields(self.problems.judged).b - fields(self.problems.rows).b).max(axis=-1)
@@ -165,10 +159,7 @@ def totals(answers: Sequence[Answers], times: Sequence[Times]) -> dict[str, Any]
 
 
 def ask(run: Runner, questions: Sequence[Question], limits: Limits, *, warm: bool = True) -> list[Answers]:
-    """Collect the answers to each question (a solver's setting and a set of problems).
-
-    If ``warm``, one session solves the whole set. Otherwise each problem has a new session.
-    """
+    """Collect the answers to each question. If not ``warm``, each problem has a new session."""
     jobs = [
         Job(answer, (setting, problems.rows, warm, limits.patience_s, limits.setup_s), WHOLE_SET_S, group=setting.label)
         for setting, problems in questions
@@ -178,10 +169,7 @@ def ask(run: Runner, questions: Sequence[Question], limits: Limits, *, warm: boo
 
 
 def answer(setting: SolverSetting, rows: Array, warm: bool, patience_s: float, setup_s: float) -> list[Any]:
-    """Return the reason for a refusal ("" if none), then an `Answer` per problem.
-
-    ``setup_s`` limits the processor time of the setup, and ``patience_s`` that of each answer.
-    """
+    """Return the reason for a refusal ("" if none), then an `Answer` per problem."""
     found: list[Any] = []
     alarm(setup_s)
     for item in _answers(setting, rows, warm):
@@ -210,7 +198,7 @@ def _answers(setting: SolverSetting, rows: Array, warm: bool) -> Iterator[Any]:
         yield Answer(solution.status.label, solution.iterations, np.array(solution.x), np.array(y))
 
 
-_robot = cache(load_robot)  # each worker reads the robot once
+_robot = cache(load_robot)
 
 
 def _made(setting: SolverSetting) -> Solver:
@@ -218,10 +206,9 @@ def _made(setting: SolverSetting) -> Solver:
 
 
 def _problems(rows: Array) -> list[NullSpaceQP]:
-    """Make the problems, and compute their properties before times are taken."""
     found = [NullSpaceQP.from_row(np.array(row)) for row in rows]
     for qp in found:
-        _ = qp.q, qp.reduced()
+        _ = qp.q, qp.reduced()  # cached before times are taken
     return found
 
 
@@ -238,7 +225,6 @@ def _session(solver: Solver, qp: NullSpaceQP) -> tuple[Session | None, str]:
 
 
 def _asked(session: Session, qp: NullSpaceQP) -> tuple[Solution, str]:
-    """Return the answer, and a description of a fault ("" if none)."""
     try:
         return received(session.solve(qp), qp.n)
     except (Exception, SystemExit) as error:  # noqa: BLE001 - as above
@@ -255,7 +241,7 @@ class Times(NamedTuple):
     setup: Array  #: times of starting sessions
     cold: Array  #: times of the first solve of each session
     update: Array  #: times of `update`, which only loads a problem into the library; empty if the session has none
-    load: Mapping[str, float]  #: the machine's load during the measurement (see `timing.COUNTED`)
+    load: Mapping[str, float]  #: see `timing.COUNTED`
 
     def figures(self) -> dict[str, Any]:
         """Return percentiles of the times, the number of solves, and the machine's load."""
@@ -266,10 +252,7 @@ class Times(NamedTuple):
 
 
 def time(run: Runner, answers: Sequence[Answers], limits: Limits) -> list[Times | None]:
-    """Time the solver of each `Answers` on its set of problems, with nothing else running.
-
-    An entry is None if a problem was not answered, or if the timing failed.
-    """
+    """Time each solver on its problems. An entry is None if a problem was not answered, or if the timing failed."""
     limit = 20.0 * limits.seconds + limits.patience_s + limits.setup_s
     whole = [one for one in answers if one.complete]
     jobs = [
@@ -282,10 +265,7 @@ def time(run: Runner, answers: Sequence[Answers], limits: Limits) -> list[Times 
 
 
 def measure(setting: SolverSetting, rows: Array, every: int, rounds: int, seconds: float) -> Times:
-    """Time one session on all problems, and new sessions on every ``every``-th problem.
-
-    The session does at most ``rounds`` passes through the problems. After ``seconds``, no new pass begins.
-    """
+    """Time one session on all problems, and new sessions on every ``every``-th problem."""
     solver, problems = _made(setting), _problems(rows)
     session = solver.start(problems[0])
     each_us(session.solve, problems[:WARM_UP])

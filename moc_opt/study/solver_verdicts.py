@@ -28,8 +28,6 @@ GAPS, NEAR = Mark("◐", "gaps", "fair", 2), Mark("≈", "near", "fair", 3)
 OTHER, OPEN = Mark("≠", "other", "other", 4), Mark("–", "open", "other", 5)
 AVOID = Mark("✘", "avoid", "bad", 6)
 TONES = {TAKE: GOOD, SOUND: GOOD, GAPS: list(SERIES)[4], NEAR: list(SERIES)[4], OTHER: MUTED, OPEN: BAD, AVOID: WORST}
-# Loss: a mean in closed loop is worse than with the best solver. A `Change` has two estimates of this, each with a 95 %
-# interval. A loss is sure if both intervals lie beyond the tolerance of this mean (see `COSTS`).
 TOO_MUCH = 5.0  # a solver with a sure loss of more than this many tolerances gets the verdict AVOID
 COSTS = {
     "mu_mean": ("mu", 0.01),
@@ -37,8 +35,7 @@ COSTS = {
     "rcm_error_model_mean_mm": ("RCM", 0.05), "rcm_error_registered_mean_mm": ("registered RCM", 0.05),
     "torque_rate_rms_Nm_per_s": ("chatter", 0.1),
 }  # fmt: skip
-"""Short name and tolerance of each mean. The tolerance is the share by which a mean may be worse at no cost. Errors are
-computed by the kinematic model, or in the *registered frame*: relative to the points touched at the start."""
+"""Short name of each mean, and its tolerance: the share by which the mean may be worse at no cost."""
 FRAMED = tuple(name for name in COSTS if "_error_" in name)
 CERTIFIED, RECORDED, CLOSED = "Certified test sets", "Recorded sequence", "Closed loop"
 INCONSISTENT = (
@@ -104,7 +101,6 @@ def _figures(name: str, certified: Row, warm: Row, closed: Row) -> Row:
 
 
 def _ended(closed: Row) -> dict[str, int]:
-    """Of the trials that every solver ran, count those that broke off and those that oscillated."""
     return {word: closed.get(f"{word.replace(' ', '_')}_in_common", 0) for word in ("broke off", "oscillated")}
 
 
@@ -134,7 +130,7 @@ def _damage(row: Row, reference: str | None, runs: Results) -> tuple[Any, float]
 
 
 def _size(metric: str, change: Change) -> tuple[float, float]:
-    """Return the smallest and the largest loss in the two intervals of a change, divided by the tolerance."""
+    """Return the smallest and the largest loss in the intervals of a change, in tolerances."""
     sides = [(-one.high, -one.low) if metric == "mu_mean" else (one.low, one.high) for one in change]
     equal = 100.0 * COSTS[metric][1]
     return min(low for low, _ in sides) / equal, max(high for _, high in sides) / equal
@@ -181,7 +177,7 @@ def _why(summary: Summary, row: Row, others: Sequence[Row], asked: int) -> str:
         text += "other along the rigid tool. These count neither as right nor as wrong."
     if row["p50_us"] is not None:
         text += f" Its median solve time is {row['p50_us']:.1f} us, p99 {row['p99_us']:.1f} us."
-        # Noise may exchange the order of this solver and of those whose median is at most its p99.
+        # Noise may exchange this solver and those whose median is at most its p99.
         close = [one for one in (row, *others) if (one["p50_us"] or 0.0) <= row["p99_us"]]
         if not all(one["quiet"] for one in close):
             text += " But other programs used the machine while this or an equally fast solver was timed: run again."
@@ -237,7 +233,7 @@ def _avoid(summary: Summary, rows: Sequence[Row]) -> list[str]:
 
 
 def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
-    """Return the table of the first screen: every solver, the best first."""
+    """Return the table of the first screen."""
     kind = CERTIFIED if "testsets" in summary else RECORDED
     recorded = RECORDED if "open_loop_warm" in summary else CERTIFIED
     columns = [
@@ -278,7 +274,6 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
 
 
 def _trials(rows: Sequence[Row]) -> list[int]:
-    """Return the distinct counts of closed-loop trials in ascending order."""
     return sorted({row["closed"]["trials"] for row in rows if row["closed"].get("trials")})
 
 
@@ -291,7 +286,6 @@ def _trials_told(rows: Sequence[Row]) -> str:
 
 
 def _tip_in_both_frames(runs: Results, solver: str) -> str | None:
-    """Return the tip error's changes by model and in the registered frame as text, or None with too few trials."""
     changes = [runs.change(name, solver) for name in FRAMED if name.startswith("tip")]
     if any(change is None or change.ratio.samples < LEAST_TRIALS for change in changes):
         return None
@@ -299,7 +293,7 @@ def _tip_in_both_frames(runs: Results, solver: str) -> str | None:
 
 
 def pictures(summary: Summary, rows: Sequence[Row], deadline_us: float) -> list[Picture]:
-    """Draw accuracy against time, the effect in closed loop, and the times of ticks (control periods)."""
+    """Draw accuracy against time, the effect in closed loop, and the times of ticks."""
     found = list[Picture]()
     points = {
         row["solver"]: (row["p50_us"], max(row["relative_max"], FLOOR)) for row in rows

@@ -20,14 +20,14 @@ from moc_opt.errors import MocOptError
 RESAMPLES = 4000
 CONFIDENCE = 0.95
 NOMINAL = 0.7
-"""In simulations, bootstrap intervals miss the true value more often than the allowed rate, 1 - `CONFIDENCE`. So they
-are computed for `NOMINAL` times this rate."""
+"""Bootstrap intervals miss the true value more often than with the rate 1 - `CONFIDENCE`. So they are computed for
+`NOMINAL` times this rate."""
 ROUNDING = 1e-9  # smaller changes count as zero [percent]
 LEAST_TRIALS = 8  # with fewer trials, a change is called neither a gain nor a loss
 
 
 def too_few(trials: int) -> str | None:
-    """Return a message if there are too few trials to decide, else None."""
+    """Return a message if there are too few trials, else None."""
     return f"too few trials to decide ({trials} of at least {LEAST_TRIALS})" if trials < LEAST_TRIALS else None
 
 
@@ -36,7 +36,7 @@ class StatisticsError(MocOptError, ValueError):
 
 
 class Interval(NamedTuple):
-    """A statistic and its confidence interval, which is NaN for a single sample."""
+    """A statistic and its confidence interval (NaN for a single sample)."""
 
     value: float
     low: float
@@ -50,7 +50,7 @@ class Interval(NamedTuple):
         return f"{self.value:{form}} [{self.low:{form}}, {self.high:{form}}]"
 
     def entries(self, name: str) -> dict[str, float]:
-        """Return the entries ``name``, ``name_low`` and ``name_high`` of a summary."""
+        """Return entries for a summary."""
         return {name: self.value, f"{name}_low": self.low, f"{name}_high": self.high}
 
 
@@ -61,7 +61,7 @@ class Change(NamedTuple):
     ratios: Interval  #: mean over the trials of 100 (treated / control - 1)
 
     def side(self, bound: float = 0.0) -> int:
-        """Return 1 if both intervals lie above the bound [percent], -1 if both lie below it, and 0 in all other cases.
+        """Return 1 if both intervals lie above the bound [percent], -1 if both lie below it, else 0.
 
         With fewer than `LEAST_TRIALS` trials, return 0.
         """
@@ -80,7 +80,7 @@ class Change(NamedTuple):
         return f"{self.ratio:.3g}" + (f" (mean of ratios {self.ratios:.3g}: undecided)" if self.undecided else "")
 
     def entries(self, name: str) -> dict[str, float]:
-        """Return both values with their intervals, and whether the change is undecided, for a summary."""
+        """Return entries for a summary."""
         return {
             **self.ratio.entries(name), **self.ratios.entries(f"{name}_of_ratios"),
             f"{name}_undecided": float(self.undecided),
@@ -88,7 +88,7 @@ class Change(NamedTuple):
 
 
 def spread(entries: Mapping[str, Any], name: str, digits: int = 3, sign: str = "", unit: str = "") -> str | None:
-    """Return a summary's number and its interval as text, or None if the number is absent."""
+    """Write a summary's number and its interval. Return None if the number is absent."""
     value, low, high = (entries.get(key) for key in (name, f"{name}_low", f"{name}_high"))
     if value is None:
         return None
@@ -106,7 +106,7 @@ def spread(entries: Mapping[str, Any], name: str, digits: int = 3, sign: str = "
 
 
 def share(found: int, trials: int) -> Interval:
-    """Return found/trials with the exact binomial interval of independent trials (Clopper and Pearson 1934)."""
+    """Return found/trials with the exact binomial interval (Clopper and Pearson 1934)."""
     if not 0 <= found <= trials or trials < 1:
         raise StatisticsError(f"found = {found}, trials = {trials}: give at least one trial, and 0 <= found <= trials")
     low, high = stats.binomtest(found, trials).proportion_ci(CONFIDENCE)
@@ -122,13 +122,13 @@ def relative_change(treated: ArrayLike, control: ArrayLike) -> Interval:
     """Compute 100 (mean(treated)/mean(control) - 1) [percent] from two arrays (k,) of the same k trials.
 
     Raises:
-        StatisticsError: empty arrays, different lengths, a number that is not finite, or ``control`` has mean 0.
+        StatisticsError: the arrays are not usable, or ``control`` has mean 0.
     """
     return _interval(_change, treated=treated, control=control)
 
 
 def relative_changes(treated: ArrayLike, control: ArrayLike) -> Change:
-    """Return the change in both ways: `relative_change`, and the mean over trials of 100 (treated/control - 1)."""
+    """Return the change of the same trials, in both ways."""
     ratio = relative_change(treated, control)
     with np.errstate(divide="ignore", invalid="ignore"):
         each = 100.0 * (np.asarray(treated, float) / np.asarray(control, float) - 1.0)
@@ -138,7 +138,7 @@ def relative_changes(treated: ArrayLike, control: ArrayLike) -> Change:
 def difference_of_changes(
     treated: ArrayLike, control: ArrayLike, treated_before: ArrayLike, control_before: ArrayLike
 ) -> Interval:
-    """Return the `relative_change` minus that of the "before" samples [percentage points]."""
+    """Return the `relative_change` minus that before [percentage points]."""
     before = {"treated_before": treated_before, "control_before": control_before}
     return _interval(_difference, treated=treated, control=control, **before)
 
@@ -174,7 +174,7 @@ def _interval(statistic: Callable[..., Any], **given: ArrayLike) -> Interval:
     for method in ("BCa", "percentile"):
         # If all resamples agree, BCa has no value, and the percentile method is used.
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # degenerate samples
+            warnings.simplefilter("ignore")
             found = stats.bootstrap(
                 tuple(samples), statistic, method=method, rng=np.random.default_rng(0), paired=True,
                 vectorized=True, n_resamples=RESAMPLES, confidence_level=min(expanded, 0.9999),

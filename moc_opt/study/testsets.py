@@ -37,7 +37,7 @@ class CertificateError(MocOptError, ArithmeticError):
 class TestSet:
     """Problems with their certified answers."""
 
-    __test__ = False  # tells pytest that this is no test class
+    __test__ = False  # for pytest
 
     name: str
     rows: Array
@@ -50,16 +50,13 @@ class TestSet:
 
     @cached_property
     def judged(self) -> Array:
-        """The problems (k, 11 n + 10) by which answers are judged.
-
-        If the reference velocities of tip and wrist differ along the shaft, the wrist gets the tip's component.
-        """
+        """The problems (k, 11 n + 10) by which answers are judged: `straightened` ones."""
         return np.array([straightened(qp).row for qp in self.problems()])
 
     def thinned(self, every: int) -> TestSet:
         """Return a set of every ``every``-th problem."""
         found = TestSet(self.name, self.rows[::every], self.x[::every], self.feasible[::every])
-        vars(found)["judged"] = self.judged[::every]  # fills the cached property
+        vars(found)["judged"] = self.judged[::every]
         return found
 
     def to_bytes(self) -> bytes:
@@ -101,6 +98,6 @@ def changed(qp: NullSpaceQP, **values: Any) -> NullSpaceQP:
 
 
 def five_row_gap(qp: NullSpaceQP, b: NDArray[np.floating]) -> Array:
-    """Return the difference of the reference velocities, tip minus wrist, projected on the shaft (3,) [m/s]."""
+    """Return the reference velocities' difference along the shaft, tip minus wrist (3,) [m/s]."""
     u = np.linalg.svd(qp.J_tip - qp.J_wrist)[0][:, 2]
     return np.asarray(u * (u @ (b[:3] - b[3:])))

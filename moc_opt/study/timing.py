@@ -18,18 +18,17 @@ LEAST_CPU_SHARE = 0.9
 
 Row = Mapping[str, Any]
 COUNTED = ("times_calls", "times_switches", "times_cpu_s", "times_wall_s")
-"""The load while calls were timed: number of calls, involuntary context switches (ru_nivcsw), processor time of all
-threads [s], and wall time [s]."""
+"""The load while calls were timed. ``times_switches`` are involuntary context switches."""
 
 
 def used() -> dict[str, float]:
-    """Return the present readings of the counters as `COUNTED` entries, for a later `since`."""
+    """Read the counters, for a later `since`."""
     switches = resource.getrusage(resource.RUSAGE_SELF).ru_nivcsw
     return dict(zip(COUNTED, (0, switches, process_time(), perf_counter()), strict=True))
 
 
 def since(before: Row, calls: int) -> dict[str, float]:
-    """Return the `COUNTED` entries of ``calls`` calls: differences from the earlier readings ``before``."""
+    """Return the `COUNTED` entries since ``before``."""
     return {name: value - before[name] for name, value in used().items()} | {"times_calls": calls}
 
 
@@ -45,7 +44,7 @@ def cpu_share(row: Row) -> float:
 
 
 def quiet(row: Row) -> bool:
-    """Tell whether other programs used so little of the machine that the 99th percentile can be trusted."""
+    """Tell whether the 99th percentile can be trusted."""
     few = row.get("times_switches", 0) <= MOST_SWITCHES * row.get("times_calls", 0)
     return bool(few and cpu_share(row) >= LEAST_CPU_SHARE)
 
@@ -68,7 +67,7 @@ def load(rows: Iterable[Row]) -> str:
 
 
 def clock_cost_us() -> float:
-    """Return the median time between two successive readings of the clock [us]."""
+    """Return the median time between two readings of the clock [us]."""
     gaps = np.empty(2000)
     for i in range(len(gaps)):
         begin = perf_counter_ns()
@@ -91,7 +90,7 @@ def each_us(
             begin = perf_counter_ns()
             result = call(item)
             times.append(perf_counter_ns() - begin)
-            if results is not None:  # only on request, because keeping results lengthens the slowest calls
+            if results is not None:  # because keeping results lengthens the slowest calls
                 results.append(result)
         if seen is not None:
             seen.append(since(before, len(times)))
@@ -99,7 +98,7 @@ def each_us(
 
 
 def percentiles(times: Array, prefix: str) -> dict[str, float]:
-    """Return the percentiles of the finite times by name, such as prefix_p50_us."""
+    """Return the percentiles of the finite times."""
     times = times[np.isfinite(times)]
     if times.size == 0:
         return {}

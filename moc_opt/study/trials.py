@@ -1,7 +1,4 @@
-"""Run a trial (a scenario with its own seed) under a controller, and make one row of results.
-
-All controllers run the same trials.
-"""
+"""Run a trial (a scenario with its own seed) under a controller, and make one row of results."""
 
 from __future__ import annotations
 
@@ -40,19 +37,19 @@ CURVES = (
 CLOCKS = ("solve_", "tick_", "deadline_")
 LOOK_TICKS = 100  # ticks between two readings of the machine's load
 PATIENCE_S, PER_S, LONGEST_S = 30.0, 30.0, 60.0
-"""Time limit of a run: 30 s, plus 30 s for each of the first 60 simulated seconds."""
+"""A run may take `PATIENCE_S`, plus `PER_S` for each of the first `LONGEST_S` simulated seconds."""
 
 
 def seeds(seed: int, stream: int, count: int) -> list[int]:
-    """Draw the seeds of ``count`` trials. Studies with different streams share no seeds."""
+    """Draw the seeds of ``count`` trials. Each study has its own stream."""
     state = np.random.SeedSequence([seed, stream]).generate_state(count, np.uint32)
     return [int(entry) for entry in state]
 
 
 def trials(base: Scenario, tasks: Sequence[str], own_seeds: Sequence[int], *, virtual: bool = False) -> list[Scenario]:
-    """Make one scenario per seed, with the tasks in turn and a random elbow angle at the start.
+    """Make one scenario per seed, with the tasks in turn and a random swivel.
 
-    With ``virtual``, the path's sizes and the trocar's depth are those of the paper's virtual task.
+    With ``virtual``, path and trocar's depth are those of the paper's virtual task.
     """
     found = []
     for k, seed in enumerate(own_seeds):
@@ -67,7 +64,7 @@ def trials(base: Scenario, tasks: Sequence[str], own_seeds: Sequence[int], *, vi
 
 
 def placed(trial: Scenario) -> Scenario:
-    """Return the trial with its random start pose resolved to joint positions."""
+    """Return the trial with its start pose as joint positions."""
     q = Setup(trial).q_start.tolist()
     return trial.change(start={"pose": "home", "q_rad": q, "swivel": "given", "check_path": False})
 
@@ -82,7 +79,7 @@ def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None
     if controller == OWN:
         return trial.change(control={"law": "dcac", "gains": "dcac", **dict.fromkeys(GAINS)})
     table = control.matched_dcac()
-    if controller == DAMPED:  # the damping of MOC's third level if the solver's x is 0
+    if controller == DAMPED:  # the damping of MOC's level 3 if x is 0
         data = load_data(trial.robot.name)
         moc = control.resolve_gains(data.gains, data.n)
         table = {**table, "dcac_damping": (moc.K_N2 + moc.D_N2).tolist()}
@@ -95,7 +92,7 @@ class Trial:
 
     case: Scenario
     controller: str  #: one of `BASELINES`, or the name of a solver
-    settings: Mapping[str, Any] = field(default_factory=dict)  #: settings of the solver
+    settings: Mapping[str, Any] = field(default_factory=dict)  #: of the solver
     tags: Mapping[str, Any] = field(default_factory=dict)  #: further columns of the row
     timed: bool = False  #: whether the trial runs alone and is timed
     keep: Literal["row", "curves"] = "row"  #: "curves": also keep the columns in `CURVES`
@@ -115,7 +112,7 @@ class Trial:
         return Job(run_trial, (self,), limit, alone=self.timed, group=self.controller)
 
     def failed(self, reason: str) -> Run:
-        """Return the `Run` of a trial that failed for this reason."""
+        """Return the `Run` of a failed trial."""
         return Run({**self.about, "ended": Ending.FAILED.value, "whole": False, "error": reason})
 
 
@@ -124,12 +121,11 @@ class Run:
     """The result of a trial.
 
     Its row has the columns of `Trial.about`, ``ended``, ``whole`` (completed), ``error``, ``raised`` and every metric.
-    ``raised`` gives the number of the solver's exceptions, and the first of them. If there are none, it gives the same
-    for malformed answers.
+    ``raised`` tells of the solver's exceptions or, without any, of malformed answers.
     """
 
     row: Mapping[str, Any]
-    columns: Mapping[str, Array] = field(default_factory=dict)  #: curves of a completed run by name
+    columns: Mapping[str, Array] = field(default_factory=dict)  #: curves of a completed run
     load: Mapping[str, float] = field(default_factory=dict)  #: the machine's load, if the run was timed
 
 
@@ -139,7 +135,7 @@ def run_trial(asked: Trial) -> Run:
 
 
 def run_and_trace(asked: Trial, baseline: Trace | None = None) -> tuple[Run, Trace | None]:
-    """Run a trial. Return its `Run` and its trace. With a ``baseline``, metrics include the gain over it."""
+    """Return a trial's `Run` and its trace. With a ``baseline``, metrics include the gain over it."""
     begun, seen, solver = dict[str, float](), dict[str, float](), asked.solver
 
     def look(tick: int) -> None:
