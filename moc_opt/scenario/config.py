@@ -36,8 +36,6 @@ _TORQUE, _SPEED = 500.0, 600.0
 class Scenario(Settings):
     """Settings of one run. By default, the arm follows a circle with all three levels and the solver `exact`.
 
-    Every key of the TOML file is a field, and every table is a nested model.
-
     Raises:
         ScenarioError: a value is out of range, or fields contradict each other.
         UnknownNameError: a key, preset, solver or path does not exist.
@@ -201,7 +199,7 @@ def _tables(value: Settings, name: str) -> Iterator[dict[str, Any]]:
             entry = getattr(value, key)
             if entry != getattr(base, key):
                 table[key] = entry.model_dump(exclude_defaults=True) if isinstance(entry, Settings) else entry
-        if None not in table.values():  # a file cannot reset a preset's value to None
+        if None not in table.values():  # TOML has no None
             yield {"preset": preset, **table}
 
 

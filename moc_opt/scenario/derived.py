@@ -32,16 +32,13 @@ from moc_opt.trace.trace import Trace
 
 Columns = Mapping[str, NDArray[Any]]
 
-AT_ONCE = 5000  # residuals computed together
+AT_ONCE = 5000
 PERIOD_S = 0.05  # time step of the planning grid [s]
 PATH = {"robot", "start", "trocar", "task", "duration_s", "seed"}  # keys that determine path and start
 
 
 def model_errors(columns: Columns, robot: RobotModel, plant: Plant, offset: TaskOffset) -> dict[str, NDArray[Any]]:
-    """Compute tip and RCM error [m] by the controller's kinematics, from joint positions with the encoders' bias.
-
-    Return {} if the encoders measure the motors of elastic joints.
-    """
+    """Compute the model errors of tip and RCM [m]. Return {} if the encoders measure the motors of elastic joints."""
     if plant.settings.elastic and plant.settings.encoder_side == "motor":
         return {}
     tips, wrists = robot.tool_along(columns["q_rad"] + plant.mismatch.encoder_bias)
@@ -53,7 +50,7 @@ def model_errors(columns: Columns, robot: RobotModel, plant: Plant, offset: Task
 
 
 def residual_columns(columns: Columns) -> dict[str, NDArray[Any]]:
-    """Compute each answer's residuals (NaN without an answer) and the flag ``verified``; {} without subproblems."""
+    """Compute each answer's residuals (NaN without an answer) and the flag ``verified``."""
     if "subproblem" not in columns:
         return {}
     x = columns["x_rad_per_s"]
@@ -66,7 +63,7 @@ def residual_columns(columns: Columns) -> dict[str, NDArray[Any]]:
 
 
 def largest_mu(poses: Array, robot: RobotModel, samples: int) -> tuple[Array, dict[str, str]]:
-    """For ``poses`` (N, n), compute the largest mu [m^3] that is possible with the same tip and wrist.
+    """Compute the largest mu [m^3] with the tip and wrist of ``poses`` (N, n).
 
     Return (bound, meta). ``bound`` (N,) is NaN except at ``samples`` evenly spaced ticks.
     """
@@ -110,11 +107,7 @@ def _planned(path: str) -> BestCourses:
 
 
 def against_best(scenario: Scenario, trace: Trace) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Return the columns of the best courses, and the entry ``best_courses`` of the trace's meta.
-
-    Its part ``end`` has three values of mu [m^3]: ``mu`` at the end of the run, ``best_mu`` at the end of the best
-    course from the start, and ``top_mu``, to which a climb of mu leads from the end of the run.
-    """
+    """Return the columns of the best courses, and the entry ``best_courses`` of the trace's meta."""
     try:
         known = best_courses(scenario)
     except MocOptError as error:

@@ -98,6 +98,6 @@ def _task(scenario: Scenario, robot: RobotModel, q: Array) -> Layout:
 
 
 def described(scenario: Scenario, robot: RobotModel) -> dict[str, Any]:
-    """Return the entries `scenario` and `robot` of a trace's meta, and `robot_data` for an arm outside the package."""
+    """Return the entries of a trace's meta on scenario and arm."""
     found = {"scenario": scenario.model_dump(mode="json"), "robot": robot.data.name}
     return found if scenario.robot.name in available_robots() else {**found, "robot_data": carried(robot)}

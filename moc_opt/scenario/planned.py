@@ -32,7 +32,7 @@ def plan(
     Args:
         scenario: a scenario, or the path of its file.
         times: number of points on the path. None: one per `PERIOD_S`, but at most `MOST_TIMES`.
-        swivels: number of samples per turn of the elbow.
+        swivels: samples per turn of the elbow.
         margin_rad, margin_m: required distance of revolute joints [rad] and prismatic joints [m] from their limits.
         speed_share: usable share of the joints' speed limits, above 0 and at most 1.
         shaft_margin: soft lower bound on (wrist's manipulability at a fixed tip) / (distance from wrist to tip)^2.
@@ -57,7 +57,7 @@ def targets_of(
 ) -> Targets:
     """Return ``times`` targets of tip and wrist, evenly spaced in time over the run.
 
-    None: one per ``period_s`` / ``finer`` [s], at most `MOST_TIMES` * ``finer``.
+    None: one per ``period_s`` / ``finer`` [s], with an upper limit.
     """
     spaces = int(np.clip(np.ceil(layout.duration_s / period_s), 1, MOST_TIMES - 1))
     span, length = robot.state(layout.q).tool_span, robot.data.tool_length

@@ -24,7 +24,7 @@ SINGULAR = (1e-4, 1e-4)
 """Lower bounds on `Freedoms.tip` and `Freedoms.both` at every start."""
 REGULAR = (0.1, 0.05)
 """Like `SINGULAR`, but for a random start and for the poses along its path."""
-DRAWN_MARGIN = 0.1  #: Smallest distance of a joint from its limits in a drawn pose [share of the joint's range].
+DRAWN_MARGIN = 0.1  #: Smallest distance of a drawn pose from the joint limits [share of the range].
 DRAWS = 200
 SPACING_M = 0.005  #: Distance between checked points of the path [m].
 _TIMES = 1500  # samples of the path, from which the checked points are chosen
@@ -69,12 +69,12 @@ def random_start(
     robot: RobotModel, rng: np.random.Generator, swivelled: Callable[[Array], Array],
     attempt: Callable[[Array], tuple[Found, Array]], margins: Array,
 ) -> Found:  # fmt: skip
-    """Draw start poses until the arm can do the task from one of them, and return the task laid out from there.
+    """Draw start poses until the arm can do the task, and return the task laid out from there.
 
     Args:
         swivelled: turns the elbow of a drawn pose (n,) to [start] swivel.
         attempt: function from a start pose (n,) to the task and poses (k, n) along the path.
-        margins: (n,) required distance from the joint limits, at the start and along the path [rad, m].
+        margins: (n,) required distance from the joint limits [rad, m].
 
     Raises:
         ScenarioError: all `DRAWS` draws are rejected.
@@ -121,10 +121,10 @@ def _require_fit(robot: RobotModel, q: Array, margins: Array, where: str = "") -
 def check_reachable(
     robot: RobotModel, q_start: ArrayLike, reference: Reference, trocar: Trocar, until_s: float = np.inf
 ) -> Array:
-    """Return poses (k, n) that follow the reference with the shaft through the trocar, within the joint limits.
+    """Return poses (k, n) that follow the reference up to the time ``until_s`` [s].
 
-    The reference must start at the tip of ``q_start`` (n,). The path is checked up to the time ``until_s`` [s]. Two
-    starts are tried: ``q_start``, and the pose of its self-motion that is farthest from the joint limits.
+    The reference must start at the tip of ``q_start`` (n,). Two starts are tried: ``q_start``, and the pose of its
+    self-motion that is farthest from the joint limits.
 
     Raises:
         UnreachableError: the arm cannot follow the path.
@@ -214,7 +214,7 @@ def _out_of_reach(robot: RobotModel, places: _Places, k: int, wrist: Array, plac
 
 
 def _least_rates(robot: RobotModel, a: Array, velocity: Array) -> Array:
-    """Solve ``a`` v = ``velocity`` for the shortest v (n,). If it exceeds v_max, minimize max |v| / v_max instead."""
+    """Solve ``a`` v = ``velocity`` for the shortest v or, if it exceeds v_max, for the least max |v| / v_max."""
     left, values, right = np.linalg.svd(a)
     rank = int((values > 1e-9 * values[0]).sum())
     shortest: Array = right[:rank].T @ ((left[:, :rank].T @ velocity) / values[:rank])

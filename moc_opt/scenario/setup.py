@@ -45,7 +45,7 @@ from moc_opt.trace.trace import Trace
 
 
 def make_solver(name: str, robot: RobotModel, **settings: Any) -> Solver:
-    """Create a solver, with the arm's kinematics if the solver takes them."""
+    """Create a solver, with the arm's kinematics if it takes them."""
     entry = find(name)
     if "kinematics" not in settings and "kinematics" in entry.parameters:
         settings = {**settings, "kinematics": robot.kinematics()}
@@ -53,7 +53,7 @@ def make_solver(name: str, robot: RobotModel, **settings: Any) -> Solver:
 
 
 def isolated(solver: Solver, scenario: Scenario, budget_us: float = math.inf, realtime: bool = False) -> Solver:
-    """Put a solver in its own process if ``[solver] isolation`` is "process". Raise a SolverError if pickle fails."""
+    """Put a solver in its own process if ``[solver] isolation`` asks for it. Raise a SolverError if pickle fails."""
     if scenario.solver.isolation == "none":
         return solver
     return Isolated(solver, scenario.solver.process, budget_us, waits=not realtime)
@@ -70,7 +70,7 @@ def make_stop(scenario: Scenario) -> Stop:
 
 
 def recorded_times(scenario: Scenario) -> list[float] | None:
-    """Read the solve times [us] of ``[solver] replay_us``. Return None if solve times are measured."""
+    """Read ``[solver] replay_us`` [us]. Return None if solve times are measured."""
     given = scenario.solver.replay_us
     if given is None:
         return None
@@ -113,7 +113,7 @@ class Setup:
     def _build_plant(self, seed: int) -> None:
         scenario, entry = self.scenario, self.layout.trocar
         self.plant = plant = Plant(self.robot.data, scenario.plant, seed=seed)
-        if scenario.faults.bump_N > 0.0:  # raises before the run if the link is unknown
+        if scenario.faults.bump_N > 0.0:  # raises if the link is unknown
             plant.push(scenario.faults.bump_link, np.zeros(3))
         plant.reset(self.q_start)
         self.offset = TaskOffset()
@@ -191,12 +191,12 @@ class Setup:
         return self.scenario.plant.period_s * np.arange(self.ticks, dtype=np.float64)
 
     def inputs(self) -> tuple[Array, Array]:
-        """Return rows X_d, dX_d, ddX_d (N, 3, 3) of the tip and P_t, dP_t (N, 2, 3) of the registered trocar."""
+        """Return X_d, dX_d, ddX_d (N, 3, 3) of the tip and P_t, dP_t (N, 2, 3) of the registered trocar."""
         tip_refs, registered = (np.stack(of.at(self.times()), axis=1) for of in (self.reference, self.registered))
         return tip_refs, registered
 
     def trace(self, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None) -> Trace:
-        """Run, check the answers, and return the trace; see `run`."""
+        """Run, and return the trace; see `run`."""
         file = None if to is None else new_file(to).absolute()
         if self.plant.time > 0.0:
             self.plant.reset(self.q_start)

@@ -1,4 +1,4 @@
-"""A scenario whose plant and controller are two processes, connected over UDP."""
+"""A scenario whose plant and controller are two processes."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def fingerprint(scenario: Scenario, robot: RobotModel) -> int:
 class PlantServer(Setup):
     """The plant of a scenario, for a controller in another process.
 
-    The plant listens at ``listen``, "HOST:PORT". Port 0 means any free port, see ``address``. In lock-step, the plant
-    waits for each command. In real time, the caller sets ``system`` to what `ask_for_realtime` returns.
+    It listens at ``listen``, "HOST:PORT" (port 0: any free port). In lock-step, it waits for each command. In real
+    time, the caller sets ``system`` to what `ask_for_realtime` returns.
 
     Raises:
         MocOptError: the scenario or the address is not usable.
@@ -64,7 +64,7 @@ class PlantServer(Setup):
 
     @cached_property
     def _new_guide(self) -> None:
-        """Plan no joint motion, because the controller's process plans it."""
+        """None: the controller's process plans the course."""
 
     def controller(self) -> LoggedController:
         """Return the remote controller."""

@@ -1,4 +1,4 @@
-"""The interface of a solver. A `Solver` holds settings, and its sessions solve subproblems."""
+"""The interface of a solver. A `Solver` holds settings, and its sessions solve."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from moc_opt.arrays import Array
 from moc_opt.errors import SolverError, is_number, shown
 from moc_opt.qp.problem import NullSpaceQP
 
-Choices = Mapping[str, tuple[object, ...]]  # the valid values of each setting
-MOST = 2**31 - 1  # upper limit of an integer setting (32 bits)
+Choices = Mapping[str, tuple[object, ...]]
+MOST = 2**31 - 1  # upper limit of an integer setting
 
 
 class Status(Enum):
-    """The status of an answer. Its value names a remedy."""
+    """The status of an answer. Its value explains it."""
 
     SOLVED = "the solver claims an optimum"
     INFEASIBLE = "no velocity within the bounds meets the references: slow the path down or raise k0"
@@ -39,7 +39,6 @@ class Solution(NamedTuple):
     Attributes:
         x: (n,) joint velocity [rad/s]; NaN if the solver found none.
         y: (6,) multipliers of the equality rows, or None. With multipliers z of the bounds, P x + p + A^T y + z = 0.
-        status: the status that the solver reports.
         iterations: 0 for a direct method.
     """
 
@@ -58,7 +57,7 @@ class Session(Protocol):
     """A solver's workspace for one sequence of subproblems."""
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Solve one subproblem. A failure is reported by the answer's status, not by an exception."""
+        """Solve one subproblem. The status of the answer reports a failure."""
 
 
 @runtime_checkable
@@ -78,7 +77,7 @@ class Solver(Protocol):
 
 @runtime_checkable
 class TruncatingSession(Protocol):
-    """A session that can be stopped after a given number of iterations."""
+    """A session that can stop early."""
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
         """Repeat the last `solve`. Return the iterate after ``iterations`` (at least 1)."""
@@ -86,17 +85,14 @@ class TruncatingSession(Protocol):
 
 @runtime_checkable
 class ObservingSession(Protocol):
-    """A session that needs the measured velocity. Call ``observe`` before each ``solve``."""
+    """A session that needs ``observe`` before each ``solve``."""
 
     def observe(self, v: Array) -> None:
         """Store the measured joint velocity v (n,) [rad/s]."""
 
 
 class SolverSettings:
-    """Base class of this package's solvers (frozen dataclasses). It checks their settings.
-
-    An int must be at least 1 and a float above 0. 0.0 or None is also valid if it is the default.
-    """
+    """Base class of this package's solvers (frozen dataclasses). It checks their settings."""
 
     name: ClassVar[str]
     session: ClassVar[type[Any]]  #: called with the settings and a first problem

@@ -16,7 +16,7 @@ from moc_opt.qp.problem import NullSpaceQP, joints_of, row_length
 from moc_opt.solvers.base import Solution, SolverSettings, Status, no_answer
 
 STATUS = {core.OK: Status.SOLVED, core.INFEASIBLE: Status.INFEASIBLE, core.DOUBTFUL: Status.NUMERICAL}
-# looked up once, for speed
+# for speed
 _solve, _new, _SOLVED, _OK = core.solve_exact, tuple.__new__, Status.SOLVED, core.OK
 
 
@@ -53,7 +53,7 @@ class Exact(SolverSettings):
     def solve_batch(self, rows: Array, threads: int | None = None) -> tuple[Array, Array, list[Status]]:
         """Solve the subproblems ``rows`` (k, 11 n + 10). Return x (k, n), y (k, 6) and k statuses.
 
-        x and y are NaN if the status is not SOLVED. ``threads`` None: one per core. A wrong shape raises a SolverError.
+        x and y are NaN if not SOLVED. ``threads`` None: one per core. A wrong shape raises a SolverError.
         """
         if threads is not None and threads < 1:
             raise SolverError(f"exact: threads = {threads}: give 1 or more, or None for one per core")

@@ -43,7 +43,7 @@ class Faulty:
 
     @property
     def name(self) -> str:
-        """Name of the wrapped solver, and the kind of fault."""
+        """The wrapped solver's name and the fault."""
         return f"{self.inner.name}+{self.kind}"
 
     def supports(self, qp: NullSpaceQP) -> str | None:

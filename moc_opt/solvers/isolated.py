@@ -25,7 +25,7 @@ from moc_opt.inputs.settings import Settings
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import ObservingSession, Session, Solution, Solver
 
-_LOOK_S = 0.05  # during a wait, time between checks of whether the process has ended [s]
+_LOOK_S = 0.05  # time between checks of whether the process has ended [s]
 
 
 class Unanswered(Exception):
@@ -87,7 +87,7 @@ class Isolated:
         return self.inner.name
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None. The wrapped solver's ``supports`` is called by ``start``, in the new process."""
+        """Return None. ``start`` asks the wrapped solver, in the new process."""
         return None
 
     def start(self, qp: NullSpaceQP) -> Session:
@@ -113,7 +113,7 @@ class IsolatedSession:
         self._v = v
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Solve one subproblem in the process. Raise Unanswered if the answer is late or absent."""
+        """Solve one subproblem. Raise Unanswered if the answer is late or absent."""
         self._tick += 1
         solver = self._solver
         if self._process is None:
@@ -134,12 +134,11 @@ class IsolatedSession:
         return newest.value  # type: ignore[no-any-return]  # its form is checked by the controller
 
     def _answered(self, process: _Process, qp: NullSpaceQP) -> _Answer | None:
-        """Return the newest answer, which may be of an earlier tick."""
         solver = self._solver
         if not process.started(math.inf if solver.waits else 0.0):
             raise Unanswered("lost", "a new process of the solver is being started")
         until = monotonic() + 1e-6 * solver.budget_us
-        if process.busy:  # with an earlier tick
+        if process.busy:  # with the subproblem of an earlier tick
             self._newest = process.answer(until) or self._newest
         if not process.busy:
             process.ask(self._tick, qp, self._v, solver.process.hang_s)
@@ -176,13 +175,12 @@ class _Process:
         self.ask(0, qp, None, solver.process.start_s, solver._pickled)
 
     def ask(self, tick: int, qp: NullSpaceQP, v: Array | None, most_s: float, solver: bytes | None = None) -> None:
-        """Send a subproblem to solve. With a pickled ``solver``, start a session for the subproblem instead."""
+        """Request an answer or, with a pickled ``solver``, the start of a session."""
         self._tick, self._most_s, self._hung_at, self.busy = tick, most_s, monotonic() + most_s, True
         with suppress(OSError):  # `answer` reports that the process has ended
             self._pipe.send((solver, qp.row, v, most_s))
 
     def started(self, most_s: float) -> bool:
-        """Wait at most ``most_s`` [s] for the session's start."""
         if not self._started and (said := self.answer(monotonic() + most_s)) is not None:
             if said.raised:
                 raise _Ended(said.value)

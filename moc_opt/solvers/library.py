@@ -1,4 +1,4 @@
-"""Base of the adapters of QP libraries. docs/extending.md explains adapters, and ``piqp`` is a short example."""
+"""Base of the adapters of QP libraries, which docs/extending.md explains."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Adapter(SolverSettings):
     """Base of a library's settings.
 
     Attributes:
-        rows: number of equality rows, 5 or 6.
+        rows: 6 equality rows (tip and wrist), or 5 independent ones.
         cost_scale: factor of P and p. The library's duals are divided by it.
         needs: message of a library that needs a positive definite cost.
     """
@@ -80,7 +80,7 @@ class LibrarySession(ABC):
         """Return status, iterations, x (n,) and multipliers (m,). The next run must not overwrite x."""
 
     def update(self, qp: NullSpaceQP) -> None:
-        """Pass the subproblem to the library."""
+        """Load a subproblem into the library."""
         if not self._load(qp):
             self._build(qp)
         self._hand_over()
@@ -119,10 +119,7 @@ def upper_triangle(values: Array, n: int) -> sparse.csc_matrix:
 
 
 def stacked(values: Array, boxes: int) -> sparse.csc_matrix:
-    """Return a sparse matrix: m full rows above ``boxes`` diagonal (n, n) blocks.
-
-    ``values[j]`` (m + boxes,) has the stored entries of column j.
-    """
+    """Return a sparse matrix of m full rows above ``boxes`` diagonal (n, n) blocks, from its columns' entries."""
     n, m = len(values), values.shape[1] - boxes
     rows = np.concatenate([np.append(np.arange(m), m + n * np.arange(boxes) + j) for j in range(n)])
     return sparse.csc_matrix((values.ravel(), rows, (m + boxes) * np.arange(n + 1)), shape=(m + boxes * n, n))

@@ -1,4 +1,4 @@
-"""One control period as a nonlinear program in CasADi, with the manipulability itself instead of its gradient.
+"""One tick as a nonlinear program in CasADi, with mu itself instead of its gradient.
 
     max_x  c2 (mu(q + x T)/T + d^T x) - regularization/2 |x|^2,   d = g - grad mu(q)
     s.t.   tip(q + x T) = tip(q) + v_T T,   E (wrist(q + x T) - wrist(q)) = E v_W T,   lower <= x <= upper
@@ -41,7 +41,7 @@ _STATUS = {
 
 
 def buffered(function: Any, arguments: Mapping[str, Array], results: Mapping[str, Array]) -> tuple[Any, Any]:
-    """Bind a CasADi function to the caller's arrays. Return (buffer, call)."""
+    """Bind a CasADi function to arrays. Return (buffer, call)."""
     buffer, call = function.buffer()
     for name, array in arguments.items():
         buffer.set_arg(function.index_in(name), array.data)
@@ -171,10 +171,7 @@ class NLP(SolverSettings, ABC):
 
 @dataclass(frozen=True)
 class SQP(NLP):
-    """CasADi's sqpmethod with its active-set QP solver qrqp.
-
-    With hessian = "exact" and regularization = 0, three in ten problems are not solved.
-    """
+    """CasADi's sqpmethod with its active-set QP solver qrqp."""
 
     cost_scale: float = 1e5
     hessian: Literal["limited-memory", "exact"] = "limited-memory"
@@ -192,10 +189,7 @@ class SQP(NLP):
 
 @dataclass(frozen=True)
 class Ipopt(NLP):
-    """The interior-point method IPOPT (Waechter & Biegler 2006).
-
-    With BFGS and regularization = 0, IPOPT stops at ``max_iter``.
-    """
+    """The interior-point method IPOPT (Waechter & Biegler 2006)."""
 
     name = "nlp-ipopt"
     plugin = "ipopt"

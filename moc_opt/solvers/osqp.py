@@ -16,7 +16,7 @@ from moc_opt.solvers.base import Solution, Status
 from moc_opt.solvers.library import Adapter, Outcome, TruncatedSession, stacked, upper_triangle
 
 _CODE = ext_builtin.osqp_status_type
-# An "inaccurate" answer meets only a tolerance that is ten times as large.
+# An "inaccurate" answer meets only a ten times larger tolerance.
 _STATUS = {
     int(_CODE.OSQP_SOLVED): Status.SOLVED,
     int(_CODE.OSQP_PRIMAL_INFEASIBLE): Status.INFEASIBLE,
@@ -81,7 +81,7 @@ class OSQP(Adapter):
     """OSQP through its native interface.
 
     Args:
-        eps, eps_rel: tolerances on the scaled problem. With the library's 1e-3, nearly all answers are wrong.
+        eps, eps_rel: tolerances on the scaled problem.
         check_termination: number of iterations between checks of the residuals.
         polishing: whether OSQP solves the equations of the active constraints at the end.
     """

@@ -71,8 +71,7 @@ class ProxQP(Adapter):
 
     Args:
         eps: absolute tolerance on the scaled problem.
-        eps_primal_inf: tolerance of the proof of infeasibility. With the library's 1e-4, a third of the feasible
-            subproblems are called infeasible.
+        eps_primal_inf: tolerance of the proof of infeasibility.
         max_iter_in: limit on the inner iterations of each outer one.
     """
 

@@ -1,6 +1,6 @@
 """Adapter of the package qpsolvers. Its solvers are named ``qpsolvers:NAME``.
 
-qpsolvers converts the problem at every call, so its solve times do not show the libraries' speeds.
+Solve times include the conversion of the problem.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ from moc_opt.solvers.library import refuse_semidefinite
 class Advice(NamedTuple):
     """Settings under which a library's reported status can be trusted."""
 
-    cost_scale: float = 1.0  #: factor of P and p in the cost x^T P x / 2 + p^T x
+    cost_scale: float = 1.0  #: factor of P and p
     options: Mapping[str, Any] = {}  #: keyword arguments of the library
 
 
-# The libraries' tolerances are absolute. The cost's gradient is only about 1e-4, so the cost is scaled up.
+# The libraries' tolerances are absolute, and the cost's gradient is only about 1e-4.
 ADVICE: dict[str, Advice] = {
     "clarabel": Advice(1e3),
     "daqp": Advice(1e3),
     "highs": Advice(1e3, {"time_limit": 0.1}),  # with unscaled cost, its QP solver cycles for ever
     "osqp": Advice(1e2, {"eps_abs": 1e-8, "eps_rel": 0.0}),
     "piqp": Advice(1e3, {"eps_abs": 1e-9, "eps_rel": 0.0}),
-    "proxqp": Advice(1e3, {"eps_abs": 1e-9, "eps_rel": 0.0}),  # qpsolvers cannot set eps_primal_inf
+    "proxqp": Advice(1e3, {"eps_abs": 1e-9, "eps_rel": 0.0}),
     "scs": Advice(1e3, {"eps_abs": 1e-8, "eps_rel": 0.0}),
 }
 
@@ -91,7 +91,7 @@ _NOISY = set(qpsolvers.sparse_solvers) - set(qpsolvers.dense_solvers)
 
 
 def reasons() -> dict[str, str | None]:
-    """Map each library's name to the reason why the library cannot run here, or to None."""
+    """Map each library to the reason why it cannot run here, or to None."""
     known = {module.name.strip("_") for module in pkgutil.iter_modules(qpsolvers.solvers.__path__)}
     here = set(qpsolvers.available_solvers)
     return {
@@ -131,7 +131,7 @@ class QPSolverSession:
             return no_answer(qp.n, Status.NUMERICAL)
 
     def attempt(self, qp: NullSpaceQP) -> Solution:
-        """Solve one subproblem. Raise what the library raises."""
+        """Like `solve`, but raise what the library raises."""
         P, p, A, b, lift = qp.assembled(self._settings.rows)
         scale, library = self._advice.cost_scale, self._settings.library
         # Pass copies: daqp refuses read-only arrays.
@@ -170,14 +170,10 @@ class QPSolver(SolverSettings):
     """One library behind ``qpsolvers.solve_problem``.
 
     Args:
-        library: name of the library in qpsolvers.
         rows: 6 equality rows (tip and wrist), or 5 independent ones.
         cost_scale: factor of P and p; None: the one in `ADVICE`.
-        options: options of the library, with names from `ALLOWED`. They take precedence over those of `ADVICE`.
+        options: options in `ALLOWED`. They take precedence over `ADVICE`.
         advised: if False, `ADVICE` is ignored.
-
-    Raises:
-        SolverError: a setting is out of range, or (from ``start``) the library refuses an option.
     """
 
     library: str
@@ -206,7 +202,7 @@ class QPSolver(SolverSettings):
         return refuse_semidefinite(qp, needs) if self.library == "quadprog" else None
 
     def start(self, qp: NullSpaceQP) -> Session:
-        """Return a session. Options are tried on ``qp`` first."""
+        """Return a session. Raise a SolverError if the library refuses an option."""
         session = super().start(qp)
         if self.options:
             try:

@@ -69,7 +69,7 @@ class Entry(NamedTuple):
 
 
 def check_solver(given: object, what: str = "") -> Solver:
-    """Return ``given`` if it is a solver, else raise a SolverError."""
+    """Return ``given``. Raise a SolverError if it is no solver."""
     what = what or shown(given, 80)
     if isinstance(given, type):
         raise SolverError(f"{what} is a class, no solver: call it, as in {given.__name__}()")
@@ -87,7 +87,7 @@ def check_solver(given: object, what: str = "") -> Solver:
 
 
 def available() -> dict[str, str | None]:
-    """Map each solver's name to the reason why the solver cannot run here, or to None."""
+    """Map each solver's name to the reason why it cannot run here, or to None."""
     found: dict[str, str | None] = {name: _absent(package) for name, (_, _, package) in BUILT_IN.items()}
     absent = _absent("qpsolvers")
     libraries = {"NAME": absent} if absent else importlib.import_module("moc_opt.solvers.qpsolvers").reasons()

@@ -7,7 +7,7 @@ x descends the Lagrangian L within the bounds, and the multipliers l1 and l2 asc
     eps dl1/dt = k (J_T x - v_T),   eps dl2/dt = k (J_W x - v_W)
 
 `moc_opt/core/rnn.c` makes Euler steps of size h = dt/eps. Here eps is the network's time constant, not the setting
-`eps`. On infeasible problems, the multipliers grow without bound.
+`eps`.
 """
 
 from __future__ import annotations
@@ -87,10 +87,10 @@ class RNNSession:
 
 
 class RNNPrintedSession(RNNSession):
-    """The multipliers of one network, whose x is the measured velocity."""
+    """A network whose x is the measured velocity."""
 
     def observe(self, v: ArrayLike) -> None:
-        """Use the measured joint velocity v (n,) [rad/s] as x at the next tick."""
+        """Use the measured joint velocity v (n,) [rad/s] as x."""
         self._x = np.array(v, dtype=float)
 
     def solve(self, qp: NullSpaceQP) -> Solution:
@@ -103,15 +103,10 @@ class RNN(Network):
     """The network. Its state continues from tick to tick.
 
     Args:
-        steps: limit on the steps per tick.
-        h: step size dt / (the network's time constant), in (0, 1].
-        k: the paper's gain.
+        h: step size, in (0, 1].
         scale: factor of c0, c1, c2 and the regularization. It does not change the optimum.
         method: "explicit" Euler, or "semi-implicit" (the multipliers use the new x).
-        eps: an answer is SOLVED if no entry of the network's right-hand side exceeds eps [rad/s, m/s].
-
-    Raises:
-        SolverError: a setting is out of range, or (from ``start``) the steps would diverge.
+        eps: an answer is SOLVED if no entry of the right-hand side exceeds eps [rad/s, m/s].
     """
 
     steps: int = 10
@@ -133,15 +128,7 @@ class RNN(Network):
 class RNNPrinted(Network):
     """Equation (2) of the paper as printed. The paper's qd is the measured joint velocity v.
 
-    Each tick needs ``session.observe(v)`` first.
-
-    Args:
-        k: the paper's gain.
-        h: step of the multipliers, dt / (the network's time constant).
-        eps: as in `RNN`.
-
-    Raises:
-        SolverError: a setting is out of range, or (from ``start``) the steps would diverge.
+    Each tick needs ``session.observe(v)`` first. ``h`` is the multipliers' step.
     """
 
     k: float = 0.1

@@ -1,7 +1,7 @@
-"""The command of a study reads a configuration, runs the study, and writes and prints the results.
+"""The command of a study.
 
-    class Config(StudyConfig): ...                       # the configuration, read from TOML
-    def work(study: Study, config: Config) -> Found: ... # runs the trials
+    class Config(StudyConfig): ...
+    def work(study: Study, config: Config) -> Found: ...
     def main(arguments=None): return command("robots", "What holds on every arm.", Config, work, arguments)
 
 After an interruption, the same command continues from the finished jobs.
@@ -43,7 +43,7 @@ CONFIGS = Path(__file__).parents[2] / "benchmarks" / "configs"
 
 
 class StudyConfig(Settings):
-    """Base of a study's configuration, which is read from TOML."""
+    """Base of a study's configuration."""
 
     KIND: ClassVar[str] = "configuration:"
     seed: int = Field(0, ge=0, le=2**62)
@@ -130,8 +130,8 @@ def command(
 ) -> int:  # fmt: skip
     """Parse the command line, run the study, write and print its results, and return the exit status.
 
-    ``config`` is read from NAME.toml in ``folder`` (default: benchmarks/configs). ``options`` extends the parser. The
-    exit status is `Found.status`, 2 after an error, or 130 after Ctrl-C or SIGTERM.
+    ``config`` is read from NAME.toml in ``folder`` (default: benchmarks/configs). The exit status is `Found.status`, 2
+    after an error, or 130 after Ctrl-C or SIGTERM.
     """
     parser = ArgumentParser(prog=program or f"python -m benchmarks.{name}", description=about)
     parser.add_argument("config", nargs="?", type=Path, help=f"TOML file with the settings; default: {name}.toml")
@@ -192,7 +192,7 @@ def leave(found: Found, study: Study, config: StudyConfig, argv: Sequence[str]) 
 
 
 def environment(config: Mapping[str, Any], seed: int, argv: Sequence[str] = ()) -> dict[str, Any]:
-    """Return the machine, versions, commit, seed and configuration."""
+    """Return the content of environment.json."""
     cpu = Path("/proc/cpuinfo")
     model = re.search(r"model name\s*: (.*)", cpu.read_text()) if cpu.exists() else None
     return {

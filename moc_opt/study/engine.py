@@ -1,4 +1,4 @@
-"""Run jobs in other processes, on this machine (library pebble) or on a Dask scheduler's workers.
+"""Run jobs in other processes, on this machine or on a Dask scheduler's workers.
 
     results = run([Job(trial, (scenario, "osqp", seed)) for seed in range(60)], kept=Kept(out / "jobs"))
 
@@ -31,12 +31,12 @@ from pebble import ProcessExpired, ProcessPool
 from moc_opt.errors import MocOptError, StudyError, describe
 from moc_opt.study.kept import Kept, digest_of, key_of, loaded_sources
 
-CONNECT_S = 30.0  # largest time to find the Dask scheduler or a worker [s]
-LOOK_S = 1.0  # time between two checks of whether processes have died [s]
-ATTEMPTS = 3  # a job is submitted at most this often if the pool of workers breaks
+CONNECT_S = 30.0
+LOOK_S = 1.0  # time between checks of whether processes have died [s]
+ATTEMPTS = 3  # submissions of a job if the pool breaks
 PID_FILE = ".pid"  # ending of the file with a worker's process id
 WAIT_FACTOR = 5.0
-PR_SET_PDEATHSIG = 1  # option of Linux's prctl: signal at the death of the parent
+PR_SET_PDEATHSIG = 1  # of Linux's prctl: signal at the parent's death
 PRELOAD = ("moc_opt.scenario", "moc_opt.study.trials", "moc_opt.study.solver_answers")
 
 _parts: IO[bytes] | None = None  # in a worker: the file that `report` writes to
@@ -77,18 +77,16 @@ def run(
     done: Callable[[Job, Any], None] = lambda job, result: None, keep: Callable[[Any], bool] = lambda result: True,
     give_up: int = 1,
 ) -> list[Any]:  # fmt: skip
-    """Run all jobs, and return their results in order. The result of a failed job is a `Failed`.
+    """Run jobs, and return their results in order. The result of a failed job is a `Failed`.
 
     Args:
-        kept: store of results. A stored job is not run again.
+        kept: results of finished jobs, which are not run again.
         workers: processes on this machine; None: one per core.
         dask: address of a Dask scheduler, such as "tcp://host:8786", for the jobs without ``alone``.
-        done: called with each job and its result.
-        keep: called with a result; returns whether to store it.
-        give_up: number of hangs or crashes after which the rest of a group is skipped.
+        keep: whether to store a result.
 
     Raises:
-        StudyError: ``workers`` is below 1, no worker stays alive, no scheduler answers, or results cannot be stored.
+        StudyError: no worker stays alive, no scheduler answers, or results cannot be stored.
     """
     if workers is not None and workers < 1:
         raise StudyError(f"workers = {workers}: give 1 or more, or None for one per core")
@@ -207,7 +205,7 @@ def _answer(future: Answer, job: Job) -> _Done | Failed:
         raise StudyError("the connection to the scheduler and the running jobs are lost; start again") from error
     except OSError as error:
         raise StudyError(f"no worker can be reached: {describe(error)}") from error
-    except Exception as error:  # noqa: BLE001 - a job that cannot be sent, or a cluster's error for a dead worker
+    except Exception as error:  # noqa: BLE001 - also a cluster's error for a dead worker
         if type(error).__name__ == "KilledWorker":
             return Failed("crashed", f"the worker died, or the job took more than {job.limit_s:g} s")
         return Failed("raised", describe(error))
@@ -217,7 +215,7 @@ def _do(work: Callable[..., Any], arguments: tuple[Any, ...], parts: str | None 
     global _parts
     if parts is not None:
         Path(f"{parts}{PID_FILE}").write_text(str(os.getpid()))
-        _parts = open(parts, "wb", buffering=0)  # noqa: SIM115 - the file stays open while the job runs
+        _parts = open(parts, "wb", buffering=0)  # noqa: SIM115 - closed below
     try:
         result = pickle.dumps(work(*arguments))
     except BaseException as error:  # noqa: BLE001 - a user's code may raise anything
@@ -237,7 +235,7 @@ def _do(work: Callable[..., Any], arguments: tuple[Any, ...], parts: str | None 
 
 @contextmanager
 def _processes(count: int) -> Iterator[tuple[Submit, int]]:
-    """Start ``count`` workers. Leaving the context ends them and their children."""
+    """Start workers. Leaving the context ends them and their children."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([*PRELOAD, "__main__"])
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // (count + 1)
@@ -312,12 +310,9 @@ def _reported(file: str | None) -> tuple[Any, ...]:
 
 
 def alarm(seconds: float) -> None:
-    """Let the kernel end this job's process after ``seconds`` of processor time. With 0, cancel the alarm.
-
-    A waiting process is ended after `WAIT_FACTOR` * ``seconds`` of wall time.
-    """
+    """Let the kernel end this process after ``seconds`` of processor time. With 0, cancel the alarm."""
     signal.setitimer(signal.ITIMER_PROF, seconds)
-    signal.setitimer(signal.ITIMER_REAL, WAIT_FACTOR * seconds)
+    signal.setitimer(signal.ITIMER_REAL, WAIT_FACTOR * seconds)  # for a waiting process
 
 
 # --- workers of a cluster ---

@@ -1,6 +1,6 @@
 """A store of finished jobs, from which a stopped study continues.
 
-A result is reused if the job, the packages' versions, the robots' files and the imported sources are unchanged.
+A result is reused if job, packages, robots' files and imported sources are unchanged.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Kept:
         """Return (result,), or None if there is no valid result."""
         try:
             entry = self._cache.get(key)
-        except Exception as error:  # noqa: BLE001 - the entry is damaged, or was pickled by other code
+        except Exception as error:  # noqa: BLE001 - unpickling may raise anything
             print(f"{self.folder}: a finished job cannot be read ({error}) and is run again", file=sys.stderr)
             return None
         if not isinstance(entry, _Entry) or digest_of(entry.sources) != entry.digest:
@@ -73,7 +73,7 @@ class Kept:
 
 def key_of(work: Callable[..., Any], arguments: Iterable[Any]) -> str:
     """Return the digest of a job."""
-    code = getattr(work, "__code__", None)  # on a cluster, `loaded_sources` can lack the file that defines `work`
+    code = getattr(work, "__code__", None)  # a cluster's `loaded_sources` can lack its file
     own = "" if code is None else _file_digest(code.co_filename)
     asked = [work.__module__, work.__qualname__, own, _plain(list(arguments)), versions()]
     return hashlib.sha256(to_json(asked, indent=None, sort_keys=True).encode()).hexdigest()

@@ -20,7 +20,7 @@ ERRORS = (
     "rcm_error_model_mean_mm", "rcm_error_registered_mean_mm", "rcm_error_mean_mm",
 )  # fmt: skip
 PHASES = ("settled", "travelling")
-"""Prefixes of metrics. "travelling": while the elbow moves to its optimum; "settled": after its arrival."""
+"""Prefixes of metrics. "travelling": the elbow moves to its optimum; "settled": after its arrival."""
 TITLES = {
     name: f"{part}, {frame}"
     for name, (part, frame) in zip(ERRORS, product(("tip", "RCM"), ("model", "registered", "base")), strict=True)
@@ -94,7 +94,7 @@ class Results:
         return [mine[trial] * ticks[trial] for trial in both], [theirs[trial] * ticks[trial] for trial in both]
 
     def change(self, metric: str, controller: str, baseline: str = BASELINE) -> Change | None:
-        """Return the change against the baseline [percent], or None if there is none."""
+        """Return the change against the baseline [percent], or None without common trials."""
         try:
             return relative_changes(*self.pairs(metric, controller, baseline))
         except StatisticsError:

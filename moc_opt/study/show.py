@@ -1,4 +1,4 @@
-"""The `Report` of a study, as a page, as Markdown and on a terminal."""
+"""The report of a study."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class Report:
         return page
 
     def markdown(self) -> str:
-        """Return the sentences and tables as Markdown."""
+        """Return the report as Markdown."""
         parts = [f"# {self.title}", *self.answer, _markdown(self.table), self.load]
         for section in self.sections:
             parts += [f"## {section.title}", section.text]
@@ -117,10 +117,7 @@ def _markdown(table: Table) -> str:
 
 
 def columns(*metrics: str, of: str = "", **titles: str) -> list[Column]:
-    """Return a table column for each metric or change of a metric.
-
-    Values link to section ``of``. ``titles`` gives headings by metric.
-    """
+    """Return a table column for each metric or change. ``of``: section to link to; ``titles``: headings by metric."""
     found = []
     for name in metrics:
         bare = name.removeprefix("settled_").removeprefix("travelling_")

@@ -1,7 +1,4 @@
-"""Collect solvers' answers to sets of problems, check and count them, and measure times.
-
-The residuals of an answer decide whether it is right, whatever the solver reports.
-"""
+"""Collect solvers' answers to sets of problems, check and count them, and measure times."""
 
 from __future__ import annotations
 
@@ -26,20 +23,20 @@ from moc_opt.study.solver_settings import SolverSetting
 from moc_opt.study.testsets import TestSet
 from moc_opt.study.timing import each_us, percentiles, total
 
-Runner = Callable[..., list[Any]]  # `moc_opt.study.run` with some arguments bound
+Runner = Callable[..., list[Any]]  # `engine.run` with bound arguments
 
 HUNG, CRASHED, RAISED, NOT_ASKED, REFUSED = "hung", "crashed", "raised", "not asked", "refused"
-"""Statuses of an answer in addition to those of `Status`."""
-BROKEN_SETS = 3  # after hangs or crashes in this many sets, a solver's later sets are skipped
-WHOLE_SET_S = 1e5  # time limit of a whole set [s]
+"""Further statuses of an answer."""
+BROKEN_SETS = 3  # after hangs or crashes in so many sets, a solver's later sets are skipped
+WHOLE_SET_S = 1e5
 WARM_UP = 16  # untimed solves at the start
-CONTRADICTION = 1e-13  # six rows A x = b contradict each other if a consistent b differs by more than this [m/s]
+CONTRADICTION = 1e-13  # six rows are consistent if b is so close to a consistent b [m/s]
 RIGHTLY = 0.99  # least `share_right` for a best time in a table, and for a better verdict than "gaps"
 RESIDUALS = ("primal", "natural", "natural_best", "relative", "loss")
 
 
 class Limits(Settings):
-    """How much is measured, and how long a solve and a setup may take."""
+    """Limits of the measurements."""
 
     KIND: ClassVar[str] = "[testsets]"
     rounds: int = Field(8, ge=1, description="warm passes through a set; fewer if they take more than `seconds`")
@@ -65,7 +62,7 @@ class Answer(NamedTuple):
 class Answers:
     """One solver's answers to one set of problems, with their residuals.
 
-    ``refused`` says why the solver does not accept the problems. ``events`` lists exceptions, hangs and crashes.
+    ``refused`` says why the solver refuses the problems. ``events`` lists exceptions, hangs and crashes.
     """
 
     def __init__(self, setting: SolverSetting, problems: TestSet, result: list[Any] | Failed) -> None:
@@ -112,7 +109,7 @@ class Answers:
         return {"solves": len(status), **{name: int(flags.sum()) for name, flags in found.items()}, **broken}
 
     def summary(self, times: Times | None = None) -> dict[str, Any]:
-        """Return counts, largest residuals, times and the first fault, for summary.json."""
+        """Return the entries for summary.json."""
         found: dict[str, Any] = dict(self.counts())
         answered = self.problems.feasible & np.isfinite(self.x).all(axis=1)
         for name in RESIDUALS:
@@ -143,7 +140,7 @@ def share_right(counts: Mapping[str, Any]) -> float:
 
 
 def totals(answers: Sequence[Answers], times: Sequence[Times]) -> dict[str, Any]:
-    """Return one solver's total counts, and its largest residuals and times over the sets."""
+    """Return one solver's total counts, and largest residuals and times."""
     rows, figures = [one.summary() for one in answers], [one.figures() for one in times]
     found: dict[str, Any] = {name: sum(row[name] for row in rows) for name in answers[0].counts()}
     for name in (f"{residual}_max" for residual in RESIDUALS):
@@ -237,14 +234,14 @@ def _asked(session: Session, qp: NullSpaceQP) -> tuple[Solution, str]:
 class Times(NamedTuple):
     """Times of one solver on one set [us]."""
 
-    solve: Array  #: (rounds, k) times of warm solves in one session
-    setup: Array  #: times of starting sessions
-    cold: Array  #: times of the first solve of each session
-    update: Array  #: times of `update`, which only loads a problem into the library; empty if the session has none
+    solve: Array  #: (rounds, k) warm solves in one session
+    setup: Array  #: starts of sessions
+    cold: Array  #: first solves of sessions
+    update: Array  #: calls of `update`; empty if the session has none
     load: Mapping[str, float]  #: see `timing.COUNTED`
 
     def figures(self) -> dict[str, Any]:
-        """Return percentiles of the times, the number of solves, and the machine's load."""
+        """Return the entries for summary.json."""
         found: dict[str, Any] = {"timed_solves": int(self.solve.size), **self.load}
         for name in ("solve", "cold", "setup", "update"):
             found |= percentiles(getattr(self, name).ravel(), name)
@@ -252,7 +249,7 @@ class Times(NamedTuple):
 
 
 def time(run: Runner, answers: Sequence[Answers], limits: Limits) -> list[Times | None]:
-    """Time each solver on its problems. An entry is None if a problem was not answered, or if the timing failed."""
+    """Time each solver on its problems. None: a problem was not answered, or the timing failed."""
     limit = 20.0 * limits.seconds + limits.patience_s + limits.setup_s
     whole = [one for one in answers if one.complete]
     jobs = [
@@ -265,7 +262,7 @@ def time(run: Runner, answers: Sequence[Answers], limits: Limits) -> list[Times 
 
 
 def measure(setting: SolverSetting, rows: Array, every: int, rounds: int, seconds: float) -> Times:
-    """Time one session on all problems, and new sessions on every ``every``-th problem."""
+    """Time one session on all problems, and a new session on every ``every``-th problem."""
     solver, problems = _made(setting), _problems(rows)
     session = solver.start(problems[0])
     each_us(session.solve, problems[:WARM_UP])

@@ -68,7 +68,7 @@ COUNTED = (
 
 
 def answers_table(title: str, part: Mapping[str, Mapping[str, Any]], suffix: str = "", *more: Column) -> Table:
-    """Make the table of an open-loop part. ``suffix`` is appended to the keys of `TIMES`."""
+    """Make the table of an open-loop part."""
     rows = []
     for name, row in part.items():
         share = share_right(row) if "right" in row else None
@@ -183,7 +183,7 @@ def _set_by_set(summary: Mapping[str, Any], names: Sequence[str], recommended: S
 
 
 def closed_loop(work: Work) -> None:
-    """Run the controller without a solver (the baseline) and with each solver."""
+    """Run the baseline and the solvers."""
     part = work.config.closed_loop
     cases = work.config.cases()
     number = {case.name: k for k, case in enumerate(cases)}
@@ -215,10 +215,7 @@ def closed_loop(work: Work) -> None:
 def figures(
     rows: Results, controller: str, runs: Sequence[Run] = (), common: Container[str] | None = None
 ) -> dict[str, Any]:
-    """Return a controller's means and changes over its completed runs, and sums and maxima over all its runs.
-
-    Counts named "_in_common" are over the trials in ``common`` (None: all).
-    """
+    """Return a controller's entries for summary.json. Keys with "_in_common": over the trials in ``common``."""
     found = rows.figures(controller, MEANS, CHANGES)
     mine = [row for row in rows if row["controller"] == controller]
     judged = [row for row in mine if common is None or row["trial"] in common]

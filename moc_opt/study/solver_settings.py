@@ -1,4 +1,4 @@
-"""The settings under which each solver is studied (solver-settings.toml), and the reasons for them."""
+"""The settings under which each solver is studied, from solver-settings.toml."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class SolverSetting:
 
     @property
     def six_rows(self) -> bool:
-        """Whether the solver gets six equality rows, which can contradict each other."""
+        """Whether the solver gets six equality rows."""
         return self.solver == "exact" or self.options.get("rows") == 6
 
 

@@ -28,14 +28,14 @@ GAPS, NEAR = Mark("◐", "gaps", "fair", 2), Mark("≈", "near", "fair", 3)
 OTHER, OPEN = Mark("≠", "other", "other", 4), Mark("–", "open", "other", 5)
 AVOID = Mark("✘", "avoid", "bad", 6)
 TONES = {TAKE: GOOD, SOUND: GOOD, GAPS: list(SERIES)[4], NEAR: list(SERIES)[4], OTHER: MUTED, OPEN: BAD, AVOID: WORST}
-TOO_MUCH = 5.0  # a solver with a sure loss of more than this many tolerances gets the verdict AVOID
+TOO_MUCH = 5.0  # a larger sure loss means the verdict AVOID [tolerances]
 COSTS = {
     "mu_mean": ("mu", 0.01),
     "tip_error_model_mean_mm": ("tip", 0.05), "tip_error_registered_mean_mm": ("registered tip", 0.05),
     "rcm_error_model_mean_mm": ("RCM", 0.05), "rcm_error_registered_mean_mm": ("registered RCM", 0.05),
     "torque_rate_rms_Nm_per_s": ("chatter", 0.1),
 }  # fmt: skip
-"""Short name of each mean, and its tolerance: the share by which the mean may be worse at no cost."""
+"""Short name of each mean, and its tolerance as a share."""
 FRAMED = tuple(name for name in COSTS if "_error_" in name)
 CERTIFIED, RECORDED, CLOSED = "Certified test sets", "Recorded sequence", "Closed loop"
 INCONSISTENT = (
@@ -72,7 +72,7 @@ def assess(summary: Summary, runs: Results) -> list[Row]:
 
 
 def verdict(row: Row, damage: float = 0.0) -> Mark:
-    """Return the first verdict whose rule holds. ``damage`` is the worst sure loss in closed loop, in tolerances."""
+    """Return the verdict. ``damage`` is the worst sure loss in closed loop, in tolerances."""
     counted = row["counted"]
     broken = counted.get("hung", 0) + counted.get("crashed", 0) + sum(_ended(row["closed"]).values())
     rules = {
@@ -140,7 +140,7 @@ def _size(metric: str, change: Change) -> tuple[float, float]:
 
 
 def sentences(summary: Summary, rows: Sequence[Row]) -> list[str]:
-    """Say which solver to use and why, which others are sound, and which to avoid."""
+    """Say which solvers to use and to avoid."""
     if not rows:
         return ["Nothing was run."]
     best, sound = rows[0], [row for row in rows if row["verdict"] is SOUND]
@@ -293,7 +293,7 @@ def _tip_in_both_frames(runs: Results, solver: str) -> str | None:
 
 
 def pictures(summary: Summary, rows: Sequence[Row], deadline_us: float) -> list[Picture]:
-    """Draw accuracy against time, the effect in closed loop, and the times of ticks."""
+    """Draw the pictures of the first screen."""
     found = list[Picture]()
     points = {
         row["solver"]: (row["p50_us"], max(row["relative_max"], FLOOR)) for row in rows

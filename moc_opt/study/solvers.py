@@ -40,7 +40,7 @@ TIMED = ("open_loop_warm", "testsets", "closed_loop")
 
 
 class OpenLoop(Settings):
-    """Settings of the recorded sequence: the subproblems of successive ticks of one run."""
+    """Settings of the recorded sequence."""
 
     KIND: ClassVar[str] = "[open_loop]"
     task: str = "circle"

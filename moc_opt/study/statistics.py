@@ -1,7 +1,7 @@
 """Means and changes over independent trials, with bootstrap confidence intervals.
 
-Intervals are scipy's BCa bootstrap (Efron 1987), expanded for few samples (Hesterberg 2015; see docs/method.md). They
-are widened until they contain Student's t interval with the jackknife's standard error.
+Intervals are scipy's BCa bootstrap (Efron 1987), expanded for few samples (Hesterberg 2015), and widened to contain
+Student's t interval with the jackknife's standard error.
 """
 
 from __future__ import annotations
@@ -20,10 +20,9 @@ from moc_opt.errors import MocOptError
 RESAMPLES = 4000
 CONFIDENCE = 0.95
 NOMINAL = 0.7
-"""Bootstrap intervals miss the true value more often than with the rate 1 - `CONFIDENCE`. So they are computed for
-`NOMINAL` times this rate."""
+"""Bootstrap intervals miss the true value too often. So they are computed for `NOMINAL` times the allowed rate."""
 ROUNDING = 1e-9  # smaller changes count as zero [percent]
-LEAST_TRIALS = 8  # with fewer trials, a change is called neither a gain nor a loss
+LEAST_TRIALS = 8  # with fewer trials, a change is neither gain nor loss
 
 
 def too_few(trials: int) -> str | None:
@@ -70,7 +69,7 @@ class Change(NamedTuple):
 
     @property
     def undecided(self) -> bool:
-        """Whether the two values differ in sign, or only one of the two intervals contains 0."""
+        """Whether the two values differ in sign, or only one interval contains 0."""
         sides = [(one.low > ROUNDING, one.high < -ROUNDING) for one in self]
         values = self.ratio.value, self.ratios.value
         opposed = min(values) < -ROUNDING and max(values) > ROUNDING
@@ -114,12 +113,12 @@ def share(found: int, trials: int) -> Interval:
 
 
 def mean(samples: ArrayLike) -> Interval:
-    """Return the mean of (k,) numbers. Raise a StatisticsError if k = 0 or a number is not finite."""
+    """Return the mean. Raise a StatisticsError if ``samples`` (k,) is empty or not finite."""
     return _interval(np.mean, samples=samples)
 
 
 def relative_change(treated: ArrayLike, control: ArrayLike) -> Interval:
-    """Compute 100 (mean(treated)/mean(control) - 1) [percent] from two arrays (k,) of the same k trials.
+    """Compute 100 (mean(treated)/mean(control) - 1) [percent] from arrays (k,) of the same trials.
 
     Raises:
         StatisticsError: the arrays are not usable, or ``control`` has mean 0.
@@ -138,7 +137,7 @@ def relative_changes(treated: ArrayLike, control: ArrayLike) -> Change:
 def difference_of_changes(
     treated: ArrayLike, control: ArrayLike, treated_before: ArrayLike, control_before: ArrayLike
 ) -> Interval:
-    """Return the `relative_change` minus that before [percentage points]."""
+    """Return the `relative_change` minus that of the "before" samples [percentage points]."""
     before = {"treated_before": treated_before, "control_before": control_before}
     return _interval(_difference, treated=treated, control=control, **before)
 
@@ -172,7 +171,7 @@ def _interval(statistic: Callable[..., Any], **given: ArrayLike) -> Interval:
     expanded = float(2.0 * stats.norm.cdf(np.sqrt(count / (count - 1)) * quantile) - 1.0)
     half = quantile * _standard_error(statistic, samples)
     for method in ("BCa", "percentile"):
-        # If all resamples agree, BCa has no value, and the percentile method is used.
+        # If all resamples agree, BCa has no value.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             found = stats.bootstrap(

@@ -1,7 +1,4 @@
-"""Test sets of the subproblem with certified answers. ``benchmarks/testsets.py`` makes these sets.
-
-A set is an .npz: ``rows`` (k, 11 n + 10; see `NullSpaceQP.row`), ``x`` (k, n; NaN if infeasible), ``feasible`` (k,).
-"""
+"""Test sets of the subproblem with certified answers. ``benchmarks/testsets.py`` makes these sets."""
 
 from __future__ import annotations
 
@@ -30,7 +27,7 @@ ARGUMENTS = (
 
 
 class CertificateError(MocOptError, ArithmeticError):
-    """An answer cannot be certified, or a test set is missing or incomplete."""
+    """An answer cannot be certified, or a test set is not usable."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +37,8 @@ class TestSet:
     __test__ = False  # for pytest
 
     name: str
-    rows: Array
-    x: Array
+    rows: Array  #: (k, 11 n + 10), see `NullSpaceQP.row`
+    x: Array  #: (k, n), NaN if infeasible
     feasible: NDArray[np.bool_]
 
     def problems(self) -> list[NullSpaceQP]:
@@ -50,13 +47,13 @@ class TestSet:
 
     @cached_property
     def judged(self) -> Array:
-        """The problems (k, 11 n + 10) by which answers are judged: `straightened` ones."""
+        """The problems (k, 11 n + 10) by which answers are judged."""
         return np.array([straightened(qp).row for qp in self.problems()])
 
     def thinned(self, every: int) -> TestSet:
         """Return a set of every ``every``-th problem."""
         found = TestSet(self.name, self.rows[::every], self.x[::every], self.feasible[::every])
-        vars(found)["judged"] = self.judged[::every]
+        vars(found)["judged"] = self.judged[::every]  # fills the cached property
         return found
 
     def to_bytes(self) -> bytes:
@@ -93,7 +90,7 @@ def straightened(qp: NullSpaceQP) -> NullSpaceQP:
 
 
 def changed(qp: NullSpaceQP, **values: Any) -> NullSpaceQP:
-    """Return the subproblem with some constructor arguments replaced."""
+    """Return the subproblem with some arguments replaced."""
     return NullSpaceQP(**{name: getattr(qp, name) for name in ARGUMENTS} | values)
 
 

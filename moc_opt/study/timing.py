@@ -50,7 +50,7 @@ def quiet(row: Row) -> bool:
 
 
 def load(rows: Iterable[Row]) -> str:
-    """Describe the machine's load while times were measured. Return "" if no row has times."""
+    """Describe the machine's load. Return "" if no row has times."""
     timed = [row for row in rows if row.get("times_calls")]
     if not timed:
         return ""
@@ -90,7 +90,7 @@ def each_us(
             begin = perf_counter_ns()
             result = call(item)
             times.append(perf_counter_ns() - begin)
-            if results is not None:  # because keeping results lengthens the slowest calls
+            if results is not None:  # keeping results lengthens the slowest calls
                 results.append(result)
         if seen is not None:
             seen.append(since(before, len(times)))

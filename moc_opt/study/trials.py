@@ -35,9 +35,9 @@ CURVES = (
     "rcm_error_registered_m", "rcm_error_m", "trocar_force_N", "solve_us", "tick_us",
 )  # fmt: skip
 CLOCKS = ("solve_", "tick_", "deadline_")
-LOOK_TICKS = 100  # ticks between two readings of the machine's load
+LOOK_TICKS = 100  # ticks between readings of the load
 PATIENCE_S, PER_S, LONGEST_S = 30.0, 30.0, 60.0
-"""A run may take `PATIENCE_S`, plus `PER_S` for each of the first `LONGEST_S` simulated seconds."""
+"""Time limit: `PATIENCE_S`, plus `PER_S` for each of the first `LONGEST_S` simulated seconds."""
 
 
 def seeds(seed: int, stream: int, count: int) -> list[int]:
@@ -49,7 +49,7 @@ def seeds(seed: int, stream: int, count: int) -> list[int]:
 def trials(base: Scenario, tasks: Sequence[str], own_seeds: Sequence[int], *, virtual: bool = False) -> list[Scenario]:
     """Make one scenario per seed, with the tasks in turn and a random swivel.
 
-    With ``virtual``, path and trocar's depth are those of the paper's virtual task.
+    With ``virtual``, the tasks are the paper's virtual ones.
     """
     found = []
     for k, seed in enumerate(own_seeds):
@@ -70,7 +70,7 @@ def placed(trial: Scenario) -> Scenario:
 
 
 def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None = None) -> Scenario:
-    """Return the trial under one of `BASELINES`, or under MOC with a solver."""
+    """Return the trial under one of `BASELINES`, or with a solver."""
     control = trial.control
     if controller == BASELINE and control.law == "dcac":
         return trial
@@ -92,7 +92,7 @@ class Trial:
 
     case: Scenario
     controller: str  #: one of `BASELINES`, or the name of a solver
-    settings: Mapping[str, Any] = field(default_factory=dict)  #: of the solver
+    settings: Mapping[str, Any] = field(default_factory=dict)  #: the solver's
     tags: Mapping[str, Any] = field(default_factory=dict)  #: further columns of the row
     timed: bool = False  #: whether the trial runs alone and is timed
     keep: Literal["row", "curves"] = "row"  #: "curves": also keep the columns in `CURVES`
@@ -121,7 +121,6 @@ class Run:
     """The result of a trial.
 
     Its row has the columns of `Trial.about`, ``ended``, ``whole`` (completed), ``error``, ``raised`` and every metric.
-    ``raised`` tells of the solver's exceptions or, without any, of malformed answers.
     """
 
     row: Mapping[str, Any]
@@ -191,5 +190,5 @@ def _columns(asked: Trial, trace: Trace) -> dict[str, Array]:
 
 
 def outcome(asked: Trial, result: Run | Failed) -> Run:
-    """Return the run, or a failed one if the process hung or died."""
+    """Return the run, or a failed one."""
     return asked.failed(str(result)) if isinstance(result, Failed) else result
