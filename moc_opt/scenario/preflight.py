@@ -121,7 +121,7 @@ def _require_fit(robot: RobotModel, q: Array, margins: Array, where: str = "") -
 def check_reachable(
     robot: RobotModel, q_start: ArrayLike, reference: Reference, trocar: Trocar, until_s: float = np.inf
 ) -> Array:
-    """Return poses (k, n) that follow the reference up to the time ``until_s`` [s].
+    """Return poses (k, n) with the tip on the reference and the shaft through the trocar, until ``until_s`` [s].
 
     The reference must start at the tip of ``q_start`` (n,). Two starts are tried: ``q_start``, and the pose of its
     self-motion that is farthest from the joint limits.
