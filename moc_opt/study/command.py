@@ -161,7 +161,7 @@ def command(
 
 
 def check_folder(out: Path) -> None:
-    """Raise a StudyError if the folder has files that no study has written."""
+    """Raise a StudyError if the folder has files named as in `FILES`, but no environment.json written by a study."""
     there = [name for name in FILES if (out / name).exists()]
     if there and not (there[0] == FILES[0] and b'"study":' in (out / FILES[0]).read_bytes()):
         raise StudyError(f"{out} has files that no study has written ({', '.join(there)}): give another --out")
