@@ -37,7 +37,7 @@ from moc_opt.study.results import Results
 from moc_opt.study.show import Report
 from moc_opt.study.trials import Run, Trial, outcome, placed
 
-WRONG, INTERRUPTED = 2, 130
+WRONG, INTERRUPTED = 2, 130  # exit status after an error, and after Ctrl-C
 FILES = ("environment.json", "summary.json", "rows.parquet", "report.html", "report.md")
 CONFIGS = Path(__file__).parents[2] / "benchmarks" / "configs"
 
@@ -82,7 +82,7 @@ class Study:
     """Runs the jobs of a study."""
 
     name: str
-    out: Path
+    out: Path  #: folder of the results
     given: Namespace  #: the parsed command line
     processes: int | None = None  #: number of parallel jobs; None: one per core
 
@@ -130,8 +130,8 @@ def command(
 ) -> int:  # fmt: skip
     """Parse the command line, run the study, write and print its results, and return the exit status.
 
-    ``config`` is read from NAME.toml in ``folder`` (default: benchmarks/configs). The exit status is `Found.status`, 2
-    after an error, or 130 after Ctrl-C or SIGTERM.
+    ``config`` is read from NAME.toml in ``folder`` (default: benchmarks/configs). ``options`` can extend the parser.
+    The exit status is `Found.status`, 2 after an error, or 130 after Ctrl-C or SIGTERM.
     """
     parser = ArgumentParser(prog=program or f"python -m benchmarks.{name}", description=about)
     parser.add_argument("config", nargs="?", type=Path, help=f"TOML file with the settings; default: {name}.toml")
@@ -211,7 +211,7 @@ def environment(config: Mapping[str, Any], seed: int, argv: Sequence[str] = ()) 
 def choose(wanted: Literal["all"] | Sequence[str], *beside: str) -> tuple[list[str], dict[str, str]]:
     """Return the wanted solvers that can run here, and the reasons why the others cannot.
 
-    ``beside`` are further accepted names.
+    ``beside`` are further accepted names, such as those of controllers without a solver.
     """
     found: dict[str, str | None] = {**dict.fromkeys(beside), **available()}
     names = list(found) if wanted == "all" else list(wanted)

@@ -31,12 +31,12 @@ from pebble import ProcessExpired, ProcessPool
 from moc_opt.errors import MocOptError, StudyError, describe
 from moc_opt.study.kept import Kept, digest_of, key_of, loaded_sources
 
-CONNECT_S = 30.0
+CONNECT_S = 30.0  # largest time to connect to the Dask scheduler, and to find a worker there [s]
 LOOK_S = 1.0  # time between checks of whether processes have died [s]
-ATTEMPTS = 3  # submissions of a job if the pool breaks
+ATTEMPTS = 3  # a job is submitted at most this often if the pool of workers breaks
 PID_FILE = ".pid"  # ending of the file with a worker's process id
 WAIT_FACTOR = 5.0
-PR_SET_PDEATHSIG = 1  # of Linux's prctl: signal at the parent's death
+PR_SET_PDEATHSIG = 1  # option of Linux's prctl: the signal that a process gets when its parent dies
 PRELOAD = ("moc_opt.scenario", "moc_opt.study.trials", "moc_opt.study.solver_answers")
 
 _parts: IO[bytes] | None = None  # in a worker: the file that `report` writes to
@@ -49,8 +49,9 @@ class Job:
     work: Callable[..., Any]
     arguments: tuple[Any, ...] = ()
     limit_s: float = 600.0
-    alone: bool = False  #: no other job runs at the same time
-    group: str = ""  #: after ``give_up`` hangs or crashes in a group, `run` skips its later jobs. "": none is skipped
+    alone: bool = False  #: for a job that measures times: no other job runs meanwhile
+    group: str = ""
+    """After ``give_up`` hangs or crashes (see `run`) in a group, its later jobs are skipped. "": never skipped."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,8 @@ class Failed:
 
 @dataclass(frozen=True)
 class _Done:
+    """A pickled result, the worker's imported source files, and their digest."""
+
     packed: bytes
     sources: tuple[str, ...]
     digest: str
@@ -83,10 +86,12 @@ def run(
         kept: results of finished jobs, which are not run again.
         workers: processes on this machine; None: one per core.
         dask: address of a Dask scheduler, such as "tcp://host:8786", for the jobs without ``alone``.
-        keep: whether to store a result.
+        done: called with each job and its result.
+        keep: called with a result; returns whether to store it.
+        give_up: number of hangs or crashes after which a group's later jobs are skipped.
 
     Raises:
-        StudyError: no worker stays alive, no scheduler answers, or results cannot be stored.
+        StudyError: ``workers`` is below 1, no worker stays alive, no scheduler answers, or results cannot be stored.
     """
     if workers is not None and workers < 1:
         raise StudyError(f"workers = {workers}: give 1 or more, or None for one per core")
@@ -123,7 +128,7 @@ def run(
                     kept.put(keys[k], result, answer.sources)
                 finish(k, result)
     gone, answers = Counter[str](), list[Any]()
-    # Later jobs of a given-up group may have run. They are dropped: the list must not depend on timing.
+    # Later jobs of a given-up group may have run. Their results are dropped: the list must not depend on timing.
     for k, job in enumerate(jobs):
         answers.append(_not_begun(job.group) if job.group and gone[job.group] >= give_up else results[k])
         gone[job.group] += _broke(answers[-1])
@@ -145,6 +150,7 @@ Submit = Callable[[Job], Answer]
 def _answers(
     jobs: Sequence[Job], waiting: Sequence[int], submit: Submit, slots: int, broken: Counter[str], give_up: int
 ) -> Iterator[tuple[int, _Done | Failed]]:
+    """Yield (index, answer) as answers come. At most two jobs per worker are submitted at a time."""
     left, flying = list(reversed(waiting)), dict[Answer, int]()
     gone, again = set[Answer](), Counter[int]()
     while left or flying:
@@ -238,7 +244,7 @@ def _processes(count: int) -> Iterator[tuple[Submit, int]]:
     """Start workers. Leaving the context ends them and their children."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([*PRELOAD, "__main__"])
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // (count + 1)
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // (count + 1)  # this process needs memory, too
     with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder:
         for name in ("groups", "parts"):
             Path(folder, name).mkdir()
@@ -288,7 +294,7 @@ def _begin(folder: str, memory: int) -> None:
     for number in (signal.SIGALRM, signal.SIGPROF):
         signal.signal(number, signal.SIG_DFL)
     os.setpgrp()
-    with suppress(FileNotFoundError):  # the study may have ended
+    with suppress(FileNotFoundError):  # the study may have ended and removed the folder
         Path(folder, "groups", str(os.getpid())).touch()
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
@@ -310,9 +316,12 @@ def _reported(file: str | None) -> tuple[Any, ...]:
 
 
 def alarm(seconds: float) -> None:
-    """Let the kernel end this process after ``seconds`` of processor time. With 0, cancel the alarm."""
+    """Let the kernel end this process after ``seconds`` of processor time. With 0, cancel the alarm.
+
+    A waiting process uses no processor time. So it is also ended after `WAIT_FACTOR` * ``seconds`` of wall time.
+    """
     signal.setitimer(signal.ITIMER_PROF, seconds)
-    signal.setitimer(signal.ITIMER_REAL, WAIT_FACTOR * seconds)  # for a waiting process
+    signal.setitimer(signal.ITIMER_REAL, WAIT_FACTOR * seconds)
 
 
 # --- workers of a cluster ---

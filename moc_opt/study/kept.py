@@ -1,6 +1,6 @@
 """A store of finished jobs, from which a stopped study continues.
 
-A result is reused if job, packages, robots' files and imported sources are unchanged.
+A result is reused if the job, the packages' versions, the robots' files and the imported sources are unchanged.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ PACKAGES = (
     "moc-opt", "numpy", "scipy", "pin", "mujoco", "casadi", "osqp", "proxsuite", "qpsolvers", "daqp", "piqp",
     "quadprog", "clarabel", "scs", "highspy", "polars", "pydantic", "tsid", "pin-pink", "mink",
 )  # fmt: skip
-SHOWS = ("report", "figures", "commands", "live")  # without influence on results
+SHOWS = ("report", "figures", "commands", "live")  # subpackages without influence on results
 HOME = Path(core.__file__).parents[1]
 
 
@@ -73,14 +73,14 @@ class Kept:
 
 def key_of(work: Callable[..., Any], arguments: Iterable[Any]) -> str:
     """Return the digest of a job."""
-    code = getattr(work, "__code__", None)  # a cluster's `loaded_sources` can lack its file
+    code = getattr(work, "__code__", None)  # on a cluster, `loaded_sources` can lack the file that defines `work`
     own = "" if code is None else _file_digest(code.co_filename)
     asked = [work.__module__, work.__qualname__, own, _plain(list(arguments)), versions()]
     return hashlib.sha256(to_json(asked, indent=None, sort_keys=True).encode()).hexdigest()
 
 
 def loaded_sources() -> tuple[str, ...]:
-    """Return the imported files, except installed packages and `SHOWS`."""
+    """Return the imported files, except those of Python, of installed packages and of `SHOWS`."""
     return _sources(tuple(sys.modules))
 
 
@@ -114,7 +114,7 @@ def robot_files() -> tuple[str, ...]:
 
 @cache
 def versions() -> dict[str, str | None]:
-    """Return the packages' versions; None: not installed."""
+    """Return each package's version, or None if it is not installed."""
     found: dict[str, str | None] = dict.fromkeys(PACKAGES)
     for name in PACKAGES:
         with suppress(importlib.metadata.PackageNotFoundError):
@@ -131,6 +131,7 @@ def _file_digest(file: str) -> str:
 
 
 def _plain(value: Any) -> Any:
+    """Return a job's argument as JSON data."""
     if value is None or isinstance(value, bool | int | float | str | Path):
         return repr(value)
     if isinstance(value, BaseModel):

@@ -20,7 +20,7 @@ ERRORS = (
     "rcm_error_model_mean_mm", "rcm_error_registered_mean_mm", "rcm_error_mean_mm",
 )  # fmt: skip
 PHASES = ("settled", "travelling")
-"""Prefixes of metrics. "travelling": the elbow moves to its optimum; "settled": after its arrival."""
+"""Prefixes of metrics. "travelling": while the elbow moves to its optimum; "settled": after its arrival."""
 TITLES = {
     name: f"{part}, {frame}"
     for name, (part, frame) in zip(ERRORS, product(("tip", "RCM"), ("model", "registered", "base")), strict=True)
@@ -42,7 +42,7 @@ def change_name(metric: str) -> str:
 
 
 class Results:
-    """Rows of a study with ``trial``, ``controller``, ``ended``, ``whole``, ``error`` and metrics."""
+    """Rows of a study with ``trial``, ``controller``, ``ended``, ``whole`` (completed), ``error`` and metrics."""
 
     def __init__(self, rows: Iterable[Mapping[str, Any]] = ()) -> None:
         self._rows: list[dict[str, Any]] = [dict(row) for row in rows]
@@ -76,7 +76,7 @@ class Results:
         return {row["trial"]: float(row[metric]) for row in mine if row.get(metric) is not None}
 
     def mean(self, metric: str, controller: str) -> Interval | None:
-        """Return the mean over the controller's completed runs, or None without any."""
+        """Return the mean over the controller's completed runs, or None if there is none."""
         try:
             return mean(list(self.values(metric, controller).values()))
         except StatisticsError:
@@ -85,7 +85,7 @@ class Results:
     def pairs(self, metric: str, controller: str, baseline: str = BASELINE) -> tuple[list[float], list[float]]:
         """Return the values of both controllers, on the trials that both completed.
 
-        Metrics of a phase are multiplied by ``controller``'s ticks in the phase.
+        If the metric belongs to a phase, both values of a trial are multiplied by ``controller``'s ticks in the phase.
         """
         mine, theirs = self.values(metric, controller), self.values(metric, baseline)
         both = [trial for trial in mine if trial in theirs]
@@ -94,7 +94,7 @@ class Results:
         return [mine[trial] * ticks[trial] for trial in both], [theirs[trial] * ticks[trial] for trial in both]
 
     def change(self, metric: str, controller: str, baseline: str = BASELINE) -> Change | None:
-        """Return the change against the baseline [percent], or None without common trials."""
+        """Return the change against the baseline [percent], or None without common trials or with a baseline of 0."""
         try:
             return relative_changes(*self.pairs(metric, controller, baseline))
         except StatisticsError:

@@ -54,11 +54,11 @@ class Report:
     """What a study found."""
 
     title: str  #: the question and the fixed conditions
-    answer: Sequence[str]  #: up to three sentences
+    answer: Sequence[str]  #: up to three sentences, the most important one first
     table: Table  #: on the first screen
     pictures: Sequence[Picture] = ()
     sections: Sequence[Section] = ()
-    load: str = ""  #: the machine's load
+    load: str = ""  #: the machine's load while times were measured
     subtitle: str = ""
 
     def page(self, environment: Mapping[str, Any], failed: Sequence[Mapping[str, Any]] = ()) -> Page:
@@ -85,7 +85,7 @@ class Report:
         return page
 
     def markdown(self) -> str:
-        """Return the report as Markdown."""
+        """Return the report without its pictures as Markdown."""
         parts = [f"# {self.title}", *self.answer, _markdown(self.table), self.load]
         for section in self.sections:
             parts += [f"## {section.title}", section.text]
@@ -136,7 +136,7 @@ def intervals_picture(
     found: Mapping[str, tuple[float, float, float]], x_label: str, limits: Mapping[str, float],
     tones: Mapping[str, str] | None = None, *, log: bool = False,
 ) -> go.Figure:  # fmt: skip
-    """Draw each name's (low, value, high), and a line per limit."""
+    """Draw each name's value with a bar from low to high, and a line per limit."""
     drawn = figure(showlegend=False, height=90 + 24 * max(len(found), 4))
     for name, (low, value, high) in reversed(list(found.items())):
         tone = (tones or {}).get(name)
@@ -175,7 +175,7 @@ def lines_picture(
 
 
 def ends(figures: Mapping[str, Any], name: str) -> tuple[float, float, float] | None:
-    """Return (low, value, high) of a summary's ``name``, or None if absent."""
+    """Return (low, value, high) of a summary's ``name``, or None if absent. Without interval, low = high = value."""
     value, low, high = (figures.get(f"{name}{end}") for end in ("", "_low", "_high"))
     if value is None:
         return None

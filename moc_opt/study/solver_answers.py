@@ -1,4 +1,7 @@
-"""Collect solvers' answers to sets of problems, check and count them, and measure times."""
+"""Collect solvers' answers to sets of problems, check and count them, and measure times.
+
+An answer's residuals (`moc_opt.qp.residuals`) decide whether it is optimal, whatever the solver reports.
+"""
 
 from __future__ import annotations
 
@@ -23,20 +26,20 @@ from moc_opt.study.solver_settings import SolverSetting
 from moc_opt.study.testsets import TestSet
 from moc_opt.study.timing import each_us, percentiles, total
 
-Runner = Callable[..., list[Any]]  # `engine.run` with bound arguments
+Runner = Callable[..., list[Any]]  # `engine.run` with some arguments bound
 
 HUNG, CRASHED, RAISED, NOT_ASKED, REFUSED = "hung", "crashed", "raised", "not asked", "refused"
-"""Further statuses of an answer."""
-BROKEN_SETS = 3  # after hangs or crashes in so many sets, a solver's later sets are skipped
-WHOLE_SET_S = 1e5
+"""Statuses of an answer in addition to those of `Status`."""
+BROKEN_SETS = 3  # after hangs or crashes in this many sets, a solver's later sets are skipped
+WHOLE_SET_S = 1e5  # time limit of a whole set [s]; `answer` limits the single solves
 WARM_UP = 16  # untimed solves at the start
-CONTRADICTION = 1e-13  # six rows are consistent if b is so close to a consistent b [m/s]
-RIGHTLY = 0.99  # least `share_right` for a best time in a table, and for a better verdict than "gaps"
+CONTRADICTION = 1e-13  # six rows A x = b contradict each other if a consistent b differs by more than this [m/s]
+RIGHTLY = 0.99  # with a smaller `share_right`, a solver's times are not compared, and its verdict is at best "gaps"
 RESIDUALS = ("primal", "natural", "natural_best", "relative", "loss")
 
 
 class Limits(Settings):
-    """Limits of the measurements."""
+    """How much is measured, and how long a solve and a setup may take."""
 
     KIND: ClassVar[str] = "[testsets]"
     rounds: int = Field(8, ge=1, description="warm passes through a set; fewer if they take more than `seconds`")
@@ -50,7 +53,7 @@ Question = tuple[SolverSetting, TestSet]
 
 
 class Answer(NamedTuple):
-    """A solver's answer: x (n,) and y (6,). ``trouble`` is an exception or a defect, or ""."""
+    """A solver's answer, with x (n,) and y (6,). ``trouble`` describes an exception or a defect; "" if none."""
 
     status: str
     iterations: int
@@ -89,7 +92,10 @@ class Answers:
         return not np.isin(self.status, (HUNG, CRASHED, NOT_ASKED, REFUSED)).any()
 
     def counts(self) -> dict[str, int]:
-        """Count the answers by outcome (see docs/solvers.md)."""
+        """Count the answers by outcome (see docs/solvers.md).
+
+        If six rows contradict each other while five are feasible, "infeasible" counts as `refused_inconsistent`.
+        """
         status, feasible = self.status, self.problems.feasible
         claimed, infeasible = status == "solved", status == "infeasible"
         moved = np.abs(fields(self.problems.judged).b - fields(self.problems.rows).b).max(axis=-1)
@@ -140,7 +146,7 @@ def share_right(counts: Mapping[str, Any]) -> float:
 
 
 def totals(answers: Sequence[Answers], times: Sequence[Times]) -> dict[str, Any]:
-    """Return one solver's total counts, and largest residuals and times."""
+    """Return one solver's total counts, and its largest residuals and times over the sets."""
     rows, figures = [one.summary() for one in answers], [one.figures() for one in times]
     found: dict[str, Any] = {name: sum(row[name] for row in rows) for name in answers[0].counts()}
     for name in (f"{residual}_max" for residual in RESIDUALS):
@@ -156,7 +162,7 @@ def totals(answers: Sequence[Answers], times: Sequence[Times]) -> dict[str, Any]
 
 
 def ask(run: Runner, questions: Sequence[Question], limits: Limits, *, warm: bool = True) -> list[Answers]:
-    """Collect the answers to each question. If not ``warm``, each problem has a new session."""
+    """Collect the answers to each question. One session solves a set or, if not ``warm``, each problem has its own."""
     jobs = [
         Job(answer, (setting, problems.rows, warm, limits.patience_s, limits.setup_s), WHOLE_SET_S, group=setting.label)
         for setting, problems in questions
@@ -166,7 +172,10 @@ def ask(run: Runner, questions: Sequence[Question], limits: Limits, *, warm: boo
 
 
 def answer(setting: SolverSetting, rows: Array, warm: bool, patience_s: float, setup_s: float) -> list[Any]:
-    """Return the reason for a refusal ("" if none), then an `Answer` per problem."""
+    """Return the reason for a refusal ("" if none), then an `Answer` per problem.
+
+    ``setup_s`` limits the processor time of the setup, and ``patience_s`` that of each answer.
+    """
     found: list[Any] = []
     alarm(setup_s)
     for item in _answers(setting, rows, warm):
@@ -222,6 +231,7 @@ def _session(solver: Solver, qp: NullSpaceQP) -> tuple[Session | None, str]:
 
 
 def _asked(session: Session, qp: NullSpaceQP) -> tuple[Solution, str]:
+    """Return the answer, and a description of a fault ("" if none)."""
     try:
         return received(session.solve(qp), qp.n)
     except (Exception, SystemExit) as error:  # noqa: BLE001 - as above
@@ -237,8 +247,8 @@ class Times(NamedTuple):
     solve: Array  #: (rounds, k) warm solves in one session
     setup: Array  #: starts of sessions
     cold: Array  #: first solves of sessions
-    update: Array  #: calls of `update`; empty if the session has none
-    load: Mapping[str, float]  #: see `timing.COUNTED`
+    update: Array  #: calls of `LibrarySession.update`; empty if the session has none
+    load: Mapping[str, float]  #: the machine's load (`timing.COUNTED`)
 
     def figures(self) -> dict[str, Any]:
         """Return the entries for summary.json."""
@@ -249,7 +259,7 @@ class Times(NamedTuple):
 
 
 def time(run: Runner, answers: Sequence[Answers], limits: Limits) -> list[Times | None]:
-    """Time each solver on its problems. None: a problem was not answered, or the timing failed."""
+    """Time each solver on its problems. An entry is None if a problem was not answered, or if the timing failed."""
     limit = 20.0 * limits.seconds + limits.patience_s + limits.setup_s
     whole = [one for one in answers if one.complete]
     jobs = [
@@ -262,7 +272,10 @@ def time(run: Runner, answers: Sequence[Answers], limits: Limits) -> list[Times 
 
 
 def measure(setting: SolverSetting, rows: Array, every: int, rounds: int, seconds: float) -> Times:
-    """Time one session on all problems, and a new session on every ``every``-th problem."""
+    """Time one session on all problems, and a new session on every ``every``-th problem.
+
+    No pass begins after ``rounds`` passes through all problems, or after ``seconds`` of solving.
+    """
     solver, problems = _made(setting), _problems(rows)
     session = solver.start(problems[0])
     each_us(session.solve, problems[:WARM_UP])

@@ -35,7 +35,7 @@ MEANING = (
     "session. Update: the part of a later solve that passes the new problem to the library. docs/solvers.md says more."
 )
 SOLVER = Column("solver", "solver")
-RANKED = "answers_rightly"  # key of the flag for comparing a row's times
+RANKED = "answers_rightly"  # key of the flag that says whether a row's times are compared
 COUNTS = {
     "claimed_solved": "claimed", "verified_solved": "verified", "silently_wrong": "silently wrong",
     "infeasible_right": "infeas. right", "refused_inconsistent": "refused: inconsistent",
@@ -68,7 +68,7 @@ COUNTED = (
 
 
 def answers_table(title: str, part: Mapping[str, Mapping[str, Any]], suffix: str = "", *more: Column) -> Table:
-    """Make the table of an open-loop part."""
+    """Make the table of an open-loop part. ``suffix`` is appended to the keys of `TIMES`."""
     rows = []
     for name, row in part.items():
         share = share_right(row) if "right" in row else None
@@ -193,7 +193,7 @@ def closed_loop(work: Work) -> None:
     asked = []
     for case in starts:
         k = number[case.name]
-        # Only in the first trials, because planning takes as long as a run.
+        # The best courses are planned only in the first trials, because planning takes as long as a run.
         case = case.change(best_courses=k < part.others)
         timed = k < part.timed
         asked += [
@@ -215,7 +215,10 @@ def closed_loop(work: Work) -> None:
 def figures(
     rows: Results, controller: str, runs: Sequence[Run] = (), common: Container[str] | None = None
 ) -> dict[str, Any]:
-    """Return a controller's entries for summary.json. Keys with "_in_common": over the trials in ``common``."""
+    """Return a controller's entries for summary.json. Times are pooled over the timed ``runs``.
+
+    Counts named "_in_common" are over the trials in ``common`` (None: all).
+    """
     found = rows.figures(controller, MEANS, CHANGES)
     mine = [row for row in rows if row["controller"] == controller]
     judged = [row for row in mine if common is None or row["trial"] in common]

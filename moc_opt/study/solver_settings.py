@@ -13,7 +13,7 @@ from moc_opt.solvers.registry import defaults
 
 DEFAULT, TIGHT, RECOMMENDED = "default", "tight", "recommended"
 QPSOLVERS, NONLINEAR = "qpsolvers:", "nlp-"
-"""Prefixes of solvers' names."""
+"""Prefixes of the names of solvers that are called through qpsolvers, and of nonlinear solvers."""
 SETTINGS = tomllib.loads(Path(__file__).with_name("solver-settings.toml").read_text(encoding="utf-8"))
 AS_QPSOLVERS_CALLS_IT = {"rows": 6, "cost_scale": 1.0, "advised": False}
 
@@ -44,7 +44,7 @@ class SolverSetting:
 
     @property
     def six_rows(self) -> bool:
-        """Whether the solver gets six equality rows."""
+        """Whether the solver gets six equality rows, which can contradict each other."""
         return self.solver == "exact" or self.options.get("rows") == 6
 
 

@@ -1,4 +1,4 @@
-"""The study of the solvers."""
+"""The study of the solvers: on recorded problems, on problems with certified optima, and in closed loop."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ from moc_opt.study.trials import BASELINE, seeds, trials
 STREAM = 3
 FULL = Path(__file__).parent / "solvers-full.toml"
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-TIMED = ("open_loop_warm", "testsets", "closed_loop")
+TIMED = ("open_loop_warm", "testsets", "closed_loop")  # sections of the summary that have times
 
 
 class OpenLoop(Settings):
-    """Settings of the recorded sequence."""
+    """Settings of the recorded sequence: the subproblems of successive ticks of one closed-loop run."""
 
     KIND: ClassVar[str] = "[open_loop]"
     task: str = "circle"
@@ -51,7 +51,7 @@ class OpenLoop(Settings):
 class TestSets(Limits):
     """Settings of the certified test sets."""
 
-    __test__: ClassVar[bool] = False  # for pytest
+    __test__: ClassVar[bool] = False  # tells pytest that this is no test class
 
     names: Literal["all"] | list[str] = "all"
     timed: list[str] = Field(["circle", "circle-rho0", "random"], description="sets timed under every setting")
@@ -126,7 +126,7 @@ class Work:
     study: Study
     config: Config
     names: Sequence[str]  #: solvers that can run here
-    summary: dict[str, dict[str, Any]] = field(default_factory=dict)
+    summary: dict[str, dict[str, Any]] = field(default_factory=dict)  #: content of summary.json
     runs: Results = field(default_factory=Results)  #: one row per run in closed loop
     answers: Results = field(default_factory=Results)  #: one row per answer in open loop
     sections: list[Section] = field(default_factory=list)

@@ -1,7 +1,7 @@
 """Means and changes over independent trials, with bootstrap confidence intervals.
 
-Intervals are scipy's BCa bootstrap (Efron 1987), expanded for few samples (Hesterberg 2015), and widened to contain
-Student's t interval with the jackknife's standard error.
+Intervals are scipy's BCa bootstrap (Efron 1987), expanded for few samples (Hesterberg 2015; see docs/method.md), and
+widened to contain Student's t interval with the jackknife's standard error.
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ from moc_opt.errors import MocOptError
 RESAMPLES = 4000
 CONFIDENCE = 0.95
 NOMINAL = 0.7
-"""Bootstrap intervals miss the true value too often. So they are computed for `NOMINAL` times the allowed rate."""
+"""In simulations, bootstrap intervals miss the true value more often than the allowed rate, 1 - `CONFIDENCE`. So they
+are computed for `NOMINAL` times this rate."""
 ROUNDING = 1e-9  # smaller changes count as zero [percent]
-LEAST_TRIALS = 8  # with fewer trials, a change is neither gain nor loss
+LEAST_TRIALS = 8  # with fewer trials, a change is called neither a gain nor a loss
 
 
 def too_few(trials: int) -> str | None:
@@ -87,7 +88,7 @@ class Change(NamedTuple):
 
 
 def spread(entries: Mapping[str, Any], name: str, digits: int = 3, sign: str = "", unit: str = "") -> str | None:
-    """Write a summary's number and its interval. Return None if the number is absent."""
+    """Return a summary's number and its interval as text, or None if the number is absent."""
     value, low, high = (entries.get(key) for key in (name, f"{name}_low", f"{name}_high"))
     if value is None:
         return None
@@ -121,13 +122,13 @@ def relative_change(treated: ArrayLike, control: ArrayLike) -> Interval:
     """Compute 100 (mean(treated)/mean(control) - 1) [percent] from arrays (k,) of the same trials.
 
     Raises:
-        StatisticsError: the arrays are not usable, or ``control`` has mean 0.
+        StatisticsError: empty arrays, different lengths, a number that is not finite, or ``control`` has mean 0.
     """
     return _interval(_change, treated=treated, control=control)
 
 
 def relative_changes(treated: ArrayLike, control: ArrayLike) -> Change:
-    """Return the change of the same trials, in both ways."""
+    """Return the `Change` from arrays (k,) of the same trials."""
     ratio = relative_change(treated, control)
     with np.errstate(divide="ignore", invalid="ignore"):
         each = 100.0 * (np.asarray(treated, float) / np.asarray(control, float) - 1.0)
@@ -173,7 +174,7 @@ def _interval(statistic: Callable[..., Any], **given: ArrayLike) -> Interval:
     for method in ("BCa", "percentile"):
         # If all resamples agree, BCa has no value.
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+            warnings.simplefilter("ignore")  # degenerate samples
             found = stats.bootstrap(
                 tuple(samples), statistic, method=method, rng=np.random.default_rng(0), paired=True,
                 vectorized=True, n_resamples=RESAMPLES, confidence_level=min(expanded, 0.9999),

@@ -34,12 +34,12 @@ class CertificateError(MocOptError, ArithmeticError):
 class TestSet:
     """Problems with their certified answers."""
 
-    __test__ = False  # for pytest
+    __test__ = False  # tells pytest that this is no test class
 
     name: str
     rows: Array  #: (k, 11 n + 10), see `NullSpaceQP.row`
-    x: Array  #: (k, n), NaN if infeasible
-    feasible: NDArray[np.bool_]
+    x: Array  #: (k, n) optima [rad/s], NaN if infeasible
+    feasible: NDArray[np.bool_]  #: (k,)
 
     def problems(self) -> list[NullSpaceQP]:
         """Return the subproblems in order."""
@@ -47,7 +47,7 @@ class TestSet:
 
     @cached_property
     def judged(self) -> Array:
-        """The problems (k, 11 n + 10) by which answers are judged."""
+        """The problems (k, 11 n + 10) by which answers are judged, made by `straightened`."""
         return np.array([straightened(qp).row for qp in self.problems()])
 
     def thinned(self, every: int) -> TestSet:
@@ -90,11 +90,11 @@ def straightened(qp: NullSpaceQP) -> NullSpaceQP:
 
 
 def changed(qp: NullSpaceQP, **values: Any) -> NullSpaceQP:
-    """Return the subproblem with some arguments replaced."""
+    """Return the subproblem with some constructor arguments replaced."""
     return NullSpaceQP(**{name: getattr(qp, name) for name in ARGUMENTS} | values)
 
 
 def five_row_gap(qp: NullSpaceQP, b: NDArray[np.floating]) -> Array:
-    """Return the reference velocities' difference along the shaft, tip minus wrist (3,) [m/s]."""
+    """Return the difference of the reference velocities along the shaft, tip minus wrist (3,) [m/s]."""
     u = np.linalg.svd(qp.J_tip - qp.J_wrist)[0][:, 2]
     return np.asarray(u * (u @ (b[:3] - b[3:])))

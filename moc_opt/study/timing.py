@@ -18,7 +18,8 @@ LEAST_CPU_SHARE = 0.9
 
 Row = Mapping[str, Any]
 COUNTED = ("times_calls", "times_switches", "times_cpu_s", "times_wall_s")
-"""The load while calls were timed. ``times_switches`` are involuntary context switches."""
+"""The load while calls were timed. ``times_switches`` counts involuntary context switches, and ``times_cpu_s`` is the
+processor time of all threads."""
 
 
 def used() -> dict[str, float]:
@@ -44,13 +45,13 @@ def cpu_share(row: Row) -> float:
 
 
 def quiet(row: Row) -> bool:
-    """Tell whether the 99th percentile can be trusted."""
+    """Tell whether other programs used so little of the machine that the 99th percentile can be trusted."""
     few = row.get("times_switches", 0) <= MOST_SWITCHES * row.get("times_calls", 0)
     return bool(few and cpu_share(row) >= LEAST_CPU_SHARE)
 
 
 def load(rows: Iterable[Row]) -> str:
-    """Describe the machine's load. Return "" if no row has times."""
+    """Describe the machine's load while times were measured. Return "" if no row has times."""
     timed = [row for row in rows if row.get("times_calls")]
     if not timed:
         return ""
@@ -90,7 +91,7 @@ def each_us(
             begin = perf_counter_ns()
             result = call(item)
             times.append(perf_counter_ns() - begin)
-            if results is not None:  # keeping results lengthens the slowest calls
+            if results is not None:  # only on request, because keeping results lengthens the slowest calls
                 results.append(result)
         if seen is not None:
             seen.append(since(before, len(times)))
@@ -98,7 +99,7 @@ def each_us(
 
 
 def percentiles(times: Array, prefix: str) -> dict[str, float]:
-    """Return the percentiles of the finite times."""
+    """Return the percentiles of the finite times by name, such as prefix_p50_us."""
     times = times[np.isfinite(times)]
     if times.size == 0:
         return {}

@@ -37,11 +37,11 @@ CURVES = (
 CLOCKS = ("solve_", "tick_", "deadline_")
 LOOK_TICKS = 100  # ticks between readings of the load
 PATIENCE_S, PER_S, LONGEST_S = 30.0, 30.0, 60.0
-"""Time limit: `PATIENCE_S`, plus `PER_S` for each of the first `LONGEST_S` simulated seconds."""
+"""Time limit of a run: `PATIENCE_S`, plus `PER_S` for each of the first `LONGEST_S` simulated seconds."""
 
 
 def seeds(seed: int, stream: int, count: int) -> list[int]:
-    """Draw the seeds of ``count`` trials. Each study has its own stream."""
+    """Draw the seeds of ``count`` trials. Studies with different streams share no seeds."""
     state = np.random.SeedSequence([seed, stream]).generate_state(count, np.uint32)
     return [int(entry) for entry in state]
 
@@ -49,7 +49,7 @@ def seeds(seed: int, stream: int, count: int) -> list[int]:
 def trials(base: Scenario, tasks: Sequence[str], own_seeds: Sequence[int], *, virtual: bool = False) -> list[Scenario]:
     """Make one scenario per seed, with the tasks in turn and a random swivel.
 
-    With ``virtual``, the tasks are the paper's virtual ones.
+    With ``virtual``, the path's sizes and the trocar's depth are those of the paper's virtual task.
     """
     found = []
     for k, seed in enumerate(own_seeds):
@@ -64,7 +64,7 @@ def trials(base: Scenario, tasks: Sequence[str], own_seeds: Sequence[int], *, vi
 
 
 def placed(trial: Scenario) -> Scenario:
-    """Return the trial with its start pose as joint positions."""
+    """Return the trial with its random start pose resolved to joint positions."""
     q = Setup(trial).q_start.tolist()
     return trial.change(start={"pose": "home", "q_rad": q, "swivel": "given", "check_path": False})
 
@@ -92,7 +92,7 @@ class Trial:
 
     case: Scenario
     controller: str  #: one of `BASELINES`, or the name of a solver
-    settings: Mapping[str, Any] = field(default_factory=dict)  #: the solver's
+    settings: Mapping[str, Any] = field(default_factory=dict)  #: settings of the solver
     tags: Mapping[str, Any] = field(default_factory=dict)  #: further columns of the row
     timed: bool = False  #: whether the trial runs alone and is timed
     keep: Literal["row", "curves"] = "row"  #: "curves": also keep the columns in `CURVES`
@@ -121,6 +121,7 @@ class Run:
     """The result of a trial.
 
     Its row has the columns of `Trial.about`, ``ended``, ``whole`` (completed), ``error``, ``raised`` and every metric.
+    ``raised`` describes the solver's exceptions or, if there are none, its malformed answers.
     """
 
     row: Mapping[str, Any]
@@ -190,5 +191,5 @@ def _columns(asked: Trial, trace: Trace) -> dict[str, Array]:
 
 
 def outcome(asked: Trial, result: Run | Failed) -> Run:
-    """Return the run, or a failed one."""
+    """Return the run, or a failed one if the job has no result."""
     return asked.failed(str(result)) if isinstance(result, Failed) else result
