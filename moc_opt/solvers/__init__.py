@@ -1,6 +1,6 @@
 """Solvers of the null-space subproblem (`moc_opt.qp`), all with the same interface.
 
-Read first: ``base``, then ``registry``.
+Read first: ``base``, then ``registry``. docs/extending.md shows how to add a solver.
 """
 
 from moc_opt.solvers.base import Session, Solution, Solver, Status

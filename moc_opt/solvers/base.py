@@ -1,4 +1,4 @@
-"""The interface of a solver. A `Solver` holds settings, and its sessions solve."""
+"""The interface of a solver. A `Solver` holds settings, and its sessions solve subproblems."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from moc_opt.arrays import Array
 from moc_opt.errors import SolverError, is_number, shown
 from moc_opt.qp.problem import NullSpaceQP
 
-Choices = Mapping[str, tuple[object, ...]]
-MOST = 2**31 - 1  # upper limit of an integer setting
+Choices = Mapping[str, tuple[object, ...]]  # the valid values of each setting
+MOST = 2**31 - 1  # upper limit of an integer setting (32 bits)
 
 
 class Status(Enum):
-    """The status of an answer. Its value explains it."""
+    """The status of an answer. Its value explains it or names a remedy."""
 
     SOLVED = "the solver claims an optimum"
     INFEASIBLE = "no velocity within the bounds meets the references: slow the path down or raise k0"
@@ -27,7 +27,7 @@ class Status(Enum):
     NUMERICAL = "numerical trouble: use rows = 5, regularization > 0 or a larger cost_scale"
     UNSUPPORTED = "this solver does not accept this problem: supports(qp) returns the reason"
 
-    label: str
+    label: str  #: lower-case name
 
     def __init__(self, cure: str) -> None:
         self.label = self.name.lower()
@@ -39,7 +39,8 @@ class Solution(NamedTuple):
     Attributes:
         x: (n,) joint velocity [rad/s]; NaN if the solver found none.
         y: (6,) multipliers of the equality rows, or None. With multipliers z of the bounds, P x + p + A^T y + z = 0.
-        iterations: 0 for a direct method.
+        status: the status that the solver reports.
+        iterations: number of iterations; 0 for a direct method.
     """
 
     x: Array
@@ -49,7 +50,7 @@ class Solution(NamedTuple):
 
 
 def no_answer(n: int, status: Status, iterations: int = 0) -> Solution:
-    """Return the Solution of a failed solve."""
+    """Return the Solution of a failed solve, with NaN as x and None as y."""
     return Solution(np.full(n, np.nan), None, status, iterations)
 
 
@@ -57,7 +58,7 @@ class Session(Protocol):
     """A solver's workspace for one sequence of subproblems."""
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Solve one subproblem. The status of the answer reports a failure."""
+        """Solve one subproblem. A failure is reported by the answer's status, not by an exception."""
 
 
 @runtime_checkable
@@ -77,26 +78,29 @@ class Solver(Protocol):
 
 @runtime_checkable
 class TruncatingSession(Protocol):
-    """A session that can stop early."""
+    """A session that can be stopped after a given number of iterations."""
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Repeat the last `solve`. Return the iterate after ``iterations`` (at least 1)."""
+        """Repeat the last `solve`, of the same ``qp``. Return the iterate after ``iterations`` (at least 1)."""
 
 
 @runtime_checkable
 class ObservingSession(Protocol):
-    """A session that needs ``observe`` before each ``solve``."""
+    """A session that needs the measured velocity. Call ``observe`` before each ``solve``."""
 
     def observe(self, v: Array) -> None:
         """Store the measured joint velocity v (n,) [rad/s]."""
 
 
 class SolverSettings:
-    """Base class of this package's solvers (frozen dataclasses). It checks their settings."""
+    """Base class of this package's solvers (frozen dataclasses). It checks their settings.
+
+    Where `choices` lists no values, an int must be at least 1, and a float above 0 or equal to a default of 0 or None.
+    """
 
     name: ClassVar[str]
-    session: ClassVar[type[Any]]  #: called with the settings and a first problem
-    choices: ClassVar[Choices] = {}  #: a field's valid values
+    session: ClassVar[type[Any]]  #: class of the sessions, called with the settings and a first problem
+    choices: ClassVar[Choices] = {}  #: valid values by field
 
     def __post_init__(self) -> None:
         for field in fields(self):  # type: ignore[arg-type]

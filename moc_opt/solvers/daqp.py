@@ -58,8 +58,10 @@ class DAQP(Adapter):
     """DAQP with a persistent workspace.
 
     Args:
-        rows: with 6, daqp fails on 1 % of the problems.
+        rows: 6 equality rows (tip and wrist), or 5 independent ones. With 6, daqp fails on 1 % of the problems.
+        cost_scale: P and p are multiplied by it, and the duals divided by it.
         primal_tol, dual_tol: tolerances of the library.
+        max_iter: limit on the iterations of a solve.
     """
 
     rows: int = 5

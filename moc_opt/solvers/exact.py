@@ -16,7 +16,7 @@ from moc_opt.qp.problem import NullSpaceQP, joints_of, row_length
 from moc_opt.solvers.base import Solution, SolverSettings, Status, no_answer
 
 STATUS = {core.OK: Status.SOLVED, core.INFEASIBLE: Status.INFEASIBLE, core.DOUBTFUL: Status.NUMERICAL}
-# for speed
+# looked up once, for speed
 _solve, _new, _SOLVED, _OK = core.solve_exact, tuple.__new__, Status.SOLVED, core.OK
 
 
@@ -53,7 +53,7 @@ class Exact(SolverSettings):
     def solve_batch(self, rows: Array, threads: int | None = None) -> tuple[Array, Array, list[Status]]:
         """Solve the subproblems ``rows`` (k, 11 n + 10). Return x (k, n), y (k, 6) and k statuses.
 
-        x and y are NaN if not SOLVED. ``threads`` None: one per core. A wrong shape raises a SolverError.
+        x and y are NaN if the status is not SOLVED. ``threads`` None: one per core. A wrong shape raises a SolverError.
         """
         if threads is not None and threads < 1:
             raise SolverError(f"exact: threads = {threads}: give 1 or more, or None for one per core")
@@ -63,7 +63,7 @@ class Exact(SolverSettings):
             raise SolverError(f"exact: rows has shape {rows.shape}: give (k, 11 n + 10), n at most {core.MAX_JOINTS}")
         X, Y, codes = np.empty((len(rows), n)), np.empty((len(rows), 6)), np.empty(len(rows))
         threads = threads or os.cpu_count() or 1
-        pieces = min(8 * threads, 1 + len(rows) // 1000)  # so that all threads end together
+        pieces = min(8 * threads, 1 + len(rows) // 1000)  # several per thread, so that all threads end together
         parts = [np.array_split(array, pieces) for array in (rows, X, Y, codes)]
         with ThreadPoolExecutor(threads) as pool:  # the core releases the GIL
             list(pool.map(core.solve_exact_rows, parts[0], repeat(self.tolerance), *parts[1:]))

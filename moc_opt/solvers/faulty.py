@@ -31,9 +31,11 @@ class Faulty:
     """A solver that fails at random ticks.
 
     Args:
+        inner: the wrapped solver. Its answers are used at ticks without a fault.
         kind: "fail": no answer; "nan": x is NaN; "lie": optimum for the negated gradient; "raise": an exception;
             "outside": x outside the bounds; "rig": the subproblem is rewritten to fit x; "malformed": complex duals.
-        rate: probability of a fault at a tick.
+        rate: probability of a fault at a tick, 0 to 1.
+        seed: seed of the draw.
     """
 
     inner: Solver
@@ -63,11 +65,11 @@ class FaultySession:
         self._rng = np.random.default_rng(settings.seed)
         self._liar = Exact().start(qp)
         if hasattr(inner, "observe"):
-            self.observe = inner.observe
+            self.observe = inner.observe  # the controller calls ``observe`` if it exists
         self.faults = 0
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Solve one subproblem, or fail."""
+        """Solve one subproblem. At a faulty tick, return or raise the fault instead."""
         if self._rng.uniform() >= self._settings.rate:
             return self._inner.solve(qp)
         self.faults += 1

@@ -29,7 +29,7 @@ _LOOK_S = 0.05  # time between checks of whether the process has ended [s]
 
 
 class Unanswered(Exception):
-    """A tick has no answer."""
+    """A tick has no answer: the answer is late, the solver raised, or the solver's process was lost."""
 
     def __init__(self, kind: Literal["late", "raised", "lost"], text: str) -> None:
         super().__init__(text)
@@ -134,6 +134,7 @@ class IsolatedSession:
         return newest.value  # type: ignore[no-any-return]  # its form is checked by the controller
 
     def _answered(self, process: _Process, qp: NullSpaceQP) -> _Answer | None:
+        """Wait for at most ``budget_us``. Return the newest answer, even of an earlier tick, or None if none came."""
         solver = self._solver
         if not process.started(math.inf if solver.waits else 0.0):
             raise Unanswered("lost", "a new process of the solver is being started")
@@ -175,12 +176,16 @@ class _Process:
         self.ask(0, qp, None, solver.process.start_s, solver._pickled)
 
     def ask(self, tick: int, qp: NullSpaceQP, v: Array | None, most_s: float, solver: bytes | None = None) -> None:
-        """Request an answer or, with a pickled ``solver``, the start of a session."""
+        """Request an answer or, with a pickled ``solver``, the start of a session.
+
+        If no reply comes within ``most_s`` [s], `answer` raises _Ended.
+        """
         self._tick, self._most_s, self._hung_at, self.busy = tick, most_s, monotonic() + most_s, True
         with suppress(OSError):  # `answer` reports that the process has ended
             self._pipe.send((solver, qp.row, v, most_s))
 
     def started(self, most_s: float) -> bool:
+        """Wait at most ``most_s`` [s] for the session's start. Return whether it has started."""
         if not self._started and (said := self.answer(monotonic() + most_s)) is not None:
             if said.raised:
                 raise _Ended(said.value)
@@ -188,6 +193,7 @@ class _Process:
         return self._started
 
     def answer(self, until: float) -> _Answer | None:
+        """Return the answer, or None if none comes before ``monotonic()`` reaches ``until``."""
         while True:
             left = max(min(until, self._hung_at) - monotonic(), 0.0)
             try:

@@ -23,7 +23,7 @@ class Adapter(SolverSettings):
     Attributes:
         rows: 6 equality rows (tip and wrist), or 5 independent ones.
         cost_scale: factor of P and p. The library's duals are divided by it.
-        needs: message of a library that needs a positive definite cost.
+        needs: message of a library that needs a positive definite cost; empty if it accepts any cost.
     """
 
     rows: int = 5
@@ -64,9 +64,10 @@ class LibrarySession(ABC):
 
     @abstractmethod
     def _allocate(self, m: int, n: int) -> dict[str, Any]:
-        """Return the buffers by name."""
+        """Return the buffers by name, as docs/extending.md explains."""
 
     def _load(self, qp: NullSpaceQP) -> bool:
+        """Write ``qp`` into the buffers. Return False if the buffers do not fit its size."""
         return qp.n == self._n and core.load(qp.row, *self._to)
 
     def _set_up(self, m: int, n: int) -> None:  # noqa: B027
@@ -104,7 +105,7 @@ class TruncatedSession(LibrarySession):
         """Limit the iterations of a solve."""
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Repeat the previous solve from its starting point, with at most ``iterations``."""
+        """Repeat the previous solve from its starting point, with at most ``iterations`` (at least 1)."""
         self._limit(iterations)
         try:
             return self.solve(qp)
@@ -113,13 +114,16 @@ class TruncatedSession(LibrarySession):
 
 
 def upper_triangle(values: Array, n: int) -> sparse.csc_matrix:
-    """Return a sparse upper triangle from its values (n (n + 1) / 2,) by columns. Zeros are stored, too."""
+    """Return a sparse upper triangle (n, n) from its values (n (n + 1) / 2,) by columns. Zeros are stored, too."""
     rows = np.concatenate([np.arange(j + 1) for j in range(n)])
     return sparse.csc_matrix((values, rows, np.cumsum(np.arange(n + 1))), shape=(n, n))
 
 
 def stacked(values: Array, boxes: int) -> sparse.csc_matrix:
-    """Return a sparse matrix of m full rows above ``boxes`` diagonal (n, n) blocks, from its columns' entries."""
+    """Return a sparse matrix of m full rows above ``boxes`` diagonal (n, n) blocks.
+
+    ``values[j]`` (m + boxes,) has the stored entries of column j.
+    """
     n, m = len(values), values.shape[1] - boxes
     rows = np.concatenate([np.append(np.arange(m), m + n * np.arange(boxes) + j) for j in range(n)])
     return sparse.csc_matrix((values.ravel(), rows, (m + boxes) * np.arange(n + 1)), shape=(m + boxes * n, n))

@@ -1,4 +1,4 @@
-"""One tick as a nonlinear program in CasADi, with mu itself instead of its gradient.
+"""The subproblem as a nonlinear program in CasADi, with mu itself instead of its gradient.
 
     max_x  c2 (mu(q + x T)/T + d^T x) - regularization/2 |x|^2,   d = g - grad mu(q)
     s.t.   tip(q + x T) = tip(q) + v_T T,   E (wrist(q + x T) - wrist(q)) = E v_W T,   lower <= x <= upper
@@ -41,7 +41,7 @@ _STATUS = {
 
 
 def buffered(function: Any, arguments: Mapping[str, Array], results: Mapping[str, Array]) -> tuple[Any, Any]:
-    """Bind a CasADi function to arrays. Return (buffer, call)."""
+    """Bind a CasADi function to the caller's arrays. Return (buffer, call)."""
     buffer, call = function.buffer()
     for name, array in arguments.items():
         buffer.set_arg(function.index_in(name), array.data)
@@ -129,10 +129,11 @@ class NLP(SolverSettings, ABC):
     """Base of ``SQP`` and ``Ipopt``.
 
     Args:
-        kinematics: from ``robot.kinematics()``.
+        kinematics: tip, wrist and mu as CasADi functions, from ``robot.kinematics()``.
         period: T [s], the control period.
-        cost_scale: factor of the cost.
+        cost_scale: the cost is multiplied by it, and the duals divided by it.
         eps: tolerance of the KKT conditions.
+        max_iter: limit on the iterations of a solve.
         hessian: "limited-memory" (BFGS) or "exact".
     """
 
@@ -198,7 +199,7 @@ class Ipopt(NLP):
         options = {
             "print_level": 0, "sb": "yes", "hessian_approximation": self.hessian, "max_iter": self.max_iter,
             "tol": self.eps, "acceptable_iter": 0, "bound_relax_factor": 0.0, "nlp_scaling_method": "none",
-            # Otherwise IPOPT reads ipopt.opt, which may load libraries.
+            # Otherwise IPOPT reads ipopt.opt in the current folder, which may load libraries.
             "option_file_name": "",
         }  # fmt: skip
         return {f"ipopt.{key}": value for key, value in options.items()}

@@ -71,7 +71,7 @@ class OSQPSession(TruncatedSession):
         self._core.update_settings(self._options)
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Repeat the previous solve from its starting point, with at most ``iterations``."""
+        """Repeat the previous solve from its starting point, with at most ``iterations`` (at least 1)."""
         self._core.warm_start(*self._before)
         return super().truncated(qp, iterations)
 
@@ -81,9 +81,10 @@ class OSQP(Adapter):
     """OSQP through its native interface.
 
     Args:
-        eps, eps_rel: tolerances on the scaled problem.
+        eps, eps_rel: absolute and relative tolerance on the scaled problem.
+        max_iter: limit on the iterations of a solve.
         check_termination: number of iterations between checks of the residuals.
-        polishing: whether OSQP solves the equations of the active constraints at the end.
+        polishing: whether OSQP guesses the active constraints at the end and solves the equations that they give.
     """
 
     rows: int = 5

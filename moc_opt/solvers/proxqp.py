@@ -72,7 +72,7 @@ class ProxQP(Adapter):
     Args:
         eps: absolute tolerance on the scaled problem.
         eps_primal_inf: tolerance of the proof of infeasibility.
-        max_iter_in: limit on the inner iterations of each outer one.
+        max_iter, max_iter_in: limits on the outer iterations, and on the inner iterations of each outer one.
     """
 
     rows: int = 5

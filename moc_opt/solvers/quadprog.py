@@ -13,7 +13,7 @@ from moc_opt.solvers.library import Adapter, LibrarySession, Outcome
 
 
 class QuadprogSession(LibrarySession):
-    """Constraints C^T x >= b: first m equality rows, then x >= lower and -x >= -upper."""
+    """Constraints C^T x >= b: first the m equality rows, which hold with =, then x >= lower and -x >= -upper."""
 
     dual_sign = -1.0
 

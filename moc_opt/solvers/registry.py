@@ -21,7 +21,7 @@ from moc_opt.inputs.plugins import in_words
 from moc_opt.solvers.base import Solver
 
 GROUP = "moc_opt.solvers"
-# Module, class, required package.
+# By name: module, class, and required package ("" if none).
 BUILT_IN: dict[str, tuple[str, str, str]] = {
     "exact": ("exact", "Exact", ""),
     "rnn": ("rnn", "RNN", ""),
@@ -99,7 +99,7 @@ def available() -> dict[str, str | None]:
         try:
             entry = _of_plugin(name, points)
             named = (p for p in entry.parameters.values() if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD))
-            if all(p.default is not p.empty for p in named):
+            if all(p.default is not p.empty for p in named):  # a plug-in that needs arguments is not tried
                 entry.create()
             found[name] = None
         except MocOptError as error:
@@ -129,7 +129,7 @@ def create(name: str, **settings: Any) -> Solver:
 
 
 def find(name: str) -> Entry:
-    """Return a solver's `Entry`. Raise what ``create`` raises."""
+    """Import a solver, and return its `Entry`. Raise what ``create`` raises."""
     if not isinstance(name, str):
         raise SolverError(f"solver = {shown(name)}: give a solver's name, such as 'exact'")
     claimed = plugins.plugins(GROUP).get(name, [])

@@ -7,7 +7,8 @@ x descends the Lagrangian L within the bounds, and the multipliers l1 and l2 asc
     eps dl1/dt = k (J_T x - v_T),   eps dl2/dt = k (J_W x - v_W)
 
 `moc_opt/core/rnn.c` makes Euler steps of size h = dt/eps. Here eps is the network's time constant, not the setting
-`eps`.
+`eps`. v_T and v_W are the velocities that tip and wrist must have. c0, c1, c2 and rho (the regularization) are weights
+of the cost, and k is a gain. On infeasible problems, the multipliers grow without bound.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ def unstable(qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool, 
     """Return why Euler steps diverge on ``qp``, or None. Steps are h for the multipliers, h_x (default: h) for x.
 
     With c = scale c0 = scale c1, explicit steps are stable only if h k < c and (2 h_x k c - h h_x k^2) |A|^2 < 4.
-    Semi-implicit steps are stable only if (2 h_x k c + h h_x k^2) |A|^2 < 4. |A| is the largest singular value.
+    Semi-implicit steps are stable only if (2 h_x k c + h h_x k^2) |A|^2 < 4. |A| is the largest singular value of
+    A = [J_T; J_W]. If c0 and c1 differ, the first condition uses the smaller one, and the others the larger one.
     """
     c0, c1 = scale * qp.c0, scale * qp.c1
     weak, strong, hk = min(c0, c1), max(c0, c1), h * k
@@ -75,6 +77,7 @@ class RNNSession:
         return self._advance(qp, s.steps, s.h, s.h, s.scale, s.method == "semi-implicit")
 
     def _advance(self, qp: NullSpaceQP, most: int, h_x: float, h_y: float, scale: float, implicit: bool) -> Solution:
+        """Do at most ``most`` steps. If x or a multiplier is no longer finite, set all of them to zero."""
         if qp.n != len(self._x):
             self._rest(qp.n)
         s, x, y = self._settings, self._x, self._y
@@ -90,7 +93,7 @@ class RNNPrintedSession(RNNSession):
     """A network whose x is the measured velocity."""
 
     def observe(self, v: ArrayLike) -> None:
-        """Use the measured joint velocity v (n,) [rad/s] as x."""
+        """Use the measured joint velocity v (n,) [rad/s] as x at the next tick."""
         self._x = np.array(v, dtype=float)
 
     def solve(self, qp: NullSpaceQP) -> Solution:
@@ -103,10 +106,15 @@ class RNN(Network):
     """The network. Its state continues from tick to tick.
 
     Args:
-        h: step size, in (0, 1].
+        steps: limit on the steps per tick.
+        h: step size dt / (the network's time constant), in (0, 1].
+        k: the paper's gain.
         scale: factor of c0, c1, c2 and the regularization. It does not change the optimum.
         method: "explicit" Euler, or "semi-implicit" (the multipliers use the new x).
-        eps: an answer is SOLVED if no entry of the right-hand side exceeds eps [rad/s, m/s].
+        eps: an answer is SOLVED if no entry of the network's right-hand side exceeds eps [rad/s, m/s].
+
+    Raises:
+        SolverError: a setting is out of range, or (from ``start``) the steps would diverge.
     """
 
     steps: int = 10
@@ -128,7 +136,15 @@ class RNN(Network):
 class RNNPrinted(Network):
     """Equation (2) of the paper as printed. The paper's qd is the measured joint velocity v.
 
-    Each tick needs ``session.observe(v)`` first. ``h`` is the multipliers' step.
+    Each tick needs ``session.observe(v)`` first.
+
+    Args:
+        k: the paper's gain.
+        h: step of the multipliers, dt / (the network's time constant). The steps diverge unless h k < c0 and h k < c1.
+        eps: an answer is SOLVED if no entry of the network's right-hand side exceeds eps [rad/s, m/s].
+
+    Raises:
+        SolverError: a setting is out of range, or (from ``start``) the steps would diverge.
     """
 
     k: float = 0.1
