@@ -36,6 +36,8 @@ _TORQUE, _SPEED = 500.0, 600.0
 class Scenario(Settings):
     """Settings of one run. By default, the arm follows a circle with all three levels and the solver `exact`.
 
+    Every key of the TOML file is a field, and every table is a nested model.
+
     Raises:
         ScenarioError: a value is out of range, or fields contradict each other.
         UnknownNameError: a key, preset, solver or path does not exist.
@@ -166,7 +168,7 @@ class Scenario(Settings):
 
     @property
     def safety_settings(self) -> SafetyFilterSettings:
-        """The settings ``[guard]``, with limits that suit the plant's encoders."""
+        """The settings ``[guard]``. Limits that are left out or too low for the plant's encoders are replaced."""
         guard, plant, told = self.guard, self.plant, dict[str, float | None]()
         encoder = plant.encoder_noise_rad, plant.encoder_resolution_rad
         if guard.repeat_joint_ticks is None:
@@ -199,12 +201,12 @@ def _tables(value: Settings, name: str) -> Iterator[dict[str, Any]]:
             entry = getattr(value, key)
             if entry != getattr(base, key):
                 table[key] = entry.model_dump(exclude_defaults=True) if isinstance(entry, Settings) else entry
-        if None not in table.values():  # TOML has no None
+        if None not in table.values():  # a file cannot reset a preset's value to None
             yield {"preset": preset, **table}
 
 
 def without_none(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Copy a table without None, which TOML lacks."""
+    """Copy a table, but omit None in ``settings``. Elsewhere replace None, by "" in ``gains`` and else by infinity."""
     plain: dict[str, Any] = {}
     for key, value in table.items():
         if key == "settings":

@@ -32,13 +32,16 @@ from moc_opt.trace.trace import Trace
 
 Columns = Mapping[str, NDArray[Any]]
 
-AT_ONCE = 5000
+AT_ONCE = 5000  # number of answers whose residuals are computed together
 PERIOD_S = 0.05  # time step of the planning grid [s]
 PATH = {"robot", "start", "trocar", "task", "duration_s", "seed"}  # keys that determine path and start
 
 
 def model_errors(columns: Columns, robot: RobotModel, plant: Plant, offset: TaskOffset) -> dict[str, NDArray[Any]]:
-    """Compute the model errors of tip and RCM [m]. Return {} if the encoders measure the motors of elastic joints."""
+    """Compute the model errors of tip and RCM [m], from joint positions with the encoders' bias.
+
+    Return {} if the encoders measure the motors of elastic joints, because the controller then sees motor positions.
+    """
     if plant.settings.elastic and plant.settings.encoder_side == "motor":
         return {}
     tips, wrists = robot.tool_along(columns["q_rad"] + plant.mismatch.encoder_bias)
@@ -63,7 +66,7 @@ def residual_columns(columns: Columns) -> dict[str, NDArray[Any]]:
 
 
 def largest_mu(poses: Array, robot: RobotModel, samples: int) -> tuple[Array, dict[str, str]]:
-    """Compute the largest mu [m^3] with the tip and wrist of ``poses`` (N, n).
+    """Compute the largest mu [m^3] that is possible with tip and wrist of each of ``poses`` (N, n).
 
     Return (bound, meta). ``bound`` (N,) is NaN except at ``samples`` evenly spaced ticks.
     """
@@ -78,12 +81,12 @@ def largest_mu(poses: Array, robot: RobotModel, samples: int) -> tuple[Array, di
 
 
 class BestCourses(NamedTuple):
-    """The courses with the largest mean mu along one path."""
+    """The courses with the largest mean mu along one path; None: no course was found."""
 
     robot: RobotModel
-    from_start: Course | None
+    from_start: Course | None  #: From the start pose of the run.
     best: Course | None  #: From any start pose.
-    last: pose_map.PoseMap  #: Of the last two points of the path.
+    last: pose_map.PoseMap  #: Poses that reach the last two points of the path.
 
 
 def best_courses(scenario: Scenario) -> BestCourses:
@@ -107,7 +110,11 @@ def _planned(path: str) -> BestCourses:
 
 
 def against_best(scenario: Scenario, trace: Trace) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Return the columns of the best courses, and the entry ``best_courses`` of the trace's meta."""
+    """Return the columns of the best courses, and the entry ``best_courses`` of the trace's meta.
+
+    In its part ``end``, ``best_mu`` is mu at the end of the best course from the start. A climb of mu from the end of
+    the run leads to ``top_mu``, at a maximum or a joint limit.
+    """
     try:
         known = best_courses(scenario)
     except MocOptError as error:

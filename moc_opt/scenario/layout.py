@@ -16,9 +16,9 @@ from moc_opt.scenario import preflight
 from moc_opt.scenario.config import Scenario
 from moc_opt.tasks import Reference, Trocar, make_path
 
-MOST_TICKS = 1_000_000  # their residuals take about 4 GB of memory
+MOST_TICKS = 1_000_000  # largest number of ticks in a run; their residuals take about 4 GB of memory
 
-_POSE_STREAM = (1,)
+_POSE_STREAM = (1,)  # random stream of the start pose
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,8 +27,8 @@ class Layout:
 
     q: Array  #: (n,) joint positions at the start [rad]
     trocar: Array  #: (3,) registered trocar at rest [m]
-    registered: Trocar
-    reference: Reference  #: Path of the tip.
+    registered: Trocar  #: Registered trocar as a function of time.
+    reference: Reference  #: Path of the tip as a function of time.
     duration_s: float
 
 
@@ -98,6 +98,6 @@ def _task(scenario: Scenario, robot: RobotModel, q: Array) -> Layout:
 
 
 def described(scenario: Scenario, robot: RobotModel) -> dict[str, Any]:
-    """Return the entries of a trace's meta on scenario and arm."""
+    """Return the entries of a trace's meta that describe scenario and arm."""
     found = {"scenario": scenario.model_dump(mode="json"), "robot": robot.data.name}
     return found if scenario.robot.name in available_robots() else {**found, "robot_data": carried(robot)}

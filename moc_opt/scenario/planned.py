@@ -19,7 +19,7 @@ from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.layout import Layout, described, lay_out
 from moc_opt.trace.trace import Trace
 
-PERIOD_S, MOST_TIMES = 0.025, 1000
+PERIOD_S, MOST_TIMES = 0.025, 1000  # time between two points of a plan [s]; largest number of points
 
 
 def plan(
@@ -32,14 +32,14 @@ def plan(
     Args:
         scenario: a scenario, or the path of its file.
         times: number of points on the path. None: one per `PERIOD_S`, but at most `MOST_TIMES`.
-        swivels: samples per turn of the elbow.
+        swivels: number of samples per turn of the elbow.
         margin_rad, margin_m: required distance of revolute joints [rad] and prismatic joints [m] from their limits.
         speed_share: usable share of the joints' speed limits, above 0 and at most 1.
         shaft_margin: soft lower bound on (wrist's manipulability at a fixed tip) / (distance from wrist to tip)^2.
         refined: whether a nonlinear program improves the course.
 
     Raises:
-        MocOptError: the scenario is not usable, or an argument is out of range.
+        MocOptError: the scenario's start, path or trocar is not usable, or an argument is out of range.
     """
     scenario = Scenario.load(scenario)
     if times is not None and (not isinstance(times, numbers.Integral) or not 2 <= times <= 100_000):
@@ -57,7 +57,7 @@ def targets_of(
 ) -> Targets:
     """Return ``times`` targets of tip and wrist, evenly spaced in time over the run.
 
-    None: one per ``period_s`` / ``finer`` [s], with an upper limit.
+    If ``times`` is None, there is one per ``period_s`` / ``finer`` [s], but at most `MOST_TIMES` * ``finer``.
     """
     spaces = int(np.clip(np.ceil(layout.duration_s / period_s), 1, MOST_TIMES - 1))
     span, length = robot.state(layout.q).tool_span, robot.data.tool_length
@@ -71,8 +71,9 @@ def followable_plan(
 ) -> tuple[Plan, dict[str, float]]:
     """Plan a course within limits, and return the plan and the limits.
 
-    If level 3 follows the course (``followed``; None: as in [control]), [control] gives a missing speed share, and the
-    margins if both are missing. If no plan keeps these margins, they become 0.
+    ``followed`` says whether level 3 follows the course (None: as in [control]). If so, [control] gives a missing speed
+    share, and the margins if both are missing. If no plan keeps these margins, they become 0. Any other missing limit
+    is the arm's own.
     """
     settings = scenario.control
     follows = settings.follows if followed is None else followed
@@ -111,7 +112,7 @@ def save_course(found: Plan, scenario: Scenario, to: str | os.PathLike[str], wit
     """Write the plan's course as a Parquet file for ``[control] course``.
 
     Columns: t_s (k,) [s], q_rad (k,n), mu (k,) [m^3], swivel_rad (k,), tip_m, tip_ref_m and wrist_m (k,3).
-    ``within`` has the plan's limits by name.
+    ``within`` has the plan's limits, under the names of the arguments of `plan`.
 
     Raises:
         ScenarioError: no course reaches the end of the path.

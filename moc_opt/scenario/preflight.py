@@ -25,15 +25,15 @@ SINGULAR = (1e-4, 1e-4)
 REGULAR = (0.1, 0.05)
 """Like `SINGULAR`, but for a random start and for the poses along its path."""
 DRAWN_MARGIN = 0.1  #: Smallest distance of a drawn pose from the joint limits [share of the range].
-DRAWS = 200
+DRAWS = 200  #: Largest number of poses drawn for a random start.
 SPACING_M = 0.005  #: Distance between checked points of the path [m].
 _TIMES = 1500  # samples of the path, from which the checked points are chosen
 _SHALLOWEST_M = 0.002  # smallest distance from tip to trocar [m]
-_START_TOLERANCE_M = 0.002
+_START_TOLERANCE_M = 0.002  # largest distance from the start pose's tip to the start of the reference [m]
 
 
 class UnreachableError(TaskError):
-    """The arm cannot do this task. `field` names the cause."""
+    """The arm cannot do this task. `field` names the cause, and `arc_length_m` the place on the path."""
 
     def __init__(self, field: str, arc_length_m: float, problem: str, cure: str) -> None:
         super().__init__(f"{1e3 * arc_length_m:.1f} mm along the path: {problem}; {cure}")
@@ -72,9 +72,9 @@ def random_start(
     """Draw start poses until the arm can do the task, and return the task laid out from there.
 
     Args:
-        swivelled: turns the elbow of a drawn pose (n,) to [start] swivel.
+        swivelled: function that turns the elbow of a drawn pose (n,) to [start] swivel.
         attempt: function from a start pose (n,) to the task and poses (k, n) along the path.
-        margins: (n,) required distance from the joint limits [rad, m].
+        margins: (n,) required distance from the joint limits, at the start and along the path [rad, m].
 
     Raises:
         ScenarioError: all `DRAWS` draws are rejected.
@@ -121,10 +121,11 @@ def _require_fit(robot: RobotModel, q: Array, margins: Array, where: str = "") -
 def check_reachable(
     robot: RobotModel, q_start: ArrayLike, reference: Reference, trocar: Trocar, until_s: float = np.inf
 ) -> Array:
-    """Return poses (k, n) with the tip on the reference and the shaft through the trocar, until ``until_s`` [s].
+    """Return poses (k, n) that follow the reference with the shaft through the trocar, within the joint limits.
 
-    The reference must start at the tip of ``q_start`` (n,). Two starts are tried: ``q_start``, and the pose of its
-    self-motion that is farthest from the joint limits.
+    The reference must start at the tip of ``q_start`` (n,). It is checked up to the time ``until_s`` [s]. Only two
+    starts are tried: ``q_start``, and the pose of its self-motion that is farthest from the joint limits. A refused
+    path may thus be possible from another start.
 
     Raises:
         UnreachableError: the arm cannot follow the path.
@@ -189,7 +190,7 @@ def _follow(robot: RobotModel, q: Array, places: _Places, reference: Reference) 
     k = int(np.argmax(shares))
     if shares[k] > 1.0:
         i = int(np.argmax(np.abs(rates[k] / robot.v_max)))
-        # On a short path, the tip may not reach v_max. So the real speed is scaled.
+        # On a short path, the tip may not reach v_max. So the tip's real speed is scaled.
         slower = 0.99 * float(np.linalg.norm(places.tip_velocity, axis=1).max()) / shares[k]
         raise UnreachableError(
             "v_max", places.arc[k],

@@ -70,7 +70,7 @@ def make_stop(scenario: Scenario) -> Stop:
 
 
 def recorded_times(scenario: Scenario) -> list[float] | None:
-    """Read ``[solver] replay_us`` [us]. Return None if solve times are measured."""
+    """Read the solve times ``[solver] replay_us`` [us]. Return None if solve times are measured."""
     given = scenario.solver.replay_us
     if given is None:
         return None
@@ -105,7 +105,7 @@ class Setup:
         self.layout = layout = lay_out(scenario, self.robot)
         self.q_start, self.registered, self.reference = layout.q, layout.registered, layout.reference
         self.duration_s = layout.duration_s
-        self.guide: Guide | None = None  #: None: level 3 raises mu.
+        self.guide: Guide | None = None  #: Motion that the controller follows; None: level 3 raises mu.
         self._replayed_us = recorded_times(scenario)
         if not realtime:
             self._build_plant(plant_seed)
@@ -113,7 +113,7 @@ class Setup:
     def _build_plant(self, seed: int) -> None:
         scenario, entry = self.scenario, self.layout.trocar
         self.plant = plant = Plant(self.robot.data, scenario.plant, seed=seed)
-        if scenario.faults.bump_N > 0.0:  # raises if the link is unknown
+        if scenario.faults.bump_N > 0.0:  # raises before the run if the link is unknown
             plant.push(scenario.faults.bump_link, np.zeros(3))
         plant.reset(self.q_start)
         self.offset = TaskOffset()
@@ -168,6 +168,7 @@ class Setup:
 
     @cached_property
     def _new_guide(self) -> Callable[[], Guide] | None:
+        """A function that makes a `Guide`; None: level 3 raises mu."""
         return guides(self.following)
 
     def fault_mask(self) -> NDArray[np.bool_]:

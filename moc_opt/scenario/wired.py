@@ -1,4 +1,4 @@
-"""A scenario whose plant and controller are two processes."""
+"""A scenario whose plant and controller are two processes, connected over UDP."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from moc_opt.scenario.setup import Setup, make_safety_filter
 from moc_opt.sim.protocols import LoggedController
 from moc_opt.trace.trace import Trace
 
-SLOWEST_S, FASTEST_S = 0.004, 0.001  # limits of the control period in real time [s]
+SLOWEST_S, FASTEST_S = 0.004, 0.001  # longest and shortest control period in real time [s]
 
 
 def fingerprint(scenario: Scenario, robot: RobotModel) -> int:
-    """Return a hash (63 bits) of task, control period and arm without gains."""
+    """Return a hash (63 bits) of task, control period and arm; the gains do not count."""
     whole = scenario.model_dump(mode="json", include={"robot", "start", "trocar", "task", "seed", "duration_s"})
     del whole["robot"]["name"]  # may be a path, which may differ at the other end
     whole["arm"] = {name: value for name, value in carried(robot).items() if name != "gains"}
@@ -34,8 +34,8 @@ def fingerprint(scenario: Scenario, robot: RobotModel) -> int:
 class PlantServer(Setup):
     """The plant of a scenario, for a controller in another process.
 
-    It listens at ``listen``, "HOST:PORT" (port 0: any free port). In lock-step, it waits for each command. In real
-    time, the caller sets ``system`` to what `ask_for_realtime` returns.
+    It listens at ``listen``, "HOST:PORT" (port 0: any free port; ``address`` has its number). In lock-step, it
+    waits for each command. In real time, the caller sets ``system`` to what `ask_for_realtime` returns.
 
     Raises:
         MocOptError: the scenario or the address is not usable.

@@ -162,7 +162,7 @@ def totals(answers: Sequence[Answers], times: Sequence[Times]) -> dict[str, Any]
 
 
 def ask(run: Runner, questions: Sequence[Question], limits: Limits, *, warm: bool = True) -> list[Answers]:
-    """Collect the answers to each question. One session solves a set or, if not ``warm``, each problem has its own."""
+    """Collect the answers to each question. If ``warm``, one session solves a whole set, else a single problem."""
     jobs = [
         Job(answer, (setting, problems.rows, warm, limits.patience_s, limits.setup_s), WHOLE_SET_S, group=setting.label)
         for setting, problems in questions
