@@ -59,7 +59,7 @@ class DAQP(Adapter):
 
     Args:
         rows: 6 equality rows (tip and wrist), or 5 independent ones. With 6, daqp fails on 1 % of the problems.
-        cost_scale: P and p are multiplied by it, and the duals divided by it.
+        cost_scale: factor of P and p.
         primal_tol, dual_tol: tolerances of the library.
         max_iter: limit on the iterations of a solve.
     """

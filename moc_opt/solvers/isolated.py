@@ -29,7 +29,7 @@ _LOOK_S = 0.05  # time between checks of whether the process has ended [s]
 
 
 class Unanswered(Exception):
-    """A tick has no answer: the answer is late, the solver raised, or the solver's process was lost."""
+    """A tick has no answer: the answer is late, the solver raised, or its process was lost."""
 
     def __init__(self, kind: Literal["late", "raised", "lost"], text: str) -> None:
         super().__init__(text)

@@ -131,7 +131,7 @@ class NLP(SolverSettings, ABC):
     Args:
         kinematics: tip, wrist and mu as CasADi functions, from ``robot.kinematics()``.
         period: T [s], the control period.
-        cost_scale: the cost is multiplied by it, and the duals divided by it.
+        cost_scale: factor of the cost. The duals are divided by it.
         eps: tolerance of the KKT conditions.
         max_iter: limit on the iterations of a solve.
         hessian: "limited-memory" (BFGS) or "exact".

@@ -33,10 +33,10 @@ from moc_opt.study.kept import Kept, digest_of, key_of, loaded_sources
 
 CONNECT_S = 30.0  # largest time to connect to the Dask scheduler, and to find a worker there [s]
 LOOK_S = 1.0  # time between checks of whether processes have died [s]
-ATTEMPTS = 3  # a job is submitted at most this often if the pool of workers breaks
+ATTEMPTS = 3  # a job is submitted at most this often if the pool breaks
 PID_FILE = ".pid"  # ending of the file with a worker's process id
 WAIT_FACTOR = 5.0
-PR_SET_PDEATHSIG = 1  # option of Linux's prctl: the signal that a process gets when its parent dies
+PR_SET_PDEATHSIG = 1  # option of Linux's prctl: the signal to get when the parent dies
 PRELOAD = ("moc_opt.scenario", "moc_opt.study.trials", "moc_opt.study.solver_answers")
 
 _parts: IO[bytes] | None = None  # in a worker: the file that `report` writes to

@@ -103,7 +103,7 @@ def _figures(name: str, certified: Row, warm: Row, closed: Row) -> Row:
 
 
 def _ended(closed: Row) -> dict[str, int]:
-    """Of the trials that every solver ran, count those that broke off and those that oscillated."""
+    """Count the runs that broke off or oscillated in the trials that every solver ran."""
     return {word: closed.get(f"{word.replace(' ', '_')}_in_common", 0) for word in ("broke off", "oscillated")}
 
 

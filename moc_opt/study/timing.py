@@ -45,7 +45,7 @@ def cpu_share(row: Row) -> float:
 
 
 def quiet(row: Row) -> bool:
-    """Tell whether other programs used so little of the machine that the 99th percentile can be trusted."""
+    """Tell whether the machine was so quiet that the 99th percentile can be trusted."""
     few = row.get("times_switches", 0) <= MOST_SWITCHES * row.get("times_calls", 0)
     return bool(few and cpu_share(row) >= LEAST_CPU_SHARE)
 
