@@ -1,4 +1,4 @@
-"""The validated settings of a run, with every key of a scenario's TOML file."""
+"""The validated settings of a run."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ class Scenario(Settings):
         write_whole(path, text, "scenario", ScenarioError)
 
     def changes(self) -> dict[str, Any]:
-        """Return all non-default values by name."""
+        """Return the non-default values by name."""
         found: dict[str, Any] = {}
         for name, field in type(self).model_fields.items():
             value = getattr(self, name)

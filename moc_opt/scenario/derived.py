@@ -1,4 +1,4 @@
-"""Columns computed after a run: model errors, residuals, largest mu (manipulability), and courses (joint motions)."""
+"""Columns computed after a run: model errors, residuals, largest mu, and best courses."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ PATH = {"robot", "start", "trocar", "task", "duration_s", "seed"}  # keys that d
 
 
 def model_errors(columns: Columns, robot: RobotModel, plant: Plant, offset: TaskOffset) -> dict[str, NDArray[Any]]:
-    """Compute tip and RCM error [m] by the controller's kinematics, from joint positions with the encoders' bias.
+    """Compute the model errors of tip and RCM [m], from joint positions with the encoders' bias.
 
     Return {} if the encoders measure the motors of elastic joints, because the controller then sees motor positions.
     """
@@ -53,7 +53,7 @@ def model_errors(columns: Columns, robot: RobotModel, plant: Plant, offset: Task
 
 
 def residual_columns(columns: Columns) -> dict[str, NDArray[Any]]:
-    """Compute each answer's residuals (NaN without an answer) and the flag ``verified``; {} without subproblems."""
+    """Compute each answer's residuals (NaN without an answer) and the flag ``verified``."""
     if "subproblem" not in columns:
         return {}
     x = columns["x_rad_per_s"]
@@ -66,10 +66,9 @@ def residual_columns(columns: Columns) -> dict[str, NDArray[Any]]:
 
 
 def largest_mu(poses: Array, robot: RobotModel, samples: int) -> tuple[Array, dict[str, str]]:
-    """For ``poses`` (N, n), compute the largest mu [m^3] that is possible with the same tip and wrist.
+    """Compute the largest mu [m^3] that is possible with tip and wrist of each of ``poses`` (N, n).
 
-    Return (bound, meta). ``bound`` (N,) has the largest mu at ``samples`` evenly spaced ticks, and NaN at all others.
-    ``meta["mu_bound_method"]`` names the method.
+    Return (bound, meta). ``bound`` (N,) is NaN except at ``samples`` evenly spaced ticks.
     """
     bound = np.full(len(poses), np.nan)
     ticks = np.linspace(0, len(poses) - 1, min(samples, len(poses))).astype(int)
@@ -82,7 +81,7 @@ def largest_mu(poses: Array, robot: RobotModel, samples: int) -> tuple[Array, di
 
 
 class BestCourses(NamedTuple):
-    """The courses (joint motions) with the largest mean mu along one path; None: no course was found."""
+    """The courses with the largest mean mu along one path; None: no course was found."""
 
     robot: RobotModel
     from_start: Course | None  #: From the start pose of the run.
@@ -91,7 +90,7 @@ class BestCourses(NamedTuple):
 
 
 def best_courses(scenario: Scenario) -> BestCourses:
-    """Plan the best courses of a scenario. Raise a MocOptError if the scenario is not usable."""
+    """Plan the best courses. Raise a MocOptError if the scenario is not usable."""
     return _planned(scenario.model_dump_json(include=PATH))
 
 
@@ -113,9 +112,8 @@ def _planned(path: str) -> BestCourses:
 def against_best(scenario: Scenario, trace: Trace) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     """Return the columns of the best courses, and the entry ``best_courses`` of the trace's meta.
 
-    The part ``end`` has three values of mu [m^3]. ``mu`` is the value at the end of the run, and ``best_mu`` at the end
-    of the best course from the start. A climb of mu from the end of the run leads to ``top_mu``, at a maximum or a
-    joint limit.
+    In its part ``end``, ``best_mu`` is mu at the end of the best course from the start. A climb of mu from the end of
+    the run leads to ``top_mu``, at a maximum or a joint limit.
     """
     try:
         known = best_courses(scenario)

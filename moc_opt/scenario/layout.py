@@ -16,8 +16,7 @@ from moc_opt.scenario import preflight
 from moc_opt.scenario.config import Scenario
 from moc_opt.tasks import Reference, Trocar, make_path
 
-MOST_TICKS = 1_000_000
-"""Largest number of ticks in a run. The residuals of so many ticks take about 4 GB of memory."""
+MOST_TICKS = 1_000_000  # largest number of ticks in a run; their residuals take about 4 GB of memory
 
 _POSE_STREAM = (1,)  # random stream of the start pose
 
@@ -27,14 +26,14 @@ class Layout:
     """A start pose, and the task laid out from it."""
 
     q: Array  #: (n,) joint positions at the start [rad]
-    trocar: Array  #: (3,) registered trocar (the controller's trocar) at rest [m]
+    trocar: Array  #: (3,) registered trocar at rest [m]
     registered: Trocar  #: Registered trocar as a function of time.
     reference: Reference  #: Path of the tip as a function of time.
-    duration_s: float  #: Duration of the run [s].
+    duration_s: float
 
 
 def seeds_of(scenario: Scenario) -> tuple[int, int, int]:
-    """Return the seeds of the start, the plant and the faults of a run."""
+    """Return the seeds of start, plant and faults."""
     start, plant, faults = np.random.SeedSequence(scenario.seed).generate_state(3).tolist()
     return start, plant, faults
 
@@ -43,7 +42,7 @@ def lay_out(scenario: Scenario, robot: RobotModel, *, checked: bool = True) -> L
     """Choose the start, lay out the task, and check that the arm can do it.
 
     Raises:
-        ScenarioError: start, trocar or duration are not usable, or every random start is refused.
+        ScenarioError: start, trocar or duration are not usable.
         UnreachableError: the arm cannot do the task from this start.
     """
     start = scenario.start
@@ -58,7 +57,7 @@ def lay_out(scenario: Scenario, robot: RobotModel, *, checked: bool = True) -> L
         margins = np.where(robot.chain.prismatic, start.limit_margin_m, start.limit_margin_rad)
         return preflight.random_start(robot, rng, swivelled, lambda q: _checked(scenario, robot, q, np.inf), margins)
     q = np.array(robot.data.q_home if start.q_rad is None else start.q_rad, dtype=np.float64)
-    preflight.check_start(robot, q)  # a singular pose has no swivel (elbow angle)
+    preflight.check_start(robot, q)  # a singular pose has no swivel
     q = swivelled(q)
     if not (checked and start.check_path):
         return _task(scenario, robot, q)
@@ -99,6 +98,6 @@ def _task(scenario: Scenario, robot: RobotModel, q: Array) -> Layout:
 
 
 def described(scenario: Scenario, robot: RobotModel) -> dict[str, Any]:
-    """Return the entries `scenario` and `robot` of a trace's meta, and `robot_data` for an arm outside the package."""
+    """Return the entries of a trace's meta that describe scenario and arm."""
     found = {"scenario": scenario.model_dump(mode="json"), "robot": robot.data.name}
     return found if scenario.robot.name in available_robots() else {**found, "robot_data": carried(robot)}

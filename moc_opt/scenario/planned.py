@@ -1,4 +1,4 @@
-"""Plan a scenario's course (joint motion) before its run, and write it to a file."""
+"""Plan a scenario's course before its run, and write it to a file."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def plan(
     margin_rad: float = 0.0, margin_m: float = 0.0, speed_share: float = 1.0, shaft_margin: float = 0.0,
     refined: bool = True,
 ) -> Plan:  # fmt: skip
-    """Plan a scenario's course (joint motion), and find out whether the arm can execute the path.
+    """Plan a scenario's course, and find out whether the arm can execute the path.
 
     Args:
         scenario: a scenario, or the path of its file.
@@ -55,9 +55,9 @@ def plan(
 def targets_of(
     robot: RobotModel, layout: Layout, times: int | None = None, *, period_s: float = PERIOD_S, finer: int = 1
 ) -> Targets:
-    """Return targets of tip and wrist, evenly spaced in time over the run.
+    """Return ``times`` targets of tip and wrist, evenly spaced in time over the run.
 
-    ``times`` is the number of targets. None: one per ``period_s`` / ``finer`` [s], at most `MOST_TIMES` * ``finer``.
+    If ``times`` is None, there is one per ``period_s`` / ``finer`` [s], but at most `MOST_TIMES` * ``finer``.
     """
     spaces = int(np.clip(np.ceil(layout.duration_s / period_s), 1, MOST_TIMES - 1))
     span, length = robot.state(layout.q).tool_span, robot.data.tool_length
@@ -71,9 +71,9 @@ def followable_plan(
 ) -> tuple[Plan, dict[str, float]]:
     """Plan a course within limits, and return the plan and the limits.
 
-    ``followed`` says whether level 3 follows the course (None: as in [control]). If it does, [control] gives a speed
-    share of None, and the margins if both are None. If no plan keeps these margins, they become 0. Any other limit of
-    None is the arm's own.
+    ``followed`` says whether level 3 follows the course (None: as in [control]). If so, [control] gives a missing speed
+    share, and the margins if both are missing. If no plan keeps these margins, they become 0. Any other missing limit
+    is the arm's own.
     """
     settings = scenario.control
     follows = settings.follows if followed is None else followed
@@ -93,7 +93,7 @@ def followable_plan(
 
 
 def following_warnings(scenario: Scenario, found: Plan) -> list[str]:
-    """Return the reasons why the third level cannot follow the plan's course, and how to change this."""
+    """Return the reasons why level 3 cannot follow the plan's course."""
     settings, course, said = scenario.control, found.course, list[str]()
     if settings.law != "moc":
         return [f"law = {settings.law!r} has no third level: nothing follows the course; use law = 'moc'"]
@@ -115,7 +115,7 @@ def save_course(found: Plan, scenario: Scenario, to: str | os.PathLike[str], wit
     ``within`` has the plan's limits, under the names of the arguments of `plan`.
 
     Raises:
-        ScenarioError: no course reaches the end of the path, whatever its start pose.
+        ScenarioError: no course reaches the end of the path.
         TraceError: the file cannot be written.
     """
     course = found.course

@@ -21,15 +21,13 @@ from moc_opt.tasks import Reference, Trocar
 Found = TypeVar("Found")
 
 SINGULAR = (1e-4, 1e-4)
-"""Lower bounds on two ratios, for every start. `Freedoms.tip` is the ratio of the smallest to the largest singular
-value of J_tip. `Freedoms.both` is the ratio of the fifth to the largest singular value of [J_tip; J_wrist]. A pose
-below a bound is refused as singular."""
+"""Lower bounds on `Freedoms.tip` and `Freedoms.both` at every start."""
 REGULAR = (0.1, 0.05)
 """Like `SINGULAR`, but for a random start and for the poses along its path."""
-DRAWN_MARGIN = 0.1  #: Smallest distance of a joint from its limits in a drawn pose [share of the joint's range].
+DRAWN_MARGIN = 0.1  #: Smallest distance of a drawn pose from the joint limits [share of the range].
 DRAWS = 200  #: Largest number of poses drawn for a random start.
 SPACING_M = 0.005  #: Distance between checked points of the path [m].
-_TIMES = 1500  # number of samples of the path in time; the points to be checked are chosen among them
+_TIMES = 1500  # samples of the path, from which the checked points are chosen
 _SHALLOWEST_M = 0.002  # smallest distance from tip to trocar [m]
 _START_TOLERANCE_M = 0.002  # largest distance from the start pose's tip to the start of the reference [m]
 
@@ -71,10 +69,10 @@ def random_start(
     robot: RobotModel, rng: np.random.Generator, swivelled: Callable[[Array], Array],
     attempt: Callable[[Array], tuple[Found, Array]], margins: Array,
 ) -> Found:  # fmt: skip
-    """Draw start poses until the arm can do the task from one of them, and return the task laid out from there.
+    """Draw start poses until the arm can do the task, and return the task laid out from there.
 
     Args:
-        swivelled: function that turns the elbow of a drawn pose (n,) to [start] swivel, and returns the start pose.
+        swivelled: function that turns the elbow of a drawn pose (n,) to [start] swivel.
         attempt: function from a start pose (n,) to the task and poses (k, n) along the path.
         margins: (n,) required distance from the joint limits, at the start and along the path [rad, m].
 
@@ -125,9 +123,9 @@ def check_reachable(
 ) -> Array:
     """Return poses (k, n) that follow the reference with the shaft through the trocar, within the joint limits.
 
-    The reference must start at the tip of ``q_start`` (n,). The part of the path up to the time ``until_s`` [s] is
-    checked. Only two starts are tried: ``q_start``, and the pose of its self-motion (elbow motion) that is farthest
-    from the joint limits. A refused path may thus be possible from another start.
+    The reference must start at the tip of ``q_start`` (n,). It is checked up to the time ``until_s`` [s]. Only two
+    starts are tried: ``q_start``, and the pose of its self-motion that is farthest from the joint limits. A refused
+    path may thus be possible from another start.
 
     Raises:
         UnreachableError: the arm cannot follow the path.
@@ -192,7 +190,7 @@ def _follow(robot: RobotModel, q: Array, places: _Places, reference: Reference) 
     k = int(np.argmax(shares))
     if shares[k] > 1.0:
         i = int(np.argmax(np.abs(rates[k] / robot.v_max)))
-        # The path may be so short that the tip does not reach v_max, so the tip's real speed is scaled.
+        # On a short path, the tip may not reach v_max. So the tip's real speed is scaled.
         slower = 0.99 * float(np.linalg.norm(places.tip_velocity, axis=1).max()) / shares[k]
         raise UnreachableError(
             "v_max", places.arc[k],
@@ -217,7 +215,7 @@ def _out_of_reach(robot: RobotModel, places: _Places, k: int, wrist: Array, plac
 
 
 def _least_rates(robot: RobotModel, a: Array, velocity: Array) -> Array:
-    """Solve ``a`` v = ``velocity`` for the shortest v (n,). If it exceeds v_max, minimize max |v| / v_max instead."""
+    """Solve ``a`` v = ``velocity`` for the shortest v or, if it exceeds v_max, for the least max |v| / v_max."""
     left, values, right = np.linalg.svd(a)
     rank = int((values > 1e-9 * values[0]).sum())
     shortest: Array = right[:rank].T @ ((left[:, :rank].T @ velocity) / values[:rank])

@@ -1,4 +1,4 @@
-"""Build the objects of a scenario, run it, and collect the columns of its trace."""
+"""Build the objects of a scenario, and run it."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ from moc_opt.trace.trace import Trace
 
 
 def make_solver(name: str, robot: RobotModel, **settings: Any) -> Solver:
-    """Create a solver, with the arm's kinematics if the solver takes them."""
+    """Create a solver, with the arm's kinematics if it takes them."""
     entry = find(name)
     if "kinematics" not in settings and "kinematics" in entry.parameters:
         settings = {**settings, "kinematics": robot.kinematics()}
@@ -53,7 +53,7 @@ def make_solver(name: str, robot: RobotModel, **settings: Any) -> Solver:
 
 
 def isolated(solver: Solver, scenario: Scenario, budget_us: float = math.inf, realtime: bool = False) -> Solver:
-    """Put a solver in its own process if ``[solver] isolation`` is "process". Raise a SolverError if pickle fails."""
+    """Put a solver in its own process if ``[solver] isolation`` asks for it. Raise a SolverError if pickle fails."""
     if scenario.solver.isolation == "none":
         return solver
     return Isolated(solver, scenario.solver.process, budget_us, waits=not realtime)
@@ -65,12 +65,12 @@ def make_safety_filter(robot: RobotModel, scenario: Scenario) -> SafetyFilter:
 
 
 def make_stop(scenario: Scenario) -> Stop:
-    """Return damping and shortest duration of a stop, from ``[guard]``."""
+    """Make the scenario's `Stop`."""
     return Stop(scenario.guard.stop_damping_Nm_s_per_rad, scenario.guard.stop_s)
 
 
 def recorded_times(scenario: Scenario) -> list[float] | None:
-    """Read the solve times [us] of ``[solver] replay_us``. Return None if solve times are measured."""
+    """Read the solve times ``[solver] replay_us`` [us]. Return None if solve times are measured."""
     given = scenario.solver.replay_us
     if given is None:
         return None
@@ -86,7 +86,7 @@ class Setup:
     """Objects built from a scenario, and checked before anything moves.
 
     Args:
-        solver: used instead of the scenario's solver. The scenario in the trace's `meta` keeps its own solver.
+        solver: used instead of the scenario's solver.
         realtime: build only the controller, because the plant runs in another process.
 
     Raises:
@@ -125,7 +125,7 @@ class Setup:
         self.trocar = Trocar(true, *scenario.trocar.breathing)
 
     def solver(self) -> Solver | None:
-        """Make the solver of the scenario. Return None if ``[control] law`` is not "moc"."""
+        """Make the scenario's solver. Return None if ``[control] law`` is not "moc"."""
         if self.scenario.control.law != "moc":
             return None
         asked, faults = self.scenario.solver, self.scenario.faults
@@ -136,7 +136,7 @@ class Setup:
         return Faulty(solver, faults.solver, faults.solver_share, self._fault_seed)
 
     def controller(self) -> LoggedController:
-        """Make the controller of the scenario."""
+        """Make the scenario's controller."""
         scenario, solver = self.scenario, self.solver()
         settings, period_s = scenario.control, scenario.plant.period_s
         budget = settings.supervisor.budget_us
@@ -159,7 +159,7 @@ class Setup:
 
     @property
     def following(self) -> Following:
-        """The data of this run for planning a course (joint motion)."""
+        """The data for planning a course."""
         scenario = self.scenario
         return Following(
             self.robot, self.q_start, scenario.control, partial(targets_of, self.robot, self.layout),
@@ -178,7 +178,7 @@ class Setup:
         return draw(self._fault_seed, 0.0 if never else faults.solver_share, self.ticks)
 
     def closed_loop(self, controller: TorqueController) -> ClosedLoop:
-        """Make the closed loop of plant, controller and safety filter, without faults."""
+        """Make the closed loop, without faults."""
         scenario = self.scenario
         return ClosedLoop(self.plant, controller, make_safety_filter(self.robot, scenario), make_stop(scenario))
 
@@ -192,12 +192,12 @@ class Setup:
         return self.scenario.plant.period_s * np.arange(self.ticks, dtype=np.float64)
 
     def inputs(self) -> tuple[Array, Array]:
-        """Return rows X_d, dX_d, ddX_d (N, 3, 3) of the tip and P_t, dP_t (N, 2, 3) of the registered trocar."""
+        """Return X_d, dX_d, ddX_d (N, 3, 3) of the tip and P_t, dP_t (N, 2, 3) of the registered trocar."""
         tip_refs, registered = (np.stack(of.at(self.times()), axis=1) for of in (self.reference, self.registered))
         return tip_refs, registered
 
     def trace(self, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None) -> Trace:
-        """Run, check the answers, and return the trace; see `run`."""
+        """Run, and return the trace; see `run`."""
         file = None if to is None else new_file(to).absolute()
         if self.plant.time > 0.0:
             self.plant.reset(self.q_start)

@@ -24,8 +24,7 @@ def _not_zero(vector: Vector) -> Vector:
 
 
 Direction = Annotated[Vector, AfterValidator(_not_zero)]
-MOST_S = 100_000.0
-"""Upper limit of a run's duration and of other durations in these tables [s]."""
+MOST_S = 100_000.0  # upper limit of a run's and of other durations [s]
 
 
 class RobotTable(Settings):
@@ -127,7 +126,7 @@ class TaskTable(Settings):
 
     @property
     def in_words(self) -> str:
-        """The path and its given sizes, for messages."""
+        """The path and its sizes, for messages."""
         given = "".join(f", {name} = {size:g}" for name, size in self.sizes.items())
         return f"[task] path = {self.path!r}{given}{' (lengths in m)' if given else ''}"
 

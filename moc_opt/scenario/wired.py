@@ -19,8 +19,7 @@ from moc_opt.scenario.setup import Setup, make_safety_filter
 from moc_opt.sim.protocols import LoggedController
 from moc_opt.trace.trace import Trace
 
-SLOWEST_S, FASTEST_S = 0.004, 0.001
-"""Longest and shortest allowed control period in real time [s]."""
+SLOWEST_S, FASTEST_S = 0.004, 0.001  # longest and shortest control period in real time [s]
 
 
 def fingerprint(scenario: Scenario, robot: RobotModel) -> int:
@@ -35,9 +34,8 @@ def fingerprint(scenario: Scenario, robot: RobotModel) -> int:
 class PlantServer(Setup):
     """The plant of a scenario, for a controller in another process.
 
-    The plant listens at ``listen``, "HOST:PORT". Port 0 means any free port; ``address`` has its number. In
-    lock-step, the plant waits for each command. In real time, the caller sets ``system`` to what `ask_for_realtime`
-    returns.
+    It listens at ``listen``, "HOST:PORT" (port 0: any free port; ``address`` has its number). In lock-step, it
+    waits for each command. In real time, the caller sets ``system`` to what `ask_for_realtime` returns.
 
     Raises:
         MocOptError: the scenario or the address is not usable.
@@ -66,7 +64,7 @@ class PlantServer(Setup):
 
     @cached_property
     def _new_guide(self) -> None:
-        """Plan no joint motion, because the controller's process plans it."""
+        """None: the controller's process plans the course."""
 
     def controller(self) -> LoggedController:
         """Return the remote controller."""
@@ -80,7 +78,7 @@ class PlantServer(Setup):
         return super()._judged(found.with_meta(wire=counts))
 
     def trace(self, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None) -> Trace:
-        """Wait for the controller, run, and return the trace. ``watch`` is not called."""
+        """Wait for the controller, and run. ``watch`` is not called."""
         try:
             return super().trace(self._remote.pace, to)
         finally:
@@ -92,10 +90,10 @@ def answer(
 ) -> dict[str, Any]:
     """Act as the controller of the plant at ``connect`` ("HOST:PORT") until the run ends.
 
-    Both ends must have the same `fingerprint`. ``ready`` is called when the controller has started.
+    ``ready`` is called when the controller has started.
 
     Raises:
-        MocOptError: the scenario is not usable, no plant answers, or the plant runs another scenario.
+        MocOptError: the scenario is not usable, no plant answers, or the plant has another `fingerprint`.
     """
     where = parse_address(connect, "--connect")
     key = read_key(key_file, where[0], "--connect")

@@ -18,7 +18,7 @@ MOST = 2**31 - 1  # upper limit of an integer setting (32 bits)
 
 
 class Status(Enum):
-    """The status of an answer. Its value explains the status or names a remedy."""
+    """The status of an answer. Its value explains it or names a remedy."""
 
     SOLVED = "the solver claims an optimum"
     INFEASIBLE = "no velocity within the bounds meets the references: slow the path down or raise k0"
@@ -50,7 +50,7 @@ class Solution(NamedTuple):
 
 
 def no_answer(n: int, status: Status, iterations: int = 0) -> Solution:
-    """Return a Solution for a failed solve, with NaN as x and None as y."""
+    """Return the Solution of a failed solve, with NaN as x and None as y."""
     return Solution(np.full(n, np.nan), None, status, iterations)
 
 
@@ -95,13 +95,12 @@ class ObservingSession(Protocol):
 class SolverSettings:
     """Base class of this package's solvers (frozen dataclasses). It checks their settings.
 
-    `choices` may list a field's valid values. Otherwise, an int must be at least 1 and a float above 0.
-    0.0 or None is also valid if it is the field's default.
+    Where `choices` lists no values, an int must be at least 1, and a float above 0 or equal to a default of 0 or None.
     """
 
     name: ClassVar[str]
     session: ClassVar[type[Any]]  #: class of the sessions, called with the settings and a first problem
-    choices: ClassVar[Choices] = {}
+    choices: ClassVar[Choices] = {}  #: valid values by field
 
     def __post_init__(self) -> None:
         for field in fields(self):  # type: ignore[arg-type]
@@ -129,11 +128,11 @@ class SolverSettings:
         return True, ""
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None if the solver accepts the problem, else the reason why it does not."""
+        """Return why the solver refuses the problem, or None."""
         return None
 
     def start(self, qp: NullSpaceQP) -> Session:
-        """Return a session for problems of the size of ``qp``. Raise a SolverError if ``qp`` is refused."""
+        """Return a session. Raise a SolverError if ``qp`` is refused."""
         reason = self.supports(qp)
         if reason is not None:
             raise SolverError(f"{self.name}: {reason}")

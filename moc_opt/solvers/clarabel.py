@@ -64,7 +64,7 @@ class Clarabel(Adapter):
     """Clarabel's native interface, with slacks s and the constraints [A; I; -I] x + s = [b; upper; -lower].
 
     Args:
-        cost_scale: P and p are multiplied by it, and the duals divided by it.
+        cost_scale: factor of P and p.
         eps: value of the library's tol_feas, tol_gap_abs and tol_gap_rel.
         max_iter: limit on the iterations of a solve.
     """

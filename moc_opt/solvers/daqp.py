@@ -36,7 +36,7 @@ class DAQPSession(LibrarySession):
         self._core, settings = Model(), self._settings
         tolerances = {"primal_tol": settings.primal_tol, "dual_tol": settings.dual_tol}
         self._core.settings = {**tolerances, "iter_limit": settings.max_iter}
-        # After a failed set-up (a negative flag), only another set-up is possible.
+        # After a failed set-up (a negative flag), `update` is impossible.
         self._flag, _ = self._core.setup(self._P, self._p, self._A, self._upper, self._lower, self._sense)
 
     def _hand_over(self) -> None:
@@ -59,7 +59,7 @@ class DAQP(Adapter):
 
     Args:
         rows: 6 equality rows (tip and wrist), or 5 independent ones. With 6, daqp fails on 1 % of the problems.
-        cost_scale: P and p are multiplied by it, and the duals divided by it.
+        cost_scale: factor of P and p.
         primal_tol, dual_tol: tolerances of the library.
         max_iter: limit on the iterations of a solve.
     """

@@ -1,4 +1,4 @@
-"""``exact``: computes the subproblem's optimum by elimination. docs/method.md derives the method."""
+"""``exact``: the subproblem's optimum by elimination. docs/method.md derives the method."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ class Exact(SolverSettings):
     session = ExactSession
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None, or a message if there are too many joints."""
+        """Return a message if there are too many joints, or None."""
         return None if qp.n <= core.MAX_JOINTS else f"{qp.n} joints: `exact` takes at most {core.MAX_JOINTS}"
 
     def solve_batch(self, rows: Array, threads: int | None = None) -> tuple[Array, Array, list[Status]]:
-        """Solve k subproblems. Each row of ``rows`` (k, 11 n + 10) is one. Return x (k, n), y (k, 6) and k statuses.
+        """Solve the subproblems ``rows`` (k, 11 n + 10). Return x (k, n), y (k, 6) and k statuses.
 
         x and y are NaN if the status is not SOLVED. ``threads`` None: one per core. A wrong shape raises a SolverError.
         """

@@ -1,4 +1,4 @@
-"""A wrapper that makes a solver fail at random ticks, for tests of the controller."""
+"""A wrapper that makes a solver fail, for tests of the controller."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 
 
 class InjectedFault(SolverError):
-    """Raised on purpose by a `Faulty` solver."""
+    """Raised on purpose."""
 
 
 def draw(seed: int, rate: float, ticks: int) -> NDArray[np.bool_]:
@@ -45,20 +45,20 @@ class Faulty:
 
     @property
     def name(self) -> str:
-        """Name of the wrapped solver, and the kind of fault."""
+        """The wrapped solver's name and the fault."""
         return f"{self.inner.name}+{self.kind}"
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return what the wrapped solver's `supports` returns."""
+        """Ask the wrapped solver."""
         return self.inner.supports(qp)
 
     def start(self, qp: NullSpaceQP) -> FaultySession:
-        """Return a session. It fails at the ticks that `draw` flags."""
+        """Return a session, which fails at the ticks that `draw` flags."""
         return FaultySession(self, self.inner.start(qp), qp)
 
 
 class FaultySession:
-    """A session of a `Faulty` solver. ``faults`` is the number of faulty ticks so far."""
+    """A session. ``faults`` counts the faulty ticks."""
 
     def __init__(self, settings: Faulty, inner: Session, qp: NullSpaceQP) -> None:
         self._settings, self._inner = settings, inner

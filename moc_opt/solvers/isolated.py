@@ -1,8 +1,4 @@
-"""A solver in a separate process. If the process crashes or hangs, it is replaced.
-
-The solver answers one subproblem (a QP) per tick of the controller. A simulation waits until the new process has
-started. In real time (``waits=False``), ticks until then have no answer.
-"""
+"""A solver in a separate process, which is replaced if it crashes or hangs."""
 
 from __future__ import annotations
 
@@ -29,11 +25,11 @@ from moc_opt.inputs.settings import Settings
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import ObservingSession, Session, Solution, Solver
 
-_LOOK_S = 0.05  # during a wait, time between checks of whether the process has ended [s]
+_LOOK_S = 0.05  # time between checks of whether the process has ended [s]
 
 
 class Unanswered(Exception):
-    """A tick has no answer: the answer is late, the solver raised, or the solver's process was lost."""
+    """A tick has no answer: the answer is late, the solver raised, or its process was lost."""
 
     def __init__(self, kind: Literal["late", "raised", "lost"], text: str) -> None:
         super().__init__(text)
@@ -41,7 +37,7 @@ class Unanswered(Exception):
 
 
 class Restart(NamedTuple):
-    """The loss of a process. A new one replaces it, unless ``most_restarts`` is exceeded."""
+    """The loss of a process."""
 
     tick: int  #: number of solves before the failed one
     reason: str
@@ -71,7 +67,7 @@ class Isolated:
     inner: Solver
     process: ProcessSettings
     budget_us: float = math.inf  #: longest time that a tick waits for an answer [us]
-    waits: bool = True  #: whether a tick waits while a process is replaced
+    waits: bool = True  #: whether a tick waits while a process is replaced; False in real time
     _pickled: bytes = field(default=b"", init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -91,11 +87,11 @@ class Isolated:
         return self.inner.name
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None. The wrapped solver's ``supports`` is called by ``start``, in the new process."""
+        """Return None. ``start`` asks the wrapped solver, in the new process."""
         return None
 
     def start(self, qp: NullSpaceQP) -> Session:
-        """Start a session. Raise a SolverError if its process does not start or the solver refuses the problem."""
+        """Start a session. Raise a SolverError if this fails or the solver refuses the problem."""
         return IsolatedSession(self, qp)
 
 
@@ -117,7 +113,7 @@ class IsolatedSession:
         self._v = v
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Solve one subproblem in the process. Raise Unanswered if the answer is late or absent."""
+        """Solve one subproblem. Raise Unanswered if the answer is late or absent."""
         self._tick += 1
         solver = self._solver
         if self._process is None:
@@ -143,7 +139,7 @@ class IsolatedSession:
         if not process.started(math.inf if solver.waits else 0.0):
             raise Unanswered("lost", "a new process of the solver is being started")
         until = monotonic() + 1e-6 * solver.budget_us
-        if process.busy:  # with an earlier tick
+        if process.busy:  # with the subproblem of an earlier tick
             self._newest = process.answer(until) or self._newest
         if not process.busy:
             process.ask(self._tick, qp, self._v, solver.process.hang_s)
@@ -152,7 +148,7 @@ class IsolatedSession:
 
 
 class _Answer(NamedTuple):
-    tick: int  # number of the subproblem's tick, from 1; 0: reply to the request to start a session
+    tick: int  # from 1; 0: reply to the request to start a session
     raised: bool
     value: Any  # the solver's answer or the exception's message
 
@@ -180,9 +176,9 @@ class _Process:
         self.ask(0, qp, None, solver.process.start_s, solver._pickled)
 
     def ask(self, tick: int, qp: NullSpaceQP, v: Array | None, most_s: float, solver: bytes | None = None) -> None:
-        """Send a subproblem to solve. With a pickled ``solver``, start a session for the subproblem instead.
+        """Request an answer or, with a pickled ``solver``, the start of a session.
 
-        If no answer comes within ``most_s`` [s], `answer` raises _Ended.
+        If no reply comes within ``most_s`` [s], `answer` raises _Ended.
         """
         self._tick, self._most_s, self._hung_at, self.busy = tick, most_s, monotonic() + most_s, True
         with suppress(OSError):  # `answer` reports that the process has ended
@@ -197,7 +193,7 @@ class _Process:
         return self._started
 
     def answer(self, until: float) -> _Answer | None:
-        """Wait for the answer until ``monotonic()`` reaches ``until``. Return None if none has come."""
+        """Return the answer, or None if none comes before ``monotonic()`` reaches ``until``."""
         while True:
             left = max(min(until, self._hung_at) - monotonic(), 0.0)
             try:
@@ -245,7 +241,7 @@ def serve(fd: int, memory_MB: float) -> None:
             solver, row, v, most_s = pipe.recv()
         except (EOFError, OSError):
             return
-        # If the parent has ended, nobody kills this process when it hangs. The timer then ends it.
+        # The timer ends this process if it hangs after its parent has ended.
         signal.setitimer(signal.ITIMER_REAL, 2.0 * most_s + 1.0)
         try:
             qp = NullSpaceQP.from_row(row)
@@ -258,7 +254,7 @@ def serve(fd: int, memory_MB: float) -> None:
             answer = pickle.dumps((False, found))
         except MemoryError:
             os._exit(errno.ENOMEM)
-        except BaseException as error:  # noqa: BLE001 - a plug-in may raise anything, and this process must go on
+        except BaseException as error:  # noqa: BLE001 - a plug-in may raise anything
             answer = pickle.dumps((True, str(error) if isinstance(error, MocOptError) else located(error)))
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         pipe.send_bytes(answer)

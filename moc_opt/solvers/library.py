@@ -1,7 +1,4 @@
-"""Base of the adapters of QP libraries: settings, buffers, and the scaling of cost and duals.
-
-docs/extending.md explains adapters, and ``piqp`` is a short example.
-"""
+"""Base of the adapters of QP libraries, which docs/extending.md explains."""
 
 from __future__ import annotations
 
@@ -24,9 +21,9 @@ class Adapter(SolverSettings):
     """Base of a library's settings.
 
     Attributes:
-        rows: number of equality rows, 5 or 6.
-        cost_scale: factor of P and p. The library's duals are divided by this factor.
-        needs: message for a library that needs a positive definite cost; empty if the library accepts any cost.
+        rows: 6 equality rows (tip and wrist), or 5 independent ones.
+        cost_scale: factor of P and p. The library's duals are divided by it.
+        needs: message of a library that needs a positive definite cost; empty if it accepts any cost.
     """
 
     rows: int = 5
@@ -35,18 +32,18 @@ class Adapter(SolverSettings):
     needs: ClassVar[str] = ""
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None if the library accepts the subproblem, else the reason why it does not."""
+        """Return why the library refuses the subproblem, or None."""
         return refuse_semidefinite(qp, self.needs) if self.needs else None
 
 
 def refuse_semidefinite(qp: NullSpaceQP, needs: str) -> str | None:
-    """Return None if the cost is clearly positive definite, else a message that begins with ``needs``."""
+    """Return a message that begins with ``needs``, or None if the cost is clearly positive definite."""
     why = f"{needs}, and regularization is {qp.regularization:g}: set regularization > 0"
     return None if qp.regularization > 1e-10 * (qp.c0 + qp.c1) else why
 
 
 class LibrarySession(ABC):
-    """One workspace of a library, and its buffers."""
+    """One workspace of a library."""
 
     dual_sign: ClassVar[float] = 1.0  #: sign of the library's multipliers relative to `Solution.y`
 
@@ -84,7 +81,7 @@ class LibrarySession(ABC):
         """Return status, iterations, x (n,) and multipliers (m,). The next run must not overwrite x."""
 
     def update(self, qp: NullSpaceQP) -> None:
-        """Pass the subproblem to the library."""
+        """Load a subproblem into the library."""
         if not self._load(qp):
             self._build(qp)
         self._hand_over()
@@ -105,10 +102,10 @@ class TruncatedSession(LibrarySession):
 
     @abstractmethod
     def _limit(self, iterations: int) -> None:
-        """Set the limit on the iterations of a solve."""
+        """Limit the iterations of a solve."""
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Repeat the previous solve from its starting point. Return x after ``iterations`` (at least 1) iterations."""
+        """Repeat the previous solve from its starting point, with at most ``iterations`` (at least 1)."""
         self._limit(iterations)
         try:
             return self.solve(qp)
@@ -123,7 +120,7 @@ def upper_triangle(values: Array, n: int) -> sparse.csc_matrix:
 
 
 def stacked(values: Array, boxes: int) -> sparse.csc_matrix:
-    """Return a sparse matrix: m full rows above ``boxes`` diagonal (n, n) blocks.
+    """Return a sparse matrix of m full rows above ``boxes`` diagonal (n, n) blocks.
 
     ``values[j]`` (m + boxes,) has the stored entries of column j.
     """

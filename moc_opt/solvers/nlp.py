@@ -1,4 +1,4 @@
-"""One control period as a nonlinear program in CasADi, with the manipulability itself instead of its gradient.
+"""The subproblem as a nonlinear program in CasADi, with mu itself instead of its gradient.
 
     max_x  c2 (mu(q + x T)/T + d^T x) - regularization/2 |x|^2,   d = g - grad mu(q)
     s.t.   tip(q + x T) = tip(q) + v_T T,   E (wrist(q + x T) - wrist(q)) = E v_W T,   lower <= x <= upper
@@ -33,7 +33,6 @@ class Kinematics(Protocol):
     mu: Any
 
 
-# All other statuses become NUMERICAL.
 _STATUS = {
     "Solve_Succeeded": Status.SOLVED,
     "Maximum_Iterations_Exceeded": Status.MAX_ITER,
@@ -75,7 +74,7 @@ def program(settings: NLP) -> tuple[Any, Any]:
 
 
 class NLPSession:
-    """Buffers of a session. A solve starts from the previous optimum, or from 0 if the previous solve failed."""
+    """A session. A solve starts from the previous optimum, or from 0 if the previous solve failed."""
 
     def __init__(self, settings: NLP, qp: NullSpaceQP) -> None:
         self._settings, n = settings, qp.n
@@ -132,7 +131,7 @@ class NLP(SolverSettings, ABC):
     Args:
         kinematics: tip, wrist and mu as CasADi functions, from ``robot.kinematics()``.
         period: T [s], the control period.
-        cost_scale: the cost is multiplied by it, and the duals divided by it.
+        cost_scale: factor of the cost. The duals are divided by it.
         eps: tolerance of the KKT conditions.
         max_iter: limit on the iterations of a solve.
         hessian: "limited-memory" (BFGS) or "exact".
@@ -157,7 +156,7 @@ class NLP(SolverSettings, ABC):
         super().__post_init__()
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None if the program applies to the problem, else the reason why it does not."""
+        """Return why the program does not apply, or None."""
         if qp.q is None:
             return "the subproblem has no q, but an NLP needs the joint positions of the linearization"
         if qp.n != self.kinematics.n:
@@ -173,10 +172,7 @@ class NLP(SolverSettings, ABC):
 
 @dataclass(frozen=True)
 class SQP(NLP):
-    """CasADi's sqpmethod with its active-set QP solver qrqp.
-
-    With hessian = "exact" and regularization = 0, three in ten problems are not solved.
-    """
+    """CasADi's sqpmethod with its active-set QP solver qrqp."""
 
     cost_scale: float = 1e5
     hessian: Literal["limited-memory", "exact"] = "limited-memory"
@@ -194,10 +190,7 @@ class SQP(NLP):
 
 @dataclass(frozen=True)
 class Ipopt(NLP):
-    """The interior-point method IPOPT (Waechter & Biegler 2006).
-
-    With BFGS and regularization = 0, IPOPT stops at ``max_iter``.
-    """
+    """The interior-point method IPOPT (Waechter & Biegler 2006)."""
 
     name = "nlp-ipopt"
     plugin = "ipopt"

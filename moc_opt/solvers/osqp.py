@@ -16,7 +16,7 @@ from moc_opt.solvers.base import Solution, Status
 from moc_opt.solvers.library import Adapter, Outcome, TruncatedSession, stacked, upper_triangle
 
 _CODE = ext_builtin.osqp_status_type
-# An "inaccurate" answer meets only a tolerance that is ten times as large.
+# An "inaccurate" answer meets only a ten times larger tolerance.
 _STATUS = {
     int(_CODE.OSQP_SOLVED): Status.SOLVED,
     int(_CODE.OSQP_PRIMAL_INFEASIBLE): Status.INFEASIBLE,
@@ -71,7 +71,7 @@ class OSQPSession(TruncatedSession):
         self._core.update_settings(self._options)
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """Restart where the previous solve started, stop after ``iterations`` (at least 1), and return the iterate."""
+        """Repeat the previous solve from its starting point, with at most ``iterations`` (at least 1)."""
         self._core.warm_start(*self._before)
         return super().truncated(qp, iterations)
 
@@ -79,8 +79,6 @@ class OSQPSession(TruncatedSession):
 @dataclass(frozen=True)
 class OSQP(Adapter):
     """OSQP through its native interface.
-
-    With the library's default tolerance of 1e-3, nineteen in twenty answers are not optimal.
 
     Args:
         eps, eps_rel: absolute and relative tolerance on the scaled problem.

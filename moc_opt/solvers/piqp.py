@@ -25,7 +25,7 @@ class PIQPSession(TruncatedSession):
     """One dense PIQP workspace."""
 
     def _allocate(self, m: int, n: int) -> dict[str, Any]:
-        # Stored by columns (order="F"), because the library copies row-major matrices.
+        # Stored by columns, because the library copies row-major matrices.
         P, A, p = np.empty((n, n), order="F"), np.empty((m, n), order="F"), np.empty(n)
         b, lower, upper = np.empty(m), np.empty(n), np.empty(n)
         self._data = (P, p, A, b, None, None, None, lower, upper)

@@ -69,8 +69,6 @@ class ProxQPSession(LibrarySession):
 class ProxQP(Adapter):
     """ProxQP's dense back-end.
 
-    With the library's default eps_primal_inf = 1e-4, a third of the feasible subproblems are called infeasible.
-
     Args:
         eps: absolute tolerance on the scaled problem.
         eps_primal_inf: tolerance of the proof of infeasibility.

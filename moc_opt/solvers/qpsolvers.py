@@ -1,6 +1,6 @@
 """Adapter of the package qpsolvers. Its solvers are named ``qpsolvers:NAME``.
 
-qpsolvers converts the problem at every call, so solve times with this adapter do not show the libraries' speeds.
+Solve times include the conversion of the problem, so they do not show the libraries' speeds.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from moc_opt.solvers.library import refuse_semidefinite
 class Advice(NamedTuple):
     """Settings under which a library's reported status can be trusted."""
 
-    cost_scale: float = 1.0  #: factor of P and p in the cost x^T P x / 2 + p^T x
+    cost_scale: float = 1.0  #: factor of P and p
     options: Mapping[str, Any] = {}  #: keyword arguments of the library
 
 
@@ -85,14 +85,14 @@ ALLOWED = {
             alpha acceleration_lookback acceleration_interval""",
     }.items()
 }  # fmt: skip
-"""The options that may be set, by library. All others are refused, because they might do harm."""
+"""The options that may be set, by library. None reads or writes a file, loads or compiles code, or prints."""
 
 # With sparse libraries, qpsolvers warns at each call.
 _NOISY = set(qpsolvers.sparse_solvers) - set(qpsolvers.dense_solvers)
 
 
 def reasons() -> dict[str, str | None]:
-    """Map each library's name to the reason why the library cannot run here, or to None."""
+    """Map each library to the reason why it cannot run here, or to None."""
     known = {module.name.strip("_") for module in pkgutil.iter_modules(qpsolvers.solvers.__path__)}
     here = set(qpsolvers.available_solvers)
     return {
@@ -102,12 +102,12 @@ def reasons() -> dict[str, str | None]:
 
 
 def checked(solver: str, options: object) -> dict[str, Any]:
-    """Return a copy of a library's options. Raise an error if one is not allowed, or is neither flag nor number."""
+    """Return a copy of a library's options. Raise an error if a name or a value is not allowed."""
     if not isinstance(options, Mapping):
         raise SolverError(f"{solver}: options = {options!r:.80} is not a table of keyword arguments")
     allowed = ALLOWED.get(solver, frozenset())
     for name, value in options.items():
-        if name not in allowed:  # no allowed option reads or writes a file, loads or compiles code, or prints
+        if name not in allowed:
             raise UnknownNameError(f"option of {solver}", str(name), allowed)
         if not isinstance(value, (bool, int, float)) or not math.isfinite(value) or abs(value) > MOST:
             raise SolverError(
@@ -132,7 +132,7 @@ class QPSolverSession:
             return no_answer(qp.n, Status.NUMERICAL)
 
     def attempt(self, qp: NullSpaceQP) -> Solution:
-        """Solve one subproblem. Raise what the library raises."""
+        """Like `solve`, but raise what the library raises."""
         P, p, A, b, lift = qp.assembled(self._settings.rows)
         scale, library = self._advice.cost_scale, self._settings.library
         # Pass copies: daqp refuses read-only arrays.
@@ -197,18 +197,18 @@ class QPSolver(SolverSettings):
 
     @property
     def advice(self) -> Advice:
-        """The cost's factor and the library's keyword arguments. Given values replace those of `ADVICE`."""
+        """The library's `ADVICE`, in which given values replace its own."""
         base = ADVICE.get(self.library, Advice()) if self.advised else Advice()
         scale = base.cost_scale if self.cost_scale is None else self.cost_scale
         return Advice(scale, {**base.options, **(self.options or {})})
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return why quadprog refuses the problem, or None. The other libraries accept every problem."""
+        """Return why quadprog refuses the problem, or None."""
         needs = "quadprog needs a positive definite cost"
         return refuse_semidefinite(qp, needs) if self.library == "quadprog" else None
 
     def start(self, qp: NullSpaceQP) -> Session:
-        """Return a session. Options are tried on ``qp`` first."""
+        """Return a session. Raise a SolverError if the library refuses an option."""
         session = super().start(qp)
         if self.options:
             try:

@@ -38,7 +38,7 @@ class QuadprogSession(LibrarySession):
 
 @dataclass(frozen=True)
 class Quadprog(Adapter):
-    """The settings of quadprog. It needs regularization > 0."""
+    """The settings of quadprog."""
 
     cost_scale: float = 1.0
     name = "quadprog"

@@ -39,7 +39,7 @@ QPSOLVERS = "qpsolvers:"  #: prefix of the solvers of qpsolvers
 
 
 class Entry(NamedTuple):
-    """A solver's name and the callable that makes it. A plug-in also has an entry point."""
+    """A solver's name and the callable that makes it."""
 
     name: str
     make: Callable[..., Solver]
@@ -47,7 +47,7 @@ class Entry(NamedTuple):
 
     @property
     def parameters(self) -> dict[str, inspect.Parameter]:
-        """The callable's parameters by name; empty if unknown."""
+        """The callable's parameters; empty if unknown."""
         try:
             return dict(inspect.signature(self.make).parameters)
         except (TypeError, ValueError):
@@ -69,7 +69,7 @@ class Entry(NamedTuple):
 
 
 def check_solver(given: object, what: str = "") -> Solver:
-    """Return ``given`` if it is a solver, else raise a SolverError."""
+    """Return ``given``. Raise a SolverError if it is no solver."""
     what = what or shown(given, 80)
     if isinstance(given, type):
         raise SolverError(f"{what} is a class, no solver: call it, as in {given.__name__}()")
@@ -87,7 +87,7 @@ def check_solver(given: object, what: str = "") -> Solver:
 
 
 def available() -> dict[str, str | None]:
-    """Map each solver's name to the reason why the solver cannot run here, or to None."""
+    """Map each solver's name to the reason why it cannot run here, or to None."""
     found: dict[str, str | None] = {name: _absent(package) for name, (_, _, package) in BUILT_IN.items()}
     absent = _absent("qpsolvers")
     libraries = {"NAME": absent} if absent else importlib.import_module("moc_opt.solvers.qpsolvers").reasons()
@@ -114,7 +114,7 @@ def check_name(name: str) -> None:
 
 
 def defaults(name: str) -> dict[str, Any]:
-    """Return the default settings of the named solver. Raise what ``create`` raises."""
+    """Return a solver's default settings. Raise what ``create`` raises."""
     return {p.name: p.default for p in find(name).parameters.values() if p.default is not p.empty}
 
 
@@ -129,7 +129,7 @@ def create(name: str, **settings: Any) -> Solver:
 
 
 def find(name: str) -> Entry:
-    """Import the named solver and return its `Entry`. Raise what ``create`` raises."""
+    """Import a solver, and return its `Entry`. Raise what ``create`` raises."""
     if not isinstance(name, str):
         raise SolverError(f"solver = {shown(name)}: give a solver's name, such as 'exact'")
     claimed = plugins.plugins(GROUP).get(name, [])

@@ -1,16 +1,14 @@
-"""The recurrent neural network of Su et al. 2019.
+"""The recurrent neural network of Su et al. 2019, equation (2).
 
-x descends the Lagrangian L within the bounds, and the multipliers l1 and l2 ascend it, as in the paper's equation (2).
-(In its proof of convergence, the paper prints L with the wrong sign: tests/reference/test_errata.py.)
+x descends the Lagrangian L within the bounds, and the multipliers l1 and l2 ascend it.
 
     eps dx/dt = -x + clip(x - k (c0 J_T^T (J_T x - v_T) + c1 J_W^T (J_W x - v_W) + rho x - c2 grad_mu
                                  + J_T^T l1 + J_W^T l2), lower, upper)
     eps dl1/dt = k (J_T x - v_T),   eps dl2/dt = k (J_W x - v_W)
 
 `moc_opt/core/rnn.c` makes Euler steps of size h = dt/eps. Here eps is the network's time constant, not the setting
-`eps`. J_T and J_W are the Jacobians of tip and wrist, and v_T and v_W the velocities that tip and wrist must have. c0,
-c1, c2 and rho (the regularization) are weights of the cost, grad_mu is the gradient of the manipulability, and k is a
-gain. On infeasible problems, the multipliers grow without bound.
+`eps`. v_T and v_W are the velocities that tip and wrist must have. c0, c1, c2 and rho (the regularization) are weights
+of the cost, and k is a gain. On infeasible problems, the multipliers grow without bound.
 """
 
 from __future__ import annotations
@@ -53,7 +51,7 @@ def unstable(qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool, 
 
 
 class Network(SolverSettings):
-    """Base of `RNN` and `RNNPrinted`, with a step size h in (0, 1]."""
+    """Base of `RNN` and `RNNPrinted`."""
 
     h: float
 
@@ -74,7 +72,7 @@ class RNNSession:
         self._x, self._y = np.zeros(n), np.zeros(6)
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Solve one subproblem from the state after the last tick."""
+        """Solve one subproblem."""
         s = self._settings
         return self._advance(qp, s.steps, s.h, s.h, s.scale, s.method == "semi-implicit")
 
@@ -92,7 +90,7 @@ class RNNSession:
 
 
 class RNNPrintedSession(RNNSession):
-    """The multipliers of one network, whose x is the measured velocity."""
+    """A network whose x is the measured velocity."""
 
     def observe(self, v: ArrayLike) -> None:
         """Use the measured joint velocity v (n,) [rad/s] as x at the next tick."""
@@ -138,8 +136,7 @@ class RNN(Network):
 class RNNPrinted(Network):
     """Equation (2) of the paper as printed. The paper's qd is the measured joint velocity v.
 
-    The answer is x = P(v - k dL/dqd), where P clips to the bounds. Each tick needs ``session.observe(v)`` first. With
-    the paper's weights, the gradient of mu hardly changes the torques, so the network acts only as damping.
+    Each tick needs ``session.observe(v)`` first.
 
     Args:
         k: the paper's gain.

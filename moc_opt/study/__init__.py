@@ -1,7 +1,4 @@
-"""A study runs independent trials in worker processes, and writes a table and a page of their results.
-
-docs/extending.md shows a study of 20 lines.
-"""
+"""Studies of independent trials in worker processes. docs/extending.md shows a study of 20 lines."""
 
 from moc_opt.study.engine import Failed, Job, run
 from moc_opt.study.kept import Kept

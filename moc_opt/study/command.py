@@ -1,10 +1,10 @@
-"""The command of a study reads a configuration, runs the study, and writes and prints the results.
+"""The command of a study.
 
-    class Config(StudyConfig): ...                       # the configuration, read from TOML
-    def work(study: Study, config: Config) -> Found: ... # runs the trials
+    class Config(StudyConfig): ...
+    def work(study: Study, config: Config) -> Found: ...
     def main(arguments=None): return command("robots", "What holds on every arm.", Config, work, arguments)
 
-After an interruption, the same command continues from the finished jobs in the subfolder jobs/.
+After an interruption, the same command continues from the finished jobs.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ CONFIGS = Path(__file__).parents[2] / "benchmarks" / "configs"
 
 
 class StudyConfig(Settings):
-    """Base of a study's configuration, which is read from TOML."""
+    """Base of a study's configuration."""
 
     KIND: ClassVar[str] = "configuration:"
     seed: int = Field(0, ge=0, le=2**62)
@@ -57,7 +57,7 @@ class StudyConfig(Settings):
             return cls(**table if seed is None else {**table, "seed": seed})
 
     def quick(self) -> Self:
-        """Return the configuration for ``--quick``. The base class changes nothing."""
+        """Return the configuration for ``--quick``."""
         return self
 
 
@@ -72,18 +72,18 @@ class Found:
     summary: Mapping[str, Any]
     rows: Results = field(default_factory=Results)
     environment: Mapping[str, Any] = field(default_factory=dict)  #: further entries of environment.json
-    files: Sequence[str] = ()  #: names of further files of the study
+    files: Sequence[str] = ()  #: names of further files
     sentences: Sequence[str] = ()  #: printed below the report
     status: int = 0  #: exit status
 
 
 @dataclass(frozen=True)
 class Study:
-    """A study's name, its result folder and the parsed command line (``given``). Its methods run jobs."""
+    """Runs the jobs of a study."""
 
     name: str
-    out: Path
-    given: Namespace
+    out: Path  #: folder of the results
+    given: Namespace  #: the parsed command line
     processes: int | None = None  #: number of parallel jobs; None: one per core
 
     @cached_property
@@ -95,7 +95,7 @@ class Study:
         self, jobs: Sequence[Job], what: str = "jobs", *, done: Callable[[Job, Any], None] = lambda job, result: None,
         **options: Any,
     ) -> list[Any]:  # fmt: skip
-        """Run jobs with a progress bar, and store their results."""
+        """Run jobs, and store their results."""
         with Bar(f"{self.name}: {what}", len(jobs)) as bar:
 
             def note(job: Job, result: Any) -> None:
@@ -108,13 +108,13 @@ class Study:
     def trials(
         self, asked: Sequence[Trial], what: str = "runs", *, limit_s: float | None = None, **options: Any
     ) -> list[Run]:
-        """Run trials, and return one `Run` per trial, failed or not. ``limit_s`` replaces the trials' time limits."""
+        """Return one `Run` per trial, failed or not. ``limit_s`` replaces the trials' time limits."""
         jobs = [one.job if limit_s is None else replace(one.job, limit_s=limit_s) for one in asked]
         results = self.run(jobs, what, **options)
         return [outcome(one, result) for one, result in zip(asked, results, strict=True)]
 
     def placed(self, cases: Sequence[Scenario]) -> tuple[list[Scenario], list[dict[str, Any]]]:
-        """Search for a start pose for each trial. Return the trials that have one, and a row for each of the others."""
+        """Find the start poses. Return the trials that have one, and a row for each of the others."""
         found = self.run([Job(placed, (case,)) for case in cases], "starts")
         lost = [
             {**Trial(case, "").failed(str(start)).row, "ended": "no start"}
@@ -169,7 +169,7 @@ def check_folder(out: Path, name: str) -> None:
 
 
 def leave(found: Found, study: Study, config: StudyConfig, argv: Sequence[str]) -> None:
-    """Write the files of a study. Print its report, or its summary with ``--json``."""
+    """Write the files of a study, and print its report or, with ``--json``, its summary."""
     out = study.out
     out.mkdir(parents=True, exist_ok=True)
     surroundings = environment(config.model_dump(mode="json"), config.seed, argv)
@@ -193,7 +193,7 @@ def leave(found: Found, study: Study, config: StudyConfig, argv: Sequence[str]) 
 
 
 def environment(config: Mapping[str, Any], seed: int, argv: Sequence[str] = ()) -> dict[str, Any]:
-    """Return the machine, versions, commit, seed and configuration."""
+    """Return the content of environment.json."""
     cpu = Path("/proc/cpuinfo")
     model = re.search(r"model name\s*: (.*)", cpu.read_text()) if cpu.exists() else None
     return {
@@ -210,9 +210,9 @@ def environment(config: Mapping[str, Any], seed: int, argv: Sequence[str] = ()) 
 
 
 def choose(wanted: Literal["all"] | Sequence[str], *beside: str) -> tuple[list[str], dict[str, str]]:
-    """Return the names of wanted solvers that can run here, and the reasons why the others cannot.
+    """Return the wanted solvers that can run here, and the reasons why the others cannot.
 
-    "all" means every known solver. ``beside``: further accepted names, such as those of controllers without a solver.
+    ``beside`` are further accepted names, such as those of controllers without a solver.
     """
     found: dict[str, str | None] = {**dict.fromkeys(beside), **available()}
     names = list(found) if wanted == "all" else list(wanted)
@@ -224,7 +224,7 @@ def choose(wanted: Literal["all"] | Sequence[str], *beside: str) -> tuple[list[s
 
 
 def runnable(wanted: Sequence[str], *beside: str) -> list[str]:
-    """Return the wanted solvers' names. Raise a SolverError if one of these solvers cannot run here."""
+    """Return the wanted names. Raise a SolverError if one of the solvers cannot run here."""
     names, reasons = choose(wanted, *beside)
     if reasons:
         name, reason = next(iter(reasons.items()))

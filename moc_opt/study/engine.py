@@ -1,8 +1,8 @@
-"""Run jobs in other processes, on this machine (library pebble) or on a Dask scheduler's workers.
+"""Run jobs in other processes, on this machine or on a Dask scheduler's workers.
 
     results = run([Job(trial, (scenario, "osqp", seed)) for seed in range(60)], kept=Kept(out / "jobs"))
 
-If a job fails, the results of the other jobs are not lost.
+A failed job does not stop the others.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from moc_opt.errors import MocOptError, StudyError, describe
 from moc_opt.study.kept import Kept, digest_of, key_of, loaded_sources
 
 CONNECT_S = 30.0  # largest time to connect to the Dask scheduler, and to find a worker there [s]
-LOOK_S = 1.0  # time between two checks of whether processes have died [s]
-ATTEMPTS = 3  # a job is submitted at most this often if the pool of workers breaks
-PID_FILE = ".pid"  # ending of the file with the process id of the worker that does a job
+LOOK_S = 1.0  # time between checks of whether processes have died [s]
+ATTEMPTS = 3  # a job is submitted at most this often if the pool breaks
+PID_FILE = ".pid"  # ending of the file with a worker's process id
 WAIT_FACTOR = 5.0
-PR_SET_PDEATHSIG = 1  # option of Linux's prctl: the signal that a process gets when its parent dies
+PR_SET_PDEATHSIG = 1  # option of Linux's prctl: the signal to get when the parent dies
 PRELOAD = ("moc_opt.scenario", "moc_opt.study.trials", "moc_opt.study.solver_answers")
 
 _parts: IO[bytes] | None = None  # in a worker: the file that `report` writes to
@@ -48,11 +48,10 @@ class Job:
 
     work: Callable[..., Any]
     arguments: tuple[Any, ...] = ()
-    limit_s: float = 600.0  #: time limit [s]
-    alone: bool = False  #: True for a job that measures times: no other job runs at the same time
+    limit_s: float = 600.0
+    alone: bool = False  #: for a job that measures times: no other job runs meanwhile
     group: str = ""
-    """Jobs with the same ``group`` belong together. After ``give_up`` (argument of `run`) hangs or crashes among them,
-    `run` skips the later ones. "": the job is never skipped."""
+    """After ``give_up`` hangs or crashes (see `run`) in a group, its later jobs are skipped. "": never skipped."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,7 @@ class Failed:
 
     kind: Literal["hung", "crashed", "raised", "not run"]
     reason: str
-    parts: tuple[Any, ...] = ()  #: the parts that the job saved by `report`
+    parts: tuple[Any, ...] = ()  #: what the job saved by `report`
 
     def __str__(self) -> str:
         return self.reason if self.kind in ("raised", "not run") else f"{self.kind}: {self.reason}"
@@ -81,10 +80,10 @@ def run(
     done: Callable[[Job, Any], None] = lambda job, result: None, keep: Callable[[Any], bool] = lambda result: True,
     give_up: int = 1,
 ) -> list[Any]:  # fmt: skip
-    """Run all jobs, and return their results in order. The result of a failed job is a `Failed`.
+    """Run jobs, and return their results in order. The result of a failed job is a `Failed`.
 
     Args:
-        kept: store of results. A stored job is not run again.
+        kept: results of finished jobs, which are not run again.
         workers: processes on this machine; None: one per core.
         dask: address of a Dask scheduler, such as "tcp://host:8786", for the jobs without ``alone``.
         done: called with each job and its result.
@@ -129,7 +128,7 @@ def run(
                     kept.put(keys[k], result, answer.sources)
                 finish(k, result)
     gone, answers = Counter[str](), list[Any]()
-    # Later jobs of a given-up group may have run. These results are dropped: the list must not depend on timing.
+    # Later jobs of a given-up group may have run. Their results are dropped: the list must not depend on timing.
     for k, job in enumerate(jobs):
         answers.append(_not_begun(job.group) if job.group and gone[job.group] >= give_up else results[k])
         gone[job.group] += _broke(answers[-1])
@@ -212,7 +211,7 @@ def _answer(future: Answer, job: Job) -> _Done | Failed:
         raise StudyError("the connection to the scheduler and the running jobs are lost; start again") from error
     except OSError as error:
         raise StudyError(f"no worker can be reached: {describe(error)}") from error
-    except Exception as error:  # noqa: BLE001 - a job that cannot be sent, or a cluster's error for a dead worker
+    except Exception as error:  # noqa: BLE001 - also a cluster's error for a dead worker
         if type(error).__name__ == "KilledWorker":
             return Failed("crashed", f"the worker died, or the job took more than {job.limit_s:g} s")
         return Failed("raised", describe(error))
@@ -222,7 +221,7 @@ def _do(work: Callable[..., Any], arguments: tuple[Any, ...], parts: str | None 
     global _parts
     if parts is not None:
         Path(f"{parts}{PID_FILE}").write_text(str(os.getpid()))
-        _parts = open(parts, "wb", buffering=0)  # noqa: SIM115 - the file stays open while the job runs
+        _parts = open(parts, "wb", buffering=0)  # noqa: SIM115 - closed below
     try:
         result = pickle.dumps(work(*arguments))
     except BaseException as error:  # noqa: BLE001 - a user's code may raise anything
@@ -242,7 +241,7 @@ def _do(work: Callable[..., Any], arguments: tuple[Any, ...], parts: str | None 
 
 @contextmanager
 def _processes(count: int) -> Iterator[tuple[Submit, int]]:
-    """Start ``count`` workers. Leaving the context ends them and their children."""
+    """Start workers. Leaving the context ends them and their children."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([*PRELOAD, "__main__"])
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // (count + 1)  # this process needs memory, too
@@ -302,7 +301,7 @@ def _begin(folder: str, memory: int) -> None:
 
 
 def report(part: Any) -> None:
-    """Save a part of the running job's result. If the job fails later, `Failed.parts` has the part."""
+    """Save a part of the running job's result, for `Failed.parts`."""
     if _parts is not None:
         _parts.write(pickle.dumps(part))
 
@@ -317,7 +316,7 @@ def _reported(file: str | None) -> tuple[Any, ...]:
 
 
 def alarm(seconds: float) -> None:
-    """Let the kernel end this job's process after ``seconds`` of processor time. With 0, cancel the alarm.
+    """Let the kernel end this process after ``seconds`` of processor time. With 0, cancel the alarm.
 
     A waiting process uses no processor time. So it is also ended after `WAIT_FACTOR` * ``seconds`` of wall time.
     """
@@ -330,7 +329,6 @@ def alarm(seconds: float) -> None:
 
 @contextmanager
 def _cluster(address: str) -> Iterator[tuple[Submit, int]]:
-    """Connect to a Dask scheduler. Its workers need the same sources as this process."""
     try:
         client_of: Any = importlib.import_module("distributed").Client
     except ImportError as error:
@@ -351,7 +349,6 @@ def _cluster(address: str) -> Iterator[tuple[Submit, int]]:
 
 
 def _do_within(work: Callable[..., Any], arguments: tuple[Any, ...], limit_s: float) -> _Done | Failed:
-    """Do one job on a cluster's worker. If the job takes longer than ``limit_s``, the worker's process exits."""
     faulthandler.dump_traceback_later(limit_s, exit=True, file=2)
     try:
         return _do(work, arguments)

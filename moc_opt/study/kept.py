@@ -55,7 +55,7 @@ class Kept:
         """Return (result,), or None if there is no valid result."""
         try:
             entry = self._cache.get(key)
-        except Exception as error:  # noqa: BLE001 - the entry is damaged, or was pickled by other code
+        except Exception as error:  # noqa: BLE001 - unpickling may raise anything
             print(f"{self.folder}: a finished job cannot be read ({error}) and is run again", file=sys.stderr)
             return None
         if not isinstance(entry, _Entry) or digest_of(entry.sources) != entry.digest:
@@ -64,7 +64,7 @@ class Kept:
         return (entry.result,)
 
     def put(self, key: str, result: Any, sources: tuple[str, ...]) -> None:
-        """Store a result with the names of its source files. Raise a StudyError if this fails."""
+        """Store a result. Raise a StudyError if this fails."""
         try:
             self._cache[key] = _Entry(result, sources, digest_of(sources))
         except (OSError, sqlite3.Error) as error:
@@ -72,7 +72,7 @@ class Kept:
 
 
 def key_of(work: Callable[..., Any], arguments: Iterable[Any]) -> str:
-    """Return the digest of a job's function, its arguments, and the libraries' versions."""
+    """Return the digest of a job."""
     code = getattr(work, "__code__", None)  # on a cluster, `loaded_sources` can lack the file that defines `work`
     own = "" if code is None else _file_digest(code.co_filename)
     asked = [work.__module__, work.__qualname__, own, _plain(list(arguments)), versions()]
@@ -80,7 +80,7 @@ def key_of(work: Callable[..., Any], arguments: Iterable[Any]) -> str:
 
 
 def loaded_sources() -> tuple[str, ...]:
-    """Return the imported files, except the standard library, installed packages, and the subpackages in `SHOWS`."""
+    """Return the imported files, except those of Python, of installed packages and of `SHOWS`."""
     return _sources(tuple(sys.modules))
 
 
@@ -114,7 +114,7 @@ def robot_files() -> tuple[str, ...]:
 
 @cache
 def versions() -> dict[str, str | None]:
-    """Return the version of each package, or None if it is not installed."""
+    """Return each package's version, or None if it is not installed."""
     found: dict[str, str | None] = dict.fromkeys(PACKAGES)
     for name in PACKAGES:
         with suppress(importlib.metadata.PackageNotFoundError):

@@ -1,7 +1,4 @@
-"""The rows of a study, and means and changes over its runs.
-
-Means are over whole runs (completed tasks). A change compares two controllers on trials that both completed.
-"""
+"""The rows of a study, and means and changes over its runs."""
 
 from __future__ import annotations
 
@@ -23,14 +20,12 @@ ERRORS = (
     "tip_error_model_mean_mm", "tip_error_registered_mean_mm", "tip_error_mean_mm",
     "rcm_error_model_mean_mm", "rcm_error_registered_mean_mm", "rcm_error_mean_mm",
 )  # fmt: skip
-"""Mean errors [mm] of the tip, then of the RCM. Each is given in three frames; see `FRAMES` and `BASE_FRAME`."""
 PHASES = ("settled", "travelling")
 """Prefixes of metrics. "travelling": while the elbow moves to its optimum; "settled": after its arrival."""
 TITLES = {
     name: f"{part}, {frame}"
     for name, (part, frame) in zip(ERRORS, product(("tip", "RCM"), ("model", "registered", "base")), strict=True)
 }
-"""Column headings of `ERRORS` and of their changes."""
 FRAMES = (
     "Model: the error computed with the robot's kinematic model. The controller can correct only this error. "
     "Registered: the error relative to the points touched at the start. This error matters to the patient."
@@ -39,7 +34,7 @@ BASE_FRAME = "Base: the error in the base frame (absolute accuracy)."
 
 
 def change_name(metric: str) -> str:
-    """Return the name of a metric's change against the baseline, such as mu_gain_percent."""
+    """Return the name of a metric's change, such as mu_gain_percent."""
     if metric == "mu_mean":
         return "mu_gain_percent"
     return metric.removesuffix("_Nm_per_s").removesuffix("_mm").removesuffix("_N").removesuffix("_mean") + (
@@ -48,7 +43,7 @@ def change_name(metric: str) -> str:
 
 
 class Results:
-    """Rows of a study with ``trial``, ``controller``, ``ended``, ``whole``, ``error`` and metrics."""
+    """Rows of a study with ``trial``, ``controller``, ``ended``, ``whole`` (completed), ``error`` and metrics."""
 
     def __init__(self, rows: Iterable[Mapping[str, Any]] = ()) -> None:
         self._rows: list[dict[str, Any]] = [dict(row) for row in rows]
@@ -68,7 +63,7 @@ class Results:
         return Results(row for row in self._rows if all(row.get(name) == value for name, value in keys.items()))
 
     def shared(self) -> Results:
-        """Return the rows of the trials that every controller ran."""
+        """Return the rows of trials that every controller ran."""
         ran = [{row["trial"] for row in self.where(controller=name)} for name in self.names()]
         return Results(row for row in self._rows if all(row["trial"] in trials for trials in ran))
 
@@ -77,12 +72,12 @@ class Results:
         return [name for name in dict.fromkeys(row.get(column) for row in self._rows) if name is not None]
 
     def values(self, metric: str, controller: str) -> dict[Any, float]:
-        """Return the metric's value per trial, for the controller's whole runs."""
+        """Return the metric's value per trial, for the controller's completed runs."""
         mine = (row for row in self._rows if row.get("controller") == controller and row.get("whole"))
         return {row["trial"]: float(row[metric]) for row in mine if row.get(metric) is not None}
 
     def mean(self, metric: str, controller: str) -> Interval | None:
-        """Return the mean over the controller's whole runs, or None if the controller has no whole run."""
+        """Return the mean over the controller's completed runs, or None if there is none."""
         try:
             return mean(list(self.values(metric, controller).values()))
         except StatisticsError:
@@ -109,7 +104,7 @@ class Results:
     def figures(
         self, controller: str, means: Sequence[str] = (), changes: Sequence[str] = (), baseline: str = BASELINE
     ) -> dict[str, Any]:
-        """Return a controller's counts, means and changes against a baseline, for a summary."""
+        """Return a controller's counts, means and changes, for a summary."""
         mine = [row for row in self._rows if row.get("controller") == controller]
         found: dict[str, Any] = {
             "trials": len(mine), "whole": sum(bool(row.get("whole")) for row in mine),
@@ -148,7 +143,7 @@ class Results:
 
     @property
     def frame(self) -> pl.DataFrame:
-        """The rows as a polars table, with null for numbers that are not finite."""
+        """The rows as a table, with null for numbers that are not finite."""
         rows = [plain(row) for row in self._rows]
         names = list(dict.fromkeys(name for row in rows for name in row))
         return pl.DataFrame([pl.Series(name, [row.get(name) for row in rows], strict=False) for name in names])

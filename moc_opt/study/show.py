@@ -1,4 +1,4 @@
-"""The `Report` of a study, as a page, as Markdown and on a terminal."""
+"""The report of a study."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FORMATS = {"%": "+.1f", "mm": ".3f", "us": ".1f", "m^3": ".4f", "N": ".2f"}
 
 
 def mark(verdict: bool | str | None, text: str) -> Mark:
-    """Return a `Mark` of the verdict's symbol and ``text``. An open verdict shows "text?" without a symbol."""
+    """Return the verdict's `Mark` with ``text``. An open verdict shows "text?"."""
     known = MARKS.get(verdict, OPEN)
     symbol, word = ("", f"{text}?") if known is OPEN else (known.symbol, text)
     return Mark(symbol, word, known.tone, known.rank)
@@ -42,7 +42,7 @@ class Picture(NamedTuple):
 
 @dataclass(frozen=True)
 class Section:
-    """Text, tables and pictures under a title."""
+    """A section of a report."""
 
     title: str
     text: str = ""
@@ -55,14 +55,14 @@ class Report:
 
     title: str  #: the question and the fixed conditions
     answer: Sequence[str]  #: up to three sentences, the most important one first
-    table: Table  #: table on the first screen
-    pictures: Sequence[Picture] = ()  #: up to three pictures
-    sections: Sequence[Section] = ()  #: in reading order
+    table: Table  #: on the first screen
+    pictures: Sequence[Picture] = ()
+    sections: Sequence[Section] = ()
     load: str = ""  #: the machine's load while times were measured
     subtitle: str = ""
 
     def page(self, environment: Mapping[str, Any], failed: Sequence[Mapping[str, Any]] = ()) -> Page:
-        """Return the report as a page, with failed runs and the environment at its end."""
+        """Return the report as a page."""
         page = Page(self.title, self.subtitle)
         for sentence in self.answer:
             page.headline(sentence)
@@ -85,7 +85,7 @@ class Report:
         return page
 
     def markdown(self) -> str:
-        """Return the sentences and tables as Markdown."""
+        """Return the report without its pictures as Markdown."""
         parts = [f"# {self.title}", *self.answer, _markdown(self.table), self.load]
         for section in self.sections:
             parts += [f"## {section.title}", section.text]
@@ -101,7 +101,7 @@ class Report:
 
 
 def about(scenario: Scenario, *, solver: bool = False) -> str:
-    """Return the text of a title: a scenario's arm, task, preset and, if ``solver``, solver."""
+    """Name a scenario's arm, task, preset and, if ``solver``, solver."""
     control = scenario.control
     preset = next((name for name in PRESETS if control == ControlSettings.preset(name)), None)
     named = "default" if control == ControlSettings() else preset or "own settings"
@@ -117,10 +117,7 @@ def _markdown(table: Table) -> str:
 
 
 def columns(*metrics: str, of: str = "", **titles: str) -> list[Column]:
-    """Return one table column, with unit and help, for each metric or change of a metric.
-
-    Values link to section ``of``. ``titles`` gives headings by metric.
-    """
+    """Return a table column for each metric or change. ``of``: section to link to; ``titles``: headings by metric."""
     found = []
     for name in metrics:
         bare = name.removeprefix("settled_").removeprefix("travelling_")
@@ -163,7 +160,7 @@ def intervals_picture(
 def lines_picture(
     lines: Mapping[str, Sequence[tuple[float, float, float, float]]], x_title: str, y_title: str, *, log: bool = False
 ) -> go.Figure:
-    """Draw a line for each name through its points (x, low, value, high), with error bars."""
+    """Draw a line for each name through its points (x, low, value, high)."""
     drawn, styles = figure(), Styles(lines)
     for name, points in lines.items():
         drawn.add_scatter(

@@ -1,6 +1,6 @@
 """Collect solvers' answers to sets of problems, check and count them, and measure times.
 
-The residuals of an answer (`moc_opt.qp.residuals`) decide whether it is right, whatever the solver reports.
+An answer's residuals (`moc_opt.qp.residuals`) decide whether it is optimal, whatever the solver reports.
 """
 
 from __future__ import annotations
@@ -26,17 +26,15 @@ from moc_opt.study.solver_settings import SolverSetting
 from moc_opt.study.testsets import TestSet
 from moc_opt.study.timing import each_us, percentiles, total
 
-Runner = Callable[..., list[Any]]  # `moc_opt.study.run` with some arguments bound
+Runner = Callable[..., list[Any]]  # `engine.run` with some arguments bound
 
 HUNG, CRASHED, RAISED, NOT_ASKED, REFUSED = "hung", "crashed", "raised", "not asked", "refused"
 """Statuses of an answer in addition to those of `Status`."""
 BROKEN_SETS = 3  # after hangs or crashes in this many sets, a solver's later sets are skipped
-WHOLE_SET_S = 1e5  # time limit of a whole set [s]
+WHOLE_SET_S = 1e5  # time limit of a whole set [s]; `answer` limits the single solves
 WARM_UP = 16  # untimed solves at the start
 CONTRADICTION = 1e-13  # six rows A x = b contradict each other if a consistent b differs by more than this [m/s]
-RIGHTLY = 0.99
-"""Least share of right answers among the problems asked (`share_right`). If a solver has less, its times cannot be the
-best of a table, and its verdict is at best "gaps"."""
+RIGHTLY = 0.99  # with a smaller `share_right`, a solver's times are not compared, and its verdict is at best "gaps"
 RESIDUALS = ("primal", "natural", "natural_best", "relative", "loss")
 
 
@@ -55,7 +53,7 @@ Question = tuple[SolverSetting, TestSet]
 
 
 class Answer(NamedTuple):
-    """A solver's answer: status, iterations, x (n,), y (6,), and ``trouble`` (an exception or defect, or "")."""
+    """A solver's answer, with x (n,) and y (6,). ``trouble`` describes an exception or a defect; "" if none."""
 
     status: str
     iterations: int
@@ -65,9 +63,9 @@ class Answer(NamedTuple):
 
 
 class Answers:
-    """One solver's answers to one set of k problems, with their residuals.
+    """One solver's answers to one set of problems, with their residuals.
 
-    ``refused`` says why the solver does not accept the problems. ``events`` lists exceptions, hangs and crashes.
+    ``refused`` says why the solver refuses the problems. ``events`` lists exceptions, hangs and crashes.
     """
 
     def __init__(self, setting: SolverSetting, problems: TestSet, result: list[Any] | Failed) -> None:
@@ -96,8 +94,7 @@ class Answers:
     def counts(self) -> dict[str, int]:
         """Count the answers by outcome (see docs/solvers.md).
 
-        The six equality rows may contradict each other while five independent rows are feasible. The answer
-        "infeasible" is then neither right nor wrong. It counts as `refused_inconsistent`.
+        If six rows contradict each other while five are feasible, "infeasible" counts as `refused_inconsistent`.
         """
         status, feasible = self.status, self.problems.feasible
         claimed, infeasible = status == "solved", status == "infeasible"
@@ -118,7 +115,7 @@ class Answers:
         return {"solves": len(status), **{name: int(flags.sum()) for name, flags in found.items()}, **broken}
 
     def summary(self, times: Times | None = None) -> dict[str, Any]:
-        """Return counts, largest residuals, times and the first fault, for summary.json."""
+        """Return the entries for summary.json."""
         found: dict[str, Any] = dict(self.counts())
         answered = self.problems.feasible & np.isfinite(self.x).all(axis=1)
         for name in RESIDUALS:
@@ -165,10 +162,7 @@ def totals(answers: Sequence[Answers], times: Sequence[Times]) -> dict[str, Any]
 
 
 def ask(run: Runner, questions: Sequence[Question], limits: Limits, *, warm: bool = True) -> list[Answers]:
-    """Collect the answers to each question (a solver's setting and a set of problems).
-
-    If ``warm``, one session solves the whole set. Otherwise each problem has a new session.
-    """
+    """Collect the answers to each question. If ``warm``, one session solves a whole set, else a single problem."""
     jobs = [
         Job(answer, (setting, problems.rows, warm, limits.patience_s, limits.setup_s), WHOLE_SET_S, group=setting.label)
         for setting, problems in questions
@@ -210,7 +204,7 @@ def _answers(setting: SolverSetting, rows: Array, warm: bool) -> Iterator[Any]:
         yield Answer(solution.status.label, solution.iterations, np.array(solution.x), np.array(y))
 
 
-_robot = cache(load_robot)  # each worker reads the robot once
+_robot = cache(load_robot)
 
 
 def _made(setting: SolverSetting) -> Solver:
@@ -218,10 +212,9 @@ def _made(setting: SolverSetting) -> Solver:
 
 
 def _problems(rows: Array) -> list[NullSpaceQP]:
-    """Make the problems, and compute their properties before times are taken."""
     found = [NullSpaceQP.from_row(np.array(row)) for row in rows]
     for qp in found:
-        _ = qp.q, qp.reduced()
+        _ = qp.q, qp.reduced()  # cached before times are taken
     return found
 
 
@@ -251,14 +244,14 @@ def _asked(session: Session, qp: NullSpaceQP) -> tuple[Solution, str]:
 class Times(NamedTuple):
     """Times of one solver on one set [us]."""
 
-    solve: Array  #: (rounds, k) times of warm solves in one session
-    setup: Array  #: times of starting sessions
-    cold: Array  #: times of the first solve of each session
-    update: Array  #: times of `update`, which only loads a problem into the library; empty if the session has none
-    load: Mapping[str, float]  #: the machine's load during the measurement (see `timing.COUNTED`)
+    solve: Array  #: (rounds, k) warm solves in one session
+    setup: Array  #: starts of sessions
+    cold: Array  #: first solves of sessions
+    update: Array  #: calls of `LibrarySession.update`; empty if the session has none
+    load: Mapping[str, float]  #: the machine's load (`timing.COUNTED`)
 
     def figures(self) -> dict[str, Any]:
-        """Return percentiles of the times, the number of solves, and the machine's load."""
+        """Return the entries for summary.json."""
         found: dict[str, Any] = {"timed_solves": int(self.solve.size), **self.load}
         for name in ("solve", "cold", "setup", "update"):
             found |= percentiles(getattr(self, name).ravel(), name)
@@ -266,10 +259,7 @@ class Times(NamedTuple):
 
 
 def time(run: Runner, answers: Sequence[Answers], limits: Limits) -> list[Times | None]:
-    """Time the solver of each `Answers` on its set of problems, with nothing else running.
-
-    An entry is None if a problem was not answered, or if the timing failed.
-    """
+    """Time each solver on its problems. An entry is None if a problem was not answered, or if the timing failed."""
     limit = 20.0 * limits.seconds + limits.patience_s + limits.setup_s
     whole = [one for one in answers if one.complete]
     jobs = [
@@ -282,9 +272,9 @@ def time(run: Runner, answers: Sequence[Answers], limits: Limits) -> list[Times 
 
 
 def measure(setting: SolverSetting, rows: Array, every: int, rounds: int, seconds: float) -> Times:
-    """Time one session on all problems, and new sessions on every ``every``-th problem.
+    """Time one session on all problems, and a new session on every ``every``-th problem.
 
-    The session does at most ``rounds`` passes through the problems. After ``seconds``, no new pass begins.
+    No pass begins after ``rounds`` passes through all problems, or after ``seconds`` of solving.
     """
     solver, problems = _made(setting), _problems(rows)
     session = solver.start(problems[0])

@@ -68,7 +68,7 @@ COUNTED = (
 
 
 def answers_table(title: str, part: Mapping[str, Mapping[str, Any]], suffix: str = "", *more: Column) -> Table:
-    """Make the table of an open-loop part. ``suffix`` is appended to the keys of `TIMES`. ``more``: further columns."""
+    """Make the table of an open-loop part. ``suffix`` is appended to the keys of `TIMES`."""
     rows = []
     for name, row in part.items():
         share = share_right(row) if "right" in row else None
@@ -95,7 +95,7 @@ def record(case: Scenario, ticks: int) -> Array:
 
 
 def recorded_sequence(work: Work) -> None:
-    """Let each solver solve the sequence warm (in one session) and cold (in a new session for each problem)."""
+    """Solve the sequence warm (in one session) and cold (in a new session for each problem)."""
     config = work.config.open_loop
     problems = [NullSpaceQP.from_row(np.array(row)) for row in work.sequence]
     session = Exact().start(problems[0])
@@ -130,11 +130,11 @@ def recorded_sequence(work: Work) -> None:
 
 
 def certified_sets(work: Work) -> None:
-    """Let every solver solve every set under each of the solver's settings, then take times."""
+    """Solve every set under every setting, then take times."""
     config = work.config.testsets
     chosen = [TestSet.load(name).thinned(config.every) for name in config.chosen()]
     thinned = [data.thinned(config.every_other) for data in chosen]
-    questions = [  # set by set, so that a hanging solver is dropped early
+    questions = [  # set by set, to drop a hanging solver early
         (setting, data if setting.recommended and not setting.nonlinear else thin)
         for data, thin in zip(chosen, thinned, strict=True) for setting in work.settings
     ]  # fmt: skip
@@ -183,7 +183,7 @@ def _set_by_set(summary: Mapping[str, Any], names: Sequence[str], recommended: S
 
 
 def closed_loop(work: Work) -> None:
-    """Run the controller without a solver (the baseline) and with each solver."""
+    """Run the baseline and the solvers."""
     part = work.config.closed_loop
     cases = work.config.cases()
     number = {case.name: k for k, case in enumerate(cases)}
@@ -193,7 +193,7 @@ def closed_loop(work: Work) -> None:
     asked = []
     for case in starts:
         k = number[case.name]
-        # The best joint motions are planned in the first trials only, because planning takes as long as a run.
+        # The best courses are planned only in the first trials, because planning takes as long as a run.
         case = case.change(best_courses=k < part.others)
         timed = k < part.timed
         asked += [
@@ -215,9 +215,9 @@ def closed_loop(work: Work) -> None:
 def figures(
     rows: Results, controller: str, runs: Sequence[Run] = (), common: Container[str] | None = None
 ) -> dict[str, Any]:
-    """Return a controller's means and changes over its completed runs, and sums and maxima over all its runs.
+    """Return a controller's entries for summary.json. Times are pooled over the timed ``runs``.
 
-    Times are pooled over the timed ``runs``. Counts named "_in_common" are over the trials in ``common`` (None: all).
+    Counts named "_in_common" are over the trials in ``common`` (None: all).
     """
     found = rows.figures(controller, MEANS, CHANGES)
     mine = [row for row in rows if row["controller"] == controller]

@@ -1,4 +1,4 @@
-"""The settings under which each solver is studied (solver-settings.toml), and the reasons for them."""
+"""The settings under which each solver is studied, from solver-settings.toml."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class SolverSetting:
 
     @property
     def recommended(self) -> bool:
-        """Whether this is the recommended setting."""
+        """Whether it is the recommended setting."""
         return self.name == RECOMMENDED
 
     @property
@@ -51,7 +51,7 @@ class SolverSetting:
 def solver_settings(
     names: Iterable[str], overrides: Mapping[str, Mapping[str, Any]] | None = None
 ) -> list[SolverSetting]:
-    """Return every setting of every named solver. ``overrides[solver]`` changes options of its recommended setting."""
+    """Return the solvers' settings. ``overrides[solver]`` changes options of its recommended setting."""
     return [
         SolverSetting(solver, name, {**options, **((overrides or {}).get(solver, {}) if name == RECOMMENDED else {})},
                       reason)
@@ -60,7 +60,7 @@ def solver_settings(
 
 
 def of(name: str) -> dict[str, tuple[dict[str, Any], str]]:
-    """Return a dict from a setting's name to (options, reason), for one solver."""
+    """Map the names of a solver's settings to (options, reason)."""
     tables = SETTINGS.get(name, {})
     if not name.startswith(QPSOLVERS):
         known = {of: ({key: v for key, v in one.items() if key != "why"}, one["why"]) for of, one in tables.items()}
@@ -74,7 +74,7 @@ def of(name: str) -> dict[str, tuple[dict[str, Any], str]]:
 
 
 def effective(setting: SolverSetting) -> dict[str, Any]:
-    """Return all options that the solver gets, including the adapter's defaults."""
+    """Return the solver's options, with the adapter's defaults."""
     found = {**defaults(setting.solver), **setting.options}
     for name in ("kinematics", "period"):
         found.pop(name, None)

@@ -28,17 +28,16 @@ GAPS, NEAR = Mark("◐", "gaps", "fair", 2), Mark("≈", "near", "fair", 3)
 OTHER, OPEN = Mark("≠", "other", "other", 4), Mark("–", "open", "other", 5)
 AVOID = Mark("✘", "avoid", "bad", 6)
 TONES = {TAKE: GOOD, SOUND: GOOD, GAPS: list(SERIES)[4], NEAR: list(SERIES)[4], OTHER: MUTED, OPEN: BAD, AVOID: WORST}
-# Loss: a mean in closed loop is worse than with the best solver. A `Change` has two estimates of this, each with a 95 %
-# interval. A loss is sure if both intervals lie beyond the tolerance of this mean (see `COSTS`).
-TOO_MUCH = 5.0  # a solver with a sure loss of more than this many tolerances gets the verdict AVOID
+# A mean in closed loop may be worse than with the best solver. This loss is sure if both 95 % intervals of the `Change`
+# lie beyond the mean's tolerance (see `COSTS`).
+TOO_MUCH = 5.0  # a solver with a larger sure loss gets the verdict AVOID [tolerances]
 COSTS = {
     "mu_mean": ("mu", 0.01),
     "tip_error_model_mean_mm": ("tip", 0.05), "tip_error_registered_mean_mm": ("registered tip", 0.05),
     "rcm_error_model_mean_mm": ("RCM", 0.05), "rcm_error_registered_mean_mm": ("registered RCM", 0.05),
     "torque_rate_rms_Nm_per_s": ("chatter", 0.1),
 }  # fmt: skip
-"""Short name and tolerance of each mean. The tolerance is the share by which a mean may be worse at no cost. Errors are
-computed by the kinematic model, or in the *registered frame*: relative to the points touched at the start."""
+"""Short name and tolerance of each mean. The tolerance is the share by which a mean may be worse at no cost."""
 FRAMED = tuple(name for name in COSTS if "_error_" in name)
 CERTIFIED, RECORDED, CLOSED = "Certified test sets", "Recorded sequence", "Closed loop"
 INCONSISTENT = (
@@ -104,7 +103,7 @@ def _figures(name: str, certified: Row, warm: Row, closed: Row) -> Row:
 
 
 def _ended(closed: Row) -> dict[str, int]:
-    """Of the trials that every solver ran, count those that broke off and those that oscillated."""
+    """Count the runs that broke off or oscillated in the trials that every solver ran."""
     return {word: closed.get(f"{word.replace(' ', '_')}_in_common", 0) for word in ("broke off", "oscillated")}
 
 
@@ -134,7 +133,7 @@ def _damage(row: Row, reference: str | None, runs: Results) -> tuple[Any, float]
 
 
 def _size(metric: str, change: Change) -> tuple[float, float]:
-    """Return the smallest and the largest loss in the two intervals of a change, divided by the tolerance."""
+    """Return the smallest and the largest loss in the two intervals of a change, in tolerances."""
     sides = [(-one.high, -one.low) if metric == "mu_mean" else (one.low, one.high) for one in change]
     equal = 100.0 * COSTS[metric][1]
     return min(low for low, _ in sides) / equal, max(high for _, high in sides) / equal
@@ -144,7 +143,7 @@ def _size(metric: str, change: Change) -> tuple[float, float]:
 
 
 def sentences(summary: Summary, rows: Sequence[Row]) -> list[str]:
-    """Say which solver to use and why, which others are sound, and which to avoid."""
+    """Say which solvers to use and to avoid."""
     if not rows:
         return ["Nothing was run."]
     best, sound = rows[0], [row for row in rows if row["verdict"] is SOUND]
@@ -237,7 +236,7 @@ def _avoid(summary: Summary, rows: Sequence[Row]) -> list[str]:
 
 
 def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
-    """Return the table of the first screen: every solver, the best first."""
+    """Return the table of the first screen."""
     kind = CERTIFIED if "testsets" in summary else RECORDED
     recorded = RECORDED if "open_loop_warm" in summary else CERTIFIED
     columns = [
@@ -278,7 +277,6 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
 
 
 def _trials(rows: Sequence[Row]) -> list[int]:
-    """Return the distinct counts of closed-loop trials in ascending order."""
     return sorted({row["closed"]["trials"] for row in rows if row["closed"].get("trials")})
 
 
@@ -291,7 +289,6 @@ def _trials_told(rows: Sequence[Row]) -> str:
 
 
 def _tip_in_both_frames(runs: Results, solver: str) -> str | None:
-    """Return the tip error's changes by model and in the registered frame as text, or None with too few trials."""
     changes = [runs.change(name, solver) for name in FRAMED if name.startswith("tip")]
     if any(change is None or change.ratio.samples < LEAST_TRIALS for change in changes):
         return None
@@ -299,7 +296,7 @@ def _tip_in_both_frames(runs: Results, solver: str) -> str | None:
 
 
 def pictures(summary: Summary, rows: Sequence[Row], deadline_us: float) -> list[Picture]:
-    """Draw accuracy against time, the effect in closed loop, and the times of ticks (control periods)."""
+    """Draw the pictures of the first screen."""
     found = list[Picture]()
     points = {
         row["solver"]: (row["p50_us"], max(row["relative_max"], FLOOR)) for row in rows

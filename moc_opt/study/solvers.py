@@ -1,4 +1,4 @@
-"""The main study: each solver solves recorded problems and problems with certified optima, and runs in closed loop."""
+"""The study of the solvers: on recorded problems, on problems with certified optima, and in closed loop."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from moc_opt.study.trials import BASELINE, seeds, trials
 STREAM = 3
 FULL = Path(__file__).parent / "solvers-full.toml"
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-TIMED = ("open_loop_warm", "testsets", "closed_loop")  # sections of the summary that have measured times
+TIMED = ("open_loop_warm", "testsets", "closed_loop")  # sections of the summary that have times
 
 
 class OpenLoop(Settings):
@@ -49,7 +49,7 @@ class OpenLoop(Settings):
 
 
 class TestSets(Limits):
-    """Settings of the test sets, whose true answers are certified."""
+    """Settings of the certified test sets."""
 
     __test__: ClassVar[bool] = False  # tells pytest that this is no test class
 
@@ -68,7 +68,7 @@ class TestSets(Limits):
         return value
 
     def chosen(self) -> list[str]:
-        """Return the names of the chosen sets, in the order of `testsets.NAMES`."""
+        """Return the names of the chosen sets."""
         return [name for name in testsets.NAMES if self.names == "all" or name in self.names]
 
 
@@ -121,7 +121,7 @@ class Config(StudyConfig):
 
 @dataclass
 class Work:
-    """Data that all parts of the study use, and the results of the parts that have run."""
+    """Data that all parts of the study use, and the results so far."""
 
     study: Study
     config: Config
@@ -129,8 +129,8 @@ class Work:
     summary: dict[str, dict[str, Any]] = field(default_factory=dict)  #: content of summary.json
     runs: Results = field(default_factory=Results)  #: one row per run in closed loop
     answers: Results = field(default_factory=Results)  #: one row per answer in open loop
-    sections: list[Section] = field(default_factory=list)  #: sections of the report
-    said: str = ""  #: the sentence that `say` printed last
+    sections: list[Section] = field(default_factory=list)
+    said: str = ""  #: what `say` printed last
 
     @cached_property
     def settings(self) -> list[SolverSetting]:
@@ -156,15 +156,15 @@ class Work:
 
     @property
     def timed(self) -> list[Mapping[str, Any]]:
-        """The summary's entries with measured times."""
+        """The summary's entries with times."""
         return [row for part in TIMED for row in self.summary.get(part, {}).values()]
 
     def runner(self, what: str) -> Callable[..., list[Any]]:
-        """Return `Study.run` with ``what`` as the text of its progress bar."""
+        """Return `Study.run` with the text of its progress bar."""
         return partial(self.study.run, what=what)
 
     def say(self) -> None:
-        """Print the first sentence of the report so far, unless the previous call printed the same."""
+        """Print the first sentence of the report so far."""
         said = sentences(self.summary, assess(self.summary, self.runs))[0]
         if said != self.said:
             self.said = said
@@ -177,7 +177,7 @@ PARTS = {"open_loop": recorded_sequence, "testsets": certified_sets, "closed_loo
 
 
 def work(study: Study, config: Config) -> Found:
-    """Run the requested parts in the order of `PARTS`."""
+    """Run the study."""
     given = study.given
     if given.full and not given.quick:
         config = Config.load(FULL, config.seed)
@@ -209,7 +209,7 @@ def work(study: Study, config: Config) -> Found:
 
 
 def once(names: Sequence[str]) -> tuple[list[str], dict[str, str]]:
-    """Drop `qpsolvers:NAME` if NAME is listed, too. Return the remaining names, and the reason for each dropped one."""
+    """Drop `qpsolvers:NAME` if NAME is listed, too. Return the other names, and a reason for each dropped one."""
     native = {f"{QPSOLVERS}{name}": name for name in names}
     return [name for name in names if name not in native], {
         name: f"the same library as `{native[name]}`: `twice = true` in the configuration runs both"
@@ -240,8 +240,8 @@ def report(found: Work) -> Report:
 
 
 def main(arguments: Sequence[str] | None = None, *, program: str = "moc-opt solvers") -> int:
-    """Run the study as a command, and return the exit status."""
-    for name in THREADS:  # the workers start later and inherit these
+    """Run the command, and return the exit status."""
+    for name in THREADS:  # the workers inherit these
         os.environ.setdefault(name, "1")
 
     def options(parser: ArgumentParser) -> None:

@@ -1,7 +1,7 @@
 """Means and changes over independent trials, with bootstrap confidence intervals.
 
-Intervals are scipy's BCa bootstrap (Efron 1987), expanded for few samples (Hesterberg 2015; see docs/method.md). They
-are widened until they contain Student's t interval with the jackknife's standard error.
+Intervals are scipy's BCa bootstrap (Efron 1987), expanded for few samples (Hesterberg 2015; see docs/method.md), and
+widened to contain Student's t interval with the jackknife's standard error.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ LEAST_TRIALS = 8  # with fewer trials, a change is called neither a gain nor a l
 
 
 def too_few(trials: int) -> str | None:
-    """Return a message if there are too few trials to decide, else None."""
+    """Return a message if there are too few trials, else None."""
     return f"too few trials to decide ({trials} of at least {LEAST_TRIALS})" if trials < LEAST_TRIALS else None
 
 
@@ -36,7 +36,7 @@ class StatisticsError(MocOptError, ValueError):
 
 
 class Interval(NamedTuple):
-    """A statistic and its confidence interval, which is NaN for a single sample."""
+    """A statistic and its confidence interval (NaN for a single sample)."""
 
     value: float
     low: float
@@ -50,7 +50,7 @@ class Interval(NamedTuple):
         return f"{self.value:{form}} [{self.low:{form}}, {self.high:{form}}]"
 
     def entries(self, name: str) -> dict[str, float]:
-        """Return the entries ``name``, ``name_low`` and ``name_high`` of a summary."""
+        """Return entries for a summary."""
         return {name: self.value, f"{name}_low": self.low, f"{name}_high": self.high}
 
 
@@ -61,7 +61,7 @@ class Change(NamedTuple):
     ratios: Interval  #: mean over the trials of 100 (treated / control - 1)
 
     def side(self, bound: float = 0.0) -> int:
-        """Return 1 if both intervals lie above the bound [percent], -1 if both lie below it, and 0 in all other cases.
+        """Return 1 if both intervals lie above the bound [percent], -1 if both lie below it, else 0.
 
         With fewer than `LEAST_TRIALS` trials, return 0.
         """
@@ -70,7 +70,7 @@ class Change(NamedTuple):
 
     @property
     def undecided(self) -> bool:
-        """Whether the two values differ in sign, or only one of the two intervals contains 0."""
+        """Whether the two values differ in sign, or only one interval contains 0."""
         sides = [(one.low > ROUNDING, one.high < -ROUNDING) for one in self]
         values = self.ratio.value, self.ratios.value
         opposed = min(values) < -ROUNDING and max(values) > ROUNDING
@@ -80,7 +80,7 @@ class Change(NamedTuple):
         return f"{self.ratio:.3g}" + (f" (mean of ratios {self.ratios:.3g}: undecided)" if self.undecided else "")
 
     def entries(self, name: str) -> dict[str, float]:
-        """Return both values with their intervals, and whether the change is undecided, for a summary."""
+        """Return entries for a summary."""
         return {
             **self.ratio.entries(name), **self.ratios.entries(f"{name}_of_ratios"),
             f"{name}_undecided": float(self.undecided),
@@ -106,7 +106,7 @@ def spread(entries: Mapping[str, Any], name: str, digits: int = 3, sign: str = "
 
 
 def share(found: int, trials: int) -> Interval:
-    """Return found/trials with the exact binomial interval of independent trials (Clopper and Pearson 1934)."""
+    """Return found/trials with the exact binomial interval (Clopper and Pearson 1934)."""
     if not 0 <= found <= trials or trials < 1:
         raise StatisticsError(f"found = {found}, trials = {trials}: give at least one trial, and 0 <= found <= trials")
     low, high = stats.binomtest(found, trials).proportion_ci(CONFIDENCE)
@@ -114,12 +114,12 @@ def share(found: int, trials: int) -> Interval:
 
 
 def mean(samples: ArrayLike) -> Interval:
-    """Return the mean of (k,) numbers. Raise a StatisticsError if k = 0 or a number is not finite."""
+    """Return the mean. Raise a StatisticsError if ``samples`` (k,) is empty or not finite."""
     return _interval(np.mean, samples=samples)
 
 
 def relative_change(treated: ArrayLike, control: ArrayLike) -> Interval:
-    """Compute 100 (mean(treated)/mean(control) - 1) [percent] from two arrays (k,) of the same k trials.
+    """Compute 100 (mean(treated)/mean(control) - 1) [percent] from arrays (k,) of the same trials.
 
     Raises:
         StatisticsError: empty arrays, different lengths, a number that is not finite, or ``control`` has mean 0.
@@ -128,7 +128,7 @@ def relative_change(treated: ArrayLike, control: ArrayLike) -> Interval:
 
 
 def relative_changes(treated: ArrayLike, control: ArrayLike) -> Change:
-    """Return the change in both ways: `relative_change`, and the mean over trials of 100 (treated/control - 1)."""
+    """Return the `Change` from arrays (k,) of the same trials."""
     ratio = relative_change(treated, control)
     with np.errstate(divide="ignore", invalid="ignore"):
         each = 100.0 * (np.asarray(treated, float) / np.asarray(control, float) - 1.0)
@@ -172,7 +172,7 @@ def _interval(statistic: Callable[..., Any], **given: ArrayLike) -> Interval:
     expanded = float(2.0 * stats.norm.cdf(np.sqrt(count / (count - 1)) * quantile) - 1.0)
     half = quantile * _standard_error(statistic, samples)
     for method in ("BCa", "percentile"):
-        # If all resamples agree, BCa has no value, and the percentile method is used.
+        # If all resamples agree, BCa has no value.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # degenerate samples
             found = stats.bootstrap(

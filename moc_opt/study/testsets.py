@@ -1,7 +1,4 @@
-"""Test sets of the subproblem with certified answers. ``benchmarks/testsets.py`` makes these sets.
-
-A set is an .npz: ``rows`` (k, 11 n + 10; see `NullSpaceQP.row`), ``x`` (k, n; NaN if infeasible), ``feasible`` (k,).
-"""
+"""Test sets of the subproblem with certified answers. ``benchmarks/testsets.py`` makes these sets."""
 
 from __future__ import annotations
 
@@ -30,7 +27,7 @@ ARGUMENTS = (
 
 
 class CertificateError(MocOptError, ArithmeticError):
-    """An answer cannot be certified, or a test set is missing or incomplete."""
+    """An answer cannot be certified, or a test set is not usable."""
 
 
 @dataclass(frozen=True)
@@ -40,9 +37,9 @@ class TestSet:
     __test__ = False  # tells pytest that this is no test class
 
     name: str
-    rows: Array
-    x: Array
-    feasible: NDArray[np.bool_]
+    rows: Array  #: (k, 11 n + 10), see `NullSpaceQP.row`
+    x: Array  #: (k, n) optima [rad/s], NaN if infeasible
+    feasible: NDArray[np.bool_]  #: (k,)
 
     def problems(self) -> list[NullSpaceQP]:
         """Return the subproblems in order."""
@@ -50,10 +47,7 @@ class TestSet:
 
     @cached_property
     def judged(self) -> Array:
-        """The problems (k, 11 n + 10) by which answers are judged.
-
-        If the reference velocities of tip and wrist differ along the shaft, the wrist gets the tip's component.
-        """
+        """The problems (k, 11 n + 10) by which answers are judged, made by `straightened`."""
         return np.array([straightened(qp).row for qp in self.problems()])
 
     def thinned(self, every: int) -> TestSet:
@@ -101,6 +95,6 @@ def changed(qp: NullSpaceQP, **values: Any) -> NullSpaceQP:
 
 
 def five_row_gap(qp: NullSpaceQP, b: NDArray[np.floating]) -> Array:
-    """Return the difference of the reference velocities, tip minus wrist, projected on the shaft (3,) [m/s]."""
+    """Return the difference of the reference velocities along the shaft, tip minus wrist (3,) [m/s]."""
     u = np.linalg.svd(qp.J_tip - qp.J_wrist)[0][:, 2]
     return np.asarray(u * (u @ (b[:3] - b[3:])))

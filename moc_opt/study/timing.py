@@ -18,18 +18,18 @@ LEAST_CPU_SHARE = 0.9
 
 Row = Mapping[str, Any]
 COUNTED = ("times_calls", "times_switches", "times_cpu_s", "times_wall_s")
-"""The load while calls were timed: number of calls, involuntary context switches (ru_nivcsw), processor time of all
-threads [s], and wall time [s]."""
+"""The load while calls were timed. ``times_switches`` counts involuntary context switches, and ``times_cpu_s`` is the
+processor time of all threads."""
 
 
 def used() -> dict[str, float]:
-    """Return the present readings of the counters as `COUNTED` entries, for a later `since`."""
+    """Read the counters, for a later `since`."""
     switches = resource.getrusage(resource.RUSAGE_SELF).ru_nivcsw
     return dict(zip(COUNTED, (0, switches, process_time(), perf_counter()), strict=True))
 
 
 def since(before: Row, calls: int) -> dict[str, float]:
-    """Return the `COUNTED` entries of ``calls`` calls: differences from the earlier readings ``before``."""
+    """Return the `COUNTED` entries since ``before``."""
     return {name: value - before[name] for name, value in used().items()} | {"times_calls": calls}
 
 
@@ -45,7 +45,7 @@ def cpu_share(row: Row) -> float:
 
 
 def quiet(row: Row) -> bool:
-    """Tell whether other programs used so little of the machine that the 99th percentile can be trusted."""
+    """Tell whether the machine was so quiet that the 99th percentile can be trusted."""
     few = row.get("times_switches", 0) <= MOST_SWITCHES * row.get("times_calls", 0)
     return bool(few and cpu_share(row) >= LEAST_CPU_SHARE)
 
@@ -68,7 +68,7 @@ def load(rows: Iterable[Row]) -> str:
 
 
 def clock_cost_us() -> float:
-    """Return the median time between two successive readings of the clock [us]."""
+    """Return the median time between two readings of the clock [us]."""
     gaps = np.empty(2000)
     for i in range(len(gaps)):
         begin = perf_counter_ns()

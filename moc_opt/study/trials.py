@@ -1,7 +1,4 @@
-"""Run a trial (a scenario with its own seed) under a controller, and make one row of results.
-
-All controllers run the same trials.
-"""
+"""Run a trial (a scenario with its own seed) under a controller, and make one row of results."""
 
 from __future__ import annotations
 
@@ -38,9 +35,9 @@ CURVES = (
     "rcm_error_registered_m", "rcm_error_m", "trocar_force_N", "solve_us", "tick_us",
 )  # fmt: skip
 CLOCKS = ("solve_", "tick_", "deadline_")
-LOOK_TICKS = 100  # ticks between two readings of the machine's load
+LOOK_TICKS = 100  # ticks between readings of the load
 PATIENCE_S, PER_S, LONGEST_S = 30.0, 30.0, 60.0
-"""Time limit of a run: 30 s, plus 30 s for each of the first 60 simulated seconds."""
+"""Time limit of a run: `PATIENCE_S`, plus `PER_S` for each of the first `LONGEST_S` simulated seconds."""
 
 
 def seeds(seed: int, stream: int, count: int) -> list[int]:
@@ -50,7 +47,7 @@ def seeds(seed: int, stream: int, count: int) -> list[int]:
 
 
 def trials(base: Scenario, tasks: Sequence[str], own_seeds: Sequence[int], *, virtual: bool = False) -> list[Scenario]:
-    """Make one scenario per seed, with the tasks in turn and a random elbow angle at the start.
+    """Make one scenario per seed, with the tasks in turn and a random swivel.
 
     With ``virtual``, the path's sizes and the trocar's depth are those of the paper's virtual task.
     """
@@ -73,7 +70,7 @@ def placed(trial: Scenario) -> Scenario:
 
 
 def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None = None) -> Scenario:
-    """Return the trial under one of `BASELINES`, or under MOC with a solver."""
+    """Return the trial under one of `BASELINES`, or with a solver."""
     control = trial.control
     if controller == BASELINE and control.law == "dcac":
         return trial
@@ -82,7 +79,7 @@ def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None
     if controller == OWN:
         return trial.change(control={"law": "dcac", "gains": "dcac", **dict.fromkeys(GAINS)})
     table = control.matched_dcac()
-    if controller == DAMPED:  # the damping of MOC's third level if the solver's x is 0
+    if controller == DAMPED:  # the damping of MOC's level 3 if x is 0
         data = load_data(trial.robot.name)
         moc = control.resolve_gains(data.gains, data.n)
         table = {**table, "dcac_damping": (moc.K_N2 + moc.D_N2).tolist()}
@@ -115,7 +112,7 @@ class Trial:
         return Job(run_trial, (self,), limit, alone=self.timed, group=self.controller)
 
     def failed(self, reason: str) -> Run:
-        """Return the `Run` of a trial that failed for this reason."""
+        """Return the `Run` of a failed trial."""
         return Run({**self.about, "ended": Ending.FAILED.value, "whole": False, "error": reason})
 
 
@@ -124,12 +121,11 @@ class Run:
     """The result of a trial.
 
     Its row has the columns of `Trial.about`, ``ended``, ``whole`` (completed), ``error``, ``raised`` and every metric.
-    ``raised`` gives the number of the solver's exceptions, and the first of them. If there are none, it gives the same
-    for malformed answers.
+    ``raised`` describes the solver's exceptions or, if there are none, its malformed answers.
     """
 
     row: Mapping[str, Any]
-    columns: Mapping[str, Array] = field(default_factory=dict)  #: curves of a completed run by name
+    columns: Mapping[str, Array] = field(default_factory=dict)  #: curves of a completed run
     load: Mapping[str, float] = field(default_factory=dict)  #: the machine's load, if the run was timed
 
 
@@ -139,7 +135,7 @@ def run_trial(asked: Trial) -> Run:
 
 
 def run_and_trace(asked: Trial, baseline: Trace | None = None) -> tuple[Run, Trace | None]:
-    """Run a trial. Return its `Run` and its trace. With a ``baseline``, metrics include the gain over it."""
+    """Return a trial's `Run` and its trace. With a ``baseline``, metrics include the gain over it."""
     begun, seen, solver = dict[str, float](), dict[str, float](), asked.solver
 
     def look(tick: int) -> None:
@@ -195,5 +191,5 @@ def _columns(asked: Trial, trace: Trace) -> dict[str, Array]:
 
 
 def outcome(asked: Trial, result: Run | Failed) -> Run:
-    """Return the run, or a failed one if the process hung or died."""
+    """Return the run, or a failed one if the job has no result."""
     return asked.failed(str(result)) if isinstance(result, Failed) else result
