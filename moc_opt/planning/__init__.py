@@ -1,7 +1,6 @@
-"""Planning for redundant arms, which can reach a point in many poses. A course is a planned joint motion.
+"""Courses of redundant arms.
 
-- ``self_motion`` traces the poses that share the positions of tip and wrist. ``elbow`` measures the elbow's angle.
-- ``course`` defines targets and courses. ``pose_map`` computes every pose at every time.
-- ``search`` finds the best course on the map, ``program`` smooths it, and ``plan`` plans a path before a run.
-- ``guides`` makes the courses of a run, and ``follow`` follows them. ``swivel_map`` maps manipulability and runs.
+- ``self_motion`` traces the poses with the same tip and wrist. ``elbow`` measures the swivel.
+- ``pose_map`` computes the poses along a path, ``search`` finds the best course on the map, and ``program`` smooths it.
+- ``plan`` plans a path, ``guides`` makes the courses of a run, and ``follow`` follows them.
 """

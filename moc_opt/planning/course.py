@@ -1,4 +1,4 @@
-"""Targets of tip and wrist along a path, and courses: joint trajectories that reach them."""
+"""Targets of tip and wrist along a path, and courses that reach them."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from moc_opt.robots.model import RobotModel
 from moc_opt.tasks import Reference, Trocar
 
 Margin = float | Array
-"""Distance kept from the joint limits, a number or (n,) [rad, or m for a prismatic joint]."""
-SHALLOWEST_M = 0.002  #: Lower bound on the distance from tip to trocar [m].
-MOST_VIOLATION = 1e-8  #: Constraint violation up to which a course counts as feasible [m] or [rad].
-WORTH = 10.0  #: Weight of the penalty that `lowered` subtracts from mu.
+"""Distance kept from the joint limits, a number or (n,) [rad, m]."""
+SHALLOWEST_M = 0.002
+MOST_VIOLATION = 1e-8
+WORTH = 10.0
 
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """Required positions of tip and wrist at k times; read-only arrays."""
+    """Required positions of tip and wrist at k times."""
 
     t_s: Array  #: (k,) evenly spaced [s]
     tip: Array  #: (k,3) [m]
     wrist: Array  #: (k,3) [m], on the line from the tip through the trocar
-    arc_length_m: Array  #: (k,) length of the tip's path up to each time [m]
+    arc_length_m: Array  #: (k,) length of the tip's path so far [m]
 
     @property
     def period_s(self) -> float:
@@ -37,7 +37,7 @@ class Targets:
         return Targets(self.t_s[some], self.tip[some], self.wrist[some], self.arc_length_m[some])
 
     def at(self, t: Array) -> Targets:
-        """Return the targets at times (m,) [s], interpolated linearly."""
+        """Interpolate the targets linearly at times (m,) [s]."""
         tip, wrist = (between(t, self.t_s, rows) for rows in (self.tip, self.wrist))
         return Targets(t, tip, wrist, np.interp(t, self.t_s, self.arc_length_m))
 
@@ -49,7 +49,7 @@ def lay_targets(
     reference: Reference, trocar: Trocar, span_m: float, duration_s: float, count: int,
     tool_m: float = np.inf,
 ) -> Targets:  # fmt: skip
-    """Sample reference and trocar at ``count`` times from 0 to ``duration_s`` [s].
+    """Sample reference and trocar at ``count`` times.
 
     ``span_m`` is the distance from wrist to tip, and ``tool_m`` the length of the tool [m].
 
@@ -74,7 +74,7 @@ def lay_targets(
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """A joint trajectory with k times and n joints. It may end before the path does."""
+    """A joint trajectory with k times and n joints, which may end before the path."""
 
     t_s: Array  #: (k,) [s]
     q_rad: Array  #: (k,n)
@@ -85,12 +85,12 @@ class Course:
 
     @property
     def mu_mean(self) -> float:
-        """Mean manipulability over the time [m^3]."""
+        """Mean manipulability [m^3]."""
         return time_mean(self.mu)
 
     @property
     def kept(self) -> bool:
-        """Whether the course violates its constraints by at most `MOST_VIOLATION`."""
+        """Whether `violation` is at most `MOST_VIOLATION`."""
         return self.violation <= MOST_VIOLATION
 
 
@@ -98,15 +98,15 @@ class Course:
 class Limits:
     """Limits for a course."""
 
-    margin: Margin = 0.0  #: distance kept from the joint limits
-    speed_share: float = 1.0  #: share of the joints' speed limits that may be used
-    shaft: float = 0.0  #: soft lower bound on `shaft_shares`: at poses below it, `lowered` reduces mu
+    margin: Margin = 0.0
+    speed_share: float = 1.0  #: share of the joints' speed limits
+    shaft: float = 0.0  #: soft lower bound on `shaft_shares`
 
 
 def lowered(mu: Array, share: Array, limits: Limits, top: float) -> Array:
     """Return mu - `WORTH` * top * (1 - s/s_0)^2 where s < s_0, and mu elsewhere.
 
-    s is the ``share`` that `shaft_shares` returns, s_0 is ``limits.shaft``, and ``top`` is the largest mu [m^3].
+    s is the ``share`` from `shaft_shares`, s_0 is ``limits.shaft``, and ``top`` is the largest mu [m^3].
     """
     if limits.shaft <= 0.0:
         return mu
@@ -118,15 +118,14 @@ def lowered(mu: Array, share: Array, limits: Limits, top: float) -> Array:
 def shaft_shares(robot: RobotModel, poses: Array) -> Array:
     """Compute mu_shaft / (distance from wrist to tip)^2, (k,), at the poses (k,n) [rad].
 
-    mu_shaft is the manipulability of the wrist for joint velocities that keep the tip in place. It is near 0 if the
-    joints can hardly turn the shaft about the tip.
+    mu_shaft is the manipulability of the wrist while the tip is held.
     """
     squares = np.array(robot.kinematics().shaft(np.ascontiguousarray(poses).T)).ravel()
     return np.sqrt(np.maximum(squares, 0.0))
 
 
 def weights(count: int) -> Array:
-    """Return the trapezoidal rule's weights (count,) on evenly spaced times."""
+    """Return the weights (count,) of the trapezoidal rule."""
     weight = np.ones(count)
     if count > 1:
         weight[[0, -1]] = 0.5
@@ -134,21 +133,18 @@ def weights(count: int) -> Array:
 
 
 def time_mean(rows: Array) -> float:
-    """Return the mean of rows (k,) over evenly spaced times."""
+    """Return the mean of rows (k,) over time."""
     weight = weights(len(rows))
     return float(weight @ rows / weight.sum())
 
 
 def between(t: Array, times: Array, rows: Array) -> Array:
-    """Interpolate rows (k,n), given at ``times`` (k,), linearly at ``t`` (m,)."""
+    """Interpolate rows (k,n) at ``times`` (k,) linearly at ``t`` (m,)."""
     return np.stack([np.interp(t, times, column) for column in rows.T], axis=1)
 
 
 def margin_at(robot: RobotModel, poses: Array, margin: Margin) -> Margin:
-    """Return the smaller of the margin and the least distance of the poses (..., n) from the joint limits.
-
-    The distance is 0 beyond a limit. A margin (n,) is compared joint by joint.
-    """
+    """Return the smaller of the margin and the least distance of the poses (..., n) from the joint limits."""
     room = np.minimum(poses - robot.q_min, robot.q_max - poses).reshape(-1, robot.n).min(axis=0)
     room = np.where(robot.moves.any(axis=0), np.maximum(room, 0.0), np.inf)
     return np.minimum(margin, room) if isinstance(margin, np.ndarray) else min(margin, float(room.min()))

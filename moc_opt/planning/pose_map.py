@@ -1,8 +1,7 @@
-"""Map the poses of an arm at each point of a path, with their manipulability mu and distance to joint limits.
+"""Map the poses of an arm at each point of a path.
 
-For arms whose axes meet in a shoulder, an elbow and a wrist, the poses have a closed form in the elbow's swivel angle
-(Kreutz-Delgado, Long and Seraji 1992). For any other arm, curves of poses are traced numerically. With a null space of
-several dimensions, the curves contain only some of the poses.
+If the axes meet in a shoulder, an elbow and a wrist, the poses have a closed form in the swivel (Kreutz-Delgado, Long
+and Seraji 1992). For any other arm, curves of poses are traced.
 """
 
 from __future__ import annotations
@@ -25,47 +24,45 @@ from moc_opt.robots.model import RobotModel, link_frames
 
 Flags = NDArray[np.bool_]
 
-EXACT_M = 1e-7  #: Axes that pass each other within this distance count as meeting [m].
-BRANCHES = 8  #: Branches of inverse kinematics. Bits 0, 1, 2 of an index are 1 if t2, t4, t6 of `ClosedForm` are < 0.
-STRAIGHT = 1e-9  #: Sine of the angle between forearm and line shoulder-wrist. Below it, the map has no pose.
-ROUNDING_RAD = 1e-9  #: Tolerance of the joint limits.
-SWIVELS, MOST_SWIVELS = 720, 2880  #: Default and maximum number of evenly spaced swivel angles.
-PEAKS = 4  #: Upper bound on the number of local maxima of the map at which ascents of mu start.
-STEP_RAD = 0.03  #: Spacing of the samples along a traced curve.
-SEEDS = 64  #: Number of random starts of inverse kinematics at the first time. Each later time has a sixteenth as many.
-MOST_CURVES = 16  #: Upper bound on the number of curves at one time.
-SAME_CURVE = 0.7  #: A pose is on a known curve if it is nearer to a sample than this share of the samples' spacing.
-NO_LIMIT_RAD = 20.0  #: Joint limit, to both sides, of an arm from `without_limits`.
-REACHED_M = 1e-9  #: Error of tip and wrist below which `reach` accepts a pose.
-SCANNED, SCANS = "scanned, all branches", 360  #: Name of `largest_mu`'s closed-form method, and its number of swivels.
-STARTS, LATER = 96, 12
-"""Numbers of random starts of `largest_mu` at the first point, and at each later point."""
-KEPT = 6  #: Upper bound on the number of maxima that a point hands on to its neighbours.
-SAME = 1e-5  #: Relative difference of mu below which two maxima count as one.
+EXACT_M = 1e-7  #: Distance up to which two axes count as meeting.
+BRANCHES = 8  #: Bits 0, 1, 2 of a branch's index are 1 if t2, t4, t6 of `ClosedForm` are < 0.
+STRAIGHT = 1e-9  #: Least sine of the angle between forearm and line shoulder-wrist.
+ROUNDING_RAD = 1e-9
+SWIVELS, MOST_SWIVELS = 720, 2880
+PEAKS = 4
+STEP_RAD = 0.03
+SEEDS = 64  #: Random starts of inverse kinematics.
+MOST_CURVES = 16
+SAME_CURVE = 0.7  #: A pose within this share of the spacing from a sample is on its curve.
+NO_LIMIT_RAD = 20.0
+REACHED_M = 1e-9
+SCANNED, SCANS = "scanned, all branches", 360  #: `largest_mu`'s closed-form method: name, swivels.
+STARTS, LATER = 96, 12  #: Random starts of `largest_mu` at the first point, and at each later point.
+KEPT = 6  #: Largest number of maxima that a point hands on to its neighbours.
+SAME = 1e-5  #: Relative difference of mu up to which two maxima are one.
 
 
 @dataclass(frozen=True, eq=False)
 class PoseMap:
     """Poses at k times on b branches, with m swivels each; NaN means no pose.
 
-    If the poses lie on traced curves, b is 1 and m counts the samples along the curves.
+    On traced curves, b is 1 and m counts samples.
     """
 
     robot: RobotModel
     targets: Targets
     q_rad: Array  #: (k,b,m,n)
     mu: Array  #: (k,b,m) [m^3], also beyond joint limits
-    room_rad: Array
-    """(k,b,m) smallest distance of a joint from its limits; negative beyond a limit"""
-    closed: ClosedForm | None = None  #: normal form of the arm; None if the curves are traced
+    room_rad: Array  #: (k,b,m) smallest distance of a joint from its limits; negative beyond a limit
+    closed: ClosedForm | None = None  #: None if the curves are traced
 
     def feasible(self, margin: Margin = 0.0) -> Flags:
-        """Return flags (k,b,m): whether every joint keeps the margin from its limits."""
+        """Return flags (k,b,m): whether every joint keeps the margin."""
         room = self.room_rad - margin if np.ndim(margin) == 0 else _room(self.robot, self.q_rad, margin)
         return np.asarray(room >= -ROUNDING_RAD)
 
     def crossing(self, k: int, step_rad: Array) -> NDArray[np.int64]:
-        """Return a mask per sample (m,): bits of the index of `BRANCHES` that a step (n,) [rad] can flip at time k."""
+        """Return the bits (m,) of the branch's index that a step (n,) [rad] can flip at time k."""
         if self.closed is None:
             return np.zeros(self.mu.shape[2], dtype=np.int64)
         with np.errstate(invalid="ignore"):
@@ -74,7 +71,7 @@ class PoseMap:
         return near @ np.array([1, 2, 4])
 
     def peaks(self, k: int) -> Array:
-        """Return the feasible poses (p,n) at the highest local maxima of mu at time k."""
+        """Return the feasible poses (p,n) at the `PEAKS` highest local maxima of mu at time k."""
         may = self.room_rad[k] >= -ROUNDING_RAD
         score = np.where(may, self.mu[k], -np.inf).max(axis=0)
         peak = (score >= np.roll(score, 1)) & (score >= np.roll(score, -1)) & np.isfinite(score)
@@ -83,11 +80,11 @@ class PoseMap:
 
 
 def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = SWIVELS) -> PoseMap:
-    """Make the map, in closed form if the arm has a closed form, else by tracing.
+    """Make the map, in closed form or by tracing.
 
     Args:
         q_start: (n,) [rad] a pose for the first target.
-        swivels: number of swivel angles in one turn, 8 to `MOST_SWIVELS`. Above `SWIVELS`, traced curves become finer.
+        swivels: 8 to `MOST_SWIVELS`. Above `SWIVELS`, traced curves become finer.
     """
     if not isinstance(swivels, numbers.Integral) or not 8 <= int(swivels) <= MOST_SWIVELS:
         raise RobotError(f"swivels = {shown(swivels)}: give a whole number from 8 to {MOST_SWIVELS}")
@@ -114,10 +111,7 @@ class ClosedForm(NamedTuple):
 
 
 def closed_form(robot: RobotModel) -> ClosedForm | None:
-    """Find the normal form of an arm from its joint axes at q = 0, or None.
-
-    Arms with a joint range above one turn are excluded.
-    """
+    """Return the normal form of an arm; None if it has none, or if a joint's range exceeds one turn."""
     chain = robot.chain
     if robot.n != 7 or chain.prismatic.any():
         return None
@@ -145,7 +139,7 @@ def closed_form(robot: RobotModel) -> ClosedForm | None:
 
 def _closed(robot: RobotModel, arm: ClosedForm, targets: Targets, idle_rad: float) -> PoseMap:
     angles = np.moveaxis(_angles(arm, targets), -1, 0)
-    s, e, w = (np.arange(BRANCHES) >> bit & 1 for bit in range(3))  # whether t2, t4, t6 of `ClosedForm` is negative
+    s, e, w = (np.arange(BRANCHES) >> bit & 1 for bit in range(3))
     flips = np.stack([s, s, s ^ e, e, e ^ w, w], axis=1)
     other = np.stack([-angle if j % 2 else angle + np.pi for j, angle in enumerate(angles)])
     column = np.s_[:6, None, None]
@@ -209,20 +203,20 @@ def _dot(one: Array, two: Array) -> Array:
 
 
 def reach(robot: RobotModel, q: Array, tip: Array, wrist: Array) -> Array | None:
-    """Find a pose near q with the given tip and wrist, ignoring joint limits; None if none is found."""
+    """Find a pose near q with the given tip and wrist, ignoring joint limits, or None."""
     placed = solve_pose(robot, q, tip, wrist, iterations=30, limited=False)
     return placed.q if placed.miss_m < REACHED_M else None
 
 
 def without_limits(robot: RobotModel) -> RobotModel:
-    """Return a copy of the arm whose revolute joints can turn by `NO_LIMIT_RAD` to both sides."""
+    """Return a copy of the arm whose revolute joints turn up to `NO_LIMIT_RAD` to both sides."""
     slides, data = robot.chain.prismatic, robot.data
     low, high = np.where(slides, data.q_min, -NO_LIMIT_RAD), np.where(slides, data.q_max, NO_LIMIT_RAD)
     return RobotModel(replace(data, q_min=low, q_max=high))
 
 
 def nearest_turns(robot: RobotModel, q: Array) -> Array:
-    """Shift revolute joints by whole turns to the angles nearest to the middle of their range."""
+    """Shift revolute joints by whole turns towards the middle of their range."""
     turns = np.round((q - 0.5 * (robot.q_min + robot.q_max)) / (2.0 * np.pi))
     return q - 2.0 * np.pi * np.where(robot.chain.prismatic, 0.0, turns)
 
@@ -263,7 +257,7 @@ def _traced(robot: RobotModel, targets: Targets, q_start: Array, step_rad: float
 
 
 class Largest(NamedTuple):
-    """The largest mu at k points, and how it was found."""
+    """The largest mu at k points."""
 
     mu: Array  #: (k,) [m^3]
     method: str  #: `SCANNED`, or "best found of N starts".
@@ -272,7 +266,7 @@ class Largest(NamedTuple):
 def largest_mu(robot: RobotModel, poses: Array) -> Largest:
     """Find for each pose (k, n) the largest mu with the same tip and wrist.
 
-    The poses should follow a path, because each point hands its maxima on to its neighbours.
+    The poses should follow a path, because neighbours share their maxima.
     """
     inside = np.clip(poses, robot.q_min, robot.q_max)
     count, tips, wrists = len(inside), *robot.tool_along(inside)

@@ -2,9 +2,7 @@
 
     V_k(p) = g_k(p) + max { V_{k+1}(p') - c |q - q'|^2 / dt : |q - q'| <= v_max dt for every joint }
 
-p is a pose at time k with joint positions q, and p' is a pose one time step dt later with joint positions q'. v_max are
-the allowed joint speeds. mu is the manipulability, and g is mu dt. c is the weight of the penalty. V is computed
-backwards in time. Then a course (joint trajectory) is read off V forwards in time.
+The pose p has the joint positions q, p' is a pose one time step dt later, and g is mu dt.
 """
 
 from __future__ import annotations
@@ -21,19 +19,19 @@ from moc_opt.planning.course import Limits, lowered, shaft_shares, weights
 from moc_opt.planning.elbow import wrapped
 from moc_opt.planning.pose_map import PoseMap
 
-WHOLE_CELL = 1.1  #: If this is the argument ``cell`` of `Value`, V is an upper bound. On straight curves 1 would do.
-NEARBY_RAD = 0.2  #: Radius around a pose within which V is approximated by a parabola.
+WHOLE_CELL = 1.1  #: ``cell`` for an upper bound. On straight curves 1 would do.
+NEARBY_RAD = 0.2  #: Radius of `Value.near`.
 
 
 class End(NamedTuple):
-    """V near a pose, up to a constant: slope z + bend z^2 / 2, where z = along . (q - q_rad) and low <= z <= high."""
+    """V near a pose, up to a constant: slope z + bend z^2 / 2, where z = along . (q - q_rad)."""
 
     q_rad: Array  #: (n,) [rad]
     along: Array  #: (n,) unit vector of the self-motion
     slope: float = 0.0  #: [m^3 s / rad]
     bend: float = 0.0  #: [m^3 s / rad^2], never above 0
-    low: float = 0.0  #: lower end of the range of z from which the path's end can be reached [rad]
-    high: float = 0.0  #: upper end of this range [rad]
+    low: float = 0.0  #: least z from which the path's end can be reached [rad]
+    high: float = 0.0  #: largest such z [rad]
 
 
 class Way(NamedTuple):
@@ -45,15 +43,13 @@ class Way(NamedTuple):
 
 
 class Value:
-    """V over a map of k times, b branches of the inverse kinematics, and m elbow angles (samples)."""
+    """V over a map of k times, b branches and m swivels."""
 
     def __init__(self, found: PoseMap, limits: Limits, *, cell: float = 0.0, price: float = 0.0) -> None:
-        """Compute V backwards in time.
+        """Compute V, with the penalty's weight c = ``price`` [m^3 s^2/rad^2].
 
-        The difference of two poses may exceed the allowed step by the slacks of both. The slack of a pose is ``cell``
-        times half the distance to its farther neighbour.
-        If ``cell`` is 1 or more, V estimates an upper bound for all courses, also for those between the map's poses.
-        ``price`` is c [m^3 s^2/rad^2].
+        A step may be too long by ``cell`` times the `half_cells` of both poses. If ``cell`` is 1 or more, V
+        estimates an upper bound for all courses, also between the map's poses.
         """
         self.map = found
         self._period = found.targets.period_s
@@ -75,24 +71,21 @@ class Value:
             )  # fmt: skip
 
     def of(self, q: Array, mu: float) -> float:
-        """Return mean mu, less the mean penalty [m^3], of the best course from a pose (n,); -inf if there is no course.
-
-        ``mu`` is the mu of the pose. The penalty on the first step is left out.
-        """
+        """Return mean mu, less the mean penalty [m^3], of the best course from a pose (n,) with ``mu``, or -inf."""
         found = self._next(1, q, np.zeros(len(q)), self._step, self._price)
         rest = -np.inf if found is None else float(self.value[1][found])
         return float(mu * self._weight[0] + rest) / self._weight.sum()
 
     def best(self) -> tuple[float, Array | None]:
-        """Return mean mu, less the mean penalty [m^3], of the best of all courses, and its first pose (n,) or None."""
+        """Return mean mu, less the mean penalty [m^3], of the best of all courses, and its first pose (n,)."""
         first = np.unravel_index(int(np.argmax(self.value[0])), self.value[0].shape)
         value = float(self.value[0][first]) / self._weight.sum()
         return value, self.map.q_rad[0][first] if np.isfinite(value) else None
 
     def way(self, q: Array, t_s: float = 0.0, end: int = -1, hurry: float = 1.0) -> Way | None:
-        """Read off the best course from a pose (n,) [rad] at a time [s]; None if there is no course.
+        """Read off the best course from a pose (n,) [rad] at a time [s] to the time index ``end``, or None.
 
-        The course ends at the time with index ``end``. ``hurry`` is a factor on the joint speed limits.
+        ``hurry`` is a factor on the joint speed limits.
         """
         t, poses, slack, at = self.map.targets.t_s, [q], np.zeros(len(q)), (0, 0)
         end = len(t) - 1 if end < 0 else end
@@ -109,7 +102,7 @@ class Value:
         return Way(np.append(t_s, t[first : end + 1]), np.array(poses), at)
 
     def near(self, end: int, at: tuple[int, int]) -> End:
-        """Fit a parabola to V around the pose ``at`` (branch, sample) at the time with index ``end``."""
+        """Fit a parabola to V around the pose ``at`` (branch, sample) at the time index ``end``."""
         (b, j), value = at, self.value[end, at[0]]
         q = self.map.q_rad[end, b]
         along = q[(j + 1) % len(q)] - q[j - 1]
@@ -143,13 +136,10 @@ class Value:
 
 
 def keeping_shaft(found: PoseMap, limits: Limits) -> PoseMap:
-    """Lower the map's mu at poses where the shaft can hardly turn while the tip rests, so that courses avoid them.
-
-    These are the poses whose `shaft_shares` are below ``limits.shaft``. `lowered` has the formula.
-    """
+    """Replace the map's mu by `lowered`, so that courses avoid poses in which the shaft can hardly turn."""
     if limits.shaft <= 0.0:
         return found
-    # All branches have the same share, because the columns of their Jacobians differ only in sign.
+    # All branches have the same share: their Jacobians differ only in signs of columns.
     may = found.feasible().any(axis=1)
     share = np.full(may.shape, np.inf)
     share[may] = shaft_shares(found.robot, found.q_rad[:, 0][may])
@@ -158,7 +148,7 @@ def keeping_shaft(found: PoseMap, limits: Limits) -> PoseMap:
 
 
 def reached(found: PoseMap, q_start: Array, limits: Limits) -> list[NDArray[np.bool_]]:
-    """Flag the poses (b,m) that can be reached at each time after the start. The list ends where there are none."""
+    """Flag the poses (b,m) within reach at each time after the start, as long as there are any."""
     step, feasible = limits.speed_share * found.robot.v_max * found.targets.period_s, found.feasible(limits.margin)
     before, value = np.tile(q_start, (found.mu.shape[1], 1, 1)), np.zeros((found.mu.shape[1], 1))
     each: list[NDArray[np.bool_]] = []
@@ -192,16 +182,16 @@ def advance(
 ) -> Array:
     """Return the values (b,m) of the poses at one time, from the values at the next time.
 
-    Two poses are within reach of each other if no joint differs by more than its step (n,) [rad] plus both slacks.
-    Their branch numbers may differ only in the bits that are set in ``crossing`` (m,).
+    From one pose to the next, no joint may move farther than its step (n,) [rad] plus both slacks, and the branch's
+    index may change only in the bits of ``crossing`` (m,).
 
     Args:
-        q, slack: (b,m,n) [rad], NaN if there is no pose. gain: (b,m) added to the value, -inf at a forbidden pose.
-        q_next, slack_next: (b,m1,n) [rad] at the next time. value_next: (b,m1).
+        q, slack: (b,m,n) [rad], NaN if there is no pose. gain: (b,m), -inf at a forbidden pose.
+        q_next, slack_next: (b,m1,n) [rad]. value_next: (b,m1).
         price: penalty on the squared step [unit of the values / rad^2].
     """  # fmt: skip
     branches, _, n = q.shape
-    # Sort by the joint with the largest (range of positions) / (step). The poses within reach lie in a short interval.
+    # Sorted by the joint with the largest range per step, the poses within reach lie in a short interval.
     spread = np.nan_to_num(np.fmax.reduce(q_next, 1) - np.fmin.reduce(q_next, 1)).sum(axis=0)
     by = int(np.argmax(spread / step))
     order = np.argsort(q_next[:, :, by])
