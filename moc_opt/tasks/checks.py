@@ -15,19 +15,19 @@ TimeLike = float | ArrayLike
 
 
 def number(name: str, value: object, above: float = -math.inf) -> float:
-    """Return the value as a float. Raise a TaskError if it is not finite or not greater than ``above``."""
+    """Return a finite float above ``above``, or raise a TaskError."""
     if not (is_number(value) and max(above, -1e300) < value < 1e300):  # type: ignore[operator]
         raise TaskError(f"{name} = {value!r}: give one finite number" + (" above zero" if above == 0.0 else ""))
     return float(value)  # type: ignore[arg-type]
 
 
 def positive(name: str, value: object) -> float:
-    """Return the value as a float. Raise a TaskError if it is not finite or not above zero."""
+    """Return a finite float above zero, or raise a TaskError."""
     return number(name, value, above=0.0)
 
 
 def vector3(name: str, value: ArrayLike, *, rows: bool = False) -> Array:
-    """Return a read-only array (3,), or (k, 3) with ``rows``. Raise a TaskError if it is not finite."""
+    """Return a finite array (3,), or (k, 3) with ``rows``, or raise a TaskError."""
     wanted = "give finite numbers (k, 3)" if rows else "give three finite numbers"
     try:
         result = np.array(value, dtype=np.float64)
@@ -41,7 +41,7 @@ def vector3(name: str, value: ArrayLike, *, rows: bool = False) -> Array:
 
 
 def direction3(name: str, value: ArrayLike) -> Array:
-    """Return the unit vector (3,) along a vector; a TaskError if it is zero."""
+    """Return the unit vector (3,) along a vector. Raise a TaskError if it is zero."""
     given = vector3(name, value)
     largest = float(np.abs(given).max())
     if largest == 0.0:
@@ -51,9 +51,9 @@ def direction3(name: str, value: ArrayLike) -> Array:
 
 
 def sampled(name: str, value: TimeLike, rows: Callable[[Array], Array]) -> Array:
-    """Evaluate the function `rows`, which maps (k,) to (k, m, 3), at a number or a vector (k,).
+    """Evaluate ``rows``, which maps (k,) to (k, m, 3), at a number or a vector (k,).
 
-    Return (m, 3) or (m, k, 3). Raise a TaskError if `value` is neither a number nor a vector.
+    Return (m, 3) or (m, k, 3). Raise a TaskError for any other ``value``.
     """
     try:
         array = np.asarray(value, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Planar curves. Each starts at the origin of its axes; the first axis is the heading."""
+"""Planar curves, which start at the origin along the first axis, the heading."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ PlanePoint = tuple[float, float, float, float, float]
 Speed = Callable[[Array], tuple[Array, Array]]
 
 _MOST_PANELS = 2**18
-_PROBES = (0.23, 0.5, 0.71)  # not symmetric, because an error might vanish at symmetric places
+_PROBES = (0.23, 0.5, 0.71)  # not symmetric: an error might vanish there
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(10)
 
 
 class ArcLength:
-    """The inverse w(s) of the arc length s(w) = integral of speed(w) from 0 to w.
+    """The inverse w(s) of the arc length s(w), the integral of the speed.
 
-    It is a quintic Hermite interpolation, refined until its error is below 1e-10 of the length and below 1e-10 m.
+    A quintic Hermite interpolation is refined until its error is below 1e-10 of the length and below 1e-10 m.
 
     Args:
         speed: function of w (k,) that returns ds/dw (k,) [m] above zero, and d2s/dw2 (k,) [m].
-        breaks: (b,) rising values of w, from 0; the speed is smooth between them.
+        breaks: (b,) values of w, from 0; the speed is smooth between them.
         panels: initial number of intervals between two breaks.
 
     Raises:
-        TaskError: the accuracy is not reached with 2^18 intervals.
+        TaskError: the accuracy is not reached.
     """
 
     def __init__(self, speed: Speed, breaks: Array, panels: int) -> None:
@@ -45,7 +45,7 @@ class ArcLength:
             coefficients = _hermite(w, lengths, *speed(w))
             if _worst(speed, w, lengths, coefficients) <= 1e-10 * min(1.0, float(s[-1])):
                 self.knots, self.length = read_only(s), float(s[-1])
-                # Lists, because indexing an array would be slower.
+                # lists are faster to index
                 self._starts: list[float] = s[:-1].tolist()
                 self._lengths: list[float] = lengths.tolist()
                 self._coefficients: list[list[float]] = coefficients.tolist()
@@ -87,10 +87,10 @@ def _worst(speed: Speed, w: Array, lengths: Array, coefficients: Array) -> float
 
 
 class PlanarCurve(NamedTuple):
-    """A smooth curve in the plane, parametrised by arc length."""
+    """A smooth curve, parametrised by arc length."""
 
     length: float  #: [m]
-    knots: Array  #: Arc lengths (k,) [m], from 0 to `length`, that resolve every bend.
+    knots: Array  #: Arc lengths (k,) that resolve every bend [m].
     at: Callable[[float], PlanePoint]
     """Function of s in [0, length]: x, y [m], unit tangent tx, ty, curvature [1/m] (positive to the left)."""
 
@@ -124,7 +124,6 @@ def sinusoid(amplitude: float = 0.01, wavelength: float = 0.02, periods: float =
         return ds / k, -slope * a * np.sin(phase) / ds
 
     def at(s: float) -> PlanePoint:
-        # tangent (1, y')/sqrt(1 + y'^2), curvature y''/(1 + y'^2)^(3/2)
         phase = arc.parameter(s)
         sine, slope = math.sin(phase), a * k * math.cos(phase)
         ds = math.sqrt(1.0 + slope * slope)
@@ -147,7 +146,6 @@ def spiral(turns: float = 2.0, radius: float = 0.03) -> PlanarCurve:
         return b * ds, b * angle / ds
 
     def at(s: float) -> PlanePoint:
-        # curvature (2 + angle^2) / (b (1 + angle^2)^(3/2))
         w = arc.parameter(s)
         c, d, ds = math.cos(w), math.sin(w), math.sqrt(1.0 + w * w)
         return b * w * c, b * w * d, (c - w * d) / ds, (d + w * c) / ds, (2.0 + w * w) / (b * ds * ds * ds)
@@ -157,4 +155,4 @@ def spiral(turns: float = 2.0, radius: float = 0.03) -> PlanarCurve:
 
 
 CURVES: dict[str, Callable[..., Any]] = {"line": line, "circle": circle, "sinusoid": sinusoid, "spiral": spiral}
-"""Functions that take the sizes of a path and return a `PlanarCurve` or waypoints (k, 3) [m]."""
+"""Functions of the sizes of a path that return a `PlanarCurve` or waypoints (k, 3) [m]."""

@@ -1,4 +1,4 @@
-"""Augmented reality: an endoscope tracks a marker board with a virtual task, and films the run."""
+"""Augmented reality: an endoscope tracks a board with a virtual task, and films the run."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Augmented:
     def locate(self, q: ArrayLike | None = None) -> Pose:
         """Search for the board before t = 0, and return its averaged pose in the base frame.
 
-        The arm rests at q (n,), or is out of sight if q is None. Raise a TaskError if the board is not found in 3 s.
+        The arm is at q (n,), or out of sight. Raise a TaskError if the board is not found in 3 s.
         """
         self._tracker = BoardTracker(self._tracker.limits)
         rate = self.camera.settings.rate_Hz
@@ -76,16 +76,13 @@ class Augmented:
         return found[-1]
 
     def watch(self, seconds: float, q: ArrayLike | None = None) -> tuple[Array, NDArray[np.bool_]]:
-        """Track the board after `locate`. Return picture times [s], and whether the board is tracked."""
+        """Return picture times [s], and whether the board is tracked, after `locate`."""
         rate = self.camera.settings.rate_Hz
         times = np.arange(math.floor(seconds * rate) + 1) / rate
         return times, np.array([self._look(t, q).seen for t in times.tolist()])
 
     def accuracy(self, estimate: Pose, task: BoardTask) -> dict[str, float]:
-        """Return the errors of an estimated board pose in the base frame.
-
-        ``task_error_max_mm`` is the largest distance of a point of the task from its true place.
-        """
+        """Return the errors of an estimated board pose, and the largest error of a point of the task."""
         way, turn = estimate.distance(self.phantom)
         true, believed = (self.board.task_in_base(task, pose) for pose in (self.phantom, estimate))
         s = np.linspace(0.0, true.length, 200)
@@ -96,7 +93,7 @@ class Augmented:
         }  # fmt: skip
 
     def film(self, file: str | os.PathLike[str], trace: Trace, path: Path, trocar: ArrayLike) -> int:
-        """Film the run (.webm) with the registered ``trocar`` (3,) [m]. Return the number of pictures."""
+        """Film the run (.webm) with the registered ``trocar`` (3,). Return the number of pictures."""
         return save_film(file, self._frames(trace, path, trocar), self.camera.settings.rate_Hz)
 
     def _frames(self, trace: Trace, path: Path, trocar: ArrayLike) -> Iterator[Picture]:
@@ -105,7 +102,7 @@ class Augmented:
         for t in np.arange(trace.t_s[0], trace.t_s[-1] + 1e-9, step).tolist():
             k = min(int(np.searchsorted(trace.t_s, t - 1e-9)), len(trace) - 1)
             picture = self._picture(t, trace.q_rad[k])
-            # Only the next 20 points are searched, because a path may cross itself.
+            # only the next 20 points, because a path may cross itself
             away = np.linalg.norm(line[done : done + 20] - trace.tip_ref_m[k], axis=1)
             done += int(np.argmin(away)) if away.min() < _ON_PATH_M else 0
             markers = len(self._finder.corners(picture))
@@ -127,10 +124,9 @@ class Augmented:
 def draw(
     picture: Picture, camera: Camera, *, task: ArrayLike, progress: float, tip: ArrayLike, trocar: ArrayLike, text: str
 ) -> Picture:
-    """Draw task, tip and trocar into a copy of the picture (H, W, 3).
+    """Draw task (k, 3), tip (3,) and trocar (3,) [m] into a copy of the picture (H, W, 3).
 
-    ``task`` (k, 3), ``tip`` (3,) and ``trocar`` (3,) are in the base frame [m]. ``progress`` is the finished share of
-    the path (0 to 1).
+    ``progress`` is the finished share of the path.
     """
     page = picture.copy()
     points, end, far = (np.asarray(part, dtype=np.float64) for part in (task, tip, trocar))
@@ -170,7 +166,7 @@ def _whole(pixel: Array) -> tuple[int, int]:
 
 
 def save_film(path: str | os.PathLike[str], pictures: Iterable[Picture], rate_Hz: float) -> int:
-    """Write pictures (H, W, 3) to a film (.webm), and return their count. Raise a PlantError if this fails."""
+    """Write pictures (H, W, 3) to a film (.webm); return their count. Raise a PlantError if this fails."""
     writer, count = cv2.VideoWriter(), 0
     for picture in pictures:
         if not count:

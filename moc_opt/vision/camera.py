@@ -1,4 +1,4 @@
-"""The endoscope's camera: its settings, a pinhole model, and its pictures of a scene."""
+"""The endoscope's camera: settings, pinhole model and pictures."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ Picture = NDArray[np.uint8]  # (H, W, 3), blue green red
 
 TISSUE, COVER, STEEL = (92, 100, 178), (70, 60, 150), (150, 148, 145)
 SHAFT_RADIUS_M = 0.004
-_MARKER_BITS = 6  # cells along a marker's side: 4 bits between two cells of black frame
-_CELL_PX = 16  # pixels along one cell of the drawn board
-_FINER = 2  # the scene is drawn this many times finer than the final picture
+_MARKER_BITS = 6  # along a marker's side: 4 bits between two black cells
+_CELL_PX = 16  # side of a cell
+_FINER = 2  # the scene is drawn this many times finer
 
 
 class CameraSettings(VisionSettings):
-    """An endoscope without lens distortion. It looks at the phantom through its own port."""
+    """An endoscope without lens distortion."""
 
     KIND: ClassVar[str] = "[camera]"
 
@@ -46,14 +46,14 @@ class CameraSettings(VisionSettings):
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """Intrinsics and extrinsics. The camera's frame is OpenCV's: x right, y down, z along the view."""
+    """A camera. Its frame is OpenCV's: x right, y down, z along the view."""
 
     settings: CameraSettings
     camera_in_base: Pose
 
     @property
     def matrix(self) -> Array:
-        """The matrix K (3, 3). Pixel centres have whole coordinates."""
+        """The matrix (3, 3). Pixel centres have whole coordinates."""
         width, height = self.settings.width_px, self.settings.height_px
         f = 0.5 * height / math.tan(0.5 * math.radians(self.settings.fov_deg))
         return np.array([[f, 0.0, 0.5 * width - 0.5], [0.0, f, 0.5 * height - 0.5], [0.0, 0.0, 1.0]])
@@ -66,7 +66,7 @@ class Camera:
 
     @classmethod
     def above(cls, settings: CameraSettings, phantom_in_base: Pose) -> Camera:
-        """Place a camera that looks at the middle of the phantom's board."""
+        """Place a camera that looks at the middle of the board."""
         tilt, azimuth = math.radians(settings.tilt_deg), math.radians(settings.azimuth_deg)
         away = np.array([math.sin(tilt) * math.cos(azimuth), math.sin(tilt) * math.sin(azimuth), math.cos(tilt)])
         right = np.cross(-away, (0.0, 1.0, 0.0))  # not zero: the tilt is below a right angle
@@ -75,7 +75,7 @@ class Camera:
         return cls(settings, phantom_in_base @ Pose(turn, settings.distance_m * away))
 
     def miscalibrated(self, seed: int) -> Camera:
-        """Return the camera with the settings' calibration errors, in random directions."""
+        """Return the camera with calibration errors in random directions."""
         away, axis = np.random.default_rng(seed).standard_normal((2, 3))
         turn = math.radians(self.settings.calibration_error_deg) * axis / np.linalg.norm(axis)
         error = Pose(rotation_from(turn), self.settings.calibration_error_m * away / np.linalg.norm(away))
@@ -83,15 +83,15 @@ class Camera:
 
 
 def hide(ids: range, fraction: float, seed: int) -> frozenset[int]:
-    """Return randomly chosen markers to cover, a share ``fraction`` (0 to 1) of all."""
+    """Choose a share ``fraction`` of the markers to cover."""
     order = np.random.default_rng(seed).permutation(np.array(ids))
     return frozenset(order[: round(fraction * len(ids))].tolist())
 
 
 class View:
-    """Takes pictures of the board and the tool's shaft.
+    """Takes pictures of the board and the shaft.
 
-    ``shaft`` maps a pose q (n,) to the tip and another point (3,) of the shaft in the base frame [m].
+    ``shaft`` maps a pose q (n,) to two points (3,) of the shaft, the tip first [m].
     """
 
     def __init__(
@@ -102,13 +102,13 @@ class View:
         self._page = cv2.cvtColor(board_picture(board), cv2.COLOR_GRAY2BGR)
         self._texture = texture_matrix(board)
         self._rng = np.random.default_rng(seed)
-        # With _FINER = 2, the centre of pixel u is at 2 u + 0.5.
+        # the centre of pixel u is at 2 u + 0.5
         self._finer = np.array([[_FINER, 0.0, 0.5 * (_FINER - 1)], [0.0, _FINER, 0.5 * (_FINER - 1)], [0.0, 0.0, 1.0]])
 
     def picture(
         self, board_in_base: Pose | None, hidden: frozenset[int] = frozenset(), q: Array | None = None
     ) -> Picture:
-        """Take a picture (H, W, 3) of the board and, at q (n,), of the tool."""
+        """Take a picture of the board and, at q (n,), of the tool."""
         width, height = self.camera.settings.width_px, self.camera.settings.height_px
         page = np.full((_FINER * height, _FINER * width, 3), TISSUE, dtype=np.uint8)
         if board_in_base is not None:
@@ -149,11 +149,11 @@ class View:
 
 
 def expose(picture: Picture, settings: CameraSettings, rng: np.random.Generator) -> Picture:
-    """Return the picture (H, W, 3) with blur and noise."""
+    """Return the picture with blur and noise."""
     if settings.blur_px > 0.0:
         picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), settings.blur_px), dtype=np.uint8)
     if settings.noise > 0.0:
-        # The detection uses only grey levels, so all colours get the same noise.
+        # the same noise for all colours, because the detection uses only grey levels
         grain = np.rint(settings.noise * rng.standard_normal(picture.shape[:2], dtype=np.float32))
         picture = np.clip(picture.astype(np.int16) + grain.astype(np.int16)[:, :, None], 0, 255).astype(np.uint8)
     return picture
@@ -174,7 +174,7 @@ def board_picture(board: Board) -> NDArray[np.uint8]:
 
 
 def texture_matrix(board: Board) -> Array:
-    """Return the matrix (3, 3) from (x, y, 1) [m] on the board to pixels of `board_picture`."""
+    """Return the matrix (3, 3) from (x, y, 1) [m] on the board to pixels of its picture."""
     scale = _MARKER_BITS * _CELL_PX / board.marker_m
     width, height = board.size_m
     right, down = 0.5 * scale * width - 0.5, 0.5 * scale * height - 0.5
