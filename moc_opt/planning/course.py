@@ -54,7 +54,7 @@ def lay_targets(
     ``span_m`` is the distance from wrist to tip, and ``tool_m`` the length of the tool [m].
 
     Raises:
-        TaskError: the trocar is farther from the tip than ``span_m`` or ``tool_m``, or nearer than `SHALLOWEST_M`.
+        TaskError: the trocar is not on the shaft, or nearer to the tip than `SHALLOWEST_M`.
     """
     t = np.linspace(0.0, duration_s, count)
     tip = np.ascontiguousarray(reference.at(t)[0])
@@ -81,7 +81,7 @@ class Course:
     mu: Array  #: (k,) manipulability [m^3]
     violation: float
     """Largest of: tip or wrist error [m], excess over joint limits [rad], excess over the allowed step [rad]."""
-    certified: bool = False  #: Whether a solver has converged to a local optimum.
+    certified: bool = False  #: Whether the optimizer has converged.
 
     @property
     def mu_mean(self) -> float:
@@ -104,9 +104,9 @@ class Limits:
 
 
 def lowered(mu: Array, share: Array, limits: Limits, top: float) -> Array:
-    """Return mu - `WORTH` * top * (1 - s/s_0)^2 where s < s_0, and mu elsewhere.
+    """Return mu - `WORTH` * top * (1 - share/limits.shaft)^2 at a ``share`` below ``limits.shaft``, and mu elsewhere.
 
-    s is the ``share`` from `shaft_shares`, s_0 is ``limits.shaft``, and ``top`` is the largest mu [m^3].
+    ``share`` is from `shaft_shares`, and ``top`` is the largest mu [m^3].
     """
     if limits.shaft <= 0.0:
         return mu
@@ -164,7 +164,7 @@ def make_course(robot: RobotModel, targets: Targets, q: Array, limits: Limits | 
 
 
 def worth(robot: RobotModel, course: Course, limits: Limits, top: float) -> float:
-    """Return the mean mu of a course [m^3], less the mean penalty of `lowered`."""
+    """Return the mean of `lowered` along a course [m^3]."""
     if limits.shaft <= 0.0:
         return course.mu_mean
     return time_mean(lowered(course.mu, shaft_shares(robot, course.q_rad), limits, top))

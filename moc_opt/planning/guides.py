@@ -26,14 +26,14 @@ COURSE_SHARE = 0.25  #: Courses try to keep this share of ``shaft_margin``.
 V_PERIOD_S = 0.1
 TARGETS_PER_TIME = 20  #: Targets per time step of the map.
 HALF_CELL = 0.5  #: First ``cell`` of `Value`. With 0, courses near singular poses are lost.
-SPEEDS = (1.0, 0.7, 0.4)  #: Factors on ``course_speed_fraction``, tried until a course is smooth and can brake.
+SPEEDS = (1.0, 0.7, 0.4)  #: Factors on ``course_speed_fraction``, tried in turn.
 HURRY, WORTH_IT = 1.12, 0.01  #: The factor `HURRY` is tried first if it raises mean mu by more than `WORTH_IT`.
 FASTEST = 0.97  #: Largest speed share with `HURRY`.
 BRAKE_SHARE = 0.9  #: Share of the safety filter's deceleration, for courses made before the run.
 SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}  #: Weight of the squared acceleration [s^4/rad^2].
 MOST_OFF_M = 1e-3  #: Largest error of tip or wrist in a course file.
-MOST_OFF_RAD = 1e-6  #: Tolerance of a course file's first pose and joint limits.
-ROUNDING = 1e-6  #: Tolerance of a course file's first time [s], duration (relative) and speed shares.
+MOST_OFF_RAD = 1e-6  #: The same for its first pose and joint limits.
+ROUNDING = 1e-6  #: The same for its times and speed shares.
 PLAN_IT = "plan it for this scenario: moc-opt plan SCENARIO --out FILE"
 
 
@@ -44,7 +44,7 @@ class Following:
     robot: RobotModel
     q_start: Array  #: (n,) [rad]
     settings: ControlSettings
-    targets: Callable[..., Targets]  #: its arguments: wanted time between targets [s], factor on their number
+    targets: Callable[..., Targets]  #: of wanted time between targets [s], factor on their number
     brake: float  #: safety filter's deceleration [rad/s^2]
     period_s: float
 
@@ -107,7 +107,7 @@ def guides(run: Following) -> Callable[[], Guide] | None:
     """Plan the run once. Return a function that makes a guide for each controller, or None with ``"local"``.
 
     Raises:
-        ControlError: the third level cannot follow a course under these settings.
+        ControlError: the settings do not allow a course.
         ScenarioError: the path cannot be executed from the start.
         TaskError: no smooth course was found at the start.
     """
@@ -128,7 +128,7 @@ def guides(run: Following) -> Callable[[], Guide] | None:
 
 
 def replanned(ways: Ways) -> Callable[[], Planner]:
-    """Return a function that makes a planner with a receding horizon."""
+    """Return a function that makes a planner."""
     run, settings, smooth = ways.run, ways.run.settings, SMOOTHNESS["receding"]
     ladder = [(part, run.brake, True) for part in ways.speeds]
     for part, brake, kept in [*ladder, (SPEEDS[-1], np.inf, True), (SPEEDS[-1], np.inf, False)]:
@@ -149,7 +149,7 @@ def replanned(ways: Ways) -> Callable[[], Planner]:
 
 
 def followed_course(run: Following, ways: Ways | None = None) -> Course:
-    """Find a smooth course with a large mean mu from the run's start.
+    """Find a smooth course from the run's start.
 
     Raises:
         ScenarioError: no course reaches the end of the path, or the course file is refused.

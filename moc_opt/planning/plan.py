@@ -19,7 +19,7 @@ from moc_opt.planning.program import refine
 from moc_opt.planning.search import WHOLE_CELL, Value, keeping_shaft, reached
 from moc_opt.robots.model import RobotModel
 
-ROOM = 0.01  #: If mean mu is farther below its bound (relative), another course is tried.
+ROOM = 0.01  #: Relative gap of mean mu to its bound above which another course is tried.
 
 
 @dataclass(frozen=True, eq=False)

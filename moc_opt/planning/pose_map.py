@@ -31,14 +31,14 @@ ROUNDING_RAD = 1e-9
 SWIVELS, MOST_SWIVELS = 720, 2880
 PEAKS = 4
 STEP_RAD = 0.03
-SEEDS = 64  #: Random starts of inverse kinematics.
+SEEDS = 64
 MOST_CURVES = 16
 SAME_CURVE = 0.7  #: A pose within this share of the spacing from a sample is on its curve.
 NO_LIMIT_RAD = 20.0
 REACHED_M = 1e-9
 SCANNED, SCANS = "scanned, all branches", 360  #: `largest_mu`'s closed-form method: name, swivels.
 STARTS, LATER = 96, 12  #: Random starts of `largest_mu` at the first point, and at each later point.
-KEPT = 6  #: Largest number of maxima that a point hands on to its neighbours.
+KEPT = 6  #: Largest number of maxima that a point shares.
 SAME = 1e-5  #: Relative difference of mu up to which two maxima are one.
 
 
@@ -53,7 +53,7 @@ class PoseMap:
     targets: Targets
     q_rad: Array  #: (k,b,m,n)
     mu: Array  #: (k,b,m) [m^3], also beyond joint limits
-    room_rad: Array  #: (k,b,m) smallest distance of a joint from its limits; negative beyond a limit
+    room_rad: Array  #: (k,b,m) distance to the nearest joint limit, negative beyond it
     closed: ClosedForm | None = None  #: None if the curves are traced
 
     def feasible(self, margin: Margin = 0.0) -> Flags:
@@ -100,12 +100,12 @@ def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = S
 class ClosedForm(NamedTuple):
     """Normal form: the last link's rotation is R_0 Rz(t1) Ry(t2) Rz(t3) Ry(t4) Rz(t5) Ry(t6) Rz(t7), t = q + offset."""
 
-    base: Array  #: R_0 (3,3), rotation from the normal form's axes to the world
+    base: Array  #: R_0 (3,3)
     shoulder: Array  #: (3,) [m]
     upper: float  #: Shoulder to elbow along axis 3, signed [m].
     fore: float  #: Elbow to wrist along axis 5, signed [m].
     tool: float  #: Wrist to tip along axis 7, signed [m].
-    offset: Array  #: (6,) [rad] for the first six joints
+    offset: Array  #: (6,) [rad]
     swivel_rad: Array = np.empty(0)  #: (m,) evenly over one turn
     reference: Array = np.array([0.0, 0.0, 1.0])  #: (3,) direction of the elbow at swivel zero
 
@@ -120,7 +120,7 @@ def closed_form(robot: RobotModel) -> ClosedForm | None:
     if np.abs((axes[:-1] * axes[1:]).sum(axis=1)).max() > EXACT_M:
         return None
     tip, wrist = (origins[6] + rotations[6] @ offset for offset in chain.offsets)
-    # On axes 1, 3 and 5, find the point nearest to the next axis.
+    # the points of axes 1, 3 and 5 that are nearest to the next axis
     shoulder, elbow, center = (origins[j] + axes[j] * ((origins[j + 1] - origins[j]) @ axes[j]) for j in (0, 2, 4))
     through = [(shoulder, 1), (shoulder, 2), (elbow, 3), (elbow, 4), (center, 5), (center, 6), (tip, 6)]
     off = [np.linalg.norm(np.cross(point - origins[j], axes[j])) for point, j in through]
@@ -257,7 +257,7 @@ def _traced(robot: RobotModel, targets: Targets, q_start: Array, step_rad: float
 
 
 class Largest(NamedTuple):
-    """The largest mu at k points."""
+    """The largest mu at k poses."""
 
     mu: Array  #: (k,) [m^3]
     method: str  #: `SCANNED`, or "best found of N starts".
@@ -266,7 +266,7 @@ class Largest(NamedTuple):
 def largest_mu(robot: RobotModel, poses: Array) -> Largest:
     """Find for each pose (k, n) the largest mu with the same tip and wrist.
 
-    The poses should follow a path, because neighbours share their maxima.
+    Neighbours share their maxima, so the poses should follow a path.
     """
     inside = np.clip(poses, robot.q_min, robot.q_max)
     count, tips, wrists = len(inside), *robot.tool_along(inside)

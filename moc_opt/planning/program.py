@@ -1,14 +1,14 @@
 """Optimize a course by direct transcription.
 
-The variables q are the positions of the joints that move tip or wrist, at K evenly spaced times after a fixed start:
+The variables q are the joints that move tip or wrist, at K evenly spaced times after a fixed start:
 
     max  mean of {mu / mu_0 - w (|ddq|^2 + |dq|^2 / T^2)} + V(q_K) / (K dt mu_0)
     s.t. X(q_k) = X_d,  B_k^T (N(q_k) - X_d) = 0,  q_min <= q_k <= q_max,  |q_k - q_k-1| <= v_max dt,
          and no joint is `too_fast` towards its limit
 
-mu is `lowered`, mu_0 a typical mu, w a weight, T `SETTLED_S`, X the tip, N the wrist, and V the value function of
-`search`. The columns of B_k (3,2) are orthogonal to the desired shaft, so that N lies on it. |X - N| is constant, so a
-third equation for N would make multipliers ambiguous.
+mu is `lowered`, mu_0 a typical mu, w a weight, T `SETTLED_S`, and V the value function of `search`. The columns of B_k
+(3,2) are orthogonal to the desired shaft. |X - N| is constant, so a third equation for N would make multipliers
+ambiguous.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ HORIZON: dict[str, Any] = {
     },
 }  # fmt: skip
 SETTLED_S = 0.3
-SOFT_RAD = 0.003  #: e in `too_fast`; it keeps the derivative finite at the joint limit.
+SOFT_RAD = 0.003  #: keeps the derivative of `too_fast` finite at the joint limit
 SMOOTH_LOSS = 0.05
 LEAST_SHARE = 1e-4  #: Smooths the shaft share at 0.
-INSIDE = 1e-9  #: Joint limits and the largest step are narrowed by this, because of rounding [rad].
+INSIDE = 1e-9  #: Joint limits and steps are narrowed by this, because of rounding [rad].
 
 
 class Program:
@@ -54,7 +54,7 @@ class Program:
         self, robot: RobotModel, nodes: int, period_s: float, limits: Limits, *, mu: float, top: float = 0.0,
         smoothness: float = 0.0, brake: float = np.inf, horizon: bool = False,
     ) -> None:  # fmt: skip
-        """Write the program for K = ``nodes`` times after the start, ``period_s`` [s] apart.
+        """Write the program for K = ``nodes`` times, ``period_s`` apart.
 
         Args:
             mu: mu_0 [m^3].
@@ -149,7 +149,7 @@ def refine(
     If the answer is infeasible or worse, the given course is returned. Smoothness and braking may cost the share
     `SMOOTH_LOSS` of mean mu.
     """
-    # The program without the shaft margin is faster, and enough if its answer keeps the margin.
+    # Without the shaft margin the program is faster.
     if limits.shaft > 0.0 and _above(robot, course, limits):
         bare = replace(limits, shaft=0.0)
         free = refine(robot, targets, course, bare, smoothness=smoothness, brake=brake)
@@ -178,8 +178,7 @@ def _above(robot: RobotModel, course: Course, limits: Limits) -> bool:
 def too_fast(speed: Any, pose: Any, low: Any, high: Any, brake: float) -> Any:
     """Return each joint's excess over the speed from which it can stop before its limit.
 
-    At a distance d from a limit, this speed is sqrt(2 b) (sqrt(d + e) - sqrt(e)), where b is the brake [rad/s^2] and e
-    is `SOFT_RAD`.
+    At a distance d from a limit, this speed is sqrt(2 brake) (sqrt(d + e) - sqrt(e)), where e is `SOFT_RAD`.
     """
     import casadi as ca
 

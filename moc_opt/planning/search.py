@@ -1,4 +1,4 @@
-"""The value function V: the largest integral of mu, less a penalty on speed, from a pose to the path's end.
+"""The value function V: the largest integral of mu from a pose to the path's end, less a penalty on speed.
 
     V_k(p) = g_k(p) + max { V_{k+1}(p') - c |q - q'|^2 / dt : |q - q'| <= v_max dt for every joint }
 
@@ -30,7 +30,7 @@ class End(NamedTuple):
     along: Array  #: (n,) unit vector of the self-motion
     slope: float = 0.0  #: [m^3 s / rad]
     bend: float = 0.0  #: [m^3 s / rad^2], never above 0
-    low: float = 0.0  #: least z from which the path's end can be reached [rad]
+    low: float = 0.0  #: least z from which the path's end is within reach [rad]
     high: float = 0.0  #: largest such z [rad]
 
 
@@ -63,7 +63,7 @@ class Value:
             mu = _highest_nearby(mu)
         gain = np.where(feasible, mu * self._weight[:, None, None], -np.inf)
         self.value = np.array(gain)
-        """V (k,b,m) [m^3 s]; -inf where the path's end cannot be reached"""
+        """(k,b,m) [m^3 s]; -inf where the path's end is out of reach"""
         for k in range(count - 2, -1, -1):
             self.value[k] = advance(
                 found.q_rad[k], self._slack[k], gain[k], found.q_rad[k + 1], self._slack[k + 1],
@@ -77,15 +77,15 @@ class Value:
         return float(mu * self._weight[0] + rest) / self._weight.sum()
 
     def best(self) -> tuple[float, Array | None]:
-        """Return mean mu, less the mean penalty [m^3], of the best of all courses, and its first pose (n,)."""
+        """Return `of` for the best of all courses, and its first pose (n,)."""
         first = np.unravel_index(int(np.argmax(self.value[0])), self.value[0].shape)
         value = float(self.value[0][first]) / self._weight.sum()
         return value, self.map.q_rad[0][first] if np.isfinite(value) else None
 
     def way(self, q: Array, t_s: float = 0.0, end: int = -1, hurry: float = 1.0) -> Way | None:
-        """Read off the best course from a pose (n,) [rad] at a time [s] to the time index ``end``, or None.
+        """Return the best course from a pose (n,) at a time [s] to the time index ``end``, or None.
 
-        ``hurry`` is a factor on the joint speed limits.
+        ``hurry`` is a factor on the speed limits.
         """
         t, poses, slack, at = self.map.targets.t_s, [q], np.zeros(len(q)), (0, 0)
         end = len(t) - 1 if end < 0 else end
@@ -102,7 +102,7 @@ class Value:
         return Way(np.append(t_s, t[first : end + 1]), np.array(poses), at)
 
     def near(self, end: int, at: tuple[int, int]) -> End:
-        """Fit a parabola to V around the pose ``at`` (branch, sample) at the time index ``end``."""
+        """Fit a parabola to V around the pose ``at`` (branch, sample) of the time index ``end``."""
         (b, j), value = at, self.value[end, at[0]]
         q = self.map.q_rad[end, b]
         along = q[(j + 1) % len(q)] - q[j - 1]
@@ -136,10 +136,10 @@ class Value:
 
 
 def keeping_shaft(found: PoseMap, limits: Limits) -> PoseMap:
-    """Replace the map's mu by `lowered`, so that courses avoid poses in which the shaft can hardly turn."""
+    """Replace the map's mu by `lowered`, so that courses try to keep the shaft margin."""
     if limits.shaft <= 0.0:
         return found
-    # All branches have the same share: their Jacobians differ only in signs of columns.
+    # The Jacobians of all branches differ only in signs of columns.
     may = found.feasible().any(axis=1)
     share = np.full(may.shape, np.inf)
     share[may] = shaft_shares(found.robot, found.q_rad[:, 0][may])
@@ -182,13 +182,13 @@ def advance(
 ) -> Array:
     """Return the values (b,m) of the poses at one time, from the values at the next time.
 
-    From one pose to the next, no joint may move farther than its step (n,) [rad] plus both slacks, and the branch's
-    index may change only in the bits of ``crossing`` (m,).
+    No joint may move farther than its step (n,) plus both slacks, and the branch's index may change only in the bits
+    of ``crossing`` (m,).
 
     Args:
         q, slack: (b,m,n) [rad], NaN if there is no pose. gain: (b,m), -inf at a forbidden pose.
         q_next, slack_next: (b,m1,n) [rad]. value_next: (b,m1).
-        price: penalty on the squared step [unit of the values / rad^2].
+        price: penalty on the squared step.
     """  # fmt: skip
     branches, _, n = q.shape
     # Sorted by the joint with the largest range per step, the poses within reach lie in a short interval.

@@ -1,6 +1,6 @@
 """Self-motion: the poses that an arm can take while tip and wrist stay in place.
 
-The curve of poses is followed along the null vector of A = [J_tip; J_wrist].
+The curve follows the null vector of A = [J_tip; J_wrist].
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def require_freedom(robot: RobotModel) -> None:
 
 
 def limit_shares(robot: RobotModel, q: Array) -> Array:
-    """Return (distance to the nearer limit) / (half the range) of each joint, (n,)."""
+    """Return (distance to the nearer limit) / (half the range), (n,)."""
     nearest: Array = np.minimum(q - robot.q_min, robot.q_max - q) / (0.5 * (robot.q_max - robot.q_min))
     return nearest
 
@@ -71,7 +71,7 @@ def limit_shares(robot: RobotModel, q: Array) -> Array:
 def parabola_peak(x: Array, y: Array) -> tuple[float, float]:
     """Return the peak of the parabola through three samples, relative to the middle one (x[1], y[1]).
 
-    ``x`` ascends. The peak is clipped to the samples. Without a peak, zeros are returned.
+    ``x`` ascends. The peak is clipped to the samples, and zero if there is none.
     """
     (left, right), (rise, fall) = np.diff(x), np.diff(y)
     bend = (fall / right - rise / left) / (left + right)
@@ -128,10 +128,10 @@ def self_motion(robot: RobotModel, q: ArrayLike, step: float = 0.02) -> SelfMoti
 
     Args:
         q: (n,) a pose inside the joint limits [rad].
-        step: spacing of the samples in joint space [rad], 1e-5 to 10.
+        step: spacing of the samples [rad], 1e-5 to 10.
 
     Raises:
-        RobotError: the pose is singular or outside the joint limits, or the step is out of range.
+        RobotError: q is singular or beyond a limit, or the step is out of range.
     """
     if not LEAST_STEP <= step <= MOST_STEP:
         raise RobotError(f"step = {step!r}: give {LEAST_STEP:g} to {MOST_STEP:g} rad")

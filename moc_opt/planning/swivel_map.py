@@ -1,4 +1,4 @@
-"""The map of mu over time and swivel, and the runs on it."""
+"""The map of mu over time and swivel, with runs."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class SwivelMap:
     limit: NDArray[np.int64]
     """(k, m) `FEASIBLE`, `UNREACHABLE`, or the joint (counted from 1) that is farthest beyond a limit"""
     best_swivel_rad: Array  #: (k,) swivel of `best_mu`
-    best_mu: Array  #: (k,) largest feasible mu [m^3]; NaN if no pose is feasible
+    best_mu: Array  #: (k,) largest feasible mu [m^3], or NaN
     trajectories: Mapping[str, Trajectory]
     held: tuple[str, ...] = ()  #: joints that are held still to leave a single freedom
 
@@ -64,10 +64,10 @@ class SwivelMap:
 def manipulability_map(
     robot: RobotModel, traces: Mapping[str, Trace], *, times: int = 100, swivels: int = 180
 ) -> SwivelMap:
-    """Scan the self-motion at evenly spaced times of the path that all runs share.
+    """Scan the self-motion at evenly spaced times of the runs' path.
 
     Raises:
-        ReportError: no runs, too few times or swivels, runs of different paths, or a trace without a trocar.
+        ReportError: the runs have different paths, or an argument is unusable.
         RobotError: several poses of a self-motion have the same swivel angle.
     """
     if not traces or times < 2 or swivels < 8:
@@ -134,7 +134,7 @@ def _targets(
         apart = np.abs(trace.tip_ref_m[shared] - guide.tip_ref_m[shared]).max()
         if apart > SAME_PATH_M:
             raise ReportError(f"run {name!r} follows another path than the longest run ({apart:.3g} m apart)")
-    # `reach` needs an exact distance from tip to wrist, but a trace may hold 4-byte floats.
+    # A trace may hold 4-byte floats, but `reach` needs an exact distance from tip to wrist.
     tips, trocars = (np.asarray(guide.columns[name][ticks], dtype=np.float64) for name in ("tip_ref_m", column))
     span = robot.state(robot.data.q_home).tool_span
     return tips, desired_wrist(tips, 0.0, trocars, 0.0, span)[0]
@@ -217,8 +217,8 @@ class Reading:
 
     name: str
     near: float  #: Share of the time at which mu is optimal.
-    mu_share: float  #: (Mean mu) / (mean of the best mu at the same times).
-    travel_rad: float  #: Change of the swivel from start to end.
+    mu_share: float  #: (Mean mu) / (mean of the best mu).
+    travel_rad: float
     from_s: float  #: Time from which mu stays optimal; NaN if it is not optimal at the end.
     end: End
     joint: int  #: Joint (counted from 1) whose limit keeps mu from rising, or 0.

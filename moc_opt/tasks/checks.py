@@ -46,14 +46,14 @@ def direction3(name: str, value: ArrayLike) -> Array:
     largest = float(np.abs(given).max())
     if largest == 0.0:
         raise TaskError(f"{name} = {value!r} has no direction: give a vector of non-zero length")
-    scaled = given / largest  # keeps the squares from overflowing or vanishing
+    scaled = given / largest  # so that squares do not overflow or vanish
     return read_only(np.asarray(scaled / math.sqrt(float(scaled @ scaled))))
 
 
 def sampled(name: str, value: TimeLike, rows: Callable[[Array], Array]) -> Array:
     """Evaluate ``rows``, which maps (k,) to (k, m, 3), at a number or a vector (k,).
 
-    Return (m, 3) or (m, k, 3). Raise a TaskError for any other ``value``.
+    Raise a TaskError for any other ``value``.
     """
     try:
         array = np.asarray(value, dtype=np.float64)

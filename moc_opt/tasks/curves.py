@@ -17,7 +17,7 @@ PlanePoint = tuple[float, float, float, float, float]
 Speed = Callable[[Array], tuple[Array, Array]]
 
 _MOST_PANELS = 2**18
-_PROBES = (0.23, 0.5, 0.71)  # not symmetric: an error might vanish there
+_PROBES = (0.23, 0.5, 0.71)  # not symmetric, where an error might vanish
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(10)
 
 
@@ -27,8 +27,8 @@ class ArcLength:
     A quintic Hermite interpolation is refined until its error is below 1e-10 of the length and below 1e-10 m.
 
     Args:
-        speed: function of w (k,) that returns ds/dw (k,) [m] above zero, and d2s/dw2 (k,) [m].
-        breaks: (b,) values of w, from 0; the speed is smooth between them.
+        speed: function of w (k,) that returns ds/dw (k,) above zero, and d2s/dw2 (k,).
+        breaks: (b,) values of w, from 0, between which the speed is smooth.
         panels: initial number of intervals between two breaks.
 
     Raises:
@@ -57,7 +57,7 @@ class ArcLength:
         )
 
     def parameter(self, s: float) -> float:
-        """Return w at the arc length s [m] in [0, length]."""
+        """Return w at the arc length s."""
         panel = bisect_right(self._starts, s) - 1
         t = (s - self._starts[panel]) / self._lengths[panel]
         a0, a1, a2, a3, a4, a5 = self._coefficients[panel]
@@ -92,7 +92,7 @@ class PlanarCurve(NamedTuple):
     length: float  #: [m]
     knots: Array  #: Arc lengths (k,) that resolve every bend [m].
     at: Callable[[float], PlanePoint]
-    """Function of s in [0, length]: x, y [m], unit tangent tx, ty, curvature [1/m] (positive to the left)."""
+    """Function of s: x, y [m], unit tangent tx, ty, curvature [1/m] (positive to the left)."""
 
 
 def line(length: float = 0.04) -> PlanarCurve:
@@ -136,7 +136,7 @@ def sinusoid(amplitude: float = 0.01, wavelength: float = 0.02, periods: float =
 def spiral(turns: float = 2.0, radius: float = 0.03) -> PlanarCurve:
     """Archimedean spiral r = radius angle / (2 pi turns) to the left. It leaves its centre along the heading.
 
-    `turns` need not be whole; `radius` [m] is the final radius.
+    `radius` [m] is the final radius.
     """
     turns = positive("turns", turns)
     b = positive("radius", radius) / (2.0 * math.pi * turns)

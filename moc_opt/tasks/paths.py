@@ -1,6 +1,6 @@
 """Paths of the tool tip, as functions of arc length.
 
-To add a path, add a function to `CURVES` of curves.py, or an entry point of the group `moc_opt.tasks`.
+To add a path, add a function to `CURVES`, or an entry point of the group `moc_opt.tasks`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from moc_opt.tasks.curves import CURVES, ArcLength, PlanarCurve
 
 GROUP = "moc_opt.tasks"
 WAYPOINTS = "waypoints"
-MOST = 1000  #: Largest number of waypoints.
+MOST = 1000
 FARTHEST_M = 1000.0  #: Largest coordinate of a waypoint.
 _SLOWEST = 0.05  # least |dp/dw|, with the point p at chord length w
 
@@ -56,9 +56,9 @@ class Path:
         return self.curve.at(s)[4]
 
     def at(self, s: TimeLike) -> tuple[Array, Array, Array]:
-        """Return p [m], dp/ds and d2p/ds2 [1/m] at arc length s [m].
+        """Return p [m], dp/ds and d2p/ds2 [1/m] at s [m], (3,) each or (k, 3) if s is (k,).
 
-        Each is (3,), or (k, 3) if s is (k,). Raise a TaskError if s is outside the path.
+        Raise a TaskError if s is outside the path.
         """
         p, dp, ddp = sampled("s", s, self._checked)
         return p, dp, ddp
@@ -70,7 +70,7 @@ class Path:
         return self.points(np.clip(s, 0.0, self.length))
 
     def points(self, s: Array) -> Array:
-        """Return the rows of `at` as (k, 3, 3) at s (k,) [m], whose range is not checked."""
+        """Return the rows of `at` as (k, 3, 3), without a check of s (k,)."""
         x, y, tx, ty, k = np.array([self.curve.at(one) for one in s.tolist()]).reshape(-1, 5).T[:, :, None]
         a, b = self.heading, self.left
         return np.stack([self.start + a * x + b * y, a * tx + b * ty, a * (-k * ty) + b * (k * tx)], axis=1)
@@ -168,10 +168,10 @@ def kinds() -> dict[str, str]:
 
 
 def sizes(kind: str, given: Iterable[str] = ()) -> dict[str, Any]:
-    """Return the default of every size (e.g. radius) of a path, or `inspect.Parameter.empty`.
+    """Return the default of every size of a path, or `inspect.Parameter.empty`.
 
     Raises:
-        UnknownNameError: there is no such path, or a size in ``given`` is unknown.
+        UnknownNameError: the path, or a size in ``given``, is unknown.
         TaskError: a plug-in does not load.
     """
     parameters = {} if kind == WAYPOINTS else inspect.signature(_maker(kind)).parameters
@@ -188,12 +188,10 @@ def make_path(
 ) -> Path:  # fmt: skip
     """Build a path by its name in `kinds`, with the given `sizes`.
 
-    Args:
-        start, normal, heading: as in `Path`.
-        waypoints: as in `Waypoints`.
+    The other arguments are those of `Path` and `Waypoints`.
 
     Raises:
-        UnknownNameError: there is no such kind or size.
+        UnknownNameError: the kind or a size is unknown.
         TaskError: a size or vector is missing or unusable.
     """
     known = sizes(kind, given)

@@ -28,7 +28,7 @@ def quintic(u: Number) -> tuple[Number, Number, Number]:
 def duration(path: Path, v_max: float, a_max: float) -> float:
     """Compute the shortest duration T [s] within the largest speed [m/s] and acceleration [m/s^2].
 
-    D is the length of the path, kappa its curvature, u = t/T, and s(u) the `quintic`:
+    D is the path's length, kappa its curvature, u = t/T, and s(u) the `quintic`:
         |velocity| = D s'/T                   at most 15 D / (8 T),
         |acceleration| = D g(u) / T^2         with g(u)^2 = s''^2 + (D kappa(D s) s'^2)^2,
     so that T = max(15 D / (8 v_max), sqrt(D max_u g(u) / a_max)).
@@ -123,14 +123,11 @@ class WaitingReference:
         """Time until the rate follows a change of the flag."""
 
     def play(self, go_on: ArrayLike) -> tuple[Array, Array]:
-        """Return X_d, dX_d, ddX_d as rows (N, 3, 3), and tau (N,) [s], with one flag per tick, go_on (N,).
-
-        Raise a TaskError if the flags are not boolean.
-        """
+        """Return X_d, dX_d, ddX_d (N, 3, 3) and tau (N,) [s]. Raise a TaskError unless go_on (N,) is boolean."""
         flags = np.asarray(go_on)
         if flags.ndim != 1 or flags.dtype != np.bool_:
             raise TaskError(f"go_on is {flags.dtype} of shape {flags.shape}: give flags (N,), one per tick")
-        later = flags.astype(np.float64)  # the rate at the end of each tick
+        later = flags.astype(np.float64)  # rate at the end of each tick
         for length in self._lengths:
             later = np.convolve(later, np.ones(length))[: len(flags)] / length
         rate = np.concatenate([[0.0], later])[: len(flags)]
@@ -142,11 +139,9 @@ class WaitingReference:
 
 
 def flags_at(times: ArrayLike, seen_times: ArrayLike, seen: ArrayLike) -> NDArray[np.bool_]:
-    """Return for each tick (N,) the flag of the latest picture; False before the first picture.
+    """Return for each tick (N,) the flag ``seen`` (k,) of the latest picture; False before the first one.
 
-    Args:
-        times: (N,) times of the ticks [s].
-        seen_times, seen: (k,) times [s] and flags of the pictures. Raise a TaskError if the times do not rise.
+    Raise a TaskError if ``seen_times`` (k,) do not rise.
     """
     pictures, answers = np.asarray(seen_times, dtype=np.float64), np.asarray(seen, dtype=np.bool_)
     if pictures.ndim != 1 or pictures.shape != answers.shape or (np.diff(pictures) <= 0.0).any():

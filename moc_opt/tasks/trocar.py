@@ -15,10 +15,7 @@ from moc_opt.tasks.checks import TimeLike, direction3, number, positive, sampled
 
 @dataclass(frozen=True, eq=False)
 class Trocar:
-    """A trocar that rests or breathes: P(t) = point + amplitude (1 - cos(2 pi t / period)) / 2 * direction.
-
-    A TaskError is raised if a field is unusable.
-    """
+    """A trocar at point + amplitude (1 - cos(2 pi t / period)) / 2 * direction. A bad field raises a TaskError."""
 
     point: ArrayLike  #: Position at t = 0, (3,) [m].
     breathing_amplitude_m: float = 0.0
@@ -38,7 +35,7 @@ class Trocar:
             object.__setattr__(self, name, value)
 
     def at(self, t: TimeLike) -> tuple[Array, Array]:
-        """Return position [m] and velocity [m/s] at t [s]: each (3,), or (k, 3) if t is (k,).
+        """Return position and velocity at t [s], (3,) each or (k, 3) if t is (k,).
 
         Raise a TaskError if t is not finite.
         """
@@ -61,10 +58,9 @@ class Trocar:
 
 
 def shaft_distance(tip: ArrayLike, wrist: ArrayLike, p: ArrayLike) -> Array:
-    """Compute the RCM error d = |(P - X) x u| [m], (k,) or ().
+    """Return the RCM error |(p - tip) x u| [m], (k,) or (), of points (k, 3) or (3,).
 
-    Args:
-        tip, wrist, p: the points X, N and P, (k, 3) or (3,) [m]. u = (X - N)/|X - N|.
+    u is the unit vector from wrist to tip.
     """
     tool = np.subtract(tip, wrist)
     u = tool / np.sqrt((tool * tool).sum(axis=-1, keepdims=True))

@@ -1,4 +1,1 @@
-"""The paper's operative procedure: augmented reality, and hand guiding to the incision.
-
-``augmented_reality`` and its parts need OpenCV (the extra ``vision``).
-"""
+"""Augmented reality, which needs OpenCV (the extra ``vision``), and hand guiding to the incision."""

@@ -24,12 +24,12 @@ from moc_opt.vision.tracking import BoardFinder, BoardTracker, Tracked, TrackerS
 _SEARCH_S, _LOOK_S = 2.0, 1.0
 _ON_PATH_M = 0.001
 TASK, DONE, TIP, TROCAR, TEXT = (80, 220, 60), (200, 140, 20), (0, 215, 255), (255, 120, 240), (255, 255, 255)
-_CODEC = "VP80"  # needs no system libraries, and browsers play it
+_CODEC = "VP80"  # without system libraries, for browsers
 _NEAR_M = 0.01
 
 
 class Augmented:
-    """An endoscope above a phantom's board: `camera` has its true pose, `believed` its calibrated pose."""
+    """An endoscope above a phantom's board, with the true pose `camera` and the calibrated pose `believed`."""
 
     def __init__(
         self, robot: RobotModel, phantom_in_base: Pose, *, camera: CameraSettings | None = None,
@@ -50,9 +50,9 @@ class Augmented:
         self._tracker = BoardTracker(tracker)
 
     def locate(self, q: ArrayLike | None = None) -> Pose:
-        """Search for the board before t = 0, and return its averaged pose in the base frame.
+        """Return the board's averaged pose in the base frame, with the arm at q (n,) or out of sight.
 
-        The arm is at q (n,), or out of sight. Raise a TaskError if the board is not found in 3 s.
+        Raise a TaskError if the board is not found in 3 s.
         """
         self._tracker = BoardTracker(self._tracker.limits)
         rate = self.camera.settings.rate_Hz
@@ -76,13 +76,13 @@ class Augmented:
         return found[-1]
 
     def watch(self, seconds: float, q: ArrayLike | None = None) -> tuple[Array, NDArray[np.bool_]]:
-        """Return picture times [s], and whether the board is tracked, after `locate`."""
+        """Return picture times [s], and whether the board is tracked."""
         rate = self.camera.settings.rate_Hz
         times = np.arange(math.floor(seconds * rate) + 1) / rate
         return times, np.array([self._look(t, q).seen for t in times.tolist()])
 
     def accuracy(self, estimate: Pose, task: BoardTask) -> dict[str, float]:
-        """Return the errors of an estimated board pose, and the largest error of a point of the task."""
+        """Return the errors of an estimated pose, and the largest error of the task."""
         way, turn = estimate.distance(self.phantom)
         true, believed = (self.board.task_in_base(task, pose) for pose in (self.phantom, estimate))
         s = np.linspace(0.0, true.length, 200)

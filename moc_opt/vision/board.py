@@ -1,4 +1,4 @@
-"""Poses of frames, a marker board, and virtual tasks.
+"""Poses, a marker board, and virtual tasks.
 
 A board's frame begins in its middle. Seen from the printed side, x points right, y up, and z towards the viewer.
 """
@@ -34,15 +34,15 @@ class Pose:
         object.__setattr__(self, "t", read_only(np.array(t, dtype=np.float64)))
 
     def apply(self, points: ArrayLike) -> Array:
-        """Express points (3,) or (k, 3) [m] of the inner frame in the outer one."""
+        """Transform points (3,) or (k, 3) to the outer frame."""
         return self.turn(points) + self.t
 
     def turn(self, vectors: ArrayLike) -> Array:
-        """Express directions (3,) or (k, 3) of the inner frame in the outer one."""
+        """Transform directions (3,) or (k, 3) to the outer frame."""
         return np.asarray(np.asarray(vectors, dtype=np.float64) @ self.R.T)
 
     def inverse(self) -> Pose:
-        """Return the pose of the outer frame in the inner one."""
+        """Return the pose of the outer in the inner frame."""
         return Pose(self.R.T, -self.R.T @ self.t)
 
     def __matmul__(self, other: Pose) -> Pose:
@@ -59,7 +59,7 @@ class Pose:
 
 
 def rotation_from(vector: ArrayLike) -> Array:
-    """Return the rotation (3, 3) of a rotation vector (3,) [rad]."""
+    """Return the rotation (3, 3) of a rotation vector (3,)."""
     return np.asarray(pin.exp3(np.array(vector, dtype=np.float64)))
 
 
@@ -80,7 +80,7 @@ class Board(VisionSettings):
     gap_m: float = Field(0.005, gt=0.0, le=0.5, description="white space between markers, and around them")
     hidden_fraction: float = Field(0.0, ge=0.0, le=1.0, description="share of the markers that are covered")
     lost_s: tuple[tuple[float, float], ...] = ()
-    """intervals [from, until] of time in seconds in which nothing of the board can be seen"""
+    """intervals [from, until] in which the board cannot be seen"""
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
@@ -136,7 +136,7 @@ class Board(VisionSettings):
 
 @dataclass(frozen=True, eq=False)
 class BoardTask:
-    """A virtual task: a path in a plane parallel to a board."""
+    """A virtual task: a path parallel to a board."""
 
     kind: str  #: see `make_path`
     sizes: Mapping[str, float]

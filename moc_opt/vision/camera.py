@@ -40,7 +40,7 @@ class CameraSettings(VisionSettings):
     blur_px: float = Field(0.7, ge=0.0, le=10.0, description="standard deviation of the lens's blur")
     noise: float = Field(3.0, ge=0.0, le=100.0, description="standard deviation of the noise [grey levels of 255]")
     calibration_error_m: float = Field(0.0005, ge=0.0, le=0.05)
-    """distance of the camera from its calibrated place"""
+    """distance from the calibrated place"""
     calibration_error_deg: float = Field(0.1, ge=0.0, le=10.0, description="angle error of the calibration")
 
 
@@ -59,7 +59,7 @@ class Camera:
         return np.array([[f, 0.0, 0.5 * width - 0.5], [0.0, f, 0.5 * height - 0.5], [0.0, 0.0, 1.0]])
 
     def project(self, points_in_base: ArrayLike) -> Array:
-        """Return the pixels (k, 2) of points (k, 3) [m] in the base frame; NaN behind the camera."""
+        """Return the pixels (k, 2) of points (k, 3); NaN behind the camera."""
         points = self.camera_in_base.inverse().apply(np.atleast_2d(np.asarray(points_in_base, dtype=np.float64)))
         depth = np.where(points[:, 2] > 1e-6, points[:, 2], np.nan)
         return np.asarray((points @ self.matrix.T)[:, :2] / depth[:, None])
@@ -69,7 +69,7 @@ class Camera:
         """Place a camera that looks at the middle of the board."""
         tilt, azimuth = math.radians(settings.tilt_deg), math.radians(settings.azimuth_deg)
         away = np.array([math.sin(tilt) * math.cos(azimuth), math.sin(tilt) * math.sin(azimuth), math.cos(tilt)])
-        right = np.cross(-away, (0.0, 1.0, 0.0))  # not zero: the tilt is below a right angle
+        right = np.cross(-away, (0.0, 1.0, 0.0))  # not zero, because the tilt is below 90 degrees
         right /= np.linalg.norm(right)
         turn = np.stack([right, np.cross(-away, right), -away], axis=1)
         return cls(settings, phantom_in_base @ Pose(turn, settings.distance_m * away))
@@ -121,7 +121,7 @@ class View:
     def _draw_board(self, page: Picture, pose: Pose, hidden: frozenset[int]) -> None:
         printed, board = self._page.copy(), self._board
         if pose.R[:, 2] @ pose.t >= 0.0 or pose.apply(board.outline())[:, 2].min() <= 1e-3:
-            return  # the board faces away, or a part is behind the camera
+            return  # faces away, or is partly behind the camera
         radius = min(0.72 * board.marker_m, 0.5 * board.marker_m + 0.9 * board.gap_m) * self._texture[0, 0]
         for marker in hidden:
             x, y, _ = self._texture @ [*board.corners(marker)[:, :2].mean(axis=0), 1.0]
@@ -153,14 +153,14 @@ def expose(picture: Picture, settings: CameraSettings, rng: np.random.Generator)
     if settings.blur_px > 0.0:
         picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), settings.blur_px), dtype=np.uint8)
     if settings.noise > 0.0:
-        # the same noise for all colours, because the detection uses only grey levels
+        # the same for all colours, because the detection uses grey levels
         grain = np.rint(settings.noise * rng.standard_normal(picture.shape[:2], dtype=np.float32))
         picture = np.clip(picture.astype(np.int16) + grain.astype(np.int16)[:, :, None], 0, 255).astype(np.uint8)
     return picture
 
 
 def board_picture(board: Board) -> NDArray[np.uint8]:
-    """Draw the printed board (H, W) in grey levels."""
+    """Draw the board (H, W) in grey levels."""
     side = _MARKER_BITS * _CELL_PX
     width, height = (math.ceil(side / board.marker_m * size - 1e-6) for size in board.size_m)
     page = np.full((height, width), 255, dtype=np.uint8)
@@ -174,7 +174,7 @@ def board_picture(board: Board) -> NDArray[np.uint8]:
 
 
 def texture_matrix(board: Board) -> Array:
-    """Return the matrix (3, 3) from (x, y, 1) [m] on the board to pixels of its picture."""
+    """Return the matrix (3, 3) from (x, y, 1) on the board to pixels."""
     scale = _MARKER_BITS * _CELL_PX / board.marker_m
     width, height = board.size_m
     right, down = 0.5 * scale * width - 0.5, 0.5 * scale * height - 0.5
@@ -183,5 +183,5 @@ def texture_matrix(board: Board) -> Array:
 
 @lru_cache(maxsize=1)
 def dictionary() -> Any:
-    """Return OpenCV's dictionary of 250 ArUco markers of 4 x 4 bits."""
+    """Return OpenCV's dictionary of markers."""
     return cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_250)

@@ -33,25 +33,25 @@ class HandSettings(VisionSettings):
     KIND: ClassVar[str] = "[hand]"
 
     stiffness_N_per_m: float = Field(600.0, gt=0.0, le=1e4)
-    """force per distance from the goal, for a slow tip near the goal"""
+    """force per distance from the goal, for a tip at rest"""
     damping_Ns_per_m: float = Field(60.0, gt=0.0, le=1e3)
-    """force per difference between desired and real velocity of the tip"""
+    """force per difference from the desired velocity"""
     force_max_N: float = Field(15.0, gt=0.0, le=200.0, description="largest force")
     speed_max_m_per_s: float = Field(0.15, gt=0.0, le=1.0, description="largest desired speed of the tip")
     correction_per_s: float = Field(2.0, ge=0.0, le=20.0)
-    """the integral part of the force grows by this number times stiffness times distance, per second"""
+    """the force's integral part grows by this times stiffness times distance"""
     content_m: float = Field(0.0005, ge=0.0, le=0.05)
-    """distance of the tip from the goal below which the integral part of the force stays constant"""
+    """distance from the goal below which the integral part stays constant"""
 
 
 class HandsOnSettings(VisionSettings):
-    """Settings of the guiding, and conditions for registering the trocar."""
+    """Settings of the guiding."""
 
     KIND: ClassVar[str] = "[hands_on]"
 
     joint_damping_Nm_s_per_rad: float = Field(3.0, ge=0.0, le=100.0)
     registration_error_m: float = Field(0.001, ge=0.0, le=0.005)
-    """size of the error that is added to the registered trocar, in a seeded direction"""
+    """size of the error of the registered trocar"""
     tolerance_m: float = Field(0.002, gt=0.0, le=0.05, description="the tip is at the incision within this distance")
     rest_speed_m_per_s: float = Field(0.003, gt=0.0, le=0.1, description="a tip rests if it is at most this fast")
     rest_s: float = Field(0.4, gt=0.0, le=10.0, description="time for which the tip must rest at the incision")
@@ -85,22 +85,21 @@ class HandsOn:
 
     @property
     def error_m(self) -> float:
-        """Distance of the registered from the true trocar; NaN if none was registered."""
+        """Distance of the registered from the true trocar, or NaN."""
         return math.nan if self.registered is None else float(np.linalg.norm(self.registered - self.trocar))
 
 
 class Hand:
     """A hand that pulls the tool to the goal with the force D (desired - velocity) + f, at most force_max.
 
-    D is the damping. The desired velocity towards the goal is stiffness/D * distance, at most speed_max. The integral
-    part f grows by correction * stiffness * distance per s.
+    The desired velocity is stiffness/D * distance, at most speed_max. f is the integral part, and D the damping.
     """
 
     def __init__(self, settings: HandSettings, period_s: float) -> None:
         self.settings, self._period, self._extra = settings, period_s, np.zeros(3)
 
     def pull(self, place: Array, velocity: Array, goal: Array) -> Array:
-        """Return the force (3,) [N] on a tip at ``place``, once per period. PlantError: the arm ran away."""
+        """Return the force (3,) [N] of this tick. Raise a PlantError if the arm ran away."""
         hand, way = self.settings, goal - place
         distance = math.sqrt(float(way @ way))
         if not math.isfinite(distance + float(velocity @ velocity)):
@@ -163,7 +162,7 @@ def guide_to(
     loop = ClosedLoop(plant, law, safety_filter, Stop(guard.stop_damping_Nm_s_per_rad, guard.stop_s))
     loop.start(_NO_REFERENCE, _NO_TROCAR)
     hand, tool, tip = Hand(settings.hand, period), plant.mj_data.body("tool"), plant.mj_data.body(robot.data.tip_frame)
-    point = tool.xmat.reshape(3, 3).T @ (tip.xpos - tool.xpos)  # in the tool's frame
+    point = tool.xmat.reshape(3, 3).T @ (tip.xpos - tool.xpos)
     gain = -math.expm1(-2.0 * math.pi * _SPEED_FILTER_Hz * period)
     smoothed, reached = np.zeros(3), False
     rows: list[dict[str, Array | float]] = []

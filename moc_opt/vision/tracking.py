@@ -34,7 +34,7 @@ class TrackerSettings(VisionSettings):
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """The board's pose measured in one picture."""
+    """The board's pose in one picture."""
 
     pose: Pose  #: In the camera's frame.
     markers: int  #: Number of markers with at least two used corners.
@@ -47,14 +47,14 @@ class BoardFinder:
     def __init__(self, board: Board, camera: Camera) -> None:
         parameters = cv2.aruco.DetectorParameters()
         parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-        # The window [cells] of the refinement reduces distance errors by 25 % compared with the default 0.3.
+        # reduces distance errors by 25 % compared with the default 0.3
         parameters.relativeCornerRefinmentWinSize = 1.0
         self._detector = cv2.aruco.ArucoDetector(dictionary(), parameters)
         self._corners = {marker: board.corners(marker) for marker in board.ids}
         self._matrix = camera.matrix
 
     def corners(self, picture: Picture) -> dict[int, Array]:
-        """Return the corners (4, 2) [px] of the markers in the picture, by number."""
+        """Return the corners (4, 2) [px] of the markers by number."""
         found, ids, _ = self._detector.detectMarkers(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY))
         numbers = [] if ids is None else [int(marker) for marker in ids.ravel()]
         quads = (np.asarray(quad, dtype=np.float64).reshape(4, 2) for quad in found)
@@ -107,8 +107,7 @@ class Tracked:
 class BoardTracker:
     """Averages the pose of a board over `smoothing_s`.
 
-    If `found_after` sightings far from the estimate agree, the estimate jumps to them. The tip's reference must not
-    jump with it.
+    It jumps if `found_after` sightings far from it agree. The tip's reference must not jump with it.
     """
 
     def __init__(self, limits: TrackerSettings | None = None) -> None:
@@ -116,7 +115,7 @@ class BoardTracker:
         self.pose: Pose | None = None
         self._tracking, self._time, self._last_seen = False, -math.inf, -math.inf
         self._count = 0  # number of averaged sightings
-        self._streak: list[Pose] = []  # sightings that agree, but are not in the estimate
+        self._streak: list[Pose] = []  # sightings not yet in the estimate
 
     def update(self, t: float, sighting: Sighting | None) -> Tracked:
         """Update the estimate at t [s]."""
