@@ -13,10 +13,10 @@ from moc_opt.robots.model import RobotModel
 from moc_opt.tasks import Reference, Trocar
 
 Margin = float | Array
-"""Distance kept from the joint limits, a number or (n,) [rad, m]."""
-SHALLOWEST_M = 0.002
-MOST_VIOLATION = 1e-8
-WORTH = 10.0
+"""Distance kept from the joint limits, a number or (n,) [rad, or m for a prismatic joint]."""
+SHALLOWEST_M = 0.002  #: Smallest allowed distance from tip to trocar.
+MOST_VIOLATION = 1e-8  #: `Course.violation` up to which a course counts as feasible.
+WORTH = 10.0  #: Weight of the penalty that `lowered` subtracts from mu.
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +26,7 @@ class Targets:
     t_s: Array  #: (k,) evenly spaced [s]
     tip: Array  #: (k,3) [m]
     wrist: Array  #: (k,3) [m], on the line from the tip through the trocar
-    arc_length_m: Array  #: (k,) length of the tip's path so far [m]
+    arc_length_m: Array  #: (k,) length of the tip's path up to each time [m]
 
     @property
     def period_s(self) -> float:
@@ -49,12 +49,12 @@ def lay_targets(
     reference: Reference, trocar: Trocar, span_m: float, duration_s: float, count: int,
     tool_m: float = np.inf,
 ) -> Targets:  # fmt: skip
-    """Sample reference and trocar at ``count`` times.
+    """Sample reference and trocar at ``count`` times from 0 to ``duration_s`` [s].
 
     ``span_m`` is the distance from wrist to tip, and ``tool_m`` the length of the tool [m].
 
     Raises:
-        TaskError: the trocar is not on the shaft, or nearer to the tip than `SHALLOWEST_M`.
+        TaskError: the trocar is farther from the tip than ``span_m`` or ``tool_m``, or nearer than `SHALLOWEST_M`.
     """
     t = np.linspace(0.0, duration_s, count)
     tip = np.ascontiguousarray(reference.at(t)[0])
@@ -74,18 +74,18 @@ def lay_targets(
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """A joint trajectory with k times and n joints, which may end before the path."""
+    """A joint trajectory with k times and n joints. It may end before the path does."""
 
     t_s: Array  #: (k,) [s]
     q_rad: Array  #: (k,n)
     mu: Array  #: (k,) manipulability [m^3]
     violation: float
     """Largest of: tip or wrist error [m], excess over joint limits [rad], excess over the allowed step [rad]."""
-    certified: bool = False  #: Whether the optimizer has converged.
+    certified: bool = False  #: Whether the nonlinear program has converged to a local optimum.
 
     @property
     def mu_mean(self) -> float:
-        """Mean manipulability [m^3]."""
+        """Mean manipulability over time [m^3]."""
         return time_mean(self.mu)
 
     @property
@@ -98,15 +98,15 @@ class Course:
 class Limits:
     """Limits for a course."""
 
-    margin: Margin = 0.0
-    speed_share: float = 1.0  #: share of the joints' speed limits
-    shaft: float = 0.0  #: soft lower bound on `shaft_shares`
+    margin: Margin = 0.0  #: distance from the joint limits
+    speed_share: float = 1.0  #: share of the joints' speed limits that a course may use
+    shaft: float = 0.0  #: soft lower bound on `shaft_shares`: below it, `lowered` reduces mu
 
 
 def lowered(mu: Array, share: Array, limits: Limits, top: float) -> Array:
-    """Return mu - `WORTH` * top * (1 - share/limits.shaft)^2 at a ``share`` below ``limits.shaft``, and mu elsewhere.
+    """Return mu - `WORTH` * top * (1 - s/s_0)^2 where s < s_0, and mu elsewhere.
 
-    ``share`` is from `shaft_shares`, and ``top`` is the largest mu [m^3].
+    s is the ``share`` from `shaft_shares`, s_0 is ``limits.shaft``, and ``top`` is the largest mu [m^3].
     """
     if limits.shaft <= 0.0:
         return mu
@@ -118,14 +118,15 @@ def lowered(mu: Array, share: Array, limits: Limits, top: float) -> Array:
 def shaft_shares(robot: RobotModel, poses: Array) -> Array:
     """Compute mu_shaft / (distance from wrist to tip)^2, (k,), at the poses (k,n) [rad].
 
-    mu_shaft is the manipulability of the wrist while the tip is held.
+    mu_shaft is the manipulability of the wrist while the tip is held. It is near 0 if the joints can hardly turn the
+    shaft about the tip.
     """
     squares = np.array(robot.kinematics().shaft(np.ascontiguousarray(poses).T)).ravel()
     return np.sqrt(np.maximum(squares, 0.0))
 
 
 def weights(count: int) -> Array:
-    """Return the weights (count,) of the trapezoidal rule."""
+    """Return the trapezoidal rule's weights (count,) on evenly spaced times."""
     weight = np.ones(count)
     if count > 1:
         weight[[0, -1]] = 0.5
@@ -133,18 +134,21 @@ def weights(count: int) -> Array:
 
 
 def time_mean(rows: Array) -> float:
-    """Return the mean of rows (k,) over time."""
+    """Return the mean of rows (k,) over evenly spaced times."""
     weight = weights(len(rows))
     return float(weight @ rows / weight.sum())
 
 
 def between(t: Array, times: Array, rows: Array) -> Array:
-    """Interpolate rows (k,n) at ``times`` (k,) linearly at ``t`` (m,)."""
+    """Interpolate rows (k,n), given at ``times`` (k,), linearly at ``t`` (m,)."""
     return np.stack([np.interp(t, times, column) for column in rows.T], axis=1)
 
 
 def margin_at(robot: RobotModel, poses: Array, margin: Margin) -> Margin:
-    """Return the smaller of the margin and the least distance of the poses (..., n) from the joint limits."""
+    """Return the smaller of the margin and the least distance of the poses (..., n) from the joint limits.
+
+    The distance is 0 beyond a limit. A margin (n,) is compared joint by joint.
+    """
     room = np.minimum(poses - robot.q_min, robot.q_max - poses).reshape(-1, robot.n).min(axis=0)
     room = np.where(robot.moves.any(axis=0), np.maximum(room, 0.0), np.inf)
     return np.minimum(margin, room) if isinstance(margin, np.ndarray) else min(margin, float(room.min()))
@@ -164,7 +168,7 @@ def make_course(robot: RobotModel, targets: Targets, q: Array, limits: Limits | 
 
 
 def worth(robot: RobotModel, course: Course, limits: Limits, top: float) -> float:
-    """Return the mean of `lowered` along a course [m^3]."""
+    """Return the mean mu of a course [m^3], less the mean penalty of `lowered`."""
     if limits.shaft <= 0.0:
         return course.mu_mean
     return time_mean(lowered(course.mu, shaft_shares(robot, course.q_rad), limits, top))

@@ -1,4 +1,4 @@
-"""The swivel (Kreutz-Delgado, Long and Seraji 1992), and the distance to the local maximum of mu."""
+"""The elbow's swivel angle (Kreutz-Delgado, Long and Seraji 1992), and the distance to the local maximum of mu."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from moc_opt.arrays import Array
 from moc_opt.planning.self_motion import SelfMotion, curve_through, parabola_peak
 from moc_opt.robots.model import RobotModel, link_frames
 
-NEAR_RAD = 0.1  #: Distance to the maximum below which the elbow has arrived.
-STILL_RAD_PER_S = 0.05  #: Change of the distance below which the elbow rests.
+NEAR_RAD = 0.1  #: Distance to the local maximum below which the elbow counts as arrived.
+STILL_RAD_PER_S = 0.05  #: Rate of change of this distance below which the elbow counts as resting.
 SAMPLES_PER_S = 25.0  #: Scans of the self-motion per second of a run.
-STEP_RAD = 0.1
-WINDOW_S = 0.1  #: Time over which the change is averaged.
+STEP_RAD = 0.1  #: Spacing of the samples of a self-motion.
+WINDOW_S = 0.1  #: Time over which the rate of change is averaged.
 
 
 class Elbow:
     """Measures the swivel angle of an arm."""
 
     def __init__(self, robot: RobotModel, wrists: Array) -> None:
-        """Choose elbow joint and reference for the wrist centres (k, 3) [m]."""
+        """Choose elbow joint and reference direction for the wrist centres (k, 3) [m]."""
         self._robot = robot
         origins, _ = link_frames(robot, robot.data.q_home[None])
         # The shoulder is the second joint that turns.
@@ -53,7 +53,10 @@ def wrapped(angles: Array) -> Array:
 
 
 def distance_to_go(robot: RobotModel, q: ArrayLike) -> Array:
-    """Return the distances (k,) [rad] from poses (k, n) to the local maximum of mu; NaN at a singular pose."""
+    """Return the distance (k,) [rad] along the self-motion from each pose (k, n) to the local maximum of mu.
+
+    It is NaN at a singular pose.
+    """
     poses = np.clip(np.asarray(q, dtype=np.float64), robot.q_min, robot.q_max)
     curves = (curve_through(robot, pose, STEP_RAD) for pose in poses)
     return np.array([np.nan if curve is None else _uphill(curve) for curve in curves])
@@ -69,7 +72,10 @@ def _uphill(curve: SelfMotion) -> float:
 
 
 def in_transient(robot: RobotModel, t_s: ArrayLike, q_rad: ArrayLike) -> NDArray[np.bool_]:
-    """Return for times (N,) and poses (N, n) whether the elbow moves and is not at the local maximum of mu."""
+    """Return for each time t_s (N,) whether the elbow moves and is away from the local maximum of mu.
+
+    ``q_rad`` (N, n) are the true joint positions at these times.
+    """
     t, q = np.asarray(t_s, dtype=np.float64), np.asarray(q_rad, dtype=np.float64)
     count = max(2, int(np.ceil((t[-1] - t[0]) * SAMPLES_PER_S)) + 1)
     ticks = np.unique(np.linspace(0, len(t) - 1, min(count, len(t))).round().astype(int))

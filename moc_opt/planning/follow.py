@@ -1,4 +1,9 @@
-"""Follow a course q_c in the loop: x_d = dq_c + k (q_c - q), with the measured pose q."""
+"""Follow a course in the loop. Level 3 gets the desired joint velocity x_d.
+
+    x_d = dq_c + k (q_c - q)
+
+q_c is the course, dq_c its velocity, q the measured pose, and k = `GAIN_PER_S`.
+"""
 
 from __future__ import annotations
 
@@ -15,15 +20,15 @@ from moc_opt.planning.search import NEARBY_RAD, Value
 from moc_opt.robots.model import RobotState
 
 GAIN_PER_S = 5.0  #: Gain k of x_d.
-NODES = 10  #: Time steps of the nonlinear program.
-CATCH_UP = 1.03  #: Factor on the speed limits of courses made during the run.
+NODES = 10  #: Number of time steps of a course made during the run.
+CATCH_UP = 1.03  #: Factor on the joint speed limits for courses made during the run.
 ON_COURSE_RAD = 0.05
-"""A new course begins on the old one if every joint is nearer than this. Starting at the measured pose would close a
-second feedback loop."""
-MOST_OFF = 1e-3  #: Largest tip or wrist error [m] and excess over limits [rad] of a course.
-LOST_RAD = 0.3  #: Distance of a joint from the course beyond which the arm has left it.
+"""If every joint is nearer than this to the old course, a new course begins on the old course. A course that begins at
+the measured pose would close a second feedback loop."""
+MOST_OFF = 1e-3  #: A course is refused if its tip or wrist error [m] or its excess over limits [rad] is above this.
+LOST_RAD = 0.3  #: If a joint is farther than this from the course, the arm has left the course.
 NO_COURSE = "q_start: no course within the joint limits and speeds leads from this pose to the end of the path"
-ASKED_EACH = 25  #: Ticks between two checks of `LOST_RAD`.
+ASKED_EACH = 25  #: Ticks between two checks of whether the arm has left its course.
 
 
 class Piece(NamedTuple):
@@ -47,7 +52,11 @@ class Piece(NamedTuple):
 
 
 class Planner:
-    """Makes courses of ``horizon_s`` [s]: a coarse course is read off the value function, and `Program` smooths it."""
+    """Makes courses that last ``horizon_s`` [s], or until the end of the path.
+
+    A coarse course is read off the value function, and `Program` smooths it. ``rate_per_s`` is the number of new
+    courses per second.
+    """
 
     def __init__(
         self, value: Value, program: Program, targets: Targets, *, horizon_s: float, rate_per_s: float
@@ -58,18 +67,18 @@ class Planner:
         self._refused = 0
 
     def forget(self) -> None:
-        """Rebuild the solver, so that a second run is bitwise equal to the first. This takes 0.15 s."""
+        """Rebuild the solver, so that a second run is bitwise equal to the first. It takes 0.15 s, more than a tick."""
         self._program.forget()
         self._solve_s, self._refused = [], 0
 
     @property
     def told(self) -> dict[str, float]:
-        """The numbers of solves and refused answers, and percentiles of the solve time."""
+        """The numbers of solves and refused answers, and two percentiles of the solve time [ms]."""
         median, high = np.percentile(1e3 * np.array(self._solve_s or [0.0]), [50.0, 99.0]).tolist()
         return {"solves": len(self._solve_s), "refused": self._refused, "solve_ms_median": median, "solve_ms_p99": high}
 
     def plan(self, q: Array, t: float, last: Piece | None) -> Piece | None:
-        """Plan a course from a pose (n,) [rad] at a time [s], after the course ``last``; None if none is usable."""
+        """Plan a course from a pose (n,) [rad] at a time [s]; None if none is usable. ``last``: the course so far."""
         path, began = self._value.map.targets, time.perf_counter()
         end = min(int(np.searchsorted(path.t_s, t + self._horizon_s)), len(path) - 1)
         if path.t_s[end] - t < 0.5 * path.period_s:
@@ -87,7 +96,7 @@ class Planner:
         there, speed, guess = self._targets.at(nodes[1:]), np.zeros(len(q)), between(nodes[1:], way.t_s, way.q_rad)
         if last is not None:
             apart = last.q_rad[-1] - between(last.t_s[-1:], way.t_s, way.q_rad)[0]
-            if np.abs(apart).max() <= NEARBY_RAD:  # guess the previous answer, continued by the coarse course
+            if np.abs(apart).max() <= NEARBY_RAD:  # the guess is the previous answer, continued by the coarse course
                 known = nodes[1:] <= last.t_s[-1]
                 guess += apart
                 guess[known] = between(nodes[1:][known], last.t_s, last.q_rad)
@@ -115,12 +124,13 @@ class Follower:
     ) -> None:  # fmt: skip
         """Follow a given course, or a planner's courses from ``q_start`` (n,) [rad].
 
-        With both, the planner takes over once the arm has left the course. Raise a TaskError without a
-        course at t = 0.
+        With course and planner, the planner takes over once the arm has left the course. Raise a TaskError if there is
+        no course at t = 0.
         """
         self._period, self._planner, self._q_start = period_s, planner, q_start
         self._given: Piece | None = None
         self.course_mu_mean = None if course is None else course.mu_mean
+        """Mean mu of the given course [m^3], or None."""
         if course is not None:
             velocity = np.gradient(course.q_rad, course.t_s, axis=0)
             velocity[-1] = 0.0
@@ -147,7 +157,7 @@ class Follower:
 
     @property
     def told(self) -> dict[str, float]:
-        """`Planner.told`, and the time at which the arm left a given course; empty if no planner was used."""
+        """`Planner.told`, and the time [s] at which the arm left a given course; empty if no planner was used."""
         if self._planner is None or self._begun < 0:
             return {}
         left = {} if self._given is None else {"left_course_s": self._begun * self._period}
@@ -161,12 +171,13 @@ class Follower:
             if np.abs(self._now.at(t)[0] - state.q).max() > LOST_RAD:
                 self._begin(planner, state.q)
         elif planner is not None and 0 <= self._begun < self._tick and self._tick % self._every == 0:
-            # A new course takes effect at the next solve, as if a solve took that long. After a failed solve, the
-            # course followed so far returns, which is more accurate for an arm on a rail.
+            # A new course takes effect at the next solve, as if its own solve took that long. If a solve gives no
+            # course, the course followed so far returns at the next solve. For an arm on a rail, this was more
+            # accurate than to keep the course of the previous solve.
             now, self._next = self._next, planner.plan(state.q, t, self._now) or self._now
             self._before, self._now = self._now, now
         q, v = self._now.at(t)
-        if self._begun >= 0:
+        if self._begun >= 0:  # blend from the previous course to the current one
             part, (q_0, v_0) = (self._tick % self._every) / self._every, self._before.at(t)
             q, v = (1.0 - part) * q_0 + part * q, (1.0 - part) * v_0 + part * v
         self._tick += 1

@@ -1,4 +1,4 @@
-"""Make the guides of a run: level 3 gets its joint velocity from a course."""
+"""Make the guides of a run, which give level 3 its desired joint velocity from a course."""
 
 from __future__ import annotations
 
@@ -22,18 +22,21 @@ from moc_opt.planning.search import WHOLE_CELL, Value, Way, keeping_shaft
 from moc_opt.robots.model import RobotModel
 from moc_opt.trace.trace import Trace
 
-COURSE_SHARE = 0.25  #: Courses try to keep this share of ``shaft_margin``.
-V_PERIOD_S = 0.1
-TARGETS_PER_TIME = 20  #: Targets per time step of the map.
-HALF_CELL = 0.5  #: First ``cell`` of `Value`. With 0, courses near singular poses are lost.
-SPEEDS = (1.0, 0.7, 0.4)  #: Factors on ``course_speed_fraction``, tried in turn.
-HURRY, WORTH_IT = 1.12, 0.01  #: The factor `HURRY` is tried first if it raises mean mu by more than `WORTH_IT`.
-FASTEST = 0.97  #: Largest speed share with `HURRY`.
-BRAKE_SHARE = 0.9  #: Share of the safety filter's deceleration, for courses made before the run.
-SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}  #: Weight of the squared acceleration [s^4/rad^2].
-MOST_OFF_M = 1e-3  #: Largest error of tip or wrist in a course file.
-MOST_OFF_RAD = 1e-6  #: The same for its first pose and joint limits.
-ROUNDING = 1e-6  #: The same for its times and speed shares.
+COURSE_SHARE = 0.25  #: Courses try to keep this share of ``[control] shaft_margin``.
+V_PERIOD_S = 0.1  #: Time step of the pose map.
+TARGETS_PER_TIME = 20  #: Targets of tip and wrist per time step of the map.
+HALF_CELL = 0.5  #: First ``cell`` of `Value` to be tried. With 0, courses near singular poses are lost.
+SPEEDS = (1.0, 0.7, 0.4)
+"""Factors on ``[control] course_speed_fraction``, tried in this order until a course is smooth and can brake."""
+HURRY, WORTH_IT = 1.12, 0.01
+"""The speed factor `HURRY` is tried before `SPEEDS` if it raises mean mu by more than the share `WORTH_IT`."""
+FASTEST = 0.97  #: Largest speed share that `HURRY` gives. A larger ``course_speed_fraction`` stays as it is.
+BRAKE_SHARE = 0.9  #: Share of the safety filter's deceleration that courses made before the run use.
+SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}
+"""Weight of the squared acceleration [s^4/rad^2] of courses made before the run (planned) or during it (receding)."""
+MOST_OFF_M = 1e-3  #: Distance of tip or wrist from its target, above which a course file is refused.
+MOST_OFF_RAD = 1e-6  #: Tolerance of a course file's first pose, and of its excess over joint limits.
+ROUNDING = 1e-6  #: Tolerance for a course file's first time [s], duration (relative) and speeds (share of the limits).
 PLAN_IT = "plan it for this scenario: moc-opt plan SCENARIO --out FILE"
 
 
@@ -44,12 +47,12 @@ class Following:
     robot: RobotModel
     q_start: Array  #: (n,) [rad]
     settings: ControlSettings
-    targets: Callable[..., Targets]  #: of wanted time between targets [s], factor on their number
-    brake: float  #: safety filter's deceleration [rad/s^2]
-    period_s: float
+    targets: Callable[..., Targets]  #: its arguments: wanted time between targets [s], factor on their number
+    brake: float  #: safety filter's deceleration before a joint limit [rad/s^2]
+    period_s: float  #: control period [s]
 
     def stuck(self, part: float) -> ScenarioError:
-        """Return the error for a path without a course, which says where it is blocked."""
+        """Return the error for a path without a course at speeds up to ``part`` times ``course_speed_fraction``."""
         limits = Limits(speed_share=part * self.settings.course_speed_fraction)
         stuck = make_plan(self.robot, self.q_start, self.targets(), limits, refined=False).blocked
         where = "" if stuck is None else f"{1e3 * stuck.arc_length_m:.1f} mm along the path, {stuck.reason}"
@@ -74,7 +77,7 @@ class Ways:
 
     @property
     def speeds(self) -> tuple[float, ...]:
-        """The speed factors to try."""
+        """The speed factors to try: `SPEEDS`, preceded by `HURRY` if `HURRY` raises mean mu enough."""
         q, mu = self.run.q_start, float(self.run.robot.state(self.run.q_start).mu)
         usual, fast = (self.at(part)[0].of(q, mu) for part in (1.0, HURRY))
         return (HURRY, *SPEEDS) if fast > (1.0 + WORTH_IT) * usual else SPEEDS
@@ -104,7 +107,9 @@ class Ways:
 
 
 def guides(run: Following) -> Callable[[], Guide] | None:
-    """Plan the run once. Return a function that makes a guide for each controller, or None with ``"local"``.
+    """Plan the run once, and return a function that makes a guide for each controller.
+
+    With ``third_level = "local"``, return None.
 
     Raises:
         ControlError: the settings do not allow a course.
@@ -128,8 +133,9 @@ def guides(run: Following) -> Callable[[], Guide] | None:
 
 
 def replanned(ways: Ways) -> Callable[[], Planner]:
-    """Return a function that makes a planner."""
+    """Return a function that makes a planner with a receding horizon."""
     run, settings, smooth = ways.run, ways.run.settings, SMOOTHNESS["receding"]
+    # The last two attempts have no braking constraint, and the last attempt has no shaft margin either.
     ladder = [(part, run.brake, True) for part in ways.speeds]
     for part, brake, kept in [*ladder, (SPEEDS[-1], np.inf, True), (SPEEDS[-1], np.inf, False)]:
         value, limits, _ = ways.at(part)
@@ -162,7 +168,7 @@ def followed_course(run: Following, ways: Ways | None = None) -> Course:
             found = refine(robot, targets, course, limits, smoothness=smooth, brake=rule)
             if found is not course:
                 return found
-        return course
+        return course  # no smooth course with nearly the same mu was found
     ways, other = ways or Ways(run), []
     for part, rule in [*((part, brake) for part in ways.speeds), (SPEEDS[-1], np.inf)]:
         _, limits, way = ways.at(part)
@@ -183,7 +189,7 @@ def load_course(
     """Read the file of ``[control] course``; return its course at the targets, and limits for `refine`.
 
     Raises:
-        ScenarioError: the file cannot be read, or the third level cannot follow its course.
+        ScenarioError: the file cannot be read, or has no course that the third level can follow in this run.
     """
 
     def refused(why: str, cure: str = PLAN_IT) -> ScenarioError:
@@ -223,7 +229,7 @@ def load_course(
     )
     allowed, fastest = settings.course_speed_fraction, float(shares.max())
     limits = Limits(
-        # With a larger margin, there might be no smooth course.
+        # With a larger margin than the file's course keeps, there might be no smooth course.
         margin_at(robot, poses, margin), max(fastest, min(allowed, within["speed_share"])),
         max(COURSE_SHARE * settings.shaft_margin, within["shaft_margin"]),
     )  # fmt: skip
@@ -260,7 +266,7 @@ def too_fast_to_follow(settings: ControlSettings, robot: RobotModel, shares: Arr
 
 
 def margin_of(robot: RobotModel, margin_rad: float, margin_m: float) -> Margin:
-    """Return ``margin_rad`` or, if a joint slides, the margins (n,). A negative one raises TaskError."""
+    """Return ``margin_rad`` or, if a joint slides, the margins of all joints (n,). A negative one raises TaskError."""
     for name, value in (("margin_rad", margin_rad), ("margin_m", margin_m)):
         if not (is_number(value) and 0.0 <= value < np.inf):
             raise TaskError(f"{name} = {value!r}: give zero or more, and less than half of every joint's range")

@@ -39,15 +39,15 @@ class Plan:
     targets: Targets
     from_start: Course | None  #: Best course from the start, or None.
     best: Course | None  #: Best course from any start pose, or None.
-    climbed: Course  #: The local climb, which ends where a limit blocks it.
+    climbed: Course  #: The local climb. It ends before the path's end if a limit blocks the way.
     bound_from_start: float
     """Estimated upper bound of mean mu from the start [m^3]; NaN if ``from_start`` is None or has a larger mean mu."""
     bound: float  #: The same bound for ``best``, over all starts [m^3].
-    blocked: Blocked | None  #: Why the path cannot be executed from the start.
+    blocked: Blocked | None  #: Where and why the path cannot be executed from the start, or None.
     start_swivel_rad: float
     best_swivel_rad: float  #: Swivel at the start of ``best``.
     swivel_rad: Array  #: (k,) swivel along ``course``.
-    took_s: Mapping[str, float]  #: Computing time of each step.
+    took_s: Mapping[str, float]  #: Times of the steps "map", "search", "bound" and "refine".
 
     def __repr__(self) -> str:
         stuck = self.blocked
@@ -82,9 +82,10 @@ def make_plan(
 
     Args:
         q_start: (n,) pose with tip and wrist at the first target [rad].
+        targets: positions of tip and wrist along the path.
         limits: by default the joints' own limits and speeds, without margin.
         swivels: number of swivels on the map, 8 to `pose_map.MOST_SWIVELS`.
-        refined: whether the nonlinear program improves the courses.
+        refined: whether the nonlinear program improves the courses of the search.
 
     Raises:
         TaskError: an argument is out of range, or the start is not at the first target.
@@ -122,12 +123,12 @@ def make_plan(
         if course is not None and refined:
             course = refine(robot, targets, course, limits)
         if refined and (course is None or course.mu_mean < (1.0 - ROOM) * bound):
-            q = best_course(relaxed, begin)  # `relaxed` allows courses between the map's poses
+            q = best_course(relaxed, begin)  # unlike `value`, `relaxed` allows courses between the map's poses
             if q is not None:
                 other = refine(robot, targets, make_course(robot, targets, q, limits), limits)
                 course = better(course, other if other.kept else None)
         courses.append(course)
-    mine, best = courses[0], better(courses[1], courses[0])
+    mine, best = courses[0], better(courses[1], courses[0])  # the given start is also a start pose
     done("refine")
     elbow, shown = Elbow(robot, targets.wrist), mine if mine is not None else best
     mine_most, most = (
@@ -162,14 +163,17 @@ def check_limits(robot: RobotModel, limits: Limits) -> None:
 
 
 def best_course(value: Value, start: Array | None) -> Array | None:
-    """Return the best course (k,n) on the map from ``start`` (n,), or from any pose if it is None."""
+    """Return the best course (k,n) on the map from ``start`` (n,), or from any pose if ``start`` is None."""
     start = value.best()[1] if start is None else start
     way = None if start is None else value.way(start)
     return None if way is None else way.q_rad
 
 
 def climb(found: PoseMap, start: Array, limits: Limits) -> Array:
-    """Return the poses (k,n) of the local climb from ``start`` (n,) over the map, as far as it gets."""
+    """Return the poses (k,n) of the local climb from ``start`` (n,) over the map.
+
+    They stop before the path's end if no pose at the next time is within reach.
+    """
     step, feasible = limits.speed_share * found.robot.v_max * found.targets.period_s, found.feasible(limits.margin)
     poses = [np.array(start)]
     for k in range(1, len(found.targets)):
@@ -187,7 +191,7 @@ class Top(NamedTuple):
 
     mu: float  #: [m^3]
     q_rad: Array  #: (n,)
-    at_limit: bool  #: Whether mu rises beyond a joint limit.
+    at_limit: bool  #: Whether mu would rise further beyond a joint limit.
 
 
 def top_of(found: PoseMap, q: Array) -> Top | None:
@@ -237,7 +241,7 @@ def _blocked(found: PoseMap, start: Array, limits: Limits, bound: float) -> Bloc
         doubt = " between poses of the map; on a finer map there may be a course" if np.isfinite(bound) else ""
         fast = names[int(np.argmax(least))]
         reason = f"{fast} would have to turn at {least.max():.3g} times its speed limit{doubt}"
-        if near.any() and least.max() > 1.0:
+        if near.any() and least.max() > 1.0:  # poses within reach are beyond a limit
             name = nearest_limit(near)
             reason = f"{name} runs into its limit; only other swivels or branches have poses within the limits"
     x, y, z = targets.tip[k].tolist()

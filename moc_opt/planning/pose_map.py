@@ -1,7 +1,8 @@
-"""Map the poses of an arm at each point of a path.
+"""Map the poses of an arm at each point of a path, with mu and the distance to joint limits.
 
 If the axes meet in a shoulder, an elbow and a wrist, the poses have a closed form in the swivel (Kreutz-Delgado, Long
-and Seraji 1992). For any other arm, curves of poses are traced.
+and Seraji 1992). For any other arm, curves of poses are traced numerically. With a null space of several dimensions,
+the curves contain only some of the poses.
 """
 
 from __future__ import annotations
@@ -25,44 +26,44 @@ from moc_opt.robots.model import RobotModel, link_frames
 Flags = NDArray[np.bool_]
 
 EXACT_M = 1e-7  #: Distance up to which two axes count as meeting.
-BRANCHES = 8  #: Bits 0, 1, 2 of a branch's index are 1 if t2, t4, t6 of `ClosedForm` are < 0.
-STRAIGHT = 1e-9  #: Least sine of the angle between forearm and line shoulder-wrist.
-ROUNDING_RAD = 1e-9
-SWIVELS, MOST_SWIVELS = 720, 2880
-PEAKS = 4
-STEP_RAD = 0.03
-SEEDS = 64
-MOST_CURVES = 16
-SAME_CURVE = 0.7  #: A pose within this share of the spacing from a sample is on its curve.
-NO_LIMIT_RAD = 20.0
-REACHED_M = 1e-9
-SCANNED, SCANS = "scanned, all branches", 360  #: `largest_mu`'s closed-form method: name, swivels.
+BRANCHES = 8  #: Number of branches. Bits 0, 1, 2 of a branch's index are 1 if t2, t4, t6 of `ClosedForm` are < 0.
+STRAIGHT = 1e-9  #: Sine of the angle between forearm and line shoulder-wrist. Below it, the map has no pose.
+ROUNDING_RAD = 1e-9  #: Tolerance of the joint limits.
+SWIVELS, MOST_SWIVELS = 720, 2880  #: Default and largest number of swivels.
+PEAKS = 4  #: Largest number of local maxima in `PoseMap.peaks`.
+STEP_RAD = 0.03  #: Spacing of the samples along a traced curve.
+SEEDS = 64  #: Random starts of inverse kinematics at the first time. Each later time has a sixteenth as many.
+MOST_CURVES = 16  #: Largest number of curves at one time.
+SAME_CURVE = 0.7  #: A pose is on a known curve if it is nearer to a sample than this share of the samples' spacing.
+NO_LIMIT_RAD = 20.0  #: Joint limit, to both sides, of an arm from `without_limits`.
+REACHED_M = 1e-9  #: Error of tip and wrist below which `reach` accepts a pose.
+SCANNED, SCANS = "scanned, all branches", 360  #: Name of `largest_mu`'s closed-form method, and its number of swivels.
 STARTS, LATER = 96, 12  #: Random starts of `largest_mu` at the first point, and at each later point.
-KEPT = 6  #: Largest number of maxima that a point shares.
-SAME = 1e-5  #: Relative difference of mu up to which two maxima are one.
+KEPT = 6  #: Largest number of maxima that a point hands on to its neighbours.
+SAME = 1e-5  #: Relative difference of mu up to which two maxima count as one.
 
 
 @dataclass(frozen=True, eq=False)
 class PoseMap:
     """Poses at k times on b branches, with m swivels each; NaN means no pose.
 
-    On traced curves, b is 1 and m counts samples.
+    If the poses lie on traced curves, b is 1 and m counts the samples along the curves.
     """
 
     robot: RobotModel
     targets: Targets
     q_rad: Array  #: (k,b,m,n)
     mu: Array  #: (k,b,m) [m^3], also beyond joint limits
-    room_rad: Array  #: (k,b,m) distance to the nearest joint limit, negative beyond it
-    closed: ClosedForm | None = None  #: None if the curves are traced
+    room_rad: Array  #: (k,b,m) smallest distance of a joint from its limits, negative beyond a limit
+    closed: ClosedForm | None = None  #: normal form of the arm, None if the curves are traced
 
     def feasible(self, margin: Margin = 0.0) -> Flags:
-        """Return flags (k,b,m): whether every joint keeps the margin."""
+        """Return flags (k,b,m): whether every joint keeps the margin from its limits."""
         room = self.room_rad - margin if np.ndim(margin) == 0 else _room(self.robot, self.q_rad, margin)
         return np.asarray(room >= -ROUNDING_RAD)
 
     def crossing(self, k: int, step_rad: Array) -> NDArray[np.int64]:
-        """Return the bits (m,) of the branch's index that a step (n,) [rad] can flip at time k."""
+        """Return a mask (m,) of the bits of the branch's index that a step (n,) [rad] can flip at time k."""
         if self.closed is None:
             return np.zeros(self.mu.shape[2], dtype=np.int64)
         with np.errstate(invalid="ignore"):
@@ -71,7 +72,7 @@ class PoseMap:
         return near @ np.array([1, 2, 4])
 
     def peaks(self, k: int) -> Array:
-        """Return the feasible poses (p,n) at the `PEAKS` highest local maxima of mu at time k."""
+        """Return the feasible poses (p,n) at the highest local maxima of mu at time k."""
         may = self.room_rad[k] >= -ROUNDING_RAD
         score = np.where(may, self.mu[k], -np.inf).max(axis=0)
         peak = (score >= np.roll(score, 1)) & (score >= np.roll(score, -1)) & np.isfinite(score)
@@ -80,11 +81,11 @@ class PoseMap:
 
 
 def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = SWIVELS) -> PoseMap:
-    """Make the map, in closed form or by tracing.
+    """Make the map, in closed form if the arm has one, else by tracing.
 
     Args:
         q_start: (n,) [rad] a pose for the first target.
-        swivels: 8 to `MOST_SWIVELS`. Above `SWIVELS`, traced curves become finer.
+        swivels: number of swivels, 8 to `MOST_SWIVELS`. Above `SWIVELS`, traced curves become finer.
     """
     if not isinstance(swivels, numbers.Integral) or not 8 <= int(swivels) <= MOST_SWIVELS:
         raise RobotError(f"swivels = {shown(swivels)}: give a whole number from 8 to {MOST_SWIVELS}")
@@ -100,12 +101,12 @@ def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = S
 class ClosedForm(NamedTuple):
     """Normal form: the last link's rotation is R_0 Rz(t1) Ry(t2) Rz(t3) Ry(t4) Rz(t5) Ry(t6) Rz(t7), t = q + offset."""
 
-    base: Array  #: R_0 (3,3)
+    base: Array  #: R_0 (3,3), rotation from the normal form's axes to the world
     shoulder: Array  #: (3,) [m]
     upper: float  #: Shoulder to elbow along axis 3, signed [m].
     fore: float  #: Elbow to wrist along axis 5, signed [m].
     tool: float  #: Wrist to tip along axis 7, signed [m].
-    offset: Array  #: (6,) [rad]
+    offset: Array  #: (6,) [rad] for the first six joints
     swivel_rad: Array = np.empty(0)  #: (m,) evenly over one turn
     reference: Array = np.array([0.0, 0.0, 1.0])  #: (3,) direction of the elbow at swivel zero
 
@@ -139,7 +140,7 @@ def closed_form(robot: RobotModel) -> ClosedForm | None:
 
 def _closed(robot: RobotModel, arm: ClosedForm, targets: Targets, idle_rad: float) -> PoseMap:
     angles = np.moveaxis(_angles(arm, targets), -1, 0)
-    s, e, w = (np.arange(BRANCHES) >> bit & 1 for bit in range(3))
+    s, e, w = (np.arange(BRANCHES) >> bit & 1 for bit in range(3))  # whether t2, t4, t6 is negative
     flips = np.stack([s, s, s ^ e, e, e ^ w, w], axis=1)
     other = np.stack([-angle if j % 2 else angle + np.pi for j, angle in enumerate(angles)])
     column = np.s_[:6, None, None]
@@ -203,20 +204,20 @@ def _dot(one: Array, two: Array) -> Array:
 
 
 def reach(robot: RobotModel, q: Array, tip: Array, wrist: Array) -> Array | None:
-    """Find a pose near q with the given tip and wrist, ignoring joint limits, or None."""
+    """Find a pose near q with the given tip and wrist, ignoring joint limits; None if none is found."""
     placed = solve_pose(robot, q, tip, wrist, iterations=30, limited=False)
     return placed.q if placed.miss_m < REACHED_M else None
 
 
 def without_limits(robot: RobotModel) -> RobotModel:
-    """Return a copy of the arm whose revolute joints turn up to `NO_LIMIT_RAD` to both sides."""
+    """Return a copy of the arm whose revolute joints can turn by `NO_LIMIT_RAD` to both sides."""
     slides, data = robot.chain.prismatic, robot.data
     low, high = np.where(slides, data.q_min, -NO_LIMIT_RAD), np.where(slides, data.q_max, NO_LIMIT_RAD)
     return RobotModel(replace(data, q_min=low, q_max=high))
 
 
 def nearest_turns(robot: RobotModel, q: Array) -> Array:
-    """Shift revolute joints by whole turns towards the middle of their range."""
+    """Shift revolute joints by whole turns to the angles nearest to the middle of their range."""
     turns = np.round((q - 0.5 * (robot.q_min + robot.q_max)) / (2.0 * np.pi))
     return q - 2.0 * np.pi * np.where(robot.chain.prismatic, 0.0, turns)
 
@@ -257,7 +258,7 @@ def _traced(robot: RobotModel, targets: Targets, q_start: Array, step_rad: float
 
 
 class Largest(NamedTuple):
-    """The largest mu at k poses."""
+    """The largest mu at k points, and how it was found."""
 
     mu: Array  #: (k,) [m^3]
     method: str  #: `SCANNED`, or "best found of N starts".
@@ -266,7 +267,7 @@ class Largest(NamedTuple):
 def largest_mu(robot: RobotModel, poses: Array) -> Largest:
     """Find for each pose (k, n) the largest mu with the same tip and wrist.
 
-    Neighbours share their maxima, so the poses should follow a path.
+    The poses should follow a path, because each point hands its maxima on to its neighbours.
     """
     inside = np.clip(poses, robot.q_min, robot.q_max)
     count, tips, wrists = len(inside), *robot.tool_along(inside)

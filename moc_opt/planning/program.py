@@ -1,13 +1,14 @@
 """Optimize a course by direct transcription.
 
-The variables q are the joints that move tip or wrist, at K evenly spaced times after a fixed start:
+The variables q are the positions of the joints that move tip or wrist, at K evenly spaced times after a fixed start:
 
     max  mean of {mu / mu_0 - w (|ddq|^2 + |dq|^2 / T^2)} + V(q_K) / (K dt mu_0)
     s.t. X(q_k) = X_d,  B_k^T (N(q_k) - X_d) = 0,  q_min <= q_k <= q_max,  |q_k - q_k-1| <= v_max dt,
          and no joint is `too_fast` towards its limit
 
-mu is `lowered`, mu_0 a typical mu, w a weight, T `SETTLED_S`, and V the value function of `search`. The columns of B_k
-(3,2) are orthogonal to the desired shaft. |X - N| is constant, so a third equation for N would make multipliers
+mu is reduced by `lowered`, mu_0 is a typical mu, w a weight, T = `SETTLED_S`, dt the time step, and V the value
+function of `search`. X(q) is the tip, X_d its target, and N(q) the wrist. The columns of B_k (3,2) are orthogonal to
+the desired shaft, so that N lies on it. |X - N| is constant, so a third equation for N would make multipliers
 ambiguous.
 """
 
@@ -24,7 +25,8 @@ from moc_opt.planning.course import WORTH, Course, Limits, Targets, make_course,
 from moc_opt.planning.search import End
 from moc_opt.robots.model import RobotModel
 
-# Settings of ipopt for a whole path. A larger mu_init often turns fast joint motions of the guess into slow ones.
+# Settings of ipopt for a whole path. With a larger mu_init (barrier parameter), ipopt often turns fast joint motions
+# of the guess into slow ones.
 WHOLE: dict[str, Any] = {
     "print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.max_iter": 300, "ipopt.tol": 1e-8,
     "ipopt.constr_viol_tol": 1e-10, "ipopt.bound_relax_factor": 0.0, "ipopt.honor_original_bounds": "yes",
@@ -40,11 +42,11 @@ HORIZON: dict[str, Any] = {
         "osqp": {"verbose": False, "max_iter": 1000, "eps_abs": 1e-5, "eps_rel": 1e-5, "adaptive_rho_interval": 25},
     },
 }  # fmt: skip
-SETTLED_S = 0.3
-SOFT_RAD = 0.003  #: keeps the derivative of `too_fast` finite at the joint limit
-SMOOTH_LOSS = 0.05
-LEAST_SHARE = 1e-4  #: Smooths the shaft share at 0.
-INSIDE = 1e-9  #: Joint limits and steps are narrowed by this, because of rounding [rad].
+SETTLED_S = 0.3  #: Time T in the objective above.
+SOFT_RAD = 0.003  #: e in `too_fast`; it keeps the derivative finite at the joint limit.
+SMOOTH_LOSS = 0.05  #: Share of mean mu that smoothness and braking may cost.
+LEAST_SHARE = 1e-4  #: The shaft share s is replaced by sqrt(s^2 + `LEAST_SHARE`^2), which is smooth at s = 0.
+INSIDE = 1e-9  #: Joint limits and the largest step are narrowed by this, to absorb rounding [rad].
 
 
 class Program:
@@ -54,14 +56,14 @@ class Program:
         self, robot: RobotModel, nodes: int, period_s: float, limits: Limits, *, mu: float, top: float = 0.0,
         smoothness: float = 0.0, brake: float = np.inf, horizon: bool = False,
     ) -> None:  # fmt: skip
-        """Write the program for K = ``nodes`` times, ``period_s`` apart.
+        """Write the program for K = ``nodes`` times after the start, ``period_s`` [s] apart.
 
         Args:
-            mu: mu_0 [m^3].
-            top: largest mu, for `lowered` [m^3]. If 0, mu_0 is used.
+            mu: mu_0, a typical mu, which scales the objective [m^3].
+            top: largest mu, which scales the penalty of `lowered` [m^3]. If 0, mu_0 is used.
             smoothness: w [s^4/rad^2].
-            brake: deceleration with which joints must be able to stop before their limits [rad/s^2].
-            horizon: use SQP instead of ipopt, and do not penalize the stop after the last time.
+            brake: deceleration with which joints must be able to stop before their limits [rad/s^2]; inf: no such rule.
+            horizon: use SQP instead of ipopt, and leave out the penalty on stopping after the last time.
         """
         import casadi as ca  # slow to import
 
@@ -118,8 +120,8 @@ class Program:
     ) -> tuple[Array, bool]:  # fmt: skip
         """Return poses (K,n) [rad], perhaps NaN, and whether the solver met its tolerances.
 
-        The iteration begins at ``guess`` (K,n), and the course at ``start`` (n,) with ``speed`` (n,) [rad/s].
-        ``period_s`` replaces the program's period.
+        The iteration begins at ``guess`` (K,n). The course leaves ``start`` (n,) at ``speed`` (n,) [rad/s]. ``end``
+        describes V near the last pose. ``period_s`` replaces the program's period.
         """
         dt, n = self.period_s if period_s is None else period_s, len(start)
         speed = np.zeros(n) if speed is None else speed
@@ -144,12 +146,12 @@ def refine(
     robot: RobotModel, targets: Targets, course: Course, limits: Limits, *, smoothness: float = 0.0,
     brake: float = np.inf,
 ) -> Course:  # fmt: skip
-    """Improve a course over the whole path to a local optimum. The first pose stays.
+    """Improve a course over the whole path to a local optimum. The first pose stays the same.
 
-    If the answer is infeasible or worse, the given course is returned. Smoothness and braking may cost the share
-    `SMOOTH_LOSS` of mean mu.
+    The given course is returned unchanged if the answer is infeasible or worse. Smoothness and braking may cost the
+    share `SMOOTH_LOSS` of mean mu.
     """
-    # Without the shaft margin the program is faster.
+    # The program without the shaft margin is faster. Its answer is used if all poses keep the margin anyway.
     if limits.shaft > 0.0 and _above(robot, course, limits):
         bare = replace(limits, shaft=0.0)
         free = refine(robot, targets, course, bare, smoothness=smoothness, brake=brake)
@@ -178,7 +180,8 @@ def _above(robot: RobotModel, course: Course, limits: Limits) -> bool:
 def too_fast(speed: Any, pose: Any, low: Any, high: Any, brake: float) -> Any:
     """Return each joint's excess over the speed from which it can stop before its limit.
 
-    At a distance d from a limit, this speed is sqrt(2 brake) (sqrt(d + e) - sqrt(e)), where e is `SOFT_RAD`.
+    At a distance d from a limit, this speed is sqrt(2 brake) (sqrt(d + e) - sqrt(e)), where e is `SOFT_RAD`. The
+    excesses of all joints towards ``high`` come first, then those towards ``low``.
     """
     import casadi as ca
 
@@ -189,6 +192,6 @@ def too_fast(speed: Any, pose: Any, low: Any, high: Any, brake: float) -> Any:
 
 
 def across(shafts: Array) -> Array:
-    """Return two unit vectors (K,2,3) orthogonal to each shaft (K,3) and to each other."""
+    """Return two unit vectors (K,2,3) for each shaft (K,3), orthogonal to the shaft and to each other."""
     vectors: Array = np.linalg.svd(shafts[:, None])[2][:, 1:]
     return vectors

@@ -2,7 +2,8 @@
 
     V_k(p) = g_k(p) + max { V_{k+1}(p') - c |q - q'|^2 / dt : |q - q'| <= v_max dt for every joint }
 
-The pose p has the joint positions q, p' is a pose one time step dt later, and g is mu dt.
+p is a pose at time k with joint positions q, and p' is a pose one time step dt later with joint positions q'. v_max are
+the allowed joint speeds, g is mu dt, and c is the penalty's weight.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from moc_opt.planning.course import Limits, lowered, shaft_shares, weights
 from moc_opt.planning.elbow import wrapped
 from moc_opt.planning.pose_map import PoseMap
 
-WHOLE_CELL = 1.1  #: ``cell`` for an upper bound. On straight curves 1 would do.
-NEARBY_RAD = 0.2  #: Radius of `Value.near`.
+WHOLE_CELL = 1.1  #: ``cell`` of `Value` for an upper bound. On straight curves 1 would do.
+NEARBY_RAD = 0.2  #: Radius around a pose within which V is approximated by a parabola.
 
 
 class End(NamedTuple):
@@ -43,13 +44,13 @@ class Way(NamedTuple):
 
 
 class Value:
-    """V over a map of k times, b branches and m swivels."""
+    """V over a map of k times, b branches and m swivels (or samples of traced curves)."""
 
     def __init__(self, found: PoseMap, limits: Limits, *, cell: float = 0.0, price: float = 0.0) -> None:
         """Compute V, with the penalty's weight c = ``price`` [m^3 s^2/rad^2].
 
-        A step may be too long by ``cell`` times the `half_cells` of both poses. If ``cell`` is 1 or more, V
-        estimates an upper bound for all courses, also between the map's poses.
+        A step may exceed its limit by ``cell`` times the sum of both poses' `half_cells`. If ``cell`` is 1 or more, V
+        estimates an upper bound for all courses, also for those between the map's poses.
         """
         self.map = found
         self._period = found.targets.period_s
@@ -63,7 +64,7 @@ class Value:
             mu = _highest_nearby(mu)
         gain = np.where(feasible, mu * self._weight[:, None, None], -np.inf)
         self.value = np.array(gain)
-        """(k,b,m) [m^3 s]; -inf where the path's end is out of reach"""
+        """V (k,b,m) [m^3 s]; -inf where the path's end cannot be reached"""
         for k in range(count - 2, -1, -1):
             self.value[k] = advance(
                 found.q_rad[k], self._slack[k], gain[k], found.q_rad[k + 1], self._slack[k + 1],
@@ -71,21 +72,24 @@ class Value:
             )  # fmt: skip
 
     def of(self, q: Array, mu: float) -> float:
-        """Return mean mu, less the mean penalty [m^3], of the best course from a pose (n,) with ``mu``, or -inf."""
+        """Return mean mu, less the mean penalty [m^3], of the best course from a pose (n,); -inf if there is no course.
+
+        ``mu`` is the mu of the pose. The penalty on the first step is left out.
+        """
         found = self._next(1, q, np.zeros(len(q)), self._step, self._price)
         rest = -np.inf if found is None else float(self.value[1][found])
         return float(mu * self._weight[0] + rest) / self._weight.sum()
 
     def best(self) -> tuple[float, Array | None]:
-        """Return `of` for the best of all courses, and its first pose (n,)."""
+        """Return mean mu, less the mean penalty [m^3], of the best of all courses, and its first pose (n,) or None."""
         first = np.unravel_index(int(np.argmax(self.value[0])), self.value[0].shape)
         value = float(self.value[0][first]) / self._weight.sum()
         return value, self.map.q_rad[0][first] if np.isfinite(value) else None
 
     def way(self, q: Array, t_s: float = 0.0, end: int = -1, hurry: float = 1.0) -> Way | None:
-        """Return the best course from a pose (n,) at a time [s] to the time index ``end``, or None.
+        """Read off the best course from a pose (n,) [rad] at a time [s]; None if there is no course.
 
-        ``hurry`` is a factor on the speed limits.
+        The course ends at the time with index ``end``. ``hurry`` is a factor on the joint speed limits.
         """
         t, poses, slack, at = self.map.targets.t_s, [q], np.zeros(len(q)), (0, 0)
         end = len(t) - 1 if end < 0 else end
@@ -102,7 +106,7 @@ class Value:
         return Way(np.append(t_s, t[first : end + 1]), np.array(poses), at)
 
     def near(self, end: int, at: tuple[int, int]) -> End:
-        """Fit a parabola to V around the pose ``at`` (branch, sample) of the time index ``end``."""
+        """Fit a parabola to V around the pose ``at`` (branch, sample) at the time with index ``end``."""
         (b, j), value = at, self.value[end, at[0]]
         q = self.map.q_rad[end, b]
         along = q[(j + 1) % len(q)] - q[j - 1]
@@ -136,10 +140,10 @@ class Value:
 
 
 def keeping_shaft(found: PoseMap, limits: Limits) -> PoseMap:
-    """Replace the map's mu by `lowered`, so that courses try to keep the shaft margin."""
+    """Reduce the map's mu by `lowered`, so that courses try to keep the shaft margin."""
     if limits.shaft <= 0.0:
         return found
-    # The Jacobians of all branches differ only in signs of columns.
+    # All branches have the same share, because the columns of their Jacobians differ only in sign.
     may = found.feasible().any(axis=1)
     share = np.full(may.shape, np.inf)
     share[may] = shaft_shares(found.robot, found.q_rad[:, 0][may])
@@ -148,7 +152,7 @@ def keeping_shaft(found: PoseMap, limits: Limits) -> PoseMap:
 
 
 def reached(found: PoseMap, q_start: Array, limits: Limits) -> list[NDArray[np.bool_]]:
-    """Flag the poses (b,m) within reach at each time after the start, as long as there are any."""
+    """Flag the poses (b,m) that can be reached at each time after the start. The list ends where there are none."""
     step, feasible = limits.speed_share * found.robot.v_max * found.targets.period_s, found.feasible(limits.margin)
     before, value = np.tile(q_start, (found.mu.shape[1], 1, 1)), np.zeros((found.mu.shape[1], 1))
     each: list[NDArray[np.bool_]] = []
@@ -182,16 +186,16 @@ def advance(
 ) -> Array:
     """Return the values (b,m) of the poses at one time, from the values at the next time.
 
-    No joint may move farther than its step (n,) plus both slacks, and the branch's index may change only in the bits
-    of ``crossing`` (m,).
+    No joint may move farther than its step (n,) [rad] plus both slacks. The branch's index may change only in the
+    bits of ``crossing`` (m,).
 
     Args:
-        q, slack: (b,m,n) [rad], NaN if there is no pose. gain: (b,m), -inf at a forbidden pose.
-        q_next, slack_next: (b,m1,n) [rad]. value_next: (b,m1).
-        price: penalty on the squared step.
+        q, slack: (b,m,n) [rad], NaN if there is no pose. gain: (b,m) added to the value, -inf at a forbidden pose.
+        q_next, slack_next: (b,m1,n) [rad] at the next time. value_next: (b,m1).
+        price: penalty on the squared step [unit of the values / rad^2].
     """  # fmt: skip
     branches, _, n = q.shape
-    # Sorted by the joint with the largest range per step, the poses within reach lie in a short interval.
+    # If sorted by the joint with the largest range / step, the poses within reach lie in a short interval.
     spread = np.nan_to_num(np.fmax.reduce(q_next, 1) - np.fmin.reduce(q_next, 1)).sum(axis=0)
     by = int(np.argmax(spread / step))
     order = np.argsort(q_next[:, :, by])

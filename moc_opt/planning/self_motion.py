@@ -1,6 +1,6 @@
 """Self-motion: the poses that an arm can take while tip and wrist stay in place.
 
-The curve follows the null vector of A = [J_tip; J_wrist].
+The curve of poses follows the null vector of A = [J_tip; J_wrist].
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from moc_opt.robots.model import RobotModel
 
 HELD = 1e-6  #: Singular values of A below this share of the largest count as zero in `freedoms`.
 RANK = 1e-9  #: Singular values of A below this count as zero in `self_motion`.
-LEAST_STEP, MOST_STEP = 1e-5, 10.0
+LEAST_STEP, MOST_STEP = 1e-5, 10.0  #: Bounds on the spacing of the samples on a curve [rad].
 
 
 class Freedoms(NamedTuple):
     """The freedoms of n joints with fixed tip and wrist."""
 
     rank: int  #: Rank of A, 5 if the arm can place the shaft freely.
-    real: int  #: Number of freedoms.
+    real: int  #: Number of freedoms: n - rank - (number of idle joints).
     idle: tuple[int, ...]  #: Joints (counted from 0) that move neither tip nor wrist at any pose.
     tip: float  #: Ratio of the smallest to the largest singular value of the tip's Jacobian.
     both: float  #: Ratio of the fifth to the largest singular value of A.
 
     def refusal(self, robot: RobotModel) -> str:
-        """Return the message that no freedom is left."""
+        """Return the message that no freedom is left for level 3."""
         idle = ", ".join(robot.data.joint_names[j] for j in self.idle)
         return (
             f"robot {robot.data.name!r}: no freedom is left for the third level: of {robot.n} joints, the tool's tip "
@@ -50,7 +50,7 @@ def freedoms(robot: RobotModel, q: ArrayLike) -> Freedoms:
 
 
 def best_freedoms(robot: RobotModel, poses: int = 8) -> Freedoms:
-    """Return the freedoms at the most regular of ``poses`` random poses."""
+    """Return the freedoms at the most regular of ``poses`` seeded random poses: highest rank, then largest ``both``."""
     drawn = np.random.default_rng(0).uniform(robot.q_min, robot.q_max, (poses, robot.n))
     return max((freedoms(robot, q) for q in drawn), key=lambda found: (found.rank, found.both))
 
@@ -63,15 +63,15 @@ def require_freedom(robot: RobotModel) -> None:
 
 
 def limit_shares(robot: RobotModel, q: Array) -> Array:
-    """Return (distance to the nearer limit) / (half the range), (n,)."""
+    """Return (distance to the nearer limit) / (half the range) of each joint, (n,)."""
     nearest: Array = np.minimum(q - robot.q_min, robot.q_max - q) / (0.5 * (robot.q_max - robot.q_min))
     return nearest
 
 
 def parabola_peak(x: Array, y: Array) -> tuple[float, float]:
-    """Return the peak of the parabola through three samples, relative to the middle one (x[1], y[1]).
+    """Compute the peak of the parabola through three samples at the places x (3,), in ascending order, with values y.
 
-    ``x`` ascends. The peak is clipped to the samples, and zero if there is none.
+    Return the step from x[1] to the peak, clipped to the samples, and the height above y[1]; zeros if there is no peak.
     """
     (left, right), (rise, fall) = np.diff(x), np.diff(y)
     bend = (fall / right - rise / left) / (left + right)
@@ -86,12 +86,12 @@ def parabola_peak(x: Array, y: Array) -> tuple[float, float]:
 class SelfMotion:
     """Samples along the feasible self-motion, in the order of the curve."""
 
-    s: Array  #: (k,) arc length in joint space [rad], 0 at the given pose
+    s: Array  #: (k,) arc length in joint space [rad], 0 at the pose from which the curve was followed
     q: Array  #: (k,n) [rad]
     mu: Array  #: (k,) manipulability of the tip [m^3]
     held: tuple[int, ...]  #: joints (counted from 0) that are idle, or held still to leave a single freedom
     _robot: RobotModel = field(repr=False)
-    _task: tuple[Array, Array, Array] = field(repr=False)  # bounds (n,), tip and wrist (2,3)
+    _task: tuple[Array, Array, Array] = field(repr=False)  # lower and upper bounds (n,), tip and wrist (2,3)
 
     def at(self, fraction: float) -> Array:
         """Return the pose (n,) at a fraction in [0, 1] of the arc length."""
@@ -102,7 +102,7 @@ class SelfMotion:
             miss, pose = self._robot.arm.nearest_pose(*self._task, between, 10)
             if miss < 1e-10:
                 return pose
-        # Newton's method fails near some joint limits and singular poses.
+        # Newton's method can fail near a joint limit or a singular pose. The nearest sample is returned then.
         return np.array(self.q[round(place)])
 
     @property
@@ -124,11 +124,12 @@ class SelfMotion:
 def self_motion(robot: RobotModel, q: ArrayLike, step: float = 0.02) -> SelfMotion:
     """Scan the feasible self-motion through q at fixed tip and wrist.
 
-    With several freedoms, joints are held still until one is left. Without a freedom, the curve is a single pose.
+    With several freedoms, joints are held still until one is left. Other poses with the same tip and wrist may then
+    have a larger mu than the whole curve. Without a freedom, the curve is a single pose.
 
     Args:
         q: (n,) a pose inside the joint limits [rad].
-        step: spacing of the samples [rad], 1e-5 to 10.
+        step: spacing of the samples in joint space [rad], 1e-5 to 10.
 
     Raises:
         RobotError: q is singular or beyond a limit, or the step is out of range.
@@ -145,6 +146,7 @@ def self_motion(robot: RobotModel, q: ArrayLike, step: float = 0.02) -> SelfMoti
     task = low, high, np.array([state.tip, state.wrist])
     s, poses, mu = np.zeros(1), state.q[None], np.array([state.mu])
     if len(active) > np.linalg.matrix_rank(state.A[:, active], tol=RANK):
+        # The number of samples is bounded, in case a curve never ends.
         most = int(np.ceil(4 * np.sum(robot.q_max - robot.q_min) / step)) + 2
 
         def follow(tangent: Array) -> tuple[Array, Array, Array, bool]:

@@ -1,4 +1,4 @@
-"""The map of mu over time and swivel, with runs."""
+"""The map of mu over time and swivel, and the trajectories of runs on it."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ from moc_opt.robots.model import RobotModel
 from moc_opt.trace.trace import Trace
 
 UNREACHABLE, FEASIBLE = -1, 0
-TRAJECTORY_POINTS = 500
-STEP_RAD = 0.05
+TRAJECTORY_POINTS = 500  #: Largest number of times of a `Trajectory`.
+STEP_RAD = 0.05  #: Spacing of the samples of a self-motion.
 SAME_PATH_M = 1e-6  #: Largest difference between tip references of the same path.
 OTHER_BRANCH_RAD = 0.5  #: `Trajectory.gap_rad` above which the run is on another branch.
 NEEDED = ("t_s", "q_rad", "tip_m", "tip_ref_m")
-NEAR = 0.02  #: mu within this fraction of the best mu counts as optimal.
+NEAR = 0.02  #: mu counts as optimal if it is below the best mu by at most this fraction.
 END = 0.2  #: The end of a run is this last fraction of its time.
-CLOSE_RAD = np.radians(12.0)  #: A run is at a local maximum or edge if its swivel is this close.
-STILL_RAD_PER_S = np.radians(1.0)
+CLOSE_RAD = np.radians(12.0)  #: A run is at a local maximum of mu, or at an edge, if its swivel is this close.
+STILL_RAD_PER_S = np.radians(1.0)  #: Speed of the swivel below which a run counts as at rest.
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Swivel and mu of a run; arrays (c,)."""
+    """Swivel and mu of a run, sampled at c times; arrays (c,)."""
 
     t_s: Array
     swivel_rad: Array  #: Swivel in the map's range. It may jump by a turn.
-    mu: Array  #: [m^3]
+    mu: Array  #: mu of the run's poses [m^3].
     gap_rad: float
-    """Median over time of the largest joint difference from the map's pose at the same time and swivel."""
+    """Median over time of the largest difference of a joint angle from the map's pose at the same time and swivel."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -53,9 +53,9 @@ class SwivelMap:
     limit: NDArray[np.int64]
     """(k, m) `FEASIBLE`, `UNREACHABLE`, or the joint (counted from 1) that is farthest beyond a limit"""
     best_swivel_rad: Array  #: (k,) swivel of `best_mu`
-    best_mu: Array  #: (k,) largest feasible mu [m^3], or NaN
+    best_mu: Array  #: (k,) largest feasible mu [m^3]; NaN if no pose is feasible
     trajectories: Mapping[str, Trajectory]
-    held: tuple[str, ...] = ()  #: joints that are held still to leave a single freedom
+    held: tuple[str, ...] = ()  #: names of joints that are held still to leave a single freedom
 
     def __repr__(self) -> str:
         return f"SwivelMap({len(self.t_s)} times, {len(self.swivel_rad)} swivels, runs: {', '.join(self.trajectories)})"
@@ -64,10 +64,10 @@ class SwivelMap:
 def manipulability_map(
     robot: RobotModel, traces: Mapping[str, Trace], *, times: int = 100, swivels: int = 180
 ) -> SwivelMap:
-    """Scan the self-motion at evenly spaced times of the runs' path.
+    """Scan the self-motion at evenly spaced times of the path that all runs in ``traces`` share.
 
     Raises:
-        ReportError: the runs have different paths, or an argument is unusable.
+        ReportError: no runs, too few times or swivels, runs of different paths, or an unusable trace.
         RobotError: several poses of a self-motion have the same swivel angle.
     """
     if not traces or times < 2 or swivels < 8:
@@ -134,7 +134,7 @@ def _targets(
         apart = np.abs(trace.tip_ref_m[shared] - guide.tip_ref_m[shared]).max()
         if apart > SAME_PATH_M:
             raise ReportError(f"run {name!r} follows another path than the longest run ({apart:.3g} m apart)")
-    # A trace may hold 4-byte floats, but `reach` needs an exact distance from tip to wrist.
+    # `reach` needs a distance from tip to wrist that is exact within 1e-9 m, but a trace may hold 4-byte floats.
     tips, trocars = (np.asarray(guide.columns[name][ticks], dtype=np.float64) for name in ("tip_ref_m", column))
     span = robot.state(robot.data.q_home).tool_span
     return tips, desired_wrist(tips, 0.0, trocars, 0.0, span)[0]
@@ -216,13 +216,13 @@ class Reading:
     """The analysis of one trajectory."""
 
     name: str
-    near: float  #: Share of the time at which mu is optimal.
-    mu_share: float  #: (Mean mu) / (mean of the best mu).
-    travel_rad: float
+    near: float  #: Share of the time at which mu is optimal within `NEAR`; NaN if unknown.
+    mu_share: float  #: (Mean mu) / (mean of the best mu at the same times).
+    travel_rad: float  #: Change of the swivel from start to end.
     from_s: float  #: Time from which mu stays optimal; NaN if it is not optimal at the end.
     end: End
     joint: int  #: Joint (counted from 1) whose limit keeps mu from rising, or 0.
-    at_edge: float  #: Share of the time next to an infeasible pose of the map.
+    at_edge: float  #: Share of the time at or beside an infeasible sample of the map.
 
 
 def read_trajectory(found: SwivelMap, name: str) -> Reading:
@@ -250,6 +250,7 @@ def read_trajectory(found: SwivelMap, name: str) -> Reading:
 
 def _what_holds(found: SwivelMap, run: Trajectory, late: NDArray[np.bool_]) -> tuple[End, int]:
     known = np.flatnonzero(np.isfinite(found.best_mu))
+    # the last column with a feasible pose before the run's end
     column = int(max(known[found.t_s[known] <= run.t_s[-1] + 1e-9], default=known[0]))
     mu, limit, count = found.mu[column], found.limit[column], found.mu.shape[1]
     away = wrapped(found.swivel_rad - run.swivel_rad[-1])

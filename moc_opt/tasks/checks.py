@@ -15,19 +15,19 @@ TimeLike = float | ArrayLike
 
 
 def number(name: str, value: object, above: float = -math.inf) -> float:
-    """Return a finite float above ``above``, or raise a TaskError."""
+    """Return the value as a float. Raise a TaskError if it is not finite or not above ``above``."""
     if not (is_number(value) and max(above, -1e300) < value < 1e300):  # type: ignore[operator]
         raise TaskError(f"{name} = {value!r}: give one finite number" + (" above zero" if above == 0.0 else ""))
     return float(value)  # type: ignore[arg-type]
 
 
 def positive(name: str, value: object) -> float:
-    """Return a finite float above zero, or raise a TaskError."""
+    """Return the value as a float. Raise a TaskError if it is not finite or not above zero."""
     return number(name, value, above=0.0)
 
 
 def vector3(name: str, value: ArrayLike, *, rows: bool = False) -> Array:
-    """Return a finite array (3,), or (k, 3) with ``rows``, or raise a TaskError."""
+    """Return a read-only array (3,), or (k, 3) with ``rows``. Raise a TaskError if it is not finite."""
     wanted = "give finite numbers (k, 3)" if rows else "give three finite numbers"
     try:
         result = np.array(value, dtype=np.float64)
@@ -53,7 +53,7 @@ def direction3(name: str, value: ArrayLike) -> Array:
 def sampled(name: str, value: TimeLike, rows: Callable[[Array], Array]) -> Array:
     """Evaluate ``rows``, which maps (k,) to (k, m, 3), at a number or a vector (k,).
 
-    Raise a TaskError for any other ``value``.
+    Return (m, 3) or (m, k, 3). Raise a TaskError if ``value`` is neither a number nor a vector.
     """
     try:
         array = np.asarray(value, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Planar curves, which start at the origin along the first axis, the heading."""
+"""Planar curves. Each starts at the origin of its axes; the first axis is the heading."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ PlanePoint = tuple[float, float, float, float, float]
 Speed = Callable[[Array], tuple[Array, Array]]
 
 _MOST_PANELS = 2**18
-_PROBES = (0.23, 0.5, 0.71)  # not symmetric, where an error might vanish
+_PROBES = (0.23, 0.5, 0.71)  # not symmetric, because an error might vanish at symmetric places
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(10)
 
 
 class ArcLength:
-    """The inverse w(s) of the arc length s(w), the integral of the speed.
+    """The inverse w(s) of the arc length s(w) = integral of speed(w) from 0 to w.
 
-    A quintic Hermite interpolation is refined until its error is below 1e-10 of the length and below 1e-10 m.
+    It is a quintic Hermite interpolation, refined until its error is below 1e-10 of the length and below 1e-10 m.
 
     Args:
-        speed: function of w (k,) that returns ds/dw (k,) above zero, and d2s/dw2 (k,).
-        breaks: (b,) values of w, from 0, between which the speed is smooth.
+        speed: function of w (k,) that returns ds/dw (k,) [m] above zero, and d2s/dw2 (k,) [m].
+        breaks: (b,) rising values of w, from 0; the speed is smooth between them.
         panels: initial number of intervals between two breaks.
 
     Raises:
-        TaskError: the accuracy is not reached.
+        TaskError: the accuracy is not reached with 2^18 intervals.
     """
 
     def __init__(self, speed: Speed, breaks: Array, panels: int) -> None:
@@ -45,7 +45,7 @@ class ArcLength:
             coefficients = _hermite(w, lengths, *speed(w))
             if _worst(speed, w, lengths, coefficients) <= 1e-10 * min(1.0, float(s[-1])):
                 self.knots, self.length = read_only(s), float(s[-1])
-                # lists are faster to index
+                # Lists are faster to index than arrays.
                 self._starts: list[float] = s[:-1].tolist()
                 self._lengths: list[float] = lengths.tolist()
                 self._coefficients: list[list[float]] = coefficients.tolist()
@@ -57,7 +57,7 @@ class ArcLength:
         )
 
     def parameter(self, s: float) -> float:
-        """Return w at the arc length s."""
+        """Return w at the arc length s [m] in [0, length]."""
         panel = bisect_right(self._starts, s) - 1
         t = (s - self._starts[panel]) / self._lengths[panel]
         a0, a1, a2, a3, a4, a5 = self._coefficients[panel]
@@ -90,9 +90,9 @@ class PlanarCurve(NamedTuple):
     """A smooth curve, parametrised by arc length."""
 
     length: float  #: [m]
-    knots: Array  #: Arc lengths (k,) that resolve every bend [m].
+    knots: Array  #: Arc lengths (k,) from 0 to `length` that resolve every bend [m].
     at: Callable[[float], PlanePoint]
-    """Function of s: x, y [m], unit tangent tx, ty, curvature [1/m] (positive to the left)."""
+    """Function of s in [0, length]: x, y [m], unit tangent tx, ty, curvature [1/m] (positive to the left)."""
 
 
 def line(length: float = 0.04) -> PlanarCurve:
@@ -136,7 +136,7 @@ def sinusoid(amplitude: float = 0.01, wavelength: float = 0.02, periods: float =
 def spiral(turns: float = 2.0, radius: float = 0.03) -> PlanarCurve:
     """Archimedean spiral r = radius angle / (2 pi turns) to the left. It leaves its centre along the heading.
 
-    `radius` [m] is the final radius.
+    `turns` need not be whole; `radius` [m] is the final radius.
     """
     turns = positive("turns", turns)
     b = positive("radius", radius) / (2.0 * math.pi * turns)
@@ -155,4 +155,4 @@ def spiral(turns: float = 2.0, radius: float = 0.03) -> PlanarCurve:
 
 
 CURVES: dict[str, Callable[..., Any]] = {"line": line, "circle": circle, "sinusoid": sinusoid, "spiral": spiral}
-"""Functions of the sizes of a path that return a `PlanarCurve` or waypoints (k, 3) [m]."""
+"""Functions that take the sizes of a path and return a `PlanarCurve` or waypoints (k, 3) [m]."""

@@ -1,6 +1,6 @@
 """Paths of the tool tip, as functions of arc length.
 
-To add a path, add a function to `CURVES`, or an entry point of the group `moc_opt.tasks`.
+To add a path, add a function to `CURVES` of curves.py, or an entry point of the group `moc_opt.tasks`.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from moc_opt.tasks.curves import CURVES, ArcLength, PlanarCurve
 
 GROUP = "moc_opt.tasks"
 WAYPOINTS = "waypoints"
-MOST = 1000
-FARTHEST_M = 1000.0  #: Largest coordinate of a waypoint.
-_SLOWEST = 0.05  # least |dp/dw|, with the point p at chord length w
+MOST = 1000  #: Largest number of waypoints.
+FARTHEST_M = 1000.0  #: Largest distance of a waypoint from the start along each axis.
+_SLOWEST = 0.05  # lower bound on |dp/dw|, where p is the point at chord length w; below it, the path is refused
 
 
 class Path:
@@ -35,7 +35,7 @@ class Path:
     knots: Array  #: as in `PlanarCurve`
 
     def __init__(self, curve: PlanarCurve, start: ArrayLike, *, normal: ArrayLike, heading: ArrayLike) -> None:
-        """Place the curve at start (3,) [m], perpendicular to normal (3,), and project heading (3,) into this plane.
+        """Place the curve at start (3,) [m], in the plane perpendicular to normal (3,). Project heading (3,) into it.
 
         Raise a TaskError if a vector is unusable.
         """
@@ -58,7 +58,7 @@ class Path:
     def at(self, s: TimeLike) -> tuple[Array, Array, Array]:
         """Return p [m], dp/ds and d2p/ds2 [1/m] at s [m], (3,) each or (k, 3) if s is (k,).
 
-        Raise a TaskError if s is outside the path.
+        Raise a TaskError if s is outside the path or unusable.
         """
         p, dp, ddp = sampled("s", s, self._checked)
         return p, dp, ddp
@@ -70,19 +70,19 @@ class Path:
         return self.points(np.clip(s, 0.0, self.length))
 
     def points(self, s: Array) -> Array:
-        """Return the rows of `at` as (k, 3, 3), without a check of s (k,)."""
+        """Return the rows of `at` as (k, 3, 3). The range of s (k,) [m] is not checked."""
         x, y, tx, ty, k = np.array([self.curve.at(one) for one in s.tolist()]).reshape(-1, 5).T[:, :, None]
         a, b = self.heading, self.left
         return np.stack([self.start + a * x + b * y, a * tx + b * ty, a * (-k * ty) + b * (k * tx)], axis=1)
 
 
 class Waypoints(Path):
-    """A natural cubic spline from `start` through every waypoint."""
+    """A natural cubic spline over the chord length, from `start` through every waypoint."""
 
     def __init__(self, points: ArrayLike, start: ArrayLike, *, normal: ArrayLike, heading: ArrayLike) -> None:
         """Lay the path through points (k, 3) [m]: distances from the start along heading, left and normal.
 
-        Raise a TaskError if two points in a row are equal, or the path turns back on the spot.
+        Raise a TaskError if points are unusable, two in a row are equal, or the path turns back on the spot.
         """
         self._place(start, normal, heading)
         given = _checked(points)
@@ -99,7 +99,7 @@ class Waypoints(Path):
         self._rows_of: list[list[list[float]]] = self._pieces.tolist()
 
     def curvature(self, s: float) -> float:
-        """Return the absolute curvature [1/m] at s [m]."""
+        """Return the absolute curvature [1/m] at s [m], because a path in three dimensions has no left and right."""
         return math.hypot(*self._point(s)[6:])
 
     def points(self, s: Array) -> Array:
@@ -168,11 +168,11 @@ def kinds() -> dict[str, str]:
 
 
 def sizes(kind: str, given: Iterable[str] = ()) -> dict[str, Any]:
-    """Return the default of every size of a path, or `inspect.Parameter.empty`.
+    """Return the default of every size (e.g. radius) of a path; `inspect.Parameter.empty` if it has no default.
 
     Raises:
         UnknownNameError: the path, or a size in ``given``, is unknown.
-        TaskError: a plug-in does not load.
+        TaskError: the path is a plug-in that does not load.
     """
     parameters = {} if kind == WAYPOINTS else inspect.signature(_maker(kind)).parameters
     known = {name: parameter.default for name, parameter in parameters.items()}
@@ -188,11 +188,13 @@ def make_path(
 ) -> Path:  # fmt: skip
     """Build a path by its name in `kinds`, with the given `sizes`.
 
-    The other arguments are those of `Path` and `Waypoints`.
+    Args:
+        start, normal, heading: as in `Path`.
+        waypoints: (k, 3) [m], see `Waypoints`; only for the kind "waypoints".
 
     Raises:
         UnknownNameError: the kind or a size is unknown.
-        TaskError: a size or vector is missing or unusable.
+        TaskError: a size is missing or not positive and finite, or a vector is unusable.
     """
     known = sizes(kind, given)
     missing = [name for name, default in known.items() if default is inspect.Parameter.empty and name not in given]
@@ -208,7 +210,7 @@ def make_path(
         if kind in CURVES:
             raise
         raise TaskError(f"path {kind!r}: {plugins.in_words(_plugins()[kind][0])} raised {describe(error)}") from error
-    shape = Path if hasattr(made, "at") else Waypoints  # or waypoints
+    shape = Path if hasattr(made, "at") else Waypoints  # a plug-in may also return waypoints
     return shape(made, start, normal=normal, heading=heading)
 
 

@@ -16,7 +16,7 @@ from moc_opt.tasks.checks import TimeLike, number, positive, sampled
 from moc_opt.tasks.paths import Path
 
 Number = TypeVar("Number", float, Array)
-_PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)  # of the quintic law
+_PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)  # largest |d2s/du2| of the quintic law
 
 
 def quintic(u: Number) -> tuple[Number, Number, Number]:
@@ -26,12 +26,16 @@ def quintic(u: Number) -> tuple[Number, Number, Number]:
 
 
 def duration(path: Path, v_max: float, a_max: float) -> float:
-    """Compute the shortest duration T [s] within the largest speed [m/s] and acceleration [m/s^2].
+    """Compute the shortest duration T [s] of the quintic law within the limits.
 
-    D is the path's length, kappa its curvature, u = t/T, and s(u) the `quintic`:
+    D is the path's length, kappa its curvature, u = t/T, s(u) the `quintic`, s' = ds/du and s'' = d2s/du2:
         |velocity| = D s'/T                   at most 15 D / (8 T),
         |acceleration| = D g(u) / T^2         with g(u)^2 = s''^2 + (D kappa(D s) s'^2)^2,
     so that T = max(15 D / (8 v_max), sqrt(D max_u g(u) / a_max)).
+
+    Args:
+        v_max: largest speed [m/s].
+        a_max: largest acceleration [m/s^2], tangential and centripetal together.
     """
     v_max, a_max = positive("v_max", v_max), positive("a_max", a_max)
     return max(15.0 * path.length / (8.0 * v_max), math.sqrt(path.length * _largest_acceleration(path) / a_max))
@@ -44,7 +48,7 @@ def _largest_acceleration(path: Path) -> float:
         s, ds, dds = quintic(u)
         return math.hypot(dds, length * path.curvature(min(s * length, length)) * ds * ds)
 
-    # Equal steps resolve the time law, and the path's knots resolve the bends.
+    # g is evaluated at equal steps, which resolve the time law, and at the path's knots, which resolve the bends.
     even = np.linspace(0.0, 1.0, 513)
     progress = [quintic(u)[0] for u in even.tolist()]
     u = np.unique(np.concatenate((even, np.interp(path.knots / length, progress, even))))
@@ -67,11 +71,14 @@ def _climb(g: Callable[[float], float], lower: float, upper: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """The tip reference X_d, dX_d, ddX_d: the quintic law along a path. A bad number raises a TaskError."""
+    """The tip reference X_d, dX_d, ddX_d: the quintic law along a path.
+
+    A TaskError is raised if a limit is not positive and finite, or if t_start is not finite.
+    """
 
     path: Path
-    v_max: float  #: [m/s]
-    a_max: float  #: [m/s^2]
+    v_max: float  #: Largest speed [m/s].
+    a_max: float  #: Largest acceleration [m/s^2].
     t_start: float = 0.0  #: Start of the motion [s].
     duration: float = field(init=False)  #: [s]
 
@@ -83,12 +90,15 @@ class Reference:
             object.__setattr__(self, name, value)
 
     def at(self, t: TimeLike) -> tuple[Array, Array, Array]:
-        """Return X_d, dX_d and ddX_d at t [s]: each (3,), or (k, 3) if t is (k,). A NaN raises a TaskError."""
+        """Return X_d [m], dX_d [m/s] and ddX_d [m/s^2] at t [s]: each (3,), or (k, 3) if t is (k,).
+
+        The reference rests before and after its motion. Raise a TaskError if t is NaN or unusable.
+        """
         x, dx, ddx = sampled("t", t, self._rows)
         return x, dx, ddx
 
     def rows(self, t: float) -> Array:
-        """Return X_d, dX_d, ddX_d (3, 3) at a time [s]."""
+        """Return X_d, dX_d, ddX_d (3, 3) at one time [s]; a TaskError if it is NaN."""
         return np.asarray(self._rows(np.array([t]))[0])
 
     def _rows(self, t: Array) -> Array:
@@ -104,34 +114,38 @@ class Reference:
 
 
 class WaitingReference:
-    """A reference X(tau) that stops while a flag is False, and goes on when it is True.
+    """A reference that stops while a flag is False, and goes on when it is True. It begins at rest.
 
-    The rate sigma = dtau/dt is the flag (0 or 1), filtered by two moving averages, so that ddX_d does not jump:
+    tau is the time along the given reference X. Its rate sigma = dtau/dt is the flag (0 or 1), filtered by two moving
+    averages, so that X_d, dX_d and ddX_d do not jump:
 
         X_d(t) = X(tau(t)),   dX_d = sigma dX/dtau,   ddX_d = sigma^2 d2X/dtau2 + dsigma/dt dX/dtau
 
-    with |dX_d| <= v_max and |ddX_d| <= 2 a_max.
+    with |dX_d| <= v_max and |ddX_d| <= 2 a_max for the limits of the given reference.
     """
 
     def __init__(self, reference: Reference, period_s: float) -> None:
-        """Raise a TaskError if the control period is not positive."""
+        """``period_s`` is the control period [s]. Raise a TaskError if it is not positive."""
         self.reference, self.period_s = reference, positive("period_s", period_s)
         # Rounded up, so that the rate changes no faster than a_max / v_max.
         long = max(1, math.ceil(reference.v_max / reference.a_max / self.period_s - 1e-9))
         self._lengths = long, max(1, long // 2)
         self.settle_s = sum(self._lengths) * self.period_s
-        """Time until the rate follows a change of the flag."""
+        """Time from the last change of the flag until the rate is 0 or 1 [s]."""
 
     def play(self, go_on: ArrayLike) -> tuple[Array, Array]:
-        """Return X_d, dX_d, ddX_d (N, 3, 3) and tau (N,) [s]. Raise a TaskError unless go_on (N,) is boolean."""
+        """Return X_d, dX_d, ddX_d as rows (N, 3, 3), and tau (N,) [s], for one flag per tick, go_on (N,).
+
+        Raise a TaskError if the flags are not boolean.
+        """
         flags = np.asarray(go_on)
         if flags.ndim != 1 or flags.dtype != np.bool_:
             raise TaskError(f"go_on is {flags.dtype} of shape {flags.shape}: give flags (N,), one per tick")
-        later = flags.astype(np.float64)  # rate at the end of each tick
+        later = flags.astype(np.float64)  # the rate at the end of each tick
         for length in self._lengths:
             later = np.convolve(later, np.ones(length))[: len(flags)] / length
         rate = np.concatenate([[0.0], later])[: len(flags)]
-        # exact, because the rate is linear within a tick
+        # The trapezoidal rule is exact, because the rate is linear within a tick.
         times = np.concatenate([[0.0], np.cumsum(0.5 * self.period_s * (rate + later))])[: len(flags)]
         x, v, a = self.reference.at(times)
         slope = (later - rate) / self.period_s
@@ -139,13 +153,16 @@ class WaitingReference:
 
 
 def flags_at(times: ArrayLike, seen_times: ArrayLike, seen: ArrayLike) -> NDArray[np.bool_]:
-    """Return for each tick (N,) the flag ``seen`` (k,) of the latest picture; False before the first one.
+    """Return for each tick the flag of the camera's latest picture, (N,); False before the first picture.
 
-    Raise a TaskError if ``seen_times`` (k,) do not rise.
+    Args:
+        times: (N,) times of the ticks [s].
+        seen_times: (k,) times of the pictures [s]; a TaskError if they do not rise.
+        seen: (k,) flags of the pictures.
     """
     pictures, answers = np.asarray(seen_times, dtype=np.float64), np.asarray(seen, dtype=np.bool_)
     if pictures.ndim != 1 or pictures.shape != answers.shape or (np.diff(pictures) <= 0.0).any():
         raise TaskError("seen_times: give one time [s] for each entry of seen, in rising order")
-    # Rounding may move a picture's time behind its tick.
+    # Rounding may make a picture's time slightly later than its tick.
     last = np.searchsorted(pictures, np.asarray(times, dtype=np.float64) + 1e-9, side="right")
     return np.concatenate(([False], answers))[last]

@@ -15,12 +15,15 @@ from moc_opt.tasks.checks import TimeLike, direction3, number, positive, sampled
 
 @dataclass(frozen=True, eq=False)
 class Trocar:
-    """A trocar at point + amplitude (1 - cos(2 pi t / period)) / 2 * direction. A bad field raises a TaskError."""
+    """A trocar that rests or moves with the breathing.
+
+    P(t) = point + amplitude (1 - cos(2 pi t / period)) / 2 * direction. A TaskError is raised if a field is unusable.
+    """
 
     point: ArrayLike  #: Position at t = 0, (3,) [m].
-    breathing_amplitude_m: float = 0.0
-    breathing_period_s: float = 4.0
-    direction: ArrayLike = (0.0, 0.0, 1.0)  #: (3,), of any length above zero.
+    breathing_amplitude_m: float = 0.0  #: Largest distance from `point`.
+    breathing_period_s: float = 4.0  #: Time of one breath.
+    direction: ArrayLike = (0.0, 0.0, 1.0)  #: Direction of the motion (3,), of any length above zero.
 
     def __post_init__(self) -> None:
         amplitude = number("breathing_amplitude_m", self.breathing_amplitude_m)
@@ -35,7 +38,7 @@ class Trocar:
             object.__setattr__(self, name, value)
 
     def at(self, t: TimeLike) -> tuple[Array, Array]:
-        """Return position and velocity at t [s], (3,) each or (k, 3) if t is (k,).
+        """Return position [m] and velocity [m/s] at t [s]: each (3,), or (k, 3) if t is (k,).
 
         Raise a TaskError if t is not finite.
         """
@@ -43,14 +46,14 @@ class Trocar:
         return p, dp
 
     def rows(self, t: float) -> Array:
-        """Return position and velocity (2, 3) at one time [s]."""
+        """Return position and velocity (2, 3) at a time [s]. Raise a TaskError if it is not finite."""
         return np.asarray(self._rows(np.array([t]))[0])
 
     def _rows(self, t: Array) -> Array:
         if not np.isfinite(t).all():
             raise TaskError(f"t = {t[~np.isfinite(t)][0]!r} is not a time: give seconds")
         rate = 2.0 * math.pi / self.breathing_period_s
-        turns = (rate * t).tolist()  # one by one: numpy's vector sine may round differently
+        turns = (rate * t).tolist()  # one by one, because numpy's vector sine may round differently
         away = self.breathing_amplitude_m * 0.5 * (1.0 - np.array([math.cos(turn) for turn in turns]))
         speed = self.breathing_amplitude_m * 0.5 * rate * np.array([math.sin(turn) for turn in turns])
         point, direction = np.asarray(self.point), np.asarray(self.direction)
@@ -58,7 +61,7 @@ class Trocar:
 
 
 def shaft_distance(tip: ArrayLike, wrist: ArrayLike, p: ArrayLike) -> Array:
-    """Return the RCM error |(p - tip) x u| [m], (k,) or (), of points (k, 3) or (3,).
+    """Return the RCM error, the distance |(p - tip) x u| of p from the shaft [m]: (k,) for points (k, 3), () for (3,).
 
     u is the unit vector from wrist to tip.
     """

@@ -1,1 +1,4 @@
-"""Augmented reality, which needs OpenCV (the extra ``vision``), and hand guiding to the incision."""
+"""The paper's operative procedure: augmented reality, and hand guiding to the incision.
+
+Augmented reality needs OpenCV (the extra ``vision``).
+"""

@@ -1,4 +1,4 @@
-"""Augmented reality: an endoscope tracks a board with a virtual task, and films the run."""
+"""Augmented reality: an endoscope tracks a marker board with a virtual task, and films the run."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from moc_opt.vision.tracking import BoardFinder, BoardTracker, Tracked, TrackerS
 _SEARCH_S, _LOOK_S = 2.0, 1.0
 _ON_PATH_M = 0.001
 TASK, DONE, TIP, TROCAR, TEXT = (80, 220, 60), (200, 140, 20), (0, 215, 255), (255, 120, 240), (255, 255, 255)
-_CODEC = "VP80"  # without system libraries, for browsers
+_CODEC = "VP80"  # needs no system libraries, and browsers play it
 _NEAR_M = 0.01
 
 
 class Augmented:
-    """An endoscope above a phantom's board, with the true pose `camera` and the calibrated pose `believed`."""
+    """An endoscope above a phantom's board: `camera` has its true pose, `believed` its calibrated pose."""
 
     def __init__(
         self, robot: RobotModel, phantom_in_base: Pose, *, camera: CameraSettings | None = None,
@@ -50,9 +50,9 @@ class Augmented:
         self._tracker = BoardTracker(tracker)
 
     def locate(self, q: ArrayLike | None = None) -> Pose:
-        """Return the board's averaged pose in the base frame, with the arm at q (n,) or out of sight.
+        """Search for the board before t = 0, and return its averaged pose in the base frame.
 
-        Raise a TaskError if the board is not found in 3 s.
+        The arm rests at q (n,), or is out of sight if q is None. Raise a TaskError if the board is not found in 3 s.
         """
         self._tracker = BoardTracker(self._tracker.limits)
         rate = self.camera.settings.rate_Hz
@@ -76,13 +76,16 @@ class Augmented:
         return found[-1]
 
     def watch(self, seconds: float, q: ArrayLike | None = None) -> tuple[Array, NDArray[np.bool_]]:
-        """Return picture times [s], and whether the board is tracked."""
+        """Track the board after `locate`. Return picture times [s], and whether the board is tracked."""
         rate = self.camera.settings.rate_Hz
         times = np.arange(math.floor(seconds * rate) + 1) / rate
         return times, np.array([self._look(t, q).seen for t in times.tolist()])
 
     def accuracy(self, estimate: Pose, task: BoardTask) -> dict[str, float]:
-        """Return the errors of an estimated pose, and the largest error of the task."""
+        """Return the errors of an estimated board pose in the base frame.
+
+        ``task_error_max_mm`` is the largest distance of a point of the task from its true place.
+        """
         way, turn = estimate.distance(self.phantom)
         true, believed = (self.board.task_in_base(task, pose) for pose in (self.phantom, estimate))
         s = np.linspace(0.0, true.length, 200)
@@ -93,7 +96,7 @@ class Augmented:
         }  # fmt: skip
 
     def film(self, file: str | os.PathLike[str], trace: Trace, path: Path, trocar: ArrayLike) -> int:
-        """Film the run (.webm) with the registered ``trocar`` (3,). Return the number of pictures."""
+        """Film the run (.webm) with the registered ``trocar`` (3,) [m]. Return the number of pictures."""
         return save_film(file, self._frames(trace, path, trocar), self.camera.settings.rate_Hz)
 
     def _frames(self, trace: Trace, path: Path, trocar: ArrayLike) -> Iterator[Picture]:
@@ -102,7 +105,7 @@ class Augmented:
         for t in np.arange(trace.t_s[0], trace.t_s[-1] + 1e-9, step).tolist():
             k = min(int(np.searchsorted(trace.t_s, t - 1e-9)), len(trace) - 1)
             picture = self._picture(t, trace.q_rad[k])
-            # only the next 20 points, because a path may cross itself
+            # Only the next 20 points are searched, because a path may cross itself.
             away = np.linalg.norm(line[done : done + 20] - trace.tip_ref_m[k], axis=1)
             done += int(np.argmin(away)) if away.min() < _ON_PATH_M else 0
             markers = len(self._finder.corners(picture))
@@ -124,9 +127,9 @@ class Augmented:
 def draw(
     picture: Picture, camera: Camera, *, task: ArrayLike, progress: float, tip: ArrayLike, trocar: ArrayLike, text: str
 ) -> Picture:
-    """Draw task (k, 3), tip (3,) and trocar (3,) [m] into a copy of the picture (H, W, 3).
+    """Draw task (k, 3), tip (3,) and trocar (3,), in the base frame [m], into a copy of the picture (H, W, 3).
 
-    ``progress`` is the finished share of the path.
+    ``progress`` is the finished share of the path (0 to 1).
     """
     page = picture.copy()
     points, end, far = (np.asarray(part, dtype=np.float64) for part in (task, tip, trocar))

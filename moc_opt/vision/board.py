@@ -1,6 +1,6 @@
 """Poses, a marker board, and virtual tasks.
 
-A board's frame begins in its middle. Seen from the printed side, x points right, y up, and z towards the viewer.
+The origin of a board's frame is its middle. Seen from the printed side, x points right, y up, and z towards the viewer.
 """
 
 from __future__ import annotations
@@ -24,25 +24,28 @@ from moc_opt.tasks.checks import direction3
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """A pose of an inner frame in an outer one, x_outer = R x_inner + t. Poses are chained with @."""
+    """A rigid pose of an inner frame in an outer one: x_outer = R x_inner + t.
 
-    R: Array  #: (3, 3)
-    t: Array  #: (3,) [m]
+    Poses are chained with @: board_in_base = camera_in_base @ board_in_camera.
+    """
+
+    R: Array  #: (3, 3) rotation
+    t: Array  #: (3,) inner origin in the outer frame [m]
 
     def __init__(self, R: ArrayLike, t: ArrayLike) -> None:
         object.__setattr__(self, "R", read_only(np.array(R, dtype=np.float64)))
         object.__setattr__(self, "t", read_only(np.array(t, dtype=np.float64)))
 
     def apply(self, points: ArrayLike) -> Array:
-        """Transform points (3,) or (k, 3) to the outer frame."""
+        """Transform points (3,) or (k, 3) [m] from the inner to the outer frame."""
         return self.turn(points) + self.t
 
     def turn(self, vectors: ArrayLike) -> Array:
-        """Transform directions (3,) or (k, 3) to the outer frame."""
+        """Transform directions (3,) or (k, 3) from the inner to the outer frame."""
         return np.asarray(np.asarray(vectors, dtype=np.float64) @ self.R.T)
 
     def inverse(self) -> Pose:
-        """Return the pose of the outer in the inner frame."""
+        """Return the pose of the outer frame in the inner one."""
         return Pose(self.R.T, -self.R.T @ self.t)
 
     def __matmul__(self, other: Pose) -> Pose:
@@ -53,24 +56,24 @@ class Pose:
         return float(np.linalg.norm(self.t - other.t)), float(np.linalg.norm(pin.log3(self.R.T @ other.R)))
 
     def towards(self, other: Pose, share: float) -> Pose:
-        """Interpolate from this pose (``share`` 0) to the other (1)."""
+        """Interpolate from this pose (``share`` 0) to the other pose (1)."""
         turn = rotation_from(share * pin.log3(self.R.T @ other.R))
         return Pose(self.R @ turn, self.t + share * (other.t - self.t))
 
 
 def rotation_from(vector: ArrayLike) -> Array:
-    """Return the rotation (3, 3) of a rotation vector (3,)."""
+    """Return the rotation (3, 3) of a rotation vector (3,) [rad]."""
     return np.asarray(pin.exp3(np.array(vector, dtype=np.float64)))
 
 
 class VisionSettings(Settings):
-    """Settings in this package. A value out of range raises a PlantError."""
+    """Base class of the settings in this package. A value out of range raises a PlantError."""
 
     ERROR: ClassVar[type[MocOptError]] = PlantError
 
 
 class Board(VisionSettings):
-    """A grid of square markers on the phantom (a dummy patient), numbered row by row from the top left."""
+    """A grid of square markers on the phantom (a dummy patient). They are numbered row by row from the top left."""
 
     KIND: ClassVar[str] = "[board]"
 
@@ -80,7 +83,7 @@ class Board(VisionSettings):
     gap_m: float = Field(0.005, gt=0.0, le=0.5, description="white space between markers, and around them")
     hidden_fraction: float = Field(0.0, ge=0.0, le=1.0, description="share of the markers that are covered")
     lost_s: tuple[tuple[float, float], ...] = ()
-    """intervals [from, until] in which the board cannot be seen"""
+    """intervals [from, until] of time in seconds in which nothing of the board can be seen"""
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
@@ -97,29 +100,29 @@ class Board(VisionSettings):
 
     @property
     def ids(self) -> range:
-        """Numbers of the markers."""
+        """Numbers of the markers in OpenCV's dictionary."""
         return range(self.columns * self.rows)
 
     @property
     def size_m(self) -> tuple[float, float]:
-        """Width and height."""
+        """Width and height of the board."""
         pitch = self.marker_m + self.gap_m
         return self.columns * pitch + self.gap_m, self.rows * pitch + self.gap_m
 
     def corners(self, marker: int) -> Array:
-        """Return a marker's corners (4, 3) on the board [m], clockwise from the top left."""
+        """Return a marker's corners (4, 3) in the board's frame [m], clockwise from the top left."""
         row, column = divmod(marker, self.columns)
         pitch, (left, top, _) = self.marker_m + self.gap_m, self.outline()[0]
         left, top = left + self.gap_m + column * pitch, top - self.gap_m - row * pitch
         return _rectangle(left, top, left + self.marker_m, top - self.marker_m)
 
     def outline(self) -> Array:
-        """Return the board's corners (4, 3) [m], clockwise from the top left."""
+        """Return the board's corners (4, 3) in its own frame [m], clockwise from the top left."""
         x, y = 0.5 * self.size_m[0], 0.5 * self.size_m[1]
         return _rectangle(-x, y, x, -y)
 
     def task_in_base(self, task: BoardTask, board_in_base: Pose) -> Path:
-        """Return a task in the base frame. Raise a TaskError if it reaches beyond the board."""
+        """Transform a virtual task into the base frame. Raise a TaskError if it reaches beyond the board."""
         own = task.on_board()
         places = own.at(np.linspace(0.0, own.length, 65))[0]
         beyond = float((np.abs(places[:, :2]) - 0.5 * np.array(self.size_m)).max())
@@ -138,11 +141,11 @@ class Board(VisionSettings):
 class BoardTask:
     """A virtual task: a path parallel to a board."""
 
-    kind: str  #: see `make_path`
-    sizes: Mapping[str, float]
-    start_m: tuple[float, float] = (0.0, 0.0)  #: x and y in the board's frame
-    height_m: float = 0.005  #: height above the board
-    depth_m: float = 0.15  #: depth of the board below the trocar
+    kind: str  #: kind of path; see `make_path`
+    sizes: Mapping[str, float]  #: sizes of the path, lengths in m
+    start_m: tuple[float, float] = (0.0, 0.0)  #: start of the path, x and y in the board's frame [m]
+    height_m: float = 0.005  #: height of the path above the board [m]
+    depth_m: float = 0.15  #: depth of the board below the trocar [m]
 
     def on_board(self) -> Path:
         """Return the path in the board's frame."""
@@ -171,10 +174,10 @@ def board_task(name: str) -> BoardTask:
 
 
 def board_below(trocar: ArrayLike, shaft: ArrayLike, depth_m: float) -> Pose:
-    """Return the pose of a board that faces the trocar from `depth_m` below.
+    """Return the pose of a board that faces the trocar, `depth_m` [m] below the trocar.
 
     ``shaft`` (3,) is the direction from the trocar into the body. The board's x is the base's x, projected on the
-    board. A TaskError is raised if the shaft is parallel to the base's x.
+    board, and its z points to the trocar. A TaskError is raised if the shaft is parallel to the base's x.
     """
     into = direction3("shaft", shaft)
     x = direction3("shaft", np.array([1.0, 0.0, 0.0]) - into[0] * into)

@@ -20,13 +20,13 @@ Picture = NDArray[np.uint8]  # (H, W, 3), blue green red
 
 TISSUE, COVER, STEEL = (92, 100, 178), (70, 60, 150), (150, 148, 145)
 SHAFT_RADIUS_M = 0.004
-_MARKER_BITS = 6  # along a marker's side: 4 bits between two black cells
-_CELL_PX = 16  # side of a cell
-_FINER = 2  # the scene is drawn this many times finer
+_MARKER_BITS = 6  # cells along a marker's side: 4 bits between two cells of black frame
+_CELL_PX = 16  # pixels along one cell of the drawn board
+_FINER = 2  # the scene is drawn this many times finer than the final picture
 
 
 class CameraSettings(VisionSettings):
-    """An endoscope without lens distortion."""
+    """An endoscope without lens distortion. It looks at the phantom through its own port."""
 
     KIND: ClassVar[str] = "[camera]"
 
@@ -40,33 +40,33 @@ class CameraSettings(VisionSettings):
     blur_px: float = Field(0.7, ge=0.0, le=10.0, description="standard deviation of the lens's blur")
     noise: float = Field(3.0, ge=0.0, le=100.0, description="standard deviation of the noise [grey levels of 255]")
     calibration_error_m: float = Field(0.0005, ge=0.0, le=0.05)
-    """distance from the calibrated place"""
+    """distance of the camera from its calibrated place"""
     calibration_error_deg: float = Field(0.1, ge=0.0, le=10.0, description="angle error of the calibration")
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A camera. Its frame is OpenCV's: x right, y down, z along the view."""
+    """A camera and its pose. Its frame is OpenCV's: x right, y down, z along the view."""
 
     settings: CameraSettings
     camera_in_base: Pose
 
     @property
     def matrix(self) -> Array:
-        """The matrix (3, 3). Pixel centres have whole coordinates."""
+        """The camera matrix (3, 3). Pixel centres have whole coordinates."""
         width, height = self.settings.width_px, self.settings.height_px
         f = 0.5 * height / math.tan(0.5 * math.radians(self.settings.fov_deg))
         return np.array([[f, 0.0, 0.5 * width - 0.5], [0.0, f, 0.5 * height - 0.5], [0.0, 0.0, 1.0]])
 
     def project(self, points_in_base: ArrayLike) -> Array:
-        """Return the pixels (k, 2) of points (k, 3); NaN behind the camera."""
+        """Return the pixels (k, 2) of points (k, 3) [m] in the base frame; NaN behind the camera."""
         points = self.camera_in_base.inverse().apply(np.atleast_2d(np.asarray(points_in_base, dtype=np.float64)))
         depth = np.where(points[:, 2] > 1e-6, points[:, 2], np.nan)
         return np.asarray((points @ self.matrix.T)[:, :2] / depth[:, None])
 
     @classmethod
     def above(cls, settings: CameraSettings, phantom_in_base: Pose) -> Camera:
-        """Place a camera that looks at the middle of the board."""
+        """Place a camera that looks at the middle of the phantom's board."""
         tilt, azimuth = math.radians(settings.tilt_deg), math.radians(settings.azimuth_deg)
         away = np.array([math.sin(tilt) * math.cos(azimuth), math.sin(tilt) * math.sin(azimuth), math.cos(tilt)])
         right = np.cross(-away, (0.0, 1.0, 0.0))  # not zero, because the tilt is below 90 degrees
@@ -75,7 +75,7 @@ class Camera:
         return cls(settings, phantom_in_base @ Pose(turn, settings.distance_m * away))
 
     def miscalibrated(self, seed: int) -> Camera:
-        """Return the camera with calibration errors in random directions."""
+        """Return the camera with the settings' calibration errors, in random directions."""
         away, axis = np.random.default_rng(seed).standard_normal((2, 3))
         turn = math.radians(self.settings.calibration_error_deg) * axis / np.linalg.norm(axis)
         error = Pose(rotation_from(turn), self.settings.calibration_error_m * away / np.linalg.norm(away))
@@ -83,15 +83,15 @@ class Camera:
 
 
 def hide(ids: range, fraction: float, seed: int) -> frozenset[int]:
-    """Choose a share ``fraction`` of the markers to cover."""
+    """Choose the markers to cover at random: a share ``fraction`` (0 to 1) of all."""
     order = np.random.default_rng(seed).permutation(np.array(ids))
     return frozenset(order[: round(fraction * len(ids))].tolist())
 
 
 class View:
-    """Takes pictures of the board and the shaft.
+    """Takes pictures of the board and the tool's shaft.
 
-    ``shaft`` maps a pose q (n,) to two points (3,) of the shaft, the tip first [m].
+    ``shaft`` maps a pose q (n,) to two points (3,) of the shaft in the base frame [m], the tip first.
     """
 
     def __init__(
@@ -102,13 +102,13 @@ class View:
         self._page = cv2.cvtColor(board_picture(board), cv2.COLOR_GRAY2BGR)
         self._texture = texture_matrix(board)
         self._rng = np.random.default_rng(seed)
-        # the centre of pixel u is at 2 u + 0.5
+        # With _FINER = 2, the centre of pixel u is at 2 u + 0.5.
         self._finer = np.array([[_FINER, 0.0, 0.5 * (_FINER - 1)], [0.0, _FINER, 0.5 * (_FINER - 1)], [0.0, 0.0, 1.0]])
 
     def picture(
         self, board_in_base: Pose | None, hidden: frozenset[int] = frozenset(), q: Array | None = None
     ) -> Picture:
-        """Take a picture of the board and, at q (n,), of the tool."""
+        """Take a picture (H, W, 3) of the board and, at q (n,), of the tool."""
         width, height = self.camera.settings.width_px, self.camera.settings.height_px
         page = np.full((_FINER * height, _FINER * width, 3), TISSUE, dtype=np.uint8)
         if board_in_base is not None:
@@ -121,7 +121,7 @@ class View:
     def _draw_board(self, page: Picture, pose: Pose, hidden: frozenset[int]) -> None:
         printed, board = self._page.copy(), self._board
         if pose.R[:, 2] @ pose.t >= 0.0 or pose.apply(board.outline())[:, 2].min() <= 1e-3:
-            return  # faces away, or is partly behind the camera
+            return  # the board faces away, or a part is behind the camera
         radius = min(0.72 * board.marker_m, 0.5 * board.marker_m + 0.9 * board.gap_m) * self._texture[0, 0]
         for marker in hidden:
             x, y, _ = self._texture @ [*board.corners(marker)[:, :2].mean(axis=0), 1.0]
@@ -153,14 +153,14 @@ def expose(picture: Picture, settings: CameraSettings, rng: np.random.Generator)
     if settings.blur_px > 0.0:
         picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), settings.blur_px), dtype=np.uint8)
     if settings.noise > 0.0:
-        # the same for all colours, because the detection uses grey levels
+        # The detection uses only grey levels, so all colours get the same noise.
         grain = np.rint(settings.noise * rng.standard_normal(picture.shape[:2], dtype=np.float32))
         picture = np.clip(picture.astype(np.int16) + grain.astype(np.int16)[:, :, None], 0, 255).astype(np.uint8)
     return picture
 
 
 def board_picture(board: Board) -> NDArray[np.uint8]:
-    """Draw the board (H, W) in grey levels."""
+    """Draw the printed board (H, W) in grey levels."""
     side = _MARKER_BITS * _CELL_PX
     width, height = (math.ceil(side / board.marker_m * size - 1e-6) for size in board.size_m)
     page = np.full((height, width), 255, dtype=np.uint8)
@@ -174,7 +174,7 @@ def board_picture(board: Board) -> NDArray[np.uint8]:
 
 
 def texture_matrix(board: Board) -> Array:
-    """Return the matrix (3, 3) from (x, y, 1) on the board to pixels."""
+    """Return the matrix (3, 3) from (x, y, 1) [m] on the board to pixels of `board_picture`."""
     scale = _MARKER_BITS * _CELL_PX / board.marker_m
     width, height = board.size_m
     right, down = 0.5 * scale * width - 0.5, 0.5 * scale * height - 0.5
@@ -183,5 +183,5 @@ def texture_matrix(board: Board) -> Array:
 
 @lru_cache(maxsize=1)
 def dictionary() -> Any:
-    """Return OpenCV's dictionary of markers."""
+    """Return OpenCV's dictionary of 250 ArUco markers of 4 x 4 bits."""
     return cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_250)

@@ -24,7 +24,7 @@ from moc_opt.trace.trace import Trace
 from moc_opt.vision.board import VisionSettings
 
 _NO_REFERENCE, _NO_TROCAR = np.zeros((3, 3)), np.zeros((2, 3))
-_SPEED_FILTER_Hz = 5.0  # cutoff for the tip's velocity
+_SPEED_FILTER_Hz = 5.0  # cutoff frequency of the tip velocity's low-pass filter
 
 
 class HandSettings(VisionSettings):
@@ -33,25 +33,25 @@ class HandSettings(VisionSettings):
     KIND: ClassVar[str] = "[hand]"
 
     stiffness_N_per_m: float = Field(600.0, gt=0.0, le=1e4)
-    """force per distance from the goal, for a tip at rest"""
+    """force per distance from the goal, for a slow tip near the goal"""
     damping_Ns_per_m: float = Field(60.0, gt=0.0, le=1e3)
-    """force per difference from the desired velocity"""
+    """force per difference between desired and real velocity of the tip"""
     force_max_N: float = Field(15.0, gt=0.0, le=200.0, description="largest force")
     speed_max_m_per_s: float = Field(0.15, gt=0.0, le=1.0, description="largest desired speed of the tip")
     correction_per_s: float = Field(2.0, ge=0.0, le=20.0)
-    """the force's integral part grows by this times stiffness times distance"""
+    """the integral part of the force grows by this number times stiffness times distance, per second"""
     content_m: float = Field(0.0005, ge=0.0, le=0.05)
-    """distance from the goal below which the integral part stays constant"""
+    """distance of the tip from the goal below which the integral part of the force stays constant"""
 
 
 class HandsOnSettings(VisionSettings):
-    """Settings of the guiding."""
+    """Settings of the guiding, and conditions for registering the trocar."""
 
     KIND: ClassVar[str] = "[hands_on]"
 
     joint_damping_Nm_s_per_rad: float = Field(3.0, ge=0.0, le=100.0)
     registration_error_m: float = Field(0.001, ge=0.0, le=0.005)
-    """size of the error of the registered trocar"""
+    """size of the error that is added to the registered trocar, in a seeded direction"""
     tolerance_m: float = Field(0.002, gt=0.0, le=0.05, description="the tip is at the incision within this distance")
     rest_speed_m_per_s: float = Field(0.003, gt=0.0, le=0.1, description="a tip rests if it is at most this fast")
     rest_s: float = Field(0.4, gt=0.0, le=10.0, description="time for which the tip must rest at the incision")
@@ -78,28 +78,29 @@ class HandsOn:
     """The result of the guiding."""
 
     status: HandsOnStatus
-    trocar: Array  #: (3,) true position [m]
-    registered: Array | None  #: (3,) [m]; None unless the status is REGISTERED
-    q: Array  #: (n,) measured at the end [rad]
+    trocar: Array  #: (3,) true position of the incision [m]
+    registered: Array | None  #: (3,) registered trocar [m]; None unless the status is REGISTERED
+    q: Array  #: (n,) measured pose at the end [rad]
     trace: Trace  #: one row per tick
 
     @property
     def error_m(self) -> float:
-        """Distance of the registered from the true trocar, or NaN."""
+        """Distance of the registered trocar from the true trocar [m]; NaN if none was registered."""
         return math.nan if self.registered is None else float(np.linalg.norm(self.registered - self.trocar))
 
 
 class Hand:
-    """A hand that pulls the tool to the goal with the force D (desired - velocity) + f, at most force_max.
+    """A hand that pulls the tool to the goal like a spring and a damper.
 
-    The desired velocity is stiffness/D * distance, at most speed_max. f is the integral part, and D the damping.
+    force = D (desired - velocity) + f, at most force_max. D is the damping. `desired` is a velocity towards the goal:
+    stiffness/D * distance, at most speed_max. The integral f grows by correction * stiffness * distance per s.
     """
 
     def __init__(self, settings: HandSettings, period_s: float) -> None:
         self.settings, self._period, self._extra = settings, period_s, np.zeros(3)
 
     def pull(self, place: Array, velocity: Array, goal: Array) -> Array:
-        """Return the force (3,) [N] of this tick. Raise a PlantError if the arm ran away."""
+        """Return the hand's force (3,) [N] on a tip at ``place``, once per tick. PlantError: the arm ran away."""
         hand, way = self.settings, goal - place
         distance = math.sqrt(float(way @ way))
         if not math.isfinite(distance + float(velocity @ velocity)):
@@ -107,7 +108,7 @@ class Hand:
         desired = _cut(hand.stiffness_N_per_m / hand.damping_Ns_per_m * way, hand.speed_max_m_per_s)
         pull = hand.damping_Ns_per_m * (desired - velocity) + self._extra
         force = _cut(pull, hand.force_max_N)
-        # Far from the goal or at the force limit, f only shrinks, so that the tip does not overshoot.
+        # Far from the goal or at the force limit, the integral part only shrinks, so that the tip does not overshoot.
         near = distance * hand.stiffness_N_per_m < hand.damping_Ns_per_m * hand.speed_max_m_per_s
         less = float(way @ self._extra) < 0.0
         if distance > hand.content_m and (less or (near and force is pull)):
@@ -121,7 +122,7 @@ def _cut(vector: Array, most: float) -> Array:
 
 
 class _Guiding:
-    """A controller for hand guiding: gravity torque and joint damping."""
+    """A controller for hand guiding: gravity torque g(q) and joint damping D, tau = g(q) - D v."""
 
     def __init__(self, robot: RobotModel, damping_Nm_s_per_rad: float) -> None:
         self._robot, self._damping = robot, damping_Nm_s_per_rad
@@ -143,8 +144,8 @@ def guide_to(
 ) -> HandsOn:
     """Let a hand pull the tip to the incision (3,) [m], and register the trocar.
 
-    The mean position of the resting tip in the model, plus a seeded error, is registered. Raise a TaskError if the
-    incision is too far away or out of reach, and a PlantError if the arm runs away.
+    The mean position of the resting tip in the robot's model, plus a seeded error, is registered. Raise a TaskError,
+    before the arm moves, if the incision is too far away or out of reach, and a PlantError if the arm runs away.
     """
     settings = settings or HandsOnSettings()
     goal = vector3("incision", incision)
@@ -157,18 +158,19 @@ def guide_to(
     pose_with_tip(robot, plant.measure().q, goal)
     period, guard = plant.settings.period_s, settings.guard
     law = _Guiding(robot, settings.joint_damping_Nm_s_per_rad)
-    # Momentum residuals are not checked, because the hand's force is part of them.
+    # The tool is in no incision yet. Momentum residuals are not checked, because the hand's force is part of them.
     safety_filter = SafetyFilter(robot, guard, period, incision=False, momentum=False)
     loop = ClosedLoop(plant, law, safety_filter, Stop(guard.stop_damping_Nm_s_per_rad, guard.stop_s))
     loop.start(_NO_REFERENCE, _NO_TROCAR)
     hand, tool, tip = Hand(settings.hand, period), plant.mj_data.body("tool"), plant.mj_data.body(robot.data.tip_frame)
-    point = tool.xmat.reshape(3, 3).T @ (tip.xpos - tool.xpos)
+    point = tool.xmat.reshape(3, 3).T @ (tip.xpos - tool.xpos)  # in the tool's frame [m]
     gain = -math.expm1(-2.0 * math.pi * _SPEED_FILTER_Hz * period)
     smoothed, reached = np.zeros(3), False
     rows: list[dict[str, Array | float]] = []
     resting: list[Array] = []  # positions of the resting tip
     needed, ticks = max(1, round(settings.rest_s / period)), math.ceil(settings.time_limit_s / period)
     while len(resting) < needed and loop.ticks < ticks and not loop.finished:
+        # The model's J_tip is accurate enough for the tip's velocity.
         force = hand.pull(plant.tip, robot.state(plant.q, plant.v).J_tip @ plant.v, goal)
         plant.push("tool", force, point)
         off = float(np.linalg.norm(plant.tip - goal))
