@@ -118,8 +118,7 @@ def lowered(mu: Array, share: Array, limits: Limits, top: float) -> Array:
 def shaft_shares(robot: RobotModel, poses: Array) -> Array:
     """Compute mu_shaft / (distance from wrist to tip)^2, (k,), at the poses (k,n) [rad].
 
-    mu_shaft is the manipulability of the wrist while the tip is held. It is near 0 if the joints can hardly turn the
-    shaft about the tip.
+    mu_shaft is the manipulability of the wrist while the tip rests. It is near 0 if the shaft can hardly turn.
     """
     squares = np.array(robot.kinematics().shaft(np.ascontiguousarray(poses).T)).ravel()
     return np.sqrt(np.maximum(squares, 0.0))

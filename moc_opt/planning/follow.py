@@ -23,12 +23,12 @@ GAIN_PER_S = 5.0  #: Gain k of x_d.
 NODES = 10  #: Number of time steps of a course made during the run.
 CATCH_UP = 1.03  #: Factor on the joint speed limits for courses made during the run.
 ON_COURSE_RAD = 0.05
-"""If every joint is nearer than this to the old course, a new course begins on the old course. A course that begins at
-the measured pose would close a second feedback loop."""
+"""If every joint is nearer than this to the old course, a new course begins on the old one. A course that begins at the
+measured pose would close a second feedback loop."""
 MOST_OFF = 1e-3  #: A course is refused if its tip or wrist error [m] or its excess over limits [rad] is above this.
 LOST_RAD = 0.3  #: If a joint is farther than this from the course, the arm has left the course.
 NO_COURSE = "q_start: no course within the joint limits and speeds leads from this pose to the end of the path"
-ASKED_EACH = 25  #: Ticks between two checks of whether the arm has left its course.
+ASKED_EACH = 25  #: Ticks between two checks of `LOST_RAD`.
 
 
 class Piece(NamedTuple):
@@ -124,8 +124,8 @@ class Follower:
     ) -> None:  # fmt: skip
         """Follow a given course, or a planner's courses from ``q_start`` (n,) [rad].
 
-        With course and planner, the planner takes over once the arm has left the course. Raise a TaskError if there is
-        no course at t = 0.
+        With both, the planner takes over once the arm has left the course. Raise a TaskError if there is no course at
+        t = 0.
         """
         self._period, self._planner, self._q_start = period_s, planner, q_start
         self._given: Piece | None = None

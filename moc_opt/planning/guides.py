@@ -24,14 +24,14 @@ from moc_opt.trace.trace import Trace
 
 COURSE_SHARE = 0.25  #: Courses try to keep this share of ``[control] shaft_margin``.
 V_PERIOD_S = 0.1  #: Time step of the pose map.
-TARGETS_PER_TIME = 20  #: Targets of tip and wrist per time step of the map.
+TARGETS_PER_TIME = 20  #: Targets per time step of the map.
 HALF_CELL = 0.5  #: First ``cell`` of `Value` to be tried. With 0, courses near singular poses are lost.
 SPEEDS = (1.0, 0.7, 0.4)
 """Factors on ``[control] course_speed_fraction``, tried in this order until a course is smooth and can brake."""
 HURRY, WORTH_IT = 1.12, 0.01
 """The speed factor `HURRY` is tried before `SPEEDS` if it raises mean mu by more than the share `WORTH_IT`."""
 FASTEST = 0.97  #: Largest speed share that `HURRY` gives. A larger ``course_speed_fraction`` stays as it is.
-BRAKE_SHARE = 0.9  #: Share of the safety filter's deceleration that courses made before the run use.
+BRAKE_SHARE = 0.9  #: Share of the safety filter's deceleration for courses made before the run.
 SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}
 """Weight of the squared acceleration [s^4/rad^2] of courses made before the run (planned) or during it (receding)."""
 MOST_OFF_M = 1e-3  #: Distance of tip or wrist from its target, above which a course file is refused.
@@ -49,7 +49,7 @@ class Following:
     settings: ControlSettings
     targets: Callable[..., Targets]  #: its arguments: wanted time between targets [s], factor on their number
     brake: float  #: safety filter's deceleration before a joint limit [rad/s^2]
-    period_s: float  #: control period [s]
+    period_s: float  #: control period
 
     def stuck(self, part: float) -> ScenarioError:
         """Return the error for a path without a course at speeds up to ``part`` times ``course_speed_fraction``."""
@@ -77,7 +77,7 @@ class Ways:
 
     @property
     def speeds(self) -> tuple[float, ...]:
-        """The speed factors to try: `SPEEDS`, preceded by `HURRY` if `HURRY` raises mean mu enough."""
+        """The speed factors to try, in this order."""
         q, mu = self.run.q_start, float(self.run.robot.state(self.run.q_start).mu)
         usual, fast = (self.at(part)[0].of(q, mu) for part in (1.0, HURRY))
         return (HURRY, *SPEEDS) if fast > (1.0 + WORTH_IT) * usual else SPEEDS
@@ -189,7 +189,7 @@ def load_course(
     """Read the file of ``[control] course``; return its course at the targets, and limits for `refine`.
 
     Raises:
-        ScenarioError: the file cannot be read, or has no course that the third level can follow in this run.
+        ScenarioError: the file cannot be read, or the third level cannot follow its course.
     """
 
     def refused(why: str, cure: str = PLAN_IT) -> ScenarioError:

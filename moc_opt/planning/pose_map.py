@@ -34,8 +34,8 @@ PEAKS = 4  #: Largest number of local maxima in `PoseMap.peaks`.
 STEP_RAD = 0.03  #: Spacing of the samples along a traced curve.
 SEEDS = 64  #: Random starts of inverse kinematics at the first time. Each later time has a sixteenth as many.
 MOST_CURVES = 16  #: Largest number of curves at one time.
-SAME_CURVE = 0.7  #: A pose is on a known curve if it is nearer to a sample than this share of the samples' spacing.
-NO_LIMIT_RAD = 20.0  #: Joint limit, to both sides, of an arm from `without_limits`.
+SAME_CURVE = 0.7  #: A pose is on a known curve if it is nearer to a sample than this share of the spacing.
+NO_LIMIT_RAD = 20.0  #: See `without_limits`.
 REACHED_M = 1e-9  #: Error of tip and wrist below which `reach` accepts a pose.
 SCANNED, SCANS = "scanned, all branches", 360  #: Name of `largest_mu`'s closed-form method, and its number of swivels.
 STARTS, LATER = 96, 12  #: Random starts of `largest_mu` at the first point, and at each later point.
@@ -258,7 +258,7 @@ def _traced(robot: RobotModel, targets: Targets, q_start: Array, step_rad: float
 
 
 class Largest(NamedTuple):
-    """The largest mu at k points, and how it was found."""
+    """The largest mu at k points."""
 
     mu: Array  #: (k,) [m^3]
     method: str  #: `SCANNED`, or "best found of N starts".

@@ -59,7 +59,7 @@ class Program:
         """Write the program for K = ``nodes`` times after the start, ``period_s`` [s] apart.
 
         Args:
-            mu: mu_0, a typical mu, which scales the objective [m^3].
+            mu: mu_0, which scales the objective [m^3].
             top: largest mu, which scales the penalty of `lowered` [m^3]. If 0, mu_0 is used.
             smoothness: w [s^4/rad^2].
             brake: deceleration with which joints must be able to stop before their limits [rad/s^2]; inf: no such rule.
@@ -118,7 +118,7 @@ class Program:
         self, guess: Array, start: Array, targets: Targets, speed: Array | None = None, end: End | None = None,
         period_s: float | None = None,
     ) -> tuple[Array, bool]:  # fmt: skip
-        """Return poses (K,n) [rad], perhaps NaN, and whether the solver met its tolerances.
+        """Return poses (K,n) [rad], which may be NaN, and whether the solver met its tolerances.
 
         The iteration begins at ``guess`` (K,n). The course leaves ``start`` (n,) at ``speed`` (n,) [rad/s]. ``end``
         describes V near the last pose. ``period_s`` replaces the program's period.
@@ -151,7 +151,7 @@ def refine(
     The given course is returned unchanged if the answer is infeasible or worse. Smoothness and braking may cost the
     share `SMOOTH_LOSS` of mean mu.
     """
-    # The program without the shaft margin is faster. Its answer is used if all poses keep the margin anyway.
+    # The program is faster without the shaft margin, which the answer may keep anyway.
     if limits.shaft > 0.0 and _above(robot, course, limits):
         bare = replace(limits, shaft=0.0)
         free = refine(robot, targets, course, bare, smoothness=smoothness, brake=brake)

@@ -2,8 +2,8 @@
 
     V_k(p) = g_k(p) + max { V_{k+1}(p') - c |q - q'|^2 / dt : |q - q'| <= v_max dt for every joint }
 
-p is a pose at time k with joint positions q, and p' is a pose one time step dt later with joint positions q'. v_max are
-the allowed joint speeds, g is mu dt, and c is the penalty's weight.
+The poses p and p' have the joint positions q and q', and p' is one time step dt later than p. g is mu dt, v_max the
+allowed joint speeds, and c the penalty's weight.
 """
 
 from __future__ import annotations

@@ -102,7 +102,7 @@ class SelfMotion:
             miss, pose = self._robot.arm.nearest_pose(*self._task, between, 10)
             if miss < 1e-10:
                 return pose
-        # Newton's method can fail near a joint limit or a singular pose. The nearest sample is returned then.
+        # Newton's method can fail near a joint limit or a singular pose.
         return np.array(self.q[round(place)])
 
     @property

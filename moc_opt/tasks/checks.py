@@ -15,14 +15,14 @@ TimeLike = float | ArrayLike
 
 
 def number(name: str, value: object, above: float = -math.inf) -> float:
-    """Return the value as a float. Raise a TaskError if it is not finite or not above ``above``."""
+    """Return a finite float greater than ``above``, or raise a TaskError."""
     if not (is_number(value) and max(above, -1e300) < value < 1e300):  # type: ignore[operator]
         raise TaskError(f"{name} = {value!r}: give one finite number" + (" above zero" if above == 0.0 else ""))
     return float(value)  # type: ignore[arg-type]
 
 
 def positive(name: str, value: object) -> float:
-    """Return the value as a float. Raise a TaskError if it is not finite or not above zero."""
+    """Return a finite float greater than zero, or raise a TaskError."""
     return number(name, value, above=0.0)
 
 

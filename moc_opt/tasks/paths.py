@@ -25,7 +25,7 @@ GROUP = "moc_opt.tasks"
 WAYPOINTS = "waypoints"
 MOST = 1000  #: Largest number of waypoints.
 FARTHEST_M = 1000.0  #: Largest distance of a waypoint from the start along each axis.
-_SLOWEST = 0.05  # lower bound on |dp/dw|, where p is the point at chord length w; below it, the path is refused
+_SLOWEST = 0.05  # least |dp/dw| of an allowed path, where p is the point at chord length w
 
 
 class Path:
@@ -99,7 +99,7 @@ class Waypoints(Path):
         self._rows_of: list[list[list[float]]] = self._pieces.tolist()
 
     def curvature(self, s: float) -> float:
-        """Return the absolute curvature [1/m] at s [m], because a path in three dimensions has no left and right."""
+        """Return the absolute curvature [1/m] at s [m], because in three dimensions there is no left and right."""
         return math.hypot(*self._point(s)[6:])
 
     def points(self, s: Array) -> Array:

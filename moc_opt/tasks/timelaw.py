@@ -28,7 +28,7 @@ def quintic(u: Number) -> tuple[Number, Number, Number]:
 def duration(path: Path, v_max: float, a_max: float) -> float:
     """Compute the shortest duration T [s] of the quintic law within the limits.
 
-    D is the path's length, kappa its curvature, u = t/T, s(u) the `quintic`, s' = ds/du and s'' = d2s/du2:
+    D is the path's length, kappa its curvature, u = t/T, s(u) the `quintic`, and s' = ds/du:
         |velocity| = D s'/T                   at most 15 D / (8 T),
         |acceleration| = D g(u) / T^2         with g(u)^2 = s''^2 + (D kappa(D s) s'^2)^2,
     so that T = max(15 D / (8 v_max), sqrt(D max_u g(u) / a_max)).

@@ -143,9 +143,9 @@ class BoardTask:
 
     kind: str  #: kind of path; see `make_path`
     sizes: Mapping[str, float]  #: sizes of the path, lengths in m
-    start_m: tuple[float, float] = (0.0, 0.0)  #: start of the path, x and y in the board's frame [m]
-    height_m: float = 0.005  #: height of the path above the board [m]
-    depth_m: float = 0.15  #: depth of the board below the trocar [m]
+    start_m: tuple[float, float] = (0.0, 0.0)  #: start of the path, x and y in the board's frame
+    height_m: float = 0.005  #: height of the path above the board
+    depth_m: float = 0.15  #: depth of the board below the trocar
 
     def on_board(self) -> Path:
         """Return the path in the board's frame."""
@@ -174,7 +174,7 @@ def board_task(name: str) -> BoardTask:
 
 
 def board_below(trocar: ArrayLike, shaft: ArrayLike, depth_m: float) -> Pose:
-    """Return the pose of a board that faces the trocar, `depth_m` [m] below the trocar.
+    """Return the pose of a board that faces the trocar, `depth_m` below it.
 
     ``shaft`` (3,) is the direction from the trocar into the body. The board's x is the base's x, projected on the
     board, and its z points to the trocar. A TaskError is raised if the shaft is parallel to the base's x.

@@ -22,7 +22,7 @@ TISSUE, COVER, STEEL = (92, 100, 178), (70, 60, 150), (150, 148, 145)
 SHAFT_RADIUS_M = 0.004
 _MARKER_BITS = 6  # cells along a marker's side: 4 bits between two cells of black frame
 _CELL_PX = 16  # pixels along one cell of the drawn board
-_FINER = 2  # the scene is drawn this many times finer than the final picture
+_FINER = 2  # the scene is drawn this many times finer than the picture
 
 
 class CameraSettings(VisionSettings):

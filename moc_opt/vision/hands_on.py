@@ -79,13 +79,13 @@ class HandsOn:
 
     status: HandsOnStatus
     trocar: Array  #: (3,) true position of the incision [m]
-    registered: Array | None  #: (3,) registered trocar [m]; None unless the status is REGISTERED
+    registered: Array | None  #: (3,) [m]; None unless the status is REGISTERED
     q: Array  #: (n,) measured pose at the end [rad]
     trace: Trace  #: one row per tick
 
     @property
     def error_m(self) -> float:
-        """Distance of the registered trocar from the true trocar [m]; NaN if none was registered."""
+        """Distance of the registered from the true trocar; NaN if none was registered."""
         return math.nan if self.registered is None else float(np.linalg.norm(self.registered - self.trocar))
 
 

@@ -105,7 +105,7 @@ class Tracked:
 
 
 class BoardTracker:
-    """Tracks a board from picture to picture, and averages its pose over `smoothing_s`.
+    """Estimates the pose of a board, averaged over `smoothing_s`.
 
     If `found_after` sightings far from the estimate agree, the estimate jumps to them. The caller must make sure that
     the tip's reference does not jump with it.
