@@ -1,7 +1,7 @@
-"""Planning for redundant arms, which can reach a point in many poses. A course is a planned joint motion.
+"""Planning for redundant arms. A course is a joint trajectory that executes a path.
 
-- ``self_motion`` traces the poses that share the positions of tip and wrist. ``elbow`` measures the elbow's angle.
-- ``course`` defines targets and courses. ``pose_map`` computes every pose at every time.
+- ``self_motion`` traces the poses with the same tip and wrist. ``elbow`` measures the swivel.
+- ``course`` defines targets and courses. ``pose_map`` computes the poses along a path.
 - ``search`` finds the best course on the map, ``program`` smooths it, and ``plan`` plans a path before a run.
-- ``guides`` makes the courses of a run, and ``follow`` follows them. ``swivel_map`` maps manipulability and runs.
+- ``guides`` makes the courses of a run, and ``follow`` follows them. ``swivel_map`` maps mu over time and swivel.
 """

@@ -1,4 +1,4 @@
-"""Targets of tip and wrist along a path, and courses: joint trajectories that reach them."""
+"""Targets of tip and wrist along a path, and courses that reach them."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from moc_opt.tasks import Reference, Trocar
 
 Margin = float | Array
 """Distance kept from the joint limits, a number or (n,) [rad, or m for a prismatic joint]."""
-SHALLOWEST_M = 0.002  #: Lower bound on the distance from tip to trocar [m].
-MOST_VIOLATION = 1e-8  #: Constraint violation up to which a course counts as feasible [m] or [rad].
+SHALLOWEST_M = 0.002  #: Smallest allowed distance from tip to trocar.
+MOST_VIOLATION = 1e-8  #: `Course.violation` up to which a course counts as feasible.
 WORTH = 10.0  #: Weight of the penalty that `lowered` subtracts from mu.
 
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """Required positions of tip and wrist at k times; read-only arrays."""
+    """Required positions of tip and wrist at k times."""
 
     t_s: Array  #: (k,) evenly spaced [s]
     tip: Array  #: (k,3) [m]
@@ -37,7 +37,7 @@ class Targets:
         return Targets(self.t_s[some], self.tip[some], self.wrist[some], self.arc_length_m[some])
 
     def at(self, t: Array) -> Targets:
-        """Return the targets at times (m,) [s], interpolated linearly."""
+        """Interpolate the targets linearly at times (m,) [s]."""
         tip, wrist = (between(t, self.t_s, rows) for rows in (self.tip, self.wrist))
         return Targets(t, tip, wrist, np.interp(t, self.t_s, self.arc_length_m))
 
@@ -81,16 +81,16 @@ class Course:
     mu: Array  #: (k,) manipulability [m^3]
     violation: float
     """Largest of: tip or wrist error [m], excess over joint limits [rad], excess over the allowed step [rad]."""
-    certified: bool = False  #: Whether a solver has converged to a local optimum.
+    certified: bool = False  #: Whether the nonlinear program has converged to a local optimum.
 
     @property
     def mu_mean(self) -> float:
-        """Mean manipulability over the time [m^3]."""
+        """Mean manipulability over time [m^3]."""
         return time_mean(self.mu)
 
     @property
     def kept(self) -> bool:
-        """Whether the course violates its constraints by at most `MOST_VIOLATION`."""
+        """Whether `violation` is at most `MOST_VIOLATION`."""
         return self.violation <= MOST_VIOLATION
 
 
@@ -98,15 +98,15 @@ class Course:
 class Limits:
     """Limits for a course."""
 
-    margin: Margin = 0.0  #: distance kept from the joint limits
-    speed_share: float = 1.0  #: share of the joints' speed limits that may be used
-    shaft: float = 0.0  #: soft lower bound on `shaft_shares`: at poses below it, `lowered` reduces mu
+    margin: Margin = 0.0  #: distance from the joint limits
+    speed_share: float = 1.0  #: share of the joints' speed limits that a course may use
+    shaft: float = 0.0  #: soft lower bound on `shaft_shares`: below it, `lowered` reduces mu
 
 
 def lowered(mu: Array, share: Array, limits: Limits, top: float) -> Array:
     """Return mu - `WORTH` * top * (1 - s/s_0)^2 where s < s_0, and mu elsewhere.
 
-    s is the ``share`` that `shaft_shares` returns, s_0 is ``limits.shaft``, and ``top`` is the largest mu [m^3].
+    s is the ``share`` from `shaft_shares`, s_0 is ``limits.shaft``, and ``top`` is the largest mu [m^3].
     """
     if limits.shaft <= 0.0:
         return mu
@@ -118,8 +118,7 @@ def lowered(mu: Array, share: Array, limits: Limits, top: float) -> Array:
 def shaft_shares(robot: RobotModel, poses: Array) -> Array:
     """Compute mu_shaft / (distance from wrist to tip)^2, (k,), at the poses (k,n) [rad].
 
-    mu_shaft is the manipulability of the wrist for joint velocities that keep the tip in place. It is near 0 if the
-    joints can hardly turn the shaft about the tip.
+    mu_shaft is the manipulability of the wrist while the tip rests. It is near 0 if the shaft can hardly turn.
     """
     squares = np.array(robot.kinematics().shaft(np.ascontiguousarray(poses).T)).ravel()
     return np.sqrt(np.maximum(squares, 0.0))

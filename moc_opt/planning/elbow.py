@@ -1,7 +1,4 @@
-"""The elbow's swivel angle, and the distance from a pose to the local maximum of the manipulability mu.
-
-The swivel is the angle of the elbow about the line from shoulder to wrist (Kreutz-Delgado, Long and Seraji 1992).
-"""
+"""The elbow's swivel angle (Kreutz-Delgado, Long and Seraji 1992), and the distance to the local maximum of mu."""
 
 from __future__ import annotations
 
@@ -12,11 +9,11 @@ from moc_opt.arrays import Array
 from moc_opt.planning.self_motion import SelfMotion, curve_through, parabola_peak
 from moc_opt.robots.model import RobotModel, link_frames
 
-NEAR_RAD = 0.1  #: Distance to the optimum below which the elbow counts as arrived.
-STILL_RAD_PER_S = 0.05  #: If the distance to the optimum changes more slowly, the elbow counts as resting.
+NEAR_RAD = 0.1  #: Distance to the local maximum below which the elbow counts as arrived.
+STILL_RAD_PER_S = 0.05  #: Rate of change of this distance below which the elbow counts as resting.
 SAMPLES_PER_S = 25.0  #: Scans of the self-motion per second of a run.
 STEP_RAD = 0.1  #: Spacing of the samples of a self-motion.
-WINDOW_S = 0.1  #: Time over which the distance's rate of change is averaged.
+WINDOW_S = 0.1  #: Time over which the rate of change is averaged.
 
 
 class Elbow:
@@ -51,14 +48,14 @@ def _unit(vectors: Array) -> Array:
 
 
 def wrapped(angles: Array) -> Array:
-    """Return the angles [rad], wrapped into [-pi, pi)."""
+    """Wrap angles [rad] into [-pi, pi)."""
     return np.asarray(angles - 2.0 * np.pi * np.floor(angles / (2.0 * np.pi) + 0.5))
 
 
 def distance_to_go(robot: RobotModel, q: ArrayLike) -> Array:
-    """Return the distance (k,) [rad] from each pose (k, n) [rad] to the local maximum of mu.
+    """Return the distance (k,) [rad] along the self-motion from each pose (k, n) to the local maximum of mu.
 
-    The distance is measured along the self-motion (tip and wrist stay in place). It is NaN at a singular pose.
+    It is NaN at a singular pose.
     """
     poses = np.clip(np.asarray(q, dtype=np.float64), robot.q_min, robot.q_max)
     curves = (curve_through(robot, pose, STEP_RAD) for pose in poses)
@@ -75,10 +72,9 @@ def _uphill(curve: SelfMotion) -> float:
 
 
 def in_transient(robot: RobotModel, t_s: ArrayLike, q_rad: ArrayLike) -> NDArray[np.bool_]:
-    """Return for each tick (N,) whether the elbow moves and is away from the local maximum of mu.
+    """Return for each time t_s (N,) whether the elbow moves and is away from the local maximum of mu.
 
-    Args:
-        t_s, q_rad: (N,) times [s], (N, n) true joint positions [rad].
+    ``q_rad`` (N, n) are the true joint positions at these times.
     """
     t, q = np.asarray(t_s, dtype=np.float64), np.asarray(q_rad, dtype=np.float64)
     count = max(2, int(np.ceil((t[-1] - t[0]) * SAMPLES_PER_S)) + 1)

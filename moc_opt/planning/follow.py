@@ -1,8 +1,8 @@
-"""Follow a course (planned joint motion) in the loop. The controller's third level tracks a joint velocity x_d.
+"""Follow a course in the loop. Level 3 gets the desired joint velocity x_d.
 
-    x_d(t) = dq_c(t) + k (q_c(t) - q)
+    x_d = dq_c + k (q_c - q)
 
-q_c is the course, dq_c its velocity, q the measured pose (joint positions) and k a gain.
+q_c is the course, dq_c its velocity, q the measured pose, and k = `GAIN_PER_S`.
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ from moc_opt.planning.search import NEARBY_RAD, Value
 from moc_opt.robots.model import RobotState
 
 GAIN_PER_S = 5.0  #: Gain k of x_d.
-NODES = 10  #: Number of time steps of the nonlinear program that smooths a course.
+NODES = 10  #: Number of time steps of a course made during the run.
 CATCH_UP = 1.03  #: Factor on the joint speed limits for courses made during the run.
 ON_COURSE_RAD = 0.05
-"""If every joint is nearer than this to the old course, a new course begins on the old course. A course that begins at
-the measured pose would close a second feedback loop."""
+"""If every joint is nearer than this to the old course, a new course begins on the old one. A course that begins at the
+measured pose would close a second feedback loop."""
 MOST_OFF = 1e-3  #: A course is refused if its tip or wrist error [m] or its excess over limits [rad] is above this.
 LOST_RAD = 0.3  #: If a joint is farther than this from the course, the arm has left the course.
 NO_COURSE = "q_start: no course within the joint limits and speeds leads from this pose to the end of the path"
-ASKED_EACH = 25  #: Ticks between two checks of whether the arm has left its course.
+ASKED_EACH = 25  #: Ticks between two checks of `LOST_RAD`.
 
 
 class Piece(NamedTuple):
     """A course with cubic Hermite interpolation. After its end, the last pose is held."""
 
-    t_s: Array  #: (k,) times of the poses [s], evenly spaced
-    q_rad: Array  #: (k,n) joint positions [rad]
-    v_rad_per_s: Array  #: (k,n) joint velocities [rad/s]
+    t_s: Array  #: (k,) evenly spaced
+    q_rad: Array  #: (k,n)
+    v_rad_per_s: Array  #: (k,n)
 
     def at(self, t_s: float) -> tuple[Array, Array]:
-        """Return the pose (n,) [rad] and velocity (n,) [rad/s]."""
+        """Return the pose (n,) and velocity (n,)."""
         if t_s >= self.t_s[-1]:
             return self.q_rad[-1], np.zeros_like(self.q_rad[-1])
         dt = self.t_s[1] - self.t_s[0]
@@ -52,29 +52,28 @@ class Piece(NamedTuple):
 
 
 class Planner:
-    """Makes courses from any pose. They last for a fixed time, the horizon, or until the end of the path.
+    """Makes courses that last ``horizon_s`` [s], or until the end of the path.
 
-    A coarse course is read off the value function V, the best integral of manipulability from a pose to the end of the
-    path. `Program` smooths this course.
+    A coarse course is read off the value function, and `Program` smooths it. ``rate_per_s`` is the number of new
+    courses per second.
     """
 
     def __init__(
         self, value: Value, program: Program, targets: Targets, *, horizon_s: float, rate_per_s: float
     ) -> None:
-        """``horizon_s`` is the duration of a course [s], and ``rate_per_s`` the number of new courses per second."""
         self._value, self._program, self._targets = value, program, targets
         self._horizon_s, self.rate_per_s = horizon_s, rate_per_s
         self._solve_s: list[float] = []
         self._refused = 0
 
     def forget(self) -> None:
-        """Rebuild the solver, so that a second run is bitwise equal to the first. This takes 0.15 s."""
+        """Rebuild the solver, so that a second run is bitwise equal to the first. It takes 0.15 s, more than a tick."""
         self._program.forget()
         self._solve_s, self._refused = [], 0
 
     @property
     def told(self) -> dict[str, float]:
-        """The number of ``solves``, the number of ``refused`` answers, and two percentiles of the solve times [ms]."""
+        """The numbers of solves and refused answers, and two percentiles of the solve time [ms]."""
         median, high = np.percentile(1e3 * np.array(self._solve_s or [0.0]), [50.0, 99.0]).tolist()
         return {"solves": len(self._solve_s), "refused": self._refused, "solve_ms_median": median, "solve_ms_p99": high}
 
@@ -117,7 +116,7 @@ class Planner:
 
 
 class Follower:
-    """The desired joint velocities of one run, one per control period (tick)."""
+    """The desired joint velocities of one run, one per tick."""
 
     def __init__(
         self, period_s: float, *, course: Course | None = None, planner: Planner | None = None,
@@ -125,13 +124,13 @@ class Follower:
     ) -> None:  # fmt: skip
         """Follow a given course, or a planner's courses from ``q_start`` (n,) [rad].
 
-        With course and planner, the planner takes over once the arm has left the course. Raise a TaskError if there is
-        no course at t = 0.
+        With both, the planner takes over once the arm has left the course. Raise a TaskError if there is no course at
+        t = 0.
         """
         self._period, self._planner, self._q_start = period_s, planner, q_start
         self._given: Piece | None = None
         self.course_mu_mean = None if course is None else course.mu_mean
-        """Mean manipulability of the given course [m^3], or None."""
+        """Mean mu of the given course [m^3], or None."""
         if course is not None:
             velocity = np.gradient(course.q_rad, course.t_s, axis=0)
             velocity[-1] = 0.0
@@ -146,7 +145,7 @@ class Follower:
         self._tick, self._begun = 0, -1
         self._now: Piece | None = self._given
         if self._planner is not None:
-            self._planner.forget()  # takes 0.15 s, too long for a tick
+            self._planner.forget()
             if self._q_start is not None:
                 self._begin(self._planner, self._q_start)
 
@@ -165,21 +164,20 @@ class Follower:
         return {**left, **self._planner.told}
 
     def desired_velocity(self, state: RobotState) -> Array:
-        """Return x_d (n,) [rad/s] of this tick, and advance to the next tick."""
+        """Return x_d (n,) [rad/s] of this tick, and advance to the next one."""
         t, planner = self._tick * self._period, self._planner
         assert self._now is not None
         if planner is not None and self._begun < 0 and self._tick % ASKED_EACH == 0:
             if np.abs(self._now.at(t)[0] - state.q).max() > LOST_RAD:
                 self._begin(planner, state.q)
         elif planner is not None and 0 <= self._begun < self._tick and self._tick % self._every == 0:
-            # The new course takes effect at the next solve, as if a solve took the whole time until then. Now the
-            # course of the previous solve takes effect. If the new solve gives no course, the course followed so far
-            # returns at the next solve. For an arm on a rail, this was more accurate than to keep the course of the
-            # previous solve.
+            # A new course takes effect at the next solve, as if its own solve took that long. If a solve gives no
+            # course, the course followed so far returns at the next solve. For an arm on a rail, this was more
+            # accurate than to keep the course of the previous solve.
             now, self._next = self._next, planner.plan(state.q, t, self._now) or self._now
             self._before, self._now = self._now, now
         q, v = self._now.at(t)
-        if self._begun >= 0:  # blend from the previous course to the current course
+        if self._begun >= 0:  # blend from the previous course to the current one
             part, (q_0, v_0) = (self._tick % self._every) / self._every, self._before.at(t)
             q, v = (1.0 - part) * q_0 + part * q, (1.0 - part) * v_0 + part * v
         self._tick += 1

@@ -1,8 +1,4 @@
-"""Make the guides of a run. A guide tells the controller's third level which joint velocity to follow.
-
-The third level moves the arm around a fixed tool tip and shaft. The velocity comes from a course (planned joint motion)
-that is made before or during the run.
-"""
+"""Make the guides of a run, which give level 3 its desired joint velocity from a course."""
 
 from __future__ import annotations
 
@@ -26,16 +22,16 @@ from moc_opt.planning.search import WHOLE_CELL, Value, Way, keeping_shaft
 from moc_opt.robots.model import RobotModel
 from moc_opt.trace.trace import Trace
 
-COURSE_SHARE = 0.25  #: Courses try to keep this share of ``shaft_margin``, the least manipulability of the shaft.
-V_PERIOD_S = 0.1  #: Time step of the pose map (samples of the arm's poses along the path) [s].
-TARGETS_PER_TIME = 20  #: Targets of tip and wrist per time step of the map.
-HALF_CELL = 0.5  #: First tolerance for the map's spacing [half spacings]. With 0, courses near singular poses are lost.
+COURSE_SHARE = 0.25  #: Courses try to keep this share of ``[control] shaft_margin``.
+V_PERIOD_S = 0.1  #: Time step of the pose map.
+TARGETS_PER_TIME = 20  #: Targets per time step of the map.
+HALF_CELL = 0.5  #: First ``cell`` of `Value` to be tried. With 0, courses near singular poses are lost.
 SPEEDS = (1.0, 0.7, 0.4)
-"""Shares of ``[control] course_speed_fraction``, tried in this order until a course is smooth and can brake."""
+"""Factors on ``[control] course_speed_fraction``, tried in this order until a course is smooth and can brake."""
 HURRY, WORTH_IT = 1.12, 0.01
-"""The speed factor `HURRY` is tried before `SPEEDS` if it raises mean mu (manipulability) by more than `WORTH_IT`."""
+"""The speed factor `HURRY` is tried before `SPEEDS` if it raises mean mu by more than the share `WORTH_IT`."""
 FASTEST = 0.97  #: Largest speed share that `HURRY` gives. A larger ``course_speed_fraction`` stays as it is.
-BRAKE_SHARE = 0.9  #: Share of the safety filter's deceleration that courses made before the run use.
+BRAKE_SHARE = 0.9  #: Share of the safety filter's deceleration for courses made before the run.
 SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}
 """Weight of the squared acceleration [s^4/rad^2] of courses made before the run (planned) or during it (receding)."""
 MOST_OFF_M = 1e-3  #: Distance of tip or wrist from its target, above which a course file is refused.
@@ -53,7 +49,7 @@ class Following:
     settings: ControlSettings
     targets: Callable[..., Targets]  #: its arguments: wanted time between targets [s], factor on their number
     brake: float  #: safety filter's deceleration before a joint limit [rad/s^2]
-    period_s: float  #: control period [s]
+    period_s: float  #: control period
 
     def stuck(self, part: float) -> ScenarioError:
         """Return the error for a path without a course at speeds up to ``part`` times ``course_speed_fraction``."""
@@ -67,7 +63,7 @@ class Following:
 
 
 class Ways:
-    """A coarse pose map of a path, and the best course on the map for each speed."""
+    """A coarse pose map of a path, and the best course on it for each speed."""
 
     def __init__(self, run: Following) -> None:
         self.run, settings = run, run.settings
@@ -81,15 +77,15 @@ class Ways:
 
     @property
     def speeds(self) -> tuple[float, ...]:
-        """The speed factors to try: `SPEEDS`, preceded by `HURRY` if `HURRY` raises mean mu enough (`WORTH_IT`)."""
+        """The speed factors to try, in this order."""
         q, mu = self.run.q_start, float(self.run.robot.state(self.run.q_start).mu)
         usual, fast = (self.at(part)[0].of(q, mu) for part in (1.0, HURRY))
         return (HURRY, *SPEEDS) if fast > (1.0 + WORTH_IT) * usual else SPEEDS
 
     def at(self, part: float) -> tuple[Value, Limits, Way]:
-        """Return (value function V, limits, best coarse course) at ``part`` times the ``course_speed_fraction``.
+        """Return value function, limits and best coarse course at ``part`` times ``course_speed_fraction``.
 
-        V is the best integral of mu from a pose to the path's end. A ScenarioError is raised if there is no course.
+        Raise a ScenarioError if there is no course.
         """
         if part not in self._known:
             run, settings = self.run, self.run.settings
@@ -113,10 +109,10 @@ class Ways:
 def guides(run: Following) -> Callable[[], Guide] | None:
     """Plan the run once, and return a function that makes a guide for each controller.
 
-    With ``third_level = "local"``, no course is needed: return None.
+    With ``third_level = "local"``, return None.
 
     Raises:
-        ControlError: the third level cannot follow a course under these settings.
+        ControlError: the settings do not allow a course.
         ScenarioError: the path cannot be executed from the start.
         TaskError: no smooth course was found at the start.
     """
@@ -159,7 +155,7 @@ def replanned(ways: Ways) -> Callable[[], Planner]:
 
 
 def followed_course(run: Following, ways: Ways | None = None) -> Course:
-    """Find a smooth course with a large mean mu from the run's start.
+    """Find a smooth course from the run's start.
 
     Raises:
         ScenarioError: no course reaches the end of the path, or the course file is refused.
@@ -172,7 +168,7 @@ def followed_course(run: Following, ways: Ways | None = None) -> Course:
             found = refine(robot, targets, course, limits, smoothness=smooth, brake=rule)
             if found is not course:
                 return found
-        return course  # the file's course, because no smooth course with nearly the same mu was found
+        return course  # no smooth course with nearly the same mu was found
     ways, other = ways or Ways(run), []
     for part, rule in [*((part, brake) for part in ways.speeds), (SPEEDS[-1], np.inf)]:
         _, limits, way = ways.at(part)
@@ -193,7 +189,7 @@ def load_course(
     """Read the file of ``[control] course``; return its course at the targets, and limits for `refine`.
 
     Raises:
-        ScenarioError: the file cannot be read, or has no course that the third level can follow in this run.
+        ScenarioError: the file cannot be read, or the third level cannot follow its course.
     """
 
     def refused(why: str, cure: str = PLAN_IT) -> ScenarioError:
@@ -259,10 +255,7 @@ def speed_shares(robot: RobotModel, poses: Array, period_s: float) -> Array:
 
 
 def too_fast_to_follow(settings: ControlSettings, robot: RobotModel, shares: Array) -> tuple[str, str] | None:
-    """Return (message, cure) if a joint is too fast for the third level, else None.
-
-    ``shares`` (n,) is from `speed_shares`.
-    """
+    """Return (message, cure) if one of the `speed_shares` (n,) is too large for the third level, else None."""
     allowed = settings.course_speed_fraction
     shares = np.where(robot.moves.any(axis=0), shares, 0.0)
     j = int(np.argmax(shares))

@@ -1,4 +1,4 @@
-"""Plan a path before a run: whether it can be executed, and along which course (joint trajectory)."""
+"""Plan a path before a run: whether it can be executed, and along which course."""
 
 from __future__ import annotations
 
@@ -19,36 +19,35 @@ from moc_opt.planning.program import refine
 from moc_opt.planning.search import WHOLE_CELL, Value, keeping_shaft, reached
 from moc_opt.robots.model import RobotModel
 
-ROOM = 0.01
-"""Relative gap of mean mu (manipulability) to its bound, above which another course is tried."""
+ROOM = 0.01  #: Relative gap of mean mu to its bound above which another course is tried.
 
 
 @dataclass(frozen=True, eq=False)
 class Blocked:
     """The first point of the path that no course reaches from the start."""
 
-    t_s: float  #: Time [s].
-    arc_length_m: float  #: Length of the tip's path up to this point [m].
-    tip_m: tuple[float, float, float]  #: Position of the tip [m].
-    reason: str  #: The obstacle in words.
+    t_s: float
+    arc_length_m: float  #: Length of the tip's path up to this point.
+    tip_m: tuple[float, float, float]
+    reason: str
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
     """The plan of a path from one start; k times, n joints."""
 
-    targets: Targets  #: Targets of tip and wrist, (k,3) each [m].
+    targets: Targets
     from_start: Course | None  #: Best course from the start, or None.
     best: Course | None  #: Best course from any start pose, or None.
-    climbed: Course  #: Course that climbs mu locally. It ends before the path's end if a limit blocks the way.
+    climbed: Course  #: The local climb. It ends before the path's end if a limit blocks the way.
     bound_from_start: float
     """Estimated upper bound of mean mu from the start [m^3]; NaN if ``from_start`` is None or has a larger mean mu."""
-    bound: float  #: The same bound over all starts [m^3]; NaN if ``best`` is None or has a larger mean mu.
+    bound: float  #: The same bound for ``best``, over all starts [m^3].
     blocked: Blocked | None  #: Where and why the path cannot be executed from the start, or None.
-    start_swivel_rad: float  #: Swivel (elbow angle) at the start [rad]; see `elbow`.
-    best_swivel_rad: float  #: Swivel at the start of ``best`` [rad].
-    swivel_rad: Array  #: (k,) swivel along ``course`` [rad].
-    took_s: Mapping[str, float]  #: Times [s] of the steps "map", "search", "bound" and "refine".
+    start_swivel_rad: float
+    best_swivel_rad: float  #: Swivel at the start of ``best``.
+    swivel_rad: Array  #: (k,) swivel along ``course``.
+    took_s: Mapping[str, float]  #: Times of the steps "map", "search", "bound" and "refine".
 
     def __repr__(self) -> str:
         stuck = self.blocked
@@ -66,7 +65,7 @@ class Plan:
 
     @property
     def course(self) -> Course | None:
-        """The best course from the start or, if there is none, from any start pose."""
+        """``from_start`` or, if it is None, ``best``."""
         return self.from_start if self.from_start is not None else self.best
 
     @property
@@ -79,15 +78,13 @@ def make_plan(
     robot: RobotModel, q_start: Array, targets: Targets, limits: Limits | None = None, *, swivels: int = SWIVELS,
     refined: bool = True,
 ) -> Plan:  # fmt: skip
-    """Find the best course along a path from the given start pose, and the best course from any start pose.
-
-    The search uses a map: samples of the arm's poses at each time, with tip and wrist at their targets.
+    """Find the best course from the given start, and the best course from any start.
 
     Args:
         q_start: (n,) pose with tip and wrist at the first target [rad].
-        targets: targets of tip and wrist at k evenly spaced times, (k,3) each [m].
+        targets: positions of tip and wrist along the path.
         limits: by default the joints' own limits and speeds, without margin.
-        swivels: number of samples in one turn of the elbow, 8 to `pose_map.MOST_SWIVELS`.
+        swivels: number of swivels on the map, 8 to `pose_map.MOST_SWIVELS`.
         refined: whether the nonlinear program improves the courses of the search.
 
     Raises:
@@ -166,16 +163,16 @@ def check_limits(robot: RobotModel, limits: Limits) -> None:
 
 
 def best_course(value: Value, start: Array | None) -> Array | None:
-    """Return the best course (k,n) on the map from ``start`` (n,) or, if it is None, from any pose of the map."""
+    """Return the best course (k,n) on the map from ``start`` (n,), or from any pose if ``start`` is None."""
     start = value.best()[1] if start is None else start
     way = None if start is None else value.way(start)
     return None if way is None else way.q_rad
 
 
 def climb(found: PoseMap, start: Array, limits: Limits) -> Array:
-    """Climb mu from the start (n,) over the poses of the map; return the poses (k,n).
+    """Return the poses (k,n) of the local climb from ``start`` (n,) over the map.
 
-    The poses stop before the path's end if no pose at the next time is within reach.
+    They stop before the path's end if no pose at the next time is within reach.
     """
     step, feasible = limits.speed_share * found.robot.v_max * found.targets.period_s, found.feasible(limits.margin)
     poses = [np.array(start)]

@@ -1,8 +1,8 @@
-"""Map the poses of an arm at each point of a path, with their manipulability mu and distance to joint limits.
+"""Map the poses of an arm at each point of a path, with mu and the distance to joint limits.
 
-For arms whose axes meet in a shoulder, an elbow and a wrist, the poses have a closed form in the elbow's swivel angle
-(Kreutz-Delgado, Long and Seraji 1992). For any other arm, curves of poses are traced numerically. With a null space of
-several dimensions, the curves contain only some of the poses.
+If the axes meet in a shoulder, an elbow and a wrist, the poses have a closed form in the swivel (Kreutz-Delgado, Long
+and Seraji 1992). For any other arm, curves of poses are traced numerically. With a null space of several dimensions,
+the curves contain only some of the poses.
 """
 
 from __future__ import annotations
@@ -25,23 +25,22 @@ from moc_opt.robots.model import RobotModel, link_frames
 
 Flags = NDArray[np.bool_]
 
-EXACT_M = 1e-7  #: Axes that pass each other within this distance count as meeting [m].
-BRANCHES = 8  #: Branches of inverse kinematics. Bits 0, 1, 2 of an index are 1 if t2, t4, t6 of `ClosedForm` are < 0.
+EXACT_M = 1e-7  #: Distance up to which two axes count as meeting.
+BRANCHES = 8  #: Number of branches. Bits 0, 1, 2 of a branch's index are 1 if t2, t4, t6 of `ClosedForm` are < 0.
 STRAIGHT = 1e-9  #: Sine of the angle between forearm and line shoulder-wrist. Below it, the map has no pose.
 ROUNDING_RAD = 1e-9  #: Tolerance of the joint limits.
-SWIVELS, MOST_SWIVELS = 720, 2880  #: Default and maximum number of evenly spaced swivel angles.
-PEAKS = 4  #: Upper bound on the number of local maxima of the map at which ascents of mu start.
+SWIVELS, MOST_SWIVELS = 720, 2880  #: Default and largest number of swivels.
+PEAKS = 4  #: Largest number of local maxima in `PoseMap.peaks`.
 STEP_RAD = 0.03  #: Spacing of the samples along a traced curve.
-SEEDS = 64  #: Number of random starts of inverse kinematics at the first time. Each later time has a sixteenth as many.
-MOST_CURVES = 16  #: Upper bound on the number of curves at one time.
-SAME_CURVE = 0.7  #: A pose is on a known curve if it is nearer to a sample than this share of the samples' spacing.
-NO_LIMIT_RAD = 20.0  #: Joint limit, to both sides, of an arm from `without_limits`.
+SEEDS = 64  #: Random starts of inverse kinematics at the first time. Each later time has a sixteenth as many.
+MOST_CURVES = 16  #: Largest number of curves at one time.
+SAME_CURVE = 0.7  #: A pose is on a known curve if it is nearer to a sample than this share of the spacing.
+NO_LIMIT_RAD = 20.0  #: See `without_limits`.
 REACHED_M = 1e-9  #: Error of tip and wrist below which `reach` accepts a pose.
 SCANNED, SCANS = "scanned, all branches", 360  #: Name of `largest_mu`'s closed-form method, and its number of swivels.
-STARTS, LATER = 96, 12
-"""Numbers of random starts of `largest_mu` at the first point, and at each later point."""
-KEPT = 6  #: Upper bound on the number of maxima that a point hands on to its neighbours.
-SAME = 1e-5  #: Relative difference of mu below which two maxima count as one.
+STARTS, LATER = 96, 12  #: Random starts of `largest_mu` at the first point, and at each later point.
+KEPT = 6  #: Largest number of maxima that a point hands on to its neighbours.
+SAME = 1e-5  #: Relative difference of mu up to which two maxima count as one.
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,9 +54,8 @@ class PoseMap:
     targets: Targets
     q_rad: Array  #: (k,b,m,n)
     mu: Array  #: (k,b,m) [m^3], also beyond joint limits
-    room_rad: Array
-    """(k,b,m) smallest distance of a joint from its limits; negative beyond a limit"""
-    closed: ClosedForm | None = None  #: normal form of the arm; None if the curves are traced
+    room_rad: Array  #: (k,b,m) smallest distance of a joint from its limits, negative beyond a limit
+    closed: ClosedForm | None = None  #: normal form of the arm, None if the curves are traced
 
     def feasible(self, margin: Margin = 0.0) -> Flags:
         """Return flags (k,b,m): whether every joint keeps the margin from its limits."""
@@ -65,7 +63,7 @@ class PoseMap:
         return np.asarray(room >= -ROUNDING_RAD)
 
     def crossing(self, k: int, step_rad: Array) -> NDArray[np.int64]:
-        """Return a mask per sample (m,): bits of the index of `BRANCHES` that a step (n,) [rad] can flip at time k."""
+        """Return a mask (m,) of the bits of the branch's index that a step (n,) [rad] can flip at time k."""
         if self.closed is None:
             return np.zeros(self.mu.shape[2], dtype=np.int64)
         with np.errstate(invalid="ignore"):
@@ -83,11 +81,11 @@ class PoseMap:
 
 
 def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = SWIVELS) -> PoseMap:
-    """Make the map, in closed form if the arm has a closed form, else by tracing.
+    """Make the map, in closed form if the arm has one, else by tracing.
 
     Args:
         q_start: (n,) [rad] a pose for the first target.
-        swivels: number of swivel angles in one turn, 8 to `MOST_SWIVELS`. Above `SWIVELS`, traced curves become finer.
+        swivels: number of swivels, 8 to `MOST_SWIVELS`. Above `SWIVELS`, traced curves become finer.
     """
     if not isinstance(swivels, numbers.Integral) or not 8 <= int(swivels) <= MOST_SWIVELS:
         raise RobotError(f"swivels = {shown(swivels)}: give a whole number from 8 to {MOST_SWIVELS}")
@@ -114,10 +112,7 @@ class ClosedForm(NamedTuple):
 
 
 def closed_form(robot: RobotModel) -> ClosedForm | None:
-    """Find the normal form of an arm from its joint axes at q = 0, or None.
-
-    Arms with a joint range above one turn are excluded.
-    """
+    """Return the normal form of an arm; None if it has none, or if a joint's range exceeds one turn."""
     chain = robot.chain
     if robot.n != 7 or chain.prismatic.any():
         return None
@@ -126,7 +121,7 @@ def closed_form(robot: RobotModel) -> ClosedForm | None:
     if np.abs((axes[:-1] * axes[1:]).sum(axis=1)).max() > EXACT_M:
         return None
     tip, wrist = (origins[6] + rotations[6] @ offset for offset in chain.offsets)
-    # On axes 1, 3 and 5, find the point nearest to the next axis.
+    # the points of axes 1, 3 and 5 that are nearest to the next axis
     shoulder, elbow, center = (origins[j] + axes[j] * ((origins[j + 1] - origins[j]) @ axes[j]) for j in (0, 2, 4))
     through = [(shoulder, 1), (shoulder, 2), (elbow, 3), (elbow, 4), (center, 5), (center, 6), (tip, 6)]
     off = [np.linalg.norm(np.cross(point - origins[j], axes[j])) for point, j in through]
@@ -145,7 +140,7 @@ def closed_form(robot: RobotModel) -> ClosedForm | None:
 
 def _closed(robot: RobotModel, arm: ClosedForm, targets: Targets, idle_rad: float) -> PoseMap:
     angles = np.moveaxis(_angles(arm, targets), -1, 0)
-    s, e, w = (np.arange(BRANCHES) >> bit & 1 for bit in range(3))  # whether t2, t4, t6 of `ClosedForm` is negative
+    s, e, w = (np.arange(BRANCHES) >> bit & 1 for bit in range(3))  # whether t2, t4, t6 is negative
     flips = np.stack([s, s, s ^ e, e, e ^ w, w], axis=1)
     other = np.stack([-angle if j % 2 else angle + np.pi for j, angle in enumerate(angles)])
     column = np.s_[:6, None, None]
@@ -263,7 +258,7 @@ def _traced(robot: RobotModel, targets: Targets, q_start: Array, step_rad: float
 
 
 class Largest(NamedTuple):
-    """The largest mu at k points, and how it was found."""
+    """The largest mu at k points."""
 
     mu: Array  #: (k,) [m^3]
     method: str  #: `SCANNED`, or "best found of N starts".

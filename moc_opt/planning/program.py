@@ -1,4 +1,4 @@
-"""Optimize a course (a joint trajectory) by direct transcription.
+"""Optimize a course by direct transcription.
 
 The variables q are the positions of the joints that move tip or wrist, at K evenly spaced times after a fixed start:
 
@@ -6,11 +6,10 @@ The variables q are the positions of the joints that move tip or wrist, at K eve
     s.t. X(q_k) = X_d,  B_k^T (N(q_k) - X_d) = 0,  q_min <= q_k <= q_max,  |q_k - q_k-1| <= v_max dt,
          and no joint is `too_fast` towards its limit
 
-mu is the manipulability, reduced by a penalty where the shaft share is below `Limits.shaft`, the shaft margin. The
-shaft share is near 0 if the joints can hardly turn the shaft while the tip rests. mu_0 is a typical mu, w a weight, T
-is `SETTLED_S`, and dt is the time step. X(q) is the tip, X_d its target, and N(q) the wrist. The columns of B_k (3,2)
-are orthogonal to the desired shaft, so that N lies on it. |X - N| is constant, so a third equation for N would make
-multipliers ambiguous. V is the value function of `search`: the largest integral of mu from the last pose to the end.
+mu is reduced by `lowered`, mu_0 is a typical mu, w a weight, T = `SETTLED_S`, dt the time step, and V the value
+function of `search`. X(q) is the tip, X_d its target, and N(q) the wrist. The columns of B_k (3,2) are orthogonal to
+the desired shaft, so that N lies on it. |X - N| is constant, so a third equation for N would make multipliers
+ambiguous.
 """
 
 from __future__ import annotations
@@ -26,8 +25,8 @@ from moc_opt.planning.course import WORTH, Course, Limits, Targets, make_course,
 from moc_opt.planning.search import End
 from moc_opt.robots.model import RobotModel
 
-# Settings of ipopt for a whole path. With a larger mu_init (barrier parameter), ipopt often turns a guess
-# with fast joint motions into a course with slow ones.
+# Settings of ipopt for a whole path. With a larger mu_init (barrier parameter), ipopt often turns fast joint motions
+# of the guess into slow ones.
 WHOLE: dict[str, Any] = {
     "print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.max_iter": 300, "ipopt.tol": 1e-8,
     "ipopt.constr_viol_tol": 1e-10, "ipopt.bound_relax_factor": 0.0, "ipopt.honor_original_bounds": "yes",
@@ -43,7 +42,7 @@ HORIZON: dict[str, Any] = {
         "osqp": {"verbose": False, "max_iter": 1000, "eps_abs": 1e-5, "eps_rel": 1e-5, "adaptive_rho_interval": 25},
     },
 }  # fmt: skip
-SETTLED_S = 0.3  #: Time T in the objective above [s].
+SETTLED_S = 0.3  #: Time T in the objective above.
 SOFT_RAD = 0.003  #: e in `too_fast`; it keeps the derivative finite at the joint limit.
 SMOOTH_LOSS = 0.05  #: Share of mean mu that smoothness and braking may cost.
 LEAST_SHARE = 1e-4  #: The shaft share s is replaced by sqrt(s^2 + `LEAST_SHARE`^2), which is smooth at s = 0.
@@ -60,13 +59,13 @@ class Program:
         """Write the program for K = ``nodes`` times after the start, ``period_s`` [s] apart.
 
         Args:
-            mu: mu_0, a typical mu, which scales the objective [m^3].
-            top: largest mu, which scales the penalty on the shaft share [m^3]. If 0, mu_0 is used.
+            mu: mu_0, which scales the objective [m^3].
+            top: largest mu, which scales the penalty of `lowered` [m^3]. If 0, mu_0 is used.
             smoothness: w [s^4/rad^2].
             brake: deceleration with which joints must be able to stop before their limits [rad/s^2]; inf: no such rule.
-            horizon: use three SQP steps instead of ipopt, and leave out the penalty on stopping after the last time.
+            horizon: use SQP instead of ipopt, and leave out the penalty on stopping after the last time.
         """
-        import casadi as ca  # imported late: it takes half a second
+        import casadi as ca  # slow to import
 
         self._moving = moving = np.flatnonzero(robot.moves.any(axis=0))
         self.robot, self.nodes, self.limits, n, a = robot, nodes, limits, robot.n, len(moving)
@@ -149,10 +148,10 @@ def refine(
 ) -> Course:  # fmt: skip
     """Improve a course over the whole path to a local optimum. The first pose stays the same.
 
-    The given course is returned unchanged if the answer is infeasible or worse. With ``smoothness`` or ``brake``, the
-    answer may lose the share `SMOOTH_LOSS` of mean mu.
+    The given course is returned unchanged if the answer is infeasible or worse. Smoothness and braking may cost the
+    share `SMOOTH_LOSS` of mean mu.
     """
-    # The program without the shaft margin is faster. Its answer is used if all poses keep the margin anyway.
+    # The program is faster without the shaft margin, which the answer may keep anyway.
     if limits.shaft > 0.0 and _above(robot, course, limits):
         bare = replace(limits, shaft=0.0)
         free = refine(robot, targets, course, bare, smoothness=smoothness, brake=brake)
@@ -181,8 +180,8 @@ def _above(robot: RobotModel, course: Course, limits: Limits) -> bool:
 def too_fast(speed: Any, pose: Any, low: Any, high: Any, brake: float) -> Any:
     """Return each joint's excess over the speed from which it can stop before its limit.
 
-    At a distance d from a limit, this speed is sqrt(2 b) (sqrt(d + e) - sqrt(e)), where b is the brake [rad/s^2] and e
-    is `SOFT_RAD`. The excesses of all joints towards ``high`` come first, then those towards ``low``.
+    At a distance d from a limit, this speed is sqrt(2 brake) (sqrt(d + e) - sqrt(e)), where e is `SOFT_RAD`. The
+    excesses of all joints towards ``high`` come first, then those towards ``low``.
     """
     import casadi as ca
 

@@ -1,10 +1,9 @@
-"""The value function V: the largest integral of mu, less a penalty on speed, from a pose to the path's end.
+"""The value function V: the largest integral of mu from a pose to the path's end, less a penalty on speed.
 
     V_k(p) = g_k(p) + max { V_{k+1}(p') - c |q - q'|^2 / dt : |q - q'| <= v_max dt for every joint }
 
-p is a pose at time k with joint positions q, and p' is a pose one time step dt later with joint positions q'. v_max are
-the allowed joint speeds. mu is the manipulability, and g is mu dt. c is the weight of the penalty. V is computed
-backwards in time. Then a course (joint trajectory) is read off V forwards in time.
+The poses p and p' have the joint positions q and q', and p' is one time step dt later than p. g is mu dt, v_max the
+allowed joint speeds, and c the penalty's weight.
 """
 
 from __future__ import annotations
@@ -21,19 +20,19 @@ from moc_opt.planning.course import Limits, lowered, shaft_shares, weights
 from moc_opt.planning.elbow import wrapped
 from moc_opt.planning.pose_map import PoseMap
 
-WHOLE_CELL = 1.1  #: If this is the argument ``cell`` of `Value`, V is an upper bound. On straight curves 1 would do.
+WHOLE_CELL = 1.1  #: ``cell`` of `Value` for an upper bound. On straight curves 1 would do.
 NEARBY_RAD = 0.2  #: Radius around a pose within which V is approximated by a parabola.
 
 
 class End(NamedTuple):
-    """V near a pose, up to a constant: slope z + bend z^2 / 2, where z = along . (q - q_rad) and low <= z <= high."""
+    """V near a pose, up to a constant: slope z + bend z^2 / 2, where z = along . (q - q_rad)."""
 
     q_rad: Array  #: (n,) [rad]
     along: Array  #: (n,) unit vector of the self-motion
     slope: float = 0.0  #: [m^3 s / rad]
     bend: float = 0.0  #: [m^3 s / rad^2], never above 0
-    low: float = 0.0  #: lower end of the range of z from which the path's end can be reached [rad]
-    high: float = 0.0  #: upper end of this range [rad]
+    low: float = 0.0  #: least z from which the path's end is within reach [rad]
+    high: float = 0.0  #: largest such z [rad]
 
 
 class Way(NamedTuple):
@@ -45,15 +44,13 @@ class Way(NamedTuple):
 
 
 class Value:
-    """V over a map of k times, b branches of the inverse kinematics, and m elbow angles (samples)."""
+    """V over a map of k times, b branches and m swivels (or samples of traced curves)."""
 
     def __init__(self, found: PoseMap, limits: Limits, *, cell: float = 0.0, price: float = 0.0) -> None:
-        """Compute V backwards in time.
+        """Compute V, with the penalty's weight c = ``price`` [m^3 s^2/rad^2].
 
-        The difference of two poses may exceed the allowed step by the slacks of both. The slack of a pose is ``cell``
-        times half the distance to its farther neighbour.
-        If ``cell`` is 1 or more, V estimates an upper bound for all courses, also for those between the map's poses.
-        ``price`` is c [m^3 s^2/rad^2].
+        A step may exceed its limit by ``cell`` times the sum of both poses' `half_cells`. If ``cell`` is 1 or more, V
+        estimates an upper bound for all courses, also for those between the map's poses.
         """
         self.map = found
         self._period = found.targets.period_s
@@ -143,10 +140,7 @@ class Value:
 
 
 def keeping_shaft(found: PoseMap, limits: Limits) -> PoseMap:
-    """Lower the map's mu at poses where the shaft can hardly turn while the tip rests, so that courses avoid them.
-
-    These are the poses whose `shaft_shares` are below ``limits.shaft``. `lowered` has the formula.
-    """
+    """Reduce the map's mu by `lowered`, so that courses try to keep the shaft margin."""
     if limits.shaft <= 0.0:
         return found
     # All branches have the same share, because the columns of their Jacobians differ only in sign.
@@ -192,8 +186,8 @@ def advance(
 ) -> Array:
     """Return the values (b,m) of the poses at one time, from the values at the next time.
 
-    Two poses are within reach of each other if no joint differs by more than its step (n,) [rad] plus both slacks.
-    Their branch numbers may differ only in the bits that are set in ``crossing`` (m,).
+    No joint may move farther than its step (n,) [rad] plus both slacks. The branch's index may change only in the
+    bits of ``crossing`` (m,).
 
     Args:
         q, slack: (b,m,n) [rad], NaN if there is no pose. gain: (b,m) added to the value, -inf at a forbidden pose.
@@ -201,7 +195,7 @@ def advance(
         price: penalty on the squared step [unit of the values / rad^2].
     """  # fmt: skip
     branches, _, n = q.shape
-    # Sort by the joint with the largest (range of positions) / (step). The poses within reach lie in a short interval.
+    # If sorted by the joint with the largest range / step, the poses within reach lie in a short interval.
     spread = np.nan_to_num(np.fmax.reduce(q_next, 1) - np.fmin.reduce(q_next, 1)).sum(axis=0)
     by = int(np.argmax(spread / step))
     order = np.argsort(q_next[:, :, by])

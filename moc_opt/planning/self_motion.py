@@ -1,7 +1,6 @@
 """Self-motion: the poses that an arm can take while tip and wrist stay in place.
 
-The curve of poses is followed along the null vector of A = [J_tip; J_wrist]. A joint is idle if it moves neither tip
-nor wrist at any pose. The number of freedoms is the dimension of ker A, less the number of idle joints.
+The curve of poses follows the null vector of A = [J_tip; J_wrist].
 """
 
 from __future__ import annotations
@@ -16,8 +15,8 @@ from moc_opt.arrays import Array, read_only
 from moc_opt.errors import RobotError
 from moc_opt.robots.model import RobotModel
 
-HELD = 1e-6  #: `freedoms` takes a singular value of A as zero if it is below this share of the largest one.
-RANK = 1e-9  #: `self_motion` takes a singular value of A as zero if it is below this value.
+HELD = 1e-6  #: Singular values of A below this share of the largest count as zero in `freedoms`.
+RANK = 1e-9  #: Singular values of A below this count as zero in `self_motion`.
 LEAST_STEP, MOST_STEP = 1e-5, 10.0  #: Bounds on the spacing of the samples on a curve [rad].
 
 
@@ -26,13 +25,12 @@ class Freedoms(NamedTuple):
 
     rank: int  #: Rank of A, 5 if the arm can place the shaft freely.
     real: int  #: Number of freedoms: n - rank - (number of idle joints).
-    idle: tuple[int, ...]
-    """Idle joints (counted from 0), which move neither tip nor wrist at any pose."""
+    idle: tuple[int, ...]  #: Joints (counted from 0) that move neither tip nor wrist at any pose.
     tip: float  #: Ratio of the smallest to the largest singular value of the tip's Jacobian.
     both: float  #: Ratio of the fifth to the largest singular value of A.
 
     def refusal(self, robot: RobotModel) -> str:
-        """Return the message that no freedom is left for the third level (the motion of the elbow)."""
+        """Return the message that no freedom is left for level 3."""
         idle = ", ".join(robot.data.joint_names[j] for j in self.idle)
         return (
             f"robot {robot.data.name!r}: no freedom is left for the third level: of {robot.n} joints, the tool's tip "
@@ -71,13 +69,9 @@ def limit_shares(robot: RobotModel, q: Array) -> Array:
 
 
 def parabola_peak(x: Array, y: Array) -> tuple[float, float]:
-    """Compute the peak of the parabola through three samples, relative to the middle sample.
+    """Compute the peak of the parabola through three samples at the places x (3,), in ascending order, with values y.
 
-    Args:
-        x, y: (3,) places in ascending order, and values.
-
-    Returns:
-        The step from x[1] to the peak, clipped to the samples, and the height above y[1]; zeros if there is no peak.
+    Return the step from x[1] to the peak, clipped to the samples, and the height above y[1]; zeros if there is no peak.
     """
     (left, right), (rise, fall) = np.diff(x), np.diff(y)
     bend = (fall / right - rise / left) / (left + right)
@@ -95,11 +89,9 @@ class SelfMotion:
     s: Array  #: (k,) arc length in joint space [rad], 0 at the pose from which the curve was followed
     q: Array  #: (k,n) [rad]
     mu: Array  #: (k,) manipulability of the tip [m^3]
-    held: tuple[int, ...]
-    """Joints (counted from 0) that are held still: idle joints, and those held to leave a single freedom."""
+    held: tuple[int, ...]  #: joints (counted from 0) that are idle, or held still to leave a single freedom
     _robot: RobotModel = field(repr=False)
-    _task: tuple[Array, Array, Array] = field(repr=False)
-    """Lower and upper bounds on the joints, (n,) each, and the positions of tip and wrist (2,3)."""
+    _task: tuple[Array, Array, Array] = field(repr=False)  # lower and upper bounds (n,), tip and wrist (2,3)
 
     def at(self, fraction: float) -> Array:
         """Return the pose (n,) at a fraction in [0, 1] of the arc length."""
@@ -110,7 +102,7 @@ class SelfMotion:
             miss, pose = self._robot.arm.nearest_pose(*self._task, between, 10)
             if miss < 1e-10:
                 return pose
-        # Newton's method can fail near a joint limit or a singular pose. The nearest sample is returned then.
+        # Newton's method can fail near a joint limit or a singular pose.
         return np.array(self.q[round(place)])
 
     @property
@@ -132,15 +124,15 @@ class SelfMotion:
 def self_motion(robot: RobotModel, q: ArrayLike, step: float = 0.02) -> SelfMotion:
     """Scan the feasible self-motion through q at fixed tip and wrist.
 
-    With more than one freedom, joints are held still until one freedom is left. Other poses with the same tip and wrist
-    may then have a larger mu than the whole curve. Without a freedom, the curve is a single pose.
+    With several freedoms, joints are held still until one is left. Other poses with the same tip and wrist may then
+    have a larger mu than the whole curve. Without a freedom, the curve is a single pose.
 
     Args:
         q: (n,) a pose inside the joint limits [rad].
         step: spacing of the samples in joint space [rad], 1e-5 to 10.
 
     Raises:
-        RobotError: the pose is singular or outside the joint limits, or the step is out of range.
+        RobotError: q is singular or beyond a limit, or the step is out of range.
     """
     if not LEAST_STEP <= step <= MOST_STEP:
         raise RobotError(f"step = {step!r}: give {LEAST_STEP:g} to {MOST_STEP:g} rad")

@@ -1,4 +1,4 @@
-"""The map of the manipulability mu over time and swivel (angle of the elbow about the line from shoulder to wrist)."""
+"""The map of mu over time and swivel, and the trajectories of runs on it."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from moc_opt.robots.model import RobotModel
 from moc_opt.trace.trace import Trace
 
 UNREACHABLE, FEASIBLE = -1, 0
-TRAJECTORY_POINTS = 500  #: Upper bound on the number of times of a `Trajectory`.
+TRAJECTORY_POINTS = 500  #: Largest number of times of a `Trajectory`.
 STEP_RAD = 0.05  #: Spacing of the samples of a self-motion.
-SAME_PATH_M = 1e-6  #: Runs have the same path if their tip references differ by at most this.
-OTHER_BRANCH_RAD = 0.5  #: `Trajectory.gap_rad` above which the run is on another branch of inverse kinematics.
+SAME_PATH_M = 1e-6  #: Largest difference between tip references of the same path.
+OTHER_BRANCH_RAD = 0.5  #: `Trajectory.gap_rad` above which the run is on another branch.
 NEEDED = ("t_s", "q_rad", "tip_m", "tip_ref_m")
 NEAR = 0.02  #: mu counts as optimal if it is below the best mu by at most this fraction.
-END = 0.2  #: The end of a run is judged from this last fraction of its time.
+END = 0.2  #: The end of a run is this last fraction of its time.
 CLOSE_RAD = np.radians(12.0)  #: A run is at a local maximum of mu, or at an edge, if its swivel is this close.
 STILL_RAD_PER_S = np.radians(1.0)  #: Speed of the swivel below which a run counts as at rest.
 
@@ -35,12 +35,11 @@ STILL_RAD_PER_S = np.radians(1.0)  #: Speed of the swivel below which a run coun
 class Trajectory:
     """Swivel and mu of a run, sampled at c times; arrays (c,)."""
 
-    t_s: Array  #: Times of the samples [s].
+    t_s: Array
     swivel_rad: Array  #: Swivel in the map's range. It may jump by a turn.
-    mu: Array  #: Manipulability of the run's poses [m^3].
+    mu: Array  #: mu of the run's poses [m^3].
     gap_rad: float
-    """Median over the samples of the largest difference of a joint angle between the run's pose and the map's pose at
-    the same time and swivel. Above `OTHER_BRANCH_RAD`, run and map are not compared."""
+    """Median over time of the largest difference of a joint angle from the map's pose at the same time and swivel."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -50,14 +49,13 @@ class SwivelMap:
     t_s: Array  #: (k,)
     swivel_rad: Array  #: (m,) evenly over one turn
     mu: Array  #: (k, m) [m^3], also beyond joint limits; NaN if there is no pose
-    q_rad: Array  #: (k, m, n) the poses
+    q_rad: Array  #: (k, m, n)
     limit: NDArray[np.int64]
-    """(k, m) `FEASIBLE` (0), the joint (counted from 1) that is farthest beyond a limit, or `UNREACHABLE` (-1)"""
-    best_swivel_rad: Array  #: (k,) swivel of the largest feasible mu; NaN if no pose is feasible
+    """(k, m) `FEASIBLE`, `UNREACHABLE`, or the joint (counted from 1) that is farthest beyond a limit"""
+    best_swivel_rad: Array  #: (k,) swivel of `best_mu`
     best_mu: Array  #: (k,) largest feasible mu [m^3]; NaN if no pose is feasible
     trajectories: Mapping[str, Trajectory]
-    held: tuple[str, ...] = ()
-    """Names of joints that the map holds still, because tip and wrist leave the arm more than one freedom."""
+    held: tuple[str, ...] = ()  #: names of joints that are held still to leave a single freedom
 
     def __repr__(self) -> str:
         return f"SwivelMap({len(self.t_s)} times, {len(self.swivel_rad)} swivels, runs: {', '.join(self.trajectories)})"
@@ -69,7 +67,7 @@ def manipulability_map(
     """Scan the self-motion at evenly spaced times of the path that all runs in ``traces`` share.
 
     Raises:
-        ReportError: no runs, too few times or swivels, runs of different paths, or a trace without a trocar.
+        ReportError: no runs, too few times or swivels, runs of different paths, or an unusable trace.
         RobotError: several poses of a self-motion have the same swivel angle.
     """
     if not traces or times < 2 or swivels < 8:
@@ -221,14 +219,14 @@ class Reading:
     near: float  #: Share of the time at which mu is optimal within `NEAR`; NaN if unknown.
     mu_share: float  #: (Mean mu) / (mean of the best mu at the same times).
     travel_rad: float  #: Change of the swivel from start to end.
-    from_s: float  #: Time from which mu is optimal until the end of the run [s]; NaN if it is not optimal at the end.
+    from_s: float  #: Time from which mu stays optimal; NaN if it is not optimal at the end.
     end: End
-    joint: int  #: Joint (counted from 1) whose limit keeps mu from rising further, or 0.
-    at_edge: float  #: Share of the time at which the run's sample of the map, or a neighbour of it, is infeasible.
+    joint: int  #: Joint (counted from 1) whose limit keeps mu from rising, or 0.
+    at_edge: float  #: Share of the time at or beside an infeasible sample of the map.
 
 
 def read_trajectory(found: SwivelMap, name: str) -> Reading:
-    """Analyse the trajectory of the run ``name`` on the map."""
+    """Analyse the trajectory of the run ``name``."""
     run, known = found.trajectories[name], np.isfinite(found.best_mu)
     travel, nan = float(np.unwrap(run.swivel_rad)[-1] - run.swivel_rad[0]), np.nan
     if not known.any() or run.gap_rad > OTHER_BRANCH_RAD:
@@ -251,8 +249,8 @@ def read_trajectory(found: SwivelMap, name: str) -> Reading:
 
 
 def _what_holds(found: SwivelMap, run: Trajectory, late: NDArray[np.bool_]) -> tuple[End, int]:
-    # of the map's columns with a feasible pose, the last one before the run's end
     known = np.flatnonzero(np.isfinite(found.best_mu))
+    # the last column with a feasible pose before the run's end
     column = int(max(known[found.t_s[known] <= run.t_s[-1] + 1e-9], default=known[0]))
     mu, limit, count = found.mu[column], found.limit[column], found.mu.shape[1]
     away = wrapped(found.swivel_rad - run.swivel_rad[-1])

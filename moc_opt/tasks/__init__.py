@@ -1,7 +1,4 @@
-"""The task: paths of the tool's tip, the time law, and the trocar.
-
-To add a path, see ``paths``.
-"""
+"""The task: paths of the tool's tip, the time law, and the trocar."""
 
 from __future__ import annotations
 

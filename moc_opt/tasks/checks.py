@@ -15,14 +15,14 @@ TimeLike = float | ArrayLike
 
 
 def number(name: str, value: object, above: float = -math.inf) -> float:
-    """Return the value as a float. Raise a TaskError if it is not finite or not greater than ``above``."""
+    """Return a finite float greater than ``above``, or raise a TaskError."""
     if not (is_number(value) and max(above, -1e300) < value < 1e300):  # type: ignore[operator]
         raise TaskError(f"{name} = {value!r}: give one finite number" + (" above zero" if above == 0.0 else ""))
     return float(value)  # type: ignore[arg-type]
 
 
 def positive(name: str, value: object) -> float:
-    """Return the value as a float. Raise a TaskError if it is not finite or not above zero."""
+    """Return a finite float greater than zero, or raise a TaskError."""
     return number(name, value, above=0.0)
 
 
@@ -41,19 +41,19 @@ def vector3(name: str, value: ArrayLike, *, rows: bool = False) -> Array:
 
 
 def direction3(name: str, value: ArrayLike) -> Array:
-    """Return the unit vector (3,) along a vector; a TaskError if it is zero."""
+    """Return the unit vector (3,) along a vector. Raise a TaskError if it is zero."""
     given = vector3(name, value)
     largest = float(np.abs(given).max())
     if largest == 0.0:
         raise TaskError(f"{name} = {value!r} has no direction: give a vector of non-zero length")
-    scaled = given / largest  # keeps the squares from overflowing or vanishing
+    scaled = given / largest  # so that squares do not overflow or vanish
     return read_only(np.asarray(scaled / math.sqrt(float(scaled @ scaled))))
 
 
 def sampled(name: str, value: TimeLike, rows: Callable[[Array], Array]) -> Array:
-    """Evaluate the function `rows`, which maps (k,) to (k, m, 3), at a number or a vector (k,).
+    """Evaluate ``rows``, which maps (k,) to (k, m, 3), at a number or a vector (k,).
 
-    Return (m, 3) or (m, k, 3). Raise a TaskError if `value` is neither a number nor a vector.
+    Return (m, 3) or (m, k, 3). Raise a TaskError if ``value`` is neither a number nor a vector.
     """
     try:
         array = np.asarray(value, dtype=np.float64)

@@ -45,7 +45,7 @@ class ArcLength:
             coefficients = _hermite(w, lengths, *speed(w))
             if _worst(speed, w, lengths, coefficients) <= 1e-10 * min(1.0, float(s[-1])):
                 self.knots, self.length = read_only(s), float(s[-1])
-                # Lists, because indexing an array would be slower.
+                # Lists are faster to index than arrays.
                 self._starts: list[float] = s[:-1].tolist()
                 self._lengths: list[float] = lengths.tolist()
                 self._coefficients: list[list[float]] = coefficients.tolist()
@@ -87,10 +87,10 @@ def _worst(speed: Speed, w: Array, lengths: Array, coefficients: Array) -> float
 
 
 class PlanarCurve(NamedTuple):
-    """A smooth curve in the plane, parametrised by arc length."""
+    """A smooth curve, parametrised by arc length."""
 
     length: float  #: [m]
-    knots: Array  #: Arc lengths (k,) [m], from 0 to `length`, that resolve every bend.
+    knots: Array  #: Arc lengths (k,) from 0 to `length` that resolve every bend [m].
     at: Callable[[float], PlanePoint]
     """Function of s in [0, length]: x, y [m], unit tangent tx, ty, curvature [1/m] (positive to the left)."""
 
@@ -124,7 +124,6 @@ def sinusoid(amplitude: float = 0.01, wavelength: float = 0.02, periods: float =
         return ds / k, -slope * a * np.sin(phase) / ds
 
     def at(s: float) -> PlanePoint:
-        # tangent (1, y')/sqrt(1 + y'^2), curvature y''/(1 + y'^2)^(3/2)
         phase = arc.parameter(s)
         sine, slope = math.sin(phase), a * k * math.cos(phase)
         ds = math.sqrt(1.0 + slope * slope)
@@ -147,7 +146,6 @@ def spiral(turns: float = 2.0, radius: float = 0.03) -> PlanarCurve:
         return b * ds, b * angle / ds
 
     def at(s: float) -> PlanePoint:
-        # curvature (2 + angle^2) / (b (1 + angle^2)^(3/2))
         w = arc.parameter(s)
         c, d, ds = math.cos(w), math.sin(w), math.sqrt(1.0 + w * w)
         return b * w * c, b * w * d, (c - w * d) / ds, (d + w * c) / ds, (2.0 + w * w) / (b * ds * ds * ds)

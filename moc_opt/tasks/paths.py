@@ -1,4 +1,4 @@
-"""Paths of the tool tip in space, as functions of arc length.
+"""Paths of the tool tip, as functions of arc length.
 
 To add a path, add a function to `CURVES` of curves.py, or an entry point of the group `moc_opt.tasks`.
 """
@@ -24,20 +24,20 @@ from moc_opt.tasks.curves import CURVES, ArcLength, PlanarCurve
 GROUP = "moc_opt.tasks"
 WAYPOINTS = "waypoints"
 MOST = 1000  #: Largest number of waypoints.
-FARTHEST_M = 1000.0  #: Largest distance of a waypoint from the start along each axis [m].
-_SLOWEST = 0.05  # lower bound on |dp/dw|, where p is the point at chord length w; below it, the path is refused
+FARTHEST_M = 1000.0  #: Largest distance of a waypoint from the start along each axis.
+_SLOWEST = 0.05  # least |dp/dw| of an allowed path, where p is the point at chord length w
 
 
 class Path:
-    """A planar curve in space, with the origin `start` and the axes `heading` and `left`."""
+    """A planar curve in space, with the axes `heading` and `left` = normal x heading."""
 
     length: float  #: [m]
-    knots: Array  #: Arc lengths (k,) [m], from 0 to `length`, that resolve every bend.
+    knots: Array  #: as in `PlanarCurve`
 
     def __init__(self, curve: PlanarCurve, start: ArrayLike, *, normal: ArrayLike, heading: ArrayLike) -> None:
-        """Place the curve at start (3,) [m]. Raise a TaskError if a vector is unusable.
+        """Place the curve at start (3,) [m], in the plane perpendicular to normal (3,). Project heading (3,) into it.
 
-        The plane is perpendicular to the normal (3,). The heading (3,) is projected into it. `left` = normal x heading.
+        Raise a TaskError if a vector is unusable.
         """
         self._place(start, normal, heading)
         self.curve, self.length, self.knots = curve, float(curve.length), curve.knots
@@ -52,13 +52,13 @@ class Path:
         self.left = direction3("left", np.cross(self.normal, self.heading))
 
     def curvature(self, s: float) -> float:
-        """Return the curvature [1/m] at s [m]: positive if the path bends to the left, negative to the right."""
+        """Return the curvature [1/m] at s [m], positive to the left."""
         return self.curve.at(s)[4]
 
     def at(self, s: TimeLike) -> tuple[Array, Array, Array]:
-        """Return p [m], dp/ds and d2p/ds2 [1/m] at arc length s [m].
+        """Return p [m], dp/ds and d2p/ds2 [1/m] at s [m], (3,) each or (k, 3) if s is (k,).
 
-        Each is (3,), or (k, 3) if s is (k,). Raise a TaskError if s is outside the path or unusable.
+        Raise a TaskError if s is outside the path or unusable.
         """
         p, dp, ddp = sampled("s", s, self._checked)
         return p, dp, ddp
@@ -70,7 +70,7 @@ class Path:
         return self.points(np.clip(s, 0.0, self.length))
 
     def points(self, s: Array) -> Array:
-        """Return the rows p [m], dp/ds and d2p/ds2 [1/m] as (k, 3, 3) at s (k,) [m]. The range of s is not checked."""
+        """Return the rows of `at` as (k, 3, 3). The range of s (k,) [m] is not checked."""
         x, y, tx, ty, k = np.array([self.curve.at(one) for one in s.tolist()]).reshape(-1, 5).T[:, :, None]
         a, b = self.heading, self.left
         return np.stack([self.start + a * x + b * y, a * tx + b * ty, a * (-k * ty) + b * (k * tx)], axis=1)
@@ -99,7 +99,7 @@ class Waypoints(Path):
         self._rows_of: list[list[list[float]]] = self._pieces.tolist()
 
     def curvature(self, s: float) -> float:
-        """Return the absolute curvature [1/m] at s [m], because a path in three dimensions has no left and right."""
+        """Return the absolute curvature [1/m] at s [m], because in three dimensions there is no left and right."""
         return math.hypot(*self._point(s)[6:])
 
     def points(self, s: Array) -> Array:
@@ -155,9 +155,6 @@ def _spline(t: Array, points: Array) -> Array:
     return np.ascontiguousarray(found[::-1].transpose(1, 2, 0))
 
 
-# --- by name ---
-
-
 def kinds() -> dict[str, str]:
     """Return the description of every path, by name."""
     found = {name: _about(curve) for name, curve in CURVES.items()}
@@ -174,7 +171,7 @@ def sizes(kind: str, given: Iterable[str] = ()) -> dict[str, Any]:
     """Return the default of every size (e.g. radius) of a path; `inspect.Parameter.empty` if it has no default.
 
     Raises:
-        UnknownNameError: there is no such path, or no such size in ``given``.
+        UnknownNameError: the path, or a size in ``given``, is unknown.
         TaskError: the path is a plug-in that does not load.
     """
     parameters = {} if kind == WAYPOINTS else inspect.signature(_maker(kind)).parameters
@@ -196,7 +193,7 @@ def make_path(
         waypoints: (k, 3) [m], see `Waypoints`; only for the kind "waypoints".
 
     Raises:
-        UnknownNameError: there is no such kind or size.
+        UnknownNameError: the kind or a size is unknown.
         TaskError: a size is missing or not positive and finite, or a vector is unusable.
     """
     known = sizes(kind, given)

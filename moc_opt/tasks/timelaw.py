@@ -28,10 +28,10 @@ def quintic(u: Number) -> tuple[Number, Number, Number]:
 def duration(path: Path, v_max: float, a_max: float) -> float:
     """Compute the shortest duration T [s] of the quintic law within the limits.
 
-    D is the length of the path, kappa its curvature, u = t/T, s = s(u) the `quintic`, s' = ds/du and s'' = d2s/du2:
+    D is the path's length, kappa its curvature, u = t/T, s(u) the `quintic`, and s' = ds/du:
         |velocity| = D s'/T                   at most 15 D / (8 T),
         |acceleration| = D g(u) / T^2         with g(u)^2 = s''^2 + (D kappa(D s) s'^2)^2,
-    so that T = max(15 D / (8 v_max), sqrt(D max_u g(u) / a_max)). On a straight path, max_u g(u) = 10/sqrt(3).
+    so that T = max(15 D / (8 v_max), sqrt(D max_u g(u) / a_max)).
 
     Args:
         v_max: largest speed [m/s].
@@ -90,7 +90,7 @@ class Reference:
             object.__setattr__(self, name, value)
 
     def at(self, t: TimeLike) -> tuple[Array, Array, Array]:
-        """Return x [m], dx [m/s] and ddx [m/s^2] at t [s]: each (3,), or (k, 3) if t is (k,).
+        """Return X_d [m], dX_d [m/s] and ddX_d [m/s^2] at t [s]: each (3,), or (k, 3) if t is (k,).
 
         The reference rests before and after its motion. Raise a TaskError if t is NaN or unusable.
         """
@@ -98,7 +98,7 @@ class Reference:
         return x, dx, ddx
 
     def rows(self, t: float) -> Array:
-        """Return X_d, dX_d, ddX_d (3, 3) at one time [s]; a TaskError if t is NaN."""
+        """Return X_d, dX_d, ddX_d (3, 3) at one time [s]; a TaskError if it is NaN."""
         return np.asarray(self._rows(np.array([t]))[0])
 
     def _rows(self, t: Array) -> Array:
@@ -114,18 +114,18 @@ class Reference:
 
 
 class WaitingReference:
-    """A reference that stops while a flag is False, and goes on when it is True.
+    """A reference that stops while a flag is False, and goes on when it is True. It begins at rest.
 
-    The motion begins at rest. X_d, dX_d and ddX_d do not jump. The rate sigma is the flag (0 or 1), filtered by two
-    moving averages. The time tau along the given reference X(tau) advances at this rate: dtau/dt = sigma. Then
+    tau is the time along the given reference X. Its rate sigma = dtau/dt is the flag (0 or 1), filtered by two moving
+    averages, so that X_d, dX_d and ddX_d do not jump:
 
         X_d(t) = X(tau(t)),   dX_d = sigma dX/dtau,   ddX_d = sigma^2 d2X/dtau2 + dsigma/dt dX/dtau
 
-    so that |dX_d| <= v_max and |ddX_d| <= 2 a_max, with the limits of the given reference.
+    with |dX_d| <= v_max and |ddX_d| <= 2 a_max for the limits of the given reference.
     """
 
     def __init__(self, reference: Reference, period_s: float) -> None:
-        """``period_s`` is the period of the ticks [s]. Raise a TaskError if it is not positive."""
+        """``period_s`` is the control period [s]. Raise a TaskError if it is not positive."""
         self.reference, self.period_s = reference, positive("period_s", period_s)
         # Rounded up, so that the rate changes no faster than a_max / v_max.
         long = max(1, math.ceil(reference.v_max / reference.a_max / self.period_s - 1e-9))
@@ -134,10 +134,9 @@ class WaitingReference:
         """Time from the last change of the flag until the rate is 0 or 1 [s]."""
 
     def play(self, go_on: ArrayLike) -> tuple[Array, Array]:
-        """Play the reference with one flag per tick, go_on (N,); a TaskError if the flags are not boolean.
+        """Return X_d, dX_d, ddX_d as rows (N, 3, 3), and tau (N,) [s], for one flag per tick, go_on (N,).
 
-        Returns:
-            X_d [m], dX_d [m/s], ddX_d [m/s^2] as rows (N, 3, 3), and tau (N,) [s].
+        Raise a TaskError if the flags are not boolean.
         """
         flags = np.asarray(go_on)
         if flags.ndim != 1 or flags.dtype != np.bool_:
@@ -154,15 +153,12 @@ class WaitingReference:
 
 
 def flags_at(times: ArrayLike, seen_times: ArrayLike, seen: ArrayLike) -> NDArray[np.bool_]:
-    """Turn flags of a camera's pictures into flags of control ticks.
+    """Return for each tick the flag of the camera's latest picture, (N,); False before the first picture.
 
     Args:
         times: (N,) times of the ticks [s].
-        seen_times: (k,) times of the pictures [s]; a TaskError if they do not increase.
+        seen_times: (k,) times of the pictures [s]; a TaskError if they do not rise.
         seen: (k,) flags of the pictures.
-
-    Returns:
-        (N,) at each tick, the flag of the latest picture; False before the first picture.
     """
     pictures, answers = np.asarray(seen_times, dtype=np.float64), np.asarray(seen, dtype=np.bool_)
     if pictures.ndim != 1 or pictures.shape != answers.shape or (np.diff(pictures) <= 0.0).any():

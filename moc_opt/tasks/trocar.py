@@ -1,4 +1,4 @@
-"""The trocar, the point in the body wall through which the shaft must pass."""
+"""The trocar, the point through which the shaft must pass."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class Trocar:
     """
 
     point: ArrayLike  #: Position at t = 0, (3,) [m].
-    breathing_amplitude_m: float = 0.0  #: Largest distance from `point` [m].
-    breathing_period_s: float = 4.0  #: Time of one breath [s].
+    breathing_amplitude_m: float = 0.0  #: Largest distance from `point`.
+    breathing_period_s: float = 4.0  #: Time of one breath.
     direction: ArrayLike = (0.0, 0.0, 1.0)  #: Direction of the motion (3,), of any length above zero.
 
     def __post_init__(self) -> None:
@@ -38,9 +38,9 @@ class Trocar:
             object.__setattr__(self, name, value)
 
     def at(self, t: TimeLike) -> tuple[Array, Array]:
-        """Return position p [m] and velocity dp [m/s] at t [s]: each (3,), or (k, 3) if t is (k,).
+        """Return position [m] and velocity [m/s] at t [s]: each (3,), or (k, 3) if t is (k,).
 
-        Raise a TaskError if t is not a finite number or vector.
+        Raise a TaskError if t is not finite.
         """
         p, dp = sampled("t", t, self._rows)
         return p, dp
@@ -53,7 +53,7 @@ class Trocar:
         if not np.isfinite(t).all():
             raise TaskError(f"t = {t[~np.isfinite(t)][0]!r} is not a time: give seconds")
         rate = 2.0 * math.pi / self.breathing_period_s
-        turns = (rate * t).tolist()  # evaluated one by one: numpy's vector sine may round differently
+        turns = (rate * t).tolist()  # one by one, because numpy's vector sine may round differently
         away = self.breathing_amplitude_m * 0.5 * (1.0 - np.array([math.cos(turn) for turn in turns]))
         speed = self.breathing_amplitude_m * 0.5 * rate * np.array([math.sin(turn) for turn in turns])
         point, direction = np.asarray(self.point), np.asarray(self.direction)
@@ -61,13 +61,9 @@ class Trocar:
 
 
 def shaft_distance(tip: ArrayLike, wrist: ArrayLike, p: ArrayLike) -> Array:
-    """Compute the shaft's distance from the trocar, the remote-centre-of-motion error d = |(P - X) x u| [m].
+    """Return the RCM error, the distance |(p - tip) x u| of p from the shaft [m]: (k,) for points (k, 3), () for (3,).
 
-    Args:
-        tip, wrist, p: the points X, N and P, (3,) or (k, 3) [m]. u = (X - N)/|X - N|.
-
-    Returns:
-        d (k,), or of shape () for single points.
+    u is the unit vector from wrist to tip.
     """
     tool = np.subtract(tip, wrist)
     u = tool / np.sqrt((tool * tool).sum(axis=-1, keepdims=True))

@@ -1,4 +1,4 @@
 """The paper's operative procedure: augmented reality, and hand guiding to the incision.
 
-``augmented_reality`` and its parts need OpenCV (the extra ``vision``).
+Augmented reality needs OpenCV (the extra ``vision``).
 """

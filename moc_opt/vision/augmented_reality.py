@@ -127,10 +127,9 @@ class Augmented:
 def draw(
     picture: Picture, camera: Camera, *, task: ArrayLike, progress: float, tip: ArrayLike, trocar: ArrayLike, text: str
 ) -> Picture:
-    """Draw task, tip and trocar into a copy of the picture (H, W, 3).
+    """Draw task (k, 3), tip (3,) and trocar (3,), in the base frame [m], into a copy of the picture (H, W, 3).
 
-    ``task`` (k, 3), ``tip`` (3,) and ``trocar`` (3,) are in the base frame [m]. ``progress`` is the finished share of
-    the path (0 to 1).
+    ``progress`` is the finished share of the path (0 to 1).
     """
     page = picture.copy()
     points, end, far = (np.asarray(part, dtype=np.float64) for part in (task, tip, trocar))
@@ -170,7 +169,7 @@ def _whole(pixel: Array) -> tuple[int, int]:
 
 
 def save_film(path: str | os.PathLike[str], pictures: Iterable[Picture], rate_Hz: float) -> int:
-    """Write pictures (H, W, 3) to a film (.webm), and return their count. Raise a PlantError if this fails."""
+    """Write pictures (H, W, 3) to a film (.webm); return their count. Raise a PlantError if this fails."""
     writer, count = cv2.VideoWriter(), 0
     for picture in pictures:
         if not count:

@@ -1,7 +1,6 @@
-"""Poses of frames, a marker board, and virtual tasks.
+"""Poses, a marker board, and virtual tasks.
 
-The origin of a board's frame is the middle of the board. Seen from the printed side, x points to the right, y upwards,
-and z towards the viewer.
+The origin of a board's frame is its middle. Seen from the printed side, x points right, y up, and z towards the viewer.
 """
 
 from __future__ import annotations
@@ -38,11 +37,11 @@ class Pose:
         object.__setattr__(self, "t", read_only(np.array(t, dtype=np.float64)))
 
     def apply(self, points: ArrayLike) -> Array:
-        """Express points (3,) or (k, 3) [m] of the inner frame in the outer one."""
+        """Transform points (3,) or (k, 3) [m] from the inner to the outer frame."""
         return self.turn(points) + self.t
 
     def turn(self, vectors: ArrayLike) -> Array:
-        """Express directions (3,) or (k, 3) of the inner frame in the outer one."""
+        """Transform directions (3,) or (k, 3) from the inner to the outer frame."""
         return np.asarray(np.asarray(vectors, dtype=np.float64) @ self.R.T)
 
     def inverse(self) -> Pose:
@@ -53,11 +52,11 @@ class Pose:
         return Pose(self.R @ other.R, self.apply(other.t))
 
     def distance(self, other: Pose) -> tuple[float, float]:
-        """Return the distance [m] and the angle [rad] between two poses."""
+        """Return the distance [m] and angle [rad] to another pose."""
         return float(np.linalg.norm(self.t - other.t)), float(np.linalg.norm(pin.log3(self.R.T @ other.R)))
 
     def towards(self, other: Pose, share: float) -> Pose:
-        """Interpolate from this pose (``share`` 0) to the other pose (``share`` 1)."""
+        """Interpolate from this pose (``share`` 0) to the other pose (1)."""
         turn = rotation_from(share * pin.log3(self.R.T @ other.R))
         return Pose(self.R @ turn, self.t + share * (other.t - self.t))
 
@@ -96,7 +95,7 @@ class Board(VisionSettings):
         return self
 
     def is_lost(self, t: float) -> bool:
-        """Return whether the board is out of sight at time t [s]."""
+        """Return whether the board is out of sight at t [s]."""
         return any(start <= t < end for start, end in self.lost_s)
 
     @property
@@ -106,24 +105,24 @@ class Board(VisionSettings):
 
     @property
     def size_m(self) -> tuple[float, float]:
-        """Width and height of the whole board [m]."""
+        """Width and height of the board."""
         pitch = self.marker_m + self.gap_m
         return self.columns * pitch + self.gap_m, self.rows * pitch + self.gap_m
 
     def corners(self, marker: int) -> Array:
-        """Return the corners (4, 3) of a marker in the board's frame [m], clockwise from the top left."""
+        """Return a marker's corners (4, 3) in the board's frame [m], clockwise from the top left."""
         row, column = divmod(marker, self.columns)
         pitch, (left, top, _) = self.marker_m + self.gap_m, self.outline()[0]
         left, top = left + self.gap_m + column * pitch, top - self.gap_m - row * pitch
         return _rectangle(left, top, left + self.marker_m, top - self.marker_m)
 
     def outline(self) -> Array:
-        """Return the corners (4, 3) of the board in the board's frame [m], clockwise from the top left."""
+        """Return the board's corners (4, 3) in its own frame [m], clockwise from the top left."""
         x, y = 0.5 * self.size_m[0], 0.5 * self.size_m[1]
         return _rectangle(-x, y, x, -y)
 
     def task_in_base(self, task: BoardTask, board_in_base: Pose) -> Path:
-        """Transform a virtual task into the base frame. Raise a TaskError if the task reaches beyond the board."""
+        """Transform a virtual task into the base frame. Raise a TaskError if it reaches beyond the board."""
         own = task.on_board()
         places = own.at(np.linspace(0.0, own.length, 65))[0]
         beyond = float((np.abs(places[:, :2]) - 0.5 * np.array(self.size_m)).max())
@@ -140,13 +139,13 @@ class Board(VisionSettings):
 
 @dataclass(frozen=True, eq=False)
 class BoardTask:
-    """A virtual task: a path in a plane parallel to a board."""
+    """A virtual task: a path parallel to a board."""
 
     kind: str  #: kind of path; see `make_path`
     sizes: Mapping[str, float]  #: sizes of the path, lengths in m
-    start_m: tuple[float, float] = (0.0, 0.0)  #: start of the path, x and y in the board's frame [m]
-    height_m: float = 0.005  #: height of the path above the board [m]
-    depth_m: float = 0.15  #: depth of the board below the trocar [m]
+    start_m: tuple[float, float] = (0.0, 0.0)  #: start of the path, x and y in the board's frame
+    height_m: float = 0.005  #: height of the path above the board
+    depth_m: float = 0.15  #: depth of the board below the trocar
 
     def on_board(self) -> Path:
         """Return the path in the board's frame."""
@@ -168,17 +167,17 @@ BOARD_TASKS: Mapping[str, BoardTask] = MappingProxyType({
 
 
 def board_task(name: str) -> BoardTask:
-    """Look up a preset of `BOARD_TASKS`; an UnknownNameError if there is none."""
+    """Return one of `BOARD_TASKS`, or raise an UnknownNameError."""
     if name not in BOARD_TASKS:
         raise UnknownNameError("virtual task", str(name), BOARD_TASKS)
     return BOARD_TASKS[name]
 
 
 def board_below(trocar: ArrayLike, shaft: ArrayLike, depth_m: float) -> Pose:
-    """Return the pose of a board that faces the trocar, `depth_m` [m] below the trocar.
+    """Return the pose of a board that faces the trocar, `depth_m` below it.
 
-    ``shaft`` (3,) is the direction from the trocar into the body. The board's z is the opposite direction. Its x is the
-    base's x, projected on the board. A TaskError is raised if the shaft is parallel to the base's x.
+    ``shaft`` (3,) is the direction from the trocar into the body. The board's x is the base's x, projected on the
+    board, and its z points to the trocar. A TaskError is raised if the shaft is parallel to the base's x.
     """
     into = direction3("shaft", shaft)
     x = direction3("shaft", np.array([1.0, 0.0, 0.0]) - into[0] * into)

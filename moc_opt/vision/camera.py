@@ -1,4 +1,4 @@
-"""The endoscope's camera: its settings, a pinhole model, and its pictures of a scene."""
+"""The endoscope's camera: settings, pinhole model and pictures."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TISSUE, COVER, STEEL = (92, 100, 178), (70, 60, 150), (150, 148, 145)
 SHAFT_RADIUS_M = 0.004
 _MARKER_BITS = 6  # cells along a marker's side: 4 bits between two cells of black frame
 _CELL_PX = 16  # pixels along one cell of the drawn board
-_FINER = 2  # the scene is drawn this many times finer than the final picture
+_FINER = 2  # the scene is drawn this many times finer than the picture
 
 
 class CameraSettings(VisionSettings):
@@ -46,14 +46,14 @@ class CameraSettings(VisionSettings):
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """Intrinsics and extrinsics. The camera's frame is OpenCV's: x right, y down, z along the view."""
+    """A camera and its pose. Its frame is OpenCV's: x right, y down, z along the view."""
 
     settings: CameraSettings
     camera_in_base: Pose
 
     @property
     def matrix(self) -> Array:
-        """The matrix K (3, 3). Pixel centres have whole coordinates."""
+        """The camera matrix (3, 3). Pixel centres have whole coordinates."""
         width, height = self.settings.width_px, self.settings.height_px
         f = 0.5 * height / math.tan(0.5 * math.radians(self.settings.fov_deg))
         return np.array([[f, 0.0, 0.5 * width - 0.5], [0.0, f, 0.5 * height - 0.5], [0.0, 0.0, 1.0]])
@@ -69,7 +69,7 @@ class Camera:
         """Place a camera that looks at the middle of the phantom's board."""
         tilt, azimuth = math.radians(settings.tilt_deg), math.radians(settings.azimuth_deg)
         away = np.array([math.sin(tilt) * math.cos(azimuth), math.sin(tilt) * math.sin(azimuth), math.cos(tilt)])
-        right = np.cross(-away, (0.0, 1.0, 0.0))  # not zero: the tilt is below a right angle
+        right = np.cross(-away, (0.0, 1.0, 0.0))  # not zero, because the tilt is below 90 degrees
         right /= np.linalg.norm(right)
         turn = np.stack([right, np.cross(-away, right), -away], axis=1)
         return cls(settings, phantom_in_base @ Pose(turn, settings.distance_m * away))
@@ -83,7 +83,7 @@ class Camera:
 
 
 def hide(ids: range, fraction: float, seed: int) -> frozenset[int]:
-    """Return randomly chosen markers to cover, a share ``fraction`` (0 to 1) of all."""
+    """Choose the markers to cover at random: a share ``fraction`` (0 to 1) of all."""
     order = np.random.default_rng(seed).permutation(np.array(ids))
     return frozenset(order[: round(fraction * len(ids))].tolist())
 
@@ -91,7 +91,7 @@ def hide(ids: range, fraction: float, seed: int) -> frozenset[int]:
 class View:
     """Takes pictures of the board and the tool's shaft.
 
-    ``shaft`` maps a pose q (n,) to the tip and another point (3,) of the shaft in the base frame [m].
+    ``shaft`` maps a pose q (n,) to two points (3,) of the shaft in the base frame [m], the tip first.
     """
 
     def __init__(
@@ -149,7 +149,7 @@ class View:
 
 
 def expose(picture: Picture, settings: CameraSettings, rng: np.random.Generator) -> Picture:
-    """Return the picture (H, W, 3) with blur and noise."""
+    """Return the picture with blur and noise."""
     if settings.blur_px > 0.0:
         picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), settings.blur_px), dtype=np.uint8)
     if settings.noise > 0.0:

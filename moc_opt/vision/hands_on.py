@@ -79,13 +79,13 @@ class HandsOn:
 
     status: HandsOnStatus
     trocar: Array  #: (3,) true position of the incision [m]
-    registered: Array | None  #: (3,) registered trocar [m]; None unless the status is REGISTERED
+    registered: Array | None  #: (3,) [m]; None unless the status is REGISTERED
     q: Array  #: (n,) measured pose at the end [rad]
     trace: Trace  #: one row per tick
 
     @property
     def error_m(self) -> float:
-        """Distance of the registered trocar from the true trocar [m]; NaN if none was registered."""
+        """Distance of the registered from the true trocar; NaN if none was registered."""
         return math.nan if self.registered is None else float(np.linalg.norm(self.registered - self.trocar))
 
 
@@ -100,7 +100,7 @@ class Hand:
         self.settings, self._period, self._extra = settings, period_s, np.zeros(3)
 
     def pull(self, place: Array, velocity: Array, goal: Array) -> Array:
-        """Compute the hand's force (3,) [N] on a tip at ``place``, once per period. PlantError: the arm ran away."""
+        """Return the hand's force (3,) [N] on a tip at ``place``, once per tick. PlantError: the arm ran away."""
         hand, way = self.settings, goal - place
         distance = math.sqrt(float(way @ way))
         if not math.isfinite(distance + float(velocity @ velocity)):
@@ -144,9 +144,8 @@ def guide_to(
 ) -> HandsOn:
     """Let a hand pull the tip to the incision (3,) [m], and register the trocar.
 
-    The mean position of the resting tip in the robot's model, plus a seeded error, is registered as the trocar. If the
-    incision is too far away or out of reach, a TaskError is raised before the arm moves. If the arm runs away, a
-    PlantError is raised.
+    The mean position of the resting tip in the robot's model, plus a seeded error, is registered. Raise a TaskError,
+    before the arm moves, if the incision is too far away or out of reach, and a PlantError if the arm runs away.
     """
     settings = settings or HandsOnSettings()
     goal = vector3("incision", incision)
@@ -168,7 +167,7 @@ def guide_to(
     gain = -math.expm1(-2.0 * math.pi * _SPEED_FILTER_Hz * period)
     smoothed, reached = np.zeros(3), False
     rows: list[dict[str, Array | float]] = []
-    resting: list[Array] = []  # tip positions since the tip came to rest
+    resting: list[Array] = []  # positions of the resting tip
     needed, ticks = max(1, round(settings.rest_s / period)), math.ceil(settings.time_limit_s / period)
     while len(resting) < needed and loop.ticks < ticks and not loop.finished:
         # The model's J_tip is accurate enough for the tip's velocity.

@@ -38,11 +38,11 @@ class Sighting:
 
     pose: Pose  #: Of the board in the camera's frame.
     markers: int  #: Number of markers with at least two used corners.
-    error_px: float  #: Root mean square error of the corners [px].
+    error_px: float  #: Root mean square error of the corners.
 
 
 class BoardFinder:
-    """Finds the pose of one board in pictures of one camera."""
+    """Finds the pose of a board in pictures of one camera."""
 
     def __init__(self, board: Board, camera: Camera) -> None:
         parameters = cv2.aruco.DetectorParameters()
@@ -54,22 +54,20 @@ class BoardFinder:
         self._matrix = camera.matrix
 
     def corners(self, picture: Picture) -> dict[int, Array]:
-        """Find the board's markers; return their corners (4, 2) [px] by marker number."""
+        """Return the corners (4, 2) [px] of the board's markers by marker number."""
         found, ids, _ = self._detector.detectMarkers(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY))
         numbers = [] if ids is None else [int(marker) for marker in ids.ravel()]
         quads = (np.asarray(quad, dtype=np.float64).reshape(4, 2) for quad in found)
         return {marker: quad for marker, quad in zip(numbers, quads, strict=True) if marker in self._corners}
 
     def find(self, picture: Picture) -> Sighting | None:
-        """Find the board's pose in the camera's frame; None if no marker is seen or no pose fits.
-
-        The corners of a distant plane fit two poses. Both are refined, and the better one is returned.
-        """
+        """Find the board's pose in the camera's frame; None if no marker is seen or no pose fits."""
         seen = self.corners(picture)
         if not seen:
             return None
         points = np.concatenate([self._corners[marker] for marker in seen])
         pixels = np.concatenate(list(seen.values()))
+        # The corners of a distant plane fit two poses. Both are refined, and the better one is returned.
         _, turns, places, _ = cv2.solvePnPGeneric(points, pixels, self._matrix, None, flags=cv2.SOLVEPNP_IPPE)
         both = [self._refine(*start, points, pixels) for start in zip(turns, places, strict=True)]
         fits = [(pose, self._misses(pose, points, pixels)) for pose in both if pose is not None]
@@ -107,7 +105,7 @@ class Tracked:
 
 
 class BoardTracker:
-    """Tracks a board from picture to picture, and averages its pose over `smoothing_s`.
+    """Estimates the pose of a board, averaged over `smoothing_s`.
 
     If `found_after` sightings far from the estimate agree, the estimate jumps to them. The caller must make sure that
     the tip's reference does not jump with it.
