@@ -1,5 +1,4 @@
-/* The Python binding. Each function has a table of its arguments. All arguments are checked before anything is written.
- * A wrong argument raises a ValueError or TypeError. */
+/* The Python binding. Each function has a table of its arguments, which are checked before anything is written. */
 #ifndef MOC_PYTHON_H
 #define MOC_PYTHON_H
 
@@ -19,12 +18,12 @@
 
 #include "tools.h"
 
-/* READ: a C-contiguous float64 array. WRITE: such an array, to fill. STRIDED: an array with any strides, to fill.
- * MAYBE: READ or None. NUMBER: a float. WHOLE: an integer. MADE: an array that the call creates, last in a table. */
+/* READ: a C-contiguous float64 array. WRITE: the same to fill. STRIDED: with any strides, to fill. MAYBE: READ or None.
+ * NUMBER: a float. WHOLE: an integer. MADE: an array that the call creates, last in a table. */
 typedef enum { READ, WRITE, STRIDED, MAYBE, NUMBER, WHOLE, MADE } kind;
 
-/* Symbolic lengths: N = n joints, ROW = 11 n + 10 (subproblem), TERMS = n n + 13 n + 18, TICKED = 14 n + 16 (results of
- * a tick). K = k: the first length K of a call sets k. ANY: any length. columns = 0: an array with one axis. */
+/* Symbolic lengths: n joints, ROW (subproblem), TERMS, TICKED (results of a tick), computed in arguments.c. The first
+ * length K of a call sets k. columns = 0: an array with one axis. */
 enum { N = -1, ROW = -2, TERMS = -3, TICKED = -4, K = -5, ANY = -6 };
 
 typedef struct {
@@ -38,17 +37,17 @@ enum { MOST_ARGUMENTS = 14 };
 typedef struct {
     int n;                                /* joints; 0 until an array sets it */
     npy_intp k;                           /* length K; -1 until an array sets it */
-    int made, end;                        /* the arguments made, ..., end - 1 are arrays of kind MADE */
+    int made, end;                        /* arguments made, ..., end - 1 are of kind MADE */
     double *array[MOST_ARGUMENTS];        /* NULL for None */
     double number[MOST_ARGUMENTS];
     PyArrayObject *as[MOST_ARGUMENTS];
 } call;
 
-/* Take the arguments of the call. n = 0: the first array sets n. On failure, sets an exception and returns false. */
+/* Take the arguments. n = 0: the first array sets n. On failure, sets an exception and returns false. */
 bool moc_take(call *c, int n, const char *name, PyObject *const *args, Py_ssize_t count, const parameter *table,
              int size);
 
-/* Release the call's references to MADE arrays. Returns `result`. */
+/* Release MADE arrays. Returns `result`. */
 PyObject *moc_done(call *c, PyObject *result);
 
 static inline int rows_of(const call *c, int i)
@@ -63,8 +62,8 @@ static inline int whole(const call *c, int i)
 
 #define COUNT(table) ((int)(sizeof(table) / sizeof(table)[0]))
 
-/* FUNCTION(name, parameters...) { body } defines a function, METHOD(Type, name, parameters...) { body } a method. The
- * body has the arguments in `c` and the object in `self`. _core.pyi describes each function. */
+/* FUNCTION(name, parameters...) { body } defines a function, METHOD(Type, name, parameters...) { body } a method, with
+ * the arguments in `c` and the object in `self`. _core.pyi describes each. */
 #define CALL(function, name, joints, body, ...)                                                                        \
     static PyObject *function(PyObject *self, PyObject *const *args, Py_ssize_t count)                                 \
     {                                                                                                                  \
@@ -102,7 +101,7 @@ typedef struct {
     size_t offset;
 } field;
 
-/* Fill an object's fields from keywords. On failure, sets an exception and returns false. */
+/* Fill an object's fields from keywords. Returns false after an exception. */
 bool moc_fill(PyObject *keywords, const field *fields, int count, Arm *self);
 
 #endif

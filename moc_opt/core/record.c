@@ -3,7 +3,7 @@
 
 #include "shared.h"
 
-/* A part of a struct. N stands for n. */
+/* N stands for n. */
 typedef struct {
     size_t offset;
     int rows, columns;

@@ -1,43 +1,40 @@
-/* The safety filter checks every measurement, limits every torque, and decides when the arm has to stop.
- *
- * The table gives the condition of each reason to stop. A condition marked with * has to hold on more than `patience`
- * ticks in a row. If several conditions hold on a tick, the first in the table is reported. The limits are fields of
- * moc_guard. r_i is joint i's momentum residual [Nm]: the torque that its motion implies, minus the applied torque.
+/* The safety filter. Conditions of the reasons to stop, the first reported first:
  *
  *   LATE              now - newest stamp > delay of the run's first new measurement + patience [ticks]
  *   MEASUREMENT *     no new measurement, |v| > speed_factor v_max, or |q - q_b| > jump + v_max t. q_b is the last
- *                     accepted q, moved on with its v at every refusal since. t is the time since it was accepted
+ *                     accepted q, extrapolated with its v. t is the time since then
  *   REPLAYED          all sensors read the same as k readings ago, k > 1, more than n times with the same k.
  *                     n = min(repeat_reading_ticks, m). m is repeat_whole_ticks with wrench noise, else replayed_ticks
- *   REPEATED          all q are unchanged on more than `patience` ticks in a row. In this time, the tip's reference
- *                     moved by more than a, a torque changed by more than b tau_max, or WRENCH_REPEATED holds. If the
- *                     wrench is unchanged too, a is repeat_whole_m and b repeat_whole_torque, else repeat_m and
- *                     repeat_torque. Or: each joint's q, v were unchanged on over repeat_reading_ticks ticks in all
+ *   REPEATED          all q are unchanged on more than `patience` ticks in a row, and in this time the tip's reference
+ *                     moved by more than repeat_m, a torque changed by more than repeat_torque tau_max (with an
+ *                     unchanged wrench: repeat_whole_m, repeat_whole_torque tau_max), or WRENCH_REPEATED holds.
+ *                     Or: each joint's q, v were unchanged on more than repeat_reading_ticks ticks in total
  *   RAN_AWAY          |change of q - integral of v| over motion_s > motion_rad + motion_lag_s * (largest recent |v|)
  *   ONE_REPEATED      one q is unchanged for more than repeat_joint_ticks ticks in a row, or one q and its v for
  *                     more than repeat_reading_ticks ticks in total
- *   WRENCH_REPEATED   the wrench has noise, but is unchanged for more than repeat_whole_ticks ticks in a row
- *   LAGGING           one encoder reads the same as k readings ago, more than repeat_reading_ticks times with one k > 1
+ *   WRENCH_REPEATED   a noisy wrench is unchanged for more than repeat_whole_ticks ticks in a row
+ *   LAGGING           like REPLAYED for one encoder, with n = repeat_reading_ticks
  *   WRENCH *          the wrench is not finite
- *   RCM, FORCE        rms distance of the shaft from the trocar, or rms trocar force, is above its limit
- *   TIP               rms distance of the tip from its reference > tip_error
+ *   RCM, FORCE        rms RCM error or rms trocar force > limit
+ *   TIP               rms tip error > tip_error
  *   UNEXPLAINED *     |r_i - running mean of r_i| > residual_torque tau_max, or |r_i| > residual_whole tau_max
  *   STUCK             q_i is unchanged on more than `patience` ticks in a row, and the integral of d_i / M_ii in this
  *                     time exceeds stuck_speed. d_i is the change of r_i, less the static friction held_i
  *   TORQUE            the controller's torque is not finite
  *
- * Each torque is limited by its virtual wall, then to a step per tick, then to tau_max (docs/reliability.md). */
+ * With *, the condition has to hold on more than `patience` ticks in a row. r_i is joint i's momentum residual [Nm]:
+ * the torque that its motion implies, minus the applied torque. */
 #include <limits.h>
 
 #include "vec.h"
 
-#define SHORTEST_DEPTH 0.05 /* below this depth of the tip, all force counts as the trocar's [m] */
+#define SHORTEST_DEPTH 0.05 /* below this depth, all force counts as the trocar's [m] */
 #define GRAVITY 9.81        /* [m/s^2] */
 #define FIRST_READINGS 100  /* readings that decide whether the wrench has noise */
-#define LARGEST_STAMP (LLONG_MAX / 4) /* a stamp is possible if its magnitude is smaller */
-#define SHRINK 0.61803398875 /* ratio of successive weights in as_number */
-#define FINE 1e9             /* take_in stores x in slot floor(FINE |x|) mod slots */
-#define LARGEST_NUMBER 1e6   /* largest |x| that take_in stores */
+#define LARGEST_STAMP (LLONG_MAX / 4)
+#define SHRINK 0.61803398875
+#define FINE 1e9             /* of the readings' hash */
+#define LARGEST_NUMBER 1e6
 
 void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v, long long stamp, moc_watch *w)
 {
@@ -48,7 +45,7 @@ void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v
         w->low[i] = smaller(q[i], g->low[i]);
         w->high[i] = larger(q[i], g->high[i]);
         w->joint[i].peak_speed = fabs(v[i]);
-        w->joint[i].repeats = -1.0; /* the first reading does not count as a repeat */
+        w->joint[i].repeats = -1.0;
     }
     for (int i = 0; i < 3; i++)
         w->point[i] = (double)NAN;
@@ -58,7 +55,6 @@ void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v
 
 /* --- the age of a measurement --- */
 
-/* FRESH: a new measurement. REPEAT: no new measurement, but not too late. OLD: the condition of LATE holds. */
 enum { FRESH, REPEAT, OLD };
 
 static int age(const moc_guard *g, long long stamp, moc_watch *w)
@@ -74,7 +70,7 @@ static int age(const moc_guard *g, long long stamp, moc_watch *w)
     if (newer) {
         w->elapsed += stamp - w->newest;
         w->newest = stamp;
-        if (++w->taken == 2) /* the first, from before the run, does not show the delay */
+        if (++w->taken == 2) /* the first is from before the run */
             w->delay = late;
     }
     if (w->now - w->newest > w->delay + g->patience)
@@ -82,7 +78,7 @@ static int age(const moc_guard *g, long long stamp, moc_watch *w)
     return newer ? FRESH : REPEAT;
 }
 
-/* Whether a measurement passes the check MEASUREMENT. False for NaN. */
+/* False for NaN. */
 static bool believable(const moc_guard *g, int n, const double *q, const double *v, const moc_watch *w)
 {
     double ticks = 1.0 + (double)w->bad;
@@ -100,7 +96,6 @@ static bool same(double a, double b)
     return a <= b && a >= b;
 }
 
-/* Whether the first FIRST_READINGS wrenches are known and none of them equals the one before. */
 static bool wrench_has_noise(const moc_watch *w)
 {
     return w->looked >= FIRST_READINGS && !w->wrench_is_still;
@@ -131,7 +126,7 @@ static bool compare_joint(const moc_guard *g, double q, double v, double elapsed
     j->drift = keep * j->drift + (q - j->shown) - elapsed * v;
     j->peak_speed = larger(fabs(v), keep * j->peak_speed);
     bool repeats = same(q, j->shown);
-    /* a joint at rest (peak_speed = 0) may repeat q and v: this does not count */
+    /* a joint at rest may repeat q and v */
     j->repeats_both += !first && repeats && same(v, j->speed) && j->peak_speed > 0.0;
     j->speed = v;
     if (first || repeats) {
@@ -145,7 +140,6 @@ static bool compare_joint(const moc_guard *g, double q, double v, double elapsed
     return fabs(j->drift) > g->motion_rad + g->motion_lag_s * j->peak_speed;
 }
 
-/* Whether the tip's reference or a torque has changed too much since the encoders stopped changing (REPEATED). */
 static bool asked_to_move(const moc_guard *g, int n, const double *tau, const moc_watch *w)
 {
     bool whole = w->wrench_repeats > g->patience, moved = false;
@@ -158,7 +152,6 @@ static bool asked_to_move(const moc_guard *g, int n, const double *tau, const mo
     return moved;
 }
 
-/* The checks REPEATED, RAN_AWAY, ONE_REPEATED and WRENCH_REPEATED. */
 static moc_stop compare_readings(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w)
 {
     double elapsed = g->period * larger((double)w->elapsed, 1.0);
@@ -188,7 +181,7 @@ static moc_stop compare_readings(const moc_guard *g, int n, const moc_measuremen
                                                                                   : MOC_RUNNING;
 }
 
-/* Store a reading in a table. Returns the number of repetitions in a row with the same lag (distance in readings). */
+/* Store a reading. Returns the number of repetitions in a row with the same lag [readings]. */
 static inline double take_in(double number, int slots, double *numbers, double *at, moc_came_before *before)
 {
     if (!(fabs(number) < LARGEST_NUMBER))
@@ -205,7 +198,6 @@ static inline double take_in(double number, int slots, double *numbers, double *
     return before->hits;
 }
 
-/* Add the values to the weighted sum `number`. Equal readings give equal sums. */
 static double as_number(int count, const double *values, double number)
 {
     for (int i = 0; i < count; i++)
@@ -213,7 +205,7 @@ static double as_number(int count, const double *values, double number)
     return number;
 }
 
-/* The checks REPLAYED and LAGGING. A replayed recording agrees with the model, so that no other check finds it. */
+/* A replayed recording agrees with the model, so that no other check finds it. */
 static moc_stop came_before(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w)
 {
     double most = smaller(g->repeat_reading_ticks, wrench_has_noise(w) ? g->repeat_whole_ticks : g->replayed_ticks);
@@ -263,8 +255,8 @@ static double rcm_error(double pose[4][3], const double P[3])
 /* Compute the trocar's force across the shaft [N] from the wrench at the tool's mount.
  * Let z be the tool's axis, L its length, d the depth of the tip beyond the trocar, f the trocar's force, and g a
  * contact force at the tip. Without the tool's weight, force = f + g and torque = (L - d) z x f + L z x g. Hence
- * f = (L force - torque x z) / d. An overestimated d makes f too small. |g| is at most tip_force by assumption, so the
- * result is never below |force| - tip_force. *all is |force|, for the warning: a load on the tool may reduce f. */
+ * f = (L force - torque x z) / d. An overestimated d makes f too small, but not below |force| - tip_force. *all is
+ * |force|, for the warning: a load on the tool may reduce f. */
 static double trocar_force(const moc_guard *g, double pose[4][3], const double P[3], const double *wrench, double *all)
 {
     double depth = 0.0, L = g->tool_length, weight[2], force[2];
@@ -320,8 +312,7 @@ moc_stop moc_guard_incision(const moc_guard *g, double pose[4][3], const moc_tro
 
 /* --- torque and motion --- */
 
-/* Whether |r - mean of r| / tau_max in each other joint is at most 0.7 times that in joint i. Drive i then is at fault,
- * because other causes would disturb several joints. */
+/* Whether only joint i has a large residual. Drive i is then at fault, because other causes disturb several joints. */
 static bool alone(const moc_guard *g, int n, int i, const moc_watch *w)
 {
     double mine = fabs(w->joint[i].residual - w->joint[i].mean) / g->tau_max[i];
@@ -331,7 +322,7 @@ static bool alone(const moc_guard *g, int n, int i, const moc_watch *w)
     return true;
 }
 
-/* The checks STUCK and UNEXPLAINED use the momentum residual (De Luca & Mattone 2003). */
+/* Check the momentum residual (De Luca & Mattone 2003). */
 static moc_stop weigh(const moc_guard *g, int n, const moc_terms *t, const double *tau, moc_watch *w)
 {
     moc_stop found = MOC_RUNNING;
@@ -367,17 +358,17 @@ static moc_stop weigh(const moc_guard *g, int n, const moc_terms *t, const doubl
 
 /* --- limits of the torque --- */
 
-/* Return the largest (torque - gravity torque) towards a wall at this distance, infinite if the wall does not act. */
+/* Return the largest (torque - gravity torque) towards a wall at this distance. */
 static double left_by_wall(const moc_guard *g, int i, double distance, double speed)
 {
-    /* up to this speed, the joint can still stop at the wall */
+    /* from this speed, the joint can still stop at the wall */
     double allowed = smaller(sqrt(2.0 * g->wall_brake * larger(distance, 0.0)), g->v_max[i]);
     if (!(distance < 0.0 || speed > allowed))
         return HUGE_VAL;
     return -g->wall_stiffness * larger(-distance, 0.0) - g->wall_damping * larger(speed - allowed, 0.0);
 }
 
-/* Compute the gravity torque at q, or 0 if the drives add it themselves. Returns false if it is not finite. */
+/* Compute the gravity torque, or 0 if the drives add it. Returns false if it is not finite. */
 static bool weight_of(const moc_guard *g, const moc_arm *arm, const double *q, double *weight)
 {
     memset(weight, 0, (unsigned)arm->n * sizeof *weight);
@@ -386,7 +377,7 @@ static bool weight_of(const moc_guard *g, const moc_arm *arm, const double *q, d
     return all_finite(arm->n, weight);
 }
 
-/* Limit tau in place. Returns the number of changed torques. */
+/* Returns the number of changed torques. */
 static int limit_torque(const moc_guard *g, const moc_arm *arm, const double *before, const moc_watch *w, double *tau)
 {
     double least[MOC_MAX_JOINTS], most[MOC_MAX_JOINTS], weight[MOC_MAX_JOINTS];
@@ -397,7 +388,7 @@ static int limit_torque(const moc_guard *g, const moc_arm *arm, const double *be
         most[i] = left_by_wall(g, i, w->high[i] - w->q[i], w->v[i]);
         least[i] = -left_by_wall(g, i, w->q[i] - w->low[i], -w->v[i]);
         braked |= isfinite(most[i]) || isfinite(least[i]);
-        if (least[i] > most[i]) /* the limits of both walls contradict each other */
+        if (least[i] > most[i]) /* both walls contradict */
             least[i] = most[i] = 0.0;
     }
     if (braked)
@@ -446,10 +437,8 @@ void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before
     }
 }
 
-/* Closed brakes keep the tool pressed on the tissue, and open brakes let the arm sink under an unknown load. Let F be
- * the mean trocar force, and F0 = 0 at first. They open if F > F0 + stop_yield, and close if F <= F0 + stop_yield/2. If
- * they are still open after stop_yield_ticks, they close, and F0 becomes the present F. While they are closed, F0 falls
- * with F. They never open if the drives cannot carry the arm's weight, or if a drive is at fault (w->cut). */
+/* Closed brakes keep the tool pressed on the tissue, and open brakes let the arm sink under an unknown load. Hence they
+ * open for stop_yield_ticks at most, and again only after a further rise of the force. */
 void moc_guard_hold(const moc_guard *g, const moc_arm *arm, const double *wrench, moc_watch *w, double *friction)
 {
     double weight[MOC_MAX_JOINTS], pose[4][3];
@@ -463,7 +452,7 @@ void moc_guard_hold(const moc_guard *g, const moc_arm *arm, const double *wrench
         double all;
         moc_tool_pose(arm, w->q, pose);
         double force = trocar_force(g, pose, w->point, wrench, &all);
-        /* a mean, because the tool's inertia adds to the force when the stop begins */
+        /* a mean, because the tool's inertia adds to the force at first */
         w->mean_force = all_finite(1, &force) ? w->mean_force + g->press_share * (force - w->mean_force) : 0.0;
         w->brakes_open = w->mean_force - w->base_force > (w->brakes_open ? 0.5 * g->stop_yield : g->stop_yield);
         w->open_ticks = w->brakes_open ? w->open_ticks + 1 : 0;
