@@ -1,4 +1,4 @@
-/* Check a solver's answer, and replace a refused answer. */
+/* Check an answer, and replace a refused one. */
 #include "vec.h"
 
 #define AT_BOUND 1e-4          /* largest distance from an active bound [rad/s] */

@@ -28,8 +28,8 @@ static inline void weigh_back(const moc_plane *plane, int steps, double g[6])
     }
 }
 
-/* Estimate the (k + 1)-th largest singular value of A, divided by |A|_F. After k steps, a row without a pivot is e^T A.
- * Returns the largest |e^T A| / (|e| |A|_F), which is at most 4 * (next pivot) / (first pivot). */
+/* Estimate the (k + 1)-th singular value of A, divided by |A|_F: the largest |e^T A| / (|e| |A|_F) over the rows e^T A
+ * that are left after k steps. It is at most 4 * (next pivot) / (first pivot). */
 static double own_part(const moc_plane *plane, int n, double A[][MOC_MAX_JOINTS], int k)
 {
     double most = 0.0, size = 0.0;

@@ -54,7 +54,7 @@ static void times(int n, double J[][MOC_MAX_JOINTS], const double *v, double out
         out[i] = dot(n, J[i], v);
 }
 
-/* Compute ddN_d of N_d = X + L e for a trocar without acceleration. With r = P_t - X = |r| e and ' for d/dt:
+/* ddN_d of N_d = X + L e for a trocar without acceleration. With r = P_t - X = |r| e and ' for d/dt:
  * e'' = (I - e e^T)(r'' - 2 |r|' e') / |r| - |e'|^2 e. */
 static void desired_wrist_acceleration(const line *s, double span, const double ddX_d[3], double out[3])
 {

@@ -1,4 +1,4 @@
-/* Control law, exact solver and safety filter in SI units, without heap. A tick is one control period.
+/* Control law, exact solver and safety filter in SI units. A tick is one control period.
  *
  * Symbols: joint positions q [rad, m], joint velocities v, tip X, wrist centre N, trocar P_t, Jacobians J_T of the tip
  * and J_W of the wrist, A = [J_T; J_W], mass matrix M, h = C v + g, manipulability mu of the tip. */
@@ -35,8 +35,8 @@ typedef struct {
     int n;
     moc_joint joint[MOC_MAX_JOINTS];
     double point[2][3];            /* tip and wrist centre in the last joint's axes [m] */
-    double tool[3][3];             /* rows: tool axes x, y, z (along the shaft) in the last joint's axes */
-    int moves[2][MOC_MAX_JOINTS];  /* 0: the joint never moves the tip (row 0) or the wrist (row 1) */
+    double tool[3][3];             /* rows: tool axes x, y, z (along the shaft) */
+    int moves[2][MOC_MAX_JOINTS];  /* 0: the joint never moves tip (row 0) or wrist (row 1) */
     double gravity[3];             /* [m/s^2] */
 } moc_arm;
 
@@ -108,7 +108,7 @@ typedef struct {
     double k0;                                   /* speed limit / distance from a joint limit [1/s] */
     double c0, c1, c2, rho;
     double q_min[MOC_MAX_JOINTS], q_max[MOC_MAX_JOINTS], v_max[MOC_MAX_JOINTS];
-    double shaft_margin;                         /* below this mu_shaft, level 3 also raises mu_shaft [m^2] */
+    double shaft_margin;                         /* below it, level 3 also raises mu_shaft [m^2] */
     double spare_speed;                          /* below shaft_margin, v_max grows by up to this share */
     double observer_gain;                        /* K_o [1/s]; 0: no observer */
     double period;                               /* [s] */
@@ -219,10 +219,10 @@ typedef struct {
     int in_incision;                                    /* 0: RCM and FORCE are off */
     double warning[2], limit[2];                        /* of the rms RCM error [m], trocar force [N] */
     double incision_share;                              /* weight of a new tick in these */
-    double tool_mass, tool_length;                      /* the tool counts as a rod [kg], [m] */
+    double tool_mass, tool_length;                      /* of a rod [kg], [m] */
     double tip_force;                                   /* largest contact force at the tip [N] */
     double stop_holding;                                /* dry friction of closed brakes / tau_max */
-    double stop_yield;                                  /* rise of the trocar force that opens the brakes [N] */
+    double stop_yield;                                  /* rise of the force that opens the brakes [N] */
     int stop_yield_ticks;                               /* open brakes close after these */
     double press_share;                                 /* weight of a new tick in mean_force */
     int motion;                                         /* 0: LATE and all checks below are off */
@@ -286,14 +286,14 @@ typedef struct {
     int cut;                                     /* 1: a drive is at fault */
     int limited;                                 /* torques limited in this tick */
     long long now, newest;                       /* this control period; newest stamp */
-    long long delay;                             /* of the run's first new measurement [periods] */
+    long long delay;                             /* of the first new measurement [periods] */
     long long elapsed;                           /* periods since readings were compared */
     long long taken;
     moc_joint_watch joint[MOC_MAX_JOINTS];
     double tip_ref[3], tip_ref_before[3];        /* now and when the encoders stopped changing [m] */
     double wrench[6], wrench_repeats;            /* latest wrench; its repetitions in a row */
     int looked;                                  /* wrenches read, up to FIRST_READINGS */
-    int wrench_is_still;                         /* 1: among these, one equalled the one before */
+    int wrench_is_still;                         /* 1: one of these equalled the one before */
     int weighed;                                 /* measurements compared with the torque */
     double number[MOC_SLOTS], at[MOC_SLOTS];     /* readings as numbers; their indices (0: empty) */
     double joint_number[MOC_MAX_JOINTS][MOC_JOINT_SLOTS], joint_at[MOC_MAX_JOINTS][MOC_JOINT_SLOTS];

@@ -148,8 +148,7 @@ static double turn_tangent(const plan_task *task, const double *q, const double 
     return length;
 }
 
-/* Whether the curve's start lies ahead of q within one step. `pose` is the start after whole turns towards q. *gap is
- * the distance from q to `pose`. */
+/* Whether the curve's start lies ahead of q within one step. `pose` is the start after whole turns towards q. */
 static bool closes(const plan_task *task, const double *start, const double *q, const double *tangent, double step,
                   double *pose, double *gap)
 {

@@ -121,8 +121,8 @@ static bool push(polytope *t, int p, int *active)
     }
 }
 
-/* Move s in ker A to the nearest point within the bounds: s - s_start = Pi force. Pi must not be swept on entry. The
- * bounds are widened by `slack` up to `most` if rounding has lost the point. */
+/* Move s in ker A to the nearest point within the bounds: s - s_start = Pi force. The bounds are widened by `slack` up
+ * to `most` if rounding has lost the point. Pi must not be swept on entry. */
 static moc_status project(polytope *t, double slack, double most)
 {
     double start[MOC_MAX_JOINTS];
@@ -154,8 +154,7 @@ static moc_status project(polytope *t, double slack, double most)
     return MOC_DOUBTFUL;
 }
 
-/* Proximal point iteration. The multipliers are then (rho + 1 / base) t->force. The last, short steps remove the
- * rounding errors of the long ones. */
+/* Proximal point iteration. Its last, short steps remove the rounding errors of the long ones. */
 static moc_status approach(polytope *t, double rho, double slack, double most, double base)
 {
     static const double scales[] = {1e8, 1e4, 1.0};

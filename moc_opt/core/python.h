@@ -18,12 +18,11 @@
 
 #include "tools.h"
 
-/* READ: a C-contiguous float64 array. WRITE: the same to fill. STRIDED: with any strides, to fill. MAYBE: READ or None.
- * NUMBER: a float. WHOLE: an integer. MADE: an array that the call creates, last in a table. */
+/* READ, WRITE: a C-contiguous float64 array. STRIDED: with any strides, to fill. MAYBE: READ or None. NUMBER: a float.
+ * WHOLE: an integer. MADE: an array that the call creates, last in a table. */
 typedef enum { READ, WRITE, STRIDED, MAYBE, NUMBER, WHOLE, MADE } kind;
 
-/* Symbolic lengths: n joints, ROW (subproblem), TERMS, TICKED (results of a tick), computed in arguments.c. The first
- * length K of a call sets k. columns = 0: an array with one axis. */
+/* Lengths that arguments.c computes from n (joints) or k. The first length K of a call sets k. columns = 0: one axis */
 enum { N = -1, ROW = -2, TERMS = -3, TICKED = -4, K = -5, ANY = -6 };
 
 typedef struct {

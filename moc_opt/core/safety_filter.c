@@ -30,7 +30,7 @@
 
 #define SHORTEST_DEPTH 0.05 /* below this depth, all force counts as the trocar's [m] */
 #define GRAVITY 9.81        /* [m/s^2] */
-#define FIRST_READINGS 100  /* readings that decide whether the wrench has noise */
+#define FIRST_READINGS 100  /* they decide whether the wrench has noise */
 #define LARGEST_STAMP (LLONG_MAX / 4)
 #define SHRINK 0.61803398875
 #define FINE 1e9             /* of the readings' hash */
@@ -181,7 +181,7 @@ static moc_stop compare_readings(const moc_guard *g, int n, const moc_measuremen
                                                                                   : MOC_RUNNING;
 }
 
-/* Store a reading. Returns the number of repetitions in a row with the same lag [readings]. */
+/* Returns the number of repetitions in a row with the same lag [readings]. */
 static inline double take_in(double number, int slots, double *numbers, double *at, moc_came_before *before)
 {
     if (!(fabs(number) < LARGEST_NUMBER))
@@ -252,11 +252,10 @@ static double rcm_error(double pose[4][3], const double P[3])
     return sqrt(x * x + y * y);
 }
 
-/* Compute the trocar's force across the shaft [N] from the wrench at the tool's mount.
- * Let z be the tool's axis, L its length, d the depth of the tip beyond the trocar, f the trocar's force, and g a
- * contact force at the tip. Without the tool's weight, force = f + g and torque = (L - d) z x f + L z x g. Hence
- * f = (L force - torque x z) / d. An overestimated d makes f too small, but not below |force| - tip_force. *all is
- * |force|, for the warning: a load on the tool may reduce f. */
+/* Compute the trocar's force f across the shaft [N]. Let z be the tool's axis, L its length, d the depth of the tip
+ * beyond the trocar, and g a contact force at the tip. Without the tool's weight, force = f + g and
+ * torque = (L - d) z x f + L z x g. Hence f = (L force - torque x z) / d. An overestimated d makes f too small, but not
+ * below |force| - tip_force. *all is |force|, for the warning: a load on the tool may reduce f. */
 static double trocar_force(const moc_guard *g, double pose[4][3], const double P[3], const double *wrench, double *all)
 {
     double depth = 0.0, L = g->tool_length, weight[2], force[2];
@@ -358,7 +357,7 @@ static moc_stop weigh(const moc_guard *g, int n, const moc_terms *t, const doubl
 
 /* --- limits of the torque --- */
 
-/* Return the largest (torque - gravity torque) towards a wall at this distance. */
+/* Return the largest (torque - gravity torque) towards a wall. */
 static double left_by_wall(const moc_guard *g, int i, double distance, double speed)
 {
     /* from this speed, the joint can still stop at the wall */

@@ -28,8 +28,8 @@ typedef struct {
     double target[2][3];      /* tip and wrist [m] */
 } plan_task;
 
-/* Search from q (n,) for a pose with tip (points = 1), or tip and wrist (2), at the target. Returns the largest
- * component of the position errors at `best` [m]. `best` may be `q`. */
+/* Search from q (n,) for a pose with tip (points = 1), or tip and wrist (2), at the target. Returns the largest error
+ * component [m]. `best` may be `q`. */
 double plan_place(const plan_task *task, int points, int iterations, const double *q, double *best);
 
 /* Sample the curve of self-motion from q along the unit tangent (n,): arc length s, poses (most, n), mu. Ends at a
