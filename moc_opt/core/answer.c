@@ -1,13 +1,13 @@
-/* Check an answer, and replace a refused one. */
+/* Check a solver's answer, and replace a refused answer. */
 #include "vec.h"
 
-#define AT_BOUND 1e-4          /* largest distance from an active bound [rad/s] */
-#define PASSES 2e-3            /* up to this `natural`, `off` and `opposite` may stay zero */
-#define NO_GRADIENT 1e-12      /* |pull in ker A| / (largest |pull_j|) that counts as zero */
-#define IMMOBILE 1e-12         /* least divisor in least_violation [m^2] */
-#define GRADIENT_ROUNDING 1e-9 /* largest |d| that counts as zero */
+#define AT_BOUND 1e-4          /* largest distance from a bound that counts as zero [rad/s] */
+#define PASSES 2e-3            /* largest `natural` at which `off` and `opposite` may stay zero [rad/s] */
+#define NO_GRADIENT 1e-12      /* largest |part of pull in ker A| / (largest |pull_j|) that counts as zero */
+#define IMMOBILE 1e-12         /* least divisor in least_violation, for joints that hardly move tip and wrist [m^2] */
+#define GRADIENT_ROUNDING 1e-9 /* largest |d| of steepest_descent that counts as zero */
 #define DESCENTS 50            /* sweeps in least_violation */
-#define OUTSIDE 1e-6           /* of bounds [rad/s] and |A x - b| [m/s] in `retreat` */
+#define OUTSIDE 1e-6           /* largest allowed bound violation [rad/s] and |A x - b| [m/s] in `retreat` */
 
 /* Whether joint j moves neither tip nor wrist. */
 static bool is_idle(int rows, double Z[][MOC_MAX_JOINTS], int j)
@@ -18,7 +18,8 @@ static bool is_idle(int rows, double Z[][MOC_MAX_JOINTS], int j)
     return own > 1.0 - 1e-12;
 }
 
-/* d: the negative gradient, projected on the tangent cone of the feasible set. Returns the gradient's scale. */
+/* Compute d (n,), the negative gradient, projected on the tangent cone of the feasible set. moc_judge divides the
+ * gradient by the returned number. */
 static double steepest_descent(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS], const double *x, double *d)
 {
     moc_problem cone = {.n = p->n, .rho = 1.0};

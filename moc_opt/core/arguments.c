@@ -1,7 +1,7 @@
 /* Checks and converts the arguments of calls from Python. */
 #include "python.h"
 
-/* The symbolic lengths from N to ANY: factors of n^2, n and 1, text in messages. */
+/* The symbolic lengths of python.h, from N to ANY: factors of n^2, n and 1, and the text in messages. */
 static const struct {
     int nn, n, one;
     const char *words;
@@ -15,7 +15,7 @@ static npy_intp length_of(const call *c, int wanted)
     return (lengths[-1 - wanted].nn * c->n + lengths[-1 - wanted].n) * c->n + lengths[-1 - wanted].one;
 }
 
-/* The first length that depends on n (or k) sets n (or k). */
+/* Whether an array has the wanted length. The first length that depends on n (or k) sets n (or k). */
 static bool fits(call *c, int wanted, npy_intp length)
 {
     if (wanted == K && c->k < 0)

@@ -1,5 +1,5 @@
-/* Kinematics and dynamics of a serial chain (Featherstone 2008, chapter 5). Twists and momenta are at the world's
- * origin. */
+/* Kinematics and dynamics of a serial chain (Featherstone 2008, chapter 5). Twists [lin, ang] and momenta are in world
+ * axes, at the world's origin: lin is the velocity of the body's point that is there. */
 #include "vec.h"
 
 void moc_place(const moc_arm *arm, const double *q, moc_frame *frame, moc_twist *twist)
@@ -63,7 +63,7 @@ static body link_in_world(const moc_joint *joint, const moc_frame *frame)
 
     for (int i = 0; i < 3; i++)
         link.moment[i] = joint->mass * frame->p[i] + dot3(frame->R[i], joint->moment);
-    /* parallel axes: add m (|c|^2 1 - c c^T), with the centre of mass c */
+    /* parallel axes: add m (|c|^2 1 - c c^T), with the centre of mass c in the world */
     double square = share * dot3(link.moment, link.moment);
     for (int i = 0; i < 3; i++) {
         double turned[3] = {dot3(frame->R[i], local[0]), dot3(frame->R[i], local[1]), dot3(frame->R[i], local[2])};
@@ -86,7 +86,7 @@ static moc_twist momentum(const body *b, const moc_twist *twist)
     return H;
 }
 
-/* dS/dt of a twist S that moves with a body of twist V = [v, w]: [w x lin + v x ang, w x ang] */
+/* dS/dt of a twist S = [lin, ang] that moves with a body of twist V = [v, w]: [w x lin + v x ang, w x ang] */
 static moc_twist carried(const moc_twist *V, const moc_twist *S)
 {
     moc_twist rate = {{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}};
@@ -125,13 +125,13 @@ static void dynamics(const moc_arm *arm, const moc_frame *frame, const moc_twist
         add(t->v[k], &S[k], V);
         add(t->v[k], &rate[k], acceleration);
         H[k] = momentum(&link[k], V);
-        /* dH/dt = I dV/dt + V x* H, with Featherstone's x* */
+        /* dH/dt = I dV/dt + V x* H, with the inertia I and Featherstone's cross product x* of twist and momentum */
         force[k] = momentum(&link[k], acceleration);
         add_cross(1.0, V->ang, H[k].lin, force[k].lin);
         add_cross(1.0, V->ang, H[k].ang, force[k].ang);
         add_cross(1.0, V->lin, H[k].lin, force[k].ang);
     }
-    for (int k = n - 1; k >= 0; k--) { /* link, H and force become sums over links k to n - 1 */
+    for (int k = n - 1; k >= 0; k--) { /* from the tip inwards: link, H and force become sums over links k to n - 1 */
         if (k + 1 < n) {
             link[k].mass += link[k + 1].mass;
             for (int i = 0; i < 3; i++) {
@@ -155,7 +155,7 @@ static void dynamics(const moc_arm *arm, const moc_frame *frame, const moc_twist
     }
 }
 
-/* Compute dJ/dt v of a point of the last link. */
+/* Compute dJ/dt v, the acceleration of a point of the last link at ddq = 0. */
 static void point_drift(const moc_twist *V, const moc_twist *acceleration, const double point[3], double out[3])
 {
     double velocity[3];

@@ -1,24 +1,25 @@
 /* The subproblem's optimum by elimination. If A x = b, the cost is rho/2 |x|^2 - c2 pull^T x + constant.
  *
  * Gauss-Jordan elimination with complete pivoting (Golub and Van Loan, Matrix Computations, 3.4.8) writes x as a
- * particular solution plus one self-motion per free joint (a joint without a pivot). With one, a ratio test gives the
- * optimum, with several polytope.c. Rows are padded to 8 or 16 numbers for unrolled loops. */
+ * particular solution plus one self-motion per free joint (a joint without a pivot). With one free joint, a ratio test
+ * gives the optimum. With several, polytope.c computes it. Rows are padded to 8 or 16 numbers, so that the compiler
+ * unrolls the loops over a row. */
 #include "vec.h"
 
-#define RANK_TOLERANCE 1e-12 /* largest (singular value of A) / |A|_F that is zero */
-#define TIED 1e-7            /* the same for the sixth, which is zero for a rigid tool */
-#define LOOK_CLOSER 1e3      /* own_part decides if pivot / (first pivot) is at most this * tolerance */
-#define LEFT 1e-6            /* largest |A x - b| of a result [m/s] */
+#define RANK_TOLERANCE 1e-12 /* largest (singular value of A) / |A|_F that counts as zero */
+#define TIED 1e-7            /* the same for the sixth singular value, which is zero for a rigid tool */
+#define LOOK_CLOSER 1e3      /* own_part finds the rank if pivot / (first pivot) <= this * RANK_TOLERANCE (or TIED) */
+#define LEFT 1e-6            /* largest allowed |A x - b| of a result [m/s] */
 #define SOUND 1e-6           /* if the last pivot is smaller, the result is checked [m] */
-#define UNBALANCED 1e-4      /* largest |A^T y - force| / max(c2 |pull|, rho) of a result */
-#define IDLE 1e-12           /* a joint is idle if no eliminated entry is larger */
+#define UNBALANCED 1e-4      /* largest allowed |A^T y - force| / max(c2 |pull|, rho) of a result */
+#define IDLE 1e-12           /* a joint is idle (moves neither tip nor wrist) if no eliminated entry is larger */
 #define ROUNDING 1e-9        /* an idle joint's pull below this share of the largest pull counts as zero */
-#define GROWTH 4e-12         /* relative rounding error of the elimination */
+#define GROWTH 4e-12         /* assumed bound on the relative rounding error of the elimination */
 #define WIDEST 1e-5          /* largest tolerance of a second solve [rad/s] */
-#define UNCLEAR 1e-3         /* the same of a third [rad/s] */
-#define SLIVER 2e-9          /* least rounding error with several free joints [rad/s] */
+#define UNCLEAR 1e-3         /* largest tolerance of a third solve [rad/s] */
+#define SLIVER 2e-9          /* least assumed rounding error with several free joints [rad/s] */
 
-/* Turn multipliers g of the rows after `steps` steps into multipliers of A's rows. */
+/* Turn multipliers g of the rows after `steps` steps of the elimination into multipliers of A's rows. */
 static inline void weigh_back(const moc_plane *plane, int steps, double g[6])
 {
     for (int k = steps - 1; k >= 0; k--) {
@@ -28,8 +29,8 @@ static inline void weigh_back(const moc_plane *plane, int steps, double g[6])
     }
 }
 
-/* Estimate the (k + 1)-th singular value of A, divided by |A|_F: the largest |e^T A| / (|e| |A|_F) over the rows e^T A
- * that are left after k steps. It is at most 4 * (next pivot) / (first pivot). */
+/* Estimate the (k + 1)-th largest singular value of A, divided by |A|_F. Returns the largest |e^T A| / (|e| |A|_F) over
+ * the rows e^T A that are left after k steps. It is at most 4 * (next pivot) / (first pivot). */
 static double own_part(const moc_plane *plane, int n, double A[][MOC_MAX_JOINTS], int k)
 {
     double most = 0.0, size = 0.0;
@@ -62,7 +63,7 @@ static inline int eliminate(moc_plane *plane, int n, double A[][MOC_MAX_JOINTS],
         for (int i = k + 1; i < 6; i++)
             for (int c = 0; c < m; c++)
                 largest[c] = larger(largest[c], fabs(plane->row[i][c]));
-        for (int half = m / 2; half > 0; half /= 2) /* pairs are faster than a sequence */
+        for (int half = m / 2; half > 0; half /= 2) /* comparing in pairs is faster than in sequence */
             for (int c = 0; c < half; c++) {
                 best[c] = largest[c + half] > largest[c] ? best[c + half] : best[c];
                 largest[c] = larger(largest[c + half], largest[c]);
@@ -81,7 +82,7 @@ static inline int eliminate(moc_plane *plane, int n, double A[][MOC_MAX_JOINTS],
         plane->pivot = size;
         plane->joint[k] = column;
         plane->from[k] = pivot;
-        /* |pivot| is known earlier than the pivot's sign */
+        /* size = |pivot| is known earlier than the pivot's sign */
         double inverse = plane->inverse[k] = copysign(1.0 / size, plane->row[pivot][column]);
         for (int c = 0; c < m; c++) {
             pivot_row[c] = plane->row[pivot][c] * inverse;
@@ -120,6 +121,7 @@ void moc_eliminate(int n, double A[][MOC_MAX_JOINTS], moc_plane *plane)
     }
 }
 
+/* Apply the steps of the elimination to b. */
 static void carry_over(const moc_plane *plane, const double b[6], double right[6])
 {
     memcpy(right, b, 6 * sizeof *right);
@@ -132,7 +134,7 @@ static void carry_over(const moc_plane *plane, const double b[6], double right[6
     }
 }
 
-/* Check x in the rows without a pivot. */
+/* Check x in the rows without a pivot. MOC_INFEASIBLE: no x within the bounds meets such a row. */
 static moc_status check_dropped(const moc_plane *plane, const moc_problem *p, const double right[6], const double *x)
 {
     moc_status status = MOC_OK;
@@ -167,7 +169,7 @@ static double idle_speed(const moc_problem *p, int j)
     return clip(pull == 0.0 ? 0.0 : pull / p->rho, p->lower[j], p->upper[j]); /* rho = 0: at a bound */
 }
 
-/* x + s z is within the bounds for low <= s <= high. joint: those at a bound there. */
+/* x + s z is within the bounds for low <= s <= high. joint[0] limits low, and joint[1] limits high. */
 typedef struct {
     double low, high;
     int joint[2];
@@ -202,14 +204,14 @@ static void solve_one(const moc_plane *plane, const moc_problem *p, double toler
     }
     double still = STILL * sqrt(zz);
     segment s = ratio_test(p, x, z, still, 0.0);
-    /* rounding may make an interval of one point empty */
+    /* rounding may make an interval of one point empty: widen the bounds */
     for (double slack = 1e-17; s.low > s.high && slack < tolerance;) {
         slack = smaller(100.0 * slack, tolerance);
         s = ratio_test(p, x, z, still, slack);
     }
     double best = (p->c2 * zg - p->rho * zx) / (p->rho * zz); /* infinite if rho = 0 */
     if (p->c2 * zg == 0.0 && p->rho == 0.0)
-        best = -zx / zz; /* the shortest x */
+        best = -zx / zz; /* every s is optimal: take the shortest x */
     int at_bound = best > s.high ? s.joint[1] : best < s.low ? s.joint[0] : NONE;
     best = clip(best, s.low, s.high);
     for (int j = 0; j < n; j++) {
@@ -275,7 +277,7 @@ static moc_status solve(const moc_plane *plane, const moc_problem *p, double tol
     return beyond > tolerance ? MOC_INFEASIBLE : check_dropped(plane, p, right, x);
 }
 
-/* GROWTH |A| |x| / (last pivot), a bound violation [rad/s] */
+/* Estimate the bound violation that rounding can cause [rad/s]: GROWTH |A| |x| / (last pivot) for the largest x. */
 static double explained_by_rounding(const moc_plane *plane, const moc_problem *p)
 {
     double sum[6] = {0.0};
@@ -289,7 +291,8 @@ moc_status moc_solve_eliminated(const moc_plane *plane, const moc_problem *p, do
 {
     moc_status status = solve(plane, p, tolerance, x, y);
     /* If rounding may have decided the status, solve again with larger tolerances. The first status holds only if the
-     * subproblem is infeasible even with the largest. With several free joints, columns may be almost parallel. */
+     * subproblem is infeasible even with the largest one, `unclear`. With several free joints, it is larger, because
+     * columns may be almost parallel. */
     double explained = status == MOC_OK ? 0.0 : explained_by_rounding(plane, p);
     if (explained <= tolerance)
         return status;

@@ -5,9 +5,9 @@
  * r: memory.external. s: memory.share. F_T, F_W: see moc_tracking_torque. Jbar_T, tau_ff: see add_dynamic. */
 #include "vec.h"
 
-#define STRAIGHT 1e-3  /* add_dynamic drops a wrist's row that is shorter than this * (the other) */
-#define SHAFT_PULL 0.1 /* moc_shaft_push is at most the slope of SHAFT_PULL log mu_shaft [m^3] */
-#define SHAFT_LOST 0.1 /* it is largest near mu_shaft = SHAFT_LOST shaft_margin */
+#define STRAIGHT 1e-3  /* add_dynamic drops one of the wrist's two rows if it is shorter than this * (the other) */
+#define SHAFT_PULL 0.1 /* moc_shaft_push is at most SHAFT_PULL / mu_shaft, the slope of SHAFT_PULL log mu_shaft [m^3] */
+#define SHAFT_LOST 0.1 /* moc_shaft_push is largest near mu_shaft = SHAFT_LOST shaft_margin */
 #define BOX_OPENS 3.0  /* the bounds on x are widest for mu_shaft <= (1 - 1/BOX_OPENS) shaft_margin */
 
 typedef struct {
@@ -54,7 +54,7 @@ static void times(int n, double J[][MOC_MAX_JOINTS], const double *v, double out
         out[i] = dot(n, J[i], v);
 }
 
-/* ddN_d of N_d = X + L e for a trocar without acceleration. With r = P_t - X = |r| e and ' for d/dt:
+/* Compute ddN_d of N_d = X + L e for a trocar without acceleration. With r = P_t - X = |r| e, and ' for d/dt:
  * e'' = (I - e e^T)(r'' - 2 |r|' e') / |r| - |e'|^2 e. */
 static void desired_wrist_acceleration(const line *s, double span, const double ddX_d[3], double out[3])
 {
@@ -66,14 +66,14 @@ static void desired_wrist_acceleration(const line *s, double span, const double 
         out[i] = ddX_d[i] + span * ((bend[i] - along * s->e[i]) / s->distance - square * s->e[i]);
 }
 
-/* Add tau_W (with MOC_DYNAMIC) and the feed-forward (Khatib 1987, eq. 51):
+/* Add the wrist's torque tau_W (only with MOC_DYNAMIC) and the feed-forward (Khatib 1987, eq. 51):
  *
  *   tau += (I - J_T^T Jbar_T^T) tau_W + A5^T (A5 M^-1 A5^T)^-1 a,  Jbar_T = M^-1 J_T^T (J_T M^-1 J_T^T)^-1,
  *   a = [ddX_d - dJ_T v; b^T (ddN_d - dJ_W v)], or 0 without a feed-forward.
  *
- * A5 = [J_T; b^T J_W], with b (3, 2) across the shaft. M = H H^T (Cholesky). `rows` has A5 H^-T and (H^-1 tau_W)^T.
- * Their orthogonalization avoids A5 M^-1 A5^T, which has the square of their condition number. A straight elbow cannot
- * accelerate the wrist in one direction, which tau_ff leaves out. */
+ * A5 = [J_T; b^T J_W], with the columns of b (3, 2) across the shaft. M = H H^T (Cholesky). `rows` has A5 H^-T and
+ * (H^-1 tau_W)^T. They are made orthogonal. This avoids A5 M^-1 A5^T, which has the square of their condition number. A
+ * straight elbow cannot accelerate the wrist in one direction, which tau_ff leaves out. */
 static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *ddX_d, const double *ddN_d,
                         const double *tau_W, double *tau)
 {
@@ -100,7 +100,7 @@ static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *d
         a[3] += b[0][i] * gap;
         a[4] += b[1][i] * gap;
     }
-    for (int i = 0; i < 6; i++) { /* tip's rows orthonormal, the others orthogonal to them */
+    for (int i = 0; i < 6; i++) { /* make the tip's rows orthonormal, the others orthogonal to them */
         for (int k = 0; k < i && k < 3; k++) {
             double along = dot(n, rows[k], rows[i]);
             a[i] -= along * c[k];
@@ -114,7 +114,7 @@ static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *d
                 rows[i][j] *= shrink;
         }
     }
-    /* Jacobi rotation of the wrist's two rows (Golub and Van Loan, 8.5.2) */
+    /* a Jacobi rotation (Golub and Van Loan, 8.5.2) makes the wrist's two rows orthogonal */
     double product = dot(n, rows[3], rows[4]), squares = dot(n, rows[3], rows[3]) - dot(n, rows[4], rows[4]);
     double size = fabs(squares) + sqrt(squares * squares + 4.0 * product * product);
     double tangent = size > 0.0 ? copysign(2.0, squares) * product / size : 0.0, third = a[3];
@@ -172,8 +172,9 @@ void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, cons
     memcpy(tau, t->h, (unsigned)n * sizeof *tau);
     add_force(n, J_T, 1.0, F, tau);
 
-    /* Shaft: F_W = factor K_N (N_d - N) + D_N (dN_d - dN), N_d = X + L e. In Su et al., factor is
-     * d / (rcm_lambda |N_d - N|) = cos(theta/2) |P_t - X| / (rcm_lambda L). theta: angle between e and -u. */
+    /* Shaft: F_W = factor K_N (N_d - N) + D_N (dN_d - dN), N_d = X + L e. If rcm_lambda > 0, factor is
+     * d / (rcm_lambda |N_d - N|), as in Su et al. With the RCM error d and the angle theta between e and -u,
+     * d / |N_d - N| is cos(theta/2) |P_t - X| / L. */
     line s = shaft_line(t->tip, dX, trocar);
     if (law->rcm_lambda > 0.0)
         factor = s.distance / t->span * sqrt(larger(0.5 * (1.0 - dot3(s.e, t->u)), 0.0)) / law->rcm_lambda;
@@ -211,7 +212,7 @@ void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_r
         p->b[i] = ref->dX[i];
         gap += t->u[i] * (p->b[i] - p->b[3 + i]);
     }
-    for (int i = 0; i < 3; i++) /* u^T (v_T - v_W) = 0, because the tool is rigid */
+    for (int i = 0; i < 3; i++) /* change v_W so that u^T (v_T - v_W) = 0, because the tool is rigid */
         p->b[3 + i] += gap * t->u[i];
     for (int j = 0; j < n; j++) {
         double v_max = law->v_max[j] * wider;

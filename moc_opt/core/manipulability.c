@@ -1,7 +1,7 @@
 /* Manipulability of the tip (Yoshikawa 1985) and of the shaft, and their gradients. */
 #include "vec.h"
 
-/* largest det(S) / (mean of S_ii)^3 of a singular S = J J^T */
+/* largest det(S) / (mean of S_ii)^3 at which S = J J^T counts as singular */
 #define SINGULAR 1e-14
 
 moc_gram moc_gram_of(int n, double J[][MOC_MAX_JOINTS])
@@ -76,7 +76,7 @@ double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MA
             C[a][b] = C[b][a] = dot(n, W[a], W[b]) - gram->det * dot3(K[b], mixed);
     }
 
-    /* pdet(C) is the sum of the principal 2x2 minors */
+    /* C has rank two, so that pdet(C) is the sum of the principal 2x2 minors */
     double minors = 0.0, trace = C[0][0] + C[1][1] + C[2][2];
     for (int a = 0, b = 1; a < 3; a++, b = (b + 1) % 3)
         minors += C[a][a] * C[b][b] - C[a][b] * C[b][a];

@@ -1,7 +1,8 @@
-/* Control law, exact solver and safety filter in SI units. A tick is one control period.
+/* Control law, exact solver and safety filter in SI units, without heap allocation. A tick is one control period.
  *
  * Symbols: joint positions q [rad, m], joint velocities v, tip X, wrist centre N, trocar P_t, Jacobians J_T of the tip
- * and J_W of the wrist, A = [J_T; J_W], mass matrix M, h = C v + g, manipulability mu of the tip. */
+ * and J_W of the wrist, A = [J_T; J_W], mass matrix M, bias torque h = C v + g, manipulability mu of the tip. Only
+ * the first n entries of joint arrays are used. */
 #ifndef MOC_H
 #define MOC_H
 
@@ -10,8 +11,8 @@
 typedef enum {
     MOC_OK = 0,
     MOC_INFEASIBLE, /* no x within the bounds solves A x = b */
-    MOC_DOUBTFUL,   /* rounding errors are too large */
-    MOC_UNFINISHED, /* rnn.c has not converged */
+    MOC_DOUBTFUL,   /* rounding errors are too large for a result */
+    MOC_UNFINISHED, /* the neural network (rnn.c) has not converged */
     MOC_NOT_FINITE  /* q or v is not finite */
 } moc_status;
 
@@ -26,7 +27,7 @@ typedef struct {
     double mass;           /* [kg] */
     double moment[3];      /* mass times centre of mass [kg m] */
     double inertia[6];     /* about the centre of mass: xx, xy, yy, xz, yz, zz [kg m^2] */
-    double rotor;          /* drive inertia at the joint [kg m^2] */
+    double rotor;          /* drive inertia, reflected to the joint [kg m^2] */
 } moc_joint;
 
 enum { MOC_TIP = 0, MOC_WRIST = 1 };
@@ -35,23 +36,23 @@ typedef struct {
     int n;
     moc_joint joint[MOC_MAX_JOINTS];
     double point[2][3];            /* tip and wrist centre in the last joint's axes [m] */
-    double tool[3][3];             /* rows: tool axes x, y, z (along the shaft) */
+    double tool[3][3];             /* rows: tool axes x, y, z (along the shaft) in the last joint's axes */
     int moves[2][MOC_MAX_JOINTS];  /* 0: the joint never moves tip (row 0) or wrist (row 1) */
-    double gravity[3];             /* [m/s^2] */
+    double gravity[3];             /* gravitational acceleration in world axes [m/s^2] */
 } moc_arm;
 
 /* Kinematics and dynamics at (q, v). The Python binding relies on the order of the fields. */
 typedef struct {
     double q[MOC_MAX_JOINTS], v[MOC_MAX_JOINTS];
-    double tip[3], wrist[3], u[3];           /* u = (X - N) / L */
+    double tip[3], wrist[3], u[3];           /* X [m], N [m], u = (X - N) / L */
     double pose[4][3];                       /* rows: tool axes x, y, z = u, tip */
     double A[6][MOC_MAX_JOINTS];             /* [J_T; J_W] */
     double drift[6];                         /* dJ_T/dt v, dJ_W/dt v [m/s^2] */
-    double grad_mu[MOC_MAX_JOINTS], grad_mu_shaft[MOC_MAX_JOINTS];
-    double M[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
-    double h[MOC_MAX_JOINTS];
+    double grad_mu[MOC_MAX_JOINTS], grad_mu_shaft[MOC_MAX_JOINTS]; /* in q [m^3/rad], [m^2/rad] */
+    double M[MOC_MAX_JOINTS][MOC_MAX_JOINTS]; /* [kg m^2] */
+    double h[MOC_MAX_JOINTS];                /* C v + g [Nm] */
     double energy_slope[MOC_MAX_JOINTS];     /* C^T v [Nm] */
-    double gravity[MOC_MAX_JOINTS];          /* g [Nm] */
+    double gravity[MOC_MAX_JOINTS];          /* g, the torque that carries the arm's weight [Nm] */
     double mu;                               /* [m^3] */
     double span;                             /* L [m] */
     double mu_shaft;                         /* manipulability of the shaft at a resting tip [m^2] */
@@ -62,12 +63,13 @@ typedef struct {
 /* min_x c0/2 |J_T x - v_T|^2 + c1/2 |J_W x - v_W|^2 - c2 x^T pull + rho/2 |x|^2,  A x = b,  lower <= x <= upper */
 typedef struct {
     int n;
-    double A[6][MOC_MAX_JOINTS], b[6];     /* [J_T; J_W], [v_T; v_W] */
-    double grad_mu[MOC_MAX_JOINTS];
-    double pull[MOC_MAX_JOINTS];           /* direction of larger mu and mu_shaft, or rho/c2 x_d to follow x_d */
+    double A[6][MOC_MAX_JOINTS], b[6];     /* [J_T; J_W], [v_T; v_W] [m/s] */
+    double grad_mu[MOC_MAX_JOINTS];        /* [m^3/rad] */
+    double pull[MOC_MAX_JOINTS];           /* grad_mu, plus a multiple of grad_mu_shaft if mu_shaft < shaft_margin,
+                                            * or rho/c2 x_d to follow x_d */
     double lower[MOC_MAX_JOINTS], upper[MOC_MAX_JOINTS]; /* [rad/s] */
     double c0, c1, c2, rho;
-    double q[MOC_MAX_JOINTS];              /* for nonlinear solvers: A = A(q) */
+    double q[MOC_MAX_JOINTS];              /* A = A(q); only nonlinear solvers use q */
 } moc_problem;
 
 /* Eliminated A x = b. For k < rank: x[joint[k]] + (sum of row[k][j] x[j] over joints j without a pivot) = new b_k. */
@@ -76,7 +78,7 @@ typedef struct {
     double inverse[6];         /* 1 / (pivot of step k) */
     double scale[6][6];        /* step k subtracted scale[k][i] * (row k) from row i; scale[k][k] is -1 */
     int from[6];               /* row swapped with row k before step k */
-    int joint[MOC_MAX_JOINTS]; /* pivot joints, free joints that move tip or wrist, idle joints */
+    int joint[MOC_MAX_JOINTS]; /* in this order: pivot joints, free joints that move tip or wrist, idle joints */
     int rank, freedoms;        /* freedoms: null-space dimension without idle joints */
     int doubtful;              /* 1: the rank may be higher */
 } moc_plane;
@@ -95,38 +97,38 @@ typedef struct {
     double P[3], dP[3]; /* trocar position [m] and velocity [m/s] */
 } moc_trocar;
 
-/* Null-space projector of level 2. MOC_AS_PUBLISHED: I - J^T J as in Su et al. 2019. */
+/* Null-space projector of level 2: dynamically or statically consistent, or I - J^T J as in Su et al. 2019. */
 typedef enum { MOC_DYNAMIC = 0, MOC_STATIC, MOC_AS_PUBLISHED } moc_projector;
 
 typedef struct {
-    double K_X, D_X, K_N, D_N;                   /* at tip and wrist [N/m], [N s/m] */
-    double rcm_lambda;                           /* lambda of Su et al.; 0: not used */
+    double K_X, D_X, K_N, D_N;                   /* stiffness [N/m] and damping [N s/m] at tip and wrist */
+    double rcm_lambda;                           /* assumed (RCM error) / (wrist error) of Su et al.; 0: not used */
     moc_projector projector;
-    int feedforward;
-    double K_N2[MOC_MAX_JOINTS], D_N2[MOC_MAX_JOINTS]; /* of level 3 [N m s/rad] */
-    double tau_max[MOC_MAX_JOINTS];              /* [Nm], may be infinite */
+    int feedforward;                             /* 1: desired accelerations are fed forward */
+    double K_N2[MOC_MAX_JOINTS], D_N2[MOC_MAX_JOINTS]; /* gains of level 3 [N m s/rad] */
+    double tau_max[MOC_MAX_JOINTS];              /* torque limits [Nm], may be infinite */
     double k0;                                   /* speed limit / distance from a joint limit [1/s] */
-    double c0, c1, c2, rho;
-    double q_min[MOC_MAX_JOINTS], q_max[MOC_MAX_JOINTS], v_max[MOC_MAX_JOINTS];
-    double shaft_margin;                         /* below it, level 3 also raises mu_shaft [m^2] */
-    double spare_speed;                          /* below shaft_margin, v_max grows by up to this share */
-    double observer_gain;                        /* K_o [1/s]; 0: no observer */
+    double c0, c1, c2, rho;                      /* of moc_problem */
+    double q_min[MOC_MAX_JOINTS], q_max[MOC_MAX_JOINTS], v_max[MOC_MAX_JOINTS]; /* joint limits [rad], [rad/s] */
+    double shaft_margin;                         /* below this mu_shaft, level 3 also raises mu_shaft [m^2] */
+    double spare_speed;                          /* if mu_shaft < shaft_margin, v_max grows by up to this share */
+    double observer_gain;                        /* K_o of the disturbance observer [1/s]; 0: none */
     double period;                               /* [s] */
     double fade;                                 /* growth of moc_memory.share per tick */
-    int third_level;                             /* 0: no subproblem */
+    int third_level;                             /* 1: level 3 follows the subproblem's x; 0: no subproblem */
     int damped;                                  /* 1: D_N2 damps the self-motion if third_level is 0 */
-    int climbs;                                  /* 1: level 3 uses moc_climb */
+    int climbs;                                  /* 1: level 3 raises mu by Newton steps (moc_climb) */
 } moc_law;
 
 typedef struct {
     int rows;
     double Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];    /* rows: orthonormal basis of ker A */
-    double share;                                /* factor of level 3 */
+    double share;                                /* factor of level 3, rises from 0 to 1 */
     double integral[MOC_MAX_JOINTS];             /* of the observer [Nm s] */
-    double external[MOC_MAX_JOINTS];             /* observer's r [Nm] */
-    double tau[MOC_MAX_JOINTS];                  /* for the observer [Nm] */
+    double external[MOC_MAX_JOINTS];             /* observer's estimate r of the external torque [Nm] */
+    double tau[MOC_MAX_JOINTS];                  /* torque in this period, for the observer [Nm] */
     double good[MOC_MAX_JOINTS];                 /* last accepted answer [rad/s] */
-    int age;                                     /* ticks since then, up to hold_ticks + 1 */
+    int age;                                     /* ticks since the last accepted answer, up to hold_ticks + 1 */
 } moc_memory;
 
 /* --- answers --- */
@@ -135,7 +137,7 @@ typedef enum {
     MOC_CLAIMS_OPTIMUM = 0,
     MOC_CLAIMS_INFEASIBLE,
     MOC_CLAIMS_NOTHING, /* x is an iterate */
-    MOC_GIVES_NONE
+    MOC_GIVES_NONE      /* the solver failed, x is not used */
 } moc_claim;
 
 /* Why an answer was refused, in the order of control/supervisor.py. */
@@ -165,14 +167,14 @@ typedef enum { MOC_LATE_HOLD = 0, MOC_LATE_ZERO, MOC_LATE_ITERATE } moc_late;
 
 typedef struct {
     int check;              /* 0: residuals are not checked */
-    double box_limit;       /* |A x - b| and bound violation with MOC_CLAIMS_NOTHING */
+    double box_limit;       /* largest |A x - b| [m/s] and bound violation [rad/s] with MOC_CLAIMS_NOTHING */
     double primal_limit;    /* the same for a claimed optimum */
-    double relative_limit;  /* natural residual of a claimed optimum */
-    double opposite_limit;  /* distance from the optimum, if the optimum for -pull is nearer [rad/s] */
+    double relative_limit;  /* largest moc_residuals.natural of a claimed optimum */
+    double opposite_limit;  /* largest distance from the optimum, if x is nearer to the optimum for -pull [rad/s] */
     int hold_ticks;         /* ticks for which moc_memory.good replaces refused answers */
-    int keep_off_limits;    /* then 1: a self-motion that keeps joints off their limits, 0: x = 0 */
-    moc_fallback fallback;  /* for an infeasible subproblem */
-    moc_late late;
+    int keep_off_limits;    /* after hold_ticks: a self-motion that keeps joints off their limits (1), or x = 0 (0) */
+    moc_fallback fallback;  /* for an infeasible subproblem; MOC_DAMPING: x = 0 */
+    moc_late late;          /* for a late answer; MOC_LATE_ITERATE: use it */
     double budget_us;       /* longest solve that is not late [us] */
 } moc_supervision;
 
@@ -202,57 +204,58 @@ typedef struct {
 #define MOC_NAME(name, words) name,
 typedef enum { MOC_REASONS(MOC_NAME) MOC_STOPS } moc_stop;
 
-/* Settings of the safety filter. An infinite limit turns its check off. The table at the top of safety_filter.c has
- * the checks. */
+/* Settings of the safety filter. An infinite limit turns its check off. The table at the top of safety_filter.c defines
+ * the reasons to stop (in capitals). r: torque that a joint's motion implies minus applied torque. */
 typedef struct {
     double period;                                      /* [s] */
     int patience;                                       /* ticks in a row that a check may fail */
-    int carries;                                        /* 1: tau carries the arm's weight */
+    int carries;                                        /* 1: tau carries the arm's weight; 0: the drives do it */
     double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS];   /* virtual walls [rad, m] */
-    double v_max[MOC_MAX_JOINTS], tau_max[MOC_MAX_JOINTS];
-    double wall_stiffness, wall_damping, wall_brake;    /* [Nm/rad], [Nm s/rad], [rad/s^2] */
+    double v_max[MOC_MAX_JOINTS], tau_max[MOC_MAX_JOINTS]; /* [rad/s], [Nm] */
+    double wall_stiffness, wall_damping, wall_brake;    /* [Nm/rad], [Nm s/rad], deceleration [rad/s^2] */
     double torque_step;                                 /* largest change of a torque [Nm per tick] */
-    double jump;                                        /* [rad] */
-    double speed_factor;
-    double tip_error;                                   /* [m] */
-    double tip_share;                                   /* weight of a new tick in the mean square */
+    double jump;                                        /* MEASUREMENT: largest change of q beyond v_max t [rad] */
+    double speed_factor;                                /* MEASUREMENT: largest |v| / v_max */
+    double tip_error;                                   /* TIP: largest rms error of the tip [m] */
+    double tip_share;                                   /* TIP: weight of a new tick in the mean square */
     int in_incision;                                    /* 0: RCM and FORCE are off */
-    double warning[2], limit[2];                        /* of the rms RCM error [m], trocar force [N] */
-    double incision_share;                              /* weight of a new tick in these */
-    double tool_mass, tool_length;                      /* of a rod [kg], [m] */
-    double tip_force;                                   /* largest contact force at the tip [N] */
+    double warning[2], limit[2];                        /* of the rms RCM error [m] and the rms trocar force [N] */
+    double incision_share;                              /* RCM, FORCE: weight of a new tick in the mean squares */
+    double tool_mass, tool_length;                      /* the tool counts as a rod [kg], [m] */
+    double tip_force;                                   /* largest force that counts as contact at the tip [N] */
     double stop_holding;                                /* dry friction of closed brakes / tau_max */
-    double stop_yield;                                  /* rise of the force that opens the brakes [N] */
-    int stop_yield_ticks;                               /* open brakes close after these */
-    double press_share;                                 /* weight of a new tick in mean_force */
+    double stop_yield;                                  /* rise of the trocar force that opens the brakes [N] */
+    int stop_yield_ticks;                               /* open brakes close after this number of ticks */
+    double press_share;                                 /* weight of a new tick in moc_watch.mean_force */
     int motion;                                         /* 0: LATE and all checks below are off */
-    double motion_s;
-    double motion_rad;
-    double motion_lag_s;                                /* lag of v */
-    double repeat_m;
-    double repeat_torque;                               /* share of tau_max */
-    double repeat_whole_m, repeat_whole_torque;         /* [m], share of tau_max */
-    double repeat_whole_ticks;
-    double repeat_joint_ticks;
-    double repeat_reading_ticks;
-    double replayed_ticks;
-    double stuck_speed;                                 /* [rad/s] */
-    double held[MOC_MAX_JOINTS];                        /* static friction [Nm] */
-    double residual_torque;                             /* share of tau_max */
-    double residual_whole;                              /* share of tau_max */
-    double residual_rate;                               /* observer gain of r [1/s] */
+    double motion_s;                                    /* RAN_AWAY: time over which q and v are compared [s] */
+    double motion_rad;                                  /* RAN_AWAY: largest difference of a resting joint [rad] */
+    double motion_lag_s;                                /* RAN_AWAY: lag of measured velocities [s] */
+    double repeat_m;                                    /* REPEATED: largest motion of the tip's reference [m] */
+    double repeat_torque;                               /* REPEATED: largest change of a torque / tau_max */
+    double repeat_whole_m, repeat_whole_torque;         /* the same two, if the wrench is unchanged as well */
+    double repeat_whole_ticks;                          /* WRENCH_REPEATED, REPLAYED: most repeats, noisy wrench */
+    double repeat_joint_ticks;                          /* ONE_REPEATED: most ticks in a row with an unchanged q */
+    double repeat_reading_ticks;                        /* most ticks with unchanged q, v, or repeats with one lag */
+    double replayed_ticks;                              /* REPLAYED: most repeats, wrench without noise */
+    double stuck_speed;                                 /* STUCK: largest moc_joint_watch.unseen_speed [rad/s] */
+    double held[MOC_MAX_JOINTS];                        /* STUCK: static friction [Nm] */
+    double residual_torque;                             /* UNEXPLAINED: largest |r - mean of r| / tau_max */
+    double residual_whole;                              /* UNEXPLAINED: largest |r| / tau_max */
+    double residual_rate;                               /* gain of the observer that computes r [1/s] */
     double residual_share;                              /* weight of a new tick in the mean of r */
-    int settling_ticks;                                 /* until r has settled */
+    int settling_ticks;                                 /* ticks after the start until r has settled */
 } moc_guard;
 
 enum { MOC_RCM = 0, MOC_FORCE = 1 };
 
-#define MOC_SLOTS 4096      /* earlier readings of all sensors */
-#define MOC_JOINT_SLOTS 256 /* earlier readings of one encoder */
+#define MOC_SLOTS 4096      /* size of the table of earlier readings of all sensors */
+#define MOC_JOINT_SLOTS 256 /* size of the table of one encoder's earlier readings */
 
+/* Repetitions in one of these tables. */
 typedef struct {
-    double readings;
-    double lag, hits;    /* lag of the latest repetition [readings]; repetitions with it in a row */
+    double readings;     /* number of readings */
+    double lag, hits;    /* lag of the latest repetition [readings]; repetitions in a row with this lag */
 } moc_came_before;
 
 typedef struct {
@@ -260,57 +263,57 @@ typedef struct {
     double peak_speed;       /* largest recent |v| [rad/s] */
     double shown, speed;     /* latest q and v */
     double repeats;          /* ticks in a row with an unchanged q */
-    double repeats_both;     /* ticks with unchanged q and v */
-    double torque;           /* applied when the encoders stopped changing [Nm] */
+    double repeats_both;     /* number of ticks with unchanged q and v */
+    double torque;           /* applied torque when the encoders stopped changing [Nm] */
     double integral;         /* of the momentum observer [Nm s] */
     double residual, mean;   /* r and its running mean [Nm] */
     double at_repeat;        /* mean of r when q last changed [Nm] */
-    double unseen_speed;     /* integral of STUCK [rad/s] */
-    double exceeded;         /* ticks in a row above a limit of UNEXPLAINED */
+    double unseen_speed;     /* integral of d_i / M_ii in STUCK [rad/s] */
+    double exceeded;         /* ticks in a row with r above a limit of UNEXPLAINED */
 } moc_joint_watch;
 
 typedef struct {
-    double q[MOC_MAX_JOINTS], v[MOC_MAX_JOINTS]; /* believed state */
-    double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS]; /* virtual walls, moved by a start beyond them */
+    double q[MOC_MAX_JOINTS], v[MOC_MAX_JOINTS]; /* believed state, extrapolated if no measurement is accepted */
+    double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS]; /* virtual walls; a start beyond a wall moves the wall */
     int bad;                                     /* refused measurements in a row */
     double tip_square;                           /* mean square of the tip's error [m^2] */
     double point[3];                             /* trocar [m] */
     double mean_square[2];                       /* of the RCM error [m^2] and the trocar force [N^2] */
-    double largest[2], first_tick[2];            /* largest rms above its warning; its first tick, or -1 */
-    double whole_square;                         /* of the whole force across the shaft [N^2] */
-    double ticks;                                /* number of the tick */
+    double largest[2], first_tick[2];            /* largest rms above its warning; tick of the first warning, or -1 */
+    double whole_square;                         /* mean square of the whole force across the shaft [N^2] */
+    double ticks;                                /* number of the tick, from 0 */
     int unread;                                  /* wrenches in a row that were not finite */
     double mean_force;                           /* mean trocar force in a stop [N] */
-    double base_force;                           /* stop_yield counts from here [N] */
-    int brakes_open, open_ticks;                 /* in a stop; ticks since the brakes opened */
-    int cut;                                     /* 1: a drive is at fault */
-    int limited;                                 /* torques limited in this tick */
-    long long now, newest;                       /* this control period; newest stamp */
-    long long delay;                             /* of the first new measurement [periods] */
-    long long elapsed;                           /* periods since readings were compared */
-    long long taken;
+    double base_force;                           /* closed brakes open if mean_force > base_force + stop_yield [N] */
+    int brakes_open, open_ticks;                 /* 1: the brakes are open in a stop; ticks since then */
+    int cut;                                     /* 1: a drive is at fault, so that tau goes to zero */
+    int limited;                                 /* number of torques limited in this tick */
+    long long now, newest;                       /* this control period; stamp of the newest measurement */
+    long long delay;                             /* age of the run's first new measurement [periods] */
+    long long elapsed;                           /* periods since readings were last compared */
+    long long taken;                             /* number of new measurements */
     moc_joint_watch joint[MOC_MAX_JOINTS];
-    double tip_ref[3], tip_ref_before[3];        /* now and when the encoders stopped changing [m] */
+    double tip_ref[3], tip_ref_before[3];        /* tip reference, now and when the encoders stopped changing [m] */
     double wrench[6], wrench_repeats;            /* latest wrench; its repetitions in a row */
-    int looked;                                  /* wrenches read, up to FIRST_READINGS */
-    int wrench_is_still;                         /* 1: one of these equalled the one before */
+    int looked;                                  /* wrenches read, up to FIRST_READINGS (100) */
+    int wrench_is_still;                         /* 1: one of these equalled the one before it */
     int weighed;                                 /* measurements compared with the torque */
-    double number[MOC_SLOTS], at[MOC_SLOTS];     /* readings as numbers; their indices (0: empty) */
+    double number[MOC_SLOTS], at[MOC_SLOTS];     /* readings, one number each; their indices from 1 (0: empty) */
     double joint_number[MOC_MAX_JOINTS][MOC_JOINT_SLOTS], joint_at[MOC_MAX_JOINTS][MOC_JOINT_SLOTS];
-    moc_came_before whole, lagging[MOC_MAX_JOINTS]; /* all sensors; each encoder */
+    moc_came_before whole, lagging[MOC_MAX_JOINTS]; /* repetitions of all sensors, and of each encoder */
 } moc_watch;
 
 typedef struct {
     const double *q, *v;   /* (n,) */
-    long long stamp;       /* its control period */
+    long long stamp;       /* number of its control period */
     int has_stamp;         /* 0: LATE is off */
     const double *applied; /* (n,) torque of the previous period [Nm], NULL if unknown */
-    const double *wrench;  /* (6,) of the tool on its mount, in tool axes [N], [Nm] */
+    const double *wrench;  /* (6,) force [N] and torque [Nm] of the tool on its mount, in tool axes */
 } moc_measurement;
 
 const char *moc_reason(moc_stop reason);
 
-/* Compute the dry friction (n,) of the brakes [Nm]. Call it once in every period of a stop. */
+/* Compute the dry friction (n,) that the brakes have to apply [Nm]. Call it once in every period of a stop. */
 void moc_guard_hold(const moc_guard *g, const moc_arm *arm, const double *wrench, moc_watch *w, double *friction);
 
 /* --- the whole controller --- */
@@ -319,7 +322,7 @@ typedef struct {
     const moc_arm *arm;
     const moc_law *law;
     const moc_supervision *supervision;
-    const moc_guard *guard; /* NULL: nothing stops the arm */
+    const moc_guard *guard; /* NULL: no safety filter, and nothing stops the arm */
     double tolerance;       /* of moc_solve_exact [rad/s] */
 } moc_controller;
 
@@ -327,20 +330,20 @@ typedef struct {
     moc_measurement measured;
     moc_reference ref;
     moc_trocar trocar;
-    const double *x_d; /* (n,) for level 3 [rad/s]; NULL: level 3 raises mu */
+    const double *x_d; /* (n,) joint velocities that level 3 follows [rad/s]; NULL: level 3 raises mu */
 } moc_input;
 
 typedef struct {
     moc_memory memory;
     moc_watch watch;
-    moc_terms terms;
+    moc_terms terms;                /* the fields from here to `status` belong to the latest tick */
     moc_problem problem;            /* filled if law->third_level */
-    moc_plane plane;
-    double tip_ref[3];              /* [m] */
-    double tau[MOC_MAX_JOINTS];     /* levels 1 and 2 minus memory.external; later the torque to send */
+    moc_plane plane;                /* problem.A after elimination */
+    double tip_ref[3];              /* tip reference [m] */
+    double tau[MOC_MAX_JOINTS];     /* levels 1 and 2 minus memory.external; after moc_finish, to send [Nm] */
     moc_fault fault;
-    double x[MOC_MAX_JOINTS];       /* what level 3 follows [rad/s] */
-    double answer[MOC_MAX_JOINTS];  /* answer, y, status: of the exact solver */
+    double x[MOC_MAX_JOINTS];       /* joint velocity that level 3 follows [rad/s] */
+    double answer[MOC_MAX_JOINTS];  /* answer, y, status: results of the exact solver in moc_step */
     double y[6];
     moc_status status;
     double sent[MOC_MAX_JOINTS];    /* latest torque sent or measured [Nm] */
@@ -354,14 +357,15 @@ typedef struct {
  * q or v is not finite or a torque is beyond its limit, else MOC_RUNNING. */
 moc_stop moc_start(const moc_controller *c, const moc_measurement *m, moc_state *state);
 
-/* First half of a tick: check the measurement, compute levels 1 and 2, and fill state->problem.
- * in->measured.applied may be NULL if the torque sent has acted. */
+/* First half of a tick: check the measurement, compute levels 1 and 2, and fill state->problem. Returns MOC_RUNNING or
+ * the reason to stop. in->measured.applied may be NULL if the torque sent has acted. */
 moc_stop moc_begin(const moc_controller *c, const moc_input *in, moc_state *state);
 
-/* Second half of a tick: check the answer, add level 3, apply the safety filter. tau (n,) is the torque to send. With a
- * safety filter, it is finite and within the limits of c->guard for any measurement. In a stop, tau carries the arm's
- * weight, or goes to zero if a drive is at fault, and the brakes have to apply the friction of moc_guard_hold. Only
- * moc_start ends a stop. The answer may be NULL in a stop, or without a third level. */
+/* Second half of a tick: check the answer, add level 3, apply the safety filter. Returns MOC_RUNNING or the reason to
+ * stop. tau (n,) is the torque to send, zero before the first moc_start. With a safety filter, it is finite and within
+ * the limits of c->guard for any measurement. In a stop, tau carries the arm's weight. If a drive is at fault, tau goes
+ * to zero instead. The brakes have to apply the friction of moc_guard_hold. Only moc_start ends a stop. The answer may
+ * be NULL in a stop, or without a third level. */
 moc_stop moc_finish(const moc_controller *c, const moc_answer *answer, moc_state *state, double *tau);
 
 /* moc_begin, moc_solve_exact and moc_finish in one call. Input and output must not overlap in memory. */

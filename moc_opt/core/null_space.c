@@ -7,7 +7,7 @@
 
 bool moc_orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least)
 {
-    for (int twice = 0; twice < 2; twice++) /* because of rounding */
+    for (int twice = 0; twice < 2; twice++) /* twice because of rounding */
         for (int i = 0; i < k; i++) {
             double along = dot(n, Z[i], Z[k]);
             for (int j = 0; j < n; j++)
@@ -32,7 +32,7 @@ void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, doub
     memcpy(part, sum, (unsigned)n * sizeof *part);
 }
 
-/* Project Z on the new ker A, or take a new basis if a row becomes shorter than 0.5. */
+/* Project Z on the new ker A. If the dimension has changed or a row becomes shorter than 0.5, take a new basis. */
 int moc_null_space(const moc_plane *plane, int n, int rows, double Z[][MOC_MAX_JOINTS])
 {
     double fresh[MOC_MAX_JOINTS][MOC_MAX_JOINTS], turned[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
@@ -59,7 +59,8 @@ static void slope_of(int n, const moc_law *law, const moc_terms *t, int rows, do
 }
 
 /* Let d(q) = (I - A^+ A)(grad mu + moc_shaft_push() grad mu_shaft), z = d / |d|, and h the derivative of z^T d(q + s z)
- * by s at s = 0. If h < 0, x_d = RATE min(|d| / |h|, LONGEST) z. If h >= 0, x_d = RATE LONGEST z. */
+ * by s at s = 0. If h < 0, the Newton step along z is |d| / |h|, and x_d = RATE min(|d| / |h|, LONGEST) z. If h >= 0,
+ * x_d = RATE LONGEST z. */
 void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_memory *memory, double *x_d)
 {
     double slope[MOC_MAX_JOINTS] = {0.0}, there[MOC_MAX_JOINTS] = {0.0};

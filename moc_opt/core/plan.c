@@ -2,10 +2,10 @@
 #include "tools.h"
 #include "vec.h"
 
-#define TOLERANCE 1e-10 /* of tip and wrist [m] */
+#define TOLERANCE 1e-10 /* largest allowed position error of tip and wrist [m] */
 #define PI 3.14159265358979323846
 
-/* grad may be NULL. Returns mu. */
+/* Compute the position error of tip and wrist, A and, if grad is not NULL, grad mu. Returns mu. */
 static double look(const plan_task *task, const double *q, double error[6], double A[6][MOC_MAX_JOINTS], double *grad)
 {
     moc_frame frame[MOC_MAX_JOINTS];
@@ -33,12 +33,12 @@ static double distance(int n, const double *p, const double *q)
 
 /* --- one pose --- */
 
-#define LONGEST 0.25    /* of a step [rad] */
+#define LONGEST 0.25    /* longest step [rad] */
 #define AT_REST 1e-9    /* largest entry of a resting joint in the unit tangent */
-#define DAMPING 4e-12   /* added to A A^T, because A has only rank 5 [m^2] */
+#define DAMPING 4e-12   /* added to the diagonal of A A^T [m^2], because A has only rank 5 */
 
-/* Compute the step nearest to `desired` with A step = error, by an active-set method. No joint moves towards a limit
- * that is nearer than `near`. */
+/* Compute the step nearest to `desired` with A step = error, by an active-set method. With damping > 0, the
+ * equation holds only approximately. No joint moves towards a limit that is nearer than `near`. */
 static void allowed_step(const plan_task *task, int rows, const double *q, double A[6][MOC_MAX_JOINTS],
                          const double *error, const double *desired, double damping, double near, double *step)
 {
@@ -115,7 +115,7 @@ double plan_place(const plan_task *task, int points, int rounds, const double *s
 
 #define STRAIGHT 0.8 /* least cosine between the tangents before and after a step */
 
-/* Return the longest step along the tangent, up to h. *hit is the limiting joint, or NONE. */
+/* Return the longest step along the tangent, up to h, within the joint limits. *hit is the limiting joint, or NONE. */
 static double room_ahead(const plan_task *task, const double *q, const double *tangent, double h, int *hit)
 {
     *hit = NONE;
@@ -129,7 +129,8 @@ static double room_ahead(const plan_task *task, const double *q, const double *t
     return h;
 }
 
-/* Compute mu, and the unit tangent at q by projecting `last` on ker A. Returns the cosine between both tangents. */
+/* Compute mu, and the unit tangent at q by projecting the previous tangent `last` on ker A. Returns the cosine of the
+ * angle between both tangents. */
 static double turn_tangent(const plan_task *task, const double *q, const double *last, double *tangent, double *mu)
 {
     double error[6], A[6][MOC_MAX_JOINTS], Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
@@ -148,7 +149,8 @@ static double turn_tangent(const plan_task *task, const double *q, const double 
     return length;
 }
 
-/* Whether the curve's start lies ahead of q within one step. `pose` is the start after whole turns towards q. */
+/* Whether the curve's start lies ahead of q within one step. `pose` is the start after those whole turns of its
+ * revolute joints that bring it nearest to q. *gap is the distance from q to `pose`. */
 static bool closes(const plan_task *task, const double *start, const double *q, const double *tangent, double step,
                   double *pose, double *gap)
 {
@@ -164,7 +166,8 @@ static bool closes(const plan_task *task, const double *start, const double *q, 
     return inside && *gap <= 1.01 * step && ahead > 0.0;
 }
 
-/* Compute next pose, mu and tangent, by halved steps. Returns the distance from q, or 0 at a singularity. */
+/* Compute the curve's next pose, mu and tangent. `step` is halved until this succeeds. Returns the distance from q, or
+ * 0 if no step succeeds because the curve is singular. */
 static double next_sample(const plan_task *task, const double *q, double step, double *tangent, double *next,
                           double *mu, int *hit)
 {
@@ -211,7 +214,7 @@ int plan_follow(const plan_task *task, const double *start, const double *tangen
         s[count] = s[count - 1] + way;
         count++;
         if (count < most && closes(task, start, next, tangent, step, closing, &gap)) {
-            count += gap > 0.1 * step; /* or the start replaces `next` */
+            count += gap > 0.1 * step; /* if gap <= 0.1 step, the start replaces `next` */
             double *end = poses + (count - 1) * n;
             memcpy(end, closing, bytes);
             s[count - 1] = s[count - 2] + distance(n, end, end - n);
@@ -225,7 +228,7 @@ int plan_follow(const plan_task *task, const double *start, const double *tangen
 
 /* --- gradient ascent of mu --- */
 
-#define SHORTEST 1e-6  /* last step of the ascent [rad] */
+#define SHORTEST 1e-6  /* the ascent ends below this step [rad] */
 
 double plan_ascend(const plan_task *task, double *q)
 {
@@ -237,7 +240,7 @@ double plan_ascend(const plan_task *task, double *q)
         return -1.0;
     while (h >= SHORTEST) {
         double mu = look(task, q, error, A, grad);
-        /* clipping would spoil the step of a joint within 0.01 h of its limit */
+        /* no joint moves towards a limit within 0.01 h, because clipping would spoil the step */
         allowed_step(task, 6, q, A, nothing, grad, 0.0, 0.01 * h, way);
         double length = sqrt(dot(n, way, way));
         for (int j = 0; j < n; j++)
@@ -252,7 +255,7 @@ double plan_ascend(const plan_task *task, double *q)
 
 /* --- dynamic programming --- */
 
-/* Return the largest (next value - cost of the motion) in the branch, at least `best`. */
+/* Return the largest (next value - cost of the motion) over the branch's next poses within reach, at least `best`. */
 static double best_in(const plan_stage *t, int pose, int branch, double best)
 {
     const double *q = t->q + pose * t->n, *slack = t->slack + pose * t->n;
@@ -284,7 +287,7 @@ void plan_advance(const plan_stage *t, double *value)
     for (int pose = 0; pose < t->branches * t->m; pose++) {
         double best = -HUGE_VAL;
         int bits = (int)t->crossing[pose % t->m], flips = bits + 1;
-        while (flips > 0 && t->gain[pose] > -HUGE_VAL) { /* all branches within `bits` */
+        while (flips > 0 && t->gain[pose] > -HUGE_VAL) { /* all branches whose number differs only in `bits` */
             flips = (flips - 1) & bits;
             best = best_in(t, pose, pose / t->m ^ flips, best);
         }

@@ -5,7 +5,7 @@
 /* Compute the trocar's force on the tool and its moment about the tool's centre of mass com, in world axes.
  * force = (I - u u^T)(stiffness (P - p) + damping (dP - w)). P is the trocar, u the shaft's direction, p the shaft's
  * point nearest to P, and w the tool's velocity at p. twist: the tool's angular velocity, and the velocity
- * of its point `origin`. trocar: P and dP of `elapsed` seconds ago. */
+ * of its point `origin`. trocar: P and dP of `elapsed` seconds ago (dP is constant). */
 FUNCTION(shaft_wrench, {"tip", READ, 3}, {"wrist", READ, 3}, {"twist", READ, 6}, {"origin", READ, 3}, {"com", READ, 3},
          {"trocar", READ, 2, 3}, {"elapsed", NUMBER}, {"stiffness", NUMBER}, {"damping", NUMBER}, {"wrench", WRITE, 6})
 {
@@ -39,7 +39,8 @@ FUNCTION(shaft_wrench, {"tip", READ, 3}, {"wrist", READ, 3}, {"twist", READ, 6},
 }
 
 /* Compute encoder readings: positions, then low-pass filtered velocities. Rows of memory: bias, previous position,
- * filtered velocity. resolution [rad]. gain: weight of a new velocity. With exact = 1, the readings are q + bias, v. */
+ * filtered velocity. resolution: step of the encoder [rad]. gain: weight of a new value in the filter. With exact = 1,
+ * the readings are q + bias and v. */
 FUNCTION(read_encoders, {"q", READ, N}, {"v", READ, N}, {"noise", READ, N}, {"memory", WRITE, 3, N},
          {"resolution", NUMBER}, {"period", NUMBER}, {"gain", NUMBER}, {"exact", WHOLE}, {"reading", WRITE, 2, N})
 {

@@ -1,26 +1,26 @@
 /* The optimum by projection on the feasible set, if ker A has two or more dimensions.
  *
- * Let Pi be the orthogonal projector on ker A, g the pull, and x_p the solution of A x = b with Pi x_p = 0. The optimum
- * is the feasible point nearest to x_p + c2 Pi g / rho. The dual active-set method of Goldfarb and Idnani (Math.
- * Programming 27, 1983, algorithm 1) starts there and adds violated bounds. A sweep of Pi on a joint keeps the joint at
- * its bound (Goodnight, The American Statistician 33, 1979). If rho is almost zero, the start is too far away, and a
- * proximal point iteration approaches the optimum (Ferris 1991). */
+ * Let Pi be the orthogonal projector on ker A, g the vector moc_problem.pull, and x_p the solution of A x = b with
+ * Pi x_p = 0. The optimum is the feasible point nearest to x_p + c2 Pi g / rho. The dual active-set method of Goldfarb
+ * and Idnani (Math. Programming 27, 1983, algorithm 1) starts there and adds violated bounds one by one. A sweep of Pi
+ * on a joint keeps the joint at its bound (Goodnight, The American Statistician 33, 1979). If rho is almost zero, this
+ * start is too far away. A proximal point iteration then approaches the optimum (Ferris 1991). */
 #include "vec.h"
 
-#define FAR 1e3          /* too far: |c2 Pi g| / rho >= FAR * (largest upper - lower) */
-#define UNMOVED 1e-20    /* largest Pi_jj of a joint that cannot move */
-#define DEPENDENT 1e-12  /* the same for Pi_jj / room_j after sweeps */
+#define FAR 1e3          /* the start is too far away if |c2 Pi g| / rho >= FAR * (largest upper - lower) */
+#define UNMOVED 1e-20    /* joint j cannot move in ker A if Pi_jj is at most this */
+#define DEPENDENT 1e-12  /* after sweeps, joint j cannot move if Pi_jj / room_j is at most this */
 
 typedef struct {
     int n, r;                                  /* joints, dimension of ker A */
     double s[MOC_MAX_JOINTS];                  /* x - x_p [rad/s] */
     double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS]; /* bounds on s [rad/s] */
     double pull[MOC_MAX_JOINTS];               /* c2 Pi g */
-    double side[MOC_MAX_JOINTS];               /* +1 at an active lower bound, -1 at an upper one */
-    double force[MOC_MAX_JOINTS];              /* multipliers of the projection [rad/s] */
+    double side[MOC_MAX_JOINTS];               /* +1 at an active lower bound, -1 at an upper one, 0 elsewhere */
+    double force[MOC_MAX_JOINTS];              /* multipliers of the projection [rad/s], positive at a lower bound */
     double room[MOC_MAX_JOINTS];               /* Pi_jj before any sweep */
     double Pi[MOC_MAX_JOINTS][MOC_MAX_JOINTS]; /* swept on the joints with an active bound */
-    double Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];  /* Pi = Z^T Z */
+    double Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];  /* rows: orthonormal basis of ker A, Pi = Z^T Z */
 } polytope;
 
 static void fill_projector(polytope *t)
@@ -32,7 +32,7 @@ static void fill_projector(polytope *t)
     }
 }
 
-/* Fix s_p by a sweep of Pi. Sign -1 undoes the sweep. */
+/* With sign 1, sweep Pi on joint p, so that s_p is fixed. Sign -1 undoes the sweep. */
 static void sweep(polytope *t, int p, double sign)
 {
     double inverse = 1.0 / t->Pi[p][p], row[MOC_MAX_JOINTS];
@@ -48,7 +48,7 @@ static void sweep(polytope *t, int p, double sign)
         t->Pi[p][j] = sign * inverse * row[j];
 }
 
-/* Remove rounding errors from s. */
+/* Remove rounding errors from s: project s on ker A and set active joints to their bounds. */
 static void settle(polytope *t)
 {
     moc_onto(t->n, t->r, t->Z, t->s, t->s);
@@ -75,7 +75,7 @@ static int furthest_out(const polytope *t, double slack)
     return joint;
 }
 
-/* Find the multiplier that is zero first, when that of joint p has grown by *step. */
+/* Find the multiplier that is zero first while that of joint p grows by *step. Returns its joint, or NONE. */
 static int first_to_let_go(const polytope *t, int p, double side, double *step)
 {
     int joint = NONE;
@@ -90,7 +90,7 @@ static int first_to_let_go(const polytope *t, int p, double side, double *step)
     return joint;
 }
 
-/* Push joint p onto the bound that it violates. Returns false if other bounds prevent this. */
+/* Push joint p onto the bound that it violates. Returns false if the active bounds do not permit this. */
 static bool push(polytope *t, int p, int *active)
 {
     double side = t->s[p] < t->low[p] ? 1.0 : -1.0, bound = signbit(side) ? t->high[p] : t->low[p];
@@ -121,8 +121,8 @@ static bool push(polytope *t, int p, int *active)
     }
 }
 
-/* Move s in ker A to the nearest point within the bounds: s - s_start = Pi force. The bounds are widened by `slack` up
- * to `most` if rounding has lost the point. Pi must not be swept on entry. */
+/* Move s in ker A to the nearest point within the bounds: s - s_start = Pi force. Pi must not be swept on entry. If no
+ * point is found, the bounds are widened step by step up to `most`, because rounding may have lost it. */
 static moc_status project(polytope *t, double slack, double most)
 {
     double start[MOC_MAX_JOINTS];
@@ -154,7 +154,8 @@ static moc_status project(polytope *t, double slack, double most)
     return MOC_DOUBTFUL;
 }
 
-/* Proximal point iteration. Its last, short steps remove the rounding errors of the long ones. */
+/* Run the proximal point iteration. At its end, the multipliers are (rho + 1 / base) t->force. The last, short steps
+ * remove the rounding errors of the long ones. */
 static moc_status approach(polytope *t, double rho, double slack, double most, double base)
 {
     static const double scales[] = {1e8, 1e4, 1.0};
@@ -170,7 +171,7 @@ static moc_status approach(polytope *t, double rho, double slack, double most, d
             status = project(t, slack, most);
             moved = 0.0;
             for (int j = 0; j < t->n; j++) {
-                if (status != MOC_OK) /* rounding: undo the step */
+                if (status != MOC_OK) /* undo a step that failed through rounding errors */
                     t->s[j] = before[j];
                 moved = fmax(moved, fabs(t->s[j] - before[j]));
             }

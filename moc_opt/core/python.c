@@ -1,4 +1,4 @@
-/* The Python module, and its types Law and Guard. */
+/* The Python module, for CPython's limited API from 3.11 on, and its types Law and Guard. */
 #define MOC_MODULE
 #include "python.h"
 #include "vec.h"
@@ -7,7 +7,7 @@
 
 static PyTypeObject *arm_type;
 
-/* Returns NULL after an exception. */
+/* Create an object from its arm and the keywords. Returns NULL after an exception. */
 static PyObject *with_arm(PyTypeObject *type, PyObject *given, PyObject *keywords, const field *fields, int count)
 {
     PyObject *arm;
@@ -57,10 +57,10 @@ static PyObject *law_new(PyTypeObject *type, PyObject *given, PyObject *keywords
     return (PyObject *)self;
 }
 
-/* tip_ref: X_d, dX_d, ddX_d */
+/* Arguments 0 to 3 of start, begin and step. The rows of tip_ref are X_d, dX_d and ddX_d. */
 #define TICK {"q", READ, N}, {"v", READ, N}, {"tip_ref", READ, 3, 3}, {"trocar", READ, 2, 3}
 
-/* Begin a tick, or start the law. Array i receives the terms. Returns false after an exception. */
+/* Begin a tick if `begins`, else start the law. Array i receives the terms. Returns false after an exception. */
 static bool take_tick(Law *self, const call *c, bool begins, const double *x_d, int i)
 {
     static const double none[MOC_MAX_JOINTS];
@@ -204,7 +204,7 @@ static PyObject *guard_new(PyTypeObject *type, PyObject *given, PyObject *keywor
     return with_arm(type, given, keywords, guard_fields, COUNT(guard_fields));
 }
 
-/* The filter refuses stamps of +-4e18. */
+/* The filter refuses stamps of the size 4e18. */
 static long long stamp_of(double number)
 {
     return (long long)fmin(fmax(number, -4e18), 4e18);
@@ -283,7 +283,7 @@ static int fill(PyObject *module)
 
     bool done = PyArray_ImportNumPyAPI() == 0;
     for (int k = 0; done && k < COUNT(specs); k++) {
-        arm_type = (PyTypeObject *)PyType_FromSpec(specs[k]); /* moc_Arm is last */
+        arm_type = (PyTypeObject *)PyType_FromSpec(specs[k]); /* moc_Arm is last, so that arm_type becomes its type */
         done = arm_type != NULL && PyModule_AddType(module, arm_type) == 0;
     }
     PyObject *reasons = done ? PyTuple_New(MOC_STOPS) : NULL;

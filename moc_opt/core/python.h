@@ -18,11 +18,12 @@
 
 #include "tools.h"
 
-/* READ, WRITE: a C-contiguous float64 array. STRIDED: with any strides, to fill. MAYBE: READ or None. NUMBER: a float.
- * WHOLE: an integer. MADE: an array that the call creates, last in a table. */
+/* READ: a C-contiguous float64 array. WRITE: such an array, to fill. STRIDED: an array with any strides, to fill.
+ * MAYBE: READ or None. NUMBER: a float. WHOLE: an integer. MADE: an array that the call creates, last in a table. */
 typedef enum { READ, WRITE, STRIDED, MAYBE, NUMBER, WHOLE, MADE } kind;
 
-/* Lengths that arguments.c computes from n (joints) or k. The first length K of a call sets k. columns = 0: one axis */
+/* Symbolic lengths (formulas: arguments.c). N is n joints, ROW the record of a subproblem, TERMS that of moc_terms, and
+ * TICKED the results of a tick. The first K of a call sets k. ANY: any length. columns = 0: an array with one axis. */
 enum { N = -1, ROW = -2, TERMS = -3, TICKED = -4, K = -5, ANY = -6 };
 
 typedef struct {
@@ -36,7 +37,7 @@ enum { MOST_ARGUMENTS = 14 };
 typedef struct {
     int n;                                /* joints; 0 until an array sets it */
     npy_intp k;                           /* length K; -1 until an array sets it */
-    int made, end;                        /* arguments made, ..., end - 1 are of kind MADE */
+    int made, end;                        /* the arguments made, ..., end - 1 are arrays of kind MADE */
     double *array[MOST_ARGUMENTS];        /* NULL for None */
     double number[MOST_ARGUMENTS];
     PyArrayObject *as[MOST_ARGUMENTS];
@@ -46,7 +47,7 @@ typedef struct {
 bool moc_take(call *c, int n, const char *name, PyObject *const *args, Py_ssize_t count, const parameter *table,
              int size);
 
-/* Release MADE arrays. Returns `result`. */
+/* Release the call's references to MADE arrays. Returns `result`. */
 PyObject *moc_done(call *c, PyObject *result);
 
 static inline int rows_of(const call *c, int i)

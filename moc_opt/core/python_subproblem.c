@@ -1,4 +1,4 @@
-/* The module's functions. */
+/* The module's functions for subproblem, desired wrist and dynamic programming. */
 #include "python.h"
 #include "vec.h"
 
@@ -43,7 +43,7 @@ FUNCTION(step_network, {"record", READ, ROW}, {"x", WRITE, N}, {"y", WRITE, 6}, 
  * The five rows are A5 = lift A: three of the tip, and two of the wrist across the tool's direction u. If y5 are the
  * multipliers of A5, lift^T y5 are those of A. */
 
-#define TIED 1e-7 /* of (sixth singular value of A) / |A|_F for a rigid tool */
+#define TIED 1e-7 /* largest (sixth singular value of A) / |A|_F of a rigid tool */
 
 /* Compute the unit vector u with u^T D = 0, D = J_T - J_W. A nonzero column of the adjugate of D D^T is parallel to u.
  * Returns false if the tool is not rigid. */
@@ -127,7 +127,7 @@ static void put(const call *c, int argument, double scale, const double *from)
                 scale * from[matrix ? i * MOC_MAX_JOINTS + j : i];
 }
 
-/* The signs multiply p, lower, upper. packed gets the upper triangle of P by columns, or is empty. */
+/* The three signs multiply p, lower and upper. packed gets the upper triangle of P by columns, or is empty. */
 FUNCTION(load, {"record", READ, ROW}, {"five", WHOLE}, {"scale", NUMBER}, {"signs", READ, 3}, {"P", STRIDED, N, N},
          {"p", STRIDED, N}, {"A", STRIDED, K, N}, {"low", STRIDED, K}, {"high", STRIDED, K}, {"lower", STRIDED, N},
          {"upper", STRIDED, N}, {"packed", STRIDED, ANY}, {"lift", WRITE, K, 6})

@@ -3,7 +3,7 @@
 
 #include "shared.h"
 
-/* N stands for n. */
+/* A part of a struct. N stands for n. */
 typedef struct {
     size_t offset;
     int rows, columns;

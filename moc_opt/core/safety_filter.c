@@ -1,4 +1,8 @@
-/* The safety filter. Conditions of the reasons to stop, the first reported first:
+/* The safety filter checks every measurement, limits every torque, and decides when the arm has to stop.
+ *
+ * The table gives the condition of each reason to stop. A condition marked with * has to hold on more than `patience`
+ * ticks in a row. If several conditions hold on a tick, the first in the table is reported. r_i is joint i's momentum
+ * residual [Nm]: the torque that its motion implies, minus the applied torque.
  *
  *   LATE              now - newest stamp > delay of the run's first new measurement + patience [ticks]
  *   MEASUREMENT *     no new measurement, |v| > speed_factor v_max, or |q - q_b| > jump + v_max t. q_b is the last
@@ -6,8 +10,8 @@
  *   REPLAYED          all sensors read the same as k readings ago, k > 1, more than n times with the same k.
  *                     n = min(repeat_reading_ticks, m). m is repeat_whole_ticks with wrench noise, else replayed_ticks
  *   REPEATED          all q are unchanged on more than `patience` ticks in a row, and in this time the tip's reference
- *                     moved by more than repeat_m, a torque changed by more than repeat_torque tau_max (with an
- *                     unchanged wrench: repeat_whole_m, repeat_whole_torque tau_max), or WRENCH_REPEATED holds.
+ *                     moved by more than repeat_m, a torque changed by more than repeat_torque tau_max, or
+ *                     WRENCH_REPEATED holds. If the wrench is unchanged too, the limits repeat_whole_... apply.
  *                     Or: each joint's q, v were unchanged on more than repeat_reading_ticks ticks in total
  *   RAN_AWAY          |change of q - integral of v| over motion_s > motion_rad + motion_lag_s * (largest recent |v|)
  *   ONE_REPEATED      one q is unchanged for more than repeat_joint_ticks ticks in a row, or one q and its v for
@@ -20,21 +24,18 @@
  *   UNEXPLAINED *     |r_i - running mean of r_i| > residual_torque tau_max, or |r_i| > residual_whole tau_max
  *   STUCK             q_i is unchanged on more than `patience` ticks in a row, and the integral of d_i / M_ii in this
  *                     time exceeds stuck_speed. d_i is the change of r_i, less the static friction held_i
- *   TORQUE            the controller's torque is not finite
- *
- * With *, the condition has to hold on more than `patience` ticks in a row. r_i is joint i's momentum residual [Nm]:
- * the torque that its motion implies, minus the applied torque. */
+ *   TORQUE            the controller's torque is not finite */
 #include <limits.h>
 
 #include "vec.h"
 
-#define SHORTEST_DEPTH 0.05 /* below this depth, all force counts as the trocar's [m] */
+#define SHORTEST_DEPTH 0.05 /* below this depth of the tip, all force counts as the trocar's [m] */
 #define GRAVITY 9.81        /* [m/s^2] */
-#define FIRST_READINGS 100  /* they decide whether the wrench has noise */
-#define LARGEST_STAMP (LLONG_MAX / 4)
-#define SHRINK 0.61803398875
-#define FINE 1e9             /* of the readings' hash */
-#define LARGEST_NUMBER 1e6
+#define FIRST_READINGS 100  /* readings that decide whether the wrench has noise */
+#define LARGEST_STAMP (LLONG_MAX / 4) /* a stamp is possible if its magnitude is smaller */
+#define SHRINK 0.61803398875 /* ratio of successive weights in as_number */
+#define FINE 1e9             /* take_in stores x in slot floor(FINE |x|) mod slots */
+#define LARGEST_NUMBER 1e6   /* largest |x| that take_in stores */
 
 void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v, long long stamp, moc_watch *w)
 {
@@ -45,7 +46,7 @@ void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v
         w->low[i] = smaller(q[i], g->low[i]);
         w->high[i] = larger(q[i], g->high[i]);
         w->joint[i].peak_speed = fabs(v[i]);
-        w->joint[i].repeats = -1.0;
+        w->joint[i].repeats = -1.0; /* the first reading does not count as a repeat */
     }
     for (int i = 0; i < 3; i++)
         w->point[i] = (double)NAN;
@@ -55,6 +56,7 @@ void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v
 
 /* --- the age of a measurement --- */
 
+/* FRESH: a new measurement. REPEAT: no new measurement, but not too late. OLD: the condition of LATE holds. */
 enum { FRESH, REPEAT, OLD };
 
 static int age(const moc_guard *g, long long stamp, moc_watch *w)
@@ -70,7 +72,7 @@ static int age(const moc_guard *g, long long stamp, moc_watch *w)
     if (newer) {
         w->elapsed += stamp - w->newest;
         w->newest = stamp;
-        if (++w->taken == 2) /* the first is from before the run */
+        if (++w->taken == 2) /* the first, from before the run, does not show the delay */
             w->delay = late;
     }
     if (w->now - w->newest > w->delay + g->patience)
@@ -78,7 +80,7 @@ static int age(const moc_guard *g, long long stamp, moc_watch *w)
     return newer ? FRESH : REPEAT;
 }
 
-/* False for NaN. */
+/* Whether a measurement passes the check MEASUREMENT. False for NaN. */
 static bool believable(const moc_guard *g, int n, const double *q, const double *v, const moc_watch *w)
 {
     double ticks = 1.0 + (double)w->bad;
@@ -140,6 +142,7 @@ static bool compare_joint(const moc_guard *g, double q, double v, double elapsed
     return fabs(j->drift) > g->motion_rad + g->motion_lag_s * j->peak_speed;
 }
 
+/* Whether the tip's reference or a torque has changed too much since the encoders stopped changing (REPEATED). */
 static bool asked_to_move(const moc_guard *g, int n, const double *tau, const moc_watch *w)
 {
     bool whole = w->wrench_repeats > g->patience, moved = false;
@@ -181,7 +184,7 @@ static moc_stop compare_readings(const moc_guard *g, int n, const moc_measuremen
                                                                                   : MOC_RUNNING;
 }
 
-/* Returns the number of repetitions in a row with the same lag [readings]. */
+/* Store a reading in a table. Returns the number of repetitions in a row with the same lag (distance in readings). */
 static inline double take_in(double number, int slots, double *numbers, double *at, moc_came_before *before)
 {
     if (!(fabs(number) < LARGEST_NUMBER))
@@ -198,6 +201,7 @@ static inline double take_in(double number, int slots, double *numbers, double *
     return before->hits;
 }
 
+/* Add the values to the weighted sum `number`. Equal readings give equal sums. */
 static double as_number(int count, const double *values, double number)
 {
     for (int i = 0; i < count; i++)
@@ -252,10 +256,11 @@ static double rcm_error(double pose[4][3], const double P[3])
     return sqrt(x * x + y * y);
 }
 
-/* Compute the trocar's force f across the shaft [N]. Let z be the tool's axis, L its length, d the depth of the tip
- * beyond the trocar, and g a contact force at the tip. Without the tool's weight, force = f + g and
- * torque = (L - d) z x f + L z x g. Hence f = (L force - torque x z) / d. An overestimated d makes f too small, but not
- * below |force| - tip_force. *all is |force|, for the warning: a load on the tool may reduce f. */
+/* Compute the trocar's force f across the shaft [N] from force and torque at the tool's mount. Let z be the tool's
+ * axis, L its length, d the depth of the tip beyond the trocar, and g a contact force at the tip. Without the tool's
+ * weight, force = f + g and torque = (L - d) z x f + L z x g. Hence f = (L force - torque x z) / d. An overestimated d
+ * makes f too small. The result is at least |force| - tip_force, because |g| should not exceed tip_force. *all is
+ * |force|, for the warning: a load on the tool may reduce f. */
 static double trocar_force(const moc_guard *g, double pose[4][3], const double P[3], const double *wrench, double *all)
 {
     double depth = 0.0, L = g->tool_length, weight[2], force[2];
@@ -311,7 +316,7 @@ moc_stop moc_guard_incision(const moc_guard *g, double pose[4][3], const moc_tro
 
 /* --- torque and motion --- */
 
-/* Whether only joint i has a large residual. Drive i is then at fault, because other causes disturb several joints. */
+/* Whether joint i has clearly the largest residual. Then drive i is at fault: other causes disturb several joints. */
 static bool alone(const moc_guard *g, int n, int i, const moc_watch *w)
 {
     double mine = fabs(w->joint[i].residual - w->joint[i].mean) / g->tau_max[i];
@@ -321,7 +326,7 @@ static bool alone(const moc_guard *g, int n, int i, const moc_watch *w)
     return true;
 }
 
-/* Check the momentum residual (De Luca & Mattone 2003). */
+/* The checks STUCK and UNEXPLAINED of the momentum residual (De Luca & Mattone 2003). */
 static moc_stop weigh(const moc_guard *g, int n, const moc_terms *t, const double *tau, moc_watch *w)
 {
     moc_stop found = MOC_RUNNING;
@@ -357,10 +362,10 @@ static moc_stop weigh(const moc_guard *g, int n, const moc_terms *t, const doubl
 
 /* --- limits of the torque --- */
 
-/* Return the largest (torque - gravity torque) towards a wall. */
+/* Return the largest (torque - gravity torque) towards a wall, infinite if the wall does not act. */
 static double left_by_wall(const moc_guard *g, int i, double distance, double speed)
 {
-    /* from this speed, the joint can still stop at the wall */
+    /* up to this speed, the joint can still stop at the wall */
     double allowed = smaller(sqrt(2.0 * g->wall_brake * larger(distance, 0.0)), g->v_max[i]);
     if (!(distance < 0.0 || speed > allowed))
         return HUGE_VAL;
@@ -387,7 +392,7 @@ static int limit_torque(const moc_guard *g, const moc_arm *arm, const double *be
         most[i] = left_by_wall(g, i, w->high[i] - w->q[i], w->v[i]);
         least[i] = -left_by_wall(g, i, w->q[i] - w->low[i], -w->v[i]);
         braked |= isfinite(most[i]) || isfinite(least[i]);
-        if (least[i] > most[i]) /* both walls contradict */
+        if (least[i] > most[i]) /* the limits of both walls contradict each other */
             least[i] = most[i] = 0.0;
     }
     if (braked)
@@ -436,8 +441,9 @@ void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before
     }
 }
 
-/* Closed brakes keep the tool pressed on the tissue, and open brakes let the arm sink under an unknown load. Hence they
- * open for stop_yield_ticks at most, and again only after a further rise of the force. */
+/* Closed brakes keep the tool pressed on the tissue, and open brakes let the arm sink under an unknown load. Hence the
+ * brakes open for stop_yield_ticks at most, and again only after a further rise of the force. They never open if the
+ * drives cannot carry the arm's weight. */
 void moc_guard_hold(const moc_guard *g, const moc_arm *arm, const double *wrench, moc_watch *w, double *friction)
 {
     double weight[MOC_MAX_JOINTS], pose[4][3];
@@ -451,7 +457,7 @@ void moc_guard_hold(const moc_guard *g, const moc_arm *arm, const double *wrench
         double all;
         moc_tool_pose(arm, w->q, pose);
         double force = trocar_force(g, pose, w->point, wrench, &all);
-        /* a mean, because the tool's inertia adds to the force at first */
+        /* a mean, because the tool's inertia adds to the force when the stop begins */
         w->mean_force = all_finite(1, &force) ? w->mean_force + g->press_share * (force - w->mean_force) : 0.0;
         w->brakes_open = w->mean_force - w->base_force > (w->brakes_open ? 0.5 * g->stop_yield : g->stop_yield);
         w->open_ticks = w->brakes_open ? w->open_ticks + 1 : 0;

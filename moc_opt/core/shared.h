@@ -1,4 +1,4 @@
-/* Functions that the core's files share. */
+/* Functions that the core's files share. Matrices have rows of MOC_MAX_JOINTS numbers. */
 #ifndef MOC_SHARED_H
 #define MOC_SHARED_H
 
@@ -6,13 +6,13 @@
 
 #include "moc.h"
 
-#define NONE (-1)
+#define NONE (-1) /* no joint */
 
 /* --- arm.c, manipulability.c --- */
 
 /* A joint's axes in the world. */
 typedef struct {
-    double R[3][3]; /* from the joint's axes to the world's */
+    double R[3][3]; /* rotation from the joint's axes to the world's */
     double p[3];    /* origin [m] */
 } moc_frame;
 
@@ -31,9 +31,10 @@ void moc_kinematics(const moc_arm *arm, const double *q, moc_frame *frame, moc_t
 /* Compute moc_terms.pose. */
 void moc_tool_pose(const moc_arm *arm, const double *q, double pose[4][3]);
 
+/* Compute the gravity torque g [Nm]. */
 void moc_gravity(const moc_arm *arm, const double *q, double *torque);
 
-/* Compute position [m] and Jacobian (3,n) of MOC_TIP or MOC_WRIST in the world. */
+/* Compute position [m] and Jacobian (3,n) of a point in the world. `which` is MOC_TIP or MOC_WRIST. */
 void moc_point(const moc_arm *arm, const moc_frame *frame, const moc_twist *twist, int which, double point[3],
                double J[][MOC_MAX_JOINTS]);
 
@@ -45,26 +46,27 @@ typedef struct {
 
 moc_gram moc_gram_of(int n, double J[][MOC_MAX_JOINTS]);
 
-/* Return mu or mu_shaft, and write its gradient (n,). `gram` is moc_gram_of for J_T. Only moc_manipulability accepts
- * NULL as `gradient`. */
+/* Return mu or mu_shaft, and write its gradient (n,), zero at a singularity. `gram` is moc_gram_of for J_T. Only
+ * moc_manipulability accepts NULL as `gradient`. */
 double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOINTS], moc_gram *gram, double *gradient);
 double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], moc_gram *gram,
                                 const double u[3], double *gradient);
 
 /* --- record.c --- */
 
-/* Copy a struct to its record (PACK) or from it (UNPACK). qp/problem.py and robots/model.py read records. */
+/* Copy a struct to its record (PACK) or from it (UNPACK). A record is an array of the struct's numbers, without unused
+ * joints. qp/problem.py and robots/model.py read records. */
 typedef enum { UNPACK, PACK } direction;
 void moc_copy_problem(moc_problem *problem, int n, double *record, direction way);
 void moc_copy_terms(moc_terms *terms, int n, double *record, direction way);
 
 /* --- law.c, null_space.c --- */
 
-/* Compute the torque of levels 1 and 2, with h [Nm]. */
+/* Compute the torque of levels 1 and 2, including the bias torque h [Nm]. */
 void moc_tracking_torque(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
                          const moc_trocar *trocar, double *tau);
 
-/* Fill the subproblem. Its optimum raises mu (x_d = NULL), or is the feasible x nearest to x_d. */
+/* Fill the subproblem. If x_d is NULL, its optimum raises mu. Else the optimum is the feasible x nearest to x_d. */
 void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_reference *ref,
                       const moc_trocar *trocar, const double *x_d, moc_problem *problem);
 
@@ -76,7 +78,7 @@ void moc_add_third_level(const moc_law *law, int n, const moc_terms *t, const mo
 void moc_desired_wrist(const double X[3], const double dX[3], const moc_trocar *trocar, double span, double N_d[3],
                        double dN_d[3]);
 
-/* Advance the observer of joint i: r = gain ((M v)_i - integral(tau + (C^T v)_i - g_i + r)). */
+/* Advance the observer of joint i by one period: r = gain ((M v)_i - integral(tau + (C^T v)_i - g_i + r)). */
 void moc_observe(int n, const moc_terms *t, int i, double tau, double gain, double period, double *integral, double *r);
 
 /* Return the factor of grad_mu_shaft in moc_problem.pull [m]. */
@@ -85,18 +87,18 @@ double moc_shaft_push(double mu_shaft, double margin);
 /* Compute the x_d in ker A that raises mu by scaled Newton steps [rad/s]. */
 void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_memory *memory, double *x_d);
 
-/* Replace Z (rows, n) by an orthonormal basis of ker A near Z. Returns its number of rows. */
+/* Replace Z (rows, n) by an orthonormal basis of ker A near Z. Returns the new number of rows. */
 int moc_null_space(const moc_plane *plane, int n, int rows, double Z[][MOC_MAX_JOINTS]);
 
 /* Make row k of Z orthonormal to the rows before. Returns false if its orthogonal part is not longer than `least`. */
 bool moc_orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least);
 
-/* part = Z^T Z x. `part` and `x` may be the same array. */
+/* part = Z^T Z x, the projection of x on the rows of Z. `part` and `x` may be the same array. */
 void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, double *part);
 
 /* --- exact.c, polytope.c --- */
 
-#define STILL 1e-10 /* largest |z_j| of a joint that does not move along the unit vector z */
+#define STILL 1e-10 /* a motion along the unit vector z does not move joint j if |z_j| is below this */
 
 /* The two halves of moc_solve_exact. */
 void moc_eliminate(int n, double A[][MOC_MAX_JOINTS], moc_plane *plane);
@@ -106,7 +108,7 @@ moc_status moc_solve_eliminated(const moc_plane *plane, const moc_problem *probl
 /* Compute the z (n,) in ker A that is 1 at the k-th joint without a pivot and 0 at the others without one. */
 void moc_direction(const moc_plane *plane, int n, int k, double *z);
 
-/* Move a solution x of A x = b to the optimum, and add the bounds' multipliers to force. */
+/* With several free joints, move a solution x of A x = b to the optimum, and add the bounds' multipliers to force. */
 moc_status moc_solve_several(const moc_plane *plane, const moc_problem *problem, double tolerance, double *x,
                              double *force);
 
@@ -115,12 +117,12 @@ moc_status moc_solve_several(const moc_plane *plane, const moc_problem *problem,
 typedef struct {
     double primal;   /* |A x - b|_inf [m/s]; NaN if x is not finite */
     double outside;  /* largest bound violation [rad/s] */
-    double natural;  /* the smaller of: scaled slope of the cost in ker A, distance downhill to a bound */
+    double natural;  /* the smaller of: scaled slope of the cost in ker A, distance downhill to a bound; 0 at optimum */
     double off;      /* distance in ker A from the optimum [rad/s] */
-    double opposite; /* the same from the optimum for -pull [rad/s] */
+    double opposite; /* the same for the optimum with -pull [rad/s] */
 } moc_residuals;
 
-/* Z (rows, n) is an orthonormal basis of ker A. */
+/* Compute the residuals of x. Z (rows, n) is an orthonormal basis of ker A. */
 moc_residuals moc_judge(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOINTS], const double *x);
 
 /* Check an answer. x (n,) becomes the answer or its replacement. */
@@ -129,27 +131,27 @@ moc_fault moc_supervise(const moc_supervision *s, const moc_problem *problem, co
 
 /* --- safety_filter.c --- */
 
-/* Start at a finite q and v. */
+/* Start at a finite q and v, measured in control period `stamp`. */
 void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v, long long stamp, moc_watch *w);
 
-/* Check a measurement. watch->q and watch->v become the measured state or an extrapolated one. */
+/* Check a measurement. watch->q and watch->v become the measured state or, if it is refused, an extrapolated one. */
 moc_stop moc_guard_believe(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w);
 
 /* Check the RCM error and the trocar's force. */
 moc_stop moc_guard_incision(const moc_guard *g, double pose[4][3], const moc_trocar *trocar, const double *wrench,
                             moc_watch *w);
 
-/* Check the tip, and whether the previous torque `before` explains the motion. Limit tau in place. With tip (or t)
- * NULL, tip (or motion) is not checked. */
+/* Check the tip's error, and whether the previous torque `before` explains the motion. If tau is finite, limit it in
+ * place. t: terms at watch->q, watch->v. With tip (or t) NULL, tip (or motion) is not checked. */
 moc_stop moc_guard_follow(const moc_guard *g, const moc_arm *arm, const moc_terms *t, const double *tip,
                           const double *tip_ref, const double *before, double *tau, moc_watch *w);
 
-/* Compute the torque in a stop: `before`, moved by at most torque_step towards gravity torque or, if w->cut, 0. */
+/* Compute the torque in a stop: `before`, moved by at most torque_step towards the gravity torque, or 0 if w->cut. */
 void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before, const moc_watch *w, double *tau);
 
 /* --- step.c --- */
 
-/* Solve state->problem with state->plane. */
+/* Solve state->problem exactly. Its A is already eliminated in state->plane. */
 moc_answer moc_ask_exact(const moc_controller *c, moc_state *state);
 
 #endif

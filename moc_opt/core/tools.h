@@ -1,4 +1,4 @@
-/* Functions that only Python calls. */
+/* Functions that only Python calls: neural network and planning. */
 #ifndef MOC_TOOLS_H
 #define MOC_TOOLS_H
 
@@ -7,16 +7,16 @@
 /* --- rnn.c --- */
 
 typedef struct {
-    int steps;
-    double h_x, h_y; /* dt / eps, for x and y */
-    double k;        /* gain of Su et al. 2019 */
+    int steps;       /* largest number of steps */
+    double h_x, h_y; /* step sizes of x and y: time step dt / time constant eps */
+    double k;        /* gain k of Su et al. 2019 */
     double scale;    /* multiplies c0, c1, c2 and rho */
     int implicit;    /* 1: y is updated with the new x */
     double rest;     /* largest eps |dx_j/dt| [rad/s] and eps |dy_i/dt| [m/s] at rest */
 } moc_network;
 
-/* Advance x (n,) and y (6,) in place until both rest. *made is the number of steps. Returns MOC_DOUBTFUL if x or y is
- * not finite. */
+/* Advance x (n,) and y (6,) in place until both rest. *made is the number of steps. Returns MOC_OK at rest,
+ * MOC_DOUBTFUL if x or y is not finite, else MOC_UNFINISHED. */
 moc_status moc_step_network(const moc_problem *problem, const moc_network *network, double *x, double y[6], int *made);
 
 /* --- plan.c --- */
@@ -28,12 +28,13 @@ typedef struct {
     double target[2][3];      /* tip and wrist [m] */
 } plan_task;
 
-/* Search from q (n,) for a pose with tip (points = 1), or tip and wrist (2), at the target. Returns the largest error
- * component [m]. `best` may be `q`. */
+/* Search from q (n,) for a pose with tip (points = 1), or tip and wrist (2), at the target. Returns the largest
+ * component of the position errors at `best` [m]. `best` may be `q`. */
 double plan_place(const plan_task *task, int points, int iterations, const double *q, double *best);
 
-/* Sample the curve of self-motion from q along the unit tangent (n,): arc length s, poses (most, n), mu. Ends at a
- * joint limit, back at the start (*closed = 1), or after `most` samples. Returns the number of samples. */
+/* Sample the curve of self-motion from q along the unit tangent (n,): arc length s, poses (most, n), mu. The arm must
+ * have one freedom of self-motion. The curve ends at a joint limit, back at the start (*closed = 1), or after `most`
+ * samples. Returns the number of samples. */
 int plan_follow(const plan_task *task, const double *q, const double *tangent, double step, int most, double *s,
                 double *poses, double *mus, int *closed);
 
@@ -42,15 +43,16 @@ double plan_ascend(const plan_task *task, double *q);
 
 /* One step of dynamic programming: value (branches, m) = gain + max(value_next - price |motion|^2) over the next poses.
  *
- * q (branches, m, n) has NaN where there is no pose. q_next (branches, next, n) is sorted in each branch by joint
- * `sorted`, with NaN last. gain (branches, m) may be -inf. Joint j moves by at most step[j] plus the slacks of both
- * poses. Pose k (of m) may change to a branch whose number differs only in bits that are set in crossing[k]. */
+ * q (branches, m, n) has the poses, NaN where there is none. q_next (branches, next, n) has the next poses, sorted in
+ * each branch by joint `sorted`, with NaN last. gain (branches, m) is a pose's reward or -inf. Joint j moves by at most
+ * step[j] plus the slacks of both poses. Pose k (of m) may change to a branch whose number differs from its own only in
+ * bits that are set in crossing[k]. */
 typedef struct {
     int branches, m, next, n, sorted;
     const double *q, *slack, *gain;
     const double *q_next, *slack_next, *value_next;
-    const double *step, *crossing;
-    double price;           /* [1/rad^2] */
+    const double *step, *crossing; /* crossing: integers */
+    double price;           /* cost of squared motion [1/rad^2] */
     double reach;           /* step plus largest slack_next of joint `sorted` [rad] */
 } plan_stage;
 

@@ -20,7 +20,7 @@ static inline void add_cross(double s, const double a[3], const double b[3], dou
     out[2] += s * (a[0] * b[1] - a[1] * b[0]);
 }
 
-/* Returns the previous length. */
+/* Scale a to length 1. Returns the previous length. */
 static inline double normalise3(double a[3])
 {
     double length = sqrt(dot3(a, a));
@@ -35,7 +35,7 @@ static inline void times3(double S[3][3], const double x[3], double out[3])
         out[i] = dot3(S[i], x);
 }
 
-/* S is symmetric. Returns its determinant. */
+/* Compute the adjugate of a symmetric S. Returns the determinant. */
 static inline double adjugate3(double S[3][3], double adj[3][3])
 {
     for (int i = 0; i < 3; i++) {
@@ -64,7 +64,7 @@ static inline bool all_finite(int n, const double *x)
     return sum == 0.0;
 }
 
-/* Faster than fmax and fmin. If a or b is NaN, they return b. */
+/* `larger` and `smaller` are faster than fmax and fmin. If a or b is NaN, they return b. */
 static inline double larger(double a, double b)
 {
     return a > b ? a : b;
@@ -97,7 +97,7 @@ static inline moc_stop first_of(moc_stop reason, moc_stop other)
     return reason == MOC_RUNNING ? other : reason;
 }
 
-/* Replace x by S^-1 x, after `cholesky`. */
+/* Replace x by S^-1 x, with L and inverse from `cholesky`. */
 static inline void solve_factored(int m, double L[][MOC_MAX_JOINTS], const double *inverse, double *x)
 {
     for (int i = 0; i < m; i++)
@@ -109,7 +109,7 @@ static inline void solve_factored(int m, double L[][MOC_MAX_JOINTS], const doubl
     }
 }
 
-/* Complete u to a right-handed orthonormal basis (b[0], b[1], u). */
+/* Complete the unit vector u to a right-handed orthonormal basis (b[0], b[1], u). */
 static inline void across(const double u[3], double b[2][3])
 {
     int k = fabs(u[0]) <= fabs(u[1]) ? 0 : 1; /* an axis at least 45 degrees from u */
@@ -131,7 +131,7 @@ static inline double largest_of(int count, const double *x)
     return most;
 }
 
-/* |A x - b|_inf, or NaN */
+/* |A x - b|_inf, or NaN if a row is NaN */
 static inline double off_plane(const moc_problem *p, const double *x)
 {
     double gap[6];
@@ -140,7 +140,7 @@ static inline double off_plane(const moc_problem *p, const double *x)
     return largest_of(6, gap);
 }
 
-/* A5 = [J_T; b J_W], with b from `across` */
+/* A5 = [J_T; b J_W], five independent rows of A, with b from `across` */
 static inline void five_rows(int n, double A[][MOC_MAX_JOINTS], double b[2][3], double A5[5][MOC_MAX_JOINTS])
 {
     memcpy(A5, A, 3 * sizeof *A5);
