@@ -250,7 +250,7 @@ typedef struct {
 enum { MOC_RCM = 0, MOC_FORCE = 1 };
 
 #define MOC_SLOTS 4096      /* size of the table of earlier readings of all sensors */
-#define MOC_JOINT_SLOTS 256 /* size of the table of one encoder's earlier readings */
+#define MOC_JOINT_SLOTS 256 /* the same for one encoder */
 
 /* Repetitions in one of these tables. */
 typedef struct {

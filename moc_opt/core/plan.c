@@ -129,8 +129,8 @@ static double room_ahead(const plan_task *task, const double *q, const double *t
     return h;
 }
 
-/* Compute mu, and the unit tangent at q by projecting the previous tangent `last` on ker A. Returns the cosine of the
- * angle between both tangents. */
+/* Compute mu, and the unit tangent at q by projecting the previous tangent `last` on ker A. Returns the cosine
+ * between both tangents. */
 static double turn_tangent(const plan_task *task, const double *q, const double *last, double *tangent, double *mu)
 {
     double error[6], A[6][MOC_MAX_JOINTS], Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
@@ -150,7 +150,7 @@ static double turn_tangent(const plan_task *task, const double *q, const double 
 }
 
 /* Whether the curve's start lies ahead of q within one step. `pose` is the start after those whole turns of its
- * revolute joints that bring it nearest to q. *gap is the distance from q to `pose`. */
+ * revolute joints that bring it nearest to q. */
 static bool closes(const plan_task *task, const double *start, const double *q, const double *tangent, double step,
                   double *pose, double *gap)
 {

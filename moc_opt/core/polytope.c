@@ -48,7 +48,7 @@ static void sweep(polytope *t, int p, double sign)
         t->Pi[p][j] = sign * inverse * row[j];
 }
 
-/* Remove rounding errors from s: project s on ker A and set active joints to their bounds. */
+/* Remove rounding errors from s, which then lies in ker A and on the active bounds. */
 static void settle(polytope *t)
 {
     moc_onto(t->n, t->r, t->Z, t->s, t->s);

@@ -80,7 +80,7 @@ static int age(const moc_guard *g, long long stamp, moc_watch *w)
     return newer ? FRESH : REPEAT;
 }
 
-/* Whether a measurement passes the check MEASUREMENT. False for NaN. */
+/* The check MEASUREMENT. Returns false for NaN. */
 static bool believable(const moc_guard *g, int n, const double *q, const double *v, const moc_watch *w)
 {
     double ticks = 1.0 + (double)w->bad;
@@ -184,7 +184,7 @@ static moc_stop compare_readings(const moc_guard *g, int n, const moc_measuremen
                                                                                   : MOC_RUNNING;
 }
 
-/* Store a reading in a table. Returns the number of repetitions in a row with the same lag (distance in readings). */
+/* Store a reading in a table. Returns the number of repetitions in a row with the same lag [readings]. */
 static inline double take_in(double number, int slots, double *numbers, double *at, moc_came_before *before)
 {
     if (!(fabs(number) < LARGEST_NUMBER))

@@ -54,8 +54,8 @@ double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MA
 
 /* --- record.c --- */
 
-/* Copy a struct to its record (PACK) or from it (UNPACK). A record is an array of the struct's numbers, without unused
- * joints. qp/problem.py and robots/model.py read records. */
+/* Copy a struct to its record (PACK) or from it (UNPACK), an array without unused joints. qp/problem.py and
+ * robots/model.py read records. */
 typedef enum { UNPACK, PACK } direction;
 void moc_copy_problem(moc_problem *problem, int n, double *record, direction way);
 void moc_copy_terms(moc_terms *terms, int n, double *record, direction way);
@@ -93,7 +93,7 @@ int moc_null_space(const moc_plane *plane, int n, int rows, double Z[][MOC_MAX_J
 /* Make row k of Z orthonormal to the rows before. Returns false if its orthogonal part is not longer than `least`. */
 bool moc_orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least);
 
-/* part = Z^T Z x, the projection of x on the rows of Z. `part` and `x` may be the same array. */
+/* Project x on the rows of Z: part = Z^T Z x. `part` and `x` may be the same array. */
 void moc_onto(int n, int rows, double Z[][MOC_MAX_JOINTS], const double *x, double *part);
 
 /* --- exact.c, polytope.c --- */
