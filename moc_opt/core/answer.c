@@ -2,10 +2,10 @@
 #include "vec.h"
 
 #define AT_BOUND 1e-4          /* largest distance from a bound that counts as zero [rad/s] */
-#define PASSES 2e-3            /* largest `natural` at which moc_judge may leave `off` and `opposite` zero [rad/s] */
+#define PASSES 2e-3            /* largest `natural` at which `off` and `opposite` may stay zero [rad/s] */
 #define NO_GRADIENT 1e-12      /* largest |part of pull in ker A| / (largest |pull_j|) that counts as zero */
 #define IMMOBILE 1e-12         /* least divisor in least_violation, for joints that hardly move tip and wrist [m^2] */
-#define GRADIENT_ROUNDING 1e-9 /* largest length of steepest_descent's d that counts as zero */
+#define GRADIENT_ROUNDING 1e-9 /* largest |d| of steepest_descent that counts as zero */
 #define DESCENTS 50            /* sweeps in least_violation */
 #define OUTSIDE 1e-6           /* largest allowed bound violation [rad/s] and |A x - b| [m/s] in `retreat` */
 
@@ -18,8 +18,8 @@ static bool is_idle(int rows, double Z[][MOC_MAX_JOINTS], int j)
     return own > 1.0 - 1e-12;
 }
 
-/* Compute the direction d (n,) of steepest feasible descent from x: the negative gradient, projected on the tangent
- * cone of the feasible set. moc_judge divides the gradient by the returned number. */
+/* Compute d (n,), the negative gradient, projected on the tangent cone of the feasible set. moc_judge divides the
+ * gradient by the returned number. */
 static double steepest_descent(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS], const double *x, double *d)
 {
     moc_problem cone = {.n = p->n, .rho = 1.0};
@@ -41,11 +41,9 @@ static double steepest_descent(const moc_problem *p, int rows, double Z[][MOC_MA
     return scale;
 }
 
-/* `natural`, `off` and `opposite` (moc_residuals) are measured along a line through x in ker A. If ker A has several
- * dimensions without idle joints, this is the line of steepest feasible descent. Let z be its unit vector, s = z^T x
- * and g = z^T pull. On the line, the cost is rho s^2 / 2 - c2 g s + constant. Its optimum is s = c2 g / rho, clipped to
- * the bounds. For -pull, the optimum is s = -c2 g / rho, clipped to the bounds. `off` and `opposite` stay
- * zero if natural <= PASSES and either ker A has several such dimensions or c2 max |pull_j| <= rho. */
+/* `natural`, `off` and `opposite` are measured along a line through x in ker A. If ker A has several dimensions without
+ * idle joints, this is the line of steepest feasible descent. Let z be its unit vector, s = z^T x and g = z^T pull. On
+ * the line, the cost is rho s^2 / 2 - c2 g s + constant. Its optimum is s = c2 g / rho, clipped to the bounds. */
 moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINTS], const double *x)
 {
     moc_residuals found = {0.0, 0.0, 0.0, 0.0, 0.0};
@@ -65,7 +63,7 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
     moc_onto(n, rows, Z, p->pull, line);
     if (sqrt(dot(n, line, line)) <= NO_GRADIENT * steepest || !(p->c2 > 0.0))
         return found;
-    /* at least rho [times 1 rad/s], because pull = (rho / c2) x_d (moc_fill_problem) may be almost zero */
+    /* at least rho, because pull = (rho / c2) x_d may be almost zero */
     double scale = larger(p->c2 * steepest, p->rho);
     int several = freedoms > 1, faint = p->rho >= p->c2 * steepest;
     if (several) {
@@ -88,7 +86,7 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
             high = smaller(larger(one, other), high);
         }
     }
-    low = smaller(0.0, low); /* also if x is beyond a bound, which `outside` reports */
+    low = smaller(0.0, low); /* even if x is beyond a bound */
     high = larger(0.0, high);
     for (int j = 0; j < n; j++) {
         double push = line[j] * slope;
@@ -104,8 +102,7 @@ moc_residuals moc_judge(const moc_problem *p, int rows, double Z[][MOC_MAX_JOINT
     return found;
 }
 
-/* Find the shortest x with A x = b within the bounds, and write its part in ker A to `motion`. If there is no such x,
- * `motion` is unchanged. */
+/* Write the part in ker A of the shortest feasible x to `motion`. */
 static void retreat(const moc_problem *problem, int rows, double Z[][MOC_MAX_JOINTS], double *motion)
 {
     moc_problem p = *problem;

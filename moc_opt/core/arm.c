@@ -63,7 +63,7 @@ static body link_in_world(const moc_joint *joint, const moc_frame *frame)
 
     for (int i = 0; i < 3; i++)
         link.moment[i] = joint->mass * frame->p[i] + dot3(frame->R[i], joint->moment);
-    /* parallel axes: add m (|c|^2 1 - c c^T), with the centre of mass c in the world and the unit matrix 1 */
+    /* parallel axes: add m (|c|^2 1 - c c^T), with the centre of mass c in the world */
     double square = share * dot3(link.moment, link.moment);
     for (int i = 0; i < 3; i++) {
         double turned[3] = {dot3(frame->R[i], local[0]), dot3(frame->R[i], local[1]), dot3(frame->R[i], local[2])};
@@ -86,7 +86,7 @@ static moc_twist momentum(const body *b, const moc_twist *twist)
     return H;
 }
 
-/* Rate of change of a twist S = [lin, ang] that moves with a body of twist V = [v, w]: [w x lin + v x ang, w x ang]. */
+/* dS/dt of a twist S = [lin, ang] that moves with a body of twist V = [v, w]: [w x lin + v x ang, w x ang] */
 static moc_twist carried(const moc_twist *V, const moc_twist *S)
 {
     moc_twist rate = {{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}};
@@ -109,7 +109,7 @@ static void add(double s, const moc_twist *what, moc_twist *to)
     }
 }
 
-/* Fill M, h, gravity and energy_slope (C^T v) of the struct t. *V is the last link's twist, *acceleration its dV/dt. */
+/* Fill M, h, gravity and energy_slope. *V is the last link's twist, *acceleration its dV/dt. */
 static void dynamics(const moc_arm *arm, const moc_frame *frame, const moc_twist *S, moc_terms *t, moc_twist *V,
                      moc_twist *acceleration)
 {
@@ -125,7 +125,7 @@ static void dynamics(const moc_arm *arm, const moc_frame *frame, const moc_twist
         add(t->v[k], &S[k], V);
         add(t->v[k], &rate[k], acceleration);
         H[k] = momentum(&link[k], V);
-        /* dH/dt = I dV/dt + V x* H: inertia I, Featherstone's cross product x* of twist and momentum */
+        /* dH/dt = I dV/dt + V x* H, with the inertia I and Featherstone's cross product x* of twist and momentum */
         force[k] = momentum(&link[k], acceleration);
         add_cross(1.0, V->ang, H[k].lin, force[k].lin);
         add_cross(1.0, V->ang, H[k].ang, force[k].ang);

@@ -1,25 +1,25 @@
-/* The optimum of the subproblem (moc_problem in moc.h) by elimination: least cost for A x = b and lower <= x <= upper.
+/* The subproblem's optimum by elimination. If A x = b, the cost is rho/2 |x|^2 - c2 pull^T x + constant.
  *
- * If A x = b, the cost is rho/2 |x|^2 - c2 pull^T x + constant. Gauss-Jordan elimination with complete pivoting (Golub
- * and Van Loan, Matrix Computations, 3.4.8) writes x as a particular solution plus one self-motion per free joint (a
- * joint without a pivot). With one free joint (the elbow swivel), a ratio test gives the optimum. With several,
- * polytope.c computes it. Rows are padded to 8 or 16 numbers, so that the compiler unrolls the loops over a row. */
+ * Gauss-Jordan elimination with complete pivoting (Golub and Van Loan, Matrix Computations, 3.4.8) writes x as a
+ * particular solution plus one self-motion per free joint (a joint without a pivot). With one free joint, a ratio test
+ * gives the optimum. With several, polytope.c computes it. Rows are padded to 8 or 16 numbers, so that the compiler
+ * unrolls the loops over a row. */
 #include "vec.h"
 
 #define RANK_TOLERANCE 1e-12 /* largest (singular value of A) / |A|_F that counts as zero */
-#define TIED 1e-7            /* the same limit for the sixth singular value, which is zero for a rigid tool */
+#define TIED 1e-7            /* the same for the sixth singular value, which is zero for a rigid tool */
 #define LOOK_CLOSER 1e3      /* own_part finds the rank if pivot / (first pivot) <= this * RANK_TOLERANCE (or TIED) */
-#define LEFT 1e-6            /* largest allowed |A x - b| of the result [m/s] */
+#define LEFT 1e-6            /* largest allowed |A x - b| of a result [m/s] */
 #define SOUND 1e-6           /* if the last pivot is smaller, the result is checked [m] */
-#define UNBALANCED 1e-4      /* largest allowed |A^T y - force| / max(c2 |pull|, rho) of the result (see finish) */
+#define UNBALANCED 1e-4      /* largest allowed |A^T y - force| / max(c2 |pull|, rho) of a result */
 #define IDLE 1e-12           /* a joint is idle (moves neither tip nor wrist) if no eliminated entry is larger */
-#define ROUNDING 1e-9        /* an idle joint's pull counts as zero below this share of the largest pull */
+#define ROUNDING 1e-9        /* an idle joint's pull below this share of the largest pull counts as zero */
 #define GROWTH 4e-12         /* assumed bound on the relative rounding error of the elimination */
-#define WIDEST 1e-5          /* upper bound on the tolerance of a second solve [rad/s] */
-#define UNCLEAR 1e-3         /* upper bound on the tolerance of a third solve [rad/s] */
-#define SLIVER 2e-9          /* lower bound on the assumed rounding error with several free joints [rad/s] */
+#define WIDEST 1e-5          /* largest tolerance of a second solve [rad/s] */
+#define UNCLEAR 1e-3         /* largest tolerance of a third solve [rad/s] */
+#define SLIVER 2e-9          /* least assumed rounding error with several free joints [rad/s] */
 
-/* Turn multipliers g (6,) of the rows after `steps` steps of the elimination into multipliers of A's rows. */
+/* Turn multipliers g of the rows after `steps` steps of the elimination into multipliers of A's rows. */
 static inline void weigh_back(const moc_plane *plane, int steps, double g[6])
 {
     for (int k = steps - 1; k >= 0; k--) {
@@ -29,8 +29,8 @@ static inline void weigh_back(const moc_plane *plane, int steps, double g[6])
     }
 }
 
-/* Estimate the (k + 1)-th largest singular value of A, divided by |A|_F. After k steps, each row without a pivot is
- * e^T A for some e. Returns the largest |e^T A| / (|e| |A|_F), which is at most 4 * (next pivot) / (first pivot). */
+/* Estimate the (k + 1)-th largest singular value of A, divided by |A|_F. Returns the largest |e^T A| / (|e| |A|_F) over
+ * the rows e^T A that are left after k steps. It is at most 4 * (next pivot) / (first pivot). */
 static double own_part(const moc_plane *plane, int n, double A[][MOC_MAX_JOINTS], int k)
 {
     double most = 0.0, size = 0.0;
@@ -45,7 +45,7 @@ static double own_part(const moc_plane *plane, int n, double A[][MOC_MAX_JOINTS]
     return sqrt(most);
 }
 
-/* Returns the rank of A, or -1 - k if rounding leaves open whether the rank is k or higher. m: padded row length. */
+/* Returns the rank of A, or -1 - k if the rank may be k or higher. m: padded row length. */
 static inline int eliminate(moc_plane *plane, int n, double A[][MOC_MAX_JOINTS], int m)
 {
     double first = plane->pivot = HUGE_VAL;
@@ -82,7 +82,7 @@ static inline int eliminate(moc_plane *plane, int n, double A[][MOC_MAX_JOINTS],
         plane->pivot = size;
         plane->joint[k] = column;
         plane->from[k] = pivot;
-        /* 1 / pivot, from size = |pivot|, which is known earlier than the pivot's sign */
+        /* size = |pivot| is known earlier than the pivot's sign */
         double inverse = plane->inverse[k] = copysign(1.0 / size, plane->row[pivot][column]);
         for (int c = 0; c < m; c++) {
             pivot_row[c] = plane->row[pivot][c] * inverse;
@@ -169,7 +169,7 @@ static double idle_speed(const moc_problem *p, int j)
     return clip(pull == 0.0 ? 0.0 : pull / p->rho, p->lower[j], p->upper[j]); /* rho = 0: at a bound */
 }
 
-/* The interval of s in which x + s z is within the bounds. joint[0] limits low, and joint[1] limits high. */
+/* x + s z is within the bounds for low <= s <= high. joint[0] limits low, and joint[1] limits high. */
 typedef struct {
     double low, high;
     int joint[2];
@@ -222,8 +222,8 @@ static void solve_one(const moc_plane *plane, const moc_problem *p, double toler
         force[at_bound] = slope / z[at_bound];
 }
 
-/* Clip the point to the bounds: the result is x. On entry, `force` has the multipliers of the bounds. Add
- * c2 pull - rho x to it, and compute y from A^T y = force. Returns the point's largest bound violation [rad/s]. */
+/* Clip `point` to the bounds, add c2 pull - rho x to the bounds' multipliers in `force`, and solve A^T y = force.
+ * Returns the largest bound violation of `point` [rad/s]. */
 static double finish(const moc_plane *plane, const moc_problem *p, const double *point, double *force, double *x,
                      double y[6])
 {
@@ -290,9 +290,9 @@ static double explained_by_rounding(const moc_plane *plane, const moc_problem *p
 moc_status moc_solve_eliminated(const moc_plane *plane, const moc_problem *p, double tolerance, double *x, double y[6])
 {
     moc_status status = solve(plane, p, tolerance, x, y);
-    /* If rounding may have decided the status, solve again with a larger tolerance. If no x is found, solve with the
-     * tolerance `unclear`. If the subproblem is infeasible even then, keep the first status. If not, the status is
-     * MOC_DOUBTFUL. `unclear` is larger with several free joints, because columns may be almost parallel. */
+    /* If rounding may have decided the status, solve again with larger tolerances. The first status holds only if the
+     * subproblem is infeasible even with the largest one, `unclear`. With several free joints, it is larger, because
+     * columns may be almost parallel. */
     double explained = status == MOC_OK ? 0.0 : explained_by_rounding(plane, p);
     if (explained <= tolerance)
         return status;

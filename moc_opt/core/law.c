@@ -1,13 +1,11 @@
-/* The law (Su et al. 2019, in the form of docs/method.md) and the subproblem.
+/* The law (Su et al. 2019, docs/method.md) and the subproblem.
  *
  *   tau = h + J_T^T F_T + (I - J_T^T Jbar_T^T) J_W^T F_W + tau_ff - r + s M Z^T (Z M Z^T)^-1 Z tau_0,
  *   tau_0 = K_N2 (x - v) - D_N2 v.
- * r: the observer's estimate of the external torque. s: memory.share, from 0 to 1. F_T, F_W: forces at the tip X and
- * the wrist centre N (see moc_tracking_torque). Jbar_T, tau_ff: see add_dynamic. P_t: trocar. Other symbols: moc.h. */
+ * r: memory.external. s: memory.share. F_T, F_W: see moc_tracking_torque. Jbar_T, tau_ff: see add_dynamic. */
 #include "vec.h"
 
-#define STRAIGHT 1e-3  /* add_dynamic drops one of the wrist's two rows if it is shorter than STRAIGHT * (the other) */
-/* mu_shaft: the shaft's manipulability while the tip rests, near 0 if the joints can hardly turn the shaft */
+#define STRAIGHT 1e-3  /* add_dynamic drops one of the wrist's two rows if it is shorter than this * (the other) */
 #define SHAFT_PULL 0.1 /* moc_shaft_push is at most SHAFT_PULL / mu_shaft, the slope of SHAFT_PULL log mu_shaft [m^3] */
 #define SHAFT_LOST 0.1 /* moc_shaft_push is largest near mu_shaft = SHAFT_LOST shaft_margin */
 #define BOX_OPENS 3.0  /* the bounds on x are widest for mu_shaft <= (1 - 1/BOX_OPENS) shaft_margin */
@@ -56,8 +54,8 @@ static void times(int n, double J[][MOC_MAX_JOINTS], const double *v, double out
         out[i] = dot(n, J[i], v);
 }
 
-/* Compute ddN_d of N_d = X + L e for a trocar without acceleration. L is the distance from wrist to tip. ' is d/dt.
- * With r = P_t - X = |r| e: e'' = (I - e e^T)(r'' - 2 |r|' e') / |r| - |e'|^2 e. */
+/* Compute ddN_d of N_d = X + L e for a trocar without acceleration. With r = P_t - X = |r| e, and ' for d/dt:
+ * e'' = (I - e e^T)(r'' - 2 |r|' e') / |r| - |e'|^2 e. */
 static void desired_wrist_acceleration(const line *s, double span, const double ddX_d[3], double out[3])
 {
     double bend[3], square = dot3(s->turn, s->turn); /* r'' - 2 |r|' e' */
@@ -68,15 +66,14 @@ static void desired_wrist_acceleration(const line *s, double span, const double 
         out[i] = ddX_d[i] + span * ((bend[i] - along * s->e[i]) / s->distance - square * s->e[i]);
 }
 
-/* Add the wrist's torque tau_W (if the projector is MOC_DYNAMIC) and the feed-forward (Khatib 1987, eq. 51):
+/* Add the wrist's torque tau_W (only with MOC_DYNAMIC) and the feed-forward (Khatib 1987, eq. 51):
  *
  *   tau += (I - J_T^T Jbar_T^T) tau_W + A5^T (A5 M^-1 A5^T)^-1 a,  Jbar_T = M^-1 J_T^T (J_T M^-1 J_T^T)^-1,
  *   a = [ddX_d - dJ_T v; b^T (ddN_d - dJ_W v)], or 0 without a feed-forward.
  *
- * A5 = [J_T; b^T J_W]. The columns of b (3, 2), rows in the code, are perpendicular to the shaft. M = H H^T (Cholesky).
- * `rows` has the three rows J_T H^-T of the tip, the two rows b^T J_W H^-T of the wrist, and (H^-1 tau_W)^T. The tip's
- * rows are made orthonormal, and the others orthogonal to them. This avoids A5 M^-1 A5^T, which has the square of the
- * rows' condition number. A straight elbow cannot accelerate the wrist in one direction, which tau_ff leaves out. */
+ * A5 = [J_T; b^T J_W], with the columns of b (3, 2) across the shaft. M = H H^T (Cholesky). `rows` has A5 H^-T and
+ * (H^-1 tau_W)^T. They are made orthogonal. This avoids A5 M^-1 A5^T, which has the square of their condition number. A
+ * straight elbow cannot accelerate the wrist in one direction, which tau_ff leaves out. */
 static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *ddX_d, const double *ddN_d,
                         const double *tau_W, double *tau)
 {
@@ -142,7 +139,7 @@ static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *d
     }
 }
 
-/* tau += (I - J^T G) tau_W. MOC_STATIC: G is pinv(J)^T. MOC_AS_PUBLISHED: G is J, and I - J^T J is no projector. */
+/* tau += (I - J^T G) tau_W. MOC_STATIC: G is pinv(J)^T. MOC_AS_PUBLISHED: G is J. */
 static void add_at_rest(moc_projector projector, int n, double J[][MOC_MAX_JOINTS], const double *tau_W, double *tau)
 {
     double at_tip[3], gram[3][MOC_MAX_JOINTS], factor[3][MOC_MAX_JOINTS], diagonal[3];
@@ -175,9 +172,9 @@ void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, cons
     memcpy(tau, t->h, (unsigned)n * sizeof *tau);
     add_force(n, J_T, 1.0, F, tau);
 
-    /* Shaft: F_W = factor K_N (N_d - N) + D_N (dN_d - dN), N_d = X + L e. If rcm_lambda = 0, factor is 1. If it is
-     * above 0, factor is d / (rcm_lambda |N_d - N|), as in Su et al. d is the distance of the trocar from the shaft.
-     * With the angle theta between e and -u, d / |N_d - N| is cos(theta/2) |P_t - X| / L. */
+    /* Shaft: F_W = factor K_N (N_d - N) + D_N (dN_d - dN), N_d = X + L e. If rcm_lambda > 0, factor is
+     * d / (rcm_lambda |N_d - N|), as in Su et al. With the RCM error d and the angle theta between e and -u,
+     * d / |N_d - N| is cos(theta/2) |P_t - X| / L. */
     line s = shaft_line(t->tip, dX, trocar);
     if (law->rcm_lambda > 0.0)
         factor = s.distance / t->span * sqrt(larger(0.5 * (1.0 - dot3(s.e, t->u)), 0.0)) / law->rcm_lambda;
@@ -193,7 +190,6 @@ void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, cons
         add_at_rest(law->projector, n, J_T, tau_W, tau);
 }
 
-/* SHAFT_PULL (1 - m/margin) m / (m^2 + lost^2) [m] if m = mu_shaft is below the margin, else zero. */
 double moc_shaft_push(double mu_shaft, double margin)
 {
     double lost = SHAFT_LOST * margin;
@@ -205,7 +201,6 @@ void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_r
                       const moc_trocar *trocar, const double *x_d, moc_problem *p)
 {
     double N_d[3], gap = 0.0, push = moc_shaft_push(t->mu_shaft, law->shaft_margin);
-    /* the bounds widen if mu_shaft is below its margin */
     double nearness = larger(BOX_OPENS * (1.0 - t->mu_shaft / law->shaft_margin), 0.0);
     double wider = 1.0 + law->spare_speed * smaller(nearness, 1.0);
 
@@ -223,7 +218,7 @@ void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_r
         double v_max = law->v_max[j] * wider;
         p->grad_mu[j] = t->grad_mu[j];
         p->pull[j] = x_d ? law->rho / law->c2 * x_d[j] : t->grad_mu[j] + push * t->grad_mu_shaft[j];
-        /* near a joint limit, the bound is k0 * (distance); lower <= upper even if q is beyond the limit */
+        /* lower <= upper even if q is beyond a limit */
         p->lower[j] = smaller(larger(-law->k0 * (t->q[j] - law->q_min[j]), -v_max), v_max);
         p->upper[j] = larger(smaller(-law->k0 * (t->q[j] - law->q_max[j]), v_max), -v_max);
     }

@@ -24,9 +24,9 @@ static void column(double J[][MOC_MAX_JOINTS], int k, double out[3])
 }
 
 /* mu = sqrt(det(J J^T)); dmu/dq_k = mu trace(dJ/dq_k pinv(J)).
- * J_k is column k of J, and ang_k is the angular velocity of joint k at unit speed. In a serial chain,
+ * J_k is column k of J, and ang_k the angular velocity of joint k at unit speed. In a serial chain,
  * dJ_j/dq_k = ang_min(j,k) x J_max(j,k). With the rows P_j = (J J^T)^-1 J_j of pinv(J), dmu/dq_k =
- * mu (ang_k . sum_{j>=k} J_j x P_j + J_k . sum_{j<k} P_j x ang_j). At a singularity, the gradient is set to zero. */
+ * mu (ang_k . sum_{j>=k} J_j x P_j + J_k . sum_{j<k} P_j x ang_j). */
 double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOINTS], moc_gram *gram, double *gradient)
 {
     double P[MOC_MAX_JOINTS][3], Jk[3], sum[3] = {0.0, 0.0, 0.0}, mu = sqrt(larger(gram->det, 0.0));
@@ -53,12 +53,11 @@ double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOIN
 
 /* mu_s = sqrt(pdet(C)), C = J_W (I - pinv(J_T) J_T) J_W^T, the mobility of the wrist while the tip is held.
  *
- * C u = 0 for the shaft's axis u. pdet(C) is the product of the other two eigenvalues. It does not depend on the axes.
+ * C u = 0 for the shaft's axis u, and pdet(C) is the product of the other two eigenvalues. It is the same in all axes.
  * In axes that turn with the tool, dJ_j/dq_k = ang_j x J_k - ang_k x J_j for j < k, and zero for j >= k.
  * Let N = I - pinv(J_T) J_T and K = J_W pinv(J_T). dmu_s/dq_k is the sum of two terms
  * mu_s (J_k . sum_{j<k} P_j x ang_j - ang_k . sum_{j<k} J_j x P_j), where the subscript j means column j:
- * one with J = J_W and P = C^+ J_W N, the other with J = J_T and P = -K^T C^+ J_W N.
- * At a singularity, the gradient is set to zero. */
+ * one with J = J_W and P = C^+ J_W N, the other with J = J_T and P = -K^T C^+ J_W N. */
 double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], moc_gram *gram,
                                 const double u[3], double *gradient)
 {

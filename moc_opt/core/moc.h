@@ -1,8 +1,8 @@
-/* Control law, exact solver and safety filter in SI units, without heap. A tick is one control period.
+/* Control law, exact solver and safety filter in SI units, without heap allocation. A tick is one control period.
  *
  * Symbols: joint positions q [rad, m], joint velocities v, tip X, wrist centre N, trocar P_t, Jacobians J_T of the tip
- * and J_W of the wrist, A = [J_T; J_W], mass matrix M, h = C v + g, manipulability mu of the tip. Level 1 of the law
- * moves the tip, level 2 keeps the shaft in the trocar, level 3 uses the self-motion. Joint arrays have n entries. */
+ * and J_W of the wrist, A = [J_T; J_W], mass matrix M, bias torque h = C v + g, manipulability mu of the tip. Only
+ * the first n entries of joint arrays are used. */
 #ifndef MOC_H
 #define MOC_H
 
@@ -12,7 +12,7 @@ typedef enum {
     MOC_OK = 0,
     MOC_INFEASIBLE, /* no x within the bounds solves A x = b */
     MOC_DOUBTFUL,   /* rounding errors are too large for a result */
-    MOC_UNFINISHED, /* the network (rnn.c) has not converged */
+    MOC_UNFINISHED, /* the neural network (rnn.c) has not converged */
     MOC_NOT_FINITE  /* q or v is not finite */
 } moc_status;
 
@@ -37,20 +37,20 @@ typedef struct {
     moc_joint joint[MOC_MAX_JOINTS];
     double point[2][3];            /* tip and wrist centre in the last joint's axes [m] */
     double tool[3][3];             /* rows: tool axes x, y, z (along the shaft) in the last joint's axes */
-    int moves[2][MOC_MAX_JOINTS];  /* 0: the joint never moves the tip (row 0) or the wrist (row 1) */
-    double gravity[3];             /* [m/s^2] */
+    int moves[2][MOC_MAX_JOINTS];  /* 0: the joint never moves tip (row 0) or wrist (row 1) */
+    double gravity[3];             /* gravitational acceleration in world axes [m/s^2] */
 } moc_arm;
 
 /* Kinematics and dynamics at (q, v). The Python binding relies on the order of the fields. */
 typedef struct {
     double q[MOC_MAX_JOINTS], v[MOC_MAX_JOINTS];
-    double tip[3], wrist[3], u[3];           /* u = (X - N) / L */
+    double tip[3], wrist[3], u[3];           /* X [m], N [m], u = (X - N) / L */
     double pose[4][3];                       /* rows: tool axes x, y, z = u, tip */
-    double A[6][MOC_MAX_JOINTS];             /* rows of J_T, then of J_W */
+    double A[6][MOC_MAX_JOINTS];             /* [J_T; J_W] */
     double drift[6];                         /* dJ_T/dt v, dJ_W/dt v [m/s^2] */
-    double grad_mu[MOC_MAX_JOINTS], grad_mu_shaft[MOC_MAX_JOINTS];
-    double M[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
-    double h[MOC_MAX_JOINTS];
+    double grad_mu[MOC_MAX_JOINTS], grad_mu_shaft[MOC_MAX_JOINTS]; /* in q [m^3/rad], [m^2/rad] */
+    double M[MOC_MAX_JOINTS][MOC_MAX_JOINTS]; /* [kg m^2] */
+    double h[MOC_MAX_JOINTS];                /* C v + g [Nm] */
     double energy_slope[MOC_MAX_JOINTS];     /* C^T v [Nm] */
     double gravity[MOC_MAX_JOINTS];          /* g, the torque that carries the arm's weight [Nm] */
     double mu;                               /* [m^3] */
@@ -63,10 +63,10 @@ typedef struct {
 /* min_x c0/2 |J_T x - v_T|^2 + c1/2 |J_W x - v_W|^2 - c2 x^T pull + rho/2 |x|^2,  A x = b,  lower <= x <= upper */
 typedef struct {
     int n;
-    double A[6][MOC_MAX_JOINTS], b[6];     /* [J_T; J_W], [v_T; v_W] */
-    double grad_mu[MOC_MAX_JOINTS];
-    double pull[MOC_MAX_JOINTS];           /* to raise mu: grad_mu; if mu_shaft < moc_law.shaft_margin, a positive
-                                            * multiple of grad_mu_shaft is added. To follow a given x_d: rho/c2 x_d */
+    double A[6][MOC_MAX_JOINTS], b[6];     /* [J_T; J_W], [v_T; v_W] [m/s] */
+    double grad_mu[MOC_MAX_JOINTS];        /* [m^3/rad] */
+    double pull[MOC_MAX_JOINTS];           /* grad_mu, plus a multiple of grad_mu_shaft if mu_shaft < shaft_margin,
+                                            * or rho/c2 x_d to follow x_d */
     double lower[MOC_MAX_JOINTS], upper[MOC_MAX_JOINTS]; /* [rad/s] */
     double c0, c1, c2, rho;
     double q[MOC_MAX_JOINTS];              /* A = A(q); only nonlinear solvers use q */
@@ -80,11 +80,11 @@ typedef struct {
     int from[6];               /* row swapped with row k before step k */
     int joint[MOC_MAX_JOINTS]; /* in this order: pivot joints, free joints that move tip or wrist, idle joints */
     int rank, freedoms;        /* freedoms: null-space dimension without idle joints */
-    int doubtful;              /* 1: rounding leaves two ranks possible, and `rank` is the lower one */
+    int doubtful;              /* 1: the rank may be higher */
 } moc_plane;
 
-/* Compute the optimum x (n,) and the multipliers y (6,) of A x = b. They are valid only with MOC_OK. The problem counts
- * as feasible if a solution exists within the bounds widened by `tolerance` [rad/s]. */
+/* Compute the optimum x (n,) and the multipliers y (6,) of A x = b. They are valid only with MOC_OK. A problem is
+ * infeasible if no solution exists within the bounds widened by `tolerance` [rad/s]. */
 moc_status moc_solve_exact(const moc_problem *problem, double tolerance, double *x, double y[6]);
 
 /* --- the law --- */
@@ -101,18 +101,18 @@ typedef struct {
 typedef enum { MOC_DYNAMIC = 0, MOC_STATIC, MOC_AS_PUBLISHED } moc_projector;
 
 typedef struct {
-    double K_X, D_X, K_N, D_N;                   /* at tip and wrist [N/m], [N s/m] */
+    double K_X, D_X, K_N, D_N;                   /* stiffness [N/m] and damping [N s/m] at tip and wrist */
     double rcm_lambda;                           /* assumed (RCM error) / (wrist error) of Su et al.; 0: not used */
     moc_projector projector;
     int feedforward;                             /* 1: desired accelerations are fed forward */
-    double K_N2[MOC_MAX_JOINTS], D_N2[MOC_MAX_JOINTS]; /* gains of the third level [N m s/rad] */
+    double K_N2[MOC_MAX_JOINTS], D_N2[MOC_MAX_JOINTS]; /* gains of level 3 [N m s/rad] */
     double tau_max[MOC_MAX_JOINTS];              /* torque limits [Nm], may be infinite */
-    double k0;                                   /* velocity damper: speed limit / distance from a joint limit [1/s] */
-    double c0, c1, c2, rho;
-    double q_min[MOC_MAX_JOINTS], q_max[MOC_MAX_JOINTS], v_max[MOC_MAX_JOINTS];
+    double k0;                                   /* speed limit / distance from a joint limit [1/s] */
+    double c0, c1, c2, rho;                      /* of moc_problem */
+    double q_min[MOC_MAX_JOINTS], q_max[MOC_MAX_JOINTS], v_max[MOC_MAX_JOINTS]; /* joint limits [rad], [rad/s] */
     double shaft_margin;                         /* below this mu_shaft, level 3 also raises mu_shaft [m^2] */
     double spare_speed;                          /* if mu_shaft < shaft_margin, v_max grows by up to this share */
-    double observer_gain;                        /* disturbance observer K_o [1/s]; 0: none */
+    double observer_gain;                        /* K_o of the disturbance observer [1/s]; 0: none */
     double period;                               /* [s] */
     double fade;                                 /* growth of moc_memory.share per tick */
     int third_level;                             /* 1: level 3 follows the subproblem's x; 0: no subproblem */
@@ -131,13 +131,13 @@ typedef struct {
     int age;                                     /* ticks since the last accepted answer, up to hold_ticks + 1 */
 } moc_memory;
 
-/* --- an answer, its check, and its replacements --- */
+/* --- answers --- */
 
 typedef enum {
     MOC_CLAIMS_OPTIMUM = 0,
     MOC_CLAIMS_INFEASIBLE,
     MOC_CLAIMS_NOTHING, /* x is an iterate */
-    MOC_GIVES_NONE
+    MOC_GIVES_NONE      /* the solver failed, x is not used */
 } moc_claim;
 
 /* Why an answer was refused, in the order of control/supervisor.py. */
@@ -158,7 +158,7 @@ typedef enum {
 typedef struct {
     const double *x;  /* (n,) [rad/s], never NULL */
     moc_claim claim;
-    moc_fault known;  /* fault found by the caller, or MOC_TAKEN */
+    moc_fault known;  /* found by the caller, or MOC_TAKEN */
     double us;        /* time of the solve [us] */
 } moc_answer;
 
@@ -167,19 +167,18 @@ typedef enum { MOC_LATE_HOLD = 0, MOC_LATE_ZERO, MOC_LATE_ITERATE } moc_late;
 
 typedef struct {
     int check;              /* 0: residuals are not checked */
-    double box_limit;       /* largest allowed |A x - b| and bound violation with MOC_CLAIMS_NOTHING */
-    double primal_limit;    /* largest allowed |A x - b| and bound violation of a claimed optimum */
-    double relative_limit;  /* largest allowed natural residual of a claimed optimum */
-    double opposite_limit;  /* largest allowed distance of a claimed optimum from the true optimum [rad/s]; applies
-                             * only if the claimed optimum is nearer to the optimum for -pull (wrong sign) */
-    int hold_ticks;         /* ticks for which the last accepted answer replaces refused answers */
+    double box_limit;       /* largest |A x - b| [m/s] and bound violation [rad/s] with MOC_CLAIMS_NOTHING */
+    double primal_limit;    /* the same for a claimed optimum */
+    double relative_limit;  /* largest moc_residuals.natural of a claimed optimum */
+    double opposite_limit;  /* largest distance from the optimum, if x is nearer to the optimum for -pull [rad/s] */
+    int hold_ticks;         /* ticks for which moc_memory.good replaces refused answers */
     int keep_off_limits;    /* after hold_ticks: a self-motion that keeps joints off their limits (1), or x = 0 (0) */
-    moc_fallback fallback;  /* for an infeasible subproblem */
-    moc_late late;          /* for a late answer */
-    double budget_us;       /* an answer is late if its solve took longer [us] */
+    moc_fallback fallback;  /* for an infeasible subproblem; MOC_DAMPING: x = 0 */
+    moc_late late;          /* for a late answer; MOC_LATE_ITERATE: use it */
+    double budget_us;       /* longest solve that is not late [us] */
 } moc_supervision;
 
-/* --- the safety filter (safety_filter.c) --- */
+/* --- the safety filter --- */
 
 #define MOC_REASONS(REASON)                                                                                            \
     REASON(MOC_RUNNING, "running")                                                                                     \
@@ -205,16 +204,16 @@ typedef struct {
 #define MOC_NAME(name, words) name,
 typedef enum { MOC_REASONS(MOC_NAME) MOC_STOPS } moc_stop;
 
-/* Settings of the safety filter. An infinite limit turns its check off. Names in capitals are reasons to stop. The
- * table at the top of safety_filter.c defines them. r: torque that a joint's motion implies minus applied torque. */
+/* Settings of the safety filter. An infinite limit turns its check off. The table at the top of safety_filter.c defines
+ * the reasons to stop (in capitals). r: torque that a joint's motion implies minus applied torque. */
 typedef struct {
     double period;                                      /* [s] */
     int patience;                                       /* ticks in a row that a check may fail */
     int carries;                                        /* 1: tau carries the arm's weight; 0: the drives do it */
     double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS];   /* virtual walls [rad, m] */
-    double v_max[MOC_MAX_JOINTS], tau_max[MOC_MAX_JOINTS];
+    double v_max[MOC_MAX_JOINTS], tau_max[MOC_MAX_JOINTS]; /* [rad/s], [Nm] */
     double wall_stiffness, wall_damping, wall_brake;    /* [Nm/rad], [Nm s/rad], deceleration [rad/s^2] */
-    double torque_step;                                 /* largest allowed change of a torque [Nm per tick] */
+    double torque_step;                                 /* largest change of a torque [Nm per tick] */
     double jump;                                        /* MEASUREMENT: largest change of q beyond v_max t [rad] */
     double speed_factor;                                /* MEASUREMENT: largest |v| / v_max */
     double tip_error;                                   /* TIP: largest rms error of the tip [m] */
@@ -227,7 +226,7 @@ typedef struct {
     double stop_holding;                                /* dry friction of closed brakes / tau_max */
     double stop_yield;                                  /* rise of the trocar force that opens the brakes [N] */
     int stop_yield_ticks;                               /* open brakes close after this number of ticks */
-    double press_share;                                 /* weight of a new tick in the mean trocar force of a stop */
+    double press_share;                                 /* weight of a new tick in moc_watch.mean_force */
     int motion;                                         /* 0: LATE and all checks below are off */
     double motion_s;                                    /* RAN_AWAY: time over which q and v are compared [s] */
     double motion_rad;                                  /* RAN_AWAY: largest difference of a resting joint [rad] */
@@ -237,9 +236,9 @@ typedef struct {
     double repeat_whole_m, repeat_whole_torque;         /* the same two, if the wrench is unchanged as well */
     double repeat_whole_ticks;                          /* WRENCH_REPEATED, REPLAYED: most repeats, noisy wrench */
     double repeat_joint_ticks;                          /* ONE_REPEATED: most ticks in a row with an unchanged q */
-    double repeat_reading_ticks;                        /* REPEATED, ONE_REPEATED: most ticks with unchanged q, v */
+    double repeat_reading_ticks;                        /* most ticks with unchanged q, v, or repeats with one lag */
     double replayed_ticks;                              /* REPLAYED: most repeats, wrench without noise */
-    double stuck_speed;                                 /* STUCK: largest unseen_speed (moc_joint_watch) [rad/s] */
+    double stuck_speed;                                 /* STUCK: largest moc_joint_watch.unseen_speed [rad/s] */
     double held[MOC_MAX_JOINTS];                        /* STUCK: static friction [Nm] */
     double residual_torque;                             /* UNEXPLAINED: largest |r - mean of r| / tau_max */
     double residual_whole;                              /* UNEXPLAINED: largest |r| / tau_max */
@@ -251,7 +250,7 @@ typedef struct {
 enum { MOC_RCM = 0, MOC_FORCE = 1 };
 
 #define MOC_SLOTS 4096      /* size of the table of earlier readings of all sensors */
-#define MOC_JOINT_SLOTS 256 /* size of the table of one encoder's earlier readings */
+#define MOC_JOINT_SLOTS 256 /* the same for one encoder */
 
 /* Repetitions in one of these tables. */
 typedef struct {
@@ -264,17 +263,17 @@ typedef struct {
     double peak_speed;       /* largest recent |v| [rad/s] */
     double shown, speed;     /* latest q and v */
     double repeats;          /* ticks in a row with an unchanged q */
-    double repeats_both;     /* number of all ticks with unchanged q and v */
+    double repeats_both;     /* number of ticks with unchanged q and v */
     double torque;           /* applied torque when the encoders stopped changing [Nm] */
     double integral;         /* of the momentum observer [Nm s] */
-    double residual, mean;   /* r (see moc_guard) and its mean [Nm] */
+    double residual, mean;   /* r and its running mean [Nm] */
     double at_repeat;        /* mean of r when q last changed [Nm] */
-    double unseen_speed;     /* speed that torque beyond friction has given the joint since q last changed [rad/s] */
-    double exceeded;         /* ticks in a row in which r was above a limit of UNEXPLAINED */
+    double unseen_speed;     /* integral of d_i / M_ii in STUCK [rad/s] */
+    double exceeded;         /* ticks in a row with r above a limit of UNEXPLAINED */
 } moc_joint_watch;
 
 typedef struct {
-    double q[MOC_MAX_JOINTS], v[MOC_MAX_JOINTS]; /* believed state; v extrapolates q between measurements */
+    double q[MOC_MAX_JOINTS], v[MOC_MAX_JOINTS]; /* believed state, extrapolated if no measurement is accepted */
     double low[MOC_MAX_JOINTS], high[MOC_MAX_JOINTS]; /* virtual walls; a start beyond a wall moves the wall */
     int bad;                                     /* refused measurements in a row */
     double tip_square;                           /* mean square of the tip's error [m^2] */
@@ -284,21 +283,21 @@ typedef struct {
     double whole_square;                         /* mean square of the whole force across the shaft [N^2] */
     double ticks;                                /* number of the tick, from 0 */
     int unread;                                  /* wrenches in a row that were not finite */
-    double mean_force;                           /* mean trocar force during a stop [N] */
+    double mean_force;                           /* mean trocar force in a stop [N] */
     double base_force;                           /* closed brakes open if mean_force > base_force + stop_yield [N] */
-    int brakes_open, open_ticks;                 /* 1: the brakes are open in a stop; number of ticks since then */
-    int cut;                                     /* 1: a drive is at fault, so the torque in the stop goes to zero */
-    int limited;                                 /* number of joints whose torque was limited in this tick */
-    long long now, newest;                       /* number of this control period; stamp of the newest measurement */
+    int brakes_open, open_ticks;                 /* 1: the brakes are open in a stop; ticks since then */
+    int cut;                                     /* 1: a drive is at fault, so that tau goes to zero */
+    int limited;                                 /* number of torques limited in this tick */
+    long long now, newest;                       /* this control period; stamp of the newest measurement */
     long long delay;                             /* age of the run's first new measurement [periods] */
     long long elapsed;                           /* periods since readings were last compared */
     long long taken;                             /* number of new measurements */
     moc_joint_watch joint[MOC_MAX_JOINTS];
     double tip_ref[3], tip_ref_before[3];        /* tip reference, now and when the encoders stopped changing [m] */
-    double wrench[6], wrench_repeats;            /* latest wrench; number of its repetitions in a row */
-    int looked;                                  /* number of wrenches read, counted up to FIRST_READINGS (100) */
-    int wrench_is_still;                         /* 1: among these, a wrench equalled the one before it */
-    int weighed;                                 /* number of measurements compared with the torque */
+    double wrench[6], wrench_repeats;            /* latest wrench; its repetitions in a row */
+    int looked;                                  /* wrenches read, up to FIRST_READINGS (100) */
+    int wrench_is_still;                         /* 1: one of these equalled the one before it */
+    int weighed;                                 /* measurements compared with the torque */
     double number[MOC_SLOTS], at[MOC_SLOTS];     /* readings, one number each; their indices from 1 (0: empty) */
     double joint_number[MOC_MAX_JOINTS][MOC_JOINT_SLOTS], joint_at[MOC_MAX_JOINTS][MOC_JOINT_SLOTS];
     moc_came_before whole, lagging[MOC_MAX_JOINTS]; /* repetitions of all sensors, and of each encoder */
@@ -317,7 +316,7 @@ const char *moc_reason(moc_stop reason);
 /* Compute the dry friction (n,) that the brakes have to apply [Nm]. Call it once in every period of a stop. */
 void moc_guard_hold(const moc_guard *g, const moc_arm *arm, const double *wrench, moc_watch *w, double *friction);
 
-/* --- the whole controller (step.c) --- */
+/* --- the whole controller --- */
 
 typedef struct {
     const moc_arm *arm;
@@ -338,17 +337,17 @@ typedef struct {
     moc_memory memory;
     moc_watch watch;
     moc_terms terms;                /* the fields from here to `status` belong to the latest tick */
-    moc_problem problem;            /* filled if the law has a third level */
+    moc_problem problem;            /* filled if law->third_level */
     moc_plane plane;                /* problem.A after elimination */
     double tip_ref[3];              /* tip reference [m] */
-    double tau[MOC_MAX_JOINTS];     /* levels 1 and 2 minus memory.external; after moc_finish, to send */
+    double tau[MOC_MAX_JOINTS];     /* levels 1 and 2 minus memory.external; after moc_finish, to send [Nm] */
     moc_fault fault;
     double x[MOC_MAX_JOINTS];       /* joint velocity that level 3 follows [rad/s] */
     double answer[MOC_MAX_JOINTS];  /* answer, y, status: results of the exact solver in moc_step */
     double y[6];
     moc_status status;
-    double sent[MOC_MAX_JOINTS];    /* torque of the latest moc_finish [Nm] */
-    moc_stop reason;                /* the first reason to stop; only moc_start clears it */
+    double sent[MOC_MAX_JOINTS];    /* latest torque sent or measured [Nm] */
+    moc_stop reason;                /* first reason to stop */
     unsigned begun;                 /* MOC_BEGUN after moc_start */
 } moc_state;
 
@@ -359,14 +358,14 @@ typedef struct {
 moc_stop moc_start(const moc_controller *c, const moc_measurement *m, moc_state *state);
 
 /* First half of a tick: check the measurement, compute levels 1 and 2, and fill state->problem. Returns MOC_RUNNING or
- * the reason to stop. in->measured.applied is the torque that acted in the last period, or NULL for the torque sent. */
+ * the reason to stop. in->measured.applied may be NULL if the torque sent has acted. */
 moc_stop moc_begin(const moc_controller *c, const moc_input *in, moc_state *state);
 
 /* Second half of a tick: check the answer, add level 3, apply the safety filter. Returns MOC_RUNNING or the reason to
- * stop. tau (n,) is the torque to send, zero before the first moc_start. With a safety filter, tau is finite and within
- * the limits of c->guard for any measurement. In a stop, tau carries the arm's weight in the last believed pose. If a
- * drive is at fault, tau goes to zero instead. The brakes have to apply the friction of moc_guard_hold. Only moc_start
- * ends a stop. The answer may be NULL in a stop, or without a third level. */
+ * stop. tau (n,) is the torque to send, zero before the first moc_start. With a safety filter, it is finite and within
+ * the limits of c->guard for any measurement. In a stop, tau carries the arm's weight. If a drive is at fault, tau goes
+ * to zero instead. The brakes have to apply the friction of moc_guard_hold. Only moc_start ends a stop. The answer may
+ * be NULL in a stop, or without a third level. */
 moc_stop moc_finish(const moc_controller *c, const moc_answer *answer, moc_state *state, double *tau);
 
 /* moc_begin, moc_solve_exact and moc_finish in one call. Input and output must not overlap in memory. */

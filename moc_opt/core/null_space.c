@@ -1,8 +1,8 @@
 /* A basis Z of ker A that varies smoothly in time, and a joint velocity x_d in ker A along which mu rises. */
 #include "vec.h"
 
-#define RATE 5.0     /* |x_d| / (length of the Newton step towards the maximum of mu) [1/s] */
-#define LONGEST 1.0  /* upper bound on the length of the Newton step [rad] */
+#define RATE 5.0     /* |x_d| / (length of the Newton step) [1/s] */
+#define LONGEST 1.0  /* longest Newton step [rad] */
 #define PROBE 1e-3   /* step of the finite difference [rad] */
 
 bool moc_orthonormalise(int n, double Z[][MOC_MAX_JOINTS], int k, double least)
@@ -58,9 +58,9 @@ static void slope_of(int n, const moc_law *law, const moc_terms *t, int rows, do
     moc_onto(n, rows, Z, slope, slope);
 }
 
-/* Let d(q) = (I - A^+ A)(grad mu + moc_shaft_push() grad mu_shaft) and, at the present q, z = d / |d|. Let h be the
- * derivative of z^T d(q + s z) by s at s = 0 (a finite difference). If h < 0, the Newton step along z is |d| / |h|, and
- * x_d = RATE min(|d| / |h|, LONGEST) z. If h >= 0, x_d = RATE LONGEST z. If d is almost zero, x_d = 0. */
+/* Let d(q) = (I - A^+ A)(grad mu + moc_shaft_push() grad mu_shaft), z = d / |d|, and h the derivative of z^T d(q + s z)
+ * by s at s = 0. If h < 0, the Newton step along z is |d| / |h|, and x_d = RATE min(|d| / |h|, LONGEST) z. If h >= 0,
+ * x_d = RATE LONGEST z. */
 void moc_climb(const moc_arm *arm, const moc_law *law, const moc_terms *t, moc_memory *memory, double *x_d)
 {
     double slope[MOC_MAX_JOINTS] = {0.0}, there[MOC_MAX_JOINTS] = {0.0};

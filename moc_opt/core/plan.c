@@ -1,11 +1,11 @@
-/* Planning: inverse kinematics, curves of self-motion, gradient ascent of mu, dynamic programming. */
+/* Inverse kinematics, curves of self-motion, gradient ascent of mu, dynamic programming. */
 #include "tools.h"
 #include "vec.h"
 
 #define TOLERANCE 1e-10 /* largest allowed position error of tip and wrist [m] */
 #define PI 3.14159265358979323846
 
-/* Compute the position error (6,) of tip and wrist, A (6,n) and, if grad is not NULL, grad mu (n,). Returns mu. */
+/* Compute the position error of tip and wrist, A and, if grad is not NULL, grad mu. Returns mu. */
 static double look(const plan_task *task, const double *q, double error[6], double A[6][MOC_MAX_JOINTS], double *grad)
 {
     moc_frame frame[MOC_MAX_JOINTS];
@@ -33,12 +33,12 @@ static double distance(int n, const double *p, const double *q)
 
 /* --- one pose --- */
 
-#define LONGEST 0.25    /* upper limit of a step in joint space [rad] */
-#define AT_REST 1e-9    /* a joint is at rest if its entry in the unit tangent is not larger */
+#define LONGEST 0.25    /* longest step [rad] */
+#define AT_REST 1e-9    /* largest entry of a resting joint in the unit tangent */
 #define DAMPING 4e-12   /* added to the diagonal of A A^T [m^2], because A has only rank 5 */
 
-/* Compute the step (n,) nearest to `desired` with A step = error, by an active-set method. A has `rows` rows. With
- * damping > 0, A step = error holds only approximately. No joint moves towards a limit that is nearer than `near`. */
+/* Compute the step nearest to `desired` with A step = error, by an active-set method. With damping > 0, the
+ * equation holds only approximately. No joint moves towards a limit that is nearer than `near`. */
 static void allowed_step(const plan_task *task, int rows, const double *q, double A[6][MOC_MAX_JOINTS],
                          const double *error, const double *desired, double damping, double near, double *step)
 {
@@ -113,7 +113,7 @@ double plan_place(const plan_task *task, int points, int rounds, const double *s
 
 /* --- along a curve --- */
 
-#define STRAIGHT 0.8 /* cosine of the largest allowed angle between the tangents before and after a step */
+#define STRAIGHT 0.8 /* least cosine between the tangents before and after a step */
 
 /* Return the longest step along the tangent, up to h, within the joint limits. *hit is the limiting joint, or NONE. */
 static double room_ahead(const plan_task *task, const double *q, const double *tangent, double h, int *hit)
@@ -129,8 +129,8 @@ static double room_ahead(const plan_task *task, const double *q, const double *t
     return h;
 }
 
-/* Compute mu and the curve's unit tangent (n,) at q by projecting the previous tangent `last` on ker A. Returns the
- * cosine of the angle between both tangents. */
+/* Compute mu, and the unit tangent at q by projecting the previous tangent `last` on ker A. Returns the cosine
+ * between both tangents. */
 static double turn_tangent(const plan_task *task, const double *q, const double *last, double *tangent, double *mu)
 {
     double error[6], A[6][MOC_MAX_JOINTS], Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];
@@ -149,8 +149,8 @@ static double turn_tangent(const plan_task *task, const double *q, const double 
     return length;
 }
 
-/* Whether the curve's start (n,) lies ahead of q within one step. `pose` is the start after those whole turns of its
- * revolute joints that bring it nearest to q. *gap is the distance from q to `pose`. */
+/* Whether the curve's start lies ahead of q within one step. `pose` is the start after those whole turns of its
+ * revolute joints that bring it nearest to q. */
 static bool closes(const plan_task *task, const double *start, const double *q, const double *tangent, double step,
                   double *pose, double *gap)
 {
@@ -166,8 +166,8 @@ static bool closes(const plan_task *task, const double *start, const double *q, 
     return inside && *gap <= 1.01 * step && ahead > 0.0;
 }
 
-/* Compute the curve's next pose (n,), mu and tangent. *hit is the joint that has reached its limit, or NONE. `step` is
- * halved until this succeeds. Returns the distance from q, or 0 if no step succeeds because the curve is singular. */
+/* Compute the curve's next pose, mu and tangent. `step` is halved until this succeeds. Returns the distance from q, or
+ * 0 if no step succeeds because the curve is singular. */
 static double next_sample(const plan_task *task, const double *q, double step, double *tangent, double *next,
                           double *mu, int *hit)
 {
@@ -228,7 +228,7 @@ int plan_follow(const plan_task *task, const double *start, const double *tangen
 
 /* --- gradient ascent of mu --- */
 
-#define SHORTEST 1e-6  /* the ascent ends when its step is below this length [rad] */
+#define SHORTEST 1e-6  /* the ascent ends below this step [rad] */
 
 double plan_ascend(const plan_task *task, double *q)
 {
@@ -240,7 +240,7 @@ double plan_ascend(const plan_task *task, double *q)
         return -1.0;
     while (h >= SHORTEST) {
         double mu = look(task, q, error, A, grad);
-        /* a joint within 0.01 h of a limit does not move towards it, because clipping would spoil the step */
+        /* no joint moves towards a limit within 0.01 h, because clipping would spoil the step */
         allowed_step(task, 6, q, A, nothing, grad, 0.0, 0.01 * h, way);
         double length = sqrt(dot(n, way, way));
         for (int j = 0; j < n; j++)
@@ -253,7 +253,7 @@ double plan_ascend(const plan_task *task, double *q)
     return look(task, q, error, A, NULL);
 }
 
-/* --- one step of dynamic programming --- */
+/* --- dynamic programming --- */
 
 /* Return the largest (next value - cost of the motion) over the branch's next poses within reach, at least `best`. */
 static double best_in(const plan_stage *t, int pose, int branch, double best)

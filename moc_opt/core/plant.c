@@ -1,11 +1,11 @@
-/* The simulated trocar (called by sim/plant.py) and encoders (called by sim/sensors.py). */
+/* The simulated trocar (for sim/plant.py) and encoders (for sim/sensors.py). */
 #include "python.h"
 #include "vec.h"
 
-/* Compute the wrench of the trocar on the tool in world axes: force, then moment about the tool's centre of mass com.
+/* Compute the trocar's force on the tool and its moment about the tool's centre of mass com, in world axes.
  * force = (I - u u^T)(stiffness (P - p) + damping (dP - w)). P is the trocar, u the shaft's direction, p the shaft's
- * point nearest to P, and w the tool's velocity at p. twist: the tool's angular velocity, then the velocity of the
- * tool's point `origin`. trocar: P and dP of `elapsed` seconds ago (dP is constant). */
+ * point nearest to P, and w the tool's velocity at p. twist: the tool's angular velocity, and the velocity
+ * of its point `origin`. trocar: P and dP of `elapsed` seconds ago (dP is constant). */
 FUNCTION(shaft_wrench, {"tip", READ, 3}, {"wrist", READ, 3}, {"twist", READ, 6}, {"origin", READ, 3}, {"com", READ, 3},
          {"trocar", READ, 2, 3}, {"elapsed", NUMBER}, {"stiffness", NUMBER}, {"damping", NUMBER}, {"wrench", WRITE, 6})
 {
@@ -38,9 +38,9 @@ FUNCTION(shaft_wrench, {"tip", READ, 3}, {"wrist", READ, 3}, {"twist", READ, 6},
     Py_RETURN_NONE;
 }
 
-/* Compute encoder readings: positions, then low-pass filtered velocities. Rows of memory (3, n): the bias, the previous
- * position reading, the filtered velocity. resolution: step of the encoder [rad]. gain: weight of a new value in the
- * filter. With exact = 1, the readings are q plus the bias, and v. */
+/* Compute encoder readings: positions, then low-pass filtered velocities. Rows of memory: bias, previous position,
+ * filtered velocity. resolution: step of the encoder [rad]. gain: weight of a new value in the filter. With exact = 1,
+ * the readings are q + bias and v. */
 FUNCTION(read_encoders, {"q", READ, N}, {"v", READ, N}, {"noise", READ, N}, {"memory", WRITE, 3, N},
          {"resolution", NUMBER}, {"period", NUMBER}, {"gain", NUMBER}, {"exact", WHOLE}, {"reading", WRITE, 2, N})
 {

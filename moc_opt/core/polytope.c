@@ -1,16 +1,15 @@
 /* The optimum by projection on the feasible set, if ker A has two or more dimensions.
  *
  * Let Pi be the orthogonal projector on ker A, g the vector moc_problem.pull, and x_p the solution of A x = b with
- * Pi x_p = 0. The optimum of rho/2 |x|^2 - c2 g^T x is the feasible point nearest to x_p + c2 Pi g / rho. The dual
- * active-set method of Goldfarb and Idnani (Math. Programming 27, 1983, algorithm 1) starts at this point and adds
- * violated bounds one by one. A sweep of Pi on a joint keeps the joint at its bound (Goodnight, The American
- * Statistician 33, 1979). If rho is almost zero, this start is too far away. A proximal point iteration then approaches
- * the optimum (Ferris 1991). */
+ * Pi x_p = 0. The optimum is the feasible point nearest to x_p + c2 Pi g / rho. The dual active-set method of Goldfarb
+ * and Idnani (Math. Programming 27, 1983, algorithm 1) starts there and adds violated bounds one by one. A sweep of Pi
+ * on a joint keeps the joint at its bound (Goodnight, The American Statistician 33, 1979). If rho is almost zero, this
+ * start is too far away. A proximal point iteration then approaches the optimum (Ferris 1991). */
 #include "vec.h"
 
 #define FAR 1e3          /* the start is too far away if |c2 Pi g| / rho >= FAR * (largest upper - lower) */
 #define UNMOVED 1e-20    /* joint j cannot move in ker A if Pi_jj is at most this */
-#define DEPENDENT 1e-12  /* after sweeps, joint j cannot move if Pi_jj / (Pi_jj before) is at most this */
+#define DEPENDENT 1e-12  /* after sweeps, joint j cannot move if Pi_jj / room_j is at most this */
 
 typedef struct {
     int n, r;                                  /* joints, dimension of ker A */
@@ -21,10 +20,9 @@ typedef struct {
     double force[MOC_MAX_JOINTS];              /* multipliers of the projection [rad/s], positive at a lower bound */
     double room[MOC_MAX_JOINTS];               /* Pi_jj before any sweep */
     double Pi[MOC_MAX_JOINTS][MOC_MAX_JOINTS]; /* swept on the joints with an active bound */
-    double Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];  /* rows: orthonormal basis of ker A */
+    double Z[MOC_MAX_JOINTS][MOC_MAX_JOINTS];  /* rows: orthonormal basis of ker A, Pi = Z^T Z */
 } polytope;
 
-/* Pi = Z^T Z */
 static void fill_projector(polytope *t)
 {
     for (int i = 0; i < t->n; i++) {
@@ -50,7 +48,7 @@ static void sweep(polytope *t, int p, double sign)
         t->Pi[p][j] = sign * inverse * row[j];
 }
 
-/* Remove rounding errors from s: project s on ker A and set active joints to their bounds. */
+/* Remove rounding errors from s, which then lies in ker A and on the active bounds. */
 static void settle(polytope *t)
 {
     moc_onto(t->n, t->r, t->Z, t->s, t->s);
@@ -123,8 +121,8 @@ static bool push(polytope *t, int p, int *active)
     }
 }
 
-/* Move s within ker A to the nearest point within the bounds: s - s_start = Pi force. Pi must not be swept on entry. If
- * no point is found, the bounds are widened by `slack`, step by step up to `most`: rounding may have lost the point. */
+/* Move s in ker A to the nearest point within the bounds: s - s_start = Pi force. Pi must not be swept on entry. If no
+ * point is found, the bounds are widened step by step up to `most`, because rounding may have lost it. */
 static moc_status project(polytope *t, double slack, double most)
 {
     double start[MOC_MAX_JOINTS];

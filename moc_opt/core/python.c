@@ -7,7 +7,7 @@
 
 static PyTypeObject *arm_type;
 
-/* Create an object from its arm and the keywords. On failure, sets an exception and returns NULL. */
+/* Create an object from its arm and the keywords. Returns NULL after an exception. */
 static PyObject *with_arm(PyTypeObject *type, PyObject *given, PyObject *keywords, const field *fields, int count)
 {
     PyObject *arm;
@@ -57,7 +57,7 @@ static PyObject *law_new(PyTypeObject *type, PyObject *given, PyObject *keywords
     return (PyObject *)self;
 }
 
-/* Arguments 0 to 3 of start, begin and step; tip_ref is X_d, dX_d, ddX_d. */
+/* Arguments 0 to 3 of start, begin and step. The rows of tip_ref are X_d, dX_d and ddX_d. */
 #define TICK {"q", READ, N}, {"v", READ, N}, {"tip_ref", READ, 3, 3}, {"trocar", READ, 2, 3}
 
 /* Begin a tick if `begins`, else start the law. Array i receives the terms. Returns false after an exception. */
@@ -143,7 +143,7 @@ METHOD(Law, step, TICK, {"x_d", MAYBE, N}, {"tolerance", NUMBER}, {"solve_us", N
         return NULL;
     self->controller.tolerance = c->number[5];
     double from = now_us();
-    moc_eliminate(s->problem.n, s->problem.A, &s->plane); /* repeated, so that answer.us includes it */
+    moc_eliminate(s->problem.n, s->problem.A, &s->plane); /* again, so that answer.us includes it */
     moc_answer answer = moc_ask_exact(&self->controller, s);
     answer.us = isnan(c->number[6]) ? now_us() - from : c->number[6];
     moc_finish(&self->controller, &answer, s, found + 2 * c->n + 6);
@@ -204,7 +204,7 @@ static PyObject *guard_new(PyTypeObject *type, PyObject *given, PyObject *keywor
     return with_arm(type, given, keywords, guard_fields, COUNT(guard_fields));
 }
 
-/* Clip a stamp to +-4e18. The filter refuses stamps of this size. */
+/* The filter refuses stamps of the size 4e18. */
 static long long stamp_of(double number)
 {
     return (long long)fmin(fmax(number, -4e18), 4e18);

@@ -1,5 +1,4 @@
-/* The Python binding. Each function has a table of its arguments. All arguments are checked before anything is written.
- * A wrong argument raises a ValueError or TypeError. */
+/* The Python binding. Each function has a table of its arguments, which are checked before anything is written. */
 #ifndef MOC_PYTHON_H
 #define MOC_PYTHON_H
 
@@ -23,8 +22,8 @@
  * MAYBE: READ or None. NUMBER: a float. WHOLE: an integer. MADE: an array that the call creates, last in a table. */
 typedef enum { READ, WRITE, STRIDED, MAYBE, NUMBER, WHOLE, MADE } kind;
 
-/* Symbolic lengths: N = n joints, ROW = 11 n + 10 (subproblem), TERMS = n n + 13 n + 18, TICKED = 14 n + 16 (results of
- * a tick). K = k: the first length K of a call sets k. ANY: any length. columns = 0: an array with one axis. */
+/* Symbolic lengths (formulas: arguments.c). N is n joints, ROW the record of a subproblem, TERMS that of moc_terms, and
+ * TICKED the results of a tick. The first K of a call sets k. ANY: any length. columns = 0: an array with one axis. */
 enum { N = -1, ROW = -2, TERMS = -3, TICKED = -4, K = -5, ANY = -6 };
 
 typedef struct {
@@ -44,7 +43,7 @@ typedef struct {
     PyArrayObject *as[MOST_ARGUMENTS];
 } call;
 
-/* Take the arguments of the call. n = 0: the first array sets n. On failure, sets an exception and returns false. */
+/* Take the arguments. n = 0: the first array sets n. On failure, sets an exception and returns false. */
 bool moc_take(call *c, int n, const char *name, PyObject *const *args, Py_ssize_t count, const parameter *table,
              int size);
 
@@ -63,8 +62,8 @@ static inline int whole(const call *c, int i)
 
 #define COUNT(table) ((int)(sizeof(table) / sizeof(table)[0]))
 
-/* FUNCTION(name, parameters...) { body } defines a function, METHOD(Type, name, parameters...) { body } a method. The
- * body has the arguments in `c` and the object in `self`. _core.pyi describes each function. */
+/* FUNCTION(name, parameters...) { body } defines a function, METHOD(Type, name, parameters...) { body } a method, with
+ * the arguments in `c` and the object in `self`. _core.pyi describes each. */
 #define CALL(function, name, joints, body, ...)                                                                        \
     static PyObject *function(PyObject *self, PyObject *const *args, Py_ssize_t count)                                 \
     {                                                                                                                  \
@@ -102,7 +101,7 @@ typedef struct {
     size_t offset;
 } field;
 
-/* Fill an object's fields from keywords. On failure, sets an exception and returns false. */
+/* Fill an object's fields from keywords. Returns false after an exception. */
 bool moc_fill(PyObject *keywords, const field *fields, int count, Arm *self);
 
 #endif

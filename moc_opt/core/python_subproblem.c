@@ -38,15 +38,15 @@ FUNCTION(step_network, {"record", READ, ROW}, {"x", WRITE, N}, {"y", WRITE, 6}, 
     return Py_BuildValue("ii", (int)status, made);
 }
 
-/* --- `load` fills a QP library's buffers: cost 1/2 x^T P x + p^T x, and five or six equality rows ---
+/* --- `load` fills a QP library's buffers: cost 1/2 x^T P x + p^T x, and five or six equalities ---
  *
- * The five rows are A5 = lift A: the three rows of the tip, and two rows of the wrist across the tool's direction u. If
- * y5 are the multipliers of A5, lift^T y5 are the multipliers of A. */
+ * The five rows are A5 = lift A: three of the tip, and two of the wrist across the tool's direction u. If y5 are the
+ * multipliers of A5, lift^T y5 are those of A. */
 
-#define TIED 1e-7 /* tip and wrist are rigidly tied if (sixth singular value of A) / |A|_F is at most this */
+#define TIED 1e-7 /* largest (sixth singular value of A) / |A|_F of a rigid tool */
 
-/* Compute the unit vector u with u^T D = 0, D = J_T - J_W. Every nonzero column of the adjugate of D D^T is parallel to
- * u. Returns false if tip and wrist are not rigidly tied. */
+/* Compute the unit vector u with u^T D = 0, D = J_T - J_W. A nonzero column of the adjugate of D D^T is parallel to u.
+ * Returns false if the tool is not rigid. */
 static bool tool_direction(const moc_problem *p, double u[3])
 {
     double D[3][MOC_MAX_JOINTS], G[3][3], adj[3][3], size = 0.0, apart = 0.0;
@@ -91,7 +91,7 @@ static void cost(const moc_problem *p, double P[][MOC_MAX_JOINTS], double *linea
     }
 }
 
-/* Write five rows if `five` is set and tip and wrist are tied, else six. Returns their number. */
+/* Write five rows if `five` is set and the tool is rigid, else six. Returns their number. */
 static int equalities(moc_problem *p, int five, double A[6][MOC_MAX_JOINTS], double b[6], double lift[6][6])
 {
     double u[3], two[2][3];
@@ -161,7 +161,7 @@ FUNCTION(load, {"record", READ, ROW}, {"five", WHOLE}, {"scale", NUMBER}, {"sign
     return PyBool_FromLong(1);
 }
 
-/* --- the desired wrist, and one step of dynamic programming --- */
+/* --- desired wrist, dynamic programming --- */
 
 FUNCTION(desired_wrist, {"X", READ, 3}, {"dX", READ, 3}, {"trocar", READ, 2, 3}, {"span", NUMBER},
          {"wanted", MADE, 2, 3})

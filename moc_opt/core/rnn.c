@@ -2,7 +2,7 @@
  *
  *   eps dx/dt = -x + clip(x - k (c0 J_T^T (J_T x - v_T) + c1 J_W^T (J_W x - v_W) + rho x - c2 pull + A^T y))
  *   eps dy/dt = k (A x - b)
- * clip: to the bounds lower and upper. y: multipliers of A x = b. c0, c1, c2, rho: of the subproblem, times `scale`. */
+ * clip: to the bounds lower and upper. c0, c1, c2, rho: those of the subproblem, times `scale`. */
 #include "tools.h"
 #include "vec.h"
 

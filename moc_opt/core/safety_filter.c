@@ -1,32 +1,30 @@
 /* The safety filter checks every measurement, limits every torque, and decides when the arm has to stop.
  *
  * The table gives the condition of each reason to stop. A condition marked with * has to hold on more than `patience`
- * ticks in a row. If several conditions hold on a tick, the first in the table is reported. The limits are fields of
- * moc_guard. r_i is joint i's momentum residual [Nm]: the torque that its motion implies, minus the applied torque.
+ * ticks in a row. If several conditions hold on a tick, the first in the table is reported. r_i is joint i's momentum
+ * residual [Nm]: the torque that its motion implies, minus the applied torque.
  *
  *   LATE              now - newest stamp > delay of the run's first new measurement + patience [ticks]
  *   MEASUREMENT *     no new measurement, |v| > speed_factor v_max, or |q - q_b| > jump + v_max t. q_b is the last
- *                     accepted q, moved on with its v at every refusal since. t is the time since it was accepted
+ *                     accepted q, extrapolated with its v. t is the time since then
  *   REPLAYED          all sensors read the same as k readings ago, k > 1, more than n times with the same k.
  *                     n = min(repeat_reading_ticks, m). m is repeat_whole_ticks with wrench noise, else replayed_ticks
- *   REPEATED          all q are unchanged on more than `patience` ticks in a row. In this time, the tip's reference
- *                     moved by more than a, a torque changed by more than b tau_max, or WRENCH_REPEATED holds. If the
- *                     wrench is unchanged too, a is repeat_whole_m and b repeat_whole_torque, else repeat_m and
- *                     repeat_torque. Or: each joint's q, v were unchanged on over repeat_reading_ticks ticks in all
+ *   REPEATED          all q are unchanged on more than `patience` ticks in a row, and in this time the tip's reference
+ *                     moved by more than repeat_m, a torque changed by more than repeat_torque tau_max, or
+ *                     WRENCH_REPEATED holds. If the wrench is unchanged too, the limits repeat_whole_... apply.
+ *                     Or: each joint's q, v were unchanged on more than repeat_reading_ticks ticks in total
  *   RAN_AWAY          |change of q - integral of v| over motion_s > motion_rad + motion_lag_s * (largest recent |v|)
  *   ONE_REPEATED      one q is unchanged for more than repeat_joint_ticks ticks in a row, or one q and its v for
  *                     more than repeat_reading_ticks ticks in total
- *   WRENCH_REPEATED   the wrench has noise, but is unchanged for more than repeat_whole_ticks ticks in a row
- *   LAGGING           one encoder reads the same as k readings ago, more than repeat_reading_ticks times with one k > 1
+ *   WRENCH_REPEATED   a noisy wrench is unchanged for more than repeat_whole_ticks ticks in a row
+ *   LAGGING           like REPLAYED for one encoder, with n = repeat_reading_ticks
  *   WRENCH *          the wrench is not finite
- *   RCM, FORCE        rms distance of the shaft from the trocar, or rms trocar force, is above its limit
- *   TIP               rms distance of the tip from its reference > tip_error
+ *   RCM, FORCE        rms RCM error or rms trocar force > limit
+ *   TIP               rms tip error > tip_error
  *   UNEXPLAINED *     |r_i - running mean of r_i| > residual_torque tau_max, or |r_i| > residual_whole tau_max
  *   STUCK             q_i is unchanged on more than `patience` ticks in a row, and the integral of d_i / M_ii in this
  *                     time exceeds stuck_speed. d_i is the change of r_i, less the static friction held_i
- *   TORQUE            the controller's torque is not finite
- *
- * Each torque is limited by its virtual wall, then to a step per tick, then to tau_max (docs/reliability.md). */
+ *   TORQUE            the controller's torque is not finite */
 #include <limits.h>
 
 #include "vec.h"
@@ -82,7 +80,7 @@ static int age(const moc_guard *g, long long stamp, moc_watch *w)
     return newer ? FRESH : REPEAT;
 }
 
-/* Whether a measurement passes the check MEASUREMENT. False for NaN. */
+/* The check MEASUREMENT. Returns false for NaN. */
 static bool believable(const moc_guard *g, int n, const double *q, const double *v, const moc_watch *w)
 {
     double ticks = 1.0 + (double)w->bad;
@@ -100,7 +98,6 @@ static bool same(double a, double b)
     return a <= b && a >= b;
 }
 
-/* Whether the first FIRST_READINGS wrenches are known and none of them equals the one before. */
 static bool wrench_has_noise(const moc_watch *w)
 {
     return w->looked >= FIRST_READINGS && !w->wrench_is_still;
@@ -131,7 +128,7 @@ static bool compare_joint(const moc_guard *g, double q, double v, double elapsed
     j->drift = keep * j->drift + (q - j->shown) - elapsed * v;
     j->peak_speed = larger(fabs(v), keep * j->peak_speed);
     bool repeats = same(q, j->shown);
-    /* a joint at rest (peak_speed = 0) may repeat q and v: this does not count */
+    /* a joint at rest may repeat q and v */
     j->repeats_both += !first && repeats && same(v, j->speed) && j->peak_speed > 0.0;
     j->speed = v;
     if (first || repeats) {
@@ -158,7 +155,6 @@ static bool asked_to_move(const moc_guard *g, int n, const double *tau, const mo
     return moved;
 }
 
-/* The checks REPEATED, RAN_AWAY, ONE_REPEATED and WRENCH_REPEATED. */
 static moc_stop compare_readings(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w)
 {
     double elapsed = g->period * larger((double)w->elapsed, 1.0);
@@ -188,7 +184,7 @@ static moc_stop compare_readings(const moc_guard *g, int n, const moc_measuremen
                                                                                   : MOC_RUNNING;
 }
 
-/* Store a reading in a table. Returns the number of repetitions in a row with the same lag (distance in readings). */
+/* Store a reading in a table. Returns the number of repetitions in a row with the same lag [readings]. */
 static inline double take_in(double number, int slots, double *numbers, double *at, moc_came_before *before)
 {
     if (!(fabs(number) < LARGEST_NUMBER))
@@ -213,7 +209,7 @@ static double as_number(int count, const double *values, double number)
     return number;
 }
 
-/* The checks REPLAYED and LAGGING. A replayed recording agrees with the model, so that no other check finds it. */
+/* A replayed recording agrees with the model, so that no other check finds it. */
 static moc_stop came_before(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w)
 {
     double most = smaller(g->repeat_reading_ticks, wrench_has_noise(w) ? g->repeat_whole_ticks : g->replayed_ticks);
@@ -260,11 +256,11 @@ static double rcm_error(double pose[4][3], const double P[3])
     return sqrt(x * x + y * y);
 }
 
-/* Compute the trocar's force across the shaft [N] from the wrench at the tool's mount.
- * Let z be the tool's axis, L its length, d the depth of the tip beyond the trocar, f the trocar's force, and g a
- * contact force at the tip. Without the tool's weight, force = f + g and torque = (L - d) z x f + L z x g. Hence
- * f = (L force - torque x z) / d. An overestimated d makes f too small. |g| is at most tip_force by assumption, so the
- * result is never below |force| - tip_force. *all is |force|, for the warning: a load on the tool may reduce f. */
+/* Compute the trocar's force f across the shaft [N] from force and torque at the tool's mount. Let z be the tool's
+ * axis, L its length, d the depth of the tip beyond the trocar, and g a contact force at the tip. Without the tool's
+ * weight, force = f + g and torque = (L - d) z x f + L z x g. Hence f = (L force - torque x z) / d. An overestimated d
+ * makes f too small. The result is at least |force| - tip_force, because |g| should not exceed tip_force. *all is
+ * |force|, for the warning: a load on the tool may reduce f. */
 static double trocar_force(const moc_guard *g, double pose[4][3], const double P[3], const double *wrench, double *all)
 {
     double depth = 0.0, L = g->tool_length, weight[2], force[2];
@@ -320,8 +316,7 @@ moc_stop moc_guard_incision(const moc_guard *g, double pose[4][3], const moc_tro
 
 /* --- torque and motion --- */
 
-/* Whether |r - mean of r| / tau_max in each other joint is at most 0.7 times that in joint i. Drive i then is at fault,
- * because other causes would disturb several joints. */
+/* Whether joint i has clearly the largest residual. Then drive i is at fault: other causes disturb several joints. */
 static bool alone(const moc_guard *g, int n, int i, const moc_watch *w)
 {
     double mine = fabs(w->joint[i].residual - w->joint[i].mean) / g->tau_max[i];
@@ -331,7 +326,7 @@ static bool alone(const moc_guard *g, int n, int i, const moc_watch *w)
     return true;
 }
 
-/* The checks STUCK and UNEXPLAINED use the momentum residual (De Luca & Mattone 2003). */
+/* The checks STUCK and UNEXPLAINED of the momentum residual (De Luca & Mattone 2003). */
 static moc_stop weigh(const moc_guard *g, int n, const moc_terms *t, const double *tau, moc_watch *w)
 {
     moc_stop found = MOC_RUNNING;
@@ -367,7 +362,7 @@ static moc_stop weigh(const moc_guard *g, int n, const moc_terms *t, const doubl
 
 /* --- limits of the torque --- */
 
-/* Return the largest (torque - gravity torque) towards a wall at this distance, infinite if the wall does not act. */
+/* Return the largest (torque - gravity torque) towards a wall, infinite if the wall does not act. */
 static double left_by_wall(const moc_guard *g, int i, double distance, double speed)
 {
     /* up to this speed, the joint can still stop at the wall */
@@ -377,7 +372,7 @@ static double left_by_wall(const moc_guard *g, int i, double distance, double sp
     return -g->wall_stiffness * larger(-distance, 0.0) - g->wall_damping * larger(speed - allowed, 0.0);
 }
 
-/* Compute the gravity torque at q, or 0 if the drives add it themselves. Returns false if it is not finite. */
+/* Compute the gravity torque, or 0 if the drives add it. Returns false if it is not finite. */
 static bool weight_of(const moc_guard *g, const moc_arm *arm, const double *q, double *weight)
 {
     memset(weight, 0, (unsigned)arm->n * sizeof *weight);
@@ -386,7 +381,7 @@ static bool weight_of(const moc_guard *g, const moc_arm *arm, const double *q, d
     return all_finite(arm->n, weight);
 }
 
-/* Limit tau in place. Returns the number of changed torques. */
+/* Returns the number of changed torques. */
 static int limit_torque(const moc_guard *g, const moc_arm *arm, const double *before, const moc_watch *w, double *tau)
 {
     double least[MOC_MAX_JOINTS], most[MOC_MAX_JOINTS], weight[MOC_MAX_JOINTS];
@@ -446,10 +441,9 @@ void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before
     }
 }
 
-/* Closed brakes keep the tool pressed on the tissue, and open brakes let the arm sink under an unknown load. Let F be
- * the mean trocar force, and F0 = 0 at first. They open if F > F0 + stop_yield, and close if F <= F0 + stop_yield/2. If
- * they are still open after stop_yield_ticks, they close, and F0 becomes the present F. While they are closed, F0 falls
- * with F. They never open if the drives cannot carry the arm's weight, or if a drive is at fault (w->cut). */
+/* Closed brakes keep the tool pressed on the tissue, and open brakes let the arm sink under an unknown load. Hence the
+ * brakes open for stop_yield_ticks at most, and again only after a further rise of the force. They never open if the
+ * drives cannot carry the arm's weight. */
 void moc_guard_hold(const moc_guard *g, const moc_arm *arm, const double *wrench, moc_watch *w, double *friction)
 {
     double weight[MOC_MAX_JOINTS], pose[4][3];

@@ -1,5 +1,5 @@
-/* One tick: moc_begin, any solver, moc_finish. FilteredController of moc_opt/sim/loop.py calls the functions of
- * safety_filter.c in the order of this file. If the order changes here, it has to change there. */
+/* One tick: moc_begin, any solver, moc_finish. FilteredController of moc_opt/sim/loop.py has to call the functions of
+ * safety_filter.c in the order of this file. */
 #include "vec.h"
 
 /* --- the law --- */
@@ -18,7 +18,6 @@ static void start_law(const moc_controller *c, moc_state *s)
     s->begun = MOC_BEGUN;
 }
 
-/* Update the observer, compute levels 1 and 2 minus its estimate, and fill the subproblem. */
 static void levels(const moc_controller *c, const moc_input *in, moc_state *s)
 {
     const moc_law *law = c->law;
@@ -73,7 +72,7 @@ moc_stop moc_start(const moc_controller *c, const moc_measurement *m, moc_state 
     return s->reason;
 }
 
-/* Store the torque that acted in the last period. Stop if a torque exceeds its limit or memory.rows is impossible. */
+/* Store the torque that acted. Stop if it exceeds a limit or memory.rows is impossible. */
 static void take_applied(const moc_controller *c, const double *applied, moc_state *s)
 {
     int n = c->arm->n;

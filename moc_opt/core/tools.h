@@ -12,14 +12,14 @@ typedef struct {
     double k;        /* gain k of Su et al. 2019 */
     double scale;    /* multiplies c0, c1, c2 and rho */
     int implicit;    /* 1: y is updated with the new x */
-    double rest;     /* upper limit of eps |dx_j/dt| [rad/s] and eps |dy_i/dt| [m/s] at rest */
+    double rest;     /* largest eps |dx_j/dt| [rad/s] and eps |dy_i/dt| [m/s] at rest */
 } moc_network;
 
 /* Advance x (n,) and y (6,) in place until both rest. *made is the number of steps. Returns MOC_OK at rest,
- * MOC_UNFINISHED if x or y still moves, MOC_DOUBTFUL if x or y is not finite. */
+ * MOC_DOUBTFUL if x or y is not finite, else MOC_UNFINISHED. */
 moc_status moc_step_network(const moc_problem *problem, const moc_network *network, double *x, double y[6], int *made);
 
-/* --- planning (plan.c) --- */
+/* --- plan.c --- */
 
 /* A joint with equal limits is fixed. */
 typedef struct {
@@ -28,17 +28,17 @@ typedef struct {
     double target[2][3];      /* tip and wrist [m] */
 } plan_task;
 
-/* Search from q (n,) for a pose with tip (points = 1), or tip and wrist (points = 2), at the target. Returns the
- * largest component of the position errors at `best` [m]. `best` may be `q`. */
+/* Search from q (n,) for a pose with tip (points = 1), or tip and wrist (2), at the target. Returns the largest
+ * component of the position errors at `best` [m]. `best` may be `q`. */
 double plan_place(const plan_task *task, int points, int iterations, const double *q, double *best);
 
 /* Sample the curve of self-motion from q along the unit tangent (n,): arc length s, poses (most, n), mu. The arm must
- * have one freedom of self-motion. Ends at a joint limit, back at the start (*closed = 1), or after `most` samples.
- * Returns the number of samples. */
+ * have one freedom of self-motion. The curve ends at a joint limit, back at the start (*closed = 1), or after `most`
+ * samples. Returns the number of samples. */
 int plan_follow(const plan_task *task, const double *q, const double *tangent, double step, int most, double *s,
                 double *poses, double *mus, int *closed);
 
-/* Bring q (n,) to the target, then to a local maximum of mu within the limits. Returns mu, or -1 on failure. */
+/* Bring q (n,) to the target, then to a local maximum of mu. Returns mu, or -1 on failure. */
 double plan_ascend(const plan_task *task, double *q);
 
 /* One step of dynamic programming: value (branches, m) = gain + max(value_next - price |motion|^2) over the next poses.

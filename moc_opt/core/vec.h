@@ -35,7 +35,7 @@ static inline void times3(double S[3][3], const double x[3], double out[3])
         out[i] = dot3(S[i], x);
 }
 
-/* Compute the adjugate of a symmetric matrix S. Returns the determinant. */
+/* Compute the adjugate of a symmetric S. Returns the determinant. */
 static inline double adjugate3(double S[3][3], double adj[3][3])
 {
     for (int i = 0; i < 3; i++) {
@@ -75,7 +75,7 @@ static inline double smaller(double a, double b)
     return a < b ? a : b;
 }
 
-/* If low > high, the result is high. If x is NaN, the result is NaN. */
+/* If low > high, the result is high. NaN stays NaN. */
 static inline double clip(double x, double low, double high)
 {
     return smaller(high, larger(low, x));
@@ -97,7 +97,7 @@ static inline moc_stop first_of(moc_stop reason, moc_stop other)
     return reason == MOC_RUNNING ? other : reason;
 }
 
-/* Replace x (m,) by S^-1 x, with L and inverse from `cholesky`. */
+/* Replace x by S^-1 x, with L and inverse from `cholesky`. */
 static inline void solve_factored(int m, double L[][MOC_MAX_JOINTS], const double *inverse, double *x)
 {
     for (int i = 0; i < m; i++)
@@ -122,7 +122,7 @@ static inline void across(const double u[3], double b[2][3])
     add_cross(1.0, u, b[0], b[1]);
 }
 
-/* max |x_i|, or NaN if any x_i is NaN. */
+/* max |x_i|, or NaN if any x_i is NaN */
 static inline double largest_of(int count, const double *x)
 {
     double most = 0.0;
@@ -131,7 +131,7 @@ static inline double largest_of(int count, const double *x)
     return most;
 }
 
-/* |A x - b|_inf, or NaN if a row is NaN. */
+/* |A x - b|_inf, or NaN if a row is NaN */
 static inline double off_plane(const moc_problem *p, const double *x)
 {
     double gap[6];
@@ -140,7 +140,7 @@ static inline double off_plane(const moc_problem *p, const double *x)
     return largest_of(6, gap);
 }
 
-/* Compute five independent rows of A = [J_T; J_W]: the three of J_T, and the two of b J_W, with b from `across`. */
+/* A5 = [J_T; b J_W], five independent rows of A, with b from `across` */
 static inline void five_rows(int n, double A[][MOC_MAX_JOINTS], double b[2][3], double A5[5][MOC_MAX_JOINTS])
 {
     memcpy(A5, A, 3 * sizeof *A5);
