@@ -1,7 +1,5 @@
 /* The controller over UDP (docs/realtime.md).
- *
- * Usage: moc_udp HOST PORT reference.bin, with the key in MOC_OPT_WIRE_KEY. HOST and PORT are those of the simulated
- * plant. reference.bin has the references of tip and trocar for all ticks. The control loop uses no heap. */
+ * Usage: moc_udp HOST PORT reference.bin, with the key in MOC_OPT_WIRE_KEY. */
 #define _POSIX_C_SOURCE 200809L
 #include <arpa/inet.h>
 #include <math.h>
@@ -49,8 +47,8 @@ static int sign(const uint8_t *data, size_t length, uint8_t tag[TAG])
 static struct {
     int socket;
     struct sockaddr_in plant;
-    uint64_t session; /* 0: unknown */
-    unsigned ignored; /* number of received packets that were ignored */
+    uint64_t session;
+    unsigned ignored;
 } wire;
 
 static int64_t now_ns(void)
@@ -63,7 +61,7 @@ static int64_t now_ns(void)
 /* Returns NULL, or an error message. */
 static const char *open_link(const char *host, const char *port)
 {
-    struct timeval turn = {.tv_usec = TURN_US}; /* timeout of recvfrom */
+    struct timeval turn = {.tv_usec = TURN_US};
     const char *key = getenv("MOC_OPT_WIRE_KEY");
     char *end;
     long number = strtol(port, &end, 10);
@@ -84,7 +82,7 @@ static const char *open_link(const char *host, const char *port)
     return NULL;
 }
 
-/* Complete the header of a packet, sign and send the packet. Errors of sending are ignored. */
+/* Complete the header, sign and send. Errors of sending are ignored. */
 static void send_packet(wire_header *packet, size_t size, uint8_t kind, int64_t number)
 {
     uint8_t *bytes = (uint8_t *)packet;
@@ -95,7 +93,6 @@ static void send_packet(wire_header *packet, size_t size, uint8_t kind, int64_t 
         (void)!sendto(wire.socket, packet, size, 0, (const struct sockaddr *)&wire.plant, sizeof wire.plant);
 }
 
-/* Whether a datagram is a correctly signed measurement from the plant, and of this session if it is known. */
 static int is_sound(const uint8_t *bytes, size_t size, const struct sockaddr_in *sender)
 {
     const wire_header *head = (const wire_header *)bytes;
@@ -131,7 +128,7 @@ static int receive(int64_t until, wire_measurement *found)
     return 0;
 }
 
-/* Repeat a packet, for at most WIRE_WAIT_S, until a measurement has (waiting = 1) or lacks (0) flag WIRE_WAITING. */
+/* Repeat a packet until a measurement has (waiting = 1) or lacks (0) the flag WIRE_WAITING. */
 static int ask(uint8_t kind, int waiting, wire_measurement *found)
 {
     int64_t until = now_ns() + (int64_t)(1e9 * WIRE_WAIT_S);
@@ -207,7 +204,7 @@ static int fail(const char *what, const char *cure)
     return 2;
 }
 
-/* Answer measurements, beginning with `m`. Returns how the run ended. */
+/* Returns how the run ended. */
 static const char *answer(wire_measurement *m)
 {
     int64_t newest = -1;
