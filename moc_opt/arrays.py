@@ -1,4 +1,4 @@
-"""The array type `Array`, and `read_only`, which protects an array."""
+"""The type of arrays of numbers, and their protection."""
 
 from __future__ import annotations
 

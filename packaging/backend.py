@@ -1,4 +1,4 @@
-"""Build backend: setuptools, with the compiler of the `ziglang` wheel if the system has no compiler."""
+"""Setuptools, with the compiler of the `ziglang` wheel if the system has none."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from setuptools import build_meta as _setuptools
-from setuptools.build_meta import *  # noqa: F403 - the other hooks are setuptools' own
+from setuptools.build_meta import *  # noqa: F403 - the other hooks
 
 
 def _system_compiler() -> bool:
     if "CC" in os.environ:
-        return True  # if there is no such compiler, the build fails and names it
+        return True
     return shutil.which((sysconfig.get_config_var("CC") or "cc").split()[0]) is not None
 
 
@@ -52,10 +52,10 @@ def get_requires_for_build_editable(config_settings: Any = None) -> list[str]:
 
 
 def build_wheel(wheel_directory: str, config_settings: Any = None, metadata_directory: Any = None) -> str:
-    """Build the wheel with its extension module."""
+    """Build the wheel."""
     return _with_compiler(_setuptools.build_wheel, wheel_directory, config_settings, metadata_directory)
 
 
 def build_editable(wheel_directory: str, config_settings: Any = None, metadata_directory: Any = None) -> str:
-    """Build the extension module in place, and a wheel that refers to this folder."""
+    """Build the extension module in place."""
     return _with_compiler(_setuptools.build_editable, wheel_directory, config_settings, metadata_directory)

@@ -1,4 +1,4 @@
-"""Check names that come from files, and escape other texts for Markdown."""
+"""Check names from files, and escape texts for Markdown."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ _NAME = re.compile(r"[A-Za-z0-9_](?:[A-Za-z0-9_ .:+/-]*[A-Za-z0-9_])?")
 
 
 def is_name(text: object) -> bool:
-    """Return whether a text is a valid name (see `RULE`)."""
+    """Return whether a text follows `RULE`."""
     return isinstance(text, str) and len(text) <= MAX_LENGTH and ".." not in text and bool(_NAME.fullmatch(text))
 
 
 def checked(text: str) -> str:
-    """Return a valid name unchanged. Raise a ValueError for any other text."""
+    """Return a valid name. Raise a ValueError for any other text."""
     if not is_name(text):
         raise ValueError(f"{text!r:.80} is no name: {RULE}")
     return text
 
 
 def in_markdown(text: str) -> str:
-    """Escape a text so that Markdown and HTML show it literally."""
+    """Escape a text for Markdown and HTML."""
     return re.sub(r"[^A-Za-z0-9 .,:;()/%°µ-]", lambda found: f"&#{ord(found.group())};", text)
