@@ -1,4 +1,4 @@
-"""Accuracy against computing time, as labelled points."""
+"""Accuracy against computing time."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from moc_opt.figures.style import HEIGHT_PX, INK, MUTED, PAPER, Styles, figure, 
 
 MARGIN, FLOOR = 0.12, 1e-12
 Box = tuple[float, float, float, float]
-"""Left, top, right, bottom [px], y downwards."""
+"""Left, top, right, bottom [px]; y points down."""
 CHARACTER_PX, LINE_PX, MARKER_PX = 6.3, 14.0, 7.0
 TOLERATED_PX2 = 25.0
 
@@ -20,11 +20,10 @@ TOLERATED_PX2 = 25.0
 def accuracy_against_time(
     points: Mapping[str, tuple[float, float]], *, x_label: str = "median time [µs]", y_label: str = "largest residual"
 ) -> go.Figure:
-    """Draw error against time on log axes. Filled points are the Pareto front.
+    """Draw error against time on log axes, with filled points on the Pareto front.
 
     Args:
         points: (time, error) by name; non-finite entries are left out.
-        x_label, y_label: labels of the axes, with units.
 
     Raises:
         ReportError: no entry is finite, a time is not positive, or an error is negative.
@@ -38,7 +37,7 @@ def accuracy_against_time(
     log_axis(drawn, "x", x_label, [time for time, _ in known.values()], margin=MARGIN)
     log_axis(drawn, "y", y_label, [error for _, error in known.values()], powers=True, margin=MARGIN)
     front = pareto(known)
-    # Draw the border of the dominated region.
+    # The border of the dominated region.
     top, right = 10.0 ** drawn.layout.yaxis.range[1], 10.0 ** drawn.layout.xaxis.range[1]
     times, errors = zip(*(known[name] for name in front), strict=True)
     drawn.add_scatter(
@@ -71,7 +70,7 @@ def pareto(points: Mapping[str, tuple[float, float]]) -> list[str]:
 
 
 def _pixels(points: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-    """Return approximate positions [px] from the plot's middle, y downwards."""
+    """Return approximate positions [px]; y points down."""
     logs = np.log10(np.array(list(points.values())))
     extent = np.maximum(np.ptp(logs, axis=0), 0.5) * (1.0 + 2.0 * MARGIN)
     centres = (logs - logs.mean(axis=0)) / extent * [680.0, -310.0]
@@ -79,13 +78,13 @@ def _pixels(points: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float,
 
 
 def label_sides(points: Mapping[str, tuple[float, float]]) -> dict[str, str | None]:
-    """Choose for each point the side on which its label covers the least area of other points and labels.
+    """Choose the side of each point on which its label covers the least area of others.
 
     Args:
-        points: positions by name [px], y downwards.
+        points: positions by name [px]; y points down.
 
     Returns:
-        Plotly's word for each side ("top center"), or None if the label covers more than `TOLERATED_PX2` on every side.
+        Plotly's word for each side; None if the label covers more than `TOLERATED_PX2`.
     """
     markers = {name: (x - MARKER_PX, y - MARKER_PX, x + MARKER_PX, y + MARKER_PX) for name, (x, y) in points.items()}
     placed: list[Box] = []
@@ -106,8 +105,7 @@ def _boxes(name: str, x: float, y: float) -> dict[str, Box]:
     left, right = (x - near - wide, x - near), (x + near, x + near + wide)
     centre, middle = (x - wide / 2, x + wide / 2), (y - LINE_PX / 2, y + LINE_PX / 2)
     above, below = (y - far, y - near), (y + near, y + far)
-    # In order of preference: below before above, and left before right. The line of the Pareto front needs the space
-    # above and to the right of a point.
+    # In order of preference. The line of the Pareto front needs the space above and to the right of a point.
     spans = {
         "bottom center": (centre, below), "top center": (centre, above), "middle left": (left, middle),
         "middle right": (right, middle), "bottom left": (left, below), "bottom right": (right, below),

@@ -27,7 +27,6 @@ class Mark:
     """A rating in a table, as a coloured symbol and a word.
 
     Attributes:
-        symbol: one character, or none.
         tone: "best", "good", "fair", "bad" or "other".
         rank: key for sorting; the best rating has the lowest rank.
     """
@@ -44,9 +43,8 @@ class Notation:
 
     Attributes:
         digits: number of significant digits.
-        spec: Python's format specification (".2f"); if given, the other attributes have no effect.
+        spec: Python's format specification, which overrides the other attributes.
         scientific: write powers of ten.
-        integral: every number is an integer.
     """
 
     digits: int = 3
@@ -89,7 +87,7 @@ def _tidy(written: str) -> str:
 
 
 def missing(value: object) -> Missing | None:
-    """Return the reason why a value is missing; None if there is a value."""
+    """Return why a value is missing; None if there is a value."""
     if isinstance(value, Missing):
         return value
     if value is None or (is_number(value) and math.isnan(float(value))):  # type: ignore[arg-type]

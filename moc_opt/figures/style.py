@@ -1,4 +1,4 @@
-"""The style of all figures: a plotly template, and colours for colour-blind readers."""
+"""The style of all figures."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ INK, MUTED, GRID, PAPER = "#1f2328", "#5f6871", "#e3e6e9", "#ffffff"
 GOOD, BAD, WORST = "#3b7fb8", "#c9ccd1", "#c4421a"
 """Colours of answers: optimal, failed, and wrong but reported as optimal."""
 
-# The palette of Okabe and Ito, without yellow and black. Keys are for a light page, values for a dark page.
+# The colours of Okabe and Ito for colour-blind readers, without yellow and black.
 SERIES = {
     "#0072b2": "#4da3dd", "#d55e00": "#f0834a", "#009e73": "#3fc39d", "#b6569a": "#dc8fc4",
     "#c98a00": "#e8b33f", "#3fa0d0": "#8accf0", "#77787b": "#a9abb0", "#6a4fb3": "#a994ea",
@@ -83,12 +83,12 @@ TEMPLATE = go.layout.Template(
 
 
 def label(name: object) -> str:
-    """Escape a name, so that plotly shows it literally."""
+    """Escape a name for plotly."""
     return html.escape(printable(str(name)), quote=False)
 
 
 def figure(**layout: object) -> go.Figure:
-    """Make an empty figure with `TEMPLATE`."""
+    """Make an empty figure."""
     return go.Figure(layout={"template": TEMPLATE, **layout})
 
 
@@ -102,10 +102,10 @@ def legend_height(names: Iterable[str]) -> int:
 def log_axis(
     drawn: go.Figure, axis: str, title: str, values: ArrayLike, *, powers: bool = False, margin: float = 0.05
 ) -> None:
-    """Make the axis "x" or "y" of a figure logarithmic.
+    """Make the axis "x" or "y" logarithmic.
 
     Args:
-        values: all drawn values, which must be positive.
+        values: all drawn values.
         powers: label the axis with powers of ten.
         margin: free space at each end, as a fraction of the range.
 
@@ -130,7 +130,7 @@ def log_axis(
 
 
 def rule(drawn: go.Figure, axis: str, at: float, text: str) -> None:
-    """Draw a dashed line with a text at a value of an axis."""
+    """Draw a dashed line with a text at a value."""
     line = {"color": WORST, "width": 1.2, "dash": "dash"}
     note = {"text": text, "showarrow": False, "font": {"size": 11, "color": WORST}, "yanchor": "bottom"}
     # On a log axis, plotly places a text by the logarithm.
