@@ -1,7 +1,6 @@
 """A control law of your own in the closed loop: the three levels of Su et al. (2019) in numpy, without a solver.
 
-Instead of solving a subproblem, the third level follows the gradient of mu, projected onto the self-motion (which moves
-neither tip nor wrist).
+The third level follows the gradient of mu, projected onto the self-motion.
 
 python examples/own_law.py
 """
@@ -33,10 +32,10 @@ class OwnLaw:
         J, W, M = s.J_tip, s.J_wrist, s.M
         M_inverse = np.linalg.inv(M)
 
-        # Level 1: a spring and damper pull the tip to its reference. s.h compensates gravity and Coriolis torques.
+        # Level 1: a spring and damper pull the tip to its reference. s.h is the bias torque.
         tau_tip = s.h + J.T @ (self.K_X * (X_d - s.tip) + self.D_X * (dX_d - J @ s.v))
 
-        # Level 2: in the null space of level 1, the wrist is pulled to N_d, which puts the shaft through the trocar.
+        # Level 2: the wrist is pulled to N_d, which puts the shaft through the trocar.
         to_trocar = P - s.tip
         e = to_trocar / np.linalg.norm(to_trocar)
         relative = dP - J @ s.v
@@ -45,14 +44,14 @@ class OwnLaw:
         J_bar = M_inverse @ J.T @ np.linalg.inv(J @ M_inverse @ J.T)
         tau_rcm = (np.eye(s.n) - J.T @ J_bar.T) @ W.T @ (self.K_N * (N_d - s.wrist) + self.D_N * (dN_d - W @ s.v))
 
-        # Level 3: the elbow moves towards larger mu. Tip and wrist stay in place.
+        # Level 3: the elbow moves towards larger mu.
         Z = null_space(np.vstack([J, W]), rcond=1e-7).T
         x = np.clip(self.CLIMB * Z.T @ (Z @ s.grad_mu), -0.5, 0.5)
         tau_mu = M @ Z.T @ np.linalg.inv(Z @ M @ Z.T) @ Z @ (self.K_N2 * (x - s.v))
         return tau_tip + tau_rcm + tau_mu
 
     def set_applied_torque(self, tau):
-        """Do nothing: this law has no observer."""
+        """Do nothing, without an observer."""
 
     def columns(self, ticks):
         """Return no further columns."""
