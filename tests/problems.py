@@ -15,7 +15,7 @@ TOOL = 0.38  # wrist to tip [m]
 
 @dataclass(frozen=True)
 class Arm:
-    """A serial arm at q = 0: axes (n, 3), points on them (n, 3) [m], tip (3,) and wrist (3,) [m]."""
+    """A serial arm at q = 0. Each point (n, 3) [m] is on an axis (n, 3)."""
 
     axes: Array
     points: Array
@@ -23,7 +23,7 @@ class Arm:
     wrist: Array
 
     def terms(self, q: Array) -> tuple[Array, Array, Array]:
-        """Return J_tip and J_wrist, (3, n) each [m/rad], and the gradient (n,) of mu."""
+        """Return J_tip, J_wrist and the gradient of mu."""
         R, t = np.eye(3), np.zeros(3)
         axes, points = np.empty_like(self.axes), np.empty_like(self.points)
         for i, (axis, point) in enumerate(zip(self.axes, self.points, strict=True)):
@@ -66,7 +66,7 @@ def random_arm(rng: np.random.Generator, n: int = 7, structured: bool = True) ->
 
 
 def problem_of(arm: Arm, q: Array, x_inside: Array, lower: Array, upper: Array, **weights: float) -> NullSpaceQP:
-    """Return the subproblem of `arm` at q. The joint velocities `x_inside` satisfy its equality constraints."""
+    """Return the subproblem of `arm` at q, whose constraints `x_inside` satisfies."""
     J_tip, J_wrist, grad_mu = arm.terms(q)
     return NullSpaceQP(
         J_tip, J_wrist, J_tip @ x_inside, J_wrist @ x_inside, grad_mu, lower=lower, upper=upper, q=q, **weights
@@ -80,7 +80,7 @@ def random_box(rng: np.random.Generator, n: int) -> tuple[Array, Array]:
 def smooth_sequence(
     rng: np.random.Generator, count: int, *, arm: Arm | None = None, **weights: float
 ) -> list[NullSpaceQP]:
-    """Make `count` subproblems of one arm along a smooth motion, 2 ms apart."""
+    """Make subproblems of one arm along a smooth motion."""
     arm = random_arm(rng) if arm is None else arm
     lower, upper = random_box(rng, len(arm.axes))
     start, phase = rng.uniform(-1.5, 1.5, len(arm.axes)), rng.uniform(0.0, 2.0 * np.pi, len(arm.axes))
@@ -99,14 +99,14 @@ PARTS = (
 
 
 def changed(qp: NullSpaceQP, **parts: Any) -> NullSpaceQP:
-    """Return the problem with some arguments (PARTS) replaced."""
+    """Return the problem with some of its `PARTS` replaced."""
     return NullSpaceQP(**{**{name: getattr(qp, name) for name in PARTS}, **parts})
 
 
 def random_problem(
     rng: np.random.Generator, n: int = 7, *, arm: Arm | None = None, structured: bool = True, **weights: float
 ) -> NullSpaceQP:
-    """Return a subproblem of `arm` (or a random arm) at a random pose."""
+    """Return a subproblem at a random pose."""
     arm = random_arm(rng, n, structured) if arm is None else arm
     q = rng.uniform(-1.5, 1.5, len(arm.axes))
     lower, upper = random_box(rng, len(arm.axes))
@@ -115,7 +115,7 @@ def random_problem(
 
 
 def out_of_reach(rng: np.random.Generator, qp: NullSpaceQP) -> NullSpaceQP:
-    """Return `qp` with references that no joint velocity within the bounds attains (Farkas' lemma)."""
+    """Make `qp` infeasible (Farkas' lemma)."""
     w = qp.A.T @ rng.normal(size=6)
     reach = np.maximum(w * qp.lower, w * qp.upper).sum()
     b = qp.A @ w * (rng.uniform(1.1, 2.0) * reach / (w @ w))
@@ -123,7 +123,7 @@ def out_of_reach(rng: np.random.Generator, qp: NullSpaceQP) -> NullSpaceQP:
 
 
 def on_rows(qp: NullSpaceQP, x: Array) -> Array:
-    """Return the solution of the constraints A y = b that is nearest to x."""
+    """Return the solution of A y = b that is nearest to x."""
     return np.asarray(x - np.linalg.pinv(qp.A, rcond=1e-6) @ (qp.A @ x - qp.b))
 
 

@@ -1,4 +1,4 @@
-"""The sources of the documentation site are consistent, and every public name is used in an example."""
+"""The documentation site is consistent, and every public name is used in an example."""
 
 import doctest
 import importlib
@@ -32,7 +32,7 @@ def test_example_runs(example, capsys):
 def test_broken_link_is_found(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(DOCS / "_extensions")
     links = importlib.import_module("links")
-    (tmp_path / "reports" / "a").mkdir(parents=True)  # links and anchors of reports are not checked
+    (tmp_path / "reports" / "a").mkdir(parents=True)  # not checked
     (tmp_path / "reports" / "a" / "report.html").write_text('<a href="gone.html">made by scripts</a>', encoding="utf-8")
     sound = ["#here", "b.html", "b.html#there", "https://example.org/x", "data:,x", "reports/a/report.html#made-by-it"]
     wrong = ["#nowhere", "gone.html", "b.html#nowhere", "gone.png"]
@@ -72,7 +72,7 @@ def found(name):
 
 
 def methods(name):
-    """Return {name: method} for the methods that the reference lists for this class."""
+    """Return the methods that the reference lists for this class."""
     kind, options = ENTRIES[name]
     if kind != "class" or ":members:" not in options or ":undoc-members:" in options:
         return {}

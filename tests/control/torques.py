@@ -9,7 +9,7 @@ from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings
 
 
 def law(n, arm=None, supervision=None, fallback="damping", **changes):
-    """Return a core.Law for n joints. The gains of tip, RCM, third level and observer are zero if not given."""
+    """Return a core.Law for n joints. Gains are zero if not given."""
     s = supervisor.SupervisorSettings() if supervision is None else supervision
     wide = np.full(n, 1e3)
     blank = core.Arm(np.zeros((n, 27)), np.zeros((2, 3)), np.eye(3), np.ones((2, n)), np.zeros(3))
@@ -29,7 +29,7 @@ def law(n, arm=None, supervision=None, fallback="damping", **changes):
 
 
 def ticked(robot, state, tip_ref, trocar, x=None, x_d=None, **parts):
-    """Return (tau, row): torque (n,) [Nm] and packed subproblem of the first tick."""
+    """Return torque (n,) [Nm] and packed subproblem of the first tick."""
     made = law(robot.n, robot.arm, check=False, **parts)
     made.start(state.q, state.v, tip_ref, trocar)
     row = made.begin(state.q, state.v, tip_ref, trocar, x_d)[1]
@@ -43,7 +43,7 @@ def tracking(robot, state, tip_ref, trocar, gains=(0.0, 0.0, 0.0, 0.0), **parts)
 
 
 def in_place(state, speed=0.0):
-    """Return tip and trocar references at this state. The tip reference moves along x at `speed` [m/s]."""
+    """Return tip and trocar references at this state, with a `speed` along x [m/s]."""
     tip_ref = np.array([state.tip, [speed, 0.0, 0.0], np.zeros(3)])
     return tip_ref, np.array([state.tip - 0.15 * state.tool_direction, np.zeros(3)])
 
@@ -53,7 +53,7 @@ def subproblem(robot, state, tip_ref, trocar, **parts):
 
 
 def stand_in(row, Z, fault, fallback="damping"):
-    """The x (n,) that replaces a faulty answer if no earlier answer is held."""
+    """The x (n,) that replaces a faulty answer."""
     made = law(Z.shape[1], fallback=fallback, hold_ticks=0)
     made.load(row, Z)
     found, x, _ = made.finish(fault, 0, np.zeros(Z.shape[1]), 0.0)
@@ -84,7 +84,7 @@ def guard_of(robot, q=None, v=REST, carries=True, incision=False, momentum=False
 
 
 def off_by(robot, q, distance):
-    """A registered trocar (2, 3) that the shaft misses by `distance` [m]."""
+    """A registered trocar that the shaft misses by `distance` [m]."""
     pose = robot.tool_pose(q)
     return np.stack([pose[3] - 0.15 * pose[2] + distance * pose[0], np.zeros(3)])
 

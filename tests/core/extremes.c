@@ -1,9 +1,7 @@
-/* Runs the core with sanitizers on random, extreme and damaged states (`make sanitize`).
+/* Runs the core with sanitizers on random, extreme and damaged states (`make sanitize`), and prints a digest of all
+ * results. Unused array entries are NaN: if the core uses one, the digest changes.
  *
- * It checks that each torque of the safety filter is finite and within its limits, and prints a digest of all results.
- * Unused array entries (of joints beyond the arm's n joints) are NaN: if the core uses one, the digest changes.
- *
- * Usage: extremes [courses] [seed]. A course draws random settings and runs all checks. Exit status 0: all passed. */
+ * Usage: extremes [courses] [seed]. A course draws random settings and runs all checks. */
 #include <limits.h>
 #include <math.h>
 #include <stdint.h>
@@ -16,9 +14,9 @@
 
 static uint64_t seed = 1, digest = 14695981039346656037u;
 static long reasons[MOC_STOPS], faults[MOC_FAULTS], statuses[4];
-static double grain; /* if above 0, `uniform` returns multiples of grain */
+static double grain; /* if above 0, `uniform` returns its multiples */
 
-/* Power series of sin(x) (for k = 2, term = x) or cos(x) (for k = 1, term = 1). */
+/* Power series of sin(x) (k = 2, term = x) or cos(x) (k = 1, term = 1). */
 static double series(double x, int k, double term)
 {
     double sum = term;
@@ -97,7 +95,7 @@ static void fill(double *x, int count, double value)
         x[i] = value;
 }
 
-/* Return a copy of exactly this length, so that the sanitizer finds accesses beyond its end. */
+/* Return a copy, so that the sanitizer finds accesses beyond its end. */
 static double *alone(const double *x, int count)
 {
     double *own = malloc((unsigned)count * sizeof *own);
@@ -105,14 +103,12 @@ static double *alone(const double *x, int count)
     return own;
 }
 
-/* Set each row's entries after the first n to NaN. */
 static void behind(double *x, int rows, int n)
 {
     for (int i = 0; i < rows; i++)
         fill(x + i * MOC_MAX_JOINTS + n, MOC_MAX_JOINTS - n, (double)NAN);
 }
 
-/* Replace each entry by an extreme number with probability 1 / one_in. */
 static void spoil(double *x, int count, unsigned one_in)
 {
     for (int i = 0; i < count; i++)
@@ -122,7 +118,7 @@ static void spoil(double *x, int count, unsigned one_in)
 
 static void draw_arm(moc_arm *arm)
 {
-    unsigned idle = chance(3) ? 2 : 10; /* a joint moves neither tip nor wrist with probability 1 / idle */
+    unsigned idle = chance(3) ? 2 : 10;
     memset(arm, 0, sizeof *arm);
     fill(&arm->joint[0].rotation[0][0], MOC_MAX_JOINTS * (int)(sizeof *arm->joint / sizeof(double)), (double)NAN);
     arm->n = chance(3) ? MOC_MAX_JOINTS : 1 + (int)(bits() % MOC_MAX_JOINTS);
@@ -246,7 +242,7 @@ static void damage(moc_memory *memory, moc_watch *watch)
     spoil(&watch->joint[0].drift, (int)(sizeof watch->joint / (sizeof(double))), 20);
 }
 
-static void poison(moc_state *s, int n) /* set all entries after the first n to NaN */
+static void poison(moc_state *s, int n)
 {
     moc_terms *t = &s->terms;
     moc_problem *p = &s->problem;
@@ -326,7 +322,7 @@ static void plan(moc_arm *arm, const moc_law *law, const double *from)
         free(own[k]);
 }
 
-/* Run moc_step or, if `own` is set, moc_begin and moc_finish with a randomly spoilt answer and a random claim. */
+/* Run moc_step or, if `own` is set, moc_begin and moc_finish with a spoilt answer. */
 static moc_stop tick(const moc_controller *c, const moc_input *in, int own, moc_state *state, double *tau)
 {
     double x[MOC_MAX_JOINTS] = {0.0}, y[6];
@@ -346,12 +342,12 @@ static moc_stop tick(const moc_controller *c, const moc_input *in, int own, moc_
     return reason;
 }
 
-static double tiny(void) /* half of the calls: 1; others: a power of two from 2^-59 to 1 */
+static double tiny(void) /* 1, or a power of two from 2^-59 */
 {
     return chance(2) ? 1.0 : ldexp(1.0, -(int)(bits() % 60));
 }
 
-/* Make row i of A a combination of rows 0 and 1, exactly or nearly. b_i fits x, exactly or nearly. */
+/* Make row i of A, exactly or nearly, a combination of rows 0 and 1. */
 static void repeat(moc_problem *p, int i, const double *x)
 {
     double own = chance(4) ? 0.0 : tiny(), beside = chance(4) ? tiny() : 0.0;
@@ -360,7 +356,7 @@ static void repeat(moc_problem *p, int i, const double *x)
     p->b[i] = dot(p->n, p->A[i], x) + beside * uniform(-1.0, 1.0);
 }
 
-/* Solve a random subproblem, run moc_step_network, supervise answers. Returns 0 if the solution violates A x = b. */
+/* Solve a random subproblem. Returns 0 if the solution violates A x = b. */
 static int subproblem(void)
 {
     static const double weights[] = {0x1p-10, 0x1p-17, 0.0, 1e-3};
@@ -439,7 +435,7 @@ static double level(double most)
     return chance(2) ? HUGE_VAL : uniform(0.0, most);
 }
 
-/* Run only the safety filter. Most inputs are multiples of 0.25, so that readings repeat and values equal limits. */
+/* Run only the safety filter. Most inputs are multiples of 0.25, so that values equal limits. */
 static void filter(void)
 {
     static const double none[MOC_MAX_JOINTS];
@@ -533,7 +529,7 @@ static void filter(void)
     free(wrench);
 }
 
-/* Run a random controller. Returns 0 if a torque is beyond its limits, if a friction is negative, or if one is NaN. */
+/* Run a random controller. Returns 0 if a torque or friction is impossible. */
 static int run_controller(void)
 {
     static moc_state states[2];
@@ -624,7 +620,7 @@ static int run_controller(void)
     return 1;
 }
 
-/* Check functions of vec.h. Returns 0 if a result is wrong. */
+/* Check vec.h. Returns 0 if a result is wrong. */
 static int algebra(void)
 {
     double S[5][MOC_MAX_JOINTS], L[5][MOC_MAX_JOINTS], start[5], worst = 0.0;
@@ -664,7 +660,7 @@ static int algebra(void)
     return sound;
 }
 
-/* Check moc_start and moc_begin: torques at and above limits, damaged states, NaN, no start. Returns 0 if one fails. */
+/* Check moc_start and moc_begin with torques above limits, damaged states and NaN. Returns 0 if one fails. */
 static int contract(void)
 {
     static moc_state state;
@@ -700,7 +696,7 @@ static int contract(void)
         in.measured.applied = most;
     }
     for (int j = 0; j < arm.n; j++)
-        most[j] *= uniform(-1.0, 1.0); /* the torque that acted is not the torque that was sent */
+        most[j] *= uniform(-1.0, 1.0); /* another torque acted */
     moc_begin(&controller, &in, &state);
     if (memcmp(state.sent, most, (unsigned)arm.n * sizeof *most) != 0)
         return 0;
@@ -711,7 +707,7 @@ static int contract(void)
             return 0;
     }
     fill(tau, MOC_MAX_JOINTS, (double)NAN);
-    guard.patience = 3; /* up to 3 NaN readings in a row are replaced by q + period v, here with v = 0 */
+    guard.patience = 3; /* 3 NaN readings are replaced */
     in.measured.q = tau;
     moc_start(&controller, &(moc_measurement){q, v, 0, 0, most, none}, &state);
     if (moc_begin(&controller, &in, &state) != MOC_RUNNING ||

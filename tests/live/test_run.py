@@ -1,4 +1,4 @@
-"""Tests of LiveRun without its web page."""
+"""LiveRun without its web page."""
 
 from collections.abc import Callable
 from typing import Any
@@ -15,7 +15,6 @@ from moc_opt.scenario import Scenario, Setup
 
 @pytest.fixture
 def run() -> LiveRun:
-    """Return a run that starts far from the largest mu."""
     return LiveRun(Scenario(start={"swivel": 0.2}, plant={"preset": "nominal"}))
 
 

@@ -1,4 +1,4 @@
-"""A plan says whether a path can be executed, and if not, where it is blocked. A course is a planned joint motion."""
+"""A plan says whether a path can be executed, and if not, where it is blocked."""
 
 import numpy as np
 import pytest
@@ -86,7 +86,7 @@ def test_the_joint_that_blocks_a_path_is_named(robot, limits, told):
 ])  # fmt: skip
 def test_errors_name_the_bad_argument(robot, change, name):
     q = robot.data.q_home
-    with pytest.raises(TaskError, match=name):  # if ``change`` is empty, the start is off the path
+    with pytest.raises(TaskError, match=name):
         make_plan(robot, q if change else q + 0.01, task(robot, q, 10), **change)
 
 

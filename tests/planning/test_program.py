@@ -1,4 +1,4 @@
-"""The nonlinear program plans courses (joint motions) that keep all limits, for a whole path or a short horizon."""
+"""The nonlinear program plans courses that keep all limits."""
 
 import casadi
 import numpy as np
@@ -113,7 +113,6 @@ def test_with_limited_deceleration_a_course_slows_down_before_joint_limits(robot
 
 def test_a_shaft_margin_lowers_mean_mu(robot):
     course, _ = on_grid(robot, targets := task(robot, robot.data.q_home, 40))
-    # A shaft share says how well the shaft can turn while the tip rests. Poses with a share below the margin lose mu.
     margin = 1.2 * float(shaft_shares(robot, course.q_rad).min())
     limits, top = Limits(shaft=margin), float(course.mu.max())
     kept, _ = on_grid(robot, targets, limits)

@@ -1,4 +1,4 @@
-"""Forces on the arm: trocar, pushes and the springs of elastic joints."""
+"""Forces on the arm."""
 
 import re
 
@@ -111,7 +111,6 @@ def test_trocar_moves_within_a_period():
     ("stiffness", "damping"), [(800.0, 10.0), (800.0, 100.0), (20e3, 10.0), (20e3, 100.0), (20e3, 0.0)]
 )
 def test_trocar_gives_the_arm_no_energy(stiffness, damping):
-    """The trocar is 1 mm beside the shaft and gravity is compensated."""
     wall = PlantSettings.nominal(trocar_stiffness_N_per_m=stiffness, trocar_damping_Ns_per_m=damping)
     plant = Plant(DATA, wall)
     trocar, springs, energies, damper = shaft_of(plant), [], [], 2.0 if damping else 0.0
@@ -143,7 +142,7 @@ def hold(plant, periods, more=0.0):
 
 @pytest.mark.parametrize("stiffness", [1e3, 1e4])
 def test_elastic_joint_swings_at_the_frequency_of_rotor_and_links(stiffness):
-    """The frequency is sqrt(k (1/B + 1/J)) with the rotor's inertia B and the links' inertia J."""
+    """The frequency is sqrt(k (1/B + 1/J)) with inertias B of the rotor and J of the links."""
     settings = elastic(
         joint_stiffness_Nm_per_rad=(stiffness, *[1e5] * 6), period_s=1e-3, substeps=100, gravity=False,
         joint_spring_damping_Nm_s_per_rad=0.0,
@@ -216,7 +215,7 @@ def test_error_for_few_substeps_names_a_sufficient_number():
     with pytest.raises(PlantError, match="substeps = 2 makes plant steps of 1 ms") as said:
         Plant(DATA, elastic(substeps=2))
     fastest, need = map(int, re.search(r"up to (\d+) rad/s: raise substeps to (\d+)", str(said.value)).groups())
-    assert need == np.ceil(0.002 * fastest)  # the phase of the fastest spring advances by at most 1 rad per step
+    assert need == np.ceil(0.002 * fastest)  # at most 1 rad per step
     Plant(DATA, elastic(substeps=need))
     with pytest.raises(PlantError, match=r"has 2 entries.*7 joints"):
         Plant(DATA, elastic(joint_stiffness_Nm_per_rad=(1e4, 1e4)))

@@ -1,4 +1,4 @@
-"""`Faulty` fails on purpose, at exactly the ticks that its seed determines."""
+"""`Faulty` fails on purpose, at the ticks that its seed determines."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def is_wrong(kind, qp, answer):
         return np.isnan(answer.x).all()
     if kind == "outside":
         return (answer.x > qp.upper).any()
-    return qp.residuals(answer.x).primal < 1e-9 and not qp.residuals(answer.x).verified()  # a false SOLVED
+    return qp.residuals(answer.x).primal < 1e-9 and not qp.residuals(answer.x).verified()
 
 
 @pytest.mark.parametrize("kind", KINDS)

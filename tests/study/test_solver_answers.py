@@ -34,7 +34,7 @@ def breaking(name: str, **options: Any) -> SolverSetting:
 def test_exact_is_right_on_every_set():
     for found in ask(ONE, [(EXACT, TestSet.load(name)) for name in NAMES], LIMITS):
         counts, name = found.counts(), found.problems.name
-        spared = 2 if name == "near-singular" else 0  # on two problems, rounding decides whether `exact` is right
+        spared = 2 if name == "near-singular" else 0  # rounding decides on two problems
         assert counts["solves"] == 128
         assert counts["verified_solved"] + counts["failed"] == counts["optima_asked"]
         assert counts["failed"] <= spared
@@ -96,7 +96,7 @@ def test_reported_status_is_checked(feasible, status, expected):
 
 @pytest.mark.parametrize(("rows", "refused"), [(6, 7), (5, 0)])
 def test_refusing_six_inconsistent_rows_is_neither_right_nor_wrong(rows, refused):
-    """With `rows` = 5, the solver gets no contradictory rows, so refusing is wrong."""
+    """With `rows` = 5, there are no contradictory rows, so refusing is wrong."""
     problems = TestSet.load("inconsistent-1e-4").thinned(16)
     x = TestSet.load("inconsistent-1e-4").x[::16].copy()
     x[1:] = np.nan
