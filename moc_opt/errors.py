@@ -63,11 +63,11 @@ class ReportError(MocOptError, ValueError):
 
 
 class BrowserError(ReportError):
-    """A browser cannot be controlled on this machine."""
+    """A browser cannot be controlled."""
 
 
 class BrowserMissingError(BrowserError):
-    """There is no browser, or no package that controls a browser."""
+    """There is no browser, or no package that controls it."""
 
 
 class UnknownNameError(MocOptError, LookupError):
@@ -100,7 +100,7 @@ def named(where: object) -> Iterator[None]:
 
 
 def is_number(value: object) -> bool:
-    """Return whether a value is a real number that fits into a float, and no bool."""
+    """Return whether a value is a real number (no bool) that fits into a float."""
     fits = not isinstance(value, int) or abs(value) < 2**1023
     return isinstance(value, Real) and not isinstance(value, bool) and fits
 

@@ -18,9 +18,9 @@ class Command(NamedTuple):
     """A command and its help."""
 
     work: str  #: "module:function" in moc_opt; the function returns the exit status
-    about: str  #: short description in the help
+    about: str  #: short help
     options: tuple[Option, ...]
-    ends: str = ""  #: last paragraph of the help
+    ends: str = ""  #: end of the help
 
 
 def option(*names: str, **settings: Any) -> Option:
@@ -29,7 +29,7 @@ def option(*names: str, **settings: Any) -> Option:
 
 
 def path(text: str) -> Path:
-    """Return the text as a path. Refuse "", which means the current folder."""
+    """Return a path. Refuse "", which means the current folder."""
     if not text:
         raise argparse.ArgumentTypeError("the path is empty: give a path")
     return Path(text)
@@ -165,7 +165,7 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"moc-opt {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
     for name, command in COMMANDS.items():
-        # `solvers` passes --help on to the study.
+        # `solvers` passes --help on.
         one = commands.add_parser(name, help=command.about, epilog=command.ends or None, add_help=name != "solvers")
         for names, settings in command.options:
             one.add_argument(*names, **settings)

@@ -41,13 +41,13 @@ class Recording(NamedTuple):
 
     q: Array  # (k, n) [rad]; may be NaN
     v: Array  # (k, n) [rad/s]
-    stamp: Array  # (k,) control period of the measurement
+    stamp: Array  # (k,) control period
     tip_ref: Array  # (k, 3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2]
     trocar: Array  # (k, 2, 3) rows P_t [m], dP_t [m/s]
     wrench: Array  # (k, 6) force [N] and torque [Nm] of the tool on its mount, tool axes
-    tau: Array  # (k, n) torque from the safety filter [Nm]
+    tau: Array  # (k, n) filtered torque [Nm]
     sent: Array  # (n,) torque before the first tick [Nm]
-    sound: int  # number of ticks before the first fault
+    sound: int  # ticks before the first fault
     stopped_at: int  # tick, or -1
 
 
@@ -158,7 +158,7 @@ def write(
     Args:
         law, guard: numbers under the names in moc.h.
         tolerance: tolerance of the solver ``exact`` [rad/s].
-        stop: damping of the drives in a stop [Nm s/rad], and shortest duration of a stop [s].
+        stop: damping [Nm s/rad] and shortest duration [s] of a stop.
         extra: further files by name.
         force: also overwrite files that were edited, or that export-c did not write.
 

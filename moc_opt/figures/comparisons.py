@@ -37,7 +37,6 @@ def accuracy_against_time(
     log_axis(drawn, "x", x_label, [time for time, _ in known.values()], margin=MARGIN)
     log_axis(drawn, "y", y_label, [error for _, error in known.values()], powers=True, margin=MARGIN)
     front = pareto(known)
-    # The border of the dominated region.
     top, right = 10.0 ** drawn.layout.yaxis.range[1], 10.0 ** drawn.layout.xaxis.range[1]
     times, errors = zip(*(known[name] for name in front), strict=True)
     drawn.add_scatter(
@@ -60,7 +59,7 @@ def accuracy_against_time(
 
 
 def pareto(points: Mapping[str, tuple[float, float]]) -> list[str]:
-    """Return the names on the Pareto front (less is better), sorted by time."""
+    """Return the names on the Pareto front, sorted by time."""
     best, front = np.inf, []
     for name in sorted(points, key=lambda name: points[name]):
         if points[name][1] < best:

@@ -20,7 +20,7 @@ ECDF_POINTS = 400
 def latency_ecdf(samples: Samples) -> go.Figure:
     """Draw the fraction of solves or ticks done within a time [us].
 
-    NaN (no solve) is left out. Infinity (never done) counts as not done at every time.
+    NaN (no solve) is left out. Infinity counts as never done.
 
     Raises:
         ReportError: no time is finite, or a time is negative.

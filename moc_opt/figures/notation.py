@@ -24,7 +24,7 @@ class Missing:
 
 @dataclass(frozen=True)
 class Mark:
-    """A rating in a table, as a coloured symbol and a word.
+    """A rating in a table.
 
     Attributes:
         tone: "best", "good", "fair", "bad" or "other".
@@ -54,10 +54,9 @@ class Notation:
 
     @classmethod
     def of(cls, values: Iterable[object], digits: int = 3, spec: str = "") -> Notation:
-        """Choose one notation for a column."""
+        """Choose the notation of a column."""
         numbers = [float(value) for value in values if is_number(value)]  # type: ignore[arg-type]
         sizes = [abs(number) for number in numbers if math.isfinite(number)]
-        # Integers may be stored as floats.
         integral = bool(sizes) and all(size.is_integer() for size in sizes) and max(sizes) < 1e12
         wide = any(0.0 < size < 1e-4 or size >= 1e6 for size in sizes)
         return cls(digits, spec, scientific=wide and not integral, integral=integral)
@@ -96,7 +95,7 @@ def missing(value: object) -> Missing | None:
 
 
 def fraction_length(text: str) -> int:
-    """Return the number of characters from the decimal point to the end."""
+    """Return the number of characters from the point to the end."""
     return len(text) - text.index(".") if "." in text and "e" not in text else 0
 
 
@@ -117,5 +116,5 @@ def pretty_power(power: int) -> str:
 
 
 def printable(text: str) -> str:
-    """Replace characters that control a terminal or the direction of text."""
+    """Replace characters that control terminal or text direction."""
     return "".join(c if c == "\n" or unicodedata.category(c) not in ("Cc", "Cf", "Cs") else "\ufffd" for c in text)

@@ -37,7 +37,7 @@ HEIGHT_PX, LEGEND_PX, MAX_POWERS = 380, 620.0, 6
 
 @dataclass(frozen=True)
 class Style:
-    """The style of one run or solver in all figures."""
+    """The style of one run or solver."""
 
     color: str
     dash: str
@@ -45,7 +45,7 @@ class Style:
 
 
 class Styles(dict[str, Style]):
-    """Styles by name, shared by all figures of a page."""
+    """Styles by name."""
 
     def __init__(self, names: Iterable[str]) -> None:
         colors = list(SERIES)
@@ -93,7 +93,7 @@ def figure(**layout: object) -> go.Figure:
 
 
 def legend_height(names: Iterable[str]) -> int:
-    """Return the height [px] of a legend above a plot."""
+    """Return the height [px] of a legend."""
     lengths = [len(name) for name in names]
     columns = max(1, int(LEGEND_PX / (6.6 * max(lengths, default=1) + 46.0)))
     return 20 * math.ceil(len(lengths) / columns)
@@ -105,7 +105,6 @@ def log_axis(
     """Make the axis "x" or "y" logarithmic.
 
     Args:
-        values: all drawn values.
         powers: label the axis with powers of ten.
         margin: free space at each end, as a fraction of the range.
 

@@ -15,7 +15,7 @@ def plugins(group: str) -> dict[str, list[EntryPoint]]:
     return _scan(group, tuple(sys.path))
 
 
-@lru_cache(maxsize=24)  # scanning a hundred packages takes 10 ms
+@lru_cache(maxsize=24)  # a scan takes 10 ms
 def _scan(group: str, path: tuple[str, ...]) -> dict[str, list[EntryPoint]]:
     found: dict[str, dict[str, EntryPoint]] = {}
     for point in entry_points(group=group):

@@ -33,7 +33,7 @@ class Settings(pydantic.BaseModel):
 
     Raises:
         UnknownNameError: a field does not exist.
-        MocOptError: a value is wrong. The class ``ERROR`` is raised.
+        MocOptError: a value is wrong (class ``ERROR``).
     """
 
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
@@ -105,7 +105,7 @@ def _leaves(given: Any, value: Any, where: str = "") -> Iterator[tuple[str, Any,
     for key, one in value.items() if isinstance(value, Mapping) else enumerate(value):
         try:
             written = given[key]
-        except (LookupError, TypeError):  # a validator has changed the structure
+        except (LookupError, TypeError):  # changed by a validator
             written = one
         yield from _leaves(written, one, f"{where}[{key!s:.80}]")
 

@@ -37,7 +37,7 @@ PLOTS: dict[str, list[tuple[str, str, float, str]]] = {
     "force of the trocar [N]": [("force_N", "force", 1.0, BLUE)],
     "time of a tick and of its solver [µs]": [("tick_us", "tick", 1.0, BLUE), ("solve_us", "solver", 1.0, GREEN)],
 }
-"""Curves of each plot: quantity, name, factor to the unit shown, colour."""
+"""Curves of each plot: quantity, name, factor, colour."""
 FIELDS = ("regularization", "K_X", "K_N", "K_N2", "D_N2", "k0_per_s")  # settings on the page
 
 
@@ -178,7 +178,7 @@ class Panel:
         self._solver.value = self._run.solver
 
     def update(self, pace: float) -> None:
-        """Show the state of the run and its pace (simulated time divided by real time)."""
+        """Show the state of the run; `pace` is simulated time / real time."""
         run = self._run
         while run.messages:
             self._tell(run.messages.popleft())

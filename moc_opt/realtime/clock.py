@@ -8,13 +8,13 @@ from time import monotonic, sleep
 
 _LOCK_ALL = 1 | 2  # MCL_CURRENT | MCL_FUTURE
 _SET_TIMER_SLACK = 29  # PR_SET_TIMERSLACK
-PRIORITY = 50  #: Priority under SCHED_FIFO.
+PRIORITY = 50  #: For SCHED_FIFO.
 
 
 class WallClock:
     """A clock for periods that begin at fixed times. A tick that is more than a period late delays all later ticks.
 
-    ``late_us`` is the last tick's delay [us]; ``overruns`` counts the ticks more than a period late.
+    ``late_us`` is the last tick's delay [us]; ``overruns`` counts these late ticks.
     """
 
     def __init__(self, period_s: float) -> None:
