@@ -1,6 +1,6 @@
 """A control law of your own in the closed loop: the three levels of Su et al. (2019) in numpy, without a solver.
 
-The third level follows the gradient of mu, projected onto the self-motion.
+The third level follows the gradient of mu, projected onto the self-motion, which moves neither tip nor wrist.
 
 python examples/own_law.py
 """
@@ -32,10 +32,10 @@ class OwnLaw:
         J, W, M = s.J_tip, s.J_wrist, s.M
         M_inverse = np.linalg.inv(M)
 
-        # Level 1: a spring and damper pull the tip to its reference. s.h is the bias torque.
+        # Level 1: a spring and damper pull the tip to its reference. s.h compensates gravity and Coriolis torques.
         tau_tip = s.h + J.T @ (self.K_X * (X_d - s.tip) + self.D_X * (dX_d - J @ s.v))
 
-        # Level 2: the wrist is pulled to N_d, which puts the shaft through the trocar.
+        # Level 2: in the null space of level 1, the wrist is pulled to N_d, which puts the shaft through the trocar.
         to_trocar = P - s.tip
         e = to_trocar / np.linalg.norm(to_trocar)
         relative = dP - J @ s.v
@@ -51,7 +51,7 @@ class OwnLaw:
         return tau_tip + tau_rcm + tau_mu
 
     def set_applied_torque(self, tau):
-        """Do nothing, without an observer."""
+        """Do nothing: this law has no observer."""
 
     def columns(self, ticks):
         """Return no further columns."""

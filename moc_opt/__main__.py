@@ -1,4 +1,4 @@
-"""Run moc-opt, and turn an error into one line."""
+"""Run moc-opt, and turn an error into one line and an exit status."""
 
 from __future__ import annotations
 
@@ -50,12 +50,12 @@ def _command(arguments: Sequence[str] | None) -> int:
         from moc_opt.commands.parser import COMMANDS, make_parser, work_of  # slow, so Ctrl-C must work
 
         parser = make_parser()
-        if "_ARGCOMPLETE" in os.environ:
+        if "_ARGCOMPLETE" in os.environ:  # a shell asks for completions
             import argcomplete
 
             argcomplete.autocomplete(parser)
         given, rest = parser.parse_known_args(arguments)
-        given.rest = rest
+        given.rest = rest  # options of the solver study
         if given.command is None:
             parser.error("no command: `moc-opt run` runs the default scenario, `moc-opt -h` explains all commands")
         if rest and (given.command != "solvers" or given.list):

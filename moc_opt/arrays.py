@@ -1,4 +1,4 @@
-"""The type of arrays of numbers, and their protection."""
+"""The array type `Array`, and `read_only`, which protects an array."""
 
 from __future__ import annotations
 

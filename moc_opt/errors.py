@@ -13,7 +13,7 @@ from typing import ClassVar
 
 
 class MocOptError(Exception):
-    """Base of every error that moc_opt raises."""
+    """Base of every error that moc_opt raises on purpose."""
 
     MOST: ClassVar[int] = 2000
 
@@ -67,19 +67,19 @@ class BrowserError(ReportError):
 
 
 class BrowserMissingError(BrowserError):
-    """There is no browser, or no package that controls it."""
+    """There is no browser, or no package that controls a browser."""
 
 
 class UnknownNameError(MocOptError, LookupError):
     """A name is not known. The message suggests similar names."""
 
-    MOST = 10_000
+    MOST = 10_000  # the message may list many names
     FEW: ClassVar[int] = 12  #: With more names, the message refers to the command ``listed_by``.
 
     def __init__(self, kind: str, name: str, valid: Iterable[str], listed_by: str = "") -> None:
         names = sorted(valid)
         short = bool(listed_by) and len(names) > self.FEW
-        # `osqp` is similar to `qpsolvers:osqp`.
+        # `osqp` is compared with the last part of `qpsolvers:osqp`.
         ends = {one: (one if {".", ":"} & set(name) else re.split("[.:]", one)[-1]).lower() for one in names}
         close = difflib.get_close_matches(name[:100].lower(), set(ends.values()), n=3, cutoff=0.55)
         near = [one for end in close for one in names if ends[one] == end][:3]
@@ -109,7 +109,7 @@ def shown(value: object, most: int = 200) -> str:
     """Return a value's repr, cut at ``most`` characters."""
     try:
         text = repr(value)
-    except Exception as reason:  # noqa: BLE001 - a user's repr may raise anything; a huge integer has none
+    except Exception as reason:  # noqa: BLE001 - a user's repr may raise anything; that of a huge integer fails
         text = f"({type(value).__name__} that cannot be written: {type(reason).__name__})"
     return text if len(text) <= most else text[: most - 3] + "..."
 

@@ -1,4 +1,4 @@
-"""Setuptools, with the compiler of the `ziglang` wheel if the system has none."""
+"""Build backend: setuptools, with the compiler of the `ziglang` wheel if the system has none."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from setuptools import build_meta as _setuptools
-from setuptools.build_meta import *  # noqa: F403 - the other hooks
+from setuptools.build_meta import *  # noqa: F403 - the other hooks are setuptools' own
 
 
 def _system_compiler() -> bool:
     if "CC" in os.environ:
-        return True
+        return True  # if there is no such compiler, the build fails and names it
     return shutil.which((sysconfig.get_config_var("CC") or "cc").split()[0]) is not None
 
 

@@ -1,4 +1,4 @@
-"""Difficult subproblems."""
+"""Difficult subproblems: nearly singular Jacobians and very large or small numbers."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from tests.problems import Arm, changed, random_problem
 
 
 def rounded(qp: NullSpaceQP, decimals: int) -> NullSpaceQP:
-    """Round A, and recompute b for the same x."""
+    """Round A to `decimals` decimal places, and recompute b so that the same x solves A x = b."""
     x = np.linalg.lstsq(qp.A, qp.b, rcond=1e-9)[0]
     A = np.round(qp.A, decimals)
     return remade(qp, A, A @ x)

@@ -15,7 +15,7 @@ TOOL = 0.38  # wrist to tip [m]
 
 @dataclass(frozen=True)
 class Arm:
-    """A serial arm at q = 0. Each point (n, 3) [m] is on an axis (n, 3)."""
+    """A serial arm at q = 0: axes (n, 3), points on them (n, 3) [m], tip (3,) and wrist (3,) [m]."""
 
     axes: Array
     points: Array
@@ -23,7 +23,7 @@ class Arm:
     wrist: Array
 
     def terms(self, q: Array) -> tuple[Array, Array, Array]:
-        """Return J_tip, J_wrist and the gradient of mu."""
+        """Return J_tip and J_wrist, (3, n) each [m/rad], and the gradient (n,) of mu."""
         R, t = np.eye(3), np.zeros(3)
         axes, points = np.empty_like(self.axes), np.empty_like(self.points)
         for i, (axis, point) in enumerate(zip(self.axes, self.points, strict=True)):
@@ -66,7 +66,7 @@ def random_arm(rng: np.random.Generator, n: int = 7, structured: bool = True) ->
 
 
 def problem_of(arm: Arm, q: Array, x_inside: Array, lower: Array, upper: Array, **weights: float) -> NullSpaceQP:
-    """Return the subproblem of `arm` at q, whose constraints `x_inside` satisfies."""
+    """Return the subproblem of `arm` at q. The joint velocities `x_inside` satisfy its equality constraints."""
     J_tip, J_wrist, grad_mu = arm.terms(q)
     return NullSpaceQP(
         J_tip, J_wrist, J_tip @ x_inside, J_wrist @ x_inside, grad_mu, lower=lower, upper=upper, q=q, **weights
@@ -80,7 +80,7 @@ def random_box(rng: np.random.Generator, n: int) -> tuple[Array, Array]:
 def smooth_sequence(
     rng: np.random.Generator, count: int, *, arm: Arm | None = None, **weights: float
 ) -> list[NullSpaceQP]:
-    """Make subproblems of one arm along a smooth motion."""
+    """Make `count` subproblems of one arm along a smooth motion, 2 ms apart."""
     arm = random_arm(rng) if arm is None else arm
     lower, upper = random_box(rng, len(arm.axes))
     start, phase = rng.uniform(-1.5, 1.5, len(arm.axes)), rng.uniform(0.0, 2.0 * np.pi, len(arm.axes))

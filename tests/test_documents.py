@@ -15,11 +15,12 @@ import moc_opt as mo
 
 ROOT = Path(__file__).resolve().parent.parent
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-CHECKOUT = "make "  # such blocks need a checkout, and do not run here
+CHECKOUT = "make "  # blocks that begin with this word need a checkout, and do not run here
 PATIENCE_S = 1200  # time limit for one block
 
 
 def blocks(document):
+    """Return (language, text) of every fenced block."""
     return BLOCK.findall((ROOT / document).read_text(encoding="utf-8"))
 
 

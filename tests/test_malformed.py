@@ -1,4 +1,4 @@
-"""Any input works or raises a MocOptError."""
+"""Any input works or raises a MocOptError. `HYPOTHESIS_PROFILE=long` tries thousands of inputs."""
 
 import contextlib
 
@@ -35,7 +35,7 @@ def fields(table=Scenario):
             yield from ((name, *rest) for rest in fields(field.annotation))
 
 
-usual = st.sampled_from([0.0, 1e-3, 0.02, 0.1, 0.5, 1.0, 2, True, False])  # often valid
+usual = st.sampled_from([0.0, 1e-3, 0.02, 0.1, 0.5, 1.0, 2, True, False])  # scenarios with these values are often valid
 strange = st.sampled_from(["typo", "", "seeds", "class", "duration", "model_config"])
 values = st.one_of(usual, numbers, texts, junk)
 

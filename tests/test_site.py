@@ -32,7 +32,7 @@ def test_example_runs(example, capsys):
 def test_broken_link_is_found(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(DOCS / "_extensions")
     links = importlib.import_module("links")
-    (tmp_path / "reports" / "a").mkdir(parents=True)  # not checked
+    (tmp_path / "reports" / "a").mkdir(parents=True)  # links and anchors of reports are not checked
     (tmp_path / "reports" / "a" / "report.html").write_text('<a href="gone.html">made by scripts</a>', encoding="utf-8")
     sound = ["#here", "b.html", "b.html#there", "https://example.org/x", "data:,x", "reports/a/report.html#made-by-it"]
     wrong = ["#nowhere", "gone.html", "b.html#nowhere", "gone.png"]

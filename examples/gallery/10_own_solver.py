@@ -2,9 +2,9 @@
 A solver of your own
 ====================
 
-`start` returns a session, whose method `solve` answers problems. This solver is its own session. It follows the
-self-motion until a joint reaches its bound. For an arm with seven joints, this point is the optimum without
-regularization.
+A solver has settings and the methods `supports` and `start`. `start` returns a session, whose method `solve` answers
+problems. This solver is its own session. It follows the self-motion until a joint reaches its bound. For an arm with
+seven joints, this point is the optimum without regularization.
 """
 
 from dataclasses import dataclass

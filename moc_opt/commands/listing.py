@@ -1,4 +1,4 @@
-"""moc-opt robots | tasks | metrics, and solvers --list."""
+"""moc-opt robots | tasks | metrics, and solvers --list: the names that a scenario may contain."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def tasks() -> tuple[str, Rows, str]:
         try:
             known = sizes(name)
         except MocOptError:
-            known = {}  # `words` says why it does not load
+            known = {}  # a plug-in that does not load: `words` says why
         given = {key: None if value is inspect.Parameter.empty else value for key, value in known.items()}
         rows[name] = {"sizes": given, "about": words}
     return "Tasks, for the keys path and sizes of [task]", rows, "Lengths in m."

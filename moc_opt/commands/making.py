@@ -26,7 +26,7 @@ def save_page(given: argparse.Namespace) -> int:
     makers: dict[str, Callable[..., Page]] = {"map": load_map, "report": load_report}
     page = Replay(*load_runs(given.traces)) if given.command == "replay" else makers[given.command](given.traces)
     print(page.save(given.out, force=given.force))
-    if isinstance(page, Page) and getattr(given, "figures", False):
+    if isinstance(page, Page) and getattr(given, "figures", False):  # an option of `map`
         print(*save_figures(page.figures, given.out.parent / "figures"), sep="\n")
     return 0
 
@@ -40,7 +40,7 @@ def serve_page(given: argparse.Namespace) -> int:
 
 
 def export_c(given: argparse.Namespace) -> int:
-    """Write C code."""
+    """Write controller and safety filter as C code."""
     from moc_opt.export import export_scenario
 
     out, udp = given.out, given.main == "udp"

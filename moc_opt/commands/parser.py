@@ -165,7 +165,7 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"moc-opt {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
     for name, command in COMMANDS.items():
-        # `solvers` passes --help on.
+        # `solvers` passes --help on to the study.
         one = commands.add_parser(name, help=command.about, epilog=command.ends or None, add_help=name != "solvers")
         for names, settings in command.options:
             one.add_argument(*names, **settings)

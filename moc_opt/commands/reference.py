@@ -57,7 +57,7 @@ def print_keys(given: argparse.Namespace) -> int:
 
 
 def tables(kind: type[Settings] = Scenario, path: str = "") -> Iterator[tuple[str, str, list[Key]]]:
-    """Yield every table as (name, description, keys), first the keys at the top of the file."""
+    """Yield every table as (name, description, keys). The keys at the top of the file come first, without a name."""
     inner: list[tuple[str, type[Settings]]] = []
     keys: list[Key] = []
     if path in PRESETS:
@@ -80,7 +80,7 @@ def tables(kind: type[Settings] = Scenario, path: str = "") -> Iterator[tuple[st
 
 
 def markdown(only: str | None = None) -> str:
-    """Return docs/scenario.md, or only its section on a table."""
+    """Return the text of docs/scenario.md, or only its section on the table ``only``."""
     parts = [HEAD] if only is None else []
     for name, about, keys in tables():
         if only not in (None, name or TOP):

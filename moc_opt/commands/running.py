@@ -26,7 +26,7 @@ POINTS = "give x, y, z [m], one point per line; the first line may name the colu
 
 
 def read_scenario(path: Path | None) -> tuple[Scenario, str]:
-    """Return (scenario, title). Without a ``path``, it is the default scenario."""
+    """Return (scenario, title). Without a ``path``, the scenario is the default one."""
     scenario = Scenario() if path is None else Scenario.load(path)
     return scenario, scenario.name if path is None or "name" in scenario.model_fields_set else path.stem
 
@@ -80,7 +80,7 @@ def _as_far_as_it_goes(make: Callable[[], Trace]) -> Trace:
 
 
 def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace) -> int:
-    """Print how a run ended and its metrics, and write its report."""
+    """Print how a run ended and its metrics, and write its report; return the exit status."""
     ended = str(trace.meta["ended"])
     for line in [*([] if ended == "completed" else [f"{ended}{part(trace)}"]), *remarks(trace)]:
         print(f"{title}: {line}", file=sys.stderr)
@@ -218,7 +218,7 @@ def run_control(given: argparse.Namespace) -> int:
     else:
         flat = {name: value for name, value in told.items() if not isinstance(value, dict)}
         flat |= {f"{name}: {key}": v for name, of in told.items() if isinstance(of, dict) for key, v in of.items()}
-        rows = [{"what": name, "value": _words(value)} for name, value in flat.items() if value]
+        rows = [{"what": name, "value": _words(value)} for name, value in flat.items() if value]  # omits counts of 0
         print_tables([Table(f"Controller of {title}", [Column("what", "what"), Column("value", "value")], rows)])
     return 0 if found["ended"] == "completed" else 3
 
@@ -239,7 +239,7 @@ def plan_scenario(given: argparse.Namespace) -> int:
 
     scenario, title = read_scenario(given.scenario)
     _check_trace_out(given.out, given.force, "course")
-    follows = scenario.control.follows or given.out is not None
+    follows = scenario.control.follows or given.out is not None  # a course of --out must suit a run that follows it
     plan, within = followable_plan(scenario, given.margin, given.speed_share, given.margin_m, followed=follows)
     warned = following_warnings(scenario, plan) if follows else []
     path = save_course(plan, scenario, given.out, within) if given.out is not None and plan.course is not None else None

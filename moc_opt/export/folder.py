@@ -41,18 +41,18 @@ class Recording(NamedTuple):
 
     q: Array  # (k, n) [rad]; may be NaN
     v: Array  # (k, n) [rad/s]
-    stamp: Array  # (k,) control period
+    stamp: Array  # (k,) control period of the measurement
     tip_ref: Array  # (k, 3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2]
     trocar: Array  # (k, 2, 3) rows P_t [m], dP_t [m/s]
     wrench: Array  # (k, 6) force [N] and torque [Nm] of the tool on its mount, tool axes
     tau: Array  # (k, n) filtered torque [Nm]
     sent: Array  # (n,) torque before the first tick [Nm]
-    sound: int  # ticks before the first fault
-    stopped_at: int  # tick, or -1
+    sound: int  # number of ticks before the first fault
+    stopped_at: int  # tick of the stop, or -1
 
 
 def shipped(folder: Traversable, names: Iterable[str]) -> dict[str, str]:
-    """Return the texts of files by name."""
+    """Return the texts of files in a folder of the package, by name."""
     return {name: (folder / name).read_text(encoding="utf-8") for name in names}
 
 
@@ -96,7 +96,7 @@ def arm_in_c(robot: RobotModel) -> dict[str, Any]:
 def constants(
     robot: RobotModel, law: Mapping[str, Any], guard: Mapping[str, Any], tolerance: float, stop: tuple[float, float]
 ) -> dict[str, str]:
-    """Return the texts of constants.h and constants.c."""
+    """Return the texts of constants.h and constants.c. `write` describes the arguments."""
     header = f"""\
 /* The scenario's numbers. Pass moc_constants to moc_start and moc_step. */
 #ifndef CONSTANTS_H
@@ -158,7 +158,7 @@ def write(
     Args:
         law, guard: numbers under the names in moc.h.
         tolerance: tolerance of the solver ``exact`` [rad/s].
-        stop: damping [Nm s/rad] and shortest duration [s] of a stop.
+        stop: damping of the drives [Nm s/rad] and shortest duration [s] of a stop.
         extra: further files by name.
         force: also overwrite files that were edited, or that export-c did not write.
 

@@ -26,11 +26,12 @@ INFEASIBLE, VIOLENT = 0.5, 10.0  # added to the reference velocity in two faults
 def export_scenario(
     scenario: Scenario, out: str | os.PathLike[str], *, udp: bool = False, force: bool = False
 ) -> list[Path]:
-    """Write controller and safety filter as C files, and return the files.
+    """Write a scenario's controller and safety filter as C files, and return the files.
 
     Args:
+        scenario: its run is simulated to record ticks.
         out: folder, created if it does not exist.
-        udp: also write the controller over UDP.
+        udp: also write a program that runs this controller over UDP.
         force: also overwrite files that were edited, or that export-c did not write.
 
     Raises:

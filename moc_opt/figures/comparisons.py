@@ -37,6 +37,7 @@ def accuracy_against_time(
     log_axis(drawn, "x", x_label, [time for time, _ in known.values()], margin=MARGIN)
     log_axis(drawn, "y", y_label, [error for _, error in known.values()], powers=True, margin=MARGIN)
     front = pareto(known)
+    # Draw the border of the dominated region.
     top, right = 10.0 ** drawn.layout.yaxis.range[1], 10.0 ** drawn.layout.xaxis.range[1]
     times, errors = zip(*(known[name] for name in front), strict=True)
     drawn.add_scatter(
@@ -59,7 +60,7 @@ def accuracy_against_time(
 
 
 def pareto(points: Mapping[str, tuple[float, float]]) -> list[str]:
-    """Return the names on the Pareto front, sorted by time."""
+    """Return the names on the Pareto front (less is better), sorted by time."""
     best, front = np.inf, []
     for name in sorted(points, key=lambda name: points[name]):
         if points[name][1] < best:
@@ -69,7 +70,7 @@ def pareto(points: Mapping[str, tuple[float, float]]) -> list[str]:
 
 
 def _pixels(points: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-    """Return approximate positions [px]; y points down."""
+    """Return approximate positions [px] from the plot's middle, y downwards."""
     logs = np.log10(np.array(list(points.values())))
     extent = np.maximum(np.ptp(logs, axis=0), 0.5) * (1.0 + 2.0 * MARGIN)
     centres = (logs - logs.mean(axis=0)) / extent * [680.0, -310.0]
@@ -77,13 +78,13 @@ def _pixels(points: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float,
 
 
 def label_sides(points: Mapping[str, tuple[float, float]]) -> dict[str, str | None]:
-    """Choose the side of each point on which its label covers the least area of others.
+    """Choose for each point the side on which its label covers the least area of other points and labels.
 
     Args:
         points: positions by name [px]; y points down.
 
     Returns:
-        Plotly's word for each side; None if the label covers more than `TOLERATED_PX2`.
+        Plotly's word for each side ("top center"), or None if the label covers more than `TOLERATED_PX2` on every side.
     """
     markers = {name: (x - MARKER_PX, y - MARKER_PX, x + MARKER_PX, y + MARKER_PX) for name, (x, y) in points.items()}
     placed: list[Box] = []

@@ -13,7 +13,7 @@ from moc_opt.figures.style import Styles, figure, label, legend_height, log_axis
 
 Floats = NDArray[np.float64]
 Samples = Mapping[str, ArrayLike]
-CLOCK_US = 1e-3  #: The clock's resolution [us].
+CLOCK_US = 1e-3  #: The clock's resolution [us]. Shorter times are drawn at this time.
 ECDF_POINTS = 400
 
 
@@ -63,10 +63,10 @@ def box_plots(groups: Mapping[str, Samples], value_label: str) -> go.Figure:
         lower, q1, median, q3, upper, beyond = zip(*boxes.values(), strict=True) if boxes else [()] * 6
         drawn.add_box(
             x=[label(task) for task in boxes], lowerfence=lower, q1=q1, median=median, q3=q3, upperfence=upper,
-            # If the first list is empty, plotly draws no boxes.
+            # If the first list is empty, plotly draws none of the controller's boxes.
             y=[points or [middle] for points, middle in zip(beyond, median, strict=True)],
             boxpoints="outliers", name=label(name), offsetgroup=name,
-            fillcolor=f"{styles[name].color}48",
+            fillcolor=f"{styles[name].color}48",  # opacity 0.28
             line={"color": styles[name].color, "width": 1.4}, marker={"size": 3, "opacity": 0.6}, whiskerwidth=0.5,
         )  # fmt: skip
     tasks = dict.fromkeys(label(task) for group in groups.values() for task in group)
@@ -84,7 +84,7 @@ def _box(name: str, values: Floats) -> tuple[float, float, float, float, float, 
         raise ReportError(f"{name!r} reaches from {values[0]} to {values[-1]}: a log axis needs finite values above 0")
     scale = np.log10(values)
     q1, q3 = np.percentile(scale, (25, 75))
-    reach = 1.5 * (q3 - q1) + 1e-12 * abs(q3)  # absorbs rounding
+    reach = 1.5 * (q3 - q1) + 1e-12 * abs(q3)  # the second term absorbs rounding
     near = (scale >= q1 - reach) & (scale <= q3 + reach)
     inside, beyond = values[near], values[~near]
     kept = beyond[np.unique(np.linspace(0, len(beyond) - 1, min(len(beyond), 40)).astype(int))]

@@ -27,6 +27,7 @@ class Mark:
     """A rating in a table.
 
     Attributes:
+        symbol: one character, or none.
         tone: "best", "good", "fair", "bad" or "other".
         rank: key for sorting; the best rating has the lowest rank.
     """
@@ -45,6 +46,7 @@ class Notation:
         digits: number of significant digits.
         spec: Python's format specification, which overrides the other attributes.
         scientific: write powers of ten.
+        integral: every number is an integer.
     """
 
     digits: int = 3
@@ -95,7 +97,7 @@ def missing(value: object) -> Missing | None:
 
 
 def fraction_length(text: str) -> int:
-    """Return the number of characters from the point to the end."""
+    """Return the number of characters from the decimal point to the end."""
     return len(text) - text.index(".") if "." in text and "e" not in text else 0
 
 
@@ -116,5 +118,5 @@ def pretty_power(power: int) -> str:
 
 
 def printable(text: str) -> str:
-    """Replace characters that control terminal or text direction."""
+    """Replace characters that control a terminal or the direction of text."""
     return "".join(c if c == "\n" or unicodedata.category(c) not in ("Cc", "Cf", "Cs") else "\ufffd" for c in text)

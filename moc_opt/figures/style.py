@@ -1,4 +1,4 @@
-"""The style of all figures."""
+"""The style of all figures, with colours for colour-blind readers."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ INK, MUTED, GRID, PAPER = "#1f2328", "#5f6871", "#e3e6e9", "#ffffff"
 GOOD, BAD, WORST = "#3b7fb8", "#c9ccd1", "#c4421a"
 """Colours of answers: optimal, failed, and wrong but reported as optimal."""
 
-# The colours of Okabe and Ito for colour-blind readers, without yellow and black.
+# The palette of Okabe and Ito, without yellow and black. Keys are for a light page, values for a dark page.
 SERIES = {
     "#0072b2": "#4da3dd", "#d55e00": "#f0834a", "#009e73": "#3fc39d", "#b6569a": "#dc8fc4",
     "#c98a00": "#e8b33f", "#3fa0d0": "#8accf0", "#77787b": "#a9abb0", "#6a4fb3": "#a994ea",
@@ -83,7 +83,7 @@ TEMPLATE = go.layout.Template(
 
 
 def label(name: object) -> str:
-    """Escape a name for plotly."""
+    """Escape a name, so that plotly shows it literally."""
     return html.escape(printable(str(name)), quote=False)
 
 
@@ -129,7 +129,7 @@ def log_axis(
 
 
 def rule(drawn: go.Figure, axis: str, at: float, text: str) -> None:
-    """Draw a dashed line with a text at a value."""
+    """Draw a dashed line with a text at a value of an axis."""
     line = {"color": WORST, "width": 1.2, "dash": "dash"}
     note = {"text": text, "showarrow": False, "font": {"size": 11, "color": WORST}, "yanchor": "bottom"}
     # On a log axis, plotly places a text by the logarithm.

@@ -1,6 +1,6 @@
 """Read files up to a maximum size, and write files completely or not at all.
 
-On failure, ``error`` is raised with a message on ``what``, the kind of file.
+On failure, ``error`` is raised. Its message begins with ``what``, the kind of file.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Wrong = type[MocOptError]
 
 
 def as_path(path: object, what: str, error: Wrong) -> Path:
-    """Return a Path. Raise ``error`` if ``path`` is none."""
+    """Return ``path`` as a Path. Raise ``error`` if it is no path."""
     if isinstance(path, str) or (isinstance(path, os.PathLike) and isinstance(os.fspath(path), str)):
         return Path(path)
     raise error(f"{what} {shown(path)} is no path: give the name of a file as text, or a pathlib.Path")
@@ -67,12 +67,12 @@ def read_toml(path: Path_, what: str, error: Wrong) -> dict[str, Any]:
     text = read_text(path, what, error)
     try:
         return tomllib.loads(text)
-    except (ValueError, RecursionError) as reason:  # ValueError: also thousands of digits
+    except (ValueError, RecursionError) as reason:  # ValueError: also raised for thousands of digits
         raise error(f"{what} {os.fspath(path)!r} is not TOML: {reason}") from reason
 
 
 def read_arrays(path: Path_, what: str, error: Wrong) -> dict[str, Any]:
-    """Read the arrays of a .npz file by name, or the array "" of a .npy file."""
+    """Read the arrays of a .npz file by name. The array of a .npy file has the name ""."""
     import numpy as np
 
     data = read_bytes(path, what, error, MOST_ARRAYS)
@@ -105,7 +105,7 @@ def check_replaceable(path: Path_, what: str, error: Wrong) -> Path:
 def write_whole(path: Path_, data: bytes | str, what: str = "file", error: Wrong = MocOptError) -> Path:
     """Write bytes, or a text in UTF-8, completely or not at all. A missing folder is made. A link is replaced."""
     target = check_replaceable(path, what, error)
-    # A rename is atomic only within one file system.
+    # In the same folder, because a rename is atomic only within one file system.
     unfinished = target.with_name(f".{target.name[:40]}.{secrets.token_hex(8)}.tmp")
     with _writing(target, what, error):
         try:
@@ -148,7 +148,7 @@ def plain(value: Any) -> Any:
 
 
 def to_json(value: Any, *, indent: int | None = 2, sort_keys: bool = False) -> str:
-    """Return a value as strict JSON. Raises a TypeError for other types."""
+    """Return a value as strict JSON, with NaN and infinity as null. Raise a TypeError if this fails."""
     return json.dumps(plain(value), indent=indent, sort_keys=sort_keys, allow_nan=False)
 
 

@@ -18,7 +18,7 @@ def is_name(text: object) -> bool:
 
 
 def checked(text: str) -> str:
-    """Return a valid name. Raise a ValueError for any other text."""
+    """Return a valid name unchanged. Raise a ValueError for any other text."""
     if not is_name(text):
         raise ValueError(f"{text!r:.80} is no name: {RULE}")
     return text

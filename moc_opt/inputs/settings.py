@@ -13,11 +13,11 @@ import pydantic
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError, is_number, shown
 from moc_opt.inputs import names
 
-_ALTERNATIVE = re.compile(r"constrained-|literal\[|tuple\[|(float|str)$")  # pydantic's names in a union
+_ALTERNATIVE = re.compile(r"constrained-|literal\[|tuple\[|(float|str)$")  # pydantic's names of types in a union
 LARGEST_INTEGER = 2**63 - 1
-SMALLEST, LARGEST = 1e-30, 1e30  # bounds on the size of a number except 0
-MOST = 10_000_000  # bound on the size of an integer except seeds
-LONGEST_S = 1e6  # bound on a time [s]
+SMALLEST, LARGEST = 1e-30, 1e30  # bounds on |x| for each number x except 0
+MOST = 10_000_000  # bound on |k| for each integer k except seeds
+LONGEST_S = 1e6  # bound on each time [s]
 
 Name = Annotated[str, pydantic.AfterValidator(names.checked)]
 """A name that follows `moc_opt.inputs.names.RULE`."""
@@ -33,7 +33,7 @@ class Settings(pydantic.BaseModel):
 
     Raises:
         UnknownNameError: a field does not exist.
-        MocOptError: a value is wrong (class ``ERROR``).
+        MocOptError: a value is wrong. The subclass ``ERROR`` is raised.
     """
 
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
@@ -88,7 +88,7 @@ class Settings(pydantic.BaseModel):
 
     @classmethod
     def keys(cls, values: Mapping[str, Any]) -> list[str]:
-        """List the keys that a table may have."""
+        """List the keys that a table with these values may have."""
         return [*cls.model_fields, *cls.MORE_KEYS]
 
     @classmethod
@@ -105,13 +105,13 @@ def _leaves(given: Any, value: Any, where: str = "") -> Iterator[tuple[str, Any,
     for key, one in value.items() if isinstance(value, Mapping) else enumerate(value):
         try:
             written = given[key]
-        except (LookupError, TypeError):  # changed by a validator
+        except (LookupError, TypeError):  # a validator has changed the structure
             written = one
         yield from _leaves(written, one, f"{where}[{key!s:.80}]")
 
 
 def _fault(written: Any, read: Any, most: int) -> str:
-    """Return the cure, or "". Pydantic accepts some wrong values, such as a number in quotes."""
+    """Return the cure, or "" for a right value. Pydantic accepts some wrong values, such as a number in quotes."""
     is_flag = isinstance(written, bool | np.bool_)
     if isinstance(read, bool):
         return "" if is_flag else "give true or false, without quotes"
@@ -128,13 +128,13 @@ def _fault(written: Any, read: Any, most: int) -> str:
 
 def _explained(items: Sequence[Mapping[str, Any]], kind: str) -> str:
     item = items[0]
-    field = repr(".".join(f"{key!s:.80}" for key in item["loc"]))[1:-1]
+    field = repr(".".join(f"{key!s:.80}" for key in item["loc"]))[1:-1]  # with escapes
     message = ", or ".join(one["msg"].removeprefix("Value error, ") for one in items)
     message = message.replace(", or Input should be", ", or")
     message = message.replace("a valid tuple", "a list").replace("a valid dictionary", "a table")
     if "_than" in item["type"] and (unit := re.search(r"(?<!_per)_(m|s|rad|N|kg|us|Hz)$", field)):
         message += f" [{unit[1]}]"
-    if isinstance(item.get("ctx", {}).get("error"), MocOptError):
+    if isinstance(item.get("ctx", {}).get("error"), MocOptError):  # from an inner table
         return message if not field or message.startswith(f"[{field}]") else f"{kind} {field}: {message}"
     if item["type"] == "missing" and isinstance(item["loc"][-1], int):
         return f"{kind} {field.rpartition('.')[0]} has too few entries: {shown(item['input'])}"

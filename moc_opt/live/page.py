@@ -27,7 +27,7 @@ from moc_opt.robots.model import link_frames
 from moc_opt.scenario import Scenario
 
 HOST, PORT = "127.0.0.1", 8642
-FRAME_S, MOST_LAG_S, PIECE_S = 0.08, 0.2, 0.02
+FRAME_S, MOST_LAG_S, PIECE_S = 0.08, 0.2, 0.02  # time between frames, tolerated lag, time between groups of ticks [s]
 COLOURS = {"shell": (211, 216, 221), "tool": (95, 102, 110), "joint": (0, 114, 178)}
 TROCAR, PATH = (168, 91, 69), (31, 35, 40)
 BLUE, ORANGE, GREEN = "#0072b2", "#d55e00", "#009e73"
@@ -37,14 +37,14 @@ PLOTS: dict[str, list[tuple[str, str, float, str]]] = {
     "force of the trocar [N]": [("force_N", "force", 1.0, BLUE)],
     "time of a tick and of its solver [µs]": [("tick_us", "tick", 1.0, BLUE), ("solve_us", "solver", 1.0, GREEN)],
 }
-"""Curves of each plot: quantity, name, factor, colour."""
-FIELDS = ("regularization", "K_X", "K_N", "K_N2", "D_N2", "k0_per_s")  # settings on the page
+"""Curves of each plot: quantity, name, factor to the unit shown, colour."""
+FIELDS = ("regularization", "K_X", "K_N", "K_N2", "D_N2", "k0_per_s")  # settings that the page can change
 
 
 class LivePage:
     """A run and its page on loopback, at ``port`` or the next free port, for clients with the token in ``url``.
 
-    Raises a LiveError if viser is missing or the port is invalid.
+    Leaving the context stops both. Raises a LiveError if viser is missing or the port is invalid.
     """
 
     def __init__(self, scenario: Scenario, *, port: int = PORT, title: str = "") -> None:
@@ -55,7 +55,7 @@ class LivePage:
         except ImportError as error:
             raise LiveError("the live page needs viser: pip install '.[live]' in the clone") from error
         self.run, self._over, token = LiveRun(scenario), Event(), secrets.token_urlsafe(24)
-        with redirect_stdout(io.StringIO()):
+        with redirect_stdout(io.StringIO()):  # suppresses viser's greeting
             self.server = viser.ViserServer(HOST, port, f"moc_opt: {title or scenario.name}", verbose=False)
         _refuse_without(token, self.server)
         address = f"{HOST}:{self.server.get_port()}"
@@ -72,7 +72,7 @@ class LivePage:
             self.server.stop()
 
     def wait(self) -> None:
-        """Run in real time until `stop` is called. A lag of more than `MOST_LAG_S` is skipped."""
+        """Run in real time until `stop` is called. The part of a lag above `MOST_LAG_S` is skipped."""
         run, reached, pace, done = self.run, monotonic(), 1.0, 0
         frame = reached
         while not self._over.wait(PIECE_S):
@@ -106,10 +106,10 @@ def _refuse_without(token: str, server: Any) -> None:
         if not hmac.compare_digest(connection.request.path.encode(errors="replace"), f"/{token}".encode()):
             await connection.close(1008, "open the address that was printed; it holds a token")
             with suppress(ConnectionClosed):
-                while True:  # viser would obey these messages
+                while True:  # discard messages that viser would obey
                     await connection.recv()
 
-    sockets.disconnect_all_clients()  # clients may have connected before
+    sockets.disconnect_all_clients()  # clients may have connected before the hook was set
 
 
 class Panel:

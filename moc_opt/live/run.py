@@ -1,4 +1,4 @@
-"""An endless run of a scenario, which can be changed meanwhile."""
+"""An endless run of a scenario. Solver, gains and trocar can be changed during the run."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from moc_opt.tasks.trocar import shaft_distance
 
 DCAC = "none (DCAC)"
 QUANTITIES = ("t_s", "mu", "tip_error_m", "rcm_error_m", "force_N", "solve_us", "tick_us")
-HISTORY_S = 20.0  # kept history [s]
-BLEND_S = 0.1  # time constant of the blend, least time between two exchanges [s]
+HISTORY_S = 20.0  # length of the kept history [s]
+BLEND_S = 0.1  # time constant of the torque's blend, and least time between two exchanges of the controller [s]
 RAMP_S = 0.3  # least `ramp_s` of a new controller [s]
 TROCAR_SPEED_M_PER_S, MOST_OFFSET_M = 0.02, 0.05  # limits when the user moves the trocar
 
@@ -109,7 +109,7 @@ class LiveRun:
         self._exchange(self.control.change(**law), solver)
 
     def tune(self, **settings: Any) -> None:
-        """Change `ControlSettings`. Raises a MocOptError if a name or value is wrong."""
+        """Change settings of `ControlSettings` by name. Raises a MocOptError if a name or value is wrong."""
         if "law" in settings:
             raise LiveError("law cannot be set here: choose(solver) sets it")
         self._exchange(self.control.change(**settings), self.solver)
@@ -136,17 +136,17 @@ class LiveRun:
         self._asked = np.array([x_m, y_m, z_m])
 
     def rows(self, t: float) -> Array:
-        """Return the tip's reference, rows (3, 3), at a time [s]."""
+        """Return the tip's reference, rows X_d, dX_d, ddX_d (3, 3), at a time [s]."""
         lap, within = divmod(t, self._setup.duration_s)
         if int(lap) % 2 == 0:
             return self._setup.reference.rows(within)
-        return self._setup.reference.rows(self._setup.duration_s - within) * [[1.0], [-1.0], [1.0]]
+        return self._setup.reference.rows(self._setup.duration_s - within) * [[1.0], [-1.0], [1.0]]  # backwards
 
     def history(self, points: int = 400) -> Array:
         """Return the maxima (k, 7) of `QUANTITIES` in k <= ``points`` groups of past ticks."""
         rows = np.array(self._rows).reshape(-1, len(QUANTITIES))
         size = max(1, -(-len(rows) // points))
-        stretches = rows[len(rows) % size :].reshape(-1, size, len(QUANTITIES))  # drops the oldest
+        stretches = rows[len(rows) % size :].reshape(-1, size, len(QUANTITIES))  # drops the incomplete oldest group
         return np.fmax.reduce(stretches, axis=1)
 
     def reset(self) -> None:

@@ -8,13 +8,13 @@ from time import monotonic, sleep
 
 _LOCK_ALL = 1 | 2  # MCL_CURRENT | MCL_FUTURE
 _SET_TIMER_SLACK = 29  # PR_SET_TIMERSLACK
-PRIORITY = 50  #: For SCHED_FIFO.
+PRIORITY = 50  #: Priority under SCHED_FIFO.
 
 
 class WallClock:
     """A clock for periods that begin at fixed times. A tick that is more than a period late delays all later ticks.
 
-    ``late_us`` is the last tick's delay [us]; ``overruns`` counts these late ticks.
+    ``late_us`` is the last tick's delay [us]; ``overruns`` counts the ticks that were more than a period late.
     """
 
     def __init__(self, period_s: float) -> None:
@@ -34,14 +34,14 @@ class WallClock:
         if now - due > self._period:
             self._begin += now - due
             self.overruns += 1
-        return now + self._period  # a whole period also after a late begin
+        return now + self._period  # a whole period, even if the tick began late
 
 
 def ask_for_realtime() -> dict[str, str]:
     """Request real-time priority, locked memory and exact timers. Return what was granted."""
     found, libc = {"scheduling": f"SCHED_FIFO {PRIORITY}"}, ctypes.CDLL(None, use_errno=True)
     try:
-        # RESET_ON_FORK: a new solver process has ordinary priority.
+        # RESET_ON_FORK: a new solver process has ordinary priority, and does not slow the loop down.
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(PRIORITY))
     except OSError as error:
         found["scheduling"] = f"as other processes (SCHED_FIFO: {error.strerror})"

@@ -1,4 +1,7 @@
-"""The two ends of the wire: `RemoteController` in the plant's process, and `Answering` in the controller's."""
+"""The two ends of the wire: `RemoteController` in the plant's process, and `Answering` in the controller's.
+
+docs/realtime.md describes the sequence of their packets.
+"""
 
 from __future__ import annotations
 
@@ -31,14 +34,14 @@ _LINGER_S = 0.3  # time for which repeated ENDED packets are answered [s]
 class RemoteController(Filtered):
     """The plant's end of the wire. It sends measurements, and returns the torques of the commands.
 
-    Without commands, a watchdog holds the last torque, then damps the arm, and at last stops it. Pass ``pace`` to
-    `sim.loop.simulate` as ``watch``. Call ``close`` afterwards.
+    Without commands, a watchdog holds the last torque, then damps the arm, and at last stops it. Pass this
+    object to `sim.loop.simulate` as the controller, and ``pace`` as ``watch``. Call ``close`` afterwards.
 
     Args:
-        safety_filter: computes the watchdog's torques and brakes.
+        safety_filter: computes only the watchdog's torques and brakes.
         columns: makes the controller's trace columns for a number of ticks.
         applied: (n,) torque before the first tick [Nm]. tau_max: (n,) largest torques of a command [Nm].
-        clock: begins the ticks in real time. None: lock-step.
+        clock: begins the ticks in real time. None: lock-step, in which the plant waits for each command.
     """
 
     stop_reason = ""
@@ -55,10 +58,10 @@ class RemoteController(Filtered):
         self._command: Packet | None = None
 
     limited = property(lambda self: 0 if self._command is None else int(self._command["limited"]))
-    warnings = property(lambda self: [])
+    warnings = property(lambda self: [])  # the controller's end records them
 
     def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
-        """Answer HELLO until START comes. Raise a WireError if none comes."""
+        """Answer each HELLO with the first measurement, until a START comes. Raise a WireError if none comes."""
         link, packet, self._sound, others = self.link, self._packet, seen, set[str]()
         self._fill(seen, wire.WAITING)
 
@@ -143,7 +146,7 @@ class RemoteController(Filtered):
         """Tell the controller that the run is over. Return the packet counts."""
 
         def acknowledges(found: Packet) -> bool:
-            self._is_due(found)  # counts a late command
+            self._is_due(found)  # only to count a command that came too late
             return bool(found["kind"] == Kind.BYE)
 
         self._packet["flags"], link = wire.ENDED, self.link
@@ -193,14 +196,17 @@ class Answering:
     link: Link
     settings: WireSettings
     controller: LoggedController
-    safety_filter: SafetyFilter | None  #: None: nothing is checked.
+    safety_filter: SafetyFilter | None  #: None: measurements and torques are not checked.
     tip_refs: Array  #: (N, 3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2].
     registered: Array  #: (N, 2, 3) position [m] and velocity [m/s] of the registered trocar.
-    scenario: int  #: Fingerprint of the scenario.
+    scenario: int  #: Fingerprint (hash) of the scenario, equal at both ends.
     ready: Callable[[], None] = lambda: None  #: Called before START is sent.
 
     def run(self) -> dict[str, Any]:
-        """Answer until the run ends. Return its end, ticks, packet counts, warnings and faults.
+        """Answer until the run ends.
+
+        Return ``ended`` (how the run ended), ``ticks`` (number of answered ticks), ``quality`` (packet counts),
+        ``warnings`` of the safety filter and ``faults`` of the solver.
 
         Raises:
             WireError: no plant answers, or the plant runs another scenario.

@@ -1,4 +1,4 @@
-"""UDP packets between plant and controller, and a socket that drops invalid packets.
+"""The wire: UDP packets between plant and controller, and a socket that drops invalid packets.
 
 A packet ends with the keyed BLAKE2s checksum (RFC 7693) of all preceding bytes. Nothing is encrypted.
 """
@@ -32,10 +32,10 @@ LOOPBACK_KEY = b"moc_opt: loopback, no secret"
 VARIABLE = "MOC_OPT_WIRE_KEY"  #: Environment variable with the key.
 SHORTEST, LONGEST = 16, 32  #: Bounds on a key's length [bytes].
 TAG_BYTES = 16
-BACKLOG = 256  #: Packets that `receive` may read after its time limit.
+BACKLOG = 256  #: After its time limit, `receive` reads waiting packets until it has read this many in all.
 COUNTERS = ("received", "missed", "late", "forged", "foreign")
-"""Missed: ticks without a packet in time. Late: packets too late or repeated. Forged: packets with a wrong checksum.
-Foreign: other ignored packets."""
+"""What an end counts: packets used (received), ticks without a packet in time (missed), packets that came too late or
+twice (late), packets with a wrong checksum (forged), and all other ignored packets (foreign)."""
 
 Packet = NDArray[np.void]  #: A record of shape ().
 Address = tuple[str, int]
@@ -75,14 +75,14 @@ class Kind(IntEnum):
     START = 2  #: Lets the plant begin.
     MEASUREMENT = 3
     COMMAND = 4
-    BYE = 5
+    BYE = 5  #: Confirms the end of the run.
 
 
-WAITING, RUNNING, ENDED = 0, 1, 2  #: ``flags`` of a measurement.
+WAITING, RUNNING, ENDED = 0, 1, 2  #: ``flags`` of a measurement: before, during and after the run.
 STOP, REPORTED = 1, 2
 """Bits in ``flags`` of a command. REPORTED: "iterations" and all fields after "reason" are set."""
 
-# Every field's offset is a multiple of its size, as in a C struct.
+# Every field's offset is a multiple of its size, as in a C struct. "scenario" is a hash of the scenario.
 HEADER: list[tuple[Any, ...]] = [
     ("magic", "S4"), ("version", "u1"), ("kind", "u1"), ("joints", "u1"), ("flags", "u1"), ("session", "<u8"),
     ("scenario", "<u8"), ("sequence", "<i8"),
@@ -91,7 +91,7 @@ HEADER: list[tuple[Any, ...]] = [
 
 @cache
 def layout(kind: Kind, n: int) -> np.dtype[Any]:
-    """Return the byte layout of a packet for n joints (docs/realtime.md)."""
+    """Return the byte layout of a packet for n joints. docs/realtime.md explains the fields."""
     bodies: dict[Kind, list[tuple[Any, ...]]] = {
         Kind.MEASUREMENT: [
             ("stamp", "<i8"), ("q", "<f8", (n,)), ("v", "<f8", (n,)), ("wrench", "<f8", (6,)),
@@ -205,7 +205,8 @@ def read_key(file: Path | None, host: str, option: str) -> bytes:
 class Link:
     """A socket for sealed packets. Raises a WireError if the address cannot be bound.
 
-    If ``session`` is not 0, only packets of this session from ``peer`` are valid. ``sender`` is the address of the
+    It listens at ``address`` and sends to ``peer``. ``expected`` are the kinds of packets that it may receive. If
+    ``session`` is not 0, only packets of this session from ``peer`` are valid. ``sender`` is the address of the
     latest valid packet. ``quality`` has the counts named in ``COUNTERS``.
     """
 
@@ -267,7 +268,7 @@ class Link:
             if not sealed(data, self._key):
                 self.quality["forged"] += 1
                 return None
-            if data[:7] == form.tobytes()[:7]:
+            if data[:7] == form.tobytes()[:7]:  # magic, version, kind, joints
                 packet: Packet = np.frombuffer(data, form.dtype).reshape(())
                 if not self.session or (packet["session"] == self.session and sender == self.peer):
                     return packet

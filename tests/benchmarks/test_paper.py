@@ -125,8 +125,8 @@ def test_command_completes_the_procedure(tiny):
     assert (row["ended"], row["share_of_run"], row["registered"]) == ("completed", 1.0, True)
     assert 0.0 < row["registration_error_mm"] < 5.0
     assert row["board_position_mm"] < 2.0
-    assert 0.9 < row["waited_s"] < 2.5
-    assert row["tip_error_mean_mm"] < 1.5
+    assert 0.9 < row["waited_s"] < 2.5  # 1 s without the board, plus restarting
+    assert row["tip_error_mean_mm"] < 1.5  # the arm deviates from its model by half a millimetre
     assert row["path_deviation_max_mm"] < row["task_error_max_mm"] + 1.0
     assert row["pictures"] > 10
     assert (left.out / "film.webm").stat().st_size > 1000

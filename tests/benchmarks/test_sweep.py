@@ -66,7 +66,7 @@ def test_plan_lists_every_combination_in_a_fixed_order() -> None:
 def test_equal_runs_are_planned_once() -> None:
     axes = {"solver.settings.eps": [1e-6, 1e-8], "control.k0_per_s": [1.0, 2.0]}
     runs = plan(config(solvers=["dcac", "osqp"], grid=axes, seeds=1))
-    assert len(runs) == 6  # DCAC uses no solver
+    assert len(runs) == 6  # not 8, because DCAC uses no solver
     assert ["solver.settings.eps" in run.tags for run in runs if run.controller == "dcac"] == [False, False]
     assert runs[1].settings == {"eps": 1e-6}
     drawn = {"samples": 50, "fields": {"task.path": {"choice": ["circle", "spiral"]}}}

@@ -31,7 +31,7 @@ def shipped(name: str) -> list[Scenario]:
 def test_trials_share_no_seed_start_or_registration(name: str) -> None:
     found = shipped(name)
     assert len({trial.seed for trial in found}) == len(found) > 1
-    # Some of the trials, because finding a start is slow.
+    # Only some of the trials, because finding a start is slow.
     some = [Setup(trial.change(best_courses=False)) for trial in found[:: -(-len(found) // 7)]]
     assert len({(setup.robot.data.name, *setup.q_start.round(9)) for setup in some}) == len(some)
     assert len({tuple(setup.plant.mismatch.registration_error) for setup in some}) == len(some)
@@ -48,7 +48,7 @@ POOL = np.random.default_rng(0).lognormal(0.0, 0.3, (2, 240))
 
 def test_more_trials_give_shorter_intervals() -> None:
     (few, wide), (many, narrow) = (coverage.covered(*POOL, size, 60) for size in (15, 60))
-    assert 0.4 < narrow / wide < 0.6
+    assert 0.4 < narrow / wide < 0.6  # about sqrt(15/60)
     assert min(few, many) > 85.0
     # A sample of 15 trials often lacks the rare large values.
     rng = np.random.default_rng(1)

@@ -63,11 +63,12 @@ def test_torque_is_the_sum_of_the_levels(law, robot, regular_poses):
 
 
 def test_third_level_fades_in(robot):
+    """With a ramp of ten periods, the first tick gives a tenth of the third level's torque."""
     state = robot.state(robot.data.q_home)
     whole, _, tip_ref, trocar = started(robot, state=state, **QUIET)
     faded, *_ = started(robot, state=state, **{**QUIET, "ramp_s": 0.02})
     dcac, *_ = started(robot, None, state, **QUIET)
-    sudden, *_ = started(robot, state=state, **{**QUIET, "ramp_s": 0.001})
+    sudden, *_ = started(robot, state=state, **{**QUIET, "ramp_s": 0.001})  # a ramp below the period
     low = dcac.tick(state.q, state.v, tip_ref, trocar)
     top = whole.tick(state.q, state.v, tip_ref, trocar) - low
     np.testing.assert_array_equal(sudden.tick(state.q, state.v, tip_ref, trocar) - low, top)
@@ -118,6 +119,7 @@ def test_fallback_setting_chooses_x_if_the_subproblem_is_infeasible(fallback, ro
 
 
 def watching(supports=None, error=None):
+    """A solver like `exact` that may refuse the problem or fail to start."""
     solver, session = Mock(spec=["name", "supports", "start"]), SimpleNamespace(observe=Mock())
     solver.name, solver.supports.return_value, solver.start.side_effect = "watching", supports, error or [session] * 2
     session.solve = lambda qp: EXACT.start(qp).solve(qp)
@@ -174,7 +176,7 @@ def test_run_does_not_depend_on_previous_run(robot):
     controller, other = (Controller(robot, ControlSettings(), EXACT) for _ in range(2))
     home, taus = robot.data.q_home, [[], []]
     tip_ref, trocar = in_place(robot.state(home), 0.01)
-    for run in range(2):  # another controller ticks in between
+    for run in range(2):  # in the second run, another controller ticks in between
         controller.start(home, np.zeros(7), tip_ref, trocar)
         other.start(home, np.zeros(7), tip_ref, trocar)
         for k in range(40):

@@ -17,7 +17,7 @@ TROCAR = np.array([[0.0, 0.0, -0.125], [0.0] * 3])
 
 
 def begun(arm=ARM, **levels):
-    """A safety filter with only the thresholds ``levels``."""
+    """A safety filter of an arm at rest. Only the thresholds ``levels`` are switched on."""
     given = {
         "period": T, "patience": 0, "carries": False, "low": -1e9, "high": 1e9, "v_max": 1.0, "tau_max": 1.0,
         "wall_stiffness": 0.0, "wall_damping": 0.0, "wall_brake": 1.0, "torque_step": OFF, "jump": OFF,
@@ -37,6 +37,7 @@ def begun(arm=ARM, **levels):
 
 
 def read(guard, q=0.0, v=0.0, applied=0.0, wrench=NO_WRENCH, trocar=None, other=0.0):
+    """Return the reason to stop after one reading."""
     tau = np.array([applied, 0.0])
     return core.REASONS[guard.believe(np.array([q, other]), np.array([v, 0.0]), np.nan, tau, wrench, trocar)[0]]
 
@@ -48,7 +49,7 @@ def follow(guard, before=0.0, tip=None, tip_ref=None, record=None, other=0.0):
 
 
 def pressed(force):
-    """The wrench while trocar and tip press with equal, opposite forces."""
+    """Return the wrench while the trocar presses on the shaft along x, and an equal force at the tip opposes it."""
     return np.array([0.0, 0.0, 0.0, 0.0, -0.125 * force, 0.0])
 
 
@@ -69,7 +70,7 @@ def moved_too_far(level, name="motion_rad", v=0.0):
 
 
 def frozen(level, name, wrench, applied, tip, **others):
-    """Whether the arm stops at the fourth equal reading."""
+    """Whether the arm stops at the fourth equal reading, if a torque or the tip's reference changed before it."""
     guard = begun(**{name: level} | others)
     for _ in range(3):
         follow(guard, tip=0.25, tip_ref=0.25)
@@ -88,13 +89,13 @@ def not_believed(level):
 
 
 def replayed(level, name, drift):
-    """Whether the first eight of 20 readings, repeated, stop the arm. With `drift`, joint 2 does not repeat."""
+    """Whether the arm stops if the first eight of 20 readings are repeated. With `drift`, joint 2 does not repeat."""
     guard = begun(**{name: level})
     return [read(guard, q=k % 20, other=k % 20 + drift * k, wrench=np.zeros(6)) for k in range(28)][-1] != "running"
 
 
 def repeated(level, name, v=0.0, wrench=lambda k: NO_WRENCH, drift=0.0):
-    """Whether nine equal readings after 99 different ones stop the arm. With `drift`, joint 2 does not repeat."""
+    """Whether the arm stops at nine equal readings after 99 different ones. With `drift`, joint 2 does not repeat."""
     guard = begun(**{name: level})
     for k in range(99):
         read(guard, q=k * T, v=v * k, wrench=wrench(k), other=k * T)
@@ -133,7 +134,7 @@ def yields(level):
 
 
 def stays_open(level):
-    """Whether open brakes stay open at half of stop_yield."""
+    """Whether open brakes stay open if the force falls to 0.125 N, half of stop_yield = 0.25 N."""
     guard = begun(stop_yield=level)
     read(guard, wrench=pressed(0.0), trocar=TROCAR)
     assert guard.hold(pressed(0.5))[0] == 0.0
@@ -162,7 +163,7 @@ def test_only_a_value_above_its_threshold_is_noticed(noticed, level, more):
 
 @pytest.mark.parametrize(("torques", "carries"), [((1.5, 1.5), 0.0), ((-0.5, -0.5), 0.0), ((1.5, 0.0), 0.5)])
 def test_torque_in_a_stop_is_zero_if_the_residual_opposes_the_commanded_torque(torques, carries):
-    """In the third case, no residual opposes the last torque. The drives carry the weight, 0.5 Nm."""
+    """In the third case, joint 1's last torque is zero: no residual opposes it. The drives carry the weight, 0.5 Nm."""
     arm = core.Arm(LOADED, np.zeros((2, 3)), np.eye(3), np.ones((2, 2)), np.array([0.0, -1.0, 0.0]))
     guard, record = begun(arm, residual_torque=2.0**-8, carries=True, patience=1), arm.terms(ZERO, ZERO)
     read(guard)

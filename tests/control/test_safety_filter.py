@@ -1,4 +1,4 @@
-"""The safety filter: walls, brakes, and checks of measurements."""
+"""The safety filter: walls (torques that hold joints off their limits), brakes, and its checks of measurements."""
 
 import dataclasses
 from unittest.mock import patch
@@ -15,6 +15,7 @@ from tests.control.torques import PERIOD, REST, N, guard_of, off_by, weight
 
 
 def bad_ticks(guard):
+    """Number of consecutive refused measurements."""
     return guard._guard.watched()[0]
 
 
@@ -29,7 +30,7 @@ def by_the_law(s, robot, tau, before, q, v, carries):
         push = s.wall_stiffness_Nm_per_rad * depth + s.wall_damping_Nm_s_per_rad * np.maximum(speed - allowed, 0.0)
         ends.append(np.where(acts, -push, np.inf))
     most, least = ends[0], -ends[1]
-    both = least > most  # their torques contradict
+    both = least > most  # beyond one wall and too fast towards the other: their torques contradict
     most, least = np.where(both, 0.0, most), np.where(both, 0.0, least)
     sent = np.clip(np.clip(tau, hold + least, hold + most), before - step, before + step)
     return np.clip(sent, -robot.tau_max, robot.tau_max)
@@ -44,7 +45,7 @@ def test_the_torque_follows_the_numpy_law_and_stays_within_its_limits(robot, see
         robot, carries=carries, torque_rate_Nm_per_s=rate, position_margin_rad=0.05 * rng.uniform(0.5, 2.0),
         wall_stiffness_Nm_per_rad=2000.0 * rng.uniform(0.5, 2.0), wall_brake_rad_per_s2=rng.uniform(1.0, 4.0),
     )  # fmt: skip
-    near = rng.choice([0.02, 0.3, 0.7], N) * rng.choice([-1.0, 1.0], N)
+    near = rng.choice([0.02, 0.3, 0.7], N) * rng.choice([-1.0, 1.0], N)  # offset / (half the range)
     q = np.where(rng.random(N) < 0.5, robot.q_min, robot.q_max) + near * (robot.q_max - robot.q_min) / 2.0
     v = fast * robot.v_max * rng.uniform(-1.0, 1.0, N)
     wall, at = robot.q_max - guard.settings.position_margin_rad, rng.random((2, N)) < 0.25
@@ -83,7 +84,7 @@ def test_default_filter_checks_incision_and_motion(robot):
     mine.check_measurement(q, REST, trocar=off_by(robot, q, 0.02))
     assert mine.reason.startswith("the RCM error")
     with patch.object(robot, "state", side_effect=ArithmeticError), pytest.raises(ArithmeticError):
-        mine.limit_torque(REST, REST, q, REST)
+        mine.limit_torque(REST, REST, q, REST)  # the check of the motion needs the state
     given = numbers_of(SafetyFilterSettings(), robot, PERIOD)
     assert (given["carries"], given["in_incision"], MOST_TICKS) == (True, True, np.iinfo(np.int32).max)
 
@@ -109,7 +110,7 @@ def test_start_inside_a_wall_moves_that_wall_to_the_start(robot, start):
     assert back[1] == pytest.approx(-start * s.wall_stiffness_Nm_per_rad * 1e-3)
     q[5] = robot.q_max[5] - 0.5 * s.position_margin_rad
     assert guard.limit_torque(REST, REST, q, REST)[5] < 0.0
-    guard.start(np.array(robot.data.q_home), REST)
+    guard.start(np.array(robot.data.q_home), REST)  # the walls are at their usual places again
     assert guard.limit_torque(REST, REST, q, REST)[1] * start < 0.0
 
 
@@ -158,7 +159,7 @@ def test_position_change_over_three_ticks_is_compared_with_the_velocity(robot, s
 def test_mean_square_tip_error_above_its_limit_stops_the_arm(robot, time_s, factor):
     guard = guard_of(robot, tip_error_m=0.004, tip_error_s=time_s)
     share = min(1.0, PERIOD / time_s)
-    for _ in range(2):  # a start clears the mean
+    for _ in range(2):  # the second start clears the first run's mean
         guard.start(robot.data.q_home, REST)
         for k in range(1, 400):
             guard.limit_torque(REST, REST, REST, REST, np.zeros((3, 3)), tip=np.array([0.0, 0.004 * factor, 0.0]))

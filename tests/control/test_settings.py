@@ -191,7 +191,7 @@ def test_safety_margin_larger_than_controller_margin_is_refused():
     for unit, box in (("rad", 0.15), ("m", 0.05)):
         with pytest.raises(ScenarioError, match=f"position_margin_{unit} = 0.2 .*_{unit} = {box}"):
             Scenario(guard={f"position_margin_{unit}": 0.2})
-    for control in ({"limit_margin_rad": 0.2}, {"law": "dcac"}, {"preset": "paper"}):
+    for control in ({"limit_margin_rad": 0.2}, {"law": "dcac"}, {"preset": "paper"}):  # a margin of 0.2 rad, or none
         Scenario(guard={"position_margin_rad": 0.2}, control=control)
 
 
@@ -217,7 +217,7 @@ def test_shaft_margin_grows_with_the_squared_distance_from_tip_to_wrist(length):
 TABLE_I = {
     "dcac": {
         "K_X": 2000.0, "D_X": 20.0, "K_N": 600.0, "D_N": 10.0, "rcm_lambda": 0.5, "feedforward": False, "damped": False,
-        "K_N2": np.zeros(7), "D_N2": np.zeros(7), "observer_gain": 0.0,  # tau_T + tau_N1 only
+        "K_N2": np.zeros(7), "D_N2": np.zeros(7), "observer_gain": 0.0,  # the torque is tau_T + tau_N1 only
     },
     "moc": {
         "K_X": 3000.0, "D_X": 30.0, "K_N": 800.0, "D_N": 10.0, "rcm_lambda": 0.5, "feedforward": False, "k0": 0.1,

@@ -43,7 +43,7 @@ def tracking(robot, state, tip_ref, trocar, gains=(0.0, 0.0, 0.0, 0.0), **parts)
 
 
 def in_place(state, speed=0.0):
-    """Return tip and trocar references at this state, with a `speed` along x [m/s]."""
+    """Return tip and trocar references at this state. The tip reference moves along x at `speed` [m/s]."""
     tip_ref = np.array([state.tip, [speed, 0.0, 0.0], np.zeros(3)])
     return tip_ref, np.array([state.tip - 0.15 * state.tool_direction, np.zeros(3)])
 
@@ -53,7 +53,7 @@ def subproblem(robot, state, tip_ref, trocar, **parts):
 
 
 def stand_in(row, Z, fault, fallback="damping"):
-    """The x (n,) that replaces a faulty answer."""
+    """The x (n,) that replaces a faulty answer if no earlier answer is held."""
     made = law(Z.shape[1], fallback=fallback, hold_ticks=0)
     made.load(row, Z)
     found, x, _ = made.finish(fault, 0, np.zeros(Z.shape[1]), 0.0)
@@ -84,7 +84,7 @@ def guard_of(robot, q=None, v=REST, carries=True, incision=False, momentum=False
 
 
 def off_by(robot, q, distance):
-    """A registered trocar that the shaft misses by `distance` [m]."""
+    """A registered trocar (2, 3) that the shaft misses by `distance` [m]."""
     pose = robot.tool_pose(q)
     return np.stack([pose[3] - 0.15 * pose[2] + distance * pose[0], np.zeros(3)])
 

@@ -1,5 +1,5 @@
 /* Runs the core with sanitizers on random, extreme and damaged states (`make sanitize`), and prints a digest of all
- * results. Unused array entries are NaN: if the core uses one, the digest changes.
+ * results. Unused array entries (of joints beyond the arm's n joints) are NaN: if the core uses one, the digest changes.
  *
  * Usage: extremes [courses] [seed]. A course draws random settings and runs all checks. */
 #include <limits.h>
@@ -95,7 +95,7 @@ static void fill(double *x, int count, double value)
         x[i] = value;
 }
 
-/* Return a copy, so that the sanitizer finds accesses beyond its end. */
+/* Return a copy of exactly this length, so that the sanitizer finds accesses beyond its end. */
 static double *alone(const double *x, int count)
 {
     double *own = malloc((unsigned)count * sizeof *own);
@@ -103,12 +103,14 @@ static double *alone(const double *x, int count)
     return own;
 }
 
+/* Set each row's entries after the first n to NaN. */
 static void behind(double *x, int rows, int n)
 {
     for (int i = 0; i < rows; i++)
         fill(x + i * MOC_MAX_JOINTS + n, MOC_MAX_JOINTS - n, (double)NAN);
 }
 
+/* Replace each entry by an extreme number with probability 1 / one_in. */
 static void spoil(double *x, int count, unsigned one_in)
 {
     for (int i = 0; i < count; i++)
@@ -118,7 +120,7 @@ static void spoil(double *x, int count, unsigned one_in)
 
 static void draw_arm(moc_arm *arm)
 {
-    unsigned idle = chance(3) ? 2 : 10;
+    unsigned idle = chance(3) ? 2 : 10; /* a joint moves neither tip nor wrist with probability 1 / idle */
     memset(arm, 0, sizeof *arm);
     fill(&arm->joint[0].rotation[0][0], MOC_MAX_JOINTS * (int)(sizeof *arm->joint / sizeof(double)), (double)NAN);
     arm->n = chance(3) ? MOC_MAX_JOINTS : 1 + (int)(bits() % MOC_MAX_JOINTS);
@@ -242,7 +244,7 @@ static void damage(moc_memory *memory, moc_watch *watch)
     spoil(&watch->joint[0].drift, (int)(sizeof watch->joint / (sizeof(double))), 20);
 }
 
-static void poison(moc_state *s, int n)
+static void poison(moc_state *s, int n) /* set all entries after the first n to NaN */
 {
     moc_terms *t = &s->terms;
     moc_problem *p = &s->problem;
@@ -342,12 +344,12 @@ static moc_stop tick(const moc_controller *c, const moc_input *in, int own, moc_
     return reason;
 }
 
-static double tiny(void) /* 1, or a power of two from 2^-59 */
+static double tiny(void) /* half of the calls: 1; others: a power of two from 2^-59 to 1 */
 {
     return chance(2) ? 1.0 : ldexp(1.0, -(int)(bits() % 60));
 }
 
-/* Make row i of A, exactly or nearly, a combination of rows 0 and 1. */
+/* Make row i of A a combination of rows 0 and 1, exactly or nearly. b_i fits x, exactly or nearly. */
 static void repeat(moc_problem *p, int i, const double *x)
 {
     double own = chance(4) ? 0.0 : tiny(), beside = chance(4) ? tiny() : 0.0;
@@ -356,7 +358,7 @@ static void repeat(moc_problem *p, int i, const double *x)
     p->b[i] = dot(p->n, p->A[i], x) + beside * uniform(-1.0, 1.0);
 }
 
-/* Solve a random subproblem. Returns 0 if the solution violates A x = b. */
+/* Solve a random subproblem, run moc_step_network, supervise answers. Returns 0 if the solution violates A x = b. */
 static int subproblem(void)
 {
     static const double weights[] = {0x1p-10, 0x1p-17, 0.0, 1e-3};
@@ -435,7 +437,7 @@ static double level(double most)
     return chance(2) ? HUGE_VAL : uniform(0.0, most);
 }
 
-/* Run only the safety filter. Most inputs are multiples of 0.25, so that values equal limits. */
+/* Run only the safety filter. Most inputs are multiples of 0.25, so that readings repeat and values equal limits. */
 static void filter(void)
 {
     static const double none[MOC_MAX_JOINTS];
@@ -529,7 +531,7 @@ static void filter(void)
     free(wrench);
 }
 
-/* Run a random controller. Returns 0 if a torque or friction is impossible. */
+/* Run a random controller. Returns 0 if a torque is beyond its limits, if a friction is negative, or if one is NaN. */
 static int run_controller(void)
 {
     static moc_state states[2];
@@ -696,7 +698,7 @@ static int contract(void)
         in.measured.applied = most;
     }
     for (int j = 0; j < arm.n; j++)
-        most[j] *= uniform(-1.0, 1.0); /* another torque acted */
+        most[j] *= uniform(-1.0, 1.0); /* the torque that acted is not the torque that was sent */
     moc_begin(&controller, &in, &state);
     if (memcmp(state.sent, most, (unsigned)arm.n * sizeof *most) != 0)
         return 0;
@@ -707,7 +709,7 @@ static int contract(void)
             return 0;
     }
     fill(tau, MOC_MAX_JOINTS, (double)NAN);
-    guard.patience = 3; /* 3 NaN readings are replaced */
+    guard.patience = 3; /* up to 3 NaN readings in a row are replaced by q + period v, here with v = 0 */
     in.measured.q = tau;
     moc_start(&controller, &(moc_measurement){q, v, 0, 0, most, none}, &state);
     if (moc_begin(&controller, &in, &state) != MOC_RUNNING ||

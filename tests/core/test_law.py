@@ -1,4 +1,4 @@
-"""The core's control law agrees with NumPy."""
+"""The core's control law agrees with the same equations in NumPy."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from tests.reference import law as reference
 
 GAINS = (3000.0, 80.0, 800.0, 60.0)
 LWR4 = load_robot()
-INFEASIBLE, FAILED = 1, 2  # moc_fault
+INFEASIBLE, FAILED = 1, 2  # values of the core's moc_fault
 
 
 @pytest.fixture(scope="module", params=[*available_robots(), "odd"])
@@ -113,7 +113,7 @@ def test_pull_times_c2_over_rho_does_not_depend_on_c2_and_rho(robot):
         found = c2 / rho * fields(subproblem(robot, s, tip_ref, trocar, **parts)).pull
         np.testing.assert_allclose(found, reference.scaled_climb(robot, s, margin), rtol=1e-4, atol=1e-4)
         below += s.mu_shaft < margin
-    assert below > 0
+    assert below > 0  # some poses have mu_shaft below the margin
 
 
 @pytest.mark.parametrize("bend", [0.0, 1e-12])
@@ -162,7 +162,7 @@ def test_least_violation_agrees_with_scipy(odd_robot):
     for k in range(30):
         row, part, Z = problem(rng, LWR4 if k % 2 else odd_robot)
         part.b[:] *= 6.0
-        if k % 3:
+        if k % 3:  # the second joint has to move
             part.lower[1] = part.upper[1] / 2.0
         x = stand_in(row, Z, INFEASIBLE, "least-violation")
         assert (x >= part.lower).all()
@@ -192,6 +192,6 @@ def test_no_unnecessary_self_motion_is_added():
     for lower, upper in ((-wide, wide), (wide - 1.0, wide), (-wide, 1.0 - wide)):
         part.lower[:], part.upper[:] = lower, upper
         np.testing.assert_allclose(stand_in(row, Z, FAILED), np.zeros(7), atol=1e-14)
-    for damaged in ((4, 2), ...):
+    for damaged in ((4, 2), ...):  # with NaN in A, no self-motion can be computed
         part.A[damaged] = np.nan
         np.testing.assert_array_equal(stand_in(row, Z, FAILED), np.zeros(7))

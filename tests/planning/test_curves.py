@@ -13,7 +13,7 @@ TURN = np.eye(5)[4]
 
 
 def gantry(slides):
-    """The joints slide along x, x, y and z. The fifth slides along or turns about z."""
+    """The first four joints slide along x, x, y and z. The fifth slides along or turns about the tool axis z."""
     rows = np.zeros((5, 27))
     rows[:, :9], rows[:, 12:15], rows[:, 15] = np.eye(3).ravel(), AXES, [1, 1, 1, 1, slides]
     moves = np.ones((2, 5))

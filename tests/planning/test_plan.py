@@ -86,7 +86,7 @@ def test_the_joint_that_blocks_a_path_is_named(robot, limits, told):
 ])  # fmt: skip
 def test_errors_name_the_bad_argument(robot, change, name):
     q = robot.data.q_home
-    with pytest.raises(TaskError, match=name):
+    with pytest.raises(TaskError, match=name):  # if ``change`` is empty, the start is off the path
         make_plan(robot, q if change else q + 0.01, task(robot, q, 10), **change)
 
 

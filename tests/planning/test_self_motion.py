@@ -50,7 +50,7 @@ def test_a_self_motion_is_the_same_from_each_of_its_poses(robot, odd_robot):
         assert (np.ptp(other.s), other.mu_best) == pytest.approx((np.ptp(motion.s), motion.mu_best), abs=1e-6)
     assert all(0.0 in (other.s[0], other.s[-1]) for other in from_ends)
     assert " _" not in repr(motion), "private fields are hidden"
-    last = int(np.argmax(motion.mu)) + 2
+    last = int(np.argmax(motion.mu)) + 2  # one sample after the largest mu suffices for the parabola
     cut = replace(motion, s=motion.s[:last], q=motion.q[:last], mu=motion.mu[:last])
     assert pytest.approx(motion.mu_best, rel=1e-9) == cut.mu_best > motion.mu.max() * (1.0 + 1e-8)
     odd = self_motion(odd_robot, odd_robot.data.q_home)
@@ -157,7 +157,7 @@ def test_the_distance_to_the_largest_mu_is_an_arc_length(robot, curve, place, re
     np.testing.assert_allclose(distance[:6], np.abs(offsets), atol=0.02)
     np.testing.assert_allclose(distance[:3] + distance[5:2:-1], 2.0 * np.abs(offsets[:3]), atol=2e-4)
     assert (distance[6] < 1e-3, np.isnan(distance[7])) == (True, True), "a straight arm is singular"
-    poses = np.array(regular_poses(6))[[0, 5]]  # mu rises up to a joint limit
+    poses = np.array(regular_poses(6))[[0, 5]]  # from these poses, mu rises until a joint reaches its limit
     ends = [self_motion(robot, poses[0]).s[-1], -self_motion(robot, poses[1]).s[0]]
     np.testing.assert_allclose(distance_to_go(robot, poses), ends, atol=1e-3)
 

@@ -131,7 +131,7 @@ def test_cost_range_below_rounding_counts_as_zero():
     assert found.least == found.most == 0.0
     shifted = extremes(Z, np.array([-3.0, -3.0]), np.array([1e-13 - 3.0, -2.0]), np.array([1.0, 0.0]), 0.0)
     assert shifted.least == shifted.most == pytest.approx(-3.0)
-    for short in (1e-8, 1e-11):
+    for short in (1e-8, 1e-11):  # short, but above rounding
         found = extremes(Z, np.array([0.0, 0.0]), np.array([short, 1.0]), np.array([-1.0, 0.0]), 0.0)
         assert found.least == pytest.approx(-short)
 
@@ -159,7 +159,7 @@ def test_two_joints_with_equal_rows_of_the_basis_define_no_corner():
     found = extremes(Z, low, high, slope, regularization)
     ring = np.linspace(0.0, 2.0 * np.pi, 20001)
     rays = np.stack([np.cos(ring), np.sin(ring)])
-    edge = rays / np.abs(Z @ rays).max(0)
+    edge = rays / np.abs(Z @ rays).max(0)  # the border of the set
     worst = (slope @ edge + 0.5 * regularization * (edge**2).sum(0)).max()
     assert found.most == pytest.approx(worst, rel=1e-3)
 

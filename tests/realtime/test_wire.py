@@ -25,7 +25,7 @@ KEY = b"sixteen bytes or more"
 
 
 def table(mark: str) -> list[tuple[int, str, str]]:
-    """Return (offset, field, type) of each row of a table."""
+    """Return (offset, field, type) for each row of a table in docs/realtime.md."""
     text = PAGE.partition(f"<!-- {mark} -->\n")[2].partition("\n\n")[0]
     return [(int(a), b, c) for a, b, c in re.findall(r"^\| (\d+) \| (\w+) \| ([^|]+) \|", text, re.MULTILINE)]
 
@@ -72,7 +72,7 @@ def test_only_valid_packets_pass(ends):
     foreign = (
         seal(command(sequence=3), KEY)[:-1], seal(command(sequence=3), KEY) + b"\0", b"", seal(command(n=6), KEY),
         seal(command(session=5), KEY), seal(command(magic=b"OTHR"), KEY), seal(command(version=9), KEY),
-        seal(command(joints=6), KEY), seal(command(kind=Kind.MEASUREMENT), KEY),
+        seal(command(joints=6), KEY), seal(command(kind=Kind.MEASUREMENT), KEY),  # only the plant sends measurements
     )  # fmt: skip
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
         stranger.sendto(seal(command(sequence=1), KEY), plant.address)  # not the address that began the session
@@ -89,8 +89,8 @@ def test_flood_of_packets_is_not_read_completely(ends):
     plant, controller = ends
     controller.sendto(seal(command(sequence=1), KEY), plant.address)
     assert plant.receive(monotonic() - 1.0) is not None
-    for flood in (b"x", seal(command(sequence=2), KEY)):
-        for _ in range(wire.BACKLOG):  # the system may drop some
+    for flood in (b"x", seal(command(sequence=2), KEY)):  # invalid packets, then packets of another tick
+        for _ in range(wire.BACKLOG):  # the system may drop packets of the second flood
             controller.sendto(flood, plant.address)
         controller.sendto(seal(command(sequence=3), KEY), plant.address)
         assert plant.receive(monotonic() - 1.0, lambda packet: packet["sequence"] == 3) is None
@@ -155,7 +155,7 @@ def test_faulty_commands_are_counted(peer):
     peer.say(Kind.COMMAND, 2, tau=np.nan * ones)
     np.testing.assert_array_equal(peer.tick(), ones)
     assert (quality["late"], quality["foreign"], quality["missed"]) == (1, 2, 2)
-    peer.say(Kind.COMMAND, 3, tau=2 * ones, control_us=8.0, solve_us=5.0)  # without wire.REPORTED
+    peer.say(Kind.COMMAND, 3, tau=2 * ones, control_us=8.0, solve_us=5.0)  # without wire.REPORTED, solve_us is ignored
     peer.say(Kind.COMMAND, 3, tau=3 * ones)
     np.testing.assert_array_equal(peer.tick(), 2 * ones)
     assert (peer.columns["control_us"][3], np.isnan(peer.columns["solve_us"][3])) == (8.0, True)
@@ -191,14 +191,14 @@ def test_watchdog_holds_then_damps_then_brakes(peer):
     for _ in range(SETTINGS.damp_ticks):
         tau = peer.tick(v=0.1)
         assert peer.plant.stop_reason == ""
-    np.testing.assert_allclose(tau, peer.hold - 0.5, atol=1e-9)  # 5 Nm s/rad times 0.1 rad/s
+    np.testing.assert_allclose(tau, peer.hold - 0.5, atol=1e-9)  # gravity torque minus 5 Nm s/rad times 0.1 rad/s
     peer.say(Kind.COMMAND, peer.k, tau=3 * ones)
     np.testing.assert_array_equal(peer.tick(), 3 * ones)
     for _ in range(SETTINGS.hold_ticks + SETTINGS.damp_ticks + 1):
         peer.tick()
     assert (peer.plant.brake_friction(peer.seen) > 0.0).all()
     peer.say(Kind.COMMAND, peer.k, tau=3 * ones)
-    np.testing.assert_allclose(peer.tick(), peer.hold, atol=1e-9)
+    np.testing.assert_allclose(peer.tick(), peer.hold, atol=1e-9)  # the brakes stay closed
     assert peer.plant.stop_reason == "no command from the controller for 6 ticks"
 
 
@@ -223,7 +223,7 @@ def measurement(flags, k=0, commanded=0.0, scenario=9):
 
 
 def answered(said):
-    """Answer packets; return (ending, sent packets, corrections). The n-th command is n Nm."""
+    """Answer the plant's packets `said`; return (ending, sent packets, corrections). The n-th command is n Nm."""
     said, sent, corrected, wait = iter(said), [], [], WireSettings(wait_s=0.05, silence_s=0.5)
     plant = Mock(n=N, peer=("plant", 1), session=0, quality=dict.fromkeys(wire.COUNTERS, 0), heard="nothing")
     plant.send.side_effect = lambda packet: sent.append((Kind(packet["kind"]), packet.copy()))

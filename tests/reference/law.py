@@ -19,7 +19,7 @@ def towards_trocar(X, dX, P, dP):
 
 
 def desired_wrist(X, dX, P, dP, L):
-    """Return the wrist's desired position X + L e and velocity."""
+    """Return (N_d, dN_d), the wrist's desired position X + L e and velocity dX + L de/dt."""
     _, e, _, de = towards_trocar(X, dX, P, dP)
     return X + L * e, dX + L * de
 
@@ -32,7 +32,7 @@ def desired_wrist_acceleration(X, dX, ddX, P, dP, L):
 
 
 def null_space(A):
-    """Return orthonormal rows that span the null space of A."""
+    """Return orthonormal rows (r, n) that span the null space of A."""
     return scipy_null_space(A, rcond=1e-7).T
 
 
@@ -59,7 +59,7 @@ def rcm_torque(s, K_N, D_N, trocar, projector_name="dynamic", rcm_lambda=None):
     P, dP = trocar
     N_d, dN_d = desired_wrist(s.tip, s.J_tip @ s.v, P, dP, s.tool_span)
     error = N_d - s.wrist
-    if rcm_lambda:  # the length d / lambda, with d = |(P - X) x u|
+    if rcm_lambda:  # scale the error to the length d / lambda, with the RCM error d = |(P - X) x u|
         error *= np.linalg.norm(np.cross(P - s.tip, s.tool_direction)) / rcm_lambda / np.linalg.norm(error)
     F = K_N * error + D_N * (dN_d - s.J_wrist @ s.v)
     return projector(projector_name, s) @ s.J_wrist.T @ F
@@ -68,6 +68,7 @@ def rcm_torque(s, K_N, D_N, trocar, projector_name="dynamic", rcm_lambda=None):
 def feedforward(s, tip_ref, trocar):
     """J_T^T F_T + B^T F_W, the torque for the accelerations of tip and wrist.
 
+    B (2, n) is J_W projected on two directions across the shaft. Lambda is the tip's inertia.
     The wrist's mobility is S = B M^-1 B^T - B M^-1 J^T Lambda J M^-1 B^T.
     """
     J, B = s.J_tip, scipy_null_space(s.tool_direction[None]).T @ s.J_wrist
@@ -112,7 +113,7 @@ def slope(s, margin=0.0):
 def scaled_climb(robot, s, margin=0.0):
     """x_d = k t |d| / max(-b, |d| / r), a Newton step to the maximum of mu along t = d / |d|.
 
-    d is `slope`, b the derivative of d^T t along t, k CLIMB_PER_S, r LONGEST_RAD.
+    d is `slope`, b is the derivative of d^T t along t, k is CLIMB_PER_S, and r is LONGEST_RAD.
     """
     d = slope(s, margin)
     steep = np.linalg.norm(d)
@@ -130,6 +131,6 @@ def third_level(s, x, K_N2, D_N2):
 
 
 def observe(s, tau, gain, period, integral, r):
-    """Momentum observer r = K_o (p - integral(tau + C^T v - g + r)), p = M v. Return both."""
+    """Momentum observer r = K_o (p - integral(tau + C^T v - g + r)), p = M v. Return (next integral, next r)."""
     integral = integral + (tau + s.energy_slope - s.gravity + r) * period  # energy_slope is C^T v
     return integral, gain * (s.M @ s.v - integral)

@@ -76,9 +76,10 @@ def test_trace_stores_its_scenario():
     ({}, {"repeat_joint_ticks": 89, "motion_lag_s": 0.012, "repeat_torque": 0.06, "stuck_rad_per_s": 0.2}),
     ({"guard": {"repeat_joint_ticks": 40}}, {"repeat_joint_ticks": 40}),
     *(({"guard": {key: 5}}, {"repeat_reading_ticks": 5}) for key in ("patience_ticks", "repeat_reading_ticks")),
-    # Without noise or velocity filter, successive readings may be equal.
+    # Without noise, or without the velocity filter, successive readings may be equal.
     ({"plant": {"preset": "nominal"}}, {"repeat_joint_ticks": None, "repeat_reading_ticks": None}),
     ({"plant": {"velocity_cutoff_Hz": 0.0}}, {"repeat_reading_ticks": None, "motion_lag_s": 0.012}),
+    # A slow filter delays the velocity.
     ({"plant": {"velocity_cutoff_Hz": 15.0}}, {"motion_lag_s": 3.0 / (2.0 * np.pi * 15.0)}),
     # A coarse encoder does not show small motions.
     ({"plant": {"encoder_resolution_rad": 1e-4}}, {"repeat_torque": 0.06, "stuck_rad_per_s": 0.2}),

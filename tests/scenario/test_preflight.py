@@ -14,7 +14,7 @@ from moc_opt.scenario import Scenario, Setup, preflight
 from moc_opt.scenario.preflight import UnreachableError, check_reachable, check_start
 from moc_opt.tasks import Reference, Trocar, make_path, shaft_distance
 
-PLACE_M = 0.006  # The checked points are 5 mm apart.
+PLACE_M = 0.006  #: Tolerance [m] of a place along the path. The checked points are 5 mm apart.
 PATHS = ("circle", "sinusoid", "spiral")
 ROBOT = load_robot()
 HOME = ROBOT.state(ROBOT.data.q_home)
@@ -73,14 +73,14 @@ def test_error_for_path_out_of_the_workspace_says_where():
     with pytest.raises(UnreachableError) as told:
         check_reachable(ROBOT, pose_through(ROBOT, tip, trocar), upwards, Trocar(trocar))
     assert told.value.field == "path"
-    # shoulder at 0.3105 m, arm 0.79 m long, wrist 0.378 m above the tip
+    # The shoulder is at 0.3105 m, the arm 0.79 m long, and the wrist 0.378 m above the tip.
     stretched = np.sqrt(0.79**2 - 0.74**2) + 0.3105 - 0.378 - 0.10
     assert told.value.arc_length_m == pytest.approx(stretched, abs=PLACE_M)
     assert f"{1e3 * told.value.arc_length_m:.1f} mm along the path" in str(told.value)
 
 
 def test_joint_that_reaches_its_limit_along_the_path_is_named():
-    """Self-motion does not move joint 4 (the elbow)."""
+    """Self-motion cannot avoid the limit, because it does not move joint 4 (the elbow)."""
     highest = np.array(ROBOT.q_max)
     highest[3] = HOME.q[3] + 0.05
     stiff = RobotModel(dataclasses.replace(ROBOT.data, q_max=highest))
@@ -105,6 +105,7 @@ def test_error_names_trocar_path_or_start():
 
 
 def test_another_elbow_position_is_tried_if_the_first_fails(monkeypatch):
+    """`solve_pose` is made to fail near the start's elbow position."""
     task, scan, solve = reference(radius=0.03), self_motion(ROBOT, HOME.q), preflight.solve_pose
 
     def only_elsewhere(arm, q, tip, wrist):

@@ -111,6 +111,7 @@ def test_trocar_moves_within_a_period():
     ("stiffness", "damping"), [(800.0, 10.0), (800.0, 100.0), (20e3, 10.0), (20e3, 100.0), (20e3, 0.0)]
 )
 def test_trocar_gives_the_arm_no_energy(stiffness, damping):
+    """The trocar is 1 mm beside the shaft and gravity is compensated."""
     wall = PlantSettings.nominal(trocar_stiffness_N_per_m=stiffness, trocar_damping_Ns_per_m=damping)
     plant = Plant(DATA, wall)
     trocar, springs, energies, damper = shaft_of(plant), [], [], 2.0 if damping else 0.0
@@ -215,7 +216,7 @@ def test_error_for_few_substeps_names_a_sufficient_number():
     with pytest.raises(PlantError, match="substeps = 2 makes plant steps of 1 ms") as said:
         Plant(DATA, elastic(substeps=2))
     fastest, need = map(int, re.search(r"up to (\d+) rad/s: raise substeps to (\d+)", str(said.value)).groups())
-    assert need == np.ceil(0.002 * fastest)  # at most 1 rad per step
+    assert need == np.ceil(0.002 * fastest)  # the phase of the fastest spring advances by at most 1 rad per step
     Plant(DATA, elastic(substeps=need))
     with pytest.raises(PlantError, match=r"has 2 entries.*7 joints"):
         Plant(DATA, elastic(joint_stiffness_Nm_per_rad=(1e4, 1e4)))

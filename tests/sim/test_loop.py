@@ -40,6 +40,7 @@ class Holding:
 
 @pytest.fixture(scope="module")
 def references(robot):
+    """Return tip references, true trocars and registered trocars of every tick."""
     s, k = robot.state(robot.data.q_home), np.arange(TICKS, dtype=float)
     tip_refs, trocars = np.zeros((TICKS, 3, 3)), np.zeros((TICKS, 2, 3))
     tip_refs[:, 0] = s.tip + 1e-4 * k[:, None]
@@ -96,7 +97,7 @@ def test_no_garbage_is_collected_during_the_loop(robot, references):
         watched.append((tick, len(brain.seen), gc.isenabled()))
 
     trace = simulate(ready(robot), brain, *references, watch=watch)
-    assert watched == [(k, k, False) for k in range(TICKS)]
+    assert watched == [(k, k, False) for k in range(TICKS)]  # watch is called before each tick
     assert gc.isenabled()
     assert brain.order == ["tick", "note"] * TICKS
     assert 0.0 < trace.tick_us.min() <= np.median(trace.tick_us) < 1e5
@@ -140,17 +141,17 @@ QUICK = {"bound_samples": 0, "judge": False, "duration_s": 1.2}
 
 
 def live(scenario):
-    """Return reason and time of the stop, and final joint velocities."""
+    """Run as the live page does. Return reason and time [s] of the stop, and final joint velocities (n,)."""
     run = LiveRun(scenario.change(duration_s=None))
     run.advance(round(QUICK["duration_s"] / run.period_s))
     at = run.t_s
     run.advance(10)
-    assert not run.stopped or run.t_s == at
+    assert not run.stopped or run.t_s == at  # no advance after a stop
     return run.stopped, at - scenario.guard.stop_s, run._setup.plant.v
 
 
 def procedure(scenario):
-    """Guide the arm by hand. Return as `live`."""
+    """Guide the arm by hand. Return reason and time [s] of the stop, and final joint velocities (n,)."""
     setup = Setup(scenario)
     incision = setup.plant.tip + np.array([0.05, 0.1, 0.1])
     found = guide_to(incision, setup.plant, setup.robot, HandsOnSettings(guard=scenario.guard, time_limit_s=1.2))
@@ -179,14 +180,14 @@ def test_live_run_and_hand_guiding_end_with_the_safety_filters_reason(loop, reas
     ended, at, speed = loop(Scenario(control={"preset": "tuned"}, guard=guard, **QUICK))
     assert reason in ended
     assert at == pytest.approx(0.208, abs=0.003) if "believed" in reason else 0.0 < at < 0.9
-    assert np.abs(speed).max() < 0.02
+    assert np.abs(speed).max() < 0.02  # the brakes hold
 
 
 def test_stop_is_simulated_for_stop_s(robot):
     """The time stop_s begins after the step that requests the stop."""
     setup = Setup(Scenario(**QUICK))
     loop = setup.closed_loop(setup.controller())
-    loop.filtered._filter.request_stop("for a test")  # start clears this request
+    loop.filtered._filter.request_stop("for a test")  # the loop's start clears this request
     references = setup.reference.rows(0.0), np.stack(setup.registered.at(0.0)), np.stack(setup.trocar.at(0.0))
     loop.start(*references[:2])
     for _ in range(5):

@@ -29,15 +29,15 @@ class Expect:
 
     settings: dict[str, Any] = field(default_factory=dict)
     primal: float = 1e-7  # |A x - b|_inf and violation of bounds [m/s, rad/s]
-    relative: float = 1e-4  # `Residuals.relative`
+    relative: float = 1e-4  # natural residual with the best y, for the cost divided by its size (`Residuals.relative`)
     loss: float = 1e-4  # (cost of x - optimum) / (largest cost - optimum)
     natural: float = 1e-5  # natural residual with the solver's own y [rad/s]
     x: float = 2e-4  # largest difference from `exact`, and from a cold start [rad/s]
     gap: float = 1e-6  # with regularization = 0: (f(x) - f(exact)) / (c2 |grad_mu|_inf) [rad/s]
-    solved: float = 1.0  # least share of feasible problems with the status SOLVED
-    certified: float = 1.0  # least share of infeasible problems with the status INFEASIBLE
-    undamped: float | None = 1.0  # ``solved`` with regularization = 0; None: refused
-    recovers: bool = True  # False: fails after an infeasible problem
+    solved: float = 1.0  # lower bound on the share of feasible problems with the status SOLVED
+    certified: float = 1.0  # lower bound on the share of infeasible problems with the status INFEASIBLE
+    undamped: float | None = 1.0  # ``solved`` for problems with regularization = 0; None: it refuses these
+    recovers: bool = True  # False: after an infeasible problem, answers need not be SOLVED
     arm: bool = False  # the solver needs the arm's kinematics
 
 
@@ -47,12 +47,12 @@ NLP = Expect(
 )
 EXPECT = {
     "exact": Expect(primal=1e-12, relative=1e-8, loss=1e-9, natural=1e-12, x=1e-9, gap=1e-9),
-    # The network proves nothing infeasible. With regularization = 0, it may oscillate.
+    # The network cannot prove a problem infeasible. With regularization = 0, it may keep oscillating.
     "rnn": Expect(
         {"steps": 300_000, "k": 0.2}, primal=1e-6, relative=1e-3, loss=5e-3, x=5e-3, gap=1e-4, certified=0.0,
         undamped=0.75, recovers=False,
     ),
-    "rnn-printed": Expect(solved=0.0, certified=0.0, undamped=0.0),
+    "rnn-printed": Expect(solved=0.0, certified=0.0, undamped=0.0),  # its time constants exceed 50 s
     # One problem in 200 needs more than max_iter iterations.
     "osqp": Expect(solved=0.95, undamped=0.95), "qpsolvers:osqp": Expect(solved=0.95, undamped=0.95),
     "piqp": Expect(certified=0.85),  # some infeasible problems end as MAX_ITER
@@ -60,7 +60,7 @@ EXPECT = {
     "nlp-sqp": dataclasses.replace(NLP, certified=0.0),  # it does not report why it failed
     "nlp-ipopt": NLP,
     "qpsolvers:daqp": Expect(certified=0.0),  # qpsolvers does not pass on why daqp failed
-    # Nor for highs, whose usual time limit of 0.1 s is too short on a busy machine.
+    # Nor does it for highs, whose usual time limit of 0.1 s is too short on a busy machine.
     "qpsolvers:highs": Expect({"options": {"time_limit": 30.0}}, certified=0.0),
     "qpsolvers:piqp": Expect(certified=0.85),  # some infeasible problems end as MAX_ITER
     "qpsolvers:proxqp": Expect(solved=0.85, undamped=0.7),  # see moc_opt.solvers.qpsolvers.ADVICE
@@ -113,7 +113,7 @@ def check_claims(limits: Expect, qps: list[NullSpaceQP], found: list[Any]) -> No
         if solution.status is not Status.SOLVED:
             continue
         residuals = qp.residuals(solution.x, solution.y)
-        if limits.arm:  # the nearest point with A x = b is judged
+        if limits.arm:  # x does not satisfy A x = b, so the nearest point with A x = b is judged
             residuals = residuals._replace(loss=qp.residuals(on_rows(qp, solution.x)).loss)
         assert residuals.verified(limits.primal, limits.relative, limits.loss), residuals
         assert np.abs(solution.x - exact.x).max() <= limits.x
@@ -126,6 +126,7 @@ def test_answers_reported_as_solved_are_optimal(name):
 
 @cache
 def recorded(arm: str) -> tuple[list[NullSpaceQP], Any]:
+    """Return twelve subproblems of a run with this arm, and the arm's kinematics."""
     trace = run(Scenario(robot={"name": arm}, duration_s=0.6, bound_samples=0, judge=False))
     return [NullSpaceQP.from_row(row) for row in trace.columns["subproblem"][::25]], load_robot(arm).kinematics()
 
@@ -199,7 +200,7 @@ def test_warm_answers_equal_cold_answers(name):
     warm = [(mine.solve(qp), another.solve(other))[0] for qp, other in zip(qps, others, strict=True)]
     for expected, found in zip(alone, warm, strict=True):
         assert found.status is expected.status
-        # sums depend on the alignment of memory
+        # vectorised sums depend on the alignment of memory
         np.testing.assert_allclose(found.x, expected.x, rtol=0.0, atol=1e-11)
     cold = [chosen.start(qp).solve(qp) for qp in qps]
     both = [(a, b) for a, b in zip(warm, cold, strict=True) if a.status is b.status is Status.SOLVED]
@@ -261,7 +262,7 @@ def test_inputs_and_earlier_answers_stay_untouched(name):
     session = chosen.start(qps[0])
     found = [session.solve(qp) for qp in qps]
     copies = [np.array(s.x) for s in found]
-    found[-1].x[:] = 1e9
+    found[-1].x[:] = 1e9  # the caller may write into an answer
     session.solve(qps[0])
     for solution, x in zip(found[:-1], copies[:-1], strict=True):
         np.testing.assert_array_equal(solution.x, x)
@@ -280,7 +281,7 @@ def odd_problems() -> list[NullSpaceQP]:
     return [*(changed(qp, **parts) for parts in odd), *(random_problem(rng, n, structured=False) for n in (5, 9))]
 
 
-# With usual settings, a bad problem may take minutes.
+# With their usual settings, these solvers may take minutes for one bad problem.
 QUICK_SETTINGS: dict[str, dict[str, Any]] = {
     "rnn": {"steps": 1000}, "qpsolvers:highs": {}, "qpsolvers:proxqp": {"options": {"max_iter": 20}},
     "qpsolvers:osqp": {"options": {"max_iter": 500}}, "qpsolvers:scs": {"options": {"max_iters": 500}},
@@ -307,4 +308,4 @@ def test_answer_to_an_awkward_problem_has_a_valid_status(name):
                 assert solution.y is None or np.isfinite(solution.y).all()
     assert taken > 20
     if limits.solved == 1.0 and limits.recovers:
-        assert stream.solve(of(name)[0]).status is Status.SOLVED
+        assert stream.solve(of(name)[0]).status is Status.SOLVED  # the session is still usable

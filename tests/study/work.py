@@ -22,7 +22,7 @@ def square(x: float, log: str = "") -> float:
 
 
 def die(number: int = signal.SIGSEGV, after_s: float = 0.3) -> None:
-    time.sleep(after_s)  # then the pool knows the job's process
+    time.sleep(after_s)  # by then the pool knows which process has the job
     os.kill(os.getpid(), number)
 
 

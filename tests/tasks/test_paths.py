@@ -40,7 +40,7 @@ any_path = st.one_of(
 @given(any_path, st.floats(0.0, 1.0))
 def test_a_curve_lies_in_its_plane_and_its_derivatives_are_finite_differences(path: Path, place: float) -> None:
     bends = max(1.0 / path.length, *(abs(path.curve.at(s)[4]) for s in path.curve.knots.tolist()))
-    # h: a thousandth of the smallest radius of curvature
+    # The step h [m] is at most a thousandth of the smallest radius of curvature.
     h = 1e-3 / bends
     s = h + place * (path.length - 2.0 * h)
     np.testing.assert_allclose(path.at(0.0)[0], START, atol=1e-15)
@@ -109,7 +109,7 @@ def test_function_defines_a_kind_of_path(kind: str, added: None, monkeypatch: py
 
 @pytest.mark.parametrize(("kind", "sizes", "error", "words"), [
     ("sinus", {}, UnknownNameError, "'sinusoid'"), ("circle", {"radus": 0.1}, UnknownNameError, "'radius'"),
-    ("circle", {"radius": 0.1, "length": 0.3}, UnknownNameError, "valid names: radius$"),
+    ("circle", {"radius": 0.1, "length": 0.3}, UnknownNameError, "valid names: radius$"),  # a circle's only size
     ("helix", {}, TaskError, "radius"),
     ("helix", {"radios": 0.1}, UnknownNameError, "'radius'"), ("helx", {}, UnknownNameError, "'helix'"),
     ("number", {}, TaskError, "class or function"), ("crash", {}, TaskError, "ZeroDivisionError"),
@@ -125,7 +125,7 @@ def test_path_that_does_not_load_does_not_hide_the_others(added: None) -> None:
     assert found["helix"] == "One turn of a helix."
     assert "does not load" in found["gone"]
     assert {*CURVES, "waypoints", "ring"} <= set(found)
-    taken = make_path("circle", np.zeros(3), radius=0.02, **AXES)
+    taken = make_path("circle", np.zeros(3), radius=0.02, **AXES)  # the built-in path
     assert taken.curvature(0.0) == pytest.approx(50.0)
 
 

@@ -1,4 +1,4 @@
-"""A malformed trace is read or refused, and runs no code."""
+"""A malformed trace is read or refused. It neither runs code nor controls the terminal."""
 
 import contextlib
 import copy

@@ -17,7 +17,7 @@ STIFF = {"K_X": 3000.0, "D_X": 80.0, "K_N": 800.0, "D_N": 60.0, "K_N2": 80.0, "D
 
 
 def made(joint=0, amplitude=0.0, hertz=50.0, column="v_rad_per_s", ticks=1500, period=PERIOD, where=None):
-    """Return a slow motion with an oscillation between the times `where`."""
+    """Return a slow motion with an oscillation of one `joint` between the times `where`."""
     t = period * np.arange(ticks)
     columns = {
         "t_s": t, "v_rad_per_s": 0.5 * np.sin(2.0 * np.pi * 0.5 * t)[:, None] * np.ones(7),
@@ -44,7 +44,7 @@ def test_oscillation_figures_equal_their_definitions(ticks, period):
     rest = np.sqrt(sum(parts[:6]) / (0.75 * width))
     found = shaking(Trace({"t_s": t, "v_rad_per_s": v}), "v_rad_per_s")
     assert found[1:] == pytest.approx((np.sqrt(np.mean(worst**2)), largest, rest), abs=1e-9)
-    assert found.joint == joint or period > 1.0 / 12.0  # v - mean is 0
+    assert found.joint == joint or period > 1.0 / 12.0  # then the mean covers one tick, and v - mean is 0
     for rms, rest, counts in ((0.3, 0.11, True), (0.3, 0.1, False), (0.2, 0.15, False), (0.1, 0.15, False)):
         assert found._replace(rms=rms, rest=rest).above(0.2) == counts
 
@@ -79,7 +79,7 @@ def test_short_burst_does_not_hide_an_oscillation(joint, amplitude, where, at, s
     values[:, 2] += jerk.v_rad_per_s[:, 2]
     assert describe(jerk, NAMES, SLIDES) == ""
     both = jerk.with_columns(v_rad_per_s=values)
-    assert shaking(both, "v_rad_per_s").joint == 2
+    assert shaking(both, "v_rad_per_s").joint == 2  # the burst has the largest rms
     assert describe(both, NAMES, SLIDES).startswith(f"joint_{joint + 1} at 40 Hz")
 
 
@@ -104,7 +104,7 @@ def test_brief_run_or_stop_at_an_unknown_time_is_not_judged():
     shaken = made(0, 2.0)
     stopped = Trace(shaken.columns, {**shaken.meta, "ended": "stopped: x"})
     assert judged_for_oscillation(stopped, NAMES, SLIDES).meta == stopped.meta
-    for ticks, says in ((450, "completed"), (500, "completed"), (501, "oscillated")):
+    for ticks, says in ((450, "completed"), (500, "completed"), (501, "oscillated")):  # 501 ticks last 1 s
         for since in (0.0, 0.5):
             brief = Trace({**shaken.head(ticks).columns, "t_s": since + shaken.t_s[:ticks]}, shaken.meta)
             assert judged_for_oscillation(brief, NAMES, SLIDES).meta["ended"].startswith(says)
@@ -129,7 +129,7 @@ def test_trace_that_cannot_be_judged_is_refused():
     ):
         with pytest.raises(kind, match=said):
             shaking(part, "v_rad_per_s")
-    assert shaking(trace.select(trace.t_s > 0.5), "v_rad_per_s").rms < 0.1
+    assert shaking(trace.select(trace.t_s > 0.5), "v_rad_per_s").rms < 0.1  # consecutive ticks
 
 
 @pytest.mark.parametrize(("changes", "joint"), [

@@ -1,4 +1,4 @@
-"""The procedure before a run."""
+"""Registering by hand, locating the board and filming the run."""
 
 import cv2
 import numpy as np
@@ -126,7 +126,7 @@ def test_trocar_is_registered_on_the_realistic_arm():
 
 @pytest.mark.parametrize(("settings", "status"), [
     ({"hand": HandSettings(force_max_N=0.5), "time_limit_s": 2.0}, HandsOnStatus.SHORT),
-    # A resting tip's measured speed exceeds this.
+    # With encoder noise, the measured speed of a resting tip exceeds this threshold.
     ({"rest_speed_m_per_s": 3e-4, "time_limit_s": 4.0}, HandsOnStatus.RESTLESS),
 ])  # fmt: skip
 def test_trocar_is_registered_only_if_the_tip_rests_at_the_incision(settings, status):
@@ -167,7 +167,7 @@ def test_hand_is_a_spring_near_the_goal():
 
 
 def moved(hand, place, load=(0.0, 0.0, 0.0), seconds=6.0):
-    """Return (places, final velocity) of a mass of 4 kg under a steady load."""
+    """Return (places, final velocity) of a mass of 4 kg that the hand pulls under a steady load."""
     place, velocity, places = np.array(place), np.zeros(3), []
     for _ in range(round(seconds / PERIOD)):
         velocity = velocity + PERIOD * (hand.pull(place, velocity, np.zeros(3)) + load) / 4.0

@@ -1,5 +1,5 @@
 /* The controller over UDP (docs/realtime.md).
- * Usage: moc_udp HOST PORT reference.bin, with the key in MOC_OPT_WIRE_KEY. */
+ * Usage: moc_udp HOST PORT reference.bin, with the plant's address and the key in MOC_OPT_WIRE_KEY. */
 #define _POSIX_C_SOURCE 200809L
 #include <arpa/inet.h>
 #include <math.h>
@@ -47,7 +47,7 @@ static int sign(const uint8_t *data, size_t length, uint8_t tag[TAG])
 static struct {
     int socket;
     struct sockaddr_in plant;
-    uint64_t session;
+    uint64_t session; /* 0: unknown */
     unsigned ignored;
 } wire;
 
@@ -61,7 +61,7 @@ static int64_t now_ns(void)
 /* Returns NULL, or an error message. */
 static const char *open_link(const char *host, const char *port)
 {
-    struct timeval turn = {.tv_usec = TURN_US};
+    struct timeval turn = {.tv_usec = TURN_US}; /* timeout of recvfrom */
     const char *key = getenv("MOC_OPT_WIRE_KEY");
     char *end;
     long number = strtol(port, &end, 10);
@@ -93,6 +93,7 @@ static void send_packet(wire_header *packet, size_t size, uint8_t kind, int64_t 
         (void)!sendto(wire.socket, packet, size, 0, (const struct sockaddr *)&wire.plant, sizeof wire.plant);
 }
 
+/* Whether a datagram is a correctly signed measurement from the plant, and of this session if it is known. */
 static int is_sound(const uint8_t *bytes, size_t size, const struct sockaddr_in *sender)
 {
     const wire_header *head = (const wire_header *)bytes;
@@ -204,7 +205,7 @@ static int fail(const char *what, const char *cure)
     return 2;
 }
 
-/* Returns how the run ended. */
+/* Answer measurements, beginning with `m`. Returns how the run ended. */
 static const char *answer(wire_measurement *m)
 {
     int64_t newest = -1;
