@@ -38,7 +38,7 @@ PLOTS: dict[str, list[tuple[str, str, float, str]]] = {
     "time of a tick and of its solver [µs]": [("tick_us", "tick", 1.0, BLUE), ("solve_us", "solver", 1.0, GREEN)],
 }
 """Curves of each plot: quantity, name, factor to the unit shown, colour."""
-FIELDS = ("regularization", "K_X", "K_N", "K_N2", "D_N2", "k0_per_s")  # settings that the page can change
+FIELDS = ("regularization", "K_X", "K_N", "K_N2", "D_N2", "k0_per_s")  # settings on the page
 
 
 class LivePage:

@@ -16,7 +16,7 @@ from moc_opt.tasks.trocar import shaft_distance
 DCAC = "none (DCAC)"
 QUANTITIES = ("t_s", "mu", "tip_error_m", "rcm_error_m", "force_N", "solve_us", "tick_us")
 HISTORY_S = 20.0  # length of the kept history [s]
-BLEND_S = 0.1  # time constant of the torque's blend, and least time between two exchanges of the controller [s]
+BLEND_S = 0.1  # time constant of the torque's blend, and least time between two exchanges [s]
 RAMP_S = 0.3  # least `ramp_s` of a new controller [s]
 TROCAR_SPEED_M_PER_S, MOST_OFFSET_M = 0.02, 0.05  # limits when the user moves the trocar
 

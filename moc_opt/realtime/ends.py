@@ -34,8 +34,8 @@ _LINGER_S = 0.3  # time for which repeated ENDED packets are answered [s]
 class RemoteController(Filtered):
     """The plant's end of the wire. It sends measurements, and returns the torques of the commands.
 
-    Without commands, a watchdog holds the last torque, then damps the arm, and at last stops it. Pass this
-    object to `sim.loop.simulate` as the controller, and ``pace`` as ``watch``. Call ``close`` afterwards.
+    Without commands, a watchdog holds the last torque, then damps the arm, and at last stops it. Pass the
+    object to `sim.loop.simulate`, with ``pace`` as ``watch``. Call ``close`` afterwards.
 
     Args:
         safety_filter: computes only the watchdog's torques and brakes.

@@ -34,8 +34,8 @@ SHORTEST, LONGEST = 16, 32  #: Bounds on a key's length [bytes].
 TAG_BYTES = 16
 BACKLOG = 256  #: After its time limit, `receive` reads waiting packets until it has read this many in all.
 COUNTERS = ("received", "missed", "late", "forged", "foreign")
-"""What an end counts: packets used (received), ticks without a packet in time (missed), packets that came too late or
-twice (late), packets with a wrong checksum (forged), and all other ignored packets (foreign)."""
+"""What an end counts: packets used (received), ticks without a packet in time (missed), late or repeated packets
+(late), packets with a wrong checksum (forged), and all other ignored packets (foreign)."""
 
 Packet = NDArray[np.void]  #: A record of shape ().
 Address = tuple[str, int]

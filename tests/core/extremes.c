@@ -1,5 +1,5 @@
 /* Runs the core with sanitizers on random, extreme and damaged states (`make sanitize`), and prints a digest of all
- * results. Unused array entries (of joints beyond the arm's n joints) are NaN: if the core uses one, the digest changes.
+ * results. Unused array entries (beyond the arm's n joints) are NaN: if the core uses one, the digest changes.
  *
  * Usage: extremes [courses] [seed]. A course draws random settings and runs all checks. */
 #include <limits.h>
@@ -344,7 +344,7 @@ static moc_stop tick(const moc_controller *c, const moc_input *in, int own, moc_
     return reason;
 }
 
-static double tiny(void) /* half of the calls: 1; others: a power of two from 2^-59 to 1 */
+static double tiny(void) /* 1 or, in half of the calls, a power of two from 2^-59 to 1 */
 {
     return chance(2) ? 1.0 : ldexp(1.0, -(int)(bits() % 60));
 }
@@ -531,7 +531,7 @@ static void filter(void)
     free(wrench);
 }
 
-/* Run a random controller. Returns 0 if a torque is beyond its limits, if a friction is negative, or if one is NaN. */
+/* Run a random controller. Returns 0 if a torque is beyond its limits, a friction is negative, or one is NaN. */
 static int run_controller(void)
 {
     static moc_state states[2];
@@ -698,7 +698,7 @@ static int contract(void)
         in.measured.applied = most;
     }
     for (int j = 0; j < arm.n; j++)
-        most[j] *= uniform(-1.0, 1.0); /* the torque that acted is not the torque that was sent */
+        most[j] *= uniform(-1.0, 1.0); /* another torque acted than was sent */
     moc_begin(&controller, &in, &state);
     if (memcmp(state.sent, most, (unsigned)arm.n * sizeof *most) != 0)
         return 0;

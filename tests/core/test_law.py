@@ -113,7 +113,7 @@ def test_pull_times_c2_over_rho_does_not_depend_on_c2_and_rho(robot):
         found = c2 / rho * fields(subproblem(robot, s, tip_ref, trocar, **parts)).pull
         np.testing.assert_allclose(found, reference.scaled_climb(robot, s, margin), rtol=1e-4, atol=1e-4)
         below += s.mu_shaft < margin
-    assert below > 0  # some poses have mu_shaft below the margin
+    assert below > 0
 
 
 @pytest.mark.parametrize("bend", [0.0, 1e-12])

@@ -34,8 +34,8 @@ class Expect:
     natural: float = 1e-5  # natural residual with the solver's own y [rad/s]
     x: float = 2e-4  # largest difference from `exact`, and from a cold start [rad/s]
     gap: float = 1e-6  # with regularization = 0: (f(x) - f(exact)) / (c2 |grad_mu|_inf) [rad/s]
-    solved: float = 1.0  # lower bound on the share of feasible problems with the status SOLVED
-    certified: float = 1.0  # lower bound on the share of infeasible problems with the status INFEASIBLE
+    solved: float = 1.0  # least share of feasible problems with the status SOLVED
+    certified: float = 1.0  # least share of infeasible problems with the status INFEASIBLE
     undamped: float | None = 1.0  # ``solved`` for problems with regularization = 0; None: it refuses these
     recovers: bool = True  # False: after an infeasible problem, answers need not be SOLVED
     arm: bool = False  # the solver needs the arm's kinematics
@@ -62,9 +62,9 @@ EXPECT = {
     "qpsolvers:daqp": Expect(certified=0.0),  # qpsolvers does not pass on why daqp failed
     # Nor does it for highs, whose usual time limit of 0.1 s is too short on a busy machine.
     "qpsolvers:highs": Expect({"options": {"time_limit": 30.0}}, certified=0.0),
-    "qpsolvers:piqp": Expect(certified=0.85),  # some infeasible problems end as MAX_ITER
+    "qpsolvers:piqp": Expect(certified=0.85),
     "qpsolvers:proxqp": Expect(solved=0.85, undamped=0.7),  # see moc_opt.solvers.qpsolvers.ADVICE
-    "qpsolvers:quadprog": Expect(undamped=None),  # needs a positive definite P
+    "qpsolvers:quadprog": Expect(undamped=None),
 }
 
 
