@@ -1,7 +1,6 @@
 """A control law of your own in the closed loop: the three levels of Su et al. (2019) in numpy, without a solver.
 
-Instead of solving a subproblem, the third level follows the gradient of mu, projected onto the self-motion (which moves
-neither tip nor wrist).
+The third level follows the gradient of mu, projected onto the self-motion, which moves neither tip nor wrist.
 
 python examples/own_law.py
 """
@@ -45,7 +44,7 @@ class OwnLaw:
         J_bar = M_inverse @ J.T @ np.linalg.inv(J @ M_inverse @ J.T)
         tau_rcm = (np.eye(s.n) - J.T @ J_bar.T) @ W.T @ (self.K_N * (N_d - s.wrist) + self.D_N * (dN_d - W @ s.v))
 
-        # Level 3: the elbow moves towards larger mu. Tip and wrist stay in place.
+        # Level 3: the elbow moves towards larger mu.
         Z = null_space(np.vstack([J, W]), rcond=1e-7).T
         x = np.clip(self.CLIMB * Z.T @ (Z @ s.grad_mu), -0.5, 0.5)
         tau_mu = M @ Z.T @ np.linalg.inv(Z @ M @ Z.T) @ Z @ (self.K_N2 * (x - s.v))

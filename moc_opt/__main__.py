@@ -1,4 +1,4 @@
-"""Run the command moc-opt, and turn an error into one line and an exit status."""
+"""Run moc-opt, and turn an error into one line and an exit status."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def _command(arguments: Sequence[str] | None) -> int:
     try:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         warnings.formatwarning = lambda text, *_, **__: f"{text}\n"
-        from moc_opt.commands.parser import COMMANDS, make_parser, work_of  # slow: Ctrl-C may interrupt it
+        from moc_opt.commands.parser import COMMANDS, make_parser, work_of  # slow, so Ctrl-C must work
 
         parser = make_parser()
         if "_ARGCOMPLETE" in os.environ:  # a shell asks for completions

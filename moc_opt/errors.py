@@ -1,4 +1,4 @@
-"""The errors that a user can meet. Each message names the field, the value and the cure."""
+"""Errors whose messages name the field, the value and the cure."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ class MocOptError(Exception):
 
 
 class SubproblemError(MocOptError, ValueError):
-    """The data of a null-space subproblem are not usable."""
+    """The data of a subproblem are not usable."""
 
 
 class RobotError(MocOptError, ValueError):
-    """A robot description is missing, incomplete or inconsistent."""
+    """A robot description is not usable."""
 
 
 class TaskError(MocOptError, ValueError):
-    """A path, time law or trocar cannot be built from these numbers."""
+    """A path, time law or trocar is not usable."""
 
 
 class ControlError(MocOptError, ValueError):
@@ -43,7 +43,7 @@ class PlantError(MocOptError, ValueError):
 
 
 class SolverError(MocOptError, ValueError):
-    """A solver cannot be built or run with these settings on this machine."""
+    """A solver cannot be built or run with these settings."""
 
 
 class ScenarioError(MocOptError, ValueError):
@@ -63,7 +63,7 @@ class ReportError(MocOptError, ValueError):
 
 
 class BrowserError(ReportError):
-    """A browser cannot be controlled on this machine."""
+    """A browser cannot be controlled."""
 
 
 class BrowserMissingError(BrowserError):
@@ -71,16 +71,15 @@ class BrowserMissingError(BrowserError):
 
 
 class UnknownNameError(MocOptError, LookupError):
-    """A name is not known. The message suggests similar names. It lists all valid names, or refers to a command."""
+    """A name is not known. The message suggests similar names."""
 
     MOST = 10_000  # the message may list many names
     FEW: ClassVar[int] = 12  #: With more names, the message refers to the command ``listed_by``.
 
     def __init__(self, kind: str, name: str, valid: Iterable[str], listed_by: str = "") -> None:
-        """``listed_by`` is a command that lists the ``valid`` names."""
         names = sorted(valid)
         short = bool(listed_by) and len(names) > self.FEW
-        # A name of one part is compared with the last part of each name, such as `osqp` of `qpsolvers:osqp`.
+        # `osqp` is compared with the last part of `qpsolvers:osqp`.
         ends = {one: (one if {".", ":"} & set(name) else re.split("[.:]", one)[-1]).lower() for one in names}
         close = difflib.get_close_matches(name[:100].lower(), set(ends.values()), n=3, cutoff=0.55)
         near = [one for end in close for one in names if ends[one] == end][:3]
@@ -92,7 +91,7 @@ class UnknownNameError(MocOptError, LookupError):
 
 @contextlib.contextmanager
 def named(where: object) -> Iterator[None]:
-    """Put ``where``, such as a file or table, before the message of a MocOptError raised inside."""
+    """Put ``where`` before the message of a MocOptError raised inside."""
     try:
         yield
     except MocOptError as error:
@@ -101,16 +100,16 @@ def named(where: object) -> Iterator[None]:
 
 
 def is_number(value: object) -> bool:
-    """Return whether a value is a real number, not a bool, and not too large for a float."""
+    """Return whether a value is a real number (no bool) that fits into a float."""
     fits = not isinstance(value, int) or abs(value) < 2**1023
     return isinstance(value, Real) and not isinstance(value, bool) and fits
 
 
 def shown(value: object, most: int = 200) -> str:
-    """Return the text of a value in a message, cut at ``most`` characters."""
+    """Return a value's repr, cut at ``most`` characters."""
     try:
         text = repr(value)
-    except Exception as reason:  # noqa: BLE001 - repr of a user's class may raise anything; repr of huge integers fails
+    except Exception as reason:  # noqa: BLE001 - a user's repr may raise anything; that of a huge integer fails
         text = f"({type(value).__name__} that cannot be written: {type(reason).__name__})"
     return text if len(text) <= most else text[: most - 3] + "..."
 
@@ -120,7 +119,7 @@ def describe(error: BaseException, most: int = 300) -> str:
     name = type(error).__name__
     try:
         said = " ".join(str(error).split())
-    except (Exception, SystemExit) as worse:  # noqa: BLE001 - str(error) of a plug-in may raise anything
+    except (Exception, SystemExit) as worse:  # noqa: BLE001 - a plug-in's error may raise anything
         said = f"(its text raised {type(worse).__name__})"
     text = f"{name}: {said}" if said else name
     return printable(text if len(text) <= most else text[: most - 3] + "...")

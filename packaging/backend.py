@@ -1,4 +1,4 @@
-"""Build backend: setuptools, with the compiler of the `ziglang` wheel if the system has no compiler."""
+"""Build backend: setuptools, with the compiler of the `ziglang` wheel if the system has none."""
 
 from __future__ import annotations
 
@@ -52,10 +52,10 @@ def get_requires_for_build_editable(config_settings: Any = None) -> list[str]:
 
 
 def build_wheel(wheel_directory: str, config_settings: Any = None, metadata_directory: Any = None) -> str:
-    """Build the wheel with its extension module."""
+    """Build the wheel."""
     return _with_compiler(_setuptools.build_wheel, wheel_directory, config_settings, metadata_directory)
 
 
 def build_editable(wheel_directory: str, config_settings: Any = None, metadata_directory: Any = None) -> str:
-    """Build the extension module in place, and a wheel that refers to this folder."""
+    """Build the extension module in place."""
     return _with_compiler(_setuptools.build_editable, wheel_directory, config_settings, metadata_directory)

@@ -99,14 +99,14 @@ PARTS = (
 
 
 def changed(qp: NullSpaceQP, **parts: Any) -> NullSpaceQP:
-    """Return the problem with some arguments (PARTS) replaced."""
+    """Return the problem with some of its `PARTS` replaced."""
     return NullSpaceQP(**{**{name: getattr(qp, name) for name in PARTS}, **parts})
 
 
 def random_problem(
     rng: np.random.Generator, n: int = 7, *, arm: Arm | None = None, structured: bool = True, **weights: float
 ) -> NullSpaceQP:
-    """Return a subproblem of `arm` (or a random arm) at a random pose."""
+    """Return a subproblem at a random pose."""
     arm = random_arm(rng, n, structured) if arm is None else arm
     q = rng.uniform(-1.5, 1.5, len(arm.axes))
     lower, upper = random_box(rng, len(arm.axes))
@@ -115,7 +115,7 @@ def random_problem(
 
 
 def out_of_reach(rng: np.random.Generator, qp: NullSpaceQP) -> NullSpaceQP:
-    """Return `qp` with references that no joint velocity within the bounds attains (Farkas' lemma)."""
+    """Make `qp` infeasible (Farkas' lemma)."""
     w = qp.A.T @ rng.normal(size=6)
     reach = np.maximum(w * qp.lower, w * qp.upper).sum()
     b = qp.A @ w * (rng.uniform(1.1, 2.0) * reach / (w @ w))
@@ -123,7 +123,7 @@ def out_of_reach(rng: np.random.Generator, qp: NullSpaceQP) -> NullSpaceQP:
 
 
 def on_rows(qp: NullSpaceQP, x: Array) -> Array:
-    """Return the solution of the constraints A y = b that is nearest to x."""
+    """Return the solution of A y = b that is nearest to x."""
     return np.asarray(x - np.linalg.pinv(qp.A, rcond=1e-6) @ (qp.A @ x - qp.b))
 
 

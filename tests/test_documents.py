@@ -1,7 +1,4 @@
-"""README's fenced blocks run from top to bottom in an empty folder.
-
-A block that begins with "make" does not run, but the make targets in it must exist.
-"""
+"""README's fenced blocks run from top to bottom in an empty folder."""
 
 import os
 import re
@@ -73,7 +70,7 @@ def test_code_blocks_of_readme_and_start_page_run(place):
     pages = {"report.html", "both.html", "replay.html", "map.html"}
     written = {"scenario.toml", "clarabel.parquet", "network.parquet", "c", *pages}
     assert {file.name for file in folder.iterdir()} == written
-    # `clarabel` moves the elbow and raises mu. The published network does not.
+    # The published network does not raise mu.
     mu = {name: mo.load_trace(folder / f"{name}.parquet").mu for name in ("clarabel", "network")}
     assert mu["clarabel"].mean() > 1.2 * mu["network"].mean()
     tour = [text for language, text in blocks("docs/start.md") if language == "python" and "elbow.html" in text]

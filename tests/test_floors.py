@@ -1,4 +1,4 @@
-"""The rooms (folders and modules) of the package lie on floors. A module imports only from its own floor or below."""
+"""The package's folders and modules lie on floors. A module imports only from its own floor or below."""
 
 import ast
 import subprocess
@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "moc_opt"
-FLOORS = (  # from the lowest to the highest
+FLOORS = (  # from low to high
     ("errors", "arrays", "core"),
     ("inputs", "figures"),
     ("robots", "qp", "tasks"),

@@ -1,4 +1,4 @@
-"""The sources of the documentation site are consistent, and every public name is used in an example."""
+"""The documentation site is consistent, and every public name is used in an example."""
 
 import doctest
 import importlib
@@ -72,7 +72,7 @@ def found(name):
 
 
 def methods(name):
-    """Return {name: method} for the methods that the reference lists for this class."""
+    """Return the methods that the reference lists for this class."""
     kind, options = ENTRIES[name]
     if kind != "class" or ":members:" not in options or ":undoc-members:" in options:
         return {}

@@ -2,8 +2,8 @@
 One run, and its metrics
 ========================
 
-From a random start, an LWR4+ follows a circle with its tool through the trocar. The controller's third level raises
-the manipulability mu. The baseline (`dcac`) has no third level.
+From a random start, an LWR4+ follows a circle with its tool through the trocar. The controller raises the
+manipulability mu. The baseline (`dcac`) does not.
 """
 
 import moc_opt as mo
@@ -13,7 +13,7 @@ trace = mo.run(scenario)
 baseline = mo.run(scenario.change(control={"law": "dcac"}))
 
 # %%
-# A summary is a dictionary. The unit is in the metric's name.
+# The unit is in the metric's name.
 summary = mo.summarize(trace, baseline)
 for name in ("mu_mean", "mu_gain_percent", "tip_error_model_mean_mm", "rcm_error_model_mean_mm"):
     print(f"{name:26s} {summary[name]:8.3f}")

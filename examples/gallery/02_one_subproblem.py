@@ -23,7 +23,7 @@ print(f"|A x - b| {residuals.primal:.1e}, natural residual {residuals.natural:.1
 print("verified:", residuals.verified())
 
 # %%
-# A wrong answer is detected even if it satisfies every constraint. This answer gains less manipulability than possible.
+# A wrong answer is detected even if it satisfies every constraint.
 kernel = np.linalg.svd(qp.A)[2][5:]
 uphill = kernel.T @ (kernel @ state.grad_mu)
 wrong = solution.x - 0.3 * uphill / np.linalg.norm(uphill)

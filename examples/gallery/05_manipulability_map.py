@@ -2,8 +2,8 @@
 Where there is manipulability to gain
 =====================================
 
-The map shows all poses with the tip on its path and the shaft through the trocar. Time runs to the right, and the
-elbow's angle (swivel) upwards. Colour shows mu. Poses beyond a joint limit are grey. Each line is a run.
+The map shows all poses with the tip on its path and the shaft through the trocar, over time and
+swivel. Colour shows mu. Poses beyond a joint limit are grey. Each line is a run.
 """
 
 import moc_opt as mo

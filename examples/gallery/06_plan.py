@@ -2,8 +2,8 @@
 Plan a path before anything moves
 =================================
 
-A plan tells whether the whole path can be executed from a start. It contains the best joint motion
-(course), and an estimated upper bound on the mean manipulability mu.
+A plan tells whether the whole path can be executed from a start. It contains the best course, and an estimated upper
+bound on the mean manipulability mu.
 """
 
 import moc_opt as mo

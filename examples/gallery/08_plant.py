@@ -2,8 +2,7 @@
 What a defect of the robot costs
 ================================
 
-The realistic plant differs from the controller's model in masses, friction, delay, noise and calibration. Switch some
-of these defects off, and compare the errors.
+The realistic plant differs from the controller's model in masses, friction, delay, noise and calibration.
 """
 
 import moc_opt as mo

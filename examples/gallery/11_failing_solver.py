@@ -2,8 +2,8 @@
 A bad answer does no harm
 =========================
 
-A supervisor checks every answer before the arm follows it. At one tick in five, the solver here lowers the
-manipulability instead of raising it, and claims success. Each such answer is refused and replaced by a safe answer.
+At one tick in five, the solver here lowers the manipulability instead of raising it, and claims success. The
+supervisor refuses these answers and replaces them.
 """
 
 import moc_opt as mo

@@ -2,8 +2,7 @@
 The controller as C
 ===================
 
-Write the controller and the safety filter of a scenario as C code. The code has no dependencies, allocates no memory,
-and has no unbounded loops.
+Write the controller and the safety filter of a scenario as C code, which allocates no memory.
 """
 
 import tempfile

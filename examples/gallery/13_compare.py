@@ -2,8 +2,7 @@
 Solvers on the same random trials
 =================================
 
-Compare solvers in closed loop. Every trial has a random start, and DCAC with the same gains runs every trial, too.
-Two trials, as here, are too few for a conclusion.
+Compare solvers in closed loop with each other and with DCAC. Two trials are too few for a conclusion.
 """
 
 import moc_opt as mo

@@ -24,7 +24,7 @@ TITLES = {"real": "freedoms", "idle": "idle joints", "tool": "tool [m]", "about"
 
 
 def print_list(given: argparse.Namespace) -> int:
-    """Print the list of a command; return 0."""
+    """Print the list of a command."""
     title, rows, note = {"robots": robots, "tasks": tasks, "metrics": metrics, "solvers": solvers}[given.command]()
     if given.json:
         print_json(rows)
@@ -33,7 +33,7 @@ def print_list(given: argparse.Namespace) -> int:
              for name, row in rows.items() if row.get("here", "yes") == "yes"]  # fmt: skip
     keys = dict.fromkeys(key for row in rows.values() for key in row if key != "here")
     print_tables([Table(title, [Column("name", "name"), *(Column(key, TITLES.get(key, key)) for key in keys)], shown)])
-    console().print(note, markup=False)  # a caption of the table would be wrapped at the table's width
+    console().print(note, markup=False)  # a caption would wrap at the table's width
     return 0
 
 
@@ -47,11 +47,11 @@ def _shown(key: str, value: Any) -> Any:
 
 
 def solvers() -> tuple[str, Rows, str]:
-    """List the registered solvers; return (title, rows, note)."""
+    """List the registered solvers: title, rows and note."""
     rows = {}
     for name, reason in available().items():
         settings = {key: value for key, value in defaults(name).items() if key != "kinematics"} if not reason else {}
-        # A plug-in's default may be an object that JSON cannot hold.
+        # A plug-in's default may not fit into JSON.
         rows[name] = {"here": reason or "yes", "settings": json.loads(json.dumps(settings, default=repr))}
     absent = ", ".join(name for name, row in rows.items() if row["here"] != "yes")
     note = f"Not installed: {absent}; --json says what is missing." if absent else ""
@@ -59,7 +59,7 @@ def solvers() -> tuple[str, Rows, str]:
 
 
 def robots() -> tuple[str, Rows, str]:
-    """List the robots; return (title, rows, note)."""
+    """List the robots."""
     rows = {}
     for name in available_robots():
         arm = load_robot(name)
@@ -74,7 +74,7 @@ def robots() -> tuple[str, Rows, str]:
 
 
 def tasks() -> tuple[str, Rows, str]:
-    """List the paths; return (title, rows, note)."""
+    """List the paths."""
     rows = {}
     for name, words in kinds().items():
         try:
@@ -87,7 +87,7 @@ def tasks() -> tuple[str, Rows, str]:
 
 
 def metrics() -> tuple[str, Rows, str]:
-    """List the metrics; return (title, rows, note)."""
+    """List the metrics."""
     load_plugins()
     rows = {name: {"unit": one.unit, "about": one.about} for name, one in METRICS.items()}
     return "Metrics, for the key `metrics` of a scenario, or for `moc-opt run --metric`", rows, ""

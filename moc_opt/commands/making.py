@@ -1,4 +1,4 @@
-"""Commands that write pages, C code and comparisons of solvers."""
+"""Commands that write pages, C code and comparisons."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from moc_opt.trace.meta import Ending
 
 
 def save_page(given: argparse.Namespace) -> int:
-    """Write a page from saved runs; return 0."""
+    """Write a page from saved runs."""
     from moc_opt.report.export import save_figures
     from moc_opt.report.map_page import load_map
     from moc_opt.report.page import Page
@@ -32,7 +32,7 @@ def save_page(given: argparse.Namespace) -> int:
 
 
 def serve_page(given: argparse.Namespace) -> int:
-    """Run a scenario on a local web page; return the exit status."""
+    """Run a scenario on a local web page."""
     from moc_opt.live.page import serve
 
     scenario, title = read_scenario(given.scenario)
@@ -40,7 +40,7 @@ def serve_page(given: argparse.Namespace) -> int:
 
 
 def export_c(given: argparse.Namespace) -> int:
-    """Write controller and safety filter as C code; return 0."""
+    """Write controller and safety filter as C code."""
     from moc_opt.export import export_scenario
 
     out, udp = given.out, given.main == "udp"
@@ -53,7 +53,7 @@ def export_c(given: argparse.Namespace) -> int:
 
 
 def compare_solvers(given: argparse.Namespace) -> int:
-    """Compare solvers; return 0, or 3 if a solver completed no trial, or 130 after Ctrl-C."""
+    """Compare solvers; return 3 if a solver completed no trial."""
     from moc_opt.study.compare import compare
 
     if given.out is not None:
@@ -81,7 +81,7 @@ def compare_solvers(given: argparse.Namespace) -> int:
 
 
 def list_or_study(given: argparse.Namespace) -> int:
-    """List the solvers, or run the solver study; return the exit status."""
+    """List the solvers, or run the solver study."""
     if given.list:
         return print_list(given)
     from moc_opt.study import solvers

@@ -15,21 +15,21 @@ Option = tuple[tuple[str, ...], dict[str, Any]]
 
 
 class Command(NamedTuple):
-    """A command with its options and help texts."""
+    """A command and its help."""
 
-    work: str  #: "module:function" in moc_opt, called with the parsed options
-    about: str  #: short description in the help
+    work: str  #: "module:function" in moc_opt; the function returns the exit status
+    about: str  #: short help
     options: tuple[Option, ...]
-    ends: str = ""  #: last paragraph of the help
+    ends: str = ""  #: end of the help
 
 
 def option(*names: str, **settings: Any) -> Option:
-    """Declare an option with the settings of argparse's add_argument."""
+    """Declare an option for argparse's add_argument."""
     return names, settings
 
 
 def path(text: str) -> Path:
-    """Return the text as a path; refuse "", which would be the current folder."""
+    """Return a path. Refuse "", which means the current folder."""
     if not text:
         raise argparse.ArgumentTypeError("the path is empty: give a path")
     return Path(text)
@@ -153,7 +153,7 @@ COMMANDS = {
         flag("--markdown", "print Markdown: the page docs/scenario.md, or only its section on the given table"),
     )),
 }  # fmt: skip
-"""All commands except `robot`, in the order of the help."""
+"""All commands except `robot`."""
 
 
 def make_parser() -> argparse.ArgumentParser:

@@ -30,13 +30,8 @@ A scenario is a TOML file. A key that is left out takes its default. The followi
     preset = "tuned"
 
 A number has the unit at the end of its name or in brackets. For example, `_m_per_s` is m/s, and `_ticks` is in control
-periods. If a number is out of range, the error message gives the range. In `[guard]`, `inf` switches off a
-limit of RCM error or force. Relative paths start at the file's folder. `moc-opt keys --markdown` writes this page.
-
-The control law has three [levels](method.md#three-levels-of-torque). Level 1 moves the tip along the path. Level 2
-keeps the shaft in the trocar (remote centre of motion, RCM). To do so, it moves the wrist, the point where the arm
-holds the shaft. Level 3 moves the elbow to raise the manipulability. Its solver computes a joint velocity x that gives
-tip and wrist their reference velocities (A x = b).
+periods. In `[guard]`, `inf` switches off a limit of RCM error or force. Relative paths start at the file's folder.
+`moc-opt keys --markdown` writes this page. [method.md](method.md) explains the control law and its terms.
 """
 WORDS = {int: "integer", float: "number", str: "text", bool: "flag", type(None): "", Any: "value"}
 PAGE = re.compile(r"docs/(\w+\.md)")
@@ -45,7 +40,7 @@ Key = tuple[str, str, str, str]  # name, type, default and meaning
 
 
 def print_keys(given: argparse.Namespace) -> int:
-    """Print the keys of all tables, or of the given table; return 0."""
+    """Print the keys of all tables, or of the given table."""
     names = [name or TOP for name, _, _ in tables()]
     if given.table is not None and given.table not in names:
         raise UnknownNameError("table of a scenario", given.table, names)

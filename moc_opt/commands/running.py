@@ -26,13 +26,13 @@ POINTS = "give x, y, z [m], one point per line; the first line may name the colu
 
 
 def read_scenario(path: Path | None) -> tuple[Scenario, str]:
-    """Return (scenario, title). The scenario is the file's or, without a ``path``, the default scenario."""
+    """Return (scenario, title). Without a ``path``, the scenario is the default one."""
     scenario = Scenario() if path is None else Scenario.load(path)
     return scenario, scenario.name if path is None or "name" in scenario.model_fields_set else path.stem
 
 
 def print_tables(tables: Iterable[Table]) -> None:
-    """Print tables with blank lines between them."""
+    """Print tables."""
     screen = console()
     for place, table in enumerate(tables):
         if place:
@@ -44,7 +44,7 @@ def print_tables(tables: Iterable[Table]) -> None:
 
 
 def run_scenario(given: argparse.Namespace) -> int:
-    """Run a scenario, print its metrics and write its files; return the exit status."""
+    """Run a scenario, print its metrics and write its files."""
     scenario, title = read_scenario(given.scenario)
     if "best_courses" not in scenario.model_fields_set:
         scenario = scenario.change(best_courses=True)
@@ -90,7 +90,7 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
         baseline = _matched_dcac(scenario, title, len(trace)) if scenario.control.law == "moc" else None
         metrics, lacking = evaluate(trace, baseline)
         if getattr(given, "report", None) is not None:  # `plant` has no --report
-            from moc_opt.report.run_page import run_page  # imported here, since plotly loads slowly
+            from moc_opt.report.run_page import run_page  # plotly loads slowly
 
             own = about(trace)["solver"]
             runs = {own: trace} if baseline is None else {"DCAC (same gains)": baseline, own: trace}
@@ -118,7 +118,7 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
 
 
 def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
-    """Return a copy of the scenario, changed by the options of `moc-opt run`."""
+    """Return the scenario, changed by the options of `moc-opt run`."""
     if given.course == "":
         raise ScenarioError("--course '': give the file that `moc-opt plan --out` wrote")
     if given.course and given.third_level not in (None, "planned"):
@@ -152,7 +152,7 @@ def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
 
 
 def read_waypoints(path: str) -> list[list[float]]:
-    """Read points x, y, z [m], one per line. The ScenarioError for a wrong line names this line."""
+    """Read points x, y, z [m], one per line. Raises a ScenarioError for a wrong line."""
     points: list[list[float]] = []
     for number, line in enumerate(read_text(path, "waypoints", ScenarioError).splitlines(), start=1):
         words = re.sub("[,\"']", " ", line.partition("#")[0]).split()
@@ -167,7 +167,7 @@ def read_waypoints(path: str) -> list[list[float]]:
 
 
 def _matched_dcac(scenario: Scenario, title: str, ticks: int) -> Trace | None:
-    """Run DCAC (no level 3) with equal gains; return its first ``ticks`` ticks, or None if this run ended earlier."""
+    """Run DCAC with equal gains; return its first ``ticks`` ticks, or None if it ended earlier."""
     matched = scenario.change(control=scenario.control.matched_dcac(), bound_samples=0, best_courses=False)
     trace = _as_far_as_it_goes(lambda: run(matched))
     if len(trace) < ticks or "mu" not in trace.columns:
@@ -180,7 +180,7 @@ def _matched_dcac(scenario: Scenario, title: str, ticks: int) -> Trace | None:
 
 
 def run_plant(given: argparse.Namespace) -> int:
-    """Run the plant in this process, for a controller in another one; return the exit status."""
+    """Run the plant for a controller in another process."""
     from moc_opt.realtime.clock import ask_for_realtime
     from moc_opt.realtime.wire import written
     from moc_opt.scenario.wired import PlantServer
@@ -198,7 +198,7 @@ def run_plant(given: argparse.Namespace) -> int:
 
 
 def run_control(given: argparse.Namespace) -> int:
-    """Run the controller in this process, for a plant in another one; return the exit status."""
+    """Run the controller for a plant in another process."""
     from moc_opt.realtime.clock import ask_for_realtime
     from moc_opt.scenario.wired import answer
 
@@ -233,7 +233,7 @@ def _words(value: Any) -> str:
 
 
 def plan_scenario(given: argparse.Namespace) -> int:
-    """Plan a scenario and print the plan; return 0, or 3 if the arm cannot follow the path."""
+    """Plan a scenario and print the plan; return 3 if the arm cannot follow the path."""
     from moc_opt.report.plan_table import plan_json, plan_tables, start_toml
     from moc_opt.scenario.planned import followable_plan, following_warnings, save_course
 

@@ -1,7 +1,4 @@
-"""Export a scenario's controller as a folder of C files.
-
-``scenario`` records ticks, and ``folder`` writes the files.
-"""
+"""Export a scenario's controller as a folder of C files."""
 
 from moc_opt.export.folder import write
 from moc_opt.export.scenario import export_scenario

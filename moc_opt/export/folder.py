@@ -1,4 +1,4 @@
-"""Write the exported folder: C files, and a scenario's numbers as C initialisers."""
+"""Write the exported folder of C files."""
 
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ SUPERVISION = (
 
 
 class Recording(NamedTuple):
-    """k consecutive ticks: measurements, references and torques."""
+    """k consecutive ticks."""
 
     q: Array  # (k, n) [rad]; may be NaN
     v: Array  # (k, n) [rad/s]
-    stamp: Array  # (k,) number of the control period of the measurement
+    stamp: Array  # (k,) control period of the measurement
     tip_ref: Array  # (k, 3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2]
     trocar: Array  # (k, 2, 3) rows P_t [m], dP_t [m/s]
     wrench: Array  # (k, 6) force [N] and torque [Nm] of the tool on its mount, tool axes
-    tau: Array  # (k, n) torque from the safety filter [Nm]
+    tau: Array  # (k, n) filtered torque [Nm]
     sent: Array  # (n,) torque before the first tick [Nm]
     sound: int  # number of ticks before the first fault
     stopped_at: int  # tick of the stop, or -1
@@ -57,7 +57,7 @@ def shipped(folder: Traversable, names: Iterable[str]) -> dict[str, str]:
 
 
 def in_c(value: Any) -> str:
-    """Return a number, an array or a mapping as an initialiser in C, exact to the last bit."""
+    """Return a value as an initialiser in C, exact to the last bit."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f".{name} = {in_c(part)}" for name, part in value.items()) + "}"
     if isinstance(value, list | tuple | np.ndarray):
@@ -70,14 +70,14 @@ def in_c(value: Any) -> str:
 
 
 def defined(declaration: str, value: Any) -> str:
-    """Return a definition in C, broken into lines of at most 120 characters."""
+    """Return a definition in C, broken into lines."""
     return textwrap.fill(
         f"{declaration} = {in_c(value)};", 120, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False
     )
 
 
 def arm_in_c(robot: RobotModel) -> dict[str, Any]:
-    """Return the arm's numbers under the names of moc_arm's fields."""
+    """Return the fields of moc_arm."""
     joints, points, tool, moves, gravity = robot.arm_arrays
     return {
         "n": robot.n,
@@ -157,10 +157,9 @@ def write(
 
     Args:
         law, guard: numbers under the names in moc.h.
-        recording: the ticks that ``make test`` repeats.
         tolerance: tolerance of the solver ``exact`` [rad/s].
-        stop: damping of the drives in a stop [Nm s/rad], and shortest duration of a stop [s].
-        extra: further files, as a mapping from name to content.
+        stop: damping of the drives [Nm s/rad] and shortest duration [s] of a stop.
+        extra: further files by name.
         force: also overwrite files that were edited, or that export-c did not write.
 
     Raises:

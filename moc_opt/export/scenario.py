@@ -1,4 +1,4 @@
-"""Export a scenario as a folder of C, with recorded ticks for the self-test."""
+"""Export a scenario as a folder of C files."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from moc_opt.sim.sensors import Measurement
 from moc_opt.solvers.exact import Exact
 
 TICKS = 150
-"""Number of recorded ticks, from the middle of the run."""
+"""Recorded ticks, from the middle of the run."""
 INFEASIBLE, VIOLENT = 0.5, 10.0  # added to the reference velocity in two faults [m/s]
 
 
 def export_scenario(
     scenario: Scenario, out: str | os.PathLike[str], *, udp: bool = False, force: bool = False
 ) -> list[Path]:
-    """Write a scenario's controller and safety filter as a folder of C files. Return the files.
+    """Write a scenario's controller and safety filter as C files, and return the files.
 
     Args:
         scenario: its run is simulated to record ticks.
@@ -78,7 +78,7 @@ def references(setup: Setup) -> bytes:
 
 
 def record(setup: Setup) -> Recording:
-    """Record the controller and its safety filter on measurements of the run. The last third of these has faults."""
+    """Record controller and safety filter on measurements of the run. The last third has faults."""
     scenario, trace, t = setup.scenario, setup.trace(), setup.times()
     whole = min(len(trace), len(t))
     k = min(TICKS, whole)

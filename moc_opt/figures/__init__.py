@@ -1,4 +1,4 @@
-"""Figures: each function takes plain arrays and returns a plotly figure."""
+"""Functions that make plotly figures from plain arrays."""
 
 from moc_opt.figures.comparisons import accuracy_against_time, pareto
 from moc_opt.figures.distributions import box_plots, latency_ecdf

@@ -1,4 +1,4 @@
-"""Accuracy against computing time, as labelled points."""
+"""Accuracy against computing time."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from moc_opt.figures.style import HEIGHT_PX, INK, MUTED, PAPER, Styles, figure, 
 
 MARGIN, FLOOR = 0.12, 1e-12
 Box = tuple[float, float, float, float]
-"""Left, top, right, bottom [px], y downwards."""
+"""Left, top, right, bottom [px]; y points down."""
 CHARACTER_PX, LINE_PX, MARKER_PX = 6.3, 14.0, 7.0
 TOLERATED_PX2 = 25.0
 
@@ -20,11 +20,10 @@ TOLERATED_PX2 = 25.0
 def accuracy_against_time(
     points: Mapping[str, tuple[float, float]], *, x_label: str = "median time [µs]", y_label: str = "largest residual"
 ) -> go.Figure:
-    """Draw error against time on log axes. Filled points are the Pareto front.
+    """Draw error against time on log axes, with filled points on the Pareto front.
 
     Args:
         points: (time, error) by name; non-finite entries are left out.
-        x_label, y_label: labels of the axes, with units.
 
     Raises:
         ReportError: no entry is finite, a time is not positive, or an error is negative.
@@ -82,7 +81,7 @@ def label_sides(points: Mapping[str, tuple[float, float]]) -> dict[str, str | No
     """Choose for each point the side on which its label covers the least area of other points and labels.
 
     Args:
-        points: positions by name [px], y downwards.
+        points: positions by name [px]; y points down.
 
     Returns:
         Plotly's word for each side ("top center"), or None if the label covers more than `TOLERATED_PX2` on every side.
@@ -106,8 +105,7 @@ def _boxes(name: str, x: float, y: float) -> dict[str, Box]:
     left, right = (x - near - wide, x - near), (x + near, x + near + wide)
     centre, middle = (x - wide / 2, x + wide / 2), (y - LINE_PX / 2, y + LINE_PX / 2)
     above, below = (y - far, y - near), (y + near, y + far)
-    # In order of preference: below before above, and left before right. The line of the Pareto front needs the space
-    # above and to the right of a point.
+    # In order of preference. The line of the Pareto front needs the space above and to the right of a point.
     spans = {
         "bottom center": (centre, below), "top center": (centre, above), "middle left": (left, middle),
         "middle right": (right, middle), "bottom left": (left, below), "bottom right": (right, below),

@@ -20,7 +20,7 @@ ECDF_POINTS = 400
 def latency_ecdf(samples: Samples) -> go.Figure:
     """Draw the fraction of solves or ticks done within a time [us].
 
-    NaN (no solve) is left out. Infinity (never done) counts as not done at every time.
+    NaN (no solve) is left out. Infinity counts as never done.
 
     Raises:
         ReportError: no time is finite, or a time is negative.
@@ -32,7 +32,7 @@ def latency_ecdf(samples: Samples) -> go.Figure:
         if not len(times):
             drawn.add_scatter(x=[], y=[], name=f"{label(name)} (no sample)", line_color=styles[name].color)
             continue
-        # The curve is thinned, but keeps a step for each of the slowest times.
+        # The thinned curve keeps a step for each of the slowest times.
         slowest = len(times) - np.geomspace(1, len(times), ECDF_POINTS)
         ranks = np.unique(np.append(np.linspace(0, len(times) - 1, ECDF_POINTS), np.ceil(slowest)).astype(np.int64))
         drawn.add_scatter(
@@ -49,7 +49,7 @@ def latency_ecdf(samples: Samples) -> go.Figure:
 def box_plots(groups: Mapping[str, Samples], value_label: str) -> go.Figure:
     """Draw box plots of ``groups[controller][task]`` on a log axis.
 
-    Whiskers reach at most 1.5 box lengths (Tukey), measured in logarithms. Of the samples beyond, at most 40 are drawn.
+    Whiskers reach at most 1.5 box lengths (Tukey) in logarithms. Of the samples beyond, at most 40 are drawn.
 
     Raises:
         ReportError: a sample is infinite, or not positive.
@@ -78,7 +78,7 @@ def box_plots(groups: Mapping[str, Samples], value_label: str) -> go.Figure:
 
 
 def _box(name: str, values: Floats) -> tuple[float, float, float, float, float, list[float]]:
-    """Return lower whisker, quartiles, upper whisker, and at most 40 samples beyond the whiskers."""
+    """Return lower whisker, quartiles, upper whisker, and samples beyond the whiskers."""
     values = np.sort(values)
     if np.isinf(values).any() or values[0] <= 0.0:
         raise ReportError(f"{name!r} reaches from {values[0]} to {values[-1]}: a log axis needs finite values above 0")

@@ -24,7 +24,7 @@ class Missing:
 
 @dataclass(frozen=True)
 class Mark:
-    """A rating in a table, as a coloured symbol and a word.
+    """A rating in a table.
 
     Attributes:
         symbol: one character, or none.
@@ -44,7 +44,7 @@ class Notation:
 
     Attributes:
         digits: number of significant digits.
-        spec: Python's format specification (".2f"); if given, the other attributes have no effect.
+        spec: Python's format specification, which overrides the other attributes.
         scientific: write powers of ten.
         integral: every number is an integer.
     """
@@ -56,10 +56,9 @@ class Notation:
 
     @classmethod
     def of(cls, values: Iterable[object], digits: int = 3, spec: str = "") -> Notation:
-        """Choose one notation for a column."""
+        """Choose the notation of a column."""
         numbers = [float(value) for value in values if is_number(value)]  # type: ignore[arg-type]
         sizes = [abs(number) for number in numbers if math.isfinite(number)]
-        # Integers may be stored as floats.
         integral = bool(sizes) and all(size.is_integer() for size in sizes) and max(sizes) < 1e12
         wide = any(0.0 < size < 1e-4 or size >= 1e6 for size in sizes)
         return cls(digits, spec, scientific=wide and not integral, integral=integral)
@@ -89,7 +88,7 @@ def _tidy(written: str) -> str:
 
 
 def missing(value: object) -> Missing | None:
-    """Return the reason why a value is missing; None if there is a value."""
+    """Return why a value is missing; None if there is a value."""
     if isinstance(value, Missing):
         return value
     if value is None or (is_number(value) and math.isnan(float(value))):  # type: ignore[arg-type]

@@ -22,7 +22,7 @@ PANELS = {
     "rcm_error_m": ("RCM error, base frame [mm]", 1e3),
     "trocar_force_N": ("|force| [N]", 1.0),
 }
-"""For each column: its panel's label, and the factor to the label's unit."""
+"""Each column's label, and the factor to the label's unit."""
 TIPS = {
     "tip_error_model_m": ("tip error, kinematic model [mm]", 1e3),
     "tip_error_registered_m": ("tip error, frame registered at the start [mm]", 1e3),
@@ -40,9 +40,8 @@ def time_series(
     A dotted line is the largest mu of all feasible poses with the same tip and shaft.
 
     Args:
-        runs: for each name, a `Trace` or a dict of columns. `t_s` is (N,). Of a column (N, k), the norms are drawn.
+        runs: for each name, a `Trace` or a dict of columns. Of a column (N, k), the norms are drawn.
         panels: columns. None means ``PANELS``, but the columns of ``TIPS`` that every run has replace `tip_error_m`.
-        styles: the style of each run; None makes new styles.
 
     Raises:
         ReportError: ``panels`` is empty or not a list, a column is missing or has texts, or a run has no `t_s`.
@@ -79,7 +78,7 @@ def time_series(
                     legendrank=len(data),
                 )  # fmt: skip
         drawn.update_yaxes(row=row, col=1, rangemode="normal" if column == "mu" else "tozero", nticks=5)
-        # On a narrow screen, a label above the panel is easier to read than a label beside it.
+        # On a narrow screen, there is no place beside the panel.
         drawn.add_annotation(
             text=words, xref="paper", x=0.0, xanchor="left", yref=f"y{row if row > 1 else ''} domain", y=1.0,
             yanchor="bottom", showarrow=False, font={"size": 12}, xshift=-2,
@@ -96,17 +95,14 @@ def time_series(
 
 
 def envelope(t: ArrayLike, y: ArrayLike, points: int = 1200) -> tuple[Floats, Floats]:
-    """Thin a series to at most `points` points: the extremes of equal stretches, the ends, and gaps.
+    """Thin a series to the extremes of equal stretches, the ends, and gaps.
 
     Args:
         t, y: (N,) times and values; NaN in y is a gap.
-        points: upper bound on the number of points, 4 or more.
-
-    Returns:
-        (K,) times and values of the kept points.
+        points: largest number of points.
 
     Raises:
-        ReportError: t and y differ in length, or `points` is too small.
+        ReportError: t and y differ in length, or `points` is below 4.
     """
     times, values = np.asarray(t, dtype=np.float64), np.asarray(y, dtype=np.float64)
     if times.shape != values.shape or times.ndim != 1:

@@ -1,4 +1,4 @@
-"""The style of all figures: a plotly template, and colours for colour-blind readers."""
+"""The style of all figures, with colours for colour-blind readers."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ HEIGHT_PX, LEGEND_PX, MAX_POWERS = 380, 620.0, 6
 
 @dataclass(frozen=True)
 class Style:
-    """The style of one run or solver in all figures."""
+    """The style of one run or solver."""
 
     color: str
     dash: str
@@ -45,7 +45,7 @@ class Style:
 
 
 class Styles(dict[str, Style]):
-    """Styles by name, shared by all figures of a page."""
+    """Styles by name."""
 
     def __init__(self, names: Iterable[str]) -> None:
         colors = list(SERIES)
@@ -88,12 +88,12 @@ def label(name: object) -> str:
 
 
 def figure(**layout: object) -> go.Figure:
-    """Make an empty figure with `TEMPLATE`."""
+    """Make an empty figure."""
     return go.Figure(layout={"template": TEMPLATE, **layout})
 
 
 def legend_height(names: Iterable[str]) -> int:
-    """Return the height [px] of a legend above a plot."""
+    """Return the height [px] of a legend."""
     lengths = [len(name) for name in names]
     columns = max(1, int(LEGEND_PX / (6.6 * max(lengths, default=1) + 46.0)))
     return 20 * math.ceil(len(lengths) / columns)
@@ -102,10 +102,9 @@ def legend_height(names: Iterable[str]) -> int:
 def log_axis(
     drawn: go.Figure, axis: str, title: str, values: ArrayLike, *, powers: bool = False, margin: float = 0.05
 ) -> None:
-    """Make the axis "x" or "y" of a figure logarithmic.
+    """Make the axis "x" or "y" logarithmic.
 
     Args:
-        values: all drawn values, which must be positive.
         powers: label the axis with powers of ten.
         margin: free space at each end, as a fraction of the range.
 

@@ -1,1 +1,1 @@
-"""Input from outside: settings, files, names and plug-ins, all checked when read."""
+"""Checked input: settings, files, names and plug-ins."""

@@ -1,6 +1,6 @@
 """Read files up to a maximum size, and write files completely or not at all.
 
-If a file cannot be read or written, ``error`` is raised. Its message begins with ``what``, the kind of file.
+On failure, ``error`` is raised. Its message begins with ``what``, the kind of file.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from typing import Any
 
 from moc_opt.errors import MocOptError, shown
 
-MOST_TEXT = 4 * 2**20  #: Maximum size of a text file [bytes].
-MOST_ARRAYS = 2**27  #: Maximum size of a file of numpy's arrays [bytes].
-MOST_DATA = 4 * 2**30  #: Maximum size of a Parquet file [bytes].
+MOST_TEXT = 4 * 2**20  #: Largest text file [bytes].
+MOST_ARRAYS = 2**27  #: Largest .npy or .npz file [bytes].
+MOST_DATA = 4 * 2**30  #: Largest Parquet file [bytes].
 
 Path_ = str | os.PathLike[str]
 Wrong = type[MocOptError]
@@ -90,23 +90,20 @@ def decimal(text: str) -> float:
 
 
 def check_replaceable(path: Path_, what: str, error: Wrong) -> Path:
-    """Check that a file can be written at this path. Refuse a folder, pipe or device."""
+    """Check that a file can be written at this path."""
     target = as_path(path, what, error)
     with _writing(target, what, error):
         with contextlib.suppress(FileNotFoundError):
             if not stat.S_ISREG(os.stat(target).st_mode):
                 raise OSError("a folder, pipe or device is there")
         folder = next(folder for folder in (*target.absolute().parents, target) if folder.exists())
-        with tempfile.TemporaryFile(dir=folder):  # a look at permissions is not enough: root cannot write to /proc
+        with tempfile.TemporaryFile(dir=folder):  # root cannot write to /proc, whatever the permissions
             pass
     return target
 
 
 def write_whole(path: Path_, data: bytes | str, what: str = "file", error: Wrong = MocOptError) -> Path:
-    """Write bytes, or a text in UTF-8, completely or not at all. A missing folder is made.
-
-    A link at this path is replaced, not followed.
-    """
+    """Write bytes, or a text in UTF-8, completely or not at all. A missing folder is made. A link is replaced."""
     target = check_replaceable(path, what, error)
     # In the same folder, because a rename is atomic only within one file system.
     unfinished = target.with_name(f".{target.name[:40]}.{secrets.token_hex(8)}.tmp")
@@ -156,11 +153,7 @@ def to_json(value: Any, *, indent: int | None = 2, sort_keys: bool = False) -> s
 
 
 def to_toml(table: Mapping[str, Any]) -> str:
-    """Return a table as TOML. `read_toml` reads equal values from it.
-
-    Raises:
-        TypeError: TOML cannot hold a value, such as None.
-    """
+    """Return a table as TOML. Raises a TypeError for a value that TOML cannot hold, such as None."""
     tables = {key: value for key, value in table.items() if isinstance(value, Mapping)}
     lines = _toml_entries({key: value for key, value in table.items() if key not in tables}, "")
     for name, inner in tables.items():

@@ -1,4 +1,4 @@
-"""Check names that come from files, and escape other texts for Markdown."""
+"""Check names from files, and escape texts for Markdown."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _NAME = re.compile(r"[A-Za-z0-9_](?:[A-Za-z0-9_ .:+/-]*[A-Za-z0-9_])?")
 
 
 def is_name(text: object) -> bool:
-    """Return whether a text is a valid name (see `RULE`)."""
+    """Return whether a text follows `RULE`."""
     return isinstance(text, str) and len(text) <= MAX_LENGTH and ".." not in text and bool(_NAME.fullmatch(text))
 
 
@@ -25,5 +25,5 @@ def checked(text: str) -> str:
 
 
 def in_markdown(text: str) -> str:
-    """Escape a text so that Markdown and HTML show it literally."""
+    """Escape a text for Markdown and HTML."""
     return re.sub(r"[^A-Za-z0-9 .,:;()/%°µ-]", lambda found: f"&#{ord(found.group())};", text)

@@ -1,4 +1,4 @@
-"""Plug-ins, which other packages announce by entry points."""
+"""Plug-ins: entry points of other packages."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def plugins(group: str) -> dict[str, list[EntryPoint]]:
     return _scan(group, tuple(sys.path))
 
 
-@lru_cache(maxsize=24)  # scanning a hundred packages takes 10 ms
+@lru_cache(maxsize=24)  # a scan takes 10 ms
 def _scan(group: str, path: tuple[str, ...]) -> dict[str, list[EntryPoint]]:
     found: dict[str, dict[str, EntryPoint]] = {}
     for point in entry_points(group=group):
@@ -24,13 +24,13 @@ def _scan(group: str, path: tuple[str, ...]) -> dict[str, list[EntryPoint]]:
 
 
 def in_words(point: EntryPoint) -> str:
-    """Name the entry point and its package, for messages."""
+    """Name the entry point and its package."""
     package = getattr(point.dist, "name", None)
     return f"entry point {point.value!r}" + (f" of package {package!r}" if package else "")
 
 
 def load(kind: str, name: str, points: list[EntryPoint], error: type[MocOptError]) -> Any:
-    """Import the object of an entry point. Raise ``error`` if this fails, or if the name is not unique."""
+    """Import a plug-in. Raise ``error`` if this fails, or if the name is not unique."""
     if len(points) > 1:
         raise error(f"{kind} {name!r}: {' and '.join(map(in_words, points))} claim this name: rename one")
     try:

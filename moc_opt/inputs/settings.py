@@ -1,4 +1,4 @@
-"""Tables of settings: frozen pydantic models whose errors name field, value and cure."""
+"""Tables of settings, as frozen pydantic models."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _ALTERNATIVE = re.compile(r"constrained-|literal\[|tuple\[|(float|str)$")  # pyd
 LARGEST_INTEGER = 2**63 - 1
 SMALLEST, LARGEST = 1e-30, 1e30  # bounds on |x| for each number x except 0
 MOST = 10_000_000  # bound on |k| for each integer k except seeds
-LONGEST_S = 1e6  # bound on each time to run, wait or average [s]
+LONGEST_S = 1e6  # bound on each time [s]
 
 Name = Annotated[str, pydantic.AfterValidator(names.checked)]
 """A name that follows `moc_opt.inputs.names.RULE`."""
@@ -93,12 +93,12 @@ class Settings(pydantic.BaseModel):
 
     @classmethod
     def meaning(cls, key: str) -> str:
-        """Return the meaning of a key, on one line."""
+        """Return the meaning of a key."""
         return " ".join((cls.model_fields[key].description or "").split())
 
 
 def _leaves(given: Any, value: Any, where: str = "") -> Iterator[tuple[str, Any, Any]]:
-    """For every entry, yield its place, its value as written, and its validated value."""
+    """Yield place, written value and validated value of every entry."""
     if not isinstance(value, Mapping | list | tuple):
         yield where, given, value
         return
@@ -111,7 +111,7 @@ def _leaves(given: Any, value: Any, where: str = "") -> Iterator[tuple[str, Any,
 
 
 def _fault(written: Any, read: Any, most: int) -> str:
-    """Return the cure, or "" if the value is right. Some wrong values pass pydantic, such as a number in quotes."""
+    """Return the cure, or "" for a right value. Pydantic accepts some wrong values, such as a number in quotes."""
     is_flag = isinstance(written, bool | np.bool_)
     if isinstance(read, bool):
         return "" if is_flag else "give true or false, without quotes"

@@ -1,4 +1,4 @@
-"""The live page, which runs a `LiveRun` in real time and takes the user's orders."""
+"""The live page of a `LiveRun`."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ PLOTS: dict[str, list[tuple[str, str, float, str]]] = {
     "time of a tick and of its solver [µs]": [("tick_us", "tick", 1.0, BLUE), ("solve_us", "solver", 1.0, GREEN)],
 }
 """Curves of each plot: quantity, name, factor to the unit shown, colour."""
-FIELDS = ("regularization", "K_X", "K_N", "K_N2", "D_N2", "k0_per_s")  # settings that the page can change
+FIELDS = ("regularization", "K_X", "K_N", "K_N2", "D_N2", "k0_per_s")  # settings on the page
 
 
 class LivePage:
-    """A run and its page on loopback, at ``port`` or the next free port. Leaving the context stops run and page.
+    """A run and its page on loopback, at ``port`` or the next free port, for clients with the token in ``url``.
 
-    Only clients with the token in ``url`` get access. A LiveError is raised if viser is missing or the port is invalid.
+    Leaving the context stops both. Raises a LiveError if viser is missing or the port is invalid.
     """
 
     def __init__(self, scenario: Scenario, *, port: int = PORT, title: str = "") -> None:
@@ -72,10 +72,7 @@ class LivePage:
             self.server.stop()
 
     def wait(self) -> None:
-        """Run in real time, carry out orders and refresh the page until `stop` is called.
-
-        If the run lags by more than `MOST_LAG_S`, the excess time is skipped.
-        """
+        """Run in real time until `stop` is called. The part of a lag above `MOST_LAG_S` is skipped."""
         run, reached, pace, done = self.run, monotonic(), 1.0, 0
         frame = reached
         while not self._over.wait(PIECE_S):
@@ -98,12 +95,12 @@ class LivePage:
 
 
 def _refuse_without(token: str, server: Any) -> None:
-    """Close each WebSocket whose address lacks the token, because any web site can open one to this machine."""
+    """Close WebSockets without the token, because any web site can open one to this machine."""
     sockets = server._websock_server
 
     @sockets.on_client_connect
     async def check(client: Any) -> None:
-        from websockets.exceptions import ConnectionClosed  # comes with viser, an extra
+        from websockets.exceptions import ConnectionClosed  # in the extra `live`
 
         connection = sockets._live_connections[client.client_id]
         if not hmac.compare_digest(connection.request.path.encode(errors="replace"), f"/{token}".encode()):
@@ -116,10 +113,7 @@ def _refuse_without(token: str, server: Any) -> None:
 
 
 class Panel:
-    """The side panel, with the state of the run and the user's controls.
-
-    viser calls back from many threads, so orders are queued for the loop's thread.
-    """
+    """The side panel. Its orders are queued for the loop's thread, because viser calls back from many threads."""
 
     def __init__(self, server: Any, run: LiveRun) -> None:
         self._server, self._run, gui = server, run, server.gui
@@ -144,7 +138,7 @@ class Panel:
         gui.add_button("Reset to the start").on_click(lambda _: self.orders.put(run.reset))
 
     def obey(self) -> None:
-        """Carry out the queued orders, and show the error of each order that fails."""
+        """Carry out the queued orders, and show their errors."""
         while not self.orders.empty():
             try:
                 self.orders.get()()
@@ -184,7 +178,7 @@ class Panel:
         self._solver.value = self._run.solver
 
     def update(self, pace: float) -> None:
-        """Show the state of the run; `pace` is simulated time divided by real time."""
+        """Show the state of the run; `pace` is simulated time / real time."""
         run = self._run
         while run.messages:
             self._tell(run.messages.popleft())
@@ -213,7 +207,7 @@ def _plot(gui: Any, title: str, lines: list[tuple[str, str, float, str]]) -> Any
 
 
 class Scene:
-    """The arm, the trocar and the path in three dimensions."""
+    """Arm, trocar and path in three dimensions."""
 
     def __init__(self, server: Any, run: LiveRun) -> None:
         from trimesh.creation import revolve  # in the extra `live`
@@ -240,7 +234,7 @@ class Scene:
         self.update()
 
     def update(self) -> None:
-        """Move links and trocar to their current places."""
+        """Move links and trocar."""
         origins, rotations = link_frames(self._run.robot, self._run.state.q[None])
         for frame, origin, rotation in zip(self._links[1:], origins[0], rotations[0], strict=True):
             frame.position, frame.wxyz = origin, _quaternion(rotation)
@@ -256,7 +250,7 @@ def _quaternion(rotation: Array) -> Array:
 def serve(scenario: Scenario, *, port: int = PORT, title: str = "") -> int:
     """Serve the page until Ctrl-C; return the exit code."""
     with LivePage(scenario, port=port, title=title) as page:
-        # With a KeyboardInterrupt, a lock of the page's threads could stay locked.
+        # A KeyboardInterrupt could leave a lock of the page's threads locked.
         signal.signal(signal.SIGINT, lambda number, frame: page.stop())
         print(f"live at {page.url} - Ctrl-C ends it", file=sys.stderr, flush=True)
         page.wait()

@@ -15,21 +15,21 @@ from moc_opt.tasks.trocar import shaft_distance
 
 DCAC = "none (DCAC)"
 QUANTITIES = ("t_s", "mu", "tip_error_m", "rcm_error_m", "force_N", "solve_us", "tick_us")
-HISTORY_S = 20.0  # time for which past quantities are kept [s]
-BLEND_S = 0.1  # time constant of the torque blend, and least time between two exchanges of the controller [s]
-RAMP_S = 0.3  # lower bound on `ramp_s` of a controller that takes over [s]
-TROCAR_SPEED_M_PER_S, MOST_OFFSET_M = 0.02, 0.05  # limits on speed [m/s] and offset [m] when the user moves the trocar
+HISTORY_S = 20.0  # length of the kept history [s]
+BLEND_S = 0.1  # time constant of the torque's blend, and least time between two exchanges [s]
+RAMP_S = 0.3  # least `ramp_s` of a new controller [s]
+TROCAR_SPEED_M_PER_S, MOST_OFFSET_M = 0.02, 0.05  # limits when the user moves the trocar
 
 
 class LiveError(ScenarioError):
-    """A live run cannot carry out an order. The run goes on unchanged."""
+    """A live run cannot carry out an order."""
 
 
 class ExchangeableController:
     """A ``sim.protocols.TorqueController`` that passes each call to an exchangeable controller.
 
     The controller in ``next`` takes over at the next tick, but not sooner than BLEND_S after the previous exchange.
-    At a time t after the exchange, the torque is tau_new + d exp(-t / BLEND_S), with d = tau_old - tau_new at t = 0.
+    A time t later, the torque is tau_new + d exp(-t / BLEND_S), with d = tau_old - tau_new at t = 0.
     """
 
     def __init__(self, first: Controller, period_s: float, messages: deque[str]) -> None:
@@ -74,15 +74,15 @@ class ExchangeableController:
 
 
 def solver_of(controller: Controller) -> str:
-    """Return the name of the controller's solver, or `DCAC`."""
+    """Return the solver's name, or `DCAC`."""
     return DCAC if controller.solver is None else controller.solver.name
 
 
 class LiveRun:
-    """The closed loop of a scenario, in which the arm moves to and fro along the path.
+    """The closed loop of a scenario, in which the arm moves to and fro along the path. Use it from one thread only.
 
-    Use it from one thread only. An unusable scenario raises a MocOptError. Errors of the running loop are put into
-    `messages`, oldest first. ``t_s`` is the latest tick's time [s]. ``stopped`` says why the arm stopped.
+    An unusable scenario raises a MocOptError. Errors of the running loop are put into `messages`. ``stopped`` says why
+    the arm stopped.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -104,7 +104,7 @@ class LiveRun:
     solver = property(lambda self: solver_of(self._chosen), doc="Solver of the controller of `control`, or `DCAC`.")
 
     def choose(self, solver: str) -> None:
-        """Switch to another solver of level 3, or to `DCAC`. Raises a MocOptError if the solver cannot run."""
+        """Switch to a solver or `DCAC`. Raises a MocOptError if the solver cannot run."""
         law = self.control.matched_dcac() if solver == DCAC else {"law": "moc"}
         self._exchange(self.control.change(**law), solver)
 
@@ -129,28 +129,28 @@ class LiveRun:
         return Controller(self.robot, control, solver, self.period_s)
 
     def place_trocar(self, x_m: float, y_m: float, z_m: float = 0.0) -> None:
-        """Move the trocar slowly to an offset in world axes [m], each component up to `MOST_OFFSET_M`."""
+        """Move the trocar slowly to an offset, of at most `MOST_OFFSET_M` along each world axis."""
         for value in (x_m, y_m, z_m):
             if not is_number(value) or not abs(value) <= MOST_OFFSET_M:
                 raise LiveError(f"trocar offset = {value!r} m: give a number from {-MOST_OFFSET_M} to {MOST_OFFSET_M}")
         self._asked = np.array([x_m, y_m, z_m])
 
     def rows(self, t: float) -> Array:
-        """Return the tip's desired position, velocity and acceleration, rows (3, 3), at a time [s]."""
+        """Return the tip's reference, rows X_d, dX_d, ddX_d (3, 3), at a time [s]."""
         lap, within = divmod(t, self._setup.duration_s)
         if int(lap) % 2 == 0:
             return self._setup.reference.rows(within)
         return self._setup.reference.rows(self._setup.duration_s - within) * [[1.0], [-1.0], [1.0]]  # backwards
 
     def history(self, points: int = 400) -> Array:
-        """Divide the past ticks into k <= ``points`` groups. Return each group's maxima (k, 7) of `QUANTITIES`."""
+        """Return the maxima (k, 7) of `QUANTITIES` in k <= ``points`` groups of past ticks."""
         rows = np.array(self._rows).reshape(-1, len(QUANTITIES))
         size = max(1, -(-len(rows) // points))
         stretches = rows[len(rows) % size :].reshape(-1, size, len(QUANTITIES))  # drops the incomplete oldest group
         return np.fmax.reduce(stretches, axis=1)
 
     def reset(self) -> None:
-        """Go back to the start. Solver, gains and the trocar's requested offset stay as they are."""
+        """Go back to the start. Solver, gains and the trocar's requested offset stay."""
         self.t_s, self.stopped, self._offset = 0.0, "", np.zeros(3)
         self._setup.plant.reset(self._setup.q_start)
         self._loop = self._setup.closed_loop(self._in_use)
@@ -159,7 +159,7 @@ class LiveRun:
         self._rows.clear()
 
     def advance(self, ticks: int) -> None:
-        """Run ``ticks`` ticks, or fewer if the arm stops or has stopped."""
+        """Run ``ticks`` ticks, or fewer if the arm stops."""
         try:
             for _ in range(ticks):
                 if not self.stopped:

@@ -1,4 +1,1 @@
-"""The closed loop over UDP: the plant keeps the time in one process, the controller answers in another.
-
-Read ``wire`` first, then ``ends``. docs/realtime.md is for users.
-"""
+"""The closed loop over UDP: the plant keeps the time in one process, the controller answers in another."""

@@ -1,8 +1,6 @@
-"""The two ends of the wire (UDP): `RemoteController` in the plant's process, and `Answering` in the controller's.
+"""The two ends of the wire: `RemoteController` in the plant's process, and `Answering` in the controller's.
 
-The controller sends HELLO to find the plant (the arm or its simulation), and START to let the run begin. In every
-period, the plant then sends a measurement and expects a command in reply. A measurement with the flag ENDED ends the
-run. The controller confirms it with BYE.
+docs/realtime.md describes the sequence of their packets.
 """
 
 from __future__ import annotations
@@ -28,21 +26,21 @@ from moc_opt.sim.sensors import Measurement
 
 INCOMING = (Kind.HELLO, Kind.START, Kind.COMMAND, Kind.BYE)
 SAME = "give both ends the same file, or the same robot, start, trocar, task, seed, period and duration"
-_ENDED_S, _ENDED_TIMES = 0.1, 10  # interval [s] at which ENDED is sent until BYE comes, and most packets with ENDED
-_REPEAT_S = 0.1  # interval at which HELLO and START are repeated [s]
-_LINGER_S = 0.3  # time for which the controller answers repeated ENDED packets with BYE [s]
+_ENDED_S, _ENDED_TIMES = 0.1, 10  # interval [s] and largest number of packets with ENDED
+_REPEAT_S = 0.1  # interval of HELLO and START [s]
+_LINGER_S = 0.3  # time for which repeated ENDED packets are answered [s]
 
 
 class RemoteController(Filtered):
-    """The plant's end of the wire. It sends measurements, and returns the torques of the commands that come back.
+    """The plant's end of the wire. It sends measurements, and returns the torques of the commands.
 
-    If no command comes in time, a watchdog holds the last torque, then damps the arm, and at last stops it. Pass the
-    object to `sim.loop.simulate` as the controller, and ``pace`` as ``watch``. Call ``close`` afterwards.
+    Without commands, a watchdog holds the last torque, then damps the arm, and at last stops it. Pass the
+    object to `sim.loop.simulate`, with ``pace`` as ``watch``. Call ``close`` afterwards.
 
     Args:
-        safety_filter: computes only the watchdog's torques and brakes. The controller's end checks measurements.
-        columns: function that makes the controller's trace columns for a given number of ticks, one row per tick.
-        applied: (n,) torque before the first tick [Nm]. tau_max: (n,) largest torques allowed in a command [Nm].
+        safety_filter: computes only the watchdog's torques and brakes.
+        columns: makes the controller's trace columns for a number of ticks.
+        applied: (n,) torque before the first tick [Nm]. tau_max: (n,) largest torques of a command [Nm].
         clock: begins the ticks in real time. None: lock-step, in which the plant waits for each command.
     """
 
@@ -87,7 +85,7 @@ class RemoteController(Filtered):
         link.peer, link.session = link.sender, int(packet["session"])
 
     def pace(self, tick: int) -> None:
-        """In real time, wait until a tick begins. In lock-step, return at once."""
+        """In real time, wait until a tick begins."""
         if self.clock is not None:
             self._until = self.clock.wait_for(tick)
 
@@ -127,7 +125,7 @@ class RemoteController(Filtered):
         return self._friction
 
     def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
-        """Create the controller's columns, and columns for times [us] and missed commands."""
+        """Create the trace's columns."""
         return {
             **self._make_columns(ticks), "wake_us": np.full(ticks, np.nan), "control_us": np.full(ticks, np.nan),
             "missed": np.zeros(ticks, dtype=np.bool_),
@@ -193,7 +191,7 @@ def _text(field: NDArray[Any]) -> str:
 
 @dataclass(eq=False)
 class Answering:
-    """The controller's end of the wire: it answers measurements until the plant ends the run."""
+    """The controller's end of the wire."""
 
     link: Link
     settings: WireSettings
@@ -201,15 +199,17 @@ class Answering:
     safety_filter: SafetyFilter | None  #: None: measurements and torques are not checked.
     tip_refs: Array  #: (N, 3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2].
     registered: Array  #: (N, 2, 3) position [m] and velocity [m/s] of the registered trocar.
-    scenario: int  #: Fingerprint (hash) of the scenario. Both ends must have the same fingerprint.
-    ready: Callable[[], None] = lambda: None  #: Called once, before START is sent.
+    scenario: int  #: Fingerprint (hash) of the scenario, equal at both ends.
+    ready: Callable[[], None] = lambda: None  #: Called before START is sent.
 
     def run(self) -> dict[str, Any]:
-        """Find the plant, start the controller at its first measurement, and answer until the run ends.
+        """Answer until the run ends.
 
-        Return a dict of ``ended`` (how the run ended), ``ticks`` (number of answered ticks), ``quality`` (counts of
-        packets), ``warnings`` of the safety filter and ``faults`` of the solver. Raise a WireError if no plant answers,
-        or the plant runs another scenario.
+        Return ``ended`` (how the run ended), ``ticks`` (number of answered ticks), ``quality`` (packet counts),
+        ``warnings`` of the safety filter and ``faults`` of the solver.
+
+        Raises:
+            WireError: no plant answers, or the plant runs another scenario.
         """
         link = self.link
         first = self._ask(Kind.HELLO, waits=True)
@@ -234,7 +234,7 @@ class Answering:
         return make_packet(kind, self.link.n, self.link.session, self.scenario)
 
     def _ask(self, kind: Kind, *, waits: bool) -> Packet:
-        """Repeat a packet until a measurement comes: with the flag WAITING if ``waits``, else with another flag."""
+        """Repeat a packet until a measurement has (``waits``) or lacks the flag WAITING."""
         link, request, until = self.link, self._packet(kind), monotonic() + self.settings.wait_s
         while (now := monotonic()) < until:
             link.send(request)

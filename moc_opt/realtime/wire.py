@@ -1,7 +1,6 @@
-"""The wire: UDP packets between plant and controller (in Python or C), and a socket that drops invalid packets.
+"""The wire: UDP packets between plant and controller, and a socket that drops invalid packets.
 
-A packet ends with the keyed BLAKE2s checksum (RFC 7693) of all preceding bytes. Without a key of the user, the wire
-runs only on loopback, where any process of this machine can take part. Nothing is encrypted.
+A packet ends with the keyed BLAKE2s checksum (RFC 7693) of all preceding bytes. Nothing is encrypted.
 """
 
 from __future__ import annotations
@@ -30,16 +29,16 @@ from moc_opt.qp.problem import row_length
 
 MAGIC, VERSION = b"MOCW", 3
 LOOPBACK_KEY = b"moc_opt: loopback, no secret"
-VARIABLE = "MOC_OPT_WIRE_KEY"  #: Environment variable that may hold the key.
-SHORTEST, LONGEST = 16, 32  #: Bounds on the number of bytes of a key.
+VARIABLE = "MOC_OPT_WIRE_KEY"  #: Environment variable with the key.
+SHORTEST, LONGEST = 16, 32  #: Bounds on a key's length [bytes].
 TAG_BYTES = 16
 BACKLOG = 256  #: After its time limit, `receive` reads waiting packets until it has read this many in all.
 COUNTERS = ("received", "missed", "late", "forged", "foreign")
-"""What an end counts: packets used (received), ticks without a packet in time (missed), packets that came too late or
-twice (late), packets with a wrong checksum (forged), and all other ignored packets (foreign)."""
+"""What an end counts: packets used (received), ticks without a packet in time (missed), late or repeated packets
+(late), packets with a wrong checksum (forged), and all other ignored packets (foreign)."""
 
 Packet = NDArray[np.void]  #: A record of shape ().
-Address = tuple[str, int]  #: Host and port.
+Address = tuple[str, int]
 
 
 class WireError(MocOptError, RuntimeError):
@@ -70,18 +69,18 @@ class WireSettings(Settings):
 
 
 class Kind(IntEnum):
-    """The kinds of packets. A MEASUREMENT goes to the controller, all others to the plant."""
+    """Only a MEASUREMENT goes to the controller, all others go to the plant."""
 
-    HELLO = 1  #: The controller looks for a plant.
-    START = 2  #: The plant may begin.
+    HELLO = 1  #: Looks for a plant.
+    START = 2  #: Lets the plant begin.
     MEASUREMENT = 3
     COMMAND = 4
-    BYE = 5  #: The controller leaves.
+    BYE = 5  #: Confirms the end of the run.
 
 
 WAITING, RUNNING, ENDED = 0, 1, 2  #: ``flags`` of a measurement: before, during and after the run.
 STOP, REPORTED = 1, 2
-"""Bits in ``flags`` of a command. STOP: stop the arm. REPORTED: "iterations" and all fields after "reason" are set."""
+"""Bits in ``flags`` of a command. REPORTED: "iterations" and all fields after "reason" are set."""
 
 # Every field's offset is a multiple of its size, as in a C struct. "scenario" is a hash of the scenario.
 HEADER: list[tuple[Any, ...]] = [
@@ -92,7 +91,7 @@ HEADER: list[tuple[Any, ...]] = [
 
 @cache
 def layout(kind: Kind, n: int) -> np.dtype[Any]:
-    """Return the byte layout of a packet for n joints. The tables in docs/realtime.md explain the fields."""
+    """Return the byte layout of a packet for n joints. docs/realtime.md explains the fields."""
     bodies: dict[Kind, list[tuple[Any, ...]]] = {
         Kind.MEASUREMENT: [
             ("stamp", "<i8"), ("q", "<f8", (n,)), ("v", "<f8", (n,)), ("wrench", "<f8", (6,)),
@@ -109,7 +108,7 @@ def layout(kind: Kind, n: int) -> np.dtype[Any]:
 
 
 def make_packet(kind: Kind, n: int, session: int = 0, scenario: int = 0) -> Packet:
-    """Make a packet in which only header fields are set; flags, sequence and all later fields are 0."""
+    """Make a packet whose flags, sequence and body are 0."""
     packet = np.zeros((), layout(kind, n))
     packet["magic"], packet["version"], packet["kind"], packet["joints"] = MAGIC, VERSION, kind, n
     packet["session"], packet["scenario"] = session, scenario
@@ -117,13 +116,13 @@ def make_packet(kind: Kind, n: int, session: int = 0, scenario: int = 0) -> Pack
 
 
 def seal(packet: Packet, key: bytes) -> bytes:
-    """Compute a packet's checksum, and return the packet as bytes that end with it."""
+    """Return a packet's bytes with their checksum."""
     data = packet.tobytes()[:-TAG_BYTES]
     return data + hashlib.blake2s(data, key=key, digest_size=TAG_BYTES).digest()
 
 
 def sealed(data: bytes, key: bytes) -> bool:
-    """Return whether a packet's last bytes are the right checksum of the others."""
+    """Return whether a packet ends with the right checksum."""
     wanted = hashlib.blake2s(data[:-TAG_BYTES], key=key, digest_size=TAG_BYTES).digest()
     return hmac.compare_digest(wanted, data[-TAG_BYTES:])
 
@@ -141,7 +140,7 @@ def _c_struct(name: str, whole: np.dtype[Any], head: str) -> str:
 
 
 def c_packets(n: int, ticks: int, scenario: int, settings: WireSettings) -> str:
-    """Return the text of ``wire_packets.h``, which declares the packets for the controller in C."""
+    """Return the text of ``wire_packets.h``."""
     defines = {
         "JOINTS": n, "TICKS": ticks, "SCENARIO": f"UINT64_C({scenario})", "VERSION": VERSION,
         "MAGIC": f'"{MAGIC.decode()}"', "LOOPBACK_KEY": f'"{LOOPBACK_KEY.decode()}"', "WAIT_S": settings.wait_s,
@@ -164,12 +163,12 @@ def c_packets(n: int, ticks: int, scenario: int, settings: WireSettings) -> str:
 
 
 def written(address: Address | None) -> str:
-    """Return an address as text that `parse_address` can read. None becomes "nobody"."""
+    """Return an address as "HOST:PORT"; None becomes "nobody"."""
     return "nobody" if address is None else f"{address[0]}:{address[1]}"
 
 
 def parse_address(text: str, option: str) -> Address:
-    """Return IPv4 address and port of "HOST:PORT". Raise a WireError about ``option`` if form or host is wrong."""
+    """Return IPv4 address and port of "HOST:PORT". Raise a WireError if form or host is wrong."""
     host, _, port = text.rpartition(":")
     if not host or not port.isdecimal() or int(port) > 65535:
         raise WireError(f"{option} {text!r}: give HOST:PORT, as 127.0.0.1:30200")
@@ -181,10 +180,10 @@ def parse_address(text: str, option: str) -> Address:
 
 
 def read_key(file: Path | None, host: str, option: str) -> bytes:
-    """Return the first key that exists: the file's, the environment variable's, or on loopback `LOOPBACK_KEY`.
+    """Return the file's key, else the environment variable's, else on loopback `LOOPBACK_KEY`.
 
     Raises:
-        WireError: the key has a wrong length, or there is no key and the host is no loopback address.
+        WireError: there is no key, or its length is wrong.
     """
     text = os.environ.get(VARIABLE, "") if file is None else read_text(file, "--key-file", WireError)
     if file is None and not text:
@@ -204,11 +203,11 @@ def read_key(file: Path | None, host: str, option: str) -> bytes:
 
 
 class Link:
-    """A socket that sends and receives sealed packets. Raises a WireError if the address cannot be bound.
+    """A socket for sealed packets. Raises a WireError if the address cannot be bound.
 
-    It listens at ``address`` and sends to ``peer``, which is None until known. If ``session`` is not 0, only packets of
-    this session from ``peer`` are valid. ``sender`` is the address of the latest valid packet. ``quality`` has the
-    counts named in ``COUNTERS``, and ``expected`` the kinds of packets that this end may receive.
+    It listens at ``address`` and sends to ``peer``. ``expected`` are the kinds of packets that it may receive. If
+    ``session`` is not 0, only packets of this session from ``peer`` are valid. ``sender`` is the address of the
+    latest valid packet. ``quality`` has the counts named in ``COUNTERS``.
     """
 
     def __init__(
@@ -230,7 +229,7 @@ class Link:
 
     @property
     def heard(self) -> str:
-        """The counts of received packets so far, in words."""
+        """The counts in words."""
         return ", ".join(f"{name} {count}" for name, count in self.quality.items() if count) or "nothing came"
 
     def send(self, packet: Packet, to: Address | None = None) -> None:
@@ -264,7 +263,6 @@ class Link:
         return None
 
     def _sound(self, data: bytes, sender: Address) -> Packet | None:
-        """Return the packet if it is valid. Otherwise, count it as forged or foreign, and return None."""
         form = self._incoming.get(data[5]) if len(data) > 5 else None
         if form is not None and len(data) == form.nbytes:
             if not sealed(data, self._key):

@@ -1,5 +1,3 @@
-"""The studies of robot arms and of planning."""
-
 from typing import Any
 
 import pytest

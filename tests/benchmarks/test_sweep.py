@@ -1,5 +1,3 @@
-"""Sweeps over the fields of a scenario."""
-
 from typing import Any
 
 import pytest

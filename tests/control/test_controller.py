@@ -99,7 +99,7 @@ def test_fallback_setting_chooses_x_if_the_subproblem_is_infeasible(fallback, ro
     state = robot.state(robot.data.q_home, np.linspace(-0.2, 0.2, 7))
     (fast, trocar), (slow, _) = in_place(state, 0.3), in_place(state)
     controller = Controller(robot, ControlSettings(fallback=fallback, k0_per_s=1e-3, **QUIET), EXACT)
-    for _ in range(2):  # a new start clears the earlier answers
+    for _ in range(2):  # a start clears earlier answers
         controller.start(state.q, state.v, fast, trocar)
         good = np.zeros(7)
         for tip_ref in (fast, slow, fast, fast, fast):
@@ -191,7 +191,7 @@ def test_run_does_not_depend_on_previous_run(robot):
 
 
 class AsAnyOther(Exact):
-    """Like `exact`, but called through a session, because only the type `Exact` itself runs inside the core."""
+    """Like `exact`, but called through a session: only the type `Exact` runs inside the core."""
 
 
 @pytest.mark.parametrize("fallback", ["damping", "hold", "least-violation"])

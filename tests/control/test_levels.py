@@ -17,7 +17,7 @@ TROCAR = np.array([[0.0, 0.0, -0.125], [0.0] * 3])
 
 
 def begun(arm=ARM, **levels):
-    """A safety filter of an arm at rest. Of its thresholds, only those given in ``levels`` are switched on."""
+    """A safety filter of an arm at rest. Only the thresholds ``levels`` are switched on."""
     given = {
         "period": T, "patience": 0, "carries": False, "low": -1e9, "high": 1e9, "v_max": 1.0, "tau_max": 1.0,
         "wall_stiffness": 0.0, "wall_damping": 0.0, "wall_brake": 1.0, "torque_step": OFF, "jump": OFF,
@@ -116,7 +116,7 @@ def touched(level):
 
 
 def residual(level, name, repeats=0, **others):
-    """Whether the arm stops if joint 1 gets a torque of 1 Nm in two ticks and does not move."""
+    """Whether the arm stops if a torque of 1 Nm does not move joint 1."""
     guard, record = begun(**{name: level} | others), ARM.terms(ZERO, ZERO)
     for _ in range(2 + repeats):
         read(guard)

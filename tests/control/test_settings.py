@@ -87,7 +87,7 @@ def test_settings_that_do_not_fit_the_arm_or_the_period_are_refused(settings, wo
         Controller(load_robot("lwr4_rail"), ControlSettings(**settings), solver, period=0.002)
 
 
-# Numbers that are not listed have the range [0, inf).
+# All other numbers have the range [0, inf).
 RANGES = {
     ControlSettings: {
         "(0, inf)": "K_X K_N k0_per_s", "(0, 1]": "rcm_lambda speed_fraction", "[0.2, 2]": "horizon_s",

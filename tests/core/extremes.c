@@ -1,9 +1,7 @@
-/* Runs the core with sanitizers on random, extreme and damaged states (`make sanitize`).
+/* Runs the core with sanitizers on random, extreme and damaged states (`make sanitize`), and prints a digest of all
+ * results. Unused array entries (beyond the arm's n joints) are NaN: if the core uses one, the digest changes.
  *
- * It checks that each torque of the safety filter is finite and within its limits, and prints a digest of all results.
- * Unused array entries (of joints beyond the arm's n joints) are NaN: if the core uses one, the digest changes.
- *
- * Usage: extremes [courses] [seed]. A course draws random settings and runs all checks. Exit status 0: all passed. */
+ * Usage: extremes [courses] [seed]. A course draws random settings and runs all checks. */
 #include <limits.h>
 #include <math.h>
 #include <stdint.h>
@@ -16,9 +14,9 @@
 
 static uint64_t seed = 1, digest = 14695981039346656037u;
 static long reasons[MOC_STOPS], faults[MOC_FAULTS], statuses[4];
-static double grain; /* if above 0, `uniform` returns multiples of grain */
+static double grain; /* if above 0, `uniform` returns its multiples */
 
-/* Power series of sin(x) (for k = 2, term = x) or cos(x) (for k = 1, term = 1). */
+/* Power series of sin(x) (k = 2, term = x) or cos(x) (k = 1, term = 1). */
 static double series(double x, int k, double term)
 {
     double sum = term;
@@ -326,7 +324,7 @@ static void plan(moc_arm *arm, const moc_law *law, const double *from)
         free(own[k]);
 }
 
-/* Run moc_step or, if `own` is set, moc_begin and moc_finish with a randomly spoilt answer and a random claim. */
+/* Run moc_step or, if `own` is set, moc_begin and moc_finish with a spoilt answer. */
 static moc_stop tick(const moc_controller *c, const moc_input *in, int own, moc_state *state, double *tau)
 {
     double x[MOC_MAX_JOINTS] = {0.0}, y[6];
@@ -346,7 +344,7 @@ static moc_stop tick(const moc_controller *c, const moc_input *in, int own, moc_
     return reason;
 }
 
-static double tiny(void) /* half of the calls: 1; others: a power of two from 2^-59 to 1 */
+static double tiny(void) /* 1 or, in half of the calls, a power of two from 2^-59 to 1 */
 {
     return chance(2) ? 1.0 : ldexp(1.0, -(int)(bits() % 60));
 }
@@ -533,7 +531,7 @@ static void filter(void)
     free(wrench);
 }
 
-/* Run a random controller. Returns 0 if a torque is beyond its limits, if a friction is negative, or if one is NaN. */
+/* Run a random controller. Returns 0 if a torque is beyond its limits, a friction is negative, or one is NaN. */
 static int run_controller(void)
 {
     static moc_state states[2];
@@ -624,7 +622,7 @@ static int run_controller(void)
     return 1;
 }
 
-/* Check functions of vec.h. Returns 0 if a result is wrong. */
+/* Check vec.h. Returns 0 if a result is wrong. */
 static int algebra(void)
 {
     double S[5][MOC_MAX_JOINTS], L[5][MOC_MAX_JOINTS], start[5], worst = 0.0;
@@ -664,7 +662,7 @@ static int algebra(void)
     return sound;
 }
 
-/* Check moc_start and moc_begin: torques at and above limits, damaged states, NaN, no start. Returns 0 if one fails. */
+/* Check moc_start and moc_begin with torques above limits, damaged states and NaN. Returns 0 if one fails. */
 static int contract(void)
 {
     static moc_state state;
@@ -700,7 +698,7 @@ static int contract(void)
         in.measured.applied = most;
     }
     for (int j = 0; j < arm.n; j++)
-        most[j] *= uniform(-1.0, 1.0); /* the torque that acted is not the torque that was sent */
+        most[j] *= uniform(-1.0, 1.0); /* another torque acted than was sent */
     moc_begin(&controller, &in, &state);
     if (memcmp(state.sent, most, (unsigned)arm.n * sizeof *most) != 0)
         return 0;

@@ -113,7 +113,7 @@ def test_pull_times_c2_over_rho_does_not_depend_on_c2_and_rho(robot):
         found = c2 / rho * fields(subproblem(robot, s, tip_ref, trocar, **parts)).pull
         np.testing.assert_allclose(found, reference.scaled_climb(robot, s, margin), rtol=1e-4, atol=1e-4)
         below += s.mu_shaft < margin
-    assert below > 0  # some poses have mu_shaft below the margin
+    assert below > 0
 
 
 @pytest.mark.parametrize("bend", [0.0, 1e-12])
@@ -144,7 +144,7 @@ def test_null_space_basis_changes_continuously_at_straight_elbow():
 
 
 def problem(rng, robot, tight=None):
-    """Return flat array, parts and basis of ker A of a random subproblem. Bounds lie within `tight` of a feasible x."""
+    """Return flat array, parts and basis of ker A of a random subproblem, with bounds `tight` around a feasible x."""
     s = robot.state(robot.random_regular_pose(rng))
     u, v_T, v_W = s.tool_direction, *(0.05 * rng.normal(size=(2, 3)))
     row, Z = np.full(11 * s.n + 10, np.nan), reference.null_space(s.A)

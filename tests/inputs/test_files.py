@@ -1,4 +1,4 @@
-"""Only regular files of bounded size are read, and files are written whole or not at all."""
+"""Reading and writing of files."""
 
 import errno
 import io

@@ -1,4 +1,4 @@
-"""Settings refuse unknown keys and wrong types. Errors name field, value and range."""
+"""Settings refuse unknown keys and wrong types."""
 
 import importlib
 import pkgutil

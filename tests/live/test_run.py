@@ -1,4 +1,4 @@
-"""Tests of LiveRun without its web page."""
+"""LiveRun without its web page."""
 
 from collections.abc import Callable
 from typing import Any

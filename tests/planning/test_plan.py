@@ -1,4 +1,4 @@
-"""A plan says whether a path can be executed, and if not, where it is blocked. A course is a planned joint motion."""
+"""A plan says whether a path can be executed, and if not, where it is blocked."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The nonlinear program plans courses (joint motions) that keep all limits, for a whole path or a short horizon."""
+"""The nonlinear program plans courses that keep all limits."""
 
 import casadi
 import numpy as np

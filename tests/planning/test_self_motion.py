@@ -95,7 +95,7 @@ def test_three_samples_give_the_peak_of_a_parabola():
         step, above = parabola_peak(x, y)
         if x[0] <= top <= x[2]:
             np.testing.assert_allclose([x[1] + step, y[1] + above], [top, height], atol=1e-9)
-        else:  # a peak outside the samples: the step ends at a neighbour
+        else:  # a peak outside the samples
             assert min(abs(x[1] + step - x[0]), abs(x[1] + step - x[2])) < 1e-12
     for y in ([1.0, 0.0, 1.0], [-np.inf, 1.0, 0.5], [0.0, 1.0, 2.0]):
         assert parabola_peak(np.arange(3.0), np.array(y)) == (0.0, 0.0)

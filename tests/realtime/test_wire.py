@@ -147,7 +147,7 @@ def test_faulty_commands_are_counted(peer):
     np.testing.assert_array_equal(peer.tick(), ones)
     assert (peer.plant.limited, peer.columns["control_us"][0], peer.columns["solve_us"][0]) == (3, 12.0, 2.0)
     assert (quality["received"], quality["missed"]) == (1, 0)
-    np.testing.assert_array_equal(peer.tick(), ones)  # no command: the previous torque is held
+    np.testing.assert_array_equal(peer.tick(), ones)  # the previous torque is held
     assert (quality["missed"], peer.plant.limited) == (1, 0)
     assert peer.columns["missed"][:2].tolist() == [False, True]
     peer.say(Kind.COMMAND, 1, tau=7 * ones)  # late
@@ -238,9 +238,9 @@ def answered(said):
 
 @pytest.mark.parametrize(("ticks", "commands", "corrected", "counts", "ended"), [
     ([(0, 0), (1, 1), (2, 2), (3, 3)], [(0, 1), (1, 2), (2, 3), (3, 4)], [], (4, 0, 0), "completed"),
-    # The plant did not receive the second command, and held the first torque.
+    # The second command was lost.
     ([(0, 0), (1, 1), (2, 1), (3, 3)], [(0, 1), (1, 2), (2, 3), (3, 4)], [(2, 1)], (4, 0, 0), "completed"),
-    # A repeated measurement is answered by a repeated command.
+    # A measurement is repeated.
     ([(0, 0), (1, 1), (1, 1)], [(0, 1), (1, 2), (1, 2)], [], (2, 0, 1), "the plant ended the run at tick 2 of 4"),
     ([(0, 0), (3, 1), (1, 1)], [(0, 1), (3, 2)], [], (2, 2, 1), "completed"),
 ])  # fmt: skip

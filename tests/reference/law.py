@@ -1,12 +1,12 @@
 """The control law of docs/method.md in plain numpy. Tests compare the C core with it.
 
-``s`` is a RobotState. X is the tip, N the wrist and L their distance. The trocar has the position P and velocity dP.
+``s`` is a RobotState. The trocar has the position P and velocity dP.
 """
 
 import numpy as np
 from scipy.linalg import null_space as scipy_null_space
 
-# These constants are explained in moc_opt/core/law.c and null_space.c.
+# See moc_opt/core/law.c and null_space.c.
 STRAIGHT, SHAFT_PULL, SHAFT_LOST, BOX_OPENS = 1e-3, 0.1, 0.1, 3.0
 CLIMB_PER_S, LONGEST_RAD, PROBE_RAD = 5.0, 1.0, 1e-3
 
@@ -37,7 +37,7 @@ def null_space(A):
 
 
 def projector(name, s):
-    """Return the projector (n, n) of the wrist's torque (level 2)."""
+    """Return the projector (n, n) of level 2."""
     J, eye = s.J_tip, np.eye(s.n)
     if name == "as_published":
         return eye - J.T @ J
@@ -98,7 +98,7 @@ def references(s, tip_ref, trocar):
 
 
 def shaft_push(mu_shaft, margin):
-    """Return the weight of grad mu_shaft in `slope`: zero if mu_shaft is at least ``margin``."""
+    """Return the weight of grad mu_shaft in `slope`."""
     if mu_shaft >= margin:
         return 0.0
     return SHAFT_PULL * (1.0 - mu_shaft / margin) * mu_shaft / (mu_shaft**2 + (SHAFT_LOST * margin) ** 2)

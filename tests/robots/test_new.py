@@ -1,4 +1,4 @@
-"""`robot new` makes a robot from a vendor's URDF, and `robot check` examines it."""
+"""`robot new` and `robot check`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Impossible starts and paths are refused. The error names the field and the place along the path."""
+"""Impossible starts and paths are refused."""
 
 import dataclasses
 import re
@@ -144,7 +144,7 @@ def test_a_random_start_is_regular_and_away_from_joint_limits(seed, swivel):
 
 @pytest.mark.parametrize(("name", "margins"), [("lwr4", (0.15, 0.0)), ("lwr4_rail", (0.05, 0.2))])
 def test_random_start_keeps_the_given_margins(name, margins):
-    """Without limit_margin_rad and limit_margin_m, some joint comes nearer to its limit."""
+    """Without the margins, some joint comes nearer to its limit."""
     asking = {"limit_margin_rad": margins[0], "limit_margin_m": margins[1]}
     for keys, kept in ((asking, True), ({}, False)):
         made = setup(0, robot={"name": name}, start={"pose": "random", "swivel": "random", **keys})

@@ -1,4 +1,4 @@
-"""Forces on the arm: trocar, pushes and the springs of elastic joints."""
+"""Forces on the arm."""
 
 import re
 
@@ -143,7 +143,7 @@ def hold(plant, periods, more=0.0):
 
 @pytest.mark.parametrize("stiffness", [1e3, 1e4])
 def test_elastic_joint_swings_at_the_frequency_of_rotor_and_links(stiffness):
-    """The frequency is sqrt(k (1/B + 1/J)) with the rotor's inertia B and the links' inertia J."""
+    """The frequency is sqrt(k (1/B + 1/J)) with inertias B of the rotor and J of the links."""
     settings = elastic(
         joint_stiffness_Nm_per_rad=(stiffness, *[1e5] * 6), period_s=1e-3, substeps=100, gravity=False,
         joint_spring_damping_Nm_s_per_rad=0.0,

@@ -1,4 +1,4 @@
-"""The closed loop: inputs of controller and plant, recorded columns, and reasons to stop."""
+"""The closed loop."""
 
 import gc
 
@@ -151,7 +151,7 @@ def live(scenario):
 
 
 def procedure(scenario):
-    """Guide the arm by hand. Return reason and time [s] of the stop, and final joint velocities (n,)."""
+    """Guide the arm by hand. Return the same values as `live`."""
     setup = Setup(scenario)
     incision = setup.plant.tip + np.array([0.05, 0.1, 0.1])
     found = guide_to(incision, setup.plant, setup.robot, HandsOnSettings(guard=scenario.guard, time_limit_s=1.2))

@@ -25,17 +25,17 @@ every_solver = pytest.mark.parametrize("name", NAMES)
 
 @dataclass(frozen=True)
 class Expect:
-    """A solver's settings in the tests, and the requirements on its answers. Tolerances are for SOLVED answers only."""
+    """A solver's settings, and the requirements on its answers. Tolerances are for SOLVED answers."""
 
     settings: dict[str, Any] = field(default_factory=dict)
     primal: float = 1e-7  # |A x - b|_inf and violation of bounds [m/s, rad/s]
     relative: float = 1e-4  # natural residual with the best y, for the cost divided by its size (`Residuals.relative`)
     loss: float = 1e-4  # (cost of x - optimum) / (largest cost - optimum)
     natural: float = 1e-5  # natural residual with the solver's own y [rad/s]
-    x: float = 2e-4  # largest difference from the answer of `exact`, and from a cold start [rad/s]
+    x: float = 2e-4  # largest difference from `exact`, and from a cold start [rad/s]
     gap: float = 1e-6  # with regularization = 0: (f(x) - f(exact)) / (c2 |grad_mu|_inf) [rad/s]
-    solved: float = 1.0  # lower bound on the share of feasible problems with the status SOLVED
-    certified: float = 1.0  # lower bound on the share of infeasible problems with the status INFEASIBLE
+    solved: float = 1.0  # least share of feasible problems with the status SOLVED
+    certified: float = 1.0  # least share of infeasible problems with the status INFEASIBLE
     undamped: float | None = 1.0  # ``solved`` for problems with regularization = 0; None: it refuses these
     recovers: bool = True  # False: after an infeasible problem, answers need not be SOLVED
     arm: bool = False  # the solver needs the arm's kinematics
@@ -62,14 +62,13 @@ EXPECT = {
     "qpsolvers:daqp": Expect(certified=0.0),  # qpsolvers does not pass on why daqp failed
     # Nor does it for highs, whose usual time limit of 0.1 s is too short on a busy machine.
     "qpsolvers:highs": Expect({"options": {"time_limit": 30.0}}, certified=0.0),
-    "qpsolvers:piqp": Expect(certified=0.85),  # some infeasible problems end as MAX_ITER
+    "qpsolvers:piqp": Expect(certified=0.85),
     "qpsolvers:proxqp": Expect(solved=0.85, undamped=0.7),  # see moc_opt.solvers.qpsolvers.ADVICE
-    "qpsolvers:quadprog": Expect(undamped=None),  # needs a positive definite P
+    "qpsolvers:quadprog": Expect(undamped=None),
 }
 
 
 def expect(name: str) -> Expect:
-    """Return the requirements on a solver."""
     built_in = name in registry.BUILT_IN or name.startswith("qpsolvers:")
     return EXPECT.get(name, Expect() if built_in else Expect(certified=0.0))
 
@@ -271,7 +270,6 @@ def test_inputs_and_earlier_answers_stay_untouched(name):
 
 
 def odd_problems() -> list[NullSpaceQP]:
-    """Return valid but awkward problems."""
     rng = np.random.default_rng(9)
     qp = random_problem(rng, arm=ARM)
     x = create("exact").start(qp).solve(qp).x

@@ -1,4 +1,4 @@
-"""`Faulty` fails on purpose, at exactly the ticks that its seed determines."""
+"""`Faulty` fails on purpose, at the ticks that its seed determines."""
 
 import numpy as np
 import pytest

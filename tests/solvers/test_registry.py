@@ -1,4 +1,4 @@
-"""Solvers by name: availability, plug-ins and options."""
+"""Solvers by name."""
 
 import contextlib
 import os

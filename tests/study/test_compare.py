@@ -16,7 +16,7 @@ from moc_opt.trace.trace import about
 
 
 def standing(name="standing", fails=None):
-    """Return a solver that always answers x = 0, or whose start raises the error ``fails``."""
+    """Return a solver that answers x = 0, or whose start raises ``fails``."""
     session = SimpleNamespace(solve=lambda qp: Solution(np.zeros(len(qp.lower)), None, Status.SOLVED))
     return SimpleNamespace(name=name, supports=lambda qp: None, start=Mock(side_effect=fails, return_value=session))
 
@@ -120,7 +120,7 @@ TIP = {"dcac": (0.02, 0.3), "exact": (0.1, 0.15), "qpsolvers:quadprog": (0.05, 0
 
 
 def compared(trials):
-    """Return a comparison in which `exact` raises the small tip errors of DCAC and lowers the large ones."""
+    """Return a comparison in which `exact` raises small tip errors and lowers large ones."""
     rows = [
         {
             "solver": name, "seed": seed, "ended": "completed", "asked": 4 * (name != "dcac"),

@@ -1,5 +1,3 @@
-"""Results of a study."""
-
 from pathlib import Path
 from typing import Any
 

@@ -1,5 +1,3 @@
-"""The study of solvers."""
-
 import json
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Measured times, and when they are not to be trusted."""
+"""Measured times."""
 
 import gc
 import os

@@ -1,4 +1,4 @@
-"""Paths: geometry, paths of other packages, and refused arguments."""
+"""Paths of the tip."""
 
 import math
 from collections.abc import Callable

@@ -127,7 +127,7 @@ def test_a_foreign_trace_is_shown_or_refused(tmp_path, faulty_run, data):
     entries = [place for place in places(meta) if place]
     for _ in range(data.draw(st.integers(0, 3))):
         (*path, last), odd, inner = data.draw(st.sampled_from(entries)), data.draw(odd_entries), meta
-        with contextlib.suppress(KeyError, IndexError, TypeError):  # an earlier change removed this entry
+        with contextlib.suppress(KeyError, IndexError, TypeError):  # removed by an earlier change
             for key in path:
                 inner = inner[key]
             inner[last] = odd

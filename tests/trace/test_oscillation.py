@@ -1,4 +1,4 @@
-"""Oscillation is found in traces that oscillate, and not in ordinary traces."""
+"""Oscillation of traces."""
 
 import numpy as np
 import pytest
@@ -84,9 +84,9 @@ def test_short_burst_does_not_hide_an_oscillation(joint, amplitude, where, at, s
 
 
 @pytest.mark.parametrize(("amplitude", "hertz", "where", "says"), [
-    # Slow motions, as in tasks.
+    # Slow motions.
     (1.0, 0.2, None, False), (1.0, 1.0, None, False), (1.0, limits.ABOVE_HZ / 4.0, None, False),
-    # A burst during the start, and shaking for 0.5 s after the start. The start is not judged.
+    # The start is not judged.
     (3.0, 40.0, (0.0, 0.9 * limits.START_S), False), (3.0, 40.0, (limits.START_S, 2.0 * limits.START_S), True),
     # Shaking for one second.
     (1.0, 47.0, (0.5, 1.5), True), (1.0, 47.0, (2.0, 3.0), True), (1.0, 47.0, (7.0, 8.0), True),

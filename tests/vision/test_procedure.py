@@ -109,7 +109,7 @@ def test_trocar_is_registered_on_the_realistic_arm():
     seed = 2
     found, plant = guided(seed, registration_error_m=0.0)
     assert found.status is HandsOnStatus.REGISTERED
-    # The hand stops at a small distance from the incision. Most of the error is this distance.
+    # Most of the error is the hand's distance from the incision.
     assert found.error_m < 0.002
     trace = found.trace
     assert trace.tip_error_m[0] > 0.05

@@ -1,5 +1,5 @@
-/* Self-test: repeat recorded ticks, compare the torques with those of Python, time the ticks. The recording has TICKS
- * ticks, of which the first SOUND have no faults. STOPPED_AT is the tick at which Python's controller stopped. */
+/* Self-test: repeat recorded ticks, compare the torques with Python's, time the ticks. The first SOUND ticks have no
+ * faults. Python's controller stopped at the tick STOPPED_AT. */
 #define _POSIX_C_SOURCE 199309L
 
 #include <stdio.h>

@@ -1,7 +1,5 @@
 /* The controller over UDP (docs/realtime.md).
- *
- * Usage: moc_udp HOST PORT reference.bin, with the key in MOC_OPT_WIRE_KEY. HOST and PORT are those of the simulated
- * plant. reference.bin has the references of tip and trocar for all ticks. The control loop uses no heap. */
+ * Usage: moc_udp HOST PORT reference.bin, with the plant's address and the key in MOC_OPT_WIRE_KEY. */
 #define _POSIX_C_SOURCE 200809L
 #include <arpa/inet.h>
 #include <math.h>
@@ -50,7 +48,7 @@ static struct {
     int socket;
     struct sockaddr_in plant;
     uint64_t session; /* 0: unknown */
-    unsigned ignored; /* number of received packets that were ignored */
+    unsigned ignored;
 } wire;
 
 static int64_t now_ns(void)
@@ -84,7 +82,7 @@ static const char *open_link(const char *host, const char *port)
     return NULL;
 }
 
-/* Complete the header of a packet, sign and send the packet. Errors of sending are ignored. */
+/* Complete the header, sign and send. Errors of sending are ignored. */
 static void send_packet(wire_header *packet, size_t size, uint8_t kind, int64_t number)
 {
     uint8_t *bytes = (uint8_t *)packet;
@@ -131,7 +129,7 @@ static int receive(int64_t until, wire_measurement *found)
     return 0;
 }
 
-/* Repeat a packet, for at most WIRE_WAIT_S, until a measurement has (waiting = 1) or lacks (0) flag WIRE_WAITING. */
+/* Repeat a packet until a measurement has (waiting = 1) or lacks (0) the flag WIRE_WAITING. */
 static int ask(uint8_t kind, int waiting, wire_measurement *found)
 {
     int64_t until = now_ns() + (int64_t)(1e9 * WIRE_WAIT_S);
