@@ -378,7 +378,7 @@ def report(summary: Mapping[str, Any], rows: Results, config: Config) -> Report:
         held = sum(row["verdict"] == HOLDS for row in claimed.values())
         effects = [f"{title} {spread(row, 'matched_percent', sign='+') or '?'}" for title, row in claimed.items()]
         answer.append(
-            f"Table I as printed with {solver}: {too_few(count) or f'{held} of {len(claimed)} claims hold'}, and "
+            f"Solver {solver}, parameters of Table I: {too_few(count) or f'{held} of {len(claimed)} claims hold'}, and "
             f"{shook[PRINTED, solver]} of {count} runs oscillate. Changes against DCAC with the same gains [%]: "
             f"{'; '.join(effects)}."
         )

@@ -6,10 +6,10 @@ The variables q are the positions of the joints that move tip or wrist, at K eve
     s.t. X(q_k) = X_d,  B_k^T (N(q_k) - X_d) = 0,  q_min <= q_k <= q_max,  |q_k - q_k-1| <= v_max dt,
          and no joint is `too_fast` towards its limit
 
-mu is reduced by `lowered`, mu_0 is a typical mu, w a weight, T = `SETTLED_S`, dt the time step, and V the value
-function of `search`. X(q) is the tip, X_d its target, and N(q) the wrist. The columns of B_k (3,2) are orthogonal to
-the desired shaft, so that N lies on it. |X - N| is constant, so a third equation for N would make multipliers
-ambiguous.
+From mu, `course.lowered` subtracts a penalty on poses that can hardly turn the shaft. mu_0 is a typical mu, w a weight,
+T = `SETTLED_S`, dt the time step, and V the value function of `search`. X(q) is the tip, X_d its target, and N(q) the
+wrist. The columns of B_k (3,2) are orthogonal to the desired shaft, so that N lies on it. |X - N| is constant, so a
+third equation for N would make multipliers ambiguous.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from moc_opt.planning.course import WORTH, Course, Limits, Targets, make_course,
 from moc_opt.planning.search import End
 from moc_opt.robots.model import RobotModel
 
-# Settings of ipopt for a whole path. With a larger mu_init (barrier parameter), ipopt often turns fast joint motions
-# of the guess into slow ones.
+# Settings of ipopt for a whole path. mu_init (barrier parameter) is small, because with a larger one ipopt often leaves
+# a guess with fast joint motions.
 WHOLE: dict[str, Any] = {
     "print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.max_iter": 300, "ipopt.tol": 1e-8,
     "ipopt.constr_viol_tol": 1e-10, "ipopt.bound_relax_factor": 0.0, "ipopt.honor_original_bounds": "yes",
@@ -46,7 +46,7 @@ SETTLED_S = 0.3  #: Time T in the objective above.
 SOFT_RAD = 0.003  #: e in `too_fast`; it keeps the derivative finite at the joint limit.
 SMOOTH_LOSS = 0.05  #: Share of mean mu that smoothness and braking may cost.
 LEAST_SHARE = 1e-4  #: The shaft share s is replaced by sqrt(s^2 + `LEAST_SHARE`^2), which is smooth at s = 0.
-INSIDE = 1e-9  #: Joint limits and the largest step are narrowed by this, to absorb rounding [rad].
+INSIDE = 1e-9  #: Margin for rounding at the joint limits and the largest step [rad].
 
 
 class Program:
@@ -60,10 +60,10 @@ class Program:
 
         Args:
             mu: mu_0, which scales the objective [m^3].
-            top: largest mu, which scales the penalty of `lowered` [m^3]. If 0, mu_0 is used.
+            top: largest mu, which scales the penalty of `course.lowered` [m^3]. If 0, mu_0 is used.
             smoothness: w [s^4/rad^2].
             brake: deceleration with which joints must be able to stop before their limits [rad/s^2]; inf: no such rule.
-            horizon: use SQP instead of ipopt, and leave out the penalty on stopping after the last time.
+            horizon: use SQP instead of ipopt, and do not penalize the deceleration to rest after the last time.
         """
         import casadi as ca  # slow to import
 

@@ -77,7 +77,7 @@ class Change(NamedTuple):
         return opposed or sides[0] != sides[1]
 
     def __str__(self) -> str:
-        return f"{self.ratio:.3g}" + (f" (mean of ratios {self.ratios:.3g}: undecided)" if self.undecided else "")
+        return f"{self.ratio:.3g}" + (f" (undecided: mean of ratios {self.ratios:.3g})" if self.undecided else "")
 
     def entries(self, name: str) -> dict[str, float]:
         """Return entries for a summary."""
@@ -101,7 +101,7 @@ def spread(entries: Mapping[str, Any], name: str, digits: int = 3, sign: str = "
         text += f" [{written(low)}, {written(high)}]"
     text += unit
     if entries.get(f"{name}_undecided"):
-        text += f" (mean of ratios {spread(entries, f'{name}_of_ratios', digits, sign, unit)}: undecided)"
+        text += f" (undecided: mean of ratios {spread(entries, f'{name}_of_ratios', digits, sign, unit)})"
     return text
 
 

@@ -70,7 +70,7 @@ class Path:
         return self.points(np.clip(s, 0.0, self.length))
 
     def points(self, s: Array) -> Array:
-        """Return the rows of `at` as (k, 3, 3). The range of s (k,) [m] is not checked."""
+        """Return p, dp/ds, d2p/ds2 (axis 1) at each s, (k, 3, 3). The range of s (k,) [m] is not checked."""
         x, y, tx, ty, k = np.array([self.curve.at(one) for one in s.tolist()]).reshape(-1, 5).T[:, :, None]
         a, b = self.heading, self.left
         return np.stack([self.start + a * x + b * y, a * tx + b * ty, a * (-k * ty) + b * (k * tx)], axis=1)
