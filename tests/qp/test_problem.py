@@ -123,6 +123,12 @@ def test_the_sixth_row_is_left_out_only_where_the_tool_is_rigid(seed, n, rank, a
         assert np.linalg.norm(lost) <= 1.001 * tied
 
 
+@pytest.mark.parametrize("axis", range(3))
+def test_five_rows_are_left_for_a_rigid_tool_along_an_axis(qp, axis):
+    difference = np.random.default_rng(3).normal(size=(3, 7)) * (np.arange(3) != axis)[:, None]
+    check_assembled(changed(qp, J_wrist=qp.J_tip - difference), 5)
+
+
 def test_assembled_with_argument_six_has_all_rows(qp):
     check_assembled(qp, 5)
     found = qp.assembled(6)
