@@ -2,8 +2,8 @@
 
 python -m benchmarks.paper [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-MOC runs with Table I of the paper (its parameters) as printed, and with tuned values. DCAC runs with the paper's gains
-for DCAC, and with the gains of MOC.
+DCAC is MOC without its third level. MOC runs with Table I of the paper (its parameters) as printed, and with tuned
+values. DCAC runs with the paper's gains for DCAC, and with the gains of MOC.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from moc_opt.vision.board import board_task
 
 STREAM = 0
 PRINTED, NETWORK = "paper", "rnn"
-"""PRINTED: the group with Table I as printed; NETWORK: the paper's solver, a recurrent neural network"""
+"""PRINTED: the group of runs with Table I as printed; NETWORK: the paper's solver, a recurrent neural network"""
 HOLDS, GAINS_ONLY, FAILS, UNDECIDED = "holds", "holds only against DCAC with softer gains", "does not hold", "undecided"
 MARKS = {HOLDS: ("✔", "good", 0), GAINS_ONLY: ("≈", "fair", 1), FAILS: ("✘", "bad", 2)}
 TONES = {HOLDS: GOOD, GAINS_ONLY: list(SERIES)[4], FAILS: WORST}
@@ -53,10 +53,10 @@ RULES = (
     "An effect compares MOC with a DCAC on the same trials. It has two numbers, each with a 95 % interval: the change "
     "of the mean, 100 (mean MOC / mean DCAC - 1), and the mean of the trials' changes. A claim is confirmed against a "
     "DCAC if both intervals lie on the claimed side of its bound. It holds if it is confirmed against DCAC with MOC's "
-    "gains (MOC without its third level). If it is confirmed only against DCAC with the paper's (softer) gains for "
-    "DCAC, it is said to hold only against softer gains. It is undecided if the two numbers, or their intervals, lie "
-    "on different sides of the bound. Fewer than eight trials decide nothing. The force at the trocar is not judged: "
-    "it follows the RCM error. Damped DCAC has MOC's gains, and its self-motion is damped."
+    "gains (MOC without its third level). It is undecided if the two numbers of this comparison, or their intervals, "
+    "lie on different sides of the bound. Otherwise, if it is confirmed against DCAC with the paper's (softer) gains, "
+    "it is said to hold only against softer gains. Fewer than eight trials decide nothing. The force at the trocar is "
+    "not judged: it follows the RCM error. Damped DCAC has MOC's gains, and its self-motion is damped."
 )
 
 
@@ -320,7 +320,7 @@ def _shift(rows: Results, cases: Mapping[str, Case], name: str, printed: str, cl
 
 
 def swivel_trials(config: Config) -> list[Trial]:
-    """Return trials with starts along the self-motion. One start has the largest mu on it."""
+    """Return trials that start at poses along a self-motion. One of these poses has the curve's largest mu."""
     base = config.base(config.swivel.group)
     [trial] = trials(base, [config.swivel.task], seeds(config.seed, STREAM, 1), virtual=True)
     robot = trial.robot.arm()
@@ -337,7 +337,7 @@ def swivel_trials(config: Config) -> list[Trial]:
 
 
 def swivel(rows: Results, solver: str) -> dict[str, Any]:
-    """Return the gain of mean mu [%] from the start with the largest mu, and the range of gains from the others."""
+    """Return the gain of mean mu [%] of the run that starts at the largest mu, and the range of the others' gains."""
     top, others = (rows.where(at_maximum=best) for best in (True, False))
     found: dict[str, Any] = {"starts": len(rows) // 2, "broke_off": len(rows.failed())}
     if (of_top := gains(top, solver)) and (of_others := gains(others, solver)):

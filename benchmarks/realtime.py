@@ -121,7 +121,7 @@ def runs_of(study: Study, config: Config) -> dict[Case, list[Run]]:
         for rate, scenario in scenarios.items() if "c" in config.controllers
     }  # fmt: skip
     machine = environment({}, 0)["machine"]
-    here = (machine["processor"], machine["cores"])  # like a run's number, it only distinguishes saved results
+    here = (machine["processor"], machine["cores"])  # only keeps saved results of other machines apart
     each = min(config.cycles, config.run_cycles)
     asked = [(case, number) for case in config.measured() for number in range(-(-config.cycles // each))]
     jobs = []

@@ -1,4 +1,4 @@
-"""Make the guides of a run, which give level 3 its desired joint velocity from a course."""
+"""Make the guides of a run. A guide gives level 3 (null space) its desired joint velocity, from a planned course."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from moc_opt.trace.trace import Trace
 COURSE_SHARE = 0.25  #: Courses try to keep this share of ``[control] shaft_margin``.
 V_PERIOD_S = 0.1  #: Time step of the pose map.
 TARGETS_PER_TIME = 20  #: Targets per time step of the map.
-HALF_CELL = 0.5  #: First ``cell`` of `Value` to be tried. With 0, courses near singular poses are lost.
+HALF_CELL = 0.5  #: First ``cell`` (slack of steps) of `Value` to be tried. 0 would lose courses near singular poses.
 SPEEDS = (1.0, 0.7, 0.4)
 """Factors on ``[control] course_speed_fraction``, tried in this order until a course is smooth and can brake."""
 HURRY, WORTH_IT = 1.12, 0.01
 """The speed factor `HURRY` is tried before `SPEEDS` if it raises mean mu by more than the share `WORTH_IT`."""
 FASTEST = 0.97  #: Largest speed share that `HURRY` gives. A larger ``course_speed_fraction`` stays as it is.
-BRAKE_SHARE = 0.9  #: Share of the safety filter's deceleration for courses made before the run.
+BRAKE_SHARE = 0.9  #: Limit on the braking of courses made before the run, as a share of `Following.brake`.
 SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}
 """Weight of the squared acceleration [s^4/rad^2] of courses made before the run (planned) or during it (receding)."""
 MOST_OFF_M = 1e-3  #: Distance of tip or wrist from its target, above which a course file is refused.
@@ -47,7 +47,7 @@ class Following:
     robot: RobotModel
     q_start: Array  #: (n,) [rad]
     settings: ControlSettings
-    targets: Callable[..., Targets]  #: its arguments: wanted time between targets [s], factor on their number
+    targets: Callable[..., Targets]  #: takes the wanted time between targets [s], and a factor on their number
     brake: float  #: safety filter's deceleration before a joint limit [rad/s^2]
     period_s: float  #: control period
 

@@ -1,8 +1,8 @@
 """Map the poses of an arm at each point of a path, with mu and the distance to joint limits.
 
-If the axes meet in a shoulder, an elbow and a wrist, the poses have a closed form in the swivel (Kreutz-Delgado, Long
-and Seraji 1992). For any other arm, curves of poses are traced numerically. With a null space of several dimensions,
-the curves contain only some of the poses.
+If the axes meet in a shoulder, an elbow and a wrist, the poses have a closed form in the swivel: the angle of the elbow
+about the line shoulder-wrist (Kreutz-Delgado, Long and Seraji 1992). For any other arm, curves of poses are traced
+numerically. With a null space of several dimensions, the curves contain only some of the poses.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from moc_opt.robots.model import RobotModel, link_frames
 Flags = NDArray[np.bool_]
 
 EXACT_M = 1e-7  #: Distance up to which two axes count as meeting.
-BRANCHES = 8  #: Number of branches. Bits 0, 1, 2 of a branch's index are 1 if t2, t4, t6 of `ClosedForm` are < 0.
+BRANCHES = 8  #: Poses per swivel. Bits 0, 1, 2 of a pose's branch index are 1 if t2, t4, t6 of `ClosedForm` are < 0.
 STRAIGHT = 1e-9  #: Sine of the angle between forearm and line shoulder-wrist. Below it, the map has no pose.
 ROUNDING_RAD = 1e-9  #: Tolerance of the joint limits.
 SWIVELS, MOST_SWIVELS = 720, 2880  #: Default and largest number of swivels.
@@ -63,7 +63,7 @@ class PoseMap:
         return np.asarray(room >= -ROUNDING_RAD)
 
     def crossing(self, k: int, step_rad: Array) -> NDArray[np.int64]:
-        """Return a mask (m,) of the bits of the branch's index that a step (n,) [rad] can flip at time k."""
+        """Return for each swivel (m,) the bits of the branch's index that a step (n,) [rad] at time k can flip."""
         if self.closed is None:
             return np.zeros(self.mu.shape[2], dtype=np.int64)
         with np.errstate(invalid="ignore"):

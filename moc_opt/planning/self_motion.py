@@ -1,6 +1,6 @@
 """Self-motion: the poses that an arm can take while tip and wrist stay in place.
 
-The curve of poses follows the null vector of A = [J_tip; J_wrist].
+With one freedom, the poses form a curve. Its tangent is the null vector of A = [J_tip; J_wrist].
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def limit_shares(robot: RobotModel, q: Array) -> Array:
 
 
 def parabola_peak(x: Array, y: Array) -> tuple[float, float]:
-    """Compute the peak of the parabola through three samples at the places x (3,), in ascending order, with values y.
+    """Compute the peak of the parabola through three points (x[i], y[i]), where x rises.
 
     Return the step from x[1] to the peak, clipped to the samples, and the height above y[1]; zeros if there is no peak.
     """
@@ -124,8 +124,8 @@ class SelfMotion:
 def self_motion(robot: RobotModel, q: ArrayLike, step: float = 0.02) -> SelfMotion:
     """Scan the feasible self-motion through q at fixed tip and wrist.
 
-    With several freedoms, joints are held still until one is left. Other poses with the same tip and wrist may then
-    have a larger mu than the whole curve. Without a freedom, the curve is a single pose.
+    With several freedoms, joints are held still until one freedom is left. Then the largest mu of all poses with this
+    tip and wrist may lie off the curve. Without a freedom, the curve is a single pose.
 
     Args:
         q: (n,) a pose inside the joint limits [rad].

@@ -66,7 +66,7 @@ def replaced(trace: Trace) -> str:
 
 
 def below_best(trace: Trace) -> str:
-    """Say how far mean mu is below the best course's ("" if by at most `NEAR`), or why this is unknown."""
+    """Say how far mean mu is below that of the best joint motion, or why this is unknown; "" if it counts as best."""
     found = table(trace.meta, "best_courses")
     if absent := found.get("absent"):
         return f"mean mu is not compared with the best joint motion from this start: {absent}"
@@ -126,8 +126,8 @@ def run_tables(
 ) -> list[Table]:  # fmt: skip
     """Lay out the metrics of runs side by side.
 
-    If any run ended early, each has its own table. ``first`` shows only the metrics in `MATTER`. ``first`` or
-    ``explained`` adds their meanings.
+    If any run ended early, each run has its own table. With ``first``, only the metrics in `MATTER` are shown. With
+    ``first`` or ``explained``, a column gives the metrics' meanings.
     """
     if len(metrics) > 1 and any(part(traces[name]) for name in metrics):
         alone = ({name: values} for name, values in metrics.items())

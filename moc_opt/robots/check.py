@@ -21,8 +21,8 @@ from moc_opt.sim.settings import PlantSettings
 
 Verdict = Literal["ok", "care", "cannot"]
 REGULAR, SINGULAR = (0.1, 0.05), 1e-4
-"""If `Freedoms.tip` or `Freedoms.both` at home is below its value in `REGULAR`, the verdict is "care". If one is below
-`SINGULAR`, the verdict is "cannot"."""
+"""`Freedoms.tip` and `Freedoms.both` are ratios of singular values, here at home. If one is below its value in
+`REGULAR`, the verdict is "care". If one is below `SINGULAR`, the verdict is "cannot"."""
 LITTLE_TO_GAIN = 0.05  #: If mu at home can rise by less than this share, the verdict is "care".
 LEAST_M = 0.005  #: If the arm cannot even follow a circle of this radius, the verdict is "cannot".
 MARGIN_DEG, MARGIN_MM = 15.0, 80.0  #: If home is nearer than this to a limit, the verdict is "care".

@@ -74,8 +74,8 @@ class FaultSettings(Settings):
     solver: Literal["none", "fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang"] = "none"
     """fault of the solver's answers, without effect if `law` = 'dcac'. 'fail': no answer; 'nan': NaN; 'lie': optimum
     for the negated manipulability gradient; 'raise': exception; 'outside': outside the bounds; 'rig': wrong answer, and
-    the solver changes the problem to fit it; 'malformed': wrong data type; 'hang': solve time of ten times `budget_us`
-    (without it: `deadline_us`)"""
+    the solver changes the problem to fit it; 'malformed': wrong data type; 'hang': solve time of ten times
+    `budget_us`, or of ten times `deadline_us` if there is no `budget_us`"""
     solver_share: float = Field(0.05, ge=0.0, le=1.0)
     """share of the solver's answers that have the fault `solver`"""
 

@@ -1,7 +1,7 @@
 """The simulated arm and its compliant trocar.
 
-The trocar's force on the tool is (I - u u^T) (stiffness (P_t - c) + damping (dP_t - w)). Here c is the shaft point
-nearest to P_t, and w is the tool's velocity at c.
+The trocar's force on the tool is (I - u u^T) (stiffness (P_t - c) + damping (dP_t - w)). Here P_t is the trocar, u the
+direction of the shaft, c the shaft's point nearest to P_t, and w the tool's velocity at c.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class Plant:
         seed: seed of mismatch and noise, 0 or more.
 
     Raises:
-        PlantError: MuJoCo cannot load the robot, its URDF lacks a frame, or the joints' stiffness does not fit.
+        PlantError: MuJoCo cannot load the robot, its URDF lacks a frame, or the joints' stiffness is unusable.
     """
 
     def __init__(self, data: RobotData, settings: PlantSettings | None = None, seed: int = 0) -> None:
@@ -221,7 +221,7 @@ class Plant:
         self.mj_model.dof_frictionloss[drives] = self._drive_friction[drives] + friction
 
     def push(self, body: str, force: ArrayLike, point: ArrayLike | None = None) -> None:
-        """Apply a constant force to a link from the next period on, instead of an earlier force on it.
+        """Apply a constant force to a link from the next period on. It replaces an earlier push on this link.
 
         Args:
             body: the link's name.

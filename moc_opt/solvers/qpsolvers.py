@@ -197,7 +197,7 @@ class QPSolver(SolverSettings):
 
     @property
     def advice(self) -> Advice:
-        """The library's `ADVICE`, in which given values replace its own."""
+        """The library's `ADVICE`, with the values of these settings where they are given."""
         base = ADVICE.get(self.library, Advice()) if self.advised else Advice()
         scale = base.cost_scale if self.cost_scale is None else self.cost_scale
         return Advice(scale, {**base.options, **(self.options or {})})

@@ -33,7 +33,7 @@ HUNG, CRASHED, RAISED, NOT_ASKED, REFUSED = "hung", "crashed", "raised", "not as
 BROKEN_SETS = 3  # after hangs or crashes in this many sets, a solver's later sets are skipped
 WHOLE_SET_S = 1e5  # time limit of a whole set [s]; `answer` limits the single solves
 WARM_UP = 16  # untimed solves at the start
-CONTRADICTION = 1e-13  # six rows A x = b contradict each other if a consistent b differs by more than this [m/s]
+CONTRADICTION = 1e-13  # six rows A x = b contradict each other if b is farther than this from a consistent b [m/s]
 RIGHTLY = 0.99  # with a smaller `share_right`, a solver's times are not compared, and its verdict is at best "gaps"
 RESIDUALS = ("primal", "natural", "natural_best", "relative", "loss")
 
@@ -94,7 +94,8 @@ class Answers:
     def counts(self) -> dict[str, int]:
         """Count the answers by outcome (see docs/solvers.md).
 
-        If six rows contradict each other while five are feasible, "infeasible" counts as `refused_inconsistent`.
+        If six rows contradict each other, but five of them are feasible, the answer "infeasible" to the six rows counts
+        as `refused_inconsistent`.
         """
         status, feasible = self.status, self.problems.feasible
         claimed, infeasible = status == "solved", status == "infeasible"
@@ -162,7 +163,7 @@ def totals(answers: Sequence[Answers], times: Sequence[Times]) -> dict[str, Any]
 
 
 def ask(run: Runner, questions: Sequence[Question], limits: Limits, *, warm: bool = True) -> list[Answers]:
-    """Collect the answers to each question. If ``warm``, one session solves a whole set, else a single problem."""
+    """Collect the answers to each question. If ``warm``, a session solves a whole set; if not, one problem."""
     jobs = [
         Job(answer, (setting, problems.rows, warm, limits.patience_s, limits.setup_s), WHOLE_SET_S, group=setting.label)
         for setting, problems in questions
@@ -274,7 +275,7 @@ def time(run: Runner, answers: Sequence[Answers], limits: Limits) -> list[Times 
 def measure(setting: SolverSetting, rows: Array, every: int, rounds: int, seconds: float) -> Times:
     """Time one session on all problems, and a new session on every ``every``-th problem.
 
-    No pass begins after ``rounds`` passes through all problems, or after ``seconds`` of solving.
+    The session passes through all problems ``rounds`` times. After ``seconds`` of solving, no further pass begins.
     """
     solver, problems = _made(setting), _problems(rows)
     session = solver.start(problems[0])

@@ -28,9 +28,9 @@ GAPS, NEAR = Mark("◐", "gaps", "fair", 2), Mark("≈", "near", "fair", 3)
 OTHER, OPEN = Mark("≠", "other", "other", 4), Mark("–", "open", "other", 5)
 AVOID = Mark("✘", "avoid", "bad", 6)
 TONES = {TAKE: GOOD, SOUND: GOOD, GAPS: list(SERIES)[4], NEAR: list(SERIES)[4], OTHER: MUTED, OPEN: BAD, AVOID: WORST}
-# A mean in closed loop may be worse than with the best solver. This loss is sure if both 95 % intervals of the `Change`
-# lie beyond the mean's tolerance (see `COSTS`).
-TOO_MUCH = 5.0  # a solver with a larger sure loss gets the verdict AVOID [tolerances]
+# In closed loop, a mean may be worse than with the best solver. This change has two 95 % intervals (see `Change` in
+# moc_opt.study.statistics). The loss is sure if both lie beyond the mean's tolerance in `COSTS`.
+TOO_MUCH = 5.0  # [tolerances] with a larger sure loss, a solver gets the verdict AVOID
 COSTS = {
     "mu_mean": ("mu", 0.01),
     "tip_error_model_mean_mm": ("tip", 0.05), "tip_error_registered_mean_mm": ("registered tip", 0.05),
@@ -42,8 +42,8 @@ FRAMED = tuple(name for name in COSTS if "_error_" in name)
 CERTIFIED, RECORDED, CLOSED = "Certified test sets", "Recorded sequence", "Closed loop"
 INCONSISTENT = (
     "Inconsistent: the six equality rows contradict each other along the shaft, by 1e-12 to 1e-4 m/s. With only five "
-    "independent rows, the problem has a certified optimum. The answer 'infeasible' is then true but useless. It is "
-    "counted neither as right nor as wrong."
+    "independent rows, the problem has a certified optimum. To the six rows, the answer 'infeasible' is true but "
+    "useless. It is counted neither as right nor as wrong."
 )
 
 

@@ -58,7 +58,8 @@ class TestSets(Limits):
     timed_too: list[str] = Field(["infeasible", "joint-limits", "jumps", "near-singular", "inconsistent-1e-6"])
     """further sets, which are timed under the recommended settings only"""
     every: int = Field(1, ge=1, description="1: every problem, 2: every second one, ...")
-    every_other: int = Field(4, ge=1, description="further thinning for nlp-* and settings not recommended; 1: none")
+    every_other: int = Field(4, ge=1)
+    """nlp-* and settings that are not recommended get fewer of these problems. 1: all, 2: every second one, ..."""
 
     @field_validator("names", "timed", "timed_too")
     @classmethod
@@ -160,7 +161,7 @@ class Work:
         return [row for part in TIMED for row in self.summary.get(part, {}).values()]
 
     def runner(self, what: str) -> Callable[..., list[Any]]:
-        """Return `Study.run` with the text of its progress bar."""
+        """Return `Study.run` with ``what`` as the text of its progress bar."""
         return partial(self.study.run, what=what)
 
     def say(self) -> None:

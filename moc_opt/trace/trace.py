@@ -257,7 +257,7 @@ def table(of: Mapping[str, Any], name: str) -> dict[str, Any]:
 
 
 def about(trace: Trace) -> dict[str, str]:
-    """Return a run's main facts as texts, by name. The law "dcac" has no solver: "dcac" then stands for its name."""
+    """Return a run's main facts as texts, by name. With law "dcac", which has no solver, "solver" is "dcac"."""
     meta, scenario = trace.meta, table(trace.meta, "scenario")
     name = meta.get("solver", table(scenario, "solver").get("name"))  # meta has "solver" if `run` got a solver object
     law = "dcac" if table(scenario, "control").get("law") == "dcac" else name
