@@ -134,7 +134,7 @@ def report(summary: Mapping[str, Any], judged: str) -> Report:
         [Column("robot", "arm", section="All figures"),
          *(Column(key, title, unit="%", section="Findings", help=FINDINGS[key]) for key, title in headings.items())],
         first, f"✔: the whole 95 % interval meets the criterion (mu: at least +{LEAST_GAIN_PERCENT:g} %; "
-        f"settled errors: at most +{MOST_CHANGE_PERCENT:g} %); ✘: none of it does; ?: undecided.",
+        f"settled errors: at most +{MOST_CHANGE_PERCENT:g} %). ✘: no part of it does. ?: only a part does.",
     )  # fmt: skip
     every = [{"robot": arm, "controller": name, **row} for arm, by in arms.items() for name, row in by.items()]
     marks = [

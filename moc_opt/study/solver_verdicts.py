@@ -253,8 +253,8 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
         "so its answers are not judged.",
         "≈ near: it never calls an answer optimal, or a mean in closed loop is surely worse than with ★ by more than "
         "its tolerance. Surely: both 95 % intervals of the change lie beyond the tolerance.",
-        "✘ avoid: it was silently wrong, hung or crashed; or one of the trials that all solvers ran broke off or "
-        f"oscillated; or a mean is surely worse by more than {TOO_MUCH:g} tolerances. docs/solvers.md gives the rules.",
+        "✘ avoid: it was silently wrong, hung or crashed; or one of its runs broke off or oscillated, in a trial that "
+        f"all solvers ran; or a mean is surely worse by more than {TOO_MUCH:g} tolerances. docs/solvers.md gives the rules.",
         "Right: share of problems that got a verified answer or were rightly reported as infeasible. Problems refused "
         "as inconsistent do not count. Wrong: number of silently wrong answers. Dash (–): not run or not judged.",
     ]
@@ -264,7 +264,7 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
             Column("tip_change", "tip model/ registered", unit="%", section=CLOSED, help="change relative to DCAC"),
         ]  # fmt: skip
         said += [
-            "Worst loss: the mean in closed loop that is worse than with ★ by the largest multiple of its tolerance. "
+            "Worst loss: the closed-loop mean with the largest loss relative to ★, in multiples of its tolerance. "
             f"Tolerances: mean mu {100 * COSTS['mu_mean'][1]:g} %, tip and RCM errors "
             f"{100 * COSTS[FRAMED[0]][1]:g} %, chatter (rms of the torque's rate of change) "
             f"{100 * COSTS['torque_rate_rms_Nm_per_s'][1]:g} %. None: no mean is worse by more than its "
