@@ -267,9 +267,9 @@ def sentences(summary: Mapping[str, Any]) -> list[str]:
             for key in ("relative", "absolute")
         )
         text = (
-            f"Preset {preset}, {origins['trials']} trials: the calibration error above which MOC's registered tip "
-            f"error is surely more than {MOST_CHANGE_PERCENT:g} % above DCAC's is {relative}. The calibration error "
-            f"above which MOC's mean error exceeds {MOST_MM:g} mm is {absolute}."
+            f"Preset {preset}, {origins['trials']} trials: MOC's registered tip error is surely more than "
+            f"{MOST_CHANGE_PERCENT:g} % above DCAC's if the calibration error exceeds {relative}. Its mean exceeds "
+            f"{MOST_MM:g} mm if the calibration error exceeds {absolute}."
         )
         here = (preset, "origins", DEFAULT_SIZE_MM)
         for row in (row for row in summary["calibration"] if (row["preset"], row["kind"], row["size"]) == here):
@@ -284,7 +284,7 @@ def sentences(summary: Mapping[str, Any]) -> list[str]:
 
 
 def _at(size: float | None, unit: str) -> str:
-    return "more than was tried" if size is None else f"{size:.2g} {unit}"
+    return "the largest size tried" if size is None else f"{size:.2g} {unit}"
 
 
 def pictures(rows: Sequence[Mapping[str, Any]], config: Config) -> list[Picture]:

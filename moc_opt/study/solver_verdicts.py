@@ -254,7 +254,8 @@ def first_table(summary: Summary, rows: Sequence[Row]) -> Table:
         "≈ near: it never calls an answer optimal, or a mean in closed loop is surely worse than with ★ by more than "
         "its tolerance. Surely: both 95 % intervals of the change lie beyond the tolerance.",
         "✘ avoid: it was silently wrong, hung or crashed; or one of its runs broke off or oscillated, in a trial that "
-        f"all solvers ran; or a mean is surely worse by more than {TOO_MUCH:g} tolerances. docs/solvers.md gives the rules.",
+        f"all solvers ran; or a mean is surely worse by more than {TOO_MUCH:g} tolerances. docs/solvers.md gives the "
+        "rules.",
         "Right: share of problems that got a verified answer or were rightly reported as infeasible. Problems refused "
         "as inconsistent do not count. Wrong: number of silently wrong answers. Dash (–): not run or not judged.",
     ]
