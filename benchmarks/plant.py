@@ -2,8 +2,9 @@
 
 python -m benchmarks.plant [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
-*Registered again*: the arm touches path and incision a second time when the elbow is at rest. This touch is not
-simulated, because it hardly changes the motion. The errors after it are computed from the trace.
+Registration: before a run, the arm touches path and incision, and so finds their positions in its own frame.
+*Registered again*: it does so a second time, when the elbow has come to rest. This touch is not simulated, because it
+hardly changes the motion. The errors after it are computed from the trace.
 """
 
 from __future__ import annotations
@@ -94,7 +95,7 @@ class Config(StudyConfig):
 
 
 def plant_of(base: PlantSettings, kind: str, size: float) -> PlantSettings:
-    """Return `base` with these calibration errors. The joint frames' tilt is proportional to the origins' error."""
+    """Return `base` with these calibration errors. Joint frames tilt in proportion to the origins' error."""
     origins = 1e-3 * size if kind in ("origins", "both") else 0.0
     encoders = 1e-3 * size if kind in ("encoders", "both") else 0.0
     return PlantSettings(**base.model_dump() | {

@@ -40,8 +40,8 @@ class SafetyFilter:
         period: control period [s].
         carries: whether the commanded torque carries the arm's weight. If not, the drives add the gravity torque.
         incision: whether the tool is in an incision. If not, RCM error and trocar force are not checked.
-        momentum: whether `limit_torque` computes the robot's state if it is called without one. The momentum residuals
-            need the state.
+        momentum: whether `limit_torque` computes the robot's state if its argument ``state`` is None. Without a state,
+            momentum residuals are not checked.
 
     Attributes:
         limited: number of joints whose torque the last call of `limit_torque` changed.
@@ -87,7 +87,7 @@ class SafetyFilter:
         Args:
             q, v: (n,) measured [rad], [rad/s].
             stamp: number of the control period of the measurement; None: the age is not checked.
-            applied: (n,) torque that was applied last [Nm]; None: repeated readings are not detected.
+            applied: (n,) torque that was applied last [Nm]; None: repetitions are not checked, nor whether q follows v.
             wrench: (6,) force [N] and torque [Nm] of the tool on its mount, in tool axes; needed with a trocar.
             trocar: (2, 3) rows P_t, dP_t of the registered trocar; None: RCM error and trocar force are not checked.
         """

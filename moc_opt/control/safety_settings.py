@@ -41,8 +41,8 @@ class SafetyFilterSettings(Settings):
     """assumed static friction of a joint, as a share of its torque limit. Only a torque change beyond the static
     friction contributes to the speed of `stuck_rad_per_s`"""
     stuck_friction: float = Field(6.0, gt=0.0)
-    """assumed static friction of a joint, as a multiple of its Coulomb friction in the robot's file, if this is not 0.
-    The smaller one of this friction and that of `stuck_torque` is used"""
+    """assumed static friction of a joint, as a multiple of its Coulomb friction in the robot's file. The smaller one of
+    this friction and that of `stuck_torque` is used. If the Coulomb friction is 0 (unknown), `stuck_torque` counts"""
     repeat_joint_ticks: int | None = Field(None, ge=1)
     """largest number of consecutive control periods in which one encoder repeats its position. By default, the
     scenario computes it from the encoders' noise and step"""

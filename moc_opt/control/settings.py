@@ -37,7 +37,7 @@ class Gains(NamedTuple):
     D_X: float  #: Level 1: tip damping [N s/m].
     K_N: float  #: Level 2: wrist stiffness [N/m].
     D_N: float  #: Level 2: wrist damping [N s/m].
-    K_N2: Array  #: (n,) level 3: gain on x - v [N m s/rad]; 0 under law ``dcac``.
+    K_N2: Array  #: (n,) level 3: gain on (solver's velocity x) - v [N m s/rad]; 0 under law ``dcac``.
     D_N2: Array  #: (n,) level 3: damping gain on v [N m s/rad]; 0 under law ``dcac``.
 
 
@@ -178,7 +178,7 @@ class ControlSettings(Settings):
 
     @property
     def follows(self) -> bool:
-        """Whether level 3 follows a course."""
+        """Whether level 3 follows a course (a planned joint motion)."""
         return self.third_level != "local"
 
     @property

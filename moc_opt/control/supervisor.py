@@ -67,8 +67,8 @@ class SupervisorSettings(Settings):
     """largest natural residual of an answer reported as optimal [rad/s]. At an optimum the residual is 0. The cost is
     scaled so that the largest entry of its gradient at x = 0 is 1"""
     opposite_limit: float = Field(1e-3, gt=0.0)
-    """distance [rad/s]. An answer reported as optimal is refused if it is farther than this from the optimum, and
-    nearer to the optimum for the negated `c2`"""
+    """distance [rad/s]. An answer reported as optimal is refused if it is farther than this from the optimum, and if
+    the optimum with -`c2` instead of `c2` is nearer to it"""
     hold_ticks: int = Field(10, ge=0)
     """number of consecutive control periods in which the last good answer replaces refused answers. After these,
     x = 0 damps the elbow motion, except near joint limits (`keep_off_limits`)"""
@@ -118,8 +118,8 @@ def _unlike(name: str, value: object, shape: tuple[int, ...]) -> str:
 class Supervisor:
     """Check the answers of a solver's session, replace refused answers, and count the faults.
 
-    ``period`` and ``times_us`` are those of `Controller`. ``faults`` maps the label of a fault to a dict of ``count``,
-    ``first_at_s`` and ``first`` (the first message).
+    ``period`` is the control period [s]. Recorded ``times_us`` replace measured solve times. ``faults`` maps the label
+    of a fault to a dict of ``count``, ``first_at_s`` and ``first`` (the first message).
     """
 
     def __init__(
@@ -155,7 +155,8 @@ class Supervisor:
     ) -> tuple[Status, Array, Array]:
         """Do the whole tick in the core, with the core's solver `exact` at this ``tolerance`` [rad/s].
 
-        ``x_d`` (n,) [rad/s] is from a `Guide`, or None. The other arguments are those of `Controller.tick`.
+        q and v (n,) are measured. tip_ref (3, 3) has the rows X_d, dX_d, ddX_d, and trocar (2, 3) the rows P_t, dP_t.
+        x_d (n,) [rad/s] is the joint velocity that the elbow follows; with None, the elbow raises mu.
         Return (status, record of a `RobotState`, out). ``out`` (14 n + 16,) has, in this order, `NullSpaceQP.row`
         (11 n + 10,), the solver's x (n,) and y (6,), the x (n,) that the arm follows, and the torque (n,) [Nm].
         """

@@ -2,7 +2,7 @@
  *
  * Symbols: joint positions q [rad, m], joint velocities v, tip X, wrist centre N, trocar P_t, Jacobians J_T of the tip
  * and J_W of the wrist, A = [J_T; J_W], mass matrix M, bias torque h = C v + g, manipulability mu of the tip. Only
- * the first n entries of joint arrays are used. */
+ * the first n entries of joint arrays are used. Level 1 moves the tip, level 2 the wrist, level 3 the elbow. */
 #ifndef MOC_H
 #define MOC_H
 
@@ -37,7 +37,7 @@ typedef struct {
     moc_joint joint[MOC_MAX_JOINTS];
     double point[2][3];            /* tip and wrist centre in the last joint's axes [m] */
     double tool[3][3];             /* rows: tool axes x, y, z (along the shaft) in the last joint's axes */
-    int moves[2][MOC_MAX_JOINTS];  /* 0: the joint never moves tip (row 0) or wrist (row 1) */
+    int moves[2][MOC_MAX_JOINTS];  /* rows: tip, wrist; 0: the joint never moves this point */
     double gravity[3];             /* gravitational acceleration in world axes [m/s^2] */
 } moc_arm;
 
@@ -65,8 +65,8 @@ typedef struct {
     int n;
     double A[6][MOC_MAX_JOINTS], b[6];     /* [J_T; J_W], [v_T; v_W] [m/s] */
     double grad_mu[MOC_MAX_JOINTS];        /* [m^3/rad] */
-    double pull[MOC_MAX_JOINTS];           /* grad_mu, plus a multiple of grad_mu_shaft if mu_shaft < shaft_margin,
-                                            * or rho/c2 x_d to follow x_d */
+    double pull[MOC_MAX_JOINTS];           /* to follow x_d: rho/c2 x_d. Else grad_mu, to which a multiple of
+                                            * grad_mu_shaft is added if mu_shaft < shaft_margin */
     double lower[MOC_MAX_JOINTS], upper[MOC_MAX_JOINTS]; /* [rad/s] */
     double c0, c1, c2, rho;
     double q[MOC_MAX_JOINTS];              /* A = A(q); only nonlinear solvers use q */
@@ -158,7 +158,7 @@ typedef enum {
 typedef struct {
     const double *x;  /* (n,) [rad/s], never NULL */
     moc_claim claim;
-    moc_fault known;  /* found by the caller, or MOC_TAKEN */
+    moc_fault known;  /* fault that the caller has found, else MOC_TAKEN */
     double us;        /* time of the solve [us] */
 } moc_answer;
 
@@ -167,10 +167,10 @@ typedef enum { MOC_LATE_HOLD = 0, MOC_LATE_ZERO, MOC_LATE_ITERATE } moc_late;
 
 typedef struct {
     int check;              /* 0: residuals are not checked */
-    double box_limit;       /* largest |A x - b| [m/s] and bound violation [rad/s] with MOC_CLAIMS_NOTHING */
-    double primal_limit;    /* the same for a claimed optimum */
-    double relative_limit;  /* largest moc_residuals.natural of a claimed optimum */
-    double opposite_limit;  /* largest distance from the optimum, if x is nearer to the optimum for -pull [rad/s] */
+    double box_limit;       /* with MOC_CLAIMS_NOTHING: largest |A x - b| [m/s] and bound violation [rad/s] */
+    double primal_limit;    /* the same with MOC_CLAIMS_OPTIMUM */
+    double relative_limit;  /* largest moc_residuals.natural (shared.h) of a claimed optimum */
+    double opposite_limit;  /* the same for .off, if .opposite is below .off [rad/s] */
     int hold_ticks;         /* ticks for which moc_memory.good replaces refused answers */
     int keep_off_limits;    /* after hold_ticks: a self-motion that keeps joints off their limits (1), or x = 0 (0) */
     moc_fallback fallback;  /* for an infeasible subproblem; MOC_DAMPING: x = 0 */
@@ -214,7 +214,7 @@ typedef struct {
     double v_max[MOC_MAX_JOINTS], tau_max[MOC_MAX_JOINTS]; /* [rad/s], [Nm] */
     double wall_stiffness, wall_damping, wall_brake;    /* [Nm/rad], [Nm s/rad], deceleration [rad/s^2] */
     double torque_step;                                 /* largest change of a torque [Nm per tick] */
-    double jump;                                        /* MEASUREMENT: largest change of q beyond v_max t [rad] */
+    double jump;                                        /* MEASUREMENT: most that q changes beyond v_max t [rad] */
     double speed_factor;                                /* MEASUREMENT: largest |v| / v_max */
     double tip_error;                                   /* TIP: largest rms error of the tip [m] */
     double tip_share;                                   /* TIP: weight of a new tick in the mean square */
@@ -234,10 +234,10 @@ typedef struct {
     double repeat_m;                                    /* REPEATED: largest motion of the tip's reference [m] */
     double repeat_torque;                               /* REPEATED: largest change of a torque / tau_max */
     double repeat_whole_m, repeat_whole_torque;         /* the same two, if the wrench is unchanged as well */
-    double repeat_whole_ticks;                          /* WRENCH_REPEATED, REPLAYED: most repeats, noisy wrench */
+    double repeat_whole_ticks;                          /* most repeats: WRENCH_REPEATED, REPLAYED (noisy wrench) */
     double repeat_joint_ticks;                          /* ONE_REPEATED: most ticks in a row with an unchanged q */
-    double repeat_reading_ticks;                        /* most ticks with unchanged q, v, or repeats with one lag */
-    double replayed_ticks;                              /* REPLAYED: most repeats, wrench without noise */
+    double repeat_reading_ticks;                        /* most ticks with unchanged q and v; most repeats: LAGGING */
+    double replayed_ticks;                              /* most repeats: REPLAYED (wrench without noise) */
     double stuck_speed;                                 /* STUCK: largest moc_joint_watch.unseen_speed [rad/s] */
     double held[MOC_MAX_JOINTS];                        /* STUCK: static friction [Nm] */
     double residual_torque;                             /* UNEXPLAINED: largest |r - mean of r| / tau_max */
@@ -252,7 +252,7 @@ enum { MOC_RCM = 0, MOC_FORCE = 1 };
 #define MOC_SLOTS 4096      /* size of the table of earlier readings of all sensors */
 #define MOC_JOINT_SLOTS 256 /* the same for one encoder */
 
-/* Repetitions in one of these tables. */
+/* Counts of one of these tables. A repetition is a reading that equals an earlier one. */
 typedef struct {
     double readings;     /* number of readings */
     double lag, hits;    /* lag of the latest repetition [readings]; repetitions in a row with this lag */
@@ -268,7 +268,7 @@ typedef struct {
     double integral;         /* of the momentum observer [Nm s] */
     double residual, mean;   /* r and its running mean [Nm] */
     double at_repeat;        /* mean of r when q last changed [Nm] */
-    double unseen_speed;     /* integral of d_i / M_ii in STUCK [rad/s] */
+    double unseen_speed;     /* STUCK: speed that the joint should have gained since q last changed [rad/s] */
     double exceeded;         /* ticks in a row with r above a limit of UNEXPLAINED */
 } moc_joint_watch;
 
@@ -298,7 +298,7 @@ typedef struct {
     int looked;                                  /* wrenches read, up to FIRST_READINGS (100) */
     int wrench_is_still;                         /* 1: one of these equalled the one before it */
     int weighed;                                 /* measurements compared with the torque */
-    double number[MOC_SLOTS], at[MOC_SLOTS];     /* readings, one number each; their indices from 1 (0: empty) */
+    double number[MOC_SLOTS], at[MOC_SLOTS];     /* each reading as one number; its index from 1 (0: empty slot) */
     double joint_number[MOC_MAX_JOINTS][MOC_JOINT_SLOTS], joint_at[MOC_MAX_JOINTS][MOC_JOINT_SLOTS];
     moc_came_before whole, lagging[MOC_MAX_JOINTS]; /* repetitions of all sensors, and of each encoder */
 } moc_watch;
@@ -340,7 +340,7 @@ typedef struct {
     moc_problem problem;            /* filled if law->third_level */
     moc_plane plane;                /* problem.A after elimination */
     double tip_ref[3];              /* tip reference [m] */
-    double tau[MOC_MAX_JOINTS];     /* levels 1 and 2 minus memory.external; after moc_finish, to send [Nm] */
+    double tau[MOC_MAX_JOINTS];     /* of levels 1 and 2, minus memory.external; after moc_finish, to send [Nm] */
     moc_fault fault;
     double x[MOC_MAX_JOINTS];       /* joint velocity that level 3 follows [rad/s] */
     double answer[MOC_MAX_JOINTS];  /* answer, y, status: results of the exact solver in moc_step */
@@ -358,7 +358,7 @@ typedef struct {
 moc_stop moc_start(const moc_controller *c, const moc_measurement *m, moc_state *state);
 
 /* First half of a tick: check the measurement, compute levels 1 and 2, and fill state->problem. Returns MOC_RUNNING or
- * the reason to stop. in->measured.applied may be NULL if the torque sent has acted. */
+ * the reason to stop. in->measured.applied may be NULL if the torque sent last has acted. */
 moc_stop moc_begin(const moc_controller *c, const moc_input *in, moc_state *state);
 
 /* Second half of a tick: check the answer, add level 3, apply the safety filter. Returns MOC_RUNNING or the reason to

@@ -1,15 +1,15 @@
-"""Optimize a course by direct transcription.
+"""Optimize a course (the joint motion along a path) by direct transcription.
 
 The variables q are the positions of the joints that move tip or wrist, at K evenly spaced times after a fixed start:
 
     max  mean of {mu / mu_0 - w (|ddq|^2 + |dq|^2 / T^2)} + V(q_K) / (K dt mu_0)
     s.t. X(q_k) = X_d,  B_k^T (N(q_k) - X_d) = 0,  q_min <= q_k <= q_max,  |q_k - q_k-1| <= v_max dt,
-         and no joint is `too_fast` towards its limit
+         and every joint can brake before its limit (`too_fast`)
 
-From mu, `course.lowered` subtracts a penalty on poses that can hardly turn the shaft. mu_0 is a typical mu, w a weight,
-T = `SETTLED_S`, dt the time step, and V the value function of `search`. X(q) is the tip, X_d its target, and N(q) the
-wrist. The columns of B_k (3,2) are orthogonal to the desired shaft, so that N lies on it. |X - N| is constant, so a
-third equation for N would make multipliers ambiguous.
+mu is the manipulability, less a penalty on poses that can hardly turn the shaft (`lowered` in course.py). mu_0 is a
+typical mu, w a weight, T = `SETTLED_S`, dt the time step, and V the largest integral of mu after q_K (search.py). X(q)
+is the tip, X_d its target, and N(q) the wrist. The columns of B_k (3,2) are orthogonal to the desired shaft, so that N
+lies on it. |X - N| is constant, so a third equation for N would make multipliers ambiguous.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from moc_opt.planning.course import WORTH, Course, Limits, Targets, make_course,
 from moc_opt.planning.search import End
 from moc_opt.robots.model import RobotModel
 
-# Settings of ipopt for a whole path. mu_init (barrier parameter) is small, because with a larger one ipopt often leaves
-# a guess with fast joint motions.
+# Settings of ipopt for a whole path. The first barrier parameter (ipopt.mu_init) is small. With a larger one, ipopt
+# often moves far away from a guess that comes near a limit or has fast joint motions.
 WHOLE: dict[str, Any] = {
     "print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.max_iter": 300, "ipopt.tol": 1e-8,
     "ipopt.constr_viol_tol": 1e-10, "ipopt.bound_relax_factor": 0.0, "ipopt.honor_original_bounds": "yes",
     "ipopt.mu_init": 1e-5, "ipopt.bound_push": 1e-6, "ipopt.bound_frac": 1e-6, "ipopt.slack_bound_push": 1e-6,
     "ipopt.slack_bound_frac": 1e-6, "ipopt.acceptable_iter": 0,
 }  # fmt: skip
-# Settings of CasADi's SQP for a horizon.
+# Settings of CasADi's SQP for a receding horizon.
 HORIZON: dict[str, Any] = {
     "print_time": False, "print_header": False, "print_iteration": False, "print_status": False, "error_on_fail": False,
     "max_iter": 3, "tol_pr": 1e-6, "tol_du": 1e-3, "convexify_strategy": "regularize", "qpsol": "osqp", "expand": True,
@@ -45,7 +45,7 @@ HORIZON: dict[str, Any] = {
 SETTLED_S = 0.3  #: Time T in the objective above.
 SOFT_RAD = 0.003  #: e in `too_fast`; it keeps the derivative finite at the joint limit.
 SMOOTH_LOSS = 0.05  #: Share of mean mu that smoothness and braking may cost.
-LEAST_SHARE = 1e-4  #: The shaft share s is replaced by sqrt(s^2 + `LEAST_SHARE`^2), which is smooth at s = 0.
+LEAST_SHARE = 1e-4  #: Instead of s = `shaft_shares`, sqrt(s^2 + `LEAST_SHARE`^2) is used: it is smooth at s = 0.
 INSIDE = 1e-9  #: Margin for rounding at the joint limits and the largest step [rad].
 
 
@@ -60,7 +60,7 @@ class Program:
 
         Args:
             mu: mu_0, which scales the objective [m^3].
-            top: largest mu, which scales the penalty of `course.lowered` [m^3]. If 0, mu_0 is used.
+            top: largest mu, which scales the penalty in mu [m^3]. If 0, mu_0 is used.
             smoothness: w [s^4/rad^2].
             brake: deceleration with which joints must be able to stop before their limits [rad/s^2]; inf: no such rule.
             horizon: use SQP instead of ipopt, and do not penalize the deceleration to rest after the last time.

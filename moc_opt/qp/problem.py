@@ -3,9 +3,10 @@
     min_x  c0/2 |J_T x - v_T|^2 + c1/2 |J_W x - v_W|^2 - c2 x^T pull + regularization/2 |x|^2
     s.t.   J_T x = v_T,   J_W x = v_W,   lower <= x <= upper
 
-x is a joint velocity [rad/s]. By default, pull is the gradient of mu. The terms with c0 and c1 are zero at every
-feasible x. regularization = 0 gives the problem of Su et al. (2019). The six equality rows have rank five if a rigid
-tool connects tip and wrist.
+x is a joint velocity [rad/s]. J_T and J_W are the Jacobians of tip and wrist, v_T and v_W their reference velocities.
+By default, pull is the gradient of the manipulability mu. The terms with c0 and c1 are zero at every feasible x.
+regularization = 0 gives the problem of Su et al. (2019). The six equality rows have rank five if a rigid tool connects
+tip and wrist.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The two ends of the wire: `RemoteController` in the plant's process, and `Answering` in the controller's.
+"""Ends of the wire (UDP packets): `RemoteController` in the plant's process, `Answering` in the controller's.
 
 docs/realtime.md describes the sequence of their packets.
 """
@@ -38,7 +38,7 @@ class RemoteController(Filtered):
     object to `sim.loop.simulate`, with ``pace`` as ``watch``. Call ``close`` afterwards.
 
     Args:
-        safety_filter: computes only the watchdog's torques and brakes.
+        safety_filter: only computes the torques and brakes of the watchdog.
         columns: makes the controller's trace columns for a number of ticks.
         applied: (n,) torque before the first tick [Nm]. tau_max: (n,) largest torques of a command [Nm].
         clock: begins the ticks in real time. None: lock-step, in which the plant waits for each command.
@@ -234,7 +234,7 @@ class Answering:
         return make_packet(kind, self.link.n, self.link.session, self.scenario)
 
     def _ask(self, kind: Kind, *, waits: bool) -> Packet:
-        """Repeat a packet until a measurement has (``waits``) or lacks the flag WAITING."""
+        """Repeat a packet until a measurement comes in which the flag WAITING is set (``waits``) or not set."""
         link, request, until = self.link, self._packet(kind), monotonic() + self.settings.wait_s
         while (now := monotonic()) < until:
             link.send(request)

@@ -206,7 +206,7 @@ def _tables(value: Settings, name: str) -> Iterator[dict[str, Any]]:
 
 
 def without_none(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Copy a table, but omit None in ``settings``. Elsewhere replace None, by "" in ``gains`` and else by infinity."""
+    """Copy a table without None: the key ``gains`` gets "", other keys infinity. In ``settings``, None is omitted."""
     plain: dict[str, Any] = {}
     for key, value in table.items():
         if key == "settings":

@@ -21,7 +21,8 @@ from moc_opt.tasks import Reference, Trocar
 Found = TypeVar("Found")
 
 SINGULAR = (1e-4, 1e-4)
-"""Lower bounds on `Freedoms.tip` and `Freedoms.both` at every start."""
+"""Lower bounds at every start on `Freedoms.tip` and `Freedoms.both` of planning/self_motion.py: the ratios of the
+smallest to the largest singular value of J_tip, and of the fifth to the largest one of A = [J_tip; J_wrist]."""
 REGULAR = (0.1, 0.05)
 """Like `SINGULAR`, but for a random start and for the poses along its path."""
 DRAWN_MARGIN = 0.1  #: Smallest distance of a drawn pose from the joint limits [share of the range].
@@ -72,7 +73,7 @@ def random_start(
     """Draw start poses until the arm can do the task, and return the task laid out from there.
 
     Args:
-        swivelled: function that turns the elbow of a drawn pose (n,) to [start] swivel.
+        swivelled: function that moves the elbow of a drawn pose (n,) to the place that [start] swivel sets.
         attempt: function from a start pose (n,) to the task and poses (k, n) along the path.
         margins: (n,) required distance from the joint limits, at the start and along the path [rad, m].
 

@@ -97,7 +97,7 @@ class RNNPrintedSession(RNNSession):
         self._x = np.array(v, dtype=float)
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Compute x = clip(v - k dL/dqd), then integrate the multipliers over one tick."""
+        """Compute x = clip(v - k dL/dx) with the gradient at v, then integrate the multipliers over one tick."""
         return self._advance(qp, 1, 1.0, self._settings.h, 1.0, False)
 
 
@@ -134,7 +134,7 @@ class RNN(Network):
 
 @dataclass(frozen=True)
 class RNNPrinted(Network):
-    """Equation (2) of the paper as printed. The paper's qd is the measured joint velocity v.
+    """Equation (2) of the paper as printed: on its right-hand side, the measured joint velocity v stands for x.
 
     Each tick needs ``session.observe(v)`` first.
 

@@ -51,7 +51,7 @@ class Job:
     limit_s: float = 600.0
     alone: bool = False  #: for a job that measures times: no other job runs meanwhile
     group: str = ""
-    """After ``give_up`` hangs or crashes (see `run`) in a group, its later jobs are skipped. "": never skipped."""
+    """Name of a group. After ``give_up`` hangs or crashes in it, `run` skips its later jobs. "": in no group."""
 
 
 @dataclass(frozen=True)

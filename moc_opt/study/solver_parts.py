@@ -193,7 +193,7 @@ def closed_loop(work: Work) -> None:
     asked = []
     for case in starts:
         k = number[case.name]
-        # The best courses are planned only in the first trials, because planning takes as long as a run.
+        # Courses of largest mean mu are planned only in the first trials, because planning takes as long as a run.
         case = case.change(best_courses=k < part.others)
         timed = k < part.timed
         asked += [

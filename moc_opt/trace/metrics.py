@@ -69,7 +69,7 @@ def _add(name: str, unit: str, about: str, function: Callable[..., float]) -> Me
 
 
 def load_plugins() -> dict[str, str]:
-    """Register the metrics of other packages. Return the reasons of those that cannot be loaded, by name."""
+    """Register the metrics of other packages. Return {name: reason} for those that cannot be loaded."""
     for name, points in plugins.plugins(GROUP).items():
         if points[0] in _LOADED:
             continue
@@ -92,7 +92,7 @@ def summarize(trace: Trace, baseline: Trace | None = None) -> dict[str, float]:
     """Compute every metric for which the trace has the data.
 
     Args:
-        baseline: a run of DCAC with the same gains, trial and ticks.
+        baseline: a run under DCAC (the controller without level 3) with the same gains, trial and ticks.
 
     Raises:
         TraceError: an argument is not a Trace or is empty, the ticks differ, or a column holds impossible numbers.
@@ -206,8 +206,8 @@ _figure("mu_final", "m^3", "Last", "mu", lambda values: values[-1])
 def mu_gain_percent(trace: Trace, baseline: Trace | None) -> float:
     """Change of mean manipulability against the same run without level 3 (DCAC).
 
-    The run of DCAC has this run's observer gain, which depends on `third_level`. So compare runs with different third
-    levels by `mu_mean`.
+    DCAC runs with the observer gain of this run, which depends on `third_level`. So runs with different
+    `third_level` have different baselines. Compare such runs by `mu_mean`.
     """
     if baseline is None:
         raise MissingDataError("there is no baseline: give the trace of DCAC on the same trial")

@@ -100,7 +100,7 @@ class Hand:
         self.settings, self._period, self._extra = settings, period_s, np.zeros(3)
 
     def pull(self, place: Array, velocity: Array, goal: Array) -> Array:
-        """Return the hand's force (3,) [N] on a tip at ``place``, once per tick. PlantError: the arm ran away."""
+        """Return the force (3,) [N] on a tip at ``place``. Call it once per tick. PlantError: the arm ran away."""
         hand, way = self.settings, goal - place
         distance = math.sqrt(float(way @ way))
         if not math.isfinite(distance + float(velocity @ velocity)):
@@ -144,8 +144,8 @@ def guide_to(
 ) -> HandsOn:
     """Let a hand pull the tip to the incision (3,) [m], and register the trocar.
 
-    The mean position of the resting tip in the robot's model, plus a seeded error, is registered. Raise a TaskError,
-    before the arm moves, if the incision is too far away or out of reach, and a PlantError if the arm runs away.
+    The mean position of the resting tip in the robot's model, plus a seeded error, is registered. Raise a TaskError if
+    the incision is too far away or out of reach (before the arm moves). Raise a PlantError if the arm runs away.
     """
     settings = settings or HandsOnSettings()
     goal = vector3("incision", incision)
