@@ -193,7 +193,7 @@ def read_key(file: Path | None, host: str, option: str) -> bytes:
             f"{option} {host}: other machines reach that address, and any of them can move the arm: give both "
             f"ends the same key by --key-file or {VARIABLE}, or use 127.0.0.1"
         )
-    key = (text if file is None else text.strip()).encode(errors="surrogateescape")  # the variable as in udp.c
+    key = (text if file is None else text.strip()).encode(errors="surrogateescape")  # udp.c does not strip
     if not SHORTEST <= len(key) <= LONGEST:
         raise WireError(
             f"{VARIABLE if file is None else f'--key-file {str(file)!r}'}: a key of {len(key)} bytes: give one line of "
