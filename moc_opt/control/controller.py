@@ -24,7 +24,8 @@ from moc_opt.solvers.isolated import IsolatedSession
 class Guide(Protocol):
     """A source of joint velocities x_d that the elbow follows instead of the gradient of mu.
 
-    In the cost of the subproblem, pull is then (rho / c2) x_d, so that the optimum is the feasible x nearest to x_d.
+    The subproblem's cost has the term -c2 x^T pull. With a guide, pull is (rho / c2) x_d instead of the gradient of mu.
+    Then the optimum is the feasible x nearest to x_d.
     """
 
     def start(self) -> None:
@@ -43,7 +44,7 @@ class Controller:
         solver: solver of level 3 for law "moc"; None for law "dcac".
         period: control period [s].
         times_us: recorded solve times [us], used instead of the clock while they last; None: the clock.
-        guide: gives the elbow's velocity, and needs regularization and c2 above 0. None: the elbow raises mu.
+        guide: gives the elbow's velocity. `regularization` and `c2` must then be above 0. None: the elbow raises mu.
 
     Raises:
         ControlError: the solver or a setting does not fit the law or the robot.

@@ -1,9 +1,9 @@
 /* The subproblem's optimum by elimination. If A x = b, the cost is rho/2 |x|^2 - c2 pull^T x + constant.
  *
  * Gauss-Jordan elimination with complete pivoting (Golub and Van Loan, Matrix Computations, 3.4.8) writes x as a
- * particular solution plus one self-motion per free joint (a joint without a pivot). With one free joint, a ratio test
- * gives the optimum. With several, polytope.c computes it. Rows are padded to 8 or 16 numbers, so that the compiler
- * unrolls the loops over a row. */
+ * particular solution plus one self-motion per free joint (a joint that has no pivot and is not idle). With one free
+ * joint, a ratio test gives the optimum. With several, polytope.c computes it. Rows are padded to 8 or 16 numbers, so
+ * that the compiler unrolls the loops over a row. */
 #include "vec.h"
 
 #define RANK_TOLERANCE 1e-12 /* largest (singular value of A) / |A|_F that counts as zero */
@@ -12,14 +12,14 @@
 #define LEFT 1e-6            /* largest allowed |A x - b| of a result [m/s] */
 #define SOUND 1e-6           /* if the last pivot is smaller, the result is checked [m] */
 #define UNBALANCED 1e-4      /* largest allowed |A^T y - force| / max(c2 |pull|, rho) of a result */
-#define IDLE 1e-12           /* a joint is idle (moves neither tip nor wrist) if no eliminated entry is larger */
+#define IDLE 1e-12           /* a joint is idle (moves neither tip nor wrist) if its eliminated column is not larger */
 #define ROUNDING 1e-9        /* an idle joint's pull below this share of the largest pull counts as zero */
 #define GROWTH 4e-12         /* assumed bound on the relative rounding error of the elimination */
-#define WIDEST 1e-5          /* largest tolerance of a second solve [rad/s] */
-#define UNCLEAR 1e-3         /* largest tolerance of a third solve [rad/s] */
+#define WIDEST 1e-5          /* largest tolerance of moc_solve_eliminated's second solve [rad/s] */
+#define UNCLEAR 1e-3         /* the same for its third solve [rad/s] */
 #define SLIVER 2e-9          /* least assumed rounding error with several free joints [rad/s] */
 
-/* Turn multipliers g of the rows after `steps` steps of the elimination into multipliers of A's rows. */
+/* g are multipliers of the rows after `steps` elimination steps. Turn them into multipliers of A's rows. */
 static inline void weigh_back(const moc_plane *plane, int steps, double g[6])
 {
     for (int k = steps - 1; k >= 0; k--) {
@@ -291,8 +291,8 @@ moc_status moc_solve_eliminated(const moc_plane *plane, const moc_problem *p, do
 {
     moc_status status = solve(plane, p, tolerance, x, y);
     /* If rounding may have decided the status, solve again with larger tolerances. The first status holds only if the
-     * subproblem is infeasible even with the largest one, `unclear`. With several free joints, it is larger, because
-     * columns may be almost parallel. */
+     * subproblem is infeasible even with the largest tolerance, `unclear`. With several free joints, `unclear` is
+     * larger, because columns may be almost parallel. */
     double explained = status == MOC_OK ? 0.0 : explained_by_rounding(plane, p);
     if (explained <= tolerance)
         return status;

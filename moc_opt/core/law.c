@@ -2,7 +2,7 @@
  *
  *   tau = h + J_T^T F_T + (I - J_T^T Jbar_T^T) J_W^T F_W + tau_ff - r + s M Z^T (Z M Z^T)^-1 Z tau_0,
  *   tau_0 = K_N2 (x - v) - D_N2 v.
- * r: memory.external. s: memory.share. F_T, F_W: see moc_tracking_torque. Jbar_T, tau_ff: see add_dynamic. */
+ * r: estimated external torque. s rises from 0 to 1. F_T, F_W: see moc_tracking_torque. Jbar_T, tau_ff: add_dynamic. */
 #include "vec.h"
 
 #define STRAIGHT 1e-3  /* add_dynamic drops one of the wrist's two rows if it is shorter than this * (the other) */
@@ -54,11 +54,11 @@ static void times(int n, double J[][MOC_MAX_JOINTS], const double *v, double out
         out[i] = dot(n, J[i], v);
 }
 
-/* Compute ddN_d of N_d = X + L e for a trocar without acceleration. With r = P_t - X = |r| e, and ' for d/dt:
- * e'' = (I - e e^T)(r'' - 2 |r|' e') / |r| - |e'|^2 e. */
+/* Compute ddN_d of N_d = X + L e for a trocar without acceleration. With w = P_t - X = |w| e, and ' for d/dt:
+ * e'' = (I - e e^T)(w'' - 2 |w|' e') / |w| - |e'|^2 e. */
 static void desired_wrist_acceleration(const line *s, double span, const double ddX_d[3], double out[3])
 {
-    double bend[3], square = dot3(s->turn, s->turn); /* r'' - 2 |r|' e' */
+    double bend[3], square = dot3(s->turn, s->turn); /* w'' - 2 |w|' e' */
     for (int i = 0; i < 3; i++)
         bend[i] = -ddX_d[i] - 2.0 * s->closing * s->turn[i];
     double along = dot3(s->e, bend);
@@ -66,14 +66,14 @@ static void desired_wrist_acceleration(const line *s, double span, const double 
         out[i] = ddX_d[i] + span * ((bend[i] - along * s->e[i]) / s->distance - square * s->e[i]);
 }
 
-/* Add the wrist's torque tau_W (only with MOC_DYNAMIC) and the feed-forward (Khatib 1987, eq. 51):
+/* Add the wrist's torque tau_W (only with MOC_DYNAMIC) and tau_ff, the term with a (Khatib 1987, eq. 51):
  *
  *   tau += (I - J_T^T Jbar_T^T) tau_W + A5^T (A5 M^-1 A5^T)^-1 a,  Jbar_T = M^-1 J_T^T (J_T M^-1 J_T^T)^-1,
  *   a = [ddX_d - dJ_T v; b^T (ddN_d - dJ_W v)], or 0 without a feed-forward.
  *
- * A5 = [J_T; b^T J_W], with the columns of b (3, 2) across the shaft. M = H H^T (Cholesky). `rows` has A5 H^-T and
- * (H^-1 tau_W)^T. They are made orthogonal. This avoids A5 M^-1 A5^T, which has the square of their condition number. A
- * straight elbow cannot accelerate the wrist in one direction, which tau_ff leaves out. */
+ * A5 = [J_T; b^T J_W]. The columns of b (3, 2) are across the shaft. M = H H^T (Cholesky). `rows` has A5 H^-T, and
+ * below it (H^-1 tau_W)^T. Its rows are made orthogonal, because A5 M^-1 A5^T has the square of their condition number.
+ * With a straight elbow, the wrist cannot be accelerated in one direction. tau_ff leaves out this direction. */
 static void add_dynamic(const moc_law *law, int n, moc_terms *t, const double *ddX_d, const double *ddN_d,
                         const double *tau_W, double *tau)
 {
@@ -172,8 +172,8 @@ void moc_tracking_torque(const moc_law *law, int n, const moc_terms *terms, cons
     memcpy(tau, t->h, (unsigned)n * sizeof *tau);
     add_force(n, J_T, 1.0, F, tau);
 
-    /* Shaft: F_W = factor K_N (N_d - N) + D_N (dN_d - dN), N_d = X + L e. If rcm_lambda > 0, factor is
-     * d / (rcm_lambda |N_d - N|), as in Su et al. With the RCM error d and the angle theta between e and -u,
+    /* Shaft: F_W = factor K_N (N_d - N) + D_N (dN_d - dN), N_d = X + L e. factor is 1 or, if rcm_lambda > 0,
+     * d / (rcm_lambda |N_d - N|) with the RCM error d, as in Su et al. With the angle theta between e and -u,
      * d / |N_d - N| is cos(theta/2) |P_t - X| / L. */
     line s = shaft_line(t->tip, dX, trocar);
     if (law->rcm_lambda > 0.0)
@@ -212,7 +212,7 @@ void moc_fill_problem(const moc_law *law, int n, const moc_terms *t, const moc_r
         p->b[i] = ref->dX[i];
         gap += t->u[i] * (p->b[i] - p->b[3 + i]);
     }
-    for (int i = 0; i < 3; i++) /* change v_W so that u^T (v_T - v_W) = 0, because the tool is rigid */
+    for (int i = 0; i < 3; i++) /* change v_W, b's lower half, so that u^T (v_T - v_W) = 0: the tool is rigid */
         p->b[3 + i] += gap * t->u[i];
     for (int j = 0; j < n; j++) {
         double v_max = law->v_max[j] * wider;

@@ -6,13 +6,13 @@
  *
  *   LATE              now - newest stamp > delay of the run's first new measurement + patience [ticks]
  *   MEASUREMENT *     no new measurement, |v| > speed_factor v_max, or |q - q_b| > jump + v_max t. q_b is the last
- *                     accepted q, extrapolated with its v. t is the time since then
- *   REPLAYED          all sensors read the same as k readings ago, k > 1, more than n times with the same k.
- *                     n = min(repeat_reading_ticks, m). m is repeat_whole_ticks with wrench noise, else replayed_ticks
- *   REPEATED          all q are unchanged on more than `patience` ticks in a row, and in this time the tip's reference
- *                     moved by more than repeat_m, a torque changed by more than repeat_torque tau_max, or
- *                     WRENCH_REPEATED holds. If the wrench is unchanged too, the limits repeat_whole_... apply.
- *                     Or: each joint's q, v were unchanged on more than repeat_reading_ticks ticks in total
+ *                     accepted q, extrapolated with its v. t is the time since this q was accepted
+ *   REPLAYED          more than n times, all sensors read the same as k readings ago, with the same k > 1. n is
+ *                     min(repeat_reading_ticks, m) with m = repeat_whole_ticks or, without wrench noise, replayed_ticks
+ *   REPEATED          (a) all q are unchanged on more than `patience` ticks in a row, and in this time the tip's
+ *                     reference moved by > repeat_m, a torque changed by > repeat_torque tau_max, or WRENCH_REPEATED
+ *                     holds. If the wrench is unchanged too, the limits are repeat_whole_m and repeat_whole_torque.
+ *                     Or (b) each joint's q and v were both unchanged on more than repeat_reading_ticks ticks in total
  *   RAN_AWAY          |change of q - integral of v| over motion_s > motion_rad + motion_lag_s * (largest recent |v|)
  *   ONE_REPEATED      one q is unchanged for more than repeat_joint_ticks ticks in a row, or one q and its v for
  *                     more than repeat_reading_ticks ticks in total
@@ -184,7 +184,7 @@ static moc_stop compare_readings(const moc_guard *g, int n, const moc_measuremen
                                                                                   : MOC_RUNNING;
 }
 
-/* Store a reading in a table. Returns the number of repetitions in a row with the same lag [readings]. */
+/* Store a reading in a hash table. Returns how often in a row a reading came back after the same lag [readings]. */
 static inline double take_in(double number, int slots, double *numbers, double *at, moc_came_before *before)
 {
     if (!(fabs(number) < LARGEST_NUMBER))
@@ -260,7 +260,7 @@ static double rcm_error(double pose[4][3], const double P[3])
  * axis, L its length, d the depth of the tip beyond the trocar, and g a contact force at the tip. Without the tool's
  * weight, force = f + g and torque = (L - d) z x f + L z x g. Hence f = (L force - torque x z) / d. An overestimated d
  * makes f too small. The result is at least |force| - tip_force, because |g| should not exceed tip_force. *all is
- * |force|, for the warning: a load on the tool may reduce f. */
+ * |force|. The warning uses it too, because a load on the tool may reduce f. */
 static double trocar_force(const moc_guard *g, double pose[4][3], const double P[3], const double *wrench, double *all)
 {
     double depth = 0.0, L = g->tool_length, weight[2], force[2];
@@ -362,7 +362,7 @@ static moc_stop weigh(const moc_guard *g, int n, const moc_terms *t, const doubl
 
 /* --- limits of the torque --- */
 
-/* Return the largest (torque - gravity torque) towards a wall, infinite if the wall does not act. */
+/* Return the largest (torque - gravity torque) towards a wall (soft joint limit), infinite if the wall does not act. */
 static double left_by_wall(const moc_guard *g, int i, double distance, double speed)
 {
     /* up to this speed, the joint can still stop at the wall */

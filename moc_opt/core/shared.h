@@ -16,7 +16,7 @@ typedef struct {
     double p[3];    /* origin [m] */
 } moc_frame;
 
-/* A body's velocity: linear (at the world's origin) and angular. In `twist` arrays, joint j alone moves at speed 1. */
+/* A body's velocity: linear (at the world's origin) and angular. In twist[j], only joint j moves, at speed 1. */
 typedef struct {
     double lin[3], ang[3];
 } moc_twist;
@@ -46,16 +46,16 @@ typedef struct {
 
 moc_gram moc_gram_of(int n, double J[][MOC_MAX_JOINTS]);
 
-/* Return mu or mu_shaft, and write its gradient (n,), zero at a singularity. `gram` is moc_gram_of for J_T. Only
- * moc_manipulability accepts NULL as `gradient`. */
+/* Return mu or mu_shaft, and write its gradient (n,), which is zero at a singularity. *gram is moc_gram_of(n, J_T).
+ * Only moc_manipulability accepts NULL as `gradient`. */
 double moc_manipulability(int n, const moc_twist *twist, double J[][MOC_MAX_JOINTS], moc_gram *gram, double *gradient);
 double moc_shaft_manipulability(int n, const moc_twist *twist, double A[][MOC_MAX_JOINTS], moc_gram *gram,
                                 const double u[3], double *gradient);
 
 /* --- record.c --- */
 
-/* Copy a struct to its record (PACK) or from it (UNPACK), an array without unused joints. qp/problem.py and
- * robots/model.py read records. */
+/* PACK copies a struct to its record, UNPACK copies a record to its struct. A record is an array of the struct's
+ * numbers, without unused joints. qp/problem.py and robots/model.py read records. */
 typedef enum { UNPACK, PACK } direction;
 void moc_copy_problem(moc_problem *problem, int n, double *record, direction way);
 void moc_copy_terms(moc_terms *terms, int n, double *record, direction way);
@@ -105,7 +105,7 @@ void moc_eliminate(int n, double A[][MOC_MAX_JOINTS], moc_plane *plane);
 moc_status moc_solve_eliminated(const moc_plane *plane, const moc_problem *problem, double tolerance, double *x,
                                 double y[6]);
 
-/* Compute the z (n,) in ker A that is 1 at the k-th joint without a pivot and 0 at the others without one. */
+/* Compute the z (n,) in ker A that is 1 at the k-th free joint (see exact.c) and 0 at the other free joints. */
 void moc_direction(const moc_plane *plane, int n, int k, double *z);
 
 /* With several free joints, move a solution x of A x = b to the optimum, and add the bounds' multipliers to force. */
@@ -134,7 +134,7 @@ moc_fault moc_supervise(const moc_supervision *s, const moc_problem *problem, co
 /* Start at a finite q and v, measured in control period `stamp`. */
 void moc_guard_start(const moc_guard *g, int n, const double *q, const double *v, long long stamp, moc_watch *w);
 
-/* Check a measurement. watch->q and watch->v become the measured state or, if it is refused, an extrapolated one. */
+/* Check a measurement. w->q and w->v become the measured state or, if it is refused, an extrapolated state. */
 moc_stop moc_guard_believe(const moc_guard *g, int n, const moc_measurement *m, moc_watch *w);
 
 /* Check the RCM error and the trocar's force. */
@@ -142,11 +142,11 @@ moc_stop moc_guard_incision(const moc_guard *g, double pose[4][3], const moc_tro
                             moc_watch *w);
 
 /* Check the tip's error, and whether the previous torque `before` explains the motion. If tau is finite, limit it in
- * place. t: terms at watch->q, watch->v. With tip (or t) NULL, tip (or motion) is not checked. */
+ * place. t: terms at w->q, w->v. If tip is NULL, the tip is not checked. If t is NULL, the motion is not checked. */
 moc_stop moc_guard_follow(const moc_guard *g, const moc_arm *arm, const moc_terms *t, const double *tip,
                           const double *tip_ref, const double *before, double *tau, moc_watch *w);
 
-/* Compute the torque in a stop: `before`, moved by at most torque_step towards the gravity torque, or 0 if w->cut. */
+/* Compute the torque in a stop: from `before` towards the gravity torque (0 if w->cut), by at most torque_step. */
 void moc_guard_rest(const moc_guard *g, const moc_arm *arm, const double *before, const moc_watch *w, double *tau);
 
 /* --- step.c --- */

@@ -1,4 +1,4 @@
-"""Plan a path before a run: whether it can be executed, and along which course."""
+"""Plan a path before a run: whether it can be executed, and along which course (joint motion)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from moc_opt.planning.program import refine
 from moc_opt.planning.search import WHOLE_CELL, Value, keeping_shaft, reached
 from moc_opt.robots.model import RobotModel
 
-ROOM = 0.01  #: Relative gap of mean mu to its bound above which another course is tried.
+ROOM = 0.01  #: If mean mu is below its bound by more than this fraction, another course is tried.
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class Plan:
     targets: Targets
     from_start: Course | None  #: Best course from the start, or None.
     best: Course | None  #: Best course from any start pose, or None.
-    climbed: Course  #: The local climb. It ends before the path's end if a limit blocks the way.
+    climbed: Course  #: Local climb: each step goes up in mu as far as the speed limits allow. It may end early.
     bound_from_start: float
     """Estimated upper bound of mean mu from the start [m^3]; NaN if ``from_start`` is None or has a larger mean mu."""
     bound: float  #: The same bound for ``best``, over all starts [m^3].

@@ -20,7 +20,7 @@ from moc_opt.planning.course import Limits, lowered, shaft_shares, weights
 from moc_opt.planning.elbow import wrapped
 from moc_opt.planning.pose_map import PoseMap
 
-WHOLE_CELL = 1.1  #: ``cell`` of `Value` for an upper bound. On straight curves 1 would do.
+WHOLE_CELL = 1.1  #: The ``cell`` for which `Value` bounds mean mu from above. On straight curves, 1 would do.
 NEARBY_RAD = 0.2  #: Radius around a pose within which V is approximated by a parabola.
 
 
@@ -140,10 +140,10 @@ class Value:
 
 
 def keeping_shaft(found: PoseMap, limits: Limits) -> PoseMap:
-    """Reduce the map's mu by `lowered`, so that courses try to keep the shaft margin."""
+    """Lower mu with `lowered` of course.py where the shaft can hardly turn, so that courses avoid such poses."""
     if limits.shaft <= 0.0:
         return found
-    # All branches have the same share, because the columns of their Jacobians differ only in sign.
+    # All branches have the same shaft share, because the columns of their Jacobians differ only in sign.
     may = found.feasible().any(axis=1)
     share = np.full(may.shape, np.inf)
     share[may] = shaft_shares(found.robot, found.q_rad[:, 0][may])
@@ -186,8 +186,8 @@ def advance(
 ) -> Array:
     """Return the values (b,m) of the poses at one time, from the values at the next time.
 
-    No joint may move farther than its step (n,) [rad] plus both slacks. The branch's index may change only in the
-    bits of ``crossing`` (m,).
+    No joint may move farther than its step (n,) [rad] plus the slacks of both poses. Only those bits of the branch's
+    index may change that are set in ``crossing`` (m,).
 
     Args:
         q, slack: (b,m,n) [rad], NaN if there is no pose. gain: (b,m) added to the value, -inf at a forbidden pose.

@@ -39,7 +39,7 @@ class Trajectory:
     swivel_rad: Array  #: Swivel in the map's range. It may jump by a turn.
     mu: Array  #: mu of the run's poses [m^3].
     gap_rad: float
-    """Median over time of the largest difference of a joint angle from the map's pose at the same time and swivel."""
+    """Median over time of max_j |q_j - q_map,j|, where q_map is the map's pose at the run's time and swivel."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -1,9 +1,9 @@
 """Residuals of an answer to the null-space subproblem: one definition for every solver.
 
 The subproblem (problem.py) is min 1/2 x^T P x + p^T x s.t. A x = b, lower <= x <= upper. Its cost has the terms
--c2 x^T pull and rho/2 |x|^2. y are the duals of A x = b. The natural residual is the largest entry of
-``|x - clip(x - (P x + p + A^T y), lower, upper)|`` (Facchinei & Pang 2003, section 1.5.2). If A x = b, it is zero
-exactly at a KKT point. A joint is idle if its column of A is zero.
+-c2 x^T pull and rho/2 |x|^2, and two terms with weights c0 and c1 that are constant if A x = b. y are the duals of
+A x = b. The natural residual is the largest entry of ``|x - clip(x - (P x + p + A^T y), lower, upper)|`` (Facchinei &
+Pang 2003, section 1.5.2). If A x = b, it is zero exactly at a KKT point. A joint is idle if its column of A is zero.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ RANK_TOLERANCE = 1e-12
 GRADIENT_ROUNDING = 1e-9  # the part of pull in ker A counts as zero below this fraction of |pull|_inf
 A_POINT = 1e-9  # a shorter feasible interval counts as a point [rad/s]
 FEASIBLE = 1e-6  # if no x is feasible, the bounds are widened by up to this [rad/s], and the set is treated as a point
-MOST_FACETS = 300  # if `_facets` gives more directions, the optimum's y replaces the best y
+MOST_FACETS = 300  # if `_facets` gives more directions, ``natural_best`` uses the optimum's y instead of the best y
 TIED_BY_ROUNDING = 1e-14  # a sixth singular value below this share of |A|_F is a rounding error
 NEARLY_SINGULAR = 1e-3  # with a smaller singular value (share of |A|_F), A d = r is solved by iterative refinement
 REFINEMENTS = 3  # steps of this refinement

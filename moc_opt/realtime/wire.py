@@ -34,8 +34,8 @@ SHORTEST, LONGEST = 16, 32  #: Bounds on a key's length [bytes].
 TAG_BYTES = 16
 BACKLOG = 256  #: After its time limit, `receive` reads waiting packets until it has read this many in all.
 COUNTERS = ("received", "missed", "late", "forged", "foreign")
-"""What an end counts: packets used (received), ticks without a packet in time (missed), late or repeated packets
-(late), packets with a wrong checksum (forged), and all other ignored packets (foreign)."""
+"""What plant and controller each count: packets used (received), ticks without a packet in time (missed), late or
+repeated packets (late), packets with a wrong checksum (forged), and all other ignored packets (foreign)."""
 
 Packet = NDArray[np.void]  #: A record of shape ().
 Address = tuple[str, int]
@@ -180,7 +180,7 @@ def parse_address(text: str, option: str) -> Address:
 
 
 def read_key(file: Path | None, host: str, option: str) -> bytes:
-    """Return the file's key, else the environment variable's, else on loopback `LOOPBACK_KEY`.
+    """Return the key in ``file`` or, if it is None, in `VARIABLE`. On loopback, the default is `LOOPBACK_KEY`.
 
     Raises:
         WireError: there is no key, or its length is wrong.
@@ -193,7 +193,7 @@ def read_key(file: Path | None, host: str, option: str) -> bytes:
             f"{option} {host}: other machines reach that address, and any of them can move the arm: give both "
             f"ends the same key by --key-file or {VARIABLE}, or use 127.0.0.1"
         )
-    key = (text if file is None else text.strip()).encode(errors="surrogateescape")  # C ends do not strip the variable
+    key = (text if file is None else text.strip()).encode(errors="surrogateescape")  # udp.c does not strip
     if not SHORTEST <= len(key) <= LONGEST:
         raise WireError(
             f"{VARIABLE if file is None else f'--key-file {str(file)!r}'}: a key of {len(key)} bytes: give one line of "

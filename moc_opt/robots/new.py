@@ -30,7 +30,7 @@ DOWN = (0.94, 0.8, -1.0)  #: Cosines of the tool's largest angle from straight d
 CLEARANCE_M = 0.05  #: Smallest distance of tip and wrist from the base's plane.
 MARGIN = 0.2  #: Smallest distance from a joint limit, divided by half the range.
 REGULAR = (0.15, 0.08)
-"""Smallest `Freedoms.tip` and `Freedoms.both` at home."""
+"""Smallest ratios of singular values at home: `Freedoms.tip` and `Freedoms.both` of planning/self_motion.py."""
 SHARE = (0.7, 0.9)
 """Wanted range of mu / (largest mu on the self-motion) at home. Below 1, so that mu can rise."""
 
@@ -150,8 +150,9 @@ class Shaft(NamedTuple):
 def find_shaft(text: str, last_link: str) -> Shaft:
     """Lay the tool along the last turning axis, away from the arm.
 
-    The wrist is the shaft's point nearest to the last turning axis that is not parallel to the shaft. If that point is
-    ahead of the mount, the mount is the wrist. If the last joint slides, the tool runs along the last link's z.
+    If the last joint slides, the tool runs along the last link's z. The wrist is the shaft's point nearest to another
+    axis, the last turning axis that is not parallel to the shaft. If that point is ahead of the mount, the wrist is the
+    mount.
     """
     model = pin.buildModelFromXML(text)
     data = model.createData()
@@ -211,8 +212,8 @@ class Home(NamedTuple):
 def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
     """Search for a home pose. Raise a RobotError if no pose is suitable.
 
-    Random poses are scored by mu and by their distance from limits and singularities. Among the best scores, the first
-    pose by `Home.order` is chosen.
+    Random poses are scored by mu and by their distance from limits and singularities. Of the poses with the best
+    scores, the first in `Home.order` is chosen.
     """
     rng, idle = np.random.default_rng(seed), ~robot.moves.any(axis=0)
     middle, half = 0.5 * (robot.q_min + robot.q_max), 0.5 * (robot.q_max - robot.q_min)
@@ -261,7 +262,7 @@ def _ranked(robot: RobotModel, poses: Array) -> list[Home]:
 
 
 def task_fault(robot: RobotModel, q: Array, scenario: Scenario | None = None) -> str:
-    """Say why a scenario's path cannot be followed from q; empty if it can."""
+    """Return why a scenario's path cannot be followed from q, or "" if it can."""
     asked = (scenario or Scenario()).change(start={"q_rad": tuple(q.tolist())})
     try:
         lay_out(asked, robot)

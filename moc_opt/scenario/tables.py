@@ -24,7 +24,7 @@ def _not_zero(vector: Vector) -> Vector:
 
 
 Direction = Annotated[Vector, AfterValidator(_not_zero)]
-MOST_S = 100_000.0  # upper limit of a run's and of other durations [s]
+MOST_S = 100_000.0  # upper limit of durations, such as a run's [s]
 
 
 class RobotTable(Settings):

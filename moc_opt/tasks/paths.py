@@ -32,7 +32,7 @@ class Path:
     """A planar curve in space, with the axes `heading` and `left` = normal x heading."""
 
     length: float  #: [m]
-    knots: Array  #: as in `PlanarCurve`
+    knots: Array  #: Arc lengths (k,) from 0 to `length` that resolve every bend [m].
 
     def __init__(self, curve: PlanarCurve, start: ArrayLike, *, normal: ArrayLike, heading: ArrayLike) -> None:
         """Place the curve at start (3,) [m], in the plane perpendicular to normal (3,). Project heading (3,) into it.
@@ -70,7 +70,7 @@ class Path:
         return self.points(np.clip(s, 0.0, self.length))
 
     def points(self, s: Array) -> Array:
-        """Return p, dp/ds, d2p/ds2 (axis 1) at each s, (k, 3, 3). The range of s (k,) [m] is not checked."""
+        """Return (k, 3, 3) for s (k,) [m], whose range is not checked. Axis 1: p, dp/ds, d2p/ds2. Axis 2: x, y, z."""
         x, y, tx, ty, k = np.array([self.curve.at(one) for one in s.tolist()]).reshape(-1, 5).T[:, :, None]
         a, b = self.heading, self.left
         return np.stack([self.start + a * x + b * y, a * tx + b * ty, a * (-k * ty) + b * (k * tx)], axis=1)
