@@ -197,8 +197,9 @@ def _in_closed_loop(row: Row, shared: int) -> str:
     common = ""
     if row["tip_change"] and shared < trials:
         shaken += f" ({closed.get('oscillated_in_common', 0) or 'none'} of the first {shared})" if shaken else ""
-        common = f" In the first {shared} trials, which the other solvers ran too, the tip error changes by "
-        common += f"{row['tip_change']} % (kinematic model/registered frame)."
+        model, registered = row["tip_change"].split("/")
+        common = f" In the first {shared} trials, which the other solvers ran too, the model error of the tip changes "
+        common += f"by {model} %, and the registered error by {registered} %."
     return (
         f"In closed loop, `{row['solver']}` ran {trials} independent trials{shaken}. Relative to `{BASELINE}`, mean mu "
         f"changes by {mu}. In the frame registered at the start, the tip error changes by {tip} and the RCM error by "
