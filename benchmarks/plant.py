@@ -269,8 +269,8 @@ def sentences(summary: Mapping[str, Any]) -> list[str]:
         )
         text = (
             f"Preset {preset}, {origins['trials']} trials: MOC's registered tip error is surely more than "
-            f"{MOST_CHANGE_PERCENT:g} % above DCAC's if the calibration error exceeds {relative}. Its mean exceeds "
-            f"{MOST_MM:g} mm if the calibration error exceeds {absolute}."
+            f"{MOST_CHANGE_PERCENT:g} % above DCAC's if the calibration error exceeds {relative}. MOC's mean "
+            f"registered tip error exceeds {MOST_MM:g} mm if the calibration error exceeds {absolute}."
         )
         here = (preset, "origins", DEFAULT_SIZE_MM)
         for row in (row for row in summary["calibration"] if (row["preset"], row["kind"], row["size"]) == here):

@@ -30,7 +30,7 @@ def unstable(qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool, 
 
     With c = scale c0 = scale c1, explicit steps are stable only if h k < c and (2 h_x k c - h h_x k^2) |A|^2 < 4.
     Semi-implicit steps are stable only if (2 h_x k c + h h_x k^2) |A|^2 < 4. |A| is the largest singular value of
-    A = [J_T; J_W]. If c0 and c1 differ, the first condition uses the smaller one, and the others the larger one.
+    A = [J_T; J_W]. If c0 and c1 differ, c is the smaller one in h k < c, and the larger one in the conditions with |A|.
     """
     c0, c1 = scale * qp.c0, scale * qp.c1
     weak, strong, hk = min(c0, c1), max(c0, c1), h * k

@@ -257,3 +257,9 @@ def test_a_run_on_another_branch_is_not_compared():
     assert np.isnan([elsewhere.near, elsewhere.mu_share, elsewhere.from_s]).all()
     nowhere = read(hill(60.0, 0.3), 60.0, (-180.0, 180.0, 1))
     assert nowhere.end is End.UNKNOWN
+
+
+def test_an_angle_less_than_half_a_step_from_the_first_swivel_stays_there():
+    swivel = np.linspace(-2.0, 4.0, 61)
+    near = swivel[0] + np.array([-0.04, 0.04])
+    np.testing.assert_allclose(swivel_map._onto(near + 2.0 * np.pi, swivel), near)
